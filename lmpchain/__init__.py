@@ -1,0 +1,50 @@
+"""Waves in columns of Hertzian grains: LAMMPS, a native integrator and theory, side by side."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from . import engines as engines
+    from .chain import BRASS as BRASS
+    from .chain import GLASS as GLASS
+    from .chain import PTFE as PTFE
+    from .chain import STEEL as STEEL
+    from .chain import TUNGSTEN_CARBIDE as TUNGSTEN_CARBIDE
+    from .chain import Chain as Chain
+    from .chain import Material as Material
+    from .errors import EngineUnavailable as EngineUnavailable
+    from .errors import InputError as InputError
+    from .errors import LmpchainError as LmpchainError
+    from .errors import RunFailed as RunFailed
+    from .errors import ToleranceNotMet as ToleranceNotMet
+    from .scene import Displacement as Displacement
+    from .scene import Impulse as Impulse
+    from .scene import Profile as Profile
+    from .scene import Scene as Scene
+    from .simulation import simulate as simulate
+    from .trajectory import Trajectory as Trajectory
+
+_WHERE = {
+    "chain": "Chain Material GLASS STEEL PTFE BRASS TUNGSTEN_CARBIDE",
+    "scene": "Scene Impulse Displacement Profile",
+    "simulation": "simulate",
+    "trajectory": "Trajectory",
+    "errors": "LmpchainError InputError ToleranceNotMet RunFailed EngineUnavailable",
+}
+_MODULE = {name: module for module, names in _WHERE.items() for name in names.split()}
+__all__ = ["engines", *_MODULE]  # noqa: PLE0604
+
+
+def __getattr__(name: str) -> Any:
+    """Import public names when they are first used, so that none pays for what it does not use."""
+    if name == "engines":
+        return import_module(".engines", __name__)
+    if name not in _MODULE:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f".{_MODULE[name]}", __name__), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

@@ -1,0 +1,50 @@
+"""The engines, by name."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from ..errors import InputError
+from .base import Engine
+
+if TYPE_CHECKING:
+    from .lammps.engine import Lammps as Lammps
+    from .native.engine import Native as Native
+
+_WHERE = {"lammps": ("lammps.engine", "Lammps"), "native": ("native.engine", "Native")}
+
+
+def names() -> tuple[str, ...]:
+    """Return the names that `simulate(engine=...)` knows.
+
+    Examples
+    --------
+    >>> names()
+    ('lammps', 'native')
+    """
+    return tuple(_WHERE)
+
+
+def get(engine: str | Engine, **options: Any) -> Engine:
+    """Return the engine of this name with these options; "auto" takes the native one.
+
+    Raises
+    ------
+    InputError
+        If there is no such engine or an option is wrong.
+    """
+    if isinstance(engine, Engine):
+        return engine
+    name = "native" if engine == "auto" else engine
+    if name not in _WHERE:
+        raise InputError([("engine", f"must be auto | {' | '.join(_WHERE)} (got {engine!r})")])
+    module, cls = _WHERE[name]
+    return getattr(import_module(f".{module}", __name__), cls)(**options)
+
+
+def __getattr__(name: str) -> Any:
+    for module, cls in _WHERE.values():
+        if cls == name:
+            return getattr(import_module(f".{module}", __name__), cls)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

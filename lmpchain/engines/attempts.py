@@ -1,0 +1,80 @@
+"""Trying until the tolerance is met, or until it is clear that it cannot be."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
+
+from ..errors import RunFailed
+from ..scene import Scene
+from .base import Candidate, Cost, Engine, Run, SolverError
+
+ATTEMPTS = 12
+STALLS = 2  # attempts in a row that do not help: round-off or chaos, not the step, is the limit
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Outcome(Generic[T]):
+    """The last attempt: what was collected from it, and why it missed the tolerance, if it did."""
+
+    collected: T
+    candidate: Candidate
+    error: SolverError
+    cost: Cost
+    missed: str
+
+
+def until_tolerance(engine: Engine, scene: Scene, tolerance: float, collect: Callable[[Run], T]) -> Outcome[T]:
+    """Run a scene, at ever shorter steps unless the step is given, and collect each run's blocks.
+
+    Raises
+    ------
+    ToleranceNotMet
+        If the engine knows beforehand that it cannot meet the tolerance.
+    RunFailed
+        If the run breaks down, at a given step or again and again.
+    """
+    began = time.perf_counter()
+    candidate = engine.candidate(scene, tolerance)
+    errors: list[SolverError] = []
+    breakdowns = 0
+    while True:
+        looked = time.perf_counter() - began
+        run = engine.start([scene], candidate)
+        error = None
+        try:
+            collected = collect(run)
+            error, cost = run.errors()[0], run.cost()
+        except RunFailed:
+            breakdowns += 1
+            if candidate.fixed or breakdowns > STALLS:
+                raise
+        finally:
+            run.close()
+        if error:
+            errors.append(error)
+            missed = "" if candidate.fixed or error.total <= tolerance else _why_not(errors, tolerance, candidate.step)
+            if candidate.fixed or error.total <= tolerance or missed:
+                cost = replace(cost, estimate_s=cost.estimate_s + looked)
+                return Outcome(collected, candidate, error, cost, missed)
+        candidate = engine.refine(candidate, error, tolerance)
+
+
+def _why_not(errors: list[SolverError], tolerance: float, step: float) -> str:
+    """Return why shorter steps will not help, or nothing if they may."""
+    error = errors[-1]
+    missed = f"the error is estimated at {error.total:.2g}, above the tolerance of {tolerance:.2g}"
+    if error.roundoff > tolerance:
+        return f"{missed}: round-off alone makes {error.roundoff:.2g}, whatever the step"
+    recent = [e.truncation for e in errors[-STALLS - 1 :]]
+    stalled = len(recent) > STALLS and all(b > 0.7 * a for a, b in zip(recent, recent[1:], strict=False))
+    if not stalled and len(errors) < ATTEMPTS:
+        return ""
+    return (
+        f"{missed}, and shorter steps no longer help (now {step:.2g} s): the scene amplifies round-off, and beyond "
+        f"t = {error.horizon(tolerance):.4g} s no double-precision answer is this accurate; record up to there, or "
+        "ask for less"
+    )

@@ -1,0 +1,173 @@
+"""The seam: an engine is a way to answer a scene.
+
+Every engine states which equation it solves, says beforehand what an answer will cost and how far
+off it will be, and delivers the answer in blocks with an estimate of its own error. Progress,
+Ctrl-C and where the output goes are not its business: `lmpchain.simulation` does that for all.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from ..fields import Array
+from ..scene import Scene
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """What an engine proposes for a scene.
+
+    Attributes
+    ----------
+    steps_per_sample : int
+        Steps between two recorded times.
+    step : float
+        Their length, s.
+    fixed : bool
+        Whether the user gave the step, so that no tolerance is enforced.
+    active_grains : int
+        Grains that are computed.
+    model_error, solver_error : float
+        Expected relative errors: of the equation, and of its solution.
+    cost_s : float
+        Expected time, s.
+    notes : tuple of str
+        Choices made on the user's behalf, in words.
+    """
+
+    steps_per_sample: int
+    step: float
+    fixed: bool
+    active_grains: int
+    model_error: float
+    solver_error: float
+    cost_s: float
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class SolverError:
+    """Estimated error of a solution relative to its equation, as defined for a trajectory.
+
+    Attributes
+    ----------
+    truncation, roundoff : float
+        From the step and from rounding.
+    smooth : bool
+        Whether no contact came near to opening, so that the method kept its order.
+    differences : (T,) array
+        Largest relative difference between runs at two steps, sample by sample.
+    time : (T,) array
+        s.
+    """
+
+    truncation: float
+    roundoff: float
+    smooth: bool
+    differences: Array
+    time: Array
+
+    @property
+    def total(self) -> float:
+        """Truncation and round-off together."""
+        return self.truncation + self.roundoff
+
+    def horizon(self, tolerance: float) -> float:
+        """Return the first time at which the difference between two runs exceeds the tolerance, s."""
+        beyond = np.flatnonzero(~(self.differences <= tolerance))
+        return float(self.time[beyond[0]]) if beyond.size else float("inf")
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What an answer cost."""
+
+    integration_s: float
+    estimate_s: float
+    setup_s: float
+    steps: int
+    force_evaluations: int
+    active_grains: int
+    integrator: str
+    step_s: float
+    ranks: int
+
+
+class Block(NamedTuple):
+    """Part of an answer: realisations x samples x recorded grains.
+
+    A block without samples says that the engine is still at work: a moment to show progress or stop.
+    """
+
+    samples: slice
+    displacement: Array
+    velocity: Array
+
+
+class Run(ABC):
+    """An answer in the making. Close it, also after an error."""
+
+    @abstractmethod
+    def blocks(self) -> Iterator[Block]:
+        """Yield the answer in order, at most some 0.2 s of work apart."""
+
+    @property
+    @abstractmethod
+    def progress(self) -> float:
+        """Part of the work done, 0 to 1."""
+
+    @abstractmethod
+    def errors(self) -> list[SolverError]:
+        """Return the estimate for every realisation, once all blocks are out."""
+
+    @abstractmethod
+    def cost(self) -> Cost:
+        """Return what it has cost so far."""
+
+    @abstractmethod
+    def state(self) -> Mapping[str, Array]:
+        """Return what `Engine.start` needs to go on from here with the same bits."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release everything."""
+
+
+class Engine(ABC):
+    """A way to answer a scene; its options are constructor arguments."""
+
+    name: ClassVar[str]
+    equation: ClassVar[int]
+
+    @abstractmethod
+    def refuses(self, scene: Scene) -> list[tuple[str, str]]:
+        """Return why it cannot do this scene, as (key, reason); empty if it can."""
+
+    @abstractmethod
+    def candidate(self, scene: Scene, tolerance: float) -> Candidate:
+        """Propose how to answer within the tolerance.
+
+        Raises
+        ------
+        ToleranceNotMet
+            If it knows beforehand that it cannot.
+        """
+
+    @abstractmethod
+    def refine(self, candidate: Candidate, error: SolverError | None, tolerance: float) -> Candidate:
+        """Propose the next try after a run that missed the tolerance (or broke down: error None)."""
+
+    @abstractmethod
+    def start(
+        self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array] | None = None
+    ) -> Run:
+        """Start one scene, or a batch of scenes that differ in numbers only."""
+
+    @abstractmethod
+    def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
+        """Return the choices that shape the answer and the versions behind it, for the record."""

@@ -1,0 +1,1 @@
+"""Eq. (1) in displacements, integrated by compiled loops."""

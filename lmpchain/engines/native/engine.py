@@ -1,0 +1,63 @@
+"""The native engine."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+import numba
+
+from ...fields import Array
+from ...scene import Scene
+from ..base import Candidate
+from ..splittings import Splitting
+from ..lockstep import native_floor
+from ..stepping import SteppedEngine, check_floor
+from .kernels import FORMS
+from .stepper import NativeStepper, force_form
+
+
+class Native(SteppedEngine):
+    """Integrate Eq. (1) in displacements with compiled loops.
+
+    Parameters
+    ----------
+    integrator : "rkn6", "verlet" or "kahan-li6"
+    step : float, optional
+        s; the largest step up to it that divides the sample interval is used, and no tolerance is
+        enforced.
+
+    Raises
+    ------
+    InputError
+        If an option is wrong.
+    """
+
+    name: ClassVar[str] = "native"
+    equation: ClassVar[int] = 1
+    seconds_per_grain_step = 1e-9
+
+    def __init__(self, integrator: str = "rkn6", step: float | None = None):
+        super().__init__(integrator, step)
+
+    def refuses(self, scene: Scene) -> list[tuple[str, str]]:
+        """Every chain that can be described can be done."""
+        return []
+
+    def candidate(self, scene: Scene, tolerance: float) -> Candidate:
+        """Propose a step, unless round-off alone exceeds the tolerance."""
+        candidate = super().candidate(scene, tolerance)
+        if not candidate.fixed:
+            evaluations = candidate.steps_per_sample * (scene.samples - 1) * self.splitting.evaluations
+            check_floor(native_floor(evaluations), tolerance, 'use a higher order (integrator "rkn6") or less accuracy')
+        return candidate
+
+    def stepper(
+        self, scenes: Sequence[Scene], splitting: Splitting, step: float, state: Mapping[str, Array]
+    ) -> NativeStepper:
+        """Make a stepper."""
+        return NativeStepper(scenes, splitting, step, state)
+
+    def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
+        """Return the form of the force and the version of the compiler."""
+        return {"force": FORMS[force_form(scene)], "numba": numba.__version__}

@@ -1,0 +1,71 @@
+"""Chains in memory, moved forward by the compiled kernels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ...fields import Array
+from ...scene import Scene
+from ..splittings import Splitting
+from . import kernels
+
+STRONG = 1e3  # strike number above which the faster form of the force loses nothing
+
+
+class NativeStepper:
+    """A batch of chains in displacements from equilibrium."""
+
+    def __init__(self, scenes: Sequence[Scene], splitting: Splitting, step: float, state: Mapping[str, Array]):
+        chains = [scene.chain for scene in scenes]
+        self.form = force_form(scenes[0])
+        self._delta = chains[0].exponent
+        self._movable = chains[0].movable
+        if self.form == kernels.VACUUM:
+            self._inverse_length = np.ones((len(chains), chains[0].grains - 1))
+            self._strength = np.array([chain.contact_constants for chain in chains])
+        else:
+            self._inverse_length = 1 / np.array([chain.equilibrium_overlap for chain in chains])
+            self._strength = np.array([chain.equilibrium_force for chain in chains])
+        self._inverse_mass = 1 / np.array([chain.masses for chain in chains])
+        self._kicks = np.array(splitting.kicks) * step
+        self._drifts = np.array(splitting.drifts) * step
+        initial = [scene.initial() for scene in scenes]
+        self.u = np.array(state.get("u", [u for u, _ in initial]))
+        self.v = np.array(state.get("v", [v for _, v in initial]))
+        self._lowest = float(state.get("lowest", np.inf))
+        self._run(self.u[:0], self.v[:0], 0)  # no chains: only compiles, so that it is not timed as work
+
+    def advance(self, steps: int) -> None:
+        """Move forward by `steps` steps."""
+        self._lowest = min(self._lowest, self._run(self.u, self.v, steps))
+
+    def _run(self, u: Array, v: Array, steps: int) -> float:
+        tables = self._inverse_length, self._strength, self._inverse_mass
+        return kernels.advance(
+            u, v, *tables, self._movable, self.form, self._delta, self._kicks, self._drifts, steps
+        )
+
+    def lowest(self) -> float:
+        """Return the smallest r / eps that any contact has had; -1 is an opening."""
+        return -1.0 if self.form == kernels.VACUUM else self._lowest
+
+    def state(self) -> dict[str, Array]:
+        """Return what is needed to go on with the same bits."""
+        return {"u": self.u, "v": self.v, "lowest": np.array(self._lowest)}
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+
+def force_form(scene: Scene) -> int:
+    """Choose the form of the force: without cancellation unless the strike is strong."""
+    chain = scene.chain
+    if not chain.compressed:
+        return kernels.VACUUM
+    if chain.exponent == 1:
+        return kernels.SPRING
+    if chain.exponent == 1.5:
+        return kernels.PLAIN if scene.strike_number > STRONG else kernels.CORRECTED
+    return kernels.POWER

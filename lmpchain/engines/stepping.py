@@ -1,0 +1,103 @@
+"""What engines that step through time share: their options and the choice of the step."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..errors import InputError, ToleranceNotMet
+from ..fields import Array
+from ..scene import Scene
+from .base import Candidate, Engine, SolverError
+from .lockstep import SAFETY, LockstepRun, Stepper
+from .splittings import SPLITTINGS, Splitting
+
+ORDER_THROUGH_OPENINGS = 2.5
+
+
+class SteppedEngine(Engine):
+    """An engine that moves through time with one of the splittings at a fixed step."""
+
+    seconds_per_grain_step: float
+
+    def __init__(self, integrator: str, step: float | None):
+        if integrator not in SPLITTINGS:
+            raise InputError([("integrator", f"must be {' | '.join(SPLITTINGS)} (got {integrator!r})")])
+        if step is not None and not (isinstance(step, int | float) and math.isfinite(step) and step > 0):
+            raise InputError([("step", f"must be a time above 0 s (got {step!r})")])
+        self.splitting: Splitting = SPLITTINGS[integrator]
+        self.step = step
+
+    @abstractmethod
+    def stepper(self, scenes: Sequence[Scene], splitting: Splitting, step: float, state: Mapping[str, Array]) -> Stepper:
+        """Make the stepper of the answer."""
+
+    def candidate(self, scene: Scene, tolerance: float) -> Candidate:
+        """Propose a step: the one given, or the one that should meet the tolerance."""
+        interval = scene.duration / (scene.samples - 1)
+        stiffest = stiffest_frequency(scene)
+        limit = self.splitting.stability_limit
+        if self.step is not None:
+            if self.step * scene.chain.band_edge > limit:
+                raise InputError(
+                    [("step", f"must be below {limit / scene.chain.band_edge:.3g} s, where {self.splitting.name} "
+                      f"stops being stable on this chain (got {self.step:g})")]
+                )  # fmt: skip
+            return self._at(scene, math.ceil(interval / self.step * (1 - 1e-12)), tolerance, fixed=True)
+        reach = (tolerance / SAFETY / self.splitting.error_constant) ** (1 / self.splitting.order)
+        longest = min(reach, 0.2 * limit)
+        return self._at(scene, 4 * math.ceil(interval * stiffest / longest / 4), tolerance)
+
+    def _at(self, scene: Scene, steps_per_sample: int, error: float, fixed: bool = False) -> Candidate:
+        steps = steps_per_sample * (scene.samples - 1)
+        cost = self.seconds_per_grain_step * self.splitting.evaluations * steps * scene.chain.grains
+        interval = scene.duration / (scene.samples - 1)
+        return Candidate(steps_per_sample, interval / steps_per_sample, fixed, scene.chain.grains, 0.0, error, cost)
+
+    def refine(self, candidate: Candidate, error: SolverError | None, tolerance: float) -> Candidate:
+        """Shorten the step by what the observed error asks for."""
+        factor = 4.0
+        if error is not None and math.isfinite(error.truncation):
+            order = self.splitting.order if error.smooth else min(self.splitting.order, ORDER_THROUGH_OPENINGS)
+            room = max(tolerance - error.roundoff, tolerance / 4)
+            most = 16.0 if error.truncation < 0.1 else 4.0  # far off, the law does not hold yet
+            factor = min(max((error.truncation / (0.7 * room)) ** (1 / order), 1.3), most)
+        steps = 4 * math.ceil(candidate.steps_per_sample * factor / 4)
+        step = candidate.step * candidate.steps_per_sample / steps
+        return replace(candidate, steps_per_sample=steps, step=step)
+
+    def start(
+        self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array] | None = None
+    ) -> LockstepRun:
+        """Start one scene, or a batch of scenes that differ in numbers only."""
+        return LockstepRun(self.stepper, self.splitting, scenes, candidate, state)
+
+
+def stiffest_frequency(scene: Scene) -> float:
+    """Return the highest frequency that the scene can excite, rad/s.
+
+    The band edge of the chain at rest, or that of a pair of grains pressed together by the strike.
+    """
+    chain = scene.chain
+    u, v = scene.initial()
+    m, delta = chain.masses, chain.exponent
+    energy = chain.excess_energy(u, v)
+    pressed = float(chain.overlap_bound(float(energy)).max()) if np.count_nonzero(v) + np.count_nonzero(u) <= 1 else None
+    if pressed is None:  # energy spread over many grains: what the largest local motion can do
+        pair = m[:-1] * m[1:] / (m[:-1] + m[1:])
+        spread = np.abs(u[:-1] - u[1:])
+        closing = ((delta + 1) / 2 * pair * (v[:-1] - v[1:]) ** 2 / chain.contact_constants) ** (1 / (delta + 1))
+        pressed = float((chain.equilibrium_overlap + spread + closing).max())
+    stiffness = delta * chain.contact_constants.max() * pressed ** (delta - 1)
+    struck = math.sqrt(2 * stiffness / m.min()) if energy > 0 else 0.0
+    return max(chain.band_edge, struck, 1 / scene.duration)
+
+
+def check_floor(floor: float, tolerance: float, cure: str) -> None:
+    """Raise `ToleranceNotMet` if round-off alone exceeds the tolerance."""
+    if floor > tolerance:
+        raise ToleranceNotMet(f"round-off alone makes an error of about {floor:.1g}, above the tolerance; {cure}")

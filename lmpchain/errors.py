@@ -1,0 +1,56 @@
+"""What can go wrong, as exceptions whose text is written for the person who reads it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .trajectory import Trajectory
+
+
+class LmpchainError(Exception):
+    """Base of every error that this package raises on purpose."""
+
+
+class InputError(LmpchainError, ValueError):
+    """The input is wrong.
+
+    Parameters
+    ----------
+    faults : iterable of (key, message)
+        Every fault found: which key, what is wrong with it and what to do.
+    """
+
+    def __init__(self, faults: Iterable[tuple[str, str]]):
+        self.faults = list(faults)
+        super().__init__("\n".join(f"{key}: {message}" for key, message in self.faults))
+
+    def under(self, prefix: str) -> list[tuple[str, str]]:
+        """Return the faults with their keys moved below `prefix`."""
+        return [(f"{prefix}.{key}" if key else prefix, message) for key, message in self.faults]
+
+
+class EngineUnavailable(LmpchainError):
+    """The engine cannot run on this machine; the text names the cure."""
+
+
+class RunFailed(LmpchainError):
+    """The run broke down (not a number, a grain passed through another, energy grew)."""
+
+
+class ToleranceNotMet(LmpchainError):
+    """The answer is not as accurate as was asked for.
+
+    Attributes
+    ----------
+    trajectory : Trajectory or None
+        What was computed, with its honest error estimate; None if nothing was run.
+    reason : str
+        Why the tolerance was missed and what to do.
+    """
+
+    def __init__(self, reason: str, trajectory: Trajectory | None = None):
+        self.reason = reason
+        self.trajectory = trajectory
+        super().__init__(reason)

@@ -1,0 +1,36 @@
+"""Files that are either whole or not there."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
+from os import PathLike
+from pathlib import Path
+
+from .errors import InputError
+
+
+@contextmanager
+def write_aside(path: str | PathLike[str]) -> Iterator[Path]:
+    """Give a path to write to; move it to `path` when all went well, remove it when not.
+
+    Raises
+    ------
+    InputError
+        If `path` cannot be written.
+    """
+    path = Path(path)
+    aside = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.partial{path.suffix}")
+    try:
+        if path.is_dir():
+            raise InputError([(str(path), "is a folder; name a file")])
+        yield aside
+        with open(aside, "rb") as written:
+            os.fsync(written.fileno())
+        os.replace(aside, path)
+    except OSError as error:
+        raise InputError([(str(path), f"cannot be written: {error.strerror or error}")]) from error
+    finally:
+        aside.unlink(missing_ok=True)
