@@ -56,25 +56,32 @@ def until_tolerance(engine: Engine, scene: Scene, tolerance: float, collect: Cal
             run.close()
         if error:
             errors.append(error)
-            missed = "" if candidate.fixed or error.total <= tolerance else _why_not(errors, tolerance, candidate.step)
-            if candidate.fixed or error.total <= tolerance or missed:
+        better = None if candidate.fixed else engine.refine(candidate, error, tolerance)
+        if error:
+            enough = candidate.fixed or error.total <= tolerance
+            missed = "" if enough else _why_not(errors, tolerance, candidate.step, better)
+            if enough or missed:
                 cost = replace(cost, estimate_s=cost.estimate_s + looked)
                 return Outcome(collected, candidate, error, cost, missed)
-        candidate = engine.refine(candidate, error, tolerance)
+        assert better
+        candidate = better
 
 
-def _why_not(errors: list[SolverError], tolerance: float, step: float) -> str:
+def _why_not(errors: list[SolverError], tolerance: float, step: float, better: Candidate | None) -> str:
     """Return why shorter steps will not help, or nothing if they may."""
     error = errors[-1]
     missed = f"the error is estimated at {error.total:.2g}, above the tolerance of {tolerance:.2g}"
-    if error.roundoff > tolerance:
+    if better is None:
         return f"{missed}: round-off alone makes {error.roundoff:.2g}, whatever the step"
     recent = [e.truncation for e in errors[-STALLS - 1 :]]
     stalled = len(recent) > STALLS and all(b > 0.7 * a for a, b in zip(recent, recent[1:], strict=False))
     if not stalled and len(errors) < ATTEMPTS:
         return ""
+    missed = f"{missed}, and shorter steps no longer help (now {step:.2g} s)"
+    horizon = error.horizon(tolerance)
+    if horizon == float("inf"):
+        return f"{missed}: ask for less"
     return (
-        f"{missed}, and shorter steps no longer help (now {step:.2g} s): the scene amplifies round-off, and beyond "
-        f"t = {error.horizon(tolerance):.4g} s no double-precision answer is this accurate; record up to there, or "
-        "ask for less"
+        f"{missed}: the scene amplifies round-off, and beyond t = {horizon:.4g} s no double-precision answer is this "
+        "accurate; record up to there, or ask for less"
     )

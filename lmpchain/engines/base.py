@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -36,8 +36,8 @@ class Candidate:
         Expected relative errors: of the equation, and of its solution.
     cost_s : float
         Expected time, s.
-    notes : tuple of str
-        Choices made on the user's behalf, in words.
+    choices : mapping
+        What the engine chose on the user's behalf, for the record and for `Engine.start`.
     """
 
     steps_per_sample: int
@@ -47,7 +47,7 @@ class Candidate:
     model_error: float
     solver_error: float
     cost_s: float
-    notes: tuple[str, ...] = ()
+    choices: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -159,8 +159,11 @@ class Engine(ABC):
         """
 
     @abstractmethod
-    def refine(self, candidate: Candidate, error: SolverError | None, tolerance: float) -> Candidate:
-        """Propose the next try after a run that missed the tolerance (or broke down: error None)."""
+    def refine(self, candidate: Candidate, error: SolverError | None, tolerance: float) -> Candidate | None:
+        """Propose the next try after a run that missed the tolerance (or broke down: error None).
+
+        None says that nothing can help: round-off alone exceeds the tolerance.
+        """
 
     @abstractmethod
     def start(

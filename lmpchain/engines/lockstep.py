@@ -53,7 +53,7 @@ class LockstepRun(Run):
 
     def __init__(
         self,
-        make: Callable[[Sequence[Scene], Splitting, float, Mapping[str, Array]], Stepper],
+        make: Callable[[Mapping[str, Array]], Stepper],
         splitting: Splitting,
         scenes: Sequence[Scene],
         candidate: Candidate,
@@ -67,7 +67,7 @@ class LockstepRun(Run):
         counts = [k, 2 * k, 4 * k] if self._finer else [k, k // 2, k // 4]
         interval = self.scene.duration / (self.scene.samples - 1)
         kept = _unpack(state)
-        self._answer = make(scenes, splitting, interval / k, kept[0])
+        self._answer = make(kept[0])
         self._steppers: list[tuple[Stepper, int]] = [(self._answer, k)]
         if isinstance(self._answer, NativeStepper):
             counts = counts[1:]
@@ -78,7 +78,7 @@ class LockstepRun(Run):
         self._masses = np.array([scene.chain.masses for scene in scenes])
         shape = (len(self._steppers) - 1, self.scene.samples, self.realisations, 2)
         self._differences = np.zeros(shape) if state is None else state["differences"].copy()
-        self._peaks = np.zeros((self.realisations, 2)) if state is None else state["peaks"].copy()
+        self.peaks = np.zeros((self.realisations, 2)) if state is None else state["peaks"].copy()
         self._sample = 0 if state is None else int(state["sample"])
         self._done_steps = 0.0
         self._rate = np.full(len(self._steppers), 1e4)  # steps a second, corrected as it goes
@@ -125,9 +125,9 @@ class LockstepRun(Run):
         """Check the answer and keep its differences from the companions."""
         began = time.perf_counter()
         u, v = self._answer.u, self._answer.v
-        self._peaks[:, 0] = np.maximum(self._peaks[:, 0], np.abs(u).max(1))
-        self._peaks[:, 1] = np.maximum(self._peaks[:, 1], np.abs(v).max(1))
-        if not np.isfinite(self._peaks).all():
+        self.peaks[:, 0] = np.maximum(self.peaks[:, 0], np.abs(u).max(1))
+        self.peaks[:, 1] = np.maximum(self.peaks[:, 1], np.abs(v).max(1))
+        if not np.isfinite(self.peaks).all():
             raise RunFailed(self._broke_down("positions or velocities are no longer numbers"))
         # the energy in the contacts above that at rest is never negative
         if ((self._masses * v**2).sum(1) / 2 > 1.5 * self._energy + 1e-300).any():
@@ -152,7 +152,7 @@ class LockstepRun(Run):
         return [self._error(real) for real in range(self.realisations)]
 
     def _error(self, real: int) -> SolverError:
-        peaks = np.where(self._peaks[real] > 0, self._peaks[real], 1.0)
+        peaks = np.where(self.peaks[real] > 0, self.peaks[real], 1.0)
         relative = self._differences[:, :, real, :] / peaks
         relative = np.where(np.isnan(relative), np.inf, relative)
         order = self.splitting.order
@@ -187,7 +187,7 @@ class LockstepRun(Run):
 
     def state(self) -> dict[str, Array]:
         """Return what `start` needs to go on from the last sample with the same bits."""
-        kept = {"sample": np.array(self._sample), "differences": self._differences, "peaks": self._peaks}
+        kept = {"sample": np.array(self._sample), "differences": self._differences, "peaks": self.peaks}
         for index, (stepper, _) in enumerate(self._steppers):
             kept |= {f"{index}.{name}": array.copy() for name, array in stepper.state().items()}
         return kept

@@ -33,8 +33,8 @@ class SteppedEngine(Engine):
         self.step = step
 
     @abstractmethod
-    def stepper(self, scenes: Sequence[Scene], splitting: Splitting, step: float, state: Mapping[str, Array]) -> Stepper:
-        """Make the stepper of the answer."""
+    def stepper(self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array]) -> Stepper:
+        """Make the stepper of the answer, from the start or from a kept state."""
 
     def candidate(self, scene: Scene, tolerance: float) -> Candidate:
         """Propose a step: the one given, or the one that should meet the tolerance."""
@@ -58,14 +58,17 @@ class SteppedEngine(Engine):
         interval = scene.duration / (scene.samples - 1)
         return Candidate(steps_per_sample, interval / steps_per_sample, fixed, scene.chain.grains, 0.0, error, cost)
 
-    def refine(self, candidate: Candidate, error: SolverError | None, tolerance: float) -> Candidate:
+    def refine(self, candidate: Candidate, error: SolverError | None, tolerance: float) -> Candidate | None:
         """Shorten the step by what the observed error asks for."""
+        if error and error.roundoff > 0.9 * tolerance:
+            return None
         factor = 4.0
         if error is not None and math.isfinite(error.truncation):
             order = self.splitting.order if error.smooth else min(self.splitting.order, ORDER_THROUGH_OPENINGS)
             room = max(tolerance - error.roundoff, tolerance / 4)
             most = 16.0 if error.truncation < 0.1 else 4.0  # far off, the law does not hold yet
-            factor = min(max((error.truncation / (0.7 * room)) ** (1 / order), 1.3), most)
+            least = 1.3 if error.smooth else 2.0  # where the coefficient of the error is erratic, small changes tell nothing
+            factor = min(max((error.truncation / (0.7 * room)) ** (1 / order), least), most)
         steps = 4 * math.ceil(candidate.steps_per_sample * factor / 4)
         step = candidate.step * candidate.steps_per_sample / steps
         return replace(candidate, steps_per_sample=steps, step=step)
@@ -74,7 +77,7 @@ class SteppedEngine(Engine):
         self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array] | None = None
     ) -> LockstepRun:
         """Start one scene, or a batch of scenes that differ in numbers only."""
-        return LockstepRun(self.stepper, self.splitting, scenes, candidate, state)
+        return LockstepRun(lambda kept: self.stepper(scenes, candidate, kept), self.splitting, scenes, candidate, state)
 
 
 def stiffest_frequency(scene: Scene) -> float:

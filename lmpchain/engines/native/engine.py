@@ -10,7 +10,6 @@ import numba
 from ...fields import Array
 from ...scene import Scene
 from ..base import Candidate
-from ..splittings import Splitting
 from ..lockstep import native_floor
 from ..stepping import SteppedEngine, check_floor
 from .kernels import FORMS
@@ -52,11 +51,9 @@ class Native(SteppedEngine):
             check_floor(native_floor(evaluations), tolerance, 'use a higher order (integrator "rkn6") or less accuracy')
         return candidate
 
-    def stepper(
-        self, scenes: Sequence[Scene], splitting: Splitting, step: float, state: Mapping[str, Array]
-    ) -> NativeStepper:
-        """Make a stepper."""
-        return NativeStepper(scenes, splitting, step, state)
+    def stepper(self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array]) -> NativeStepper:
+        """Make the stepper of the answer."""
+        return NativeStepper(scenes, self.splitting, candidate.step, state)
 
     def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
         """Return the form of the force and the version of the compiler."""

@@ -1,0 +1,173 @@
+"""A scene in LAMMPS's terms: grain types, pair coefficients, diameters, heights and box."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from ...errors import InputError
+from ...fields import Array
+from ...scene import Impulse, Scene
+
+PAIR_STYLES = ("granular", "gran/hertz/history")
+MOST_TYPES = 128
+HEADROOM = 3.0  # gauge diameter over the largest overlap: grain n + 2 is never touched
+
+
+@dataclass(frozen=True)
+class Column:
+    """What LAMMPS is told about a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+    gauge : bool
+        Whether to draw the grains with the gauge diameter: a few times the largest overlap of the
+        run instead of the physical diameter. Only overlaps enter the force, and the round-off of a
+        height is proportional to the height, so this lowers the round-off of the run in proportion.
+    pair_style : str
+        One of `PAIR_STYLES`.
+    remarks : tuple of str
+        Lines for the head of the deck.
+
+    Raises
+    ------
+    InputError
+        If grain types cannot express the contact constants.
+    """
+
+    scene: Scene
+    gauge: bool
+    pair_style: str = "granular"
+    remarks: tuple[str, ...] = field(default=())
+
+    @property
+    def grains(self) -> int:
+        """N."""
+        return self.scene.chain.grains
+
+    @property
+    def movable(self) -> int:
+        """Grains that move."""
+        return self.scene.chain.movable
+
+    @property
+    def gravity(self) -> float:
+        """m/s2."""
+        return self.scene.chain.gravity
+
+    @property
+    def top_load(self) -> float:
+        """N on grain 1."""
+        return self.scene.chain.top_load
+
+    @property
+    def strike(self) -> Impulse | None:
+        """The impulse, which a deck keeps as a variable."""
+        return self.scene.excitation if isinstance(self.scene.excitation, Impulse) else None
+
+    @cached_property
+    def largest_overlap(self) -> float:
+        """A bound on every overlap of the run, m."""
+        return float(self.scene.chain.overlap_bound(self.scene.energy).max())
+
+    @cached_property
+    def diameters(self) -> Array:
+        """(N,) m."""
+        physical = self.scene.chain.diameters
+        gauge = HEADROOM * self.largest_overlap
+        return np.full(self.grains, gauge) if self.gauge and 0 < gauge < physical.min() else physical
+
+    @cached_property
+    def densities(self) -> Array:
+        """(N,) kg/m3, such that every grain has its mass."""
+        return self.scene.chain.masses / (np.pi / 6 * self.diameters**3)
+
+    @cached_property
+    def heights(self) -> Array:
+        """Heights at rest, (N,) m: the running sum in extended precision, rounded once."""
+        d = self.diameters.astype(np.longdouble)
+        apart = (d[:-1] + d[1:]) / 2 - self.scene.chain.equilibrium_overlap
+        return np.append(0.0, -np.cumsum(apart)).astype(float)
+
+    @cached_property
+    def start(self) -> tuple[Array, Array]:
+        """Heights and upward velocities at t = 0, (N,) m and m/s."""
+        u, v = self.scene.initial()
+        return self.heights - u, -v
+
+    @cached_property
+    def skin(self) -> float:
+        """Neighbour skin, m: every gap of the start lies within it."""
+        z, _ = self.start
+        gap = z[:-1] - z[1:] - (self.diameters[:-1] + self.diameters[1:]) / 2
+        return float(0.3 * self.diameters.max() + max(gap.max(), 0.0))
+
+    @cached_property
+    def box(self) -> tuple[float, float, float, float]:
+        """Lower and upper bound in x and y, and in z, m."""
+        z, _ = self.start
+        side = float(self.diameters.max() + self.skin)
+        return -side, side, float(z.min() - 5 * side), float(z.max() + 100 * side)
+
+    @cached_property
+    def types(self) -> list[int]:
+        """Type of every grain, from 1."""
+        return self._typed[0]
+
+    @cached_property
+    def coefficients(self) -> list[str]:
+        """Arguments of the pair_coeff commands."""
+        if self.pair_style != "granular":
+            return ["* *"]
+        model = "hooke" if self.scene.chain.exponent == 1 else "hertz"
+        pairs = self._typed[1]
+        tail = "0.0 tangential linear_nohistory 0.0 0.0 damping velocity"
+        lines = [f"* * {model} {next(iter(pairs.values()))!r} {tail}"]
+        if len(pairs) > 1:
+            lines += [f"{i} {j} {model} {value!r} {tail}" for (i, j), value in pairs.items()]
+        return lines
+
+    @property
+    def style(self) -> str:
+        """Argument of the pair_style command."""
+        if self.pair_style == "granular":
+            return "granular"
+        return f"{self.pair_style} {self._typed[1][1, 1]!r} 0.0 0.0 0.0 0.0 0"
+
+    @cached_property
+    def _typed(self) -> tuple[list[int], dict[tuple[int, int], float]]:
+        """Types of the grains, and the constant that LAMMPS needs for every pair of types that touches.
+
+        A grain takes the first type for which the pair with the grain above is either new or has the
+        right constant: N unlike contacts then need only about sqrt(2 N) types.
+        """
+        chain = self.scene.chain
+        constants = chain.contact_constants
+        if chain.exponent != 1:  # hertz multiplies by the square root of the effective radius
+            d = self.diameters
+            constants = constants / np.sqrt(d[:-1] * d[1:] / (d[:-1] + d[1:]) / 2)
+        pairs: dict[tuple[int, int], float] = {}
+        types = [1]
+        most = 1 if self.pair_style != "granular" else MOST_TYPES
+        for constant in constants.tolist():
+            above = types[-1]
+            for new in range(1, most + 1):
+                pair = (min(above, new), max(above, new))
+                if abs(pairs.setdefault(pair, constant) - constant) <= 1e-14 * constant:
+                    break
+            else:
+                raise InputError(
+                    [
+                        (
+                            "contact_constants",
+                            f"contact {len(types)} differs from those above it, and {most} grain type(s) cannot "
+                            f"express that in pair_style {self.pair_style}; use "
+                            + ("the engine native" if most > 1 else "pair_style granular or the engine native"),
+                        )
+                    ]
+                )
+            types.append(new)
+        return types, pairs

