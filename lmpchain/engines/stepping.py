@@ -53,10 +53,12 @@ class SteppedEngine(Engine):
         return self._at(scene, 4 * math.ceil(interval * stiffest / longest / 4), tolerance)
 
     def _at(self, scene: Scene, steps_per_sample: int, error: float, fixed: bool = False) -> Candidate:
-        steps = steps_per_sample * (scene.samples - 1)
-        cost = self.seconds_per_grain_step * self.splitting.evaluations * steps * scene.chain.grains
+        cost = self._cost(scene, steps_per_sample * (scene.samples - 1))
         interval = scene.duration / (scene.samples - 1)
         return Candidate(steps_per_sample, interval / steps_per_sample, fixed, scene.chain.grains, 0.0, error, cost)
+
+    def _cost(self, scene: Scene, steps: int) -> float:
+        return self.seconds_per_grain_step * self.splitting.evaluations * steps * scene.chain.grains
 
     def refine(self, candidate: Candidate, error: SolverError | None, tolerance: float) -> Candidate | None:
         """Shorten the step by what the observed error asks for."""

@@ -87,35 +87,32 @@ class Lammps(SteppedEngine):
 
     def candidate(self, scene: Scene, tolerance: float) -> Candidate:
         """Find the step with native trials of the same map, then the diameter from the round-off law."""
-        if self.step is not None:
-            candidate = super().candidate(scene, tolerance)
-            gauge = self.diameter == "gauge"
-            return replace(candidate, choices=_choices(gauge, "as asked" if self.diameter != "auto" else "by default"))
-        native = Native(self.splitting.name)
-        trial = until_tolerance(native, scene, tolerance / 2, _peaks)
+        fixed = self.step is not None
+        if fixed:
+            super().candidate(scene, tolerance)  # is the step allowed?
+        trial = until_tolerance(Native(self.splitting.name, self.step), scene, tolerance / 2, _peaks)
         if trial.missed:
-            raise ToleranceNotMet(f"even without round-off in heights: {trial.missed}")
-        steps = trial.candidate.steps_per_sample
-        floors = {
-            gauge: self._floor(scene, gauge, steps * (scene.samples - 1), trial.collected) for gauge in (False, True)
-        }
-        gauge = self.diameter == "gauge" or (self.diameter == "auto" and floors[False] > tolerance / 2)
-        why = (
-            f"heights of the physical diameter would leave a round-off of {floors[False]:.1g}, the gauge diameter "
-            f"{floors[True]:.1g}; {tolerance:.1g} is asked for"
-        )
-        if floors[gauge] > tolerance:
+            raise ToleranceNotMet(f"even without round-off in heights, {trial.missed}")
+        steps = trial.candidate.steps_per_sample * (scene.samples - 1)
+        physical, gauge = (self._floor(scene, gauge, steps, trial.collected) for gauge in (False, True))
+        wants_gauge = self.diameter == "gauge" or (self.diameter == "auto" and physical > tolerance / 2)
+        floor = gauge if wants_gauge else physical
+        if floor > tolerance and not fixed:
             cure = "the engine native keeps displacements and has no such floor"
-            if not gauge:
-                cure = f"the gauge diameter leaves {floors[True]:.1g}, and {cure}"
+            if not wants_gauge and gauge < tolerance:
+                cure = f"the gauge diameter leaves {gauge:.1g}, and {cure}"
             elif self.splitting.order == 2:
                 cure = f'integrator "rkn6" needs far fewer steps, and {cure}'
             raise ToleranceNotMet(
-                f"LAMMPS holds heights in double precision, which leaves an error of about {floors[gauge]:.1g} here, "
+                f"LAMMPS holds heights in double precision, which leaves an error of about {floor:.1g} here, "
                 f"above the tolerance of {tolerance:.1g}: {cure}"
             )
-        error = trial.error.truncation + floors[gauge]
-        return replace(self._at(scene, steps, error), choices=_choices(gauge, why))
+        why = (
+            f"round-off in heights leaves about {physical:.1g} with the physical diameter, {gauge:.1g} with the gauge "
+            f"diameter; {tolerance:.1g} is asked for"
+        )
+        error = trial.error.truncation + floor
+        return replace(trial.candidate, solver_error=error, cost_s=self._cost(scene, steps), choices=_choices(wants_gauge, why))
 
     def _floor(self, scene: Scene, gauge: bool, steps: int, peaks: Array) -> float:
         """Estimate the round-off of a run from the last digit of the largest height.
@@ -145,11 +142,12 @@ class Lammps(SteppedEngine):
             column, self.splitting, candidate.step, state, every=every, samples=samples, keep=self.keep
         )
 
-    def column(self, scene: Scene, candidate: Candidate) -> Column:
+    def column(self, scene: Scene, candidate: Candidate, remark: str = "") -> Column:
         """Return the column of a candidate, with the choices as remarks for the head of a deck."""
         remarks = (
             f"{candidate.choices['diameter']} diameter: {candidate.choices['why']}",
             f"{self.splitting.name}, expected error {candidate.solver_error:.1g}",
+            *([remark] if remark else []),
         )
         return Column(scene, _is_gauge(candidate), self.pair_style, remarks)
 
