@@ -34,7 +34,7 @@ _WHERE = {
     "errors": "LmpchainError InputError ToleranceNotMet RunFailed EngineUnavailable",
 }
 _MODULE = {name: module for module, names in _WHERE.items() for name in names.split()}
-__all__ = ["engines", *_MODULE]  # noqa: PLE0604
+__all__ = ["engines", *_MODULE]
 
 
 def __getattr__(name: str) -> Any:

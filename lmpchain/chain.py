@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from .fields import Array, Checked, OneOrMany, Positive, PositiveVector, Real, Whole
+from .fields import NOT_GIVEN, Array, Checked, OneOrMany, Positive, PositiveVector, Real, Whole
 
 LARGEST_OVERLAP = 0.1  # of the diameter: beyond it the Hertz law no longer describes a contact
 
@@ -123,8 +123,8 @@ class Chain(Checked):
     top_load: Annotated[Real, Field(ge=0)] = 0.0
     top: Literal["free"] = "free"
     bottom: Literal["fixed", "free"] = "fixed"
-    masses: PositiveVector = Field(default=None)  # type: ignore[assignment]
-    contact_constants: PositiveVector = Field(default=None)  # type: ignore[assignment]
+    masses: PositiveVector = NOT_GIVEN
+    contact_constants: PositiveVector = NOT_GIVEN
 
     def _faults(self) -> Iterator[tuple[str, str]]:
         lengths = {"diameter": self.grains, "masses": self.grains, "contact_constants": self.grains - 1}

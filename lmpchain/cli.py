@@ -48,7 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     before = _on_sigterm(_terminated)
     try:
         with warnings.catch_warnings():
-            warnings.showwarning = _show_warning
+            warnings.showwarning = _show_warning  # type: ignore[assignment]
             return arguments.command(arguments)
     except InputError as error:
         for key, message in error.faults:
@@ -169,6 +169,11 @@ def _read(path: str) -> Scene:
     return Scene.from_toml(path)
 
 
+def _check_tolerance(value: float) -> None:
+    if not 0 < value < 1:
+        raise InputError([("tolerance", f"must be between 0 and 1 (got {value!r})")])
+
+
 def _output(name: str, scene: str, suffixes: Sequence[str] = ()) -> Path:
     """Return the path of a file to write, once it is clear that it can be written."""
     path = Path(name)
@@ -205,12 +210,13 @@ def _options(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    name = arguments.output
-    scene, path, options = _gather(
+    scene, path, options, _ = _gather(
         lambda: _read(arguments.scene),
-        lambda: _output(str(Path(arguments.scene).with_suffix(".nc")) if name is None else name, arguments.scene),
+        lambda: arguments.output and _output(arguments.output, arguments.scene),
         lambda: _options(arguments),
+        lambda: _check_tolerance(arguments.tolerance),
     )
+    path = path or _output(str(Path(arguments.scene).with_suffix(".nc")), arguments.scene)
     from .simulation import simulate
 
     missed = ""
@@ -244,11 +250,12 @@ def _summary(trajectory: Trajectory, tolerance: float, path: Path) -> str:
 
 
 def _compare(arguments: argparse.Namespace) -> int:
-    names, scene, picture, numbers = _gather(
+    names, scene, picture, numbers, _ = _gather(
         lambda: _names(arguments.engines),
         lambda: _read(arguments.scene),
         lambda: arguments.output and _output(arguments.output, arguments.scene, PICTURES),
         lambda: arguments.json and _output(arguments.json, arguments.scene),
+        lambda: _check_tolerance(arguments.tolerance),
     )
     from . import engines
     from .measure.compare import compare
@@ -321,9 +328,7 @@ def _reference(scene: Scene, tolerance: float) -> Reference:
     if expected_seconds(scene) <= REFERENCE_S:
         return reference(scene)
     tight = max(tolerance / 100, TIGHTEST)
-    everywhere = Scene(
-        chain=scene.chain, excitation=scene.excitation, duration=scene.duration, samples=scene.samples
-    )
+    everywhere = Scene(chain=scene.chain, excitation=scene.excitation, duration=scene.duration, samples=scene.samples)
     try:
         truth = simulate(everywhere, "native", tight, progress=sys.stderr.isatty())
     except ToleranceNotMet as error:
@@ -344,8 +349,10 @@ def _write_json(data: dict[str, Any], path: Path) -> None:
 
 
 def _deck(arguments: argparse.Namespace) -> int:
-    scene = _read(arguments.scene)
-    from .engines.lammps.deck import write_deck
+    scene, _ = _gather(lambda: _read(arguments.scene), lambda: _check_tolerance(arguments.tolerance))
+    from shlex import quote
+
+    from .engines.lammps.export import write_deck
 
     folder = Path(arguments.output)
     write_deck(
@@ -357,8 +364,8 @@ def _deck(arguments: argparse.Namespace) -> int:
         integrator=arguments.integrator,
         pair_style=arguments.pair_style,
     )
-    print(f"wrote {folder / 'in.column'} and {folder / 'column.data'}; run them there:")
-    print(f"  cd {folder} && lmp -in in.column")
+    print(f"wrote {folder / 'in.column'} and {folder / 'column.data'}; to run them:")
+    print(f"  cd {quote(str(folder))} && lmp -in in.column")
     return 0
 
 

@@ -12,6 +12,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from .errors import InputError
 
 Array = NDArray[np.float64]
+NOT_GIVEN: Any = None  # default of array fields that are filled in when they are not given
 
 
 class Checked(BaseModel):

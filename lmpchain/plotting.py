@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .fields import Array
 from .files import write_aside
 from .scene import Impulse
 
@@ -27,7 +28,7 @@ COLOURS = {
     "continuum": "#E69F00",
 }
 MARKERS = {"native": "s", "lammps": "o", "modes": "^", "chebyshev": "D", "bessel": "v", "continuum": "P"}
-MOST_MARKERS = 60
+WIDEST, MARGIN = 60, 4  # grains of the wave shown, and grains at rest on either side
 LOWEST = 1e-17  # below all round-off: what a logarithmic axis shows in place of 0
 
 
@@ -71,7 +72,7 @@ def draw_comparison(comparison: Comparison, axes: Sequence[Axes] | None = None) 
 
 
 def _draw_wave(comparison: Comparison, axes: Axes) -> None:
-    """Velocity against grain number at the end, the truth as a line and the answers as markers."""
+    """Velocity against grain number at the end: the truth as a line, the answers as markers of falling size."""
     truth, scene = comparison.reference, comparison.trajectories[0].scene
     if isinstance(scene.excitation, Impulse) and scene.excitation.velocity:
         unit, label = scene.excitation.velocity, r"velocity / strike velocity $v_0$"
@@ -79,26 +80,38 @@ def _draw_wave(comparison: Comparison, axes: Axes) -> None:
         unit, label = 1.0, "velocity downward (m/s)"
     last = truth.velocity[-1] / unit
     axes.plot(np.arange(1, last.size + 1), last, color="0.55", lw=2, label="reference")
+    first, end = _window(truth.velocity[-1])
     count = len(comparison.trajectories)
     for place, answer in enumerate(comparison.trajectories):
-        every = max(1, answer.grains.size * count // (MOST_MARKERS * 2))
-        start = place * every // count  # side by side where there are too many to show all
-        shown = slice(start, None, every)
+        shown = (answer.grains >= first) & (answer.grains <= end)
         axes.plot(
             answer.grains[shown],
             answer.velocity[-1, shown] / unit,
             linestyle="none",
             marker=MARKERS.get(answer.engine, "x"),
-            markersize=7 - 2.5 * place / max(1, count - 1),
+            markersize=7.5 - 3.5 * place / max(1, count - 1),
             markerfacecolor="none",
             markeredgewidth=1.3,
             color=_colour(answer.engine),
             label=answer.engine,
         )
     axes.axhline(0, color="0.8", lw=0.8, zorder=0)
-    axes.set(xlabel="grain number, from the top", ylabel=label)
-    axes.set_title(f"{scene.chain.grains} grains at t = {scene.duration * 1e6:g} µs", loc="left")
+    axes.set(xlabel="grain number, from the top", ylabel=label, xlim=(first - 0.5, end + 0.5))
+    axes.set_title(f"Grains {first} to {end} of {scene.chain.grains} at t = {scene.duration * 1e6:g} µs", loc="left")
     axes.legend(frameon=False)
+
+
+def _window(velocity: Array) -> tuple[int, int]:
+    """Return the first and last grain of the part that moves, at most `WIDEST` grains around the fastest."""
+    speed = np.abs(velocity)
+    moving = np.flatnonzero(speed > 1e-3 * speed.max())
+    if moving.size == 0:
+        return 1, min(WIDEST, velocity.size)
+    first, last = max(0, moving[0] - MARGIN), min(velocity.size - 1, moving[-1] + MARGIN)
+    if last - first >= WIDEST:
+        first = int(np.clip(speed.argmax() - WIDEST // 2, first, last - WIDEST + 1))
+        last = first + WIDEST - 1
+    return int(first) + 1, int(last) + 1
 
 
 def _draw_errors(comparison: Comparison, axes: Axes) -> None:
@@ -118,7 +131,7 @@ def _draw_errors(comparison: Comparison, axes: Axes) -> None:
     axes.set(xlabel="time (µs)", ylabel="relative error")
     axes.set_title("Error over time", loc="left")
     axes.margins(y=0.12)
-    axes.legend(frameon=False, fontsize="small")
+    axes.legend(frameon=False, fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2)
 
 
 def _draw_cost(comparison: Comparison, axes: Axes) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from .chain import LARGEST_OVERLAP, Chain
-from .fields import Array, Checked, Positive, Real, Vector, Whole
+from .fields import NOT_GIVEN, Array, Checked, Positive, Real, Vector, Whole
 
 
 class Excitation(Checked):
@@ -75,8 +75,8 @@ class Profile(Excitation):
     """Displacement (N,) m and velocity (N,) m/s of every grain at t = 0; what is left out is zero."""
 
     kind: ClassVar[str] = "profile"
-    displacement: Vector = Field(default=None)  # type: ignore[assignment]
-    velocity: Vector = Field(default=None)  # type: ignore[assignment]
+    displacement: Vector = NOT_GIVEN
+    velocity: Vector = NOT_GIVEN
 
     def _faults(self) -> Iterator[tuple[str, str]]:
         if self.displacement is None and self.velocity is None:
@@ -240,19 +240,22 @@ class Scene(Recording):
         write(self, path)
 
 
-def strike_faults(chain: Chain, excitation: Excitation) -> Iterator[tuple[str, str]]:
-    """Yield a fault if the excitation squeezes a contact beyond what Hertz's law describes."""
+def first_overlaps(chain: Chain, excitation: Excitation) -> Array:
+    """Overlap of every contact at the start, or when its two grains meet alone, (N-1,) m."""
     u, v = excitation.initial(chain)
     m = chain.masses
-    closing = v[:-1] - v[1:]
     pair_mass = m[:-1] * m[1:] / (m[:-1] + m[1:])
     power = chain.exponent + 1
-    two_body = (power / 2 * pair_mass * closing**2 / chain.contact_constants) ** (1 / power)
-    overlap = np.maximum(chain.equilibrium_overlap + u[:-1] - u[1:], two_body)
-    relative = overlap / chain.mean_diameters
+    two_body = (power / 2 * pair_mass * (v[:-1] - v[1:]) ** 2 / chain.contact_constants) ** (1 / power)
+    return np.maximum(chain.equilibrium_overlap + u[:-1] - u[1:], two_body)
+
+
+def strike_faults(chain: Chain, excitation: Excitation) -> Iterator[tuple[str, str]]:
+    """Yield a fault if the excitation squeezes a contact beyond what Hertz's law describes."""
+    relative = first_overlaps(chain, excitation) / chain.mean_diameters
     if relative.max() > LARGEST_OVERLAP:
         worst = int(relative.argmax())
-        key = "velocity" if two_body[worst] >= overlap[worst] else "displacement"
+        key = "displacement" if isinstance(excitation, Displacement) else "velocity"
         yield (
             key,
             f"squeezes contact {worst + 1} to {relative[worst]:.2g} of the diameter, more than "

@@ -61,7 +61,9 @@ def from_dict(data: dict[str, Any], folder: Path = Path()) -> Scene:
         faults.extend(InputError(recording.faults(chain)).under("recording"))
     if faults:
         raise InputError(faults)
-    assert chain and excitation and recording
+    assert chain
+    assert excitation
+    assert recording
     return Scene(chain=chain, excitation=excitation, **recording.given())
 
 

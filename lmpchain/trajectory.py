@@ -160,4 +160,6 @@ class Trajectory:
                 provenance=json.loads(data.attrs["provenance"]),
             )
         except Exception as error:  # whatever a damaged file makes the readers raise
-            raise InputError([(str(path), f"is not a trajectory that lmpchain saved, or is cut short ({error})")]) from None
+            raise InputError(
+                [(str(path), f"is not a trajectory that lmpchain saved, or is cut short ({error})")]
+            ) from None

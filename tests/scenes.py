@@ -27,7 +27,9 @@ def smooth(grains: int = 8, exponent: float = 1.5, samples: int = 2) -> Scene:
     return Scene(chain=chain, excitation=Impulse(velocity=speed), duration=8 * chain.time_scale, samples=samples)
 
 
-def random_scene(rng: np.random.Generator, exponents: tuple[float, ...] = (1.0, 1.25, 1.5, 1.5, 1.5, 2.0, 3.0)) -> Scene:
+def random_scene(
+    rng: np.random.Generator, exponents: tuple[float, ...] = (1.0, 1.25, 1.5, 1.5, 1.5, 2.0, 3.0)
+) -> Scene:
     """Draw a chain and an excitation, weak to strong, that `Scene` accepts."""
     while True:
         try:

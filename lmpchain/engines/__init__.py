@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from importlib import import_module
+from inspect import signature
 from typing import TYPE_CHECKING, Any
 
 from ..errors import InputError
@@ -35,12 +36,18 @@ def get(engine: str | Engine, **options: Any) -> Engine:
         If there is no such engine or an option is wrong.
     """
     if isinstance(engine, Engine):
+        if options:
+            raise InputError([(key, "belongs to the engine: give it to its constructor") for key in options])
         return engine
     name = "native" if engine == "auto" else engine
     if name not in _WHERE:
         raise InputError([("engine", f"must be auto | {' | '.join(_WHERE)} (got {engine!r})")])
     module, cls = _WHERE[name]
-    return getattr(import_module(f".{module}", __name__), cls)(**options)
+    made: type[Engine] = getattr(import_module(f".{module}", __name__), cls)
+    known = list(signature(made).parameters)
+    if unknown := [key for key in options if key not in known]:
+        raise InputError([(key, f"the engine {name} has no such option; it has {', '.join(known)}") for key in unknown])
+    return made(**options)
 
 
 def __getattr__(name: str) -> Any:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Generic, TypeVar
 
 from ..errors import RunFailed
@@ -74,7 +75,7 @@ def _why_not(errors: list[SolverError], tolerance: float, step: float, better: C
     if better is None:
         return f"{missed}: round-off alone makes {error.roundoff:.2g}, whatever the step"
     recent = [e.truncation for e in errors[-STALLS - 1 :]]
-    stalled = len(recent) > STALLS and all(b > 0.7 * a for a, b in zip(recent, recent[1:], strict=False))
+    stalled = len(recent) > STALLS and all(b > 0.7 * a for a, b in pairwise(recent))
     if not stalled and len(errors) < ATTEMPTS:
         return ""
     missed = f"{missed}, and shorter steps no longer help (now {step:.2g} s)"

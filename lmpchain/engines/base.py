@@ -166,9 +166,7 @@ class Engine(ABC):
         """
 
     @abstractmethod
-    def start(
-        self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array] | None = None
-    ) -> Run:
+    def start(self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array] | None = None) -> Run:
         """Start one scene, or a batch of scenes that differ in numbers only."""
 
     @abstractmethod

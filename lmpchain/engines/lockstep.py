@@ -1,7 +1,7 @@
 """One answer in the making, with companions in lock-step that show its error.
 
 The answer runs at the step h. Beside it run native companions at longer steps (2h and 4h, or shorter
-ones if the given step does not divide): their differences show how the error falls with the step. An
+ones if the step does not divide or those would be unstable): their differences show how the error falls with the step. An
 answer that is not native also has a native twin at the same step. Twin and answer are the same map in
 exact arithmetic, so what they differ by is round-off, measured.
 """
@@ -63,7 +63,8 @@ class LockstepRun(Run):
         self.splitting, self.scene, self.candidate = splitting, scenes[0], candidate
         self._columns = self.scene.recorded - 1
         k = candidate.steps_per_sample
-        self._finer = k % 4 != 0
+        unstable = 4 * candidate.step * max(scene.chain.band_edge for scene in scenes) > splitting.stability_limit
+        self._finer = k % 4 != 0 or unstable
         counts = [k, 2 * k, 4 * k] if self._finer else [k, k // 2, k // 4]
         interval = self.scene.duration / (self.scene.samples - 1)
         kept = _unpack(state)
@@ -84,7 +85,7 @@ class LockstepRun(Run):
         self.peaks = np.zeros((self.realisations, 2)) if state is None else state["peaks"].copy()
         self._sample = 0 if state is None else int(state["sample"])
         self._done_steps = 0.0
-        self._rate = np.full(len(self._steppers), 1e4)  # steps a second, corrected as it goes
+        self._rate = np.zeros(len(self._steppers))  # steps a second: begin with one step and measure
         self._integration_s = self._estimate_s = 0.0
         self._setup_s = time.perf_counter() - began
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -75,15 +76,17 @@ def _symmetric(half: list[float], count: int) -> tuple[float, ...]:
 def _composition(substeps: tuple[float, ...]) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Kicks and drifts of velocity Verlet steps of these lengths, one after another."""
     padded = (0.0, *substeps, 0.0)
-    kicks = tuple((left + right) / 2 for left, right in zip(padded, padded[1:], strict=False))
+    kicks = tuple((left + right) / 2 for left, right in pairwise(padded))
     return kicks, substeps
 
 
-VERLET = Splitting("verlet", 2, (0.5, 0.5), (1.0,), 0.05, "velocity Verlet; Swope et al., J. Chem. Phys. 76, 637 (1982)")
+VERLET = Splitting(
+    "verlet", 2, (0.5, 0.5), (1.0,), 0.05, "velocity Verlet; Swope et al., J. Chem. Phys. 76, 637 (1982)"
+)
 
 _KL6 = _symmetric(
-    [0.39216144400731413927925056, 0.33259913678935943859974864, -0.70624617255763935980996482, 0.08221359629355080023149045], 9
-)  # fmt: skip
+    [0.39216144400731413928, 0.33259913678935943860, -0.70624617255763935981, 0.08221359629355080023], 9
+)
 KAHAN_LI6 = Splitting(
     "kahan-li6", 6, *_composition(_KL6), 5e-6, "s9odr6a of Kahan and Li, Math. Comp. 66, 1089 (1997)", _KL6
 )
@@ -91,7 +94,9 @@ KAHAN_LI6 = Splitting(
 RKN6 = Splitting(
     "rkn6",
     6,
-    _symmetric([0.0414649985182624, 0.198128671918067, -0.0400061921041533, 0.0752539843015807, -0.0115113874206879], 12),
+    _symmetric(
+        [0.0414649985182624, 0.198128671918067, -0.0400061921041533, 0.0752539843015807, -0.0115113874206879], 12
+    ),
     _symmetric([0.123229775946271, 0.290553797799558, -0.127049212625417, -0.246331761062075, 0.357208872795928], 11),
     1e-9,
     "SRKN_11^b of Blanes and Moan, J. Comput. Appl. Math. 142, 313 (2002)",

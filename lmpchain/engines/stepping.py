@@ -7,11 +7,9 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from ..errors import InputError, ToleranceNotMet
 from ..fields import Array
-from ..scene import Scene
+from ..scene import Scene, first_overlaps
 from .base import Candidate, Engine, SolverError
 from .lockstep import SAFETY, LockstepRun, Stepper
 from .splittings import SPLITTINGS, Splitting
@@ -69,7 +67,7 @@ class SteppedEngine(Engine):
             order = self.splitting.order if error.smooth else min(self.splitting.order, ORDER_THROUGH_OPENINGS)
             room = max(tolerance - error.roundoff, tolerance / 4)
             most = 16.0 if error.truncation < 0.1 else 4.0  # far off, the law does not hold yet
-            least = 1.3 if error.smooth else 2.0  # where the coefficient of the error is erratic, small changes tell nothing
+            least = 1.3 if error.smooth else 2.0  # an erratic error tells nothing about small changes
             factor = min(max((error.truncation / (0.7 * room)) ** (1 / order), least), most)
         steps = 4 * math.ceil(candidate.steps_per_sample * factor / 4)
         step = candidate.step * candidate.steps_per_sample / steps
@@ -85,21 +83,13 @@ class SteppedEngine(Engine):
 def stiffest_frequency(scene: Scene) -> float:
     """Return the highest frequency that the scene can excite, rad/s.
 
-    The band edge of the chain at rest, or that of a pair of grains pressed together by the strike.
+    The band edge of the chain at rest, or that of two grains pressed together by the strike.
     """
     chain = scene.chain
-    u, v = scene.initial()
-    m, delta = chain.masses, chain.exponent
-    energy = chain.excess_energy(u, v)
-    pressed = float(chain.overlap_bound(float(energy)).max()) if np.count_nonzero(v) + np.count_nonzero(u) <= 1 else None
-    if pressed is None:  # energy spread over many grains: what the largest local motion can do
-        pair = m[:-1] * m[1:] / (m[:-1] + m[1:])
-        spread = np.abs(u[:-1] - u[1:])
-        closing = ((delta + 1) / 2 * pair * (v[:-1] - v[1:]) ** 2 / chain.contact_constants) ** (1 / (delta + 1))
-        pressed = float((chain.equilibrium_overlap + spread + closing).max())
-    stiffness = delta * chain.contact_constants.max() * pressed ** (delta - 1)
-    struck = math.sqrt(2 * stiffness / m.min()) if energy > 0 else 0.0
-    return max(chain.band_edge, struck, 1 / scene.duration)
+    pressed = first_overlaps(chain, scene.excitation) if scene.energy > 0 else chain.equilibrium_overlap
+    stiffness = chain.exponent * chain.contact_constants * pressed ** (chain.exponent - 1)
+    pair = math.sqrt(2 * float(stiffness.max()) / chain.masses.min())
+    return max(chain.band_edge, pair, 1 / scene.duration)
 
 
 def check_floor(floor: float, tolerance: float, cure: str) -> None:

@@ -120,10 +120,14 @@ class Comparison:
             for row in self.rows
         ]  # fmt: skip
         widths = [max(map(len, column)) for column in zip(head, *body, strict=True)]
-        lines = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in [head, *body]]
+        lines = [
+            "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in [head, *body]
+        ]
         truth = f"reference: {self.reference.method}; itself known to {self.reference.error:.1e}"
-        meaning = "error: max|x - x_true| / max|x_true| over samples and grains, the larger of displacement and velocity"
-        return "\n".join([*(line.rstrip() for line in lines), truth, meaning])
+        meaning = (
+            "error: max|x - x_true| / max|x_true| over samples and grains, the larger of displacement and velocity"
+        )
+        return "\n".join([*lines, truth, meaning])
 
     def plot(self, axes: Sequence[Axes] | None = None) -> Figure:
         """Draw the answers, their errors over time and what they cost.

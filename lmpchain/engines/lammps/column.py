@@ -141,33 +141,37 @@ class Column:
     def _typed(self) -> tuple[list[int], dict[tuple[int, int], float]]:
         """Types of the grains, and the constant that LAMMPS needs for every pair of types that touches.
 
-        A grain takes the first type for which the pair with the grain above is either new or has the
-        right constant: N unlike contacts then need only about sqrt(2 N) types.
+        A grain takes a type whose pair with the grain above has the right constant already; or else the
+        type with most pairs still free; or a new one. N unlike contacts then need about sqrt(2 N) types.
         """
         chain = self.scene.chain
         constants = chain.contact_constants
         if chain.exponent != 1:  # hertz multiplies by the square root of the effective radius
             d = self.diameters
             constants = constants / np.sqrt(d[:-1] * d[1:] / (d[:-1] + d[1:]) / 2)
+        most = MOST_TYPES if self.pair_style == "granular" else 1
         pairs: dict[tuple[int, int], float] = {}
+        partners: dict[int, dict[int, float]] = {1: {}}  # of each type: the types it touches, and the constants
         types = [1]
-        most = 1 if self.pair_style != "granular" else MOST_TYPES
         for constant in constants.tolist():
             above = types[-1]
-            for new in range(1, most + 1):
-                pair = (min(above, new), max(above, new))
-                if abs(pairs.setdefault(pair, constant) - constant) <= 1e-14 * constant:
-                    break
-            else:
+            known = (t for t, value in partners[above].items() if abs(value - constant) <= 1e-14 * constant)
+            free = (t for t in partners if t not in partners[above])
+            below = next(known, None) or min(free, key=lambda t: len(partners[t]), default=len(partners) + 1)
+            if below > most:
+                cure = "the engine native" if most > 1 else "pair_style granular or the engine native"
                 raise InputError(
                     [
                         (
                             "contact_constants",
                             f"contact {len(types)} differs from those above it, and {most} grain type(s) cannot "
-                            f"express that in pair_style {self.pair_style}; use "
-                            + ("the engine native" if most > 1 else "pair_style granular or the engine native"),
+                            f"express that in pair_style {self.pair_style}; use {cure}",
                         )
                     ]
                 )
-            types.append(new)
+            partners.setdefault(below, {})
+            partners[above].setdefault(below, constant)
+            partners[below].setdefault(above, constant)
+            pairs.setdefault((min(above, below), max(above, below)), constant)
+            types.append(below)
         return types, pairs

@@ -18,6 +18,7 @@ from ..attempts import until_tolerance
 from ..base import Candidate, Run, SolverError
 from ..native.engine import Native
 from ..stepping import SteppedEngine
+from . import deck
 from .column import PAIR_STYLES, Column
 from .stepper import LammpsStepper
 
@@ -44,7 +45,8 @@ class Lammps(SteppedEngine):
     pair_style : "granular" or "gran/hertz/history"
         The second is about 1.5 times faster, for uniform contacts of exponent 1.5.
     keep : path, optional
-        Folder that keeps the deck, the data file, LAMMPS's log and a dump of the last run.
+        Folder that keeps the deck, the data file, LAMMPS's log and a dump of the last run (not for
+        "rkn6", which no deck can carry).
 
     Raises
     ------
@@ -69,6 +71,8 @@ class Lammps(SteppedEngine):
             if value not in known:
                 raise InputError([(key, f"must be {' | '.join(known)} (got {value!r})")])
         self.diameter, self.pair_style = diameter, pair_style
+        if keep is not None and not deck.carries(self.splitting):
+            raise InputError([("keep", f"a deck cannot carry the kicks of {integrator}: use verlet or kahan-li6")])
         self.keep = None if keep is None else Path(keep)
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
@@ -76,7 +80,9 @@ class Lammps(SteppedEngine):
         exponents = {"granular": (1.5, 1.0), "gran/hertz/history": (1.5,)}[self.pair_style]
         if scene.chain.exponent not in exponents:
             known = " and ".join(f"{e:g}" for e in exponents)
-            why = f"{self.pair_style} in LAMMPS knows {known} only (got {scene.chain.exponent:g}); use the engine native"
+            why = (
+                f"{self.pair_style} in LAMMPS knows {known} only (got {scene.chain.exponent:g}); use the engine native"
+            )
             return [("exponent", why)]
         try:
             for gauge in (False, True):
@@ -112,7 +118,9 @@ class Lammps(SteppedEngine):
             f"diameter; {tolerance:.1g} is asked for"
         )
         error = trial.error.truncation + floor
-        return replace(trial.candidate, solver_error=error, cost_s=self._cost(scene, steps), choices=_choices(wants_gauge, why))
+        return replace(
+            trial.candidate, solver_error=error, cost_s=self._cost(scene, steps), choices=_choices(wants_gauge, why)
+        )
 
     def _floor(self, scene: Scene, gauge: bool, steps: int, peaks: Array) -> float:
         """Estimate the round-off of a run from the last digit of the largest height.

@@ -58,9 +58,7 @@ def write_deck(
         raise InputError([(str(folder), f"cannot be made: {error.strerror}")]) from None
     column = engine.column(scene, candidate, remark)
     deck.write_data(column, folder / "column.data")
-    text = deck.run_deck(
-        column, candidate.step, engine.splitting, candidate.steps_per_sample, scene.samples - 1
-    )
+    text = deck.run_deck(column, candidate.step, engine.splitting, candidate.steps_per_sample, scene.samples - 1)
     with write_aside(folder / "in.column") as aside:
         aside.write_text(text, encoding="ascii")
     return folder / "in.column"

@@ -50,13 +50,10 @@ class LammpsStepper:
             try:
                 self._commands(deck.setup(column, _word(folder / "column.data"), step, splitting))
                 if keep is not None:
-                    per_step = max(1, len(splitting.substeps))
-                    if deck.carries(splitting):
-                        text = deck.run_deck(column, step, splitting, every, samples)
-                        (keep / "in.column").write_text(text, encoding="ascii")
-                    else:
-                        per_step = splitting.evaluations
-                    self._commands(deck.dump(_word(keep / "column.lammpstrj"), every * per_step))
+                    text = deck.run_deck(column, step, splitting, every, samples)
+                    (keep / "in.column").write_text(text, encoding="ascii")
+                    dump = _word(keep / "column.lammpstrj")
+                    self._commands(deck.dump(dump, every * max(1, len(splitting.substeps))))
                 self._prepare(state)
             except BaseException:
                 self._lammps.close()
@@ -71,6 +68,8 @@ class LammpsStepper:
             arrays.extract_atom("x")[:grains, 2] = state["z"]
             arrays.extract_atom("v")[:grains, 2] = state["vz"]
         self._commands("run 0 post no")
+        if self._lammps.get_natoms() != grains:
+            raise RunFailed(f"LAMMPS has lost grains: {self._lammps.get_natoms():.0f} of {grains} are left")
         if not np.array_equal(arrays.extract_atom("id")[:grains], np.arange(1, grains + 1)):
             raise RunFailed("LAMMPS does not keep the grains in order; this version cannot be used")
         self._x, self._v, self._f = (arrays.extract_atom(name)[:grains] for name in "xvf")

@@ -43,9 +43,7 @@ class NativeStepper:
 
     def _run(self, u: Array, v: Array, steps: int) -> float:
         tables = self._inverse_length, self._strength, self._inverse_mass
-        return kernels.advance(
-            u, v, *tables, self._movable, self.form, self._delta, self._kicks, self._drifts, steps
-        )
+        return kernels.advance(u, v, *tables, self._movable, self.form, self._delta, self._kicks, self._drifts, steps)
 
     def lowest(self) -> float:
         """Return the smallest r / eps that any contact has had; -1 is an opening."""
