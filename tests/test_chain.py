@@ -80,9 +80,9 @@ def test_stiffness_is_the_slope_of_the_force(chain: Chain):
 
     h = 1e-4
     eps = chain.equilibrium_overlap
-    slope = (8 * (force(eps * (1 + h)) - force(eps * (1 - h))) - force(eps * (1 + 2 * h)) + force(eps * (1 - 2 * h))) / (
-        12 * h * eps
-    )
+    slope = (
+        8 * (force(eps * (1 + h)) - force(eps * (1 - h))) - force(eps * (1 + 2 * h)) + force(eps * (1 - 2 * h))
+    ) / (12 * h * eps)
     assert chain.linear_stiffness == pytest.approx(slope, rel=1e-10)
 
 
@@ -109,7 +109,7 @@ def test_band_edge_of_a_free_pair_and_of_a_vacuum():
 
 
 def contact_energy(chain: Chain, n: int, r: float) -> float:
-    """Work done on contact n as its grains come closer by r, by quadrature of the force as a binomial series or not."""
+    """Work done on contact n beyond that of its force at rest, as its grains come closer by r, J."""
     eps, force, delta = chain.equilibrium_overlap[n], chain.equilibrium_force[n], chain.exponent
 
     def change(s: float) -> float:  # (1 + s)^delta - 1, without cancellation, -1 where open
@@ -182,7 +182,7 @@ def random_scene(rng: np.random.Generator) -> Scene:
         )
         strike = Impulse(velocity=float(10 ** rng.uniform(-6, -1)), grain=int(rng.integers(1, grains)))
         try:
-            return Scene(chain=chain, excitation=strike, duration=float(10 ** rng.uniform(-5, -4)), samples=101)
+            return Scene(chain=chain, excitation=strike, duration=float(10 ** rng.uniform(-5, -4.4)), samples=101)
         except InputError:
             continue
 
@@ -190,13 +190,13 @@ def random_scene(rng: np.random.Generator) -> Scene:
 def test_no_contact_exceeds_the_bound_on_its_overlap():
     rng = np.random.default_rng(11)
     closest = 0.0
-    for _ in range(40):
+    for _ in range(30):
         scene = random_scene(rng)
         chain = scene.chain
-        run = simulate(scene, "native", 1e-6, on_miss="warn")
+        run = simulate(scene, "native", 1e-4)
         overlap = chain.equilibrium_overlap + run.displacement[:, :-1] - run.displacement[:, 1:]
         used = overlap / chain.overlap_bound(scene.energy)
-        assert used.max() <= 1 + 1e-6
+        assert used.max() <= 1 + 1e-4
         closest = max(closest, used.max())
     assert closest > 0.9  # the bound is not so wide that it says nothing
 
@@ -205,7 +205,7 @@ def test_the_bound_is_met_by_a_grain_thrown_at_the_held_one():
     chain = Chain(grains=2, diameter=1e-3, gravity=0.0)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-2), duration=2e-5, samples=2001)
     run = simulate(scene, "native", 1e-9)
-    deepest = (1.25 * chain.masses[0] * 1e-4 / chain.contact_constants[0] * 1.0) ** 0.4
+    deepest = (1.25 * chain.masses[0] * 1e-4 / chain.contact_constants[0]) ** 0.4
     assert chain.overlap_bound(scene.energy) == pytest.approx(deepest, rel=1e-12)
     assert run.displacement[:, 0].max() == pytest.approx(deepest, rel=1e-5)
 

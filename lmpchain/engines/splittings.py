@@ -84,9 +84,7 @@ VERLET = Splitting(
     "verlet", 2, (0.5, 0.5), (1.0,), 0.05, "velocity Verlet; Swope et al., J. Chem. Phys. 76, 637 (1982)"
 )
 
-_KL6 = _symmetric(
-    [0.39216144400731413928, 0.33259913678935943860, -0.70624617255763935981, 0.08221359629355080023], 9
-)
+_KL6 = _symmetric([0.39216144400731413928, 0.33259913678935943860, -0.70624617255763935981, 0.08221359629355080023], 9)
 KAHAN_LI6 = Splitting(
     "kahan-li6", 6, *_composition(_KL6), 5e-6, "s9odr6a of Kahan and Li, Math. Comp. 66, 1089 (1997)", _KL6
 )
