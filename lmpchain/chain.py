@@ -112,7 +112,7 @@ class Chain(Checked):
     --------
     >>> chain = Chain(grains=120, material=GLASS, diameter=1e-3)
     >>> f"{chain.length_scale:.5e} m"
-    '6.94556e-10 m'
+    '6.94554e-10 m'
     """
 
     grains: Annotated[Whole, Field(ge=2, le=10**8)]

@@ -54,3 +54,9 @@ class ToleranceNotMet(LmpchainError):
         self.reason = reason
         self.trajectory = trajectory
         super().__init__(reason)
+
+
+def check_tolerance(tolerance: object) -> None:
+    """Raise `InputError` unless this is a number between 0 and 1."""
+    if isinstance(tolerance, bool) or not (isinstance(tolerance, int | float) and 0 < tolerance < 1):
+        raise InputError([("tolerance", f"must be between 0 and 1 (got {tolerance!r})")])

@@ -22,9 +22,12 @@ class Checked(BaseModel):
         frozen=True, extra="forbid", strict=True, allow_inf_nan=False, arbitrary_types_allowed=True
     )
 
-    def __init__(self, **data: Any):
+    def __init__(self, *values: Any, **data: Any):
+        names = list(type(self).model_fields)
+        if len(values) > len(names):
+            raise InputError([("", f"takes {', '.join(names)}: {len(values)} values are too many")])
         try:
-            super().__init__(**data)
+            super().__init__(**dict(zip(names, values, strict=False)) | data)
         except ValidationError as error:
             raise InputError(_describe(type(self), error)) from None
         if faults := list(self._faults()):
@@ -120,6 +123,9 @@ def _describe(model: type[BaseModel], error: ValidationError) -> Iterator[tuple[
             message = f"must be a number (got {shown})"
         elif kind == "literal_error":
             message = f"must be {limits['expected']} (got {shown})"
+        elif kind == "value_error" and isinstance(limits["error"], InputError):  # a value inside this one
+            yield from limits["error"].under(key)
+            continue
         elif kind == "value_error":
             message = str(limits["error"])
         else:

@@ -24,13 +24,14 @@ def write_aside(path: str | PathLike[str]) -> Iterator[Path]:
     path = Path(path)
     aside = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.partial{path.suffix}")
     try:
-        if path.is_dir():
-            raise InputError([(str(path), "is a folder; name a file")])
+        if path.exists() and not path.is_file():
+            raise InputError([(str(path), "is a folder or a device; name a file")])
         yield aside
         with open(aside, "rb") as written:
             os.fsync(written.fileno())
         os.replace(aside, path)
-    except OSError as error:
-        raise InputError([(str(path), f"cannot be written: {error.strerror or error}")]) from error
+    except (OSError, RuntimeError) as error:  # HDF5 reports a full disk as either
+        reason = getattr(error, "strerror", None) or error
+        raise InputError([(str(path), f"cannot be written: {reason}")]) from error
     finally:
         aside.unlink(missing_ok=True)

@@ -28,8 +28,11 @@ class Excitation(Checked):
         """Yield what this chain does not allow."""
 
 
+Number = Annotated[Whole, Field(ge=1)]
+
+
 class _OneGrain(Excitation):
-    grain: Annotated[Whole, Field(ge=1)] = 1
+    grain: int
 
     def faults(self, chain: Chain) -> Iterator[tuple[str, str]]:
         if self.grain > chain.grains:
@@ -54,6 +57,7 @@ class Impulse(_OneGrain):
 
     kind: ClassVar[str] = "impulse"
     velocity: Real
+    grain: Number = 1
 
     def initial(self, chain: Chain) -> tuple[Array, Array]:
         """Return displacement and velocity of every grain at t = 0."""
@@ -65,6 +69,7 @@ class Displacement(_OneGrain):
 
     kind: ClassVar[str] = "displacement"
     displacement: Real
+    grain: Number = 1
 
     def initial(self, chain: Chain) -> tuple[Array, Array]:
         """Return displacement and velocity of every grain at t = 0."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+import warnings
 from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
@@ -132,8 +133,9 @@ def _profile_csv(folder: Path, name: Any) -> dict[str, Any]:
         raise InputError([("file", "must be the name of a CSV file")])
     path = folder / name
     try:
-        table = np.genfromtxt(path, delimiter=",", names=True, encoding="utf-8", dtype=float, ndmin=1)
-    except (OSError, ValueError, UnicodeDecodeError) as error:
+        with warnings.catch_warnings(action="ignore"):  # an empty file is a fault, not a warning
+            table = np.genfromtxt(path, delimiter=",", names=True, encoding="utf-8", dtype=float, ndmin=1)
+    except (OSError, ValueError, IndexError) as error:
         reason = str(error).strip().splitlines()[0] if str(error) else "not a table"
         raise InputError([("file", f"{path} cannot be read as CSV: {reason}")]) from None
     known = ("displacement", "velocity")

@@ -12,7 +12,7 @@ import numpy as np
 from . import engines
 from .engines.attempts import until_tolerance
 from .engines.base import Engine, Run
-from .errors import InputError, ToleranceNotMet
+from .errors import InputError, ToleranceNotMet, check_tolerance
 from .fields import Array
 from .scene import Scene
 from .trajectory import ErrorEstimate, Trajectory
@@ -53,7 +53,7 @@ def simulate(
     InputError
         If the engine cannot do the scene, or an option is wrong.
     ToleranceNotMet
-        With the trajectory and the reason.
+        With the reason, and the trajectory unless it was clear beforehand.
     RunFailed
         If the integration breaks down at a given step.
 
@@ -66,14 +66,19 @@ def simulate(
     >>> t.displacement.shape, bool(t.error_estimate.total <= 1e-9)
     ((101, 40), True)
     """
-    if not (isinstance(tolerance, int | float) and 0 < tolerance < 1):
-        raise InputError([("tolerance", f"must be between 0 and 1 (got {tolerance!r})")])
+    check_tolerance(tolerance)
     if on_miss not in ("raise", "warn"):
         raise InputError([("on_miss", f'must be "raise" or "warn" (got {on_miss!r})')])
     chosen = engines.get(engine, **options)
     if reasons := chosen.refuses(scene):
         raise InputError(reasons)
-    outcome = until_tolerance(chosen, scene, tolerance, lambda run: _collect(run, scene, chosen.name, progress))
+    outcome = until_tolerance(
+        chosen,
+        scene,
+        tolerance,
+        lambda run: _collect(run, scene, chosen.name, progress),
+        best_effort=on_miss == "warn",
+    )
     displacement, velocity = outcome.collected
     trajectory = Trajectory(
         scene=scene,

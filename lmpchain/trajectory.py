@@ -146,9 +146,13 @@ class Trajectory:
                 data = opened.load()
             if data.attrs["lmpchain_format"] != FORMAT:
                 raise ValueError("of another version")
+            scene = loads(data.attrs["scene"])
+            shape = (scene.samples, scene.recorded.size)
+            if any(data[name].shape != shape for name in ("displacement", "velocity")):
+                raise ValueError(f"its arrays are not {shape[0]} samples of {shape[1]} grains")
             estimate = ErrorEstimate(float(data.attrs["model_error"]), float(data.attrs["solver_error"]))
             return cls(
-                scene=loads(data.attrs["scene"]),
+                scene=scene,
                 engine=data.attrs["engine"],
                 equation=int(data.attrs["equation"]),
                 time=data["time"].to_numpy(),

@@ -8,6 +8,8 @@ from scenes import PAPER, paper, random_scene
 from lmpchain import Chain, Impulse, InputError, Scene, ToleranceNotMet, simulate
 from lmpchain.engines import Lammps, Native
 
+FLOOR = "heights in double precision|round-off alone"
+
 
 def check(scene, reference, engine, tolerance, **options):
     """Hold an answer and its estimate against the truth; returns true error and estimate."""
@@ -24,12 +26,18 @@ def check(scene, reference, engine, tolerance, **options):
 
 
 def check_or_floor(scene, reference, engine, tolerance, **options):
-    """As `check`, but allow the one reason that LAMMPS really has to refuse."""
+    """As `check`, but allow the one reason that LAMMPS really has to refuse, where it is true."""
     try:
         check(scene, reference, engine, tolerance, **options)
+        return
     except ToleranceNotMet as refusal:
-        if "heights in double precision" not in refusal.reason:
-            raise
+        reason = refusal.reason
+    with pytest.warns(UserWarning, match=FLOOR):
+        t = simulate(scene, engine=engine, tolerance=tolerance, on_miss="warn", **options)
+    true = relative_error(t.displacement, t.velocity, *reference[:2])
+    assert t.error_estimate.total > tolerance or "heights in double precision" in reason
+    assert (true - reference[2]) / 3 <= t.error_estimate.total
+    assert true > 0.03 * tolerance  # the law beforehand overestimates some chains of few grains
 
 
 @pytest.fixture(scope="module")
@@ -120,11 +128,11 @@ def test_chaos_is_refused_with_its_horizon():
     """Reflections through opening contacts amplify round-off: beyond some time there is no answer."""
     chain = Chain(grains=12, material="glass", diameter=1e-3)
     scene = Scene(chain=chain, excitation=Impulse(velocity=0.05), duration=5e-3, samples=51)
-    with pytest.raises(ToleranceNotMet, match=r"amplifies round-off, and beyond t = ") as refusal:
+    with pytest.raises(ToleranceNotMet, match="amplifies round-off beyond the tolerance at t = ") as refusal:
         simulate(scene, tolerance=1e-6)
     assert refusal.value.trajectory is not None
     assert refusal.value.trajectory.error_estimate.total > 1e-6
-    horizon = float(refusal.value.reason.split("beyond t = ")[1].split()[0])
+    horizon = float(refusal.value.reason.split("at t = ")[1].split()[0])
     assert 0 < horizon < scene.duration
     short = Scene(chain=chain, excitation=scene.excitation, duration=horizon / 3, samples=11)
     check(short, extended_reference(short), "native", 1e-6)
@@ -139,6 +147,11 @@ def test_step_beyond_the_stability_limit_is_an_input_error():
             simulate(scene, engine=engine(integrator="verlet", step=4e-6))
 
 
-def test_tolerance_below_round_off_is_refused():
+@pytest.mark.parametrize(("engine", "tolerance"), [("native", 1e-15), ("lammps", 1e-13)])
+def test_tolerance_below_round_off_is_refused(engine, tolerance):
+    scene = paper("fig5 g", samples=3)
     with pytest.raises(ToleranceNotMet, match="round-off"):
-        simulate(paper("fig5 g", samples=3), tolerance=1e-15)
+        simulate(scene, engine, tolerance)
+    with pytest.warns(UserWarning, match="round-off"):
+        best = simulate(scene, engine, tolerance, on_miss="warn")
+    assert tolerance < best.error_estimate.total < 1e-9

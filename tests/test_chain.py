@@ -1,5 +1,7 @@
 """The chain at rest, its band edge and its energy, against formulas and methods that the package does not use."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -117,7 +119,7 @@ def contact_energy(chain: Chain, n: int, r: float) -> float:
 
     total, s = 0.0, r / eps
     edges = [0.0, -1.0, s] if s < -1 else [0.0, s]
-    for a, b in zip(edges[:-1], edges[1:], strict=True):
+    for a, b in pairwise(edges):
         total += quad(change, a, b, epsabs=0, epsrel=1e-13, limit=200)[0]
     return force * eps * total
 

@@ -90,7 +90,7 @@ CHAIN = Chain(grains=4, diameter=1e-3)
 
 
 def made_up(grains: Any = "all") -> tuple[Trajectory, Reference]:
-    """Return an answer without error and its reference: u = 1, 2, 4, 0 and v = 10, 20, 40, 0 at all times."""
+    """Return an answer without error and its reference: u = 1, 2, -4, 0 and v = 10 u at all times."""
     scene = Scene(chain=CHAIN, excitation=Impulse(velocity=1e-9), duration=1e-9, samples=3, grains=grains)
     answer = simulate(scene, "native", 1e-3)
     u = np.tile([1.0, 2.0, -4.0, 0.0], (3, 1))

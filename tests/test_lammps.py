@@ -143,14 +143,14 @@ def test_unlike_contacts_share_few_types():
 
 
 def test_refusals_name_the_cure():
-    with pytest.raises(InputError, match="1.5 and 1 only.*use the engine native"):
+    with pytest.raises(InputError, match=r"1.5 and 1 only.*use the engine native"):
         simulate(small(exponent=2.0), engine="lammps")
     with pytest.raises(InputError, match="exponent: gran/hertz/history"):
         simulate(small(exponent=1.0), engine="lammps", pair_style="gran/hertz/history")
-    with pytest.raises(InputError, match="contact_constants: .*use pair_style granular"):
+    with pytest.raises(InputError, match=r"contact_constants: .*use pair_style granular"):
         simulate(DECKS["unequal"], engine="lammps", pair_style="gran/hertz/history")
     many = np.random.default_rng(1).uniform(1, 2, 29_999) * 1e9
-    with pytest.raises(InputError, match="contact_constants: .*use the engine native"):
+    with pytest.raises(InputError, match=r"contact_constants: .*use the engine native"):
         simulate(small(grains=30_000, contact_constants=many), engine="lammps")
     for option in (
         {"diameter": "small"},
@@ -195,7 +195,7 @@ def test_faults_that_lammps_does_not_report():
 
 def test_grains_lost_while_reading_are_noticed(monkeypatch):
     monkeypatch.setattr(Column, "box", (-1e-3, 1e-3, -0.01, 0.2))
-    with pytest.raises(RunFailed, match="LAMMPS stopped|lost grains"):
+    with pytest.raises(RunFailed, match=r"LAMMPS stopped|lost grains"):
         stepper(small())
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Generic, TypeVar
 
-from ..errors import RunFailed
+from ..errors import RunFailed, ToleranceNotMet
 from ..scene import Scene
 from .base import Candidate, Cost, Engine, Run, SolverError
 
@@ -28,8 +28,12 @@ class Outcome(Generic[T]):
     missed: str
 
 
-def until_tolerance(engine: Engine, scene: Scene, tolerance: float, collect: Callable[[Run], T]) -> Outcome[T]:
+def until_tolerance(
+    engine: Engine, scene: Scene, tolerance: float, collect: Callable[[Run], T], best_effort: bool = False
+) -> Outcome[T]:
     """Run a scene, at ever shorter steps unless the step is given, and collect each run's blocks.
+
+    With `best_effort`, a tolerance that the engine refuses beforehand is loosened until it does not.
 
     Raises
     ------
@@ -39,7 +43,13 @@ def until_tolerance(engine: Engine, scene: Scene, tolerance: float, collect: Cal
         If the run breaks down, at a given step or again and again.
     """
     began = time.perf_counter()
-    candidate = engine.candidate(scene, tolerance)
+    try:
+        candidate = engine.candidate(scene, tolerance)
+    except ToleranceNotMet as refusal:
+        if not best_effort or tolerance > 0.1:
+            raise
+        looser = until_tolerance(engine, scene, 4 * tolerance, collect, best_effort)
+        return replace(looser, missed=refusal.reason)
     errors: list[SolverError] = []
     breakdowns = 0
     while True:
@@ -71,18 +81,20 @@ def until_tolerance(engine: Engine, scene: Scene, tolerance: float, collect: Cal
 def _why_not(errors: list[SolverError], tolerance: float, step: float, better: Candidate | None) -> str:
     """Return why shorter steps will not help, or nothing if they may."""
     error = errors[-1]
-    missed = f"the error is estimated at {error.total:.2g}, above the tolerance of {tolerance:.2g}"
-    if better is None:
-        return f"{missed}: round-off alone makes {error.roundoff:.2g}, whatever the step"
     recent = [e.truncation for e in errors[-STALLS - 1 :]]
     stalled = len(recent) > STALLS and all(b > 0.7 * a for a, b in pairwise(recent))
-    if not stalled and len(errors) < ATTEMPTS:
+    if better and not stalled and len(errors) < ATTEMPTS:
         return ""
-    missed = f"{missed}, and shorter steps no longer help (now {step:.2g} s)"
+    reason = (
+        f"the error is estimated at {error.total:.2g}, above the tolerance of {tolerance:.2g}, and steps shorter than "
+        f"{step:.2g} s do not help"
+    )
+    if better is None:
+        reason += f", for round-off alone makes {error.roundoff:.2g}"
     horizon = error.horizon(tolerance)
     if horizon == float("inf"):
-        return f"{missed}: ask for less"
+        return f"{reason}: ask for less"
     return (
-        f"{missed}: the scene amplifies round-off, and beyond t = {horizon:.4g} s no double-precision answer is this "
-        "accurate; record up to there, or ask for less"
+        f"{reason}: this scene amplifies round-off beyond the tolerance at t = {horizon:.4g} s; record up to there, "
+        "or ask for less"
     )

@@ -1,9 +1,9 @@
 """One answer in the making, with companions in lock-step that show its error.
 
 The answer runs at the step h. Beside it run native companions at longer steps (2h and 4h, or shorter
-ones if the step does not divide or those would be unstable): their differences show how the error falls with the step. An
-answer that is not native also has a native twin at the same step. Twin and answer are the same map in
-exact arithmetic, so what they differ by is round-off, measured.
+ones if the step does not divide or those would be unstable): their differences show how the error
+falls with the step. An answer that is not native also has a native twin at the same step. Twin and
+answer are the same map in exact arithmetic, so what they differ by is round-off, measured.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ from __future__ import annotations
 from os import PathLike
 from pathlib import Path
 
-from ...errors import InputError, ToleranceNotMet
+from ...errors import InputError, ToleranceNotMet, check_tolerance
 from ...files import write_aside
 from ...scene import Scene
 from ..base import Candidate
@@ -45,6 +45,7 @@ def write_deck(
     InputError
         If LAMMPS cannot do the scene, or an option is wrong.
     """
+    check_tolerance(tolerance)
     engine = Lammps(integrator, step, diameter, pair_style)
     if not deck.carries(engine.splitting):
         raise InputError([("integrator", f"a deck cannot carry the kicks of {integrator}; use verlet or kahan-li6")])

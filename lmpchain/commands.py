@@ -1,0 +1,236 @@
+"""What the commands of the command line do."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .errors import EngineUnavailable, InputError, RunFailed, ToleranceNotMet, check_tolerance
+
+# what computes is imported inside the functions, so that wrong input is answered at once
+if TYPE_CHECKING:
+    from .engines.base import Engine
+    from .reference import Reference
+    from .scene import Scene
+    from .trajectory import Trajectory
+
+PICTURES = (".png", ".pdf", ".svg")
+REFERENCE_S = 60.0  # longest expected time for the independent reference; the native engine takes over beyond it
+TIGHTEST = 1e-11  # tolerance that the native engine reaches on every ordinary scene
+
+
+def complain(text: str) -> None:
+    """Say on stderr, in one line, what is wrong."""
+    print(f"error: {' '.join(text.split())}", file=sys.stderr)
+
+
+def _gather(*checks: Callable[[], Any]) -> list[Any]:
+    """Return what the checks return; raise one `InputError` with the faults of all of them."""
+    results, faults = [], []
+    for check in checks:
+        try:
+            results.append(check())
+        except InputError as error:
+            faults += error.faults
+    if faults:
+        raise InputError(faults)
+    return results
+
+
+def _read(path: str) -> Scene:
+    from .scene import Scene
+
+    return Scene.from_toml(path)
+
+
+def _output(name: str, scene: str, suffixes: Sequence[str] = ()) -> Path:
+    """Return the path of a file to write, once it is clear that it can be written."""
+    path = Path(name)
+    if path.is_dir() or name.endswith(("/", os.sep)):
+        raise InputError([(name, f"is a folder; name a file, such as {path / 'run.nc' if not suffixes else path}")])
+    if path.exists() and not path.is_file():
+        raise InputError([(name, "is a device or a pipe, not a file; name a file")])
+    if suffixes and path.suffix.lower() not in suffixes:
+        raise InputError([(name, f"must end in {', '.join(suffixes[:-1])} or {suffixes[-1]}")])
+    if path.exists() and Path(scene).exists() and path.samefile(scene):
+        raise InputError([(name, "is the scene file itself; name another file")])
+    if not path.parent.is_dir():
+        raise InputError([(name, f"there is no folder {path.parent}; make it first")])
+    if not os.access(path.parent, os.W_OK | os.X_OK) or (path.exists() and not os.access(path, os.W_OK)):
+        raise InputError([(name, "you may not write there; choose another place")])
+    return path
+
+
+def _engine(arguments: argparse.Namespace) -> Engine:
+    """Return the engine with the options given for it."""
+    from . import engines
+
+    given = {key: getattr(arguments, key) for key in ("integrator", "step", "diameter")}
+    return engines.get(arguments.engine, **{key: value for key, value in given.items() if value is not None})
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Answer a scene and save the trajectory."""
+    scene, path, engine, _ = _gather(
+        lambda: _read(arguments.scene),
+        lambda: arguments.output and _output(arguments.output, arguments.scene),
+        lambda: _engine(arguments),
+        lambda: check_tolerance(arguments.tolerance),
+    )
+    path = path or _output(str(Path(arguments.scene).with_suffix(".nc")), arguments.scene)
+    from .simulation import simulate
+
+    missed = ""
+    try:
+        trajectory = simulate(scene, engine, arguments.tolerance, progress=sys.stderr.isatty())
+    except ToleranceNotMet as error:
+        if error.trajectory is None:
+            raise
+        trajectory, missed = error.trajectory, error.reason
+    trajectory.save(path)
+    print(_summary(trajectory, arguments.tolerance, path))
+    if missed:
+        complain(missed)
+    return 1 if missed else 0
+
+
+def _summary(trajectory: Trajectory, tolerance: float, path: Path) -> str:
+    """Return in a few lines what was done, how well and at what cost."""
+    cost, error, scene = trajectory.cost, trajectory.error_estimate, trajectory.scene
+    parts = f" = {error.model:.2g} (equation) + {error.solver:.2g} (solver)" if error.model else ""
+    lines = {
+        "engine": f"{trajectory.engine}, which solves Eq. ({trajectory.equation})",
+        "scene": f"{scene.chain.grains} grains, {scene.samples} samples over {scene.duration:g} s",
+        "integrator": f"{cost.integrator}, {cost.steps} steps of {cost.step_s:.4g} s",
+        "estimated error": f"{error.total:.2g}{parts} (tolerance {tolerance:g})",
+        "time spent": f"{cost.integration_s:.3g} s integration, {cost.estimate_s:.3g} s error estimate, "
+        f"{cost.setup_s:.3g} s set-up",
+        "file": str(path),
+    }
+    return "\n".join(f"{key:<16} {value}" for key, value in lines.items())
+
+
+def compare(arguments: argparse.Namespace) -> int:
+    """Answer a scene with several engines and set them beside the truth."""
+    names, scene, picture, numbers, _ = _gather(
+        lambda: _names(arguments.engines),
+        lambda: _read(arguments.scene),
+        lambda: arguments.output and _output(arguments.output, arguments.scene, PICTURES),
+        lambda: arguments.json and _output(arguments.json, arguments.scene),
+        lambda: check_tolerance(arguments.tolerance),
+    )
+    from . import engines
+    from .measure.compare import compare as side_by_side
+
+    able = {}
+    refusals: list[tuple[str, str]] = []
+    for name in names:
+        reasons = engines.get(name).refuses(scene)
+        refusals += [(key, f"{name}: {reason}") for key, reason in reasons]
+        if not reasons:
+            able[name] = name
+    if not able:
+        raise InputError(refusals)
+    trajectories, failures = _answers(scene, list(able), arguments.tolerance)
+    if trajectories:
+        comparison = side_by_side(trajectories, _reference(scene, arguments.tolerance))
+        print(comparison.table())
+    for key, reason in refusals:
+        print(f"left out: {reason} ({key})")
+    if trajectories and numbers:
+        _write_json(comparison.to_json(), numbers)
+        print(f"numbers: {numbers}")
+    if trajectories and picture:
+        from .plotting import save
+
+        save(comparison.plot(), picture)
+        print(f"picture: {picture}")
+    for failure in failures:
+        complain(failure)
+    return 1 if failures else 0
+
+
+def _names(given: str | None) -> list[str]:
+    from . import engines
+
+    if given is None:
+        return list(engines.names())
+    chosen = list(dict.fromkeys(name.strip() for name in given.split(",") if name.strip()))
+    known = ", ".join(engines.names())
+    if faults := [("engines", f"no engine is called {n!r}; use {known}") for n in chosen if n not in engines.names()]:
+        raise InputError(faults)
+    if not chosen:
+        raise InputError([("engines", f"names none; use {known}")])
+    return chosen
+
+
+def _answers(scene: Scene, names: list[str], tolerance: float) -> tuple[list[Trajectory], list[str]]:
+    """Run every engine; return the answers and what went wrong, in words."""
+    from .simulation import simulate
+
+    trajectories, failures = [], []
+    for name in names:
+        try:
+            trajectories.append(simulate(scene, name, tolerance, progress=sys.stderr.isatty()))
+        except ToleranceNotMet as error:
+            failures.append(f"{name}: {error.reason}")
+            if error.trajectory is not None:
+                trajectories.append(error.trajectory)
+        except (RunFailed, EngineUnavailable) as error:
+            failures.append(f"{name}: {error}")
+    return trajectories, failures
+
+
+def _reference(scene: Scene, tolerance: float) -> Reference:
+    """Return the truth: from an integrator apart, or from the native engine where that would take too long."""
+    from .reference import Reference, expected_seconds, reference
+    from .scene import Scene
+    from .simulation import simulate
+
+    if expected_seconds(scene) <= REFERENCE_S:
+        return reference(scene)
+    tight = max(tolerance / 100, TIGHTEST)
+    everywhere = Scene(chain=scene.chain, excitation=scene.excitation, duration=scene.duration, samples=scene.samples)
+    try:
+        truth = simulate(everywhere, "native", tight, progress=sys.stderr.isatty())
+    except ToleranceNotMet as error:
+        if error.trajectory is None:
+            raise
+        truth = error.trajectory
+    method = f"the native engine at a tolerance of {tight:g} (too long a scene for an integrator apart)"
+    return Reference(truth.time, truth.displacement, truth.velocity, truth.error_estimate.total, method)
+
+
+def _write_json(data: dict[str, Any], path: Path) -> None:
+    import json
+
+    from .files import write_aside
+
+    with write_aside(path) as aside:
+        aside.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def deck(arguments: argparse.Namespace) -> int:
+    """Write a LAMMPS input that runs by itself."""
+    scene, _ = _gather(lambda: _read(arguments.scene), lambda: check_tolerance(arguments.tolerance))
+    from shlex import quote
+
+    from .engines.lammps.export import write_deck
+
+    folder = Path(arguments.output)
+    write_deck(
+        scene,
+        folder,
+        tolerance=arguments.tolerance,
+        step=arguments.step,
+        diameter=arguments.diameter,
+        integrator=arguments.integrator,
+        pair_style=arguments.pair_style,
+    )
+    print(f"wrote {folder / 'in.column'} and {folder / 'column.data'}; to run them:")
+    print(f"  cd {quote(str(folder))} && lmp -in in.column")
+    return 0
