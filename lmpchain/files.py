@@ -35,3 +35,13 @@ def write_aside(path: str | PathLike[str]) -> Iterator[Path]:
         raise InputError([(str(path), f"cannot be written: {reason}")]) from error
     finally:
         aside.unlink(missing_ok=True)
+
+
+def make_folder(path: str | PathLike[str]) -> Path:
+    """Make a folder unless it is there; raises `InputError` if it cannot be made."""
+    path = Path(path)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError([(str(path), f"is no folder and cannot be made one: {error.strerror}")]) from None
+    return path

@@ -251,7 +251,8 @@ def first_overlaps(chain: Chain, excitation: Excitation) -> Array:
     m = chain.masses
     pair_mass = m[:-1] * m[1:] / (m[:-1] + m[1:])
     power = chain.exponent + 1
-    two_body = (power / 2 * pair_mass * (v[:-1] - v[1:]) ** 2 / chain.contact_constants) ** (1 / power)
+    closing = np.maximum(v[:-1] - v[1:], 0.0)
+    two_body = (power / 2 * pair_mass * closing**2 / chain.contact_constants) ** (1 / power)
     return np.maximum(chain.equilibrium_overlap + u[:-1] - u[1:], two_body)
 
 

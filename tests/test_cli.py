@@ -396,15 +396,21 @@ def test_exit_codes_of_the_process(scene: Path):
     assert "Traceback" not in missed.stderr + wrong.stderr
 
 
+LONG = {"native": ("10.0", []), "lammps": ("2e-2", ["--integrator", "verlet", "--step", "1e-7"])}
+
+
+@pytest.mark.parametrize("engine", LONG)
 @pytest.mark.parametrize(("sent", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_long_run_stops_at_once(sent: int, code: int, scene: Path):
-    scene.write_text(SCENE.replace("grains = 20", "grains = 2000").replace("20e-6", "10.0"))
+def test_a_long_run_stops_at_once(engine: str, sent: int, code: int, scene: Path):
+    duration, options = LONG[engine]
+    scene.write_text(SCENE.replace("grains = 20", "grains = 2000").replace("20e-6", duration))
     terminal, theirs = pty.openpty()
     termios.tcsetwinsize(theirs, (24, 80))
-    process = subprocess.Popen([*COMMAND, "run", str(scene)], stdout=subprocess.PIPE, stderr=theirs)
+    command = [*COMMAND, "run", str(scene), "--engine", engine, *options]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=theirs)
     os.close(theirs)
     try:
-        read_until(terminal, "native:")  # the progress bar, shown because stderr is a terminal
+        read_until(terminal, f"{engine}:")  # the progress bar, shown because stderr is a terminal
         time.sleep(0.3)
         process.send_signal(sent)
         began = time.perf_counter()

@@ -172,6 +172,9 @@ def test_batch_equals_single_runs(integrator):
     run = solver.start(scenes, solver.candidate(scenes[0], 1e-6))
     together = np.concatenate([block.velocity for block in run.blocks()], axis=1)
     errors = run.errors()
+    threaded = engines.Native(integrator=integrator, step=1e-7, threads=2).start(scenes, run.candidate)
+    assert np.array_equal(together, np.concatenate([block.velocity for block in threaded.blocks()], axis=1))
+    threaded.close()
     for i, scene in enumerate(scenes):
         alone = simulate(scene, engine=solver)
         assert np.array_equal(together[i], alone.velocity)

@@ -131,7 +131,7 @@ class Run(ABC):
 
     @abstractmethod
     def state(self) -> Mapping[str, Array]:
-        """Return what `Engine.start` needs to go on from here with the same bits."""
+        """Return what `Engine.start` needs to go on with the same bits after the last block with samples."""
 
     @abstractmethod
     def close(self) -> None:

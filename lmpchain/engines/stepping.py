@@ -15,6 +15,7 @@ from .lockstep import SAFETY, LockstepRun, Stepper
 from .splittings import SPLITTINGS, Splitting
 
 ORDER_THROUGH_OPENINGS = 2.5
+LONGEST_S = 3e8  # ten years
 
 
 class SteppedEngine(Engine):
@@ -52,6 +53,9 @@ class SteppedEngine(Engine):
 
     def _at(self, scene: Scene, steps_per_sample: int, error: float, fixed: bool = False) -> Candidate:
         cost = self._cost(scene, steps_per_sample * (scene.samples - 1))
+        if cost > LONGEST_S:
+            years = cost / 3.15e7
+            raise InputError([("duration", f"would take some {years:.1g} years: shorten it, or ask for less accuracy")])
         interval = scene.duration / (scene.samples - 1)
         return Candidate(steps_per_sample, interval / steps_per_sample, fixed, scene.chain.grains, 0.0, error, cost)
 
@@ -89,7 +93,7 @@ def stiffest_frequency(scene: Scene) -> float:
     pressed = first_overlaps(chain, scene.excitation) if scene.energy > 0 else chain.equilibrium_overlap
     stiffness = chain.exponent * chain.contact_constants * pressed ** (chain.exponent - 1)
     pair = math.sqrt(2 * float(stiffness.max()) / chain.masses.min())
-    return max(chain.band_edge, pair, 1 / scene.duration)
+    return max(chain.band_edge, pair) or 1 / scene.duration
 
 
 def check_floor(floor: float, tolerance: float, cure: str) -> None:

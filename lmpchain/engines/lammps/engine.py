@@ -13,6 +13,7 @@ import numpy as np
 
 from ...errors import InputError, ToleranceNotMet
 from ...fields import Array
+from ...files import make_folder
 from ...scene import Scene
 from ..attempts import until_tolerance
 from ..base import Candidate, Run, SolverError
@@ -144,7 +145,7 @@ class Lammps(SteppedEngine):
         """Make the stepper of the answer."""
         (scene,) = scenes  # one instance, one chain
         if self.keep is not None:
-            self.keep.mkdir(parents=True, exist_ok=True)
+            make_folder(self.keep)
         column = self.column(scene, candidate)
         every, samples = candidate.steps_per_sample, scene.samples - 1
         return LammpsStepper(

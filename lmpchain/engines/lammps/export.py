@@ -6,7 +6,7 @@ from os import PathLike
 from pathlib import Path
 
 from ...errors import InputError, ToleranceNotMet, check_tolerance
-from ...files import write_aside
+from ...files import make_folder, write_aside
 from ...scene import Scene
 from ..base import Candidate
 from . import deck
@@ -52,11 +52,7 @@ def write_deck(
     if reasons := engine.refuses(scene):
         raise InputError(reasons)
     candidate, remark = _reachable(engine, scene, tolerance)
-    folder = Path(folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError([(str(folder), f"cannot be made: {error.strerror}")]) from None
+    folder = make_folder(folder)
     column = engine.column(scene, candidate, remark)
     deck.write_data(column, folder / "column.data")
     text = deck.run_deck(column, candidate.step, engine.splitting, candidate.steps_per_sample, scene.samples - 1)

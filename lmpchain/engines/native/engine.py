@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numba
 
+from ...errors import InputError
 from ...fields import Array
 from ...scene import Scene
 from ..base import Candidate
@@ -25,6 +26,8 @@ class Native(SteppedEngine):
     step : float, optional
         s; the largest step up to it that divides the sample interval is used, and no tolerance is
         enforced.
+    threads : int
+        Over which a batch of chains is shared out; one chain is never split.
 
     Raises
     ------
@@ -36,8 +39,11 @@ class Native(SteppedEngine):
     equation: ClassVar[int] = 1
     seconds_per_grain_step = 1e-9
 
-    def __init__(self, integrator: str = "rkn6", step: float | None = None):
+    def __init__(self, integrator: str = "rkn6", step: float | None = None, threads: int = 1):
         super().__init__(integrator, step)
+        if isinstance(threads, bool) or not isinstance(threads, int) or threads < 1:
+            raise InputError([("threads", f"must be a whole number from 1 (got {threads!r})")])
+        self.threads = threads
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Every chain that can be described can be done."""
@@ -53,7 +59,7 @@ class Native(SteppedEngine):
 
     def stepper(self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array]) -> NativeStepper:
         """Make the stepper of the answer."""
-        return NativeStepper(scenes, self.splitting, candidate.step, state)
+        return NativeStepper(scenes, self.splitting, candidate.step, state, self.threads)
 
     def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
         """Return the form of the force and the version of the compiler."""

@@ -100,7 +100,7 @@ def _lowest(x, inverse_length):
     return lowest
 
 
-@numba.njit(cache=True, error_model="numpy", fastmath=STRICT)
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=STRICT)
 def advance(u, v, inverse_length, strength, inverse_mass, movable, form, delta, kicks, drifts, steps):
     """Advance every realisation by `steps` steps of a kick-drift splitting, in place.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
@@ -15,9 +16,14 @@ STRONG = 1e3  # strike number above which the faster form of the force loses not
 
 
 class NativeStepper:
-    """A batch of chains in displacements from equilibrium."""
+    """A batch of chains in displacements from equilibrium, shared out over threads."""
 
-    def __init__(self, scenes: Sequence[Scene], splitting: Splitting, step: float, state: Mapping[str, Array]):
+    def __init__(
+        self, scenes: Sequence[Scene], splitting: Splitting, step: float, state: Mapping[str, Array], threads: int = 1
+    ):
+        shares = min(threads, len(scenes))
+        self._shares = [slice(i * len(scenes) // shares, (i + 1) * len(scenes) // shares) for i in range(shares)]
+        self._pool = ThreadPoolExecutor(shares) if shares > 1 else None
         chains = [scene.chain for scene in scenes]
         self.form = force_form(scenes[0])
         self._delta = chains[0].exponent
@@ -35,15 +41,27 @@ class NativeStepper:
         self.u = np.array(state.get("u", [u for u, _ in initial]))
         self.v = np.array(state.get("v", [v for _, v in initial]))
         self._lowest = float(state.get("lowest", np.inf))
-        self._run(self.u[:0], self.v[:0], 0)  # no chains: only compiles, so that it is not timed as work
+        self._run(slice(0), 0)  # no chains: only compiles, so that it is not timed as work
 
     def advance(self, steps: int) -> None:
         """Move forward by `steps` steps."""
-        self._lowest = min(self._lowest, self._run(self.u, self.v, steps))
+        over = self._pool.map if self._pool else map
+        self._lowest = min(self._lowest, *over(lambda share: self._run(share, steps), self._shares))
 
-    def _run(self, u: Array, v: Array, steps: int) -> float:
-        tables = self._inverse_length, self._strength, self._inverse_mass
-        return kernels.advance(u, v, *tables, self._movable, self.form, self._delta, self._kicks, self._drifts, steps)
+    def _run(self, share: slice, steps: int) -> float:
+        return kernels.advance(
+            self.u[share],
+            self.v[share],
+            self._inverse_length[share],
+            self._strength[share],
+            self._inverse_mass[share],
+            self._movable,
+            self.form,
+            self._delta,
+            self._kicks,
+            self._drifts,
+            steps,
+        )
 
     def lowest(self) -> float:
         """Return the smallest r / eps that any contact has had; -1 is an opening."""
@@ -54,7 +72,9 @@ class NativeStepper:
         return {"u": self.u, "v": self.v, "lowest": np.array(self._lowest)}
 
     def close(self) -> None:
-        """Nothing to release."""
+        """End the threads."""
+        if self._pool:
+            self._pool.shutdown()
 
 
 def force_form(scene: Scene) -> int:
