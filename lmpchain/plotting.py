@@ -116,12 +116,10 @@ def _window(velocity: Array) -> tuple[int, int]:
 
 def _draw_errors(comparison: Comparison, axes: Axes) -> None:
     """Error over time, with the expected error as a dashed line."""
-    from .measure.compare import error_over_time
-
     truth = comparison.reference
     time = truth.time * 1e6
-    for answer, row in zip(comparison.trajectories, comparison.rows, strict=True):
-        values = np.maximum(error_over_time(answer, truth), LOWEST)
+    for answer, row, found in zip(comparison.trajectories, comparison.rows, comparison.errors_over_time(), strict=True):
+        values = np.maximum(found, LOWEST)
         colour = _colour(answer.engine)
         axes.semilogy(time[1:], values[1:], color=colour, lw=1.3, label=answer.engine)  # at t = 0 nothing is wrong yet
         axes.axhline(max(row.expected_error, LOWEST), color=colour, ls="--", lw=1.3)

@@ -101,6 +101,10 @@ class Comparison:
     trajectories: tuple[Trajectory, ...]
     rows: tuple[Row, ...]
 
+    def errors_over_time(self) -> list[Array]:
+        """Return the error of every answer sample by sample, (T,) each."""
+        return [error_over_time(answer, self.reference) for answer in self.trajectories]
+
     def to_json(self) -> dict[str, Any]:
         """Return what goes into a JSON file; numbers that are not finite become None."""
         reference = {"method": self.reference.method, "error": _finite(self.reference.error)}

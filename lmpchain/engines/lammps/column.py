@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from ...chain import Chain
 from ...errors import InputError
 from ...fields import Array
 from ...scene import Impulse, Scene
@@ -41,27 +42,12 @@ class Column:
     scene: Scene
     gauge: bool
     pair_style: str = "granular"
-    remarks: tuple[str, ...] = field(default=())
+    remarks: tuple[str, ...] = ()
 
     @property
-    def grains(self) -> int:
-        """N."""
-        return self.scene.chain.grains
-
-    @property
-    def movable(self) -> int:
-        """Grains that move."""
-        return self.scene.chain.movable
-
-    @property
-    def gravity(self) -> float:
-        """m/s2."""
-        return self.scene.chain.gravity
-
-    @property
-    def top_load(self) -> float:
-        """N on grain 1."""
-        return self.scene.chain.top_load
+    def chain(self) -> Chain:
+        """The chain of the scene."""
+        return self.scene.chain
 
     @property
     def strike(self) -> Impulse | None:
@@ -71,25 +57,25 @@ class Column:
     @cached_property
     def largest_overlap(self) -> float:
         """A bound on every overlap of the run, m."""
-        return float(self.scene.chain.overlap_bound(self.scene.energy).max())
+        return float(self.chain.overlap_bound(self.scene.energy).max())
 
     @cached_property
     def diameters(self) -> Array:
         """(N,) m."""
-        physical = self.scene.chain.diameters
+        physical = self.chain.diameters
         gauge = HEADROOM * self.largest_overlap
-        return np.full(self.grains, gauge) if self.gauge and 0 < gauge < physical.min() else physical
+        return np.full(self.chain.grains, gauge) if self.gauge and 0 < gauge < physical.min() else physical
 
     @cached_property
     def densities(self) -> Array:
         """(N,) kg/m3, such that every grain has its mass."""
-        return self.scene.chain.masses / (np.pi / 6 * self.diameters**3)
+        return self.chain.masses / (np.pi / 6 * self.diameters**3)
 
     @cached_property
     def heights(self) -> Array:
         """Heights at rest, (N,) m: the running sum in extended precision, rounded once."""
         d = self.diameters.astype(np.longdouble)
-        apart = (d[:-1] + d[1:]) / 2 - self.scene.chain.equilibrium_overlap
+        apart = (d[:-1] + d[1:]) / 2 - self.chain.equilibrium_overlap
         return np.append(0.0, -np.cumsum(apart)).astype(float)
 
     @cached_property
@@ -122,7 +108,7 @@ class Column:
         """Arguments of the pair_coeff commands."""
         if self.pair_style != "granular":
             return ["* *"]
-        model = "hooke" if self.scene.chain.exponent == 1 else "hertz"
+        model = "hooke" if self.chain.exponent == 1 else "hertz"
         pairs = self._typed[1]
         tail = "0.0 tangential linear_nohistory 0.0 0.0 damping velocity"
         lines = [f"* * {model} {next(iter(pairs.values()))!r} {tail}"]
@@ -144,7 +130,7 @@ class Column:
         A grain takes a type whose pair with the grain above has the right constant already; or else the
         type with most pairs still free; or a new one. N unlike contacts then need about sqrt(2 N) types.
         """
-        chain = self.scene.chain
+        chain = self.chain
         constants = chain.contact_constants
         if chain.exponent != 1:  # hertz multiplies by the square root of the effective radius
             d = self.diameters

@@ -62,7 +62,7 @@ class LammpsStepper:
 
     def _prepare(self, state: Mapping[str, Array]) -> None:
         """Put a kept state in place before the first forces are computed, and keep views of the arrays."""
-        grains = self._column.grains
+        grains = self._column.chain.grains
         arrays = self._lammps.numpy
         if state:
             arrays.extract_atom("x")[:grains, 2] = state["z"]
@@ -74,10 +74,10 @@ class LammpsStepper:
             raise RunFailed("LAMMPS does not keep the grains in order; this version cannot be used")
         self._x, self._v, self._f = (arrays.extract_atom(name)[:grains] for name in "xvf")
         self._z, self._vz = self._x[:, 2], self._v[:, 2]
-        moving = slice(0, self._column.movable)
+        moving = slice(0, self._column.chain.movable)
         self._vz_moving, self._fz_moving = self._v[moving, 2], self._f[moving, 2]
         self._inverse_mass = 1 / arrays.extract_atom("rmass")[moving]
-        self._kick = np.empty(self._column.movable)
+        self._kick = np.empty(self._column.chain.movable)
 
     def _commands(self, text: str) -> None:
         try:
