@@ -26,11 +26,15 @@ class Checked(BaseModel):
         names = list(type(self).model_fields)
         if len(values) > len(names):
             raise InputError([("", f"takes {', '.join(names)}: {len(values)} values are too many")])
+        data = dict(zip(names, values, strict=False)) | data
+        known = {key: value for key, value in data.items() if key in names}
+        faults = [(key, f"unknown key; the keys here are {', '.join(names)}") for key in data if key not in known]
         try:
-            super().__init__(**dict(zip(names, values, strict=False)) | data)
+            super().__init__(**known)
+            faults += self._faults()
         except ValidationError as error:
-            raise InputError(_describe(type(self), error)) from None
-        if faults := list(self._faults()):
+            faults += _describe(error)
+        if faults:
             raise InputError(faults)
 
     def _faults(self) -> Iterator[tuple[str, str]]:
@@ -102,15 +106,13 @@ PositiveVector = Annotated[Array, BeforeValidator(_positive_vector)]
 OneOrMany = Annotated[float | Array, BeforeValidator(_one_or_many)]
 
 
-def _describe(model: type[BaseModel], error: ValidationError) -> Iterator[tuple[str, str]]:
+def _describe(error: ValidationError) -> Iterator[tuple[str, str]]:
     """Yield (key, message) for every fault pydantic found, in the words of a physicist."""
     for fault in error.errors():
         key = ".".join(str(part) for part in fault["loc"])
         kind, value, limits = fault["type"], fault["input"], fault.get("ctx", {})
         shown = repr(value) if len(repr(value)) < 40 else f"a {type(value).__name__}"
-        if kind == "extra_forbidden":
-            message = f"unknown key; the keys here are {', '.join(model.model_fields)}"
-        elif kind == "missing":
+        if kind == "missing":
             message = "is missing; add it"
         elif kind == "finite_number":
             message = f"must be a finite number (got {value!r})"

@@ -55,17 +55,29 @@ def from_dict(data: dict[str, Any], folder: Path = Path()) -> Scene:
     if "excitation" in tables:
         excitation = attempt("excitation", _excitation, {"table": tables["excitation"], "folder": folder})
     recording = attempt("recording", Recording, tables["recording"]) if "recording" in tables else None
-    if chain and excitation:
-        found = list(excitation.faults(chain)) or list(strike_faults(chain, excitation))
+    counted = chain or _of_this_length(tables.get("chain", {}))
+    if counted and excitation:
+        found = list(excitation.faults(counted))
+        if chain and not found:
+            found = list(strike_faults(chain, excitation))
         faults.extend(InputError(found).under("excitation"))
-    if chain and recording:
-        faults.extend(InputError(recording.faults(chain)).under("recording"))
+    if counted and recording:
+        faults.extend(InputError(recording.faults(counted)).under("recording"))
     if faults:
         raise InputError(faults)
     assert chain
     assert excitation
     assert recording
     return Scene(chain=chain, excitation=excitation, **recording.given())
+
+
+def _of_this_length(table: dict[str, Any]) -> Chain | None:
+    """Return some chain with the grains and the bottom of a faulty one, to check the other tables against."""
+    kept = {key: table[key] for key in ("grains", "bottom") if key in table}
+    try:
+        return Chain(**kept, diameter=1.0, gravity=0.0)
+    except InputError:
+        return None
 
 
 def to_dict(scene: Scene) -> dict[str, Any]:

@@ -317,3 +317,17 @@ def test_strike_number():
     assert scene.strike_number == pytest.approx(1, rel=1e-5)
     vacuum = Chain(grains=20, diameter=1e-3, gravity=0.0)
     assert Scene(chain=vacuum, excitation=Impulse(velocity=1e-9), duration=1e-5).strike_number == np.inf
+
+
+def test_a_faulty_chain_does_not_hide_what_is_wrong_elsewhere(tmp_path: Path):
+    """An unknown key, a free bottom under gravity, a strike on no grain and a record of no grain: four lines."""
+    path = tmp_path / "scene.toml"
+    path.write_text(
+        '[chain]\ngrains = 12\ndiameter = 1e-3\ncolour = "red"\nbottom = "free"\n'
+        '[excitation]\nkind = "impulse"\nvelocity = 1e-3\ngrain = 13\n'
+        '[recording]\nduration = 1e-4\ngrains = "5:20"\n'
+    )
+    with pytest.raises(InputError) as caught:
+        Scene.from_toml(path)
+    keys = [key for key, _ in caught.value.faults]
+    assert keys == ["chain.colour", "chain.bottom", "excitation.grain", "recording.grains"]
