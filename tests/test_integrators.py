@@ -162,12 +162,12 @@ def test_chunks_do_not_matter(monkeypatch):
 
 @every
 def test_batch_equals_single_runs(integrator):
-    """Realisations that go through the seam together come out as if each had been alone."""
+    """Realisations that go through the seam together come out as if each had been alone, gentle or strong."""
     rng = np.random.default_rng(5)
     scenes = []
-    for _ in range(3):
+    for velocity in (1e-6, 1e-4, 1e-3):
         chain = Chain(grains=25, material="glass", diameter=1e-3 * rng.uniform(0.9, 1.1, 25))
-        scenes.append(Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=30e-6, samples=5))
+        scenes.append(Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=30e-6, samples=5))
     solver = engines.Native(integrator=integrator, step=1e-7)
     run = solver.start(scenes, solver.candidate(scenes[0], 1e-6))
     together = np.concatenate([block.velocity for block in run.blocks()], axis=1)
@@ -179,3 +179,10 @@ def test_batch_equals_single_runs(integrator):
         alone = simulate(scene, engine=solver)
         assert np.array_equal(together[i], alone.velocity)
         assert errors[i].total == alone.error_estimate.solver
+
+
+def test_batch_of_unlike_scenes_is_refused():
+    scenes = [smooth(grains=8), smooth(grains=9)]
+    solver = engines.Native(step=1e-6)
+    with pytest.raises(ValueError, match="a batch needs"):
+        solver.start(scenes, solver.candidate(scenes[0], 1e-6))

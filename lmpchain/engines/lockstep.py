@@ -38,8 +38,8 @@ class Stepper(Protocol):
     def advance(self, steps: int) -> None:
         """Move forward by `steps` steps."""
 
-    def lowest(self) -> float:
-        """Return the smallest r / eps that any contact has had; -1 is an opening."""
+    def lowest(self) -> Array:
+        """Return the smallest r / eps that any contact of each chain has had, (R,); -1 is an opening."""
 
     def state(self) -> dict[str, Array]:
         """Return what is needed to go on with the same bits."""
@@ -161,7 +161,7 @@ class LockstepRun(Run):
         relative = self._differences[:, :, real, :] / peaks
         relative = np.where(np.isnan(relative), np.inf, relative)
         order = self.splitting.order
-        lowest = min(stepper.lowest() for stepper, _ in self._steppers)
+        lowest = min(stepper.lowest()[real] for stepper, _ in self._steppers)
         smooth = order == 2 or lowest > CLOSE_TO_OPENING
         first, second = relative[-2].max(0), relative[-1].max(0)
         if self._finer:

@@ -81,6 +81,12 @@ class SteppedEngine(Engine):
         self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array] | None = None
     ) -> LockstepRun:
         """Start one scene, or a batch of scenes that differ in numbers only."""
+        kinds = {
+            (s.chain.grains, s.chain.movable, s.chain.exponent, s.chain.compressed, s.samples, s.duration, s.grains)
+            for s in scenes
+        }
+        if len(kinds) != 1:
+            raise ValueError("a batch needs chains of one kind and length, recorded alike")
         return LockstepRun(lambda kept: self.stepper(scenes, candidate, kept), self.splitting, scenes, candidate, state)
 
 

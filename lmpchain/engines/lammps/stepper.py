@@ -129,9 +129,9 @@ class LammpsStepper:
         self.u = (self._column.heights - self._z)[None]
         self.v = -self._vz[None]
 
-    def lowest(self) -> float:
+    def lowest(self) -> Array:
         """Leave the watch for openings to the native twin."""
-        return float("inf")
+        return np.array([np.inf])
 
     def state(self) -> dict[str, Array]:
         """Return what is needed to go on with the same bits: heights as LAMMPS holds them."""

@@ -101,7 +101,7 @@ def _lowest(x, inverse_length):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=STRICT)
-def advance(u, v, inverse_length, strength, inverse_mass, movable, form, delta, kicks, drifts, steps):
+def advance(u, v, lowest, inverse_length, strength, inverse_mass, movable, form, delta, kicks, drifts, steps):
     """Advance every realisation by `steps` steps of a kick-drift splitting, in place.
 
     The last kick of a step and the first of the next use one force but stay two additions, so
@@ -110,19 +110,14 @@ def advance(u, v, inverse_length, strength, inverse_mass, movable, form, delta, 
     Parameters
     ----------
     u, v : (R, N) arrays, m and m/s
+    lowest : (R,) array, smallest r / length at the end of any step; kept for methods of several stages
     inverse_length, strength : (R, N-1) arrays, 1/m and N
     inverse_mass : (R, N) array, 1/kg
     movable : number of grains that move
     form, delta : the form of the force and its exponent
     kicks, drifts : (S+1,) and (S,) arrays, b_i h and a_i h, s
-
-    Returns
-    -------
-    float
-        Smallest r / length at the end of any step (methods of more than one stage; else infinite).
     """
     stages = drifts.size
-    lowest = math.inf
     force = np.zeros(u.shape[1] + 1)  # nothing above grain 1 nor below a free last grain
     for real in range(u.shape[0]):
         x, w, im = u[real], v[real], inverse_mass[real]
@@ -133,7 +128,6 @@ def advance(u, v, inverse_length, strength, inverse_mass, movable, form, delta, 
                 _kick_and_drift(x, w, force, im, movable, end, kicks[stage], drifts[stage])
                 end = 0.0
             if stages > 1:
-                lowest = min(lowest, _lowest(x, inverse_length[real]))
+                lowest[real] = min(lowest[real], _lowest(x, inverse_length[real]))
         contact_forces(force, x, inverse_length[real], strength[real], form, delta)
         _kick_and_drift(x, w, force, im, movable, kicks[stages], 0.0, 0.0)
-    return lowest

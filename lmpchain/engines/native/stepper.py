@@ -25,7 +25,8 @@ class NativeStepper:
         self._shares = [slice(i * len(scenes) // shares, (i + 1) * len(scenes) // shares) for i in range(shares)]
         self._pool = ThreadPoolExecutor(shares) if shares > 1 else None
         chains = [scene.chain for scene in scenes]
-        self.form = force_form(scenes[0])
+        forms = {force_form(scene) for scene in scenes}
+        self.form = forms.pop() if len(forms) == 1 else kernels.CORRECTED
         self._delta = chains[0].exponent
         self._movable = chains[0].movable
         if self.form == kernels.VACUUM:
@@ -40,18 +41,19 @@ class NativeStepper:
         initial = [scene.initial() for scene in scenes]
         self.u = np.array(state.get("u", [u for u, _ in initial]))
         self.v = np.array(state.get("v", [v for _, v in initial]))
-        self._lowest = float(state.get("lowest", np.inf))
+        self._lowest = np.array(state.get("lowest", np.full(len(scenes), np.inf)))
         self._run(slice(0), 0)  # no chains: only compiles, so that it is not timed as work
 
     def advance(self, steps: int) -> None:
         """Move forward by `steps` steps."""
         over = self._pool.map if self._pool else map
-        self._lowest = min(self._lowest, *over(lambda share: self._run(share, steps), self._shares))
+        list(over(lambda share: self._run(share, steps), self._shares))
 
-    def _run(self, share: slice, steps: int) -> float:
-        return kernels.advance(
+    def _run(self, share: slice, steps: int) -> None:
+        kernels.advance(
             self.u[share],
             self.v[share],
+            self._lowest[share],
             self._inverse_length[share],
             self._strength[share],
             self._inverse_mass[share],
@@ -63,13 +65,13 @@ class NativeStepper:
             steps,
         )
 
-    def lowest(self) -> float:
-        """Return the smallest r / eps that any contact has had; -1 is an opening."""
-        return -1.0 if self.form == kernels.VACUUM else self._lowest
+    def lowest(self) -> Array:
+        """Return the smallest r / eps that any contact of each chain has had, (R,); -1 is an opening."""
+        return np.full_like(self._lowest, -1.0) if self.form == kernels.VACUUM else self._lowest
 
     def state(self) -> dict[str, Array]:
         """Return what is needed to go on with the same bits."""
-        return {"u": self.u, "v": self.v, "lowest": np.array(self._lowest)}
+        return {"u": self.u, "v": self.v, "lowest": self._lowest}
 
     def close(self) -> None:
         """End the threads."""
