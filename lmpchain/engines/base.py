@@ -33,7 +33,7 @@ class Candidate:
     active_grains : int
         Grains that are computed.
     model_error, solver_error : float
-        Expected relative errors: of the equation, and of its solution.
+        Expected relative errors: of the equation, and of its solution (NaN if nobody looked).
     cost_s : float
         Expected time, s.
     choices : mapping

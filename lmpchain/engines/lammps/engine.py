@@ -96,7 +96,9 @@ class Lammps(SteppedEngine):
         """Find the step with native trials of the same map, then the diameter from the round-off law."""
         fixed = self.step is not None
         if fixed:
-            super().candidate(scene, tolerance)  # is the step allowed?
+            given = super().candidate(scene, tolerance)
+            if self.diameter != "auto":  # nothing to choose
+                return replace(given, solver_error=math.nan, choices=_choices(self.diameter == "gauge", "as asked"))
         trial = until_tolerance(Native(self.splitting.name, self.step), scene, tolerance / 2, _peaks)
         if trial.missed:
             raise ToleranceNotMet(f"even without round-off in heights, {trial.missed}")
@@ -154,9 +156,11 @@ class Lammps(SteppedEngine):
 
     def column(self, scene: Scene, candidate: Candidate, remark: str = "") -> Column:
         """Return the column of a candidate, with the choices as remarks for the head of a deck."""
+        error = candidate.solver_error
+        expected = "not estimated beforehand" if math.isnan(error) else f"{error:.1g}"
         remarks = (
             f"{candidate.choices['diameter']} diameter: {candidate.choices['why']}",
-            f"{self.splitting.name}, expected error {candidate.solver_error:.1g}",
+            f"{self.splitting.name}, expected error {expected}",
             *([remark] if remark else []),
         )
         return Column(scene, _is_gauge(candidate), self.pair_style, remarks)
