@@ -45,7 +45,7 @@ def _material(name: str, density: float, youngs: float, poisson: float, source: 
     return Material(density=density, youngs_modulus=youngs, poissons_ratio=poisson, name=name, source=source)
 
 
-GLASS = _material("glass", 2426.0, 62e9, 0.2, "caption of Fig. 5 of the paper on gently perturbed chains")
+GLASS = _material("glass", 2426.0, 62e9, 0.2, "Gerasymov and Spivak, caption of Fig. 5")
 STEEL = _material("steel", 8000.0, 193e9, 0.3, "AISI 316; Daraio et al., Phys. Rev. E 73, 026610 (2006)")
 PTFE = _material("ptfe", 2200.0, 1.46e9, 0.46, "Daraio et al., Phys. Rev. E 73, 026610 (2006)")
 BRASS = _material("brass", 8500.0, 103e9, 0.34, "Porter et al., Physica D 238, 666 (2009)")

@@ -48,7 +48,7 @@ def test_quick_start_is_two_command_lines_and_ci_runs_the_second():
     assert shown.stdout == blocks[1]
 
 
-def test_readme_session(tmp_path, monkeypatch):
+def test_readme_examples(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     results = doctest.testfile(str(ROOT / "README.md"), module_relative=False)
     assert results.attempted > 5
