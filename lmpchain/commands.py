@@ -126,16 +126,16 @@ def compare(arguments: argparse.Namespace) -> int:
     from . import engines
     from .measure.compare import compare as side_by_side
 
-    able = {}
+    able: list[str] = []
     refusals: list[tuple[str, str]] = []
     for name in names:
         reasons = engines.get(name).refuses(scene)
         refusals += [(key, f"{name}: {reason}") for key, reason in reasons]
         if not reasons:
-            able[name] = name
+            able.append(name)
     if not able:
         raise InputError(refusals)
-    trajectories, failures = _answers(scene, list(able), arguments.tolerance)
+    trajectories, failures = _answers(scene, able, arguments.tolerance)
     if trajectories:
         comparison = side_by_side(trajectories, _reference(scene, arguments.tolerance))
         print(comparison.table())

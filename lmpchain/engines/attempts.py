@@ -43,13 +43,11 @@ def until_tolerance(
         If the run breaks down, at a given step or again and again.
     """
     began = time.perf_counter()
-    try:
+    refusal = ""
+    if best_effort:
+        candidate, tolerance, refusal = best_candidate(engine, scene, tolerance)
+    else:
         candidate = engine.candidate(scene, tolerance)
-    except ToleranceNotMet as refusal:
-        if not best_effort or tolerance > 0.1:
-            raise
-        looser = until_tolerance(engine, scene, 4 * tolerance, collect, best_effort)
-        return replace(looser, missed=refusal.reason)
     errors: list[SolverError] = []
     breakdowns = 0
     while True:
@@ -73,9 +71,32 @@ def until_tolerance(
             missed = "" if enough else _why_not(errors, tolerance, candidate.step, better)
             if enough or missed:
                 cost = replace(cost, estimate_s=cost.estimate_s + looked)
-                return Outcome(collected, candidate, error, cost, missed)
+                return Outcome(collected, candidate, error, cost, refusal or missed)
         assert better
         candidate = better
+
+
+def best_candidate(engine: Engine, scene: Scene, tolerance: float) -> tuple[Candidate, float, str]:
+    """Return a candidate, loosening a tolerance that the engine refuses.
+
+    Returns
+    -------
+    candidate, the tolerance it is for, and why the one asked for was refused (empty if it was not)
+
+    Raises
+    ------
+    ToleranceNotMet
+        If nothing tighter than 0.1 can be met.
+    """
+    reason = ""
+    while True:
+        try:
+            return engine.candidate(scene, tolerance), tolerance, reason
+        except ToleranceNotMet as refusal:
+            if tolerance > 0.1:
+                raise
+            reason = reason or refusal.reason
+            tolerance *= 4
 
 
 def _why_not(errors: list[SolverError], tolerance: float, step: float, better: Candidate | None) -> str:

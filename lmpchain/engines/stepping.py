@@ -7,7 +7,7 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from ..errors import InputError, ToleranceNotMet
+from ..errors import InputError
 from ..fields import Array
 from ..scene import Scene, first_overlaps
 from .base import Candidate, Engine, SolverError
@@ -100,9 +100,3 @@ def stiffest_frequency(scene: Scene) -> float:
     stiffness = chain.exponent * chain.contact_constants * pressed ** (chain.exponent - 1)
     pair = math.sqrt(2 * float(stiffness.max()) / chain.masses.min())
     return max(chain.band_edge, pair) or 1 / scene.duration
-
-
-def check_floor(floor: float, tolerance: float, cure: str) -> None:
-    """Raise `ToleranceNotMet` if round-off alone exceeds the tolerance."""
-    if floor > tolerance:
-        raise ToleranceNotMet(f"round-off alone makes an error of about {floor:.1g}, above the tolerance; {cure}")

@@ -9,6 +9,7 @@ from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
+from ...errors import InputError
 from ...files import write_aside
 from ..splittings import Splitting
 from .column import Column
@@ -22,9 +23,9 @@ def setup(column: Column, data: str, step: float, splitting: Splitting) -> str:
     return _render("setup.column", column=column, data=f'"{data}"', step=step, fix=_fix(splitting))
 
 
-def run_deck(column: Column, step: float, splitting: Splitting, every: int, samples: int) -> str:
-    """Return a deck that runs by itself: `every` steps between two of `samples` + 1 samples."""
-    return _render(
+def write_deck(column: Column, folder: Path, step: float, splitting: Splitting, every: int, samples: int) -> Path:
+    """Write `in.column`, which runs by itself: `every` steps between two of `samples` + 1 samples."""
+    text = _render(
         "in.column",
         column=column,
         step=step,
@@ -35,6 +36,10 @@ def run_deck(column: Column, step: float, splitting: Splitting, every: int, samp
         stride=f"$(v_every*{len(splitting.substeps)})" if splitting.substeps else "${every}",
         substeps=splitting.substeps,
     )
+    path = folder / "in.column"
+    with write_aside(path) as aside:
+        aside.write_text(text, encoding="ascii")
+    return path
 
 
 def dump(path: str, every: int) -> str:
@@ -45,6 +50,12 @@ def dump(path: str, every: int) -> str:
 def carries(splitting: Splitting) -> bool:
     """Say whether a deck can carry this splitting: its kicks must be LAMMPS's own."""
     return splitting.order == 2 or bool(splitting.substeps)
+
+
+def check_carried(splitting: Splitting, key: str) -> None:
+    """Raise `InputError` under this key if a deck cannot carry the splitting."""
+    if not carries(splitting):
+        raise InputError([(key, f"a deck cannot carry the kicks of {splitting.name}; use verlet or kahan-li6")])
 
 
 def write_data(column: Column, path: str | PathLike[str]) -> None:

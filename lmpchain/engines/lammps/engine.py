@@ -72,8 +72,8 @@ class Lammps(SteppedEngine):
             if value not in known:
                 raise InputError([(key, f"must be {' | '.join(known)} (got {value!r})")])
         self.diameter, self.pair_style = diameter, pair_style
-        if keep is not None and not deck.carries(self.splitting):
-            raise InputError([("keep", f"a deck cannot carry the kicks of {integrator}: use verlet or kahan-li6")])
+        if keep is not None:
+            deck.check_carried(self.splitting, "keep")
         self.keep = None if keep is None else Path(keep)
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from os import PathLike
 from pathlib import Path
 
-from ...errors import InputError, ToleranceNotMet, check_tolerance
-from ...files import make_folder, write_aside
+from ...errors import InputError, check_tolerance
+from ...files import make_folder
 from ...scene import Scene
-from ..base import Candidate
+from ..attempts import best_candidate
 from . import deck
 from .engine import Lammps
 
@@ -47,28 +47,14 @@ def write_deck(
     """
     check_tolerance(tolerance)
     engine = Lammps(integrator, step, diameter, pair_style)
-    if not deck.carries(engine.splitting):
-        raise InputError([("integrator", f"a deck cannot carry the kicks of {integrator}; use verlet or kahan-li6")])
+    deck.check_carried(engine.splitting, "integrator")
     if reasons := engine.refuses(scene):
         raise InputError(reasons)
-    candidate, remark = _reachable(engine, scene, tolerance)
-    folder = make_folder(folder)
+    candidate, _, refusal = best_candidate(engine, scene, tolerance)
+    remark = f"the tolerance of {tolerance:.1g} is out of reach: {refusal}" if refusal else ""
     column = engine.column(scene, candidate, remark)
+    folder = make_folder(folder)
     deck.write_data(column, folder / "column.data")
-    text = deck.run_deck(column, candidate.step, engine.splitting, candidate.steps_per_sample, scene.samples - 1)
-    with write_aside(folder / "in.column") as aside:
-        aside.write_text(text, encoding="ascii")
-    return folder / "in.column"
-
-
-def _reachable(engine: Lammps, scene: Scene, tolerance: float) -> tuple[Candidate, str]:
-    """Return the candidate for the tolerance, or for the best that can be had, and a remark about it."""
-    wanted, remark = tolerance, ""
-    while True:
-        try:
-            return engine.candidate(scene, tolerance), remark
-        except ToleranceNotMet as missed:
-            if tolerance > 0.1:
-                raise
-            remark = remark or f"the tolerance of {wanted:.1g} is out of reach: {missed.reason}"
-            tolerance *= 4
+    return deck.write_deck(
+        column, folder, candidate.step, engine.splitting, candidate.steps_per_sample, scene.samples - 1
+    )

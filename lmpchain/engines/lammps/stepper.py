@@ -50,8 +50,7 @@ class LammpsStepper:
             try:
                 self._commands(deck.setup(column, _word(folder / "column.data"), step, splitting))
                 if keep is not None:
-                    text = deck.run_deck(column, step, splitting, every, samples)
-                    (keep / "in.column").write_text(text, encoding="ascii")
+                    deck.write_deck(column, keep, step, splitting, every, samples)
                     dump = _word(keep / "column.lammpstrj")
                     self._commands(deck.dump(dump, every * max(1, len(splitting.substeps))))
                 self._prepare(state)

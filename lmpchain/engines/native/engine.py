@@ -7,12 +7,12 @@ from typing import ClassVar
 
 import numba
 
-from ...errors import InputError
+from ...errors import InputError, ToleranceNotMet
 from ...fields import Array
 from ...scene import Scene
 from ..base import Candidate
 from ..lockstep import native_floor
-from ..stepping import SteppedEngine, check_floor
+from ..stepping import SteppedEngine
 from .kernels import FORMS
 from .stepper import NativeStepper, force_form
 
@@ -54,7 +54,12 @@ class Native(SteppedEngine):
         candidate = super().candidate(scene, tolerance)
         if not candidate.fixed:
             evaluations = candidate.steps_per_sample * (scene.samples - 1) * self.splitting.evaluations
-            check_floor(native_floor(evaluations), tolerance, 'use a higher order (integrator "rkn6") or less accuracy')
+            floor = native_floor(evaluations)
+            if floor > tolerance:
+                raise ToleranceNotMet(
+                    f"round-off alone makes an error of about {floor:.1g}, above the tolerance; "
+                    'use a higher order (integrator "rkn6") or less accuracy'
+                )
         return candidate
 
     def stepper(self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array]) -> NativeStepper:
