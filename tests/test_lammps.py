@@ -124,6 +124,17 @@ def test_pair_styles_agree():
     assert np.abs(runs[0].displacement).max() > 1e-8
 
 
+def test_only_the_diameter_asked_for_must_be_expressible():
+    """Grains of one material but unequal sizes have one constant with their own radii, and many with the gauge's."""
+    scene = small(diameter=np.linspace(1e-3, 2e-3, 25))
+    options = {"integrator": "verlet", "step": 1e-7, "diameter": "physical"}
+    fast, slow = (simulate(scene, engine=Lammps(**options, pair_style=s)) for s in ("gran/hertz/history", "granular"))
+    assert np.abs(fast.displacement - slow.displacement).max() < 1e-14
+    assert np.abs(fast.displacement).max() > 1e-9
+    with pytest.raises(InputError, match="use pair_style granular"):
+        simulate(scene, engine=Lammps(**(options | {"diameter": "gauge"}), pair_style="gran/hertz/history"))
+
+
 def test_a_splitting_that_no_deck_can_carry_keeps_none(tmp_path):
     with pytest.raises(InputError, match="keep: a deck cannot carry"):
         Lammps(integrator="rkn6", keep=tmp_path)

@@ -86,7 +86,7 @@ class Lammps(SteppedEngine):
             )
             return [("exponent", why)]
         try:
-            for gauge in (False, True):
+            for gauge in {"physical": (False,), "gauge": (True,), "auto": (False, True)}[self.diameter]:
                 _ = Column(scene, gauge, self.pair_style).types
         except InputError as error:
             return error.faults
