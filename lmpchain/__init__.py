@@ -7,28 +7,32 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from . import engines as engines
-    from .chain import BRASS as BRASS
-    from .chain import GLASS as GLASS
-    from .chain import PTFE as PTFE
-    from .chain import STEEL as STEEL
-    from .chain import TUNGSTEN_CARBIDE as TUNGSTEN_CARBIDE
     from .chain import Chain as Chain
-    from .chain import Material as Material
+    from .chain import Impurity as Impurity
     from .errors import EngineUnavailable as EngineUnavailable
     from .errors import InputError as InputError
     from .errors import LmpchainError as LmpchainError
     from .errors import RunFailed as RunFailed
     from .errors import ToleranceNotMet as ToleranceNotMet
-    from .scene import Displacement as Displacement
-    from .scene import Impulse as Impulse
-    from .scene import Profile as Profile
+    from .excitation import Displacement as Displacement
+    from .excitation import Drive as Drive
+    from .excitation import Impulse as Impulse
+    from .excitation import Profile as Profile
+    from .materials import BRASS as BRASS
+    from .materials import GLASS as GLASS
+    from .materials import PTFE as PTFE
+    from .materials import STEEL as STEEL
+    from .materials import TUNGSTEN_CARBIDE as TUNGSTEN_CARBIDE
+    from .materials import Material as Material
     from .scene import Scene as Scene
     from .simulation import simulate as simulate
     from .trajectory import Trajectory as Trajectory
 
 _WHERE = {
-    "chain": "Chain Material GLASS STEEL PTFE BRASS TUNGSTEN_CARBIDE",
-    "scene": "Scene Impulse Displacement Profile",
+    "chain": "Chain Impurity",
+    "materials": "Material GLASS STEEL PTFE BRASS TUNGSTEN_CARBIDE",
+    "excitation": "Impulse Displacement Profile Drive",
+    "scene": "Scene",
     "simulation": "simulate",
     "trajectory": "Trajectory",
     "errors": "LmpchainError InputError ToleranceNotMet RunFailed EngineUnavailable",

@@ -1,80 +1,58 @@
-"""The chain at rest: grains, contacts, equilibrium, stiffness, scales and band edge."""
+"""The chain at rest: grains, walls, equilibrium, scales and band edge."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import cached_property
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BeforeValidator, Field
 
+from .contacts import Contacts, hertz_constant
+from .errors import InputError
 from .fields import NOT_GIVEN, Array, Checked, OneOrMany, Positive, PositiveVector, Real, Whole
+from .materials import GLASS, Material, OneMaterial, OneOrManyMaterials
 
 LARGEST_OVERLAP = 0.1  # of the diameter: beyond it the Hertz law no longer describes a contact
 
 
-class Material(Checked):
-    """An elastic material.
+class Impurity(Checked):
+    """A grain that differs from what the chain says; give a diameter, a material or a mass, or several.
 
     Parameters
     ----------
-    density : float
-        kg/m3.
-    youngs_modulus : float
-        Pa.
-    poissons_ratio : float
-        Between -1 and 0.5.
-    name, source : str
-        What it is called in scene files, and where the numbers come from.
+    grain : int
+        Its number, from 1 at the top.
+    diameter : float, optional
+        m.
+    material : Material or name, optional
+    mass : float, optional
+        kg; instead of the one that follows from diameter and material.
     """
 
-    density: Positive
-    youngs_modulus: Positive
-    poissons_ratio: Annotated[Real, Field(gt=-1, le=0.5)]
-    name: str = ""
-    source: str = ""
+    grain: Annotated[Whole, Field(ge=1)]
+    diameter: Positive = NOT_GIVEN
+    material: OneMaterial = NOT_GIVEN
+    mass: Positive = NOT_GIVEN
 
-    @property
-    def plane_strain_modulus(self) -> float:
-        """E / (1 - nu^2), Pa."""
-        return self.youngs_modulus / (1 - self.poissons_ratio**2)
+    def _faults(self) -> Iterator[tuple[str, str]]:
+        if self.diameter is None and self.material is None and self.mass is None:
+            yield "diameter", "give a diameter, a material or a mass, or it would be a grain like the others"
 
 
-def _material(name: str, density: float, youngs: float, poisson: float, source: str) -> Material:
-    return Material(density=density, youngs_modulus=youngs, poissons_ratio=poisson, name=name, source=source)
-
-
-GLASS = _material("glass", 2426.0, 62e9, 0.2, "Gerasymov and Spivak, caption of Fig. 5")
-STEEL = _material("steel", 8000.0, 193e9, 0.3, "AISI 316; Daraio et al., Phys. Rev. E 73, 026610 (2006)")
-PTFE = _material("ptfe", 2200.0, 1.46e9, 0.46, "Daraio et al., Phys. Rev. E 73, 026610 (2006)")
-BRASS = _material("brass", 8500.0, 103e9, 0.34, "Porter et al., Physica D 238, 666 (2009)")
-TUNGSTEN_CARBIDE = _material("tungsten_carbide", 14980.0, 628e9, 0.28, "manufacturers' data for WC-Co bearing balls")
-MATERIALS = {m.name: m for m in (GLASS, STEEL, PTFE, BRASS, TUNGSTEN_CARBIDE)}
-
-
-def _one_material(value: Any) -> Material:
-    if isinstance(value, Material):
-        return value
-    if isinstance(value, dict):
-        return Material(**value)
-    if value in MATERIALS:
-        return MATERIALS[value]
-    raise ValueError(
-        f"no material is called {value!r}; use {', '.join(MATERIALS)}, "
-        "or give density, youngs_modulus and poissons_ratio"
-    )
-
-
-def _one_or_many_materials(value: Any) -> Material | tuple[Material, ...]:
-    if isinstance(value, list | tuple):
-        return tuple(_one_material(item) for item in value)
-    return _one_material(value)
-
-
-OneOrManyMaterials = Annotated[
-    Material | str | dict | Sequence[Material | str | dict], BeforeValidator(_one_or_many_materials)
-]
+def _impurities(value: Any) -> tuple[Impurity, ...]:
+    if not isinstance(value, list | tuple) or not all(isinstance(item, Impurity | dict) for item in value):
+        raise ValueError("must be a list of impurities, [[chain.impurity]] in a scene file")
+    made, faults = [], []
+    for place, item in enumerate(value):
+        try:
+            made.append(item if isinstance(item, Impurity) else Impurity(**item))
+        except InputError as error:
+            faults += error.under(str(place))
+    if faults:
+        raise InputError(faults)
+    return tuple(made)
 
 
 class Chain(Checked):
@@ -95,13 +73,19 @@ class Chain(Checked):
     exponent : float
         delta, 1 (linear springs) to 3; 1.5 is Hertz.
     top_load : float
-        Constant force pressing on grain 1, N.
+        Force that presses on grain 1 at rest, N: a constant one on a free top, or that of a wall.
     top, bottom : str
-        top "free"; bottom "fixed" (grain N is held) or "free" (only without gravity and load).
+        top "free" or "wall"; bottom "fixed" (grain N is held), "wall" or "free" (only without gravity and load).
+        Walls stand still; a wall at the top just touches grain 1 at rest unless there is a top load.
     masses : (N,) array, optional
         kg; instead of those that follow from material and diameter.
     contact_constants : (N-1,) array, optional
-        K_n, N/m^delta; instead of ``(4/3) E* sqrt(R*) dbar^(1.5 - delta)``.
+        K_n, N/m^delta; instead of ``(4/3) E* sqrt(R*) dbar^(1.5 - delta)``. The constant of a wall is then in the
+        same proportion to that of the contact next to it as it would be without.
+    impurity : list of Impurity, optional
+        Grains that differ.
+    top_material, bottom_material : Material or name, optional
+        Of the walls; by default that of the grain which touches it, so that K_wall = sqrt(2) K.
 
     Raises
     ------
@@ -113,6 +97,8 @@ class Chain(Checked):
     >>> chain = Chain(grains=120, material=GLASS, diameter=1e-3)
     >>> f"{chain.length_scale:.5e} m"
     '6.94554e-10 m'
+    >>> Chain(grains=20, material="steel", diameter=5e-3, top_load=10, top="wall", bottom="wall").movable
+    20
     """
 
     grains: Annotated[Whole, Field(ge=2, le=10**8)]
@@ -121,81 +107,135 @@ class Chain(Checked):
     gravity: Annotated[Real, Field(ge=0)] = 9.81
     exponent: Annotated[Real, Field(ge=1, le=3)] = 1.5
     top_load: Annotated[Real, Field(ge=0)] = 0.0
-    top: Literal["free"] = "free"
-    bottom: Literal["fixed", "free"] = "fixed"
+    top: Literal["free", "wall"] = "free"
+    bottom: Literal["fixed", "wall", "free"] = "fixed"
     masses: PositiveVector = NOT_GIVEN
     contact_constants: PositiveVector = NOT_GIVEN
+    impurity: Annotated[tuple[Impurity, ...], BeforeValidator(_impurities)] = ()
+    top_material: OneMaterial = NOT_GIVEN
+    bottom_material: OneMaterial = NOT_GIVEN
 
     def _faults(self) -> Iterator[tuple[str, str]]:
-        lengths = {"diameter": self.grains, "masses": self.grains, "contact_constants": self.grains - 1}
-        wrong = False
-        if isinstance(self.material, tuple) and len(self.material) != self.grains:
-            wrong = True
-            yield "material", f"must be one or {self.grains} (one a grain), not {len(self.material)}"
-        for key, length in lengths.items():
-            value = getattr(self, key)
-            if isinstance(value, np.ndarray) and len(value) != length:
-                wrong = True
-                yield key, f"must have {length} entries for {self.grains} grains, not {len(value)}"
+        wrong = list(self._misfits())
+        yield from wrong
         if self.bottom == "free" and (self.gravity > 0 or self.top_load > 0):
-            yield "bottom", 'must be "fixed" under gravity or a top load: a free chain would fall'
+            yield "bottom", 'must be "fixed" or "wall" under gravity or a top load: a free chain would fall'
         if wrong:
             return
         self._fill_in()
-        relative = self.equilibrium_overlap / self.mean_diameters
+        relative = self.contacts.overlap / self.contact_lengths
         if relative.max() > LARGEST_OVERLAP:
             worst = int(relative.argmax())
             yield (
                 "diameter",
-                f"contact {worst + 1} is compressed by {relative[worst]:.2g} of the diameter, more than "
+                f"contact {worst} is compressed by {relative[worst]:.2g} of the diameter, more than "
                 f"{LARGEST_OVERLAP:g}: use fewer grains, less gravity or load, or a stiffer material",
             )
 
+    def _misfits(self) -> Iterator[tuple[str, str]]:
+        """Yield what does not fit together, so that no array can be filled in."""
+        lengths = {"diameter": self.grains, "masses": self.grains, "contact_constants": self.grains - 1}
+        if isinstance(self.material, tuple) and len(self.material) != self.grains:
+            yield "material", f"must be one or {self.grains} (one a grain), not {len(self.material)}"
+        for key, length in lengths.items():
+            value = getattr(self, key)
+            if isinstance(value, np.ndarray) and len(value) != length:
+                yield key, f"must have {length} entries for {self.grains} grains, not {len(value)}"
+        for place, impurity in enumerate(self.impurity):
+            if impurity.grain > self.grains:
+                yield f"impurity.{place}.grain", f"there is no grain {impurity.grain}: the chain has {self.grains}"
+            elif impurity.grain in [other.grain for other in self.impurity[:place]]:
+                yield f"impurity.{place}.grain", f"names grain {impurity.grain} a second time"
+            elif self.contact_constants is not None and (impurity.diameter or impurity.material):
+                yield (
+                    f"impurity.{place}",
+                    "may only have a mass of its own where contact_constants are given: they would not follow",
+                )
+        for end, wall in (("top", self.top_material), ("bottom", self.bottom_material)):
+            if wall is not None and getattr(self, end) != "wall":
+                yield f"{end}_material", f'is that of a wall; there is none unless {end} = "wall"'
+
     def _fill_in(self) -> None:
         """Put the masses and contact constants that follow from the grains where none were given."""
-        if self.masses is None:
-            density = self._per_grain([m.density for m in self._materials])
-            self.__dict__["masses"] = density * np.pi / 6 * self.diameters**3
+        masses = (
+            self._by_grain("density") * np.pi / 6 * self.diameters**3 if self.masses is None else self.masses.copy()
+        )
+        for impurity in self.impurity:
+            if impurity.mass is not None:
+                masses[impurity.grain - 1] = impurity.mass
+        self.__dict__["masses"] = masses
         if self.contact_constants is None:
-            soft = 1 / self._per_grain([m.plane_strain_modulus for m in self._materials])
-            d = self.diameters
-            modulus = 1 / (soft[:-1] + soft[1:])
-            radius = d[:-1] * d[1:] / (d[:-1] + d[1:]) / 2
-            constants = 4 / 3 * modulus * np.sqrt(radius) * self.mean_diameters ** (1.5 - self.exponent)
-            self.__dict__["contact_constants"] = constants
+            self.__dict__["contact_constants"] = self._hertz_constants[1:-1]
 
     @property
     def _materials(self) -> tuple[Material, ...]:
         return self.material if isinstance(self.material, tuple) else (self.material,)  # type: ignore[return-value]
 
-    def _per_grain(self, values: Any) -> Array:
-        return np.broadcast_to(np.asarray(values, dtype=float), (self.grains,)).copy()
+    def _by_grain(self, prop: str) -> Array:
+        """Return a property of the material of every grain, (N,)."""
+        values = np.array(np.broadcast_to([getattr(m, prop) for m in self._materials], (self.grains,)))
+        for impurity in self.impurity:
+            if impurity.material is not None:
+                values[impurity.grain - 1] = getattr(impurity.material, prop)
+        return values
+
+    @cached_property
+    def _hertz_constants(self) -> Array:
+        """Constants of all contacts as they follow from the grains, with a wall at either end, (N+1,) N/m^delta."""
+        modulus = self._by_grain("plane_strain_modulus")
+        above, below = (
+            here if wall is None else wall.plane_strain_modulus  # type: ignore[union-attr]
+            for wall, here in ((self.top_material, modulus[0]), (self.bottom_material, modulus[-1]))
+        )
+        modulus = np.concatenate(([above], modulus, [below]))
+        curvature = np.concatenate(([0.0], 2 / self.diameters, [0.0]))  # a wall is flat
+        return hertz_constant(modulus, curvature, self.contact_lengths, self.exponent)
+
+    @cached_property
+    def wall_constants(self) -> Array:
+        """Constants of the contacts with the wall above and the wall below, (2,) N/m^delta; 0 where there is none."""
+        natural = self._hertz_constants
+        given = self.contact_constants[[0, -1]] / natural[[1, -2]]
+        return natural[[0, -1]] * given * [self.top == "wall", self.bottom == "wall"]
+
+    @cached_property
+    def contacts(self) -> Contacts:
+        """All contacts, those with walls included."""
+        above, below = self.wall_constants
+        constants = np.concatenate(([above], self.contact_constants, [below]))
+        weight = self.gravity * np.cumsum(self.masses.astype(np.longdouble))
+        force = np.concatenate(([self.top_load], (self.top_load + weight).astype(float)))
+        return Contacts(constants, np.where(constants > 0, force, 0.0), self.exponent)
 
     @cached_property
     def diameters(self) -> Array:
         """Diameter of every grain, (N,) m."""
-        return self._per_grain(self.diameter)
+        values = np.array(np.broadcast_to(np.asarray(self.diameter, dtype=float), (self.grains,)))
+        for impurity in self.impurity:
+            if impurity.diameter is not None:
+                values[impurity.grain - 1] = impurity.diameter
+        return values
 
     @cached_property
-    def mean_diameters(self) -> Array:
-        """Mean diameter of the two grains of every contact, (N-1,) m."""
-        return (self.diameters[:-1] + self.diameters[1:]) / 2
+    def contact_lengths(self) -> Array:
+        """Mean diameter of the two grains of every contact, that of the grain at a wall, (N+1,) m."""
+        d = self.diameters
+        return np.concatenate((d[:1], (d[:-1] + d[1:]) / 2, d[-1:]))
 
-    @cached_property
+    @property
     def equilibrium_force(self) -> Array:
-        """Force that every contact carries at rest, (N-1,) N."""
-        weight = self.gravity * np.cumsum(self.masses[:-1].astype(np.longdouble))
-        return (self.top_load + weight).astype(float)
+        """Force that every contact between grains carries at rest, (N-1,) N."""
+        return self.contacts.force[1:-1]
 
-    @cached_property
+    @property
     def equilibrium_overlap(self) -> Array:
-        """Overlap eps_n of every contact at rest, (N-1,) m."""
-        return (self.equilibrium_force / self.contact_constants) ** (1 / self.exponent)
+        """Overlap eps_n of every contact between grains at rest, (N-1,) m."""
+        return self.contacts.overlap[1:-1]
 
-    @cached_property
+    @property
     def linear_stiffness(self) -> Array:
-        """Stiffness delta K_n eps_n^(delta-1) of every contact at rest, (N-1,) N/m."""
-        return self.exponent * self.contact_constants * self.equilibrium_overlap ** (self.exponent - 1)
+        """Stiffness delta K_n eps_n^(delta-1) of every contact between grains at rest, (N-1,) N/m."""
+        return self.contacts.stiffness[1:-1]
 
     @property
     def compressed(self) -> bool:
@@ -204,21 +244,23 @@ class Chain(Checked):
 
     @property
     def movable(self) -> int:
-        """Number of grains that move: N - 1 with a fixed bottom, N with a free one."""
+        """Number of grains that move: N - 1 with a fixed bottom, N otherwise."""
         return self.grains - (self.bottom == "fixed")
+
+    def dynamical_matrix(self) -> tuple[Array, Array]:
+        """Return diagonal (M,) and off-diagonal (M-1,) of D, 1/s2: linearised, sqrt(m) phi'' = -D sqrt(m) phi."""
+        k, m = self.contacts.stiffness, self.masses[: self.movable]
+        diagonal = (k[:-1] + k[1:])[: self.movable] / m
+        return diagonal, -k[1 : self.movable] / np.sqrt(m[:-1] * m[1:])
 
     @cached_property
     def band_edge(self) -> float:
         """Highest eigenfrequency of the linearised chain, rad/s (0 in the sonic vacuum)."""
         from scipy.linalg import eigh_tridiagonal
 
-        m, k = self.masses[: self.movable], self.linear_stiffness
-        below = np.append(k, 0.0)[: self.movable]
-        above = np.append(0.0, k)[: self.movable]
-        diagonal = (above + below) / m
+        diagonal, coupling = self.dynamical_matrix()
         if self.movable == 1:
             return float(np.sqrt(diagonal[0]))
-        coupling = -k[: self.movable - 1] / np.sqrt(m[:-1] * m[1:])
         last = self.movable - 1
         top = eigh_tridiagonal(diagonal, coupling, eigvals_only=True, select="i", select_range=(last, last))
         return float(np.sqrt(max(top[0], 0.0)))
@@ -235,7 +277,7 @@ class Chain(Checked):
         return float(np.sqrt(self.masses[0] / k)) if k > 0 else np.inf
 
     def excess_energy(self, displacement: Array, velocity: Array) -> Array:
-        """Energy above that of the chain at rest: kinetic, contacts and weight together, J.
+        """Energy above that of the chain at rest: kinetic, contacts, load and weight together, J.
 
         It is conserved by Eq. (1) and zero at rest; weak waves keep their relative accuracy.
 
@@ -248,36 +290,5 @@ class Chain(Checked):
         -------
         (...) array
         """
-        r = displacement[..., :-1] - displacement[..., 1:]
-        kinetic = 0.5 * (self.masses * velocity**2).sum(-1)
-        return kinetic + self._contact_energy(r).sum(-1)
-
-    def _contact_energy(self, r: Array) -> Array:
-        """W_n(r) = integral of K [eps + r]^delta - K eps^delta, for a contact closer by r, J."""
-        power = self.exponent + 1
-        if not self.compressed:
-            return self.contact_constants / power * np.maximum(r, 0) ** power
-        s = r / self.equilibrium_overlap
-        y = np.log1p(np.where(s > -1, s, 0.0))
-        exact = np.where(s > -1, np.expm1(power * y), -1.0) / power - s
-        # the two terms cancel for small s: sum the binomial series instead
-        term = np.ones_like(s)
-        series = np.zeros_like(s)
-        for k in range(2, 12):
-            term = (power - k + 1) * term / k
-            series += term * s**k
-        small = np.abs(s) < 0.02
-        scaled = np.where(small, series, exact)
-        return self.equilibrium_force * self.equilibrium_overlap * scaled
-
-    def overlap_bound(self, energy: float) -> Array:
-        """Largest overlap that each contact can reach with this excess energy, (N-1,) m.
-
-        The bound is rigorous: no contact can hold more than the whole conserved energy, and
-        ``W_n(r)`` is at least ``K r^(delta+1) / (delta+1)`` and at least ``k_n r^2 / 2``.
-        """
-        power = self.exponent + 1
-        closer = (power * energy / self.contact_constants) ** (1 / power)
-        if self.compressed:
-            closer = np.minimum(closer, np.sqrt(2 * energy / self.linear_stiffness))
-        return self.equilibrium_overlap + closer
+        contacts = self.contacts
+        return 0.5 * (self.masses * velocity**2).sum(-1) + contacts.energy(contacts.closer(displacement)).sum(-1)

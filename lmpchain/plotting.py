@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .excitation import Impulse
 from .fields import Array
 from .files import write_aside
-from .scene import Impulse
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

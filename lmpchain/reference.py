@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from .errors import RunFailed
+from .excitation import first_overlaps
 from .fields import Array
 from .scene import Scene
 
@@ -39,7 +41,7 @@ class Reference:
 
 
 def reference(scene: Scene) -> Reference:
-    """Solve Eq. (1) with SciPy's DOP853, restarted at every sample.
+    """Solve Eq. (1) with SciPy's DOP853, restarted at every sample (and at every point of a sampled drive).
 
     Lengths are in units of the largest excursion and times in units of the fastest contact, so weak waves keep all
     their digits; forces are found as differences from equilibrium, ``F_n expm1(delta log1p(s))``, which do not
@@ -74,55 +76,65 @@ class _Motion:
     """Eq. (1) for one scene, with `length` and `time` as units."""
 
     def __init__(self, scene: Scene):
-        chain = scene.chain
-        u, v = scene.initial()
-        self.delta = chain.exponent
-        self.compressed = chain.compressed
-        m, k = chain.masses, chain.contact_constants
-        if self.compressed:
+        chain, contacts = scene.chain, scene.chain.contacts
+        u, v = scene.excitation.largest(chain)
+        self.delta, self.drive = chain.exponent, scene.drive
+        self.pressed = contacts.pressed
+        m, k = chain.masses, contacts.constant
+        if chain.compressed:
             stiffest = float(np.sqrt((chain.linear_stiffness / np.minimum(m[:-1], m[1:])).max()))
             self.time = 1 / stiffest
-        else:  # the time in which a grain crosses the overlap that its energy allows
-            deepest = float(chain.overlap_bound(scene.energy).max()) or 1.0
+        else:  # the time in which a grain crosses the overlap that the strike makes
+            deepest = float(first_overlaps(chain, scene.excitation).max()) or 1.0
             self.time = float(np.sqrt(m.min() / (k.max() * deepest ** (self.delta - 1))))
         self.length = max(float(np.abs(u).max()), float(np.abs(v).max()) * self.time) or 1.0
+        u, v = scene.initial()
         self.start = np.concatenate((u / self.length, v * (self.time / self.length)))
-        overlap = chain.equilibrium_overlap
-        self.closer = self.length / overlap if self.compressed else np.ones_like(overlap)
-        self.strength = chain.equilibrium_force if self.compressed else k * self.length**self.delta
+        overlap = contacts.overlap
+        self.closer = np.where(self.pressed, self.length / np.where(self.pressed, overlap, 1.0), 1.0)
+        self.strength = np.where(self.pressed, contacts.force, k * self.length**self.delta)
         self.mobility = self.time**2 / (m * self.length)
         self.mobility[chain.movable :] = 0.0
         self.instants = scene.time / self.time
-        self.opened = not self.compressed
+        self.opened = not self.pressed[contacts.exists].all()
 
-    def rate(self, _: float, y: Array) -> Array:
+    def rate(self, t: float, y: Array) -> Array:
         """Return y' (2N,) of displacements and velocities y (2N,)."""
-        x, speed = y[: y.size // 2], y[y.size // 2 :]
-        s = (x[:-1] - x[1:]) * self.closer
-        if self.compressed:
-            shut = s > -1
-            if not shut.all():
-                self.opened = True
-            change = np.where(shut, np.expm1(self.delta * np.log1p(np.where(shut, s, 0.0))), -1.0)
-        else:
-            change = np.maximum(s, 0.0) ** self.delta
-        force = np.zeros(x.size + 1)
-        force[1:-1] = self.strength * change
+        x, speed = self.driven(t, y)
+        s = -np.diff(x, prepend=0.0, append=0.0) * self.closer
+        shut = s > -1
+        if not shut[self.pressed].all():
+            self.opened = True
+        held = np.where(shut, np.expm1(self.delta * np.log1p(np.where(shut, s, 0.0))), -1.0)
+        force = self.strength * np.where(self.pressed, held, np.maximum(s, 0.0) ** self.delta)
         return np.concatenate((speed, (force[:-1] - force[1:]) * self.mobility))
+
+    def driven(self, t: float, y: Array) -> tuple[Array, Array]:
+        """Return displacements and velocities (N,) with those of a driven grain put in their place."""
+        x, speed = y.reshape(2, -1)
+        if self.drive:
+            x, speed = x.copy(), speed.copy()
+            u, v = self.drive.motion(t * self.time)
+            x[0], speed[0] = u / self.length, v * (self.time / self.length)
+        return x, speed
 
     def solve(self, rtol: float) -> tuple[Array, Array]:
         """Return displacement and velocity, (T, N) m and m/s."""
         from scipy.integrate import DOP853
 
-        states, step = [self.start], None
-        for begin, end in zip(self.instants[:-1], self.instants[1:], strict=True):
-            first = None if step is None else min(step, end - begin)
-            solver = DOP853(self.rate, begin, states[-1], end, rtol=rtol, atol=1e-17, first_step=first)
-            while solver.status == "running":
-                if message := solver.step():
-                    raise RunFailed(f"the reference gave up at t = {solver.t * self.time:.4g} s: {message}")
-                step = solver.h_abs  # what it would take next, not cut at the sample
-            states.append(solver.y)
+        sampled = self.drive is not None and self.drive.times is not None
+        knots = (self.drive.times / self.time).tolist() if sampled else []  # type: ignore[union-attr]
+        y, step, states = self.start, None, [self.start]
+        for begin, end in pairwise(self.instants):
+            for left, right in pairwise([begin, *(knot for knot in knots if begin < knot < end), end]):
+                first = None if step is None else min(step, right - left)
+                solver = DOP853(self.rate, left, y, right, rtol=rtol, atol=1e-17, first_step=first)
+                while solver.status == "running":
+                    if message := solver.step():
+                        raise RunFailed(f"the reference gave up at t = {solver.t * self.time:.4g} s: {message}")
+                    step = solver.h_abs  # what it would take next, not cut at the end
+                y = solver.y
+            states.append(np.concatenate(self.driven(end, y)))
         y = np.array(states).reshape(len(states), 2, -1)
         return y[:, 0] * self.length, y[:, 1] * (self.length / self.time)
 

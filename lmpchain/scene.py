@@ -2,112 +2,16 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Iterator
 from os import PathLike
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from .chain import LARGEST_OVERLAP, Chain
-from .fields import NOT_GIVEN, Array, Checked, Positive, Real, Vector, Whole
-
-
-class Excitation(Checked):
-    """How the chain is set in motion at t = 0."""
-
-    kind: ClassVar[str]
-
-    @abstractmethod
-    def initial(self, chain: Chain) -> tuple[Array, Array]:
-        """Return displacement (N,) m and velocity (N,) m/s at t = 0, positive downward."""
-
-    @abstractmethod
-    def faults(self, chain: Chain) -> Iterator[tuple[str, str]]:
-        """Yield what this chain does not allow."""
-
-
-Number = Annotated[Whole, Field(ge=1)]
-
-
-class _OneGrain(Excitation):
-    grain: int
-
-    def faults(self, chain: Chain) -> Iterator[tuple[str, str]]:
-        if self.grain > chain.grains:
-            yield "grain", f"there is no grain {self.grain}: the chain has {chain.grains}"
-        elif self.grain > chain.movable:
-            yield "grain", f"grain {self.grain} is held; choose one of 1 to {chain.movable}"
-
-    def _at_grain(self, chain: Chain, value: float) -> Array:
-        array = np.zeros(chain.grains)
-        array[self.grain - 1] = value
-        return array
-
-
-class Impulse(_OneGrain):
-    """A velocity given to one grain, m/s, positive downward.
-
-    Examples
-    --------
-    >>> Impulse(velocity=8.57e-4).grain
-    1
-    """
-
-    kind: ClassVar[str] = "impulse"
-    velocity: Real
-    grain: Number = 1
-
-    def initial(self, chain: Chain) -> tuple[Array, Array]:
-        """Return displacement and velocity of every grain at t = 0."""
-        return np.zeros(chain.grains), self._at_grain(chain, self.velocity)
-
-
-class Displacement(_OneGrain):
-    """One grain moved from its equilibrium and let go, m, positive downward."""
-
-    kind: ClassVar[str] = "displacement"
-    displacement: Real
-    grain: Number = 1
-
-    def initial(self, chain: Chain) -> tuple[Array, Array]:
-        """Return displacement and velocity of every grain at t = 0."""
-        return self._at_grain(chain, self.displacement), np.zeros(chain.grains)
-
-
-class Profile(Excitation):
-    """Displacement (N,) m and velocity (N,) m/s of every grain at t = 0; what is left out is zero."""
-
-    kind: ClassVar[str] = "profile"
-    displacement: Vector = NOT_GIVEN
-    velocity: Vector = NOT_GIVEN
-
-    def _faults(self) -> Iterator[tuple[str, str]]:
-        if self.displacement is None and self.velocity is None:
-            yield "displacement", "give displacement or velocity of every grain, or a file with both"
-
-    def faults(self, chain: Chain) -> Iterator[tuple[str, str]]:
-        """Yield what this chain does not allow."""
-        for key in ("displacement", "velocity"):
-            value = getattr(self, key)
-            if value is None:
-                continue
-            if len(value) != chain.grains:
-                yield key, f"must have one entry a grain, {chain.grains}, not {len(value)}"
-            elif chain.bottom == "fixed" and value[-1] != 0:
-                yield key, f"must be 0 for grain {chain.grains}, which is held"
-
-    def initial(self, chain: Chain) -> tuple[Array, Array]:
-        """Return displacement and velocity of every grain at t = 0."""
-        rest = np.zeros(chain.grains)
-        return (
-            rest.copy() if self.displacement is None else self.displacement.copy(),
-            rest.copy() if self.velocity is None else self.velocity.copy(),
-        )
-
-
-EXCITATIONS: dict[str, type[Excitation]] = {e.kind: e for e in (Impulse, Displacement, Profile)}
+from .chain import Chain
+from .excitation import Drive, Excitation, strike_faults
+from .fields import Array, Checked, Positive, Whole
 
 
 def _selection(value: Any) -> Any:
@@ -163,7 +67,7 @@ class Scene(Recording):
     Parameters
     ----------
     chain : Chain
-    excitation : Impulse, Displacement or Profile
+    excitation : Impulse, Displacement, Profile or Drive
     duration : float
         s.
     samples : int
@@ -178,7 +82,7 @@ class Scene(Recording):
 
     Examples
     --------
-    >>> from lmpchain import GLASS
+    >>> from lmpchain import GLASS, Impulse
     >>> scene = Scene(
     ...     chain=Chain(grains=120, material=GLASS, diameter=1e-3),
     ...     excitation=Impulse(velocity=8.57e-4),
@@ -192,9 +96,9 @@ class Scene(Recording):
     excitation: Excitation
 
     def _faults(self) -> Iterator[tuple[str, str]]:
-        yield from self.excitation.faults(self.chain)
+        misfits = list(self.excitation.faults(self.chain, self.duration))
+        yield from misfits or strike_faults(self.chain, self.excitation)
         yield from self.faults(self.chain)
-        yield from () if list(self.excitation.faults(self.chain)) else strike_faults(self.chain, self.excitation)
 
     @property
     def time(self) -> Array:
@@ -211,9 +115,20 @@ class Scene(Recording):
         return self.excitation.initial(self.chain)
 
     @property
+    def drive(self) -> Drive | None:
+        """The motion that grain 1 is made to follow, if there is one."""
+        return self.excitation if isinstance(self.excitation, Drive) else None
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the excitation is none at all."""
+        u, v = self.excitation.largest(self.chain)
+        return not (u.any() or v.any())
+
+    @property
     def energy(self) -> float:
-        """Energy that the excitation puts in, J."""
-        return float(self.chain.excess_energy(*self.initial()))
+        """Energy above rest that the chain may come to hold, J: what it is given at t = 0, no bound if it is driven."""
+        return np.inf if self.drive else float(self.chain.excess_energy(*self.initial()))
 
     @property
     def strike_number(self) -> float:
@@ -222,14 +137,13 @@ class Scene(Recording):
         Linear theory needs it to be far below 1; it is infinite in the sonic vacuum.
         """
         chain = self.chain
-        u, v = self.initial()
-        below = np.minimum(np.arange(chain.movable), chain.grains - 2)
-        u, v = u[: chain.movable], v[: chain.movable]
+        moving = slice(0, chain.movable)
+        u, v = (np.abs(x[moving]) for x in self.excitation.largest(chain))
         if not chain.compressed:
-            return float(np.inf) if np.any(u != 0) or np.any(v != 0) else 0.0
-        eps = chain.equilibrium_overlap[below]
-        omega = np.sqrt(chain.linear_stiffness[below] / chain.masses[: chain.movable])
-        return float(max(np.abs(u / eps).max(), np.abs(v / (eps * omega)).max()))
+            return 0.0 if self.at_rest else float(np.inf)
+        eps, stiffness = (x[1:][moving] for x in (chain.contacts.overlap, chain.contacts.stiffness))
+        omega = np.sqrt(stiffness / chain.masses[moving])
+        return float(max((u / eps).max(), (v / (eps * omega)).max()))
 
     @classmethod
     def from_toml(cls, path: str | PathLike[str]) -> Scene:
@@ -243,27 +157,3 @@ class Scene(Recording):
         from .scenefile import write
 
         write(self, path)
-
-
-def first_overlaps(chain: Chain, excitation: Excitation) -> Array:
-    """Overlap of every contact at the start, or when its two grains meet alone, (N-1,) m."""
-    u, v = excitation.initial(chain)
-    m = chain.masses
-    pair_mass = m[:-1] * m[1:] / (m[:-1] + m[1:])
-    power = chain.exponent + 1
-    closing = np.maximum(v[:-1] - v[1:], 0.0)
-    two_body = (power / 2 * pair_mass * closing**2 / chain.contact_constants) ** (1 / power)
-    return np.maximum(chain.equilibrium_overlap + u[:-1] - u[1:], two_body)
-
-
-def strike_faults(chain: Chain, excitation: Excitation) -> Iterator[tuple[str, str]]:
-    """Yield a fault if the excitation squeezes a contact beyond what Hertz's law describes."""
-    relative = first_overlaps(chain, excitation) / chain.mean_diameters
-    if relative.max() > LARGEST_OVERLAP:
-        worst = int(relative.argmax())
-        key = "displacement" if isinstance(excitation, Displacement) else "velocity"
-        yield (
-            key,
-            f"squeezes contact {worst + 1} to {relative[worst]:.2g} of the diameter, more than "
-            f"{LARGEST_OVERLAP:g}: strike more gently",
-        )

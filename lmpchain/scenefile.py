@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import csv
 import tomllib
-import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from .chain import MATERIALS, Chain, Material
+from .chain import Chain, Impurity
 from .errors import InputError
+from .excitation import EXCITATIONS, Excitation, strike_faults
 from .files import write_aside
-from .scene import EXCITATIONS, Excitation, Recording, Scene, strike_faults
+from .materials import MATERIALS, Material
+from .scene import Recording, Scene
 
 LARGEST_FILE = 32 * 1024 * 1024
 SECTIONS = ("chain", "excitation", "recording")
@@ -31,9 +33,11 @@ def from_dict(data: dict[str, Any], folder: Path = Path()) -> Scene:
     """Make a scene from the tables of a scene file; `folder` is where its CSV files lie."""
     faults: list[tuple[str, str]] = []
 
-    def attempt(section: str, make: Callable[..., T], keys: dict[str, Any]) -> T | None:
+    def attempt(section: str, make: Callable[[dict[str, Any]], T]) -> T | None:
+        if section not in tables:
+            return None
         try:
-            return make(**keys)
+            return make(tables[section])
         except InputError as error:
             faults.extend(error.under(section))
             return None
@@ -50,14 +54,12 @@ def from_dict(data: dict[str, Any], folder: Path = Path()) -> Scene:
         else:
             faults.append((section, f"must be a table, [{section}]"))
 
-    chain = attempt("chain", Chain, tables["chain"]) if "chain" in tables else None
-    excitation: Excitation | None = None
-    if "excitation" in tables:
-        excitation = attempt("excitation", _excitation, {"table": tables["excitation"], "folder": folder})
-    recording = attempt("recording", Recording, tables["recording"]) if "recording" in tables else None
+    chain = attempt("chain", lambda keys: _chain(keys, folder))
+    excitation = attempt("excitation", lambda keys: _excitation(keys, folder))
+    recording = attempt("recording", lambda keys: Recording(**keys))
     counted = chain or _of_this_length(tables.get("chain", {}))
     if counted and excitation:
-        found = list(excitation.faults(counted))
+        found = list(excitation.faults(counted, recording.duration if recording else 0.0))
         if chain and not found:
             found = list(strike_faults(chain, excitation))
         faults.extend(InputError(found).under("excitation"))
@@ -73,7 +75,7 @@ def from_dict(data: dict[str, Any], folder: Path = Path()) -> Scene:
 
 def _of_this_length(table: dict[str, Any]) -> Chain | None:
     """Return some chain with the grains and the bottom of a faulty one, to check the other tables against."""
-    kept = {key: table[key] for key in ("grains", "bottom") if key in table}
+    kept = {key: table[key] for key in ("grains", "top", "bottom") if key in table}
     try:
         return Chain(**kept, diameter=1.0, gravity=0.0)
     except InputError:
@@ -83,7 +85,7 @@ def _of_this_length(table: dict[str, Any]) -> Chain | None:
 def to_dict(scene: Scene) -> dict[str, Any]:
     """Return the tables of a scene file."""
     given = scene.given()
-    chain = {key: _toml(value) for key, value in scene.chain.given().items()}
+    chain = {key: _toml(value) for key, value in scene.chain.given().items() if value is not None}
     excitation = {"kind": scene.excitation.kind}
     excitation |= {key: _toml(value) for key, value in scene.excitation.given().items() if value is not None}
     recording = {key: _toml(given[key]) for key in Recording.model_fields if key in given}
@@ -128,41 +130,67 @@ def _parse(path: Path) -> dict[str, Any]:
         raise InputError([(name, "is not valid TOML: nested too deeply")]) from None
 
 
-def _excitation(table: dict[str, Any], folder: Path) -> Excitation:
-    keys = dict(table)
+def _chain(keys: dict[str, Any], folder: Path) -> Chain:
+    if "file" in keys:
+        columns = _csv(folder, keys.pop("file"), "chain", ("material", "diameter", "mass"))
+        if twice := [key for key in columns if key in keys or (key == "mass" and "masses" in keys)]:
+            raise InputError([(key, "is in the file already; take it out of one of them") for key in twice])
+        if "diameter" not in columns:
+            raise InputError([("file", "has no column diameter (m)")])
+        if "mass" in columns:
+            columns["masses"] = columns.pop("mass")
+        keys = {"grains": len(columns["diameter"])} | columns | keys
+    return Chain(**keys)
+
+
+def _excitation(keys: dict[str, Any], folder: Path) -> Excitation:
     kind = keys.pop("kind", None)
     if not isinstance(kind, str) or kind not in EXCITATIONS:
         known = " | ".join(EXCITATIONS)
         raise InputError([("kind", f"must be {known} (got {kind!r})" if kind is not None else f"is missing; {known}")])
     if kind == "profile" and "file" in keys:
-        keys |= _profile_csv(folder, keys.pop("file"))
+        keys |= _csv(folder, keys.pop("file"), "profile", ("displacement", "velocity"))
+    if kind == "drive" and "file" in keys:
+        columns = _csv(folder, keys.pop("file"), "drive", ("time", "displacement"))
+        keys |= {"times" if key == "time" else key: column for key, column in columns.items()}
     return EXCITATIONS[kind](**keys)
 
 
-def _profile_csv(folder: Path, name: Any) -> dict[str, Any]:
-    """Read columns `displacement` and `velocity`, one row a grain."""
+def _csv(folder: Path, name: Any, what: str, known: Sequence[str]) -> dict[str, Any]:
+    """Read the known columns of a CSV file with a header, as lists of numbers, of words for `material`."""
     if not isinstance(name, str):
         raise InputError([("file", "must be the name of a CSV file")])
     path = folder / name
     try:
-        with warnings.catch_warnings(action="ignore"):  # an empty file is a fault, not a warning
-            table = np.genfromtxt(path, delimiter=",", names=True, encoding="utf-8", dtype=float, ndmin=1)
-    except (OSError, ValueError, IndexError) as error:
-        reason = str(error).strip().splitlines()[0] if str(error) else "not a table"
+        with open(path, encoding="utf-8-sig", newline="") as opened:
+            header, *rows = ([cell.strip() for cell in row] for row in csv.reader(opened) if any(row))
+    except (OSError, ValueError, csv.Error) as error:
+        reason = getattr(error, "strerror", None) or "not a table with a header"
         raise InputError([("file", f"{path} cannot be read as CSV: {reason}")]) from None
-    known = ("displacement", "velocity")
-    columns = table.dtype.names or ()
-    if not columns or set(columns) - {*known, "grain"} or not set(columns) & set(known):
-        raise InputError([("file", f"{path} must have a header with displacement, velocity or both")])
-    if "grain" in columns and not np.array_equal(table["grain"], np.arange(1, len(table) + 1)):
+    allowed = (*known, *(["grain"] if what != "drive" else []))
+    if set(header) - set(allowed) or not set(header) & set(known) or len(set(header)) < len(header):
+        raise InputError([("file", f"{path} must have a header with some of {', '.join(known)}")])
+    if bad := next((line for line, row in enumerate(rows, 2) if len(row) != len(header)), 0):
+        raise InputError([("file", f"{path}, line {bad}: must have {len(header)} values, as the header has")])
+    columns: dict[str, Any] = dict(zip(header, zip(*rows, strict=True), strict=True)) if rows else {}
+    if not rows:
+        raise InputError([("file", f"{path} has a header and nothing below it")])
+    for key in columns.keys() - {"material"}:
+        try:
+            columns[key] = [float(value) for value in columns[key]]
+        except ValueError as error:
+            raise InputError([("file", f"{path}: the column {key} must hold numbers ({error})")]) from None
+    if columns.pop("grain", None) not in (None, [float(n) for n in range(1, len(rows) + 1)]):
         raise InputError([("file", f"{path}: the column grain must count 1, 2, 3 ...")])
-    return {column: table[column] for column in known if column in columns}
+    return columns
 
 
 def _toml(value: Any) -> Any:
     if isinstance(value, Material):
         standard = MATERIALS.get(value.name)
         return value.name if standard == value else {k: v for k, v in value.given().items() if v != ""}
+    if isinstance(value, Impurity):
+        return {k: _toml(v) for k, v in value.given().items() if v is not None}
     if isinstance(value, np.ndarray | tuple):
         return [_toml(item) for item in value]
     return value.item() if isinstance(value, np.generic) else value

@@ -14,9 +14,9 @@ def forces(form: int, delta: float, s: np.ndarray) -> np.ndarray:
     """Return f(s) as the kernel computes it, one contact at a time."""
     values = []
     for value in s:
-        force = np.zeros(3)
-        kernels.contact_forces(force, np.array([value, 0.0]), np.ones(1), np.ones(1), form, delta)
-        values.append(force[1])
+        force = np.zeros(1)
+        kernels.contact_forces(force, np.array([value, 0.0]), np.ones(1), np.ones(1), 0.0, form, delta)
+        values.append(force[0])
     return np.array(values)
 
 
@@ -56,7 +56,7 @@ def test_force_is_the_derivative_of_the_energy(delta):
     eps = chain.equilibrium_overlap
     u = np.append(0.0, np.cumsum([-0.5, 0.3, 2.0, -1.4, 0.1] * eps))
     force = np.zeros(7)
-    kernels.contact_forces(force, u, 1 / eps, chain.equilibrium_force, form, delta)
+    kernels.contact_forces(force[1:-1], u, 1 / eps, chain.equilibrium_force, 0.0, form, delta)
     moved = 1e-5 * eps[0] * np.eye(6)
     rest = np.zeros(6)
     slope = [(chain.excess_energy(u + d, rest) - chain.excess_energy(u - d, rest)) / (2e-5 * eps[0]) for d in moved]

@@ -76,6 +76,8 @@ class LockstepRun(Run):
             self._steppers.append((NativeStepper(scenes, splitting, interval / count, old), count))
         self.realisations = len(scenes)
         self._energy = np.array([scene.energy for scene in scenes])
+        self._at_rest = [scene.at_rest for scene in scenes]
+        self._kinked = any(scene.drive is not None and not scene.drive.smooth for scene in scenes)
         self._masses = np.array([scene.chain.masses for scene in scenes])
         # the energy of the contacts is never below that at rest, so the kinetic energy cannot exceed what was put in
         self._scale = np.array([(c.length_scale, c.length_scale / c.time_scale) for c in (s.chain for s in scenes)])
@@ -156,13 +158,13 @@ class LockstepRun(Run):
 
     def _error(self, real: int) -> SolverError:
         # nothing is put in: there is no motion to be relative to, but that of a strike number of 1
-        peaks = self.peaks[real] if self._energy[real] > 0 else self._scale[real]
+        peaks = self._scale[real] if self._at_rest[real] else self.peaks[real]
         peaks = np.where(peaks > 0, peaks, 1.0)
         relative = self._differences[:, :, real, :] / peaks
         relative = np.where(np.isnan(relative), np.inf, relative)
         order = self.splitting.order
         lowest = min(stepper.lowest()[real] for stepper, _ in self._steppers)
-        smooth = order == 2 or lowest > CLOSE_TO_OPENING
+        smooth = order == 2 or (lowest > CLOSE_TO_OPENING and not self._kinked)
         first, second = relative[-2].max(0), relative[-1].max(0)
         if self._finer:
             truncation = (first + second + extrapolate(order, smooth, first, second)).max()

@@ -8,8 +8,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from ..errors import InputError
+from ..excitation import first_overlaps
 from ..fields import Array
-from ..scene import Scene, first_overlaps
+from ..scene import Scene
 from .base import Candidate, Engine, SolverError
 from .lockstep import SAFETY, LockstepRun, Stepper
 from .splittings import SPLITTINGS, Splitting
@@ -82,8 +83,8 @@ class SteppedEngine(Engine):
     ) -> LockstepRun:
         """Start one scene, or a batch of scenes that differ in numbers only."""
         kinds = {
-            (s.chain.grains, s.chain.movable, s.chain.exponent, s.chain.compressed, s.samples, s.duration, s.grains)
-            for s in scenes
+            (c.grains, c.top, c.bottom, c.exponent, c.compressed, s.drive is None, s.samples, s.duration, s.grains)
+            for s, c in ((s, s.chain) for s in scenes)
         }
         if len(kinds) != 1:
             raise ValueError("a batch needs chains of one kind and length, recorded alike")
@@ -93,10 +94,10 @@ class SteppedEngine(Engine):
 def stiffest_frequency(scene: Scene) -> float:
     """Return the highest frequency that the scene can excite, rad/s.
 
-    The band edge of the chain at rest, or that of two grains pressed together by the strike.
+    The band edge of the chain at rest, that of two grains pressed together by the strike, or that of a drive.
     """
     chain = scene.chain
-    pressed = first_overlaps(chain, scene.excitation) if scene.energy > 0 else chain.equilibrium_overlap
-    stiffness = chain.exponent * chain.contact_constants * pressed ** (chain.exponent - 1)
+    pressed = first_overlaps(chain, scene.excitation)
+    stiffness = chain.exponent * chain.contacts.constant * pressed ** (chain.exponent - 1)
     pair = math.sqrt(2 * float(stiffness.max()) / chain.masses.min())
-    return max(chain.band_edge, pair) or 1 / scene.duration
+    return max(chain.band_edge, pair, scene.drive.fastest if scene.drive else 0.0) or 1 / scene.duration

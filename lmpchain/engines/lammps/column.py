@@ -9,8 +9,9 @@ import numpy as np
 
 from ...chain import Chain
 from ...errors import InputError
+from ...excitation import Impulse
 from ...fields import Array
-from ...scene import Impulse, Scene
+from ...scene import Scene
 
 PAIR_STYLES = ("granular", "gran/hertz/history")
 MOST_TYPES = 128
@@ -57,7 +58,7 @@ class Column:
     @cached_property
     def largest_overlap(self) -> float:
         """A bound on every overlap of the run, m."""
-        return float(self.chain.overlap_bound(self.scene.energy).max())
+        return float(self.chain.contacts.overlap_bound(self.scene.energy).max())
 
     @cached_property
     def diameters(self) -> Array:

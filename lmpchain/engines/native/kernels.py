@@ -59,32 +59,35 @@ def _closer(x, inverse_length, n):
 
 
 @_compiled
-def contact_forces(force, x, inverse_length, strength, form, delta):
-    """Fill force[1 ... N-1] with the force of every contact minus its equilibrium value, N.
+def contact_forces(force, x, inverse_length, strength, loose, form, delta):
+    """Fill force (C,) with the force of every contact minus its equilibrium value, N.
 
-    One loop a form: a branch inside the loop would keep it from being vectorised.
+    One loop a form: a branch inside the loop would keep it from being vectorised. `loose` is the constant of
+    the first contact if that touches without pressing in a chain that is pressed otherwise, else 0.
     """
     if form == CORRECTED:
         for n in range(strength.size):
-            force[n + 1] = strength[n] * _corrected(_closer(x, inverse_length, n))
+            force[n] = strength[n] * _corrected(_closer(x, inverse_length, n))
     elif form == PLAIN:
         for n in range(strength.size):
-            force[n + 1] = strength[n] * _plain(_closer(x, inverse_length, n))
+            force[n] = strength[n] * _plain(_closer(x, inverse_length, n))
     elif form == SPRING:
         for n in range(strength.size):
-            force[n + 1] = strength[n] * _spring(_closer(x, inverse_length, n))
+            force[n] = strength[n] * _spring(_closer(x, inverse_length, n))
     elif form == POWER:
         for n in range(strength.size):
-            force[n + 1] = strength[n] * _power(_closer(x, inverse_length, n), delta)
+            force[n] = strength[n] * _power(_closer(x, inverse_length, n), delta)
     else:
         for n in range(strength.size):
-            force[n + 1] = strength[n] * _vacuum(_closer(x, inverse_length, n), delta)
+            force[n] = strength[n] * _vacuum(_closer(x, inverse_length, n), delta)
+    if loose > 0.0:
+        force[0] = loose * _vacuum(x[0] - x[1], delta)
 
 
 @_compiled
-def _kick_and_drift(x, w, force, inverse_mass, movable, end, begin, drift):
-    for n in range(movable):
-        acceleration = inverse_mass[n] * (force[n] - force[n + 1])
+def _kick_and_drift(x, w, force, inverse_mass, first, last, end, begin, drift):
+    for n in range(first, last):
+        acceleration = inverse_mass[n] * (force[n - 1] - force[n])
         faster = w[n] + end * acceleration
         faster = faster + begin * acceleration
         w[n] = faster
@@ -92,42 +95,55 @@ def _kick_and_drift(x, w, force, inverse_mass, movable, end, begin, drift):
 
 
 @_compiled
-def _lowest(x, inverse_length):
-    lowest = 0.0
-    for n in range(inverse_length.size):
+def _watch(x, inverse_length, strength, seen):
+    """Keep the smallest r / length, whose -1 is an opening, and the largest r of all contacts in seen (2,)."""
+    lowest, closest = seen[0], seen[1]
+    for n in range(strength.size):
         s = _closer(x, inverse_length, n)
+        r = x[n] - x[n + 1] if strength[n] > 0.0 else 0.0
         lowest = s if s < lowest else lowest
-    return lowest
+        closest = r if r > closest else closest
+    seen[0], seen[1] = lowest, closest
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=STRICT)
-def advance(u, v, lowest, inverse_length, strength, inverse_mass, movable, form, delta, kicks, drifts, steps):
+def advance(
+    x, v, seen, inverse_length, strength, loose, inverse_mass, first, last, form, delta, kicks, drifts, steps, driven
+):
     """Advance every realisation by `steps` steps of a kick-drift splitting, in place.
 
-    The last kick of a step and the first of the next use one force but stay two additions, so
-    that the result does not depend on how the steps are divided over calls.
+    The bodies of a row are a wall (or nothing), N grains, and a wall (or nothing). The last kick of a step
+    and the first of the next use one force but stay two additions, so that the result does not depend on how
+    the steps are divided over calls.
 
     Parameters
     ----------
-    u, v : (R, N) arrays, m and m/s
-    lowest : (R,) array, smallest r / length at the end of any step; kept for methods of several stages
-    inverse_length, strength : (R, N-1) arrays, 1/m and N
-    inverse_mass : (R, N) array, 1/kg
-    movable : number of grains that move
+    x, v : (R, N+2) arrays, m and m/s
+    seen : (R, 2) array, smallest r / length and largest r at the end of any step; of methods of several stages
+    inverse_length, strength : (R, N+1) arrays, 1/m and N
+    loose : (R,) array, N/m^delta; see `contact_forces`
+    inverse_mass : (R, N+2) array, 1/kg
+    first, last : bodies first ... last-1 move freely
     form, delta : the form of the force and its exponent
     kicks, drifts : (S+1,) and (S,) arrays, b_i h and a_i h, s
+    driven : (R, steps S + 1) array, where body 1 is at each evaluation of the force, m; (R, 0) if it is free
     """
     stages = drifts.size
-    force = np.zeros(u.shape[1] + 1)  # nothing above grain 1 nor below a free last grain
-    for real in range(u.shape[0]):
-        x, w, im = u[real], v[real], inverse_mass[real]
+    force = np.zeros(strength.shape[1])
+    for real in range(x.shape[0]):
+        y, w, im, il, st = x[real], v[real], inverse_mass[real], inverse_length[real], strength[real]
+        path = driven[real]
         for step in range(steps):
             end = kicks[stages] if step > 0 else 0.0
             for stage in range(stages):
-                contact_forces(force, x, inverse_length[real], strength[real], form, delta)
-                _kick_and_drift(x, w, force, im, movable, end, kicks[stage], drifts[stage])
+                if path.size > 0:
+                    y[1] = path[step * stages + stage]
+                contact_forces(force, y, il, st, loose[real], form, delta)
+                _kick_and_drift(y, w, force, im, first, last, end, kicks[stage], drifts[stage])
                 end = 0.0
-            if stages > 1:
-                lowest[real] = min(lowest[real], _lowest(x, inverse_length[real]))
-        contact_forces(force, x, inverse_length[real], strength[real], form, delta)
-        _kick_and_drift(x, w, force, im, movable, kicks[stages], 0.0, 0.0)
+            if stages > 1 or path.size > 0:
+                _watch(y, il, st, seen[real])
+        if path.size > 0:
+            y[1] = path[steps * stages]
+        contact_forces(force, y, il, st, loose[real], form, delta)
+        _kick_and_drift(y, w, force, im, first, last, kicks[stages], 0.0, 0.0)
