@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from . import engines as engines
+    from . import patterns as patterns
     from .chain import Chain as Chain
     from .chain import Impurity as Impurity
+    from .doctor import diagnose as diagnose
     from .errors import EngineUnavailable as EngineUnavailable
     from .errors import InputError as InputError
     from .errors import LmpchainError as LmpchainError
@@ -35,16 +37,18 @@ _WHERE = {
     "scene": "Scene",
     "simulation": "simulate",
     "trajectory": "Trajectory",
+    "doctor": "diagnose",
     "errors": "LmpchainError InputError ToleranceNotMet RunFailed EngineUnavailable",
 }
 _MODULE = {name: module for module, names in _WHERE.items() for name in names.split()}
-__all__ = ["engines", *_MODULE]
+_SUBMODULES = ("engines", "patterns")
+__all__ = [*_SUBMODULES, *_MODULE]
 
 
 def __getattr__(name: str) -> Any:
     """Import public names when they are first used, so that none pays for what it does not use."""
-    if name == "engines":
-        return import_module(".engines", __name__)
+    if name in _SUBMODULES:
+        return import_module(f".{name}", __name__)
     if name not in _MODULE:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f".{_MODULE[name]}", __name__), name)

@@ -1,4 +1,4 @@
-"""The command line: `lmpchain run`, `compare` and `deck`.
+"""The command line: `lmpchain run`, `compare`, `deck` and `doctor`.
 
 Exit codes: 0 done, 1 the run failed or missed its tolerance, 2 the input is wrong, 130 after Ctrl-C,
 143 after SIGTERM.
@@ -14,7 +14,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
-from . import commands
+from . import commands, mpi
 from .commands import complain
 from .errors import InputError, LmpchainError
 
@@ -24,13 +24,32 @@ class _Terminated(BaseException):
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line and return the exit code.
+    """Run the command line and return the exit code; under mpirun, rank 0 does and the others help it.
 
     Parameters
     ----------
     argv : list of str, optional
         Arguments without the name of the program; those of the process by default.
     """
+    if mpi.launched() == 1:
+        return _main(argv)
+    try:
+        world = mpi.join()
+    except LmpchainError as error:
+        complain(str(error))
+        return 1
+    from .engines.lammps.team import dismiss, follow
+
+    if world.rank > 0:
+        follow(world)
+        return 0
+    try:
+        return _main(argv)
+    finally:
+        dismiss(world)
+
+
+def _main(argv: Sequence[str] | None) -> int:
     try:
         arguments = _parser().parse_args(argv)
     except SystemExit as asked:  # --help, --version, or arguments that argparse refused and explained
@@ -119,6 +138,10 @@ def _parser() -> argparse.ArgumentParser:
         help="LAMMPS only: positions from the real diameters, or from a far smaller one that leaves more digits",
     )
 
+    run.add_argument(
+        "--ranks", metavar="P", type=int, help="LAMMPS only: MPI processes that share the chain (not under mpirun)"
+    )
+
     compare = verbs.add_parser("compare", help="answer a scene with several engines and compare with the truth")
     _scene(compare, commands.compare)
     compare.add_argument("--engines", metavar="A,B,...", help="which engines (default: all that can do the scene)")
@@ -134,6 +157,10 @@ def _parser() -> argparse.ArgumentParser:
     deck.add_argument("--diameter", choices=["physical", "gauge", "auto"], default="physical")
     deck.add_argument("--integrator", choices=["verlet", "kahan-li6"], default="verlet")
     deck.add_argument("--pair-style", choices=["granular", "gran/hertz/history"], default="granular")
+
+    doctor = verbs.add_parser("doctor", help="say what works here: LAMMPS, MPI, versions, cores, engines")
+    doctor.add_argument("--json", metavar="FILE", help="file for the findings")
+    doctor.set_defaults(command=commands.doctor)
     return parser
 
 

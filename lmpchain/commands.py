@@ -69,7 +69,7 @@ def _engine(arguments: argparse.Namespace) -> Engine:
     """Return the engine with the options given for it."""
     from . import engines
 
-    given = {key: getattr(arguments, key) for key in ("integrator", "step", "diameter")}
+    given = {key: getattr(arguments, key) for key in ("integrator", "step", "diameter", "ranks")}
     return engines.get(arguments.engine, **{key: value for key, value in given.items() if value is not None})
 
 
@@ -101,9 +101,10 @@ def run(arguments: argparse.Namespace) -> int:
 def _summary(trajectory: Trajectory, tolerance: float, path: Path) -> str:
     """Return in a few lines what was done, how well and at what cost."""
     cost, error, scene = trajectory.cost, trajectory.error_estimate, trajectory.scene
+    ranks = f", on {cost.ranks} ranks" if cost.ranks > 1 else ""
     parts = f" = {error.model:.2g} (equation) + {error.solver:.2g} (solver)" if error.model else ""
     lines = {
-        "engine": f"{trajectory.engine}, which solves Eq. ({trajectory.equation})",
+        "engine": f"{trajectory.engine}, which solves Eq. ({trajectory.equation}){ranks}",
         "scene": f"{scene.chain.grains} grains, {scene.samples} samples over {scene.duration:g} s",
         "integrator": f"{cost.integrator}, {cost.steps} steps of {cost.step_s:.4g} s",
         "estimated error": f"{error.total:.2g}{parts} (tolerance {tolerance:g})",
@@ -234,3 +235,16 @@ def deck(arguments: argparse.Namespace) -> int:
     print(f"wrote {folder / 'in.column'} and {folder / 'column.data'}; to run them:")
     print(f"  cd {quote(str(folder))} && lmp -in in.column")
     return 0
+
+
+def doctor(arguments: argparse.Namespace) -> int:
+    """Say what works here, finding by finding; a fault makes it fail."""
+    path = arguments.json and _output(arguments.json, "")
+    from .doctor import diagnose
+
+    diagnosis = diagnose(tell=lambda finding: print(finding, flush=True))
+    print(diagnosis.summary)
+    if path:
+        _write_json(diagnosis.to_json(), path)
+        print(f"findings: {path}")
+    return 1 if diagnosis.counts["fault"] else 0

@@ -1,12 +1,14 @@
 """What every integrator of both engines must do, whatever the scene."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from reference import extended_reference, relative_error
 from scenes import paper, smooth
 from scipy.integrate import simpson
 
-from lmpchain import Chain, Displacement, Impulse, Profile, Scene, engines, simulate
+from lmpchain import Chain, Displacement, Drive, Impulse, Profile, Scene, engines, simulate
 from lmpchain.engines import lockstep
 from lmpchain.engines.splittings import SPLITTINGS
 
@@ -113,12 +115,21 @@ def test_time_reversal(engine, integrator):
     assert back.displacement[-1] == pytest.approx(t.displacement[0], abs=rounding * np.abs(t.displacement).max())
 
 
+EXCITATIONS = {
+    "struck": ({"top": "wall", "bottom": "wall"}, Displacement(displacement=2e-8, grain=3)),
+    "driven": ({"top_load": 0.01}, Drive(amplitude=2e-8, frequency=1e5)),
+    "driven by points": ({}, Drive(times=np.linspace(0, 30e-6, 8), displacement=2e-8 * np.sin(np.arange(8.0)) ** 2)),
+}
+
+
 @both
 @every
-def test_exact_restart(engine, integrator):
+@pytest.mark.parametrize("excitation", EXCITATIONS)
+def test_exact_restart(engine, integrator, excitation):
     """A run that goes on from a kept state ends with the same bytes."""
-    chain = Chain(grains=30, material="glass", diameter=1e-3)
-    scene = Scene(chain=chain, excitation=Displacement(displacement=2e-8, grain=3), duration=30e-6, samples=9)
+    ends, struck = EXCITATIONS[excitation]
+    chain = Chain(grains=30, material="glass", diameter=1e-3, **ends)
+    scene = Scene(chain=chain, excitation=struck, duration=30e-6, samples=9)
     solver = fixed_step(engine, integrator, 1e-7)
     candidate = solver.candidate(scene, 1e-6)
 
@@ -148,9 +159,11 @@ def test_exact_restart(engine, integrator):
 
 def test_chunks_do_not_matter(monkeypatch):
     """The length of the pieces between two chances to stop leaves no trace, in any integrator."""
-    scene = paper("fig1", samples=3)
+    struck = paper("fig1", samples=3)
+    bump = Drive(times=[0, 4e-5, 5e-5, 6e-5, 1e-4], displacement=[0, 0, 1e-7, 0, 0])
+    driven = Scene(chain=struck.chain, excitation=bump, duration=struck.duration, samples=3)
     for engine in ENGINES:
-        for integrator in INTEGRATORS:
+        for integrator, scene in product(INTEGRATORS, (struck, driven)):
             solver = fixed_step(engine, integrator, 1e-7 if engine == "native" else 5e-7)
             whole = simulate(scene, engine=solver)
             monkeypatch.setattr(lockstep, "PIECE_S", 1e-5)

@@ -12,12 +12,25 @@ import pytest
 from reference import extended_reference, relative_error
 from scenes import paper
 
-from lmpchain import Chain, Displacement, EngineUnavailable, Impulse, InputError, Profile, RunFailed, Scene, simulate
+from lmpchain import (
+    Chain,
+    Displacement,
+    Drive,
+    EngineUnavailable,
+    Impulse,
+    Impurity,
+    InputError,
+    Profile,
+    RunFailed,
+    Scene,
+    simulate,
+)
 from lmpchain.engines import Lammps
 from lmpchain.engines.lammps import library
 from lmpchain.engines.lammps.column import Column
 from lmpchain.engines.lammps.export import write_deck
 from lmpchain.engines.lammps.stepper import LammpsStepper
+from lmpchain.engines.lammps.team import gather
 from lmpchain.engines.splittings import VERLET
 
 
@@ -58,6 +71,12 @@ DECKS = {
         material=["glass", "steel", "ptfe", "brass", "glass"] * 5,
         masses=np.linspace(1e-6, 3e-6, 25),
     ),
+    "walls": small(top="wall", top_load=0.02, bottom="wall", bottom_material="steel"),
+    "loose wall": small(Impulse(velocity=-8.57e-4, grain=3), top="wall", bottom="wall"),
+    "springs between walls": small(exponent=1.0, top="wall", bottom="wall", gravity=0.0, top_load=0.02),
+    "impurity": small(impurity=[Impurity(grain=3, diameter=0.7e-3, material="steel"), Impurity(grain=9, mass=5e-6)]),
+    "harmonic drive": small(Drive(amplitude=3e-8, frequency=5e4), top_load=0.02),
+    "sampled drive": small(Drive(times=np.linspace(0, 2.1e-5, 8), displacement=3e-8 * np.sin(np.arange(8.0)) ** 2)),
 }
 
 
@@ -67,6 +86,10 @@ DECKS = {
 )
 def test_stand_alone_deck_gives_the_bytes_of_the_library(tmp_path, name, integrator, diameter):
     scene, step = DECKS[name], 1e-7
+    if scene.drive and integrator != "verlet":
+        with pytest.raises(InputError, match="a deck can carry a drive with verlet only"):
+            write_deck(scene, tmp_path, step=step, integrator=integrator, diameter=diameter)
+        return
     write_deck(scene, tmp_path / "deck", step=step, integrator=integrator, diameter=diameter)
     lmp(tmp_path / "deck", "-screen", "none")
     engine = Lammps(integrator=integrator, step=step, diameter=diameter, keep=tmp_path / "library")
@@ -146,7 +169,7 @@ def test_unlike_contacts_share_few_types():
     chain = Chain(
         grains=200, material="glass", diameter=1e-3, contact_constants=rng.uniform(1, 3, 199) * 1e9, exponent=1.5
     )
-    column = Column(Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=1e-5), gauge=True)
+    column = Column(Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=1e-5), gauge=1e-6)
     assert max(column.types) < 40
     given = [column._typed[1][tuple(sorted(pair))] for pair in zip(column.types, column.types[1:], strict=False)]
     radius = column.diameters[0] / 4
@@ -185,7 +208,7 @@ def test_blow_up_is_noticed():
 
 
 def stepper(scene: Scene) -> LammpsStepper:
-    return LammpsStepper(Column(scene, gauge=False), VERLET, 1e-7, {}, every=1, samples=1)
+    return LammpsStepper(Column(scene, gauge=0.0), VERLET, 1e-7, {}, gather(1, "none"), every=1, samples=1)
 
 
 def test_faults_that_lammps_does_not_report():
@@ -193,7 +216,7 @@ def test_faults_that_lammps_does_not_report():
     for spoil, message in (
         (lambda s: s._z.__setitem__(3, np.nan), "no longer numbers"),
         (lambda s: s._z.__setitem__(3, s._z[4]), "passed into another"),
-        (lambda s: s._x[:, 0].__setitem__(3, 1e-9), "buckled sideways"),
+        (lambda s: s._team._rank._x[:, 0].__setitem__(3, 1e-9), "buckled sideways"),
     ):
         column = stepper(small())
         try:

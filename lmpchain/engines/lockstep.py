@@ -35,6 +35,10 @@ class Stepper(Protocol):
     u: Array  # (R, N) displacement, m
     v: Array  # (R, N) velocity, m/s
 
+    @property
+    def ranks(self) -> int:
+        """How many processes share a chain."""
+
     def advance(self, steps: int) -> None:
         """Move forward by `steps` steps."""
 
@@ -148,6 +152,11 @@ class LockstepRun(Run):
         return f"{what} at t = {t:.4g} s with steps of {self.candidate.step:.3g} s: use a shorter step or a tolerance"
 
     @property
+    def closest(self) -> Array:
+        """By how much two grains have come closer than at rest at most, (R,) m, as the native companions saw it."""
+        return np.max([s.closest() for s, _ in self._steppers if isinstance(s, NativeStepper)], axis=0)
+
+    @property
     def progress(self) -> float:
         """Part of the steps done."""
         return self._done_steps / max(1, self.candidate.steps_per_sample * (self.scene.samples - 1))
@@ -189,7 +198,7 @@ class LockstepRun(Run):
             active_grains=self.candidate.active_grains,
             integrator=self.splitting.name,
             step_s=self.candidate.step,
-            ranks=1,
+            ranks=self._answer.ranks,
         )
 
     def state(self) -> dict[str, Array]:

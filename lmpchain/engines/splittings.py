@@ -47,6 +47,11 @@ class Splitting:
         return len(self.drifts)
 
     @cached_property
+    def reach(self) -> tuple[float, ...]:
+        """Where in a step each drift ends, as fractions of it."""
+        return (*np.cumsum(self.drifts[:-1]).tolist(), 1.0)
+
+    @cached_property
     def stability_limit(self) -> float:
         """Largest omega h for which a harmonic oscillator stays bounded."""
         grid = np.linspace(0, 8, 80001)[1:]

@@ -15,7 +15,23 @@ from ...scene import Scene
 
 PAIR_STYLES = ("granular", "gran/hertz/history")
 MOST_TYPES = 128
-HEADROOM = 3.0  # gauge diameter over the largest overlap: grain n + 2 is never touched
+LOSSLESS = "0.0 tangential linear_nohistory 0.0 0.0 damping velocity"
+
+
+@dataclass(frozen=True)
+class Wall:
+    """A plane above or below a grain: its name, the grain, LAMMPS's constant, and `lo` and `hi` of fix wall/gran."""
+
+    name: str
+    grain: int
+    constant: float
+    lo: str
+    hi: str
+
+    @property
+    def contact(self) -> str:
+        """Arguments of the contact model."""
+        return f"{self.constant!r} {LOSSLESS}"
 
 
 @dataclass(frozen=True)
@@ -25,10 +41,10 @@ class Column:
     Parameters
     ----------
     scene : Scene
-    gauge : bool
-        Whether to draw the grains with the gauge diameter: a few times the largest overlap of the
-        run instead of the physical diameter. Only overlaps enter the force, and the round-off of a
-        height is proportional to the height, so this lowers the round-off of the run in proportion.
+    gauge : float
+        Diameter to draw all grains with, m, or 0 for the physical ones. Only overlaps enter the force, and
+        the round-off of a height is proportional to the height, so a gauge diameter of a few times the
+        largest overlap of the run lowers the round-off of the run in proportion.
     pair_style : str
         One of `PAIR_STYLES`.
     remarks : tuple of str
@@ -41,7 +57,7 @@ class Column:
     """
 
     scene: Scene
-    gauge: bool
+    gauge: float
     pair_style: str = "granular"
     remarks: tuple[str, ...] = ()
 
@@ -51,21 +67,29 @@ class Column:
         return self.scene.chain
 
     @property
+    def model(self) -> str:
+        """Contact model of LAMMPS: hertz multiplies overlap^(3/2) by the square root of the effective radius."""
+        return "hooke" if self.chain.exponent == 1 else "hertz"
+
+    @property
+    def mobile(self) -> tuple[int, int]:
+        """First and last grain that move by the equation of motion; a driven grain and a held one do not."""
+        return 2 if self.scene.drive else 1, self.chain.movable
+
+    @property
+    def load(self) -> float:
+        """Constant force on grain 1, N: that of a wall comes from its overlap, that of a drive from whatever drives."""
+        return 0.0 if self.chain.top == "wall" or self.scene.drive else self.chain.top_load
+
+    @property
     def strike(self) -> Impulse | None:
         """The impulse, which a deck keeps as a variable."""
         return self.scene.excitation if isinstance(self.scene.excitation, Impulse) else None
 
     @cached_property
-    def largest_overlap(self) -> float:
-        """A bound on every overlap of the run, m."""
-        return float(self.chain.contacts.overlap_bound(self.scene.energy).max())
-
-    @cached_property
     def diameters(self) -> Array:
         """(N,) m."""
-        physical = self.chain.diameters
-        gauge = HEADROOM * self.largest_overlap
-        return np.full(self.chain.grains, gauge) if self.gauge and 0 < gauge < physical.min() else physical
+        return np.full(self.chain.grains, self.gauge) if self.gauge else self.chain.diameters
 
     @cached_property
     def densities(self) -> Array:
@@ -86,6 +110,22 @@ class Column:
         return self.heights - u, -v
 
     @cached_property
+    def walls(self) -> list[Wall]:
+        """The walls, as planes that stand still."""
+        radius = self.diameters[[0, -1]] / 2
+        overlap = self.chain.contacts.overlap[[0, -1]]
+        heights = self.heights[[0, -1]] + [1, -1] * (radius - overlap)
+        constants = self.chain.wall_constants / (1.0 if self.model == "hooke" else np.sqrt(radius))
+        bounds = ("NULL", float(heights[0])), (float(heights[1]), "NULL")
+        walls = (
+            Wall(name, grain, float(constant), *(b if b == "NULL" else repr(b) for b in bound))
+            for name, grain, constant, bound in zip(
+                ("top", "bottom"), (1, self.chain.grains), constants, bounds, strict=True
+            )
+        )
+        return [wall for wall in walls if wall.constant > 0]
+
+    @cached_property
     def skin(self) -> float:
         """Neighbour skin, m: every gap of the start lies within it."""
         z, _ = self.start
@@ -97,7 +137,8 @@ class Column:
         """Lower and upper bound in x and y, and in z, m."""
         z, _ = self.start
         side = float(self.diameters.max() + self.skin)
-        return -side, side, float(z.min() - 5 * side), float(z.max() + 100 * side)
+        # no wider than the column, so that ranks share it evenly; grains may leave, for lists are never renewed
+        return -side, side, float(z.min() - side), float(z.max() + side)
 
     @cached_property
     def types(self) -> list[int]:
@@ -109,12 +150,10 @@ class Column:
         """Arguments of the pair_coeff commands."""
         if self.pair_style != "granular":
             return ["* *"]
-        model = "hooke" if self.chain.exponent == 1 else "hertz"
         pairs = self._typed[1]
-        tail = "0.0 tangential linear_nohistory 0.0 0.0 damping velocity"
-        lines = [f"* * {model} {next(iter(pairs.values()))!r} {tail}"]
+        lines = [f"* * {self.model} {next(iter(pairs.values()))!r} {LOSSLESS}"]
         if len(pairs) > 1:
-            lines += [f"{i} {j} {model} {value!r} {tail}" for (i, j), value in pairs.items()]
+            lines += [f"{i} {j} {self.model} {value!r} {LOSSLESS}" for (i, j), value in pairs.items()]
         return lines
 
     @property
@@ -133,7 +172,7 @@ class Column:
         """
         chain = self.chain
         constants = chain.contact_constants
-        if chain.exponent != 1:  # hertz multiplies by the square root of the effective radius
+        if self.model == "hertz":
             d = self.diameters
             constants = constants / np.sqrt(d[:-1] * d[1:] / (d[:-1] + d[1:]) / 2)
         most = MOST_TYPES if self.pair_style == "granular" else 1

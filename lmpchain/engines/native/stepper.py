@@ -19,6 +19,8 @@ PATH = 2**18  # positions of a driven grain that are laid out at a time
 class NativeStepper:
     """A batch of chains in displacements from equilibrium, shared out over threads."""
 
+    ranks = 1
+
     def __init__(
         self, scenes: Sequence[Scene], splitting: Splitting, step: float, state: Mapping[str, Array], threads: int = 1
     ):
@@ -43,7 +45,7 @@ class NativeStepper:
         self._inverse_mass = self._bodies([1 / chain.masses for chain in chains])
         self._kicks = np.array(splitting.kicks) * step
         self._drifts = np.array(splitting.drifts) * step
-        self._step, self._stages = step, np.append(0.0, np.cumsum(splitting.drifts[:-1]))
+        self._step, self._stages = step, np.array([0.0, *splitting.reach[:-1]])
         initial = [scene.initial() for scene in scenes]
         self._x = self._bodies(state.get("u", [u for u, _ in initial]))
         self._v = self._bodies(state.get("v", [v for _, v in initial]))

