@@ -123,6 +123,8 @@ class Chain(Checked):
         if wrong:
             return
         self._fill_in()
+        if not np.isfinite(self.dynamical_matrix()[0]).all():
+            yield "masses", "are too small to compute with: the smallest must be above 1e-300 kg"
         relative = self.contacts.overlap / self.contact_lengths
         if relative.max() > LARGEST_OVERLAP:
             worst = int(relative.argmax())

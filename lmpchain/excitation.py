@@ -145,8 +145,8 @@ class Drive(Excitation):
         elif all(sampled):
             if len(self.times) != len(self.displacement) or len(self.times) < 2:
                 yield "displacement", f"must have one entry for each of two or more times, not {len(self.displacement)}"
-            if self.times[0] != 0 or not (np.diff(self.times) > 0).all():
-                yield "times", "must begin with 0 and increase"
+            if self.times[0] != 0 or not (np.diff(self.times) > 1e-12 * self.times[-1]).all():
+                yield "times", "must begin with 0 and increase, each by more than 1e-12 of the last"
             if self.displacement[0] != 0:
                 yield "displacement", "must begin with 0, where grain 1 rests"
 
@@ -225,7 +225,7 @@ def first_overlaps(chain: Chain, excitation: Excitation) -> Array:
 def strike_faults(chain: Chain, excitation: Excitation) -> Iterator[tuple[str, str]]:
     """Yield a fault if the excitation squeezes a contact beyond what Hertz's law describes."""
     relative = first_overlaps(chain, excitation) / chain.contact_lengths
-    if relative.max() > LARGEST_OVERLAP:
+    if not relative.max() <= LARGEST_OVERLAP:
         worst = int(relative.argmax())
         key = "displacement" if isinstance(excitation, Displacement) else "velocity"
         yield (

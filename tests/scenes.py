@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from lmpchain import GLASS, Chain, Displacement, Impulse, InputError, Profile, Scene
+from lmpchain import GLASS, Chain, Displacement, Drive, Impulse, Impurity, InputError, Profile, Scene
 
 PAPER = {  # name: strike m/s, gravity m/s2
     "fig1": (8.57e-3, 9.81),
@@ -33,43 +33,91 @@ def random_scene(
     """Draw a chain and an excitation, weak to strong, that `Scene` accepts."""
     while True:
         try:
-            return _draw(rng, float(rng.choice(exponents)))
+            chain = _chain(rng, float(rng.choice(exponents)))
+            return _driven(rng, chain) if chain.top == "free" and rng.random() < 0.3 else _struck(rng, chain)
         except InputError:
             continue
 
 
-def _draw(rng: np.random.Generator, exponent: float) -> Scene:
+def _chain(rng: np.random.Generator, exponent: float) -> Chain:
     grains = int(rng.choice([2, 3, 5, 12, 30, 60]))
     kind = rng.choice(["gravity", "gravity", "load", "vacuum"])
+    top = "wall" if rng.random() < 0.3 else "free"
+    bottom = rng.choice(["fixed", "wall", "free"] if kind == "vacuum" else ["fixed", "fixed", "wall"]).item()
+    walls = [f"{end}_material" for end, what in (("top", top), ("bottom", bottom)) if what == "wall"]
+    pressed = kind == "load" or (kind == "gravity" and rng.random() < 0.3)
     diameter = 1e-3 * 10 ** rng.uniform(-0.5, 1)
-    chain = Chain(
+    return Chain(
         grains=grains,
-        material=rng.choice(["glass", "steel", "ptfe"]).item(),
+        material=_material(rng),
         diameter=diameter if rng.random() < 0.7 else diameter * rng.uniform(0.7, 1.3, grains),
         gravity=9.81 * 10 ** rng.uniform(-2, 2) if kind == "gravity" else 0.0,
-        top_load=10 ** rng.uniform(-4, 1) if kind == "load" else 0.0,
+        top_load=10 ** rng.uniform(-4, 1) if pressed else 0.0,
         exponent=exponent,
-        bottom="free" if kind == "vacuum" and rng.random() < 0.5 else "fixed",
+        top=top,
+        bottom=bottom,
+        impurity=_impurities(rng, grains, diameter) if rng.random() < 0.3 else [],
+        **{key: _material(rng) for key in walls if rng.random() < 0.5},
     )
+
+
+def _material(rng: np.random.Generator) -> str:
+    return rng.choice(["glass", "steel", "ptfe"]).item()
+
+
+def _impurities(rng: np.random.Generator, grains: int, diameter: float) -> list[Impurity]:
+    """Draw up to three grains that differ in size, in material, or in mass alone."""
+    found = []
+    for grain in rng.permutation(grains)[: rng.integers(1, 4)] + 1:
+        what = rng.choice(["diameter", "material", "mass"])
+        mass = 2426 * np.pi / 6 * diameter**3 * 10 ** rng.uniform(-0.5, 0.5)
+        draws = {"diameter": diameter * rng.uniform(0.5, 2), "material": _material(rng), "mass": mass}
+        found.append(Impurity(grain=grain, **{what: draws[what]}))
+    return found
+
+
+def _units(rng: np.random.Generator, chain: Chain, grain: int) -> tuple[float, float]:
+    """Return a length and a frequency: those of the contact below this grain, in the vacuum those of a strike."""
+    if chain.compressed:
+        contact = min(grain, chain.grains - 1) - 1
+        overlap = chain.equilibrium_overlap[contact]
+        return float(overlap), float(np.sqrt(chain.linear_stiffness[contact] / chain.masses[contact]))
+    speed = 10 ** rng.uniform(-4, 0)
+    scale = (chain.masses.mean() / chain.contact_constants.mean()) ** (1 / (chain.exponent + 1))
+    unit = scale * speed ** ((1 - chain.exponent) / (1 + chain.exponent))
+    return float(speed * unit), float(1 / unit)
+
+
+def _struck(rng: np.random.Generator, chain: Chain) -> Scene:
     grain = 1 if rng.random() < 0.6 else int(rng.integers(1, chain.movable + 1))
+    length, omega = _units(rng, chain, grain)
+    duration = rng.uniform(2, 20) / omega
     if not chain.compressed:
-        speed = 10 ** rng.uniform(-4, 0)
-        scale = (chain.masses.mean() / chain.contact_constants.mean()) ** (1 / (exponent + 1))
-        unit = scale * speed ** ((1 - exponent) / (1 + exponent))
         return Scene(
-            chain=chain, excitation=Impulse(velocity=speed, grain=grain), duration=unit * rng.uniform(2, 20), samples=11
+            chain=chain, excitation=Impulse(velocity=length * omega, grain=grain), duration=duration, samples=11
         )
-    contact = min(grain, grains - 1) - 1
-    overlap = chain.equilibrium_overlap[contact]
-    omega = np.sqrt(chain.linear_stiffness[contact] / chain.masses[contact])
     number = 10 ** rng.uniform(-4, 4)
     draw = rng.random()
     if draw < 0.6:
-        excitation = Impulse(velocity=number * overlap * omega, grain=grain)
+        excitation = Impulse(velocity=number * length * omega, grain=grain)
     elif draw < 0.8:
-        excitation = Displacement(displacement=rng.choice([-1.0, 1.0]) * min(number, 50) * overlap, grain=grain)
+        excitation = Displacement(displacement=rng.choice([-1.0, 1.0]) * min(number, 50) * length, grain=grain)
     else:
-        velocity = rng.normal(size=grains) * min(number, 10) * overlap * omega
+        velocity = rng.normal(size=chain.grains) * min(number, 10) * length * omega
         velocity[chain.movable :] = 0
         excitation = Profile(velocity=velocity)
-    return Scene(chain=chain, excitation=excitation, duration=rng.uniform(2, 20) / omega, samples=11)
+    return Scene(chain=chain, excitation=excitation, duration=duration, samples=11)
+
+
+def _driven(rng: np.random.Generator, chain: Chain) -> Scene:
+    """Draw a sine, slow to fast, or a path through random points."""
+    length, omega = _units(rng, chain, 1)
+    length *= 10 ** rng.uniform(-4, 1) if chain.compressed else 1.0
+    duration = rng.uniform(2, 20) / omega
+    if rng.random() < 0.5:
+        excitation = Drive(amplitude=length, frequency=omega / (2 * np.pi) * 10 ** rng.uniform(-1, 0.3))
+    else:
+        apart = rng.uniform(0.3, 1, rng.integers(5, 30))
+        times = np.append(0, np.cumsum(apart)) * (duration * rng.uniform(1, 1.2) / apart.sum())
+        excitation = Drive(times=times, displacement=np.append(0, rng.normal(size=apart.size)) * length)
+    return Scene(chain=chain, excitation=excitation, duration=duration, samples=11)

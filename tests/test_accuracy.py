@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from reference import extended_reference, relative_error
+from reference import extended_reference, relative_error, scipy_reference
 from scenes import PAPER, paper, random_scene
 
-from lmpchain import Chain, Impulse, InputError, Scene, ToleranceNotMet, simulate
+from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Scene, ToleranceNotMet, simulate
 from lmpchain.engines import Lammps, Native
 
 FLOOR = "heights in double precision|round-off alone"
@@ -38,6 +38,59 @@ def check_or_floor(scene, reference, engine, tolerance, **options):
     assert t.error_estimate.total > tolerance or "heights in double precision" in reason
     assert (true - reference[2]) / 3 <= t.error_estimate.total
     assert true > 0.03 * tolerance  # the law beforehand overestimates some chains of few grains
+
+
+def between(excitation, **keys):
+    """Return a scene of twelve glass beads between two walls, unless they are told otherwise."""
+    chain = Chain(**{"grains": 12, "diameter": 1e-3, "top": "wall", "bottom": "wall"} | keys)
+    duration = min(30 * chain.time_scale, 1e-4)
+    return Scene(chain=chain, excitation=excitation, duration=duration, samples=6)
+
+
+def path(size):
+    return Drive(times=np.arange(9) * 1.3e-5, displacement=np.array([0, 1, -1, 2, 0, -2, 1, 1, 0]) * size)
+
+
+CLOSED = {
+    "paper": paper("weak", samples=6),
+    "pressed by the wall": between(Impulse(velocity=1e-6, grain=5), top_load=1e-4),
+    "springs": between(Displacement(displacement=1e-13, grain=2), top_load=1e-4, exponent=1.0),
+    "exponent": between(Impulse(velocity=-1e-7), top_load=1e-4, exponent=2.3, gravity=0.0, bottom_material="ptfe"),
+    "impurities": between(Impulse(velocity=1e-6), top="free", impurity=[{"grain": 12, "mass": 1e-5}]),
+    "sine": between(Drive(amplitude=1e-10, frequency=3e4), top="free"),
+    "path": between(path(1e-10), top="free", bottom="fixed"),
+    "path and exponent": between(path(1e-11), top="free", bottom="fixed", exponent=1.7, material="steel"),
+}
+OPENING = {  # to touch without pressing is to open
+    "paper": paper("fig1", samples=6),
+    "just touched by the wall": between(Impulse(velocity=-1e-4)),
+    "vacuum": between(Impulse(velocity=1e-2, grain=4), gravity=0.0, top_material="steel"),
+    "sine": between(Drive(amplitude=1e-8, frequency=3e4), top="free"),
+    "sine in the vacuum": between(Drive(amplitude=1e-7, frequency=2e4), top="free", bottom="free", gravity=0.0),
+    "path": between(path(3e-9), top="free"),
+}
+KINDS = CLOSED | {f"{name}, opening": scene for name, scene in OPENING.items()}
+each_kind = pytest.mark.parametrize("kind", KINDS)
+
+
+@pytest.fixture(scope="module")
+def known():
+    return {kind: extended_reference(scene) for kind, scene in KINDS.items()}
+
+
+@each_kind
+def test_the_references_agree(known, kind):
+    """One integrator in double precision, one in extended: they share Eq. (1) and nothing else."""
+    u, v, own = known[kind]
+    limit = 2e-13 if kind in CLOSED else 1e-10
+    assert own < 1e-2 * limit
+    assert relative_error(*scipy_reference(KINDS[kind])[:2], u, v) < limit
+
+
+@each_kind
+def test_every_kind_of_scene(known, kind):
+    for integrator, tolerance in (("rkn6", 1e-6), ("rkn6", 1e-9), ("kahan-li6", 1e-8), ("verlet", 1e-5)):
+        check(KINDS[kind], known[kind], "native", tolerance, integrator=integrator)
 
 
 @pytest.fixture(scope="module")

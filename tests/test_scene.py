@@ -5,7 +5,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lmpchain import GLASS, STEEL, Chain, Displacement, Impulse, InputError, Material, Profile, Scene, Trajectory
+from lmpchain import (
+    GLASS,
+    PTFE,
+    STEEL,
+    Chain,
+    Displacement,
+    Drive,
+    Impulse,
+    Impurity,
+    InputError,
+    Material,
+    Profile,
+    Scene,
+    Trajectory,
+)
 from lmpchain.cli import main
 
 GOOD = """
@@ -25,6 +39,7 @@ duration = 10e-6
 samples = 11
 """
 
+STRIKE = 'kind = "impulse"\ngrain = 1\nvelocity = 8.57e-4'
 FAULTS = {  # what is replaced, what by, and the key that must be named
     "unknown key": ("gravity =", "gravitation =", "chain.gravitation"),
     "unknown key in the excitation": ("grain = 1\n", "grian = 1\n", "excitation.grian"),
@@ -81,19 +96,112 @@ FAULTS = {  # what is replaced, what by, and the key that must be named
         '"glass"', "{density = 2000.0, youngs_modulus = 1e9, poissons_ratio = 0.6}", "chain.material.poissons_ratio"
     ),
     "profile that is too short": (
-        'kind = "impulse"\ngrain = 1\nvelocity = 8.57e-4', 'kind = "profile"\nvelocity = [1e-3, 0.0]',
+        STRIKE, 'kind = "profile"\nvelocity = [1e-3, 0.0]',
         "excitation.velocity",
     ),
     "profile that moves the held grain": (
-        'kind = "impulse"\ngrain = 1\nvelocity = 8.57e-4', f'kind = "profile"\ndisplacement = {[1e-10] * 20}',
+        STRIKE, f'kind = "profile"\ndisplacement = {[1e-10] * 20}',
         "excitation.displacement",
     ),
     "profile with nothing in it": (
-        'kind = "impulse"\ngrain = 1\nvelocity = 8.57e-4', 'kind = "profile"', "excitation.displacement"
+        STRIKE, 'kind = "profile"', "excitation.displacement"
     ),
     "profile file that is missing": (
-        'kind = "impulse"\ngrain = 1\nvelocity = 8.57e-4', 'kind = "profile"\nfile = "none.csv"', "excitation.file"
+        STRIKE, 'kind = "profile"\nfile = "none.csv"', "excitation.file"
     ),
+    "top that is not known": ("gravity =", 'top = "fixed"\ngravity =', "chain.top"),
+    "chain that hangs": ("gravity =", 'top = "wall"\nbottom = "free"\ngravity =', "chain.bottom"),
+    "material of no wall above": ("gravity =", 'top_material = "steel"\ngravity =', "chain.top_material"),
+    "material of no wall below": ("gravity =", 'bottom_material = "steel"\ngravity =', "chain.bottom_material"),
+    "wall of no known material": (
+        "gravity =", 'bottom = "wall"\nbottom_material = "mud"\ngravity =', "chain.bottom_material"
+    ),
+    "wall without a modulus": (
+        "gravity =", 'top = "wall"\ntop_material = {density = 1.0, poissons_ratio = 0.0}\ngravity =',
+        "chain.top_material.youngs_modulus",
+    ),
+    "crushed by its weight on a wall": (
+        "gravity =",
+        'bottom = "wall"\nbottom_material = {density = 1.0, youngs_modulus = 1.0, poissons_ratio = 0.0}\ngravity =',
+        "chain.diameter",
+    ),
+    "impurity that is no grain": (
+        "[excitation]", "[[chain.impurity]]\ngrain = 21\nmass = 1e-6\n[excitation]", "chain.impurity.0.grain"
+    ),
+    "impurity at grain 0": (
+        "[excitation]", "[[chain.impurity]]\ngrain = 0\nmass = 1e-6\n[excitation]", "chain.impurity.0.grain"
+    ),
+    "impurity twice": (
+        "[excitation]", "[[chain.impurity]]\ngrain = 3\nmass = 1e-6\n" * 2 + "[excitation]", "chain.impurity.1.grain"
+    ),
+    "impurity without a grain": (
+        "[excitation]", "[[chain.impurity]]\nmass = 1e-6\n[excitation]", "chain.impurity.0.grain"
+    ),
+    "impurity like the others": (
+        "[excitation]", "[[chain.impurity]]\ngrain = 3\n[excitation]", "chain.impurity.0.diameter"
+    ),
+    "impurity with an unknown key": (
+        "[excitation]", "[[chain.impurity]]\ngrain = 3\nmas = 1e-6\n[excitation]", "chain.impurity.0.mas"
+    ),
+    "impurity with a word for a mass": (
+        "[excitation]", '[[chain.impurity]]\ngrain = 3\nmass = "heavy"\n[excitation]', "chain.impurity.0.mass"
+    ),
+    "impurity of no known material": (
+        "[excitation]", '[[chain.impurity]]\ngrain = 3\nmaterial = "mud"\n[excitation]', "chain.impurity.0.material"
+    ),
+    "impurity that swells": (
+        "[excitation]",
+        "[[chain.impurity]]\ngrain = 3\nmaterial = {density = 1.0, youngs_modulus = 1e9, poissons_ratio = 0.6}\n"
+        "[excitation]",
+        "chain.impurity.0.material.poissons_ratio",
+    ),
+    "impurity beside given constants": (
+        "[excitation]",
+        f"contact_constants = {[1e9] * 19}\n[[chain.impurity]]\ngrain = 3\ndiameter = 1e-3\n[excitation]",
+        "chain.impurity.0",
+    ),
+    "impurity as one table": ("[excitation]", "[chain.impurity]\ngrain = 3\n[excitation]", "chain.impurity"),
+    "chain file that is missing": ('material = "glass"\ndiameter = 1.0e-3', 'file = "none.csv"', "chain.file"),
+    "chain file that is a number": ('material = "glass"\ndiameter = 1.0e-3', "file = 3", "chain.file"),
+    "drive with nothing in it": (STRIKE, 'kind = "drive"', "excitation.amplitude"),
+    "drive of no frequency": (STRIKE, 'kind = "drive"\namplitude = 1e-9', "excitation.amplitude"),
+    "drive of both kinds": (
+        STRIKE,
+        'kind = "drive"\namplitude = 1e-9\nfrequency = 1e5\ntimes = [0.0, 1e-5]\ndisplacement = [0.0, 1e-9]',
+        "excitation.amplitude",
+    ),
+    "drive of frequency 0": (STRIKE, 'kind = "drive"\namplitude = 1e-9\nfrequency = 0.0', "excitation.frequency"),
+    "drive by NaN": (STRIKE, 'kind = "drive"\namplitude = nan\nfrequency = 1e5', "excitation.amplitude"),
+    "drive of another grain": (
+        STRIKE, 'kind = "drive"\namplitude = 1e-9\nfrequency = 1e5\ngrain = 2', "excitation.grain"
+    ),
+    "drive that ends too early": (
+        STRIKE, 'kind = "drive"\ntimes = [0.0, 9e-6]\ndisplacement = [0.0, 1e-9]', "excitation.times"
+    ),
+    "drive that begins too late": (
+        STRIKE, 'kind = "drive"\ntimes = [1e-6, 2e-5]\ndisplacement = [0.0, 1e-9]', "excitation.times"
+    ),
+    "drive that turns back in time": (
+        STRIKE, 'kind = "drive"\ntimes = [0.0, 2e-5, 1e-5]\ndisplacement = [0.0, 1e-9, 0.0]', "excitation.times"
+    ),
+    "drive that begins elsewhere": (
+        STRIKE, 'kind = "drive"\ntimes = [0.0, 2e-5]\ndisplacement = [1e-9, 1e-9]', "excitation.displacement"
+    ),
+    "drive by unequal columns": (
+        STRIKE, 'kind = "drive"\ntimes = [0.0, 2e-5]\ndisplacement = [0.0, 1e-9, 0.0]', "excitation.displacement"
+    ),
+    "drive by one point": (STRIKE, 'kind = "drive"\ntimes = [0.0]\ndisplacement = [0.0]', "excitation.displacement"),
+    "drive behind a wall": (
+        GOOD[GOOD.index("gravity") : GOOD.index("[recording]")],
+        'top = "wall"\n[excitation]\nkind = "drive"\namplitude = 1e-9\nfrequency = 1e5\n', "excitation.kind",
+    ),
+    "drive of one grain above a held one": (
+        GOOD[GOOD.index("grains") : GOOD.index("[recording]")],
+        'grains = 2\ndiameter = 1e-3\n[excitation]\nkind = "drive"\namplitude = 1e-9\nfrequency = 1e5\n',
+        "excitation.kind",
+    ),
+    "crushed by the drive": (STRIKE, 'kind = "drive"\namplitude = 1e-3\nfrequency = 1e6', "excitation.kind"),
+    "drive file that is missing": (STRIKE, 'kind = "drive"\nfile = "none.csv"', "excitation.file"),
 }  # fmt: skip
 
 
@@ -138,6 +246,32 @@ def test_all_faults_come_at_once(file: Path, capsys: pytest.CaptureFixture[str])
 def test_faults_between_sections_come_at_once(file: Path, capsys: pytest.CaptureFixture[str]):
     file.write_text(GOOD.replace("grain = 1\n", "grain = 21\n").replace("samples = 11", 'grains = "1:21"'))
     assert refused(file, capsys) == ["excitation.grain", "recording.grains"]
+
+
+def test_faults_of_walls_impurities_and_drives_come_at_once(file: Path, capsys: pytest.CaptureFixture[str]):
+    impurities = "[[chain.impurity]]\ngrain = 3\n[[chain.impurity]]\ngrain = 0\nmass = -1.0\ncolour = 1\n"
+    table = 'top = "wal"\ntop_material = "mud"\nbottom_material = {density = 1.0}\n' + impurities + "[excitation]"
+    drive = 'kind = "drive"\nfrequency = -1.0\ntimes = "all"\nvelocity = 1.0'
+    file.write_text(GOOD.replace("[excitation]", table).replace(STRIKE, drive).replace("samples = 11", "samples = 1"))
+    assert sorted(refused(file, capsys)) == [
+        "chain.bottom_material.poissons_ratio", "chain.bottom_material.youngs_modulus",
+        "chain.impurity.0.diameter", "chain.impurity.1.colour", "chain.impurity.1.grain", "chain.impurity.1.mass",
+        "chain.top", "chain.top_material",
+        "excitation.frequency", "excitation.times", "excitation.velocity", "recording.samples",
+    ]  # fmt: skip
+
+
+def test_what_does_not_fit_together_comes_at_once(file: Path, capsys: pytest.CaptureFixture[str]):
+    """Each value is right by itself: walls and their materials, impurities, a drive and how long it lasts."""
+    impurities = "".join(f"[[chain.impurity]]\ngrain = {n}\nmass = 1e-6\n" for n in (21, 4, 4))
+    table = 'top = "wall"\nbottom_material = "steel"\n' + impurities + "[excitation]"
+    drive = 'kind = "drive"\ntimes = [0.0, 9e-6]\ndisplacement = [0.0, 1e-9]'
+    recorded = 'samples = 11\ngrains = "20:21"'
+    file.write_text(GOOD.replace("[excitation]", table).replace(STRIKE, drive).replace("samples = 11", recorded))
+    assert refused(file, capsys) == [
+        "chain.impurity.0.grain", "chain.impurity.2.grain", "chain.bottom_material",
+        "excitation.kind", "excitation.times", "recording.grains",
+    ]  # fmt: skip
 
 
 def test_a_file_that_is_not_a_scene_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -203,18 +337,46 @@ CHAINS = {
         grains=4, material=Material(density=1.0, youngs_modulus=1e9, poissons_ratio=0.0, name="glass"), diameter=1e-3
     ),
     "free": Chain(grains=4, diameter=1e-3, gravity=0.0, bottom="free"),
+    "on a wall": Chain(grains=4, diameter=1e-3, bottom="wall", bottom_material=WATER),
+    "impurities": Chain(
+        grains=4, diameter=1e-3, top="free", bottom="wall", bottom_material="brass",
+        impurity=[
+            Impurity(grain=4, mass=1e-6 / 3), Impurity(grain=np.int64(1), diameter=np.float64(2e-3), material=WATER),
+            {"grain": 2, "material": "ptfe"},
+        ],
+    ),
+    "impurities beside own constants": Chain(
+        grains=4, diameter=1e-3, masses=[1e-6] * 4, contact_constants=[1e9] * 3, impurity=[Impurity(grain=2, mass=2e-6)]
+    ),
 }  # fmt: skip
+BETWEEN = {
+    "walls": Chain(grains=4, diameter=1e-3, top="wall", bottom="wall", top_load=1e-3 / 3, top_material=STEEL),
+    "a wall that just touches": Chain(grains=4, diameter=1e-3, top="wall", bottom="wall", top_material=WATER),
+    "wall and nothing": Chain(grains=4, diameter=1e-3, gravity=0.0, top="wall", bottom="free"),
+}
 EXCITATIONS = {
     "impulse": Impulse(velocity=np.float64(1 / 3) * 1e-3, grain=2),
     "displacement": Displacement(displacement=-1e-10 / 3, grain=np.int64(3)),
     "profile": Profile(displacement=np.array([1e-10, -1e-10 / 3, 0, 0])),
     "profile of both": Profile(displacement=[1e-10, 0, 0, 0], velocity=(0, 1e-6, 0.1e-6, 0)),
 }
+DRIVES = {
+    "sine": Drive(amplitude=-1e-10 / 3, frequency=np.float64(1e5) / 3),
+    "piston": Drive(times=[0, 1e-4], displacement=[0.0, 1e-9 / 3]),
+    "path": Drive(times=np.array([0, 1e-6 / 3, 2e-6, 4e-6]), displacement=(0, 1e-10, -1e-10 / 3, 0)),
+}
 RECORDED = {"all": "all", "range": "2:3", "list": [4, 1], "array": np.array([1, 3])}
 
 
-@pytest.mark.parametrize("chain", CHAINS.values(), ids=CHAINS)
-@pytest.mark.parametrize("excitation", EXCITATIONS.values(), ids=EXCITATIONS)
+PAIRS = {
+    f"{a}, {b}": (chain, excitation)
+    for chains, excitations in ((CHAINS, EXCITATIONS | DRIVES), (BETWEEN, EXCITATIONS))
+    for a, chain in chains.items()
+    for b, excitation in excitations.items()
+}
+
+
+@pytest.mark.parametrize(("chain", "excitation"), PAIRS.values(), ids=PAIRS)
 @pytest.mark.parametrize("grains", RECORDED.values(), ids=RECORDED)
 def test_what_is_written_is_read_back_equal(chain: Chain, excitation: Impulse, grains: str, file: Path):
     scene = Scene(chain=chain, excitation=excitation, duration=1e-5 / 3, samples=np.int64(7), grains=grains)
@@ -223,6 +385,7 @@ def test_what_is_written_is_read_back_equal(chain: Chain, excitation: Impulse, g
     assert again == scene
     assert np.array_equal(again.chain.masses, chain.masses)
     assert np.array_equal(again.chain.contact_constants, chain.contact_constants)
+    assert np.array_equal(again.chain.wall_constants, chain.wall_constants)
     assert np.array_equal(again.recorded, scene.recorded)
     again.to_toml(file.with_name("again.toml"))
     assert file.with_name("again.toml").read_bytes() == file.read_bytes()
@@ -233,7 +396,9 @@ def test_a_changed_number_makes_another_scene(file: Path):
     scene = Scene.from_toml(file)
     changes = [
         ("9.81", "9.80"), ("8.57e-4", "8.58e-4"), ("10e-6", "11e-6"), ("= 11", "= 12"), ('"glass"', '"steel"'),
-        ("samples = 11", "samples = 11\ngrains = [1]"),
+        ("samples = 11", "samples = 11\ngrains = [1]"), ("gravity", 'top = "wall"\ngravity'),
+        ("gravity", 'bottom = "wall"\ngravity'), ("gravity", "impurity = [{grain = 3, mass = 1e-6}]\ngravity"),
+        (STRIKE, 'kind = "drive"\namplitude = 1e-9\nfrequency = 1e5'),
     ]  # fmt: skip
     for old, new in changes:
         file.write_text(GOOD.replace(old, new))
@@ -245,14 +410,102 @@ def test_a_profile_is_read_from_a_csv_file(file: Path):
     u[-1] = v[-1] = 0
     rows = [f"{n},{float(a)!r},{float(b)!r}" for n, a, b in zip(range(1, 21), u, v, strict=True)]
     (file.parent / "profile.csv").write_text("\n".join(["grain,displacement,velocity", *rows]) + "\n")
-    old = 'kind = "impulse"\ngrain = 1\nvelocity = 8.57e-4'
-    file.write_text(GOOD.replace(old, 'kind = "profile"\nfile = "profile.csv"'))
+    file.write_text(GOOD.replace(STRIKE, 'kind = "profile"\nfile = "profile.csv"'))
     scene = Scene.from_toml(file)
     assert scene.excitation == Profile(displacement=u, velocity=v)
     scene.to_toml(file)  # now without the CSV file
     assert Scene.from_toml(file) == scene
     (file.parent / "profile.csv").unlink()
     assert Scene.from_toml(file) == scene
+
+
+def test_a_chain_is_read_from_a_csv_file(file: Path):
+    table = file.with_name("grains.csv")
+    table.write_text("grain, material, diameter\n1,glass,1e-3\n2,steel,2e-3\n3,ptfe,1.5e-3\n4,glass,1e-3\n")
+    with_file = GOOD.replace('grains = 20\nmaterial = "glass"\ndiameter = 1.0e-3', 'file = "grains.csv"')
+    odd = "[[chain.impurity]]\ngrain = 2\nmass = 1e-5\n[excitation]"
+    file.write_text(with_file.replace("[excitation]", odd).replace("gravity", 'bottom = "wall"\ngravity'))
+    scene = Scene.from_toml(file)
+    expected = Chain(
+        grains=4, material=[GLASS, STEEL, PTFE, GLASS], diameter=[1e-3, 2e-3, 1.5e-3, 1e-3], bottom="wall",
+        impurity=[Impurity(grain=2, mass=1e-5)], gravity=9.81,
+    )  # fmt: skip
+    assert scene.chain == expected
+    assert np.array_equal(scene.chain.masses, expected.masses)
+    scene.to_toml(file)  # now without the CSV file
+    table.unlink()
+    assert Scene.from_toml(file) == scene
+
+
+def test_a_chain_file_may_hold_masses_and_leave_out_materials(file: Path):
+    table = file.with_name("grains.csv")
+    table.write_text("\ufeffdiameter,mass\n1e-3,1e-6\n\n2e-3,2e-6\n1e-3,3e-6\n", encoding="utf-8")
+    with_file = GOOD.replace('grains = 20\nmaterial = "glass"\ndiameter = 1.0e-3', 'grains = 3\nfile = "grains.csv"')
+    file.write_text(with_file.replace("gravity", 'material = "ptfe"\ngravity'))
+    chain = Scene.from_toml(file).chain
+    assert chain == Chain(grains=3, material=PTFE, diameter=[1e-3, 2e-3, 1e-3], masses=[1e-6, 2e-6, 3e-6], gravity=9.81)
+    assert chain.masses.tolist() == [1e-6, 2e-6, 3e-6]
+
+
+CHAIN_FILES = {  # what the file holds, what the table adds, and the key that must be named
+    "no diameters": ("material,mass\nglass,1e-6\nglass,1e-6\n", "", "chain.file"),
+    "unknown column": ("diameter,colour\n1e-3,1\n1e-3,2\n", "", "chain.file"),
+    "column twice": ("diameter,diameter\n1e-3,1e-3\n1e-3,1e-3\n", "", "chain.file"),
+    "header only": ("diameter\n", "", "chain.file"),
+    "empty": ("", "", "chain.file"),
+    "ragged": ("diameter,mass\n1e-3\n1e-3,1e-6\n", "", "chain.file"),
+    "word for a diameter": ("diameter\nsmall\n1e-3\n", "", "chain.file"),
+    "grains out of order": ("grain,diameter\n2,1e-3\n1,1e-3\n", "", "chain.file"),
+    "no diameter": ("diameter\n0\n1e-3\n", "", "chain.diameter"),
+    "negative mass": ("diameter,mass\n1e-3,1e-6\n1e-3,-1e-6\n", "", "chain.masses"),
+    "material that is not known": ("diameter,material\n1e-3,glass\n1e-3,mud\n", "", "chain.material"),
+    "one row": ("diameter\n1e-3\n", "", "chain.grains"),
+    "diameter in both": ("diameter\n1e-3\n1e-3\n", "diameter = 1e-3\n", "chain.diameter"),
+    "material in both": ("diameter,material\n1e-3,glass\n1e-3,glass\n", 'material = "glass"\n', "chain.material"),
+    "mass in both": ("diameter,mass\n1e-3,1e-6\n1e-3,1e-6\n", "masses = [1e-6, 1e-6]\n", "chain.mass"),
+    "another number of grains": ("diameter\n1e-3\n1e-3\n", "grains = 3\n", "chain.diameter"),
+}
+
+
+@pytest.mark.parametrize(("text", "more", "key"), CHAIN_FILES.values(), ids=CHAIN_FILES)
+def test_a_faulty_chain_file_is_refused(text: str, more: str, key: str, file: Path, capsys: pytest.CaptureFixture[str]):
+    file.with_name("grains.csv").write_text(text)
+    file.write_text(GOOD.replace('grains = 20\nmaterial = "glass"\ndiameter = 1.0e-3', f'file = "grains.csv"\n{more}'))
+    assert key in refused(file, capsys)
+
+
+def test_a_drive_is_read_from_a_csv_file(file: Path):
+    times, u = np.arange(12) * 1e-6, np.sin(np.arange(12.0)) * 1e-9
+    rows = [f"{float(a)!r},{float(b)!r}" for a, b in zip(times, u, strict=True)]
+    table = file.with_name("drive.csv")
+    table.write_text("\n".join(["time,displacement", *rows]) + "\n")
+    file.write_text(GOOD.replace(STRIKE, 'kind = "drive"\nfile = "drive.csv"'))
+    scene = Scene.from_toml(file)
+    assert scene.excitation == Drive(times=times, displacement=u)
+    scene.to_toml(file)  # now without the CSV file
+    table.unlink()
+    assert Scene.from_toml(file) == scene
+
+
+DRIVE_FILES = {
+    "empty": ("", "excitation.file"),
+    "wrong header": ("t,u\n0,0\n1e-5,1e-9\n", "excitation.file"),
+    "grains in a drive": ("grain,time,displacement\n1,0,0\n2,1e-5,0\n", "excitation.file"),
+    "words": ("time,displacement\n0,0\nlater,1e-9\n", "excitation.file"),
+    "no displacement": ("time\n0\n1e-5\n", "excitation.amplitude"),
+    "no time": ("displacement\n0\n1e-9\n", "excitation.amplitude"),
+    "NaN": ("time,displacement\n0,0\n1e-5,nan\n", "excitation.displacement"),
+    "too short": ("time,displacement\n0,0\n9e-6,1e-9\n", "excitation.times"),
+    "backwards": ("time,displacement\n0,0\n2e-5,1e-9\n1e-5,0\n", "excitation.times"),
+    "not from 0": ("time,displacement\n0,1e-9\n2e-5,0\n", "excitation.displacement"),
+}
+
+
+@pytest.mark.parametrize(("text", "key"), DRIVE_FILES.values(), ids=DRIVE_FILES)
+def test_a_faulty_drive_file_is_refused(text: str, key: str, file: Path, capsys: pytest.CaptureFixture[str]):
+    file.with_name("drive.csv").write_text(text)
+    file.write_text(GOOD.replace(STRIKE, 'kind = "drive"\nfile = "drive.csv"'))
+    assert refused(file, capsys) == [key]
 
 
 CSV = {
@@ -271,8 +524,7 @@ CSV = {
 @pytest.mark.parametrize("text", CSV.values(), ids=CSV)
 def test_a_faulty_csv_file_is_refused(text: str, file: Path, capsys: pytest.CaptureFixture[str]):
     (file.parent / "profile.csv").write_text(text)
-    old = 'kind = "impulse"\ngrain = 1\nvelocity = 8.57e-4'
-    file.write_text(GOOD.replace(old, 'kind = "profile"\nfile = "profile.csv"'))
+    file.write_text(GOOD.replace(STRIKE, 'kind = "profile"\nfile = "profile.csv"'))
     assert refused(file, capsys)[0].startswith("excitation.")
 
 
@@ -284,6 +536,16 @@ def test_python_finds_the_same_faults_as_a_file():
     with pytest.raises(InputError) as caught:
         Scene(chain=chain, excitation=Impulse(velocity=1e-3, grain=3), duration=1e-6, grains=[4])
     assert {key for key, _ in caught.value.faults} == {"grain", "grains"}
+
+
+def test_python_finds_the_same_faults_in_a_drive_as_a_file():
+    chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top="wall")
+    with pytest.raises(InputError) as caught:
+        Scene(chain=chain, excitation=Drive(times=[0, 1e-6], displacement=[0, 1e-9]), duration=1e-5, grains=[4])
+    assert [key for key, _ in caught.value.faults] == ["kind", "kind", "times", "grains"]
+    with pytest.raises(InputError) as caught:
+        Drive(times=[1e-6, 0], displacement=[1e-9, 0])
+    assert [key for key, _ in caught.value.faults] == ["times", "displacement"]
 
 
 def test_a_scene_cannot_be_changed_once_it_is_checked():

@@ -81,7 +81,7 @@ class LockstepRun(Run):
         self.realisations = len(scenes)
         self._energy = np.array([scene.energy for scene in scenes])
         self._at_rest = [scene.at_rest for scene in scenes]
-        self._kinked = any(scene.drive is not None and not scene.drive.smooth for scene in scenes)
+        self._kinked = [scene.drive is not None and not scene.drive.smooth for scene in scenes]
         self._masses = np.array([scene.chain.masses for scene in scenes])
         # the energy of the contacts is never below that at rest, so the kinetic energy cannot exceed what was put in
         self._scale = np.array([(c.length_scale, c.length_scale / c.time_scale) for c in (s.chain for s in scenes)])
@@ -173,7 +173,7 @@ class LockstepRun(Run):
         relative = np.where(np.isnan(relative), np.inf, relative)
         order = self.splitting.order
         lowest = min(stepper.lowest()[real] for stepper, _ in self._steppers)
-        smooth = order == 2 or (lowest > CLOSE_TO_OPENING and not self._kinked)
+        smooth = order == 2 or (lowest > CLOSE_TO_OPENING and not self._kinked[real])
         first, second = relative[-2].max(0), relative[-1].max(0)
         if self._finer:
             truncation = (first + second + extrapolate(order, smooth, first, second)).max()

@@ -108,7 +108,7 @@ def _watch(x, inverse_length, strength, seen):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=STRICT)
 def advance(
-    x, v, seen, inverse_length, strength, loose, inverse_mass, first, last, form, delta, kicks, drifts, steps, driven
+    x, v, seen, inverse_length, strength, loose, inverse_mass, first, last, forms, delta, kicks, drifts, steps, driven
 ):
     """Advance every realisation by `steps` steps of a kick-drift splitting, in place.
 
@@ -124,7 +124,8 @@ def advance(
     loose : (R,) array, N/m^delta; see `contact_forces`
     inverse_mass : (R, N+2) array, 1/kg
     first, last : bodies first ... last-1 move freely
-    form, delta : the form of the force and its exponent
+    forms : (R,) array, the form of the force of each
+    delta : its exponent
     kicks, drifts : (S+1,) and (S,) arrays, b_i h and a_i h, s
     driven : (R, steps S + 1) array, where body 1 is at each evaluation of the force, m; (R, 0) if it is free
     """
@@ -138,12 +139,12 @@ def advance(
             for stage in range(stages):
                 if path.size > 0:
                     y[1] = path[step * stages + stage]
-                contact_forces(force, y, il, st, loose[real], form, delta)
+                contact_forces(force, y, il, st, loose[real], forms[real], delta)
                 _kick_and_drift(y, w, force, im, first, last, end, kicks[stage], drifts[stage])
                 end = 0.0
             if stages > 1 or path.size > 0:
                 _watch(y, il, st, seen[real])
         if path.size > 0:
             y[1] = path[steps * stages]
-        contact_forces(force, y, il, st, loose[real], form, delta)
+        contact_forces(force, y, il, st, loose[real], forms[real], delta)
         _kick_and_drift(y, w, force, im, first, last, kicks[stages], 0.0, 0.0)

@@ -28,8 +28,7 @@ class NativeStepper:
         self._shares = [slice(i * len(scenes) // shares, (i + 1) * len(scenes) // shares) for i in range(shares)]
         self._pool = ThreadPoolExecutor(shares) if shares > 1 else None
         self._drives = [scene.drive for scene in scenes if scene.drive]
-        forms = {force_form(scene) for scene in scenes}
-        self.form = forms.pop() if len(forms) == 1 else kernels.CORRECTED
+        self._forms = np.array([force_form(scene) for scene in scenes])
         chains = [scene.chain for scene in scenes]
         self._delta = chains[0].exponent
         self._first, self._last = 2 if self._drives else 1, chains[0].movable + 1
@@ -37,7 +36,7 @@ class NativeStepper:
         overlap, force, constant = (
             np.array([getattr(c, k) for c in contacts]) for k in ("overlap", "force", "constant")
         )
-        if self.form == kernels.VACUUM:
+        if not chains[0].compressed:
             self._inverse_length, self._strength, self._loose = np.ones_like(constant), constant, np.zeros(len(chains))
         else:
             self._inverse_length = np.divide(1.0, overlap, out=np.zeros_like(overlap), where=overlap > 0)
@@ -91,7 +90,7 @@ class NativeStepper:
             self._inverse_mass[share],
             self._first,
             self._last,
-            self.form,
+            self._forms[share],
             self._delta,
             self._kicks,
             self._drifts,
@@ -101,7 +100,7 @@ class NativeStepper:
 
     def lowest(self) -> Array:
         """Return the smallest r / eps that any contact of each chain has had, (R,); -1 is an opening."""
-        open_at_rest = (self._loose > 0) | (self.form == kernels.VACUUM)
+        open_at_rest = (self._loose > 0) | (self._forms == kernels.VACUUM)
         return np.where(open_at_rest, -1.0, self._seen[:, 0])
 
     def closest(self) -> Array:
