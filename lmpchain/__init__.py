@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from . import engines as engines
+    from . import measure as measure
     from . import patterns as patterns
+    from . import theory as theory
     from .chain import Chain as Chain
     from .chain import Impurity as Impurity
     from .doctor import diagnose as diagnose
@@ -41,7 +43,7 @@ _WHERE = {
     "errors": "LmpchainError InputError ToleranceNotMet RunFailed EngineUnavailable",
 }
 _MODULE = {name: module for module, names in _WHERE.items() for name in names.split()}
-_SUBMODULES = ("engines", "patterns")
+_SUBMODULES = ("engines", "measure", "patterns", "theory")
 __all__ = [*_SUBMODULES, *_MODULE]
 
 

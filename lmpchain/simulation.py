@@ -88,10 +88,13 @@ def simulate(
         grains=scene.recorded,
         displacement=displacement,
         velocity=velocity,
-        error_estimate=ErrorEstimate(outcome.candidate.model_error, outcome.error.total),
+        error_estimate=ErrorEstimate(outcome.error.model, outcome.error.total),
         cost=outcome.cost,
         provenance=_versions() | chosen.describe(scene, outcome.candidate),
     )
+    if outcome.error.model > tolerance:
+        left_out = f"Eq. ({chosen.equation}) leaves out about {outcome.error.model:.2g} of the answer"
+        warnings.warn(f"{left_out}, more than {tolerance:g}. {outcome.error.remark}".rstrip(". "), stacklevel=2)
     if outcome.missed and on_miss == "raise":
         raise ToleranceNotMet(outcome.missed, trajectory)
     if outcome.missed:

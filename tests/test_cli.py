@@ -59,7 +59,7 @@ def keys(said: Any) -> list[str]:
 # --- help
 
 
-@pytest.mark.parametrize("command", [[], ["run"], ["compare"], ["deck"]])
+@pytest.mark.parametrize("command", [[], ["run"], ["compare"], ["deck"], ["doctor"]])
 def test_help(command: list[str], capsys: pytest.CaptureFixture[str]):
     assert main([*command, "--help"]) == 0
     said = capsys.readouterr()
@@ -297,9 +297,9 @@ def test_compare(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert said.err == ""
     assert "DOP853" in said.out
     rows = json.loads(numbers.read_text())["rows"]
-    assert [row["engine"] for row in rows] == ["lammps", "native"]
+    assert [row["engine"] for row in rows] == ["lammps", "native", "modes", "chebyshev"]
     for row in rows:
-        assert row["error"] <= 1e-6
+        assert row["error"] <= (1e-6 if row["equation"] == 1 else 1)
         assert row["error"] == max(row["error_displacement"], row["error_velocity"])
         assert f"{row['error']:.2e}" in said.out
     assert picture.read_bytes().startswith(b"\x89PNG")
@@ -323,7 +323,10 @@ def test_compare_leaves_out_an_engine_that_refuses(scene: Path, tmp_path: Path, 
     scene.write_text(SCENE.replace("diameter", "exponent = 2.0\ndiameter"))
     assert main(["compare", str(scene), "--json", str(tmp_path / "c.json")]) == 0
     assert "left out: lammps: " in capsys.readouterr().out
-    assert [row["engine"] for row in json.loads((tmp_path / "c.json").read_text())["rows"]] == ["native"]
+    rows = json.loads((tmp_path / "c.json").read_text())["rows"]
+    assert [row["engine"] for row in rows] == ["native", "modes", "chebyshev"]
+    assert [row["equation"] for row in rows] == [1, 3, 3]
+    assert all(row["error"] / 3 < row["expected_error"] < 3 * row["error"] for row in rows[1:])
     assert main(["compare", str(scene), "--engines", "lammps"]) == 2
     assert keys(capsys.readouterr()) == ["exponent"]
 
@@ -338,7 +341,7 @@ def test_compare_with_an_engine_that_fails(
         raise ToleranceNotMet("missed", answer)
 
     monkeypatch.setattr("lmpchain.simulation.simulate", simulated)
-    assert main(["compare", str(scene), "--json", str(tmp_path / "c.json")]) == 1
+    assert main(["compare", str(scene), "--engines", "lammps,native", "--json", str(tmp_path / "c.json")]) == 1
     said = capsys.readouterr()
     assert said.err.splitlines() == ["error: lammps: LAMMPS is not here", "error: native: missed"]
     assert [row["engine"] for row in json.loads((tmp_path / "c.json").read_text())["rows"]] == ["native"]

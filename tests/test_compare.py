@@ -48,8 +48,8 @@ def test_the_reference_is_as_good_as_it_says(scene: Scene):
 def test_the_reference_starts_where_the_scene_does():
     start = Profile(displacement=[1e-10, -1e-10, 0], velocity=[0, 1e-5, 0])
     truth = reference(Scene(chain=Chain(grains=3, diameter=1e-3), excitation=start, duration=1e-6, samples=2))
-    assert truth.displacement[0] == pytest.approx([1e-10, -1e-10, 0], rel=1e-15)
-    assert truth.velocity[0] == pytest.approx([0, 1e-5, 0], rel=1e-15)
+    assert truth.displacement[0] == pytest.approx([1e-10, -1e-10, 0], rel=1e-15, abs=0)
+    assert truth.velocity[0] == pytest.approx([0, 1e-5, 0], rel=1e-15, abs=0)
     assert not truth.displacement[:, 2].any()
 
 
@@ -110,9 +110,9 @@ def test_the_error_is_the_larger_of_both_and_relative_to_the_largest_of_all():
     answer, truth = made_up()
     answer.displacement[1, 0] += 0.4
     answer.velocity[2, 1] -= 2.0
-    assert errors(answer, truth) == pytest.approx((0.1, 0.05), rel=1e-14)
-    assert error(answer, truth) == pytest.approx(0.1, rel=1e-14)
-    assert error_over_time(answer, truth) == pytest.approx([0, 0.1, 0.05], rel=1e-14)
+    assert errors(answer, truth) == pytest.approx((0.1, 0.05), rel=1e-14, abs=0)
+    assert error(answer, truth) == pytest.approx(0.1, rel=1e-14, abs=0)
+    assert error_over_time(answer, truth) == pytest.approx([0, 0.1, 0.05], rel=1e-14, abs=0)
 
 
 def test_recorded_grains_are_matched_and_the_whole_chain_is_the_measure():
@@ -120,7 +120,7 @@ def test_recorded_grains_are_matched_and_the_whole_chain_is_the_measure():
     assert answer.displacement[0].tolist() == [2, 1]
     assert errors(answer, truth) == (0.0, 0.0)
     answer.displacement[0, 1] += 0.4  # grain 1, and 4 is the largest displacement, of grain 3
-    assert errors(answer, truth)[0] == pytest.approx(0.1, rel=1e-14)
+    assert errors(answer, truth)[0] == pytest.approx(0.1, rel=1e-14, abs=0)
 
 
 def test_what_is_not_a_number_stays_visible():

@@ -80,12 +80,12 @@ import lmpchain
 chain = lmpchain.Chain(grains=10, material="steel", diameter=1e-3)
 scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-4), duration=1e-5, samples=3)
 for engine in lmpchain.engines.names():
-    lmpchain.simulate(scene, engine).save(engine + ".nc")
+    lmpchain.simulate(scene, engine, 0.9).save(engine + ".nc")
 print(lmpchain.__file__)
 """
     printed = python("-c", script, cwd=tmp_path, PYTHONPATH=str(tmp_path / "site"))
     assert printed.strip().startswith(str(tmp_path / "site"))
-    assert {path.name for path in tmp_path.glob("*.nc")} == {"lammps.nc", "native.nc"}
+    assert {path.name for path in tmp_path.glob("*.nc")} == {"lammps.nc", "native.nc", "modes.nc", "chebyshev.nc"}
 
 
 def test_import_is_light():

@@ -11,9 +11,16 @@ from .base import Engine
 
 if TYPE_CHECKING:
     from .lammps.engine import Lammps as Lammps
+    from .linear import Chebyshev as Chebyshev
+    from .linear import Modes as Modes
     from .native.engine import Native as Native
 
-_WHERE = {"lammps": ("lammps.engine", "Lammps"), "native": ("native.engine", "Native")}
+_WHERE = {
+    "lammps": ("lammps.engine", "Lammps"),
+    "native": ("native.engine", "Native"),
+    "modes": ("linear", "Modes"),
+    "chebyshev": ("linear", "Chebyshev"),
+}
 
 
 def names() -> tuple[str, ...]:
@@ -22,7 +29,7 @@ def names() -> tuple[str, ...]:
     Examples
     --------
     >>> names()
-    ('lammps', 'native')
+    ('lammps', 'native', 'modes', 'chebyshev')
     """
     return tuple(_WHERE)
 

@@ -64,6 +64,10 @@ class SolverError:
         Largest relative difference between runs at two steps, sample by sample.
     time : (T,) array
         s.
+    model : float
+        Estimated error of the equation itself, where it is not Eq. (1).
+    remark : str
+        Why the equation does not hold here, if it is known not to.
     """
 
     truncation: float
@@ -71,6 +75,8 @@ class SolverError:
     smooth: bool
     differences: Array
     time: Array
+    model: float = 0.0
+    remark: str = ""
 
     @property
     def total(self) -> float:

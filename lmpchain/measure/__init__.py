@@ -1,1 +1,6 @@
 """What one reads off a trajectory: pure functions of arrays, which never run an engine."""
+
+from ..lazy import submodules
+
+__all__ = ["compare", "contact", "energy", "front", "spectrum"]  # noqa: F822
+__getattr__ = submodules(__name__, __all__)

@@ -1,0 +1,283 @@
+"""Exact solutions of the linearised chain, Eq. (3): by eigenmodes, or by Chebyshev polynomials."""
+
+from __future__ import annotations
+
+import time
+from abc import abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import repeat
+from typing import ClassVar, Protocol
+
+import numpy as np
+
+from ..fields import Array
+from ..scene import Scene
+from ..theory.modes import between
+from .base import Block, Candidate, Cost, Engine, Run, SolverError
+from .chebyshev import Propagator, terms
+from .nonlinearity import Nonlinearity, expected, looks
+
+EPSILON = float(np.finfo(float).eps)
+BLOCK = 16  # samples a block, if so many fit
+BLOCK_VALUES = 2**22
+MOST_MODES = 12_000  # 1.2 GB of eigenvectors
+
+
+class LinearEngine(Engine):
+    """An engine for the linearised chain, to round-off; how much linearising leaves out is its model error."""
+
+    equation: ClassVar[int] = 3
+
+    def refuses(self, scene: Scene) -> list[tuple[str, str]]:
+        """Return why there is no linear theory of this scene."""
+        contacts, found = scene.chain.contacts, []
+        if not scene.chain.compressed:
+            found.append(("gravity", "without gravity and load nothing can be linearised; use the engine native"))
+        elif (contacts.exists & ~contacts.pressed).any():
+            found.append(("top", "a wall that only touches cannot be linearised; give a top_load or use native"))
+        if scene.drive and scene.drive.times is not None:
+            found.append(("excitation", "linear engines know harmonic drives only; use the engine native"))
+        return found
+
+    def candidate(self, scene: Scene, tolerance: float) -> Candidate:
+        """Propose the one way there is."""
+        step = scene.duration / (scene.samples - 1)
+        return Candidate(1, step, False, scene.chain.grains, expected(scene), self.round_off(scene), self._cost(scene))
+
+    def round_off(self, scene: Scene) -> float:
+        """Return the relative error that rounding makes: that of the frequencies, times the periods."""
+        return EPSILON * (10 + scene.chain.band_edge * scene.duration)
+
+    @abstractmethod
+    def _cost(self, scene: Scene) -> float:
+        """Return the expected time, s."""
+
+    def refine(self, candidate: Candidate, error: SolverError | None, tolerance: float) -> None:
+        """Nothing can be better than round-off."""
+        return None
+
+    def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
+        """There is nothing to choose."""
+        return {}
+
+
+class Chebyshev(LinearEngine):
+    """Sum the exact propagator in Chebyshev polynomials, Eq. (19); only grains within the light cone cost anything."""
+
+    name: ClassVar[str] = "chebyshev"
+
+    def _cost(self, scene: Scene) -> float:
+        z = scene.chain.band_edge * scene.duration
+        return 1e-9 * (terms(z / (scene.samples - 1)) * (scene.samples - 1)) * min(scene.chain.grains, 2 * z + 50)
+
+    def start(
+        self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array] | None = None
+    ) -> LinearRun:
+        """Start one scene, or a batch of scenes recorded alike."""
+        return LinearRun(self, _Chebyshev, scenes, state or {})
+
+
+class Modes(LinearEngine):
+    """Sum the eigenmodes, Eqs. (14)-(16); one diagonalisation, whatever the number of samples."""
+
+    name: ClassVar[str] = "modes"
+
+    def refuses(self, scene: Scene) -> list[tuple[str, str]]:
+        """Return why there is no linear theory of this scene, or no room for its modes."""
+        found = super().refuses(scene)
+        if scene.chain.grains > MOST_MODES:
+            found.append(("grains", f"eigenvectors of more than {MOST_MODES} grains do not fit; use chebyshev"))
+        return found
+
+    def round_off(self, scene: Scene) -> float:
+        """Return the relative error that rounding makes; eigenvectors have their part in it."""
+        return super().round_off(scene) + EPSILON * 4 * scene.chain.grains
+
+    def _cost(self, scene: Scene) -> float:
+        grains = scene.chain.grains
+        return 2e-7 * grains**2 + 1e-10 * grains**3 + 4e-11 * grains**2 * scene.samples
+
+    def start(
+        self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array] | None = None
+    ) -> LinearRun:
+        """Start one scene, or a batch of scenes recorded alike."""
+        return LinearRun(self, _Modes, scenes, state or {})
+
+
+class Solution(Protocol):
+    """The solution of one linear chain."""
+
+    work: int  # applications of the chain's matrix so far, or modes
+
+    def at(self, times: Sequence[float]) -> Iterator[tuple[Array, Array, int]]:
+        """Yield displacement and velocity at these times, later and later ones, of the grains that may move.
+
+        They are those of grains first, first + 1 ..., counted from 0; `first` comes with them.
+        """
+
+    def state(self) -> dict[str, Array]:
+        """Return what is needed to go on with the same bits."""
+
+
+class LinearRun(Run):
+    """Samples of linear solutions, whichever way they are found."""
+
+    def __init__(
+        self,
+        engine: LinearEngine,
+        solve: Callable[[Scene, Mapping[str, Array]], Solution],
+        scenes: Sequence[Scene],
+        state: Mapping[str, Array],
+    ):
+        began = time.perf_counter()
+        if len({(s.chain.grains, s.samples, s.duration, s.grains) for s in scenes}) != 1:
+            raise ValueError("a batch needs chains of one length, recorded alike")
+        self._engine, self._scene = engine, scenes[0]
+        self._sample = int(state.get("sample", 0))
+        self._nonlinearity = [Nonlinearity(scene, state.get(f"{i}.seen")) for i, scene in enumerate(scenes)]
+        self._solutions = [
+            solve(scene, {key: state[f"{i}.{key}"] for key in ("u", "v", "time") if f"{i}.{key}" in state})
+            for i, scene in enumerate(scenes)
+        ]
+        self._columns = self._scene.recorded - 1
+        self._looks = [looks(scene) for scene in scenes]
+        self._integration_s = 0.0
+        self._setup_s = time.perf_counter() - began
+
+    def blocks(self) -> Iterator[Block]:
+        """Yield the answer."""
+        times, size = self._scene.time, max(1, min(BLOCK, BLOCK_VALUES // self._columns.size))
+        while self._sample < self._scene.samples:
+            began = time.perf_counter()
+            here = slice(self._sample, min(self._sample + size, self._scene.samples))
+            before = times[self._sample - 1] if self._sample else -1.0
+            shape = (len(self._solutions), here.stop - here.start, self._columns.size)
+            block = Block(here, np.zeros(shape), np.zeros(shape))
+            for real, (solution, found) in enumerate(zip(self._solutions, self._nonlinearity, strict=True)):
+                extra = self._looks[real]
+                moments = np.union1d(times[here], extra[(extra > before) & (extra < times[here.stop - 1])])
+                wanted = np.isin(moments, times[here])
+                place = 0
+                for moment, keep, (u, v, first) in zip(moments, wanted, solution.at(moments), strict=True):
+                    found.see(float(moment), u, v, first, bool(keep))
+                    if keep:
+                        moving = (self._columns >= first) & (self._columns < first + u.size)
+                        block.displacement[real, place, moving] = u[self._columns[moving] - first]
+                        block.velocity[real, place, moving] = v[self._columns[moving] - first]
+                        place += 1
+            self._sample = here.stop
+            self._integration_s += time.perf_counter() - began
+            yield block
+
+    @property
+    def progress(self) -> float:
+        """Part of the samples done."""
+        return self._sample / self._scene.samples
+
+    def errors(self) -> list[SolverError]:
+        """Return round-off, and what linearising leaves out."""
+        differences = np.zeros(self._scene.samples)
+        roundoff = self._engine.round_off(self._scene)
+        return [
+            SolverError(0.0, roundoff, True, differences, self._scene.time, found.error, found.remark)
+            for found in self._nonlinearity
+        ]
+
+    def cost(self) -> Cost:
+        """Return what it has cost so far."""
+        return Cost(
+            integration_s=self._integration_s,
+            estimate_s=0.0,
+            setup_s=self._setup_s,
+            steps=self._scene.samples - 1,
+            force_evaluations=sum(solution.work for solution in self._solutions),
+            active_grains=self._scene.chain.grains,
+            integrator=self._engine.name,
+            step_s=self._scene.duration / (self._scene.samples - 1),
+            ranks=1,
+        )
+
+    def state(self) -> dict[str, Array]:
+        """Return what `start` needs to go on from the last sample with the same bits."""
+        kept = {"sample": np.array(self._sample)}
+        for i, (solution, found) in enumerate(zip(self._solutions, self._nonlinearity, strict=True)):
+            kept |= {f"{i}.seen": found.memory.copy()} | {
+                f"{i}.{key}": value for key, value in solution.state().items()
+            }
+        return kept
+
+    def close(self) -> None:
+        """There is nothing to release."""
+
+
+class _Chebyshev:
+    """The propagator, from one time to the next."""
+
+    def __init__(self, scene: Scene, state: Mapping[str, Array]):
+        chain = scene.chain
+        mobility = 1 / chain.masses
+        mobility[chain.movable :] = 0.0
+        if scene.drive:
+            mobility[0] = 0.0
+        u, v = (np.array(state[key]) for key in "uv") if state else scene.initial()
+        oscillator = 2 * np.pi * scene.drive.frequency if scene.drive else 0.0
+        self._chain = Propagator(chain.contacts.stiffness, mobility, oscillator, u, v)
+        self._time = float(state.get("time", 0.0))
+
+    @property
+    def work(self) -> int:
+        """Polynomials so far."""
+        return self._chain.terms
+
+    def at(self, times: Sequence[float]) -> Iterator[tuple[Array, Array, int]]:
+        """Yield the solution at these times."""
+        for moment in times:
+            if moment > self._time:
+                self._chain.advance(moment - self._time)
+                self._time = moment
+            here = slice(self._chain.first, self._chain.last)
+            yield self._chain.u[here], self._chain.v[here], self._chain.first
+
+    def state(self) -> dict[str, Array]:
+        """Return displacement and velocity, and when they were so."""
+        return {"u": self._chain.u.copy(), "v": self._chain.v.copy(), "time": np.array(self._time)}
+
+
+class _Modes:
+    """The sum over eigenmodes, and what a harmonic drive forces on each."""
+
+    def __init__(self, scene: Scene, _: Mapping[str, Array]):
+        chain, drive = scene.chain, scene.drive
+        first, last = 1 if drive else 0, chain.movable
+        self._modes = between(chain.contacts.stiffness[first : last + 1], chain.masses[first:last])
+        u, v = scene.initial()
+        self._initial = u[first:last], v[first:last]
+        self._drive, self._pull = drive, chain.contacts.stiffness[first] * self._modes.shape[0]
+        self._held = chain.grains - last
+        self.work = self._modes.frequency.size
+
+    def at(self, times: Sequence[float]) -> Iterator[tuple[Array, Array, int]]:
+        """Yield the solution at these times, found for all of them at once."""
+        moments = np.asarray(times)
+        u, v = self._modes.response(moments, *self._initial)
+        top = np.empty((2, moments.size, 0))
+        if self._drive:
+            forced = self._forced(moments[:, None])
+            u, v = u + forced[0] @ self._modes.shape.T, v + forced[1] @ self._modes.shape.T
+            top = np.array(self._drive.motion(moments))[..., None]
+        rest = np.zeros((moments.size, self._held))
+        yield from zip(np.hstack((top[0], u, rest)), np.hstack((top[1], v, rest)), repeat(0), strict=False)
+
+    def _forced(self, t: Array) -> tuple[Array, Array]:
+        """Return ``q'' + w^2 q = f sin(W t)`` from rest, (T, M), in a form that holds at resonance, w = W."""
+        assert self._drive
+        w, drive = self._modes.frequency, 2 * np.pi * self._drive.frequency
+        mean, half = (w + drive) / 2, (w - drive) / 2
+        beat = t * np.sinc(half * t / np.pi)  # sin(half t) / half
+        f = self._pull * self._drive.amplitude / (2 * mean)
+        q = f / w * (np.sin(mean * t) * np.cos(half * t) - mean * np.cos(mean * t) * beat)
+        return q, f * drive * np.sin(mean * t) * beat
+
+    def state(self) -> dict[str, Array]:
+        """Any time follows from the modes."""
+        return {}

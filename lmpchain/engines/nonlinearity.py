@@ -1,0 +1,94 @@
+"""How much is left out by linearising Eq. (1), from the overlaps along the linear solution.
+
+A compressed contact is stiffer than one at rest: a wave of strain s, the change of the overlap over the overlap at
+rest, is faster than a weak one by the fraction (delta - 1) s / 4. So it comes too early by the integral of that over
+time, and a wave that is off by dt is wrong by its rate of change times dt. Reflections at a free end turn compression
+into rarefaction, which makes up for it, hence the integral with its sign. Held against the nonlinear engine over
+strike numbers from 1e-4 to 10, gravity from 0.1 to 10 g, exponents from 1.1 to 3, and chains that are struck at the
+top, within or all over, the estimate is within a factor of 3 of the true difference up to 0.3.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..fields import Array
+from ..scene import Scene
+
+EARLIEST, GROWTH, EVENLY = 0.5, 1.25, 64  # looks at the solution between samples: ever further apart, and evenly
+AT_ONCE = 0.25  # of (delta - 1) s: the distortion that no phase accounts for
+
+
+class Nonlinearity:
+    """What the linear solution of a scene has come to, seen from time to time.
+
+    Parameters
+    ----------
+    scene : Scene
+    memory : array, optional
+        What another one has seen, to go on from.
+    """
+
+    def __init__(self, scene: Scene, memory: Array | None = None):
+        chain, contacts = scene.chain, scene.chain.contacts
+        self._stiffness, self._inverse_mass = contacts.stiffness, 1 / chain.masses
+        self._inverse_mass[chain.movable :] = 0.0
+        self._inverse_overlap = np.divide(1.0, contacts.overlap, out=np.zeros(chain.grains + 1), where=contacts.pressed)
+        self._excess = chain.exponent - 1
+        # time, strain and shift by then; largest strain, displacement, velocity and acceleration; largest effects of
+        # the shift on displacement and velocity; a contact that opens, if any
+        self.memory = np.array([0.0] * 9 + [np.nan]) if memory is None else memory.copy()
+
+    def see(self, time: float, u: Array, v: Array, first: int = 0, recorded: bool = True) -> None:
+        """Look at the solution: displacements and velocities of grains first, first + 1 ..., the others at rest.
+
+        Looks that are not `recorded` tell how the wave has got there; errors are those of samples.
+        """
+        here = slice(first, first + u.size + 1)
+        r = -np.diff(u, prepend=0.0, append=0.0)
+        s = r * self._inverse_overlap[here]
+        force = r * self._stiffness[here]
+        acceleration = float(np.abs(np.diff(force) * self._inverse_mass[first : first + u.size]).max(initial=0.0))
+        strain = float(s[np.abs(s).argmax()])
+        size = np.array([abs(strain), np.abs(u).max(initial=0.0), np.abs(v).max(initial=0.0), acceleration])
+        before, last, shift = self.memory[:3]
+        shift += self._excess / 4 * (last + strain) / 2 * (time - before)
+        self.memory[:3] = time, strain, shift
+        self.memory[3:7] = np.maximum(self.memory[3:7], size)
+        if recorded:
+            self.memory[7:9] = np.maximum(self.memory[7:9], abs(shift) * size[2:])
+        if s.min() <= -1 and np.isnan(self.memory[9]):
+            self.memory[9] = first + int(s.argmin())
+
+    @property
+    def error(self) -> float:
+        """Estimated relative error, as defined for a trajectory; near 1 it says no more than that."""
+        time, (strain, u, v, acceleration), off = self.memory[0], self.memory[3:7], self.memory[7:9]
+        if v == 0:
+            return 0.0
+        by_phase = float((off / (u or np.inf, v)).max())
+        at_once = AT_ONCE * self._excess * strain * min(1.0, acceleration / v * time)
+        return saturated(max(by_phase, at_once))
+
+    @property
+    def remark(self) -> str:
+        """Why the linear solution does not hold at all, if it does not."""
+        opened = self.memory[9]
+        return "" if np.isnan(opened) else f"not linear here: contact {opened:.0f} opens"
+
+
+def saturated(error: float) -> float:
+    """Two waves that have nothing to do with each other differ by about 1, not by more."""
+    return error / (1 + error)
+
+
+def expected(scene: Scene) -> float:
+    """Return about what the error of a linear answer will be, from the strike alone."""
+    return saturated(AT_ONCE * (scene.chain.exponent - 1) * scene.strike_number)
+
+
+def looks(scene: Scene) -> Array:
+    """Return times, s, at which to look at a linear solution besides its samples."""
+    first = EARLIEST / scene.chain.band_edge
+    count = max(0, int(np.log(scene.duration / first) / np.log(GROWTH)) + 1)
+    return np.union1d(first * GROWTH ** np.arange(count), np.linspace(0, scene.duration, EVENLY, endpoint=False))

@@ -1,0 +1,11 @@
+"""Theory of the linear and continuous limits: pure functions in the paper's own dimensionless variables.
+
+Each function names its equation and where the paper misprints it. The exponent delta of the contact force is one
+number, 1 or more, by default that of Hertz; ``xi = 1 - 1/delta``, ``eta = 1 + 1/delta``, ``nu = 1/(1 + delta)``.
+Contact n has ``kappa_n = n^xi``, grain n sits at the depth ``h = n - 1/2``. Array arguments broadcast.
+"""
+
+from ..lazy import submodules
+
+__all__ = ["bessel", "continuum", "dyson", "front", "modes"]  # noqa: F822
+__getattr__ = submodules(__name__, __all__)

@@ -1,0 +1,93 @@
+"""What the formulas share: where they hold, their exponents, depth and travel time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import InputError
+from ..fields import Array
+
+
+def require(*rules: tuple[str, Any, str]) -> None:
+    """Raise `InputError` with every rule (key, condition, message) whose condition does not hold everywhere."""
+    if faults := [(key, message) for key, condition, message in rules if not np.all(condition)]:
+        raise InputError(faults)
+
+
+def real(value: ArrayLike) -> Array:
+    """Return the numbers as float64."""
+    return np.asarray(value, dtype=float)
+
+
+def whole(key: str, value: ArrayLike, least: int | None = None) -> NDArray[np.int64]:
+    """Return whole numbers as int64; raise `InputError` for others and for those below `least`."""
+    given = real(value)
+    require((key, np.isfinite(given) & (given == np.round(given)), "must be whole numbers"))
+    if least is not None:
+        require((key, given >= least, f"must be {least} or more"))
+    return given.astype(np.int64)
+
+
+def exponents(delta: float) -> tuple[float, float, float]:
+    """Return xi = 1 - 1/delta, eta = 1 + 1/delta and nu = 1/(1 + delta).
+
+    Raises
+    ------
+    InputError
+        If delta is below 1 or not finite.
+
+    Examples
+    --------
+    >>> exponents(1.0)
+    (0.0, 2.0, 0.5)
+    """
+    require(("delta", np.isfinite(delta) and delta >= 1, f"must be 1 or more (got {delta!r})"))
+    return 1 - 1 / delta, 1 + 1 / delta, 1 / (1 + delta)
+
+
+def chi(h: ArrayLike, delta: float = 1.5) -> Array:
+    """Return the travel time from the top, (2/eta) h^(eta/2), in units of tau.
+
+    Parameters
+    ----------
+    h : array_like
+        Depth, 0 or more.
+
+    Raises
+    ------
+    InputError
+        If h < 0 or delta < 1.
+
+    Examples
+    --------
+    >>> f"{chi(100.0):.4f}"
+    '55.6991'
+    """
+    _, eta, _ = exponents(delta)
+    h = real(h)
+    require(("h", h >= 0, "must be 0 or more"))
+    return 2 / eta * h ** (eta / 2)
+
+
+def depth(tau: ArrayLike, delta: float = 1.5) -> Array:
+    """Return how deep a wave from the top is at tau, (eta tau / 2)^(2/eta): the inverse of `chi`.
+
+    For Hertz (5 tau / 6)^(6/5); the tau^(6/5) after Eq. (9) lacks the factor.
+
+    Raises
+    ------
+    InputError
+        If tau < 0 or delta < 1.
+
+    Examples
+    --------
+    >>> f"{depth(150.0):.1f}"
+    '328.3'
+    """
+    _, eta, _ = exponents(delta)
+    tau = real(tau)
+    require(("tau", tau >= 0, "must be 0 or more"))
+    return (eta / 2 * tau) ** (2 / eta)

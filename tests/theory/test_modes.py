@@ -1,0 +1,207 @@
+"""Eigenmodes of chains, against mpmath, an integrator, exactly solvable columns and published numbers."""
+
+import mpmath as mp
+import numpy as np
+import pytest
+from oracles import gravity_column, integrate, springs
+from scipy.special import eval_laguerre, roots_laguerre
+
+from lmpchain import GLASS, STEEL, Chain, InputError
+from lmpchain.theory import modes
+
+RNG = np.random.default_rng(11)
+CHAINS = {
+    "the paper's": Chain(grains=121, diameter=1e-3),
+    "200 movable": springs(gravity_column(200)),
+    "delta = 1": Chain(grains=60, diameter=1e-3, exponent=1.0),
+    "delta = 3": Chain(grains=60, diameter=1e-3, exponent=3.0),
+    "disordered": Chain(grains=50, material=[GLASS, STEEL] * 25, diameter=RNG.uniform(0.5e-3, 2e-3, 50), top_load=1e-4),
+    "disordered by 100": springs(10 ** RNG.uniform(-1, 1, 80), 10 ** RNG.uniform(-1, 1, 81)),
+    "soft bottom": springs(np.exp(-0.3 * np.arange(60.0))),
+    "light top": springs(np.ones(30), np.append(1e-3, np.ones(30))),
+    "one grain moves": Chain(grains=2, diameter=1e-3),
+}
+each_chain = pytest.mark.parametrize("chain", CHAINS.values(), ids=CHAINS)
+
+
+def exact_squares(chain: Chain, start: np.ndarray) -> list[mp.mpf]:
+    """Return the roots near `start` of det(K - lambda M), by Newton's method on its three-term recurrence in mpmath."""
+    k = [mp.mpf(0), *map(mp.mpf, chain.linear_stiffness.tolist())]
+    m = list(map(mp.mpf, chain.masses.tolist()))
+    roots = []
+    for guess in map(mp.mpf, start.tolist()):
+        root = guess
+        for _ in range(2):
+            before, now, slope_before, slope = mp.mpf(0), mp.mpf(1), mp.mpf(0), mp.mpf(0)
+            for n in range(chain.movable):
+                pivot, coupling = (k[n] + k[n + 1]) / m[n] - root, k[n] ** 2 / (m[n] * m[n - 1])
+                ahead = pivot * now - coupling * before
+                slope_before, slope = slope, pivot * slope - now - coupling * slope_before
+                before, now = now, ahead
+            change = now / slope
+            root -= change
+        assert abs(change) < 1e-20 * guess
+        roots.append(root)
+    return roots
+
+
+@each_chain
+def test_every_frequency_to_the_last_digits(chain: Chain):
+    found = modes.eigenmodes(chain).frequency
+    with mp.workdps(40):
+        exact = [float(mp.sqrt(square)) for square in exact_squares(chain, found**2)]
+    assert np.all(np.diff(exact) > 0)
+    assert found == pytest.approx(exact, rel=2e-15)
+
+
+def test_lowest_frequencies_of_a_long_chain():
+    """Plain diagonalisation has absolute errors, which here cost the lowest frequencies some five digits."""
+    chain = springs(gravity_column(2000))
+    found = modes.eigenmodes(chain).frequency[:3]
+    with mp.workdps(40):
+        exact = [float(mp.sqrt(square)) for square in exact_squares(chain, found**2)]
+    assert found == pytest.approx(exact, rel=2e-15)
+
+
+@each_chain
+def test_shapes_solve_eq_14_and_are_orthonormal_in_mass(chain: Chain):
+    result = modes.eigenmodes(chain)
+    m, k, shape = result.mass, chain.linear_stiffness, result.shape
+    assert np.abs(shape.T @ (m[:, None] * shape) - np.eye(chain.movable)).max() < 2e-14
+    force = k[:, None] * np.diff(shape, axis=0, append=0.0)
+    miss = np.diff(force, axis=0, prepend=0.0) + result.frequency**2 * m[:, None] * shape
+    assert np.abs(miss / np.sqrt(m)[:, None]).max() < 2e-14 * result.frequency[-1] ** 2
+
+
+@each_chain
+def test_response_against_an_integrator(chain: Chain):
+    """Eqs. (15) and (16) with both kinds of initial data."""
+    scale = chain.time_scale
+    displacement, velocity = RNG.normal(size=(2, chain.movable))
+    tau = np.linspace(0, 60, 6) / (chain.band_edge * scale)
+    found = modes.eigenmodes(chain).response(tau * scale, displacement, velocity / scale)
+    stiffness, masses = chain.linear_stiffness / chain.linear_stiffness[0], chain.masses[:-1] / chain.masses[0]
+    exact = integrate(stiffness, displacement, velocity, tau, masses)
+    for x, true in zip((found[0], found[1] * scale), exact, strict=True):
+        assert np.abs(x - true).max() < 2e-12 * np.abs(true).max()
+
+
+def test_two_grains_are_an_oscillator():
+    """Eq. (17), for any exponent."""
+    for delta in (1.0, 1.5, 3.0):
+        chain = Chain(grains=2, diameter=1e-3, exponent=delta)
+        assert modes.eigenmodes(chain).frequency * chain.time_scale == pytest.approx([1], rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("movable", "lowest", "highest"),
+    [
+        (10, [0.205435847948, 0.568197206709, 0.919847924023], 2.719178378759),
+        (100, [0.031305606405, 0.087215363664, 0.143291996878], 4.240427874418),
+    ],
+)
+def test_published_frequencies(movable: int, lowest: list[float], highest: float):
+    """Source: the same column by an independent code, twelve digits."""
+    found = modes.eigenmodes(springs(gravity_column(movable))).frequency
+    assert found[[0, 1, 2]] == pytest.approx(lowest, abs=1e-12)
+    assert found[-1] == pytest.approx(highest, abs=1e-12)
+
+
+def test_uniform_chain():
+    """Eq. (21) for kappa = 1; N = 3 has 18 and 54 degrees, not 90."""
+    for movable in (2, 7, 300):
+        angle = np.pi / 2 * (2 * np.arange(1, movable + 1) - 1) / (2 * movable + 1)
+        assert modes.eigenmodes(springs(np.ones(movable))).frequency == pytest.approx(2 * np.sin(angle), rel=1e-14)
+
+
+def test_column_of_infinite_exponent():
+    """kappa_n = n: squares of the frequencies are the zeros of the Laguerre polynomial L_M, modes are L_(n-1)."""
+    result = modes.eigenmodes(springs(np.arange(1.0, 101)))
+    zeros, _ = roots_laguerre(100)
+    assert result.frequency**2 == pytest.approx(zeros, rel=1e-13)
+    low = result.shape[:, :20] / result.shape[0, :20]
+    assert low == pytest.approx(eval_laguerre(np.arange(100)[:, None], zeros[:20]), abs=1e-11)
+
+
+@pytest.mark.parametrize("delta", [1.0, 1.2, 1.5, 2.0, 3.0])
+def test_quasi_normal_modes_of_the_continuum(delta: float):
+    """Frequencies by the zeros of J_(-nu), with the depth N - 1/2 for every delta: right to some 0.1 (k/M)^2."""
+    nu, eta = 1 / (1 + delta), 1 + 1 / delta
+    k = np.arange(1, 400)
+    zeros = modes.quasi_normal(k, 100, delta) * 2 / eta * 99.5 ** (eta / 2)
+    with mp.workdps(20):
+        miss = [mp.besselj(-nu, mp.mpf(z)) * mp.sqrt(mp.pi * z / 2) for z in zeros[[0, 1, 2, 50, 398]]]
+    assert max(map(abs, miss)) < 5e-13
+    assert np.all(abs(np.diff(zeros) - np.pi) < 0.05)  # none is left out
+    assert zeros[0] < np.pi
+    errors = [
+        modes.quasi_normal(1, movable + 1, delta)
+        / modes.eigenmodes(springs(gravity_column(movable, delta))).frequency[0]
+        - 1
+        for movable in (100, 1000)
+    ]
+    assert 1.0e-7 < errors[1] < 1.3e-7
+    assert np.log10(errors[0] / errors[1]) == pytest.approx(2, abs=0.05)
+
+
+def test_zeros_published():
+    found = modes.quasi_normal([1, 2, 3, 4], 2) / (5 / 6 * 1.5 ** (-5 / 6))
+    assert found == pytest.approx([1.7509753662, 4.8785160495, 8.0166321837, 11.1566713204], abs=1e-10)
+
+
+@pytest.mark.parametrize(("movable", "error"), [(100, 1.9e-4), (1000, 8.5e-6)])
+def test_band_edge(movable: int, error: float):
+    exact = modes.eigenmodes(springs(gravity_column(movable))).frequency[-1]
+    assert modes.band_edge(movable + 1) / exact - 1 == pytest.approx(error, rel=0.02)
+
+
+def test_participation_numbers():
+    """How many grains take part in modes 1, 500, 900 and 1000 of 1000. Source: an independent code, five digits."""
+    square = modes.eigenmodes(springs(gravity_column(1000))).shape[:, [0, 499, 899, 999]] ** 2
+    assert (square**2).sum(0) ** -1 == pytest.approx([620.99, 482.86, 224.75, 21.64], abs=0.006)
+
+
+def test_wkb_counts_the_modes():
+    """At frequency k it counts k - 1/4 - nu/2 if the mode reaches the top, k - 1/4 if it turns on its way."""
+    frequency = modes.eigenmodes(springs(gravity_column(2000))).frequency
+    k = np.arange(1, 2001)
+    excess = modes.count(frequency, 2001) - k
+    assert excess[5:60] == pytest.approx(-0.45, abs=1e-3)
+    assert excess[1000:1990] == pytest.approx(-0.25, abs=2e-3)
+    uniform = modes.eigenmodes(springs(np.ones(50))).frequency
+    assert modes.count(uniform, 51, 1.0) - k[:50] == pytest.approx(-0.5, abs=1e-12)
+
+
+@pytest.mark.parametrize("delta", [1.001, 1.5, 5 / 3, 3.0, 8.0])
+def test_wkb_integral_by_quadrature(delta: float):
+    xi, depth = 1 - 1 / mp.mpf(delta), mp.mpf(30.5)
+    for frequency in (1e-3, 1.0, 2.0, 2.4, 50.0):
+        top = min(depth, (mp.mpf(frequency) / 2) ** (2 / xi))  # above it every mode counts
+        low = max(mp.log(top), mp.mpf(-60))
+        rest = mp.quad(
+            lambda x, top=top, xi=xi: 2 / mp.pi * mp.asin(min(1, (top / mp.exp(x)) ** (xi / 2))) * mp.exp(x),
+            mp.linspace(low, mp.log(depth), 30),
+        )
+        exact = top + (rest if top < depth else 0)
+        assert modes.count(frequency, 31, delta) == pytest.approx(float(exact), rel=1e-12)
+
+
+def test_count_at_the_ends():
+    assert modes.count([0.0, 1e3], 31).tolist() == [0.0, pytest.approx(30.5, rel=1e-15)]
+
+
+@pytest.mark.parametrize(
+    ("call", "key"),
+    [
+        (lambda: modes.eigenmodes(Chain(grains=5, diameter=1e-3, gravity=0.0)), "chain"),
+        (lambda: modes.quasi_normal(0, 10), "k"),
+        (lambda: modes.quasi_normal(1.5, 10), "k"),
+        (lambda: modes.quasi_normal(1, 1), "grains"),
+        (lambda: modes.quasi_normal(1, 10, 0.5), "delta"),
+        (lambda: modes.band_edge(10, 1.0), "delta"),
+        (lambda: modes.count(-1.0, 10), "frequency"),
+    ],
+)
+def test_refusals(call, key: str):
+    with pytest.raises(InputError, match=f"^{key}: "):
+        call()
