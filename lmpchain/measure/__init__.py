@@ -2,5 +2,5 @@
 
 from ..lazy import submodules
 
-__all__ = ["compare", "contact", "energy", "front", "spectrum"]  # noqa: F822
+__all__ = ["compare", "contact", "energy", "front", "spectrum"]
 __getattr__ = submodules(__name__, __all__)

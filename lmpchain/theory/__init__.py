@@ -7,5 +7,5 @@ Contact n has ``kappa_n = n^xi``, grain n sits at the depth ``h = n - 1/2``. Arr
 
 from ..lazy import submodules
 
-__all__ = ["bessel", "continuum", "dyson", "front", "modes"]  # noqa: F822
+__all__ = ["bessel", "continuum", "dyson", "front", "modes"]
 __getattr__ = submodules(__name__, __all__)
