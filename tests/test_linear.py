@@ -240,3 +240,36 @@ def test_what_cannot_be_linearised_is_refused():
         simulate(
             Scene(chain=Chain(grains=20_000, diameter=1e-3), excitation=Impulse(velocity=1e-6), duration=1e-5), "modes"
         )
+
+
+@pytest.mark.parametrize("engine", ["bessel", "continuum"])
+@pytest.mark.parametrize("duration", [2e-6, 1e-5, 1e-4])
+def test_closed_forms_know_how_wrong_they_are(engine, duration):
+    """As rows to compare with: the model error they state is the true one, or its two parts partly cancel in truth."""
+    chain = Chain(grains=60, diameter=1e-3)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=duration, samples=11, grains="1:50")
+    t, truth = simulate(scene, engine, 0.999, on_miss="warn"), simulate(scene, "native", 1e-10)
+    true = relative_error(t.displacement, t.velocity, truth.displacement, truth.velocity)
+    assert t.error_estimate.model / 4 < true < 1.05 * t.error_estimate.model
+    assert true == pytest.approx(t.error_estimate.model, rel=0.05) or true < 0.1
+    assert t.equation == {"bessel": 4, "continuum": 27}[engine]
+
+
+def test_bessel_is_exact_for_a_loaded_chain_until_the_wave_comes_back():
+    chain = Chain(grains=80, material="steel", diameter=5e-3, gravity=0, top_load=5.0)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-9), duration=20 * chain.time_scale, samples=11)
+    exact, formula = (simulate(scene, engine) for engine in ("modes", "bessel"))
+    assert relative_error(formula.displacement, formula.velocity, exact.displacement, exact.velocity) < 1e-12
+
+
+def test_closed_forms_refuse_what_they_do_not_know():
+    strike, chain = Impulse(velocity=1e-6), Chain(grains=9, diameter=1e-3)
+    for made, struck, engine, key in (
+        (Chain(grains=9, diameter=np.linspace(1e-3, 2e-3, 9)), strike, "bessel", "masses: bessel knows grains"),
+        (chain, Impulse(velocity=1e-6, grain=2), "bessel", "excitation: bessel knows an impulse on grain 1"),
+        (chain, Displacement(displacement=1e-12), "continuum", "excitation: continuum knows"),
+        (Chain(grains=9, diameter=1e-3, top_load=1e-3), strike, "continuum", "top_load: continuum knows chains"),
+        (Chain(grains=9, diameter=1e-3, top="wall", top_load=1e-3), strike, "bessel", "top: bessel knows"),
+    ):
+        with pytest.raises(InputError, match=key):
+            simulate(Scene(chain=made, excitation=struck, duration=1e-5, samples=3), engine)

@@ -10,6 +10,8 @@ from ..errors import InputError
 from .base import Engine
 
 if TYPE_CHECKING:
+    from .closed_form import Bessel as Bessel
+    from .closed_form import Continuum as Continuum
     from .lammps.engine import Lammps as Lammps
     from .linear import Chebyshev as Chebyshev
     from .linear import Modes as Modes
@@ -20,6 +22,8 @@ _WHERE = {
     "native": ("native.engine", "Native"),
     "modes": ("linear", "Modes"),
     "chebyshev": ("linear", "Chebyshev"),
+    "bessel": ("closed_form", "Bessel"),
+    "continuum": ("closed_form", "Continuum"),
 }
 
 
@@ -29,7 +33,7 @@ def names() -> tuple[str, ...]:
     Examples
     --------
     >>> names()
-    ('lammps', 'native', 'modes', 'chebyshev')
+    ('lammps', 'native', 'modes', 'chebyshev', 'bessel', 'continuum')
     """
     return tuple(_WHERE)
 

@@ -107,9 +107,11 @@ class Modes(LinearEngine):
 class Solution(Protocol):
     """The solution of one linear chain."""
 
-    work: int  # applications of the chain's matrix so far, or modes
+    @property
+    def work(self) -> int:
+        """How often the matrix of the chain has been applied so far, or how many modes there are."""
 
-    def at(self, times: Sequence[float]) -> Iterator[tuple[Array, Array, int]]:
+    def at(self, times: Array) -> Iterator[tuple[Array, Array, int]]:
         """Yield displacement and velocity at these times, later and later ones, of the grains that may move.
 
         They are those of grains first, first + 1 ..., counted from 0; `first` comes with them.
@@ -229,7 +231,7 @@ class _Chebyshev:
         """Polynomials so far."""
         return self._chain.terms
 
-    def at(self, times: Sequence[float]) -> Iterator[tuple[Array, Array, int]]:
+    def at(self, times: Array) -> Iterator[tuple[Array, Array, int]]:
         """Yield the solution at these times."""
         for moment in times:
             if moment > self._time:
@@ -254,18 +256,21 @@ class _Modes:
         self._initial = u[first:last], v[first:last]
         self._drive, self._pull = drive, chain.contacts.stiffness[first] * self._modes.shape[0]
         self._held = chain.grains - last
-        self.work = self._modes.frequency.size
 
-    def at(self, times: Sequence[float]) -> Iterator[tuple[Array, Array, int]]:
+    @property
+    def work(self) -> int:
+        """Number of modes."""
+        return self._modes.frequency.size
+
+    def at(self, times: Array) -> Iterator[tuple[Array, Array, int]]:
         """Yield the solution at these times, found for all of them at once."""
-        moments = np.asarray(times)
-        u, v = self._modes.response(moments, *self._initial)
-        top = np.empty((2, moments.size, 0))
+        u, v = self._modes.response(times, *self._initial)
+        top = np.empty((2, times.size, 0))
         if self._drive:
-            forced = self._forced(moments[:, None])
+            forced = self._forced(times[:, None])
             u, v = u + forced[0] @ self._modes.shape.T, v + forced[1] @ self._modes.shape.T
-            top = np.array(self._drive.motion(moments))[..., None]
-        rest = np.zeros((moments.size, self._held))
+            top = np.array(self._drive.motion(times))[..., None]
+        rest = np.zeros((times.size, self._held))
         yield from zip(np.hstack((top[0], u, rest)), np.hstack((top[1], v, rest)), repeat(0), strict=False)
 
     def _forced(self, t: Array) -> tuple[Array, Array]:

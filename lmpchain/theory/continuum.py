@@ -10,12 +10,12 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import beta, gamma, hankel1e, hyp2f1, jv
+from scipy.special import beta, betainc, gamma, hankel1e, hyp2f1, jv
 
 from ..fields import Array
 from .domain import chi as chi
 from .domain import depth as depth
-from .domain import exponents, real, require
+from .domain import exponents, real, require, whole
 from .volumes import Field as Field
 from .volumes import solve as solve
 
@@ -239,6 +239,48 @@ def impulse_response(h: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     [0.52825, 0.0]
     """
     return np.where(real(tau) >= chi(h, delta), peaked(h, tau, 0.0, impulse_amplitude(delta), 0.0, delta), 0.0)
+
+
+def impulse_of_grain(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> tuple[Array, Array]:
+    """Return phi and dphi/dtau of `impulse_response`, averaged over the place of grain n, n - 1 < h < n.
+
+    With ``I`` the regularised incomplete beta function of order 1/eta, 1 - xi/(2 eta), it is ``tau I((chi/tau)^2)``
+    between the two ends: finite on the light cone too, and of momentum 1 at all times.
+
+    Parameters
+    ----------
+    n : array_like
+        Grain, from 1.
+    tau : array_like
+        0 or more.
+
+    Raises
+    ------
+    InputError
+        If n is not whole or below 1, tau < 0 or delta < 1.
+
+    Examples
+    --------
+    >>> phi, speed = impulse_of_grain(np.arange(1, 200), 50.0)
+    >>> float(phi.sum().round(12)), float(speed.sum().round(12))
+    (50.0, 1.0)
+    """
+    xi, eta, _ = exponents(delta)
+    n, tau = whole("n", n, 1), real(tau)
+    require(("tau", tau >= 0, "must be 0 or more"))
+    order, other = 1 / eta, 1 - xi / (2 * eta)
+
+    def below(h: Array) -> tuple[Array, Array]:
+        """Return the integral of both over depths above h."""
+        far, now = np.broadcast_arrays(chi(h, delta), tau)
+        x = np.divide(far, now, out=np.where(far > 0, np.inf, 0.0), where=now > 0)
+        inside = np.minimum(x, np.nextafter(1.0, 0.0))
+        share = np.where(x < 1, betainc(order, other, inside**2), 1.0)
+        slope = 2 * inside ** (2 * order) * (1 - inside**2) ** (other - 1) / beta(order, other)
+        return tau * share, share - np.where(x < 1, slope, 0.0)
+
+    (phi, speed), (phi_above, speed_above) = below(real(n)), below(real(n) - 1)
+    return phi - phi_above, speed - speed_above
 
 
 def peaked(h: ArrayLike, tau: ArrayLike, c1: float, c2: float, c3: float, delta: float = 1.5) -> Array:

@@ -341,3 +341,30 @@ def test_shapes_follow_the_arguments():
 def test_refusals(call, key: str):
     with pytest.raises(InputError, match=f"^{key}: must"):
         call()
+
+
+@pytest.mark.parametrize("delta", [1.0, 1.5, 2.0, 3.0])
+def test_impulse_of_a_grain_is_the_mean_over_its_place(delta):
+    """Against quadrature of the impulse response, and its velocity against differences in time."""
+    tau = 7.3
+    n = np.arange(1, 12)
+    phi, speed = continuum.impulse_of_grain(n, tau, delta)
+    front = float(continuum.depth(tau, delta))
+    for grain, value in zip(n, phi, strict=True):
+        end = min(grain, front)
+        if end <= grain - 1:
+            assert value == 0
+            continue
+        mean, _ = quad(lambda h: float(continuum.impulse_response(h, tau, delta)), grain - 1, end, limit=400)
+        assert value == pytest.approx(mean, rel=1e-5 if end < grain else 1e-9, abs=0)
+    step = 1e-5
+    later, earlier = (continuum.impulse_of_grain(n, tau + sign * step, delta)[0] for sign in (1, -1))
+    near = np.abs(n - 0.5 - front) < 1.5
+    assert speed[~near] == pytest.approx(((later - earlier) / (2 * step))[~near], rel=1e-6, abs=1e-9)
+    assert phi.sum() == pytest.approx(tau, rel=1e-13) if front < 11 else phi.sum() < tau
+
+
+def test_impulse_of_a_grain_begins_at_the_top():
+    phi, speed = continuum.impulse_of_grain([1, 2], 0.0)
+    assert phi.tolist() == [0.0, 0.0]
+    assert speed.tolist() == [1.0, 0.0]
