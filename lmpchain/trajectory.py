@@ -132,6 +132,30 @@ class Trajectory:
             data.to_netcdf(aside, engine="h5netcdf")
 
     @classmethod
+    def from_dump(cls, path: str | PathLike[str], scene: Scene) -> Trajectory:
+        """Read a LAMMPS dump as the answer to a scene, such as the one that `lmpchain deck` lets LAMMPS write.
+
+        Displacements are the column v_phi where there is one. Else they are how far the height z has fallen since the
+        first frame, which must show the chain as the scene starts it, added to the displacement that the scene starts
+        with; heights leave fewer digits. Nothing is known of the error: its estimate is infinite.
+
+        Parameters
+        ----------
+        path : path
+            A text dump with the columns id x y z vz, and v_phi if it can be had; a frame a sample of the scene.
+        scene : Scene
+            The one that the dump was made for.
+
+        Raises
+        ------
+        InputError
+            If it cannot be read, or is not of this scene.
+        """
+        from .dumps import read
+
+        return read(path, scene)
+
+    @classmethod
     def load(cls, path: str | PathLike[str]) -> Trajectory:
         """Read a file that `save` wrote; raises `InputError` for any other."""
         import xarray

@@ -113,17 +113,10 @@ class Column:
     def walls(self) -> list[Wall]:
         """The walls, as planes that stand still."""
         radius = self.diameters[[0, -1]] / 2
-        overlap = self.chain.contacts.overlap[[0, -1]]
-        heights = self.heights[[0, -1]] + [1, -1] * (radius - overlap)
-        constants = self.chain.wall_constants / (1.0 if self.model == "hooke" else np.sqrt(radius))
-        bounds = ("NULL", float(heights[0])), (float(heights[1]), "NULL")
-        walls = (
-            Wall(name, grain, float(constant), *(b if b == "NULL" else repr(b) for b in bound))
-            for name, grain, constant, bound in zip(
-                ("top", "bottom"), (1, self.chain.grains), constants, bounds, strict=True
-            )
-        )
-        return [wall for wall in walls if wall.constant > 0]
+        above, below = (self.heights[[0, -1]] + [1, -1] * (radius - self.chain.contacts.overlap[[0, -1]])).tolist()
+        top, bottom = (self.chain.wall_constants / (1.0 if self.model == "hooke" else np.sqrt(radius))).tolist()
+        both = Wall("top", 1, top, "NULL", repr(above)), Wall("bottom", self.chain.grains, bottom, repr(below), "NULL")
+        return [wall for wall in both if wall.constant > 0]
 
     @cached_property
     def skin(self) -> float:
