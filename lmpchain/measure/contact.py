@@ -1,0 +1,458 @@
+"""What experiments measure: contact forces, openings, forces on walls, drivers and sensors, and how fast waves are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline, PPoly, make_interp_spline
+from scipy.signal import correlate
+
+from ..contacts import Contacts
+from ..errors import InputError
+from ..fields import Array
+from ..trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+REACH = 6  # samples on either side of a peak that its interpolation uses
+LINES = 6  # contacts drawn as lines; more are drawn as a map
+STILL, UNKNOWN = -1, -2  # in place of the column of a body that was not recorded
+
+
+@dataclass(frozen=True, order=True)
+class Event:
+    """A contact opens or closes, at `time` in s; events sort by time."""
+
+    time: float
+    contact: int
+    opens: bool
+
+
+@dataclass(frozen=True, eq=False)
+class ContactHistory:
+    """What happened in C contacts; contact n lies between grains n and n + 1, 0 and N are those with walls.
+
+    Attributes
+    ----------
+    time : (T,) array
+        s.
+    contact : (C,) array
+        Their numbers.
+    overlap, closing : (T, C) arrays
+        m, negative for a gap; its rate, m/s.
+    force, change : (T, C) arrays
+        N, never negative; above that at rest, N, where weak waves keep their digits.
+    """
+
+    time: Array
+    contact: np.ndarray
+    overlap: Array
+    closing: Array
+    force: Array
+    change: Array
+
+    def events(self) -> list[Event]:
+        """Return openings and closings in the order of time.
+
+        Their times are roots of the cubic Hermite interpolant through overlap and rate; the error falls with the
+        fourth power of the sampling interval. Touching without a force counts as closed. Between two samples that
+        are both pressed a contact has opened only if its rates say so, falling at the first and rising at the second
+        (the other way round if both are open): neither an interpolant that overshoots nor round-off makes an event.
+        """
+        found = []
+        o, v, gap = self.overlap, self.closing, self.overlap < 0
+        changed = gap[1:] != gap[:-1]
+        turned = (o[:-1] * v[:-1] < 0) & (o[1:] * v[1:] > 0) & ~changed  # toward touching at first, away from it then
+        for i, c in np.argwhere(changed | turned):
+            pair = slice(i, i + 2)
+            roots = CubicHermiteSpline(self.time[pair], o[pair, c], v[pair, c]).roots(extrapolate=False)
+            if changed[i, c]:  # the end nearer to touching, should round-off hide the root
+                roots = roots[:1] if roots.size else [self.time[i + np.abs(o[pair, c]).argmin()]]
+            if changed[i, c] or len(roots) == 2:
+                number, opens = int(self.contact[c]), (not gap[i, c], bool(gap[i, c]))
+                found += [Event(float(t), number, state) for t, state in zip(roots, opens, strict=False)]
+        return sorted(found)
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw the forces over time: a line a contact, or a map if there are many; returns the figure."""
+        from matplotlib.ticker import EngFormatter, MaxNLocator
+
+        ax, picture = axes_in_units(ax, "s", "N")
+        ax.set(xlabel="time", ylabel="contact force")
+        if len(self.contact) <= LINES:
+            for number, force in zip(self.contact, self.force.T, strict=True):
+                ax.plot(self.time, force, label=f"contact {number}")
+            ax.legend(frameon=False)
+        else:
+            rows = np.argsort(self.contact)
+            force = self.force.T[rows]
+            shown = ax.pcolormesh(self.time, self.contact[rows], force, shading="nearest", cmap="cividis")
+            picture.colorbar(shown, ax=ax, label="contact force", format=EngFormatter("N"))
+            ax.yaxis.set_major_formatter("{x:g}")
+            ax.yaxis.set_major_locator(MaxNLocator(integer=True))
+            ax.set(ylabel="contact, from the top", ylim=ax.get_ylim()[::-1])
+        return picture
+
+
+@dataclass(frozen=True, eq=False)
+class Signal:
+    """What a force sensor inside a grain shows.
+
+    Attributes
+    ----------
+    grain : int
+    time : (T,) array
+        s.
+    force, change : (T,) arrays
+        N; above that at rest, N, as a piezoelectric sensor gives it.
+    """
+
+    grain: int
+    time: Array
+    force: Array
+    change: Array
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw the force over time; returns the figure."""
+        ax, picture = axes_in_units(ax, "s", "N")
+        ax.plot(self.time, self.force, label=f"grain {self.grain}")
+        ax.set(xlabel="time", ylabel="force on the sensor")
+        ax.legend(frameon=False)
+        return picture
+
+
+def contacts(trajectory: Trajectory, numbers: Sequence[int] | None = None) -> ContactHistory:
+    """Return overlaps and forces of contacts over time.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Of any engine. A grain that is held need not have been recorded.
+    numbers : (C,) sequence of int, optional
+        Contacts; by default all those between grains that were recorded, or between them and walls.
+
+    Raises
+    ------
+    InputError
+        If there is no such contact, or its grains were not recorded.
+
+    Examples
+    --------
+    >>> import lmpchain
+    >>> chain = lmpchain.Chain(grains=3, diameter=1e-3)
+    >>> scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-2), duration=3e-5, samples=51)
+    >>> history = contacts(lmpchain.simulate(scene, engine="native"))
+    >>> history.contact.tolist(), history.force.shape
+    ([1, 2], (51, 2))
+    >>> [f"{event.contact} {'opens' if event.opens else 'closes'}" for event in history.events()]
+    ['2 opens', '1 opens']
+    """
+    every = trajectory.scene.chain.contacts
+    if numbers is None:
+        known = _columns(trajectory) != UNKNOWN
+        chosen = np.flatnonzero(known[:-1] & known[1:] & every.exists)
+        if not chosen.size:
+            raise InputError([("grains", "no two neighbours were recorded, so no contact is known: record both")])
+    else:
+        chosen, there = np.array(numbers, dtype=int).reshape(-1), np.flatnonzero(every.exists)
+        if not np.isin(chosen, there).all():
+            raise InputError([("numbers", f"the contacts are numbered {there[0]} to {there[-1]} (got {numbers})")])
+    u, v = motion(trajectory, np.stack([chosen, chosen + 1]))
+    r = u[:, 0] - u[:, 1]
+    these = Contacts(every.constant[chosen], every.force[chosen], every.exponent)
+    force = these.constant * np.maximum(these.overlap + r, 0.0) ** these.exponent
+    s = r / np.where(these.pressed, these.overlap, np.inf)
+    held = np.where(s > -1, np.expm1(these.exponent * np.log1p(np.where(s > -1, s, 0.0))), -1.0)
+    change = np.where(these.pressed, these.force * held, force)
+    return ContactHistory(trajectory.time, chosen, these.overlap + r, v[:, 0] - v[:, 1], force, change)
+
+
+def wall_force(trajectory: Trajectory, end: Literal["top", "bottom"] = "bottom") -> Array:
+    """Return the force between the chain and what stands still at one end, (T,) N, never negative.
+
+    It is the force of the contact with the wall; where the bottom is "fixed", the force that holds grain N up, which
+    is that of contact N - 1 and the weight of grain N.
+
+    Raises
+    ------
+    InputError
+        If nothing stands still at that end, or the grains that touch it were not recorded.
+    """
+    chain = trajectory.scene.chain
+    kind = {"top": chain.top, "bottom": chain.bottom}.get(end, "free")
+    if kind == "free":
+        raise InputError([("end", f"there is no wall at the end {end!r} of this chain")])
+    if kind == "fixed":
+        return contacts(trajectory, [chain.grains - 1]).force[:, 0] + chain.masses[-1] * chain.gravity
+    return contacts(trajectory, [0 if end == "top" else chain.grains]).force[:, 0]
+
+
+def drive_motion(trajectory: Trajectory) -> tuple[Array, Array, Array]:
+    """Return displacement, m, velocity, m/s, and acceleration, m/s2, of the driven grain 1, exactly; (T,) each."""
+    time, drive = trajectory.time, trajectory.scene.drive
+    if drive is None:
+        raise InputError([("excitation", "no grain is driven in this scene")])
+    u, v = drive.motion(time)
+    return u, v, drive.spline(time, 2) if drive.frequency is None else -((2 * np.pi * drive.frequency) ** 2) * u
+
+
+def drive_force(trajectory: Trajectory) -> Array:
+    """Return the force with which the driver pushes grain 1, (T,) N, positive downward: m_1 phi_1'' + F_1 - m_1 g.
+
+    At rest it is the top load. The blow that starts a motion with a velocity at t = 0 is not in it.
+
+    Raises
+    ------
+    InputError
+        If the chain is not driven, or grain 2 was not recorded.
+    """
+    chain = trajectory.scene.chain
+    inertia = chain.masses[0] * drive_motion(trajectory)[2]
+    return chain.top_load + inertia + contacts(trajectory, [1]).change[:, 0]
+
+
+def sensor(trajectory: Trajectory, grain: int) -> Signal:
+    """Return what a sensor inside a grain shows: the mean of the forces of its two contacts.
+
+    Job et al., Phys. Rev. Lett. 94, 178002 (2005); Daraio et al., Phys. Rev. E 73, 026610 (2006).
+
+    Raises
+    ------
+    InputError
+        If the grain has no two contacts, or it and its neighbours were not recorded.
+    """
+    exists = trajectory.scene.chain.contacts.exists
+    if grain not in np.flatnonzero(exists[:-1] & exists[1:]) + 1:
+        raise InputError([("grain", f"grain {grain} has no contacts on both sides, or there is none: choose another")])
+    both = contacts(trajectory, [grain - 1, grain])
+    return Signal(grain, both.time, both.force.mean(1), both.change.mean(1))
+
+
+def motion(trajectory: Trajectory, bodies: np.ndarray) -> tuple[Array, Array]:
+    """Return displacement (T, ...) m and velocity (T, ...) m/s of bodies (...): grains, or 0 and N + 1 for the walls.
+
+    Raises
+    ------
+    InputError
+        If one of them was not recorded and is not held.
+    """
+    column = _columns(trajectory)[bodies]
+    missing = np.unique(bodies[column == UNKNOWN])
+    if missing.size:
+        some = ", ".join(map(str, missing[:8])) + ", ..." * (missing.size > 8)
+        raise InputError([("grains", f"this takes grains that were not recorded; record these too: {some}")])
+    u, v = trajectory.displacement[:, column], trajectory.velocity[:, column]
+    u[:, column == STILL] = v[:, column == STILL] = 0.0
+    return u, v
+
+
+def _columns(trajectory: Trajectory) -> np.ndarray:
+    """Return the column in which each body was recorded, (N+2,), or that it stands still, or that it is unknown."""
+    chain = trajectory.scene.chain
+    column = np.full(chain.grains + 2, UNKNOWN)
+    column[[0, -1]] = STILL
+    column[chain.movable + 1 :] = STILL
+    column[trajectory.grains] = np.arange(trajectory.grains.size)
+    return column
+
+
+def axes_in_units(ax: Axes | None, x: str, y: str) -> tuple[Axes, Figure]:
+    """Return axes, those given or new ones, and their figure; their numbers bear these units, with SI prefixes."""
+    from matplotlib.ticker import EngFormatter
+
+    from ..plotting import COLOURS, figure
+
+    if ax is None:
+        ax = figure(6.4, 4.2).subplots()
+        ax.set_prop_cycle(color=list(COLOURS.values()))
+    for axis, unit in ((ax.xaxis, x), (ax.yaxis, y)):
+        if unit:
+            axis.set_major_formatter(EngFormatter(unit))
+    return ax, ax.figure.figure  # type: ignore[return-value]
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """The largest maximum of a signal: its time, s, its height, and by how much sampling may shift it, s."""
+
+    time: float
+    height: float
+    error: float
+
+
+@dataclass(frozen=True)
+class Flight:
+    """How long a wave takes from one sensor to another.
+
+    Attributes
+    ----------
+    grains : int
+        How many grains further the second is.
+    distance : float
+        Between their centres at rest, m.
+    seconds, error : float
+        s; by how much sampling may shift it, s.
+    """
+
+    grains: int
+    distance: float
+    seconds: float
+    error: float
+
+    @property
+    def speed(self) -> float:
+        """Speed in m/s."""
+        return self.distance / self.seconds
+
+    @property
+    def grains_per_second(self) -> float:
+        """Speed in grains, 1/s."""
+        return self.grains / self.seconds
+
+
+@dataclass(frozen=True, eq=False)
+class WaveSpeed:
+    """When a wave comes to each of G grains and how fast it is between them.
+
+    Attributes
+    ----------
+    grains : (G,) array
+    time, error : (G,) arrays
+        When the velocity of each is largest, s; by how much sampling may shift it, s.
+    distance : (G-1,) array
+        Between neighbours in the list, centre to centre at rest, m.
+    """
+
+    grains: np.ndarray
+    time: Array
+    error: Array
+    distance: Array
+
+    @property
+    def speed(self) -> Array:
+        """Speed between neighbours in the list, (G-1,) m/s."""
+        return self.distance / np.diff(self.time)
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw the speed against the grain number; returns the figure."""
+        ax, picture = axes_in_units(ax, "", "m/s")
+        middle, half = (self.grains[1:] + self.grains[:-1]) / 2, np.diff(self.grains) / 2
+        ax.errorbar(middle, self.speed, xerr=half, fmt="o", markersize=4)
+        ax.set(xlabel="grain number, from the top", ylabel="speed of the velocity maximum")
+        return picture
+
+
+def arrival(time: Array, values: Array, name: str = "signal") -> Arrival:
+    """Return the largest maximum of a signal, found with a quintic spline through the samples around it.
+
+    The error is the shift when only every second sample is used. Where the signal is smooth and well sampled, the
+    true error is about 1/60 of it. Errors of the trajectory itself come on top.
+
+    Parameters
+    ----------
+    time, values : (T,) arrays
+        s; in any unit.
+    name : str
+        Of the signal, for messages.
+
+    Raises
+    ------
+    InputError
+        If the largest value is the first or the last.
+
+    Examples
+    --------
+    >>> time = np.linspace(0, 1, 21)
+    >>> peak = arrival(time, np.exp(-20 * (time - 0.512) ** 2))
+    >>> round(peak.time, 5), round(peak.height, 5)
+    (0.512, 1.0)
+    """
+    top, last = int(np.argmax(values)), len(values) - 1
+    if not 0 < top < last:
+        cure = "record for longer" if top else "there is no maximum to wait for"
+        raise InputError([("duration", f"the {name} is largest in the {'last' if top else 'first'} sample: {cure}")])
+    when, height = _summit(time, values, top, 1)
+    step = float(time[top + 1] - time[top])
+    error = abs(when - _summit(time, values, top, 2)[0]) if 2 <= top <= last - 2 else step
+    return Arrival(when, height, error)
+
+
+def time_of_flight(
+    trajectory: Trajectory, first: int, second: int, method: Literal["peak", "correlation"] = "peak"
+) -> Flight:
+    """Return how long a wave takes between sensors in two grains, and so its speed.
+
+    An echo within the recording may be taken for the wave: record up to it.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    first, second : int
+        Grains; seconds and speed are negative if the wave comes to the second first.
+    method : str
+        "peak": from the largest maximum of one signal to that of the other; "correlation": the shift that makes the
+        two most alike, for which the whole of both must have been recorded.
+
+    Raises
+    ------
+    InputError
+        If there is no such sensor, or the wave has not passed it.
+    """
+    if first == second or method not in ("peak", "correlation"):
+        raise InputError([("second", 'choose two grains, and the method "peak" or "correlation"')])
+    one, two = sensor(trajectory, first), sensor(trajectory, second)
+    if method == "peak":
+        begin, end = (arrival(s.time, s.change, f"force in grain {s.grain}") for s in (one, two))
+        seconds, error = end.time - begin.time, begin.error + end.error
+    else:
+        shifts = np.concatenate((-one.time[:0:-1], one.time))
+        best = arrival(shifts, correlate(two.change, one.change), "correlation of the two forces")
+        seconds, error = best.time, best.error
+    return Flight(abs(second - first), abs(float(np.diff(_depth(trajectory, [first, second]))[0])), seconds, error)
+
+
+def wave_speed(trajectory: Trajectory, grains: Sequence[int]) -> WaveSpeed:
+    """Return when the velocity of each grain is largest and the speed of the wave between them.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    grains : (G,) sequence of int
+        Two or more, from the top downward.
+
+    Raises
+    ------
+    InputError
+        If they do not increase, were not recorded, or the wave has not passed one of them.
+    """
+    numbers = np.array(grains, dtype=int)
+    if numbers.size < 2 or (np.diff(numbers) <= 0).any():
+        raise InputError([("grains", "give two or more, from the top downward")])
+    velocity = motion(trajectory, numbers)[1]
+    peaks = [arrival(trajectory.time, v, f"velocity of grain {n}") for n, v in zip(numbers, velocity.T, strict=True)]
+    time, error = np.array([p.time for p in peaks]), np.array([p.error for p in peaks])
+    return WaveSpeed(numbers, time, error, np.diff(_depth(trajectory, numbers)))
+
+
+def _depth(trajectory: Trajectory, grains: Sequence[int] | np.ndarray) -> Array:
+    """Return how far below the first grain the centres of these are at rest, (G,) m."""
+    chain = trajectory.scene.chain
+    apart = (chain.contact_lengths - chain.contacts.overlap)[1:-1]
+    return np.concatenate(([0.0], np.cumsum(apart)))[np.asarray(grains) - 1]
+
+
+def _summit(time: Array, values: Array, top: int, stride: int) -> tuple[float, float]:
+    """Return time and height of the maximum near a sample, by a quintic spline through every `stride`-th around it."""
+    near = np.arange(top - REACH * stride, top + REACH * stride + 1, stride)
+    near = near[(near >= 0) & (near < len(values))]
+    unit = time[top + 1] - time[top]
+    spline = make_interp_spline((time[near] - time[top]) / unit, values[near], k=min(5, len(near) - 1))
+    roots = PPoly.from_spline(spline.derivative()).roots(extrapolate=False)
+    inside = np.append(roots[np.abs(roots) <= stride], 0.0)
+    best = inside[np.argmax(spline(inside))]
+    return float(time[top] + best * unit), float(spline(best))

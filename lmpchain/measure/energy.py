@@ -1,0 +1,172 @@
+"""The ledger of energy and momentum: what the chain holds, and what the world outside puts in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
+
+from ..chain import Chain
+from ..fields import Array
+from ..trajectory import Trajectory
+from .contact import ContactHistory, axes_in_units, contacts, drive_motion, motion
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, eq=False)
+class EnergyLedger:
+    """Energies above those of the chain at rest, J, and momenta, N s, over time.
+
+    ``kinetic + contact + gravity + load = total``. For a weak wave these terms, `contact` and `gravity` above all,
+    are far larger than their sum and cancel in it; `total`, `kinetic` and `drive` keep their digits.
+
+    Attributes
+    ----------
+    time : (T,) array
+        s.
+    kinetic : (T,) array
+        Of all grains, a driven one included.
+    contact : (T,) array
+        Elastic energy K overlap^(delta+1) / (delta+1) of all contacts, less that at rest.
+    gravity, load : (T,) arrays
+        Potential energies of the weight and of a constant load on a free top, 0 at rest.
+    total : (T,) array
+        `Chain.excess_energy`.
+    drive : (T,) array
+        Work of the driver since t = 0 beyond that of the load: the integral of (drive force - top load) phi_1'.
+    momentum : (T,) array
+        Of all grains, positive downward.
+    impulse : (T,) array
+        What driver, walls and a held grain have given since t = 0 beyond the impulses that balance at rest.
+    drive_error, impulse_error : float
+        How far the two may be off, as the contact forces are known at samples only: the shift when every second
+        sample is used, J and N s; infinite for fewer than three samples. Where forces are smooth and well sampled,
+        the true error is about 1/15 of it.
+    """
+
+    time: Array
+    kinetic: Array
+    contact: Array
+    gravity: Array
+    load: Array
+    total: Array
+    drive: Array
+    momentum: Array
+    impulse: Array
+    drive_error: float
+    impulse_error: float
+
+    @property
+    def drift(self) -> Array:
+        """Energy that came from nowhere since t = 0, (T,) J; 0 if the motion is exact."""
+        return self.total - self.total[0] - self.drive
+
+    @property
+    def momentum_drift(self) -> Array:
+        """Momentum that came from nowhere since t = 0, (T,) N s; 0 if the motion is exact."""
+        return self.momentum - self.momentum[0] - self.impulse
+
+    def virial_ratio(self, start: float = 0.0, end: float | None = None) -> float:
+        """Return the time mean of the kinetic energy over that of the total, from `start` to `end` in s.
+
+        In a sonic vacuum between walls it tends to (delta + 1) / (delta + 3), 5/9 for Hertz, as 1 over the time
+        (Slepyan, arXiv:1410.8301); in a weak wave to 1/2. It is NaN if there is no energy.
+        """
+        end = self.time[-1] if end is None else end
+        kinetic, total = (CubicSpline(self.time, x).integrate(start, end) for x in (self.kinetic, self.total))
+        return float(kinetic / total) if total else np.nan
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw total, kinetic and potential energy, and the work of a driver, over time; returns the figure."""
+        ax, picture = axes_in_units(ax, "s", "J")
+        ax.plot(self.time, self.total, label="total")
+        ax.plot(self.time, self.kinetic, label="kinetic")
+        ax.plot(self.time, self.total - self.kinetic, label="potential")
+        if self.drive.any():
+            ax.plot(self.time, self.total[0] + self.drive, "k--", lw=1, label="given by strike and driver")
+        ax.set(xlabel="time", ylabel="energy above rest")
+        largest = np.abs(self.total).max() or 1.0
+        ax.set_title(f"Drift: at most {np.abs(self.drift).max() / largest:.1e} of the largest total", loc="left")
+        ax.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=4)
+        return picture
+
+
+def ledger(trajectory: Trajectory) -> EnergyLedger:
+    """Return the energies and momenta of a chain over time, and what came from outside.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Of any engine, with all grains that move.
+
+    Raises
+    ------
+    InputError
+        If a grain that moves was not recorded.
+
+    Examples
+    --------
+    >>> import lmpchain
+    >>> chain = lmpchain.Chain(grains=20, diameter=1e-3)
+    >>> scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-3), duration=2e-5)
+    >>> energy = ledger(lmpchain.simulate(scene, engine="native", tolerance=1e-9))
+    >>> bool(abs(energy.drift).max() < 1e-8 * energy.total[0])
+    True
+    """
+    scene = trajectory.scene
+    chain = scene.chain
+    u, v = motion(trajectory, np.arange(1, chain.grains + 1))
+    history = contacts(trajectory)
+    closer = chain.contacts.closer(u)
+    momentum = v @ chain.masses
+    drive, impulse = np.zeros((2, trajectory.time.size))
+    drive_error = impulse_error = 0.0
+    if chain.top == "wall":
+        impulse, impulse_error = _integral(chain, history, 0)
+    elif scene.drive:
+        _, speed, acceleration = drive_motion(trajectory)
+        work, drive_error = _integral(chain, history, 1, speed, acceleration)
+        push, impulse_error = _integral(chain, history, 1)
+        drive = work + chain.masses[0] / 2 * (speed**2 - speed[0] ** 2)
+        impulse = push + chain.masses[0] * (speed - speed[0])
+    if chain.bottom != "free":
+        push, error = _integral(chain, history, chain.movable)
+        impulse, impulse_error = impulse - push, impulse_error + error
+    return EnergyLedger(
+        time=trajectory.time,
+        kinetic=v**2 @ chain.masses / 2,
+        contact=chain.contacts.energy(closer).sum(1) + closer @ chain.contacts.force,
+        gravity=-chain.gravity * (u @ chain.masses),
+        load=-chain.top_load * u[:, 0] * (chain.top == "free"),
+        total=chain.excess_energy(u, v),
+        drive=drive,
+        momentum=momentum,
+        impulse=impulse,
+        drive_error=drive_error,
+        impulse_error=impulse_error,
+    )
+
+
+def _integral(
+    chain: Chain, history: ContactHistory, number: int, weight: float | Array = 1.0, rate: float | Array = 0.0
+) -> tuple[Array, float]:
+    """Integrate the force of a contact above that at rest, times a weight whose rate is known, over time.
+
+    Returns the integral up to each sample, (T,), and its shift when every second sample is used.
+    """
+    (column,) = np.flatnonzero(history.contact == number)
+    overlap, closing, force = (x[:, column] for x in (history.overlap, history.closing, history.change))
+    steep = chain.exponent * chain.contacts.constant[number] * np.maximum(overlap, 0.0) ** (chain.exponent - 1)
+    value, slope = force * weight, np.where(overlap > 0, steep * closing, 0.0) * weight + force * rate
+    fine, coarse = (
+        CubicHermiteSpline(history.time[::n], value[::n], slope[::n]).antiderivative()(history.time[::n])
+        if len(value) > n
+        else np.full(1, np.inf)
+        for n in (1, 2)
+    )
+    return fine, float(np.abs(fine[::2] - coarse).max())

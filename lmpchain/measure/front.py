@@ -1,0 +1,248 @@
+"""The front of a wave, grain by grain, and the power laws by which it changes with depth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal, get_args
+
+import numpy as np
+from scipy import interpolate, optimize, signal, stats
+
+from ..errors import InputError
+from ..fields import Array
+from ..trajectory import Trajectory
+from .contact import REACH, _depth, _summit, axes_in_units
+from .spectrum import UNITS, Field, recorded
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Quantity = Literal["amplitude", "time", "width", "speed"]
+OTHERS = {"time": "s", "width": "s", "speed": "m/s"}  # units
+
+
+@dataclass(frozen=True, eq=False)
+class Front:
+    """The front of a wave as it passes P grains.
+
+    Attributes
+    ----------
+    field : "velocity" or "displacement"
+    grain, depth : (P,) arrays
+        Those whose maximum was found, from the top downward; their centres at rest below that of grain 1, m.
+    time, amplitude, width : (P,) arrays
+        When the maximum is reached, s; the value there, m/s or m, negative for a motion upward; the full width at half
+        maximum in time, s, NaN where the motion does not pass half the amplitude on both sides.
+    time_error, amplitude_error, width_error : (P,) arrays
+        Shifts when every second sample is left out: far above the errors of sampling where samples are dense.
+    """
+
+    field: Field
+    grain: np.ndarray
+    depth: Array
+    time: Array
+    amplitude: Array
+    width: Array
+    time_error: Array
+    amplitude_error: Array
+    width_error: Array
+
+    @property
+    def speed(self) -> Array:
+        """Local speed, (P,) m/s, negative upward, from the grains next in the list; meaningless beside a source."""
+        return 1 / self._slowness(self.depth)
+
+    @property
+    def grains_per_second(self) -> Array:
+        """Local speed in grains, (P,) 1/s, as `speed`."""
+        return 1 / self._slowness(self.grain.astype(float))
+
+    def _slowness(self, place: Array) -> Array:
+        if place.size < 2:
+            raise InputError([("grains", "a speed takes the front at two grains or more: record more of them")])
+        return np.gradient(self.time, place, edge_order=2 if place.size > 2 else 1)
+
+    def between(self, first: int, last: int) -> Front:
+        """Return the front at the grains from `first` to `last`."""
+        keep = (self.grain >= first) & (self.grain <= last)
+        return replace(self, **{key: x[keep] for key, x in vars(self).items() if key != "field"})
+
+    def against_depth(self, quantity: Quantity) -> tuple[Array, Array, str]:
+        """Return depths h = n - 1/2 in grains and the size of a quantity where it is known, (K,) each; its label."""
+        if quantity not in get_args(Quantity):
+            raise InputError([("quantity", f"must be one of {', '.join(get_args(Quantity))} (got {quantity!r})")])
+        values = np.abs(getattr(self, quantity))
+        known = np.isfinite(values)
+        label = f"{quantity} of the front ({OTHERS.get(quantity, UNITS[self.field])})"
+        return self.grain[known] - 0.5, values[known], label
+
+    def plot(self, ax: Axes | None = None, quantity: Quantity = "amplitude") -> Figure:
+        """Draw a quantity against depth, both logarithmic; returns the figure."""
+        return _draw(ax, *self.against_depth(quantity))
+
+
+@dataclass(frozen=True, eq=False)
+class Exponents:
+    """Local exponents p of a quantity that goes as h^p, each fitted to some neighbouring grains.
+
+    Attributes
+    ----------
+    quantity : str
+    depth, exponent : (L,) arrays
+        Geometric mean of the depths h = n - 1/2 of each fit, in grains; p.
+    error, residual : (L,) arrays
+        Half the 95 % confidence interval of p and the root mean square of the relative scatter that it rests on.
+    """
+
+    quantity: Quantity
+    depth: Array
+    exponent: Array
+    error: Array
+    residual: Array
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw the exponents with their confidence intervals against depth; returns the figure."""
+        return _draw(ax, self.depth, self.exponent, f"local exponent of the {self.quantity}", error=self.error)
+
+
+@dataclass(frozen=True, eq=False)
+class PowerLaw:
+    """A power law with its first correction for finite depth: factor h^exponent (1 + correction / h^order).
+
+    Attributes
+    ----------
+    label, depth, values : str, (P,) and (P,) arrays
+        The quantity, depths h = n - 1/2 in grains, and what was fitted.
+    order, exponent, factor, correction : float
+    error : (3,) array
+        Of exponent, factor and correction: half the 95 % confidence interval and, added to it, the shift when a term
+        in h^(-2 order) is fitted too. On smooth data such terms count for more than scatter; yet it is no bound.
+    """
+
+    label: str
+    depth: Array
+    values: Array
+    order: float
+    error: Array
+    exponent: float
+    factor: float
+    correction: float
+
+    def __call__(self, depth: Array) -> Array:
+        """Return the law at these depths."""
+        return self.factor * depth**self.exponent * (1 + self.correction * depth**-self.order)
+
+    @property
+    def residual(self) -> Array:
+        """How far the values lie above the law, (P,), relative."""
+        return self.values / self(self.depth) - 1
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw values and law against depth, both logarithmic; returns the figure."""
+        law = f"exponent {self.exponent:.4f} ± {self.error[0]:.4f}, corrected for finite depth"
+        return _draw(ax, self.depth, self.values, self.label, **{law: self(self.depth)})
+
+
+def track(trajectory: Trajectory, field: Field = "velocity", fraction: float = 0.5) -> Front:
+    """Follow the front of a wave from grain to grain, between the samples too.
+
+    At each grain the front is the first local maximum, of the size so that it may move upward, that reaches
+    `fraction` of the largest size there and after which the motion falls by more than the error of the trajectory.
+    Left out are grains that begin with such a size, as the one that was struck does, and those whose maximum is less
+    than two samples from an end of the recording. Behind the front the displacement falls slowly in a column, not at
+    all in a sonic vacuum: follow the velocity there, which is largest where the displacement rises most.
+
+    Examples
+    --------
+    >>> import lmpchain
+    >>> chain = lmpchain.Chain(grains=40, diameter=1e-3)
+    >>> scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-5), duration=1e-4, samples=401)
+    >>> front = track(lmpchain.simulate(scene, engine="native"))
+    >>> front.grain[:3].tolist(), [f"{c:.0f} m/s" for c in front.speed[[5, 10, 15]]]
+    ([2, 3, 4], ['190 m/s', '212 m/s', '227 m/s'])
+    """
+    grains, motion = recorded(trajectory, field)
+    certain = trajectory.error_estimate.solver * np.abs(motion).max()
+    found = []
+    for grain, values in zip(grains, motion.T, strict=True):
+        size = np.abs(values)
+        enough = fraction * size.max()
+        tops, _ = signal.find_peaks(size, height=enough, prominence=certain)
+        if size[0] < enough and tops.size and 2 <= (top := int(tops[0])) < size.size - 2:
+            up = np.sign(values[top])
+            fine, coarse = (_pulse(trajectory.time[top % n :: n], up * values[top % n :: n], top // n) for n in (1, 2))
+            found.append([grain, *fine * [1, up, 1], *np.abs(fine - coarse)])
+    if not found:
+        raise InputError([("duration", f"no grain shows the {field} of a front that passes: record for longer")])
+    passed, *columns = np.array(found).T
+    return Front(field, passed.astype(int), _depth(trajectory, passed.astype(int)), *columns)
+
+
+def exponent(front: Front, quantity: Quantity = "amplitude", window: int | None = 11) -> Exponents:
+    """Fit power laws in h = n - 1/2 to every `window` grains that follow one another, or to all if it is None."""
+    depth, values, _ = front.against_depth(quantity)
+    size = depth.size if window is None else window
+    if not 3 <= size <= depth.size:
+        raise InputError([("window", f"must be 3 to {depth.size}, the number of grains passed (got {size})")])
+    x, y = (np.lib.stride_tricks.sliding_window_view(np.log(z), size) for z in (depth, values))
+    slope, error, correlation = np.array([(fit.slope, fit.stderr, fit.rvalue) for fit in map(stats.linregress, x, y)]).T
+    residual = np.sqrt(1 - correlation**2) * y.std(1)
+    return Exponents(quantity, np.exp(x.mean(1)), slope, stats.t.ppf(0.975, size - 2) * error, residual)
+
+
+def asymptotic(front: Front, quantity: Quantity, delta: float, exponent: float | None = None) -> PowerLaw:
+    """Fit the law to which a quantity tends with depth, and how it gets there, after a weak strike on a column's top.
+
+    With xi = 1 - 1/delta, dispersion spreads the front (tau^2 - chi^2)^(-a), a = xi / (4 - 2 xi), over times ~ h^w,
+    w = 1/3 - xi/2. Displacements tend to the power -xi/4 - a w of h, velocities to -xi/4 - (1 + a) w: -1/10 and -4/15
+    for Hertz; -1/12 and -1/4 of Hong, Ji and Kim, Phys. Rev. Lett. 82, 3058 (1999), are local ones on the way there.
+
+    The order is 1/delta - 1/3 for amplitude and width, 2/3 for time and speed; above delta = 2 the correction cannot be
+    told from the power. A given `exponent` is not fitted. `Front.between` leaves out first grains and reflections.
+    """
+    depth, values, label = front.against_depth(quantity)
+    x, y = np.log(depth), np.log(values)
+    if depth.size < 6 or not 1 <= delta <= 2:
+        raise InputError([("front", f"takes 6 grains or more (got {depth.size}), and 1 <= delta <= 2 (got {delta})")])
+    order = 2 / 3 if quantity in ("time", "speed") else 1 / delta - 1 / 3
+    known: list[float] = [] if exponent is None else [exponent]
+
+    def law(x: Array, *terms: float) -> Array:
+        power, scale, first, second = (*known, *terms, 0.0)[:4]
+        return scale + power * x + np.log(np.abs(1 + first * np.exp(-order * x) + second * np.exp(-2 * order * x)))
+
+    try:
+        found, covariance = optimize.curve_fit(law, x, y, [*np.polyfit(x, y, 1), 0.0][len(known) :])
+        further, _ = optimize.curve_fit(law, x, y, [*found, 0.0])
+    except RuntimeError:
+        raise InputError([("front", "follows no such law: choose other grains with Front.between")]) from None
+    error = stats.t.ppf(0.975, x.size - found.size) * np.sqrt(np.diag(covariance)) + np.abs(further[:-1] - found)
+    (power, scale, correction), error = np.append(known, found), np.append(np.zeros(len(known)), error)
+    return PowerLaw(label, depth, values, order, error * [1, np.exp(scale), 1], power, np.exp(scale), correction)
+
+
+def _pulse(time: Array, values: Array, top: int) -> Array:
+    """Return time, height and full width at half maximum of the maximum near a sample, (3,)."""
+    when, height = _summit(time, values, top, 1)
+    low = np.flatnonzero(values < height / 2)
+    first, last = low[low < top].max(initial=0), low[low > top].min(initial=time.size)
+    near, unit = slice(max(0, first + 1 - REACH), last + REACH), time[1] - time[0]
+    spline = interpolate.make_interp_spline((time[near] - when) / unit, values[near] - height / 2, k=5)
+    roots = interpolate.PPoly.from_spline(spline).roots(extrapolate=False)
+    before, after = roots[roots < 0], roots[roots > 0]
+    return np.array([when, height, unit * (after.min() - before.max()) if before.size and after.size else np.nan])
+
+
+def _draw(ax: Axes | None, h: Array, y: Array, label: str, error: Array | None = None, **laws: Array) -> Figure:
+    """Draw values against depth, logarithmic unless they have errors, and laws through them."""
+    from matplotlib.ticker import LogLocator
+
+    ax, picture = axes_in_units(ax, "", "")
+    ax.errorbar(h, y, yerr=error, fmt=".", markersize=4, elinewidth=1)
+    for name, values in laws.items():
+        ax.plot(h, values, label=name)
+        ax.legend(frameon=False)
+    ax.set(xscale="log", yscale="log" if error is None else "linear", xlabel="depth h = n − 1/2 (grains)", ylabel=label)
+    ax.xaxis.set(major_locator=LogLocator(subs=(1, 2, 5)), major_formatter="{x:g}", minor_formatter="")
+    return picture

@@ -1,0 +1,248 @@
+"""Waves by frequency and wavenumber, beside what the chain lets pass, and as pictures in space and time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, get_args
+
+import numpy as np
+from scipy.signal import get_window
+
+from ..chain import Chain
+from ..errors import InputError
+from ..fields import Array
+from ..trajectory import Trajectory
+from .contact import axes_in_units
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Field = Literal["velocity", "displacement"]
+UNITS = {"velocity": "m/s", "displacement": "m"}
+FEWEST_SAMPLES, FEWEST_GRAINS = 16, 8  # for a front to be followed and a spectrum; for wavenumbers to be told apart
+DECADES = 3  # that the colours of a spectrum span
+LINE = "#D55E00"  # vermilion of Okabe and Ito: seen on every colour of cividis, whatever the colour vision
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """The frequencies in the motion of G grains.
+
+    Attributes
+    ----------
+    field : "velocity" or "displacement"
+    frequency : (F,) array
+        Hz, from 0 to half the sampling rate.
+    grain, cut_off : (G,) arrays
+        From the top downward; Hz, see the function of this name.
+    amplitude : (F, G) array
+        |integral of w x exp(-2 pi i f t) dt| with the window w, m/s or m per Hz. That of a pulse does not depend on
+        how long it is recorded; a steady oscillation of amplitude A has a line of height A / 2 times the integral of
+        w. The integral of (w x)^2 over time is that of 2 amplitude^2 over frequency.
+    """
+
+    field: Field
+    frequency: Array
+    grain: np.ndarray
+    cut_off: Array
+    amplitude: Array
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw the amplitude over frequency and depth, with the local cut-off; returns the figure."""
+        ax, picture = axes_in_units(ax, "Hz", "")
+        _logarithmic(ax, self.frequency, self.grain, self.amplitude.T, f"{self.field} ({UNITS[self.field]} per Hz)")
+        if self.cut_off.any():
+            ax.plot(self.cut_off, self.grain, color=LINE, label="local cut-off")
+            ax.legend(loc="lower left")
+        ax.set(xlabel="frequency", ylabel="grain, from the top", ylim=ax.get_ylim()[::-1])
+        ax.set_xlim(0, min(self.frequency[-1], 1.5 * self.cut_off.max() or np.inf))
+        ax.locator_params(axis="x", nbins=6)
+        ax.locator_params(axis="y", integer=True, min_n_ticks=1)
+        return picture
+
+
+@dataclass(frozen=True, eq=False)
+class Dispersion:
+    """The frequencies and wavenumbers in the motion of neighbouring grains.
+
+    Attributes
+    ----------
+    field : "velocity" or "displacement"
+    frequency : (F,) array
+        Hz, from 0 to half the sampling rate.
+    wavenumber : (K,) array
+        Radians a grain, from -pi to pi; those of waves that move downward are positive.
+    amplitude : (F, K) array
+        |sum over grains of integral of w x exp(i k n - 2 pi i f t) dt| with the window w, m/s or m per Hz.
+    grain : (3,) array
+        First, middle and last grain.
+    relation : (3, K) array
+        The local dispersion relation at these, cut-off times |sin(k / 2)|, Hz.
+    """
+
+    field: Field
+    frequency: Array
+    wavenumber: Array
+    amplitude: Array
+    grain: np.ndarray
+    relation: Array
+
+    @property
+    def ridge(self) -> Array:
+        """Frequency at which each wavenumber is strongest, (K,) Hz, one of `frequency`."""
+        return self.frequency[self.amplitude.argmax(0)]
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw the amplitude over wavenumber and frequency, with the local relation; returns the figure."""
+        ax, picture = axes_in_units(ax, "", "Hz")
+        _logarithmic(ax, self.wavenumber, self.frequency, self.amplitude, f"{self.field} ({UNITS[self.field]} per Hz)")
+        for number, relation, style in zip(self.grain, self.relation, (":", "-", "--"), strict=True):
+            if relation.any():
+                ax.plot(self.wavenumber, relation, style, color=LINE, label=f"grain {number}")
+                ax.legend(title="local relation", loc="upper center", ncols=3)
+        ax.set(xlabel="wavenumber, downward (radians a grain)", ylabel="frequency")
+        ax.set_ylim(0, min(self.frequency[-1], 1.5 * self.relation.max() or np.inf))
+        return picture
+
+
+def recorded(trajectory: Trajectory, field: Field) -> tuple[np.ndarray, Array]:
+    """Return the recorded grains from the top downward, (G,), and their motion, (T, G) m/s or m."""
+    if field not in get_args(Field):
+        raise InputError([("field", f'must be "velocity" or "displacement" (got {field!r})')])
+    if trajectory.time.size < FEWEST_SAMPLES:
+        raise InputError([("samples", f"must be {FEWEST_SAMPLES} or more: record more often or for longer")])
+    order = np.argsort(trajectory.grains)
+    return trajectory.grains[order], getattr(trajectory, field)[:, order]
+
+
+def spectrum(trajectory: Trajectory, field: Field = "velocity", window: str = "boxcar") -> Spectrum:
+    """Return the spectrum of every recorded grain.
+
+    Record often enough: what is faster than half the sampling rate appears at a lower frequency.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    field : str
+    window : str
+        A name that `scipy.signal.get_window` knows: "boxcar", which changes nothing, for pulses that come and go;
+        "hann" for oscillations that last, where it keeps strong lines from hiding weak ones.
+
+    Examples
+    --------
+    >>> import lmpchain
+    >>> chain = lmpchain.Chain(grains=30, diameter=1e-3)
+    >>> scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-6), duration=1e-3, samples=1001)
+    >>> found = spectrum(lmpchain.simulate(scene, engine="native"))
+    >>> found.amplitude.shape, f"{found.frequency[-1]:.0f} Hz", f"{found.cut_off[0]:.0f} Hz"
+    ((501, 30), '499500 Hz', '46332 Hz')
+    """
+    grain, motion = recorded(trajectory, field)
+    step, samples = trajectory.time[1], trajectory.time.size
+    amplitude = step * np.abs(np.fft.rfft(_window(window, samples)[:, None] * motion, axis=0))
+    return Spectrum(field, np.fft.rfftfreq(samples, step), grain, cut_off(trajectory.scene.chain)[grain - 1], amplitude)
+
+
+def dispersion(
+    trajectory: Trajectory, first: int, last: int, field: Field = "velocity", window: str = "hann"
+) -> Dispersion:
+    """Return the spectrum of the grains from `first` to `last` over frequency and wavenumber.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    first, last : int
+        At least 8 grains, each of which was recorded.
+    field : str
+    window : str
+        Over time and over grains; a name that `scipy.signal.get_window` knows.
+    """
+    grains, motion = recorded(trajectory, field)
+    chosen = np.arange(first, last + 1)
+    if chosen.size < FEWEST_GRAINS:
+        raise InputError([("last", f"wavenumbers take {FEWEST_GRAINS} grains or more (got {first} to {last})")])
+    missing = np.setdiff1d(chosen, grains)
+    if missing.size:
+        cure = f'choose others, or record grains = "{first}:{last}"'
+        raise InputError([("grains", f"grain {missing[0]} was not recorded, and the window may have no gap: {cure}")])
+    step, samples = trajectory.time[1], trajectory.time.size
+    windowed = motion[:, np.isin(grains, chosen)] * _window(window, chosen.size)
+    windowed *= _window(window, samples)[:, None]
+    both = np.fft.ifft(step * np.fft.rfft(windowed, axis=0), axis=1, norm="forward")
+    wavenumber = 2 * np.pi * np.fft.fftshift(np.fft.fftfreq(chosen.size))
+    three = np.array([first, (first + last) // 2, last])
+    relation = cut_off(trajectory.scene.chain)[three - 1, None] * np.abs(np.sin(wavenumber / 2))
+    amplitude = np.abs(np.fft.fftshift(both, axes=1))
+    return Dispersion(field, np.fft.rfftfreq(samples, step), wavenumber, amplitude, three, relation)
+
+
+def cut_off(chain: Chain) -> Array:
+    """Return the highest frequency that passes each grain, as if all were like it and the contact below, (N,) Hz.
+
+    It is sqrt(k_n / m_n) / pi; the last grain takes the contact above. In a sonic vacuum it is 0.
+    """
+    stiffness = chain.linear_stiffness
+    return np.sqrt(np.append(stiffness, stiffness[-1]) / chain.masses) / np.pi
+
+
+def travel_time(chain: Chain, source: int = 1) -> Array:
+    """Return when a weak, long wave from one grain comes to each, (N,) s: the sum of sqrt(m / k) over the contacts.
+
+    From grain 1 under a free top it takes half a contact more, as from the surface. The velocity is largest a little
+    later, by a time that grows with the width of the front.
+    """
+    if not chain.compressed:
+        raise InputError([("chain", "without gravity and load no weak wave travels: there is no such time")])
+    if not 1 <= source <= chain.grains:
+        raise InputError([("source", f"grains are numbered 1 to {chain.grains} (got {source})")])
+    apart = np.sqrt((chain.masses[1:] + chain.masses[:-1]) / 2 / chain.linear_stiffness)
+    time = np.concatenate(([0.0], np.cumsum(apart)))
+    return np.abs(time - time[source - 1]) + (apart[0] / 2 if source == 1 and chain.top == "free" else 0.0)
+
+
+def space_time(trajectory: Trajectory, field: Field = "velocity", ax: Axes | None = None, law: bool = False) -> Figure:
+    """Draw the motion over time and depth, downward in red and upward in blue; returns the figure.
+
+    The colours saturate at the median of the largest sizes of the grains that move, so that the wave can be seen
+    where it has become weak. With `law` a line shows `travel_time` from the grain that is struck or driven.
+    """
+    from matplotlib.ticker import EngFormatter
+
+    grain, motion = recorded(trajectory, field)
+    ax, picture = axes_in_units(ax, "s", "")
+    largest = np.abs(motion).max(0)
+    limit = float(np.median(largest[largest > 1e-3 * largest.max()])) if largest.any() else 1.0
+    shown = ax.pcolorfast(_edges(trajectory.time), _edges(grain), motion.T, cmap="RdBu_r", vmin=-limit, vmax=limit)
+    picture.colorbar(shown, ax=ax, label=f"{field}, downward", format=EngFormatter(UNITS[field]), extend="both")
+    ax.set(xlabel="time", ylabel="grain, from the top", xlim=trajectory.time[[0, -1]], ylim=ax.get_ylim()[::-1])
+    ax.locator_params(axis="y", integer=True, min_n_ticks=1)
+    if law:
+        chain, source = trajectory.scene.chain, getattr(trajectory.scene.excitation, "grain", 1)
+        ax.plot(travel_time(chain, source), np.arange(1, chain.grains + 1), "k--", lw=1, label="long weak wave")
+        ax.legend(loc="lower left")
+    return picture
+
+
+def _window(name: str, size: int) -> Array:
+    try:
+        return get_window(name, size)
+    except ValueError:
+        raise InputError([("window", f"must be a name that scipy.signal.get_window knows (got {name!r})")]) from None
+
+
+def _logarithmic(ax: Axes, x: Array, y: Array, values: Array, label: str) -> None:
+    """Draw values (Y, X) as colours, with their bar."""
+    from matplotlib.colors import LogNorm
+
+    largest = values.max() or 1.0
+    smallest = largest / 10**DECADES
+    scale = LogNorm(smallest, largest)
+    shown = ax.pcolorfast(_edges(x), _edges(y), np.maximum(values, smallest), norm=scale, cmap="cividis")
+    ax.figure.colorbar(shown, ax=ax, label=label, extend="min")
+
+
+def _edges(middles: Array) -> Array:
+    """Return where cells around these middles meet, and end."""
+    half = (middles[1] - middles[0]) / 2 if len(middles) > 1 else 0.5
+    return np.concatenate(([middles[0] - half], (middles[1:] + middles[:-1]) / 2, [middles[-1] + half]))

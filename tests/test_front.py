@@ -1,0 +1,327 @@
+"""The front of a wave: found between samples, against exact solutions, published laws and their exponents."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from lmpchain import Chain, Impulse, InputError, Scene, Trajectory, simulate
+from lmpchain.measure.front import Front, asymptotic, exponent, track
+
+Array = NDArray[np.float64]
+
+
+def column(
+    strike: float, last: int, grains: int, per_unit: int = 8, recorded: str = "all", delta: float = 1.5
+) -> Trajectory:
+    """Return a column struck at the top with this strike number, until its weak front has passed the `last` grain."""
+    chain = Chain(grains=grains, diameter=1e-3, exponent=delta)
+    eta = 1 + 1 / delta
+    end = 2 / eta * last ** (eta / 2) + 2.5 * last ** (eta / 2 - 2 / 3) + 4
+    scene = Scene(
+        chain=chain,
+        excitation=Impulse(velocity=strike * chain.length_scale / chain.time_scale),
+        duration=end * chain.time_scale,
+        samples=round(per_unit * end) + 1,
+        grains=recorded,
+    )
+    return simulate(scene, engine="native", tolerance=1e-8)
+
+
+@pytest.fixture(scope="module")
+def weak() -> Trajectory:
+    return column(1e-4, 505, 540)
+
+
+@pytest.fixture(scope="module")
+def velocity(weak: Trajectory) -> Front:
+    return track(weak).between(2, 500)
+
+
+@pytest.fixture(scope="module")
+def displacement(weak: Trajectory) -> Front:
+    return track(weak, "displacement").between(1, 500)
+
+
+def made_up(motion: Callable[[Array, Array], Array], samples: int = 401, grains: int = 5) -> Trajectory:
+    """Return a trajectory with a velocity and displacement motion(t, n) for t from 0 to 20 us."""
+    scene = Scene(
+        chain=Chain(grains=grains, diameter=1e-3), excitation=Impulse(velocity=1e-6), duration=20e-6, samples=samples
+    )
+    values = motion(scene.time[:, None] * 1e6, np.arange(1.0, grains + 1))
+    return replace(simulate(scene, engine="native", tolerance=1e-3), velocity=values, displacement=values)
+
+
+def gauss(t: Array, middle: Array | float, width: Array | float = 1.0) -> Array:
+    return np.exp(-(((t - middle) / width) ** 2))
+
+
+# --- where the truth is known
+
+
+@pytest.mark.parametrize("up", [1, -1])
+def test_time_height_and_width_between_the_samples(up: int):
+    t = made_up(lambda t, n: up * n * gauss(t, 5 + 2.1234 * n, 1 + 0.1 * n))
+    front = track(t)
+    n = front.grain
+    assert n.tolist() == [1, 2, 3, 4, 5]
+    assert front.time == pytest.approx((5 + 2.1234 * n) * 1e-6, rel=1e-9)
+    assert front.amplitude == pytest.approx(up * n, rel=1e-9)
+    assert front.width == pytest.approx(2 * np.sqrt(np.log(2)) * (1 + 0.1 * n) * 1e-6, rel=1e-8)
+    assert front.grains_per_second == pytest.approx(1e6 / 2.1234, rel=1e-8)
+    assert front.speed == pytest.approx(1e3 / 2.1234, rel=1e-5), "grains are 1 mm apart but for their overlap"
+
+
+@pytest.mark.parametrize("samples", [31, 41, 61, 101])
+def test_the_errors_are_above_the_true_ones(samples: int):
+    front = track(made_up(lambda t, n: n * gauss(t, 6 + 1.2345 * n, 2), samples))
+    for error, true in (
+        (front.time_error, front.time - (6 + 1.2345 * front.grain) * 1e-6),
+        (front.amplitude_error, front.amplitude - front.grain),
+        (front.width_error, front.width - 4e-6 * np.sqrt(np.log(2))),
+    ):
+        assert (np.abs(true) < error).all()
+
+
+def test_the_front_is_the_first_maximum_that_is_high_enough():
+    t = made_up(lambda t, n: 0.1 * gauss(t, 3) - 1.0 * gauss(t, 8) + 1.5 * gauss(t, 13) + 0 * n)
+    for fraction, amplitude in ((0.05, 0.1), (0.5, -1.0), (0.8, 1.5)):
+        assert track(t, fraction=fraction).amplitude == pytest.approx(amplitude, rel=1e-6)
+
+
+def test_grains_that_the_front_has_not_passed_are_left_out():
+    t = made_up(lambda t, n: gauss(t, 10 * (n - 1)) + 1e-9 * np.sin(5 * t) * (n == 5))  # at t = 0, 10, 20, 30 ...
+    t = replace(t, error_estimate=replace(t.error_estimate, solver=1e-8))
+    assert track(t).grain.tolist() == [2], "noise below the error of the trajectory is no front"
+    t = made_up(lambda t, n: np.tanh(t - 10) + 1 + 0 * n)
+    with pytest.raises(InputError, match="no grain shows the velocity of a front"):
+        track(t)
+
+
+def test_a_wave_that_was_not_seen_to_fall_has_no_width():
+    front = track(made_up(lambda t, n: gauss(t, 17 - n) + 0.6 * (1 + np.tanh(t - 17 + n))))
+    assert front.grain.tolist() == [1, 2, 3, 4, 5]
+    assert (np.diff(front.time) < 0).all()
+    assert np.isnan(front.width).all()
+    assert np.isnan(front.width_error).all()
+
+
+def test_recorded_grains_may_come_in_any_order():
+    scene = Scene(
+        chain=Chain(grains=40, diameter=1e-3), excitation=Impulse(velocity=1e-6, grain=10), duration=6e-5, samples=301,
+        grains=[20, 4, 12, 10, 16, 8],
+    )  # fmt: skip
+    front = track(simulate(scene, engine="native", tolerance=1e-8))
+    assert front.grain.tolist() == [4, 8, 12, 16, 20], "the one that was struck is left out"
+    assert (np.diff(front.time[2:]) > 0).all()
+    assert front.time[0] > front.time[1]
+    assert front.speed[0] < 0 < front.speed[-1]
+    assert front.depth == pytest.approx(1e-3 * (front.grain - 1), rel=1e-5)
+
+
+def test_against_the_exact_motion_of_a_weak_strike():
+    """Sum over all modes, from a dense eigenvalue solver: the maxima by root finding, without any sampling."""
+    t = column(1e-7, 60, 80)
+    chain, strike = t.scene.chain, t.scene.excitation.velocity
+    diagonal, coupling = chain.dynamical_matrix()
+    squares, shape = np.linalg.eigh(np.diag(diagonal) + np.diag(coupling, 1) + np.diag(coupling, -1))
+    omega, front = np.sqrt(squares), track(t).between(2, 60)
+    assert front.grain.tolist() == list(range(2, 61))
+    for grain, time, amplitude in zip(front.grain, front.time, front.amplitude, strict=True):
+        weight = strike * shape[grain - 1] * shape[0]
+        true = brentq(
+            lambda s, weight=weight: weight @ (omega * np.sin(omega * s)),
+            time - 0.3 * chain.time_scale,
+            time + 0.3 * chain.time_scale,
+            xtol=1e-14 * chain.time_scale,
+        )
+        assert time == pytest.approx(true, abs=1e-6 * chain.time_scale)
+        assert amplitude == pytest.approx(weight @ np.cos(omega * true), rel=2e-6)
+
+
+def test_soliton_of_the_sonic_vacuum():
+    """V = 0.9074700784 v^(1/5) and 1.5791 grains of full width at half maximum: the exact lattice soliton."""
+    chain = Chain(
+        grains=90, diameter=100.0, gravity=0.0, bottom="free", masses=np.ones(90), contact_constants=np.ones(89)
+    )
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1.0), duration=110.0, samples=2201, grains="50:80")
+    t = simulate(scene, engine="native", tolerance=1e-8)
+    front = track(t)
+    assert front.grain.tolist() == list(range(50, 81))
+    assert front.amplitude == pytest.approx(0.68163155, rel=1e-6)
+    assert front.grains_per_second / front.amplitude**0.2 == pytest.approx(0.9074700784, rel=1e-6)
+    assert front.speed == pytest.approx(100 * front.grains_per_second, rel=1e-12)
+    assert front.width * front.grains_per_second == pytest.approx(1.5791, abs=5e-5)
+    assert exponent(front, "amplitude", None).exponent == pytest.approx(0, abs=1e-6)
+    with pytest.raises(InputError, match="no grain shows the displacement"):
+        track(t, "displacement")
+
+
+# --- the column: numbers of the linear chain
+
+
+def at(front: Front, grain: int, values: Array) -> float:
+    return float(values[front.grain == grain].item())
+
+
+@pytest.mark.parametrize(("grain", "ratio"), [(100, 0.251742), (500, 0.169778)])
+def test_peak_velocity(velocity: Front, weak: Trajectory, grain: int, ratio: float):
+    assert at(velocity, grain, velocity.amplitude) / weak.scene.excitation.velocity == pytest.approx(ratio, rel=1e-5)
+
+
+def test_local_speed(velocity: Front, weak: Trajectory):
+    """Speed over n^(1/6): 0.9944 at 100; the maximum lags 0.908 h^(1/6) / 4^(1/3) behind (6/5) h^(5/6)."""
+    unit = weak.scene.chain.time_scale
+    assert at(velocity, 100, velocity.grains_per_second) * unit / 100 ** (1 / 6) == pytest.approx(0.9944, abs=7e-4)
+    h = 499.5
+    slowness = h ** (-1 / 6) + 0.908 / 4 ** (1 / 3) / 6 * h ** (-5 / 6)
+    assert at(velocity, 500, velocity.grains_per_second) * unit == pytest.approx(1 / slowness, rel=2e-4)
+
+
+@pytest.mark.parametrize("window", [5, 11, 21])
+@pytest.mark.parametrize(("grain", "slope"), [(100, -0.2381), (200, -0.2441), (489, -0.2502)])
+def test_local_exponents(velocity: Front, window: int, grain: int, slope: float):
+    """d ln v / d ln n of the linear column: by h = n - 1/2 it is a little less steep."""
+    found = exponent(velocity, window=window)
+    assert np.interp(grain - 0.5, found.depth, found.exponent) * grain / (grain - 0.5) == pytest.approx(slope, abs=3e-4)
+    assert found.depth.shape == found.exponent.shape == found.error.shape == (velocity.grain.size - window + 1,)
+    assert (found.error[100:] < 2e-3).all()
+    assert (found.residual[100:] < 1e-4).all()
+
+
+@pytest.mark.parametrize(("strike", "slope"), [(10, -0.2374), (100, -0.1700), (1000, -0.0512)])
+def test_local_exponents_of_stronger_waves(strike: float, slope: float):
+    """From the weak wave to a soliton which feels no gravity; at n = 100."""
+    front = track(column(strike, 112, 130, per_unit=15, recorded="88:112"))
+    found = exponent(front, window=None)
+    assert found.exponent[0] == pytest.approx(slope, abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("field", "quantity", "power", "factor"),
+    [
+        ("velocity", "amplitude", -4 / 15, 0.931767),
+        ("displacement", "amplitude", -1 / 10, 1.155137 * 2.4**-0.1 * 4 ** (1 / 30) * 1.23707),
+        ("velocity", "time", 5 / 6, 6 / 5),
+        ("velocity", "speed", 1 / 6, 1.0),
+        ("velocity", "width", 1 / 6, None),
+    ],
+)
+def test_asymptotic_laws(
+    velocity: Front, displacement: Front, weak: Trajectory, field: str, quantity: str, power: float, factor: float
+):
+    """Velocity 0.931767 n^(-4/15), displacement n^(-1/10), not the -1/4 and -1/12 of Hong, Ji and Kim."""
+    unit, strike = weak.scene.chain.time_scale, weak.scene.excitation.velocity
+    scale = {"amplitude": strike if field == "velocity" else strike * unit, "speed": 1e-3 / unit}.get(quantity, unit)
+    front = {"velocity": velocity, "displacement": displacement}[field].between(20, 500)
+    free, fixed = asymptotic(front, quantity, 1.5), asymptotic(front, quantity, 1.5, power)
+    assert free.exponent == pytest.approx(power, abs=2.5e-3)
+    assert free.error[0] < 5e-3
+    assert np.abs(free.residual).max() < 2e-3
+    assert fixed.exponent == power
+    assert fixed.error[0] == 0
+    if factor:
+        assert abs(free.exponent - power) < 2 * free.error[0]
+        assert fixed.factor / scale == pytest.approx(factor, rel=5e-3)
+    if (field, quantity) == ("velocity", "amplitude"):
+        assert fixed.correction == pytest.approx(-0.339, abs=0.05)
+        assert abs(free.exponent + 1 / 4) > 2 * free.error[0], "told from the exponent of Hong, Ji and Kim"
+
+
+@pytest.mark.parametrize(("delta", "power", "factor"), [(1.0, -1 / 3, 1.071313), (2.0, -2 / 9, None)])
+def test_asymptotic_laws_of_other_contacts(delta: float, power: float, factor: float | None):
+    """1.071313 n^(-1/3) for springs, the front of a Bessel function; n^(-2/9) for delta = 2."""
+    t = column(1e-3, 300, 340, delta=delta)
+    front = track(t).between(30, 295)
+    free = asymptotic(front, "amplitude", delta)
+    assert free.exponent == pytest.approx(power, abs=2e-3)
+    assert free.order == pytest.approx(1 / delta - 1 / 3)
+    assert asymptotic(front, "speed", delta).order == pytest.approx(2 / 3)
+    if factor:
+        fixed = asymptotic(front, "amplitude", delta, power)
+        assert fixed.factor / t.scene.excitation.velocity == pytest.approx(factor, rel=1e-3)
+
+
+# --- the fits themselves
+
+
+def power_law(noise: float = 0.0, terms: tuple[float, ...] = (-0.4,)) -> Front:
+    grain = np.arange(10, 300)
+    h = grain - 0.5
+    amplitude = 1e-9 * h**-0.3 * (1 + sum(c * h ** (-k / 3) for k, c in enumerate(terms, 1)))
+    amplitude *= 1 + noise * np.random.default_rng(5).normal(size=h.size)
+    zero = np.zeros(h.size)
+    return Front("velocity", grain, h * 1e-3, h.astype(float), -amplitude, h**2, zero, zero, zero)
+
+
+def test_a_power_law_is_found_again():
+    for given in (None, -0.3):
+        law = asymptotic(power_law(), "amplitude", 1.5, given)
+        assert (law.exponent, law.factor, law.correction) == pytest.approx((-0.3, 1e-9, -0.4), rel=1e-5)
+        assert (law.error < [1e-5, 1e-13, 1e-4]).all()
+        assert np.abs(law.residual).max() < 1e-6
+        assert law(np.array([9.5])) == pytest.approx(law.values[:1], rel=1e-6)
+    local = exponent(power_law(terms=()), window=None)
+    assert local.depth.shape == (1,)
+    assert local.exponent == pytest.approx(-0.3, abs=1e-12)
+    assert local.residual < 1e-6
+
+
+def test_scatter_widens_the_intervals():
+    law, local = asymptotic(power_law(1e-3), "amplitude", 1.5), exponent(power_law(1e-3, ()), window=None)
+    assert 1e-3 < law.error[0] < 0.2
+    assert abs(law.exponent + 0.3) < law.error[0]
+    assert local.residual == pytest.approx(1e-3, rel=0.1)
+    # standard error noise / (sigma_x sqrt(N)), times 1.97 for 95 %
+    assert local.error == pytest.approx(1.97e-3 / np.log(np.arange(10, 300) - 0.5).std() / np.sqrt(290), rel=0.1)
+    assert abs(local.exponent + 0.3) < 2 * local.error
+
+
+def test_what_follows_no_such_law():
+    front = power_law()
+    with pytest.raises(InputError, match="choose other grains"):
+        asymptotic(replace(front, amplitude=np.exp(-front.depth / 0.05)), "amplitude", 1.5, -0.3)
+
+
+@pytest.mark.parametrize(
+    ("call", "key"),
+    [
+        (lambda t: track(t, "energy"), "field"),
+        (lambda t: track(made_up(lambda t, n: gauss(t, 10 + n), samples=15)), "samples"),
+        (lambda t: exponent(power_law(), "amplitude", 2), "window"),
+        (lambda t: exponent(power_law(), "amplitude", 500), "window"),
+        (lambda t: exponent(power_law(), "grain"), "quantity"),
+        (lambda t: asymptotic(power_law().between(10, 14), "amplitude", 1.5), "front"),
+        (lambda t: asymptotic(power_law(), "amplitude", 2.5), "front"),
+        (lambda t: power_law().between(10, 10).speed, "grains"),
+    ],
+)
+def test_faults_name_their_key(call: Callable[[Trajectory], object], key: str):
+    with pytest.raises(InputError) as caught:
+        call(made_up(lambda t, n: gauss(t, 10 + n)))
+    assert [fault[0] for fault in caught.value.faults] == [key]
+
+
+def test_two_grains_have_a_speed():
+    front = power_law().between(10, 11)
+    assert front.grains_per_second == pytest.approx(1)
+
+
+def test_pictures():
+    front = power_law()
+    for picture, label, scale in (
+        (front.plot(), "amplitude of the front (m/s)", "log"),
+        (front.plot(quantity="width"), "width of the front (s)", "log"),
+        (exponent(front).plot(), "local exponent of the amplitude", "linear"),
+        (asymptotic(front, "amplitude", 1.5).plot(), "amplitude of the front (m/s)", "log"),
+    ):
+        (axes,) = picture.axes
+        assert axes.get_xlabel() == "depth h = n − 1/2 (grains)"
+        assert (axes.get_ylabel(), axes.get_xscale(), axes.get_yscale()) == (label, "log", scale)
+        picture.draw_without_rendering()
+        assert picture is front.plot(axes)

@@ -1,0 +1,277 @@
+"""Spectra of known motions, eigenfrequencies, dispersion and pictures in space and time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.signal import find_peaks, get_window
+
+from lmpchain import Chain, Impulse, InputError, Profile, Scene, Trajectory, simulate
+from lmpchain.measure.front import track
+from lmpchain.measure.spectrum import cut_off, dispersion, space_time, spectrum, travel_time
+
+Array = NDArray[np.float64]
+
+
+def made_up(
+    motion: Callable[[Array, Array], Array], samples: int = 400, duration: float = 399e-6, grains: int = 16
+) -> Trajectory:
+    """Return a trajectory with a velocity and displacement motion(t, n), t in s."""
+    chain = Chain(grains=grains, diameter=1e-3)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-9), duration=duration, samples=samples)
+    values = motion(scene.time[:, None], np.arange(1.0, grains + 1))
+    return replace(simulate(scene, engine="native", tolerance=1e-3), velocity=values, displacement=values)
+
+
+def noise(t: Array, n: Array) -> Array:
+    return np.random.default_rng(3).normal(size=(t.size, n.size))
+
+
+def loaded(grains: int, **given: Any) -> Chain:
+    return Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-3, **given)
+
+
+# --- in time
+
+
+@pytest.mark.parametrize("window", ["boxcar", "hann"])
+def test_a_harmonic_motion_is_a_line(window: str):
+    """400 samples of 1 us: 20 kHz is the 8th frequency; the height is half the amplitude times the window's area."""
+    found = spectrum(made_up(lambda t, n: n * np.sin(2 * np.pi * 20e3 * t + n)), window=window)
+    assert found.frequency == pytest.approx(2500.0 * np.arange(201))
+    assert found.amplitude.shape == (201, 16)
+    assert (found.frequency[found.amplitude.argmax(0)] == 20e3).all()
+    area = 1e-6 * get_window(window, 400).sum()
+    assert found.amplitude.max(0) == pytest.approx(found.grain / 2 * area, rel=1e-12)
+    others = np.delete(found.amplitude, [7, 8, 9], axis=0)
+    assert others.max() < 1e-12 * found.amplitude.max()
+
+
+@pytest.mark.parametrize("field", ["velocity", "displacement"])
+@pytest.mark.parametrize("samples", [400, 401])
+@pytest.mark.parametrize("window", ["boxcar", "hann"])
+def test_parseval(field: str, samples: int, window: str):
+    t = made_up(noise, samples)
+    found = spectrum(t, field, window)
+    twice = np.full(found.frequency.size, 2.0)
+    twice[0] = 1.0
+    if samples % 2 == 0:
+        twice[-1] = 1.0
+    windowed = get_window(window, samples)[:, None] * getattr(t, field)
+    step, apart = t.time[1], found.frequency[1]
+    assert twice @ found.amplitude**2 * apart == pytest.approx((windowed**2).sum(0) * step, rel=1e-12)
+
+
+def test_a_pulse_has_a_spectrum_whatever_the_recording():
+    """exp(-(t/w)^2) has the spectrum sqrt(pi) w exp(-(pi f w)^2)."""
+    for samples, duration in ((400, 399e-6), (1000, 499.5e-6)):
+        found = spectrum(made_up(lambda t, n: np.exp(-(((t - 150e-6) / 10e-6) ** 2)) + 0 * n, samples, duration))
+        exact = np.sqrt(np.pi) * 10e-6 * np.exp(-((np.pi * found.frequency * 10e-6) ** 2))
+        assert found.amplitude[:, 3] == pytest.approx(exact, abs=1e-9 * exact[0])
+
+
+@pytest.mark.parametrize("chain", [loaded(7, exponent=1.0), Chain(grains=9, diameter=1e-3)], ids=["springs", "column"])
+def test_a_chain_rings_at_its_eigenfrequencies(chain: Chain):
+    diagonal, coupling = chain.dynamical_matrix()
+    squares = np.linalg.eigvalsh(np.diag(diagonal) + np.diag(coupling, 1) + np.diag(coupling, -1))
+    exact = np.sqrt(squares) / (2 * np.pi)
+    speed = 1e-5 * chain.length_scale / chain.time_scale
+    duration = 100 / np.diff(exact).min()
+    scene = Scene(
+        chain=chain,
+        excitation=Impulse(velocity=speed),
+        duration=duration,
+        samples=int(4 * exact[-1] * duration),
+    )
+    found = spectrum(simulate(scene, engine="native", tolerance=1e-6), window="hann")
+    together = found.amplitude.sum(1)
+    peaks, _ = find_peaks(together, height=1e-3 * together.max())
+    assert found.frequency[peaks] == pytest.approx(exact, abs=0.51 * found.frequency[1])
+
+
+def test_the_top_lets_only_low_frequencies_into_a_column():
+    chain = Chain(grains=80, diameter=1e-3)
+    speed = 1e-4 * chain.length_scale / chain.time_scale
+    scene = Scene(
+        chain=chain, excitation=Impulse(velocity=speed), duration=60 * chain.time_scale, samples=601, grains=[60, 1, 30]
+    )
+    found = spectrum(simulate(scene, engine="native", tolerance=1e-8), window="hann")
+    assert found.grain.tolist() == [1, 30, 60]
+    assert found.cut_off == pytest.approx(cut_off(chain)[[0, 29, 59]], rel=1e-14)
+    above = found.frequency > 1.5 * found.cut_off[0]
+    assert found.amplitude[above, 2].max() < 1e-3 * found.amplitude[:, 2].max()
+
+
+# --- in space and time
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_plane_wave_is_a_point(sign: int):
+    """Downward is a positive wavenumber: cos(k n - omega t) with k = 2 pi 4 / 16 at 20 kHz."""
+    k = sign * np.pi / 2
+    found = dispersion(made_up(lambda t, n: np.cos(k * n - 2 * np.pi * 20e3 * t)), 1, 16, window="boxcar")
+    f, w = np.unravel_index(found.amplitude.argmax(), found.amplitude.shape)
+    assert (found.frequency[f], found.wavenumber[w]) == pytest.approx((20e3, k))
+    assert found.amplitude.max() == pytest.approx(16 * 400e-6 / 2, rel=1e-12)
+    assert found.wavenumber[[0, 8, -1]] == pytest.approx([-np.pi, 0, 7 / 8 * np.pi])
+
+
+def test_parseval_in_two_dimensions():
+    t = made_up(noise)
+    found = dispersion(t, 3, 13, window="boxcar")
+    twice = np.full(found.frequency.size, 2.0)
+    twice[[0, -1]] = 1.0
+    energy = (t.velocity[:, 2:13] ** 2).sum() * t.time[1]
+    assert (twice @ found.amplitude**2).sum() * found.frequency[1] / 11 == pytest.approx(energy, rel=1e-12)
+
+
+def test_a_uniform_chain_has_its_dispersion_relation():
+    """omega = 2 sqrt(k/m) sin(q/2), to half the resolution in frequency, from a strike in the middle."""
+    chain = loaded(121)
+    omega = 2 * np.sqrt(chain.linear_stiffness[0] / chain.masses[0])
+    speed = 1e-4 * chain.length_scale * omega
+    scene = Scene(chain=chain, excitation=Impulse(velocity=speed, grain=61), duration=110 / omega, samples=401)
+    found = dispersion(simulate(scene, engine="native", tolerance=1e-8), 1, 121)
+    assert found.grain.tolist() == [1, 61, 121]
+    exact = omega / (2 * np.pi) * np.abs(np.sin(found.wavenumber / 2))
+    assert found.relation == pytest.approx(np.tile(exact, (3, 1)), rel=1e-12)
+    assert np.abs(found.ridge - exact).max() < 0.6 * found.frequency[1]
+    assert found.amplitude == pytest.approx(found.amplitude[:, ::-1], abs=0.03 * found.amplitude.max())
+
+
+def test_waves_in_a_column_move_downward_on_the_local_relation():
+    chain = Chain(grains=200, diameter=1e-3)
+    speed = 1e-4 * chain.length_scale / chain.time_scale
+    scene = Scene(chain=chain, excitation=Impulse(velocity=speed), duration=110 * chain.time_scale, samples=1001)
+    found = dispersion(simulate(scene, engine="native", tolerance=1e-8), 60, 140)
+    down, up = (found.amplitude[:, side].max() for side in (found.wavenumber > 0.1, found.wavenumber < -0.1))
+    assert up < 0.02 * down
+    assert (found.relation[0] <= found.relation[1]).all()
+    assert (found.relation[1] <= found.relation[2]).all()
+    seen = (found.wavenumber > 0.15) & (found.wavenumber < 0.8)
+    assert found.ridge[seen] == pytest.approx(found.relation[1, seen], abs=2 * found.frequency[1])
+
+
+# --- what the chain lets pass, and how fast
+
+
+def test_cut_off():
+    assert 2 * np.pi * cut_off(loaded(500)) == pytest.approx(loaded(500).band_edge, rel=1e-4)
+    column = Chain(grains=100, diameter=1e-3)
+    rise = np.append(np.arange(1, 100), 99) ** (1 / 6)
+    assert cut_off(column) == pytest.approx(rise / (np.pi * column.time_scale), rel=1e-12)
+    assert not cut_off(Chain(grains=5, diameter=1e-3, gravity=0.0)).any()
+
+
+def test_travel_time_in_a_uniform_chain():
+    chain = loaded(20)
+    unit = np.sqrt(chain.masses[0] / chain.linear_stiffness[0])
+    assert travel_time(chain, 5) == pytest.approx(unit * np.abs(np.arange(1, 21) - 5), rel=1e-12)
+    assert travel_time(chain) == pytest.approx(unit * (np.arange(20) + 0.5), rel=1e-12)
+    assert travel_time(loaded(20, top="wall", bottom="wall"))[0] == 0
+
+
+def test_travel_time_in_a_column():
+    """(6/5) (n - 1/2)^(5/6), and the velocity is largest some 0.9 h^(1/6) / 4^(1/3) later."""
+    chain = Chain(grains=240, diameter=1e-3)
+    n = np.arange(1, 241)
+    assert travel_time(chain) / chain.time_scale == pytest.approx(1.2 * (n - 0.5) ** (5 / 6), abs=0.19)
+    speed = 1e-4 * chain.length_scale / chain.time_scale
+    scene = Scene(
+        chain=chain, excitation=Impulse(velocity=speed), duration=106 * chain.time_scale, samples=801, grains="20:200"
+    )
+    front = track(simulate(scene, engine="native", tolerance=1e-8))
+    assert front.grain[-1] == 200
+    late = (front.time - travel_time(chain)[front.grain - 1]) / chain.time_scale
+    width = (front.grain - 0.5) ** (1 / 6) / 4 ** (1 / 3)
+    assert late / width == pytest.approx(0.89, abs=0.06)
+
+
+# --- faults and pictures
+
+
+@pytest.mark.parametrize(
+    ("call", "key"),
+    [
+        (lambda t: spectrum(t, "energy"), "field"),
+        (lambda t: space_time(t, "energy"), "field"),
+        (lambda t: spectrum(made_up(noise, samples=15)), "samples"),
+        (lambda t: spectrum(t, window="house"), "window"),
+        (lambda t: space_time(ringing(gravity=0.0), law=True), "chain"),
+        (lambda t: travel_time(t.scene.chain, 0), "source"),
+        (lambda t: dispersion(t, 1, 7), "last"),
+        (lambda t: dispersion(t, 9, 2), "last"),
+        (lambda t: dispersion(t, 5, 20), "grains"),
+        (lambda t: dispersion(t, 0, 10), "grains"),
+        (lambda t: dispersion(replace(t, grains=np.delete(np.arange(1, 18), 8)), 1, 16), "grains"),
+    ],
+)
+def test_faults_name_their_key(call: Callable[[Trajectory], object], key: str):
+    with pytest.raises(InputError) as caught:
+        call(made_up(noise))
+    assert [fault[0] for fault in caught.value.faults] == [key]
+
+
+def test_the_cure_of_a_gap_is_named():
+    t = made_up(noise)
+    gap = replace(t, grains=np.delete(np.arange(1, 18), 8))
+    with pytest.raises(InputError, match=r'grain 9 was not recorded.*record grains = "1:16"'):
+        dispersion(gap, 1, 16)
+
+
+def ringing(grains: Any = "all", **given: Any) -> Trajectory:
+    chain = Chain(grains=12, diameter=1e-3, **given)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6, grain=3), duration=1e-4, samples=201, grains=grains)
+    return simulate(scene, engine="native", tolerance=1e-6)
+
+
+@pytest.mark.parametrize("grains", ["all", [2, 9, 7], [4]], ids=["all", "some", "one"])
+def test_pictures_of_spectrum_and_motion(grains: Any):
+    t = ringing(grains)
+    picture = spectrum(t).plot()
+    axes, bar = picture.axes
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("frequency", "grain, from the top")
+    assert bar.get_ylabel() == "velocity (m/s per Hz)"
+    assert axes.get_ylim()[0] > axes.get_ylim()[1], "the top is at the top"
+    assert axes.lines[0].get_xdata() == pytest.approx(cut_off(t.scene.chain)[np.sort(t.grains) - 1])
+    assert axes.get_xlim()[1] <= 1.5 * cut_off(t.scene.chain).max()
+    picture.draw_without_rendering()
+
+    picture = space_time(t, "displacement", law=True)
+    axes, bar = picture.axes
+    assert (axes.get_xlabel(), axes.get_ylabel(), bar.get_ylabel()) == (
+        "time", "grain, from the top", "displacement, downward",
+    )  # fmt: skip
+    assert axes.get_ylim()[0] > axes.get_ylim()[1]
+    shown = axes.images[0] if axes.images else axes.collections[0]
+    assert shown.norm.vmin == -shown.norm.vmax
+    assert shown.get_array().shape == (t.grains.size, 201)
+    assert axes.lines[0].get_xdata() == pytest.approx(travel_time(t.scene.chain, 3))
+    picture.draw_without_rendering()
+    assert not space_time(t).axes[0].lines
+
+
+def test_picture_of_dispersion():
+    found = dispersion(ringing(), 2, 11)
+    picture = found.plot()
+    axes, bar = picture.axes
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("wavenumber, downward (radians a grain)", "frequency")
+    assert bar.get_ylabel() == "velocity (m/s per Hz)"
+    assert [line.get_label() for line in axes.lines] == ["grain 2", "grain 6", "grain 11"]
+    picture.draw_without_rendering()
+    assert found.plot(picture.axes[0]) is picture
+
+
+def test_pictures_where_nothing_is_linear_and_where_nothing_moves():
+    t = ringing(gravity=0.0, bottom="free")
+    assert not spectrum(t).plot().axes[0].lines
+    assert not dispersion(t, 1, 12).plot().axes[0].lines
+    scene = Scene(chain=Chain(grains=12, diameter=1e-3), excitation=Profile(velocity=np.zeros(12)), duration=1e-4)
+    still = simulate(scene, engine="native", tolerance=1e-6)
+    for picture in (spectrum(still).plot(), dispersion(still, 1, 12).plot(), space_time(still)):
+        picture.draw_without_rendering()
