@@ -89,6 +89,42 @@ def series(x, stiffness, mobility, oscillator, scale, weights, reach):
     return cos, 2 / scale * sin
 
 
+@numba.njit(cache=True, error_model="numpy")
+def _forward(u, v, stiffness, mobility, oscillator, scale, weights, reach):
+    """Move u and v (n,) forward in place and return between which grains there is motion then."""
+    moved = u.any()
+    cos, sin = series(v, stiffness, mobility, oscillator, scale, weights, reach)
+    if moved:
+        cos_u, sin_u = series(u, stiffness, mobility, oscillator, scale, weights, reach)
+        pull = np.empty(u.size)  # L sin_u
+        above = stiffness[0] * sin_u[0]
+        for n in range(u.size):
+            ahead = sin_u[n + 1] if n + 1 < u.size else 0.0
+            below = stiffness[n + 1] * (ahead - sin_u[n])
+            pull[n] = mobility[n] * (above - below)
+            above = below
+        pull[0] += oscillator * sin_u[0]
+        cos, sin = cos - pull, sin + cos_u
+    u[:], v[:] = sin, cos
+    return moving(u, v)
+
+
+@numba.njit(cache=True)
+def moving(u, v):
+    """Return the first and the one after the last grain that moves, and put those beyond to rest."""
+    least_u, least_v = NEGLIGIBLE * np.abs(u).max(), NEGLIGIBLE * np.abs(v).max()
+    first, last = 0, u.size
+    while first < last and abs(u[first]) <= least_u and abs(v[first]) <= least_v:
+        first += 1
+    while last > first and abs(u[last - 1]) <= least_u and abs(v[last - 1]) <= least_v:
+        last -= 1
+    u[:first] = 0.0
+    v[:first] = 0.0
+    u[last:] = 0.0
+    v[last:] = 0.0
+    return first, last
+
+
 class Propagator:
     """A linear chain that is moved forward by any time at once.
 
@@ -107,9 +143,11 @@ class Propagator:
     def __init__(self, stiffness: Array, mobility: Array, drive: float, u: Array, v: Array):
         self._stiffness, self._mobility = stiffness, mobility
         self._drive = drive  # grain 1 is then an oscillator that pulls the others and is not pulled
+        self._squares = 2 * (stiffness[:-1] + stiffness[1:]) * mobility  # bounds on frequencies (Gershgorin)
+        self._squares[0] = max(self._squares[0], drive**2)
         self.u, self.v = u, v
         self.terms = 0
-        self._shrink(0, u.size)
+        self.first, self.last = moving(u, v)
 
     def advance(self, dt: float) -> None:
         """Move forward by dt, s."""
@@ -117,45 +155,22 @@ class Propagator:
             return
         count, first, last = 0, self.first, self.last
         while True:  # a wider reach may hold stiffer contacts, which take more terms
-            scale = self._highest(first, last)
+            scale = math.sqrt(self._squares[first:last].max()) or 1.0
             needed = terms(scale * dt)
             if needed <= count:
                 break
             count = needed
             first, last = max(self.first - count, 0), min(self.last + count, self.u.size)
         here = slice(first, last)
-        k, mobility = self._stiffness[first : last + 1], self._mobility[here]
-        oscillator = self._drive**2 if first == 0 else 0.0
-        chain = (
-            k,
-            mobility,
-            oscillator,
+        reached = _forward(
+            self.u[here],
+            self.v[here],
+            self._stiffness[first : last + 1],
+            self._mobility[here],
+            self._drive**2 if first == 0 else 0.0,
             scale,
             bessel(scale * dt, 2 * count + 1),
             (self.first - first, self.last - first),
         )
-        u, v = self.u[here], self.v[here]
-        cos, sin = series(v, *chain)
-        if u.any():
-            cos_u, sin_u = series(u, *chain)
-            across = np.diff(sin_u, prepend=0.0, append=0.0) * k
-            pull = -np.diff(across) * mobility
-            pull[0] += oscillator * sin_u[0]
-            cos, sin = cos - pull, sin + cos_u
-        u[:], v[:] = sin, cos
+        self.first, self.last = first + reached[0], first + reached[1]
         self.terms += count
-        self._shrink(first, last)
-
-    def _highest(self, first: int, last: int) -> float:
-        """Return a bound on the frequencies of a part of the chain, rad/s (Gershgorin)."""
-        k = self._stiffness[first : last + 1]
-        rows = 2 * (k[:-1] + k[1:]) * self._mobility[first:last]
-        return max(math.sqrt(rows.max()), self._drive) or 1.0
-
-    def _shrink(self, first: int, last: int) -> None:
-        """Find what moves between these grains, and forget what does not."""
-        u, v = np.abs(self.u[first:last]), np.abs(self.v[first:last])
-        moves = np.flatnonzero((u > NEGLIGIBLE * u.max()) | (v > NEGLIGIBLE * v.max()))
-        self.first, self.last = (first + int(moves[0]), first + int(moves[-1]) + 1) if moves.size else (0, 0)
-        self.u[first : self.first] = self.u[self.last : last] = 0.0
-        self.v[first : self.first] = self.v[self.last : last] = 0.0

@@ -10,6 +10,7 @@ top, within or all over, the estimate is within a factor of 3 of the true differ
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 
 from ..fields import Array
@@ -44,21 +45,18 @@ class Nonlinearity:
 
         Looks that are not `recorded` tell how the wave has got there; errors are those of samples.
         """
-        here = slice(first, first + u.size + 1)
-        r = -np.diff(u, prepend=0.0, append=0.0)
-        s = r * self._inverse_overlap[here]
-        force = r * self._stiffness[here]
-        acceleration = float(np.abs(np.diff(force) * self._inverse_mass[first : first + u.size]).max(initial=0.0))
-        strain = float(s[np.abs(s).argmax()])
-        size = np.array([abs(strain), np.abs(u).max(initial=0.0), np.abs(v).max(initial=0.0), acceleration])
+        here, grains = slice(first, first + u.size + 1), slice(first, first + u.size)
+        strain, *size, opened = _look(
+            u, v, self._inverse_overlap[here], self._stiffness[here], self._inverse_mass[grains]
+        )
         before, last, shift = self.memory[:3]
         shift += self._excess / 4 * (last + strain) / 2 * (time - before)
         self.memory[:3] = time, strain, shift
-        self.memory[3:7] = np.maximum(self.memory[3:7], size)
+        self.memory[3:7] = np.maximum(self.memory[3:7], (abs(strain), *size))
         if recorded:
-            self.memory[7:9] = np.maximum(self.memory[7:9], abs(shift) * size[2:])
-        if s.min() <= -1 and np.isnan(self.memory[9]):
-            self.memory[9] = first + int(s.argmin())
+            self.memory[7:9] = np.maximum(self.memory[7:9], (abs(shift) * size[1], abs(shift) * size[2]))
+        if opened >= 0 and np.isnan(self.memory[9]):
+            self.memory[9] = first + opened
 
     @property
     def error(self) -> float:
@@ -75,6 +73,25 @@ class Nonlinearity:
         """Why the linear solution does not hold at all, if it does not."""
         opened = self.memory[9]
         return "" if np.isnan(opened) else f"not linear here: contact {opened:.0f} opens"
+
+
+@numba.njit(cache=True)
+def _look(u, v, inverse_overlap, stiffness, inverse_mass):
+    """Return the strongest strain, the largest displacement, velocity and acceleration, and an open contact or -1."""
+    largest = displacement = velocity = acceleration = before = 0.0
+    opened = -1
+    for n in range(u.size + 1):  # contacts; before and after these grains is one at rest
+        r = (u[n - 1] if n > 0 else 0.0) - (u[n] if n < u.size else 0.0)
+        strain, force = r * inverse_overlap[n], r * stiffness[n]
+        if abs(strain) > abs(largest):
+            largest = strain
+        if strain <= -1.0:
+            opened = n
+        if n > 0:
+            displacement, velocity = max(displacement, abs(u[n - 1])), max(velocity, abs(v[n - 1]))
+            acceleration = max(acceleration, abs(before - force) * inverse_mass[n - 1])
+        before = force
+    return largest, displacement, velocity, acceleration, opened
 
 
 def saturated(error: float) -> float:

@@ -2,34 +2,29 @@
 
 from __future__ import annotations
 
-from importlib.metadata import version
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
 from ...errors import InputError
 from ...files import write_aside
+from ...rendering import render
 from ..splittings import Splitting
 from . import drive
 from .column import Column
 from .rank import deck_steps
 
-_PACKAGE = Path(__file__).parents[2]
-_TEMPLATES = [_PACKAGE / "templates", _PACKAGE.parent / "templates"]  # in a wheel, in a source tree
-
 
 def setup(column: Column, data: str, step: float, splitting: Splitting, done: int = 0) -> str:
     """Return the commands that make the column from a data file, ready for `run`, after `done` steps of before."""
-    return _render("setup.column", data=f'"{data}"', **_shared(column, step, splitting, done))
+    return render("setup.column", data=f'"{data}"', **_shared(column, step, splitting, done))
 
 
 def write_deck(column: Column, folder: Path, step: float, splitting: Splitting, every: int, samples: int) -> Path:
     """Write `in.column`, which runs by itself: `every` steps between two of `samples` + 1 samples."""
     if splitting.order > 2 and column.scene.drive:
         raise InputError([("integrator", "a deck can carry a drive with verlet only; use that")])
-    text = _render(
+    text = render(
         "in.column",
         **_shared(column, step, splitting),
         every=every,
@@ -46,7 +41,7 @@ def write_deck(column: Column, folder: Path, step: float, splitting: Splitting, 
 
 def dump(path: str, every: int) -> str:
     """Return the commands that dump every `every`-th step, as in a deck that runs by itself."""
-    return _render("dump.column", path=f'"{path}"', every=every)
+    return render("dump.column", path=f'"{path}"', every=every)
 
 
 def carries(splitting: Splitting) -> bool:
@@ -66,7 +61,7 @@ def write_data(column: Column, path: str | PathLike[str]) -> None:
     if column.strike:  # the deck strikes, so that the speed can be set on the command line
         speeds = 0.0 * speeds
     rows = zip(column.types, column.diameters.tolist(), column.densities.tolist(), z.tolist(), strict=True)
-    text = _render("column.data", column=column, rows=rows, speeds=speeds.tolist(), heights=column.heights.tolist())
+    text = render("column.data", column=column, rows=rows, speeds=speeds.tolist(), heights=column.heights.tolist())
     with write_aside(path) as aside:
         aside.write_text(text, encoding="ascii")
 
@@ -85,15 +80,3 @@ def _shared(column: Column, step: float, splitting: Splitting, done: int = 0) ->
         "formulas": drive.formulas(scene.drive) if scene.drive else (),
         "pieces": drive.pieces(scene.drive, scene.duration),
     }
-
-
-def _render(name: str, **values: Any) -> str:
-    environment = Environment(
-        loader=FileSystemLoader(_TEMPLATES),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    environment.filters["exact"] = lambda value: repr(float(value))
-    return environment.get_template(name).render(version=version("lmpchain"), **values)
