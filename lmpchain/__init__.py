@@ -6,6 +6,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from . import disorder as disorder
     from . import engines as engines
     from . import measure as measure
     from . import patterns as patterns
@@ -43,7 +44,7 @@ _WHERE = {
     "errors": "LmpchainError InputError ToleranceNotMet RunFailed EngineUnavailable",
 }
 _MODULE = {name: module for module, names in _WHERE.items() for name in names.split()}
-_SUBMODULES = ("engines", "measure", "patterns", "theory")
+_SUBMODULES = ("disorder", "engines", "measure", "patterns", "theory")
 __all__ = [*_SUBMODULES, *_MODULE]
 
 

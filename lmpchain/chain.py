@@ -224,6 +224,11 @@ class Chain(Checked):
         d = self.diameters
         return np.concatenate((d[:1], (d[:-1] + d[1:]) / 2, d[-1:]))
 
+    @cached_property
+    def depths(self) -> Array:
+        """How far below grain 1 the centre of every grain rests, (N,) m."""
+        return np.append(0.0, np.cumsum((self.contact_lengths - self.contacts.overlap)[1:-1]))
+
     @property
     def equilibrium_force(self) -> Array:
         """Force that every contact between grains carries at rest, (N-1,) N."""

@@ -58,7 +58,7 @@ def _output(name: str, scene: str, suffixes: Sequence[str] = ()) -> Path:
     if suffixes and path.suffix.lower() not in suffixes:
         raise InputError([(name, f"must end in {', '.join(suffixes[:-1])} or {suffixes[-1]}")])
     if path.exists() and Path(scene).exists() and path.samefile(scene):
-        raise InputError([(name, "is the scene file itself; name another file")])
+        raise InputError([(name, "is the file that is read; name another file")])
     if not path.parent.is_dir():
         raise InputError([(name, f"there is no folder {path.parent}; make it first")])
     if not os.access(path.parent, os.W_OK | os.X_OK) or (path.exists() and not os.access(path, os.W_OK)):
@@ -237,6 +237,71 @@ def deck(arguments: argparse.Namespace) -> int:
     print(f"wrote {folder / 'in.column'} and {folder / 'column.data'}; to run them:")
     print(f"  cd {quote(str(folder))} && lmp -in in.column")
     return 0
+
+
+def dyson(arguments: argparse.Namespace) -> int:
+    """Weight a run over depth as Eq. (22) does, and average its scene over random chains."""
+    from .disorder import at_the_end
+    from .measure.dyson import orders, sums
+
+    run, picture, numbers, m = _gather(
+        lambda: _run_or_dump(arguments.run, arguments.scene),
+        lambda: arguments.output and _output(arguments.output, arguments.run, PICTURES),
+        lambda: arguments.json and _output(arguments.json, arguments.run),
+        lambda: orders(arguments.m),
+    )
+    found = sums(run, m)
+    chains = at_the_end(run.scene, m, arguments.realisations, arguments.seed, progress=sys.stderr.isatty())
+    print(found.table(*chains))
+    if numbers:
+        _write_json(found.to_json(*chains), numbers)
+        print(f"numbers: {numbers}")
+    if picture:
+        from .plotting import save
+
+        save(found.plot(*chains), picture)
+        print(f"picture: {picture}")
+    return 0
+
+
+def fit(arguments: argparse.Namespace) -> int:
+    """Say what a saved run, or a dump of LAMMPS, shows of the theory."""
+    trajectory, path = _gather(
+        lambda: _run_or_dump(arguments.run, arguments.scene),
+        lambda: arguments.json and _output(arguments.json, arguments.scene or arguments.run),
+    )
+    if path and path.exists() and path.samefile(arguments.run):
+        raise InputError([(arguments.json, "is the run itself; name another file")])
+    from .measure.fit import summary
+
+    found = summary(trajectory)
+    print(found.table())
+    if path:
+        _write_json(found.to_json(), path)
+        print(f"numbers: {path}")
+    return 0
+
+
+def _trajectory(path: str) -> Trajectory:
+    from .trajectory import Trajectory
+
+    return Trajectory.load(path)
+
+
+def _run_or_dump(path: str, scene: str | None) -> Trajectory:
+    """Read a saved run, or a dump if the scene is given that it was made for."""
+    from .dumps import is_dump
+
+    dumped = is_dump(path)
+    if scene is None and dumped:
+        raise InputError([(path, "is a LAMMPS dump: give its scene as well, --scene SCENE.toml")])
+    if scene is not None and not dumped and Path(path).is_file():
+        raise InputError([("scene", f"goes with a LAMMPS dump, which {path} is not; leave it out for a saved run")])
+    if scene is None:
+        return _trajectory(path)
+    from .trajectory import Trajectory
+
+    return Trajectory.from_dump(path, _read(scene))
 
 
 def doctor(arguments: argparse.Namespace) -> int:

@@ -82,6 +82,12 @@ class Contacts:
         still = np.zeros((*u.shape[:-1], 1))
         return -np.diff(u, axis=-1, prepend=still, append=still)
 
+    def force_change(self, r: Array) -> Array:
+        """Return the force minus that at rest, (..., N+1) N, of contacts closer by r; weak waves keep their digits."""
+        s = r / np.where(self.pressed, self.overlap, np.inf)
+        held = np.where(s > -1, np.expm1(self.exponent * np.log1p(np.where(s > -1, s, 0.0))), -1.0)
+        return np.where(self.pressed, self.force * held, self.constant * np.maximum(r, 0.0) ** self.exponent)
+
     def energy(self, r: Array) -> Array:
         """Return the energy above rest, (..., N+1) J: the integral of K [eps + r]^delta - K eps^delta over r.
 

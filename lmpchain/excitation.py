@@ -186,6 +186,12 @@ class Drive(Excitation):
             return self.amplitude * np.sin(omega * t), self.amplitude * omega * np.cos(omega * t)
         return self.spline(t), self.spline(t, 1)
 
+    def acceleration(self, t: Array) -> Array:
+        """Return the acceleration of grain 1 at these times, m/s2."""
+        if self.times is None:
+            return -((2 * np.pi * self.frequency) ** 2) * self.motion(t)[0]
+        return self.spline(t, 2)
+
     @cached_property
     def spline(self) -> CubicSpline:
         """The cubic spline of a sampled motion."""

@@ -42,6 +42,19 @@ def figure(width: float = 8.0, height: float = 7.0) -> Figure:
     return new
 
 
+def axes_in_units(ax: Axes | None, x: str, y: str) -> tuple[Axes, Figure]:
+    """Return axes, those given or new ones, and their figure; their numbers bear these units, with SI prefixes."""
+    from matplotlib.ticker import EngFormatter
+
+    if ax is None:
+        ax = figure(6.4, 4.2).subplots()
+        ax.set_prop_cycle(color=list(COLOURS.values()))
+    for axis, unit in ((ax.xaxis, x), (ax.yaxis, y)):
+        if unit:
+            axis.set_major_formatter(EngFormatter(unit))
+    return ax, ax.figure.figure  # type: ignore[return-value]
+
+
 def save(picture: Figure, path: str | PathLike[str], dpi: int = 150) -> None:
     """Write a picture; nothing stands under its name until it is whole."""
     with write_aside(path) as aside:

@@ -14,14 +14,12 @@ from lmpchain import Chain, Drive, Impulse, InputError, Scene, Trajectory, engin
 from lmpchain.excitation import Excitation
 from lmpchain.measure.contact import (
     ContactHistory,
-    arrival,
     contacts,
     drive_force,
     sensor,
-    time_of_flight,
     wall_force,
-    wave_speed,
 )
+from lmpchain.measure.flight import arrival, time_of_flight
 from lmpchain.plotting import figure, save
 
 REST = Impulse(velocity=0.0)
@@ -267,16 +265,6 @@ def test_speed_of_a_solitary_wave_between_sensors(pulse: Trajectory, method: Any
     assert back.seconds == pytest.approx(-flight.seconds, rel=1e-9, abs=0)
 
 
-def test_speed_along_the_chain(pulse: Trajectory) -> None:
-    along = wave_speed(until(pulse, 65.0), [20, 30, 35, 50])
-    peak = arrival(pulse.time[:1500], pulse.velocity[:1500, 34]).height
-    assert along.distance == pytest.approx([1000, 500, 1500], rel=1e-14)
-    assert along.speed / 100 == pytest.approx(np.full(3, 0.9074700784 * peak**0.2), rel=2e-6, abs=0)
-    assert along.speed[1:] / 100 == pytest.approx(np.full(2, 0.9074700784 * peak**0.2), rel=1e-8, abs=0)
-    assert (np.diff(along.time) > 0).all()
-    assert (along.error < 1e-7).all()
-
-
 def test_sound_between_sensors_of_unlike_grains() -> None:
     """In a long wave sound travels at d sqrt(k/m) between equal grains; distances count diameters and overlaps."""
     chain = Chain(grains=150, diameter=1e-3, gravity=0.0, top_load=1.0, exponent=1.0)
@@ -321,7 +309,6 @@ def test_some_recorded_grains_are_enough(column: Trajectory) -> None:
     assert np.array_equal(contacts(some, [11, 5]).closing, everything.closing[:, [10, 4]])
     assert np.array_equal(wall_force(some), wall_force(column))
     assert np.array_equal(sensor(some, 6).force, sensor(column, 6).force)
-    assert np.array_equal(wave_speed(some, [5, 7]).time, wave_speed(column, [5, 7]).time)
 
 
 def test_what_is_not_there_is_named(column: Trajectory) -> None:
@@ -334,7 +321,6 @@ def test_what_is_not_there_is_named(column: Trajectory) -> None:
         ("record these too: 4, 6", lambda: sensor(some, 5)),
         ("record these too: 11", lambda: wall_force(some)),
         ("record these too: 2", lambda: drive_force(driven)),
-        ("record these too: 2, 4", lambda: wave_speed(some, [2, 3, 4])),
         ("numbers: the contacts are numbered 1 to 11 (got [0])", lambda: contacts(column, [0])),
         ("numbers: the contacts are numbered 1 to 11 (got [12, 13])", lambda: contacts(column, [12, 13])),
         ("grain: grain 1 has no contacts on both sides", lambda: sensor(column, 1)),
@@ -344,10 +330,6 @@ def test_what_is_not_there_is_named(column: Trajectory) -> None:
         ("end: there is no wall at the end 'bottom'", lambda: wall_force(free)),
         ("end: there is no wall at the end 'left'", lambda: wall_force(column, "left")),  # type: ignore[arg-type]
         ("excitation: no grain is driven", lambda: drive_force(column)),
-        ("duration: the velocity of grain 1 is largest in the first sample", lambda: wave_speed(column, [1, 5])),
-        ("duration: the velocity of grain 3 is largest in the last sample", lambda: wave_speed(some, [3, 5])),
-        ("grains: give two or more, from the top downward", lambda: wave_speed(column, [5, 3])),
-        ("grains: give two or more, from the top downward", lambda: wave_speed(column, [5])),
         ("second: choose two grains", lambda: time_of_flight(column, 5, 5)),
         ("second: choose two grains", lambda: time_of_flight(column, 5, 6, "guess")),  # type: ignore[arg-type]
     ]:
@@ -364,7 +346,6 @@ def test_pictures_bear_units(column: Trajectory, tmp_path: Path) -> None:
         "few": contacts(column, [1, 5, 11]).plot(),
         "many": contacts(column).plot(),
         "sensor": sensor(column, 5).plot(),
-        "speed": wave_speed(column, range(2, 10)).plot(),
     }
     for name, picture in drawn.items():
         assert isinstance(picture, Figure)

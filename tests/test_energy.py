@@ -12,8 +12,9 @@ from scipy.special import jv
 
 from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Profile, Scene, Trajectory, engines, simulate
 from lmpchain.excitation import Excitation
-from lmpchain.measure.contact import contacts, drive_force, wave_speed
+from lmpchain.measure.contact import contacts, drive_force
 from lmpchain.measure.energy import ledger
+from lmpchain.measure.flight import arrival
 from lmpchain.plotting import figure, save
 
 
@@ -196,7 +197,7 @@ def test_energy_of_a_solitary_wave(exponent: float) -> None:
     v[0] = 0.0
     t = record(vacuum(u.size, exponent=exponent), Profile(displacement=u, velocity=v), 24.0, 601, 1e-9)
     energy = ledger(t)
-    passes = wave_speed(t, [12, 22]).time
+    passes = [arrival(t.time, t.velocity[:, n - 1]).time for n in (12, 22)]
     assert largest(energy.kinetic / energy.total - energy.virial_ratio(*passes)) > 1e-3, (
         "it breathes from grain to grain"
     )

@@ -2,5 +2,5 @@
 
 from ..lazy import submodules
 
-__all__ = ["compare", "contact", "energy", "front", "spectrum"]
+__all__ = ["compare", "contact", "dyson", "energy", "fit", "flight", "front", "spectrum"]
 __getattr__ = submodules(__name__, __all__)

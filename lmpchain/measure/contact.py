@@ -1,4 +1,4 @@
-"""What experiments measure: contact forces, openings, forces on walls, drivers and sensors, and how fast waves are."""
+"""What experiments measure: contact forces, openings, and the forces on walls, drivers and sensors."""
 
 from __future__ import annotations
 
@@ -7,19 +7,18 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline, PPoly, make_interp_spline
-from scipy.signal import correlate
+from scipy.interpolate import CubicHermiteSpline
 
 from ..contacts import Contacts
 from ..errors import InputError
 from ..fields import Array
+from ..plotting import axes_in_units
 from ..trajectory import Trajectory
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-REACH = 6  # samples on either side of a peak that its interpolation uses
 LINES = 6  # contacts drawn as lines; more are drawn as a map
 STILL, UNKNOWN = -1, -2  # in place of the column of a body that was not recorded
 
@@ -166,10 +165,7 @@ def contacts(trajectory: Trajectory, numbers: Sequence[int] | None = None) -> Co
     r = u[:, 0] - u[:, 1]
     these = Contacts(every.constant[chosen], every.force[chosen], every.exponent)
     force = these.constant * np.maximum(these.overlap + r, 0.0) ** these.exponent
-    s = r / np.where(these.pressed, these.overlap, np.inf)
-    held = np.where(s > -1, np.expm1(these.exponent * np.log1p(np.where(s > -1, s, 0.0))), -1.0)
-    change = np.where(these.pressed, these.force * held, force)
-    return ContactHistory(trajectory.time, chosen, these.overlap + r, v[:, 0] - v[:, 1], force, change)
+    return ContactHistory(trajectory.time, chosen, these.overlap + r, v[:, 0] - v[:, 1], force, these.force_change(r))
 
 
 def wall_force(trajectory: Trajectory, end: Literal["top", "bottom"] = "bottom") -> Array:
@@ -197,8 +193,7 @@ def drive_motion(trajectory: Trajectory) -> tuple[Array, Array, Array]:
     time, drive = trajectory.time, trajectory.scene.drive
     if drive is None:
         raise InputError([("excitation", "no grain is driven in this scene")])
-    u, v = drive.motion(time)
-    return u, v, drive.spline(time, 2) if drive.frequency is None else -((2 * np.pi * drive.frequency) ** 2) * u
+    return *drive.motion(time), drive.acceleration(time)
 
 
 def drive_force(trajectory: Trajectory) -> Array:
@@ -259,200 +254,3 @@ def _columns(trajectory: Trajectory) -> np.ndarray:
     column[chain.movable + 1 :] = STILL
     column[trajectory.grains] = np.arange(trajectory.grains.size)
     return column
-
-
-def axes_in_units(ax: Axes | None, x: str, y: str) -> tuple[Axes, Figure]:
-    """Return axes, those given or new ones, and their figure; their numbers bear these units, with SI prefixes."""
-    from matplotlib.ticker import EngFormatter
-
-    from ..plotting import COLOURS, figure
-
-    if ax is None:
-        ax = figure(6.4, 4.2).subplots()
-        ax.set_prop_cycle(color=list(COLOURS.values()))
-    for axis, unit in ((ax.xaxis, x), (ax.yaxis, y)):
-        if unit:
-            axis.set_major_formatter(EngFormatter(unit))
-    return ax, ax.figure.figure  # type: ignore[return-value]
-
-
-@dataclass(frozen=True)
-class Arrival:
-    """The largest maximum of a signal: its time, s, its height, and by how much sampling may shift it, s."""
-
-    time: float
-    height: float
-    error: float
-
-
-@dataclass(frozen=True)
-class Flight:
-    """How long a wave takes from one sensor to another.
-
-    Attributes
-    ----------
-    grains : int
-        How many grains further the second is.
-    distance : float
-        Between their centres at rest, m.
-    seconds, error : float
-        s; by how much sampling may shift it, s.
-    """
-
-    grains: int
-    distance: float
-    seconds: float
-    error: float
-
-    @property
-    def speed(self) -> float:
-        """Speed in m/s."""
-        return self.distance / self.seconds
-
-    @property
-    def grains_per_second(self) -> float:
-        """Speed in grains, 1/s."""
-        return self.grains / self.seconds
-
-
-@dataclass(frozen=True, eq=False)
-class WaveSpeed:
-    """When a wave comes to each of G grains and how fast it is between them.
-
-    Attributes
-    ----------
-    grains : (G,) array
-    time, error : (G,) arrays
-        When the velocity of each is largest, s; by how much sampling may shift it, s.
-    distance : (G-1,) array
-        Between neighbours in the list, centre to centre at rest, m.
-    """
-
-    grains: np.ndarray
-    time: Array
-    error: Array
-    distance: Array
-
-    @property
-    def speed(self) -> Array:
-        """Speed between neighbours in the list, (G-1,) m/s."""
-        return self.distance / np.diff(self.time)
-
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the speed against the grain number; returns the figure."""
-        ax, picture = axes_in_units(ax, "", "m/s")
-        middle, half = (self.grains[1:] + self.grains[:-1]) / 2, np.diff(self.grains) / 2
-        ax.errorbar(middle, self.speed, xerr=half, fmt="o", markersize=4)
-        ax.set(xlabel="grain number, from the top", ylabel="speed of the velocity maximum")
-        return picture
-
-
-def arrival(time: Array, values: Array, name: str = "signal") -> Arrival:
-    """Return the largest maximum of a signal, found with a quintic spline through the samples around it.
-
-    The error is the shift when only every second sample is used. Where the signal is smooth and well sampled, the
-    true error is about 1/60 of it. Errors of the trajectory itself come on top.
-
-    Parameters
-    ----------
-    time, values : (T,) arrays
-        s; in any unit.
-    name : str
-        Of the signal, for messages.
-
-    Raises
-    ------
-    InputError
-        If the largest value is the first or the last.
-
-    Examples
-    --------
-    >>> time = np.linspace(0, 1, 21)
-    >>> peak = arrival(time, np.exp(-20 * (time - 0.512) ** 2))
-    >>> round(peak.time, 5), round(peak.height, 5)
-    (0.512, 1.0)
-    """
-    top, last = int(np.argmax(values)), len(values) - 1
-    if not 0 < top < last:
-        cure = "record for longer" if top else "there is no maximum to wait for"
-        raise InputError([("duration", f"the {name} is largest in the {'last' if top else 'first'} sample: {cure}")])
-    when, height = _summit(time, values, top, 1)
-    step = float(time[top + 1] - time[top])
-    error = abs(when - _summit(time, values, top, 2)[0]) if 2 <= top <= last - 2 else step
-    return Arrival(when, height, error)
-
-
-def time_of_flight(
-    trajectory: Trajectory, first: int, second: int, method: Literal["peak", "correlation"] = "peak"
-) -> Flight:
-    """Return how long a wave takes between sensors in two grains, and so its speed.
-
-    An echo within the recording may be taken for the wave: record up to it.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-    first, second : int
-        Grains; seconds and speed are negative if the wave comes to the second first.
-    method : str
-        "peak": from the largest maximum of one signal to that of the other; "correlation": the shift that makes the
-        two most alike, for which the whole of both must have been recorded.
-
-    Raises
-    ------
-    InputError
-        If there is no such sensor, or the wave has not passed it.
-    """
-    if first == second or method not in ("peak", "correlation"):
-        raise InputError([("second", 'choose two grains, and the method "peak" or "correlation"')])
-    one, two = sensor(trajectory, first), sensor(trajectory, second)
-    if method == "peak":
-        begin, end = (arrival(s.time, s.change, f"force in grain {s.grain}") for s in (one, two))
-        seconds, error = end.time - begin.time, begin.error + end.error
-    else:
-        shifts = np.concatenate((-one.time[:0:-1], one.time))
-        best = arrival(shifts, correlate(two.change, one.change), "correlation of the two forces")
-        seconds, error = best.time, best.error
-    return Flight(abs(second - first), abs(float(np.diff(_depth(trajectory, [first, second]))[0])), seconds, error)
-
-
-def wave_speed(trajectory: Trajectory, grains: Sequence[int]) -> WaveSpeed:
-    """Return when the velocity of each grain is largest and the speed of the wave between them.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-    grains : (G,) sequence of int
-        Two or more, from the top downward.
-
-    Raises
-    ------
-    InputError
-        If they do not increase, were not recorded, or the wave has not passed one of them.
-    """
-    numbers = np.array(grains, dtype=int)
-    if numbers.size < 2 or (np.diff(numbers) <= 0).any():
-        raise InputError([("grains", "give two or more, from the top downward")])
-    velocity = motion(trajectory, numbers)[1]
-    peaks = [arrival(trajectory.time, v, f"velocity of grain {n}") for n, v in zip(numbers, velocity.T, strict=True)]
-    time, error = np.array([p.time for p in peaks]), np.array([p.error for p in peaks])
-    return WaveSpeed(numbers, time, error, np.diff(_depth(trajectory, numbers)))
-
-
-def _depth(trajectory: Trajectory, grains: Sequence[int] | np.ndarray) -> Array:
-    """Return how far below the first grain the centres of these are at rest, (G,) m."""
-    chain = trajectory.scene.chain
-    apart = (chain.contact_lengths - chain.contacts.overlap)[1:-1]
-    return np.concatenate(([0.0], np.cumsum(apart)))[np.asarray(grains) - 1]
-
-
-def _summit(time: Array, values: Array, top: int, stride: int) -> tuple[float, float]:
-    """Return time and height of the maximum near a sample, by a quintic spline through every `stride`-th around it."""
-    near = np.arange(top - REACH * stride, top + REACH * stride + 1, stride)
-    near = near[(near >= 0) & (near < len(values))]
-    unit = time[top + 1] - time[top]
-    spline = make_interp_spline((time[near] - time[top]) / unit, values[near], k=min(5, len(near) - 1))
-    roots = PPoly.from_spline(spline.derivative()).roots(extrapolate=False)
-    inside = np.append(roots[np.abs(roots) <= stride], 0.0)
-    best = inside[np.argmax(spline(inside))]
-    return float(time[top] + best * unit), float(spline(best))

@@ -10,8 +10,9 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from ..chain import Chain
 from ..fields import Array
+from ..plotting import axes_in_units
 from ..trajectory import Trajectory
-from .contact import ContactHistory, axes_in_units, contacts, drive_motion, motion
+from .contact import ContactHistory, contacts, drive_motion, motion
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,8 +10,9 @@ from scipy import interpolate, optimize, signal, stats
 
 from ..errors import InputError
 from ..fields import Array
+from ..plotting import axes_in_units
 from ..trajectory import Trajectory
-from .contact import REACH, _depth, _summit, axes_in_units
+from .flight import REACH, summit
 from .spectrum import UNITS, Field, recorded
 
 if TYPE_CHECKING:
@@ -163,7 +164,8 @@ def track(trajectory: Trajectory, field: Field = "velocity", fraction: float = 0
     ([2, 3, 4], ['190 m/s', '212 m/s', '227 m/s'])
     """
     grains, motion = recorded(trajectory, field)
-    certain = trajectory.error_estimate.solver * np.abs(motion).max()
+    error = trajectory.error_estimate.solver
+    certain = (error if np.isfinite(error) else 0.0) * np.abs(motion).max()
     found = []
     for grain, values in zip(grains, motion.T, strict=True):
         size = np.abs(values)
@@ -176,7 +178,7 @@ def track(trajectory: Trajectory, field: Field = "velocity", fraction: float = 0
     if not found:
         raise InputError([("duration", f"no grain shows the {field} of a front that passes: record for longer")])
     passed, *columns = np.array(found).T
-    return Front(field, passed.astype(int), _depth(trajectory, passed.astype(int)), *columns)
+    return Front(field, passed.astype(int), trajectory.scene.chain.depths[passed.astype(int) - 1], *columns)
 
 
 def exponent(front: Front, quantity: Quantity = "amplitude", window: int | None = 11) -> Exponents:
@@ -224,7 +226,7 @@ def asymptotic(front: Front, quantity: Quantity, delta: float, exponent: float |
 
 def _pulse(time: Array, values: Array, top: int) -> Array:
     """Return time, height and full width at half maximum of the maximum near a sample, (3,)."""
-    when, height = _summit(time, values, top, 1)
+    when, height = summit(time, values, top, 1)
     low = np.flatnonzero(values < height / 2)
     first, last = low[low < top].max(initial=0), low[low > top].min(initial=time.size)
     near, unit = slice(max(0, first + 1 - REACH), last + REACH), time[1] - time[0]

@@ -11,8 +11,8 @@ from scipy.signal import get_window
 from ..chain import Chain
 from ..errors import InputError
 from ..fields import Array
+from ..plotting import axes_in_units
 from ..trajectory import Trajectory
-from .contact import axes_in_units
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -1,0 +1,46 @@
+"""Fig. 3 of the paper: springs (delta = 1), the top grain displaced (a) or struck (b), against Eqs. (11) and (13).
+
+Squares are the native engine, circles LAMMPS with linear contacts; both solve Eq. (1), which is linear here as long
+as nothing opens. The velocity in Eq. (13) is dphi/dT, not the dphi/dtau of the text; at kappa = 1 they are the same.
+"""
+
+import numpy as np
+from figures import LAMMPS, NATIVE, THEORY, apart, arguments, distance, finish, gentle, legends, page, say
+
+import lmpchain
+from lmpchain.theory import bessel
+
+GRAINS, TAU = 60, 25
+
+
+def main() -> None:
+    """Run both scenes in both engines and draw them."""
+    given = arguments(__file__, __doc__)
+    grains, tau = (30, 10) if given.quick else (GRAINS, TAU)
+    n = np.arange(1, grains)
+    title = "Fig. 3: a chain of springs, δ = 1.  Corrected: the velocity in Eq. (13) is dφ/dT"
+    picture, pairs = page(title, 2, width=11)
+    cases = {"a: displaced, Eq. (11)": (1, bessel.free_end), "b: struck, Eq. (13)": (0, bessel.free_end_impulse)}
+    for (name, (moved, theory)), (wave, below) in zip(cases.items(), pairs, strict=True):
+        scene = gentle(grains, tau, 2, 1e-2, delta=1.0, moved=moved)
+        unit = 1e-2 * scene.chain.length_scale
+        exact = theory(n, float(tau))
+        wave.plot(n, exact, **THEORY, label="theory")
+        for engine, style, tolerance in (("lammps", LAMMPS, 1e-6), ("native", NATIVE, 1e-12)):
+            run = lmpchain.simulate(scene, engine, tolerance)
+            found = run.displacement[-1, :-1] / unit
+            off = distance(found, exact)
+            wave.plot(n, found, **style, label=f"{engine}: {off:.0e} off")
+            apart(below, n, found, exact, np.abs(exact).max(), **style | {"ls": "-", "lw": 0.7})
+            say(f"{name[0]}, {engine}", off)
+        wave.set_title(f"{name}, at τ = {tau}", fontsize="medium")
+        below.set(xlabel="grain, from the top", xlim=(0, 1.4 * tau), ylim=(1e-17, 1e-5))
+    pairs[0][0].set_ylabel("displacement / that of grain 1 at t = 0")
+    pairs[1][0].set_ylabel("displacement / (speed of grain 1 at τ = 0)")
+    pairs[0][1].set_ylabel("|run − theory| / max")
+    legends(picture)
+    finish(picture, given.output)
+
+
+if __name__ == "__main__":
+    main()

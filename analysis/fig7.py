@@ -1,0 +1,66 @@
+"""Fig. 7 of the paper, "3D display of the influence of the Dyson disorder", as maps of time and order.
+
+Left: the sum of Eq. (22) for one ordered column. Its size at large m follows the motion of grain 1 alone, of which
+kappa is 1. Right: the largest mean velocity over columns whose kappa_n are drawn from Dyson's distribution. Below: the
+sum with the velocities of the native engine against that with Eq. (19), and the standard error of the mean.
+"""
+
+import numpy as np
+from figures import SHADES, arguments, finish, gentle, kappa, legends, page, say
+
+import lmpchain
+from lmpchain.disorder import ensemble
+from lmpchain.theory import bessel, dyson
+
+GRAINS, TAU, SAMPLES = 60, 30, 61
+ORDERS = (1, 2, 5, 10, 20, 50, 100)
+
+
+def main() -> None:
+    """Run the columns and draw the maps."""
+    given = arguments(__file__, __doc__)
+    orders, columns = (ORDERS[::3], 10) if given.quick else (ORDERS, 100)
+    scene = gentle(GRAINS, TAU, SAMPLES, 1e-7)
+    run = lmpchain.simulate(scene, "native", tolerance=1e-9)
+    found = run.velocity / scene.excitation.velocity
+    tau, n = scene.time / scene.chain.time_scale, np.arange(1, GRAINS + 1)
+    linear = np.zeros((SAMPLES, GRAINS))
+    linear[:, :-1] = bessel.finite(kappa(GRAINS), n[:-1], 1, tau[:, None])
+
+    title = "Fig. 7: velocity, time and disorder.  Corrected: the mean over disordered columns, right"
+    picture, ((weighted, below), (mean, noise)) = page(title, 2, width=12, height=7)
+    m = np.geomspace(1, 100, 81)
+    sums, theory = (np.array([dyson.average(v, n ** (1 / 3), order) for order in m]) for v in (found, linear))
+    levels = np.linspace(-0.8, 0.8, 17)
+    image = weighted.contourf(tau, m, sums, levels=levels, cmap="PuOr", extend="both")
+    picture.colorbar(image, ax=weighted, label="Eq. (22): Σ weight × velocity / $v_0$")
+    off = np.abs(sums - theory).max(0)
+    below.plot(tau[1:], off[1:], color=SHADES[0], label=f"native − Eq. (19): at most {off.max():.0e}")
+
+    averages = [ensemble(scene, order, columns, seed=1) for order in orders]
+    largest = np.array([average.velocity.max(1) for average in averages]) / scene.excitation.velocity
+    image = mean.contourf(tau, orders, largest, levels=np.arange(0, 1.01, 0.1), cmap="viridis")
+    lines = mean.contour(tau, orders, largest, levels=(0.1, 0.2, 0.3, 0.4), colors="w", linewidths=0.7)
+    mean.clabel(lines, fontsize="x-small")
+    picture.colorbar(image, ax=mean, label="largest mean velocity / $v_0$")
+    for place, shade in zip((0, len(orders) // 2, len(orders) - 1), SHADES, strict=False):
+        average = averages[place]
+        error = average.velocity_error[np.arange(SAMPLES), average.velocity.argmax(1)] / scene.excitation.velocity
+        noise.plot(tau[1:], error[1:], color=shade, label=f"m = {orders[place]}")
+
+    weighted.set_title("one column, the paper's weighted sum", fontsize="medium")
+    mean.set_title(f"mean over {columns} columns for each m", fontsize="medium")
+    for axes in (weighted, mean):
+        axes.set(yscale="log", xlim=(0, TAU), ylabel="order m (large: little disorder)")
+    below.set(xlabel="time τ", ylabel="|difference|", ylim=(1e-10, 1e-4))
+    noise.set(xlabel="time τ", ylabel="standard error", ylim=(1e-5, 10))
+    say("Eq. (22) at tau 15, m = 1", float(dyson.average(found[30], n ** (1 / 3), 1)))
+    say("Eq. (22), native and Eq. (19) differ by", off.max())
+    for place in (0, -1):
+        say(f"mean over columns at tau 15, m = {orders[place]}, largest velocity", largest[place, 30])
+    legends(picture, loc="upper right")
+    finish(picture, given.output)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,139 @@
+"""What the figure scripts share: their arguments, panels with the differences below, styles and printed numbers."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from PIL import Image
+
+import lmpchain
+from lmpchain.files import write_aside
+from lmpchain.plotting import COLOURS, MARKERS, figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+HERE = Path(__file__).parent
+SHADES = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")  # Okabe and Ito
+NATIVE, LAMMPS = (
+    {"ls": "none", "marker": MARKERS[name], "ms": size, "mfc": "none", "color": COLOURS[name]}
+    for name, size in (("native", 3.5), ("lammps", 6.5))
+)
+THEORY = {"color": "0.2", "lw": 1.4}
+PRINTED = {"color": COLOURS["modes"], "lw": 1.4, "ls": "--"}  # what the paper gives, where that is not right
+
+
+def arguments(script: str, doc: str) -> argparse.Namespace:
+    """Read --quick and -o; without the latter the picture goes into `pictures/`, with the former into this folder."""
+    name = f"{Path(script).stem}.png"
+    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="smaller and faster, for tests; draws ./" + name)
+    parser.add_argument("-o", "--output", type=Path, help="the picture; by default pictures/" + name)
+    given = parser.parse_args()
+    given.output = given.output or (Path(name) if given.quick else HERE / "pictures" / name)
+    return given
+
+
+def page(
+    title: str, columns: int, rows: int = 1, width: float = 8.0, height: float = 6.0
+) -> tuple[Figure, list[tuple[Axes, Axes]]]:
+    """Return a figure and its pairs of panels, row by row: curves, and below them how far these are apart."""
+    picture = figure(width, height)
+    axes = picture.subplots(2 * rows, columns, sharex=False, squeeze=False, height_ratios=(3, 1.2) * rows)
+    pairs = []
+    for row in range(rows):
+        for upper, lower in zip(axes[2 * row], axes[2 * row + 1], strict=True):
+            lower.sharex(upper)
+            lower.set_yscale("log")
+            lower.yaxis.set_minor_formatter("")
+            upper.tick_params(labelbottom=False)
+            pairs.append((upper, lower))
+    picture.suptitle(title, fontsize="medium")
+    return picture, pairs
+
+
+def apart(axes: Axes, x: np.ndarray, found: np.ndarray, other: np.ndarray, unit: float, **style: object) -> None:
+    """Draw |found - other| / unit; what is exactly equal is left out, as it has no place on a logarithmic axis."""
+    difference = np.abs(found - other) / unit
+    axes.plot(x, np.where(difference > 0, difference, np.nan), **{"ms": 3, **style})
+
+
+def legends(picture: Figure, **keys: object) -> None:
+    """Give every panel with labels a legend."""
+    for axes in picture.axes:
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend(**{"frameon": False, "fontsize": "small", **keys})
+
+
+def finish(picture: Figure, path: Path) -> None:
+    """Save the picture with a palette, at a third of the size, and say where."""
+    picture.set_dpi(110)
+    picture.canvas.draw()
+    pixels = Image.fromarray(np.asarray(picture.canvas.buffer_rgba())).convert("RGB")
+    with write_aside(path) as aside:
+        pixels.quantize(256, dither=Image.Dither.NONE).save(aside, optimize=True)
+    print(f"picture: {path}")
+
+
+def say(label: str, value: float, unit: str = "") -> None:
+    """Print a number that the tests read: label, colon, number, unit."""
+    print(f"{label}: {value:.6g} {unit}".rstrip())
+
+
+def distance(found: np.ndarray, truth: np.ndarray) -> float:
+    """Return the relative distance, |found - truth| / |truth| with the root of the sum of squares as |...|."""
+    return float(np.linalg.norm(found - truth) / np.linalg.norm(truth))
+
+
+def summit(profile: np.ndarray) -> float:
+    """Return at which grain, between grains, a profile of grains 1, 2 ... is largest: a parabola through three."""
+    top = int(profile.argmax())
+    before, here, after = profile[top - 1 : top + 2]
+    return top + 1 + 0.5 * (before - after) / (before - 2 * here + after)
+
+
+def shorter(scene: lmpchain.Scene, grains: int) -> lmpchain.Scene:
+    """Return the same scene with fewer grains."""
+    chain = lmpchain.Chain(**scene.chain.given() | {"grains": grains})
+    return lmpchain.Scene(**scene.given() | {"chain": chain})
+
+
+def gentle(
+    grains: int,
+    tau: float,
+    samples: int,
+    strength: float,
+    delta: float = 1.5,
+    moved: int = 0,
+    recorded: str | Iterable[int] = "all",
+) -> lmpchain.Scene:
+    """Return a column of the paper's glass beads, struck or moved by `strength` times what its contact holds.
+
+    Parameters
+    ----------
+    tau : float
+        Duration in the unit of the paper's tau.
+    strength : float
+        Of a velocity of grain 1, in eps_1 / time unit; with `moved`, of a displacement of that grain, in its eps_n.
+    recorded
+        Grains.
+    """
+    chain = lmpchain.Chain(grains=grains, diameter=1e-3, exponent=delta)
+    excitation = (
+        lmpchain.Displacement(displacement=strength * chain.equilibrium_overlap[moved - 1], grain=moved)
+        if moved
+        else lmpchain.Impulse(velocity=strength * chain.length_scale / chain.time_scale)
+    )
+    return lmpchain.Scene(
+        chain=chain, excitation=excitation, duration=tau * chain.time_scale, samples=samples, grains=recorded
+    )
+
+
+def kappa(grains: int, delta: float = 1.5) -> np.ndarray:
+    """Return kappa_1 ... kappa_(N-1) of Eq. (3)."""
+    return np.arange(1, grains) ** (1 - 1 / delta)

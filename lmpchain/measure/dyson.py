@@ -1,0 +1,278 @@
+"""Eq. (22), a velocity weighted over depth by Dyson's distribution, beside averages over random chains."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..chain import Chain
+from ..errors import InputError
+from ..excitation import Impulse
+from ..fields import Array
+from ..scene import Scene
+from ..theory import dyson
+from ..trajectory import Trajectory
+from .contact import motion
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from ..disorder import Ensemble
+
+DASHES = ("-", "--", "-.", ":")
+MARGIN = 4  # grains at rest that are shown below the wave
+WHAT = "a sum over the grains of one chain, weighted by D_m(kappa_n): no average over disorder"
+
+
+@dataclass(frozen=True, eq=False)
+class DysonSums:
+    """Eq. (22) for one trajectory and M orders m.
+
+    Attributes
+    ----------
+    m : (M,) array
+    time : (T,) array
+        s.
+    tau : (T,) array
+        Time in units of `Chain.time_scale`.
+    kappa : (N,) array
+        Stiffness of the contact below each grain over that of the first.
+    velocity : (T, N) array
+        Of all grains, m/s.
+    weight : (M, N) array
+        D_m(kappa_n), Eq. (23) as printed.
+    as_printed : (M, T) array
+        sum_n D_m(kappa_n) velocity_n, m/s.
+    normalised : (M, T) array
+        The same over sum_n D_m(kappa_n), m/s.
+    unit : float
+        Strike velocity, m/s, by which velocities are shown divided; 1 if the chain was not struck on one grain.
+    """
+
+    m: Array
+    time: Array
+    tau: Array
+    kappa: Array
+    velocity: Array
+    weight: Array
+    as_printed: Array
+    normalised: Array
+    unit: float
+
+    @property
+    def unit_name(self) -> str:
+        """In what velocities are shown."""
+        return "m/s" if self.unit == 1 else "v0"
+
+    def table(self, ordered: Array, ensembles: Sequence[Ensemble]) -> str:
+        """Return the values at the last sample beside the averages over random chains, as text.
+
+        Parameters
+        ----------
+        ordered : (N,) array
+            Velocity of every grain of the ordered linear chain at the same time, m/s.
+        ensembles : M of Ensemble
+            Whose last sample is the same time.
+        """
+        unit = "m/s" if self.unit == 1 else f"v0 = {self.unit:g} m/s"
+        lines = [
+            f"t = {self.time[-1]:.6g} s (tau = {self.tau[-1]:.4g}); velocities in {unit}",
+            f"Eq. (22): {WHAT}",
+            f"random chains: largest mean velocity over {ensembles[0].realisations} linear chains with "
+            "kappa_n zeta_n, its standard error and grain",
+            f"{'':>8} {'Eq. (22)':>11} {'sum of':>11} {'Eq. (22)':>11} {'random':>11} {'standard':>11} {'at':>6}",
+            f"{'m':>8} {'as printed':>11} {'weights':>11} {'normalised':>11} {'chains':>11} {'error':>11} {'grain':>6}",
+        ]
+        for row in self._rows(ensembles):
+            values = [row[key] for key in ("as_printed", "weights", "normalised")]
+            mean = row["random_chains"]
+            values += [mean["largest"], mean["standard_error"]]
+            numbers = " ".join(f"{value:11.5g}" for value in values)
+            lines.append(f"{row['m']:>8g} {numbers} {mean['grain']:>6}")
+        at = int(np.abs(ordered).argmax())
+        lines.append(f"{'ordered':>8} {'':35} {ordered[at] / self.unit:11.5g} {'':11} {at + 1:>6}")
+        largest = max(each.model_error for each in ensembles)
+        lines.append(f"Eq. (3) leaves out up to {largest:.2g} of what a random chain does")
+        if squeezed := sum(each.squeezed for each in ensembles):
+            lines.append(f"in {squeezed} chains a contact is so soft that Hertz's law would no longer hold at rest")
+        return "\n".join(lines)
+
+    def to_json(self, ordered: Array, ensembles: Sequence[Ensemble]) -> dict[str, Any]:
+        """Return what the table shows and the curves behind it; arguments as for `table`."""
+        rows = self._rows(ensembles)
+        for row, printed, normalised, each in zip(rows, self.as_printed, self.normalised, ensembles, strict=True):
+            row["as_printed_over_time"] = (printed / self.unit).tolist()
+            row["normalised_over_time"] = (normalised / self.unit).tolist()
+            row["random_chains"] |= {
+                "mean_velocity": (each.velocity[-1] / self.unit).tolist(),
+                "standard_errors": (each.velocity_error[-1] / abs(self.unit)).tolist(),
+            }
+        return {
+            "what": f"Eq. (22) is {WHAT}",
+            "velocity_unit_m_per_s": self.unit,
+            "time_s": self.time.tolist(),
+            "tau": self.tau.tolist(),
+            "kappa": self.kappa.tolist(),
+            "ordered_velocity": (ordered / self.unit).tolist(),
+            "realisations": ensembles[0].realisations,
+            "seed": ensembles[0].seed,
+            "rows": rows,
+        }
+
+    def _rows(self, ensembles: Sequence[Ensemble]) -> list[dict[str, Any]]:
+        """Return what is shown of each m at the last sample, velocities in the unit."""
+        rows = []
+        for place, (m, each) in enumerate(zip(self.m, ensembles, strict=True)):
+            at = int(np.abs(each.velocity[-1]).argmax())
+            rows.append(
+                {
+                    "m": float(m),
+                    "as_printed": float(self.as_printed[place, -1] / self.unit),
+                    "weights": float(self.weight[place].sum()),
+                    "normalised": float(self.normalised[place, -1] / self.unit),
+                    "random_chains": {
+                        "largest": float(each.velocity[-1, at] / self.unit),
+                        "standard_error": float(each.velocity_error[-1, at] / abs(self.unit)),
+                        "grain": int(each.grains[at]),
+                        "model_error": each.model_error,
+                        "squeezed_chains": each.squeezed,
+                    },
+                }
+            )
+        return rows
+
+    def plot(self, ordered: Array, ensembles: Sequence[Ensemble], axes: Sequence[Axes] | None = None) -> Figure:
+        """Draw, against grain number at the last sample, the means over random chains and the terms of Eq. (22).
+
+        Parameters
+        ----------
+        ordered, ensembles
+            As for `table`.
+        axes : two axes, optional
+            By default those of a new figure.
+        """
+        from ..plotting import COLOURS, figure
+
+        true, weighted = figure(7.0, 8.0).subplots(2, sharex=True) if axes is None else axes
+        colours = list(COLOURS.values())
+        grains = np.arange(1, ordered.size + 1)
+        true.plot(grains, ordered / self.unit, color="black", lw=2.2, alpha=0.6, label="ordered")
+        for place, (m, each) in enumerate(zip(self.m, ensembles, strict=True)):
+            # colour and dash both differ, and go on differing together when the colours are used up
+            dash = DASHES[(place + place // len(colours)) % len(DASHES)]
+            style: dict[str, Any] = {"color": colours[place % len(colours)], "ls": dash, "lw": 1.6}
+            mean, band = each.velocity[-1] / self.unit, 2 * each.velocity_error[-1] / abs(self.unit)
+            true.plot(each.grains, mean, label=f"m = {m:g}", **style)
+            true.fill_between(each.grains, mean - band, mean + band, color=style["color"], alpha=0.2, lw=0)
+            terms = self.weight[place] * self.velocity[-1] / self.unit
+            total = self.as_printed[place, -1] / self.unit
+            weighted.plot(grains, terms, label=f"m = {m:g}: sum {total:.4g}", **style)
+        unit = r"$v_0$" if self.unit != 1 else "m/s"
+        true.set_ylabel(f"mean velocity ({unit})")
+        true.set_title(f"Mean over {ensembles[0].realisations} random linear chains, ± 2 standard errors", loc="left")
+        weighted.set(xlabel="grain number n, from the top", ylabel=rf"$D_m(\kappa_n)\,\dot\varphi_n$ ({unit})")
+        weighted.set_title(f"Terms of Eq. (22), one chain weighted over depth, tau = {self.tau[-1]:.4g}", loc="left")
+        shown = np.abs([ordered, self.velocity[-1]]).max(0)
+        moving = np.flatnonzero(shown > 1e-3 * shown.max())
+        last = int(moving[-1]) + 1 + MARGIN if moving.size else grains.size
+        for panel in (true, weighted):
+            panel.set_xlim(0.5, min(last, grains.size) + 0.5)
+            panel.axhline(0, color="0.8", lw=0.8, zorder=0)
+            panel.legend(frameon=False)
+        return true.figure.figure
+
+
+def sums(trajectory: Trajectory, m: Sequence[float]) -> DysonSums:
+    """Return Eq. (22) of a trajectory for some orders m.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Of any engine, with all grains that move.
+    m : (M,) array_like
+        Above 0.
+
+    Raises
+    ------
+    InputError
+        If m is not above 0, a grain that moves was not recorded, or the chain is a sonic vacuum, where no contact has
+        a stiffness at rest.
+
+    Examples
+    --------
+    >>> import lmpchain
+    >>> chain = lmpchain.Chain(grains=60, diameter=1e-3)
+    >>> strike = lmpchain.Impulse(velocity=1e-12)
+    >>> scene = lmpchain.Scene(chain=chain, excitation=strike, duration=15 * chain.time_scale, samples=2)
+    >>> print(sums(lmpchain.simulate(scene, engine="modes"), [1, 5]).as_printed[:, -1].round(16) / 1e-12)
+    [ 0.1523 -0.0241]
+    """
+    chain = trajectory.scene.chain
+    kappa = relative_stiffness(chain)
+    _, velocity = motion(trajectory, np.arange(1, chain.grains + 1))
+    orders = np.asarray(m, dtype=float)
+    weight = dyson.weight(kappa, orders[:, None])
+    return DysonSums(
+        m=orders,
+        time=trajectory.time,
+        tau=trajectory.time / chain.time_scale,
+        kappa=kappa,
+        velocity=velocity,
+        weight=weight,
+        as_printed=dyson.average(velocity, kappa, orders[:, None]),
+        normalised=dyson.average(velocity, kappa, orders[:, None], normalised=True),
+        unit=_unit(trajectory.scene),
+    )
+
+
+def orders(text: str) -> list[float]:
+    """Return the numbers of a list such as 1,2,5,20; raises `InputError` unless all are above 0.
+
+    Examples
+    --------
+    >>> orders("1, 2.5")
+    [1.0, 2.5]
+    """
+    found = []
+    for part in dict.fromkeys(part.strip() for part in text.split(",")):
+        try:
+            found.append(float(part))
+        except ValueError:
+            raise InputError([("m", f"must be numbers with commas between them (got {part!r})")]) from None
+    if wrong := [m for m in found if not 0 < m < np.inf]:
+        raise InputError([("m", f"must be above 0 (got {wrong[0]:g})")])
+    return found
+
+
+def relative_stiffness(chain: Chain) -> Array:
+    """Return the linear stiffness of the contact below each grain over that of the first, (N,); n^(1 - 1/delta) here.
+
+    Grain N has no contact below it unless there is a wall: it is then given one like that above it, under its weight.
+
+    Raises
+    ------
+    InputError
+        In the sonic vacuum.
+
+    Examples
+    --------
+    >>> kappa = relative_stiffness(Chain(grains=60, diameter=1e-3))
+    >>> bool(abs(kappa - np.arange(1, 61) ** (1 / 3)).max() < 1e-14)
+    True
+    """
+    if not chain.compressed:
+        raise InputError([("gravity", "without gravity and load contacts have no stiffness at rest, so no kappa_n")])
+    stiffness, force = chain.contacts.stiffness[1:].copy(), chain.contacts.force
+    if chain.bottom != "wall":
+        weight = chain.gravity * chain.masses[-1]
+        stiffness[-1] = stiffness[-2] * (1 + weight / force[-2]) ** (1 - 1 / chain.exponent)
+    return stiffness / stiffness[0]
+
+
+def _unit(scene: Scene) -> float:
+    struck = scene.excitation
+    return struck.velocity if isinstance(struck, Impulse) and struck.velocity else 1.0

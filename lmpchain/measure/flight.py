@@ -1,0 +1,139 @@
+"""When a signal arrives, and how long it takes from one sensor to another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.interpolate import PPoly, make_interp_spline
+from scipy.signal import correlate
+
+from ..errors import InputError
+from ..fields import Array
+from ..trajectory import Trajectory
+from .contact import sensor
+
+REACH = 6  # samples on either side of a peak that its interpolation uses
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """The largest maximum of a signal: its time, s, its height, and by how much sampling may shift it, s."""
+
+    time: float
+    height: float
+    error: float
+
+
+@dataclass(frozen=True)
+class Flight:
+    """How long a wave takes from one sensor to another.
+
+    Attributes
+    ----------
+    grains : int
+        How many grains further the second is.
+    distance : float
+        Between their centres at rest, m.
+    seconds, error : float
+        s; by how much sampling may shift it, s.
+    """
+
+    grains: int
+    distance: float
+    seconds: float
+    error: float
+
+    @property
+    def speed(self) -> float:
+        """Speed in m/s."""
+        return self.distance / self.seconds
+
+    @property
+    def grains_per_second(self) -> float:
+        """Speed in grains, 1/s."""
+        return self.grains / self.seconds
+
+
+def arrival(time: Array, values: Array, name: str = "signal") -> Arrival:
+    """Return the largest maximum of a signal, found with a quintic spline through the samples around it.
+
+    The error is the shift when only every second sample is used. Where the signal is smooth and well sampled, the
+    true error is about 1/60 of it. Errors of the trajectory itself come on top.
+
+    Parameters
+    ----------
+    time, values : (T,) arrays
+        s; in any unit.
+    name : str
+        Of the signal, for messages.
+
+    Raises
+    ------
+    InputError
+        If the largest value is the first or the last.
+
+    Examples
+    --------
+    >>> time = np.linspace(0, 1, 21)
+    >>> peak = arrival(time, np.exp(-20 * (time - 0.512) ** 2))
+    >>> round(peak.time, 5), round(peak.height, 5)
+    (0.512, 1.0)
+    """
+    top, last = int(np.argmax(values)), len(values) - 1
+    if not 0 < top < last:
+        cure = "record for longer" if top else "there is no maximum to wait for"
+        raise InputError([("duration", f"the {name} is largest in the {'last' if top else 'first'} sample: {cure}")])
+    when, height = summit(time, values, top, 1)
+    step = float(time[top + 1] - time[top])
+    error = abs(when - summit(time, values, top, 2)[0]) if 2 <= top <= last - 2 else step
+    return Arrival(when, height, error)
+
+
+def time_of_flight(
+    trajectory: Trajectory, first: int, second: int, method: Literal["peak", "correlation"] = "peak"
+) -> Flight:
+    """Return how long a wave takes between sensors in two grains, and so its speed.
+
+    An echo within the recording may be taken for the wave: record up to it.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    first, second : int
+        Grains; seconds and speed are negative if the wave comes to the second first.
+    method : str
+        "peak": from the largest maximum of one signal to that of the other; "correlation": the shift that makes the
+        two most alike, for which the whole of both must have been recorded.
+
+    Raises
+    ------
+    InputError
+        If there is no such sensor, or the wave has not passed it.
+    """
+    if first == second or method not in ("peak", "correlation"):
+        raise InputError([("second", 'choose two grains, and the method "peak" or "correlation"')])
+    one, two = sensor(trajectory, first), sensor(trajectory, second)
+    if method == "peak":
+        begin, end = (arrival(s.time, s.change, f"force in grain {s.grain}") for s in (one, two))
+        seconds, error = end.time - begin.time, begin.error + end.error
+    else:
+        shifts = np.concatenate((-one.time[:0:-1], one.time))
+        best = arrival(shifts, correlate(two.change, one.change), "correlation of the two forces")
+        seconds, error = best.time, best.error
+    depths = trajectory.scene.chain.depths
+    distance = abs(float(depths[second - 1] - depths[first - 1]))
+    return Flight(abs(second - first), distance, seconds, error)
+
+
+def summit(time: Array, values: Array, top: int, stride: int) -> tuple[float, float]:
+    """Return time and height of the maximum near a sample, by a quintic spline through every `stride`-th around it."""
+    near = np.arange(top - REACH * stride, top + REACH * stride + 1, stride)
+    near = near[(near >= 0) & (near < len(values))]
+    unit = time[top + 1] - time[top]
+    spline = make_interp_spline((time[near] - time[top]) / unit, values[near], k=min(5, len(near) - 1))
+    roots = PPoly.from_spline(spline.derivative()).roots(extrapolate=False)
+    inside = np.append(roots[np.abs(roots) <= stride], 0.0)
+    best = inside[np.argmax(spline(inside))]
+    return float(time[top] + best * unit), float(spline(best))
