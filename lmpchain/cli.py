@@ -1,4 +1,4 @@
-"""The command line: `lmpchain run`, `compare`, `deck`, `fit` and `doctor`.
+"""The command line: one function a verb, in `commands`.
 
 Exit codes: 0 done, 1 the run failed or missed its tolerance, 2 the input is wrong, 130 after Ctrl-C,
 143 after SIGTERM.
@@ -159,20 +159,22 @@ def _parser() -> argparse.ArgumentParser:
     deck.add_argument("--pair-style", choices=["granular", "gran/hertz/history"], default="granular")
 
     dyson = verbs.add_parser("dyson", help="weigh a run over depth as Eq. (22) does; average over random chains")
-    dyson.add_argument("run", metavar="RUN.nc", help="file that lmpchain run saved with all grains, or a dump")
-    dyson.add_argument("--scene", metavar="SCENE.toml", help="for a dump: the scene that it was made for")
+    _saved(dyson, commands.dyson)
     dyson.add_argument("--m", metavar="M,M,...", required=True, help="orders of Dyson's distribution, such as 1,2,5,20")
     dyson.add_argument("--realisations", metavar="R", type=int, default=200, help="random chains each (default: 200)")
     dyson.add_argument("--seed", metavar="S", type=int, default=1, help="which random chains (default: 1)")
     dyson.add_argument("-o", "--output", metavar="PICTURE.png", help="picture to write (.png, .pdf or .svg)")
     dyson.add_argument("--json", metavar="FILE", help="file for the numbers")
-    dyson.set_defaults(command=commands.dyson)
 
     fit = verbs.add_parser("fit", help="fit the theory to a saved run or a LAMMPS dump: modes, speeds, the front")
-    fit.add_argument("run", metavar="RUN.nc", help="file that lmpchain run saved, or a dump such as column.lammpstrj")
-    fit.add_argument("--scene", metavar="SCENE.toml", help="for a dump: the scene that it was made for")
+    _saved(fit, commands.fit)
     fit.add_argument("--json", metavar="FILE", help="file for the numbers")
-    fit.set_defaults(command=commands.fit)
+
+    report = verbs.add_parser("report", help="write a page about a saved run: pictures, fits, errors, provenance")
+    _saved(report, commands.report)
+    report.add_argument(
+        "-o", "--output", metavar="REPORT.html", help="file to write (default: RUN.html beside the run)"
+    )
 
     doctor = verbs.add_parser("doctor", help="say what works here: LAMMPS, MPI, versions, cores, engines")
     doctor.add_argument("--json", metavar="FILE", help="file for the findings")
@@ -182,6 +184,14 @@ def _parser() -> argparse.ArgumentParser:
 
 def _scene(parser: argparse.ArgumentParser, command: Callable[[argparse.Namespace], int]) -> None:
     parser.add_argument("scene", metavar="SCENE.toml", help="scene file")
+    parser.set_defaults(command=command)
+
+
+def _saved(parser: argparse.ArgumentParser, command: Callable[[argparse.Namespace], int]) -> None:
+    parser.add_argument(
+        "run", metavar="RUN.nc", help="file that lmpchain run saved, or a dump such as column.lammpstrj"
+    )
+    parser.add_argument("--scene", metavar="SCENE.toml", help="for a dump: the scene that it was made for")
     parser.set_defaults(command=command)
 
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from .trajectory import Trajectory
 
 PICTURES = (".png", ".pdf", ".svg")
+PAGES = (".html", ".htm")
 REFERENCE_S = 60.0  # longest expected time for the independent reference; the native engine takes over beyond it
 TIGHTEST = 1e-11  # tolerance that the native engine reaches on every ordinary scene
 
@@ -282,12 +283,6 @@ def fit(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _trajectory(path: str) -> Trajectory:
-    from .trajectory import Trajectory
-
-    return Trajectory.load(path)
-
-
 def _run_or_dump(path: str, scene: str | None) -> Trajectory:
     """Read a saved run, or a dump if the scene is given that it was made for."""
     from .dumps import is_dump
@@ -297,11 +292,22 @@ def _run_or_dump(path: str, scene: str | None) -> Trajectory:
         raise InputError([(path, "is a LAMMPS dump: give its scene as well, --scene SCENE.toml")])
     if scene is not None and not dumped and Path(path).is_file():
         raise InputError([("scene", f"goes with a LAMMPS dump, which {path} is not; leave it out for a saved run")])
-    if scene is None:
-        return _trajectory(path)
     from .trajectory import Trajectory
 
-    return Trajectory.from_dump(path, _read(scene))
+    return Trajectory.load(path) if scene is None else Trajectory.from_dump(path, _read(scene))
+
+
+def report(arguments: argparse.Namespace) -> int:
+    """Write a page about a saved run, or a dump of LAMMPS."""
+    page = arguments.output or str(Path(arguments.run).with_suffix(".html"))
+    trajectory, path = _gather(
+        lambda: _run_or_dump(arguments.run, arguments.scene), lambda: _output(page, arguments.run, PAGES)
+    )
+    from .htmlreport import write
+
+    write(trajectory, path)
+    print(f"page: {path}")
+    return 0
 
 
 def doctor(arguments: argparse.Namespace) -> int:

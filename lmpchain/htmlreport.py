@@ -14,7 +14,7 @@ import numpy as np
 
 from .errors import InputError, LmpchainError
 from .files import write_aside
-from .measure import contact, energy, front, spectrum
+from .measure import contact, energy, fit, front, spectrum
 from .plotting import COLOURS, figure
 from .rendering import render
 from .scenefile import dumps
@@ -29,11 +29,12 @@ SHADES = ("#56B4E9", "#0072B2", "#009E73")
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the page: a picture, a table of (name, value), or why there is neither."""
+    """A part of the page: a picture, text as it stands, a table of (name, value), or why there is none."""
 
     title: str
     text: str = ""
     picture: str = ""  # PNG, base64
+    verbatim: str = ""
     rows: tuple[tuple[str, str], ...] = ()
 
 
@@ -47,7 +48,7 @@ def page(trajectory: Trajectory) -> str:
     """Return the page as HTML, with everything it shows inside; what does not apply to a run says why."""
     scene = trajectory.scene
     title = f"{scene.chain.grains} grains, {scene.excitation.kind}, {scene.duration * 1e6:g} µs"
-    return render("report.html", title=title, sections=list(_sections(trajectory)), scene=dumps(scene))
+    return render("report.html", title=title, sections=list(_sections(trajectory)))
 
 
 def _sections(trajectory: Trajectory) -> Iterator[Section]:
@@ -65,7 +66,9 @@ def _sections(trajectory: Trajectory) -> Iterator[Section]:
             yield Section(title, text, _png(draw(trajectory)))
         except LmpchainError as error:
             yield Section(title, f"Not for this run: {error}")
+    yield Section("Fits", "What the run says about the theory.", verbatim=fit.summary(trajectory).table())
     yield Section("Where it came from", rows=tuple((key, str(value)) for key, value in trajectory.provenance.items()))
+    yield Section("The scene", verbatim=dumps(trajectory.scene))
 
 
 def _facts(trajectory: Trajectory) -> Iterator[tuple[str, str]]:
