@@ -85,9 +85,9 @@ def contact_forces(force, x, inverse_length, strength, loose, form, delta):
 
 
 @_compiled
-def _kick_and_drift(x, w, force, inverse_mass, first, last, end, begin, drift):
-    for n in range(first, last):
-        acceleration = inverse_mass[n] * (force[n - 1] - force[n])
+def _kick_and_drift(x, w, force, inverse_mass, end, begin, drift):
+    for n in range(x.size):  # from 0: indices that might be negative would keep the loop from being vectorised
+        acceleration = inverse_mass[n] * (force[n] - force[n + 1])
         faster = w[n] + end * acceleration
         faster = faster + begin * acceleration
         w[n] = faster
@@ -132,19 +132,20 @@ def advance(
     stages = drifts.size
     force = np.zeros(strength.shape[1])
     for real in range(x.shape[0]):
-        y, w, im, il, st = x[real], v[real], inverse_mass[real], inverse_length[real], strength[real]
-        path = driven[real]
+        y, il, st, path = x[real], inverse_length[real], strength[real], driven[real]
+        free, speed = y[first:last], v[real, first:last]
+        mobility, pull = inverse_mass[real, first:last], force[first - 1 : last]
         for step in range(steps):
             end = kicks[stages] if step > 0 else 0.0
             for stage in range(stages):
                 if path.size > 0:
                     y[1] = path[step * stages + stage]
                 contact_forces(force, y, il, st, loose[real], forms[real], delta)
-                _kick_and_drift(y, w, force, im, first, last, end, kicks[stage], drifts[stage])
+                _kick_and_drift(free, speed, pull, mobility, end, kicks[stage], drifts[stage])
                 end = 0.0
             if stages > 1 or path.size > 0:
                 _watch(y, il, st, seen[real])
         if path.size > 0:
             y[1] = path[steps * stages]
         contact_forces(force, y, il, st, loose[real], forms[real], delta)
-        _kick_and_drift(y, w, force, im, first, last, kicks[stages], 0.0, 0.0)
+        _kick_and_drift(free, speed, pull, mobility, kicks[stages], 0.0, 0.0)
