@@ -676,3 +676,11 @@ def test_fit_faults_have_exit_code_2(
     (line,) = said.err.splitlines()
     assert line.startswith(f"error: {key.format(**places)}: ")
     assert said.out == ""
+
+
+def test_bessel_needs_a_wave_and_not_only_its_start():
+    """Behind a wall the first grain is its own image at once: what the strike gave is no measurement."""
+    chain = Chain(grains=40, material="steel", diameter=5e-3, gravity=0.0, top_load=2.0, top="wall", bottom="wall")
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=3e-4, samples=301)
+    with pytest.raises(InputError, match="too few, or without the wave"):
+        fit_bessel(simulate(scene, engine="native"))

@@ -231,7 +231,7 @@ def fit_bessel(trajectory: Trajectory, grains: tuple[int, int] | None = None, un
     n = np.broadcast_to(trajectory.grains, inside.shape)[inside]
     time = np.broadcast_to(trajectory.time[:, None], inside.shape)[inside]
     values = getattr(trajectory, field)[inside]
-    if n.size < FEWEST or np.abs(values).max() < ARRIVED * abs(size):
+    if n.size < FEWEST or np.abs(values[time > 0]).max(initial=0.0) < ARRIVED * abs(size):  # at t = 0 it is given
         cure = "record more often or for longer, more grains near it, or give grains and until"
         reason = f"{n.size} values lie where the solution can hold, too few, or without the wave: {cure}"
         raise InputError([("samples", reason)])
