@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from . import mpi
 from .errors import EngineUnavailable, InputError, RunFailed, ToleranceNotMet, check_tolerance
 
 # what computes is imported inside the functions, so that wrong input is answered at once
@@ -86,6 +87,8 @@ def run(arguments: argparse.Namespace) -> int:
     path = path or _output(str(Path(arguments.scene).with_suffix(".nc")), arguments.scene)
     from .simulation import simulate
 
+    if mpi.joined() and engine.name != "lammps":
+        warnings.warn(f"the engine {engine.name} runs on one rank; --engine lammps would use them all", stacklevel=1)
     missed = ""
     try:
         trajectory = simulate(scene, engine, arguments.tolerance, progress=sys.stderr.isatty())

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from pathlib import Path
 from shutil import which
 from typing import Any, NoReturn
 
 from .errors import EngineUnavailable
 
+PASS_ON_S = 0.5  # that mpiexec takes at most to pass a message on; what is still on the way at an abort is lost
 _joined: list[Any] = []
 
 
@@ -73,5 +75,6 @@ def launcher() -> str:
 def abort(world: Any, message: str) -> NoReturn:
     """End all ranks, with a message."""
     print(f"error: {message}", file=sys.stderr, flush=True)
+    time.sleep(PASS_ON_S)
     world.Abort(1)
     raise SystemExit(1)  # not reached

@@ -328,3 +328,43 @@ def test_pieces_do_not_matter(integrator: str, monkeypatch: pytest.MonkeyPatch):
         monkeypatch.undo()
         assert np.array_equal(whole.displacement, pieces.displacement)
         assert np.array_equal(whole.velocity, pieces.velocity)
+
+
+@pytest.mark.parametrize("integrator", ["verlet", "kahan-li6", "rkn6"])
+@pytest.mark.parametrize("engine", ["native", "lammps"])
+@pytest.mark.parametrize(
+    "drive",
+    [
+        Drive(amplitude=2e-7, frequency=3e4),
+        Drive(times=np.linspace(0, 1e-4, 9), displacement=2e-7 * np.sin(np.arange(9.0)) ** 2),
+    ],
+    ids=["harmonic", "sampled"],
+)
+def test_recorded_motion_of_a_driven_grain(integrator: str, engine: str, drive: Drive) -> None:
+    """Displacement and velocity are those asked for, to the last digit of a height in LAMMPS."""
+    chain = Chain(grains=12, material="steel", diameter=5e-3, gravity=0.0, top_load=1.0)
+    scene = Scene(chain=chain, excitation=drive, duration=1e-4, samples=11)
+    t = simulate(scene, engine, 0.9, integrator=integrator, step=2e-7)
+    u, v = drive.motion(t.time)
+    assert t.displacement[:, 0] == pytest.approx(u, rel=0, abs=1e-15 if engine == "native" else 1e-14)
+    assert t.velocity[:, 0] == pytest.approx(v, rel=1e-11, abs=1e-14)
+
+
+def test_what_is_not_smooth_is_known() -> None:
+    """Knots of a path and a wall that only touches break the order of a method without any contact opening."""
+    pressed = Chain(grains=12, material="steel", diameter=5e-3, top_load=1.0)
+    loose = Chain(grains=12, material="steel", diameter=5e-3, top="wall")
+    points = Drive(times=np.linspace(0, 1e-4, 9), displacement=1e-9 * np.sin(np.arange(9.0)) ** 2)
+    for chain, excitation, smooth in (
+        (pressed, Drive(amplitude=1e-10, frequency=3e4), True),
+        (pressed, Drive(times=[0.0, 1e-4], displacement=[0.0, 1e-9]), True),
+        (pressed, points, False),
+        (loose, Impulse(velocity=-1e-7, grain=4), False),
+        (pressed, Impulse(velocity=-1e-7, grain=4), True),
+    ):
+        scene = Scene(chain=chain, excitation=excitation, duration=1e-4, samples=3)
+        solver = engines.Native(step=1e-6)
+        run = solver.start([scene], solver.candidate(scene, 1e-6))
+        for _ in run.blocks():
+            pass
+        assert run.errors()[0].smooth is smooth
