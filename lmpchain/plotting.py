@@ -153,14 +153,12 @@ def _draw_cost(comparison: Comparison, axes: Axes) -> None:
         colour = _colour(row.engine)
         axes.loglog([x, x], [y, expected], color=colour, ls="--", lw=1.3)
         axes.loglog(x, expected, marker="_", markersize=10, markeredgewidth=1.8, color=colour, ls="none")
-        axes.loglog(x, y, marker=MARKERS.get(row.engine, "x"), markersize=8, color=colour, ls="none")
-        axes.annotate(
-            f"{row.engine}\n{row.integrator}", (x, y), xytext=(9, 0), textcoords="offset points",
-            va="center", color=colour,
-        )  # fmt: skip
+        name = row.engine if row.integrator == row.engine else f"{row.engine}, {row.integrator}"
+        axes.loglog(x, y, marker=MARKERS.get(row.engine, "x"), markersize=8, color=colour, ls="none", label=name)
     axes.set(xlabel="integration time (s)", ylabel="relative error")
     axes.set_title("Error and cost (bar: expected error)", loc="left")
-    axes.margins(x=0.45, y=0.2)
+    axes.margins(x=0.2, y=0.15)
+    axes.legend(frameon=False, fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2)
 
 
 def _colour(engine: str) -> str:

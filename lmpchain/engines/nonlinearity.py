@@ -36,6 +36,8 @@ class Nonlinearity:
         self._inverse_mass[chain.movable :] = 0.0
         self._inverse_overlap = np.divide(1.0, contacts.overlap, out=np.zeros(chain.grains + 1), where=contacts.pressed)
         self._excess = chain.exponent - 1
+        nothing = np.zeros(0)  # only compiles, so that it is not timed as work
+        _look(nothing, nothing, np.zeros(1), np.zeros(1), nothing)
         # time, strain and shift by then; largest strain, displacement, velocity and acceleration; largest effects of
         # the shift on displacement and velocity; a contact that opens, if any
         self.memory = np.array([0.0] * 9 + [np.nan]) if memory is None else memory.copy()
