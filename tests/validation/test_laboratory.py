@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from peaks import find_peak
 from scenes import random_scene
-from scipy.interpolate import make_interp_spline
 from scipy.special import jv
 
 import lmpchain
@@ -42,20 +42,6 @@ def _run(
 ) -> lmpchain.Trajectory:
     scene = lmpchain.Scene(chain=chain, excitation=excitation, duration=duration, samples=samples, grains=grains)
     return lmpchain.simulate(scene, engine=engine, tolerance=tolerance)
-
-
-def _peak(time: Array, values: Array, top: int | None = None) -> tuple[float, float]:
-    """Return when values (T,) are largest, near the sample `top` if it is given, and how large, between samples too."""
-    top = int(values.argmax()) if top is None else top
-    assert 12 <= top < len(time) - 12, "the peak must lie well inside the recording"
-    near = slice(top - 12, top + 13)
-    spline = make_interp_spline(time[near] - time[top], values[near], k=5)
-    slope, curvature = spline.derivative(), spline.derivative(2)
-    t = 0.0
-    for _ in range(20):
-        t -= float(slope(t) / curvature(t))
-    assert abs(t) <= time[1] - time[0]
-    return float(time[top] + t), float(spline(t))
 
 
 def _steel_beads() -> lmpchain.Chain:
@@ -104,9 +90,9 @@ def test_force_on_a_wall(engine: str, wall: str, ratio: float) -> None:
     chain = _chain(40, bottom="wall", **({"bottom_material": hard} if wall == "rigid" else {}))
     t = _run(chain, lmpchain.Impulse(velocity=1.0), 53.0, 1061, 1e-6, engine)
     gap = t.displacement[:, 21] - t.displacement[:, 22]
-    when, within = _peak(t.time, np.maximum(gap, 0.0) ** 1.5)
+    when, within = find_peak(t.time, np.maximum(gap, 0.0) ** 1.5)
     assert when < 35, "the pulse on its way there"
-    _, at_wall = _peak(t.time, chain.wall_constants[1] * np.maximum(t.displacement[:, -1], 0.0) ** 1.5)
+    _, at_wall = find_peak(t.time, chain.wall_constants[1] * np.maximum(t.displacement[:, -1], 0.0) ** 1.5)
     assert at_wall / within == pytest.approx(ratio, rel=1e-5)
 
 
@@ -163,7 +149,7 @@ def test_shock_before_a_piston(exponent: float, grain: int, ratio: float) -> Non
     peaks = []
     for v in t.velocity.T:
         first = np.flatnonzero((v[1:-1] > 1) & (v[1:-1] > v[2:]))[0] + 1
-        peaks.append(_peak(t.time, v, int(first)))
+        peaks.append(find_peak(t.time, v, int(first)))
     (early, _), (late, height) = peaks
     assert height == pytest.approx(ratio, rel=1e-4)
     speed = SOLITON_SPEED[exponent] * height ** ((exponent - 1) / (exponent + 1))
@@ -205,7 +191,7 @@ def test_growth_in_a_tapered_chain(taper: float, mean: float, limit: float) -> N
     local = (chain.masses[:-1] ** 2 / chain.contact_constants**2 / mean ** np.arange(35)) ** 0.2
     end = 1.33 * local[:-4].sum()
     t = _run(chain, lmpchain.Impulse(velocity=1.0), end, round(10 * end / local[:32].min()), 1e-5)
-    peaks = {n: _peak(t.time, t.velocity[:, n - 1])[1] for n in (11, 27, 28, 29, 30, 31)}
+    peaks = {n: find_peak(t.time, t.velocity[:, n - 1])[1] for n in (11, 27, 28, 29, 30, 31)}
     assert (peaks[31] / peaks[11]) ** (1 / 20) == pytest.approx(mean, rel=1e-4)
     before, growth, after = (peaks[n + 2] / peaks[n] for n in (27, 28, 29))
     final = np.sqrt(after - (after - growth) ** 2 / (after - 2 * growth + before))  # Aitken's: differences shrink alike
@@ -227,7 +213,7 @@ def _loss(light: float) -> float:
     )
     t = lmpchain.simulate(scene, engine=lmpchain.engines.Native(step=0.05))  # light grains rattle behind: chaos
     early, late = (
-        _peak(t.time, np.maximum(t.displacement[:, 2 * n] - t.displacement[:, 2 * n + 1], 0.0) ** 1.5)[1]
+        find_peak(t.time, np.maximum(t.displacement[:, 2 * n] - t.displacement[:, 2 * n + 1], 0.0) ** 1.5)[1]
         for n in (first, second)
     )
     return float(np.log(early / late) / (second - first))
@@ -386,7 +372,7 @@ def test_soliton_of_a_precompressed_chain(speed: float, force: float | None, com
         chain, lmpchain.Profile(displacement=u, velocity=v), end, samples, 1e-9 if engine == "native" else 1e-7, engine
     )
     r = t.displacement[:, :-1] - t.displacement[:, 1:]
-    (early, _), (late, crest) = (_peak(t.time, r[:, n - 1]) for n in (first, second))
+    (early, _), (late, crest) = (find_peak(t.time, r[:, n - 1]) for n in (first, second))
     found = (second - first) / (late - early) / sound
     assert found == pytest.approx(speed, rel=1e-6)
     assert crest == pytest.approx(compression, rel=1e-6)

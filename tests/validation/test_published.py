@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.interpolate import make_interp_spline
+from peaks import find_peak
 from scipy.special import jv
 
 import lmpchain
@@ -44,20 +44,6 @@ def _run(
     return lmpchain.simulate(scene, engine="native", tolerance=tolerance)
 
 
-def _peak(time: Array, velocity: Array) -> tuple[float, float]:
-    """Return when the largest velocity (T,) is reached and how large it is, between the samples too."""
-    top = int(velocity.argmax())
-    assert 12 <= top < len(time) - 12, "the peak must lie well inside the recording"
-    near = slice(top - 12, top + 13)
-    spline = make_interp_spline(time[near] - time[top], velocity[near], k=5)
-    slope, curvature = spline.derivative(), spline.derivative(2)
-    t = 0.0
-    for _ in range(20):
-        t -= float(slope(t) / curvature(t))
-    assert abs(t) <= time[1] - time[0]
-    return float(time[top] + t), float(spline(t))
-
-
 @pytest.mark.parametrize(
     ("strike_number", "grain", "ratio", "arrival"),
     [
@@ -80,7 +66,7 @@ def test_peak_velocity_in_a_column(strike_number: float, grain: int, ratio: floa
     end = 1.2 * grain ** (5 / 6) + 6
     t = _run(chain, strike, end * chain.time_scale, round(25 * end) + 1, 1e-9, [grain])
     assert t.scene.strike_number == pytest.approx(strike_number, rel=1e-12)
-    when, peak = _peak(t.time / chain.time_scale, t.velocity[:, 0])
+    when, peak = find_peak(t.time / chain.time_scale, t.velocity[:, 0])
     assert peak / strike == pytest.approx(ratio, rel=1e-6)
     if arrival is not None:
         assert when == pytest.approx(arrival, rel=1e-6)
@@ -95,7 +81,7 @@ def test_speed_of_a_soliton(exponent: float, factor: float) -> None:
     """
     first, second = 60, 80
     t = _run(_vacuum(90, exponent), 1.0, 110.0, 2751, 1e-8, [first, second])
-    (early, low), (late, high) = (_peak(t.time, v) for v in t.velocity.T)
+    (early, low), (late, high) = (find_peak(t.time, v) for v in t.velocity.T)
     assert low == pytest.approx(high, rel=1e-6), "the pulse must travel without change"
     speed = (second - first) / (late - early)
     assert speed / high ** ((exponent - 1) / (exponent + 1)) == pytest.approx(factor, rel=1e-6)
@@ -119,7 +105,7 @@ def test_what_a_strike_gives_to_its_first_soliton(
     stored = (np.maximum(u[:-1] - u[1:], 0) ** (exponent + 1)).sum() / (exponent + 1)
     assert (v**2).sum() + 2 * stored == pytest.approx(energy, rel=1e-6)
     if peak is not None:
-        assert _peak(t.time, t.velocity[:, 79])[1] == pytest.approx(peak, rel=1e-6)
+        assert find_peak(t.time, t.velocity[:, 79])[1] == pytest.approx(peak, rel=1e-6)
     if momentum is not None:
         assert v.sum() == pytest.approx(momentum, rel=1e-6)
 
