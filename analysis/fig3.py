@@ -5,9 +5,8 @@ as nothing opens. The velocity in Eq. (13) is dphi/dT, not the dphi/dtau of the 
 """
 
 import numpy as np
-from figures import LAMMPS, NATIVE, THEORY, apart, arguments, distance, finish, gentle, legends, page, say
+from figures import THEORY, arguments, end_of_run, finish, gentle, legends, page, say
 
-import lmpchain
 from lmpchain.theory import bessel
 
 GRAINS, TAU = 60, 25
@@ -26,12 +25,9 @@ def main() -> None:
         unit = 1e-2 * scene.chain.length_scale
         exact = theory(n, float(tau))
         wave.plot(n, exact, **THEORY, label="theory")
-        for engine, style, tolerance in (("lammps", LAMMPS, 1e-6), ("native", NATIVE, 1e-12)):
-            run = lmpchain.simulate(scene, engine, tolerance)
-            found = run.displacement[-1, :-1] / unit
-            off = distance(found, exact)
-            wave.plot(n, found, **style, label=f"{engine}: {off:.0e} off")
-            apart(below, n, found, exact, np.abs(exact).max(), **style | {"ls": "-", "lw": 0.7})
+        for engine in ("lammps", "native"):
+            off = end_of_run((wave, below), scene, engine, unit, exact)
+            wave.lines[-1].set_label(f"{engine}: {off:.0e} off")
             say(f"{name[0]}, {engine}", off)
         wave.set_title(f"{name}, at τ = {tau}", fontsize="medium")
         below.set(xlabel="grain, from the top", xlim=(0, 1.4 * tau), ylim=(1e-17, 1e-5))

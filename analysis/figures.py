@@ -63,6 +63,18 @@ def apart(axes: Axes, x: np.ndarray, found: np.ndarray, other: np.ndarray, unit:
     axes.plot(x, np.where(difference > 0, difference, np.nan), **{"ms": 3, **style})
 
 
+def end_of_run(pair: tuple[Axes, Axes], scene: lmpchain.Scene, engine: str, unit: float, exact: np.ndarray) -> float:
+    """Run a scene, draw the displacements at its end over `unit` beside the exact ones, and return how far off."""
+    wave, below = pair
+    style, tolerance = {"lammps": (LAMMPS, 1e-6), "native": (NATIVE, 1e-12)}[engine]
+    run = lmpchain.simulate(scene, engine, tolerance)
+    n, found = run.grains[:-1], run.displacement[-1, :-1] / unit
+    off = distance(found, exact)
+    wave.plot(n, found, **style)
+    apart(below, n, found, exact, np.abs(exact).max(), **style | {"ls": "-", "lw": 0.7})
+    return off
+
+
 def legends(picture: Figure, **keys: object) -> None:
     """Give every panel with labels a legend."""
     for axes in picture.axes:

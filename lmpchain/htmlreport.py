@@ -54,12 +54,20 @@ def page(trajectory: Trajectory) -> str:
 def _sections(trajectory: Trajectory) -> Iterator[Section]:
     yield Section("The run", rows=tuple(_facts(trajectory)))
     drawn: tuple[tuple[str, str, Callable[[Trajectory], Figure]], ...] = (
-        ("The wave in space and time", "Velocity of every recorded grain.", _space_time),
+        ("The wave in space and time", "Velocity of every recorded grain.", spectrum.space_time),
         ("Waveforms", "Points: this run. Lines: linear theory, Eq. (3), exact. Below: their difference.", _waveforms),
-        ("The front", "Amplitude of the first maximum of the velocity at each grain.", _front),
-        ("Spectra", "Velocity spectrum of every grain; the line is the local cut-off frequency.", _spectra),
+        (
+            "The front",
+            "Amplitude of the first maximum of the velocity at each grain.",
+            lambda run: front.track(run).plot(),
+        ),
+        (
+            "Spectra",
+            "Velocity spectrum of every grain; the line is the local cut-off frequency.",
+            lambda run: spectrum.spectrum(run).plot(),
+        ),
         ("Contacts", "Force of every contact; a contact without force is open or about to close.", _contacts),
-        ("Energy", "Above that at rest; the drift is what came from nowhere.", _energy),
+        ("Energy", "Above that at rest; the drift is what came from nowhere.", lambda run: energy.ledger(run).plot()),
     )
     for title, text, draw in drawn:
         try:
@@ -91,20 +99,14 @@ def _facts(trajectory: Trajectory) -> Iterator[tuple[str, str]]:
     yield "largest displacement", f"{np.abs(trajectory.displacement).max():.6g} m"
     yield "estimated error", f"{error.total:.2g} = {error.model:.2g} (equation) + {error.solver:.2g} (solver)"
     for key, value in asdict(cost).items():
-        yield (
-            key.replace("_", " ").replace(" s", " (s)") if key.endswith("_s") else key.replace("_", " "),
-            (f"{value:.4g}" if isinstance(value, float) else str(value)),
-        )
+        name = f"{key.removesuffix('_s')} (s)" if key.endswith("_s") else key
+        yield name.replace("_", " "), f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def _png(picture: Figure) -> str:
     buffer = BytesIO()
     picture.savefig(buffer, format="png", dpi=110)
     return base64.b64encode(buffer.getvalue()).decode("ascii")
-
-
-def _space_time(trajectory: Trajectory) -> Figure:
-    return spectrum.space_time(trajectory)
 
 
 def _waveforms(trajectory: Trajectory) -> Figure:
@@ -143,21 +145,9 @@ def _linear(trajectory: Trajectory) -> np.ndarray | None:
         return None
 
 
-def _front(trajectory: Trajectory) -> Figure:
-    return front.track(trajectory).plot()
-
-
-def _spectra(trajectory: Trajectory) -> Figure:
-    return spectrum.spectrum(trajectory).plot()
-
-
 def _contacts(trajectory: Trajectory) -> Figure:
     history = contact.contacts(trajectory)
     picture = history.plot()
     openings = sum(event.opens for event in history.events())
     picture.axes[0].set_title(f"{openings} openings", loc="left")
     return picture
-
-
-def _energy(trajectory: Trajectory) -> Figure:
-    return energy.ledger(trajectory).plot()

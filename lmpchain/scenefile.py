@@ -132,7 +132,7 @@ def _parse(path: Path) -> dict[str, Any]:
 
 def _chain(keys: dict[str, Any], folder: Path) -> Chain:
     if "file" in keys:
-        columns = _csv(folder, keys.pop("file"), "chain", ("material", "diameter", "mass"))
+        columns = _csv(folder, keys.pop("file"), ("material", "diameter", "mass"))
         if twice := [key for key in columns if key in keys or (key == "mass" and "masses" in keys)]:
             raise InputError([(key, "is in the file already; take it out of one of them") for key in twice])
         if "diameter" not in columns:
@@ -149,14 +149,14 @@ def _excitation(keys: dict[str, Any], folder: Path) -> Excitation:
         known = " | ".join(EXCITATIONS)
         raise InputError([("kind", f"must be {known} (got {kind!r})" if kind is not None else f"is missing; {known}")])
     if kind == "profile" and "file" in keys:
-        keys |= _csv(folder, keys.pop("file"), "profile", ("displacement", "velocity"))
+        keys |= _csv(folder, keys.pop("file"), ("displacement", "velocity"))
     if kind == "drive" and "file" in keys:
-        columns = _csv(folder, keys.pop("file"), "drive", ("time", "displacement"))
+        columns = _csv(folder, keys.pop("file"), ("time", "displacement"))
         keys |= {"times" if key == "time" else key: column for key, column in columns.items()}
     return EXCITATIONS[kind](**keys)
 
 
-def _csv(folder: Path, name: Any, what: str, known: Sequence[str]) -> dict[str, Any]:
+def _csv(folder: Path, name: Any, known: Sequence[str]) -> dict[str, Any]:
     """Read the known columns of a CSV file with a header, as lists of numbers, of words for `material`."""
     if not isinstance(name, str):
         raise InputError([("file", "must be the name of a CSV file")])
@@ -167,8 +167,12 @@ def _csv(folder: Path, name: Any, what: str, known: Sequence[str]) -> dict[str, 
     except (OSError, ValueError, csv.Error) as error:
         reason = getattr(error, "strerror", None) or "not a table with a header"
         raise InputError([("file", f"{path} cannot be read as CSV: {reason}")]) from None
-    allowed = (*known, *(["grain"] if what != "drive" else []))
-    if set(header) - set(allowed) or not set(header) & set(known) or len(set(header)) < len(header):
+    counted = "time" not in known  # a row a grain, so that a column may count them
+    if (
+        set(header) - {*known, *(["grain"] if counted else [])}
+        or not set(header) & set(known)
+        or len(set(header)) < len(header)
+    ):
         raise InputError([("file", f"{path} must have a header with some of {', '.join(known)}")])
     if bad := next((line for line, row in enumerate(rows, 2) if len(row) != len(header)), 0):
         raise InputError([("file", f"{path}, line {bad}: must have {len(header)} values, as the header has")])
