@@ -30,16 +30,25 @@ if TYPE_CHECKING:
     from .materials import TUNGSTEN_CARBIDE as TUNGSTEN_CARBIDE
     from .materials import Material as Material
     from .scene import Scene as Scene
+    from .simulation import resume as resume
     from .simulation import simulate as simulate
+    from .stopping import Stopped as Stopped
+    from .sweepresults import load_sweep as load_sweep
+    from .sweeps import sweep as sweep
     from .trajectory import Trajectory as Trajectory
+    from .workprecision import work_precision as work_precision
 
 _WHERE = {
     "chain": "Chain Impurity",
     "materials": "Material GLASS STEEL PTFE BRASS TUNGSTEN_CARBIDE",
     "excitation": "Impulse Displacement Profile Drive",
     "scene": "Scene",
-    "simulation": "simulate",
+    "simulation": "simulate resume",
+    "stopping": "Stopped",
+    "sweeps": "sweep",
+    "sweepresults": "load_sweep",
     "trajectory": "Trajectory",
+    "workprecision": "work_precision",
     "doctor": "diagnose",
     "errors": "LmpchainError InputError ToleranceNotMet RunFailed EngineUnavailable",
 }

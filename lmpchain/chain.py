@@ -4,55 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import cached_property
-from typing import Annotated, Any, Literal
+from operator import index
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
 from .contacts import Contacts, hertz_constant
 from .errors import InputError
-from .fields import NOT_GIVEN, Array, Checked, OneOrMany, Positive, PositiveVector, Real, Whole
+from .fields import NOT_GIVEN, Array, Checked, OneOrMany, PositiveVector, Real, Whole
+from .impurities import Impurities, Impurity
 from .materials import GLASS, Material, OneMaterial, OneOrManyMaterials
 
 LARGEST_OVERLAP = 0.1  # of the diameter: beyond it the Hertz law no longer describes a contact
-
-
-class Impurity(Checked):
-    """A grain that differs from what the chain says; give a diameter, a material or a mass, or several.
-
-    Parameters
-    ----------
-    grain : int
-        Its number, from 1 at the top.
-    diameter : float, optional
-        m.
-    material : Material or name, optional
-    mass : float, optional
-        kg; instead of the one that follows from diameter and material.
-    """
-
-    grain: Annotated[Whole, Field(ge=1)]
-    diameter: Positive = NOT_GIVEN
-    material: OneMaterial = NOT_GIVEN
-    mass: Positive = NOT_GIVEN
-
-    def _faults(self) -> Iterator[tuple[str, str]]:
-        if self.diameter is None and self.material is None and self.mass is None:
-            yield "diameter", "give a diameter, a material or a mass, or it would be a grain like the others"
-
-
-def _impurities(value: Any) -> tuple[Impurity, ...]:
-    if not isinstance(value, list | tuple) or not all(isinstance(item, Impurity | dict) for item in value):
-        raise ValueError("must be a list of impurities, [[chain.impurity]] in a scene file")
-    made, faults = [], []
-    for place, item in enumerate(value):
-        try:
-            made.append(item if isinstance(item, Impurity) else Impurity(**item))
-        except InputError as error:
-            faults += error.under(str(place))
-    if faults:
-        raise InputError(faults)
-    return tuple(made)
 
 
 class Chain(Checked):
@@ -111,7 +75,7 @@ class Chain(Checked):
     bottom: Literal["fixed", "wall", "free"] = "fixed"
     masses: PositiveVector = NOT_GIVEN
     contact_constants: PositiveVector = NOT_GIVEN
-    impurity: Annotated[tuple[Impurity, ...], BeforeValidator(_impurities)] = ()
+    impurity: Impurities = ()
     top_material: OneMaterial = NOT_GIVEN
     bottom_material: OneMaterial = NOT_GIVEN
 
@@ -122,7 +86,9 @@ class Chain(Checked):
             yield "bottom", 'must be "fixed" or "wall" under gravity or a top load: a free chain would fall'
         if wrong:
             return
-        self._fill_in()
+        self._leave_open()
+        if self._plainly_sound():
+            return
         if not np.isfinite(self.dynamical_matrix()[0]).all():
             yield "masses", "are too small to compute with: the smallest must be above 1e-300 kg"
         relative = self.contacts.overlap / self.contact_lengths
@@ -157,28 +123,76 @@ class Chain(Checked):
             if wall is not None and getattr(self, end) != "wall":
                 yield f"{end}_material", f'is that of a wall; there is none unless {end} = "wall"'
 
-    def _fill_in(self) -> None:
-        """Put the masses and contact constants that follow from the grains where none were given."""
-        masses = (
-            self._by_grain("density") * np.pi / 6 * self.diameters**3 if self.masses is None else self.masses.copy()
-        )
-        for impurity in self.impurity:
-            if impurity.mass is not None:
-                masses[impurity.grain - 1] = impurity.mass
-        self.__dict__["masses"] = masses
-        if self.contact_constants is None:
-            self.__dict__["contact_constants"] = self._hertz_constants[1:-1]
+    def _leave_open(self) -> Chain:
+        """Let masses and contact constants that were not given wait until they are asked for."""
+        for key in ("masses", "contact_constants"):
+            if self.__dict__[key] is None:
+                del self.__dict__[key]
+        if "masses" in self.__dict__ and self.impurity:
+            self.__dict__["masses"] = self._with_impurities("mass", self.masses.copy())
+        return self
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            """Fill in the masses or contact constants that follow from the grains, when they are first asked for."""
+            if name == "masses":
+                value = self._with_impurities("mass", self._by_grain("density") * np.pi / 6 * self.diameters**3)
+            elif name == "contact_constants":
+                value = self._hertz_constants[1:-1]
+            else:
+                return super().__getattr__(name)
+            self.__dict__[name] = value
+            return value
 
     @property
-    def _materials(self) -> tuple[Material, ...]:
-        return self.material if isinstance(self.material, tuple) else (self.material,)  # type: ignore[return-value]
+    def _alike(self) -> bool:
+        """Whether the grains are alike but for impurities, so that few numbers tell all and need no arrays."""
+        one = isinstance(self.diameter, float) and isinstance(self.material, Material)
+        return one and not self.model_fields_set & {"masses", "contact_constants"}
+
+    @property
+    def _kinds(self) -> Array:
+        """Plane-strain modulus, diameter and mass of a grain and of every impurity where grains are alike, (3, I+1)."""
+        common: Any = self
+        kinds = []
+        for odd in (None, *self.impurity):
+            material = getattr(odd, "material", None) or common.material
+            diameter = getattr(odd, "diameter", None) or common.diameter
+            mass = getattr(odd, "mass", None) or material.density * np.pi / 6 * diameter**3
+            kinds.append((material.plane_strain_modulus, diameter, mass))
+        return np.array(kinds).T
+
+    def _plainly_sound(self) -> bool:
+        """Whether the whole weight on the softest contact is still no fault, which needs no array of the chain."""
+        if not self._alike:
+            return False
+        modulus, d, mass = self._kinds
+        walls: list[Any] = [self.top_material, self.bottom_material]
+        modulus = np.append(modulus, [wall.plane_strain_modulus for wall in walls if wall])
+        length, delta = d ** (1.5 - self.exponent), self.exponent
+        with np.errstate(all="ignore"):  # what is not finite here is looked at more closely
+            softest = 4 / 3 * modulus.min() / 2 * np.sqrt(d.min() / 4) * length.min()
+            hardest = 4 / 3 * modulus.max() / 2 * np.sqrt(d.max() / 2) * length.max()
+            load = self.top_load + self.gravity * (self.grains * mass[0] + mass[1:].sum())
+            overlap = (load / softest) ** (1 / delta)
+            largest = delta * hardest * overlap ** (delta - 1) / mass.min()
+            return bool(overlap <= LARGEST_OVERLAP * d.min() and np.isfinite(2 * largest))
 
     def _by_grain(self, prop: str) -> Array:
         """Return a property of the material of every grain, (N,)."""
-        values = np.array(np.broadcast_to([getattr(m, prop) for m in self._materials], (self.grains,)))
+        materials = self.material if isinstance(self.material, tuple) else [self.material]
+        values = np.array(np.broadcast_to([getattr(m, prop) for m in materials], (self.grains,)))
         for impurity in self.impurity:
             if impurity.material is not None:
                 values[impurity.grain - 1] = getattr(impurity.material, prop)
+        return values
+
+    def _with_impurities(self, key: str, values: Array) -> Array:
+        """Put in what impurities have of their own among the values (N,) of the others."""
+        for impurity in self.impurity:
+            if (own := getattr(impurity, key)) is not None:
+                values[impurity.grain - 1] = own
         return values
 
     @cached_property
@@ -196,9 +210,11 @@ class Chain(Checked):
     @cached_property
     def wall_constants(self) -> Array:
         """Constants of the contacts with the wall above and the wall below, (2,) N/m^delta; 0 where there is none."""
-        natural = self._hertz_constants
-        given = self.contact_constants[[0, -1]] / natural[[1, -2]]
-        return natural[[0, -1]] * given * [self.top == "wall", self.bottom == "wall"]
+        walls = np.array([self.top == "wall", self.bottom == "wall"], dtype=float)
+        if walls.any():
+            natural = self._hertz_constants
+            walls *= natural[[0, -1]] * (self.contact_constants[[0, -1]] / natural[[1, -2]])
+        return walls
 
     @cached_property
     def contacts(self) -> Contacts:
@@ -212,11 +228,7 @@ class Chain(Checked):
     @cached_property
     def diameters(self) -> Array:
         """Diameter of every grain, (N,) m."""
-        values = np.array(np.broadcast_to(np.asarray(self.diameter, dtype=float), (self.grains,)))
-        for impurity in self.impurity:
-            if impurity.diameter is not None:
-                values[impurity.grain - 1] = impurity.diameter
-        return values
+        return self._with_impurities("diameter", np.array(np.broadcast_to(self.diameter, (self.grains,))))
 
     @cached_property
     def contact_lengths(self) -> Array:
@@ -253,6 +265,43 @@ class Chain(Checked):
     def movable(self) -> int:
         """Number of grains that move: N - 1 with a fixed bottom, N otherwise."""
         return self.grains - (self.bottom == "fixed")
+
+    def part(self, first: int, last: int) -> Chain:
+        """Return grains first ... last as a chain of their own, which moves as they do until a wave meets its ends.
+
+        What lies above becomes a top load, and grain `last` is held unless the chain ends with it. Masses and
+        constants are those of this chain, and so are forces and overlaps if `first` is 1; else their last bits may
+        differ. Grains left out cost nothing where grains are alike but for impurities.
+
+        Raises
+        ------
+        InputError
+            Unless there are such grains, two or more.
+        """
+        if not 1 <= index(first) < index(last) <= self.grains:
+            raise InputError([("part", f"must be two or more of grains 1 to {self.grains} (got {first} to {last})")])
+        fields = self.given() | {"grains": int(last - first + 1)}
+        for key, end in {"material": last, "diameter": last, "masses": last, "contact_constants": last - 1}.items():
+            if isinstance(fields.get(key), np.ndarray | tuple):
+                fields[key] = fields[key][first - 1 : end]
+        inside = [odd for odd in self.impurity if first <= odd.grain <= last]
+        if self.impurity:
+            fields["impurity"] = tuple(Impurity(**odd.given() | {"grain": odd.grain - first + 1}) for odd in inside)
+        if first > 1:
+            fields |= {"top": "free", "top_load": self._force_on(first)}
+            fields.pop("top_material", None)
+        if last < self.grains:
+            fields["bottom"] = "fixed"
+            fields.pop("bottom_material", None)
+        return Chain.model_construct(**fields)._leave_open()  # what is sound as a whole is so in part
+
+    def _force_on(self, grain: int) -> float:
+        """Return the force at rest of what lies above on a grain that is not the first, N."""
+        if not self._alike:
+            return float(self.contacts.force[grain - 1])
+        mass = self._kinds[2].astype(np.longdouble)
+        odd = [own - mass[0] for own, impurity in zip(mass[1:], self.impurity, strict=True) if impurity.grain < grain]
+        return float(self.top_load + self.gravity * ((grain - 1) * mass[0] + sum(odd)))
 
     def dynamical_matrix(self) -> tuple[Array, Array]:
         """Return diagonal (M,) and off-diagonal (M-1,) of D, 1/s2: linearised, sqrt(m) phi'' = -D sqrt(m) phi."""

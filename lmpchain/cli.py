@@ -1,12 +1,13 @@
 """The command line: one function a verb, in `commands`.
 
-Exit codes: 0 done, 1 the run failed or missed its tolerance, 2 the input is wrong, 130 after Ctrl-C,
-143 after SIGTERM.
+Exit codes: 0 done, 1 the run failed or missed its tolerance, 2 the input is wrong, 75 the time of --max-wall was over
+before the run was, 130 after Ctrl-C, 143 after SIGTERM.
 """
 
 from __future__ import annotations
 
 import argparse
+import re
 import signal
 import sys
 import threading
@@ -70,13 +71,26 @@ def _main(argv: Sequence[str] | None) -> int:
         complain(str(error))
         return 1
     except KeyboardInterrupt:
-        print("stopped by Ctrl-C; nothing unfinished was kept", file=sys.stderr)
+        print(f"stopped by Ctrl-C; {_kept(arguments)}", file=sys.stderr)
         return 130
     except _Terminated:
-        print("stopped by SIGTERM; nothing unfinished was kept", file=sys.stderr)
+        print(f"stopped by SIGTERM; {_kept(arguments)}", file=sys.stderr)
         return 143
     finally:
         _on_sigterm(before)
+
+
+def _kept(arguments: argparse.Namespace) -> str:
+    """Say what is left of a command that was stopped."""
+    from .tasks import is_run, resume_command
+
+    folder = commands.run_folder(arguments)
+    if folder and is_run(folder):
+        return f"to go on: {resume_command(folder)}"
+    hint = (
+        "; with -o FOLDER/ what is done is kept, and can be gone on with" if arguments.command is commands.run else ""
+    )
+    return f"nothing unfinished was kept{hint}"
 
 
 def _terminated(*_: Any) -> None:
@@ -120,14 +134,21 @@ def _parser() -> argparse.ArgumentParser:
         prog="lmpchain",
         description="Waves in columns of Hertzian grains: LAMMPS and a native integrator, side by side, each with an "
         "estimate of its own error. All quantities are in SI units.",
-        epilog="Exit codes: 0 done, 1 the run failed or missed its tolerance, 2 the input is wrong.",
+        epilog="Exit codes: 0 done, 1 the run failed or missed its tolerance, 2 the input is wrong, 75 the time of "
+        "--max-wall was over before the run was, 130 after Ctrl-C, 143 after SIGTERM.",
     )
     parser.add_argument("--version", action=_ShowVersion, nargs=0, help="show the version and exit")
     verbs = parser.add_subparsers(metavar="COMMAND", required=True)
 
-    run = verbs.add_parser("run", help="answer a scene and save the trajectory as NetCDF")
+    run = verbs.add_parser("run", help="answer a scene and save the trajectory, in a file or a run folder")
     _scene(run, commands.run)
-    run.add_argument("-o", "--output", metavar="RUN.nc", help="file to write (default: SCENE.nc beside the scene)")
+    run.add_argument(
+        "-o",
+        "--output",
+        metavar="RUN.nc|FOLDER/",
+        help="NetCDF file to write (default: SCENE.nc beside the scene); or, with a / at its end, a run folder, in "
+        "which the output grows on the disk and the run can be gone on with after a stop of any kind",
+    )
     run.add_argument("--engine", metavar="E", default="auto", help="which engine answers (default: auto)")
     _tolerance(run)
     run.add_argument("--integrator", metavar="I", help="rkn6, kahan-li6 or verlet (default: what the engine prefers)")
@@ -141,6 +162,15 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument(
         "--ranks", metavar="P", type=int, help="LAMMPS only: MPI processes that share the chain (not under mpirun)"
     )
+
+    _own(run)
+
+    _max_wall(run)
+
+    resume = verbs.add_parser("resume", help="go on with the run in a folder, to the same bits as without the stop")
+    resume.add_argument("folder", metavar="FOLDER", help="folder that lmpchain run -o FOLDER/ made")
+    _max_wall(resume)
+    resume.set_defaults(command=commands.resume)
 
     compare = verbs.add_parser("compare", help="answer a scene with several engines and compare with the truth")
     _scene(compare, commands.compare)
@@ -157,6 +187,7 @@ def _parser() -> argparse.ArgumentParser:
     deck.add_argument("--diameter", choices=["physical", "gauge", "auto"], default="physical")
     deck.add_argument("--integrator", choices=["verlet", "kahan-li6"], default="verlet")
     deck.add_argument("--pair-style", choices=["granular", "gran/hertz/history"], default="granular")
+    _own(deck)
 
     dyson = verbs.add_parser("dyson", help="weigh a run over depth as Eq. (22) does; average over random chains")
     _saved(dyson, commands.dyson)
@@ -176,6 +207,24 @@ def _parser() -> argparse.ArgumentParser:
         "-o", "--output", metavar="REPORT.html", help="file to write (default: RUN.html beside the run)"
     )
 
+    workprec = verbs.add_parser("workprec", help="chart speed against accuracy: every engine and integrator on a scene")
+    _scene(workprec, commands.workprec)
+    workprec.add_argument(
+        "--budget", metavar="S", type=float, default=60.0, help="about how long it may take, s (default: 60)"
+    )
+    workprec.add_argument(
+        "-o", "--output", metavar="CHART.png", help="picture to write (.png, .pdf or .svg), with its numbers beside it"
+    )
+    workprec.add_argument("--json", metavar="FILE", help="file for the numbers (default: CHART.json)")
+
+    sweep = verbs.add_parser("sweep", help="answer many scenes: a grid, a list, random draws, disordered chains")
+    sweep.add_argument("sweep", metavar="SWEEP.toml", help="sweep file")
+    sweep.add_argument("-o", "--output", metavar="FOLDER", required=True, help="folder for the results")
+    by = sweep.add_mutually_exclusive_group()
+    by.add_argument("--workers", metavar="P", type=int, help="processes of this machine (default: one a core)")
+    by.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask scheduler whose workers answer the scenes")
+    sweep.set_defaults(command=commands.sweep)
+
     doctor = verbs.add_parser("doctor", help="say what works here: LAMMPS, MPI, versions, cores, engines")
     doctor.add_argument("--json", metavar="FILE", help="file for the findings")
     doctor.set_defaults(command=commands.doctor)
@@ -185,6 +234,31 @@ def _parser() -> argparse.ArgumentParser:
 def _scene(parser: argparse.ArgumentParser, command: Callable[[argparse.Namespace], int]) -> None:
     parser.add_argument("scene", metavar="SCENE.toml", help="scene file")
     parser.set_defaults(command=command)
+
+
+def _own(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--template", metavar="FILE", help="LAMMPS only: your own deck, with placeholders (Jinja2)")
+    parser.add_argument("--include", metavar="FILE", help="LAMMPS only: your own fixes, computes and dumps")
+
+
+def _max_wall(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--max-wall",
+        metavar="H:MM:SS",
+        type=_duration,
+        help="run folders only: after this time (or so many seconds), keep what is done and stop with exit code 75; "
+        "lmpchain resume goes on. Leave some seconds to the limit of the queue",
+    )
+
+
+def _duration(text: str) -> float:
+    """Return H:MM:SS, or seconds, as seconds."""
+    found = re.fullmatch(r"(?:(\d+):([0-5]\d):)?(\d+(?:\.\d+)?)", text, re.ASCII)
+    hours, minutes, seconds = found.groups() if found else (None, None, 0)
+    total = 3600 * int(hours or 0) + 60 * int(minutes or 0) + float(seconds)
+    if not total or (hours and float(seconds) >= 60):
+        raise argparse.ArgumentTypeError(f"must be a time above 0, as H:MM:SS or in seconds (got {text!r})")
+    return total
 
 
 def _saved(parser: argparse.ArgumentParser, command: Callable[[argparse.Namespace], int]) -> None:

@@ -7,6 +7,7 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 PICTURES = (".png", ".pdf", ".svg")
 PAGES = (".html", ".htm")
 REFERENCE_S = 60.0  # longest expected time for the independent reference; the native engine takes over beyond it
+TO_BE_RESUMED = 75  # exit code after --max-wall: EX_TEMPFAIL of sysexits.h, "try again later"
 TIGHTEST = 1e-11  # tolerance that the native engine reaches on every ordinary scene
 
 
@@ -72,32 +74,87 @@ def _engine(arguments: argparse.Namespace) -> Engine:
     """Return the engine with the options given for it."""
     from . import engines
 
-    given = {key: getattr(arguments, key) for key in ("integrator", "step", "diameter", "ranks")}
+    given = {key: getattr(arguments, key) for key in ("integrator", "step", "diameter", "ranks", "template", "include")}
     return engines.get(arguments.engine, **{key: value for key, value in given.items() if value is not None})
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Answer a scene and save the trajectory."""
+    """Answer a scene and save the trajectory, in a file or in a run folder."""
+    name = arguments.output or str(Path(arguments.scene).with_suffix(".nc"))
+    whole = run_folder(arguments) is not None
     scene, path, engine, _ = _gather(
         lambda: _read(arguments.scene),
-        lambda: arguments.output and _output(arguments.output, arguments.scene),
+        lambda: _new_folder(name) if whole else arguments.output and _output(name, arguments.scene),
         lambda: _engine(arguments),
         lambda: check_tolerance(arguments.tolerance),
     )
-    path = path or _output(str(Path(arguments.scene).with_suffix(".nc")), arguments.scene)
+    path = path or _output(name, arguments.scene)
     from .simulation import simulate
 
     if mpi.joined() and engine.name != "lammps":
         warnings.warn(f"the engine {engine.name} runs on one rank; --engine lammps would use them all", stacklevel=1)
+    return _told(
+        lambda: simulate(
+            scene,
+            engine,
+            arguments.tolerance,
+            progress=sys.stderr.isatty(),
+            folder=path if whole else None,
+            max_wall=arguments.max_wall,
+        ),
+        arguments.tolerance,
+        path,
+        save=not whole,
+    )
+
+
+def resume(arguments: argparse.Namespace) -> int:
+    """Go on with the run in a folder."""
+    from .runfolder import status
+    from .simulation import resume
+
+    found = status(arguments.folder)
+    if found["state"] == "finished":
+        print(f"{arguments.folder}: this run is finished; there is nothing left to do")
+    return _told(
+        lambda: resume(arguments.folder, max_wall=arguments.max_wall, progress=sys.stderr.isatty()),
+        found["tolerance"],
+        Path(arguments.folder),
+    )
+
+
+def run_folder(arguments: argparse.Namespace) -> str | None:
+    """Return the run folder that a command works in, if it does in one."""
+    if "folder" in arguments:
+        return arguments.folder
+    name = getattr(arguments, "output", None)
+    in_folder = arguments.command is run and name and (name.endswith(("/", os.sep)) or Path(name).is_dir())
+    return name if in_folder else None
+
+
+def _new_folder(name: str) -> Path:
+    from .tasks import check_new
+
+    return check_new(name)
+
+
+def _told(answer: Callable[[], Trajectory], tolerance: float, path: Path, save: bool = False) -> int:
+    """Get an answer and say how good it is; return the exit code."""
+    from .stopping import Stopped
+
     missed = ""
     try:
-        trajectory = simulate(scene, engine, arguments.tolerance, progress=sys.stderr.isatty())
+        trajectory = answer()
+    except Stopped as stopped:  # by --max-wall: a signal goes its own way
+        print(stopped, file=sys.stderr)
+        return TO_BE_RESUMED
     except ToleranceNotMet as error:
         if error.trajectory is None:
             raise
         trajectory, missed = error.trajectory, error.reason
-    trajectory.save(path)
-    print(_summary(trajectory, arguments.tolerance, path))
+    if save:
+        trajectory.save(path)
+    print(_summary(trajectory, tolerance, path))
     if missed:
         complain(missed)
     return 1 if missed else 0
@@ -115,7 +172,7 @@ def _summary(trajectory: Trajectory, tolerance: float, path: Path) -> str:
         "estimated error": f"{error.total:.2g}{parts} (tolerance {tolerance:g})",
         "time spent": f"{cost.integration_s:.3g} s integration, {cost.estimate_s:.3g} s error estimate, "
         f"{cost.setup_s:.3g} s set-up",
-        "file": str(path),
+        "folder" if path.is_dir() else "file": str(path),
     }
     return "\n".join(f"{key:<16} {value}" for key, value in lines.items())
 
@@ -237,6 +294,8 @@ def deck(arguments: argparse.Namespace) -> int:
         diameter=arguments.diameter,
         integrator=arguments.integrator,
         pair_style=arguments.pair_style,
+        template=arguments.template,
+        include=arguments.include,
     )
     print(f"wrote {folder / 'in.column'} and {folder / 'column.data'}; to run them:")
     print(f"  cd {quote(str(folder))} && lmp -in in.column")
@@ -311,6 +370,53 @@ def report(arguments: argparse.Namespace) -> int:
     write(trajectory, path)
     print(f"page: {path}")
     return 0
+
+
+def workprec(arguments: argparse.Namespace) -> int:
+    """Chart the speed of every engine and integrator against its accuracy on a scene."""
+    beside = arguments.json or (arguments.output and str(Path(arguments.output).with_suffix(".json")))
+    scene, picture, numbers = _gather(
+        lambda: _read(arguments.scene),
+        lambda: arguments.output and _output(arguments.output, arguments.scene, PICTURES),
+        lambda: beside and _output(beside, arguments.scene),
+    )
+    from .workprecision import work_precision
+
+    found = work_precision(scene, arguments.budget, progress=sys.stderr.isatty())
+    print(found.table())
+    for reason in found.left_out:
+        print(f"left out: {reason}")
+    if numbers:
+        _write_json(found.to_json(), numbers)
+        print(f"numbers: {numbers}")
+    if picture:
+        from .plotting import save
+
+        save(found.plot(), picture)
+        print(f"picture: {picture}")
+    return 0
+
+
+def sweep(arguments: argparse.Namespace) -> int:
+    """Answer the scenes of a sweep that are not done yet, and say how many failed."""
+    from .sweeps import dask, sweep
+
+    if mpi.joined():
+        raise InputError([("sweep", "does not run under mpirun: use --workers, or --scheduler for several machines")])
+    folder, cores = arguments.output, len(os.sched_getaffinity(0))
+    workers = cores if arguments.workers is None else arguments.workers
+    try:
+        with dask(arguments.scheduler) if arguments.scheduler else nullcontext() as executor:
+            found = sweep(arguments.sweep, folder, workers=workers, executor=executor, progress=sys.stderr.isatty())
+    except BaseException as stop:
+        if not isinstance(stop, Exception):
+            print(f"what is done is kept in {folder}; the same command goes on from there", file=sys.stderr)
+        raise
+    reasons = [reason for reason in found["reason"].to_numpy().flat if reason]
+    print(f"{found['reason'].size - len(reasons)} of {found['reason'].size} scenes are answered in {folder}")
+    if reasons:
+        complain(f"{len(reasons)} scenes have no answer, the first because: {reasons[0]}")
+    return 1 if reasons else 0
 
 
 def doctor(arguments: argparse.Namespace) -> int:

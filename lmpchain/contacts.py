@@ -114,6 +114,6 @@ class Contacts:
         one is at least ``K r^(delta+1) / (delta+1)`` and at least ``k_n r^2 / 2``.
         """
         power = self.exponent + 1
-        hard = (power * energy / np.where(self.exists, self.constant, np.inf)) ** (1 / power)
+        hard = (power * np.where(self.exists, energy, 0.0) / np.where(self.exists, self.constant, 1.0)) ** (1 / power)
         weak = np.sqrt(2 * energy / np.where(self.pressed, self.stiffness, np.nan))
         return self.overlap + np.fmin(hard, weak)

@@ -208,12 +208,12 @@ def _memory() -> Iterator[Finding]:
 def _cache() -> Iterator[Finding]:
     import numba
 
-    from .engines.native.kernels import advance
+    from .engines.native.kernels import march
 
     if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
         yield Finding("numba cache", "warning", "kernels are not compiled at all, so slow", "unset NUMBA_DISABLE_JIT")
         return
-    path = str(numba.njit(cache=True)(advance.py_func).stats.cache_path)  # numba writes to it, or raises
+    path = str(numba.njit(cache=True)(march.py_func).stats.cache_path)  # numba writes to it, or raises
     yield Finding("numba cache", "ok", path)
     asked = os.environ.get("NUMBA_CACHE_DIR", "")
     if asked and not Path(path).is_relative_to(asked):

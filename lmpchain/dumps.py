@@ -1,11 +1,14 @@
-"""Reading what LAMMPS dumped: displacements and velocities of the grains of a scene."""
+"""Reading what LAMMPS dumped, for a deck of `lmpchain deck` or a user's own: displacements and velocities of grains."""
 
 from __future__ import annotations
 
+import gzip
 import warnings
+import zlib
+from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING
 
 import numpy as np
 
@@ -17,22 +20,27 @@ from .scene import Scene
 if TYPE_CHECKING:
     from .trajectory import Trajectory
 
-BEGIN = "ITEM: TIMESTEP"
+BEGIN = b"ITEM: TIMESTEP"
 HEADER = 9  # lines above the atoms of a frame
-SAME = 1e-6  # how far, relative to the largest, the first frame may be from the start of the scene
+SAME = 1e-6  # how far, relative to the largest in the dump, the first frame may be from the start of the scene
 FEWEST_LEVELS = 100  # that heights must resolve in a displacement
+BLOCK = 1 << 20  # bytes
 
 
 def is_dump(path: str | PathLike[str]) -> bool:
-    """Say whether a file begins as a LAMMPS dump does."""
+    """Say whether a file, which may be compressed by gzip, begins as a LAMMPS dump does."""
     try:
-        with open(path, "rb") as opened:
-            return opened.read(len(BEGIN)) == BEGIN.encode()
-    except OSError:
+        with _open(Path(path)) as opened:
+            return opened.read(len(BEGIN)) == BEGIN
+    except (OSError, EOFError, zlib.error):
         return False
 
 
-def read(path: str | PathLike[str], scene: Scene) -> Trajectory:
+def _open(path: Path) -> IO[bytes]:
+    return gzip.open(path) if path.suffix == ".gz" else open(path, "rb")  # type: ignore[return-value]
+
+
+def read(path: str | PathLike[str], scene: Scene, equilibrium: Sequence[float] | Array | None = None) -> Trajectory:
     """Read a dump as the answer of LAMMPS to a scene; see `lmpchain.Trajectory.from_dump`.
 
     Raises
@@ -43,10 +51,11 @@ def read(path: str | PathLike[str], scene: Scene) -> Trajectory:
     from .trajectory import ErrorEstimate, Trajectory
 
     path = Path(path)
-    name, columns = str(path), _columns(path, scene)
-    kept: list[str] = [column for column in ("v_phi", "z", "vz") if column in columns]
-    steps, data = _frames(path, kept)
-    chain = scene.chain
+    name, chain = str(path), scene.chain
+    rest = None if equilibrium is None else _checked(equilibrium, chain.grains)
+    columns = _columns(path, scene)
+    height = "z" if "z" in columns else "zu"
+    steps, data = _frames(path, [height, "vz", *(["v_phi"] if "v_phi" in columns else [])])
     if len(steps) != scene.samples:
         cure = "set the samples of the scene so, or run LAMMPS to its end"
         raise InputError([(name, f"has {len(steps)} whole frames, the scene {scene.samples} samples: {cure}")])
@@ -55,20 +64,26 @@ def read(path: str | PathLike[str], scene: Scene) -> Trajectory:
         raise InputError([(name, "its frames are not equally far apart: dump every so many steps, from the start")])
     if not all(np.isfinite(values).all() for values in data.values()):
         raise InputError([(name, "holds numbers that are not finite: the run broke down; use a shorter step")])
-    u, v = scene.initial()
-    velocity = -data["vz"]
-    displacement = data["v_phi"] if "v_phi" in data else u + data["z"][0] - data["z"]
-    grain = np.arange(1, chain.grains + 1)
-    height = 1e-15 * np.abs(data["z"]).max()
-    for what, values, start, unit in (("velocity", velocity, v, "m/s"), ("displacement", displacement, u, "m")):
-        off = np.abs(values[0] - start)
-        if (off > SAME * np.abs(start).max() + (height if what == "displacement" else 0.0)).any():
-            n = int(off.argmax())
-            found = f"grain {grain[n]} begins with a {what} of {values[0, n]:.6g} {unit}, in the scene {start[n]:.6g}"
-            raise InputError([(name, f"{found}: give the scene that the dump was made for")])
-    if "v_phi" not in data:
+    z, vz = data[height], data["vz"]
+    origin = "heights less those at first" if rest is None else "heights less those given"
+    misfits = []
+    for down in [-1.0] if "v_phi" in data else _ways_down(scene, z[0], rest):
+        order = np.argsort(down * z[0], kind="stable")
+        velocity = down * vz[:, order]
+        if "v_phi" in data:
+            displacement, origin = data["v_phi"][:, order], "v_phi"
+        else:
+            displacement = down * (z[:, order] - (z[0, order] if rest is None else rest))
+            if rest is None:
+                displacement += scene.initial()[0]
+        misfits.append(_misfit(scene, displacement, velocity, 1e-15 * np.abs(z).max()))
+        if not misfits[-1]:
+            break
+    else:
+        raise InputError([(name, f"{misfits[0]}: give the scene that the dump was made for")])
+    if origin != "v_phi":
         mover = int(np.abs(velocity).sum(0).argmax())
-        _check_digits(name, data["z"][:, mover])
+        _check_digits(name, z[:, order[mover]])
     chosen = scene.recorded - 1
     total = int(steps[-1] - steps[0])
     return Trajectory(
@@ -81,8 +96,46 @@ def read(path: str | PathLike[str], scene: Scene) -> Trajectory:
         velocity=velocity[:, chosen].copy(),
         error_estimate=ErrorEstimate(0.0, float("inf")),
         cost=Cost(0.0, 0.0, 0.0, total, total, chain.grains, "unknown", scene.duration / total, 1),
-        provenance={"dump": name, "displacement": "v_phi" if "v_phi" in data else "heights less those at first"},
+        provenance={"dump": name, "displacement": origin},
     )
+
+
+def _checked(equilibrium: Sequence[float] | Array, grains: int) -> Array:
+    """Return the heights at rest as (N,) numbers."""
+    try:
+        rest = np.asarray(equilibrium, dtype=float)
+    except (TypeError, ValueError):
+        rest = np.empty(0)
+    if rest.shape != (grains,) or not np.isfinite(rest).all():
+        raise InputError([("equilibrium", f"must be the heights at rest of the {grains} grains, m, from the top")])
+    return rest
+
+
+def _ways_down(scene: Scene, z: Array, rest: Array | None) -> list[float]:
+    """Return whether z points up (-1) or down (1), the likelier first; `z` is the first frame, (N,) m.
+
+    The overlaps say so, as they grow with the weight above: the gaps between centres, less what grains, overlaps and
+    the start of the scene make of them, must be alike.
+    """
+    if rest is not None:
+        return [1.0 if rest[-1] > rest[0] else -1.0]
+    chain = scene.chain
+    known = chain.contact_lengths[1:-1] - chain.equilibrium_overlap + np.diff(scene.initial()[0])
+    return sorted((-1.0, 1.0), key=lambda down: float(np.ptp(np.diff(np.sort(down * z)) - known)))
+
+
+def _misfit(scene: Scene, displacement: Array, velocity: Array, rounding: float) -> str:
+    """Return how the first frame differs from the start of the scene, or nothing; `rounding` is of heights, m."""
+    u, v = scene.initial()
+    for what, unit, values, start, slack in (
+        ("velocity", "m/s", velocity, v, 0.0),
+        ("displacement", "m", displacement, u, rounding),
+    ):
+        off = np.abs(values[0] - start)
+        if (off > SAME * np.abs(values).max() + slack).any():
+            n = int(off.argmax())
+            return f"grain {n + 1} begins with a {what} of {values[0, n]:.6g} {unit}, in the scene {start[n]:.6g}"
+    return ""
 
 
 def _columns(path: Path, scene: Scene) -> list[str]:
@@ -92,25 +145,32 @@ def _columns(path: Path, scene: Scene) -> list[str]:
         raise InputError([(name, "is a folder; name the dump in it" if path.is_dir() else "there is no such file")])
     if not is_dump(path):
         raise InputError([(name, "is no LAMMPS dump in text: write one with lmpchain deck, or by dump custom")])
-    with open(path, encoding="utf-8", errors="replace") as opened:
-        head = [opened.readline().strip() for _ in range(HEADER)]
+    try:
+        with _open(path) as opened:
+            head = [opened.readline().decode(errors="replace").strip() for _ in range(HEADER)]
+            last = b""
+            for block in iter(lambda: opened.read(BLOCK), b""):
+                last = block[-1:]
+    except (OSError, EOFError, zlib.error) as error:
+        raise InputError([(name, f"cannot be read as a dump: {error}; write it anew")]) from None
     if not head[3].isdigit() or not head[8].startswith("ITEM: ATOMS"):
-        raise InputError([(name, "is cut short, or has lines that no plain dump custom has: write it anew")])
-    with open(path, "rb") as opened:
-        opened.seek(-1, 2)
-        if opened.read() != b"\n":
-            raise InputError([(name, "is cut short within a line: run LAMMPS to its end")])
+        what = "is cut short, or has lines that a plain dump custom has not, as of dump_modify units or time"
+        raise InputError([(name, f"{what}: write it anew")])
+    if last != b"\n":
+        raise InputError([(name, "is cut short within a line: run LAMMPS to its end")])
     if int(head[3]) != grains:
         raise InputError([(name, f"has {head[3]} atoms, the scene {grains} grains: give the scene it was made for")])
     columns = head[8].split()[2:]
-    if missing := [key for key in ("id", "x", "y", "z", "vz") if key not in columns]:
+    unwrapped = not {"x", "y", "z"} <= set(columns) and {"xu", "yu", "zu"} <= set(columns)
+    wanted = ("id", "xu", "yu", "zu", "vz") if unwrapped else ("id", "x", "y", "z", "vz")
+    if missing := [key for key in wanted if key not in columns]:
         cure = "dump custom ... id x y z vz v_phi, with dump_modify format float %.17g"
         raise InputError([(name, f"has no column {', '.join(missing)}: {cure}")])
     return columns
 
 
 def _frames(path: Path, columns: list[str]) -> tuple[np.ndarray, dict[str, Array]]:
-    """Return the numbers of the steps, (T,), and these columns in the order of the grains, (T, N) each.
+    """Return the numbers of the steps, (T,), and these columns by atom, in the order of their numbers, (T, N) each.
 
     MDAnalysis holds positions in single precision, but columns that are asked for by name in double.
     """

@@ -34,6 +34,14 @@ class Excitation(Checked):
         """Return the displacement (N,) m and velocity (N,) m/s that it imposes, at their largest."""
         return self.initial(chain)
 
+    @abstractmethod
+    def reach(self, chain: Chain) -> tuple[int, int]:
+        """Return the first and the last grain that it moves."""
+
+    @abstractmethod
+    def part(self, first: int, last: int) -> Excitation:
+        """Return what it does to the grains of `Chain.part(first, last)`, all that it moves among them."""
+
 
 Number = Annotated[Whole, Field(ge=1)]
 
@@ -46,6 +54,14 @@ class _OneGrain(Excitation):
             yield "grain", f"there is no grain {self.grain}: the chain has {chain.grains}"
         elif self.grain > chain.movable:
             yield "grain", f"grain {self.grain} is held; choose one of 1 to {chain.movable}"
+
+    def reach(self, chain: Chain) -> tuple[int, int]:
+        """Return the grain that it moves, as the first and the last."""
+        return self.grain, self.grain
+
+    def part(self, first: int, last: int) -> Excitation:
+        """Return the same with the grain as it is numbered among grains first ... last."""
+        return type(self)(**self.given() | {"grain": self.grain - first + 1})
 
     def _at_grain(self, chain: Chain, value: float) -> Array:
         array = np.zeros(chain.grains)
@@ -113,6 +129,15 @@ class Profile(Excitation):
             rest.copy() if self.velocity is None else self.velocity.copy(),
         )
 
+    def reach(self, chain: Chain) -> tuple[int, int]:
+        """Return the first and the last grain that it moves; grain 1 if there is none."""
+        moved = np.flatnonzero(np.any(self.initial(chain), axis=0))
+        return (int(moved[0]) + 1, int(moved[-1]) + 1) if moved.size else (1, 1)
+
+    def part(self, first: int, last: int) -> Profile:
+        """Return the entries of grains first ... last."""
+        return Profile(**{key: values[first - 1 : last] for key, values in self.given().items()})
+
 
 class Drive(Excitation):
     """A motion that grain 1 is made to follow, whatever the chain does; positive downward, from 0 at t = 0.
@@ -172,6 +197,14 @@ class Drive(Excitation):
             size, speed = (np.abs(x).max() for x in self.motion(dense))
         return self._at_top(chain, size), self._at_top(chain, speed)
 
+    def reach(self, chain: Chain) -> tuple[int, int]:
+        """Return grain 1, as the first and the last."""
+        return 1, 1
+
+    def part(self, first: int, last: int) -> Drive:
+        """Return the same: it moves grain 1, which must be among the grains."""
+        return self
+
     @staticmethod
     def _at_top(chain: Chain, value: float | Array) -> Array:
         array = np.zeros(chain.grains)
@@ -228,14 +261,27 @@ def first_overlaps(chain: Chain, excitation: Excitation) -> Array:
     return np.maximum(contacts.overlap + contacts.exists * contacts.closer(u), two_body)
 
 
+def surroundings(chain: Chain, excitation: Excitation) -> tuple[int, Chain, Excitation]:
+    """Return what an excitation moves at first, and all that the first push depends on, as a chain of its own.
+
+    Returns
+    -------
+    number of the first of these grains, these grains as a chain, and the excitation of these
+    """
+    first, last = excitation.reach(chain)
+    first, last = max(1, first - 1), min(chain.grains, last + 2)
+    return first, chain.part(first, last), excitation.part(first, last)
+
+
 def strike_faults(chain: Chain, excitation: Excitation) -> Iterator[tuple[str, str]]:
     """Yield a fault if the excitation squeezes a contact beyond what Hertz's law describes."""
-    relative = first_overlaps(chain, excitation) / chain.contact_lengths
+    first, near, strike = surroundings(chain, excitation)
+    relative = first_overlaps(near, strike) / near.contact_lengths
     if not relative.max() <= LARGEST_OVERLAP:
         worst = int(relative.argmax())
         key = "displacement" if isinstance(excitation, Displacement) else "velocity"
         yield (
             "kind" if isinstance(excitation, Drive) else key,
-            f"squeezes contact {worst} to {relative[worst]:.2g} of the diameter, more than "
+            f"squeezes contact {worst + first - 1} to {relative[worst]:.2g} of the diameter, more than "
             f"{LARGEST_OVERLAP:g}: strike more gently",
         )

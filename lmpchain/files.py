@@ -13,8 +13,32 @@ from .errors import InputError
 
 
 @contextmanager
-def write_aside(path: str | PathLike[str]) -> Iterator[Path]:
+def replacing(path: Path) -> Iterator[Path]:
     """Give a path to write to; move it to `path` when all went well, remove it when not.
+
+    What is moved is on the disk, and so is its name. Raises `OSError` as it comes.
+    """
+    aside = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.partial{path.suffix}")
+    try:
+        yield aside
+        _to_disk(aside)
+        os.replace(aside, path)
+        _to_disk(path.parent)
+    finally:
+        aside.unlink(missing_ok=True)
+
+
+def _to_disk(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+@contextmanager
+def write_aside(path: str | PathLike[str]) -> Iterator[Path]:
+    """Do as `replacing` does, for a path that a user gave.
 
     Raises
     ------
@@ -22,19 +46,14 @@ def write_aside(path: str | PathLike[str]) -> Iterator[Path]:
         If `path` cannot be written.
     """
     path = Path(path)
-    aside = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.partial{path.suffix}")
     try:
         if path.exists() and not path.is_file():
             raise InputError([(str(path), "is a folder or a device; name a file")])
-        yield aside
-        with open(aside, "rb") as written:
-            os.fsync(written.fileno())
-        os.replace(aside, path)
+        with replacing(path) as aside:
+            yield aside
     except (OSError, RuntimeError) as error:  # HDF5 reports a full disk as either
         reason = getattr(error, "strerror", None) or error
         raise InputError([(str(path), f"cannot be written: {reason}")]) from error
-    finally:
-        aside.unlink(missing_ok=True)
 
 
 def make_folder(path: str | PathLike[str]) -> Path:

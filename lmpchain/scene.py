@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cached_property
 from os import PathLike
 from typing import Annotated, Any
 
@@ -10,7 +11,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from .chain import Chain
-from .excitation import Drive, Excitation, strike_faults
+from .excitation import Drive, Excitation, strike_faults, surroundings
 from .fields import Array, Checked, Positive, Whole
 
 
@@ -119,31 +120,45 @@ class Scene(Recording):
         """The motion that grain 1 is made to follow, if there is one."""
         return self.excitation if isinstance(self.excitation, Drive) else None
 
+    @cached_property
+    def _surroundings(self) -> tuple[int, Chain, Excitation]:
+        return surroundings(self.chain, self.excitation)
+
     @property
     def at_rest(self) -> bool:
         """Whether the excitation is none at all."""
-        u, v = self.excitation.largest(self.chain)
-        return not (u.any() or v.any())
+        _, chain, excitation = self._surroundings
+        return not np.any(excitation.largest(chain))
 
-    @property
+    @cached_property
     def energy(self) -> float:
         """Energy above rest that the chain may come to hold, J: what it is given at t = 0, no bound if it is driven."""
-        return np.inf if self.drive else float(self.chain.excess_energy(*self.initial()))
+        _, chain, excitation = self._surroundings
+        return np.inf if self.drive else float(chain.excess_energy(*excitation.initial(chain)))
 
-    @property
+    @cached_property
     def strike_number(self) -> float:
         """Strike over what the contact below holds: v0 / (eps_n omega_n) or phi_0 / eps_n.
 
         Linear theory needs it to be far below 1; it is infinite in the sonic vacuum.
         """
-        chain = self.chain
+        _, chain, excitation = self._surroundings
         moving = slice(0, chain.movable)
-        u, v = (np.abs(x[moving]) for x in self.excitation.largest(chain))
+        u, v = (np.abs(x[moving]) for x in excitation.largest(chain))
         if not chain.compressed:
             return 0.0 if self.at_rest else float(np.inf)
         eps, stiffness = (x[1:][moving] for x in (chain.contacts.overlap, chain.contacts.stiffness))
         omega = np.sqrt(stiffness / chain.masses[moving])
         return float(max((u / eps).max(), (v / (eps * omega)).max()))
+
+    def part(self, first: int, last: int) -> Scene:
+        """Return what grains first ... last do, all recorded, until a wave meets their ends; see `Chain.part`."""
+        return Scene(
+            chain=self.chain.part(first, last),
+            excitation=self.excitation.part(first, last),
+            duration=self.duration,
+            samples=self.samples,
+        )
 
     @classmethod
     def from_toml(cls, path: str | PathLike[str]) -> Scene:

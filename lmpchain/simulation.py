@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
-import platform
+import time
 import warnings
-from importlib.metadata import version
-from typing import Any, Literal
+from collections.abc import Generator, Iterable, Mapping
+from contextlib import AbstractContextManager, closing, nullcontext
+from os import PathLike
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from . import engines
-from .engines.attempts import until_tolerance
-from .engines.base import Engine, Run
+from .engines.attempts import Attempt, Outcome, first_attempt, pursue
+from .engines.base import Block, Engine, Run
 from .errors import InputError, ToleranceNotMet, check_tolerance
 from .fields import Array
+from .provenance import versions
 from .scene import Scene
+from .tasks import Task
 from .trajectory import ErrorEstimate, Trajectory
+
+if TYPE_CHECKING:
+    from .runfolder import RunFolder
+
+GLANCE_S = 2.0  # between two looks at the error for the progress bar
 
 
 def simulate(
@@ -25,6 +34,8 @@ def simulate(
     *,
     on_miss: Literal["raise", "warn"] = "raise",
     progress: bool = False,
+    folder: str | PathLike[str] | None = None,
+    max_wall: float | None = None,
     **options: Any,
 ) -> Trajectory:
     """Answer a scene.
@@ -41,6 +52,11 @@ def simulate(
         What to do if the tolerance cannot be met.
     progress : bool
         Whether to show a progress bar.
+    folder : path, optional
+        Run folder to make, see `lmpchain.runfolder`: samples go to the disk as they come, the arrays of the
+        trajectory stay there, and after a stop of any kind `resume` goes on.
+    max_wall : float, optional
+        Time after which a run in a folder stops, s.
     **options
         For the engine if it is named.
 
@@ -56,6 +72,8 @@ def simulate(
         With the reason, and the trajectory unless it was clear beforehand.
     RunFailed
         If the integration breaks down at a given step.
+    Stopped
+        If `max_wall` is over; the folder holds what was done. Ctrl-C and SIGTERM, too, wait until it does.
 
     Examples
     --------
@@ -72,59 +90,139 @@ def simulate(
     chosen = engines.get(engine, **options)
     if reasons := chosen.refuses(scene):
         raise InputError(reasons)
-    outcome = until_tolerance(
-        chosen,
-        scene,
-        tolerance,
-        lambda run: _collect(run, scene, chosen.name, progress),
-        best_effort=on_miss == "warn",
-    )
-    displacement, velocity = outcome.collected
-    trajectory = Trajectory(
-        scene=scene,
-        engine=chosen.name,
-        equation=chosen.equation,
-        time=scene.time,
-        grains=scene.recorded,
-        displacement=displacement,
-        velocity=velocity,
-        error_estimate=ErrorEstimate(outcome.error.model, outcome.error.total),
-        cost=outcome.cost,
-        provenance=_versions() | chosen.describe(scene, outcome.candidate),
-    )
-    if outcome.error.model > tolerance:
-        left_out = f"Eq. ({chosen.equation}) leaves out about {outcome.error.model:.2g} of the answer"
-        warnings.warn(f"{left_out}, more than {tolerance:g}. {outcome.error.remark}".rstrip(". "), stacklevel=2)
-    if outcome.missed and on_miss == "raise":
+    task = Task(scene, chosen, tolerance, on_miss == "warn")
+    if folder is None:
+        if max_wall is not None:
+            raise InputError([("max_wall", "goes with a run folder, which keeps what is done; name one")])
+        return _judged(task, *_answer(task, _Memory(task), progress))
+    from .runfolder import RunFolder
+    from .stopping import Requests
+
+    with RunFolder(folder, Requests(max_wall), task) as output:
+        answer = _answer(task, output, progress)
+    return _judged(task, *answer)
+
+
+def resume(folder: str | PathLike[str], *, max_wall: float | None = None, progress: bool = False) -> Trajectory:
+    """Go on with a run in a folder, and end with the same bits as if nothing had stopped it.
+
+    Parameters
+    ----------
+    folder : path
+        That `simulate(..., folder=...)` or `lmpchain run -o FOLDER/` made; nothing is done to a finished one.
+    max_wall, progress
+        As for `simulate`.
+
+    Returns
+    -------
+    Trajectory
+
+    Raises
+    ------
+    InputError
+        If this is no run folder, or another process is at work in it.
+    LmpchainError
+        As for `simulate`.
+    """
+    from .runfolder import RunFolder, status
+    from .stopping import Requests
+
+    found = status(folder)
+    if found["state"] == "finished":
+        trajectory = Trajectory.load(folder)
+        if found["reason"] and not found["best_effort"]:
+            raise ToleranceNotMet(found["reason"], trajectory)
+        return trajectory
+    with RunFolder(folder, Requests(max_wall)) as output:
+        answer = _answer(output.task, output, progress)
+    return _judged(output.task, *answer)
+
+
+def _answer(task: Task, output: _Memory | RunFolder, progress: bool) -> tuple[Trajectory, Outcome[Any]]:
+    """Do what is left to do of a task."""
+    engine, scene = task.engine, task.scene
+
+    def collect(run: Run) -> Any:
+        with closing(_shown(run, engine.name, scene.samples, output.samples, progress)) as blocks:
+            return output.collect(run, blocks)
+
+    attempt = output.attempt or first_attempt(engine, scene, task.tolerance, task.best_effort)
+    with output.requests:
+        outcome = pursue(engine, scene, attempt, collect, output.begin)
+    return output.finish(outcome), outcome
+
+
+def _judged(task: Task, trajectory: Trajectory, outcome: Outcome[Any]) -> Trajectory:
+    """Return an answer if it is as good as it was to be, and say so if it is not."""
+    model = trajectory.error_estimate.model
+    if model > task.tolerance:
+        left_out = f"Eq. ({trajectory.equation}) leaves out about {model:.2g} of the answer"
+        warnings.warn(f"{left_out}, more than {task.tolerance:g}. {outcome.error.remark}".rstrip(". "), stacklevel=3)
+    if outcome.missed and not task.best_effort:
         raise ToleranceNotMet(outcome.missed, trajectory)
     if outcome.missed:
-        warnings.warn(outcome.missed, stacklevel=2)
+        warnings.warn(outcome.missed, stacklevel=3)
     return trajectory
 
 
-def _collect(run: Run, scene: Scene, name: str, progress: bool) -> tuple[Array, Array]:
-    """Gather the blocks of a run in memory, showing how far it is."""
+class _Memory:
+    """Gathers the blocks of a run in memory."""
+
+    attempt: Attempt | None = None
+    samples = 0  # done before
+    requests: AbstractContextManager[Any] = nullcontext()  # to stop are none: signals act at once
+
+    def __init__(self, task: Task):
+        self._task = task
+
+    def begin(self, _: Attempt) -> Mapping[str, Array] | None:
+        """Start at the beginning."""
+        return None
+
+    def collect(self, _: Run, blocks: Iterable[Block]) -> tuple[Array, Array]:
+        """Return displacement and velocity, (T, G) m and m/s."""
+        shape = (self._task.scene.samples, self._task.scene.recorded.size)
+        try:
+            displacement, velocity = np.zeros(shape), np.zeros(shape)
+        except (MemoryError, ValueError):
+            need = f"{16e-9 * shape[0] * shape[1]:.3g} GB do not fit"
+            cure = "record fewer samples or grains, or let a run folder hold them on the disk"
+            raise InputError([("samples", f"{need}: {cure}")]) from None
+        for block in blocks:
+            displacement[block.samples, block.columns] = block.displacement[0]
+            velocity[block.samples, block.columns] = block.velocity[0]
+        return displacement, velocity
+
+    def finish(self, outcome: Outcome[tuple[Array, Array]]) -> Trajectory:
+        """Return the answer."""
+        scene, engine = self._task.scene, self._task.engine
+        displacement, velocity = outcome.collected
+        return Trajectory(
+            scene=scene,
+            engine=engine.name,
+            equation=engine.equation,
+            time=scene.time,
+            grains=scene.recorded,
+            displacement=displacement,
+            velocity=velocity,
+            error_estimate=ErrorEstimate(outcome.error.model, outcome.error.total),
+            cost=outcome.cost,
+            provenance=versions() | engine.describe(scene, outcome.candidate),
+        )
+
+
+def _shown(run: Run, name: str, samples: int, done: int, progress: bool) -> Generator[Block, None, None]:
+    """Yield the blocks of a run, showing how far it is, how fast, and how good it is so far."""
     from tqdm.auto import tqdm
 
-    shape = (scene.samples, scene.recorded.size)
-    try:
-        displacement, velocity = np.empty(shape), np.empty(shape)
-    except (MemoryError, ValueError):
-        need = 16e-9 * shape[0] * shape[1]
-        raise InputError([("samples", f"{need:.3g} GB do not fit: record fewer samples or grains")]) from None
-    layout = "{desc}: {percentage:3.0f}% |{bar}| {elapsed}, {remaining} left"
-    with tqdm(total=100, desc=name, disable=not progress, leave=False, bar_format=layout) as bar:
+    layout = "{desc}: {percentage:3.0f}% |{bar}| {rate_fmt}, {remaining} left{postfix}"
+    looked = time.monotonic()
+    with tqdm(
+        total=samples, initial=done, desc=name, unit=" samples", disable=not progress, leave=False, bar_format=layout
+    ) as bar:
         for block in run.blocks():
-            displacement[block.samples] = block.displacement[0]
-            velocity[block.samples] = block.velocity[0]
-            bar.update(100 * run.progress - bar.n)
-    return displacement, velocity
-
-
-def _versions() -> dict[str, str]:
-    return {
-        "lmpchain": version("lmpchain"),
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-        "machine": f"{platform.system()} {platform.machine()}",
-    }
+            yield block
+            bar.update(max(block.samples.stop, run.progress * samples) - bar.n)
+            if progress and time.monotonic() > looked + GLANCE_S:
+                bar.set_postfix_str(f"error {run.errors()[0].total:.1g}", refresh=False)
+                looked = time.monotonic()

@@ -208,7 +208,7 @@ def test_blow_up_is_noticed():
 
 
 def stepper(scene: Scene) -> LammpsStepper:
-    return LammpsStepper(Column(scene, gauge=0.0), VERLET, 1e-7, {}, gather(1, "none"), every=1, samples=1)
+    return LammpsStepper(Column(scene, gauge=0.0), VERLET, 1e-7, {}, gather(1, "none"), every=1)
 
 
 def test_faults_that_lammps_does_not_report():

@@ -3,18 +3,54 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Generic, TypeVar
 
 from ..errors import RunFailed, ToleranceNotMet
+from ..fields import Array
 from ..scene import Scene
 from .base import Candidate, Cost, Engine, Run, SolverError
 
 ATTEMPTS = 12
 STALLS = 2  # attempts in a row that do not help: round-off or chaos, not the step, is the limit
 T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One try of several, with what the decision about the next one rests on.
+
+    Attributes
+    ----------
+    candidate : Candidate
+    tolerance : float
+        That it is to meet.
+    refusal : str
+        Why that is not the one that was asked for, if it is not.
+    planned_s : float
+        Time that it took to find the first candidate, s.
+    looked_s : float
+        Time spent in the tries before it, s.
+    truncations : tuple of float
+        Truncation errors of the tries before it that ran through.
+    breakdowns : int
+        How many did not.
+    """
+
+    candidate: Candidate
+    tolerance: float
+    refusal: str = ""
+    planned_s: float = 0.0
+    looked_s: float = 0.0
+    truncations: tuple[float, ...] = ()
+    breakdowns: int = 0
+
+    @property
+    def number(self) -> int:
+        """Which try it is, from 1."""
+        return len(self.truncations) + self.breakdowns + 1
 
 
 @dataclass(frozen=True)
@@ -28,52 +64,78 @@ class Outcome(Generic[T]):
     missed: str
 
 
-def until_tolerance(
-    engine: Engine, scene: Scene, tolerance: float, collect: Callable[[Run], T], best_effort: bool = False
-) -> Outcome[T]:
-    """Run a scene, at ever shorter steps unless the step is given, and collect each run's blocks.
-
-    With `best_effort`, a tolerance that the engine refuses beforehand is loosened until it does not.
+def first_attempt(engine: Engine, scene: Scene, tolerance: float, best_effort: bool = False) -> Attempt:
+    """Return the first try; with `best_effort`, a tolerance that the engine refuses is loosened until it does not.
 
     Raises
     ------
     ToleranceNotMet
         If the engine knows beforehand that it cannot meet the tolerance.
+    """
+    began = time.perf_counter()
+    if best_effort:
+        attempt = Attempt(*best_candidate(engine, scene, tolerance))
+    else:
+        attempt = Attempt(engine.candidate(scene, tolerance), tolerance)
+    return replace(attempt, planned_s=time.perf_counter() - began)
+
+
+def until_tolerance(engine: Engine, scene: Scene, tolerance: float, collect: Callable[[Run], T]) -> Outcome[T]:
+    """Run a scene as `pursue` does, from the first attempt on."""
+    return pursue(engine, scene, first_attempt(engine, scene, tolerance), collect)
+
+
+def pursue(
+    engine: Engine,
+    scene: Scene,
+    attempt: Attempt,
+    collect: Callable[[Run], T],
+    begin: Callable[[Attempt], Mapping[str, Array] | None] = lambda _: None,
+) -> Outcome[T]:
+    """Run a scene, at ever shorter steps unless the step is given, and collect each run's blocks.
+
+    Parameters
+    ----------
+    engine : Engine
+    scene : Scene
+    attempt : Attempt
+        To begin with.
+    collect : callable
+        Takes a run and goes through its blocks.
+    begin : callable
+        Told of every attempt before it starts; returns the state to start it from, None for the beginning.
+
+    Raises
+    ------
     RunFailed
         If the run breaks down, at a given step or again and again.
     """
-    began = time.perf_counter()
-    refusal = ""
-    if best_effort:
-        candidate, tolerance, refusal = best_candidate(engine, scene, tolerance)
-    else:
-        candidate = engine.candidate(scene, tolerance)
-    errors: list[SolverError] = []
-    breakdowns = 0
     while True:
-        looked = time.perf_counter() - began
-        run = engine.start([scene], candidate)
+        began = time.perf_counter()
+        candidate, tolerance = attempt.candidate, attempt.tolerance
+        run = engine.start([scene], candidate, begin(attempt))
         error = None
         try:
             collected = collect(run)
             error, cost = run.errors()[0], run.cost()
         except RunFailed:
-            breakdowns += 1
-            if candidate.fixed or breakdowns > STALLS:
+            if candidate.fixed or attempt.breakdowns == STALLS:
                 raise
         finally:
             run.close()
-        if error:
-            errors.append(error)
         better = None if candidate.fixed else engine.refine(candidate, error, tolerance)
         if error:
+            attempt = replace(attempt, truncations=(*attempt.truncations, error.truncation))
             enough = candidate.fixed or error.total <= tolerance
-            missed = "" if enough else _why_not(errors, tolerance, candidate.step, better)
+            missed = "" if enough else _why_not(error, attempt, better)
             if enough or missed:
-                cost = replace(cost, estimate_s=cost.estimate_s + looked)
-                return Outcome(collected, candidate, error, cost, refusal or missed)
+                spent = {"setup_s": cost.setup_s + attempt.planned_s, "estimate_s": cost.estimate_s + attempt.looked_s}
+                cost = replace(cost, **spent)
+                return Outcome(collected, candidate, error, cost, attempt.refusal or missed)
+        else:
+            attempt = replace(attempt, breakdowns=attempt.breakdowns + 1)
         assert better
-        candidate = better
+        attempt = replace(attempt, candidate=better, looked_s=attempt.looked_s + time.perf_counter() - began)
 
 
 def best_candidate(engine: Engine, scene: Scene, tolerance: float) -> tuple[Candidate, float, str]:
@@ -99,16 +161,16 @@ def best_candidate(engine: Engine, scene: Scene, tolerance: float) -> tuple[Cand
             tolerance *= 4
 
 
-def _why_not(errors: list[SolverError], tolerance: float, step: float, better: Candidate | None) -> str:
-    """Return why shorter steps will not help, or nothing if they may."""
-    error = errors[-1]
-    recent = [e.truncation for e in errors[-STALLS - 1 :]]
+def _why_not(error: SolverError, attempt: Attempt, better: Candidate | None) -> str:
+    """Return why shorter steps will not help after this attempt, or nothing if they may."""
+    tolerance, truncations = attempt.tolerance, attempt.truncations
+    recent = truncations[-STALLS - 1 :]
     stalled = len(recent) > STALLS and all(b > 0.7 * a for a, b in pairwise(recent))
-    if better and not stalled and len(errors) < ATTEMPTS:
+    if better and not stalled and len(truncations) < ATTEMPTS:
         return ""
     reason = (
         f"the error is estimated at {error.total:.2g}, above the tolerance of {tolerance:.2g}, and steps shorter than "
-        f"{step:.2g} s do not help"
+        f"{attempt.candidate.step:.2g} s do not help"
     )
     if better is None:
         reason += f", for round-off alone makes {error.roundoff:.2g}"

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..fields import Array
 from ..scene import Scene
@@ -31,13 +32,19 @@ class Candidate:
     fixed : bool
         Whether the user gave the step, so that no tolerance is enforced.
     active_grains : int
-        Grains that are computed.
+        Grains that are computed, from `first_grain` on.
     model_error, solver_error : float
         Expected relative errors: of the equation, and of its solution (NaN if nobody looked).
     cost_s : float
         Expected time, s.
     choices : mapping
         What the engine chose on the user's behalf, for the record and for `Engine.start`.
+    graded : bool
+        Whether steps shorten where a contact is about to open or close.
+    first_grain : int
+        The first grain that is computed.
+    integrator : str
+        The method that steps through time, if one does.
     """
 
     steps_per_sample: int
@@ -48,6 +55,9 @@ class Candidate:
     solver_error: float
     cost_s: float
     choices: Mapping[str, str] = field(default_factory=dict)
+    graded: bool = False
+    first_grain: int = 1
+    integrator: str = ""
 
 
 @dataclass(frozen=True)
@@ -107,12 +117,14 @@ class Cost:
 class Block(NamedTuple):
     """Part of an answer: realisations x samples x recorded grains.
 
-    A block without samples says that the engine is still at work: a moment to show progress or stop.
+    `columns` says which of the recorded grains they are; the others have not moved from equilibrium. A block without
+    samples says that the engine is still at work: a moment to show progress or stop.
     """
 
     samples: slice
     displacement: Array
     velocity: Array
+    columns: slice | NDArray[np.intp] = slice(None)
 
 
 class Run(ABC):

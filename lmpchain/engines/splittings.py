@@ -30,7 +30,7 @@ class Splitting:
     substeps : tuple of float
         For a composition of velocity Verlet steps, their lengths; empty otherwise.
     error_constant : float
-        Relative error at ``omega h = 1`` for a pulse that the paper's weak scene describes.
+        Relative error at ``omega h = 1`` of the paper's scene, where ``omega T`` is 60.
     """
 
     name: str
@@ -85,9 +85,7 @@ def _composition(substeps: tuple[float, ...]) -> tuple[tuple[float, ...], tuple[
     return kicks, substeps
 
 
-VERLET = Splitting(
-    "verlet", 2, (0.5, 0.5), (1.0,), 0.05, "velocity Verlet; Swope et al., J. Chem. Phys. 76, 637 (1982)"
-)
+VERLET = Splitting("verlet", 2, (0.5, 0.5), (1.0,), 0.3, "velocity Verlet; Swope et al., J. Chem. Phys. 76, 637 (1982)")
 
 _KL6 = _symmetric([0.39216144400731413928, 0.33259913678935943860, -0.70624617255763935981, 0.08221359629355080023], 9)
 KAHAN_LI6 = Splitting(
@@ -101,8 +99,28 @@ RKN6 = Splitting(
         [0.0414649985182624, 0.198128671918067, -0.0400061921041533, 0.0752539843015807, -0.0115113874206879], 12
     ),
     _symmetric([0.123229775946271, 0.290553797799558, -0.127049212625417, -0.246331761062075, 0.357208872795928], 11),
-    1e-9,
+    2e-8,
     "SRKN_11^b of Blanes and Moan, J. Comput. Appl. Math. 142, 313 (2002)",
 )
 
-SPLITTINGS = {s.name: s for s in (VERLET, KAHAN_LI6, RKN6)}
+RKN4 = Splitting(
+    "rkn4",
+    4,
+    _symmetric([0.0829844064174052, 0.396309801498368, -0.0390563049223486], 7),
+    _symmetric([0.245298957184271, 0.604872665711080], 6),
+    2e-6,
+    "SRKN_6^b of Blanes and Moan, J. Comput. Appl. Math. 142, 313 (2002)",
+)
+
+_KL8 = _symmetric(
+    [
+        0.13020248308889008087881763, 0.56116298177510838456196441, -0.38947496264484728640807860,
+        0.15884190655515560089621075, -0.39590389413323757733623154, 0.18453964097831570709183254,
+        0.25837438768632204729397911, 0.29501172360931029887096624,
+    ], 17,
+)  # fmt: skip
+KAHAN_LI8 = Splitting(
+    "kahan-li8", 8, *_composition(_KL8), 1e-8, "s17odr8a of Kahan and Li, Math. Comp. 66, 1089 (1997)", _KL8
+)
+
+SPLITTINGS = {s.name: s for s in (VERLET, RKN4, RKN6, KAHAN_LI6, KAHAN_LI8)}

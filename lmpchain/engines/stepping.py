@@ -6,62 +6,81 @@ import math
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import ClassVar
 
 from ..errors import InputError
-from ..excitation import first_overlaps
 from ..fields import Array
 from ..scene import Scene
 from .base import Candidate, Engine, SolverError
+from .lightcone import near, reached
 from .lockstep import SAFETY, LockstepRun, Stepper
-from .splittings import SPLITTINGS, Splitting
+from .methods import METHODS, Method
+from .pace import Pace
+from .stiffness import GENTLE, largest_strain, stiffest_frequency
 
 ORDER_THROUGH_OPENINGS = 2.5
+CHOICE = ("rkn4", "rkn6")  # of which the cheaper one is taken, if none is asked for
+LONGEST = 0.45  # of the stability limit: the longest step that is proposed
+STRONGER = 30.0  # times the error, and its estimate, where contacts may open
 LONGEST_S = 3e8  # ten years
 
 
 class SteppedEngine(Engine):
-    """An engine that moves through time with one of the splittings at a fixed step."""
+    """An engine that moves through time with one of the methods."""
 
+    integrators: ClassVar[tuple[str, ...]]
     seconds_per_grain_step: float
+    cuts: bool = True  # whether grains outside of the light cone are left out
 
     def __init__(self, integrator: str, step: float | None):
-        if integrator not in SPLITTINGS:
-            raise InputError([("integrator", f"must be {' | '.join(SPLITTINGS)} (got {integrator!r})")])
+        if integrator not in self.integrators:
+            raise InputError([("integrator", f"must be {' | '.join(self.integrators)} (got {integrator!r})")])
         if step is not None and not (isinstance(step, int | float) and math.isfinite(step) and step > 0):
             raise InputError([("step", f"must be a time above 0 s (got {step!r})")])
-        self.splitting: Splitting = SPLITTINGS[integrator]
+        self.methods: list[Method] = [METHODS[name] for name in (CHOICE if integrator == "auto" else [integrator])]
         self.step = step
 
     @abstractmethod
-    def stepper(self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array]) -> Stepper:
+    def stepper(self, scenes: Sequence[Scene], candidate: Candidate, pace: Pace, state: Mapping[str, Array]) -> Stepper:
         """Make the stepper of the answer, from the start or from a kept state."""
 
     def candidate(self, scene: Scene, tolerance: float) -> Candidate:
         """Propose a step: the one given, or the one that should meet the tolerance."""
+        first, last = reached(scene) if self.cuts else (1, scene.chain.grains)
+        part = scene if last - first + 1 == scene.chain.grains else scene.part(first, last)
+        proposed = [self.for_part(part, tolerance, method) for method in self.methods]
+        return replace(min(proposed, key=lambda candidate: candidate.cost_s), first_grain=first)
+
+    def for_part(self, scene: Scene, tolerance: float, method: Method) -> Candidate:
+        """Propose a step of a method for what lies in the light cone."""
         interval = scene.duration / (scene.samples - 1)
-        stiffest = stiffest_frequency(scene)
-        limit = self.splitting.stability_limit
+        limit = method.stability_limit
         if self.step is not None:
             if self.step * scene.chain.band_edge > limit:
                 raise InputError(
-                    [("step", f"must be below {limit / scene.chain.band_edge:.3g} s, where {self.splitting.name} "
+                    [("step", f"must be below {limit / scene.chain.band_edge:.3g} s, where {method.name} "
                       f"stops being stable on this chain (got {self.step:g})")]
                 )  # fmt: skip
-            return self._at(scene, math.ceil(interval / self.step * (1 - 1e-12)), tolerance, fixed=True)
-        reach = (tolerance / SAFETY / self.splitting.error_constant) ** (1 / self.splitting.order)
-        longest = min(reach, 0.2 * limit)
-        return self._at(scene, 4 * math.ceil(interval * stiffest / longest / 4), tolerance)
+            return self._at(scene, method, math.ceil(interval / self.step * (1 - 1e-12)), tolerance, fixed=True)
+        omega = stiffest_frequency(scene)
+        expected = method.error_constant * max(1.0, omega * scene.duration / 60)  # phases drift apart with time
+        if largest_strain(scene) > GENTLE:
+            expected *= STRONGER
+        reach = (tolerance / SAFETY / expected) ** (1 / method.order)
+        return self._at(scene, method, math.ceil(interval * omega / min(reach, LONGEST * limit)), tolerance)
 
-    def _at(self, scene: Scene, steps_per_sample: int, error: float, fixed: bool = False) -> Candidate:
-        cost = self._cost(scene, steps_per_sample * (scene.samples - 1))
+    def _at(self, scene: Scene, method: Method, steps_per_sample: int, error: float, fixed: bool = False) -> Candidate:
+        cost = self.cost(scene, method, steps_per_sample * (scene.samples - 1))
         if cost > LONGEST_S:
             years = cost / 3.15e7
             raise InputError([("duration", f"would take some {years:.1g} years: shorten it, or ask for less accuracy")])
         interval = scene.duration / (scene.samples - 1)
-        return Candidate(steps_per_sample, interval / steps_per_sample, fixed, scene.chain.grains, 0.0, error, cost)
+        step, grains = interval / steps_per_sample, scene.chain.grains
+        return Candidate(steps_per_sample, step, fixed, grains, 0.0, error, cost, integrator=method.name)
 
-    def _cost(self, scene: Scene, steps: int) -> float:
-        return self.seconds_per_grain_step * self.splitting.evaluations * steps * scene.chain.grains
+    def cost(self, scene: Scene, method: Method, steps: int) -> float:
+        """Return about how long so many steps take, s."""
+        return self.seconds_per_grain_step * method.evaluations * steps * scene.chain.grains
 
     def refine(self, candidate: Candidate, error: SolverError | None, tolerance: float) -> Candidate | None:
         """Shorten the step by what the observed error asks for."""
@@ -69,12 +88,13 @@ class SteppedEngine(Engine):
             return None
         factor = 4.0
         if error is not None and math.isfinite(error.truncation):
-            order = self.splitting.order if error.smooth else min(self.splitting.order, ORDER_THROUGH_OPENINGS)
+            order: float = METHODS[candidate.integrator].order
+            order = order if error.smooth else min(order, ORDER_THROUGH_OPENINGS)
             room = max(tolerance - error.roundoff, tolerance / 4)
             most = 16.0 if error.truncation < 0.1 else 4.0  # far off, the law does not hold yet
             least = 1.3 if error.smooth else 2.0  # an erratic error tells nothing about small changes
             factor = min(max((error.truncation / (0.7 * room)) ** (1 / order), least), most)
-        steps = 4 * math.ceil(candidate.steps_per_sample * factor / 4)
+        steps = math.ceil(candidate.steps_per_sample * factor)
         step = candidate.step * candidate.steps_per_sample / steps
         return replace(candidate, steps_per_sample=steps, step=step)
 
@@ -88,16 +108,16 @@ class SteppedEngine(Engine):
         }
         if len(kinds) != 1:
             raise ValueError("a batch needs chains of one kind and length, recorded alike")
-        return LockstepRun(lambda kept: self.stepper(scenes, candidate, kept), self.splitting, scenes, candidate, state)
-
-
-def stiffest_frequency(scene: Scene) -> float:
-    """Return the highest frequency that the scene can excite, rad/s.
-
-    The band edge of the chain at rest, that of two grains pressed together by the strike, or that of a drive.
-    """
-    chain = scene.chain
-    pressed = first_overlaps(chain, scene.excitation)
-    stiffness = chain.exponent * chain.contacts.constant * pressed ** (chain.exponent - 1)
-    pair = math.sqrt(2 * float(stiffness.max()) / chain.masses.min())
-    return max(chain.band_edge, pair, scene.drive.fastest if scene.drive else 0.0) or 1 / scene.duration
+        if len(scenes) > 1:  # each would have a light cone of its own
+            candidate = replace(candidate, first_grain=1, active_grains=scenes[0].chain.grains)
+        part, rows, columns = near(scenes[0], candidate)
+        parts = [part, *scenes[1:]]
+        return LockstepRun(
+            lambda pace, kept: self.stepper(parts, candidate, pace, kept),
+            METHODS[candidate.integrator],
+            parts,
+            candidate,
+            state,
+            rows,
+            columns,
+        )

@@ -49,6 +49,8 @@ class Column:
         One of `PAIR_STYLES`.
     remarks : tuple of str
         Lines for the head of the deck.
+    template, include : str
+        The user's own text in place of the deck, and in a place of it.
 
     Raises
     ------
@@ -60,6 +62,8 @@ class Column:
     gauge: float
     pair_style: str = "granular"
     remarks: tuple[str, ...] = ()
+    template: str = ""
+    include: str = ""
 
     @property
     def chain(self) -> Chain:

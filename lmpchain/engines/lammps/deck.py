@@ -2,40 +2,64 @@
 
 from __future__ import annotations
 
+import re
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 from ...errors import InputError
 from ...files import write_aside
-from ...rendering import render
+from ...rendering import render, render_text
 from ..splittings import Splitting
 from . import drive
 from .column import Column
 from .rank import deck_steps
 
+OWN_RUN = re.compile(r"""(?:^|["'])\s*(run|rerun|minimize|clear|quit)(?=["'\s]|$)""")
+
+
+def own_text(key: str, path: str | PathLike[str]) -> str:
+    """Return the text of a file of the user's; raises `InputError` under `key`."""
+    path = Path(path)
+    if not path.is_file():
+        raise InputError([(key, f"there is no file {path}")])
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError([(key, f"{path} cannot be read: {error.strerror}")]) from None
+    except UnicodeDecodeError:
+        text = "\0"
+    if "\0" in text:
+        raise InputError([(key, f"{path} is not text in UTF-8")])
+    return text
+
+
+def refuse_own_run(key: str, text: str, cure: str) -> None:
+    """Raise `InputError` if commands of the user do what is done after them: move the column, and end LAMMPS."""
+    for number, line in enumerate(text.splitlines(), 1):
+        if found := OWN_RUN.search(line):
+            raise InputError([(key, f"the command {found[1]} (line {number}) cannot be used here: {cure}")])
+
 
 def setup(column: Column, data: str, step: float, splitting: Splitting, done: int = 0) -> str:
     """Return the commands that make the column from a data file, ready for `run`, after `done` steps of before."""
-    return render("setup.column", data=f'"{data}"', **_shared(column, step, splitting, done))
+    refuse_own_run("template", column.template, 'put {% include "run.column" %} there, and lmpchain run does the rest')
+    return _filled(column, step, splitting, done, data=f'"{data}"', alone=False)
 
 
-def write_deck(column: Column, folder: Path, step: float, splitting: Splitting, every: int, samples: int) -> Path:
-    """Write `in.column`, which runs by itself: `every` steps between two of `samples` + 1 samples."""
+def check_template(column: Column, splitting: Splitting) -> None:
+    """Raise `InputError` if the template of the user cannot be filled in."""
+    _filled(column, column.scene.duration, splitting, data="column.data", alone=True)
+
+
+def write_deck(column: Column, folder: Path, step: float, splitting: Splitting) -> Path:
+    """Write `in.column`, which runs by itself."""
     if splitting.order > 2 and column.scene.drive:
         raise InputError([("integrator", "a deck can carry a drive with verlet only; use that")])
-    text = render(
-        "in.column",
-        **_shared(column, step, splitting),
-        every=every,
-        samples=samples,
-        integrator=splitting.name,
-        stride=f"$(v_every*{len(splitting.substeps)})" if splitting.substeps else "${every}",
-        substeps=splitting.substeps,
-    )
+    text = _filled(column, step, splitting, data="column.data", alone=True)
     path = folder / "in.column"
     with write_aside(path) as aside:
-        aside.write_text(text, encoding="ascii")
+        aside.write_text(text, encoding="utf-8")
     return path
 
 
@@ -66,12 +90,17 @@ def write_data(column: Column, path: str | PathLike[str]) -> None:
         aside.write_text(text, encoding="ascii")
 
 
-def _shared(column: Column, step: float, splitting: Splitting, done: int = 0) -> dict[str, Any]:
-    """Return what both templates need to know."""
+def _filled(column: Column, step: float, splitting: Splitting, done: int = 0, **values: Any) -> str:
+    """Return the commands of the deck, or of the user's template in its place."""
     scene = column.scene
-    return {
+    values |= {
         "column": column,
         "step": step,
+        "every": round(scene.duration / (scene.samples - 1) / step),
+        "samples": scene.samples - 1,
+        "integrator": splitting.name,
+        "substeps": splitting.substeps,
+        "stride": f"$(v_every*{len(splitting.substeps)})" if splitting.substeps else "${every}",
         # velocity Verlet and its compositions kick in LAMMPS; for others the kicks come from outside
         "fix": "nve" if carries(splitting) else "nve/noforce",
         "first_step": done * deck_steps(splitting),
@@ -79,4 +108,11 @@ def _shared(column: Column, step: float, splitting: Splitting, done: int = 0) ->
         "moves": splitting.order == 2,  # fix move wants steps of one length; else the speeds come from outside
         "formulas": drive.formulas(scene.drive) if scene.drive else (),
         "pieces": drive.pieces(scene.drive, scene.duration),
+        "include": column.include,
     }
+    if not column.template:
+        return render("in.column", **values)
+    text = render_text(column.template, "template", **values)
+    if column.include not in text:
+        raise InputError([("include", "the template has no place for it: put {{ include }} where it belongs")])
+    return text

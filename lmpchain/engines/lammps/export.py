@@ -22,6 +22,8 @@ def write_deck(
     diameter: str = "physical",
     integrator: str = "verlet",
     pair_style: str = "granular",
+    template: str | PathLike[str] | None = None,
+    include: str | PathLike[str] | None = None,
 ) -> Path:
     """Write `in.column` and `column.data` to a folder; `lmp -in in.column` there runs the scene.
 
@@ -34,6 +36,8 @@ def write_deck(
         As for `Lammps` and `simulate`. Where round-off in heights keeps the physical diameter from
         the tolerance, the deck is written for the error that can be had, and says so.
     integrator : "verlet" or "kahan-li6"
+    template, include : path, optional
+        As for `Lammps`, but the template may run and dump as it likes: it is all of the deck.
 
     Returns
     -------
@@ -46,7 +50,7 @@ def write_deck(
         If LAMMPS cannot do the scene, or an option is wrong.
     """
     check_tolerance(tolerance)
-    engine = Lammps(integrator, step, diameter, pair_style)
+    engine = Lammps(integrator, step, diameter, pair_style, template=template, include=include)
     deck.check_carried(engine.splitting, "integrator")
     if reasons := engine.refuses(scene):
         raise InputError(reasons)
@@ -55,6 +59,4 @@ def write_deck(
     column = engine.column(scene, candidate, remark)
     folder = make_folder(folder)
     deck.write_data(column, folder / "column.data")
-    return deck.write_deck(
-        column, folder, candidate.step, engine.splitting, candidate.steps_per_sample, scene.samples - 1
-    )
+    return deck.write_deck(column, folder, candidate.step, engine.splitting)

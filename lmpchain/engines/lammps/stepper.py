@@ -18,7 +18,7 @@ from .team import Team
 
 
 class LammpsStepper:
-    """One chain in LAMMPS.
+    """One chain in LAMMPS, which stops at every sample.
 
     Parameters
     ----------
@@ -30,9 +30,13 @@ class LammpsStepper:
         Empty, or what `state` returned.
     team : Team
         The ranks; closed with the stepper.
+    every : int
+        Steps from one sample to the next.
     keep : Path, optional
-        Folder for the deck, the data file and a dump of `samples` + 1 samples, `every` steps apart.
+        Folder for the deck, the data file and a dump of the samples.
     """
+
+    stride = 1
 
     def __init__(
         self,
@@ -43,10 +47,9 @@ class LammpsStepper:
         team: Team,
         *,
         every: int,
-        samples: int,
         keep: Path | None = None,
     ):
-        self._column, self._team = column, team
+        self._column, self._team, self._every = column, team, every
         self._done = int(state.get("done", 0))
         scene = column.scene
         first, last = column.mobile
@@ -60,7 +63,7 @@ class LammpsStepper:
                 deck.write_data(column, folder / "column.data")
                 team.ask("commands", deck.setup(column, word(folder / "column.data"), step, splitting, self._done))
                 if keep is not None:
-                    deck.write_deck(column, keep, step, splitting, every, samples)
+                    deck.write_deck(column, keep, step, splitting)
                     dump = word(keep / "column.lammpstrj")
                     team.ask("commands", deck.dump(dump, every * deck.deck_steps(splitting)))
                 self._take(team.ask("begin", recipe, (state["z"], state["vz"]) if state else None))
@@ -68,10 +71,28 @@ class LammpsStepper:
             team.close()
             raise
 
-    def advance(self, steps: int) -> None:
-        """Move forward by `steps` steps."""
-        self._take(self._team.ask("advance", steps))
-        self._done += steps
+    def fill(self, u: Array, v: Array, offset: int, until: int, most: int) -> int:
+        """Move on to the sample `until`, or by `most` steps, and put samples from `offset` into u, v (1, B, N)."""
+        made = 0
+        while made < most and self.sample < until:
+            steps = min(most - made, self._every - self._done % self._every)
+            self._take(self._team.ask("advance", steps))
+            self._done += steps
+            made += steps
+            if self._done % self._every == 0:
+                u[0, self.sample - offset] = self._column.heights - self._z
+                v[0, self.sample - offset] = -self._vz
+        return made
+
+    @property
+    def sample(self) -> int:
+        """The last sample that it has reached."""
+        return self._done // self._every
+
+    @property
+    def steps(self) -> Array:
+        """Steps made, (1,)."""
+        return np.array([self._done])
 
     def _take(self, shares: list[Share]) -> None:
         """Put the shares of the ranks together, and check what LAMMPS itself does not check here."""
@@ -83,8 +104,6 @@ class LammpsStepper:
             raise RunFailed(f"LAMMPS: {what}; use a shorter step")
         if not all(share.straight for share in shares):
             raise RunFailed("LAMMPS: the column has buckled sideways; use the physical diameter")
-        self.u = (self._column.heights - self._z)[None]
-        self.v = -self._vz[None]
 
     @property
     def ranks(self) -> int:
@@ -113,6 +132,6 @@ def _together(shares: list[Share]) -> tuple[Array, Array]:
 def word(path: Path) -> str:
     """Return a path that is safe inside a LAMMPS command."""
     text = str(path.absolute())
-    if any(character in "\"'$&#{}" or ord(character) < 32 for character in text):
+    if not text.isascii() or any(character in "\"'$&#{}*%" or ord(character) < 32 for character in text):
         raise InputError([(text, "has a character that LAMMPS commands cannot hold: use a plainer folder name")])
     return text

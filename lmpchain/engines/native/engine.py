@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import ClassVar
 
 import numba
@@ -12,9 +13,13 @@ from ...fields import Array
 from ...scene import Scene
 from ..base import Candidate
 from ..lockstep import native_floor
+from ..methods import METHODS, DormandPrince, Method
+from ..pace import Pace
+from ..splittings import Splitting
 from ..stepping import SteppedEngine
-from .kernels import FORMS
-from .stepper import NativeStepper, force_form
+from ..stiffness import GENTLE, largest_strain
+from .chains import FORCES, force_form, name_of
+from .stepper import NativeStepper
 
 
 class Native(SteppedEngine):
@@ -22,12 +27,19 @@ class Native(SteppedEngine):
 
     Parameters
     ----------
-    integrator : "rkn6", "verlet" or "kahan-li6"
+    integrator : "auto", "rkn6", "rkn4", "kahan-li8", "kahan-li6", "verlet", "dop853" or "gear4"
+        auto takes the cheaper one of rkn4 and rkn6.
     step : float, optional
         s; the largest step up to it that divides the sample interval is used, and no tolerance is
         enforced.
     threads : int
         Over which a batch of chains is shared out; one chain is never split.
+    force : "auto", "exact" or "plain"
+        The form of the force: exact keeps the digits of the weakest wave, plain is faster and wrong by the last digit
+        of the force at rest, auto takes what loses nothing.
+    graded : bool
+        Whether steps shorten where a contact is about to open or has just closed, which keeps the order of the method
+        there; not with a given step.
 
     Raises
     ------
@@ -37,35 +49,50 @@ class Native(SteppedEngine):
 
     name: ClassVar[str] = "native"
     equation: ClassVar[int] = 1
+    integrators: ClassVar[tuple[str, ...]] = ("auto", *METHODS)
     seconds_per_grain_step = 1e-9
 
-    def __init__(self, integrator: str = "rkn6", step: float | None = None, threads: int = 1):
+    def __init__(
+        self,
+        integrator: str = "auto",
+        step: float | None = None,
+        threads: int = 1,
+        force: str = "auto",
+        graded: bool = True,
+    ):
         super().__init__(integrator, step)
         if isinstance(threads, bool) or not isinstance(threads, int) or threads < 1:
             raise InputError([("threads", f"must be a whole number from 1 (got {threads!r})")])
-        self.threads = threads
+        if force not in FORCES:
+            raise InputError([("force", f"must be {' | '.join(FORCES)} (got {force!r})")])
+        self.threads, self.force, self.graded = threads, force, graded
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Every chain that can be described can be done."""
         return []
 
-    def candidate(self, scene: Scene, tolerance: float) -> Candidate:
+    def for_part(self, scene: Scene, tolerance: float, method: Method) -> Candidate:
         """Propose a step, unless round-off alone exceeds the tolerance."""
-        candidate = super().candidate(scene, tolerance)
+        candidate = super().for_part(scene, tolerance, method)
         if not candidate.fixed:
-            evaluations = candidate.steps_per_sample * (scene.samples - 1) * self.splitting.evaluations
+            evaluations = candidate.steps_per_sample * (scene.samples - 1) * method.evaluations
             floor = native_floor(evaluations)
             if floor > tolerance:
                 raise ToleranceNotMet(
                     f"round-off alone makes an error of about {floor:.1g}, above the tolerance; "
                     'use a higher order (integrator "rkn6") or less accuracy'
                 )
-        return candidate
+            adapts, splits = isinstance(method, DormandPrince), isinstance(method, Splitting)
+            varies = adapts or (splits and method.order > 2 and largest_strain(scene) > GENTLE)
+            candidate = replace(candidate, graded=self.graded and varies)
+        return replace(candidate, choices={"force": name_of(force_form(scene, self.force))})
 
-    def stepper(self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array]) -> NativeStepper:
+    def stepper(
+        self, scenes: Sequence[Scene], candidate: Candidate, pace: Pace, state: Mapping[str, Array]
+    ) -> NativeStepper:
         """Make the stepper of the answer."""
-        return NativeStepper(scenes, self.splitting, candidate.step, state, self.threads)
+        return NativeStepper(scenes, METHODS[candidate.integrator], pace, state, self.threads, self.force)
 
     def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
         """Return the form of the force and the version of the compiler."""
-        return {"force": FORMS[force_form(scene)], "numba": numba.__version__}
+        return {**candidate.choices, "numba": numba.__version__}

@@ -2,128 +2,143 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
 from ...fields import Array
 from ...scene import Scene
+from ..methods import DormandPrince, Gear, Method
+from ..pace import Pace
 from ..splittings import Splitting
-from . import kernels
+from . import comparisons, kernels
+from .chains import Chains
+from .kernels import PAD
 
-STRONG = 1e3  # strike number above which the faster form of the force loses nothing
-PATH = 2**18  # positions of a driven grain that are laid out at a time
+GRADED = 0.4  # length of the steps near an opening contact, and of the one that crosses the opening: small enough that
+CROSSING = 0.03  # both leave as little as the other steps do
+
+ALLOWED = 1e-9  # error of a step of DOP853 for omega h = 1, from which it finds its steps
 
 
 class NativeStepper:
-    """A batch of chains in displacements from equilibrium, shared out over threads."""
+    """A batch of chains in displacements from equilibrium, shared out over threads.
+
+    Parameters
+    ----------
+    scenes : sequence of R scenes
+    method : Method
+    pace : Pace
+    state : mapping
+        Empty, or what `state` returned.
+    threads : int
+    force : str
+        Which form of the force; see `chains.force_form`.
+    """
 
     ranks = 1
 
     def __init__(
-        self, scenes: Sequence[Scene], splitting: Splitting, step: float, state: Mapping[str, Array], threads: int = 1
+        self,
+        scenes: Sequence[Scene],
+        method: Method,
+        pace: Pace,
+        state: Mapping[str, Array],
+        threads: int = 1,
+        force: str = "auto",
     ):
+        chains = self._chains = Chains(scenes, force)
         shares = min(threads, len(scenes))
         self._shares = [slice(i * len(scenes) // shares, (i + 1) * len(scenes) // shares) for i in range(shares)]
         self._pool = ThreadPoolExecutor(shares) if shares > 1 else None
-        self._drives = [scene.drive for scene in scenes if scene.drive]
-        self._forms = np.array([force_form(scene) for scene in scenes])
-        chains = [scene.chain for scene in scenes]
-        self._delta = chains[0].exponent
-        self._first, self._last = 2 if self._drives else 1, chains[0].movable + 1
-        contacts = [chain.contacts for chain in chains]
-        overlap, force, constant = (
-            np.array([getattr(c, k) for c in contacts]) for k in ("overlap", "force", "constant")
-        )
-        if not chains[0].compressed:
-            self._inverse_length, self._strength, self._loose = np.ones_like(constant), constant, np.zeros(len(chains))
-        else:
-            self._inverse_length = np.divide(1.0, overlap, out=np.zeros_like(overlap), where=overlap > 0)
-            self._strength, self._loose = force, np.where(force[:, 0] > 0, 0.0, constant[:, 0])
-        self._inverse_mass = self._bodies([1 / chain.masses for chain in chains])
-        self._kicks = np.array(splitting.kicks) * step
-        self._drifts = np.array(splitting.drifts) * step
-        self._step, self._stages = step, np.array([0.0, *splitting.reach[:-1]])
         initial = [scene.initial() for scene in scenes]
-        self._x = self._bodies(state.get("u", [u for u, _ in initial]))
-        self._v = self._bodies(state.get("v", [v for _, v in initial]))
-        self._seen = np.array(state.get("seen", np.tile([np.inf, 0.0], (len(scenes), 1))))
-        self._done = int(state.get("done", 0))
-        self.u, self.v = self._x[:, 1:-1], self._v[:, 1:-1]
-        self._run(slice(0), 0, np.empty((0, 0)))  # no chains: only compiles, so that it is not timed as work
+        self._x = chains.bodies(state.get("u", np.array([u for u, _ in initial])))
+        self._v = chains.bodies(state.get("v", np.array([v for _, v in initial])))
+        if chains.driven:
+            self._v[:, PAD] = 0.0  # it is put where its motion says
+        if "memo" in state:
+            self._memo = state["memo"].copy()
+        else:
+            self._memo = np.zeros((len(scenes), kernels.STEP + 1))
+            self._memo[:, kernels.FIRST], self._memo[:, kernels.LAST] = self._window()
+        self.stride = pace.stride
+        self._extra = np.array(state.get("extra", np.zeros((len(scenes), 3, self._x.shape[1]))))
+        self._advance, self._by = self._plan(method, pace)
+        self._run(slice(0), np.empty((0, 1, 1)), np.empty((0, 1, 1)), 0, 0, 0)  # only compiles, so that it is not timed
 
-    @staticmethod
-    def _bodies(grains: Array | list[Array]) -> Array:
-        """Return values (R, N) of the grains between those of two walls, (R, N+2), which stand still."""
-        return np.pad(np.asarray(grains), ((0, 0), (1, 1)))
+    def _plan(self, method: Method, pace: Pace) -> tuple[Callable[..., int], Callable[[slice], tuple[Array, ...]]]:
+        """Return the compiled loop of a method, and what it takes beside the chains."""
+        scene, chains = self._chains.scenes[0], self._chains
+        final = scene.samples - 1
+        interval = scene.duration / final
+        clock = np.array([interval, pace.steps, pace.stride, final])
+        if isinstance(method, Gear):
+            corrections = np.array(method.corrections)
+            return comparisons.march_gear, lambda share: (corrections, self._extra[share], clock)
+        if isinstance(method, DormandPrince):
+            allowed = ALLOWED * (pace.step * chains.omega.max()) ** method.order if pace.graded else 0.0
+            clock = np.array([interval, pace.step, pace.stride, final, allowed, pace.steps])
+            return comparisons.march_dop853, lambda _: (*method.tables, clock)
+        assert isinstance(method, Splitting)
+        kicks, drifts = np.array(method.kicks), np.array(method.drifts)
+        if not pace.graded:
+            return kernels.march, lambda _: (kicks, drifts, clock)
+        reach = pace.step * chains.omega
+        crossing = CROSSING * reach ** ((method.order + 1) / (chains.shape[7] + 1))
+        tempo = np.stack([chains.omega, (GRADED * reach / crossing) ** (14 / 9)], axis=1)
+        clock, weight = np.array([interval, pace.step, pace.stride, final, GRADED]), chains.weight()
+        return kernels.march_graded, lambda share: (kicks, drifts, clock, tempo[share], weight[share])
 
-    def advance(self, steps: int) -> None:
-        """Move forward by `steps` steps."""
-        most = PATH // (self._stages.size * len(self._drives)) + 1 if self._drives else steps
+    def _window(self) -> tuple[Array, Array]:
+        """Return where the window of each chain begins and ends: at the lines that hold what moves at t = 0."""
+        moves = (self._x != 0) | (self._v != 0)
+        if self._chains.driven:
+            moves[:, PAD] = True
+        first = np.where(moves.any(1), moves.argmax(1), PAD)
+        last = moves.shape[1] - np.where(moves.any(1), moves[:, ::-1].argmax(1), moves.shape[1] - PAD)
+        return first // PAD * PAD, np.minimum(-(-np.maximum(last, first + 1) // PAD) * PAD, moves.shape[1] - PAD)
+
+    def fill(self, u: Array, v: Array, offset: int, until: int, most: int) -> int:
+        """Move on to the sample `until`, or by some `most` steps a thread, and put samples from `offset` into u, v."""
         over = self._pool.map if self._pool else map
-        while steps > 0:
-            piece = min(steps, most)
-            path = self._path(piece)
-            list(over(lambda share: self._run(share, piece, path), self._shares))  # noqa: B023
-            self._done += piece
-            steps -= piece
-        for real, drive in enumerate(self._drives):
-            self.v[real, 0] = drive.motion(self._done * self._step)[1]
+        return sum(over(lambda share: self._run(share, u[share], v[share], offset, until, most), self._shares))
 
-    def _path(self, steps: int) -> Array:
-        """Return where every driven grain is at each evaluation of the force, (R, steps S + 1) m, or (R, 0)."""
-        if not self._drives:
-            return np.empty((len(self.u), 0))
-        index = self._done + np.arange(steps + 1)[:, None]
-        times = ((index + self._stages) * self._step).ravel()[: steps * self._stages.size + 1]
-        return np.array([drive.motion(times)[0] for drive in self._drives])
+    def _run(self, share: slice, u: Array, v: Array, offset: int, until: int, most: int) -> int:
+        chains = self._chains
+        drive = chains.drive[share] if chains.driven else chains.drive
+        return self._advance(
+            self._x[share], self._v[share], self._memo[share], chains.table[share], chains.loose[share],
+            chains.scale[share], chains.forms[share], chains.base, chains.shape, drive, chains.knots[share],
+            chains.pieces[share], *self._by(share), u, v, offset, until, most,
+        )  # fmt: skip
 
-    def _run(self, share: slice, steps: int, path: Array) -> None:
-        kernels.advance(
-            self._x[share],
-            self._v[share],
-            self._seen[share],
-            self._inverse_length[share],
-            self._strength[share],
-            self._loose[share],
-            self._inverse_mass[share],
-            self._first,
-            self._last,
-            self._forms[share],
-            self._delta,
-            self._kicks,
-            self._drifts,
-            steps,
-            path[share],
-        )
+    @property
+    def sample(self) -> int:
+        """The last sample that all chains have reached."""
+        return int(self._memo[:, kernels.SAMPLE].min())
+
+    @property
+    def steps(self) -> Array:
+        """Steps that each chain has made, (R,)."""
+        return self._memo[:, kernels.STEPS]
 
     def lowest(self) -> Array:
         """Return the smallest r / eps that any contact of each chain has had, (R,); -1 is an opening."""
-        open_at_rest = (self._loose > 0) | (self._forms == kernels.VACUUM)
-        return np.where(open_at_rest, -1.0, self._seen[:, 0])
+        opens = (self._chains.loose > 0) | (self._chains.base == 0)
+        return np.where(opens, -1.0, self._memo[:, kernels.LOWEST])
 
     def closest(self) -> Array:
         """Return by how much two grains have come closer than at rest at most, (R,) m; seen after whole steps."""
-        return self._seen[:, 1]
+        return self._memo[:, kernels.CLOSEST]
 
     def state(self) -> dict[str, Array]:
         """Return what is needed to go on with the same bits."""
-        return {"u": self.u, "v": self.v, "seen": self._seen, "done": np.array(self._done)}
+        inside = slice(PAD, PAD + self._chains.grains)
+        kept = {"u": self._x[:, inside], "v": self._v[:, inside], "memo": self._memo, "extra": self._extra}
+        return {name: array.copy() for name, array in kept.items()}
 
     def close(self) -> None:
         """End the threads."""
         if self._pool:
             self._pool.shutdown()
-
-
-def force_form(scene: Scene) -> int:
-    """Choose the form of the force: without cancellation unless the strike is strong."""
-    chain = scene.chain
-    if not chain.compressed:
-        return kernels.VACUUM
-    if chain.exponent == 1:
-        return kernels.SPRING
-    if chain.exponent == 1.5:
-        return kernels.PLAIN if scene.strike_number > STRONG else kernels.CORRECTED
-    return kernels.POWER

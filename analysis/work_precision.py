@@ -1,0 +1,56 @@
+"""Speed against accuracy of every engine and integrator, and of other codes if `peers/` has their results.
+
+One picture and one file of numbers a scene, and a table: the time to four errors. Between the points of a curve it is
+interpolated as a power law; where the longest step is better already, it is the time of that.
+"""
+
+import argparse
+import json
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+from figures import finish
+
+import lmpchain
+from lmpchain.files import write_aside
+from lmpchain.workprecision import BUDGET_S, work_precision
+
+HERE = Path(__file__).parent
+SCENES = ("weak", "fig5_1g", "fig1", "ten_thousand", "vacuum")
+
+
+def at_the_end(name: str) -> lmpchain.Scene:
+    """Return a scene of which only the end is recorded."""
+    scene = lmpchain.Scene.from_toml(HERE / "scenes" / f"{name}.toml")
+    return lmpchain.Scene(**scene.given() | {"samples": 2})
+
+
+def others(name: str) -> list[dict[str, Any]]:
+    """Return the points of other codes on a scene; `peers/` runs the native engine too, which is left out."""
+    path = HERE / "peers" / f"{name}.json"
+    rows = json.loads(path.read_text(encoding="utf-8"))["rows"] if path.exists() else []
+    return [row for row in rows if not row["code"].startswith("native")]
+
+
+def main() -> None:
+    """Measure, print the tables and draw."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"some of {', '.join(SCENES)}; by default all")
+    parser.add_argument("--budget", type=float, default=BUDGET_S, help="time for each, s (default: %(default)g)")
+    parser.add_argument("-o", "--output", type=Path, default=HERE / "pictures", help="folder for the pictures")
+    given = parser.parse_args()
+    for name in given.scenes or SCENES:
+        found = work_precision(at_the_end(name), given.budget, progress=True)
+        peers = others(name)
+        reached = defaultdict(list)
+        for row in peers:
+            reached[row["code"]].append((row["seconds"], row["error"]))
+        print(f"{name}\n{found.table(reached)}")
+        with write_aside(given.output / f"work_precision_{name}.json") as aside:
+            aside.write_text(json.dumps(found.to_json()) + "\n", encoding="utf-8")
+        finish(found.plot(others=peers), given.output / f"work_precision_{name}.png")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,58 @@
+"""Loops that numba compiles once for a machine and keeps for later processes."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import numba
+from numba.core.event import Event, Listener, register
+
+_news: dict[Callable, str] = {}  # what is to be said when one of these functions is compiled
+
+
+class _Announcer(Listener):
+    """Say what takes so long; numba tells of no function that it finds compiled."""
+
+    def on_start(self, event: Event) -> None:
+        news = _news.get(event.data["dispatcher"].py_func)
+        if news is not None:
+            print(news, file=sys.stderr, flush=True)
+            for function in [function for function, same in _news.items() if same == news]:
+                del _news[function]
+
+    def on_end(self, event: Event) -> None:
+        pass
+
+
+register("numba:compile", _Announcer())
+
+
+def compiled_once(what: str, seconds: int, **options: Any) -> Callable[[Callable], Any]:
+    """Return a decorator: numba compiles the function at its first call on a machine, and says so on stderr.
+
+    The result is kept beside the source; if that folder may not be written to, in the user's cache or in
+    NUMBA_CACHE_DIR. Where nothing can be kept, every process compiles anew.
+
+    Parameters
+    ----------
+    what : str
+        What is compiled, announced once a process for all functions of which the same is said.
+    seconds : int
+        About how long all of it takes.
+    **options
+        For `numba.njit`.
+    """
+
+    def decorate(function: Callable) -> Any:
+        when = "once for this machine"
+        try:
+            made = numba.njit(cache=True, **options)(function)
+        except RuntimeError:
+            when = "in every process, for there is no folder to keep it in (see lmpchain doctor)"
+            made = numba.njit(**options)(function)
+        _news[function] = f"compiling {what}, {when}: about {seconds} s"
+        return made
+
+    return decorate

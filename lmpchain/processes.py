@@ -1,0 +1,86 @@
+"""Executors that answer the scenes of a sweep on this machine."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Callable
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from typing import Any
+
+SPAWN = get_context("spawn")  # a forked process would share LAMMPS, MPI and threads with this one
+
+
+class Here(Executor):
+    """Does everything in this process, at once."""
+
+    def submit(self, function: Callable[..., Any], /, *values: Any, **named: Any) -> Future:
+        """Call the function and return a future that is done; what stops the program is not caught."""
+        future: Future = Future()
+        try:
+            future.set_result(function(*values, **named))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+class Processes(Executor):
+    """So many processes, each with a pool of its own, so that one that dies takes nothing but its own task with it.
+
+    That task ends with `BrokenExecutor`, and a new process takes the place of the dead one. The processes end when
+    this one does, even if it is killed.
+    """
+
+    def __init__(self, workers: int):
+        self._own = threading.local()
+        self._pools: list[ProcessPoolExecutor] = []
+        self._theirs, self._ours = SPAWN.Pipe(duplex=False)
+        # threads that block Ctrl-C start processes that do: only the main process is to answer it
+        block = signal.SIG_BLOCK, {signal.SIGINT}
+        self._threads = ThreadPoolExecutor(workers, initializer=signal.pthread_sigmask, initargs=block)
+
+    def submit(self, function: Callable[..., Any], /, *values: Any, **named: Any) -> Future:
+        """Call the function in one of the processes."""
+        return self._threads.submit(self._run, function, values, named)
+
+    def _run(self, function: Callable[..., Any], values: tuple, named: dict[str, Any]) -> Any:
+        pool = getattr(self._own, "pool", None)
+        if pool is None:
+            pool = ProcessPoolExecutor(1, SPAWN, _end_with, (self._theirs,))
+            self._own.pool = pool
+            self._pools.append(pool)
+        try:
+            return pool.submit(function, *values, **named).result()
+        except BrokenExecutor:
+            self._own.pool = None
+            self._pools.remove(pool)
+            pool.shutdown()
+            raise
+
+    def __exit__(self, kind: type[BaseException] | None, *_: Any) -> None:
+        """End the processes: now if something went wrong or the user stops, or else when they are done."""
+        self.shutdown(cancel_futures=kind is not None)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End the processes, in the middle of their tasks if futures are to be cancelled."""
+        self._threads.shutdown(wait=False, cancel_futures=cancel_futures)
+        if cancel_futures:
+            self._ours.close()
+        self._threads.shutdown()
+        for pool in self._pools:
+            pool.shutdown()
+        self._ours.close()
+        self._theirs.close()
+
+
+def _end_with(line: Connection) -> None:
+    """End this process when the other end of the line is closed, as by the death of the process that holds it."""
+
+    def wait() -> None:
+        line.poll(None)
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()

