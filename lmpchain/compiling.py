@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
 from typing import Any
 
 import numba
@@ -29,11 +32,18 @@ class _Announcer(Listener):
 register("numba:compile", _Announcer())
 
 
+@cache
+def _sources(folder: Path) -> str:
+    """Return a hash of all modules in a folder."""
+    return sha256(b"".join(path.read_bytes() for path in sorted(folder.glob("*.py")))).hexdigest()
+
+
 def compiled_once(what: str, seconds: int, **options: Any) -> Callable[[Callable], Any]:
     """Return a decorator: numba compiles the function at its first call on a machine, and says so on stderr.
 
     The result is kept beside the source; if that folder may not be written to, in the user's cache or in
-    NUMBA_CACHE_DIR. Where nothing can be kept, every process compiles anew.
+    NUMBA_CACHE_DIR. It is used until a module in the folder changes. Where nothing can be kept, every process compiles
+    anew.
 
     Parameters
     ----------
@@ -49,6 +59,9 @@ def compiled_once(what: str, seconds: int, **options: Any) -> Callable[[Callable
         when = "once for this machine"
         try:
             made = numba.njit(cache=True, **options)(function)
+            # numba looks at the source of this one function's module only, but what it calls may lie beside it
+            kept: Any = made._cache._cache_file
+            kept._source_stamp = kept._source_stamp, _sources(Path(function.__code__.co_filename).parent)
         except RuntimeError:
             when = "in every process, for there is no folder to keep it in (see lmpchain doctor)"
             made = numba.njit(**options)(function)

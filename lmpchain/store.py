@@ -148,7 +148,7 @@ def open_dataset(folder: Path) -> xarray.Dataset:
         mask_and_scale=False,
     )
     data = data.isel(time=slice(0, int(np.isfinite(data["time"].to_numpy()).sum())))
-    nothing = Cost(0.0, 0.0, 0.0, 0, 0, data.sizes["grain"], "unknown", math.nan, 1)
+    nothing = Cost(0.0, 0.0, 0.0, 0, 0, data.sizes["grain"], "unknown", 0.0, 1)
     return data.assign_attrs(verdict(ErrorEstimate(0.0, math.inf), nothing) | data.attrs)
 
 

@@ -71,9 +71,7 @@ class Axis:
         for key, values in self.columns.items():
             numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
             if key != INDEX:
-                found[key] = (
-                    values if numbers else [v if isinstance(v, str) else json.dumps(v, default=str) for v in values]
-                )
+                found[key] = values if numbers else [_label(value) for value in values]
         return found
 
 
@@ -105,9 +103,7 @@ def axes(parts: Mapping[str, Any]) -> list[Axis]:
             faults.append((key, f"is no key of a scene; they begin with {', '.join(sections)}, as chain.gravity does"))
         for other in keys[:place]:
             if f"{key}.".startswith(f"{other}.") or f"{other}.".startswith(f"{key}."):
-                faults.append(
-                    (key, "is swept twice" if key == other else f"is swept as a part of {other}, or holds it")
-                )
+                faults.append((key, "is swept twice" if key == other else f"overlaps {other}: sweep one of them"))
     if (count := math.prod(len(axis) for axis in found)) > MOST:
         faults.append(("grid", f"these are {count} scenes; sweep {MOST} at most"))
     if not found and not faults:

@@ -105,15 +105,14 @@ def read(folder: Path) -> Task:
     try:
         asked = json.loads((folder / RUN).read_text(encoding="utf-8"))
         scene = scenefile.loads((folder / SCENE).read_text(encoding="utf-8"))
-    except ValueError as error:
+        options, before = asked["options"], asked["sessions"][-1]["packages"]
+    except (ValueError, LookupError, TypeError) as error:
         raise InputError([(str(folder), f"its {RUN} or {SCENE} was changed and cannot be read: {error}")]) from None
-    options = asked["options"]
     if mpi.joined() and "ranks" in options:  # those of mpirun serve
         options["ranks"] = None
-    now, before = session(), asked["sessions"][-1]
-    others = [f"{name} {now['packages'].get(name)}, not {version}" for name, version in before["packages"].items()
-              if now["packages"].get(name) != version]  # fmt: skip
-    if others:
+    now = session()
+    versions = {name: (now["packages"].get(name), version) for name, version in before.items()}
+    if others := [f"{name} {new}, not {old}" for name, (new, old) in versions.items() if new != old]:
         warnings.warn(f"the run went so far with other versions, and may now differ: {'; '.join(others)}", stacklevel=2)
     _note(folder, asked | {"sessions": [*asked["sessions"], now]})
     return Task(scene, engines.get(asked["engine"], **options), asked["tolerance"], asked["best_effort"])

@@ -22,7 +22,7 @@ from .trajectory import Trajectory
 
 KNOWN = 10.0  # times the error of the reference: smaller errors are not known well enough
 DENSITY = math.sqrt(2)  # between the steps of neighbouring points
-SHARPNESS = 1.1  # to which the longest step that holds is found
+SHARPNESS = 1.1  # to which the longest step that holds is found, in a quarter of the time if need be
 MOST_STEPS = 2**20  # between two samples; a step that short and still too long is none
 RUNS, ENOUGH_S, MOST_RUNS = 3, 0.05, 15  # runs timed for a point: at least; until so much time is spent; at most
 PATIENCE, BETTER = 4, 0.8  # points in a row that get no better by this: the floor of round-off
@@ -116,7 +116,6 @@ class Bench:
 
         steps, longest = self._fewest(at), True
         best, stalled = math.inf, 0
-        self._begun = time.perf_counter()
         while steps < MOST_STEPS and stalled < PATIENCE:
             before = self.spent_s
             try:
@@ -134,13 +133,14 @@ class Bench:
             steps = math.ceil(steps * DENSITY)
 
     def _fewest(self, at: Callable[[int], Engine]) -> int:
-        """Return the fewest steps between two samples with which a run holds."""
+        """Return about the fewest steps between two samples with which a run holds."""
         failing, steps = 0, 1
         while not self._holds(at(steps)):
             failing, steps = steps, 2 * steps
             if steps >= MOST_STEPS:
                 return steps
-        while steps - failing > 1 and steps > SHARPNESS * failing:
+        self._begun = time.perf_counter()
+        while steps - failing > 1 and steps > SHARPNESS * failing and self.spent_s < self.share_s / 4:
             middle = (failing + steps) // 2
             failing, steps = (failing, middle) if self._holds(at(middle)) else (middle, steps)
         return steps

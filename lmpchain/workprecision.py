@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 BUDGET_S = 60.0
 LONGEST_S = 600.0  # for the reference
+LOOSEST = 0.5  # tolerance: nothing is refused for it
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
 WITHOUT = "{}, without the estimate"
 Way = tuple[str, str, Callable[[Bench], Iterator[Point]]]  # engine, integrator, what measures them
@@ -188,7 +189,7 @@ def work_precision(scene: Scene, budget_s: float = BUDGET_S, *, progress: bool =
         raise InputError([("duration", f"the reference alone would take about {needed:.2g} s: shorten it")])
     truth = reference(scene)
     bench, curves = Bench(scene, truth), []
-    ways, left_out = _ways(scene)
+    ways, left_out = _ways(scene, budget_s)
     left_s = budget_s
     layout = "{desc}: {n_fmt} of {total_fmt} |{bar}| {elapsed}"
     with tqdm(ways, disable=not progress, leave=False, bar_format=layout) as bar:
@@ -206,7 +207,7 @@ def work_precision(scene: Scene, budget_s: float = BUDGET_S, *, progress: bool =
     return WorkPrecision(scene, truth, _with_front(curves), bench.dropped, tuple(left_out), bench.versions)
 
 
-def _ways(scene: Scene) -> tuple[list[Way], list[str]]:
+def _ways(scene: Scene, budget_s: float) -> tuple[list[Way], list[str]]:
     """Return all ways to answer, with LAMMPS, the slowest, at the end; and why some engines have none."""
     ways: list[Way] = []
     refusals = []
@@ -217,6 +218,8 @@ def _ways(scene: Scene) -> tuple[list[Way], list[str]]:
         elif isinstance(engine, SteppedEngine):
             kinds = [kind for kind in METHODS if kind in engine.integrators]
             ways += [(name, kind, partial(Bench.over_steps, name=name, integrator=kind)) for kind in kinds]
+        elif (cost := engine.candidate(scene, LOOSEST).cost_s) > budget_s / 10:
+            refusals.append(f"{name}: a run would take about {cost:.2g} s; give more time")
         else:
             ways.append((name, "", partial(Bench.once, name=name)))
     return [("native", "", partial(Bench.over_tolerances, name="native")), *ways], refusals

@@ -29,7 +29,7 @@ def finish(*words: object, ranks: int = 1, **options) -> tuple[int, str]:
 def at_work(folder: Path, process: subprocess.Popen[str]) -> None:
     """Wait until a run has kept some samples."""
     while process.poll() is None:
-        if (folder / "status.json").exists() and status(folder)["samples_done"]:
+        if (folder / "scene.toml").exists() and status(folder)["samples_done"]:
             return
         time.sleep(0.02)
     raise AssertionError("it ended too early")

@@ -186,12 +186,14 @@ def test_outputs_that_cannot_be_written_are_found_before_the_run(
     before = names(tmp_path)
     os.mkfifo(folder / "pipe")
     for output in (
-        f"{folder}", f"{folder}/", f"{folder}/pipe", f"{tmp_path}/new/", f"{tmp_path}/none/run.nc", f"{scene}",
+        f"{folder}", f"{folder}/", f"{folder}/pipe", f"{tmp_path}/none/run.nc", f"{scene}",
     ):  # fmt: skip
         assert main(["run", str(scene), "-o", output]) == 2
         assert keys(capsys.readouterr()) == [output]
         assert main(["compare", str(scene), "--json", output]) == 2
         assert keys(capsys.readouterr()) == [output]
+    assert main(["compare", str(scene), "--json", f"{tmp_path}/new/"]) == 2  # for `run`, a run folder
+    assert keys(capsys.readouterr()) == [f"{tmp_path}/new/"]
     assert main(["compare", str(scene), "-o", f"{tmp_path}/picture.txt"]) == 2
     assert ".png" in capsys.readouterr().err
     scene.with_suffix(".nc").mkdir()

@@ -201,6 +201,11 @@ def test_another_version_is_named(stopped: Path):
 
 
 def test_a_changed_scene_is_refused_in_one_line(stopped: Path):
-    (stopped / "scene.toml").write_text("[chain")
-    with pytest.raises(InputError, match=r"scene\.toml was changed and cannot be read"):
-        resume(stopped)
+    whole = (stopped / "scene.toml").read_text()
+    for name, text in (("scene.toml", "[chain"), ("scene.toml", whole.replace("grains", "grain")), ("run.json", "{}")):
+        before = (stopped / name).read_text()
+        (stopped / name).write_text(text)
+        with pytest.raises(InputError, match=r"scene\.toml was changed and cannot be read"):
+            resume(stopped)
+        (stopped / name).write_text(before)
+    assert same(resume(stopped), simulate(SHORT, "native", 1e-2))

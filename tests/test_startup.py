@@ -113,6 +113,13 @@ def test_compiling_is_announced_once_for_a_machine(toy: Path):
     assert play(toy) == TOYS + OTHERS
 
 
+def test_what_is_kept_is_renewed_when_a_module_beside_it_changes(toy: Path):
+    """Compiled loops hold what they call; numba alone would not notice that it has changed."""
+    play(toy)
+    (toy / "beside.py").write_text("def called(): ...")
+    assert play(toy) == TOYS + OTHERS
+
+
 def test_the_package_may_lie_where_nobody_writes(toy: Path):
     (toy / "__pycache__").write_text("a file where numba would make its folder")
     assert play(toy, HOME=str(toy), XDG_CACHE_HOME=str(toy / "cache")) == TOYS + OTHERS

@@ -9,7 +9,7 @@ from time import perf_counter
 from problem import Answer, Code, Problem
 
 import lmpchain
-from lmpchain.engines.splittings import SPLITTINGS
+from lmpchain.engines.methods import METHODS
 
 TO_TOLERANCE = "native to a tolerance, with estimate"
 COUNTS = [round(8 * 2 ** (k / 4)) for k in range(53)]  # steps, to 65 536
@@ -36,6 +36,6 @@ def _answer(run: lmpchain.Trajectory, seconds: float, whole: float) -> Answer:
 def codes(problem: Problem) -> list[Code]:
     """Return every integrator, and what the engine chooses itself, without and with its estimate of the error."""
     steps, own = [problem.scene.duration / count for count in COUNTS], version("lmpchain")
-    given = [Code(f"native {name}", own, steps, partial(_at_step, name)) for name in SPLITTINGS]
+    given = [Code(f"native {name}", own, steps, partial(_at_step, name)) for name in METHODS]
     chosen = {"native to a tolerance, integration alone": False, TO_TOLERANCE: True}
     return given + [Code(name, own, TOLERANCES, partial(_to_tolerance, estimate)) for name, estimate in chosen.items()]

@@ -30,9 +30,9 @@ class Attempt:
     refusal : str
         Why that is not the one that was asked for, if it is not.
     planned_s : float
-        Time that it took to find the first candidate, s.
+        Time spent before it on finding candidates and setting up, s.
     looked_s : float
-        Time spent in the tries before it, s.
+        Time spent before it on integrations and their estimates, s.
     truncations : tuple of float
         Truncation errors of the tries before it that ran through.
     breakdowns : int
@@ -129,13 +129,21 @@ def pursue(
             enough = candidate.fixed or error.total <= tolerance
             missed = "" if enough else _why_not(error, attempt, better)
             if enough or missed:
-                spent = {"setup_s": cost.setup_s + attempt.planned_s, "estimate_s": cost.estimate_s + attempt.looked_s}
-                cost = replace(cost, **spent)
+                setup, estimate = cost.setup_s + attempt.planned_s, cost.estimate_s + attempt.looked_s
+                cost = replace(cost, setup_s=setup, estimate_s=estimate)
                 return Outcome(collected, candidate, error, cost, attempt.refusal or missed)
         else:
             attempt = replace(attempt, breakdowns=attempt.breakdowns + 1)
         assert better
-        attempt = replace(attempt, candidate=better, looked_s=attempt.looked_s + time.perf_counter() - began)
+        spent = run.cost()
+        looked = spent.integration_s + spent.estimate_s
+        planned = time.perf_counter() - began - looked
+        attempt = replace(
+            attempt,
+            candidate=better,
+            planned_s=attempt.planned_s + planned,
+            looked_s=attempt.looked_s + looked,
+        )
 
 
 def best_candidate(engine: Engine, scene: Scene, tolerance: float) -> tuple[Candidate, float, str]:

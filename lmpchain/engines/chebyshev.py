@@ -15,11 +15,12 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
+from ..compiling import compiled_once
 from ..fields import Array
 
+NEWS = "the Chebyshev series", 5
 NEGLIGIBLE = 1e-25  # of the largest: grains that move less are not yet reached
 
 
@@ -28,7 +29,7 @@ def terms(z: float) -> int:
     return math.ceil(z / 2 + 5.4 * z ** (1 / 3) + 6)
 
 
-@numba.njit(cache=True)
+@compiled_once(*NEWS)
 def bessel(z, orders):
     """Return J_0(z) ... J_(orders-1)(z) by Miller's backward recurrence, whose sum rule gives the scale."""
     start = orders + int(20 + 10 * z ** (1 / 3) + max(0.0, z - orders))
@@ -48,7 +49,7 @@ def bessel(z, orders):
     return values / (total + here)
 
 
-@numba.njit(cache=True, error_model="numpy", fastmath={"nnan", "ninf", "nsz"})
+@compiled_once(*NEWS, error_model="numpy", fastmath={"nnan", "ninf", "nsz"})
 def series(x, stiffness, mobility, oscillator, scale, weights, reach):
     """Return ``cos(sqrt(L) t) x`` and ``sin(sqrt(L) t) / sqrt(L) x`` for grains whose neighbours do not move.
 
@@ -89,7 +90,7 @@ def series(x, stiffness, mobility, oscillator, scale, weights, reach):
     return cos, 2 / scale * sin
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled_once(*NEWS, error_model="numpy")
 def _forward(u, v, stiffness, mobility, oscillator, scale, weights, reach):
     """Move u and v (n,) forward in place and return between which grains there is motion then."""
     moved = u.any()
@@ -109,7 +110,7 @@ def _forward(u, v, stiffness, mobility, oscillator, scale, weights, reach):
     return moving(u, v)
 
 
-@numba.njit(cache=True)
+@compiled_once(*NEWS)
 def moving(u, v):
     """Return the first and the one after the last grain that moves, and put those beyond to rest."""
     least_u, least_v = NEGLIGIBLE * np.abs(u).max(), NEGLIGIBLE * np.abs(v).max()

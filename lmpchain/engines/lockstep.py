@@ -155,7 +155,7 @@ class LockstepRun(Run):
         began = time.perf_counter()
         count, samples = stop - first, np.arange(first, stop)
         u, v = self._u[0, :, :count], self._v[0, :, :count]
-        peaks, energy = largest(u, v, self._masses)
+        peaks, energy = largest(self._u[0], self._v[0], self._masses, count)
         self.peaks = np.maximum(self.peaks, peaks)
         if not np.isfinite(energy).all():
             raise RunFailed(self._broke_down(first, "positions or velocities are no longer numbers"))
@@ -164,7 +164,7 @@ class LockstepRun(Run):
         for index, right in enumerate(self._steppers[1:]):
             stops = (samples % right.stride == 0) | (samples == self.scene.samples - 1)
             for column, field in enumerate((self._u, self._v)):
-                difference = apart(field[index, :, :count], field[index + 1, :, :count])
+                difference = apart(field[index], field[index + 1], count)
                 self._differences[index, samples[stops], :, column] = difference[:, stops].T
         self._sample = stop - 1
         self._estimate_s += time.perf_counter() - began

@@ -10,9 +10,9 @@ top, within or all over, the estimate is within a factor of 3 of the true differ
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from ..compiling import compiled_once
 from ..fields import Array
 from ..scene import Scene
 
@@ -77,7 +77,7 @@ class Nonlinearity:
         return "" if np.isnan(opened) else f"not linear here: contact {opened:.0f} opens"
 
 
-@numba.njit(cache=True)
+@compiled_once("the check for what is not linear", 3)
 def _look(u, v, inverse_overlap, stiffness, inverse_mass):
     """Return the strongest strain, the largest displacement, velocity and acceleration, and an open contact or -1."""
     largest = displacement = velocity = acceleration = before = 0.0

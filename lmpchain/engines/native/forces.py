@@ -3,8 +3,6 @@
 Every form gives the force minus what the contact carries at rest, ``strength f(r / length)``, where
 ``r = phi_n - phi_(n+1)`` is how much closer the two bodies are than at rest. `base` is the overlap at rest over the
 length: 1, or 0 where nothing is pressed (length 1 m, strength K).
-
-What numba keeps of the kernels made of these is renewed when `kernels.py` changes, not when only this module does.
 """
 
 from __future__ import annotations

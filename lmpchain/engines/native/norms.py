@@ -39,26 +39,29 @@ def _kinetic(v, masses):
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
-def apart(a: Array, b: Array) -> Array:
-    """Return the largest difference over the grains of two fields (R, B, N), (R, B); NaN if it is no number."""
-    out = np.empty(a.shape[:2])
+def apart(a: Array, b: Array, count: int) -> Array:
+    """Return the largest difference over the grains in the first samples of two fields (R, B, N), (R, count).
+
+    It is NaN where that is no number.
+    """
+    out = np.empty((a.shape[0], count))
     for real in range(a.shape[0]):
-        for sample in range(a.shape[1]):
+        for sample in range(count):
             x, y = a[real, sample], b[real, sample]
             out[real, sample] = _farthest(x, y) + 0.0 * _sum(x, y)
     return out
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
-def largest(u: Array, v: Array, masses: Array) -> tuple[Array, Array]:
-    """Return the largest displacement and speed (R, 2) of fields (R, B, N), and twice their kinetic energy (R,).
+def largest(u: Array, v: Array, masses: Array, count: int) -> tuple[Array, Array]:
+    """Return the largest displacement and speed (R, 2) in the first samples of fields (R, B, N), and the energy (R,).
 
-    The energy is the largest of any sample, and no number if any displacement or velocity is none.
+    That is twice the largest kinetic energy of any sample, and no number if any displacement or velocity is none.
     """
     peaks, energy = np.zeros((u.shape[0], 2)), np.zeros(u.shape[0])
     nothing = np.zeros(u.shape[2])
     for real in range(u.shape[0]):
-        for sample in range(u.shape[1]):
+        for sample in range(count):
             x, w = u[real, sample], v[real, sample]
             peaks[real, 0] = max(peaks[real, 0], _farthest(x, nothing))
             peaks[real, 1] = max(peaks[real, 1], _farthest(w, nothing))

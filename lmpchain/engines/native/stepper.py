@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from .kernels import PAD
 GRADED = 0.4  # length of the steps near an opening contact, and of the one that crosses the opening: small enough that
 CROSSING = 0.03  # both leave as little as the other steps do
 
+SHORT = 14 * PAD  # bodies
 ALLOWED = 1e-9  # error of a step of DOP853 for omega h = 1, from which it finds its steps
 
 
@@ -65,7 +67,8 @@ class NativeStepper:
         self.stride = pace.stride
         self._extra = np.array(state.get("extra", np.zeros((len(scenes), 3, self._x.shape[1]))))
         self._advance, self._by = self._plan(method, pace)
-        self._run(slice(0), np.empty((0, 1, 1)), np.empty((0, 1, 1)), 0, 0, 0)  # only compiles, so that it is not timed
+        self._arrays = [self._of(share) for share in self._shares]
+        self._advance(*self._of(slice(0)), np.empty((0, 1, 1)), np.empty((0, 1, 1)), 0, 0, 0)  # only compiles
 
     def _plan(self, method: Method, pace: Pace) -> tuple[Callable[..., int], Callable[[slice], tuple[Array, ...]]]:
         """Return the compiled loop of a method, and what it takes beside the chains."""
@@ -91,7 +94,12 @@ class NativeStepper:
         return kernels.march_graded, lambda share: (kicks, drifts, clock, tempo[share], weight[share])
 
     def _window(self) -> tuple[Array, Array]:
-        """Return where the window of each chain begins and ends: at the lines that hold what moves at t = 0."""
+        """Return where the window of each chain begins and ends: at the lines that hold what moves at t = 0.
+
+        A short chain is computed as a whole, which costs less than to look where the wave is.
+        """
+        if self._x.shape[1] <= SHORT:
+            return np.array([PAD]), np.array([self._x.shape[1] - PAD])
         moves = (self._x != 0) | (self._v != 0)
         if self._chains.driven:
             moves[:, PAD] = True
@@ -101,16 +109,21 @@ class NativeStepper:
 
     def fill(self, u: Array, v: Array, offset: int, until: int, most: int) -> int:
         """Move on to the sample `until`, or by some `most` steps a thread, and put samples from `offset` into u, v."""
-        over = self._pool.map if self._pool else map
-        return sum(over(lambda share: self._run(share, u[share], v[share], offset, until, most), self._shares))
 
-    def _run(self, share: slice, u: Array, v: Array, offset: int, until: int, most: int) -> int:
+        def move(share: slice, arrays: tuple[Any, ...]) -> int:
+            return self._advance(*arrays, u[share], v[share], offset, until, most)
+
+        over = self._pool.map if self._pool else map
+        return sum(over(move, self._shares, self._arrays))
+
+    def _of(self, share: slice) -> tuple[Any, ...]:
+        """Return what the compiled loop takes of some of the chains."""
         chains = self._chains
-        drive = chains.drive[share] if chains.driven else chains.drive
-        return self._advance(
+        return (
             self._x[share], self._v[share], self._memo[share], chains.table[share], chains.loose[share],
-            chains.scale[share], chains.forms[share], chains.base, chains.shape, drive, chains.knots[share],
-            chains.pieces[share], *self._by(share), u, v, offset, until, most,
+            chains.scale[share], chains.forms[share], chains.base, chains.shape,
+            chains.drive[share] if chains.driven else chains.drive, chains.knots[share], chains.pieces[share],
+            *self._by(share),
         )  # fmt: skip
 
     @property
