@@ -21,7 +21,7 @@ from .stiffness import GENTLE, largest_strain, stiffest_frequency
 ORDER_THROUGH_OPENINGS = 2.5
 CHOICE = ("rkn4", "rkn6")  # of which the cheaper one is taken, if none is asked for
 LONGEST = 0.45  # of the stability limit: the longest step that is proposed
-STRONGER = 30.0  # times the error, and its estimate, where contacts may open
+STRONGER = 150.0  # times the error, and its estimate, where contacts may open
 LONGEST_S = 3e8  # ten years
 
 
