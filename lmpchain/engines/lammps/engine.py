@@ -23,7 +23,6 @@ from ..native.engine import Native
 from ..pace import Pace
 from ..splittings import SPLITTINGS
 from ..stepping import SteppedEngine
-from ..stiffness import stiffest_frequency
 from . import deck
 from .column import PAIR_STYLES, Column
 from .stepper import LammpsStepper, word
@@ -174,7 +173,7 @@ class Lammps(SteppedEngine):
         column = Column(scene, gauge, self.pair_style)
         walk = ROUNDING * np.spacing(np.abs(column.heights).max()) * math.sqrt(steps * self.splitting.evaluations)
         u, v = np.where(peaks > 0, peaks, np.inf)
-        return float(max(walk / u, walk * stiffest_frequency(scene) / v))
+        return float(max(walk / u, walk * scene.highest_frequency / v))
 
     def refine(self, candidate: Candidate, error: SolverError | None, tolerance: float) -> Candidate | None:
         """Shorten the step; or, if round-off was the limit, take the gauge diameter."""

@@ -8,7 +8,6 @@ import numpy as np
 
 from ...fields import Array
 from ...scene import Scene
-from ..stiffness import largest_strain, stiffest_frequency
 from .forces import CORRECTED, FORMS, LOOSE_POWER, POLYNOMIAL, POWER, ROOTS, SPRING
 from .kernels import PAD
 
@@ -40,7 +39,7 @@ class Chains:
         How grain 1 is moved, if it is.
     """
 
-    def __init__(self, scenes: Sequence[Scene], force: str):
+    def __init__(self, scenes: Sequence[Scene], force: str = "auto"):
         chains = [scene.chain for scene in scenes]
         self.scenes, self.grains = scenes, chains[0].grains
         self.driven = scenes[0].drive is not None
@@ -64,7 +63,7 @@ class Chains:
         self.forms = np.array([force_form(scene, force) for scene in scenes])
         self.shape = series(chains[0].exponent)
         self.drive, self.knots, self.pieces = self._drives()
-        self.omega = np.array([stiffest_frequency(scene) for scene in scenes])
+        self.omega = np.array([scene.highest_frequency for scene in scenes])
         imposed = np.array([[np.abs(x).max() for x in scene.excitation.largest(scene.chain)] for scene in scenes])
         speed = np.maximum(imposed[:, 1], imposed[:, 0] * self.omega)
         self.scale = np.stack([speed / self.omega, speed], axis=1)
@@ -132,7 +131,7 @@ def force_form(scene: Scene, force: str = "auto") -> int:
         return SPRING
     if not scene.chain.compressed:
         return LOOSE_POWER if roots is None else roots
-    if force == "auto" and largest_strain(scene) < weakest(exponent):
+    if force == "auto" and scene.largest_strain < weakest(exponent):
         return POLYNOMIAL
     if roots is not None and (force == "plain" or (force == "auto" and scene.strike_number > STRONG)):
         return roots

@@ -16,9 +16,8 @@ from ..lockstep import native_floor
 from ..methods import METHODS, DormandPrince, Method
 from ..pace import Pace
 from ..splittings import Splitting
-from ..stepping import SteppedEngine
-from ..stiffness import GENTLE, largest_strain
-from .chains import FORCES, force_form, name_of
+from ..stepping import GENTLE, SteppedEngine
+from .chains import FORCES, Chains, force_form, name_of
 from .stepper import NativeStepper
 
 
@@ -83,7 +82,7 @@ class Native(SteppedEngine):
                     'use a higher order (integrator "rkn6") or less accuracy'
                 )
             adapts, splits = isinstance(method, DormandPrince), isinstance(method, Splitting)
-            varies = adapts or (splits and method.order > 2 and largest_strain(scene) > GENTLE)
+            varies = adapts or (splits and method.order > 2 and scene.largest_strain > GENTLE)
             candidate = replace(candidate, graded=self.graded and varies)
         return replace(candidate, choices={"force": name_of(force_form(scene, self.force))})
 
@@ -91,7 +90,7 @@ class Native(SteppedEngine):
         self, scenes: Sequence[Scene], candidate: Candidate, pace: Pace, state: Mapping[str, Array]
     ) -> NativeStepper:
         """Make the stepper of the answer."""
-        return NativeStepper(scenes, METHODS[candidate.integrator], pace, state, self.threads, self.force)
+        return NativeStepper(Chains(scenes, self.force), METHODS[candidate.integrator], pace, state, self.threads)
 
     def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
         """Return the form of the force and the version of the compiler."""

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 
 from ...fields import Array
-from ...scene import Scene
 from ..methods import DormandPrince, Gear, Method
 from ..pace import Pace
 from ..splittings import Splitting
@@ -29,28 +28,25 @@ class NativeStepper:
 
     Parameters
     ----------
-    scenes : sequence of R scenes
+    chains : Chains
     method : Method
     pace : Pace
     state : mapping
         Empty, or what `state` returned.
     threads : int
-    force : str
-        Which form of the force; see `chains.force_form`.
     """
 
     ranks = 1
 
     def __init__(
         self,
-        scenes: Sequence[Scene],
+        chains: Chains,
         method: Method,
         pace: Pace,
         state: Mapping[str, Array],
         threads: int = 1,
-        force: str = "auto",
     ):
-        chains = self._chains = Chains(scenes, force)
+        self.chains, scenes = chains, chains.scenes
         shares = min(threads, len(scenes))
         self._shares = [slice(i * len(scenes) // shares, (i + 1) * len(scenes) // shares) for i in range(shares)]
         self._pool = ThreadPoolExecutor(shares) if shares > 1 else None
@@ -72,7 +68,7 @@ class NativeStepper:
 
     def _plan(self, method: Method, pace: Pace) -> tuple[Callable[..., int], Callable[[slice], tuple[Array, ...]]]:
         """Return the compiled loop of a method, and what it takes beside the chains."""
-        scene, chains = self._chains.scenes[0], self._chains
+        scene, chains = self.chains.scenes[0], self.chains
         final = scene.samples - 1
         interval = scene.duration / final
         clock = np.array([interval, pace.steps, pace.stride, final])
@@ -101,7 +97,7 @@ class NativeStepper:
         if self._x.shape[1] <= SHORT:
             return np.array([PAD]), np.array([self._x.shape[1] - PAD])
         moves = (self._x != 0) | (self._v != 0)
-        if self._chains.driven:
+        if self.chains.driven:
             moves[:, PAD] = True
         first = np.where(moves.any(1), moves.argmax(1), PAD)
         last = moves.shape[1] - np.where(moves.any(1), moves[:, ::-1].argmax(1), moves.shape[1] - PAD)
@@ -118,7 +114,7 @@ class NativeStepper:
 
     def _of(self, share: slice) -> tuple[Any, ...]:
         """Return what the compiled loop takes of some of the chains."""
-        chains = self._chains
+        chains = self.chains
         return (
             self._x[share], self._v[share], self._memo[share], chains.table[share], chains.loose[share],
             chains.scale[share], chains.forms[share], chains.base, chains.shape,
@@ -138,7 +134,7 @@ class NativeStepper:
 
     def lowest(self) -> Array:
         """Return the smallest r / eps that any contact of each chain has had, (R,); -1 is an opening."""
-        opens = (self._chains.loose > 0) | (self._chains.base == 0)
+        opens = (self.chains.loose > 0) | (self.chains.base == 0)
         return np.where(opens, -1.0, self._memo[:, kernels.LOWEST])
 
     def closest(self) -> Array:
@@ -147,7 +143,7 @@ class NativeStepper:
 
     def state(self) -> dict[str, Array]:
         """Return what is needed to go on with the same bits."""
-        inside = slice(PAD, PAD + self._chains.grains)
+        inside = slice(PAD, PAD + self.chains.grains)
         kept = {"u": self._x[:, inside], "v": self._v[:, inside], "memo": self._memo, "extra": self._extra}
         return {name: array.copy() for name, array in kept.items()}
 
