@@ -29,12 +29,12 @@ if TYPE_CHECKING:
     from .materials import STEEL as STEEL
     from .materials import TUNGSTEN_CARBIDE as TUNGSTEN_CARBIDE
     from .materials import Material as Material
+    from .runs.stopping import Stopped as Stopped
     from .scene import Scene as Scene
     from .simulation import resume as resume
     from .simulation import simulate as simulate
-    from .stopping import Stopped as Stopped
-    from .sweepresults import load_sweep as load_sweep
-    from .sweeps import sweep as sweep
+    from .sweeps.results import load_sweep as load_sweep
+    from .sweeps.sweeping import sweep as sweep
     from .trajectory import Trajectory as Trajectory
     from .workprecision import work_precision as work_precision
 
@@ -44,9 +44,9 @@ _WHERE = {
     "excitation": "Impulse Displacement Profile Drive",
     "scene": "Scene",
     "simulation": "simulate resume",
-    "stopping": "Stopped",
-    "sweeps": "sweep",
-    "sweepresults": "load_sweep",
+    "runs.stopping": "Stopped",
+    "sweeps.sweeping": "sweep",
+    "sweeps.results": "load_sweep",
     "trajectory": "Trajectory",
     "workprecision": "work_precision",
     "doctor": "diagnose",

@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
 from . import commands, mpi
-from .commands import complain
+from .commands.common import complain
 from .errors import InputError, LmpchainError
 
 
@@ -82,7 +82,7 @@ def _main(argv: Sequence[str] | None) -> int:
 
 def _kept(arguments: argparse.Namespace) -> str:
     """Say what is left of a command that was stopped."""
-    from .tasks import is_run, resume_command
+    from .runs.tasks import is_run, resume_command
 
     folder = commands.run_folder(arguments)
     if folder and is_run(folder):

@@ -17,12 +17,12 @@ from .engines.base import Block, Engine, Run
 from .errors import InputError, ToleranceNotMet, check_tolerance
 from .fields import Array
 from .provenance import versions
+from .runs.tasks import Task
 from .scene import Scene
-from .tasks import Task
 from .trajectory import ErrorEstimate, Trajectory
 
 if TYPE_CHECKING:
-    from .runfolder import RunFolder
+    from .runs.folder import RunFolder
 
 GLANCE_S = 2.0  # between two looks at the error for the progress bar
 
@@ -53,7 +53,7 @@ def simulate(
     progress : bool
         Whether to show a progress bar.
     folder : path, optional
-        Run folder to make, see `lmpchain.runfolder`: samples go to the disk as they come, the arrays of the
+        Run folder to make, see `lmpchain.runs.folder`: samples go to the disk as they come, the arrays of the
         trajectory stay there, and after a stop of any kind `resume` goes on.
     max_wall : float, optional
         Time after which a run in a folder stops, s.
@@ -95,8 +95,8 @@ def simulate(
         if max_wall is not None:
             raise InputError([("max_wall", "goes with a run folder, which keeps what is done; name one")])
         return _judged(task, *_answer(task, _Memory(task), progress))
-    from .runfolder import RunFolder
-    from .stopping import Requests
+    from .runs.folder import RunFolder
+    from .runs.stopping import Requests
 
     with RunFolder(folder, Requests(max_wall), task) as output:
         answer = _answer(task, output, progress)
@@ -124,8 +124,8 @@ def resume(folder: str | PathLike[str], *, max_wall: float | None = None, progre
     LmpchainError
         As for `simulate`.
     """
-    from .runfolder import RunFolder, status
-    from .stopping import Requests
+    from .runs.folder import RunFolder, status
+    from .runs.stopping import Requests
 
     found = status(folder)
     if found["state"] == "finished":

@@ -145,7 +145,7 @@ class Trajectory:
         (number of the grain), radius in m, and displacement in m, from equilibrium and positive downward; every number
         is written with all its digits. Nothing stands under the name until the file is whole.
         """
-        from .extxyz import write
+        from .formats.extxyz import write
 
         write(self, path)
 
@@ -169,7 +169,7 @@ class Trajectory:
         >>> bool(peak == t.velocity[:, :5].max())
         True
         """
-        from .universe import universe
+        from .formats.universe import universe
 
         return universe(self)
 
@@ -201,7 +201,7 @@ class Trajectory:
         InputError
             If it cannot be read, or is not of this scene.
         """
-        from .dumps import read
+        from .formats.dumps import read
 
         return read(path, scene, equilibrium)
 
@@ -214,8 +214,8 @@ class Trajectory:
         """
         import xarray
 
+        from .runs.store import NAME, OnDisk, open_dataset
         from .scenefile import loads
-        from .store import NAME, OnDisk, open_dataset
 
         path = Path(path)
         folder = path.is_dir()

@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 from lmpchain import Scene, Trajectory, mpi
-from lmpchain.runfolder import status
+from lmpchain.runs.folder import status
 
 COMMAND = [sys.executable, "-m", "lmpchain.cli"]
 

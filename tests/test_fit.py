@@ -532,7 +532,8 @@ def test_a_dump_is_read_as_mdanalysis_gives_it(dumped: tuple[Path, Path], tmp_pa
     assert np.array_equal(t.velocity, v)
     assert (t.engine, t.equation, t.error_estimate.total) == ("lammps", 1, math.inf)
     native = simulate(scene, "native", 1e-9)
-    assert np.abs(t.displacement - native.displacement).max() < 1e-5 * np.abs(native.displacement).max()
+    far = 2e-5  # heights lose digits: the deck says that it expects 5e-5
+    assert np.abs(t.displacement - native.displacement).max() < far * np.abs(native.displacement).max()
     t.save(tmp_path / "run.nc")
     assert Trajectory.load(tmp_path / "run.nc") == t
     side = compare([t, native], reference(scene))

@@ -14,7 +14,7 @@ from runs import finish, same, start, write
 from scenes import paper
 
 from lmpchain import Chain, Drive, Impulse, InputError, Scene, Stopped, Trajectory, engines, resume, simulate
-from lmpchain.runfolder import status
+from lmpchain.runs.folder import status
 
 CHAIN = Chain(grains=200, diameter=1e-3)
 STRIKE = Impulse(velocity=8.57e-3)

@@ -21,7 +21,7 @@ from scenes import paper
 import lmpchain
 from lmpchain import Chain, Impulse, InputError, Profile, Scene, Stopped, ToleranceNotMet, Trajectory, resume, simulate
 from lmpchain.cli import main
-from lmpchain.runfolder import status
+from lmpchain.runs.folder import status
 
 SCENE = Scene(
     chain=Chain(grains=30, diameter=1e-3),

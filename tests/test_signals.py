@@ -15,7 +15,7 @@ from runs import COMMAND, at_work, finish, processes, start, write
 
 from lmpchain import Chain, Impulse, Scene, Stopped, Trajectory, simulate
 from lmpchain.cli import main
-from lmpchain.runfolder import status
+from lmpchain.runs.folder import status
 
 ENDLESS = Scene(
     chain=Chain(grains=500, diameter=1e-3), excitation=Impulse(velocity=8.57e-3), duration=1.0, samples=20001
@@ -93,8 +93,8 @@ def test_a_signal_in_python_is_passed_on(tmp_path: Path):
         "try:\n"
         "    lmpchain.simulate(lmpchain.Scene.from_toml(sys.argv[1]), 'native', folder=sys.argv[2], step=1e-6)\n"
         "except KeyboardInterrupt:\n"
-        "    print(lmpchain.runfolder.status(sys.argv[2])['state'])\n"
-    ).replace("lmpchain, sys", "lmpchain, lmpchain.runfolder, sys")
+        "    print(lmpchain.runs.folder.status(sys.argv[2])['state'])\n"
+    ).replace("lmpchain, sys", "lmpchain, lmpchain.runs.folder, sys")
     words = [COMMAND[0], "-c", script, str(write(ENDLESS, tmp_path)), str(tmp_path / "run")]
     process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
     at_work(tmp_path / "run", process)

@@ -25,7 +25,7 @@ from lmpchain.cli import main
 from lmpchain.disorder import realisation
 from lmpchain.measure.contact import wall_force
 from lmpchain.measure.front import track
-from lmpchain.processes import Processes
+from lmpchain.sweeps.processes import Processes
 
 SCENES = Path(__file__).parents[1] / "analysis" / "scenes"
 SHORT: dict[str, Any] = {
@@ -414,7 +414,7 @@ def test_processes_end_in_the_middle_of_a_task(how):
     """With the pool, and with the process that has the pool, however that ends."""
     script = (
         "import os, sys, time\n"
-        "from lmpchain.processes import Processes\n"
+        "from lmpchain.sweeps.processes import Processes\n"
         "pool = Processes(1)\n"
         "print(pool.submit(os.getpid).result(), flush=True)\n"
         "pool.submit(time.sleep, 600)\n"

@@ -21,8 +21,8 @@ from lmpchain.cli import main
 from lmpchain.engines.methods import METHODS
 from lmpchain.plotting import figure, save
 from lmpchain.reference import reference
-from lmpchain.workbench import Bench
 from lmpchain.workprecision import front, time_to, work_precision
+from lmpchain.workprecision.bench import Bench
 
 SCRIPT = Path(__file__).parents[1] / "analysis" / "work_precision.py"
 SCENE = smooth()

@@ -21,6 +21,7 @@ ORDER_THROUGH_OPENINGS = 2.5
 CHOICE = ("rkn4", "rkn6")  # of which the cheaper one is taken, if none is asked for
 LONGEST = 0.45  # of the stability limit: the longest step that is proposed
 GENTLE = 0.3  # strain below which no contact comes near to opening
+STRONGER = 30.0  # times the error, where contacts may open
 LONGEST_S = 3e8  # ten years
 
 
@@ -30,6 +31,7 @@ class SteppedEngine(Engine):
     integrators: ClassVar[tuple[str, ...]]
     seconds_per_grain_step: float
     cuts: bool = True  # whether grains outside of the light cone are left out
+    graded: bool = False  # whether steps shorten where contacts open, if the method allows
 
     def __init__(self, integrator: str, step: float | None):
         if integrator not in self.integrators:
@@ -64,7 +66,7 @@ class SteppedEngine(Engine):
         omega = scene.highest_frequency
         expected = method.error_constant * max(1.0, omega * scene.duration / 60)  # phases drift apart with time
         if scene.largest_strain > GENTLE:
-            expected *= harder(scene.largest_strain, method.order)
+            expected *= harder(scene.largest_strain, method.order) if self.graded and method.order > 2 else STRONGER
         reach = (tolerance / SAFETY / expected) ** (1 / method.order)
         return self._at(scene, method, math.ceil(interval * omega / min(reach, LONGEST * limit)), tolerance)
 
@@ -123,7 +125,7 @@ class SteppedEngine(Engine):
 
 
 def harder(strain: float, order: int) -> float:
-    """Return how many times larger the estimated error is at the same step where contacts may open.
+    """Return how many times larger the estimated error is where contacts may open and steps are graded there.
 
     Measured on 250 random scenes, so that nine in ten of them meet their tolerance at the first try.
     """

@@ -22,16 +22,16 @@ from typing import Any
 
 import numpy as np
 
-from . import engines
-from .disorder import ENGINES
-from .engines.attempts import STALLS
-from .engines.base import Candidate, Engine, SolverError
-from .errors import InputError, LmpchainError, RunFailed, ToleranceNotMet
+from .. import engines
+from ..disorder import ENGINES
+from ..engines.attempts import STALLS
+from ..engines.base import Candidate, Engine, SolverError
+from ..errors import InputError, LmpchainError, RunFailed, ToleranceNotMet
+from ..scene import Scene
+from ..simulation import simulate
+from ..trajectory import ErrorEstimate, Trajectory
+from .file import name_of, scene_of
 from .quantities import QUANTITIES
-from .scene import Scene
-from .simulation import simulate
-from .sweepfile import name_of, scene_of
-from .trajectory import ErrorEstimate, Trajectory
 
 MOST, MOST_NUMBERS = 64, 2**20  # scenes in a task, and their samples x grains
 

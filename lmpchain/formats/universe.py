@@ -10,7 +10,7 @@ from MDAnalysis.coordinates.base import ProtoReader
 from MDAnalysis.coordinates.timestep import Timestep
 
 if TYPE_CHECKING:
-    from .trajectory import Trajectory
+    from ..trajectory import Trajectory
 
 
 class SampleReader(ProtoReader):

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .fields import Array
-from .trajectory import Trajectory
+from ..fields import Array
+from ..trajectory import Trajectory
 
 
 class Quantity(NamedTuple):
@@ -21,7 +21,7 @@ class Quantity(NamedTuple):
 
 
 def _arrival_time(trajectory: Trajectory) -> Array:
-    from .measure.front import track
+    from ..measure.front import track
 
     front = track(trajectory)
     times = dict(zip(front.grain.tolist(), front.time, strict=True))
@@ -29,7 +29,7 @@ def _arrival_time(trajectory: Trajectory) -> Array:
 
 
 def _wall_force(trajectory: Trajectory) -> Array:
-    from .measure.contact import wall_force
+    from ..measure.contact import wall_force
 
     return wall_force(trajectory).max()
 

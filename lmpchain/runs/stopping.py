@@ -8,7 +8,7 @@ import threading
 import time
 from typing import Any
 
-from .errors import InputError, LmpchainError
+from ..errors import InputError, LmpchainError
 
 NAMES = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "SIGTERM"}
 

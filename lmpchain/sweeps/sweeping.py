@@ -20,12 +20,12 @@ from typing import TYPE_CHECKING, Any
 
 from filelock import FileLock, Timeout
 
-from .errors import InputError
-from .files import make_folder, write_aside
+from ..errors import InputError
+from ..files import make_folder, write_aside
+from .file import Sweep, name_of, plain, read
 from .processes import Here, Processes
-from .sweepfile import Sweep, name_of, plain, read
-from .sweepresults import FORMAT, load_sweep
-from .sweepwork import Task, answer, together
+from .results import FORMAT, load_sweep
+from .work import Task, answer, together
 
 if TYPE_CHECKING:
     import xarray

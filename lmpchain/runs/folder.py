@@ -1,13 +1,13 @@
 """A run folder: what was asked for, what is done so far, and all that is needed to go on with the same bits.
 
 scene.toml, run.json
-    The task (`lmpchain.tasks`), and every session that worked on it: command, host, versions.
+    The task (`lmpchain.runs.tasks`), and every session that worked on it: command, host, versions.
 status.json
     Running, stopped, finished or failed, why, and how far.
 trajectory.zarr
-    The samples (`lmpchain.store`); any Zarr reader opens it, also while the run goes on.
+    The samples (`lmpchain.runs.store`); any Zarr reader opens it, also while the run goes on.
 checkpoint, checkpoint-before
-    `lmpchain.checkpoints`.
+    `lmpchain.runs.checkpoints`.
 deck
     Of a run in LAMMPS: input that `lmp` runs by itself.
 SHA256SUMS
@@ -30,16 +30,16 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from ..engines.attempts import Attempt, Outcome
+from ..engines.base import Block, Candidate, Cost, Run
+from ..errors import InputError, LmpchainError
+from ..fields import Array
+from ..files import make_folder, replacing
+from ..provenance import checksums, now, versions
+from ..trajectory import ErrorEstimate, Trajectory, subject
 from . import checkpoints, store, tasks
-from .engines.attempts import Attempt, Outcome
-from .engines.base import Block, Candidate, Cost, Run
-from .errors import InputError, LmpchainError
-from .fields import Array
-from .files import make_folder, replacing
-from .provenance import checksums, now, versions
 from .stopping import Requests, Stopped
 from .tasks import LOCK, STATUS, Task, resume_command
-from .trajectory import ErrorEstimate, Trajectory, subject
 
 SUMS, DECK = "SHA256SUMS", "deck"
 SHARE = 0.01  # of the time that checkpoints may take
@@ -175,8 +175,8 @@ class RunFolder:
         engine: Any = self.task.engine
         if engine.name != "lammps":
             return
-        from .engines.lammps.deck import carries
-        from .engines.lammps.export import write_deck
+        from ..engines.lammps.deck import carries
+        from ..engines.lammps.export import write_deck
 
         splitting, driven = engine.splitting, self.task.scene.drive is not None
         same = carries(splitting) and not (driven and splitting.order > 2)

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .fields import Array
-from .files import replacing
+from ..fields import Array
+from ..files import replacing
 
 NAMES = ("checkpoint", "checkpoint-before")
 STATE = "state."  # before the names of the arrays of a state, so that they never meet another

@@ -14,15 +14,15 @@ from typing import Any
 
 import numpy as np
 
-from . import engines
-from .draws import Law, Of, realisation
-from .errors import InputError, check_tolerance
-from .fields import Checked, Positive, Whole
-from .materials import MATERIALS
+from .. import engines
+from ..draws import Law, Of, realisation
+from ..errors import InputError, check_tolerance
+from ..fields import Checked, Positive, Whole
+from ..materials import MATERIALS
+from ..scene import Scene
+from ..scenefile import SECTIONS, _parse, from_dict, to_dict
+from .axes import MAKERS, Axis, Seed, axes
 from .quantities import QUANTITIES
-from .scene import Scene
-from .scenefile import SECTIONS, _parse, from_dict, to_dict
-from .sweepaxes import MAKERS, Axis, Seed, axes
 
 KEYS = ("scene", "engine", "tolerance", "keep", *MAKERS)
 WHOLE = ["displacement", "velocity"]

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 
-from .engines.base import Block, Cost
-from .fields import Array
-from .scene import Scene
-from .trajectory import FIELDS, LABELS, ErrorEstimate, verdict
+from ..engines.base import Block, Cost
+from ..fields import Array
+from ..scene import Scene
+from ..trajectory import FIELDS, LABELS, ErrorEstimate, verdict
 
 if TYPE_CHECKING:
     import xarray

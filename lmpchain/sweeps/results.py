@@ -13,8 +13,8 @@ import xarray
 from xarray.backends import BackendArray
 from xarray.core import indexing
 
-from .errors import InputError
-from .fields import Array
+from ..errors import InputError
+from ..fields import Array
 from .quantities import QUANTITIES
 
 FORMAT = 1

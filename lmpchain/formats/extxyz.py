@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .files import write_aside
+from ..files import write_aside
 
 if TYPE_CHECKING:
-    from .trajectory import Trajectory
+    from ..trajectory import Trajectory
 
 PROPERTIES = "species:S:1:pos:R:3:velo:R:3:id:I:1:radius:R:1:displacement:R:1"
 

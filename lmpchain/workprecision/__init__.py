@@ -12,13 +12,13 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from . import engines
-from .engines.methods import METHODS
-from .engines.stepping import SteppedEngine
-from .errors import EngineUnavailable, InputError
-from .reference import Reference, expected_seconds, reference
-from .scene import Scene
-from .workbench import Bench, Point
+from .. import engines
+from ..engines.methods import METHODS
+from ..engines.stepping import SteppedEngine
+from ..errors import EngineUnavailable, InputError
+from ..reference import Reference, expected_seconds, reference
+from ..scene import Scene
+from .bench import Bench, Point
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -120,7 +120,7 @@ class WorkPrecision:
         others : sequence of mappings
             Points of other codes: code, error, seconds, force_evaluations (or None).
         """
-        from .workchart import draw
+        from .chart import draw
 
         return draw(self, axes, others)
 

@@ -11,12 +11,12 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from . import engines, mpi, scenefile
-from .engines.base import Engine
-from .errors import InputError
-from .files import replacing
-from .provenance import session
-from .scene import Scene
+from .. import engines, mpi, scenefile
+from ..engines.base import Engine
+from ..errors import InputError
+from ..files import replacing
+from ..provenance import session
+from ..scene import Scene
 
 SCENE, RUN, STATUS, LOCK = "scene.toml", "run.json", "status.json", ".lock"
 

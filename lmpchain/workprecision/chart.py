@@ -7,11 +7,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
-from .excitation import Impulse
-from .plotting import MARKERS, figure
-from .scene import Scene
-from .workbench import KNOWN
-from .workprecision import WITHOUT, Curve, WorkPrecision, front, machine
+from ..excitation import Impulse
+from ..plotting import MARKERS, figure
+from ..scene import Scene
+from . import WITHOUT, Curve, WorkPrecision, front, machine
+from .bench import KNOWN
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,9 +11,9 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from .errors import InputError
-from .fields import Checked, Real, Whole
-from .scenefile import SECTIONS
+from ..errors import InputError
+from ..fields import Checked, Real, Whole
+from ..scenefile import SECTIONS
 
 MOST = 10**6  # scenes in a sweep
 Count = Annotated[Whole, Field(ge=1, le=MOST)]

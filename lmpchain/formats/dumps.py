@@ -12,13 +12,13 @@ from typing import IO, TYPE_CHECKING
 
 import numpy as np
 
-from .engines.base import Cost
-from .errors import InputError
-from .fields import Array
-from .scene import Scene
+from ..engines.base import Cost
+from ..errors import InputError
+from ..fields import Array
+from ..scene import Scene
 
 if TYPE_CHECKING:
-    from .trajectory import Trajectory
+    from ..trajectory import Trajectory
 
 BEGIN = b"ITEM: TIMESTEP"
 HEADER = 9  # lines above the atoms of a frame
@@ -48,7 +48,7 @@ def read(path: str | PathLike[str], scene: Scene, equilibrium: Sequence[float] |
     InputError
         If it cannot be read, or is not of this scene.
     """
-    from .trajectory import ErrorEstimate, Trajectory
+    from ..trajectory import ErrorEstimate, Trajectory
 
     path = Path(path)
     name, chain = str(path), scene.chain

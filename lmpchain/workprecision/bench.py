@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from . import engines
-from .engines.base import Cost, Engine
-from .errors import InputError, RunFailed, ToleranceNotMet
-from .measure.compare import Row, compare
-from .reference import Reference
-from .scene import Scene
-from .simulation import simulate
-from .trajectory import Trajectory
+from .. import engines
+from ..engines.base import Cost, Engine
+from ..errors import InputError, RunFailed, ToleranceNotMet
+from ..measure.compare import Row, compare
+from ..reference import Reference
+from ..scene import Scene
+from ..simulation import simulate
+from ..trajectory import Trajectory
 
 KNOWN = 10.0  # times the error of the reference: smaller errors are not known well enough
 DENSITY = math.sqrt(2)  # between the steps of neighbouring points

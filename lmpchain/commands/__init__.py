@@ -1,0 +1,7 @@
+"""What the commands of the command line do, one function a verb."""
+
+from .comparing import compare, doctor, workprec
+from .reading import dyson, fit, report
+from .running import deck, resume, run, run_folder, sweep
+
+__all__ = ["compare", "deck", "doctor", "dyson", "fit", "report", "resume", "run", "run_folder", "sweep", "workprec"]

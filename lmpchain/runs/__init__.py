@@ -1,0 +1,1 @@
+"""Run folders: a run on the disk that survives what happens to machines."""
