@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mmap
 import time
 import warnings
 from collections.abc import Generator, Iterable, Mapping
@@ -182,16 +183,18 @@ class _Memory:
     def collect(self, _: Run, blocks: Iterable[Block]) -> tuple[Array, Array]:
         """Return displacement and velocity, (T, G) m and m/s."""
         shape = (self._task.scene.samples, self._task.scene.recorded.size)
-        try:
-            displacement, velocity = np.zeros(shape), np.zeros(shape)
-        except (MemoryError, ValueError):
-            need = f"{16e-9 * shape[0] * shape[1]:.3g} GB do not fit"
-            cure = "record fewer samples or grains, or let a run folder hold them on the disk"
-            raise InputError([("samples", f"{need}: {cure}")]) from None
+        u = v = np.empty(0)
         for block in blocks:
-            displacement[block.samples, block.columns] = block.displacement[0]
-            velocity[block.samples, block.columns] = block.velocity[0]
-        return displacement, velocity
+            if not u.size:
+                try:
+                    u, v = (_zeros(shape, block.displacement.shape[2]) for _ in range(2))
+                except (MemoryError, ValueError, OSError):
+                    need = f"{16e-9 * shape[0] * shape[1]:.3g} GB do not fit"
+                    cure = "record fewer samples or grains, or let a run folder hold them on the disk"
+                    raise InputError([("samples", f"{need}: {cure}")]) from None
+            u[block.samples, block.columns] = block.displacement[0]
+            v[block.samples, block.columns] = block.velocity[0]
+        return u, v
 
     def finish(self, outcome: Outcome[tuple[Array, Array]]) -> Trajectory:
         """Return the answer."""
@@ -209,6 +212,16 @@ class _Memory:
             cost=outcome.cost,
             provenance=versions() | engine.describe(scene, outcome.candidate),
         )
+
+
+def _zeros(shape: tuple[int, int], moving: int) -> Array:
+    """Return zeros; where few columns are moving, these alone take memory: in small pages, not in huge ones."""
+    if 2 * moving > shape[1] or shape[1] < mmap.PAGESIZE:
+        return np.zeros(shape)
+    pages = mmap.mmap(-1, 8 * shape[0] * shape[1])
+    if hasattr(mmap, "MADV_NOHUGEPAGE"):
+        pages.madvise(mmap.MADV_NOHUGEPAGE)
+    return np.frombuffer(pages).reshape(shape)
 
 
 def _shown(run: Run, name: str, samples: int, done: int, progress: bool) -> Generator[Block, None, None]:
