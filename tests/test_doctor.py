@@ -70,7 +70,7 @@ def test_what_is_said_is_so():
     )
     assert Path(found["libmpi"]).name.startswith("libmpi.so")
     assert found["mpiexec"].startswith(mpi.launcher())
-    assert list(Path(found["numba cache"]).glob("kernels.advance-*.nbi"))
+    assert list(Path(found["numba cache"]).glob("kernels.march-*.nbi"))
     for engine in ("native", "lammps"):
         assert 0 < float(re.match(r"error (\S+)", found[f"{engine} engine"])[1]) < 1e-6  # type: ignore[index]
 

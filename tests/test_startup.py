@@ -132,7 +132,8 @@ def test_without_a_folder_to_keep_it_every_process_compiles(toy: Path):
     (toy / "__pycache__").write_text("a file")
     (toy / "home").write_text("another")
     for _ in range(2):
-        said = play(toy, HOME=str(toy / "home"), XDG_CACHE_HOME=str(toy / "home"))
+        nowhere = str(toy / "home")
+        said = play(toy, HOME=nowhere, XDG_CACHE_HOME=nowhere, NUMBA_CACHE_DIR="")
         assert "compiling the toys, in every process, for there is no folder to keep it in" in said
         assert said.count("\n") == 2
 

@@ -103,11 +103,7 @@ class SteppedEngine(Engine):
         self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array] | None = None
     ) -> LockstepRun:
         """Start one scene, or a batch of scenes that differ in numbers only."""
-        kinds = {
-            (c.grains, c.top, c.bottom, c.exponent, c.compressed, s.drive is None, s.samples, s.duration, s.grains)
-            for s, c in ((s, s.chain) for s in scenes)
-        }
-        if len(kinds) != 1:
+        if len({kind(scene) for scene in scenes}) != 1:
             raise ValueError("a batch needs chains of one kind and length, recorded alike")
         if len(scenes) > 1:  # each would have a light cone of its own
             candidate = replace(candidate, first_grain=1, active_grains=scenes[0].chain.grains)
@@ -122,6 +118,13 @@ class SteppedEngine(Engine):
             rows,
             columns,
         )
+
+
+def kind(scene: Scene) -> tuple:
+    """Return what the scenes of a batch have in common: the kind of chain, and what is recorded."""
+    chain, driven = scene.chain, scene.drive is not None
+    made = chain.grains, chain.top, chain.bottom, chain.exponent, chain.compressed
+    return *made, driven, scene.samples, scene.duration, scene.grains
 
 
 def harder(strain: float, order: int) -> float:

@@ -26,6 +26,7 @@ from .. import engines
 from ..disorder import ENGINES
 from ..engines.attempts import STALLS
 from ..engines.base import Candidate, Engine, SolverError
+from ..engines.stepping import kind
 from ..errors import InputError, LmpchainError, RunFailed, ToleranceNotMet
 from ..scene import Scene
 from ..simulation import simulate
@@ -98,7 +99,9 @@ def _in_batches(engine: Engine, scenes: Mapping[str, Scene], tolerance: float) -
     for _ in range(STALLS + 1):  # beyond these, `simulate` may give up
         groups: dict[Any, list[str]] = {}
         for name, candidate in left.items():
-            groups.setdefault(_kind(scenes[name], candidate), []).append(name)
+            steps = candidate.integrator, candidate.steps_per_sample, candidate.step, candidate.graded
+            alike = *kind(scenes[name]), *steps, *candidate.choices.items()
+            groups.setdefault(alike, []).append(name)
         candidates, left = left, {}
         for names in groups.values():
             try:
@@ -111,16 +114,6 @@ def _in_batches(engine: Engine, scenes: Mapping[str, Scene], tolerance: float) -
                 elif better := engine.refine(candidates[name], error, tolerance):
                     left[name] = better
     return found
-
-
-def _kind(scene: Scene, candidate: Candidate) -> tuple:
-    """Return what the scenes of a batch have in common: the kind of chain, the times, the steps."""
-    chain = scene.chain
-    return (
-        *(chain.grains, chain.top, chain.bottom, chain.exponent, chain.compressed, scene.drive is None),
-        *(scene.samples, scene.duration, scene.grains),
-        *(candidate.steps_per_sample, candidate.step, candidate.graded, *candidate.choices.items()),
-    )
 
 
 def _batch(engine: Engine, scenes: Sequence[Scene], candidate: Candidate) -> tuple[list[Trajectory], list[SolverError]]:
