@@ -21,6 +21,7 @@ CROSSING = 0.03  # both leave as little as the other steps do
 
 SHORT = 14 * PAD  # bodies
 ALLOWED = 1e-9  # error of a step of DOP853 for omega h = 1, from which it finds its steps
+LEAST = 2e-18  # of that error: less is round-off, and would stop it
 
 
 class NativeStepper:
@@ -76,7 +77,7 @@ class NativeStepper:
             corrections = np.array(method.corrections)
             return comparisons.march_gear, lambda share: (corrections, self._extra[share], clock)
         if isinstance(method, DormandPrince):
-            allowed = ALLOWED * (pace.step * chains.omega.max()) ** method.order if pace.graded else 0.0
+            allowed = max(LEAST, ALLOWED * (pace.step * chains.omega.max()) ** method.order) if pace.graded else 0.0
             clock = np.array([interval, pace.step, pace.stride, final, allowed, pace.steps])
             return comparisons.march_dop853, lambda _: (*method.tables, clock)
         assert isinstance(method, Splitting)

@@ -1,0 +1,91 @@
+"""Contacts that open and close: steps that shorten there keep the order of the method, and leave no other trace."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from reference import extended_reference, relative_error
+from scenes import paper
+
+from lmpchain import GLASS, Chain, Impulse, Scene, engines, simulate
+from lmpchain.engines import lockstep
+from lmpchain.engines.methods import METHODS
+
+STRONG = Scene(
+    chain=Chain(grains=30, material=GLASS, diameter=1e-3),
+    excitation=Impulse(velocity=8.57e-3),
+    duration=60e-6,
+    samples=2,
+)
+
+
+def slope(errors: list[float], counts: list[int]) -> float:
+    return -float(np.polyfit(np.log(counts), np.log(errors), 1)[0])
+
+
+@pytest.mark.parametrize("integrator", ["rkn4", "kahan-li6"])  # the errors of the others are below what openings leave
+def test_graded_steps_keep_the_order(integrator: str):
+    u, v, own = extended_reference(STRONG)
+    engine = engines.Native(integrator=integrator)
+    proposed = engine.candidate(STRONG, 1e-3)
+    assert proposed.graded
+    counts, errors, lowest = [100, 140, 200, 280, 400, 560, 800], [], 0.0
+    for count in counts:
+        candidate = replace(proposed, steps_per_sample=count, step=STRONG.duration / count)
+        run = engine.start([STRONG], candidate)
+        *_, last = run.blocks()
+        errors.append(relative_error(last.displacement[0], last.velocity[0], u[1:], v[1:]))
+        lowest = min(lowest, *(float(stepper.lowest()[0]) for stepper in run._steppers))
+        run.close()
+    assert lowest < -1, "contacts open"
+    assert min(errors) > 3 * own
+    assert slope(errors, counts) == pytest.approx(METHODS[integrator].order, abs=0.05)
+
+
+def test_steps_of_one_length_do_not():
+    u, v, _ = extended_reference(STRONG)
+    counts, errors = [200, 283, 400, 566, 800, 1131, 1600], []
+    for count in counts:
+        t = simulate(STRONG, "native", integrator="kahan-li6", step=STRONG.duration / count)
+        errors.append(relative_error(t.displacement, t.velocity, u, v))
+    assert slope(errors, counts) < 4
+
+
+@pytest.mark.parametrize("name", ["fig5 g", "fig1"])
+def test_digits_cost_no_more_than_order_6_asks_for(name: str):
+    """The force evaluations grow no faster than tolerance^(-1/6)."""
+    tolerances = 10.0 ** -np.arange(5, 12.5, 0.5)
+    costs = [simulate(paper(name, 2), "native", tolerance=x).cost.force_evaluations for x in tolerances]
+    assert -np.polyfit(np.log(tolerances), np.log(costs), 1)[0] < 1 / 6 + 0.01
+
+
+@pytest.mark.parametrize("name", ["fig5 g", "fig1"])
+def test_the_last_digits_are_reached(name: str):
+    scene = paper(name, 2)
+    u, v, own = extended_reference(scene)
+    t = simulate(scene, "native", tolerance=3e-13)
+    assert relative_error(t.displacement, t.velocity, u, v) < 3e-13 + 3 * own
+
+
+@pytest.mark.parametrize("integrator", ["rkn6", "dop853"])
+def test_a_restart_goes_on_with_the_same_bits(integrator: str, monkeypatch: pytest.MonkeyPatch):
+    """Where the length of steps follows from the motion, too."""
+    scene = paper("fig1", samples=21)
+    engine = engines.Native(integrator=integrator)
+    candidate = engine.candidate(scene, 1e-9)
+    assert candidate.graded
+    whole = engine.start([scene], candidate)
+    truth = np.concatenate([block.velocity for block in whole.blocks()], axis=1)
+    monkeypatch.setattr(lockstep, "BLOCK_BYTES", 1)  # four samples a block
+    monkeypatch.setattr(lockstep, "PIECE_S", 1e-5)
+    pieces, state = [], None
+    while not pieces or pieces[-1].samples.stop < scene.samples:
+        run = engine.start([scene], candidate, state)
+        pieces.append(next(block for block in run.blocks() if block.velocity.size))
+        state = run.state()
+        run.close()
+    assert len(pieces) == 6
+    assert np.array_equal(np.concatenate([block.velocity for block in pieces], axis=1), truth)
+    assert run.errors()[0].total == whole.errors()[0].total
