@@ -22,7 +22,7 @@ from ..scene import Scene
 from .base import Block, Candidate, Cost, Run, SolverError
 from .methods import Method
 from .native.chains import Chains
-from .native.norms import apart, largest
+from .native.norms import compared
 from .native.stepper import NativeStepper
 from .pace import Pace
 
@@ -161,7 +161,7 @@ class LockstepRun(Run):
         began = time.perf_counter()
         count, samples = stop - first, np.arange(first, stop)
         u, v = self._u[0, :, :count], self._v[0, :, :count]
-        peaks, energy = largest(self._u[0], self._v[0], self._masses, count)
+        peaks, energy, differences = compared(self._u, self._v, self._masses, count)
         self.peaks = np.maximum(self.peaks, peaks)
         if not np.isfinite(energy).all():
             raise RunFailed(self._broke_down(first, "positions or velocities are no longer numbers"))
@@ -169,9 +169,7 @@ class LockstepRun(Run):
             raise RunFailed(self._broke_down(first, "the kinetic energy exceeds all the energy there is"))
         for index, right in enumerate(self._steppers[1:]):
             stops = (samples % right.stride == 0) | (samples == self.scene.samples - 1)
-            for column, field in enumerate((self._u, self._v)):
-                difference = apart(field[index], field[index + 1], count)
-                self._differences[index, samples[stops], :, column] = difference[:, stops].T
+            self._differences[index, samples[stops]] = differences[index, stops]
         self._sample = stop - 1
         self._estimate_s += time.perf_counter() - began
         return Block(slice(first, stop), u[:, :, self._rows], v[:, :, self._rows], self._columns)

@@ -39,35 +39,39 @@ def _kinetic(v, masses):
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
-def apart(a: Array, b: Array, count: int) -> Array:
-    """Return the largest difference over the grains in the first samples of two fields (R, B, N), (R, count).
+def compared(u: Array, v: Array, masses: Array, count: int) -> tuple[Array, Array, Array]:
+    """Measure the first samples of an answer and how far others are from it, each from the one before.
 
-    It is NaN where that is no number.
+    Parameters
+    ----------
+    u, v : (S, R, B, N) arrays
+        Fields of S answers of R chains; the first is that in question.
+    masses : (R, N) array
+    count : int
+        Of the B samples.
+
+    Returns
+    -------
+    peaks : (R, 2) array
+        Largest displacement and speed.
+    energy : (R,) array
+        Twice the largest kinetic energy of any sample; infinite if any displacement or velocity is no number.
+    differences : (S-1, count, R, 2) array
+        Largest differences over the grains; no number where that is none.
     """
-    out = np.empty((a.shape[0], count))
-    for real in range(a.shape[0]):
+    others, batch = u.shape[0] - 1, u.shape[1]
+    peaks, energy = np.zeros((batch, 2)), np.zeros(batch)
+    differences = np.empty((others, count, batch, 2))
+    nothing = np.zeros(u.shape[3])
+    for real in range(batch):
         for sample in range(count):
-            x, y = a[real, sample], b[real, sample]
-            out[real, sample] = _farthest(x, y) + 0.0 * _sum(x, y)
-    return out
-
-
-@compiled_once(*NEWS, nogil=True, error_model="numpy")
-def largest(u: Array, v: Array, masses: Array, count: int) -> tuple[Array, Array]:
-    """Return the largest displacement and speed (R, 2) in the first samples of fields (R, B, N), and the energy (R,).
-
-    That is twice the largest kinetic energy of any sample, and no number if any displacement or velocity is none.
-    """
-    peaks, energy = np.zeros((u.shape[0], 2)), np.zeros(u.shape[0])
-    nothing = np.zeros(u.shape[2])
-    for real in range(u.shape[0]):
-        for sample in range(count):
-            x, w = u[real, sample], v[real, sample]
+            x, w = u[0, real, sample], v[0, real, sample]
             peaks[real, 0] = max(peaks[real, 0], _farthest(x, nothing))
             peaks[real, 1] = max(peaks[real, 1], _farthest(w, nothing))
             now = _kinetic(w, masses[real]) + 0.0 * _sum(x, nothing)
-            energy[real] = now if not now <= energy[real] else energy[real]
-            if not np.isfinite(now):
-                energy[real] = np.inf
-                break
-    return peaks, energy
+            energy[real] = max(energy[real], now) if np.isfinite(now) else np.inf
+            for other in range(others):
+                for kind, field in enumerate((u, v)):
+                    a, b = field[other, real, sample], field[other + 1, real, sample]
+                    differences[other, sample, real, kind] = _farthest(a, b) + 0.0 * _sum(a, b)
+    return peaks, energy, differences
