@@ -89,10 +89,12 @@ class Chain(Checked):
         self._leave_open()
         if self._plainly_sound():
             return
-        if not np.isfinite(self.dynamical_matrix()[0]).all():
-            yield "masses", "are too small to compute with: the smallest must be above 1e-300 kg"
-        relative = self.contacts.overlap / self.contact_lengths
-        if relative.max() > LARGEST_OVERLAP:
+        with np.errstate(all="ignore"):  # what is not finite is a fault
+            known = np.isfinite(self.dynamical_matrix()[0]).all() and (self.masses > 0).all()
+            relative = self.contacts.overlap / self.contact_lengths
+        if not known or np.isnan(relative).any():
+            yield "masses", "are too small or too large to compute with, or contacts too hard or too soft: use SI units"
+        elif relative.max() > LARGEST_OVERLAP:
             worst = int(relative.argmax())
             yield (
                 "diameter",
@@ -159,7 +161,8 @@ class Chain(Checked):
         for odd in (None, *self.impurity):
             material = getattr(odd, "material", None) or common.material
             diameter = getattr(odd, "diameter", None) or common.diameter
-            mass = getattr(odd, "mass", None) or material.density * np.pi / 6 * diameter**3
+            with np.errstate(over="ignore"):  # a float of Python would raise
+                mass = getattr(odd, "mass", None) or material.density * np.pi / 6 * np.float64(diameter) ** 3
             kinds.append((material.plane_strain_modulus, diameter, mass))
         return np.array(kinds).T
 

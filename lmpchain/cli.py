@@ -62,7 +62,7 @@ def _main(argv: Sequence[str] | None) -> int:
             return arguments.command(arguments)
     except InputError as error:
         for key, message in error.faults:
-            complain(f"{key}: {message}")
+            complain(f"{key if key.strip() else repr(key)}: {message}")
         return 2
     except LmpchainError as error:
         complain(str(error))
@@ -84,6 +84,8 @@ def _kept(arguments: argparse.Namespace) -> str:
     """Say what is left of a command that was stopped."""
     from .runs.tasks import is_run, resume_command
 
+    if arguments.command is commands.sweep:
+        return f"what is done is kept in {arguments.output}; the same command goes on from there"
     folder = commands.run_folder(arguments)
     if folder and is_run(folder):
         return f"to go on: {resume_command(folder)}"
@@ -107,7 +109,7 @@ def _on_sigterm(handler: Any) -> Any:
 
 
 def _show_warning(message: Warning | str, *_: Any) -> None:
-    print(f"warning: {message}", file=sys.stderr)
+    complain(str(message), "warning")
 
 
 class _Parser(argparse.ArgumentParser):

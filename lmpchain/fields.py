@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from typing import Annotated, Any
 
@@ -68,7 +69,7 @@ def _vector(value: Any) -> Any:
         raise ValueError("must be numbers")
     try:
         array = np.array(value, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ValueError("must be numbers") from None
     if array.ndim != 1 or array.size == 0:
         raise ValueError(f"must be a list of numbers, not of shape {array.shape}")
@@ -92,7 +93,7 @@ def _one_or_many(value: Any) -> Any:
     if isinstance(value, bool | str):
         raise ValueError(f"must be a number or a list of numbers (got {value!r})")
     if isinstance(value, int | float):
-        if not np.isfinite(value) or value <= 0:
+        if not 0 < value <= sys.float_info.max:
             raise ValueError(f"must be a finite number above 0 (got {value!r})")
         return float(value)
     return _positive_vector(value)

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import errno
+import hashlib
 import os
 import secrets
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from .errors import InputError
 
@@ -36,6 +42,18 @@ def _to_disk(path: Path) -> None:
         os.close(descriptor)
 
 
+SEAL = b"lmpchain sha256 "
+
+
+def check_readable(path: Path, largest: int) -> None:
+    """Raise `OSError` unless this is a file, not a folder, a device or a pipe, of at most so many bytes."""
+    about = path.stat()
+    if not stat.S_ISREG(about.st_mode):
+        raise OSError(errno.EINVAL, "is no file, but a folder, a device or a pipe")
+    if about.st_size > largest:
+        raise OSError(errno.EFBIG, f"is larger than {largest / 2**20:.0f} MB")
+
+
 @contextmanager
 def write_aside(path: str | PathLike[str]) -> Iterator[Path]:
     """Do as `replacing` does, for a path that a user gave.
@@ -54,6 +72,21 @@ def write_aside(path: str | PathLike[str]) -> Iterator[Path]:
     except (OSError, RuntimeError) as error:  # HDF5 reports a full disk as either
         reason = getattr(error, "strerror", None) or error
         raise InputError([(str(path), f"cannot be written: {reason}")]) from error
+
+
+def seal(content: Any) -> bytes:
+    """Return what to put at the end of a file, where HDF5 does not look: a hash of what it holds."""
+    return SEAL + hashlib.sha256(content).digest()
+
+
+def check_seal(path: Path) -> None:
+    """Raise `ValueError` if the seal of a file is not its own; HDF5 may search damaged files without end."""
+    if not path.stat().st_size:
+        return
+    content, length = np.memmap(path, np.uint8, "r"), len(seal(b""))
+    end = content[-length:].tobytes()
+    if SEAL in end and end != seal(content[:-length]):
+        raise ValueError("it is not as it was written")
 
 
 def make_folder(path: str | PathLike[str]) -> Path:

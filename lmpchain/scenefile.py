@@ -14,11 +14,12 @@ import numpy as np
 from .chain import Chain, Impurity
 from .errors import InputError
 from .excitation import EXCITATIONS, Excitation, strike_faults
-from .files import write_aside
+from .files import check_readable, write_aside
 from .materials import MATERIALS, Material
 from .scene import Recording, Scene
 
-LARGEST_FILE = 32 * 1024 * 1024
+LARGEST_FILE, LARGEST_TABLE = 2**25, 2**33  # bytes
+LONGEST_LINE = 2**20  # of a table, characters
 SECTIONS = ("chain", "excitation", "recording")
 T = TypeVar("T")
 
@@ -112,22 +113,21 @@ def loads(text: str) -> Scene:
 
 def _parse(path: Path) -> dict[str, Any]:
     name = str(path)
-    if path.is_dir():
-        raise InputError([(name, "is a folder; name a scene file (TOML)")])
     try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise InputError([(name, "is larger than 32 MB, so no scene file; put long profiles in a CSV file")])
+        check_readable(path, LARGEST_FILE)
         return tomllib.loads(path.read_bytes().decode("utf-8"))
     except FileNotFoundError:
         raise InputError([(name, "there is no such file")]) from None
     except OSError as error:
-        raise InputError([(name, f"cannot be read: {error.strerror}")]) from None
+        raise InputError([(name, f"cannot be read: {error.strerror}; name a scene file (TOML)")]) from None
     except UnicodeDecodeError:
         raise InputError([(name, "is not text in UTF-8; a scene file is a TOML text file")]) from None
     except tomllib.TOMLDecodeError as error:
         raise InputError([(name, f"is not valid TOML: {error} (numbers need a digit after the point)")]) from None
     except RecursionError:
         raise InputError([(name, "is not valid TOML: nested too deeply")]) from None
+    except ValueError as error:  # a number of thousands of digits; a name with a null character
+        raise InputError([(name, f"cannot be read: {error}")]) from None
 
 
 def _chain(keys: dict[str, Any], folder: Path) -> Chain:
@@ -162,8 +162,10 @@ def _csv(folder: Path, name: Any, known: Sequence[str]) -> dict[str, Any]:
         raise InputError([("file", "must be the name of a CSV file")])
     path = folder / name
     try:
+        check_readable(path, LARGEST_TABLE)
         with open(path, encoding="utf-8-sig", newline="") as opened:
-            header, *rows = ([cell.strip() for cell in row] for row in csv.reader(opened) if any(row))
+            lines = iter(lambda: opened.readline(LONGEST_LINE), "")
+            header, *rows = ([cell.strip() for cell in row] for row in csv.reader(lines) if any(row))
     except (OSError, ValueError, csv.Error) as error:
         reason = getattr(error, "strerror", None) or "not a table with a header"
         raise InputError([("file", f"{path} cannot be read as CSV: {reason}")]) from None

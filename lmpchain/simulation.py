@@ -100,7 +100,7 @@ def simulate(
     from .runs.stopping import Requests
 
     with RunFolder(folder, Requests(max_wall), task) as output:
-        answer = _answer(task, output, progress)
+        answer = _answer(output.task, output, progress)
     return _judged(task, *answer)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from io import BytesIO
@@ -15,7 +16,7 @@ import numpy as np
 from .engines.base import Cost
 from .errors import InputError
 from .fields import Array
-from .files import write_aside
+from .files import check_seal, seal, write_aside
 from .scene import Scene
 
 if TYPE_CHECKING:
@@ -135,8 +136,8 @@ class Trajectory:
             file.attrs.update(self._attributes())
             for name, (dimensions, values, attributes) in self._variables().items():
                 file.create_variable(name, dimensions, data=values).attrs.update(attributes)
-        with write_aside(path) as aside:
-            aside.write_bytes(memory.getbuffer())
+        with write_aside(path) as aside, open(aside, "wb") as opened:
+            opened.writelines((memory.getbuffer(), seal(memory.getbuffer())))
 
     def to_extxyz(self, path: str | PathLike[str]) -> None:
         """Write extended XYZ for OVITO, ASE and others: one text file, one frame a sample.
@@ -218,12 +219,14 @@ class Trajectory:
         from .scenefile import loads
 
         path = Path(path)
-        folder = path.is_dir()
+        folder = os.path.isdir(path)  # which no name makes raise
         if folder and not (path / NAME).is_dir():
             raise InputError([(str(path), "is a folder without a run in it, or with one that has no samples yet")])
-        if not folder and not path.is_file():
+        if not folder and not os.path.isfile(path):
             raise InputError([(str(path), "there is no such file")])
         try:
+            if not folder:
+                check_seal(path)
             data = open_dataset(path) if folder else xarray.load_dataset(path, engine="h5netcdf", decode_times=False)
             if data.attrs["lmpchain_format"] != FORMAT:
                 raise ValueError("of another version")
@@ -231,6 +234,10 @@ class Trajectory:
             shape = (data.sizes["time"] if folder else scene.samples, scene.recorded.size)
             if any(data[name].shape != shape for name in FIELDS):
                 raise ValueError(f"its arrays are not {shape[0]} samples of {shape[1]} grains")
+            if not (
+                np.array_equal(data["time"], scene.time[: shape[0]]) and np.array_equal(data["grain"], scene.recorded)
+            ):
+                raise ValueError("its times or grains are not those of its scene")
             fields = {name: OnDisk(data[name].variable) if folder else data[name].to_numpy() for name in FIELDS}
             estimate = ErrorEstimate(float(data.attrs["model_error"]), float(data.attrs["solver_error"]))
             return cls(

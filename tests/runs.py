@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from lmpchain import Scene, Trajectory, mpi
@@ -33,6 +34,14 @@ def at_work(folder: Path, process: subprocess.Popen[str]) -> None:
             return
         time.sleep(0.02)
     raise AssertionError("it ended too early")
+
+
+def until(condition: Callable[[], bool], within: float = 60) -> None:
+    """Wait until something is so."""
+    deadline = time.monotonic() + within
+    while not condition():
+        assert time.monotonic() < deadline, "it takes too long"
+        time.sleep(0.02)
 
 
 def same(answer: Trajectory, truth: Trajectory) -> bool:

@@ -1,5 +1,6 @@
 """The figures of the paper: every script runs, draws its picture, and prints the numbers that are known."""
 
+import json
 import re
 import subprocess
 import sys
@@ -118,10 +119,27 @@ def test_figure(script: str, tmp_path: Path):
 def test_every_script_has_its_picture_on_the_page():
     page = (ANALYSIS / "README.md").read_text(encoding="utf-8")
     shown = set(re.findall(r"\]\(pictures/(\w+)\.png\)", page))
-    assert shown == set(KNOWN)
+    drawn = {path.stem for path in (ANALYSIS / "pictures").glob("*.png")} - {"compare"}  # which the README shows
+    assert shown == drawn
+    assert drawn > set(KNOWN) | {"scaling"}
     for name in shown:
         assert (ANALYSIS / "pictures" / f"{name}.png").stat().st_size < 150_000
-        assert (ANALYSIS / f"{name}.py").is_file()
+        assert (ANALYSIS / f"{name}.py").is_file() or name.startswith("work_precision_")
+
+
+def test_scaling(tmp_path: Path):
+    picture = tmp_path / "scaling.png"
+    done = subprocess.run(
+        [sys.executable, ANALYSIS / "scaling.py", "--quick", "-o", picture], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert picture.read_bytes()[:4] == b"\x89PNG"
+    found = json.loads(picture.with_suffix(".json").read_text())
+    ranks = {row["engine"] for row in found["throughput"]}
+    assert {"native verlet", "lammps verlet, 1 rank", "lammps verlet, 2 ranks"} <= ranks
+    assert all(row["active_grains"] == row["grains"] for row in found["throughput"])
+    assert {row["active_grains"] for row in found["answers"] if row["grains"] >= 1000} == {75}
+    assert {row["threads"] for row in found["ensembles"]} == {1, 2}
 
 
 def test_the_page_names_tests_that_exist():

@@ -71,7 +71,7 @@ def test_killed_again_and_again(case: str, times: int, tmp_path: Path):
 
 @pytest.mark.soak
 @pytest.mark.timeout(1800)
-@pytest.mark.parametrize(("case", "times"), [("native", 30), ("lammps", 30), ("two ranks", 10), ("mpirun", 10)])
+@pytest.mark.parametrize(("case", "times"), [("native", 30), ("lammps", 30), ("two ranks", 30), ("mpirun", 30)])
 def test_killed_at_random(case: str, times: int, tmp_path: Path):
     right, rng, count = truth("native" if case == "native" else "lammps"), random.Random(case), 0
     for attempt in itertools.count():

@@ -102,6 +102,23 @@ def test_the_deck_of_a_run_in_lammps(integrator: str, tmp_path: Path):
     assert apart == 0 if integrator == "verlet" else 0 < apart < 1e-4 * np.abs(answer.velocity).max()
 
 
+@pytest.mark.parametrize("integrator", ["verlet", "rkn6"])
+def test_the_log_of_lammps(integrator: str, tmp_path: Path):
+    """Every session adds to it; it does not grow with the drifts of a splitting."""
+    engine = lmpchain.engines.Lammps(integrator=integrator, step=1e-7, diameter="physical")
+    scene = paper("fig5 g", 301)
+    with pytest.raises(Stopped):
+        simulate(scene, engine, folder=tmp_path / "run", max_wall=1e-9)
+    answer = resume(tmp_path / "run")
+    log = (tmp_path / "run" / "log.lammps").read_text()
+    assert log.count("reading velocities") == 2
+    runs = log.count("Loop time")
+    assert runs >= scene.samples if integrator == "verlet" else runs == 2
+    simulate(scene, engine)
+    assert (tmp_path / "run" / "log.lammps").read_text() == log, "an engine is not tied to a folder"
+    assert same(answer, simulate(scene, engine))
+
+
 def test_a_missed_tolerance_is_kept_and_told_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     chain = Chain(grains=12, diameter=1e-3)
     strong = Scene(chain=chain, excitation=Impulse(velocity=0.05), duration=3e-3, samples=51)
@@ -322,13 +339,14 @@ def test_a_folder_that_may_not_be_written_to(finished: Path, tmp_path: Path):
 
 @pytest.mark.soak
 def test_memory_does_not_grow_with_the_samples(tmp_path: Path):
-    """10^5 grains: 100 samples and 2,000, which are 3.2 GB."""
+    """10^5 grains, all of which move: 100 samples and 2,000, which are 3.2 GB."""
     script = """
-import resource, sys, lmpchain
+import resource, sys, lmpchain, numpy
 samples = int(sys.argv[1])
 chain = lmpchain.Chain(grains=100_000, diameter=1e-3)
-strike = lmpchain.Impulse(velocity=8.57e-3)
-scene = lmpchain.Scene(chain=chain, excitation=strike, duration=2e-7 * (samples - 1), samples=samples)
+speeds = numpy.append(numpy.random.default_rng(1).normal(0, 1e-3, 99_999), 0.0)
+start = lmpchain.Profile(velocity=speeds)
+scene = lmpchain.Scene(chain=chain, excitation=start, duration=2e-7 * (samples - 1), samples=samples)
 lmpchain.simulate(scene, "native", 0.01, folder=sys.argv[2])
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 """

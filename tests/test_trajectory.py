@@ -112,12 +112,11 @@ def test_a_full_disk_leaves_what_was_there(trajectory: Trajectory, tmp_path: Pat
 
 
 def test_an_interrupted_write_leaves_nothing(trajectory: Trajectory, tmp_path: Path, monkeypatch: Any):
-    def interrupted(path: Path, data: bytes) -> None:
-        with open(path, "wb") as opened:
-            opened.write(data[:100])
+    def interrupted(_: Any) -> None:
+        assert [path.name.startswith(".run.") for path in tmp_path.iterdir()] == [True]
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Path, "write_bytes", interrupted)
+    monkeypatch.setattr("lmpchain.trajectory.seal", interrupted)
     with pytest.raises(KeyboardInterrupt):
         trajectory.save(tmp_path / "run.nc")
     assert list(tmp_path.iterdir()) == []

@@ -17,9 +17,10 @@ if TYPE_CHECKING:
 PICTURES = (".png", ".pdf", ".svg")
 
 
-def complain(text: str) -> None:
-    """Say on stderr, in one line, what is wrong."""
-    print(f"error: {' '.join(text.split())}", file=sys.stderr)
+def complain(text: str, kind: str = "error") -> None:
+    """Say on stderr, in one line, what is wrong; what cannot be printed, as in names of files, is escaped."""
+    shown = (c if c.isprintable() else c.encode("unicode_escape").decode() for c in " ".join(text.split()))
+    print(f"{kind}: {''.join(shown)}", file=sys.stderr)
 
 
 def gather(*checks: Callable[[], Any]) -> list[Any]:

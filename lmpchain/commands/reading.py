@@ -61,7 +61,10 @@ def _run_or_dump(path: str, scene: str | None) -> Trajectory:
         raise InputError([("scene", f"goes with a LAMMPS dump, which {path} is not; leave it out for a saved run")])
     from ..trajectory import Trajectory
 
-    return Trajectory.load(path) if scene is None else Trajectory.from_dump(path, read(scene))
+    run = Trajectory.load(path) if scene is None else Trajectory.from_dump(path, read(scene))
+    if run.time.size < 2:
+        raise InputError([(path, "has too few samples yet: go on with the run, or run the scene anew")])
+    return run
 
 
 def report(arguments: argparse.Namespace) -> int:

@@ -161,13 +161,8 @@ def sweep(arguments: argparse.Namespace) -> int:
         raise InputError([("sweep", "does not run under mpirun: use --workers, or --scheduler for several machines")])
     folder, cores = arguments.output, len(os.sched_getaffinity(0))
     workers = cores if arguments.workers is None else arguments.workers
-    try:
-        with dask(arguments.scheduler) if arguments.scheduler else nullcontext() as executor:
-            found = sweep(arguments.sweep, folder, workers=workers, executor=executor, progress=sys.stderr.isatty())
-    except BaseException as stop:
-        if not isinstance(stop, Exception):
-            print(f"what is done is kept in {folder}; the same command goes on from there", file=sys.stderr)
-        raise
+    with dask(arguments.scheduler) if arguments.scheduler else nullcontext() as executor:
+        found = sweep(arguments.sweep, folder, workers=workers, executor=executor, progress=sys.stderr.isatty())
     reasons = [reason for reason in found["reason"].to_numpy().flat if reason]
     print(f"{found['reason'].size - len(reasons)} of {found['reason'].size} scenes are answered in {folder}")
     if reasons:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import sys
 import warnings
 import zlib
 from collections.abc import Sequence
@@ -15,6 +16,7 @@ import numpy as np
 from ..engines.base import Cost
 from ..errors import InputError
 from ..fields import Array
+from ..files import check_readable
 from ..scene import Scene
 
 if TYPE_CHECKING:
@@ -29,10 +31,12 @@ BLOCK = 1 << 20  # bytes
 
 def is_dump(path: str | PathLike[str]) -> bool:
     """Say whether a file, which may be compressed by gzip, begins as a LAMMPS dump does."""
+    path = Path(path)
     try:
-        with _open(Path(path)) as opened:
+        check_readable(path, sys.maxsize)  # a pipe would be waited for
+        with _open(path) as opened:
             return opened.read(len(BEGIN)) == BEGIN
-    except (OSError, EOFError, zlib.error):
+    except (OSError, EOFError, ValueError, zlib.error):
         return False
 
 

@@ -8,8 +8,8 @@ trajectory.zarr
     The samples (`lmpchain.runs.store`); any Zarr reader opens it, also while the run goes on.
 checkpoint, checkpoint-before
     `lmpchain.runs.checkpoints`.
-deck
-    Of a run in LAMMPS: input that `lmp` runs by itself.
+deck, log.lammps
+    Of a run in LAMMPS: input that `lmp` runs by itself; what LAMMPS said, session by session.
 SHA256SUMS
     Of what is final, once it is finished.
 """
@@ -25,6 +25,7 @@ import time
 import warnings
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
+from copy import copy
 from dataclasses import asdict, replace
 from os import PathLike
 from pathlib import Path
@@ -41,7 +42,8 @@ from . import checkpoints, store, tasks
 from .stopping import Requests, Stopped
 from .tasks import LOCK, STATUS, Task, resume_command
 
-SUMS, DECK = "SHA256SUMS", "deck"
+SUMS, DECK, LOG = "SHA256SUMS", "deck", "log.lammps"
+STATES = ("running", "stopped", "finished", "failed")
 SHARE = 0.01  # of the time that checkpoints may take
 OFTEN_S = 1.0  # shortest time between two
 PATIENCE_S = 5.0  # how long a stop waits for the sample at work, so that it need not be done again
@@ -60,8 +62,11 @@ def status(folder: str | PathLike[str]) -> dict[str, Any]:
     """
     path = tasks.check_run(folder) / STATUS
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        said = json.loads(path.read_text(encoding="utf-8"))
+        if said["state"] not in STATES or not 0 < said["tolerance"] < 1 or not isinstance(said["reason"], str):
+            raise ValueError("it does not say how the run stands")
+        return said | {"best_effort": bool(said["best_effort"])}
+    except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
         raise InputError([(str(path), f"was changed and cannot be read: {error}")]) from None
 
 
@@ -109,6 +114,7 @@ class RunFolder:
                 self.task = tasks.read(self.path)
                 self._find()
                 self._say("running")
+            self._log()
         except BaseException:
             self._lock.release()
             raise
@@ -125,11 +131,27 @@ class RunFolder:
         except OSError as error:
             raise LmpchainError(f"{self.name}: cannot be written: {error.strerror}") from None
 
+    def _log(self) -> None:
+        """Let LAMMPS write its log here."""
+        if self.task.engine.name != "lammps":
+            return
+        from ..engines.lammps.stepper import word
+
+        path = self.path / LOG
+        try:
+            word(path)
+        except InputError as error:
+            warnings.warn(f"{self.name}: there will be no {LOG}: {error}", stacklevel=2)
+            return
+        engine: Any = copy(self.task.engine)
+        engine.log = path
+        self.task = replace(self.task, engine=engine)
+
     def _find(self) -> None:
         """Find the newest checkpoint that is whole, and whose samples are there."""
-        complete, lost = store.complete(self.path), False
+        lost = False
         for checkpoint in checkpoints.load(self.path):
-            if checkpoint and checkpoint.notes["samples"] <= complete:
+            if checkpoint and store.usable(self.path, checkpoint.notes["samples"]):
                 notes, self._state = checkpoint
                 self.attempt, self.samples, self._before = _attempt(notes), notes["samples"], notes["spent"]
                 break

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from types import EllipsisType
 from typing import TYPE_CHECKING, Any
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 
 from ..engines.base import Block, Cost
+from ..errors import InputError
 from ..fields import Array
 from ..scene import Scene
 from ..trajectory import FIELDS, LABELS, ErrorEstimate, verdict
@@ -33,7 +35,7 @@ TIMES = 65_536  # in a chunk at least
 def create(folder: Path, scene: Scene, attributes: Mapping[str, Any]) -> None:
     """Make an empty store, in place of one that is there."""
     import zarr
-    from zarr.codecs import BloscCodec
+    from zarr.codecs import BloscCodec, Crc32cCodec
 
     group = zarr.open_group(folder / NAME, mode="w", attributes=dict(attributes))
     samples, grains = scene.samples, scene.recorded.size
@@ -48,7 +50,7 @@ def create(folder: Path, scene: Scene, attributes: Mapping[str, Any]) -> None:
             shape=(samples, grains),
             chunks=(rows, width),
             shards=(rows, width * parts),
-            compressors=BloscCodec(cname="zstd", clevel=1, shuffle="shuffle"),
+            compressors=[BloscCodec(cname="zstd", clevel=1, shuffle="shuffle"), Crc32cCodec()],
             dimension_names=("time", "grain"),
             attributes=LABELS[name],
             **unknown,
@@ -57,6 +59,7 @@ def create(folder: Path, scene: Scene, attributes: Mapping[str, Any]) -> None:
         "time",
         shape=(samples,),
         chunks=(min(times, samples),),
+        compressors=[BloscCodec(cname="zstd", clevel=1, shuffle="shuffle"), Crc32cCodec()],
         dimension_names=("time",),
         attributes=LABELS["time"],
         **unknown,
@@ -72,14 +75,15 @@ class Writer:
     def __init__(self, folder: Path, scene: Scene, sample: int = 0):
         import zarr
 
-        for left in (folder / NAME).rglob("*.partial"):  # by a kill
+        for left in (folder / NAME).rglob("*.partial*"):  # by a kill
             left.unlink()
         self._group: Any = zarr.open_group(folder / NAME, mode="r+")
         self._fields: list[Any] = [self._group[name] for name in FIELDS]
         self._times = scene.time
         self._rows = self._fields[0].shards[0]
         self._buffers = np.empty((len(FIELDS), self._rows, scene.recorded.size))
-        self._known = complete(folder)
+        times: Any = self._group["time"]
+        self._known = int(np.isfinite(times[:]).sum())
         self._go_to(sample - sample % self._rows)
         self._end = sample
 
@@ -88,9 +92,10 @@ class Writer:
         self._first = self._end = first
         self._buffers.fill(math.nan)
         if first < self._known:
-            for buffer, array in zip(self._buffers, self._fields, strict=True):
-                known = array[first : first + self._rows]
-                buffer[: len(known)] = known
+            with suppress(ValueError):  # of samples to come, damaged: they are written anew
+                for buffer, array in zip(self._buffers, self._fields, strict=True):
+                    known = array[first : first + self._rows]
+                    buffer[: len(known)] = known
 
     def put(self, block: Block) -> None:
         """Add the next samples; full shards go to the disk."""
@@ -121,15 +126,19 @@ class Writer:
         self._group.attrs.update(verdict(error, cost))
 
 
-def complete(folder: Path) -> int:
-    """Return how many samples are complete, 0 if there is no store."""
+def usable(folder: Path, samples: int) -> bool:
+    """Say whether so many samples are complete, and those can be read that lie in a shard with the next one."""
     import zarr
 
+    if not samples:
+        return True
     try:
-        times: Any = zarr.open_array(folder / NAME, path="time", mode="r")
-    except FileNotFoundError:
-        return 0
-    return int(np.isfinite(times[:]).sum())
+        group: Any = zarr.open_group(folder / NAME, mode="r")
+        first = samples - samples % group[FIELDS[0]].shards[0]
+        parts = (group["time"][:samples], *(group[name][first:samples] for name in FIELDS))
+        return all(bool(np.isfinite(part).all()) for part in parts)
+    except Exception:  # whatever damaged files make zarr raise
+        return False
 
 
 def open_dataset(folder: Path) -> xarray.Dataset:
@@ -170,10 +179,21 @@ class OnDisk(NDArrayOperatorsMixin):
         fancy = [part for part in keys if not isinstance(part, int | np.integer | slice | EllipsisType)]
         if len(fancy) > 1 or any(np.ndim(part) != 1 for part in fancy):  # where xarray's rules are not those of numpy
             return np.asarray(self)[key]
-        return self.variable[key].to_numpy()
+        return self._read(self.variable[key])
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
-        return np.asarray(self.variable.to_numpy(), dtype)
+        return np.asarray(self._read(self.variable), dtype)
+
+    def _read(self, part: xarray.Variable) -> Any:
+        try:
+            values = part.to_numpy()
+        except (ValueError, RuntimeError, OSError) as error:
+            why = str(error)
+        else:
+            if np.isfinite(values).all():
+                return values
+            why = "samples are not there"
+        raise InputError([(NAME, f"was damaged and cannot be read: {why}; run the scene anew")])
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
         read = (np.asarray(value) if isinstance(value, OnDisk) else value for value in inputs)

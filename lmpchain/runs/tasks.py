@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shlex
 import warnings
@@ -75,9 +76,21 @@ def check_new(folder: str | PathLike[str]) -> Path:
 
 def write(folder: Path, task: Task) -> None:
     """Note a new task and this session; from the moment that the scene is there, `read` finds it."""
-    asked = {"engine": task.engine.name, "options": _options(task.engine)}
-    _note(folder, asked | {"tolerance": task.tolerance, "best_effort": task.best_effort, "sessions": [session()]})
+    asked = {
+        "engine": task.engine.name,
+        "options": _options(task.engine),
+        "tolerance": task.tolerance,
+        "best_effort": task.best_effort,
+    }
+    seal = _seal(asked, scenefile.dumps(task.scene))
+    _note(folder, asked | {"sha256": seal, "sessions": [session()]})
     scenefile.write(task.scene, folder / SCENE)
+
+
+def _seal(asked: dict[str, Any], scene: str) -> str:
+    """Return what the task hashes to, so that a change to its files is noticed."""
+    fixed = {key: value for key, value in asked.items() if key not in ("sha256", "sessions")}
+    return hashlib.sha256(f"{json.dumps(fixed, sort_keys=True)}\n{scene}".encode()).hexdigest()
 
 
 def _options(engine: Any) -> dict[str, Any]:
@@ -104,9 +117,12 @@ def read(folder: Path) -> Task:
     """Return the task of a run folder, and note that this session works on it."""
     try:
         asked = json.loads((folder / RUN).read_text(encoding="utf-8"))
-        scene = scenefile.loads((folder / SCENE).read_text(encoding="utf-8"))
-        options, before = asked["options"], asked["sessions"][-1]["packages"]
-    except (ValueError, LookupError, TypeError) as error:
+        text = (folder / SCENE).read_bytes().decode("utf-8")
+        scene = scenefile.loads(text)
+        options, before = dict(asked["options"]), dict(asked["sessions"][-1]["packages"])
+        if asked["sha256"] != _seal(asked, text):
+            raise ValueError("they are not those that the run began with")
+    except (ValueError, LookupError, TypeError, RecursionError) as error:
         raise InputError([(str(folder), f"its {RUN} or {SCENE} was changed and cannot be read: {error}")]) from None
     if mpi.joined() and "ranks" in options:  # those of mpirun serve
         options["ranks"] = None

@@ -18,9 +18,10 @@ from .. import engines
 from ..draws import Law, Of, realisation
 from ..errors import InputError, check_tolerance
 from ..fields import Checked, Positive, Whole
+from ..files import check_readable
 from ..materials import MATERIALS
 from ..scene import Scene
-from ..scenefile import SECTIONS, _parse, from_dict, to_dict
+from ..scenefile import LARGEST_TABLE, SECTIONS, _parse, from_dict, to_dict
 from .axes import MAKERS, Axis, Seed, axes
 from .quantities import QUANTITIES
 
@@ -89,7 +90,9 @@ class Sweep:
         """Return what the contents of a file hash to; one that cannot be read is a fault of the scene, found there."""
         if name not in self._digests:
             try:
-                self._digests[name] = hashlib.sha256((self.folder / name).read_bytes()).hexdigest()
+                check_readable(self.folder / name, LARGEST_TABLE)
+                with open(self.folder / name, "rb") as opened:
+                    self._digests[name] = hashlib.file_digest(opened, "sha256").hexdigest()
             except (OSError, ValueError):
                 self._digests[name] = ""
         return self._digests[name]
@@ -184,7 +187,7 @@ def _base(given: Any, folder: Path) -> tuple[dict[str, Any], Path]:
     if isinstance(given, Scene):
         return to_dict(given), folder
     if isinstance(given, str):
-        path = folder / given.replace("\0", "?")  # no name of a file, and no reason to fail otherwise than others
+        path = folder / given
         given, folder = _parse(path), path.parent
     if not isinstance(given, dict):
         raise InputError([("scene", "name a scene file, or give its tables: [scene.chain], [scene.excitation] ...")])

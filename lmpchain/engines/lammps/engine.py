@@ -76,6 +76,7 @@ class Lammps(SteppedEngine):
     equation: ClassVar[int] = 1
     integrators: ClassVar[tuple[str, ...]] = ("rkn6", "kahan-li6", "verlet")
     seconds_per_grain_step = 7e-8
+    log: Path | None = None  # to which LAMMPS adds what it says; of splittings the set-up only: each drift is a run
 
     def __init__(
         self,
@@ -192,7 +193,12 @@ class Lammps(SteppedEngine):
             log = word(self.keep / "log.lammps")
             make_folder(self.keep)
         team = gather(self.ranks, log)
-        return LammpsStepper(column, self.splitting, pace.step, state, team, every=pace.steps, keep=self.keep)
+        if self.log:
+            team.ask("commands", f'log "{word(self.log)}" append')
+        stepper = LammpsStepper(column, self.splitting, pace.step, state, team, every=pace.steps, keep=self.keep)
+        if self.log and self.splitting.order > 2:
+            team.ask("commands", "log none")
+        return stepper
 
     def column(self, scene: Scene, candidate: Candidate, remark: str = "") -> Column:
         """Return the column of a candidate, with the choices as remarks for the head of a deck."""
