@@ -156,7 +156,10 @@ def open_dataset(folder: Path) -> xarray.Dataset:
         decode_times=False,
         mask_and_scale=False,
     )
-    data = data.isel(time=slice(0, int(np.isfinite(data["time"].to_numpy()).sum())))
+    complete = int(np.isfinite(data["time"].to_numpy()).sum())
+    if "solver_error" in data.attrs and complete < data.sizes["time"]:
+        raise ValueError("the run was finished, but samples are not there")
+    data = data.isel(time=slice(0, complete))
     nothing = Cost(0.0, 0.0, 0.0, 0, 0, data.sizes["grain"], "unknown", 0.0, 1)
     return data.assign_attrs(verdict(ErrorEstimate(0.0, math.inf), nothing) | data.attrs)
 
