@@ -21,6 +21,7 @@ from runs import same
 
 from lmpchain import LmpchainError, Scene, Stopped, Trajectory, engines, resume, simulate
 from lmpchain.cli import main
+from lmpchain.engines import lockstep
 
 Tables = dict[str, Any]
 MARK = "INJECTED"  # what no deck may hold
@@ -359,10 +360,12 @@ def answers(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "scene.toml").write_bytes(toml(tables))
     scene = Scene.from_toml(folder / "scene.toml")
     simulate(scene, "native", folder=folder / "finished").save(folder / "run.nc")
-    with pytest.raises(Stopped):
-        simulate(scene, "native", folder=folder / "stopped", max_wall=1e-9)
-    with pytest.raises(Stopped):
-        resume(folder / "stopped", max_wall=1e-9)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(lockstep, "BLOCK_S", 1e-9)  # four samples a block
+        with pytest.raises(Stopped):
+            simulate(scene, "native", folder=folder / "stopped", max_wall=1e-9)
+        with pytest.raises(Stopped):
+            resume(folder / "stopped", max_wall=1e-9)
     simulate(scene, engines.Lammps(integrator="verlet", step=1e-7, keep=folder / "lammps"))
     shutil.copy(next((folder / "lammps").glob("*.lammpstrj")), folder / "dump")
     return folder

@@ -36,7 +36,7 @@ def test_graded_steps_keep_the_order(integrator: str):
         candidate = replace(proposed, steps_per_sample=count, step=STRONG.duration / count)
         run = engine.start([STRONG], candidate)
         *_, last = run.blocks()
-        errors.append(relative_error(last.displacement[0], last.velocity[0], u[1:], v[1:]))
+        errors.append(relative_error(last.displacement[0], last.velocity[0], u, v))
         lowest = min(lowest, *(float(stepper.lowest()[0]) for stepper in run._steppers))
         run.close()
     assert lowest < -1, "contacts open"
@@ -86,6 +86,6 @@ def test_a_restart_goes_on_with_the_same_bits(integrator: str, monkeypatch: pyte
         pieces.append(next(block for block in run.blocks() if block.velocity.size))
         state = run.state()
         run.close()
-    assert len(pieces) == 6
+    assert len(pieces) == 5
     assert np.array_equal(np.concatenate([block.velocity for block in pieces], axis=1), truth)
     assert run.errors()[0].total == whole.errors()[0].total

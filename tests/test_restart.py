@@ -14,6 +14,7 @@ from runs import finish, same, start, write
 from scenes import paper
 
 from lmpchain import Chain, Drive, Impulse, InputError, Scene, Stopped, Trajectory, engines, resume, simulate
+from lmpchain.engines import lockstep
 from lmpchain.runs.folder import status
 
 CHAIN = Chain(grains=200, diameter=1e-3)
@@ -98,6 +99,12 @@ STOPPED = {
     "bessel": (paper("weak", 301), engines.Bessel(), 0.99),
     "continuum": (paper("weak", 301), engines.Continuum(), 0.99),
 }
+
+
+@pytest.fixture(autouse=True)
+def _small_blocks(monkeypatch: pytest.MonkeyPatch):
+    """Have four samples in a block, however short the run, so that it can be stopped on the way."""
+    monkeypatch.setattr(lockstep, "BLOCK_S", 1e-9)
 
 
 @pytest.mark.filterwarnings("ignore:Eq. ")

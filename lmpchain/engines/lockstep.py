@@ -111,7 +111,7 @@ class LockstepRun(Run):
         samples, grains = self.scene.samples, self.scene.chain.grains
         self._most = _block(len(self._steppers), self.realisations, grains, samples)
         self._sample_s = 2 * candidate.cost_s * self.realisations / samples  # a guess to begin with
-        shape = (len(self._steppers), self.realisations, self._most, grains)
+        shape = (len(self._steppers), self.realisations, self._most + 1, grains)  # with sample 0 in the first block
         self._u, self._v = np.zeros(shape), np.zeros(shape)
         for index in range(len(self._steppers)):
             for real, scene in enumerate(scenes):
@@ -126,13 +126,11 @@ class LockstepRun(Run):
 
     def blocks(self) -> Iterator[Block]:
         """Yield the answer; samples that a restored state already had are not repeated."""
-        if self._sample < 0:
-            yield self._keep(0, 1)
         final = self.scene.samples - 1
         while self._sample < final:
             first, spent = self._sample + 1, self._integration_s + self._estimate_s
             count = max(4, min(self._most, int(BLOCK_S / self._sample_s)) // 4 * 4)
-            until = min(self._sample + count, final)
+            until = min(max(self._sample, 0) + count, final)
             for index in range(len(self._steppers)):
                 yield from self._fill(index, first, until)
             yield self._keep(first, until + 1)
