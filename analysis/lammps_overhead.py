@@ -13,6 +13,8 @@ import sys
 import tempfile
 from pathlib import Path
 
+import numpy as np
+
 import lmpchain
 from lmpchain.engines.lammps.export import write_deck
 
@@ -32,10 +34,14 @@ def main() -> None:
     arguments = parser.parse_args()
     step = 1e-7
     chain = lmpchain.Chain(grains=arguments.grains, material="glass", diameter=1e-3)
-    strike = lmpchain.Impulse(velocity=8.57e-4)
-    scene = lmpchain.Scene(chain=chain, excitation=strike, duration=arguments.steps * step, samples=11)
+    velocity = np.random.default_rng(1).uniform(-1e-4, 1e-4, arguments.grains)
+    velocity[-1] = 0.0  # it is held; all others move, so that none is left out
+    scene = lmpchain.Scene(
+        chain=chain, excitation=lmpchain.Profile(velocity=velocity), duration=arguments.steps * step, samples=11
+    )
     engine = lmpchain.engines.Lammps(integrator="verlet", step=step, diameter="physical")
     lmp = shutil.which("lmp") or str(Path(sys.executable).with_name("lmp"))
+    lmpchain.simulate(lmpchain.Scene(**scene.given() | {"duration": 10 * step}), engine=engine)  # loads libraries
     ratios = []
     with tempfile.TemporaryDirectory() as folder:
         write_deck(scene, folder, step=step)

@@ -25,11 +25,11 @@ from lmpchain.workprecision import machine
 
 STRENGTH = 0.03  # of the velocities, in what each contact holds (v0*)
 PHASE = 0.1  # that the deepest contact advances in a step, rad
-WORK = {"native": 2e8, "lammps": 2e6}  # grain-steps of a run, but no more steps than
+WORK = {"native": 1e9, "lammps": 2e6}  # grain-steps of a run, but no more steps than
 STEPS = {"native": 2_000_000, "lammps": 2000}
 RUNS = 3
 THREADS = (1, 2)
-LENGTHS = (1000, 30_000)  # steps of the chains of an ensemble
+LENGTHS = (1000, 100_000)  # steps of the chains of an ensemble
 ENGINES: dict[str, Callable[[float], Any]] = {
     "native verlet": lambda step: Native(integrator="verlet", step=step),
     "native rkn6": lambda step: Native(integrator="rkn6", step=step),
@@ -135,7 +135,7 @@ def tables(found: dict[str, list[Row]]) -> str:
         cells = [f"{value / 1e6:.4g} M/s" if value else "" for value in values]
         cells.append(f"{row['seconds'] * 1e3:.3g} ms, {row['active_grains']} computed")
         lines.append(f"| {row['grains']:,} | " + " | ".join(cells) + " |")
-    lines += ["", "| chains of 120 grains | steps | " + " | ".join(f"{t} threads" for t in THREADS) + " | gain |"]
+    lines += ["", "| chains of 120 grains | steps | " + " | ".join(f"threads: {t}" for t in THREADS) + " | gain |"]
     lines.append("|---" * (len(THREADS) + 3) + "|")
     for steps in dict.fromkeys(row["steps"] for row in found["ensembles"]):
         rows = [row for row in found["ensembles"] if row["steps"] == steps]

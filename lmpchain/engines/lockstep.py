@@ -99,7 +99,9 @@ class LockstepRun(Run):
         if native is None:
             paces = [Pace.of(candidate), *paces]
         chains = native.chains if native else Chains(scenes)
-        self._steppers += [NativeStepper(chains, method, pace, old) for pace, old in zip(paces, kept[1:], strict=False)]
+        threads = native.threads if native else 1
+        for pace, old in zip(paces, kept[1:], strict=False):
+            self._steppers.append(NativeStepper(chains, method, pace, old, threads))
         self.realisations = len(scenes)
         self._energy = np.array([scene.energy for scene in scenes])
         self._at_rest = [scene.at_rest for scene in scenes]

@@ -240,4 +240,4 @@ def machine() -> str:
     named = about.read_text(encoding="utf-8", errors="replace").splitlines() if about.exists() else []
     model = next((line.partition(":")[2].strip() for line in named if line.startswith("model name")), "")
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return f"{model or platform.processor() or platform.machine()}, {cores} cores"
+    return f"{model or platform.processor() or platform.machine()}, {cores} core{'s' if cores != 1 else ''}"

@@ -47,7 +47,7 @@ class NativeStepper:
         state: Mapping[str, Array],
         threads: int = 1,
     ):
-        self.chains, scenes = chains, chains.scenes
+        self.chains, self.threads, scenes = chains, threads, chains.scenes
         shares = min(threads, len(scenes))
         self._shares = [slice(i * len(scenes) // shares, (i + 1) * len(scenes) // shares) for i in range(shares)]
         self._pool = ThreadPoolExecutor(shares) if shares > 1 else None
