@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from .materials import STEEL as STEEL
     from .materials import TUNGSTEN_CARBIDE as TUNGSTEN_CARBIDE
     from .materials import Material as Material
+    from .planner import plan as plan
     from .runs.stopping import Stopped as Stopped
     from .scene import Scene as Scene
     from .simulation import resume as resume
@@ -44,6 +45,7 @@ _WHERE = {
     "excitation": "Impulse Displacement Profile Drive",
     "scene": "Scene",
     "simulation": "simulate resume",
+    "planner": "plan",
     "runs.stopping": "Stopped",
     "sweeps.sweeping": "sweep",
     "sweeps.results": "load_sweep",

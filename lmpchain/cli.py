@@ -181,6 +181,17 @@ def _parser() -> argparse.ArgumentParser:
     compare.add_argument("-o", "--output", metavar="PICTURE.png", help="picture to write (.png, .pdf or .svg)")
     compare.add_argument("--json", metavar="FILE", help="file for the numbers")
 
+    plan = verbs.add_parser("plan", help="say which engine answers a scene at the least cost, and why")
+    plan.add_argument("scene", metavar="SCENE.toml", nargs="?", help="scene file")
+    plan.set_defaults(command=commands.plan)
+    _tolerance(plan)
+    plan.add_argument("--json", metavar="FILE", help="file for the numbers")
+    plan.add_argument(
+        "--calibrate",
+        action="store_true",
+        help="measure how fast the engines are here, and keep it for all plans",
+    )
+
     deck = verbs.add_parser("deck", help="write a LAMMPS input that runs by itself")
     _scene(deck, commands.deck)
     deck.add_argument("-o", "--output", metavar="FOLDER", required=True, help="folder for in.column and column.data")
@@ -273,7 +284,7 @@ def _saved(parser: argparse.ArgumentParser, command: Callable[[argparse.Namespac
 
 def _tolerance(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--tolerance", metavar="X", type=float, default=1e-6, help="largest relative solver error (default: 1e-6)"
+        "--tolerance", metavar="X", type=float, default=1e-6, help="largest relative error (default: 1e-6)"
     )
 
 

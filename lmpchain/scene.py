@@ -101,6 +101,11 @@ class Scene(Recording):
         yield from misfits or strike_faults(self.chain, self.excitation)
         yield from self.faults(self.chain)
 
+    @cached_property
+    def notes(self) -> dict[str, Any]:
+        """What engines found out about this scene and need not find out again."""
+        return {}
+
     @property
     def time(self) -> Array:
         """Recorded times, (T,) s."""

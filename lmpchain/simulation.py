@@ -45,10 +45,11 @@ def simulate(
     ----------
     scene : Scene
     engine : str or Engine
-        A name (see `engines.names()`), "auto", or an engine object.
+        A name (see `engines.names()`), an engine object, or "auto": the one that `lmpchain.plan` names, and another
+        if the run shows that its equation leaves out too much.
     tolerance : float
-        Largest relative solver error, as defined for `ErrorEstimate`; an engine with a given step
-        enforces none.
+        Largest relative error, as defined for `ErrorEstimate`: of equation and solver together with "auto", of the
+        solver with an engine that is named; one with a given step enforces none.
     on_miss : "raise" or "warn"
         What to do if the tolerance cannot be met.
     progress : bool
@@ -155,6 +156,8 @@ def _answer(task: Task, output: _Memory | RunFolder, progress: bool) -> tuple[Tr
 
 def _judged(task: Task, trajectory: Trajectory, outcome: Outcome[Any]) -> Trajectory:
     """Return an answer if it is as good as it was to be, and say so if it is not."""
+    if "redone" in trajectory.provenance:
+        warnings.warn(trajectory.provenance["redone"], stacklevel=3)
     model = trajectory.error_estimate.model
     if model > task.tolerance:
         left_out = f"Eq. ({trajectory.equation}) leaves out about {model:.2g} of the answer"
@@ -202,8 +205,8 @@ class _Memory:
         displacement, velocity = outcome.collected
         return Trajectory(
             scene=scene,
-            engine=engine.name,
-            equation=engine.equation,
+            engine=engine.of(outcome.candidate).name,
+            equation=engine.of(outcome.candidate).equation,
             time=scene.time,
             grains=scene.recorded,
             displacement=displacement,

@@ -1,7 +1,21 @@
 """What the commands of the command line do, one function a verb."""
 
 from .comparing import compare, doctor, workprec
+from .planning import plan
 from .reading import dyson, fit, report
 from .running import deck, resume, run, run_folder, sweep
 
-__all__ = ["compare", "deck", "doctor", "dyson", "fit", "report", "resume", "run", "run_folder", "sweep", "workprec"]
+__all__ = [
+    "compare",
+    "deck",
+    "doctor",
+    "dyson",
+    "fit",
+    "plan",
+    "report",
+    "resume",
+    "run",
+    "run_folder",
+    "sweep",
+    "workprec",
+]

@@ -25,6 +25,8 @@ _WHERE = {
     "bessel": ("closed_form", "Bessel"),
     "continuum": ("closed_form", "Continuum"),
 }
+ON_REQUEST = ("lammps",)  # done by "auto" only where no other engine can
+LADDER = tuple(name for name in _WHERE if name not in ON_REQUEST)
 
 
 def names() -> tuple[str, ...]:
@@ -39,7 +41,7 @@ def names() -> tuple[str, ...]:
 
 
 def get(engine: str | Engine, **options: Any) -> Engine:
-    """Return the engine of this name with these options; "auto" takes the native one.
+    """Return the engine of this name with these options; "auto" with options takes the native one, whose they are.
 
     Raises
     ------
@@ -50,12 +52,16 @@ def get(engine: str | Engine, **options: Any) -> Engine:
         if options:
             raise InputError([(key, "belongs to the engine: give it to its constructor") for key in options])
         return engine
+    if engine == "auto" and not options:
+        from .ladder import Auto
+
+        return Auto()
     name = "native" if engine == "auto" else engine
     if name not in _WHERE:
         raise InputError([("engine", f"must be auto | {' | '.join(_WHERE)} (got {engine!r})")])
     module, cls = _WHERE[name]
     made: type[Engine] = getattr(import_module(f".{module}", __name__), cls)
-    known = list(signature(made).parameters)
+    known = list(signature(made).parameters) if options else []
     if unknown := [key for key in options if key not in known]:
         raise InputError([(key, f"the engine {name} has no such option; it has {', '.join(known)}") for key in unknown])
     return made(**options)

@@ -123,11 +123,17 @@ def pursue(
                 raise
         finally:
             run.close()
-        better = None if candidate.fixed else engine.refine(candidate, error, tolerance)
+        better, other, alone = None, None, ""
+        if not candidate.fixed:
+            try:
+                other = engine.instead(scene, candidate, error, tolerance) if error else None
+            except ToleranceNotMet as refusal:
+                alone = refusal.reason
+            better = other or engine.refine(candidate, error, tolerance)
         if error:
-            attempt = replace(attempt, truncations=(*attempt.truncations, error.truncation))
-            enough = candidate.fixed or error.total <= tolerance
-            missed = "" if enough else _why_not(error, attempt, better)
+            attempt = replace(attempt, truncations=() if other else (*attempt.truncations, error.truncation))
+            enough = candidate.fixed or (error.total <= tolerance and not other and not alone)
+            missed = alone or ("" if enough or other else _why_not(error, attempt, better))
             if enough or missed:
                 setup, estimate = cost.setup_s + attempt.planned_s, cost.estimate_s + attempt.looked_s
                 cost = replace(cost, setup_s=setup, estimate_s=estimate)

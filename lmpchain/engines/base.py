@@ -7,6 +7,7 @@ Ctrl-C and where the output goes are not its business: `lmpchain.simulation` doe
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -45,6 +46,12 @@ class Candidate:
         The first grain that is computed.
     integrator : str
         The method that steps through time, if one does.
+    model_least : float
+        A model error that is surely exceeded: where it is above a tolerance, a closer look cannot help.
+    look_s : float
+        Time that `Engine.look` takes, s; infinite where it knows no more.
+    engine : str
+        Who proposed it, where several engines were asked (`Auto`).
     """
 
     steps_per_sample: int
@@ -58,6 +65,9 @@ class Candidate:
     graded: bool = False
     first_grain: int = 1
     integrator: str = ""
+    model_least: float = 0.0
+    look_s: float = math.inf
+    engine: str = ""
 
 
 @dataclass(frozen=True)
@@ -78,6 +88,8 @@ class SolverError:
         Estimated error of the equation itself, where it is not Eq. (1).
     remark : str
         Why the equation does not hold here, if it is known not to.
+    model_at_most : float
+        A bound on the error of the equation, if that is larger than the estimate.
     """
 
     truncation: float
@@ -87,11 +99,17 @@ class SolverError:
     time: Array
     model: float = 0.0
     remark: str = ""
+    model_at_most: float = 0.0
 
     @property
     def total(self) -> float:
         """Truncation and round-off together."""
         return self.truncation + self.roundoff
+
+    @property
+    def at_most(self) -> float:
+        """A bound on the error of equation and solution together."""
+        return max(self.model, self.model_at_most) + self.total
 
     def horizon(self, tolerance: float) -> float:
         """Return the first time at which the difference between two runs exceeds the tolerance, s."""
@@ -182,6 +200,24 @@ class Engine(ABC):
 
         None says that nothing can help: round-off alone exceeds the tolerance.
         """
+
+    def look(self, scene: Scene, candidate: Candidate) -> Candidate:
+        """Look closer, for `candidate.look_s`, at what the equation leaves out of this scene."""
+        return candidate
+
+    def instead(self, scene: Scene, candidate: Candidate, error: SolverError, tolerance: float) -> Candidate | None:
+        """Propose a try with another engine where a run shows that this one's equation leaves out too much.
+
+        Raises
+        ------
+        ToleranceNotMet
+            If there is none.
+        """
+        return None
+
+    def of(self, candidate: Candidate) -> Engine:
+        """Return the engine that answers with a candidate: this one, unless it chooses among others."""
+        return self
 
     @abstractmethod
     def start(self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array] | None = None) -> Run:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,9 +14,9 @@ import numpy as np
 from ..excitation import Impulse
 from ..fields import Array
 from ..scene import Scene
-from ..theory import bessel, continuum
 from .base import Block, Candidate, Cost, Run, SolverError
-from .linear import Chebyshev, LinearEngine, LinearRun
+from .lightcone import cut
+from .linear import Chebyshev, LinearEngine, Solution
 
 UNIFORM = 1e-12  # relative difference of masses and constants that still counts as none
 
@@ -26,9 +27,11 @@ class ClosedForm(LinearEngine):
     Its model error is what it differs by from Eq. (3), which is solved beside it, and what Eq. (3) leaves out.
     """
 
+    _beside = Chebyshev()
+
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why the formula does not hold for this scene."""
-        chain, struck, found = scene.chain, scene.excitation, super().refuses(scene)
+        chain, struck, found = cut(scene)[1].chain, scene.excitation, super().refuses(scene)
         for key, values in (("masses", chain.masses), ("contact_constants", chain.contact_constants)):
             if np.ptp(values) > UNIFORM * values.max():
                 found.append((key, f"{self.name} knows grains that are all alike only; use modes or chebyshev"))
@@ -38,14 +41,28 @@ class ClosedForm(LinearEngine):
             found.append(("top", f'{self.name} knows top = "free" only; use modes or chebyshev'))
         return found
 
-    def _cost(self, scene: Scene) -> float:
-        return 1e-6 * scene.samples * scene.recorded.size
+    def candidate(self, scene: Scene, tolerance: float) -> Candidate:
+        """Propose the formula; only where it is the exact solution is its error known before the run."""
+        candidate = replace(super().candidate(scene, tolerance), first_grain=1, active_grains=scene.chain.grains)
+        return candidate if self.exact(scene) else replace(candidate, model_error=math.nan, look_s=math.inf)
+
+    def exact(self, scene: Scene) -> bool:
+        """Say whether the formula solves Eq. (3) for this scene."""
+        return False
+
+    def work(self, scene: Scene, samples: int, values: int) -> float:
+        """Return the time for the exact solution beside it, and for the formula."""
+        return self._beside.work(scene, samples, values) + 1e-6 * values
+
+    def solve(self, scene: Scene, state: Mapping[str, Array]) -> Solution:
+        """Return the exact solution beside the formula."""
+        return self._beside.solve(scene, state)
 
     def start(
         self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array] | None = None
     ) -> ClosedFormRun:
         """Start one scene, or a batch of scenes recorded alike."""
-        return ClosedFormRun(self, scenes, Chebyshev().start(scenes, candidate, state), state or {})
+        return ClosedFormRun(self, scenes, self._beside.start(scenes, candidate, state), state or {})
 
     @abstractmethod
     def wave(self, scene: Scene, times: Array) -> tuple[Array, Array]:
@@ -58,8 +75,15 @@ class Bessel(ClosedForm):
     name: ClassVar[str] = "bessel"
     equation: ClassVar[int] = 4
 
+    def exact(self, scene: Scene) -> bool:
+        """Say whether all contacts are equally stiff and the bottom is out of reach."""
+        uniform = scene.chain.gravity == 0 and scene.chain.compressed
+        return uniform and cut(scene)[1].chain.grains < scene.chain.grains
+
     def wave(self, scene: Scene, times: Array) -> tuple[Array, Array]:
         """Return displacement and velocity of the recorded grains, (T, G) m and m/s."""
+        from ..theory import bessel
+
         unit, strike = scene.chain.time_scale, scene.excitation.velocity  # type: ignore[attr-defined]
         n, T = scene.recorded, times[:, None] / unit
         return strike * unit * bessel.free_end_impulse(n, T), strike * bessel.free_end(n, T)
@@ -80,6 +104,8 @@ class Continuum(ClosedForm):
 
     def wave(self, scene: Scene, times: Array) -> tuple[Array, Array]:
         """Return displacement and velocity of the recorded grains, (T, G) m and m/s."""
+        from ..theory import continuum
+
         unit, strike = scene.chain.time_scale, scene.excitation.velocity  # type: ignore[attr-defined]
         phi, speed = continuum.impulse_of_grain(scene.recorded, times[:, None] / unit, scene.chain.exponent)
         return strike * unit * phi, strike * speed
@@ -88,7 +114,7 @@ class Continuum(ClosedForm):
 class ClosedFormRun(Run):
     """Samples of a closed form, beside those of the exact linear chain."""
 
-    def __init__(self, engine: ClosedForm, scenes: Sequence[Scene], exact: LinearRun, state: Mapping[str, Array]):
+    def __init__(self, engine: ClosedForm, scenes: Sequence[Scene], exact: Run, state: Mapping[str, Array]):
         self._engine, self._scenes, self._exact = engine, scenes, exact
         self._times = scenes[0].time
         # largest difference, and largest value, of displacement and velocity
@@ -117,7 +143,7 @@ class ClosedFormRun(Run):
         apart, size = self._apart
         left_out = (apart / np.where(size > 0, size, 1.0)).max(0)
         return [
-            replace(error, model=error.model + float(more))
+            replace(error, model=error.model + float(more), model_at_most=error.model_at_most + float(more))
             for error, more in zip(self._exact.errors(), left_out, strict=True)
         ]
 

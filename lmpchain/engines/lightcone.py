@@ -47,6 +47,15 @@ def _distance(x: float) -> int:
     return d + 2
 
 
+def cut(scene: Scene) -> tuple[int, Scene]:
+    """Return the first grain that is reached and all that are as a scene; found once, for every engine that asks."""
+    if "cone" not in scene.notes:
+        first, last = reached(scene)
+        scene.notes["cone"] = first, None if last - first + 1 == scene.chain.grains else scene.part(first, last)
+    first, part = scene.notes["cone"]
+    return first, part or scene
+
+
 def near(scene: Scene, candidate: Candidate) -> tuple[Scene, NDArray[np.intp], slice | NDArray[np.intp]]:
     """Return the part of a scene that a candidate computes.
 
@@ -60,4 +69,7 @@ def near(scene: Scene, candidate: Candidate) -> tuple[Scene, NDArray[np.intp], s
     columns = np.flatnonzero((scene.recorded >= first) & (scene.recorded <= last))
     rows = scene.recorded[columns] - first
     together = columns.size and columns[-1] - columns[0] + 1 == columns.size
-    return scene.part(first, last), rows, slice(columns[0], columns[-1] + 1) if together else columns
+    begin, part = cut(scene)
+    if (begin, part.chain.grains) != (first, candidate.active_grains):  # a candidate of another version, or time
+        part = scene.part(first, last)
+    return part, rows, slice(columns[0], columns[-1] + 1) if together else columns

@@ -2,25 +2,31 @@
 
 from __future__ import annotations
 
+import math
 import time
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import repeat
 from typing import ClassVar, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..fields import Array
 from ..scene import Scene
 from ..theory.modes import between
 from .base import Block, Candidate, Cost, Engine, Run, SolverError
 from .chebyshev import Propagator, terms
-from .nonlinearity import Nonlinearity, expected, looks
+from .lightcone import cut, near
+from .nonlinearity import EVENLY, Nonlinearity, bounds, looks
+from .speed import seconds
 
 EPSILON = float(np.finfo(float).eps)
 BLOCK = 16  # samples a block, if so many fit
 BLOCK_VALUES = 2**22
 MOST_MODES = 12_000  # 1.2 GB of eigenvectors
+EXTRA = EVENLY + 24  # looks besides the samples, for a usual number of periods
 
 
 class LinearEngine(Engine):
@@ -30,7 +36,7 @@ class LinearEngine(Engine):
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why there is no linear theory of this scene."""
-        contacts, found = scene.chain.contacts, []
+        contacts, found = cut(scene)[1].chain.contacts, []
         if not scene.chain.compressed:
             found.append(("gravity", "without gravity and load nothing can be linearised; use the engine native"))
         elif (contacts.exists & ~contacts.pressed).any():
@@ -41,16 +47,48 @@ class LinearEngine(Engine):
 
     def candidate(self, scene: Scene, tolerance: float) -> Candidate:
         """Propose the one way there is."""
-        step = scene.duration / (scene.samples - 1)
-        return Candidate(1, step, False, scene.chain.grains, expected(scene), self.round_off(scene), self._cost(scene))
+        first, part = cut(scene)
+        least, most = bounds(part)
+        return Candidate(
+            steps_per_sample=1,
+            step=scene.duration / (scene.samples - 1),
+            fixed=False,
+            active_grains=part.chain.grains,
+            model_error=most,
+            solver_error=self.round_off(part),
+            cost_s=seconds(self.name, self.work(part, part.samples, part.samples * scene.recorded.size)),
+            first_grain=first,
+            model_least=least,
+            look_s=seconds(self.name, self.work(part, 0, 0)) if most < 1 else math.inf,
+        )
+
+    def look(self, scene: Scene, candidate: Candidate) -> Candidate:
+        """Follow the linear solution from look to look, without samples."""
+        part, _, _ = near(scene, candidate)
+        times = np.append(looks(part), part.duration)
+        found = Nonlinearity(part)
+        for moment, (u, v, first) in zip(times, self.solve(part, {}).at(times), strict=True):
+            found.see(float(moment), u, v, first)
+        return replace(candidate, model_error=found.at_most, look_s=math.inf)
 
     def round_off(self, scene: Scene) -> float:
         """Return the relative error that rounding makes: that of the frequencies, times the periods."""
         return EPSILON * (10 + scene.chain.band_edge * scene.duration)
 
     @abstractmethod
-    def _cost(self, scene: Scene) -> float:
-        """Return the expected time, s."""
+    def work(self, scene: Scene, samples: int, values: int) -> float:
+        """Return the time that so many samples take, and looks between them, on the machine of `speed.SHIPPED`, s."""
+
+    @abstractmethod
+    def solve(self, scene: Scene, state: Mapping[str, Array]) -> Solution:
+        """Return the solution, from the start or from a kept state."""
+
+    def start(self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array] | None = None) -> Run:
+        """Start one scene, or a batch of scenes recorded alike."""
+        if len(scenes) > 1:  # each would have a light cone of its own
+            candidate = replace(candidate, first_grain=1, active_grains=scenes[0].chain.grains)
+        part, rows, columns = near(scenes[0], candidate)
+        return LinearRun(self, [part, *scenes[1:]], rows, columns, state or {})
 
     def refine(self, candidate: Candidate, error: SolverError | None, tolerance: float) -> None:
         """Nothing can be better than round-off."""
@@ -66,15 +104,15 @@ class Chebyshev(LinearEngine):
 
     name: ClassVar[str] = "chebyshev"
 
-    def _cost(self, scene: Scene) -> float:
-        z = scene.chain.band_edge * scene.duration
-        return 1e-9 * (terms(z / (scene.samples - 1)) * (scene.samples - 1)) * min(scene.chain.grains, 2 * z + 50)
+    def work(self, scene: Scene, samples: int, values: int) -> float:
+        """Return the time for the polynomials from one look to the next."""
+        z, between = scene.chain.band_edge * scene.duration, samples + EXTRA
+        a_term = 1.5e-7 + 1.2e-9 * min(scene.chain.grains, z + 50)
+        return 1.4e-5 * between + 1e-5 * samples + 2e-9 * values + between * terms(z / between) * a_term
 
-    def start(
-        self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array] | None = None
-    ) -> LinearRun:
-        """Start one scene, or a batch of scenes recorded alike."""
-        return LinearRun(self, _Chebyshev, scenes, state or {})
+    def solve(self, scene: Scene, state: Mapping[str, Array]) -> Solution:
+        """Return the solution, from the start or from a kept state."""
+        return _Chebyshev(scene, state)
 
 
 class Modes(LinearEngine):
@@ -93,15 +131,15 @@ class Modes(LinearEngine):
         """Return the relative error that rounding makes; eigenvectors have their part in it."""
         return super().round_off(scene) + EPSILON * 4 * scene.chain.grains
 
-    def _cost(self, scene: Scene) -> float:
-        grains = scene.chain.grains
-        return 2e-7 * grains**2 + 1e-10 * grains**3 + 4e-11 * grains**2 * scene.samples
+    def work(self, scene: Scene, samples: int, values: int) -> float:
+        """Return the time for the diagonalisation, and for sums over modes at every look."""
+        grains, between = scene.chain.grains, samples + EXTRA
+        once = 6e-8 * grains**2 + 1.5e-11 * grains**3
+        return once + 7e-6 * between + 1.2e-5 * samples + 2e-9 * values + 2.5e-10 * grains**2 * between
 
-    def start(
-        self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array] | None = None
-    ) -> LinearRun:
-        """Start one scene, or a batch of scenes recorded alike."""
-        return LinearRun(self, _Modes, scenes, state or {})
+    def solve(self, scene: Scene, state: Mapping[str, Array]) -> Solution:
+        """Return the solution, whose start is all that is needed."""
+        return _Modes(scene)
 
 
 class Solution(Protocol):
@@ -122,13 +160,17 @@ class Solution(Protocol):
 
 
 class LinearRun(Run):
-    """Samples of linear solutions, whichever way they are found."""
+    """Samples of linear solutions, whichever way they are found.
+
+    Of the scenes, `rows` are the grains that are yielded as the `columns` of the record.
+    """
 
     def __init__(
         self,
         engine: LinearEngine,
-        solve: Callable[[Scene, Mapping[str, Array]], Solution],
         scenes: Sequence[Scene],
+        rows: NDArray[np.intp],
+        columns: slice | NDArray[np.intp],
         state: Mapping[str, Array],
     ):
         began = time.perf_counter()
@@ -138,23 +180,23 @@ class LinearRun(Run):
         self._sample = int(state.get("sample", 0))
         self._nonlinearity = [Nonlinearity(scene, state.get(f"{i}.seen")) for i, scene in enumerate(scenes)]
         self._solutions = [
-            solve(scene, {key: state[f"{i}.{key}"] for key in ("u", "v", "time") if f"{i}.{key}" in state})
+            engine.solve(scene, {key: state[f"{i}.{key}"] for key in ("u", "v", "time") if f"{i}.{key}" in state})
             for i, scene in enumerate(scenes)
         ]
-        self._columns = self._scene.recorded - 1
+        self._rows, self._columns = rows, columns
         self._looks = [looks(scene) for scene in scenes]
         self._integration_s = 0.0
         self._setup_s = time.perf_counter() - began
 
     def blocks(self) -> Iterator[Block]:
         """Yield the answer."""
-        times, size = self._scene.time, max(1, min(BLOCK, BLOCK_VALUES // self._columns.size))
+        times, size = self._scene.time, max(1, min(BLOCK, BLOCK_VALUES // max(1, self._rows.size)))
         while self._sample < self._scene.samples:
             began = time.perf_counter()
             here = slice(self._sample, min(self._sample + size, self._scene.samples))
             before = times[self._sample - 1] if self._sample else -1.0
-            shape = (len(self._solutions), here.stop - here.start, self._columns.size)
-            block = Block(here, np.zeros(shape), np.zeros(shape))
+            shape = (len(self._solutions), here.stop - here.start, self._rows.size)
+            block = Block(here, np.zeros(shape), np.zeros(shape), self._columns)
             for real, (solution, found) in enumerate(zip(self._solutions, self._nonlinearity, strict=True)):
                 extra = self._looks[real]
                 moments = np.union1d(times[here], extra[(extra > before) & (extra < times[here.stop - 1])])
@@ -163,9 +205,9 @@ class LinearRun(Run):
                 for moment, keep, (u, v, first) in zip(moments, wanted, solution.at(moments), strict=True):
                     found.see(float(moment), u, v, first, bool(keep))
                     if keep:
-                        moving = (self._columns >= first) & (self._columns < first + u.size)
-                        block.displacement[real, place, moving] = u[self._columns[moving] - first]
-                        block.velocity[real, place, moving] = v[self._columns[moving] - first]
+                        moving = (self._rows >= first) & (self._rows < first + u.size)
+                        block.displacement[real, place, moving] = u[self._rows[moving] - first]
+                        block.velocity[real, place, moving] = v[self._rows[moving] - first]
                         place += 1
             self._sample = here.stop
             self._integration_s += time.perf_counter() - began
@@ -181,7 +223,7 @@ class LinearRun(Run):
         differences = np.zeros(self._scene.samples)
         roundoff = self._engine.round_off(self._scene)
         return [
-            SolverError(0.0, roundoff, True, differences, self._scene.time, found.error, found.remark)
+            SolverError(0.0, roundoff, True, differences, self._scene.time, found.error, found.remark, found.at_most)
             for found in self._nonlinearity
         ]
 
@@ -248,7 +290,7 @@ class _Chebyshev:
 class _Modes:
     """The sum over eigenmodes, and what a harmonic drive forces on each."""
 
-    def __init__(self, scene: Scene, _: Mapping[str, Array]):
+    def __init__(self, scene: Scene):
         chain, drive = scene.chain, scene.drive
         first, last = 1 if drive else 0, chain.movable
         self._modes = between(chain.contacts.stiffness[first : last + 1], chain.masses[first:last])

@@ -112,7 +112,7 @@ class LockstepRun(Run):
         self._most_energy = 3 * self._energy + self._masses.sum(1) * (1e-3 * self._scale[:, 1]) ** 2
         samples, grains = self.scene.samples, self.scene.chain.grains
         self._most = _block(len(self._steppers), self.realisations, grains, samples)
-        self._sample_s = 2 * candidate.cost_s * self.realisations / samples  # a guess to begin with
+        self._sample_s = candidate.cost_s * self.realisations / samples  # a guess to begin with
         shape = (len(self._steppers), self.realisations, self._most + 1, grains)  # with sample 0 in the first block
         self._u, self._v = np.zeros(shape), np.zeros(shape)
         for index in range(len(self._steppers)):

@@ -12,10 +12,11 @@ from ..errors import InputError
 from ..fields import Array
 from ..scene import Scene
 from .base import Candidate, Engine, SolverError
-from .lightcone import near, reached
+from .lightcone import cut, near
 from .lockstep import SAFETY, TRUSTED_ORDER, LockstepRun, Stepper
 from .methods import METHODS, Method
 from .pace import Pace
+from .speed import seconds
 
 ORDER_THROUGH_OPENINGS = 2.5
 CHOICE = ("rkn4", "rkn6")  # of which the cheaper one is taken, if none is asked for
@@ -23,6 +24,8 @@ LONGEST = 0.45  # of the stability limit: the longest step that is proposed
 GENTLE = 0.3  # strain below which no contact comes near to opening
 STRONGER = 30.0  # times the error, where contacts may open
 LONGEST_S = 3e8  # ten years
+WITH_COMPANIONS = 2.4  # the time of an answer with its error estimate over that of the answer
+CALL = 40  # grains that take as long as what every evaluation of the force takes besides
 
 
 class SteppedEngine(Engine):
@@ -47,8 +50,7 @@ class SteppedEngine(Engine):
 
     def candidate(self, scene: Scene, tolerance: float) -> Candidate:
         """Propose a step: the one given, or the one that should meet the tolerance."""
-        first, last = reached(scene) if self.cuts else (1, scene.chain.grains)
-        part = scene if last - first + 1 == scene.chain.grains else scene.part(first, last)
+        first, part = cut(scene) if self.cuts else (1, scene)
         proposed = [self.for_part(part, tolerance, method) for method in self.methods]
         return replace(min(proposed, key=lambda candidate: candidate.cost_s), first_grain=first)
 
@@ -81,7 +83,8 @@ class SteppedEngine(Engine):
 
     def cost(self, scene: Scene, method: Method, steps: int) -> float:
         """Return about how long so many steps take, s."""
-        return self.seconds_per_grain_step * method.evaluations * steps * scene.chain.grains
+        grain_steps = method.evaluations * steps * (scene.chain.grains + CALL)
+        return seconds(self.name, WITH_COMPANIONS * self.seconds_per_grain_step * grain_steps)
 
     def refine(self, candidate: Candidate, error: SolverError | None, tolerance: float) -> Candidate | None:
         """Shorten the step by what the observed error asks for."""

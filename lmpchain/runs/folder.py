@@ -186,7 +186,8 @@ class RunFolder:
             for _ in checkpoints.NAMES:  # both: none may tell of the attempt before, whose samples go
                 checkpoints.save(self.path, self._notes(self._before), {})
             choices = versions() | task.engine.describe(task.scene, attempt.candidate)
-            store.create(self.path, task.scene, subject(task.scene, task.engine.name, task.engine.equation, choices))
+            engine = task.engine.of(attempt.candidate)
+            store.create(self.path, task.scene, subject(task.scene, engine.name, engine.equation, choices))
             self._write_deck(attempt.candidate)
         self._writer = store.Writer(self.path, self.task.scene, self.samples)
         self._next = time.monotonic() + OFTEN_S

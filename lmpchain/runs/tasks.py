@@ -106,7 +106,7 @@ def _options(engine: Any) -> dict[str, Any]:
 
 def check_kept(engine: Engine) -> None:
     """Raise `InputError` if an engine cannot work in a run folder."""
-    if engine.name not in engines.names() or type(engine) is not type(engines.get(engine.name)):
+    if engine.name not in (*engines.names(), "auto") or type(engine) is not type(engines.get(engine.name)):
         raise InputError([("engine", "a run folder knows the engines of lmpchain by name; it cannot keep another")])
     why = "LAMMPS cannot go on after a stop with what it keeps for it; leave it out with a run folder"
     if faults := [(key, why) for key in UNKEPT if getattr(engine, key, None)]:

@@ -199,6 +199,8 @@ def _base(given: Any, folder: Path) -> tuple[dict[str, Any], Path]:
 def _engine(name: Any) -> str:
     if not isinstance(name, str):
         raise InputError([("engine", f"must be the name of an engine (got {name!r})")])
+    if name == "auto":  # one engine for all: small scenes go together, and bits do not hang on how fast a machine is
+        return "native"
     return engines.get(name).name
 
 

@@ -49,7 +49,7 @@ class Native(SteppedEngine):
     name: ClassVar[str] = "native"
     equation: ClassVar[int] = 1
     integrators: ClassVar[tuple[str, ...]] = ("auto", *METHODS)
-    seconds_per_grain_step = 1e-9
+    seconds_per_grain_step = 5e-10
 
     def __init__(
         self,
