@@ -121,7 +121,7 @@ def test_plain_mpirun_of_the_command_line(tmp_path):
     assert same(two, simulate(MIDDLE, "lammps"))
     code, said = finish(mpirun("-m", "lmpchain.cli", "run", tmp_path / "scene.toml", "-o", tmp_path / "native.nc"))
     assert code == 0
-    assert said.count("the engine native runs on one rank") == 1
+    assert said.count("the engine auto runs on one rank") == 1
     code, said = finish(mpirun("-m", "lmpchain.cli", "run", tmp_path / "none.toml"))
     assert code == 2
     assert said.count("there is no such file") == 1

@@ -17,8 +17,12 @@ import warnings
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..files import replacing
+
+if TYPE_CHECKING:
+    from ..scene import Scene
 
 SHIPPED = {  # s for every answer, and the slowness
     "native": (8e-4, 1.0),
@@ -28,7 +32,7 @@ SHIPPED = {  # s for every answer, and the slowness
     "bessel": (3e-4, 1.0),
     "continuum": (3e-4, 1.0),
 }
-REPEATS = 5
+REPEATS, TOLERANCE = 5, 1e-9  # of the answers that are timed
 PLAUSIBLE = 1e4  # largest factor between a machine and the one of the shipped numbers
 
 
@@ -99,7 +103,7 @@ def calibrate() -> tuple[Path, float]:
     return path, took
 
 
-def _scene(grains: int, periods: int):
+def _scene(grains: int, periods: int) -> Scene:
     from ..chain import Chain
     from ..excitation import Impulse
     from ..scene import Scene
@@ -123,6 +127,3 @@ def _timed(name: str, grains: int, periods: int) -> tuple[float, float]:
             simulate(scene, engine, TOLERANCE)
             times.append(time.perf_counter() - began)
     return min(times), work
-
-
-TOLERANCE = 1e-9

@@ -24,7 +24,6 @@ LONGEST = 0.45  # of the stability limit: the longest step that is proposed
 GENTLE = 0.3  # strain below which no contact comes near to opening
 STRONGER = 30.0  # times the error, where contacts may open
 LONGEST_S = 3e8  # ten years
-WITH_COMPANIONS = 2.4  # the time of an answer with its error estimate over that of the answer
 CALL = 40  # grains that take as long as what every evaluation of the force takes besides
 
 
@@ -84,7 +83,7 @@ class SteppedEngine(Engine):
     def cost(self, scene: Scene, method: Method, steps: int) -> float:
         """Return about how long so many steps take, s."""
         grain_steps = method.evaluations * steps * (scene.chain.grains + CALL)
-        return seconds(self.name, WITH_COMPANIONS * self.seconds_per_grain_step * grain_steps)
+        return seconds(self.name, self.seconds_per_grain_step * grain_steps)
 
     def refine(self, candidate: Candidate, error: SolverError | None, tolerance: float) -> Candidate | None:
         """Shorten the step by what the observed error asks for."""
