@@ -47,7 +47,7 @@ class Candidate:
     integrator : str
         The method that steps through time, if one does.
     model_least : float
-        A model error that is surely exceeded: where it is above a tolerance, a closer look cannot help.
+        The least that a closer look can find: where it is above a tolerance, none is taken.
     look_s : float
         Time that `Engine.look` takes, s; infinite where it knows no more.
     engine : str

@@ -16,42 +16,57 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..compiling import compiled_once
 from ..fields import Array
 
 NEWS = "the Chebyshev series", 5
 NEGLIGIBLE = 1e-25  # of the largest: grains that move less are not yet reached
+LEAST = 1e-18  # a polynomial with a smaller weight changes nothing
+SPAN = 10.0  # w t for which one series serves all times in between
+TINY = 1e-20  # J_0 of less is 1, and all others make no difference
 
 
-def terms(z: float) -> int:
+@compiled_once(*NEWS)
+def terms(z):
     """Return how many polynomials are needed for ``w t = z``; what is left out is below 1e-16."""
     return math.ceil(z / 2 + 5.4 * z ** (1 / 3) + 6)
 
 
-@compiled_once(*NEWS)
+@compiled_once(*NEWS, error_model="numpy")
 def bessel(z, orders):
-    """Return J_0(z) ... J_(orders-1)(z) by Miller's backward recurrence, whose sum rule gives the scale."""
-    start = orders + int(20 + 10 * z ** (1 / 3) + max(0.0, z - orders))
+    """Return J_0(z) ... J_(orders-1)(z), (orders, T), by Miller's backward recurrence, whose sum rule gives the scale.
+
+    More orders than the largest z.
+    """
+    start = orders + int(20 + 10 * z.max() ** (1 / 3))
     start += start % 2
-    values = np.zeros(orders)
-    above, here, total = 0.0, 1e-300, 0.0
+    values = np.zeros((orders, z.size))
+    above, here, total = np.zeros(z.size), np.full(z.size, 1e-300), np.zeros(z.size)
+    place = np.maximum(z, TINY)
     for n in range(start, 0, -1):
         if n < orders:
             values[n] = here
         if n % 2 == 0:
             total += 2 * here
-        above, here = here, 2 * n / z * here - above
-        if abs(here) > 1e250:
-            above, here, total = above * 1e-250, here * 1e-250, total * 1e-250
-            values *= 1e-250
+        largest = 0.0
+        for i in range(z.size):
+            below = 2 * n / place[i] * here[i] - above[i]
+            above[i], here[i] = here[i], below
+            largest = max(largest, abs(below))
+        if largest > 1e250:
+            for i in range(z.size):
+                if abs(here[i]) > 1e200:
+                    above[i], here[i], total[i] = above[i] * 1e-250, here[i] * 1e-250, total[i] * 1e-250
+                    values[n:, i] *= 1e-250
     values[0] = here
     return values / (total + here)
 
 
 @compiled_once(*NEWS, error_model="numpy", fastmath={"nnan", "ninf", "nsz"})
-def series(x, stiffness, mobility, oscillator, scale, weights, reach):
-    """Return ``cos(sqrt(L) t) x`` and ``sin(sqrt(L) t) / sqrt(L) x`` for grains whose neighbours do not move.
+def polynomials(x, stiffness, mobility, oscillator, scale, count, reach):
+    """Return ``T_0 x, 2 T_1 x, 2 T_2 x ...`` and ``W_0 x, W_1 x ...``, each (count+1, n).
 
     Parameters
     ----------
@@ -59,55 +74,35 @@ def series(x, stiffness, mobility, oscillator, scale, weights, reach):
     stiffness, mobility : (n+1,) and (n,) arrays, N/m and 1/kg
     oscillator : square of the frequency of the first grain, 1/s2, 0 if it is none
     scale : w, 1/s
-    weights : (2K+1,) array, J_0(w t) ... J_2K(w t)
     """
-    count = x.size
+    grains = x.size
     first, last = reach
     tiny = NEGLIGIBLE * np.abs(x).max()
-    double, total = 2 * x, np.zeros(count + 2)  # 2 T_k x, and W_k x between two grains that stand still
+    double, total = 2 * x, np.zeros(grains + 2)  # 2 T_k x, and W_k x between two grains that stand still
     total[1:-1] = x
-    cos, sin = weights[0] * x, weights[1] * x
+    ts, ws = np.zeros((count + 1, grains)), np.zeros((count + 1, grains))
+    ts[0], ws[0] = x, x
     pull = 4 / (scale * scale) * mobility
-    for k in range(1, weights.size // 2 + 1):
-        even, odd = weights[2 * k], weights[2 * k + 1] if 2 * k + 1 < weights.size else 0.0
+    for k in range(1, count + 1):
         # one grain further, but no further than there is motion: beyond are numbers so small that they are slow
-        first, last = max(first - 1, 0), min(last + 1, count)
+        first, last = max(first - 1, 0), min(last + 1, grains)
         double[0] -= 4 * oscillator / (scale * scale) * total[1]
-        d, w, c, s = double[first:last], total[first : last + 2], cos[first:last], sin[first:last]
+        d, w, t = double[first:last], total[first : last + 2], ts[k, first:last]
         p, q = pull[first:last], stiffness[first : last + 1]
         for n in range(d.size):
             d[n] -= p[n] * (q[n] * (w[n + 1] - w[n]) - q[n + 1] * (w[n + 2] - w[n + 1]))
-            c[n] += even * d[n]
+            t[n] = d[n]
+        s = ws[k, first:last]
         for n in range(d.size):
             w[n + 1] += d[n]
-            s[n] += odd * w[n + 1]
+            s[n] = w[n + 1]
         while last > first and abs(double[last - 1]) < tiny and abs(total[last]) < tiny:
             last -= 1
             double[last], total[last + 1] = 0.0, 0.0
         while last > first and abs(double[first]) < tiny and abs(total[first + 1]) < tiny:
             double[first], total[first + 1] = 0.0, 0.0
             first += 1
-    return cos, 2 / scale * sin
-
-
-@compiled_once(*NEWS, error_model="numpy")
-def _forward(u, v, stiffness, mobility, oscillator, scale, weights, reach):
-    """Move u and v (n,) forward in place and return between which grains there is motion then."""
-    moved = u.any()
-    cos, sin = series(v, stiffness, mobility, oscillator, scale, weights, reach)
-    if moved:
-        cos_u, sin_u = series(u, stiffness, mobility, oscillator, scale, weights, reach)
-        pull = np.empty(u.size)  # L sin_u
-        above = stiffness[0] * sin_u[0]
-        for n in range(u.size):
-            ahead = sin_u[n + 1] if n + 1 < u.size else 0.0
-            below = stiffness[n + 1] * (ahead - sin_u[n])
-            pull[n] = mobility[n] * (above - below)
-            above = below
-        pull[0] += oscillator * sin_u[0]
-        cos, sin = cos - pull, sin + cos_u
-    u[:], v[:] = sin, cos
-    return moving(u, v)
+    return ts, ws
 
 
 @compiled_once(*NEWS)
@@ -126,8 +121,56 @@ def moving(u, v):
     return first, last
 
 
+@compiled_once(*NEWS, error_model="numpy")
+def _weights(scale, times):
+    """Return those of ``T_k phi`` and ``W_k v`` in phi and of ``T_k phi`` in v at these times, (3, T, K+1)."""
+    table = bessel(scale * times, 2 * terms(scale * times[-1]) + 2)
+    orders = table.shape[0]
+    while orders > 4 and np.abs(table[orders - 2 : orders]).max() < LEAST:
+        orders -= 2
+    even, odd = table[0:orders:2], 2 / scale * table[1:orders:2]
+    rate = np.empty(even.shape)
+    rate[0] = -scale * table[1]
+    rate[1:] = scale / 2 * (table[1 : orders - 2 : 2] - table[3:orders:2])
+    return np.ascontiguousarray(even.T), np.ascontiguousarray(odd.T), np.ascontiguousarray(rate.T)
+
+
+@compiled_once(*NEWS, error_model="numpy")
+def _march(u, v, stiffness, mobility, oscillator, squares, reach, times, us, vs, reached):
+    """Move u and v (n,) through the times and keep them in us and vs (T, n); return the terms it took."""
+    first, last = reach
+    now, begin, spent = 0.0, 0, 0
+    while begin < times.size:
+        a, b, end, scale = first, last, begin, -1.0
+        while b > a:  # a wider reach may hold stiffer contacts, which take more terms
+            needed = max(math.sqrt(squares[a:b].max()), 1e-300)
+            if needed <= scale:
+                break
+            scale, end = needed, begin + 1
+            while end < times.size and scale * (times[end] - now) < SPAN:
+                end += 1
+            even, odd, rate = _weights(scale, times[begin:end] - now)
+            count = even.shape[1] - 1
+            a, b = max(first - count, 0), min(last + count, u.size)
+        if b == a:
+            return spent
+        chain = stiffness[a : b + 1], mobility[a:b], (oscillator if a == 0 else 0.0), scale, count
+        ts, ws = polynomials(v[a:b], *chain, (first - a, last - a))
+        new_u, new_v = odd @ ws, even @ ts
+        if u[first:last].any():
+            ts, ws = polynomials(u[a:b], *chain, (first - a, last - a))
+            new_u, new_v = new_u + even @ ts, new_v + rate @ ts
+        us[begin:end, a:b], vs[begin:end, a:b] = new_u, new_v
+        reached[begin:end, 0], reached[begin:end, 1] = a, b
+        u[a:b], v[a:b], now, begin = new_u[-1], new_v[-1], times[end - 1], end
+        first, last = moving(u[a:b], v[a:b])
+        first, last = first + a, last + a
+        spent += count
+    return spent
+
+
 class Propagator:
-    """A linear chain that is moved forward by any time at once.
+    """A linear chain that is moved forward.
 
     Parameters
     ----------
@@ -142,38 +185,23 @@ class Propagator:
     """
 
     def __init__(self, stiffness: Array, mobility: Array, drive: float, u: Array, v: Array):
-        self._stiffness, self._mobility = stiffness, mobility
-        self._drive = drive  # grain 1 is then an oscillator that pulls the others and is not pulled
-        self._squares = 2 * (stiffness[:-1] + stiffness[1:]) * mobility  # bounds on frequencies (Gershgorin)
-        self._squares[0] = max(self._squares[0], drive**2)
+        # grain 1, if driven, is an oscillator that pulls the others and is not pulled
+        squares = 2 * (stiffness[:-1] + stiffness[1:]) * mobility  # bounds on frequencies (Gershgorin)
+        squares[0] = max(squares[0], drive**2)
+        self._chain = stiffness, mobility, drive**2, squares
         self.u, self.v = u, v
         self.terms = 0
-        self.first, self.last = moving(u, v)
-        nothing = np.zeros(1)  # only compiles, so that it is not timed as work
-        _forward(nothing, nothing.copy(), np.zeros(2), nothing, 0.0, 1.0, bessel(1.0, 3), (0, 0))
+        self._reach = moving(u, v)
 
-    def advance(self, dt: float) -> None:
-        """Move forward by dt, s."""
-        if self.last <= self.first:
-            return
-        count, first, last = 0, self.first, self.last
-        while True:  # a wider reach may hold stiffer contacts, which take more terms
-            scale = math.sqrt(self._squares[first:last].max()) or 1.0
-            needed = terms(scale * dt)
-            if needed <= count:
-                break
-            count = needed
-            first, last = max(self.first - count, 0), min(self.last + count, self.u.size)
-        here = slice(first, last)
-        reached = _forward(
-            self.u[here],
-            self.v[here],
-            self._stiffness[first : last + 1],
-            self._mobility[here],
-            self._drive**2 if first == 0 else 0.0,
-            scale,
-            bessel(scale * dt, 2 * count + 1),
-            (self.first - first, self.last - first),
-        )
-        self.first, self.last = first + reached[0], first + reached[1]
-        self.terms += count
+    def advance(self, times: Array) -> tuple[Array, Array, NDArray[np.intp]]:
+        """Move forward by these times, (T,) s, 0 or later and later ones.
+
+        Returns
+        -------
+        displacements and velocities then, (T, N), and the first and the one after the last grain that moves, (T, 2)
+        """
+        us, vs = np.zeros((2, times.size, self.u.size))
+        reached = np.zeros((times.size, 2), np.intp)
+        self.terms += _march(self.u, self.v, *self._chain, self._reach, times, us, vs, reached)
+        self._reach = moving(self.u, self.v)
+        return us, vs, reached

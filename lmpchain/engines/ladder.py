@@ -18,13 +18,13 @@ from ..scene import Scene
 from .base import Candidate, Engine, Run, SolverError
 
 THEORY = {3: "linear theory", 4: "the homogeneous chain", 27: "the continuum"}  # what solves an equation but Eq. (1)
-WORTH = 0.5  # a closer look and what it speaks for must together be so much cheaper
+WORTH = 0.8  # a closer look and what it speaks for must together be so much cheaper
 ROUNDING = 1 + 1e-9  # of a sum of errors that is equal to the tolerance
 
 
-@dataclass(frozen=True)
+@dataclass
 class Rung:
-    """An engine and what it would do.
+    """An engine and what it would do, judged by and by.
 
     Attributes
     ----------
@@ -63,20 +63,18 @@ def climb(scene: Scene, tolerance: float) -> list[Rung]:
         why = "only if asked for by name, or if no other engine can do the scene"
         rungs += [Rung(name, why=why) for name in engines.ON_REQUEST]
     while True:
-        rungs = [_judged(rung, scene, tolerance) for rung in rungs]
+        for rung in rungs:
+            _judge(rung, scene, tolerance)
         best = min(rung.cost_s for rung in rungs)
         promising = [rung for rung in rungs if _promises(rung, tolerance, best)]
         if not promising:
             return rungs
-        rung = min(promising, key=_with_look)
-        assert rung.candidate
-        seen = engines.get(rung.engine).look(scene, rung.candidate).model_error
-        rungs = [
-            replace(r, candidate=replace(r.candidate, model_error=seen), looked=True)
-            if r.candidate and r.equation == rung.equation  # leaves out the same, whoever solves it
-            else r
-            for r in rungs
-        ]
+        first = min(promising, key=_with_look)
+        assert first.candidate
+        seen = engines.get(first.engine).look(scene, first.candidate).model_error
+        for rung in rungs:
+            if rung.candidate and rung.equation == first.equation:  # leaves out the same, whoever solves it
+                rung.candidate, rung.looked = replace(rung.candidate, model_error=seen), True
 
 
 def _asked(name: str, scene: Scene, tolerance: float) -> Rung:
@@ -84,29 +82,30 @@ def _asked(name: str, scene: Scene, tolerance: float) -> Rung:
     if reasons := engine.refuses(scene):
         return Rung(name, engine.equation, why="cannot do it: " + "; ".join(reason for _, reason in reasons))
     try:
-        candidate = replace(engine.candidate(scene, tolerance), engine=name)
+        return Rung(name, engine.equation, engine.candidate(scene, tolerance))
     except ToleranceNotMet as error:
         return Rung(name, engine.equation, why=error.reason)
     except InputError as error:
         return Rung(name, engine.equation, why="; ".join(f"{key}: {fault}" for key, fault in error.faults))
-    return Rung(name, engine.equation, candidate)
 
 
-def _judged(rung: Rung, scene: Scene, tolerance: float) -> Rung:
-    """Return a rung with the verdict on it."""
+def _judge(rung: Rung, scene: Scene, tolerance: float) -> None:
+    """Pass the verdict on a rung."""
     found = rung.candidate
     if not found:
-        return rung
-    if found.solver_error > tolerance:
-        return replace(rung, why=f"its solver leaves about {found.solver_error:.1g}, above the tolerance")
-    if found.model_error + found.solver_error <= tolerance * ROUNDING:
-        return replace(rung, kept=True, why="within the tolerance")
+        return
     theory = THEORY.get(rung.equation or 1, f"Eq. ({rung.equation})")
-    if math.isnan(found.model_error):
-        return replace(rung, why=f"how far off {theory} is here is not known before the run")
-    would = "is up to" if rung.looked else "would be" if found.model_error >= 1 else "may be up to"
-    off = f"strike number {scene.strike_number:.2g}: {theory} {would} {percent(found.model_error)} off"
-    return replace(rung, why=off if rung.looked else f"{off} in the velocities")
+    rung.kept = found.model_error + found.solver_error <= tolerance * ROUNDING
+    if rung.kept:
+        rung.why = "within the tolerance"
+    elif found.solver_error > tolerance:
+        rung.why = f"its solver leaves about {found.solver_error:.1g}, above the tolerance"
+    elif math.isnan(found.model_error):
+        rung.why = f"how far off {theory} is here is not known before the run"
+    else:
+        would = "is up to" if rung.looked else "would be" if found.model_error >= 1 else "may be up to"
+        rung.why = f"strike number {scene.strike_number:.2g}: {theory} {would} {percent(found.model_error)} off"
+        rung.why += "" if rung.looked else " in the velocities"
 
 
 def percent(error: float) -> str:
@@ -154,6 +153,11 @@ def reason(rungs: Sequence[Rung]) -> str:
     return f"solves Eq. ({best.equation}), the only one within the tolerance{'; ' if simpler else ''}{simpler}"
 
 
+def _chosen(rung: Rung, **why: str) -> Candidate:
+    assert rung.candidate
+    return replace(rung.candidate, engine=rung.engine, choices={**rung.candidate.choices, **why})
+
+
 class Auto(Engine):
     """The cheapest engine whose answer is expected to be within the tolerance, equation and solution together.
 
@@ -177,9 +181,8 @@ class Auto(Engine):
     def candidate(self, scene: Scene, tolerance: float) -> Candidate:
         """Propose what the cheapest engine does."""
         rungs = climb(scene, tolerance)
-        chosen = cheapest(rungs).candidate
-        assert chosen
-        return replace(chosen, choices={**chosen.choices, "plan": f"{chosen.engine}: {reason(rungs)}"})
+        best = cheapest(rungs)
+        return _chosen(best, plan=f"{best.engine}: {reason(rungs)}")
 
     def of(self, candidate: Candidate) -> Engine:
         """Return the engine that answers with a candidate."""
@@ -200,11 +203,10 @@ class Auto(Engine):
         if not any(rung.kept for rung in exact):
             why = "; ".join(f"{rung.engine}: {rung.why}" for rung in exact)
             raise ToleranceNotMet(f"{found}, with the tolerance of {tolerance:.2g} exceeded; {why}")
-        chosen = cheapest(exact).candidate
-        assert chosen
+        best = cheapest(exact)
         planned = f"it was to be at most {candidate.model_error:.1g}"
-        told = f"{found} along the run of {before.name}, {planned}: done again with {chosen.engine}, Eq. (1)"
-        return replace(chosen, choices={**chosen.choices, "plan": f"{chosen.engine}: {told}", "redone": told})
+        told = f"{found} along the run of {before.name}, {planned}: done again with {best.engine}, Eq. (1)"
+        return _chosen(best, plan=f"{best.engine}: {told}", redone=told)
 
     def start(self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array] | None = None) -> Run:
         """Start the engine that was chosen."""

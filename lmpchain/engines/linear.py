@@ -7,7 +7,6 @@ import time
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import repeat
 from typing import ClassVar, Protocol
 
 import numpy as np
@@ -17,14 +16,14 @@ from ..fields import Array
 from ..scene import Scene
 from ..theory.modes import between
 from .base import Block, Candidate, Cost, Engine, Run, SolverError
-from .chebyshev import Propagator, terms
+from .chebyshev import SPAN, Propagator, terms
 from .lightcone import cut, near
-from .nonlinearity import EVENLY, Nonlinearity, bounds, looks
+from .nonlinearity import EVENLY, Nonlinearity, bounds, dense, looks
 from .speed import seconds
 
 EPSILON = float(np.finfo(float).eps)
 BLOCK = 16  # samples a block, if so many fit
-BLOCK_VALUES = 2**22
+BLOCK_VALUES, SMALL = 2**22, 2**14  # values that are at hand at a time, and that take no time worth speaking of
 MOST_MODES = 12_000  # 1.2 GB of eigenvectors
 EXTRA = EVENLY + 24  # looks besides the samples, for a usual number of periods
 
@@ -59,16 +58,14 @@ class LinearEngine(Engine):
             cost_s=seconds(self.name, self.work(part, part.samples, part.samples * scene.recorded.size)),
             first_grain=first,
             model_least=least,
-            look_s=seconds(self.name, self.work(part, 0, 0)) if most < 1 else math.inf,
+            look_s=seconds(self.name, self.work(part, 0, 0)) - seconds(self.name, 0.0) if most < 1 else math.inf,
         )
 
     def look(self, scene: Scene, candidate: Candidate) -> Candidate:
         """Follow the linear solution from look to look, without samples."""
         part, _, _ = near(scene, candidate)
-        times = np.append(looks(part), part.duration)
-        found = Nonlinearity(part)
-        for moment, (u, v, first) in zip(times, self.solve(part, {}).at(times), strict=True):
-            found.see(float(moment), u, v, first)
+        times, found = np.append(looks(part), part.duration), Nonlinearity(part)
+        found.see(times, np.ones(times.size, bool), *self.solve(part, {}).at(times))
         return replace(candidate, model_error=found.at_most, look_s=math.inf)
 
     def round_off(self, scene: Scene) -> float:
@@ -106,9 +103,11 @@ class Chebyshev(LinearEngine):
 
     def work(self, scene: Scene, samples: int, values: int) -> float:
         """Return the time for the polynomials from one look to the next."""
-        z, between = scene.chain.band_edge * scene.duration, samples + EXTRA
-        a_term = 1.5e-7 + 1.2e-9 * min(scene.chain.grains, z + 50)
-        return 1.4e-5 * between + 1e-5 * samples + 2e-9 * values + between * terms(z / between) * a_term
+        z, moments = scene.chain.band_edge * scene.duration, samples + (0 if samples and dense(scene) else EXTRA)
+        series = min(moments, max(1.0, z / SPAN))
+        orders, grains = terms(z / series), min(scene.chain.grains, z / 4 + 30)  # on average in a growing light cone
+        a_series = 3e-6 + 2 * orders * (7e-8 + 1.7e-9 * grains)
+        return series * a_series + moments * (3e-7 + grains * (5e-10 * orders + 2e-9)) + 1e-8 * values
 
     def solve(self, scene: Scene, state: Mapping[str, Array]) -> Solution:
         """Return the solution, from the start or from a kept state."""
@@ -133,9 +132,9 @@ class Modes(LinearEngine):
 
     def work(self, scene: Scene, samples: int, values: int) -> float:
         """Return the time for the diagonalisation, and for sums over modes at every look."""
-        grains, between = scene.chain.grains, samples + EXTRA
-        once = 6e-8 * grains**2 + 1.5e-11 * grains**3
-        return once + 7e-6 * between + 1.2e-5 * samples + 2e-9 * values + 2.5e-10 * grains**2 * between
+        grains, moments = scene.chain.grains, samples + (0 if samples and dense(scene) else EXTRA)
+        once, a_moment = 6e-8 * grains**2 + 1e-10 * grains**3, 5e-7 + 3e-8 * grains + 6e-10 * grains**2
+        return once + a_moment * moments + 1e-8 * values
 
     def solve(self, scene: Scene, state: Mapping[str, Array]) -> Solution:
         """Return the solution, whose start is all that is needed."""
@@ -149,10 +148,10 @@ class Solution(Protocol):
     def work(self) -> int:
         """How often the matrix of the chain has been applied so far, or how many modes there are."""
 
-    def at(self, times: Array) -> Iterator[tuple[Array, Array, int]]:
-        """Yield displacement and velocity at these times, later and later ones, of the grains that may move.
+    def at(self, times: Array) -> tuple[Array, Array, NDArray[np.intp]]:
+        """Return displacement and velocity at these times, later and later ones, (T, N) m and m/s.
 
-        They are those of grains first, first + 1 ..., counted from 0; `first` comes with them.
+        With them come the first grain, from 0, and the one after the last that may move, (T, 2).
         """
 
     def state(self) -> dict[str, Array]:
@@ -184,31 +183,31 @@ class LinearRun(Run):
             for i, scene in enumerate(scenes)
         ]
         self._rows, self._columns = rows, columns
-        self._looks = [looks(scene) for scene in scenes]
+        self._looks = [np.zeros(0) if dense(scene) else looks(scene) for scene in scenes]
         self._integration_s = 0.0
         self._setup_s = time.perf_counter() - began
 
     def blocks(self) -> Iterator[Block]:
         """Yield the answer."""
-        times, size = self._scene.time, max(1, min(BLOCK, BLOCK_VALUES // max(1, self._rows.size)))
+        times, grains = self._scene.time, self._scene.chain.grains
+        size = max(1, min(max(BLOCK, SMALL // grains), BLOCK_VALUES // grains))
         while self._sample < self._scene.samples:
             began = time.perf_counter()
             here = slice(self._sample, min(self._sample + size, self._scene.samples))
             before = times[self._sample - 1] if self._sample else -1.0
             shape = (len(self._solutions), here.stop - here.start, self._rows.size)
-            block = Block(here, np.zeros(shape), np.zeros(shape), self._columns)
+            block = Block(here, np.empty(shape), np.empty(shape), self._columns)
             for real, (solution, found) in enumerate(zip(self._solutions, self._nonlinearity, strict=True)):
                 extra = self._looks[real]
-                moments = np.union1d(times[here], extra[(extra > before) & (extra < times[here.stop - 1])])
-                wanted = np.isin(moments, times[here])
-                place = 0
-                for moment, keep, (u, v, first) in zip(moments, wanted, solution.at(moments), strict=True):
-                    found.see(float(moment), u, v, first, bool(keep))
-                    if keep:
-                        moving = (self._rows >= first) & (self._rows < first + u.size)
-                        block.displacement[real, place, moving] = u[self._rows[moving] - first]
-                        block.velocity[real, place, moving] = v[self._rows[moving] - first]
-                        place += 1
+                extra = extra[(extra > before) & (extra < times[here.stop - 1])]
+                moments = np.union1d(times[here], extra) if extra.size else times[here]
+                wanted = (
+                    np.isin(moments, times[here], assume_unique=True) if extra.size else np.ones(moments.size, bool)
+                )
+                u, v, reach = solution.at(moments)
+                found.see(moments, wanted, u, v, reach)
+                which = np.ix_(wanted, self._rows)
+                block.displacement[real], block.velocity[real] = u[which], v[which]
             self._sample = here.stop
             self._integration_s += time.perf_counter() - began
             yield block
@@ -273,14 +272,10 @@ class _Chebyshev:
         """Polynomials so far."""
         return self._chain.terms
 
-    def at(self, times: Array) -> Iterator[tuple[Array, Array, int]]:
-        """Yield the solution at these times."""
-        for moment in times:
-            if moment > self._time:
-                self._chain.advance(moment - self._time)
-                self._time = moment
-            here = slice(self._chain.first, self._chain.last)
-            yield self._chain.u[here], self._chain.v[here], self._chain.first
+    def at(self, times: Array) -> tuple[Array, Array, NDArray[np.intp]]:
+        """Return the solution at these times."""
+        before, self._time = self._time, float(times[-1])
+        return self._chain.advance(times - before)
 
     def state(self) -> dict[str, Array]:
         """Return displacement and velocity, and when they were so."""
@@ -304,8 +299,8 @@ class _Modes:
         """Number of modes."""
         return self._modes.frequency.size
 
-    def at(self, times: Array) -> Iterator[tuple[Array, Array, int]]:
-        """Yield the solution at these times, found for all of them at once."""
+    def at(self, times: Array) -> tuple[Array, Array, NDArray[np.intp]]:
+        """Return the solution at these times, found for all of them at once."""
         u, v = self._modes.response(times, *self._initial)
         top = np.empty((2, times.size, 0))
         if self._drive:
@@ -313,7 +308,8 @@ class _Modes:
             u, v = u + forced[0] @ self._modes.shape.T, v + forced[1] @ self._modes.shape.T
             top = np.array(self._drive.motion(times))[..., None]
         rest = np.zeros((times.size, self._held))
-        yield from zip(np.hstack((top[0], u, rest)), np.hstack((top[1], v, rest)), repeat(0), strict=False)
+        u, v = np.hstack((top[0], u, rest)), np.hstack((top[1], v, rest))
+        return u, v, np.tile((0, u.shape[1]), (times.size, 1))
 
     def _forced(self, t: Array) -> tuple[Array, Array]:
         """Return ``q'' + w^2 q = f sin(W t)`` from rest, (T, M), in a form that holds at resonance, w = W."""

@@ -11,6 +11,7 @@ top, within or all over, the estimate is within a factor of 3 of the true differ
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..compiling import compiled_once
 from ..fields import Array
@@ -18,8 +19,7 @@ from ..scene import Scene
 
 EARLIEST, GROWTH, EVENLY = 0.5, 1.25, 64  # looks at the solution between samples: ever further apart, and evenly
 AT_ONCE = 0.25  # of (delta - 1) s: the distortion that no phase accounts for
-FAINTEST = 0.01  # of what a strike distorts at once: what is left of it wherever it is recorded
-DOUBT, WANDER = 3.0, 0.5  # the true error over the estimate along the solution; over the strain and root of periods
+DOUBT, WANDER = 3.0, 0.5  # the true error over the estimate along the solution; over strains added up like random steps
 UNLUCKY = 16.0  # over the number of samples: how much smaller than between them the wave may be in all of them
 
 
@@ -39,32 +39,30 @@ class Nonlinearity:
         self._inverse_mass[chain.movable :] = 0.0
         self._inverse_overlap = np.divide(1.0, contacts.overlap, out=np.zeros(chain.grains + 1), where=contacts.pressed)
         self._excess = chain.exponent - 1
-        nothing = np.zeros(0)  # only compiles, so that it is not timed as work
-        _look(nothing, nothing, np.zeros(1), np.zeros(1), nothing)
         self._fastest = chain.band_edge
         # time, strain and shift by then; largest strain, displacement, velocity and acceleration; largest effects of
         # the shift on displacement and velocity; a contact that opens, if any; largest displacement and velocity in
-        # samples
-        self.memory = np.array([0.0] * 9 + [np.nan, 0.0, 0.0]) if memory is None else memory.copy()
+        # samples; integral of the squared strain
+        self.memory = np.array([0.0] * 9 + [np.nan, 0.0, 0.0, 0.0]) if memory is None else memory.copy()
 
-    def see(self, time: float, u: Array, v: Array, first: int = 0, recorded: bool = True) -> None:
-        """Look at the solution: displacements and velocities of grains first, first + 1 ..., the others at rest.
+    def see(self, times: Array, recorded: NDArray[np.bool_], u: Array, v: Array, reach: NDArray[np.intp]) -> None:
+        """Look at the solution, one time after the other.
 
-        Looks that are not `recorded` tell how the wave has got there; errors are those of samples.
+        Parameters
+        ----------
+        times : (T,) array
+            s.
+        recorded : (T,) array
+            Whether they are samples: errors are those of samples, the others tell how the wave has got there.
+        u, v : (T, N) arrays
+            m and m/s.
+        reach : (T, 2) array
+            First grain, from 0, and the one after the last that moves.
         """
-        here, grains = slice(first, first + u.size + 1), slice(first, first + u.size)
-        strain, *size, opened = _look(
-            u, v, self._inverse_overlap[here], self._stiffness[here], self._inverse_mass[grains]
-        )
-        before, last, shift = self.memory[:3]
-        shift += self._excess / 4 * (last + strain) / 2 * (time - before)
-        self.memory[:3] = time, strain, shift
-        self.memory[3:7] = np.maximum(self.memory[3:7], (abs(strain), *size))
-        if recorded:
-            self.memory[7:9] = np.maximum(self.memory[7:9], (abs(shift) * size[1], abs(shift) * size[2]))
-            self.memory[10:] = np.maximum(self.memory[10:], size[:2])
-        if opened >= 0 and np.isnan(self.memory[9]):
-            self.memory[9] = first + opened
+        _look(
+            times, recorded, u, v, reach, self._inverse_overlap, self._stiffness, self._inverse_mass, self._excess / 4,
+            self.memory,
+        )  # fmt: skip
 
     @property
     def error(self) -> float:
@@ -82,15 +80,13 @@ class Nonlinearity:
 
         Measured on 400 random scenes with up to 500 periods, of every excitation.
         """
-        wandering = (
-            WANDER * self._excess * self.memory[3] * (1 + np.sqrt(self._fastest * self.memory[0])) * self._missed
-        )
-        return min(1.0, max(DOUBT * self.error, float(wandering)))
+        steps = self.memory[3] + np.sqrt(self._fastest * self.memory[12])
+        return min(1.0, max(DOUBT * self.error, float(WANDER * self._excess * steps * self._missed)))
 
     @property
     def _sampled(self) -> Array:
         """Largest displacement and velocity in samples, to which errors are relative."""
-        return np.where(self.memory[10:] > 0, self.memory[10:], np.inf)
+        return np.where(self.memory[10:12] > 0, self.memory[10:12], np.inf)
 
     @property
     def _missed(self) -> float:
@@ -105,22 +101,32 @@ class Nonlinearity:
 
 
 @compiled_once("the check for what is not linear", 3)
-def _look(u, v, inverse_overlap, stiffness, inverse_mass):
-    """Return the strongest strain, the largest displacement, velocity and acceleration, and an open contact or -1."""
-    largest = displacement = velocity = acceleration = before = 0.0
-    opened = -1
-    for n in range(u.size + 1):  # contacts; before and after these grains is one at rest
-        r = (u[n - 1] if n > 0 else 0.0) - (u[n] if n < u.size else 0.0)
-        strain, force = r * inverse_overlap[n], r * stiffness[n]
-        if abs(strain) > abs(largest):
-            largest = strain
-        if strain <= -1.0:
-            opened = n
-        if n > 0:
-            displacement, velocity = max(displacement, abs(u[n - 1])), max(velocity, abs(v[n - 1]))
-            acceleration = max(acceleration, abs(before - force) * inverse_mass[n - 1])
-        before = force
-    return largest, displacement, velocity, acceleration, opened
+def _look(times, recorded, us, vs, reach, inverse_overlap, stiffness, inverse_mass, faster, memory):
+    """Go through the solution (T, N) and note what there is to remember: see `Nonlinearity`."""
+    for i in range(times.size):
+        first, last = reach[i]
+        u, v = us[i, first:last], vs[i, first:last]
+        largest = displacement = velocity = acceleration = before = 0.0
+        for n in range(u.size + 1):  # contacts; before and after these grains is one at rest
+            r = (u[n - 1] if n > 0 else 0.0) - (u[n] if n < u.size else 0.0)
+            strain, force = r * inverse_overlap[first + n], r * stiffness[first + n]
+            if abs(strain) > abs(largest):
+                largest = strain
+            if strain <= -1.0 and np.isnan(memory[9]):
+                memory[9] = first + n
+            if n > 0:
+                displacement, velocity = max(displacement, abs(u[n - 1])), max(velocity, abs(v[n - 1]))
+                acceleration = max(acceleration, abs(before - force) * inverse_mass[first + n - 1])
+            before = force
+        memory[2] += faster * (memory[1] + largest) / 2 * (times[i] - memory[0])
+        memory[12] += (memory[1] ** 2 + largest**2) / 2 * (times[i] - memory[0])
+        memory[0], memory[1] = times[i], largest
+        memory[3], memory[4] = max(memory[3], abs(largest)), max(memory[4], displacement)
+        memory[5], memory[6] = max(memory[5], velocity), max(memory[6], acceleration)
+        if recorded[i]:
+            shift = abs(memory[2])
+            memory[7], memory[8] = max(memory[7], shift * velocity), max(memory[8], shift * acceleration)
+            memory[10], memory[11] = max(memory[10], displacement), max(memory[11], velocity)
 
 
 def saturated(error: float) -> float:
@@ -142,14 +148,14 @@ def strain_bound(scene: Scene) -> float:
 
 
 def bounds(scene: Scene) -> tuple[float, float]:
-    """Return what the error of a linear answer surely exceeds and what it stays below, from the strike alone.
+    """Return what a closer look at the error of a linear answer finds at least, and a bound, from the strike alone.
 
     The upper bound takes the largest strain for that of the whole time, as if the shift of phase grew without end: far
     too much for a wave that spreads out, about right for a few grains that are hit hard. It is 1 where contacts may
-    open.
+    open. On 547 random scenes a look found 1.3 times what is said here or more.
     """
     excess, strain = scene.chain.exponent - 1, strain_bound(scene)
-    least = FAINTEST * saturated(AT_ONCE * excess * scene.strike_number)
+    least = saturated(AT_ONCE * excess * scene.strike_number)
     if not strain < 1:
         return least, 1.0
     periods = scene.chain.band_edge * scene.duration
@@ -161,3 +167,8 @@ def looks(scene: Scene) -> Array:
     first = EARLIEST / scene.chain.band_edge
     count = max(0, int(np.log(scene.duration / first) / np.log(GROWTH)) + 1)
     return np.union1d(first * GROWTH ** np.arange(count), np.linspace(0, scene.duration, EVENLY, endpoint=False))
+
+
+def dense(scene: Scene) -> bool:
+    """Say whether samples show the fastest oscillation of a chain, so that no other looks are needed."""
+    return bool(scene.duration * scene.chain.band_edge < scene.samples - 1)
