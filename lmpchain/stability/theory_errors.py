@@ -8,12 +8,13 @@ import numpy as np
 
 from ..chain import Chain
 from ..errors import InputError
-from ..excitation import Drive, Excitation, Impulse, Profile
+from ..excitation import Displacement, Drive, Excitation, Impulse, Profile
 from ..fields import Array
 from ..measure.front import track
 from ..scene import Scene
 from ..simulation import simulate
 from ..theory import bessel, continuum
+from ..theory.domain import real
 from ..trajectory import Trajectory
 
 BEAD = 1e-3  # m
@@ -92,15 +93,33 @@ def bessel_error(load: float, tau: float) -> tuple[float, float]:
     return float(stiffness[1] / stiffness[0] - 1), error
 
 
+def local_error(tau: float) -> float:
+    """Return the error of Eq. (7) after a displacement of the top grain: root of the sum of squares over grains at tau."""
+    grains = int(1.3 * continuum.depth(tau)) + 20
+    unit = GENTLE * Chain(grains=grains, diameter=BEAD).length_scale
+    scene = _at_its_end(column(Displacement(displacement=unit, grain=1), tau, grains))
+    return _distance(bessel.local(np.arange(1, grains + 1), tau), theory(scene, "chebyshev").displacement[-1] / unit)
+
+
+def far_field_error(grain: int, tau: float) -> float:
+    """Return the error of `theories.far_field_law`: the largest over a period before tau."""
+    times = tau - np.linspace(0, np.pi / grain ** (1 / 6), 200)
+    difference = bessel.far_field(grain, times) - bessel.local(grain, times)
+    return float(np.abs(difference).max() * grain ** (1 / 12) * np.sqrt(np.pi * tau))
+
+
 def continuum_error(width: float, tau: Array, exponent: float = 1.5, cells: int = 9) -> Array:
-    """Return the error of `theories.continuum_law` at each tau, (T,): Eq. (27), solved cell by cell, against Eq. (3)."""
+    """Return the error of `theories.continuum_law` at each tau, (T,), against Eq. (3).
+
+    Eq. (27) is solved with `cells` cells a grain.
+    """
     grains = int(continuum.depth(max(tau) + 6 * width, exponent)) + 20
 
     def strike(h: Array) -> Array:
         travel = continuum.chi(h, exponent) / width
         return np.where(travel < EDGE, np.exp(-(travel**2) / 2), 0.0)
 
-    struck = strike(np.arange(grains) + 0.5)
+    struck = strike(real(np.arange(grains) + 0.5))
     struck[-1] = 0
     smooth = continuum.solve(tau, grains, velocity=strike, delta=exponent, cells=cells).velocity
     unit = _unit(column(GENTLE, 1.0, grains, exponent))
@@ -116,7 +135,7 @@ def impulse_error(tau: float, samples: int = 2) -> tuple[Array, Array, Array]:
     """
     scene = column(GENTLE, tau, int(continuum.depth(1.2 * tau)) + 30)
     scene = Scene(**scene.given() | {"samples": samples})
-    times, h = scene.time / scene.chain.time_scale, np.arange(scene.chain.grains) + 0.5
+    times, h = scene.time / scene.chain.time_scale, real(np.arange(scene.chain.grains) + 0.5)
     exact = theory(scene, "chebyshev").displacement / _unit(scene) / scene.chain.time_scale
     inside = continuum.chi(h) < times[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -144,7 +163,7 @@ def phase_velocities(frequency: float, tau: float = 150.0) -> tuple[Array, Array
 
 
 def fronts(tau: float) -> tuple[Array, Array, Array]:
-    """Return grains, when the largest velocity passes each and the full width at half of it, in units of tau, (G,) each."""
+    """Return grains, when the largest velocity passes each, and for how long it is above half of that, in tau, (G,)."""
     scene = column(GENTLE, tau, int(continuum.depth(1.2 * tau)) + 30)
     found = track(theory(scene, "chebyshev"))
     return found.grain, found.time / scene.chain.time_scale, found.width / scene.chain.time_scale

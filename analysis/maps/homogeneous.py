@@ -1,0 +1,124 @@
+"""The homogeneous chain: errors of Eq. (6) over depth, time and width, of the engine "bessel", and of Eqs. (7), (8)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.colors import LogNorm
+
+from lmpchain.plotting import COLOURS, figure
+from lmpchain.stability.theories import bessel_law, far_field_law, uniform_law, uniform_reach
+from lmpchain.stability.theory_errors import bessel_error, far_field_error, local_error, uniform_error
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+SHADES = tuple(COLOURS.values())
+DEEP = 1000  # the grain around which disturbances of many widths begin
+LEVELS = (0.01, 0.1)
+XI = 1 / 3
+
+
+def measure(quick: bool) -> dict[str, Any]:
+    """Return errors over depth and distance, width and distance, time and load, and time."""
+    grains = np.unique(np.geomspace(5, 2000, 4 if quick else 14).astype(int))
+    travelled = np.geomspace(1, 100, 5 if quick else 17)
+    widths = [0.0, *np.geomspace(1, 30, 2 if quick else 7)]
+    far = np.geomspace(2, 400, 6 if quick else 24)
+    loads, tau = (0, 10, 100, 1000), np.geomspace(0.5, 30, 6 if quick else 20)
+    beads, late = (1, 3, 10), np.geomspace(10, 1e5, 5 if quick else 17)
+    local = np.geomspace(1, 60, 6 if quick else 20)
+    return {
+        "grain": grains.tolist(),
+        "travelled": travelled.tolist(),
+        "error": [[uniform_error(int(n), T) for n in grains] for T in travelled],
+        "width": [float(s) for s in widths],
+        "far": far.tolist(),
+        "reach": {str(level): [_reach(s, far, level) for s in widths] for level in LEVELS},
+        "tau": tau.tolist(),
+        "bessel": {str(load): [bessel_error(load, t) for t in tau] for load in loads},
+        "local": [local.tolist(), [local_error(t) for t in local]],
+        "late": late.tolist(),
+        "far field": {str(n): [far_field_error(n, t) for t in late] for n in beads},
+    }
+
+
+def _reach(width: float, travelled: np.ndarray, level: float) -> float:
+    """Return the distance at which Eq. (6) is so far off, found between the measured ones."""
+    errors = np.maximum.accumulate([uniform_error(DEEP, T, width) for T in travelled])
+    return float(np.exp(np.interp(np.log(level), np.log(errors), np.log(travelled))))
+
+
+def draw(data: dict[str, Any]) -> Figure:
+    """Draw the map and three cuts."""
+    picture = figure(12, 9.6)
+    (plane, width), (strike, eight) = picture.subplots(2, 2)
+    grains, travelled, error = data["grain"], data["travelled"], np.array(data["error"])
+    shades = plane.pcolormesh(grains, travelled, error, norm=LogNorm(1e-3, 1), cmap="cividis", shading="gouraud")
+    picture.colorbar(shades, ax=plane, label="error of the displacements", extend="both")
+    plane.contour(grains, travelled, np.log10(error), levels=[-2, -1], colors="white", linewidths=3.5)
+    draw_boundaries(plane, grains[0], grains[-1])
+    plane.set_title("Eq. (6), one κ for all grains: white, measured; dashed, law", loc="left", fontsize="medium")
+    _draw_width(width, data)
+    _draw_strike(strike, data)
+    _draw_seven_and_eight(eight, data)
+    for axes in (width, strike, eight):
+        axes.legend(frameon=False, fontsize="small")
+    return picture
+
+
+def draw_boundaries(plane: Axes, first: float, last: float, background: str = "white") -> None:
+    """Draw how far a wave may go from a grain, between two grains, until Eq. (6) fails."""
+    grains, travelled = np.geomspace(first, last, 60), np.geomspace(1, 100, 60)
+    law = np.log10([[uniform_law(XI / n, T) for n in grains] for T in travelled])
+    plane.contour(grains, travelled, law, levels=[-2, -1], colors="black", linestyles="--", linewidths=1.4)
+    for level in LEVELS:
+        label = f"{100 * level:.0f} %: T = √(12√2 · {level:g} n)"
+        above = 1.2 * uniform_reach(level, XI / 150)
+        plane.text(150, above, label, rotation=22, rotation_mode="anchor", color=background, fontsize="small")
+    plane.set(xscale="log", yscale="log", xlim=(first, last), ylim=(1, 100))
+    plane.set(xlabel="grain that is moved, n", ylabel="grains that the wave has gone, T = τ√κ")
+
+
+def _draw_width(axes: Axes, data: dict[str, Any]) -> None:
+    widths = np.array(data["width"])
+    shown = np.where(widths > 0, widths, 0.5)  # one grain
+    fine = np.geomspace(1, data["far"][-1], 200)
+    for level, colour in zip(LEVELS, SHADES, strict=False):
+        laws = np.array([[uniform_law(XI / DEEP, T, s) for T in fine] for s in widths])
+        law = [np.exp(np.interp(np.log(level), np.log(np.maximum.accumulate(e)), np.log(fine))) for e in laws]
+        axes.loglog(shown, law, color=colour, label=f"{100 * level:.0f} %, law")
+        found = data["reach"][str(level)]
+        axes.loglog(shown, found, "o", mfc="none", color=colour, label=f"{100 * level:.0f} %, measured")
+    axes.set_xticks([0.5, 1, 3, 10, 30], labels=["one grain", "1", "3", "10", "30"])
+    axes.minorticks_off()
+    axes.set(xlabel="standard deviation of the displacement (grains)", ylabel="grains that the wave may go")
+    axes.set_title(f"Eq. (6) around grain {DEEP}: the wider, the longer", loc="left", fontsize="medium")
+
+
+def _draw_strike(axes: Axes, data: dict[str, Any]) -> None:
+    fine = np.geomspace(data["tau"][0], data["tau"][-1], 200)
+    for (load, found), colour in zip(data["bessel"].items(), SHADES, strict=False):
+        contrast = found[0][0]
+        axes.loglog(fine, [bessel_law(contrast, t) for t in fine], color=colour, lw=1.3)
+        label = f"load of {load} grains, κ₂/κ₁ − 1 = {contrast:.2g}"
+        axes.loglog(data["tau"], [error for _, error in found], "o", ms=4.5, mfc="none", color=colour, label=label)
+    for level in LEVELS:
+        axes.axhline(level, color="0.7", lw=0.8, zorder=0)
+    axes.set(xlabel="time τ", ylabel="error (package's norm)", ylim=(1e-6, 30))
+    axes.set_title('Engine "bessel", strike on top: points, measured; lines, law', loc="left", fontsize="medium")
+
+
+def _draw_seven_and_eight(axes: Axes, data: dict[str, Any]) -> None:
+    tau, errors = data["local"]
+    axes.loglog(tau, errors, "s", ms=4.5, mfc="none", color="black", label="Eq. (7) against Eq. (3), top grain moved")
+    for (grain, found), colour in zip(data["far field"].items(), SHADES, strict=False):
+        late = np.array(data["late"])
+        axes.loglog(late, far_field_law(int(grain), late), color=colour, lw=1.3)
+        axes.loglog(late, found, "o", ms=4.5, mfc="none", color=colour, label=f"Eq. (8) against Eq. (7), grain {grain}")
+    for level in LEVELS:
+        axes.axhline(level, color="0.7", lw=0.8, zorder=0)
+    axes.set(xlabel="time τ", ylabel="relative error", ylim=(1e-5, 30))
+    axes.set_title("Eqs. (7) and (8): points, measured; lines, law", loc="left", fontsize="medium")

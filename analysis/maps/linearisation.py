@@ -1,0 +1,123 @@
+"""Linear theory: its error over strike and gravity, in four norms, and what the package says of it beforehand."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.colors import LogNorm
+
+from lmpchain import Chain
+from lmpchain.engines.linear import Chebyshev
+from lmpchain.engines.nonlinearity import bounds
+from lmpchain.excitation import Impulse
+from lmpchain.plotting import COLOURS, figure
+from lmpchain.scene import Scene
+from lmpchain.stability.theories import LINEAR, linear_law, strike_number_at
+from lmpchain.stability.theory_errors import BEAD, column, linear_error, theory
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+DURATION, GRAINS, EARTH, TAU = 100e-6, 120, 9.81, 14.555  # s, -, m/s2, 100 us on Earth
+OPENS = 8.501  # v0* from which contact 1 of a Hertzian column opens
+NAMES = {
+    "velocity": "velocities at the end",
+    "displacement": "displacements, all samples",
+    "package": "the package's: displacements and velocities",
+    "peak": "peak velocity of the last grain passed",
+}
+
+
+def measure(quick: bool) -> dict[str, Any]:
+    """Return errors over v0 and g after 100 us, and over v0* at g."""
+    strikes, gravity = np.geomspace(1e-8, 1, 9 if quick else 33), EARTH * np.geomspace(1e-3, 1e2, 3 if quick else 11)
+    errors = [[linear_error(_scene(v, g))["velocity"] for v in strikes] for g in gravity]
+    numbers = np.geomspace(1e-3, 1e3, 7 if quick else 25)
+    scenes = [column(v, TAU, GRAINS) for v in numbers]
+    norms = [linear_error(scene) for scene in scenes]
+    engine = Chebyshev()
+    return {
+        "v0": strikes.tolist(),
+        "gravity": gravity.tolist(),
+        "error": errors,
+        "strike number": numbers.tolist(),
+        "norms": {norm: [found[norm] for found in norms] for norm in LINEAR},
+        "estimate": {
+            "least": [bounds(scene)[0] for scene in scenes],
+            "most": [bounds(scene)[1] for scene in scenes],
+            "look": [engine.look(scene, engine.candidate(scene, 1e-6)).model_error for scene in scenes],
+            "after": [theory(scene, "chebyshev").error_estimate.model for scene in scenes],
+        },
+    }
+
+
+def _scene(v0: float, gravity: float) -> Scene:
+    chain = Chain(grains=GRAINS, diameter=BEAD, gravity=gravity)
+    return Scene(chain=chain, excitation=Impulse(velocity=v0), duration=DURATION, samples=501)
+
+
+def strike_unit(gravity: np.ndarray | float) -> np.ndarray | float:
+    """Return v0 / v0* of glass beads, m/s, for Hertz: sqrt(delta g) (g / gamma)^(1/3), as the 5/6 power of gravity."""
+    chain = Chain(grains=2, diameter=BEAD, gravity=EARTH)
+    return chain.length_scale / chain.time_scale * (gravity / EARTH) ** (5 / 6)
+
+
+def draw(data: dict[str, Any]) -> Figure:
+    """Draw the map and, at g, the norms and the package's own estimates."""
+    picture = figure(15, 5.6)
+    plane, norms, own = picture.subplots(1, 3, width_ratios=(1.15, 1, 1))
+    gravity, error = data["gravity"], np.array(data["error"]).T
+    shades = plane.pcolormesh(gravity, data["v0"], error, norm=LogNorm(1e-4, 1), cmap="cividis", shading="gouraud")
+    picture.colorbar(shades, ax=plane, label="error of the velocities at 100 µs", extend="both")
+    plane.contour(gravity, data["v0"], np.log10(error), levels=[-2, -1], colors="white", linewidths=3.5)
+    draw_boundaries(plane, gravity[0], gravity[-1])
+    plane.set(ylim=(data["v0"][0], data["v0"][-1]))
+    plane.text(300, 3e-8, "linear", color="white", ha="center")
+    plane.text(3e-2, 5e-2, "as in the sonic vacuum")
+    plane.set_title("Linear theory: white, measured; dashed, law", loc="left", fontsize="medium")
+    _draw_norms(norms, data)
+    _draw_own(own, data)
+    for axes in (norms, own):
+        axes.set(xscale="log", yscale="log", xlabel="strike number v0*", ylabel="relative error", ylim=(1e-5, 3))
+        axes.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.14), fontsize="small")
+    return picture
+
+
+def draw_boundaries(plane: Axes, least: float, most: float, background: str = "white") -> None:
+    """Draw where linear theory fails over strike and gravity, between two of these."""
+    gravity = np.array([least, most])
+    for name, number, style in (
+        ("1 %", strike_number_at(0.01, "velocity"), "--"),
+        ("10 %", strike_number_at(0.1, "velocity"), "--"),
+        ("contact 1 opens", OPENS, ":"),
+    ):
+        line = number * strike_unit(gravity)
+        plane.loglog(gravity, line, color="black", ls=style, lw=1.4)
+        label, colour = f"{name}: v0* = {number:.2g}", background if number < 1 else "black"
+        start = 1.3 * least, 2 * line[0]
+        plane.text(*start, label, rotation=25, rotation_mode="anchor", color=colour, fontsize="small")
+    plane.set(xlim=(least, most), xlabel="gravity (m/s²)", ylabel="velocity of the strike (m/s)")
+
+
+def _draw_norms(axes: Axes, data: dict[str, Any]) -> None:
+    fine = np.geomspace(data["strike number"][0], data["strike number"][-1], 200)
+    for (norm, found), colour in zip(data["norms"].items(), COLOURS.values(), strict=False):
+        law = np.array([linear_law(v, norm, grain=19) for v in fine])
+        axes.plot(fine, law, color=colour, lw=1.3)
+        one = strike_number_at(0.01, norm, grain=19)
+        label = f"{NAMES[norm]}: 1 % at v0* = {one:.2g}"
+        axes.plot(data["strike number"], found, "o", ms=4.5, mfc="none", color=colour, label=label)
+    for level in (0.01, 0.1):
+        axes.axhline(level, color="0.7", lw=0.8, zorder=0)
+    axes.set_title("At g, four norms: points, measured; lines, law", loc="left", fontsize="medium")
+
+
+def _draw_own(axes: Axes, data: dict[str, Any]) -> None:
+    numbers, own = data["strike number"], data["estimate"]
+    axes.fill_between(numbers, own["least"], own["most"], color="0.9", label="bounds from the strike alone")
+    axes.plot(numbers, own["look"], "--", color=COLOURS["lammps"], label="bound after a look at the linear solution")
+    axes.plot(numbers, own["after"], color=COLOURS["native"], label="estimate after the run")
+    axes.plot(numbers, data["norms"]["package"], "o", ms=4.5, mfc="none", color="black", label="measured")
+    axes.set_title("At g, what the package says by itself", loc="left", fontsize="medium")
