@@ -24,7 +24,7 @@ XI = 1 / 3
 def measure(quick: bool) -> dict[str, Any]:
     """Return errors over depth and distance, width and distance, time and load, and time."""
     grains = np.unique(np.geomspace(5, 2000, 4 if quick else 14).astype(int))
-    travelled = np.geomspace(1, 100, 5 if quick else 17)
+    travelled = np.geomspace(1, 100, 5 if quick else 25)
     widths = [0.0, *np.geomspace(1, 30, 2 if quick else 7)]
     far = np.geomspace(2, 400, 6 if quick else 24)
     loads, tau = (0, 10, 100, 1000), np.geomspace(0.5, 30, 6 if quick else 20)
@@ -58,7 +58,9 @@ def draw(data: dict[str, Any]) -> Figure:
     grains, travelled, error = data["grain"], data["travelled"], np.array(data["error"])
     shades = plane.pcolormesh(grains, travelled, error, norm=LogNorm(1e-3, 1), cmap="cividis", shading="gouraud")
     picture.colorbar(shades, ax=plane, label="error of the displacements", extend="both")
-    plane.contour(grains, travelled, np.log10(error), levels=[-2, -1], colors="white", linewidths=3.5)
+    plane.contour(
+        grains, travelled, np.log10(error), levels=[-2, -1], colors="white", linestyles="solid", linewidths=3.5
+    )
     draw_boundaries(plane, grains[0], grains[-1])
     plane.set_title("Eq. (6), one κ for all grains: white, measured; dashed, law", loc="left", fontsize="medium")
     _draw_width(width, data)
@@ -71,13 +73,13 @@ def draw(data: dict[str, Any]) -> Figure:
 
 def draw_boundaries(plane: Axes, first: float, last: float, background: str = "white") -> None:
     """Draw how far a wave may go from a grain, between two grains, until Eq. (6) fails."""
-    grains, travelled = np.geomspace(first, last, 60), np.geomspace(1, 100, 60)
+    grains, travelled = np.geomspace(first, last, 60), np.geomspace(1, 100, 150)
     law = np.log10([[uniform_law(XI / n, T) for n in grains] for T in travelled])
     plane.contour(grains, travelled, law, levels=[-2, -1], colors="black", linestyles="--", linewidths=1.4)
     for level in LEVELS:
         label = f"{100 * level:.0f} %: T = √(12√2 · {level:g} n)"
-        above = 1.2 * uniform_reach(level, XI / 150)
-        plane.text(150, above, label, rotation=22, rotation_mode="anchor", color=background, fontsize="small")
+        below = 0.72 * uniform_reach(level, XI / 120)
+        plane.text(120, below, label, rotation=29, rotation_mode="anchor", color=background, fontsize="small")
     plane.set(xscale="log", yscale="log", xlim=(first, last), ylim=(1, 100))
     plane.set(xlabel="grain that is moved, n", ylabel="grains that the wave has gone, T = τ√κ")
 
@@ -93,6 +95,7 @@ def _draw_width(axes: Axes, data: dict[str, Any]) -> None:
         found = data["reach"][str(level)]
         axes.loglog(shown, found, "o", mfc="none", color=colour, label=f"{100 * level:.0f} %, measured")
     axes.set_xticks([0.5, 1, 3, 10, 30], labels=["one grain", "1", "3", "10", "30"])
+    axes.set_yticks([10, 20, 50, 100, 200], labels=["10", "20", "50", "100", "200"])
     axes.minorticks_off()
     axes.set(xlabel="standard deviation of the displacement (grains)", ylabel="grains that the wave may go")
     axes.set_title(f"Eq. (6) around grain {DEEP}: the wider, the longer", loc="left", fontsize="medium")

@@ -71,7 +71,9 @@ def draw(data: dict[str, Any]) -> Figure:
     gravity, error = data["gravity"], np.array(data["error"]).T
     shades = plane.pcolormesh(gravity, data["v0"], error, norm=LogNorm(1e-4, 1), cmap="cividis", shading="gouraud")
     picture.colorbar(shades, ax=plane, label="error of the velocities at 100 µs", extend="both")
-    plane.contour(gravity, data["v0"], np.log10(error), levels=[-2, -1], colors="white", linewidths=3.5)
+    plane.contour(
+        gravity, data["v0"], np.log10(error), levels=[-2, -1], colors="white", linestyles="solid", linewidths=3.5
+    )
     draw_boundaries(plane, gravity[0], gravity[-1])
     plane.set(ylim=(data["v0"][0], data["v0"][-1]))
     plane.text(300, 3e-8, "linear", color="white", ha="center")

@@ -14,6 +14,7 @@ from ..measure.front import track
 from ..scene import Scene
 from ..simulation import simulate
 from ..theory import bessel, continuum
+from ..theory.continuum import Complex
 from ..theory.domain import real
 from ..trajectory import Trajectory
 
@@ -94,7 +95,7 @@ def bessel_error(load: float, tau: float) -> tuple[float, float]:
 
 
 def local_error(tau: float) -> float:
-    """Return the error of Eq. (7) after a displacement of the top grain: root of the sum of squares over grains at tau."""
+    """Return the error of Eq. (7) after a displacement of grain 1: root of the sum of squares over grains at tau."""
     grains = int(1.3 * continuum.depth(tau)) + 20
     unit = GENTLE * Chain(grains=grains, diameter=BEAD).length_scale
     scene = _at_its_end(column(Displacement(displacement=unit, grain=1), tau, grains))
@@ -142,24 +143,35 @@ def impulse_error(tau: float, samples: int = 2) -> tuple[Array, Array, Array]:
         return times, h, np.where(inside, abs(continuum.impulse_response(h, times[:, None]) / exact - 1), np.nan)
 
 
-def phase_velocities(frequency: float, tau: float = 150.0) -> tuple[Array, Array]:
-    """Return wavelengths, in grains, and phase velocities over those of the continuum, (G,) each.
+def driven(frequency: float, tau: float = 150.0) -> tuple[Array, Complex]:
+    """Return depths (G,) and the motion there over that of grain 1, (G,), a factor of exp(i omega tau).
 
-    The top is driven gently at the frequency omega, in units of tau; phases are those of the last periods at the
-    grains where the wave has settled, and wave numbers their differences from grain to grain.
+    The top is driven gently at the frequency omega, in units of tau, for a time tau. The average is over the last four
+    periods; left out are depths that the wave has reached but lately and, within 15 / omega of travel time, where no
+    local wavelength is known.
     """
     chain = Chain(grains=int(continuum.depth(tau)), diameter=BEAD)
     drive = Drive(amplitude=GENTLE * chain.length_scale, frequency=frequency / (2 * np.pi * chain.time_scale))
-    scene = column(drive, tau, chain.grains)
-    answer = theory(scene, "chebyshev")
+    answer = theory(column(drive, tau, chain.grains), "chebyshev")
     times = answer.time / chain.time_scale
     window = np.clip((times - tau) * frequency / (2 * np.pi * PERIODS) + 1, 0, 1)
-    turn = np.sin(np.pi * window) ** 2 * np.exp(-1j * frequency * times)
-    settled = slice(14, int(continuum.depth(tau / 4)))
-    phase = np.angle(turn @ answer.displacement)[settled]
-    number = -np.diff(phase) % (2 * np.pi)
-    contact = answer.grains[settled][:-1]
-    return 2 * np.pi / number, frequency / contact ** (1 / 6) / number
+    motion = (np.sin(np.pi * window) ** 2 * np.exp(-1j * frequency * times)) @ answer.displacement
+    settled = slice(*(int(continuum.depth(limit)) for limit in (15 / frequency, tau / 2.5)))
+    return answer.grains[settled] - 0.5, motion[settled] / motion[0]
+
+
+def phase_velocities(frequency: float, tau: float = 150.0) -> tuple[Array, Array]:
+    """Return wavelengths, in grains, and phase velocities over those of the continuum, (G,) each; see `driven`."""
+    h, motion = driven(frequency, tau)
+    number = -np.diff(np.angle(motion)) % (2 * np.pi)
+    return 2 * np.pi / number, frequency / (h[:-1] + 0.5) ** (1 / 6) / number
+
+
+def harmonic_error(frequency: float, tau: float = 150.0) -> tuple[Array, Array]:
+    """Return depths and the error of Eq. (30) for a driven top, `theories.harmonic_law`, (G,) each; see `driven`."""
+    h, motion = driven(frequency, tau)
+    mode = continuum.mode(np.append(0.5, h), frequency).conj()  # the paper's comes in from below
+    return h, np.abs(mode[1:] / mode[0] / motion - 1)
 
 
 def fronts(tau: float) -> tuple[Array, Array, Array]:
