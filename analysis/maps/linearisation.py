@@ -98,7 +98,7 @@ def draw_boundaries(plane: Axes, least: float, most: float, background: str = "w
         line = number * strike_unit(gravity)
         plane.loglog(gravity, line, color="black", ls=style, lw=1.4)
         label, colour = f"{name}: v0* = {number:.2g}", background if number < 1 else "black"
-        start = 1.3 * least, 2 * line[0]
+        start = 1.3 * least, 2.4 * line[0]
         plane.text(*start, label, rotation=25, rotation_mode="anchor", color=colour, fontsize="small")
     plane.set(xlim=(least, most), xlabel="gravity (m/s²)", ylabel="velocity of the strike (m/s)")
 

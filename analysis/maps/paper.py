@@ -1,4 +1,4 @@
-"""Where the paper's own figures lie on the maps: Figs. 1 and 5 linearised, Fig. 2 homogeneous, Figs. 8 and 9 continuous."""
+"""Where the paper's own figures lie: Figs. 1 and 5 on the map of linear theory, 2, 8 and 9 on those of the others."""
 
 from __future__ import annotations
 
@@ -49,24 +49,24 @@ def draw(data: dict[str, Any]) -> Figure:
     """Draw the figures as points on the maps."""
     picture = figure(15, 5.2)
     linear, uniform, continuous = picture.subplots(1, 3)
-    linearisation.draw_boundaries(linear, 0.3, 300, background="black")
+    linearisation.draw_boundaries(linear, 0.1, 1000, background="black")
     for name, found in data["strikes"].items():
-        label = f"{name}: {100 * found['velocity']:.0f} % off"
-        _point(linear, found["gravity"], found["v0"], label, -1 if "10 g" in name else 1)
-    linear.set(ylim=(1e-7, 0.1))
+        label = f"{name}\n{100 * found['velocity']:.0f} % off"
+        _point(linear, found["gravity"], found["v0"], label, (-6, 8) if name == "Fig. 5, g" else (0, 8), "center")
+    linear.set(ylim=(3e-8, 0.1))
     linear.set_title("Linear theory: velocities at 100 µs", loc="left", fontsize="medium")
     homogeneous.draw_boundaries(uniform, 10, 1000, background="black")
     for tau, travelled, error in data["Fig. 2"]:
-        _point(uniform, MOVED, travelled, f"Fig. 2, τ = {tau}: {100 * error:.2g} % off", 1)
+        label = f"Fig. 2, τ = {tau}: {100 * error:.2g} %"
+        _point(uniform, MOVED, travelled, label, (-8, 3) if tau > 1 else (0, -14), "right" if tau > 1 else "center")
     uniform.set_title("Eq. (6), one κ for all grains", loc="left", fontsize="medium")
     _draw_continuum(continuous, *(np.array(x) for x in data["Fig. 8"]))
     return picture
 
 
-def _point(axes: Axes, x: float, y: float, label: str, side: int) -> None:
+def _point(axes: Axes, x: float, y: float, label: str, away: tuple[float, float], side: str) -> None:
     axes.plot(x, y, **POINT)
-    align = "left" if side > 0 else "right"
-    axes.annotate(label, (x, y), xytext=(8 * side, 0), textcoords="offset points", ha=align, va="center")
+    axes.annotate(label, (x, y), xytext=away, textcoords="offset points", ha=side, fontsize="small")
 
 
 def _draw_continuum(axes: Axes, h: np.ndarray, error: np.ndarray) -> None:
@@ -74,16 +74,16 @@ def _draw_continuum(axes: Axes, h: np.ndarray, error: np.ndarray) -> None:
     law = np.log10(harmonic_law(frequency[:, None], depth))
     axes.contour(depth, frequency, law, levels=[-2, -1], colors="black", linestyles="--", linewidths=1.4)
     axes.loglog(depth, 2 * depth ** (1 / 6), color="black", ls=":")
-    axes.text(300, 2.2 * 300 ** (1 / 6) * 0.75, "no waves above", ha="center", fontsize="small")
+    axes.text(15, 2.6, "band edge of the chain", fontsize="small")
     axes.loglog(depth, 4 ** (1 / 3) * depth ** (-1 / 6), color=COLOURS["native"])
-    axes.text(1.3, 1.75, "Fig. 9: front of a strike", color=COLOURS["native"])
+    axes.text(5, 1.35, "Fig. 9: front of a strike", color=COLOURS["native"])
     axes.loglog([1, h[-1]], [LAMBDA, LAMBDA], color=COLOURS["lammps"])
-    for row in np.unique([0, int(np.abs(error - 0.1).argmin()), h.size - 1]):
-        label = f"{100 * error[row]:.0f} %"
-        axes.plot(h[row], LAMBDA, **POINT)
-        axes.annotate(label, (h[row], LAMBDA), xytext=(0, 8), textcoords="offset points", ha="center")
+    for row, below in ((0, -14), (-1, 8)):
+        _point(axes, h[row], LAMBDA, f"{100 * error[row]:.0f} %", (0, below), "center")
     axes.text(1.3, 0.53, "Fig. 8: driven top", color=COLOURS["lammps"])
     for level in (0.01, 0.1):
-        axes.text(1.3, 0.93 * (12 * level / 1.3**0.5) ** (1 / 3), f"{100 * level:.0f} %", va="top", fontsize="small")
+        axes.text(1.3, 0.88 * (12 * level / 1.3**0.5) ** (1 / 3), f"{100 * level:.0f} %", va="top")
+    axes.set_yticks([0.1, 0.2, 0.5, 1, 2, 4], labels=["0.1", "0.2", "0.5", "1", "2", "4"])
+    axes.minorticks_off()
     axes.set(xlim=(1, 1000), ylim=(0.1, 4), xlabel="depth h (grains)", ylabel="frequency ω of τ")
     axes.set_title("Continuum, Eq. (27): phase ω³√h / 12", loc="left", fontsize="medium")

@@ -119,7 +119,7 @@ def bessel_law(contrast: float, tau: float) -> float:
     series); exp(-tau^2/4), fitted, stands for the further terms. Late, the front is at n = tau - 0.51 tau^(1/3) and,
     through contacts each harder than the one before, early by contrast (n^2/4 - n/2); displacements are off by that
     times the largest velocity, 1.071 n^(-1/3), over the largest displacement, 1.274 (Airy). Within 25 % of what is
-    measured for errors up to 0.1.
+    measured for errors below 0.05, and 40 % below 0.1.
 
     Parameters
     ----------
@@ -196,7 +196,8 @@ def _airy_lag(tau: float, exponent: float) -> float:
 def harmonic_law(frequency: ArrayLike, h: ArrayLike) -> Array:
     """Return the error of Eq. (30) at depth h below a driven top, for Hertz: the phase omega^3 sqrt(h) / 12.
 
-    The difference of the wave numbers, k^3 / 24 with k = omega / h^(1/6), summed up from the top.
+    The difference of the wave numbers, k^3 / 24 with k = omega / h^(1/6), summed up from the top. At the first grains,
+    where no wavelength fits in, it is less: what is measured is lower by 0.01 at omega = 0.3 and 0.03 at 0.7.
 
     Examples
     --------
