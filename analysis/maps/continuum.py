@@ -60,7 +60,7 @@ def draw_strike(plane: Axes, data: dict[str, Any], picture: Figure) -> None:
     fine = np.linspace(0.5, depth(times[-1]) * 1.25, 300)
     plane.plot(fine, chi(fine), color="black", lw=1.6, label="light cone, τ = (6/5) h$^{5/6}$")
     plane.plot(fine, fine ** (5 / 6), color=SHADES[1], ls=":", lw=1.8, label="front of Eq. (7), τ = n$^{5/6}$")
-    law = "1 %, law: τ = χ + √h + 3.2 h$^{1/4}$"
+    law = "1 %, law: τ = χ + √h + 3.3 h$^{1/4}$"
     plane.plot(fine, behind_front(fine), color="white", ls="--", lw=1.6, label=law)
     plane.set(xlim=(1, fine[-1]), ylim=(0, times[-1]), xlabel="grain, from the top", ylabel="time τ after the strike")
     plane.set_title("Strike on grain 1: Eq. (35) holds behind the front", loc="left", fontsize="medium")

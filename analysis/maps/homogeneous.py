@@ -23,13 +23,13 @@ XI = 1 / 3
 
 def measure(quick: bool) -> dict[str, Any]:
     """Return errors over depth and distance, width and distance, time and load, and time."""
-    grains = np.unique(np.geomspace(5, 2000, 4 if quick else 14).astype(int))
-    travelled = np.geomspace(1, 100, 5 if quick else 25)
+    grains = np.unique(np.geomspace(5, 2000, 3 if quick else 14).astype(int))
+    travelled = np.geomspace(1, 100, 4 if quick else 25)
     widths = [0.0, *np.geomspace(1, 30, 2 if quick else 7)]
-    far = np.geomspace(2, 400, 6 if quick else 24)
-    loads, tau = (0, 10, 100, 1000), np.geomspace(0.5, 30, 6 if quick else 20)
+    far = np.geomspace(2, 400, 4 if quick else 24)
+    loads, tau = (0, 10, 100, 1000), np.geomspace(0.5, 10 if quick else 30, 4 if quick else 20)
     beads, late = (1, 3, 10), np.geomspace(10, 1e5, 5 if quick else 17)
-    local = np.geomspace(1, 60, 6 if quick else 20)
+    local = np.geomspace(1, 60, 4 if quick else 20)
     return {
         "grain": grains.tolist(),
         "travelled": travelled.tolist(),

@@ -16,7 +16,7 @@ from ..theory.domain import exponents, real, require
 
 # norm: error of the linear theory over (delta - 1) v0* for weak strikes, and where it saturates
 LINEAR = {"velocity": (0.54, 2**0.5), "displacement": (0.186, 0.45), "package": (0.272, 0.69), "peak": (0.134, 0.3)}
-SLOWEST_TAIL = {0.01: 3.2, 0.001: 5.9, 0.0001: 7.9}  # of `behind_front`
+SLOWEST_TAIL = {0.01: 3.3, 0.001: 6.1, 0.0001: 8.5}  # of `behind_front`
 
 
 def linear_law(strike_number: float, norm: str, exponent: float = 1.5, grain: int = 20) -> float:
@@ -212,7 +212,7 @@ def behind_front(h: ArrayLike, error: float = 0.01) -> Array:
 
     Norm: relative error of the displacement of one grain after a strike on grain 1. The top sends down no wave above
     its own band edge, omega = 2, and the slowest of them lags behind the light cone by sqrt(h). They leave a tail:
-    chi + sqrt(h) + s h^(1/4), with s fitted for tau from 30 to 300, 3.2 for an error of 1 %.
+    chi + sqrt(h) + s h^(1/4), with s fitted for tau from 30 to 300, 3.3 for an error of 1 %.
 
     Raises
     ------
