@@ -45,7 +45,6 @@ def measure(quick: bool) -> dict[str, Any]:
         "strike number": numbers.tolist(),
         "norms": {norm: [found[norm] for found in norms] for norm in LINEAR},
         "estimate": {
-            "least": [bounds(scene)[0] for scene in scenes],
             "most": [bounds(scene)[1] for scene in scenes],
             "look": [engine.look(scene, engine.candidate(scene, 1e-6)).model_error for scene in scenes],
             "after": [theory(scene, "chebyshev").error_estimate.model for scene in scenes],
@@ -118,7 +117,7 @@ def _draw_norms(axes: Axes, data: dict[str, Any]) -> None:
 
 def _draw_own(axes: Axes, data: dict[str, Any]) -> None:
     numbers, own = data["strike number"], data["estimate"]
-    axes.fill_between(numbers, own["least"], own["most"], color="0.9", label="bounds from the strike alone")
+    axes.plot(numbers, own["most"], color="0.7", label="bound from the strike alone")
     axes.plot(numbers, own["look"], "--", color=COLOURS["lammps"], label="bound after a look at the linear solution")
     axes.plot(numbers, own["after"], color=COLOURS["native"], label="estimate after the run")
     axes.plot(numbers, data["norms"]["package"], "o", ms=4.5, mfc="none", color="black", label="measured")

@@ -1,0 +1,42 @@
+"""Where methods fail: every boundary that `lmpchain.stability` predicts, drawn over what is measured.
+
+One picture and one file of numbers a map, in `pictures/`; `maps/` holds one module for each.
+"""
+
+import argparse
+import json
+from importlib import import_module
+from pathlib import Path
+
+from figures import finish
+
+from lmpchain.files import write_aside
+
+HERE = Path(__file__).parent
+MAPS = sorted(path.stem for path in (HERE / "maps").glob("[a-z]*.py"))
+
+
+def main() -> None:
+    """Measure and draw."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("maps", nargs="*", metavar="MAP", help=f"some of {', '.join(MAPS)}; by default all")
+    parser.add_argument("--quick", action="store_true", help="few points, for tests; goes into this folder")
+    parser.add_argument("--draw", action="store_true", help="draw the kept numbers again, without a measurement")
+    parser.add_argument("-o", "--output", type=Path, help="folder; by default pictures")
+    given = parser.parse_args()
+    if unknown := [name for name in given.maps if name not in MAPS]:
+        parser.error(f"no map is called {unknown[0]}; there are {', '.join(MAPS)}")
+    folder = given.output or (Path() if given.quick else HERE / "pictures")
+    for name in given.maps or MAPS:
+        found, kept = import_module(f"maps.{name}"), folder / f"stability_{name}.json"
+        if given.draw:
+            numbers = json.loads(kept.read_text(encoding="utf-8"))
+        else:
+            numbers = found.measure(given.quick)
+            with write_aside(kept) as aside:
+                aside.write_text(json.dumps(numbers) + "\n", encoding="utf-8")
+        finish(found.draw(numbers), folder / f"stability_{name}.png")
+
+
+if __name__ == "__main__":
+    main()
