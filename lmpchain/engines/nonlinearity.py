@@ -41,7 +41,7 @@ class Nonlinearity:
         self._inverse_mass[chain.movable :] = 0.0
         self._inverse_overlap = np.divide(1.0, contacts.overlap, out=np.zeros(chain.grains + 1), where=contacts.pressed)
         self._excess = chain.exponent - 1
-        self._fastest = chain.band_edge
+        self._fastest, self._most = chain.band_edge, bounds(scene)[1]
         # time, strain and shift by then; largest strain, displacement, velocity and acceleration; largest effects of
         # the shift on displacement and velocity; a contact that opens, if any; largest displacement and velocity in
         # samples; integral of the squared strain
@@ -83,7 +83,7 @@ class Nonlinearity:
         Measured on 400 random scenes with up to 500 periods, of every excitation.
         """
         steps = self.memory[3] + np.sqrt(self._fastest * self.memory[12])
-        return min(1.0, max(DOUBT * self.error, float(WANDER * self._excess * steps * self._missed)))
+        return min(self._most, max(DOUBT * self.error, float(WANDER * self._excess * steps * self._missed)))
 
     @property
     def _sampled(self) -> Array:
