@@ -230,6 +230,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     workprec.add_argument("--json", metavar="FILE", help="file for the numbers (default: CHART.json)")
 
+    stability = verbs.add_parser(
+        "stability", help="find where methods fail on a scene: steps, round-off, chaos, theories"
+    )
+    _scene(stability, commands.stability)
+    stability.add_argument("-o", "--output", metavar="CHART.png", help="picture to write (.png, .pdf or .svg)")
+    stability.add_argument("--json", metavar="FILE", help="file for the numbers")
+
     sweep = verbs.add_parser("sweep", help="answer many scenes: a grid, a list, random draws, disordered chains")
     sweep.add_argument("sweep", metavar="SWEEP.toml", help="sweep file")
     sweep.add_argument("-o", "--output", metavar="FOLDER", required=True, help="folder for the results")

@@ -1,6 +1,6 @@
 """What the commands of the command line do, one function a verb."""
 
-from .comparing import compare, doctor, workprec
+from .comparing import compare, doctor, stability, workprec
 from .planning import plan
 from .reading import dyson, fit, report
 from .running import deck, resume, run, run_folder, sweep
@@ -16,6 +16,7 @@ __all__ = [
     "resume",
     "run",
     "run_folder",
+    "stability",
     "sweep",
     "workprec",
 ]

@@ -1,4 +1,4 @@
-"""Commands that set engines beside the truth: compare, workprec, doctor."""
+"""Commands that set engines beside the truth: compare, workprec, stability, doctor."""
 
 from __future__ import annotations
 
@@ -116,6 +116,23 @@ def workprec(arguments: argparse.Namespace) -> int:
     from ..workprecision import work_precision
 
     found = work_precision(scene, arguments.budget, progress=sys.stderr.isatty())
+    print(found.table())
+    for reason in found.left_out:
+        print(f"left out: {reason}")
+    keep(found, numbers, picture)
+    return 0
+
+
+def stability(arguments: argparse.Namespace) -> int:
+    """Find where methods fail on a scene."""
+    scene, picture, numbers = gather(
+        lambda: read(arguments.scene),
+        lambda: arguments.output and output(arguments.output, arguments.scene, PICTURES),
+        lambda: arguments.json and output(arguments.json, arguments.scene),
+    )
+    from ..stability import stability as found_out
+
+    found = found_out(scene, progress=sys.stderr.isatty())
     print(found.table())
     for reason in found.left_out:
         print(f"left out: {reason}")

@@ -1,0 +1,90 @@
+"""The picture of where methods fail on a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..engines.methods import METHODS
+from ..plotting import COLOURS, LOWEST, figure
+from . import TOLERANCE, Curve, Stability
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+SHADES = ("#E69F00", "#56B4E9", "#0072B2", "#009E73", "#CC79A7", "#D55E00", "#6A3D00")  # of integrators
+STRENGTHS = {"Eq. (3), bound": COLOURS["modes"], "native, round-off": COLOURS["native"]}
+LEVELS = (1e-3, TOLERANCE, 1e-9)
+
+
+def draw(found: Stability, axes: Sequence[Axes] | None) -> Figure:
+    """Draw the four panels; see `Stability.plot`."""
+    if axes is None:
+        axes = figure(12, 8.5).subplots(2, 2).ravel()
+    steps, energy, growth, strength = axes
+    _draw_steps(steps, found)
+    _draw_energy(energy, [curve for curve in found.curves if curve.panel == "energy"])
+    _draw_growth(growth, found)
+    _draw_strength(strength, found)
+    return steps.figure.figure  # type: ignore[return-value]
+
+
+def _draw_steps(axes: Axes, found: Stability) -> None:
+    rows = [row for row in found.boundaries if row.what == "longest step"][::-1]
+    places, names = range(len(rows)), [row.method for row in rows]
+    axes.plot([row.predicted for row in rows], places, "|", ms=16, mew=2, color="0.3", label="predicted")
+    axes.plot([row.measured for row in rows], places, "o", ms=6, color=COLOURS["lammps"], label="measured")
+    axes.set(xscale="log", xlabel="longest step before a run breaks down (s)", title="Time step")
+    axes.set_yticks(places, names)
+    axes.grid(axis="x", color="0.92", lw=0.6)
+    axes.legend(frameon=False)
+
+
+def _draw_energy(axes: Axes, curves: Sequence[Curve]) -> None:
+    for curve in curves:
+        place = list(METHODS).index(curve.name) % len(SHADES)
+        axes.plot(curve.x[1:], np.maximum(curve.y[1:], LOWEST), color=SHADES[place], lw=1.2, label=curve.name)
+    axes.set(xscale="log", yscale="log", xlabel="time (s)", ylabel="relative error of the energy")
+    axes.set_title("Energy, with forty steps a period of the band edge")
+    _legend(axes)
+
+
+def _draw_growth(axes: Axes, found: Stability) -> None:
+    for curve in found.curves:
+        if curve.panel == "growth":
+            axes.plot(curve.x, np.maximum(curve.y, LOWEST), color=COLOURS["native"], lw=1.3)
+    end = found.scene.duration
+    for level in LEVELS:
+        axes.axhline(level, color="0.75", lw=0.8)
+    for row in found.boundaries:
+        if row.what.startswith("predictable"):
+            for value, style, label in ((row.predicted, "--", "predicted"), (row.measured, "-", "measured")):
+                if np.isfinite(value) and value <= 1.2 * end:
+                    axes.axvline(value, color="0.3", ls=style, lw=1.2, label=f"{label} horizon for {TOLERANCE:g}")
+    axes.set(yscale="log", xlabel="time (s)", ylabel="distance of two runs, relative to the largest value")
+    axes.set_title("Two runs, 1e-13 apart at the start")
+    _legend(axes)
+
+
+def _draw_strength(axes: Axes, found: Stability) -> None:
+    styles = iter(("--", ":"))
+    for curve in found.curves:
+        if curve.panel == "strength":
+            colour = STRENGTHS.get(curve.name, COLOURS["lammps"])
+            style = "-" if curve.name in STRENGTHS else next(styles)
+            axes.plot(curve.x, np.maximum(curve.y, LOWEST), color=colour, ls=style, lw=1.4, label=curve.name)
+    axes.axvline(1.0, color="0.3", lw=1)
+    axes.annotate("this scene", (1.0, 1.0), (3, -12), xycoords=("data", "axes fraction"), textcoords="offset points")
+    axes.set(
+        xscale="log", yscale="log", xlabel="strength of the strike, over that of the scene", ylabel="relative error"
+    )
+    axes.set_title("What is left out, and what rounding makes")
+    _legend(axes)
+
+
+def _legend(axes: Axes) -> None:
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(frameon=False, fontsize="small")
