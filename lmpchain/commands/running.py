@@ -42,7 +42,10 @@ def run(arguments: argparse.Namespace) -> int:
     )
     path = path or output(name, arguments.scene)
     from ..simulation import simulate
+    from ..stability.caveats import caveats
 
+    for caveat in caveats(scene, engine, arguments.tolerance):
+        warnings.warn(caveat, stacklevel=1)
     if mpi.joined() and engine.name != "lammps":
         warnings.warn(f"the engine {engine.name} runs on one rank; --engine lammps would use them all", stacklevel=1)
     return _told(

@@ -32,6 +32,7 @@ RUNS = 60  # that a bisection takes
 LONGEST_S = 20.0  # that one measurement may be expected to take
 DIVISIONS = 40.0  # of an oscillation of the band edge by the step at which energies are compared
 PERIODS = 1000.0  # for which they are
+SMALL = 0.1  # overlap over diameter at which Hertz's force is 1 % too large: `limits.hertz_excess`
 STRENGTHS = 10.0 ** np.arange(-8, 3)  # of the strike, over its own
 
 
@@ -192,6 +193,8 @@ def _energy(scene: Scene, integrator: str) -> Iterator[Curve]:
 
     if scene.drive:
         raise InputError([("kind", "a drive does work: the energy is not that of the start")])
+    if not scene.chain.compressed:
+        raise InputError([("gravity", "without gravity and load there is no period to count by")])
     edge = scene.highest_frequency
     step = min(2 * math.pi / edge / DIVISIONS, 0.9 * METHODS[integrator].stability_limit / edge)
     cost = METHODS[integrator].evaluations * PERIODS * DIVISIONS * scene.chain.grains
@@ -239,12 +242,10 @@ def _linear(scene: Scene) -> Iterator[Boundary]:
 
 
 def _overlap(scene: Scene) -> Iterator[Boundary]:
-    from .limits import SMALL_STRAIN, deepest
+    from .limits import deepest
 
     here = deepest(scene)
-    yield Boundary(
-        "Hertz's law: overlap over diameter", "Eq. (1)", "", SMALL_STRAIN, here=here, beyond=here > SMALL_STRAIN
-    )
+    yield Boundary("Hertz's law: overlap over diameter", "Eq. (1)", "", SMALL, here=here, beyond=SMALL < here < math.inf)
 
 
 def _strength(scene: Scene) -> Iterator[Curve]:

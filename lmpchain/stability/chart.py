@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.ticker import EngFormatter, LogLocator
 
 from ..engines.methods import METHODS
 from ..plotting import COLOURS, LOWEST, figure
@@ -23,7 +24,7 @@ LEVELS = (1e-3, TOLERANCE, 1e-9)
 def draw(found: Stability, axes: Sequence[Axes] | None) -> Figure:
     """Draw the four panels; see `Stability.plot`."""
     if axes is None:
-        axes = figure(12, 8.5).subplots(2, 2).ravel()
+        axes = figure(15, 8.5).subplots(2, 2).ravel()
     steps, energy, growth, strength = axes
     _draw_steps(steps, found)
     _draw_energy(energy, [curve for curve in found.curves if curve.panel == "energy"])
@@ -37,17 +38,21 @@ def _draw_steps(axes: Axes, found: Stability) -> None:
     places, names = range(len(rows)), [row.method for row in rows]
     axes.plot([row.predicted for row in rows], places, "|", ms=16, mew=2, color="0.3", label="predicted")
     axes.plot([row.measured for row in rows], places, "o", ms=6, color=COLOURS["lammps"], label="measured")
-    axes.set(xscale="log", xlabel="longest step before a run breaks down (s)", title="Time step")
+    axes.set(xscale="log", xlabel="longest step before a run of this duration breaks down", title="Time step")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.xaxis.set_major_formatter(EngFormatter("s"))
+    axes.xaxis.set_minor_formatter("")
     axes.set_yticks(places, names)
     axes.grid(axis="x", color="0.92", lw=0.6)
-    axes.legend(frameon=False)
+    _legend(axes)
 
 
 def _draw_energy(axes: Axes, curves: Sequence[Curve]) -> None:
     for curve in curves:
         place = list(METHODS).index(curve.name) % len(SHADES)
         axes.plot(curve.x[1:], np.maximum(curve.y[1:], LOWEST), color=SHADES[place], lw=1.2, label=curve.name)
-    axes.set(xscale="log", yscale="log", xlabel="time (s)", ylabel="relative error of the energy")
+    axes.set(xscale="log", yscale="log", xlabel="time", ylabel="relative error of the energy")
+    axes.xaxis.set_major_formatter(EngFormatter("s"))
     axes.set_title("Energy, with forty steps a period of the band edge")
     _legend(axes)
 
@@ -59,12 +64,16 @@ def _draw_growth(axes: Axes, found: Stability) -> None:
     end = found.scene.duration
     for level in LEVELS:
         axes.axhline(level, color="0.75", lw=0.8)
+        axes.annotate(
+            f"{level:g}", (1, level), (-2, 2), ("axes fraction", "data"), "offset points", ha="right", color="0.4"
+        )
     for row in found.boundaries:
         if row.what.startswith("predictable"):
             for value, style, label in ((row.predicted, "--", "predicted"), (row.measured, "-", "measured")):
                 if np.isfinite(value) and value <= 1.2 * end:
                     axes.axvline(value, color="0.3", ls=style, lw=1.2, label=f"{label} horizon for {TOLERANCE:g}")
-    axes.set(yscale="log", xlabel="time (s)", ylabel="distance of two runs, relative to the largest value")
+    axes.set(yscale="log", xlabel="time", ylabel="distance of two runs, over the largest value")
+    axes.xaxis.set_major_formatter(EngFormatter("s"))
     axes.set_title("Two runs, 1e-13 apart at the start")
     _legend(axes)
 
@@ -77,7 +86,7 @@ def _draw_strength(axes: Axes, found: Stability) -> None:
             style = "-" if curve.name in STRENGTHS else next(styles)
             axes.plot(curve.x, np.maximum(curve.y, LOWEST), color=colour, ls=style, lw=1.4, label=curve.name)
     axes.axvline(1.0, color="0.3", lw=1)
-    axes.annotate("this scene", (1.0, 1.0), (3, -12), xycoords=("data", "axes fraction"), textcoords="offset points")
+    axes.annotate("this scene", (1.0, 0.0), (4, 5), xycoords=("data", "axes fraction"), textcoords="offset points")
     axes.set(
         xscale="log", yscale="log", xlabel="strength of the strike, over that of the scene", ylabel="relative error"
     )
@@ -87,4 +96,4 @@ def _draw_strength(axes: Axes, found: Stability) -> None:
 
 def _legend(axes: Axes) -> None:
     if axes.get_legend_handles_labels()[0]:
-        axes.legend(frameon=False, fontsize="small")
+        axes.legend(frameon=False, fontsize="small", loc="center left", bbox_to_anchor=(1, 0.5))

@@ -104,7 +104,8 @@ class Chains:
         mobility = np.maximum(inverse_mass, np.roll(inverse_mass, -1, axis=1))
         strength = self.table[:, 1].copy()
         strength[:, PAD - 1] += self.loose
-        return (strength * mobility / (self.omega[:, None] ** 2.5 * self.scale[:, 1:] + 1e-300)) ** 2
+        change = strength * mobility / (self.omega[:, None] ** 2.5 * self.scale[:, 1:] + 1e-300)
+        return np.minimum(change, 1e150) ** 2
 
 
 def series(exponent: float) -> Array:

@@ -1,0 +1,45 @@
+"""What a user should know of a scene before it is run: the boundaries that it lies beyond, each in a line."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from ..engines.base import Engine
+from ..engines.stepping import SteppedEngine
+from ..errors import InputError
+from ..scene import Scene
+from .limits import deepest, hertz_excess
+from .precision import predicted_horizon
+from .steps import limit
+
+DEEP = 0.1  # overlap over diameter at which Hertz's force is 1 % too large: `limits.hertz_excess`
+OPENING, FLYING = 30.0, 50.0  # strike number, and that over N, between which `precision.growth_rate` is known
+TRUSTED, GENTLE = 0.7, 0.3  # of `steps.limit`: Verlet held for 300 periods; strain below which all of it is to be had
+FEW, MANY = 6, 40  # and for how many grains
+
+
+def caveats(scene: Scene, engine: Engine, tolerance: float) -> Iterator[str]:
+    """Yield what is beyond a boundary: overlaps, a given step, and time until which an answer can be had."""
+    deep = deepest(scene)
+    if DEEP < deep < math.inf:
+        excess = f"Hertz's law is {100 * hertz_excess(min(deep, 0.5)):.2g} % off there by the shape of spheres alone"
+        yield f"contacts may be squeezed to {100 * deep:.2g} % of the diameter: {excess}"
+    if isinstance(engine, SteppedEngine) and engine.step is not None:
+        longest = limit(scene, engine.methods[0].name) * (TRUSTED if scene.largest_strain > GENTLE else 1.0)
+        if engine.step > longest:
+            yield (
+                f"step: {engine.step:.3g} s is stable at rest, but while the strike squeezes the contacts only steps "
+                f"below {longest:.3g} s are"
+            )
+    grains = scene.chain.grains
+    if FEW <= grains <= MANY and OPENING < scene.strike_number < FLYING * grains:
+        try:
+            horizon = predicted_horizon(scene, tolerance)
+        except InputError:  # no law for this chain
+            return
+        if horizon < scene.duration:
+            yield (
+                f"duration: contacts that open amplify round-off beyond {tolerance:g} at about {horizon:.2g} s; what "
+                f"comes later cannot be computed"
+            )
