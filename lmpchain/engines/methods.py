@@ -40,6 +40,9 @@ class Method(Protocol):
     def stability_limit(self) -> float:
         """Largest omega h for which a harmonic oscillator stays bounded, or hardly grows."""
 
+    def growth(self, reach: float) -> float:
+        """Return by what factor a harmonic oscillator with omega h = reach grows a step, or shrinks."""
+
 
 @dataclass(frozen=True)
 class DormandPrince:
@@ -63,14 +66,14 @@ class DormandPrince:
     @cached_property
     def stability_limit(self) -> float:
         """Largest omega h for which x'' = -omega^2 x stays bounded."""
+        return _first(self.growth, 1e-12)
+
+    def growth(self, reach: float) -> float:
+        """Return by what factor x'' = -omega^2 x grows a step; it shrinks up to the limit."""
         from scipy.integrate import DOP853
 
         a, b = DOP853.A[:12, :12], DOP853.B
-
-        def growth(y: float) -> float:
-            return float(abs(1 + 1j * y * b @ np.linalg.solve(np.eye(12) - 1j * y * a, np.ones(12))))
-
-        return _first(growth, 1e-12)
+        return float(abs(1 + 1j * reach * b @ np.linalg.solve(np.eye(12) - 1j * reach * a, np.ones(12))))
 
 
 @dataclass(frozen=True)
@@ -87,13 +90,13 @@ class Gear:
     @cached_property
     def stability_limit(self) -> float:
         """Largest omega h for which x'' = -omega^2 x grows by less than a hundredth a step: it always grows."""
+        return _first(self.growth, 1e-2)
+
+    def growth(self, reach: float) -> float:
+        """Return by what factor x'' = -omega^2 x grows a step: always."""
         predict = np.array([[1, 1, 1, 1, 1], [0, 1, 2, 3, 4], [0, 0, 1, 3, 6], [0, 0, 0, 1, 4], [0, 0, 0, 0, 1.0]])
-
-        def growth(y: float) -> float:
-            off = -0.5 * y**2 * predict[0] - predict[2]
-            return float(np.abs(np.linalg.eigvals(predict + np.outer(self.corrections, off))).max())
-
-        return _first(growth, 1e-2)
+        off = -0.5 * reach**2 * predict[0] - predict[2]
+        return float(np.abs(np.linalg.eigvals(predict + np.outer(self.corrections, off))).max())
 
 
 def _first(growth: Callable[[float], float], more: float) -> float:

@@ -58,6 +58,11 @@ class Splitting:
         stable = np.abs(self._half_trace(grid)) <= 1 + 1e-12
         return float(grid[np.argmin(stable) - 1]) if not stable.all() else float(grid[-1])
 
+    def growth(self, reach: float) -> float:
+        """Return by what factor x'' = -omega^2 x with omega h = reach grows a step: 1 where it is stable."""
+        half = abs(float(self._half_trace(np.array(reach))))
+        return half + float(np.sqrt(half**2 - 1)) if half > 1 else 1.0
+
     def _half_trace(self, frequency: Array) -> Array:
         """Half the trace of the one-step matrix of x'' = -omega^2 x at h = 1."""
         square = frequency**2
