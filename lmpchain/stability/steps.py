@@ -1,0 +1,249 @@
+"""Where steps fail: too long a step, energy that drifts away, and contacts that open."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .. import engines
+from ..engines.lightcone import cut
+from ..engines.methods import METHODS
+from ..engines.splittings import Splitting
+from ..errors import RunFailed
+from ..fields import Array
+from ..scene import Scene
+from ..theory.modes import eigenmodes
+
+if TYPE_CHECKING:
+    from ..reference import Reference
+
+SHARED = 8  # contacts over which the energy of a wave is spread at most, when it is looked for where it is worst
+BROKEN = 1.5  # kinetic energy over all the energy there is: beyond that the engines call a run broken
+SCAN = 1.02  # from one step that is tried to the next, until a run breaks; then the last two are bisected
+BISECTIONS = 7
+NARROW = 1.02  # over the stability limit: how far a first, narrow band of unstable steps may reach
+LOOKS = 2000  # most samples in which a run is looked at
+BLOCKS, CONFIDENCE = 10, 0.99  # of a trend: means of so many stretches, and how sure its interval is
+
+
+def struck_frequency(scene: Scene) -> float:
+    """Return the highest frequency, rad/s, that the chain has at any moment of the motion.
+
+    A contact that is squeezed to the overlap o has the stiffness delta K o^(delta-1), so a chain that is struck is
+    stiffer for a while than at rest. Of the energy E of the strike, contacts hold 2 E / (delta + 3) in the mean (the
+    virial theorem); it is shared by n neighbours, whatever n makes the frequency highest, which among n equal springs
+    is sqrt([2 + 2 cos(pi / (n + 1))] k / m). Held against the eigenfrequencies of the exact motion at every moment,
+    for strike numbers from 0.01 to 1e4, it is right to 3 % in loaded chains and columns of Hertz contacts, to 7 % for
+    exponent 2. A drive puts in no energy that is known beforehand: there it is `Scene.highest_frequency`.
+    """
+    _, part = cut(scene)
+    chain, contacts = part.chain, part.chain.contacts
+    if part.drive:
+        return part.highest_frequency
+    displaced = chain.excess_energy(part.initial()[0], np.zeros(chain.grains))
+    elastic = max(2 / (chain.exponent + 3) * part.energy, float(displaced))
+    inertia = np.concatenate(([0.0], np.where(np.arange(chain.grains) < chain.movable, 1 / chain.masses, 0.0), [0.0]))
+
+    def worst(energy: float) -> float:
+        """Return the square of the highest frequency where neighbours share an energy, as if they were springs."""
+        highest = 0.0
+        for n in range(1, SHARED + 1):
+            stiffness = chain.exponent * contacts.constant * contacts.overlap_bound(energy / n) ** (chain.exponent - 1)
+            coupling = np.sqrt(stiffness[:-1] * stiffness[1:]) * inertia[1:-1]
+            beside = np.append(coupling, 0.0) + np.append(0.0, coupling)
+            alone = stiffness * (inertia[:-1] + inertia[1:])
+            highest = max(highest, float((alone + math.cos(math.pi / (n + 1)) * beside).max()))
+        return highest
+
+    return math.sqrt(chain.band_edge**2 + worst(elastic) - worst(0.0))
+
+
+def limit(scene: Scene, integrator: str) -> float:
+    """Return the longest step, s, with which a scene is expected to keep its energy to its end.
+
+    The stability limit of the method for an oscillator (`Method.stability_limit`) over the highest frequency that the
+    strike brings about. Of a method whose oscillators grow at every step, as Gear's do, it is no longer than the step
+    with which those at rest would gain half their energy within the duration. Measured on uniform chains for a hundred periods, Verlet breaks at 0.92
+    to 1 of it at every strike number, and in the sonic vacuum, where the same law is h ~ E^(-(delta-1)/(2 delta+2)).
+
+    Examples
+    --------
+    >>> from lmpchain import Chain, Impulse
+    >>> scene = Scene(chain=Chain(grains=120, diameter=1e-3), excitation=Impulse(velocity=1e-6), duration=1e-3)
+    >>> round(limit(scene, "verlet") * 1e6, 2)  # microseconds
+    3.08
+    """
+    from scipy.optimize import brentq
+
+    method, edge = METHODS[integrator], cut(scene)[1].chain.band_edge
+    longest = method.stability_limit / struck_frequency(scene)
+
+    def gain(reach: float) -> float:
+        return 2 * math.log(method.growth(reach)) * edge * scene.duration / reach - math.log(BROKEN)
+
+    reaches = method.stability_limit * np.geomspace(1e-3, 0.999, 100)
+    first = next((n for n, reach in enumerate(reaches) if edge and gain(reach) > 0), 0)
+    return min(longest, float(brentq(gain, *reaches[first - 1 : first + 1])) / edge) if first else longest
+
+
+@cache
+def suspect(integrator: str) -> float:
+    """Return the omega h, within 2 % above the stability limit, with which an oscillator grows fastest.
+
+    Beyond the limits of rkn4, rkn6 and kahan-li8 lies a band of unstable steps only 0.16, 0.03 and 1.4 % wide, where
+    half a period or so of the fastest grain is one step; behind it they are stable again up to 5.0, 6.3 and 5.6.
+    """
+    method = METHODS[integrator]
+    reaches = method.stability_limit * np.linspace(1, NARROW, 1001)
+    return float(max(reaches, key=method.growth))
+
+
+def blow_up(scene: Scene, integrator: str, engine: str = "native") -> float:
+    """Return the longest step, s, with which a scene does not break down, as measured.
+
+    Steps of one length are tried ever longer, by 2 % and at those of which the method is suspected, until a run
+    breaks: a grain moves with more than one and a half times all the energy there is. Then the step is bisected. The
+    steps are given to `Engine.start` as a candidate of our own, past the check that refuses what is unstable at rest.
+
+    Raises
+    ------
+    InputError
+        If the engine cannot do the scene.
+    """
+    expected = limit(scene, integrator)
+    solver = engines.get(engine, integrator=integrator, step=expected / 4)
+    proposed = solver.candidate(scene, 0.5)
+    edge = cut(scene)[1].chain.band_edge
+    suspected = suspect(integrator) / edge if edge else math.inf
+
+    def survives(step: float) -> bool:
+        steps = math.ceil(scene.duration / step / LOOKS)
+        looks = max(1, int(scene.duration / step / steps))
+        tried = Scene(**scene.given() | {"duration": looks * steps * step, "samples": looks + 1})
+        try:
+            run = solver.start([tried], replace(proposed, steps_per_sample=steps, step=step))
+        except RunFailed:
+            return False
+        try:
+            for _ in run.blocks():
+                pass
+        except RunFailed:
+            return False
+        finally:
+            run.close()
+        return True
+
+    low = expected / 2
+    while not survives(low):
+        low /= 2
+    while survives(high := suspected if low < suspected < SCAN * low else SCAN * low):
+        low = high
+    for _ in range(BISECTIONS):
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if survives(middle) else (low, middle)
+    return low
+
+
+@dataclass(frozen=True, eq=False)
+class EnergyError:
+    """How far the energy of a run is from what it was given.
+
+    Attributes
+    ----------
+    time : (T,) array
+        s.
+    error : (T,) array
+        Energy above rest over that at t = 0, less 1.
+    step : float
+        That was taken, s.
+    """
+
+    time: Array
+    error: Array
+    step: float
+
+    def trend(self) -> tuple[float, float]:
+        """Return the rate at which the error grows, 1/s, and the half-width of its interval of 99 % confidence.
+
+        A straight line through the means of ten stretches of time, which know nothing of each other if each is
+        longer than what the energy takes to wander from mode to mode.
+        """
+        from scipy import stats
+
+        used = self.time.size // BLOCKS * BLOCKS
+        time, error = (x[-used:].reshape(BLOCKS, -1).mean(1) for x in (self.time, self.error))
+        line = stats.linregress(time, error)
+        return float(line.slope), float(line.stderr * stats.t.ppf((1 + CONFIDENCE) / 2, BLOCKS - 2))
+
+
+def energy_error(scene: Scene, integrator: str, step: float, periods: float, samples: int = 2001) -> EnergyError:
+    """Run a scene natively for so many periods of its band edge, and return the error of its energy.
+
+    Energies are differences from rest, in displacements: `Chain.excess_energy`, which keeps the digits of the weakest
+    wave.
+
+    Raises
+    ------
+    InputError
+        If the step is not stable at rest.
+    RunFailed
+        If the run breaks down.
+    """
+    from ..simulation import simulate  # which may ask this module for a warning
+
+    duration = periods * 2 * math.pi / scene.chain.band_edge
+    longer = Scene(**scene.given() | {"duration": duration, "samples": samples, "grains": "all"})
+    found = simulate(longer, engines.Native(integrator=integrator, step=step))
+    energy = scene.chain.excess_energy(found.displacement, found.velocity)
+    return EnergyError(found.time, energy / energy[0] - 1, found.cost.step_s)
+
+
+def drift(scene: Scene, integrator: str, step: float) -> float:
+    """Return the rate, 1/s, at which a weak wave is expected to gain energy from the method: 0 for a splitting.
+
+    Every mode k gains 2 ln g(omega_k h) / h, g the factor by which an oscillator grows a step, and counts by the part
+    of the energy that it is given.
+    """
+    method, modes, moving = METHODS[integrator], eigenmodes(scene.chain), slice(scene.chain.movable)
+    if isinstance(method, Splitting):
+        return 0.0
+    u, v = ((x[moving] * modes.mass) @ modes.shape for x in scene.initial())
+    part = (u * modes.frequency) ** 2 + v**2
+    rates = [2 * math.log(method.growth(omega * step)) / step for omega in modes.frequency]
+    return float(part @ np.array(rates) / part.sum())
+
+
+def order_through_openings(integrator: str, exponent: float) -> float:
+    """Return the order to which a method falls where contacts open or close within steps of one length.
+
+    There the force goes as t^delta. A step h that holds such a moment is wrong by some h^(delta+1) in the velocity,
+    whatever the method, and there are so many such steps as openings: the error is h^(delta+1) or h^p.
+    """
+    return min(METHODS[integrator].order, exponent + 1)
+
+
+def errors_at_end(
+    scene: Scene, integrator: str, counts: Sequence[int], truth: Reference, graded: bool = False
+) -> Array:
+    """Return the relative errors at the end of a scene after so many native steps, or steps graded alike.
+
+    The error is the largest difference from the truth over the largest value in any of its samples, the larger one of
+    displacement and velocity.
+    """
+    engine = engines.Native(integrator=integrator)
+    scene = Scene(**scene.given() | {"samples": 2})
+    proposed, errors = engine.candidate(scene, 0.5), []
+    true = truth.displacement, truth.velocity
+    for count in counts:
+        candidate = replace(proposed, steps_per_sample=count, step=scene.duration / count, graded=graded)
+        run = engine.start([scene], candidate)
+        *_, last = run.blocks()
+        run.close()
+        found = last.displacement[0, -1], last.velocity[0, -1]
+        errors.append(max(np.abs(x - y[-1]).max() / np.abs(y).max() for x, y in zip(found, true, strict=True)))
+    return np.array(errors)
