@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-import numba
 import numpy as np
 
 import lmpchain
 from lmpchain.compiling import compiled_once
 from lmpchain.engines.methods import METHODS
-from lmpchain.engines.splittings import SPLITTINGS
 from lmpchain.plotting import figure
 from lmpchain.stability.steps import EnergyError, drift, energy_error
 from lmpchain.workprecision.chart import SHADES, SHAPES
@@ -22,12 +20,13 @@ if TYPE_CHECKING:
 WORK = 0.03  # omega h a force evaluation, the same for all: each is given the steps that it can afford
 PERIODS = 1e5  # of the band edge: a million steps and more for every method
 SHORT = 100  # periods in which the error is measured against the step, before chaos tells one step from another
+LOOKS = 201  # samples there
 STEPS = {  # omega h where the error goes as its power
     "verlet": (0.02, 0.3),
-    "rkn4": (0.1, 0.4),
+    "rkn4": (0.04, 0.16),
     "rkn6": (0.2, 0.6),
     "kahan-li6": (0.1, 0.4),
-    "kahan-li8": (0.3, 0.6),
+    "kahan-li8": (0.24, 0.45),
 }
 
 
@@ -61,6 +60,11 @@ def _runge_kutta(u, v, overlap, force, constant, inverse_mass, h, steps, samples
     return us, vs
 
 
+def rk4_growth(reach: float) -> float:
+    """Return by what factor an oscillator grows a step of the classical Runge-Kutta method."""
+    return abs(sum((1j * reach) ** k / math.factorial(k) for k in range(5)))
+
+
 def runge_kutta(scene: lmpchain.Scene, step: float, periods: float, samples: int = 2001) -> EnergyError:
     """Do as `energy_error` does, by the classical Runge-Kutta method, which is no part of the package."""
     chain, (u, v) = scene.chain, scene.initial()
@@ -89,11 +93,72 @@ def measure(quick: bool) -> dict[str, Any]:
             "steps": round(found.time[-1] / found.step),
             "rate": rate,
             "sure": sure,
-            "predicted": 0.0 if name == "rk4" else drift(scene, name, found.step),
+            "predicted": drift(scene, rk4_growth if name == "rk4" else METHODS[name].growth, found.step),
         }
     spread = {}
     for name, (least, most) in STEPS.items():
         reaches = np.geomspace(least, most, 3 if quick else 7)
-        runs = [energy_error(scene, name, reach / edge, SHORT) for reach in reaches]
+        runs = [energy_error(scene, name, reach / edge, SHORT, LOOKS) for reach in reaches]
         spread[name] = {"reach": [run.step * edge for run in runs], "error": [float(run.error.std()) for run in runs]}
     return {"band_edge": edge, "long": long, "spread": spread}
+
+
+def draw(data: dict[str, Any]) -> Figure:
+    """Draw the energy over time, its trend with its confidence, and its error against the step."""
+    picture = figure(15, 5.6)
+    over_time, trends, orders = picture.subplots(1, 3, width_ratios=(1.25, 0.9, 1))
+    looks = {
+        name: {"color": colour, "marker": shape}
+        for name, colour, shape in zip(data["long"], SHADES, SHAPES, strict=True)
+    }
+    _over_time(over_time, data, looks)
+    _trends(trends, data, looks)
+    for name, found in data["spread"].items():
+        slope = np.polyfit(np.log(found["reach"]), np.log(found["error"]), 1)[0]
+        label = f"{name}: slope {slope:.2f}"
+        orders.loglog(found["reach"], found["error"], **looks[name] | {"ms": 5, "lw": 1.4}, label=label)
+    orders.xaxis.set_major_formatter("{x:g}")
+    orders.xaxis.set_minor_formatter("")
+    orders.set(xlabel="step × band edge", ylabel="standard deviation of the relative energy error")
+    orders.set_title("Splittings: it goes as step$^{order}$", loc="left", fontsize="medium")
+    orders.legend(frameon=False, fontsize="small")
+    return picture
+
+
+def _over_time(ax: Any, data: dict[str, Any], looks: dict[str, dict[str, str]]) -> None:
+    """Draw the largest error so far, each with its name at its end, and the drift that is predicted."""
+    ends = {}
+    for name, found in data["long"].items():
+        time, error = np.array(found["time"][1:]), np.abs(found["error"][1:])
+        periods, largest = time * data["band_edge"] / (2 * np.pi), np.maximum.accumulate(error)
+        ax.loglog(periods, largest, color=looks[name]["color"], lw=1.8)
+        ends[name] = float(largest[-1])
+        if found["predicted"]:
+            ax.loglog(periods, np.abs(np.array(found["predicted"])) * time, color="0.2", lw=1, ls="--")
+    ax.plot([], [], color="0.2", lw=1, ls="--", label="drift predicted for a weak wave")
+    height = -math.inf
+    for name in sorted(ends, key=ends.__getitem__):
+        height = max(height + 0.45, math.log10(ends[name]))  # names keep apart
+        text = f"{name}, {data['long'][name]['steps'] / 1e6:.2g}"
+        ax.annotate(text, (1.03, 10**height), xycoords=("axes fraction", "data"), va="center",
+                    color=looks[name]["color"], annotation_clip=False)  # fmt: skip
+    ax.annotate("million steps", (1.03, 1.02), xycoords="axes fraction", color="0.35", fontsize="small")
+    ax.set(xlabel="periods of the band edge", ylabel="largest relative error of the energy so far")
+    ax.set_title("All at equal work: splittings keep the energy", loc="left", fontsize="medium")
+    ax.legend(frameon=False, loc="upper left")
+
+
+def _trends(ax: Any, data: dict[str, Any], looks: dict[str, dict[str, str]]) -> None:
+    """Draw the trend over the whole run in units of the fluctuation around it, with 99 % confidence."""
+    for place, (name, found) in enumerate(data["long"].items()):
+        time, error = np.array(found["time"]), np.array(found["error"])
+        unit = (error - found["rate"] * time).std() / time[-1]
+        ax.errorbar(found["rate"] / unit, -place, xerr=found["sure"] / unit, fmt=looks[name]["marker"],
+                    color=looks[name]["color"], capsize=4, ms=6)  # fmt: skip
+    ax.axvline(0, color="0.6", lw=1, zorder=0)
+    ax.set_xscale("symlog", linthresh=1)
+    ax.set(xlim=(-900, 900), xticks=[-100, -10, -1, 0, 1, 10, 100])
+    ax.xaxis.set_major_formatter("{x:g}")
+    ax.set_yticks(-np.arange(len(data["long"])), list(data["long"]))
+    ax.set_xlabel("trend over the run ÷ fluctuation, 99 % confidence")
+    ax.set_title("Trend: 0 for splittings alone", loc="left", fontsize="medium")
