@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +19,8 @@ if TYPE_CHECKING:
 
 EXPONENT = 1.5
 GRADED = [name for name in METHODS if name not in ("verlet", "gear4")]  # which can be, and have an order to lose
-FIT = {False: (1e-3, 0.06), True: (0.02, 0.4)}  # step x frequency between which the slope is found, one length, graded
+ASYMPTOTIC = {"gear4": 0.02}  # step x frequency below which a slope is found; of the others from the first point on
+RUNS = {"dop853": 120}  # for an error; of the others 40
 FLOOR = 3e-13  # error below which round-off has its part
 
 
@@ -33,26 +35,34 @@ def measure(quick: bool) -> dict[str, Any]:
     truth = reference(scene)
     apart = lmpchain.simulate(scene, "native", 1e-9).displacement
     opened = (scene.chain.contacts.overlap + scene.chain.contacts.closer(apart))[:, 1:-1] < 0
-    counts = np.geomspace(60, 6000 if quick else 20000, 5 if quick else 16).astype(int)
-    few = counts[counts < 1000]
+    counts = np.geomspace(70, 6000 if quick else 20000, 4 if quick else 14).astype(int)
+    few = counts[counts < 1500]
     angle = scene.highest_frequency * scene.duration
     return {
         "opened": int(opened.any(axis=0).sum()),
         "one length": {
             "reach": (angle / (1.1 * counts)).tolist(),
-            "error": {name: errors_through_openings(scene, name, counts, truth).tolist() for name in METHODS},
+            "error": {
+                name: errors_through_openings(
+                    scene, name, counts, truth, runs=8 if quick else RUNS.get(name, 40)
+                ).tolist()
+                for name in METHODS
+            },
         },
         "graded": {
             "reach": (angle / (1.1 * few)).tolist(),
-            "error": {name: errors_through_openings(scene, name, few, truth, True).tolist() for name in GRADED},
+            "error": {
+                name: errors_through_openings(scene, name, few, truth, True, 8 if quick else 40).tolist()
+                for name in GRADED
+            },
         },
     }
 
 
-def slope(reach: list[float], error: list[float], graded: bool) -> float:
-    """Return the order that errors show where truncation, of short steps, is what makes them."""
-    x, y, (least, most) = np.array(reach), np.array(error), FIT[graded]
-    used = (x > least) & (x < most) & (y > FLOOR)
+def slope(name: str, reach: list[float], error: list[float]) -> float:
+    """Return the order that errors show where they are those of short steps, and not round-off."""
+    x, y = np.array(reach), np.array(error)
+    used = (x < ASYMPTOTIC.get(name, math.inf)) & (y > FLOOR)
     return float(np.polyfit(np.log(x[used]), np.log(y[used]), 1)[0])
 
 
@@ -66,13 +76,20 @@ def draw(data: dict[str, Any]) -> Figure:
         reach, found = data[kind]["reach"], data[kind]["error"]
         for name, colour, shape in zip(METHODS, SHADES, SHAPES, strict=False):
             if name in found:
-                label = f"{name}: {slope(reach, found[name], kind == 'graded'):.2f}"
+                label = f"{name}: {slope(name, reach, found[name]):.2f}"
                 ax.loglog(reach, found[name], color=colour, marker=shape, ms=5, lw=1.3, label=label)
         ax.set_title(said, loc="left", fontsize="medium")
         ax.set_xlabel("step × highest frequency")
-        ax.legend(title="slope", alignment="left", frameon=False, loc="lower right")
-    x = np.array([2e-3, 0.2])
-    for order, height in ((order_through_openings("rkn6", EXPONENT), 2e-13), (2, 3e-3)):
-        axes[0].loglog(x, height * (x / x[0]) ** order, color="0.2", lw=1.2, ls="--")
+        place = "lower right" if kind == "one length" else "upper left"
+        ax.legend(title="slope", alignment="left", frameon=False, loc=place)
+    x = np.array([2e-3, 0.1])
+    shape = order_through_openings("rkn6", EXPONENT)
+    for order, height, name in ((shape, 5e-13, f"predicted: δ + 1 = {shape}"), (2, 5e-6, "predicted: 2")):
+        line = height * (x / x[0]) ** order
+        axes[0].loglog(x, line, color="0.2", lw=1.2, ls="--")
+        axes[0].annotate(name, (x[0], line[0]), (0, -14 if order > 2 else 34), textcoords="offset points", color="0.2")
     axes[0].set(ylabel="relative error at the end", ylim=(1e-14, 1))
+    axes[1].set_xticks([0.02, 0.05, 0.1, 0.2, 0.5])
+    axes[1].xaxis.set_major_formatter("{x:g}")
+    axes[1].xaxis.set_minor_formatter("")
     return picture
