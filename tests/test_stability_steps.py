@@ -125,6 +125,11 @@ def test_the_frequency_of_a_driven_chain_is_that_of_the_drive_or_the_band_edge()
     assert struck_frequency(scene) == scene.highest_frequency
 
 
+def test_nothing_limits_the_step_where_nothing_moves() -> None:
+    chain = Chain(grains=3, diameter=1e-3, gravity=0.0)
+    assert limit(Scene(chain=chain, excitation=Impulse(velocity=0.0), duration=1e-5), "verlet") == np.inf
+
+
 @pytest.mark.parametrize("number", [1e-2, 1.0, 1e2, 1e4])
 @pytest.mark.parametrize(("integrator", "least"), [("verlet", 0.92), ("kahan-li6", 0.86), ("dop853", 0.66)])
 def test_the_longest_step_falls_as_the_strike_stiffens_the_chain(integrator: str, least: float, number: float) -> None:

@@ -35,7 +35,7 @@ def measure(quick: bool) -> dict[str, Any]:
     truth = reference(scene)
     apart = lmpchain.simulate(scene, "native", 1e-9).displacement
     opened = (scene.chain.contacts.overlap + scene.chain.contacts.closer(apart))[:, 1:-1] < 0
-    counts = np.geomspace(70, 6000 if quick else 20000, 4 if quick else 14).astype(int)
+    counts = np.geomspace(70, 6000 if quick else 20000, 6 if quick else 14).astype(int)
     few = counts[counts < 1500]
     angle = scene.highest_frequency * scene.duration
     return {

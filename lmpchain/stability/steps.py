@@ -84,14 +84,26 @@ def limit(scene: Scene, integrator: str) -> float:
     from scipy.optimize import brentq
 
     method, edge = METHODS[integrator], cut(scene)[1].chain.band_edge
-    longest = method.stability_limit / struck_frequency(scene)
+    highest = struck_frequency(scene)
+    longest = method.stability_limit / highest if highest else math.inf  # nothing moves, and nothing is pressed
 
     def gain(reach: float) -> float:
         return 2 * math.log(method.growth(reach)) * edge * scene.duration / reach - math.log(BROKEN)
 
+    reaches, growths = _growths(integrator)
+    lasting = 2 * np.log(growths) * edge * scene.duration / reaches <= math.log(BROKEN)
+    if lasting.all():
+        return longest
+    first = int(lasting.argmin())
+    return min(longest, float(brentq(gain, reaches[first - 1], reaches[first])) / edge)
+
+
+@cache
+def _growths(integrator: str) -> tuple[Array, Array]:
+    """Return steps omega h below the stability limit, and by what factor an oscillator grows in each."""
+    method = METHODS[integrator]
     reaches = method.stability_limit * np.geomspace(1e-3, 0.999, 100)
-    first = next((n for n, reach in enumerate(reaches) if edge and gain(reach) > 0), 0)
-    return min(longest, float(brentq(gain, *reaches[first - 1 : first + 1])) / edge) if first else longest
+    return reaches, np.array([method.growth(reach) for reach in reaches])
 
 
 @cache
