@@ -7,13 +7,24 @@ import argparse
 import json
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from figures import finish
 
 from lmpchain.files import write_aside
 
 HERE = Path(__file__).parent
+DIGITS = 6  # of the numbers that are kept
 MAPS = sorted(path.stem for path in (HERE / "maps").glob("[a-z]*.py"))
+
+
+def _short(found: Any) -> Any:
+    """Return numbers with as many digits as are kept."""
+    if isinstance(found, dict):
+        return {key: _short(value) for key, value in found.items()}
+    if isinstance(found, list | tuple):
+        return [_short(value) for value in found]
+    return float(f"{found:.{DIGITS}g}") if isinstance(found, float) else found
 
 
 def main() -> None:
@@ -32,7 +43,7 @@ def main() -> None:
         if given.draw:
             numbers = json.loads(kept.read_text(encoding="utf-8"))
         else:
-            numbers = found.measure(given.quick)
+            numbers = _short(found.measure(given.quick))
             with write_aside(kept) as aside:
                 aside.write_text(json.dumps(numbers) + "\n", encoding="utf-8")
         finish(found.draw(numbers), folder / f"stability_{name}.png")

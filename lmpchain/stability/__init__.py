@@ -245,7 +245,9 @@ def _overlap(scene: Scene) -> Iterator[Boundary]:
     from .limits import deepest
 
     here = deepest(scene)
-    yield Boundary("Hertz's law: overlap over diameter", "Eq. (1)", "", SMALL, here=here, beyond=SMALL < here < math.inf)
+    yield Boundary(
+        "Hertz's law: overlap over diameter", "Eq. (1)", "", SMALL, here=here, beyond=SMALL < here < math.inf
+    )
 
 
 def _strength(scene: Scene) -> Iterator[Curve]:
