@@ -1,0 +1,186 @@
+"""Limits: eight places where a scene, a theory or an engine ends, each with the law that says where."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mpmath as mp
+import numpy as np
+from figures import SHADES
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from lmpchain import Chain
+from lmpchain.chain import LARGEST_OVERLAP
+from lmpchain.plotting import COLOURS, MARKERS, figure
+from lmpchain.stability import limits
+from lmpchain.theory import bessel, dyson
+
+BLUE, ORANGE, GREEN, PINK, SKY, RED = SHADES
+POINT = {"ls": "none", "ms": 5, "mfc": "none"}
+
+
+def measure(quick: bool) -> dict[str, Any]:
+    """Return the numbers of all panels."""
+    every = 3 if quick else 1
+    gravity = np.logspace(-9, 1, 11)[::every]
+    fields = np.logspace(-3, 3, 13)[::every]
+    excess = np.logspace(-5, 0, 11)[::every]
+    numbers = np.logspace(-2, 2, 13)[::every]
+    strains = np.append(np.logspace(-6, -1.5, 10)[::every], 0.0999)
+    gauges = np.logspace(-7, -3, 9)[::every]
+    orders = np.logspace(0, 15, 16)[::every]
+    grains = np.round(np.logspace(3, 8, 11)).astype(int)[::every]
+    weak = [limits.gentle(1.5, float(g), 1e-5) for g in fields]
+    near = [limits.gentle(1 + float(x)) for x in excess]
+    swings = {n: [limits.swinging(n, float(x)) for x in numbers] for n in (2, 3)}
+    pressed = [limits.squeezing(float(x)) for x in strains]
+    column = Chain(grains=20, diameter=limits.BEAD)
+    return {
+        "gravity": gravity.tolist(),
+        "from_vacuum": {
+            f"{exponent:g}, {load:g}": limits.from_vacuum(gravity, exponent, load).tolist()
+            for exponent in (1.5, 2.0)
+            for load in (0.0, 1e-3)
+        },
+        "fields": fields.tolist(),
+        "strike_numbers": [scene.strike_number for scene in weak],
+        "from_linear": [limits.from_linear(scene) for scene in weak],
+        "linear_law": [limits.linear_error(scene) for scene in weak],
+        "excess": excess.tolist(),
+        "near_linear": [limits.from_linear(scene) for scene in near],
+        "near_linear_law": [limits.linear_error(scene) for scene in near],
+        "near_springs": [limits.from_springs(scene) for scene in near],
+        "near_springs_law": limits.springs_error(30, excess).tolist(),
+        "numbers": numbers.tolist(),
+        "periods": {n: [s.duration * s.chain.band_edge / (2 * np.pi) for s in swung] for n, swung in swings.items()},
+        "measured": {
+            n: [limits.measured_period(s) * s.chain.band_edge / (2 * np.pi) for s in swung]
+            for n, swung in swings.items()
+        },
+        "strains": strains.tolist(),
+        "deepest": [limits.deepest(scene) for scene in pressed],
+        "squeezed": [limits.squeezed(scene) for scene in pressed],
+        "hertz": limits.hertz_excess(strains).tolist(),
+        "gauges": gauges.tolist(),
+        "rates": [float(limits.buckling(column, float(d)).frequency[-1]) for d in gauges],
+        "growth": [limits.growth(column, float(d)) for d in gauges],
+        "band_edge": column.band_edge,
+        "orders": orders.tolist(),
+        "dyson": [_dyson(float(m)) for m in orders],
+        "grains": grains.tolist(),
+        "bessel": np.abs(bessel.free_end(grains, grains - 0.5) / limits.front_of_springs(grains) - 1).tolist(),
+        "bessel_law": limits.bessel_rounding(grains).tolist(),
+    }
+
+
+def _dyson(m: float) -> tuple[float, float, float]:
+    """Return the largest error of Eq. (23) within 3 standard deviations, its law, and that of what is printed."""
+    kappa = 1 + np.linspace(-0.9, 3, 14) / np.sqrt(m)
+    with mp.workdps(60):
+        true = [mp.exp(m * mp.log(m) - mp.loggamma(m) + m * mp.log(k) - m * k) for k in map(mp.mpf, kappa.tolist())]
+
+    def off(found: np.ndarray) -> float:
+        return max(float(abs(f / t - 1)) for f, t in zip(found.tolist(), true, strict=True))
+
+    with np.errstate(all="ignore"):
+        plain = np.float64(m) ** m / np.float64(mp.gamma(m)) * kappa**m * np.exp(-m * kappa)
+    printed = off(plain) if np.isfinite(plain).all() and (plain > 0).all() else np.inf
+    return off(dyson.weight(kappa, m)), float(limits.dyson_rounding(kappa, m).max()), printed
+
+
+def draw(data: dict[str, Any]) -> Figure:
+    """Draw a panel a limit: laws are lines, points are measured."""
+    picture = figure(15, 8)
+    panels = picture.subplots(2, 4).ravel()
+    for axes, panel in zip(
+        panels, (_vacuum, _fields, _springs, _periods, _overlaps, _bending, _weights, _functions), strict=True
+    ):
+        axes.set(xscale="log", yscale="log")
+        panel(axes, data)
+        axes.title.set_fontsize("medium")
+        axes.legend(frameon=False, fontsize="small")
+    picture.suptitle("Limits: laws are lines, points are measured", fontsize="medium")
+    return picture
+
+
+def _vacuum(axes: Axes, data: dict[str, Any]) -> None:
+    g = np.array(data["gravity"])
+    for (key, found), colour in zip(data["from_vacuum"].items(), (BLUE, GREEN, ORANGE, RED), strict=True):
+        exponent, load = map(float, key.split(", "))
+        power = limits.vacuum_power(exponent, load > 0)
+        axes.plot(g, found[0] * (g / g[0]) ** power, color=colour, lw=1.2)
+        name = f"δ = {exponent:g}, {'loaded' if load else 'no load'}: $g^{{{power:.2g}}}$"
+        axes.plot(g, found, **POINT, marker="o", color=colour, label=name)
+    axes.set(xlabel="gravity (m/s²)", ylabel="distance from the answer at g = 0", ylim=(None, 1e4))
+    axes.set_title("Gravity vanishes: answers go on to g = 0")
+
+
+def _fields(axes: Axes, data: dict[str, Any]) -> None:
+    axes.plot(data["fields"], data["linear_law"], color=BLUE, lw=1.2, label="0.265 (δ-1) $v_0^*$, at most 1")
+    axes.plot(data["fields"], data["from_linear"], **POINT, marker="^", color=COLOURS["modes"], label="linear theory")
+    axes.set(xlabel="gravity (m/s²)", ylabel="error", ylim=(None, 30))
+    axes.set_title("... but linear theory ends (10 µm/s)")
+
+
+def _springs(axes: Axes, data: dict[str, Any]) -> None:
+    for key, marker, colour, name in (
+        ("near_springs", "o", BLUE, "from springs, δ = 1"),
+        ("near_linear", "^", GREEN, "from linear theory at δ"),
+    ):
+        axes.plot(data["excess"], data[f"{key}_law"], color=colour, lw=1.2)
+        axes.plot(data["excess"], data[key], **POINT, marker=marker, color=colour, label=name)
+    axes.set(xlabel="δ - 1", ylabel="distance")
+    axes.set_title("δ → 1: springs, at first order")
+
+
+def _periods(axes: Axes, data: dict[str, Any]) -> None:
+    for (grains, law), marker, colour in zip(data["periods"].items(), "so", (BLUE, ORANGE), strict=True):
+        found = np.array(data["measured"][grains])
+        name = "one bead on another" if int(grains) == 2 else "three between walls"
+        axes.plot(data["numbers"], law, color=colour, lw=1.2)
+        far = np.abs(found / law - 1).max()
+        axes.plot(data["numbers"], found, **POINT, marker=marker, color=colour, label=f"{name}: {far:.0e} off")
+    axes.set(xlabel="strike number", ylabel="period / that of the top mode", ylim=(None, 300))
+    axes.set_title("Two and three grains: period by quadrature")
+
+
+def _overlaps(axes: Axes, data: dict[str, Any]) -> None:
+    strains, squeezed = data["strains"], np.array(data["squeezed"])
+    axes.plot(strains, data["deepest"], color=BLUE, lw=1.2, label="deepest overlap: bound by energy")
+    axes.plot(strains, squeezed[:, 0], **POINT, marker="s", color=BLUE, label="... in the run")
+    axes.plot(strains, data["hertz"], color=ORANGE, lw=1.2, label="Hertz too hard, by shape alone")
+    axes.plot(strains, squeezed[:, 1], **POINT, marker="o", color=RED, label="LAMMPS from native")
+    axes.axvline(LARGEST_OVERLAP, color="0.4", ls="--", lw=1)
+    axes.annotate("refused", (LARGEST_OVERLAP, 1e-11), (-3, 0), "data", "offset points", ha="right", color="0.4")
+    axes.set(xlabel="overlap / diameter as struck", ylabel="ratio", ylim=(1e-12, 1e3))
+    axes.set_title("Deep overlaps")
+
+
+def _bending(axes: Axes, data: dict[str, Any]) -> None:
+    axes.plot(data["gauges"], data["rates"], color=BLUE, lw=1.2, label="linear stability of a column")
+    axes.plot(data["gauges"], data["growth"], **POINT, marker=MARKERS["lammps"], color=RED, label="LAMMPS")
+    axes.axhline(data["band_edge"], color="0.4", ls="--", lw=1)
+    axes.annotate("band edge", (data["gauges"][-1], data["band_edge"]), (0, 4), "data", "offset points", ha="right")
+    axes.set(xlabel="diameter drawn (m)", ylabel="growth of a bend (1/s)", ylim=(None, 2e6))
+    axes.set_title("LAMMPS: a bent column buckles")
+
+
+def _weights(axes: Axes, data: dict[str, Any]) -> None:
+    found, law, printed = np.array(data["dyson"], dtype=float).T
+    axes.plot(data["orders"], law, color=BLUE, lw=1.2, label="rounding of κ: ε m |κ - 1|")
+    axes.plot(data["orders"], found, **POINT, marker="o", color=BLUE, label="theory.dyson.weight")
+    axes.plot(data["orders"], np.where(np.isfinite(printed), printed, np.nan), **POINT, marker="x", color=RED,
+              label="as printed")  # fmt: skip
+    axes.axvline(limits.MOST_PRINTED, color=RED, ls="--", lw=1)
+    axes.annotate("overflows", (limits.MOST_PRINTED, 1e-6), (4, 0), "data", "offset points", color=RED)
+    axes.set(xlabel="m", ylabel="relative error", ylim=(1e-17, 1e-3))
+    axes.set_title("Dyson's weight, Eq. (23), to 3 deviations")
+
+
+def _functions(axes: Axes, data: dict[str, Any]) -> None:
+    axes.plot(data["grains"], data["bessel_law"], color=BLUE, lw=1.2, label="rounding of T: ε (2n)$^{2/3}$")
+    floor = np.maximum(data["bessel"], 1e-16)
+    axes.plot(data["grains"], floor, **POINT, marker="o", color=BLUE, label="theory.bessel.free_end at T = n - 1/2")
+    axes.set(xlabel="grain n", ylabel="relative error", ylim=(1e-17, 1e-8))
+    axes.set_title("Bessel functions of large order")
