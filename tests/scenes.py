@@ -121,3 +121,62 @@ def _driven(rng: np.random.Generator, chain: Chain) -> Scene:
         times = np.append(0, np.cumsum(apart)) * (duration * rng.uniform(1, 1.2) / apart.sum())
         excitation = Drive(times=times, displacement=np.append(0, rng.normal(size=apart.size)) * length)
     return Scene(chain=chain, excitation=excitation, duration=duration, samples=11)
+
+
+def wide_scene(rng: np.random.Generator) -> Scene:
+    """Draw from all that a user may ask: 2 to 10^5 grains, g from 0.01 to 100 times ours or none with a load, exponents
+    from 1 to 3, strikes from 1e-9 to 1 m/s of every kind, walls and impurities.
+    """
+    while True:
+        try:
+            return _at_speed(rng, _wide_chain(rng), 10 ** rng.uniform(-9, 0))
+        except InputError:
+            continue
+
+
+def _wide_chain(rng: np.random.Generator) -> Chain:
+    grains = int(10 ** rng.uniform(np.log10(2), 5.001))
+    gravity = 9.81 * 10 ** rng.uniform(-2, 2) if rng.random() < 0.7 else 0.0
+    walls = {end: "wall" for end in ("top", "bottom") if rng.random() < 0.2}
+    materials = {f"{end}_material": _material(rng) for end in walls if rng.random() < 0.5}
+    diameter = 1e-3 * 10 ** rng.uniform(-0.5, 1)
+    return Chain(
+        grains=grains,
+        material=_material(rng),
+        diameter=diameter if rng.random() < 0.7 else diameter * rng.uniform(0.7, 1.3, grains),
+        gravity=gravity,
+        exponent=float(rng.choice([1.0, 1.5, 1.5, 1.5, 3.0, *rng.uniform(1, 3, 3)])),
+        top_load=10 ** rng.uniform(-4, 1) if gravity == 0 or rng.random() < 0.2 else 0.0,
+        impurity=_impurities(rng, grains, diameter) if rng.random() < 0.3 else [],
+        **walls,
+        **materials,
+    )
+
+
+def _at_speed(rng: np.random.Generator, chain: Chain, speed: float) -> Scene:
+    """Draw an excitation that moves grains at about this speed, for 2 to 20 times what contacts need to answer it."""
+    grain = 1 if rng.random() < 0.6 else int(rng.integers(1, chain.movable + 1))
+    mass, contact = chain.masses[grain - 1], min(grain, chain.grains - 1) - 1
+    constant, stiffness = chain.contact_constants[contact], chain.linear_stiffness[contact]
+    hit = speed / (mass * speed**2 / constant) ** (1 / (chain.exponent + 1))
+    omega = max(float(np.sqrt(stiffness / mass)), float(hit))
+    duration, sign = rng.uniform(2, 20) / omega, rng.choice([-1.0, 1.0])
+    kind = rng.choice(["impulse", "impulse", "displacement", "profile", "sine", "spline"])
+    if kind == "impulse":
+        excitation = Impulse(velocity=sign * speed, grain=grain)
+    elif kind == "displacement":
+        excitation = Displacement(displacement=sign * speed / omega, grain=grain)
+    elif kind == "profile":
+        velocity = np.zeros(chain.grains)
+        struck = slice(grain - 1, min(grain + 20, chain.movable))
+        velocity[struck] = speed * rng.normal(size=velocity[struck].size)
+        excitation = Profile(velocity=velocity)
+    elif kind == "sine":
+        frequency = omega * 10 ** rng.uniform(-1, 0.3)
+        excitation = Drive(amplitude=speed / frequency, frequency=frequency / (2 * np.pi))
+    else:
+        times = np.append(0, np.cumsum(rng.uniform(0.3, 1, rng.integers(5, 30))))
+        times *= duration * rng.uniform(1, 1.2) / times[-1]
+        path = np.append(0, rng.normal(size=times.size - 1)) * speed * times[-1] / times.size
+        excitation = Drive(times=times, displacement=path)
+    return Scene(chain=chain, excitation=excitation, duration=duration, samples=int(rng.choice([5, 11, 51])))

@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from reference import extended_reference, relative_error
-from scenes import paper, random_scene
+from scenes import paper, random_scene, wide_scene
 
 import lmpchain
 from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Profile, Scene, ToleranceNotMet, simulate
 from lmpchain.cli import main
 from lmpchain.engines import LADDER, Modes, ladder, linear, nonlinearity, speed
+from lmpchain.reference import reference
 from lmpchain.trajectory import Trajectory
 
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-9)
@@ -61,42 +62,45 @@ def struck(seed: int) -> Scene:
     return random_scene(rng)
 
 
-def answered(scene: Scene, tolerance: float) -> tuple[Trajectory, str]:
-    """Return the answer to a scene, and why it misses the tolerance if it does."""
-    try:
-        return simulate(scene, tolerance=tolerance), ""
-    except ToleranceNotMet as missed:
-        return missed.trajectory, missed.reason  # type: ignore[return-value]
+def truth(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Return displacement and velocity of every grain by Taylor series, held against extrapolation around the strike.
+
+    The second one knows only grains as near as the wave can have come; the first must all but leave others at rest.
+    """
+    spare, (first, last) = 120, scene.excitation.reach(scene.chain)
+    first, last = max(1, first - spare), min(scene.chain.grains, last + spare)
+    found, (u, v, error) = reference(scene), extended_reference(scene.part(first, last), 1e-17)
+    here = slice(first - 1, last)
+    apart = relative_error(found.displacement[:, here], found.velocity[:, here], u, v)
+    assert apart < min(1e-10, 1e-14 + 3 * error)  # a part may differ in the last bits of its forces
+    for x in (found.displacement, found.velocity):
+        assert np.abs(np.delete(x, np.r_[here], axis=1)).max(initial=0) < 1e-15 * np.abs(x).max()
+    return found.displacement, found.velocity
 
 
 def keeps_its_word(seed: int) -> str:
     """Check a random scene at every tolerance, and return which engines answered."""
-    scene, used = struck(seed), []
-    u, v, error = extended_reference(scene, 1e-14)
+    scene, used = wide_scene(np.random.default_rng(seed)), []
+    u, v = truth(scene)
     for tolerance in TOLERANCES:
         with warnings.catch_warnings(action="ignore"), pytest.MonkeyPatch.context() as patch:
-            if seed % 2:  # linear theory whenever it is within the tolerance, not only where it is cheaper
+            if seed % 2 and not (scene.drive and scene.chain.grains > 1000):  # linear theory wherever it would do
                 patch.setattr(linear, "seconds", lambda *_: 0.0)
-            plan, t, missed = lmpchain.plan(scene, tolerance), *answered(scene, tolerance)
-        if missed:  # which the strong and long ones may
-            assert "round-off" in missed or "do not help" in missed
-            assert tolerance < 1e-3
-            assert t.error_estimate.total > tolerance
-            continue
+            plan, t = lmpchain.plan(scene, tolerance), simulate(scene, tolerance=tolerance)
         kept = [proposal for proposal in plan.candidates if proposal.kept]
         assert plan.expected_cost_s == min(proposal.cost_s for proposal in kept)
         assert plan.expected_error <= tolerance * 1.001
         assert t.engine == plan.engine or "redone" in t.provenance
         assert t.error_estimate.total <= tolerance
-        true = relative_error(t.displacement, t.velocity, u, v)
-        assert true <= tolerance + error, (seed, tolerance, t.engine)
+        assert relative_error(t.displacement, t.velocity, u, v) <= tolerance, (seed, tolerance, t.engine)
         used.append(t.engine)
     return " ".join(used)
 
 
 def test_twenty_random_scenes_are_within_the_tolerance():
     used = " ".join(keeps_its_word(seed) for seed in range(20))
-    assert min(used.split().count(name) for name in ("native", "modes")) > 5
+    assert used.count("native") > 30
+    assert used.count("modes") + used.count("chebyshev") > 3
 
 
 @pytest.mark.soak
