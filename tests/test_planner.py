@@ -2,6 +2,7 @@
 
 import json
 import platform
+import time
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +16,7 @@ import lmpchain
 from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Profile, Scene, ToleranceNotMet, simulate
 from lmpchain.cli import main
 from lmpchain.engines import LADDER, Modes, ladder, linear, nonlinearity, speed
-from lmpchain.reference import reference
+from lmpchain.reference import Reference, expected_seconds, reference
 from lmpchain.trajectory import Trajectory
 
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-9)
@@ -107,6 +108,64 @@ def test_twenty_random_scenes_are_within_the_tolerance():
 @pytest.mark.parametrize("seed", range(20, 220))
 def test_random_scenes_are_within_the_tolerance(seed: int):
     keeps_its_word(seed)
+
+
+def with_alternatives(seed: int) -> Scene:
+    """Draw a scene; half of them last long, which is where engines differ in cost."""
+    rng = np.random.default_rng(seed)
+    scene = wide_scene(rng)
+    if seed % 2 == 0 or (scene.drive and scene.drive.times is not None):
+        return scene
+    longer = {"duration": scene.duration * 10 ** rng.uniform(0, 2.5), "samples": int(rng.choice([5, 51, 501]))}
+    return Scene(**scene.given() | longer)
+
+
+def cpu_time(scene: Scene, engine: str, tolerance: float) -> tuple[float, Trajectory]:
+    """Return the shortest of some times that an answer takes from scratch, s, and the answer."""
+    found = []
+    while len(found) < 2 or (len(found) < 5 and sum(found) < 1):
+        afresh, began = Scene(**scene.given()), time.process_time()
+        trajectory = simulate(afresh, engine, tolerance, on_miss="warn")
+        found.append(time.process_time() - began)
+    return min(found), trajectory
+
+
+def over_the_cheapest(scene: Scene, tolerance: float, truth: Reference) -> float:
+    """Return how many times longer the choice of a plan takes than the fastest that would have done, all measured.
+
+    What is expected to take 20 times as long is not tried. NaN if the choice takes less than 1 ms.
+    """
+    plan, took = lmpchain.plan(scene, tolerance), {}
+    for proposal in plan.candidates:
+        if proposal.cost_s < max(0.05, 20 * plan.expected_cost_s):
+            seconds, t = cpu_time(scene, proposal.engine, tolerance)
+            true = relative_error(t.displacement, t.velocity, truth.displacement, truth.velocity)
+            if true <= tolerance or proposal.engine == plan.engine:
+                took[proposal.engine] = seconds
+    chosen = took[plan.engine]
+    return chosen / min(took.values()) if chosen > 1e-3 else np.nan
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(3600)
+@pytest.mark.filterwarnings("ignore:Eq. ")
+def test_the_choice_takes_at_most_twice_the_time_of_the_cheapest():
+    """In nine of ten where it takes over 1 ms."""
+    scenes = [scene for seed in range(300, 380) if expected_seconds(scene := with_alternatives(seed)) < 20]
+    found = [over_the_cheapest(scene, e, known) for scene in scenes for known in [reference(scene)] for e in TOLERANCES]
+    ratios = np.array(found)[np.isfinite(found)]
+    assert ratios.size > 200
+    assert np.mean(ratios <= 2) >= 0.9, np.sort(ratios)[-50:]
+
+
+def test_what_a_driven_chain_costs_does_not_depend_on_grains_out_of_reach():
+    def expected(grains: int) -> float:
+        chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-3)
+        drive = Drive(amplitude=1e-12, frequency=0.1 / chain.time_scale)
+        scene = Scene(chain=chain, excitation=drive, duration=20 * chain.time_scale, samples=5)
+        return next(p.cost_s for p in lmpchain.plan(scene).candidates if p.engine == "native")
+
+    assert expected(10**5) == pytest.approx(expected(10**3), rel=1e-3, abs=0)
 
 
 @pytest.mark.filterwarnings("ignore:Eq. ")

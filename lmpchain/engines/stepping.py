@@ -82,8 +82,12 @@ class SteppedEngine(Engine):
 
     def cost(self, scene: Scene, method: Method, steps: int) -> float:
         """Return about how long so many steps take, s."""
-        grain_steps = method.evaluations * steps * (scene.chain.grains + CALL)
+        grain_steps = method.evaluations * steps * (self.computed(scene) + CALL)
         return seconds(self.name, self.seconds_per_grain_step * grain_steps)
+
+    def computed(self, scene: Scene) -> float:
+        """Return how many grains it computes in each step, on average."""
+        return scene.chain.grains
 
     def refine(self, candidate: Candidate, error: SolverError | None, tolerance: float) -> Candidate | None:
         """Shorten the step by what the observed error asks for."""

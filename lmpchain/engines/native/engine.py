@@ -18,6 +18,7 @@ from ..pace import Pace
 from ..splittings import Splitting
 from ..stepping import GENTLE, SteppedEngine
 from .chains import FORCES, Chains, force_form, name_of
+from .kernels import PAD
 from .stepper import NativeStepper
 
 
@@ -85,6 +86,12 @@ class Native(SteppedEngine):
             varies = adapts or (splits and method.order > 2 and scene.largest_strain > GENTLE)
             candidate = replace(candidate, graded=self.graded and varies)
         return replace(candidate, choices={"force": name_of(force_form(scene, self.force))})
+
+    def computed(self, scene: Scene) -> float:
+        """Return how many grains it computes in each step, on average: those that a wave has reached by then."""
+        first, last = scene.excitation.reach(scene.chain)
+        reached = last - first + 1 + 2 * PAD + scene.highest_frequency * scene.duration / 4
+        return min(scene.chain.grains, reached)
 
     def stepper(
         self, scenes: Sequence[Scene], candidate: Candidate, pace: Pace, state: Mapping[str, Array]
