@@ -112,15 +112,15 @@ def _vacuum(axes: Axes, data: dict[str, Any]) -> None:
         axes.plot(g, found[0] * (g / g[0]) ** power, color=colour, lw=1.2)
         name = f"δ = {exponent:g}, {'loaded' if load else 'no load'}: $g^{{{power:.2g}}}$"
         axes.plot(g, found, **POINT, marker="o", color=colour, label=name)
-    axes.set(xlabel="gravity (m/s²)", ylabel="distance from the answer at g = 0", ylim=(None, 1e4))
+    axes.set(xlabel="gravity (m/s²)", ylabel="relative distance from g = 0", ylim=(None, 1e4))
     axes.set_title("Gravity vanishes: answers go on to g = 0")
 
 
 def _fields(axes: Axes, data: dict[str, Any]) -> None:
     axes.plot(data["fields"], data["linear_law"], color=BLUE, lw=1.2, label="0.265 (δ-1) $v_0^*$, at most 1")
     axes.plot(data["fields"], data["from_linear"], **POINT, marker="^", color=COLOURS["modes"], label="linear theory")
-    axes.set(xlabel="gravity (m/s²)", ylabel="error", ylim=(None, 30))
-    axes.set_title("... but linear theory ends (10 µm/s)")
+    axes.set(xlabel="gravity (m/s²)", ylabel="relative error", ylim=(None, 30))
+    axes.set_title("... but linear theory ends (struck at 10 µm/s)")
 
 
 def _springs(axes: Axes, data: dict[str, Any]) -> None:
@@ -130,7 +130,7 @@ def _springs(axes: Axes, data: dict[str, Any]) -> None:
     ):
         axes.plot(data["excess"], data[f"{key}_law"], color=colour, lw=1.2)
         axes.plot(data["excess"], data[key], **POINT, marker=marker, color=colour, label=name)
-    axes.set(xlabel="δ - 1", ylabel="distance")
+    axes.set(xlabel="δ - 1", ylabel="relative distance")
     axes.set_title("δ → 1: springs, at first order")
 
 
