@@ -16,6 +16,7 @@ from .fields import NOT_GIVEN, Array, Checked, OneOrMany, PositiveVector, Real, 
 from .impurities import Impurities, Impurity
 from .materials import GLASS, Material, OneMaterial, OneOrManyMaterials
 
+LEAST_GRAVITY = 1e-100  # m/s2
 LARGEST_OVERLAP = 0.1  # of the diameter: beyond it the Hertz law no longer describes a contact
 
 
@@ -84,6 +85,9 @@ class Chain(Checked):
         yield from wrong
         if self.bottom == "free" and (self.gravity > 0 or self.top_load > 0):
             yield "bottom", 'must be "fixed" or "wall" under gravity or a top load: a free chain would fall'
+        if 0 < self.gravity < LEAST_GRAVITY:
+            yield "gravity", f"must be 0, or at least {LEAST_GRAVITY:g} m/s2: below, squares of overlaps underflow"
+            return
         if wrong:
             return
         self._leave_open()

@@ -10,10 +10,11 @@ from figures import SHADES
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from lmpchain import Chain
+from lmpchain import Chain, Scene
 from lmpchain.chain import LARGEST_OVERLAP
 from lmpchain.plotting import COLOURS, MARKERS, figure
 from lmpchain.stability import limits
+from lmpchain.stability.theories import linear_law
 from lmpchain.theory import bessel, dyson
 
 BLUE, ORANGE, GREEN, PINK, SKY, RED = SHADES
@@ -36,6 +37,10 @@ def measure(quick: bool) -> dict[str, Any]:
     swings = {n: [limits.swinging(n, float(x)) for x in numbers] for n in (2, 3)}
     pressed = [limits.squeezing(float(x)) for x in strains]
     column = Chain(grains=20, diameter=limits.BEAD)
+
+    def law(scene: Scene) -> float:
+        return linear_law(scene.strike_number, "package", scene.chain.exponent)
+
     return {
         "gravity": gravity.tolist(),
         "from_vacuum": {
@@ -46,10 +51,10 @@ def measure(quick: bool) -> dict[str, Any]:
         "fields": fields.tolist(),
         "strike_numbers": [scene.strike_number for scene in weak],
         "from_linear": [limits.from_linear(scene) for scene in weak],
-        "linear_law": [limits.linear_error(scene) for scene in weak],
+        "linear_law": [law(scene) for scene in weak],
         "excess": excess.tolist(),
         "near_linear": [limits.from_linear(scene) for scene in near],
-        "near_linear_law": [limits.linear_error(scene) for scene in near],
+        "near_linear_law": [law(scene) for scene in near],
         "near_springs": [limits.from_springs(scene) for scene in near],
         "near_springs_law": limits.springs_error(30, excess).tolist(),
         "numbers": numbers.tolist(),

@@ -58,7 +58,7 @@ class LinearEngine(Engine):
             cost_s=seconds(self.name, self.work(part, part.samples, part.samples * scene.recorded.size)),
             first_grain=first,
             model_least=least,
-            look_s=seconds(self.name, self.work(part, 0, 0)) - seconds(self.name, 0.0) if most < 1 else math.inf,
+            look_s=seconds(self.name, self.work(part, 0, 0)) - seconds(self.name, 0.0),
         )
 
     def look(self, scene: Scene, candidate: Candidate) -> Candidate:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .. import engines
+from ..chain import LARGEST_OVERLAP
 from ..engines.methods import METHODS
 from ..errors import EngineUnavailable, InputError, LmpchainError, ToleranceNotMet
 from ..fields import Array
@@ -32,8 +33,7 @@ RUNS = 60  # that a bisection takes
 LONGEST_S = 20.0  # that one measurement may be expected to take
 DIVISIONS = 40.0  # of an oscillation of the band edge by the step at which energies are compared
 PERIODS = 1000.0  # for which they are
-SMALL = 0.1  # overlap over diameter at which Hertz's force is 1 % too large: `limits.hertz_excess`
-STRENGTHS = 10.0 ** np.arange(-8, 3)  # of the strike, over its own
+STRENGTHS = np.logspace(-8, 2, 11)  # of the strike, over its own
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ class Stability:
 
     def table(self) -> str:
         """Return the boundaries as a table; what the scene lies beyond bears a mark."""
-        rows = [("", "", "", "predicted", "measured", "this scene")]
+        rows: list[tuple[str, ...]] = [("", "", "", "predicted", "measured", "this scene")]
         for found in self.boundaries:
             numbers = (_shown(x, found.unit) for x in (found.predicted, found.measured, found.here))
             rows.append(("!" if found.beyond else "", found.what, found.method, *numbers))
@@ -245,9 +245,8 @@ def _overlap(scene: Scene) -> Iterator[Boundary]:
     from .limits import deepest
 
     here = deepest(scene)
-    yield Boundary(
-        "Hertz's law: overlap over diameter", "Eq. (1)", "", SMALL, here=here, beyond=SMALL < here < math.inf
-    )
+    beyond = LARGEST_OVERLAP < here < math.inf  # a drive has no bound
+    yield Boundary("Hertz's law: overlap over diameter", "Eq. (1)", "", LARGEST_OVERLAP, here=here, beyond=beyond)
 
 
 def _strength(scene: Scene) -> Iterator[Curve]:

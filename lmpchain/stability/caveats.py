@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+from ..chain import LARGEST_OVERLAP
 from ..engines.base import Engine
 from ..engines.stepping import SteppedEngine
 from ..errors import InputError
@@ -13,7 +14,6 @@ from .limits import deepest, hertz_excess
 from .precision import predicted_horizon
 from .steps import limit
 
-DEEP = 0.1  # overlap over diameter at which Hertz's force is 1 % too large: `limits.hertz_excess`
 OPENING, FLYING = 30.0, 50.0  # strike number, and that over N, between which `precision.growth_rate` is known
 TRUSTED, GENTLE = 0.7, 0.3  # of `steps.limit`: Verlet held for 300 periods; strain below which all of it is to be had
 FEW, MANY = 6, 40  # and for how many grains
@@ -22,7 +22,7 @@ FEW, MANY = 6, 40  # and for how many grains
 def caveats(scene: Scene, engine: Engine, tolerance: float) -> Iterator[str]:
     """Yield what is beyond a boundary: overlaps, a given step, and time until which an answer can be had."""
     deep = deepest(scene)
-    if DEEP < deep < math.inf:
+    if LARGEST_OVERLAP < deep < math.inf:
         excess = f"Hertz's law is {100 * hertz_excess(min(deep, 0.5)):.2g} % off there by the shape of spheres alone"
         yield f"contacts may be squeezed to {100 * deep:.2g} % of the diameter: {excess}"
     if isinstance(engine, SteppedEngine) and engine.step is not None:

@@ -32,7 +32,6 @@ from ..theory.modes import Modes, between
 from ..trajectory import Trajectory
 
 EPSILON = float(np.finfo(float).eps)
-LINEAR = 0.265  # error of linear theory over (delta - 1) v0*: measured on the paper's column, tau = 14.5, v0* < 0.1
 MOST_PRINTED = 143  # m from which m^m in Eq. (23) as printed is beyond the largest double, 1.8e308
 STEADY = 0.05  # omega h of velocity Verlet, at which a straight column is as good as exact
 BEAD, TAU = 1e-3, 14.5  # the paper's beads, m, and its time of 100 us at g, in the unit of tau
@@ -45,14 +44,6 @@ def vacuum_power(exponent: float, loaded: bool) -> float:
     changes them by ``n m g / F`` of themselves.
     """
     return 1.0 if loaded else 1 / exponent
-
-
-def linear_error(scene: Scene) -> float:
-    """Return how far linear theory is off until tau = 14.5 in a column struck on the top: 0.265 (delta - 1) v0*.
-
-    v0* goes as ``g^-(1 + 1/delta)/2``, so the theory ends where g falls to 0. Not more than 1.
-    """
-    return min(1.0, LINEAR * (scene.chain.exponent - 1) * scene.strike_number)
 
 
 def springs_error(grains: int, excess: ArrayLike) -> Array:
