@@ -150,7 +150,7 @@ def _answer(task: Task, output: _Memory | RunFolder, progress: bool) -> tuple[Tr
 
     attempt = output.attempt or first_attempt(engine, scene, task.tolerance, task.best_effort)
     with output.requests:
-        outcome = pursue(engine, scene, attempt, collect, output.begin)
+        outcome = pursue(engine, scene, attempt, collect, output.begin, task.best_effort)
     return output.finish(outcome), outcome
 
 

@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Generic, TypeVar
 
+import numpy as np
+
 from ..errors import RunFailed, ToleranceNotMet
 from ..fields import Array
 from ..scene import Scene
@@ -15,6 +17,9 @@ from .base import Candidate, Cost, Engine, Run, SolverError
 
 ATTEMPTS = 12
 STALLS = 2  # attempts in a row that do not help: round-off or chaos, not the step, is the limit
+# a first try that misses by so much may be lost in chaos; two runs, a last digit apart at t = 0, that part by so many
+# tolerances are: measured on 300 random scenes, of which no answerable one went beyond 1
+LOOK, LOST = 100.0, 10.0
 T = TypeVar("T")
 
 
@@ -91,6 +96,7 @@ def pursue(
     attempt: Attempt,
     collect: Callable[[Run], T],
     begin: Callable[[Attempt], Mapping[str, Array] | None] = lambda _: None,
+    patient: bool = False,
 ) -> Outcome[T]:
     """Run a scene, at ever shorter steps unless the step is given, and collect each run's blocks.
 
@@ -104,6 +110,8 @@ def pursue(
         Takes a run and goes through its blocks.
     begin : callable
         Told of every attempt before it starts; returns the state to start it from, None for the beginning.
+    patient : bool
+        Whether to go on, for the best answer there is, where the first try shows that none meets the tolerance.
 
     Raises
     ------
@@ -134,6 +142,12 @@ def pursue(
             attempt = replace(attempt, truncations=() if other else (*attempt.truncations, error.truncation))
             enough = candidate.fixed or (error.total <= tolerance and not other and not alone)
             missed = alone or ("" if enough or other else _why_not(error, attempt, better))
+            if not (enough or other or missed or patient):
+                look_began = time.perf_counter()
+                missed = _lost(scene, error, attempt)
+                look_s = time.perf_counter() - look_began
+                began += look_s  # it is no planning
+                attempt = replace(attempt, looked_s=attempt.looked_s + look_s)
             if enough or missed:
                 setup, estimate = cost.setup_s + attempt.planned_s, cost.estimate_s + attempt.looked_s
                 cost = replace(cost, setup_s=setup, estimate_s=estimate)
@@ -189,9 +203,28 @@ def _why_not(error: SolverError, attempt: Attempt, better: Candidate | None) -> 
     if better is None:
         reason += f", for round-off alone makes {error.roundoff:.2g}"
     horizon = error.horizon(tolerance)
-    if horizon == float("inf"):
-        return f"{reason}: ask for less"
+    return f"{reason}: ask for less" if horizon == float("inf") else f"{reason}: {_amplifies(horizon)}"
+
+
+def _lost(scene: Scene, error: SolverError, attempt: Attempt) -> str:
+    """Return why no step will help, if the first try shows it, or nothing."""
+    tolerance, candidate = attempt.tolerance, attempt.candidate
+    if len(attempt.truncations) > 1 or error.truncation < LOOK * tolerance or not candidate.integrator:
+        return ""
+    from .sensitivity import LAST_DIGIT, separation
+
+    try:
+        apart = separation(scene, candidate, LAST_DIGIT)
+    except RunFailed:
+        return ""
+    if apart.max() < LOST * tolerance:
+        return ""
+    horizon = float(scene.time[np.argmax(apart > tolerance)])
+    return f"the error is estimated at {error.total:.2g}, above the tolerance of {tolerance:.2g}: {_amplifies(horizon)}"
+
+
+def _amplifies(horizon: float) -> str:
     return (
-        f"{reason}: this scene amplifies round-off beyond the tolerance at t = {horizon:.4g} s; record up to there, "
+        f"this scene amplifies round-off beyond the tolerance at t = {horizon:.4g} s; record up to there, "
         "or ask for less"
     )
