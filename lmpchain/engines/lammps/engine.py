@@ -135,15 +135,15 @@ class Lammps(SteppedEngine):
         if fixed:
             given = super().for_part(scene, tolerance, method)
             if self.diameter == "physical" or (self.diameter == "gauge" and not scene.drive):  # nothing to find out
-                drawn = _gauge(scene) if self.diameter == "gauge" else 0.0
+                drawn = gauge_diameter(scene) if self.diameter == "gauge" else 0.0
                 return replace(given, solver_error=math.nan, choices=_choices(drawn, "as asked"))
         trial = until_tolerance(Native(self.splitting.name, self.step, graded=False), scene, tolerance / 2, _reached)
         if trial.missed:
             raise ToleranceNotMet(f"even without round-off in heights, {trial.missed}")
         peaks, closest = trial.collected
         steps = trial.candidate.steps_per_sample * (scene.samples - 1)
-        small = _gauge(scene, closest)
-        physical, gauge = (self._floor(scene, drawn, steps, peaks) for drawn in (0.0, small))
+        small = gauge_diameter(scene, closest)
+        physical, gauge = (self.round_off(scene, drawn, steps, peaks) for drawn in (0.0, small))
         wants_gauge = self.diameter == "gauge" or (self.diameter == "auto" and physical > tolerance / 2)
         floor = gauge if wants_gauge else physical
         if floor > tolerance and not fixed:
@@ -164,8 +164,8 @@ class Lammps(SteppedEngine):
         error = trial.error.truncation + floor
         return replace(trial.candidate, solver_error=error, cost_s=self.cost(scene, method, steps), choices=choices)
 
-    def _floor(self, scene: Scene, gauge: float, steps: int, peaks: Array) -> float:
-        """Estimate the round-off of a run from the last digit of the largest height.
+    def round_off(self, scene: Scene, gauge: float, steps: int, peaks: Array) -> float:
+        """Estimate the relative round-off of a run, from above, from the last digit of the largest height.
 
         Each force evaluation moves every grain and rounds its height: a random walk. In the
         velocity the same error counts times the highest frequency. In 60 random scenes the measured
@@ -232,7 +232,7 @@ def _reached(run: Run) -> tuple[Array, float]:
     return run.peaks[0], float(run.closest[0])
 
 
-def _gauge(scene: Scene, closest: float = 0.0) -> float:
+def gauge_diameter(scene: Scene, closest: float = 0.0) -> float:
     """Return the gauge diameter, m, or 0 where the grains are no larger than that.
 
     It is a few times the largest overlap: a rigorous bound, or in a driven chain what a trial has seen.
