@@ -88,7 +88,7 @@ def finish(picture: Figure, path: Path) -> None:
     picture.canvas.draw()
     pixels = Image.fromarray(np.asarray(picture.canvas.buffer_rgba())).convert("RGB")
     with write_aside(path) as aside:
-        pixels.quantize(256, dither=Image.Dither.NONE).save(aside, optimize=True)
+        pixels.quantize(256, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(aside, optimize=True)
     print(f"picture: {path}")
 
 
