@@ -280,7 +280,9 @@ STRONG = {"velocity", "displacement", "amplitude"}  # what of an excitation is a
 
 
 def _shown(value: float, unit: str) -> str:
-    return "" if math.isnan(value) else f"{value:.3g}{f' {unit}' if unit else ''}"
+    if not math.isfinite(value):
+        return "" if math.isnan(value) else "none"
+    return f"{value:.3g} {unit}".rstrip()
 
 
 def _known(value: Any) -> Any:

@@ -119,7 +119,7 @@ def suspect(integrator: str) -> float:
 
 
 def blow_up(scene: Scene, integrator: str, engine: str = "native") -> float:
-    """Return the longest step, s, with which a scene does not break down, as measured.
+    """Return the longest step, s, with which a scene does not break down, as measured; infinite if it is too short to.
 
     Steps of one length are tried ever longer, by 2 % and at those of which the method is suspected, until a run
     breaks: a grain moves with more than one and a half times all the energy there is. Then the step is bisected. The
@@ -158,6 +158,8 @@ def blow_up(scene: Scene, integrator: str, engine: str = "native") -> float:
         low /= 2
     while survives(high := suspected if low < suspected < SCAN * low else SCAN * low):
         low = high
+        if low > scene.duration / 2:
+            return math.inf
     for _ in range(BISECTIONS):
         middle = math.sqrt(low * high)
         low, high = (middle, high) if survives(middle) else (low, middle)
