@@ -54,15 +54,20 @@ def draw(data: dict) -> Figure:
         decades = np.array(panel["decades"]).T
         mesh = ax.pcolormesh(velocities, times, decades, vmin=0, vmax=MOST, cmap="cividis", shading="gouraud")
         levels = [np.log10(tol / SEED) for tol in TOLERANCES]
-        lines = ax.contour(velocities, times, decades, levels=levels, colors="white", linewidths=1.6)
-        names = {level: f"1e{np.log10(tol):.0f}" for level, tol in zip(levels, TOLERANCES, strict=True)}
-        ax.clabel(lines, fmt=names, fontsize="medium")
+        ax.contour(velocities, times, decades, levels=levels, colors="white", linewidths=1.6)
         for horizons in panel["law"].values():
             ax.plot(panel["valid"], 1e3 * np.array(horizons), color="#D55E00", lw=1.8, ls="--")
         ax.set(xscale="log", xlim=velocities[[0, -1]], ylim=times[[0, -1]], xlabel="strike (m/s)")
         ax.set_title(f"{panel['grains']} grains", fontsize="medium")
+    for level, tolerance in zip(levels, TOLERANCES, strict=True):  # named where they leave the last panel on the right
+        end = int(np.argmax(decades[:, -1] > level))
+        if end > 0:
+            spot, name = (velocities[-1], times[end]), f"1e{np.log10(tolerance):.0f}"
+            ax.annotate(name, spot, (4, 0), textcoords="offset points", va="center")
     axes[0].set_ylabel("time after the strike (ms)")
-    axes[0].plot([], [], color="0.75", lw=1.6, label="horizon of a tolerance of 1e-9, 1e-6, 1e-3: measured")
+    axes[0].plot(
+        [], [], color="0.75", lw=1.6, label="horizon of a tolerance of 1e-9, 1e-6, 1e-3 (from below): measured"
+    )
     axes[0].plot([], [], color="#D55E00", lw=1.8, ls="--", label="predicted: 0.9 (1 - exp(-N/20)) decades a reflection")
     picture.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
     picture.colorbar(mesh, ax=axes, label="growth of a small change (decades)")
