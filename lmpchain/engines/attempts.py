@@ -18,7 +18,7 @@ from .base import Candidate, Cost, Engine, Run, SolverError
 ATTEMPTS = 12
 STALLS = 2  # attempts in a row that do not help: round-off or chaos, not the step, is the limit
 # a first try that misses by so many tolerances, or so much, may be lost in chaos; it is if two runs, a last digit apart
-# at t = 0, part by so many tolerances: of 180 random scenes, those that can be answered stayed below 0.3
+# at t = 0, part by so many tolerances: of 290 random scenes, 250 of which can be answered, none of these did
 LOOK, LOOK_AT_MOST, LOST = 1e4, 0.3, 10.0
 T = TypeVar("T")
 
