@@ -124,7 +124,19 @@ def test_every_script_has_its_picture_on_the_page():
     assert drawn > set(KNOWN) | {"scaling"}
     for name in shown:
         assert (ANALYSIS / "pictures" / f"{name}.png").stat().st_size < 150_000
-        assert (ANALYSIS / f"{name}.py").is_file() or name.startswith("work_precision_")
+        assert (ANALYSIS / f"{name}.py").is_file() or name.startswith(("work_precision_", "stability_"))
+
+
+MAPS = sorted(path.stem for path in (ANALYSIS / "maps").glob("[a-z]*.py"))
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_maps_of_where_methods_fail(name: str, tmp_path: Path):
+    command = [sys.executable, ANALYSIS / "stability_map.py", name, "--quick", "-o", tmp_path]
+    subprocess.run(command, check=True, capture_output=True)
+    assert (tmp_path / f"stability_{name}.png").stat().st_size > 10_000
+    kept = json.loads((ANALYSIS / "pictures" / f"stability_{name}.json").read_text(encoding="utf-8"))
+    assert json.loads((tmp_path / f"stability_{name}.json").read_text(encoding="utf-8")).keys() == kept.keys()
 
 
 def test_scaling(tmp_path: Path):
