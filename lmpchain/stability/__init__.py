@@ -213,12 +213,9 @@ def _floor(scene: Scene, engine: str, diameter: str) -> Iterator[Boundary]:
 
 
 def _horizon(scene: Scene) -> Iterator[Boundary | Curve]:
-    from .precision import growth, horizon, predicted_horizon
+    from .precision import amplifies, growth, horizon, predicted_horizon
 
-    try:
-        predicted = predicted_horizon(scene, TOLERANCE)
-    except InputError:  # no law for this scene
-        predicted = math.nan
+    predicted = predicted_horizon(scene, TOLERANCE) if amplifies(scene) else math.nan
     measured = math.nan
     if not _too_long(scene):
         times, apart = growth(scene)

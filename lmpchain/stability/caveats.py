@@ -8,15 +8,12 @@ from collections.abc import Iterator
 from ..chain import LARGEST_OVERLAP
 from ..engines.base import Engine
 from ..engines.stepping import SteppedEngine
-from ..errors import InputError
 from ..scene import Scene
 from .limits import deepest, hertz_excess
-from .precision import predicted_horizon
+from .precision import amplifies, predicted_horizon
 from .steps import limit
 
-OPENING, FLYING = 30.0, 50.0  # strike number, and that over N, between which `precision.growth_rate` is known
 TRUSTED, GENTLE = 0.7, 0.3  # of `steps.limit`: Verlet held for 300 periods; strain below which all of it is to be had
-FEW, MANY = 6, 40  # and for how many grains
 
 
 def caveats(scene: Scene, engine: Engine, tolerance: float) -> Iterator[str]:
@@ -30,16 +27,10 @@ def caveats(scene: Scene, engine: Engine, tolerance: float) -> Iterator[str]:
         if engine.step > longest:
             yield (
                 f"step: {engine.step:.3g} s is stable at rest, but while the strike squeezes the contacts only steps "
-                f"below {longest:.3g} s are"
+                f"below {longest:.3g} s are known to be"
             )
-    grains = scene.chain.grains
-    if FEW <= grains <= MANY and OPENING < scene.strike_number < FLYING * grains:
-        try:
-            horizon = predicted_horizon(scene, tolerance)
-        except InputError:  # no law for this chain
-            return
-        if horizon < scene.duration:
-            yield (
-                f"duration: contacts that open amplify round-off beyond {tolerance:g} at about {horizon:.2g} s; what "
-                f"comes later cannot be computed"
-            )
+    if amplifies(scene) and (horizon := predicted_horizon(scene, tolerance)) < scene.duration:
+        yield (
+            f"duration: contacts that open amplify round-off beyond {tolerance:g} at about {horizon:.2g} s; what "
+            f"comes later cannot be computed"
+        )

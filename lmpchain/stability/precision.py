@@ -25,6 +25,8 @@ from ..fields import Array
 from ..scene import Scene
 from ..simulation import simulate
 
+OPENING, FLYING = 30.0, 50.0  # strike number, and that over N, between which `growth_rate` has been measured
+FEW, MANY = 6, 40  # and for how many grains
 Long = np.longdouble
 STEP = 0.3  # highest frequency times the step of rkn6 at which floors are given: its own error is some 1e-9 there
 TYPICAL = 0.23  # of the bound that the engine lammps takes: the median of 140 floors of random scenes
@@ -158,6 +160,13 @@ def growth_rate(scene: Scene) -> float:
     stronger one has most of its energy in a top grain that flies.
     """
     return 0.9 * (1 - math.exp(-scene.chain.grains / 20)) / reflection_time(scene)
+
+
+def amplifies(scene: Scene) -> bool:
+    """Say whether `growth_rate` is known to hold: a strike on the top of few grains that opens contacts."""
+    grains, strike = scene.chain.grains, scene.excitation
+    struck = isinstance(strike, Impulse) and strike.grain == 1 and scene.chain.exponent == 1.5
+    return struck and FEW <= grains <= MANY and OPENING < scene.strike_number < FLYING * grains
 
 
 def predicted_horizon(scene: Scene, tolerance: float) -> float:
