@@ -266,22 +266,23 @@ def test_what_can_be_answered_is_not_refused():
 
 
 @pytest.mark.soak
+@pytest.mark.timeout(1800)
 def test_no_random_scene_is_refused_that_can_be_answered():
     rng = np.random.default_rng(3)
     refused = 0
-    for _ in range(150):
+    for _ in range(60):
         try:
-            if rng.random() < 0.7:
-                scene = agitated(int(rng.integers(3, 16)), 10 ** rng.uniform(1, 3), rng.uniform(5, 50), samples=101)
+            if rng.random() < 0.6:
+                scene = agitated(int(rng.integers(4, 13)), 10 ** rng.uniform(1.5, 2.5), rng.uniform(10, 40), samples=101)
             else:
                 scene = random_scene(rng)
-                scene = Scene(**scene.given() | {"duration": scene.duration * 10 ** rng.uniform(0, 1.5)})
-            tolerance = 10 ** rng.uniform(-8, -3)
-            if Native().candidate(scene, tolerance).cost_s > 0.012:
+                scene = Scene(**scene.given() | {"duration": scene.duration * 10 ** rng.uniform(0, 1)})
+            tolerance = 10 ** rng.uniform(-6, -3)
+            if Native().candidate(scene, tolerance).cost_s > 0.005:
                 continue
         except (InputError, ToleranceNotMet):
             continue
         if answerable(scene, tolerance, patient=False) is False:
             refused += 1
             assert not answerable(scene, tolerance, patient=True)
-    assert refused > 10
+    assert refused > 3
