@@ -9,6 +9,7 @@ import pytest
 from lmpchain import Chain, Impulse, InputError, Profile, RunFailed, Scene, simulate
 from lmpchain.chain import LARGEST_OVERLAP
 from lmpchain.stability import limits
+from lmpchain.stability.overlaps import deepest, hertz_excess
 from lmpchain.stability.theories import linear_law
 from lmpchain.theory import bessel, dyson
 
@@ -90,7 +91,7 @@ def test_three_free_grains_part_in_closed_form():
 def test_overlaps_are_bounded_and_both_engines_agree(strain: float):
     scene = limits.squeezing(strain)
     found, apart = limits.squeezed(scene)
-    assert found <= limits.deepest(scene) < 1.2 * found
+    assert found <= deepest(scene) < 1.2 * found
     assert apart < 1e-6
 
 
@@ -102,16 +103,16 @@ def test_a_tenth_of_the_diameter_is_refused_at_once_but_not_later():
     scene = Scene(chain=chain, excitation=Impulse(velocity=50.0), duration=1e-4, samples=501)
     contacts, t = chain.contacts, simulate(scene, "native", 1e-4)
     found = ((contacts.overlap + contacts.closer(t.displacement)) / chain.contact_lengths)[:, contacts.exists].max()
-    assert LARGEST_OVERLAP < found < limits.deepest(scene)
+    assert LARGEST_OVERLAP < found < deepest(scene)
 
 
 def test_spheres_are_softer_than_hertz_says():
     """A tenth of the strain; and the stiffness of any smooth contact is 2 E* times its radius."""
     strain = np.array([1e-6, 1e-4, 1e-2])
-    assert limits.hertz_excess(strain) == pytest.approx(strain / 10, rel=0.02, abs=1e-15)
+    assert hertz_excess(strain) == pytest.approx(strain / 10, rel=0.02, abs=1e-15)
     x = 0.3  # a / R; o / 2R = x artanh x, F / 2 E* R^2 = 4/3 (o / 2R)^1.5 (1 - excess)
     overlap = x * np.arctanh(x) * np.array([1 - 1e-4, 1 + 1e-4])
-    force = 4 / 3 * overlap**1.5 * (1 - limits.hertz_excess(overlap))
+    force = 4 / 3 * overlap**1.5 * (1 - hertz_excess(overlap))
     assert np.diff(force)[0] / np.diff(overlap)[0] == pytest.approx(2 * x, rel=1e-6, abs=0)
 
 

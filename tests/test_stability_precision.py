@@ -13,14 +13,12 @@ from lmpchain.engines.attempts import first_attempt, pursue, until_tolerance
 from lmpchain.engines.sensitivity import nearby
 from lmpchain.errors import RunFailed
 from lmpchain.reference import reference
+from lmpchain.stability.horizons import growth_rate, predicted_horizon, reflection_time
 from lmpchain.stability.precision import (
     floor,
     growth,
-    growth_rate,
     horizon,
     measured_floor,
-    predicted_horizon,
-    reflection_time,
 )
 
 HEIGHTS = [{"engine": "lammps", "diameter": kind} for kind in ("physical", "gauge")]
@@ -273,7 +271,9 @@ def test_no_random_scene_is_refused_that_can_be_answered():
     for _ in range(60):
         try:
             if rng.random() < 0.6:
-                scene = agitated(int(rng.integers(4, 13)), 10 ** rng.uniform(1.5, 2.5), rng.uniform(10, 40), samples=101)
+                scene = agitated(
+                    int(rng.integers(4, 13)), 10 ** rng.uniform(1.5, 2.5), rng.uniform(10, 40), samples=101
+                )
             else:
                 scene = random_scene(rng)
                 scene = Scene(**scene.given() | {"duration": scene.duration * 10 ** rng.uniform(0, 1)})

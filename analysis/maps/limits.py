@@ -14,6 +14,7 @@ from lmpchain import Chain, Scene
 from lmpchain.chain import LARGEST_OVERLAP
 from lmpchain.plotting import COLOURS, MARKERS, figure
 from lmpchain.stability import limits
+from lmpchain.stability.overlaps import deepest, hertz_excess
 from lmpchain.stability.theories import linear_law
 from lmpchain.theory import bessel, dyson
 
@@ -67,9 +68,9 @@ def measure(quick: bool) -> dict[str, Any]:
             for n, swung in swings.items()
         },
         "strains": strains.tolist(),
-        "deepest": [limits.deepest(scene) for scene in pressed],
+        "deepest": [deepest(scene) for scene in pressed],
         "squeezed": [limits.squeezed(scene) for scene in pressed],
-        "hertz": limits.hertz_excess(strains).tolist(),
+        "hertz": hertz_excess(strains).tolist(),
         "gauges": gauges.tolist(),
         "rates": [float(limits.buckling(column, float(d)).frequency[-1]) for d in gauges],
         "growth": [limits.growth(column, float(d)) for d in gauges],

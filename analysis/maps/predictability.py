@@ -12,7 +12,8 @@ import numpy as np
 
 from lmpchain import Chain, Impulse, Scene
 from lmpchain.plotting import figure
-from lmpchain.stability.precision import SEED, growth, predicted_horizon
+from lmpchain.stability.horizons import SEED, predicted_horizon
+from lmpchain.stability.precision import growth
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from ..fields import Array
 from ..scene import Scene
-from ..theory.modes import between
 from .base import Block, Candidate, Cost, Engine, Run, SolverError
 from .chebyshev import SPAN, Propagator, terms
 from .lightcone import cut, near
@@ -286,6 +285,8 @@ class _Modes:
     """The sum over eigenmodes, and what a harmonic drive forces on each."""
 
     def __init__(self, scene: Scene):
+        from ..theory.modes import between
+
         chain, drive = scene.chain, scene.drive
         first, last = 1 if drive else 0, chain.movable
         self._modes = between(chain.contacts.stiffness[first : last + 1], chain.masses[first:last])

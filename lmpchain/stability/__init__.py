@@ -1,7 +1,7 @@
 """Where methods fail on a scene: what laws predict, what runs show, and where the scene itself lies.
 
 `steps` (too long a step, drifting energy, openings), `precision` (round-off, chaos), `theories` (linear, homogeneous,
-continuous chain) and `limits` (of Hertz's law, of few grains ...) hold the laws and what measures them. Maps over many
+continuous chain), `limits`, `overlaps` and `horizons` hold the laws and what measures them. Maps over many
 scenes are drawn by `analysis/stability_map.py`; this module goes through all of them for one.
 """
 
@@ -213,7 +213,8 @@ def _floor(scene: Scene, engine: str, diameter: str) -> Iterator[Boundary]:
 
 
 def _horizon(scene: Scene) -> Iterator[Boundary | Curve]:
-    from .precision import amplifies, growth, horizon, predicted_horizon
+    from .horizons import amplifies, predicted_horizon
+    from .precision import growth, horizon
 
     predicted = predicted_horizon(scene, TOLERANCE) if amplifies(scene) else math.nan
     measured = math.nan
@@ -239,7 +240,7 @@ def _linear(scene: Scene) -> Iterator[Boundary]:
 
 
 def _overlap(scene: Scene) -> Iterator[Boundary]:
-    from .limits import deepest
+    from .overlaps import deepest
 
     here = deepest(scene)
     beyond = LARGEST_OVERLAP < here < math.inf  # a drive has no bound

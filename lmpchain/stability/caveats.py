@@ -7,11 +7,9 @@ from collections.abc import Iterator
 
 from ..chain import LARGEST_OVERLAP
 from ..engines.base import Engine
-from ..engines.stepping import SteppedEngine
 from ..scene import Scene
-from .limits import deepest, hertz_excess
-from .precision import amplifies, predicted_horizon
-from .steps import limit
+from .horizons import amplifies, predicted_horizon
+from .overlaps import deepest, hertz_excess
 
 TRUSTED, GENTLE = 0.7, 0.3  # of `steps.limit`: Verlet held for 300 periods; strain below which all of it is to be had
 
@@ -22,11 +20,13 @@ def caveats(scene: Scene, engine: Engine, tolerance: float) -> Iterator[str]:
     if LARGEST_OVERLAP < deep < math.inf:
         excess = f"Hertz's law is {100 * hertz_excess(min(deep, 0.5)):.2g} % off there by the shape of spheres alone"
         yield f"contacts may be squeezed to {100 * deep:.2g} % of the diameter: {excess}"
-    if isinstance(engine, SteppedEngine) and engine.step is not None:
-        longest = limit(scene, engine.methods[0].name) * (TRUSTED if scene.largest_strain > GENTLE else 1.0)
-        if engine.step > longest:
+    if step := getattr(engine, "step", None):
+        from .steps import limit
+
+        longest = limit(scene, engine.methods[0].name) * (TRUSTED if scene.largest_strain > GENTLE else 1.0)  # type: ignore[attr-defined]
+        if step > longest:
             yield (
-                f"step: {engine.step:.3g} s is stable at rest, but while the strike squeezes the contacts only steps "
+                f"step: {step:.3g} s is stable at rest, but while the strike squeezes the contacts only steps "
                 f"below {longest:.3g} s are known to be"
             )
     if amplifies(scene) and (horizon := predicted_horizon(scene, tolerance)) < scene.duration:

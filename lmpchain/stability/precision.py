@@ -20,18 +20,15 @@ from ..engines.native.forces import ROOTS
 from ..engines.sensitivity import separation
 from ..engines.splittings import RKN6, Splitting
 from ..errors import InputError
-from ..excitation import Impulse
 from ..fields import Array
 from ..scene import Scene
 from ..simulation import simulate
+from .horizons import SEED
 
-OPENING, FLYING = 30.0, 50.0  # strike number, and that over N, between which `growth_rate` has been measured
-FEW, MANY = 6, 40  # and for how many grains
 Long = np.longdouble
 STEP = 0.3  # highest frequency times the step of rkn6 at which floors are given: its own error is some 1e-9 there
 TYPICAL = 0.23  # of the bound that the engine lammps takes: the median of 140 floors of random scenes
 PLAIN = 0.9  # last digits of the force at rest that the plain form loses in a step: measured for 10 to 250 grains
-SEED = 1e-14  # change at t = 0 that does as much as all rounding of a run: measured median, 1e-15.4 to 1e-12.4
 ACCURACY = 1e-11  # of the runs that show how a change grows
 
 
@@ -130,48 +127,6 @@ def horizon(scene: Scene, tolerance: float) -> float:
     times, apart = growth(scene, perturbation)
     beyond = np.flatnonzero(apart > tolerance * perturbation / SEED)
     return float(times[beyond[0]]) if beyond.size else math.inf
-
-
-def reflection_time(scene: Scene) -> float:
-    """Return about how long the pulse of a strong strike takes from the top to the floor and back, s.
-
-    The solitary wave that a grain makes of its velocity v0 in a chain without load moves by
-    0.907470 (K/m)^(2/5) (0.681632 v0)^(1/5) grains a second; Chatterjee, Phys. Rev. E 59, 5912 (1999), and numbers
-    computed for this package.
-
-    Raises
-    ------
-    InputError
-        If the exponent is not 1.5 or the scene is no impulse.
-    """
-    if scene.chain.exponent != 1.5 or not isinstance(scene.excitation, Impulse):
-        raise InputError([("excitation", "a reflection time is known for a strike on a chain of exponent 1.5")])
-    chain = scene.chain
-    gamma = float(chain.contact_constants.mean() / chain.masses.mean())
-    speed = 0.907470 * gamma**0.4 * (0.681632 * abs(scene.excitation.velocity)) ** 0.2
-    return 2 * chain.grains / speed
-
-
-def growth_rate(scene: Scene) -> float:
-    """Predict by how many decades a second a small change grows in a column that is struck at the top.
-
-    Measured: 0.9 (1 - exp(-N / 20)) decades while a pulse runs down and up, whatever the strike and gravity, for
-    N = 6 ... 40, v0* = 30 to 50 N, 0.1 to 100 g, within a factor of 1.5. A weaker strike opens few contacts, a
-    stronger one has most of its energy in a top grain that flies.
-    """
-    return 0.9 * (1 - math.exp(-scene.chain.grains / 20)) / reflection_time(scene)
-
-
-def amplifies(scene: Scene) -> bool:
-    """Say whether `growth_rate` is known to hold: a strike on the top of few grains that opens contacts."""
-    grains, strike = scene.chain.grains, scene.excitation
-    struck = isinstance(strike, Impulse) and strike.grain == 1 and scene.chain.exponent == 1.5
-    return struck and FEW <= grains <= MANY and OPENING < scene.strike_number < FLYING * grains
-
-
-def predicted_horizon(scene: Scene, tolerance: float) -> float:
-    """Predict `horizon` from `growth_rate`, s, without an integration; it may lie beyond the duration."""
-    return math.log10(tolerance / SEED) / growth_rate(scene)
 
 
 def _lammps(engine: str, diameter: str, step: float | None = None) -> Lammps:
