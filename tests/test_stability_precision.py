@@ -271,9 +271,7 @@ def test_no_random_scene_is_refused_that_can_be_answered():
     for _ in range(60):
         try:
             if rng.random() < 0.6:
-                scene = agitated(
-                    int(rng.integers(4, 13)), 10 ** rng.uniform(1.5, 2.5), rng.uniform(10, 40), samples=101
-                )
+                scene = agitated(int(rng.integers(4, 13)), 10 ** rng.uniform(1.5, 2.5), rng.uniform(10, 40), 101)
             else:
                 scene = random_scene(rng)
                 scene = Scene(**scene.given() | {"duration": scene.duration * 10 ** rng.uniform(0, 1)})
