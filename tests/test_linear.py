@@ -7,6 +7,7 @@ from reference import relative_error
 
 from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Profile, Scene, simulate
 from lmpchain.engines import Chebyshev, Modes, linear
+from lmpchain.engines import linear
 from lmpchain.engines.chebyshev import bessel, terms
 
 pytestmark = pytest.mark.filterwarnings("ignore:Eq. ")  # that linear engines leave something out is known
@@ -274,3 +275,15 @@ def test_closed_forms_refuse_what_they_do_not_know():
     ):
         with pytest.raises(InputError, match=key):
             simulate(Scene(chain=made, excitation=struck, duration=1e-5, samples=3), engine)
+
+
+@pytest.mark.filterwarnings("ignore:Eq. ")
+@both
+def test_a_solution_that_does_not_fit_into_memory_at_once(engine, monkeypatch):
+    """Looked at in pieces, it is the same but for rounding."""
+    scene = Scene(chain=Chain(grains=40, diameter=1e-3), excitation=Impulse(velocity=1e-4), duration=2e-4, samples=7)
+    whole = simulate(scene, engine, 0.9)
+    monkeypatch.setattr(linear, "BLOCK_VALUES", 90)
+    pieces = simulate(scene, engine, 0.9)
+    assert relative_error(pieces.displacement, pieces.velocity, whole.displacement, whole.velocity) < 1e-13
+    assert pieces.error_estimate.model == pytest.approx(whole.error_estimate.model, rel=1e-9, abs=0)

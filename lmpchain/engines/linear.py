@@ -64,7 +64,8 @@ class LinearEngine(Engine):
         """Follow the linear solution from look to look, without samples."""
         part, _, _ = near(scene, candidate)
         times, found = np.append(looks(part), part.duration), Nonlinearity(part)
-        found.see(times, np.ones(times.size, bool), *self.solve(part, {}).at(times))
+        for _ in _followed(self.solve(part, {}), found, times, np.ones(times.size, bool), part.chain.grains):
+            pass
         return replace(candidate, model_error=found.at_most, look_s=math.inf)
 
     def round_off(self, scene: Scene) -> float:
@@ -157,6 +158,18 @@ class Solution(Protocol):
         """Return what is needed to go on with the same bits."""
 
 
+def _followed(
+    solution: Solution, found: Nonlinearity, times: Array, recorded: NDArray[np.bool_], grains: int
+) -> Iterator[tuple[slice, Array, Array]]:
+    """Look at a solution at all times, and yield it for as many of them at once as there is room for."""
+    size = max(1, BLOCK_VALUES // grains)
+    for begin in range(0, times.size, size):
+        part = slice(begin, begin + size)
+        u, v, reach = solution.at(times[part])
+        found.see(times[part], recorded[part], u, v, reach)
+        yield part, u, v
+
+
 class LinearRun(Run):
     """Samples of linear solutions, whichever way they are found.
 
@@ -203,10 +216,11 @@ class LinearRun(Run):
                 wanted = (
                     np.isin(moments, times[here], assume_unique=True) if extra.size else np.ones(moments.size, bool)
                 )
-                u, v, reach = solution.at(moments)
-                found.see(moments, wanted, u, v, reach)
-                which = np.ix_(wanted, self._rows)
-                block.displacement[real], block.velocity[real] = u[which], v[which]
+                place = 0
+                for part, u, v in _followed(solution, found, moments, wanted, grains):
+                    which, into = np.ix_(wanted[part], self._rows), slice(place, place + int(wanted[part].sum()))
+                    block.displacement[real, into], block.velocity[real, into] = u[which], v[which]
+                    place = into.stop
             self._sample = here.stop
             self._integration_s += time.perf_counter() - began
             yield block
