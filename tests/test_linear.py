@@ -7,7 +7,6 @@ from reference import relative_error
 
 from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Profile, Scene, simulate
 from lmpchain.engines import Chebyshev, Modes, linear
-from lmpchain.engines import linear
 from lmpchain.engines.chebyshev import bessel, terms
 
 pytestmark = pytest.mark.filterwarnings("ignore:Eq. ")  # that linear engines leave something out is known
