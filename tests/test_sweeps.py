@@ -644,7 +644,7 @@ def test_many_scenes_soak(tmp_path):
                 with suppress(psutil.Error):  # it is ending
                     all_three = [psutil.Process(process.pid), *children(process.pid)]
                     seen.append((count, [(each.memory_info().rss, each.num_fds()) for each in all_three]))
-            time.sleep(0.5)
+            time.sleep(0.05)
         assert "10000 of 10000" in process.communicate()[0]
     memory, files = np.array([each for count, each in seen if count < 9900 and len(each) == 3]).T  # (3, T) each
     part = memory.shape[1] // 3

@@ -4,11 +4,12 @@ For ``phi'' = -L phi`` and any ``w`` of at least the highest frequency, with ``T
 ``1 - 2 L / w^2`` and ``W_k`` the sums ``T_0 + 2 (T_1 + ... + T_k)``,
 
     phi(t) = J_0 phi + sum J_2k 2 T_k phi + (2/w) sum J_(2k+1) W_k v
-    v(t)   = J_0 v   + sum J_2k 2 T_k v   - (2/w) sum J_(2k+1) W_k L phi            (Bessel functions of w t)
+    v(t)   = J_0 v   + sum J_2k 2 T_k v   - w J_1 phi + (w/2) sum (J_(2k-1) - J_(2k+1)) 2 T_k phi
 
-which is Eq. (19) of the paper for any chain and both kinds of initial data. ``2 T_(k+1) = 2 T_k - (4/w^2) L W_k`` and
-``W_(k+1) = W_k + 2 T_(k+1)``: a leapfrog of steps 2/w, so each term reaches one grain further and grains outside the
-light cone are never touched. Tal-Ezer and Kosloff, J. Chem. Phys. 81, 3967 (1984), for the idea.
+with Bessel functions of w t, which is Eq. (19) of the paper for any chain and both kinds of initial data. ``2 T_(k+1) =
+2 T_k - (4/w^2) L W_k`` and ``W_(k+1) = W_k + 2 T_(k+1)``: a leapfrog of steps 2/w, so each term reaches one grain
+further and grains outside the light cone are never touched. Tal-Ezer and Kosloff, J. Chem. Phys. 81, 3967 (1984), for
+the idea.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from ..fields import Array
 NEWS = "the Chebyshev series", 5
 NEGLIGIBLE = 1e-25  # of the largest: grains that move less are not yet reached
 LEAST = 1e-18  # a polynomial with a smaller weight changes nothing
+CHUNK = 64  # polynomials that are held at a time
 SPAN = 10.0  # w t for which one series serves all times in between
 TINY = 1e-20  # J_0 of less is 1, and all others make no difference
 
@@ -65,8 +67,8 @@ def bessel(z, orders):
 
 
 @compiled_once(*NEWS, error_model="numpy", fastmath={"nnan", "ninf", "nsz"})
-def polynomials(x, stiffness, mobility, oscillator, scale, count, reach):
-    """Return ``T_0 x, 2 T_1 x, 2 T_2 x ...`` and ``W_0 x, W_1 x ...``, each (count+1, n).
+def series(x, stiffness, mobility, oscillator, scale, of_t, of_w, reach):
+    """Return sums of ``T_0 x, 2 T_1 x, 2 T_2 x ...`` with weights of_t (S, K), and of ``W_0 x, W_1 x ...`` with of_w.
 
     Parameters
     ----------
@@ -75,34 +77,42 @@ def polynomials(x, stiffness, mobility, oscillator, scale, count, reach):
     oscillator : square of the frequency of the first grain, 1/s2, 0 if it is none
     scale : w, 1/s
     """
-    grains = x.size
+    grains, orders = x.size, of_t.shape[1]
     first, last = reach
     tiny = NEGLIGIBLE * np.abs(x).max()
     double, total = 2 * x, np.zeros(grains + 2)  # 2 T_k x, and W_k x between two grains that stand still
     total[1:-1] = x
-    ts, ws = np.zeros((count + 1, grains)), np.zeros((count + 1, grains))
+    most = min(orders, CHUNK)
+    ts, ws = np.zeros((most, grains)), np.zeros((most, grains))
     ts[0], ws[0] = x, x
+    sum_t, sum_w = np.zeros((of_t.shape[0], grains)), np.zeros((of_w.shape[0], grains))
     pull = 4 / (scale * scale) * mobility
-    for k in range(1, count + 1):
-        # one grain further, but no further than there is motion: beyond are numbers so small that they are slow
-        first, last = max(first - 1, 0), min(last + 1, grains)
-        double[0] -= 4 * oscillator / (scale * scale) * total[1]
-        d, w, t = double[first:last], total[first : last + 2], ts[k, first:last]
-        p, q = pull[first:last], stiffness[first : last + 1]
-        for n in range(d.size):
-            d[n] -= p[n] * (q[n] * (w[n + 1] - w[n]) - q[n + 1] * (w[n + 2] - w[n + 1]))
-            t[n] = d[n]
-        s = ws[k, first:last]
-        for n in range(d.size):
-            w[n + 1] += d[n]
-            s[n] = w[n + 1]
-        while last > first and abs(double[last - 1]) < tiny and abs(total[last]) < tiny:
-            last -= 1
-            double[last], total[last + 1] = 0.0, 0.0
-        while last > first and abs(double[first]) < tiny and abs(total[first + 1]) < tiny:
-            double[first], total[first + 1] = 0.0, 0.0
-            first += 1
-    return ts, ws
+    for k in range(orders):
+        here = k % most
+        if k > 0:
+            first, last = max(first - 1, 0), min(last + 1, grains)
+            double[0] -= 4 * oscillator / (scale * scale) * total[1]
+            d, w, t = double[first:last], total[first : last + 2], ts[here, first:last]
+            p, q = pull[first:last], stiffness[first : last + 1]
+            for n in range(d.size):
+                d[n] -= p[n] * (q[n] * (w[n + 1] - w[n]) - q[n + 1] * (w[n + 2] - w[n + 1]))
+                t[n] = d[n]
+            s = ws[here, first:last]
+            for n in range(d.size):
+                w[n + 1] += d[n]
+                s[n] = w[n + 1]
+            while last > first and abs(double[last - 1]) < tiny and abs(total[last]) < tiny:
+                last -= 1
+                double[last], total[last + 1] = 0.0, 0.0
+            while last > first and abs(double[first]) < tiny and abs(total[first + 1]) < tiny:
+                double[first], total[first + 1] = 0.0, 0.0
+                first += 1
+        if here == most - 1 or k == orders - 1:
+            sum_t += np.ascontiguousarray(of_t[:, k - here : k + 1]) @ ts[: here + 1]
+            if of_w.shape[0]:
+                sum_w += np.ascontiguousarray(of_w[:, k - here : k + 1]) @ ws[: here + 1]
+            ts[:], ws[:] = 0.0, 0.0
+    return sum_t, sum_w
 
 
 @compiled_once(*NEWS)
@@ -154,12 +164,11 @@ def _march(u, v, stiffness, mobility, oscillator, squares, reach, times, us, vs,
             a, b = max(first - count, 0), min(last + count, u.size)
         if b == a:
             return spent
-        chain = stiffness[a : b + 1], mobility[a:b], (oscillator if a == 0 else 0.0), scale, count
-        ts, ws = polynomials(v[a:b], *chain, (first - a, last - a))
-        new_u, new_v = odd @ ws, even @ ts
+        chain = stiffness[a : b + 1], mobility[a:b], (oscillator if a == 0 else 0.0), scale
+        new_v, new_u = series(v[a:b], *chain, even, odd, (first - a, last - a))
         if u[first:last].any():
-            ts, ws = polynomials(u[a:b], *chain, (first - a, last - a))
-            new_u, new_v = new_u + even @ ts, new_v + rate @ ts
+            more, _ = series(u[a:b], *chain, np.vstack((even, rate)), odd[:0], (first - a, last - a))
+            new_u, new_v = new_u + more[: end - begin], new_v + more[end - begin :]
         us[begin:end, a:b], vs[begin:end, a:b] = new_u, new_v
         reached[begin:end, 0], reached[begin:end, 1] = a, b
         u[a:b], v[a:b], now, begin = new_u[-1], new_v[-1], times[end - 1], end
