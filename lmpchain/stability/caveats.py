@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 from ..chain import LARGEST_OVERLAP
 from ..engines.base import Engine
+from ..engines.lightcone import cut
 from ..scene import Scene
 from .horizons import amplifies, predicted_horizon
 from .overlaps import deepest, hertz_excess
@@ -23,8 +24,9 @@ def caveats(scene: Scene, engine: Engine, tolerance: float) -> Iterator[str]:
     if step := getattr(engine, "step", None):
         from .steps import limit
 
-        longest = limit(scene, engine.methods[0].name) * (TRUSTED if scene.largest_strain > GENTLE else 1.0)  # type: ignore[attr-defined]
-        if step > longest:
+        method, edge = engine.methods[0], cut(scene)[1].chain.band_edge  # type: ignore[attr-defined]
+        longest = limit(scene, method.name) * (TRUSTED if scene.largest_strain > GENTLE else 1.0)
+        if longest < step and step * edge <= method.stability_limit:  # beyond, the engine refuses it
             yield (
                 f"step: {step:.3g} s is stable at rest, but while the strike squeezes the contacts only steps "
                 f"below {longest:.3g} s are known to be"
