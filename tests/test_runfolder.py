@@ -127,7 +127,7 @@ def test_a_missed_tolerance_is_kept_and_told_again(tmp_path: Path, capsys: pytes
     first = capsys.readouterr()
     assert "amplifies round-off" in first.err
     assert main(["resume", f"{tmp_path}/run"]) == 1
-    assert capsys.readouterr().err == first.err
+    assert capsys.readouterr().err == first.err.splitlines(keepends=True)[-1]  # the scene was warned of before
     with pytest.raises(ToleranceNotMet) as caught:
         resume(tmp_path / "run")
     assert caught.value.trajectory is not None
