@@ -183,13 +183,28 @@ def test_what_linear_theory_leaves_out_is_bounded_before_and_after(seed: int):
 
 
 def test_the_paper():
-    """A strike number of 8.5 leaves no room for linear theory; and a native run is cheaper than a linear one anyway."""
+    """A strike number of 8.5 leaves no room for linear theory; a weak strike is left to the cheapest."""
     strong = lmpchain.plan(paper("fig5 g"))
     assert strong.engine == "native"
     assert "strike number 8.5: linear theory would be 100 % off in the velocities" in strong.why
     weak = lmpchain.plan(Scene.from_toml(SCENES / "weak.toml"), 0.1)
     assert {proposal.engine for proposal in weak.candidates if proposal.kept} == {"native", "modes", "chebyshev"}
     assert weak.engine == min(weak.candidates, key=lambda p: p.cost_s if p.kept else np.inf).engine
+
+
+@pytest.mark.filterwarnings("ignore:Eq. ")
+def test_a_weak_strike_is_answered_by_linear_theory_where_that_is_right():
+    """At 1 µm/s linear theory is 1.36e-3 off; at a tenth of that, within 1e-3 and cheaper than Eq. (1)."""
+    weak = Scene.from_toml(SCENES / "weak.toml")
+    u, v, _ = extended_reference(weak)
+    t = simulate(weak, "chebyshev", 0.5)
+    assert relative_error(t.displacement, t.velocity, u, v) == pytest.approx(1.36e-3, rel=0.01, abs=0)
+    assert lmpchain.plan(weak, 1e-3).engine == "native"
+    assert lmpchain.plan(weak, 1e-2).engine == "chebyshev"
+    gentle = Scene(**weak.given() | {"excitation": Impulse(velocity=1e-7)})
+    plan = lmpchain.plan(gentle, 1e-3)
+    assert plan.engine == simulate(gentle, tolerance=1e-3).engine == "chebyshev"
+    assert plan.expected_cost_s < next(p.cost_s for p in plan.candidates if p.engine == "native")
 
 
 def test_linear_theory_where_it_is_cheaper():
