@@ -20,6 +20,7 @@ STALLS = 2  # attempts in a row that do not help: round-off or chaos, not the st
 # a first try that misses by so many tolerances, or so much, may be lost in chaos; it is if two runs, a last digit apart
 # at t = 0, part by so many tolerances: of 290 random scenes, 250 of which can be answered, none of these did
 LOOK, LOOK_AT_MOST, LOST = 1e4, 0.3, 10.0
+DIGITS = 30.0  # rounding all along a run does as much as a change of up to so many last digits at t = 0
 T = TypeVar("T")
 
 
@@ -141,10 +142,10 @@ def pursue(
         if error:
             attempt = replace(attempt, truncations=() if other else (*attempt.truncations, error.truncation))
             enough = candidate.fixed or (error.total <= tolerance and not other and not alone)
-            missed = alone or ("" if enough or other else _why_not(error, attempt, better))
-            if not (enough or other or missed or patient):
+            missed = alone
+            if not (enough or other or missed):
                 look_began = time.perf_counter()
-                missed = _lost(scene, error, attempt)
+                missed = _why_not(scene, error, attempt, better) or ("" if patient else _lost(scene, error, attempt))
                 look_s = time.perf_counter() - look_began
                 began += look_s  # it is no planning
                 attempt = replace(attempt, looked_s=attempt.looked_s + look_s)
@@ -189,12 +190,18 @@ def best_candidate(engine: Engine, scene: Scene, tolerance: float) -> tuple[Cand
             tolerance *= 4
 
 
-def _why_not(error: SolverError, attempt: Attempt, better: Candidate | None) -> str:
-    """Return why shorter steps will not help after this attempt, or nothing if they may."""
+def _why_not(scene: Scene, error: SolverError, attempt: Attempt, better: Candidate | None) -> str:
+    """Return why shorter steps will not help after this attempt, or nothing if they may.
+
+    An estimate that does not fall may be erratic, where contacts open, or show that rounding has grown to that size.
+    """
     tolerance, truncations = attempt.tolerance, attempt.truncations
     recent = truncations[-STALLS - 1 :]
     stalled = len(recent) > STALLS and all(b > 0.7 * a for a, b in pairwise(recent))
     if better and not stalled and len(truncations) < ATTEMPTS:
+        return ""
+    rounding = better is None or _parts(scene, attempt.candidate, tolerance / DIGITS) is not None
+    if not rounding and len(truncations) < ATTEMPTS:
         return ""
     reason = (
         f"the error is estimated at {error.total:.2g}, above the tolerance of {tolerance:.2g}, and steps shorter than "
@@ -203,19 +210,30 @@ def _why_not(error: SolverError, attempt: Attempt, better: Candidate | None) -> 
     if better is None:
         reason += f", for round-off alone makes {error.roundoff:.2g}"
     horizon = error.horizon(tolerance)
-    return f"{reason}: ask for less" if horizon == float("inf") else f"{reason}: {_amplifies(horizon)}"
+    known = rounding and horizon < float("inf")
+    return f"{reason}: {_amplifies(horizon)}" if known else f"{reason}: ask for less"
 
 
 def _lost(scene: Scene, error: SolverError, attempt: Attempt) -> str:
-    """Return why no step will help, if the first try shows it, or nothing.
+    """Return why no step will help, if the first try shows it, or nothing."""
+    tolerance = attempt.tolerance
+    suspect = error.truncation > min(LOOK * tolerance, LOOK_AT_MOST)
+    if len(attempt.truncations) > 1 or not suspect:
+        return ""
+    horizon = _parts(scene, attempt.candidate, tolerance, LOST)
+    if horizon is None:
+        return ""
+    return f"the error is estimated at {error.total:.2g}, above the tolerance of {tolerance:.2g}: {_amplifies(horizon)}"
+
+
+def _parts(scene: Scene, candidate: Candidate, distance: float, times: float = 1.0) -> float | None:
+    """Return when two runs, a last digit apart at t = 0, are as far apart as that, s, if they part by so many times it.
 
     Two runs may differ in where their steps shorten, so in more than the scene makes of a digit; at steps of one length
     they are the same map, but further off. Both pairs must part.
     """
-    tolerance, candidate = attempt.tolerance, attempt.candidate
-    suspect = error.truncation > min(LOOK * tolerance, LOOK_AT_MOST)
-    if len(attempt.truncations) > 1 or not suspect or not candidate.integrator:
-        return ""
+    if not candidate.integrator:
+        return None
     from .sensitivity import LAST_DIGIT, separation
 
     horizon = scene.duration
@@ -223,11 +241,11 @@ def _lost(scene: Scene, error: SolverError, attempt: Attempt) -> str:
         try:
             apart = separation(scene, replace(candidate, graded=graded), LAST_DIGIT)
         except RunFailed:
-            return ""
-        if apart.max() < LOST * tolerance:
-            return ""
-        horizon = min(horizon, float(scene.time[np.argmax(apart > tolerance)]))
-    return f"the error is estimated at {error.total:.2g}, above the tolerance of {tolerance:.2g}: {_amplifies(horizon)}"
+            return None
+        if apart.max() < times * distance:
+            return None
+        horizon = min(horizon, float(scene.time[np.argmax(apart > distance)]))
+    return horizon
 
 
 def _amplifies(horizon: float) -> str:
