@@ -32,7 +32,8 @@ BLOCK_BYTES = 2**25  # of the samples that are compared at a time,
 BLOCK_S = 0.5  # and how long they may take: what is stopped or killed loses no more
 SAFETY = 2.0  # between the expected error and the estimate
 CLOSE_TO_OPENING = -0.5  # r / eps below which a contact's force is no longer a smooth function of time
-TRUSTED_ORDER = 4  # where steps are graded around openings the order holds, but differences scatter
+TRUSTED_ORDER = 4  # where steps are graded around openings the order holds, but differences scatter:
+SPRINGY, TRUSTED_OF_SPRINGS = 1.25, 2  # below that exponent, where forces have a kink there, all the more
 EPSILON = float(np.finfo(float).eps)
 
 
@@ -204,7 +205,9 @@ class LockstepRun(Run):
         order, graded = self.method.order, self.candidate.graded
         opens = min(stepper.lowest()[real] for stepper in self._steppers) <= CLOSE_TO_OPENING
         smooth = graded or order == 2 or not (opens or self._kinked[real])
-        trusted = min(order, TRUSTED_ORDER) if graded and opens else order
+        trusted = order
+        if graded and opens:
+            trusted = min(order, TRUSTED_OF_SPRINGS if self.scene.chain.exponent < SPRINGY else TRUSTED_ORDER)
         native = isinstance(self._answer, NativeStepper)
         steps = relative[0 if native else 1 :].max(1)  # largest differences between steps h, 2h (and 4h), or h and h/2
         if self._finer:
