@@ -80,7 +80,9 @@ def climb(scene: Scene, tolerance: float) -> list[Rung]:
 def _asked(name: str, scene: Scene, tolerance: float) -> Rung:
     engine = engines.get(name)
     if reasons := engine.refuses(scene):
-        return Rung(name, engine.equation, why="cannot do it: " + "; ".join(reason for _, reason in reasons))
+        return Rung(
+            name, engine.equation, why="cannot do it: " + "; ".join(dict.fromkeys(reason for _, reason in reasons))
+        )
     try:
         return Rung(name, engine.equation, engine.candidate(scene, tolerance))
     except ToleranceNotMet as error:
