@@ -20,6 +20,7 @@ STALLS = 2  # attempts in a row that do not help: round-off or chaos, not the st
 # a first try that misses by so many tolerances, or so much, may be lost in chaos; it is if two runs, a last digit apart
 # at t = 0, part by so many tolerances: of 290 random scenes, 250 of which can be answered, none of these did
 LOOK, LOOK_AT_MOST, LOST = 1e4, 0.3, 10.0
+FAR = 1e5  # times the expected round-off: what stalls above it is chaos or scatter
 DIGITS = 30.0  # rounding all along a run does as much as a change of up to so many last digits at t = 0
 T = TypeVar("T")
 
@@ -200,7 +201,8 @@ def _why_not(scene: Scene, error: SolverError, attempt: Attempt, better: Candida
     stalled = len(recent) > STALLS and all(b > 0.7 * a for a, b in pairwise(recent))
     if better and not stalled and len(truncations) < ATTEMPTS:
         return ""
-    rounding = better is None or _parts(scene, attempt.candidate, tolerance / DIGITS) is not None
+    rounding = better is None or error.truncation < FAR * error.roundoff
+    rounding = rounding or _parts(scene, attempt.candidate, tolerance / DIGITS) is not None
     if not rounding and len(truncations) < ATTEMPTS:
         return ""
     reason = (
