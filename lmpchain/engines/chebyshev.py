@@ -89,7 +89,7 @@ def series(x, stiffness, mobility, oscillator, scale, of_t, of_w, reach):
     pull = 4 / (scale * scale) * mobility
     for k in range(orders):
         here = k % most
-        if k > 0:
+        if k > 0:  # one grain further, but not beyond all motion, where numbers are so small that they are slow
             first, last = max(first - 1, 0), min(last + 1, grains)
             double[0] -= 4 * oscillator / (scale * scale) * total[1]
             d, w, t = double[first:last], total[first : last + 2], ts[here, first:last]

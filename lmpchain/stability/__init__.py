@@ -31,9 +31,10 @@ if TYPE_CHECKING:
 TOLERANCE = 1e-6  # of the horizon
 RUNS = 60  # that a bisection takes
 LONGEST_S = 20.0  # that one measurement may be expected to take
-DIVISIONS = 40.0  # of an oscillation of the band edge by the step at which energies are compared
+DIVISIONS = 40.0  # of the fastest oscillation by the step at which energies are compared
 PERIODS = 1000.0  # for which they are
 STRENGTHS = np.logspace(-8, 2, 11)  # of the strike, over its own
+STRONG = {"velocity", "displacement", "amplitude"}  # what of an excitation is as strong as the strike
 
 
 @dataclass(frozen=True)
@@ -195,8 +196,7 @@ def _energy(scene: Scene, integrator: str) -> Iterator[Curve]:
         raise InputError([("kind", "a drive does work: the energy is not that of the start")])
     if not scene.chain.compressed:
         raise InputError([("gravity", "without gravity and load there is no period to count by")])
-    edge = scene.highest_frequency
-    step = min(2 * math.pi / edge / DIVISIONS, 0.9 * METHODS[integrator].stability_limit / edge)
+    step = 2 * math.pi / scene.highest_frequency / DIVISIONS  # far below every stability limit
     cost = METHODS[integrator].evaluations * PERIODS * DIVISIONS * scene.chain.grains
     if cost * engines.get("native").seconds_per_grain_step > LONGEST_S:  # type: ignore[attr-defined]
         raise InputError([("grains", "too many to follow the energy for a thousand periods")])
@@ -214,14 +214,14 @@ def _floor(scene: Scene, engine: str, diameter: str) -> Iterator[Boundary]:
 
 def _horizon(scene: Scene) -> Iterator[Boundary | Curve]:
     from .horizons import amplifies, predicted_horizon
-    from .precision import growth, horizon
+    from .precision import growth, horizon_of
 
     predicted = predicted_horizon(scene, TOLERANCE) if amplifies(scene) else math.nan
     measured = math.nan
     if not _too_long(scene):
         times, apart = growth(scene)
         yield Curve("growth", "", times, apart)
-        measured = horizon(scene, TOLERANCE)
+        measured = horizon_of(times, apart, TOLERANCE)
     beyond = measured < scene.duration
     yield Boundary("predictable to 1e-6 until", "any", "s", predicted, measured, scene.duration, beyond)
 
@@ -272,9 +272,6 @@ def _times(scene: Scene, factor: float) -> Scene:
     louder = {key: np.asarray(given[key]) * factor for key in STRONG & given.keys() if given[key] is not None}
     changed = type(excitation)(**given | {k: x if x.ndim else float(x) for k, x in louder.items()})
     return Scene(**scene.given() | {"excitation": changed})
-
-
-STRONG = {"velocity", "displacement", "amplitude"}  # what of an excitation is as strong as the strike
 
 
 def _shown(value: float, unit: str) -> str:

@@ -10,13 +10,13 @@ from matplotlib.ticker import EngFormatter, LogLocator
 
 from ..engines.methods import METHODS
 from ..plotting import COLOURS, LOWEST, figure
+from ..workprecision.chart import SHADES
 from . import TOLERANCE, Curve, Stability
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-SHADES = ("#E69F00", "#56B4E9", "#0072B2", "#009E73", "#CC79A7", "#D55E00", "#6A3D00")  # of integrators
 STRENGTHS = {"Eq. (3), bound": COLOURS["modes"], "native, round-off": COLOURS["native"]}
 LEVELS = (1e-3, TOLERANCE, 1e-9)
 
@@ -53,7 +53,7 @@ def _draw_energy(axes: Axes, curves: Sequence[Curve]) -> None:
         axes.plot(curve.x[1:], np.maximum(curve.y[1:], LOWEST), color=SHADES[place], lw=1.2, label=curve.name)
     axes.set(xscale="log", yscale="log", xlabel="time", ylabel="relative error of the energy")
     axes.xaxis.set_major_formatter(EngFormatter("s"))
-    axes.set_title("Energy, with forty steps a period of the band edge")
+    axes.set_title("Energy, with forty steps a period of the fastest oscillation")
     _legend(axes)
 
 

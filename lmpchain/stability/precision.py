@@ -29,6 +29,7 @@ Long = np.longdouble
 STEP = 0.3  # highest frequency times the step of rkn6 at which floors are given: its own error is some 1e-9 there
 TYPICAL = 0.23  # of the bound that the engine lammps takes: the median of 140 floors of random scenes
 PLAIN = 0.9  # last digits of the force at rest that the plain form loses in a step: measured for 10 to 250 grains
+CHANGE = 10 * SEED  # at t = 0, that is seen to grow
 ACCURACY = 1e-11  # of the runs that show how a change grows
 
 
@@ -99,7 +100,7 @@ def measured_floor(scene: Scene, engine: str = "native", diameter: str = "physic
     return max(float(np.abs(x - y).max() / most) for x, y, most in pairs)
 
 
-def growth(scene: Scene, perturbation: float = 1e-13, accuracy: float = ACCURACY) -> tuple[Array, Array]:
+def growth(scene: Scene, perturbation: float = CHANGE, accuracy: float = ACCURACY) -> tuple[Array, Array]:
     """Measure how a small change at t = 0 grows: two native runs at the same short steps.
 
     All grains are moved, down and up by turns, by this part of the largest velocity (displacement, amplitude).
@@ -123,9 +124,12 @@ def horizon(scene: Scene, tolerance: float) -> float:
     Rounding does what a change of 1e-14 at t = 0 does, within a factor of 30: at four decades a millisecond, as in
     columns of glass beads of 1 mm, that is 0.4 ms.
     """
-    perturbation = 10 * SEED
-    times, apart = growth(scene, perturbation)
-    beyond = np.flatnonzero(apart > tolerance * perturbation / SEED)
+    return horizon_of(*growth(scene, CHANGE), tolerance)
+
+
+def horizon_of(times: Array, apart: Array, tolerance: float) -> float:
+    """Return `horizon` from what `growth` has measured for its own perturbation, s."""
+    beyond = np.flatnonzero(apart > tolerance * CHANGE / SEED)
     return float(times[beyond[0]]) if beyond.size else math.inf
 
 
