@@ -10,6 +10,7 @@ from typing import Any
 from .engines import ladder
 from .errors import check_tolerance
 from .scene import Scene
+from .tables import aligned, finite
 
 HEAD = ("", "engine", "Eq.", "model error", "solver error", "grains", "step", "cost", "")
 
@@ -106,15 +107,12 @@ class Plan:
         """Return all candidates as a table, and why the first is taken."""
         ordered = sorted(self.candidates, key=lambda found: (not found.kept, found.kept and found.cost_s))
         rows = [HEAD, *(("*" if found.engine == self.engine else "", *_cells(found)) for found in ordered)]
-        widths = [max(len(row[column]) for row in rows) for column in range(len(HEAD) - 1)]
-        padded = ((cell.ljust(width) for cell, width in zip(row, widths, strict=False)) for row in rows)
-        lines = ["  ".join((*cells, row[-1])).rstrip() for cells, row in zip(padded, rows, strict=True)]
-        return "\n".join([*lines, f"{self.engine} {self.why}"])
+        return "\n".join([*aligned(rows), f"{self.engine} {self.why}"])
 
     def to_json(self) -> dict[str, Any]:
         """Return the plan in plain numbers; what is not known is null."""
         own = {key: value for key, value in self.__dict__.items() if key != "candidates"}
-        rows = [{key: _known(value) for key, value in found.__dict__.items()} for found in self.candidates]
+        rows = [finite(vars(found)) for found in self.candidates]
         return own | {"candidates": rows}
 
 
@@ -177,7 +175,3 @@ def _cells(found: Proposal) -> Iterator[str]:
 
 def _shown(value: float, form: str, unit: str = "") -> str:
     return "" if math.isnan(value) else f"{value:{form}}{unit}"
-
-
-def _known(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value

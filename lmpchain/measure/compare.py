@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
@@ -12,6 +11,7 @@ import numpy as np
 from ..errors import InputError
 from ..fields import Array
 from ..reference import Reference
+from ..tables import finite
 from ..trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -107,10 +107,10 @@ class Comparison:
 
     def to_json(self) -> dict[str, Any]:
         """Return what goes into a JSON file; numbers that are not finite become None."""
-        reference = {"method": self.reference.method, "error": _finite(self.reference.error)}
+        reference = finite({"method": self.reference.method, "error": self.reference.error})
         rows = []
         for row in self.rows:
-            fields = {key: _finite(value) for key, value in asdict(row).items()}
+            fields = finite(asdict(row))
             del fields["integrator"]
             rows.append(fields)
         return {"reference": reference, "rows": rows}
@@ -166,7 +166,3 @@ def compare(trajectories: Sequence[Trajectory], reference: Reference) -> Compari
             )
         )
     return Comparison(reference, tuple(trajectories), tuple(rows))
-
-
-def _finite(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value

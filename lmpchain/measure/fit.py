@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
+from ..tables import aligned, finite
 from ..trajectory import Trajectory
 from .columnfit import ContinuumFit as ContinuumFit
 from .columnfit import ExponentFit as ExponentFit
@@ -67,13 +68,8 @@ class Summary:
 
     def to_json(self) -> dict[str, Any]:
         """Return what goes into a JSON file; numbers that are not finite become None."""
-
-        def finite(value: Any) -> Any:
-            return None if isinstance(value, float) and not math.isfinite(value) else value
-
-        return {
-            "strike_number": finite(self.strike_number),
-            "rows": [{key: finite(value) for key, value in asdict(row).items()} for row in self.rows],
+        return finite({"strike_number": self.strike_number}) | {
+            "rows": [finite(asdict(row)) for row in self.rows],
             "left_out": [{"fit": fit, "reason": reason} for fit, reason in self.left_out],
         }
 
@@ -85,11 +81,7 @@ class Summary:
             for first, row in enumerate(rows):
                 numbers = [_shown(row.value, row.error), _of_error(row.error), _shown(row.expected, row.error)]
                 body.append(["" if first else row.fit, row.quantity, *numbers, row.unit])
-        widths = [max(map(len, column)) for column in zip(head, *body, strict=True)]
-        lines = [
-            "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
-            for line in ([head, *body] if body else [])
-        ]
+        lines = aligned([head, *body] if body else [])
         lines += [f"left out: {fit} ({reason})" for fit, reason in self.left_out]
         remark = "" if self.strike_number <= WEAK else ", so linear theory is not expected to hold"
         return "\n".join([*lines, f"strike number {self.strike_number:.3g}{remark}"])

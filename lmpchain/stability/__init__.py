@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +21,7 @@ from ..engines.methods import METHODS
 from ..errors import EngineUnavailable, InputError, LmpchainError, ToleranceNotMet
 from ..fields import Array
 from ..scene import Scene
+from ..tables import aligned, finite
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -108,12 +109,11 @@ class Stability:
         for found in self.boundaries:
             numbers = (_shown(x, found.unit) for x in (found.predicted, found.measured, found.here))
             rows.append(("!" if found.beyond else "", found.what, found.method, *numbers))
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
+        return "\n".join(aligned(rows))
 
     def to_json(self) -> dict[str, Any]:
         """Return what goes into a JSON file; numbers that are not finite become None."""
-        rows = [{key: _known(value) for key, value in asdict(found).items()} for found in self.boundaries]
+        rows = [finite(vars(found)) for found in self.boundaries]
         curves = [vars(curve) | {key: _list(getattr(curve, key)) for key in "xy"} for curve in self.curves]
         return {"rows": rows, "curves": curves, "left_out": list(self.left_out)}
 
@@ -278,10 +278,6 @@ def _shown(value: float, unit: str) -> str:
     if not math.isfinite(value):
         return "" if math.isnan(value) else "none"
     return f"{value:.3g} {unit}".rstrip()
-
-
-def _known(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _list(values: Array) -> list[float | None]:

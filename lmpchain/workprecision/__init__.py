@@ -18,6 +18,7 @@ from ..engines.stepping import SteppedEngine
 from ..errors import EngineUnavailable, InputError
 from ..reference import Reference, expected_seconds, reference
 from ..scene import Scene
+from ..tables import aligned, finite
 from .bench import Bench, Point
 
 if TYPE_CHECKING:
@@ -88,10 +89,7 @@ class WorkPrecision:
 
     def to_json(self) -> dict[str, Any]:
         """Return what goes into a JSON file; numbers that are not finite become None."""
-        rows = [
-            {key: None if isinstance(x, float) and not math.isfinite(x) else x for key, x in asdict(point).items()}
-            for point in self.points
-        ]
+        rows = [finite(asdict(point)) for point in self.points]
         truth = {"method": self.reference.method, "error": self.reference.error}
         about = {"machine": machine(), "versions": self.versions, "dropped": self.dropped}
         return {"reference": truth, **about, "rows": rows}
@@ -107,8 +105,7 @@ class WorkPrecision:
         for name, points in (found | dict(others)).items():
             times = [time_to(target, points) for target in TARGETS]
             lines.append([name, *("-" if math.isnan(t) else f"{t * 1e3:.3g} ms" for t in times)])
-        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-        return "\n".join("  ".join(map(str.ljust, line, widths)).rstrip() for line in lines)
+        return "\n".join(aligned(lines))
 
     def plot(self, axes: Sequence[Axes] | None = None, others: Sequence[Mapping[str, Any]] = ()) -> Figure:
         """Draw error against time and against force evaluations.
