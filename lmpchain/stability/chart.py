@@ -74,6 +74,7 @@ def _draw_growth(axes: Axes, found: Stability) -> None:
                     axes.axvline(value, color="0.3", ls=style, lw=1.2, label=f"{label} horizon for {TOLERANCE:g}")
     axes.set(yscale="log", xlabel="time", ylabel="distance of two runs, over the largest value")
     axes.xaxis.set_major_formatter(EngFormatter("s"))
+    axes.locator_params(axis="x", nbins=5)
     axes.set_title("Two runs, 1e-13 apart at the start")
     _legend(axes)
 
@@ -86,7 +87,7 @@ def _draw_strength(axes: Axes, found: Stability) -> None:
             style = "-" if curve.name in STRENGTHS else next(styles)
             axes.plot(curve.x, np.maximum(curve.y, LOWEST), color=colour, ls=style, lw=1.4, label=curve.name)
     axes.axvline(1.0, color="0.3", lw=1)
-    axes.annotate("this scene", (1.0, 0.0), (4, 5), xycoords=("data", "axes fraction"), textcoords="offset points")
+    axes.annotate("this scene", (1.0, 0.6), (4, 0), xycoords=("data", "axes fraction"), textcoords="offset points")
     axes.set(
         xscale="log", yscale="log", xlabel="strength of the strike, over that of the scene", ylabel="relative error"
     )
