@@ -1,13 +1,13 @@
 """True and estimated errors of both engines on the paper's scenes, as a Markdown table.
 
-The truth is a Taylor series of order 32 in extended precision (`lmpchain.reference`), known to some 5e-16.
+The truth is a Taylor series of order 32 in extended precision (`lmpchain.benchmark.reference`), known to some 5e-16.
 """
 
 from pathlib import Path
 
 import lmpchain
-from lmpchain.measure.compare import error
-from lmpchain.reference import reference
+from lmpchain.benchmark.comparison import error
+from lmpchain.benchmark.reference import reference
 
 HERE = Path(__file__).parent
 SCENES = {

@@ -10,7 +10,7 @@ import numpy as np
 from figures import NATIVE, PRINTED, SHADES, THEORY, apart, arguments, finish, gentle, kappa, legends, page, say
 
 import lmpchain
-from lmpchain.disorder import ensemble
+from lmpchain.disorder.averages import ensemble
 from lmpchain.theory import bessel, dyson
 
 GRAINS, TAU = 60, 15

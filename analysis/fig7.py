@@ -9,7 +9,7 @@ import numpy as np
 from figures import SHADES, arguments, finish, gentle, kappa, legends, page, say
 
 import lmpchain
-from lmpchain.disorder import ensemble
+from lmpchain.disorder.averages import ensemble
 from lmpchain.theory import bessel, dyson
 
 GRAINS, TAU, SAMPLES = 60, 30, 61

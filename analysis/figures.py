@@ -11,8 +11,8 @@ import numpy as np
 from PIL import Image
 
 import lmpchain
-from lmpchain.files import write_aside
-from lmpchain.plotting import COLOURS, MARKERS, figure
+from lmpchain.util.files import write_aside
+from lmpchain.util.plotting import COLOURS, MARKERS, figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

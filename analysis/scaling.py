@@ -17,11 +17,11 @@ import numpy as np
 from figures import arguments, finish, legends
 
 import lmpchain
-from lmpchain.disorder import ensemble
+from lmpchain.benchmark.curves import machine
+from lmpchain.disorder.averages import ensemble
 from lmpchain.engines import Lammps, Native
-from lmpchain.files import write_aside
-from lmpchain.plotting import COLOURS, figure
-from lmpchain.workprecision import machine
+from lmpchain.util.files import write_aside
+from lmpchain.util.plotting import COLOURS, figure
 
 STRENGTH = 0.03  # of the velocities, in what each contact holds (v0*)
 PHASE = 0.1  # that the deepest contact advances in a step, rad

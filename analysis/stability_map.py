@@ -1,4 +1,4 @@
-"""Where methods fail: every boundary that `lmpchain.stability` predicts, drawn over what is measured.
+"""Where methods fail: every boundary that `lmpchain.stability.find` predicts, drawn over what is measured.
 
 One picture and one file of numbers a map, in `pictures/`; `maps/` holds one module for each.
 """
@@ -11,7 +11,7 @@ from typing import Any
 
 from figures import finish
 
-from lmpchain.files import write_aside
+from lmpchain.util.files import write_aside
 
 HERE = Path(__file__).parent
 DIGITS = 6  # of the numbers that are kept

@@ -1,4 +1,4 @@
-"""Speed against accuracy of every engine and integrator, and of other codes if `peers/` has their results.
+"""Speed against accuracy of every engine and integrator, and of other codes if `other_codes/` has their results.
 
 One picture and one file of numbers a scene, and a table: the time to four errors. Between the points of a curve it is
 interpolated as a power law; where the longest step is better already, it is the time of that.
@@ -13,8 +13,8 @@ from typing import Any
 from figures import finish
 
 import lmpchain
-from lmpchain.files import write_aside
-from lmpchain.workprecision import BUDGET_S, work_precision
+from lmpchain.benchmark.bench import BUDGET_S, work_precision
+from lmpchain.util.files import write_aside
 
 HERE = Path(__file__).parent
 SCENES = ("weak", "fig5_1g", "fig1", "ten_thousand", "vacuum")
@@ -27,8 +27,8 @@ def at_the_end(name: str) -> lmpchain.Scene:
 
 
 def others(name: str) -> list[dict[str, Any]]:
-    """Return the points of other codes on a scene; `peers/` runs the native engine too, which is left out."""
-    path = HERE / "peers" / f"{name}.json"
+    """Return the points of other codes on a scene; `other_codes/` runs the native engine too, which is left out."""
+    path = HERE / "other_codes" / f"{name}.json"
     rows = json.loads(path.read_text(encoding="utf-8"))["rows"] if path.exists() else []
     return [row for row in rows if not row["code"].startswith("native")]
 
@@ -42,14 +42,14 @@ def main() -> None:
     given = parser.parse_args()
     for name in given.scenes or SCENES:
         found = work_precision(at_the_end(name), given.budget, progress=True)
-        peers = others(name)
+        measured = others(name)
         reached = defaultdict(list)
-        for row in peers:
+        for row in measured:
             reached[row["code"]].append((row["seconds"], row["error"]))
         print(f"{name}\n{found.table(reached)}")
         with write_aside(given.output / f"work_precision_{name}.json") as aside:
             aside.write_text(json.dumps(found.to_json()) + "\n", encoding="utf-8")
-        finish(found.plot(others=peers), given.output / f"work_precision_{name}.png")
+        finish(found.plot(others=measured), given.output / f"work_precision_{name}.png")
 
 
 if __name__ == "__main__":

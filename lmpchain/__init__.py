@@ -2,70 +2,64 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from .util.lazy import attributes
 
 if TYPE_CHECKING:
     from . import disorder as disorder
     from . import engines as engines
     from . import measure as measure
-    from . import patterns as patterns
     from . import theory as theory
-    from .chain import Chain as Chain
-    from .chain import Impurity as Impurity
+    from .benchmark.bench import work_precision as work_precision
+    from .chain import patterns as patterns
+    from .chain.chain import Chain as Chain
+    from .chain.impurities import Impurity as Impurity
+    from .chain.materials import BRASS as BRASS
+    from .chain.materials import GLASS as GLASS
+    from .chain.materials import PTFE as PTFE
+    from .chain.materials import STEEL as STEEL
+    from .chain.materials import TUNGSTEN_CARBIDE as TUNGSTEN_CARBIDE
+    from .chain.materials import Material as Material
     from .doctor import diagnose as diagnose
     from .errors import EngineUnavailable as EngineUnavailable
     from .errors import InputError as InputError
     from .errors import LmpchainError as LmpchainError
     from .errors import RunFailed as RunFailed
     from .errors import ToleranceNotMet as ToleranceNotMet
-    from .excitation import Displacement as Displacement
-    from .excitation import Drive as Drive
-    from .excitation import Impulse as Impulse
-    from .excitation import Profile as Profile
-    from .materials import BRASS as BRASS
-    from .materials import GLASS as GLASS
-    from .materials import PTFE as PTFE
-    from .materials import STEEL as STEEL
-    from .materials import TUNGSTEN_CARBIDE as TUNGSTEN_CARBIDE
-    from .materials import Material as Material
-    from .planner import plan as plan
-    from .runs.stopping import Stopped as Stopped
-    from .scene import Scene as Scene
-    from .simulation import resume as resume
-    from .simulation import simulate as simulate
+    from .scene.excitation import Displacement as Displacement
+    from .scene.excitation import Drive as Drive
+    from .scene.excitation import Impulse as Impulse
+    from .scene.excitation import Profile as Profile
+    from .scene.scene import Scene as Scene
+    from .simulation.api import resume as resume
+    from .simulation.api import simulate as simulate
+    from .simulation.planner import plan as plan
+    from .simulation.signals import Stopped as Stopped
     from .sweeps.results import load_sweep as load_sweep
-    from .sweeps.sweeping import sweep as sweep
-    from .trajectory import Trajectory as Trajectory
-    from .workprecision import work_precision as work_precision
+    from .sweeps.run import sweep as sweep
+    from .trajectory.trajectory import Trajectory as Trajectory
 
-_WHERE = {
-    "chain": "Chain Impurity",
-    "materials": "Material GLASS STEEL PTFE BRASS TUNGSTEN_CARBIDE",
-    "excitation": "Impulse Displacement Profile Drive",
-    "scene": "Scene",
-    "simulation": "simulate resume",
-    "planner": "plan",
-    "runs.stopping": "Stopped",
-    "sweeps.sweeping": "sweep",
+_MODULES = {
+    "chain.chain": "Chain",
+    "chain.impurities": "Impurity",
+    "chain.materials": "Material GLASS STEEL PTFE BRASS TUNGSTEN_CARBIDE",
+    "scene.excitation": "Impulse Displacement Profile Drive",
+    "scene.scene": "Scene",
+    "simulation.api": "simulate resume",
+    "simulation.planner": "plan",
+    "simulation.signals": "Stopped",
+    "sweeps.run": "sweep",
     "sweeps.results": "load_sweep",
-    "trajectory": "Trajectory",
-    "workprecision": "work_precision",
+    "trajectory.trajectory": "Trajectory",
+    "benchmark.bench": "work_precision",
     "doctor": "diagnose",
     "errors": "LmpchainError InputError ToleranceNotMet RunFailed EngineUnavailable",
+    "chain": "patterns",
 }
-_MODULE = {name: module for module, names in _WHERE.items() for name in names.split()}
-_SUBMODULES = ("disorder", "engines", "measure", "patterns", "theory")
-__all__ = [*_SUBMODULES, *_MODULE]
-
-
-def __getattr__(name: str) -> Any:
-    """Import public names when they are first used, so that none pays for what it does not use."""
-    if name in _SUBMODULES:
-        return import_module(f".{name}", __name__)
-    if name not in _MODULE:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f".{_MODULE[name]}", __name__), name)
+_PACKAGES = ("disorder", "engines", "measure", "theory")
+__all__ = [*_PACKAGES, *" ".join(_MODULES.values()).split()]
+__getattr__ = attributes(__name__, _PACKAGES, _MODULES)
 
 
 def __dir__() -> list[str]:

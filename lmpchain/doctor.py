@@ -22,8 +22,8 @@ from importlib.metadata import PackageNotFoundError, metadata, requires, version
 from pathlib import Path
 from typing import Any, Literal
 
-from . import mpi
 from .errors import LmpchainError  # all else is imported by the check that needs it: it may be broken
+from .util import mpi
 
 MPIEXEC_S = 20.0  # longest time for two ranks to answer
 TOLERANCE = 1e-6  # for the wave
@@ -208,7 +208,7 @@ def _memory() -> Iterator[Finding]:
 def _cache() -> Iterator[Finding]:
     import numba
 
-    from .engines.native.kernels import march
+    from .integrators.kernels.splitting import march
 
     if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
         yield Finding("numba cache", "warning", "kernels are not compiled at all, so slow", "unset NUMBA_DISABLE_JIT")
@@ -228,9 +228,12 @@ def _temporary_folder() -> Iterator[Finding]:
 
 
 def _engine(name: str) -> Iterator[Finding]:
-    from . import Chain, Impulse, Scene, simulate
-    from .measure.compare import error
-    from .reference import reference
+    from .benchmark.comparison import error
+    from .benchmark.reference import reference
+    from .chain.chain import Chain
+    from .scene.excitation import Impulse
+    from .scene.scene import Scene
+    from .simulation.api import simulate
 
     chain = Chain(grains=20, material="glass", diameter=1e-3)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=20e-6, samples=11)

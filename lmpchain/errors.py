@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from .trajectory import Trajectory
+from typing import Any
 
 
 class LmpchainError(Exception):
@@ -50,7 +47,7 @@ class ToleranceNotMet(LmpchainError):
         Why the tolerance was missed and what to do.
     """
 
-    def __init__(self, reason: str, trajectory: Trajectory | None = None):
+    def __init__(self, reason: str, trajectory: Any = None):
         self.reason = reason
         self.trajectory = trajectory
         super().__init__(reason)

@@ -1,7 +1,7 @@
 """What all tests begin with."""
 
 import pytest
-from scenes import paper
+from helpers.scenes import paper
 
 from lmpchain import simulate
 

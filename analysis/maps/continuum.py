@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from laws.theories import behind_front, continuum_width, phase_velocity
+from laws.theory_errors import continuum_error, fronts, impulse_error, phase_velocities
 from matplotlib.colors import LogNorm
 
-from lmpchain.plotting import COLOURS, figure
-from lmpchain.stability.theories import behind_front, continuum_width, phase_velocity
-from lmpchain.stability.theory_errors import continuum_error, fronts, impulse_error, phase_velocities
 from lmpchain.theory import front
 from lmpchain.theory.continuum import chi, depth
+from lmpchain.util.plotting import COLOURS, figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

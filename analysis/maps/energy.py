@@ -6,13 +6,13 @@ import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from laws.openings import drift
 
 import lmpchain
-from lmpchain.compiling import compiled_once
-from lmpchain.engines.methods import METHODS
-from lmpchain.plotting import figure
-from lmpchain.stability.steps import EnergyError, drift, energy_error
-from lmpchain.workprecision.chart import SHADES, SHAPES
+from lmpchain.integrators.methods import METHODS
+from lmpchain.stability.step_limit import EnergyError, energy_error
+from lmpchain.util.compilation import compiled_once
+from lmpchain.util.plotting import SHADES, SHAPES, figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

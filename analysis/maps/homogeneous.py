@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from laws.theories import bessel_law, far_field_law, uniform_law, uniform_reach
+from laws.theory_errors import bessel_error, far_field_error, local_error, uniform_error
 from matplotlib.colors import LogNorm
 
-from lmpchain.plotting import COLOURS, figure
-from lmpchain.stability.theories import bessel_law, far_field_law, uniform_law, uniform_reach
-from lmpchain.stability.theory_errors import bessel_error, far_field_error, local_error, uniform_error
+from lmpchain.util.plotting import COLOURS, figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

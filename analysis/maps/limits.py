@@ -7,16 +7,16 @@ from typing import Any
 import mpmath as mp
 import numpy as np
 from figures import SHADES
+from laws import limits
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from lmpchain import Chain, Scene
-from lmpchain.chain import LARGEST_OVERLAP
-from lmpchain.plotting import COLOURS, MARKERS, figure
-from lmpchain.stability import limits
-from lmpchain.stability.overlaps import deepest, hertz_excess
-from lmpchain.stability.theories import linear_law
+from lmpchain.chain.chain import LARGEST_OVERLAP
+from lmpchain.stability.linear_theory import linear_law
+from lmpchain.stability.overlap import deepest, hertz_excess
 from lmpchain.theory import bessel, dyson
+from lmpchain.util.plotting import COLOURS, MARKERS, figure
 
 BLUE, ORANGE, GREEN, PINK, SKY, RED = SHADES
 POINT = {"ls": "none", "ms": 5, "mfc": "none"}

@@ -5,16 +5,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from laws.theory_errors import BEAD, column, linear_error, theory
 from matplotlib.colors import LogNorm
 
 from lmpchain import Chain
-from lmpchain.engines.linear import Chebyshev
-from lmpchain.engines.nonlinearity import bounds
-from lmpchain.excitation import Impulse
-from lmpchain.plotting import COLOURS, figure
-from lmpchain.scene import Scene
-from lmpchain.stability.theories import LINEAR, linear_law, strike_number_at
-from lmpchain.stability.theory_errors import BEAD, column, linear_error, theory
+from lmpchain.engines.linear.engine import Chebyshev
+from lmpchain.engines.linear.model_error import bounds
+from lmpchain.scene.excitation import Impulse
+from lmpchain.scene.scene import Scene
+from lmpchain.stability.linear_theory import LINEAR, linear_law, strike_number_at
+from lmpchain.util.plotting import COLOURS, figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,13 +6,12 @@ import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from laws.openings import errors_through_openings, order_through_openings
 
 import lmpchain
-from lmpchain.engines.methods import METHODS
-from lmpchain.plotting import figure
-from lmpchain.reference import reference
-from lmpchain.stability.steps import errors_through_openings, order_through_openings
-from lmpchain.workprecision.chart import SHADES, SHAPES
+from lmpchain.benchmark.reference import reference
+from lmpchain.integrators.methods import METHODS
+from lmpchain.util.plotting import SHADES, SHAPES, figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from laws.theories import harmonic_law
+from laws.theory_errors import harmonic_error, linear_error, uniform_error
 
-from lmpchain.plotting import COLOURS, figure
-from lmpchain.scene import Scene
-from lmpchain.stability.theories import harmonic_law
-from lmpchain.stability.theory_errors import harmonic_error, linear_error, uniform_error
+from lmpchain.scene.scene import Scene
+from lmpchain.util.plotting import COLOURS, figure
 
 from . import homogeneous, linearisation
 

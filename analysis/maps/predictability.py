@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lmpchain import Chain, Impulse, Scene
-from lmpchain.plotting import figure
-from lmpchain.stability.horizons import SEED, predicted_horizon
-from lmpchain.stability.precision import growth
+from lmpchain.stability.predictability import SEED, growth, predicted_horizon
+from lmpchain.util.plotting import figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

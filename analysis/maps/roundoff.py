@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lmpchain import Chain, Impulse, Scene
-from lmpchain.plotting import COLOURS, MARKERS, figure
-from lmpchain.stability.precision import floor, measured_floor
+from lmpchain.stability.roundoff import floor, measured_floor
+from lmpchain.util.plotting import COLOURS, MARKERS, figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -8,9 +8,9 @@ import numpy as np
 
 import lmpchain
 from lmpchain import engines
-from lmpchain.engines.methods import METHODS, Method
-from lmpchain.plotting import COLOURS, MARKERS, figure
-from lmpchain.stability.steps import blow_up, limit
+from lmpchain.integrators.methods import METHODS, Method
+from lmpchain.stability.step_limit import blow_up, limit
+from lmpchain.util.plotting import COLOURS, MARKERS, figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,20 +10,20 @@ from ..errors import InputError
 from .base import Engine
 
 if TYPE_CHECKING:
-    from .closed_form import Bessel as Bessel
-    from .closed_form import Continuum as Continuum
     from .lammps.engine import Lammps as Lammps
-    from .linear import Chebyshev as Chebyshev
-    from .linear import Modes as Modes
-    from .native.engine import Native as Native
+    from .linear.closed_form import Bessel as Bessel
+    from .linear.closed_form import Continuum as Continuum
+    from .linear.engine import Chebyshev as Chebyshev
+    from .linear.engine import Modes as Modes
+    from .native import Native as Native
 
 _WHERE = {
     "lammps": ("lammps.engine", "Lammps"),
-    "native": ("native.engine", "Native"),
-    "modes": ("linear", "Modes"),
-    "chebyshev": ("linear", "Chebyshev"),
-    "bessel": ("closed_form", "Bessel"),
-    "continuum": ("closed_form", "Continuum"),
+    "native": ("native", "Native"),
+    "modes": ("linear.engine", "Modes"),
+    "chebyshev": ("linear.engine", "Chebyshev"),
+    "bessel": ("linear.closed_form", "Bessel"),
+    "continuum": ("linear.closed_form", "Continuum"),
 }
 ON_REQUEST = ("lammps",)  # done by "auto" only where no other engine can
 LADDER = tuple(name for name in _WHERE if name not in ON_REQUEST)
@@ -53,7 +53,7 @@ def get(engine: str | Engine, **options: Any) -> Engine:
             raise InputError([(key, "belongs to the engine: give it to its constructor") for key in options])
         return engine
     if engine == "auto" and not options:
-        from .ladder import Auto
+        from ..simulation.selection import Auto
 
         return Auto()
     name = "native" if engine == "auto" else engine

@@ -2,7 +2,7 @@
 
 Every engine states which equation it solves, says beforehand what an answer will cost and how far
 off it will be, and delivers the answer in blocks with an estimate of its own error. Progress,
-Ctrl-C and where the output goes are not its business: `lmpchain.simulation` does that for all.
+Ctrl-C and where the output goes are not its business: `lmpchain.simulation.api` does that for all.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..fields import Array
-from ..scene import Scene
+from ..scene.scene import Scene
+from ..trajectory.record import Block, Cost
+from ..util.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -115,34 +115,6 @@ class SolverError:
         """Return the first time at which the difference between two runs exceeds the tolerance, s."""
         beyond = np.flatnonzero(~(self.differences <= tolerance))
         return float(self.time[beyond[0]]) if beyond.size else float("inf")
-
-
-@dataclass(frozen=True)
-class Cost:
-    """What an answer cost."""
-
-    integration_s: float
-    estimate_s: float
-    setup_s: float
-    steps: int
-    force_evaluations: int
-    active_grains: int
-    integrator: str
-    step_s: float
-    ranks: int
-
-
-class Block(NamedTuple):
-    """Part of an answer: realisations x samples x recorded grains.
-
-    `columns` says which of the recorded grains they are; the others have not moved from equilibrium. A block without
-    samples says that the engine is still at work: a moment to show progress or stop.
-    """
-
-    samples: slice
-    displacement: Array
-    velocity: Array
-    columns: slice | NDArray[np.intp] = slice(None)
 
 
 class Run(ABC):

@@ -1,6 +1,6 @@
 """What one reads off a trajectory: pure functions of arrays, which never run an engine."""
 
-from ..lazy import submodules
+from ..util.lazy import attributes
 
-__all__ = ["compare", "contact", "dyson", "energy", "fit", "flight", "front", "spectrum"]
-__getattr__ = submodules(__name__, __all__)
+__all__ = ["contact", "dyson", "energy", "fit", "flight", "front", "spectrum"]
+__getattr__ = attributes(__name__, __all__)

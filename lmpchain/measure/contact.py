@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from ..contacts import Contacts
+from ..chain.contacts import Contacts
 from ..errors import InputError
-from ..fields import Array
-from ..plotting import axes_in_units
-from ..trajectory import Trajectory
+from ..trajectory.trajectory import Trajectory
+from ..util.arrays import Array
+from ..util.plotting import axes_in_units
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,20 +8,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..chain import Chain
+from ..chain.chain import Chain
 from ..errors import InputError
-from ..excitation import Impulse
-from ..fields import Array
-from ..scene import Scene
+from ..scene.excitation import Impulse
+from ..scene.scene import Scene
 from ..theory import dyson
-from ..trajectory import Trajectory
+from ..trajectory.trajectory import Trajectory
+from ..util.arrays import Array
 from .contact import motion
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from ..disorder import Ensemble
+    from ..disorder.averages import Ensemble
 
 DASHES = ("-", "--", "-.", ":")
 MARGIN = 4  # grains at rest that are shown below the wave
@@ -155,7 +155,7 @@ class DysonSums:
         axes : two axes, optional
             By default those of a new figure.
         """
-        from ..plotting import COLOURS, figure
+        from ..util.plotting import COLOURS, figure
 
         true, weighted = figure(7.0, 8.0).subplots(2, sharex=True) if axes is None else axes
         colours = list(COLOURS.values())

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
-from ..chain import Chain
-from ..fields import Array
-from ..plotting import axes_in_units
-from ..trajectory import Trajectory
+from ..chain.chain import Chain
+from ..trajectory.trajectory import Trajectory
+from ..util.arrays import Array
+from ..util.plotting import axes_in_units
 from .contact import ContactHistory, contacts, drive_motion, motion
 
 if TYPE_CHECKING:

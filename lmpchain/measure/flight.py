@@ -10,8 +10,8 @@ from scipy.interpolate import PPoly, make_interp_spline
 from scipy.signal import correlate
 
 from ..errors import InputError
-from ..fields import Array
-from ..trajectory import Trajectory
+from ..trajectory.trajectory import Trajectory
+from ..util.arrays import Array
 from .contact import sensor
 
 REACH = 6  # samples on either side of a peak that its interpolation uses

@@ -9,9 +9,9 @@ import numpy as np
 from scipy import interpolate, optimize, signal, stats
 
 from ..errors import InputError
-from ..fields import Array
-from ..plotting import axes_in_units
-from ..trajectory import Trajectory
+from ..trajectory.trajectory import Trajectory
+from ..util.arrays import Array
+from ..util.plotting import axes_in_units
 from .flight import REACH, summit
 from .spectrum import UNITS, Field, recorded
 

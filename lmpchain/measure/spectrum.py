@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 from scipy.signal import get_window
 
-from ..chain import Chain
+from ..chain.chain import Chain
 from ..errors import InputError
-from ..fields import Array
-from ..plotting import axes_in_units
-from ..trajectory import Trajectory
+from ..trajectory.trajectory import Trajectory
+from ..util.arrays import Array
+from ..util.plotting import axes_in_units
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,8 +12,8 @@ import numpy as np
 from pydantic import Field
 
 from ..errors import InputError
-from ..fields import Checked, Real, Whole
-from ..scenefile import SECTIONS
+from ..scene.toml_file import SECTIONS
+from ..util.validation import Checked, Real, Whole
 
 MOST = 10**6  # scenes in a sweep
 Count = Annotated[Whole, Field(ge=1, le=MOST)]

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 
 from .. import engines
-from ..draws import Law, Of, realisation
+from ..chain.materials import MATERIALS
+from ..disorder.draws import Law, Of, realisation
 from ..errors import InputError, check_tolerance
-from ..fields import Checked, Positive, Whole
-from ..files import check_readable
-from ..materials import MATERIALS
-from ..scene import Scene
-from ..scenefile import LARGEST_TABLE, SECTIONS, _parse, from_dict, to_dict
+from ..scene.scene import Scene
+from ..scene.toml_file import LARGEST_TABLE, SECTIONS, parse
+from ..util.files import check_readable
+from ..util.validation import Checked, Positive, Whole
 from .axes import MAKERS, Axis, Seed, axes
 from .quantities import QUANTITIES
 
@@ -144,7 +144,7 @@ def scene_of(asked: Mapping[str, Any], folder: Path) -> Scene:
 
 @lru_cache(maxsize=1)  # realisations of one chain follow one another
 def _ordered(text: str, folder: Path) -> Scene:
-    return from_dict(json.loads(text)[0], folder)
+    return Scene.from_dict(json.loads(text)[0], folder)
 
 
 def read(source: str | PathLike[str] | Mapping[str, Any]) -> Sweep:
@@ -158,7 +158,7 @@ def read(source: str | PathLike[str] | Mapping[str, Any]) -> Sweep:
     if isinstance(source, Mapping):
         data, folder = dict(source), Path()
     else:
-        data, folder = _parse(Path(source)), Path(source).parent
+        data, folder = parse(Path(source)), Path(source).parent
     faults = [(key, f"unknown key; the keys here are {', '.join(KEYS)}") for key in data if key not in KEYS]
     parts = {part: data[part] for part in MAKERS if part in data}
     tolerance = data.get("tolerance", 1e-6)
@@ -185,10 +185,10 @@ def read(source: str | PathLike[str] | Mapping[str, Any]) -> Sweep:
 def _base(given: Any, folder: Path) -> tuple[dict[str, Any], Path]:
     """Return the tables that all scenes start from, and the folder of the CSV files that they name."""
     if isinstance(given, Scene):
-        return to_dict(given), folder
+        return given.to_dict(), folder
     if isinstance(given, str):
         path = folder / given
-        given, folder = _parse(path), path.parent
+        given, folder = parse(path), path.parent
     if not isinstance(given, dict):
         raise InputError([("scene", "name a scene file, or give its tables: [scene.chain], [scene.excitation] ...")])
     if unknown := [key for key in given if key not in SECTIONS]:

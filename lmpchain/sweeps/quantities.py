@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..fields import Array
-from ..trajectory import Trajectory
+from ..trajectory.trajectory import Trajectory
+from ..util.arrays import Array
 
 
 class Quantity(NamedTuple):

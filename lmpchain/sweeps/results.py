@@ -14,7 +14,7 @@ from xarray.backends import BackendArray
 from xarray.core import indexing
 
 from ..errors import InputError
-from ..fields import Array
+from ..util.arrays import Array
 from .quantities import QUANTITIES
 
 FORMAT = 1

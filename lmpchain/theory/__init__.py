@@ -5,7 +5,7 @@ number, 1 or more, by default that of Hertz; ``xi = 1 - 1/delta``, ``eta = 1 + 1
 Contact n has ``kappa_n = n^xi``, grain n sits at the depth ``h = n - 1/2``. Array arguments broadcast.
 """
 
-from ..lazy import submodules
+from ..util.lazy import attributes
 
 __all__ = ["bessel", "continuum", "dyson", "front", "modes"]
-__getattr__ = submodules(__name__, __all__)
+__getattr__ = attributes(__name__, __all__)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import jv
 
-from ..fields import Array
+from ..util.arrays import Array
 from .domain import exponents, real, require, whole
 
 DECAY = 640.0  # recurrences begin where Bessel functions are exp(-640), not far from the smallest number there is

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import beta, betainc, gamma, hankel1e, hyp2f1, jv
 
-from ..fields import Array
+from ..util.arrays import Array
 from .domain import chi as chi
 from .domain import depth as depth
 from .domain import exponents, real, require, whole
-from .volumes import Field as Field
-from .volumes import solve as solve
+from .finite_volume import Field as Field
+from .finite_volume import solve as solve
 
 Complex = NDArray[np.complex128]
 

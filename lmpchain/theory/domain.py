@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
-from ..fields import Array
+from ..util.arrays import Array
 
 
 def require(*rules: tuple[str, Any, str]) -> None:

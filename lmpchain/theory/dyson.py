@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import gammaln, xlogy
 
-from ..fields import Array
+from ..util.arrays import Array
 from .domain import real, require
 
 

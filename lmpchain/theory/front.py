@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 from scipy.special import airy, roots_jacobi
 
-from ..fields import Array
+from ..util.arrays import Array
 from .continuum import chi, impulse_amplitude
 from .domain import exponents, real, require, whole
 

@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 from scipy.linalg import eigh_tridiagonal
 from scipy.special import ai_zeros, jv, jvp, roots_legendre
 
-from ..chain import Chain
-from ..fields import Array
+from ..chain.chain import Chain
+from ..util.arrays import Array
 from .domain import exponents, real, require, whole
 
 

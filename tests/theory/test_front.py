@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from oracles import gravity_column, largest
+from helpers.oracles import gravity_column, largest
 from scipy.integrate import quad
 from scipy.special import airy, gamma
 

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.peaks import find_peak
+from helpers.scenes import random_scene
 from numpy.typing import NDArray
-from peaks import find_peak
-from scenes import random_scene
 from scipy.special import jv
 
 import lmpchain
-from lmpchain.patterns import tapered
+from lmpchain.chain.patterns import tapered
 
 Array = NDArray[np.float64]
 both = pytest.mark.parametrize("engine", ["native", "lammps"])

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from helpers.peaks import find_peak
 from numpy.typing import NDArray
-from peaks import find_peak
 from scipy.special import jv
 
 import lmpchain

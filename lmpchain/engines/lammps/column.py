@@ -7,11 +7,11 @@ from functools import cached_property
 
 import numpy as np
 
-from ...chain import Chain
+from ...chain.chain import Chain
 from ...errors import InputError
-from ...excitation import Impulse
-from ...fields import Array
-from ...scene import Scene
+from ...scene.excitation import Impulse
+from ...scene.scene import Scene
+from ...util.arrays import Array
 
 PAIR_STYLES = ("granular", "gran/hertz/history")
 MOST_TYPES = 128

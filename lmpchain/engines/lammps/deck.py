@@ -7,15 +7,18 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from ...chain.materials import Material
 from ...errors import InputError
-from ...files import write_aside
-from ...rendering import render, render_text
-from ..splittings import Splitting
+from ...integrators.splittings import Splitting
+from ...util.files import write_aside
+from ...util.templates import render, render_text
 from . import drive
 from .column import Column
-from .rank import deck_steps
+from .worker import deck_steps
 
 OWN_RUN = re.compile(r"""(?:^|["'])\s*(run|rerun|minimize|clear|quit)(?=["'\s]|$)""")
+# the names of materials are the only free text of a scene: what came with a scene file stays out of decks
+CLOSED = (Material,)
 
 
 def own_text(key: str, path: str | PathLike[str]) -> str:
@@ -85,7 +88,9 @@ def write_data(column: Column, path: str | PathLike[str]) -> None:
     if column.strike:  # the deck strikes, so that the speed can be set on the command line
         speeds = 0.0 * speeds
     rows = zip(column.types, column.diameters.tolist(), column.densities.tolist(), z.tolist(), strict=True)
-    text = render("column.data", column=column, rows=rows, speeds=speeds.tolist(), heights=column.heights.tolist())
+    text = render(
+        "column.data", CLOSED, column=column, rows=rows, speeds=speeds.tolist(), heights=column.heights.tolist()
+    )
     with write_aside(path) as aside:
         aside.write_text(text, encoding="ascii")
 
@@ -111,8 +116,8 @@ def _filled(column: Column, step: float, splitting: Splitting, done: int = 0, **
         "include": column.include,
     }
     if not column.template:
-        return render("in.column", **values)
-    text = render_text(column.template, "template", **values)
+        return render("in.column", CLOSED, **values)
+    text = render_text(column.template, "template", CLOSED, **values)
     if column.include not in text:
         raise InputError([("include", "the template has no place for it: put {{ include }} where it belongs")])
     return text

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-from ...excitation import Drive
+from ...scene.excitation import Drive
 
 # of the cubic piece that holds now, in powers of the time since it began
 PIECE = ("begin", "c0", "c1", "c2", "c3")

@@ -12,21 +12,21 @@ from typing import ClassVar
 import numpy as np
 
 from ...errors import InputError, ToleranceNotMet
-from ...fields import Array
-from ...files import make_folder
-from ...scene import Scene
-from ..attempts import until_tolerance
+from ...integrators.methods import Method
+from ...integrators.splittings import SPLITTINGS
+from ...integrators.step_schedule import Pace
+from ...scene.scene import Scene
+from ...util.arrays import Array
+from ...util.files import make_folder
 from ..base import Candidate, Run, SolverError
-from ..lockstep import LockstepRun
-from ..methods import Method
-from ..native.engine import Native
-from ..pace import Pace
-from ..splittings import SPLITTINGS
-from ..stepping import SteppedEngine
+from ..error_estimate import LockstepRun
+from ..native import Native
+from ..step_control import until_tolerance
+from ..time_stepping import SteppedEngine
 from . import deck
 from .column import PAIR_STYLES, Column
+from .launch import gather
 from .stepper import LammpsStepper, word
-from .team import gather
 
 DIAMETERS = ("auto", "physical", "gauge")
 HEADROOM = 3.0  # gauge diameter over the largest overlap: grain n + 2 is never touched

@@ -6,9 +6,9 @@ from os import PathLike
 from pathlib import Path
 
 from ...errors import InputError, check_tolerance
-from ...files import make_folder
-from ...scene import Scene
-from ..attempts import best_candidate
+from ...scene.scene import Scene
+from ...util.files import make_folder
+from ..step_control import best_candidate
 from . import deck
 from .engine import Lammps
 

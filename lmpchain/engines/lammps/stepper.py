@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import InputError, RunFailed
-from ...fields import Array
-from ..splittings import Splitting
+from ...integrators.splittings import Splitting
+from ...util.arrays import Array
 from . import deck, drive
 from .column import Column
-from .rank import Recipe, Share
-from .team import Team
+from .communicators import Team
+from .worker import Recipe, Share
 
 
 class LammpsStepper:

@@ -1,0 +1,1 @@
+"""Engines beside the truth: the reference solution, errors, and speed against accuracy."""

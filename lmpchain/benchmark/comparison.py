@@ -1,0 +1,275 @@
+"""How far answers are from the truth, and what they cost."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import InputError
+from ..scene.excitation import Impulse
+from ..trajectory.trajectory import Trajectory
+from ..util.arrays import Array
+from ..util.plotting import COLOURS, LOWEST, MARKERS, figure
+from ..util.tables import finite
+from .reference import Reference
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+def errors(trajectory: Trajectory, reference: Reference) -> tuple[float, float]:
+    """Return the relative errors of displacement and velocity.
+
+    Each is max|x - x_true| / max|x_true|, the numerator over all samples and recorded grains, the denominator over
+    all samples and all grains of the chain. It is NaN where the answer is.
+
+    Raises
+    ------
+    InputError
+        If the two were not recorded at the same times or are of different chains.
+    """
+    displacement, velocity = _relative(trajectory, reference)
+    return float(displacement.max()), float(velocity.max())
+
+
+def error(trajectory: Trajectory, reference: Reference) -> float:
+    """Return the error as this package defines it: the larger of those of displacement and velocity."""
+    return float(np.max(errors(trajectory, reference)))  # unlike max(), this keeps a NaN
+
+
+def error_over_time(trajectory: Trajectory, reference: Reference) -> Array:
+    """Return the error sample by sample, (T,); its largest value is `error`."""
+    return np.maximum(*_relative(trajectory, reference))
+
+
+def _relative(trajectory: Trajectory, reference: Reference) -> tuple[Array, Array]:
+    grains, time = reference.displacement.shape[1], reference.time
+    if trajectory.time.shape != time.shape or not np.allclose(trajectory.time, time, rtol=1e-12, atol=0):
+        raise InputError([("time", "the answer and the reference were recorded at different times")])
+    if trajectory.scene.chain.grains != grains:
+        raise InputError([("grains", f"the answer has {trajectory.scene.chain.grains} grains, the reference {grains}")])
+    columns = trajectory.grains - 1
+    pairs = (trajectory.displacement, reference.displacement), (trajectory.velocity, reference.velocity)
+    u, v = (np.abs(x - true[:, columns]).max(1) / (np.abs(true).max() or 1.0) for x, true in pairs)
+    return u, v
+
+
+@dataclass(frozen=True)
+class Row:
+    """One answer: its error against the reference, the error it expected, and its cost.
+
+    Attributes
+    ----------
+    engine, integrator : str
+    equation : int
+    error, error_displacement, error_velocity : float
+        As `error` and `errors` give them.
+    expected_error : float
+        What the answer itself says, `Trajectory.error_estimate.total`.
+    integration_s : float
+        s.
+    steps, force_evaluations : int
+    """
+
+    engine: str
+    equation: int
+    integrator: str
+    error: float
+    error_displacement: float
+    error_velocity: float
+    expected_error: float
+    integration_s: float
+    steps: int
+    force_evaluations: int
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Answers to one scene beside the truth.
+
+    Attributes
+    ----------
+    reference : Reference
+    trajectories : tuple of Trajectory
+    rows : tuple of Row
+        One a trajectory, in the same order.
+    """
+
+    reference: Reference
+    trajectories: tuple[Trajectory, ...]
+    rows: tuple[Row, ...]
+
+    def errors_over_time(self) -> list[Array]:
+        """Return the error of every answer sample by sample, (T,) each."""
+        return [error_over_time(answer, self.reference) for answer in self.trajectories]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what goes into a JSON file; numbers that are not finite become None."""
+        reference = finite({"method": self.reference.method, "error": self.reference.error})
+        rows = []
+        for row in self.rows:
+            fields = finite(asdict(row))
+            del fields["integrator"]
+            rows.append(fields)
+        return {"reference": reference, "rows": rows}
+
+    def table(self) -> str:
+        """Return the comparison as text."""
+        head = ["engine", "equation", "integrator", "error", "expected", "integration", "steps", "force evaluations"]
+        body = [
+            [row.engine, f"({row.equation})", row.integrator, f"{row.error:.2e}", f"{row.expected_error:.2e}",
+             f"{row.integration_s:.3g} s", str(row.steps), str(row.force_evaluations)]
+            for row in self.rows
+        ]  # fmt: skip
+        widths = [max(map(len, column)) for column in zip(head, *body, strict=True)]
+        lines = [
+            "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in [head, *body]
+        ]
+        truth = f"reference: {self.reference.method}; itself known to {self.reference.error:.1e}"
+        meaning = (
+            "error: max|x - x_true| / max|x_true| over samples and grains, the larger of displacement and velocity"
+        )
+        return "\n".join([*lines, truth, meaning])
+
+    def plot(self, axes: Sequence[Axes] | None = None) -> Figure:
+        """Draw the answers, their errors over time and what they cost.
+
+        Parameters
+        ----------
+        axes : three axes, optional
+            Where to draw; by default in a figure of its own, which is returned.
+        """
+        return draw_comparison(self, axes)
+
+
+def compare(trajectories: Sequence[Trajectory], reference: Reference) -> Comparison:
+    """Set answers to one scene beside the truth."""
+    rows = []
+    for answer in trajectories:
+        displacement, velocity = errors(answer, reference)
+        rows.append(
+            Row(
+                engine=answer.engine,
+                equation=answer.equation,
+                integrator=answer.cost.integrator,
+                error=error(answer, reference),
+                error_displacement=displacement,
+                error_velocity=velocity,
+                expected_error=answer.error_estimate.total,
+                integration_s=answer.cost.integration_s,
+                steps=answer.cost.steps,
+                force_evaluations=answer.cost.force_evaluations,
+            )
+        )
+    return Comparison(reference, tuple(trajectories), tuple(rows))
+
+
+WIDEST, MARGIN = 60, 4  # grains of the wave shown, and grains at rest on either side
+
+
+def draw_comparison(comparison: Comparison, axes: Sequence[Axes] | None = None) -> Figure:
+    """Draw the answers, their errors over time and what they cost.
+
+    Parameters
+    ----------
+    comparison : Comparison
+    axes : three axes, optional
+        For the wave, the error over time and the cost; by default those of a new figure.
+
+    Returns
+    -------
+    Figure
+    """
+    if axes is None:
+        panels = figure().subplot_mosaic([["wave", "wave"], ["error", "cost"]])
+        axes = [panels["wave"], panels["error"], panels["cost"]]
+    wave, error, cost = axes
+    _draw_wave(comparison, wave)
+    _draw_errors(comparison, error)
+    _draw_cost(comparison, cost)
+    return wave.figure.figure  # type: ignore[return-value]
+
+
+def _draw_wave(comparison: Comparison, axes: Axes) -> None:
+    """Velocity against grain number at the end: the truth as a line, the answers as markers of falling size."""
+    truth, scene = comparison.reference, comparison.trajectories[0].scene
+    if isinstance(scene.excitation, Impulse) and scene.excitation.velocity:
+        unit, label = scene.excitation.velocity, r"velocity / strike velocity $v_0$"
+    else:
+        unit, label = 1.0, "velocity downward (m/s)"
+    last = truth.velocity[-1] / unit
+    axes.plot(np.arange(1, last.size + 1), last, color="0.55", lw=2, label="reference")
+    first, end = _window(truth.velocity[-1])
+    count = len(comparison.trajectories)
+    for place, answer in enumerate(comparison.trajectories):
+        shown = (answer.grains >= first) & (answer.grains <= end)
+        axes.plot(
+            answer.grains[shown],
+            answer.velocity[-1, shown] / unit,
+            linestyle="none",
+            marker=MARKERS.get(answer.engine, "x"),
+            markersize=7.5 - 3.5 * place / max(1, count - 1),
+            markerfacecolor="none",
+            markeredgewidth=1.3,
+            color=_colour(answer.engine),
+            label=answer.engine,
+        )
+    axes.axhline(0, color="0.8", lw=0.8, zorder=0)
+    axes.set(xlabel="grain number, from the top", ylabel=label, xlim=(first - 0.5, end + 0.5))
+    axes.set_title(f"Grains {first} to {end} of {scene.chain.grains} at t = {scene.duration * 1e6:g} µs", loc="left")
+    axes.legend(frameon=False)
+
+
+def _window(velocity: Array) -> tuple[int, int]:
+    """Return the first and last grain of the part that moves, at most `WIDEST` grains around the fastest."""
+    speed = np.abs(velocity)
+    moving = np.flatnonzero(speed > 1e-3 * speed.max())
+    if moving.size == 0:
+        return 1, min(WIDEST, velocity.size)
+    first, last = max(0, moving[0] - MARGIN), min(velocity.size - 1, moving[-1] + MARGIN)
+    if last - first >= WIDEST:
+        first = int(np.clip(speed.argmax() - WIDEST // 2, first, last - WIDEST + 1))
+        last = first + WIDEST - 1
+    return int(first) + 1, int(last) + 1
+
+
+def _draw_errors(comparison: Comparison, axes: Axes) -> None:
+    """Error over time, with the expected error as a dashed line."""
+    truth = comparison.reference
+    time = truth.time * 1e6
+    for answer, row, found in zip(comparison.trajectories, comparison.rows, comparison.errors_over_time(), strict=True):
+        values = np.maximum(found, LOWEST)
+        colour = _colour(answer.engine)
+        axes.semilogy(time[1:], values[1:], color=colour, lw=1.3, label=answer.engine)  # at t = 0 nothing is wrong yet
+        axes.axhline(max(row.expected_error, LOWEST), color=colour, ls="--", lw=1.3)
+    axes.axhline(max(truth.error, LOWEST), color="0.55", ls=":", lw=1.5)
+    axes.plot([], [], color="0.3", ls="--", label="expected by the engine")
+    axes.plot([], [], color="0.55", ls=":", lw=1.5, label="error of the reference")
+    axes.set(xlabel="time (µs)", ylabel="relative error")
+    axes.set_title("Error over time", loc="left")
+    axes.margins(y=0.12)
+    axes.legend(frameon=False, fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2)
+
+
+def _draw_cost(comparison: Comparison, axes: Axes) -> None:
+    """Error against the time that the integration took."""
+    for row in comparison.rows:
+        x, y = max(row.integration_s, 1e-9), max(row.error, LOWEST)
+        expected = max(row.expected_error, LOWEST)
+        colour = _colour(row.engine)
+        axes.loglog([x, x], [y, expected], color=colour, ls="--", lw=1.3)
+        axes.loglog(x, expected, marker="_", markersize=10, markeredgewidth=1.8, color=colour, ls="none")
+        name = row.engine if row.integrator == row.engine else f"{row.engine}, {row.integrator}"
+        axes.loglog(x, y, marker=MARKERS.get(row.engine, "x"), markersize=8, color=colour, ls="none", label=name)
+    axes.set(xlabel="integration time (s)", ylabel="relative error")
+    axes.set_title("Error and cost (bar: expected error)", loc="left")
+    axes.margins(x=0.2, y=0.15)
+    axes.legend(frameon=False, fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2)
+
+
+def _colour(engine: str) -> str:
+    return COLOURS.get(engine, "#000000")

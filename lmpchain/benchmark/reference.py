@@ -1,0 +1,280 @@
+"""The truth to compare with: Eq. (1) solved by a method and a force that no engine shares."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import RunFailed
+from ..scene.excitation import first_overlaps
+from ..scene.scene import Scene
+from ..util.arrays import Array
+
+Long = np.longdouble
+Longs = NDArray[np.longdouble]
+EPSILON = float(np.finfo(Long).eps)
+ORDER, TRUNCATION = 32, 0.1 * EPSILON  # terms of the series of the answer, and error that each step may leave
+LOWER, LOOSER = 24, 10 * EPSILON  # the same for the run that shows its error
+SHARED = 50 * EPSILON + float(np.finfo(float).eps)  # error that both share: equilibrium and steps, result
+REST = 1e-6 * EPSILON  # motion below it is none
+SHORTEST = 1e-6 * EPSILON  # steps below it lead nowhere
+TINY = 1e-200  # next to any number that occurs
+SEARCH = 60  # most iterations for a root; where that does not do, the step ends before it
+# to expect the time: usual steps while all contacts stay closed and where some open; time of one, and of a grain in it
+SMOOTH, BROKEN, STEP_S, GRAIN_S = 0.4, 0.06, 0.6e-3, 7e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """What other answers are measured against.
+
+    Attributes
+    ----------
+    time : (T,) array
+        s.
+    displacement, velocity : (T, N) arrays
+        Of every grain, recorded or not; from equilibrium, positive downward; m and m/s.
+    error : float
+        How far it may itself be off, as defined for `lmpchain.trajectory.record.ErrorEstimate`.
+    method : str
+        How it was found.
+    """
+
+    time: Array
+    displacement: Array
+    velocity: Array
+    error: float
+    method: str
+
+
+def reference(scene: Scene) -> Reference:
+    """Solve Eq. (1) by Taylor series in time, in NumPy's long double.
+
+    The series of a force follows term by term from that of the overlap, ``y (y^delta)' = delta y' y^delta``. It holds
+    until a contact opens or closes, where the force is once differentiable at best; how far, its last terms say. So
+    steps shrink towards an opening and the last of them ends there, at a root of the overlap's own series, and they
+    grow again after a closing: the order is never lost. Lengths are in units of the largest excursion and forces are
+    found as differences from equilibrium, ``F_n expm1(delta log1p(s))``: weak waves keep all their digits. Grains that
+    nothing has reached yet are left out.
+
+    Its error is measured as the difference to a run of order 24 at a hundred times the tolerance, so with other steps.
+    Added is what both share: they begin with the same digits and end in double precision. It is some 4e-16 in all
+    unless the scene is chaotic, and 1e-14 to 1e-12 where long double is no better than double.
+
+    Jorba and Zou, Experimental Mathematics 14, 99 (2005), for the steps.
+
+    Raises
+    ------
+    RunFailed
+        If steps become too short to go on.
+    """
+    motion = _Motion(scene)
+    u, v = motion.solve(ORDER, TRUNCATION)
+    error = max(map(_difference, motion.solve(LOWER, LOOSER), (u, v))) + SHARED
+    digits = np.finfo(Long).precision
+    method = f"Taylor series of order {ORDER} with {digits} digits, steps ending where contacts open and close"
+    if digits == np.finfo(float).precision:
+        method += "; long double is no better than double here"
+    return Reference(scene.time, u, v, error, method)
+
+
+def expected_seconds(scene: Scene) -> float:
+    """Return about how long `reference` will take, s."""
+    motion = _Motion(scene)
+    moving = np.flatnonzero(motion.start.any(axis=0))
+    reached = min(scene.chain.grains, (np.ptp(moving) if moving.size else 0) + ORDER + float(motion.instants[-1]))
+    steps = float(motion.instants[-1]) / (SMOOTH if scene.strike_number < 1 else BROKEN) + 1
+    return 2 * steps * (STEP_S + GRAIN_S * float(reached))
+
+
+class _Motion:
+    """Eq. (1) for one scene, with `length` and `time` as units.
+
+    Contact n lies between grains n and n + 1, contact 0 between grain 1 and a wall above, contact N between grain N
+    and a wall below. The overlap y of a contact is in units of that at rest, or of `length` where that is none.
+    """
+
+    def __init__(self, scene: Scene):
+        chain = scene.chain
+        self.drive, self.delta = scene.drive, Long(chain.exponent)
+        mass, constant = chain.masses.astype(Long), chain.contacts.constant.astype(Long)
+        carried = Long(chain.top_load) + Long(chain.gravity) * np.append(Long(0), np.cumsum(mass))
+        pressed = (constant > 0) & (carried > 0)
+        overlap = np.where(pressed, carried / np.where(pressed, constant, 1), 0) ** (1 / self.delta)
+        deepest = first_overlaps(chain, scene.excitation).astype(Long)
+        heavier = np.maximum(np.append(mass[0], mass), np.append(mass, mass[-1]))
+        fastest = np.sqrt((self.delta * constant * deepest ** (self.delta - 1) / heavier).max())
+        self.time = 1 / fastest if fastest else Long(scene.duration)
+        u, v = (x.astype(Long) for x in scene.excitation.largest(chain))
+        self.length = max(np.abs(u).max(), np.abs(v).max() * self.time) or Long(1)
+
+        self.at_rest = pressed.astype(Long)
+        self.closer = self.length / np.where(pressed, overlap, self.length)
+        self.strength = np.where(pressed, carried, constant * self.length**self.delta)
+        self.mobility = self.time**2 / (mass * self.length)
+        self.mobility[chain.movable :] = 0
+        if self.drive:
+            self.mobility[0] = 0
+        self.push = self.strength * np.maximum(np.append(0, self.mobility), np.append(self.mobility, 0))
+
+        u, v = (x.astype(Long) for x in scene.initial())
+        self.start = np.array([u / self.length, v * (self.time / self.length)])
+        self.units = np.array([self.length, self.length / self.time])[:, None, None]
+        self.instants = scene.time.astype(Long) / self.time
+        knots = () if self.drive is None or self.drive.times is None else self.drive.times
+        self.knots = np.array(knots, dtype=Long) / self.time
+
+    def solve(self, order: int, tolerance: float) -> Array:
+        """Return displacement and velocity, (2, T, N) m and m/s, by series of this order and error a step."""
+        found = np.zeros((2, self.instants.size, self.start.shape[1]))
+        found[:, :1] = self.start[:, None] * self.units
+        state, here = self.start.copy(), slice(0, self.start.shape[1])
+        knots = self.knots[(self.knots > 0) & (self.knots < self.instants[-1])]
+        t, done = Long(0), 1
+        for stop in (*knots, self.instants[-1]):
+            while t < stop:
+                here = self._reached(state, here, order)
+                x, y = self._series(t, state[:, here], here, order, tolerance)
+                step = self._step(x, y, here, stop - t, tolerance)
+                if not step > SHORTEST:
+                    raise RunFailed(f"the reference gave up at t = {float(t * self.time):.4g} s: its steps vanish")
+                end = stop if step == stop - t else t + step
+                now = int(np.searchsorted(self.instants, end, side="right"))
+                found[:, done:now, here] = _motion_at(x, self.instants[done:now, None] - t) * self.units
+                moved = _motion_at(x, step)
+                state[:, here] = np.where(np.abs(moved) <= REST, 0, moved)
+                t, done = end, now
+        return found
+
+    def _reached(self, state: Longs, before: slice, order: int) -> slice:
+        """Return the grains that move, and as many more on either side as a series of this order can reach."""
+        places = before.start + np.flatnonzero(state[:, before].any(axis=0))
+        if self.drive:  # what is driven counts, also while it rests
+            places = np.append(0, places)
+        first, last = (places[0], places[-1]) if places.size else (0, 0)
+        return slice(max(0, first - order // 2), min(state.shape[1], last + 1 + order // 2))
+
+    def _shut(self, overlap: Longs, here: slice, tolerance: float) -> NDArray[np.bool_]:
+        """Return which contacts push so hard that it is felt; others may be left out for one unit of time."""
+        return self.push[_contacts(here)] * np.maximum(overlap, 0) ** self.delta > tolerance
+
+    def _series(self, t: Long, state: Longs, here: slice, order: int, tolerance: float) -> tuple[Longs, Longs]:
+        """Return the coefficients of displacements and overlaps, (order + 1, n) and (order + 1, n + 1)."""
+        closer, at_rest, strength = (a[_contacts(here)] for a in (self.closer, self.at_rest, self.strength))
+        x, y, power = (np.zeros((order + 1, n), dtype=Long) for n in (state.shape[1], closer.size, closer.size))
+        x[:2] = state
+        driven = self.drive is not None and here.start == 0
+        if driven:
+            x[:, 0] = self._imposed(t, order)
+        k = np.arange(order + 1, dtype=Long)
+        for i in range(order + 1):
+            y[i] = -np.diff(x[i], prepend=Long(0), append=Long(0)) * closer
+            if i > order - 2:
+                continue
+            if i == 0:
+                s, y[0] = y[0].copy(), at_rest + y[0]
+                shut = self._shut(y[0], here, tolerance)
+                pressed, whole = shut & (at_rest > 0), np.where(shut, y[0], 1)
+                power[0] = shut * whole**self.delta
+                exact = np.expm1(self.delta * np.log1p(np.where(pressed, s, 0)))
+                change = np.where(pressed, exact, power[0] - at_rest)
+            else:
+                weight = (self.delta + 1) * k[1 : i + 1] - i
+                total = np.einsum("j,jn,jn->n", weight, y[1 : i + 1], power[i - 1 :: -1])
+                change = power[i] = shut * total / (i * whole)
+            force = strength * change
+            x[i + 2, driven:] = ((force[:-1] - force[1:]) * self.mobility[here] / ((i + 1) * (i + 2)))[driven:]
+        return x, y
+
+    def _imposed(self, t: Long, order: int) -> Longs:
+        """Return the coefficients of the motion of a driven grain, (order + 1,)."""
+        drive, k = self.drive, np.arange(order + 1, dtype=Long)
+        assert drive
+        if drive.times is None:
+            quarter = 2 * np.arctan(Long(1))
+            omega, factorial = 4 * quarter * Long(drive.frequency) * self.time, np.cumprod(np.maximum(k, 1))
+            return Long(drive.amplitude) / self.length * omega**k * np.sin(omega * t + k * quarter) / factorial
+        piece = min(int(np.searchsorted(self.knots, t, side="right")), self.knots.size - 1) - 1
+        c, z = drive.spline.c[::-1, piece].astype(Long) * self.time ** k[:4], t - self.knots[piece]
+        series = np.zeros_like(k)
+        series[:4] = [sum(math.comb(j, m) * c[j] * z ** (j - m) for j in range(m, 4)) for m in range(4)]
+        return series / self.length
+
+    def _step(self, x: Longs, y: Longs, here: slice, most: Long, tolerance: float) -> Long:
+        """Return how far the series hold: to this error, and until a contact opens or closes."""
+        step, order = most, len(x) - 1
+        for k in (order - 1, order):
+            if (last := np.abs(x[k]).max()) > 0:  # the terms of this power, in displacement and in velocity
+                step = min(step, (tolerance / last) ** (1 / Long(k)), (tolerance / (k * last)) ** (1 / Long(k - 1)))
+        push, shut = self.push[_contacts(here)], self._shut(y[0], here, tolerance)
+        change = _at(np.abs(y), step) - np.abs(y[0])
+        felt = push * (np.abs(y[0]) + change) ** self.delta * step > tolerance
+        for contact in np.flatnonzero(felt & (np.where(shut, y[0], -y[0]) <= change)):
+            overlap = y[:, contact]
+            if shut[contact]:
+                step = min(step, _first_root(overlap, step))
+            elif (root := _first_root(-overlap, step)) < step:
+                step = root + self._unfelt(overlap, root, step - root, push[contact], tolerance)
+        return step
+
+    def _unfelt(self, overlap: Longs, root: Long, most: Long, push: Long, tolerance: float) -> Long:
+        """Return for how long, at most `most`, a contact that closes at `root` may be left open at this error."""
+        depth, rate = (np.maximum(_at(series, root), 0) for series in (overlap, _slope(overlap)))
+        after = most
+        while True:
+            deepest = depth + after * (rate + after * _bend(overlap, root + after) / 2)
+            if push * deepest**self.delta * after <= tolerance:
+                return after
+            after /= 2
+
+
+def _contacts(here: slice) -> slice:
+    """Return the contacts of these grains, on both sides of each."""
+    return slice(here.start, here.stop + 1)
+
+
+def _first_root(gap: Longs, end: Long) -> Long:
+    """Return a time before which a polynomial does not fall to 0: its first root, unless that is beyond `end`.
+
+    Newton's method with a bound of the second derivative in it, so that it never steps over a root.
+    """
+    slope, bend, at = _slope(gap), _bend(gap, end), Long(0)
+    for _ in range(SEARCH):
+        height, rate = np.maximum(_at(gap, at), 0), _at(slope, at)
+        root = np.sqrt(rate**2 + 2 * bend * height)  # of height + rate z - bend z^2 / 2
+        ahead = (rate + root) / bend if rate > 0 else 2 * height / ((root - rate) or 1)
+        at += ahead
+        if at >= end or ahead <= 2 * EPSILON * at:
+            break
+    return at
+
+
+def _slope(series: Longs) -> Longs:
+    """Return the derivative of series of powers."""
+    return series[1:] * np.arange(1, len(series)).reshape(-1, *[1] * (series.ndim - 1))
+
+
+def _bend(series: Longs, end: Long) -> Long:
+    """Return a bound, above 0, of the second derivative between 0 and `end`."""
+    return _at(np.abs(_slope(_slope(series))), end) + TINY
+
+
+def _at(series: Longs, tau: Longs | Long) -> Any:
+    """Return the sum of a series of powers of tau."""
+    total = series[-1]
+    for term in series[-2::-1]:
+        total = term + tau * total
+    return total
+
+
+def _motion_at(x: Longs, tau: Longs | Long) -> Longs:
+    """Return displacements and velocities after tau."""
+    return np.array([_at(x, tau), _at(_slope(x), tau)])
+
+
+def _difference(x: Array, true: Array) -> float:
+    return float(np.abs(x - true).max() / (np.abs(true).max() or 1.0))

@@ -1,0 +1,358 @@
+"""The chain at rest: grains, walls, equilibrium, scales and band edge."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cached_property
+from operator import index
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from ..errors import InputError
+from ..util.arrays import Array
+from ..util.validation import NOT_GIVEN, Checked, OneOrMany, PositiveVector, Real, Whole
+from .contacts import Contacts, hertz_constant
+from .impurities import Impurities, Impurity
+from .materials import GLASS, Material, OneMaterial, OneOrManyMaterials
+
+LEAST_GRAVITY = 1e-100  # m/s2
+LARGEST_OVERLAP = 0.1  # of the diameter: beyond it the Hertz law no longer describes a contact
+
+
+class Chain(Checked):
+    """A vertical column of grains that touch, numbered 1 ... N from the top.
+
+    Grain n obeys ``m_n z_n'' = K_(n-1) [o_(n-1)]^delta - K_n [o_n]^delta + m_n g`` (Eq. 1 of the
+    paper), with no force where the overlap ``o_n`` is negative.
+
+    Parameters
+    ----------
+    grains : int
+        N, two or more.
+    material : Material, name, or N of them
+    diameter : float or (N,) array
+        m.
+    gravity : float
+        m/s2; 0 for a horizontal chain.
+    exponent : float
+        delta, 1 (linear springs) to 3; 1.5 is Hertz.
+    top_load : float
+        Force that presses on grain 1 at rest, N: a constant one on a free top, or that of a wall.
+    top, bottom : str
+        top "free" or "wall"; bottom "fixed" (grain N is held), "wall" or "free" (only without gravity and load).
+        Walls stand still; a wall at the top just touches grain 1 at rest unless there is a top load.
+    masses : (N,) array, optional
+        kg; instead of those that follow from material and diameter.
+    contact_constants : (N-1,) array, optional
+        K_n, N/m^delta; instead of ``(4/3) E* sqrt(R*) dbar^(1.5 - delta)``. The constant of a wall is then in the
+        same proportion to that of the contact next to it as it would be without.
+    impurity : list of Impurity, optional
+        Grains that differ.
+    top_material, bottom_material : Material or name, optional
+        Of the walls; by default that of the grain which touches it, so that K_wall = sqrt(2) K.
+
+    Raises
+    ------
+    InputError
+        With every fault found.
+
+    Examples
+    --------
+    >>> chain = Chain(grains=120, material=GLASS, diameter=1e-3)
+    >>> f"{chain.length_scale:.5e} m"
+    '6.94554e-10 m'
+    >>> Chain(grains=20, material="steel", diameter=5e-3, top_load=10, top="wall", bottom="wall").movable
+    20
+    """
+
+    grains: Annotated[Whole, Field(ge=2, le=10**8)]
+    material: OneOrManyMaterials = GLASS
+    diameter: OneOrMany
+    gravity: Annotated[Real, Field(ge=0)] = 9.81
+    exponent: Annotated[Real, Field(ge=1, le=3)] = 1.5
+    top_load: Annotated[Real, Field(ge=0)] = 0.0
+    top: Literal["free", "wall"] = "free"
+    bottom: Literal["fixed", "wall", "free"] = "fixed"
+    masses: PositiveVector = NOT_GIVEN
+    contact_constants: PositiveVector = NOT_GIVEN
+    impurity: Impurities = ()
+    top_material: OneMaterial = NOT_GIVEN
+    bottom_material: OneMaterial = NOT_GIVEN
+
+    def _faults(self) -> Iterator[tuple[str, str]]:
+        wrong = list(self._misfits())
+        yield from wrong
+        if self.bottom == "free" and (self.gravity > 0 or self.top_load > 0):
+            yield "bottom", 'must be "fixed" or "wall" under gravity or a top load: a free chain would fall'
+        if 0 < self.gravity < LEAST_GRAVITY:
+            yield "gravity", f"must be 0, or at least {LEAST_GRAVITY:g} m/s2: below, squares of overlaps underflow"
+            return
+        if wrong:
+            return
+        self._leave_open()
+        if self._plainly_sound():
+            return
+        with np.errstate(all="ignore"):  # what is not finite is a fault
+            known = np.isfinite(self.dynamical_matrix()[0]).all() and (self.masses > 0).all()
+            relative = self.contacts.overlap / self.contact_lengths
+        if not known or np.isnan(relative).any():
+            yield "masses", "are too small or too large to compute with, or contacts too hard or too soft: use SI units"
+        elif relative.max() > LARGEST_OVERLAP:
+            worst = int(relative.argmax())
+            yield (
+                "diameter",
+                f"contact {worst} is compressed by {relative[worst]:.2g} of the diameter, more than "
+                f"{LARGEST_OVERLAP:g}: use fewer grains, less gravity or load, or a stiffer material",
+            )
+
+    def _misfits(self) -> Iterator[tuple[str, str]]:
+        """Yield what does not fit together, so that no array can be filled in."""
+        lengths = {"diameter": self.grains, "masses": self.grains, "contact_constants": self.grains - 1}
+        if isinstance(self.material, tuple) and len(self.material) != self.grains:
+            yield "material", f"must be one or {self.grains} (one a grain), not {len(self.material)}"
+        for key, length in lengths.items():
+            value = getattr(self, key)
+            if isinstance(value, np.ndarray) and len(value) != length:
+                yield key, f"must have {length} entries for {self.grains} grains, not {len(value)}"
+        for place, impurity in enumerate(self.impurity):
+            if impurity.grain > self.grains:
+                yield f"impurity.{place}.grain", f"there is no grain {impurity.grain}: the chain has {self.grains}"
+            elif impurity.grain in [other.grain for other in self.impurity[:place]]:
+                yield f"impurity.{place}.grain", f"names grain {impurity.grain} a second time"
+            elif self.contact_constants is not None and (impurity.diameter or impurity.material):
+                yield (
+                    f"impurity.{place}",
+                    "may only have a mass of its own where contact_constants are given: they would not follow",
+                )
+        for end, wall in (("top", self.top_material), ("bottom", self.bottom_material)):
+            if wall is not None and getattr(self, end) != "wall":
+                yield f"{end}_material", f'is that of a wall; there is none unless {end} = "wall"'
+
+    def _leave_open(self) -> Chain:
+        """Let masses and contact constants that were not given wait until they are asked for."""
+        for key in ("masses", "contact_constants"):
+            if self.__dict__[key] is None:
+                del self.__dict__[key]
+        if "masses" in self.__dict__ and self.impurity:
+            self.__dict__["masses"] = self._with_impurities("mass", self.masses.copy())
+        return self
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            """Fill in the masses or contact constants that follow from the grains, when they are first asked for."""
+            if name == "masses":
+                value = self._with_impurities("mass", self._by_grain("density") * np.pi / 6 * self.diameters**3)
+            elif name == "contact_constants":
+                value = self._hertz_constants[1:-1]
+            else:
+                return super().__getattr__(name)
+            self.__dict__[name] = value
+            return value
+
+    @property
+    def _alike(self) -> bool:
+        """Whether the grains are alike but for impurities, so that few numbers tell all and need no arrays."""
+        one = isinstance(self.diameter, float) and isinstance(self.material, Material)
+        return one and not self.model_fields_set & {"masses", "contact_constants"}
+
+    @property
+    def _kinds(self) -> Array:
+        """Plane-strain modulus, diameter and mass of a grain and of every impurity where grains are alike, (3, I+1)."""
+        common: Any = self
+        kinds = []
+        for odd in (None, *self.impurity):
+            material = getattr(odd, "material", None) or common.material
+            diameter = getattr(odd, "diameter", None) or common.diameter
+            with np.errstate(over="ignore"):  # a float of Python would raise
+                mass = getattr(odd, "mass", None) or material.density * np.pi / 6 * np.float64(diameter) ** 3
+            kinds.append((material.plane_strain_modulus, diameter, mass))
+        return np.array(kinds).T
+
+    def _plainly_sound(self) -> bool:
+        """Whether the whole weight on the softest contact is still no fault, which needs no array of the chain."""
+        if not self._alike:
+            return False
+        modulus, d, mass = self._kinds
+        walls: list[Any] = [self.top_material, self.bottom_material]
+        modulus = np.append(modulus, [wall.plane_strain_modulus for wall in walls if wall])
+        length, delta = d ** (1.5 - self.exponent), self.exponent
+        with np.errstate(all="ignore"):  # what is not finite here is looked at more closely
+            softest = 4 / 3 * modulus.min() / 2 * np.sqrt(d.min() / 4) * length.min()
+            hardest = 4 / 3 * modulus.max() / 2 * np.sqrt(d.max() / 2) * length.max()
+            load = self.top_load + self.gravity * (self.grains * mass[0] + mass[1:].sum())
+            overlap = (load / softest) ** (1 / delta)
+            largest = delta * hardest * overlap ** (delta - 1) / mass.min()
+            return bool(overlap <= LARGEST_OVERLAP * d.min() and np.isfinite(2 * largest))
+
+    def _by_grain(self, prop: str) -> Array:
+        """Return a property of the material of every grain, (N,)."""
+        materials = self.material if isinstance(self.material, tuple) else [self.material]
+        values = np.array(np.broadcast_to([getattr(m, prop) for m in materials], (self.grains,)))
+        for impurity in self.impurity:
+            if impurity.material is not None:
+                values[impurity.grain - 1] = getattr(impurity.material, prop)
+        return values
+
+    def _with_impurities(self, key: str, values: Array) -> Array:
+        """Put in what impurities have of their own among the values (N,) of the others."""
+        for impurity in self.impurity:
+            if (own := getattr(impurity, key)) is not None:
+                values[impurity.grain - 1] = own
+        return values
+
+    @cached_property
+    def _hertz_constants(self) -> Array:
+        """Constants of all contacts as they follow from the grains, with a wall at either end, (N+1,) N/m^delta."""
+        modulus = self._by_grain("plane_strain_modulus")
+        above, below = (
+            here if wall is None else wall.plane_strain_modulus  # type: ignore[union-attr]
+            for wall, here in ((self.top_material, modulus[0]), (self.bottom_material, modulus[-1]))
+        )
+        modulus = np.concatenate(([above], modulus, [below]))
+        curvature = np.concatenate(([0.0], 2 / self.diameters, [0.0]))  # a wall is flat
+        return hertz_constant(modulus, curvature, self.contact_lengths, self.exponent)
+
+    @cached_property
+    def wall_constants(self) -> Array:
+        """Constants of the contacts with the wall above and the wall below, (2,) N/m^delta; 0 where there is none."""
+        walls = np.array([self.top == "wall", self.bottom == "wall"], dtype=float)
+        if walls.any():
+            natural = self._hertz_constants
+            walls *= natural[[0, -1]] * (self.contact_constants[[0, -1]] / natural[[1, -2]])
+        return walls
+
+    @cached_property
+    def contacts(self) -> Contacts:
+        """All contacts, those with walls included."""
+        above, below = self.wall_constants
+        constants = np.concatenate(([above], self.contact_constants, [below]))
+        weight = self.gravity * np.cumsum(self.masses.astype(np.longdouble))
+        force = np.concatenate(([self.top_load], (self.top_load + weight).astype(float)))
+        return Contacts(constants, np.where(constants > 0, force, 0.0), self.exponent)
+
+    @cached_property
+    def diameters(self) -> Array:
+        """Diameter of every grain, (N,) m."""
+        return self._with_impurities("diameter", np.array(np.broadcast_to(self.diameter, (self.grains,))))
+
+    @cached_property
+    def contact_lengths(self) -> Array:
+        """Mean diameter of the two grains of every contact, that of the grain at a wall, (N+1,) m."""
+        d = self.diameters
+        return np.concatenate((d[:1], (d[:-1] + d[1:]) / 2, d[-1:]))
+
+    @cached_property
+    def depths(self) -> Array:
+        """How far below grain 1 the centre of every grain rests, (N,) m."""
+        return np.append(0.0, np.cumsum((self.contact_lengths - self.contacts.overlap)[1:-1]))
+
+    @property
+    def equilibrium_force(self) -> Array:
+        """Force that every contact between grains carries at rest, (N-1,) N."""
+        return self.contacts.force[1:-1]
+
+    @property
+    def equilibrium_overlap(self) -> Array:
+        """Overlap eps_n of every contact between grains at rest, (N-1,) m."""
+        return self.contacts.overlap[1:-1]
+
+    @property
+    def linear_stiffness(self) -> Array:
+        """Stiffness delta K_n eps_n^(delta-1) of every contact between grains at rest, (N-1,) N/m."""
+        return self.contacts.stiffness[1:-1]
+
+    @property
+    def compressed(self) -> bool:
+        """Whether contacts carry a force at rest; if not, the chain is a sonic vacuum."""
+        return self.gravity > 0 or self.top_load > 0
+
+    @property
+    def movable(self) -> int:
+        """Number of grains that move: N - 1 with a fixed bottom, N otherwise."""
+        return self.grains - (self.bottom == "fixed")
+
+    def part(self, first: int, last: int) -> Chain:
+        """Return grains first ... last as a chain of their own, which moves as they do until a wave meets its ends.
+
+        What lies above becomes a top load, and grain `last` is held unless the chain ends with it. Masses and
+        constants are those of this chain, and so are forces and overlaps if `first` is 1; else their last bits may
+        differ. Grains left out cost nothing where grains are alike but for impurities.
+
+        Raises
+        ------
+        InputError
+            Unless there are such grains, two or more.
+        """
+        if not 1 <= index(first) < index(last) <= self.grains:
+            raise InputError([("part", f"must be two or more of grains 1 to {self.grains} (got {first} to {last})")])
+        fields = self.given() | {"grains": int(last - first + 1)}
+        for key, end in {"material": last, "diameter": last, "masses": last, "contact_constants": last - 1}.items():
+            if isinstance(fields.get(key), np.ndarray | tuple):
+                fields[key] = fields[key][first - 1 : end]
+        inside = [odd for odd in self.impurity if first <= odd.grain <= last]
+        if self.impurity:
+            fields["impurity"] = tuple(Impurity(**odd.given() | {"grain": odd.grain - first + 1}) for odd in inside)
+        if first > 1:
+            fields |= {"top": "free", "top_load": self._force_on(first)}
+            fields.pop("top_material", None)
+        if last < self.grains:
+            fields["bottom"] = "fixed"
+            fields.pop("bottom_material", None)
+        return Chain.model_construct(**fields)._leave_open()  # what is sound as a whole is so in part
+
+    def _force_on(self, grain: int) -> float:
+        """Return the force at rest of what lies above on a grain that is not the first, N."""
+        if not self._alike:
+            return float(self.contacts.force[grain - 1])
+        mass = self._kinds[2].astype(np.longdouble)
+        odd = [own - mass[0] for own, impurity in zip(mass[1:], self.impurity, strict=True) if impurity.grain < grain]
+        return float(self.top_load + self.gravity * ((grain - 1) * mass[0] + sum(odd)))
+
+    def dynamical_matrix(self) -> tuple[Array, Array]:
+        """Return diagonal (M,) and off-diagonal (M-1,) of D, 1/s2: linearised, sqrt(m) phi'' = -D sqrt(m) phi."""
+        k, m = self.contacts.stiffness, self.masses[: self.movable]
+        diagonal = (k[:-1] + k[1:])[: self.movable] / m
+        return diagonal, -k[1 : self.movable] / np.sqrt(m[:-1] * m[1:])
+
+    @cached_property
+    def band_edge(self) -> float:
+        """Highest eigenfrequency of the linearised chain, rad/s (0 in the sonic vacuum)."""
+        from scipy.linalg import eigh_tridiagonal
+
+        diagonal, coupling = self.dynamical_matrix()
+        if self.movable == 1:
+            return float(np.sqrt(diagonal[0]))
+        last = self.movable - 1
+        top = eigh_tridiagonal(diagonal, coupling, eigvals_only=True, select="i", select_range=(last, last))
+        return float(np.sqrt(max(top[0], 0.0)))
+
+    @property
+    def length_scale(self) -> float:
+        """Overlap eps_1 of the top contact at rest, m."""
+        return float(self.equilibrium_overlap[0])
+
+    @property
+    def time_scale(self) -> float:
+        """Unit of the paper's tau, sqrt(m_1 / k_1), s (infinite in the sonic vacuum)."""
+        k = float(self.linear_stiffness[0])
+        return float(np.sqrt(self.masses[0] / k)) if k > 0 else np.inf
+
+    def excess_energy(self, displacement: Array, velocity: Array) -> Array:
+        """Energy above that of the chain at rest: kinetic, contacts, load and weight together, J.
+
+        It is conserved by Eq. (1) and zero at rest; weak waves keep their relative accuracy.
+
+        Parameters
+        ----------
+        displacement, velocity : (..., N) arrays
+            m, positive downward; m/s.
+
+        Returns
+        -------
+        (...) array
+        """
+        contacts = self.contacts
+        return 0.5 * (self.masses * velocity**2).sum(-1) + contacts.energy(contacts.closer(displacement)).sum(-1)

@@ -1,0 +1,119 @@
+"""The contacts of a chain: Hertz's constants, what they carry at rest, their stiffness and energy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..util.arrays import Array
+
+
+def hertz_constant(modulus: Array, curvature: Array, length: Array, exponent: float) -> Array:
+    """Return K = (4/3) E* sqrt(R*) length^(1.5 - delta) of every two neighbours in a row of B bodies.
+
+    Parameters
+    ----------
+    modulus : (B,) array
+        E / (1 - nu^2) of each, Pa.
+    curvature : (B,) array
+        1 / radius of each, 1/m; 0 for a plane.
+    length : (B-1,) array
+        Mean diameter, m, which keeps the unit of a force for exponents other than Hertz's.
+    exponent : float
+
+    Returns
+    -------
+    (B-1,) array
+        N/m^delta.
+    """
+    together = 1 / (1 / modulus[:-1] + 1 / modulus[1:])
+    radius = 1 / (curvature[:-1] + curvature[1:])
+    return 4 / 3 * together * np.sqrt(radius) * length ** (1.5 - exponent)
+
+
+@dataclass(frozen=True, eq=False)
+class Contacts:
+    """All contacts of a chain of N grains, walls included.
+
+    Contact n lies between grains n and n + 1; contact 0 between grain 1 and a wall above it, contact N between
+    grain N and a wall below it. Where there is no wall the constant is 0, and so is everything else.
+
+    Parameters
+    ----------
+    constant : (N+1,) array
+        K_n, N/m^delta.
+    force : (N+1,) array
+        What each contact carries at rest, N.
+    exponent : float
+        delta.
+    """
+
+    constant: Array
+    force: Array
+    exponent: float
+
+    @cached_property
+    def exists(self) -> NDArray[np.bool_]:
+        """Whether there is something to touch, (N+1,) bool."""
+        return self.constant > 0
+
+    @cached_property
+    def pressed(self) -> NDArray[np.bool_]:
+        """Whether the contact carries a force at rest, (N+1,) bool."""
+        return self.force > 0
+
+    @cached_property
+    def overlap(self) -> Array:
+        """Overlap eps_n at rest, (N+1,) m."""
+        return (self.force / np.where(self.exists, self.constant, 1.0)) ** (1 / self.exponent)
+
+    @cached_property
+    def stiffness(self) -> Array:
+        """delta K_n eps_n^(delta-1), (N+1,) N/m."""
+        return self.exponent * self.constant * self.overlap ** (self.exponent - 1)
+
+    @staticmethod
+    def closer(displacement: Array) -> Array:
+        """Return how much closer the two bodies of every contact are than at rest, (..., N+1) m; walls stand still."""
+        u = np.asarray(displacement)
+        still = np.zeros((*u.shape[:-1], 1))
+        return -np.diff(u, axis=-1, prepend=still, append=still)
+
+    def force_change(self, r: Array) -> Array:
+        """Return the force minus that at rest, (..., N+1) N, of contacts closer by r; weak waves keep their digits."""
+        s = r / np.where(self.pressed, self.overlap, np.inf)
+        held = np.where(s > -1, np.expm1(self.exponent * np.log1p(np.where(s > -1, s, 0.0))), -1.0)
+        return np.where(self.pressed, self.force * held, self.constant * np.maximum(r, 0.0) ** self.exponent)
+
+    def energy(self, r: Array) -> Array:
+        """Return the energy above rest, (..., N+1) J: the integral of K [eps + r]^delta - K eps^delta over r.
+
+        It keeps its relative accuracy for the weakest waves.
+        """
+        power = self.exponent + 1
+        loose = self.constant / power * np.maximum(r, 0.0) ** power
+        s = r / np.where(self.pressed, self.overlap, 1.0)
+        y = np.log1p(np.where(s > -1, s, 0.0))
+        exact = np.where(s > -1, np.expm1(power * y), -1.0) / power - s
+        # the two terms cancel for small s: sum the binomial series instead
+        term = np.ones_like(s)
+        series = np.zeros_like(s)
+        for k in range(2, 12):
+            term = (power - k + 1) * term / k
+            series += term * s**k
+        scaled = np.where(np.abs(s) < 0.02, series, exact)
+        return np.where(self.pressed, self.force * self.overlap * scaled, loose)
+
+    def overlap_bound(self, energy: float) -> Array:
+        """Return the largest overlap that each contact can reach with this energy above rest, (N+1,) m.
+
+        The bound is rigorous: no contact can hold more than the whole conserved energy, and the energy of
+        one is at least ``K r^(delta+1) / (delta+1)`` and at least ``k_n r^2 / 2``.
+        """
+        power = self.exponent + 1
+        hard = (power * np.where(self.exists, energy, 0.0) / np.where(self.exists, self.constant, 1.0)) ** (1 / power)
+        weak = np.sqrt(2 * energy / np.where(self.pressed, self.stiffness, np.nan))
+        return self.overlap + np.fmin(hard, weak)

@@ -1,0 +1,53 @@
+"""Grains of a chain that differ from the others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Field
+
+from ..errors import InputError
+from ..util.validation import NOT_GIVEN, Checked, Positive, Whole
+from .materials import OneMaterial
+
+
+class Impurity(Checked):
+    """A grain that differs from what the chain says; give a diameter, a material or a mass, or several.
+
+    Parameters
+    ----------
+    grain : int
+        Its number, from 1 at the top.
+    diameter : float, optional
+        m.
+    material : Material or name, optional
+    mass : float, optional
+        kg; instead of the one that follows from diameter and material.
+    """
+
+    grain: Annotated[Whole, Field(ge=1)]
+    diameter: Positive = NOT_GIVEN
+    material: OneMaterial = NOT_GIVEN
+    mass: Positive = NOT_GIVEN
+
+    def _faults(self) -> Iterator[tuple[str, str]]:
+        if self.diameter is None and self.material is None and self.mass is None:
+            yield "diameter", "give a diameter, a material or a mass, or it would be a grain like the others"
+
+
+def _impurities(value: Any) -> tuple[Impurity, ...]:
+    if not isinstance(value, list | tuple) or not all(isinstance(item, Impurity | dict) for item in value):
+        raise ValueError("must be a list of impurities, [[chain.impurity]] in a scene file")
+    made, faults = [], []
+    for place, item in enumerate(value):
+        try:
+            made.append(item if isinstance(item, Impurity) else Impurity(**item))
+        except InputError as error:
+            faults += error.under(str(place))
+    if faults:
+        raise InputError(faults)
+    return tuple(made)
+
+
+Impurities = Annotated[tuple[Impurity, ...], BeforeValidator(_impurities)]

@@ -1,0 +1,84 @@
+"""Elastic materials, by name or by their constants."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Field
+
+from ..util.validation import Checked, Positive, Real
+
+
+class Material(Checked):
+    """An elastic material.
+
+    Parameters
+    ----------
+    density : float
+        kg/m3.
+    youngs_modulus : float
+        Pa.
+    poissons_ratio : float
+        Between -1 and 0.5.
+    name, source : str
+        What it is called in scene files, and where the numbers come from.
+    """
+
+    density: Positive
+    youngs_modulus: Positive
+    poissons_ratio: Annotated[Real, Field(gt=-1, le=0.5)]
+    name: str = ""
+    source: str = ""
+
+    @property
+    def plane_strain_modulus(self) -> float:
+        """E / (1 - nu^2), Pa."""
+        return self.youngs_modulus / (1 - self.poissons_ratio**2)
+
+
+def _material(name: str, density: float, youngs: float, poisson: float, source: str) -> Material:
+    return Material(density=density, youngs_modulus=youngs, poissons_ratio=poisson, name=name, source=source)
+
+
+GLASS = _material("glass", 2426.0, 62e9, 0.2, "Gerasymov and Spivak, caption of Fig. 5")
+STEEL = _material(
+    "steel", 8000.0, 193e9, 0.3, "AISI 316, data sheet for annealed bar; nu as usual for 300-series steels"
+)
+PTFE = _material("ptfe", 2200.0, 1.46e9, 0.46, "as usual in work on granular chains; data sheets give 0.4 to 2.3 GPa")
+BRASS = _material(
+    "brass", 8500.0, 103e9, 0.34, "textbook values for 80/20 brass (15e6 psi, 0.34) and the usual density"
+)
+TUNGSTEN_CARBIDE = _material(
+    "tungsten_carbide",
+    14900.0,
+    625e9,
+    0.21,
+    "from the sound speeds of calibration spheres, 6853 and 4171 m/s (Foote 1990)",
+)
+MATERIALS = {m.name: m for m in (GLASS, STEEL, PTFE, BRASS, TUNGSTEN_CARBIDE)}
+
+
+def _one_material(value: Any) -> Material:
+    if isinstance(value, Material):
+        return value
+    if isinstance(value, dict):
+        return Material(**value)
+    if isinstance(value, str) and value in MATERIALS:
+        return MATERIALS[value]
+    raise ValueError(
+        f"no material is called {value!r}; use {', '.join(MATERIALS)}, "
+        "or give density, youngs_modulus and poissons_ratio"
+    )
+
+
+def _one_or_many_materials(value: Any) -> Material | tuple[Material, ...]:
+    if isinstance(value, list | tuple):
+        return tuple(_one_material(item) for item in value)
+    return _one_material(value)
+
+
+OneOrManyMaterials = Annotated[
+    Material | str | dict | Sequence[Material | str | dict], BeforeValidator(_one_or_many_materials)
+]
+OneMaterial = Annotated[Material | str | dict, BeforeValidator(_one_material)]

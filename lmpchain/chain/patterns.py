@@ -1,0 +1,188 @@
+"""Chains whose grains follow a pattern: tapered, periodic, decorated.
+
+Each function returns an ordinary `Chain`; what it does not name itself is passed on as keywords of `Chain`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import BeforeValidator, Field
+
+from ..errors import InputError
+from ..util.arrays import Array
+from ..util.validation import Checked, OneOrMany, Positive, Real, Whole
+from .chain import Chain
+from .materials import GLASS, OneOrManyMaterials
+
+
+def tapered(grains: int, diameter: float, taper: float, **rest: Any) -> Chain:
+    """Return a chain whose diameters shrink by the same share from grain to grain, d_n = d_1 (1 - taper)^(n-1).
+
+    Harbola, Rosas, Esposito and Lindenberg, Pulse propagation in tapered granular chains, arXiv:0905.4512.
+
+    Parameters
+    ----------
+    grains : int
+        N.
+    diameter : float
+        Of grain 1, m.
+    taper : float
+        Below 1; positive shrinks downward, negative grows downward.
+    **rest
+        As for `Chain`.
+
+    Raises
+    ------
+    InputError
+        With the faults found, each under the name of its argument.
+
+    Examples
+    --------
+    >>> (tapered(4, 1e-3, 0.1).diameters * 1e3).round(6).tolist()
+    [1.0, 0.9, 0.81, 0.729]
+    >>> (tapered(3, 1e-3, -0.5, material="steel").diameters * 1e3).round(6).tolist()
+    [1.0, 1.5, 2.25]
+    """
+    checked = _Tapered(grains=grains, diameter=diameter, taper=taper)
+    return _chain(checked.grains, rest, diameter=checked.diameters(checked.grains))
+
+
+def decorated(grains: int, diameter: float, ratio: float, taper: float = 0.0, **rest: Any) -> Chain:
+    """Return a chain of large grains, tapered or not, with a small one below each.
+
+    The small grain is `ratio` times as wide as the large one above it. The large ones, 1, 3, 5 ..., shrink by
+    the same share from each to the next, so that d_1, ratio d_1, (1 - taper) d_1, ratio (1 - taper) d_1, ...
+
+    Harbola, Rosas, Romero, Esposito and Lindenberg, Pulse propagation in decorated granular chains,
+    Phys. Rev. E 80, 051302 (2009).
+
+    Parameters
+    ----------
+    grains : int
+        N, large and small ones together.
+    diameter : float
+        Of grain 1, m.
+    ratio : float
+        Diameter of a small grain over that of the large one above it, at most 1.
+    taper : float
+        As for `tapered`, but from one large grain to the next.
+    **rest
+        As for `Chain`.
+
+    Raises
+    ------
+    InputError
+        With the faults found, each under the name of its argument.
+
+    Examples
+    --------
+    >>> (decorated(5, 1e-3, 0.2, taper=0.1).diameters * 1e3).round(6).tolist()
+    [1.0, 0.2, 0.9, 0.18, 0.81]
+    """
+    checked = _Decorated(grains=grains, diameter=diameter, taper=taper, ratio=ratio)
+    large = checked.diameters((checked.grains + 1) // 2)
+    both = np.column_stack((large, checked.ratio * large)).ravel()
+    return _chain(checked.grains, rest, diameter=both[: checked.grains])
+
+
+def periodic(grains: int, diameters: Any, materials: Any = GLASS, counts: Any = 1, **rest: Any) -> Chain:
+    """Return a chain that repeats a cell of several kinds of grains: a dimer with two kinds, a trimer with three.
+
+    The first cell starts at grain 1; the last one is cut where the chain ends.
+
+    Porter, Daraio, Herbold, Szelengowicz and Kevrekidis, Highly nonlinear solitary waves in periodic dimer
+    granular chains, arXiv:0705.3471.
+
+    Parameters
+    ----------
+    grains : int
+        N.
+    diameters : float or list of float
+        Of each kind, m; one number if they are all as large.
+    materials : Material, name, or list of them
+        Of each kind; one if they are all of the same.
+    counts : int or list of int
+        How many grains of each kind follow one another in a cell.
+    **rest
+        As for `Chain`.
+
+    Raises
+    ------
+    InputError
+        With the faults found, each under the name of its argument.
+
+    Examples
+    --------
+    >>> dimer = periodic(5, 4.76e-3, ["steel", "ptfe"])
+    >>> [material.name for material in dimer.material]
+    ['steel', 'ptfe', 'steel', 'ptfe', 'steel']
+    >>> (periodic(7, [1e-3, 2e-3], counts=[2, 1]).diameters * 1e3).round(6).tolist()
+    [1.0, 1.0, 2.0, 1.0, 1.0, 2.0, 1.0]
+    """
+    cell = _Cell(grains=grains, diameters=diameters, materials=materials, counts=counts)
+    repeats = np.resize(np.minimum(cell.counts, cell.grains), cell.kinds)
+    kind = np.resize(np.repeat(np.arange(cell.kinds), repeats), cell.grains)
+    material = cell.materials
+    if isinstance(material, tuple):
+        material = tuple(material[k % len(material)] for k in kind)
+    return _chain(cell.grains, rest, diameter=np.resize(cell.diameters, cell.kinds)[kind], material=material)
+
+
+def _chain(grains: int, rest: dict[str, Any], **pattern: Any) -> Chain:
+    if twice := pattern.keys() & rest.keys():
+        raise InputError([(key, "follows from the pattern: leave it out") for key in sorted(twice)])
+    return Chain(grains=grains, **pattern, **rest)
+
+
+class _Pattern(Checked):
+    grains: Annotated[Whole, Field(ge=2, le=10**8)]
+
+
+class _Tapered(_Pattern):
+    diameter: Positive
+    taper: Annotated[Real, Field(lt=1)]
+
+    def diameters(self, count: int) -> Array:
+        """Return the diameters of so many grains that follow one another, (count,) m."""
+        with np.errstate(over="ignore", under="ignore"):
+            made = self.diameter * (1 - self.taper) ** np.arange(count, dtype=float)
+            volume = made[-1] ** 3
+        if not 0 < volume < np.inf:
+            raise InputError([("taper", f"grain {count} would be {made[-1]:.2g} m wide: nearer to 0, or fewer grains")])
+        return made
+
+
+class _Decorated(_Tapered):
+    ratio: Annotated[Real, Field(gt=0, le=1)]
+
+
+def _counts(value: Any) -> tuple[int, ...]:
+    numbers = tuple(value) if np.iterable(value) else (value,)
+    if not numbers or any(isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1 for n in numbers):
+        raise ValueError(f"must be a whole number above 0, or a list of them (got {value!r})")
+    return tuple(int(n) for n in numbers)
+
+
+class _Cell(_Pattern):
+    diameters: OneOrMany
+    materials: OneOrManyMaterials
+    counts: Annotated[tuple[int, ...], BeforeValidator(_counts)]
+
+    @property
+    def _lengths(self) -> dict[str, int]:
+        """How many of each are listed."""
+        materials = self.materials if isinstance(self.materials, tuple) else (self.materials,)
+        return {"diameters": np.size(self.diameters), "materials": len(materials), "counts": len(self.counts)}
+
+    @property
+    def kinds(self) -> int:
+        """How many kinds of grains a cell has."""
+        return max(self._lengths.values())
+
+    def _faults(self) -> Iterator[tuple[str, str]]:
+        for key, length in self._lengths.items():
+            if length not in (1, self.kinds):
+                yield key, f"must be one or {self.kinds} (one a kind), not {length}"

@@ -1,0 +1,3 @@
+"""The command line: `lmpchain`, or `python -m lmpchain.cli`."""
+
+from .command_line import main as main

@@ -1,0 +1,22 @@
+"""What the commands of the command line do, one function a verb."""
+
+from .compare import compare, doctor, stability, workprec
+from .plan import plan
+from .read import dyson, fit, report
+from .run import deck, resume, run, run_folder, sweep
+
+__all__ = [
+    "compare",
+    "deck",
+    "doctor",
+    "dyson",
+    "fit",
+    "plan",
+    "report",
+    "resume",
+    "run",
+    "run_folder",
+    "stability",
+    "sweep",
+    "workprec",
+]

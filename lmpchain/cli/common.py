@@ -1,0 +1,88 @@
+"""What the commands share: reading scenes, checking where to write, showing and keeping what was found."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..errors import InputError
+
+# what computes is imported inside the functions, so that wrong input is answered at once
+if TYPE_CHECKING:
+    from ..scene.scene import Scene
+
+PICTURES = (".png", ".pdf", ".svg")
+
+
+def complain(text: str, kind: str = "error") -> None:
+    """Say on stderr, in one line, what is wrong; what cannot be printed, as in names of files, is escaped."""
+    shown = (c if c.isprintable() else c.encode("unicode_escape").decode() for c in " ".join(text.split()))
+    print(f"{kind}: {''.join(shown)}", file=sys.stderr)
+
+
+def gather(*checks: Callable[[], Any]) -> list[Any]:
+    """Return what the checks return; raise one `InputError` with the faults of all of them."""
+    results, faults = [], []
+    for check in checks:
+        try:
+            results.append(check())
+        except InputError as error:
+            faults += error.faults
+    if faults:
+        raise InputError(faults)
+    return results
+
+
+def read(path: str) -> Scene:
+    """Return the scene of a file."""
+    from ..scene.scene import Scene
+
+    return Scene.from_toml(path)
+
+
+def output(name: str, scene: str, suffixes: Sequence[str] = ()) -> Path:
+    """Return the path of a file to write, once it is clear that it can be written."""
+    path = Path(name)
+    if path.is_dir() or name.endswith(("/", os.sep)):
+        raise InputError([(name, f"is a folder; name a file, such as {path / 'run.nc' if not suffixes else path}")])
+    if path.exists() and not path.is_file():
+        raise InputError([(name, "is a device or a pipe, not a file; name a file")])
+    if suffixes and path.suffix.lower() not in suffixes:
+        raise InputError([(name, f"must end in {', '.join(suffixes[:-1])} or {suffixes[-1]}")])
+    if path.exists() and Path(scene).exists() and path.samefile(scene):
+        raise InputError([(name, "is the file that is read; name another file")])
+    if not path.parent.is_dir():
+        raise InputError([(name, f"there is no folder {path.parent}; make it first")])
+    if not os.access(path.parent, os.W_OK | os.X_OK) or (path.exists() and not os.access(path, os.W_OK)):
+        raise InputError([(name, "you may not write there; choose another place")])
+    return path
+
+
+def beside(path: str, suffix: str) -> str:
+    """Return the name of a file beside another."""
+    return os.path.splitext(path)[0] + suffix
+
+
+def write_json(data: dict[str, Any], path: Path) -> None:
+    """Write numbers that others can read back."""
+    import json
+
+    from ..util.files import write_aside
+
+    with write_aside(path) as aside:
+        aside.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def keep(found: Any, numbers: Path | None, picture: Path | None, *arguments: Any) -> None:
+    """Write numbers and picture of what was found, where they are asked for."""
+    if numbers:
+        write_json(found.to_json(*arguments), numbers)
+        print(f"numbers: {numbers}")
+    if picture:
+        from ..util.plotting import save
+
+        save(found.plot(*arguments), picture)
+        print(f"picture: {picture}")

@@ -1,0 +1,45 @@
+"""The command that says which engine would answer a scene, and how fast the engines are here."""
+
+from __future__ import annotations
+
+import argparse
+
+from ..errors import InputError, LmpchainError, check_tolerance
+from .common import gather, output, read, write_json
+
+
+def plan(arguments: argparse.Namespace) -> int:
+    """Show what every engine proposes for a scene, and which one is taken; measure how fast they are, if asked to."""
+    if arguments.scene is None and not arguments.calibrate:
+        raise InputError([("scene", "is missing; name a scene file, or use --calibrate alone")])
+    if arguments.scene is None and arguments.json:
+        raise InputError([("json", "goes with a scene file; name one")])
+    scene, numbers, _ = gather(
+        lambda: arguments.scene and read(arguments.scene),
+        lambda: arguments.json and output(arguments.json, arguments.scene or ""),
+        lambda: check_tolerance(arguments.tolerance),
+    )
+    if arguments.calibrate:
+        _calibrate()
+    if scene:
+        from ..simulation.planner import plan
+
+        found = plan(scene, arguments.tolerance)
+        print(found.table())
+        if numbers:
+            write_json(found.to_json(), numbers)
+            print(f"numbers: {numbers}")
+    return 0
+
+
+def _calibrate() -> None:
+    from ..engines.cost_model import cache_file, speeds
+    from ..simulation.calibration import calibrate
+
+    try:
+        path, took = calibrate()
+    except OSError as error:
+        raise LmpchainError(f"{cache_file()}: cannot be written: {error.strerror or error}") from None
+    print(f"measured in {took:.2g} s how fast the engines are here: {path}")
+    for name, (start, slowness) in speeds().items():
+        print(f"{name:<10} {1e3 * start:8.3g} ms for every answer, the rest {slowness:.2g} times the shipped times")

@@ -1,0 +1,80 @@
+"""Commands that read what a saved run shows: fit, dyson, report."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..errors import InputError
+from .common import PICTURES, beside, gather, keep, output, read
+
+if TYPE_CHECKING:
+    from ..trajectory.trajectory import Trajectory
+
+PAGES = (".html", ".htm")
+
+
+def dyson(arguments: argparse.Namespace) -> int:
+    """Weight a run over depth as Eq. (22) does, and average its scene over random chains."""
+    from ..disorder.averages import at_the_end
+    from ..measure.dyson import orders, sums
+
+    run, picture, numbers, m = gather(
+        lambda: _run_or_dump(arguments.run, arguments.scene),
+        lambda: arguments.output and output(arguments.output, arguments.run, PICTURES),
+        lambda: arguments.json and output(arguments.json, arguments.run),
+        lambda: orders(arguments.m),
+    )
+    found = sums(run, m)
+    chains = at_the_end(run.scene, m, arguments.realisations, arguments.seed, progress=sys.stderr.isatty())
+    print(found.table(*chains))
+    keep(found, numbers, picture, *chains)
+    return 0
+
+
+def fit(arguments: argparse.Namespace) -> int:
+    """Say what a saved run, or a dump of LAMMPS, shows of the theory."""
+    trajectory, path = gather(
+        lambda: _run_or_dump(arguments.run, arguments.scene),
+        lambda: arguments.json and output(arguments.json, arguments.scene or arguments.run),
+    )
+    if path and path.exists() and path.samefile(arguments.run):
+        raise InputError([(arguments.json, "is the run itself; name another file")])
+    from ..measure.fit.summary import summary
+
+    found = summary(trajectory)
+    print(found.table())
+    keep(found, path, None)
+    return 0
+
+
+def _run_or_dump(path: str, scene: str | None) -> Trajectory:
+    """Read a saved run, or a dump if the scene is given that it was made for."""
+    from ..trajectory.lammps_dump import is_dump
+
+    dumped = is_dump(path)
+    if scene is None and dumped:
+        raise InputError([(path, "is a LAMMPS dump: give its scene as well, --scene SCENE.toml")])
+    if scene is not None and not dumped and Path(path).is_file():
+        raise InputError([("scene", f"goes with a LAMMPS dump, which {path} is not; leave it out for a saved run")])
+    from ..trajectory.trajectory import Trajectory
+
+    run = Trajectory.load(path) if scene is None else Trajectory.from_dump(path, read(scene))
+    if run.time.size < 2:
+        raise InputError([(path, "has too few samples yet: go on with the run, or run the scene anew")])
+    return run
+
+
+def report(arguments: argparse.Namespace) -> int:
+    """Write a page about a saved run, or a dump of LAMMPS."""
+    page = arguments.output or beside(arguments.run, ".html")
+    trajectory, path = gather(
+        lambda: _run_or_dump(arguments.run, arguments.scene), lambda: output(page, arguments.run, PAGES)
+    )
+    from ..report import write
+
+    write(trajectory, path)
+    print(f"page: {path}")
+    return 0

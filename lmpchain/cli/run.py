@@ -1,0 +1,173 @@
+"""Commands that answer scenes: run, resume, sweep; and the deck with which LAMMPS does."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import warnings
+from collections.abc import Callable
+from contextlib import nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..errors import InputError, ToleranceNotMet, check_tolerance
+from ..util import mpi
+from .common import beside, complain, gather, output, read
+
+if TYPE_CHECKING:
+    from ..engines.base import Engine
+    from ..trajectory.trajectory import Trajectory
+
+TO_BE_RESUMED = 75  # exit code after --max-wall: EX_TEMPFAIL of sysexits.h, "try again later"
+
+
+def _engine(arguments: argparse.Namespace) -> Engine:
+    """Return the engine with the options given for it."""
+    from .. import engines
+
+    given = {key: getattr(arguments, key) for key in ("integrator", "step", "diameter", "ranks", "template", "include")}
+    return engines.get(arguments.engine, **{key: value for key, value in given.items() if value is not None})
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Answer a scene and save the trajectory, in a file or in a run folder."""
+    name = arguments.output or beside(arguments.scene, ".nc")
+    whole = run_folder(arguments) is not None
+    scene, path, engine, _ = gather(
+        lambda: read(arguments.scene),
+        lambda: _new_folder(name) if whole else arguments.output and output(name, arguments.scene),
+        lambda: _engine(arguments),
+        lambda: check_tolerance(arguments.tolerance),
+    )
+    path = path or output(name, arguments.scene)
+    from ..simulation.api import simulate
+    from ..stability.pre_run import caveats
+
+    for caveat in caveats(scene, engine, arguments.tolerance):
+        warnings.warn(caveat, stacklevel=1)
+    if mpi.joined() and engine.name != "lammps":
+        warnings.warn(f"the engine {engine.name} runs on one rank; --engine lammps would use them all", stacklevel=1)
+    return _told(
+        lambda: simulate(
+            scene,
+            engine,
+            arguments.tolerance,
+            progress=sys.stderr.isatty(),
+            folder=path if whole else None,
+            max_wall=arguments.max_wall,
+        ),
+        arguments.tolerance,
+        path,
+        save=not whole,
+    )
+
+
+def resume(arguments: argparse.Namespace) -> int:
+    """Go on with the run in a folder."""
+    from ..simulation.api import resume
+    from ..simulation.run_folder import status
+
+    found = status(arguments.folder)
+    if found["state"] == "finished":
+        print(f"{arguments.folder}: this run is finished; there is nothing left to do")
+    return _told(
+        lambda: resume(arguments.folder, max_wall=arguments.max_wall, progress=sys.stderr.isatty()),
+        found["tolerance"],
+        Path(arguments.folder),
+    )
+
+
+def run_folder(arguments: argparse.Namespace) -> str | None:
+    """Return the run folder that a command works in, if it does in one."""
+    if "folder" in arguments:
+        return arguments.folder
+    name = getattr(arguments, "output", None)
+    in_folder = arguments.command is run and name and (name.endswith(("/", os.sep)) or Path(name).is_dir())
+    return name if in_folder else None
+
+
+def _new_folder(name: str) -> Path:
+    from ..simulation.task import check_new
+
+    return check_new(name)
+
+
+def _told(answer: Callable[[], Trajectory], tolerance: float, path: Path, save: bool = False) -> int:
+    """Get an answer and say how good it is; return the exit code."""
+    from ..simulation.signals import Stopped
+
+    missed = ""
+    try:
+        trajectory = answer()
+    except Stopped as stopped:  # by --max-wall: a signal goes its own way
+        print(stopped, file=sys.stderr)
+        return TO_BE_RESUMED
+    except ToleranceNotMet as error:
+        if error.trajectory is None:
+            raise
+        trajectory, missed = error.trajectory, error.reason
+    if save:
+        trajectory.save(path)
+    print(_summary(trajectory, tolerance, path))
+    if missed:
+        complain(missed)
+    return 1 if missed else 0
+
+
+def _summary(trajectory: Trajectory, tolerance: float, path: Path) -> str:
+    """Return in a few lines what was done, how well and at what cost."""
+    cost, error, scene = trajectory.cost, trajectory.error_estimate, trajectory.scene
+    ranks = f", on {cost.ranks} ranks" if cost.ranks > 1 else ""
+    parts = f" = {error.model:.2g} (equation) + {error.solver:.2g} (solver)" if error.model else ""
+    lines = {
+        "engine": f"{trajectory.engine}, which solves Eq. ({trajectory.equation}){ranks}",
+        "scene": f"{scene.chain.grains} grains, {scene.samples} samples over {scene.duration:g} s",
+        "integrator": f"{cost.integrator}, {cost.steps} steps of {cost.step_s:.4g} s",
+        "estimated error": f"{error.total:.2g}{parts} (tolerance {tolerance:g})",
+        "time spent": f"{cost.integration_s:.3g} s integration, {cost.estimate_s:.3g} s error estimate, "
+        f"{cost.setup_s:.3g} s set-up",
+        "folder" if path.is_dir() else "file": str(path),
+    }
+    return "\n".join(f"{key:<16} {value}" for key, value in lines.items())
+
+
+def deck(arguments: argparse.Namespace) -> int:
+    """Write a LAMMPS input that runs by itself."""
+    scene, _ = gather(lambda: read(arguments.scene), lambda: check_tolerance(arguments.tolerance))
+    from shlex import quote
+
+    from ..engines.lammps.export import write_deck
+
+    folder = Path(arguments.output)
+    write_deck(
+        scene,
+        folder,
+        tolerance=arguments.tolerance,
+        step=arguments.step,
+        diameter=arguments.diameter,
+        integrator=arguments.integrator,
+        pair_style=arguments.pair_style,
+        template=arguments.template,
+        include=arguments.include,
+    )
+    print(f"wrote {folder / 'in.column'} and {folder / 'column.data'}; to run them:")
+    print(f"  cd {quote(str(folder))} && lmp -in in.column")
+    return 0
+
+
+def sweep(arguments: argparse.Namespace) -> int:
+    """Answer the scenes of a sweep that are not done yet, and say how many failed."""
+    from ..sweeps.run import dask, sweep
+
+    if mpi.joined():
+        raise InputError([("sweep", "does not run under mpirun: use --workers, or --scheduler for several machines")])
+    folder, cores = arguments.output, len(os.sched_getaffinity(0))
+    workers = cores if arguments.workers is None else arguments.workers
+    with dask(arguments.scheduler) if arguments.scheduler else nullcontext() as executor:
+        found = sweep(arguments.sweep, folder, workers=workers, executor=executor, progress=sys.stderr.isatty())
+    reasons = [reason for reason in found["reason"].to_numpy().flat if reason]
+    print(f"{found['reason'].size - len(reasons)} of {found['reason'].size} scenes are answered in {folder}")
+    if reasons:
+        complain(f"{len(reasons)} scenes have no answer, the first because: {reasons[0]}")
+    return 1 if reasons else 0

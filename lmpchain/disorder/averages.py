@@ -1,0 +1,296 @@
+"""Averages over chains with random contacts; how they are drawn stands in `lmpchain.disorder.draws`."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .. import engines
+from ..chain.chain import LARGEST_OVERLAP, Chain
+from ..engines.base import Candidate, Engine, Run
+from ..errors import InputError, RunFailed, ToleranceNotMet, check_tolerance
+from ..scene.scene import Scene
+from ..simulation.api import simulate
+from ..util.arrays import Array
+from .draws import Law, Of, check, disordered, factors, fault_of_whole, realisation
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["Ensemble", "at_the_end", "disordered", "ensemble", "factors", "realisation"]
+ENGINES = ("chebyshev", "modes", "native")
+BATCH, BATCH_VALUES = 16, 2**24  # chains at a time, and the numbers that a block of them may hold
+ATTEMPTS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Ensemble:
+    """Averages over disordered chains of the same scene.
+
+    Attributes
+    ----------
+    scene : Scene
+        With the ordered chain.
+    m : float
+    seed : int
+    law, of : str
+        As for `disordered`.
+    engine : str
+    equation : int
+        Number in the paper of the equation solved.
+    realisations : int
+        R, how many chains.
+    time : (T,) array
+        s.
+    grains : (G,) array
+        Numbers of the recorded grains.
+    displacement, velocity : (T, G) arrays
+        Means over the chains, m and m/s, positive downward.
+    displacement_error, velocity_error : (T, G) arrays
+        Their standard errors, the spread over sqrt(R); NaN for a single chain.
+    model_error, solver_error : float
+        The largest of any chain, as defined for a trajectory: the first says how far from linear it was.
+    squeezed : int
+        Chains with a contact that is compressed by more than a tenth of the diameter at rest.
+    """
+
+    scene: Scene
+    m: float
+    seed: int
+    law: Law
+    of: Of
+    engine: str
+    equation: int
+    realisations: int
+    time: Array
+    grains: np.ndarray
+    displacement: Array
+    velocity: Array
+    displacement_error: Array
+    velocity_error: Array
+    model_error: float
+    solver_error: float
+    squeezed: int
+
+    def plot(self, ax: Axes | None = None, sample: int = -1) -> Figure:
+        """Draw the mean velocity against grain number at one sample, with a band of two standard errors to each side.
+
+        Returns the figure.
+        """
+        from ..util.plotting import axes_in_units
+
+        ax, picture = axes_in_units(ax, "", "m/s")
+        mean, band = self.velocity[sample], 2 * self.velocity_error[sample]
+        (line,) = ax.plot(self.grains, mean, label=f"m = {self.m:g}: mean of {self.realisations} chains")
+        if self.realisations > 1:
+            ax.fill_between(
+                self.grains, mean - band, mean + band, color=line.get_color(), alpha=0.25, lw=0, label="± 2 st. errors"
+            )
+        ax.set(xlabel="grain number, from the top", ylabel="mean velocity, downward")
+        ax.set_title(f"t = {self.time[sample]:.4g} s", loc="left")
+        ax.legend(frameon=False)
+        return picture
+
+
+def ensemble(
+    scene: Scene,
+    m: float,
+    realisations: int,
+    seed: int,
+    engine: str | Engine = "chebyshev",
+    *,
+    tolerance: float = 1e-6,
+    law: Law = "dyson",
+    of: Of = "stiffness",
+    progress: bool = False,
+) -> Ensemble:
+    """Answer a scene for many disordered chains and average.
+
+    Only running means and variances are held, whatever the number of chains. Chain i is that of `realisation` and is
+    answered with the same bits however many others there are.
+
+    Parameters
+    ----------
+    scene : Scene
+        With the ordered chain.
+    m : float
+        As for `factors`.
+    realisations : int
+        How many chains.
+    seed : int
+        0 or more; the same one gives the same bytes.
+    engine : str or Engine
+        "chebyshev" or "modes" for Eq. (3), "native" for Eq. (1), or one of these as an object with options.
+    tolerance : float
+        Largest relative solver error of any chain; none is enforced for an engine with a given step.
+    law, of : str
+        As for `disordered`.
+    progress : bool
+        Whether to show a progress bar.
+
+    Raises
+    ------
+    InputError
+        If an option is wrong, or the engine cannot do such a chain.
+    ToleranceNotMet
+        If shorter steps do not help.
+    RunFailed
+        If an integration breaks down at a given step.
+
+    Examples
+    --------
+    >>> from lmpchain import Impulse
+    >>> scene = Scene(
+    ...     chain=Chain(grains=30, diameter=1e-3), excitation=Impulse(velocity=1e-9), duration=3e-5, samples=2
+    ... )
+    >>> few = ensemble(scene, 2, realisations=20, seed=1)
+    >>> few.velocity.shape, bool(few.velocity_error.max() > 0)
+    ((2, 30), True)
+    """
+    check_tolerance(tolerance)
+    check(fault_of_whole("realisations", realisations, 1))
+    chosen = engines.get(engine)
+    if chosen.name not in ENGINES:
+        raise InputError([("engine", f"random chains are for {', '.join(ENGINES)} (got {chosen.name!r})")])
+    if reasons := chosen.refuses(realisation(scene, m, seed, 0, law, of)):
+        raise InputError(reasons)
+    average = _Average(*np.zeros((2, 2, scene.samples, scene.recorded.size)))
+    batch = max(1, min(BATCH, BATCH_VALUES // (16 * scene.chain.grains)))
+    with _bar(realisations, f"m = {m:g}", progress) as bar:
+        while average.count < realisations:
+            wanted = min(batch, realisations - average.count)
+            # a step is found for a whole batch, so that what a chain gets does not depend on where the series ends
+            size = batch if chosen.equation == 1 else wanted
+            numbers = range(average.count, average.count + size)
+            scenes = [realisation(scene, m, seed, index, law, of) for index in numbers]
+            average = _answer(chosen, scenes, wanted, tolerance, average, bar)
+    spread = average.square / max(realisations - 1, 1) / realisations
+    errors = np.sqrt(spread) if realisations > 1 else np.full_like(spread, np.nan)
+    return Ensemble(
+        scene=scene,
+        m=m,
+        seed=seed,
+        law=law,
+        of=of,
+        engine=chosen.name,
+        equation=chosen.equation,
+        realisations=realisations,
+        time=scene.time,
+        grains=scene.recorded,
+        displacement=average.mean[0],
+        velocity=average.mean[1],
+        displacement_error=errors[0],
+        velocity_error=errors[1],
+        model_error=average.model,
+        solver_error=average.solver,
+        squeezed=average.squeezed,
+    )
+
+
+def at_the_end(
+    scene: Scene, orders: Sequence[float], realisations: int, seed: int, progress: bool = False
+) -> tuple[Array, list[Ensemble]]:
+    """Return the velocity of the ordered linear chain, and averages over random ones for each m, as the scene ends.
+
+    Parameters
+    ----------
+    scene : Scene
+    orders : M values of m
+    realisations, seed, progress
+        As for `ensemble`, but two chains or more, so that the averages have standard errors.
+
+    Returns
+    -------
+    (N,) array and list of M Ensemble
+        m/s; of all grains at two samples, the start and the end.
+
+    Raises
+    ------
+    InputError
+        As `ensemble`.
+    """
+    check(fault_of_whole("realisations", realisations, 2), fault_of_whole("seed", seed, 0))
+    end = Scene(chain=scene.chain, excitation=scene.excitation, duration=scene.duration, samples=2)
+    averages = [ensemble(end, m, realisations, seed, progress=progress) for m in orders]
+    with warnings.catch_warnings(action="ignore"):  # the averages say how far from linear the chains are
+        return simulate(end, "chebyshev").velocity[-1], averages
+
+
+@dataclass(eq=False)
+class _Average:
+    """Running means and sums of squared deviations (Welford), displacement and velocity, (2, T, G), and the worst."""
+
+    mean: Array
+    square: Array
+    count: int = 0
+    model: float = 0.0
+    solver: float = 0.0
+    squeezed: int = 0
+
+    def add(self, run: Run, wanted: int, bar: Any) -> None:
+        """Take in the first chains of a batch, one after the other."""
+        for block in run.blocks():
+            if block.samples.start < block.samples.stop:
+                mean, square = self.mean[:, block.samples], self.square[:, block.samples]
+                for place in range(wanted):
+                    value = np.stack((block.displacement[place], block.velocity[place]))
+                    off = value - mean
+                    mean += off / (self.count + place + 1)
+                    square += off * (value - mean)
+            bar.update(self.count + wanted * run.progress - bar.n)
+        self.count += wanted
+
+    def copy(self) -> _Average:
+        """Return one to go on with while this one is kept."""
+        return replace(self, mean=self.mean.copy(), square=self.square.copy())
+
+
+def _answer(
+    engine: Engine, scenes: Sequence[Scene], wanted: int, tolerance: float, before: _Average, bar: Any
+) -> _Average:
+    """Return the average with the first `wanted` scenes of a batch taken in, at steps that are short enough for all."""
+    proposed = [engine.candidate(scene, tolerance) for scene in scenes]
+    hardest = max(proposed, key=lambda found: found.cost_s)
+    candidate: Candidate | None = replace(hardest, graded=any(found.graded for found in proposed))
+    for _ in range(ATTEMPTS):
+        assert candidate
+        average, worst = before.copy(), None
+        run = engine.start(scenes, candidate)
+        try:
+            average.add(run, wanted, bar)
+            found = run.errors()
+            worst = max(found, key=lambda error: error.total)
+        except RunFailed:
+            if candidate.fixed:
+                raise
+        finally:
+            run.close()
+        if worst and (candidate.fixed or worst.total <= tolerance):
+            average.model = max(average.model, *(error.model for error in found[:wanted]))
+            average.solver = max(average.solver, *(error.total for error in found[:wanted]))
+            average.squeezed += sum(_squeezed(scene.chain) for scene in scenes[:wanted])
+            return average
+        candidate = engine.refine(candidate, worst, tolerance)
+        if candidate is None:
+            break
+    reached = f"the largest estimated error is {worst.total:.2g}" if worst else "an integration breaks down"
+    raise ToleranceNotMet(
+        f"in chains {before.count + 1} to {before.count + len(scenes)} {reached}, the tolerance {tolerance:.2g}, and "
+        "shorter steps do not help: record a shorter time, or ask for less"
+    )
+
+
+def _squeezed(chain: Chain) -> bool:
+    return bool((chain.contacts.overlap > LARGEST_OVERLAP * chain.contact_lengths).any())
+
+
+def _bar(realisations: int, text: str, progress: bool) -> Any:
+    from tqdm.auto import tqdm
+
+    layout = "{desc}: {n:.0f} of {total} chains |{bar}| {elapsed}, {remaining} left"
+    return tqdm(total=realisations, desc=text, disable=not progress, leave=False, bar_format=layout)

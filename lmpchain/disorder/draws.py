@@ -1,0 +1,166 @@
+"""Chains with random contacts.
+
+The contacts of a disordered chain are those of the ordered one times independent factors zeta_n drawn from Dyson's
+distribution: a gamma distribution of shape m, mean 1 and variance 1/m (F. J. Dyson, Phys. Rev. 92, 1331, 1953), which
+narrows to order as m grows. Eq. (23) as printed has a power too many, hence shape m + 1, mean 1 + 1/m and variance
+(m+1)/m^2; the mean of 1/zeta is then 1 for every m, so that disorder does not change the speed of the longest waves.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import numpy as np
+
+from ..chain.chain import Chain
+from ..errors import InputError
+from ..scene.scene import Scene
+from ..util.arrays import Array
+
+Law = Literal["dyson", "paper"]
+Of = Literal["stiffness", "constant"]
+SOFTEST = 1e-90  # smallest factor: at 0 there would be no contact; drawn once in 10^9 at m = 0.1
+
+
+def factors(m: float, size: int, rng: np.random.Generator, law: Law = "dyson") -> Array:
+    """Return independent random factors zeta, (size,).
+
+    Parameters
+    ----------
+    m : float
+        Order of Eq. (23), above 0 and not necessarily whole; large m means order.
+    size : int
+    rng : numpy.random.Generator
+    law : "dyson" or "paper"
+        Of mean 1 and variance 1/m, `theory.dyson.density`; or Eq. (23) as printed, of mean 1 + 1/m and variance
+        (m+1)/m^2, `theory.dyson.weight`.
+
+    Raises
+    ------
+    InputError
+        If m is not a number above 0, or there is no such law.
+
+    Examples
+    --------
+    >>> zeta = factors(4, 100_000, np.random.default_rng(1))
+    >>> bool(abs(zeta.mean() - 1) < 0.01), bool(abs(zeta.var() - 1 / 4) < 0.01)
+    (True, True)
+    """
+    check(_fault_of_m(m), _fault_of_choice("law", law, ("dyson", "paper")))
+    return np.maximum(rng.standard_gamma(m + (law == "paper"), size) / m, SOFTEST)
+
+
+def disordered(chain: Chain, m: float, rng: np.random.Generator, law: Law = "dyson", of: Of = "stiffness") -> Chain:
+    """Return a chain like this one, with every contact changed by a random factor.
+
+    Parameters
+    ----------
+    chain : Chain
+        Masses, diameters, load and kinds of ends are kept. A wall keeps its proportion to the contact next to it, and
+        so shares its factor; the equilibrium follows the contacts.
+    m, rng, law
+        As for `factors`.
+    of : "stiffness" or "constant"
+        What is multiplied by zeta_n. The linear stiffness kappa_n, as in Eqs. (3) and (23): under a given force it
+        goes as K^(1/delta), so K_n becomes K_n zeta_n^delta. Or the contact constant K_n itself, as a scatter of
+        elastic moduli would have it: the stiffness then changes by zeta_n^(1/delta) only.
+
+    Raises
+    ------
+    InputError
+        If an option is wrong; if the stiffness of a sonic vacuum is asked for, which is 0; or if a contact came out so
+        soft that it is compressed by more than a tenth of the diameter, where Hertz's law no longer holds.
+
+    Examples
+    --------
+    >>> chain = Chain(grains=20, diameter=1e-3)
+    >>> drawn = disordered(chain, 5, np.random.default_rng(1))
+    >>> zeta = factors(5, 19, np.random.default_rng(1))
+    >>> bool(abs(drawn.linear_stiffness / chain.linear_stiffness / zeta - 1).max() < 1e-13)
+    True
+    """
+    check(_fault_of_choice("of", of, ("stiffness", "constant")), _fault_of_vacuum(chain, of))
+    return Chain(**_redrawn(chain, m, rng, law, of))
+
+
+def realisation(scene: Scene, m: float, seed: int, index: int = 0, law: Law = "dyson", of: Of = "stiffness") -> Scene:
+    """Return the scene with the chain number `index` (from 0) of the sequence that `seed` stands for.
+
+    It depends on seed and index only, not on how many others are drawn. Unlike `disordered` it lets contacts be as
+    soft as they come out, for dropping such chains would change the distribution; `Ensemble.squeezed` counts them.
+
+    Parameters
+    ----------
+    scene : Scene
+    m, law, of
+        As for `disordered`.
+    seed, index : int
+        0 or more.
+
+    Raises
+    ------
+    InputError
+        If an option is wrong, or the stiffness of a sonic vacuum is asked for.
+
+    Examples
+    --------
+    >>> from lmpchain import Impulse
+    >>> scene = Scene(chain=Chain(grains=20, diameter=1e-3), excitation=Impulse(velocity=1e-9), duration=1e-5)
+    >>> realisation(scene, 1, seed=7, index=3) == realisation(scene, 1, seed=7, index=3)
+    True
+    """
+    check(
+        fault_of_whole("seed", seed, 0),
+        fault_of_whole("index", index, 0),
+        _fault_of_choice("of", of, ("stiffness", "constant")),
+        _fault_of_vacuum(scene.chain, of),
+    )
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
+    chain = Chain.model_construct(**_redrawn(scene.chain, m, rng, law, of))
+    return Scene.model_construct(**(scene.given() | {"chain": chain}))
+
+
+def _redrawn(chain: Chain, m: float, rng: np.random.Generator, law: Law, of: Of) -> dict[str, Any]:
+    """Return the fields of a chain whose contact constants are changed by random factors."""
+    zeta = factors(m, chain.grains - 1, rng, law)
+    change = zeta**chain.exponent if of == "stiffness" else zeta
+    fields = chain.given() | {"masses": chain.masses, "contact_constants": chain.contact_constants * change}
+    if fields.pop("impurity", ()):  # impure diameters and materials do not go with given constants: say them by grain
+        fields["diameter"] = chain.diameters
+        materials = list(chain.material) if isinstance(chain.material, tuple) else [chain.material] * chain.grains
+        for impurity in chain.impurity:
+            materials[impurity.grain - 1] = impurity.material or materials[impurity.grain - 1]
+        fields["material"] = tuple(materials)
+    return fields
+
+
+Fault = tuple[str, str] | None
+
+
+def check(*faults: Fault) -> None:
+    """Raise `InputError` with the faults there are."""
+    if found := [fault for fault in faults if fault]:
+        raise InputError(found)
+
+
+def _fault_of_m(m: object) -> Fault:
+    right = isinstance(m, int | float | np.number) and not isinstance(m, bool) and 0 < m < math.inf
+    return None if right else ("m", f"must be a number above 0 (got {m!r})")
+
+
+def fault_of_whole(key: str, value: object, least: int) -> Fault:
+    """Return what is wrong unless the value is a whole number from `least`."""
+    right = isinstance(value, int | np.integer) and not isinstance(value, bool) and value >= least
+    return None if right else (key, f"must be a whole number from {least} (got {value!r})")
+
+
+def _fault_of_choice(key: str, value: object, known: Sequence[str]) -> Fault:
+    return None if value in known else (key, f"must be {' | '.join(known)} (got {value!r})")
+
+
+def _fault_of_vacuum(chain: Chain, of: Of) -> Fault:
+    if chain.compressed or of == "constant":
+        return None
+    return ("gravity", 'without gravity and load contacts have no stiffness at rest to be random; use of="constant"')

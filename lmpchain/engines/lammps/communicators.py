@@ -1,0 +1,125 @@
+"""The ranks of a LAMMPS run: this process alone, those of a surrounding mpirun, or some started for the purpose.
+
+One process leads: it asks for something by name, every rank does it, and the answers of all come back. The others
+only follow, so nothing outside this module knows of ranks.
+"""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, Protocol
+
+from ...errors import EngineUnavailable, RunFailed
+from ...util import mpi
+from .worker import Rank
+
+PATIENCE_S = 2e-3  # how long a follower waits at full speed before it dozes
+DOZE_S = 5e-4
+SIGNALS = {signal.SIGINT, signal.SIGTERM}
+
+
+class Team(Protocol):
+    """Ranks that do what they are asked to, all of them at once."""
+
+    ranks: int
+
+    def ask(self, name: str, *values: Any) -> list[Any]:
+        """Let every rank call this method of its `Rank` and return what they answered."""
+
+    def close(self) -> None:
+        """End the LAMMPS instances."""
+
+
+class Alone:
+    """This process."""
+
+    ranks = 1
+
+    def __init__(self, log: str):
+        self._rank = Rank(mpi.alone(), log)
+
+    def ask(self, name: str, *values: Any) -> list[Any]:
+        """Do it."""
+        try:
+            return [getattr(self._rank, name)(*values)]
+        except Exception as error:  # LAMMPS raises nothing narrower
+            raise RunFailed(f"LAMMPS stopped: {error}") from None
+
+    def close(self) -> None:
+        """End the LAMMPS instance."""
+        self._rank.close()
+
+
+class Led:
+    """All processes of an MPI world, led by rank 0."""
+
+    def __init__(self, world: Any, log: str):
+        self._world, self.ranks = world, world.size
+        self._held: list[Rank] = []
+        self.ask("open", log)
+
+    def ask(self, name: str, *values: Any) -> list[Any]:
+        """Let every rank do it; none is left behind by a signal."""
+        with undisturbed():
+            for rank in range(1, self.ranks):
+                self._world.send((name, values), rank)
+            answers = self._world.gather(_obey(self._world, self._held, name, values))
+        if failed := next((answer for answer in answers if isinstance(answer, Exception)), None):
+            if isinstance(failed, EngineUnavailable):
+                raise failed
+            raise RunFailed(f"LAMMPS stopped: {failed}") from None
+        return answers
+
+    def close(self) -> None:
+        """End the LAMMPS instances."""
+        self.ask("close")
+
+
+def follow(world: Any) -> None:
+    """Do what rank 0 asks for until it says that that was all."""
+    for number in SIGNALS:  # rank 0 takes them, and ends the others
+        signal.signal(number, signal.SIG_IGN)
+    held: list[Rank] = []
+    while True:
+        waited = time.perf_counter()
+        while not world.iprobe(source=0):
+            if time.perf_counter() - waited > PATIENCE_S:
+                time.sleep(DOZE_S)
+        name, values = world.recv(source=0)
+        if name == "dismiss":
+            return
+        world.gather(_obey(world, held, name, values))
+
+
+def dismiss(world: Any) -> None:
+    """Tell the followers that that was all."""
+    for rank in range(1, world.size):
+        world.send(("dismiss", ()), rank)
+
+
+def _obey(world: Any, held: list[Rank], name: str, values: tuple[Any, ...]) -> Any:
+    """Do on this rank what all are asked to; an error that not all ranks share ends them all, or they would wait."""
+    try:
+        if name == "open":
+            held[:] = [Rank(world, *values)]
+            return None
+        if name == "close":
+            return held.pop().close() if held else None
+        return getattr(held[0], name)(*values)
+    except Exception as error:
+        if type(error) is Exception or isinstance(error, EngineUnavailable):
+            return error  # LAMMPS raises a plain Exception where all ranks fail alike
+        mpi.abort(world, f"rank {world.rank}: {error or type(error).__name__}")
+
+
+@contextmanager
+def undisturbed() -> Iterator[None]:
+    """Let signals wait, so that Ctrl-C does not come while some ranks know what to do and others do not."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -1,0 +1,28 @@
+"""The ranks that a LAMMPS run was asked to use."""
+
+from __future__ import annotations
+
+from ...errors import InputError
+from ...util import mpi
+from .communicators import Alone, Led, Team
+from .subprocess_ranks import Crew
+
+
+def gather(ranks: int | None, log: str) -> Team:
+    """Return the ranks that were asked for: by default those of a surrounding mpirun, or this process alone.
+
+    Raises
+    ------
+    InputError
+        If they are not to be had.
+    EngineUnavailable
+        If MPI does not work here.
+    """
+    world = mpi.joined()
+    if mpi.launched() > 1 and ranks not in (None, 1 if world is None else world.size):
+        raise InputError([("ranks", f"mpirun has started {mpi.launched()} processes; leave the number of ranks out")])
+    if world:
+        return Led(world, log)
+    if ranks is None or ranks == 1:
+        return Alone(log)
+    return Crew(ranks, log)

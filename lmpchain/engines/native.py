@@ -1,0 +1,104 @@
+"""The native engine."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import ClassVar
+
+import numba
+
+from ..errors import InputError, ToleranceNotMet
+from ..integrators.batch import FORCES, Chains, force_form, name_of
+from ..integrators.kernels.splitting import PAD
+from ..integrators.methods import METHODS, DormandPrince, Method
+from ..integrators.splittings import Splitting
+from ..integrators.step_schedule import Pace
+from ..integrators.stepper import NativeStepper
+from ..scene.scene import Scene
+from ..util.arrays import Array
+from .base import Candidate
+from .error_estimate import native_floor
+from .time_stepping import GENTLE, SteppedEngine
+
+
+class Native(SteppedEngine):
+    """Integrate Eq. (1) in displacements with compiled loops.
+
+    Parameters
+    ----------
+    integrator : "auto", "rkn6", "rkn4", "kahan-li8", "kahan-li6", "verlet", "dop853" or "gear4"
+        auto takes the cheaper one of rkn4 and rkn6.
+    step : float, optional
+        s; the largest step up to it that divides the sample interval is used, and no tolerance is
+        enforced.
+    threads : int
+        Over which a batch of chains is shared out; one chain is never split.
+    force : "auto", "exact" or "plain"
+        The form of the force: exact keeps the digits of the weakest wave, plain is faster and wrong by the last digit
+        of the force at rest, auto takes what loses nothing.
+    graded : bool
+        Whether steps shorten where a contact is about to open or has just closed, which keeps the order of the method
+        there; not with a given step.
+
+    Raises
+    ------
+    InputError
+        If an option is wrong.
+    """
+
+    name: ClassVar[str] = "native"
+    equation: ClassVar[int] = 1
+    integrators: ClassVar[tuple[str, ...]] = ("auto", *METHODS)
+    seconds_per_grain_step = 1.2e-9  # with the companions that show the error
+
+    def __init__(
+        self,
+        integrator: str = "auto",
+        step: float | None = None,
+        threads: int = 1,
+        force: str = "auto",
+        graded: bool = True,
+    ):
+        super().__init__(integrator, step)
+        if isinstance(threads, bool) or not isinstance(threads, int) or threads < 1:
+            raise InputError([("threads", f"must be a whole number from 1 (got {threads!r})")])
+        if force not in FORCES:
+            raise InputError([("force", f"must be {' | '.join(FORCES)} (got {force!r})")])
+        self.threads, self.force, self.graded = threads, force, graded
+
+    def refuses(self, scene: Scene) -> list[tuple[str, str]]:
+        """Every chain that can be described can be done."""
+        return []
+
+    def for_part(self, scene: Scene, tolerance: float, method: Method) -> Candidate:
+        """Propose a step, unless round-off alone exceeds the tolerance."""
+        candidate = super().for_part(scene, tolerance, method)
+        if not candidate.fixed:
+            evaluations = candidate.steps_per_sample * (scene.samples - 1) * method.evaluations
+            floor = native_floor(evaluations)
+            if floor > tolerance:
+                raise ToleranceNotMet(
+                    f"round-off alone makes an error of about {floor:.1g}, above the tolerance; "
+                    'use a higher order (integrator "rkn6") or less accuracy'
+                )
+            adapts, splits = isinstance(method, DormandPrince), isinstance(method, Splitting)
+            varies = adapts or (splits and method.order > 2 and scene.largest_strain > GENTLE)
+            candidate = replace(candidate, graded=self.graded and varies)
+        return replace(candidate, choices={"force": name_of(force_form(scene, self.force))})
+
+    def computed(self, scene: Scene) -> float:
+        """Return how many grains it computes in each step, on average: those that a wave has reached by then."""
+        first, last = scene.excitation.reach(scene.chain)
+        reached = last - first + 1 + 2 * PAD + scene.highest_frequency * scene.duration / 4
+        return min(scene.chain.grains, reached)
+
+    def stepper(
+        self, scenes: Sequence[Scene], candidate: Candidate, pace: Pace, state: Mapping[str, Array]
+    ) -> NativeStepper:
+        """Make the stepper of the answer."""
+        return NativeStepper(Chains(scenes, self.force), METHODS[candidate.integrator], pace, state, self.threads)
+
+    def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
+        """Return the form of the force and the version of the compiler."""
+        return {**candidate.choices, "numba": numba.__version__}

@@ -1,1 +1,0 @@
-"""Eq. (1) in displacements, integrated by compiled loops."""

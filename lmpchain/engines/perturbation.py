@@ -1,0 +1,57 @@
+"""What a scene does to a change of its last digit: two native runs that begin next to each other."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..scene.excitation import Drive, Excitation, Profile
+from ..scene.light_cone import cut
+from ..scene.scene import Scene
+from ..util.arrays import Array
+from .base import Candidate
+from .native import Native
+
+LAST_DIGIT = 1e-15  # of the largest velocity: a few units in the last place of a double
+
+
+def nearby(scene: Scene, change: float) -> Scene:
+    """Return the scene with all grains moved, down and up by turns, by this part of the largest velocity.
+
+    Of the largest displacement where nothing is struck; of a drive, the amplitude changes.
+    """
+    excitation: Excitation
+    if (drive := scene.drive) is not None:
+        key = "amplitude" if drive.times is None else "displacement"
+        excitation = Drive(**drive.given() | {key: getattr(drive, key) * (1 + change)})
+    else:
+        u, v = (x.copy() for x in scene.initial())
+        turns = np.where(np.arange(u.size) % 2, -1.0, 1.0) * (np.arange(u.size) < scene.chain.movable)
+        moved = v if v.any() else u
+        moved += change * np.abs(moved).max() * turns
+        excitation = Profile(displacement=u, velocity=v)
+    return Scene(**scene.given() | {"excitation": excitation})
+
+
+def separation(scene: Scene, candidate: Candidate, change: float) -> Array:
+    """Return how far a scene and the one next to it are apart at every sample, (T,), measured as an error is.
+
+    Both are run in displacements with the integrator and the steps of the candidate, so what these leave out is the
+    same in both. What remains is the change, rounding, and what the scene makes of them.
+
+    Raises
+    ------
+    RunFailed
+        If a run breaks down.
+    """
+    _, part = cut(scene)
+    part = Scene(**part.given() | {"grains": "all"})
+    run = Native().start([part, nearby(part, change)], candidate)
+    apart = np.zeros((2, scene.samples))
+    try:
+        for block in run.blocks():
+            for kind, field in enumerate((block.displacement, block.velocity)):
+                apart[kind, block.samples] = np.abs(field[1] - field[0]).max(axis=1)
+    finally:
+        run.close()
+    peaks = run.peaks[0]
+    return (apart / np.where(peaks > 0, peaks, 1.0)[:, None]).max(axis=0)

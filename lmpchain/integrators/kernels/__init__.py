@@ -1,0 +1,1 @@
+"""Compiled loops. A module here is compiled anew where it, or one beside it that it imports, has changed."""

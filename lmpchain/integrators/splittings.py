@@ -1,0 +1,131 @@
+"""Kick-drift splittings that both engines share, with their order and stability limit.
+
+One step of length h is: kick b_1 h, drift a_1 h, kick b_2 h, ... drift a_S h, kick b_(S+1) h, where a
+kick changes velocities by the acceleration and a drift moves grains by their velocity. All are
+symmetric, so explicit, time-reversible and symplectic.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from ..util.arrays import Array
+
+
+@dataclass(frozen=True)
+class Splitting:
+    """A symmetric kick-drift splitting.
+
+    Attributes
+    ----------
+    name : str
+    order : int
+        Order of convergence while no contact opens.
+    kicks, drifts : tuples of float
+        b_1 ... b_(S+1) and a_1 ... a_S as fractions of the step.
+    substeps : tuple of float
+        For a composition of velocity Verlet steps, their lengths; empty otherwise.
+    error_constant : float
+        Relative error at ``omega h = 1`` of the paper's scene, where ``omega T`` is 60.
+    """
+
+    name: str
+    order: int
+    kicks: tuple[float, ...]
+    drifts: tuple[float, ...]
+    error_constant: float
+    reference: str
+    substeps: tuple[float, ...] = ()
+
+    @property
+    def evaluations(self) -> int:
+        """Force evaluations a step (the last kick of a step and the first of the next share one)."""
+        return len(self.drifts)
+
+    @cached_property
+    def reach(self) -> tuple[float, ...]:
+        """Where in a step each drift ends, as fractions of it."""
+        return (*np.cumsum(self.drifts[:-1]).tolist(), 1.0)
+
+    @cached_property
+    def stability_limit(self) -> float:
+        """Largest omega h for which a harmonic oscillator stays bounded."""
+        grid = np.linspace(0, 8, 80001)[1:]
+        stable = np.abs(self._half_trace(grid)) <= 1 + 1e-12
+        return float(grid[np.argmin(stable) - 1]) if not stable.all() else float(grid[-1])
+
+    def growth(self, reach: float) -> float:
+        """Return by what factor x'' = -omega^2 x with omega h = reach grows a step: 1 where it is stable."""
+        half = abs(float(self._half_trace(np.array(reach))))
+        return half + float(np.sqrt(half**2 - 1)) if half > 1 else 1.0
+
+    def _half_trace(self, frequency: Array) -> Array:
+        """Half the trace of the one-step matrix of x'' = -omega^2 x at h = 1."""
+        square = frequency**2
+        x = np.array([np.ones_like(square), np.zeros_like(square)])  # x and v from (1, 0) and (0, 1)
+        v = np.array([np.zeros_like(square), np.ones_like(square)])
+        for b, a in zip(self.kicks, (*self.drifts, 0.0), strict=True):
+            v = v - b * square * x
+            x = x + a * v
+        return (x[0] + v[1]) / 2
+
+
+def _symmetric(half: list[float], count: int) -> tuple[float, ...]:
+    """Mirror the first half of `count` coefficients; the last one given follows from the sum 1."""
+    if count % 2:
+        middle = 1 - 2 * sum(half)
+        return (*half, middle, *reversed(half))
+    half = [*half, 0.5 - sum(half)]
+    return (*half, *reversed(half))
+
+
+def _composition(substeps: tuple[float, ...]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Kicks and drifts of velocity Verlet steps of these lengths, one after another."""
+    padded = (0.0, *substeps, 0.0)
+    kicks = tuple((left + right) / 2 for left, right in pairwise(padded))
+    return kicks, substeps
+
+
+VERLET = Splitting("verlet", 2, (0.5, 0.5), (1.0,), 0.3, "velocity Verlet; Swope et al., J. Chem. Phys. 76, 637 (1982)")
+
+_KL6 = _symmetric([0.39216144400731413928, 0.33259913678935943860, -0.70624617255763935981, 0.08221359629355080023], 9)
+KAHAN_LI6 = Splitting(
+    "kahan-li6", 6, *_composition(_KL6), 5e-6, "s9odr6a of Kahan and Li, Math. Comp. 66, 1089 (1997)", _KL6
+)
+
+RKN6 = Splitting(
+    "rkn6",
+    6,
+    _symmetric(
+        [0.0414649985182624, 0.198128671918067, -0.0400061921041533, 0.0752539843015807, -0.0115113874206879], 12
+    ),
+    _symmetric([0.123229775946271, 0.290553797799558, -0.127049212625417, -0.246331761062075, 0.357208872795928], 11),
+    2e-8,
+    "SRKN_11^b of Blanes and Moan, J. Comput. Appl. Math. 142, 313 (2002)",
+)
+
+RKN4 = Splitting(
+    "rkn4",
+    4,
+    _symmetric([0.0829844064174052, 0.396309801498368, -0.0390563049223486], 7),
+    _symmetric([0.245298957184271, 0.604872665711080], 6),
+    2e-6,
+    "SRKN_6^b of Blanes and Moan, J. Comput. Appl. Math. 142, 313 (2002)",
+)
+
+_KL8 = _symmetric(
+    [
+        0.13020248308889008087881763, 0.56116298177510838456196441, -0.38947496264484728640807860,
+        0.15884190655515560089621075, -0.39590389413323757733623154, 0.18453964097831570709183254,
+        0.25837438768632204729397911, 0.29501172360931029887096624,
+    ], 17,
+)  # fmt: skip
+KAHAN_LI8 = Splitting(
+    "kahan-li8", 8, *_composition(_KL8), 1e-8, "s17odr8a of Kahan and Li, Math. Comp. 66, 1089 (1997)", _KL8
+)
+
+SPLITTINGS = {s.name: s for s in (VERLET, RKN4, RKN6, KAHAN_LI6, KAHAN_LI8)}

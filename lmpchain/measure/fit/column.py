@@ -1,0 +1,343 @@
+"""Laws of a column that is struck at its top, fitted to a trajectory: the continuum's (Eqs. 27, 35) and power laws."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import stats
+from scipy.optimize import curve_fit
+
+from ...errors import InputError
+from ...scene.excitation import Impulse
+from ...theory import front as theory
+from ...theory.continuum import chi, impulse_amplitude, peaked
+from ...theory.domain import exponents
+from ...trajectory.trajectory import Trajectory
+from ...util.arrays import Array
+from ...util.plotting import axes_in_units
+from ..front import Front, PowerLaw, asymptotic, track
+from ..spectrum import Field
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+QUIET = 1e-6  # least fall behind a front, of the largest motion, where the error of a trajectory is not known
+INSIDE = 0.5  # of tau, up to which travel time the grains have forgotten that they are grains
+EARLIEST, LATEST = 5.0, 50.0  # tau between which that begins
+FORERUNNER = 10.0  # widths of the front by which an echo is felt before it comes
+
+
+@dataclass(frozen=True, eq=False)
+class FrontLaw:
+    """Arrival times of the front, less the lag of the grains: ``factor h^exponent (1 + correction / h^order)``.
+
+    Attributes
+    ----------
+    depth : (P,) array
+        h = n - 1/2, in grains.
+    time, shift : (P,) arrays
+        Of the largest velocity, and by how much the front of a row of grains lags (0.908 w for Hertz), units of tau.
+    order, exponent, factor, correction : float
+        The order is 1/delta + 1/3, the next one after that of the lag.
+    error : (3,) array
+        Of exponent, factor and correction: half the 95 % confidence interval, and twice the shift when one more order,
+        higher by 1/delta - 1/3, is fitted too; which is most of what higher orders do.
+    expected : (2,) array
+        eta / 2 and 2 / eta, Eq. (9) with its factor.
+    """
+
+    depth: Array
+    time: Array
+    shift: Array
+    order: float
+    exponent: float
+    factor: float
+    correction: float
+    error: Array
+    expected: Array
+
+    @property
+    def law(self) -> Array:
+        """The law at these depths, (P,), units of tau."""
+        return self.factor * self.depth**self.exponent * (1 + self.correction * self.depth**-self.order)
+
+    @property
+    def residual(self) -> Array:
+        """How far the times less the lag lie above the law, (P,), relative."""
+        return (self.time - self.shift) / self.law - 1
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw the times against depth, with the law, both logarithmic; returns the figure."""
+        ax, picture = axes_in_units(ax, "", "")
+        ax.plot(self.depth, self.time, ".", markersize=4, label="largest velocity")
+        ax.plot(self.depth, self.time - self.shift, ".", markersize=4, label="less the lag of the grains")
+        law = f"{self.factor:.4f} h^{self.exponent:.4f}, expected {self.expected[1]:.4f} h^{self.expected[0]:.4f}"
+        ax.plot(self.depth, self.law, lw=1, label=law)
+        ax.set(xscale="log", yscale="log", xlabel="depth h = n − 1/2 (grains)", ylabel="arrival (units of tau)")
+        ax.legend(frameon=False)
+        return picture
+
+
+@dataclass(frozen=True, eq=False)
+class ContinuumFit:
+    """The impulse response of the continuum, ``phi = v0 C (tau^2 - chi^2)^(-xi/2eta)``, Eq. (35), far behind the front.
+
+    Attributes
+    ----------
+    amplitude, error : float
+        C, for unit v0 in units of the scene; half its 95 % confidence interval, and three times the shift when only
+        the later half of the samples is used, as for a disturbance that falls as 1/tau.
+    expected : float
+        C of `lmpchain.theory.continuum.impulse_amplitude`, 1.155137 for Hertz.
+    power : float
+        xi / (2 eta).
+    grain, cone, values, model : (P,) arrays
+        What was fitted: grains, tau^2 - chi^2, phi in units of v0, and the fit.
+    residual : float
+        Root mean square of values - model over that of values.
+    front : FrontLaw or None
+        None if fewer than 6 recorded grains show the front.
+    """
+
+    amplitude: float
+    error: float
+    expected: float
+    power: float
+    grain: np.ndarray
+    cone: Array
+    values: Array
+    model: Array
+    residual: float
+    front: FrontLaw | None
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw C from every sample against tau^2 - chi^2, with fit and theory; returns the figure."""
+        ax, picture = axes_in_units(ax, "", "")
+        each = self.values * self.cone**self.power
+        ax.plot(self.cone, each, ".", markersize=3, label=f"samples of {np.unique(self.grain).size} grains")
+        ax.axhline(self.amplitude, color="k", lw=1, label=f"C = {self.amplitude:.8g} ± {self.error:.1g}")
+        ax.axhline(self.expected, color="0.5", lw=1, ls="--", label=f"Eq. (35): {self.expected:.8g}")
+        ax.set(xscale="log", xlabel="tau² − chi²", ylabel=f"displacement / v0 · (tau² − chi²)^{self.power:.3g}")
+        ax.legend(frameon=False)
+        return picture
+
+
+def fit_continuum(trajectory: Trajectory, first: int = 10, inside: float = INSIDE) -> ContinuumFit:
+    """Fit amplitude and front law of the continuum, Eqs. (27) and (35), to a column that is struck at its top.
+
+    The amplitude rests on samples with ``chi <= inside tau`` that no echo from below has reached, later than tau = 50,
+    or, in shorter recordings, half the latest; the front on grains from `first` on, down to where the echo is near.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Of any engine; strikes of strike number far below 1.
+    first : int
+    inside : float
+        Between 0 and 1; with less there are fewer grains, less disturbed by being grains.
+
+    Raises
+    ------
+    InputError
+        If the scene is not a uniform column struck at its free top, or the recording is too short.
+
+    Examples
+    --------
+    >>> import lmpchain
+    >>> chain = lmpchain.Chain(grains=150, diameter=1e-3)
+    >>> duration = 80 * chain.time_scale
+    >>> scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=5e-10), duration=duration, samples=401)
+    >>> fit = fit_continuum(lmpchain.simulate(scene, engine="chebyshev"))
+    >>> f"{fit.amplitude:.4f}", f"{fit.front.exponent:.2f}"
+    ('1.1551', '0.83')
+    """
+    chain = trajectory.scene.chain
+    strike = _struck_at_the_top(trajectory)
+    if not 0 < inside < 1:
+        raise InputError([("inside", f"must be between 0 and 1 (got {inside!r})")])
+    delta = chain.exponent
+    xi, eta, _ = exponents(delta)
+    tau, travel = trajectory.time / chain.time_scale, chi(trajectory.grains - 0.5, delta)
+    end, lag = _bottom(chain.grains, delta)
+    known = tau[:, None] <= 2 * end - travel - FORERUNNER * lag
+    behind = known & (travel <= inside * tau[:, None])
+    latest = tau[behind.any(1)].max(initial=0.0)
+    since = min(LATEST, latest / 2)
+    behind &= tau[:, None] >= since
+    if since < EARLIEST or behind.sum() < 3:
+        need = 2.2 * EARLIEST * chain.time_scale
+        cure = f"record {need:.2g} s or more, grains near the top, and use more grains"
+        raise InputError([("duration", f"nothing lies far behind the front and before the echo: {cure}")])
+    clock = np.broadcast_to(tau[:, None], behind.shape)[behind]
+    grain = np.broadcast_to(trajectory.grains, behind.shape)[behind]
+    values = trajectory.displacement[behind] / (strike * chain.time_scale)
+    shape = peaked(grain - 0.5, clock, 0.0, 1.0, 0.0, delta)
+
+    def regress(part: np.ndarray) -> tuple[float, float]:
+        x, y = shape[part], values[part]
+        slope = float(x @ y / (x @ x))
+        return slope, float(np.sqrt(((y - slope * x) ** 2).sum() / max(1, x.size - 1) / (x @ x)))
+
+    amplitude, error = regress(np.ones(clock.size, dtype=bool))
+    later, _ = regress(clock >= (since + clock.max()) / 2)
+    error = float(stats.t.ppf(0.975, clock.size - 1)) * error + 3 * abs(later - amplitude)
+    return ContinuumFit(
+        amplitude=amplitude,
+        error=error,
+        expected=impulse_amplitude(delta),
+        power=xi / (2 * eta),
+        grain=grain,
+        cone=clock**2 - chi(grain - 0.5, delta) ** 2,
+        values=values,
+        model=amplitude * shape,
+        residual=float(np.sqrt(np.mean((values - amplitude * shape) ** 2) / np.mean(values**2))),
+        front=_front_law(trajectory, first),
+    )
+
+
+def _front_law(trajectory: Trajectory, first: int) -> FrontLaw | None:
+    """Fit the arrival times of the largest velocities, if there are enough."""
+    chain = trajectory.scene.chain
+    try:
+        found = _front(trajectory, "velocity", first)
+    except InputError:
+        return None
+    n = found.grain
+    if n.size < 6:
+        return None
+    h, time = n - 0.5, found.time / chain.time_scale
+    shift = theory.peak_time(n, chain.exponent) - chi(h, chain.exponent)
+    order, step = 1 / 3 + 1 / chain.exponent, 1 / chain.exponent - 1 / 3
+
+    def law(x: Array, *terms: float) -> Array:
+        scale, power, correction, further = (*terms, 0.0)[:4]
+        return scale + power * x + np.log(np.abs(1 + np.exp(-order * x) * (correction + further * np.exp(-step * x))))
+
+    x, y = np.log(h), np.log(time - shift)
+    try:
+        start = np.polyfit(x, y, 1)[::-1]
+        found, covariance = curve_fit(law, x, y, [*start, 0.0])
+        further, _ = curve_fit(law, x, y, [*found, 0.0])
+    except RuntimeError:  # so strong a strike that it follows no such law
+        return None
+    error = stats.t.ppf(0.975, n.size - 3) * np.sqrt(np.diag(covariance)) + 2 * np.abs(further[:3] - found)
+    factor = float(np.exp(found[0]))
+    _, eta, _ = exponents(chain.exponent)
+    return FrontLaw(
+        depth=h,
+        time=time,
+        shift=shift,
+        order=order,
+        exponent=float(found[1]),
+        factor=factor,
+        correction=float(found[2]),
+        error=error[[1, 0, 2]] * [1, factor, 1],
+        expected=np.array([eta / 2, 2 / eta]),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class ExponentFit:
+    """Power laws of the front with depth, each with its first correction for finite depth.
+
+    Attributes
+    ----------
+    laws : mapping of str to PowerLaw
+        "velocity" and "displacement", of the largest values; "time", "speed" and "width" of the velocity's maximum.
+        Those that could not be fitted are left out.
+    expected : mapping of str to float
+        The exponents after a weak strike, at great depth.
+    """
+
+    laws: Mapping[str, PowerLaw]
+    expected: Mapping[str, float]
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw with their intervals how far the exponents lie above the expected ones; returns the figure."""
+        ax, picture = axes_in_units(ax, "", "")
+        above = [law.exponent - self.expected[key] for key, law in self.laws.items()]
+        ax.axhline(0, color="0.5", lw=1, ls="--")
+        ax.errorbar(range(len(above)), above, yerr=[law.error[0] for law in self.laws.values()], fmt="o", capsize=3)
+        ax.set_xticks(range(len(above)), [f"{key}\n{law.exponent:.4f}" for key, law in self.laws.items()])
+        ax.set(ylabel="exponent less that of a weak wave, deep down", xlim=(-0.5, len(above) - 0.5))
+        return picture
+
+
+def fit_exponents(trajectory: Trajectory, first: int = 20, last: int | None = None) -> ExponentFit:
+    """Fit the exponents with which the front of a strike on a column's top changes with depth.
+
+    Each by `lmpchain.measure.front.asymptotic`: with its confidence interval and the correction for finite depth.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Of any engine.
+    first, last : int
+        Grains; the last one by default where the echo from below is near.
+
+    Raises
+    ------
+    InputError
+        If the scene is not a uniform column struck at its free top, or fewer than 6 grains show the front.
+    """
+    _struck_at_the_top(trajectory)
+    delta = trajectory.scene.chain.exponent
+    xi, eta, _ = exponents(delta)
+    p, q = theory.decay(delta)
+    velocity = _front(trajectory, "velocity", first, last)
+    fronts = {"velocity": ("amplitude", velocity)}
+    with suppress(InputError):  # behind a strong wave the displacement has no maximum
+        fronts["displacement"] = "amplitude", _front(trajectory, "displacement", first, last)
+    fronts |= {key: (key, velocity) for key in ("time", "speed", "width")}
+    laws, faults = {}, []
+    for name, (quantity, front) in fronts.items():
+        try:
+            laws[name] = asymptotic(front, quantity, delta)  # type: ignore[arg-type]
+        except InputError as error:
+            faults = error.faults
+    if not laws:
+        raise InputError(faults)
+    expected = {"velocity": -p, "displacement": -q, "time": eta / 2, "speed": xi / 2, "width": 1 / 3 - xi / 2}
+    return ExponentFit(laws, {name: expected[name] for name in laws})
+
+
+def _front(trajectory: Trajectory, field: Field, first: int, last: int | None = None) -> Front:
+    """Follow the front, whatever is known of the error, where no echo disturbs it."""
+    estimate, chain = trajectory.error_estimate, trajectory.scene.chain
+    if not np.isfinite(estimate.solver):
+        trajectory = replace(trajectory, error_estimate=replace(estimate, solver=QUIET))
+    if last is None:
+        last = int(chain.grains - 3 - 2.5 * np.cbrt(chain.grains))  # some widths of the front, in grains
+    return track(trajectory, field).between(first, last)
+
+
+def _bottom(grains: int, delta: float) -> tuple[float, float]:
+    """Return when the front comes to the bottom, and its width there, in units of tau."""
+    power = 1.5 / delta - 0.5
+    depth = grains - 0.5
+    return float(chi(depth, delta)), float(np.cbrt(depth**power / (8 * power)))
+
+
+def _struck_at_the_top(trajectory: Trajectory) -> float:
+    """Return the strike, m/s; raise `InputError` with all that makes this another scene."""
+    scene, chain = trajectory.scene, trajectory.scene.chain
+    given, faults = scene.excitation, []
+    if not chain.gravity or chain.top_load:
+        faults.append(("gravity", "takes a column under gravity alone, without a top load"))
+    if chain.top != "free":
+        faults.append(("top", "takes a free top, not a wall"))
+    if chain.exponent >= 3:
+        faults.append(("exponent", "takes one below 3: from there on waves are dispersed at the top"))
+    if any(np.ptp(x) > 1e-9 * x.max() for x in (chain.masses, chain.contact_constants)):
+        faults.append(("material", "takes equal grains, as the column of the paper has"))
+    if not isinstance(given, Impulse) or given.grain != 1 or not given.velocity:
+        faults.append(("excitation", "takes a strike on grain 1: an impulse other than 0"))
+    if faults:
+        raise InputError(faults)
+    assert isinstance(given, Impulse)
+    return given.velocity

@@ -1,0 +1,177 @@
+"""What a trajectory says about the theory, and a trace about its scene: all fits, and a summary of those that apply."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+
+from ...errors import InputError
+from ...trajectory.trajectory import Trajectory
+from ...util.tables import aligned, finite
+from .column import ContinuumFit as ContinuumFit
+from .column import ExponentFit as ExponentFit
+from .column import FrontLaw as FrontLaw
+from .column import fit_continuum as fit_continuum
+from .column import fit_exponents as fit_exponents
+from .inverse import ParameterFit as ParameterFit
+from .inverse import Trace as Trace
+from .inverse import fit_parameter as fit_parameter
+from .waves import BesselFit as BesselFit
+from .waves import ModeFit as ModeFit
+from .waves import fit_bessel as fit_bessel
+from .waves import fit_modes as fit_modes
+
+WEAK = 0.3  # strike number up to which linear theory holds to about 1 % in peak velocities
+MOST_MODES = 3000  # grains up to which a summary takes the seconds that all modes need
+
+
+@dataclass(frozen=True)
+class Row:
+    """One number found.
+
+    Attributes
+    ----------
+    fit, quantity, unit : str
+    value, error : float
+        The error as the fit defines it; NaN where there is none.
+    expected : float
+        By the scene and the theory; NaN where they say nothing.
+    """
+
+    fit: str
+    quantity: str
+    value: float
+    error: float
+    expected: float
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Summary:
+    """All fits that apply to a trajectory.
+
+    Attributes
+    ----------
+    strike_number : float
+    rows : tuple of Row
+    left_out : tuple of (fit, reason)
+        What does not apply, and why.
+    """
+
+    strike_number: float
+    rows: tuple[Row, ...]
+    left_out: tuple[tuple[str, str], ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what goes into a JSON file; numbers that are not finite become None."""
+        return finite({"strike_number": self.strike_number}) | {
+            "rows": [finite(asdict(row)) for row in self.rows],
+            "left_out": [{"fit": fit, "reason": reason} for fit, reason in self.left_out],
+        }
+
+    def table(self) -> str:
+        """Return the numbers as text."""
+        head = ["fit", "quantity", "value", "error", "expected", "unit"]
+        body = []
+        for _, rows in groupby(self.rows, key=lambda row: row.fit):
+            for first, row in enumerate(rows):
+                numbers = [_shown(row.value, row.error), _of_error(row.error), _shown(row.expected, row.error)]
+                body.append(["" if first else row.fit, row.quantity, *numbers, row.unit])
+        lines = aligned([head, *body] if body else [])
+        lines += [f"left out: {fit} ({reason})" for fit, reason in self.left_out]
+        remark = "" if self.strike_number <= WEAK else ", so linear theory is not expected to hold"
+        return "\n".join([*lines, f"strike number {self.strike_number:.3g}{remark}"])
+
+
+def summary(trajectory: Trajectory) -> Summary:
+    """Fit all that applies to the scene of a trajectory.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Of any engine, or read from a dump.
+
+    Examples
+    --------
+    >>> import lmpchain
+    >>> chain = lmpchain.Chain(grains=30, diameter=1e-3, gravity=0.0, top_load=0.1)
+    >>> duration = 20 * chain.time_scale
+    >>> scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-7), duration=duration)
+    >>> found = summary(lmpchain.simulate(scene, engine="native"))
+    >>> sorted({row.fit for row in found.rows}), [fit for fit, _ in found.left_out]
+    (['bessel', 'modes'], ['continuum', 'exponents'])
+    """
+    rows: list[Row] = []
+    left_out = []
+    for name, fit in {"modes": _modes, "bessel": _bessel, "continuum": _continuum, "exponents": _exponents}.items():
+        try:
+            rows += fit(trajectory)
+        except InputError as error:
+            left_out.append((name, "; ".join(f"{key}: {message}" for key, message in error.faults)))
+    return Summary(float(trajectory.scene.strike_number), tuple(rows), tuple(left_out))
+
+
+def _modes(trajectory: Trajectory) -> list[Row]:
+    scene = trajectory.scene
+    if scene.chain.movable > MOST_MODES:
+        raise InputError([("grains", f"with more than {MOST_MODES} it takes long: call fit_modes itself")])
+    fit = fit_modes(trajectory)
+    if not fit.energy.any():
+        raise InputError([("excitation", "nothing moves")])
+    most = int(fit.energy.argmax())
+    return [
+        Row("modes", "energy of all modes", float(fit.energy.sum()), math.nan, scene.energy, "J"),
+        Row("modes", f"share of mode {most + 1}, the strongest", fit.share[most], fit.share_error[most], math.nan),
+        Row("modes", "its frequency", float(fit.frequency[most] / (2 * np.pi)), math.nan, math.nan, "Hz"),
+        Row("modes", "residual of the linear motion", float(fit.residual.max()), math.nan, 0.0),
+    ]
+
+
+def _bessel(trajectory: Trajectory) -> list[Row]:
+    fit = fit_bessel(trajectory)
+    unit = "m/s" if fit.field == "velocity" else "m"
+    values = {"amplitude": (fit.amplitude, unit), "wave speed": (fit.rate, "grains/s"), "delay": (fit.delay, "s"),
+              "kappa": (fit.kappa, "")}  # fmt: skip
+    rows = [
+        Row("bessel", name, value, float(error), float(expected), unit)
+        for (name, (value, unit)), error, expected in zip(values.items(), fit.error, fit.expected, strict=True)
+    ]
+    return [*rows, Row("bessel", "residual", fit.residual, math.nan, 0.0)]
+
+
+def _continuum(trajectory: Trajectory) -> list[Row]:
+    fit = fit_continuum(trajectory)
+    rows = [Row("continuum", "amplitude C of Eq. (35)", fit.amplitude, fit.error, fit.expected)]
+    if fit.front:
+        law, (exponent, factor) = fit.front, fit.front.expected.tolist()
+        rows += [
+            Row("continuum", "exponent of the front", law.exponent, float(law.error[0]), exponent),
+            Row("continuum", "factor of the front", law.factor, float(law.error[1]), factor),
+        ]
+    return [*rows, Row("continuum", "residual", fit.residual, math.nan, 0.0)]
+
+
+def _exponents(trajectory: Trajectory) -> list[Row]:
+    fit = fit_exponents(trajectory)
+    return [
+        Row("exponents", name, float(law.exponent), float(law.error[0]), fit.expected[name])
+        for name, law in fit.laws.items()
+    ]
+
+
+def _of_error(error: float) -> str:
+    return "" if math.isnan(error) else f"{error:.1g}"
+
+
+def _shown(value: float, error: float = math.nan) -> str:
+    """Return a number with as many digits as its error leaves it."""
+    if math.isnan(value):
+        return ""
+    if not error > 0 or not math.isfinite(error) or value == 0:
+        return f"{value:.6g}" if math.isnan(error) and abs(value) > 0 else f"{value:.2g}" if value else "0"
+    digits = max(2, min(12, 2 + math.floor(math.log10(abs(value))) - math.floor(math.log10(error))))
+    return f"{value:.{digits}g}"

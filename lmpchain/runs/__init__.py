@@ -1,1 +1,0 @@
-"""Run folders: a run on the disk that survives what happens to machines."""

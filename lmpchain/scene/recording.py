@@ -1,0 +1,59 @@
+"""When and which grains are recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import BeforeValidator, Field
+
+from ..chain.chain import Chain
+from ..util.validation import Checked, Positive, Whole
+
+
+def _selection(value: Any) -> Any:
+    """Grains to record: "all", "1:200" or a list of numbers."""
+    if isinstance(value, str):
+        parts = value.split(":")
+        if value != "all" and not (len(parts) == 2 and all(p.isascii() and p.isdigit() for p in parts)):
+            raise ValueError(f'must be "all", a range such as "1:200", or a list of grains (got {value!r})')
+        return value
+    try:
+        numbers = [v.item() if isinstance(v, np.generic) else v for v in value]
+    except TypeError:
+        numbers = []
+    if not numbers or any(isinstance(v, bool) or not isinstance(v, int) for v in numbers):
+        raise ValueError('must be "all", a range such as "1:200", or a list of grains')
+    return tuple(numbers)
+
+
+class Recording(Checked):
+    """When and which grains are recorded: `samples` times from 0 to `duration`, both included."""
+
+    duration: Positive
+    samples: Annotated[Whole, Field(ge=2, le=10**8)] = 101
+    grains: Annotated[str | tuple[int, ...], BeforeValidator(_selection)] = "all"
+
+    def faults(self, chain: Chain) -> Iterator[tuple[str, str]]:
+        """Yield what this chain does not allow."""
+        first, last = self._ends(chain)
+        if not 1 <= first <= last <= chain.grains:
+            yield "grains", f"grains are numbered 1 to {chain.grains} (got {first} to {last})"
+        elif isinstance(self.grains, tuple) and len(set(self.grains)) < len(self.grains):
+            yield "grains", "names a grain twice"
+
+    def _ends(self, chain: Chain) -> tuple[int, int]:
+        if self.grains == "all":
+            return 1, chain.grains
+        if isinstance(self.grains, str):
+            first, last = self.grains.split(":")
+            return int(first), int(last)
+        return min(self.grains), max(self.grains)
+
+    def numbers(self, chain: Chain) -> np.ndarray:
+        """Return the recorded grains, (G,) numbers from 1."""
+        if isinstance(self.grains, tuple):
+            return np.array(self.grains)
+        first, last = self._ends(chain)
+        return np.arange(first, last + 1)

@@ -1,0 +1,175 @@
+"""The scene: a chain, how it is struck and what is recorded. It says what, never how."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator
+from functools import cached_property
+from os import PathLike
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from ..chain.chain import Chain
+from ..util.arrays import Array
+from ..util.files import write_aside
+from . import toml_file
+from .excitation import Drive, Excitation, first_overlaps, strike_faults, surroundings
+from .recording import Recording
+
+
+class Scene(Recording):
+    """A chain, an excitation, and what is recorded.
+
+    Parameters
+    ----------
+    chain : Chain
+    excitation : Impulse, Displacement, Profile or Drive
+    duration : float
+        s.
+    samples : int
+        Number of recorded times, t = 0 and t = duration included.
+    grains : "all", "first:last" or list of int
+        Recorded grains.
+
+    Raises
+    ------
+    InputError
+        With every fault found.
+
+    Examples
+    --------
+    >>> from lmpchain import GLASS, Impulse
+    >>> scene = Scene(
+    ...     chain=Chain(grains=120, material=GLASS, diameter=1e-3),
+    ...     excitation=Impulse(velocity=8.57e-4),
+    ...     duration=100e-6,
+    ... )
+    >>> round(scene.strike_number, 2)
+    8.48
+    """
+
+    chain: Chain
+    excitation: Excitation
+
+    def _faults(self) -> Iterator[tuple[str, str]]:
+        misfits = list(self.excitation.faults(self.chain, self.duration))
+        yield from misfits or strike_faults(self.chain, self.excitation)
+        yield from self.faults(self.chain)
+
+    @cached_property
+    def notes(self) -> dict[str, Any]:
+        """What engines found out about this scene and need not find out again."""
+        return {}
+
+    @property
+    def time(self) -> Array:
+        """Recorded times, (T,) s."""
+        return np.linspace(0.0, self.duration, self.samples)
+
+    @property
+    def recorded(self) -> np.ndarray:
+        """Recorded grains, (G,) numbers from 1."""
+        return self.numbers(self.chain)
+
+    def initial(self) -> tuple[Array, Array]:
+        """Return displacement (N,) m and velocity (N,) m/s at t = 0."""
+        return self.excitation.initial(self.chain)
+
+    @property
+    def drive(self) -> Drive | None:
+        """The motion that grain 1 is made to follow, if there is one."""
+        return self.excitation if isinstance(self.excitation, Drive) else None
+
+    @cached_property
+    def _surroundings(self) -> tuple[int, Chain, Excitation]:
+        return surroundings(self.chain, self.excitation)
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the excitation is none at all."""
+        _, chain, excitation = self._surroundings
+        return not np.any(excitation.largest(chain))
+
+    @cached_property
+    def energy(self) -> float:
+        """Energy above rest that the chain may come to hold, J: what it is given at t = 0, no bound if it is driven."""
+        _, chain, excitation = self._surroundings
+        return np.inf if self.drive else float(chain.excess_energy(*excitation.initial(chain)))
+
+    @cached_property
+    def strike_number(self) -> float:
+        """Strike over what the contact below holds: v0 / (eps_n omega_n) or phi_0 / eps_n.
+
+        Linear theory needs it to be far below 1; it is infinite in the sonic vacuum.
+        """
+        _, chain, excitation = self._surroundings
+        moving = slice(0, chain.movable)
+        u, v = (np.abs(x[moving]) for x in excitation.largest(chain))
+        if not chain.compressed:
+            return 0.0 if self.at_rest else float(np.inf)
+        eps, stiffness = (x[1:][moving] for x in (chain.contacts.overlap, chain.contacts.stiffness))
+        omega = np.sqrt(stiffness / chain.masses[moving])
+        return float(max((u / eps).max(), (v / (eps * omega)).max()))
+
+    @cached_property
+    def highest_frequency(self) -> float:
+        """The highest frequency that can be excited, rad/s, which bounds the steps of every method.
+
+        The band edge of the chain at rest, that of two grains pressed together by the strike, or that of a drive.
+        """
+        chain = self.chain
+        pressed = first_overlaps(chain, self.excitation)
+        stiffness = chain.exponent * chain.contacts.constant * pressed ** (chain.exponent - 1)
+        pair = float(np.sqrt(2 * stiffness.max() / chain.masses.min()))
+        return max(chain.band_edge, pair, self.drive.fastest if self.drive else 0.0) or 1 / self.duration
+
+    @cached_property
+    def largest_strain(self) -> float:
+        """A bound on |r / eps| of every contact, rigorous while it is small; infinite where there is none."""
+        contacts = self.chain.contacts
+        if not (contacts.pressed == contacts.exists).all():
+            return np.inf
+        pressed = contacts.overlap[contacts.pressed]
+        closer = contacts.overlap_bound(self.energy)[contacts.pressed] - pressed
+        return float((closer / pressed).max()) * 1.05  # an opening contact is a little softer
+
+    def part(self, first: int, last: int) -> Scene:
+        """Return what grains first ... last do, all recorded, until a wave meets their ends; see `Chain.part`."""
+        return Scene(
+            chain=self.chain.part(first, last),
+            excitation=self.excitation.part(first, last),
+            duration=self.duration,
+            samples=self.samples,
+        )
+
+    @classmethod
+    def from_toml(cls, path: str | PathLike[str]) -> Self:
+        """Read a scene file; raises `InputError` with every fault in it."""
+        return cls(**toml_file.read(path))
+
+    @classmethod
+    def from_dict(cls, tables: dict[str, Any], folder: Path = Path()) -> Self:
+        """Make a scene from the tables of a scene file, whose CSV files lie in `folder`; raises `InputError`."""
+        return cls(**toml_file.fields(tables, folder))
+
+    @classmethod
+    def from_text(cls, text: str) -> Self:
+        """Make a scene from the text of a scene file; raises `InputError`, and `ValueError` if it is not TOML."""
+        return cls.from_dict(tomllib.loads(text))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the tables of a scene file."""
+        return toml_file.tables(self.chain, self.excitation, self.given())
+
+    def to_text(self) -> str:
+        """Return the text of a scene file."""
+        import tomli_w
+
+        return tomli_w.dumps(self.to_dict())
+
+    def to_toml(self, path: str | PathLike[str]) -> None:
+        """Write a scene file that `from_toml` reads back equal."""
+        with write_aside(path) as aside:
+            aside.write_text(self.to_text(), encoding="utf-8")

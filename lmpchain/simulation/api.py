@@ -1,0 +1,245 @@
+"""The one front door: a scene and an engine in, a trajectory out."""
+
+from __future__ import annotations
+
+import mmap
+import time
+import warnings
+from collections.abc import Generator, Iterable, Mapping
+from contextlib import AbstractContextManager, closing, nullcontext
+from os import PathLike
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from .. import engines
+from ..engines.base import Engine, Run
+from ..engines.step_control import Attempt, Outcome, first_attempt, pursue
+from ..errors import InputError, ToleranceNotMet, check_tolerance
+from ..scene.scene import Scene
+from ..trajectory.record import Block, ErrorEstimate
+from ..trajectory.trajectory import Trajectory
+from ..util.arrays import Array
+from ..util.provenance import versions
+from .task import Task
+
+if TYPE_CHECKING:
+    from .run_folder import RunFolder
+
+GLANCE_S = 2.0  # between two looks at the error for the progress bar
+
+
+def simulate(
+    scene: Scene,
+    engine: str | Engine = "auto",
+    tolerance: float = 1e-6,
+    *,
+    on_miss: Literal["raise", "warn"] = "raise",
+    progress: bool = False,
+    folder: str | PathLike[str] | None = None,
+    max_wall: float | None = None,
+    **options: Any,
+) -> Trajectory:
+    """Answer a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+    engine : str or Engine
+        A name (see `engines.names()`), an engine object, or "auto": the one that `lmpchain.plan` names, and another
+        if the run shows that its equation leaves out too much.
+    tolerance : float
+        Largest relative error, as defined for `ErrorEstimate`: of equation and solver together with "auto", of the
+        solver with an engine that is named; one with a given step enforces none.
+    on_miss : "raise" or "warn"
+        What to do if the tolerance cannot be met.
+    progress : bool
+        Whether to show a progress bar.
+    folder : path, optional
+        Run folder to make, see `lmpchain.simulation.run_folder`: samples go to the disk as they come, the arrays of the
+        trajectory stay there, and after a stop of any kind `resume` goes on.
+    max_wall : float, optional
+        Time after which a run in a folder stops, s.
+    **options
+        For the engine if it is named.
+
+    Returns
+    -------
+    Trajectory
+
+    Raises
+    ------
+    InputError
+        If the engine cannot do the scene, or an option is wrong.
+    ToleranceNotMet
+        With the reason, and the trajectory unless it was clear beforehand.
+    RunFailed
+        If the integration breaks down at a given step.
+    Stopped
+        If `max_wall` is over; the folder holds what was done. Ctrl-C and SIGTERM, too, wait until it does.
+
+    Examples
+    --------
+    >>> from lmpchain import Chain, Impulse
+    >>> chain = Chain(grains=40, material="glass", diameter=1e-3)
+    >>> scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=50e-6)
+    >>> t = simulate(scene, engine="native", tolerance=1e-9)
+    >>> t.displacement.shape, bool(t.error_estimate.total <= 1e-9)
+    ((101, 40), True)
+    """
+    check_tolerance(tolerance)
+    if on_miss not in ("raise", "warn"):
+        raise InputError([("on_miss", f'must be "raise" or "warn" (got {on_miss!r})')])
+    chosen = engines.get(engine, **options)
+    if reasons := chosen.refuses(scene):
+        raise InputError(reasons)
+    task = Task(scene, chosen, tolerance, on_miss == "warn")
+    if folder is None:
+        if max_wall is not None:
+            raise InputError([("max_wall", "goes with a run folder, which keeps what is done; name one")])
+        return _judged(task, *_answer(task, _Memory(task), progress))
+    from .run_folder import RunFolder
+    from .signals import Requests
+
+    with RunFolder(folder, Requests(max_wall), task) as output:
+        answer = _answer(output.task, output, progress)
+    return _judged(task, *answer)
+
+
+def resume(folder: str | PathLike[str], *, max_wall: float | None = None, progress: bool = False) -> Trajectory:
+    """Go on with a run in a folder, and end with the same bits as if nothing had stopped it.
+
+    Parameters
+    ----------
+    folder : path
+        That `simulate(..., folder=...)` or `lmpchain run -o FOLDER/` made; nothing is done to a finished one.
+    max_wall, progress
+        As for `simulate`.
+
+    Returns
+    -------
+    Trajectory
+
+    Raises
+    ------
+    InputError
+        If this is no run folder, or another process is at work in it.
+    LmpchainError
+        As for `simulate`.
+    """
+    from .run_folder import RunFolder, status
+    from .signals import Requests
+
+    found = status(folder)
+    if found["state"] == "finished":
+        trajectory = Trajectory.load(folder)
+        if found["reason"] and not found["best_effort"]:
+            raise ToleranceNotMet(found["reason"], trajectory)
+        return trajectory
+    with RunFolder(folder, Requests(max_wall)) as output:
+        answer = _answer(output.task, output, progress)
+    return _judged(output.task, *answer)
+
+
+def _answer(task: Task, output: _Memory | RunFolder, progress: bool) -> tuple[Trajectory, Outcome[Any]]:
+    """Do what is left to do of a task."""
+    engine, scene = task.engine, task.scene
+
+    def collect(run: Run) -> Any:
+        with closing(_shown(run, engine.name, scene.samples, output.samples, progress)) as blocks:
+            return output.collect(run, blocks)
+
+    attempt = output.attempt or first_attempt(engine, scene, task.tolerance, task.best_effort)
+    with output.requests:
+        outcome = pursue(engine, scene, attempt, collect, output.begin, task.best_effort)
+    return output.finish(outcome), outcome
+
+
+def _judged(task: Task, trajectory: Trajectory, outcome: Outcome[Any]) -> Trajectory:
+    """Return an answer if it is as good as it was to be, and say so if it is not."""
+    if "redone" in trajectory.provenance:
+        warnings.warn(trajectory.provenance["redone"], stacklevel=3)
+    model = trajectory.error_estimate.model
+    if model > task.tolerance:
+        left_out = f"Eq. ({trajectory.equation}) leaves out about {model:.2g} of the answer"
+        warnings.warn(f"{left_out}, more than {task.tolerance:g}. {outcome.error.remark}".rstrip(". "), stacklevel=3)
+    if outcome.missed and not task.best_effort:
+        raise ToleranceNotMet(outcome.missed, trajectory)
+    if outcome.missed:
+        warnings.warn(outcome.missed, stacklevel=3)
+    return trajectory
+
+
+class _Memory:
+    """Gathers the blocks of a run in memory."""
+
+    attempt: Attempt | None = None
+    samples = 0  # done before
+    requests: AbstractContextManager[Any] = nullcontext()  # to stop are none: signals act at once
+
+    def __init__(self, task: Task):
+        self._task = task
+
+    def begin(self, _: Attempt) -> Mapping[str, Array] | None:
+        """Start at the beginning."""
+        return None
+
+    def collect(self, _: Run, blocks: Iterable[Block]) -> tuple[Array, Array]:
+        """Return displacement and velocity, (T, G) m and m/s."""
+        shape = (self._task.scene.samples, self._task.scene.recorded.size)
+        u = v = np.empty(0)
+        for block in blocks:
+            if not u.size:
+                try:
+                    u, v = (_zeros(shape, block.displacement.shape[2]) for _ in range(2))
+                except (MemoryError, ValueError, OSError):
+                    need = f"{16e-9 * shape[0] * shape[1]:.3g} GB do not fit"
+                    cure = "record fewer samples or grains, or let a run folder hold them on the disk"
+                    raise InputError([("samples", f"{need}: {cure}")]) from None
+            u[block.samples, block.columns] = block.displacement[0]
+            v[block.samples, block.columns] = block.velocity[0]
+        return u, v
+
+    def finish(self, outcome: Outcome[tuple[Array, Array]]) -> Trajectory:
+        """Return the answer."""
+        scene, engine = self._task.scene, self._task.engine
+        displacement, velocity = outcome.collected
+        return Trajectory(
+            scene=scene,
+            engine=engine.of(outcome.candidate).name,
+            equation=engine.of(outcome.candidate).equation,
+            time=scene.time,
+            grains=scene.recorded,
+            displacement=displacement,
+            velocity=velocity,
+            error_estimate=ErrorEstimate(outcome.error.model, outcome.error.total),
+            cost=outcome.cost,
+            provenance=versions() | engine.describe(scene, outcome.candidate),
+        )
+
+
+def _zeros(shape: tuple[int, int], moving: int) -> Array:
+    """Return zeros; where few columns are moving, these alone take memory: in small pages, not in huge ones."""
+    if 2 * moving > shape[1] or shape[1] < mmap.PAGESIZE:
+        return np.zeros(shape)
+    pages = mmap.mmap(-1, 8 * shape[0] * shape[1])
+    if hasattr(mmap, "MADV_NOHUGEPAGE"):
+        pages.madvise(mmap.MADV_NOHUGEPAGE)
+    return np.frombuffer(pages).reshape(shape)
+
+
+def _shown(run: Run, name: str, samples: int, done: int, progress: bool) -> Generator[Block, None, None]:
+    """Yield the blocks of a run, showing how far it is, how fast, and how good it is so far."""
+    from tqdm.auto import tqdm
+
+    layout = "{desc}: {percentage:3.0f}% |{bar}| {rate_fmt}, {remaining} left{postfix}"
+    looked = time.monotonic()
+    with tqdm(
+        total=samples, initial=done, desc=name, unit=" samples", disable=not progress, leave=False, bar_format=layout
+    ) as bar:
+        for block in run.blocks():
+            yield block
+            bar.update(max(block.samples.stop, run.progress * samples) - bar.n)
+            if progress and time.monotonic() > looked + GLANCE_S:
+                bar.set_postfix_str(f"error {run.errors()[0].total:.1g}", refresh=False)
+                looked = time.monotonic()

@@ -1,0 +1,61 @@
+"""Checkpoints: the newest and the one before, each behind its hash, so that a damaged one is never used."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..util.arrays import Array
+from ..util.files import replacing
+
+NAMES = ("checkpoint", "checkpoint-before")
+STATE = "state."  # before the names of the arrays of a state, so that they never meet another
+HASH = hashlib.sha256
+LENGTH = HASH().digest_size
+
+
+class Checkpoint(NamedTuple):
+    """What was noted, and the state of a run, empty before its first sample."""
+
+    notes: dict[str, Any]
+    state: dict[str, Array]
+
+
+def save(folder: Path, notes: Mapping[str, Any], state: Mapping[str, Array]) -> None:
+    """Write a checkpoint; a whole one is there at every moment."""
+    packed = io.BytesIO()
+    arrays = {STATE + name: values for name, values in state.items()}
+    np.savez(packed, notes=np.array(json.dumps(notes)), **arrays)  # type: ignore[arg-type]
+    content = packed.getbuffer()
+    newest, before = (folder / name for name in NAMES)
+    with replacing(newest) as aside:
+        with open(aside, "wb") as opened:
+            opened.write(HASH(content).digest())
+            opened.write(content)
+        if newest.exists():
+            os.replace(newest, before)
+
+
+def load(folder: Path) -> Iterator[Checkpoint | None]:
+    """Yield the checkpoints that are there, the newest first; None for a damaged one, which is removed."""
+    for path in (folder / name for name in NAMES):
+        if path.exists():
+            content = memoryview(path.read_bytes())
+            if HASH(content[LENGTH:]).digest() == content[:LENGTH]:
+                yield _unpack(content[LENGTH:])
+            else:
+                path.unlink()
+                yield None
+
+
+def _unpack(content: memoryview) -> Checkpoint:
+    with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+        state = {name.removeprefix(STATE): arrays[name] for name in arrays.files if name.startswith(STATE)}
+        return Checkpoint(json.loads(str(arrays["notes"])), state)

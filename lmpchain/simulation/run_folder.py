@@ -1,0 +1,309 @@
+"""A run folder: what was asked for, what is done so far, and all that is needed to go on with the same bits.
+
+scene.toml, run.json
+    The task (`lmpchain.simulation.task`), and every session that worked on it: command, host, versions.
+status.json
+    Running, stopped, finished or failed, why, and how far.
+trajectory.zarr
+    The samples (`lmpchain.trajectory.zarr_store`); any Zarr reader opens it, also while the run goes on.
+checkpoint, checkpoint-before
+    `lmpchain.simulation.checkpoints`.
+deck, log.lammps
+    Of a run in LAMMPS: input that `lmp` runs by itself; what LAMMPS said, session by session.
+SHA256SUMS
+    Of what is final, once it is finished.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+import shutil
+import time
+import warnings
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from copy import copy
+from dataclasses import asdict, replace
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from ..engines.base import Candidate, Run
+from ..engines.step_control import Attempt, Outcome
+from ..errors import InputError, LmpchainError
+from ..trajectory import zarr_store as store
+from ..trajectory.record import Block, Cost, ErrorEstimate, subject
+from ..trajectory.trajectory import Trajectory
+from ..util.arrays import Array
+from ..util.files import make_folder, replacing
+from ..util.provenance import checksums, now, versions
+from . import checkpoints
+from . import task as tasks
+from .signals import Requests, Stopped
+from .task import LOCK, STATUS, Task, resume_command
+
+SUMS, DECK, LOG = "SHA256SUMS", "deck", "log.lammps"
+STATES = ("running", "stopped", "finished", "failed")
+SHARE = 0.01  # of the time that checkpoints may take
+OFTEN_S = 1.0  # shortest time between two
+PATIENCE_S = 5.0  # how long a stop waits for the sample at work, so that it need not be done again
+SPENT = ("integration_s", "estimate_s", "setup_s")
+
+
+def status(folder: str | PathLike[str]) -> dict[str, Any]:
+    """Return what the status file of a run folder says.
+
+    A run that was killed still says that it is running.
+
+    Raises
+    ------
+    InputError
+        If this is not a run folder.
+    """
+    path = tasks.check_run(folder) / STATUS
+    try:
+        said = json.loads(path.read_text(encoding="utf-8"))
+        if said["state"] not in STATES or not 0 < said["tolerance"] < 1 or not isinstance(said["reason"], str):
+            raise ValueError("it does not say how the run stands")
+        return said | {"best_effort": bool(said["best_effort"])}
+    except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
+        raise InputError([(str(path), f"was changed and cannot be read: {error}")]) from None
+
+
+class RunFolder:
+    """A run folder at work, locked inside its context: new for a task, or with the one that it holds.
+
+    Attributes
+    ----------
+    task : Task
+    attempt : Attempt or None
+        The one to go on with.
+    samples : int
+        That are done.
+    requests : Requests
+        To stop.
+    """
+
+    task: Task
+
+    def __init__(self, folder: str | PathLike[str], requests: Requests, task: Task | None = None):
+        self.name, self.path, self.requests, self._new = str(folder), Path(folder), requests, task
+        self.attempt: Attempt | None = None
+        self.samples = 0
+        self._state: Mapping[str, Array] = {}
+        self._before = dict.fromkeys(("wall_s", *SPENT), 0.0)  # spent by the sessions before, s
+        self._estimate: float | None = None
+        self._began = time.monotonic()
+
+    def __enter__(self) -> RunFolder:
+        if self._new:
+            tasks.check_kept(self._new.engine)
+            make_folder(tasks.check_new(self.path))
+        else:
+            tasks.check_run(self.path)
+        self._acquire()
+        try:
+            if self._new:
+                self.task = self._new
+                tasks.check_new(self.path)  # another may have been faster
+                self._say("running")
+                tasks.write(self.path, self.task)
+            else:
+                for left in self.path.glob(".*.partial*"):  # by a kill
+                    left.unlink()
+                self.task = tasks.read(self.path)
+                self._find()
+                self._say("running")
+            self._log()
+        except BaseException:
+            self._lock.release()
+            raise
+        return self
+
+    def _acquire(self) -> None:
+        from filelock import FileLock, Timeout
+
+        self._lock = FileLock(self.path / LOCK, timeout=0)
+        try:
+            self._lock.acquire()
+        except Timeout:
+            raise InputError([(self.name, "another process is at work here; wait for it, or stop it")]) from None
+        except OSError as error:
+            raise LmpchainError(f"{self.name}: cannot be written: {error.strerror}") from None
+
+    def _log(self) -> None:
+        """Let LAMMPS write its log here."""
+        if self.task.engine.name != "lammps":
+            return
+        from ..engines.lammps.stepper import word
+
+        path = self.path / LOG
+        try:
+            word(path)
+        except InputError as error:
+            warnings.warn(f"{self.name}: there will be no {LOG}: {error}", stacklevel=2)
+            return
+        engine: Any = copy(self.task.engine)
+        engine.log = path
+        self.task = replace(self.task, engine=engine)
+
+    def _find(self) -> None:
+        """Find the newest checkpoint that is whole, and whose samples are there."""
+        lost = False
+        for checkpoint in checkpoints.load(self.path):
+            if checkpoint and store.usable(self.path, checkpoint.notes["samples"]):
+                notes, self._state = checkpoint
+                self.attempt, self.samples, self._before = _attempt(notes), notes["samples"], notes["spent"]
+                break
+            lost = True
+        if lost:
+            where = f"the one before, at sample {self.samples}" if self.attempt else "the start"
+            warnings.warn(f"{self.name}: the newest checkpoint is damaged; going on from {where}", stacklevel=2)
+
+    def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
+        if isinstance(error, InputError) and self._new and not self.samples:  # no run that could be gone on with
+            shutil.rmtree(self.path, ignore_errors=True)
+        elif error:
+            stopped = isinstance(error, Stopped) or not isinstance(error, Exception)
+            with suppress(OSError):  # the disk may be full
+                self._say("stopped" if stopped else "failed", str(error) or self.requests.reason or "interrupted")
+        self._lock.release()
+        self.requests.pass_on()
+        if isinstance(error, OSError):
+            what = f"{error.filename or self.name}: cannot be written: {error.strerror or error}"
+            kept = f"{self.samples} of {self.task.scene.samples} samples were done and most are kept"
+            raise LmpchainError(
+                f"{what}; {kept}; when that is put right, {resume_command(self.name)} goes on"
+            ) from error
+
+    def begin(self, attempt: Attempt) -> Mapping[str, Array] | None:
+        """Make ready for an attempt; return the state to go on from if it is the one that was at work before."""
+        state, self._state = self._state, {}
+        self.attempt = attempt
+        if not state:
+            task = self.task
+            self.samples, self._before = 0, self._before | dict.fromkeys(SPENT, 0.0)
+            for _ in checkpoints.NAMES:  # both: none may tell of the attempt before, whose samples go
+                checkpoints.save(self.path, self._notes(self._before), {})
+            choices = versions() | task.engine.describe(task.scene, attempt.candidate)
+            engine = task.engine.of(attempt.candidate)
+            store.create(self.path, task.scene, subject(task.scene, engine.name, engine.equation, choices))
+            self._write_deck(attempt.candidate)
+        self._writer = store.Writer(self.path, self.task.scene, self.samples)
+        self._next = time.monotonic() + OFTEN_S
+        return state or None
+
+    def _write_deck(self, candidate: Candidate) -> None:
+        """Write the deck of a run in LAMMPS; that of velocity Verlet at its cost where none can carry its splitting."""
+        engine: Any = self.task.engine
+        if engine.name != "lammps":
+            return
+        from ..engines.lammps.deck import carries
+        from ..engines.lammps.export import write_deck
+
+        splitting, driven = engine.splitting, self.task.scene.drive is not None
+        same = carries(splitting) and not (driven and splitting.order > 2)
+        try:
+            write_deck(
+                self.task.scene,
+                self.path / DECK,
+                tolerance=self.task.tolerance,
+                step=candidate.step if same else candidate.step / splitting.evaluations,
+                diameter="physical" if driven else candidate.choices["diameter"],
+                integrator=splitting.name if same else "verlet",
+                pair_style=engine.pair_style,
+            )
+        except LmpchainError as error:
+            warnings.warn(f"{self.name}: there is no deck: {error}", stacklevel=2)
+
+    def collect(self, run: Run, blocks: Iterable[Block]) -> None:
+        """Bring the blocks of a run to the disk, with a checkpoint now and then.
+
+        Raises
+        ------
+        Stopped
+            As soon as it is asked for, and what is done is kept.
+        """
+        asked = math.inf
+        for block in blocks:
+            fresh = block.samples.stop - block.samples.start
+            if fresh:
+                self._writer.put(block)
+                self.samples = block.samples.stop
+            reason, moment = self.requests.reason, time.monotonic()
+            if fresh and (reason or moment >= self._next):
+                self._checkpoint(run)
+            if reason:
+                asked = min(asked, moment)
+                if fresh or moment >= asked + PATIENCE_S:
+                    done = f"after {self.samples} of {self.task.scene.samples} samples"
+                    raise Stopped(f"{reason} {done}; {resume_command(self.name)} goes on")
+        self._writer.flush()
+
+    def _checkpoint(self, run: Run) -> None:
+        began = time.monotonic()
+        self._writer.flush()
+        error = run.errors()[0]
+        self._estimate = error.model + error.total
+        checkpoints.save(self.path, self._notes(self._spent(run.cost())), run.state())
+        self._say("running")
+        self._next = time.monotonic() + max(OFTEN_S, (time.monotonic() - began) / SHARE)
+
+    def _notes(self, spent: Mapping[str, float]) -> dict[str, Any]:
+        assert self.attempt
+        return {"attempt": asdict(self.attempt), "samples": self.samples, "spent": spent}
+
+    def _spent(self, cost: Cost) -> dict[str, float]:
+        """Return what all sessions have spent on this attempt, s; on the wall, on all of them."""
+        now = asdict(cost) | {"wall_s": time.monotonic() - self._began}
+        return {key: value + now[key] for key, value in self._before.items()}
+
+    def finish(self, outcome: Outcome[None]) -> Trajectory:
+        """Note how the run ended; return the answer, which stays on the disk."""
+        spent: Any = self._spent(outcome.cost)
+        self._estimate = outcome.error.model + outcome.error.total
+        self._writer.conclude(
+            ErrorEstimate(outcome.error.model, outcome.error.total),
+            replace(outcome.cost, **{key: spent[key] for key in SPENT}),
+        )
+        with replacing(self.path / SUMS) as aside:
+            aside.write_text(checksums(self.path, {STATUS, SUMS, *checkpoints.NAMES}), encoding="utf-8")
+        self._say("finished", outcome.missed)
+        return Trajectory.load(self.path)
+
+    def _say(self, state: str, reason: str = "") -> None:
+        """Write the status file."""
+        attempt = self.attempt
+        said = {
+            "state": state,
+            "reason": reason,
+            "samples_done": self.samples,
+            "samples": self.task.scene.samples,
+            "attempt": attempt.number if attempt else 0,
+            "step_s": attempt.candidate.step if attempt else None,
+            "tolerance": self.task.tolerance,
+            "best_effort": self.task.best_effort,
+            "error_estimate": self._estimate if self._estimate is not None and math.isfinite(self._estimate) else None,
+            "wall_s": self._before["wall_s"] + time.monotonic() - self._began,
+            "updated": now(),
+            "host": platform.node(),
+            "pid": os.getpid(),
+        }
+        with replacing(self.path / STATUS) as aside:
+            aside.write_text(json.dumps(said, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _attempt(notes: Mapping[str, Any]) -> Attempt:
+    """Return the attempt that a checkpoint tells of."""
+    given = notes["attempt"]
+    try:
+        candidate = Candidate(**given["candidate"])
+        return Attempt(**given | {"candidate": candidate, "truncations": tuple(given["truncations"])})
+    except TypeError:
+        cure = "go on with that one, or run the scene anew"
+        raise InputError(
+            [("checkpoint", f"was written by a version of lmpchain that this one does not know: {cure}")]
+        ) from None

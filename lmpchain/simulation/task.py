@@ -1,0 +1,140 @@
+"""What a run is to do, written to its folder so that another process can do it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shlex
+import warnings
+from dataclasses import dataclass
+from inspect import signature
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from .. import engines
+from ..engines.base import Engine
+from ..errors import InputError
+from ..scene.scene import Scene
+from ..util import mpi
+from ..util.files import replacing
+from ..util.provenance import session
+
+SCENE, RUN, STATUS, LOCK = "scene.toml", "run.json", "status.json", ".lock"
+
+UNKEPT = ("keep", "template", "include")  # options of engines: dumps, and commands that may hold a state of their own
+
+
+@dataclass(frozen=True)
+class Task:
+    """What a run is to do.
+
+    Attributes
+    ----------
+    scene : Scene
+    engine : Engine
+    tolerance : float
+    best_effort : bool
+        Whether to do what can be done where the tolerance cannot be met.
+    """
+
+    scene: Scene
+    engine: Engine
+    tolerance: float
+    best_effort: bool
+
+
+def resume_command(folder: str | PathLike[str]) -> str:
+    """Return the command that goes on with a run."""
+    return f"lmpchain resume {shlex.quote(str(folder))}"
+
+
+def is_run(folder: str | PathLike[str]) -> bool:
+    """Say whether this is a run folder."""
+    return (Path(folder) / SCENE).exists() and (Path(folder) / RUN).exists()
+
+
+def check_run(folder: str | PathLike[str]) -> Path:
+    """Return the path of a run folder; raises `InputError` if it is none."""
+    if not is_run(folder):
+        raise InputError([(str(folder), "is no run folder; lmpchain run SCENE.toml -o FOLDER/ makes one")])
+    return Path(folder)
+
+
+def check_new(folder: str | PathLike[str]) -> Path:
+    """Return the path of a run folder that is to be made; raises `InputError` if it cannot be."""
+    path = Path(folder)
+    if path.exists() and not path.is_dir():
+        raise InputError([(str(folder), "is a file; choose another name for the run folder")])
+    if is_run(path):
+        cure = f"go on with it, {resume_command(folder)}, or choose another folder"
+        raise InputError([(str(folder), f"holds a run already: {cure}")])
+    before = {STATUS, RUN, LOCK}  # the scene, by a run that was killed as it began
+    if path.exists() and any(p.name not in before and ".partial" not in p.suffixes for p in path.iterdir()):
+        raise InputError([(str(folder), "is neither empty nor a run folder; choose another")])
+    return path
+
+
+def write(folder: Path, task: Task) -> None:
+    """Note a new task and this session; from the moment that the scene is there, `read` finds it."""
+    asked = {
+        "engine": task.engine.name,
+        "options": _options(task.engine),
+        "tolerance": task.tolerance,
+        "best_effort": task.best_effort,
+    }
+    seal = _seal(asked, task.scene.to_text())
+    _note(folder, asked | {"sha256": seal, "sessions": [session()]})
+    task.scene.to_toml(folder / SCENE)
+
+
+def _seal(asked: dict[str, Any], scene: str) -> str:
+    """Return what the task hashes to, so that a change to its files is noticed."""
+    fixed = {key: value for key, value in asked.items() if key not in ("sha256", "sessions")}
+    return hashlib.sha256(f"{json.dumps(fixed, sort_keys=True)}\n{scene}".encode()).hexdigest()
+
+
+def _options(engine: Any) -> dict[str, Any]:
+    """Return the arguments that make an equal engine."""
+    options = {}
+    for name in signature(type(engine)).parameters:
+        if name == "integrator":
+            options[name] = engine.methods[0].name if len(engine.methods) == 1 else "auto"
+        elif name not in UNKEPT:
+            options[name] = getattr(engine, name)
+    return options
+
+
+def check_kept(engine: Engine) -> None:
+    """Raise `InputError` if an engine cannot work in a run folder."""
+    if engine.name not in (*engines.names(), "auto") or type(engine) is not type(engines.get(engine.name)):
+        raise InputError([("engine", "a run folder knows the engines of lmpchain by name; it cannot keep another")])
+    why = "LAMMPS cannot go on after a stop with what it keeps for it; leave it out with a run folder"
+    if faults := [(key, why) for key in UNKEPT if getattr(engine, key, None)]:
+        raise InputError(faults)
+
+
+def read(folder: Path) -> Task:
+    """Return the task of a run folder, and note that this session works on it."""
+    try:
+        asked = json.loads((folder / RUN).read_text(encoding="utf-8"))
+        text = (folder / SCENE).read_bytes().decode("utf-8")
+        scene = Scene.from_text(text)
+        options, before = dict(asked["options"]), dict(asked["sessions"][-1]["packages"])
+        if asked["sha256"] != _seal(asked, text):
+            raise ValueError("they are not those that the run began with")
+    except (ValueError, LookupError, TypeError, RecursionError) as error:
+        raise InputError([(str(folder), f"its {RUN} or {SCENE} was changed and cannot be read: {error}")]) from None
+    if mpi.joined() and "ranks" in options:  # those of mpirun serve
+        options["ranks"] = None
+    now = session()
+    versions = {name: (now["packages"].get(name), version) for name, version in before.items()}
+    if others := [f"{name} {new}, not {old}" for name, (new, old) in versions.items() if new != old]:
+        warnings.warn(f"the run went so far with other versions, and may now differ: {'; '.join(others)}", stacklevel=2)
+    _note(folder, asked | {"sessions": [*asked["sessions"], now]})
+    return Task(scene, engines.get(asked["engine"], **options), asked["tolerance"], asked["best_effort"])
+
+
+def _note(folder: Path, what: dict[str, Any]) -> None:
+    with replacing(folder / RUN) as aside:
+        aside.write_text(json.dumps(what, indent=2) + "\n", encoding="utf-8")

@@ -1,0 +1,175 @@
+"""Where methods fail on a scene: what laws predict, what runs show, and where the scene itself lies.
+
+`steps` (too long a step, drifting energy, openings), `precision` (round-off, chaos), `theories` (linear, homogeneous,
+continuous chain), `limits`, `overlaps` and `horizons` hold the laws and what measures them. Maps over many
+scenes are drawn by `analysis/stability_map.py`; this module goes through all of them for one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .. import engines
+from ..chain.chain import LARGEST_OVERLAP
+from ..errors import EngineUnavailable, InputError, LmpchainError, ToleranceNotMet
+from ..integrators.methods import METHODS
+from ..scene.scene import Scene
+from .result import TOLERANCE, Boundary, Curve, Stability
+
+if TYPE_CHECKING:
+    pass
+
+RUNS = 60  # that a bisection takes
+LONGEST_S = 20.0  # that one measurement may be expected to take
+DIVISIONS = 40.0  # of the fastest oscillation by the step at which energies are compared
+PERIODS = 1000.0  # for which they are
+STRENGTHS = np.logspace(-8, 2, 11)  # of the strike, over its own
+STRONG = {"velocity", "displacement", "amplitude"}  # what of an excitation is as strong as the strike
+
+
+def stability(scene: Scene, *, progress: bool = False) -> Stability:
+    """Find where methods fail on a scene.
+
+    What would take longer than some seconds to measure is predicted only.
+
+    Parameters
+    ----------
+    scene : Scene
+    progress : bool
+        Whether to show a progress bar.
+    """
+    from tqdm.auto import tqdm
+
+    boundaries: list[Boundary] = []
+    curves: list[Curve] = []
+    left_out: list[str] = []
+    layout = "{desc}: {n_fmt} of {total_fmt} |{bar}| {elapsed}"
+    with tqdm(list(_parts(scene)), disable=not progress, leave=False, bar_format=layout) as bar:
+        for name, part in bar:
+            bar.set_description(name)
+            try:
+                for found in part():
+                    (boundaries if isinstance(found, Boundary) else curves).append(found)  # type: ignore[arg-type]
+            except InputError as error:
+                left_out.append(f"{name}: {error.faults[0][1]}")
+            except ToleranceNotMet as error:
+                left_out.append(f"{name}: {error.reason}")
+            except (EngineUnavailable, LmpchainError) as error:
+                left_out.append(f"{name}: {error}")
+    return Stability(scene, tuple(boundaries), tuple(curves), tuple(left_out))
+
+
+def _parts(scene: Scene) -> Iterator[tuple[str, Callable[[], Iterator[Boundary | Curve]]]]:
+    """Return what there is to find out, by name."""
+    for integrator in METHODS:
+        yield f"longest step, {integrator}", partial(_step, scene, "native", integrator)
+    yield "longest step, lammps", partial(_step, scene, "lammps", "verlet")
+    for integrator in METHODS:
+        yield f"energy, {integrator}", partial(_energy, scene, integrator)
+    yield "smallest error, native", partial(_floor, scene, "native", "physical")
+    for diameter in ("physical", "gauge"):
+        yield f"smallest error, lammps, {diameter} diameter", partial(_floor, scene, "lammps", diameter)
+    yield "predictable", partial(_horizon, scene)
+    yield "linear theory", partial(_linear, scene)
+    yield "overlap", partial(_overlap, scene)
+    yield "strength", partial(_strength, scene)
+
+
+def _step(scene: Scene, engine: str, integrator: str) -> Iterator[Boundary]:
+    from .step_limit import blow_up, limit
+
+    predicted = limit(scene, integrator)
+    solver = engines.get(engine, integrator=integrator)
+    cost = METHODS[integrator].evaluations * scene.duration / predicted * scene.chain.grains
+    affordable = RUNS * cost * solver.seconds_per_grain_step < LONGEST_S  # type: ignore[attr-defined]
+    measured = blow_up(scene, integrator, engine) if affordable and not solver.refuses(scene) else math.nan
+    yield Boundary("longest step", f"{engine} {integrator}", "s", predicted, measured)
+
+
+def _energy(scene: Scene, integrator: str) -> Iterator[Curve]:
+    from .step_limit import energy_error
+
+    if scene.drive:
+        raise InputError([("kind", "a drive does work: the energy is not that of the start")])
+    if not scene.chain.compressed:
+        raise InputError([("gravity", "without gravity and load there is no period to count by")])
+    step = 2 * math.pi / scene.highest_frequency / DIVISIONS  # far below every stability limit
+    cost = METHODS[integrator].evaluations * PERIODS * DIVISIONS * scene.chain.grains
+    if cost * engines.get("native").seconds_per_grain_step > LONGEST_S:  # type: ignore[attr-defined]
+        raise InputError([("grains", "too many to follow the energy for a thousand periods")])
+    found = energy_error(scene, integrator, step, PERIODS, samples=401)
+    yield Curve("energy", integrator, found.time, np.abs(found.error))
+
+
+def _floor(scene: Scene, engine: str, diameter: str) -> Iterator[Boundary]:
+    from .roundoff import floor, measured_floor
+
+    name = engine if engine == "native" else f"{engine}, {diameter} diameter"
+    measured = math.nan if scene.drive or _too_long(scene) else measured_floor(scene, engine, diameter)
+    yield Boundary("smallest error", name, "", floor(scene, engine, diameter), measured)
+
+
+def _horizon(scene: Scene) -> Iterator[Boundary | Curve]:
+    from .predictability import amplifies, growth, horizon_of, predicted_horizon
+
+    predicted = predicted_horizon(scene, TOLERANCE) if amplifies(scene) else math.nan
+    measured = math.nan
+    if not _too_long(scene):
+        times, apart = growth(scene)
+        yield Curve("growth", "", times, apart)
+        measured = horizon_of(times, apart, TOLERANCE)
+    beyond = measured < scene.duration
+    yield Boundary("predictable to 1e-6 until", "any", "s", predicted, measured, scene.duration, beyond)
+
+
+def _linear(scene: Scene) -> Iterator[Boundary]:
+    from .linear_theory import strike_number_at
+
+    engine = engines.Chebyshev()
+    if reasons := engine.refuses(scene):
+        raise InputError(reasons)
+    for error in (0.01, 0.1):
+        bound, number = strike_number_at(error, "package", scene.chain.exponent), scene.strike_number
+        yield Boundary(
+            f"linear theory {100 * error:g} % off at v0*", "Eq. (3)", "", bound, here=number, beyond=number > bound
+        )
+
+
+def _overlap(scene: Scene) -> Iterator[Boundary]:
+    from .overlap import deepest
+
+    here = deepest(scene)
+    beyond = LARGEST_OVERLAP < here < math.inf  # a drive has no bound
+    yield Boundary("Hertz's law: overlap over diameter", "Eq. (1)", "", LARGEST_OVERLAP, here=here, beyond=beyond)
+
+
+def _strength(scene: Scene) -> Iterator[Curve]:
+    from .roundoff import floor
+
+    linear, weaker = engines.Chebyshev(), [_times(scene, factor) for factor in STRENGTHS]
+    if not linear.refuses(scene):
+        found = [linear.look(s, linear.candidate(s, 0.9)).model_error for s in weaker]
+        yield Curve("strength", "Eq. (3), bound", STRENGTHS, np.array(found))
+    for engine, diameter in (("native", "physical"), ("lammps", "physical"), ("lammps", "gauge")):
+        name = "native, round-off" if engine == "native" else f"lammps, {diameter} diameter, round-off"
+        yield Curve("strength", name, STRENGTHS, np.array([floor(s, engine, diameter) for s in weaker]))
+
+
+def _too_long(scene: Scene) -> bool:
+    from ..benchmark.reference import expected_seconds
+
+    return expected_seconds(scene) > LONGEST_S
+
+
+def _times(scene: Scene, factor: float) -> Scene:
+    """Return the scene with a strike that is so many times as strong."""
+    excitation = scene.excitation
+    given = excitation.given()
+    louder = {key: np.asarray(given[key]) * factor for key in STRONG & given.keys() if given[key] is not None}
+    changed = type(excitation)(**given | {k: x if x.ndim else float(x) for k, x in louder.items()})
+    return Scene(**scene.given() | {"excitation": changed})

@@ -1,0 +1,35 @@
+"""How deep contacts are squeezed, and how far Hertz's law is off there."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..scene.light_cone import cut
+from ..scene.scene import Scene
+from ..util.arrays import Array
+
+
+def deepest(scene: Scene) -> float:
+    """Return a bound on the overlap of any contact over the diameter, whenever; infinite if the top is driven.
+
+    No contact can hold more than the energy of the strike, `Contacts.overlap_bound`. `Scene` refuses strikes that
+    squeeze a contact to more than a tenth at once; lighter grains below, or a floor, may be squeezed further.
+    """
+    part = cut(scene)[1]
+    return float((part.chain.contacts.overlap_bound(scene.energy) / part.chain.contact_lengths).max())
+
+
+def hertz_excess(strain: ArrayLike) -> Array:
+    """Return by which part Hertz's force between two spheres is too large at an overlap of strain times the diameter.
+
+    From their shape alone, spheres in place of paraboloids: ``o = 2 a artanh(a/R)`` and ``F = 2 E* [(a^2 + R^2)
+    artanh(a/R) - a R]`` (Sneddon, Int. J. Eng. Sci. 3, 47 (1965)), some ``strain / 10``. That they are no half-spaces
+    and yield comes on top.
+    """
+    strain = np.asarray(strain, dtype=float)
+    x = np.sqrt(strain)  # a / R
+    for _ in range(20):
+        x = x - (x * np.arctanh(x) - strain) / (np.arctanh(x) + x / (1 - x * x))
+    force = np.where(x > 1e-2, (1 + x * x) * np.arctanh(x) - x, 4 / 3 * x**3 * (1 + 2 / 5 * x**2))  # which cancels
+    return 1 - force / (4 / 3 * strain**1.5)

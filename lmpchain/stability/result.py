@@ -1,0 +1,206 @@
+"""The boundaries of a scene: table, numbers and picture."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.ticker import EngFormatter, LogLocator
+
+from ..integrators.methods import METHODS
+from ..scene.scene import Scene
+from ..util.arrays import Array
+from ..util.plotting import COLOURS, LOWEST, SHADES, figure
+from ..util.tables import aligned, finite
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+TOLERANCE = 1e-6  # of the horizon
+
+
+@dataclass(frozen=True)
+class Boundary:
+    """Where something fails; numbers are NaN where they are not known.
+
+    Attributes
+    ----------
+    what : str
+        "longest step", "smallest error" ...
+    method : str
+        Engine or integrator.
+    unit : str
+    predicted : float
+        By a law.
+    measured : float
+        On this scene.
+    here : float
+        What the scene has; NaN where the user chooses.
+    beyond : bool
+        Whether the scene lies beyond the boundary.
+    """
+
+    what: str
+    method: str
+    unit: str
+    predicted: float
+    measured: float = math.nan
+    here: float = math.nan
+    beyond: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """What was measured along the way, for the picture.
+
+    Attributes
+    ----------
+    panel : "energy", "growth" or "strength"
+    name : str
+    x, y : arrays
+    """
+
+    panel: str
+    name: str
+    x: Array
+    y: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Stability:
+    """The boundaries of a scene.
+
+    Attributes
+    ----------
+    scene : Scene
+    boundaries : tuple of Boundary
+    curves : tuple of Curve
+    left_out : tuple of str
+        What could not be measured, and why.
+    """
+
+    scene: Scene
+    boundaries: tuple[Boundary, ...]
+    curves: tuple[Curve, ...]
+    left_out: tuple[str, ...]
+
+    def table(self) -> str:
+        """Return the boundaries as a table; what the scene lies beyond bears a mark."""
+        rows: list[tuple[str, ...]] = [("", "", "", "predicted", "measured", "this scene")]
+        for found in self.boundaries:
+            numbers = (_shown(x, found.unit) for x in (found.predicted, found.measured, found.here))
+            rows.append(("!" if found.beyond else "", found.what, found.method, *numbers))
+        return "\n".join(aligned(rows))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what goes into a JSON file; numbers that are not finite become None."""
+        rows = [finite(vars(found)) for found in self.boundaries]
+        curves = [vars(curve) | {key: _list(getattr(curve, key)) for key in "xy"} for curve in self.curves]
+        return {"rows": rows, "curves": curves, "left_out": list(self.left_out)}
+
+    def plot(self, axes: Sequence[Axes] | None = None) -> Figure:
+        """Draw the longest steps, energy and small changes over time, and errors over the strength of the strike.
+
+        Parameters
+        ----------
+        axes : four axes, optional
+            By default those of a new figure.
+        """
+        return draw(self, axes)
+
+
+def _shown(value: float, unit: str) -> str:
+    if not math.isfinite(value):
+        return "" if math.isnan(value) else "none"
+    return f"{value:.3g} {unit}".rstrip()
+
+
+def _list(values: Array) -> list[float | None]:
+    return [float(x) if np.isfinite(x) else None for x in values]
+
+
+STRENGTHS = {"Eq. (3), bound": COLOURS["modes"], "native, round-off": COLOURS["native"]}
+LEVELS = (1e-3, TOLERANCE, 1e-9)
+
+
+def draw(found: Stability, axes: Sequence[Axes] | None) -> Figure:
+    """Draw the four panels; see `Stability.plot`."""
+    if axes is None:
+        axes = figure(15, 8.5).subplots(2, 2).ravel()
+    steps, energy, growth, strength = axes
+    _draw_steps(steps, found)
+    _draw_energy(energy, [curve for curve in found.curves if curve.panel == "energy"])
+    _draw_growth(growth, found)
+    _draw_strength(strength, found)
+    return steps.figure.figure  # type: ignore[return-value]
+
+
+def _draw_steps(axes: Axes, found: Stability) -> None:
+    rows = [row for row in found.boundaries if row.what == "longest step"][::-1]
+    places, names = range(len(rows)), [row.method for row in rows]
+    axes.plot([row.predicted for row in rows], places, "|", ms=16, mew=2, color="0.3", label="predicted")
+    axes.plot([row.measured for row in rows], places, "o", ms=6, color=COLOURS["lammps"], label="measured")
+    axes.set(xscale="log", xlabel="longest step before a run of this duration breaks down", title="Time step")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.xaxis.set_major_formatter(EngFormatter("s"))
+    axes.xaxis.set_minor_formatter("")
+    axes.set_yticks(places, names)
+    axes.grid(axis="x", color="0.92", lw=0.6)
+    _legend(axes)
+
+
+def _draw_energy(axes: Axes, curves: Sequence[Curve]) -> None:
+    for curve in curves:
+        place = list(METHODS).index(curve.name) % len(SHADES)
+        axes.plot(curve.x[1:], np.maximum(curve.y[1:], LOWEST), color=SHADES[place], lw=1.2, label=curve.name)
+    axes.set(xscale="log", yscale="log", xlabel="time", ylabel="relative error of the energy")
+    axes.xaxis.set_major_formatter(EngFormatter("s"))
+    axes.set_title("Energy, with forty steps a period of the fastest oscillation")
+    _legend(axes)
+
+
+def _draw_growth(axes: Axes, found: Stability) -> None:
+    for curve in found.curves:
+        if curve.panel == "growth":
+            axes.plot(curve.x, np.maximum(curve.y, LOWEST), color=COLOURS["native"], lw=1.3)
+    end = found.scene.duration
+    for level in LEVELS:
+        axes.axhline(level, color="0.75", lw=0.8)
+        axes.annotate(
+            f"{level:g}", (1, level), (-2, 2), ("axes fraction", "data"), "offset points", ha="right", color="0.4"
+        )
+    for row in found.boundaries:
+        if row.what.startswith("predictable"):
+            for value, style, label in ((row.predicted, "--", "predicted"), (row.measured, "-", "measured")):
+                if np.isfinite(value) and value <= 1.2 * end:
+                    axes.axvline(value, color="0.3", ls=style, lw=1.2, label=f"{label} horizon for {TOLERANCE:g}")
+    axes.set(yscale="log", xlabel="time", ylabel="distance of two runs, over the largest value")
+    axes.xaxis.set_major_formatter(EngFormatter("s"))
+    axes.locator_params(axis="x", nbins=5)
+    axes.set_title("Two runs, 1e-13 apart at the start")
+    _legend(axes)
+
+
+def _draw_strength(axes: Axes, found: Stability) -> None:
+    styles = iter(("--", ":"))
+    for curve in found.curves:
+        if curve.panel == "strength":
+            colour = STRENGTHS.get(curve.name, COLOURS["lammps"])
+            style = "-" if curve.name in STRENGTHS else next(styles)
+            axes.plot(curve.x, np.maximum(curve.y, LOWEST), color=colour, ls=style, lw=1.4, label=curve.name)
+    axes.axvline(1.0, color="0.3", lw=1)
+    axes.annotate("this scene", (1.0, 0.6), (4, 0), xycoords=("data", "axes fraction"), textcoords="offset points")
+    axes.set(
+        xscale="log", yscale="log", xlabel="strength of the strike, over that of the scene", ylabel="relative error"
+    )
+    axes.set_title("What is left out, and what rounding makes")
+    _legend(axes)
+
+
+def _legend(axes: Axes) -> None:
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(frameon=False, fontsize="small", loc="center left", bbox_to_anchor=(1, 0.5))

@@ -1,0 +1,117 @@
+"""A conservative finite-volume solver of Eq. (27), public as `lmpchain.theory.continuum.solve`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..util.arrays import Array
+from .domain import exponents, real, require, whole
+
+COURANT = 0.9
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """What `solve` found at the grains.
+
+    Attributes
+    ----------
+    tau : (T,) array
+    h : (N,) array
+        Depth n - 1/2 of grain n.
+    displacement, velocity : (T, N) arrays
+        phi and dphi/dtau.
+    """
+
+    tau: Array
+    h: Array
+    displacement: Array
+    velocity: Array
+
+
+def solve(
+    tau: ArrayLike,
+    grains: int,
+    displacement: Callable[[Array], ArrayLike] | None = None,
+    velocity: Callable[[Array], ArrayLike] | None = None,
+    drive: Callable[[float], tuple[float, float]] | None = None,
+    delta: float = 1.5,
+    cells: int = 3,
+) -> Field:
+    """Solve Eq. (27), phi_tautau = (h^xi phi_h)_h, for a column of N grains, the last of them held.
+
+    No flux passes the free top h = 0, so momentum is conserved to round-off; phi is 0 at h = N - 1/2. The flux
+    through a face at f between centres a and b is ``eta f (phi_b - phi_a) / (b^eta - a^eta)``, exact for the h^eta with
+    which regular solutions begin at the top, where h^xi would cost accuracy; in time it is velocity Verlet at 0.9 of
+    the stable step. Second order in the width of the cells, 1/cells.
+
+    Parameters
+    ----------
+    tau : (T,) array_like
+        Ascending, 0 or more.
+    grains : int
+        N.
+    displacement, velocity : callable, optional
+        phi(h) and dphi/dtau(h) at tau = 0 for arrays of depths, by default 0. ``lambda h: h < 1`` is what a unit
+        impulse of grain 1 gives.
+    drive : callable, optional
+        tau -> phi and dphi/dtau of grain 1, h = 1/2, whose motion it prescribes.
+    cells : int
+        Cells a grain, odd.
+
+    Raises
+    ------
+    InputError
+        If an argument is outside its domain.
+
+    Examples
+    --------
+    >>> field = solve([0.0, 20.0], 60, velocity=lambda h: h < 1)
+    >>> f"{field.displacement[1, 0]:.3f}"  # C tau^(-1/5) is 0.634
+    '0.635'
+    """
+    tau, grains, cells = real(tau), int(whole("grains", grains, 2)), int(whole("cells", cells, 1))
+    ascending = tau.ndim == 1 and tau.size and tau[0] >= 0 and (np.diff(tau) >= 0).all()
+    require(("tau", ascending, "must be a list that ascends from 0 or more"), ("cells", cells % 2, "must be odd"))
+    _, eta, _ = exponents(delta)
+    width = 1 / cells
+    middle = cells // 2
+    moving = (grains - 1) * cells + middle  # the next cell is centred on grain N and held
+    centre = real(np.arange(moving + 1) + 0.5) * width
+    face = np.arange(1, moving + 1) * width
+    rate = eta * face / np.diff(centre**eta) / width  # flux over phi_b - phi_a, for a cell of this width
+    longest = COURANT * 2 / np.sqrt(2 * (rate[:-1] + rate[1:]).max(initial=rate[0]))
+    phi, speed = (
+        np.zeros(moving) if given is None else np.broadcast_to(real(given(centre[:-1])), moving).copy()
+        for given in (displacement, velocity)
+    )
+
+    record = np.zeros((2, tau.size, grains))
+
+    def hold(now: float) -> None:
+        if drive is not None:
+            phi[middle], speed[middle] = drive(now)
+
+    def push() -> Array:
+        return np.diff(rate * np.diff(phi, append=0.0), prepend=0.0)
+
+    start = 0.0
+    hold(start)
+    pull = push()
+    for sample, end in enumerate(tau):
+        steps = int(np.ceil((end - start) / longest))
+        step = (end - start) / max(steps, 1)
+        for i in range(1, steps + 1):
+            speed += step / 2 * pull
+            phi += step * speed
+            hold(start + i * step)
+            pull = push()
+            speed += step / 2 * pull
+        hold(end)
+        record[:, sample, :-1] = phi[middle::cells], speed[middle::cells]
+        start = end
+    return Field(tau, real(np.arange(grains) + 0.5), *record)

@@ -1,0 +1,6 @@
+"""The answer: arrays with their error estimate and cost; NetCDF, Zarr, LAMMPS dumps, extended XYZ, MDAnalysis."""
+
+from ..util.lazy import attributes
+
+__all__ = ["Cost", "ErrorEstimate", "Trajectory"]
+__getattr__ = attributes(__name__, names={"trajectory": "Trajectory", "record": "Cost ErrorEstimate"})

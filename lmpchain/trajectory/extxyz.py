@@ -1,0 +1,31 @@
+"""Extended XYZ, the text form of a trajectory that OVITO, ASE and others read."""
+
+from __future__ import annotations
+
+from os import PathLike
+
+import numpy as np
+
+from ..util.files import write_aside
+from .record import Record
+
+PROPERTIES = "species:S:1:pos:R:3:velo:R:3:id:I:1:radius:R:1:displacement:R:1"
+
+
+def write(record: Record, path: str | PathLike[str]) -> None:
+    """Write a trajectory; see `lmpchain.Trajectory.to_extxyz`."""
+    chain, grains = record.scene.chain, record.grains
+    rest, radii = -chain.depths[grains - 1], chain.diameters[grains - 1] / 2
+    side = 2 * float(radii.max())
+    low, high = float(rest.min()) - side, float(rest.max()) + side
+    box = (
+        f'Lattice="{2 * side} 0 0 0 {2 * side} 0 0 0 {high - low}" Origin="{-side} {-side} {low}" '
+        f'pbc="F F F" Properties={PROPERTIES}'
+    )
+    named = list(zip(grains.tolist(), radii.tolist(), strict=True))
+    with write_aside(path) as aside, open(aside, "w", encoding="ascii") as out:
+        for sample, time in enumerate(record.time.tolist()):
+            u, v = np.asarray(record.displacement[sample]), np.asarray(record.velocity[sample])
+            rows = zip((rest - u).tolist(), (0.0 - v).tolist(), named, u.tolist(), strict=True)
+            out.write(f"{grains.size}\n{box} Time={time}\n")
+            out.writelines(f"X 0 0 {z} 0 0 {vz} {id} {radius} {moved}\n" for z, vz, (id, radius), moved in rows)

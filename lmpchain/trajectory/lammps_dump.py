@@ -1,0 +1,198 @@
+"""Reading what LAMMPS dumped, for a deck of `lmpchain deck` or a user's own: displacements and velocities of grains."""
+
+from __future__ import annotations
+
+import gzip
+import sys
+import warnings
+import zlib
+from collections.abc import Sequence
+from os import PathLike
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+
+from ..errors import InputError
+from ..scene.scene import Scene
+from ..util.arrays import Array
+from ..util.files import check_readable
+from .record import Cost, ErrorEstimate, Record
+
+BEGIN = b"ITEM: TIMESTEP"
+HEADER = 9  # lines above the atoms of a frame
+SAME = 1e-6  # how far, relative to the largest in the dump, the first frame may be from the start of the scene
+FEWEST_LEVELS = 100  # that heights must resolve in a displacement
+BLOCK = 1 << 20  # bytes
+
+
+def is_dump(path: str | PathLike[str]) -> bool:
+    """Say whether a file, which may be compressed by gzip, begins as a LAMMPS dump does."""
+    path = Path(path)
+    try:
+        check_readable(path, sys.maxsize)  # a pipe would be waited for
+        with _open(path) as opened:
+            return opened.read(len(BEGIN)) == BEGIN
+    except (OSError, EOFError, ValueError, zlib.error):
+        return False
+
+
+def _open(path: Path) -> IO[bytes]:
+    return gzip.open(path) if path.suffix == ".gz" else open(path, "rb")  # type: ignore[return-value]
+
+
+def read(path: str | PathLike[str], scene: Scene, equilibrium: Sequence[float] | Array | None = None) -> Record:
+    """Read a dump as the answer of LAMMPS to a scene; see `lmpchain.Trajectory.from_dump`.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or is not of this scene.
+    """
+    path = Path(path)
+    name, chain = str(path), scene.chain
+    rest = None if equilibrium is None else _checked(equilibrium, chain.grains)
+    columns = _columns(path, scene)
+    height = "z" if "z" in columns else "zu"
+    steps, data = _frames(path, [height, "vz", *(["v_phi"] if "v_phi" in columns else [])])
+    if len(steps) != scene.samples:
+        cure = "set the samples of the scene so, or run LAMMPS to its end"
+        raise InputError([(name, f"has {len(steps)} whole frames, the scene {scene.samples} samples: {cure}")])
+    apart = np.diff(steps)
+    if (apart <= 0).any() or (apart != apart[0]).any():
+        raise InputError([(name, "its frames are not equally far apart: dump every so many steps, from the start")])
+    if not all(np.isfinite(values).all() for values in data.values()):
+        raise InputError([(name, "holds numbers that are not finite: the run broke down; use a shorter step")])
+    z, vz = data[height], data["vz"]
+    origin = "heights less those at first" if rest is None else "heights less those given"
+    misfits = []
+    for down in [-1.0] if "v_phi" in data else _ways_down(scene, z[0], rest):
+        order = np.argsort(down * z[0], kind="stable")
+        velocity = down * vz[:, order]
+        if "v_phi" in data:
+            displacement, origin = data["v_phi"][:, order], "v_phi"
+        else:
+            displacement = down * (z[:, order] - (z[0, order] if rest is None else rest))
+            if rest is None:
+                displacement += scene.initial()[0]
+        misfits.append(_misfit(scene, displacement, velocity, 1e-15 * np.abs(z).max()))
+        if not misfits[-1]:
+            break
+    else:
+        raise InputError([(name, f"{misfits[0]}: give the scene that the dump was made for")])
+    if origin != "v_phi":
+        mover = int(np.abs(velocity).sum(0).argmax())
+        _check_digits(name, z[:, order[mover]])
+    chosen = scene.recorded - 1
+    total = int(steps[-1] - steps[0])
+    return Record(
+        scene=scene,
+        engine="lammps",
+        equation=1,
+        time=scene.time,
+        grains=scene.recorded,
+        displacement=displacement[:, chosen].copy(),
+        velocity=velocity[:, chosen].copy(),
+        error_estimate=ErrorEstimate(0.0, float("inf")),
+        cost=Cost(0.0, 0.0, 0.0, total, total, chain.grains, "unknown", scene.duration / total, 1),
+        provenance={"dump": name, "displacement": origin},
+    )
+
+
+def _checked(equilibrium: Sequence[float] | Array, grains: int) -> Array:
+    """Return the heights at rest as (N,) numbers."""
+    try:
+        rest = np.asarray(equilibrium, dtype=float)
+    except (TypeError, ValueError):
+        rest = np.empty(0)
+    if rest.shape != (grains,) or not np.isfinite(rest).all():
+        raise InputError([("equilibrium", f"must be the heights at rest of the {grains} grains, m, from the top")])
+    return rest
+
+
+def _ways_down(scene: Scene, z: Array, rest: Array | None) -> list[float]:
+    """Return whether z points up (-1) or down (1), the likelier first; `z` is the first frame, (N,) m.
+
+    The overlaps say so, as they grow with the weight above: the gaps between centres, less what grains, overlaps and
+    the start of the scene make of them, must be alike.
+    """
+    if rest is not None:
+        return [1.0 if rest[-1] > rest[0] else -1.0]
+    chain = scene.chain
+    known = chain.contact_lengths[1:-1] - chain.equilibrium_overlap + np.diff(scene.initial()[0])
+    return sorted((-1.0, 1.0), key=lambda down: float(np.ptp(np.diff(np.sort(down * z)) - known)))
+
+
+def _misfit(scene: Scene, displacement: Array, velocity: Array, rounding: float) -> str:
+    """Return how the first frame differs from the start of the scene, or nothing; `rounding` is of heights, m."""
+    u, v = scene.initial()
+    for what, unit, values, start, slack in (
+        ("velocity", "m/s", velocity, v, 0.0),
+        ("displacement", "m", displacement, u, rounding),
+    ):
+        off = np.abs(values[0] - start)
+        if (off > SAME * np.abs(values).max() + slack).any():
+            n = int(off.argmax())
+            return f"grain {n + 1} begins with a {what} of {values[0, n]:.6g} {unit}, in the scene {start[n]:.6g}"
+    return ""
+
+
+def _columns(path: Path, scene: Scene) -> list[str]:
+    """Return the names of the columns, once it is clear that the dump is of such a chain."""
+    name, grains = str(path), scene.chain.grains
+    if not path.is_file():
+        raise InputError([(name, "is a folder; name the dump in it" if path.is_dir() else "there is no such file")])
+    if not is_dump(path):
+        raise InputError([(name, "is no LAMMPS dump in text: write one with lmpchain deck, or by dump custom")])
+    try:
+        with _open(path) as opened:
+            head = [opened.readline().decode(errors="replace").strip() for _ in range(HEADER)]
+            last = b""
+            for block in iter(lambda: opened.read(BLOCK), b""):
+                last = block[-1:]
+    except (OSError, EOFError, zlib.error) as error:
+        raise InputError([(name, f"cannot be read as a dump: {error}; write it anew")]) from None
+    if not head[3].isdigit() or not head[8].startswith("ITEM: ATOMS"):
+        what = "is cut short, or has lines that a plain dump custom has not, as of dump_modify units or time"
+        raise InputError([(name, f"{what}: write it anew")])
+    if last != b"\n":
+        raise InputError([(name, "is cut short within a line: run LAMMPS to its end")])
+    if int(head[3]) != grains:
+        raise InputError([(name, f"has {head[3]} atoms, the scene {grains} grains: give the scene it was made for")])
+    columns = head[8].split()[2:]
+    unwrapped = not {"x", "y", "z"} <= set(columns) and {"xu", "yu", "zu"} <= set(columns)
+    wanted = ("id", "xu", "yu", "zu", "vz") if unwrapped else ("id", "x", "y", "z", "vz")
+    if missing := [key for key in wanted if key not in columns]:
+        cure = "dump custom ... id x y z vz v_phi, with dump_modify format float %.17g"
+        raise InputError([(name, f"has no column {', '.join(missing)}: {cure}")])
+    return columns
+
+
+def _frames(path: Path, columns: list[str]) -> tuple[np.ndarray, dict[str, Array]]:
+    """Return the numbers of the steps, (T,), and these columns by atom, in the order of their numbers, (T, N) each.
+
+    MDAnalysis holds positions in single precision, but columns that are asked for by name in double.
+    """
+    from MDAnalysis.coordinates.LAMMPS import DumpReader
+
+    try:
+        with warnings.catch_warnings(action="ignore"), DumpReader(str(path), additional_columns=columns) as dump:
+            steps, rows = [], []
+            for frame in dump:
+                steps.append(int(frame.data["step"]))
+                rows.append([frame.data[column].copy() for column in columns])
+    except Exception as error:  # whatever damaged lines make the reader raise
+        reason = f"cannot be read as a dump: {error}; write it anew"
+        raise InputError([(str(path), reason)]) from None
+    return np.array(steps), dict(zip(columns, np.array(rows).transpose(1, 0, 2), strict=True))
+
+
+def _check_digits(name: str, heights: Array) -> None:
+    """Raise `InputError` if the heights of a grain that moves, (T,) m, were written with too few digits to show it."""
+    largest, moved = np.abs(heights).max(), np.ptp(heights)
+    digits = next((d for d in range(1, 17) if all(float(f"{z:.{d - 1}e}") == z for z in heights.tolist())), 17)
+    if largest and moved < FEWEST_LEVELS * 10.0 ** (np.floor(np.log10(largest)) - digits + 1):
+        cure = "write them with dump_modify format float %.17g, or dump v_phi, as lmpchain deck does"
+        raise InputError(
+            [(name, f"its heights have {digits} digits, too few for displacements of {moved:.1g} m: {cure}")]
+        )

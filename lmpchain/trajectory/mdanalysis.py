@@ -1,0 +1,72 @@
+"""A trajectory as MDAnalysis sees it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from MDAnalysis import Universe
+from MDAnalysis.coordinates.base import ProtoReader
+from MDAnalysis.coordinates.timestep import Timestep
+
+from .record import Record
+
+
+class SampleReader(ProtoReader):
+    """Gives the samples of a trajectory to MDAnalysis one by one, each when it is asked for.
+
+    Parameters
+    ----------
+    record : Record
+        Only the sample at hand is taken from its arrays, so those may stay on disk.
+    """
+
+    def __init__(self, record: Record):
+        super().__init__()
+        self._run = record
+        self.filename = None
+        self.n_frames, self.n_atoms = record.displacement.shape
+        self._rest = -record.scene.chain.depths[record.grains - 1]
+        self._reopen()
+        self._read_next_timestep()
+
+    def _reopen(self) -> None:
+        interval = self._run.scene.duration / (self.n_frames - 1)
+        self.ts = Timestep(self.n_atoms, dt=interval, velocities=True)
+        self.ts.positions[:] = self.ts.velocities[:] = 0.0
+        self.ts.frame = -1
+
+    def _read_next_timestep(self, ts: Timestep | None = None) -> Timestep:
+        if self.ts.frame + 1 >= self.n_frames:
+            raise EOFError
+        return self._read_frame(self.ts.frame + 1)
+
+    def _read_frame(self, frame: int) -> Timestep:
+        ts, run = self.ts, self._run
+        ts.frame, ts.time = frame, float(run.time[frame])
+        ts.data["displacement"] = np.array(run.displacement[frame])
+        ts.data["velocity"] = np.array(run.velocity[frame])
+        ts.positions[:, 2] = self._rest - ts.data["displacement"]
+        ts.velocities[:, 2] = -ts.data["velocity"]
+        return ts
+
+    def copy(self) -> SampleReader:
+        """Return a reader of its own of the same trajectory, at the same sample."""
+        new = SampleReader(self._run)
+        new.add_transformations(*self.transformations)
+        new.ts = self.ts.copy()
+        return new
+
+    def close(self) -> None:
+        """Do nothing: no file is held."""
+
+
+def universe(record: Record) -> Universe:
+    """Return the trajectory as a Universe; see `lmpchain.Trajectory.universe`."""
+    chain, place = record.scene.chain, record.grains - 1
+    made: Any = Universe.empty(place.size)
+    made.add_TopologyAttr("ids", record.grains)
+    made.add_TopologyAttr("masses", chain.masses[place])
+    made.add_TopologyAttr("radii", chain.diameters[place] / 2)
+    made.trajectory = SampleReader(record)
+    return made

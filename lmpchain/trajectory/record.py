@@ -1,0 +1,158 @@
+"""What a run leaves: samples, error estimate, cost, and what a file says of them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..scene.scene import Scene
+from ..util.arrays import Array
+
+FORMAT = 1
+DIMENSIONS = ("time", "grain")
+FIELDS = ("displacement", "velocity")
+LABELS: dict[str, dict[str, Any]] = {
+    "time": {"units": "s", "long_name": "time since the strike"},
+    "grain": {"units": "1", "long_name": "number of the grain, from the top"},
+    "displacement": {"units": "m", "long_name": "displacement from equilibrium, positive downward"},
+    "velocity": {"units": "m s-1", "long_name": "velocity, downward"},
+}
+
+
+@dataclass(frozen=True)
+class ErrorEstimate:
+    """How far an answer is from the solution of Eq. (1).
+
+    The error is the larger of those of displacement and velocity, each max|x - x_true| / max|x_true|
+    over all samples and all grains of the chain.
+
+    Attributes
+    ----------
+    model : float
+        Because the equation solved is not Eq. (1).
+    solver : float
+        Because it was not solved exactly: step and round-off.
+    """
+
+    model: float
+    solver: float
+
+    @property
+    def total(self) -> float:
+        """Both together."""
+        return self.model + self.solver
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What an answer cost."""
+
+    integration_s: float
+    estimate_s: float
+    setup_s: float
+    steps: int
+    force_evaluations: int
+    active_grains: int
+    integrator: str
+    step_s: float
+    ranks: int
+
+
+class Block(NamedTuple):
+    """Part of an answer: realisations x samples x recorded grains.
+
+    `columns` says which of the recorded grains they are; the others have not moved from equilibrium. A block without
+    samples says that the engine is still at work: a moment to show progress or stop.
+    """
+
+    samples: slice
+    displacement: Array
+    velocity: Array
+    columns: slice | NDArray[np.intp] = slice(None)
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """What an engine answered.
+
+    Attributes
+    ----------
+    scene : Scene
+    engine : str
+    equation : int
+        Number in the paper of the equation solved.
+    time : (T,) array
+        s.
+    grains : (G,) array
+        Numbers of the recorded grains, from 1 at the top.
+    displacement, velocity : (T, G) arrays
+        From equilibrium, positive downward; m and m/s.
+    error_estimate : ErrorEstimate
+    cost : Cost
+    provenance : dict
+        Choices that shaped the answer, and versions.
+    """
+
+    scene: Scene
+    engine: str
+    equation: int
+    time: Array
+    grains: np.ndarray
+    displacement: Array
+    velocity: Array
+    error_estimate: ErrorEstimate
+    cost: Cost
+    provenance: dict[str, str] = field(default_factory=dict)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Record):
+            return NotImplemented
+        mine, theirs = self.__dict__, other.__dict__
+        arrays = (*FIELDS, "time", "grains")
+        return all(
+            np.array_equal(mine[key], theirs[key]) if key in arrays else mine[key] == theirs[key] for key in mine
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def attributes(self) -> dict[str, Any]:
+        """Return what the file says about the whole."""
+        known = subject(self.scene, self.engine, self.equation, self.provenance)
+        return known | verdict(self.error_estimate, self.cost)
+
+    def variables(self) -> dict[str, tuple[tuple[str, ...], Any, dict[str, str]]]:
+        """Return the dimensions, the values and what the file says of each array."""
+        fields = {name: (DIMENSIONS, getattr(self, name), LABELS[name]) for name in FIELDS}
+        return {
+            "time": (("time",), self.time, LABELS["time"]),
+            "grain": (("grain",), self.grains, LABELS["grain"]),
+            **fields,
+        }
+
+
+def subject(scene: Scene, engine: str, equation: int, provenance: Mapping[str, str]) -> dict[str, Any]:
+    """Return what a file says of an answer that is still to come."""
+    return {
+        "title": "Displacement and velocity of the grains of a chain",
+        "lmpchain_format": FORMAT,
+        "engine": engine,
+        "equation": equation,
+        "scene": scene.to_text(),
+        "provenance": json.dumps(dict(provenance)),
+    }
+
+
+def verdict(error: ErrorEstimate, cost: Cost) -> dict[str, Any]:
+    """Return what a file says of how good an answer is and what it cost."""
+    return {
+        "model_error": error.model,
+        "solver_error": error.solver,
+        "error_definition": "max|x - x_true| / max|x_true| over all samples and grains, the larger of "
+        "displacement and velocity, x_true the solution of Eq. (1)",
+        "cost": json.dumps(asdict(cost)),
+    }

@@ -1,0 +1,172 @@
+"""The answer: arrays with their provenance, error estimate and cost; in and out of files."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+
+from ..errors import InputError
+from ..scene.scene import Scene
+from ..util.arrays import Array
+from .record import FIELDS, FORMAT, Cost, ErrorEstimate, Record
+
+if TYPE_CHECKING:
+    import xarray
+    from MDAnalysis import Universe
+
+
+class Trajectory(Record):
+    """What an engine answered: the arrays of `Record`, in and out of files.
+
+    Attributes
+    ----------
+    scene : Scene
+    engine : str
+    equation : int
+        Number in the paper of the equation solved.
+    time : (T,) array
+        s.
+    grains : (G,) array
+        Numbers of the recorded grains, from 1 at the top.
+    displacement, velocity : (T, G) arrays
+        From equilibrium, positive downward; m and m/s.
+    error_estimate : ErrorEstimate
+    cost : Cost
+    provenance : dict
+        Choices that shaped the answer, and versions.
+    """
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return a self-describing dataset with the dimensions time and grain; what is on the disk stays there."""
+        import xarray
+
+        variables = {
+            name: (dimensions, getattr(values, "variable", values), attributes)
+            for name, (dimensions, values, attributes) in self.variables().items()
+        }
+        return xarray.Dataset(variables, attrs=self.attributes())
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write one NetCDF file; nothing stands under its name until it is whole."""
+        from .netcdf import write
+
+        write(self, path)
+
+    def to_extxyz(self, path: str | PathLike[str]) -> None:
+        """Write extended XYZ for OVITO, ASE and others: one text file, one frame a sample.
+
+        The columns are species (X), pos and velo in m and m/s with z up and grain 1 at rest at z = 0 (as in a deck), id
+        (number of the grain), radius in m, and displacement in m, from equilibrium and positive downward; every number
+        is written with all its digits. Nothing stands under the name until the file is whole.
+        """
+        from .extxyz import write
+
+        write(self, path)
+
+    def universe(self) -> Universe:
+        """Return an MDAnalysis Universe of the recorded grains, in SI units; samples are read as they are asked for.
+
+        MDAnalysis holds positions and velocities in single precision, in which a height of 0.1 m has steps of 7e-9 m
+        and most waves are lost. They are there to draw and select (z up, grain 1 at rest at z = 0). To measure, take
+        the columns that the time step carries besides, in double precision and as in this trajectory: `ts.data`, as
+        MDAnalysis does with columns of a LAMMPS dump. Atoms have `ids` (numbers of the grains), `masses` (kg) and
+        `radii` (m); times are in s.
+
+        Examples
+        --------
+        >>> import lmpchain
+        >>> chain = lmpchain.Chain(grains=40, diameter=1e-3)
+        >>> scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-6), duration=50e-6)
+        >>> t = lmpchain.simulate(scene, engine="native")
+        >>> top = t.universe().select_atoms("id 1:5")
+        >>> peak = max(ts.data["velocity"][top.indices].max() for ts in top.universe.trajectory)
+        >>> bool(peak == t.velocity[:, :5].max())
+        True
+        """
+        from .mdanalysis import universe
+
+        return universe(self)
+
+    @classmethod
+    def from_dump(
+        cls, path: str | PathLike[str], scene: Scene, equilibrium: Sequence[float] | Array | None = None
+    ) -> Trajectory:
+        """Read a LAMMPS dump as the answer to a scene: of `lmpchain deck`, or of a deck of your own.
+
+        Grains are numbered by their heights in the first frame, from the top, whatever the numbers of their atoms; the
+        gaps between them, which the weight narrows, and their velocities tell whether z points up or down.
+        Displacements are the column v_phi where there is one (and z points up). Else they are how far a grain has
+        fallen from its height at rest; heights leave fewer digits. Nothing is known of the error: its estimate is
+        infinite.
+
+        Parameters
+        ----------
+        path : path
+            A text dump, or one compressed by gzip (.gz), in units si, with the columns id x y z vz, or id xu yu zu vz,
+            and v_phi if it can be had, in any order, and a frame a sample of the scene.
+        scene : Scene
+            The one that the dump was made for.
+        equilibrium : (N,) array, optional
+            Heights z of the grains at rest, m, from the top. By default they follow from the first frame, which
+            differs from rest by the displacement that the scene starts with.
+
+        Raises
+        ------
+        InputError
+            If it cannot be read, or is not of this scene.
+        """
+        from .lammps_dump import read
+
+        return cls(**vars(read(path, scene, equilibrium)))
+
+    @classmethod
+    def load(cls, path: str | PathLike[str]) -> Trajectory:
+        """Read a file that `save` wrote, or a run folder; raises `InputError` for anything else.
+
+        The arrays of a run folder stay on the disk: what is indexed is read. Of a run that is not finished, the samples
+        are there that are complete, and the estimate of the error is infinite.
+        """
+        from . import netcdf
+        from .zarr_store import NAME, OnDisk, open_dataset
+
+        path = Path(path)
+        folder = os.path.isdir(path)  # which no name makes raise
+        if folder and not (path / NAME).is_dir():
+            raise InputError([(str(path), "is a folder without a run in it, or with one that has no samples yet")])
+        if not folder and not os.path.isfile(path):
+            raise InputError([(str(path), "there is no such file")])
+        try:
+            data = open_dataset(path) if folder else netcdf.read(path)
+            if data.attrs["lmpchain_format"] != FORMAT:
+                raise ValueError("of another version")
+            scene = Scene.from_text(data.attrs["scene"])
+            shape = (data.sizes["time"] if folder else scene.samples, scene.recorded.size)
+            if any(data[name].shape != shape for name in FIELDS):
+                raise ValueError(f"its arrays are not {shape[0]} samples of {shape[1]} grains")
+            if not (
+                np.array_equal(data["time"], scene.time[: shape[0]]) and np.array_equal(data["grain"], scene.recorded)
+            ):
+                raise ValueError("its times or grains are not those of its scene")
+            fields = {name: OnDisk(data[name].variable) if folder else data[name].to_numpy() for name in FIELDS}
+            estimate = ErrorEstimate(float(data.attrs["model_error"]), float(data.attrs["solver_error"]))
+            return cls(
+                scene=scene,
+                engine=data.attrs["engine"],
+                equation=int(data.attrs["equation"]),
+                time=data["time"].to_numpy(),
+                grains=data["grain"].to_numpy(),
+                error_estimate=estimate,
+                cost=Cost(**json.loads(data.attrs["cost"])),
+                provenance=json.loads(data.attrs["provenance"]),
+                **cast(Mapping[str, Array], fields),
+            )
+        except Exception as error:  # whatever a damaged file makes the readers raise
+            raise InputError(
+                [(str(path), f"is not a trajectory that lmpchain saved, or is cut short ({error})")]
+            ) from None

@@ -1,0 +1,207 @@
+"""A trajectory on disk that grows while it is read: a Zarr store of whole shards.
+
+The length of every array is fixed beforehand, and its values are NaN until they are known. A sample is complete when
+its time is there, which is written last. Zarr moves every file into place, so a kill leaves none half written.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from types import EllipsisType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
+
+from ..errors import InputError
+from ..scene.scene import Scene
+from ..util.arrays import Array
+from .record import FIELDS, LABELS, Block, Cost, ErrorEstimate, verdict
+
+if TYPE_CHECKING:
+    import xarray
+
+NAME = "trajectory.zarr"
+SAMPLES = 16  # in a shard, or as many times that as fill a chunk
+WIDTH = 12_500  # grains in a chunk at most: one grain's trace and one snapshot are then both read in some 20 ms
+TIMES = 65_536  # in a chunk at least
+
+
+def create(folder: Path, scene: Scene, attributes: Mapping[str, Any]) -> None:
+    """Make an empty store, in place of one that is there."""
+    import zarr
+    from zarr.codecs import BloscCodec, Crc32cCodec
+
+    group = zarr.open_group(folder / NAME, mode="w", attributes=dict(attributes))
+    samples, grains = scene.samples, scene.recorded.size
+    parts = math.ceil(grains / WIDTH)
+    width = math.ceil(grains / parts)
+    rows = SAMPLES * math.ceil(min(samples / SAMPLES, WIDTH / grains))
+    times = rows * math.ceil(TIMES / rows)  # so that the times of a shard lie in one chunk, which is moved into place
+    unknown: Any = {"dtype": "f8", "fill_value": math.nan}
+    for name in FIELDS:
+        group.create_array(
+            name,
+            shape=(samples, grains),
+            chunks=(rows, width),
+            shards=(rows, width * parts),
+            compressors=[BloscCodec(cname="zstd", clevel=1, shuffle="shuffle"), Crc32cCodec()],
+            dimension_names=("time", "grain"),
+            attributes=LABELS[name],
+            **unknown,
+        )
+    group.create_array(
+        "time",
+        shape=(samples,),
+        chunks=(min(times, samples),),
+        compressors=[BloscCodec(cname="zstd", clevel=1, shuffle="shuffle"), Crc32cCodec()],
+        dimension_names=("time",),
+        attributes=LABELS["time"],
+        **unknown,
+    )
+    group.create_array("grain", data=scene.recorded, dimension_names=("grain",), attributes=LABELS["grain"])
+    with warnings.catch_warnings(action="ignore"):  # one file describes all arrays, which xarray looks for first
+        zarr.consolidate_metadata(folder / NAME)
+
+
+class Writer:
+    """Adds samples to a store, from a given one on, shard by shard."""
+
+    def __init__(self, folder: Path, scene: Scene, sample: int = 0):
+        import zarr
+
+        for left in (folder / NAME).rglob("*.partial*"):  # by a kill
+            left.unlink()
+        self._group: Any = zarr.open_group(folder / NAME, mode="r+")
+        self._fields: list[Any] = [self._group[name] for name in FIELDS]
+        self._times = scene.time
+        self._rows = self._fields[0].shards[0]
+        self._buffers = np.empty((len(FIELDS), self._rows, scene.recorded.size))
+        times: Any = self._group["time"]
+        self._known = int(np.isfinite(times[:]).sum())
+        self._go_to(sample - sample % self._rows)
+        self._end = sample
+
+    def _go_to(self, first: int) -> None:
+        """Begin a shard. What the store holds of it stays, so that no reader sees a sample vanish."""
+        self._first = self._end = first
+        self._buffers.fill(math.nan)
+        if first < self._known:
+            with suppress(ValueError):  # of samples to come, damaged: they are written anew
+                for buffer, array in zip(self._buffers, self._fields, strict=True):
+                    known = array[first : first + self._rows]
+                    buffer[: len(known)] = known
+
+    def put(self, block: Block) -> None:
+        """Add the next samples; full shards go to the disk."""
+        fields = block.displacement[0], block.velocity[0]
+        done, count = 0, len(fields[0])
+        while done < count:
+            row = self._end - self._first
+            taken = min(self._rows - row, count - done)
+            for buffer, values in zip(self._buffers, fields, strict=True):
+                buffer[row : row + taken] = 0.0
+                buffer[row : row + taken, block.columns] = values[done : done + taken]
+            done += taken
+            self._end += taken
+            if row + taken == self._rows:
+                self.flush()
+                self._go_to(self._end)
+
+    def flush(self) -> None:
+        """Bring to the disk what is not there yet, its times last."""
+        if self._end > self._first:
+            last = min(self._first + self._rows, self._times.size)
+            for array, buffer in zip(self._fields, self._buffers, strict=True):
+                array[self._first : last] = buffer[: last - self._first]
+            self._group["time"][self._first : self._end] = self._times[self._first : self._end]
+
+    def conclude(self, error: ErrorEstimate, cost: Cost) -> None:
+        """Note how good the answer is, and what it cost."""
+        self._group.attrs.update(verdict(error, cost))
+
+
+def usable(folder: Path, samples: int) -> bool:
+    """Say whether so many samples are complete, and those can be read that lie in a shard with the next one."""
+    import zarr
+
+    if not samples:
+        return True
+    try:
+        group: Any = zarr.open_group(folder / NAME, mode="r")
+        first = samples - samples % group[FIELDS[0]].shards[0]
+        parts = (group["time"][:samples], *(group[name][first:samples] for name in FIELDS))
+        return all(bool(np.isfinite(part).all()) for part in parts)
+    except Exception:  # whatever damaged files make zarr raise
+        return False
+
+
+def open_dataset(folder: Path) -> xarray.Dataset:
+    """Open the complete samples of a store, which stay on the disk until they are asked for.
+
+    Of a run that is not finished, the error is unknown: its estimate is infinite.
+    """
+    import xarray
+
+    data = xarray.open_dataset(
+        folder / NAME,
+        engine="zarr",
+        chunks=None,
+        cache=False,
+        decode_times=False,
+        mask_and_scale=False,
+    )
+    complete = int(np.isfinite(data["time"].to_numpy()).sum())
+    if "solver_error" in data.attrs and complete < data.sizes["time"]:
+        raise ValueError("the run was finished, but samples are not there")
+    data = data.isel(time=slice(0, complete))
+    nothing = Cost(0.0, 0.0, 0.0, 0, 0, data.sizes["grain"], "unknown", 0.0, 1)
+    return data.assign_attrs(verdict(ErrorEstimate(0.0, math.inf), nothing) | data.attrs)
+
+
+class OnDisk(NDArrayOperatorsMixin):
+    """An array on the disk that serves as one of numpy: rows and columns are read as they are indexed.
+
+    Anything else that numpy can do with an array reads all of it.
+    """
+
+    def __init__(self, variable: xarray.Variable):
+        self.variable = variable
+        self.shape, self.dtype, self.ndim, self.size = variable.shape, variable.dtype, variable.ndim, variable.size
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __getitem__(self, key: Any) -> Any:
+        keys = key if isinstance(key, tuple) else (key,)
+        fancy = [part for part in keys if not isinstance(part, int | np.integer | slice | EllipsisType)]
+        if len(fancy) > 1 or any(np.ndim(part) != 1 for part in fancy):  # where xarray's rules are not those of numpy
+            return np.asarray(self)[key]
+        return self._read(self.variable[key])
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
+        return np.asarray(self._read(self.variable), dtype)
+
+    def _read(self, part: xarray.Variable) -> Any:
+        try:
+            values = part.to_numpy()
+        except (ValueError, RuntimeError, OSError) as error:
+            why = str(error)
+        else:
+            if np.isfinite(values).all():
+                return values
+            why = "samples are not there"
+        raise InputError([(NAME, f"was damaged and cannot be read: {why}; run the scene anew")])
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
+        read = (np.asarray(value) if isinstance(value, OnDisk) else value for value in inputs)
+        return getattr(ufunc, method)(*read, **options)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_") or name == "variable":  # asked for while it is being made
+            raise AttributeError(name)
+        return getattr(np.asarray(self), name)

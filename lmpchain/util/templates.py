@@ -1,0 +1,76 @@
+"""Text from templates, those of the package and the user's: LAMMPS input and pages."""
+
+from __future__ import annotations
+
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from jinja2 import FileSystemLoader, StrictUndefined, TemplateNotFound, TemplateSyntaxError
+from jinja2.meta import find_undeclared_variables
+from jinja2.runtime import Macro
+from jinja2.sandbox import ImmutableSandboxedEnvironment, SecurityError
+
+from ..errors import InputError
+
+_PACKAGE = Path(__file__).parents[1]
+_FOLDERS = [_PACKAGE / "templates", _PACKAGE.parent / "templates"]  # in a wheel, in a source tree
+
+
+class _Closed(ImmutableSandboxedEnvironment):
+    """Templates that read what they are given and call nothing but `range` and macros of their own."""
+
+    def __init__(self, closed: tuple[type, ...] = (), **options: Any):
+        self._closed_types = closed
+        super().__init__(
+            loader=FileSystemLoader(_FOLDERS),
+            undefined=StrictUndefined,
+            trim_blocks=True,
+            lstrip_blocks=True,
+            keep_trailing_newline=True,
+            **options,
+        )
+        self.filters["exact"] = lambda value: repr(float(value))
+        self.globals = {"range": self.globals["range"]}
+
+    def is_safe_callable(self, obj: Any) -> bool:
+        return isinstance(obj, Macro) or obj is self.globals["range"]
+
+    def is_safe_attribute(self, obj: Any, attr: str, value: Any) -> bool:
+        return not isinstance(obj, self._closed_types) and super().is_safe_attribute(obj, attr, value)
+
+
+def render(name: str, closed: tuple[type, ...] = (), **values: Any) -> str:
+    """Fill in a template of the package; a value that it names and does not get is an error. HTML is escaped.
+
+    Numbers go through the filter `exact` where every digit counts. Of objects of the types `closed` nothing is read.
+    """
+    environment = _Closed(closed, autoescape=name.endswith(".html"))
+    return environment.get_template(name).render(version=version("lmpchain"), **values)
+
+
+def render_text(text: str, key: str, closed: tuple[type, ...] = (), **values: Any) -> str:
+    """Fill in a template of the user, which may include those of the package; of the types `closed` nothing is read.
+
+    Raises
+    ------
+    InputError
+        Under `key`, if it names what there is not, or does what it may not.
+    """
+    environment, values = _Closed(closed), {"version": version("lmpchain"), **values}
+    try:
+        unknown = find_undeclared_variables(environment.parse(text)) - values.keys() - environment.globals.keys()
+        if not unknown:
+            return environment.from_string(text).render(values)
+    except TemplateSyntaxError as error:
+        raise InputError([(key, f"line {error.lineno} is not in the form of Jinja2: {error.message}")]) from None
+    except TemplateNotFound as error:
+        known = ", ".join(environment.list_templates())
+        raise InputError([(key, f"can include no {error.name!r}; there are {known}")]) from None
+    except SecurityError:
+        why = "it may read the values that it is given, and call range and macros of its own, nothing else"
+        raise InputError([(key, f"asks for something that is closed to it: {why}")]) from None
+    except Exception as error:  # whatever the expressions of a template raise
+        raise InputError([(key, f"cannot be filled in: {error}")]) from None
+    known = ", ".join(sorted(values))
+    raise InputError([(key, f"there is no placeholder {name!r}; there are {known}") for name in sorted(unknown)])

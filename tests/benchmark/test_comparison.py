@@ -1,0 +1,232 @@
+"""The reference and what is measured against it."""
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.reference import extended_reference, relative_error
+from helpers.scenes import paper, smooth
+from matplotlib.figure import Figure
+
+from lmpchain import Chain, Displacement, Impulse, InputError, Profile, Scene, Trajectory, simulate
+from lmpchain.benchmark.comparison import WIDEST, compare, draw_comparison, error, error_over_time, errors
+from lmpchain.benchmark.reference import Reference, expected_seconds, reference
+from lmpchain.util.plotting import figure, save
+
+
+def strong_and_open() -> Scene:
+    chain = Chain(grains=10, diameter=1e-3)
+    return Scene(chain=chain, excitation=Impulse(velocity=1e-2), duration=3e-5, samples=7)
+
+
+def pulled() -> Scene:
+    chain = Chain(grains=6, diameter=1e-3, exponent=1.3, top_load=1e-4)
+    excitation = Displacement(displacement=-0.5 * chain.length_scale, grain=2)
+    return Scene(chain=chain, excitation=excitation, duration=2e-5, samples=5)
+
+
+def vacuum() -> Scene:
+    chain = Chain(grains=5, diameter=1e-3, gravity=0.0, bottom="free")
+    return Scene(chain=chain, excitation=Impulse(velocity=0.1, grain=2), duration=2e-5, samples=5)
+
+
+SCENES = {"weak": smooth(), "mixed": pulled(), "opening": strong_and_open(), "vacuum": vacuum()}
+
+
+@pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
+def test_the_reference_is_as_good_as_it_says(scene: Scene):
+    truth = reference(scene)
+    u, v, itself = extended_reference(scene, 1e-16)
+    assert truth.displacement.shape == truth.velocity.shape == (scene.samples, scene.chain.grains)
+    assert np.array_equal(truth.time, scene.time)
+    assert relative_error(truth.displacement, truth.velocity, u, v) <= truth.error + itself
+    assert truth.error < 1e-8
+
+
+def test_the_reference_starts_where_the_scene_does():
+    start = Profile(displacement=[1e-10, -1e-10, 0], velocity=[0, 1e-5, 0])
+    truth = reference(Scene(chain=Chain(grains=3, diameter=1e-3), excitation=start, duration=1e-6, samples=2))
+    assert truth.displacement[0] == pytest.approx([1e-10, -1e-10, 0], rel=1e-15, abs=0)
+    assert truth.velocity[0] == pytest.approx([0, 1e-5, 0], rel=1e-15, abs=0)
+    assert not truth.displacement[:, 2].any()
+
+
+def test_the_reference_keeps_its_digits_however_weak_the_wave():
+    """Halving a strike that is weak enough halves the motion, to the accuracy of the linear law."""
+    chain = Chain(grains=10, diameter=1e-3)
+    motion = [
+        reference(Scene(chain=chain, excitation=Impulse(velocity=v), duration=3e-5, samples=4)).velocity / v
+        for v in (1e-16, 2e-16)
+    ]
+    assert motion[0] == pytest.approx(motion[1], abs=1e-11)
+
+
+def test_nothing_happens_where_nothing_strikes():
+    chain = Chain(grains=4, diameter=1e-3)
+    for quiet in (chain, Chain(grains=4, diameter=1e-3, gravity=0.0)):
+        truth = reference(Scene(chain=quiet, excitation=Impulse(velocity=0.0), duration=1e-5, samples=3))
+        assert not truth.displacement.any()
+        assert not truth.velocity.any()
+        assert truth.error < 1e-9
+
+
+def test_a_long_scene_is_expected_to_take_longer():
+    short, long = smooth(), replace_scene(smooth(), duration=1e6 * smooth().duration)
+    large = Scene(chain=Chain(grains=10**5, diameter=1e-3), excitation=Impulse(velocity=1e-6), duration=1e-2, samples=2)
+    assert 0 < expected_seconds(short) < 1
+    assert expected_seconds(long) > 1e3
+    assert expected_seconds(large) > 60
+
+
+def replace_scene(scene: Scene, **changes: Any) -> Scene:
+    return Scene(**scene.given() | changes)
+
+
+# --- errors, on answers made up by hand
+
+CHAIN = Chain(grains=4, diameter=1e-3)
+
+
+def made_up(grains: Any = "all") -> tuple[Trajectory, Reference]:
+    """Return an answer without error and its reference: u = 1, 2, -4, 0 and v = 10 u at all times."""
+    scene = Scene(chain=CHAIN, excitation=Impulse(velocity=1e-9), duration=1e-9, samples=3, grains=grains)
+    answer = simulate(scene, "native", 1e-3)
+    u = np.tile([1.0, 2.0, -4.0, 0.0], (3, 1))
+    columns = scene.recorded - 1
+    answer = replace(answer, displacement=u[:, columns].copy(), velocity=10 * u[:, columns])
+    return answer, Reference(scene.time, u, 10 * u, 1e-12, "made up")
+
+
+def test_no_error():
+    answer, truth = made_up()
+    assert errors(answer, truth) == (0.0, 0.0)
+    assert error(answer, truth) == 0.0
+    assert error_over_time(answer, truth).tolist() == [0, 0, 0]
+
+
+def test_the_error_is_the_larger_of_both_and_relative_to_the_largest_of_all():
+    answer, truth = made_up()
+    answer.displacement[1, 0] += 0.4
+    answer.velocity[2, 1] -= 2.0
+    assert errors(answer, truth) == pytest.approx((0.1, 0.05), rel=1e-14, abs=0)
+    assert error(answer, truth) == pytest.approx(0.1, rel=1e-14, abs=0)
+    assert error_over_time(answer, truth) == pytest.approx([0, 0.1, 0.05], rel=1e-14, abs=0)
+
+
+def test_recorded_grains_are_matched_and_the_whole_chain_is_the_measure():
+    answer, truth = made_up(grains=[2, 1])
+    assert answer.displacement[0].tolist() == [2, 1]
+    assert errors(answer, truth) == (0.0, 0.0)
+    answer.displacement[0, 1] += 0.4  # grain 1, and 4 is the largest displacement, of grain 3
+    assert errors(answer, truth)[0] == pytest.approx(0.1, rel=1e-14, abs=0)
+
+
+def test_what_is_not_a_number_stays_visible():
+    answer, truth = made_up()
+    answer.velocity[1, 1] = np.nan
+    assert np.isnan(error(answer, truth))
+    answer.velocity[1, 1] = 40
+    answer.displacement[1, 1] = np.nan
+    assert np.isnan(error(answer, truth))
+    answer.displacement[1, 1] = np.inf
+    assert error(answer, truth) == np.inf
+
+
+def test_a_truth_at_rest():
+    answer, truth = made_up()
+    truth.displacement[:] = truth.velocity[:] = 0
+    answer.displacement[:] = answer.velocity[:] = 0
+    assert errors(answer, truth) == (0.0, 0.0)
+
+
+def test_what_cannot_be_compared():
+    answer, truth = made_up()
+    with pytest.raises(InputError, match="time"):
+        errors(answer, replace(truth, time=truth.time * 1.001))
+    with pytest.raises(InputError, match="time"):
+        errors(answer, replace(truth, time=truth.time[:2]))
+    with pytest.raises(InputError, match="grains"):
+        errors(answer, replace(truth, displacement=np.zeros((3, 5)), velocity=np.zeros((3, 5))))
+
+
+def test_rows_repeat_what_the_answers_say():
+    first, truth = made_up()
+    second = replace(first, engine="lammps", velocity=1.5 * first.velocity)
+    comparison = compare([first, second], truth)
+    assert [row.engine for row in comparison.rows] == ["native", "lammps"]
+    row = comparison.rows[1]
+    assert (row.error, row.error_displacement, row.error_velocity) == (0.5, 0.0, 0.5)
+    assert row.expected_error == second.error_estimate.total
+    assert (row.steps, row.force_evaluations) == (second.cost.steps, second.cost.force_evaluations)
+    assert (row.integration_s, row.integrator, row.equation) == (second.cost.integration_s, second.cost.integrator, 1)
+    lines = comparison.table().splitlines()
+    assert lines[0].split()[:3] == ["engine", "equation", "integrator"]
+    assert lines[2].split()[:4] == ["lammps", "(1)", second.cost.integrator, "5.00e-01"]
+    assert "made up" in comparison.table()
+
+
+def test_json_has_the_agreed_shape_and_no_nan():
+    answer, truth = made_up()
+    broken = replace(answer, velocity=np.full_like(answer.velocity, np.nan))
+    data = compare([answer, broken], truth).to_json()
+    assert json.loads(json.dumps(data, allow_nan=False)) == data
+    assert set(data) == {"reference", "rows"}
+    assert data["reference"] == {"method": "made up", "error": 1e-12}
+    for row in data["rows"]:
+        assert list(row) == [
+            "engine", "equation", "error", "error_displacement", "error_velocity", "expected_error", "integration_s",
+            "steps", "force_evaluations",
+        ]  # fmt: skip
+    assert data["rows"][1]["error"] is None
+    assert data["rows"][1]["error_displacement"] == 0.0
+
+
+# --- the picture
+
+
+def test_the_picture_shows_every_engine_with_units(tmp_path: Any):
+    scene = paper("fig5 g", samples=6)
+    answer = simulate(scene, "native", 1e-6)
+    comparison = compare([answer, replace(answer, engine="lammps")], reference(scene))
+    picture = comparison.plot()
+    assert isinstance(picture, Figure)
+    wave, over_time, cost = picture.axes
+    assert [text.get_text() for text in wave.get_legend().get_texts()] == ["reference", "native", "lammps"]
+    assert over_time.get_xlabel() == "time (µs)"
+    assert cost.get_xlabel() == "integration time (s)"
+    assert all(axes.get_xlabel() and axes.get_ylabel() for axes in picture.axes)
+    assert over_time.get_yscale() == cost.get_xscale() == cost.get_yscale() == "log"
+    first, last = wave.get_xlim()
+    assert last - first <= WIDEST
+    peak = 1 + np.abs(answer.velocity[-1]).argmax()
+    assert first < peak < last
+    for suffix in ("png", "pdf", "svg"):
+        save(picture, tmp_path / f"picture.{suffix}")
+        assert (tmp_path / f"picture.{suffix}").stat().st_size > 1000
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_a_picture_in_axes_of_ones_own():
+    answer, truth = made_up()
+    mine = figure()
+    axes = mine.subplots(1, 3)
+    assert draw_comparison(compare([answer], truth), axes) is mine
+    assert all(ax.lines for ax in axes)
+
+
+def test_a_picture_of_a_chain_at_rest(tmp_path: Any):
+    scene = Scene(chain=CHAIN, excitation=Impulse(velocity=0.0), duration=1e-6, samples=3)
+    picture = compare([simulate(scene, "native", 1e-6)], reference(scene)).plot()
+    save(picture, tmp_path / "rest.png")
+    assert (tmp_path / "rest.png").exists()
+
+
+def test_the_lammps_engine_is_compared():
+    scene = smooth(samples=4)
+    comparison = compare([simulate(scene, "lammps", 1e-6), simulate(scene, "native", 1e-9)], reference(scene))
+    assert comparison.rows[0].error <= 1e-6
+    assert comparison.rows[1].error <= 1e-9
+    for row in comparison.rows:
+        assert row.error <= row.expected_error

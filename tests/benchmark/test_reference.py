@@ -1,0 +1,126 @@
+"""The reference of the package against exact solutions, conserved energy, and an integrator of another kind."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.reference import extended_reference, relative_error
+from helpers.scenes import paper, random_scene, smooth
+
+from lmpchain import Chain, Displacement, Drive, Impulse, Scene
+from lmpchain.benchmark.reference import reference
+
+EXTENDED = np.finfo(np.longdouble).eps < 1e-18
+GOOD = 2e-15 if EXTENDED else 1e-12  # what the reference is known to when no scene amplifies round-off
+TIGHT = 1e-18  # tolerance of the other integrator: with it, it is known to some 1e-14 where contacts open
+
+
+def between(excitation: Any, **keys: Any) -> Scene:
+    """Return a scene of twelve glass beads between two walls, unless they are told otherwise."""
+    chain = Chain(**{"grains": 12, "diameter": 1e-3, "top": "wall", "bottom": "wall"} | keys)
+    return Scene(chain=chain, excitation=excitation, duration=min(20 * chain.time_scale, 1e-4), samples=4)
+
+
+def path(size: float) -> Drive:
+    return Drive(times=np.arange(9) * 1.3e-5, displacement=np.array([0, 1, -1, 2, 0, -2, 1, 1, 0]) * size)
+
+
+KINDS = {
+    "paper": paper("fig5 g", samples=3),
+    "weak": paper("weak", samples=3),
+    "strong": paper("fig1", samples=3),
+    "springs": between(Displacement(displacement=1e-13, grain=2), top_load=1e-4, exponent=1.0),
+    "springs that open": between(Displacement(displacement=1e-8, grain=2), top_load=1e-4, exponent=1.0),
+    "exponent": between(Impulse(velocity=-1e-3), top_load=1e-4, exponent=2.3, gravity=0.0, bottom_material="ptfe"),
+    "pulled": between(Displacement(displacement=-1e-9, grain=2), top="free", exponent=1.3),
+    "just touched by the wall": between(Impulse(velocity=-1e-4)),
+    "vacuum": between(Impulse(velocity=1e-2, grain=4), gravity=0.0, top_material="steel"),
+    "sine": between(Drive(amplitude=1e-8, frequency=3e4), top="free"),
+    "sine in the vacuum": between(Drive(amplitude=1e-7, frequency=2e4), top="free", bottom="free", gravity=0.0),
+    "path": between(path(3e-9), top="free"),
+}
+
+
+@pytest.mark.parametrize("scene", KINDS.values(), ids=KINDS)
+def test_it_is_as_good_as_it_says(scene: Scene):
+    truth = reference(scene)
+    u, v, itself = extended_reference(scene, TIGHT)
+    assert truth.displacement.shape == truth.velocity.shape == (scene.samples, scene.chain.grains)
+    assert np.array_equal(truth.time, scene.time)
+    assert truth.error < GOOD
+    assert itself < 1e-11
+    # what the other one says of itself is the error of its looser run
+    assert relative_error(truth.displacement, truth.velocity, u, v) < truth.error + max(itself / 2, 2e-15)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("seed", range(60))
+def test_random_scenes(seed: int):
+    scene = random_scene(np.random.default_rng([7, seed]))
+    truth = reference(scene)
+    u, v, itself = extended_reference(scene, TIGHT)
+    # 1e-14 is what the last digits of a sampled drive may make
+    assert relative_error(truth.displacement, truth.velocity, u, v) < truth.error + 2 * itself + 1e-14
+
+
+@pytest.mark.parametrize("exponent", [1.0, 1.25, 1.5, 2.0, 3.0])
+@pytest.mark.parametrize("masses", [(1.0, 1.0), (1.0, 3.0), (3.0, 1.0)])
+def test_a_collision_of_two_free_grains(exponent: float, masses: tuple[float, float]):
+    """One opening and one closing: energy and momentum say what velocities are left, whatever the law of force."""
+    chain = Chain(
+        grains=2, diameter=1e-3, masses=np.array(masses) * 1e-6, gravity=0.0, bottom="free", exponent=exponent
+    )
+    truth = reference(Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=1e-3, samples=2))
+    first, second = masses
+    after = 0.1 * np.array([first - second, 2 * first]) / (first + second)
+    assert truth.velocity[-1] == pytest.approx(after, rel=0, abs=2e-16)
+
+
+def test_a_grain_that_is_thrown_up_falls_back_as_fast():
+    """It flies free of contact 1 on a parabola, so lands after 2 v / g up to what the contact takes."""
+    chain = Chain(grains=2, diameter=1e-3)
+    flight = Scene(chain=chain, excitation=Impulse(velocity=-1e-2), duration=3e-3, samples=31)
+    truth = reference(flight)
+    energy = chain.excess_energy(truth.displacement, truth.velocity)
+    assert energy == pytest.approx(energy[0], rel=1e-14, abs=0)
+    apart = truth.displacement[:, 0] < -chain.length_scale
+    assert 15 < apart.sum() < 31  # 2 v / g is 2.04 ms
+    up = flight.time[apart][1:15]
+    speed = truth.velocity[apart, 0][1:15]
+    assert np.diff(speed) / np.diff(up) == pytest.approx(9.81, rel=1e-11, abs=0)
+
+
+def test_energy_is_kept_where_contacts_open():
+    scene = paper("fig1", samples=21)
+    truth = reference(scene)
+    energy = scene.chain.excess_energy(truth.displacement, truth.velocity)
+    assert energy == pytest.approx(energy[0], rel=1e-14, abs=0)
+
+
+def test_grains_that_nothing_has_reached_make_no_difference():
+    """120 grains and 10 000, for which units of time and length are others too."""
+    short = paper("fig5 g", samples=3)
+    long = Scene(**short.given() | {"chain": Chain(grains=10_000, diameter=1e-3)})
+    few, many = reference(short), reference(long)
+    assert many.error < GOOD
+    reached = few.displacement.shape[1]
+    assert (
+        relative_error(many.displacement[:, :reached], many.velocity[:, :reached], few.displacement, few.velocity)
+        < 1e-15
+    )
+    assert not many.displacement[:, 200:].any()
+
+
+def test_samples_between_steps_are_as_good():
+    """Up to the last digit of their times, which is worth 2e-15 here."""
+    few, many = (reference(paper("fig1", samples=samples)) for samples in (5, 101))
+    assert relative_error(many.displacement[::25], many.velocity[::25], few.displacement, few.velocity) < 5e-15
+    middle = reference(Scene(**paper("fig1").given() | {"duration": 37e-6, "samples": 2}))
+    u, v = (x[37:38] for x in (many.displacement, many.velocity))
+    assert relative_error(u, v, middle.displacement[-1:], middle.velocity[-1:]) < 1e-14
+
+
+def test_it_says_how_it_was_found():
+    found = reference(smooth())
+    assert "Taylor series of order 32" in found.method
+    assert ("18 digits" in found.method) == (np.finfo(np.longdouble).precision == 18)

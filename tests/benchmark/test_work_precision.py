@@ -1,0 +1,260 @@
+"""Speed against accuracy: what is measured, what is marked, the picture, the command and the script."""
+
+import json
+import math
+import re
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from itertools import pairwise, takewhile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.reference import extended_reference, relative_error
+from helpers.scenes import smooth
+
+from lmpchain import Chain, Impulse, InputError, RunFailed, Scene, engines, simulate
+from lmpchain.benchmark.bench import Bench, work_precision
+from lmpchain.benchmark.curves import front, time_to
+from lmpchain.benchmark.reference import reference
+from lmpchain.cli.command_line import main
+from lmpchain.integrators.methods import METHODS
+from lmpchain.util.plotting import figure, save
+
+SCRIPT = Path(__file__).parents[2] / "analysis" / "work_precision.py"
+SCENE = smooth()
+PEERS = [
+    {"code": "other", "parameter": 1e-6, "error": 1e-5, "seconds": 1e-2, "force_evaluations": 900},
+    {"code": "other", "parameter": 1e-9, "error": 1e-9, "seconds": 3e-2, "force_evaluations": 2000},
+    {"code": "silent", "parameter": 1e-9, "error": 1e-8, "seconds": 2e-2, "force_evaluations": None},
+]
+
+
+@pytest.fixture(scope="module")
+def found():
+    return work_precision(SCENE, 4.0)
+
+
+def stepped(found):
+    return [curve for curve in found.curves if curve.integrator]
+
+
+def test_every_engine_and_integrator_is_there(found):
+    names = {curve.name for curve in found.curves}
+    kinds = {(engine, kind) for engine in ("native", "lammps") for kind in engines.get(engine).integrators}
+    pairs = {f"{engine}, {kind}" for engine, kind in kinds if kind in METHODS}
+    assert names == pairs | {"native, to a tolerance", "modes", "chebyshev", "bessel"}
+    assert found.left_out == (f"continuum: {engines.get('continuum').refuses(SCENE)[0][1]}",)
+
+
+def test_errors_are_true(found):
+    """Run again what the points say, and hold it against an integrator that shares nothing with the package."""
+    u, v, itself = extended_reference(SCENE)
+    for curve in stepped(found):
+        point = curve.points[len(curve.points) // 2]
+        engine = engines.get(curve.engine, integrator=curve.integrator, step=point.step_s)
+        again = simulate(SCENE, engine)
+        assert again.cost.steps == point.steps
+        assert point.error == pytest.approx(relative_error(again.displacement, again.velocity, u, v), rel=1e-2, abs=0)
+        assert point.error == max(point.error_displacement, point.error_velocity) > 100 * itself
+        assert point.expected_error == again.error_estimate.total
+
+
+def native(name, until):
+    """Return the points of an integrator, however long they take, down to an error."""
+    points = Bench(SCENE, reference(SCENE)).over_steps("native", name)
+    return list(takewhile(lambda point: point.error > until, points))
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_the_slope_is_the_order(name):
+    falling = [p for p in native(name, until=1e-9) if p.error < 1e-3]
+    assert len(falling) > 3
+    slope = np.polyfit(np.log([p.force_evaluations for p in falling]), np.log([p.error for p in falling]), 1)[0]
+    assert -0.35 < -slope - METHODS[name].order < (0.9 if name == "gear4" else 0.35)
+
+
+def test_steps_shorten_until_round_off():
+    points = native("rkn6", until=0)
+    assert all(1.2 < b.steps / a.steps < 1.7 for a, b in pairwise(points))
+    assert [point.longest for point in points] == [True, *[False] * (len(points) - 1)]
+    least = min(point.error for point in points)
+    assert least < 1e-12
+    assert all(point.error > 0.5 * least for point in points[-4:])  # it ends where no more is to be had
+
+
+def breaks_down(scene, engine, integrator, step):
+    try:
+        answer = simulate(scene, engines.get(engine, integrator=integrator, step=step))
+    except (InputError, RunFailed):
+        return True
+    truth = reference(scene)
+    return relative_error(answer.displacement, answer.velocity, truth.displacement, truth.velocity) >= 1
+
+
+def longest_holds(scene, name):
+    point = next(Bench(scene, reference(scene)).over_steps("native", name))
+    wider = scene.duration / math.floor(point.steps / 1.1 - 1e-9)
+    return point.longest and point.error < 1 and breaks_down(scene, "native", name, wider)
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_no_longer_step_holds(name):
+    assert longest_holds(SCENE, name)
+
+
+def test_where_no_linear_limit_helps_the_longest_step_is_found_by_trying():
+    """The sonic vacuum has no band edge, so that no step is refused beforehand."""
+    chain = Chain(grains=8, diameter=1e-3, gravity=0.0)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=8.57e-3), duration=3e-5, samples=2)
+    assert longest_holds(scene, "verlet")
+
+
+def test_times_are_kept_apart(found):
+    for curve in found.curves:
+        for p in curve.points:
+            assert 0 < p.integration_s < 60
+            assert p.setup_s >= 0
+            assert p.estimate_s >= 0
+            if curve.to_tolerance:
+                assert p.seconds >= p.integration_s + p.estimate_s
+                assert p.error <= p.expected_error <= p.tolerance
+            else:
+                assert p.seconds == p.integration_s
+                assert p.tolerance is None
+    native = next(curve.points[-1] for curve in stepped(found) if curve.engine == "native")
+    rate = native.force_evaluations * SCENE.chain.grains / native.integration_s
+    assert native.grain_steps_per_s == pytest.approx(rate, rel=0.3)
+
+
+def test_what_is_too_accurate_to_tell_is_dropped():
+    truth = reference(SCENE)
+    bench = Bench(SCENE, replace(truth, error=1e-8))
+    points = list(bench.over_steps("native", "rkn6"))
+    assert min(point.error for point in points) >= 1e-7
+    assert bench.dropped == 4  # and then it stops, for none gets better
+
+
+def test_the_front(found):
+    points = found.points
+    for p in points:
+        beaten = any(q.seconds <= p.seconds and q.error < p.error for q in points) or any(
+            q.seconds < p.seconds and q.error <= p.error for q in points
+        )
+        assert p.pareto is not beaten
+    assert front([]) == []
+    assert front([(1, 1), (1, 1), (2, 1)]) == [0]
+
+
+def test_time_to_an_error():
+    points = [(1.0, 1e-2), (4.0, 1e-6), (8.0, 1e-5), (9.0, 1e-8)]
+    assert time_to(1e-2, points) == 1.0
+    assert time_to(1e-4, points) == pytest.approx(2.0, rel=1e-12)
+    assert time_to(1e-1, points) == 1.0
+    assert 8 < time_to(1e-7, points) < 9
+    assert math.isnan(time_to(1e-9, points))
+    assert math.isnan(time_to(1e-9, []))
+
+
+def test_json_has_the_agreed_shape(found):
+    data = found.to_json()
+    assert json.loads(json.dumps(data, allow_nan=False)) == data
+    assert data["reference"]["error"] == found.reference.error < 1e-14
+    assert {"lmpchain", "python", "numpy", "numba", "lammps"} <= set(data["versions"])
+    assert re.search(r", \d+ cores$", data["machine"])
+    asked = {
+        "engine", "integrator", "equation", "error", "error_displacement", "error_velocity", "expected_error",
+        "integration_s", "setup_s", "estimate_s", "steps", "force_evaluations", "step_s", "grain_steps_per_s", "pareto",
+    }  # fmt: skip
+    assert all(asked <= set(row) for row in data["rows"])
+    assert len(data["rows"]) == sum(len(curve.points) for curve in found.curves)
+
+
+def test_the_picture(found, tmp_path):
+    picture = found.plot(others=PEERS)
+    over_time, over_evaluations = picture.axes
+    assert {ax.get_xscale() for ax in picture.axes} | {ax.get_yscale() for ax in picture.axes} == {"log"}
+    assert over_time.get_xlabel() == "time (s)"
+    assert over_time.get_ylabel() == "relative error"
+    shown = [text.get_text() for text in over_evaluations.get_legend().get_texts()]
+    assert {curve.name for curve in found.curves} | {"other", "silent", "Pareto front"} <= set(shown)
+    assert len(shown) == len(set(shown))
+    lines = {line.get_label(): line for line in over_evaluations.lines}
+    assert "other" in lines
+    assert "silent" not in lines  # its evaluations are not known
+    rings = [line for line in over_evaluations.lines if line.get_markersize() == 14]
+    assert len(rings) == len(stepped(found))
+    guides = [text.get_text() for text in over_evaluations.texts]
+    assert guides == ["2", "4", "6", "8", "order"]
+    save(picture, tmp_path / "chart.png")
+    assert "AMD" in picture._supxlabel.get_text() or "cores" in picture._supxlabel.get_text()
+
+
+def test_a_picture_in_axes_of_ones_own(found):
+    mine = figure()
+    axes = mine.subplots(1, 2)
+    assert found.plot(axes) is mine
+    assert all(ax.lines for ax in axes)
+
+
+def test_the_table_gives_the_time_to_each_error(found):
+    lines = found.table({"other": [(1e-2, 1e-5), (3e-2, 1e-9)]}).splitlines()
+    assert lines[0].split()[-4:] == ["1e-03", "1e-06", "1e-09", "1e-12"]
+    assert re.fullmatch(r"other +10 ms +\S+ ms +30 ms +-", lines[-1])
+    assert any(line.startswith("native, to a tolerance, without the estimate") for line in lines)
+
+
+@pytest.mark.parametrize("budget", [0.0, -1.0, math.nan, math.inf])
+def test_a_budget_is_a_time(budget):
+    with pytest.raises(InputError, match="budget"):
+        work_precision(SCENE, budget)
+
+
+def test_a_scene_whose_reference_takes_forever():
+    with pytest.raises(InputError, match="duration"):
+        work_precision(Scene(**SCENE.given() | {"duration": 1e3}))
+
+
+def test_what_takes_longer_than_there_is_time_is_left_out():
+    scene = Scene(chain=Chain(grains=3000, diameter=1e-3), excitation=Impulse(velocity=1e-6), duration=1e-5, samples=2)
+    found = work_precision(scene, 1e-3)
+    assert "modes" not in {curve.engine for curve in found.curves}
+    assert any(re.match(r"modes: a run would take about \S+ s", reason) for reason in found.left_out)
+
+
+def test_the_command(tmp_path, capsys):
+    SCENE.to_toml(tmp_path / "scene.toml")
+    chart = tmp_path / "chart.png"
+    assert main(["workprec", str(tmp_path / "scene.toml"), "--budget", "0.1", "-o", str(chart)]) == 0
+    assert chart.read_bytes()[:4] == b"\x89PNG"
+    assert json.loads((tmp_path / "chart.json").read_text())["rows"]
+    assert "native, rkn6" in capsys.readouterr().out
+    assert main(["workprec", str(tmp_path / "scene.toml"), "--budget", "0"]) == 2
+    assert capsys.readouterr().err.startswith("error: budget: must be a time above 0 s")
+    assert main(["workprec", str(tmp_path / "scene.toml"), "-o", str(tmp_path / "chart.gif")]) == 2
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_ctrl_c_leaves_nothing_behind(tmp_path):
+    SCENE.to_toml(tmp_path / "scene.toml")
+    command = [sys.executable, "-m", "lmpchain.cli", "workprec", "scene.toml", "--budget", "600", "-o", "chart.png"]
+    running = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    time.sleep(4)
+    running.send_signal(signal.SIGINT)
+    _, said = running.communicate(timeout=30)
+    assert running.returncode in (130, -signal.SIGINT), said  # a shell says 130 of either
+    assert "stopped by Ctrl-C" in said
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.toml"]
+
+
+def test_the_script(tmp_path):
+    command = [sys.executable, SCRIPT, "weak", "--budget", "0.1", "-o", tmp_path]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("weak\ntime to an error of ")
+    rows = json.loads((tmp_path / "work_precision_weak.json").read_text())["rows"]
+    assert {row["engine"] for row in rows} == {"native", "lammps", "modes", "chebyshev", "bessel", "continuum"}
+    assert 10_000 < (tmp_path / "work_precision_weak.png").stat().st_size < 150_000

@@ -1,0 +1,470 @@
+"""The chain at rest, its band edge and its energy, against formulas and methods that the package does not use."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from helpers.chains import BETWEEN, CHAINS, DISORDERED, RIGID, WALLED
+from scipy.integrate import quad
+
+from lmpchain import (
+    BRASS,
+    GLASS,
+    PTFE,
+    STEEL,
+    TUNGSTEN_CARBIDE,
+    Chain,
+    Displacement,
+    Drive,
+    Impulse,
+    Impurity,
+    InputError,
+    Material,
+    Scene,
+    simulate,
+)
+
+each_chain = pytest.mark.parametrize("chain", CHAINS.values(), ids=CHAINS)
+each_walled = pytest.mark.parametrize("chain", WALLED.values(), ids=WALLED)
+
+
+def test_the_chain_of_the_paper():
+    chain = Chain(grains=120, material=GLASS, diameter=1e-3)
+    gamma = 62e9 * np.sqrt(1e-3) / (3 * (2426 * np.pi / 6 * 1e-9) * (1 - 0.2**2))
+    assert gamma == pytest.approx(5.3593e14, rel=1e-5, abs=0)
+    assert chain.contact_constants / chain.masses[:-1] == pytest.approx(gamma, rel=1e-14, abs=0)
+    n = np.arange(1, 120)
+    assert chain.equilibrium_overlap == pytest.approx((9.81 * n / gamma) ** (2 / 3), rel=1e-14, abs=0)
+    assert chain.length_scale == pytest.approx(6.9456e-10, rel=1e-5, abs=0)
+    assert 1 / chain.time_scale == pytest.approx(1.45555e5, rel=1e-5, abs=0)
+    omega = np.sqrt(9.81 * 1.5) * (gamma / 9.81) ** (1 / 3)
+    assert 1 / chain.time_scale == pytest.approx(omega, rel=1e-14, abs=0)
+    assert chain.linear_stiffness / chain.masses[0] / omega**2 == pytest.approx(n ** (1 / 3), rel=1e-13, abs=0)
+
+
+@pytest.mark.parametrize("exponent", [1.0, 1.2, 1.5, 2.0, 3.0])
+def test_contact_constant_for_any_exponent(exponent: float):
+    """K = (4/3) E* sqrt(R*) dbar^(1.5 - delta) with everything from the two grains of the contact."""
+    chain = Chain(grains=3, material=[GLASS, STEEL, PTFE], diameter=[1e-3, 2e-3, 5e-3], exponent=exponent)
+    for n in (0, 1):
+        one, other = chain.material[n], chain.material[n + 1]
+        r1, r2 = chain.diameters[n] / 2, chain.diameters[n + 1] / 2
+        soft = (1 - one.poissons_ratio**2) / one.youngs_modulus + (1 - other.poissons_ratio**2) / other.youngs_modulus
+        expected = 4 / 3 / soft * np.sqrt(r1 * r2 / (r1 + r2)) * (r1 + r2) ** (1.5 - exponent)
+        assert chain.contact_constants[n] == pytest.approx(expected, rel=1e-14, abs=0)
+    assert chain.masses == pytest.approx(
+        [m.density * np.pi * d**3 / 6 for m, d in zip(chain.material, [1e-3, 2e-3, 5e-3], strict=True)],
+        rel=1e-14,
+        abs=0,
+    )
+
+
+def test_uniform_is_the_same_as_all_equal():
+    one = Chain(grains=5, material="steel", diameter=1e-3)
+    many = Chain(grains=5, material=[STEEL] * 5, diameter=[1e-3] * 5)
+    assert np.array_equal(one.masses, many.masses)
+    assert np.array_equal(one.equilibrium_overlap, many.equilibrium_overlap)
+
+
+@pytest.mark.parametrize("exponent", [1.0, 1.5, 2.7])
+def test_a_wall_of_the_same_material_is_sqrt_2_times_as_stiff(exponent: float):
+    chain = Chain(grains=4, material=STEEL, diameter=3e-3, exponent=exponent, **BETWEEN)
+    assert chain.wall_constants == pytest.approx(np.sqrt(2) * chain.contact_constants[0], rel=1e-15, abs=0)
+    rigid = Chain(
+        grains=4, material=STEEL, diameter=3e-3, exponent=exponent, **BETWEEN, top_material=RIGID, bottom_material=RIGID
+    )
+    assert rigid.wall_constants == pytest.approx(2 * np.sqrt(2) * chain.contact_constants[0], rel=1e-15, abs=0)
+
+
+@pytest.mark.parametrize("exponent", [1.0, 1.5, 3.0])
+def test_wall_constants_of_other_materials(exponent: float):
+    """K = (4/3) E* sqrt(R) d^(1.5 - delta) with the radius and the diameter of the grain that touches the wall."""
+    chain = Chain(
+        grains=3, material=[GLASS, STEEL, PTFE], diameter=[1e-3, 2e-3, 5e-3], exponent=exponent, **BETWEEN,
+        top_material=BRASS, bottom_material="tungsten_carbide",
+    )  # fmt: skip
+    ends = [(GLASS, 1e-3, BRASS), (PTFE, 5e-3, TUNGSTEN_CARBIDE)]
+    for constant, (grain, d, wall) in zip(chain.wall_constants, ends, strict=True):
+        soft = (1 - grain.poissons_ratio**2) / grain.youngs_modulus + (1 - wall.poissons_ratio**2) / wall.youngs_modulus
+        assert constant == pytest.approx(4 / 3 / soft * np.sqrt(d / 2) * d ** (1.5 - exponent), rel=1e-14, abs=0)
+
+
+def test_walls_are_scaled_with_given_constants():
+    common = {"grains": 4, "diameter": 10.0, "gravity": 0.0}
+    given = {"masses": [1.0] * 4, "contact_constants": [1.0, 5.0, 3.0]}
+    alike = Chain(**common, **given, **BETWEEN)
+    assert alike.wall_constants == pytest.approx(np.sqrt(2) * np.array([1.0, 3.0]), rel=1e-15, abs=0)
+    rigid = Chain(**common, **given, **BETWEEN, bottom_material=RIGID)
+    assert rigid.wall_constants == pytest.approx(np.sqrt(2) * np.array([1.0, 6.0]), rel=1e-15, abs=0)
+    mixed = Chain(**common, **given, top="wall", material=["glass", "steel", "steel", "steel"])
+    soft = [(1 - m.poissons_ratio**2) / m.youngs_modulus for m in (GLASS, STEEL)]
+    expected = np.sqrt(2) * (soft[0] + soft[1]) / (2 * soft[0])
+    assert mixed.wall_constants == pytest.approx([expected, 0.0], rel=1e-14, abs=0)
+
+
+def test_there_is_no_wall_unless_asked_for():
+    for ends in ({"bottom": "fixed"}, {"bottom": "free", "gravity": 0.0}):
+        chain = Chain(grains=3, diameter=1e-3, **ends)
+        assert not chain.wall_constants.any()
+        for what in ("constant", "force", "overlap", "stiffness"):
+            assert not getattr(chain.contacts, what)[[0, -1]].any()
+        assert not chain.contacts.exists[[0, -1]].any()
+    assert [Chain(grains=3, diameter=1e-3, top=t, bottom="wall").movable for t in ("free", "wall")] == [3, 3]
+    assert Chain(grains=3, diameter=1e-3, top="wall").movable == 2
+
+
+@each_walled
+def test_forces_balance_at_rest_between_walls(chain: Chain):
+    contacts = chain.contacts
+    force = contacts.constant * contacts.overlap**chain.exponent
+    push = force.copy()
+    push[0] = chain.top_load  # whether it is that of a wall or not
+    weight = chain.masses * chain.gravity
+    last = chain.movable
+    assert np.diff(push)[:last] == pytest.approx(weight[:last], rel=1e-9, abs=1e-14 * force.max())
+    assert contacts.force == pytest.approx(force, rel=1e-14, abs=0)
+    assert force[0] == pytest.approx(chain.top_load if chain.top == "wall" else 0.0, rel=1e-14, abs=0)
+    bears = chain.top_load + weight.sum() if chain.bottom == "wall" else 0.0
+    assert force[-1] == pytest.approx(bears, rel=1e-14, abs=0)
+    slope = chain.exponent * contacts.constant * contacts.overlap ** (chain.exponent - 1)
+    loose = contacts.force == 0
+    assert contacts.stiffness == pytest.approx(slope, rel=1e-14, abs=0)
+    assert loose[1:-1].sum() == 0
+    assert np.array_equal(chain.equilibrium_overlap, contacts.overlap[1:-1])
+
+
+def test_a_wall_that_just_touches_does_not_press():
+    chain = WALLED["just touched above"]
+    contacts = chain.contacts
+    assert contacts.exists.all()
+    assert contacts.constant[0] > 0
+    assert (contacts.force[0], contacts.overlap[0], contacts.stiffness[0]) == (0, 0, 0)
+    assert contacts.pressed.tolist() == [False, *[True] * 30]
+
+
+@each_chain
+def test_forces_balance_at_rest(chain: Chain):
+    force = chain.contact_constants * chain.equilibrium_overlap**chain.exponent
+    above = np.append(chain.top_load, force[:-1])
+    assert force - above == pytest.approx(chain.masses[:-1] * chain.gravity, rel=1e-9, abs=1e-14 * force.max())
+    assert chain.equilibrium_force == pytest.approx(force, rel=1e-14, abs=0)
+
+
+@each_chain
+def test_stiffness_is_the_slope_of_the_force(chain: Chain):
+    def force(overlap: np.ndarray) -> np.ndarray:
+        return chain.contact_constants * overlap**chain.exponent
+
+    h = 1e-4
+    eps = chain.equilibrium_overlap
+    slope = (
+        8 * (force(eps * (1 + h)) - force(eps * (1 - h))) - force(eps * (1 + 2 * h)) + force(eps * (1 - 2 * h))
+    ) / (12 * h * eps)
+    assert chain.linear_stiffness == pytest.approx(slope, rel=1e-10, abs=0)
+
+
+@each_chain
+def test_band_edge_against_a_dense_eigensolver(chain: Chain):
+    k, m, size = chain.linear_stiffness, chain.masses, chain.grains
+    matrix = np.zeros((size, size))
+    for n, stiffness in enumerate(k):
+        matrix[n : n + 2, n : n + 2] += stiffness * np.array([[1, -1], [-1, 1]])
+    moving = matrix[:-1, :-1]  # grain N is held
+    highest = np.sqrt(np.linalg.eigvals(moving / m[:-1, None]).real.max())
+    assert chain.band_edge == pytest.approx(highest, rel=1e-11, abs=0)
+
+
+@each_walled
+def test_band_edge_between_walls_against_a_dense_eigensolver(chain: Chain):
+    """Walls are bodies like the others here, but held; a wall that only touches is no spring."""
+    size, k, delta = chain.grains, chain.contact_constants, chain.exponent
+    pressed = chain.top_load + chain.gravity * np.cumsum(chain.masses)
+    springs = delta * k ** (1 / delta) * pressed[:-1] ** (1 - 1 / delta)
+    above, below = chain.wall_constants
+    top = delta * above ** (1 / delta) * chain.top_load ** (1 - 1 / delta) if above and chain.top_load else 0.0
+    bottom = delta * below ** (1 / delta) * pressed[-1] ** (1 - 1 / delta)
+    matrix = np.zeros((size + 2, size + 2))
+    for n, stiffness in enumerate([top, *springs, bottom]):
+        matrix[n : n + 2, n : n + 2] += stiffness * np.array([[1, -1], [-1, 1]])
+    move = slice(1, chain.movable + 1)
+    highest = np.sqrt(np.linalg.eigvals(matrix[move, move] / chain.masses[: chain.movable, None]).real.max())
+    assert chain.band_edge == pytest.approx(highest, rel=1e-11, abs=0)
+
+
+def test_band_edge_between_like_walls():
+    """N equal springs between equal walls of constant kappa k: the determinant in closed form for two grains."""
+    chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=1e-3, exponent=1.0, **BETWEEN)
+    k, m = chain.contact_constants[0], chain.masses[0]
+    assert chain.band_edge == pytest.approx(np.sqrt((2 + np.sqrt(2)) * k / m), rel=1e-14, abs=0)
+
+
+def test_band_edge_of_a_free_pair_and_of_a_vacuum():
+    springs = Chain(grains=2, diameter=1e-3, exponent=1.0, gravity=0.0, bottom="free")
+    m, k = springs.masses[0], springs.contact_constants[0]
+    assert springs.movable == 2
+    assert springs.band_edge == pytest.approx(np.sqrt(2 * k / m), rel=1e-12, abs=0)
+    vacuum = Chain(grains=5, diameter=1e-3, gravity=0.0)
+    assert vacuum.band_edge == 0
+    assert vacuum.time_scale == np.inf
+    assert not vacuum.compressed
+
+
+def contact_energy(chain: Chain, n: int, r: float) -> float:
+    """Work done on contact n, 0 that with a wall above, beyond that of its force at rest, closer by r, J."""
+    eps, force, delta = chain.contacts.overlap[n], chain.contacts.force[n], chain.exponent
+    if force == 0:
+        return quad(lambda x: chain.contacts.constant[n] * x**delta, 0.0, max(r, 0.0), epsabs=0, epsrel=1e-13)[0]
+
+    def change(s: float) -> float:  # (1 + s)^delta - 1, without cancellation, -1 where open
+        return np.expm1(delta * np.log1p(s)) if s > -1 else -1.0
+
+    total, s = 0.0, r / eps
+    edges = [0.0, -1.0, s] if s < -1 else [0.0, s]
+    for a, b in pairwise(edges):
+        total += quad(change, a, b, epsabs=0, epsrel=1e-13, limit=200)[0]
+    return force * eps * total
+
+
+@pytest.mark.parametrize("exponent", [1.0, 1.2, 1.5, 2.0, 2.7])
+@pytest.mark.parametrize(
+    "stretch", [-7.0, -1.5, -1.0, -0.999, -0.3, -0.0201, -0.0199, -1e-5, -1e-9, 1e-12, 1e-6, 0.0199, 0.0201, 0.5, 40.0]
+)
+def test_excess_energy_of_one_contact(exponent: float, stretch: float):
+    chain = Chain(grains=3, diameter=1e-3, exponent=exponent)
+    r = stretch * chain.equilibrium_overlap[0]
+    u, v = np.array([r, 0.0, 0.0]), np.zeros(3)
+    assert chain.excess_energy(u, v) == pytest.approx(contact_energy(chain, 1, r), rel=2e-11, abs=0)
+
+
+def test_excess_energy_of_a_chain():
+    rng = np.random.default_rng(3)
+    v = rng.normal(size=30) * 1e-4
+    for size in (1e-6, 0.1, 3.0):
+        u = rng.normal(size=30) * size * DISORDERED.length_scale
+        closer = u[:-1] - u[1:]
+        expected = sum(contact_energy(DISORDERED, n, r) for n, r in enumerate(closer, 1))
+        assert DISORDERED.excess_energy(u, 0 * v) == pytest.approx(expected, rel=1e-11, abs=0)
+        moving = expected + (DISORDERED.masses * v**2).sum() / 2
+        assert DISORDERED.excess_energy(u, v) == pytest.approx(moving, rel=1e-11, abs=0)
+
+
+@pytest.mark.parametrize("chain", [WALLED["disordered"], WALLED["just touched above"]], ids=["pressed", "loose"])
+def test_excess_energy_between_walls(chain: Chain):
+    rng = np.random.default_rng(4)
+    for size in (1e-6, 0.1, 3.0):
+        for sign in (1, -1):
+            u = rng.normal(size=30) * size * chain.length_scale
+            u[0] = sign * abs(u[0])
+            between = np.concatenate(([0.0], u, [0.0]))
+            energy = [contact_energy(chain, n, r) for n, r in enumerate(between[:-1] - between[1:])]
+            assert chain.excess_energy(u, 0 * u) == pytest.approx(sum(energy), rel=1e-11, abs=0)
+            single = chain.contacts.energy(between[:-1] - between[1:])
+            assert single == pytest.approx(energy, rel=2e-11, abs=0)
+            if sign > 0 and chain.top_load == 0:
+                assert single[0] == 0
+
+
+def test_excess_energy_in_the_vacuum():
+    chain = Chain(grains=3, diameter=1e-3, gravity=0.0)
+    k = chain.contact_constants[0]
+    energies = chain.excess_energy(np.array([[1e-8, 0, 0], [-1e-8, 0, 0], [0, 1e-8, 0]]), np.zeros(3))
+    assert energies.shape == (3,)
+    assert energies == pytest.approx([0.4 * k * 1e-20, 0.0, 0.4 * k * 1e-20], rel=1e-12, abs=1e-40)
+
+
+def test_minus_its_slope_is_the_force():
+    """-dU/dx from differences is what the integrators push with."""
+    chain, rng = DISORDERED, np.random.default_rng(5)
+    u = rng.normal(size=30) * chain.length_scale
+    overlap = np.maximum(chain.equilibrium_overlap + u[:-1] - u[1:], 0.0)
+    contact = chain.contact_constants * overlap**chain.exponent
+    push = np.append(chain.top_load, contact) + chain.masses * chain.gravity
+    push[:-1] -= contact
+    for n in (0, 11, 28):
+        h = 1e-3 * chain.length_scale * np.eye(30)[n]
+        energies = [float(chain.excess_energy(u + k * h, 0 * u)) for k in (-2, -1, 1, 2)]
+        slope = (energies[0] - 8 * energies[1] + 8 * energies[2] - energies[3]) / (12 * h[n])
+        assert -slope == pytest.approx(push[n], rel=1e-6, abs=1e-9 * contact.max())
+
+
+def random_scene(rng: np.random.Generator) -> Scene:
+    while True:
+        grains = int(rng.integers(2, 15))
+        exponent = float(rng.choice([1.0, 1.3, 1.5, 2.0]))
+        gravity, load = float(rng.choice([0.0, 9.81, 500.0])), float(rng.choice([0.0, 1e-5, 1e-2]))
+        chain = Chain(
+            grains=grains,
+            diameter=rng.uniform(0.5e-3, 2e-3, grains),
+            gravity=gravity,
+            top_load=load,
+            exponent=exponent,
+            top=rng.choice(["free", "wall"]).item(),
+            bottom=rng.choice(["fixed", "wall"]).item(),
+        )
+        strike = Impulse(velocity=float(10 ** rng.uniform(-6, -1)), grain=int(rng.integers(1, grains)))
+        try:
+            return Scene(chain=chain, excitation=strike, duration=float(10 ** rng.uniform(-5, -4.4)), samples=101)
+        except InputError:
+            continue
+
+
+def test_no_contact_exceeds_the_bound_on_its_overlap():
+    rng = np.random.default_rng(11)
+    closest = 0.0
+    for _ in range(40):
+        scene = random_scene(rng)
+        chain = scene.chain
+        run = simulate(scene, "native", 1e-4)
+        bodies = np.pad(run.displacement, ((0, 0), (1, 1)))
+        overlap = chain.contacts.overlap + bodies[:, :-1] - bodies[:, 1:]
+        there = chain.contacts.exists
+        used = overlap[:, there] / chain.contacts.overlap_bound(scene.energy)[there]
+        assert used.max() <= 1 + 1e-4
+        closest = max(closest, used.max())
+    assert closest > 0.9  # the bound is not so wide that it says nothing
+
+
+def test_the_bound_is_met_by_a_grain_thrown_at_the_held_one():
+    chain = Chain(grains=2, diameter=1e-3, gravity=0.0)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-2), duration=2e-5, samples=2001)
+    run = simulate(scene, "native", 1e-9)
+    deepest = (1.25 * chain.masses[0] * 1e-4 / chain.contact_constants[0]) ** 0.4
+    assert chain.contacts.overlap_bound(scene.energy)[1:-1] == pytest.approx(deepest, rel=1e-12, abs=0)
+    assert run.displacement[:, 0].max() == pytest.approx(deepest, rel=1e-5, abs=0)
+
+
+def test_the_bound_is_met_by_a_grain_thrown_at_a_wall():
+    chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top="wall", top_material=STEEL, bottom="free")
+    scene = Scene(chain=chain, excitation=Impulse(velocity=-1e-2), duration=2e-5, samples=2001)
+    run = simulate(scene, "native", 1e-9)
+    deepest = (1.25 * chain.masses[0] * 1e-4 / chain.wall_constants[0]) ** 0.4
+    assert chain.contacts.overlap_bound(scene.energy)[0] == pytest.approx(deepest, rel=1e-12, abs=0)
+    assert -run.displacement[:, 0].min() == pytest.approx(deepest, rel=1e-5, abs=0)
+
+
+def test_an_impurity_is_a_grain_given_by_itself():
+    """By diameter, by material and by both: as if the lists had been written out."""
+    odd = [Impurity(grain=2, diameter=3e-3), {"grain": 5, "material": "steel"}, Impurity(6, 2e-3, PTFE)]
+    chain = Chain(grains=6, diameter=1e-3, gravity=5.0, top_load=1e-3, bottom="wall", impurity=odd)
+    material = [GLASS] * 4 + [STEEL, PTFE]
+    diameter = [1e-3, 3e-3, 1e-3, 1e-3, 1e-3, 2e-3]
+    written = Chain(grains=6, diameter=diameter, material=material, gravity=5.0, top_load=1e-3, bottom="wall")
+    for what in ("masses", "contact_constants", "wall_constants", "diameters", "equilibrium_overlap"):
+        assert np.array_equal(getattr(chain, what), getattr(written, what)), what
+    assert chain != written
+    assert chain == Chain(**chain.given())
+
+
+def test_an_impurity_by_its_mass_alone():
+    plain = Chain(grains=4, diameter=1e-3)
+    heavy = Chain(grains=4, diameter=1e-3, impurity=[Impurity(grain=3, mass=1e-4)])
+    assert heavy.masses.tolist() == [*plain.masses[:2], 1e-4, plain.masses[3]]
+    assert np.array_equal(heavy.contact_constants, plain.contact_constants)
+    both = Chain(grains=4, diameter=1e-3, impurity=[Impurity(grain=3, mass=1e-4, diameter=2e-3)])
+    assert both.masses.tolist() == heavy.masses.tolist()
+    assert both.contact_constants[1] > plain.contact_constants[1]
+    given = Chain(grains=4, diameter=1e-3, masses=[1e-6] * 4, impurity=[Impurity(grain=1, mass=2e-6)])
+    assert given.masses.tolist() == [2e-6, 1e-6, 1e-6, 1e-6]
+    own = Chain(grains=2, diameter=1e-3, contact_constants=[1e9], impurity=[Impurity(grain=1, mass=2e-6)])
+    assert (own.masses[0], own.contact_constants[0]) == (2e-6, 1e9)
+
+
+def test_an_impurity_is_mixed_with_other_materials_and_diameters():
+    """Both contacts of the impurity by hand; an impurity at the end is what touches the wall."""
+    chain = Chain(
+        grains=3, material=[GLASS, STEEL, STEEL], diameter=[1e-3, 2e-3, 4e-3], bottom="wall",
+        impurity=[Impurity(grain=2, material=BRASS), Impurity(grain=3, diameter=3e-3)],
+    )  # fmt: skip
+    soft = [(1 - m.poissons_ratio**2) / m.youngs_modulus for m in (GLASS, BRASS, STEEL, STEEL)]
+    radii = [1e-3 * 0.5 * 1.0 / 1.5, 1e-3 * 1.0 * 1.5 / 2.5, 1e-3 * 1.5]
+    expected = [4 / 3 / (soft[n] + soft[n + 1]) * np.sqrt(radii[n]) for n in range(3)]
+    assert [*chain.contact_constants, chain.wall_constants[1]] == pytest.approx(expected, rel=1e-14, abs=0)
+    assert chain.masses[1:] == pytest.approx([8500 * np.pi / 6 * 8e-9, 8000 * np.pi / 6 * 27e-9], rel=1e-14, abs=0)
+
+
+OWN = {"contact_constants": [1e9] * 4}
+SOFT = Material(density=1.0, youngs_modulus=1.0, poissons_ratio=0.0)
+FAULTY = {  # what is given, the key that must be named and some of what must be said
+    "impurity that is no grain": ({"impurity": [Impurity(grain=6, mass=1e-6)]}, "impurity.0.grain", "no grain 6"),
+    "impurity at grain 0": ({"impurity": [{"grain": 0, "mass": 1e-6}]}, "impurity.0.grain", "at least 1"),
+    "impurity twice": (
+        {"impurity": [{"grain": 2, "mass": 1e-6}, {"grain": 2, "diameter": 1e-3}]}, "impurity.1.grain", "a second time"
+    ),
+    "impurity like the others": ({"impurity": [{"grain": 2}]}, "impurity.0.diameter", "give a diameter, a material or"),
+    "impurity without a number": ({"impurity": [{"mass": 1e-6}]}, "impurity.0.grain", "is missing"),
+    "impurity of no known material": (
+        {"impurity": [{"grain": 2, "material": "jelly"}]}, "impurity.0.material", "no material is called"
+    ),
+    "impurity with a negative mass": ({"impurity": [{"grain": 2, "mass": -1.0}]}, "impurity.0.mass", "above 0"),
+    "impurity with an unknown key": ({"impurity": [{"grain": 2, "colour": 1}]}, "impurity.0.colour", "unknown key"),
+    "impurity that is no table": ({"impurity": [2]}, "impurity", "must be a list of impurities"),
+    "impurity by itself": ({"impurity": {"grain": 2, "mass": 1e-6}}, "impurity", "must be a list of impurities"),
+    "size beside own constants": (
+        OWN | {"impurity": [{"grain": 2, "diameter": 2e-3}]}, "impurity.0", "they would not follow"
+    ),
+    "material beside own constants": (
+        OWN | {"impurity": [{"grain": 2, "material": "ptfe"}]}, "impurity.0", "may only have a mass of its own"
+    ),
+    "no wall above": ({"top_material": "steel"}, "top_material", 'there is none unless top = "wall"'),
+    "no wall below": ({"bottom_material": STEEL}, "bottom_material", 'there is none unless bottom = "wall"'),
+    "wall of no known material": ({"top": "wall", "top_material": "air"}, "top_material", "no material is called"),
+    "fixed top": ({"top": "fixed"}, "top", "must be 'free' or 'wall'"),
+    "hung from a wall": ({"top": "wall", "bottom": "free"}, "bottom", "a free chain would fall"),
+    "pressed against nothing": (
+        {"top": "wall", "bottom": "free", "gravity": 0.0, "top_load": 1.0}, "bottom", "a free chain would fall"
+    ),
+    "crushed by its weight on the wall": (
+        {"bottom": "wall", "bottom_material": SOFT}, "diameter", "contact 5 is compressed by"
+    ),
+    "crushed by the wall above": (
+        {"top": "wall", "top_load": 1e-3, "top_material": SOFT}, "diameter", "contact 0 is compressed by"
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("keys", "key", "message"), FAULTY.values(), ids=FAULTY)
+def test_a_fault_names_its_key_and_says_what_to_do(keys: dict, key: str, message: str):
+    with pytest.raises(InputError) as caught:
+        Chain(**{"grains": 5, "diameter": 1e-3} | keys)
+    faults = [fault for fault in caught.value.faults if fault[0] == key]
+    assert len(faults) == 1, caught.value.faults
+    assert message in faults[0][1]
+
+
+def test_the_strike_is_held_against_walls_too():
+    """Grain 1 thrown up at a wall of rubber, or driven into grain 2, goes in too deep for Hertz's law."""
+    rubber = Material(density=1000, youngs_modulus=1e5, poissons_ratio=0.49)
+    chain = Chain(grains=5, diameter=1e-3, top="wall", top_material=rubber)
+    strikes = [(Impulse(velocity=-1.0), "velocity"), (Displacement(displacement=-2e-4), "displacement")]
+    for strike, key in strikes:
+        with pytest.raises(InputError, match="squeezes contact 0 to") as caught:
+            Scene(chain=chain, excitation=strike, duration=1e-5)
+        assert [found for found, _ in caught.value.faults] == [key]
+    soft = Chain(grains=5, material=rubber, diameter=1e-3, gravity=0.0)
+    with pytest.raises(InputError, match="squeezes contact 1 to") as caught:
+        Scene(chain=soft, excitation=Drive(amplitude=5e-5, frequency=1e4), duration=1e-5)
+    assert [found for found, _ in caught.value.faults] == ["kind"]
+
+
+def test_equality():
+    a = Chain(grains=3, diameter=1e-3)
+    assert a == Chain(grains=3, diameter=1e-3)
+    assert a == Chain(grains=3, material="glass", diameter=np.float64(1e-3), gravity=9.81)
+    assert a != Chain(grains=4, diameter=1e-3)
+    assert a != Chain(grains=3, diameter=1e-3, gravity=9.80665)
+    assert a != Chain(grains=3, diameter=1e-3, material=STEEL)
+    assert a != Chain(grains=3, diameter=1e-3, masses=[1e-6] * 3)
+    assert a != 3
+    with pytest.raises(TypeError):
+        hash(a)
+
+
+def test_materials():
+    assert (GLASS.density, GLASS.youngs_modulus, GLASS.poissons_ratio) == (2426.0, 62e9, 0.2)
+    assert GLASS.plane_strain_modulus == pytest.approx(62e9 / 0.96, rel=1e-15, abs=0)
+    for material in (GLASS, STEEL, PTFE, BRASS, TUNGSTEN_CARBIDE):
+        assert material.source
+        assert Chain(grains=2, material=material.name, diameter=1e-3).material == material
+    with pytest.raises(InputError) as caught:
+        Material(density=0.0, youngs_modulus=np.inf, poissons_ratio=0.51)
+    assert [key for key, _ in caught.value.faults] == ["density", "youngs_modulus", "poissons_ratio"]

@@ -1,0 +1,234 @@
+"""Parts of chains, and what long chains cost, against the whole and against chains written out grain by grain."""
+
+import tracemalloc
+from itertools import combinations, product
+
+import numpy as np
+import pytest
+from helpers.chains import CHAINS, WALLED
+
+from lmpchain import (
+    PTFE,
+    STEEL,
+    Chain,
+    Displacement,
+    Drive,
+    Impulse,
+    Impurity,
+    InputError,
+    Material,
+    Profile,
+    Scene,
+    simulate,
+)
+
+MORE = {
+    "vacuum": Chain(grains=9, diameter=1e-3, gravity=0.0, bottom="free"),
+    "springs with impurities": Chain(
+        grains=12, diameter=1e-3, exponent=1.0, gravity=0.0, top_load=1e-3, top="wall",
+        impurity=[Impurity(12, 2e-3), Impurity(grain=3, mass=1e-4), Impurity(grain=4, material=PTFE)],
+    ),
+    "own masses with an impurity": Chain(
+        grains=5, diameter=1e-3, masses=[1e-6, 3e-6, 2e-6, 1e-6, 2e-6], impurity=[Impurity(grain=3, mass=4e-6)]
+    ),
+}  # fmt: skip
+ALL = CHAINS | {f"walled, {name}": chain for name, chain in WALLED.items()} | MORE
+each_chain = pytest.mark.parametrize("chain", ALL.values(), ids=ALL)
+
+
+def some_parts(chain: Chain) -> list[tuple[int, int]]:
+    step = max(1, chain.grains // 7)
+    ends = sorted({1, 2, *range(1, chain.grains, step), chain.grains - 1, chain.grains} - {0})
+    return list(combinations(ends, 2))
+
+
+@each_chain
+def test_a_part_is_as_the_whole_at_rest(chain: Chain):
+    for first, last in some_parts(chain):
+        part = chain.part(first, last)
+        assert part.grains == last - first + 1
+        assert part.movable == part.grains - (last < chain.grains or chain.bottom == "fixed")
+        assert np.array_equal(part.masses, chain.masses[first - 1 : last])
+        assert np.array_equal(part.diameters, chain.diameters[first - 1 : last])
+        assert np.array_equal(part.contact_constants, chain.contact_constants[first - 1 : last - 1])
+        kept = slice(1, last - first + (1 if last < chain.grains else 2))
+        if first == 1:
+            kept = slice(0, kept.stop)
+            assert part.top_load == chain.top_load
+        else:
+            assert part.contacts.constant[0] == 0
+            assert part.top_load == pytest.approx(chain.contacts.force[first - 1], rel=5e-16, abs=0)
+        for what in ("constant", "force", "overlap", "stiffness"):
+            mine, whole = getattr(part.contacts, what)[kept], getattr(chain.contacts, what)[first - 1 :][kept]
+            if first == 1 or what == "constant":
+                assert np.array_equal(mine, whole), what
+            else:
+                assert mine == pytest.approx(whole, rel=2e-15, abs=0), what
+        if last < chain.grains:
+            assert part.contacts.constant[-1] == 0
+
+
+@each_chain
+def test_the_largest_part_is_the_chain_and_parts_are_chains_like_others(chain: Chain):
+    assert chain.part(1, chain.grains) == chain
+    for first, last in some_parts(chain):
+        part = chain.part(first, last)
+        assert Chain(**part.given()) == part
+        assert part.part(1, part.grains - (part.grains > 2)) == chain.part(first, last - (part.grains > 2))
+
+
+@pytest.mark.parametrize(
+    ("strike", "first", "last"),
+    [
+        (Impulse(velocity=3e-3), 1, 40),
+        (Impulse(velocity=-3e-3, grain=50), 25, 75),
+        (Displacement(displacement=2e-9, grain=110), 80, 120),
+        (Drive(amplitude=1e-9, frequency=2e5), 1, 40),
+        (Profile(velocity=1e-3 * (np.arange(120) == 59)), 35, 85),
+    ],
+    ids=["top", "middle", "near the wall", "driven", "profile"],
+)
+def test_a_part_moves_as_the_whole(strike, first: int, last: int):
+    """Until the wave comes to its ends; grain 60 is an impurity, and below grain 120 lies a wall."""
+    chain = Chain(grains=120, diameter=1e-3, top="free", bottom="wall", impurity=[Impurity(grain=60, diameter=1.3e-3)])
+    scene = Scene(chain=chain, excitation=strike, duration=20e-6, samples=11)
+    small = scene.part(first, last)
+    whole, part = (simulate(s, "native", 1e-11) for s in (scene, small))
+    for what in ("displacement", "velocity"):
+        one, other = getattr(whole, what), getattr(part, what)
+        assert np.abs(one[:, first - 1 : last] - other).max() < 1e-11 * np.abs(one).max()
+    beyond = np.delete(whole.velocity, np.s_[first - 1 : last], axis=1)
+    assert np.abs(beyond).max() < 1e-11 * np.abs(whole.velocity).max()
+
+
+@pytest.mark.parametrize(("first", "last"), [(0, 3), (3, 3), (4, 2), (2, 6), (-2, 3)])
+def test_no_such_part(first: int, last: int):
+    with pytest.raises(InputError, match=r"part: must be two or more of grains 1 to 5 \(got"):
+        Chain(grains=5, diameter=1e-3).part(first, last)
+
+
+STRIKES = {
+    "grain 1": Impulse(velocity=2e-3),
+    "grain 2": Impulse(velocity=-2e-3, grain=2),
+    "inside": Displacement(displacement=-1e-8, grain=5),
+    "last that moves": Impulse(velocity=2e-3, grain=8),
+    "driven": Drive(amplitude=1e-8, frequency=1e5),
+    "profile": Profile(displacement=[0, 0, 1e-8, 0, -2e-8, 0, 0, 0, 0], velocity=[0, 0, 0, 0, 0, 1e-3, 0, 0, 0]),
+    "nothing": Profile(velocity=np.zeros(9)),
+}
+ENDS = {
+    "held": {},
+    "walls": {"top": "wall", "bottom": "wall", "top_load": 1e-4},
+    "wall that touches": {"top": "wall"},
+    "vacuum": {"gravity": 0.0, "bottom": "free"},
+    "various": {"diameter": np.linspace(1e-3, 2e-3, 9), "bottom": "wall"},
+}
+
+
+@pytest.mark.parametrize(
+    ("strike", "ends"),
+    [
+        pytest.param(STRIKES[strike], ENDS[ends], id=f"{strike}, {ends}")
+        for strike, ends in product(STRIKES, ENDS)
+        if strike != "driven" or "top" not in ENDS[ends]  # grain 1 cannot be driven behind a wall
+    ],
+)
+def test_what_a_scene_says_of_its_strike_follows_from_the_whole_chain(strike, ends: dict):
+    chain = Chain(**{"grains": 9, "diameter": 1e-3, "impurity": [Impurity(grain=4, mass=1e-5)]} | ends)
+    scene = Scene(chain=chain, excitation=strike, duration=1e-5)
+    energy = np.inf if scene.drive else chain.excess_energy(*scene.initial())
+    assert scene.energy == pytest.approx(energy, rel=1e-14, abs=0)
+    u, v = (np.abs(x[: chain.movable]) for x in strike.largest(chain))
+    assert scene.at_rest == (not u.any() and not v.any())
+    if chain.compressed:
+        below = np.append(chain.equilibrium_overlap, chain.contacts.overlap[-1])[: chain.movable]
+        stiffness = np.append(chain.linear_stiffness, chain.contacts.stiffness[-1])[: chain.movable]
+        number = max((u / below).max(), (v / (below * np.sqrt(stiffness / chain.masses[: chain.movable]))).max())
+    else:
+        number = 0.0 if scene.at_rest else np.inf
+    assert scene.strike_number == pytest.approx(number, rel=1e-14, abs=0)
+
+
+@pytest.mark.parametrize("grain", [1, 2, 5, 7, 8])
+def test_too_hard_a_strike_names_the_contact_and_how_deep_two_grains_go(grain: int):
+    """Half of v^2 times the reduced mass against (2/5) K depth^(5/2); grain 9 is held and does not give way."""
+    rubber = Material(density=1000, youngs_modulus=1e5, poissons_ratio=0.49)
+    chain = Chain(grains=9, material=rubber, diameter=1e-3, gravity=0.0)
+    inertia = chain.masses[0] * (1 if grain == 8 else 0.5)
+    depth = (1.25 * inertia * 3.0**2 / chain.contact_constants[0]) ** 0.4
+    with pytest.raises(InputError, match=f"squeezes contact {grain} to {depth / 1e-3:.2g} of the diameter"):
+        Scene(chain=chain, excitation=Impulse(velocity=3.0, grain=grain), duration=1e-5)
+
+
+def test_no_grain_of_a_long_chain_is_laid_out_before_it_is_asked_for():
+    """A hundred million grains, whose masses alone are 800 MB."""
+    tracemalloc.start()
+    chain = Chain(grains=10**8, diameter=1e-3, gravity=0.01, impurity=[Impurity(grain=10**7, material=STEEL)])
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-5), duration=1e-4, grains="1:64")
+    assert 0 < scene.strike_number < np.inf
+    assert 0 < scene.energy < np.inf
+    assert not scene.at_rest
+    top, deep = chain.part(1, 64), chain.part(10**7 - 10, 10**7 + 10)
+    assert deep.contacts.overlap[-2] > top.contacts.overlap[-2] > 0
+    assert deep.masses[10] == STEEL.density * np.pi / 6 * 1e-3**3
+    assert tracemalloc.get_traced_memory()[1] < 1e6
+    tracemalloc.stop()
+
+
+def test_a_strike_on_a_million_grains_is_that_on_ten_thousand():
+    """Grains that no wave has reached take no memory; those of the chain are 8 MB an array."""
+    runs = []
+    for grains in (10**4, 10**6):
+        tracemalloc.start()
+        chain = Chain(grains=grains, diameter=1e-3)
+        scene = Scene(chain=chain, excitation=Impulse(velocity=8.57e-4), duration=100e-6, grains="1:64")
+        runs.append(simulate(scene, "native"))
+        assert tracemalloc.get_traced_memory()[1] < 4e6
+        tracemalloc.stop()
+    assert np.array_equal(runs[0].displacement, runs[1].displacement)
+    assert np.array_equal(runs[0].velocity, runs[1].velocity)
+    assert runs[1].cost.active_grains < 200
+
+
+def test_alike_grains_are_held_to_the_same_limits_as_those_written_out():
+    """Bounds spare sound chains the arrays; they must never let a faulty one pass, nor refuse a sound one."""
+    rng = np.random.default_rng(11)
+    refused = 0
+    for _ in range(300):
+        grains, modulus = int(rng.integers(2, 9)), 10 ** rng.uniform(4, 8)
+        soft = Material(density=1000 * 10 ** rng.uniform(-2, 2), youngs_modulus=modulus, poissons_ratio=0.3)
+        diameter = 10 ** rng.uniform(-3, -1)
+        odd = [
+            Impurity(grain=int(n), diameter=diameter * rng.uniform(0.3, 3), material=soft if n % 2 else STEEL)
+            for n in rng.choice(np.arange(1, grains + 1), size=int(rng.integers(0, 3)), replace=False)
+        ]
+        common = {
+            "grains": grains,
+            "exponent": float(rng.choice([1.0, 1.5, 2.5])),
+            "top_load": float(rng.choice([0.0, 0.1])),
+        } | {end: str(rng.choice([kind, "wall"])) for end, kind in (("top", "free"), ("bottom", "fixed"))}  # fmt: skip
+        materials, diameters = [soft] * grains, [diameter] * grains
+        for impurity in odd:
+            materials[impurity.grain - 1], diameters[impurity.grain - 1] = impurity.material, impurity.diameter
+        faults = []
+        for how in (
+            {"material": soft, "diameter": diameter, "impurity": odd},
+            {"material": materials, "diameter": diameters},
+        ):
+            try:
+                Chain(**common, **how)
+                faults.append([])
+            except InputError as error:
+                faults.append(error.faults)
+        assert faults[0] == faults[1]
+        refused += bool(faults[0])
+    assert 50 < refused < 250
+
+
+def test_masses_and_constants_that_were_given_stay():
+    given = {"masses": [1e-6, 2e-6, 3e-6], "contact_constants": [1e9, 2e9]}
+    chain = Chain(grains=3, diameter=1e-3, **given)
+    assert {key: getattr(chain, key).tolist() for key in given} == given
+    assert Chain(grains=3, diameter=1e-3).given() == {"grains": 3, "diameter": 1e-3}
+    with pytest.raises(AttributeError, match="weights"):
+        _ = chain.weights

@@ -1,0 +1,141 @@
+"""Patterned chains: their grains one by one, and what follows from them by formulas written out here."""
+
+from math import pi, sqrt
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lmpchain
+from lmpchain import GLASS, PTFE, STEEL, Chain, Impulse, InputError, Scene
+from lmpchain.chain.patterns import decorated, periodic, tapered
+
+CHAINS = {
+    "tapered": tapered(12, 4e-3, 0.08, material="steel", gravity=0.0, top_load=2.0),
+    "widening": tapered(12, 1e-3, -0.1),
+    "decorated": decorated(9, 5e-3, 0.3, taper=0.05, material="ptfe"),
+    "dimer": periodic(11, [4.76e-3, 2e-3], ["steel", "ptfe"]),
+    "trimer": periodic(14, [1e-3, 2e-3, 3e-3], ["glass", "steel", "brass"], [2, 1, 3], exponent=1.3),
+}
+each_chain = pytest.mark.parametrize("chain", CHAINS.values(), ids=CHAINS)
+
+
+def materials(chain: Chain) -> list[lmpchain.Material]:
+    return list(chain.material) if isinstance(chain.material, tuple) else [chain.material] * chain.grains
+
+
+def test_every_name_is_public():
+    assert lmpchain.patterns.tapered is tapered
+    assert "patterns" in dir(lmpchain)
+
+
+@pytest.mark.parametrize("taper", [0.1, 0.0, -0.1, np.float32(0.25)])
+def test_tapered(taper: float):
+    chain = tapered(grains=20, diameter=3e-3, taper=taper)
+    assert chain.diameters == pytest.approx(
+        [3e-3 * (1 - float(taper)) ** (n - 1) for n in range(1, 21)], rel=1e-14, abs=0
+    )
+    assert chain.diameters[0] == 3e-3
+    assert chain.material == GLASS
+
+
+@pytest.mark.parametrize("grains", [2, 7, 8])
+def test_decorated(grains: int):
+    chain = decorated(grains, 3e-3, ratio=0.25, taper=0.1)
+    expected: list[float] = []
+    for k in range((grains + 1) // 2):
+        large = 3e-3 * 0.9**k
+        expected += [large, 0.25 * large]
+    assert chain.grains == grains
+    assert chain.diameters == pytest.approx(expected[:grains], rel=1e-14, abs=0)
+    plain = decorated(grains, 3e-3, 0.25)
+    assert plain.diameters.tolist() == ([3e-3, 0.75e-3] * 4)[:grains]
+
+
+def test_dimer():
+    chain = periodic(7, [2e-3, 1e-3], [STEEL, "ptfe"])
+    assert chain.diameters.tolist() == [2e-3, 1e-3, 2e-3, 1e-3, 2e-3, 1e-3, 2e-3]
+    assert materials(chain) == [STEEL, PTFE, STEEL, PTFE, STEEL, PTFE, STEEL]
+
+
+def test_cells_of_several_kinds():
+    chain = periodic(10, [1e-3, 2e-3, 3e-3], ["glass", "steel", "ptfe"], [2, 1, 3])
+    assert (chain.diameters * 1e3).round(9).tolist() == [1, 1, 2, 3, 3, 3, 1, 1, 2, 3]
+    assert [m.name for m in materials(chain)][:6] == ["glass", "glass", "steel", "ptfe", "ptfe", "ptfe"]
+
+
+def test_one_value_stands_for_all_kinds():
+    assert periodic(6, 1e-3, ["steel", "ptfe"]).diameters.tolist() == [1e-3] * 6
+    assert periodic(6, [1e-3, 2e-3], "steel").material == STEEL
+    assert periodic(4, [1e-3, 2e-3], ["steel"]) == periodic(4, [1e-3, 2e-3], ["steel", "steel"])
+    assert periodic(6, [1e-3, 2e-3], counts=2).diameters.tolist() == [1e-3, 1e-3, 2e-3, 2e-3, 1e-3, 1e-3]
+    assert periodic(5, 1e-3, counts=10**12).diameters.tolist() == [1e-3] * 5  # one kind, whatever the count
+    assert periodic(5, np.array([1e-3, 2e-3]), counts=np.array([1, 2])).diameters[2] == 2e-3
+
+
+@each_chain
+def test_masses_and_contacts_follow_from_the_two_grains(chain: Chain):
+    made = materials(chain)
+    for n in range(chain.grains):
+        assert chain.masses[n] == pytest.approx(made[n].density * pi * chain.diameters[n] ** 3 / 6, rel=1e-13, abs=0)
+    for n in range(chain.grains - 1):
+        one, other = made[n], made[n + 1]
+        r, s = chain.diameters[n] / 2, chain.diameters[n + 1] / 2
+        soft = (1 - one.poissons_ratio**2) / one.youngs_modulus + (1 - other.poissons_ratio**2) / other.youngs_modulus
+        hertz = 4 / 3 / soft * sqrt(r * s / (r + s)) * (r + s) ** (1.5 - chain.exponent)
+        assert chain.contact_constants[n] == pytest.approx(hertz, rel=1e-13, abs=0)
+
+
+@each_chain
+def test_they_are_chains_like_any_other(chain: Chain, tmp_path: Path):
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-5), duration=1e-5, samples=3)
+    scene.to_toml(tmp_path / "scene.toml")
+    assert Scene.from_toml(tmp_path / "scene.toml") == scene
+
+
+def test_the_rest_is_passed_on():
+    chain = tapered(5, 1e-3, 0.1, material=["steel", "ptfe"] * 2 + ["steel"], gravity=0.0, top_load=0.5, bottom="wall")
+    assert (chain.gravity, chain.top_load, chain.bottom, chain.material[1]) == (0.0, 0.5, "wall", PTFE)
+    assert periodic(4, 1e-3, impurity=[{"grain": 2, "diameter": 2e-3}]).diameters[1] == 2e-3
+
+
+def faults(make: Any, *arguments: Any, **named: Any) -> list[str]:
+    """Return the keys of the faults, and make sure that each is explained."""
+    with pytest.raises(InputError) as caught:
+        make(*arguments, **named)
+    assert all(len(message) > 10 for _, message in caught.value.faults)
+    return [key for key, _ in caught.value.faults]
+
+
+@pytest.mark.parametrize(
+    ("made", "keys"),
+    [
+        ((tapered, 1, -1e-3, 1.0), ["grains", "diameter", "taper"]),
+        ((tapered, 5, 1e-3, np.nan), ["taper"]),
+        ((tapered, 5, "1 mm", 0.1), ["diameter"]),
+        ((tapered, 2.5, 1e-3, 0.1), ["grains"]),
+        ((tapered, 10**9, 1e-3, 0.1), ["grains"]),
+        ((tapered, 1000, 1e-3, 0.9), ["taper"]),
+        ((tapered, 1000, 1e-3, -0.9), ["taper"]),
+        ((tapered, 10**4, 1e-3, -9.0), ["taper"]),
+        ((decorated, 5, 1e-3, 1.5, 2.0), ["taper", "ratio"]),
+        ((decorated, 5, 1e-3, 0.0), ["ratio"]),
+        ((periodic, 5, [1e-3, 0.0]), ["diameters"]),
+        ((periodic, 5, []), ["diameters"]),
+        ((periodic, 5, 1e-3, ["steel", "cheese"]), ["materials"]),
+        ((periodic, 5, [1e-3, 2e-3, 3e-3], ["steel", "ptfe"], [1, 2, 3, 4]), ["diameters", "materials"]),
+        *[
+            ((periodic, 5, 1e-3, "steel", counts), ["counts"])
+            for counts in (0, [1, -1], [], 1.5, [True], "12", [1, [2]], None)
+        ],
+    ],
+)
+def test_faults_are_named(made: tuple, keys: list[str]):
+    assert faults(*made) == keys
+
+
+def test_faults_of_the_chain_and_of_what_the_pattern_decides():
+    assert faults(tapered, 5, 1e-3, 0.1, gravity=-1.0, colour="red") == ["colour", "gravity"]
+    assert faults(periodic, 5, 1e-3, material="steel", diameter=1e-3) == ["diameter", "material"]
+    assert faults(decorated, 100, 1e-3, 0.01, material="ptfe", gravity=1e7) == ["diameter"]  # squashed at rest

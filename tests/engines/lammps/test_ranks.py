@@ -1,0 +1,269 @@
+"""One column on several ranks: the same bytes, and an end with a message when a rank fails."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lmpchain import Chain, Drive, EngineUnavailable, Impulse, InputError, RunFailed, Scene, Trajectory, simulate
+from lmpchain.engines import Lammps
+from lmpchain.engines.lammps import engine as lammps_engine
+from lmpchain.engines.lammps.subprocess_ranks import Crew
+from lmpchain.util import mpi
+
+MPIEXEC = mpi.launcher()
+MIDDLE = Scene(  # the strike lies beside the boundary between two ranks, and the wave crosses it
+    chain=Chain(grains=60, material="glass", diameter=1e-3),
+    excitation=Impulse(velocity=8.57e-4, grain=29),
+    duration=4e-5,
+    samples=9,
+)
+LOADED = Chain(grains=30, material="steel", diameter=5e-3, top_load=5.0, bottom="wall")
+SCENES = {
+    "strike in the middle": MIDDLE,
+    "walls": Scene(
+        chain=Chain(grains=30, material="steel", diameter=5e-3, top_load=5.0, top="wall", bottom="wall"),
+        excitation=Impulse(velocity=1e-2, grain=15),
+        duration=4e-5,
+        samples=5,
+    ),
+    "harmonic drive": Scene(chain=LOADED, excitation=Drive(amplitude=1e-7, frequency=2e4), duration=4e-5, samples=5),
+    "sampled drive": Scene(
+        chain=LOADED,
+        excitation=Drive(times=np.linspace(0, 4e-5, 9), displacement=1e-7 * np.sin(np.arange(9.0)) ** 2),
+        duration=4e-5,
+        samples=5,
+    ),
+    "unequal grains": Scene(
+        chain=Chain(grains=40, diameter=1e-3 * 0.97 ** np.arange(40)),
+        excitation=Impulse(velocity=1e-3),
+        duration=3e-5,
+        samples=5,
+    ),
+}
+ENDLESS = Scene(
+    chain=Chain(grains=200, material="glass", diameter=1e-3),
+    excitation=Impulse(velocity=1e-5, grain=100),
+    duration=1.0,
+    samples=101,
+)
+
+
+def same(one: Trajectory, other: Trajectory) -> bool:
+    return np.array_equal(one.displacement, other.displacement) and np.array_equal(one.velocity, other.velocity)
+
+
+@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("integrator", ["verlet", "kahan-li6", "rkn6"])
+def test_ranks_give_the_bytes_of_one(name, integrator):
+    scene, options = SCENES[name], {"integrator": integrator, "step": 2e-7, "diameter": "physical"}
+    one = simulate(scene, engine=Lammps(**options))
+    two = simulate(scene, engine=Lammps(**options, ranks=2))
+    assert (one.cost.ranks, two.cost.ranks) == (1, 2)
+    assert np.abs(one.velocity[-1]).max() > 0
+    assert same(one, two)
+
+
+def test_three_ranks_and_the_gauge_diameter():
+    one, three = (simulate(MIDDLE, engine=Lammps(diameter="gauge", ranks=ranks)) for ranks in (1, 3))
+    assert three.cost.ranks == 3
+    assert same(one, three)
+
+
+def test_more_ranks_than_grains_are_refused():
+    scene = Scene(chain=Chain(grains=2, diameter=1e-3), excitation=Impulse(velocity=1e-4), duration=1e-5, samples=3)
+    with pytest.raises(InputError, match="ranks: must be at most one a grain"):
+        simulate(scene, "lammps", ranks=3)
+    for wrong in (0, -1, 2.0, True):
+        with pytest.raises(InputError, match="ranks: must be a whole number"):
+            Lammps(ranks=wrong)
+    assert same(simulate(scene, "lammps"), simulate(scene, "lammps", ranks=2))
+
+
+def test_dump_of_two_ranks(tmp_path):
+    """The files that a run keeps do not tell how many ranks wrote them."""
+    for ranks in (1, 2):
+        simulate(
+            MIDDLE, engine=Lammps("verlet", step=1e-7, diameter="physical", keep=tmp_path / str(ranks), ranks=ranks)
+        )
+    for name in ("column.lammpstrj", "in.column", "column.data"):
+        assert (tmp_path / "1" / name).read_bytes() == (tmp_path / "2" / name).read_bytes()
+
+
+def mpirun(*words: str | Path, ranks: int = 2, **options) -> subprocess.Popen[str]:
+    command = [MPIEXEC, "-n", str(ranks), sys.executable, *map(str, words)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options)
+
+
+def finish(process: subprocess.Popen[str], within: float = 60) -> tuple[int, str]:
+    """Return exit code and all that was said; a process that hangs fails the test, and is not left behind."""
+    try:
+        out, err = process.communicate(timeout=within)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        raise
+    return process.returncode, out + err
+
+
+def test_plain_mpirun_of_the_command_line(tmp_path):
+    MIDDLE.to_toml(tmp_path / "scene.toml")
+    words = ("-m", "lmpchain.cli", "run", tmp_path / "scene.toml", "--engine", "lammps", "-o")
+    code, said = finish(mpirun(*words, tmp_path / "two.nc"))
+    assert code == 0, said
+    assert said.count("engine ") == 1, "one rank speaks for all"
+    two = Trajectory.load(tmp_path / "two.nc")
+    assert two.cost.ranks == 2
+    assert same(two, simulate(MIDDLE, "lammps"))
+    code, said = finish(mpirun("-m", "lmpchain.cli", "run", tmp_path / "scene.toml", "-o", tmp_path / "native.nc"))
+    assert code == 0
+    assert said.count("the engine auto runs on one rank") == 1
+    code, said = finish(mpirun("-m", "lmpchain.cli", "run", tmp_path / "none.toml"))
+    assert code == 2
+    assert said.count("there is no such file") == 1
+    code, said = finish(mpirun(*words, tmp_path / "three.nc", "--ranks", "3"))
+    assert code == 2
+    assert "leave the number of ranks out" in said
+
+
+def test_ranks_on_the_command_line(tmp_path):
+    MIDDLE.to_toml(tmp_path / "scene.toml")
+    words = ["-m", "lmpchain.cli", "run", str(tmp_path / "scene.toml"), "--engine", "lammps", "--ranks", "2"]
+    done = subprocess.run([sys.executable, *words], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "2 ranks" in done.stdout
+    assert Trajectory.load(tmp_path / "scene.nc").cost.ranks == 2
+
+
+def test_scripts_under_mpirun_run_alone(tmp_path):
+    """A script that every rank runs for itself, as for a sweep, gets a LAMMPS of its own on every rank."""
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import lmpchain, sys\n"
+        f"scene = lmpchain.Scene.from_toml({str(tmp_path / 'scene.toml')!r})\n"
+        "t = lmpchain.simulate(scene, 'lammps')\n"
+        "sys.stdout.write(f'{t.cost.ranks} {t.velocity[-1].sum()!r}\\n')\n"
+    )
+    MIDDLE.to_toml(tmp_path / "scene.toml")
+    code, said = finish(mpirun(script))
+    assert code == 0, said
+    first, second = said.split("\n")[:2]
+    assert first == second
+    assert first.startswith("1 ")
+
+
+def test_a_killed_rank_ends_the_run_with_a_message(monkeypatch):
+    crews = []
+
+    def gather(*arguments):
+        crews.append(Crew(*arguments))
+        threading.Timer(0.5, os.kill, (crews[0].pids[1], signal.SIGKILL)).start()
+        return crews[0]
+
+    monkeypatch.setattr(lammps_engine, "gather", gather)
+    began = time.monotonic()
+    with pytest.raises(RunFailed, match=r"a rank of LAMMPS died.*EXIT CODE: 9"):
+        simulate(ENDLESS, engine=Lammps(integrator="verlet", step=1e-7, diameter="physical", ranks=2))
+    assert time.monotonic() - began < 20, "it must not hang"
+    assert not Path(f"/proc/{crews[0].pids[0]}").exists()
+
+
+def endless(tmp_path: Path) -> tuple[subprocess.Popen[str], dict[int, int]]:
+    """Start a long run under mpirun; return it, at work, with its ranks."""
+    ENDLESS.to_toml(tmp_path / "endless.toml")
+    words = ["run", tmp_path / "endless.toml", "--engine", "lammps", "--integrator", "verlet", "--step", "1e-7"]
+    mark = f"{os.getpid()}-{tmp_path.name}"
+    process = mpirun(
+        "-m", "lmpchain.cli", *words, "--diameter", "physical", "-o", tmp_path / "x.nc", env=os.environ | {"MARK": mark}
+    )
+    until = time.monotonic() + 30
+    while time.monotonic() < until:
+        ranks = {}
+        for folder in Path("/proc").iterdir():
+            try:
+                environment = (folder / "environ").read_bytes().split(b"\0") if folder.name.isdigit() else []
+            except OSError:
+                continue
+            if f"MARK={mark}".encode() in environment:
+                number = [entry[9:] for entry in environment if entry.startswith(b"PMI_RANK=")]
+                ranks |= {int(n): int(folder.name) for n in number}
+        if len(ranks) == 2:
+            time.sleep(2.0)  # both are in the midst of it
+            return process, ranks
+        time.sleep(0.1)
+    process.kill()
+    raise AssertionError("the ranks did not start")
+
+
+@pytest.mark.parametrize("rank", [0, 1])
+def test_a_killed_rank_ends_mpirun(tmp_path, rank):
+    process, ranks = endless(tmp_path)
+    os.kill(ranks[rank], signal.SIGKILL)
+    code, said = finish(process, within=15)
+    assert code != 0
+    assert "EXIT CODE: 9" in said
+    assert not (tmp_path / "x.nc").exists()
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_signals_stop_all_ranks(tmp_path, number, code):
+    process, ranks = endless(tmp_path)
+    process.send_signal(number)
+    ended, said = finish(process, within=15)
+    assert ended == code, said
+    assert "stopped by" in said
+    assert not any(Path(f"/proc/{pid}").exists() for pid in ranks.values())
+
+
+def test_an_error_on_one_rank_ends_all_with_its_message(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import sys\n"
+        "from lmpchain import cli, mpi\n"
+        "from lmpchain.engines.lammps.worker import Rank\n"
+        "def fail(*_):\n"
+        "    raise FloatingPointError('the third digit of pi')\n"
+        "if mpi.library().COMM_WORLD.rank == 1:\n"
+        "    Rank._split = fail\n"
+        f"sys.exit(cli.main(['run', {str(tmp_path / 'scene.toml')!r}, '--engine', 'lammps']))\n"
+    )
+    MIDDLE.to_toml(tmp_path / "scene.toml")
+    code, said = finish(mpirun(script), within=30)
+    assert code == 1
+    assert "error: rank 1: the third digit of pi" in said
+
+
+def test_lammps_errors_are_those_of_one_rank():
+    crew = Crew(2, "none")
+    try:
+        with pytest.raises(RunFailed, match="Unknown command: nonsense"):
+            crew.ask("commands", "nonsense")
+        assert crew.ask("commands", "units si") == [None, None], "the ranks are still there"
+    finally:
+        crew.close()
+
+
+def test_a_foreign_mpirun_is_recognised(monkeypatch, tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "lmpchain.cli", "--version"],
+        env=os.environ | {"OMPI_COMM_WORLD_SIZE": "2"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 1
+    assert "mpirun has started 2 processes, but MPI sees 1" in done.stderr
+    fake = tmp_path / "mpiexec"
+    fake.write_text('#!/bin/sh\nshift 2\nexec "$@"\n')  # starts one process, whatever is asked
+    fake.chmod(0o755)
+    monkeypatch.setattr(mpi, "launcher", lambda: str(fake))
+    with pytest.raises(EngineUnavailable, match="do not see each other"):
+        simulate(MIDDLE, "lammps", ranks=2)
+    fake.write_text("#!/bin/sh\necho no such host >&2\nexit 3\n")
+    with pytest.raises(EngineUnavailable, match="the ranks do not start: no such host"):
+        simulate(MIDDLE, "lammps", ranks=2)

@@ -1,0 +1,331 @@
+"""Decks of the user's own, and what may not come into a deck."""
+
+import filecmp
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.commands import SCENE, keys, names
+from helpers.lammps_runs import lmp, small
+from helpers.reference import relative_error
+
+from lmpchain import InputError, Scene, Trajectory, simulate
+from lmpchain.cli.command_line import main
+from lmpchain.engines import Lammps
+from lmpchain.engines.lammps.export import write_deck
+
+TEMPLATES = Path(__file__).parents[3] / "templates"
+VERLET = {"integrator": "verlet", "step": 1e-7, "diameter": "physical"}
+INCLUDE = """# {{ no placeholder }} {% nor a block %} Größe
+compute         energy all ke
+fix             average all ave/time 1 1 10 c_energy file energy.txt
+dump            mine all custom 10 mine.dump vz id z x y
+dump_modify     mine format float %.17g
+"""
+TEMPLATE = """# {{ column.chain.grains }} grains of my own
+{% macro in_us(time) %}{{ (1e6 * time) | round(3) }} us{% endmacro %}
+# steps of {{ in_us(step) }}
+{% include "setup.column" %}
+fix             axis all setforce 0.0 0.0 NULL    # changes nothing
+"""
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Work in a folder of its own: LAMMPS writes the files of an include to where it runs."""
+    monkeypatch.chdir(tmp_path)
+    Path("scene.toml").write_text(SCENE)
+    Path("my.include").write_text(INCLUDE)
+    Path("my.template").write_text(TEMPLATE + '{% include "run.column" %}\n')
+    return tmp_path
+
+
+# --- includes
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_an_include_works_in_the_library(ranks: int):
+    plain = simulate(small(), engine=Lammps(**VERLET))
+    t = simulate(small(), engine=Lammps(**VERLET, include="my.include", ranks=ranks))
+    assert np.array_equal(t.displacement, plain.displacement)
+    assert t.provenance["include"] == INCLUDE
+    energy = np.loadtxt("energy.txt")[:: t.cost.steps // 50, 1]  # of every 10th step, so of every sample
+    assert energy == pytest.approx(0.5 * (t.velocity**2) @ t.scene.chain.masses, rel=1e-5)
+    scene = Scene(**small().given() | {"samples": t.cost.steps // 10 + 1})
+    mine = Trajectory.from_dump("mine.dump", scene)
+    assert np.array_equal(mine.velocity[:: t.cost.steps // 50], t.velocity)
+
+
+def test_an_include_stands_in_the_deck_as_it_is():
+    write_deck(small(), "deck", step=1e-7, include="my.include")
+    text = Path("deck/in.column").read_text()
+    assert INCLUDE in text
+    lmp(Path("deck"))
+    assert names(Path("deck")) == [
+        "column.data", "column.lammpstrj", "energy.txt", "in.column", "log.lammps", "mine.dump",
+    ]  # fmt: skip
+    simulate(small(), engine=Lammps(**VERLET, include="my.include", keep="kept"))
+    assert filecmp.cmp("deck/in.column", "kept/in.column", shallow=False)
+    assert filecmp.cmp("deck/column.lammpstrj", "kept/column.lammpstrj", shallow=False)
+    assert filecmp.cmp("deck/mine.dump", "mine.dump", shallow=False)
+
+
+def test_what_an_include_does_to_the_motion_is_an_error():
+    Path("my.include").write_text("fix drag all viscous 1e-3\n")
+    t = simulate(small(), engine=Lammps(**VERLET | {"step": 1e-8}, include="my.include"))
+    native = simulate(small(), "native", 1e-9)
+    error = relative_error(t.displacement, t.velocity, native.displacement, native.velocity)
+    assert t.error_estimate.total == pytest.approx(error, rel=0.1)
+    assert error > 1e-3
+
+
+# --- templates
+
+
+def test_the_template_of_the_package_is_one():
+    shutil.copy(TEMPLATES / "in.column", "my.template")
+    write_deck(small(), "own", step=1e-7, template="my.template")
+    write_deck(small(), "ours", step=1e-7)
+    assert filecmp.cmp("own/in.column", "ours/in.column", shallow=False)
+    t = simulate(small(), engine=Lammps(**VERLET, template="my.template"))
+    assert np.array_equal(t.velocity, simulate(small(), engine=Lammps(**VERLET)).velocity)
+
+
+def test_one_template_for_a_deck_and_the_library():
+    options = {"template": "my.template", "include": "my.include"}
+    write_deck(small(), "deck", step=1e-7, **options)
+    assert Path("deck/in.column").read_text().startswith("# 25 grains of my own\n# steps of 0.1 us\n")
+    lmp(Path("deck"))
+    t = simulate(small(), engine=Lammps(**VERLET, **options))
+    dumped = Trajectory.from_dump("deck/column.lammpstrj", small())
+    assert np.array_equal(dumped.velocity, t.velocity)
+    assert t.provenance["template"] == Path("my.template").read_text()
+
+
+def test_a_deck_may_run_as_it_likes_and_the_library_may_not():
+    own = "run             {{ every * samples }}\n"
+    dump = "dump            out all custom {{ every }} own.dump id x y z vz\ndump_modify out format float %.17g\n"
+    Path("my.template").write_text(TEMPLATE + dump + own)
+    write_deck(small(), "deck", step=1e-7, template="my.template")
+    lmp(Path("deck"))
+    dumped = Trajectory.from_dump("deck/own.dump", small())
+    assert np.array_equal(dumped.velocity, simulate(small(), engine=Lammps(**VERLET)).velocity)
+    with pytest.raises(
+        InputError, match=r'template: the command run \(line 8\) cannot be used here: put .*"run.column"'
+    ):
+        simulate(small(), engine=Lammps(**VERLET, template="my.template"))
+
+
+@pytest.mark.parametrize(
+    "commands", ["run 10", "  run\t10", 'if "1 > 0" then "run 10"', "minimize 0 0 1 1", "clear", "quit", "rerun a.dump"]
+)
+def test_an_include_may_not_run(commands: str, capsys: pytest.CaptureFixture[str]):
+    Path("my.include").write_text(f"# run 10\nvariable run equal 1\nfix runs all nve # run\n{commands}\n")
+    for verb in (["deck", "-o", "deck"], ["run", "--engine", "lammps"]):
+        assert main([verb[0], "scene.toml", "--include", "my.include", *verb[1:]]) == 2
+        assert "(line 4)" in (said := capsys.readouterr()).err
+        assert keys(said) == ["include"]
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("{{ colour }}", "there is no placeholder 'colour'; there are alone, column, data, "),
+        ("{{ column.colour }}", "has no attribute 'colour'"),
+        ("{% if false %}{{ colour }}{% endif %}", "no placeholder 'colour'"),
+        ("{{ 1 / 0 }}", "division by zero"),
+        ("one\n{% if %}", "line 2 is not in the form of Jinja2"),
+        ("{% include 'my.include' %}", "can include no 'my.include'; there are column.data, "),
+        ("{% include '../pyproject.toml' %}", "can include no"),
+        ("{% extends '/etc/passwd' %}", "can include no"),
+        ("{% import 'os' as os %}", "can include no"),
+        ("{{ ().__class__.__base__.__subclasses__() }}", "closed to it"),
+        ("{{ column.scene.to_toml('spoilt') }}", "closed to it"),
+        ("{{ column.chain.contacts.energy(1) }}", "closed to it"),
+        ("{{ '%s'.format(column) }}", "closed to it"),
+        ("{{ column | attr('__init__') }}", "closed to it"),
+        ("{{ column['__class__'] }}", "closed to it"),
+        ("{{ column._typed }}", "closed to it"),
+        ("{{ column.chain.material.name }}", "closed to it"),
+        ("{% set x = column.scene.to_toml %}{{ x('spoilt') }}", "closed to it"),
+        ("{{ namespace(a=1).a }}", "no placeholder 'namespace'"),
+        ("{{ lipsum.__globals__['os'].system('touch spoilt') }}", "no placeholder 'lipsum'"),
+        ("{{ self.__init__.__globals__ }}", "closed to it"),
+        ("{% for i in range(10 ** 9) %}{% endfor %}", "cannot be filled in"),
+        ("{{ colour }}\0", "not text in UTF-8"),
+    ],
+)
+def test_templates_that_cannot_be_filled_in(text: str, says: str, here: Path, capsys: pytest.CaptureFixture[str]):
+    Path("my.template").write_text(text)
+    before = names(here)
+    for verb in (["deck", "-o", "deck"], ["run", "--engine", "lammps"]):
+        assert main([verb[0], "scene.toml", "--template", "my.template", *verb[1:]]) == 2
+        said = capsys.readouterr()
+        assert keys(said) == ["template"]
+        assert says in said.err
+        assert names(here) == before
+
+
+def test_every_unknown_placeholder_is_named(capsys: pytest.CaptureFixture[str]):
+    Path("my.template").write_text("{{ colour }} {{ size }} {{ column.chain.grains }}")
+    assert main(["deck", "scene.toml", "--template", "my.template", "-o", "deck"]) == 2
+    assert keys(capsys.readouterr()) == ["template", "template"]
+
+
+def test_options_that_do_not_go_together(capsys: pytest.CaptureFixture[str]):
+    Path("bare").write_text("units si\n")
+    Path("binary").write_bytes(b"\xff\xfe")
+    for options, key in (
+        (["--include", "none"], "include"),
+        (["--include", "."], "include"),
+        (["--template", "binary"], "template"),
+        (["--template", "bare", "--include", "my.include"], "include"),  # no place for it
+        (["--template", "my.template", "--integrator", "rkn6"], "template"),
+        (["--template", "my.template", "--engine", "native"], "template"),
+        (["--include", "my.include", "--engine", "native"], "include"),
+    ):
+        assert main(["run", "scene.toml", "--engine", "lammps", *options]) == 2
+        assert keys(capsys.readouterr()) == [key]
+
+
+def test_on_the_command_line(capsys: pytest.CaptureFixture[str]):
+    own = ["--template", "my.template", "--include", "my.include"]
+    assert main(["run", "scene.toml", "--engine", "lammps", "--step", "1e-8", "-o", "run.nc", *own]) == 0
+    assert "verlet" in capsys.readouterr().out
+    assert Path("mine.dump").stat().st_size > 0
+    assert main(["deck", "scene.toml", "-o", "deck", "--step", "1e-8", *own]) == 0
+    lmp(Path("deck"))
+    dumped = Trajectory.from_dump("deck/column.lammpstrj", Scene.from_toml("scene.toml"))
+    assert np.array_equal(dumped.velocity, Trajectory.load("run.nc").velocity)
+
+
+# --- nothing in a scene becomes a command
+
+HOSTILE = [
+    '"; shell touch spoilt; "', "x\nshell touch spoilt\n", "$(touch spoilt)", "`touch spoilt`", "${HOME}", "a & b",
+    "'; touch spoilt; '", "{{ 7 * 7 }}", "# > spoilt", "../../spoilt", "\x1b[2J", "\u202e\u00e9", "a\tb", "%s%n", "*",
+]  # fmt: skip
+NAMED = "{{density = 2426.0, youngs_modulus = 62e9, poissons_ratio = 0.2, name = {0}, source = {0}}}"
+FIELDS = {
+    "chain.material": "grains = 20\nmaterial = {0}\ndiameter = 1e-3",
+    "chain.material.name": f"grains = 20\nmaterial = {NAMED}\ndiameter = 1e-3",
+    "chain.top": "grains = 20\ntop = {0}\ndiameter = 1e-3",
+    "chain.bottom": "grains = 20\nbottom = {0}\ndiameter = 1e-3",
+    "chain.bottom_material": f'grains = 20\nbottom = "wall"\nbottom_material = {NAMED}\ndiameter = 1e-3',
+    "chain.file": "file = {0}",
+    "chain.grains": "grains = {0}\ndiameter = 1e-3",
+    "chain.impurity": "grains = 20\ndiameter = 1e-3\nimpurity = [{{grain = 3, material = {0}}}]",
+    "chain.impurity.name": f"grains = 20\ndiameter = 1e-3\nimpurity = [{{{{grain = 3, material = {NAMED}}}}}]",
+    "chain.key": "grains = 20\ndiameter = 1e-3\n{0} = 1",
+}
+OTHERS = {
+    "excitation.kind": ('kind = "impulse"', "kind = {0}"),
+    "excitation.file": ('kind = "impulse"\nvelocity = 8.57e-4', 'kind = "profile"\nfile = {0}'),
+    "recording.grains": ("samples = 11", "samples = 11\ngrains = {0}"),
+    "section": ("[recording]", "[{0}]\na = 1\n[recording]"),
+}
+
+
+def toml(text: str) -> str:
+    """Return a TOML string."""
+    import tomli_w
+
+    return tomli_w.dumps({"a": text}).removeprefix("a = ").strip()
+
+
+def scenes(text: str) -> dict[str, str]:
+    """Return scene files with this text in every place that holds text."""
+    tame = 'grains = 20\nmaterial = "glass"\ndiameter = 1.0e-3'
+    found = {field: SCENE.replace(tame, form.format(toml(text))) for field, form in FIELDS.items()}
+    return found | {field: SCENE.replace(old, new.format(toml(text))) for field, (old, new) in OTHERS.items()}
+
+
+@pytest.mark.parametrize("text", HOSTILE)
+def test_text_in_a_scene_stays_out_of_decks(text: str, here: Path, capsys: pytest.CaptureFixture[str]):
+    reference = {}
+    for field, tame in scenes("harmless").items():
+        Path("scene.toml").write_text(tame)
+        if main(["deck", "scene.toml", "-o", f"tame {field}", "--step", "1e-7"]) == 0:
+            reference[field] = [Path(f"tame {field}", name).read_bytes() for name in ("in.column", "column.data")]
+    assert set(reference) == {"chain.material.name", "chain.bottom_material", "chain.impurity.name"}
+    before = names(here)
+    capsys.readouterr()
+    for field, scene in scenes(text).items():
+        Path("scene.toml").write_text(scene)
+        code = main(["deck", "scene.toml", "-o", "deck", "--step", "1e-7"])
+        said = capsys.readouterr()
+        assert code == (0 if field in reference else 2), (field, said.err)
+        if code == 0:
+            assert reference[field] == [Path("deck", name).read_bytes() for name in ("in.column", "column.data")]
+            shutil.rmtree("deck")
+        else:
+            assert all(line.startswith("error: ") for line in said.err.splitlines())
+        assert names(here) == before
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_names_of_files_and_folders(name: str, here: Path, capsys: pytest.CaptureFixture[str]):
+    """What is written to a shell is quoted, and what LAMMPS could take for a command is refused."""
+    name = name.replace("/", "_")
+    Path(name).write_text("displacement,velocity\n" + "0,1e-4\n" + 19 * "0,0\n")
+    Path("scene.toml").write_text(scenes(name)["excitation.file"])
+    folder = f"folder {name}"
+    assert main(["deck", "scene.toml", "-o", folder, "--step", "1e-7"]) == 0
+    line = capsys.readouterr().out.split("to run them:\n")[1]
+    before = names(here)
+    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    subprocess.run(["bash", "-c", line], env=os.environ | {"PATH": path}, check=True, capture_output=True)
+    assert (Path(folder) / "column.lammpstrj").stat().st_size > 0
+    scene, kept = Scene.from_toml("scene.toml"), f"kept {name}"
+    if set(name) & set("\"'$&#{}*%\n\t\x1b") or not name.isascii():
+        with pytest.raises(InputError, match="plainer folder name"):
+            simulate(scene, engine=Lammps(**VERLET, keep=kept))
+        assert names(here) == before
+    else:
+        simulate(scene, engine=Lammps(**VERLET, keep=kept))
+        assert names(here) == sorted([*before, kept])
+        assert filecmp.cmp(f"{folder}/column.lammpstrj", f"{kept}/column.lammpstrj", shallow=False)
+
+
+# --- the job script
+
+
+@pytest.fixture
+def cluster(here: Path) -> dict[str, str]:
+    """Return an environment as of a SLURM job, with an `srun` that writes down what it is to start."""
+    (here / "bin").mkdir()
+    srun = here / "bin" / "srun"
+    srun.write_text('#!/bin/sh\nprintf "%s\\n" "$@" >> "$0.log"\n')
+    srun.chmod(0o755)
+    return os.environ | {"PATH": f"{here / 'bin'}:{os.environ['PATH']}", "SLURM_JOB_END_TIME": "99999999999"}
+
+
+def job(environment: dict[str, str], *arguments: str) -> subprocess.CompletedProcess[str]:
+    script = [str(TEMPLATES / "slurm.sh"), *arguments]
+    return subprocess.run(["bash", *script], env=environment, capture_output=True, text=True, check=False)
+
+
+def test_the_job_script(cluster: dict[str, str], here: Path):
+    subprocess.run(["bash", "-n", str(TEMPLATES / "slurm.sh")], check=True)
+    log = here / "bin" / "srun.log"
+    for folder in ("run/", "a $(touch spoilt); `x` run"):
+        wanted = f"{folder.rstrip('/')}/"
+        assert job(cluster, "my scene.toml", folder, "--template", "my deck").returncode == 0
+        words = log.read_text().splitlines()
+        assert words[:8] == ["lmpchain", "run", "my scene.toml", "-o", wanted, "--engine", "lammps", "--max-wall"]
+        assert float(words[8]) > 9e10
+        assert words[9:] == ["--template", "my deck"]
+        log.unlink()
+        Path(wanted).mkdir()
+        assert job(cluster, "my scene.toml", folder).returncode == 0
+        assert log.read_text().splitlines()[:4] == ["lmpchain", "resume", wanted, "--max-wall"]
+        log.unlink()
+    assert "spoilt" not in names(here)
+    failed = job({key: value for key, value in cluster.items() if key != "SLURM_JOB_END_TIME"}, "scene.toml", "run")
+    assert failed.returncode != 0
+    assert "SLURM_JOB_END_TIME" in failed.stderr
+    assert not log.exists()

@@ -1,0 +1,289 @@
+"""The exact linear engines: against each other, against extended precision, and against what linearising leaves out."""
+
+import mpmath
+import numpy as np
+import pytest
+from helpers.reference import relative_error
+
+from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Profile, Scene, simulate
+from lmpchain.engines import Chebyshev, Modes
+from lmpchain.engines.linear import engine as linear
+from lmpchain.integrators.kernels.chebyshev import bessel, terms
+
+pytestmark = pytest.mark.filterwarnings("ignore:Eq. ")  # that linear engines leave something out is known
+ENGINES = ["modes", "chebyshev"]
+both = pytest.mark.parametrize("engine", ENGINES)
+
+
+def random_linear(seed: int, grains: int, strike: float = 1e-14) -> Scene:
+    """Return a disordered chain with every kind of end, moved all over, or driven."""
+    rng = np.random.default_rng(seed)
+    driven, between = bool(rng.random() < 0.4), bool(rng.random() < 0.5)
+    chain = Chain(
+        grains=grains,
+        diameter=1e-3,
+        gravity=9.81 * float(rng.random() < 0.5),
+        top_load=10 ** rng.uniform(-4, -1),
+        exponent=float(rng.choice([1.0, 1.5, 2.2])),
+        top="wall" if between and not driven else "free",
+        bottom="wall" if between else "fixed",
+        masses=rng.uniform(1, 4, grains) * 1e-6,
+        contact_constants=rng.uniform(1, 4, grains - 1) * 1e9,
+    )
+    u, v = (
+        strike * size * rng.normal(size=grains) for size in (chain.length_scale, chain.length_scale / chain.time_scale)
+    )
+    u[chain.movable :] = v[chain.movable :] = 0
+    moved = Profile(displacement=u, velocity=v)
+    frequency = rng.uniform(0.05, 0.4) * chain.band_edge / 6
+    shaken = Drive(amplitude=strike * chain.length_scale, frequency=frequency)
+    duration = rng.uniform(5, 60) / chain.band_edge * 6
+    return Scene(chain=chain, excitation=shaken if driven else moved, duration=duration, samples=7)
+
+
+def longdouble_modes(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Return the linear solution at the end by the eigenvectors of a matrix of 40 digits, (N,) each."""
+    chain = scene.chain
+    first, last = (1 if scene.drive else 0), chain.movable
+    size = last - first
+    with mpmath.workdps(40):
+        m = [mpmath.mpf(float(x)) for x in chain.masses[first:last]]
+        k = [mpmath.mpf(float(x)) for x in chain.contacts.stiffness]
+        matrix = mpmath.zeros(size)
+        for n in range(size):
+            matrix[n, n] = (k[first + n] + k[first + n + 1]) / m[n]
+            if n + 1 < size:
+                matrix[n, n + 1] = matrix[n + 1, n] = -k[first + n + 1] / mpmath.sqrt(m[n] * m[n + 1])
+        squares, vectors = mpmath.eigsy(matrix)
+        u0, v0 = scene.initial()
+        t = mpmath.mpf(scene.duration)
+        x, y = [mpmath.mpf(0)] * size, [mpmath.mpf(0)] * size
+        for p in range(size):
+            w = mpmath.sqrt(squares[p])
+            q = mpmath.fsum(vectors[n, p] * mpmath.sqrt(m[n]) * float(u0[first + n]) for n in range(size))
+            r = mpmath.fsum(vectors[n, p] * mpmath.sqrt(m[n]) * float(v0[first + n]) for n in range(size))
+            a = q * mpmath.cos(w * t) + r * mpmath.sin(w * t) / w
+            b = r * mpmath.cos(w * t) - q * w * mpmath.sin(w * t)
+            if scene.drive:
+                d = 2 * mpmath.pi * mpmath.mpf(scene.drive.frequency)
+                f = vectors[0, p] / mpmath.sqrt(m[0]) * k[1] * mpmath.mpf(scene.drive.amplitude)
+                a += f * (mpmath.sin(d * t) - d / w * mpmath.sin(w * t)) / (w * w - d * d)
+                b += f * d * (mpmath.cos(d * t) - mpmath.cos(w * t)) / (w * w - d * d)
+            for n in range(size):
+                x[n] += vectors[n, p] * a / mpmath.sqrt(m[n])
+                y[n] += vectors[n, p] * b / mpmath.sqrt(m[n])
+    u, v = np.zeros(chain.grains), np.zeros(chain.grains)
+    u[first:last], v[first:last] = [float(value) for value in x], [float(value) for value in y]
+    if scene.drive:
+        u[0], v[0] = scene.drive.motion(scene.duration)
+    return u, v
+
+
+@pytest.mark.parametrize("z", [1e-3, 0.3, 1.0, 10.0, 300.0, 3000.0])
+def test_bessel_functions_of_all_orders(z):
+    """Miller's recurrence against mpmath; what the series leaves out is negligible."""
+    orders = 2 * terms(z) + 1
+    values = bessel(np.array([z]), orders)[:, 0]
+    some = np.unique(np.linspace(0, orders - 1, 12).astype(int))
+    with mpmath.workdps(30):
+        exact = [float(mpmath.besselj(int(n), z, maxprec=100_000)) for n in some]
+    assert values[some] == pytest.approx(exact, rel=0, abs=1e-15)
+    assert abs(values[-1]) < 1e-16
+
+
+@both
+@pytest.mark.parametrize("seed", range(8))
+def test_against_forty_digits(engine, seed):
+    scene = random_linear(seed, 14)
+    t = simulate(scene, engine)
+    u, v = longdouble_modes(scene)
+    true = relative_error(t.displacement[-1], t.velocity[-1], u, v)
+    assert true < 2e-13
+    assert true < 3 * t.error_estimate.solver
+
+
+@pytest.mark.parametrize(("seed", "grains"), [(seed, grains) for seed in range(6) for grains in (2, 3, 40, 500)])
+def test_two_ways_to_one_solution(seed, grains):
+    """Modes and Chebyshev share no line of arithmetic; to 1e-11 on random chains."""
+    scene = random_linear(seed + 100, max(grains, 3))
+    one, other = (simulate(scene, engine) for engine in ENGINES)
+    assert relative_error(one.displacement, one.velocity, other.displacement, other.velocity) < 1e-11
+    assert np.abs(one.velocity).max() > 0
+
+
+@both
+@pytest.mark.parametrize("seed", range(6))
+def test_limit_of_weak_motion_of_the_nonlinear_engine(engine, seed):
+    scene = random_linear(seed + 200, 30, strike=1e-13)
+    linear, full = simulate(scene, engine), simulate(scene, "native", 5e-12)
+    assert relative_error(linear.displacement, linear.velocity, full.displacement, full.velocity) < 1e-11
+
+
+@both
+@pytest.mark.parametrize("gravity", [0.981, 9.81, 98.1])
+def test_model_error_over_the_map_of_strikes(engine, gravity):
+    """The paper's chain struck at the top: the estimate is within a factor of 3 wherever the error is below 0.3."""
+    chain = Chain(grains=120, diameter=1e-3, gravity=gravity)
+    seen = 0
+    for speed in 10.0 ** np.arange(-7, 0.5):
+        scene = Scene(chain=chain, excitation=Impulse(velocity=speed), duration=100e-6, samples=51)
+        t = simulate(scene, engine, 0.999)
+        truth = simulate(scene, "native", 1e-8)
+        true = relative_error(t.displacement, t.velocity, truth.displacement, truth.velocity)
+        if 1e-6 < true < 0.3:
+            seen += 1
+            assert true / 3 < t.error_estimate.model < 3 * true
+        elif true >= 0.3:
+            assert t.error_estimate.model > 0.1
+    assert seen >= 3
+
+
+OTHERS = {
+    "struck within": (Chain(grains=150, diameter=1e-3), Impulse(velocity=1e-5, grain=75), 1e-4),
+    "struck within, reflected": (Chain(grains=60, diameter=1e-3), Impulse(velocity=1e-6, grain=30), 1e-3),
+    "pulled": (Chain(grains=60, diameter=1e-3), Displacement(displacement=-1e-11, grain=1), 1e-4),
+    "loaded": (
+        Chain(grains=80, material="steel", diameter=5e-3, gravity=0, top_load=10.0),
+        Impulse(velocity=1e-3),
+        1e-3,
+    ),
+    "loaded for long": (
+        Chain(grains=20, material="steel", diameter=5e-3, gravity=0, top_load=10.0),
+        Impulse(velocity=1e-3, grain=7),
+        3e-3,
+    ),
+    "two grains": (Chain(grains=2, diameter=1e-3), Impulse(velocity=1e-6), 1e-4),
+    "square law": (Chain(grains=100, diameter=1e-3, exponent=2.0), Impulse(velocity=1e-5), 1e-4),
+    "nearly springs": (Chain(grains=100, diameter=1e-3, exponent=1.1), Impulse(velocity=1e-6), 1e-4),
+}
+
+
+@pytest.mark.parametrize("name", OTHERS)
+@pytest.mark.parametrize("samples", [3, 101])
+def test_model_error_of_other_scenes(name, samples):
+    """However few samples are recorded, for the solution is looked at in between."""
+    chain, excitation, duration = OTHERS[name]
+    scene = Scene(chain=chain, excitation=excitation, duration=duration, samples=samples)
+    t, truth = simulate(scene, "chebyshev", 0.9), simulate(scene, "native", 1e-9)
+    true = relative_error(t.displacement, t.velocity, truth.displacement, truth.velocity)
+    assert true / 3 < t.error_estimate.model < 5 * true
+
+
+def test_springs_have_no_model_error_until_they_open():
+    chain = Chain(grains=20, diameter=1e-3, exponent=1.0)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-9), duration=1e-4, samples=11)
+    t, truth = simulate(scene, "chebyshev"), simulate(scene, "native", 1e-11)
+    assert t.error_estimate.model == 0
+    assert relative_error(t.displacement, t.velocity, truth.displacement, truth.velocity) < 1e-11
+
+
+@both
+def test_loud_where_the_chain_is_not_linear(engine):
+    scene = Scene(chain=Chain(grains=40, diameter=1e-3), excitation=Impulse(velocity=1e-2), duration=1e-4, samples=11)
+    with pytest.warns(UserWarning, match=r"Eq. \(3\) leaves out about .*not linear here: contact \d+ opens"):
+        t = simulate(scene, engine)
+    assert t.error_estimate.model > 0.5
+    assert t.equation == 3
+
+
+@both
+def test_batches_and_restarts(engine, monkeypatch):
+    """Realisations come out as if alone, and a run that goes on from a kept state ends with the same bytes."""
+    drawn = [scene for scene in (random_linear(seed, 25) for seed in range(12)) if not scene.drive][:3]
+    scenes = [Scene(chain=s.chain, excitation=s.excitation, duration=1e-4, samples=9) for s in drawn]
+    monkeypatch.setattr(linear, "BLOCK", 4)
+    made = {"modes": Modes, "chebyshev": Chebyshev}[engine]()
+    candidate = made.candidate(scenes[0], 1e-6)
+    run = made.start(scenes, candidate)
+    together = np.concatenate([block.velocity for block in run.blocks()], axis=1)
+    assert run.progress == 1
+    for i, scene in enumerate(scenes):
+        alone = simulate(scene, engine, 0.9)
+        assert np.array_equal(together[i], alone.velocity)
+    broken = made.start(scenes, candidate)
+    begun = next(broken.blocks())
+    rest = made.start(scenes, candidate, broken.state())
+    again = np.concatenate([begun.velocity, *(block.velocity for block in rest.blocks())], axis=1)
+    assert np.array_equal(again, together)
+    assert [error.model for error in rest.errors()] == [error.model for error in run.errors()]
+
+
+def test_grains_outside_the_light_cone_are_not_touched():
+    """10^6 grains cost what the reached ones do, and come out as in a shorter chain."""
+    strike, some = Impulse(velocity=1e-6), [1, 10, 100, 500]
+    long, short = (
+        simulate(
+            Scene(chain=Chain(grains=n, diameter=1e-3), excitation=strike, duration=1e-3, samples=5, grains=some),
+            "chebyshev",
+        )
+        for n in (10**6, 2000)
+    )
+    assert long.velocity == pytest.approx(short.velocity, rel=0, abs=1e-13 * np.abs(short.velocity).max())
+    assert long.velocity[-1, 3] == short.velocity[-1, 3]
+    quick = simulate(
+        Scene(chain=Chain(grains=3000, diameter=1e-3), excitation=strike, duration=1e-5, samples=3), "chebyshev"
+    )
+    assert not quick.displacement[:, 200:].any()
+
+
+def test_what_cannot_be_linearised_is_refused():
+    vacuum = Chain(grains=5, diameter=1e-3, gravity=0.0)
+    loose = Chain(grains=5, diameter=1e-3, top="wall")
+    points = Drive(times=[0.0, 1e-5, 2e-5], displacement=[0.0, 1e-10, 0.0])
+    for chain, excitation, key in (
+        (vacuum, Impulse(velocity=1e-6), "gravity: without gravity and load"),
+        (loose, Impulse(velocity=1e-6), "top: a wall that only touches"),
+        (Chain(grains=5, diameter=1e-3), points, "excitation: linear engines know harmonic drives only"),
+    ):
+        for engine in ENGINES:
+            with pytest.raises(InputError, match=key):
+                simulate(Scene(chain=chain, excitation=excitation, duration=1e-5, samples=3), engine)
+    with pytest.raises(InputError, match="use chebyshev"):
+        simulate(
+            Scene(chain=Chain(grains=20_000, diameter=1e-3), excitation=Impulse(velocity=1e-6), duration=1e-5), "modes"
+        )
+
+
+@pytest.mark.parametrize("engine", ["bessel", "continuum"])
+@pytest.mark.parametrize("duration", [2e-6, 1e-5, 1e-4])
+def test_closed_forms_know_how_wrong_they_are(engine, duration):
+    """As rows to compare with: the model error they state is the true one, or its two parts partly cancel in truth."""
+    chain = Chain(grains=60, diameter=1e-3)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=duration, samples=11, grains="1:50")
+    t, truth = simulate(scene, engine, 0.999, on_miss="warn"), simulate(scene, "native", 1e-10)
+    true = relative_error(t.displacement, t.velocity, truth.displacement, truth.velocity)
+    assert t.error_estimate.model / 4 < true < 1.05 * t.error_estimate.model
+    assert true == pytest.approx(t.error_estimate.model, rel=0.05) or true < 0.1
+    assert t.equation == {"bessel": 4, "continuum": 27}[engine]
+
+
+def test_bessel_is_exact_for_a_loaded_chain_until_the_wave_comes_back():
+    chain = Chain(grains=80, material="steel", diameter=5e-3, gravity=0, top_load=5.0)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-9), duration=20 * chain.time_scale, samples=11)
+    exact, formula = (simulate(scene, engine) for engine in ("modes", "bessel"))
+    assert relative_error(formula.displacement, formula.velocity, exact.displacement, exact.velocity) < 1e-12
+
+
+def test_closed_forms_refuse_what_they_do_not_know():
+    strike, chain = Impulse(velocity=1e-6), Chain(grains=9, diameter=1e-3)
+    for made, struck, engine, key in (
+        (Chain(grains=9, diameter=np.linspace(1e-3, 2e-3, 9)), strike, "bessel", "masses: bessel knows grains"),
+        (chain, Impulse(velocity=1e-6, grain=2), "bessel", "excitation: bessel knows an impulse on grain 1"),
+        (chain, Displacement(displacement=1e-12), "continuum", "excitation: continuum knows"),
+        (Chain(grains=9, diameter=1e-3, top_load=1e-3), strike, "continuum", "top_load: continuum knows chains"),
+        (Chain(grains=9, diameter=1e-3, top="wall", top_load=1e-3), strike, "bessel", "top: bessel knows"),
+    ):
+        with pytest.raises(InputError, match=key):
+            simulate(Scene(chain=made, excitation=struck, duration=1e-5, samples=3), engine)
+
+
+@pytest.mark.filterwarnings("ignore:Eq. ")
+@both
+def test_a_solution_that_does_not_fit_into_memory_at_once(engine, monkeypatch):
+    """Looked at in pieces, it is the same but for rounding."""
+    scene = Scene(chain=Chain(grains=40, diameter=1e-3), excitation=Impulse(velocity=1e-4), duration=2e-4, samples=7)
+    whole = simulate(scene, engine, 0.9)
+    monkeypatch.setattr(linear, "BLOCK_VALUES", 90)
+    pieces = simulate(scene, engine, 0.9)
+    assert relative_error(pieces.displacement, pieces.velocity, whole.displacement, whole.velocity) < 1e-13
+    assert pieces.error_estimate.model == pytest.approx(whole.error_estimate.model, rel=1e-9, abs=0)

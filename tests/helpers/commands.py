@@ -1,0 +1,32 @@
+"""A scene file, and what a command says and leaves."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+SCENE = """
+[chain]
+grains = 20
+material = "glass"
+diameter = 1.0e-3
+
+[excitation]
+kind = "impulse"
+velocity = 8.57e-4
+
+[recording]
+duration = 20e-6
+samples = 11
+"""
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def keys(said: Any) -> list[str]:
+    """Return the keys of the faults on stderr, and make sure that there is nothing else."""
+    found = [re.fullmatch(r"error: (\S+): \S.*", line) for line in said.err.splitlines()]
+    assert found
+    assert all(found), said.err
+    return [match[1] for match in found if match]

@@ -1,0 +1,210 @@
+"""What every integrator of both engines must do, whatever the scene."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+from helpers.reference import extended_reference, relative_error
+from helpers.scenes import paper, smooth
+from scipy.integrate import simpson
+
+from lmpchain import Chain, Displacement, Drive, Impulse, Profile, Scene, engines, simulate
+from lmpchain.engines import error_estimate as lockstep
+from lmpchain.integrators.methods import METHODS
+from lmpchain.integrators.splittings import SPLITTINGS
+
+NATIVE = engines.Native.integrators[1:]  # without "auto"
+ENGINES = {"native": NATIVE, "lammps": engines.Lammps.integrators}
+both = pytest.mark.parametrize("engine", ENGINES)
+every = pytest.mark.parametrize("integrator", NATIVE)
+PAIRS = [(engine, integrator) for engine, known in ENGINES.items() for integrator in known]
+pairs = pytest.mark.parametrize(("engine", "integrator"), PAIRS)
+
+
+def fixed_step(engine: str, integrator: str, step: float) -> engines.base.Engine:
+    options = {"diameter": "gauge"} if engine == "lammps" else {}
+    return engines.get(engine, integrator=integrator, step=step, **options)
+
+
+@pairs
+def test_order_of_convergence(engine, integrator):
+    scene = smooth()
+    u, v, own = extended_reference(scene)
+    counts = {
+        "verlet": [256, 512, 1024, 2048],
+        "rkn4": [32, 48, 64, 96],
+        "kahan-li6": [24, 34, 48, 68],
+        "rkn6": [11, 15, 21, 30],
+        "kahan-li8": [24, 29, 35, 42],
+        "dop853": [31, 40, 50, 60, 75],
+        "gear4": [800, 1500, 2000, 3000, 4000],
+    }[integrator]
+    errors = []
+    for count in counts:
+        t = simulate(scene, engine=fixed_step(engine, integrator, scene.duration / count))
+        assert t.cost.steps == count
+        errors.append(relative_error(t.displacement, t.velocity, u, v))
+    n = np.array(counts, dtype=float)
+    laws = [np.ones(n.size), -np.log(n)] + ([] if integrator in SPLITTINGS else [1 / n])  # odd terms, if not symmetric
+    slope = np.linalg.lstsq(np.stack(laws, axis=1), np.log(errors), rcond=None)[0][1]
+    assert min(errors) > 100 * own
+    assert slope == pytest.approx(METHODS[integrator].order, abs=0.05)
+
+
+@pytest.mark.parametrize("integrator", SPLITTINGS)
+def test_stability_limit(integrator):
+    """Up to the stated limit an oscillator stays bounded; just above it some frequency grows."""
+    splitting = SPLITTINGS[integrator]
+
+    def growth(frequency: float) -> float:
+        """Largest eigenvalue of one step of x'' = -frequency^2 x at h = 1."""
+        step = np.eye(2)
+        for b, a in zip(splitting.kicks, (*splitting.drifts, 0.0), strict=True):
+            step = np.array([[1.0, a], [0.0, 1.0]]) @ np.array([[1.0, 0.0], [-b * frequency**2, 1.0]]) @ step
+        return np.abs(np.linalg.eigvals(step)).max()
+
+    limit = splitting.stability_limit
+    assert max(growth(f) for f in np.linspace(0.01, 0.9999, 500) * limit) < 1 + 1e-7
+    assert max(growth(f) for f in np.linspace(1.0, 1.001, 50) * limit) > 1 + 1e-4
+
+
+@pairs
+def test_equilibrium_stays_at_rest(engine, integrator):
+    chain = Chain(grains=20, material="glass", diameter=1e-3)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=0.0), duration=50e-6, samples=6)
+    t = simulate(scene, engine=fixed_step(engine, integrator, 1e-7))
+    # natively exact; LAMMPS rounds heights of 20 gauge diameters, each some 10 overlaps
+    rounding = 0.0 if engine == "native" else 1e-11
+    assert np.abs(t.displacement).max() <= rounding * chain.length_scale
+    assert np.abs(t.velocity).max() <= rounding * chain.length_scale / chain.time_scale
+    assert t.error_estimate.total < 1e-10
+
+
+@both
+@pytest.mark.parametrize("exponent", [1.0, 1.5])
+def test_energy_is_conserved(engine, exponent):
+    scene = smooth(exponent=exponent, samples=21)
+    t = simulate(scene, engine=engine, tolerance=1e-8)
+    energy = scene.chain.excess_energy(t.displacement, t.velocity)
+    assert energy == pytest.approx(scene.energy, rel=3e-8)
+
+
+@both
+def test_momentum_is_conserved_in_a_free_chain(engine):
+    chain = Chain(grains=15, material="steel", diameter=5e-3, gravity=0.0, bottom="free")
+    scene = Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=2e-4, samples=5)
+    t = simulate(scene, engine=engine, tolerance=1e-7)
+    momentum = t.velocity @ chain.masses
+    assert momentum == pytest.approx(chain.masses[0] * 0.1, rel=1e-12)
+
+
+def test_momentum_balances_gravity_and_floor():
+    """d/dt of the momentum is the weight of the grains that move less the force of the last contact."""
+    chain = Chain(grains=12, material="glass", diameter=1e-3)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=60e-6, samples=1001)
+    t = simulate(scene, tolerance=1e-10)
+    overlap = chain.equilibrium_overlap[-1] + t.displacement[:, -2]
+    force = chain.contact_constants[-1] * np.maximum(overlap, 0) ** 1.5
+    weight = chain.gravity * chain.masses[:-1].sum()
+    impulse = simpson(weight - force, x=t.time)
+    gained = (t.velocity[-1] - t.velocity[0]) @ chain.masses
+    assert gained == pytest.approx(impulse, rel=1e-6)
+
+
+@pytest.mark.parametrize(("engine", "integrator"), [pair for pair in PAIRS if pair[1] in SPLITTINGS])
+def test_time_reversal(engine, integrator):
+    """Turn all velocities round at the end: the chain goes back to where it was."""
+    chain = Chain(grains=20, material="glass", diameter=1e-3)
+    there = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=40e-6, samples=2)
+    solver = fixed_step(engine, integrator, 2e-7)
+    t = simulate(there, engine=solver)
+    turned = Profile(displacement=t.displacement[-1], velocity=-t.velocity[-1])
+    back = simulate(Scene(chain=chain, excitation=turned, duration=40e-6, samples=2), engine=solver)
+    rounding = 1e-11 if engine == "native" else 1e-6
+    assert back.velocity[-1] == pytest.approx(-t.velocity[0], abs=rounding * 1e-3)
+    assert back.displacement[-1] == pytest.approx(t.displacement[0], abs=rounding * np.abs(t.displacement).max())
+
+
+EXCITATIONS = {
+    "struck": ({"top": "wall", "bottom": "wall"}, Displacement(displacement=2e-8, grain=3)),
+    "driven": ({"top_load": 0.01}, Drive(amplitude=2e-8, frequency=1e5)),
+    "driven by points": ({}, Drive(times=np.linspace(0, 30e-6, 8), displacement=2e-8 * np.sin(np.arange(8.0)) ** 2)),
+}
+
+
+@pairs
+@pytest.mark.parametrize("excitation", EXCITATIONS)
+def test_exact_restart(engine, integrator, excitation):
+    """A run that goes on from a kept state ends with the same bytes."""
+    ends, struck = EXCITATIONS[excitation]
+    chain = Chain(grains=30, material="glass", diameter=1e-3, **ends)
+    scene = Scene(chain=chain, excitation=struck, duration=30e-6, samples=9)
+    solver = fixed_step(engine, integrator, 1e-7)
+    candidate = solver.candidate(scene, 1e-6)
+
+    def run(state=None, stop=None):
+        started = solver.start([scene], candidate, state)
+        blocks = []
+        try:
+            for block in started.blocks():
+                blocks.append(block)
+                if stop and block.samples.stop >= stop:
+                    return blocks, started.state()
+            return blocks, started.errors()[0]
+        finally:
+            started.close()
+
+    whole, error = run()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(lockstep, "BLOCK_BYTES", 1)  # four samples a block
+        first, kept = run(stop=4)
+    rest, error_again = run(kept)
+    assert rest[0].samples.start == first[-1].samples.stop < scene.samples
+    for field in ("displacement", "velocity"):
+        pieces = np.concatenate([getattr(b, field) for b in [*first, *rest]], axis=1)
+        assert np.array_equal(pieces, np.concatenate([getattr(b, field) for b in whole], axis=1))
+    assert error_again.total == error.total
+
+
+def test_chunks_do_not_matter(monkeypatch):
+    """The length of the pieces between two chances to stop leaves no trace, in any integrator."""
+    struck = paper("fig1", samples=3)
+    bump = Drive(times=[0, 4e-5, 5e-5, 6e-5, 1e-4], displacement=[0, 0, 1e-7, 0, 0])
+    driven = Scene(chain=struck.chain, excitation=bump, duration=struck.duration, samples=3)
+    for engine in ENGINES:
+        for integrator, scene in product(ENGINES[engine], (struck, driven)):
+            solver = fixed_step(engine, integrator, 1e-7 if engine == "native" else 5e-7)
+            whole = simulate(scene, engine=solver)
+            monkeypatch.setattr(lockstep, "PIECE_S", 1e-5)
+            pieces = simulate(scene, engine=solver)
+            monkeypatch.undo()
+            assert np.array_equal(whole.displacement, pieces.displacement)
+            assert np.array_equal(whole.velocity, pieces.velocity)
+
+
+@every
+def test_batch_equals_single_runs(integrator):
+    """Realisations that go through the seam together come out as if each had been alone, gentle or strong."""
+    rng = np.random.default_rng(5)
+    scenes = []
+    for velocity in (1e-6, 1e-4, 1e-3):
+        chain = Chain(grains=25, material="glass", diameter=1e-3 * rng.uniform(0.9, 1.1, 25))
+        scenes.append(Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=30e-6, samples=5))
+    solver = engines.Native(integrator=integrator, step=1e-7)
+    run = solver.start(scenes, solver.candidate(scenes[0], 1e-6))
+    together = np.concatenate([block.velocity for block in run.blocks()], axis=1)
+    errors = run.errors()
+    threaded = engines.Native(integrator=integrator, step=1e-7, threads=2).start(scenes, run.candidate)
+    assert np.array_equal(together, np.concatenate([block.velocity for block in threaded.blocks()], axis=1))
+    threaded.close()
+    for i, scene in enumerate(scenes):
+        alone = simulate(scene, engine=solver)
+        assert np.array_equal(together[i], alone.velocity)
+        assert errors[i].total == alone.error_estimate.solver
+
+
+def test_batch_of_unlike_scenes_is_refused():
+    scenes = [smooth(grains=8), smooth(grains=9)]
+    solver = engines.Native(step=1e-6)
+    with pytest.raises(ValueError, match="a batch needs"):
+        solver.start(scenes, solver.candidate(scenes[0], 1e-6))

@@ -1,0 +1,197 @@
+"""The compiled loops: forms of the force against high precision and the energy, tiles, and the instructions."""
+
+from __future__ import annotations
+
+import re
+from types import FunctionType
+from typing import Any
+
+import mpmath
+import numba
+import numpy as np
+import pytest
+from helpers.scenes import smooth
+from llvmlite import binding
+from numba import boolean, float64, int64, types
+from numpy.typing import NDArray
+
+from lmpchain import Chain, Profile, Scene
+from lmpchain.integrators.batch import Chains, series, weakest
+from lmpchain.integrators.kernels import contact_forces as forces
+from lmpchain.integrators.kernels import splitting as kernels
+from lmpchain.integrators.kernels.contact_forces import CORRECTED, LOOSE_POWER, POLYNOMIAL, POWER, ROOTS, SPRING
+from lmpchain.integrators.methods import METHODS
+from lmpchain.integrators.step_schedule import Pace
+from lmpchain.integrators.stepper import NativeStepper
+
+Array = NDArray[np.float64]
+EPSILON = np.finfo(float).eps
+PRESSED = [(CORRECTED, 1.5), (SPRING, 1.0), (POWER, 1.25), (POWER, 1.5), (POWER, 2.3), (POWER, 3.0)]
+PLAIN = [(form, form / 4) for form in ROOTS]
+
+
+def spread(low: float, high: float, count: int = 400) -> Array:
+    """Return numbers of every size between two."""
+    return np.exp(np.random.default_rng(1).uniform(np.log(low), np.log(high), count))
+
+
+def force(form: int, exponent: float, r: Array, base: float = 1.0, strength: float = 1.0) -> Array:
+    """Return the force of contacts whose bodies have come closer by r, all of them found in one loop."""
+    bodies = np.zeros(2 * r.size)
+    bodies[::2] = r
+    found, alike = np.zeros(2 * r.size - 1), np.ones(2 * r.size - 1)
+    forces.contact_forces(form, found, bodies, alike, strength * alike, base, series(exponent))
+    return found[::2]
+
+
+def exact(exponent: float, s: Array) -> list[Any]:
+    """Return (1 + s)^delta - 1 to 60 digits."""
+    with mpmath.workdps(60):
+        return [(1 + mpmath.mpf(x)) ** mpmath.mpf(exponent) - 1 for x in s]
+
+
+def relative(found: Array, true: list[Any]) -> float:
+    """Return the largest relative error, in units of the last digit."""
+    with mpmath.workdps(60):
+        return max(float(abs(f - t) / abs(t)) for f, t in zip(found, true, strict=True)) / EPSILON
+
+
+@pytest.mark.parametrize(("form", "exponent"), PRESSED)
+def test_no_digits_are_lost_at_any_amplitude(form: int, exponent: float):
+    s = np.concatenate((spread(1e-12, 30), -spread(1e-12, 1)))
+    assert relative(force(form, exponent, s), exact(exponent, s)) < 8
+
+
+@pytest.mark.parametrize("exponent", [1.01, 1.25, 1.5, 2.0, 2.3, 3.0, 6.0])
+def test_weak_form_keeps_all_digits_of_weak_waves(exponent: float):
+    s = np.concatenate((spread(1e-15, weakest(exponent)), -spread(1e-15, weakest(exponent))))
+    assert weakest(exponent) > 1e-2
+    assert relative(force(POLYNOMIAL, exponent, s), exact(exponent, s)) < 1.5
+
+
+@pytest.mark.parametrize(("form", "exponent"), PLAIN)
+def test_plain_forms_lose_the_last_digit_of_the_force_at_rest(form: int, exponent: float):
+    s = np.concatenate((spread(1e-12, 1e5), -spread(1e-12, 1)))
+    true = exact(exponent, s)
+    off = [float(abs(f - t) / max(1, t)) for f, t in zip(force(form, exponent, s), true, strict=True)]
+    assert max(off) < 3 * EPSILON
+
+
+@pytest.mark.parametrize(
+    ("form", "exponent"), [*PLAIN, (SPRING, 1.0), *((LOOSE_POWER, delta) for delta in (1.01, 1.3, 2.3, 3.0))]
+)
+def test_forces_where_nothing_is_pressed(form: int, exponent: float):
+    """Down to 1e-30 m; what is found as an exponential is as good as its argument."""
+    r = spread(1e-30, 10)
+    with mpmath.workdps(60):
+        true = [mpmath.mpf(x) ** mpmath.mpf(exponent) for x in r]
+    lost = exponent * 70 if form == LOOSE_POWER else 0
+    assert relative(force(form, exponent, r, base=0.0), true) < 2 + lost
+
+
+@pytest.mark.parametrize(("form", "exponent"), [*PRESSED, *PLAIN])
+def test_open_contacts_and_rest_are_exact(form: int, exponent: float):
+    found = force(form, exponent, np.array([-1.0, -1 - 1e-15, -1.5, -1e6, 0.0]), strength=0.7)
+    assert np.array_equal(found, [-0.7, -0.7, -0.7, -0.7, 0.0])
+
+
+@pytest.mark.parametrize(("form", "exponent"), [*PLAIN, (SPRING, 1.0), (LOOSE_POWER, 2.3)])
+def test_what_is_not_pressed_does_not_pull(form: int, exponent: float):
+    assert not force(form, exponent, np.array([-1e-30, -1.0, -1e6, 0.0]), base=0.0).any()
+
+
+@pytest.mark.parametrize("exponent", [1.0, 1.3, 1.5, 2.5])
+def test_force_is_the_derivative_of_the_energy(exponent: float):
+    """-dU/dx by central differences, compressed and open contacts alike."""
+    chain = Chain(grains=6, material="glass", diameter=1e-3, exponent=exponent)
+    form = {1.0: SPRING, 1.5: CORRECTED}.get(exponent, POWER)
+    eps = chain.equilibrium_overlap
+    u = np.append(0.0, np.cumsum([-0.5, 0.3, 2.0, -1.4, 0.1] * eps))
+    found = np.zeros(7)
+    forces.contact_forces(form, found[1:-1], u, 1 / eps, chain.equilibrium_force, 1.0, series(exponent))
+    moved = 1e-5 * eps[0] * np.eye(6)
+    rest = np.zeros(6)
+    slope = [(chain.excess_energy(u + d, rest) - chain.excess_energy(u - d, rest)) / (2e-5 * eps[0]) for d in moved]
+    assert -np.array(slope) == pytest.approx(found[:-1] - found[1:], rel=1e-6, abs=0)
+
+
+# --- tiles, and what all this is compiled to
+
+
+@pytest.fixture(scope="module")
+def untiled() -> Any:
+    """Return the loop over steps, compiled anew for tiles that no chain fills."""
+    names = vars(kernels) | {"TILE": 2**60}
+
+    def again(function: Any) -> FunctionType:
+        return FunctionType(function.py_func.__code__, names)
+
+    names["_sweep"] = forces.compiled(again(kernels._sweep))
+    made = numba.njit(nogil=True, error_model="numpy", fastmath=forces.STRICT)(again(kernels.march))
+    NativeStepper(Chains([smooth()]), METHODS["verlet"], Pace(1, 1, 1e-6, False), {})  # now it is known what it takes
+    made.compile(kernels.march.signatures[0])
+    return made
+
+
+def test_tiles_leave_no_trace(untiled: Any, monkeypatch: pytest.MonkeyPatch):
+    """A wave all over a chain of three tiles, with contacts that open and a wall that only touches."""
+    chain = Chain(grains=3 * kernels.TILE + 5, diameter=1e-3, top="wall")
+    velocity = 1e-2 * np.random.default_rng(1).normal(size=chain.grains)
+    velocity[-1] = 0
+    scene = Scene(chain=chain, excitation=Profile(velocity=velocity), duration=1e-5, samples=3)
+
+    def run() -> tuple[Array, Array]:
+        stepper = NativeStepper(Chains([scene], "exact"), METHODS["rkn4"], Pace(15, 1, scene.duration / 30, False), {})
+        u, v = np.zeros((2, 1, 3, chain.grains))
+        assert stepper.fill(u, v, 0, 2, 2**30) == 30
+        return u, v
+
+    in_tiles = run()
+    monkeypatch.setattr(kernels, "march", untiled)
+    for one, other in zip(in_tiles, run(), strict=True):
+        assert np.array_equal(one, other)
+    u = in_tiles[0][0, 1:]
+    assert (u[:, :-1] != 0).all()
+    assert (chain.equilibrium_overlap + u[:, :-1] - u[:, 1:]).min() < 0
+
+
+x86 = pytest.mark.skipif(
+    not re.match(r"x86|i\d86|amd64", binding.get_process_triple()), reason="reads the instructions of x86 processors"
+)
+
+
+def packed(assembly: str, operation: str) -> int:
+    """Count instructions that do this to several numbers at a time."""
+    return len(re.findall(rf"\n\s+(?:{operation}pd\s|v{operation}\w*pd\s.*[yz]mm)", assembly))
+
+
+@x86
+@pytest.mark.parametrize(
+    ("form", "operation"),
+    [("corrected", "sqrt"), ("6", "sqrt"), ("polynomial", "fmadd"), ("power", "div"), ("loose", "div")],
+)
+def test_loops_over_grains_do_several_at_a_time(form: str, operation: str):
+    row = types.Array(float64, 1, "C")
+    loop = getattr(forces, f"_rows_{form}")
+    loop.compile((row,) * 8 + (boolean, float64, float64, row, row))
+    assert packed(next(iter(loop.inspect_asm().values())), operation) > 0
+
+
+@x86
+def test_other_loops_do_several_at_a_time():
+    row = types.Array(float64, 1, "C")
+    for loop, takes, operation in (
+        (forces.contact_forces, (int64, row, row, row, row, float64, row), "sqrt"),
+        (kernels._pace, (row,) * 5 + (float64,) * 4, "sqrt"),
+        (kernels.watch, (row,) * 4, "mul"),
+    ):
+        loop.compile(takes)
+        assert packed(loop.inspect_asm(takes), operation) > 0
+
+
+@x86
+def test_steps_do_several_grains_at_a_time(untiled: Any):
+    """What is kept for later processes cannot be read; the same compiled anew can."""
+    assembly = next(iter(untiled.inspect_asm().values()))
+    assert packed(assembly, "sqrt") >= 4  # one for 3/2, 5/4 and 7/4 each, and one for the corrected form
+    assert packed(assembly, "fmadd") > 0

@@ -1,0 +1,360 @@
+"""Contact forces, openings, sensors and wave speeds, each against a number that the package did not make."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from lmpchain import Chain, Drive, Impulse, InputError, Scene, Trajectory, engines, simulate
+from lmpchain.measure.contact import ContactHistory, contacts, drive_force, sensor, wall_force
+from lmpchain.measure.flight import arrival, time_of_flight
+from lmpchain.scene.excitation import Excitation
+from lmpchain.util.plotting import figure, save
+
+REST = Impulse(velocity=0.0)
+
+
+def vacuum(grains: int, **ends: Any) -> Chain:
+    """Return a chain of touching grains with m = K = 1 and diameter 100, free at the bottom unless told."""
+    units = {"masses": np.ones(grains), "contact_constants": np.ones(grains - 1)}
+    return Chain(grains=grains, diameter=100.0, gravity=0.0, **({"bottom": "free"} | units | ends))
+
+
+def record(
+    chain: Chain,
+    excitation: Excitation,
+    duration: float,
+    samples: int = 2,
+    grains: Any = "all",
+    tolerance: float = 1e-9,
+) -> Trajectory:
+    scene = Scene(chain=chain, excitation=excitation, duration=duration, samples=samples, grains=grains)
+    return simulate(scene, engine="native", tolerance=tolerance)
+
+
+@pytest.fixture(scope="module")
+def pulse() -> Trajectory:
+    """Return a strike of 1 on a vacuum chain of 60, until the pulse has come back from a wall of the same material."""
+    scene = Scene(chain=vacuum(60, bottom="wall"), excitation=Impulse(velocity=1.0), duration=84.0, samples=2101)
+    return simulate(scene, engine=engines.Native(step=0.02))
+
+
+def until(t: Trajectory, end: float) -> Trajectory:
+    """Return the part of a recording up to a time."""
+    kept = t.time <= end
+    return replace(t, time=t.time[kept], displacement=t.displacement[kept], velocity=t.velocity[kept])
+
+
+@pytest.fixture(scope="module")
+def column() -> Trajectory:
+    """Return a column that is struck so hard that contacts open and close."""
+    return record(Chain(grains=12, diameter=1e-3), Impulse(velocity=2e-2), 1.2e-4, 601)
+
+
+# --- forces
+
+
+@pytest.mark.parametrize(
+    "ends",
+    [
+        {"top_load": 1e-3},
+        {"bottom": "wall"},
+        {"top": "wall", "bottom": "wall", "top_load": 2e-3},
+    ],
+)
+@pytest.mark.parametrize("exponent", [1.0, 1.5, 3.0])
+def test_at_rest_contacts_carry_the_weight_above(ends: dict[str, Any], exponent: float) -> None:
+    masses = np.linspace(1e-6, 3e-6, 7)
+    chain = Chain(grains=7, diameter=1e-3, masses=masses, exponent=exponent, **ends)
+    t = record(chain, REST, 1e-6)
+    history = contacts(t)
+    above = ends.get("top_load", 0.0) + 9.81 * np.concatenate(([0.0], np.cumsum(masses)))
+    assert history.contact.tolist() == list(range("top" not in ends, 8 - ("bottom" not in ends)))
+    assert history.force == pytest.approx(np.tile(above[history.contact], (2, 1)), rel=1e-14, abs=0)
+    assert not history.change.any()
+    assert not history.closing.any()
+    assert wall_force(t) == pytest.approx(above[[7, 7]], rel=1e-14, abs=0)
+    if "top" in ends:
+        assert wall_force(t, "top") == pytest.approx(above[[0, 0]], rel=1e-14, abs=0)
+
+
+def test_two_balls_that_collide() -> None:
+    """They part after 2.9432751843 x_max / v, and the largest force is K x_max^1.5: classical, see Landau 7, 9."""
+    deepest = (2.5 * 0.5 * 0.5) ** 0.4  # v = m = K = 1, reduced mass 1/2
+    lasts = 2.9432751843 * deepest
+    t = record(vacuum(2), Impulse(velocity=1.0), 1.5 * lasts, 201, tolerance=1e-11)
+    history = contacts(t)
+    (parted,) = history.events()
+    assert (parted.contact, parted.opens) == (1, True)
+    assert parted.time == pytest.approx(lasts, rel=1e-8, abs=0)
+    peak = arrival(history.time, history.force[:, 0])
+    assert peak.height == pytest.approx(deepest**1.5, rel=1e-11, abs=0)
+    assert peak.time == pytest.approx(lasts / 2, rel=1e-9, abs=0)
+
+
+def test_a_wall_feels_more_than_the_chain(pulse: Trajectory) -> None:
+    """F_wall / F_chain = 1.94390 for a solitary wave and a wall of its material: Job et al., PRL 94, 178002 (2005)."""
+    incoming = contacts(until(pulse, 60.0), [30])
+    along = arrival(incoming.time, incoming.force[:, 0])
+    at_wall = arrival(pulse.time, wall_force(pulse))
+    assert at_wall.height / along.height == pytest.approx(1.94390, abs=1e-4)
+
+
+def test_the_force_of_a_driver() -> None:
+    """Grain 2 of three between springs is a forced oscillator: its textbook motion gives the force on grain 1."""
+    chain = Chain(grains=3, diameter=1e-3, exponent=1.0, gravity=2.0, top_load=1e-3)
+    k, m, load, amplitude = chain.contact_constants[0], chain.masses[0], 1e-3, 1e-12
+    own = np.sqrt(2 * k / m)
+    omega = 0.6 * own
+    t = record(chain, Drive(amplitude=amplitude, frequency=omega / (2 * np.pi)), 20 / own, 101, [1, 2], 1e-12)
+    one = amplitude * np.sin(omega * t.time)
+    two = amplitude * k / m / (own**2 - omega**2) * (np.sin(omega * t.time) - omega / own * np.sin(own * t.time))
+    extra = -m * omega**2 * one + k * (one - two)
+    assert drive_force(t) - load == pytest.approx(extra, abs=1e-10 * np.abs(extra).max() + 1e-16)
+    still = Drive(times=[0, 1e-6], displacement=[0, 0])
+    assert drive_force(record(chain, still, 1e-6)) == pytest.approx([load, load], rel=1e-15, abs=0)
+
+
+# --- openings
+
+
+def made_up(time: Any, overlap: Any, closing: Any) -> ContactHistory:
+    time, overlap, closing = (np.array(x, dtype=float) for x in (time, overlap, closing))
+    force = np.maximum(overlap, 0.0)[:, None]
+    return ContactHistory(time, np.array([3]), overlap[:, None], closing[:, None], force, force)
+
+
+def sine(offset: float, samples: int) -> ContactHistory:
+    """Return a contact with the overlap sin(t) + offset, t = 0 to 20."""
+    time = np.linspace(0.0, 20.0, samples)
+    return made_up(time, np.sin(time) + offset, np.cos(time))
+
+
+@pytest.mark.parametrize(("offset", "samples"), [(0.3, 81), (0.3, 161), (0.999, 81), (-0.999, 81)])
+def test_events_of_a_sine(offset: float, samples: int) -> None:
+    """The moments are known: sin(t) = -offset. With 0.999 both lie between two samples."""
+    turn = np.arcsin(offset)
+    opens = np.pi + turn + 2 * np.pi * np.arange(3)
+    closes = 2 * np.pi * np.arange(4) - turn
+    expected = sorted([(t, True) for t in opens] + [(t, False) for t in closes if 0 < t < 20])
+    events = sine(offset, samples).events()
+    assert [(event.contact, event.opens) for event in events] == [(3, opens) for _, opens in expected]
+    bound = (20 / (samples - 1)) ** 4 / 384 / np.cos(turn) * 1.5
+    assert np.array([e.time for e in events]) == pytest.approx(np.array([t for t, _ in expected]), abs=bound)
+
+
+def test_events_at_the_edge_of_touching() -> None:
+    """What just touches in a sample has closed there; what nearly parts between two samples has not."""
+    rng = np.random.default_rng(1)
+    for _ in range(100):
+        start, step, rates = rng.uniform(), rng.uniform(), rng.uniform(size=2) * 10 ** rng.uniform(-6, 2)
+        (event,) = made_up([start, start + step], [-rng.uniform() * 10 ** rng.uniform(-20, 0), 0.0], rates).events()
+        assert start <= event.time <= start + step
+        assert not event.opens
+    trembling = made_up([0, 1, 2, 3], [0, 0, 1e-20, 1e-10], [-1e-18, 1e-18, 1e-18, 1e-9])
+    assert trembling.events() == []
+    touching = made_up([0, 1], [0.25, 0.25], [-1, 1])  # (t - 1/2)^2
+    assert touching.events() == []
+    parting = made_up([0, 1], [0.24, 0.24], [-1, 1]).events()
+    assert [(event.time, event.opens) for event in parting] == [(pytest.approx(0.4), True), (pytest.approx(0.6), False)]
+
+
+def test_events_of_a_dense_recording(column: Trajectory) -> None:
+    """The same motion recorded 20 times as densely, and a straight line between the samples about each change."""
+    sparse, dense = (
+        simulate(
+            Scene(**column.scene.given() | {"samples": samples}),
+            engine=engines.Native(step=column.scene.duration / 12000),
+        )
+        for samples in (601, 12001)
+    )
+    fine = contacts(dense)
+    gap = fine.overlap < 0
+    expected = []
+    for i, c in np.argwhere(gap[1:] != gap[:-1]):
+        before, after = fine.overlap[i : i + 2, c]
+        moment = fine.time[i] + before / (before - after) * (fine.time[i + 1] - fine.time[i])
+        expected.append((moment, int(fine.contact[c]), bool(gap[i + 1, c])))
+    expected.sort()
+    events = contacts(sparse).events()
+    assert len(events) > 10
+    assert {event.opens for event in events} == {True, False}
+    assert [(e.contact, e.opens) for e in events] == [(contact, opens) for _, contact, opens in expected]
+    found, dense_found = np.array([e.time for e in events]), np.array([moment for moment, _, _ in expected])
+    assert np.abs(found - dense_found).max() < 1e-4 * (sparse.time[1] - sparse.time[0])
+
+
+def test_a_gentle_wave_opens_nothing() -> None:
+    chain = Chain(grains=12, diameter=1e-3)
+    assert contacts(record(chain, Impulse(velocity=1e-6), 2e-5, 41)).events() == []
+
+
+def test_grains_that_just_touch_have_not_opened() -> None:
+    """A front in the vacuum starts at nothing and grows beyond all powers; an interpolant through it overshoots."""
+    chain = vacuum(12)
+    assert contacts(record(chain, REST, 10.0, 11)).events() == []
+    for samples in (5, 9, 33):  # until the pulse is halfway, at 1.2 grains per unit of time: coarse to fine
+        events = contacts(record(chain, Impulse(velocity=1.0), 8.0, samples)).events()
+        assert all(event.opens for event in events)
+        assert [event.contact for event in events] == list(range(1, len(events) + 1))
+        assert len(events) == 4
+    struck = Scene(chain=Chain(grains=12, diameter=1e-3, gravity=0.0, bottom="free"), excitation=Impulse(velocity=0.1),
+                   duration=4e-5, samples=161)  # fmt: skip
+    native, lammps = (contacts(simulate(struck, engine, 1e-5)).events() for engine in ("native", "lammps"))
+    assert [(e.contact, e.opens) for e in lammps] == [(e.contact, e.opens) for e in native]
+    assert [e.contact for e in lammps] == list(range(1, 12))
+    away = contacts(record(chain, Impulse(velocity=-1.0, grain=4), 1.0, 5)).events()
+    assert [(event.time, event.contact, event.opens) for event in away] == [(0.0, 4, True)]
+
+
+# --- sensors and waves
+
+
+def test_arrival_of_a_known_peak() -> None:
+    """A Gaussian, sampled at any phase: the error falls with the sixth power and stays within its estimate."""
+    worst = []
+    for step in (0.4, 0.2):
+        found = []
+        for shift in np.linspace(0, step, 11):
+            time = np.arange(-6, 6, step)
+            peak = arrival(time, 3 * np.exp(-((time - shift) ** 2)))
+            assert abs(peak.time - shift) <= peak.error + 1e-15
+            assert peak.height == pytest.approx(3, rel=1e-4, abs=0)
+            found.append(abs(peak.time - shift))
+        worst.append(max(found))
+    assert worst[1] < 1e-5
+    assert np.log2(worst[0] / worst[1]) == pytest.approx(6, abs=1)
+
+
+def test_an_arrival_that_sampling_hardly_shows() -> None:
+    peak = arrival(np.array([0.0, 1.0, 2.0]), np.array([0.0, 3.0, 2.0]))  # the parabola through them
+    assert (peak.time, peak.height, peak.error) == pytest.approx((1.25, 3.125, 1.0), rel=1e-12, abs=0)
+    flat = arrival(np.arange(9.0), np.array([0, 0, 0, 1, 1, 1, 1, 0, 0]))
+    assert 2 < flat.time < 7
+    time = np.arange(12.0)
+    two = np.exp(-((time - 4) ** 2)) + 1.2 * np.exp(-((time - 8.5) ** 2))  # the second is higher between its samples
+    assert arrival(time, two).time == pytest.approx(4, abs=0.1)
+
+
+@pytest.mark.parametrize("method", ["peak", "correlation"])
+def test_speed_of_a_solitary_wave_between_sensors(pulse: Trajectory, method: Any) -> None:
+    """V = 0.9074700784 v_m^(1/5), the exact lattice soliton (Ahnert and Pikovsky 2009, English and Pego 2005)."""
+    before_the_echo = until(pulse, 65.0)
+    flight = time_of_flight(before_the_echo, 30, 50, method)
+    strength = arrival(before_the_echo.time, before_the_echo.velocity[:, 29]).height
+    speed = 0.9074700784 * strength**0.2
+    assert flight.grains_per_second == pytest.approx(speed, rel=1e-8, abs=0)
+    assert flight.speed == pytest.approx(100 * speed, rel=1e-8, abs=0)
+    assert abs(flight.seconds - 20 / speed) < flight.error + 1e-7
+    assert flight.error < 1e-7
+    if method == "peak":
+        signals = [sensor(before_the_echo, n) for n in (30, 50)]
+        assert flight.error == sum(arrival(s.time, s.change).error for s in signals)
+    back = time_of_flight(before_the_echo, 50, 30, method)
+    assert back.seconds == pytest.approx(-flight.seconds, rel=1e-9, abs=0)
+
+
+def test_sound_between_sensors_of_unlike_grains() -> None:
+    """In a long wave sound travels at d sqrt(k/m) between equal grains; distances count diameters and overlaps."""
+    chain = Chain(grains=150, diameter=1e-3, gravity=0.0, top_load=1.0, exponent=1.0)
+    unit = chain.time_scale
+    bump = np.exp(-(np.linspace(-4, 16, 401) ** 2))
+    pulse = Drive(times=np.arange(401) * unit, displacement=1e-9 * (bump - bump[0]))
+    flight = time_of_flight(record(chain, pulse, 140 * unit, 1401, "1:101"), 20, 60, "correlation")
+    spacing = 1e-3 - chain.equilibrium_overlap[0]
+    assert flight.distance == pytest.approx(40 * spacing, rel=1e-12, abs=0)
+    assert flight.speed == pytest.approx(spacing / unit, rel=2e-3, abs=0)
+    sizes = np.array([1e-3, 2e-3, 1e-3, 3e-3, 1e-3])
+    loose = Chain(grains=5, diameter=sizes, gravity=0.0, bottom="free")
+    t = record(loose, Impulse(velocity=1e-2), 3e-5, 301)
+    assert time_of_flight(t, 2, 4).distance == pytest.approx(3.5e-3, rel=1e-12, abs=0)
+
+
+def test_a_sensor_is_the_mean_of_two_contacts(column: Trajectory) -> None:
+    signal = sensor(column, 5)
+    above, below = contacts(column, [4, 5]).force.T
+    assert np.array_equal(signal.force, (above + below) / 2)
+    assert signal.force - signal.force[0] == pytest.approx(signal.change, abs=1e-12 * signal.force.max())
+
+
+def test_weak_signals_keep_their_digits() -> None:
+    chain = Chain(grains=12, diameter=1e-3)
+    signals = [
+        sensor(record(chain, Impulse(velocity=v), 2e-5, 41, tolerance=1e-11), 5).change / v for v in (1e-16, 2e-16)
+    ]
+    assert signals[0] == pytest.approx(signals[1], abs=1e-9 * np.abs(signals[0]).max())
+
+
+# --- what was recorded
+
+
+def test_some_recorded_grains_are_enough(column: Trajectory) -> None:
+    everything = contacts(column)
+    some = record(column.scene.chain, column.scene.excitation, 1.2e-4, 601, [7, 11, 5, 6])
+    history = contacts(some)
+    assert history.contact.tolist() == [5, 6, 11]  # grain 12 is held
+    assert np.array_equal(history.overlap, everything.overlap[:, [4, 5, 10]])
+    assert np.array_equal(history.force, contacts(column, [5, 6, 11]).force)
+    assert np.array_equal(contacts(some, [11, 5]).closing, everything.closing[:, [10, 4]])
+    assert np.array_equal(wall_force(some), wall_force(column))
+    assert np.array_equal(sensor(some, 6).force, sensor(column, 6).force)
+
+
+def test_what_is_not_there_is_named(column: Trajectory) -> None:
+    some = record(column.scene.chain, column.scene.excitation, 1e-6, 5, [3, 5])
+    driven = record(Chain(grains=4, diameter=1e-3), Drive(amplitude=1e-9, frequency=1e4), 1e-6, 5, [1])
+    free = record(vacuum(4), Impulse(velocity=1.0), 1.0, 5)
+    for fault, wrong in [
+        ("grains: this takes grains that were not recorded; record these too: 4", lambda: contacts(some, [3, 4])),
+        ("grains: no two neighbours were recorded", lambda: contacts(some)),
+        ("record these too: 4, 6", lambda: sensor(some, 5)),
+        ("record these too: 11", lambda: wall_force(some)),
+        ("record these too: 2", lambda: drive_force(driven)),
+        ("numbers: the contacts are numbered 1 to 11 (got [0])", lambda: contacts(column, [0])),
+        ("numbers: the contacts are numbered 1 to 11 (got [12, 13])", lambda: contacts(column, [12, 13])),
+        ("grain: grain 1 has no contacts on both sides", lambda: sensor(column, 1)),
+        ("grain: grain 12 has no contacts on both sides", lambda: sensor(column, 12)),
+        ("grain: grain 40 has no contacts on both sides", lambda: sensor(column, 40)),
+        ("end: there is no wall at the end 'top'", lambda: wall_force(column, "top")),
+        ("end: there is no wall at the end 'bottom'", lambda: wall_force(free)),
+        ("end: there is no wall at the end 'left'", lambda: wall_force(column, "left")),  # type: ignore[arg-type]
+        ("excitation: no grain is driven", lambda: drive_force(column)),
+        ("second: choose two grains", lambda: time_of_flight(column, 5, 5)),
+        ("second: choose two grains", lambda: time_of_flight(column, 5, 6, "guess")),  # type: ignore[arg-type]
+    ]:
+        with pytest.raises(InputError) as error:
+            wrong()
+        assert fault in str(error.value)
+
+
+# --- pictures
+
+
+def test_pictures_bear_units(column: Trajectory, tmp_path: Path) -> None:
+    drawn = {
+        "few": contacts(column, [1, 5, 11]).plot(),
+        "many": contacts(column).plot(),
+        "sensor": sensor(column, 5).plot(),
+    }
+    for name, picture in drawn.items():
+        assert isinstance(picture, Figure)
+        axes = picture.axes[0]
+        assert axes.get_xlabel()
+        assert axes.get_ylabel()
+        save(picture, tmp_path / f"{name}.png")
+        assert (tmp_path / f"{name}.png").stat().st_size > 5000
+    assert [text.get_text() for text in drawn["few"].axes[0].get_legend().get_texts()] == [
+        "contact 1",
+        "contact 5",
+        "contact 11",
+    ]
+    assert drawn["few"].axes[0].xaxis.get_major_formatter()(2e-5) == "20 µs"
+    mine = figure()
+    axes = mine.subplots()
+    assert sensor(column, 5).plot(axes) is mine
+    assert axes.lines

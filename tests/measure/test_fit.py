@@ -1,0 +1,687 @@
+"""Fits of the theory to trajectories and of scenes to traces, against exact solutions, and what the command prints."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.scenes import paper
+from scipy.special import jv
+
+from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Material, Profile, Scene, Trajectory, simulate
+from lmpchain.benchmark.comparison import compare
+from lmpchain.benchmark.reference import reference
+from lmpchain.cli.command_line import main
+from lmpchain.engines.lammps.export import write_deck
+from lmpchain.measure.fit.summary import (
+    ExponentFit,
+    Summary,
+    Trace,
+    fit_bessel,
+    fit_continuum,
+    fit_exponents,
+    fit_modes,
+    fit_parameter,
+    summary,
+)
+from lmpchain.util.plotting import save
+
+C = 1.155137236596699  # 2 (6/5)^(1/5) / B(3/5, 9/10)
+
+
+def answered(chain: Chain, excitation: Any, units: float, samples: int, engine: str = "chebyshev", **rest: Any):
+    """Return a run that lasts so many units of tau, whatever its model error."""
+    scene = Scene(chain=chain, excitation=excitation, duration=units * chain.time_scale, samples=samples, **rest)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("warnings.warn", lambda *_, **__: None)
+        return simulate(scene, engine, 1e-9)
+
+
+@pytest.fixture(scope="module")
+def column() -> Trajectory:
+    """Return a weak strike on 300 grains, until the front has come to the bottom and half the way back."""
+    return answered(Chain(grains=300, diameter=1e-3), Impulse(velocity=1e-9), 200.0, 1601)
+
+
+UNIFORM = Chain(grains=40, diameter=1e-3, gravity=0.0, top_load=0.1)
+
+
+@pytest.fixture(scope="module")
+def uniform() -> Trajectory:
+    return answered(UNIFORM, Impulse(velocity=1e-9), 30.0, 121)
+
+
+def keys(error: Any) -> list[str]:
+    return [key for key, _ in error.value.faults]
+
+
+# --- modes
+
+
+def test_shares_of_the_modes_and_their_energy(column: Trajectory):
+    """Against the energy of the scene, and a dense eigenvalue solver: shares of an impulse are m_1 X_1p^2."""
+    fit = fit_modes(column)
+    assert fit.share.sum() == pytest.approx(1, abs=1e-12)
+    assert fit.energy.sum() == pytest.approx(column.scene.energy, rel=1e-9)
+    assert fit.residual.max() < 1e-9
+    assert fit.residual.shape == (1601,)
+    assert fit.amplitude.shape == fit.rate.shape == (1601, 299)
+    assert fit.share_error.max() < 1e-12
+    diagonal, coupling = column.scene.chain.dynamical_matrix()
+    squares, shape = np.linalg.eigh(np.diag(diagonal) + np.diag(coupling, 1) + np.diag(coupling, -1))
+    assert fit.frequency == pytest.approx(np.sqrt(squares), rel=1e-9)
+    assert fit.share == pytest.approx(shape[0] ** 2, abs=1e-12)
+
+
+def test_one_mode_alone_holds_all():
+    chain = Chain(grains=12, diameter=1e-3, top_load=0.02, bottom="wall")
+    diagonal, coupling = chain.dynamical_matrix()
+    _, shape = np.linalg.eigh(np.diag(diagonal) + np.diag(coupling, 1) + np.diag(coupling, -1))
+    start = Profile(displacement=1e-15 * shape[:, 3] / np.sqrt(chain.masses / chain.masses[0]))
+    fit = fit_modes(answered(chain, start, 20.0, 41))
+    assert fit.share[3] == pytest.approx(1, abs=1e-12)
+    assert fit.amplitude[:, 3] == pytest.approx(
+        fit.amplitude[0, 3] * np.cos(fit.frequency[3] * fit.time), abs=1e-10 * abs(fit.amplitude[0, 3])
+    )
+
+
+def test_a_strong_strike_leaves_the_linear_motion():
+    """At v0 = 0.857 mm/s, by as much as a run of the linear chain by Chebyshev polynomials says."""
+    strong = simulate(paper("fig5 g"), "native")
+    linear = answered(strong.scene.chain, strong.scene.excitation, 100e-6 / strong.scene.chain.time_scale, 26)
+    fit = fit_modes(strong)
+    pairs = (strong.displacement, linear.displacement), (strong.velocity, linear.velocity)
+    off = [np.abs(x - y).max(1) / np.abs(x).max() for x, y in pairs]
+    assert fit.residual == pytest.approx(np.maximum(*off), abs=1e-9)
+    assert fit.residual.max() > 0.4
+    assert fit.share_error.max() > 1e-3
+
+
+# --- Bessel functions
+
+
+@pytest.mark.parametrize("engine", ["chebyshev", "native"])
+@pytest.mark.parametrize(
+    "excitation",
+    [Impulse(velocity=1e-9), Impulse(velocity=-1e-9, grain=17), Displacement(displacement=1e-15, grain=3)],
+)
+def test_the_uniform_chain_is_found_again(excitation: Any, engine: str):
+    fit = fit_bessel(answered(UNIFORM, excitation, 30.0, 121, engine))
+    assert fit.amplitude / fit.expected[0] == pytest.approx(1, abs=1e-6)
+    assert fit.kappa == pytest.approx(1, abs=1e-6)
+    assert fit.rate * UNIFORM.time_scale == pytest.approx(1, abs=1e-6)
+    assert abs(fit.delay) < 1e-6 * UNIFORM.time_scale
+    assert fit.residual < 1e-6
+    assert (fit.error[[0, 1]] / np.abs(fit.expected[[0, 1]]) < 1e-6).all()
+
+
+def test_an_infinite_chain_between_walls():
+    chain = Chain(grains=60, diameter=1e-3, gravity=0.0, top_load=0.1, top="wall", bottom="wall")
+    fit = fit_bessel(answered(chain, Impulse(velocity=1e-9, grain=30), 30.0, 121))
+    assert fit.kappa == pytest.approx(1, abs=1e-6)
+    assert fit.residual < 1e-6
+
+
+def test_against_the_formulas_with_another_speed_and_delay(uniform: Trajectory):
+    """Made up from Eq. (11): J_(2n-2)(2s) + J_(2n)(2s) with s = 1.03 (tau - 0.2)."""
+    n, tau = uniform.grains, uniform.time[:, None] / UNIFORM.time_scale
+    z = 2 * 1.03 * (tau - 0.2)
+    made = replace(uniform, velocity=4e-9 * (jv(2 * n - 2, z) + jv(2 * n, z)))
+    fit = fit_bessel(made)
+    assert fit.amplitude == pytest.approx(4e-9, rel=1e-9)
+    assert fit.kappa == pytest.approx(1.03**2, rel=1e-9)
+    assert fit.delay == pytest.approx(0.2 * UNIFORM.time_scale, rel=1e-8)
+    peak = np.abs(made.velocity[:, 29]).argmax()
+    assert fit.front_time(30) == pytest.approx(made.time[peak], abs=0.7 * UNIFORM.time_scale)
+
+
+def test_uncertainties_are_honest(uniform: Trajectory):
+    """With noise of 5 % of the strike the truth is within 3 standard errors, and about 68 % within one."""
+    rng = np.random.default_rng(20)
+    few = replace(
+        uniform,
+        grains=uniform.grains[:6],
+        displacement=uniform.displacement[::2, :6],
+        velocity=uniform.velocity[::2, :6],
+        time=uniform.time[::2],
+    )
+    away = []
+    for _ in range(60):
+        noisy = replace(few, velocity=few.velocity + rng.normal(size=few.velocity.shape) * 0.05e-9)
+        fit = fit_bessel(noisy)
+        away.append((np.array([fit.amplitude, fit.rate, fit.delay, fit.kappa]) - fit.expected) / fit.error)
+    within = np.abs(away)
+    assert ((within < 3).mean(0) >= 0.95).all()
+    assert (np.abs((within < 1).mean(0) - 0.683) < 0.2).all()
+    assert fit.residual == pytest.approx(0.05e-9 / np.sqrt(np.mean(fit.values**2)), rel=0.1)
+
+
+def test_the_local_speed_in_a_column():
+    """kappa_n = n^(1/3): near grain 150 the chain is uniform for some time, and within what theory leaves out."""
+    fit = fit_bessel(answered(Chain(grains=300, diameter=1e-3), Impulse(velocity=1e-9, grain=150), 40.0, 401))
+    assert fit.kappa == pytest.approx(150 ** (1 / 3), rel=5e-3)
+    assert fit.amplitude == pytest.approx(1e-9, rel=5e-3)
+    assert np.unique(fit.grain)[[0, -1]].tolist() == [129, 174]
+    assert fit.residual < 0.1
+
+
+def test_a_window_of_ones_own(column: Trajectory):
+    unit = column.scene.chain.time_scale
+    fit = fit_bessel(column, grains=(1, 2), until=unit)
+    assert fit.time.max() <= unit
+    assert np.unique(fit.grain).tolist() == [1, 2]
+    assert fit.kappa == pytest.approx(1, abs=0.2)
+
+
+# --- the continuum
+
+
+def test_amplitude_of_the_impulse_response(column: Trajectory):
+    fit = fit_continuum(column)
+    assert fit.amplitude == pytest.approx(C, rel=5e-6)
+    assert fit.expected == pytest.approx(C, rel=1e-14)
+    assert abs(fit.amplitude - C) < fit.error < 1e-4
+    assert fit.residual < 1e-5
+
+
+def test_amplitude_at_the_surface():
+    """The top grain alone: v0 C tau^(-1/5), to 5e-5 from tau = 50 on."""
+    top = answered(Chain(grains=200, diameter=1e-3), Impulse(velocity=-2e-9), 150.0, 301, grains=[1])
+    fit = fit_continuum(top)
+    assert fit.front is None
+    assert np.unique(fit.grain).tolist() == [1]
+    assert fit.amplitude == pytest.approx(C, rel=5e-5)
+    assert fit.cone.min() > 50**2 - 1
+
+
+def test_law_of_the_front(column: Trajectory):
+    """(6/5) h^(5/6), once the lag of 0.908 h^(1/6) / 4^(1/3) is taken off, which alone would make it 0.825."""
+    law = fit_continuum(column).front
+    assert law is not None
+    assert law.exponent == pytest.approx(5 / 6, abs=1e-3)
+    assert law.factor == pytest.approx(6 / 5, rel=5e-3)
+    assert (np.abs([law.exponent, law.factor] - law.expected) < law.error[:2]).all()
+    assert law.error[0] < 2e-3
+    assert law.shift == pytest.approx(0.908 * law.depth ** (1 / 6) / 4 ** (1 / 3), rel=1e-3)
+    assert np.abs(law.residual).max() < 1e-3
+    raw = np.polyfit(np.log(law.depth), np.log(law.time), 1)[0]
+    assert abs(raw - 5 / 6) > 5e-3
+
+
+def test_the_front_is_found_whatever_is_known_of_the_error(column: Trajectory):
+    """A dump says nothing of its error: the estimate is infinite."""
+    law, same = (
+        fit_continuum(replace(column, error_estimate=replace(column.error_estimate, solver=error))).front
+        for error in (1e-12, math.inf)
+    )
+    assert law is not None
+    assert same is not None
+    assert same.exponent == law.exponent
+
+
+@pytest.mark.parametrize("delta", [1.2, 2.0])
+def test_other_exponents_of_the_contacts(delta: float):
+    chain = Chain(grains=150, diameter=1e-3, exponent=delta)
+    end = 2 / (1 + 1 / delta) * 150 ** ((1 + 1 / delta) / 2)
+    fit = fit_continuum(answered(chain, Impulse(velocity=1e-9), 1.3 * end, 1001))
+    assert fit.amplitude == pytest.approx(fit.expected, rel=1e-3)
+    assert fit.front is not None
+    assert abs(fit.front.exponent - (1 + 1 / delta) / 2) < fit.front.error[0] < 6e-3
+
+
+def test_noise_widens_the_error_of_the_amplitude(column: Trajectory):
+    rng = np.random.default_rng(3)
+    scale = 1e-9 * column.scene.chain.time_scale
+    noisy = replace(
+        column, displacement=column.displacement + 0.01 * scale * rng.normal(size=column.displacement.shape)
+    )
+    fit = fit_continuum(noisy)
+    assert 1e-5 < fit.error < 1e-3
+    assert abs(fit.amplitude - C) < fit.error
+    assert fit.residual == pytest.approx(0.01 / np.sqrt(np.mean(fit.values**2)), rel=0.05)
+
+
+@pytest.fixture(scope="module")
+def fit(column: Trajectory) -> ExponentFit:
+    return fit_exponents(column)
+
+
+def test_exponents_of_the_front(fit: ExponentFit):
+    true = {"velocity": -4 / 15, "displacement": -1 / 10, "time": 5 / 6, "speed": 1 / 6, "width": 1 / 6}
+    assert dict(fit.expected) == pytest.approx(true)
+    for name, law in fit.laws.items():
+        assert law.exponent == pytest.approx(true[name], abs=4e-3)
+        assert law.error[0] < 1e-2
+        assert law.depth[0] == 19.5
+    assert abs(fit.laws["velocity"].exponent + 4 / 15) < fit.laws["velocity"].error[0]
+
+
+# --- the inverse
+
+
+def struck(parameter: str, value: float) -> Scene:
+    stuff = {"density": 2426.0, "youngs_modulus": 62e9, "poissons_ratio": 0.2}
+    chain = {"grains": 16, "diameter": 1e-3, "top_load": 0.05}
+    strike = 8e-4
+    if parameter == "velocity":
+        strike = value
+    elif parameter == "top_load":
+        chain["top_load"] = value
+    else:
+        stuff["youngs_modulus"] = value
+    made = Chain(**chain, material=Material(**stuff))
+    return Scene(chain=made, excitation=Impulse(velocity=strike), duration=2e-5, samples=61)
+
+
+PARAMETERS = {"velocity": (8e-4, 1.3e-3), "top_load": (0.05, 0.08), "youngs_modulus": (62e9, 45e9)}
+NATIVE = partial(simulate, engine="native", tolerance=1e-9)
+
+
+@pytest.mark.parametrize("field", ["velocity", "displacement", "force"])
+@pytest.mark.parametrize("parameter", PARAMETERS)
+def test_a_parameter_is_recovered_from_a_run_of_lammps(parameter: Any, field: Any):
+    true, guess = PARAMETERS[parameter]
+    trace = Trace.of(simulate(struck(parameter, true), "lammps", 1e-8), [4, 9], field)
+    fit = fit_parameter(trace, struck(parameter, guess), parameter, NATIVE)
+    assert fit.value == pytest.approx(true, rel=1e-6)
+    assert fit.residual < 1e-6
+    assert fit.error < 1e-6 * true
+    assert fit.model.shape == trace.values.shape == (61, 2)
+    assert fit.runs < 40
+
+
+@pytest.mark.parametrize("parameter", PARAMETERS)
+def test_noise_in_a_trace_shows_in_the_error(parameter: Any):
+    true, guess = PARAMETERS[parameter]
+    clean = Trace.of(simulate(struck(parameter, true), "native", 1e-9), [6])
+    rng = np.random.default_rng(7)
+    away = []
+    for _ in range(12):
+        noise = 0.05 * np.abs(clean.values).max() * rng.normal(size=clean.values.shape)
+        trace = Trace(clean.time, 6, (clean.values + noise)[:, 0])
+        fit = fit_parameter(trace, struck(parameter, guess), parameter, NATIVE)
+        away.append((fit.value - true) / fit.error)
+    assert np.abs(away).max() < 3
+    assert 0.4 < np.std(away) < 1.6
+
+
+def test_times_of_an_oscilloscope():
+    """Not from 0 on and not evenly spaced: the engine's samples are interpolated."""
+    scene = struck("velocity", 8e-4)
+    dense = simulate(Scene(**scene.given() | {"samples": 2001}), "lammps", 1e-8)
+    chosen = np.unique(np.random.default_rng(1).integers(200, 2001, 80))
+    trace = Trace(dense.time[chosen], 5, dense.velocity[chosen, 4])
+    fit = fit_parameter(trace, struck("velocity", 1e-3), "velocity", NATIVE)
+    assert fit.value == pytest.approx(8e-4, rel=1e-6)
+
+
+def test_the_trace_of_a_trajectory_and_the_engine_by_default():
+    fit = fit_parameter(simulate(struck("velocity", 8e-4)), struck("velocity", 7e-4), "velocity", simulate)
+    assert fit.value == pytest.approx(8e-4, rel=1e-5)
+    assert fit.trace.grain.tolist() == list(range(1, 16))
+    assert fit.scene.excitation.velocity == fit.value
+
+
+def clean_trace(grain: int = 5) -> Trace:
+    return Trace(np.linspace(0, 1e-5, 21), grain, np.linspace(1e-5, 2e-5, 21))
+
+
+@pytest.mark.parametrize(
+    ("call", "key"),
+    [
+        (lambda: Trace([0, 1e-6], 3, [1, 2]), "time"),
+        (lambda: Trace([0, 2e-6, 1e-6], 3, [1, 2, 3]), "time"),
+        (lambda: Trace([-1e-6, 0, 1e-6], 3, [1, 2, 3]), "time"),
+        (lambda: Trace([0, 1e-6, 2e-6], 3, [1, 2, 3, 4]), "values"),
+        (lambda: Trace([0, 1e-6, 2e-6], 3, [1, np.nan, 3]), "values"),
+        (lambda: Trace([0, 1e-6, 2e-6], 3, [0, 0, 0]), "values"),
+        (lambda: Trace([0, 1e-6, 2e-6], 3, ["one", "two", "three"]), "values"),
+        (lambda: Trace([0, 1e-6, 2e-6], 3.5, [1, 2, 3]), "grain"),
+        (lambda: Trace([0, 1e-6, 2e-6], 3, [1, 2, 3], "colour"), "field"),
+        (lambda: fit_parameter(clean_trace(), struck("velocity", 0.0), "velocity", NATIVE), "velocity"),
+        (lambda: fit_parameter(clean_trace(), struck("velocity", 1e-3), "colour", NATIVE), "parameter"),
+        (lambda: fit_parameter(clean_trace(), struck("velocity", 1e-3), "velocity", NATIVE, 0.5), "span"),
+        (lambda: fit_parameter(clean_trace(16), struck("velocity", 1e-3), "velocity", NATIVE), "grain"),
+        (lambda: fit_parameter(clean_trace(), paper("weak"), "top_load", NATIVE), "top_load"),
+        (lambda: fit_parameter(clean_trace(), dropped(), "velocity", NATIVE), "excitation"),
+        (lambda: fit_parameter(clean_trace(), dropped(), "youngs_modulus", NATIVE), "contact_constants"),
+        (lambda: fit_parameter(clean_trace(), mixed(), "youngs_modulus", NATIVE), "material"),
+        (lambda: fit_parameter(clean_trace(), struck("velocity", 1e-6), "velocity", NATIVE), "velocity"),
+        (lambda: fit_parameter(late(), struck("youngs_modulus", 62e9), "youngs_modulus", NATIVE), "youngs_modulus"),
+    ],
+)
+def test_traces_and_parameters_that_are_wrong(call: Callable[[], Any], key: str):
+    with pytest.raises(InputError) as error:
+        call()
+    assert keys(error) == [key]
+
+
+def dropped() -> Scene:
+    chain = Chain(grains=8, diameter=1e-3, contact_constants=np.full(7, 1e9))
+    return Scene(chain=chain, excitation=Displacement(displacement=1e-9), duration=1e-5)
+
+
+def mixed() -> Scene:
+    chain = Chain(grains=8, diameter=1e-3, material=["glass", "steel"] * 4)
+    return Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=1e-5)
+
+
+def late() -> Trace:
+    """Return what grain 15 shows before any wave can have come, were there no other wave."""
+    return Trace(np.linspace(0, 1e-8, 5), 15, np.ones(5))
+
+
+# --- what does not apply
+
+
+@pytest.mark.parametrize(
+    ("fit", "changes", "key"),
+    [
+        (fit_modes, {"excitation": Drive(amplitude=1e-9, frequency=1e4)}, "excitation"),
+        (fit_modes, {"gravity": 0.0}, "chain"),
+        (fit_modes, {"top": "wall"}, "top"),
+        (fit_modes, {"grains": [1, 2, 3]}, "grains"),
+        (fit_bessel, {"excitation": Profile(velocity=np.append(np.ones(29), 0) * 1e-9)}, "excitation"),
+        (fit_bessel, {"excitation": Impulse(velocity=0.0)}, "excitation"),
+        (fit_bessel, {"gravity": 0.0}, "chain"),
+        (fit_bessel, {}, "chain"),
+        (fit_bessel, {"top_load": 1.0, "grains": [1], "samples": 5}, "samples"),
+        (fit_bessel, {"top_load": 1.0, "grains": [29], "duration": 1e-6}, "samples"),
+        (partial(fit_bessel, grains=(2, 5)), {}, "grains"),
+        (fit_continuum, {"top_load": 1.0}, "gravity"),
+        (fit_continuum, {"top": "wall"}, "top"),
+        (fit_continuum, {"exponent": 3.0}, "exponent"),
+        (fit_continuum, {"diameter": np.linspace(1e-3, 2e-3, 30)}, "material"),
+        (fit_continuum, {"excitation": Impulse(velocity=1e-9, grain=2)}, "excitation"),
+        (fit_continuum, {}, "duration"),
+        (partial(fit_continuum, inside=1.5), {}, "inside"),
+        (fit_exponents, {"excitation": Displacement(displacement=1e-12)}, "excitation"),
+        (fit_exponents, {}, "duration"),
+    ],
+)
+def test_scenes_to_which_a_fit_does_not_apply(fit: Any, changes: dict[str, Any], key: str):
+    own = {name: changes[name] for name in ("excitation", "grains", "samples", "duration") if name in changes}
+    rest = {name: value for name, value in changes.items() if name not in own}
+    chain = Chain(**{"grains": 30, "diameter": 1e-3} | rest)
+    scene = Scene(**{"chain": chain, "excitation": Impulse(velocity=1e-9), "duration": 1e-5, "samples": 51} | own)
+    with pytest.raises(InputError) as error:
+        fit(simulate(scene, "native", 1e-6))
+    assert keys(error) == [key]
+
+
+def test_summary_names_what_applies_and_what_does_not(column: Trajectory, uniform: Trajectory):
+    found = summary(column)
+    assert list(dict.fromkeys(row.fit for row in found.rows)) == ["modes", "continuum", "exponents"]
+    assert [fit for fit, _ in found.left_out] == ["bessel"]
+    assert "strike a grain further down" in found.left_out[0][1]
+    value = {row.quantity: row.value for row in found.rows}
+    assert value["amplitude C of Eq. (35)"] == pytest.approx(C, rel=1e-5)
+    other = summary(uniform)
+    assert list(dict.fromkeys(row.fit for row in other.rows)) == ["modes", "bessel"]
+    assert [fit for fit, _ in other.left_out] == ["continuum", "exponents"]
+    data = found.to_json()
+    assert json.loads(json.dumps(data, allow_nan=False)) == data
+    assert set(data) == {"strike_number", "rows", "left_out"}
+    assert set(data["rows"][0]) == {"fit", "quantity", "value", "error", "expected", "unit"}
+    lines = found.table().splitlines()
+    assert lines[0].split() == ["fit", "quantity", "value", "error", "expected", "unit"]
+    assert lines[-1].startswith("strike number")
+
+
+def test_summary_where_nothing_applies():
+    chain = Chain(grains=5, diameter=1e-3, gravity=0.0, bottom="free")
+    scene = Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=1e-5, samples=5)
+    found = summary(simulate(scene, "native", 1e-6))
+    assert (found.rows, len(found.left_out)) == ((), 4)
+    assert "linear theory is not expected to hold" in found.table()
+    assert found.to_json()["strike_number"] is None
+
+
+def test_summary_of_a_chain_at_rest():
+    scene = Scene(chain=UNIFORM, excitation=Impulse(velocity=0.0), duration=1e-6, samples=21)
+    found = summary(simulate(scene, "native", 1e-6))
+    assert isinstance(found, Summary)
+    assert not found.rows
+
+
+def test_pictures(column: Trajectory, uniform: Trajectory, fit: ExponentFit, tmp_path: Path):
+    continuum, modes, bessel = fit_continuum(column), fit_modes(uniform), fit_bessel(uniform)
+    assert continuum.front is not None
+    inverse = fit_parameter(Trace.of(uniform, [5]), uniform.scene, "velocity", NATIVE, span=1.0)
+    units = {
+        "share of the energy at t = 0 (%)": modes.plot(),
+        "linear motion from t = 0, relative residual": modes.plot(what="residual"),
+        "velocity, downward": bessel.plot(),
+        "displacement / v0 · (tau² − chi²)^0.1": continuum.plot(),
+        "arrival (units of tau)": continuum.front.plot(),
+        "exponent less that of a weak wave, deep down": fit.plot(),
+    }
+    for label, picture in [*units.items(), ("velocity, downward", inverse.plot())]:
+        (axes,) = picture.axes
+        assert axes.get_ylabel() == label
+        picture.draw_without_rendering()
+    save(bessel.plot(), tmp_path / "bessel.png")
+    (axes,) = bessel.plot().axes
+    assert bessel.plot(axes) is axes.figure
+
+
+# --- dumps of LAMMPS
+
+DUMPED = """
+[chain]
+grains = 20
+material = "glass"
+diameter = 1.0e-3
+top_load = 0.02
+
+[excitation]
+kind = "impulse"
+grain = 3
+velocity = 8.57e-6
+
+[recording]
+duration = 20e-6
+samples = 21
+"""
+
+
+@pytest.fixture(scope="module")
+def dumped(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Return a dump that LAMMPS wrote for a scene file."""
+    from helpers.lammps_runs import lmp
+
+    folder = tmp_path_factory.mktemp("dumped")
+    (folder / "scene.toml").write_text(DUMPED)
+    write_deck(Scene.from_toml(folder / "scene.toml"), folder, tolerance=1e-6)
+    lmp(folder, "-screen", "none")
+    return folder / "column.lammpstrj", folder / "scene.toml"
+
+
+def without(dump: Path, column: str, name: str, form: str = "{}") -> Path:
+    """Write the dump again without a column, and with numbers in another form."""
+    out = dump.with_name(name)
+    lines, place = [], None
+    for line in dump.read_text().splitlines():
+        words = line.split()
+        if words[:2] == ["ITEM:", "ATOMS"]:
+            place = words.index(column) if column in words else None
+            lines.append(" ".join(word for word in words if word != column))
+        elif words[0] == "ITEM:" or place is None or len(words) < 8:
+            lines.append(line)
+        else:
+            numbers = [word if i < 2 else form.format(word) for i, word in enumerate(words) if i != place - 2]
+            lines.append(" ".join(numbers))
+    out.write_text("\n".join(lines) + "\n")
+    return out
+
+
+def test_a_dump_is_read_as_mdanalysis_gives_it(dumped: tuple[Path, Path], tmp_path: Path):
+    from helpers.lammps_runs import read_dump
+
+    scene = Scene.from_toml(dumped[1])
+    t = Trajectory.from_dump(dumped[0], scene)
+    u, v = read_dump(dumped[0])
+    assert np.array_equal(t.displacement, u)
+    assert np.array_equal(t.velocity, v)
+    assert (t.engine, t.equation, t.error_estimate.total) == ("lammps", 1, math.inf)
+    native = simulate(scene, "native", 1e-9)
+    far = 2e-5  # heights lose digits: the deck says that it expects 5e-5
+    assert np.abs(t.displacement - native.displacement).max() < far * np.abs(native.displacement).max()
+    t.save(tmp_path / "run.nc")
+    assert Trajectory.load(tmp_path / "run.nc") == t
+    side = compare([t, native], reference(scene))
+    assert side.to_json()["rows"][0]["expected_error"] is None
+    side.plot().draw_without_rendering()
+    some = Trajectory.from_dump(dumped[0], Scene(**scene.given() | {"grains": [4, 2]}))
+    assert np.array_equal(some.velocity, v[:, [3, 1]])
+
+
+def test_a_dump_without_displacements(dumped: tuple[Path, Path]):
+    scene = Scene.from_toml(dumped[1])
+    whole = Trajectory.from_dump(dumped[0], scene)
+    heights = Trajectory.from_dump(without(dumped[0], "v_phi", "heights"), scene)
+    assert np.abs(heights.displacement - whole.displacement).max() < 1e-17 + 1e-16 * 0.02
+    assert heights.provenance["displacement"] != whole.provenance["displacement"]
+    coarse = dumped[0].with_name("coarse")
+    text = without(dumped[0], "v_phi", "six").read_text().splitlines()
+    coarse.write_text(
+        "\n".join(
+            " ".join([*words[:4], f"{float(words[4]):g}", *words[5:]]) if len(words := line.split()) == 8 else line
+            for line in text
+        )
+        + "\n"
+    )
+    with pytest.raises(InputError, match=r"heights have 6 digits, too few for.*%\.17g"):
+        Trajectory.from_dump(coarse, scene)
+
+
+def spoil(dump: Path, what: str) -> Path:
+    """Write the dump again with a fault."""
+    text, out = dump.read_text(), dump.with_name(what.replace(" ", "-"))
+    lines = text.splitlines(keepends=True)
+    frame = 9 + 20
+    faults = {
+        "cut in a line": text[:-30],
+        "cut in a frame": "".join(lines[:-5]),
+        "a frame short": "".join(lines[:-frame]),
+        "a frame missing": "".join(lines[: 3 * frame] + lines[4 * frame :]),
+        "words": text.replace("ITEM: ATOMS id", "ITEM: ATOMS id", 1).replace(lines[9 + frame].split()[4], "high"),
+        "no velocities": text.replace(" vz ", " qz "),
+        "no numbers": text.replace(lines[frame + 12].split()[7], "nan"),
+        "no dump": "ITEM: SOMETHING\n",
+        "only a head": "ITEM: TIMESTEP\n0\n",
+        "empty": "",
+    }
+    out.write_text(faults[what])
+    return out
+
+
+@pytest.mark.parametrize(
+    ("what", "says"),
+    [
+        ("cut in a line", "cut short"),
+        ("cut in a frame", "20 whole frames, the scene 21 samples"),
+        ("a frame short", "20 whole frames, the scene 21 samples"),
+        ("a frame missing", "20 whole frames"),
+        ("words", "cannot be read as a dump"),
+        ("no velocities", "no column vz"),
+        ("no numbers", "not finite"),
+        ("no dump", "no LAMMPS dump"),
+        ("only a head", "cut short"),
+        ("empty", "no LAMMPS dump"),
+    ],
+)
+def test_dumps_that_cannot_be_read(dumped: tuple[Path, Path], what: str, says: str):
+    path = spoil(dumped[0], what)
+    with pytest.raises(InputError, match=says) as error:
+        Trajectory.from_dump(path, Scene.from_toml(dumped[1]))
+    assert keys(error) == [str(path)]
+
+
+@pytest.mark.parametrize(
+    ("chain", "scene", "says"),
+    [
+        ({"grains": 21}, {}, "has 20 atoms, the scene 21 grains"),
+        ({}, {"samples": 11}, "21 whole frames, the scene 11"),
+        ({}, {"excitation": Impulse(velocity=1e-5, grain=3)}, "grain 3 begins with a velocity of 8.57e-06"),
+        ({}, {"excitation": Displacement(displacement=1e-9, grain=3)}, "grain 3 begins with a velocity"),
+    ],
+)
+def test_dumps_of_another_scene(dumped: tuple[Path, Path], chain: Any, scene: Any, says: str):
+    mine = Scene.from_toml(dumped[1])
+    other = Scene(**mine.given() | {"chain": Chain(**mine.chain.given() | chain)} | scene)
+    with pytest.raises(InputError, match=says):
+        Trajectory.from_dump(dumped[0], other)
+
+
+# --- the command line
+
+
+def test_fit_prints_a_table_and_writes_json(uniform: Trajectory, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    uniform.save(tmp_path / "run.nc")
+    assert main(["fit", str(tmp_path / "run.nc"), "--json", str(tmp_path / "fit.json")]) == 0
+    said = capsys.readouterr()
+    assert said.err == ""
+    for words in ("kappa", "modes", "left out: continuum", "strike number", "numbers: "):
+        assert words in said.out
+    data = json.loads((tmp_path / "fit.json").read_text())
+    kappa = next(row for row in data["rows"] if row["quantity"] == "kappa")
+    assert kappa["value"] == pytest.approx(1, abs=1e-6)
+    assert kappa["expected"] == pytest.approx(1, rel=1e-12)
+
+
+def test_help_of_the_command(capsys: pytest.CaptureFixture[str]):
+    assert main(["fit", "--help"]) == 0
+    assert capsys.readouterr().out.startswith("usage: lmpchain fit")
+
+
+def test_fit_reads_a_dump(dumped: tuple[Path, Path], capsys: pytest.CaptureFixture[str]):
+    assert main(["fit", str(dumped[0]), "--scene", str(dumped[1])]) == 0
+    said = capsys.readouterr()
+    assert "modes" in said.out
+    assert said.err == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "key"),
+    [
+        ("none.nc", "none.nc"),
+        ("none.dump --scene {scene}", "none.dump"),
+        ("{dump}", "{dump}"),
+        ("{scene}", "{scene}"),
+        ("{run} --scene {scene}", "scene"),
+        ("{dump} --scene none.toml", "none.toml"),
+        ("{run} --json {run}", "{run}"),
+        ("{run} --json /none/fit.json", "/none/fit.json"),
+        ("{dump} --scene {scene} --json {scene}", "{scene}"),
+        ("{dump} --scene {scene} --json {dump}", "{dump}"),
+        (".", "."),
+        ("", "arguments"),
+    ],
+)
+def test_fit_faults_have_exit_code_2(
+    arguments: str, key: str, dumped: tuple[Path, Path], uniform: Trajectory, tmp_path: Path, capsys: Any
+):
+    run = tmp_path / "run.nc"
+    uniform.save(run)
+    places = {"dump": dumped[0], "scene": dumped[1], "run": run}
+    assert main(["fit", *arguments.format(**places).split()]) == 2
+    said = capsys.readouterr()
+    (line,) = said.err.splitlines()
+    assert line.startswith(f"error: {key.format(**places)}: ")
+    assert said.out == ""
+
+
+def test_bessel_needs_a_wave_and_not_only_its_start():
+    """Behind a wall the first grain is its own image at once: what the strike gave is no measurement."""
+    chain = Chain(grains=40, material="steel", diameter=5e-3, gravity=0.0, top_load=2.0, top="wall", bottom="wall")
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=3e-4, samples=301)
+    with pytest.raises(InputError, match="too few, or without the wave"):
+        fit_bessel(simulate(scene, engine="native"))

@@ -1,0 +1,125 @@
+"""Other codes in `analysis/peers`: those that are always here find the truth, and the table says what was measured."""
+
+import sys
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.reference import extended_reference
+from helpers.scenes import paper
+
+import lmpchain
+from lmpchain.benchmark.reference import Reference
+
+PEERS = Path(__file__).parents[2] / "analysis" / "other_codes"
+
+
+@pytest.fixture(scope="module")
+def peer():
+    """Give a module of the folder, which is no package."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(PEERS)
+        patch.setenv("OPENBLAS_NUM_THREADS", "1")
+        yield import_module
+    for path in PEERS.glob("*.py"):
+        sys.modules.pop(path.stem, None)
+
+
+def short(velocity: float, grains: int = 12) -> lmpchain.Scene:
+    """Return a column struck for so short that the wave stays near the top."""
+    chain = lmpchain.Chain(grains=grains, material="glass", diameter=1e-3)
+    return lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=velocity), duration=20e-6, samples=2)
+
+
+def truth(scene: lmpchain.Scene) -> Reference:
+    """Return an answer that shares nothing with the peers but Eq. (1)."""
+    u, v, error = extended_reference(scene)
+    return Reference(scene.time, u, v, error, "Stoermer's rule, extrapolated, in extended precision")
+
+
+@pytest.mark.parametrize(("velocity", "within"), [(1e-9, 1e-11), (8.57e-4, 1e-11), (8.57e-3, 1e-9)])
+def test_scipy_finds_the_truth_of_weak_and_of_opening_contacts(peer, velocity, within):
+    problem = peer("problem").Problem(short(velocity))
+    known = truth(problem.scene)
+    for code in peer("with_scipy").codes(problem):
+        errors = [peer("problem").error(code.solve(problem, tolerance), known) for tolerance in (1e-4, 1e-15)]
+        assert errors[1] < within < errors[0] < 0.1, code.name
+        assert 20 < code.solve(problem, 1e-4).force_evaluations < 1000
+
+
+def test_lammps_as_users_write_it_finds_the_truth(peer):
+    problem = peer("problem").Problem(short(8.57e-4))
+    (code,) = peer("with_lammps").codes(problem)
+    answers = [code.solve(problem, problem.scene.duration / steps) for steps in (250, 500)]
+    coarse, fine = (peer("problem").error(answer, truth(problem.scene)) for answer in answers)
+    assert answers[1].force_evaluations == 500
+    assert coarse / fine == pytest.approx(4, rel=0.02)
+    assert fine < 1e-4
+
+
+def test_a_chain_cut_by_hand_answers_like_the_whole(peer):
+    problem = peer("problem").Problem(short(8.57e-4, grains=60))
+    code = peer("with_scipy").codes(problem)[1]
+    known = truth(problem.scene)
+    assert peer("problem").error(code.solve(problem.cut(30), 1e-13), known) < 1e-11
+    assert peer("problem").error(code.solve(problem.cut(5), 1e-13), known) > 1e-4
+
+
+def test_the_table_gives_the_least_time_to_each_error(peer):
+    run = peer("run")
+
+    def row(code: str, error: float, seconds: float) -> dict[str, object]:
+        return {"code": code, "error": error, "seconds": seconds, "whole_s": 3 * seconds}
+
+    native = [row("native rkn6", 1e-4, 1e-5), row("native rkn6", 5e-7, 4e-5), row(run.TO_TOLERANCE, 1e-7, 1e-4)]
+    others = [
+        row("one", 1e-3, 2e-4),
+        row("one", 1e-6, 8e-4),
+        row("one", 1e-6, 7e-4),
+        row("LAMMPS granular", 1e-4, 1e-2),
+    ]
+    text = run.table({"rows": native + others, "rows_cut": []})
+    lines = dict(line.strip("| ").split(" | ", 1) for line in text.splitlines() if " | " in line)
+    assert lines["native rkn6"] == "0.01 | 0.04 | - | -"
+    assert lines["one"] == "0.2 | 0.7 | - | -"
+    assert lines["best peer / native"] == "20 | 17.5 | - | -"
+    assert lines["LAMMPS / native"] == "1e+03 | - | - | -"
+    assert lines[f"best peer / {run.TO_TOLERANCE}"] == "2 | 7 | - | -"
+    assert lines[f"{run.TO_TOLERANCE}, the whole call"] == "0.3 | 0.3 | - | -"
+
+
+def test_a_code_that_fails_leaves_a_gap(peer, capsys):
+    problem = peer("problem").Problem(short(8.57e-4))
+    code = peer("with_scipy").codes(problem)[1]
+
+    def fails_once(given, tolerance):
+        if tolerance == 1e-5:
+            raise lmpchain.RunFailed("it gave up")
+        return code.solve(given, tolerance)
+
+    rows = peer("run").scan(
+        replace(code, parameters=[1e-4, 1e-5, 1e-6], solve=fails_once), problem, truth(problem.scene)
+    )
+    assert [row["parameter"] for row in rows] == [1e-4, 1e-6]
+    assert rows[1]["error"] < rows[0]["error"]
+    assert all(row["seconds"] > 0 for row in rows)
+    assert "1 failed, the last one: it gave up" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("change", [{"exponent": 1.0}, {"gravity": 0.0, "top_load": 1.0}, {"bottom": "wall"}])
+def test_what_the_peers_cannot_do_is_refused(peer, change):
+    scene = paper("weak")
+    chain = lmpchain.Chain(**{"grains": 5, "diameter": 1e-3, **change})
+    with pytest.raises(lmpchain.InputError, match="here"):
+        peer("problem").Problem(lmpchain.Scene(chain=chain, excitation=scene.excitation, duration=1e-5))
+
+
+def test_the_compiled_rate_is_that_of_the_chain_at_small_amplitudes(peer):
+    problem = peer("problem").Problem(short(1e-9, grains=6))
+    diagonal, coupling = problem.scene.chain.dynamical_matrix()
+    matrix = (np.diag(diagonal) + np.diag(coupling, 1) + np.diag(coupling, -1)) * problem.time**2
+    y, rate = np.random.default_rng(0).normal(size=(2, 10))
+    peer("problem").fill_rate(y, rate, problem.table())
+    np.testing.assert_allclose(rate, np.concatenate((y[5:], -matrix @ y[:5])), rtol=1e-4)

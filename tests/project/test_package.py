@@ -1,0 +1,112 @@
+"""The package as a newcomer meets it: README, wheel, imports, scripts, and the state of the code."""
+
+import doctest
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lmpchain
+from lmpchain.engines.lammps.export import write_deck
+
+ROOT = Path(__file__).parents[2]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def python(*arguments: str, cwd: Path = ROOT, **environment: str) -> str:
+    """Run this Python in a process of its own and return what it prints."""
+    done = subprocess.run(
+        [sys.executable, *arguments],
+        cwd=cwd,
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_quick_start_is_two_command_lines_and_ci_runs_the_second():
+    section = README.split("## Quick start")[1].split("\n## ")[0]
+    blocks = re.findall(r"^```sh\n(.*?)^```$", section, re.DOTALL | re.MULTILINE)
+    assert [block.count("\n") for block in blocks] == [1, 1]
+    assert re.findall(r"^```sh$", README, re.MULTILINE) == ["```sh"] * 2
+    ci = (ROOT / ".ci" / "run").read_text()
+    shown = subprocess.run(
+        ["bash", "-c", ci.replace("eval ", "echo ").replace('cd "$(dirname "$0")/.."', "")],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert shown.stdout == blocks[1]
+
+
+def test_readme_examples(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    results = doctest.testfile(str(ROOT / "README.md"), module_relative=False)
+    assert results.attempted > 5
+    assert results.failed == 0
+
+
+def test_readme_reads_a_dump(tmp_path, monkeypatch):
+    chain = lmpchain.Chain(grains=10, material="glass", diameter=1e-3)
+    scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-3), duration=1e-5, samples=5)
+    write_deck(scene, tmp_path, step=1e-7)
+    monkeypatch.chdir(tmp_path)
+    subprocess.run([Path(sys.executable).with_name("lmp"), "-in", "in.column"], check=True, capture_output=True)
+    example = next(
+        b for b in re.findall(r"^```python\n(.*?)^```$", README, re.DOTALL | re.MULTILINE) if "MDAnalysis" in b
+    )
+    names: dict = {}
+    exec(example, names)
+    t = lmpchain.simulate(scene, "native", tolerance=1e-9)
+    assert names["displacement"].shape == (5, 10)
+    assert np.abs(names["displacement"] - t.displacement).max() < 1e-2 * np.abs(t.displacement).max()
+
+
+def test_built_wheel_works_in_another_folder(tmp_path):
+    python("-m", "build", "--wheel", "--no-isolation", "--outdir", str(tmp_path / "dist"), str(ROOT))
+    (wheel,) = (tmp_path / "dist").glob("*.whl")
+    python("-m", "pip", "install", "--quiet", "--no-deps", "--target", str(tmp_path / "site"), str(wheel))
+    script = """
+import lmpchain
+chain = lmpchain.Chain(grains=10, material="steel", diameter=1e-3)
+scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-4), duration=1e-5, samples=3)
+for engine in lmpchain.engines.names():
+    lmpchain.simulate(scene, engine, 0.9).save(engine + ".nc")
+print(lmpchain.__file__)
+"""
+    printed = python("-c", script, cwd=tmp_path, PYTHONPATH=str(tmp_path / "site"))
+    assert printed.strip().startswith(str(tmp_path / "site"))
+    assert {path.name for path in tmp_path.glob("*.nc")} == {f"{name}.nc" for name in lmpchain.engines.names()}
+
+
+@pytest.mark.parametrize("script", ["fig1", "fig5"])
+def test_figures(tmp_path, script):
+    python(f"analysis/{script}.py", "-o", str(tmp_path / "picture.png"))
+    assert (tmp_path / "picture.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_shipped_scenes():
+    scenes = {path.stem: lmpchain.Scene.from_toml(path) for path in (ROOT / "analysis" / "scenes").glob("*.toml")}
+    numbers = {name: scene.strike_number for name, scene in scenes.items()}
+    stated = {"fig1": 84.8, "fig5_10g": 1.24, "fig5_1g": 8.48, "fig5_0.1g": 57.8, "weak": 0.00989}
+    assert numbers == pytest.approx(stated | {"ten_thousand": 8.48, "vacuum": np.inf}, rel=5e-3)
+
+
+def test_versions_agree():
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text()
+    assert f"\n## {version} " in (ROOT / "CHANGELOG.md").read_text()
+
+
+@pytest.mark.parametrize("tool", ["ruff check", "ruff format --check", "mypy"])
+def test_code_is_clean(tool):
+    python("-m", *tool.split(), cwd=ROOT)

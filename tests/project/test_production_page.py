@@ -1,0 +1,132 @@
+"""Every command of the README's section on production, run as it stands, in its order.
+
+The launchers of a cluster are stood in for by scripts that start real ranks; Dask is real. A command beside which the
+page says "press Ctrl-C" is really stopped, and "exit code N" is what it must end with.
+"""
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.runs import at_work, same, until
+
+from lmpchain import Chain, Impulse, Scene, Trajectory, load_sweep, simulate
+from lmpchain.simulation.run_folder import status
+from lmpchain.util import mpi
+
+ROOT = Path(__file__).parents[2]
+SECTION = (ROOT / "README.md").read_text(encoding="utf-8").split("\n## Production\n")[1].split("\n## ")[0]
+COMMANDS = re.findall(r"^    (\S.*)$", SECTION, re.MULTILINE)
+CORES = sorted(os.sched_getaffinity(0))[:2]  # no more, so that what is to be stopped lasts
+PROGRAMS = "lmpchain|mpiexec|mpirun|srun|sbatch|dask|lmp"
+
+CHAIN = Chain(grains=200, diameter=1e-3)
+STRIKE = Impulse(velocity=1e-5)
+SHORT = Scene(chain=Chain(grains=30, diameter=1e-3), excitation=STRIKE, duration=4e-5, samples=101)
+# where the page stops something, it must last
+LASTING = {
+    "-o run/": Scene(chain=CHAIN, excitation=STRIKE, duration=1.2e-3, samples=10001),
+    "job/": Scene(chain=CHAIN, excitation=STRIKE, duration=1.2e-3, samples=4001),
+    "sweep.toml": Scene(chain=Chain(grains=60, diameter=1e-3), excitation=STRIKE, duration=1e-4, samples=3001),
+}
+
+STANDING_IN = {
+    "mpiexec": f'exec {mpi.launcher()} "$@"',
+    "srun": '[ "$1" != -n ] || { SLURM_NTASKS=$2; shift 2; }; exec mpiexec -n "$SLURM_NTASKS" "$@"',
+    # the first job has some two seconds beyond those that the job script spares, the others have enough
+    "sbatch": """
+export SLURM_NTASKS=2 SLURM_JOB_END_TIME=$(($(date +%s) + $([ -e jobs ] && echo 600 || echo 302)))
+for option; do case $option in --*) shift;; *) break;; esac; done
+code=0; bash "$@" || code=$?
+echo $code >> jobs""",
+}
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Go to a folder in which the page can be followed."""
+    (tmp_path / "bin").mkdir()
+    for name, text in STANDING_IN.items():
+        (tmp_path / "bin" / name).write_text(f"#!/bin/bash\n{text}\n")
+        (tmp_path / "bin" / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}:{Path(sys.executable).parent}:{os.environ['PATH']}")
+    monkeypatch.setenv("DASK_TEMPORARY_DIRECTORY", str(tmp_path))
+    (tmp_path / "templates").symlink_to(ROOT / "templates")
+    (sweep,) = re.findall(r"^```toml\n(.*?)^```$", SECTION, re.DOTALL | re.MULTILINE)
+    (tmp_path / "sweep.toml").write_text(sweep)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def begun(command: str, process: subprocess.Popen[str]) -> None:
+    """Wait until a command has kept something."""
+    folder = Path(re.search(r"-o (\S+)", command)[1])
+    if " run " in command:
+        at_work(folder, process)
+    else:
+        until(lambda: (folder / "scenes").exists() and any((folder / "scenes").glob("[!.]*")))
+
+
+def test_every_command_of_the_page(here: Path):
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = str(free.getsockname()[1])
+    behind: list[subprocess.Popen[str]] = []
+    try:
+        for line in COMMANDS:
+            next((s for key, s in LASTING.items() if key in line), SHORT).to_toml(here / "scene.toml")
+            command, _, remark = line.replace("8786", port).partition("  # ")
+            process = subprocess.Popen(
+                ["bash", "-c", command.rstrip(" &")],
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                start_new_session=True,
+                preexec_fn=lambda: os.sched_setaffinity(0, CORES),
+            )
+            behind.append(process)
+            if command.endswith("&"):
+                continue
+            wanted = int((re.search(r"exit code (\d+)", remark) or [0, 0])[1])
+            if "press Ctrl-C" in remark:
+                wanted = 130
+                begun(command, process)
+                os.killpg(process.pid, signal.SIGINT)
+            said, _ = process.communicate(timeout=120)
+            assert process.returncode == wanted, f"{line}\n{said}"
+            assert "Traceback" not in said, f"{line}\n{said}"
+            assert "nothing unfinished was kept" not in said, f"{line}\n{said}"
+    finally:
+        for process in behind:
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGTERM)
+                process.communicate(timeout=30)
+
+    for name, scene in (("run", LASTING["-o run/"]), ("job", LASTING["job/"]), ("other", SHORT)):
+        assert status(name)["state"] == "finished"
+        answer = Trajectory.load(name)
+        assert same(answer, simulate(scene, "lammps")), name
+        assert answer.cost.ranks == 2
+    assert (here / "jobs").read_text().split() == ["75", "0", "0"], "the first job was stopped, the next went on"
+    results = [{p.name: p.read_bytes() for p in (here / s).glob("scenes/*/*")} for s in ("sweep", "again")]
+    assert results[0] == results[1]
+    found = load_sweep("sweep")
+    assert (found.reason == "").all()
+    assert found.peak_velocity.dims == ("chain.gravity", "disorder.m", "realisation", "grain")
+    assert np.isfinite(found.peak_velocity).all()
+    assert len((here / "ke.txt").read_text().splitlines()) > 10
+
+
+def test_no_command_is_left_out():
+    """What stands between the lines is run, too, and every kind of command is there."""
+    assert set(re.findall(r"^```(\w+)$", SECTION, re.MULTILINE)) == {"python", "toml"}
+    assert "+SKIP" not in SECTION, "the examples in Python are run with those of the whole page"
+    for command in re.findall(rf"`((?:{PROGRAMS}) [^`]+)`", SECTION):
+        assert any(command in line for line in COMMANDS), command
+    for program in ("lmpchain run", "lmpchain resume", "lmpchain sweep", "mpiexec", "srun", "sbatch", "dask", "lmp "):
+        assert any(program in line for line in COMMANDS), program

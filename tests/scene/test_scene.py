@@ -1,0 +1,595 @@
+"""Scene files: every fault is found under its key, and what is written is read back equal."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lmpchain import (
+    GLASS,
+    PTFE,
+    STEEL,
+    Chain,
+    Displacement,
+    Drive,
+    Impulse,
+    Impurity,
+    InputError,
+    Material,
+    Profile,
+    Scene,
+    Trajectory,
+)
+from lmpchain.cli.command_line import main
+
+GOOD = """
+[chain]
+grains = 20
+material = "glass"
+diameter = 1.0e-3
+gravity = 9.81
+
+[excitation]
+kind = "impulse"
+grain = 1
+velocity = 8.57e-4
+
+[recording]
+duration = 10e-6
+samples = 11
+"""
+
+STRIKE = 'kind = "impulse"\ngrain = 1\nvelocity = 8.57e-4'
+FAULTS = {  # what is replaced, what by, and the key that must be named
+    "unknown key": ("gravity =", "gravitation =", "chain.gravitation"),
+    "unknown key in the excitation": ("grain = 1\n", "grian = 1\n", "excitation.grian"),
+    "unknown key in the recording": ("samples", "sample", "recording.sample"),
+    "unknown section": ("[recording]", "[output]\n[recording]", "output"),
+    "missing key": ("diameter = 1.0e-3", "", "chain.diameter"),
+    "missing section": ('[excitation]\nkind = "impulse"\ngrain = 1\nvelocity = 8.57e-4', "", "excitation"),
+    "section that is no table": (GOOD[: GOOD.index("[excitation]")], "chain = 3\n", "chain"),
+    "kind that is not known": ('"impulse"', '"hammer"', "excitation.kind"),
+    "kind that is missing": ('kind = "impulse"', "", "excitation.kind"),
+    "word for a number": ("diameter = 1.0e-3", 'diameter = "1 mm"', "chain.diameter"),
+    "true for a number": ("gravity = 9.81", "gravity = true", "chain.gravity"),
+    "number for a word": ('"glass"', "7", "chain.material"),
+    "part of a grain": ("grains = 20", "grains = 20.5", "chain.grains"),
+    "word for a velocity": ("velocity = 8.57e-4", 'velocity = "fast"', "excitation.velocity"),
+    "list for a duration": ("duration = 10e-6", "duration = [1e-6]", "recording.duration"),
+    "negative diameter": ("diameter = 1.0e-3", "diameter = -1.0e-3", "chain.diameter"),
+    "no diameter": ("diameter = 1.0e-3", "diameter = 0.0", "chain.diameter"),
+    "one bad diameter of many": ("diameter = 1.0e-3", f"diameter = {[1e-3] * 19 + [-1e-3]}", "chain.diameter"),
+    "too few diameters": ("diameter = 1.0e-3", "diameter = [1e-3, 2e-3]", "chain.diameter"),
+    "too few masses": ("gravity", "masses = [1e-6]\ngravity", "chain.masses"),
+    "negative constant": ("gravity", f"contact_constants = {[-1e9] * 19}\ngravity", "chain.contact_constants"),
+    "NaN": ("diameter = 1.0e-3", "diameter = nan", "chain.diameter"),
+    "infinity": ("gravity = 9.81", "gravity = inf", "chain.gravity"),
+    "infinite velocity": ("velocity = 8.57e-4", "velocity = -inf", "excitation.velocity"),
+    "NaN in time": ("duration = 10e-6", "duration = nan", "recording.duration"),
+    "no grains": ("grains = 20", "grains = 0", "chain.grains"),
+    "one grain": ("grains = 20", "grains = 1", "chain.grains"),
+    "negative number of grains": ("grains = 20", "grains = -5", "chain.grains"),
+    "strike on a grain that is not there": ("grain = 1\n", "grain = 21\n", "excitation.grain"),
+    "strike on grain 0": ("grain = 1\n", "grain = 0\n", "excitation.grain"),
+    "strike on the held grain": ("grain = 1\n", "grain = 20\n", "excitation.grain"),
+    "one sample": ("samples = 11", "samples = 1", "recording.samples"),
+    "no duration": ("duration = 10e-6", "duration = 0.0", "recording.duration"),
+    "negative duration": ("duration = 10e-6", "duration = -1e-6", "recording.duration"),
+    "recorded grain that is not there": ("samples = 11", "grains = [1, 21]", "recording.grains"),
+    "recorded range backwards": ("samples = 11", 'grains = "9:3"', "recording.grains"),
+    "recorded range that is none": ("samples = 11", 'grains = "some"', "recording.grains"),
+    "grain recorded twice": ("samples = 11", "grains = [3, 3]", "recording.grains"),
+    "exponent below 1": ("gravity =", "exponent = 0.9\ngravity =", "chain.exponent"),
+    "exponent above 3": ("gravity =", "exponent = 3.1\ngravity =", "chain.exponent"),
+    "gravity below 0": ("gravity = 9.81", "gravity = -9.81", "chain.gravity"),
+    "pulling load": ("gravity =", "top_load = -1.0\ngravity =", "chain.top_load"),
+    "free bottom under gravity": ("gravity =", 'bottom = "free"\ngravity =', "chain.bottom"),
+    "end that is not known": ("gravity =", 'bottom = "floating"\ngravity =', "chain.bottom"),
+    "crushed by its weight": ("diameter = 1.0e-3", "diameter = 1e4", "chain.diameter"),
+    "crushed by its load": ("gravity =", "top_load = 1e6\ngravity =", "chain.diameter"),
+    "crushed by the strike": ("velocity = 8.57e-4", "velocity = 1e3", "excitation.velocity"),
+    "material that is not known": ('"glass"', '"jelly"', "chain.material"),
+    "material without a modulus": (
+        '"glass"', "{density = 2000.0, poissons_ratio = 0.2}", "chain.material.youngs_modulus"
+    ),
+    "material that swells": (
+        '"glass"', "{density = 2000.0, youngs_modulus = 1e9, poissons_ratio = 0.6}", "chain.material.poissons_ratio"
+    ),
+    "profile that is too short": (
+        STRIKE, 'kind = "profile"\nvelocity = [1e-3, 0.0]',
+        "excitation.velocity",
+    ),
+    "profile that moves the held grain": (
+        STRIKE, f'kind = "profile"\ndisplacement = {[1e-10] * 20}',
+        "excitation.displacement",
+    ),
+    "profile with nothing in it": (
+        STRIKE, 'kind = "profile"', "excitation.displacement"
+    ),
+    "profile file that is missing": (
+        STRIKE, 'kind = "profile"\nfile = "none.csv"', "excitation.file"
+    ),
+    "top that is not known": ("gravity =", 'top = "fixed"\ngravity =', "chain.top"),
+    "chain that hangs": ("gravity =", 'top = "wall"\nbottom = "free"\ngravity =', "chain.bottom"),
+    "material of no wall above": ("gravity =", 'top_material = "steel"\ngravity =', "chain.top_material"),
+    "material of no wall below": ("gravity =", 'bottom_material = "steel"\ngravity =', "chain.bottom_material"),
+    "wall of no known material": (
+        "gravity =", 'bottom = "wall"\nbottom_material = "mud"\ngravity =', "chain.bottom_material"
+    ),
+    "wall without a modulus": (
+        "gravity =", 'top = "wall"\ntop_material = {density = 1.0, poissons_ratio = 0.0}\ngravity =',
+        "chain.top_material.youngs_modulus",
+    ),
+    "crushed by its weight on a wall": (
+        "gravity =",
+        'bottom = "wall"\nbottom_material = {density = 1.0, youngs_modulus = 1.0, poissons_ratio = 0.0}\ngravity =',
+        "chain.diameter",
+    ),
+    "impurity that is no grain": (
+        "[excitation]", "[[chain.impurity]]\ngrain = 21\nmass = 1e-6\n[excitation]", "chain.impurity.0.grain"
+    ),
+    "impurity at grain 0": (
+        "[excitation]", "[[chain.impurity]]\ngrain = 0\nmass = 1e-6\n[excitation]", "chain.impurity.0.grain"
+    ),
+    "impurity twice": (
+        "[excitation]", "[[chain.impurity]]\ngrain = 3\nmass = 1e-6\n" * 2 + "[excitation]", "chain.impurity.1.grain"
+    ),
+    "impurity without a grain": (
+        "[excitation]", "[[chain.impurity]]\nmass = 1e-6\n[excitation]", "chain.impurity.0.grain"
+    ),
+    "impurity like the others": (
+        "[excitation]", "[[chain.impurity]]\ngrain = 3\n[excitation]", "chain.impurity.0.diameter"
+    ),
+    "impurity with an unknown key": (
+        "[excitation]", "[[chain.impurity]]\ngrain = 3\nmas = 1e-6\n[excitation]", "chain.impurity.0.mas"
+    ),
+    "impurity with a word for a mass": (
+        "[excitation]", '[[chain.impurity]]\ngrain = 3\nmass = "heavy"\n[excitation]', "chain.impurity.0.mass"
+    ),
+    "impurity of no known material": (
+        "[excitation]", '[[chain.impurity]]\ngrain = 3\nmaterial = "mud"\n[excitation]', "chain.impurity.0.material"
+    ),
+    "impurity that swells": (
+        "[excitation]",
+        "[[chain.impurity]]\ngrain = 3\nmaterial = {density = 1.0, youngs_modulus = 1e9, poissons_ratio = 0.6}\n"
+        "[excitation]",
+        "chain.impurity.0.material.poissons_ratio",
+    ),
+    "impurity beside given constants": (
+        "[excitation]",
+        f"contact_constants = {[1e9] * 19}\n[[chain.impurity]]\ngrain = 3\ndiameter = 1e-3\n[excitation]",
+        "chain.impurity.0",
+    ),
+    "impurity as one table": ("[excitation]", "[chain.impurity]\ngrain = 3\n[excitation]", "chain.impurity"),
+    "chain file that is missing": ('material = "glass"\ndiameter = 1.0e-3', 'file = "none.csv"', "chain.file"),
+    "chain file that is a number": ('material = "glass"\ndiameter = 1.0e-3', "file = 3", "chain.file"),
+    "drive with nothing in it": (STRIKE, 'kind = "drive"', "excitation.amplitude"),
+    "drive of no frequency": (STRIKE, 'kind = "drive"\namplitude = 1e-9', "excitation.amplitude"),
+    "drive of both kinds": (
+        STRIKE,
+        'kind = "drive"\namplitude = 1e-9\nfrequency = 1e5\ntimes = [0.0, 1e-5]\ndisplacement = [0.0, 1e-9]',
+        "excitation.amplitude",
+    ),
+    "drive of frequency 0": (STRIKE, 'kind = "drive"\namplitude = 1e-9\nfrequency = 0.0', "excitation.frequency"),
+    "drive by NaN": (STRIKE, 'kind = "drive"\namplitude = nan\nfrequency = 1e5', "excitation.amplitude"),
+    "drive of another grain": (
+        STRIKE, 'kind = "drive"\namplitude = 1e-9\nfrequency = 1e5\ngrain = 2', "excitation.grain"
+    ),
+    "drive that ends too early": (
+        STRIKE, 'kind = "drive"\ntimes = [0.0, 9e-6]\ndisplacement = [0.0, 1e-9]', "excitation.times"
+    ),
+    "drive that begins too late": (
+        STRIKE, 'kind = "drive"\ntimes = [1e-6, 2e-5]\ndisplacement = [0.0, 1e-9]', "excitation.times"
+    ),
+    "drive that turns back in time": (
+        STRIKE, 'kind = "drive"\ntimes = [0.0, 2e-5, 1e-5]\ndisplacement = [0.0, 1e-9, 0.0]', "excitation.times"
+    ),
+    "drive that begins elsewhere": (
+        STRIKE, 'kind = "drive"\ntimes = [0.0, 2e-5]\ndisplacement = [1e-9, 1e-9]', "excitation.displacement"
+    ),
+    "drive by unequal columns": (
+        STRIKE, 'kind = "drive"\ntimes = [0.0, 2e-5]\ndisplacement = [0.0, 1e-9, 0.0]', "excitation.displacement"
+    ),
+    "drive by one point": (STRIKE, 'kind = "drive"\ntimes = [0.0]\ndisplacement = [0.0]', "excitation.displacement"),
+    "drive behind a wall": (
+        GOOD[GOOD.index("gravity") : GOOD.index("[recording]")],
+        'top = "wall"\n[excitation]\nkind = "drive"\namplitude = 1e-9\nfrequency = 1e5\n', "excitation.kind",
+    ),
+    "drive of one grain above a held one": (
+        GOOD[GOOD.index("grains") : GOOD.index("[recording]")],
+        'grains = 2\ndiameter = 1e-3\n[excitation]\nkind = "drive"\namplitude = 1e-9\nfrequency = 1e5\n',
+        "excitation.kind",
+    ),
+    "crushed by the drive": (STRIKE, 'kind = "drive"\namplitude = 1e-3\nfrequency = 1e6', "excitation.kind"),
+    "drive file that is missing": (STRIKE, 'kind = "drive"\nfile = "none.csv"', "excitation.file"),
+}  # fmt: skip
+
+
+def refused(path: Path | str, capsys: pytest.CaptureFixture[str]) -> list[str]:
+    """Return the keys that the command line complains of."""
+    code = main(["run", str(path)])
+    said = capsys.readouterr()
+    assert code == 2, said.err
+    assert said.out == ""
+    lines = said.err.splitlines()
+    assert lines
+    assert all(line.startswith("error: ") for line in lines), said.err
+    return [line.removeprefix("error: ").split(": ")[0] for line in lines]
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return tmp_path / "scene.toml"
+
+
+@pytest.mark.parametrize(("old", "new", "key"), FAULTS.values(), ids=FAULTS)
+def test_a_fault_is_named_by_its_key(old: str, new: str, key: str, file: Path, capsys: pytest.CaptureFixture[str]):
+    assert GOOD.count(old) == 1
+    file.write_text(GOOD.replace(old, new))
+    with pytest.raises(InputError) as caught:
+        Scene.from_toml(file)
+    assert key in [found for found, _ in caught.value.faults]
+    assert key in refused(file, capsys)
+    assert list(file.parent.iterdir()) == [file]
+
+
+def test_all_faults_come_at_once(file: Path, capsys: pytest.CaptureFixture[str]):
+    text = GOOD
+    chosen = ("unknown key", "NaN", "one grain", "word for a velocity", "no duration", "one sample")
+    for name in chosen:
+        old, new, _ = FAULTS[name]
+        text = text.replace(old, new)
+    file.write_text(text)
+    assert sorted(refused(file, capsys)) == sorted(FAULTS[name][2] for name in chosen)
+
+
+def test_faults_between_sections_come_at_once(file: Path, capsys: pytest.CaptureFixture[str]):
+    file.write_text(GOOD.replace("grain = 1\n", "grain = 21\n").replace("samples = 11", 'grains = "1:21"'))
+    assert refused(file, capsys) == ["excitation.grain", "recording.grains"]
+
+
+def test_faults_of_walls_impurities_and_drives_come_at_once(file: Path, capsys: pytest.CaptureFixture[str]):
+    impurities = "[[chain.impurity]]\ngrain = 3\n[[chain.impurity]]\ngrain = 0\nmass = -1.0\ncolour = 1\n"
+    table = 'top = "wal"\ntop_material = "mud"\nbottom_material = {density = 1.0}\n' + impurities + "[excitation]"
+    drive = 'kind = "drive"\nfrequency = -1.0\ntimes = "all"\nvelocity = 1.0'
+    file.write_text(GOOD.replace("[excitation]", table).replace(STRIKE, drive).replace("samples = 11", "samples = 1"))
+    assert sorted(refused(file, capsys)) == [
+        "chain.bottom_material.poissons_ratio", "chain.bottom_material.youngs_modulus",
+        "chain.impurity.0.diameter", "chain.impurity.1.colour", "chain.impurity.1.grain", "chain.impurity.1.mass",
+        "chain.top", "chain.top_material",
+        "excitation.frequency", "excitation.times", "excitation.velocity", "recording.samples",
+    ]  # fmt: skip
+
+
+def test_what_does_not_fit_together_comes_at_once(file: Path, capsys: pytest.CaptureFixture[str]):
+    """Each value is right by itself: walls and their materials, impurities, a drive and how long it lasts."""
+    impurities = "".join(f"[[chain.impurity]]\ngrain = {n}\nmass = 1e-6\n" for n in (21, 4, 4))
+    table = 'top = "wall"\nbottom_material = "steel"\n' + impurities + "[excitation]"
+    drive = 'kind = "drive"\ntimes = [0.0, 9e-6]\ndisplacement = [0.0, 1e-9]'
+    recorded = 'samples = 11\ngrains = "20:21"'
+    file.write_text(GOOD.replace("[excitation]", table).replace(STRIKE, drive).replace("samples = 11", recorded))
+    assert refused(file, capsys) == [
+        "chain.impurity.0.grain", "chain.impurity.2.grain", "chain.bottom_material",
+        "excitation.kind", "excitation.times", "recording.grains",
+    ]  # fmt: skip
+
+
+def test_a_file_that_is_not_a_scene_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    wrong = tmp_path / "wrong.toml"
+    wrong.write_text("[chain\ngrains = ")
+    latin = tmp_path / "latin.toml"
+    latin.write_bytes(GOOD.replace("glass", "glas\u00e9").encode("latin-1"))
+    nested = tmp_path / "nested.toml"
+    nested.write_text("a = " + "[" * 20_000)
+    binary = tmp_path / "binary.toml"
+    binary.write_bytes(bytes(range(128)))
+    huge = tmp_path / "huge.toml"
+    with huge.open("wb") as out:
+        out.truncate(100 * 1024 * 1024)
+    missing = tmp_path / "missing.toml"
+    for path in (wrong, latin, nested, binary, huge, missing, tmp_path):
+        with pytest.raises(InputError) as caught:
+            Scene.from_toml(path)
+        assert [key for key, _ in caught.value.faults] == [str(path)]
+        assert refused(path, capsys) == [str(path)]
+    for nothing in (".", ""):
+        assert main(["run", nothing]) == 2
+
+
+def test_a_number_without_a_digit_after_the_point_gets_a_hint(file: Path, capsys: pytest.CaptureFixture[str]):
+    file.write_text(GOOD.replace("9.81", "9."))
+    assert main(["run", str(file)]) == 2
+    assert "digit after the point" in capsys.readouterr().err
+
+
+def test_an_engine_that_does_not_know_the_exponent(file: Path, capsys: pytest.CaptureFixture[str]):
+    file.write_text(GOOD.replace("gravity =", "exponent = 2.0\ngravity ="))
+    assert main(["run", str(file), "--engine", "lammps"]) == 2
+    assert capsys.readouterr().err.startswith("error: exponent: ")
+    assert main(["run", str(file), "--engine", "native"]) == 0
+
+
+def test_a_file_that_is_not_a_trajectory(tmp_path: Path):
+    import xarray
+
+    foreign = tmp_path / "foreign.nc"
+    xarray.Dataset({"displacement": ("x", [1.0])}).to_netcdf(foreign, engine="h5netcdf")
+    text = tmp_path / "text.nc"
+    text.write_text(GOOD)
+    empty = tmp_path / "empty.nc"
+    empty.touch()
+    for path in (foreign, text, empty, tmp_path, tmp_path / "missing.nc"):
+        with pytest.raises(InputError, match=path.name):
+            Trajectory.load(path)
+
+
+WATER = Material(density=1000.0, youngs_modulus=2.2e9, poissons_ratio=0.5)
+CHAINS = {
+    "plain": Chain(grains=4, diameter=1e-3),
+    "every key": Chain(
+        grains=4, material=STEEL, diameter=0.1 + 0.2, gravity=1 / 3, exponent=1.25, top_load=1e-3, top="free",
+        bottom="fixed", masses=[1e-6, 2e-6, 1 / 3e6, 1e-6], contact_constants=[1e9, 2e9, 1e10 / 3],
+    ),
+    "arrays": Chain(grains=4, diameter=np.array([1e-3, 2e-3, 1e-3, 1e-3 / 3])),
+    "materials": Chain(grains=4, material=[GLASS, "steel", WATER, STEEL], diameter=1e-3),
+    "own material": Chain(grains=4, material=WATER, diameter=1e-3),
+    "a name that another material has": Chain(
+        grains=4, material=Material(density=1.0, youngs_modulus=1e9, poissons_ratio=0.0, name="glass"), diameter=1e-3
+    ),
+    "free": Chain(grains=4, diameter=1e-3, gravity=0.0, bottom="free"),
+    "on a wall": Chain(grains=4, diameter=1e-3, bottom="wall", bottom_material=WATER),
+    "impurities": Chain(
+        grains=4, diameter=1e-3, top="free", bottom="wall", bottom_material="brass",
+        impurity=[
+            Impurity(grain=4, mass=1e-6 / 3), Impurity(grain=np.int64(1), diameter=np.float64(2e-3), material=WATER),
+            {"grain": 2, "material": "ptfe"},
+        ],
+    ),
+    "impurities beside own constants": Chain(
+        grains=4, diameter=1e-3, masses=[1e-6] * 4, contact_constants=[1e9] * 3, impurity=[Impurity(grain=2, mass=2e-6)]
+    ),
+}  # fmt: skip
+BETWEEN = {
+    "walls": Chain(grains=4, diameter=1e-3, top="wall", bottom="wall", top_load=1e-3 / 3, top_material=STEEL),
+    "a wall that just touches": Chain(grains=4, diameter=1e-3, top="wall", bottom="wall", top_material=WATER),
+    "wall and nothing": Chain(grains=4, diameter=1e-3, gravity=0.0, top="wall", bottom="free"),
+}
+EXCITATIONS = {
+    "impulse": Impulse(velocity=np.float64(1 / 3) * 1e-3, grain=2),
+    "displacement": Displacement(displacement=-1e-10 / 3, grain=np.int64(3)),
+    "profile": Profile(displacement=np.array([1e-10, -1e-10 / 3, 0, 0])),
+    "profile of both": Profile(displacement=[1e-10, 0, 0, 0], velocity=(0, 1e-6, 0.1e-6, 0)),
+}
+DRIVES = {
+    "sine": Drive(amplitude=-1e-10 / 3, frequency=np.float64(1e5) / 3),
+    "piston": Drive(times=[0, 1e-4], displacement=[0.0, 1e-9 / 3]),
+    "path": Drive(times=np.array([0, 1e-6 / 3, 2e-6, 4e-6]), displacement=(0, 1e-10, -1e-10 / 3, 0)),
+}
+RECORDED = {"all": "all", "range": "2:3", "list": [4, 1], "array": np.array([1, 3])}
+
+
+PAIRS = {
+    f"{a}, {b}": (chain, excitation)
+    for chains, excitations in ((CHAINS, EXCITATIONS | DRIVES), (BETWEEN, EXCITATIONS))
+    for a, chain in chains.items()
+    for b, excitation in excitations.items()
+}
+
+
+@pytest.mark.parametrize(("chain", "excitation"), PAIRS.values(), ids=PAIRS)
+@pytest.mark.parametrize("grains", RECORDED.values(), ids=RECORDED)
+def test_what_is_written_is_read_back_equal(chain: Chain, excitation: Impulse, grains: str, file: Path):
+    scene = Scene(chain=chain, excitation=excitation, duration=1e-5 / 3, samples=np.int64(7), grains=grains)
+    scene.to_toml(file)
+    again = Scene.from_toml(file)
+    assert again == scene
+    assert np.array_equal(again.chain.masses, chain.masses)
+    assert np.array_equal(again.chain.contact_constants, chain.contact_constants)
+    assert np.array_equal(again.chain.wall_constants, chain.wall_constants)
+    assert np.array_equal(again.recorded, scene.recorded)
+    again.to_toml(file.with_name("again.toml"))
+    assert file.with_name("again.toml").read_bytes() == file.read_bytes()
+
+
+def test_a_changed_number_makes_another_scene(file: Path):
+    file.write_text(GOOD)
+    scene = Scene.from_toml(file)
+    changes = [
+        ("9.81", "9.80"), ("8.57e-4", "8.58e-4"), ("10e-6", "11e-6"), ("= 11", "= 12"), ('"glass"', '"steel"'),
+        ("samples = 11", "samples = 11\ngrains = [1]"), ("gravity", 'top = "wall"\ngravity'),
+        ("gravity", 'bottom = "wall"\ngravity'), ("gravity", "impurity = [{grain = 3, mass = 1e-6}]\ngravity"),
+        (STRIKE, 'kind = "drive"\namplitude = 1e-9\nfrequency = 1e5'),
+    ]  # fmt: skip
+    for old, new in changes:
+        file.write_text(GOOD.replace(old, new))
+        assert Scene.from_toml(file) != scene
+
+
+def test_a_profile_is_read_from_a_csv_file(file: Path):
+    u, v = np.arange(20) * 1e-11, np.cos(np.arange(20.0)) * 1e-6
+    u[-1] = v[-1] = 0
+    rows = [f"{n},{float(a)!r},{float(b)!r}" for n, a, b in zip(range(1, 21), u, v, strict=True)]
+    (file.parent / "profile.csv").write_text("\n".join(["grain,displacement,velocity", *rows]) + "\n")
+    file.write_text(GOOD.replace(STRIKE, 'kind = "profile"\nfile = "profile.csv"'))
+    scene = Scene.from_toml(file)
+    assert scene.excitation == Profile(displacement=u, velocity=v)
+    scene.to_toml(file)  # now without the CSV file
+    assert Scene.from_toml(file) == scene
+    (file.parent / "profile.csv").unlink()
+    assert Scene.from_toml(file) == scene
+
+
+def test_a_chain_is_read_from_a_csv_file(file: Path):
+    table = file.with_name("grains.csv")
+    table.write_text("grain, material, diameter\n1,glass,1e-3\n2,steel,2e-3\n3,ptfe,1.5e-3\n4,glass,1e-3\n")
+    with_file = GOOD.replace('grains = 20\nmaterial = "glass"\ndiameter = 1.0e-3', 'file = "grains.csv"')
+    odd = "[[chain.impurity]]\ngrain = 2\nmass = 1e-5\n[excitation]"
+    file.write_text(with_file.replace("[excitation]", odd).replace("gravity", 'bottom = "wall"\ngravity'))
+    scene = Scene.from_toml(file)
+    expected = Chain(
+        grains=4, material=[GLASS, STEEL, PTFE, GLASS], diameter=[1e-3, 2e-3, 1.5e-3, 1e-3], bottom="wall",
+        impurity=[Impurity(grain=2, mass=1e-5)], gravity=9.81,
+    )  # fmt: skip
+    assert scene.chain == expected
+    assert np.array_equal(scene.chain.masses, expected.masses)
+    scene.to_toml(file)  # now without the CSV file
+    table.unlink()
+    assert Scene.from_toml(file) == scene
+
+
+def test_a_chain_file_may_hold_masses_and_leave_out_materials(file: Path):
+    table = file.with_name("grains.csv")
+    table.write_text("\ufeffdiameter,mass\n1e-3,1e-6\n\n2e-3,2e-6\n1e-3,3e-6\n", encoding="utf-8")
+    with_file = GOOD.replace('grains = 20\nmaterial = "glass"\ndiameter = 1.0e-3', 'grains = 3\nfile = "grains.csv"')
+    file.write_text(with_file.replace("gravity", 'material = "ptfe"\ngravity'))
+    chain = Scene.from_toml(file).chain
+    assert chain == Chain(grains=3, material=PTFE, diameter=[1e-3, 2e-3, 1e-3], masses=[1e-6, 2e-6, 3e-6], gravity=9.81)
+    assert chain.masses.tolist() == [1e-6, 2e-6, 3e-6]
+
+
+CHAIN_FILES = {  # what the file holds, what the table adds, and the key that must be named
+    "no diameters": ("material,mass\nglass,1e-6\nglass,1e-6\n", "", "chain.file"),
+    "unknown column": ("diameter,colour\n1e-3,1\n1e-3,2\n", "", "chain.file"),
+    "column twice": ("diameter,diameter\n1e-3,1e-3\n1e-3,1e-3\n", "", "chain.file"),
+    "header only": ("diameter\n", "", "chain.file"),
+    "empty": ("", "", "chain.file"),
+    "ragged": ("diameter,mass\n1e-3\n1e-3,1e-6\n", "", "chain.file"),
+    "word for a diameter": ("diameter\nsmall\n1e-3\n", "", "chain.file"),
+    "grains out of order": ("grain,diameter\n2,1e-3\n1,1e-3\n", "", "chain.file"),
+    "no diameter": ("diameter\n0\n1e-3\n", "", "chain.diameter"),
+    "negative mass": ("diameter,mass\n1e-3,1e-6\n1e-3,-1e-6\n", "", "chain.masses"),
+    "material that is not known": ("diameter,material\n1e-3,glass\n1e-3,mud\n", "", "chain.material"),
+    "one row": ("diameter\n1e-3\n", "", "chain.grains"),
+    "diameter in both": ("diameter\n1e-3\n1e-3\n", "diameter = 1e-3\n", "chain.diameter"),
+    "material in both": ("diameter,material\n1e-3,glass\n1e-3,glass\n", 'material = "glass"\n', "chain.material"),
+    "mass in both": ("diameter,mass\n1e-3,1e-6\n1e-3,1e-6\n", "masses = [1e-6, 1e-6]\n", "chain.mass"),
+    "another number of grains": ("diameter\n1e-3\n1e-3\n", "grains = 3\n", "chain.diameter"),
+}
+
+
+@pytest.mark.parametrize(("text", "more", "key"), CHAIN_FILES.values(), ids=CHAIN_FILES)
+def test_a_faulty_chain_file_is_refused(text: str, more: str, key: str, file: Path, capsys: pytest.CaptureFixture[str]):
+    file.with_name("grains.csv").write_text(text)
+    file.write_text(GOOD.replace('grains = 20\nmaterial = "glass"\ndiameter = 1.0e-3', f'file = "grains.csv"\n{more}'))
+    assert key in refused(file, capsys)
+
+
+def test_a_drive_is_read_from_a_csv_file(file: Path):
+    times, u = np.arange(12) * 1e-6, np.sin(np.arange(12.0)) * 1e-9
+    rows = [f"{float(a)!r},{float(b)!r}" for a, b in zip(times, u, strict=True)]
+    table = file.with_name("drive.csv")
+    table.write_text("\n".join(["time,displacement", *rows]) + "\n")
+    file.write_text(GOOD.replace(STRIKE, 'kind = "drive"\nfile = "drive.csv"'))
+    scene = Scene.from_toml(file)
+    assert scene.excitation == Drive(times=times, displacement=u)
+    scene.to_toml(file)  # now without the CSV file
+    table.unlink()
+    assert Scene.from_toml(file) == scene
+
+
+DRIVE_FILES = {
+    "empty": ("", "excitation.file"),
+    "wrong header": ("t,u\n0,0\n1e-5,1e-9\n", "excitation.file"),
+    "grains in a drive": ("grain,time,displacement\n1,0,0\n2,1e-5,0\n", "excitation.file"),
+    "words": ("time,displacement\n0,0\nlater,1e-9\n", "excitation.file"),
+    "no displacement": ("time\n0\n1e-5\n", "excitation.amplitude"),
+    "no time": ("displacement\n0\n1e-9\n", "excitation.amplitude"),
+    "NaN": ("time,displacement\n0,0\n1e-5,nan\n", "excitation.displacement"),
+    "too short": ("time,displacement\n0,0\n9e-6,1e-9\n", "excitation.times"),
+    "backwards": ("time,displacement\n0,0\n2e-5,1e-9\n1e-5,0\n", "excitation.times"),
+    "not from 0": ("time,displacement\n0,1e-9\n2e-5,0\n", "excitation.displacement"),
+}
+
+
+@pytest.mark.parametrize(("text", "key"), DRIVE_FILES.values(), ids=DRIVE_FILES)
+def test_a_faulty_drive_file_is_refused(text: str, key: str, file: Path, capsys: pytest.CaptureFixture[str]):
+    file.with_name("drive.csv").write_text(text)
+    file.write_text(GOOD.replace(STRIKE, 'kind = "drive"\nfile = "drive.csv"'))
+    assert refused(file, capsys) == [key]
+
+
+CSV = {
+    "empty": "",
+    "header only": "displacement\n",
+    "no header": "1e-10\n0\n",
+    "wrong header": "u,v\n1e-10,0\n",
+    "numbers in the wrong order": "grain,velocity\n2,0\n1,0\n",
+    "ragged": "displacement,velocity\n1e-10\n0,0\n",
+    "words": "velocity\n" + "fast\n" * 20,
+    "NaN": "velocity\n" + "nan\n" * 20,
+    "too few rows": "velocity\n0\n0\n",
+}
+
+
+@pytest.mark.parametrize("text", CSV.values(), ids=CSV)
+def test_a_faulty_csv_file_is_refused(text: str, file: Path, capsys: pytest.CaptureFixture[str]):
+    (file.parent / "profile.csv").write_text(text)
+    file.write_text(GOOD.replace(STRIKE, 'kind = "profile"\nfile = "profile.csv"'))
+    assert refused(file, capsys)[0].startswith("excitation.")
+
+
+def test_python_finds_the_same_faults_as_a_file():
+    with pytest.raises(InputError) as caught:
+        Chain(grains=1, diameter=-1.0, gravity=np.nan, colour="red")
+    assert {key for key, _ in caught.value.faults} == {"grains", "diameter", "gravity", "colour"}
+    chain = Chain(grains=3, diameter=1e-3)
+    with pytest.raises(InputError) as caught:
+        Scene(chain=chain, excitation=Impulse(velocity=1e-3, grain=3), duration=1e-6, grains=[4])
+    assert {key for key, _ in caught.value.faults} == {"grain", "grains"}
+
+
+def test_python_finds_the_same_faults_in_a_drive_as_a_file():
+    chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top="wall")
+    with pytest.raises(InputError) as caught:
+        Scene(chain=chain, excitation=Drive(times=[0, 1e-6], displacement=[0, 1e-9]), duration=1e-5, grains=[4])
+    assert [key for key, _ in caught.value.faults] == ["kind", "kind", "times", "grains"]
+    with pytest.raises(InputError) as caught:
+        Drive(times=[1e-6, 0], displacement=[1e-9, 0])
+    assert [key for key, _ in caught.value.faults] == ["times", "displacement"]
+
+
+def test_a_scene_cannot_be_changed_once_it_is_checked():
+    scene = Scene(chain=Chain(grains=3, diameter=[1e-3] * 3), excitation=Impulse(velocity=1e-3), duration=1e-6)
+    with pytest.raises(Exception, match="frozen"):
+        scene.duration = -1.0
+    with pytest.raises(ValueError, match="read-only"):
+        scene.chain.diameter[0] = -1.0
+
+
+def test_samples_and_their_times_and_grains():
+    chain = Chain(grains=5, diameter=1e-3)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=1e-5, samples=11, grains="2:4")
+    assert scene.time[0] == 0
+    assert scene.time[-1] == 1e-5
+    assert scene.time.size == 11
+    assert scene.recorded.tolist() == [2, 3, 4]
+
+
+def test_strike_number():
+    chain = Chain(grains=20, diameter=1e-3)
+    omega = np.sqrt(chain.linear_stiffness / chain.masses[:-1])
+    for grain in (1, 7, 19):
+        v0 = 0.1 * chain.equilibrium_overlap[grain - 1] * omega[grain - 1]
+        scene = Scene(chain=chain, excitation=Impulse(velocity=v0, grain=grain), duration=1e-5)
+        assert scene.strike_number == pytest.approx(0.1, rel=1e-14, abs=0)
+    moved = Displacement(displacement=-chain.length_scale / 2)
+    assert Scene(chain=chain, excitation=moved, duration=1e-5).strike_number == pytest.approx(0.5, rel=1e-14, abs=0)
+    # the paper's unit of velocity, sqrt(delta g) (g / gamma)^(1 / (2 delta)), is 0.101096 mm/s here
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1.01096e-4), duration=1e-5)
+    assert scene.strike_number == pytest.approx(1, rel=1e-5, abs=0)
+    vacuum = Chain(grains=20, diameter=1e-3, gravity=0.0)
+    assert Scene(chain=vacuum, excitation=Impulse(velocity=1e-9), duration=1e-5).strike_number == np.inf
+
+
+def test_a_faulty_chain_does_not_hide_what_is_wrong_elsewhere(tmp_path: Path):
+    """An unknown key, a free bottom under gravity, a strike on no grain and a record of no grain: four lines."""
+    path = tmp_path / "scene.toml"
+    path.write_text(
+        '[chain]\ngrains = 12\ndiameter = 1e-3\ncolour = "red"\nbottom = "free"\n'
+        '[excitation]\nkind = "impulse"\nvelocity = 1e-3\ngrain = 13\n'
+        '[recording]\nduration = 1e-4\ngrains = "5:20"\n'
+    )
+    with pytest.raises(InputError) as caught:
+        Scene.from_toml(path)
+    keys = [key for key, _ in caught.value.faults]
+    assert keys == ["chain.colour", "chain.bottom", "excitation.grain", "recording.grains"]

@@ -1,0 +1,218 @@
+"""Killed at any moment, a run goes on and ends with the bits that it would have had."""
+
+import itertools
+import os
+import random
+import time
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.runs import finish, same, start, write
+from helpers.scenes import paper
+
+from lmpchain import Chain, Drive, Impulse, InputError, Scene, Stopped, Trajectory, engines, resume, simulate
+from lmpchain.engines import error_estimate as lockstep
+from lmpchain.simulation.run_folder import status
+
+CHAIN = Chain(grains=200, diameter=1e-3)
+STRIKE = Impulse(velocity=8.57e-3)
+SCENE = Scene(chain=CHAIN, excitation=STRIKE, duration=4e-3, samples=3001)
+SHORT = Scene(chain=CHAIN, excitation=STRIKE, duration=3e-4, samples=601)
+BRIEF = Scene(chain=CHAIN, excitation=STRIKE, duration=3e-5, samples=301)
+LONGER = Scene(chain=CHAIN, excitation=STRIKE, duration=1e-3, samples=1001)
+VERLET = ["--engine", "lammps", "--integrator", "verlet", "--step", "2e-8", "--diameter", "physical"]
+# scene, words for `run`, and the processes that mpirun starts for the first command and those after it, in turn
+CASES = {
+    "native": (SCENE, ["--engine", "native", "--step", "5e-9"], [1]),
+    "lammps": (LONGER, VERLET, [1]),
+    "two ranks": (LONGER, [*VERLET, "--ranks", "2"], [1]),
+    "mpirun": (LONGER, VERLET, [2, 1, 2]),
+    "two ranks, then mpirun": (LONGER, [*VERLET, "--ranks", "2"], [1, 2, 1]),
+}
+
+
+@cache
+def truth(engine: str) -> Trajectory:
+    """Return the uninterrupted answer, in memory and on one rank."""
+    if engine == "native":
+        return simulate(SCENE, engines.Native(step=5e-9))
+    return simulate(LONGER, engines.Lammps(integrator="verlet", step=2e-8, diameter="physical"))
+
+
+def killed(case: str, folder: Path, moments: list[float]) -> tuple[Trajectory, int]:
+    """Run a case with a kill at each of these times after its start; return the answer and how often it was killed."""
+    scene, words, ranks = CASES[case]
+    command: tuple[object, ...] = ("run", write(scene, folder), "-o", f"{folder}/run/", *words)
+    counts, kills = itertools.cycle(ranks), 0
+    for moment in moments:
+        process = start(*command, ranks=next(counts))
+        time.sleep(moment)
+        alive = process.poll() is None
+        process.kill()
+        said, _ = process.communicate(timeout=60)
+        assert "Traceback" not in said, said
+        if (folder / "run" / "scene.toml").exists():  # else it was so early that there is nothing to go on with
+            command, kills = ("resume", folder / "run"), kills + alive
+    code, said = finish(*command, ranks=next(counts))
+    assert code == 0, said
+    return Trajectory.load(folder / "run"), kills
+
+
+@pytest.mark.parametrize(("case", "times"), [("native", 2), ("lammps", 1), ("two ranks, then mpirun", 2)])
+def test_killed_again_and_again(case: str, times: int, tmp_path: Path):
+    rng = random.Random(case)
+    answer, kills = killed(case, tmp_path, [rng.uniform(1.2, 2.5) for _ in range(times)])
+    assert kills >= 1
+    assert same(answer, truth("native" if case == "native" else "lammps"))
+    assert status(tmp_path / "run")["state"] == "finished"
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize(("case", "times"), [("native", 30), ("lammps", 30), ("two ranks", 30), ("mpirun", 30)])
+def test_killed_at_random(case: str, times: int, tmp_path: Path):
+    right, rng, count = truth("native" if case == "native" else "lammps"), random.Random(case), 0
+    for attempt in itertools.count():
+        folder = tmp_path / str(attempt)
+        folder.mkdir()
+        answer, kills = killed(case, folder, [rng.uniform(0.8, 4.5)])
+        assert same(answer, right), f"after {count} kills that went well"
+        count += kills
+        if count == times:
+            break
+
+
+DRIVEN = Scene(chain=CHAIN, excitation=Drive(amplitude=1e-8, frequency=2e4), duration=3e-4, samples=301)
+STOPPED = {
+    "native": (SCENE, engines.Native(step=2e-8), 1e-6),
+    "several attempts": (SHORT, engines.Native(graded=False), 1e-4),
+    "verlet": (SHORT, engines.Native(integrator="verlet", step=1e-9), 1e-6),
+    "driven": (DRIVEN, engines.Native(step=2e-9), 1e-6),
+    "lammps": (BRIEF, engines.Lammps(integrator="kahan-li6", step=1e-7, diameter="physical"), 1e-6),
+    "lammps, gauge": (paper("weak", 301), engines.Lammps(diameter="gauge", step=4e-7), 1e-6),
+    "lammps, driven": (DRIVEN, engines.Lammps(integrator="verlet", step=1e-7, diameter="physical"), 1e-6),
+    "modes": (SHORT, engines.Modes(), 0.99),
+    "chebyshev": (SHORT, engines.Chebyshev(), 0.99),
+    "bessel": (paper("weak", 301), engines.Bessel(), 0.99),
+    "continuum": (paper("weak", 301), engines.Continuum(), 0.99),
+}
+
+
+@pytest.fixture(autouse=True)
+def _small_blocks(monkeypatch: pytest.MonkeyPatch):
+    """Have four samples in a block, however short the run, so that it can be stopped on the way."""
+    monkeypatch.setattr(lockstep, "BLOCK_S", 1e-9)
+
+
+@pytest.mark.filterwarnings("ignore:Eq. ")
+@pytest.mark.parametrize("case", STOPPED)
+def test_stopped_after_every_block(case: str, tmp_path: Path):
+    """Every engine's own state: at the end of its time already, a run stops as soon as it has a sample."""
+    scene, engine, tolerance = STOPPED[case]
+    rng, stops, seen = random.Random(case), 0, set()
+    for attempt in itertools.count():
+        limit = None if stops == 6 else rng.choice([1e-9, 1e-9, 0.02])
+        try:
+            if attempt == 0:
+                answer = simulate(scene, engine, tolerance, folder=tmp_path / "run", max_wall=limit)
+            else:
+                answer = resume(tmp_path / "run", max_wall=limit)
+            break
+        except Stopped:
+            stops += 1
+            said = status(tmp_path / "run")
+            assert said["state"] == "stopped"
+            assert said["reason"].startswith("stopped at the end of its time after")
+            seen.add((said["attempt"], said["samples_done"]))
+            if said["samples_done"]:
+                partial = Trajectory.load(tmp_path / "run")
+                assert partial.displacement.shape == (said["samples_done"], scene.recorded.size)
+                assert np.isfinite(partial.velocity[:]).all()
+                assert partial.error_estimate.total == np.inf
+    assert len(seen) == stops >= 2, "every stop was at another place"
+    assert same(answer, simulate(scene, engine, tolerance))
+
+
+def test_the_attempt_goes_on(tmp_path: Path):
+    """A later attempt, at a shorter step, is the one that is gone on with; the time is that of all sessions."""
+    at, engine, said = tmp_path / "run", engines.Native(graded=False), []
+    for again in itertools.count():
+        try:
+            if again == 0:
+                simulate(SHORT, engine, 1e-4, folder=at, max_wall=1e-9)
+            answer = resume(at, max_wall=1e-9)
+            break
+        except Stopped:
+            said.append(status(at))
+    assert {each["attempt"] for each in said} >= {1, 2}
+    for before, after in pairwise(said):
+        assert after["wall_s"] > before["wall_s"]
+        if after["attempt"] == before["attempt"]:
+            assert after["step_s"] == before["step_s"]
+            assert after["samples_done"] > before["samples_done"]
+        else:
+            assert after["step_s"] < before["step_s"]
+            assert before["samples_done"] == SHORT.samples
+    assert same(answer, simulate(SHORT, engine, 1e-4))
+    assert 0 < answer.cost.integration_s < status(at)["wall_s"]
+
+
+@pytest.fixture
+def stopped(tmp_path: Path) -> Path:
+    """Return the folder of a run that was stopped twice, so that it has two checkpoints of different samples."""
+    with pytest.raises(Stopped):
+        simulate(SHORT, "native", 1e-2, folder=tmp_path / "run", max_wall=1e-9)
+    with pytest.raises(Stopped):
+        resume(tmp_path / "run", max_wall=1e-9)
+    return tmp_path / "run"
+
+
+def test_a_damaged_checkpoint_falls_back_to_the_one_before(stopped: Path):
+    newest, done = stopped / "checkpoint", status(stopped)["samples_done"]
+    whole = newest.read_bytes()
+    damages = [whole[: len(whole) // 2], whole[:10], b"", whole[:500] + bytes([whole[500] ^ 1]) + whole[501:]]
+    for damaged in damages:
+        newest.write_bytes(damaged)
+        with (
+            pytest.warns(UserWarning, match="checkpoint is damaged; going on from the one before"),
+            pytest.raises(Stopped),
+        ):
+            resume(stopped, max_wall=1e-9)
+        assert status(stopped)["samples_done"] == done, "that of the one before, and a block more"
+    assert same(resume(stopped), simulate(SHORT, "native", 1e-2))
+
+
+def test_without_a_checkpoint_it_starts_anew(stopped: Path):
+    (stopped / "checkpoint").write_bytes(b"nothing")
+    (stopped / "checkpoint-before").write_bytes(b"nothing")
+    with pytest.warns(UserWarning, match="going on from the start"):
+        answer = resume(stopped)
+    assert same(answer, simulate(SHORT, "native", 1e-2))
+
+
+def test_a_checkpoint_without_its_samples_is_not_used(stopped: Path):
+    os.rename(stopped / "trajectory.zarr", stopped.parent / "elsewhere")
+    with pytest.warns(UserWarning, match="going on from the start"):
+        answer = resume(stopped)
+    assert same(answer, simulate(SHORT, "native", 1e-2))
+
+
+def test_another_version_is_named(stopped: Path):
+    asked = stopped / "run.json"
+    asked.write_text(asked.read_text().replace(f'"numpy": "{np.__version__}"', '"numpy": "1.0"'))
+    with pytest.warns(UserWarning, match=f"numpy {np.__version__}, not 1.0"):
+        resume(stopped)
+
+
+def test_a_changed_scene_is_refused_in_one_line(stopped: Path):
+    whole = (stopped / "scene.toml").read_text()
+    for name, text in (("scene.toml", "[chain"), ("scene.toml", whole.replace("grains", "grain")), ("run.json", "{}")):
+        before = (stopped / name).read_text()
+        (stopped / name).write_text(text)
+        with pytest.raises(InputError, match=r"scene\.toml was changed and cannot be read"):
+            resume(stopped)
+        (stopped / name).write_text(before)
+    assert same(resume(stopped), simulate(SHORT, "native", 1e-2))

@@ -1,0 +1,358 @@
+"""A run folder: what is in it, who may work in it, and that its samples can be read at any time."""
+
+import hashlib
+import json
+import os
+import resource
+import shutil
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray
+from filelock import FileLock
+from helpers.runs import COMMAND, at_work, finish, same, start, write
+from helpers.scenes import paper
+
+import lmpchain
+from lmpchain import Chain, Impulse, InputError, Profile, Scene, Stopped, ToleranceNotMet, Trajectory, resume, simulate
+from lmpchain.cli.command_line import main
+from lmpchain.simulation.run_folder import status
+
+SCENE = Scene(
+    chain=Chain(grains=30, diameter=1e-3),
+    excitation=Impulse(velocity=1e-4),
+    duration=2e-4,
+    samples=301,
+    grains=[1, 30, 7],
+)
+LONG = Scene(chain=Chain(grains=2000, diameter=1e-3), excitation=Impulse(velocity=8.57e-3), duration=1.0, samples=10001)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("finished") / "run"
+    simulate(SCENE, "native", 1e-9, folder=folder)
+    return folder
+
+
+def contents(folder: Path) -> dict[str, tuple[int, int]]:
+    return {str(p): (p.stat().st_mtime_ns, p.stat().st_size) for p in folder.rglob("*") if p.is_file()}
+
+
+# --- what is in it
+
+
+def test_a_folder_holds_the_answer_of_a_file(finished: Path):
+    answer, plain = Trajectory.load(finished), simulate(SCENE, "native", 1e-9)
+    assert same(answer, plain)
+    assert (answer.engine, answer.equation, answer.provenance) == (plain.engine, plain.equation, plain.provenance)
+    assert answer.cost.steps == plain.cost.steps
+    said = status(finished)
+    assert (said["state"], said["samples_done"], said["reason"]) == ("finished", 301, "")
+    assert said["error_estimate"] == answer.error_estimate.total
+
+
+def test_the_folder_alone_reproduces_the_run(tmp_path: Path):
+    """What the scene file needs from other files is in the folder's."""
+    (tmp_path / "grains.csv").write_text("diameter,material\n" + "1e-3,steel\n1.1e-3,glass\n" * 5)
+    (tmp_path / "profile.csv").write_text("velocity\n" + "1e-5\n" * 9 + "0\n")
+    (tmp_path / "in.toml").write_text(
+        '[chain]\nfile = "grains.csv"\n[excitation]\nkind = "profile"\nfile = "profile.csv"\n'
+        "[recording]\nduration = 2e-5\nsamples = 21\n"
+    )
+    assert main(["run", f"{tmp_path}/in.toml", "-o", f"{tmp_path}/run/", "--engine", "native"]) == 0
+    (tmp_path / "away").mkdir()
+    shutil.copy(tmp_path / "run" / "scene.toml", tmp_path / "away")
+    asked = json.loads((tmp_path / "run" / "run.json").read_text())
+    again = simulate(
+        Scene.from_toml(tmp_path / "away" / "scene.toml"), asked["engine"], asked["tolerance"], **asked["options"]
+    )
+    assert same(Trajectory.load(tmp_path / "run"), again)
+    assert isinstance(again.scene.excitation, Profile)
+
+
+def test_provenance(finished: Path):
+    (only,) = json.loads((finished / "run.json").read_text())["sessions"]
+    assert only["packages"]["numpy"] == np.__version__
+    assert only["command"]
+    assert only["host"] == os.uname().nodename
+    sums = (finished / "SHA256SUMS").read_text().splitlines()
+    listed = dict(reversed(line.split("  ", 1)) for line in sums)
+    assert {"scene.toml", "run.json", "trajectory.zarr/zarr.json", "trajectory.zarr/velocity/c/0/0"} <= set(listed)
+    for name, digest in listed.items():
+        assert hashlib.sha256((finished / name).read_bytes()).hexdigest() == digest
+
+
+@pytest.mark.parametrize("integrator", ["verlet", "rkn6"])
+def test_the_deck_of_a_run_in_lammps(integrator: str, tmp_path: Path):
+    """With velocity Verlet it is the run itself; else it answers the same scene."""
+    scene = paper("fig5 g", 11)
+    engine = lmpchain.engines.Lammps(integrator=integrator, step=1e-7, diameter="physical")
+    answer = simulate(scene, engine, folder=tmp_path / "run")
+    shutil.copytree(tmp_path / "run" / "deck", tmp_path / "deck")
+    lmp = Path(sys.executable).with_name("lmp")
+    subprocess.run([lmp, "-in", "in.column"], cwd=tmp_path / "deck", check=True, capture_output=True)
+    dumped = Trajectory.from_dump(tmp_path / "deck" / "column.lammpstrj", scene)
+    apart = np.abs(dumped.velocity - answer.velocity).max()
+    assert apart == 0 if integrator == "verlet" else 0 < apart < 1e-4 * np.abs(answer.velocity).max()
+
+
+@pytest.mark.parametrize("integrator", ["verlet", "rkn6"])
+def test_the_log_of_lammps(integrator: str, tmp_path: Path):
+    """Every session adds to it; it does not grow with the drifts of a splitting."""
+    engine = lmpchain.engines.Lammps(integrator=integrator, step=1e-7, diameter="physical")
+    scene = paper("fig5 g", 301)
+    with pytest.raises(Stopped):
+        simulate(scene, engine, folder=tmp_path / "run", max_wall=1e-9)
+    answer = resume(tmp_path / "run")
+    log = (tmp_path / "run" / "log.lammps").read_text()
+    assert log.count("reading velocities") == 2
+    runs = log.count("Loop time")
+    assert runs >= scene.samples if integrator == "verlet" else runs == 2
+    simulate(scene, engine)
+    assert (tmp_path / "run" / "log.lammps").read_text() == log, "an engine is not tied to a folder"
+    assert same(answer, simulate(scene, engine))
+
+
+def test_a_missed_tolerance_is_kept_and_told_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    chain = Chain(grains=12, diameter=1e-3)
+    strong = Scene(chain=chain, excitation=Impulse(velocity=0.05), duration=3e-3, samples=51)
+    arguments = ["run", str(write(strong, tmp_path)), "-o", f"{tmp_path}/run/", "--tolerance", "1e-3"]
+    assert main([*arguments, "--engine", "native"]) == 1
+    first = capsys.readouterr()
+    assert "amplifies round-off" in first.err
+    assert main(["resume", f"{tmp_path}/run"]) == 1
+    assert capsys.readouterr().err == first.err.splitlines(keepends=True)[-1]  # the scene was warned of before
+    with pytest.raises(ToleranceNotMet) as caught:
+        resume(tmp_path / "run")
+    assert caught.value.trajectory is not None
+    assert caught.value.trajectory.velocity.shape == (51, 12)
+
+
+# --- reading it
+
+
+def test_arrays_stay_on_the_disk(finished: Path):
+    """What is indexed is read, and numpy takes the whole for an array."""
+    lazy, plain = Trajectory.load(finished), simulate(SCENE, "native", 1e-9)
+    assert not isinstance(lazy.velocity, np.ndarray)
+    v, w = lazy.velocity, plain.velocity
+    keys = [
+        3, -1, slice(5, 9), slice(None, None, -7), (slice(None), 1), (4, 2), (..., 0), [3, 1, 2], (slice(3), [2, 0]),
+        ([1, 2], [0, 1]), (None, 3), np.arange(301) % 50 == 0, w[:] > 0,
+    ]  # fmt: skip
+    for key in keys:
+        assert np.array_equal(v[key], w[key]), key
+    assert (v.shape, v.dtype, v.ndim, v.size, len(v)) == (w.shape, w.dtype, w.ndim, w.size, len(w))
+    assert np.array_equal(2 * v - 1, 2 * w - 1)
+    assert np.array_equal(np.abs(v).max(0), np.abs(w).max(0))
+    assert v.max() == w.max()
+    assert v.argmax() == w.argmax()
+    assert np.array_equal(v.T, w.T)
+    assert [row.sum() for row in v][:3] == [row.sum() for row in w][:3]
+    with pytest.raises(IndexError):
+        v[301]
+    with pytest.raises(AttributeError):
+        _ = v.nonsense
+
+
+def test_a_lazy_trajectory_is_a_trajectory(finished: Path, tmp_path: Path):
+    lazy = Trajectory.load(finished)
+    assert lazy == Trajectory.load(finished)
+    data = lazy.to_xarray()
+    assert not data["velocity"].variable._in_memory
+    lazy.save(tmp_path / "run.nc")
+    assert Trajectory.load(tmp_path / "run.nc") == lazy
+    assert data.identical(Trajectory.load(tmp_path / "run.nc").to_xarray())
+
+
+@pytest.mark.filterwarnings("error")
+def test_xarray_opens_the_store(finished: Path):
+    data = xarray.open_zarr(finished / "trajectory.zarr")
+    assert data["velocity"].dims == ("time", "grain")
+    assert data["velocity"].attrs["units"] == "m s-1"
+    assert data["velocity"].sel(grain=7).shape == (301,)
+    assert data.attrs["engine"] == "native"
+    assert data.attrs["solver_error"] == Trajectory.load(finished).error_estimate.solver
+
+
+def test_folders_without_a_run_are_refused(tmp_path: Path):
+    with pytest.raises(InputError, match="without a run in it"):
+        Trajectory.load(tmp_path)
+    (tmp_path / "trajectory.zarr").mkdir()
+    with pytest.raises(InputError, match="not a trajectory"):
+        Trajectory.load(tmp_path)
+
+
+def test_reading_while_the_run_goes_on_and_after_a_kill(tmp_path: Path):
+    """xarray and `load` see only complete samples, the right ones, and more and more of them."""
+    folder = tmp_path / "run"
+    process = start("run", write(LONG, tmp_path), "-o", f"{folder}/", "--engine", "native", "--step", "1e-6")
+    seen: list[int] = []
+    try:
+        at_work(folder, process)
+        until = time.monotonic() + 2.5
+        while time.monotonic() < until:
+            data = xarray.open_zarr(folder / "trajectory.zarr", chunks=None)
+            complete = int(np.isfinite(data["time"]).sum())
+            assert np.array_equal(data["time"][:complete], LONG.time[:complete])
+            assert np.isfinite(data["velocity"][:complete]).all()
+            answer = Trajectory.load(folder)
+            assert answer.displacement.shape[0] == answer.time.size >= complete
+            assert np.isfinite(answer.displacement[-1]).all()
+            seen.append(complete)
+        assert process.poll() is None
+        assert len(set(seen)) >= 2
+        assert seen == sorted(seen)
+    finally:
+        process.kill()
+        process.communicate()
+    partial = Trajectory.load(folder)
+    assert partial.time.size >= seen[-1]
+    assert partial.error_estimate.total == np.inf
+    first = Scene(chain=LONG.chain, excitation=LONG.excitation, duration=LONG.duration / 1000, samples=11)
+    there = simulate(first, lmpchain.engines.Native(step=1e-6))
+    assert np.allclose(partial.velocity[:11], there.velocity, rtol=0, atol=1e-12)
+    assert status(folder)["state"] == "running", "a kill leaves no time to say otherwise"
+
+
+# --- who may work in it
+
+
+def test_resume_of_a_finished_run(finished: Path, capsys: pytest.CaptureFixture[str]):
+    before = contents(finished)
+    assert main(["resume", str(finished)]) == 0
+    assert "this run is finished" in capsys.readouterr().out
+    assert same(resume(finished), Trajectory.load(finished))
+    assert contents(finished) == before
+
+
+@pytest.mark.parametrize("word", ["run", "resume"])
+def test_folders_that_are_refused(word: str, finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    scene = write(SCENE, tmp_path)
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "file").touch()
+    wanted = {
+        "run": {
+            f"{finished}/": "holds a run already: go on with it, lmpchain resume",
+            f"{finished}": "holds a run already",
+            f"{tmp_path}/other": "is neither empty nor a run folder",
+            f"{scene}/": "is a file",
+            "/proc/none/": "cannot be made",
+        },
+        "resume": {
+            f"{tmp_path}/other": "is no run folder",
+            f"{tmp_path}/none": "is no run folder",
+            f"{scene}": "is no run folder",
+        },
+    }[word]
+    for folder, why in wanted.items():
+        assert main(["resume", folder] if word == "resume" else ["run", str(scene), "-o", folder]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert line.startswith(f"error: {folder.rstrip('/')}")
+        assert why in line
+    assert os.listdir(tmp_path / "other") == ["file"]
+
+
+@pytest.mark.parametrize(
+    ("options", "key"),
+    [
+        ({"engine": "native", "step": 1.0}, "step"),
+        ({"engine": lmpchain.engines.Lammps(integrator="verlet", keep="kept")}, "keep"),
+        ({"engine": "native", "max_wall": 0}, "max_wall"),
+        ({"engine": "native", "tolerance": 7}, "tolerance"),
+    ],
+)
+def test_wrong_input_leaves_no_folder(options: dict, key: str, tmp_path: Path):
+    with pytest.raises(InputError) as caught:
+        simulate(SCENE, folder=tmp_path / "run", **options)
+    assert [fault for fault, _ in caught.value.faults] == [key]
+    assert os.listdir(tmp_path) == []
+
+
+def test_an_empty_folder_serves(tmp_path: Path):
+    (tmp_path / "run").mkdir()
+    assert main(["run", str(write(SCENE, tmp_path)), "-o", f"{tmp_path}/run", "--engine", "native"]) == 0
+    assert status(tmp_path / "run")["state"] == "finished"
+
+
+def test_one_process_at_a_time(tmp_path: Path):
+    folder = tmp_path / "run"
+    with pytest.raises(Stopped):
+        simulate(SCENE, "native", folder=folder, max_wall=1e-9)
+    with FileLock(folder / ".lock"):
+        before = contents(folder)
+        code, said = finish("resume", folder)
+        assert contents(folder) == before
+    assert code == 2
+    assert said == f"error: {folder}: another process is at work here; wait for it, or stop it\n"
+    assert resume(folder).velocity.shape == (301, 3)
+
+
+def test_in_another_thread(tmp_path: Path):
+    """Where no signals can be waited for, as in a worker."""
+    worker = threading.Thread(target=lambda: simulate(SCENE, "native", folder=tmp_path / "run"))
+    worker.start()
+    worker.join()
+    assert status(tmp_path / "run")["state"] == "finished"
+
+
+# --- the disk
+
+
+@pytest.mark.parametrize("limit", [2_000, 150_000])
+def test_a_full_disk(limit: int, tmp_path: Path):
+    """No file may grow beyond the limit: one line, what is done is kept, and it goes on where there is room."""
+    chain = Chain(grains=100, diameter=1e-3)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=8.57e-3), duration=2e-3, samples=2001)
+    words = ["run", str(write(scene, tmp_path)), "-o", f"{tmp_path}/run/", "--engine", "native", "--tolerance", "1e-2"]
+    done = subprocess.run(
+        [*COMMAND, *words],
+        capture_output=True,
+        text=True,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
+        check=False,
+    )
+    assert done.returncode == 1, done.stderr
+    (line,) = done.stderr.splitlines()
+    assert "cannot be written: File too large" in line
+    assert f"lmpchain resume {tmp_path}/run" in line
+    assert not list((tmp_path / "run").rglob("*.partial*"))
+    assert same(resume(tmp_path / "run"), simulate(scene, "native", 1e-2))
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may write anywhere")
+def test_a_folder_that_may_not_be_written_to(finished: Path, tmp_path: Path):
+    folder = shutil.copytree(finished, tmp_path / "run")
+    (folder / "status.json").write_text((folder / "status.json").read_text().replace("finished", "stopped"))
+    folder.chmod(0o555)
+    code, said = finish("resume", folder)
+    folder.chmod(0o755)
+    assert code == 1
+    assert "cannot be written: Permission denied" in said
+
+
+@pytest.mark.soak
+def test_memory_does_not_grow_with_the_samples(tmp_path: Path):
+    """10^5 grains, all of which move: 100 samples and 2,000, which are 3.2 GB."""
+    script = """
+import resource, sys, lmpchain, numpy
+samples = int(sys.argv[1])
+chain = lmpchain.Chain(grains=100_000, diameter=1e-3)
+speeds = numpy.append(numpy.random.default_rng(1).normal(0, 1e-3, 99_999), 0.0)
+start = lmpchain.Profile(velocity=speeds)
+scene = lmpchain.Scene(chain=chain, excitation=start, duration=2e-7 * (samples - 1), samples=samples)
+lmpchain.simulate(scene, "native", 0.01, folder=sys.argv[2])
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+"""
+    peaks = []
+    for samples in (100, 2000):
+        words = [sys.executable, "-c", script, str(samples), str(tmp_path / str(samples))]
+        peaks.append(float(subprocess.run(words, capture_output=True, text=True, check=True).stdout))
+    assert peaks[1] < 1000
+    assert peaks[1] < peaks[0] + 60

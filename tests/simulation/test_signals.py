@@ -1,0 +1,164 @@
+"""Stopping in good order: Ctrl-C, SIGTERM and the end of the time allowed."""
+
+import os
+import pty
+import re
+import select
+import signal
+import subprocess
+import termios
+import time
+from pathlib import Path
+
+import pytest
+from helpers.runs import COMMAND, at_work, finish, processes, start, write
+
+from lmpchain import Chain, Impulse, Scene, Stopped, Trajectory, simulate
+from lmpchain.cli.command_line import main
+from lmpchain.simulation.run_folder import status
+
+ENDLESS = Scene(
+    chain=Chain(grains=500, diameter=1e-3), excitation=Impulse(velocity=8.57e-3), duration=1.0, samples=20001
+)
+VERLET = ["--engine", "lammps", "--integrator", "verlet", "--step", "1e-7", "--diameter", "physical"]
+CASES = {
+    "native": (["--engine", "native", "--step", "1e-6"], 1),
+    "lammps": (VERLET, 1),
+    "two ranks": ([*VERLET, "--ranks", "2"], 1),
+    "mpirun": (VERLET, 2),
+}
+
+
+@pytest.mark.parametrize(
+    ("case", "number", "code"),
+    [
+        ("native", signal.SIGINT, 130),
+        ("two ranks", signal.SIGINT, 130),
+        ("mpirun", signal.SIGTERM, 143),
+        pytest.param("native", signal.SIGTERM, 143, marks=pytest.mark.soak),
+        pytest.param("lammps", signal.SIGINT, 130, marks=pytest.mark.soak),
+        pytest.param("lammps", signal.SIGTERM, 143, marks=pytest.mark.soak),
+        pytest.param("two ranks", signal.SIGTERM, 143, marks=pytest.mark.soak),
+        pytest.param("mpirun", signal.SIGINT, 130, marks=pytest.mark.soak),
+    ],
+)
+def test_a_signal_stops_at_the_next_block(case: str, number: int, code: int, tmp_path: Path):
+    folder, mark = tmp_path / "run", f"MARK={tmp_path}"
+    options, ranks = CASES[case]
+    environment = os.environ | {"MARK": str(tmp_path)}
+    process = start("run", write(ENDLESS, tmp_path), "-o", f"{folder}/", *options, ranks=ranks, env=environment)
+    try:
+        at_work(folder, process)
+        began = status(folder)["samples_done"]
+        process.send_signal(number)
+        said, _ = process.communicate(timeout=20)
+    finally:
+        process.kill()
+    assert process.returncode == code, said
+    assert f"to go on: lmpchain resume {folder}" in said
+    assert "Traceback" not in said
+    kept = status(folder)
+    assert kept["state"] == "stopped"
+    assert ("Ctrl-C" if number == signal.SIGINT else "SIGTERM") in kept["reason"]
+    assert Trajectory.load(folder).time.size == kept["samples_done"] >= began > 0
+    until = time.monotonic() + 5
+    while processes(mark) and time.monotonic() < until:
+        time.sleep(0.05)
+    assert not processes(mark), "no rank is left behind"
+    code, said = finish("resume", folder, "--max-wall", "0.01", ranks=ranks)
+    assert code == 75, said
+    assert status(folder)["samples_done"] > kept["samples_done"]
+
+
+def test_a_stop_waits_for_the_sample_at_work(tmp_path: Path):
+    """Where one takes many blocks, the stop comes at its end, so that nothing is lost."""
+    scene = ENDLESS.model_copy(update={"samples": 1001})
+    folder = tmp_path / "run"
+    process = start("run", write(scene, tmp_path), "-o", f"{folder}/", "--engine", "native", "--step", "1e-7")
+    try:
+        at_work(folder, process)
+        process.send_signal(signal.SIGTERM)
+        process.communicate(timeout=30)
+    finally:
+        process.kill()
+    assert process.returncode == 143
+    kept = status(folder)
+    assert Trajectory.load(folder).time.size == kept["samples_done"] > 0
+
+
+def test_a_signal_in_python_is_passed_on(tmp_path: Path):
+    """Whoever calls `simulate` gets KeyboardInterrupt, once all is saved."""
+    script = (
+        "import lmpchain, sys\n"
+        "try:\n"
+        "    lmpchain.simulate(lmpchain.Scene.from_toml(sys.argv[1]), 'native', folder=sys.argv[2], step=1e-6)\n"
+        "except KeyboardInterrupt:\n"
+        "    print(lmpchain.simulation.run_folder.status(sys.argv[2])['state'])\n"
+    ).replace("lmpchain, sys", "lmpchain, lmpchain.simulation.run_folder, sys")
+    words = [COMMAND[0], "-c", script, str(write(ENDLESS, tmp_path)), str(tmp_path / "run")]
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+    at_work(tmp_path / "run", process)
+    process.send_signal(signal.SIGINT)
+    assert process.communicate(timeout=20)[0] == "stopped\n"
+
+
+def test_handlers_are_put_back(tmp_path: Path):
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    with pytest.raises(Stopped, match="stopped at the end of its time after"):
+        simulate(ENDLESS, "native", folder=tmp_path / "run", step=1e-6, max_wall=1e-9)
+    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
+
+
+def test_max_wall_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    scene, folder = write(ENDLESS, tmp_path), tmp_path / "run"
+    native = ["--engine", "native", "--step", "1e-6"]
+    began = time.monotonic()
+    assert main(["run", str(scene), "-o", f"{folder}/", *native, "--max-wall", "0:00:01"]) == 75
+    assert time.monotonic() - began < 60, "the run itself would take minutes"
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert re.fullmatch(
+        rf"stopped at the end of its time after \d+ of 20001 samples; lmpchain resume {folder}/? goes on\n", said.err
+    )
+    assert status(folder)["state"] == "stopped"
+    assert main(["resume", str(folder), "--max-wall", "0.5"]) == 75
+    assert main(["run", str(scene), "-o", f"{tmp_path}/run.nc", *native, "--max-wall", "1"]) == 2
+    for wrong in ("0", "-1", "1:2", "1:60:00", "x", "nan", "1e400", "0:00:60"):
+        assert main(["resume", str(folder), f"--max-wall={wrong}"]) == 2, wrong
+
+
+def test_a_single_file_says_how_a_folder_would_have_kept_it(tmp_path: Path):
+    process = start("run", write(ENDLESS, tmp_path), "-o", tmp_path / "run.nc", "--engine", "native", "--step", "1e-6")
+    time.sleep(3)
+    process.send_signal(signal.SIGTERM)
+    said, _ = process.communicate(timeout=20)
+    assert process.returncode == 143
+    assert said.startswith("stopped by SIGTERM; nothing unfinished was kept; with -o FOLDER/ what is done is kept")
+
+
+def test_progress_on_a_terminal(tmp_path: Path):
+    """Rate, time left and the error so far; nothing where stderr is no terminal."""
+    terminal, theirs = pty.openpty()
+    termios.tcsetwinsize(theirs, (24, 120))
+    words = [
+        *COMMAND,
+        "run",
+        str(write(ENDLESS, tmp_path)),
+        "-o",
+        f"{tmp_path}/run/",
+        "--engine",
+        "native",
+        "--step",
+        "1e-6",
+    ]
+    process = subprocess.Popen(words, stdout=theirs, stderr=theirs)
+    os.close(theirs)
+    said = ""
+    try:
+        while not re.search(r"native: +\d+% \|.*\| +[\d.]+ samples/s, [\d:]+ left, error \d", said):
+            assert select.select([terminal], [], [], 60)[0], said
+            said += os.read(terminal, 4096).decode()
+    finally:
+        process.kill()
+        process.communicate()
+        os.close(terminal)

@@ -1,0 +1,166 @@
+"""Where scenes, theories and engines end: the laws of `stability.limits` against what is measured, and closed forms."""
+
+from pathlib import Path
+
+import mpmath as mp
+import numpy as np
+import pytest
+from laws import limits
+
+from lmpchain import Chain, Impulse, InputError, Profile, RunFailed, Scene, simulate
+from lmpchain.chain.chain import LARGEST_OVERLAP
+from lmpchain.stability.linear_theory import linear_law
+from lmpchain.stability.overlap import deepest, hertz_excess
+from lmpchain.theory import bessel, dyson
+
+
+def slope(x: np.ndarray, y: np.ndarray) -> float:
+    return float(np.polyfit(np.log(x), np.log(y), 1)[0])
+
+
+@pytest.mark.parametrize("exponent", [1.5, 2.0])
+@pytest.mark.parametrize("load", [0.0, 1e-3])
+def test_answers_go_on_to_no_gravity(exponent: float, load: float):
+    gravity = np.logspace(-8, -4, 3)
+    found = limits.from_vacuum(gravity, exponent, load)
+    assert slope(gravity, found) == pytest.approx(limits.vacuum_power(exponent, load > 0), abs=0.05)
+
+
+def law(scene: Scene) -> float:
+    """Return how far linear theory should be off."""
+    return linear_law(scene.strike_number, "package", scene.chain.exponent)
+
+
+def test_the_unit_of_time_has_no_limit_without_gravity():
+    times = [Chain(grains=2, diameter=1e-3, gravity=g).time_scale for g in (1e-6, 1e-3)]
+    assert slope(np.array([1e-6, 1e-3]), np.array(times)) == pytest.approx(-1 / 6, abs=1e-9)
+    assert Chain(grains=2, diameter=1e-3, gravity=0.0).time_scale == np.inf
+    assert np.isfinite(Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=1e-3).time_scale)
+
+
+def test_linear_theory_ends_where_gravity_does():
+    gravity = np.logspace(-2, 3, 6)
+    scenes = [limits.gentle(1.5, float(g), 1e-5) for g in gravity]
+    found, theory = (np.array([f(scene) for scene in scenes]) for f in (limits.from_linear, law))
+    gentle = theory < 0.03
+    assert slope(gravity[gentle], found[gentle]) == pytest.approx(-5 / 6, abs=0.05)
+    assert found[gentle] == pytest.approx(theory[gentle], rel=0.05, abs=0)
+    assert found[0] > 0.5
+
+
+def test_hertz_becomes_springs():
+    excess = np.array([1e-4, 1e-3, 1e-2])
+    scenes = [limits.gentle(1 + float(x)) for x in excess]
+    springs = [limits.from_springs(scene) for scene in scenes]
+    assert slope(excess, np.array(springs)) == pytest.approx(1, abs=0.05)
+    assert springs == pytest.approx(limits.springs_error(30, excess), rel=0.05, abs=0)
+    assert [limits.from_linear(s) for s in scenes] == pytest.approx([law(s) for s in scenes], rel=0.05, abs=0)
+
+
+@pytest.mark.parametrize("grains", [2, 3])
+@pytest.mark.parametrize("number", [1e-3, 0.3, 5.0, 100.0])
+def test_two_and_three_grains_swing_as_their_energy_says(grains: int, number: float):
+    scene = limits.swinging(grains, number)
+    assert limits.measured_period(scene) == pytest.approx(scene.duration, rel=1e-10, abs=0)
+    end = simulate(scene, "native", 1e-9)
+    assert end.velocity[-1] == pytest.approx(end.velocity[0], rel=1e-7, abs=1e-9 * np.abs(end.velocity[0]).max())
+
+
+def test_periods_in_closed_form():
+    """A gentle oscillator; a bead that bounces, which flies for 2 v/g and touches for 2.87 (m / (k v^(1/2)))^(2/5)."""
+    gentle = limits.swinging(2, 1e-5)
+    assert gentle.duration == pytest.approx(2 * np.pi / gentle.chain.band_edge, rel=1e-10, abs=0)
+    hard = limits.swinging(2, 1e4)
+    chain, v = hard.chain, hard.initial()[1][0]
+    touch = 3.218065 * (chain.masses[0] ** 2 / (chain.contact_constants[0] ** 2 * v)) ** 0.2
+    assert hard.duration == pytest.approx(2 * v / chain.gravity + touch, rel=1e-6, abs=0)
+
+
+def test_three_free_grains_part_in_closed_form():
+    """The outer two hit the middle one from both sides: each is as on a wall of its own, and goes back as it came."""
+    chain, v = Chain(grains=3, diameter=1e-3, gravity=0.0, bottom="free"), 1e-2
+    touch = 3.218065 * (chain.masses[0] ** 2 / (chain.contact_constants[0] ** 2 * v)) ** 0.2
+    for part, still in ((0.9999, False), (1.0001, True)):
+        scene = Scene(chain=chain, excitation=Profile(velocity=[v, 0, -v]), duration=part * touch, samples=3)
+        end = simulate(scene, "native", 1e-10)
+        assert (end.displacement[-1, 0] <= 0) == still
+    assert end.velocity[-1] == pytest.approx([-v, 0, v], rel=1e-9, abs=1e-12)
+
+
+@pytest.mark.parametrize("strain", [1e-5, 1e-3, 0.0999])
+def test_overlaps_are_bounded_and_both_engines_agree(strain: float):
+    scene = limits.squeezing(strain)
+    found, apart = limits.squeezed(scene)
+    assert found <= deepest(scene) < 1.2 * found
+    assert apart < 1e-6
+
+
+def test_a_tenth_of_the_diameter_is_refused_at_once_but_not_later():
+    """A taper squeezes its last grains far more than the first: accepted, and the bound tells."""
+    with pytest.raises(InputError, match=r"squeezes contact 1 to 0.1 of the diameter, more than 0.1"):
+        limits.squeezing(1.001 * LARGEST_OVERLAP)
+    chain = Chain(grains=8, diameter=np.linspace(10e-3, 1e-3, 8))
+    scene = Scene(chain=chain, excitation=Impulse(velocity=50.0), duration=1e-4, samples=501)
+    contacts, t = chain.contacts, simulate(scene, "native", 1e-4)
+    found = ((contacts.overlap + contacts.closer(t.displacement)) / chain.contact_lengths)[:, contacts.exists].max()
+    assert LARGEST_OVERLAP < found < deepest(scene)
+
+
+def test_spheres_are_softer_than_hertz_says():
+    """A tenth of the strain; and the stiffness of any smooth contact is 2 E* times its radius."""
+    strain = np.array([1e-6, 1e-4, 1e-2])
+    assert hertz_excess(strain) == pytest.approx(strain / 10, rel=0.02, abs=1e-15)
+    x = 0.3  # a / R; o / 2R = x artanh x, F / 2 E* R^2 = 4/3 (o / 2R)^1.5 (1 - excess)
+    overlap = x * np.arctanh(x) * np.array([1 - 1e-4, 1 + 1e-4])
+    force = 4 / 3 * overlap**1.5 * (1 - hertz_excess(overlap))
+    assert np.diff(force)[0] / np.diff(overlap)[0] == pytest.approx(2 * x, rel=1e-6, abs=0)
+
+
+def test_bends_grow_in_lammps_as_the_column_is_unstable():
+    """Rates go as d^(-1/2), and are the same for any bend that is small."""
+    chain, gauges = Chain(grains=12, diameter=1e-3), np.array([1e-6, 1e-5, 1e-4])
+    law = [float(limits.buckling(chain, float(d)).frequency[-1]) for d in gauges]
+    found = [limits.growth(chain, float(d)) for d in gauges]
+    assert found == pytest.approx(law, rel=1e-5, abs=0)
+    assert slope(gauges, np.array(found)) == pytest.approx(-0.5, abs=0.05)
+    assert [limits.growth(chain, 1e-5, x) for x in (1e-18, 1e-12)] == pytest.approx([law[1]] * 2, rel=1e-4, abs=0)
+    alike = Chain(grains=200, diameter=1e-3, gravity=0.0, top_load=1e-3)
+    most = 2 * np.sqrt(alike.top_load / alike.masses[0] / (1e-3 - alike.length_scale))
+    assert limits.buckling(alike).frequency[-1] == pytest.approx(most, rel=1e-4, abs=0)
+
+
+@pytest.mark.parametrize("diameter", ["physical", "gauge"])
+def test_the_engine_keeps_to_the_axis_and_notices_the_least_bend(diameter: str, tmp_path: Path):
+    """Nothing pushes sideways, so a straight column stays straight to the last bit; a bend of 1e-18 m is an error."""
+    chain = Chain(grains=20, diameter=1e-3)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=2e-4, samples=5)
+    options = {"integrator": "verlet", "step": 1e-7, "diameter": diameter}
+    simulate(scene, "lammps", **options)
+    (tmp_path / "bend").write_text("set atom 10 x 1e-18\n")
+    with pytest.raises(RunFailed, match="buckled sideways"):
+        simulate(scene, "lammps", **options, include=tmp_path / "bend")
+
+
+@pytest.mark.parametrize("m", [1.0, 10.0, 143.0, 1e3, 1e6, 1e12])
+def test_dysons_weight_is_as_good_as_its_argument(m: float):
+    kappa = 1 + np.array([-0.9, -0.3, 0.0, 0.7, 2.0, 5.0]) / np.sqrt(m)
+    with mp.workdps(60):
+        true = [mp.exp(m * mp.log(m) - mp.loggamma(m) + m * mp.log(k) - m * k) for k in map(mp.mpf, kappa.tolist())]
+        off = [float(abs(f / t - 1)) for f, t in zip(dyson.weight(kappa, m).tolist(), true, strict=True)]
+    assert (np.array(off) <= 2 * limits.dyson_rounding(kappa, m)).all()
+
+
+def test_dysons_weight_as_printed_overflows():
+    with np.errstate(over="ignore"):
+        most, beyond = (np.float64(m) ** m for m in (limits.MOST_PRINTED, limits.MOST_PRINTED + 1))
+    assert np.isfinite(most)
+    assert np.isinf(beyond)
+
+
+def test_bessel_functions_of_large_order():
+    n = np.array([10**3, 10**4, 10**5, 10**6, 10**8])
+    off = np.abs(bessel.free_end(n, n - 0.5) / limits.front_of_springs(n) - 1)
+    assert (off <= limits.bessel_rounding(n)).all()
+    with mp.workdps(30):
+        true = float(2 * mp.besselj(1999, 1999))
+    assert limits.front_of_springs(1000) == pytest.approx(true, rel=1e-14, abs=0)

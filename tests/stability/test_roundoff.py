@@ -1,0 +1,281 @@
+"""The floor of round-off and the horizon of predictability, held against extended precision."""
+
+import math
+
+import numpy as np
+import pytest
+from helpers.reference import extended_reference, relative_error
+from helpers.scenes import random_scene
+
+from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Scene, ToleranceNotMet, simulate
+from lmpchain.benchmark.reference import reference
+from lmpchain.engines import Lammps, Native
+from lmpchain.engines.perturbation import nearby
+from lmpchain.engines.step_control import first_attempt, pursue, until_tolerance
+from lmpchain.errors import RunFailed
+from lmpchain.stability.predictability import growth, growth_rate, horizon, predicted_horizon, reflection_time
+from lmpchain.stability.roundoff import floor, measured_floor
+
+HEIGHTS = [{"engine": "lammps", "diameter": kind} for kind in ("physical", "gauge")]
+
+
+def column(grains, strike, tau, samples=11, gravity=9.81):
+    """Return a column struck with this strike number, for `tau` units of time."""
+    chain = Chain(grains=grains, material="glass", diameter=1e-3, gravity=gravity)
+    speed = strike * chain.length_scale / chain.time_scale
+    return Scene(
+        chain=chain, excitation=Impulse(velocity=speed), duration=tau * chain.time_scale, samples=samples, grains="all"
+    )
+
+
+def agitated(grains, strike, reflections, samples=201, gravity=9.81):
+    """Return such a column, for this many reflections of the pulse."""
+    scene = column(grains, strike, 1.0, 2, gravity)
+    duration = reflections * reflection_time(scene)
+    return Scene(chain=scene.chain, excitation=scene.excitation, duration=duration, samples=samples)
+
+
+def slope(x, y):
+    return np.polyfit(np.log(x), np.log(y), 1)[0]
+
+
+# round-off
+
+
+@pytest.mark.parametrize("options", HEIGHTS)
+def test_the_measured_floor_is_the_error_of_the_answer(options):
+    """So weak a strike that the floor exceeds what the steps leave: then it is all the error there is."""
+    scene = column(8, 1e-4, 6)
+    steps = 10 * math.ceil(scene.duration / 10 * scene.highest_frequency / 0.3)
+    t = simulate(scene, Lammps("rkn6", step=scene.duration / steps * (1 + 1e-9), diameter=options["diameter"]))
+    u, v, _ = extended_reference(scene)
+    true = relative_error(t.displacement, t.velocity, u, v)
+    assert measured_floor(scene, **options) == pytest.approx(true, rel=0.02, abs=0)
+
+
+@pytest.mark.parametrize(
+    ("options", "weakest", "strongest"), [(HEIGHTS[0], -5, 1), (HEIGHTS[1], -8, 1), ({"force": "plain"}, -9, -3)]
+)
+def test_these_floors_fall_as_the_strike_grows(options, weakest, strongest):
+    strikes = np.logspace(weakest, strongest, 7)
+    found = [measured_floor(column(8, s, 6), **options) for s in strikes]
+    law = [floor(column(8, s, 6), **options) for s in strikes]
+    assert slope(strikes, found) == pytest.approx(-1, abs=0.05)
+    assert slope(strikes, law) == pytest.approx(-1, abs=0.05)
+
+
+@pytest.mark.parametrize("options", [*HEIGHTS, {"force": "plain"}, {"force": "exact"}])
+@pytest.mark.parametrize(("grains", "strike"), [(3, 1e-7), (10, 1e-3), (40, 1e-5), (40, 1.0), (20, 30.0)])
+def test_the_law_predicts_the_floor(grains, strike, options):
+    """Over eleven decades of floors."""
+    scene = column(grains, strike, 1.2 * grains ** (5 / 6))
+    assert 1 / 6 < measured_floor(scene, **options) / floor(scene, **options) < 6
+
+
+def test_the_exact_force_has_one_floor_for_all_strikes():
+    found = [measured_floor(column(10, strike, 8), force="exact") for strike in (1e-9, 1e-6, 1e-3, 1.0)]
+    assert max(found) < 3e-14
+    assert measured_floor(column(10, 1e-9, 8), force="plain") > 1e6 * max(found)
+
+
+def test_the_automatic_force_takes_the_plain_one_where_it_loses_nothing():
+    assert floor(column(10, 1e-6, 8)) == floor(column(10, 1e-6, 8), force="exact")
+    strong = column(10, 10.0, 8)
+    assert floor(strong) == floor(strong, force="plain") < 1.1 * floor(strong, force="exact")
+
+
+def test_the_floor_of_a_chain_that_is_displaced():
+    chain = Chain(grains=10, diameter=1e-3)
+    scene = Scene(
+        chain=chain,
+        excitation=Displacement(displacement=1e-3 * chain.length_scale, grain=3),
+        duration=10 * chain.time_scale,
+        samples=11,
+    )
+    for options in (*HEIGHTS, {}):
+        assert 1 / 6 < measured_floor(scene, **options) / floor(scene, **options) < 6
+
+
+def test_long_columns_are_measured_where_the_wave_is():
+    scene = column(3000, 1e-3, 10)
+    assert 1 / 6 < measured_floor(scene, "lammps") / floor(scene, "lammps") < 6
+
+
+def test_what_floors_refuse():
+    scene = column(5, 1e-3, 2)
+    for function in (floor, measured_floor):
+        with pytest.raises(InputError, match=r"native \| lammps"):
+            function(scene, engine="chebyshev")
+        with pytest.raises(InputError, match=r"physical \| gauge"):
+            function(scene, engine="lammps", diameter="tiny")
+    driven = Scene(chain=scene.chain, excitation=Drive(amplitude=1e-12, frequency=1e3), duration=1e-5, samples=3)
+    with pytest.raises(InputError, match="driven"):
+        measured_floor(driven)
+
+
+@pytest.mark.soak
+def test_the_law_on_random_scenes():
+    rng, ratios = np.random.default_rng(11), []
+    while len(ratios) < 120:
+        scene = random_scene(rng, (1.0, 1.5, 1.5))
+        if scene.drive or Lammps().refuses(scene) or scene.duration * scene.highest_frequency > 300:
+            continue
+        for options in HEIGHTS:
+            ratios.append(measured_floor(scene, **options) / floor(scene, **options))
+    low, quarter, middle, three, high = np.quantile(ratios, [0.05, 0.25, 0.5, 0.75, 0.95])
+    assert 0.6 < middle < 1.6
+    assert quarter > 1 / 2.5
+    assert three < 2.5
+    assert low > 1 / 10
+    assert high < 10
+
+
+# predictability
+
+
+def crossing(times, apart, value):
+    """Return when a change first exceeds a value, s."""
+    beyond = np.flatnonzero(apart > value)
+    return times[beyond[0]] if beyond.size else math.inf
+
+
+def apart_in_long_double(scene, change):
+    first, second = reference(scene), reference(nearby(scene, change))
+    pairs = [(first.displacement, second.displacement), (first.velocity, second.velocity)]
+    return np.max([np.abs(y - x).max(1) / np.abs(x).max() for x, y in pairs], axis=0)
+
+
+def test_growth_is_that_of_extended_precision():
+    scene = agitated(8, 100.0, 5, samples=26)
+    times, apart = growth(scene, 1e-11)
+    true = apart_in_long_double(scene, 1e-11)
+    assert times == pytest.approx(scene.time, abs=0)
+    assert true.max() > 1e-10
+    assert apart == pytest.approx(true, rel=0.02, abs=0)
+
+
+@pytest.mark.soak
+def test_growth_is_that_of_extended_precision_over_many_decades():
+    scene = agitated(10, 99.0, 28, samples=201)
+    _, apart = growth(scene)
+    true = apart_in_long_double(scene, 1e-13)
+    assert true.max() > 1e-6
+    compared = slice(1, int(np.argmax(true > 1e-6)))
+    assert np.log10(apart[compared]) == pytest.approx(np.log10(true[compared]), abs=0.2)
+
+
+def test_a_gentle_wave_does_not_amplify():
+    scene = column(10, 1e-3, 300, samples=31)
+    _, apart = growth(scene)
+    assert apart.max() < 1e-12
+    assert horizon(scene, 1e-9) == math.inf
+
+
+@pytest.mark.parametrize(
+    ("grains", "strike", "gravity"), [(8, 100.0, 9.81), (10, 30.0, 98.1), (10, 300.0, 0.981), (20, 100.0, 9.81)]
+)
+def test_decades_a_reflection(grains, strike, gravity):
+    """The rate depends on the length of the column alone: measured between 1e-11 and 1e-4."""
+    scene = agitated(grains, strike, 15 / (1 - math.exp(-grains / 20)), gravity=gravity)
+    times, apart = growth(scene, accuracy=1e-9)
+    begin, end = (crossing(times, apart, value) for value in (1e-11, 1e-4))
+    assert 7 / (end - begin) == pytest.approx(growth_rate(scene), rel=0.5, abs=0)
+
+
+def test_the_predicted_horizon():
+    scene = agitated(20, 100.0, 20)
+    assert predicted_horizon(scene, 1e-6) == pytest.approx(horizon(scene, 1e-6), rel=0.4, abs=0)
+    looser = predicted_horizon(scene, 1e-3) - predicted_horizon(scene, 1e-6)
+    assert looser == pytest.approx(3 / growth_rate(scene), rel=1e-9, abs=0)
+
+
+@pytest.mark.soak
+def test_no_double_holds_beyond_the_horizon():
+    """The error of two accurate runs passes a tolerance where the growth of a change says, to half a millisecond."""
+    scene = agitated(10, 99.0, 32, samples=201)
+    true = reference(scene)
+    said = {tolerance: horizon(scene, tolerance) for tolerance in (1e-9, 1e-6)}
+    for engine in (Native("rkn6"), Native("dop853")):
+        run = engine.start([scene], engine.candidate(scene, 1e-11))
+        found = [np.concatenate(x, axis=1)[0] for x in zip(*(block[1:3] for block in run.blocks()), strict=True)]
+        run.close()
+        pairs = zip(found, (true.displacement, true.velocity), strict=True)
+        error = np.max([np.abs(x - y).max(1) / np.abs(y).max() for x, y in pairs], axis=0)
+        for tolerance, end in said.items():
+            assert crossing(scene.time, error, tolerance) == pytest.approx(end, abs=5e-4)
+
+
+def test_a_reflection_time_is_known_for_strikes_alone():
+    chain = Chain(grains=5, diameter=1e-3, exponent=2.0)
+    with pytest.raises(InputError, match=r"exponent 1\.5"):
+        reflection_time(Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1e-5))
+
+
+# the early refusal
+
+
+def chaotic(reflections=35.0):
+    return agitated(12, 100.0, reflections, samples=101)
+
+
+def test_chaos_is_refused_after_the_first_try():
+    scene = chaotic()
+    tried = Native().candidate(scene, 1e-6)
+    with pytest.raises(ToleranceNotMet, match="amplifies round-off beyond the tolerance at t = ") as refusal:
+        simulate(scene, "native", 1e-6)
+    early = refusal.value.trajectory
+    assert early.cost.step_s == tried.step
+    said = float(refusal.value.reason.split("at t = ")[1].split()[0])
+    assert said == pytest.approx(horizon(scene, 1e-6), rel=0.3, abs=0)
+    with pytest.warns(UserWarning, match="amplifies round-off"):
+        best = simulate(scene, "native", 1e-6, on_miss="warn")
+    assert best.cost.step_s < early.cost.step_s / 4
+
+
+def test_lammps_refuses_chaos_before_it_runs():
+    with pytest.raises(ToleranceNotMet, match="amplifies round-off beyond the tolerance at t = ") as refusal:
+        simulate(chaotic(), "lammps", 1e-6)
+    assert refusal.value.trajectory is None
+
+
+def answerable(scene, tolerance, patient):
+    """Return whether the native engine meets the tolerance, refusing early or going on; None where it breaks down."""
+    native = Native()
+    attempt = first_attempt(native, scene, tolerance)
+    try:
+        outcome = pursue(native, scene, attempt, lambda run: [None for _ in run.blocks()], patient=patient)
+    except RunFailed:
+        return None
+    return not outcome.missed
+
+
+def test_what_can_be_answered_is_not_refused():
+    """Up to close to the horizon."""
+    whole = chaotic()
+    end = horizon(whole, 1e-6)
+    for part in (0.5, 0.7, 0.85):
+        scene = Scene(**whole.given() | {"duration": part * end})
+        assert until_tolerance(Native(), scene, 1e-6, lambda run: [None for _ in run.blocks()]).missed == ""
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(1800)
+def test_no_random_scene_is_refused_that_can_be_answered():
+    rng = np.random.default_rng(3)
+    refused = 0
+    for _ in range(60):
+        try:
+            if rng.random() < 0.6:
+                scene = agitated(int(rng.integers(4, 13)), 10 ** rng.uniform(1.5, 2.5), rng.uniform(10, 40), 101)
+            else:
+                scene = random_scene(rng)
+                scene = Scene(**scene.given() | {"duration": scene.duration * 10 ** rng.uniform(0, 1)})
+            tolerance = 10 ** rng.uniform(-6, -3)
+            if Native().candidate(scene, tolerance).cost_s > 0.005:
+                continue
+        except (InputError, ToleranceNotMet):
+            continue
+        if answerable(scene, tolerance, patient=False) is False:
+            refused += 1
+            assert not answerable(scene, tolerance, patient=True)
+    assert refused > 3

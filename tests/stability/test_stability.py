@@ -1,0 +1,120 @@
+"""All boundaries of one scene: the command, its table and picture, and what `run` warns of."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.scenes import paper
+
+from lmpchain import Chain, Drive, Impulse, Scene
+from lmpchain.cli.command_line import main
+from lmpchain.engines import Lammps, Modes, Native
+from lmpchain.stability.find import stability
+from lmpchain.stability.pre_run import caveats
+from lmpchain.stability.result import Stability
+from lmpchain.stability.step_limit import limit
+
+FEW = Chain(grains=12, material="steel", diameter=3e-3)
+STRUCK = Scene(chain=FEW, excitation=Impulse(velocity=0.05), duration=1e-3, samples=101)
+BOUNCING = Scene(chain=FEW, excitation=Impulse(velocity=0.05), duration=0.02, samples=2001)
+
+
+@pytest.fixture(scope="module")
+def found() -> Stability:
+    """Return the boundaries of a strong strike on a few grains."""
+    return stability(STRUCK)
+
+
+def by_method(found: Stability, what: str) -> dict:
+    return {row.method: row for row in found.boundaries if row.what == what}
+
+
+def test_every_boundary_is_found_and_predicted(found: Stability):
+    steps = by_method(found, "longest step")
+    assert len(steps) == 8
+    for row in steps.values():
+        assert row.predicted / 1.6 < row.measured < 3.5 * row.predicted
+    verlet, lammps = steps["native verlet"], steps["lammps verlet"]
+    assert verlet.predicted == limit(STRUCK, "verlet")
+    assert lammps.measured == pytest.approx(verlet.measured, rel=0.02, abs=0)
+    floors = by_method(found, "smallest error")
+    assert floors["lammps, gauge diameter"].predicted < floors["lammps, physical diameter"].predicted
+    assert all(0 < row.measured < 1e-3 for row in floors.values())
+    linear = by_method(found, "linear theory 10 % off at v0*")["Eq. (3)"]
+    assert linear.beyond
+    assert linear.here == STRUCK.strike_number
+    assert not found.left_out
+
+
+def test_curves(found: Stability):
+    names = {curve.name for curve in found.curves if curve.panel == "energy"}
+    assert {"verlet", "rkn6", "gear4"} <= names
+    growth = next(curve for curve in found.curves if curve.panel == "growth")
+    assert growth.y[0] == pytest.approx(1e-13, rel=1e-2, abs=0)
+    assert growth.y[-1] > 1e-12
+    rounding = next(curve for curve in found.curves if curve.name.startswith("lammps, physical"))
+    assert np.all(np.diff(rounding.y[:5]) < 0)
+
+
+def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    scene = tmp_path / "scene.toml"
+    paper("weak").to_toml(scene)
+    words = ["stability", str(scene), "-o", str(tmp_path / "chart.png"), "--json", str(tmp_path / "found.json")]
+    assert main(words) == 0
+    said = capsys.readouterr().out
+    assert "predicted" in said.splitlines()[0]
+    assert "!" not in said  # a weak strike is beyond nothing
+    assert (tmp_path / "chart.png").read_bytes()[:4] == b"\x89PNG"
+    rows = json.loads((tmp_path / "found.json").read_text())["rows"]
+    assert {"what", "method", "unit", "predicted", "measured", "here", "beyond"} == set(rows[0])
+
+
+def test_what_cannot_be_measured_is_said(tmp_path: Path):
+    vacuum = Scene(chain=Chain(grains=5, diameter=1e-3, gravity=0.0), excitation=Impulse(velocity=0.1), duration=1e-4)
+    said = stability(vacuum).left_out
+    assert any(line.startswith("linear theory: without gravity and load") for line in said)
+    driven = Scene(chain=FEW, excitation=Drive(amplitude=1e-9, frequency=1e4), duration=2e-4, samples=11)
+    found = stability(driven)
+    assert any("a drive does work" in line for line in found.left_out)
+    assert all(math.isnan(row.measured) for row in by_method(found, "smallest error").values())
+    for name in ("vacuum.png", "driven.png"):
+        found.plot().savefig(tmp_path / name)
+
+
+def test_a_weak_scene_is_warned_of_nothing():
+    for engine in (Native(), Lammps(), Modes(), Native(integrator="verlet", step=1e-7)):
+        assert not list(caveats(paper("weak"), engine, 1e-6))
+
+
+def test_a_step_that_holds_at_rest_only():
+    at_rest, struck = 1.9 / FEW.band_edge, limit(STRUCK, "verlet")
+    assert struck < 0.65 * at_rest
+    (said,) = caveats(STRUCK, Native(integrator="verlet", step=at_rest), 0.5)
+    assert said.startswith(f"step: {at_rest:.3g} s is stable at rest")
+    assert not list(caveats(STRUCK, Native(integrator="verlet", step=struck / 2), 0.5))
+
+
+def test_a_scene_that_outlasts_its_horizon():
+    (said,) = caveats(BOUNCING, Native(), 1e-6)
+    assert "amplify round-off beyond 1e-06 at about" in said
+    assert not list(caveats(STRUCK, Native(), 1e-6))
+
+
+def test_deep_overlaps():
+    """A strike that `Scene` accepts, for it squeezes contact 1 by less than a tenth, but not a contact further down."""
+    sizes = 5e-3 * 0.7 ** np.arange(8)
+    chain = Chain(grains=8, material="ptfe", diameter=sizes, gravity=0.0)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=3.0), duration=1e-4, samples=11)
+    (said,) = caveats(scene, Native(), 1e-6)
+    assert said.startswith("contacts may be squeezed to")
+
+
+def test_the_warning_of_a_run_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    STRUCK.to_toml(tmp_path / "scene.toml")
+    step = f"{1.9 / FEW.band_edge}"
+    words = ["run", str(tmp_path / "scene.toml"), "--engine", "native", "--integrator", "verlet", "--step", step]
+    main(words)
+    said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("warning: step: ")]
+    assert len(said) == 1

@@ -1,0 +1,263 @@
+"""Where steps fail: the predicted boundaries against runs, exact motions and closed forms."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from helpers.reference import extended_reference
+from laws.openings import drift, errors_through_openings, order_through_openings
+from scipy.linalg import eigvalsh_tridiagonal
+
+from lmpchain import Chain, Displacement, Drive, Impulse, Profile, Scene, engines, patterns
+from lmpchain.benchmark.reference import Reference
+from lmpchain.integrators.methods import METHODS
+from lmpchain.integrators.splittings import SPLITTINGS
+from lmpchain.stability.step_limit import blow_up, energy_error, limit, struck_frequency, suspect
+from lmpchain.theory.modes import eigenmodes
+
+LOADED = Chain(grains=12, diameter=1e-3, gravity=0.0, top_load=1e-3)
+LONG = {"rkn4": 400, "rkn6": 2000}  # periods, where growth beyond the limit is slow
+every = pytest.mark.parametrize("integrator", METHODS)
+soak = pytest.mark.soak
+
+
+def speed(chain: Chain) -> float:
+    return chain.length_scale / chain.time_scale
+
+
+def struck(chain: Chain, number: float, periods: float = 100) -> Scene:
+    impulse = Impulse(velocity=number * speed(chain))
+    return Scene(chain=chain, excitation=impulse, duration=periods * 2 * np.pi / chain.band_edge)
+
+
+# --- the longest step
+
+
+def fastest_mode(periods: float) -> Scene:
+    """Return a chain that swings in its highest mode, too little to stiffen."""
+    chain = Chain(grains=6, diameter=1e-3, gravity=0.0, top_load=1e-2)
+    shape = np.append(eigenmodes(chain).shape[:, -1], 0.0)
+    start = Profile(displacement=1e-2 * chain.length_scale * shape / np.abs(shape).max())
+    return Scene(chain=chain, excitation=start, duration=periods * 2 * np.pi / chain.band_edge)
+
+
+@pytest.mark.parametrize(
+    ("engine", "integrator"),
+    [("native", name) for name in METHODS]
+    + [("lammps", "verlet"), *(pytest.param("lammps", name, marks=soak) for name in ("kahan-li6", "rkn6"))],
+)
+def test_every_method_breaks_at_its_own_limit_on_the_band_edge(engine: str, integrator: str) -> None:
+    scene = fastest_mode(LONG.get(integrator, 60))
+    found = blow_up(scene, integrator, engine)
+    assert found == pytest.approx(limit(scene, integrator), rel=0.02, abs=0)
+    if integrator != "gear4":  # which grows with every step: its limit depends on the duration
+        assert found * scene.chain.band_edge == pytest.approx(METHODS[integrator].stability_limit, rel=0.02)
+
+
+@pytest.mark.parametrize("integrator", ["rkn4", "rkn6", "kahan-li8"])
+def test_the_first_unstable_band_is_narrow(integrator: str) -> None:
+    """So a run of a hundred periods passes over it, and breaks far beyond the limit."""
+    method = METHODS[integrator]
+    assert method.growth(suspect(integrator)) > 1.0004
+    assert method.growth(1.02 * method.stability_limit) == 1
+    found = blow_up(struck(LOADED, 1.0), integrator)
+    assert found > 1.25 * limit(struck(LOADED, 1.0), integrator)
+
+
+def stiffest(scene: Scene) -> float:
+    """Return the highest eigenfrequency that the chain has at any moment of the exact motion, rad/s."""
+    chain, contacts = scene.chain, scene.chain.contacts
+    u, _, _ = extended_reference(scene, 1e-10)
+    mass, moving = chain.masses[: chain.movable], chain.movable
+    highest = 0.0
+    for overlap in np.maximum(contacts.overlap + contacts.exists * contacts.closer(u), 0):
+        k = chain.exponent * contacts.constant * overlap ** (chain.exponent - 1)
+        diagonal, beside = (k[:-1] + k[1:])[:moving] / mass, -k[1:moving] / np.sqrt(mass[:-1] * mass[1:])
+        highest = max(highest, eigvalsh_tridiagonal(diagonal, beside).max())
+    return float(np.sqrt(highest))
+
+
+COLUMN = Chain(grains=20, diameter=1e-3)
+CHAINS = {  # chain, strike number, how far the law may be off
+    "weak": (LOADED, 0.1, 0.01),
+    "medium": (LOADED, 10, 0.03),
+    "strong": (LOADED, 1e3, 0.03),
+    "column, medium": (COLUMN, 30, 0.03),
+    "column, strong": (COLUMN, 1e4, 0.03),
+    "exponent 2": (Chain(grains=12, diameter=1e-3, gravity=0.0, top_load=1e-2, exponent=2.0), 30, 0.05),
+    "dimer": (patterns.periodic(12, 4.76e-3, ["steel", "ptfe"], gravity=0, top_load=2.38), 10, 0.07),
+}
+
+
+@pytest.mark.parametrize("case", CHAINS.values(), ids=CHAINS)
+def test_the_frequency_that_a_strike_brings_about(case: tuple[Chain, float, float]) -> None:
+    chain, number, off = case
+    periods = 30 if number < 1 else 8
+    quick = Scene(
+        chain=chain,
+        excitation=Impulse(velocity=number * speed(chain)),
+        duration=periods * 2 * np.pi / struck_frequency(struck(chain, number)),
+        samples=30 * periods + 1,
+    )
+    assert struck_frequency(quick) == pytest.approx(stiffest(quick), rel=off, abs=0)
+
+
+def test_the_frequency_of_two_grains_pressed_together() -> None:
+    """A closed form: all the energy is in one contact, delta K o^(delta-1) (1/m + 1/m) with K o^(5/2) / (5/2) = E."""
+    chain = Chain(grains=2, diameter=1e-3, gravity=0.0, bottom="free")
+    scene = Scene(chain=chain, excitation=Displacement(displacement=1e-8), duration=1e-5)
+    stiffness = 1.5 * chain.contact_constants[0] * np.sqrt(1e-8)
+    assert struck_frequency(scene) == pytest.approx(np.sqrt(2 * stiffness / chain.masses[0]), rel=1e-12, abs=0)
+
+
+def test_the_frequency_of_a_driven_chain_is_that_of_the_drive_or_the_band_edge() -> None:
+    scene = Scene(chain=LOADED, excitation=Drive(amplitude=1e-9, frequency=1e6), duration=1e-5)
+    assert struck_frequency(scene) == scene.highest_frequency
+
+
+def test_nothing_limits_the_step_where_nothing_moves() -> None:
+    chain = Chain(grains=3, diameter=1e-3, gravity=0.0)
+    assert limit(Scene(chain=chain, excitation=Impulse(velocity=0.0), duration=1e-5), "verlet") == np.inf
+
+
+@pytest.mark.parametrize("number", [1e-2, 1.0, 1e2, 1e4])
+@pytest.mark.parametrize(("integrator", "least"), [("verlet", 0.92), ("kahan-li6", 0.86), ("dop853", 0.66)])
+def test_the_longest_step_falls_as_the_strike_stiffens_the_chain(integrator: str, least: float, number: float) -> None:
+    scene = struck(LOADED, number)
+    assert least < blow_up(scene, integrator) / limit(scene, integrator) < 1.03
+
+
+@soak
+@pytest.mark.parametrize("integrator", engines.Lammps.integrators)
+@pytest.mark.parametrize("number", [1e-2, 10])
+def test_both_engines_break_at_the_same_step(integrator: str, number: float) -> None:
+    scene = struck(LOADED, number)
+    assert blow_up(scene, integrator, "lammps") == pytest.approx(blow_up(scene, integrator), rel=0.02, abs=0)
+
+
+@pytest.mark.parametrize("exponent", [1.5, 2.0])
+def test_in_the_vacuum_the_step_goes_as_a_power_of_the_energy(exponent: float) -> None:
+    """h ~ E^(-(delta-1)/(2 delta+2)) exactly: there is no other scale of time."""
+    chain = Chain(grains=12, diameter=1e-3, gravity=0.0, exponent=exponent)
+    speeds = np.array([1e-4, 1e-2]) if exponent == 1.5 else np.array([1e-2, 0.1])
+    found, predicted = [], []
+    for v in speeds:
+        alone = Scene(chain=chain, excitation=Impulse(velocity=v), duration=1e-6)
+        scene = Scene(**alone.given() | {"duration": 500 / alone.highest_frequency})
+        found.append(blow_up(scene, "verlet"))
+        predicted.append(limit(scene, "verlet"))
+    power = -(exponent - 1) / (exponent + 1)
+    assert np.diff(np.log(found)) / np.diff(np.log(speeds)) == pytest.approx(power, abs=1e-3)
+    assert np.array(found) / predicted == pytest.approx(0.93 if exponent == 1.5 else 0.87, abs=0.01)
+
+
+# --- energy
+
+
+def hot(number: float, grains: int = 4) -> Scene:
+    """Return a loaded chain of which all grains that move, three unless told, are given random speeds.
+
+    More of them may keep their energy in one place for 1e5 steps and then let go: a trend in a million that is none.
+    """
+    chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-2)
+    speeds = np.append(np.random.default_rng(1).normal(size=grains - 1), 0.0) * number * speed(chain)
+    return Scene(chain=chain, excitation=Profile(velocity=speeds), duration=1e-3)
+
+
+STEPS = {"verlet": (0.02, 0.2), "rkn4": (0.05, 0.12), "rkn6": (0.2, 0.4), "kahan-li6": (0.1, 0.3),
+         "kahan-li8": (0.25, 0.5)}  # fmt: skip
+
+
+@pytest.mark.parametrize("integrator", SPLITTINGS)
+def test_the_energy_error_goes_as_the_step_to_the_order(integrator: str) -> None:
+    """While chaos has not yet told one step from another: then all see the same motion."""
+    scene = hot(0.2, 8)
+    runs = [
+        energy_error(scene, integrator, reach / scene.chain.band_edge, 100, 201)
+        for reach in np.geomspace(*STEPS[integrator], 5)
+    ]
+    slope = np.polyfit(np.log([run.step for run in runs]), np.log([run.error.std() for run in runs]), 1)[0]
+    assert slope == pytest.approx(METHODS[integrator].order, abs=0.05)
+
+
+@every
+def test_the_energy_over_a_million_steps(integrator: str) -> None:
+    """Splittings keep it to a fluctuation without a trend; the others lose or gain it, steadily."""
+    scene = hot(0.2)
+    reach = {"gear4": 0.1, "dop853": 0.5}.get(integrator, 0.1 * METHODS[integrator].stability_limit)
+    steps = 2e5 if integrator == "dop853" else 1e6
+    run = energy_error(scene, integrator, reach / scene.chain.band_edge, steps * reach / (2 * np.pi))
+    assert run.time[-1] / run.step >= steps * 0.999
+    rate, sure = run.trend()
+    half = run.time.size // 2
+    largest = np.abs(run.error[:half]).max()
+    if integrator in SPLITTINGS:
+        assert abs(rate) < sure
+        assert (abs(rate) + sure) * run.time[-1] < largest
+        assert np.abs(run.error[half:]).max() < 1.3 * largest
+    else:
+        assert np.sign(rate) == (-1 if integrator == "dop853" else 1)
+        assert abs(rate) > 10 * sure
+        assert np.abs(run.error[half:]).max() > 1.8 * largest
+
+
+@pytest.mark.parametrize(("integrator", "reach"), [("gear4", 0.05), ("dop853", 0.6)])
+def test_a_weak_wave_drifts_as_its_modes_grow(integrator: str, reach: float) -> None:
+    scene = hot(1e-4)
+    run = energy_error(scene, integrator, reach / scene.chain.band_edge, 3000)
+    expected, (rate, sure) = drift(scene, METHODS[integrator].growth, run.step), run.trend()
+    assert sure < 0.1 * abs(rate)
+    assert rate == pytest.approx(expected, rel=0.02, abs=0)
+
+
+# --- contacts that open
+
+
+@cache
+def opening(exponent: float) -> tuple[Scene, Reference, float]:
+    """Return a strike on 30 beads that opens contacts, the truth, and its error."""
+    velocity, duration = {1.5: (8.57e-3, 60e-6), 1.25: (8.57e-3, 30e-6), 2.0: (1.0, 60e-6)}[exponent]
+    chain = Chain(grains=30, diameter=1e-3, exponent=exponent)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=duration, samples=21)
+    u, v, own = extended_reference(scene)
+    assert (chain.contacts.overlap + chain.contacts.closer(u))[:, 1:-1].min() < 0
+    return scene, Reference(scene.time, u, v, own, "extrapolated"), own
+
+
+def slope(counts: np.ndarray, errors: np.ndarray) -> float:
+    return -float(np.polyfit(np.log(counts), np.log(errors), 1)[0])
+
+
+@pytest.mark.parametrize(
+    ("integrator", "exponent"),
+    [("verlet", 1.5), ("rkn4", 1.5), ("rkn6", 1.5), ("kahan-li6", 1.5), ("kahan-li8", 1.5), ("rkn6", 1.25)]
+    + [pytest.param(*pair, marks=soak) for pair in (("dop853", 1.5), ("gear4", 1.5), ("rkn6", 2.0))],
+)
+def test_steps_of_one_length_fall_to_the_order_of_the_opening(integrator: str, exponent: float) -> None:
+    scene, truth, own = opening(exponent)
+    first, last = (2000, 20000) if integrator == "gear4" else (70, 6000)
+    counts = np.geomspace(first, last, 10).astype(int)
+    errors = errors_through_openings(scene, integrator, counts, truth, runs=150 if integrator == "dop853" else 40)
+    assert errors.min() > 10 * own
+    assert slope(counts, errors) == pytest.approx(order_through_openings(integrator, exponent), abs=0.05)
+
+
+@pytest.mark.parametrize("integrator", ["rkn4", "kahan-li6"])
+def test_graded_steps_keep_the_order(integrator: str) -> None:
+    scene, truth, own = opening(1.5)
+    counts = np.array([100, 140, 200, 280, 400, 560, 800])
+    errors = errors_through_openings(scene, integrator, counts, truth, graded=True, runs=1)
+    assert errors.min() > 3 * own
+    assert slope(counts, errors) == pytest.approx(METHODS[integrator].order, abs=0.05)
+
+
+@pytest.mark.parametrize("integrator", ["rkn6", "kahan-li8", "dop853"])
+def test_graded_steps_are_of_order_6_or_better(integrator: str) -> None:
+    """What openings leave dominates here, and falls with the seventh power or so until round-off is reached."""
+    scene, truth, own = opening(1.5)
+    counts = np.array([70, 100, 140, 200])
+    errors = errors_through_openings(scene, integrator, counts, truth, graded=True, runs=20)
+    assert errors.min() > 10 * own
+    assert slope(counts, errors) > 6

