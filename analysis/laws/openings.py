@@ -38,9 +38,9 @@ def order_through_openings(integrator: str, exponent: float) -> float:
 
 
 def errors_through_openings(
-    scene: Scene, integrator: str, counts: Iterable[int], truth: Reference, graded: bool = False, runs: int = 40
+    scene: Scene, integrator: str, counts: Iterable[int], truth: Reference, adaptive: bool = False, runs: int = 40
 ) -> Array:
-    """Return the relative errors at the end of a scene after about so many native steps, of one length or graded.
+    """Return the relative errors at the end of a scene after about so many native steps, of one length or adaptive.
 
     Each is the root of the mean square over so many `runs` of up to a fifth more steps, for the error of a step that
     crosses an opening depends on where in the step that falls. One error is the largest difference from the truth over
@@ -52,7 +52,7 @@ def errors_through_openings(
     true = truth.displacement, truth.velocity
 
     def error(count: int) -> float:
-        candidate = replace(proposed, steps_per_sample=count, step=scene.duration / count, graded=graded)
+        candidate = replace(proposed, steps_per_sample=count, step=scene.duration / count, adaptive=adaptive)
         run = engine.start([scene], candidate)
         try:
             *_, last = run.blocks()

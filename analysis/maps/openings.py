@@ -1,4 +1,4 @@
-"""The order of every method where contacts open and close, with steps of one length and with graded ones."""
+"""The order of every method where contacts open and close, with steps of one length and with adaptive ones."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 EXPONENT = 1.5
-GRADED = [name for name in METHODS if name not in ("verlet", "gear4")]  # which can be, and have an order to lose
+ADAPTIVE = [name for name in METHODS if name not in ("verlet", "gear4")]  # which can be, and have an order to lose
 ASYMPTOTIC = {"gear4": 0.02}  # step x frequency below which a slope is found; of the others from the first point on
 RUNS = {"dop853": 120}  # for an error; of the others 40
 FLOOR = 3e-13  # error below which round-off has its part
@@ -48,11 +48,11 @@ def measure(quick: bool) -> dict[str, Any]:
                 for name in METHODS
             },
         },
-        "graded": {
+        "adaptive": {
             "reach": (angle / (1.1 * few)).tolist(),
             "error": {
                 name: errors_through_openings(scene, name, few, truth, True, 8 if quick else 40).tolist()
-                for name in GRADED
+                for name in ADAPTIVE
             },
         },
     }
@@ -70,7 +70,7 @@ def draw(data: dict[str, Any]) -> Figure:
     picture = figure(12, 6)
     axes = picture.subplots(1, 2, sharey=True)
     for ax, kind, said in zip(
-        axes, ("one length", "graded"), ("Steps of one length", "Steps that shorten around openings"), strict=True
+        axes, ("one length", "adaptive"), ("Steps of one length", "Steps that shorten around openings"), strict=True
     ):
         reach, found = data[kind]["reach"], data[kind]["error"]
         for name, colour, shape in zip(METHODS, SHADES, SHAPES, strict=False):

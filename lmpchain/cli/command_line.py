@@ -40,15 +40,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     except LmpchainError as error:
         complain(str(error))
         return 1
-    from ..engines.lammps.communicators import dismiss, follow
+    from ..engines.lammps.communicators import shutdown_workers, worker_loop
 
     if world.rank > 0:
-        follow(world)
+        worker_loop(world)
         return 0
     try:
         return _main(argv)
     finally:
-        dismiss(world)
+        shutdown_workers(world)
 
 
 def _main(argv: Sequence[str] | None) -> int:

@@ -256,7 +256,7 @@ def _answer(
     """Return the average with the first `wanted` scenes of a batch taken in, at steps that are short enough for all."""
     proposed = [engine.candidate(scene, tolerance) for scene in scenes]
     hardest = max(proposed, key=lambda found: found.cost_s)
-    candidate: Candidate | None = replace(hardest, graded=any(found.graded for found in proposed))
+    candidate: Candidate | None = replace(hardest, adaptive=any(found.adaptive for found in proposed))
     for _ in range(ATTEMPTS):
         assert candidate
         average, worst = before.copy(), None

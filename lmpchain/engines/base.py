@@ -40,7 +40,7 @@ class Candidate:
         Expected time, s.
     choices : mapping
         What the engine chose on the user's behalf, for the record and for `Engine.start`.
-    graded : bool
+    adaptive : bool
         Whether steps shorten where a contact is about to open or close.
     first_grain : int
         The first grain that is computed.
@@ -62,7 +62,7 @@ class Candidate:
     solver_error: float
     cost_s: float
     choices: Mapping[str, str] = field(default_factory=dict)
-    graded: bool = False
+    adaptive: bool = False
     first_grain: int = 1
     integrator: str = ""
     model_least: float = 0.0

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RunFailed
-from ..integrators.batch import Chains
+from ..integrators.batch import ChainBatch
 from ..integrators.kernels.reductions import compared
 from ..integrators.methods import Method
-from ..integrators.step_schedule import Pace
+from ..integrators.step_schedule import StepSchedule
 from ..integrators.stepper import NativeStepper
 from ..scene.scene import Scene
 from ..trajectory.record import Block, Cost
@@ -33,7 +33,7 @@ BLOCK_BYTES = 2**25  # of the samples that are compared at a time,
 BLOCK_S = 0.5  # and how long they may take: what is stopped or killed loses no more
 SAFETY = 2.0  # between the expected error and the estimate
 CLOSE_TO_OPENING = -0.5  # r / eps below which a contact's force is no longer a smooth function of time
-TRUSTED_ORDER = 4  # where steps are graded around openings the order holds, but differences scatter:
+TRUSTED_ORDER = 4  # where steps are adaptive around openings the order holds, but differences scatter:
 SPRINGY, TRUSTED_OF_SPRINGS = 1.25, 2  # below that exponent, where forces have a kink there, all the more
 EPSILON = float(np.finfo(float).eps)
 
@@ -71,7 +71,7 @@ class Stepper(Protocol):
         """Release everything."""
 
 
-class LockstepRun(Run):
+class CompanionRun(Run):
     """An answer at one step, with companions at others that show its error.
 
     Of the scenes, `rows` are the grains that are yielded as the `columns` of the record.
@@ -79,7 +79,7 @@ class LockstepRun(Run):
 
     def __init__(
         self,
-        make: Callable[[Pace, Mapping[str, Array]], Stepper],
+        make: Callable[[StepSchedule, Mapping[str, Array]], Stepper],
         method: Method,
         scenes: Sequence[Scene],
         candidate: Candidate,
@@ -91,19 +91,20 @@ class LockstepRun(Run):
         self.method, self.scene, self.candidate = method, scenes[0], candidate
         self._rows, self._columns = rows, columns
         kept = _unpack(state)
-        self._answer = make(Pace.of(candidate), kept[0])
+        own = candidate.steps_per_sample, candidate.step, candidate.adaptive
+        self._answer = make(StepSchedule.of(*own), kept[0])
         self._steppers: list[Stepper] = [self._answer]
         native = self._answer if isinstance(self._answer, NativeStepper) else None
         reach = candidate.step * max(scene.chain.band_edge for scene in scenes)
         longer = [ratio for ratio in (2, 4) if ratio * reach <= method.stability_limit]
         self._finer = not longer
-        paces = [Pace.of(candidate, ratio) for ratio in longer] if longer else [Pace.of(candidate).halved]
+        schedules = [StepSchedule.of(*own, ratio) for ratio in longer] if longer else [StepSchedule.of(*own).halved]
         if native is None:
-            paces = [Pace.of(candidate), *paces]
-        chains = native.chains if native else Chains(scenes)
+            schedules = [StepSchedule.of(*own), *schedules]
+        chains = native.chains if native else ChainBatch(scenes)
         threads = native.threads if native else 1
-        for pace, old in zip(paces, kept[1:], strict=False):
-            self._steppers.append(NativeStepper(chains, method, pace, old, threads))
+        for schedule, old in zip(schedules, kept[1:], strict=False):
+            self._steppers.append(NativeStepper(chains, method, schedule, old, threads))
         self.realisations = len(scenes)
         self._energy = np.array([scene.energy for scene in scenes])
         self._at_rest = [scene.at_rest for scene in scenes]
@@ -203,11 +204,11 @@ class LockstepRun(Run):
         peaks = np.where(peaks > 0, peaks, 1.0)
         relative = self._differences[:, :, real, :] / peaks
         relative = np.where(np.isnan(relative), np.inf, relative)
-        order, graded = self.method.order, self.candidate.graded
+        order, adaptive = self.method.order, self.candidate.adaptive
         opens = min(stepper.lowest()[real] for stepper in self._steppers) <= CLOSE_TO_OPENING
-        smooth = graded or order == 2 or not (opens or self._kinked[real])
+        smooth = adaptive or order == 2 or not (opens or self._kinked[real])
         trusted = order
-        if graded and opens:
+        if adaptive and opens:
             trusted = min(order, TRUSTED_OF_SPRINGS if self.scene.chain.exponent < SPRINGY else TRUSTED_ORDER)
         native = isinstance(self._answer, NativeStepper)
         steps = relative[0 if native else 1 :].max(1)  # largest differences between steps h, 2h (and 4h), or h and h/2
@@ -251,8 +252,8 @@ class LockstepRun(Run):
 def extrapolate(order: int, smooth: bool, coarse: Array | None, fine: Array) -> Array:
     """Estimate the error of the finest of three runs at steps 4h, 2h and h from their differences, or from h and 2h.
 
-    Where contacts open or nearly so, a high order falls to about 2.5, unless steps are graded, with a coefficient that
-    depends on where in a step the opening falls: the error at h can then be as large as the difference.
+    Where contacts open or nearly so, a high order falls to about 2.5, unless steps are adaptive, with a coefficient
+    that depends on where in a step the opening falls: the error at h can then be as large as the difference.
     Measured on some hundred random chains, the estimate is between 1 and 5 times the true error while
     the order holds and rarely below it elsewhere.
     """

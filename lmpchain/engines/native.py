@@ -9,11 +9,11 @@ from typing import ClassVar
 import numba
 
 from ..errors import InputError, ToleranceNotMet
-from ..integrators.batch import FORCES, Chains, force_form, name_of
+from ..integrators.batch import FORCES, ChainBatch, force_form, name_of
 from ..integrators.kernels.splitting import PAD
 from ..integrators.methods import METHODS, DormandPrince, Method
 from ..integrators.splittings import Splitting
-from ..integrators.step_schedule import Pace
+from ..integrators.step_schedule import StepSchedule
 from ..integrators.stepper import NativeStepper
 from ..scene.scene import Scene
 from ..util.arrays import Array
@@ -37,7 +37,7 @@ class Native(SteppedEngine):
     force : "auto", "exact" or "plain"
         The form of the force: exact keeps the digits of the weakest wave, plain is faster and wrong by the last digit
         of the force at rest, auto takes what loses nothing.
-    graded : bool
+    adaptive : bool
         Whether steps shorten where a contact is about to open or has just closed, which keeps the order of the method
         there; not with a given step.
 
@@ -58,14 +58,14 @@ class Native(SteppedEngine):
         step: float | None = None,
         threads: int = 1,
         force: str = "auto",
-        graded: bool = True,
+        adaptive: bool = True,
     ):
         super().__init__(integrator, step)
         if isinstance(threads, bool) or not isinstance(threads, int) or threads < 1:
             raise InputError([("threads", f"must be a whole number from 1 (got {threads!r})")])
         if force not in FORCES:
             raise InputError([("force", f"must be {' | '.join(FORCES)} (got {force!r})")])
-        self.threads, self.force, self.graded = threads, force, graded
+        self.threads, self.force, self.adaptive = threads, force, adaptive
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Every chain that can be described can be done."""
@@ -84,7 +84,7 @@ class Native(SteppedEngine):
                 )
             adapts, splits = isinstance(method, DormandPrince), isinstance(method, Splitting)
             varies = adapts or (splits and method.order > 2 and scene.largest_strain > GENTLE)
-            candidate = replace(candidate, graded=self.graded and varies)
+            candidate = replace(candidate, adaptive=self.adaptive and varies)
         return replace(candidate, choices={"force": name_of(force_form(scene, self.force))})
 
     def computed(self, scene: Scene) -> float:
@@ -94,10 +94,12 @@ class Native(SteppedEngine):
         return min(scene.chain.grains, reached)
 
     def stepper(
-        self, scenes: Sequence[Scene], candidate: Candidate, pace: Pace, state: Mapping[str, Array]
+        self, scenes: Sequence[Scene], candidate: Candidate, schedule: StepSchedule, state: Mapping[str, Array]
     ) -> NativeStepper:
         """Make the stepper of the answer."""
-        return NativeStepper(Chains(scenes, self.force), METHODS[candidate.integrator], pace, state, self.threads)
+        return NativeStepper(
+            ChainBatch(scenes, self.force), METHODS[candidate.integrator], schedule, state, self.threads
+        )
 
     def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
         """Return the form of the force and the version of the compiler."""

@@ -14,7 +14,7 @@ from .native import Native
 LAST_DIGIT = 1e-15  # of the largest velocity: a few units in the last place of a double
 
 
-def nearby(scene: Scene, change: float) -> Scene:
+def perturbed(scene: Scene, change: float) -> Scene:
     """Return the scene with all grains moved, down and up by turns, by this part of the largest velocity.
 
     Of the largest displacement where nothing is struck; of a drive, the amplitude changes.
@@ -32,7 +32,7 @@ def nearby(scene: Scene, change: float) -> Scene:
     return Scene(**scene.given() | {"excitation": excitation})
 
 
-def separation(scene: Scene, candidate: Candidate, change: float) -> Array:
+def divergence(scene: Scene, candidate: Candidate, change: float) -> Array:
     """Return how far a scene and the one next to it are apart at every sample, (T,), measured as an error is.
 
     Both are run in displacements with the integrator and the steps of the candidate, so what these leave out is the
@@ -45,7 +45,7 @@ def separation(scene: Scene, candidate: Candidate, change: float) -> Array:
     """
     _, part = cut(scene)
     part = Scene(**part.given() | {"grains": "all"})
-    run = Native().start([part, nearby(part, change)], candidate)
+    run = Native().start([part, perturbed(part, change)], candidate)
     apart = np.zeros((2, scene.samples))
     try:
         for block in run.blocks():

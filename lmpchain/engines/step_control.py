@@ -237,12 +237,12 @@ def _parts(scene: Scene, candidate: Candidate, distance: float, times: float = 1
     """
     if not candidate.integrator:
         return None
-    from .perturbation import LAST_DIGIT, separation
+    from .perturbation import LAST_DIGIT, divergence
 
     horizon = scene.duration
-    for graded in {candidate.graded, False}:
+    for adaptive in {candidate.adaptive, False}:
         try:
-            apart = separation(scene, replace(candidate, graded=graded), LAST_DIGIT)
+            apart = divergence(scene, replace(candidate, adaptive=adaptive), LAST_DIGIT)
         except RunFailed:
             return None
         if apart.max() < times * distance:

@@ -15,7 +15,7 @@ STRONG = 1.0  # strike number from which the fastest form of the force loses not
 FORCES = ("auto", "exact", "plain")
 
 
-class Chains:
+class ChainBatch:
     """A batch of like chains: bodies, contacts and drives as arrays that begin at cache lines.
 
     Parameters

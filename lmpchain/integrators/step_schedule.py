@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from ..engines.base import Candidate
-
 
 @dataclass(frozen=True)
-class Pace:
+class StepSchedule:
     """Steps between the samples that are stopped at.
 
     Attributes
@@ -20,22 +18,22 @@ class Pace:
         Samples from one stop to the next.
     step : float
         Longest step, s.
-    graded : bool
+    adaptive : bool
         Whether steps shorten where a contact is about to open or close.
     """
 
     steps: int
     stride: int
     step: float
-    graded: bool
+    adaptive: bool
 
     @classmethod
-    def of(cls, candidate: Candidate, ratio: int = 1) -> Pace:
-        """Return the pace of a candidate, or of a companion whose steps are longer by this ratio."""
-        common = math.gcd(candidate.steps_per_sample, ratio)
-        return cls(candidate.steps_per_sample // common, ratio // common, candidate.step * ratio, candidate.graded)
+    def of(cls, steps_per_sample: int, step: float, adaptive: bool, ratio: int = 1) -> StepSchedule:
+        """Return the schedule with so many steps between two samples, or one with steps longer by this ratio."""
+        common = math.gcd(steps_per_sample, ratio)
+        return cls(steps_per_sample // common, ratio // common, step * ratio, adaptive)
 
     @property
-    def halved(self) -> Pace:
-        """The pace of a companion at half the step."""
-        return Pace(2 * self.steps, self.stride, self.step / 2, self.graded)
+    def halved(self) -> StepSchedule:
+        """The schedule of a companion at half the step."""
+        return StepSchedule(2 * self.steps, self.stride, self.step / 2, self.adaptive)

@@ -9,15 +9,17 @@ from typing import Any
 import numpy as np
 
 from ..util.arrays import Array
-from .batch import Chains
+from .batch import ChainBatch
 from .kernels import dop853, gear
 from .kernels import splitting as kernels
 from .kernels.splitting import PAD
 from .methods import DormandPrince, Gear, Method
 from .splittings import Splitting
-from .step_schedule import Pace
+from .step_schedule import StepSchedule
 
-GRADED = 0.4  # length of the steps near an opening contact, and of the one that crosses the opening: small enough that
+ADAPTIVE = (
+    0.4  # length of the steps near an opening contact, and of the one that crosses the opening: small enough that
+)
 CROSSING = 0.03  # both leave as little as the other steps do
 
 SHORT = 14 * PAD  # bodies
@@ -30,9 +32,9 @@ class NativeStepper:
 
     Parameters
     ----------
-    chains : Chains
+    chains : ChainBatch
     method : Method
-    pace : Pace
+    schedule : StepSchedule
     state : mapping
         Empty, or what `state` returned.
     threads : int
@@ -42,9 +44,9 @@ class NativeStepper:
 
     def __init__(
         self,
-        chains: Chains,
+        chains: ChainBatch,
         method: Method,
-        pace: Pace,
+        schedule: StepSchedule,
         state: Mapping[str, Array],
         threads: int = 1,
     ):
@@ -62,34 +64,38 @@ class NativeStepper:
         else:
             self._memo = np.zeros((len(scenes), kernels.STEP + 1))
             self._memo[:, kernels.FIRST], self._memo[:, kernels.LAST] = self._window()
-        self.stride = pace.stride
+        self.stride = schedule.stride
         self._extra = np.array(state.get("extra", np.zeros((len(scenes), 3, self._x.shape[1]))))
-        self._advance, self._by = self._plan(method, pace)
+        self._advance, self._by = self._plan(method, schedule)
         self._arrays = [self._of(share) for share in self._shares]
         self._advance(*self._of(slice(0)), np.empty((0, 1, 1)), np.empty((0, 1, 1)), 0, 0, 0)  # only compiles
 
-    def _plan(self, method: Method, pace: Pace) -> tuple[Callable[..., int], Callable[[slice], tuple[Array, ...]]]:
+    def _plan(
+        self, method: Method, schedule: StepSchedule
+    ) -> tuple[Callable[..., int], Callable[[slice], tuple[Array, ...]]]:
         """Return the compiled loop of a method, and what it takes beside the chains."""
         scene, chains = self.chains.scenes[0], self.chains
         final = scene.samples - 1
         interval = scene.duration / final
-        clock = np.array([interval, pace.steps, pace.stride, final])
+        clock = np.array([interval, schedule.steps, schedule.stride, final])
         if isinstance(method, Gear):
             corrections = np.array(method.corrections)
             return gear.march_gear, lambda share: (corrections, self._extra[share], clock)
         if isinstance(method, DormandPrince):
-            allowed = max(LEAST, ALLOWED * (pace.step * chains.omega.max()) ** method.order) if pace.graded else 0.0
-            clock = np.array([interval, pace.step, pace.stride, final, allowed, pace.steps])
+            allowed = (
+                max(LEAST, ALLOWED * (schedule.step * chains.omega.max()) ** method.order) if schedule.adaptive else 0.0
+            )
+            clock = np.array([interval, schedule.step, schedule.stride, final, allowed, schedule.steps])
             return dop853.march_dop853, lambda _: (*method.tables, clock)
         assert isinstance(method, Splitting)
         kicks, drifts = np.array(method.kicks), np.array(method.drifts)
-        if not pace.graded:
+        if not schedule.adaptive:
             return kernels.march, lambda _: (kicks, drifts, clock)
-        reach = pace.step * chains.omega
+        reach = schedule.step * chains.omega
         crossing = CROSSING * reach ** ((method.order + 1) / (chains.shape[7] + 1))
-        tempo = np.stack([chains.omega, (GRADED * reach / crossing) ** (14 / 9)], axis=1)
-        clock, weight = np.array([interval, pace.step, pace.stride, final, GRADED]), chains.weight()
-        return kernels.march_graded, lambda share: (kicks, drifts, clock, tempo[share], weight[share])
+        adaptivity = np.stack([chains.omega, (ADAPTIVE * reach / crossing) ** (14 / 9)], axis=1)
+        clock, weight = np.array([interval, schedule.step, schedule.stride, final, ADAPTIVE]), chains.weight()
+        return kernels.march_adaptive, lambda share: (kicks, drifts, clock, adaptivity[share], weight[share])
 
     def _window(self) -> tuple[Array, Array]:
         """Return where the window of each chain begins and ends: at the lines that hold what moves at t = 0.

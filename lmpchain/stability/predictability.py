@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from ..engines.native import Native
-from ..engines.perturbation import separation
+from ..engines.perturbation import divergence
 from ..errors import InputError
 from ..scene.excitation import Impulse
 from ..scene.scene import Scene
@@ -79,7 +79,7 @@ def growth(scene: Scene, perturbation: float = CHANGE, accuracy: float = ACCURAC
     ToleranceNotMet
         If round-off alone is above `accuracy`, the error that the runs would have were there no growth.
     """
-    return scene.time, separation(scene, Native("rkn6").candidate(scene, accuracy), perturbation)
+    return scene.time, divergence(scene, Native("rkn6").candidate(scene, accuracy), perturbation)
 
 
 def horizon(scene: Scene, tolerance: float) -> float:

@@ -83,7 +83,7 @@ def measured_floor(scene: Scene, engine: str = "native", diameter: str = "physic
     steps = _steps(part)
     h = part.duration / steps * (1 + 1e-9)
     if engine == "native":
-        run = simulate(part, Native("rkn6", step=h, force=force, graded=False))
+        run = simulate(part, Native("rkn6", step=h, force=force, adaptive=False))
     else:
         run = simulate(part, _lammps(engine, diameter, h))
     assert run.cost.steps == steps

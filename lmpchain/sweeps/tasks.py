@@ -100,7 +100,7 @@ def _in_batches(engine: Engine, scenes: Mapping[str, Scene], tolerance: float) -
     for _ in range(STALLS + 1):  # beyond these, `simulate` may give up
         groups: dict[Any, list[str]] = {}
         for name, candidate in left.items():
-            steps = candidate.integrator, candidate.steps_per_sample, candidate.step, candidate.graded
+            steps = candidate.integrator, candidate.steps_per_sample, candidate.step, candidate.adaptive
             alike = *kind(scenes[name]), *steps, *candidate.choices.items()
             groups.setdefault(alike, []).append(name)
         candidates, left = left, {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable
 from functools import cache
@@ -12,6 +13,7 @@ from typing import Any
 import numba
 from numba.core.event import Event, Listener, register
 
+BESIDE = re.compile(r"^from \.(\w+) import", re.MULTILINE)
 _news: dict[Callable, str] = {}  # what is to be said when one of these functions is compiled
 
 
@@ -33,17 +35,23 @@ register("numba:compile", _Announcer())
 
 
 @cache
-def _sources(folder: Path) -> str:
-    """Return a hash of all modules in a folder."""
-    return sha256(b"".join(path.read_bytes() for path in sorted(folder.glob("*.py")))).hexdigest()
+def _sources(module: Path) -> str:
+    """Return a hash of a module and of those in its folder that it imports, directly or not."""
+    known, waiting = {}, [module]
+    while waiting:
+        path = waiting.pop()
+        if path not in known and path.exists():
+            known[path] = path.read_bytes()
+            waiting += (path.with_name(f"{name}.py") for name in BESIDE.findall(known[path].decode()))
+    return sha256(b"".join(known[path] for path in sorted(known))).hexdigest()
 
 
 def compiled_once(what: str, seconds: int, **options: Any) -> Callable[[Callable], Any]:
     """Return a decorator: numba compiles the function at its first call on a machine, and says so on stderr.
 
     The result is kept beside the source; if that folder may not be written to, in the user's cache or in
-    NUMBA_CACHE_DIR. It is used until a module in the folder changes. Where nothing can be kept, every process compiles
-    anew.
+    NUMBA_CACHE_DIR. It is used until the module changes, or one beside it that it imports. Where nothing can be kept,
+    every process compiles anew.
 
     Parameters
     ----------
@@ -61,7 +69,7 @@ def compiled_once(what: str, seconds: int, **options: Any) -> Callable[[Callable
             made = numba.njit(cache=True, **options)(function)
             # numba looks at the source of this one function's module only, but what it calls may lie beside it
             kept: Any = made._cache._cache_file
-            kept._source_stamp = kept._source_stamp, _sources(Path(function.__code__.co_filename).parent)
+            kept._source_stamp = kept._source_stamp, _sources(Path(function.__code__.co_filename))
         except RuntimeError:
             when = "in every process, for there is no folder to keep it in (see lmpchain doctor)"
             made = numba.njit(**options)(function)

@@ -19,6 +19,7 @@ HEAVY = {
 }
 TOY = """
 from lmpchain.util.compilation import compiled_once
+from .beside import called
 
 @compiled_once("the toys", 1, error_model="numpy")
 def half(x):
@@ -32,7 +33,7 @@ def twice(x):
 def square(x):
     return twice(x) * half(x)
 """
-PLAY = "import toy; print(toy.half(3), toy.half(3.0), toy.square(4))"
+PLAY = "from toys import toy; print(toy.half(3), toy.half(3.0), toy.square(4))"
 TOYS = "compiling the toys, once for this machine: about 1 s\n"
 OTHERS = "compiling the others, once for this machine: about 3 s\n"
 
@@ -102,26 +103,30 @@ def play(folder: Path, **environment: str) -> str:
 
 @pytest.fixture
 def toy(tmp_path: Path) -> Path:
-    (tmp_path / "toy.py").write_text(TOY)
+    (tmp_path / "toys").mkdir()
+    for name, text in {"__init__": "", "toy": TOY, "beside": "called = 1\n"}.items():
+        (tmp_path / "toys" / f"{name}.py").write_text(text)
     return tmp_path
 
 
 def test_compiling_is_announced_once_for_a_machine(toy: Path):
     assert play(toy) == TOYS + OTHERS
     assert play(toy) == ""
-    (toy / "toy.py").write_text(TOY.replace("x / 2", "x * 0.5"))
+    (toy / "toys" / "toy.py").write_text(TOY.replace("x / 2", "x * 0.5"))
     assert play(toy) == TOYS + OTHERS
 
 
-def test_what_is_kept_is_renewed_when_a_module_beside_it_changes(toy: Path):
+def test_what_is_kept_is_renewed_when_a_module_that_it_imports_changes(toy: Path):
     """Compiled loops hold what they call; numba alone would not notice that it has changed."""
     play(toy)
-    (toy / "beside.py").write_text("def called(): ...")
+    (toy / "toys" / "another.py").write_text("called = 2\n")
+    assert play(toy) == ""
+    (toy / "toys" / "beside.py").write_text("called = 2\n")
     assert play(toy) == TOYS + OTHERS
 
 
 def test_the_package_may_lie_where_nobody_writes(toy: Path):
-    (toy / "__pycache__").write_text("a file where numba would make its folder")
+    (toy / "toys" / "__pycache__").write_text("a file where numba would make its folder")
     assert play(toy, HOME=str(toy), XDG_CACHE_HOME=str(toy / "cache")) == TOYS + OTHERS
     assert play(toy, HOME=str(toy), XDG_CACHE_HOME=str(toy / "cache")) == ""
     assert play(toy, NUMBA_CACHE_DIR=str(toy / "own")) == TOYS + OTHERS
@@ -129,7 +134,7 @@ def test_the_package_may_lie_where_nobody_writes(toy: Path):
 
 
 def test_without_a_folder_to_keep_it_every_process_compiles(toy: Path):
-    (toy / "__pycache__").write_text("a file")
+    (toy / "toys" / "__pycache__").write_text("a file")
     (toy / "home").write_text("another")
     for _ in range(2):
         nowhere = str(toy / "home")

@@ -16,12 +16,12 @@ from numba import boolean, float64, int64, types
 from numpy.typing import NDArray
 
 from lmpchain import Chain, Profile, Scene
-from lmpchain.integrators.batch import Chains, series, weakest
+from lmpchain.integrators.batch import ChainBatch, series, weakest
 from lmpchain.integrators.kernels import contact_forces as forces
 from lmpchain.integrators.kernels import splitting as kernels
 from lmpchain.integrators.kernels.contact_forces import CORRECTED, LOOSE_POWER, POLYNOMIAL, POWER, ROOTS, SPRING
 from lmpchain.integrators.methods import METHODS
-from lmpchain.integrators.step_schedule import Pace
+from lmpchain.integrators.step_schedule import StepSchedule
 from lmpchain.integrators.stepper import NativeStepper
 
 Array = NDArray[np.float64]
@@ -128,7 +128,9 @@ def untiled() -> Any:
 
     names["_sweep"] = forces.compiled(again(kernels._sweep))
     made = numba.njit(nogil=True, error_model="numpy", fastmath=forces.STRICT)(again(kernels.march))
-    NativeStepper(Chains([smooth()]), METHODS["verlet"], Pace(1, 1, 1e-6, False), {})  # now it is known what it takes
+    NativeStepper(
+        ChainBatch([smooth()]), METHODS["verlet"], StepSchedule(1, 1, 1e-6, False), {}
+    )  # now it is known what it takes
     made.compile(kernels.march.signatures[0])
     return made
 
@@ -141,7 +143,9 @@ def test_tiles_leave_no_trace(untiled: Any, monkeypatch: pytest.MonkeyPatch):
     scene = Scene(chain=chain, excitation=Profile(velocity=velocity), duration=1e-5, samples=3)
 
     def run() -> tuple[Array, Array]:
-        stepper = NativeStepper(Chains([scene], "exact"), METHODS["rkn4"], Pace(15, 1, scene.duration / 30, False), {})
+        stepper = NativeStepper(
+            ChainBatch([scene], "exact"), METHODS["rkn4"], StepSchedule(15, 1, scene.duration / 30, False), {}
+        )
         u, v = np.zeros((2, 1, 3, chain.grains))
         assert stepper.fill(u, v, 0, 2, 2**30) == 30
         return u, v

@@ -33,7 +33,7 @@ def test_a_restart_goes_on_with_the_same_bits(integrator: str, monkeypatch: pyte
     scene = paper("fig1", samples=21)
     engine = engines.Native(integrator=integrator)
     candidate = engine.candidate(scene, 1e-9)
-    assert candidate.graded
+    assert candidate.adaptive
     whole = engine.start([scene], candidate)
     truth = np.concatenate([block.velocity for block in whole.blocks()], axis=1)
     monkeypatch.setattr(lockstep, "BLOCK_BYTES", 1)  # four samples a block

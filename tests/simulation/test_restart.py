@@ -88,7 +88,7 @@ def test_killed_at_random(case: str, times: int, tmp_path: Path):
 DRIVEN = Scene(chain=CHAIN, excitation=Drive(amplitude=1e-8, frequency=2e4), duration=3e-4, samples=301)
 STOPPED = {
     "native": (SCENE, engines.Native(step=2e-8), 1e-6),
-    "several attempts": (SHORT, engines.Native(graded=False), 1e-4),
+    "several attempts": (SHORT, engines.Native(adaptive=False), 1e-4),
     "verlet": (SHORT, engines.Native(integrator="verlet", step=1e-9), 1e-6),
     "driven": (DRIVEN, engines.Native(step=2e-9), 1e-6),
     "lammps": (BRIEF, engines.Lammps(integrator="kahan-li6", step=1e-7, diameter="physical"), 1e-6),
@@ -138,7 +138,7 @@ def test_stopped_after_every_block(case: str, tmp_path: Path):
 
 def test_the_attempt_goes_on(tmp_path: Path):
     """A later attempt, at a shorter step, is the one that is gone on with; the time is that of all sessions."""
-    at, engine, said = tmp_path / "run", engines.Native(graded=False), []
+    at, engine, said = tmp_path / "run", engines.Native(adaptive=False), []
     for again in itertools.count():
         try:
             if again == 0:

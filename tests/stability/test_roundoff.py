@@ -10,7 +10,7 @@ from helpers.scenes import random_scene
 from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Scene, ToleranceNotMet, simulate
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines import Lammps, Native
-from lmpchain.engines.perturbation import nearby
+from lmpchain.engines.perturbation import perturbed
 from lmpchain.engines.step_control import first_attempt, pursue, until_tolerance
 from lmpchain.errors import RunFailed
 from lmpchain.stability.predictability import growth, growth_rate, horizon, predicted_horizon, reflection_time
@@ -140,7 +140,7 @@ def crossing(times, apart, value):
 
 
 def apart_in_long_double(scene, change):
-    first, second = reference(scene), reference(nearby(scene, change))
+    first, second = reference(scene), reference(perturbed(scene, change))
     pairs = [(first.displacement, second.displacement), (first.velocity, second.velocity)]
     return np.max([np.abs(y - x).max(1) / np.abs(x).max() for x, y in pairs], axis=0)
 

@@ -245,19 +245,19 @@ def test_steps_of_one_length_fall_to_the_order_of_the_opening(integrator: str, e
 
 
 @pytest.mark.parametrize("integrator", ["rkn4", "kahan-li6"])
-def test_graded_steps_keep_the_order(integrator: str) -> None:
+def test_adaptive_steps_keep_the_order(integrator: str) -> None:
     scene, truth, own = opening(1.5)
     counts = np.array([100, 140, 200, 280, 400, 560, 800])
-    errors = errors_through_openings(scene, integrator, counts, truth, graded=True, runs=1)
+    errors = errors_through_openings(scene, integrator, counts, truth, adaptive=True, runs=1)
     assert errors.min() > 3 * own
     assert slope(counts, errors) == pytest.approx(METHODS[integrator].order, abs=0.05)
 
 
 @pytest.mark.parametrize("integrator", ["rkn6", "kahan-li8", "dop853"])
-def test_graded_steps_are_of_order_6_or_better(integrator: str) -> None:
+def test_adaptive_steps_are_of_order_6_or_better(integrator: str) -> None:
     """What openings leave dominates here, and falls with the seventh power or so until round-off is reached."""
     scene, truth, own = opening(1.5)
     counts = np.array([70, 100, 140, 200])
-    errors = errors_through_openings(scene, integrator, counts, truth, graded=True, runs=20)
+    errors = errors_through_openings(scene, integrator, counts, truth, adaptive=True, runs=20)
     assert errors.min() > 10 * own
     assert slope(counts, errors) > 6

@@ -14,32 +14,32 @@ from typing import Any, Protocol
 
 from ...errors import EngineUnavailable, RunFailed
 from ...util import mpi
-from .worker import Rank
+from .worker import Worker
 
 PATIENCE_S = 2e-3  # how long a follower waits at full speed before it dozes
 DOZE_S = 5e-4
 SIGNALS = {signal.SIGINT, signal.SIGTERM}
 
 
-class Team(Protocol):
+class Communicator(Protocol):
     """Ranks that do what they are asked to, all of them at once."""
 
     ranks: int
 
     def ask(self, name: str, *values: Any) -> list[Any]:
-        """Let every rank call this method of its `Rank` and return what they answered."""
+        """Let every rank call this method of its `Worker` and return what they answered."""
 
     def close(self) -> None:
         """End the LAMMPS instances."""
 
 
-class Alone:
+class Serial:
     """This process."""
 
     ranks = 1
 
     def __init__(self, log: str):
-        self._rank = Rank(mpi.alone(), log)
+        self._rank = Worker(mpi.alone(), log)
 
     def ask(self, name: str, *values: Any) -> list[Any]:
         """Do it."""
@@ -53,17 +53,17 @@ class Alone:
         self._rank.close()
 
 
-class Led:
+class MpiRanks:
     """All processes of an MPI world, led by rank 0."""
 
     def __init__(self, world: Any, log: str):
         self._world, self.ranks = world, world.size
-        self._held: list[Rank] = []
+        self._held: list[Worker] = []
         self.ask("open", log)
 
     def ask(self, name: str, *values: Any) -> list[Any]:
         """Let every rank do it; none is left behind by a signal."""
-        with undisturbed():
+        with signals_blocked():
             for rank in range(1, self.ranks):
                 self._world.send((name, values), rank)
             answers = self._world.gather(_obey(self._world, self._held, name, values))
@@ -78,33 +78,33 @@ class Led:
         self.ask("close")
 
 
-def follow(world: Any) -> None:
+def worker_loop(world: Any) -> None:
     """Do what rank 0 asks for until it says that that was all."""
     for number in SIGNALS:  # rank 0 takes them, and ends the others
         signal.signal(number, signal.SIG_IGN)
-    held: list[Rank] = []
+    held: list[Worker] = []
     while True:
         waited = time.perf_counter()
         while not world.iprobe(source=0):
             if time.perf_counter() - waited > PATIENCE_S:
                 time.sleep(DOZE_S)
         name, values = world.recv(source=0)
-        if name == "dismiss":
+        if name == "shutdown_workers":
             return
         world.gather(_obey(world, held, name, values))
 
 
-def dismiss(world: Any) -> None:
+def shutdown_workers(world: Any) -> None:
     """Tell the followers that that was all."""
     for rank in range(1, world.size):
-        world.send(("dismiss", ()), rank)
+        world.send(("shutdown_workers", ()), rank)
 
 
-def _obey(world: Any, held: list[Rank], name: str, values: tuple[Any, ...]) -> Any:
+def _obey(world: Any, held: list[Worker], name: str, values: tuple[Any, ...]) -> Any:
     """Do on this rank what all are asked to; an error that not all ranks share ends them all, or they would wait."""
     try:
         if name == "open":
-            held[:] = [Rank(world, *values)]
+            held[:] = [Worker(world, *values)]
             return None
         if name == "close":
             return held.pop().close() if held else None
@@ -116,7 +116,7 @@ def _obey(world: Any, held: list[Rank], name: str, values: tuple[Any, ...]) -> A
 
 
 @contextmanager
-def undisturbed() -> Iterator[None]:
+def signals_blocked() -> Iterator[None]:
     """Let signals wait, so that Ctrl-C does not come while some ranks know what to do and others do not."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:

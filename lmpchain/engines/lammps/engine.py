@@ -14,12 +14,12 @@ import numpy as np
 from ...errors import InputError, ToleranceNotMet
 from ...integrators.methods import Method
 from ...integrators.splittings import SPLITTINGS
-from ...integrators.step_schedule import Pace
+from ...integrators.step_schedule import StepSchedule
 from ...scene.scene import Scene
 from ...util.arrays import Array
 from ...util.files import make_folder
 from ..base import Candidate, Run, SolverError
-from ..error_estimate import LockstepRun
+from ..error_estimate import CompanionRun
 from ..native import Native
 from ..step_control import until_tolerance
 from ..time_stepping import SteppedEngine
@@ -137,7 +137,7 @@ class Lammps(SteppedEngine):
             if self.diameter == "physical" or (self.diameter == "gauge" and not scene.drive):  # nothing to find out
                 drawn = gauge_diameter(scene) if self.diameter == "gauge" else 0.0
                 return replace(given, solver_error=math.nan, choices=_choices(drawn, "as asked"))
-        trial = until_tolerance(Native(self.splitting.name, self.step, graded=False), scene, tolerance / 2, _reached)
+        trial = until_tolerance(Native(self.splitting.name, self.step, adaptive=False), scene, tolerance / 2, _reached)
         if trial.missed:
             raise ToleranceNotMet(f"even without round-off in heights, {trial.missed}")
         peaks, closest = trial.collected
@@ -184,7 +184,7 @@ class Lammps(SteppedEngine):
         return super().refine(candidate, error, tolerance)
 
     def stepper(
-        self, scenes: Sequence[Scene], candidate: Candidate, pace: Pace, state: Mapping[str, Array]
+        self, scenes: Sequence[Scene], candidate: Candidate, schedule: StepSchedule, state: Mapping[str, Array]
     ) -> LammpsStepper:
         """Make the stepper of the answer."""
         (scene,) = scenes  # one instance, one chain
@@ -195,7 +195,9 @@ class Lammps(SteppedEngine):
         team = gather(self.ranks, log)
         if self.log:
             team.ask("commands", f'log "{word(self.log)}" append')
-        stepper = LammpsStepper(column, self.splitting, pace.step, state, team, every=pace.steps, keep=self.keep)
+        stepper = LammpsStepper(
+            column, self.splitting, schedule.step, state, team, every=schedule.steps, keep=self.keep
+        )
         if self.log and self.splitting.order > 2:
             team.ask("commands", "log none")
         return stepper
@@ -226,7 +228,7 @@ class Lammps(SteppedEngine):
 
 def _reached(run: Run) -> tuple[Array, float]:
     """Run through; return the largest displacement and velocity, m and m/s, and the closest approach, m."""
-    assert isinstance(run, LockstepRun)
+    assert isinstance(run, CompanionRun)
     for _ in run.blocks():
         pass
     return run.peaks[0], float(run.closest[0])

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from ...errors import InputError
 from ...util import mpi
-from .communicators import Alone, Led, Team
-from .subprocess_ranks import Crew
+from .communicators import Communicator, MpiRanks, Serial
+from .subprocess_ranks import SubprocessRanks
 
 
-def gather(ranks: int | None, log: str) -> Team:
+def gather(ranks: int | None, log: str) -> Communicator:
     """Return the ranks that were asked for: by default those of a surrounding mpirun, or this process alone.
 
     Raises
@@ -22,7 +22,7 @@ def gather(ranks: int | None, log: str) -> Team:
     if mpi.launched() > 1 and ranks not in (None, 1 if world is None else world.size):
         raise InputError([("ranks", f"mpirun has started {mpi.launched()} processes; leave the number of ranks out")])
     if world:
-        return Led(world, log)
+        return MpiRanks(world, log)
     if ranks is None or ranks == 1:
-        return Alone(log)
-    return Crew(ranks, log)
+        return Serial(log)
+    return SubprocessRanks(ranks, log)

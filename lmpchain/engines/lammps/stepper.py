@@ -13,8 +13,8 @@ from ...integrators.splittings import Splitting
 from ...util.arrays import Array
 from . import deck, drive
 from .column import Column
-from .communicators import Team
-from .worker import Recipe, Share
+from .communicators import Communicator
+from .worker import LocalState, StepPlan
 
 
 class LammpsStepper:
@@ -28,7 +28,7 @@ class LammpsStepper:
         s.
     state : mapping
         Empty, or what `state` returned.
-    team : Team
+    team : Communicator
         The ranks; closed with the stepper.
     every : int
         Steps from one sample to the next.
@@ -44,7 +44,7 @@ class LammpsStepper:
         splitting: Splitting,
         step: float,
         state: Mapping[str, Array],
-        team: Team,
+        team: Communicator,
         *,
         every: int,
         keep: Path | None = None,
@@ -54,7 +54,7 @@ class LammpsStepper:
         scene = column.scene
         first, last = column.mobile
         pieces = tuple(drive.pieces(scene.drive, scene.duration))
-        recipe = Recipe(
+        recipe = StepPlan(
             scene.chain.grains, first - 1, last, splitting, step, self._done, scene.drive, pieces, column.heights[0]
         )
         try:
@@ -94,7 +94,7 @@ class LammpsStepper:
         """Steps made, (1,)."""
         return np.array([self._done])
 
-    def _take(self, shares: list[Share]) -> None:
+    def _take(self, shares: list[LocalState]) -> None:
         """Put the shares of the ranks together, and check what LAMMPS itself does not check here."""
         self._z, self._vz = (shares[0].z, shares[0].vz) if len(shares) == 1 else _together(shares)
         overlap_limit = 0.5 * self._column.diameters[1:]
@@ -123,7 +123,7 @@ class LammpsStepper:
         self._team.close()
 
 
-def _together(shares: list[Share]) -> tuple[Array, Array]:
+def _together(shares: list[LocalState]) -> tuple[Array, Array]:
     """Return heights and velocities of all grains, from the top."""
     ordered = sorted((share for share in shares if share.z.size), key=lambda share: share.start)
     return np.concatenate([share.z for share in ordered]), np.concatenate([share.vz for share in ordered])

@@ -16,12 +16,12 @@ from typing import Any
 
 from ...errors import EngineUnavailable, LmpchainError, RunFailed
 from ...util import mpi
-from .communicators import SIGNALS, Led, dismiss, follow
+from .communicators import SIGNALS, MpiRanks, shutdown_workers, worker_loop
 
 START_S = 60.0  # longest time for the ranks to report
 
 
-class Crew:
+class SubprocessRanks:
     """Ranks in processes of their own.
 
     Attributes
@@ -122,7 +122,7 @@ def serve(address: str) -> None:
     world = mpi.library().COMM_WORLD
     pids = world.gather(os.getpid())
     if world.rank > 0:
-        follow(world)
+        worker_loop(world)
         return
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
@@ -130,7 +130,7 @@ def serve(address: str) -> None:
         end.connect(address)
         line = Connection(end.detach())
     line.send(pids)
-    team: Led | None = None
+    team: MpiRanks | None = None
     while True:
         try:
             name, values = line.recv()
@@ -138,7 +138,7 @@ def serve(address: str) -> None:
             break
         try:
             if name == "open":
-                team = Led(world, *values)
+                team = MpiRanks(world, *values)
                 answer: Any = None
             else:
                 assert team
@@ -148,7 +148,7 @@ def serve(address: str) -> None:
         line.send(answer)
     if team:
         team.close()
-    dismiss(world)
+    shutdown_workers(world)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from .library import open_lammps
 
 
 @dataclass(frozen=True)
-class Recipe:
+class StepPlan:
     """How to move a column forward.
 
     Attributes
@@ -46,7 +46,7 @@ class Recipe:
     rest: float
 
 
-class Share(NamedTuple):
+class LocalState(NamedTuple):
     """What one rank holds: grains from `start`, counted from 0, and whether they are still on the axis."""
 
     start: int
@@ -55,7 +55,7 @@ class Share(NamedTuple):
     straight: bool
 
 
-class Rank:
+class Worker:
     """A LAMMPS instance that shares a column with those of the other ranks.
 
     Parameters
@@ -73,7 +73,7 @@ class Rank:
         """Execute commands."""
         self._lammps.commands_string(text)
 
-    def begin(self, recipe: Recipe, kept: tuple[Array, Array] | None) -> Share:
+    def begin(self, recipe: StepPlan, kept: tuple[Array, Array] | None) -> LocalState:
         """Put kept heights and velocities in place, compute the first forces, and keep views of the arrays."""
         self._recipe, self._done, self._piece = recipe, recipe.done, 0
         arrays, here = self._lammps.numpy, self._lammps.extract_global("nlocal")
@@ -94,7 +94,7 @@ class Rank:
         self._kick = np.empty_like(self._inverse_mass)
         return self._share()
 
-    def advance(self, steps: int) -> Share:
+    def advance(self, steps: int) -> LocalState:
         """Move forward by `steps` steps."""
         splitting = self._recipe.splitting
         if splitting.order == 2:
@@ -146,8 +146,8 @@ class Rank:
             self.commands("\n".join(self._recipe.pieces[index][1]))
             self._piece = index
 
-    def _share(self) -> Share:
-        return Share(self._start, self._x[:, 2], self._v[:, 2], not self._x[:, :2].any())
+    def _share(self) -> LocalState:
+        return LocalState(self._start, self._x[:, 2], self._v[:, 2], not self._x[:, :2].any())
 
     def close(self) -> None:
         """End the instance."""

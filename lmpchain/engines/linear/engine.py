@@ -19,7 +19,7 @@ from ...trajectory.record import Block, Cost
 from ...util.arrays import Array
 from ..base import Candidate, Engine, Run, SolverError
 from ..cost_model import seconds
-from .model_error import EVENLY, Nonlinearity, bounds, dense, looks
+from .model_error import EVENLY, PhaseError, bounds, dense, looks
 
 EPSILON = float(np.finfo(float).eps)
 BLOCK = 16  # samples a block, if so many fit
@@ -64,7 +64,7 @@ class LinearEngine(Engine):
     def look(self, scene: Scene, candidate: Candidate) -> Candidate:
         """Follow the linear solution from look to look, without samples."""
         part, _, _ = near(scene, candidate)
-        times, found = np.append(looks(part), part.duration), Nonlinearity(part)
+        times, found = np.append(looks(part), part.duration), PhaseError(part)
         for _ in _followed(self.solve(part, {}), found, times, np.ones(times.size, bool), part.chain.grains):
             pass
         return replace(candidate, model_error=found.at_most, look_s=math.inf)
@@ -160,7 +160,7 @@ class Solution(Protocol):
 
 
 def _followed(
-    solution: Solution, found: Nonlinearity, times: Array, recorded: NDArray[np.bool_], grains: int
+    solution: Solution, found: PhaseError, times: Array, recorded: NDArray[np.bool_], grains: int
 ) -> Iterator[tuple[slice, Array, Array]]:
     """Look at a solution at all times, and yield it for as many of them at once as there is room for."""
     size = max(1, BLOCK_VALUES // grains)
@@ -190,7 +190,7 @@ class LinearRun(Run):
             raise ValueError("a batch needs chains of one length, recorded alike")
         self._engine, self._scene = engine, scenes[0]
         self._sample = int(state.get("sample", 0))
-        self._nonlinearity = [Nonlinearity(scene, state.get(f"{i}.seen")) for i, scene in enumerate(scenes)]
+        self._nonlinearity = [PhaseError(scene, state.get(f"{i}.seen")) for i, scene in enumerate(scenes)]
         self._solutions = [
             engine.solve(scene, {key: state[f"{i}.{key}"] for key in ("u", "v", "time") if f"{i}.{key}" in state})
             for i, scene in enumerate(scenes)

@@ -25,7 +25,7 @@ COLUMN, STEEPEST = 0.272, 2.2  # the error over (delta - 1) v0* of a column stru
 UNLUCKY = 16.0  # over the number of samples: how much smaller than between them the wave may be in all of them
 
 
-class Nonlinearity:
+class PhaseError:
     """What the linear solution of a scene has come to, seen from time to time.
 
     Parameters
@@ -106,7 +106,7 @@ class Nonlinearity:
 
 @compiled_once("the check for what is not linear", 3)
 def _look(times, recorded, us, vs, reach, inverse_overlap, stiffness, inverse_mass, faster, memory):
-    """Go through the solution (T, N) and note what there is to remember: see `Nonlinearity`."""
+    """Go through the solution (T, N) and note what there is to remember: see `PhaseError`."""
     for i in range(times.size):
         first, last = reach[i]
         u, v = us[i, first:last], vs[i, first:last]

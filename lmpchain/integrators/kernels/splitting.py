@@ -252,9 +252,9 @@ def _pace(y, rates, bends, inverse_length, weight, base, loose, omega, nearest):
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy", fastmath=STRICT)
-def march_graded(
+def march_adaptive(
     x, v, memo, table, loose, scale, forms, base, shape, drive, knots, pieces,
-    kicks, drifts, clock, tempo, weight, u_out, v_out, offset, until, most,
+    kicks, drifts, clock, adaptivity, weight, u_out, v_out, offset, until, most,
 ):  # fmt: skip
     """Advance as `march` does, by steps that shorten where a contact is about to open or has just closed.
 
@@ -263,14 +263,14 @@ def march_graded(
 
     Parameters
     ----------
-    clock : (5,) array, sample interval in s, step in s, samples between two landings, last sample, length of the graded
-        steps
-    tempo : (R, 2) array, highest frequency in rad/s, and the largest 1 / (distance x frequency) that is told apart
+    clock : (5,) array, sample interval in s, step in s, samples between two landings, last sample, length of
+        adaptive steps
+    adaptivity : (R, 2) array, highest frequency in rad/s, and the largest 1 / (distance x frequency) that is told apart
     weight : (R, W) array, for each contact: square of the acceleration that it gives, over what changes the motion
     """
     stages, driven = drifts.size, drive.shape[0] > 0
     interval, longest, stride, final = clock[0], clock[1], int(clock[2]), int(clock[3])
-    graded = clock[4]
+    adaptive = clock[4]
     kick, drift, carried = kicks[1:stages] * 0.0, drifts[1:] * 0.0, drifts[1:] * 0.0
     path = np.zeros(stages - 1 if driven else 0)
     force, pull = np.zeros(x.shape[1]), np.zeros(x.shape[1])
@@ -314,9 +314,9 @@ def march_graded(
                 left = min(left, ahead(t, now + whole, drive[real], knots[real], 1e-9 * longest))
             closeness = _pace(
                 y[bodies], w[bodies], pull[bodies], tab[0, near], weight[real, near], base,
-                loose[real] if first == PAD else 0.0, tempo[real, 0], tempo[real, 1],
+                loose[real] if first == PAD else 0.0, adaptivity[real, 0], adaptivity[real, 1],
             )  # fmt: skip
-            h = longest * min(1.0, graded * closeness ** (-1 / 14)) if closeness > 0.0 else longest
+            h = longest * min(1.0, adaptive * closeness ** (-1 / 14)) if closeness > 0.0 else longest
             steps = max(1, math.ceil(left / h - 1e-9))
             h = left / steps
             if driven:

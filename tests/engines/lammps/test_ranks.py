@@ -14,7 +14,7 @@ import pytest
 from lmpchain import Chain, Drive, EngineUnavailable, Impulse, InputError, RunFailed, Scene, Trajectory, simulate
 from lmpchain.engines import Lammps
 from lmpchain.engines.lammps import engine as lammps_engine
-from lmpchain.engines.lammps.subprocess_ranks import Crew
+from lmpchain.engines.lammps.subprocess_ranks import SubprocessRanks
 from lmpchain.util import mpi
 
 MPIEXEC = mpi.launcher()
@@ -161,7 +161,7 @@ def test_a_killed_rank_ends_the_run_with_a_message(monkeypatch):
     crews = []
 
     def gather(*arguments):
-        crews.append(Crew(*arguments))
+        crews.append(SubprocessRanks(*arguments))
         threading.Timer(0.5, os.kill, (crews[0].pids[1], signal.SIGKILL)).start()
         return crews[0]
 
@@ -224,12 +224,13 @@ def test_an_error_on_one_rank_ends_all_with_its_message(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
         "import sys\n"
-        "from lmpchain import cli, mpi\n"
-        "from lmpchain.engines.lammps.worker import Rank\n"
+        "from lmpchain import cli\n"
+            "from lmpchain.util import mpi\n"
+        "from lmpchain.engines.lammps.worker import Worker\n"
         "def fail(*_):\n"
         "    raise FloatingPointError('the third digit of pi')\n"
         "if mpi.library().COMM_WORLD.rank == 1:\n"
-        "    Rank._split = fail\n"
+        "    Worker._split = fail\n"
         f"sys.exit(cli.main(['run', {str(tmp_path / 'scene.toml')!r}, '--engine', 'lammps']))\n"
     )
     MIDDLE.to_toml(tmp_path / "scene.toml")
@@ -239,7 +240,7 @@ def test_an_error_on_one_rank_ends_all_with_its_message(tmp_path):
 
 
 def test_lammps_errors_are_those_of_one_rank():
-    crew = Crew(2, "none")
+    crew = SubprocessRanks(2, "none")
     try:
         with pytest.raises(RunFailed, match="Unknown command: nonsense"):
             crew.ask("commands", "nonsense")

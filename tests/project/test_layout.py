@@ -1,0 +1,83 @@
+"""The shape of the package: arrows between modules run one way, and no module is too long to read."""
+
+import ast
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[2] / "lmpchain"
+# each room imports from itself and those before it, never from one that comes later
+ROOMS = [
+    "errors",
+    "util",
+    "chain",
+    "scene",
+    "theory",
+    "integrators",
+    "trajectory",
+    "engines",
+    "simulation",
+    "disorder",
+    "measure",
+    "benchmark",
+    "stability",
+    "sweeps",
+    "report",
+    "doctor",
+    "cli",
+]
+LONGEST = 350  # lines
+
+
+def name_of(path: Path) -> str:
+    """Return the dotted name of a module."""
+    parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+MODULES = {name_of(path): path for path in sorted(PACKAGE.rglob("*.py"))}
+
+
+def imported(path: Path) -> set[str]:
+    """Return the modules of ours that a module imports, wherever in it and be it for types only."""
+    name = name_of(path)
+    package = name if path.name == "__init__.py" else name.rpartition(".")[0]
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            above = package.split(".")[: len(package.split(".")) + 1 - node.level] if node.level else []
+            base = ".".join([*above, *([node.module] if node.module else [])])
+            found |= {f"{base}.{alias.name}" if f"{base}.{alias.name}" in MODULES else base for alias in node.names}
+    return {module for module in found if module in MODULES} - {name}
+
+
+ARROWS = {name: imported(path) for name, path in MODULES.items()}
+
+
+def room(module: str) -> str:
+    return module.split(".")[1]
+
+
+def test_there_is_no_circle_of_imports():
+    try:
+        TopologicalSorter(ARROWS).prepare()
+    except CycleError as error:
+        pytest.fail(" imports ".join(reversed(error.args[1])))
+
+
+def test_every_room_has_its_place():
+    assert {room(module) for module in MODULES if module != "lmpchain"} == set(ROOMS)
+
+
+@pytest.mark.parametrize("module", sorted(MODULES.keys() - {"lmpchain"}))
+def test_arrows_run_down(module: str):
+    own = ROOMS.index(room(module))
+    assert not {other for other in ARROWS[module] if other == "lmpchain" or ROOMS.index(room(other)) > own}
+
+
+def test_modules_are_short():
+    lengths = {name: len(path.read_text(encoding="utf-8").splitlines()) for name, path in MODULES.items()}
+    assert not {name: length for name, length in lengths.items() if length >= LONGEST}
