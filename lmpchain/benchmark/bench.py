@@ -15,7 +15,6 @@ import numpy as np
 
 from .. import engines
 from ..engines.base import Engine
-from ..engines.time_stepping import SteppedEngine
 from ..errors import EngineUnavailable, InputError, RunFailed, ToleranceNotMet
 from ..integrators.methods import METHODS
 from ..scene.scene import Scene
@@ -216,14 +215,14 @@ def _ways(scene: Scene, budget_s: float) -> tuple[list[Way], list[str]]:
     """Return all ways to answer, with LAMMPS, the slowest, at the end; and why some engines have none."""
     ways: list[Way] = []
     refusals = []
-    for name in sorted(engines.names(), key="lammps".__eq__):
-        engine = engines.get(name)
-        if reasons := engine.refuses(scene):
+    for engine in sorted(map(engines.get, engines.names()), key=lambda engine: engine.on_request):
+        name = engine.name
+        if reasons := engine.refuses(engine.part(scene)):
             refusals.append(f"{name}: {reasons[0][1]}")
-        elif isinstance(engine, SteppedEngine):
+        elif engine.integrators:
             kinds = [kind for kind in METHODS if kind in engine.integrators]
             ways += [(name, kind, partial(Bench.over_steps, name=name, integrator=kind)) for kind in kinds]
-        elif (cost := engine.candidate(scene, LOOSEST).cost_s) > budget_s / 10:
+        elif (cost := engine.candidate(engine.part(scene), LOOSEST).cost_s) > budget_s / 10:
             refusals.append(f"{name}: a run would take about {cost:.2g} s; give more time")
         else:
             ways.append((name, "", partial(Bench.once, name=name)))

@@ -33,7 +33,7 @@ def plan(arguments: argparse.Namespace) -> int:
 
 
 def _calibrate() -> None:
-    from ..engines.cost_model import cache_file, speeds
+    from ..engines.cost_model import cache_file, measured
     from ..simulation.calibration import calibrate
 
     try:
@@ -41,5 +41,5 @@ def _calibrate() -> None:
     except OSError as error:
         raise LmpchainError(f"{cache_file()}: cannot be written: {error.strerror or error}") from None
     print(f"measured in {took:.2g} s how fast the engines are here: {path}")
-    for name, (start, slowness) in speeds().items():
+    for name, (start, slowness) in measured().items():
         print(f"{name:<10} {1e3 * start:8.3g} ms for every answer, the rest {slowness:.2g} times the shipped times")

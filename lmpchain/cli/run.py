@@ -16,42 +16,42 @@ from ..util import mpi
 from .common import beside, complain, gather, output, read
 
 if TYPE_CHECKING:
-    from ..engines.base import Engine
+    from ..simulation.policy import Policy
     from ..trajectory.trajectory import Trajectory
 
 TO_BE_RESUMED = 75  # exit code after --max-wall: EX_TEMPFAIL of sysexits.h, "try again later"
 
 
-def _engine(arguments: argparse.Namespace) -> Engine:
-    """Return the engine with the options given for it."""
-    from .. import engines
+def _policy(arguments: argparse.Namespace) -> Policy:
+    """Return which engine answers, with the options given for it."""
+    from ..simulation.policy import policy_for
 
     given = {key: getattr(arguments, key) for key in ("integrator", "step", "diameter", "ranks", "template", "include")}
-    return engines.get(arguments.engine, **{key: value for key, value in given.items() if value is not None})
+    return policy_for(arguments.engine, **{key: value for key, value in given.items() if value is not None})
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Answer a scene and save the trajectory, in a file or in a run folder."""
     name = arguments.output or beside(arguments.scene, ".nc")
     whole = run_folder(arguments) is not None
-    scene, path, engine, _ = gather(
+    scene, path, policy, _ = gather(
         lambda: read(arguments.scene),
         lambda: _new_folder(name) if whole else arguments.output and output(name, arguments.scene),
-        lambda: _engine(arguments),
+        lambda: _policy(arguments),
         lambda: check_tolerance(arguments.tolerance),
     )
     path = path or output(name, arguments.scene)
     from ..simulation.api import simulate
     from ..stability.pre_run import caveats
 
-    for caveat in caveats(scene, engine, arguments.tolerance):
+    for caveat in caveats(scene, policy.chosen, arguments.tolerance):
         warnings.warn(caveat, stacklevel=1)
-    if mpi.joined() and engine.name != "lammps":
-        warnings.warn(f"the engine {engine.name} runs on one rank; --engine lammps would use them all", stacklevel=1)
+    if mpi.joined() and not (policy.chosen and policy.chosen.ranks_of_mpi):
+        warnings.warn(f"the engine {policy.name} runs on one rank; --engine lammps would use them all", stacklevel=1)
     return _told(
         lambda: simulate(
             scene,
-            engine,
+            policy.chosen or policy.name,
             arguments.tolerance,
             progress=sys.stderr.isatty(),
             folder=path if whole else None,

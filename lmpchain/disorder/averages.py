@@ -11,8 +11,9 @@ import numpy as np
 
 from .. import engines
 from ..chain.chain import LARGEST_OVERLAP, Chain
-from ..engines.base import Candidate, Engine, Run
-from ..errors import InputError, RunFailed, ToleranceNotMet, check_tolerance
+from ..engines.base import Engine, Run
+from ..engines.step_control import Attempt, solve_to_tolerance
+from ..errors import InputError, ToleranceNotMet, check_tolerance
 from ..scene.scene import Scene
 from ..simulation.api import simulate
 from ..util.arrays import Array
@@ -23,9 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["Ensemble", "at_the_end", "disordered", "ensemble", "factors", "realisation"]
-ENGINES = ("chebyshev", "modes", "native")
 BATCH, BATCH_VALUES = 16, 2**24  # chains at a time, and the numbers that a block of them may hold
-ATTEMPTS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,8 +154,9 @@ def ensemble(
     check_tolerance(tolerance)
     check(fault_of_whole("realisations", realisations, 1))
     chosen = engines.get(engine)
-    if chosen.name not in ENGINES:
-        raise InputError([("engine", f"random chains are for {', '.join(ENGINES)} (got {chosen.name!r})")])
+    if not chosen.batches:
+        able = ", ".join(name for name in engines.names() if engines.get(name).batches)
+        raise InputError([("engine", f"random chains are for {able} (got {chosen.name!r})")])
     if reasons := chosen.refuses(realisation(scene, m, seed, 0, law, of)):
         raise InputError(reasons)
     average = _Average(*np.zeros((2, 2, scene.samples, scene.recorded.size)))
@@ -164,7 +164,7 @@ def ensemble(
     with _bar(realisations, f"m = {m:g}", progress) as bar:
         while average.count < realisations:
             wanted = min(batch, realisations - average.count)
-            # a step is found for a whole batch, so that what a chain gets does not depend on where the series ends
+            # one step per full batch, so that results do not depend on the size of the ensemble
             size = batch if chosen.equation == 1 else wanted
             numbers = range(average.count, average.count + size)
             scenes = [realisation(scene, m, seed, index, law, of) for index in numbers]
@@ -254,35 +254,23 @@ def _answer(
     engine: Engine, scenes: Sequence[Scene], wanted: int, tolerance: float, before: _Average, bar: Any
 ) -> _Average:
     """Return the average with the first `wanted` scenes of a batch taken in, at steps that are short enough for all."""
-    proposed = [engine.candidate(scene, tolerance) for scene in scenes]
-    hardest = max(proposed, key=lambda found: found.cost_s)
-    candidate: Candidate | None = replace(hardest, adaptive=any(found.adaptive for found in proposed))
-    for _ in range(ATTEMPTS):
-        assert candidate
-        average, worst = before.copy(), None
-        run = engine.start(scenes, candidate)
-        try:
-            average.add(run, wanted, bar)
-            found = run.errors()
-            worst = max(found, key=lambda error: error.total)
-        except RunFailed:
-            if candidate.fixed:
-                raise
-        finally:
-            run.close()
-        if worst and (candidate.fixed or worst.total <= tolerance):
-            average.model = max(average.model, *(error.model for error in found[:wanted]))
-            average.solver = max(average.solver, *(error.total for error in found[:wanted]))
-            average.squeezed += sum(_squeezed(scene.chain) for scene in scenes[:wanted])
-            return average
-        candidate = engine.refine(candidate, worst, tolerance)
-        if candidate is None:
-            break
-    reached = f"the largest estimated error is {worst.total:.2g}" if worst else "an integration breaks down"
-    raise ToleranceNotMet(
-        f"in chains {before.count + 1} to {before.count + len(scenes)} {reached}, the tolerance {tolerance:.2g}, and "
-        "shorter steps do not help: record a shorter time, or ask for less"
-    )
+    proposed = [engine.candidate(engine.part(scene), tolerance) for scene in scenes]
+    hardest = max(proposed, key=lambda candidate: candidate.cost_s)
+    candidate = replace(hardest, adaptive=any(each.adaptive for each in proposed))
+
+    def collect(run: Run) -> _Average:
+        average = before.copy()
+        average.add(run, wanted, bar)
+        return average
+
+    outcome = solve_to_tolerance(engine, scenes, Attempt(engine.name, candidate, tolerance), collect)
+    if outcome.missed:
+        raise ToleranceNotMet(f"in chains {before.count + 1} to {before.count + len(scenes)} {outcome.missed}")
+    average, errors = outcome.collected, outcome.errors[:wanted]
+    average.model = max(average.model, *(error.model for error in errors))
+    average.solver = max(average.solver, *(error.solver for error in errors))
+    average.squeezed += sum(_squeezed(scene.chain) for scene in scenes[:wanted])
+    return average
 
 
 def _squeezed(chain: Chain) -> bool:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from .linear.engine import Modes as Modes
     from .native import Native as Native
 
-_WHERE = {
+REGISTRY = {  # module and class, by name
     "lammps": ("lammps.engine", "Lammps"),
     "native": ("native", "Native"),
     "modes": ("linear.engine", "Modes"),
@@ -25,23 +25,21 @@ _WHERE = {
     "bessel": ("linear.closed_form", "Bessel"),
     "continuum": ("linear.closed_form", "Continuum"),
 }
-ON_REQUEST = ("lammps",)  # done by "auto" only where no other engine can
-LADDER = tuple(name for name in _WHERE if name not in ON_REQUEST)
 
 
 def names() -> tuple[str, ...]:
-    """Return the names that `simulate(engine=...)` knows.
+    """Return the names of the engines.
 
     Examples
     --------
     >>> names()
     ('lammps', 'native', 'modes', 'chebyshev', 'bessel', 'continuum')
     """
-    return tuple(_WHERE)
+    return tuple(REGISTRY)
 
 
 def get(engine: str | Engine, **options: Any) -> Engine:
-    """Return the engine of this name with these options; "auto" with options takes the native one, whose they are.
+    """Return the engine of this name with these options.
 
     Raises
     ------
@@ -52,23 +50,22 @@ def get(engine: str | Engine, **options: Any) -> Engine:
         if options:
             raise InputError([(key, "belongs to the engine: give it to its constructor") for key in options])
         return engine
-    if engine == "auto" and not options:
-        from ..simulation.selection import Auto
-
-        return Auto()
-    name = "native" if engine == "auto" else engine
-    if name not in _WHERE:
-        raise InputError([("engine", f"must be auto | {' | '.join(_WHERE)} (got {engine!r})")])
-    module, cls = _WHERE[name]
-    made: type[Engine] = getattr(import_module(f".{module}", __name__), cls)
+    if engine not in REGISTRY:
+        raise InputError([("engine", f"must be auto | {' | '.join(REGISTRY)} (got {engine!r})")])
+    made = _load(*REGISTRY[engine])
     known = list(signature(made).parameters) if options else []
     if unknown := [key for key in options if key not in known]:
-        raise InputError([(key, f"the engine {name} has no such option; it has {', '.join(known)}") for key in unknown])
+        listed = ", ".join(known)
+        raise InputError([(key, f"the engine {engine} has no such option; it has {listed}") for key in unknown])
     return made(**options)
 
 
+def _load(module: str, name: str) -> type[Engine]:
+    return getattr(import_module(f".{module}", __name__), name)
+
+
 def __getattr__(name: str) -> Any:
-    for module, cls in _WHERE.values():
+    for module, cls in REGISTRY.values():
         if cls == name:
-            return getattr(import_module(f".{module}", __name__), cls)
+            return _load(module, cls)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,23 +1,34 @@
 """The seam: an engine is a way to answer a scene.
 
-Every engine states which equation it solves, says beforehand what an answer will cost and how far
-off it will be, and delivers the answer in blocks with an estimate of its own error. Progress,
-Ctrl-C and where the output goes are not its business: `lmpchain.simulation.api` does that for all.
+Every engine states which equation it solves, says beforehand what an answer will cost and how far off it will be, and
+delivers the answer in blocks with an estimate of its own error. The light cone, the choice of the engine, step control,
+progress, Ctrl-C and where the output goes are not its business: `lmpchain.simulation` does that for all.
 """
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field
-from typing import ClassVar
+from inspect import signature
+from pathlib import Path
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from ..integrators.methods import Method
 from ..scene.scene import Scene
-from ..trajectory.record import Block, Cost
+from ..trajectory.record import Block, Cost, ErrorEstimate
 from ..util.arrays import Array
+
+
+@dataclass(frozen=True)
+class SharperBound:
+    """What a sharper bound on the model error of a candidate can reach, and what it costs to compute."""
+
+    least: float
+    cost_s: float
 
 
 @dataclass(frozen=True)
@@ -26,53 +37,44 @@ class Candidate:
 
     Attributes
     ----------
-    steps_per_sample : int
-        Steps between two recorded times.
     step : float
-        Their length, s.
-    fixed : bool
-        Whether the user gave the step, so that no tolerance is enforced.
+        Time step, s; of an exact solution, the time between two samples.
     active_grains : int
-        Grains that are computed, from `first_grain` on.
+        Grains that are computed.
     model_error, solver_error : float
-        Expected relative errors: of the equation, and of its solution (NaN if nobody looked).
+        Expected relative errors: of the equation, and of its numerical solution (NaN if not estimated).
     cost_s : float
         Expected time, s.
-    choices : mapping
-        What the engine chose on the user's behalf, for the record and for `Engine.start`.
+    steps_per_sample : int
+        Time steps between two recorded times.
+    fixed : bool
+        Whether the user gave the step, so that no tolerance is enforced.
     adaptive : bool
         Whether steps shorten where a contact is about to open or close.
-    first_grain : int
-        The first grain that is computed.
     integrator : str
         The method that steps through time, if one does.
-    model_least : float
-        The least that a closer look can find: where it is above a tolerance, none is taken.
-    look_s : float
-        Time that `Engine.look` takes, s; infinite where it knows no more.
-    engine : str
-        Who proposed it, where several engines were asked (`Auto`).
+    choices : mapping
+        What the engine chose on the user's behalf, for the record and for `Engine.start`.
+    sharper : SharperBound, optional
+        If the engine can bound the model error more sharply than `model_error` says, at some cost.
     """
 
-    steps_per_sample: int
     step: float
-    fixed: bool
     active_grains: int
     model_error: float
     solver_error: float
     cost_s: float
-    choices: Mapping[str, str] = field(default_factory=dict)
+    steps_per_sample: int = 1
+    fixed: bool = False
     adaptive: bool = False
-    first_grain: int = 1
     integrator: str = ""
-    model_least: float = 0.0
-    look_s: float = math.inf
-    engine: str = ""
+    choices: Mapping[str, str] = field(default_factory=dict)
+    sharper: SharperBound | None = None
 
 
 @dataclass(frozen=True)
-class SolverError:
-    """Estimated error of a solution relative to its equation, as defined for a trajectory.
+class ErrorBudget:
+    """Estimated error of a run and its parts, as defined for `ErrorEstimate`.
 
     Attributes
     ----------
@@ -88,7 +90,7 @@ class SolverError:
         Estimated error of the equation itself, where it is not Eq. (1).
     remark : str
         Why the equation does not hold here, if it is known not to.
-    model_at_most : float
+    model_bound : float
         A bound on the error of the equation, if that is larger than the estimate.
     """
 
@@ -99,20 +101,30 @@ class SolverError:
     time: Array
     model: float = 0.0
     remark: str = ""
-    model_at_most: float = 0.0
+    model_bound: float = 0.0
 
     @property
-    def total(self) -> float:
+    def solver(self) -> float:
         """Truncation and round-off together."""
         return self.truncation + self.roundoff
 
     @property
-    def at_most(self) -> float:
-        """A bound on the error of equation and solution together."""
-        return max(self.model, self.model_at_most) + self.total
+    def total(self) -> float:
+        """Equation and solution together."""
+        return self.model + self.solver
 
-    def horizon(self, tolerance: float) -> float:
-        """Return the first time at which the difference between two runs exceeds the tolerance, s."""
+    @property
+    def bound(self) -> float:
+        """A bound on the error of equation and solution together."""
+        return max(self.model, self.model_bound) + self.solver
+
+    @property
+    def estimate(self) -> ErrorEstimate:
+        """What a trajectory says of it."""
+        return ErrorEstimate(self.model, self.solver)
+
+    def first_beyond(self, tolerance: float) -> float:
+        """Return the first time at which two runs differ by more than the tolerance, s; infinite if they never do."""
         beyond = np.flatnonzero(~(self.differences <= tolerance))
         return float(self.time[beyond[0]]) if beyond.size else float("inf")
 
@@ -130,7 +142,7 @@ class Run(ABC):
         """Part of the work done, 0 to 1."""
 
     @abstractmethod
-    def errors(self) -> list[SolverError]:
+    def errors(self) -> list[ErrorBudget]:
         """Return the estimate for every realisation, once all blocks are out."""
 
     @abstractmethod
@@ -147,10 +159,45 @@ class Run(ABC):
 
 
 class Engine(ABC):
-    """A way to answer a scene; its options are constructor arguments."""
+    """A way to answer a scene; its options are constructor arguments, kept under their names.
+
+    Attributes
+    ----------
+    name : str
+    equation : int
+        Number in the paper of the equation that it solves.
+    integrators : tuple of str
+        The methods among which it lets choose; empty if it does not step through time.
+    integrator, step
+        What the user gave of these.
+    batches : bool
+        Whether like scenes are answered in less time together.
+    on_request : bool
+        Whether it is used only if it is asked for by name, or if no other engine can do a scene.
+    whole : bool
+        Whether it needs all grains of a scene, also those outside of the light cone.
+    ranks_of_mpi : bool
+        Whether it shares a scene out over the ranks of MPI.
+    start_up_s, seconds_per_grain_step : float
+        Timings of the cost model, s: of every answer, and of a force evaluation for one grain.
+    """
 
     name: ClassVar[str]
     equation: ClassVar[int]
+    integrators: ClassVar[tuple[str, ...]] = ()
+    batches: ClassVar[bool] = False
+    on_request: ClassVar[bool] = False
+    ranks_of_mpi: ClassVar[bool] = False
+    start_up_s: ClassVar[float] = 3e-4
+    seconds_per_grain_step: ClassVar[float] = 0.0
+    whole: bool = False
+    integrator: str = ""
+    step: float | None = None
+
+    @property
+    def methods(self) -> Sequence[Method]:
+        """The methods that it may take; none if it does not step through time."""
+        return ()
 
     @abstractmethod
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
@@ -167,29 +214,11 @@ class Engine(ABC):
         """
 
     @abstractmethod
-    def refine(self, candidate: Candidate, error: SolverError | None, tolerance: float) -> Candidate | None:
-        """Propose the next try after a run that missed the tolerance (or broke down: error None).
+    def refine(self, candidate: Candidate, error: ErrorBudget | None, tolerance: float) -> Candidate | None:
+        """Propose the next attempt after a run that missed the tolerance (or broke down: error None).
 
         None says that nothing can help: round-off alone exceeds the tolerance.
         """
-
-    def look(self, scene: Scene, candidate: Candidate) -> Candidate:
-        """Look closer, for `candidate.look_s`, at what the equation leaves out of this scene."""
-        return candidate
-
-    def instead(self, scene: Scene, candidate: Candidate, error: SolverError, tolerance: float) -> Candidate | None:
-        """Propose a try with another engine where a run shows that this one's equation leaves out too much.
-
-        Raises
-        ------
-        ToleranceNotMet
-            If there is none.
-        """
-        return None
-
-    def of(self, candidate: Candidate) -> Engine:
-        """Return the engine that answers with a candidate: this one, unless it chooses among others."""
-        return self
 
     @abstractmethod
     def start(self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array] | None = None) -> Run:
@@ -198,3 +227,29 @@ class Engine(ABC):
     @abstractmethod
     def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
         """Return the choices that shape the answer and the versions behind it, for the record."""
+
+    def bound_model_error(self, scene: Scene, candidate: Candidate) -> float:
+        """Return a sharper bound on what the equation leaves out of this scene; see `Candidate.sharper`."""
+        return candidate.model_error
+
+    def options(self) -> dict[str, Any]:
+        """Return the constructor arguments that make an equal engine in another process.
+
+        Raises
+        ------
+        InputError
+            If one of them cannot be written down.
+        """
+        return {name: getattr(self, name) for name in signature(type(self)).parameters}
+
+    def prepare(self, folder: Path) -> Self:
+        """Return an engine that leaves what it writes on the way in this run folder."""
+        return copy(self)
+
+    def write_inputs(self, scene: Scene, candidate: Candidate, tolerance: float, folder: Path) -> None:
+        """Write to a run folder what a user needs to run the candidate without this package, if that can be done."""
+        return
+
+    def part(self, scene: Scene) -> Scene:
+        """Return what it computes of a scene: the light cone, or the whole."""
+        return scene if self.whole else scene.light_cone.scene

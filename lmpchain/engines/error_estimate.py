@@ -1,9 +1,9 @@
-"""One answer in the making, with companions in lock-step that show its error.
+"""Error estimate by Richardson extrapolation: an answer beside companion runs at other step sizes.
 
-The answer runs at the step h. Beside it run native companions at 2h and 4h (where those are unstable, one at h/2):
-their differences show how the error falls with the step. Where a companion's step is longer than the time between two
-samples, it passes over some. An answer that is not native also has a native twin at the same step. Twin and answer are
-the same map in exact arithmetic, so what they differ by is round-off, measured.
+The answer runs at the step h. Beside it run native companions at 2h and 4h (where those are unstable, one at h/2): the
+rate at which their differences shrink gives the truncation error. Where a companion's step is longer than the time
+between two samples, it passes over some. An engine that rounds in another way than the native one also has a native
+twin at the same step. Twin and answer are the same map in exact arithmetic: what they differ by is round-off, measured.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Protocol
+from typing import Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,16 +25,17 @@ from ..integrators.stepper import NativeStepper
 from ..scene.scene import Scene
 from ..trajectory.record import Block, Cost
 from ..util.arrays import Array
-from .base import Candidate, Run, SolverError
+from .base import Candidate, ErrorBudget, Run
 
-PIECE_S = 0.1  # longest stretch of work between two chances to stop
+PIECE_S = 0.1  # longest stretch of work between two opportunities to stop
 GUESSED_RATE = 1e7  # grain-steps a second, a low guess to begin with
 BLOCK_BYTES = 2**25  # of the samples that are compared at a time,
 BLOCK_S = 0.5  # and how long they may take: what is stopped or killed loses no more
-SAFETY = 2.0  # between the expected error and the estimate
+SAFETY = 2.0  # factor on the Richardson estimate
 CLOSE_TO_OPENING = -0.5  # r / eps below which a contact's force is no longer a smooth function of time
-TRUSTED_ORDER = 4  # where steps are adaptive around openings the order holds, but differences scatter:
-SPRINGY, TRUSTED_OF_SPRINGS = 1.25, 2  # below that exponent, where forces have a kink there, all the more
+# order assumed in the Richardson estimate after adaptive steps through an opening, where differences scatter
+ORDER_AT_OPENINGS = 4
+KINKED_BELOW, ORDER_AT_KINKS = 1.25, 2  # the same for exponents below that, whose force has a kink at an opening
 EPSILON = float(np.finfo(float).eps)
 
 
@@ -72,9 +73,20 @@ class Stepper(Protocol):
 
 
 class CompanionRun(Run):
-    """An answer at one step, with companions at others that show its error.
+    """An answer at one step size, with companions at others that show its error.
 
-    Of the scenes, `rows` are the grains that are yielded as the `columns` of the record.
+    Parameters
+    ----------
+    make : callable
+        Makes the stepper of the answer from its schedule and its kept state.
+    method : Method
+    scenes : sequence of Scene
+        One, or a batch of like ones.
+    candidate : Candidate
+    state : mapping, optional
+        What `state` returned.
+    twin : bool
+        Whether the answer is not native, so that a native twin at the same step measures its round-off.
     """
 
     def __init__(
@@ -84,27 +96,30 @@ class CompanionRun(Run):
         scenes: Sequence[Scene],
         candidate: Candidate,
         state: Mapping[str, Array] | None,
-        rows: NDArray[np.intp],
-        columns: slice | NDArray[np.intp],
+        twin: bool,
     ):
         began = time.perf_counter()
         self.method, self.scene, self.candidate = method, scenes[0], candidate
-        self._rows, self._columns = rows, columns
+        self._rows: NDArray[np.intp] = scenes[0].recorded - 1
         kept = _unpack(state)
         own = candidate.steps_per_sample, candidate.step, candidate.adaptive
         self._answer = make(StepSchedule.of(*own), kept[0])
         self._steppers: list[Stepper] = [self._answer]
-        native = self._answer if isinstance(self._answer, NativeStepper) else None
+        self._twin = twin
         reach = candidate.step * max(scene.chain.band_edge for scene in scenes)
         longer = [ratio for ratio in (2, 4) if ratio * reach <= method.stability_limit]
         self._finer = not longer
         schedules = [StepSchedule.of(*own, ratio) for ratio in longer] if longer else [StepSchedule.of(*own).halved]
-        if native is None:
+        if twin:
             schedules = [StepSchedule.of(*own), *schedules]
-        chains = native.chains if native else ChainBatch(scenes)
-        threads = native.threads if native else 1
-        for schedule, old in zip(schedules, kept[1:], strict=False):
-            self._steppers.append(NativeStepper(chains, method, schedule, old, threads))
+        shared = None if twin else cast(NativeStepper, self._answer)
+        chains, threads = (shared.chains, shared.threads) if shared else (ChainBatch(scenes), 1)
+        companions = [
+            NativeStepper(chains, method, schedule, old, threads)
+            for schedule, old in zip(schedules, kept[1:], strict=False)
+        ]
+        self._native = [*([shared] if shared else []), *companions]
+        self._steppers += companions
         self.realisations = len(scenes)
         self._energy = np.array([scene.energy for scene in scenes])
         self._at_rest = [scene.at_rest for scene in scenes]
@@ -157,7 +172,7 @@ class CompanionRun(Run):
                 self._estimate_s += took
             if stepper.sample >= until:
                 return
-            yield Block(slice(first, first), nothing, nothing, self._columns)
+            yield Block(slice(first, first), nothing, nothing)
 
     def _keep(self, first: int, stop: int) -> Block:
         """Check the samples first ... stop - 1 of the answer, and keep its differences from the companions."""
@@ -175,7 +190,7 @@ class CompanionRun(Run):
             self._differences[index, samples[stops]] = differences[index, stops]
         self._sample = stop - 1
         self._estimate_s += time.perf_counter() - began
-        return Block(slice(first, stop), u[:, :, self._rows], v[:, :, self._rows], self._columns)
+        return Block(slice(first, stop), u[:, :, self._rows], v[:, :, self._rows])
 
     def _broke_down(self, sample: int, what: str) -> str:
         t = sample * self.scene.duration / (self.scene.samples - 1)
@@ -186,7 +201,7 @@ class CompanionRun(Run):
     @property
     def closest(self) -> Array:
         """By how much two grains have come closer than at rest at most, (R,) m, as the native companions saw it."""
-        return np.max([s.closest() for s in self._steppers if isinstance(s, NativeStepper)], axis=0)
+        return np.max([stepper.closest() for stepper in self._native], axis=0)
 
     @property
     def progress(self) -> float:
@@ -194,11 +209,11 @@ class CompanionRun(Run):
         reached = sum(stepper.sample / stepper.stride for stepper in self._steppers)
         return reached / sum((self.scene.samples - 1) / stepper.stride for stepper in self._steppers)
 
-    def errors(self) -> list[SolverError]:
+    def errors(self) -> list[ErrorBudget]:
         """Return the estimate for every realisation."""
         return [self._error(real) for real in range(self.realisations)]
 
-    def _error(self, real: int) -> SolverError:
+    def _error(self, real: int) -> ErrorBudget:
         # nothing is put in: there is no motion to be relative to, but that of a strike number of 1
         peaks = self._scale[real] if self._at_rest[real] else self.peaks[real]
         peaks = np.where(peaks > 0, peaks, 1.0)
@@ -209,17 +224,17 @@ class CompanionRun(Run):
         smooth = adaptive or order == 2 or not (opens or self._kinked[real])
         trusted = order
         if adaptive and opens:
-            trusted = min(order, TRUSTED_OF_SPRINGS if self.scene.chain.exponent < SPRINGY else TRUSTED_ORDER)
-        native = isinstance(self._answer, NativeStepper)
-        steps = relative[0 if native else 1 :].max(1)  # largest differences between steps h, 2h (and 4h), or h and h/2
+            kinked = self.scene.chain.exponent < KINKED_BELOW
+            trusted = min(order, ORDER_AT_KINKS if kinked else ORDER_AT_OPENINGS)
+        steps = relative[int(self._twin) :].max(1)  # largest differences between steps h, 2h (and 4h), or h and h/2
         if self._finer:
             truncation = 2 * steps[0].max()
         else:
             truncation = extrapolate(trusted, smooth, steps[1] if len(steps) > 1 else None, steps[0]).max()
         roundoff = native_floor(float(self._answer.steps[real]) * self.method.evaluations)
-        if not native:
+        if self._twin:
             roundoff += float(relative[0].max())
-        return SolverError(float(truncation), roundoff, bool(smooth), relative.max((0, 2)), self.scene.time)
+        return ErrorBudget(float(truncation), roundoff, bool(smooth), relative.max((0, 2)), self.scene.time)
 
     def cost(self) -> Cost:
         """Return what it has cost so far; steps and evaluations are those of the realisation that took most."""
@@ -230,7 +245,7 @@ class CompanionRun(Run):
             setup_s=self._setup_s,
             steps=steps,
             force_evaluations=steps * self.method.evaluations,
-            active_grains=self.candidate.active_grains,
+            active_grains=self.scene.chain.grains,
             integrator=self.method.name,
             step_s=self.candidate.step,
             ranks=self._answer.ranks,
@@ -250,7 +265,7 @@ class CompanionRun(Run):
 
 
 def extrapolate(order: int, smooth: bool, coarse: Array | None, fine: Array) -> Array:
-    """Estimate the error of the finest of three runs at steps 4h, 2h and h from their differences, or from h and 2h.
+    """Return the Richardson estimate of the error at step h from runs at 4h, 2h and h, or from h and 2h.
 
     Where contacts open or nearly so, a high order falls to about 2.5, unless steps are adaptive, with a coefficient
     that depends on where in a step the opening falls: the error at h can then be as large as the difference.

@@ -19,10 +19,10 @@ from ..scene.scene import Scene
 from ..util.arrays import Array
 from .base import Candidate
 from .error_estimate import native_floor
-from .time_stepping import GENTLE, SteppedEngine
+from .time_stepping import GENTLE, TimeSteppingEngine
 
 
-class Native(SteppedEngine):
+class Native(TimeSteppingEngine):
     """Integrate Eq. (1) in displacements with compiled loops.
 
     Parameters
@@ -50,7 +50,10 @@ class Native(SteppedEngine):
     name: ClassVar[str] = "native"
     equation: ClassVar[int] = 1
     integrators: ClassVar[tuple[str, ...]] = ("auto", *METHODS)
-    seconds_per_grain_step = 1.2e-9  # with the companions that show the error
+    batches: ClassVar[bool] = True
+    twin: ClassVar[bool] = False
+    start_up_s: ClassVar[float] = 8e-4
+    seconds_per_grain_step: ClassVar[float] = 1.2e-9  # with the companions that show the error
 
     def __init__(
         self,
@@ -71,9 +74,9 @@ class Native(SteppedEngine):
         """Every chain that can be described can be done."""
         return []
 
-    def for_part(self, scene: Scene, tolerance: float, method: Method) -> Candidate:
-        """Propose a step, unless round-off alone exceeds the tolerance."""
-        candidate = super().for_part(scene, tolerance, method)
+    def choose_step(self, scene: Scene, tolerance: float, method: Method) -> Candidate:
+        """Propose the step size of a method, unless round-off alone exceeds the tolerance."""
+        candidate = super().choose_step(scene, tolerance, method)
         if not candidate.fixed:
             evaluations = candidate.steps_per_sample * (scene.samples - 1) * method.evaluations
             floor = native_floor(evaluations)

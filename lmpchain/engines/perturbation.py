@@ -1,11 +1,10 @@
-"""What a scene does to a change of its last digit: two native runs that begin next to each other."""
+"""The divergence of two native runs that begin a last digit apart: a finite-time Lyapunov exponent."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ..scene.excitation import Drive, Excitation, Profile
-from ..scene.light_cone import cut
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from .base import Candidate
@@ -15,7 +14,7 @@ LAST_DIGIT = 1e-15  # of the largest velocity: a few units in the last place of 
 
 
 def perturbed(scene: Scene, change: float) -> Scene:
-    """Return the scene with all grains moved, down and up by turns, by this part of the largest velocity.
+    """Return the scene with the velocity of every grain changed, down and up by turns, by a part of the largest.
 
     Of the largest displacement where nothing is struck; of a drive, the amplitude changes.
     """
@@ -33,7 +32,7 @@ def perturbed(scene: Scene, change: float) -> Scene:
 
 
 def divergence(scene: Scene, candidate: Candidate, change: float) -> Array:
-    """Return how far a scene and the one next to it are apart at every sample, (T,), measured as an error is.
+    """Return the relative distance of a scene and the perturbed one at every sample, (T,), measured as an error is.
 
     Both are run in displacements with the integrator and the steps of the candidate, so what these leave out is the
     same in both. What remains is the change, rounding, and what the scene makes of them.
@@ -43,8 +42,7 @@ def divergence(scene: Scene, candidate: Candidate, change: float) -> Array:
     RunFailed
         If a run breaks down.
     """
-    _, part = cut(scene)
-    part = Scene(**part.given() | {"grains": "all"})
+    part = Scene(**scene.light_cone.scene.given() | {"grains": "all"})
     run = Native().start([part, perturbed(part, change)], candidate)
     apart = np.zeros((2, scene.samples))
     try:

@@ -1,9 +1,13 @@
-"""Trying until the tolerance is met, or until it is clear that it cannot be."""
+"""Step control: shorter steps until the tolerance is met, or until it is clear that it cannot be.
+
+It serves a single run, a batch of like scenes and the scenes of a sweep alike: `next_attempt` judges an attempt from
+its error estimate, `solve_to_tolerance` goes from attempt to attempt.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Generic, TypeVar
@@ -14,24 +18,28 @@ from ..errors import RunFailed, ToleranceNotMet
 from ..scene.scene import Scene
 from ..trajectory.record import Cost
 from ..util.arrays import Array
-from .base import Candidate, Engine, Run, SolverError
+from .base import Candidate, Engine, ErrorBudget, Run
+from .perturbation import LAST_DIGIT, divergence
 
 ATTEMPTS = 12
 STALLS = 2  # attempts in a row that do not help: round-off or chaos, not the step, is the limit
-# a first try that misses by so many tolerances, or so much, may be lost in chaos; it is if two runs, a last digit apart
-# at t = 0, part by so many tolerances: of 290 random scenes, 250 of which can be answered, none of these did
-LOOK, LOOK_AT_MOST, LOST = 1e4, 0.3, 10.0
-FAR = 1e5  # times the expected round-off: what stalls above it is chaos or scatter
-DIGITS = 30.0  # rounding all along a run does as much as a change of up to so many last digits at t = 0
+STALLED = 0.7  # truncation error over that of the attempt before, from which on it is no help
+# test for chaos if the first attempt misses by so many tolerances or so much: two runs one ulp apart at t = 0 must
+# diverge by so many tolerances; of 290 random scenes, 250 of which can be answered, none of these did
+CHAOS_MISS, CHAOS_ERROR, CHAOS_DIVERGENCE = 1e4, 0.3, 10.0
+ERRATIC = 1e5  # truncation over round-off: an estimate that stalls above that is erratic, or the scene is chaotic
+ROUNDING_ULPS = 30.0  # rounding all along a run does as much as a change of up to so many ulps at t = 0
 T = TypeVar("T")
 
 
 @dataclass(frozen=True)
 class Attempt:
-    """One try of several, with what the decision about the next one rests on.
+    """One attempt of several, with what the decision about the next one rests on.
 
     Attributes
     ----------
+    engine : str
+        Its name.
     candidate : Candidate
     tolerance : float
         That it is to meet.
@@ -39,41 +47,65 @@ class Attempt:
         Why that is not the one that was asked for, if it is not.
     planned_s : float
         Time spent before it on finding candidates and setting up, s.
-    looked_s : float
+    spent_s : float
         Time spent before it on integrations and their estimates, s.
     truncations : tuple of float
-        Truncation errors of the tries before it that ran through.
+        Truncation errors of the attempts before it that ran through.
     breakdowns : int
         How many did not.
     """
 
+    engine: str
     candidate: Candidate
     tolerance: float
     refusal: str = ""
     planned_s: float = 0.0
-    looked_s: float = 0.0
+    spent_s: float = 0.0
     truncations: tuple[float, ...] = ()
     breakdowns: int = 0
 
     @property
     def number(self) -> int:
-        """Which try it is, from 1."""
+        """Which attempt it is, from 1."""
         return len(self.truncations) + self.breakdowns + 1
 
 
 @dataclass(frozen=True)
 class Outcome(Generic[T]):
-    """The last attempt: what was collected from it, and why it missed the tolerance, if it did."""
+    """The last attempt: what was collected from it, and why it missed the tolerance, if it did.
+
+    Attributes
+    ----------
+    collected : object
+        What `collect` returned.
+    attempt : Attempt
+    errors : list of ErrorBudget
+        Of every scene.
+    cost : Cost
+        With the planning and the attempts before.
+    missed : str
+        Empty if the tolerance was met, or none is enforced.
+    """
 
     collected: T
-    candidate: Candidate
-    error: SolverError
+    attempt: Attempt
+    errors: list[ErrorBudget]
     cost: Cost
     missed: str
 
+    @property
+    def error(self) -> ErrorBudget:
+        """The largest error of any scene."""
+        return worst(self.errors)
+
+
+def worst(errors: Sequence[ErrorBudget]) -> ErrorBudget:
+    """Return the estimate with the largest solver error."""
+    return max(errors, key=lambda error: error.solver)
+
 
 def first_attempt(engine: Engine, scene: Scene, tolerance: float, best_effort: bool = False) -> Attempt:
-    """Return the first try; with `best_effort`, a tolerance that the engine refuses is loosened until it does not.
+    """Return the first attempt; with `best_effort`, a tolerance that the engine refuses is loosened until it does not.
 
     Raises
     ------
@@ -82,31 +114,32 @@ def first_attempt(engine: Engine, scene: Scene, tolerance: float, best_effort: b
     """
     began = time.perf_counter()
     if best_effort:
-        attempt = Attempt(*best_candidate(engine, scene, tolerance))
+        attempt = Attempt(engine.name, *best_candidate(engine, scene, tolerance))
     else:
-        attempt = Attempt(engine.candidate(scene, tolerance), tolerance)
+        attempt = Attempt(engine.name, engine.candidate(scene, tolerance), tolerance)
     return replace(attempt, planned_s=time.perf_counter() - began)
 
 
-def until_tolerance(engine: Engine, scene: Scene, tolerance: float, collect: Callable[[Run], T]) -> Outcome[T]:
-    """Run a scene as `pursue` does, from the first attempt on."""
-    return pursue(engine, scene, first_attempt(engine, scene, tolerance), collect)
+def run_to_tolerance(engine: Engine, scene: Scene, tolerance: float, collect: Callable[[Run], T]) -> Outcome[T]:
+    """Solve a scene from the first attempt on; see `solve_to_tolerance`."""
+    return solve_to_tolerance(engine, [scene], first_attempt(engine, scene, tolerance), collect)
 
 
-def pursue(
+def solve_to_tolerance(
     engine: Engine,
-    scene: Scene,
+    scenes: Sequence[Scene],
     attempt: Attempt,
     collect: Callable[[Run], T],
     begin: Callable[[Attempt], Mapping[str, Array] | None] = lambda _: None,
     patient: bool = False,
 ) -> Outcome[T]:
-    """Run a scene, at ever shorter steps unless the step is given, and collect each run's blocks.
+    """Run a scene, or a batch of like ones, at ever shorter steps unless the step is given; collect each run's blocks.
 
     Parameters
     ----------
     engine : Engine
-    scene : Scene
+    scenes : sequence of Scene
+        The parts that the engine computes. The one with the largest error decides.
     attempt : Attempt
         To begin with.
     collect : callable
@@ -114,7 +147,7 @@ def pursue(
     begin : callable
         Told of every attempt before it starts; returns the state to start it from, None for the beginning.
     patient : bool
-        Whether to go on, for the best answer there is, where the first try shows that none meets the tolerance.
+        Whether to go on, for the best answer there is, where the first attempt shows that none meets the tolerance.
 
     Raises
     ------
@@ -123,50 +156,53 @@ def pursue(
     """
     while True:
         began = time.perf_counter()
-        candidate, tolerance = attempt.candidate, attempt.tolerance
-        run = engine.start([scene], candidate, begin(attempt))
-        error = None
+        run = engine.start(scenes, attempt.candidate, begin(attempt))
+        errors: list[ErrorBudget] = []
         try:
             collected = collect(run)
-            error, cost = run.errors()[0], run.cost()
+            errors = run.errors()
         except RunFailed:
-            if candidate.fixed or attempt.breakdowns == STALLS:
+            if attempt.candidate.fixed or attempt.breakdowns == STALLS:
                 raise
         finally:
+            cost = run.cost()
             run.close()
-        better, other, alone = None, None, ""
-        if not candidate.fixed:
-            try:
-                other = engine.instead(scene, candidate, error, tolerance) if error else None
-            except ToleranceNotMet as refusal:
-                alone = refusal.reason
-            better = other or engine.refine(candidate, error, tolerance)
-        if error:
-            attempt = replace(attempt, truncations=() if other else (*attempt.truncations, error.truncation))
-            enough = candidate.fixed or (error.total <= tolerance and not other and not alone)
-            missed = alone
-            if not (enough or other or missed):
-                look_began = time.perf_counter()
-                missed = _why_not(scene, error, attempt, better) or ("" if patient else _lost(scene, error, attempt))
-                look_s = time.perf_counter() - look_began
-                began += look_s  # it is no planning
-                attempt = replace(attempt, looked_s=attempt.looked_s + look_s)
-            if enough or missed:
-                setup, estimate = cost.setup_s + attempt.planned_s, cost.estimate_s + attempt.looked_s
-                cost = replace(cost, setup_s=setup, estimate_s=estimate)
-                return Outcome(collected, candidate, error, cost, attempt.refusal or missed)
-        else:
-            attempt = replace(attempt, breakdowns=attempt.breakdowns + 1)
+        place = max(range(len(errors)), key=lambda i: errors[i].solver, default=0)
+        judged = time.perf_counter()
+        following, missed = next_attempt(engine, scenes[place], attempt, errors[place] if errors else None, patient)
+        judging_s = time.perf_counter() - judged  # an integration, where chaos is tested for
+        if not following:
+            setup_s, estimate_s = cost.setup_s + attempt.planned_s, cost.estimate_s + attempt.spent_s + judging_s
+            cost = replace(cost, setup_s=setup_s, estimate_s=estimate_s)
+            return Outcome(collected, attempt, errors, cost, attempt.refusal or missed)
+        run_s = cost.integration_s + cost.estimate_s + judging_s
+        planned_s = time.perf_counter() - began - run_s
+        spent_s = attempt.spent_s + run_s
+        attempt = replace(following, planned_s=attempt.planned_s + planned_s, spent_s=spent_s)
+
+
+def next_attempt(
+    engine: Engine, scene: Scene, attempt: Attempt, error: ErrorBudget | None, patient: bool = False
+) -> tuple[Attempt | None, str]:
+    """Judge an attempt by its error, None if it broke down.
+
+    Returns
+    -------
+    the next attempt, None if this was the last one; and why it missed the tolerance, empty if it did not
+    """
+    candidate = attempt.candidate
+    if error and (candidate.fixed or error.solver <= attempt.tolerance):
+        return None, ""
+    better = engine.refine(candidate, error, attempt.tolerance)
+    if error is None:
         assert better
-        spent = run.cost()
-        looked = spent.integration_s + spent.estimate_s
-        planned = time.perf_counter() - began - looked
-        attempt = replace(
-            attempt,
-            candidate=better,
-            planned_s=attempt.planned_s + planned,
-            looked_s=attempt.looked_s + looked,
-        )
+        return replace(attempt, candidate=better, breakdowns=attempt.breakdowns + 1), ""
+    made = replace(attempt, truncations=(*attempt.truncations, error.truncation))
+    missed = _why_not(scene, error, made, better) or ("" if patient else _chaotic(scene, error, made))
+    if missed:
+        return None, missed
+    assert better
+    return replace(made, candidate=better), ""
 
 
 def best_candidate(engine: Engine, scene: Scene, tolerance: float) -> tuple[Candidate, float, str]:
@@ -192,54 +228,52 @@ def best_candidate(engine: Engine, scene: Scene, tolerance: float) -> tuple[Cand
             tolerance *= 4
 
 
-def _why_not(scene: Scene, error: SolverError, attempt: Attempt, better: Candidate | None) -> str:
+def _why_not(scene: Scene, error: ErrorBudget, attempt: Attempt, better: Candidate | None) -> str:
     """Return why shorter steps will not help after this attempt, or nothing if they may.
 
     An estimate that does not fall may be erratic, where contacts open, or show that rounding has grown to that size.
     """
     tolerance, truncations = attempt.tolerance, attempt.truncations
     recent = truncations[-STALLS - 1 :]
-    stalled = len(recent) > STALLS and all(b > 0.7 * a for a, b in pairwise(recent))
+    stalled = len(recent) > STALLS and all(b > STALLED * a for a, b in pairwise(recent))
     if better and not stalled and len(truncations) < ATTEMPTS:
         return ""
-    rounding = better is None or error.truncation < FAR * error.roundoff
-    rounding = rounding or _parts(scene, attempt.candidate, tolerance / DIGITS) is not None
+    rounding = better is None or error.truncation < ERRATIC * error.roundoff
+    rounding = rounding or _divergence_time(scene, attempt.candidate, tolerance / ROUNDING_ULPS) is not None
     if not rounding and len(truncations) < ATTEMPTS:
         return ""
     reason = (
-        f"the error is estimated at {error.total:.2g}, above the tolerance of {tolerance:.2g}, and steps shorter than "
+        f"the error is estimated at {error.solver:.2g}, above the tolerance of {tolerance:.2g}, and steps shorter than "
         f"{attempt.candidate.step:.2g} s do not help"
     )
     if better is None:
         reason += f", for round-off alone makes {error.roundoff:.2g}"
-    horizon = error.horizon(tolerance)
-    known = rounding and horizon < float("inf")
-    return f"{reason}: {_amplifies(horizon)}" if known else f"{reason}: ask for less"
+    time_s = error.first_beyond(tolerance)
+    known = rounding and time_s < float("inf")
+    return f"{reason}: {_amplifies(time_s)}" if known else f"{reason}: ask for less"
 
 
-def _lost(scene: Scene, error: SolverError, attempt: Attempt) -> str:
-    """Return why no step will help, if the first try shows it, or nothing."""
+def _chaotic(scene: Scene, error: ErrorBudget, attempt: Attempt) -> str:
+    """Return why no step will help, if the first attempt shows chaos, or nothing."""
     tolerance = attempt.tolerance
-    suspect = error.truncation > min(LOOK * tolerance, LOOK_AT_MOST)
+    suspect = error.truncation > min(CHAOS_MISS * tolerance, CHAOS_ERROR)
     if len(attempt.truncations) > 1 or not suspect:
         return ""
-    horizon = _parts(scene, attempt.candidate, tolerance, LOST)
-    if horizon is None:
+    time_s = _divergence_time(scene, attempt.candidate, tolerance, CHAOS_DIVERGENCE)
+    if time_s is None:
         return ""
-    return f"the error is estimated at {error.total:.2g}, above the tolerance of {tolerance:.2g}: {_amplifies(horizon)}"
+    return f"the error is estimated at {error.solver:.2g}, above the tolerance of {tolerance:.2g}: {_amplifies(time_s)}"
 
 
-def _parts(scene: Scene, candidate: Candidate, distance: float, times: float = 1.0) -> float | None:
-    """Return when two runs, a last digit apart at t = 0, are as far apart as that, s, if they part by so many times it.
+def _divergence_time(scene: Scene, candidate: Candidate, distance: float, times: float = 1.0) -> float | None:
+    """Return when two runs one ulp apart at t = 0 are at that distance, s, if they diverge to so many times it.
 
-    Two runs may differ in where their steps shorten, so in more than the scene makes of a digit; at steps of one length
-    they are the same map, but further off. Both pairs must part.
+    Two runs may differ in where their steps shorten, so in more than the scene makes of an ulp; at steps of one length
+    they are the same map, but further off. Both pairs must diverge.
     """
     if not candidate.integrator:
         return None
-    from .perturbation import LAST_DIGIT, divergence
-
-    horizon = scene.duration
+    time_s = scene.duration
     for adaptive in {candidate.adaptive, False}:
         try:
             apart = divergence(scene, replace(candidate, adaptive=adaptive), LAST_DIGIT)
@@ -247,12 +281,12 @@ def _parts(scene: Scene, candidate: Candidate, distance: float, times: float = 1
             return None
         if apart.max() < times * distance:
             return None
-        horizon = min(horizon, float(scene.time[np.argmax(apart > distance)]))
-    return horizon
+        time_s = min(time_s, float(scene.time[np.argmax(apart > distance)]))
+    return time_s
 
 
-def _amplifies(horizon: float) -> str:
+def _amplifies(time_s: float) -> str:
     return (
-        f"this scene amplifies round-off beyond the tolerance at t = {horizon:.4g} s; record up to there, "
+        f"this scene amplifies round-off beyond the tolerance at t = {time_s:.4g} s; record up to there, "
         "or ask for less"
     )

@@ -1,47 +1,104 @@
-"""What engines that step through time share: their options and the choice of the step."""
+"""What engines that step through time share: their options and the choice of the step size."""
 
 from __future__ import annotations
 
 import math
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from ..errors import InputError
 from ..integrators.methods import METHODS, Method
 from ..integrators.step_schedule import StepSchedule
-from ..scene.light_cone import cut, near
 from ..scene.scene import Scene
 from ..util.arrays import Array
-from .base import Candidate, Engine, SolverError
+from .base import Candidate, Engine, ErrorBudget
 from .cost_model import seconds
-from .error_estimate import SAFETY, TRUSTED_ORDER, CompanionRun, Stepper
+from .error_estimate import ORDER_AT_OPENINGS, SAFETY, CompanionRun, Stepper
 
-ORDER_THROUGH_OPENINGS = 2.5
 CHOICE = ("rkn4", "rkn6")  # of which the cheaper one is taken, if none is asked for
-LONGEST = 0.45  # of the stability limit: the longest step that is proposed
+LONGEST_STEP = 0.45  # longest step that is proposed, over the stability limit
+PERIODS = 60.0  # omega T of the scene for which `Method.error_constant` is given
 GENTLE = 0.3  # strain below which no contact comes near to opening
-STRONGER = 30.0  # times the error, where contacts may open
-LONGEST_S = 3e8  # ten years
-CALL = 40  # grains that take as long as what every evaluation of the force takes besides
+OPENING_ERROR = 30.0  # factor on the error where contacts may open within steps of one length
+ADAPTIVE_ERROR, LEAST_STRAIN, MOST_STRAIN = 14.0, 3.0, 99.0  # of `opening_error_factor`
+LONGEST_RUN_S = 3e8  # ten years
+EVALUATION_OVERHEAD = 40  # of a force evaluation, in grain-steps
 
 
-class SteppedEngine(Engine):
-    """An engine that moves through time with one of the methods."""
+@dataclass(frozen=True)
+class StepRefinement:
+    """How a step is shortened after an attempt that missed its tolerance.
 
-    integrators: ClassVar[tuple[str, ...]]
-    seconds_per_grain_step: float
-    cuts: bool = True  # whether grains outside of the light cone are left out
+    Attributes
+    ----------
+    order_at_openings : float
+        Order to which every method with steps of one length falls where contacts open.
+    target : float
+        Part of the tolerance that is left for the truncation error at which the next attempt aims.
+    roundoff : float
+        Part of the tolerance beyond which round-off cannot be made up for.
+    least, least_erratic : float
+        Smallest ratio of the old step to the new one, where the error falls regularly or not.
+    most, most_far : float
+        Largest ratio, where the error is below `far` or not: far off, the law does not hold yet.
+    breakdown : float
+        Ratio after a run that broke down.
+    """
+
+    order_at_openings: float = 2.5
+    target: float = 0.7
+    roundoff: float = 0.9
+    least: float = 1.3
+    least_erratic: float = 2.0
+    most: float = 16.0
+    most_far: float = 4.0
+    far: float = 0.1
+    breakdown: float = 4.0
+
+    def ratio(self, error: ErrorBudget | None, order: float, tolerance: float) -> float | None:
+        """Return the ratio of the old step to the next one; None where round-off alone is too much."""
+        if error is None:
+            return self.breakdown
+        if error.roundoff > self.roundoff * tolerance:
+            return None
+        if not math.isfinite(error.truncation):
+            return self.breakdown
+        room = max(tolerance - error.roundoff, tolerance / 4)
+        order = order if error.smooth else min(order, self.order_at_openings)
+        most = self.most if error.truncation < self.far else self.most_far
+        least = self.least if error.smooth else self.least_erratic
+        return min(max((error.truncation / (self.target * room)) ** (1 / order), least), most)
+
+
+REFINEMENT = StepRefinement()
+
+
+class TimeSteppingEngine(Engine):
+    """An engine that moves through time with one of the methods.
+
+    Attributes
+    ----------
+    twin : bool
+        Whether a native twin measures its round-off. Its steps must then be those of the native engine in exact
+        arithmetic.
+    """
+
     adaptive: bool = False  # whether steps shorten where contacts open, if the method allows
+    twin: ClassVar[bool] = True
 
     def __init__(self, integrator: str, step: float | None):
         if integrator not in self.integrators:
             raise InputError([("integrator", f"must be {' | '.join(self.integrators)} (got {integrator!r})")])
         if step is not None and not (isinstance(step, int | float) and math.isfinite(step) and step > 0):
             raise InputError([("step", f"must be a time above 0 s (got {step!r})")])
-        self.methods: list[Method] = [METHODS[name] for name in (CHOICE if integrator == "auto" else [integrator])]
-        self.step = step
+        self.integrator, self.step = integrator, step
+
+    @property
+    def methods(self) -> list[Method]:
+        """The methods that it may take."""
+        return [METHODS[name] for name in (CHOICE if self.integrator == "auto" else [self.integrator])]
 
     @abstractmethod
     def stepper(
@@ -50,13 +107,11 @@ class SteppedEngine(Engine):
         """Make the stepper of the answer, from the start or from a kept state."""
 
     def candidate(self, scene: Scene, tolerance: float) -> Candidate:
-        """Propose a step: the one given, or the one that should meet the tolerance."""
-        first, part = cut(scene) if self.cuts else (1, scene)
-        proposed = [self.for_part(part, tolerance, method) for method in self.methods]
-        return replace(min(proposed, key=lambda candidate: candidate.cost_s), first_grain=first)
+        """Propose a step size: the one given, or the longest that should meet the tolerance."""
+        return min((self.choose_step(scene, tolerance, method) for method in self.methods), key=lambda c: c.cost_s)
 
-    def for_part(self, scene: Scene, tolerance: float, method: Method) -> Candidate:
-        """Propose a step of a method for what lies in the light cone."""
+    def choose_step(self, scene: Scene, tolerance: float, method: Method) -> Candidate:
+        """Propose the step size of a method."""
         interval = scene.duration / (scene.samples - 1)
         limit = method.stability_limit
         if self.step is not None:
@@ -67,45 +122,45 @@ class SteppedEngine(Engine):
                 )  # fmt: skip
             return self._at(scene, method, math.ceil(interval / self.step * (1 - 1e-12)), tolerance, fixed=True)
         omega = scene.highest_frequency
-        expected = method.error_constant * max(1.0, omega * scene.duration / 60)  # phases drift apart with time
+        expected = method.error_constant * max(1.0, omega * scene.duration / PERIODS)  # phases drift apart with time
         if scene.largest_strain > GENTLE:
-            expected *= harder(scene.largest_strain, method.order) if self.adaptive and method.order > 2 else STRONGER
+            adapts = self.adaptive and method.order > 2
+            expected *= opening_error_factor(scene.largest_strain, method.order) if adapts else OPENING_ERROR
         reach = (tolerance / SAFETY / expected) ** (1 / method.order)
-        return self._at(scene, method, math.ceil(interval * omega / min(reach, LONGEST * limit)), tolerance)
+        return self._at(scene, method, math.ceil(interval * omega / min(reach, LONGEST_STEP * limit)), tolerance)
 
     def _at(self, scene: Scene, method: Method, steps_per_sample: int, error: float, fixed: bool = False) -> Candidate:
         cost = self.cost(scene, method, steps_per_sample * (scene.samples - 1))
-        if cost > LONGEST_S:
+        if cost > LONGEST_RUN_S:
             years = cost / 3.15e7
             raise InputError([("duration", f"would take some {years:.1g} years: shorten it, or ask for less accuracy")])
-        interval = scene.duration / (scene.samples - 1)
-        step, grains = interval / steps_per_sample, scene.chain.grains
-        return Candidate(steps_per_sample, step, fixed, grains, 0.0, error, cost, integrator=method.name)
+        return Candidate(
+            step=scene.duration / (scene.samples - 1) / steps_per_sample,
+            active_grains=scene.chain.grains,
+            model_error=0.0,
+            solver_error=error,
+            cost_s=cost,
+            steps_per_sample=steps_per_sample,
+            fixed=fixed,
+            integrator=method.name,
+        )
 
     def cost(self, scene: Scene, method: Method, steps: int) -> float:
         """Return about how long so many steps take, s."""
-        grain_steps = method.evaluations * steps * (self.computed(scene) + CALL)
-        return seconds(self.name, self.seconds_per_grain_step * grain_steps)
+        grain_steps = method.evaluations * steps * (self.computed(scene) + EVALUATION_OVERHEAD)
+        return seconds(self.name, self.start_up_s, self.seconds_per_grain_step * grain_steps)
 
     def computed(self, scene: Scene) -> float:
         """Return how many grains it computes in each step, on average."""
         return scene.chain.grains
 
-    def refine(self, candidate: Candidate, error: SolverError | None, tolerance: float) -> Candidate | None:
+    def refine(self, candidate: Candidate, error: ErrorBudget | None, tolerance: float) -> Candidate | None:
         """Shorten the step by what the observed error asks for."""
-        if error and error.roundoff > 0.9 * tolerance:
+        ratio = REFINEMENT.ratio(error, METHODS[candidate.integrator].order, tolerance)
+        if ratio is None:
             return None
-        factor = 4.0
-        if error is not None and math.isfinite(error.truncation):
-            order: float = METHODS[candidate.integrator].order
-            order = order if error.smooth else min(order, ORDER_THROUGH_OPENINGS)
-            room = max(tolerance - error.roundoff, tolerance / 4)
-            most = 16.0 if error.truncation < 0.1 else 4.0  # far off, the law does not hold yet
-            least = 1.3 if error.smooth else 2.0  # an erratic error tells nothing about small changes
-            factor = min(max((error.truncation / (0.7 * room)) ** (1 / order), least), most)
-        steps = math.ceil(candidate.steps_per_sample * factor)
-        step = candidate.step * candidate.steps_per_sample / steps
-        return replace(candidate, steps_per_sample=steps, step=step)
+        steps = math.ceil(candidate.steps_per_sample * ratio)
+        return replace(candidate, steps_per_sample=steps, step=candidate.step * candidate.steps_per_sample / steps)
 
     def start(
         self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array] | None = None
@@ -113,19 +168,11 @@ class SteppedEngine(Engine):
         """Start one scene, or a batch of scenes that differ in numbers only."""
         if len({kind(scene) for scene in scenes}) != 1:
             raise ValueError("a batch needs chains of one kind and length, recorded alike")
-        if len(scenes) > 1:  # each would have a light cone of its own
-            candidate = replace(candidate, first_grain=1, active_grains=scenes[0].chain.grains)
-        part, rows, columns = near(scenes[0], candidate)
-        parts = [part, *scenes[1:]]
-        return CompanionRun(
-            lambda schedule, kept: self.stepper(parts, candidate, schedule, kept),
-            METHODS[candidate.integrator],
-            parts,
-            candidate,
-            state,
-            rows,
-            columns,
-        )
+
+        def make(schedule: StepSchedule, kept: Mapping[str, Array]) -> Stepper:
+            return self.stepper(scenes, candidate, schedule, kept)
+
+        return CompanionRun(make, METHODS[candidate.integrator], scenes, candidate, state, self.twin)
 
 
 def kind(scene: Scene) -> tuple:
@@ -135,10 +182,11 @@ def kind(scene: Scene) -> tuple:
     return *made, driven, scene.samples, scene.duration, scene.grains
 
 
-def harder(strain: float, order: int) -> float:
-    """Return how many times larger the estimated error is where contacts may open and steps are adaptive there.
+def opening_error_factor(strain: float, order: int) -> float:
+    """Return how many times larger the estimated error is where contacts may open and steps are adaptive.
 
-    Measured on 250 random scenes, so that nine in ten of them meet their tolerance at the first try.
+    Measured on 250 random scenes, so that nine in ten of them meet their tolerance at the first attempt.
     """
-    trust = (2**order - 1) / (2**TRUSTED_ORDER - 1)
-    return 14 * min(max(strain / 3, 1.0), 33.0) ** 1.5 * max(trust, 1.0)
+    trust = (2**order - 1) / (2**ORDER_AT_OPENINGS - 1)
+    strain = min(max(strain, LEAST_STRAIN), MOST_STRAIN) / LEAST_STRAIN
+    return ADAPTIVE_ERROR * strain**1.5 * max(trust, 1.0)

@@ -7,15 +7,17 @@ from collections.abc import Iterator
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..chain.chain import Chain
 from ..util.arrays import Array
 from ..util.files import write_aside
 from . import toml_file
 from .excitation import Drive, Excitation, first_overlaps, strike_faults, surroundings
+from .light_cone import reached
 from .recording import Recording
 
 
@@ -57,11 +59,6 @@ class Scene(Recording):
         misfits = list(self.excitation.faults(self.chain, self.duration))
         yield from misfits or strike_faults(self.chain, self.excitation)
         yield from self.faults(self.chain)
-
-    @cached_property
-    def notes(self) -> dict[str, Any]:
-        """What engines found out about this scene and need not find out again."""
-        return {}
 
     @property
     def time(self) -> Array:
@@ -135,6 +132,18 @@ class Scene(Recording):
         closer = contacts.overlap_bound(self.energy)[contacts.pressed] - pressed
         return float((closer / pressed).max()) * 1.05  # an opening contact is a little softer
 
+    @cached_property
+    def light_cone(self) -> LightCone:
+        """The grains that the wave can have reached when the scene ends, as a scene of their own."""
+        first, last = reached(self.chain, self.excitation, self.energy, self.duration)
+        recorded = self.recorded
+        if last - first + 1 == self.chain.grains:
+            return LightCone(self, np.arange(recorded.size), slice(None))
+        columns = np.flatnonzero((recorded >= first) & (recorded <= last))
+        together = columns.size and columns[-1] - columns[0] + 1 == columns.size
+        chosen = slice(int(columns[0]), int(columns[-1]) + 1) if together else columns
+        return LightCone(self.part(first, last), recorded[columns] - first, chosen)
+
     def part(self, first: int, last: int) -> Scene:
         """Return what grains first ... last do, all recorded, until a wave meets their ends; see `Chain.part`."""
         return Scene(
@@ -173,3 +182,21 @@ class Scene(Recording):
         """Write a scene file that `from_toml` reads back equal."""
         with write_aside(path) as aside:
             aside.write_text(self.to_text(), encoding="utf-8")
+
+
+class LightCone(NamedTuple):
+    """The part of a scene that a wave can have reached; all else is at rest and need not be computed.
+
+    Attributes
+    ----------
+    scene : Scene
+        That part with all of its grains recorded, or the whole scene.
+    rows : (C,) array
+        Indices, among the recorded grains of that part, of those that the whole scene records.
+    columns : slice or (C,) array
+        Their places among the recorded grains of the whole scene.
+    """
+
+    scene: Scene
+    rows: NDArray[np.intp]
+    columns: slice | NDArray[np.intp]

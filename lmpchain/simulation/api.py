@@ -7,20 +7,21 @@ import time
 import warnings
 from collections.abc import Generator, Iterable, Mapping
 from contextlib import AbstractContextManager, closing, nullcontext
+from dataclasses import replace
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from .. import engines
 from ..engines.base import Engine, Run
-from ..engines.step_control import Attempt, Outcome, first_attempt, pursue
+from ..engines.step_control import Attempt, Outcome, solve_to_tolerance
 from ..errors import InputError, ToleranceNotMet, check_tolerance
-from ..scene.scene import Scene
-from ..trajectory.record import Block, ErrorEstimate
+from ..scene.scene import LightCone, Scene
+from ..trajectory.record import Block
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.provenance import versions
+from .policy import policy_for, record
 from .task import Task
 
 if TYPE_CHECKING:
@@ -90,10 +91,10 @@ def simulate(
     check_tolerance(tolerance)
     if on_miss not in ("raise", "warn"):
         raise InputError([("on_miss", f'must be "raise" or "warn" (got {on_miss!r})')])
-    chosen = engines.get(engine, **options)
-    if reasons := chosen.refuses(scene):
+    policy = policy_for(engine, **options)
+    if reasons := policy.refuses(scene):
         raise InputError(reasons)
-    task = Task(scene, chosen, tolerance, on_miss == "warn")
+    task = Task(scene, policy, tolerance, on_miss == "warn")
     if folder is None:
         if max_wall is not None:
             raise InputError([("max_wall", "goes with a run folder, which keeps what is done; name one")])
@@ -143,20 +144,45 @@ def resume(folder: str | PathLike[str], *, max_wall: float | None = None, progre
 
 def _answer(task: Task, output: _Memory | RunFolder, progress: bool) -> tuple[Trajectory, Outcome[Any]]:
     """Do what is left to do of a task."""
-    engine, scene = task.engine, task.scene
-
-    def collect(run: Run) -> Any:
-        with closing(_shown(run, engine.name, scene.samples, output.samples, progress)) as blocks:
-            return output.collect(run, blocks)
-
-    attempt = output.attempt or first_attempt(engine, scene, task.tolerance, task.best_effort)
+    policy, scene = task.policy, task.scene
+    attempt = output.attempt or policy.first(scene, task.tolerance, task.best_effort)
     with output.requests:
-        outcome = pursue(engine, scene, attempt, collect, output.begin, task.best_effort)
+        while True:
+            outcome = _solve(task, output.prepare(policy.engine(attempt)), attempt, output, progress)
+            began, cost = time.perf_counter(), outcome.cost
+            try:
+                following = policy.fallback(scene, outcome.attempt, outcome.error)
+            except ToleranceNotMet as refusal:
+                outcome = replace(outcome, missed=attempt.refusal or refusal.reason)
+                break
+            if not following:
+                break
+            planned_s = cost.setup_s + time.perf_counter() - began
+            spent_s = cost.integration_s + cost.estimate_s
+            attempt = replace(following, refusal=attempt.refusal, planned_s=planned_s, spent_s=spent_s)
     return output.finish(outcome), outcome
 
 
+def _solve(task: Task, engine: Engine, attempt: Attempt, output: _Memory | RunFolder, progress: bool) -> Outcome[Any]:
+    """Solve the part of the scene that the engine computes, and put it where it belongs in the whole."""
+    samples, part = task.scene.samples, engine.part(task.scene)
+    cone = None if part is task.scene else task.scene.light_cone
+
+    def collect(run: Run) -> Any:
+        with closing(_shown(run, engine.name, samples, output.samples, progress)) as blocks:
+            return output.collect(run, (_in_whole(block, cone) for block in blocks) if cone else blocks)
+
+    return solve_to_tolerance(engine, [part], attempt, collect, output.begin, task.best_effort)
+
+
+def _in_whole(block: Block, cone: LightCone) -> Block:
+    """Return a block of the light cone as one of the whole scene."""
+    displacement, velocity = (x[:, :, cone.rows] for x in (block.displacement, block.velocity))
+    return Block(block.samples, displacement, velocity, cone.columns)
+
+
 def _judged(task: Task, trajectory: Trajectory, outcome: Outcome[Any]) -> Trajectory:
-    """Return an answer if it is as good as it was to be, and say so if it is not."""
+    """Return the trajectory, or raise `ToleranceNotMet`."""
     if "redone" in trajectory.provenance:
         warnings.warn(trajectory.provenance["redone"], stacklevel=3)
     model = trajectory.error_estimate.model
@@ -180,6 +206,11 @@ class _Memory:
     def __init__(self, task: Task):
         self._task = task
 
+    def prepare(self, engine: Engine) -> Engine:
+        """Take note of the engine that answers."""
+        self._engine = engine
+        return engine
+
     def begin(self, _: Attempt) -> Mapping[str, Array] | None:
         """Start at the beginning."""
         return None
@@ -202,19 +233,19 @@ class _Memory:
 
     def finish(self, outcome: Outcome[tuple[Array, Array]]) -> Trajectory:
         """Return the answer."""
-        scene, engine = self._task.scene, self._task.engine
+        scene, engine = self._task.scene, self._engine
         displacement, velocity = outcome.collected
         return Trajectory(
             scene=scene,
-            engine=engine.of(outcome.candidate).name,
-            equation=engine.of(outcome.candidate).equation,
+            engine=engine.name,
+            equation=engine.equation,
             time=scene.time,
             grains=scene.recorded,
             displacement=displacement,
             velocity=velocity,
-            error_estimate=ErrorEstimate(outcome.error.model, outcome.error.total),
+            error_estimate=outcome.error.estimate,
             cost=outcome.cost,
-            provenance=versions() | engine.describe(scene, outcome.candidate),
+            provenance=versions() | record(engine, scene, outcome.attempt.candidate),
         )
 
 

@@ -1,4 +1,4 @@
-"""Measuring how fast the engines are on this machine."""
+"""Measuring how fast the engines are on this machine, for the cost model."""
 
 from __future__ import annotations
 
@@ -10,12 +10,15 @@ from pathlib import Path
 
 from .. import engines
 from ..chain.chain import Chain
-from ..engines.cost_model import PLAUSIBLE, SHIPPED, cache_file, speeds
+from ..engines.base import Engine
+from ..engines.cost_model import PLAUSIBLE, cache_file, measured, speed
 from ..scene.excitation import Impulse
 from ..scene.scene import Scene
 from ..util.files import replacing
+from .api import simulate
 
 REPEATS, TOLERANCE = 5, 1e-9  # of the answers that are timed
+SMALL, LARGE = (2, 1), (60, 40)  # grains, and tens of time units
 
 
 def calibrate() -> tuple[Path, float]:
@@ -30,44 +33,39 @@ def calibrate() -> tuple[Path, float]:
     OSError
         If it cannot be kept; it is used in this process all the same.
     """
-
-    names = [name for name in engines.LADDER if not engines.get(name).refuses(_scene(2, 1))]
-    for name in names:
-        _timed(name, 2, 1)  # compiles and imports
+    every = [engines.get(name) for name in engines.names()]
+    timed = [engine for engine in every if not engine.on_request and not engine.refuses(_scene(*SMALL))]
+    for engine in timed:
+        _timed(engine, *SMALL)  # compiles and imports
     began = time.perf_counter()
     found = {}
-    for name in names:
-        (small, light), (large, heavy) = (_timed(name, *size) for size in ((2, 1), (60, 40)))
-        start, shipped = SHIPPED[name]
-        slowness = max((large - small) / (heavy - light), shipped / PLAUSIBLE * 2)
-        found[name] = max(small - slowness * light, start / PLAUSIBLE * 2), slowness
+    for engine in timed:
+        (short, light), (long, heavy) = (_timed(engine, *size) for size in (SMALL, LARGE))
+        slowness = max((long - short) / (heavy - light), 2 / PLAUSIBLE)
+        found[engine.name] = max(short - slowness * light, 2 * engine.start_up_s / PLAUSIBLE), slowness
     took = time.perf_counter() - began
-    known = {**SHIPPED, **found}
+    known = {engine.name: speed(engine.name, engine.start_up_s) for engine in every} | found
     path = cache_file()
-    speeds.cache_clear()
+    measured.cache_clear()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as aside:
             aside.write_text(json.dumps({"host": platform.node(), "engines": known}, indent=2) + "\n", encoding="utf-8")
     finally:
-        speeds.cache_clear()
+        measured.cache_clear()
     return path, took
 
 
 def _scene(grains: int, periods: int) -> Scene:
-    from ..scene.scene import Scene
-
     chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-3)
     return Scene(chain=chain, excitation=Impulse(velocity=1e-12), duration=periods * 10 * chain.time_scale, samples=11)
 
 
-def _timed(name: str, grains: int, periods: int) -> tuple[float, float]:
-    """Return the shortest of some times that an answer takes, s, and what it should on the machine of `SHIPPED`."""
-    from ..simulation.api import simulate
-
-    scene, engine = _scene(grains, periods), engines.get(name)
-    start, slowness = speeds()[name]
-    work = (engine.candidate(scene, TOLERANCE).cost_s - start) / slowness
+def _timed(engine: Engine, grains: int, periods: int) -> tuple[float, float]:
+    """Return the shortest of some times that an answer takes, s, and its work on the machine of the shipped numbers."""
+    scene = _scene(grains, periods)
+    start, slowness = speed(engine.name, engine.start_up_s)
+    work = (engine.candidate(engine.part(scene), TOLERANCE).cost_s - start) / slowness
     times = []
     with warnings.catch_warnings(action="ignore"):
         for _ in range(REPEATS):

@@ -25,27 +25,27 @@ import time
 import warnings
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from copy import copy
 from dataclasses import asdict, replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from ..engines.base import Candidate, Run
+from ..engines.base import Candidate, Engine, Run, SharperBound
 from ..engines.step_control import Attempt, Outcome
 from ..errors import InputError, LmpchainError
 from ..trajectory import zarr_store as store
-from ..trajectory.record import Block, Cost, ErrorEstimate, subject
+from ..trajectory.record import Block, Cost, subject
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.files import make_folder, replacing
 from ..util.provenance import checksums, now, versions
 from . import checkpoints
 from . import task as tasks
+from .policy import record
 from .signals import Requests, Stopped
 from .task import LOCK, STATUS, Task, resume_command
 
-SUMS, DECK, LOG = "SHA256SUMS", "deck", "log.lammps"
+SUMS = "SHA256SUMS"
 STATES = ("running", "stopped", "finished", "failed")
 SHARE = 0.01  # of the time that checkpoints may take
 OFTEN_S = 1.0  # shortest time between two
@@ -100,7 +100,7 @@ class RunFolder:
 
     def __enter__(self) -> RunFolder:
         if self._new:
-            tasks.check_kept(self._new.engine)
+            tasks.check_kept(self._new.policy)
             make_folder(tasks.check_new(self.path))
         else:
             tasks.check_run(self.path)
@@ -117,7 +117,6 @@ class RunFolder:
                 self.task = tasks.read(self.path)
                 self._find()
                 self._say("running")
-            self._log()
         except BaseException:
             self._lock.release()
             raise
@@ -133,22 +132,6 @@ class RunFolder:
             raise InputError([(self.name, "another process is at work here; wait for it, or stop it")]) from None
         except OSError as error:
             raise LmpchainError(f"{self.name}: cannot be written: {error.strerror}") from None
-
-    def _log(self) -> None:
-        """Let LAMMPS write its log here."""
-        if self.task.engine.name != "lammps":
-            return
-        from ..engines.lammps.stepper import word
-
-        path = self.path / LOG
-        try:
-            word(path)
-        except InputError as error:
-            warnings.warn(f"{self.name}: there will be no {LOG}: {error}", stacklevel=2)
-            return
-        engine: Any = copy(self.task.engine)
-        engine.log = path
-        self.task = replace(self.task, engine=engine)
 
     def _find(self) -> None:
         """Find the newest checkpoint that is whole, and whose samples are there."""
@@ -179,45 +162,26 @@ class RunFolder:
                 f"{what}; {kept}; when that is put right, {resume_command(self.name)} goes on"
             ) from error
 
+    def prepare(self, engine: Engine) -> Engine:
+        """Return the engine that answers, which writes what it says on the way into this folder."""
+        self._engine = engine.prepare(self.path)
+        return self._engine
+
     def begin(self, attempt: Attempt) -> Mapping[str, Array] | None:
         """Make ready for an attempt; return the state to go on from if it is the one that was at work before."""
         state, self._state = self._state, {}
         self.attempt = attempt
         if not state:
-            task = self.task
             self.samples, self._before = 0, self._before | dict.fromkeys(SPENT, 0.0)
             for _ in checkpoints.NAMES:  # both: none may tell of the attempt before, whose samples go
                 checkpoints.save(self.path, self._notes(self._before), {})
-            choices = versions() | task.engine.describe(task.scene, attempt.candidate)
-            engine = task.engine.of(attempt.candidate)
-            store.create(self.path, task.scene, subject(task.scene, engine.name, engine.equation, choices))
-            self._write_deck(attempt.candidate)
+            engine, scene = self._engine, self.task.scene
+            choices = versions() | record(engine, scene, attempt.candidate)
+            store.create(self.path, scene, subject(scene, engine.name, engine.equation, choices))
+            engine.write_inputs(scene, attempt.candidate, self.task.tolerance, self.path)
         self._writer = store.Writer(self.path, self.task.scene, self.samples)
         self._next = time.monotonic() + OFTEN_S
         return state or None
-
-    def _write_deck(self, candidate: Candidate) -> None:
-        """Write the deck of a run in LAMMPS; that of velocity Verlet at its cost where none can carry its splitting."""
-        engine: Any = self.task.engine
-        if engine.name != "lammps":
-            return
-        from ..engines.lammps.deck import carries
-        from ..engines.lammps.export import write_deck
-
-        splitting, driven = engine.splitting, self.task.scene.drive is not None
-        same = carries(splitting) and not (driven and splitting.order > 2)
-        try:
-            write_deck(
-                self.task.scene,
-                self.path / DECK,
-                tolerance=self.task.tolerance,
-                step=candidate.step if same else candidate.step / splitting.evaluations,
-                diameter="physical" if driven else candidate.choices["diameter"],
-                integrator=splitting.name if same else "verlet",
-                pair_style=engine.pair_style,
-            )
-        except LmpchainError as error:
-            warnings.warn(f"{self.name}: there is no deck: {error}", stacklevel=2)
 
     def collect(self, run: Run, blocks: Iterable[Block]) -> None:
         """Bring the blocks of a run to the disk, with a checkpoint now and then.
@@ -246,8 +210,7 @@ class RunFolder:
     def _checkpoint(self, run: Run) -> None:
         began = time.monotonic()
         self._writer.flush()
-        error = run.errors()[0]
-        self._estimate = error.model + error.total
+        self._estimate = run.errors()[0].total
         checkpoints.save(self.path, self._notes(self._spent(run.cost())), run.state())
         self._say("running")
         self._next = time.monotonic() + max(OFTEN_S, (time.monotonic() - began) / SHARE)
@@ -264,9 +227,9 @@ class RunFolder:
     def finish(self, outcome: Outcome[None]) -> Trajectory:
         """Note how the run ended; return the answer, which stays on the disk."""
         spent: Any = self._spent(outcome.cost)
-        self._estimate = outcome.error.model + outcome.error.total
+        self._estimate = outcome.error.total
         self._writer.conclude(
-            ErrorEstimate(outcome.error.model, outcome.error.total),
+            outcome.error.estimate,
             replace(outcome.cost, **{key: spent[key] for key in SPENT}),
         )
         with replacing(self.path / SUMS) as aside:
@@ -300,9 +263,11 @@ def _attempt(notes: Mapping[str, Any]) -> Attempt:
     """Return the attempt that a checkpoint tells of."""
     given = notes["attempt"]
     try:
-        candidate = Candidate(**given["candidate"])
+        fields = given["candidate"]
+        sharper = fields["sharper"] and SharperBound(**fields["sharper"])
+        candidate = Candidate(**fields | {"sharper": sharper})
         return Attempt(**given | {"candidate": candidate, "truncations": tuple(given["truncations"])})
-    except TypeError:
+    except (TypeError, LookupError):
         cure = "go on with that one, or run the scene anew"
         raise InputError(
             [("checkpoint", f"was written by a version of lmpchain that this one does not know: {cure}")]

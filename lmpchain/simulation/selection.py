@@ -1,44 +1,44 @@
-"""Which engine: the cheapest one whose answer is as good as it is to be, by what each of them proposes.
+"""Engine selection: the cheapest engine that is expected to meet the tolerance.
 
-Nothing here knows one engine from another: what counts is which equation they solve, how far they expect to be off and
-what that costs.
+Nothing here knows one engine from another: what counts is which equation they solve, what they cost, and how far they
+expect to be off.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any
 
 from .. import engines
-from ..engines.base import Candidate, Engine, Run, SolverError
+from ..engines.base import Candidate, Engine
 from ..errors import InputError, ToleranceNotMet
 from ..scene.scene import Scene
-from ..util.arrays import Array
+from ..util.tables import finite
 
-THEORY = {3: "linear theory", 4: "the homogeneous chain", 27: "the continuum"}  # what solves an equation but Eq. (1)
-WORTH = 0.8  # a closer look and what it speaks for must together be so much cheaper
+THEORY = {3: "linear theory", 4: "the homogeneous chain", 27: "the continuum"}  # by the equation that it solves
+WORTH = 0.8  # a sharper bound, with the answer that it speaks for, must cost less than this part of the cheapest
 ROUNDING = 1 + 1e-9  # of a sum of errors that is equal to the tolerance
 
 
-@dataclass
-class Rung:
-    """An engine and what it would do, judged by and by.
+@dataclass(frozen=True)
+class Proposal:
+    """An engine's candidate and the verdict on it.
 
     Attributes
     ----------
     engine : str
     equation : int or None
-        None if nobody asked the engine.
+        Number in the paper of the equation that it solves; None if the engine was not asked.
     candidate : Candidate or None
         None if it has nothing to propose.
     kept : bool
         Whether it is expected to meet the tolerance.
     why : str
         Why it is kept or not.
-    looked : bool
-        Whether it was looked at closer.
+    bounded : bool
+        Whether its model error was bounded from the linear solution.
     """
 
     engine: str
@@ -46,68 +46,122 @@ class Rung:
     candidate: Candidate | None = None
     kept: bool = False
     why: str = ""
-    looked: bool = False
+    bounded: bool = False
+
+    @property
+    def integrator(self) -> str:
+        """The method that steps through time; empty where the solution is exact."""
+        return self.candidate.integrator if self.candidate else ""
+
+    @property
+    def model_error(self) -> float:
+        """Bound on the relative error of the equation; NaN if it is not known."""
+        return self.candidate.model_error if self.candidate else math.nan
+
+    @property
+    def solver_error(self) -> float:
+        """Expected relative error of the numerical solution; NaN if it is not known."""
+        return self.candidate.solver_error if self.candidate else math.nan
+
+    @property
+    def active_grains(self) -> int | None:
+        """Grains that are computed; the others are out of reach."""
+        return self.candidate.active_grains if self.candidate else None
+
+    @property
+    def step(self) -> float:
+        """Time step, s; of an exact solution, the time between two samples."""
+        return self.candidate.step if self.candidate else math.nan
 
     @property
     def cost_s(self) -> float:
+        """Expected time, s."""
+        return self.candidate.cost_s if self.candidate else math.nan
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what goes into a JSON file; numbers that are not known are null."""
+        names = [
+            "engine",
+            "equation",
+            "integrator",
+            "model_error",
+            "solver_error",
+            "active_grains",
+            "step",
+            "cost_s",
+            "kept",
+            "why",
+        ]
+        return finite({name: getattr(self, name) for name in names})
+
+    @property
+    def price_s(self) -> float:
         """Expected time, s; infinite if it is not kept."""
         return self.candidate.cost_s if self.candidate and self.kept else math.inf
 
 
-def climb(scene: Scene, tolerance: float) -> list[Rung]:
-    """Ask every engine, and look closer where that may pay; return a rung for each, judged."""
-    rungs = [_asked(name, scene, tolerance) for name in engines.LADDER]
-    if not any(rung.candidate for rung in rungs):
-        rungs += [_asked(name, scene, tolerance) for name in engines.ON_REQUEST]
-    else:
+def propose_all(scene: Scene, tolerance: float) -> list[Proposal]:
+    """Ask every engine, bound model errors more sharply where that pays, and judge every candidate."""
+    every = {name: engines.get(name) for name in engines.names()}
+    automatic = {name: engine for name, engine in every.items() if not engine.on_request}
+    proposals = [_ask(engine, scene, tolerance) for engine in automatic.values()]
+    if any(proposal.candidate for proposal in proposals):
         why = "only if asked for by name, or if no other engine can do the scene"
-        rungs += [Rung(name, why=why) for name in engines.ON_REQUEST]
-    while True:
-        for rung in rungs:
-            _judge(rung, scene, tolerance)
-        best = min(rung.cost_s for rung in rungs)
-        promising = [rung for rung in rungs if _promises(rung, tolerance, best)]
-        if not promising:
-            return rungs
-        first = min(promising, key=_with_look)
-        assert first.candidate
-        seen = engines.get(first.engine).look(scene, first.candidate).model_error
-        for rung in rungs:
-            if rung.candidate and rung.equation == first.equation:  # leaves out the same, whoever solves it
-                rung.candidate, rung.looked = replace(rung.candidate, model_error=seen), True
-
-
-def _asked(name: str, scene: Scene, tolerance: float) -> Rung:
-    engine = engines.get(name)
-    if reasons := engine.refuses(scene):
-        return Rung(
-            name, engine.equation, why="cannot do it: " + "; ".join(dict.fromkeys(reason for _, reason in reasons))
-        )
-    try:
-        return Rung(name, engine.equation, engine.candidate(scene, tolerance))
-    except ToleranceNotMet as error:
-        return Rung(name, engine.equation, why=error.reason)
-    except InputError as error:
-        return Rung(name, engine.equation, why="; ".join(f"{key}: {fault}" for key, fault in error.faults))
-
-
-def _judge(rung: Rung, scene: Scene, tolerance: float) -> None:
-    """Pass the verdict on a rung."""
-    found = rung.candidate
-    if not found:
-        return
-    theory = THEORY.get(rung.equation or 1, f"Eq. ({rung.equation})")
-    rung.kept = found.model_error + found.solver_error <= tolerance * ROUNDING
-    if rung.kept:
-        rung.why = "within the tolerance"
-    elif found.solver_error > tolerance:
-        rung.why = f"its solver leaves about {found.solver_error:.1g}, above the tolerance"
-    elif math.isnan(found.model_error):
-        rung.why = f"how far off {theory} is here is not known before the run"
+        proposals += [Proposal(name, why=why) for name in every.keys() - automatic.keys()]
     else:
-        would = "is up to" if rung.looked else "would be" if found.model_error >= 1 else "may be up to"
-        rung.why = f"strike number {scene.strike_number:.2g}: {theory} {would} {percent(found.model_error)} off"
-        rung.why += "" if rung.looked else " in the velocities"
+        proposals += [_ask(engine, scene, tolerance) for engine in every.values() if engine.on_request]
+    while True:
+        proposals = [_judge(proposal, scene, tolerance) for proposal in proposals]
+        cheapest_s = min(proposal.price_s for proposal in proposals)
+        promising = [proposal for proposal in proposals if _promises(proposal, tolerance, cheapest_s)]
+        if not promising:
+            return proposals
+        first = min(promising, key=_price_with_bound)
+        assert first.candidate
+        engine = every[first.engine]
+        bound = engine.bound_model_error(engine.part(scene), first.candidate)
+        proposals = [
+            replace(proposal, candidate=replace(proposal.candidate, model_error=bound), bounded=True)
+            if proposal.candidate and proposal.equation == first.equation  # whoever solves it
+            else proposal
+            for proposal in proposals
+        ]
+
+
+def _ask(engine: Engine, scene: Scene, tolerance: float) -> Proposal:
+    part, name = engine.part(scene), engine.name
+    if reasons := engine.refuses(part):
+        why = "cannot do it: " + "; ".join(dict.fromkeys(reason for _, reason in reasons))
+        return Proposal(name, engine.equation, why=why)
+    try:
+        return Proposal(name, engine.equation, engine.candidate(part, tolerance))
+    except ToleranceNotMet as error:
+        return Proposal(name, engine.equation, why=error.reason)
+    except InputError as error:
+        return Proposal(name, engine.equation, why="; ".join(f"{key}: {fault}" for key, fault in error.faults))
+
+
+def _judge(proposal: Proposal, scene: Scene, tolerance: float) -> Proposal:
+    """Return a proposal with the verdict on it."""
+    candidate = proposal.candidate
+    if not candidate:
+        return proposal
+    theory = THEORY.get(proposal.equation or 1, f"Eq. ({proposal.equation})")
+    kept = candidate.model_error + candidate.solver_error <= tolerance * ROUNDING
+    if kept:
+        why = "within the tolerance"
+    elif candidate.solver_error > tolerance:
+        why = f"its solver leaves about {candidate.solver_error:.1g}, above the tolerance"
+    elif math.isnan(candidate.model_error):
+        why = f"how far off {theory} is here is not known before the run"
+    elif proposal.bounded:
+        error = percent(candidate.model_error)
+        why = f"strike number {scene.strike_number:.2g}: {theory} is up to {error} off"
+    else:
+        reaches = "reaches" if candidate.model_error >= 1 else "is"
+        error = percent(candidate.model_error)
+        why = f"strike number {scene.strike_number:.2g}: {theory}, a priori bound {reaches} {error}"
+    return replace(proposal, kept=kept, why=why)
 
 
 def percent(error: float) -> str:
@@ -117,104 +171,41 @@ def percent(error: float) -> str:
     return f"{100 * error:.0f} %" if error > 0.1 else f"{100 * error:.2g} %"
 
 
-def _with_look(rung: Rung) -> float:
-    assert rung.candidate
-    return rung.candidate.look_s + rung.candidate.cost_s
+def _price_with_bound(proposal: Proposal) -> float:
+    assert proposal.candidate
+    assert proposal.candidate.sharper
+    return proposal.candidate.sharper.cost_s + proposal.candidate.cost_s
 
 
-def _promises(rung: Rung, tolerance: float, best: float) -> bool:
-    """Say whether a closer look may find a rung good enough, and pays if it does."""
-    found = rung.candidate
-    if not found or rung.kept or rung.looked or not math.isfinite(found.look_s):
+def _promises(proposal: Proposal, tolerance: float, cheapest_s: float) -> bool:
+    """Say whether a sharper bound may find a proposal good enough, and pays if it does."""
+    candidate = proposal.candidate
+    if not candidate or proposal.kept or proposal.bounded or not candidate.sharper:
         return False
-    return found.model_least + found.solver_error <= tolerance and _with_look(rung) < WORTH * best
+    within = candidate.sharper.least + candidate.solver_error <= tolerance
+    return within and _price_with_bound(proposal) < WORTH * cheapest_s
 
 
-def cheapest(rungs: Sequence[Rung]) -> Rung:
-    """Return the rung to take.
+def cheapest(proposals: Sequence[Proposal]) -> Proposal:
+    """Return the proposal to take.
 
     Raises
     ------
     ToleranceNotMet
         With what every engine that was asked says, if none is good enough.
     """
-    best = min(rungs, key=lambda rung: rung.cost_s)
+    best = min(proposals, key=lambda proposal: proposal.price_s)
     if not best.kept:
-        asked = [rung for rung in rungs if rung.candidate or rung.equation == 1]
-        raise ToleranceNotMet("; ".join(f"{rung.engine}: {rung.why}" for rung in asked))
+        asked = [proposal for proposal in proposals if proposal.candidate or proposal.equation == 1]
+        raise ToleranceNotMet("; ".join(f"{proposal.engine}: {proposal.why}" for proposal in asked))
     return best
 
 
-def reason(rungs: Sequence[Rung]) -> str:
-    """Return why the cheapest rung is taken."""
-    best = cheapest(rungs)
-    others = [rung for rung in rungs if rung.kept and rung is not best]
+def reason(proposals: Sequence[Proposal]) -> str:
+    """Return why the cheapest proposal is taken."""
+    best = cheapest(proposals)
+    others = [proposal for proposal in proposals if proposal.kept and proposal is not best]
     if others:
         return f"solves Eq. ({best.equation}), the cheapest of {len(others) + 1} within the tolerance"
-    simpler = next((rung.why for rung in rungs if rung.candidate and not rung.kept), "")
+    simpler = next((proposal.why for proposal in proposals if proposal.candidate and not proposal.kept), "")
     return f"solves Eq. ({best.equation}), the only one within the tolerance{'; ' if simpler else ''}{simpler}"
-
-
-def _chosen(rung: Rung, **why: str) -> Candidate:
-    assert rung.candidate
-    return replace(rung.candidate, engine=rung.engine, choices={**rung.candidate.choices, **why})
-
-
-class Auto(Engine):
-    """The cheapest engine whose answer is expected to be within the tolerance, equation and solution together.
-
-    Where the run shows that the equation leaves out more than was expected, it is done again with the cheapest engine
-    for Eq. (1).
-    """
-
-    name: ClassVar[str] = "auto"
-    equation: ClassVar[int] = 1
-
-    def refuses(self, scene: Scene) -> list[tuple[str, str]]:
-        """Return why no engine can do this scene."""
-        found = []
-        for name in (*engines.LADDER, *engines.ON_REQUEST):
-            reasons = engines.get(name).refuses(scene)
-            if not reasons:
-                return []
-            found += reasons
-        return found
-
-    def candidate(self, scene: Scene, tolerance: float) -> Candidate:
-        """Propose what the cheapest engine does."""
-        rungs = climb(scene, tolerance)
-        best = cheapest(rungs)
-        return _chosen(best, plan=f"{best.engine}: {reason(rungs)}")
-
-    def of(self, candidate: Candidate) -> Engine:
-        """Return the engine that answers with a candidate."""
-        return engines.get(candidate.engine)
-
-    def refine(self, candidate: Candidate, error: SolverError | None, tolerance: float) -> Candidate | None:
-        """Propose what the engine proposes that did the last try."""
-        return self.of(candidate).refine(candidate, error, tolerance)
-
-    def instead(self, scene: Scene, candidate: Candidate, error: SolverError, tolerance: float) -> Candidate | None:
-        """Propose the cheapest engine for Eq. (1) if what another equation leaves out takes the answer too far."""
-        before = self.of(candidate)
-        if before.equation == 1 or (error.at_most <= tolerance and not error.remark):
-            return None
-        found = f"Eq. ({before.equation}) leaves out up to {max(error.model, error.model_at_most):.1g} of the answer"
-        found = f"{found}, {error.remark}" if error.remark else found
-        exact = [rung for rung in climb(scene, tolerance) if rung.equation in (1, None)]
-        if not any(rung.kept for rung in exact):
-            why = "; ".join(f"{rung.engine}: {rung.why}" for rung in exact)
-            raise ToleranceNotMet(f"{found}, with the tolerance of {tolerance:.2g} exceeded; {why}")
-        best = cheapest(exact)
-        planned = f"it was to be at most {candidate.model_error:.1g}"
-        told = f"{found} along the run of {before.name}, {planned}: done again with {best.engine}, Eq. (1)"
-        return _chosen(best, plan=f"{best.engine}: {told}", redone=told)
-
-    def start(self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array] | None = None) -> Run:
-        """Start the engine that was chosen."""
-        return self.of(candidate).start(scenes, candidate, state)
-
-    def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
-        """Return what the chosen engine says, and why it was chosen."""
-        why = {key: candidate.choices[key] for key in ("plan", "redone") if key in candidate.choices}
-        return self.of(candidate).describe(scene, candidate) | why

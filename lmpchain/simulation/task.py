@@ -7,22 +7,19 @@ import json
 import shlex
 import warnings
 from dataclasses import dataclass
-from inspect import signature
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 from .. import engines
-from ..engines.base import Engine
 from ..errors import InputError
 from ..scene.scene import Scene
 from ..util import mpi
 from ..util.files import replacing
 from ..util.provenance import session
+from .policy import Named, Policy, policy_for
 
 SCENE, RUN, STATUS, LOCK = "scene.toml", "run.json", "status.json", ".lock"
-
-UNKEPT = ("keep", "template", "include")  # options of engines: dumps, and commands that may hold a state of their own
 
 
 @dataclass(frozen=True)
@@ -32,14 +29,15 @@ class Task:
     Attributes
     ----------
     scene : Scene
-    engine : Engine
+    policy : Policy
+        Which engine answers.
     tolerance : float
     best_effort : bool
         Whether to do what can be done where the tolerance cannot be met.
     """
 
     scene: Scene
-    engine: Engine
+    policy: Policy
     tolerance: float
     best_effort: bool
 
@@ -78,8 +76,8 @@ def check_new(folder: str | PathLike[str]) -> Path:
 def write(folder: Path, task: Task) -> None:
     """Note a new task and this session; from the moment that the scene is there, `read` finds it."""
     asked = {
-        "engine": task.engine.name,
-        "options": _options(task.engine),
+        "engine": task.policy.name,
+        "options": task.policy.options(),
         "tolerance": task.tolerance,
         "best_effort": task.best_effort,
     }
@@ -94,24 +92,13 @@ def _seal(asked: dict[str, Any], scene: str) -> str:
     return hashlib.sha256(f"{json.dumps(fixed, sort_keys=True)}\n{scene}".encode()).hexdigest()
 
 
-def _options(engine: Any) -> dict[str, Any]:
-    """Return the arguments that make an equal engine."""
-    options = {}
-    for name in signature(type(engine)).parameters:
-        if name == "integrator":
-            options[name] = engine.methods[0].name if len(engine.methods) == 1 else "auto"
-        elif name not in UNKEPT:
-            options[name] = getattr(engine, name)
-    return options
-
-
-def check_kept(engine: Engine) -> None:
+def check_kept(policy: Policy) -> None:
     """Raise `InputError` if an engine cannot work in a run folder."""
-    if engine.name not in (*engines.names(), "auto") or type(engine) is not type(engines.get(engine.name)):
-        raise InputError([("engine", "a run folder knows the engines of lmpchain by name; it cannot keep another")])
-    why = "LAMMPS cannot go on after a stop with what it keeps for it; leave it out with a run folder"
-    if faults := [(key, why) for key in UNKEPT if getattr(engine, key, None)]:
-        raise InputError(faults)
+    if isinstance(policy, Named):
+        name, known = policy.name, engines.names()
+        if name not in known or type(policy.chosen) is not type(engines.get(name)):
+            raise InputError([("engine", "a run folder knows engines by name only, and this is none of lmpchain's")])
+    policy.options()
 
 
 def read(folder: Path) -> Task:
@@ -132,7 +119,7 @@ def read(folder: Path) -> Task:
     if others := [f"{name} {new}, not {old}" for name, (new, old) in versions.items() if new != old]:
         warnings.warn(f"the run went so far with other versions, and may now differ: {'; '.join(others)}", stacklevel=2)
     _note(folder, asked | {"sessions": [*asked["sessions"], now]})
-    return Task(scene, engines.get(asked["engine"], **options), asked["tolerance"], asked["best_effort"])
+    return Task(scene, policy_for(asked["engine"], **options), asked["tolerance"], asked["best_effort"])
 
 
 def _note(folder: Path, what: dict[str, Any]) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,6 +19,7 @@ from ..chain.chain import LARGEST_OVERLAP
 from ..errors import EngineUnavailable, InputError, LmpchainError, ToleranceNotMet
 from ..integrators.methods import METHODS
 from ..scene.scene import Scene
+from ..util.arrays import Array
 from .result import TOLERANCE, Boundary, Curve, Stability
 
 if TYPE_CHECKING:
@@ -29,6 +30,7 @@ LONGEST_S = 20.0  # that one measurement may be expected to take
 DIVISIONS = 40.0  # of the fastest oscillation by the step at which energies are compared
 PERIODS = 1000.0  # for which they are
 STRENGTHS = np.logspace(-8, 2, 11)  # of the strike, over its own
+ROUNDINGS = (("native", "physical"), ("lammps", "physical"), ("lammps", "gauge"))  # that differ in round-off
 STRONG = {"velocity", "displacement", "amplitude"}  # what of an excitation is as strong as the strike
 
 
@@ -66,14 +68,16 @@ def stability(scene: Scene, *, progress: bool = False) -> Stability:
 
 def _parts(scene: Scene) -> Iterator[tuple[str, Callable[[], Iterator[Boundary | Curve]]]]:
     """Return what there is to find out, by name."""
+    from .roundoff import long_double
+
     for integrator in METHODS:
         yield f"longest step, {integrator}", partial(_step, scene, "native", integrator)
     yield "longest step, lammps", partial(_step, scene, "lammps", "verlet")
     for integrator in METHODS:
         yield f"energy, {integrator}", partial(_energy, scene, integrator)
-    yield "smallest error, native", partial(_floor, scene, "native", "physical")
-    for diameter in ("physical", "gauge"):
-        yield f"smallest error, lammps, {diameter} diameter", partial(_floor, scene, "lammps", diameter)
+    exact = cache(partial(long_double, scene))
+    for engine, diameter in ROUNDINGS:
+        yield f"smallest error, {_name(engine, diameter)}", partial(_floor, scene, engine, diameter, exact)
     yield "predictable", partial(_horizon, scene)
     yield "linear theory", partial(_linear, scene)
     yield "overlap", partial(_overlap, scene)
@@ -86,7 +90,7 @@ def _step(scene: Scene, engine: str, integrator: str) -> Iterator[Boundary]:
     predicted = limit(scene, integrator)
     solver = engines.get(engine, integrator=integrator)
     cost = METHODS[integrator].evaluations * scene.duration / predicted * scene.chain.grains
-    affordable = RUNS * cost * solver.seconds_per_grain_step < LONGEST_S  # type: ignore[attr-defined]
+    affordable = RUNS * cost * solver.seconds_per_grain_step < LONGEST_S
     measured = blow_up(scene, integrator, engine) if affordable and not solver.refuses(scene) else math.nan
     yield Boundary("longest step", f"{engine} {integrator}", "s", predicted, measured)
 
@@ -100,18 +104,23 @@ def _energy(scene: Scene, integrator: str) -> Iterator[Curve]:
         raise InputError([("gravity", "without gravity and load there is no period to count by")])
     step = 2 * math.pi / scene.highest_frequency / DIVISIONS  # far below every stability limit
     cost = METHODS[integrator].evaluations * PERIODS * DIVISIONS * scene.chain.grains
-    if cost * engines.get("native").seconds_per_grain_step > LONGEST_S:  # type: ignore[attr-defined]
+    if cost * engines.get("native").seconds_per_grain_step > LONGEST_S:
         raise InputError([("grains", "too many to follow the energy for a thousand periods")])
     found = energy_error(scene, integrator, step, PERIODS, samples=401)
     yield Curve("energy", integrator, found.time, np.abs(found.error))
 
 
-def _floor(scene: Scene, engine: str, diameter: str) -> Iterator[Boundary]:
+def _floor(scene: Scene, engine: str, diameter: str, exact: Callable[[], tuple[Array, Array]]) -> Iterator[Boundary]:
     from .roundoff import floor, measured_floor
 
-    name = engine if engine == "native" else f"{engine}, {diameter} diameter"
-    measured = math.nan if scene.drive or _too_long(scene) else measured_floor(scene, engine, diameter)
-    yield Boundary("smallest error", name, "", floor(scene, engine, diameter), measured)
+    measured = math.nan
+    if not scene.drive and not _too_long(scene):
+        measured = measured_floor(scene, engine, diameter, exact=exact())
+    yield Boundary("smallest error", _name(engine, diameter), "", floor(scene, engine, diameter), measured)
+
+
+def _name(engine: str, diameter: str) -> str:
+    return engine if engine == "native" else f"{engine}, {diameter} diameter"
 
 
 def _horizon(scene: Scene) -> Iterator[Boundary | Curve]:
@@ -131,7 +140,7 @@ def _linear(scene: Scene) -> Iterator[Boundary]:
     from .linear_theory import strike_number_at
 
     engine = engines.Chebyshev()
-    if reasons := engine.refuses(scene):
+    if reasons := engine.refuses(scene.light_cone.scene):
         raise InputError(reasons)
     for error in (0.01, 0.1):
         bound, number = strike_number_at(error, "package", scene.chain.exponent), scene.strike_number
@@ -152,12 +161,17 @@ def _strength(scene: Scene) -> Iterator[Curve]:
     from .roundoff import floor
 
     linear, weaker = engines.Chebyshev(), [_times(scene, factor) for factor in STRENGTHS]
-    if not linear.refuses(scene):
-        found = [linear.look(s, linear.candidate(s, 0.9)).model_error for s in weaker]
-        yield Curve("strength", "Eq. (3), bound", STRENGTHS, np.array(found))
-    for engine, diameter in (("native", "physical"), ("lammps", "physical"), ("lammps", "gauge")):
-        name = "native, round-off" if engine == "native" else f"lammps, {diameter} diameter, round-off"
-        yield Curve("strength", name, STRENGTHS, np.array([floor(s, engine, diameter) for s in weaker]))
+    if not linear.refuses(scene.light_cone.scene):
+        parts = (weak.light_cone.scene for weak in weaker)
+        bounds = [linear.bound_model_error(part, linear.candidate(part, 0.9)) for part in parts]
+        yield Curve("strength", "Eq. (3), bound", STRENGTHS, np.array(bounds))
+    for engine, diameter in ROUNDINGS:
+        yield Curve(
+            "strength",
+            f"{_name(engine, diameter)}, round-off",
+            STRENGTHS,
+            np.array([floor(s, engine, diameter) for s in weaker]),
+        )
 
 
 def _too_long(scene: Scene) -> bool:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..scene.light_cone import cut
 from ..scene.scene import Scene
 from ..util.arrays import Array
 
@@ -16,7 +15,7 @@ def deepest(scene: Scene) -> float:
     No contact can hold more than the energy of the strike, `Contacts.overlap_bound`. `Scene` refuses strikes that
     squeeze a contact to more than a tenth at once; lighter grains below, or a floor, may be squeezed further.
     """
-    part = cut(scene)[1]
+    part = scene.light_cone.scene
     return float((part.chain.contacts.overlap_bound(scene.energy) / part.chain.contact_lengths).max())
 
 

@@ -7,28 +7,26 @@ from collections.abc import Iterator
 
 from ..chain.chain import LARGEST_OVERLAP
 from ..engines.base import Engine
-from ..scene.light_cone import cut
 from ..scene.scene import Scene
 from .overlap import deepest, hertz_excess
 from .predictability import amplifies, predicted_horizon
+from .step_limit import limit
 
 TRUSTED, GENTLE = 0.7, 0.3  # of `steps.limit`: Verlet held for 300 periods; strain below which all of it is to be had
 
 
-def caveats(scene: Scene, engine: Engine, tolerance: float) -> Iterator[str]:
+def caveats(scene: Scene, engine: Engine | None, tolerance: float) -> Iterator[str]:
     """Yield what is beyond a boundary: overlaps, a given step, and time until which an answer can be had."""
     deep = deepest(scene)
     if LARGEST_OVERLAP < deep < math.inf:
         excess = f"Hertz's law is {100 * hertz_excess(min(deep, 0.5)):.2g} % off there by the shape of spheres alone"
         yield f"contacts may be squeezed to {100 * deep:.2g} % of the diameter: {excess}"
-    if step := getattr(engine, "step", None):
-        from .step_limit import limit
-
-        method, edge = engine.methods[0], cut(scene)[1].chain.band_edge  # type: ignore[attr-defined]
+    if engine and engine.step is not None:
+        method, edge = engine.methods[0], scene.light_cone.scene.chain.band_edge
         longest = limit(scene, method.name) * (TRUSTED if scene.largest_strain > GENTLE else 1.0)
-        if longest < step and step * edge <= method.stability_limit:  # beyond, the engine refuses it
+        if longest < engine.step and engine.step * edge <= method.stability_limit:  # beyond, the engine refuses it
             yield (
-                f"step: {step:.3g} s is stable at rest, but while the strike squeezes the contacts only steps "
+                f"step: {engine.step:.3g} s is stable at rest, but while the strike squeezes the contacts only steps "
                 f"below {longest:.3g} s are known to be"
             )
     if amplifies(scene) and (horizon := predicted_horizon(scene, tolerance)) < scene.duration:

@@ -18,7 +18,6 @@ from ..errors import InputError
 from ..integrators.batch import force_form
 from ..integrators.kernels.contact_forces import ROOTS
 from ..integrators.splittings import RKN6, Splitting
-from ..scene.light_cone import cut
 from ..scene.scene import Scene
 from ..simulation.api import simulate
 from ..util.arrays import Array
@@ -53,7 +52,7 @@ def floor(scene: Scene, engine: str = "native", diameter: str = "physical", forc
     InputError
         If the engine is neither, or an option is none of its own.
     """
-    _, part = cut(scene)
+    part = scene.light_cone.scene
     steps = _steps(part)
     speed = _speed(part)
     if engine == "native":
@@ -67,10 +66,23 @@ def floor(scene: Scene, engine: str = "native", diameter: str = "physical", forc
     return TYPICAL * lammps.round_off(part, gauge, steps, np.array([np.inf, speed]))
 
 
-def measured_floor(scene: Scene, engine: str = "native", diameter: str = "physical", force: str = "auto") -> float:
+def long_double(scene: Scene) -> tuple[Array, Array]:
+    """Return displacement and velocity of the light cone, (T, N) m and m/s, by the steps of `floor` in long double."""
+    part = scene.light_cone.scene
+    return _same_steps(part, RKN6, _steps(part))
+
+
+def measured_floor(
+    scene: Scene,
+    engine: str = "native",
+    diameter: str = "physical",
+    force: str = "auto",
+    exact: tuple[Array, Array] | None = None,
+) -> float:
     """Measure what `floor` predicts: an engine against the same steps in NumPy's long double.
 
     The two take the same steps, so the error of the method is the same in both, whether contacts open or not.
+    `exact` is `long_double(scene)`, where that is known already.
 
     Raises
     ------
@@ -79,7 +91,7 @@ def measured_floor(scene: Scene, engine: str = "native", diameter: str = "physic
     """
     if scene.drive:
         raise InputError([("kind", "the floor of round-off is not measured for a driven chain")])
-    _, part = cut(scene)
+    part = scene.light_cone.scene
     steps = _steps(part)
     h = part.duration / steps * (1 + 1e-9)
     if engine == "native":
@@ -87,9 +99,7 @@ def measured_floor(scene: Scene, engine: str = "native", diameter: str = "physic
     else:
         run = simulate(part, _lammps(engine, diameter, h))
     assert run.cost.steps == steps
-    if "floor" not in part.notes:
-        part.notes["floor"] = _same_steps(part, RKN6, steps)
-    true = part.notes["floor"]
+    true = exact or long_double(scene)
     found = run.displacement, run.velocity
     columns = run.grains - 1
     pairs = ((x, y[:, columns], np.abs(y).max()) for x, y in zip(found, true, strict=True))

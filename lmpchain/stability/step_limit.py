@@ -12,7 +12,6 @@ import numpy as np
 from .. import engines
 from ..errors import RunFailed
 from ..integrators.methods import METHODS
-from ..scene.light_cone import cut
 from ..scene.scene import Scene
 from ..util.arrays import Array
 
@@ -38,7 +37,7 @@ def struck_frequency(scene: Scene) -> float:
     for strike numbers from 0.01 to 1e4, it is right to 3 % in loaded chains and columns of Hertz contacts, to 7 % for
     exponent 2. A drive puts in no energy that is known beforehand: there it is `Scene.highest_frequency`.
     """
-    _, part = cut(scene)
+    part = scene.light_cone.scene
     chain, contacts = part.chain, part.chain.contacts
     if part.drive:
         return part.highest_frequency
@@ -81,7 +80,7 @@ def limit(scene: Scene, integrator: str) -> float:
     """
     from scipy.optimize import brentq
 
-    method, edge = METHODS[integrator], cut(scene)[1].chain.band_edge
+    method, edge = METHODS[integrator], scene.light_cone.scene.chain.band_edge
     highest = struck_frequency(scene)
     longest = method.stability_limit / highest if highest else math.inf  # nothing moves, and nothing is pressed
 
@@ -130,8 +129,8 @@ def blow_up(scene: Scene, integrator: str, engine: str = "native") -> float:
     """
     expected = limit(scene, integrator)
     solver = engines.get(engine, integrator=integrator, step=expected / 4)
-    proposed = solver.candidate(scene, 0.5)
-    edge = cut(scene)[1].chain.band_edge
+    proposed = solver.candidate(solver.part(scene), 0.5)
+    edge = scene.light_cone.scene.chain.band_edge
     suspected = suspect(integrator) / edge if edge else math.inf
 
     def survives(step: float) -> bool:

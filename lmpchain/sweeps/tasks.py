@@ -13,7 +13,7 @@ from __future__ import annotations
 import json
 import shutil
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,14 +23,12 @@ from typing import Any
 import numpy as np
 
 from .. import engines
-from ..disorder.averages import ENGINES
-from ..engines.base import Candidate, Engine, SolverError
-from ..engines.step_control import STALLS
+from ..engines.base import Candidate, Engine, ErrorBudget
+from ..engines.step_control import Attempt, first_attempt, next_attempt
 from ..engines.time_stepping import kind
 from ..errors import InputError, LmpchainError, RunFailed, ToleranceNotMet
 from ..scene.scene import Scene
 from ..simulation.api import simulate
-from ..trajectory.record import ErrorEstimate
 from ..trajectory.trajectory import Trajectory
 from .file import name_of, scene_of
 from .quantities import QUANTITIES
@@ -52,7 +50,7 @@ class Task:
 
 def together(engine: str, scene: Scene) -> int:
     """Return how many scenes like this one make a task: one, unless it is small."""
-    if engine not in ENGINES:
+    if not engines.get(engine).batches:
         return 1
     return max(1, min(MOST, MOST_NUMBERS // (scene.samples * scene.chain.grains)))
 
@@ -77,47 +75,51 @@ def answer(task: Task) -> None:
             try:
                 if name in faults:
                     raise faults[name]
-                trajectory = answers.pop(name, None) or simulate(scenes[name], engine, tolerance)
-                _record(task.results / name, asked[name], trajectory)
+                answer = answers.pop(name, None) or simulate(scenes[name], engine, tolerance)
+                _record(task.results / name, asked[name], answer)
             except (InputError, ToleranceNotMet, RunFailed) as error:
                 _record(task.results / name, asked[name], error)
 
 
-def _in_batches(engine: Engine, scenes: Mapping[str, Scene], tolerance: float) -> dict[str, Trajectory]:
-    """Return what a few tries answer of scenes that are like one another in batches; the rest is left for `simulate`.
+def _in_batches(
+    engine: Engine, scenes: Mapping[str, Scene], tolerance: float
+) -> dict[str, Trajectory | ToleranceNotMet]:
+    """Answer scenes that are like one another in batches; what no batch answers is left for `simulate`.
 
     A batch has the step that each of its scenes would have alone.
     """
-    found: dict[str, Trajectory] = {}
-    left: dict[str, Candidate] = {}
-    if engine.name not in ENGINES or engine.equation != 1:
-        return found  # linear engines take one scene after the other anyway
+    answers: dict[str, Trajectory | ToleranceNotMet] = {}
+    attempts: dict[str, Attempt] = {}
+    if not engine.batches or engine.equation != 1:
+        return answers  # linear engines take one scene after the other anyway
     for name, scene in scenes.items():
         with suppress(LmpchainError):
-            candidate = engine.candidate(scene, tolerance)
-            if 2 * candidate.active_grains >= scene.chain.grains:  # else the light cone saves more than company does
-                left[name] = candidate
-    for _ in range(STALLS + 1):  # beyond these, `simulate` may give up
+            attempt = first_attempt(engine, engine.part(scene), tolerance)
+            if 2 * attempt.candidate.active_grains >= scene.chain.grains:  # else the light cone saves more than a batch
+                attempts[name] = attempt
+    while attempts:
         groups: dict[Any, list[str]] = {}
-        for name, candidate in left.items():
-            steps = candidate.integrator, candidate.steps_per_sample, candidate.step, candidate.adaptive
-            alike = *kind(scenes[name]), *steps, *candidate.choices.items()
-            groups.setdefault(alike, []).append(name)
-        candidates, left = left, {}
+        for name, attempt in attempts.items():
+            made = attempt.candidate
+            steps = made.integrator, made.steps_per_sample, made.step, made.adaptive
+            groups.setdefault((*kind(scenes[name]), *steps, *made.choices.items()), []).append(name)
+        before, attempts = attempts, {}
         for names in groups.values():
             try:
-                answers, errors = _batch(engine, [scenes[name] for name in names], candidates[names[0]])
+                runs = _batch(engine, [scenes[name] for name in names], before[names[0]].candidate)
             except RunFailed:  # one of them; alone it will show which
                 continue
-            for name, trajectory, error in zip(names, answers, errors, strict=True):
-                if error.total <= tolerance:
-                    found[name] = trajectory
-                elif better := engine.refine(candidates[name], error, tolerance):
-                    left[name] = better
-    return found
+            for name, (trajectory, error) in zip(names, runs, strict=True):
+                following, missed = next_attempt(engine, scenes[name], before[name], error)
+                if following:
+                    attempts[name] = following
+                else:
+                    answers[name] = ToleranceNotMet(missed, trajectory) if missed else trajectory
+    return answers
 
 
-def _batch(engine: Engine, scenes: Sequence[Scene], candidate: Candidate) -> tuple[list[Trajectory], list[SolverError]]:
+def _batch(engine: Engine, scenes: Sequence[Scene], candidate: Candidate) -> Iterator[tuple[Trajectory, ErrorBudget]]:
+    """Run scenes together; return the answer to each, and its error."""
     shape = len(scenes), scenes[0].samples, scenes[0].recorded.size
     displacement, velocity = np.zeros(shape), np.zeros(shape)
     run = engine.start(scenes, candidate)
@@ -128,7 +130,7 @@ def _batch(engine: Engine, scenes: Sequence[Scene], candidate: Candidate) -> tup
         errors, cost = run.errors(), run.cost()
     finally:
         run.close()
-    answers = [
+    answers = (
         Trajectory(
             scene=scene,
             engine=engine.name,
@@ -137,12 +139,12 @@ def _batch(engine: Engine, scenes: Sequence[Scene], candidate: Candidate) -> tup
             grains=scene.recorded,
             displacement=u,
             velocity=v,
-            error_estimate=ErrorEstimate(error.model, error.total),
+            error_estimate=error.estimate,
             cost=cost,
         )
         for scene, u, v, error in zip(scenes, displacement, velocity, errors, strict=True)
-    ]
-    return answers, errors
+    )
+    return zip(answers, errors, strict=True)
 
 
 def _record(path: Path, asked: Mapping[str, Any], outcome: Trajectory | LmpchainError) -> None:

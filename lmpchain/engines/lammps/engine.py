@@ -3,37 +3,40 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from ...errors import InputError, ToleranceNotMet
+from ...errors import InputError, LmpchainError, ToleranceNotMet
 from ...integrators.methods import Method
 from ...integrators.splittings import SPLITTINGS
 from ...integrators.step_schedule import StepSchedule
 from ...scene.scene import Scene
 from ...util.arrays import Array
 from ...util.files import make_folder
-from ..base import Candidate, Run, SolverError
+from ..base import Candidate, ErrorBudget, Run
 from ..error_estimate import CompanionRun
 from ..native import Native
-from ..step_control import until_tolerance
-from ..time_stepping import SteppedEngine
+from ..step_control import run_to_tolerance
+from ..time_stepping import TimeSteppingEngine
 from . import deck
 from .column import PAIR_STYLES, Column
 from .launch import gather
 from .stepper import LammpsStepper, word
 
+LOG, DECK = "log.lammps", "deck"  # in a run folder
+UNKEPT = ("keep", "template", "include")  # options with which a run cannot go on in another process
 DIAMETERS = ("auto", "physical", "gauge")
 HEADROOM = 3.0  # gauge diameter over the largest overlap: grain n + 2 is never touched
 ROUNDING = 0.7  # of an ulp of the largest height and force evaluation: the measured random walk
 
 
-class Lammps(SteppedEngine):
+class Lammps(TimeSteppingEngine):
     """Integrate Eq. (1) in LAMMPS: `pair_style granular`, Hertz, no damping.
 
     LAMMPS holds heights, not displacements, and so loses what is below the last digit of a height.
@@ -75,7 +78,10 @@ class Lammps(SteppedEngine):
     name: ClassVar[str] = "lammps"
     equation: ClassVar[int] = 1
     integrators: ClassVar[tuple[str, ...]] = ("rkn6", "kahan-li6", "verlet")
-    seconds_per_grain_step = 7e-8
+    on_request: ClassVar[bool] = True
+    ranks_of_mpi: ClassVar[bool] = True
+    start_up_s: ClassVar[float] = 7e-2
+    seconds_per_grain_step: ClassVar[float] = 7e-8
     log: Path | None = None  # to which LAMMPS adds what it says; of splittings the set-up only: each drift is a run
 
     def __init__(
@@ -97,7 +103,7 @@ class Lammps(SteppedEngine):
         if ranks is not None and (isinstance(ranks, bool) or not isinstance(ranks, int) or ranks < 1):
             raise InputError([("ranks", f"must be a whole number from 1 (got {ranks!r})")])
         self.ranks = ranks
-        self.splitting = SPLITTINGS[self.methods[0].name]
+        self.splitting = SPLITTINGS[self.integrator]
         for key, given in (("keep", keep), ("template", template), ("include", include)):
             if given is not None:
                 deck.check_carried(self.splitting, key)
@@ -105,7 +111,7 @@ class Lammps(SteppedEngine):
         self.include = "" if include is None else deck.own_text("include", include)
         deck.refuse_own_run("include", self.include, "it holds fixes, computes and dumps, and the run comes after it")
         self.keep = None if keep is None else Path(keep)
-        self.cuts = keep is None and not self.template and not self.include
+        self.whole = keep is not None or bool(self.template or self.include)
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why LAMMPS cannot do this scene."""
@@ -129,19 +135,19 @@ class Lammps(SteppedEngine):
             return error.faults
         return []
 
-    def for_part(self, scene: Scene, tolerance: float, method: Method) -> Candidate:
+    def choose_step(self, scene: Scene, tolerance: float, method: Method) -> Candidate:
         """Find the step with native trials of the same map, then the diameter from the round-off law."""
         fixed = self.step is not None
         if fixed:
-            given = super().for_part(scene, tolerance, method)
+            given = super().choose_step(scene, tolerance, method)
             if self.diameter == "physical" or (self.diameter == "gauge" and not scene.drive):  # nothing to find out
                 drawn = gauge_diameter(scene) if self.diameter == "gauge" else 0.0
                 return replace(given, solver_error=math.nan, choices=_choices(drawn, "as asked"))
-        trial = until_tolerance(Native(self.splitting.name, self.step, adaptive=False), scene, tolerance / 2, _reached)
+        trial = run_to_tolerance(Native(self.splitting.name, self.step, adaptive=False), scene, tolerance / 2, _reached)
         if trial.missed:
             raise ToleranceNotMet(f"even without round-off in heights, {trial.missed}")
         peaks, closest = trial.collected
-        steps = trial.candidate.steps_per_sample * (scene.samples - 1)
+        steps = trial.attempt.candidate.steps_per_sample * (scene.samples - 1)
         small = gauge_diameter(scene, closest)
         physical, gauge = (self.round_off(scene, drawn, steps, peaks) for drawn in (0.0, small))
         wants_gauge = self.diameter == "gauge" or (self.diameter == "auto" and physical > tolerance / 2)
@@ -162,7 +168,9 @@ class Lammps(SteppedEngine):
         )
         choices = _choices(small if wants_gauge else 0.0, why) | {"gauge_m": repr(small)}
         error = trial.error.truncation + floor
-        return replace(trial.candidate, solver_error=error, cost_s=self.cost(scene, method, steps), choices=choices)
+        return replace(
+            trial.attempt.candidate, solver_error=error, cost_s=self.cost(scene, method, steps), choices=choices
+        )
 
     def round_off(self, scene: Scene, gauge: float, steps: int, peaks: Array) -> float:
         """Estimate the relative round-off of a run, from above, from the last digit of the largest height.
@@ -176,7 +184,7 @@ class Lammps(SteppedEngine):
         u, v = np.where(peaks > 0, peaks, np.inf)
         return float(max(walk / u, walk * scene.highest_frequency / v))
 
-    def refine(self, candidate: Candidate, error: SolverError | None, tolerance: float) -> Candidate | None:
+    def refine(self, candidate: Candidate, error: ErrorBudget | None, tolerance: float) -> Candidate | None:
         """Shorten the step; or, if round-off was the limit, take the gauge diameter."""
         small = float(candidate.choices.get("gauge_m", 0.0))
         if error and error.roundoff > 0.5 * tolerance and self.diameter == "auto" and small and not _drawn(candidate):
@@ -212,6 +220,49 @@ class Lammps(SteppedEngine):
             *([remark] if remark else []),
         )
         return Column(scene, _drawn(candidate), self.pair_style, remarks, self.template, self.include)
+
+    def options(self) -> dict[str, Any]:
+        """Return the constructor arguments that make an equal engine in another process.
+
+        Raises
+        ------
+        InputError
+            If it keeps files of LAMMPS or runs commands of the user, which may hold a state of their own.
+        """
+        why = "LAMMPS cannot go on after a stop with what it keeps for it; leave it out with a run folder"
+        if faults := [(key, why) for key in UNKEPT if getattr(self, key)]:
+            raise InputError(faults)
+        return {key: value for key, value in super().options().items() if key not in UNKEPT}
+
+    def prepare(self, folder: Path) -> Self:
+        """Return an engine whose LAMMPS adds what it says to a log in this run folder."""
+        prepared, log = super().prepare(folder), folder / LOG
+        try:
+            word(log)
+        except InputError as error:
+            warnings.warn(f"{folder}: there will be no {LOG}: {error}", stacklevel=2)
+        else:
+            prepared.log = log
+        return prepared
+
+    def write_inputs(self, scene: Scene, candidate: Candidate, tolerance: float, folder: Path) -> None:
+        """Write the deck of the run; that of velocity Verlet at its cost where no deck can carry its splitting."""
+        from .export import write_deck
+
+        driven = scene.drive is not None
+        same = deck.carries(self.splitting) and not (driven and self.splitting.order > 2)
+        try:
+            write_deck(
+                scene,
+                folder / DECK,
+                tolerance=tolerance,
+                step=candidate.step if same else candidate.step / self.splitting.evaluations,
+                diameter="physical" if driven else candidate.choices["diameter"],
+                integrator=self.integrator if same else "verlet",
+                pair_style=self.pair_style,
+            )
+        except LmpchainError as error:
+            warnings.warn(f"{folder}: there is no deck: {error}", stacklevel=2)
 
     def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
         """Return the choices and the version of LAMMPS."""

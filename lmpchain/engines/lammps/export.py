@@ -54,7 +54,7 @@ def write_deck(
     deck.check_carried(engine.splitting, "integrator")
     if reasons := engine.refuses(scene):
         raise InputError(reasons)
-    candidate, _, refusal = best_candidate(engine, scene, tolerance)
+    candidate, _, refusal = best_candidate(engine, engine.part(scene), tolerance)
     remark = f"the tolerance of {tolerance:.1g} is out of reach: {refusal}" if refusal else ""
     column = engine.column(scene, candidate, remark)
     folder = make_folder(folder)

@@ -12,11 +12,10 @@ from typing import ClassVar
 import numpy as np
 
 from ...scene.excitation import Impulse
-from ...scene.light_cone import cut
 from ...scene.scene import Scene
 from ...trajectory.record import Block, Cost
 from ...util.arrays import Array
-from ..base import Candidate, Run, SolverError
+from ..base import Candidate, ErrorBudget, Run
 from .engine import Chebyshev, LinearEngine, Solution
 
 UNIFORM = 1e-12  # relative difference of masses and constants that still counts as none
@@ -28,11 +27,14 @@ class ClosedForm(LinearEngine):
     Its model error is what it differs by from Eq. (3), which is solved beside it, and what Eq. (3) leaves out.
     """
 
+    batches: ClassVar[bool] = False
+    whole = True
     _beside = Chebyshev()
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why the formula does not hold for this scene."""
-        chain, struck, found = cut(scene)[1].chain, scene.excitation, super().refuses(scene)
+        reached = scene.light_cone.scene
+        chain, struck, found = reached.chain, scene.excitation, super().refuses(reached)
         for key, values in (("masses", chain.masses), ("contact_constants", chain.contact_constants)):
             if np.ptp(values) > UNIFORM * values.max():
                 found.append((key, f"{self.name} knows grains that are all alike only; use modes or chebyshev"))
@@ -44,8 +46,9 @@ class ClosedForm(LinearEngine):
 
     def candidate(self, scene: Scene, tolerance: float) -> Candidate:
         """Propose the formula; only where it is the exact solution is its error known before the run."""
-        candidate = replace(super().candidate(scene, tolerance), first_grain=1, active_grains=scene.chain.grains)
-        return candidate if self.exact(scene) else replace(candidate, model_error=math.nan, look_s=math.inf)
+        candidate = super().candidate(scene.light_cone.scene, tolerance)
+        candidate = replace(candidate, active_grains=scene.chain.grains)
+        return candidate if self.exact(scene) else replace(candidate, model_error=math.nan, sharper=None)
 
     def exact(self, scene: Scene) -> bool:
         """Say whether the formula solves Eq. (3) for this scene."""
@@ -79,7 +82,7 @@ class Bessel(ClosedForm):
     def exact(self, scene: Scene) -> bool:
         """Say whether all contacts are equally stiff and the bottom is out of reach."""
         uniform = scene.chain.gravity == 0 and scene.chain.compressed
-        return uniform and cut(scene)[1].chain.grains < scene.chain.grains
+        return uniform and scene.light_cone.scene is not scene
 
     def wave(self, scene: Scene, times: Array) -> tuple[Array, Array]:
         """Return displacement and velocity of the recorded grains, (T, G) m and m/s."""
@@ -139,12 +142,12 @@ class ClosedFormRun(Run):
         """Part of the samples done."""
         return self._exact.progress
 
-    def errors(self) -> list[SolverError]:
+    def errors(self) -> list[ErrorBudget]:
         """Return what the formula leaves out besides what linearising does."""
         apart, size = self._apart
         left_out = (apart / np.where(size > 0, size, 1.0)).max(0)
         return [
-            replace(error, model=error.model + float(more), model_at_most=error.model_at_most + float(more))
+            replace(error, model=error.model + float(more), model_bound=error.model_bound + float(more))
             for error, more in zip(self._exact.errors(), left_out, strict=True)
         ]
 

@@ -2,40 +2,38 @@
 
 from __future__ import annotations
 
-import math
 import time
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...integrators.kernels.chebyshev import SPAN, Propagator, terms
-from ...scene.light_cone import cut, near
 from ...scene.scene import Scene
 from ...trajectory.record import Block, Cost
 from ...util.arrays import Array
-from ..base import Candidate, Engine, Run, SolverError
+from ..base import Candidate, Engine, ErrorBudget, Run, SharperBound
 from ..cost_model import seconds
-from .model_error import EVENLY, PhaseError, bounds, dense, looks
+from .model_error import EVENLY, PhaseError, bounds, dense, evaluation_times
 
 EPSILON = float(np.finfo(float).eps)
 BLOCK = 16  # samples a block, if so many fit
 BLOCK_VALUES, SMALL = 2**22, 2**14  # values that are at hand at a time, and that take no time worth speaking of
 MOST_MODES = 12_000  # 1.2 GB of eigenvectors
-EXTRA = EVENLY + 24  # looks besides the samples, for a usual number of periods
+EXTRA = EVENLY + 24  # evaluations besides the samples, for a usual number of periods
 
 
 class LinearEngine(Engine):
     """An engine for the linearised chain, to round-off; how much linearising leaves out is its model error."""
 
     equation: ClassVar[int] = 3
+    batches: ClassVar[bool] = True
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why there is no linear theory of this scene."""
-        contacts, found = cut(scene)[1].chain.contacts, []
+        contacts, found = scene.chain.contacts, []
         if not scene.chain.compressed:
             found.append(("gravity", "without gravity and load nothing can be linearised; use the engine native"))
         elif (contacts.exists & ~contacts.pressed).any():
@@ -46,28 +44,26 @@ class LinearEngine(Engine):
 
     def candidate(self, scene: Scene, tolerance: float) -> Candidate:
         """Propose the one way there is."""
-        first, part = cut(scene)
-        least, most = bounds(part)
+        least, most = bounds(scene)
+        values = scene.samples * scene.recorded.size
         return Candidate(
-            steps_per_sample=1,
             step=scene.duration / (scene.samples - 1),
-            fixed=False,
-            active_grains=part.chain.grains,
+            active_grains=scene.chain.grains,
             model_error=most,
-            solver_error=self.round_off(part),
-            cost_s=seconds(self.name, self.work(part, part.samples, part.samples * scene.recorded.size)),
-            first_grain=first,
-            model_least=least,
-            look_s=seconds(self.name, self.work(part, 0, 0)) - seconds(self.name, 0.0),
+            solver_error=self.round_off(scene),
+            cost_s=self._seconds(self.work(scene, scene.samples, values)),
+            sharper=SharperBound(least, self._seconds(self.work(scene, 0, 0)) - self._seconds(0.0)),
         )
 
-    def look(self, scene: Scene, candidate: Candidate) -> Candidate:
-        """Follow the linear solution from look to look, without samples."""
-        part, _, _ = near(scene, candidate)
-        times, found = np.append(looks(part), part.duration), PhaseError(part)
-        for _ in _followed(self.solve(part, {}), found, times, np.ones(times.size, bool), part.chain.grains):
+    def _seconds(self, work_s: float) -> float:
+        return seconds(self.name, self.start_up_s, work_s)
+
+    def bound_model_error(self, scene: Scene, candidate: Candidate) -> float:
+        """Bound the model error from the linear solution, evaluated between the samples too."""
+        times, error = np.append(evaluation_times(scene), scene.duration), PhaseError(scene)
+        for _ in _followed(self.solve(scene, {}), error, times, np.ones(times.size, bool), scene.chain.grains):
             pass
-        return replace(candidate, model_error=found.at_most, look_s=math.inf)
+        return error.at_most
 
     def round_off(self, scene: Scene) -> float:
         """Return the relative error that rounding makes: that of the frequencies, times the periods."""
@@ -75,7 +71,7 @@ class LinearEngine(Engine):
 
     @abstractmethod
     def work(self, scene: Scene, samples: int, values: int) -> float:
-        """Return the time that so many samples take, and looks between them, on the machine of `speed.SHIPPED`, s."""
+        """Return the time for so many samples and the evaluations between them, as shipped to the cost model, s."""
 
     @abstractmethod
     def solve(self, scene: Scene, state: Mapping[str, Array]) -> Solution:
@@ -83,12 +79,9 @@ class LinearEngine(Engine):
 
     def start(self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array] | None = None) -> Run:
         """Start one scene, or a batch of scenes recorded alike."""
-        if len(scenes) > 1:  # each would have a light cone of its own
-            candidate = replace(candidate, first_grain=1, active_grains=scenes[0].chain.grains)
-        part, rows, columns = near(scenes[0], candidate)
-        return LinearRun(self, [part, *scenes[1:]], rows, columns, state or {})
+        return LinearRun(self, scenes, state or {})
 
-    def refine(self, candidate: Candidate, error: SolverError | None, tolerance: float) -> None:
+    def refine(self, candidate: Candidate, error: ErrorBudget | None, tolerance: float) -> None:
         """Nothing can be better than round-off."""
         return None
 
@@ -101,9 +94,10 @@ class Chebyshev(LinearEngine):
     """Sum the exact propagator in Chebyshev polynomials, Eq. (19); only grains within the light cone cost anything."""
 
     name: ClassVar[str] = "chebyshev"
+    start_up_s: ClassVar[float] = 2e-4
 
     def work(self, scene: Scene, samples: int, values: int) -> float:
-        """Return the time for the polynomials from one look to the next."""
+        """Return the time for the polynomials from one evaluation to the next."""
         z, moments = scene.chain.band_edge * scene.duration, samples + (0 if samples and dense(scene) else EXTRA)
         series = min(moments, max(1.0, z / SPAN))
         orders, grains = terms(z / series), min(scene.chain.grains, z / 4 + 30)  # on average in a growing light cone
@@ -132,7 +126,7 @@ class Modes(LinearEngine):
         return super().round_off(scene) + EPSILON * 4 * scene.chain.grains
 
     def work(self, scene: Scene, samples: int, values: int) -> float:
-        """Return the time for the diagonalisation, and for sums over modes at every look."""
+        """Return the time for the diagonalisation, and for sums over modes at every evaluation."""
         grains, moments = scene.chain.grains, samples + (0 if samples and dense(scene) else EXTRA)
         once, a_moment = 6e-8 * grains**2 + 1e-10 * grains**3, 5e-7 + 3e-8 * grains + 6e-10 * grains**2
         return once + a_moment * moments + 1e-8 * values
@@ -160,29 +154,24 @@ class Solution(Protocol):
 
 
 def _followed(
-    solution: Solution, found: PhaseError, times: Array, recorded: NDArray[np.bool_], grains: int
+    solution: Solution, error: PhaseError, times: Array, recorded: NDArray[np.bool_], grains: int
 ) -> Iterator[tuple[slice, Array, Array]]:
-    """Look at a solution at all times, and yield it for as many of them at once as there is room for."""
+    """Evaluate a solution at all times for its model error, and yield as many of them at once as there is room for."""
     size = max(1, BLOCK_VALUES // grains)
     for begin in range(0, times.size, size):
         part = slice(begin, begin + size)
         u, v, reach = solution.at(times[part])
-        found.see(times[part], recorded[part], u, v, reach)
+        error.add(times[part], recorded[part], u, v, reach)
         yield part, u, v
 
 
 class LinearRun(Run):
-    """Samples of linear solutions, whichever way they are found.
-
-    Of the scenes, `rows` are the grains that are yielded as the `columns` of the record.
-    """
+    """Samples of linear solutions, whichever way they are found."""
 
     def __init__(
         self,
         engine: LinearEngine,
         scenes: Sequence[Scene],
-        rows: NDArray[np.intp],
-        columns: slice | NDArray[np.intp],
         state: Mapping[str, Array],
     ):
         began = time.perf_counter()
@@ -190,13 +179,13 @@ class LinearRun(Run):
             raise ValueError("a batch needs chains of one length, recorded alike")
         self._engine, self._scene = engine, scenes[0]
         self._sample = int(state.get("sample", 0))
-        self._nonlinearity = [PhaseError(scene, state.get(f"{i}.seen")) for i, scene in enumerate(scenes)]
+        self._phase_errors = [PhaseError(scene, state.get(f"{i}.phase_error")) for i, scene in enumerate(scenes)]
         self._solutions = [
             engine.solve(scene, {key: state[f"{i}.{key}"] for key in ("u", "v", "time") if f"{i}.{key}" in state})
             for i, scene in enumerate(scenes)
         ]
-        self._rows, self._columns = rows, columns
-        self._looks = [np.zeros(0) if dense(scene) else looks(scene) for scene in scenes]
+        self._rows: NDArray[np.intp] = scenes[0].recorded - 1
+        self._between = [np.zeros(0) if dense(scene) else evaluation_times(scene) for scene in scenes]
         self._integration_s = 0.0
         self._setup_s = time.perf_counter() - began
 
@@ -209,16 +198,16 @@ class LinearRun(Run):
             here = slice(self._sample, min(self._sample + size, self._scene.samples))
             before = times[self._sample - 1] if self._sample else -1.0
             shape = (len(self._solutions), here.stop - here.start, self._rows.size)
-            block = Block(here, np.empty(shape), np.empty(shape), self._columns)
-            for real, (solution, found) in enumerate(zip(self._solutions, self._nonlinearity, strict=True)):
-                extra = self._looks[real]
+            block = Block(here, np.empty(shape), np.empty(shape))
+            for real, (solution, error) in enumerate(zip(self._solutions, self._phase_errors, strict=True)):
+                extra = self._between[real]
                 extra = extra[(extra > before) & (extra < times[here.stop - 1])]
                 moments = np.union1d(times[here], extra) if extra.size else times[here]
                 wanted = (
                     np.isin(moments, times[here], assume_unique=True) if extra.size else np.ones(moments.size, bool)
                 )
                 place = 0
-                for part, u, v in _followed(solution, found, moments, wanted, grains):
+                for part, u, v in _followed(solution, error, moments, wanted, grains):
                     which, into = np.ix_(wanted[part], self._rows), slice(place, place + int(wanted[part].sum()))
                     block.displacement[real, into], block.velocity[real, into] = u[which], v[which]
                     place = into.stop
@@ -231,13 +220,13 @@ class LinearRun(Run):
         """Part of the samples done."""
         return self._sample / self._scene.samples
 
-    def errors(self) -> list[SolverError]:
+    def errors(self) -> list[ErrorBudget]:
         """Return round-off, and what linearising leaves out."""
         differences = np.zeros(self._scene.samples)
         roundoff = self._engine.round_off(self._scene)
         return [
-            SolverError(0.0, roundoff, True, differences, self._scene.time, found.error, found.remark, found.at_most)
-            for found in self._nonlinearity
+            ErrorBudget(0.0, roundoff, True, differences, self._scene.time, phase.error, phase.remark, phase.at_most)
+            for phase in self._phase_errors
         ]
 
     def cost(self) -> Cost:
@@ -257,8 +246,8 @@ class LinearRun(Run):
     def state(self) -> dict[str, Array]:
         """Return what `start` needs to go on from the last sample with the same bits."""
         kept = {"sample": np.array(self._sample)}
-        for i, (solution, found) in enumerate(zip(self._solutions, self._nonlinearity, strict=True)):
-            kept |= {f"{i}.seen": found.memory.copy()} | {
+        for i, (solution, error) in enumerate(zip(self._solutions, self._phase_errors, strict=True)):
+            kept |= {f"{i}.phase_error": error.memory.copy()} | {
                 f"{i}.{key}": value for key, value in solution.state().items()
             }
         return kept

@@ -47,7 +47,7 @@ class PhaseError:
         # samples; integral of the squared strain
         self.memory = np.array([0.0] * 9 + [np.nan, 0.0, 0.0, 0.0]) if memory is None else memory.copy()
 
-    def see(self, times: Array, recorded: NDArray[np.bool_], u: Array, v: Array, reach: NDArray[np.intp]) -> None:
+    def add(self, times: Array, recorded: NDArray[np.bool_], u: Array, v: Array, reach: NDArray[np.intp]) -> None:
         """Look at the solution, one time after the other.
 
         Parameters
@@ -160,15 +160,13 @@ def bounds(scene: Scene) -> tuple[float, float]:
     the strain falls faster than 1/h, and the law of `stability.linear_theory.linear_law` is right within a factor of
     `DOUBT`.
     """
-    if "linear" not in scene.notes:
-        excess, strain, most = scene.chain.exponent - 1, strain_bound(scene), 1.0
-        if strain < 1:
-            periods = scene.chain.band_edge * scene.duration
-            most = min(1.0, AT_ONCE * excess * strain * (1 + periods) * (1 + UNLUCKY / scene.samples))
-            if _struck_column(scene):
-                most = min(most, DOUBT * COLUMN * excess * scene.strike_number)
-        scene.notes["linear"] = saturated(AT_ONCE * excess * scene.strike_number), most
-    return scene.notes["linear"]
+    excess, strain, most = scene.chain.exponent - 1, strain_bound(scene), 1.0
+    if strain < 1:
+        periods = scene.chain.band_edge * scene.duration
+        most = min(1.0, AT_ONCE * excess * strain * (1 + periods) * (1 + UNLUCKY / scene.samples))
+        if _struck_column(scene):
+            most = min(most, DOUBT * COLUMN * excess * scene.strike_number)
+    return saturated(AT_ONCE * excess * scene.strike_number), most
 
 
 def _struck_column(scene: Scene) -> bool:
@@ -182,7 +180,7 @@ def _struck_column(scene: Scene) -> bool:
     return bool(scene.duration <= 10 * passage)
 
 
-def looks(scene: Scene) -> Array:
+def evaluation_times(scene: Scene) -> Array:
     """Return times, s, at which to look at a linear solution besides its samples."""
     first = EARLIEST / scene.chain.band_edge
     count = max(0, int(np.log(scene.duration / first) / np.log(GROWTH)) + 1)

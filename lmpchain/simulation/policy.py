@@ -1,0 +1,163 @@
+"""Which engine answers a scene: the one that was named, or "auto", the cheapest one."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+from .. import engines
+from ..engines.base import Candidate, Engine, ErrorBudget
+from ..engines.step_control import Attempt, first_attempt
+from ..errors import ToleranceNotMet
+from ..scene.scene import Scene
+from .selection import Proposal, cheapest, propose_all, reason
+
+AUTO = "auto"
+
+
+class Policy(Protocol):
+    """Which engine answers a scene, and which one if the run shows that its equation leaves out too much."""
+
+    @property
+    def name(self) -> str:
+        """How it is asked for."""
+
+    @property
+    def chosen(self) -> Engine | None:
+        """The engine that was named, if one was."""
+
+    def options(self) -> dict[str, Any]:
+        """Return what `policy_for` needs besides the name to make it again."""
+
+    def refuses(self, scene: Scene) -> list[tuple[str, str]]:
+        """Return why no engine can do this scene, as (key, reason); empty if one can."""
+
+    def first(self, scene: Scene, tolerance: float, best_effort: bool) -> Attempt:
+        """Return the first attempt; raises `ToleranceNotMet` if none is expected to meet the tolerance."""
+
+    def engine(self, attempt: Attempt) -> Engine:
+        """Return the engine of an attempt."""
+
+    def fallback(self, scene: Scene, attempt: Attempt, error: ErrorBudget) -> Attempt | None:
+        """Return the first attempt with an engine for Eq. (1) if the measured model error exceeds the tolerance.
+
+        Raises
+        ------
+        ToleranceNotMet
+            If there is none.
+        """
+
+
+@dataclass(frozen=True)
+class Named:
+    """The engine that was asked for."""
+
+    chosen: Engine
+
+    @property
+    def name(self) -> str:
+        """Name of the engine."""
+        return self.chosen.name
+
+    def options(self) -> dict[str, Any]:
+        """Return the constructor arguments of the engine."""
+        return self.chosen.options()
+
+    def refuses(self, scene: Scene) -> list[tuple[str, str]]:
+        """Return why the engine cannot do this scene."""
+        return self.chosen.refuses(self.chosen.part(scene))
+
+    def first(self, scene: Scene, tolerance: float, best_effort: bool) -> Attempt:
+        """Return the first attempt of the engine."""
+        return first_attempt(self.chosen, self.chosen.part(scene), tolerance, best_effort)
+
+    def engine(self, attempt: Attempt) -> Engine:
+        """Return the engine."""
+        return self.chosen
+
+    def fallback(self, scene: Scene, attempt: Attempt, error: ErrorBudget) -> None:
+        """Stay with the engine."""
+
+
+@dataclass(frozen=True)
+class Auto:
+    """The cheapest engine whose answer is expected to be within the tolerance, equation and solution together."""
+
+    name: str = AUTO
+    chosen: None = None
+
+    def options(self) -> dict[str, Any]:
+        """There are none."""
+        return {}
+
+    def refuses(self, scene: Scene) -> list[tuple[str, str]]:
+        """Return why no engine can do this scene."""
+        faults = []
+        for engine in map(engines.get, engines.names()):
+            reasons = engine.refuses(engine.part(scene))
+            if not reasons:
+                return []
+            faults += reasons
+        return faults
+
+    def first(self, scene: Scene, tolerance: float, best_effort: bool) -> Attempt:
+        """Return the first attempt of the cheapest engine; with `best_effort` the tolerance is loosened if need be."""
+        began, refusal = time.perf_counter(), ""
+        while True:
+            try:
+                proposals = propose_all(scene, tolerance)
+                best = cheapest(proposals)
+            except ToleranceNotMet as error:
+                if not best_effort or tolerance > 0.1:
+                    raise
+                refusal, tolerance = refusal or error.reason, 4 * tolerance
+                continue
+            attempt = _attempt(best, tolerance, plan=f"{best.engine}: {reason(proposals)}")
+            return replace(attempt, refusal=refusal, planned_s=time.perf_counter() - began)
+
+    def engine(self, attempt: Attempt) -> Engine:
+        """Return the engine that was chosen."""
+        return engines.get(attempt.engine)
+
+    def fallback(self, scene: Scene, attempt: Attempt, error: ErrorBudget) -> Attempt | None:
+        """Return an attempt with the cheapest engine for Eq. (1) if another equation takes the answer too far."""
+        before, tolerance = self.engine(attempt), attempt.tolerance
+        if before.equation == 1 or (error.bound <= tolerance and not error.remark):
+            return None
+        left_out = f"Eq. ({before.equation}) leaves out up to {max(error.model, error.model_bound):.1g} of the answer"
+        left_out = f"{left_out}, {error.remark}" if error.remark else left_out
+        exact = [proposal for proposal in propose_all(scene, tolerance) if proposal.equation in (1, None)]
+        if not any(proposal.kept for proposal in exact):
+            why = "; ".join(f"{proposal.engine}: {proposal.why}" for proposal in exact)
+            raise ToleranceNotMet(f"{left_out}, with the tolerance of {tolerance:.2g} exceeded; {why}")
+        best = cheapest(exact)
+        planned = f"the bound before the run was {attempt.candidate.model_error:.1g}"
+        told = f"{left_out} along the run of {before.name}, {planned}: run again with {best.engine}, Eq. (1)"
+        return _attempt(best, tolerance, plan=f"{best.engine}: {told}", redone=told)
+
+
+def _attempt(proposal: Proposal, tolerance: float, **why: str) -> Attempt:
+    """Return the first attempt of a proposal, which keeps on record why it was chosen."""
+    assert proposal.candidate
+    choices = {**proposal.candidate.choices, **why}
+    return Attempt(proposal.engine, replace(proposal.candidate, choices=choices), tolerance)
+
+
+def policy_for(engine: str | Engine, **options: Any) -> Policy:
+    """Return the policy for an engine or its name; "auto" with options takes the native engine, whose they are.
+
+    Raises
+    ------
+    InputError
+        If there is no such engine or an option is wrong.
+    """
+    if engine == AUTO and not options:
+        return Auto()
+    return Named(engines.get("native" if engine == AUTO else engine, **options))
+
+
+def record(engine: Engine, scene: Scene, candidate: Candidate) -> dict[str, str]:
+    """Return what shaped an answer, for the record: what the engine says, and why it was chosen."""
+    why = {key: candidate.choices[key] for key in ("plan", "redone") if key in candidate.choices}
+    return engine.describe(engine.part(scene), candidate) | why
