@@ -46,7 +46,7 @@ def measure(quick: bool) -> dict[str, Any]:
         "norms": {norm: [found[norm] for found in norms] for norm in LINEAR},
         "estimate": {
             "most": [bounds(scene)[1] for scene in scenes],
-            "look": [engine.look(scene, engine.candidate(scene, 1e-6)).model_error for scene in scenes],
+            "look": [engine.bound_model_error(scene, engine.candidate(scene, 1e-6)) for scene in scenes],
             "after": [theory(scene, "chebyshev").error_estimate.model for scene in scenes],
         },
     }

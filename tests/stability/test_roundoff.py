@@ -11,7 +11,7 @@ from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Scene, Tol
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines import Lammps, Native
 from lmpchain.engines.perturbation import perturbed
-from lmpchain.engines.step_control import first_attempt, pursue, until_tolerance
+from lmpchain.engines.step_control import first_attempt, run_to_tolerance, solve_to_tolerance
 from lmpchain.errors import RunFailed
 from lmpchain.stability.predictability import growth, growth_rate, horizon, predicted_horizon, reflection_time
 from lmpchain.stability.roundoff import floor, measured_floor
@@ -243,7 +243,9 @@ def answerable(scene, tolerance, patient):
     native = Native()
     attempt = first_attempt(native, scene, tolerance)
     try:
-        outcome = pursue(native, scene, attempt, lambda run: [None for _ in run.blocks()], patient=patient)
+        outcome = solve_to_tolerance(
+            native, [scene], attempt, lambda run: [None for _ in run.blocks()], patient=patient
+        )
     except RunFailed:
         return None
     return not outcome.missed
@@ -255,7 +257,7 @@ def test_what_can_be_answered_is_not_refused():
     end = horizon(whole, 1e-6)
     for part in (0.5, 0.7, 0.85):
         scene = Scene(**whole.given() | {"duration": part * end})
-        assert until_tolerance(Native(), scene, 1e-6, lambda run: [None for _ in run.blocks()]).missed == ""
+        assert run_to_tolerance(Native(), scene, 1e-6, lambda run: [None for _ in run.blocks()]).missed == ""
 
 
 @pytest.mark.soak

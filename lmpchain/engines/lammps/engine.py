@@ -22,7 +22,7 @@ from ...util.files import make_folder
 from ..base import Candidate, ErrorBudget, Run
 from ..error_estimate import CompanionRun
 from ..native import Native
-from ..step_control import run_to_tolerance
+from ..step_control import best_candidate, run_to_tolerance
 from ..time_stepping import TimeSteppingEngine
 from . import deck
 from .column import PAIR_STYLES, Column
@@ -247,22 +247,26 @@ class Lammps(TimeSteppingEngine):
 
     def write_inputs(self, scene: Scene, candidate: Candidate, tolerance: float, folder: Path) -> None:
         """Write the deck of the run; that of velocity Verlet at its cost where no deck can carry its splitting."""
-        from .export import write_deck
-
         driven = scene.drive is not None
         same = deck.carries(self.splitting) and not (driven and self.splitting.order > 2)
+        step = candidate.step if same else candidate.step / self.splitting.evaluations
+        diameter = "physical" if driven else candidate.choices["diameter"]
         try:
-            write_deck(
-                scene,
-                folder / DECK,
-                tolerance=tolerance,
-                step=candidate.step if same else candidate.step / self.splitting.evaluations,
-                diameter="physical" if driven else candidate.choices["diameter"],
-                integrator=self.integrator if same else "verlet",
-                pair_style=self.pair_style,
-            )
+            alone = Lammps(self.integrator if same else "verlet", step, diameter, self.pair_style)
+            alone.write_deck(scene, tolerance, make_folder(folder / DECK))
         except LmpchainError as error:
             warnings.warn(f"{folder}: there is no deck: {error}", stacklevel=2)
+
+    def write_deck(self, scene: Scene, tolerance: float, folder: Path) -> Path:
+        """Write a deck that runs by itself, and its data file; return the deck.
+
+        Where round-off in heights keeps the tolerance out of reach, it is written for the error that can be had.
+        """
+        candidate, _, refusal = best_candidate(self, self.part(scene), tolerance)
+        remark = f"the tolerance of {tolerance:.1g} is out of reach: {refusal}" if refusal else ""
+        column = self.column(scene, candidate, remark)
+        deck.write_data(column, folder / "column.data")
+        return deck.write_deck(column, folder, candidate.step, self.splitting)
 
     def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
         """Return the choices and the version of LAMMPS."""

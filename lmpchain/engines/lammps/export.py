@@ -8,7 +8,6 @@ from pathlib import Path
 from ...errors import InputError, check_tolerance
 from ...scene.scene import Scene
 from ...util.files import make_folder
-from ..step_control import best_candidate
 from . import deck
 from .engine import Lammps
 
@@ -54,9 +53,4 @@ def write_deck(
     deck.check_carried(engine.splitting, "integrator")
     if reasons := engine.refuses(scene):
         raise InputError(reasons)
-    candidate, _, refusal = best_candidate(engine, engine.part(scene), tolerance)
-    remark = f"the tolerance of {tolerance:.1g} is out of reach: {refusal}" if refusal else ""
-    column = engine.column(scene, candidate, remark)
-    folder = make_folder(folder)
-    deck.write_data(column, folder / "column.data")
-    return deck.write_deck(column, folder, candidate.step, engine.splitting)
+    return engine.write_deck(scene, tolerance, make_folder(folder))

@@ -157,7 +157,7 @@ def test_refusals_name_the_cure():
         simulate(DECKS["unequal"], engine="lammps", pair_style="gran/hertz/history")
     many = np.random.default_rng(1).uniform(1, 2, 29_999) * 1e9
     with pytest.raises(InputError, match=r"contact_constants: .*use the engine native"):
-        simulate(small(grains=30_000, contact_constants=many), engine="lammps")
+        simulate(small(Drive(amplitude=1e-9, frequency=1e4), grains=30_000, contact_constants=many), engine="lammps")
     for option in (
         {"diameter": "small"},
         {"pair_style": "gran"},
