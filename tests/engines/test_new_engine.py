@@ -1,0 +1,138 @@
+"""A new engine is a module of its own and a line in the registry: nothing else knows one engine from another."""
+
+import json
+import sys
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+import lmpchain
+from lmpchain import Chain, Impulse, Scene, engines, simulate
+from lmpchain.cli import main
+from lmpchain.engines.base import Candidate, Engine, ErrorBudget, Run
+from lmpchain.trajectory.record import Block, Cost
+
+ROUNDING = 1e-14
+
+
+class Oscillator(Engine):
+    """One grain on one spring that stays pressed: Eq. (1) solved by a sine."""
+
+    name = "oscillator"
+    equation = 1
+    start_up_s = 1e-6
+
+    def refuses(self, scene):
+        """Return why this is not one grain on one spring."""
+        if scene.chain.movable != 1 or scene.chain.exponent != 1 or scene.drive or scene.largest_strain >= 1:
+            return [("grains", "oscillator knows one grain on one spring that stays pressed")]
+        return []
+
+    def candidate(self, scene, tolerance):
+        """Propose the formula."""
+        return Candidate(scene.duration / (scene.samples - 1), scene.chain.grains, 0.0, ROUNDING, self.start_up_s)
+
+    def refine(self, candidate, error, tolerance):
+        """Nothing is better than the exact solution."""
+
+    def start(self, scenes, candidate, state=None):
+        """Start one scene."""
+        return Swing(scenes[0], int((state or {"sample": 0})["sample"]))
+
+    def describe(self, scene, candidate):
+        """Say how it was done."""
+        return {"formula": "sine"}
+
+
+class Swing(Run):
+    """Samples of the sine, two at a time."""
+
+    def __init__(self, scene, sample):
+        self.scene, self.sample = scene, sample
+
+    def blocks(self):
+        """Yield the answer."""
+        chain = self.scene.chain
+        omega, (u, v) = chain.band_edge, (x[0] for x in self.scene.initial())
+        while self.sample < self.scene.samples:
+            here = slice(self.sample, min(self.sample + 2, self.scene.samples))
+            t = self.scene.time[here]
+            block = np.zeros((2, 1, t.size, chain.grains))
+            block[0, 0, :, 0] = u * np.cos(omega * t) + v / omega * np.sin(omega * t)
+            block[1, 0, :, 0] = v * np.cos(omega * t) - u * omega * np.sin(omega * t)
+            self.sample = here.stop
+            yield Block(here, *block[:, :, :, self.scene.recorded - 1])
+
+    @property
+    def progress(self):
+        """Part of the samples done."""
+        return self.sample / self.scene.samples
+
+    def errors(self):
+        """Return the rounding."""
+        return [ErrorBudget(0.0, ROUNDING, True, np.zeros(self.scene.samples), self.scene.time)]
+
+    def cost(self):
+        """Return that it costs next to nothing."""
+        return Cost(1e-6, 0.0, 0.0, self.scene.samples, 0, self.scene.chain.grains, "sine", 0.0, 1)
+
+    def state(self):
+        """Return how far it is."""
+        return {"sample": np.array(self.sample)}
+
+    def close(self):
+        """There is nothing to release."""
+
+
+@pytest.fixture
+def spring(monkeypatch: pytest.MonkeyPatch) -> Scene:
+    """Register the engine, and return a scene for it."""
+    module = ModuleType("lmpchain.engines.oscillator")
+    module.Oscillator = Oscillator  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setitem(engines.REGISTRY, "oscillator", ("oscillator", "Oscillator"))
+    chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=1.0, exponent=1.0)
+    speed = 0.3 * chain.length_scale / chain.time_scale
+    return Scene(chain=chain, excitation=Impulse(velocity=speed), duration=20 * chain.time_scale, samples=41)
+
+
+def test_it_answers_by_name_and_is_chosen_where_it_is_cheapest(spring: Scene):
+    native = simulate(spring, "native", 1e-12)
+    named, chosen = simulate(spring, "oscillator"), simulate(spring)
+    assert named.engine == chosen.engine == "oscillator"
+    assert np.abs(named.velocity - native.velocity).max() < 1e-12 * np.abs(native.velocity).max()
+    assert chosen.provenance["formula"] == "sine"
+    plan = lmpchain.plan(spring)
+    assert plan.engine == "oscillator"
+    assert [proposal.kept for proposal in plan.candidates if proposal.engine == "oscillator"] == [True]
+    two = Scene(chain=Chain(grains=3, diameter=1e-3), excitation=Impulse(velocity=1e-4), duration=1e-5)
+    with pytest.raises(lmpchain.InputError, match="oscillator knows one grain"):
+        simulate(two, "oscillator")
+    assert lmpchain.plan(two).engine == "native"
+
+
+def test_it_is_compared_from_the_command_line(spring: Scene, tmp_path):
+    spring.to_toml(tmp_path / "scene.toml")
+    numbers, picture = tmp_path / "numbers.json", tmp_path / "picture.png"
+    words = ["compare", str(tmp_path / "scene.toml"), "--engines", "oscillator,native"]
+    assert main([*words, "--json", str(numbers), "-o", str(picture)]) == 0
+    rows = {row["engine"]: row for row in json.loads(numbers.read_text())["rows"]}
+    assert rows["oscillator"]["error"] < 1e-12
+    assert picture.stat().st_size > 10_000
+
+
+def test_it_works_in_a_run_folder(spring: Scene, tmp_path):
+    with pytest.raises(lmpchain.Stopped):
+        simulate(spring, "oscillator", folder=tmp_path / "run", max_wall=1e-9)
+    resumed, plain = lmpchain.resume(tmp_path / "run"), simulate(spring, "oscillator")
+    assert resumed.engine == "oscillator"
+    assert np.array_equal(resumed.velocity, plain.velocity)
+
+
+def test_it_answers_a_sweep(spring: Scene, tmp_path):
+    speed = spring.excitation.velocity
+    source = {"scene": spring, "engine": "oscillator", "keep": ["velocity"]}
+    swept = lmpchain.sweep(source | {"grid": {"excitation.velocity": [speed, 2 * speed]}}, tmp_path / "sweep")
+    assert (swept["solver_error"] == ROUNDING).all()
+    assert np.allclose(swept["velocity"][1], 2 * swept["velocity"][0], rtol=1e-12, atol=0)
