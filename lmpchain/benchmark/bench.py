@@ -215,8 +215,8 @@ def _ways(scene: Scene, budget_s: float) -> tuple[list[Way], list[str]]:
     """Return all ways to answer, with LAMMPS, the slowest, at the end; and why some engines have none."""
     ways: list[Way] = []
     refusals = []
-    for engine in sorted(map(engines.get, engines.names()), key=lambda engine: engine.on_request):
-        name = engine.name
+    for name in (*engines.automatic(), *engines.ON_REQUEST):
+        engine = engines.get(name)
         if reasons := engine.refuses(engine.part(scene)):
             refusals.append(f"{name}: {reasons[0][1]}")
         elif engine.integrators:

@@ -25,6 +25,7 @@ REGISTRY = {  # module and class, by name
     "bessel": ("linear.closed_form", "Bessel"),
     "continuum": ("linear.closed_form", "Continuum"),
 }
+ON_REQUEST = frozenset({"lammps"})  # taken by "auto" only where no other engine can do a scene
 
 
 def names() -> tuple[str, ...]:
@@ -36,6 +37,11 @@ def names() -> tuple[str, ...]:
     ('lammps', 'native', 'modes', 'chebyshev', 'bessel', 'continuum')
     """
     return tuple(REGISTRY)
+
+
+def automatic() -> tuple[str, ...]:
+    """Return the names of the engines among which "auto" chooses."""
+    return tuple(name for name in REGISTRY if name not in ON_REQUEST)
 
 
 def get(engine: str | Engine, **options: Any) -> Engine:

@@ -172,8 +172,6 @@ class Engine(ABC):
         What the user gave of these.
     batches : bool
         Whether like scenes are answered in less time together.
-    on_request : bool
-        Whether it is used only if it is asked for by name, or if no other engine can do a scene.
     whole : bool
         Whether it needs all grains of a scene, also those outside of the light cone.
     ranks_of_mpi : bool
@@ -186,7 +184,6 @@ class Engine(ABC):
     equation: ClassVar[int]
     integrators: ClassVar[tuple[str, ...]] = ()
     batches: ClassVar[bool] = False
-    on_request: ClassVar[bool] = False
     ranks_of_mpi: ClassVar[bool] = False
     start_up_s: ClassVar[float] = 3e-4
     seconds_per_grain_step: ClassVar[float] = 0.0

@@ -33,8 +33,7 @@ def calibrate() -> tuple[Path, float]:
     OSError
         If it cannot be kept; it is used in this process all the same.
     """
-    every = [engines.get(name) for name in engines.names()]
-    timed = [engine for engine in every if not engine.on_request and not engine.refuses(_scene(*SMALL))]
+    timed = [engine for engine in map(engines.get, engines.automatic()) if not engine.refuses(_scene(*SMALL))]
     for engine in timed:
         _timed(engine, *SMALL)  # compiles and imports
     began = time.perf_counter()
@@ -44,7 +43,7 @@ def calibrate() -> tuple[Path, float]:
         slowness = max((long - short) / (heavy - light), 2 / PLAUSIBLE)
         found[engine.name] = max(short - slowness * light, 2 * engine.start_up_s / PLAUSIBLE), slowness
     took = time.perf_counter() - began
-    known = {engine.name: speed(engine.name, engine.start_up_s) for engine in every} | found
+    known = dict(measured()) | found
     path = cache_file()
     measured.cache_clear()
     try:

@@ -94,7 +94,7 @@ class Auto:
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why no engine can do this scene."""
         faults = []
-        for engine in map(engines.get, engines.names()):
+        for engine in map(engines.get, (*engines.automatic(), *engines.ON_REQUEST)):
             reasons = engine.refuses(engine.part(scene))
             if not reasons:
                 return []

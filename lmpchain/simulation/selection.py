@@ -102,14 +102,13 @@ class Proposal:
 
 def propose_all(scene: Scene, tolerance: float) -> list[Proposal]:
     """Ask every engine, bound model errors more sharply where that pays, and judge every candidate."""
-    every = {name: engines.get(name) for name in engines.names()}
-    automatic = {name: engine for name, engine in every.items() if not engine.on_request}
-    proposals = [_ask(engine, scene, tolerance) for engine in automatic.values()]
+    every = {name: engines.get(name) for name in engines.automatic()}
+    proposals = [_ask(engine, scene, tolerance) for engine in every.values()]
     if any(proposal.candidate for proposal in proposals):
         why = "only if asked for by name, or if no other engine can do the scene"
-        proposals += [Proposal(name, why=why) for name in every.keys() - automatic.keys()]
+        proposals += [Proposal(name, why=why) for name in engines.ON_REQUEST]
     else:
-        proposals += [_ask(engine, scene, tolerance) for engine in every.values() if engine.on_request]
+        proposals += [_ask(engines.get(name), scene, tolerance) for name in engines.ON_REQUEST]
     while True:
         proposals = [_judge(proposal, scene, tolerance) for proposal in proposals]
         cheapest_s = min(proposal.price_s for proposal in proposals)

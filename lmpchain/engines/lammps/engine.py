@@ -78,7 +78,6 @@ class Lammps(TimeSteppingEngine):
     name: ClassVar[str] = "lammps"
     equation: ClassVar[int] = 1
     integrators: ClassVar[tuple[str, ...]] = ("rkn6", "kahan-li6", "verlet")
-    on_request: ClassVar[bool] = True
     ranks_of_mpi: ClassVar[bool] = True
     start_up_s: ClassVar[float] = 7e-2
     seconds_per_grain_step: ClassVar[float] = 7e-8
