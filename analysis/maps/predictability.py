@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lmpchain import Chain, Impulse, Scene
-from lmpchain.stability.predictability import SEED, growth, predicted_horizon
+from lmpchain.stability.predictability import SEED, growth, predicted_time
 from lmpchain.util.plotting import figure
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def measure(quick: bool) -> dict:
         grown = [np.maximum.accumulate(growth(s, CHANGE, accuracy=1e-9)[1]) / CHANGE for s in scenes]
         unit = scenes[0].chain.length_scale / scenes[0].chain.time_scale
         valid = np.logspace(np.log10(HOLDS[0] * unit), np.log10(HOLDS[1] * grains * unit), 9)
-        law = {f"{tol:g}": [predicted_horizon(scene(grains, v), tol) for v in valid] for tol in TOLERANCES}
+        law = {f"{tol:g}": [predicted_time(scene(grains, v), tol) for v in valid] for tol in TOLERANCES}
         decades = np.log10(np.maximum(grown, 1.0)).round(2)
         panels.append({"grains": grains, "decades": decades.tolist(), "valid": valid.tolist(), "law": law})
     return {"velocities": velocities.tolist(), "times": scenes[0].time.tolist(), "panels": panels}

@@ -77,7 +77,7 @@ class Ensemble:
     squeezed: int
 
     def plot(self, ax: Axes | None = None, sample: int = -1) -> Figure:
-        """Draw the mean velocity against grain number at one sample, with a band of two standard errors to each side.
+        """Draw the mean velocity against grain number at one sample, with a band of two standard errors.
 
         Returns the figure.
         """
@@ -195,7 +195,7 @@ def ensemble(
 def at_the_end(
     scene: Scene, orders: Sequence[float], realisations: int, seed: int, progress: bool = False
 ) -> tuple[Array, list[Ensemble]]:
-    """Return the velocity of the ordered linear chain, and averages over random ones for each m, as the scene ends.
+    """Return final velocities of the ordered linear chain, and averages over random chains for each m.
 
     Parameters
     ----------
@@ -223,7 +223,7 @@ def at_the_end(
 
 @dataclass(eq=False)
 class _Average:
-    """Running means and sums of squared deviations (Welford), displacement and velocity, (2, T, G), and the worst."""
+    """Running means and sums of squared deviations (Welford) of displacement and velocity, (2, T, G)."""
 
     mean: Array
     square: Array
@@ -253,7 +253,7 @@ class _Average:
 def _answer(
     engine: Engine, scenes: Sequence[Scene], wanted: int, tolerance: float, before: _Average, bar: Any
 ) -> _Average:
-    """Return the average with the first `wanted` scenes of a batch taken in, at steps that are short enough for all."""
+    """Return the average with the first `wanted` scenes of a batch, at steps short enough for all."""
     proposed = [engine.candidate(engine.part(scene), tolerance) for scene in scenes]
     hardest = max(proposed, key=lambda candidate: candidate.cost_s)
     candidate = replace(hardest, adaptive=any(each.adaptive for each in proposed))

@@ -141,8 +141,8 @@ Fault = tuple[str, str] | None
 
 def check(*faults: Fault) -> None:
     """Raise `InputError` with the faults there are."""
-    if found := [fault for fault in faults if fault]:
-        raise InputError(found)
+    if present := [fault for fault in faults if fault]:
+        raise InputError(present)
 
 
 def _fault_of_m(m: object) -> Fault:

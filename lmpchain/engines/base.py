@@ -124,7 +124,7 @@ class ErrorBudget:
         return ErrorEstimate(self.model, self.solver)
 
     def first_beyond(self, tolerance: float) -> float:
-        """Return the first time at which two runs differ by more than the tolerance, s; infinite if they never do."""
+        """Return the first time at which two runs differ by more than the tolerance, s, or infinity."""
         beyond = np.flatnonzero(~(self.differences <= tolerance))
         return float(self.time[beyond[0]]) if beyond.size else float("inf")
 
@@ -244,7 +244,7 @@ class Engine(ABC):
         return copy(self)
 
     def write_inputs(self, scene: Scene, candidate: Candidate, tolerance: float, folder: Path) -> None:
-        """Write to a run folder what a user needs to run the candidate without this package, if that can be done."""
+        """Write input files for the candidate, with which it runs without this package, to a run folder."""
         return
 
     def part(self, scene: Scene) -> Scene:

@@ -1,4 +1,4 @@
-"""The cost model: how long an answer takes on this machine, so that the cheapest engine can be told beforehand.
+"""The cost model: how long an answer is expected to take on this machine.
 
 An engine knows how its work grows with the scene; two numbers turn that into time: what every answer takes
 (`Engine.start_up_s`), and how many times slower this machine is than the one on which the engine was timed, 1 unless it
@@ -20,13 +20,13 @@ PLAUSIBLE = 1e4  # largest factor between a machine and the one of the shipped n
 
 
 def seconds(engine: str, start_up_s: float, work_s: float) -> float:
-    """Return how long an answer takes here, s, from start-up time and work on the machine of the shipped numbers."""
+    """Return the expected time of an answer here, s, from its times on the reference machine."""
     start, slowness = speed(engine, start_up_s)
     return start + slowness * work_s
 
 
 def speed(engine: str, start_up_s: float) -> tuple[float, float]:
-    """Return the start-up time of an engine here, s, and the slowness of this machine: measured, or as shipped."""
+    """Return start-up time, s, and slowness relative to the reference machine, measured or as shipped."""
     shipped = start_up_s, 1.0
     kept = measured().get(engine, shipped)
     return kept if all(map(_plausible, kept, shipped)) else shipped

@@ -200,7 +200,7 @@ class CompanionRun(Run):
 
     @property
     def closest(self) -> Array:
-        """By how much two grains have come closer than at rest at most, (R,) m, as the native companions saw it."""
+        """Largest approach of two grains beyond that at rest, (R,) m, in the native companions."""
         return np.max([stepper.closest() for stepper in self._native], axis=0)
 
     @property
@@ -287,7 +287,7 @@ def native_floor(evaluations: float) -> float:
 
 
 def _block(steppers: int, realisations: int, grains: int, samples: int) -> int:
-    """Return how many samples are compared at a time: a multiple of four, so that every companion stops at the last."""
+    """Return the number of samples in a block, a multiple of four so that every companion stops at its end."""
     fit = BLOCK_BYTES // (16 * steppers * realisations * grains)
     return max(4, min(fit, samples) // 4 * 4)
 

@@ -14,7 +14,7 @@ LAST_DIGIT = 1e-15  # of the largest velocity: a few units in the last place of 
 
 
 def perturbed(scene: Scene, change: float) -> Scene:
-    """Return the scene with the velocity of every grain changed, down and up by turns, by a part of the largest.
+    """Return the scene with every velocity changed by a fraction of the largest, alternating in sign.
 
     Of the largest displacement where nothing is struck; of a drive, the amplitude changes.
     """
@@ -32,7 +32,7 @@ def perturbed(scene: Scene, change: float) -> Scene:
 
 
 def divergence(scene: Scene, candidate: Candidate, change: float) -> Array:
-    """Return the relative distance of a scene and the perturbed one at every sample, (T,), measured as an error is.
+    """Return the relative distance of a run and a perturbed one at every sample, (T,).
 
     Both are run in displacements with the integrator and the steps of the candidate, so what these leave out is the
     same in both. What remains is the change, rounding, and what the scene makes of them.

@@ -105,7 +105,7 @@ def worst(errors: Sequence[ErrorBudget]) -> ErrorBudget:
 
 
 def first_attempt(engine: Engine, scene: Scene, tolerance: float, best_effort: bool = False) -> Attempt:
-    """Return the first attempt; with `best_effort`, a tolerance that the engine refuses is loosened until it does not.
+    """Return the first attempt; `best_effort` loosens a tolerance that the engine refuses.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def solve_to_tolerance(
     begin: Callable[[Attempt], Mapping[str, Array] | None] = lambda _: None,
     patient: bool = False,
 ) -> Outcome[T]:
-    """Run a scene, or a batch of like ones, at ever shorter steps unless the step is given; collect each run's blocks.
+    """Run a scene, or a batch of like ones, at ever shorter steps until the tolerance is met.
 
     Parameters
     ----------
@@ -266,7 +266,7 @@ def _chaotic(scene: Scene, error: ErrorBudget, attempt: Attempt) -> str:
 
 
 def _divergence_time(scene: Scene, candidate: Candidate, distance: float, times: float = 1.0) -> float | None:
-    """Return when two runs one ulp apart at t = 0 are at that distance, s, if they diverge to so many times it.
+    """Return when two runs one ulp apart at t = 0 reach a distance, s, if they diverge to `times` it.
 
     Two runs may differ in where their steps shorten, so in more than the scene makes of an ulp; at steps of one length
     they are the same map, but further off. Both pairs must diverge.

@@ -131,11 +131,11 @@ def resume(folder: str | PathLike[str], *, max_wall: float | None = None, progre
     from .run_folder import RunFolder, status
     from .signals import Requests
 
-    found = status(folder)
-    if found["state"] == "finished":
+    said = status(folder)
+    if said["state"] == "finished":
         trajectory = Trajectory.load(folder)
-        if found["reason"] and not found["best_effort"]:
-            raise ToleranceNotMet(found["reason"], trajectory)
+        if said["reason"] and not said["best_effort"]:
+            raise ToleranceNotMet(said["reason"], trajectory)
         return trajectory
     with RunFolder(folder, Requests(max_wall)) as output:
         answer = _answer(output.task, output, progress)
@@ -250,7 +250,7 @@ class _Memory:
 
 
 def _zeros(shape: tuple[int, int], moving: int) -> Array:
-    """Return zeros; where few columns are moving, these alone take memory: in small pages, not in huge ones."""
+    """Return zeros of which only the columns that are written take memory."""
     if 2 * moving > shape[1] or shape[1] < mmap.PAGESIZE:
         return np.zeros(shape)
     pages = mmap.mmap(-1, 8 * shape[0] * shape[1])

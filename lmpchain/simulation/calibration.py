@@ -37,13 +37,13 @@ def calibrate() -> tuple[Path, float]:
     for engine in timed:
         _timed(engine, *SMALL)  # compiles and imports
     began = time.perf_counter()
-    found = {}
+    speeds = {}
     for engine in timed:
         (short, light), (long, heavy) = (_timed(engine, *size) for size in (SMALL, LARGE))
         slowness = max((long - short) / (heavy - light), 2 / PLAUSIBLE)
-        found[engine.name] = max(short - slowness * light, 2 * engine.start_up_s / PLAUSIBLE), slowness
+        speeds[engine.name] = max(short - slowness * light, 2 * engine.start_up_s / PLAUSIBLE), slowness
     took = time.perf_counter() - began
-    known = dict(measured()) | found
+    known = dict(measured()) | speeds
     path = cache_file()
     measured.cache_clear()
     try:
@@ -61,7 +61,7 @@ def _scene(grains: int, periods: int) -> Scene:
 
 
 def _timed(engine: Engine, grains: int, periods: int) -> tuple[float, float]:
-    """Return the shortest of some times that an answer takes, s, and its work on the machine of the shipped numbers."""
+    """Return the shortest measured time of an answer, s, and its expected work on the reference machine."""
     scene = _scene(grains, periods)
     start, slowness = speed(engine.name, engine.start_up_s)
     work = (engine.candidate(engine.part(scene), TOLERANCE).cost_s - start) / slowness

@@ -1,4 +1,4 @@
-"""Checkpoints: the newest and the one before, each behind its hash, so that a damaged one is never used."""
+"""Checkpoints: the two newest, each with its hash, so that a damaged one is never used."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which engine, how many grains, which step: what `simulate` would do with a scene, and why not something else."""
+"""The plan of a scene: the engine, grains and step size that `simulate` would take, and why."""
 
 from __future__ import annotations
 

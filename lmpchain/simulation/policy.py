@@ -40,7 +40,7 @@ class Policy(Protocol):
         """Return the engine of an attempt."""
 
     def fallback(self, scene: Scene, attempt: Attempt, error: ErrorBudget) -> Attempt | None:
-        """Return the first attempt with an engine for Eq. (1) if the measured model error exceeds the tolerance.
+        """Return an attempt with an engine for Eq. (1) if the measured model error exceeds the tolerance.
 
         Raises
         ------
@@ -82,7 +82,7 @@ class Named:
 
 @dataclass(frozen=True)
 class Auto:
-    """The cheapest engine whose answer is expected to be within the tolerance, equation and solution together."""
+    """The cheapest engine that is expected to meet the tolerance, model error included."""
 
     name: str = AUTO
     chosen: None = None
@@ -102,7 +102,7 @@ class Auto:
         return faults
 
     def first(self, scene: Scene, tolerance: float, best_effort: bool) -> Attempt:
-        """Return the first attempt of the cheapest engine; with `best_effort` the tolerance is loosened if need be."""
+        """Return the first attempt of the cheapest engine; `best_effort` loosens the tolerance if need be."""
         began, refusal = time.perf_counter(), ""
         while True:
             try:
@@ -145,7 +145,7 @@ def _attempt(proposal: Proposal, tolerance: float, **why: str) -> Attempt:
 
 
 def policy_for(engine: str | Engine, **options: Any) -> Policy:
-    """Return the policy for an engine or its name; "auto" with options takes the native engine, whose they are.
+    """Return the policy for an engine or its name; "auto" with options is the native engine.
 
     Raises
     ------

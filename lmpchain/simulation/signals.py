@@ -1,4 +1,4 @@
-"""Stopping in good order: Ctrl-C, SIGTERM and the end of the time allowed wait until what is done can be kept."""
+"""Stop requests: Ctrl-C, SIGTERM and the wall-time limit, obeyed at the next checkpoint."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ NAMES = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "SIGTERM"}
 
 
 class Stopped(LmpchainError):
-    """The run was stopped before its end; its folder holds what was done, and `lmpchain.resume` goes on with it."""
+    """The run was stopped before its end; `lmpchain.resume` goes on with what its folder holds."""
 
 
 class Requests:

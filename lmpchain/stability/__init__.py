@@ -1,4 +1,4 @@
-"""Where methods fail on a scene: a module for each cause, and `stability`, which goes through all of them."""
+"""Where methods fail on a scene: a module for each cause; `stability` goes through all of them."""
 
 from ..util.lazy import attributes
 

@@ -1,8 +1,8 @@
 """Where methods fail on a scene: what laws predict, what runs show, and where the scene itself lies.
 
-`steps` (too long a step, drifting energy, openings), `precision` (round-off, chaos), `theories` (linear, homogeneous,
-continuous chain), `limits`, `overlaps` and `horizons` hold the laws and what measures them. Maps over many
-scenes are drawn by `analysis/stability_map.py`; this module goes through all of them for one.
+`step_limit` (too long a step, energy error), `roundoff`, `predictability` (chaos), `linear_theory` and `overlap` hold
+the laws and what measures them; this module goes through all of them for one scene. Maps over many scenes are drawn by
+`analysis/stability_map.py`.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ def stability(scene: Scene, *, progress: bool = False) -> Stability:
         for name, part in bar:
             bar.set_description(name)
             try:
-                for found in part():
-                    (boundaries if isinstance(found, Boundary) else curves).append(found)  # type: ignore[arg-type]
+                for item in part():
+                    (boundaries if isinstance(item, Boundary) else curves).append(item)  # type: ignore[arg-type]
             except InputError as error:
                 left_out.append(f"{name}: {error.faults[0][1]}")
             except ToleranceNotMet as error:
@@ -78,7 +78,7 @@ def _parts(scene: Scene) -> Iterator[tuple[str, Callable[[], Iterator[Boundary |
     exact = cache(partial(long_double, scene))
     for engine, diameter in ROUNDINGS:
         yield f"smallest error, {_name(engine, diameter)}", partial(_floor, scene, engine, diameter, exact)
-    yield "predictable", partial(_horizon, scene)
+    yield "predictable", partial(_predictability, scene)
     yield "linear theory", partial(_linear, scene)
     yield "overlap", partial(_overlap, scene)
     yield "strength", partial(_strength, scene)
@@ -106,8 +106,8 @@ def _energy(scene: Scene, integrator: str) -> Iterator[Curve]:
     cost = METHODS[integrator].evaluations * PERIODS * DIVISIONS * scene.chain.grains
     if cost * engines.get("native").seconds_per_grain_step > LONGEST_S:
         raise InputError([("grains", "too many to follow the energy for a thousand periods")])
-    found = energy_error(scene, integrator, step, PERIODS, samples=401)
-    yield Curve("energy", integrator, found.time, np.abs(found.error))
+    energy = energy_error(scene, integrator, step, PERIODS, samples=401)
+    yield Curve("energy", integrator, energy.time, np.abs(energy.error))
 
 
 def _floor(scene: Scene, engine: str, diameter: str, exact: Callable[[], tuple[Array, Array]]) -> Iterator[Boundary]:
@@ -123,15 +123,15 @@ def _name(engine: str, diameter: str) -> str:
     return engine if engine == "native" else f"{engine}, {diameter} diameter"
 
 
-def _horizon(scene: Scene) -> Iterator[Boundary | Curve]:
-    from .predictability import amplifies, growth, horizon_of, predicted_horizon
+def _predictability(scene: Scene) -> Iterator[Boundary | Curve]:
+    from .predictability import amplifies, growth, predictability_time_of, predicted_time
 
-    predicted = predicted_horizon(scene, TOLERANCE) if amplifies(scene) else math.nan
+    predicted = predicted_time(scene, TOLERANCE) if amplifies(scene) else math.nan
     measured = math.nan
     if not _too_long(scene):
         times, apart = growth(scene)
         yield Curve("growth", "", times, apart)
-        measured = horizon_of(times, apart, TOLERANCE)
+        measured = predictability_time_of(times, apart, TOLERANCE)
     beyond = measured < scene.duration
     yield Boundary("predictable to 1e-6 until", "any", "s", predicted, measured, scene.duration, beyond)
 

@@ -1,4 +1,4 @@
-"""Where the theories fail: laws for the errors of the linear, the homogeneous and the continuous chain.
+"""Where linear theory fails: laws for its error after a strike on the top of a column.
 
 They are for columns of equal grains, in the paper's variables: tau, depths h in grains, strike numbers v0*. They give
 relative errors, each in the norm that it names. `laws.theory_errors` measures the same. Constants are
@@ -17,7 +17,7 @@ LINEAR = {"velocity": (0.54, 2**0.5), "displacement": (0.186, 0.45), "package": 
 
 
 def linear_law(strike_number: float, norm: str, exponent: float = 1.5, grain: int = 20) -> float:
-    """Return the error of Eq. (3) after a strike on the top of a column: x / (1 + x / limit), x = c (delta - 1) v0*.
+    """Return the error of Eq. (3), x / (1 + x / limit) with x = c (delta - 1) v0*, after a strike on the top.
 
     A contact that is compressed by the fraction s of its overlap is stiffer, and the wave faster by (delta - 1) s / 4.
     The strain falls faster than 1/h, so that the lead is won at the first grains and stays: for tau above 6 the error
@@ -46,7 +46,7 @@ def linear_law(strike_number: float, norm: str, exponent: float = 1.5, grain: in
 
 
 def strike_number_at(error: float, norm: str, exponent: float = 1.5, grain: int = 20) -> float:
-    """Return the strike number at which Eq. (3) is so far off, the inverse of `linear_law`; infinite beyond its limit.
+    """Return the strike number at which Eq. (3) has an error, the inverse of `linear_law`.
 
     Examples
     --------

@@ -10,7 +10,7 @@ from ..util.arrays import Array
 
 
 def deepest(scene: Scene) -> float:
-    """Return a bound on the overlap of any contact over the diameter, whenever; infinite if the top is driven.
+    """Return a bound on the overlap of any contact over the diameter; infinite if a drive does work.
 
     No contact can hold more than the energy of the strike, `Contacts.overlap_bound`. `Scene` refuses strikes that
     squeeze a contact to more than a tenth at once; lighter grains below, or a floor, may be squeezed further.
@@ -20,7 +20,7 @@ def deepest(scene: Scene) -> float:
 
 
 def hertz_excess(strain: ArrayLike) -> Array:
-    """Return by which part Hertz's force between two spheres is too large at an overlap of strain times the diameter.
+    """Return the relative excess of Hertz's force between spheres at an overlap of strain x diameter.
 
     From their shape alone, spheres in place of paraboloids: ``o = 2 a artanh(a/R)`` and ``F = 2 E* [(a^2 + R^2)
     artanh(a/R) - a R]`` (Sneddon, Int. J. Eng. Sci. 3, 47 (1965)), some ``strain / 10``. That they are no half-spaces

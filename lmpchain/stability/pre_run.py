@@ -1,4 +1,4 @@
-"""What a user should know of a scene before it is run: the boundaries that it lies beyond, each in a line."""
+"""Warnings before a run: the boundaries that a scene lies beyond, each in a line."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ..chain.chain import LARGEST_OVERLAP
 from ..engines.base import Engine
 from ..scene.scene import Scene
 from .overlap import deepest, hertz_excess
-from .predictability import amplifies, predicted_horizon
+from .predictability import amplifies, predicted_time
 from .step_limit import limit
 
 TRUSTED, GENTLE = 0.7, 0.3  # of `steps.limit`: Verlet held for 300 periods; strain below which all of it is to be had
@@ -29,8 +29,8 @@ def caveats(scene: Scene, engine: Engine | None, tolerance: float) -> Iterator[s
                 f"step: {engine.step:.3g} s is stable at rest, but while the strike squeezes the contacts only steps "
                 f"below {longest:.3g} s are known to be"
             )
-    if amplifies(scene) and (horizon := predicted_horizon(scene, tolerance)) < scene.duration:
+    if amplifies(scene) and (limit_s := predicted_time(scene, tolerance)) < scene.duration:
         yield (
-            f"duration: contacts that open amplify round-off beyond {tolerance:g} at about {horizon:.2g} s; what "
+            f"duration: contacts that open amplify round-off beyond {tolerance:g} at about {limit_s:.2g} s; what "
             f"comes later cannot be computed"
         )

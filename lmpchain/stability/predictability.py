@@ -1,4 +1,4 @@
-"""Until when a scene can be predicted: the law. `lmpchain.stability.roundoff` measures the same."""
+"""Predictability time: growth of a small change (a finite-time Lyapunov exponent), law and measurement."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SEED = 1e-14  # change at t = 0 that does as much as all rounding of a run: meas
 
 
 def reflection_time(scene: Scene) -> float:
-    """Return about how long the pulse of a strong strike takes from the top to the floor and back, s.
+    """Return the time of a strong pulse from the top to the floor and back, s.
 
     The solitary wave that a grain makes of its velocity v0 in a chain without load moves by
     0.907470 (K/m)^(2/5) (0.681632 v0)^(1/5) grains a second; Chatterjee, Phys. Rev. E 59, 5912 (1999), and numbers
@@ -39,7 +39,7 @@ def reflection_time(scene: Scene) -> float:
 
 
 def growth_rate(scene: Scene) -> float:
-    """Predict by how many decades a second a small change grows in a column that is struck at the top.
+    """Predict the Lyapunov exponent of a column struck at the top, in decades a second.
 
     Measured: 0.9 (1 - exp(-N / 20)) decades while a pulse runs down and up, whatever the strike and gravity, for
     N = 6 ... 40, v0* = 30 to 50 N, 0.1 to 100 g, within a factor of 1.5. A weaker strike opens few contacts, a
@@ -55,8 +55,8 @@ def amplifies(scene: Scene) -> bool:
     return struck and FEW <= grains <= MANY and OPENING < scene.strike_number < FLYING * grains
 
 
-def predicted_horizon(scene: Scene, tolerance: float) -> float:
-    """Predict `horizon` from `growth_rate`, s, without an integration; it may lie beyond the duration."""
+def predicted_time(scene: Scene, tolerance: float) -> float:
+    """Predict `predictability_time` from `growth_rate`, s, without an integration; it may lie beyond the duration."""
     return math.log10(tolerance / SEED) / growth_rate(scene)
 
 
@@ -65,7 +65,7 @@ ACCURACY = 1e-11  # of the runs that show how a change grows
 
 
 def growth(scene: Scene, perturbation: float = CHANGE, accuracy: float = ACCURACY) -> tuple[Array, Array]:
-    """Measure how a small change at t = 0 grows: two native runs at the same short steps.
+    """Measure the growth of a small change at t = 0 (Lyapunov exponent): two native runs, same steps.
 
     All grains are moved, down and up by turns, by this part of the largest velocity (displacement, amplitude).
 
@@ -82,16 +82,16 @@ def growth(scene: Scene, perturbation: float = CHANGE, accuracy: float = ACCURAC
     return scene.time, divergence(scene, Native("rkn6").candidate(scene.light_cone.scene, accuracy), perturbation)
 
 
-def horizon(scene: Scene, tolerance: float) -> float:
-    """Measure until when a run in double precision can meet a tolerance, s; infinite if it can all the time.
+def predictability_time(scene: Scene, tolerance: float) -> float:
+    """Measure the predictability time in double precision, s; infinite if the tolerance holds to the end.
 
     Rounding does what a change of 1e-14 at t = 0 does, within a factor of 30: at four decades a millisecond, as in
     columns of glass beads of 1 mm, that is 0.4 ms.
     """
-    return horizon_of(*growth(scene, CHANGE), tolerance)
+    return predictability_time_of(*growth(scene, CHANGE), tolerance)
 
 
-def horizon_of(times: Array, apart: Array, tolerance: float) -> float:
-    """Return `horizon` from what `growth` has measured for its own perturbation, s."""
+def predictability_time_of(times: Array, apart: Array, tolerance: float) -> float:
+    """Return `predictability_time` from what `growth` has measured for its own perturbation, s."""
     beyond = np.flatnonzero(apart > tolerance * CHANGE / SEED)
     return float(times[beyond[0]]) if beyond.size else math.inf

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-TOLERANCE = 1e-6  # of the horizon
+TOLERANCE = 1e-6  # of the predictability time
 
 
 @dataclass(frozen=True)
@@ -91,19 +91,19 @@ class Stability:
     def table(self) -> str:
         """Return the boundaries as a table; what the scene lies beyond bears a mark."""
         rows: list[tuple[str, ...]] = [("", "", "", "predicted", "measured", "this scene")]
-        for found in self.boundaries:
-            numbers = (_shown(x, found.unit) for x in (found.predicted, found.measured, found.here))
-            rows.append(("!" if found.beyond else "", found.what, found.method, *numbers))
+        for row in self.boundaries:
+            numbers = (_shown(x, row.unit) for x in (row.predicted, row.measured, row.here))
+            rows.append(("!" if row.beyond else "", row.what, row.method, *numbers))
         return "\n".join(aligned(rows))
 
     def to_json(self) -> dict[str, Any]:
         """Return what goes into a JSON file; numbers that are not finite become None."""
-        rows = [finite(vars(found)) for found in self.boundaries]
+        rows = [finite(vars(boundary)) for boundary in self.boundaries]
         curves = [vars(curve) | {key: _list(getattr(curve, key)) for key in "xy"} for curve in self.curves]
         return {"rows": rows, "curves": curves, "left_out": list(self.left_out)}
 
     def plot(self, axes: Sequence[Axes] | None = None) -> Figure:
-        """Draw the longest steps, energy and small changes over time, and errors over the strength of the strike.
+        """Draw longest steps, energy error, divergence of two runs, and errors over the strength of the strike.
 
         Parameters
         ----------
@@ -127,20 +127,20 @@ STRENGTHS = {"Eq. (3), bound": COLOURS["modes"], "native, round-off": COLOURS["n
 LEVELS = (1e-3, TOLERANCE, 1e-9)
 
 
-def draw(found: Stability, axes: Sequence[Axes] | None) -> Figure:
+def draw(result: Stability, axes: Sequence[Axes] | None) -> Figure:
     """Draw the four panels; see `Stability.plot`."""
     if axes is None:
         axes = figure(15, 8.5).subplots(2, 2).ravel()
     steps, energy, growth, strength = axes
-    _draw_steps(steps, found)
-    _draw_energy(energy, [curve for curve in found.curves if curve.panel == "energy"])
-    _draw_growth(growth, found)
-    _draw_strength(strength, found)
+    _draw_steps(steps, result)
+    _draw_energy(energy, [curve for curve in result.curves if curve.panel == "energy"])
+    _draw_growth(growth, result)
+    _draw_strength(strength, result)
     return steps.figure.figure  # type: ignore[return-value]
 
 
-def _draw_steps(axes: Axes, found: Stability) -> None:
-    rows = [row for row in found.boundaries if row.what == "longest step"][::-1]
+def _draw_steps(axes: Axes, result: Stability) -> None:
+    rows = [row for row in result.boundaries if row.what == "longest step"][::-1]
     places, names = range(len(rows)), [row.method for row in rows]
     axes.plot([row.predicted for row in rows], places, "|", ms=16, mew=2, color="0.3", label="predicted")
     axes.plot([row.measured for row in rows], places, "o", ms=6, color=COLOURS["lammps"], label="measured")
@@ -163,31 +163,33 @@ def _draw_energy(axes: Axes, curves: Sequence[Curve]) -> None:
     _legend(axes)
 
 
-def _draw_growth(axes: Axes, found: Stability) -> None:
-    for curve in found.curves:
+def _draw_growth(axes: Axes, result: Stability) -> None:
+    for curve in result.curves:
         if curve.panel == "growth":
             axes.plot(curve.x, np.maximum(curve.y, LOWEST), color=COLOURS["native"], lw=1.3)
-    end = found.scene.duration
+    end = result.scene.duration
     for level in LEVELS:
         axes.axhline(level, color="0.75", lw=0.8)
         axes.annotate(
             f"{level:g}", (1, level), (-2, 2), ("axes fraction", "data"), "offset points", ha="right", color="0.4"
         )
-    for row in found.boundaries:
+    for row in result.boundaries:
         if row.what.startswith("predictable"):
             for value, style, label in ((row.predicted, "--", "predicted"), (row.measured, "-", "measured")):
                 if np.isfinite(value) and value <= 1.2 * end:
-                    axes.axvline(value, color="0.3", ls=style, lw=1.2, label=f"{label} horizon for {TOLERANCE:g}")
+                    axes.axvline(
+                        value, color="0.3", ls=style, lw=1.2, label=f"{label} predictability time for {TOLERANCE:g}"
+                    )
     axes.set(yscale="log", xlabel="time", ylabel="distance of two runs, over the largest value")
     axes.xaxis.set_major_formatter(EngFormatter("s"))
     axes.locator_params(axis="x", nbins=5)
-    axes.set_title("Two runs, 1e-13 apart at the start")
+    axes.set_title("Divergence of two runs, 1e-13 apart at the start")
     _legend(axes)
 
 
-def _draw_strength(axes: Axes, found: Stability) -> None:
+def _draw_strength(axes: Axes, result: Stability) -> None:
     styles = iter(("--", ":"))
-    for curve in found.curves:
+    for curve in result.curves:
         if curve.panel == "strength":
             colour = STRENGTHS.get(curve.name, COLOURS["lammps"])
             style = "-" if curve.name in STRENGTHS else next(styles)
@@ -197,7 +199,7 @@ def _draw_strength(axes: Axes, found: Stability) -> None:
     axes.set(
         xscale="log", yscale="log", xlabel="strength of the strike, over that of the scene", ylabel="relative error"
     )
-    axes.set_title("What is left out, and what rounding makes")
+    axes.set_title("Model error and round-off")
     _legend(axes)
 
 

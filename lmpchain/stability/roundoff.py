@@ -1,4 +1,4 @@
-"""What double precision leaves of an answer: the floor of round-off, and how long a scene can be predicted.
+"""The round-off floor of double precision: the law, and its measurement in long double.
 
 Laws say it beforehand, measurements compare with runs in NumPy's long double.
 """
@@ -29,7 +29,7 @@ PLAIN = 0.9  # last digits of the force at rest that the plain form loses in a s
 
 
 def floor(scene: Scene, engine: str = "native", diameter: str = "physical", force: str = "auto") -> float:
-    """Predict the relative error that rounding alone makes of a scene, at steps of rkn6 with omega h = 0.3.
+    """Predict the relative error from round-off alone, at steps of rkn6 with omega h = 0.3.
 
     Native: one unit in the last place times the square root of the number of force evaluations, a random walk. The
     plain form of the force adds the last digit of what the contacts carry at rest, at every step: an acceleration
@@ -67,7 +67,7 @@ def floor(scene: Scene, engine: str = "native", diameter: str = "physical", forc
 
 
 def long_double(scene: Scene) -> tuple[Array, Array]:
-    """Return displacement and velocity of the light cone, (T, N) m and m/s, by the steps of `floor` in long double."""
+    """Return displacement and velocity of the light cone, (T, N) m and m/s, in long double."""
     part = scene.light_cone.scene
     return _same_steps(part, RKN6, _steps(part))
 
@@ -100,9 +100,9 @@ def measured_floor(
         run = simulate(part, _lammps(engine, diameter, h))
     assert run.cost.steps == steps
     true = exact or long_double(scene)
-    found = run.displacement, run.velocity
+    values = run.displacement, run.velocity
     columns = run.grains - 1
-    pairs = ((x, y[:, columns], np.abs(y).max()) for x, y in zip(found, true, strict=True))
+    pairs = ((x, y[:, columns], np.abs(y).max()) for x, y in zip(values, true, strict=True))
     return max(float(np.abs(x - y).max() / most) for x, y, most in pairs)
 
 
@@ -127,7 +127,7 @@ def _speed(scene: Scene) -> float:
 
 
 def _same_steps(scene: Scene, splitting: Splitting, steps: int) -> tuple[Array, Array]:
-    """Take the steps of a splitting in NumPy's long double; return displacement and velocity, (T, N) m and m/s."""
+    """Integrate by a splitting in long double; return displacement and velocity, (T, N) m and m/s."""
     chain = scene.chain
     mass, constant = chain.masses.astype(Long), chain.contacts.constant.astype(Long)
     carried = Long(chain.top_load) + Long(chain.gravity) * np.append(Long(0), np.cumsum(mass))

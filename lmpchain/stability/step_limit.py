@@ -46,7 +46,7 @@ def struck_frequency(scene: Scene) -> float:
     inertia = np.concatenate(([0.0], np.where(np.arange(chain.grains) < chain.movable, 1 / chain.masses, 0.0), [0.0]))
 
     def worst(energy: float) -> float:
-        """Return the square of the highest frequency where neighbours share an energy, as if they were springs."""
+        """Return the highest squared frequency of neighbours that share an energy, as springs."""
         highest = 0.0
         for n in range(1, SHARED + 1):
             stiffness = chain.exponent * contacts.constant * contacts.overlap_bound(energy / n) ** (chain.exponent - 1)
@@ -116,7 +116,7 @@ def suspect(integrator: str) -> float:
 
 
 def blow_up(scene: Scene, integrator: str, engine: str = "native") -> float:
-    """Return the longest step, s, with which a scene does not break down, as measured; infinite if it is too short to.
+    """Measure the longest step with which a scene does not break down, s; infinite if none breaks it.
 
     Steps of one length are tried ever longer, by 2 % and at those of which the method is suspected, until a run
     breaks: a grain moves with more than one and a half times all the energy there is. Then the step is bisected. The
@@ -182,7 +182,7 @@ class EnergyError:
     step: float
 
     def trend(self) -> tuple[float, float]:
-        """Return the rate at which the error grows, 1/s, and the half-width of its interval of 99 % confidence.
+        """Return the drift rate, 1/s, and the half-width of its interval of 99 % confidence.
 
         A straight line through the means of fifty stretches of time. As energy wanders slowly from mode to mode, each
         resembles the one before: they count for as many as their correlation r leaves, n (1 - r) / (1 + r) (Santer et
@@ -217,6 +217,6 @@ def energy_error(scene: Scene, integrator: str, step: float, periods: float, sam
 
     duration = periods * 2 * math.pi / scene.chain.band_edge
     longer = Scene(**scene.given() | {"duration": duration, "samples": samples, "grains": "all"})
-    found = simulate(longer, engines.Native(integrator=integrator, step=step))
-    energy = scene.chain.excess_energy(found.displacement, found.velocity)
-    return EnergyError(found.time, energy / energy[0] - 1, found.cost.step_s)
+    run = simulate(longer, engines.Native(integrator=integrator, step=step))
+    energy = scene.chain.excess_energy(run.displacement, run.velocity)
+    return EnergyError(run.time, energy / energy[0] - 1, run.cost.step_s)

@@ -1,4 +1,4 @@
-"""The axes of a sweep: a grid, a list of cases, draws from a Latin hypercube, and realisations of disorder."""
+"""The axes of a sweep: grid, list of cases, Latin hypercube, realisations of disorder."""
 
 from __future__ import annotations
 
@@ -67,12 +67,12 @@ class Axis:
 
     def coordinates(self) -> dict[str, list[Any]]:
         """Return what the places along the axis are called, by name of the coordinate."""
-        found: dict[str, list[Any]] = {} if self.name in self.columns else {self.name: list(range(len(self)))}
+        columns: dict[str, list[Any]] = {} if self.name in self.columns else {self.name: list(range(len(self)))}
         for key, values in self.columns.items():
             numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
             if key != INDEX:
-                found[key] = values if numbers else [_label(value) for value in values]
-        return found
+                columns[key] = values if numbers else [_label(value) for value in values]
+        return columns
 
 
 def _label(value: Any) -> str:
@@ -88,29 +88,29 @@ def axes(parts: Mapping[str, Any]) -> list[Axis]:
         With every fault found.
     """
     faults: list[tuple[str, str]] = []
-    found: list[Axis] = []
+    made: list[Axis] = []
     for part, table in parts.items():
         try:
             if not isinstance(table, dict):
                 raise InputError([("", f"must be a table, [{part}]")])
-            found += MAKERS[part](table)
+            made += MAKERS[part](table)
         except InputError as error:
             faults += error.under(part)
     sections = (*SECTIONS, *(["disorder"] if "disorder" in parts else []))
-    keys = [key for axis in found for key in axis.columns]
+    keys = [key for axis in made for key in axis.columns]
     for place, key in enumerate(keys):
         if key.partition(".")[0] not in sections:
             faults.append((key, f"is no key of a scene; they begin with {', '.join(sections)}, as chain.gravity does"))
         for other in keys[:place]:
             if f"{key}.".startswith(f"{other}.") or f"{other}.".startswith(f"{key}."):
                 faults.append((key, "is swept twice" if key == other else f"overlaps {other}: sweep one of them"))
-    if (count := math.prod(len(axis) for axis in found)) > MOST:
+    if (count := math.prod(len(axis) for axis in made)) > MOST:
         faults.append(("grid", f"these are {count} scenes; sweep {MOST} at most"))
-    if not found and not faults:
+    if not made and not faults:
         faults.append(("grid", f"nothing is swept: add a table {', '.join(f'[{part}]' for part in MAKERS)}"))
     if faults:
         raise InputError(faults)
-    return found
+    return made
 
 
 def _grid(table: dict[str, Any]) -> list[Axis]:
@@ -118,26 +118,24 @@ def _grid(table: dict[str, Any]) -> list[Axis]:
 
 
 def _list(table: dict[str, Any]) -> list[Axis]:
-    columns = _lists(table)
-    first, *others = columns
-    count = len(columns[first])
-    if unlike := [key for key in others if len(columns[key]) != count]:
+    made = _lists(table)
+    first, *others = made
+    count = len(made[first])
+    if unlike := [key for key in others if len(made[key]) != count]:
         raise InputError(
-            [(key, f"must have as many values as {first}, {count}, not {len(columns[key])}") for key in unlike]
+            [(key, f"must have as many values as {first}, {count}, not {len(made[key])}") for key in unlike]
         )
-    return [Axis("case", columns)]
+    return [Axis("case", made)]
 
 
 def _lists(table: dict[str, Any]) -> dict[str, list[Any]]:
-    columns = {key: list(value) if isinstance(value, tuple | np.ndarray) else value for key, value in _leaves(table)}
+    made = {key: list(value) if isinstance(value, tuple | np.ndarray) else value for key, value in _leaves(table)}
     faults = [
-        (key, "must be a list of values, and not empty")
-        for key, v in columns.items()
-        if not isinstance(v, list) or not v
+        (key, "must be a list of values, and not empty") for key, v in made.items() if not isinstance(v, list) or not v
     ]
-    if faults or not columns:
+    if faults or not made:
         raise InputError(faults or [("", "is empty: name a key, such as chain.gravity = [1.62, 9.81]")])
-    return {key: [v.item() if isinstance(v, np.generic) else v for v in values] for key, values in columns.items()}
+    return {key: [v.item() if isinstance(v, np.generic) else v for v in values] for key, values in made.items()}
 
 
 def _random(table: dict[str, Any]) -> list[Axis]:
@@ -160,8 +158,8 @@ def _random(table: dict[str, Any]) -> list[Axis]:
     if faults or not ranges:
         raise InputError(faults or [("", "name a key, such as chain.gravity = {low = 1.0, high = 10.0}")])
     parts = qmc.LatinHypercube(len(ranges), seed=np.random.default_rng(asked.seed)).random(asked.draws)
-    columns = {key: value.at(part) for (key, value), part in zip(ranges.items(), parts.T, strict=True)}
-    return [Axis("draw", columns, drawn=True)]
+    made = {key: value.at(part) for (key, value), part in zip(ranges.items(), parts.T, strict=True)}
+    return [Axis("draw", made, drawn=True)]
 
 
 def _disorder(table: dict[str, Any]) -> list[Axis]:

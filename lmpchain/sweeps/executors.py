@@ -28,7 +28,7 @@ class Here(Executor):
 
 
 class Processes(Executor):
-    """So many processes, each with a pool of its own, so that one that dies takes nothing but its own task with it.
+    """A number of processes, each in a pool of its own, so that one that dies loses its own task only.
 
     That task ends with `BrokenExecutor`, and a new process takes the place of the dead one. The processes end when
     this one does, even if it is killed.
@@ -77,7 +77,7 @@ class Processes(Executor):
 
 
 def _end_with(line: Connection) -> None:
-    """End this process when the other end of the line is closed, as by the death of the process that holds it."""
+    """End this process when the parent closes its end of the pipe, or dies."""
 
     def wait() -> None:
         line.poll(None)

@@ -70,7 +70,7 @@ class Sweep:
         return itertools.product(*(range(len(axis)) for axis in self.axes))
 
     def asked(self, place: Place) -> str:
-        """Return as JSON what is asked at a place: the scene, all that shapes its answer, and what is kept of it."""
+        """Return one scene of the sweep as JSON, with all that shapes its answer and what is kept of it."""
         tables = self.tables
         for axis, index in zip(self.axes, place, strict=True):
             for key, values in axis.columns.items():
@@ -87,7 +87,7 @@ class Sweep:
         return json.dumps(asked, sort_keys=True, default=plain)
 
     def _digest(self, name: str) -> str:
-        """Return what the contents of a file hash to; one that cannot be read is a fault of the scene, found there."""
+        """Return the hash of a file; one that cannot be read is reported when its scene is made."""
         if name not in self._digests:
             try:
                 check_readable(self.folder / name, LARGEST_TABLE)
@@ -176,10 +176,10 @@ def read(source: str | PathLike[str] | Mapping[str, Any]) -> Sweep:
             faults += error.faults
     if faults:
         raise InputError(faults)
-    (tables, folder), engine, _, keep, found = results
+    (tables, folder), engine, _, keep, swept = results
     if "disorder" in parts:
         tables |= {"disorder": {key: value for key, value in parts["disorder"].items() if key != "realisations"}}
-    return Sweep(tables, folder.absolute(), engine, float(tolerance), keep, found)
+    return Sweep(tables, folder.absolute(), engine, float(tolerance), keep, swept)
 
 
 def _base(given: Any, folder: Path) -> tuple[dict[str, Any], Path]:
@@ -214,7 +214,7 @@ def _keep(names: Any) -> list[str]:
 
 
 def _with(table: Any, path: list[str], value: Any, key: str) -> Any:
-    """Return a table like this one with a value put in at a path; the name of a material becomes its constants."""
+    """Return the table with a value set at a path; the name of a material becomes its constants."""
     if not path:
         return value
     first, rest = path[0], path[1:]

@@ -1,4 +1,4 @@
-"""What a sweep has found, as one labelled dataset whose arrays stay in their files until they are used."""
+"""The results of a sweep as one labelled dataset; arrays are read from their files when they are used."""
 
 from __future__ import annotations
 
@@ -51,14 +51,14 @@ def load_sweep(folder: str | PathLike[str]) -> xarray.Dataset:
     axes = index["axes"]
     swept = tuple(axis["name"] for axis in axes)
     names = np.array(index["names"], dtype=object).reshape([axis["length"] for axis in axes])
-    found = {name: _read(folder / "scenes" / name / "result.json") or NOT_DONE for name in index["names"]}
-    good = {name: result for name, result in found.items() if "failed" not in result}
+    results = {name: _read(folder / "scenes" / name / "result.json") or NOT_DONE for name in index["names"]}
+    good = {name: result for name, result in results.items() if "failed" not in result}
 
     def numbers(key: str) -> tuple[tuple[str, ...], Array]:
         values = [good.get(name, {}).get(key, np.nan) for name in names.flat]
         return swept, np.array(values, dtype=float).reshape(names.shape)
 
-    reasons = np.array([found[name].get("failed", "") for name in names.flat], dtype=object).reshape(names.shape)
+    reasons = np.array([results[name].get("failed", "") for name in names.flat], dtype=object).reshape(names.shape)
     data: dict[str, Any] = {"reason": (swept, reasons, {"long_name": "why there is no answer"})}
     for key, what in ERRORS.items():
         data[key] = *numbers(key), {"units": "1", "long_name": f"estimated relative error {what}"}
@@ -95,7 +95,7 @@ def _read(path: Path) -> dict[str, Any] | None:
 def _labels(good: Mapping[str, dict[str, Any]]) -> dict[str, Labels]:
     """Return the samples and grains of the arrays of every scene; scenes recorded alike share them."""
     known: dict[str, Labels] = {}
-    found = {}
+    shared = {}
     for name, result in good.items():
         samples, grains = result["samples"], result["grains"]
         key = f"{samples} {grains}"
@@ -103,8 +103,8 @@ def _labels(good: Mapping[str, dict[str, Any]]) -> dict[str, Labels]:
             first, last = map(int, grains.split(":")) if isinstance(grains, str) else (1, 0)
             numbers = np.arange(first, last + 1) if isinstance(grains, str) else np.array(grains)
             known[key] = {"time": np.arange(samples), "grain": numbers}
-        found[name] = known[key]
-    return found
+        shared[name] = known[key]
+    return shared
 
 
 def _union(labels: Mapping[str, Labels]) -> Labels:

@@ -111,7 +111,7 @@ def _write_index(plan: Sweep, names: list[str], path: Path) -> None:
 
 @contextmanager
 def _alone(folder: Path) -> Iterator[None]:
-    """Keep other processes from sweeping into the same folder, and clear away what killed ones have left half done."""
+    """Lock the folder of a sweep, and remove what killed processes have left half done."""
     try:
         with FileLock(folder / ".lock", timeout=0):
             try:

@@ -1,4 +1,4 @@
-"""The work of a sweep: scenes are answered, like ones together, and what is kept of each is written down.
+"""The tasks of a sweep: scenes are answered, like ones in batches, and results are written.
 
 Every scene has a folder, whose name is a hash of all that shapes its answer:
 

@@ -13,7 +13,7 @@ from lmpchain.engines import Lammps, Native
 from lmpchain.engines.perturbation import perturbed
 from lmpchain.engines.step_control import first_attempt, run_to_tolerance, solve_to_tolerance
 from lmpchain.errors import RunFailed
-from lmpchain.stability.predictability import growth, growth_rate, horizon, predicted_horizon, reflection_time
+from lmpchain.stability.predictability import growth, growth_rate, predictability_time, predicted_time, reflection_time
 from lmpchain.stability.roundoff import floor, measured_floor
 
 HEIGHTS = [{"engine": "lammps", "diameter": kind} for kind in ("physical", "gauge")]
@@ -168,7 +168,7 @@ def test_a_gentle_wave_does_not_amplify():
     scene = column(10, 1e-3, 300, samples=31)
     _, apart = growth(scene)
     assert apart.max() < 1e-12
-    assert horizon(scene, 1e-9) == math.inf
+    assert predictability_time(scene, 1e-9) == math.inf
 
 
 @pytest.mark.parametrize(
@@ -184,8 +184,8 @@ def test_decades_a_reflection(grains, strike, gravity):
 
 def test_the_predicted_horizon():
     scene = agitated(20, 100.0, 20)
-    assert predicted_horizon(scene, 1e-6) == pytest.approx(horizon(scene, 1e-6), rel=0.4, abs=0)
-    looser = predicted_horizon(scene, 1e-3) - predicted_horizon(scene, 1e-6)
+    assert predicted_time(scene, 1e-6) == pytest.approx(predictability_time(scene, 1e-6), rel=0.4, abs=0)
+    looser = predicted_time(scene, 1e-3) - predicted_time(scene, 1e-6)
     assert looser == pytest.approx(3 / growth_rate(scene), rel=1e-9, abs=0)
 
 
@@ -194,7 +194,7 @@ def test_no_double_holds_beyond_the_horizon():
     """The error of two accurate runs passes a tolerance where the growth of a change says, to half a millisecond."""
     scene = agitated(10, 99.0, 32, samples=201)
     true = reference(scene)
-    said = {tolerance: horizon(scene, tolerance) for tolerance in (1e-9, 1e-6)}
+    said = {tolerance: predictability_time(scene, tolerance) for tolerance in (1e-9, 1e-6)}
     for engine in (Native("rkn6"), Native("dop853")):
         run = engine.start([scene], engine.candidate(scene, 1e-11))
         found = [np.concatenate(x, axis=1)[0] for x in zip(*(block[1:3] for block in run.blocks()), strict=True)]
@@ -226,7 +226,7 @@ def test_chaos_is_refused_after_the_first_try():
     early = refusal.value.trajectory
     assert early.cost.step_s == tried.step
     said = float(refusal.value.reason.split("at t = ")[1].split()[0])
-    assert said == pytest.approx(horizon(scene, 1e-6), rel=0.3, abs=0)
+    assert said == pytest.approx(predictability_time(scene, 1e-6), rel=0.3, abs=0)
     with pytest.warns(UserWarning, match="amplifies round-off"):
         best = simulate(scene, "native", 1e-6, on_miss="warn")
     assert best.cost.step_s < early.cost.step_s / 4
@@ -254,7 +254,7 @@ def answerable(scene, tolerance, patient):
 def test_what_can_be_answered_is_not_refused():
     """Up to close to the horizon."""
     whole = chaotic()
-    end = horizon(whole, 1e-6)
+    end = predictability_time(whole, 1e-6)
     for part in (0.5, 0.7, 0.85):
         scene = Scene(**whole.given() | {"duration": part * end})
         assert run_to_tolerance(Native(), scene, 1e-6, lambda run: [None for _ in run.blocks()]).missed == ""

@@ -20,7 +20,7 @@ LOSSLESS = "0.0 tangential linear_nohistory 0.0 0.0 damping velocity"
 
 @dataclass(frozen=True)
 class Wall:
-    """A plane above or below a grain: its name, the grain, LAMMPS's constant, and `lo` and `hi` of fix wall/gran."""
+    """A plane above or below a grain, with the arguments of `fix wall/gran`."""
 
     name: str
     grain: int
@@ -82,7 +82,7 @@ class Column:
 
     @property
     def load(self) -> float:
-        """Constant force on grain 1, N: that of a wall comes from its overlap, that of a drive from whatever drives."""
+        """Constant force on grain 1, N; 0 below a wall, whose overlap gives it, and for a driven grain."""
         return 0.0 if self.chain.top == "wall" or self.scene.drive else self.chain.top_load
 
     @property

@@ -1,4 +1,4 @@
-"""The ranks of a LAMMPS run: this process alone, those of a surrounding mpirun, or some started for the purpose.
+"""Communicators of a LAMMPS run: this process alone, or the ranks of an MPI world.
 
 One process leads: it asks for something by name, every rank does it, and the answers of all come back. The others
 only follow, so nothing outside this module knows of ranks.
@@ -101,7 +101,7 @@ def shutdown_workers(world: Any) -> None:
 
 
 def _obey(world: Any, held: list[Worker], name: str, values: tuple[Any, ...]) -> Any:
-    """Do on this rank what all are asked to; an error that not all ranks share ends them all, or they would wait."""
+    """Call a method on this rank; an error that not all ranks share aborts them all."""
     try:
         if name == "open":
             held[:] = [Worker(world, *values)]

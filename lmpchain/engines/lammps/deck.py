@@ -38,14 +38,14 @@ def own_text(key: str, path: str | PathLike[str]) -> str:
 
 
 def refuse_own_run(key: str, text: str, cure: str) -> None:
-    """Raise `InputError` if commands of the user do what is done after them: move the column, and end LAMMPS."""
+    """Raise `InputError` if commands of the user run the column or end LAMMPS, which comes after them."""
     for number, line in enumerate(text.splitlines(), 1):
-        if found := OWN_RUN.search(line):
-            raise InputError([(key, f"the command {found[1]} (line {number}) cannot be used here: {cure}")])
+        if match := OWN_RUN.search(line):
+            raise InputError([(key, f"the command {match[1]} (line {number}) cannot be used here: {cure}")])
 
 
 def setup(column: Column, data: str, step: float, splitting: Splitting, done: int = 0) -> str:
-    """Return the commands that make the column from a data file, ready for `run`, after `done` steps of before."""
+    """Return the commands that set up the column from a data file at time step `done`, ready for `run`."""
     refuse_own_run("template", column.template, 'put {% include "run.column" %} there, and lmpchain run does the rest')
     return _filled(column, step, splitting, done, data=f'"{data}"', alone=False)
 

@@ -1,4 +1,4 @@
-"""A driven grain in LAMMPS: `fix move variable`, with the path as formulas that LAMMPS evaluates at every step."""
+"""A driven grain in LAMMPS: `fix move variable` with formulas evaluated at every step."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ def pieces(drive: Drive | None, duration: float) -> list[tuple[float, list[str]]
     if drive is None or drive.times is None:
         return []
     spline = drive.spline
-    found = []
+    cubics = []
     for k, (begin, end) in enumerate(pairwise(spline.x.tolist())):
         if begin < duration:
             values = (begin, *spline.c[::-1, k].tolist())
-            found.append(
+            cubics.append(
                 (end, [f"variable {name} string {value!r}" for name, value in zip(PIECE, values, strict=True)])
             )
-    return found
+    return cubics

@@ -245,7 +245,7 @@ class Lammps(TimeSteppingEngine):
         return prepared
 
     def write_inputs(self, scene: Scene, candidate: Candidate, tolerance: float, folder: Path) -> None:
-        """Write the deck of the run; that of velocity Verlet at its cost where no deck can carry its splitting."""
+        """Write the deck of the run, or one of velocity Verlet at equal cost for other splittings."""
         driven = scene.drive is not None
         same = deck.carries(self.splitting) and not (driven and self.splitting.order > 2)
         step = candidate.step if same else candidate.step / self.splitting.evaluations

@@ -9,7 +9,7 @@ from .subprocess_ranks import SubprocessRanks
 
 
 def gather(ranks: int | None, log: str) -> Communicator:
-    """Return the ranks that were asked for: by default those of a surrounding mpirun, or this process alone.
+    """Return the communicator: the ranks of a surrounding mpirun, some started for it, or this process.
 
     Raises
     ------

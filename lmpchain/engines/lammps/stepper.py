@@ -72,7 +72,7 @@ class LammpsStepper:
             raise
 
     def fill(self, u: Array, v: Array, offset: int, until: int, most: int) -> int:
-        """Move on to the sample `until`, or by `most` steps, and put samples from `offset` into u, v (1, B, N)."""
+        """Step on to the sample `until`, or by `most` steps; samples from `offset` on go into u, v (1, B, N)."""
         made = 0
         while made < most and self.sample < until:
             steps = min(most - made, self._every - self._done % self._every)

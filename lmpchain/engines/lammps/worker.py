@@ -1,4 +1,4 @@
-"""One rank of LAMMPS, and what it does to its own grains. All ranks do the same things in the same order."""
+"""One MPI rank of LAMMPS with its own grains; all ranks do the same in the same order."""
 
 from __future__ import annotations
 

@@ -34,15 +34,15 @@ class ClosedForm(LinearEngine):
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why the formula does not hold for this scene."""
         reached = scene.light_cone.scene
-        chain, struck, found = reached.chain, scene.excitation, super().refuses(reached)
+        chain, struck, reasons = reached.chain, scene.excitation, super().refuses(reached)
         for key, values in (("masses", chain.masses), ("contact_constants", chain.contact_constants)):
             if np.ptp(values) > UNIFORM * values.max():
-                found.append((key, f"{self.name} knows grains that are all alike only; use modes or chebyshev"))
+                reasons.append((key, f"{self.name} knows grains that are all alike only; use modes or chebyshev"))
         if not isinstance(struck, Impulse) or struck.grain != 1:
-            found.append(("excitation", f"{self.name} knows an impulse on grain 1 only; use modes or chebyshev"))
+            reasons.append(("excitation", f"{self.name} knows an impulse on grain 1 only; use modes or chebyshev"))
         if chain.top != "free":
-            found.append(("top", f'{self.name} knows top = "free" only; use modes or chebyshev'))
-        return found
+            reasons.append(("top", f'{self.name} knows top = "free" only; use modes or chebyshev'))
+        return reasons
 
     def candidate(self, scene: Scene, tolerance: float) -> Candidate:
         """Propose the formula; only where it is the exact solution is its error known before the run."""
@@ -94,17 +94,17 @@ class Bessel(ClosedForm):
 
 
 class Continuum(ClosedForm):
-    """The column as a continuous medium, Eq. (27): its impulse response, Eq. (35), averaged over each grain."""
+    """The column as a continuum, Eq. (27): its impulse response, Eq. (35), averaged over each grain."""
 
     name: ClassVar[str] = "continuum"
     equation: ClassVar[int] = 27
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why the formula does not hold for this scene."""
-        found = super().refuses(scene)
+        reasons = super().refuses(scene)
         if scene.chain.top_load > 0 or scene.chain.gravity == 0:
-            found.append(("top_load", "continuum knows chains under gravity alone; use modes or chebyshev"))
-        return found
+            reasons.append(("top_load", "continuum knows chains under gravity alone; use modes or chebyshev"))
+        return reasons
 
     def wave(self, scene: Scene, times: Array) -> tuple[Array, Array]:
         """Return displacement and velocity of the recorded grains, (T, G) m and m/s."""

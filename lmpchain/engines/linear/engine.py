@@ -26,21 +26,21 @@ EXTRA = EVENLY + 24  # evaluations besides the samples, for a usual number of pe
 
 
 class LinearEngine(Engine):
-    """An engine for the linearised chain, to round-off; how much linearising leaves out is its model error."""
+    """An engine for the linearised chain, Eq. (3), exact to round-off."""
 
     equation: ClassVar[int] = 3
     batches: ClassVar[bool] = True
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why there is no linear theory of this scene."""
-        contacts, found = scene.chain.contacts, []
+        contacts, reasons = scene.chain.contacts, []
         if not scene.chain.compressed:
-            found.append(("gravity", "without gravity and load nothing can be linearised; use the engine native"))
+            reasons.append(("gravity", "without gravity and load nothing can be linearised; use the engine native"))
         elif (contacts.exists & ~contacts.pressed).any():
-            found.append(("top", "a wall that only touches cannot be linearised; give a top_load or use native"))
+            reasons.append(("top", "a wall that only touches cannot be linearised; give a top_load or use native"))
         if scene.drive and scene.drive.times is not None:
-            found.append(("excitation", "linear engines know harmonic drives only; use the engine native"))
-        return found
+            reasons.append(("excitation", "linear engines know harmonic drives only; use the engine native"))
+        return reasons
 
     def candidate(self, scene: Scene, tolerance: float) -> Candidate:
         """Propose the one way there is."""
@@ -71,7 +71,7 @@ class LinearEngine(Engine):
 
     @abstractmethod
     def work(self, scene: Scene, samples: int, values: int) -> float:
-        """Return the time for so many samples and the evaluations between them, as shipped to the cost model, s."""
+        """Return the time for samples and evaluations between them on the reference machine, s."""
 
     @abstractmethod
     def solve(self, scene: Scene, state: Mapping[str, Array]) -> Solution:
@@ -91,7 +91,7 @@ class LinearEngine(Engine):
 
 
 class Chebyshev(LinearEngine):
-    """Sum the exact propagator in Chebyshev polynomials, Eq. (19); only grains within the light cone cost anything."""
+    """Exact propagator of Eq. (3) as a sum of Chebyshev polynomials, Eq. (19)."""
 
     name: ClassVar[str] = "chebyshev"
     start_up_s: ClassVar[float] = 2e-4
@@ -116,10 +116,10 @@ class Modes(LinearEngine):
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why there is no linear theory of this scene, or no room for its modes."""
-        found = super().refuses(scene)
+        reasons = super().refuses(scene)
         if scene.chain.grains > MOST_MODES:
-            found.append(("grains", f"eigenvectors of more than {MOST_MODES} grains do not fit; use chebyshev"))
-        return found
+            reasons.append(("grains", f"eigenvectors of more than {MOST_MODES} grains do not fit; use chebyshev"))
+        return reasons
 
     def round_off(self, scene: Scene) -> float:
         """Return the relative error that rounding makes; eigenvectors have their part in it."""
@@ -156,7 +156,7 @@ class Solution(Protocol):
 def _followed(
     solution: Solution, error: PhaseError, times: Array, recorded: NDArray[np.bool_], grains: int
 ) -> Iterator[tuple[slice, Array, Array]]:
-    """Evaluate a solution at all times for its model error, and yield as many of them at once as there is room for."""
+    """Evaluate a solution at all times, add to its model error, and yield it part by part."""
     size = max(1, BLOCK_VALUES // grains)
     for begin in range(0, times.size, size):
         part = slice(begin, begin + size)
@@ -247,7 +247,7 @@ class LinearRun(Run):
         """Return what `start` needs to go on from the last sample with the same bits."""
         kept = {"sample": np.array(self._sample)}
         for i, (solution, error) in enumerate(zip(self._solutions, self._phase_errors, strict=True)):
-            kept |= {f"{i}.phase_error": error.memory.copy()} | {
+            kept |= {f"{i}.phase_error": error.state.copy()} | {
                 f"{i}.{key}": value for key, value in solution.state().items()
             }
         return kept

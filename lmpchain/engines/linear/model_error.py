@@ -13,42 +13,45 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ...integrators.kernels import phase_error as kernel
+from ...integrators.kernels.phase_error import accumulate, start
 from ...scene.excitation import Impulse
 from ...scene.scene import Scene
 from ...util.arrays import Array
-from ...util.compilation import compiled_once
 
-EARLIEST, GROWTH, EVENLY = 0.5, 1.25, 64  # looks at the solution between samples: ever further apart, and evenly
+EARLIEST, GROWTH, EVENLY = 0.5, 1.25, 64  # extra evaluation times: geometric (ratio 1.25) and 64 uniform
 AT_ONCE = 0.25  # of (delta - 1) s: the distortion that no phase accounts for
-DOUBT, WANDER = 3.0, 0.5  # the true error over the estimate along the solution; over strains added up like random steps
+DOUBT, WANDER = 3.0, 0.5  # true error over the estimate; over that of phases that add up as a random walk
 COLUMN, STEEPEST = 0.272, 2.2  # the error over (delta - 1) v0* of a column struck at the top; up to this delta
-UNLUCKY = 16.0  # over the number of samples: how much smaller than between them the wave may be in all of them
+UNLUCKY = 16.0  # the sampled peak may underestimate the true peak by 1 + 16 / samples
+
+# of displacement and velocity
+MOST = slice(kernel.MOST_DISPLACEMENT, kernel.MOST_VELOCITY + 1)
+OFF = slice(kernel.OFF_DISPLACEMENT, kernel.OFF_VELOCITY + 1)
+SAMPLED = slice(kernel.SAMPLED_DISPLACEMENT, kernel.SAMPLED_VELOCITY + 1)
 
 
 class PhaseError:
-    """What the linear solution of a scene has come to, seen from time to time.
+    """Phase error of the linear solution, accumulated along its evaluation times.
 
     Parameters
     ----------
     scene : Scene
-    memory : array, optional
-        What another one has seen, to go on from.
+    state : (13,) array, optional
+        To go on from; see `lmpchain.integrators.kernels.phase_error`.
     """
 
-    def __init__(self, scene: Scene, memory: Array | None = None):
+    def __init__(self, scene: Scene, state: Array | None = None):
         chain, contacts = scene.chain, scene.chain.contacts
         self._stiffness, self._inverse_mass = contacts.stiffness, 1 / chain.masses
         self._inverse_mass[chain.movable :] = 0.0
         self._inverse_overlap = np.divide(1.0, contacts.overlap, out=np.zeros(chain.grains + 1), where=contacts.pressed)
         self._excess = chain.exponent - 1
         self._fastest, self._most = chain.band_edge, bounds(scene)[1]
-        # time, strain and shift by then; largest strain, displacement, velocity and acceleration; largest effects of
-        # the shift on displacement and velocity; a contact that opens, if any; largest displacement and velocity in
-        # samples; integral of the squared strain
-        self.memory = np.array([0.0] * 9 + [np.nan, 0.0, 0.0, 0.0]) if memory is None else memory.copy()
+        self.state = start() if state is None else state.copy()
 
     def add(self, times: Array, recorded: NDArray[np.bool_], u: Array, v: Array, reach: NDArray[np.intp]) -> None:
-        """Look at the solution, one time after the other.
+        """Take in the solution at more times.
 
         Parameters
         ----------
@@ -61,15 +64,16 @@ class PhaseError:
         reach : (T, 2) array
             First grain, from 0, and the one after the last that moves.
         """
-        _look(
+        accumulate(
             times, recorded, u, v, reach, self._inverse_overlap, self._stiffness, self._inverse_mass, self._excess / 4,
-            self.memory,
+            self.state,
         )  # fmt: skip
 
     @property
     def error(self) -> float:
         """Estimated relative error, as defined for a trajectory; near 1 it says no more than that."""
-        time, (strain, _, v, acceleration), off = self.memory[0], self.memory[3:7], self.memory[7:9]
+        time, strain, v = (self.state[k] for k in (kernel.TIME, kernel.MOST_STRAIN, kernel.MOST_VELOCITY))
+        acceleration, off = self.state[kernel.MOST_ACCELERATION], self.state[OFF]
         if v == 0:
             return 0.0
         by_phase = float((off / self._sampled).max())
@@ -78,59 +82,30 @@ class PhaseError:
 
     @property
     def at_most(self) -> float:
-        """A bound on that error: phases may wander either way where a wave goes to and fro or a drive adds to it.
+        """Upper bound on that error: reflections or a drive may shift the phase either way.
 
         Measured on 400 random scenes with up to 500 periods, of every excitation.
         """
         if self.remark:
             return 1.0
-        steps = self.memory[3] + np.sqrt(self._fastest * self.memory[12])
+        steps = self.state[kernel.MOST_STRAIN] + np.sqrt(self._fastest * self.state[kernel.SQUARED_STRAIN])
         return min(self._most, max(DOUBT * self.error, float(WANDER * self._excess * steps * self._missed)))
 
     @property
     def _sampled(self) -> Array:
         """Largest displacement and velocity in samples, to which errors are relative."""
-        return np.where(self.memory[10:12] > 0, self.memory[10:12], np.inf)
+        return np.where(self.state[SAMPLED] > 0, self.state[SAMPLED], np.inf)
 
     @property
     def _missed(self) -> float:
         """How much larger the wave was between samples, if few of them fell where it was small."""
-        return max(1.0, float((self.memory[4:6] / self._sampled).max()))
+        return max(1.0, float((self.state[MOST] / self._sampled).max()))
 
     @property
     def remark(self) -> str:
         """Why the linear solution does not hold at all, if it does not."""
-        opened = self.memory[9]
+        opened = self.state[kernel.OPENED]
         return "" if np.isnan(opened) else f"not linear here: contact {opened:.0f} opens"
-
-
-@compiled_once("the check for what is not linear", 3)
-def _look(times, recorded, us, vs, reach, inverse_overlap, stiffness, inverse_mass, faster, memory):
-    """Go through the solution (T, N) and note what there is to remember: see `PhaseError`."""
-    for i in range(times.size):
-        first, last = reach[i]
-        u, v = us[i, first:last], vs[i, first:last]
-        largest = displacement = velocity = acceleration = before = 0.0
-        for n in range(u.size + 1):  # contacts; before and after these grains is one at rest
-            r = (u[n - 1] if n > 0 else 0.0) - (u[n] if n < u.size else 0.0)
-            strain, force = r * inverse_overlap[first + n], r * stiffness[first + n]
-            if abs(strain) > abs(largest):
-                largest = strain
-            if strain <= -1.0 and np.isnan(memory[9]):
-                memory[9] = first + n
-            if n > 0:
-                displacement, velocity = max(displacement, abs(u[n - 1])), max(velocity, abs(v[n - 1]))
-                acceleration = max(acceleration, abs(before - force) * inverse_mass[first + n - 1])
-            before = force
-        memory[2] += faster * (memory[1] + largest) / 2 * (times[i] - memory[0])
-        memory[12] += (memory[1] ** 2 + largest**2) / 2 * (times[i] - memory[0])
-        memory[0], memory[1] = times[i], largest
-        memory[3], memory[4] = max(memory[3], abs(largest)), max(memory[4], displacement)
-        memory[5], memory[6] = max(memory[5], velocity), max(memory[6], acceleration)
-        if recorded[i]:
-            shift = abs(memory[2])
-            memory[7], memory[8] = max(memory[7], shift * velocity), max(memory[8], shift * acceleration)
-            memory[10], memory[11] = max(memory[10], displacement), max(memory[11], velocity)
 
 
 def saturated(error: float) -> float:
@@ -152,11 +127,11 @@ def strain_bound(scene: Scene) -> float:
 
 
 def bounds(scene: Scene) -> tuple[float, float]:
-    """Return what a closer look at the error of a linear answer finds at least, and a bound, from the strike alone.
+    """Return a lower and an upper bound on the model error of Eq. (3), from the strike alone.
 
     The upper bound takes the largest strain for that of the whole time, as if the shift of phase grew without end: far
     too much for a wave that spreads out, about right for a few grains that are hit hard. It is 1 where contacts may
-    open. On 547 random scenes a look found 1.3 times what is said here or more. After a strike on the top of a column
+    open. On 547 random scenes `PhaseError` gives 1.3 times the lower bound or more. After a strike on the top of a column
     the strain falls faster than 1/h, and the law of `stability.linear_theory.linear_law` is right within a factor of
     `DOUBT`.
     """
@@ -170,7 +145,7 @@ def bounds(scene: Scene) -> tuple[float, float]:
 
 
 def _struck_column(scene: Scene) -> bool:
-    """Say whether equal grains stand under gravity alone, struck at the free top, for at most ten passages."""
+    """Whether it is a uniform column under gravity alone, struck at its free top, for at most ten passages."""
     chain, strike = scene.chain, scene.excitation
     if not (isinstance(strike, Impulse) and strike.grain == 1 and chain.gravity > 0 and chain.top_load == 0):
         return False
@@ -181,12 +156,12 @@ def _struck_column(scene: Scene) -> bool:
 
 
 def evaluation_times(scene: Scene) -> Array:
-    """Return times, s, at which to look at a linear solution besides its samples."""
+    """Return times, s, at which a linear solution is evaluated besides its samples."""
     first = EARLIEST / scene.chain.band_edge
     count = max(0, int(np.log(scene.duration / first) / np.log(GROWTH)) + 1)
     return np.union1d(first * GROWTH ** np.arange(count), np.linspace(0, scene.duration, EVENLY, endpoint=False))
 
 
 def dense(scene: Scene) -> bool:
-    """Say whether samples show the fastest oscillation of a chain, so that no other looks are needed."""
+    """Say whether samples show the fastest oscillation of a chain, so that no other evaluations are needed."""
     return bool(scene.duration * scene.chain.band_edge < scene.samples - 1)
