@@ -6,7 +6,8 @@ __all__ = ["Displacement", "Drive", "Excitation", "Impulse", "Profile", "Recordi
 __getattr__ = attributes(
     __name__,
     names={
-        "excitation": "Displacement Drive Excitation Impulse Profile",
+        "base": "Excitation",
+        "excitation": "Displacement Drive Impulse Profile",
         "recording": "Recording",
         "scene": "Scene",
     },

@@ -22,7 +22,7 @@ def reached(scene: Scene) -> tuple[int, int]:
     positive there. The stiffest contact is bounded by the energy; a driven chain has no such bound and is not cut.
     """
     grains = scene.chain.grains
-    if scene.drive or grains < 64:
+    if scene.excitation.does_work or grains < 64:
         return 1, grains
     top, bottom = scene.excitation.reach(scene.chain)
     away = 32

@@ -204,7 +204,7 @@ class RunFolder:
         from ..engines.lammps.deck import carries
         from ..engines.lammps.export import write_deck
 
-        splitting, driven = engine.splitting, self.task.scene.drive is not None
+        splitting, driven = engine.splitting, self.task.scene.excitation.does_work
         same = carries(splitting) and not (driven and splitting.order > 2)
         try:
             write_deck(

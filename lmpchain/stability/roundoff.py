@@ -77,7 +77,7 @@ def measured_floor(scene: Scene, engine: str = "native", diameter: str = "physic
     InputError
         As `floor`; and if the chain is driven, or the engine cannot do it.
     """
-    if scene.drive:
+    if scene.excitation.does_work:
         raise InputError([("kind", "the floor of round-off is not measured for a driven chain")])
     _, part = cut(scene)
     steps = _steps(part)

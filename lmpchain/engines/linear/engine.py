@@ -40,7 +40,7 @@ class LinearEngine(Engine):
             found.append(("gravity", "without gravity and load nothing can be linearised; use the engine native"))
         elif (contacts.exists & ~contacts.pressed).any():
             found.append(("top", "a wall that only touches cannot be linearised; give a top_load or use native"))
-        if scene.drive and scene.drive.times is not None:
+        if not scene.excitation.linear:
             found.append(("excitation", "linear engines know harmonic drives only; use the engine native"))
         return found
 

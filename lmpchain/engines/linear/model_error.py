@@ -13,7 +13,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ...scene.excitation import Impulse
 from ...scene.scene import Scene
 from ...util.arrays import Array
 from ...util.compilation import compiled_once
@@ -139,16 +138,12 @@ def saturated(error: float) -> float:
 
 
 def strain_bound(scene: Scene) -> float:
-    """Return a bound on the strain of every contact in the linear chain, from the energy that is put in.
-
-    A driven grain does work: ``d sqrt(2 E) / dt <= sqrt(k_1) |v_1|``.
-    """
-    if not scene.drive:
+    """Return a bound on the strain of every contact in the linear chain, from the energy that is put in."""
+    if not scene.excitation.does_work:
         return scene.largest_strain
-    contacts, drive = scene.chain.contacts, scene.drive
-    path = drive.amplitude * (1 + 4 * drive.frequency * scene.duration)
+    contacts = scene.chain.contacts
     weakest = (np.sqrt(contacts.stiffness) * contacts.overlap)[contacts.pressed].min()
-    return float(np.sqrt(contacts.stiffness[1]) * path / weakest)
+    return float(scene.excitation.energy_norm(scene.chain, scene.duration) / weakest)
 
 
 def bounds(scene: Scene) -> tuple[float, float]:
@@ -174,7 +169,7 @@ def bounds(scene: Scene) -> tuple[float, float]:
 def _struck_column(scene: Scene) -> bool:
     """Say whether equal grains stand under gravity alone, struck at the free top, for at most ten passages."""
     chain, strike = scene.chain, scene.excitation
-    if not (isinstance(strike, Impulse) and strike.grain == 1 and chain.gravity > 0 and chain.top_load == 0):
+    if not (strike.strikes_top and chain.gravity > 0 and chain.top_load == 0):
         return False
     if chain.top != "free" or chain.exponent > STEEPEST or np.ptp(chain.masses) or np.ptp(chain.contact_constants):
         return False
