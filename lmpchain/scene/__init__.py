@@ -1,4 +1,4 @@
-"""What happens: how a chain is set in motion, what is recorded, scene files, and how far a wave can have come."""
+"""What happens: the excitation of a chain, what is recorded, scene files, and the light cone."""
 
 from ..util.lazy import attributes
 

@@ -135,7 +135,7 @@ class Profile(Excitation):
 
 
 class Drive(Excitation):
-    """A motion that grain 1 is made to follow, whatever the chain does; positive downward, from 0 at t = 0.
+    """A prescribed motion of grain 1, whatever the chain does; positive downward, from 0 at t = 0.
 
     Parameters
     ----------

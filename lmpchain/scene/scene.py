@@ -96,7 +96,7 @@ class Scene(Recording):
 
     @cached_property
     def energy(self) -> float:
-        """Energy above rest that the chain can ever hold, J: that at t = 0, or infinite if the excitation does work."""
+        """Energy above rest, J: that at t = 0, or infinite if the excitation does work later."""
         _, chain, excitation = self._surroundings
         return np.inf if excitation.does_work else float(chain.excess_energy(*excitation.initial(chain)))
 
@@ -138,7 +138,7 @@ class Scene(Recording):
         return float((closer / pressed).max()) * 1.05  # an opening contact is a little softer
 
     def part(self, first: int, last: int) -> Scene:
-        """Return what grains first ... last do, all recorded, until a wave meets their ends; see `Chain.part`."""
+        """Return grains first ... last, all recorded, as a scene: right until a wave meets their ends."""
         return Scene(
             chain=self.chain.part(first, last),
             excitation=self.excitation.part(first, last),
@@ -158,7 +158,7 @@ class Scene(Recording):
 
     @classmethod
     def from_text(cls, text: str) -> Self:
-        """Make a scene from the text of a scene file; raises `InputError`, and `ValueError` if it is not TOML."""
+        """Make a scene from the text of a file; raises `InputError`, or `ValueError` if it is not TOML."""
         return cls.from_dict(tomllib.loads(text))
 
     def to_dict(self) -> dict[str, Any]:

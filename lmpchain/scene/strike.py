@@ -1,4 +1,4 @@
-"""How hard an excitation squeezes the contacts of a chain at first, and whether Hertz's law still holds there."""
+"""How hard an excitation squeezes the contacts at first, and whether Hertz's law holds there."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def first_overlaps(chain: Chain, excitation: Excitation) -> Array:
 
 
 def surroundings(chain: Chain, excitation: Excitation) -> tuple[int, Chain, Excitation]:
-    """Cut out the grains that an excitation moves, and their neighbours: what its first effect depends on.
+    """Cut out the grains that an excitation moves and their neighbours, all that it acts on at first.
 
     Returns
     -------

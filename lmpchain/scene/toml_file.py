@@ -77,7 +77,7 @@ def fields(data: dict[str, Any], folder: Path = Path()) -> dict[str, Any]:
 
 
 def _of_this_length(table: dict[str, Any]) -> Chain | None:
-    """Return some chain with the grains and the bottom of a faulty one, to check the other tables against."""
+    """Return a sound chain with the grains and ends of a faulty one, to check other tables against."""
     kept = {key: table[key] for key in ("grains", "top", "bottom") if key in table}
     try:
         return Chain(**kept, diameter=1.0, gravity=0.0)
