@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import InputError
-from ..scene.excitation import Impulse
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.plotting import COLOURS, LOWEST, MARKERS, figure
@@ -197,8 +196,8 @@ def draw_comparison(comparison: Comparison, axes: Sequence[Axes] | None = None) 
 def _draw_wave(comparison: Comparison, axes: Axes) -> None:
     """Velocity against grain number at the end: the truth as a line, the answers as markers of falling size."""
     truth, scene = comparison.reference, comparison.trajectories[0].scene
-    if isinstance(scene.excitation, Impulse) and scene.excitation.velocity:
-        unit, label = scene.excitation.velocity, r"velocity / strike velocity $v_0$"
+    if scene.excitation.strike_velocity:
+        unit, label = scene.excitation.strike_velocity, r"velocity / strike velocity $v_0$"
     else:
         unit, label = 1.0, "velocity downward (m/s)"
     last = truth.velocity[-1] / unit

@@ -12,7 +12,6 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..scene.excitation import Impulse
 from ..scene.scene import Scene
 from ..util.plotting import MARKERS, SHADES, SHAPES, figure
 from ..util.tables import aligned, finite
@@ -301,15 +300,10 @@ def _draw_orders(ax: Axes) -> None:
 
 
 def _title(scene: Scene) -> str:
-    column, excitation = scene.chain, scene.excitation
-    struck = (
-        f"an {excitation.kind} of {excitation.velocity * 1e3:g} mm/s"
-        if isinstance(excitation, Impulse)
-        else f"a {excitation.kind}"
-    )
+    column = scene.chain
     weight = f"g = {column.gravity:g} m/s²" if column.gravity else "no gravity"
     number = f"strike number {scene.strike_number:.2g}" if column.compressed else "sonic vacuum"
-    return f"{column.grains} grains, {weight}, {struck} ({number}), at t = {scene.duration * 1e6:g} µs"
+    return f"{column.grains} grains, {weight}, {scene.excitation.label} ({number}), at t = {scene.duration * 1e6:g} µs"
 
 
 def _footer(result: WorkPrecision) -> str:

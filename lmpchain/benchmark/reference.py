@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RunFailed
-from ..scene.excitation import first_overlaps
 from ..scene.scene import Scene
+from ..scene.strike import first_overlaps
 from ..util.arrays import Array
 
 Long = np.longdouble

@@ -123,7 +123,7 @@ class CompanionRun(Run):
         self.realisations = len(scenes)
         self._energy = np.array([scene.energy for scene in scenes])
         self._at_rest = [scene.at_rest for scene in scenes]
-        self._kinked = [scene.drive is not None and not scene.drive.smooth for scene in scenes]
+        self._kinked = [not scene.excitation.smooth for scene in scenes]
         self._masses = np.array([scene.chain.masses for scene in scenes])
         # the energy of the contacts is never below that at rest, so the kinetic energy cannot exceed what was put in
         self._scale = np.array([(c.length_scale, c.length_scale / c.time_scale) for c in (s.chain for s in scenes)])

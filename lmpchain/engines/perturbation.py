@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..scene.excitation import Drive, Excitation, Profile
+from ..scene.base import Excitation
+from ..scene.excitation import Profile
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from .base import Candidate
@@ -16,12 +17,11 @@ LAST_DIGIT = 1e-15  # of the largest velocity: a few units in the last place of 
 def perturbed(scene: Scene, change: float) -> Scene:
     """Return the scene with every velocity changed by a fraction of the largest, alternating in sign.
 
-    Of the largest displacement where nothing is struck; of a drive, the amplitude changes.
+    Of the largest displacement where nothing is struck; what does work becomes so much stronger.
     """
     excitation: Excitation
-    if (drive := scene.drive) is not None:
-        key = "amplitude" if drive.times is None else "displacement"
-        excitation = Drive(**drive.given() | {key: getattr(drive, key) * (1 + change)})
+    if scene.excitation.does_work:
+        excitation = scene.excitation.scaled(1 + change)
     else:
         u, v = (x.copy() for x in scene.initial())
         turns = np.where(np.arange(u.size) % 2, -1.0, 1.0) * (np.arange(u.size) < scene.chain.movable)

@@ -177,9 +177,9 @@ class TimeSteppingEngine(Engine):
 
 def kind(scene: Scene) -> tuple:
     """Return what the scenes of a batch have in common: the kind of chain, and what is recorded."""
-    chain, driven = scene.chain, scene.drive is not None
+    chain, excitation = scene.chain, scene.excitation
     made = chain.grains, chain.top, chain.bottom, chain.exponent, chain.compressed
-    return *made, driven, scene.samples, scene.duration, scene.grains
+    return *made, excitation.driven, excitation.does_work, scene.samples, scene.duration, scene.grains
 
 
 def opening_error_factor(strain: float, order: int) -> float:

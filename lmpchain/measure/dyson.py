@@ -10,7 +10,6 @@ import numpy as np
 
 from ..chain.chain import Chain
 from ..errors import InputError
-from ..scene.excitation import Impulse
 from ..scene.scene import Scene
 from ..theory import dyson
 from ..trajectory.trajectory import Trajectory
@@ -274,5 +273,4 @@ def relative_stiffness(chain: Chain) -> Array:
 
 
 def _unit(scene: Scene) -> float:
-    struck = scene.excitation
-    return struck.velocity if isinstance(struck, Impulse) and struck.velocity else 1.0
+    return scene.excitation.strike_velocity or 1.0

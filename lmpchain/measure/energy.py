@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
-from ..chain.chain import Chain
+from ..chain.contacts import Contacts
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.plotting import axes_in_units
-from .contact import ContactHistory, contacts, drive_motion, motion
+from .contact import motion
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -122,24 +122,26 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
     scene = trajectory.scene
     chain = scene.chain
     u, v = motion(trajectory, np.arange(1, chain.grains + 1))
-    history = contacts(trajectory)
-    closer = chain.contacts.closer(u)
+    closer, time = chain.contacts.closer(u), trajectory.time
+    force, rate = _contact_forces(chain.contacts, closer, chain.contacts.closer(v))
     momentum = v @ chain.masses
-    drive, impulse = np.zeros((2, trajectory.time.size))
+    drive, impulse = np.zeros((2, time.size))
     drive_error = impulse_error = 0.0
     if chain.top == "wall":
-        impulse, impulse_error = _integral(chain, history, 0)
-    elif scene.drive:
-        _, speed, acceleration = drive_motion(trajectory)
-        work, drive_error = _integral(chain, history, 1, speed, acceleration)
-        push, impulse_error = _integral(chain, history, 1)
-        drive = work + chain.masses[0] / 2 * (speed**2 - speed[0] ** 2)
-        impulse = push + chain.masses[0] * (speed - speed[0])
+        impulse, impulse_error = _integral(time, force[:, 0], rate[:, 0])
+    if push := scene.excitation.push(chain, time, force, rate):
+        speed = v[:, push.grain - 1]
+        power, change = push.force * speed, push.rate * speed + push.force * push.acceleration
+        work, drive_error = _integral(time, power, change)
+        given, error = _integral(time, push.force, push.rate)
+        drive = work + push.inertia / 2 * (speed**2 - speed[0] ** 2)
+        impulse = impulse + given + push.inertia * (speed - speed[0])
+        impulse_error += error
     if chain.bottom != "free":
-        push, error = _integral(chain, history, chain.movable)
-        impulse, impulse_error = impulse - push, impulse_error + error
+        given, error = _integral(time, force[:, chain.movable], rate[:, chain.movable])
+        impulse, impulse_error = impulse - given, impulse_error + error
     return EnergyLedger(
-        time=trajectory.time,
+        time=time,
         kinetic=v**2 @ chain.masses / 2,
         contact=chain.contacts.energy(closer).sum(1) + closer @ chain.contacts.force,
         gravity=-chain.gravity * (u @ chain.masses),
@@ -153,19 +155,17 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
     )
 
 
-def _integral(
-    chain: Chain, history: ContactHistory, number: int, weight: float | Array = 1.0, rate: float | Array = 0.0
-) -> tuple[Array, float]:
-    """Integrate the force of a contact above that at rest, times a weight whose rate is known, over time.
+def _contact_forces(contacts: Contacts, closer: Array, closing: Array) -> tuple[Array, Array]:
+    """Return the force of every contact less that at rest, N, and its rate, N/s, (T, N+1) each."""
+    overlap = contacts.overlap + closer
+    steep = contacts.exponent * contacts.constant * np.maximum(overlap, 0.0) ** (contacts.exponent - 1)
+    return contacts.force_change(closer), np.where(overlap > 0, steep * closing, 0.0)
 
-    Returns the integral up to each sample, (T,), and its shift when every second sample is used.
-    """
-    (column,) = np.flatnonzero(history.contact == number)
-    overlap, closing, force = (x[:, column] for x in (history.overlap, history.closing, history.change))
-    steep = chain.exponent * chain.contacts.constant[number] * np.maximum(overlap, 0.0) ** (chain.exponent - 1)
-    value, slope = force * weight, np.where(overlap > 0, steep * closing, 0.0) * weight + force * rate
+
+def _integral(time: Array, value: Array, slope: Array) -> tuple[Array, float]:
+    """Integrate samples whose slope is known up to each of them, (T,); and its shift when every second one is used."""
     fine, coarse = (
-        CubicHermiteSpline(history.time[::n], value[::n], slope[::n]).antiderivative()(history.time[::n])
+        CubicHermiteSpline(time[::n], value[::n], slope[::n]).antiderivative()(time[::n])
         if len(value) > n
         else np.full(1, np.inf)
         for n in (1, 2)

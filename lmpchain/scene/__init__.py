@@ -1,4 +1,4 @@
-"""What happens: how a chain is set in motion, what is recorded, scene files, and how far a wave can have come."""
+"""What happens: the excitation of a chain, what is recorded, scene files, and the light cone."""
 
 from ..util.lazy import attributes
 
@@ -6,7 +6,8 @@ __all__ = ["Displacement", "Drive", "Excitation", "Impulse", "Profile", "Recordi
 __getattr__ = attributes(
     __name__,
     names={
-        "excitation": "Displacement Drive Excitation Impulse Profile",
+        "base": "Excitation",
+        "excitation": "Displacement Drive Impulse Profile",
         "recording": "Recording",
         "scene": "Scene",
     },

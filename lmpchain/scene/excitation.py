@@ -1,8 +1,7 @@
-"""How a chain is set in motion."""
+"""How a chain is set in motion: at t = 0, or by what acts on it afterwards."""
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Iterator
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, ClassVar
@@ -10,44 +9,20 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import numpy as np
 from pydantic import Field
 
-from ..chain.chain import LARGEST_OVERLAP, Chain
+from ..chain.chain import Chain
 from ..util.arrays import Array
-from ..util.validation import NOT_GIVEN, Checked, Positive, Real, Vector, Whole
+from ..util.validation import NOT_GIVEN, Positive, Real, Vector, Whole
+from .base import Excitation, Push
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
-
-
-class Excitation(Checked):
-    """How the chain is set in motion."""
-
-    kind: ClassVar[str]
-
-    @abstractmethod
-    def initial(self, chain: Chain) -> tuple[Array, Array]:
-        """Return displacement (N,) m and velocity (N,) m/s at t = 0, positive downward."""
-
-    @abstractmethod
-    def faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
-        """Yield what this chain, or a scene that lasts so long, does not allow."""
-
-    def largest(self, chain: Chain) -> tuple[Array, Array]:
-        """Return the displacement (N,) m and velocity (N,) m/s that it imposes, at their largest."""
-        return self.initial(chain)
-
-    @abstractmethod
-    def reach(self, chain: Chain) -> tuple[int, int]:
-        """Return the first and the last grain that it moves."""
-
-    @abstractmethod
-    def part(self, first: int, last: int) -> Excitation:
-        """Return what it does to the grains of `Chain.part(first, last)`, all that it moves among them."""
-
 
 Number = Annotated[Whole, Field(ge=1)]
 
 
 class _OneGrain(Excitation):
+    """An excitation of one grain, to be chosen."""
+
     grain: int
 
     def faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
@@ -80,6 +55,7 @@ class Impulse(_OneGrain):
     """
 
     kind: ClassVar[str] = "impulse"
+    strength: ClassVar[tuple[str, ...]] = ("velocity",)
     velocity: Real
     grain: Number = 1
 
@@ -87,11 +63,27 @@ class Impulse(_OneGrain):
         """Return displacement and velocity of every grain at t = 0."""
         return np.zeros(chain.grains), self._at_grain(chain, self.velocity)
 
+    @property
+    def strike_velocity(self) -> float:
+        """Velocity of the grain that is struck, m/s."""
+        return self.velocity
+
+    @property
+    def strikes_top(self) -> bool:
+        """Whether it is grain 1 that is struck."""
+        return self.grain == 1
+
+    @property
+    def label(self) -> str:
+        """Its name and how strong it is."""
+        return f"an {self.kind} of {self.velocity * 1e3:g} mm/s"
+
 
 class Displacement(_OneGrain):
     """One grain moved from its equilibrium and let go, m, positive downward."""
 
     kind: ClassVar[str] = "displacement"
+    strength: ClassVar[tuple[str, ...]] = ("displacement",)
     displacement: Real
     grain: Number = 1
 
@@ -104,6 +96,8 @@ class Profile(Excitation):
     """Displacement (N,) m and velocity (N,) m/s of every grain at t = 0; what is left out is zero."""
 
     kind: ClassVar[str] = "profile"
+    strength: ClassVar[tuple[str, ...]] = ("velocity", "displacement")
+    columns: ClassVar[dict[str, str]] = {"displacement": "displacement", "velocity": "velocity"}
     displacement: Vector = NOT_GIVEN
     velocity: Vector = NOT_GIVEN
 
@@ -141,7 +135,7 @@ class Profile(Excitation):
 
 
 class Drive(Excitation):
-    """A motion that grain 1 is made to follow, whatever the chain does; positive downward, from 0 at t = 0.
+    """A prescribed motion of grain 1, whatever the chain does; positive downward, from 0 at t = 0.
 
     Parameters
     ----------
@@ -158,6 +152,10 @@ class Drive(Excitation):
     """
 
     kind: ClassVar[str] = "drive"
+    strength: ClassVar[tuple[str, ...]] = ("amplitude", "displacement")
+    columns: ClassVar[dict[str, str]] = {"time": "times", "displacement": "displacement"}
+    does_work: ClassVar[bool] = True
+    driven: ClassVar[int] = 1
     amplitude: Real = NOT_GIVEN
     frequency: Positive = NOT_GIVEN
     times: Vector = NOT_GIVEN
@@ -243,46 +241,21 @@ class Drive(Excitation):
         """Highest frequency that a step must resolve, rad/s."""
         return float(2 * np.pi * self.frequency if self.times is None else 1 / np.diff(self.times).min())
 
+    @property
+    def linear(self) -> bool:
+        """Whether it is harmonic, as linear engines need it."""
+        return self.times is None
+
+    def energy_norm(self, chain: Chain, duration: float) -> float:
+        """Bound sqrt(2 E) by the path of grain 1: ``d sqrt(2 E) / dt <= sqrt(k_1) |v_1|``."""
+        if self.times is not None:
+            return np.inf
+        path = abs(self.amplitude) * (1 + 4 * self.frequency * duration)
+        return float(np.sqrt(chain.contacts.stiffness[1]) * path)
+
+    def push(self, chain: Chain, time: Array, force: Array, rate: Array) -> Push:
+        """Return what keeps grain 1 on its path: the force of the contact below it, besides its inertia."""
+        return Push(1, force[:, 1], rate[:, 1], self.acceleration(time), float(chain.masses[0]))
+
 
 EXCITATIONS: dict[str, type[Excitation]] = {e.kind: e for e in (Impulse, Displacement, Profile, Drive)}
-
-
-def first_overlaps(chain: Chain, excitation: Excitation) -> Array:
-    """Overlap of every contact at the start, or when its two bodies meet alone, (N+1,) m."""
-    contacts = chain.contacts
-    (u, _), (_, v) = excitation.initial(chain), excitation.largest(chain)
-    inertia = 1 / chain.masses
-    inertia[0] *= not isinstance(excitation, Drive)  # what is driven does not give way,
-    inertia[chain.movable :] = 0.0  # nor does what is held, or a wall
-    inertia = np.concatenate(([0.0], inertia, [0.0]))
-    power = chain.exponent + 1
-    closing = np.maximum(contacts.closer(v), 0.0)
-    stiff = (inertia[:-1] + inertia[1:]) * contacts.constant
-    two_body = (power / 2 * closing**2 / np.where(stiff > 0, stiff, np.inf)) ** (1 / power)
-    return np.maximum(contacts.overlap + contacts.exists * contacts.closer(u), two_body)
-
-
-def surroundings(chain: Chain, excitation: Excitation) -> tuple[int, Chain, Excitation]:
-    """Return what an excitation moves at first, and all that the first push depends on, as a chain of its own.
-
-    Returns
-    -------
-    number of the first of these grains, these grains as a chain, and the excitation of these
-    """
-    first, last = excitation.reach(chain)
-    first, last = max(1, first - 1), min(chain.grains, last + 2)
-    return first, chain.part(first, last), excitation.part(first, last)
-
-
-def strike_faults(chain: Chain, excitation: Excitation) -> Iterator[tuple[str, str]]:
-    """Yield a fault if the excitation squeezes a contact beyond what Hertz's law describes."""
-    first, near, strike = surroundings(chain, excitation)
-    relative = first_overlaps(near, strike) / near.contact_lengths
-    if not relative.max() <= LARGEST_OVERLAP:
-        worst = int(relative.argmax())
-        key = "displacement" if isinstance(excitation, Displacement) else "velocity"
-        yield (
-            "kind" if isinstance(excitation, Drive) else key,
-            f"squeezes contact {worst + first - 1} to {relative[worst]:.2g} of the diameter, more than "
-            f"{LARGEST_OVERLAP:g}: strike more gently",
-        )

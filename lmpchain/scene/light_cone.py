@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from ..chain.chain import Chain
-from .excitation import Excitation
+from .base import Excitation
 
 UNSEEN = math.log(1e-22)  # motion, over that of the grain that is struck, which no answer holds
 WORTH = 0.7  # of the grains: where more than that are reached, all are computed

@@ -16,9 +16,11 @@ from ..chain.chain import Chain
 from ..util.arrays import Array
 from ..util.files import write_aside
 from . import toml_file
-from .excitation import Drive, Excitation, first_overlaps, strike_faults, surroundings
+from .base import Excitation
+from .excitation import Drive
 from .light_cone import reached
 from .recording import Recording
+from .strike import first_overlaps, strike_faults, surroundings
 
 
 class Scene(Recording):
@@ -76,7 +78,7 @@ class Scene(Recording):
 
     @property
     def drive(self) -> Drive | None:
-        """The motion that grain 1 is made to follow, if there is one."""
+        """The prescribed motion of grain 1, if there is one."""
         return self.excitation if isinstance(self.excitation, Drive) else None
 
     @cached_property
@@ -91,9 +93,9 @@ class Scene(Recording):
 
     @cached_property
     def energy(self) -> float:
-        """Energy above rest that the chain may come to hold, J: what it is given at t = 0, no bound if it is driven."""
+        """Energy above rest, J: that at t = 0, or infinite if the excitation does work later."""
         _, chain, excitation = self._surroundings
-        return np.inf if self.drive else float(chain.excess_energy(*excitation.initial(chain)))
+        return np.inf if excitation.does_work else float(chain.excess_energy(*excitation.initial(chain)))
 
     @cached_property
     def strike_number(self) -> float:
@@ -120,7 +122,7 @@ class Scene(Recording):
         pressed = first_overlaps(chain, self.excitation)
         stiffness = chain.exponent * chain.contacts.constant * pressed ** (chain.exponent - 1)
         pair = float(np.sqrt(2 * stiffness.max() / chain.masses.min()))
-        return max(chain.band_edge, pair, self.drive.fastest if self.drive else 0.0) or 1 / self.duration
+        return max(chain.band_edge, pair, self.excitation.fastest) or 1 / self.duration
 
     @cached_property
     def largest_strain(self) -> float:
@@ -145,7 +147,7 @@ class Scene(Recording):
         return LightCone(self.part(first, last), recorded[columns] - first, chosen)
 
     def part(self, first: int, last: int) -> Scene:
-        """Return what grains first ... last do, all recorded, until a wave meets their ends; see `Chain.part`."""
+        """Return grains first ... last, all recorded, as a scene: right until a wave meets their ends."""
         return Scene(
             chain=self.chain.part(first, last),
             excitation=self.excitation.part(first, last),
@@ -165,7 +167,7 @@ class Scene(Recording):
 
     @classmethod
     def from_text(cls, text: str) -> Self:
-        """Make a scene from the text of a scene file; raises `InputError`, and `ValueError` if it is not TOML."""
+        """Make a scene from the text of a file; raises `InputError`, or `ValueError` if it is not TOML."""
         return cls.from_dict(tomllib.loads(text))
 
     def to_dict(self) -> dict[str, Any]:

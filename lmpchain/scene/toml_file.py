@@ -15,8 +15,10 @@ from ..chain.chain import Chain, Impurity
 from ..chain.materials import MATERIALS, Material
 from ..errors import InputError
 from ..util.files import check_readable
-from .excitation import EXCITATIONS, Excitation, strike_faults
+from .base import Excitation
+from .excitation import EXCITATIONS
 from .recording import Recording
+from .strike import strike_faults
 
 LARGEST_FILE, LARGEST_TABLE = 2**25, 2**33  # bytes
 LONGEST_LINE = 2**20  # of a table, characters
@@ -75,7 +77,7 @@ def fields(data: dict[str, Any], folder: Path = Path()) -> dict[str, Any]:
 
 
 def _of_this_length(table: dict[str, Any]) -> Chain | None:
-    """Return some chain with the grains and the bottom of a faulty one, to check the other tables against."""
+    """Return a sound chain with the grains and ends of a faulty one, to check other tables against."""
     kept = {key: table[key] for key in ("grains", "top", "bottom") if key in table}
     try:
         return Chain(**kept, diameter=1.0, gravity=0.0)
@@ -131,12 +133,11 @@ def _excitation(keys: dict[str, Any], folder: Path) -> Excitation:
     if not isinstance(kind, str) or kind not in EXCITATIONS:
         known = " | ".join(EXCITATIONS)
         raise InputError([("kind", f"must be {known} (got {kind!r})" if kind is not None else f"is missing; {known}")])
-    if kind == "profile" and "file" in keys:
-        keys |= _csv(folder, keys.pop("file"), ("displacement", "velocity"))
-    if kind == "drive" and "file" in keys:
-        columns = _csv(folder, keys.pop("file"), ("time", "displacement"))
-        keys |= {"times" if key == "time" else key: column for key, column in columns.items()}
-    return EXCITATIONS[kind](**keys)
+    made = EXCITATIONS[kind]
+    if made.columns and "file" in keys:
+        columns = _csv(folder, keys.pop("file"), tuple(made.columns))
+        keys |= {made.columns[name]: column for name, column in columns.items()}
+    return made(**keys)
 
 
 def _csv(folder: Path, name: Any, known: Sequence[str]) -> dict[str, Any]:

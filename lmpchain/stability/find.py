@@ -31,7 +31,6 @@ DIVISIONS = 40.0  # of the fastest oscillation by the step at which energies are
 PERIODS = 1000.0  # for which they are
 STRENGTHS = np.logspace(-8, 2, 11)  # of the strike, over its own
 ROUNDINGS = (("native", "physical"), ("lammps", "physical"), ("lammps", "gauge"))  # that differ in round-off
-STRONG = {"velocity", "displacement", "amplitude"}  # what of an excitation is as strong as the strike
 
 
 def stability(scene: Scene, *, progress: bool = False) -> Stability:
@@ -98,7 +97,7 @@ def _step(scene: Scene, engine: str, integrator: str) -> Iterator[Boundary]:
 def _energy(scene: Scene, integrator: str) -> Iterator[Curve]:
     from .step_limit import energy_error
 
-    if scene.drive:
+    if scene.excitation.does_work:
         raise InputError([("kind", "a drive does work: the energy is not that of the start")])
     if not scene.chain.compressed:
         raise InputError([("gravity", "without gravity and load there is no period to count by")])
@@ -114,7 +113,7 @@ def _floor(scene: Scene, engine: str, diameter: str, exact: Callable[[], tuple[A
     from .roundoff import floor, measured_floor
 
     measured = math.nan
-    if not scene.drive and not _too_long(scene):
+    if not scene.excitation.does_work and not _too_long(scene):
         measured = measured_floor(scene, engine, diameter, exact=exact())
     yield Boundary("smallest error", _name(engine, diameter), "", floor(scene, engine, diameter), measured)
 
@@ -181,9 +180,5 @@ def _too_long(scene: Scene) -> bool:
 
 
 def _times(scene: Scene, factor: float) -> Scene:
-    """Return the scene with a strike that is so many times as strong."""
-    excitation = scene.excitation
-    given = excitation.given()
-    louder = {key: np.asarray(given[key]) * factor for key in STRONG & given.keys() if given[key] is not None}
-    changed = type(excitation)(**given | {k: x if x.ndim else float(x) for k, x in louder.items()})
-    return Scene(**scene.given() | {"excitation": changed})
+    """Return the scene with an excitation that is so many times as strong."""
+    return Scene(**scene.given() | {"excitation": scene.excitation.scaled(factor)})

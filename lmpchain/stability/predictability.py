@@ -9,7 +9,6 @@ import numpy as np
 from ..engines.native import Native
 from ..engines.perturbation import divergence
 from ..errors import InputError
-from ..scene.excitation import Impulse
 from ..scene.scene import Scene
 from ..util.arrays import Array
 
@@ -30,11 +29,11 @@ def reflection_time(scene: Scene) -> float:
     InputError
         If the exponent is not 1.5 or the scene is no impulse.
     """
-    if scene.chain.exponent != 1.5 or not isinstance(scene.excitation, Impulse):
+    if scene.chain.exponent != 1.5 or not scene.excitation.strike_velocity:
         raise InputError([("excitation", "a reflection time is known for a strike on a chain of exponent 1.5")])
     chain = scene.chain
     gamma = float(chain.contact_constants.mean() / chain.masses.mean())
-    speed = 0.907470 * gamma**0.4 * (0.681632 * abs(scene.excitation.velocity)) ** 0.2
+    speed = 0.907470 * gamma**0.4 * (0.681632 * abs(scene.excitation.strike_velocity)) ** 0.2
     return 2 * chain.grains / speed
 
 
@@ -50,8 +49,8 @@ def growth_rate(scene: Scene) -> float:
 
 def amplifies(scene: Scene) -> bool:
     """Say whether `growth_rate` is known to hold: a strike on the top of few grains that opens contacts."""
-    grains, strike = scene.chain.grains, scene.excitation
-    struck = isinstance(strike, Impulse) and strike.grain == 1 and scene.chain.exponent == 1.5
+    grains = scene.chain.grains
+    struck = scene.excitation.strikes_top and scene.chain.exponent == 1.5
     return struck and FEW <= grains <= MANY and OPENING < scene.strike_number < FLYING * grains
 
 

@@ -89,7 +89,7 @@ def measured_floor(
     InputError
         As `floor`; and if the chain is driven, or the engine cannot do it.
     """
-    if scene.drive:
+    if scene.excitation.does_work:
         raise InputError([("kind", "the floor of round-off is not measured for a driven chain")])
     part = scene.light_cone.scene
     steps = _steps(part)

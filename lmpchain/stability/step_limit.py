@@ -39,7 +39,7 @@ def struck_frequency(scene: Scene) -> float:
     """
     part = scene.light_cone.scene
     chain, contacts = part.chain, part.chain.contacts
-    if part.drive:
+    if part.excitation.does_work:
         return part.highest_frequency
     displaced = chain.excess_energy(part.initial()[0], np.zeros(chain.grains))
     elastic = max(2 / (chain.exponent + 3) * part.energy, float(displaced))

@@ -78,12 +78,12 @@ class Column:
     @property
     def mobile(self) -> tuple[int, int]:
         """First and last grain that move by the equation of motion; a driven grain and a held one do not."""
-        return 2 if self.scene.drive else 1, self.chain.movable
+        return 1 + self.scene.excitation.driven, self.chain.movable
 
     @property
     def load(self) -> float:
         """Constant force on grain 1, N; 0 below a wall, whose overlap gives it, and for a driven grain."""
-        return 0.0 if self.chain.top == "wall" or self.scene.drive else self.chain.top_load
+        return 0.0 if self.chain.top == "wall" or self.scene.excitation.driven else self.chain.top_load
 
     @property
     def strike(self) -> Impulse | None:

@@ -57,7 +57,7 @@ def check_template(column: Column, splitting: Splitting) -> None:
 
 def write_deck(column: Column, folder: Path, step: float, splitting: Splitting) -> Path:
     """Write `in.column`, which runs by itself."""
-    if splitting.order > 2 and column.scene.drive:
+    if splitting.order > 2 and column.scene.excitation.does_work:
         raise InputError([("integrator", "a deck can carry a drive with verlet only; use that")])
     text = _filled(column, step, splitting, data="column.data", alone=True)
     path = folder / "in.column"
@@ -109,11 +109,9 @@ def _filled(column: Column, step: float, splitting: Splitting, done: int = 0, **
         # velocity Verlet and its compositions kick in LAMMPS; for others the kicks come from outside
         "fix": "nve" if carries(splitting) else "nve/noforce",
         "first_step": done * deck_steps(splitting),
-        "drive": scene.drive,
         "moves": splitting.order == 2,  # fix move wants steps of one length; else the speeds come from outside
-        "formulas": drive.formulas(scene.drive) if scene.drive else (),
-        "pieces": drive.pieces(scene.drive, scene.duration),
         "include": column.include,
+        **drive.placeholders(scene.excitation, scene.duration),
     }
     if not column.template:
         return render("in.column", CLOSED, **values)

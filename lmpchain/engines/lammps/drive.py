@@ -3,11 +3,23 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import Any
 
+from ...scene.base import Excitation
 from ...scene.excitation import Drive
 
 # of the cubic piece that holds now, in powers of the time since it began
 PIECE = ("begin", "c0", "c1", "c2", "c3")
+
+
+def placeholders(excitation: Excitation, duration: float) -> dict[str, Any]:
+    """Return what the templates say of an excitation that acts during the run."""
+    drive = excitation if isinstance(excitation, Drive) else None
+    return {
+        "drive": drive,
+        "formulas": formulas(drive) if drive else (),
+        "pieces": pieces(excitation, duration),
+    }
 
 
 def formulas(drive: Drive) -> tuple[str, str]:
@@ -19,11 +31,11 @@ def formulas(drive: Drive) -> tuple[str, str]:
     return path, f"-(v_c1+{since}*(2.0*v_c2+3.0*{since}*v_c3))"
 
 
-def pieces(drive: Drive | None, duration: float) -> list[tuple[float, list[str]]]:
+def pieces(excitation: Excitation, duration: float) -> list[tuple[float, list[str]]]:
     """Return when each cubic piece of a sampled motion ends, s, and the commands that put it in force."""
-    if drive is None or drive.times is None:
+    if not isinstance(excitation, Drive) or excitation.times is None:
         return []
-    spline = drive.spline
+    spline = excitation.spline
     cubics = []
     for k, (begin, end) in enumerate(pairwise(spline.x.tolist())):
         if begin < duration:

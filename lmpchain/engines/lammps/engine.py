@@ -139,7 +139,8 @@ class Lammps(TimeSteppingEngine):
         fixed = self.step is not None
         if fixed:
             given = super().choose_step(scene, tolerance, method)
-            if self.diameter == "physical" or (self.diameter == "gauge" and not scene.drive):  # nothing to find out
+            known = not scene.excitation.does_work  # else a trial shows the gauge diameter
+            if self.diameter == "physical" or (self.diameter == "gauge" and known):
                 drawn = gauge_diameter(scene) if self.diameter == "gauge" else 0.0
                 return replace(given, solver_error=math.nan, choices=_choices(drawn, "as asked"))
         trial = run_to_tolerance(Native(self.splitting.name, self.step, adaptive=False), scene, tolerance / 2, _reached)
@@ -246,7 +247,7 @@ class Lammps(TimeSteppingEngine):
 
     def write_inputs(self, scene: Scene, candidate: Candidate, tolerance: float, folder: Path) -> None:
         """Write the deck of the run, or one of velocity Verlet at equal cost for other splittings."""
-        driven = scene.drive is not None
+        driven = scene.excitation.does_work
         same = deck.carries(self.splitting) and not (driven and self.splitting.order > 2)
         step = candidate.step if same else candidate.step / self.splitting.evaluations
         diameter = "physical" if driven else candidate.choices["diameter"]
@@ -291,10 +292,11 @@ def _reached(run: Run) -> tuple[Array, float]:
 def gauge_diameter(scene: Scene, closest: float = 0.0) -> float:
     """Return the gauge diameter, m, or 0 where the grains are no larger than that.
 
-    It is a few times the largest overlap: a rigorous bound, or in a driven chain what a trial has seen.
+    It is a few times the largest overlap: a rigorous bound, or, where the excitation does work, what a trial has seen.
     """
     contacts = scene.chain.contacts
-    deepest = contacts.overlap + closest if scene.drive else contacts.overlap_bound(scene.energy)
+    known = not scene.excitation.does_work
+    deepest = contacts.overlap_bound(scene.energy) if known else contacts.overlap + closest
     gauge = HEADROOM * float(deepest.max())
     return gauge if gauge < scene.chain.diameters.min() else 0.0
 

@@ -53,7 +53,7 @@ class LammpsStepper:
         self._done = int(state.get("done", 0))
         scene = column.scene
         first, last = column.mobile
-        pieces = tuple(drive.pieces(scene.drive, scene.duration))
+        pieces = tuple(drive.pieces(scene.excitation, scene.duration))
         recipe = StepPlan(
             scene.chain.grains, first - 1, last, splitting, step, self._done, scene.drive, pieces, column.heights[0]
         )

@@ -11,7 +11,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...scene.excitation import Impulse
 from ...scene.scene import Scene
 from ...trajectory.record import Block, Cost
 from ...util.arrays import Array
@@ -34,11 +33,11 @@ class ClosedForm(LinearEngine):
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why the formula does not hold for this scene."""
         reached = scene.light_cone.scene
-        chain, struck, reasons = reached.chain, scene.excitation, super().refuses(reached)
+        chain, reasons = reached.chain, super().refuses(reached)
         for key, values in (("masses", chain.masses), ("contact_constants", chain.contact_constants)):
             if np.ptp(values) > UNIFORM * values.max():
                 reasons.append((key, f"{self.name} knows grains that are all alike only; use modes or chebyshev"))
-        if not isinstance(struck, Impulse) or struck.grain != 1:
+        if not scene.excitation.strikes_top:
             reasons.append(("excitation", f"{self.name} knows an impulse on grain 1 only; use modes or chebyshev"))
         if chain.top != "free":
             reasons.append(("top", f'{self.name} knows top = "free" only; use modes or chebyshev'))
@@ -88,7 +87,7 @@ class Bessel(ClosedForm):
         """Return displacement and velocity of the recorded grains, (T, G) m and m/s."""
         from ...theory import bessel
 
-        unit, strike = scene.chain.time_scale, scene.excitation.velocity  # type: ignore[attr-defined]
+        unit, strike = scene.chain.time_scale, scene.excitation.strike_velocity
         n, T = scene.recorded, times[:, None] / unit
         return strike * unit * bessel.free_end_impulse(n, T), strike * bessel.free_end(n, T)
 
@@ -110,7 +109,7 @@ class Continuum(ClosedForm):
         """Return displacement and velocity of the recorded grains, (T, G) m and m/s."""
         from ...theory import continuum
 
-        unit, strike = scene.chain.time_scale, scene.excitation.velocity  # type: ignore[attr-defined]
+        unit, strike = scene.chain.time_scale, scene.excitation.strike_velocity
         phi, speed = continuum.impulse_of_grain(scene.recorded, times[:, None] / unit, scene.chain.exponent)
         return strike * unit * phi, strike * speed
 

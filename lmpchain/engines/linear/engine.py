@@ -38,7 +38,7 @@ class LinearEngine(Engine):
             reasons.append(("gravity", "without gravity and load nothing can be linearised; use the engine native"))
         elif (contacts.exists & ~contacts.pressed).any():
             reasons.append(("top", "a wall that only touches cannot be linearised; give a top_load or use native"))
-        if scene.drive and scene.drive.times is not None:
+        if not scene.excitation.linear:
             reasons.append(("excitation", "linear engines know harmonic drives only; use the engine native"))
         return reasons
 

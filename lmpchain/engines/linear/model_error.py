@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from ...integrators.kernels import phase_error as kernel
 from ...integrators.kernels.phase_error import accumulate, start
-from ...scene.excitation import Impulse
 from ...scene.scene import Scene
 from ...util.arrays import Array
 
@@ -114,16 +113,12 @@ def saturated(error: float) -> float:
 
 
 def strain_bound(scene: Scene) -> float:
-    """Return a bound on the strain of every contact in the linear chain, from the energy that is put in.
-
-    A driven grain does work: ``d sqrt(2 E) / dt <= sqrt(k_1) |v_1|``.
-    """
-    if not scene.drive:
+    """Return a bound on the strain of every contact in the linear chain, from the energy that is put in."""
+    if not scene.excitation.does_work:
         return scene.largest_strain
-    contacts, drive = scene.chain.contacts, scene.drive
-    path = drive.amplitude * (1 + 4 * drive.frequency * scene.duration)
+    contacts = scene.chain.contacts
     weakest = (np.sqrt(contacts.stiffness) * contacts.overlap)[contacts.pressed].min()
-    return float(np.sqrt(contacts.stiffness[1]) * path / weakest)
+    return float(scene.excitation.energy_norm(scene.chain, scene.duration) / weakest)
 
 
 def bounds(scene: Scene) -> tuple[float, float]:
@@ -131,8 +126,8 @@ def bounds(scene: Scene) -> tuple[float, float]:
 
     The upper bound takes the largest strain for that of the whole time, as if the shift of phase grew without end: far
     too much for a wave that spreads out, about right for a few grains that are hit hard. It is 1 where contacts may
-    open. On 547 random scenes `PhaseError` gives 1.3 times the lower bound or more. After a strike on the top of a column
-    the strain falls faster than 1/h, and the law of `stability.linear_theory.linear_law` is right within a factor of
+    open. On 547 random scenes `PhaseError` gives 1.3 times the lower bound or more. After a strike on the top of a
+    column the strain falls faster than 1/h, and `stability.linear_theory.linear_law` is right within a factor of
     `DOUBT`.
     """
     excess, strain, most = scene.chain.exponent - 1, strain_bound(scene), 1.0
@@ -147,7 +142,7 @@ def bounds(scene: Scene) -> tuple[float, float]:
 def _struck_column(scene: Scene) -> bool:
     """Whether it is a uniform column under gravity alone, struck at its free top, for at most ten passages."""
     chain, strike = scene.chain, scene.excitation
-    if not (isinstance(strike, Impulse) and strike.grain == 1 and chain.gravity > 0 and chain.top_load == 0):
+    if not (strike.strikes_top and chain.gravity > 0 and chain.top_load == 0):
         return False
     if chain.top != "free" or chain.exponent > STEEPEST or np.ptp(chain.masses) or np.ptp(chain.contact_constants):
         return False

@@ -12,7 +12,6 @@ from scipy import stats
 from scipy.optimize import curve_fit
 
 from ...errors import InputError
-from ...scene.excitation import Impulse
 from ...theory import front as theory
 from ...theory.continuum import chi, impulse_amplitude, peaked
 from ...theory.domain import exponents
@@ -335,9 +334,8 @@ def _struck_at_the_top(trajectory: Trajectory) -> float:
         faults.append(("exponent", "takes one below 3: from there on waves are dispersed at the top"))
     if any(np.ptp(x) > 1e-9 * x.max() for x in (chain.masses, chain.contact_constants)):
         faults.append(("material", "takes equal grains, as the column of the paper has"))
-    if not isinstance(given, Impulse) or given.grain != 1 or not given.velocity:
+    if not given.strikes_top or not given.strike_velocity:
         faults.append(("excitation", "takes a strike on grain 1: an impulse other than 0"))
     if faults:
         raise InputError(faults)
-    assert isinstance(given, Impulse)
-    return given.velocity
+    return given.strike_velocity

@@ -106,7 +106,7 @@ def fit_modes(trajectory: Trajectory) -> ModeFit:
     ((101, 19), '1.000000000', True)
     """
     chain, scene = trajectory.scene.chain, trajectory.scene
-    if scene.drive:
+    if scene.excitation.does_work:
         raise InputError([("excitation", "a driven chain does not move freely: strike or displace a grain instead")])
     if (chain.contacts.exists & ~chain.contacts.pressed).any() and chain.compressed:
         raise InputError([("top", "a wall that only touches cannot be linearised: give a top_load")])

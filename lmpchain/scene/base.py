@@ -1,0 +1,130 @@
+"""What every excitation says of itself, so that nothing else needs to know which one it is."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterator
+from typing import ClassVar, NamedTuple, Self
+
+import numpy as np
+
+from ..chain.chain import Chain
+from ..util.arrays import Array
+from ..util.validation import Checked
+
+
+class Push(NamedTuple):
+    """The force of the outside world on one grain, beyond what balances at rest.
+
+    Attributes
+    ----------
+    grain : int
+    force, rate : (T,) arrays
+        N and N/s; without what the inertia of a driven grain takes, its mass times the acceleration.
+    acceleration : (T,) array
+        Of the grain, m/s2.
+    inertia : float
+        Mass of the grain if it is driven, kg, else 0.
+    """
+
+    grain: int
+    force: Array
+    rate: Array
+    acceleration: Array
+    inertia: float
+
+
+class Excitation(Checked):
+    """How the chain is set in motion.
+
+    What stands here holds for initial data, after which nothing acts on the chain; others override it.
+
+    Attributes
+    ----------
+    kind : str
+        Its name in scene files.
+    strength : tuple of str
+        Fields that the motion of a linear chain is proportional to, the first of them the one to blame if too strong.
+    columns : dict
+        Columns of its CSV file, and the fields that they fill; empty if it has no file.
+    does_work : bool
+        Whether it acts after t = 0, so that the energy of the chain is not known beforehand.
+    driven : int
+        Number of grains, from the top, whose motion it prescribes.
+    """
+
+    kind: ClassVar[str]
+    strength: ClassVar[tuple[str, ...]]
+    columns: ClassVar[dict[str, str]] = {}
+    does_work: ClassVar[bool] = False
+    driven: ClassVar[int] = 0
+
+    @property
+    def smooth(self) -> bool:
+        """Whether its third derivative in time never jumps after t = 0."""
+        return True
+
+    @property
+    def fastest(self) -> float:
+        """Highest frequency in it that a step must resolve, rad/s."""
+        return 0.0
+
+    @property
+    def linear(self) -> bool:
+        """Whether the engines of the linearised chain know its solution."""
+        return not self.does_work
+
+    @property
+    def strike_velocity(self) -> float:
+        """Velocity given to one grain at t = 0, m/s; 0 if it is anything else."""
+        return 0.0
+
+    @property
+    def strikes_top(self) -> bool:
+        """Whether it is a velocity given to grain 1."""
+        return False
+
+    @property
+    def label(self) -> str:
+        """What it is called in the title of a picture."""
+        return f"a {self.kind}"
+
+    @abstractmethod
+    def initial(self, chain: Chain) -> tuple[Array, Array]:
+        """Return displacement (N,) m and velocity (N,) m/s at t = 0, positive downward."""
+
+    @abstractmethod
+    def faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
+        """Yield what this chain, or a scene that lasts so long, does not allow."""
+
+    def largest(self, chain: Chain) -> tuple[Array, Array]:
+        """Return the displacement (N,) m and velocity (N,) m/s that it imposes, at their largest."""
+        return self.initial(chain)
+
+    @abstractmethod
+    def reach(self, chain: Chain) -> tuple[int, int]:
+        """Return the first and the last grain that it moves."""
+
+    @abstractmethod
+    def part(self, first: int, last: int) -> Excitation:
+        """Return what it does to the grains of `Chain.part(first, last)`, all that it moves among them."""
+
+    def scaled(self, factor: float) -> Self:
+        """Return the same excitation, so many times as strong."""
+        given = self.given()
+        scaled = {key: factor * given[key] for key in self.strength if given.get(key) is not None}
+        return type(self)(**given | scaled)
+
+    def energy_norm(self, chain: Chain, duration: float) -> float:
+        """Bound sqrt(2 E), in J^(1/2), for the energy E that it puts into the linearised chain after t = 0."""
+        return np.inf
+
+    def push(self, chain: Chain, time: Array, force: Array, rate: Array) -> Push | None:
+        """Return the push from outside at these times, (T,) s; None if nothing acts after t = 0.
+
+        Parameters
+        ----------
+        force, rate : (T, N+1) arrays
+            Force of every contact less that at rest, N, and its rate, N/s.
+        """
+        return None

@@ -1,0 +1,54 @@
+"""How hard an excitation squeezes the contacts at first, and whether Hertz's law holds there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ..chain.chain import LARGEST_OVERLAP, Chain
+from ..util.arrays import Array
+from .base import Excitation
+
+
+def first_overlaps(chain: Chain, excitation: Excitation) -> Array:
+    """Return the largest overlap of every contact at t = 0 or in the first collision, (N+1,) m.
+
+    Two bodies that approach with the relative velocity v, and nothing around them, come closer than at rest by r with
+    ``K r^(delta+1) / (delta+1) = mu v^2 / 2``, mu their reduced mass.
+    """
+    contacts, power = chain.contacts, chain.exponent + 1
+    (u, _), (_, v) = excitation.initial(chain), excitation.largest(chain)
+    inverse_mass = 1 / chain.masses
+    inverse_mass[: excitation.driven] = 0.0  # what is driven does not give way,
+    inverse_mass[chain.movable :] = 0.0  # nor does what is held, or a wall
+    inverse_mass = np.concatenate(([0.0], inverse_mass, [0.0]))
+    approach = np.maximum(contacts.closer(v), 0.0)
+    stiff = (inverse_mass[:-1] + inverse_mass[1:]) * contacts.constant
+    collision = (power / 2 * approach**2 / np.where(stiff > 0, stiff, np.inf)) ** (1 / power)
+    return np.maximum(contacts.overlap + contacts.exists * contacts.closer(u), collision)
+
+
+def surroundings(chain: Chain, excitation: Excitation) -> tuple[int, Chain, Excitation]:
+    """Cut out the grains that an excitation moves and their neighbours, all that it acts on at first.
+
+    Returns
+    -------
+    the number of the first of these grains, these grains as a chain, and the excitation of that chain
+    """
+    first, last = excitation.reach(chain)
+    first, last = max(1, first - 1), min(chain.grains, last + 2)
+    return first, chain.part(first, last), excitation.part(first, last)
+
+
+def strike_faults(chain: Chain, excitation: Excitation) -> Iterator[tuple[str, str]]:
+    """Yield a fault if the excitation squeezes a contact beyond the range of Hertz's law."""
+    first, near, strike = surroundings(chain, excitation)
+    relative = first_overlaps(near, strike) / near.contact_lengths
+    if not relative.max() <= LARGEST_OVERLAP:
+        worst = int(relative.argmax())
+        yield (
+            "kind" if excitation.does_work else excitation.strength[0],
+            f"squeezes contact {worst + first - 1} to {relative[worst]:.2g} of the diameter, more than "
+            f"{LARGEST_OVERLAP:g}: strike more gently",
+        )

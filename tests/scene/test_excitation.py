@@ -1,0 +1,77 @@
+"""What an excitation says of itself holds for the motion that it makes."""
+
+import numpy as np
+import pytest
+
+from lmpchain import Chain, Displacement, Drive, Impulse, Profile, Scene, simulate
+from lmpchain.engines.linear.model_error import bounds
+from lmpchain.scene.base import Excitation
+
+CHAIN = Chain(grains=12, diameter=1e-3, gravity=0.0, top_load=1e-3)
+PATH = np.append(0.0, np.random.default_rng(4).normal(size=8) * 1e-13)
+WEAK: dict[str, Excitation] = {
+    "impulse": Impulse(velocity=-1e-9, grain=3),
+    "displacement": Displacement(displacement=2e-14, grain=12 - 1),
+    "profile": Profile(displacement=np.linspace(1e-13, 0, 12)),
+    "moving profile": Profile(velocity=np.linspace(1e-9, 0, 12), displacement=np.linspace(1e-13, 0, 12)),
+    "drive": Drive(amplitude=-1e-13, frequency=3e4),
+    "sampled drive": Drive(times=np.linspace(0, 1e-4, 9), displacement=PATH),
+}
+every = pytest.mark.parametrize("excitation", WEAK.values(), ids=WEAK)
+
+
+def scene_of(excitation: Excitation, chain: Chain = CHAIN) -> Scene:
+    return Scene(chain=chain, excitation=excitation, duration=1e-4, samples=201)
+
+
+@every
+def test_the_motion_of_springs_is_as_strong_as_the_excitation(excitation: Excitation) -> None:
+    springs = Chain(**CHAIN.given() | {"exponent": 1.0})
+    once, thrice = (
+        simulate(scene_of(e, springs), engine="native", tolerance=1e-9) for e in (excitation, excitation.scaled(3))
+    )
+    for single, triple in ((once.displacement, thrice.displacement), (once.velocity, thrice.velocity)):
+        assert triple == pytest.approx(3 * single, rel=0, abs=1e-8 * np.abs(triple).max())
+    assert excitation.scaled(1.0) == excitation
+
+
+@every
+def test_energy_is_kept_unless_work_is_done(excitation: Excitation) -> None:
+    run = simulate(scene_of(excitation), engine="native", tolerance=1e-9)
+    energy = CHAIN.excess_energy(run.displacement, run.velocity)
+    assert (np.ptp(energy) > 1e-3 * energy.max()) == excitation.does_work
+    still = run.velocity[:, : excitation.driven], run.displacement[:, : excitation.driven]
+    if isinstance(excitation, Drive):
+        assert still[1][:, 0] == pytest.approx(excitation.motion(run.time)[0], rel=1e-12, abs=1e-28)
+    assert (still[0].size > 0) == isinstance(excitation, Drive)
+
+
+def test_what_a_harmonic_drive_puts_in_is_bounded() -> None:
+    """Contacts and the grains that are not driven never hold more."""
+    stiffness, masses = CHAIN.contacts.stiffness, CHAIN.masses
+    for sign in (1, -1):
+        for frequency in (2e3, 3e4, CHAIN.band_edge / 8):
+            drive = Drive(amplitude=sign * 1e-13, frequency=frequency)
+            run = simulate(scene_of(drive), engine="modes", tolerance=1e-4)
+            closer = CHAIN.contacts.closer(run.displacement)
+            energy = closer**2 @ stiffness / 2 + run.velocity[:, 1:] ** 2 @ masses[1:] / 2
+            bound = np.array([drive.energy_norm(CHAIN, t) for t in run.time])
+            assert (np.sqrt(2 * energy) <= bound * (1 + 1e-9)).all()
+
+
+def test_the_sign_of_a_drive_does_not_change_the_error_of_linear_theory() -> None:
+    """A bound below 0 would call linear theory exact: found in drives that begin upward."""
+    for amplitude in (1e-12, 2e-9):
+        (least, most), (other_least, other_most) = (
+            bounds(scene_of(Drive(amplitude=sign * amplitude, frequency=1e4))) for sign in (1, -1)
+        )
+        assert 0 < least <= most <= 1
+        assert (other_least, other_most) == (least, most)
+
+
+def test_only_an_impulse_is_a_strike() -> None:
+    assert {name for name, e in WEAK.items() if e.strike_velocity} == {"impulse"}
+    assert Impulse(velocity=1e-3).strikes_top
+    assert not any(e.strikes_top for e in WEAK.values())
+    assert Impulse(velocity=8.57e-4).label == "an impulse of 0.857 mm/s"
+    assert WEAK["drive"].label == "a drive"
