@@ -28,9 +28,8 @@ from lmpchain.simulation.api import simulate
 from lmpchain.theory import bessel
 from lmpchain.theory.modes import Modes, between
 from lmpchain.trajectory.trajectory import Trajectory
-from lmpchain.util.arrays import Array
+from lmpchain.util.arrays import EPSILON, Array
 
-EPSILON = float(np.finfo(float).eps)
 MOST_PRINTED = 143  # m from which m^m in Eq. (23) as printed is beyond the largest double, 1.8e308
 STEADY = 0.05  # omega h of velocity Verlet, at which a straight column is as good as exact
 BEAD, TAU = 1e-3, 14.5  # the paper's beads, m, and its time of 100 us at g, in the unit of tau

@@ -22,6 +22,7 @@ from ..scene.scene import Scene
 from ..simulation.api import simulate
 from ..trajectory.record import Cost
 from ..trajectory.trajectory import Trajectory
+from ..util.progress import ProgressBar
 from .comparison import Row, compare
 from .curves import KNOWN, Curve, Point, WorkPrecision, front
 from .reference import Reference, expected_seconds, reference
@@ -56,7 +57,7 @@ class Bench:
 
     @property
     def spent_s(self) -> float:
-        """How long the last one has taken since it was warm, s."""
+        """Time that the last engine has taken since it was compiled, s."""
         return time.perf_counter() - self._begun
 
     def once(self, name: str) -> Iterator[Point]:
@@ -65,7 +66,10 @@ class Bench:
         yield from self._points(engines.get(name))
 
     def over_tolerances(self, name: str) -> Iterator[Point]:
-        """Yield a point for every tolerance that leads to other steps than the one before, until one is not met."""
+        """Yield points at ever tighter tolerances, until one is not met.
+
+        A tolerance that leads to the same steps as the one before is skipped.
+        """
         steps = 0
         for tolerance in TOLERANCES:
             before = self.spent_s
@@ -81,7 +85,7 @@ class Bench:
             steps = points[0].steps if points else steps
 
     def over_steps(self, name: str, integrator: str) -> Iterator[Point]:
-        """Yield points at ever shorter steps, from the longest that holds until the error falls no more."""
+        """Yield points at ever shorter steps, from the longest stable one until the error falls no more."""
         interval = self.scene.duration / (self.scene.samples - 1)
 
         def at(steps: int) -> Engine:
@@ -106,7 +110,7 @@ class Bench:
             steps = math.ceil(steps * DENSITY)
 
     def _fewest(self, at: Callable[[int], Engine]) -> int:
-        """Return about the fewest steps between two samples with which a run holds."""
+        """Return about the fewest steps between two samples at which a run is stable."""
         failing, steps = 0, 1
         while not self._holds(at(steps)):
             failing, steps = steps, 2 * steps
@@ -125,11 +129,11 @@ class Bench:
             return False
 
     def _late(self, before: float) -> bool:
-        """Whether another point, which takes longer than the one begun then, would take too long."""
+        """Whether another point, which takes longer than the one begun then, would exceed the time."""
         return self.spent_s + DENSITY * (self.spent_s - before) > self.share_s
 
     def _points(self, engine: Engine, tolerance: float | None = None) -> Iterator[Point]:
-        """Yield the point of an engine as it is, unless it is more accurate than can be told."""
+        """Yield the point of an engine as it is, unless the reference is not accurate enough for it."""
         row = self._row(self._run(engine, tolerance))  # to warm up
         if row.error < KNOWN * self.truth.error:
             self.dropped += 1
@@ -168,7 +172,7 @@ Way = tuple[str, str, Callable[[Bench], Iterator[Point]]]  # engine, integrator,
 
 
 def work_precision(scene: Scene, budget_s: float = BUDGET_S, *, progress: bool = False) -> WorkPrecision:
-    """Measure error and time of every engine and integrator that can do a scene.
+    """Measure error and time of every engine and integrator that can solve a scene.
 
     Steps are shortened from the longest that holds by factors of sqrt(2) until the error stops falling or the time is
     used up, tolerances by factors of sqrt(10). Each time is the least of three runs or more after one to warm up.
@@ -186,8 +190,6 @@ def work_precision(scene: Scene, budget_s: float = BUDGET_S, *, progress: bool =
     InputError
         If the budget is not a time above 0, or the reference would take more than `LONGEST_S`.
     """
-    from tqdm.auto import tqdm
-
     if not 0 < budget_s < math.inf:
         raise InputError([("budget", f"must be a time above 0 s (got {budget_s:g})")])
     if (needed := expected_seconds(scene)) > LONGEST_S:
@@ -196,10 +198,10 @@ def work_precision(scene: Scene, budget_s: float = BUDGET_S, *, progress: bool =
     bench, curves = Bench(scene, truth), []
     ways, left_out = _ways(scene, budget_s)
     left_s = budget_s
-    layout = "{desc}: {n_fmt} of {total_fmt} |{bar}| {elapsed}"
-    with tqdm(ways, disable=not progress, leave=False, bar_format=layout) as bar:
-        for place, (engine, integrator, scan) in enumerate(bar):
-            bar.set_description(f"{engine} {integrator}".strip())
+    with ProgressBar(len(ways), shown=progress) as bar:
+        for place, (engine, integrator, scan) in enumerate(ways):
+            bar.reach(place)
+            bar.describe(f"{engine} {integrator}".strip())
             bench.share_s = left_s / (len(ways) - place)
             try:
                 points = tuple(scan(bench))
@@ -213,7 +215,7 @@ def work_precision(scene: Scene, budget_s: float = BUDGET_S, *, progress: bool =
 
 
 def _ways(scene: Scene, budget_s: float) -> tuple[list[Way], list[str]]:
-    """Return all ways to answer, with LAMMPS, the slowest, at the end; and why some engines have none."""
+    """Return all engines and integrators to measure, LAMMPS last, and why some are left out."""
     ways: list[Way] = []
     refusals = []
     for name in sorted(engines.names(), key="lammps".__eq__):
@@ -231,7 +233,7 @@ def _ways(scene: Scene, budget_s: float) -> tuple[list[Way], list[str]]:
 
 
 def _with_front(curves: Sequence[Curve]) -> tuple[Curve, ...]:
-    """Mark the points that no other beats in both time and error."""
+    """Mark the points of the Pareto front of time and error."""
     points = [point for curve in curves for point in curve.points]
     for place in front([(point.seconds, point.error) for point in points]):
         points[place] = replace(points[place], pareto=True)

@@ -1,4 +1,4 @@
-"""How far answers are from the truth, and what they cost."""
+"""Comparison of engines with a reference solution: true errors, estimated errors and cost."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..scene.excitation import Impulse
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.plotting import COLOURS, LOWEST, MARKERS, figure
-from ..util.tables import finite
+from ..util.tables import aligned, finite, number
 from .reference import Reference
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def _relative(trajectory: Trajectory, reference: Reference) -> tuple[Array, Arra
 
 @dataclass(frozen=True)
 class Row:
-    """One answer: its error against the reference, the error it expected, and its cost.
+    """True error, estimated error and cost of one engine.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Answers to one scene beside the truth.
+    """Trajectories of one scene compared with its reference solution.
 
     Attributes
     ----------
@@ -122,21 +122,17 @@ class Comparison:
         head = ["engine", "equation", "integrator", "error", "expected", "integration", "steps", "force evaluations"]
         body = [
             [row.engine, f"({row.equation})", row.integrator, f"{row.error:.2e}", f"{row.expected_error:.2e}",
-             f"{row.integration_s:.3g} s", str(row.steps), str(row.force_evaluations)]
+             number(row.integration_s, unit="s"), str(row.steps), str(row.force_evaluations)]
             for row in self.rows
         ]  # fmt: skip
-        widths = [max(map(len, column)) for column in zip(head, *body, strict=True)]
-        lines = [
-            "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in [head, *body]
-        ]
         truth = f"reference: {self.reference.method}; itself known to {self.reference.error:.1e}"
         meaning = (
             "error: max|x - x_true| / max|x_true| over samples and grains, the larger of displacement and velocity"
         )
-        return "\n".join([*lines, truth, meaning])
+        return "\n".join([*aligned([head, *body]), truth, meaning])
 
     def plot(self, axes: Sequence[Axes] | None = None) -> Figure:
-        """Draw the answers, their errors over time and what they cost.
+        """Draw the trajectories, their errors over time and their cost.
 
         Parameters
         ----------
@@ -147,7 +143,7 @@ class Comparison:
 
 
 def compare(trajectories: Sequence[Trajectory], reference: Reference) -> Comparison:
-    """Set answers to one scene beside the truth."""
+    """Compare trajectories of one scene with its reference solution."""
     rows = []
     for answer in trajectories:
         displacement, velocity = errors(answer, reference)
@@ -172,7 +168,7 @@ WIDEST, MARGIN = 60, 4  # grains of the wave shown, and grains at rest on either
 
 
 def draw_comparison(comparison: Comparison, axes: Sequence[Axes] | None = None) -> Figure:
-    """Draw the answers, their errors over time and what they cost.
+    """Draw the trajectories, their errors over time and their cost.
 
     Parameters
     ----------
@@ -195,7 +191,7 @@ def draw_comparison(comparison: Comparison, axes: Sequence[Axes] | None = None) 
 
 
 def _draw_wave(comparison: Comparison, axes: Axes) -> None:
-    """Velocity against grain number at the end: the truth as a line, the answers as markers of falling size."""
+    """Draw velocity against grain number at the end, reference as a line, engines as markers."""
     truth, scene = comparison.reference, comparison.trajectories[0].scene
     if isinstance(scene.excitation, Impulse) and scene.excitation.velocity:
         unit, label = scene.excitation.velocity, r"velocity / strike velocity $v_0$"
@@ -238,7 +234,7 @@ def _window(velocity: Array) -> tuple[int, int]:
 
 
 def _draw_errors(comparison: Comparison, axes: Axes) -> None:
-    """Error over time, with the expected error as a dashed line."""
+    """Draw the error over time, with the expected error as a dashed line."""
     truth = comparison.reference
     time = truth.time * 1e6
     for answer, row, found in zip(comparison.trajectories, comparison.rows, comparison.errors_over_time(), strict=True):
@@ -256,7 +252,7 @@ def _draw_errors(comparison: Comparison, axes: Axes) -> None:
 
 
 def _draw_cost(comparison: Comparison, axes: Axes) -> None:
-    """Error against the time that the integration took."""
+    """Draw the error against the time of the integration."""
     for row in comparison.rows:
         x, y = max(row.integration_s, 1e-9), max(row.error, LOWEST)
         expected = max(row.expected_error, LOWEST)

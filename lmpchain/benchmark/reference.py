@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 from ..errors import RunFailed
 from ..scene.excitation import first_overlaps
 from ..scene.scene import Scene
-from ..util.arrays import Array
+from ..util.arrays import EPSILON, Array
 
 Long = np.longdouble
 Longs = NDArray[np.longdouble]
-EPSILON = float(np.finfo(Long).eps)
-ORDER, TRUNCATION = 32, 0.1 * EPSILON  # terms of the series of the answer, and error that each step may leave
-LOWER, LOOSER = 24, 10 * EPSILON  # the same for the run that shows its error
-SHARED = 50 * EPSILON + float(np.finfo(float).eps)  # error that both share: equilibrium and steps, result
-REST = 1e-6 * EPSILON  # motion below it is none
-SHORTEST = 1e-6 * EPSILON  # steps below it lead nowhere
+EXTENDED = float(np.finfo(Long).eps)  # spacing of the numbers of the reference at 1
+ORDER, TRUNCATION = 32, 0.1 * EXTENDED  # terms of the series of the answer, and error that each step may leave
+LOWER, LOOSER = 24, 10 * EXTENDED  # the same for the run that shows its error
+SHARED = 50 * EXTENDED + EPSILON  # error that both share: equilibrium and steps, result
+REST = 1e-6 * EXTENDED  # motion below it is none
+SHORTEST = 1e-6 * EXTENDED  # steps below it lead nowhere
 TINY = 1e-200  # next to any number that occurs
 SEARCH = 60  # most iterations for a root; where that does not do, the step ends before it
 # to expect the time: usual steps while all contacts stay closed and where some open; time of one, and of a grain in it
@@ -248,7 +248,7 @@ def _first_root(gap: Longs, end: Long) -> Long:
         root = np.sqrt(rate**2 + 2 * bend * height)  # of height + rate z - bend z^2 / 2
         ahead = (rate + root) / bend if rate > 0 else 2 * height / ((root - rate) or 1)
         at += ahead
-        if at >= end or ahead <= 2 * EPSILON * at:
+        if at >= end or ahead <= 2 * EXTENDED * at:
             break
     return at
 

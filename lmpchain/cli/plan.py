@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ..errors import InputError, LmpchainError, check_tolerance
+from ..util.tables import aligned, number
 from .common import gather, output, read, write_json
 
 
@@ -41,5 +42,6 @@ def _calibrate() -> None:
     except OSError as error:
         raise LmpchainError(f"{cache_file()}: cannot be written: {error.strerror or error}") from None
     print(f"measured in {took:.2g} s how fast the engines are here: {path}")
-    for name, (start, slowness) in speeds().items():
-        print(f"{name:<10} {1e3 * start:8.3g} ms for every answer, the rest {slowness:.2g} times the shipped times")
+    rows = [("engine", "overhead of a run", "cost over the shipped one")]
+    rows += [(name, number(1e3 * start, unit="ms"), f"{slowness:.2g}") for name, (start, slowness) in speeds().items()]
+    print("\n".join(aligned(rows)))

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from ..errors import InputError, ToleranceNotMet, check_tolerance
 from ..util import mpi
+from ..util.tables import aligned
 from .common import beside, complain, gather, output, read
 
 if TYPE_CHECKING:
@@ -129,7 +130,7 @@ def _summary(trajectory: Trajectory, tolerance: float, path: Path) -> str:
         f"{cost.setup_s:.3g} s set-up",
         "folder" if path.is_dir() else "file": str(path),
     }
-    return "\n".join(f"{key:<16} {value}" for key, value in lines.items())
+    return "\n".join(aligned(lines.items()))
 
 
 def deck(arguments: argparse.Namespace) -> int:

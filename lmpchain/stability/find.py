@@ -19,6 +19,7 @@ from ..chain.chain import LARGEST_OVERLAP
 from ..errors import EngineUnavailable, InputError, LmpchainError, ToleranceNotMet
 from ..integrators.methods import METHODS
 from ..scene.scene import Scene
+from ..util.progress import ProgressBar
 from .result import TOLERANCE, Boundary, Curve, Stability
 
 if TYPE_CHECKING:
@@ -43,15 +44,14 @@ def stability(scene: Scene, *, progress: bool = False) -> Stability:
     progress : bool
         Whether to show a progress bar.
     """
-    from tqdm.auto import tqdm
-
     boundaries: list[Boundary] = []
     curves: list[Curve] = []
     left_out: list[str] = []
-    layout = "{desc}: {n_fmt} of {total_fmt} |{bar}| {elapsed}"
-    with tqdm(list(_parts(scene)), disable=not progress, leave=False, bar_format=layout) as bar:
-        for name, part in bar:
-            bar.set_description(name)
+    parts = list(_parts(scene))
+    with ProgressBar(len(parts), shown=progress) as bar:
+        for place, (name, part) in enumerate(parts):
+            bar.reach(place)
+            bar.describe(name)
             try:
                 for found in part():
                     (boundaries if isinstance(found, Boundary) else curves).append(found)  # type: ignore[arg-type]

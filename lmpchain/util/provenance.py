@@ -47,16 +47,17 @@ def session() -> dict[str, Any]:
         "working_folder": os.getcwd(),
         "host": platform.node(),
         "system": platform.platform(),
-        "processor": _processor(),
+        "processor": processor(),
         "cores": os.cpu_count(),
         "python": platform.python_version(),
         "packages": dict(_packages()),
     }
 
 
-def _processor() -> str:
+def processor() -> str:
+    """Return the name of the processor of this machine."""
     try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
         lines = []
     names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...errors import InputError
 from ...trajectory.trajectory import Trajectory
-from ...util.tables import aligned, finite
+from ...util.tables import aligned, finite, number
 from .column import ContinuumFit as ContinuumFit
 from .column import ExponentFit as ExponentFit
 from .column import FrontLaw as FrontLaw
@@ -79,7 +79,7 @@ class Summary:
         body = []
         for _, rows in groupby(self.rows, key=lambda row: row.fit):
             for first, row in enumerate(rows):
-                numbers = [_shown(row.value, row.error), _of_error(row.error), _shown(row.expected, row.error)]
+                numbers = [_rounded(row.value, row.error), number(row.error, ".1g"), _rounded(row.expected, row.error)]
                 body.append(["" if first else row.fit, row.quantity, *numbers, row.unit])
         lines = aligned([head, *body] if body else [])
         lines += [f"left out: {fit} ({reason})" for fit, reason in self.left_out]
@@ -163,11 +163,7 @@ def _exponents(trajectory: Trajectory) -> list[Row]:
     ]
 
 
-def _of_error(error: float) -> str:
-    return "" if math.isnan(error) else f"{error:.1g}"
-
-
-def _shown(value: float, error: float = math.nan) -> str:
+def _rounded(value: float, error: float = math.nan) -> str:
     """Return a number with as many digits as its error leaves it."""
     if math.isnan(value):
         return ""
