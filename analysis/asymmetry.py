@@ -1,4 +1,4 @@
-"""How unlike its two sides the pulse of a struck column is: the paper's "pronounced asymmetry" of Eq. (35).
+"""Rise and fall of the pulse of a struck column: the paper's "pronounced asymmetry" of Eq. (35).
 
 The displacement rises within some grains' travel time, w ~ h^(1/6), and falls as (tau^2 - chi^2)^(-1/10), a long tail.
 Points are Eq. (1) by the native engine, lines the front of Airy type for the rise and the causal Eq. (35) for the
@@ -16,7 +16,7 @@ DEEPEST, GRAINS = 300, 600
 
 
 def halves(tau: np.ndarray, motion: np.ndarray) -> tuple[float, float, float]:
-    """Return when the largest value is reached, and the times from half of it to it and from it to half of it."""
+    """Return the time of the maximum, and the rise and fall times from and to half of it."""
     top = int(motion.argmax())
     before, here, after = motion[top - 1 : top + 2]
     shift = 0.5 * (before - after) / (before - 2 * here + after)
@@ -30,7 +30,7 @@ def halves(tau: np.ndarray, motion: np.ndarray) -> tuple[float, float, float]:
 
 
 def predicted(n: int, largest: float) -> tuple[float, float]:
-    """Return rise and fall of the displacement: the front of Airy type, then the causal Eq. (35) down to half."""
+    """Return rise and fall times of the displacement: Airy front, then causal Eq. (35) to half."""
     chi, width = float(continuum.chi(n - 0.5)), (n - 0.5) ** (1 / 6) / 4 ** (1 / 3)
     tau = chi + np.linspace(-6, 6, 481) * width
     near = front.displacement(n, tau)

@@ -1,4 +1,4 @@
-"""Fig. 1 of the paper: a strong strike, 8.57 mm/s on the top of 120 glass beads, makes a pulse of some two grains.
+"""Fig. 1 of the paper: a strike of 8.57 mm/s on 120 glass beads, a pulse some two grains wide.
 
 Left: velocities at three times; circles are LAMMPS, lines the native engine. The theory is that of the pulse in an
 unloaded chain (Nesterenko), with the height of the run. Right: how far every contact is squeezed or stretched, in

@@ -1,4 +1,4 @@
-"""Fig. 2 of the paper: a grain in the middle of the column is moved and let go; Eq. (6) with one kappa for all grains.
+"""Fig. 2 of the paper: a grain in the middle of the column is displaced; Eq. (6) with one kappa.
 
 Squares are Eq. (1) moved so gently that it is Eq. (3) to 1e-6; the exact series of Eq. (19) goes through them at any
 time. Eq. (6) is the infinite chain with the kappa of grain 50 everywhere: it is good as long as the wave has gone a

@@ -1,4 +1,4 @@
-"""Fig. 4 of the paper: the column of Hertzian grains, displaced (a) or struck (b) at the top, against Eq. (19).
+"""Fig. 4 of the paper: Hertzian column, top displaced (a) or struck (b), against Eq. (19).
 
 Squares are the native engine, circles LAMMPS, both struck so gently that Eq. (1) is Eq. (3). The series is exact once
 the cases of the brace in Eq. (20) are j = 1 and j > 1; with the printed i, the dashed line, it is off at grain 1 above

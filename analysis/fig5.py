@@ -1,4 +1,4 @@
-"""Fig. 5 of the paper: the velocities after 100 us at ten, one and a tenth times the gravity, struck at 0.857 mm/s.
+"""Fig. 5 of the paper: velocities 100 us after a strike of 0.857 mm/s at 10, 1 and 0.1 g.
 
 Squares are the native engine, circles LAMMPS, both for Eq. (1); the line is the linear theory, Eq. (19). The paper
 finds "a satisfactory correspondence"; but the strike is gentle at none of the three. Its strike number v0* must be

@@ -1,4 +1,4 @@
-"""Fig. 6 of the paper: how disorder acts on the wave, after Dyson.
+"""Fig. 6 of the paper: the effect of Dyson's disorder on the wave.
 
 Left: the sum of Eq. (22) over the velocities of one ordered column, weighted with Eq. (23), against the order m. It is
 no average: its weights do not add up to 1, and it grows without bound as m does. Right: what "the velocity averaged

@@ -1,4 +1,4 @@
-"""Fig. 8 of the paper: the top is driven with one frequency; Eq. (27), its mode, and the chain itself.
+"""Fig. 8 of the paper: harmonically driven top; Eq. (27), its mode, and the chain itself.
 
 Squares are Eq. (1) with grain 1 driven gently, circles the continuum of Eq. (27) solved cell by cell, lines the mode
 of Eq. (30). With exp(i lambda tau) the printed H^(1) is a wave that comes in from below; the top sends down H^(2), its

@@ -1,4 +1,4 @@
-"""Fig. 9 of the paper: what a strike on the top leaves behind, the "peaked mode" of Eq. (35).
+"""Fig. 9 of the paper: the "peaked mode" of Eq. (35), the wave behind a strike on the top.
 
 Squares are Eq. (1) struck gently, the thin line the continuum of Eq. (27) solved cell by cell. Eq. (35) with |...| also
 says that grains move where no wave has been: made causal, and with its amplitude C = 1.155137, it is the impulse

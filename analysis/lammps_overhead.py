@@ -1,4 +1,4 @@
-"""CPU time of LAMMPS through the package against the stand-alone `lmp` on the same deck, interleaved.
+"""CPU time of LAMMPS through the package against stand-alone `lmp` on the same deck, interleaved.
 
 The time of the package is that of a whole `simulate`, with the error estimate; that of `lmp` is the whole
 process, with its dump.
@@ -20,7 +20,7 @@ from lmpchain.engines.lammps.export import write_deck
 
 
 def cpu(who: int) -> float:
-    """Return user and system time so far, s."""
+    """Return user plus system time so far, s."""
     used = resource.getrusage(who)
     return used.ru_utime + used.ru_stime
 

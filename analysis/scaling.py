@@ -1,4 +1,4 @@
-"""How the cost grows with the number of grains, of chains, of threads and of MPI ranks.
+"""Scaling of the cost with the number of grains, chains, threads and MPI ranks.
 
 Grain-steps (evaluations of the force, times grains) in a second of integration, in chains that move everywhere, so that
 none of them is left out: every grain is given a random velocity, weak enough that no contact opens. Beside it the time
@@ -46,7 +46,7 @@ Row = dict[str, Any]
 
 
 def stirred(grains: int, steps: int) -> tuple[lmpchain.Scene, float]:
-    """Return a chain of beads that move everywhere, for so many steps, and their length, s."""
+    """Return a chain of beads that all move, for so many steps, and their length, s."""
     chain = lmpchain.Chain(grains=grains, diameter=1e-3)
     mass, deepest = chain.masses[0], chain.part(grains - 1, grains)
     speed = STRENGTH * chain.equilibrium_overlap * np.sqrt(chain.linear_stiffness / mass)
@@ -76,7 +76,7 @@ def throughput(name: str, grains: int, share: float) -> Row:
 
 
 def answer(grains: int) -> Row:
-    """Time a strike on grain 1 from the numbers that describe it to the answer with its error estimate."""
+    """Time a strike on grain 1, from its parameters to the solution with its error estimate."""
     began = time.perf_counter()
     chain = lmpchain.Chain(grains=grains, material=lmpchain.GLASS, diameter=1e-3)
     strike = lmpchain.Impulse(velocity=8.57e-4)
@@ -97,7 +97,7 @@ def many(threads: int, steps: int, realisations: int) -> Row:
 
 
 def best(rows: list[Row], keys: tuple[str, ...], cost: Callable[[Row], float]) -> list[Row]:
-    """Return of the rows that agree in these keys the one that cost least, in the order they came in."""
+    """Return the cheapest of the rows that agree in these keys, in their original order."""
     groups: dict[tuple, list[Row]] = defaultdict(list)
     for row in rows:
         groups[tuple(row[key] for key in keys)].append(row)
@@ -105,7 +105,7 @@ def best(rows: list[Row], keys: tuple[str, ...], cost: Callable[[Row], float]) -
 
 
 def measure(quick: bool) -> dict[str, list[Row]]:
-    """Take all numbers, every kind in turn so that a busy moment does not fall on one of them alone."""
+    """Measure everything, alternating between kinds so that a busy moment does not bias one."""
     largest = 4 if quick else 6
     sizes = [10**k for k in range(2, largest + 1)]
     share, runs, chains = (0.01, 1, 50) if quick else (1.0, RUNS, 1000)

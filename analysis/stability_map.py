@@ -1,4 +1,4 @@
-"""Where methods fail: every boundary that `lmpchain.stability.find` predicts, drawn over what is measured.
+"""Stability maps: the predictions of `lmpchain.stability.find` drawn over measurements.
 
 One picture and one file of numbers a map, in `pictures/`; `maps/` holds one module for each.
 """
@@ -19,7 +19,7 @@ MAPS = sorted(path.stem for path in (HERE / "maps").glob("[a-z]*.py"))
 
 
 def _short(found: Any) -> Any:
-    """Return numbers with as many digits as are kept."""
+    """Return numbers rounded to the digits that are kept."""
     if isinstance(found, dict):
         return {key: _short(value) for key, value in found.items()}
     if isinstance(found, list | tuple):

@@ -1,4 +1,4 @@
-"""What a gentle strike brings to a depth of n grains, and when, for contacts of other exponents than Hertz's.
+"""Peak velocity, time and energy of a weak strike against depth, for several exponents.
 
 Points are Eq. (1) by the native engine, lines the front of Airy type (`theory.front`), of which the next order is some
 0.34 n^(-1/3). A column of n grains answers so at its lowest grain until the floor does, so depth stands for the length
@@ -19,7 +19,7 @@ DEEPEST, PER_TAU = 1000, 5
 
 
 def strike(depths: np.ndarray, delta: float) -> lmpchain.Trajectory:
-    """Strike a column gently and record it until the first pulse has passed these grains."""
+    """Strike a column weakly and record it until the first pulse has passed these grains."""
     deepest = int(depths[-1])
     tau = float(front.peak_time(deepest, delta)) + 8 * deepest ** (1 / 3 - (1 - 1 / delta) / 2)
     grains = int(continuum.depth(tau, delta)) + 20  # the floor is not reached
@@ -38,7 +38,7 @@ def carried(run: lmpchain.Trajectory, grain: int, until: float) -> float:
 
 
 def theory_carried(depths: np.ndarray, delta: float) -> np.ndarray:
-    """Return the same from `theory.front` for a wave that runs down only, 2 sqrt(kappa) times the integral of v^2."""
+    """Return the same by `theory.front` for a downward wave: 2 sqrt(kappa) times the integral of v^2."""
     n, xi = 100, 1 - 1 / delta
     peak = float(front.peak_time(n, delta))
     at = peak + np.linspace(-12, 6, 601) * n ** (1 / 3 - xi / 2)
@@ -49,7 +49,7 @@ def theory_carried(depths: np.ndarray, delta: float) -> np.ndarray:
 
 
 def main() -> None:
-    """Strike columns of several exponents and draw velocity, time and energy against depth, and the powers."""
+    """Strike columns of several exponents; draw velocity, time and energy against depth."""
     given = arguments(__file__, __doc__)
     deepest, deltas, further = (200, (1.0, 1.5), ()) if given.quick else (DEEPEST, DELTAS, FURTHER)
     title = "Transport: the first pulse of a gentle strike on the top, native engine against theory.front (lines)"

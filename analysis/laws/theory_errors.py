@@ -1,4 +1,4 @@
-"""The errors of the linear, the homogeneous and the continuous chain, measured; the laws are in `theories`."""
+"""Measured errors of the linear, homogeneous and continuous chain; the laws are in `theories`."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def column(
 
 
 def linear_error(scene: Scene) -> dict[str, float]:
-    """Return the error of Eq. (3) in every norm of `theories.linear_law`, against the native engine at 1e-9.
+    """Return the error of Eq. (3) in every norm of `linear_law`, against the native engine at 1e-9.
 
     Norms over all samples take those of the scene; "peak" is of the deepest grain that the front has passed, and left
     out if there is none.
@@ -74,7 +74,7 @@ def linear_error(scene: Scene) -> dict[str, float]:
 
 
 def uniform_error(grain: int, travelled: float, width: float = 0.0) -> float:
-    """Return the error of `theories.uniform_law`, against Eq. (3) in a Hertzian column that goes on below."""
+    """Return the error of `theories.uniform_law`, against Eq. (3) in a long Hertzian column."""
     n = np.arange(1, grain + int(travelled + EDGE * width + 4 * travelled ** (1 / 3)) + 12)
     shape = np.exp(-(((n - grain) / width) ** 2) / 2) if width else (n == grain).astype(float)
     shape[np.abs(n - grain) > EDGE * max(width, 1.0)] = 0
@@ -86,7 +86,7 @@ def uniform_error(grain: int, travelled: float, width: float = 0.0) -> float:
 
 
 def bessel_error(load: float, tau: float) -> tuple[float, float]:
-    """Return contrast and error of `theories.bessel_law`, for a load on the top of so many weights of a grain."""
+    """Return contrast and error of `theories.bessel_law`, for a top load in weights of a grain."""
     scene = column(GENTLE, tau, 60 + int(continuum.depth(tau) + 1.2 * tau), load=load)
     found, exact = (theory(scene, engine) for engine in ("bessel", "chebyshev"))
     stiffness = scene.chain.linear_stiffness
@@ -95,7 +95,7 @@ def bessel_error(load: float, tau: float) -> tuple[float, float]:
 
 
 def local_error(tau: float) -> float:
-    """Return the error of Eq. (7) after a displacement of grain 1: root of the sum of squares over grains at tau."""
+    """Return the error of Eq. (7) after a displacement of grain 1, Euclidean over grains, at tau."""
     grains = int(1.3 * continuum.depth(tau)) + 20
     unit = GENTLE * Chain(grains=grains, diameter=BEAD).length_scale
     scene = _at_its_end(column(Displacement(displacement=unit, grain=1), tau, grains))
@@ -130,7 +130,7 @@ def continuum_error(width: float, tau: Array, exponent: float = 1.5, cells: int 
 
 
 def impulse_error(tau: float, samples: int = 2) -> tuple[Array, Array, Array]:
-    """Return times tau (T,), depths h (N,) and by how much Eq. (35) is off there (T, N), relative to Eq. (3).
+    """Return times tau (T,), depths h (N,) and the error of Eq. (35) relative to Eq. (3), (T, N).
 
     The norm of `theories.behind_front`; NaN ahead of the light cone.
     """
@@ -144,7 +144,9 @@ def impulse_error(tau: float, samples: int = 2) -> tuple[Array, Array, Array]:
 
 
 def driven(frequency: float, tau: float = 150.0) -> tuple[Array, Complex]:
-    """Return depths (G,) and the motion there over that of grain 1, (G,), a factor of exp(i omega tau).
+    """Return depths (G,) and the complex amplitude there over that of grain 1, (G,).
+
+    It is the factor of exp(i omega tau).
 
     The top is driven gently at the frequency omega, in units of tau, for a time tau. The average is over the last four
     periods; left out are depths that the wave has reached but lately and, within 15 / omega of travel time, where no
@@ -161,28 +163,28 @@ def driven(frequency: float, tau: float = 150.0) -> tuple[Array, Complex]:
 
 
 def phase_velocities(frequency: float, tau: float = 150.0) -> tuple[Array, Array]:
-    """Return wavelengths, in grains, and phase velocities over those of the continuum, (G,) each; see `driven`."""
+    """Return wavelengths in grains and phase velocities over the continuum's, (G,) each; see `driven`."""
     h, motion = driven(frequency, tau)
     number = -np.diff(np.angle(motion)) % (2 * np.pi)
     return 2 * np.pi / number, frequency / (h[:-1] + 0.5) ** (1 / 6) / number
 
 
 def harmonic_error(frequency: float, tau: float = 150.0) -> tuple[Array, Array]:
-    """Return depths and the error of Eq. (30) for a driven top, `theories.harmonic_law`, (G,) each; see `driven`."""
+    """Return depths and the error of `theories.harmonic_law` for a driven top, (G,) each."""
     h, motion = driven(frequency, tau)
     mode = continuum.mode(np.append(0.5, h), frequency).conj()  # the paper's comes in from below
     return h, np.abs(mode[1:] / mode[0] / motion - 1)
 
 
 def fronts(tau: float) -> tuple[Array, Array, Array]:
-    """Return grains, when the largest velocity passes each, and for how long it is above half of that, in tau, (G,)."""
+    """Return grains, arrival times of the largest velocity and its widths at half height in tau, (G,)."""
     scene = column(GENTLE, tau, int(continuum.depth(1.2 * tau)) + 30)
     found = track(theory(scene, "chebyshev"))
     return found.grain, found.time / scene.chain.time_scale, found.width / scene.chain.time_scale
 
 
 def theory(scene: Scene, engine: str) -> Trajectory:
-    """Return the answer of a theory, however far it is from Eq. (1)."""
+    """Return the solution of a theory, whatever its distance from Eq. (1)."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return simulate(scene, engine, 0.999)
@@ -194,7 +196,7 @@ def _at_its_end(scene: Scene) -> Scene:
 
 
 def _unit(scene: Scene) -> float:
-    """Return the velocity of a gentle strike, m/s."""
+    """Return the velocity of a weak strike, m/s."""
     return GENTLE * scene.chain.length_scale / scene.chain.time_scale
 
 

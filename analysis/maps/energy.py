@@ -1,4 +1,4 @@
-"""The energy over a million steps and more: kept by splittings, lost or gained by the others."""
+"""Energy over a million steps and more: conserved by splittings, drifting with other methods."""
 
 from __future__ import annotations
 
@@ -32,9 +32,11 @@ STEPS = {  # omega h where the error goes as its power
 
 
 def hot(grains: int) -> lmpchain.Scene:
-    """Return a loaded chain of which all grains but the last are given random speeds, enough to be nonlinear.
+    """Return a loaded chain with random velocities, large enough to be nonlinear.
 
-    More than four may keep their energy in one place for 1e5 steps and then let go: a trend in a million that is none.
+    The last grain starts at rest.
+
+    With more than four grains energy may stay localised for 1e5 steps and then spread, which mimics a trend of 1e-6.
     """
     chain = lmpchain.Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-2)
     speed = (
@@ -45,7 +47,7 @@ def hot(grains: int) -> lmpchain.Scene:
 
 @compiled_once("Runge and Kutta's method, to be compared with", 3)
 def _runge_kutta(u, v, overlap, force, constant, inverse_mass, h, steps, samples):
-    """Return displacement and velocity (samples, N) of the classical method of order 4 for Hertz's contacts."""
+    """Return displacement and velocity (samples, N) by the classical Runge-Kutta method."""
     grains = u.size
     us, vs = np.empty((samples, grains)), np.empty((samples, grains))
     du, dv = np.zeros((4, grains)), np.zeros((4, grains))
@@ -67,12 +69,12 @@ def _runge_kutta(u, v, overlap, force, constant, inverse_mass, h, steps, samples
 
 
 def rk4_growth(reach: float) -> float:
-    """Return by what factor an oscillator grows a step of the classical Runge-Kutta method."""
+    """Return the growth factor of an oscillator in a step of the classical Runge-Kutta method."""
     return abs(sum((1j * reach) ** k / math.factorial(k) for k in range(5)))
 
 
 def runge_kutta(scene: lmpchain.Scene, step: float, periods: float, samples: int = 2001) -> EnergyError:
-    """Do as `energy_error` does, by the classical Runge-Kutta method, which is no part of the package."""
+    """Measure the energy error of the classical Runge-Kutta method, as `energy_error` does."""
     chain, (u, v) = scene.chain, scene.initial()
     duration = periods * 2 * math.pi / chain.band_edge
     steps = math.ceil(duration / (samples - 1) / step)
@@ -136,7 +138,7 @@ def draw(data: dict[str, Any]) -> Figure:
 
 
 def _over_time(ax: Any, data: dict[str, Any], looks: dict[str, dict[str, str]]) -> None:
-    """Draw the largest error so far, each with its name at its end, and the drift that is predicted."""
+    """Draw the largest error so far, labelled at its end, and the predicted drift."""
     ends = {}
     for name, found in data["long"].items():
         time, error = np.array(found["time"][1:]), np.abs(found["error"][1:])
@@ -159,7 +161,7 @@ def _over_time(ax: Any, data: dict[str, Any], looks: dict[str, dict[str, str]]) 
 
 
 def _trends(ax: Any, data: dict[str, Any], looks: dict[str, dict[str, str]]) -> None:
-    """Draw the trend over the whole run in units of the fluctuation around it, with 99 % confidence."""
+    """Draw the trend over the whole run in units of its fluctuation, with 99 % confidence."""
     for place, (name, found) in enumerate(data["long"].items()):
         time, error = np.array(found["time"]), np.array(found["error"])
         unit = (error - found["rate"] * time).std() / time[-1]

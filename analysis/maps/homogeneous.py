@@ -1,4 +1,4 @@
-"""The homogeneous chain: errors of Eq. (6) over depth, time and width, of the engine "bessel", and of Eqs. (7), (8)."""
+"""Errors of the homogeneous chain: Eq. (6), the engine "bessel", and Eqs. (7), (8)."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def _reach(width: float, travelled: np.ndarray, level: float) -> float:
-    """Return the distance at which Eq. (6) is so far off, found between the measured ones."""
+    """Return the distance at which the error of Eq. (6) reaches this value, by interpolation."""
     errors = np.maximum.accumulate([uniform_error(DEEP, T, width) for T in travelled])
     return float(np.exp(np.interp(np.log(level), np.log(errors), np.log(travelled))))
 
@@ -72,7 +72,7 @@ def draw(data: dict[str, Any]) -> Figure:
 
 
 def draw_boundaries(plane: Axes, first: float, last: float, background: str = "white") -> None:
-    """Draw how far a wave may go from a grain, between two grains, until Eq. (6) fails."""
+    """Draw how far a wave travels from a grain until Eq. (6) fails, between two grains."""
     grains, travelled = np.geomspace(first, last, 60), np.geomspace(1, 100, 150)
     law = np.log10([[uniform_law(XI / n, T) for n in grains] for T in travelled])
     plane.contour(grains, travelled, law, levels=[-2, -1], colors="black", linestyles="--", linewidths=1.4)

@@ -1,4 +1,4 @@
-"""Limits: eight places where a scene, a theory or an engine ends, each with the law that says where."""
+"""Eight limits of scenes, theories and engines, each with the law that predicts it."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def _dyson(m: float) -> tuple[float, float, float]:
-    """Return the largest error of Eq. (23) within 3 standard deviations, its law, and that of what is printed."""
+    """Return the largest error of Eq. (23) within 3 standard deviations, its law, and the printed form's."""
     kappa = 1 + np.linspace(-0.9, 3, 14) / np.sqrt(m)
     with mp.workdps(60):
         true = [mp.exp(m * mp.log(m) - mp.loggamma(m) + m * mp.log(k) - m * k) for k in map(mp.mpf, kappa.tolist())]

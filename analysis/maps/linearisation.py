@@ -1,4 +1,4 @@
-"""Linear theory: its error over strike and gravity, in four norms, and what the package says of it beforehand."""
+"""Error of linear theory over strike and gravity, in four norms, and its a priori estimate."""
 
 from __future__ import annotations
 
@@ -58,7 +58,10 @@ def _scene(v0: float, gravity: float) -> Scene:
 
 
 def strike_unit(gravity: np.ndarray | float) -> np.ndarray | float:
-    """Return v0 / v0* of glass beads, m/s, for Hertz: sqrt(delta g) (g / gamma)^(1/3), as the 5/6 power of gravity."""
+    """Return v0 / v0* of glass beads, m/s, for Hertz: sqrt(delta g) (g / gamma)^(1/3).
+
+    It grows as the 5/6 power of gravity.
+    """
     chain = Chain(grains=2, diameter=BEAD, gravity=EARTH)
     return chain.length_scale / chain.time_scale * (gravity / EARTH) ** (5 / 6)
 

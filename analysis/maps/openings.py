@@ -1,4 +1,4 @@
-"""The order of every method where contacts open and close, with steps of one length and with adaptive ones."""
+"""Order of every method through opening contacts, with fixed and with adaptive steps."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def slope(name: str, reach: list[float], error: list[float]) -> float:
-    """Return the order that errors show where they are those of short steps, and not round-off."""
+    """Return the order of convergence, from errors of short steps above round-off."""
     x, y = np.array(reach), np.array(error)
     used = (x < ASYMPTOTIC.get(name, math.inf)) & (y > FLOOR)
     return float(np.polyfit(np.log(x[used]), np.log(y[used]), 1)[0])

@@ -1,4 +1,4 @@
-"""Where the paper's own figures lie: Figs. 1 and 5 on the map of linear theory, 2, 8 and 9 on those of the others."""
+"""The paper's figures on the maps: Figs. 1, 5 on linear theory, 2, 8 and 9 on the others."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ POINT = {"marker": "o", "ls": "none", "color": COLOURS["lammps"], "ms": 6}
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return what the paper's scenes are like, and how far off the theory is that it uses for them."""
+    """Return the parameters of the paper's scenes and the errors of the theory used for them."""
     scenes = {
         name: Scene.from_toml(Path(__file__).parents[1] / "scenes" / f"{file}.toml") for name, file in SCENES.items()
     }

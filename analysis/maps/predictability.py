@@ -1,4 +1,4 @@
-"""How long a struck column can be predicted: the growth of a change in the last digits, and what it leaves to doubles.
+"""Predictability of a struck column: growth of a change in the last digits, and its limit.
 
 Columns of glass beads of 1 mm under g. Reflections through contacts that open and close amplify any change of the start
 until nothing of it is left; the horizon of a tolerance is where rounding has grown to it.
@@ -31,7 +31,7 @@ def scene(grains: int, velocity: float, duration: float = 5e-3, samples: int = 1
 
 
 def measure(quick: bool) -> dict:
-    """Return the decades of growth, length by length, for strikes x times, and the horizons that the law predicts."""
+    """Return the decades of growth for strikes x times, each length, and predicted predictability times."""
     velocities = np.logspace(-3.5, -0.5, 3 if quick else 10)
     panels = []
     for grains in LENGTHS[:1] if quick else LENGTHS:
@@ -46,7 +46,7 @@ def measure(quick: bool) -> dict:
 
 
 def draw(data: dict) -> Figure:
-    """Draw strike x time for each length: colours for the growth, lines for measured and predicted horizons."""
+    """Draw growth as colours over strike x time, with measured and predicted predictability times."""
     panels, velocities, times = data["panels"], np.array(data["velocities"]), 1e3 * np.array(data["times"])
     picture = figure(4.2 * len(panels) + 1.2, 5.2)
     axes = picture.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]

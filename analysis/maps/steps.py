@@ -1,4 +1,4 @@
-"""The longest step that every integrator survives, from the gentlest strike to the strongest."""
+"""Longest stable step of every integrator against the strength of the strike."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def vacuum(velocity: float) -> lmpchain.Scene:
 
 
 def steep(method: Method) -> float:
-    """Return omega h from which an oscillator grows by 5 % a step."""
+    """Return omega h at which an oscillator grows by 5 % a step."""
     return float(next(y for y in np.arange(0.01, 20, 0.01) if method.growth(y) > STEEP))
 
 
@@ -111,7 +111,7 @@ def _panel(ax: Any, data: dict[str, Any], name: str) -> None:
 
 
 def _vacuum(ax: Any, data: dict[str, Any]) -> None:
-    """Draw steps in s against speeds in m/s for two methods that keep apart."""
+    """Draw steps in s against velocities in m/s, for two well separated methods."""
     speeds, found = data["speeds"], data["vacuum"]
     for name, beyond in (("verlet", False), ("rkn6", True)):
         factor = data["steep"][name] / METHODS[name].stability_limit if beyond else 1.0

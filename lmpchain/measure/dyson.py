@@ -1,4 +1,4 @@
-"""Eq. (22), a velocity weighted over depth by Dyson's distribution, beside averages over random chains."""
+"""Eq. (22), velocities weighted by Dyson's distribution, beside means over random chains."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from ..disorder.averages import Ensemble
 
 DASHES = ("-", "--", "-.", ":")
-MARGIN = 4  # grains at rest that are shown below the wave
+MARGIN = 4  # grains at rest drawn below the wave
 WHAT = "a sum over the grains of one chain, weighted by D_m(kappa_n): no average over disorder"
 
 
@@ -65,7 +65,7 @@ class DysonSums:
 
     @property
     def unit_name(self) -> str:
-        """In what velocities are shown."""
+        """Unit in which velocities are shown."""
         return "m/s" if self.unit == 1 else "v0"
 
     def table(self, ordered: Array, ensembles: Sequence[Ensemble]) -> str:
@@ -124,7 +124,7 @@ class DysonSums:
         }
 
     def _rows(self, ensembles: Sequence[Ensemble]) -> list[dict[str, Any]]:
-        """Return what is shown of each m at the last sample, velocities in the unit."""
+        """Return the values of each m at the last sample, in the unit."""
         rows = []
         for place, (m, each) in enumerate(zip(self.m, ensembles, strict=True)):
             at = int(np.abs(each.velocity[-1]).argmax())
@@ -146,7 +146,7 @@ class DysonSums:
         return rows
 
     def plot(self, ordered: Array, ensembles: Sequence[Ensemble], axes: Sequence[Axes] | None = None) -> Figure:
-        """Draw, against grain number at the last sample, the means over random chains and the terms of Eq. (22).
+        """Draw means over random chains and terms of Eq. (22) against grain number, at the last sample.
 
         Parameters
         ----------
@@ -162,7 +162,7 @@ class DysonSums:
         grains = np.arange(1, ordered.size + 1)
         true.plot(grains, ordered / self.unit, color="black", lw=2.2, alpha=0.6, label="ordered")
         for place, (m, each) in enumerate(zip(self.m, ensembles, strict=True)):
-            # colour and dash both differ, and go on differing together when the colours are used up
+            # colours repeat before dashes do, so that no two lines look alike
             dash = DASHES[(place + place // len(colours)) % len(DASHES)]
             style: dict[str, Any] = {"color": colours[place % len(colours)], "ls": dash, "lw": 1.6}
             mean, band = each.velocity[-1] / self.unit, 2 * each.velocity_error[-1] / abs(self.unit)
@@ -237,19 +237,21 @@ def orders(text: str) -> list[float]:
     >>> orders("1, 2.5")
     [1.0, 2.5]
     """
-    found = []
+    values = []
     for part in dict.fromkeys(part.strip() for part in text.split(",")):
         try:
-            found.append(float(part))
+            values.append(float(part))
         except ValueError:
             raise InputError([("m", f"must be numbers with commas between them (got {part!r})")]) from None
-    if wrong := [m for m in found if not 0 < m < np.inf]:
+    if wrong := [m for m in values if not 0 < m < np.inf]:
         raise InputError([("m", f"must be above 0 (got {wrong[0]:g})")])
-    return found
+    return values
 
 
 def relative_stiffness(chain: Chain) -> Array:
-    """Return the linear stiffness of the contact below each grain over that of the first, (N,); n^(1 - 1/delta) here.
+    """Return the stiffness of the contact below each grain over that of the first, (N,).
+
+    In a uniform column under gravity it is n^(1 - 1/delta).
 
     Grain N has no contact below it unless there is a wall: it is then given one like that above it, under its weight.
 
