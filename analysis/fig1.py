@@ -40,7 +40,7 @@ def main() -> None:
     wave.plot([], [], **LAMMPS | {"color": "0.4"}, label="LAMMPS")
     difference = np.abs(lammps.velocity - native.velocity).max() / strike
     expected = native.error_estimate.total + lammps.error_estimate.total
-    below.axhline(expected, color="0.4", ls="--", lw=1, label=f"expected: {expected:.0e}; found {difference:.0e}")
+    below.axhline(expected, color="0.4", ls="--", lw=1, label=f"expected: {expected:.0e}; measured {difference:.0e}")
     wave.set(ylabel="velocity downward (mm/s)", xlim=(0, 40))
     below.set(xlabel="grain, from the top", ylabel="|LAMMPS − native| / $v_0$")
 

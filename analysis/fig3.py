@@ -5,7 +5,7 @@ as nothing opens. The velocity in Eq. (13) is dphi/dT, not the dphi/dtau of the 
 """
 
 import numpy as np
-from figures import THEORY, arguments, end_of_run, finish, gentle, legends, page, say
+from figures import THEORY, arguments, end_of_run, finish, legends, page, say, weak_scene
 
 from lmpchain.theory import bessel
 
@@ -21,7 +21,7 @@ def main() -> None:
     picture, pairs = page(title, 2, width=11)
     cases = {"a: displaced, Eq. (11)": (1, bessel.free_end), "b: struck, Eq. (13)": (0, bessel.free_end_impulse)}
     for (name, (moved, theory)), (wave, below) in zip(cases.items(), pairs, strict=True):
-        scene = gentle(grains, tau, 2, 1e-2, delta=1.0, moved=moved)
+        scene = weak_scene(grains, tau, 2, 1e-2, delta=1.0, moved=moved)
         unit = 1e-2 * scene.chain.length_scale
         exact = theory(n, float(tau))
         wave.plot(n, exact, **THEORY, label="theory")

@@ -60,9 +60,9 @@ def page(
     return picture, pairs
 
 
-def apart(axes: Axes, x: np.ndarray, found: np.ndarray, other: np.ndarray, unit: float, **style: object) -> None:
-    """Draw |x - other| / unit on a logarithmic axis, leaving out zeros."""
-    difference = np.abs(found - other) / unit
+def apart(axes: Axes, x: np.ndarray, measured: np.ndarray, other: np.ndarray, unit: float, **style: object) -> None:
+    """Draw |measured - other| / unit on a logarithmic axis, leaving out zeros."""
+    difference = np.abs(measured - other) / unit
     axes.plot(x, np.where(difference > 0, difference, np.nan), **{"ms": 3, **style})
 
 
@@ -71,10 +71,10 @@ def end_of_run(pair: tuple[Axes, Axes], scene: lmpchain.Scene, engine: str, unit
     wave, below = pair
     style, tolerance = {"lammps": (LAMMPS, 1e-6), "native": (NATIVE, 1e-12)}[engine]
     run = lmpchain.simulate(scene, engine, tolerance)
-    n, found = run.grains[:-1], run.displacement[-1, :-1] / unit
-    off = distance(found, exact)
-    wave.plot(n, found, **style)
-    apart(below, n, found, exact, np.abs(exact).max(), **style | {"ls": "-", "lw": 0.7})
+    n, measured = run.grains[:-1], run.displacement[-1, :-1] / unit
+    off = distance(measured, exact)
+    wave.plot(n, measured, **style)
+    apart(below, n, measured, exact, np.abs(exact).max(), **style | {"ls": "-", "lw": 0.7})
     return off
 
 
@@ -100,9 +100,9 @@ def say(label: str, value: float, unit: str = "") -> None:
     print(f"{label}: {value:.6g} {unit}".rstrip())
 
 
-def distance(found: np.ndarray, truth: np.ndarray) -> float:
-    """Return the relative distance |x - reference| / |reference| in the Euclidean norm."""
-    return float(np.linalg.norm(found - truth) / np.linalg.norm(truth))
+def distance(measured: np.ndarray, reference: np.ndarray) -> float:
+    """Return the relative distance |measured - reference| / |reference| in the Euclidean norm."""
+    return float(np.linalg.norm(measured - reference) / np.linalg.norm(reference))
 
 
 def summit(profile: np.ndarray) -> float:
@@ -118,7 +118,7 @@ def shorter(scene: lmpchain.Scene, grains: int) -> lmpchain.Scene:
     return lmpchain.Scene(**scene.given() | {"chain": chain})
 
 
-def gentle(
+def weak_scene(
     grains: int,
     tau: float,
     samples: int,

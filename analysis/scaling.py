@@ -126,19 +126,19 @@ def measure(quick: bool) -> dict[str, list[Row]]:
     }
 
 
-def tables(found: dict[str, list[Row]]) -> str:
+def tables(numbers: dict[str, list[Row]]) -> str:
     """Return the numbers as Markdown tables."""
     lines = ["| grains | " + " | ".join(ENGINES) + " | strike on grain 1 |", "|---" * (len(ENGINES) + 2) + "|"]
-    speeds = {(row["engine"], row["grains"]): row["grain_steps_per_s"] for row in found["throughput"]}
-    for row in found["answers"]:
+    speeds = {(row["engine"], row["grains"]): row["grain_steps_per_s"] for row in numbers["throughput"]}
+    for row in numbers["answers"]:
         values = [speeds.get((name, row["grains"])) for name in ENGINES]
         cells = [f"{value / 1e6:.4g} M/s" if value else "" for value in values]
         cells.append(f"{row['seconds'] * 1e3:.3g} ms, {row['active_grains']} computed")
         lines.append(f"| {row['grains']:,} | " + " | ".join(cells) + " |")
     lines += ["", "| chains of 120 grains | steps | " + " | ".join(f"threads: {t}" for t in THREADS) + " | gain |"]
     lines.append("|---" * (len(THREADS) + 3) + "|")
-    for steps in dict.fromkeys(row["steps"] for row in found["ensembles"]):
-        rows = [row for row in found["ensembles"] if row["steps"] == steps]
+    for steps in dict.fromkeys(row["steps"] for row in numbers["ensembles"]):
+        rows = [row for row in numbers["ensembles"] if row["steps"] == steps]
         cells = [f"{row['seconds']:.3g} s" for row in rows]
         gain = rows[0]["seconds"] / rows[-1]["seconds"]
         lines.append(f"| {rows[0]['realisations']} | {steps} | " + " | ".join(cells) + f" | {gain:.2f} |")
@@ -148,27 +148,27 @@ def tables(found: dict[str, list[Row]]) -> str:
 def main() -> None:
     """Measure, print the tables, save the numbers and draw."""
     given = arguments(__file__, __doc__)
-    found = measure(given.quick)
-    print(tables(found))
+    numbers = measure(given.quick)
+    print(tables(numbers))
     with write_aside(given.output.with_suffix(".json")) as aside:
-        aside.write_text(json.dumps({"machine": machine()} | found, indent=1) + "\n", encoding="utf-8")
+        aside.write_text(json.dumps({"machine": machine()} | numbers, indent=1) + "\n", encoding="utf-8")
     picture = figure(10, 4.2)
     speed, strike, threads = picture.subplots(1, 3, width_ratios=(2, 1.3, 1.3))
     for name in ENGINES:
-        rows = [row for row in found["throughput"] if row["engine"] == name]
+        rows = [row for row in numbers["throughput"] if row["engine"] == name]
         speed.loglog([r["grains"] for r in rows], [r["grain_steps_per_s"] for r in rows], label=name, **STYLES[name])
     speed.set(xlabel="grains, all in motion", ylabel="grain-steps a second")
-    rows = found["answers"]
+    rows = numbers["answers"]
     strike.loglog([r["grains"] for r in rows], [r["seconds"] for r in rows], color=COLOURS["native"], marker="s")
     strike.set(xlabel="grains, the first is struck", ylabel="time to the answer for 100 µs, s", ylim=(1e-3, 1))
     for steps in LENGTHS:
-        rows = [row for row in found["ensembles"] if row["steps"] == steps]
+        rows = [row for row in numbers["ensembles"] if row["steps"] == steps]
         rate = [row["realisations"] / row["seconds"] for row in rows]
         threads.plot([row["threads"] for row in rows], rate, marker="s", label=f"{steps} steps")
     threads.set(xlabel="threads", ylabel="random chains a second", xticks=THREADS)
     threads.set_ylim(bottom=0)
     legends(picture)
-    versions = found["throughput"][0]["provenance"]
+    versions = numbers["throughput"][0]["provenance"]
     about = [machine(), *(f"{name} {versions[name]}" for name in ("lmpchain", "python", "numpy", "numba"))]
     picture.supxlabel(", ".join(about), fontsize="x-small")
     finish(picture, given.output)

@@ -6,7 +6,7 @@ of the chain as well. Not h^(-1/12), which is for waves of one frequency: peak v
 """
 
 import numpy as np
-from figures import SHADES, THEORY, apart, arguments, finish, gentle, legends, page, say
+from figures import SHADES, THEORY, apart, arguments, finish, legends, page, say, weak_scene
 from scipy.integrate import trapezoid
 
 import lmpchain
@@ -24,7 +24,7 @@ def strike(depths: np.ndarray, delta: float) -> lmpchain.Trajectory:
     tau = float(front.peak_time(deepest, delta)) + 8 * deepest ** (1 / 3 - (1 - 1 / delta) / 2)
     grains = int(continuum.depth(tau, delta)) + 20  # the floor is not reached
     recorded = np.union1d(depths, depths + 1).tolist()  # the next ones for the work that is done on them
-    scene = gentle(grains, tau, int(PER_TAU * tau) + 1, 1e-8, delta, recorded=recorded)
+    scene = weak_scene(grains, tau, int(PER_TAU * tau) + 1, 1e-8, delta, recorded=recorded)
     return lmpchain.simulate(scene, "native", tolerance=1e-8)
 
 
@@ -52,27 +52,27 @@ def main() -> None:
     """Strike columns of several exponents; draw velocity, time and energy against depth."""
     given = arguments(__file__, __doc__)
     deepest, deltas, further = (200, (1.0, 1.5), ()) if given.quick else (DEEPEST, DELTAS, FURTHER)
-    title = "Transport: the first pulse of a gentle strike on the top, native engine against theory.front (lines)"
+    title = "Transport: the first pulse of a weak strike on the top, native engine against theory.front (lines)"
     picture, pairs = page(title, 2, rows=2, width=12, height=11)
     (speed, speed_off), (time, time_off), (energy, energy_off), (power, power_off) = pairs
     depths = np.unique(np.geomspace(5, deepest, 40).astype(int))
     exponents = []
     for place, delta in enumerate(sorted((*deltas, *further))):
         run = strike(depths, delta)
-        found = measured.track(run)
+        passed = measured.track(run)
         if delta <= 2:  # beyond, the law is too far away for a fit
-            law = measured.asymptotic(found.between(deepest // 10, deepest), "amplitude", delta)
+            law = measured.asymptotic(passed.between(deepest // 10, deepest), "amplitude", delta)
             exponents.append((delta, -law.exponent, law.error[0]))
         if delta not in deltas:
             continue
         shade = SHADES[deltas.index(delta)]
         unit = run.scene.chain.time_scale
-        rows = np.searchsorted(found.grain, depths)
-        v, t = found.amplitude[rows] / run.scene.excitation.velocity, found.time[rows] / unit
+        rows = np.searchsorted(passed.grain, depths)
+        v, t = passed.amplitude[rows] / run.scene.excitation.velocity, passed.time[rows] / unit
         theory_v, theory_t = front.peak_velocity(depths, delta), front.peak_time(depths, delta)
         behind = [
             run.time[(run.time > at) & (run.velocity[:, np.searchsorted(run.grains, n)] <= 0)][0]
-            for n, at in zip(depths, found.time[rows], strict=True)
+            for n, at in zip(depths, passed.time[rows], strict=True)
         ]
         e = np.array([carried(run, n, until) for n, until in zip(depths, behind, strict=True)])
         theory_e = theory_carried(depths, delta)

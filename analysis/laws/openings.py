@@ -38,20 +38,20 @@ def order_through_openings(integrator: str, exponent: float) -> float:
 
 
 def errors_through_openings(
-    scene: Scene, integrator: str, counts: Iterable[int], truth: Reference, adaptive: bool = False, runs: int = 40
+    scene: Scene, integrator: str, counts: Iterable[int], reference: Reference, adaptive: bool = False, runs: int = 40
 ) -> Array:
     """Return relative errors at the end of a scene at about these numbers of native steps.
 
     Steps are of one length, or adaptive.
 
     Each is the root of the mean square over so many `runs` of up to a fifth more steps, for the error of a step that
-    crosses an opening depends on where in the step that falls. One error is the largest difference from the truth over
-    the largest value in any of its samples, the larger one of displacement and velocity.
+    crosses an opening depends on where in the step that falls. One error is the largest difference from the reference
+    over the largest value in any of its samples, the larger one of displacement and velocity.
     """
     engine = engines.Native(integrator=integrator)
     scene = Scene(**scene.given() | {"samples": 2, "grains": "all"})
     proposed = engine.candidate(scene, 0.5)
-    true = truth.displacement, truth.velocity
+    true = reference.displacement, reference.velocity
 
     def error(count: int) -> float:
         candidate = replace(proposed, steps_per_sample=count, step=scene.duration / count, adaptive=adaptive)
@@ -60,8 +60,8 @@ def errors_through_openings(
             *_, last = run.blocks()
         finally:
             run.close()
-        found = last.displacement[0, -1], last.velocity[0, -1]
-        return float(max(np.abs(x - y[-1]).max() / np.abs(y).max() for x, y in zip(found, true, strict=True)))
+        end = last.displacement[0, -1], last.velocity[0, -1]
+        return float(max(np.abs(x - y[-1]).max() / np.abs(y).max() for x, y in zip(end, true, strict=True)))
 
     groups = [np.linspace(count, 1.2 * count, runs).astype(int) for count in counts]
     return np.array([math.sqrt(np.mean([error(int(count)) ** 2 for count in group])) for group in groups])

@@ -36,7 +36,7 @@ def measure(quick: bool) -> dict[str, Any]:
         "width": depth(widths).tolist(),
         "tau": tau.tolist(),
         "spread": [continuum_error(s, tau).tolist() for s in widths],
-        "waves": {f: [x.tolist() for x in found] for f, found in waves.items()},
+        "waves": {f: [x.tolist() for x in pair] for f, pair in waves.items()},
         "front": [x.tolist() for x in fronts(60.0 if quick else 300.0)],
     }
 

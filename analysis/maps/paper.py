@@ -50,9 +50,9 @@ def draw(data: dict[str, Any]) -> Figure:
     picture = figure(15, 5.2)
     linear, uniform, continuous = picture.subplots(1, 3)
     linearisation.draw_boundaries(linear, 0.1, 1000, background="black")
-    for name, found in data["strikes"].items():
-        label = f"{name}\n{100 * found['velocity']:.0f} % off"
-        _point(linear, found["gravity"], found["v0"], label, (-6, 8) if name == "Fig. 5, g" else (0, 8), "center")
+    for name, strike in data["strikes"].items():
+        label = f"{name}\n{100 * strike['velocity']:.0f} % off"
+        _point(linear, strike["gravity"], strike["v0"], label, (-6, 8) if name == "Fig. 5, g" else (0, 8), "center")
     linear.set(ylim=(3e-8, 0.1))
     linear.set_title("Linear theory: velocities at 100 µs", loc="left", fontsize="medium")
     homogeneous.draw_boundaries(uniform, 10, 1000, background="black")

@@ -1,7 +1,7 @@
 """Predictability of a struck column: growth of a change in the last digits, and its limit.
 
 Columns of glass beads of 1 mm under g. Reflections through contacts that open and close amplify any change of the start
-until nothing of it is left; the horizon of a tolerance is where rounding has grown to it.
+until nothing of it is left; the predictability time of a tolerance is when rounding has grown to it.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ def draw(data: dict) -> Figure:
         mesh = ax.pcolormesh(velocities, times, decades, vmin=0, vmax=MOST, cmap="cividis", shading="gouraud")
         levels = [np.log10(tol / SEED) for tol in TOLERANCES]
         ax.contour(velocities, times, decades, levels=levels, colors="white", linewidths=1.6)
-        for horizons in panel["law"].values():
-            ax.plot(panel["valid"], 1e3 * np.array(horizons), color="#D55E00", lw=1.8, ls="--")
+        for predicted in panel["law"].values():
+            ax.plot(panel["valid"], 1e3 * np.array(predicted), color="#D55E00", lw=1.8, ls="--")
         ax.set(xscale="log", xlim=velocities[[0, -1]], ylim=times[[0, -1]], xlabel="strike (m/s)")
         ax.set_title(f"{panel['grains']} grains", fontsize="medium")
     for level, tolerance in zip(levels, TOLERANCES, strict=True):  # named where they leave the last panel on the right
@@ -65,9 +65,7 @@ def draw(data: dict) -> Figure:
             spot, name = (velocities[-1], times[end]), f"1e{np.log10(tolerance):.0f}"
             ax.annotate(name, spot, (4, 0), textcoords="offset points", va="center")
     axes[0].set_ylabel("time after the strike (ms)")
-    axes[0].plot(
-        [], [], color="0.75", lw=1.6, label="horizon of a tolerance of 1e-9, 1e-6, 1e-3 (from below): measured"
-    )
+    axes[0].plot([], [], color="0.75", lw=1.6, label="predictability time to 1e-9, 1e-6, 1e-3 (from below): measured")
     axes[0].plot([], [], color="#D55E00", lw=1.8, ls="--", label="predicted: 0.9 (1 - exp(-N/20)) decades a reflection")
     picture.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
     picture.colorbar(mesh, ax=axes, label="growth of a small change (decades)")

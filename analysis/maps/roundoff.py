@@ -63,8 +63,8 @@ def draw(data: dict) -> Figure:
     for ax, panel in zip(axes, panels, strict=True):
         for name, (colour, marker) in zip(WAYS, STYLES, strict=True):
             ax.loglog(data["many"], panel["law"][name], color=colour, lw=1.4, label=f"{name}: law")
-            found = panel["measured"][name]
-            ax.loglog(data["strikes"], found, color=colour, ls="none", marker=marker, ms=6, label="measured")
+            measured = panel["measured"][name]
+            ax.loglog(data["strikes"], measured, color=colour, ls="none", marker=marker, ms=6, label="measured")
         ax.axhline(TOLERANCE, color="0.5", lw=1, ls=":", zorder=0)
         ax.axvline(1, color="0.85", lw=0.8, zorder=0)
         ax.set_title(f"{panel['grains']} grains, {1e3 * (panel['grains'] - 1) * 1e-3:g} mm high", fontsize="medium")

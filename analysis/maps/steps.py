@@ -112,14 +112,14 @@ def _panel(ax: Any, data: dict[str, Any], name: str) -> None:
 
 def _vacuum(ax: Any, data: dict[str, Any]) -> None:
     """Draw steps in s against velocities in m/s, for two well separated methods."""
-    speeds, found = data["speeds"], data["vacuum"]
+    speeds, steps = data["speeds"], data["vacuum"]
     for name, beyond in (("verlet", False), ("rkn6", True)):
         factor = data["steep"][name] / METHODS[name].stability_limit if beyond else 1.0
-        expected = np.array(found["predicted"][name]) * factor
+        expected = np.array(steps["predicted"][name]) * factor
         ax.loglog(speeds, expected, **LINE | {"ls": "--" if beyond else "-"})
-        ax.loglog(speeds, found["native"][name], **style("native", 5))
+        ax.loglog(speeds, steps["native"][name], **style("native", 5))
         ax.annotate(name, (speeds[0], expected[0]), (6, 4), textcoords="offset points")
-    ax.loglog(speeds, found["lammps"]["verlet"], **style("lammps", 9))
+    ax.loglog(speeds, steps["lammps"]["verlet"], **style("lammps", 9))
     ax.set(xlabel="strike velocity (m/s)", ylim=(1e-6, 1e-4))
     ax.set_title("sonic vacuum: longest step (s)", loc="left", fontsize="medium")
 
@@ -127,5 +127,5 @@ def _vacuum(ax: Any, data: dict[str, Any]) -> None:
 def style(engine: str, size: float) -> dict[str, Any]:
     """Return how the points of an engine are drawn."""
     label = "measured, LAMMPS" if engine == "lammps" else f"measured, {engine}"
-    look = {"color": COLOURS[engine], "marker": MARKERS[engine], "ms": size, "mfc": "none", "mew": 1.4}
-    return look | {"ls": "none", "label": label}
+    drawn = {"color": COLOURS[engine], "marker": MARKERS[engine], "ms": size, "mfc": "none", "mew": 1.4}
+    return drawn | {"ls": "none", "label": label}

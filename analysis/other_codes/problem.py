@@ -148,13 +148,13 @@ class Problem:
         return Problem(self.scene.part(1, grains))
 
 
-def error(answer: Answer, truth: Reference) -> float:
+def error(answer: Answer, solution: Reference) -> float:
     """Return the error as lmpchain defines it, over the two samples: larger of displacement and velocity.
 
     Grains below those of a chain that was cut count as at rest.
     """
-    missing = truth.displacement.shape[1] - answer.displacement.size
-    pairs = ((answer.displacement, truth.displacement), (answer.velocity, truth.velocity))
+    missing = solution.displacement.shape[1] - answer.displacement.size
+    pairs = ((answer.displacement, solution.displacement), (answer.velocity, solution.velocity))
     both = [np.abs(np.pad(x, (0, missing)) - true[-1]).max() / np.abs(true).max() for x, true in pairs]
     return float(max(both)) if np.isfinite(both).all() else math.inf
 

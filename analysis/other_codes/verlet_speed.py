@@ -87,11 +87,11 @@ def _hertz_history(problem: Problem) -> str:
 
 def ways() -> dict[str, tuple[list[str], Callable[[Problem], str]]]:
     """Return the programs and what makes their decks."""
-    found = {}
+    programs = {}
     for name, pair in (("granular", granular), ("gran/hertz/history", _hertz_history)):
-        found[f"LAMMPS {name}"] = [LMP], lambda p, pair=pair: deck(pair(p))
+        programs[f"LAMMPS {name}"] = [LMP], lambda p, pair=pair: deck(pair(p))
         for newton in ("off", "on"):
-            found[f"LAMMPS {name}, tuned, newton {newton}"] = (
+            programs[f"LAMMPS {name}, tuned, newton {newton}"] = (
                 [LMP],
                 (lambda p, pair=pair, newton=newton: deck(pair(p), TUNED, newton, "nve")),
             )
@@ -100,8 +100,8 @@ def ways() -> dict[str, tuple[list[str], Callable[[Problem], str]]]:
     except ImportError as missing:
         print(f"left out: {missing}")
     else:
-        found["LIGGGHTS hertz"] = [liggghts.LIGGGHTS], liggghts.deck
-    return found
+        programs["LIGGGHTS hertz"] = [liggghts.LIGGGHTS], liggghts.deck
+    return programs
 
 
 def main() -> None:

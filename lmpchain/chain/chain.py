@@ -14,7 +14,7 @@ from ..errors import InputError
 from ..util.arrays import Array
 from ..util.validation import NOT_GIVEN, Checked, OneOrMany, PositiveVector, Real, Whole
 from .contacts import Contacts, hertz_constant
-from .impurities import Impurities, Impurity
+from .impurities import Impurities, Impurity, misfits, with_impurities
 from .materials import GLASS, Material, OneMaterial, OneOrManyMaterials
 
 LEAST_GRAVITY = 1e-100  # m/s2
@@ -116,16 +116,7 @@ class Chain(Checked):
             value = getattr(self, key)
             if isinstance(value, np.ndarray) and len(value) != length:
                 yield key, f"must have {length} entries for {self.grains} grains, not {len(value)}"
-        for place, impurity in enumerate(self.impurity):
-            if impurity.grain > self.grains:
-                yield f"impurity.{place}.grain", f"there is no grain {impurity.grain}: the chain has {self.grains}"
-            elif impurity.grain in [other.grain for other in self.impurity[:place]]:
-                yield f"impurity.{place}.grain", f"names grain {impurity.grain} a second time"
-            elif self.contact_constants is not None and (impurity.diameter or impurity.material):
-                yield (
-                    f"impurity.{place}",
-                    "may only have a mass of its own where contact_constants are given: they would not follow",
-                )
+        yield from misfits(self.impurity, self.grains, self.contact_constants is not None)
         for end, wall in (("top", self.top_material), ("bottom", self.bottom_material)):
             if wall is not None and getattr(self, end) != "wall":
                 yield f"{end}_material", f'is that of a wall; there is none unless {end} = "wall"'
@@ -136,7 +127,7 @@ class Chain(Checked):
             if self.__dict__[key] is None:
                 del self.__dict__[key]
         if "masses" in self.__dict__ and self.impurity:
-            self.__dict__["masses"] = self._with_impurities("mass", self.masses.copy())
+            self.__dict__["masses"] = with_impurities(self.masses, self.impurity, "mass")
         return self
 
     if not TYPE_CHECKING:
@@ -144,7 +135,8 @@ class Chain(Checked):
         def __getattr__(self, name: str) -> Any:
             """Compute masses and contact constants from the grains on first use."""
             if name == "masses":
-                value = self._with_impurities("mass", self._by_grain("density") * np.pi / 6 * self.diameters**3)
+                alike = self._by_grain("density") * np.pi / 6 * self.diameters**3
+                value = with_impurities(alike, self.impurity, "mass")
             elif name == "contact_constants":
                 value = self._hertz_constants[1:-1]
             else:
@@ -196,13 +188,6 @@ class Chain(Checked):
                 values[impurity.grain - 1] = getattr(impurity.material, prop)
         return values
 
-    def _with_impurities(self, key: str, values: Array) -> Array:
-        """Replace the values (N,) of the impurities that have one of their own."""
-        for impurity in self.impurity:
-            if (own := getattr(impurity, key)) is not None:
-                values[impurity.grain - 1] = own
-        return values
-
     @cached_property
     def _hertz_constants(self) -> Array:
         """Hertz constants of all contacts, with a wall at either end, (N+1,) N/m^delta."""
@@ -236,7 +221,7 @@ class Chain(Checked):
     @cached_property
     def diameters(self) -> Array:
         """Diameter of every grain, (N,) m."""
-        return self._with_impurities("diameter", np.array(np.broadcast_to(self.diameter, (self.grains,))))
+        return with_impurities(np.broadcast_to(self.diameter, (self.grains,)), self.impurity, "diameter")
 
     @cached_property
     def contact_lengths(self) -> Array:
