@@ -56,7 +56,7 @@ Impurities = Annotated[tuple[Impurity, ...], BeforeValidator(_impurities)]
 
 
 def misfits(impurities: Sequence[Impurity], grains: int, constants_given: bool) -> Iterator[tuple[str, str]]:
-    """Yield what of the impurities does not fit a chain of this length, with given contact constants or not."""
+    """Yield the faults of impurities in a chain of this length, with its own contact constants or not."""
     for place, impurity in enumerate(impurities):
         if impurity.grain > grains:
             yield f"impurity.{place}.grain", f"there is no grain {impurity.grain}: the chain has {grains}"

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Quantity = Literal["amplitude", "time", "width", "speed"]
+FEWEST = 6  # grains for a power law with its correction
 OTHERS = {"time": "s", "width": "s", "speed": "m/s"}  # units
 
 
@@ -207,8 +208,10 @@ def asymptotic(front: Front, quantity: Quantity, delta: float, exponent: float |
     """
     depth, values, label = front.against_depth(quantity)
     x, y = np.log(depth), np.log(values)
-    if depth.size < 6 or not 1 <= delta <= 2:
-        raise InputError([("front", f"takes 6 grains or more (got {depth.size}), and 1 <= delta <= 2 (got {delta})")])
+    if not 1 <= delta <= 2:
+        raise InputError([("front", f"has such a law for 1 <= delta <= 2 only (got {delta})")])
+    if depth.size < FEWEST:
+        raise InputError([("front", f"a fit needs it at {FEWEST} or more grains (got {depth.size}): record longer")])
     order = 2 / 3 if quantity in ("time", "speed") else 1 / delta - 1 / 3
     known: list[float] = [] if exponent is None else [exponent]
 

@@ -132,7 +132,7 @@ def plan(scene: Scene, tolerance: float = 1e-6) -> Plan:
     Raises
     ------
     InputError
-        If the tolerance is none.
+        If the tolerance is not between 0 and 1.
     ToleranceNotMet
         If no engine expects to meet it.
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-TOLERANCE = 1e-6  # of the horizon
+TOLERANCE = 1e-6  # of the predictability time
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ def _draw_growth(axes: Axes, found: Stability) -> None:
         if row.what.startswith("predictable"):
             for value, style, label in ((row.predicted, "--", "predicted"), (row.measured, "-", "measured")):
                 if np.isfinite(value) and value <= 1.2 * end:
-                    axes.axvline(value, color="0.3", ls=style, lw=1.2, label=f"{label} horizon for {TOLERANCE:g}")
+                    axes.axvline(value, color="0.3", ls=style, lw=1.2, label=f"predictable to {TOLERANCE:g}, {label}")
     axes.set(yscale="log", xlabel="time", ylabel="distance of two runs, over the largest value")
     axes.xaxis.set_major_formatter(EngFormatter("s"))
     axes.locator_params(axis="x", nbins=5)
@@ -197,7 +197,7 @@ def _draw_strength(axes: Axes, found: Stability) -> None:
     axes.set(
         xscale="log", yscale="log", xlabel="strength of the strike, over that of the scene", ylabel="relative error"
     )
-    axes.set_title("What is left out, and what rounding makes")
+    axes.set_title("Model error and round-off")
     _legend(axes)
 
 

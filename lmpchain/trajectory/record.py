@@ -78,25 +78,7 @@ class Block(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """The solution of a scene by an engine.
-
-    Attributes
-    ----------
-    scene : Scene
-    engine : str
-    equation : int
-        Number in the paper of the equation solved.
-    time : (T,) array
-        s.
-    grains : (G,) array
-        Numbers of the recorded grains, from 1 at the top.
-    displacement, velocity : (T, G) arrays
-        From equilibrium, positive downward; m and m/s.
-    error_estimate : ErrorEstimate
-    cost : Cost
-    provenance : dict
-        Choices that shaped the answer, and versions.
-    """
+    """The solution of a scene by an engine; its fields are those of `lmpchain.Trajectory`."""
 
     scene: Scene
     engine: str

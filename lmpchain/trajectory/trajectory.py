@@ -39,7 +39,7 @@ class Trajectory(Record):
     error_estimate : ErrorEstimate
     cost : Cost
     provenance : dict
-        Choices that shaped the answer, and versions.
+        Choices that shaped the solution, and versions.
     """
 
     def to_xarray(self) -> xarray.Dataset:

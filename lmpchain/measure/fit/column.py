@@ -19,7 +19,7 @@ from ...theory.domain import exponents
 from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array
 from ...util.plotting import axes_in_units
-from ..front import Front, PowerLaw, asymptotic, track
+from ..front import FEWEST, Front, PowerLaw, asymptotic, track
 from ..spectrum import Field
 
 if TYPE_CHECKING:
@@ -87,9 +87,7 @@ class FrontLaw:
 
 @dataclass(frozen=True, eq=False)
 class ContinuumFit:
-    """Impulse response of the continuum, ``phi = v0 C (tau^2 - chi^2)^(-xi/2eta)``, Eq. (35).
-
-    It is fitted far behind the front.
+    """Eq. (35), ``phi = v0 C (tau^2 - chi^2)^(-xi/2eta)``, fitted far behind the front.
 
     Attributes
     ----------
@@ -212,7 +210,7 @@ def _front_law(trajectory: Trajectory, first: int) -> FrontLaw | None:
     except InputError:
         return None
     n = front.grain
-    if n.size < 6:
+    if n.size < FEWEST:
         return None
     h, time = n - 0.5, front.time / chain.time_scale
     shift = theory.peak_time(n, chain.exponent) - chi(h, chain.exponent)
@@ -294,6 +292,9 @@ def fit_exponents(trajectory: Trajectory, first: int = 20, last: int | None = No
     xi, eta, _ = exponents(delta)
     p, q = theory.decay(delta)
     velocity = _front(trajectory, "velocity", first, last)
+    if (shown := velocity.grain.size) < FEWEST:
+        need = f"a fit needs it at {FEWEST} or more grains from grain {first} on; this run shows {shown}"
+        raise InputError([("front", f"{need}: record longer")])
     fronts = {"velocity": ("amplitude", velocity)}
     with suppress(InputError):  # behind a strong wave the displacement has no maximum
         fronts["displacement"] = "amplitude", _front(trajectory, "displacement", first, last)
