@@ -48,7 +48,6 @@ def springs_error(grains: int, excess: ArrayLike) -> Array:
     """Return the deviation of v / v0 from that of springs, over its peak, at tau = 14.5.
 
     The exponent of the column is 1 + excess.
-
     To first order in the excess: Eq. (19) with ``kappa_n = n^excess``.
     """
     n, small = np.arange(1, grains), 1e-6
@@ -60,7 +59,6 @@ def period(scene: Scene) -> float:
     """Return the period, s, of a chain with one degree of freedom.
 
     It has one moving grain, or grains 1 and 3 in antiphase.
-
     It has one degree of freedom, so ``T = 2 int dx / v(x)`` with v from the conserved energy, whatever the amplitude:
     one grain bounces on the one below, or flies, at large ones. Stretches end where a contact opens, and
     ``x = turn (1 - s^2)`` takes the root away at the turning points; right to some 1e-12.
@@ -94,7 +92,6 @@ def buckling(chain: Chain, gauge: float = 0.0) -> Modes:
     """Return the buckling modes of a column of frictionless spheres.
 
     These are `.frequency`, rates of growth in 1/s, and `.shape`.
-
     A contact pushes along the line of centres, so sideways by ``F_n (x_n - x_(n+1)) / d_n`` away from the axis, and
     nothing pulls back: ``m x'' = +(F/d) Laplacian``. Alike grains under a load grow by up to ``2 sqrt(F / (m d))``. The
     gauge diameter, or else the physical one, less the overlap is d.
@@ -127,8 +124,7 @@ def front_of_springs(n: ArrayLike) -> Array:
 def bessel_rounding(n: ArrayLike) -> Array:
     """Return the relative rounding error of Bessel functions of order 2n at the front.
 
-    That of T is amplified by J'
-    J, to n^(2/3).
+    That of T is amplified by J' / J, to n^(2/3).
     """
     return EPSILON * (2 * np.asarray(n, dtype=float)) ** (2 / 3)
 

@@ -43,7 +43,6 @@ def errors_through_openings(
     """Return relative errors at the end of a scene at about these numbers of native steps.
 
     Steps are of one length, or adaptive.
-
     Each is the root of the mean square over so many `runs` of up to a fifth more steps, for the error of a step that
     crosses an opening depends on where in the step that falls. One error is the largest difference from the reference
     over the largest value in any of its samples, the larger one of displacement and velocity.

@@ -121,7 +121,6 @@ def continuum_width(error: float, tau: float, exponent: float = 1.5) -> float:
     """Return the width, in grains, above which the error of Eq. (27) at tau is below this value.
 
     It follows from `continuum_law`.
-
     It grows as slowly as tau^(6/25) for Hertz.
 
     Examples
@@ -172,9 +171,7 @@ def behind_front(h: ArrayLike, error: float = 0.01) -> Array:
 def phase_velocity(wavelength: ArrayLike) -> Array:
     """Return the phase velocity of the chain over that of the continuum, sin(x)/x.
 
-    Here x = pi
-    wavelength in grains.
-
+    Here x = pi / wavelength in grains.
     From omega = 2 sqrt(kappa) sin(k/2). It is 1 % lower at 12.8 grains and 10 % at 4.0.
 
     Examples

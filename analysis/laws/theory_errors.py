@@ -147,7 +147,6 @@ def driven(frequency: float, tau: float = 150.0) -> tuple[Array, Complex]:
     """Return depths (G,) and the complex amplitude there over that of grain 1, (G,).
 
     It is the factor of exp(i omega tau).
-
     The top is driven weakly at the frequency omega, in units of tau, for a time tau. The average is over the last four
     periods; left out are depths that the wave has reached but lately and, within 15 / omega of travel time, where no
     local wavelength is known.

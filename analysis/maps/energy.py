@@ -35,7 +35,6 @@ def hot(grains: int) -> lmpchain.Scene:
     """Return a loaded chain with random velocities, large enough to be nonlinear.
 
     The last grain starts at rest.
-
     With more than four grains energy may stay localised for 1e5 steps and then spread, which mimics a trend of 1e-6.
     """
     chain = lmpchain.Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-2)

@@ -42,7 +42,7 @@ class Bench:
     Attributes
     ----------
     share_s : float
-        How long each may take once it is warm, so without compiling, s.
+        Time limit of each engine, without compilation, s.
     dropped : int
         Points left out because their error is below ten times that of the reference.
     versions : dict of str
@@ -174,7 +174,7 @@ Scan = tuple[str, str, Callable[[Bench], Iterator[Point]]]  # engine, integrator
 def work_precision(scene: Scene, budget_s: float = BUDGET_S, *, progress: bool = False) -> WorkPrecision:
     """Measure error and time of every engine and integrator that can solve a scene.
 
-    Steps are shortened from the longest that holds by factors of sqrt(2) until the error stops falling or the time is
+    Steps are shortened from the longest stable one by factors of sqrt(2) until the error stops falling or the time is
     used up, tolerances by factors of sqrt(10). Each time is the least of three runs or more after one to warm up.
 
     Parameters

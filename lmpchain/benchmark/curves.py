@@ -32,7 +32,7 @@ class Point(Row):
     Attributes
     ----------
     tolerance : float or None
-        What was asked for, unless the step was given.
+        The tolerance, None for a given step.
     setup_s, estimate_s : float
         Time for setting up and for the error estimate, s; not part of `integration_s`.
     seconds : float
@@ -40,11 +40,11 @@ class Point(Row):
     step_s : float
         s.
     grain_steps_per_s : float
-        Force evaluations times grains that are computed, in a second of integration.
+        Force evaluations times computed grains, per second of integration.
     longest : bool
-        Whether this is the longest step that holds: at longer ones the run breaks down or is off by more than 1.
+        Whether this is the longest stable step: at longer ones the run breaks down or its error exceeds 1.
     pareto : bool
-        Whether no other point is faster and as accurate.
+        Whether the point is on the Pareto front: no other is faster and as accurate.
     """
 
     tolerance: float | None
@@ -68,7 +68,7 @@ class Curve:
     Attributes
     ----------
     engine, integrator : str
-        The latter is empty where the engine has none or chooses itself.
+        The integrator is empty where the engine has none or chooses one.
     points : tuple of Point
     """
 
@@ -99,7 +99,7 @@ class WorkPrecision:
     dropped : int
         Points left out because their error is below ten times that of the reference.
     left_out : tuple of str
-        Engines that cannot do the scene, and why.
+        Engines that cannot solve the scene, and why.
     versions : dict of str
     """
 

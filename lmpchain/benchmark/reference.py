@@ -39,7 +39,7 @@ class Reference:
     displacement, velocity : (T, N) arrays
         Of every grain, recorded or not; from equilibrium, positive downward; m and m/s.
     error : float
-        How far it may itself be off, as defined for `lmpchain.trajectory.record.ErrorEstimate`.
+        Its own error, as defined for `lmpchain.trajectory.record.ErrorEstimate`.
     method : str
         Description of the method.
     """
@@ -54,15 +54,15 @@ class Reference:
 def reference(scene: Scene) -> Reference:
     """Solve Eq. (1) by Taylor series in time, in NumPy's long double.
 
-    The series of a force follows term by term from that of the overlap, ``y (y^delta)' = delta y' y^delta``. It holds
-    until a contact opens or closes, where the force is once differentiable at best; how far, its last terms say. So
-    steps shrink towards an opening and the last of them ends there, at a root of the overlap's own series, and they
-    grow again after a closing: the order is never lost. Lengths are in units of the largest excursion and forces are
-    found as differences from equilibrium, ``F_n expm1(delta log1p(s))``: weak waves keep all their digits. Grains that
-    nothing has reached yet are left out.
+    The series of a force follows term by term from that of the overlap, ``y (y^delta)' = delta y' y^delta``. It
+    converges until a contact opens or closes, where the force is once differentiable at best; its last terms estimate
+    how far. So the adaptive step size shrinks towards an opening, the last step ends there, at a root of the series of
+    the overlap, and steps grow again after a closing: the order is never lost. Lengths are in units of the largest
+    excursion and forces are computed as differences from equilibrium, ``F_n expm1(delta log1p(s))``: weak waves keep
+    all their digits. Grains that the wave has not reached are left out.
 
-    Its error is measured as the difference to a run of order 24 at a hundred times the tolerance, so with other steps.
-    Added is what both share: they begin with the same digits and end in double precision. It is some 4e-16 in all
+    Its error is the difference to a run of order 24 at a hundred times the tolerance, so with other steps, plus what
+    both share: they begin with the same digits and end in double precision. It is some 4e-16 in all
     unless the scene is chaotic, and 1e-14 to 1e-12 where long double is no better than double.
 
     Jorba and Zou, Experimental Mathematics 14, 99 (2005), for the steps.
@@ -70,7 +70,7 @@ def reference(scene: Scene) -> Reference:
     Raises
     ------
     RunFailed
-        If steps become too short to go on.
+        If steps become too short to continue.
     """
     motion = _Motion(scene)
     u, v = motion.solve(ORDER, TRUNCATION)
@@ -240,7 +240,7 @@ def _contacts(here: slice) -> slice:
 def _first_root(gap: Longs, end: Long) -> Long:
     """Return a lower bound of the first root of a polynomial: the root itself, or at least `end`.
 
-    Newton's method with a bound of the second derivative in it, so that it never steps over a root.
+    Newton's method with a bound of the second derivative, so that it never steps over a root.
     """
     slope, bend, at = _slope(gap), _bend(gap, end), Long(0)
     for _ in range(SEARCH):

@@ -262,7 +262,7 @@ class Chain(Checked):
     def part(self, first: int, last: int) -> Chain:
         """Return grains first ... last as a chain: the same motion until a wave reaches its ends.
 
-        What lies above becomes a top load, and grain `last` is held unless the chain ends with it. Masses and
+        Grains above become a top load, and grain `last` is held unless the chain ends with it. Masses and
         constants are those of this chain, and so are forces and overlaps if `first` is 1; else their last bits may
         differ. Grains left out cost nothing where grains are alike but for impurities.
 

@@ -46,7 +46,7 @@ class Contacts:
     constant : (N+1,) array
         K_n, N/m^delta.
     force : (N+1,) array
-        What each contact carries at rest, N.
+        Force of each contact at rest, N.
     exponent : float
         delta.
     """
@@ -94,9 +94,7 @@ class Contacts:
     def energy(self, r: Array) -> Array:
         """Return the contact energy above that at rest, (..., N+1) J, for a change r of the overlap.
 
-        It is the integral of K [eps + r]^delta - K eps^delta over r.
-
-        It keeps its relative accuracy for the weakest waves.
+        It is the integral of K [eps + r]^delta - K eps^delta over r, accurate in relative terms for the weakest waves.
         """
         power = self.exponent + 1
         loose = self.constant / power * np.maximum(r, 0.0) ** power

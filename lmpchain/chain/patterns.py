@@ -1,6 +1,6 @@
 """Chains whose grains follow a pattern: tapered, periodic, decorated.
 
-Each function returns an ordinary `Chain`; what it does not name itself is passed on as keywords of `Chain`.
+Each function returns a `Chain`; other keywords are passed on to `Chain`.
 """
 
 from __future__ import annotations

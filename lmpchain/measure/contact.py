@@ -202,8 +202,7 @@ def drive_force(trajectory: Trajectory) -> Array:
     """Return the force of the driver on grain 1, (T,) N, positive downward.
 
     It is m_1 phi_1'' + F_1 - m_1 g.
-
-    At rest it is the top load. The blow that starts a motion with a velocity at t = 0 is not in it.
+    At rest it is the top load. The impulse that starts a motion with a velocity at t = 0 is left out.
 
     Raises
     ------

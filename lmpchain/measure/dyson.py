@@ -252,7 +252,6 @@ def relative_stiffness(chain: Chain) -> Array:
     """Return the stiffness of the contact below each grain over that of the first, (N,).
 
     In a uniform column under gravity it is n^(1 - 1/delta).
-
     Grain N has no contact below it unless there is a wall: it is then given one like that above it, under its weight.
 
     Raises

@@ -37,7 +37,7 @@ class Flight:
     distance : float
         Between their centres at rest, m.
     seconds, error : float
-        s; by how much sampling may shift it, s.
+        s; uncertainty by sampling, s.
     """
 
     grains: int
@@ -96,7 +96,7 @@ def time_of_flight(
 ) -> Flight:
     """Return the time of flight between sensors in two grains, which gives the wave speed.
 
-    An echo within the recording may be taken for the wave: record up to it.
+    An echo within the recording may be mistaken for the wave: record up to it.
 
     Parameters
     ----------

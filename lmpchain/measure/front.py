@@ -94,7 +94,7 @@ class Exponents:
     depth, exponent : (L,) arrays
         Geometric mean of the depths h = n - 1/2 of each fit, in grains; p.
     error, residual : (L,) arrays
-        Half the 95 % confidence interval of p and the root mean square of the relative scatter that it rests on.
+        Half the 95 % confidence interval of p, and the root mean square of the relative scatter.
     """
 
     quantity: Quantity
@@ -119,7 +119,7 @@ class PowerLaw:
     order, exponent, factor, correction : float
     error : (3,) array
         Of exponent, factor and correction: half the 95 % confidence interval and, added to it, the shift when a term
-        in h^(-2 order) is fitted too. On smooth data such terms count for more than scatter; yet it is no bound.
+        in h^(-2 order) is fitted too. On smooth data such terms exceed the scatter; it is an estimate, not a bound.
     """
 
     label: str
@@ -198,7 +198,6 @@ def asymptotic(front: Front, quantity: Quantity, delta: float, exponent: float |
     """Fit the asymptotic power law of a quantity and its finite-depth correction.
 
     The wave is that after a weak strike on the top of a column.
-
     With xi = 1 - 1/delta, dispersion spreads the front (tau^2 - chi^2)^(-a), a = xi / (4 - 2 xi), over times ~ h^w,
     w = 1/3 - xi/2. Displacements tend to the power -xi/4 - a w of h, velocities to -xi/4 - (1 + a) w: -1/10 and -4/15
     for Hertz; -1/12 and -1/4 of Hong, Ji and Kim, Phys. Rev. Lett. 82, 3058 (1999), are local ones on the way there.

@@ -181,7 +181,6 @@ def cut_off(chain: Chain) -> Array:
     """Return the local cut-off frequency of each grain, (N,) Hz.
 
     It is that of a uniform chain of such grains with the contact below.
-
     It is sqrt(k_n / m_n) / pi; the last grain takes the contact above. In a sonic vacuum it is 0.
     """
     stiffness = chain.linear_stiffness
@@ -191,9 +190,7 @@ def cut_off(chain: Chain) -> Array:
 def travel_time(chain: Chain, source: int = 1) -> Array:
     """Return the travel time of a weak, long wave from one grain to each, (N,) s.
 
-    It is the sum of sqrt(m
-    k) over the contacts between.
-
+    It is the sum of sqrt(m / k) over the contacts between.
     From grain 1 under a free top it takes half a contact more, as from the surface. The velocity is largest a little
     later, by a time that grows with the width of the front.
     """

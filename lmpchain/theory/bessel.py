@@ -148,8 +148,7 @@ def local(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
 def far_field(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     """Return Eq. (8) with phi_0 = 1: the limit of `local` at long times.
 
-    It holds for tau, that of Eq. (3), far above 2 n^2
-    sqrt(kappa_n).
+    It holds for tau, that of Eq. (3), far above 2 n^2 / sqrt(kappa_n).
 
     ``n^(-xi/4) cos(2 n^(xi/2) tau - pi n - pi/4) / sqrt(pi tau)``; the paper's own tau here is that of Eq. (3) over
     g^(1/6). It is not how Eq. (3) behaves at long times: there nothing oscillates, and a displaced top grain
@@ -175,7 +174,6 @@ def coefficients(kappa: ArrayLike, n: ArrayLike, k: int, terms: int, scale: floa
     """Return the coefficients A_1(n) ... A_terms(n) of the series (19), by Eqs. (20)-(21).
 
     The series is phi_n = sum_j A_j(n) J_(2j-2)(2 sqrt(scale) tau).
-
     Since ``cos(2 phi_i) = 1 - omega_i^2 / (2 scale)``, they are Chebyshev polynomials of the matrix of Eq. (3): the
     three-term recurrence gives them without eigenvectors. In Eq. (20) the cases of the brace are j = 1 and j > 1, not
     i; after Eq. (21), 90 degrees is no mode of N = 3, which has but two.

@@ -86,7 +86,6 @@ def superpose(
     """Return the integral of A(lambda) u_lambda(h) exp(i lambda tau) over lambda > 0, Eq. (31).
 
     With A = 1 it is Eq. (29).
-
     Along the real axis it converges but conditionally; along ``lambda = y exp(i angle)`` exponentially, for every
     tau > -chi. A must be analytic between the two and grow less than exponentially; at 0 it may be as singular as
     lambda^(nu - 0.9). Relative error about 1e-13.
@@ -181,7 +180,6 @@ def resonant_packet(h: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     """Return the real part of Eq. (31) for A = lambda^(-nu): Eq. (34) in one form for all tau.
 
     For Hertz A is lambda^(-2/5).
-
     It does not resonate: the two singular terms of Eq. (34) cancel at the light cone, where it is smooth (as printed,
     with constants of four digits, they leave a spurious peak), and outside the cone the printed form is wrong.
 
@@ -229,7 +227,6 @@ def impulse_response(h: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     """Return the response to unit dphi/dtau of grain 1: C (tau^2 - chi^2)^(-xi/2eta), causal.
 
     It is 0 outside the light cone.
-
     This is Eq. (35) made causal, with its amplitude; for Hertz C (tau^2 - chi^2)^(-1/10). It is infinite on the cone
     (for delta = 1, a step of height 1), where the front of a chain of grains is an Airy function: see `front`.
 

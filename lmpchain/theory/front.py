@@ -43,9 +43,7 @@ def decay(delta: float = 1.5) -> tuple[float, float]:
 def displacement(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     """Return phi_n near the front after unit dphi/dtau of grain 1.
 
-    It is ``C (2 chi w)^(-a) G((tau - chi)
-    w)``.
-
+    It is ``C (2 chi w)^(-a) G((tau - chi) / w)``.
     G is the integral of ``y^(-a) Ai(y - s)`` over y > 0, a = xi / (2 eta) and C that of Eq. (35).
 
     Parameters
@@ -84,7 +82,6 @@ def peak_velocity(n: ArrayLike, delta: float = 1.5) -> Array:
     """Return the largest velocity of grain n over that of the strike.
 
     For Hertz it is 0.931768 n^(-4/15) to leading order.
-
     Arguments and errors as for `displacement`.
 
     Examples
@@ -99,7 +96,6 @@ def peak_time(n: ArrayLike, delta: float = 1.5) -> Array:
     """Return the arrival time of the largest velocity at grain n, chi + s w, in units of tau.
 
     For Hertz s = 0.908.
-
     Arguments and errors as for `displacement`.
 
     Examples

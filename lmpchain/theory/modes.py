@@ -165,7 +165,6 @@ def count(frequency: ArrayLike, grains: int, delta: float = 1.5) -> Array:
     """Return the number of modes of a column of N grains below a frequency, by WKB.
 
     The frequency is in units of 1/tau.
-
     The integral of (2/pi) arcsin(min(1, omega h^(-xi/2) / 2)) over 0 < h < H = N - 1/2. At the k-th
     eigenfrequency it is k - 1/4 - nu/2 (omega < 2) or k - 1/4 (above, where the mode has a turning point).
 

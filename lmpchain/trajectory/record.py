@@ -34,9 +34,9 @@ class ErrorEstimate:
     Attributes
     ----------
     model : float
-        Because the equation solved is not Eq. (1).
+        Error of the equation solved, 0 for Eq. (1).
     solver : float
-        Because it was not solved exactly: step and round-off.
+        Error of its numerical solution: time step and round-off.
     """
 
     model: float
@@ -66,8 +66,8 @@ class Cost:
 class Block(NamedTuple):
     """A block of the solution: realisations x samples x recorded grains.
 
-    `columns` says which of the recorded grains they are; the others have not moved from equilibrium. A block without
-    samples says that the engine is still at work: a moment to show progress or stop.
+    `columns` are the recorded grains that it holds; the others are still at equilibrium. A block without samples lets
+    the caller show progress or stop while the engine is at work.
     """
 
     samples: slice

@@ -63,7 +63,7 @@ class Trajectory(Record):
 
         The columns are species (X), pos and velo in m and m/s with z up and grain 1 at rest at z = 0 (as in a deck), id
         (number of the grain), radius in m, and displacement in m, from equilibrium and positive downward; every number
-        is written with all its digits. Nothing stands under the name until the file is whole.
+        is written with all its digits. The file is written atomically.
         """
         from .extxyz import write
 
@@ -102,7 +102,7 @@ class Trajectory(Record):
         Grains are numbered by their heights in the first frame, from the top, whatever the numbers of their atoms; the
         gaps between them, which the weight narrows, and their velocities tell whether z points up or down.
         Displacements are the column v_phi where there is one (and z points up). Else they are how far a grain has
-        fallen from its height at rest; heights leave fewer digits. Nothing is known of the error: its estimate is
+        fallen from its height at rest; heights leave fewer digits. The error is unknown: its estimate is
         infinite.
 
         Parameters
@@ -129,8 +129,8 @@ class Trajectory(Record):
     def load(cls, path: str | PathLike[str]) -> Trajectory:
         """Read a file that `save` wrote, or a run folder; raises `InputError` for anything else.
 
-        The arrays of a run folder stay on the disk: what is indexed is read. Of a run that is not finished, the samples
-        are there that are complete, and the estimate of the error is infinite.
+        The arrays of a run folder stay on the disk and are read on demand. Of an unfinished run, the complete samples
+        are returned with an infinite error estimate.
         """
         from . import netcdf
         from .zarr_store import NAME, OnDisk, open_dataset

@@ -22,7 +22,7 @@ from ..errors import InputError
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path; rename it to `path` on success, remove it on failure.
 
-    What is moved is on the disk, and so is its name. Raises `OSError` as it comes.
+    File and name are flushed to the disk. Raises `OSError` as it comes.
     """
     aside = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.partial{path.suffix}")
     try:

@@ -127,7 +127,6 @@ class BesselFit:
     """A motion ``amplitude [J_(2|n-p|)(2s) + J_(2(n+p-1))(2s)]`` after a strike on grain p.
 
     Here s = rate (t - delay).
-
     The second term is the image in a free top, Eq. (11) if p = 1; under a wall it is absent, Eq. (6). Standard errors
     suppose that residuals are independent of one another, as noise is; what theory leaves out is not.
 
