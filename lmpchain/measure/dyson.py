@@ -15,6 +15,7 @@ from ..scene.scene import Scene
 from ..theory import dyson
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
+from ..util.tables import aligned, number
 from .contact import motion
 
 if TYPE_CHECKING:
@@ -84,19 +85,17 @@ class DysonSums:
             f"Eq. (22): {WHAT}",
             f"random chains: largest mean velocity over {ensembles[0].realisations} linear chains with "
             "kappa_n zeta_n, its standard error and grain",
-            f"{'':>8} {'Eq. (22)':>11} {'sum of':>11} {'Eq. (22)':>11} {'random':>11} {'standard':>11} {'at':>6}",
-            f"{'m':>8} {'as printed':>11} {'weights':>11} {'normalised':>11} {'chains':>11} {'error':>11} {'grain':>6}",
         ]
+        rows = [["m", "as printed", "sum of weights", "normalised", "random chains", "standard error", "grain"]]
         for row in self._rows(ensembles):
-            values = [row[key] for key in ("as_printed", "weights", "normalised")]
             mean = row["random_chains"]
-            values += [mean["largest"], mean["standard_error"]]
-            numbers = " ".join(f"{value:11.5g}" for value in values)
-            lines.append(f"{row['m']:>8g} {numbers} {mean['grain']:>6}")
+            values = row["as_printed"], row["weights"], row["normalised"], mean["largest"], mean["standard_error"]
+            rows.append([f"{row['m']:g}", *(number(value, ".5g") for value in values), str(mean["grain"])])
         at = int(np.abs(ordered).argmax())
-        lines.append(f"{'ordered':>8} {'':35} {ordered[at] / self.unit:11.5g} {'':11} {at + 1:>6}")
+        rows.append(["ordered", "", "", "", number(ordered[at] / self.unit, ".5g"), "", str(at + 1)])
+        lines += aligned(rows)
         largest = max(each.model_error for each in ensembles)
-        lines.append(f"Eq. (3) leaves out up to {largest:.2g} of what a random chain does")
+        lines.append(f"model error of Eq. (3) in random chains: up to {largest:.2g}")
         if squeezed := sum(each.squeezed for each in ensembles):
             lines.append(f"in {squeezed} chains a contact is so soft that Hertz's law would no longer hold at rest")
         return "\n".join(lines)

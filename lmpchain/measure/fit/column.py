@@ -48,7 +48,7 @@ class FrontLaw:
         The order is 1/delta + 1/3, the next one after that of the lag.
     error : (3,) array
         Of exponent, factor and correction: half the 95 % confidence interval, and twice the shift when one more order,
-        higher by 1/delta - 1/3, is fitted too; which is most of what higher orders do.
+        higher by 1/delta - 1/3, is fitted too, which is most of the effect of higher orders.
     expected : (2,) array
         eta / 2 and 2 / eta, Eq. (9) with its factor.
     """
@@ -138,10 +138,10 @@ def fit_continuum(trajectory: Trajectory, first: int = 10, inside: float = INSID
     Parameters
     ----------
     trajectory : Trajectory
-        Of any engine; strikes of strike number far below 1.
+        Of any engine, with a strike number far below 1.
     first : int
     inside : float
-        Between 0 and 1; with less there are fewer grains, less disturbed by being grains.
+        Between 0 and 1; smaller values leave fewer grains, closer to the continuum.
 
     Raises
     ------

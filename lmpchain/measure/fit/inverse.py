@@ -97,7 +97,7 @@ class ParameterFit:
     ----------
     parameter : str
     value, error : float
-        m/s, N or Pa; one standard error, which supposes that residuals are independent of one another, as noise is.
+        m/s, N or Pa; one standard error, which assumes independent residuals, as of noise.
     trace : Trace
     model : (T, G) array
         What the scene with this value gives, in the units of the trace.
@@ -145,20 +145,20 @@ def fit_parameter(
 ) -> ParameterFit:
     """Fit the strike velocity, top load or Young's modulus of a scene to a trace.
 
-    Nine values between 1/span and span times that of the scene are tried, then least squares goes on from the best;
-    the answer may lie 2 span away. An oscillation can be matched a period too early or late: begin near, or let the
-    trace include the arrival of the wave.
+    Nine values between 1/span and span times that of the scene are tried, then least squares continues from the
+    best; the solution may lie 2 span away. An oscillation can be matched a period too early or late: start near, or
+    include the arrival of the wave in the trace.
 
     Parameters
     ----------
     trace : Trace or Trajectory
         Of a trajectory, the velocities of all recorded grains are taken; see `Trace.of`. It begins with the strike.
     scene : Scene
-        All else that is known; its recording plays no part.
+        Everything else that is known; its recording is not used.
     parameter : "velocity", "top_load" or "youngs_modulus"
         Of an impulse, of the chain, of its material (not that of impurities and walls with one of their own).
     simulate : callable
-        What answers a scene: `lmpchain.simulate`, or with an engine of one's choice
+        Solver of a scene: `lmpchain.simulate`, or with an engine of your choice
         ``functools.partial(lmpchain.simulate, engine="native", tolerance=1e-9)``.
     span : float
         Above 1; a span of 1 begins with the value of the scene and tries no others.

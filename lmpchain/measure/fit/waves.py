@@ -128,7 +128,7 @@ class BesselFit:
 
     Here s = rate (t - delay).
     The second term is the image in a free top, Eq. (11) if p = 1; under a wall it is absent, Eq. (6). Standard errors
-    suppose that residuals are independent of one another, as noise is; what theory leaves out is not.
+    assume independent residuals, as of noise; model errors are not independent.
 
     Attributes
     ----------
