@@ -12,7 +12,7 @@ import lmpchain
 from lmpchain.theory import continuum
 
 LAMBDA, TAU, GRAINS, RAMP = 0.5, 200.0, 450, 60.0
-OUT_OF_STEP = 0.2  # of a period after the drive was largest, where the waves down and up differ
+OUT_OF_STEP = 0.2  # of a period after the largest drive: upward and downward waves differ there
 
 
 def main() -> None:

@@ -25,7 +25,7 @@ NATIVE, LAMMPS = (
     for name, size in (("native", 3.5), ("lammps", 6.5))
 )
 THEORY = {"color": "0.2", "lw": 1.4}
-PRINTED = {"color": COLOURS["modes"], "lw": 1.4, "ls": "--"}  # what the paper gives, where that is not right
+PRINTED = {"color": COLOURS["modes"], "lw": 1.4, "ls": "--"}  # the paper's formula where it is wrong
 
 
 def arguments(script: str, doc: str) -> argparse.Namespace:

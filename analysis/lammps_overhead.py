@@ -35,7 +35,7 @@ def main() -> None:
     step = 1e-7
     chain = lmpchain.Chain(grains=arguments.grains, material="glass", diameter=1e-3)
     velocity = np.random.default_rng(1).uniform(-1e-4, 1e-4, arguments.grains)
-    velocity[-1] = 0.0  # it is held; all others move, so that none is left out
+    velocity[-1] = 0.0  # grain N is held; all others move and are computed
     scene = lmpchain.Scene(
         chain=chain, excitation=lmpchain.Profile(velocity=velocity), duration=arguments.steps * step, samples=11
     )

@@ -23,7 +23,7 @@ from lmpchain.engines import Lammps, Native
 from lmpchain.util.files import write_aside
 from lmpchain.util.plotting import COLOURS, figure
 
-STRENGTH = 0.03  # of the velocities, in what each contact holds (v0*)
+STRENGTH = 0.03  # of the velocities, as a strike number v0*
 PHASE = 0.1  # that the deepest contact advances in a step, rad
 WORK = {"native": 1e9, "lammps": 2e6}  # grain-steps of a run, but no more steps than
 STEPS = {"native": 2_000_000, "lammps": 2000}
@@ -109,7 +109,7 @@ def measure(quick: bool) -> dict[str, list[Row]]:
     largest = 4 if quick else 6
     sizes = [10**k for k in range(2, largest + 1)]
     share, runs, chains = (0.01, 1, 50) if quick else (1.0, RUNS, 1000)
-    answer(100), many(1, 100, 2)  # compiling is no part of it
+    answer(100), many(1, 100, 2)  # compiles before the timing
     speeds, answers, ensembles = [], [], []
     for _ in range(runs):
         for grains in sizes:

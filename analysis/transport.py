@@ -23,7 +23,7 @@ def strike(depths: np.ndarray, delta: float) -> lmpchain.Trajectory:
     deepest = int(depths[-1])
     tau = float(front.peak_time(deepest, delta)) + 8 * deepest ** (1 / 3 - (1 - 1 / delta) / 2)
     grains = int(continuum.depth(tau, delta)) + 20  # the floor is not reached
-    recorded = np.union1d(depths, depths + 1).tolist()  # the next ones for the work that is done on them
+    recorded = np.union1d(depths, depths + 1).tolist()  # with the next grains, for the work done on them
     scene = weak_scene(grains, tau, int(PER_TAU * tau) + 1, 1e-8, delta, recorded=recorded)
     return lmpchain.simulate(scene, "native", tolerance=1e-8)
 
@@ -45,7 +45,7 @@ def theory_carried(depths: np.ndarray, delta: float) -> np.ndarray:
     v = front.velocity(n, at, delta)
     last = np.flatnonzero((at > peak) & (v <= 0))[0]
     here = 2 * (n - 0.5) ** (xi / 2) * trapezoid(v[:last] ** 2, at[:last])
-    return here * ((depths - 0.5) / (n - 0.5)) ** (1 / 3 - 2 * front.decay(delta)[0])  # all its factors are powers
+    return here * ((depths - 0.5) / (n - 0.5)) ** (1 / 3 - 2 * front.decay(delta)[0])  # a product of powers of depth
 
 
 def main() -> None:
@@ -60,7 +60,7 @@ def main() -> None:
     for place, delta in enumerate(sorted((*deltas, *further))):
         run = strike(depths, delta)
         passed = measured.track(run)
-        if delta <= 2:  # beyond, the law is too far away for a fit
+        if delta <= 2:  # beyond, the asymptotic law is not reached
             law = measured.asymptotic(passed.between(deepest // 10, deepest), "amplitude", delta)
             exponents.append((delta, -law.exponent, law.error[0]))
         if delta not in deltas:

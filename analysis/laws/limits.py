@@ -31,7 +31,7 @@ from lmpchain.trajectory.trajectory import Trajectory
 from lmpchain.util.arrays import EPSILON, Array
 
 MOST_PRINTED = 143  # m from which m^m in Eq. (23) as printed is beyond the largest double, 1.8e308
-STEADY = 0.05  # omega h of velocity Verlet, at which a straight column is as good as exact
+STEADY = 0.05  # omega h of velocity Verlet: the error of a straight column is then negligible
 BEAD, TAU = 1e-3, 14.5  # the paper's beads, m, and its time of 100 us at g, in the unit of tau
 
 
@@ -99,7 +99,7 @@ def buckling(chain: Chain, gauge: float = 0.0) -> Modes:
     contacts, last = chain.contacts, chain.movable
     apart = (gauge or chain.contact_lengths) - contacts.overlap
     push = contacts.force / apart
-    push[[0, -1]] = 0.0  # a load and walls push straight
+    push[[0, -1]] = 0.0  # load and walls push along the axis
     return between(push[: last + 1], chain.masses[:last])
 
 
@@ -150,7 +150,7 @@ def weak(exponent: float, gravity: float = 9.81, velocity: float | None = None, 
 
 def from_linear(scene: Scene) -> float:
     """Return the error of linear theory against Eq. (1)."""
-    with warnings.catch_warnings(action="ignore"):  # that it is off is what is asked
+    with warnings.catch_warnings(action="ignore"):  # the error is what is measured
         return _apart(simulate(scene, "modes", 0.9), simulate(scene, "native", 1e-11))
 
 

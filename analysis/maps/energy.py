@@ -17,12 +17,12 @@ from lmpchain.util.plotting import SHADES, SHAPES, figure
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-WORK = 0.03  # omega h a force evaluation, the same for all: each is given the steps that it can afford
+WORK = 0.03  # omega h per force evaluation, so that all methods do equal work
 PERIODS = 1e5  # of the band edge: a million steps and more for every method
-SHORT = 100  # periods in which the error is measured against the step, before chaos tells one step from another
-SAMPLES = 201  # samples there
-THINNED = 10  # of the samples of a long run, one is kept
-STEPS = {  # omega h where the error goes as its power
+SHORT = 100  # periods for the error against the step, before chaos separates the runs
+SAMPLES = 201  # samples in these
+THINNED = 10  # every tenth sample of a long run is stored
+STEPS = {  # omega h where the error is a power law
     "verlet": (0.02, 0.2),
     "rkn4": (0.04, 0.16),
     "rkn6": (0.2, 0.6),
@@ -149,7 +149,7 @@ def _over_time(ax: Any, data: dict[str, Any], styles: dict[str, dict[str, str]])
     ax.plot([], [], color="0.2", lw=1, ls="--", label="drift predicted for a weak wave")
     height = -math.inf
     for name in sorted(ends, key=ends.__getitem__):
-        height = max(height + 0.45, math.log10(ends[name]))  # names keep apart
+        height = max(height + 0.45, math.log10(ends[name]))  # labels must not overlap
         text = f"{name}, {data['long'][name]['steps'] / 1e6:.2g}"
         ax.annotate(text, (1.03, 10**height), xycoords=("axes fraction", "data"), va="center",
                     color=styles[name]["color"], annotation_clip=False)  # fmt: skip

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SHADES = tuple(COLOURS.values())
-DEEP = 1000  # the grain around which disturbances of many widths begin
+DEEP = 1000  # grain at the centre of the wide initial disturbances
 LEVELS = (0.01, 0.1)
 XI = 1 / 3
 

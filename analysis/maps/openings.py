@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 EXPONENT = 1.5
-ADAPTIVE = [name for name in METHODS if name not in ("verlet", "gear4")]  # which can be, and have an order to lose
+ADAPTIVE = [name for name in METHODS if name not in ("verlet", "gear4")]  # methods of adaptive steps, order above 2
 ASYMPTOTIC = {"gear4": 0.02}  # step x frequency below which the slope is fitted; others from the first point on
 RUNS = {"dop853": 120}  # for an error; of the others 40
-FLOOR = 3e-13  # error below which round-off has its part
+FLOOR = 3e-13  # error below which round-off contributes
 
 
 def measure(quick: bool) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """Predictability of a struck column: growth of a change in the last digits, and its limit.
 
 Columns of glass beads of 1 mm under g. Reflections through contacts that open and close amplify any change of the start
-until nothing of it is left; the predictability time of a tolerance is when rounding has grown to it.
+until two runs are uncorrelated; the predictability time of a tolerance is when rounding has grown to it.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 LENGTHS = (10, 20, 40)
 TOLERANCES = (1e-9, 1e-6, 1e-3)
 CHANGE = 1e-13
-MOST = 12  # decades after which the two runs have nothing in common
-HOLDS = 30.0, 50.0  # strike numbers between which the law holds; the second is per grain
+MOST = 12  # decades of growth after which two runs are uncorrelated
+HOLDS = 30.0, 50.0  # strike numbers between which the law is valid; the second is per grain
 
 
 def scene(grains: int, velocity: float, duration: float = 5e-3, samples: int = 126) -> Scene:
@@ -59,7 +59,7 @@ def draw(data: dict) -> Figure:
             ax.plot(panel["valid"], 1e3 * np.array(predicted), color="#D55E00", lw=1.8, ls="--")
         ax.set(xscale="log", xlim=velocities[[0, -1]], ylim=times[[0, -1]], xlabel="strike (m/s)")
         ax.set_title(f"{panel['grains']} grains", fontsize="medium")
-    for level, tolerance in zip(levels, TOLERANCES, strict=True):  # named where they leave the last panel on the right
+    for level, tolerance in zip(levels, TOLERANCES, strict=True):  # labelled at the right edge of the last panel
         end = int(np.argmax(decades[:, -1] > level))
         if end > 0:
             spot, name = (velocities[-1], times[end]), f"1e{np.log10(tolerance):.0f}"

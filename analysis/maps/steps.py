@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 PERIODS = 100  # of the band edge, the duration of every run; of two struck grains in the vacuum
 LOADED = {"grains": 12, "diameter": 1e-3, "gravity": 0.0, "top_load": 1e-3}
-STEEP = 1.05  # growth a step that no run survives
+STEEP = 1.05  # growth factor per step at which every run breaks down
 LINE = {"color": "0.2", "lw": 1.5}
 BEYOND = "the same for where its oscillators grow by 5 % a step"
 

@@ -184,5 +184,5 @@ def fill_rate(y, rate, table):
 def _relative_force(s):
     s = s if s > -1.0 else -1.0
     u = math.sqrt(1.0 + s) - 1.0
-    u += 0.5 * ((s - 2.0 * u) - u * u)  # gives back the digits that 1 + s lost
+    u += 0.5 * ((s - 2.0 * u) - u * u)  # restores the digits lost in 1 + s
     return u * (3.0 + u * (3.0 + u))

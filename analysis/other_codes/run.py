@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 
-os.environ["OPENBLAS_NUM_THREADS"] = "1"  # one core for all; to be said before NumPy comes
+os.environ["OPENBLAS_NUM_THREADS"] = "1"  # one core for all codes; must precede the import of NumPy
 
 import argparse
 import json
@@ -37,7 +37,7 @@ CUTTABLE = "scipy", "numbalsoda", "heyoka"
 TARGETS = 1e-3, 1e-6, 1e-9, 1e-12
 LEAST_RUNS, LEAST_S = 3, 0.2  # runs of each point, and for how long
 LONG_S, LAST_S = 2.0, 8.0  # a run above the first is not repeated, one above the second is the last of its code
-LONG_CHAIN, UNTOUCHED = 1000, 1e-15  # a chain worth cutting, and where: below this part of the largest displacement
+LONG_CHAIN, UNTOUCHED = 1000, 1e-15  # shortest chain to cut; displacement over the largest beyond the cut
 
 
 def fastest(code: Code, problem: Problem, parameter: float) -> Answer:

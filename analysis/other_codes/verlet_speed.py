@@ -22,14 +22,14 @@ from lmpchain.benchmark.curves import machine
 from lmpchain.engines import Native
 
 GRAINS = 120, 1000, 10_000
-SPEED, FAINT = 0.05, 1e-9  # of the grains, over eps_1 omega_1: contacts stay shut; so weak that a polynomial will do
+SPEED, FAINT = 0.05, 1e-9  # velocities over eps_1 omega_1: contacts stay closed; weak enough for the polynomial force
 STEP = 0.02  # over the time scale
 NATIVE_WORK, DEM_WORK = (
     2e7,
     1e6,
-)  # grain-steps of a run: short ones, for on a busy machine few long ones are undisturbed
+)  # grain-steps of a run, short because a busy machine disturbs long ones
 NATIVE_RUNS, DEM_RUNS = 40, 7
-ROOTS, REPEATS = 1024, 10_000  # numbers that stay in the first cache, and how often their roots are taken
+ROOTS, REPEATS = 1024, 10_000  # numbers, which fit into the L1 cache, and passes over them
 TUNED = "atom_modify map array sort 0 0\nneighbor 1e-4 bin\nneigh_modify once yes"
 
 

@@ -14,8 +14,8 @@ from problem import TOLERANCES, Answer, Code, Problem, fill_rate
 from lmpchain import RunFailed
 
 MOST_STEPS = 10**7
-LSODA_GRAINS = 1000  # it sets up a dense matrix of the square of 2 M, whether it needs it or not
-LSODA_LEAST = 3e-14  # below, it gives up, line by line
+LSODA_GRAINS = 1000  # LSODA allocates a dense 2 M x 2 M matrix in any case
+LSODA_LEAST = 3e-14  # below, it fails with many messages
 
 
 @numba.cfunc(lsoda_sig)

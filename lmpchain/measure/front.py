@@ -203,7 +203,7 @@ def asymptotic(front: Front, quantity: Quantity, delta: float, exponent: float |
     for Hertz; -1/12 and -1/4 of Hong, Ji and Kim, Phys. Rev. Lett. 82, 3058 (1999), are local ones on the way there.
 
     The order is 1/delta - 1/3 for amplitude and width, 2/3 for time and speed; above delta = 2 the correction cannot be
-    told from the power. A given `exponent` is not fitted. `Front.between` leaves out first grains and reflections.
+    separated from the power. A given `exponent` is not fitted. `Front.between` leaves out first grains and reflections.
     """
     depth, values, label = front.against_depth(quantity)
     x, y = np.log(depth), np.log(values)
