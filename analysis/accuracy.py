@@ -1,6 +1,6 @@
 """True and estimated errors of both engines on the paper's scenes, as a Markdown table.
 
-The truth is a Taylor series of order 32 in extended precision (`lmpchain.benchmark.reference`), known to some 5e-16.
+The reference is a Taylor series of order 32 in extended precision (`lmpchain.benchmark.reference`), error some 5e-16.
 """
 
 from pathlib import Path
@@ -26,11 +26,11 @@ def main() -> None:
     print("|---|---|---|---|---|")
     for name, file in SCENES.items():
         scene = lmpchain.Scene.from_toml(HERE / "scenes" / f"{file}.toml")
-        truth = reference(scene)
+        solution = reference(scene)
         for engine, tolerance in RUNS:
             t = lmpchain.simulate(scene, engine, tolerance)
-            found = error(t, truth)
-            known = f"{found:.0e}" if found > truth.error else f"below {truth.error:.0e}"
+            off = error(t, solution)
+            known = f"{off:.0e}" if off > solution.error else f"below {solution.error:.0e}"
             print(f"| {name} | {engine}, {tolerance:.0e} | {known} | {t.error_estimate.total:.0e} | "
                   f"{t.cost.integration_s * 1e3:.1f} ms |")  # fmt: skip
 

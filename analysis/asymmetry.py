@@ -1,4 +1,4 @@
-"""How unlike its two sides the pulse of a struck column is: the paper's "pronounced asymmetry" of Eq. (35).
+"""Rise and fall of the pulse of a struck column: the paper's "pronounced asymmetry" of Eq. (35).
 
 The displacement rises within some grains' travel time, w ~ h^(1/6), and falls as (tau^2 - chi^2)^(-1/10), a long tail.
 Points are Eq. (1) by the native engine, lines the front of Airy type for the rise and the causal Eq. (35) for the
@@ -7,7 +7,7 @@ velocity, its slope, has no tail: it falls even faster than it rises, and oscill
 """
 
 import numpy as np
-from figures import NATIVE, SHADES, THEORY, apart, arguments, finish, gentle, legends, page, say
+from figures import NATIVE, SHADES, THEORY, apart, arguments, finish, legends, page, say, weak_scene
 
 import lmpchain
 from lmpchain.theory import continuum, front
@@ -16,7 +16,7 @@ DEEPEST, GRAINS = 300, 600
 
 
 def halves(tau: np.ndarray, motion: np.ndarray) -> tuple[float, float, float]:
-    """Return when the largest value is reached, and the times from half of it to it and from it to half of it."""
+    """Return the time of the maximum, and the rise and fall times from and to half of it."""
     top = int(motion.argmax())
     before, here, after = motion[top - 1 : top + 2]
     shift = 0.5 * (before - after) / (before - 2 * here + after)
@@ -30,7 +30,7 @@ def halves(tau: np.ndarray, motion: np.ndarray) -> tuple[float, float, float]:
 
 
 def predicted(n: int, largest: float) -> tuple[float, float]:
-    """Return rise and fall of the displacement: the front of Airy type, then the causal Eq. (35) down to half."""
+    """Return rise and fall times of the displacement: Airy front, then causal Eq. (35) to half."""
     chi, width = float(continuum.chi(n - 0.5)), (n - 0.5) ** (1 / 6) / 4 ** (1 / 3)
     tau = chi + np.linspace(-6, 6, 481) * width
     near = front.displacement(n, tau)
@@ -45,9 +45,9 @@ def main() -> None:
     given = arguments(__file__, __doc__)
     deepest, grains = (50, 260) if given.quick else (DEEPEST, GRAINS)
     shown = (10, deepest)
-    tau_end = 2 * float(continuum.chi(grains - 0.5)) - float(continuum.chi(deepest - 0.5)) - 20  # the floor's answer
+    tau_end = 2 * float(continuum.chi(grains - 0.5)) - float(continuum.chi(deepest - 0.5)) - 20  # the reflection
     depths = np.unique([*np.geomspace(2, deepest, 16).astype(int), *shown])
-    scene = gentle(grains, tau_end, int(10 * tau_end), 1e-8, recorded=depths.tolist())
+    scene = weak_scene(grains, tau_end, int(10 * tau_end), 1e-8, recorded=depths.tolist())
     run = lmpchain.simulate(scene, "native", tolerance=1e-8)
     tau = run.time / scene.chain.time_scale
     phi = dict(zip(depths, run.displacement.T / scene.excitation.velocity / scene.chain.time_scale, strict=True))
@@ -64,15 +64,15 @@ def main() -> None:
         tail = continuum.impulse_response(n - 0.5, tau) / height
         near = (s > -6) & (s < 12)
         airy = front.displacement(n, tau[near]) / height
-        found = phi[n] / height
+        shape = phi[n] / height
         every = np.unique(
             np.concatenate((np.flatnonzero(near)[:: int(4 * w)], np.flatnonzero(s >= 12)[:: int(20 * w)]))
         )
-        pulse.plot(s[every], found[every], **NATIVE | {"color": shade}, label=f"native, grain {n}")
+        pulse.plot(s[every], shape[every], **NATIVE | {"color": shade}, label=f"native, grain {n}")
         pulse.plot(s[near], airy, color=shade, lw=1)
         pulse.plot(s[s > 1], tail[s > 1], color=shade, lw=1, ls="--")
-        apart(below, s[near], airy, found[near], 1.0, color=shade, lw=1)
-        apart(below, s[s > 1], tail[s > 1], found[s > 1], 1.0, color=shade, lw=1, ls="--")
+        apart(below, s[near], airy, shape[near], 1.0, color=shade, lw=1)
+        apart(below, s[s > 1], tail[s > 1], shape[s > 1], 1.0, color=shade, lw=1, ls="--")
     pulse.plot([], [], **THEORY, label="front of Airy type")
     pulse.plot([], [], **THEORY | {"ls": "--"}, label="causal Eq. (35)")
     pulse.axhline(0.5, color="0.6", ls=":", lw=1)
@@ -83,15 +83,15 @@ def main() -> None:
     theory_rise, theory_fall = np.array([predicted(n, phi[n].max()) for n in depths]).T
     _, up, down = np.array([halves(tau, v[n]) for n in depths]).T
     last = depths[-1]
-    for found, theory, mark, shade, name in (
+    for measured, theory, mark, shade, name in (
         (fall, theory_fall, "v", SHADES[5], "fall of the displacement"),
         (rise, theory_rise, "^", SHADES[0], "rise of the displacement"),
     ):
         style = {"color": shade, "marker": mark, "ms": 5, "mfc": "none"}
-        error = 100 * abs(found[-1] / theory[-1] - 1)
-        width.loglog(depths, found, ls="none", **style, label=f"{name}: {error:.1g} % off at n = {last}")
+        error = 100 * abs(measured[-1] / theory[-1] - 1)
+        width.loglog(depths, measured, ls="none", **style, label=f"{name}: {error:.1g} % off at n = {last}")
         width.loglog(depths, theory, color=shade, lw=1.2)
-        apart(off, depths, theory / found, np.ones(depths.size), 1.0, lw=0.7, **style)
+        apart(off, depths, theory / measured, np.ones(depths.size), 1.0, lw=0.7, **style)
     width.loglog(depths, down, "v", ms=3, color=SHADES[2], label="fall of the velocity")
     width.loglog(depths, up, "^", ms=3, color=SHADES[3], label="rise of the velocity")
     width.set(ylabel="time to or from half, τ", ylim=(0.4, 3000))

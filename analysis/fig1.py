@@ -1,4 +1,4 @@
-"""Fig. 1 of the paper: a strong strike, 8.57 mm/s on the top of 120 glass beads, makes a pulse of some two grains.
+"""Fig. 1 of the paper: a strike of 8.57 mm/s on 120 glass beads, a pulse some two grains wide.
 
 Left: velocities at three times; circles are LAMMPS, lines the native engine. The theory is that of the pulse in an
 unloaded chain (Nesterenko), with the height of the run. Right: how far every contact is squeezed or stretched, in
@@ -40,7 +40,7 @@ def main() -> None:
     wave.plot([], [], **LAMMPS | {"color": "0.4"}, label="LAMMPS")
     difference = np.abs(lammps.velocity - native.velocity).max() / strike
     expected = native.error_estimate.total + lammps.error_estimate.total
-    below.axhline(expected, color="0.4", ls="--", lw=1, label=f"expected: {expected:.0e}; found {difference:.0e}")
+    below.axhline(expected, color="0.4", ls="--", lw=1, label=f"expected: {expected:.0e}; measured {difference:.0e}")
     wave.set(ylabel="velocity downward (mm/s)", xlim=(0, 40))
     below.set(xlabel="grain, from the top", ylabel="|LAMMPS − native| / $v_0$")
 

@@ -1,11 +1,11 @@
-"""Fig. 3 of the paper: springs (delta = 1), the top grain displaced (a) or struck (b), against Eqs. (11) and (13).
+"""Fig. 3 of the paper: springs (delta = 1), top displaced (a) or struck (b); Eqs. (11), (13).
 
 Squares are the native engine, circles LAMMPS with linear contacts; both solve Eq. (1), which is linear here as long
 as nothing opens. The velocity in Eq. (13) is dphi/dT, not the dphi/dtau of the text; at kappa = 1 they are the same.
 """
 
 import numpy as np
-from figures import THEORY, arguments, end_of_run, finish, gentle, legends, page, say
+from figures import THEORY, arguments, end_of_run, finish, legends, page, say, weak_scene
 
 from lmpchain.theory import bessel
 
@@ -21,7 +21,7 @@ def main() -> None:
     picture, pairs = page(title, 2, width=11)
     cases = {"a: displaced, Eq. (11)": (1, bessel.free_end), "b: struck, Eq. (13)": (0, bessel.free_end_impulse)}
     for (name, (moved, theory)), (wave, below) in zip(cases.items(), pairs, strict=True):
-        scene = gentle(grains, tau, 2, 1e-2, delta=1.0, moved=moved)
+        scene = weak_scene(grains, tau, 2, 1e-2, delta=1.0, moved=moved)
         unit = 1e-2 * scene.chain.length_scale
         exact = theory(n, float(tau))
         wave.plot(n, exact, **THEORY, label="theory")

@@ -1,6 +1,6 @@
-"""Fig. 4 of the paper: the column of Hertzian grains, displaced (a) or struck (b) at the top, against Eq. (19).
+"""Fig. 4 of the paper: Hertzian column, top displaced (a) or struck (b), against Eq. (19).
 
-Squares are the native engine, circles LAMMPS, both struck so gently that Eq. (1) is Eq. (3). The series is exact once
+Squares are the native engine, circles LAMMPS, both struck so weakly that Eq. (1) is Eq. (3). The series is exact once
 the cases of the brace in Eq. (20) are j = 1 and j > 1; with the printed i, the dashed line, it is off at grain 1 above
 all. For a strike each Bessel function is to be integrated over time, which the paper does not say.
 """
@@ -14,11 +14,11 @@ from figures import (
     distance,
     end_of_run,
     finish,
-    gentle,
     kappa,
     legends,
     page,
     say,
+    weak_scene,
 )
 from scipy.special import jv
 
@@ -31,8 +31,8 @@ GRAINS, TAU = 40, 14
 def as_printed(grains: int, tau: float) -> np.ndarray:
     """Return Eq. (19) with the A_j(n) of Eq. (20) as printed, (N-1,): the cases are i = 1 and i > 1."""
     chain = lmpchain.Chain(grains=grains, diameter=1e-3)
-    found = modes.eigenmodes(chain)
-    shape, omega = found.shape * np.sqrt(found.mass[:, None]), found.frequency * chain.time_scale
+    linear = modes.eigenmodes(chain)
+    shape, omega = linear.shape * np.sqrt(linear.mass[:, None]), linear.frequency * chain.time_scale
     root = grains ** (1 / 6)
     j = np.arange(1, int(root * tau) + 60)
     cases = 2 * np.cos(np.multiply.outer(np.arcsin(omega / (2 * root)), 2 * j - 2))  # phi_i of Eq. (21)
@@ -60,7 +60,7 @@ def main() -> None:
             three = [as_printed(3, at) - bessel.finite(kappa(3), [1, 2], 1, at) for at in np.linspace(0, 20, 201)]
             say("Eq. (20) as printed, N = 3, largest error", np.abs(three).max())
         for engine, strength in (("lammps", 1e-4), ("native", 1e-9)):
-            scene = gentle(grains, tau, 2, strength, moved=moved)
+            scene = weak_scene(grains, tau, 2, strength, moved=moved)
             off = end_of_run((wave, below), scene, engine, strength * scene.chain.length_scale, exact)
             wave.lines[-1].set_label(f"{engine}, strength {strength:.0e}: {off:.0e} off")
             say(f"{name[0]}, {engine}", off)

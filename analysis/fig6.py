@@ -1,4 +1,4 @@
-"""Fig. 6 of the paper: how disorder acts on the wave, after Dyson.
+"""Fig. 6 of the paper: the effect of Dyson's disorder on the wave.
 
 Left: the sum of Eq. (22) over the velocities of one ordered column, weighted with Eq. (23), against the order m. It is
 no average: its weights do not add up to 1, and it grows without bound as m does. Right: what "the velocity averaged
@@ -7,7 +7,7 @@ the paper holds: more disorder, less velocity.
 """
 
 import numpy as np
-from figures import NATIVE, PRINTED, SHADES, THEORY, apart, arguments, finish, gentle, kappa, legends, page, say
+from figures import NATIVE, PRINTED, SHADES, THEORY, apart, arguments, finish, kappa, legends, page, say, weak_scene
 
 import lmpchain
 from lmpchain.disorder.averages import ensemble
@@ -20,9 +20,9 @@ ORDERS = (1, 2, 5, 20, 100)
 def main() -> None:
     """Run the ordered column and the disordered ones, and draw both averages."""
     given = arguments(__file__, __doc__)
-    scene = gentle(GRAINS, TAU, 2, 1e-7)
+    scene = weak_scene(GRAINS, TAU, 2, 1e-7)
     run = lmpchain.simulate(scene, "native", tolerance=1e-9)
-    found = run.velocity[-1] / scene.excitation.velocity
+    velocity = run.velocity[-1] / scene.excitation.velocity
     n = np.arange(1, GRAINS + 1)
     linear = np.append(bessel.finite(kappa(GRAINS), n[:-1], 1, float(TAU)), 0.0)
 
@@ -31,7 +31,7 @@ def main() -> None:
     m, coarse = np.geomspace(1, 1e4, 400), np.geomspace(1, 1e4, 25)
     for style, label, normalised in ((PRINTED, "as printed", False), (THEORY, "divided by the weights", True)):
         line, points = (
-            dyson.average(v, n ** (1 / 3), order, normalised) for v, order in ((linear, m), (found, coarse))
+            dyson.average(v, n ** (1 / 3), order, normalised) for v, order in ((linear, m), (velocity, coarse))
         )
         at_points = dyson.average(linear, n ** (1 / 3), coarse, normalised)
         weighted.plot(m, line, **style, label=f"Eq. (22) {label}, v of Eq. (19)")

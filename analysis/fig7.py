@@ -1,4 +1,4 @@
-"""Fig. 7 of the paper, "3D display of the influence of the Dyson disorder", as maps of time and order.
+"""Fig. 7 of the paper, the "3D display of the influence of the Dyson disorder", as maps.
 
 Left: the sum of Eq. (22) for one ordered column. Its size at large m follows the motion of grain 1 alone, of which
 kappa is 1. Right: the largest mean velocity over columns whose kappa_n are drawn from Dyson's distribution. Below: the
@@ -6,7 +6,7 @@ sum with the velocities of the native engine against that with Eq. (19), and the
 """
 
 import numpy as np
-from figures import SHADES, arguments, finish, gentle, kappa, legends, page, say
+from figures import SHADES, arguments, finish, kappa, legends, page, say, weak_scene
 
 import lmpchain
 from lmpchain.disorder.averages import ensemble
@@ -20,9 +20,9 @@ def main() -> None:
     """Run the columns and draw the maps."""
     given = arguments(__file__, __doc__)
     orders, columns = (ORDERS[::3], 10) if given.quick else (ORDERS, 100)
-    scene = gentle(GRAINS, TAU, SAMPLES, 1e-7)
+    scene = weak_scene(GRAINS, TAU, SAMPLES, 1e-7)
     run = lmpchain.simulate(scene, "native", tolerance=1e-9)
-    found = run.velocity / scene.excitation.velocity
+    velocity = run.velocity / scene.excitation.velocity
     tau, n = scene.time / scene.chain.time_scale, np.arange(1, GRAINS + 1)
     linear = np.zeros((SAMPLES, GRAINS))
     linear[:, :-1] = bessel.finite(kappa(GRAINS), n[:-1], 1, tau[:, None])
@@ -30,7 +30,7 @@ def main() -> None:
     title = "Fig. 7: velocity, time and disorder.  Corrected: the mean over disordered columns, right"
     picture, ((weighted, below), (mean, noise)) = page(title, 2, width=12, height=7)
     m = np.geomspace(1, 100, 81)
-    sums, theory = (np.array([dyson.average(v, n ** (1 / 3), order) for order in m]) for v in (found, linear))
+    sums, theory = (np.array([dyson.average(v, n ** (1 / 3), order) for order in m]) for v in (velocity, linear))
     levels = np.linspace(-0.8, 0.8, 17)
     image = weighted.contourf(tau, m, sums, levels=levels, cmap="PuOr", extend="both")
     picture.colorbar(image, ax=weighted, label="Eq. (22): Σ weight × velocity / $v_0$")
@@ -54,7 +54,7 @@ def main() -> None:
         axes.set(yscale="log", xlim=(0, TAU), ylabel="order m (large: little disorder)")
     below.set(xlabel="time τ", ylabel="|difference|", ylim=(1e-10, 1e-4))
     noise.set(xlabel="time τ", ylabel="standard error", ylim=(1e-5, 10))
-    say("Eq. (22) at tau 15, m = 1", float(dyson.average(found[30], n ** (1 / 3), 1)))
+    say("Eq. (22) at tau 15, m = 1", float(dyson.average(velocity[30], n ** (1 / 3), 1)))
     say("Eq. (22), native and Eq. (19) differ by", off.max())
     for place in (0, -1):
         say(f"mean over columns at tau 15, m = {orders[place]}, largest velocity", largest[place, 30])

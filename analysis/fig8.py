@@ -1,6 +1,6 @@
-"""Fig. 8 of the paper: the top is driven with one frequency; Eq. (27), its mode, and the chain itself.
+"""Fig. 8 of the paper: harmonically driven top; Eq. (27), its mode, and the chain itself.
 
-Squares are Eq. (1) with grain 1 driven gently, circles the continuum of Eq. (27) solved cell by cell, lines the mode
+Squares are Eq. (1) with grain 1 driven weakly, circles the continuum of Eq. (27) solved cell by cell, lines the mode
 of Eq. (30). With exp(i lambda tau) the printed H^(1) is a wave that comes in from below; the top sends down H^(2), its
 conjugate. The amplitude falls all the way, as h^(-1/12) deep down.
 """
@@ -12,7 +12,7 @@ import lmpchain
 from lmpchain.theory import continuum
 
 LAMBDA, TAU, GRAINS, RAMP = 0.5, 200.0, 450, 60.0
-OUT_OF_STEP = 0.2  # of a period after the drive was largest, where the waves down and up differ
+OUT_OF_STEP = 0.2  # of a period after the largest drive: upward and downward waves differ there
 
 
 def main() -> None:
@@ -65,8 +65,8 @@ def main() -> None:
     height.loglog(h[near], amplitudes[0][near], "o", ms=5, mfc="none", color=SHADES[1], label="Eq. (27), solved")
     height.loglog(h[near], amplitudes[1][near], **NATIVE, label="chain, Eq. (1), weak")
     apart(relative, h, power, np.abs(mode), np.abs(mode), color=SHADES[3], ls=":")
-    for found, style in zip(amplitudes, ({"color": SHADES[1], "marker": "o"}, NATIVE), strict=True):
-        apart(relative, h[near], found[near], np.abs(mode)[near], np.abs(mode)[near], **style)
+    for amplitude, style in zip(amplitudes, ({"color": SHADES[1], "marker": "o"}, NATIVE), strict=True):
+        apart(relative, h[near], amplitude[near], np.abs(mode)[near], np.abs(mode)[near], **style)
     height.set(xlim=(0.4, last), ylim=(0.55, 1.2), ylabel="amplitude of φ")
     height.yaxis.set(minor_formatter="{x:g}")
     relative.set(xlabel="depth h = n − 1/2 (grains)", ylabel=r"relative to $|u_λ|$", ylim=(1e-6, 1))

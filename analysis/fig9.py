@@ -1,12 +1,12 @@
-"""Fig. 9 of the paper: what a strike on the top leaves behind, the "peaked mode" of Eq. (35).
+"""Fig. 9 of the paper: the "peaked mode" of Eq. (35), the wave behind a strike on the top.
 
-Squares are Eq. (1) struck gently, the thin line the continuum of Eq. (27) solved cell by cell. Eq. (35) with |...| also
+Squares are Eq. (1) struck weakly, the thin line the continuum of Eq. (27) solved cell by cell. Eq. (35) with |...| also
 says that grains move where no wave has been: made causal, and with its amplitude C = 1.155137, it is the impulse
 response. Its peak is infinite; the grains disperse it into the Airy function that `theory.front` gives.
 """
 
 import numpy as np
-from figures import NATIVE, PRINTED, SHADES, THEORY, apart, arguments, finish, gentle, legends, page, say
+from figures import NATIVE, PRINTED, SHADES, THEORY, apart, arguments, finish, legends, page, say, weak_scene
 
 import lmpchain
 from lmpchain.theory import continuum, front
@@ -18,7 +18,7 @@ def main() -> None:
     """Strike the chain and the continuum, and draw them."""
     given = arguments(__file__, __doc__)
     tau, grains = (60, 150) if given.quick else (TAU, GRAINS)
-    scene = gentle(grains, tau, 2, 1e-8)
+    scene = weak_scene(grains, tau, 2, 1e-8)
     run = lmpchain.simulate(scene, "native", tolerance=1e-9)
     chain = run.displacement[-1, :-1] / scene.excitation.velocity / scene.chain.time_scale
     field = continuum.solve([float(tau)], grains, velocity=lambda h: h < 1, cells=3).displacement[0, :-1]

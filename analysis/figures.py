@@ -1,4 +1,4 @@
-"""What the figure scripts share: their arguments, panels with the differences below, styles and printed numbers."""
+"""Shared by the figure scripts: arguments, panels with residuals below, styles, printed numbers."""
 
 from __future__ import annotations
 
@@ -25,11 +25,14 @@ NATIVE, LAMMPS = (
     for name, size in (("native", 3.5), ("lammps", 6.5))
 )
 THEORY = {"color": "0.2", "lw": 1.4}
-PRINTED = {"color": COLOURS["modes"], "lw": 1.4, "ls": "--"}  # what the paper gives, where that is not right
+PRINTED = {"color": COLOURS["modes"], "lw": 1.4, "ls": "--"}  # the paper's formula where it is wrong
 
 
 def arguments(script: str, doc: str) -> argparse.Namespace:
-    """Read --quick and -o; without the latter the picture goes into `pictures/`, with the former into this folder."""
+    """Read --quick and -o.
+
+    The picture goes into `pictures/`, with --quick into this folder.
+    """
     name = f"{Path(script).stem}.png"
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="smaller and faster, for tests; draws ./" + name)
@@ -42,7 +45,7 @@ def arguments(script: str, doc: str) -> argparse.Namespace:
 def page(
     title: str, columns: int, rows: int = 1, width: float = 8.0, height: float = 6.0
 ) -> tuple[Figure, list[tuple[Axes, Axes]]]:
-    """Return a figure and its pairs of panels, row by row: curves, and below them how far these are apart."""
+    """Return a figure and its pairs of panels, row by row: curves, and their differences below."""
     picture = figure(width, height)
     axes = picture.subplots(2 * rows, columns, sharex=False, squeeze=False, height_ratios=(3, 1.2) * rows)
     pairs = []
@@ -57,21 +60,21 @@ def page(
     return picture, pairs
 
 
-def apart(axes: Axes, x: np.ndarray, found: np.ndarray, other: np.ndarray, unit: float, **style: object) -> None:
-    """Draw |found - other| / unit; what is exactly equal is left out, as it has no place on a logarithmic axis."""
-    difference = np.abs(found - other) / unit
+def apart(axes: Axes, x: np.ndarray, measured: np.ndarray, other: np.ndarray, unit: float, **style: object) -> None:
+    """Draw |measured - other| / unit on a logarithmic axis, leaving out zeros."""
+    difference = np.abs(measured - other) / unit
     axes.plot(x, np.where(difference > 0, difference, np.nan), **{"ms": 3, **style})
 
 
 def end_of_run(pair: tuple[Axes, Axes], scene: lmpchain.Scene, engine: str, unit: float, exact: np.ndarray) -> float:
-    """Run a scene, draw the displacements at its end over `unit` beside the exact ones, and return how far off."""
+    """Run a scene, draw the last displacements over `unit` with the exact ones; return the error."""
     wave, below = pair
     style, tolerance = {"lammps": (LAMMPS, 1e-6), "native": (NATIVE, 1e-12)}[engine]
     run = lmpchain.simulate(scene, engine, tolerance)
-    n, found = run.grains[:-1], run.displacement[-1, :-1] / unit
-    off = distance(found, exact)
-    wave.plot(n, found, **style)
-    apart(below, n, found, exact, np.abs(exact).max(), **style | {"ls": "-", "lw": 0.7})
+    n, measured = run.grains[:-1], run.displacement[-1, :-1] / unit
+    off = distance(measured, exact)
+    wave.plot(n, measured, **style)
+    apart(below, n, measured, exact, np.abs(exact).max(), **style | {"ls": "-", "lw": 0.7})
     return off
 
 
@@ -93,17 +96,17 @@ def finish(picture: Figure, path: Path) -> None:
 
 
 def say(label: str, value: float, unit: str = "") -> None:
-    """Print a number that the tests read: label, colon, number, unit."""
+    """Print a number in the form that the tests read: label, colon, number, unit."""
     print(f"{label}: {value:.6g} {unit}".rstrip())
 
 
-def distance(found: np.ndarray, truth: np.ndarray) -> float:
-    """Return the relative distance, |found - truth| / |truth| with the root of the sum of squares as |...|."""
-    return float(np.linalg.norm(found - truth) / np.linalg.norm(truth))
+def distance(measured: np.ndarray, reference: np.ndarray) -> float:
+    """Return the relative distance |measured - reference| / |reference| in the Euclidean norm."""
+    return float(np.linalg.norm(measured - reference) / np.linalg.norm(reference))
 
 
 def summit(profile: np.ndarray) -> float:
-    """Return at which grain, between grains, a profile of grains 1, 2 ... is largest: a parabola through three."""
+    """Return the position of the maximum of a profile of grains 1, 2 ..., by a parabola through three."""
     top = int(profile.argmax())
     before, here, after = profile[top - 1 : top + 2]
     return top + 1 + 0.5 * (before - after) / (before - 2 * here + after)
@@ -115,7 +118,7 @@ def shorter(scene: lmpchain.Scene, grains: int) -> lmpchain.Scene:
     return lmpchain.Scene(**scene.given() | {"chain": chain})
 
 
-def gentle(
+def weak_scene(
     grains: int,
     tau: float,
     samples: int,
@@ -124,7 +127,9 @@ def gentle(
     moved: int = 0,
     recorded: str | Iterable[int] = "all",
 ) -> lmpchain.Scene:
-    """Return a column of the paper's glass beads, struck or moved by `strength` times what its contact holds.
+    """Return a column of the paper's glass beads, struck or displaced with the strength `strength`.
+
+    The strength is relative to what its first contact can hold.
 
     Parameters
     ----------

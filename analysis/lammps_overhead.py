@@ -1,4 +1,4 @@
-"""CPU time of LAMMPS through the package against the stand-alone `lmp` on the same deck, interleaved.
+"""CPU time of LAMMPS through the package against stand-alone `lmp` on the same deck, interleaved.
 
 The time of the package is that of a whole `simulate`, with the error estimate; that of `lmp` is the whole
 process, with its dump.
@@ -20,7 +20,7 @@ from lmpchain.engines.lammps.export import write_deck
 
 
 def cpu(who: int) -> float:
-    """Return user and system time so far, s."""
+    """Return user plus system time so far, s."""
     used = resource.getrusage(who)
     return used.ru_utime + used.ru_stime
 
@@ -35,7 +35,7 @@ def main() -> None:
     step = 1e-7
     chain = lmpchain.Chain(grains=arguments.grains, material="glass", diameter=1e-3)
     velocity = np.random.default_rng(1).uniform(-1e-4, 1e-4, arguments.grains)
-    velocity[-1] = 0.0  # it is held; all others move, so that none is left out
+    velocity[-1] = 0.0  # grain N is held; all others move and are computed
     scene = lmpchain.Scene(
         chain=chain, excitation=lmpchain.Profile(velocity=velocity), duration=arguments.steps * step, samples=11
     )

@@ -1,4 +1,4 @@
-"""How the cost grows with the number of grains, of chains, of threads and of MPI ranks.
+"""Scaling of the cost with the number of grains, chains, threads and MPI ranks.
 
 Grain-steps (evaluations of the force, times grains) in a second of integration, in chains that move everywhere, so that
 none of them is left out: every grain is given a random velocity, weak enough that no contact opens. Beside it the time
@@ -23,7 +23,7 @@ from lmpchain.engines import Lammps, Native
 from lmpchain.util.files import write_aside
 from lmpchain.util.plotting import COLOURS, figure
 
-STRENGTH = 0.03  # of the velocities, in what each contact holds (v0*)
+STRENGTH = 0.03  # of the velocities, as a strike number v0*
 PHASE = 0.1  # that the deepest contact advances in a step, rad
 WORK = {"native": 1e9, "lammps": 2e6}  # grain-steps of a run, but no more steps than
 STEPS = {"native": 2_000_000, "lammps": 2000}
@@ -46,7 +46,7 @@ Row = dict[str, Any]
 
 
 def stirred(grains: int, steps: int) -> tuple[lmpchain.Scene, float]:
-    """Return a chain of beads that move everywhere, for so many steps, and their length, s."""
+    """Return a chain of beads that all move, for so many steps, and their length, s."""
     chain = lmpchain.Chain(grains=grains, diameter=1e-3)
     mass, deepest = chain.masses[0], chain.part(grains - 1, grains)
     speed = STRENGTH * chain.equilibrium_overlap * np.sqrt(chain.linear_stiffness / mass)
@@ -76,7 +76,7 @@ def throughput(name: str, grains: int, share: float) -> Row:
 
 
 def answer(grains: int) -> Row:
-    """Time a strike on grain 1 from the numbers that describe it to the answer with its error estimate."""
+    """Time a strike on grain 1, from its parameters to the solution with its error estimate."""
     began = time.perf_counter()
     chain = lmpchain.Chain(grains=grains, material=lmpchain.GLASS, diameter=1e-3)
     strike = lmpchain.Impulse(velocity=8.57e-4)
@@ -97,7 +97,7 @@ def many(threads: int, steps: int, realisations: int) -> Row:
 
 
 def best(rows: list[Row], keys: tuple[str, ...], cost: Callable[[Row], float]) -> list[Row]:
-    """Return of the rows that agree in these keys the one that cost least, in the order they came in."""
+    """Return the cheapest of the rows that agree in these keys, in their original order."""
     groups: dict[tuple, list[Row]] = defaultdict(list)
     for row in rows:
         groups[tuple(row[key] for key in keys)].append(row)
@@ -105,11 +105,11 @@ def best(rows: list[Row], keys: tuple[str, ...], cost: Callable[[Row], float]) -
 
 
 def measure(quick: bool) -> dict[str, list[Row]]:
-    """Take all numbers, every kind in turn so that a busy moment does not fall on one of them alone."""
+    """Measure everything, alternating between kinds so that a busy moment does not bias one."""
     largest = 4 if quick else 6
     sizes = [10**k for k in range(2, largest + 1)]
     share, runs, chains = (0.01, 1, 50) if quick else (1.0, RUNS, 1000)
-    answer(100), many(1, 100, 2)  # compiling is no part of it
+    answer(100), many(1, 100, 2)  # compiles before the timing
     speeds, answers, ensembles = [], [], []
     for _ in range(runs):
         for grains in sizes:
@@ -126,19 +126,19 @@ def measure(quick: bool) -> dict[str, list[Row]]:
     }
 
 
-def tables(found: dict[str, list[Row]]) -> str:
+def tables(numbers: dict[str, list[Row]]) -> str:
     """Return the numbers as Markdown tables."""
     lines = ["| grains | " + " | ".join(ENGINES) + " | strike on grain 1 |", "|---" * (len(ENGINES) + 2) + "|"]
-    speeds = {(row["engine"], row["grains"]): row["grain_steps_per_s"] for row in found["throughput"]}
-    for row in found["answers"]:
+    speeds = {(row["engine"], row["grains"]): row["grain_steps_per_s"] for row in numbers["throughput"]}
+    for row in numbers["answers"]:
         values = [speeds.get((name, row["grains"])) for name in ENGINES]
         cells = [f"{value / 1e6:.4g} M/s" if value else "" for value in values]
         cells.append(f"{row['seconds'] * 1e3:.3g} ms, {row['active_grains']} computed")
         lines.append(f"| {row['grains']:,} | " + " | ".join(cells) + " |")
     lines += ["", "| chains of 120 grains | steps | " + " | ".join(f"threads: {t}" for t in THREADS) + " | gain |"]
     lines.append("|---" * (len(THREADS) + 3) + "|")
-    for steps in dict.fromkeys(row["steps"] for row in found["ensembles"]):
-        rows = [row for row in found["ensembles"] if row["steps"] == steps]
+    for steps in dict.fromkeys(row["steps"] for row in numbers["ensembles"]):
+        rows = [row for row in numbers["ensembles"] if row["steps"] == steps]
         cells = [f"{row['seconds']:.3g} s" for row in rows]
         gain = rows[0]["seconds"] / rows[-1]["seconds"]
         lines.append(f"| {rows[0]['realisations']} | {steps} | " + " | ".join(cells) + f" | {gain:.2f} |")
@@ -148,27 +148,27 @@ def tables(found: dict[str, list[Row]]) -> str:
 def main() -> None:
     """Measure, print the tables, save the numbers and draw."""
     given = arguments(__file__, __doc__)
-    found = measure(given.quick)
-    print(tables(found))
+    numbers = measure(given.quick)
+    print(tables(numbers))
     with write_aside(given.output.with_suffix(".json")) as aside:
-        aside.write_text(json.dumps({"machine": machine()} | found, indent=1) + "\n", encoding="utf-8")
+        aside.write_text(json.dumps({"machine": machine()} | numbers, indent=1) + "\n", encoding="utf-8")
     picture = figure(10, 4.2)
     speed, strike, threads = picture.subplots(1, 3, width_ratios=(2, 1.3, 1.3))
     for name in ENGINES:
-        rows = [row for row in found["throughput"] if row["engine"] == name]
+        rows = [row for row in numbers["throughput"] if row["engine"] == name]
         speed.loglog([r["grains"] for r in rows], [r["grain_steps_per_s"] for r in rows], label=name, **STYLES[name])
     speed.set(xlabel="grains, all in motion", ylabel="grain-steps a second")
-    rows = found["answers"]
+    rows = numbers["answers"]
     strike.loglog([r["grains"] for r in rows], [r["seconds"] for r in rows], color=COLOURS["native"], marker="s")
     strike.set(xlabel="grains, the first is struck", ylabel="time to the answer for 100 µs, s", ylim=(1e-3, 1))
     for steps in LENGTHS:
-        rows = [row for row in found["ensembles"] if row["steps"] == steps]
+        rows = [row for row in numbers["ensembles"] if row["steps"] == steps]
         rate = [row["realisations"] / row["seconds"] for row in rows]
         threads.plot([row["threads"] for row in rows], rate, marker="s", label=f"{steps} steps")
     threads.set(xlabel="threads", ylabel="random chains a second", xticks=THREADS)
     threads.set_ylim(bottom=0)
     legends(picture)
-    versions = found["throughput"][0]["provenance"]
+    versions = numbers["throughput"][0]["provenance"]
     about = [machine(), *(f"{name} {versions[name]}" for name in ("lmpchain", "python", "numpy", "numba"))]
     picture.supxlabel(", ".join(about), fontsize="x-small")
     finish(picture, given.output)

@@ -1,4 +1,4 @@
-"""Where methods fail: every boundary that `lmpchain.stability.find` predicts, drawn over what is measured.
+"""Stability maps: the predictions of `lmpchain.stability.find` drawn over measurements.
 
 One picture and one file of numbers a map, in `pictures/`; `maps/` holds one module for each.
 """
@@ -18,13 +18,13 @@ DIGITS = 6  # of the numbers that are kept
 MAPS = sorted(path.stem for path in (HERE / "maps").glob("[a-z]*.py"))
 
 
-def _short(found: Any) -> Any:
-    """Return numbers with as many digits as are kept."""
-    if isinstance(found, dict):
-        return {key: _short(value) for key, value in found.items()}
-    if isinstance(found, list | tuple):
-        return [_short(value) for value in found]
-    return float(f"{found:.{DIGITS}g}") if isinstance(found, float) else found
+def _short(value: Any) -> Any:
+    """Return numbers rounded to the digits that are kept."""
+    if isinstance(value, dict):
+        return {key: _short(value) for key, value in value.items()}
+    if isinstance(value, list | tuple):
+        return [_short(value) for value in value]
+    return float(f"{value:.{DIGITS}g}") if isinstance(value, float) else value
 
 
 def main() -> None:
@@ -39,14 +39,14 @@ def main() -> None:
         parser.error(f"no map is called {unknown[0]}; there are {', '.join(MAPS)}")
     folder = given.output or (Path() if given.quick else HERE / "pictures")
     for name in given.maps or MAPS:
-        found, kept = import_module(f"maps.{name}"), folder / f"stability_{name}.json"
+        module, kept = import_module(f"maps.{name}"), folder / f"stability_{name}.json"
         if given.draw:
             numbers = json.loads(kept.read_text(encoding="utf-8"))
         else:
-            numbers = _short(found.measure(given.quick))
+            numbers = _short(module.measure(given.quick))
             with write_aside(kept) as aside:
                 aside.write_text(json.dumps(numbers) + "\n", encoding="utf-8")
-        finish(found.draw(numbers), folder / f"stability_{name}.png")
+        finish(module.draw(numbers), folder / f"stability_{name}.png")
 
 
 if __name__ == "__main__":

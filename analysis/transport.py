@@ -1,4 +1,4 @@
-"""What a gentle strike brings to a depth of n grains, and when, for contacts of other exponents than Hertz's.
+"""Peak velocity, time and energy of a weak strike against depth, for several exponents.
 
 Points are Eq. (1) by the native engine, lines the front of Airy type (`theory.front`), of which the next order is some
 0.34 n^(-1/3). A column of n grains answers so at its lowest grain until the floor does, so depth stands for the length
@@ -6,7 +6,7 @@ of the chain as well. Not h^(-1/12), which is for waves of one frequency: peak v
 """
 
 import numpy as np
-from figures import SHADES, THEORY, apart, arguments, finish, gentle, legends, page, say
+from figures import SHADES, THEORY, apart, arguments, finish, legends, page, say, weak_scene
 from scipy.integrate import trapezoid
 
 import lmpchain
@@ -19,12 +19,12 @@ DEEPEST, PER_TAU = 1000, 5
 
 
 def strike(depths: np.ndarray, delta: float) -> lmpchain.Trajectory:
-    """Strike a column gently and record it until the first pulse has passed these grains."""
+    """Strike a column weakly and record it until the first pulse has passed these grains."""
     deepest = int(depths[-1])
     tau = float(front.peak_time(deepest, delta)) + 8 * deepest ** (1 / 3 - (1 - 1 / delta) / 2)
     grains = int(continuum.depth(tau, delta)) + 20  # the floor is not reached
-    recorded = np.union1d(depths, depths + 1).tolist()  # the next ones for the work that is done on them
-    scene = gentle(grains, tau, int(PER_TAU * tau) + 1, 1e-8, delta, recorded=recorded)
+    recorded = np.union1d(depths, depths + 1).tolist()  # with the next grains, for the work done on them
+    scene = weak_scene(grains, tau, int(PER_TAU * tau) + 1, 1e-8, delta, recorded=recorded)
     return lmpchain.simulate(scene, "native", tolerance=1e-8)
 
 
@@ -38,41 +38,41 @@ def carried(run: lmpchain.Trajectory, grain: int, until: float) -> float:
 
 
 def theory_carried(depths: np.ndarray, delta: float) -> np.ndarray:
-    """Return the same from `theory.front` for a wave that runs down only, 2 sqrt(kappa) times the integral of v^2."""
+    """Return the same by `theory.front` for a downward wave: 2 sqrt(kappa) times the integral of v^2."""
     n, xi = 100, 1 - 1 / delta
     peak = float(front.peak_time(n, delta))
     at = peak + np.linspace(-12, 6, 601) * n ** (1 / 3 - xi / 2)
     v = front.velocity(n, at, delta)
     last = np.flatnonzero((at > peak) & (v <= 0))[0]
     here = 2 * (n - 0.5) ** (xi / 2) * trapezoid(v[:last] ** 2, at[:last])
-    return here * ((depths - 0.5) / (n - 0.5)) ** (1 / 3 - 2 * front.decay(delta)[0])  # all its factors are powers
+    return here * ((depths - 0.5) / (n - 0.5)) ** (1 / 3 - 2 * front.decay(delta)[0])  # a product of powers of depth
 
 
 def main() -> None:
-    """Strike columns of several exponents and draw velocity, time and energy against depth, and the powers."""
+    """Strike columns of several exponents; draw velocity, time and energy against depth."""
     given = arguments(__file__, __doc__)
     deepest, deltas, further = (200, (1.0, 1.5), ()) if given.quick else (DEEPEST, DELTAS, FURTHER)
-    title = "Transport: the first pulse of a gentle strike on the top, native engine against theory.front (lines)"
+    title = "Transport: the first pulse of a weak strike on the top, native engine against theory.front (lines)"
     picture, pairs = page(title, 2, rows=2, width=12, height=11)
     (speed, speed_off), (time, time_off), (energy, energy_off), (power, power_off) = pairs
     depths = np.unique(np.geomspace(5, deepest, 40).astype(int))
     exponents = []
     for place, delta in enumerate(sorted((*deltas, *further))):
         run = strike(depths, delta)
-        found = measured.track(run)
-        if delta <= 2:  # beyond, the law is too far away for a fit
-            law = measured.asymptotic(found.between(deepest // 10, deepest), "amplitude", delta)
+        passed = measured.track(run)
+        if delta <= 2:  # beyond, the asymptotic law is not reached
+            law = measured.asymptotic(passed.between(deepest // 10, deepest), "amplitude", delta)
             exponents.append((delta, -law.exponent, law.error[0]))
         if delta not in deltas:
             continue
         shade = SHADES[deltas.index(delta)]
         unit = run.scene.chain.time_scale
-        rows = np.searchsorted(found.grain, depths)
-        v, t = found.amplitude[rows] / run.scene.excitation.velocity, found.time[rows] / unit
+        rows = np.searchsorted(passed.grain, depths)
+        v, t = passed.amplitude[rows] / run.scene.excitation.velocity, passed.time[rows] / unit
         theory_v, theory_t = front.peak_velocity(depths, delta), front.peak_time(depths, delta)
         behind = [
             run.time[(run.time > at) & (run.velocity[:, np.searchsorted(run.grains, n)] <= 0)][0]
-            for n, at in zip(depths, found.time[rows], strict=True)
+            for n, at in zip(depths, passed.time[rows], strict=True)
         ]
         e = np.array([carried(run, n, until) for n, until in zip(depths, behind, strict=True)])
         theory_e = theory_carried(depths, delta)

@@ -1,6 +1,6 @@
-"""What works here: versions, MPI, LAMMPS, folders, and a wave run by each engine against the truth.
+"""Check of the installation: versions, MPI, LAMMPS, folders, and each engine against a reference.
 
-Every check stands alone and may fail in any way: what it raises becomes a fault, and what it warns of a warning.
+Every check runs by itself: an exception becomes a fault, a warning becomes a warning.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from importlib.metadata import PackageNotFoundError, metadata, requires, version
 from pathlib import Path
 from typing import Any, Literal
 
-from .errors import LmpchainError  # all else is imported by the check that needs it: it may be broken
+from .errors import LmpchainError  # all else is imported by the check that needs it, as it may be broken
 from .util import mpi
 
 MPIEXEC_S = 20.0  # longest time for two ranks to answer
@@ -33,7 +33,7 @@ SIZES_SEEN = "from mpi4py.MPI import COMM_WORLD as w; s = w.gather(w.size); w.ra
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at.
+    """The result of one check.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """All that was found, as a tuple of `Finding`."""
+    """The results of all checks, a tuple of `Finding`."""
 
     findings: tuple[Finding, ...]
 
@@ -84,12 +84,12 @@ class Diagnosis:
         return {"summary": self.summary, "findings": [asdict(finding) for finding in self.findings]}
 
 
-Look = Callable[[], Iterator[Finding]]
-_CHECKS: list[tuple[str, str, Look]] = []
+Check = Callable[[], Iterator[Finding]]
+_CHECKS: list[tuple[str, str, Check]] = []
 
 
 def diagnose(tell: Callable[[Finding], object] = lambda finding: None) -> Diagnosis:
-    """Look at everything this package needs.
+    """Check everything this package needs: versions, MPI, LAMMPS, folders, a wave in each engine.
 
     Parameters
     ----------
@@ -104,13 +104,13 @@ def diagnose(tell: Callable[[Finding], object] = lambda finding: None) -> Diagno
     return Diagnosis(tuple(findings))
 
 
-def _findings(name: str, cure: str, look: Look) -> list[Finding]:
+def _findings(name: str, cure: str, run: Check) -> list[Finding]:
     findings = []
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("ignore")
         warnings.filterwarnings("always", module="lmpchain")
         try:
-            for finding in look():
+            for finding in run():
                 findings.append(finding)
         except Exception as error:
             text = str(error) if isinstance(error, LmpchainError) else f"{type(error).__name__}: {error}"
@@ -121,20 +121,20 @@ def _findings(name: str, cure: str, look: Look) -> list[Finding]:
     return findings + [Finding(name, "warning", str(warning.message), cure) for warning in warned]
 
 
-def _check(name: str, cure: str) -> Callable[[Look], None]:
-    """Add a function to the checks; the name and the cure are for what it raises and warns of."""
-    return lambda look: _CHECKS.append((name, cure, look))
+def _check(name: str, cure: str) -> Callable[[Check], None]:
+    """Register a check, with the name and the cure for what it raises or warns of."""
+    return lambda run: _CHECKS.append((name, cure, run))
 
 
 @_check("lmpchain", "pip install lmpchain")
 def _versions() -> Iterator[Finding]:
     yield Finding("lmpchain", "ok", version("lmpchain"))
     for need in (f"python{metadata('lmpchain')['Requires-Python']}", *(requires("lmpchain") or [])):
-        if parts := re.fullmatch(r"([\w.-]+)[^;>]*(?:>=\s*([\d.]+))?[^;]*", need):  # those of an extra have a ;
+        if parts := re.fullmatch(r"([\w.-]+)[^;>]*(?:>=\s*([\d.]+))?[^;]*", need):  # requirements of extras contain a ;
             name, least = parts[1], parts[2] or "0"
-            found = _version(name)
-            have, must = ([int(number) for number in re.findall(r"\d+", text)] for text in (found, least))
-            said = f"{found} (must be {least} or later)"
+            installed = _version(name)
+            have, must = ([int(number) for number in re.findall(r"\d+", text)] for text in (installed, least))
+            said = f"{installed} (must be {least} or later)"
             cure = f"use a newer {need}" if name == "python" else f'pip install "{need}"'
             yield Finding(name, "fault", said, cure) if have < must else Finding(name, "ok", said)
 
@@ -147,7 +147,7 @@ def _version(name: str) -> str:
 
 
 @_check("mpiexec", "pip install --force-reinstall mpich mpi4py (or put the mpiexec of your own MPI first in PATH)")
-def _mpiexec() -> Iterator[Finding]:  # comes before MPI is started in this process, which another mpiexec might notice
+def _mpiexec() -> Iterator[Finding]:  # before MPI starts in this process, which may disturb another mpiexec
     path = mpi.launcher()
     command = [path, "-n", "2", sys.executable, "-c", SIZES_SEEN]
     try:

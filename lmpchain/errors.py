@@ -1,4 +1,4 @@
-"""What can go wrong, as exceptions whose text is written for the person who reads it."""
+"""Exceptions, each with a message that names the fault and the cure."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 
 class LmpchainError(Exception):
-    """Base of every error that this package raises on purpose."""
+    """Base class of all errors of this package."""
 
 
 class InputError(LmpchainError, ValueError):
@@ -37,12 +37,12 @@ class RunFailed(LmpchainError):
 
 
 class ToleranceNotMet(LmpchainError):
-    """The answer is not as accurate as was asked for.
+    """The tolerance cannot be met.
 
     Attributes
     ----------
     trajectory : Trajectory or None
-        What was computed, with its honest error estimate; None if nothing was run.
+        What was computed, with its error estimate; None if nothing was run.
     reason : str
         Why the tolerance was missed and what to do.
     """

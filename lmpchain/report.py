@@ -1,4 +1,4 @@
-"""One self-contained HTML page about a run: pictures, fits, errors and where it all came from."""
+"""One self-contained HTML page about a run: pictures, fits, errors and provenance."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SHADES = ("#56B4E9", "#0072B2", "#009E73")
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the page: a picture, text as it stands, a table of (name, value), or why there is none."""
+    """A part of the page: picture, verbatim text or table of (name, value), or why it is missing."""
 
     title: str
     text: str = ""
@@ -39,13 +39,13 @@ class Section:
 
 
 def write(trajectory: Trajectory, path: str | PathLike[str]) -> None:
-    """Write the page; nothing stands under its name until it is whole."""
+    """Write the page, atomically."""
     with write_aside(path) as aside:
         aside.write_text(page(trajectory), encoding="utf-8")
 
 
 def page(trajectory: Trajectory) -> str:
-    """Return the page as HTML, with everything it shows inside; what does not apply to a run says why."""
+    """Return the page as self-contained HTML; a part that does not apply to the run says why."""
     scene = trajectory.scene
     title = f"{scene.chain.grains} grains, {scene.excitation.kind}, {scene.duration * 1e6:g} µs"
     return render("report.html", title=title, sections=list(_sections(trajectory)))
@@ -67,15 +67,19 @@ def _sections(trajectory: Trajectory) -> Iterator[Section]:
             lambda run: spectrum.spectrum(run).plot(),
         ),
         ("Contacts", "Force of every contact; a contact without force is open or about to close.", _contacts),
-        ("Energy", "Above that at rest; the drift is what came from nowhere.", lambda run: energy.ledger(run).plot()),
+        (
+            "Energy",
+            "Energy relative to rest. Drift: change not explained by work done on the chain.",
+            lambda run: energy.ledger(run).plot(),
+        ),
     )
     for title, text, draw in drawn:
         try:
             yield Section(title, text, _png(draw(trajectory)))
         except LmpchainError as error:
             yield Section(title, f"Not for this run: {error}")
-    yield Section("Fits", "What the run says about the theory.", verbatim=fit.summary(trajectory).table())
-    yield Section("Where it came from", rows=tuple((key, str(value)) for key, value in trajectory.provenance.items()))
+    yield Section("Fits", "Fits of the theory to this run.", verbatim=fit.summary(trajectory).table())
+    yield Section("Provenance", rows=tuple((key, str(value)) for key, value in trajectory.provenance.items()))
     yield Section("The scene", verbatim=trajectory.scene.to_text())
 
 
@@ -110,7 +114,7 @@ def _png(picture: Figure) -> str:
 
 
 def _waveforms(trajectory: Trajectory) -> Figure:
-    """Draw velocity against grain number at some moments, with linear theory through it where there is one."""
+    """Draw velocity against grain number at some times, with linear theory where it applies."""
     picture = figure(8, 5.5)
     wave, apart = picture.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     linear = _linear(trajectory)
@@ -135,11 +139,11 @@ def _waveforms(trajectory: Trajectory) -> Figure:
 
 
 def _linear(trajectory: Trajectory) -> np.ndarray | None:
-    """Return the velocity by linear theory, (T, G) m/s, if there is one."""
+    """Return the velocity by linear theory, (T, G) m/s, None where it does not apply."""
     from .simulation.api import simulate
 
     try:
-        with warnings.catch_warnings(action="ignore"):  # how far off it is can be seen
+        with warnings.catch_warnings(action="ignore"):  # the difference is drawn
             return simulate(trajectory.scene, "chebyshev").velocity
     except InputError:
         return None

@@ -3,23 +3,23 @@
 #
 #     sbatch slurm.sh scene.toml run/
 #
-# The same line again goes on where the job before ended. Several such jobs, one after another:
+# Submit the same line again to continue. Several such jobs, one after another:
 #
 #     for job in 1 2 3; do sbatch --job-name=run --dependency=singleton slurm.sh scene.toml run/ --tolerance 1e-7; done
 #
-# What stands behind the folder goes to `lmpchain run`; what stands before slurm.sh goes to SLURM, and counts more than:
+# Options after the folder go to `lmpchain run`; those before slurm.sh go to SLURM and override:
 #SBATCH --job-name=lmpchain
 #SBATCH --ntasks=16
 #SBATCH --cpus-per-task=1
 #SBATCH --time=24:00:00
 
-# Put here what lets your shell find lmpchain, such as: module load mpich; source ~/venv/bin/activate
+# Make lmpchain available here, for example: module load mpich; source ~/venv/bin/activate
 
 set -eu
 scene=$1
 folder=${2%/}/
 shift 2
-spare=300 # s, to save everything before the time of the job is over
+spare=300 # s, to save everything before the time limit of the job
 left=$((${SLURM_JOB_END_TIME:?must be set, as SLURM does from 22.05 on} - $(date +%s) - spare))
 
 # if the ranks do not see each other: srun --mpi=pmi2, or another one that srun --mpi=list shows

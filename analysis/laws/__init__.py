@@ -1,1 +1,1 @@
-"""Laws for where methods and theories fail that only the maps need, and what measures them."""
+"""Laws of failure of methods and theories that only the maps need, and their measurement."""

@@ -1,4 +1,4 @@
-"""Limits: no gravity, linear springs, two or three grains, deep overlaps, bent columns, functions of large order."""
+"""Limiting cases: no gravity, springs, few grains, deep overlaps, buckling, large orders."""
 
 from __future__ import annotations
 
@@ -28,16 +28,15 @@ from lmpchain.simulation.api import simulate
 from lmpchain.theory import bessel
 from lmpchain.theory.modes import Modes, between
 from lmpchain.trajectory.trajectory import Trajectory
-from lmpchain.util.arrays import Array
+from lmpchain.util.arrays import EPSILON, Array
 
-EPSILON = float(np.finfo(float).eps)
 MOST_PRINTED = 143  # m from which m^m in Eq. (23) as printed is beyond the largest double, 1.8e308
-STEADY = 0.05  # omega h of velocity Verlet, at which a straight column is as good as exact
+STEADY = 0.05  # omega h of velocity Verlet: the error of a straight column is then negligible
 BEAD, TAU = 1e-3, 14.5  # the paper's beads, m, and its time of 100 us at g, in the unit of tau
 
 
 def vacuum_power(exponent: float, loaded: bool) -> float:
-    """Return p of g^p, with which the answer to a strike tends to that without gravity.
+    """Return p of g^p, by which the solution after a strike tends to that without gravity.
 
     Overlaps at rest shift every contact: without a load they are ``(m g n / K)^(1/delta)``; under a load F gravity
     changes them by ``n m g / F`` of themselves.
@@ -46,8 +45,9 @@ def vacuum_power(exponent: float, loaded: bool) -> float:
 
 
 def springs_error(grains: int, excess: ArrayLike) -> Array:
-    """Return how far v / v0 at tau = 14.5 in a column of exponent 1 + excess is from that of springs, over its peak.
+    """Return the deviation of v / v0 from that of springs, over its peak, at tau = 14.5.
 
+    The exponent of the column is 1 + excess.
     To first order in the excess: Eq. (19) with ``kappa_n = n^excess``.
     """
     n, small = np.arange(1, grains), 1e-6
@@ -56,8 +56,9 @@ def springs_error(grains: int, excess: ArrayLike) -> Array:
 
 
 def period(scene: Scene) -> float:
-    """Return the period, s, of a chain that moves in one pattern only: one grain, or grains 1 and 3 against each other.
+    """Return the period, s, of a chain with one degree of freedom.
 
+    It has one moving grain, or grains 1 and 3 in antiphase.
     It has one degree of freedom, so ``T = 2 int dx / v(x)`` with v from the conserved energy, whatever the amplitude:
     one grain bounces on the one below, or flies, at large ones. Stretches end where a contact opens, and
     ``x = turn (1 - s^2)`` takes the root away at the turning points; right to some 1e-12.
@@ -88,8 +89,9 @@ def period(scene: Scene) -> float:
 
 
 def buckling(chain: Chain, gauge: float = 0.0) -> Modes:
-    """Return how a column of frictionless spheres bends: `.frequency` rates of growth, 1/s, `.shape` of the bends.
+    """Return the buckling modes of a column of frictionless spheres.
 
+    These are `.frequency`, rates of growth in 1/s, and `.shape`.
     A contact pushes along the line of centres, so sideways by ``F_n (x_n - x_(n+1)) / d_n`` away from the axis, and
     nothing pulls back: ``m x'' = +(F/d) Laplacian``. Alike grains under a load grow by up to ``2 sqrt(F / (m d))``. The
     gauge diameter, or else the physical one, less the overlap is d.
@@ -97,12 +99,12 @@ def buckling(chain: Chain, gauge: float = 0.0) -> Modes:
     contacts, last = chain.contacts, chain.movable
     apart = (gauge or chain.contact_lengths) - contacts.overlap
     push = contacts.force / apart
-    push[[0, -1]] = 0.0  # a load and walls push straight
+    push[[0, -1]] = 0.0  # load and walls push along the axis
     return between(push[: last + 1], chain.masses[:last])
 
 
 def dyson_rounding(kappa: ArrayLike, m: ArrayLike) -> Array:
-    """Return the relative error of Eq. (23) in double precision: that of kappa, times ``m |kappa - 1|``.
+    """Return the relative rounding error of Eq. (23): that of kappa times ``m |kappa - 1|``.
 
     No less than that of the gamma function, some 32 roundings below m = 20.
     """
@@ -110,7 +112,7 @@ def dyson_rounding(kappa: ArrayLike, m: ArrayLike) -> Array:
 
 
 def front_of_springs(n: ArrayLike) -> Array:
-    """Return Eq. (11) for grain n at T = n - 1/2, ``2 J_nu(nu)`` with nu = 2n - 1, by its series for large orders.
+    """Return Eq. (11) at T = n - 1/2, ``2 J_nu(nu)`` with nu = 2n - 1, by its series for large orders.
 
     Abramowitz and Stegun, 9.3.31; right to 1e-15 from n = 500 on.
     """
@@ -120,12 +122,15 @@ def front_of_springs(n: ArrayLike) -> Array:
 
 
 def bessel_rounding(n: ArrayLike) -> Array:
-    """Return the relative error of Bessel functions of order 2n at the front: that of T, which J' / J makes n^(2/3)."""
+    """Return the relative rounding error of Bessel functions of order 2n at the front.
+
+    That of T is amplified by J' / J, to n^(2/3).
+    """
     return EPSILON * (2 * np.asarray(n, dtype=float)) ** (2 / 3)
 
 
 def from_vacuum(gravity: ArrayLike, exponent: float, load: float) -> Array:
-    """Return how far the answer to a strike of 1 cm/s under each gravity is from that without; load in N."""
+    """Return the distance of the solution under each gravity from that without; strike 1 cm/s, load in N."""
 
     def struck(g: float) -> Trajectory:
         chain = Chain(grains=20, diameter=BEAD, gravity=g, top_load=load, exponent=exponent)
@@ -136,7 +141,7 @@ def from_vacuum(gravity: ArrayLike, exponent: float, load: float) -> Array:
     return np.array([_apart(struck(float(g)), without) for g in np.atleast_1d(gravity)])
 
 
-def gentle(exponent: float, gravity: float = 9.81, velocity: float | None = None, number: float = 0.3) -> Scene:
+def weak(exponent: float, gravity: float = 9.81, velocity: float | None = None, number: float = 0.3) -> Scene:
     """Return a column of 30 beads until tau = 14.5, struck at a velocity or with a strike number."""
     chain = Chain(grains=30, diameter=BEAD, gravity=gravity, exponent=exponent)
     speed = number * chain.length_scale / chain.time_scale if velocity is None else velocity
@@ -144,21 +149,24 @@ def gentle(exponent: float, gravity: float = 9.81, velocity: float | None = None
 
 
 def from_linear(scene: Scene) -> float:
-    """Return how far linear theory is from Eq. (1)."""
-    with warnings.catch_warnings(action="ignore"):  # that it is off is what is asked
+    """Return the error of linear theory against Eq. (1)."""
+    with warnings.catch_warnings(action="ignore"):  # the error is what is measured
         return _apart(simulate(scene, "modes", 0.9), simulate(scene, "native", 1e-11))
 
 
 def from_springs(scene: Scene) -> float:
-    """Return how far v / v0 in the last sample is from that of springs, Eq. (19), relative to the largest."""
+    """Return the distance of v / v0 from Eq. (19) for springs at the last sample, over the largest."""
     n = np.arange(1, scene.chain.grains)
     springs = bessel.finite(np.ones(n.size), n, 1, TAU)
-    found = simulate(scene, "native", 1e-11).velocity[-1, :-1] / scene.initial()[1][0]
-    return float(np.abs(found - springs).max() / np.abs(springs).max())
+    velocity = simulate(scene, "native", 1e-11).velocity[-1, :-1] / scene.initial()[1][0]
+    return float(np.abs(velocity - springs).max() / np.abs(springs).max())
 
 
 def swinging(grains: int, number: float) -> Scene:
-    """Return an oscillator for its own period: 2 beads under gravity, or 3 between walls, the middle one at rest."""
+    """Return a scene with one degree of freedom for one period.
+
+    It has 2 beads under gravity, or 3 between walls with the middle one at rest.
+    """
     chain = (
         Chain(grains=2, diameter=BEAD)
         if grains == 2
@@ -170,13 +178,13 @@ def swinging(grains: int, number: float) -> Scene:
 
 
 def measured_period(scene: Scene) -> float:
-    """Return the period that the native engine makes of `swinging`, s, from where grain 1 is after that of the law."""
+    """Return the period of `swinging` in the native engine, s, from the phase of grain 1."""
     end = simulate(scene, "native", 1e-9)
     return float(scene.duration - end.displacement[-1, 0] / end.velocity[-1, 0])
 
 
 def squeezing(strain: float) -> Scene:
-    """Return 10 beads under gravity, the first struck so that two alone would overlap by strain times the diameter."""
+    """Return 10 beads under gravity, struck for an overlap of `strain` diameters of two beads alone."""
     chain = Chain(grains=10, diameter=BEAD)
     power, overlap = chain.exponent + 1, strain * BEAD
     speed = math.sqrt(4 / power * float(chain.contact_constants[0] / chain.masses[0]) * overlap**power)
@@ -184,7 +192,7 @@ def squeezing(strain: float) -> Scene:
 
 
 def squeezed(scene: Scene) -> tuple[float, float]:
-    """Return the largest overlap over the diameter in any sample, and how far LAMMPS is from the native engine."""
+    """Return the largest overlap over the diameter, and the distance of LAMMPS from the native engine."""
     native, contacts = simulate(scene, "native", 1e-11), scene.chain.contacts
     overlap = (contacts.overlap + contacts.closer(native.displacement)) / scene.chain.contact_lengths
     lammps = simulate(scene, "lammps", 1e-6)
@@ -192,7 +200,7 @@ def squeezed(scene: Scene) -> tuple[float, float]:
 
 
 def bent(chain: Chain, gauge: float, offset: Array, duration: float, samples: int = 40) -> Array:
-    """Return the largest distance from the axis, (samples + 1,) m, of a column at rest in LAMMPS that begins bent.
+    """Return the largest distance from the axis of a bent column at rest in LAMMPS, (samples + 1,) m.
 
     Parameters
     ----------
@@ -208,20 +216,20 @@ def bent(chain: Chain, gauge: float, offset: Array, duration: float, samples: in
         lammps.commands_string(deck.setup(column, str(data), duration / samples / steps, SPLITTINGS["verlet"]))
         lammps.numpy.extract_atom("x")[: chain.grains, 0] = offset
         lammps.command("run 0 post no")
-        found = [np.abs(offset).max()]
+        distance = [np.abs(offset).max()]
         for _ in range(samples):
             lammps.command(f"run {steps} pre no post no")
-            found.append(np.abs(lammps.numpy.extract_atom("x")[: chain.grains, 0]).max())
-    return np.array(found)
+            distance.append(np.abs(lammps.numpy.extract_atom("x")[: chain.grains, 0]).max())
+    return np.array(distance)
 
 
 def growth(chain: Chain, gauge: float, offset: float = 1e-15) -> float:
-    """Return the rate, 1/s, at which a bend in the shape that grows fastest does grow in LAMMPS, from `offset` m on."""
+    """Return the growth rate, 1/s, of the fastest buckling mode in LAMMPS, from `offset` m on."""
     modes = buckling(chain, gauge)
     shape = np.append(modes.shape[:, -1], np.zeros(chain.grains - chain.movable))
     duration = 8 / float(modes.frequency[-1])
-    found = bent(chain, gauge, offset * shape / np.abs(shape).max(), duration)
-    return float(np.arccosh(found[-1] / found[0]) / duration)  # it starts from rest
+    distance = bent(chain, gauge, offset * shape / np.abs(shape).max(), duration)
+    return float(np.arccosh(distance[-1] / distance[0]) / duration)  # it starts from rest
 
 
 def _apart(trajectory: Trajectory, other: Trajectory) -> float:

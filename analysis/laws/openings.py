@@ -1,4 +1,4 @@
-"""What methods lose where contacts open within steps of one length, and the drift of their energy."""
+"""Order reduction of fixed-step methods where contacts open, and the drift of their energy."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from lmpchain.util.arrays import Array
 
 
 def drift(scene: Scene, growth: Callable[[float], float], step: float) -> float:
-    """Return the rate, 1/s, at which a weak wave is expected to gain energy from a method, relative to what it has.
+    """Return the predicted relative rate, 1/s, at which a weak wave gains energy from a method.
 
     Every mode k gains 2 ln g(omega_k h) / h, and counts by the part of the energy that it is given. `growth` is g of
     the method, `Method.growth`: 1 for every splitting, above 1 for gear4, below 1 for dop853.
@@ -29,7 +29,7 @@ def drift(scene: Scene, growth: Callable[[float], float], step: float) -> float:
 
 
 def order_through_openings(integrator: str, exponent: float) -> float:
-    """Return the order to which a method falls where contacts open or close within steps of one length.
+    """Return the order of a fixed-step method where contacts open or close.
 
     There the force goes as t^delta. A step h that holds such a moment is wrong by some h^(delta+1) in the velocity,
     whatever the method, and there are so many such steps as openings: the error is h^(delta+1) or h^p.
@@ -38,18 +38,19 @@ def order_through_openings(integrator: str, exponent: float) -> float:
 
 
 def errors_through_openings(
-    scene: Scene, integrator: str, counts: Iterable[int], truth: Reference, adaptive: bool = False, runs: int = 40
+    scene: Scene, integrator: str, counts: Iterable[int], reference: Reference, adaptive: bool = False, runs: int = 40
 ) -> Array:
-    """Return the relative errors at the end of a scene after about so many native steps, of one length or adaptive.
+    """Return relative errors at the end of a scene at about these numbers of native steps.
 
+    Steps are of one length, or adaptive.
     Each is the root of the mean square over so many `runs` of up to a fifth more steps, for the error of a step that
-    crosses an opening depends on where in the step that falls. One error is the largest difference from the truth over
-    the largest value in any of its samples, the larger one of displacement and velocity.
+    crosses an opening depends on where in the step that falls. One error is the largest difference from the reference
+    over the largest value in any of its samples, the larger one of displacement and velocity.
     """
     engine = engines.Native(integrator=integrator)
     scene = Scene(**scene.given() | {"samples": 2, "grains": "all"})
     proposed = engine.candidate(scene, 0.5)
-    true = truth.displacement, truth.velocity
+    true = reference.displacement, reference.velocity
 
     def error(count: int) -> float:
         candidate = replace(proposed, steps_per_sample=count, step=scene.duration / count, adaptive=adaptive)
@@ -58,8 +59,8 @@ def errors_through_openings(
             *_, last = run.blocks()
         finally:
             run.close()
-        found = last.displacement[0, -1], last.velocity[0, -1]
-        return float(max(np.abs(x - y[-1]).max() / np.abs(y).max() for x, y in zip(found, true, strict=True)))
+        end = last.displacement[0, -1], last.velocity[0, -1]
+        return float(max(np.abs(x - y[-1]).max() / np.abs(y).max() for x, y in zip(end, true, strict=True)))
 
     groups = [np.linspace(count, 1.2 * count, runs).astype(int) for count in counts]
     return np.array([math.sqrt(np.mean([error(int(count)) ** 2 for count in group])) for group in groups])

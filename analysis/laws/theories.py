@@ -13,7 +13,7 @@ SLOWEST_TAIL = {0.01: 3.3, 0.001: 6.1, 0.0001: 8.5}  # of `behind_front`
 
 
 def uniform_law(gradient: float, travelled: float, width: float = 0.0) -> float:
-    """Return the error of Eq. (6), all contacts as stiff as that below the grain that is moved, to first order.
+    """Return the first-order error of Eq. (6), all contacts as stiff as that below the displaced grain.
 
     Norm: root of the sum of squares over grains at an instant, of displacements. A wave of wave number k, with
     omega = 2 sin(k/2), that runs for T = tau sqrt(kappa) meets other stiffnesses than those where it began, and gets
@@ -43,7 +43,7 @@ def uniform_law(gradient: float, travelled: float, width: float = 0.0) -> float:
 
 
 def uniform_reach(error: float, gradient: float) -> float:
-    """Return how many grains a wave from one grain may go until Eq. (6) is so far off.
+    """Return the distance in grains at which the error of Eq. (6) reaches this value.
 
     sqrt(4 sqrt(2) error / gradient), the limit of `uniform_law` for many grains: sqrt(12 sqrt(2) error n) at grain n of
     a Hertzian column.
@@ -57,7 +57,7 @@ def uniform_reach(error: float, gradient: float) -> float:
 
 
 def bessel_law(contrast: float, tau: float) -> float:
-    """Return the error of the engine "bessel", all contacts as stiff as the first, after a strike on the top.
+    """Return the error of the engine "bessel", all contacts as stiff as the first, after a strike.
 
     Norm: that of the package. Early, contact 2 is harder by the contrast than assumed: tau^4 contrast / 24 (Taylor
     series); exp(-tau^2/4), fitted, stands for the further terms. Late, the front is at n = tau - 0.51 tau^(1/3) and,
@@ -82,7 +82,7 @@ def bessel_law(contrast: float, tau: float) -> float:
 
 
 def far_field_law(n: ArrayLike, tau: ArrayLike, exponent: float = 1.5) -> Array:
-    """Return the error of Eq. (8) against Eq. (7), of which it is the limit: (16 n^2 - 1) / (16 n^(xi/2) tau).
+    """Return the error of Eq. (8) against its parent Eq. (7): (16 n^2 - 1) / (16 n^(xi/2) tau).
 
     Norm: at one grain over a period, relative to the amplitude 1 / (n^(xi/4) sqrt(pi tau)). The next term of Hankel's
     expansion of J_2n. Both are far from Eq. (3), in which nothing oscillates after long times.
@@ -97,7 +97,7 @@ def far_field_law(n: ArrayLike, tau: ArrayLike, exponent: float = 1.5) -> Array:
 
 
 def continuum_law(width: float, tau: float, exponent: float = 1.5) -> float:
-    """Return the error of Eq. (27) for a strike that is spread out over the top as exp(-chi(h)^2 / (2 width^2)).
+    """Return the error of Eq. (27) after a strike spread as exp(-chi(h)^2 / (2 width^2)).
 
     Norm: root of the sum of squares over grains at tau, of velocities. The wave of frequency lambda lags behind by the
     phase lambda^3 w^3 / 3, w^3 = h^(1 - 3 xi/2) / (8 - 12 xi) (Airy), at the depth h of the front. In the travel time
@@ -118,8 +118,9 @@ def continuum_law(width: float, tau: float, exponent: float = 1.5) -> float:
 
 
 def continuum_width(error: float, tau: float, exponent: float = 1.5) -> float:
-    """Return the width, in grains, from which on Eq. (27) is no further off at tau than that; from `continuum_law`.
+    """Return the width, in grains, above which the error of Eq. (27) at tau is below this value.
 
+    It follows from `continuum_law`.
     It grows as slowly as tau^(6/25) for Hertz.
 
     Examples
@@ -138,7 +139,7 @@ def _airy_lag(tau: float, exponent: float) -> float:
 
 
 def harmonic_law(frequency: ArrayLike, h: ArrayLike) -> Array:
-    """Return the error of Eq. (30) at depth h below a driven top, for Hertz: the phase omega^3 sqrt(h) / 12.
+    """Return the error of Eq. (30) at depth h below a driven top (Hertz): phase omega^3 sqrt(h) / 12.
 
     The difference of the wave numbers, k^3 / 24 with k = omega / h^(1/6), summed up from the top. At the first grains,
     where no wavelength fits in, it is less: what is measured is lower by 0.01 at omega = 0.3 and 0.03 at 0.7.
@@ -152,7 +153,7 @@ def harmonic_law(frequency: ArrayLike, h: ArrayLike) -> Array:
 
 
 def behind_front(h: ArrayLike, error: float = 0.01) -> Array:
-    """Return the time tau from which on Eq. (35) is no further off at depth h than that, for Hertz.
+    """Return the time tau after which the error of Eq. (35) at depth h is below this value (Hertz).
 
     Norm: relative error of the displacement of one grain after a strike on grain 1. The top sends down no wave above
     its own band edge, omega = 2, and the slowest of them lags behind the light cone by sqrt(h). They leave a tail:
@@ -168,8 +169,9 @@ def behind_front(h: ArrayLike, error: float = 0.01) -> Array:
 
 
 def phase_velocity(wavelength: ArrayLike) -> Array:
-    """Return the phase velocity of the chain over that of the continuum, sin(x)/x with x = pi / wavelength in grains.
+    """Return the phase velocity of the chain over that of the continuum, sin(x)/x.
 
+    Here x = pi / wavelength in grains.
     From omega = 2 sqrt(kappa) sin(k/2). It is 1 % lower at 12.8 grains and 10 % at 4.0.
 
     Examples

@@ -1,4 +1,4 @@
-"""The errors of the linear, the homogeneous and the continuous chain, measured; the laws are in `theories`."""
+"""Measured errors of the linear, homogeneous and continuous chain; the laws are in `theories`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from lmpchain.trajectory.trajectory import Trajectory
 from lmpchain.util.arrays import Array
 
 BEAD = 1e-3  # m
-GENTLE = 1e-9  # strike number at which Eq. (1) is Eq. (3)
+WEAK = 1e-9  # strike number at which Eq. (1) is Eq. (3)
 EDGE = 8.5  # standard deviations of a Gaussian beyond which it counts as 0
 SAMPLES = 20  # a unit of tau
 PERIODS = 4  # over which a phase is averaged
@@ -51,34 +51,34 @@ def column(
 
 
 def linear_error(scene: Scene) -> dict[str, float]:
-    """Return the error of Eq. (3) in every norm of `theories.linear_law`, against the native engine at 1e-9.
+    """Return the error of Eq. (3) in every norm of `linear_law`, against the native engine at 1e-9.
 
     Norms over all samples take those of the scene; "peak" is of the deepest grain that the front has passed, and left
     out if there is none.
     """
     linear, full = theory(scene, "chebyshev"), simulate(scene, "native", 1e-9, on_miss="warn")
-    found = {
+    errors = {
         "velocity": _distance(linear.velocity[-1], full.velocity[-1]),
         "displacement": _largest(linear.displacement, full.displacement),
     }
-    found["package"] = max(found["displacement"], _largest(linear.velocity, full.velocity))
+    errors["package"] = max(errors["displacement"], _largest(linear.velocity, full.velocity))
     try:
         fronts = [track(answer) for answer in (linear, full)]
     except InputError:
-        return found
+        return errors
     passed = np.intersect1d(fronts[0].grain, fronts[1].grain)
     if passed.size:
         one, other = (front.between(passed[-1], passed[-1]).amplitude[0] for front in fronts)
-        found["peak"] = float(abs(one / other - 1))
-    return found
+        errors["peak"] = float(abs(one / other - 1))
+    return errors
 
 
 def uniform_error(grain: int, travelled: float, width: float = 0.0) -> float:
-    """Return the error of `theories.uniform_law`, against Eq. (3) in a Hertzian column that goes on below."""
+    """Return the error of `theories.uniform_law`, against Eq. (3) in a long Hertzian column."""
     n = np.arange(1, grain + int(travelled + EDGE * width + 4 * travelled ** (1 / 3)) + 12)
     shape = np.exp(-(((n - grain) / width) ** 2) / 2) if width else (n == grain).astype(float)
     shape[np.abs(n - grain) > EDGE * max(width, 1.0)] = 0
-    unit = GENTLE * Chain(grains=n.size, diameter=BEAD).equilibrium_overlap[grain - 1]
+    unit = WEAK * Chain(grains=n.size, diameter=BEAD).equilibrium_overlap[grain - 1]
     scene = column(Profile(displacement=unit * shape), travelled / grain ** (1 / 6), n.size)
     moved = shape > 0
     uniform = bessel.infinite_general(n, travelled, n[moved], shape[moved])
@@ -86,18 +86,18 @@ def uniform_error(grain: int, travelled: float, width: float = 0.0) -> float:
 
 
 def bessel_error(load: float, tau: float) -> tuple[float, float]:
-    """Return contrast and error of `theories.bessel_law`, for a load on the top of so many weights of a grain."""
-    scene = column(GENTLE, tau, 60 + int(continuum.depth(tau) + 1.2 * tau), load=load)
-    found, exact = (theory(scene, engine) for engine in ("bessel", "chebyshev"))
+    """Return contrast and error of `theories.bessel_law`, for a top load in weights of a grain."""
+    scene = column(WEAK, tau, 60 + int(continuum.depth(tau) + 1.2 * tau), load=load)
+    uniform, exact = (theory(scene, engine) for engine in ("bessel", "chebyshev"))
     stiffness = scene.chain.linear_stiffness
-    error = max(_largest(found.displacement, exact.displacement), _largest(found.velocity, exact.velocity))
+    error = max(_largest(uniform.displacement, exact.displacement), _largest(uniform.velocity, exact.velocity))
     return float(stiffness[1] / stiffness[0] - 1), error
 
 
 def local_error(tau: float) -> float:
-    """Return the error of Eq. (7) after a displacement of grain 1: root of the sum of squares over grains at tau."""
+    """Return the error of Eq. (7) after a displacement of grain 1, Euclidean over grains, at tau."""
     grains = int(1.3 * continuum.depth(tau)) + 20
-    unit = GENTLE * Chain(grains=grains, diameter=BEAD).length_scale
+    unit = WEAK * Chain(grains=grains, diameter=BEAD).length_scale
     scene = _at_its_end(column(Displacement(displacement=unit, grain=1), tau, grains))
     return _distance(bessel.local(np.arange(1, grains + 1), tau), theory(scene, "chebyshev").displacement[-1] / unit)
 
@@ -123,18 +123,18 @@ def continuum_error(width: float, tau: Array, exponent: float = 1.5, cells: int 
     struck = strike(real(np.arange(grains) + 0.5))
     struck[-1] = 0
     smooth = continuum.solve(tau, grains, velocity=strike, delta=exponent, cells=cells).velocity
-    unit = _unit(column(GENTLE, 1.0, grains, exponent))
+    unit = _unit(column(WEAK, 1.0, grains, exponent))
     scenes = [column(Profile(velocity=unit * struck), now, grains, exponent) for now in tau]
     exact = [theory(_at_its_end(scene), "chebyshev").velocity[-1] / unit for scene in scenes]
     return np.array([_distance(*pair) for pair in zip(smooth, exact, strict=True)])
 
 
 def impulse_error(tau: float, samples: int = 2) -> tuple[Array, Array, Array]:
-    """Return times tau (T,), depths h (N,) and by how much Eq. (35) is off there (T, N), relative to Eq. (3).
+    """Return times tau (T,), depths h (N,) and the error of Eq. (35) relative to Eq. (3), (T, N).
 
     The norm of `theories.behind_front`; NaN ahead of the light cone.
     """
-    scene = column(GENTLE, tau, int(continuum.depth(1.2 * tau)) + 30)
+    scene = column(WEAK, tau, int(continuum.depth(1.2 * tau)) + 30)
     scene = Scene(**scene.given() | {"samples": samples})
     times, h = scene.time / scene.chain.time_scale, real(np.arange(scene.chain.grains) + 0.5)
     exact = theory(scene, "chebyshev").displacement / _unit(scene) / scene.chain.time_scale
@@ -144,14 +144,15 @@ def impulse_error(tau: float, samples: int = 2) -> tuple[Array, Array, Array]:
 
 
 def driven(frequency: float, tau: float = 150.0) -> tuple[Array, Complex]:
-    """Return depths (G,) and the motion there over that of grain 1, (G,), a factor of exp(i omega tau).
+    """Return depths (G,) and the complex amplitude there over that of grain 1, (G,).
 
-    The top is driven gently at the frequency omega, in units of tau, for a time tau. The average is over the last four
+    It is the factor of exp(i omega tau).
+    The top is driven weakly at the frequency omega, in units of tau, for a time tau. The average is over the last four
     periods; left out are depths that the wave has reached but lately and, within 15 / omega of travel time, where no
     local wavelength is known.
     """
     chain = Chain(grains=int(continuum.depth(tau)), diameter=BEAD)
-    drive = Drive(amplitude=GENTLE * chain.length_scale, frequency=frequency / (2 * np.pi * chain.time_scale))
+    drive = Drive(amplitude=WEAK * chain.length_scale, frequency=frequency / (2 * np.pi * chain.time_scale))
     answer = theory(column(drive, tau, chain.grains), "chebyshev")
     times = answer.time / chain.time_scale
     window = np.clip((times - tau) * frequency / (2 * np.pi * PERIODS) + 1, 0, 1)
@@ -161,28 +162,28 @@ def driven(frequency: float, tau: float = 150.0) -> tuple[Array, Complex]:
 
 
 def phase_velocities(frequency: float, tau: float = 150.0) -> tuple[Array, Array]:
-    """Return wavelengths, in grains, and phase velocities over those of the continuum, (G,) each; see `driven`."""
+    """Return wavelengths in grains and phase velocities over the continuum's, (G,) each; see `driven`."""
     h, motion = driven(frequency, tau)
     number = -np.diff(np.angle(motion)) % (2 * np.pi)
     return 2 * np.pi / number, frequency / (h[:-1] + 0.5) ** (1 / 6) / number
 
 
 def harmonic_error(frequency: float, tau: float = 150.0) -> tuple[Array, Array]:
-    """Return depths and the error of Eq. (30) for a driven top, `theories.harmonic_law`, (G,) each; see `driven`."""
+    """Return depths and the error of `theories.harmonic_law` for a driven top, (G,) each."""
     h, motion = driven(frequency, tau)
     mode = continuum.mode(np.append(0.5, h), frequency).conj()  # the paper's comes in from below
     return h, np.abs(mode[1:] / mode[0] / motion - 1)
 
 
 def fronts(tau: float) -> tuple[Array, Array, Array]:
-    """Return grains, when the largest velocity passes each, and for how long it is above half of that, in tau, (G,)."""
-    scene = column(GENTLE, tau, int(continuum.depth(1.2 * tau)) + 30)
-    found = track(theory(scene, "chebyshev"))
-    return found.grain, found.time / scene.chain.time_scale, found.width / scene.chain.time_scale
+    """Return grains, arrival times of the largest velocity and its widths at half height in tau, (G,)."""
+    scene = column(WEAK, tau, int(continuum.depth(1.2 * tau)) + 30)
+    front = track(theory(scene, "chebyshev"))
+    return front.grain, front.time / scene.chain.time_scale, front.width / scene.chain.time_scale
 
 
 def theory(scene: Scene, engine: str) -> Trajectory:
-    """Return the answer of a theory, however far it is from Eq. (1)."""
+    """Return the solution of a theory, whatever its distance from Eq. (1)."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return simulate(scene, engine, 0.999)
@@ -194,13 +195,13 @@ def _at_its_end(scene: Scene) -> Scene:
 
 
 def _unit(scene: Scene) -> float:
-    """Return the velocity of a gentle strike, m/s."""
-    return GENTLE * scene.chain.length_scale / scene.chain.time_scale
+    """Return the velocity of a weak strike, m/s."""
+    return WEAK * scene.chain.length_scale / scene.chain.time_scale
 
 
-def _distance(found: Array, truth: Array) -> float:
-    return float(np.linalg.norm(found - truth) / np.linalg.norm(truth))
+def _distance(x: Array, reference: Array) -> float:
+    return float(np.linalg.norm(x - reference) / np.linalg.norm(reference))
 
 
-def _largest(found: Array, truth: Array) -> float:
-    return float(np.abs(found - truth).max() / np.abs(truth).max())
+def _largest(x: Array, reference: Array) -> float:
+    return float(np.abs(x - reference).max() / np.abs(reference).max())

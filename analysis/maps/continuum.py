@@ -1,4 +1,4 @@
-"""The continuum: errors of Eqs. (35) and (27) over depth, time and width; its waves and front beside the chain's."""
+"""Errors of the continuum, Eqs. (35) and (27), over depth, time and width; dispersion and front."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def measure(quick: bool) -> dict[str, Any]:
         "width": depth(widths).tolist(),
         "tau": tau.tolist(),
         "spread": [continuum_error(s, tau).tolist() for s in widths],
-        "waves": {f: [x.tolist() for x in found] for f, found in waves.items()},
+        "waves": {f: [x.tolist() for x in pair] for f, pair in waves.items()},
         "front": [x.tolist() for x in fronts(60.0 if quick else 300.0)],
     }
 
@@ -53,7 +53,7 @@ def draw(data: dict[str, Any]) -> Figure:
 
 
 def draw_strike(plane: Axes, data: dict[str, Any], picture: Figure) -> None:
-    """Draw where Eq. (35) holds after a strike on grain 1."""
+    """Draw where Eq. (35) is accurate after a strike on grain 1."""
     grain, times = np.array(data["h"]) + 0.5, np.array(data["time"])
     error = np.array([[np.nan if x is None else x for x in row] for row in data["impulse"]])
     shades = plane.pcolormesh(grain, times, error, norm=LogNorm(1e-4, 1), cmap="cividis", shading="nearest")

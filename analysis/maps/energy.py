@@ -1,4 +1,4 @@
-"""The energy over a million steps and more: kept by splittings, lost or gained by the others."""
+"""Energy over a million steps and more: conserved by splittings, drifting with other methods."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from lmpchain.util.plotting import SHADES, SHAPES, figure
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-WORK = 0.03  # omega h a force evaluation, the same for all: each is given the steps that it can afford
+WORK = 0.03  # omega h per force evaluation, so that all methods do equal work
 PERIODS = 1e5  # of the band edge: a million steps and more for every method
-SHORT = 100  # periods in which the error is measured against the step, before chaos tells one step from another
-LOOKS = 201  # samples there
-THINNED = 10  # of the samples of a long run, one is kept
-STEPS = {  # omega h where the error goes as its power
+SHORT = 100  # periods for the error against the step, before chaos separates the runs
+SAMPLES = 201  # samples in these
+THINNED = 10  # every tenth sample of a long run is stored
+STEPS = {  # omega h where the error is a power law
     "verlet": (0.02, 0.2),
     "rkn4": (0.04, 0.16),
     "rkn6": (0.2, 0.6),
@@ -32,9 +32,10 @@ STEPS = {  # omega h where the error goes as its power
 
 
 def hot(grains: int) -> lmpchain.Scene:
-    """Return a loaded chain of which all grains but the last are given random speeds, enough to be nonlinear.
+    """Return a loaded chain with random velocities, large enough to be nonlinear.
 
-    More than four may keep their energy in one place for 1e5 steps and then let go: a trend in a million that is none.
+    The last grain starts at rest.
+    With more than four grains energy may stay localised for 1e5 steps and then spread, which mimics a trend of 1e-6.
     """
     chain = lmpchain.Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-2)
     speed = (
@@ -45,7 +46,7 @@ def hot(grains: int) -> lmpchain.Scene:
 
 @compiled_once("Runge and Kutta's method, to be compared with", 3)
 def _runge_kutta(u, v, overlap, force, constant, inverse_mass, h, steps, samples):
-    """Return displacement and velocity (samples, N) of the classical method of order 4 for Hertz's contacts."""
+    """Return displacement and velocity (samples, N) by the classical Runge-Kutta method."""
     grains = u.size
     us, vs = np.empty((samples, grains)), np.empty((samples, grains))
     du, dv = np.zeros((4, grains)), np.zeros((4, grains))
@@ -67,12 +68,12 @@ def _runge_kutta(u, v, overlap, force, constant, inverse_mass, h, steps, samples
 
 
 def rk4_growth(reach: float) -> float:
-    """Return by what factor an oscillator grows a step of the classical Runge-Kutta method."""
+    """Return the growth factor of an oscillator in a step of the classical Runge-Kutta method."""
     return abs(sum((1j * reach) ** k / math.factorial(k) for k in range(5)))
 
 
 def runge_kutta(scene: lmpchain.Scene, step: float, periods: float, samples: int = 2001) -> EnergyError:
-    """Do as `energy_error` does, by the classical Runge-Kutta method, which is no part of the package."""
+    """Measure the energy error of the classical Runge-Kutta method, as `energy_error` does."""
     chain, (u, v) = scene.chain, scene.initial()
     duration = periods * 2 * math.pi / chain.band_edge
     steps = math.ceil(duration / (samples - 1) / step)
@@ -91,20 +92,20 @@ def measure(quick: bool) -> dict[str, Any]:
     long: dict[str, Any] = {}
     for name in [*METHODS, "rk4"]:
         step = WORK * (4 if name == "rk4" else METHODS[name].evaluations) / edge
-        found = runge_kutta(scene, step, periods) if name == "rk4" else energy_error(scene, name, step, periods)
-        rate, sure = found.trend()
+        record = runge_kutta(scene, step, periods) if name == "rk4" else energy_error(scene, name, step, periods)
+        rate, sure = record.trend()
         long[name] = {
-            "time": found.time[::THINNED].tolist(),
-            "error": found.error[::THINNED].tolist(),
-            "steps": round(found.time[-1] / found.step),
+            "time": record.time[::THINNED].tolist(),
+            "error": record.error[::THINNED].tolist(),
+            "steps": round(record.time[-1] / record.step),
             "rate": rate,
             "sure": sure,
-            "predicted": drift(scene, rk4_growth if name == "rk4" else METHODS[name].growth, found.step),
+            "predicted": drift(scene, rk4_growth if name == "rk4" else METHODS[name].growth, record.step),
         }
     spread, more = {}, hot(8)
     for name, (least, most) in STEPS.items():
         reaches = np.geomspace(least, most, 3 if quick else 7)
-        runs = [energy_error(more, name, reach / more.chain.band_edge, SHORT, LOOKS) for reach in reaches]
+        runs = [energy_error(more, name, reach / more.chain.band_edge, SHORT, SAMPLES) for reach in reaches]
         spread[name] = {
             "reach": [run.step * more.chain.band_edge for run in runs],
             "error": [float(run.error.std()) for run in runs],
@@ -116,16 +117,16 @@ def draw(data: dict[str, Any]) -> Figure:
     """Draw the energy over time, its trend with its confidence, and its error against the step."""
     picture = figure(15, 5.6)
     over_time, trends, orders = picture.subplots(1, 3, width_ratios=(1.25, 0.9, 1))
-    looks = {
+    styles = {
         name: {"color": colour, "marker": shape}
         for name, colour, shape in zip(data["long"], SHADES, SHAPES, strict=True)
     }
-    _over_time(over_time, data, looks)
-    _trends(trends, data, looks)
-    for name, found in data["spread"].items():
-        slope = np.polyfit(np.log(found["reach"]), np.log(found["error"]), 1)[0]
+    _over_time(over_time, data, styles)
+    _trends(trends, data, styles)
+    for name, record in data["spread"].items():
+        slope = np.polyfit(np.log(record["reach"]), np.log(record["error"]), 1)[0]
         label = f"{name}: slope {slope:.2f}"
-        orders.loglog(found["reach"], found["error"], **looks[name] | {"ms": 5, "lw": 1.4}, label=label)
+        orders.loglog(record["reach"], record["error"], **styles[name] | {"ms": 5, "lw": 1.4}, label=label)
     orders.set_xticks([0.02, 0.05, 0.1, 0.2, 0.5])
     orders.xaxis.set_major_formatter("{x:g}")
     orders.xaxis.set_minor_formatter("")
@@ -135,36 +136,36 @@ def draw(data: dict[str, Any]) -> Figure:
     return picture
 
 
-def _over_time(ax: Any, data: dict[str, Any], looks: dict[str, dict[str, str]]) -> None:
-    """Draw the largest error so far, each with its name at its end, and the drift that is predicted."""
+def _over_time(ax: Any, data: dict[str, Any], styles: dict[str, dict[str, str]]) -> None:
+    """Draw the largest error so far, labelled at its end, and the predicted drift."""
     ends = {}
-    for name, found in data["long"].items():
-        time, error = np.array(found["time"][1:]), np.abs(found["error"][1:])
+    for name, record in data["long"].items():
+        time, error = np.array(record["time"][1:]), np.abs(record["error"][1:])
         periods, largest = time * data["band_edge"] / (2 * np.pi), np.maximum.accumulate(error)
-        ax.loglog(periods, largest, color=looks[name]["color"], lw=1.8)
+        ax.loglog(periods, largest, color=styles[name]["color"], lw=1.8)
         ends[name] = float(largest[-1])
-        if found["predicted"]:
-            ax.loglog(periods, np.abs(np.array(found["predicted"])) * time, color="0.2", lw=1, ls="--")
+        if record["predicted"]:
+            ax.loglog(periods, np.abs(np.array(record["predicted"])) * time, color="0.2", lw=1, ls="--")
     ax.plot([], [], color="0.2", lw=1, ls="--", label="drift predicted for a weak wave")
     height = -math.inf
     for name in sorted(ends, key=ends.__getitem__):
-        height = max(height + 0.45, math.log10(ends[name]))  # names keep apart
+        height = max(height + 0.45, math.log10(ends[name]))  # labels must not overlap
         text = f"{name}, {data['long'][name]['steps'] / 1e6:.2g}"
         ax.annotate(text, (1.03, 10**height), xycoords=("axes fraction", "data"), va="center",
-                    color=looks[name]["color"], annotation_clip=False)  # fmt: skip
+                    color=styles[name]["color"], annotation_clip=False)  # fmt: skip
     ax.annotate("million steps", (1.03, 1.02), xycoords="axes fraction", color="0.35", fontsize="small")
     ax.set(xlabel="periods of the band edge", ylabel="largest relative error of the energy so far")
     ax.set_title("All at equal work: splittings keep the energy", loc="left", fontsize="medium")
     ax.legend(frameon=False, loc="upper left")
 
 
-def _trends(ax: Any, data: dict[str, Any], looks: dict[str, dict[str, str]]) -> None:
-    """Draw the trend over the whole run in units of the fluctuation around it, with 99 % confidence."""
-    for place, (name, found) in enumerate(data["long"].items()):
-        time, error = np.array(found["time"]), np.array(found["error"])
-        unit = (error - found["rate"] * time).std() / time[-1]
-        ax.errorbar(found["rate"] / unit, -place, xerr=found["sure"] / unit, fmt=looks[name]["marker"],
-                    color=looks[name]["color"], capsize=4, ms=6)  # fmt: skip
+def _trends(ax: Any, data: dict[str, Any], styles: dict[str, dict[str, str]]) -> None:
+    """Draw the trend over the whole run in units of its fluctuation, with 99 % confidence."""
+    for place, (name, record) in enumerate(data["long"].items()):
+        time, error = np.array(record["time"]), np.array(record["error"])
+        unit = (error - record["rate"] * time).std() / time[-1]
+        ax.errorbar(record["rate"] / unit, -place, xerr=record["sure"] / unit, fmt=styles[name]["marker"],
+                    color=styles[name]["color"], capsize=4, ms=6)  # fmt: skip
     ax.axvline(0, color="0.6", lw=1, zorder=0)
     ax.set_xscale("symlog", linthresh=0.1)
     ax.set(xlim=(-1e7, 1e7), xticks=[-1e6, -1e3, -1, 0, 1, 1e3, 1e6])

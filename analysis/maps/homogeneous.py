@@ -1,4 +1,4 @@
-"""The homogeneous chain: errors of Eq. (6) over depth, time and width, of the engine "bessel", and of Eqs. (7), (8)."""
+"""Errors of the homogeneous chain: Eq. (6), the engine "bessel", and Eqs. (7), (8)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SHADES = tuple(COLOURS.values())
-DEEP = 1000  # the grain around which disturbances of many widths begin
+DEEP = 1000  # grain at the centre of the wide initial disturbances
 LEVELS = (0.01, 0.1)
 XI = 1 / 3
 
@@ -46,7 +46,7 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def _reach(width: float, travelled: np.ndarray, level: float) -> float:
-    """Return the distance at which Eq. (6) is so far off, found between the measured ones."""
+    """Return the distance at which the error of Eq. (6) reaches this value, by interpolation."""
     errors = np.maximum.accumulate([uniform_error(DEEP, T, width) for T in travelled])
     return float(np.exp(np.interp(np.log(level), np.log(errors), np.log(travelled))))
 
@@ -72,7 +72,7 @@ def draw(data: dict[str, Any]) -> Figure:
 
 
 def draw_boundaries(plane: Axes, first: float, last: float, background: str = "white") -> None:
-    """Draw how far a wave may go from a grain, between two grains, until Eq. (6) fails."""
+    """Draw how far a wave travels from a grain until Eq. (6) fails, between two grains."""
     grains, travelled = np.geomspace(first, last, 60), np.geomspace(1, 100, 150)
     law = np.log10([[uniform_law(XI / n, T) for n in grains] for T in travelled])
     plane.contour(grains, travelled, law, levels=[-2, -1], colors="black", linestyles="--", linewidths=1.4)
@@ -92,8 +92,8 @@ def _draw_width(axes: Axes, data: dict[str, Any]) -> None:
         laws = np.array([[uniform_law(XI / DEEP, T, s) for T in fine] for s in widths])
         law = [np.exp(np.interp(np.log(level), np.log(np.maximum.accumulate(e)), np.log(fine))) for e in laws]
         axes.loglog(shown, law, color=colour, label=f"{100 * level:.0f} %, law")
-        found = data["reach"][str(level)]
-        axes.loglog(shown, found, "o", mfc="none", color=colour, label=f"{100 * level:.0f} %, measured")
+        values = data["reach"][str(level)]
+        axes.loglog(shown, values, "o", mfc="none", color=colour, label=f"{100 * level:.0f} %, measured")
     axes.set_xticks([0.5, 1, 3, 10, 30], labels=["one grain", "1", "3", "10", "30"])
     axes.set_yticks([10, 20, 50, 100, 200], labels=["10", "20", "50", "100", "200"])
     axes.minorticks_off()
@@ -103,11 +103,11 @@ def _draw_width(axes: Axes, data: dict[str, Any]) -> None:
 
 def _draw_strike(axes: Axes, data: dict[str, Any]) -> None:
     fine = np.geomspace(data["tau"][0], data["tau"][-1], 200)
-    for (load, found), colour in zip(data["bessel"].items(), SHADES, strict=False):
-        contrast = found[0][0]
+    for (load, values), colour in zip(data["bessel"].items(), SHADES, strict=False):
+        contrast = values[0][0]
         axes.loglog(fine, [bessel_law(contrast, t) for t in fine], color=colour, lw=1.3)
         label = f"load of {load} grains, κ₂/κ₁ − 1 = {contrast:.2g}"
-        axes.loglog(data["tau"], [error for _, error in found], "o", ms=4.5, mfc="none", color=colour, label=label)
+        axes.loglog(data["tau"], [error for _, error in values], "o", ms=4.5, mfc="none", color=colour, label=label)
     for level in LEVELS:
         axes.axhline(level, color="0.7", lw=0.8, zorder=0)
     axes.set(xlabel="time τ", ylabel="error (package's norm)", ylim=(1e-6, 30))
@@ -117,10 +117,10 @@ def _draw_strike(axes: Axes, data: dict[str, Any]) -> None:
 def _draw_seven_and_eight(axes: Axes, data: dict[str, Any]) -> None:
     tau, errors = data["local"]
     axes.loglog(tau, errors, "s", ms=4.5, mfc="none", color="black", label="Eq. (7) against Eq. (3), top grain moved")
-    for (grain, found), colour in zip(data["far field"].items(), SHADES, strict=False):
+    for (grain, off), colour in zip(data["far field"].items(), SHADES, strict=False):
         late = np.array(data["late"])
         axes.loglog(late, far_field_law(int(grain), late), color=colour, lw=1.3)
-        axes.loglog(late, found, "o", ms=4.5, mfc="none", color=colour, label=f"Eq. (8) against Eq. (7), grain {grain}")
+        axes.loglog(late, off, "o", ms=4.5, mfc="none", color=colour, label=f"Eq. (8) against Eq. (7), grain {grain}")
     for level in LEVELS:
         axes.axhline(level, color="0.7", lw=0.8, zorder=0)
     axes.set(xlabel="time τ", ylabel="relative error", ylim=(1e-5, 30))

@@ -1,4 +1,4 @@
-"""Limits: eight places where a scene, a theory or an engine ends, each with the law that says where."""
+"""Eight limits of scenes, theories and engines, each with the law that predicts it."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def measure(quick: bool) -> dict[str, Any]:
     gauges = np.logspace(-7, -3, 9)[::every]
     orders = np.logspace(0, 15, 16)[::every]
     grains = np.round(np.logspace(3, 8, 11)).astype(int)[::every]
-    weak = [limits.gentle(1.5, float(g), 1e-5) for g in fields]
-    near = [limits.gentle(1 + float(x)) for x in excess]
+    weak = [limits.weak(1.5, float(g), 1e-5) for g in fields]
+    near = [limits.weak(1 + float(x)) for x in excess]
     swings = {n: [limits.swinging(n, float(x)) for x in numbers] for n in (2, 3)}
     pressed = [limits.squeezing(float(x)) for x in strains]
     column = Chain(grains=20, diameter=limits.BEAD)
@@ -84,13 +84,13 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def _dyson(m: float) -> tuple[float, float, float]:
-    """Return the largest error of Eq. (23) within 3 standard deviations, its law, and that of what is printed."""
+    """Return the largest error of Eq. (23) within 3 standard deviations, its law, and the printed form's."""
     kappa = 1 + np.linspace(-0.9, 3, 14) / np.sqrt(m)
     with mp.workdps(60):
         true = [mp.exp(m * mp.log(m) - mp.loggamma(m) + m * mp.log(k) - m * k) for k in map(mp.mpf, kappa.tolist())]
 
-    def off(found: np.ndarray) -> float:
-        return max(float(abs(f / t - 1)) for f, t in zip(found.tolist(), true, strict=True))
+    def off(values: np.ndarray) -> float:
+        return max(float(abs(f / t - 1)) for f, t in zip(values.tolist(), true, strict=True))
 
     with np.errstate(all="ignore"):
         plain = np.float64(m) ** m / np.float64(mp.gamma(m)) * kappa**m * np.exp(-m * kappa)
@@ -115,12 +115,12 @@ def draw(data: dict[str, Any]) -> Figure:
 
 def _vacuum(axes: Axes, data: dict[str, Any]) -> None:
     g = np.array(data["gravity"])
-    for (key, found), colour in zip(data["from_vacuum"].items(), (BLUE, GREEN, ORANGE, RED), strict=True):
+    for (key, values), colour in zip(data["from_vacuum"].items(), (BLUE, GREEN, ORANGE, RED), strict=True):
         exponent, load = map(float, key.split(", "))
         power = limits.vacuum_power(exponent, load > 0)
-        axes.plot(g, found[0] * (g / g[0]) ** power, color=colour, lw=1.2)
+        axes.plot(g, values[0] * (g / g[0]) ** power, color=colour, lw=1.2)
         name = f"δ = {exponent:g}, {'loaded' if load else 'no load'}: $g^{{{power:.2g}}}$"
-        axes.plot(g, found, **POINT, marker="o", color=colour, label=name)
+        axes.plot(g, values, **POINT, marker="o", color=colour, label=name)
     axes.set(xlabel="gravity (m/s²)", ylabel="relative distance from g = 0", ylim=(None, 1e4))
     axes.set_title("Gravity vanishes: answers go on to g = 0")
 
@@ -145,11 +145,11 @@ def _springs(axes: Axes, data: dict[str, Any]) -> None:
 
 def _periods(axes: Axes, data: dict[str, Any]) -> None:
     for (grains, law), marker, colour in zip(data["periods"].items(), "so", (BLUE, ORANGE), strict=True):
-        found = np.array(data["measured"][grains])
+        values = np.array(data["measured"][grains])
         name = "one bead on another" if int(grains) == 2 else "three between walls"
         axes.plot(data["numbers"], law, color=colour, lw=1.2)
         far = data["period_off"][grains]
-        axes.plot(data["numbers"], found, **POINT, marker=marker, color=colour, label=f"{name}: {far:.0e} off")
+        axes.plot(data["numbers"], values, **POINT, marker=marker, color=colour, label=f"{name}: {far:.0e} off")
     axes.set(xlabel="strike number", ylabel="period / that of the top mode", ylim=(None, 300))
     axes.set_title("Two and three grains: period by quadrature")
 
@@ -176,9 +176,9 @@ def _bending(axes: Axes, data: dict[str, Any]) -> None:
 
 
 def _weights(axes: Axes, data: dict[str, Any]) -> None:
-    found, law, printed = np.array(data["dyson"], dtype=float).T
+    values, law, printed = np.array(data["dyson"], dtype=float).T
     axes.plot(data["orders"], law, color=BLUE, lw=1.2, label="rounding of κ: ε m |κ - 1|")
-    axes.plot(data["orders"], found, **POINT, marker="o", color=BLUE, label="theory.dyson.weight")
+    axes.plot(data["orders"], values, **POINT, marker="o", color=BLUE, label="theory.dyson.weight")
     axes.plot(data["orders"], np.where(np.isfinite(printed), printed, np.nan), **POINT, marker="x", color=RED,
               label="as printed")  # fmt: skip
     axes.axvline(limits.MOST_PRINTED, color=RED, ls="--", lw=1)

@@ -1,4 +1,4 @@
-"""Linear theory: its error over strike and gravity, in four norms, and what the package says of it beforehand."""
+"""Error of linear theory over strike and gravity, in four norms, and its a priori estimate."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def measure(quick: bool) -> dict[str, Any]:
         "gravity": gravity.tolist(),
         "error": errors,
         "strike number": numbers.tolist(),
-        "norms": {norm: [found[norm] for found in norms] for norm in LINEAR},
+        "norms": {norm: [error[norm] for error in norms] for norm in LINEAR},
         "estimate": {
             "most": [bounds(scene)[1] for scene in scenes],
             "look": [engine.bound_model_error(scene, engine.candidate(scene, 1e-6)) for scene in scenes],
@@ -58,7 +58,10 @@ def _scene(v0: float, gravity: float) -> Scene:
 
 
 def strike_unit(gravity: np.ndarray | float) -> np.ndarray | float:
-    """Return v0 / v0* of glass beads, m/s, for Hertz: sqrt(delta g) (g / gamma)^(1/3), as the 5/6 power of gravity."""
+    """Return v0 / v0* of glass beads, m/s, for Hertz: sqrt(delta g) (g / gamma)^(1/3).
+
+    It grows as the 5/6 power of gravity.
+    """
     chain = Chain(grains=2, diameter=BEAD, gravity=EARTH)
     return chain.length_scale / chain.time_scale * (gravity / EARTH) ** (5 / 6)
 
@@ -104,12 +107,12 @@ def draw_boundaries(plane: Axes, least: float, most: float, background: str = "w
 
 def _draw_norms(axes: Axes, data: dict[str, Any]) -> None:
     fine = np.geomspace(data["strike number"][0], data["strike number"][-1], 200)
-    for (norm, found), colour in zip(data["norms"].items(), COLOURS.values(), strict=False):
+    for (norm, error), colour in zip(data["norms"].items(), COLOURS.values(), strict=False):
         law = np.array([linear_law(v, norm, grain=19) for v in fine])
         axes.plot(fine, law, color=colour, lw=1.3)
         one = strike_number_at(0.01, norm, grain=19)
         label = f"{NAMES[norm]}: 1 % at v0* = {one:.2g}"
-        axes.plot(data["strike number"], found, "o", ms=4.5, mfc="none", color=colour, label=label)
+        axes.plot(data["strike number"], error, "o", ms=4.5, mfc="none", color=colour, label=label)
     for level in (0.01, 0.1):
         axes.axhline(level, color="0.7", lw=0.8, zorder=0)
     axes.set_title("At g, four norms: points, measured; lines, law", loc="left", fontsize="medium")
@@ -118,7 +121,7 @@ def _draw_norms(axes: Axes, data: dict[str, Any]) -> None:
 def _draw_own(axes: Axes, data: dict[str, Any]) -> None:
     numbers, own = data["strike number"], data["estimate"]
     axes.plot(numbers, own["most"], color="0.7", label="bound from the strike alone")
-    axes.plot(numbers, own["look"], "--", color=COLOURS["lammps"], label="bound after a look at the linear solution")
+    axes.plot(numbers, own["look"], "--", color=COLOURS["lammps"], label="bound from the linear solution")
     axes.plot(numbers, own["after"], color=COLOURS["native"], label="estimate after the run")
     axes.plot(numbers, data["norms"]["package"], "o", ms=4.5, mfc="none", color="black", label="measured")
-    axes.set_title("At g, what the package says by itself", loc="left", fontsize="medium")
+    axes.set_title("At g, the package's own estimates", loc="left", fontsize="medium")

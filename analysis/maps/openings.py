@@ -1,4 +1,4 @@
-"""The order of every method where contacts open and close, with steps of one length and with adaptive ones."""
+"""Order of every method through opening contacts, with fixed and with adaptive steps."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 EXPONENT = 1.5
-ADAPTIVE = [name for name in METHODS if name not in ("verlet", "gear4")]  # which can be, and have an order to lose
-ASYMPTOTIC = {"gear4": 0.02}  # step x frequency below which a slope is found; of the others from the first point on
+ADAPTIVE = [name for name in METHODS if name not in ("verlet", "gear4")]  # methods of adaptive steps, order above 2
+ASYMPTOTIC = {"gear4": 0.02}  # step x frequency below which the slope is fitted; others from the first point on
 RUNS = {"dop853": 120}  # for an error; of the others 40
-FLOOR = 3e-13  # error below which round-off has its part
+FLOOR = 3e-13  # error below which round-off contributes
 
 
 def measure(quick: bool) -> dict[str, Any]:
@@ -31,7 +31,7 @@ def measure(quick: bool) -> dict[str, Any]:
         duration=60e-6,
         samples=21,
     )
-    truth = reference(scene)
+    solution = reference(scene)
     apart = lmpchain.simulate(scene, "native", 1e-9).displacement
     opened = (scene.chain.contacts.overlap + scene.chain.contacts.closer(apart))[:, 1:-1] < 0
     counts = np.geomspace(70, 6000 if quick else 20000, 6 if quick else 14).astype(int)
@@ -43,7 +43,7 @@ def measure(quick: bool) -> dict[str, Any]:
             "reach": (angle / (1.1 * counts)).tolist(),
             "error": {
                 name: errors_through_openings(
-                    scene, name, counts, truth, runs=8 if quick else RUNS.get(name, 40)
+                    scene, name, counts, solution, runs=8 if quick else RUNS.get(name, 40)
                 ).tolist()
                 for name in METHODS
             },
@@ -51,7 +51,7 @@ def measure(quick: bool) -> dict[str, Any]:
         "adaptive": {
             "reach": (angle / (1.1 * few)).tolist(),
             "error": {
-                name: errors_through_openings(scene, name, few, truth, True, 8 if quick else 40).tolist()
+                name: errors_through_openings(scene, name, few, solution, True, 8 if quick else 40).tolist()
                 for name in ADAPTIVE
             },
         },
@@ -59,7 +59,7 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def slope(name: str, reach: list[float], error: list[float]) -> float:
-    """Return the order that errors show where they are those of short steps, and not round-off."""
+    """Return the order of convergence, from errors of short steps above round-off."""
     x, y = np.array(reach), np.array(error)
     used = (x < ASYMPTOTIC.get(name, math.inf)) & (y > FLOOR)
     return float(np.polyfit(np.log(x[used]), np.log(y[used]), 1)[0])
@@ -70,13 +70,13 @@ def draw(data: dict[str, Any]) -> Figure:
     picture = figure(12, 6)
     axes = picture.subplots(1, 2, sharey=True)
     for ax, kind, said in zip(
-        axes, ("one length", "adaptive"), ("Steps of one length", "Steps that shorten around openings"), strict=True
+        axes, ("one length", "adaptive"), ("Fixed steps", "Adaptive step sizes around openings"), strict=True
     ):
-        reach, found = data[kind]["reach"], data[kind]["error"]
+        reach, errors = data[kind]["reach"], data[kind]["error"]
         for name, colour, shape in zip(METHODS, SHADES, SHAPES, strict=False):
-            if name in found:
-                label = f"{name}: {slope(name, reach, found[name]):.2f}"
-                ax.loglog(reach, found[name], color=colour, marker=shape, ms=5, lw=1.3, label=label)
+            if name in errors:
+                label = f"{name}: {slope(name, reach, errors[name]):.2f}"
+                ax.loglog(reach, errors[name], color=colour, marker=shape, ms=5, lw=1.3, label=label)
         ax.set_title(said, loc="left", fontsize="medium")
         ax.set_xlabel("step × highest frequency")
         place = "lower right" if kind == "one length" else "upper left"

@@ -1,4 +1,4 @@
-"""Where the paper's own figures lie: Figs. 1 and 5 on the map of linear theory, 2, 8 and 9 on those of the others."""
+"""The paper's figures on the maps: Figs. 1, 5 on linear theory, 2, 8 and 9 on the others."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ POINT = {"marker": "o", "ls": "none", "color": COLOURS["lammps"], "ms": 6}
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return what the paper's scenes are like, and how far off the theory is that it uses for them."""
+    """Return the parameters of the paper's scenes and the errors of the theory used for them."""
     scenes = {
         name: Scene.from_toml(Path(__file__).parents[1] / "scenes" / f"{file}.toml") for name, file in SCENES.items()
     }
@@ -50,9 +50,9 @@ def draw(data: dict[str, Any]) -> Figure:
     picture = figure(15, 5.2)
     linear, uniform, continuous = picture.subplots(1, 3)
     linearisation.draw_boundaries(linear, 0.1, 1000, background="black")
-    for name, found in data["strikes"].items():
-        label = f"{name}\n{100 * found['velocity']:.0f} % off"
-        _point(linear, found["gravity"], found["v0"], label, (-6, 8) if name == "Fig. 5, g" else (0, 8), "center")
+    for name, strike in data["strikes"].items():
+        label = f"{name}\n{100 * strike['velocity']:.0f} % off"
+        _point(linear, strike["gravity"], strike["v0"], label, (-6, 8) if name == "Fig. 5, g" else (0, 8), "center")
     linear.set(ylim=(3e-8, 0.1))
     linear.set_title("Linear theory: velocities at 100 µs", loc="left", fontsize="medium")
     homogeneous.draw_boundaries(uniform, 10, 1000, background="black")

@@ -1,7 +1,7 @@
-"""How long a struck column can be predicted: the growth of a change in the last digits, and what it leaves to doubles.
+"""Predictability of a struck column: growth of a change in the last digits, and its limit.
 
 Columns of glass beads of 1 mm under g. Reflections through contacts that open and close amplify any change of the start
-until nothing of it is left; the horizon of a tolerance is where rounding has grown to it.
+until two runs are uncorrelated; the predictability time of a tolerance is when rounding has grown to it.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 LENGTHS = (10, 20, 40)
 TOLERANCES = (1e-9, 1e-6, 1e-3)
 CHANGE = 1e-13
-MOST = 12  # decades after which the two runs have nothing in common
-HOLDS = 30.0, 50.0  # strike numbers between which the law holds; the second is per grain
+MOST = 12  # decades of growth after which two runs are uncorrelated
+HOLDS = 30.0, 50.0  # strike numbers between which the law is valid; the second is per grain
 
 
 def scene(grains: int, velocity: float, duration: float = 5e-3, samples: int = 126) -> Scene:
@@ -31,7 +31,7 @@ def scene(grains: int, velocity: float, duration: float = 5e-3, samples: int = 1
 
 
 def measure(quick: bool) -> dict:
-    """Return the decades of growth, length by length, for strikes x times, and the horizons that the law predicts."""
+    """Return the decades of growth for strikes x times, each length, and predicted predictability times."""
     velocities = np.logspace(-3.5, -0.5, 3 if quick else 10)
     panels = []
     for grains in LENGTHS[:1] if quick else LENGTHS:
@@ -46,7 +46,7 @@ def measure(quick: bool) -> dict:
 
 
 def draw(data: dict) -> Figure:
-    """Draw strike x time for each length: colours for the growth, lines for measured and predicted horizons."""
+    """Draw growth as colours over strike x time, with measured and predicted predictability times."""
     panels, velocities, times = data["panels"], np.array(data["velocities"]), 1e3 * np.array(data["times"])
     picture = figure(4.2 * len(panels) + 1.2, 5.2)
     axes = picture.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
@@ -55,19 +55,17 @@ def draw(data: dict) -> Figure:
         mesh = ax.pcolormesh(velocities, times, decades, vmin=0, vmax=MOST, cmap="cividis", shading="gouraud")
         levels = [np.log10(tol / SEED) for tol in TOLERANCES]
         ax.contour(velocities, times, decades, levels=levels, colors="white", linewidths=1.6)
-        for horizons in panel["law"].values():
-            ax.plot(panel["valid"], 1e3 * np.array(horizons), color="#D55E00", lw=1.8, ls="--")
+        for predicted in panel["law"].values():
+            ax.plot(panel["valid"], 1e3 * np.array(predicted), color="#D55E00", lw=1.8, ls="--")
         ax.set(xscale="log", xlim=velocities[[0, -1]], ylim=times[[0, -1]], xlabel="strike (m/s)")
         ax.set_title(f"{panel['grains']} grains", fontsize="medium")
-    for level, tolerance in zip(levels, TOLERANCES, strict=True):  # named where they leave the last panel on the right
+    for level, tolerance in zip(levels, TOLERANCES, strict=True):  # labelled at the right edge of the last panel
         end = int(np.argmax(decades[:, -1] > level))
         if end > 0:
             spot, name = (velocities[-1], times[end]), f"1e{np.log10(tolerance):.0f}"
             ax.annotate(name, spot, (4, 0), textcoords="offset points", va="center")
     axes[0].set_ylabel("time after the strike (ms)")
-    axes[0].plot(
-        [], [], color="0.75", lw=1.6, label="horizon of a tolerance of 1e-9, 1e-6, 1e-3 (from below): measured"
-    )
+    axes[0].plot([], [], color="0.75", lw=1.6, label="predictability time to 1e-9, 1e-6, 1e-3 (from below): measured")
     axes[0].plot([], [], color="#D55E00", lw=1.8, ls="--", label="predicted: 0.9 (1 - exp(-N/20)) decades a reflection")
     picture.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
     picture.colorbar(mesh, ax=axes, label="growth of a small change (decades)")

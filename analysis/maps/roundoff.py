@@ -1,4 +1,4 @@
-"""What rounding alone leaves: the relative error against the strike, for both engines and several lengths of column.
+"""Round-off error against the strike, for both engines and several lengths of column.
 
 Every point is a run held against the same steps in extended precision; every line is the law. Columns of glass beads of
 1 mm under g, struck at the top, until the wave is at the floor.
@@ -34,7 +34,7 @@ STYLES = (
 
 
 def scene(grains: int, strike: float) -> Scene:
-    """Return a column struck with this strike number, until the wave is at its floor."""
+    """Return a column with this strike number, until the wave reaches its bottom."""
     chain = Chain(grains=grains, material="glass", diameter=1e-3)
     speed = strike * chain.length_scale / chain.time_scale
     arrival = 1.2 * grains ** (5 / 6) * chain.time_scale
@@ -42,7 +42,7 @@ def scene(grains: int, strike: float) -> Scene:
 
 
 def measure(quick: bool) -> dict:
-    """Return the floors, measured at some strikes and predicted at many."""
+    """Return round-off floors, measured at some strikes and predicted at many."""
     strikes = np.logspace(-5, 2, 3 if quick else 7)
     many = np.logspace(-5.5, 2.5, 33)
     panels = []
@@ -63,8 +63,8 @@ def draw(data: dict) -> Figure:
     for ax, panel in zip(axes, panels, strict=True):
         for name, (colour, marker) in zip(WAYS, STYLES, strict=True):
             ax.loglog(data["many"], panel["law"][name], color=colour, lw=1.4, label=f"{name}: law")
-            found = panel["measured"][name]
-            ax.loglog(data["strikes"], found, color=colour, ls="none", marker=marker, ms=6, label="measured")
+            measured = panel["measured"][name]
+            ax.loglog(data["strikes"], measured, color=colour, ls="none", marker=marker, ms=6, label="measured")
         ax.axhline(TOLERANCE, color="0.5", lw=1, ls=":", zorder=0)
         ax.axvline(1, color="0.85", lw=0.8, zorder=0)
         ax.set_title(f"{panel['grains']} grains, {1e3 * (panel['grains'] - 1) * 1e-3:g} mm high", fontsize="medium")

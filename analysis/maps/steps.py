@@ -1,4 +1,4 @@
-"""The longest step that every integrator survives, from the gentlest strike to the strongest."""
+"""Longest stable step of every integrator against the strength of the strike."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 PERIODS = 100  # of the band edge, the duration of every run; of two struck grains in the vacuum
 LOADED = {"grains": 12, "diameter": 1e-3, "gravity": 0.0, "top_load": 1e-3}
-STEEP = 1.05  # growth a step that no run survives
+STEEP = 1.05  # growth factor per step at which every run breaks down
 LINE = {"color": "0.2", "lw": 1.5}
 BEYOND = "the same for where its oscillators grow by 5 % a step"
 
@@ -38,7 +38,7 @@ def vacuum(velocity: float) -> lmpchain.Scene:
 
 
 def steep(method: Method) -> float:
-    """Return omega h from which an oscillator grows by 5 % a step."""
+    """Return omega h at which an oscillator grows by 5 % a step."""
     return float(next(y for y in np.arange(0.01, 20, 0.01) if method.growth(y) > STEEP))
 
 
@@ -111,15 +111,15 @@ def _panel(ax: Any, data: dict[str, Any], name: str) -> None:
 
 
 def _vacuum(ax: Any, data: dict[str, Any]) -> None:
-    """Draw steps in s against speeds in m/s for two methods that keep apart."""
-    speeds, found = data["speeds"], data["vacuum"]
+    """Draw steps in s against velocities in m/s, for two well separated methods."""
+    speeds, steps = data["speeds"], data["vacuum"]
     for name, beyond in (("verlet", False), ("rkn6", True)):
         factor = data["steep"][name] / METHODS[name].stability_limit if beyond else 1.0
-        expected = np.array(found["predicted"][name]) * factor
+        expected = np.array(steps["predicted"][name]) * factor
         ax.loglog(speeds, expected, **LINE | {"ls": "--" if beyond else "-"})
-        ax.loglog(speeds, found["native"][name], **style("native", 5))
+        ax.loglog(speeds, steps["native"][name], **style("native", 5))
         ax.annotate(name, (speeds[0], expected[0]), (6, 4), textcoords="offset points")
-    ax.loglog(speeds, found["lammps"]["verlet"], **style("lammps", 9))
+    ax.loglog(speeds, steps["lammps"]["verlet"], **style("lammps", 9))
     ax.set(xlabel="strike velocity (m/s)", ylim=(1e-6, 1e-4))
     ax.set_title("sonic vacuum: longest step (s)", loc="left", fontsize="medium")
 
@@ -127,5 +127,5 @@ def _vacuum(ax: Any, data: dict[str, Any]) -> None:
 def style(engine: str, size: float) -> dict[str, Any]:
     """Return how the points of an engine are drawn."""
     label = "measured, LAMMPS" if engine == "lammps" else f"measured, {engine}"
-    look = {"color": COLOURS[engine], "marker": MARKERS[engine], "ms": size, "mfc": "none", "mew": 1.4}
-    return look | {"ls": "none", "label": label}
+    drawn = {"color": COLOURS[engine], "marker": MARKERS[engine], "ms": size, "mfc": "none", "mew": 1.4}
+    return drawn | {"ls": "none", "label": label}

@@ -1,4 +1,4 @@
-"""A column for a discrete element code: data file, deck, run, and what its log and its last state say."""
+"""A column for a discrete element code: data file, deck, run, log and final state."""
 
 from __future__ import annotations
 
@@ -68,5 +68,5 @@ def solve(command: list[str], deck: str, problem: Problem, step: float) -> Answe
 
 
 def steps(problem: Problem) -> list[float]:
-    """Return steps by which the duration can be divided, s, from the longest."""
+    """Return steps that divide the duration, s, from the longest."""
     return [problem.scene.duration / count for count in (int(100 * 2 ** (k / 2)) for k in range(21))]

@@ -1,4 +1,4 @@
-"""A scene as a general ODE solver wants it, and what every code of the comparison gives back.
+"""A scene as an ODE problem for general solvers, and the answer that every code returns.
 
 Displacements and velocities in units of the largest excursion and of the time scale of the chain, so that a weak
 wave keeps all its digits and tolerances mean the same in every scene. Only the state at the end is asked for.
@@ -24,7 +24,7 @@ FASTMATH = {"nnan", "ninf", "nsz", "contract"}
 
 @dataclass(frozen=True)
 class Answer:
-    """What a code found.
+    """The solution of one code.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Answer:
 
 @dataclass(frozen=True)
 class Code:
-    """One line of the chart: a code with its settings, run at one parameter after another.
+    """One code with its settings, run at a series of parameters: a line of the chart.
 
     Attributes
     ----------
@@ -134,27 +134,27 @@ class Problem:
         return chain.equilibrium_force * (self.time**2 / (chain.masses[0] * self.length))
 
     def answer(self, state: Array, seconds: float, force_evaluations: int | None = None) -> Answer:
-        """Put a state (2M,) into SI units, with the grain that is held."""
+        """Convert a state (2M,) to SI units, with the held grain."""
         u, v = np.pad(np.reshape(state, (2, -1)), ((0, 0), (0, 1)))
         return Answer(u * self.length, v * (self.length / self.time), seconds, force_evaluations)
 
     def table(self) -> Array:
-        """Return what `fill_rate` takes: M, a count of its calls, closer, strength and room for forces."""
+        """Return the arguments of `fill_rate`: M, its call count, closer, strength, room for forces."""
         moving = self.scene.chain.movable
         return np.concatenate(([moving, 0.0], self.closer, self.strength, np.zeros(moving)))
 
     def cut(self, grains: int) -> Problem:
-        """Return the same problem with grains 1 ... `grains` alone, as one may cut it by hand."""
+        """Return the problem restricted to grains 1 ... `grains`, as one would cut it by hand."""
         return Problem(self.scene.part(1, grains))
 
 
-def error(answer: Answer, truth: Reference) -> float:
+def error(answer: Answer, solution: Reference) -> float:
     """Return the error as lmpchain defines it, over the two samples: larger of displacement and velocity.
 
     Grains below those of a chain that was cut count as at rest.
     """
-    missing = truth.displacement.shape[1] - answer.displacement.size
-    pairs = ((answer.displacement, truth.displacement), (answer.velocity, truth.velocity))
+    missing = solution.displacement.shape[1] - answer.displacement.size
+    pairs = ((answer.displacement, solution.displacement), (answer.velocity, solution.velocity))
     both = [np.abs(np.pad(x, (0, missing)) - true[-1]).max() / np.abs(true).max() for x, true in pairs]
     return float(max(both)) if np.isfinite(both).all() else math.inf
 
@@ -184,5 +184,5 @@ def fill_rate(y, rate, table):
 def _relative_force(s):
     s = s if s > -1.0 else -1.0
     u = math.sqrt(1.0 + s) - 1.0
-    u += 0.5 * ((s - 2.0 * u) - u * u)  # gives back the digits that 1 + s lost
+    u += 0.5 * ((s - 2.0 * u) - u * u)  # restores the digits lost in 1 + s
     return u * (3.0 + u * (3.0 + u))

@@ -1,15 +1,15 @@
-"""Time against true error of other codes and of the native engine, on one scene, in one run on one machine.
+"""Time against true error of other codes and the native engine, on one scene and machine.
 
 Every code gets the whole chain and is asked for the state at the end; compiling and setting up are left out, and
 each time is the smallest of several. Where the chain is much longer than the wave gets, the solvers of differential
-equations are run a second time on a chain that was cut by hand, which is no peer's doing and enters no ratio.
+equations are run a second time on a chain that was cut by hand, which those codes do not do, and enters no ratio.
 """
 
 from __future__ import annotations
 
 import os
 
-os.environ["OPENBLAS_NUM_THREADS"] = "1"  # one core for all; to be said before NumPy comes
+os.environ["OPENBLAS_NUM_THREADS"] = "1"  # one core for all codes; must precede the import of NumPy
 
 import argparse
 import json
@@ -32,12 +32,12 @@ from lmpchain.benchmark.reference import Reference, reference
 from lmpchain.util.files import write_aside
 
 HERE = Path(__file__).parent
-PEERS = "scipy", "numbalsoda", "heyoka", "lammps", "liggghts"
+OTHERS = "scipy", "numbalsoda", "heyoka", "lammps", "liggghts"
 CUTTABLE = "scipy", "numbalsoda", "heyoka"
 TARGETS = 1e-3, 1e-6, 1e-9, 1e-12
 LEAST_RUNS, LEAST_S = 3, 0.2  # runs of each point, and for how long
 LONG_S, LAST_S = 2.0, 8.0  # a run above the first is not repeated, one above the second is the last of its code
-LONG_CHAIN, UNTOUCHED = 1000, 1e-15  # a chain worth cutting, and where: below this part of the largest displacement
+LONG_CHAIN, UNTOUCHED = 1000, 1e-15  # shortest chain to cut; displacement over the largest beyond the cut
 
 
 def fastest(code: Code, problem: Problem, parameter: float) -> Answer:
@@ -51,77 +51,81 @@ def fastest(code: Code, problem: Problem, parameter: float) -> Answer:
     return replace(answer, seconds=min(run.seconds for run in again), whole_s=whole)
 
 
-def scan(code: Code, problem: Problem, truth: Reference) -> list[dict[str, Any]]:
-    """Return one row a parameter; what fails is a gap, and what is too slow is the last."""
-    begin, found, gaps = perf_counter(), [], []
+def scan(code: Code, problem: Problem, solution: Reference) -> list[dict[str, Any]]:
+    """Return one row per parameter, without failed runs, up to the first that is too slow."""
+    begin, rows, gaps = perf_counter(), [], []
     for parameter in code.parameters:
         try:
             answer = fastest(code, problem, parameter)
         except lmpchain.LmpchainError as reason:  # a step beyond stability, a tolerance out of reach
             gaps.append(str(reason).strip().splitlines()[-1])
             continue
-        row = {"code": code.name, "parameter": parameter, "error": error(answer, truth), "seconds": answer.seconds,
+        row = {"code": code.name, "parameter": parameter, "error": error(answer, solution), "seconds": answer.seconds,
                "force_evaluations": answer.force_evaluations, "whole_s": answer.whole_s}  # fmt: skip
         if row["error"] < 1:
-            found.append(row)
+            rows.append(row)
         if answer.seconds > LAST_S:
             break
     failed = f"; {len(gaps)} failed, the last one: {gaps[-1]}" if gaps else ""
     name = f"{code.name}, {problem.scene.chain.grains} grains"
-    print(f"{name}: {perf_counter() - begin:.0f} s, {len(found)} points{failed}", flush=True)
-    return found
+    print(f"{name}: {perf_counter() - begin:.0f} s, {len(rows)} points{failed}", flush=True)
+    return rows
 
 
-def cut_of(problem: Problem, truth: Reference) -> Problem | None:
-    """Return the chain as one would cut it who knows how far the wave gets, if that is worth it."""
+def cut_of(problem: Problem, solution: Reference) -> Problem | None:
+    """Return the chain cut to the reach of the wave, as by hand, if that saves work."""
     grains = problem.scene.chain.grains
-    u = np.abs(truth.displacement[-1])
+    u = np.abs(solution.displacement[-1])
     needed = int(np.flatnonzero(u > UNTOUCHED * u.max())[-1]) + 8
     return problem.cut(needed) if grains > LONG_CHAIN and needed < grains / 2 else None
 
 
-def measure(scene: lmpchain.Scene, peers: list[str]) -> dict[str, Any]:
+def measure(scene: lmpchain.Scene, others: list[str]) -> dict[str, Any]:
     """Run all codes on a scene."""
     problem = Problem(scene)
-    truth = reference(problem.scene)
-    cut = cut_of(problem, truth)
-    found, found_cut = [], []
+    solution = reference(problem.scene)
+    cut = cut_of(problem, solution)
+    rows, rows_cut = [], []
     versions = {name: version(name) for name in ("lmpchain", "numpy", "numba")} | {"python": platform.python_version()}
-    for peer in ("native", *peers):
+    for other in ("native", *others):
         try:
-            module = import_module(f"with_{peer}")
+            module = import_module(f"with_{other}")
         except ImportError as missing:
-            print(f"{peer} is left out: {missing}")
+            print(f"{other} is left out: {missing}")
             continue
-        todo = [(code, problem, found) for code in module.codes(problem)]
-        if cut and peer in CUTTABLE:
-            todo += [(code, cut, found_cut) for code in module.codes(cut)]
+        todo = [(code, problem, rows) for code in module.codes(problem)]
+        if cut and other in CUTTABLE:
+            todo += [(code, cut, rows_cut) for code in module.codes(cut)]
         for code, given, collected in todo:
-            collected += scan(code, given, truth)
-            versions[peer] = code.version
+            collected += scan(code, given, solution)
+            versions[other] = code.version
     return {
         "machine": f"{machine()}, load {os.getloadavg()[0]:.1f}",
         "versions": versions,
-        "reference_error": truth.error,
-        "rows": found,
-        "rows_cut": found_cut,  # the chain cut by hand
+        "reference_error": solution.error,
+        "rows": rows,
+        "rows_cut": rows_cut,  # the chain cut by hand
     }
 
 
 def table(result: dict[str, Any]) -> str:
-    """Return the time to each error and how many times longer the best peer takes than the native engine."""
+    """Return the time to each error, and the ratio of the fastest other code to the native engine."""
     points = _by_code(result["rows"])
     whole = [{**row, "seconds": row["whole_s"]} for row in points.get(TO_TOLERANCE, [])]
     chosen = points.get(TO_TOLERANCE, [])
     given = [row for name, rows in points.items() if name.startswith("native") and name != TO_TOLERANCE for row in rows]
-    peers = [row for name, rows in points.items() if not name.startswith("native") for row in rows]
-    lammps = [row for row in peers if row["code"].startswith("LAMMPS")]
+    others = [row for name, rows in points.items() if not name.startswith("native") for row in rows]
+    lammps = [row for row in others if row["code"].startswith("LAMMPS")]
     lines = ["| ms to an error of | " + " | ".join(f"{target:.0e}" for target in TARGETS) + " |", "|---" * 5 + "|"]
     cut = {f"{name}, cut by hand": rows for name, rows in _by_code(result["rows_cut"]).items()}
     for name, rows in (points | {f"{TO_TOLERANCE}, the whole call": whole} | cut).items():
         lines.append(_line(name, [1e3 * _time_to(rows, target) for target in TARGETS]))
     for label, ours in (("native", given), (TO_TOLERANCE, chosen)):
-        for who, theirs in (("best peer", peers), ("LAMMPS", lammps), ("best peer cut by hand", result["rows_cut"])):
+        for who, theirs in (
+            ("best of the others", others),
+            ("LAMMPS", lammps),
+            ("best, cut by hand", result["rows_cut"]),
+        ):
             ratios = [_time_to(theirs, target) / _time_to(ours, target) for target in TARGETS]
             lines.append(_line(f"{who} / {label}", ratios))
     return "\n".join(lines)
@@ -144,13 +148,13 @@ def main() -> None:
     """Read the scene, measure, print the table and write the file."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scene", type=Path, help="a scene file; only the state at its end is asked for")
-    parser.add_argument("--peers", default=",".join(PEERS), help="some of " + ",".join(PEERS))
+    parser.add_argument("--codes", default=",".join(OTHERS), help="some of " + ",".join(OTHERS))
     given = parser.parse_args()
-    peers = [name for name in given.peers.split(",") if name]
-    if unknown := set(peers) - set(PEERS):
-        parser.error(f"--peers: there is no {', '.join(sorted(unknown))}; take some of {', '.join(PEERS)}")
+    others = [name for name in given.codes.split(",") if name]
+    if unknown := set(others) - set(OTHERS):
+        parser.error(f"--codes: there is no {', '.join(sorted(unknown))}; take some of {', '.join(OTHERS)}")
     try:
-        result = measure(lmpchain.Scene.from_toml(given.scene), peers)
+        result = measure(lmpchain.Scene.from_toml(given.scene), others)
     except lmpchain.InputError as faults:
         parser.error(str(faults))
     with write_aside(HERE / f"{given.scene.stem}.json") as aside:

@@ -1,4 +1,4 @@
-"""Grain-steps a second of velocity Verlet, in waves that fill the chain: native, LAMMPS (several settings), LIGGGHTS.
+"""Grain-steps a second of velocity Verlet in native, LAMMPS (several settings) and LIGGGHTS.
 
 All contacts stay shut. The first line is how many square roots a second this machine takes, which bounds the native
 engine with the plain force: one root a grain and step.
@@ -22,14 +22,14 @@ from lmpchain.benchmark.curves import machine
 from lmpchain.engines import Native
 
 GRAINS = 120, 1000, 10_000
-SPEED, FAINT = 0.05, 1e-9  # of the grains, over eps_1 omega_1: contacts stay shut; so weak that a polynomial will do
+SPEED, FAINT = 0.05, 1e-9  # velocities over eps_1 omega_1: contacts stay closed; weak enough for the polynomial force
 STEP = 0.02  # over the time scale
 NATIVE_WORK, DEM_WORK = (
     2e7,
     1e6,
-)  # grain-steps of a run: short ones, for on a busy machine few long ones are undisturbed
+)  # grain-steps of a run, short because a busy machine disturbs long ones
 NATIVE_RUNS, DEM_RUNS = 40, 7
-ROOTS, REPEATS = 1024, 10_000  # numbers that stay in the first cache, and how often their roots are taken
+ROOTS, REPEATS = 1024, 10_000  # numbers, which fit into the L1 cache, and passes over them
 TUNED = "atom_modify map array sort 0 0\nneighbor 1e-4 bin\nneigh_modify once yes"
 
 
@@ -41,7 +41,7 @@ def _roots(values, times):
 
 
 def roots_per_second() -> float:
-    """Return how many square roots of doubles one core takes a second, packed, from the first cache."""
+    """Return the peak rate of square roots of doubles on one core, packed, from the L1 cache."""
     values = np.full(ROOTS, 2.0)
     _roots(values, 1)
 
@@ -87,11 +87,11 @@ def _hertz_history(problem: Problem) -> str:
 
 def ways() -> dict[str, tuple[list[str], Callable[[Problem], str]]]:
     """Return the programs and what makes their decks."""
-    found = {}
+    programs = {}
     for name, pair in (("granular", granular), ("gran/hertz/history", _hertz_history)):
-        found[f"LAMMPS {name}"] = [LMP], lambda p, pair=pair: deck(pair(p))
+        programs[f"LAMMPS {name}"] = [LMP], lambda p, pair=pair: deck(pair(p))
         for newton in ("off", "on"):
-            found[f"LAMMPS {name}, tuned, newton {newton}"] = (
+            programs[f"LAMMPS {name}, tuned, newton {newton}"] = (
                 [LMP],
                 (lambda p, pair=pair, newton=newton: deck(pair(p), TUNED, newton, "nve")),
             )
@@ -100,8 +100,8 @@ def ways() -> dict[str, tuple[list[str], Callable[[Problem], str]]]:
     except ImportError as missing:
         print(f"left out: {missing}")
     else:
-        found["LIGGGHTS hertz"] = [liggghts.LIGGGHTS], liggghts.deck
-    return found
+        programs["LIGGGHTS hertz"] = [liggghts.LIGGGHTS], liggghts.deck
+    return programs
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""heyoka: Taylor series of high order, compiled for the very scene and tolerance.
+"""heyoka: Taylor series of high order, compiled for one scene and tolerance.
 
 Its step control does not see a contact that is about to close, and steps over it. So each of the top contacts can
 be guarded: events switch its force off when it opens and on again when it closes. The force is not analytic
@@ -19,14 +19,14 @@ from problem import Answer, Code, Problem
 
 from lmpchain import RunFailed
 
-GUARDED, SWITCH = 8, 1e-7  # contacts from the top (three open in the strong scene); 1 + s at which they switch
+GUARDED, SWITCH = 8, 1e-7  # contacts from the top (three open in the strong scene); 1 + s of the event
 ORDERS = 3, 4, 5, 6, 8, 10, 12, 14, 16, 18
 INLINED_GRAINS = 200  # longer chains would take too long to compile to straight-line code
-GENTLE = 0.1  # strike number below which (1 + s)^(3/2) - 1 loses too many digits for the tightest tolerances
+WEAK = 0.1  # strike number below which (1 + s)^(3/2) - 1 loses too many digits for the tightest tolerances
 
 
 def _tolerance(order: int) -> float:
-    """Return the loosest tolerance for which heyoka takes this order; nothing but the order depends on it."""
+    """Return the loosest tolerance for which heyoka chooses this order."""
     return math.exp(-2 * (order - 1)) * 1.0001
 
 
@@ -44,7 +44,7 @@ def _integrator(problem: Problem, tolerance: float, guarded: int, inlined: bool)
     x = [*hy.make_vars(*(f"x{n}" for n in range(count))), 0.0]
     v = hy.make_vars(*(f"v{n}" for n in range(count)))
     s = [(above - below) * c for (above, below), c in zip(pairwise(x), closer, strict=True)]
-    careful = problem.scene.strike_number < GENTLE and tolerance < 1e-10
+    careful = problem.scene.strike_number < WEAK and tolerance < 1e-10
     shut = [hy.par[n] if n < guarded else 1.0 + each for n, each in enumerate(s)]
     changes = [hy.select(hy.gt(what, 0.0), _change(each, careful), -1.0) for what, each in zip(shut, s, strict=True)]
     force = [0.0, *(k * change for k, change in zip(strength, changes, strict=True))]
@@ -79,7 +79,10 @@ def _solve(guarded: int, inlined: bool, problem: Problem, tolerance: float) -> A
 
 
 def codes(problem: Problem) -> list[Code]:
-    """Return it without and with events, compiled to straight-line code if the chain is short, else in compact mode."""
+    """Return heyoka without and with events.
+
+    It is compiled to straight-line code for short chains, else in compact mode.
+    """
     inlined = problem.scene.chain.grains <= INLINED_GRAINS
     tolerances = [_tolerance(order) for order in ORDERS]
     return [Code("heyoka" + ", events" * bool(guarded), hy.__version__, tolerances, partial(_solve, guarded, inlined))

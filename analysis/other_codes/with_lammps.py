@@ -1,4 +1,4 @@
-"""LAMMPS as its users write it: `pair_style granular`, physical diameters, velocity Verlet, the program `lmp`."""
+"""LAMMPS with default settings: `pair_style granular`, velocity Verlet, the program `lmp`."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ def granular(problem: Problem) -> str:
 
 
 def deck(pair: str, settings: str = "", newton: str = "off", motion: str = "nve/sphere") -> str:
-    """Return a deck for `dem.solve`; by default as users write it."""
+    """Return a deck for `dem.solve`, by default with default settings."""
     return DECK.format(pair=pair, settings=settings, newton=newton, motion=motion)
 
 
 def codes(problem: Problem) -> list[Code]:
-    """Return it as users write it."""
+    """Return LAMMPS with default settings."""
     solve = partial(dem.solve, [LMP], deck(granular(problem)))
     return [Code("LAMMPS granular", version("lammps"), dem.steps(problem), solve)]

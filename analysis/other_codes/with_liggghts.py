@@ -1,4 +1,4 @@
-"""LIGGGHTS, a discrete element code: velocity Verlet with its Hertz model, without damping and friction."""
+"""LIGGGHTS, a discrete element code: velocity Verlet, Hertz contacts without dissipation."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def deck(problem: Problem) -> str:
 
 
 def codes(problem: Problem) -> list[Code]:
-    """Return it."""
+    """Return LIGGGHTS."""
     about = subprocess.run([LIGGGHTS, "-h", "-log", "none"], capture_output=True, text=True).stdout
     version = re.search(r"Version LIGGGHTS-PUBLIC ([\d.]+)", about)
     solve = partial(dem.solve, [LIGGGHTS], deck(problem))

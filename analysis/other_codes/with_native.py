@@ -1,4 +1,4 @@
-"""The native engine of lmpchain, through the same door as the others: at given steps, and to a tolerance."""
+"""The native engine as one of the codes, at given steps and to a tolerance."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def _answer(run: lmpchain.Trajectory, seconds: float, whole: float) -> Answer:
 
 
 def codes(problem: Problem) -> list[Code]:
-    """Return every integrator, and what the engine chooses itself, without and with its estimate of the error."""
+    """Return every integrator, and the engine's own choice with and without its error estimate."""
     steps, own = [problem.scene.duration / count for count in COUNTS], version("lmpchain")
     given = [Code(f"native {name}", own, steps, partial(_at_step, name)) for name in METHODS]
     chosen = {"native to a tolerance, integration alone": False, TO_TOLERANCE: True}

@@ -14,8 +14,8 @@ from problem import TOLERANCES, Answer, Code, Problem, fill_rate
 from lmpchain import RunFailed
 
 MOST_STEPS = 10**7
-LSODA_GRAINS = 1000  # it sets up a dense matrix of the square of 2 M, whether it needs it or not
-LSODA_LEAST = 3e-14  # below, it gives up, line by line
+LSODA_GRAINS = 1000  # LSODA allocates a dense 2 M x 2 M matrix in any case
+LSODA_LEAST = 3e-14  # below, it fails with many messages
 
 
 @numba.cfunc(lsoda_sig)
@@ -42,11 +42,11 @@ def _solve(run, problem: Problem, tolerance: float) -> Answer:
     table, y = problem.table(), problem.start
     run(np.zeros(2), np.array([1.0, 0.0, 1.0, 1.0, 0.0]), 0.01, 0.1)  # one grain: only compiles
     begin = perf_counter()
-    found, success = run(y, table, problem.duration, tolerance)
+    states, success = run(y, table, problem.duration, tolerance)
     seconds = perf_counter() - begin
     if not success:
         raise RunFailed("numbalsoda gave up")
-    return problem.answer(found[-1], seconds, int(table[1]))
+    return problem.answer(states[-1], seconds, int(table[1]))
 
 
 def codes(problem: Problem) -> list[Code]:
@@ -55,8 +55,8 @@ def codes(problem: Problem) -> list[Code]:
     `numbalsoda.solve_ivp` runs the same DOP853 but keeps every step: it was slower than `dop853` in short chains and
     than SciPy's `ode` in long ones.
     """
-    found = [Code("numbalsoda DOP853", version("numbalsoda"), TOLERANCES, partial(_solve, _dop853))]
+    codes = [Code("numbalsoda DOP853", version("numbalsoda"), TOLERANCES, partial(_solve, _dop853))]
     if problem.scene.chain.grains <= LSODA_GRAINS:
         tight = [tolerance for tolerance in TOLERANCES if tolerance > LSODA_LEAST]
-        found.append(Code("numbalsoda LSODA", version("numbalsoda"), tight, partial(_solve, _lsoda)))
-    return found
+        codes.append(Code("numbalsoda LSODA", version("numbalsoda"), tight, partial(_solve, _lsoda)))
+    return codes

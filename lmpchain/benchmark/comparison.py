@@ -1,4 +1,4 @@
-"""How far answers are from the truth, and what they cost."""
+"""Comparison of engines with a reference solution: true errors, estimated errors and cost."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..errors import InputError
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.plotting import COLOURS, LOWEST, MARKERS, figure
-from ..util.tables import finite
+from ..util.tables import aligned, finite, number
 from .reference import Reference
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def errors(trajectory: Trajectory, reference: Reference) -> tuple[float, float]:
     """Return the relative errors of displacement and velocity.
 
     Each is max|x - x_true| / max|x_true|, the numerator over all samples and recorded grains, the denominator over
-    all samples and all grains of the chain. It is NaN where the answer is.
+    all samples and all grains of the chain. It is NaN where the trajectory is.
 
     Raises
     ------
@@ -48,9 +48,9 @@ def error_over_time(trajectory: Trajectory, reference: Reference) -> Array:
 def _relative(trajectory: Trajectory, reference: Reference) -> tuple[Array, Array]:
     grains, time = reference.displacement.shape[1], reference.time
     if trajectory.time.shape != time.shape or not np.allclose(trajectory.time, time, rtol=1e-12, atol=0):
-        raise InputError([("time", "the answer and the reference were recorded at different times")])
+        raise InputError([("time", "the trajectory and the reference were recorded at different times")])
     if trajectory.scene.chain.grains != grains:
-        raise InputError([("grains", f"the answer has {trajectory.scene.chain.grains} grains, the reference {grains}")])
+        raise InputError([("grains", f"{trajectory.scene.chain.grains} grains, but {grains} in the reference")])
     columns = trajectory.grains - 1
     pairs = (trajectory.displacement, reference.displacement), (trajectory.velocity, reference.velocity)
     u, v = (np.abs(x - true[:, columns]).max(1) / (np.abs(true).max() or 1.0) for x, true in pairs)
@@ -59,7 +59,7 @@ def _relative(trajectory: Trajectory, reference: Reference) -> tuple[Array, Arra
 
 @dataclass(frozen=True)
 class Row:
-    """One answer: its error against the reference, the error it expected, and its cost.
+    """True error, estimated error and cost of one engine.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class Row:
     error, error_displacement, error_velocity : float
         As `error` and `errors` give them.
     expected_error : float
-        What the answer itself says, `Trajectory.error_estimate.total`.
+        `Trajectory.error_estimate.total`, the engine's own estimate.
     integration_s : float
         s.
     steps, force_evaluations : int
@@ -88,7 +88,7 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Answers to one scene beside the truth.
+    """Trajectories of one scene compared with its reference solution.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class Comparison:
     rows: tuple[Row, ...]
 
     def errors_over_time(self) -> list[Array]:
-        """Return the error of every answer sample by sample, (T,) each."""
+        """Return the error of every trajectory sample by sample, (T,) each."""
         return [error_over_time(answer, self.reference) for answer in self.trajectories]
 
     def to_json(self) -> dict[str, Any]:
@@ -121,21 +121,17 @@ class Comparison:
         head = ["engine", "equation", "integrator", "error", "expected", "integration", "steps", "force evaluations"]
         body = [
             [row.engine, f"({row.equation})", row.integrator, f"{row.error:.2e}", f"{row.expected_error:.2e}",
-             f"{row.integration_s:.3g} s", str(row.steps), str(row.force_evaluations)]
+             number(row.integration_s, unit="s"), str(row.steps), str(row.force_evaluations)]
             for row in self.rows
         ]  # fmt: skip
-        widths = [max(map(len, column)) for column in zip(head, *body, strict=True)]
-        lines = [
-            "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in [head, *body]
-        ]
-        truth = f"reference: {self.reference.method}; itself known to {self.reference.error:.1e}"
+        source = f"reference: {self.reference.method}; its own error is about {self.reference.error:.1e}"
         meaning = (
             "error: max|x - x_true| / max|x_true| over samples and grains, the larger of displacement and velocity"
         )
-        return "\n".join([*lines, truth, meaning])
+        return "\n".join([*aligned([head, *body]), source, meaning])
 
     def plot(self, axes: Sequence[Axes] | None = None) -> Figure:
-        """Draw the answers, their errors over time and what they cost.
+        """Draw the trajectories, their errors over time and their cost.
 
         Parameters
         ----------
@@ -146,7 +142,7 @@ class Comparison:
 
 
 def compare(trajectories: Sequence[Trajectory], reference: Reference) -> Comparison:
-    """Set answers to one scene beside the truth."""
+    """Compare trajectories of one scene with its reference solution."""
     rows = []
     for answer in trajectories:
         displacement, velocity = errors(answer, reference)
@@ -171,7 +167,7 @@ WIDEST, MARGIN = 60, 4  # grains of the wave shown, and grains at rest on either
 
 
 def draw_comparison(comparison: Comparison, axes: Sequence[Axes] | None = None) -> Figure:
-    """Draw the answers, their errors over time and what they cost.
+    """Draw the trajectories, their errors over time and their cost.
 
     Parameters
     ----------
@@ -194,15 +190,15 @@ def draw_comparison(comparison: Comparison, axes: Sequence[Axes] | None = None) 
 
 
 def _draw_wave(comparison: Comparison, axes: Axes) -> None:
-    """Velocity against grain number at the end: the truth as a line, the answers as markers of falling size."""
-    truth, scene = comparison.reference, comparison.trajectories[0].scene
+    """Draw velocity against grain number at the end, reference as a line, engines as markers."""
+    reference, scene = comparison.reference, comparison.trajectories[0].scene
     if scene.excitation.strike_velocity:
         unit, label = scene.excitation.strike_velocity, r"velocity / strike velocity $v_0$"
     else:
         unit, label = 1.0, "velocity downward (m/s)"
-    last = truth.velocity[-1] / unit
+    last = reference.velocity[-1] / unit
     axes.plot(np.arange(1, last.size + 1), last, color="0.55", lw=2, label="reference")
-    first, end = _window(truth.velocity[-1])
+    first, end = _window(reference.velocity[-1])
     count = len(comparison.trajectories)
     for place, answer in enumerate(comparison.trajectories):
         shown = (answer.grains >= first) & (answer.grains <= end)
@@ -237,15 +233,16 @@ def _window(velocity: Array) -> tuple[int, int]:
 
 
 def _draw_errors(comparison: Comparison, axes: Axes) -> None:
-    """Error over time, with the expected error as a dashed line."""
-    truth = comparison.reference
-    time = truth.time * 1e6
-    for answer, row, found in zip(comparison.trajectories, comparison.rows, comparison.errors_over_time(), strict=True):
-        values = np.maximum(found, LOWEST)
+    """Draw the error over time, with the expected error as a dashed line."""
+    reference = comparison.reference
+    time = reference.time * 1e6
+    curves = comparison.errors_over_time()
+    for answer, row, curve in zip(comparison.trajectories, comparison.rows, curves, strict=True):
+        values = np.maximum(curve, LOWEST)
         colour = _colour(answer.engine)
-        axes.semilogy(time[1:], values[1:], color=colour, lw=1.3, label=answer.engine)  # at t = 0 nothing is wrong yet
+        axes.semilogy(time[1:], values[1:], color=colour, lw=1.3, label=answer.engine)  # at t = 0 the error is 0
         axes.axhline(max(row.expected_error, LOWEST), color=colour, ls="--", lw=1.3)
-    axes.axhline(max(truth.error, LOWEST), color="0.55", ls=":", lw=1.5)
+    axes.axhline(max(reference.error, LOWEST), color="0.55", ls=":", lw=1.5)
     axes.plot([], [], color="0.3", ls="--", label="expected by the engine")
     axes.plot([], [], color="0.55", ls=":", lw=1.5, label="error of the reference")
     axes.set(xlabel="time (µs)", ylabel="relative error")
@@ -255,7 +252,7 @@ def _draw_errors(comparison: Comparison, axes: Axes) -> None:
 
 
 def _draw_cost(comparison: Comparison, axes: Axes) -> None:
-    """Error against the time that the integration took."""
+    """Draw the error against the time of the integration."""
     for row in comparison.rows:
         x, y = max(row.integration_s, 1e-9), max(row.error, LOWEST)
         expected = max(row.expected_error, LOWEST)

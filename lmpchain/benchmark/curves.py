@@ -1,20 +1,19 @@
-"""Speed against accuracy: points, curves, their table and their picture."""
+"""Work-precision curves: time and force evaluations against true error, as table and chart."""
 
 from __future__ import annotations
 
 import math
 import os
-import platform
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import chain
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..scene.scene import Scene
 from ..util.plotting import MARKERS, SHADES, SHAPES, figure
-from ..util.tables import aligned, finite
+from ..util.provenance import processor
+from ..util.tables import aligned, finite, number
 from .comparison import Row
 from .reference import Reference
 
@@ -27,12 +26,12 @@ KNOWN = 10.0  # times the error of the reference: smaller errors are not known w
 
 @dataclass(frozen=True)
 class Point(Row):
-    """One engine at one step or tolerance: error and cost, each time the least of several runs.
+    """Error and cost of one engine at one step or tolerance, the least time of several runs.
 
     Attributes
     ----------
     tolerance : float or None
-        What was asked for, unless the step was given.
+        The tolerance, None for a given step.
     setup_s, estimate_s : float
         Time for setting up and for the error estimate, s; not part of `integration_s`.
     seconds : float
@@ -40,11 +39,11 @@ class Point(Row):
     step_s : float
         s.
     grain_steps_per_s : float
-        Force evaluations times grains that are computed, in a second of integration.
+        Force evaluations times computed grains, per second of integration.
     longest : bool
-        Whether this is the longest step that holds: at longer ones the run breaks down or is off by more than 1.
+        Whether this is the longest stable step: at longer ones the run breaks down or its error exceeds 1.
     pareto : bool
-        Whether no other point is faster and as accurate.
+        Whether the point is on the Pareto front: no other is faster and as accurate.
     """
 
     tolerance: float | None
@@ -63,12 +62,12 @@ WITHOUT = "{}, without the estimate"
 
 @dataclass(frozen=True)
 class Curve:
-    """The points of one way to answer, from the cheapest on.
+    """The points of one engine and integrator, from the cheapest on.
 
     Attributes
     ----------
     engine, integrator : str
-        The latter is empty where the engine has none or chooses itself.
+        The integrator is empty where the engine has none or chooses one.
     points : tuple of Point
     """
 
@@ -78,7 +77,7 @@ class Curve:
 
     @property
     def to_tolerance(self) -> bool:
-        """Whether a tolerance was asked for, so that the engine chose the steps."""
+        """Whether the engine chose the steps itself, to a tolerance."""
         return self.points[0].tolerance is not None
 
     @property
@@ -89,7 +88,7 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class WorkPrecision:
-    """Speed against accuracy on one scene.
+    """Work-precision curves of one scene.
 
     Attributes
     ----------
@@ -99,7 +98,7 @@ class WorkPrecision:
     dropped : int
         Points left out because their error is below ten times that of the reference.
     left_out : tuple of str
-        Engines that cannot do the scene, and why.
+        Engines that cannot solve the scene, and why.
     versions : dict of str
     """
 
@@ -118,21 +117,24 @@ class WorkPrecision:
     def to_json(self) -> dict[str, Any]:
         """Return what goes into a JSON file; numbers that are not finite become None."""
         rows = [finite(asdict(point)) for point in self.points]
-        truth = {"method": self.reference.method, "error": self.reference.error}
+        reference = {"method": self.reference.method, "error": self.reference.error}
         about = {"machine": machine(), "versions": self.versions, "dropped": self.dropped}
-        return {"reference": truth, **about, "rows": rows}
+        return {"reference": reference, **about, "rows": rows}
 
     def table(self, others: Mapping[str, Iterable[tuple[float, float]]] = {}) -> str:
-        """Return as text the time to several errors: of every curve, and of others, {name: (seconds, error) ...}."""
-        found: dict[str, Iterable[tuple[float, float]]] = {}
+        """Return the time to reach several errors, as text, a line a curve.
+
+        Curves of other codes are given as {name: (seconds, error) ...}.
+        """
+        curves: dict[str, Iterable[tuple[float, float]]] = {}
         for curve in self.curves:
-            found[curve.name] = [(point.seconds, point.error) for point in curve.points]
+            curves[curve.name] = [(point.seconds, point.error) for point in curve.points]
             if curve.to_tolerance:
-                found[WITHOUT.format(curve.name)] = [(point.integration_s, point.error) for point in curve.points]
+                curves[WITHOUT.format(curve.name)] = [(point.integration_s, point.error) for point in curve.points]
         lines = [["time to an error of", *(f"{target:.0e}" for target in TARGETS)]]
-        for name, points in (found | dict(others)).items():
+        for name, points in (curves | dict(others)).items():
             times = [time_to(target, points) for target in TARGETS]
-            lines.append([name, *("-" if math.isnan(t) else f"{t * 1e3:.3g} ms" for t in times)])
+            lines.append([name, *(number(1e3 * t, unit="ms", missing="-") for t in times)])
         return "\n".join(aligned(lines))
 
     def plot(self, axes: Sequence[Axes] | None = None, others: Sequence[Mapping[str, Any]] = ()) -> Figure:
@@ -149,7 +151,7 @@ class WorkPrecision:
 
 
 def time_to(error: float, points: Iterable[tuple[float, float]]) -> float:
-    """Return the time at which points (seconds, error) first come down to an error, s; NaN if they do not.
+    """Return the time to reach an error, s, from points (seconds, error); NaN if none does.
 
     Between two points it is interpolated as a power law.
 
@@ -170,7 +172,7 @@ def time_to(error: float, points: Iterable[tuple[float, float]]) -> float:
 
 
 def front(points: Sequence[tuple[float, float]]) -> list[int]:
-    """Return the places of the points (cost, error) that no other beats in both, cheapest first.
+    """Return the indices of the Pareto front of points (cost, error), cheapest first.
 
     Examples
     --------
@@ -187,11 +189,8 @@ def front(points: Sequence[tuple[float, float]]) -> list[int]:
 
 def machine() -> str:
     """Return the name of the processor and how many cores this process may use."""
-    about = Path("/proc/cpuinfo")
-    named = about.read_text(encoding="utf-8", errors="replace").splitlines() if about.exists() else []
-    model = next((line.partition(":")[2].strip() for line in named if line.startswith("model name")), "")
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return f"{model or platform.processor() or platform.machine()}, {cores} core{'s' if cores != 1 else ''}"
+    return f"{processor()}, {cores} core{'s' if cores != 1 else ''}"
 
 
 FRONT = "#F0E442"
@@ -248,7 +247,7 @@ def _draw_line(ax: Axes, points: Iterable[Mapping[str, Any]], cost: str, **style
 
 
 def _draw_front(ax: Axes, points: Sequence[tuple[float, float]], **style: Any) -> None:
-    """Draw those points (cost, error) that no other beats in both."""
+    """Draw the Pareto front of points (cost, error)."""
     if points:
         ax.plot(*zip(*(points[place] for place in front(points)), strict=True), **style)
 
@@ -281,14 +280,14 @@ def _other_style(place: int, points: int) -> dict[str, Any]:
 
 
 def _draw_floor(ax: Axes, floor: float) -> None:
-    """Say below which errors nothing is known."""
+    """Shade the errors that the reference is not accurate enough to measure."""
     ax.axhline(floor, color="0.6", lw=0.8, ls=(0, (1, 3)))
     ax.annotate(f"{KNOWN:g} × error of the reference", (0.01, floor), (0, -3), xycoords=("axes fraction", "data"),
                 textcoords="offset points", va="top", color="0.4", fontsize="x-small")  # fmt: skip
 
 
 def _draw_orders(ax: Axes) -> None:
-    """Draw how the error falls for several orders, in the corner that no method reaches."""
+    """Draw slopes of several orders of convergence, in the corner that no method reaches."""
     start, bottom = 1.3 * ax.get_xlim()[0], ax.get_ylim()[0]
     top, end = 1e6 * bottom, 30 * bottom
     for order in ORDERS:

@@ -1,4 +1,4 @@
-"""The truth to compare with: Eq. (1) solved by a method and a force that no engine shares."""
+"""Reference solution of Eq. (1): Taylor series in extended precision, independent of all engines."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from numpy.typing import NDArray
 from ..errors import RunFailed
 from ..scene.scene import Scene
 from ..scene.strike import first_overlaps
-from ..util.arrays import Array
+from ..util.arrays import EPSILON, Array
 
 Long = np.longdouble
 Longs = NDArray[np.longdouble]
-EPSILON = float(np.finfo(Long).eps)
-ORDER, TRUNCATION = 32, 0.1 * EPSILON  # terms of the series of the answer, and error that each step may leave
-LOWER, LOOSER = 24, 10 * EPSILON  # the same for the run that shows its error
-SHARED = 50 * EPSILON + float(np.finfo(float).eps)  # error that both share: equilibrium and steps, result
-REST = 1e-6 * EPSILON  # motion below it is none
-SHORTEST = 1e-6 * EPSILON  # steps below it lead nowhere
-TINY = 1e-200  # next to any number that occurs
-SEARCH = 60  # most iterations for a root; where that does not do, the step ends before it
-# to expect the time: usual steps while all contacts stay closed and where some open; time of one, and of a grain in it
+EXTENDED = float(np.finfo(Long).eps)  # spacing of the numbers of the reference at 1
+ORDER, TRUNCATION = 32, 0.1 * EXTENDED  # order of the series, and local error of a step
+LOWER, LOOSER = 24, 10 * EXTENDED  # of a second run, whose difference shows the error
+SHARED = 50 * EXTENDED + EPSILON  # error that both runs share: equilibrium and steps, rounding of the result
+REST = 1e-6 * EXTENDED  # motion below it counts as rest
+SHORTEST = 1e-6 * EXTENDED  # shorter steps would not advance the time
+TINY = 1e-200  # negligible beside any number that occurs
+SEARCH = 60  # most iterations for a root; if they do not converge, the step ends before it
+# cost model: usual steps while all contacts stay closed and where some open; time of a step, and of a grain in it
 SMOOTH, BROKEN, STEP_S, GRAIN_S = 0.4, 0.06, 0.6e-3, 7e-6
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """What other answers are measured against.
+    """A reference solution and its own error.
 
     Attributes
     ----------
@@ -39,9 +39,9 @@ class Reference:
     displacement, velocity : (T, N) arrays
         Of every grain, recorded or not; from equilibrium, positive downward; m and m/s.
     error : float
-        How far it may itself be off, as defined for `lmpchain.trajectory.record.ErrorEstimate`.
+        Its own error, as defined for `lmpchain.trajectory.record.ErrorEstimate`.
     method : str
-        How it was found.
+        Description of the method.
     """
 
     time: Array
@@ -54,15 +54,15 @@ class Reference:
 def reference(scene: Scene) -> Reference:
     """Solve Eq. (1) by Taylor series in time, in NumPy's long double.
 
-    The series of a force follows term by term from that of the overlap, ``y (y^delta)' = delta y' y^delta``. It holds
-    until a contact opens or closes, where the force is once differentiable at best; how far, its last terms say. So
-    steps shrink towards an opening and the last of them ends there, at a root of the overlap's own series, and they
-    grow again after a closing: the order is never lost. Lengths are in units of the largest excursion and forces are
-    found as differences from equilibrium, ``F_n expm1(delta log1p(s))``: weak waves keep all their digits. Grains that
-    nothing has reached yet are left out.
+    The series of a force follows term by term from that of the overlap, ``y (y^delta)' = delta y' y^delta``. It
+    converges until a contact opens or closes, where the force is once differentiable at best; its last terms estimate
+    how far. So the adaptive step size shrinks towards an opening, the last step ends there, at a root of the series of
+    the overlap, and steps grow again after a closing: the order is never lost. Lengths are in units of the largest
+    excursion and forces are computed as differences from equilibrium, ``F_n expm1(delta log1p(s))``: weak waves keep
+    all their digits. Grains that the wave has not reached are left out.
 
-    Its error is measured as the difference to a run of order 24 at a hundred times the tolerance, so with other steps.
-    Added is what both share: they begin with the same digits and end in double precision. It is some 4e-16 in all
+    Its error is the difference to a run of order 24 at a hundred times the tolerance, so with other steps, plus what
+    both share: they begin with the same digits and end in double precision. It is some 4e-16 in all
     unless the scene is chaotic, and 1e-14 to 1e-12 where long double is no better than double.
 
     Jorba and Zou, Experimental Mathematics 14, 99 (2005), for the steps.
@@ -70,7 +70,7 @@ def reference(scene: Scene) -> Reference:
     Raises
     ------
     RunFailed
-        If steps become too short to go on.
+        If steps become too short to continue.
     """
     motion = _Motion(scene)
     u, v = motion.solve(ORDER, TRUNCATION)
@@ -130,8 +130,8 @@ class _Motion:
 
     def solve(self, order: int, tolerance: float) -> Array:
         """Return displacement and velocity, (2, T, N) m and m/s, by series of this order and error a step."""
-        found = np.zeros((2, self.instants.size, self.start.shape[1]))
-        found[:, :1] = self.start[:, None] * self.units
+        solution = np.zeros((2, self.instants.size, self.start.shape[1]))
+        solution[:, :1] = self.start[:, None] * self.units
         state, here = self.start.copy(), slice(0, self.start.shape[1])
         knots = self.knots[(self.knots > 0) & (self.knots < self.instants[-1])]
         t, done = Long(0), 1
@@ -144,22 +144,22 @@ class _Motion:
                     raise RunFailed(f"the reference gave up at t = {float(t * self.time):.4g} s: its steps vanish")
                 end = stop if step == stop - t else t + step
                 now = int(np.searchsorted(self.instants, end, side="right"))
-                found[:, done:now, here] = _motion_at(x, self.instants[done:now, None] - t) * self.units
+                solution[:, done:now, here] = _motion_at(x, self.instants[done:now, None] - t) * self.units
                 moved = _motion_at(x, step)
                 state[:, here] = np.where(np.abs(moved) <= REST, 0, moved)
                 t, done = end, now
-        return found
+        return solution
 
     def _reached(self, state: Longs, before: slice, order: int) -> slice:
-        """Return the grains that move, and as many more on either side as a series of this order can reach."""
+        """Return the grains that move, widened on either side by the reach of a series of this order."""
         places = before.start + np.flatnonzero(state[:, before].any(axis=0))
-        if self.drive:  # what is driven counts, also while it rests
+        if self.drive:  # a driven grain counts even while it rests
             places = np.append(0, places)
         first, last = (places[0], places[-1]) if places.size else (0, 0)
         return slice(max(0, first - order // 2), min(state.shape[1], last + 1 + order // 2))
 
     def _shut(self, overlap: Longs, here: slice, tolerance: float) -> NDArray[np.bool_]:
-        """Return which contacts push so hard that it is felt; others may be left out for one unit of time."""
+        """Return which contacts push noticeably; others may be neglected for one unit of time."""
         return self.push[_contacts(here)] * np.maximum(overlap, 0) ** self.delta > tolerance
 
     def _series(self, t: Long, state: Longs, here: slice, order: int, tolerance: float) -> tuple[Longs, Longs]:
@@ -205,7 +205,7 @@ class _Motion:
         return series / self.length
 
     def _step(self, x: Longs, y: Longs, here: slice, most: Long, tolerance: float) -> Long:
-        """Return how far the series hold: to this error, and until a contact opens or closes."""
+        """Return how long the series converge to this error, and until a contact opens or closes."""
         step, order = most, len(x) - 1
         for k in (order - 1, order):
             if (last := np.abs(x[k]).max()) > 0:  # the terms of this power, in displacement and in velocity
@@ -222,7 +222,7 @@ class _Motion:
         return step
 
     def _unfelt(self, overlap: Longs, root: Long, most: Long, push: Long, tolerance: float) -> Long:
-        """Return for how long, at most `most`, a contact that closes at `root` may be left open at this error."""
+        """Return how long, at most `most`, ignoring a contact closing at `root` keeps the error below this."""
         depth, rate = (np.maximum(_at(series, root), 0) for series in (overlap, _slope(overlap)))
         after = most
         while True:
@@ -238,9 +238,9 @@ def _contacts(here: slice) -> slice:
 
 
 def _first_root(gap: Longs, end: Long) -> Long:
-    """Return a time before which a polynomial does not fall to 0: its first root, unless that is beyond `end`.
+    """Return a lower bound of the first root of a polynomial: the root itself, or at least `end`.
 
-    Newton's method with a bound of the second derivative in it, so that it never steps over a root.
+    Newton's method with a bound of the second derivative, so that it never steps over a root.
     """
     slope, bend, at = _slope(gap), _bend(gap, end), Long(0)
     for _ in range(SEARCH):
@@ -248,23 +248,23 @@ def _first_root(gap: Longs, end: Long) -> Long:
         root = np.sqrt(rate**2 + 2 * bend * height)  # of height + rate z - bend z^2 / 2
         ahead = (rate + root) / bend if rate > 0 else 2 * height / ((root - rate) or 1)
         at += ahead
-        if at >= end or ahead <= 2 * EPSILON * at:
+        if at >= end or ahead <= 2 * EXTENDED * at:
             break
     return at
 
 
 def _slope(series: Longs) -> Longs:
-    """Return the derivative of series of powers."""
+    """Return the derivative of power series."""
     return series[1:] * np.arange(1, len(series)).reshape(-1, *[1] * (series.ndim - 1))
 
 
 def _bend(series: Longs, end: Long) -> Long:
-    """Return a bound, above 0, of the second derivative between 0 and `end`."""
+    """Return an upper bound, above 0, of the second derivative between 0 and `end`."""
     return _at(np.abs(_slope(_slope(series))), end) + TINY
 
 
 def _at(series: Longs, tau: Longs | Long) -> Any:
-    """Return the sum of a series of powers of tau."""
+    """Evaluate power series at tau."""
     total = series[-1]
     for term in series[-2::-1]:
         total = term + tau * total

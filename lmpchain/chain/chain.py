@@ -14,7 +14,7 @@ from ..errors import InputError
 from ..util.arrays import Array
 from ..util.validation import NOT_GIVEN, Checked, OneOrMany, PositiveVector, Real, Whole
 from .contacts import Contacts, hertz_constant
-from .impurities import Impurities, Impurity
+from .impurities import Impurities, Impurity, misfits, with_impurities
 from .materials import GLASS, Material, OneMaterial, OneOrManyMaterials
 
 LEAST_GRAVITY = 1e-100  # m/s2
@@ -94,7 +94,7 @@ class Chain(Checked):
         self._leave_open()
         if self._plainly_sound():
             return
-        with np.errstate(all="ignore"):  # what is not finite is a fault
+        with np.errstate(all="ignore"):  # non-finite values are faults
             known = np.isfinite(self.dynamical_matrix()[0]).all() and (self.masses > 0).all()
             relative = self.contacts.overlap / self.contact_lengths
         if not known or np.isnan(relative).any():
@@ -116,35 +116,27 @@ class Chain(Checked):
             value = getattr(self, key)
             if isinstance(value, np.ndarray) and len(value) != length:
                 yield key, f"must have {length} entries for {self.grains} grains, not {len(value)}"
-        for place, impurity in enumerate(self.impurity):
-            if impurity.grain > self.grains:
-                yield f"impurity.{place}.grain", f"there is no grain {impurity.grain}: the chain has {self.grains}"
-            elif impurity.grain in [other.grain for other in self.impurity[:place]]:
-                yield f"impurity.{place}.grain", f"names grain {impurity.grain} a second time"
-            elif self.contact_constants is not None and (impurity.diameter or impurity.material):
-                yield (
-                    f"impurity.{place}",
-                    "may only have a mass of its own where contact_constants are given: they would not follow",
-                )
+        yield from misfits(self.impurity, self.grains, self.contact_constants is not None)
         for end, wall in (("top", self.top_material), ("bottom", self.bottom_material)):
             if wall is not None and getattr(self, end) != "wall":
                 yield f"{end}_material", f'is that of a wall; there is none unless {end} = "wall"'
 
     def _leave_open(self) -> Chain:
-        """Let masses and contact constants that were not given wait until they are asked for."""
+        """Leave masses and contact constants that were not given to be computed on first use."""
         for key in ("masses", "contact_constants"):
             if self.__dict__[key] is None:
                 del self.__dict__[key]
         if "masses" in self.__dict__ and self.impurity:
-            self.__dict__["masses"] = self._with_impurities("mass", self.masses.copy())
+            self.__dict__["masses"] = with_impurities(self.masses, self.impurity, "mass")
         return self
 
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any:
-            """Fill in the masses or contact constants that follow from the grains, when they are first asked for."""
+            """Compute masses and contact constants from the grains on first use."""
             if name == "masses":
-                value = self._with_impurities("mass", self._by_grain("density") * np.pi / 6 * self.diameters**3)
+                alike = self._by_grain("density") * np.pi / 6 * self.diameters**3
+                value = with_impurities(alike, self.impurity, "mass")
             elif name == "contact_constants":
                 value = self._hertz_constants[1:-1]
             else:
@@ -154,32 +146,32 @@ class Chain(Checked):
 
     @property
     def _alike(self) -> bool:
-        """Whether the grains are alike but for impurities, so that few numbers tell all and need no arrays."""
+        """Whether all grains are alike but for the impurities, so that no arrays are needed."""
         one = isinstance(self.diameter, float) and isinstance(self.material, Material)
         return one and not self.model_fields_set & {"masses", "contact_constants"}
 
     @property
     def _kinds(self) -> Array:
-        """Plane-strain modulus, diameter and mass of a grain and of every impurity where grains are alike, (3, I+1)."""
+        """Plane-strain modulus, diameter and mass of a common grain and of every impurity, (3, I+1)."""
         common: Any = self
         kinds = []
         for odd in (None, *self.impurity):
             material = getattr(odd, "material", None) or common.material
             diameter = getattr(odd, "diameter", None) or common.diameter
-            with np.errstate(over="ignore"):  # a float of Python would raise
+            with np.errstate(over="ignore"):  # a Python float would raise
                 mass = getattr(odd, "mass", None) or material.density * np.pi / 6 * np.float64(diameter) ** 3
             kinds.append((material.plane_strain_modulus, diameter, mass))
         return np.array(kinds).T
 
     def _plainly_sound(self) -> bool:
-        """Whether the whole weight on the softest contact is still no fault, which needs no array of the chain."""
+        """Sufficient O(1) check: the whole weight on the softest contact stays within the overlap limit."""
         if not self._alike:
             return False
         modulus, d, mass = self._kinds
         walls: list[Any] = [self.top_material, self.bottom_material]
         modulus = np.append(modulus, [wall.plane_strain_modulus for wall in walls if wall])
         length, delta = d ** (1.5 - self.exponent), self.exponent
-        with np.errstate(all="ignore"):  # what is not finite here is looked at more closely
+        with np.errstate(all="ignore"):  # non-finite values fail the check
             softest = 4 / 3 * modulus.min() / 2 * np.sqrt(d.min() / 4) * length.min()
             hardest = 4 / 3 * modulus.max() / 2 * np.sqrt(d.max() / 2) * length.max()
             load = self.top_load + self.gravity * (self.grains * mass[0] + mass[1:].sum())
@@ -196,16 +188,9 @@ class Chain(Checked):
                 values[impurity.grain - 1] = getattr(impurity.material, prop)
         return values
 
-    def _with_impurities(self, key: str, values: Array) -> Array:
-        """Put in what impurities have of their own among the values (N,) of the others."""
-        for impurity in self.impurity:
-            if (own := getattr(impurity, key)) is not None:
-                values[impurity.grain - 1] = own
-        return values
-
     @cached_property
     def _hertz_constants(self) -> Array:
-        """Constants of all contacts as they follow from the grains, with a wall at either end, (N+1,) N/m^delta."""
+        """Hertz constants of all contacts, with a wall at either end, (N+1,) N/m^delta."""
         modulus = self._by_grain("plane_strain_modulus")
         above, below = (
             here if wall is None else wall.plane_strain_modulus  # type: ignore[union-attr]
@@ -217,7 +202,7 @@ class Chain(Checked):
 
     @cached_property
     def wall_constants(self) -> Array:
-        """Constants of the contacts with the wall above and the wall below, (2,) N/m^delta; 0 where there is none."""
+        """Constants of the contacts with top and bottom wall, (2,) N/m^delta; 0 without a wall."""
         walls = np.array([self.top == "wall", self.bottom == "wall"], dtype=float)
         if walls.any():
             natural = self._hertz_constants
@@ -236,11 +221,11 @@ class Chain(Checked):
     @cached_property
     def diameters(self) -> Array:
         """Diameter of every grain, (N,) m."""
-        return self._with_impurities("diameter", np.array(np.broadcast_to(self.diameter, (self.grains,))))
+        return with_impurities(np.broadcast_to(self.diameter, (self.grains,)), self.impurity, "diameter")
 
     @cached_property
     def contact_lengths(self) -> Array:
-        """Mean diameter of the two grains of every contact, that of the grain at a wall, (N+1,) m."""
+        """Mean diameter of the two grains of every contact, at a wall that of the grain, (N+1,) m."""
         d = self.diameters
         return np.concatenate((d[:1], (d[:-1] + d[1:]) / 2, d[-1:]))
 
@@ -275,9 +260,9 @@ class Chain(Checked):
         return self.grains - (self.bottom == "fixed")
 
     def part(self, first: int, last: int) -> Chain:
-        """Return grains first ... last as a chain of their own, which moves as they do until a wave meets its ends.
+        """Return grains first ... last as a chain: the same motion until a wave reaches its ends.
 
-        What lies above becomes a top load, and grain `last` is held unless the chain ends with it. Masses and
+        Grains above become a top load, and grain `last` is held unless the chain ends with it. Masses and
         constants are those of this chain, and so are forces and overlaps if `first` is 1; else their last bits may
         differ. Grains left out cost nothing where grains are alike but for impurities.
 
@@ -301,10 +286,10 @@ class Chain(Checked):
         if last < self.grains:
             fields["bottom"] = "fixed"
             fields.pop("bottom_material", None)
-        return Chain.model_construct(**fields)._leave_open()  # what is sound as a whole is so in part
+        return Chain.model_construct(**fields)._leave_open()  # a part of a valid chain is valid
 
     def _force_on(self, grain: int) -> float:
-        """Return the force at rest of what lies above on a grain that is not the first, N."""
+        """Return the force at rest on grain n > 1 from the grains above it, N."""
         if not self._alike:
             return float(self.contacts.force[grain - 1])
         mass = self._kinds[2].astype(np.longdouble)
@@ -312,7 +297,10 @@ class Chain(Checked):
         return float(self.top_load + self.gravity * ((grain - 1) * mass[0] + sum(odd)))
 
     def dynamical_matrix(self) -> tuple[Array, Array]:
-        """Return diagonal (M,) and off-diagonal (M-1,) of D, 1/s2: linearised, sqrt(m) phi'' = -D sqrt(m) phi."""
+        """Return the tridiagonal dynamical matrix D of the linearised chain, 1/s2.
+
+        Its diagonal (M,) and off-diagonal (M-1,), with sqrt(m) phi'' = -D sqrt(m) phi.
+        """
         k, m = self.contacts.stiffness, self.masses[: self.movable]
         diagonal = (k[:-1] + k[1:])[: self.movable] / m
         return diagonal, -k[1 : self.movable] / np.sqrt(m[:-1] * m[1:])

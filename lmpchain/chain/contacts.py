@@ -1,4 +1,4 @@
-"""The contacts of a chain: Hertz's constants, what they carry at rest, their stiffness and energy."""
+"""The contact law: Hertz's constants, and force, overlap, stiffness and energy of contacts."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..util.arrays import Array
 
 
 def hertz_constant(modulus: Array, curvature: Array, length: Array, exponent: float) -> Array:
-    """Return K = (4/3) E* sqrt(R*) length^(1.5 - delta) of every two neighbours in a row of B bodies.
+    """Return K = (4/3) E* sqrt(R*) length^(1.5 - delta) of neighbours in a row of B bodies.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class Contacts:
     constant : (N+1,) array
         K_n, N/m^delta.
     force : (N+1,) array
-        What each contact carries at rest, N.
+        Force of each contact at rest, N.
     exponent : float
         delta.
     """
@@ -57,12 +57,12 @@ class Contacts:
 
     @cached_property
     def exists(self) -> NDArray[np.bool_]:
-        """Whether there is something to touch, (N+1,) bool."""
+        """Whether there are two bodies, (N+1,) bool."""
         return self.constant > 0
 
     @cached_property
     def pressed(self) -> NDArray[np.bool_]:
-        """Whether the contact carries a force at rest, (N+1,) bool."""
+        """Whether the contact is compressed at rest, (N+1,) bool."""
         return self.force > 0
 
     @cached_property
@@ -72,26 +72,29 @@ class Contacts:
 
     @cached_property
     def stiffness(self) -> Array:
-        """delta K_n eps_n^(delta-1), (N+1,) N/m."""
+        """Linear stiffness delta K_n eps_n^(delta-1) at rest, (N+1,) N/m."""
         return self.exponent * self.constant * self.overlap ** (self.exponent - 1)
 
     @staticmethod
     def closer(displacement: Array) -> Array:
-        """Return how much closer the two bodies of every contact are than at rest, (..., N+1) m; walls stand still."""
+        """Return the change of every overlap from that at rest, (..., N+1) m; walls stand still."""
         u = np.asarray(displacement)
         still = np.zeros((*u.shape[:-1], 1))
         return -np.diff(u, axis=-1, prepend=still, append=still)
 
     def force_change(self, r: Array) -> Array:
-        """Return the force minus that at rest, (..., N+1) N, of contacts closer by r; weak waves keep their digits."""
+        """Return the change of force for a change r of the overlap, (..., N+1) N.
+
+        The relative accuracy does not depend on the amplitude of the wave.
+        """
         s = r / np.where(self.pressed, self.overlap, np.inf)
         held = np.where(s > -1, np.expm1(self.exponent * np.log1p(np.where(s > -1, s, 0.0))), -1.0)
         return np.where(self.pressed, self.force * held, self.constant * np.maximum(r, 0.0) ** self.exponent)
 
     def energy(self, r: Array) -> Array:
-        """Return the energy above rest, (..., N+1) J: the integral of K [eps + r]^delta - K eps^delta over r.
+        """Return the contact energy above that at rest, (..., N+1) J, for a change r of the overlap.
 
-        It keeps its relative accuracy for the weakest waves.
+        It is the integral of K [eps + r]^delta - K eps^delta over r, accurate in relative terms for the weakest waves.
         """
         power = self.exponent + 1
         loose = self.constant / power * np.maximum(r, 0.0) ** power
@@ -108,7 +111,7 @@ class Contacts:
         return np.where(self.pressed, self.force * self.overlap * scaled, loose)
 
     def overlap_bound(self, energy: float) -> Array:
-        """Return the largest overlap that each contact can reach with this energy above rest, (N+1,) m.
+        """Return an upper bound of each overlap for this energy above rest, (N+1,) m.
 
         The bound is rigorous: no contact can hold more than the whole conserved energy, and the energy of
         one is at least ``K r^(delta+1) / (delta+1)`` and at least ``k_n r^2 / 2``.

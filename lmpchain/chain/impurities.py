@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import BeforeValidator, Field
 
 from ..errors import InputError
+from ..util.arrays import Array
 from ..util.validation import NOT_GIVEN, Checked, Positive, Whole
 from .materials import OneMaterial
 
 
 class Impurity(Checked):
-    """A grain that differs from what the chain says; give a diameter, a material or a mass, or several.
+    """A grain that differs from the others in diameter, material or mass.
 
     Parameters
     ----------
@@ -51,3 +53,26 @@ def _impurities(value: Any) -> tuple[Impurity, ...]:
 
 
 Impurities = Annotated[tuple[Impurity, ...], BeforeValidator(_impurities)]
+
+
+def misfits(impurities: Sequence[Impurity], grains: int, constants_given: bool) -> Iterator[tuple[str, str]]:
+    """Yield the faults of impurities in a chain of this length, with its own contact constants or not."""
+    for place, impurity in enumerate(impurities):
+        if impurity.grain > grains:
+            yield f"impurity.{place}.grain", f"there is no grain {impurity.grain}: the chain has {grains}"
+        elif impurity.grain in [other.grain for other in impurities[:place]]:
+            yield f"impurity.{place}.grain", f"names grain {impurity.grain} a second time"
+        elif constants_given and (impurity.diameter or impurity.material):
+            yield (
+                f"impurity.{place}",
+                "may only have a mass of its own where contact_constants are given: they would not follow",
+            )
+
+
+def with_impurities(values: Array, impurities: Sequence[Impurity], key: str) -> Array:
+    """Return a copy of the values (N,) with those that impurities have of their own."""
+    changed = np.array(values, dtype=float)
+    for impurity in impurities:
+        if (own := getattr(impurity, key)) is not None:
+            changed[impurity.grain - 1] = own
+    return changed

@@ -1,4 +1,4 @@
-"""Elastic materials, by name or by their constants."""
+"""Elastic materials, by name or by their elastic constants."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Material(Checked):
 
     @property
     def plane_strain_modulus(self) -> float:
-        """E / (1 - nu^2), Pa."""
+        """Plane-strain modulus E / (1 - nu^2), Pa."""
         return self.youngs_modulus / (1 - self.poissons_ratio**2)
 
 

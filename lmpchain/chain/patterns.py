@@ -1,6 +1,6 @@
 """Chains whose grains follow a pattern: tapered, periodic, decorated.
 
-Each function returns an ordinary `Chain`; what it does not name itself is passed on as keywords of `Chain`.
+Each function returns a `Chain`; other keywords are passed on to `Chain`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from .materials import GLASS, OneOrManyMaterials
 
 
 def tapered(grains: int, diameter: float, taper: float, **rest: Any) -> Chain:
-    """Return a chain whose diameters shrink by the same share from grain to grain, d_n = d_1 (1 - taper)^(n-1).
+    """Return a tapered chain, with diameters d_n = d_1 (1 - taper)^(n-1).
 
     Harbola, Rosas, Esposito and Lindenberg, Pulse propagation in tapered granular chains, arXiv:0905.4512.
 
@@ -51,7 +51,7 @@ def tapered(grains: int, diameter: float, taper: float, **rest: Any) -> Chain:
 
 
 def decorated(grains: int, diameter: float, ratio: float, taper: float = 0.0, **rest: Any) -> Chain:
-    """Return a chain of large grains, tapered or not, with a small one below each.
+    """Return a decorated chain: large grains, tapered or not, with a small one below each.
 
     The small grain is `ratio` times as wide as the large one above it. The large ones, 1, 3, 5 ..., shrink by
     the same share from each to the next, so that d_1, ratio d_1, (1 - taper) d_1, ratio (1 - taper) d_1, ...
@@ -89,7 +89,7 @@ def decorated(grains: int, diameter: float, ratio: float, taper: float = 0.0, **
 
 
 def periodic(grains: int, diameters: Any, materials: Any = GLASS, counts: Any = 1, **rest: Any) -> Chain:
-    """Return a chain that repeats a cell of several kinds of grains: a dimer with two kinds, a trimer with three.
+    """Return a chain that repeats a cell of several kinds of grains (dimer, trimer ...).
 
     The first cell starts at grain 1; the last one is cut where the chain ends.
 
@@ -146,7 +146,7 @@ class _Tapered(_Pattern):
     taper: Annotated[Real, Field(lt=1)]
 
     def diameters(self, count: int) -> Array:
-        """Return the diameters of so many grains that follow one another, (count,) m."""
+        """Return the diameters of `count` neighbouring grains, (count,) m."""
         with np.errstate(over="ignore", under="ignore"):
             made = self.diameter * (1 - self.taper) ** np.arange(count, dtype=float)
             volume = made[-1] ** 3

@@ -22,11 +22,11 @@ from .common import complain
 
 
 class _Terminated(BaseException):
-    """SIGTERM arrived. Not an Exception, so that nothing on the way out takes it for a fault."""
+    """SIGTERM arrived; no `Exception`, so that no handler of faults catches it."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line and return the exit code; under mpirun, rank 0 does and the others help it.
+    """Run the command line and return the exit code; under mpirun, rank 0 runs it.
 
     Parameters
     ----------
@@ -82,17 +82,15 @@ def _main(argv: Sequence[str] | None) -> int:
 
 
 def _kept(arguments: argparse.Namespace) -> str:
-    """Say what is left of a command that was stopped."""
+    """Return in words what a stopped command has left on the disk."""
     from ..simulation.task import is_run, resume_command
 
     if arguments.command is commands.sweep:
-        return f"what is done is kept in {arguments.output}; the same command goes on from there"
+        return f"what is done is kept in {arguments.output}; the same command continues from there"
     folder = commands.run_folder(arguments)
     if folder and is_run(folder):
         return f"to go on: {resume_command(folder)}"
-    hint = (
-        "; with -o FOLDER/ what is done is kept, and can be gone on with" if arguments.command is commands.run else ""
-    )
+    hint = "; with -o FOLDER/ what is done is kept and can be resumed" if arguments.command is commands.run else ""
     return f"nothing unfinished was kept{hint}"
 
 
@@ -114,7 +112,7 @@ def _show_warning(message: Warning | str, *_: Any) -> None:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Complain in the form of all other faults, without the usage in between."""
+    """Argument parser that reports faults like all others, without the usage message."""
 
     def error(self, message: str) -> NoReturn:
         named = message.removeprefix("argument ")
@@ -123,7 +121,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 class _ShowVersion(argparse.Action):
-    """Look the version up only when it is asked for."""
+    """Show the version, which is looked up only on demand."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
         from importlib.metadata import version
@@ -143,23 +141,23 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action=_ShowVersion, nargs=0, help="show the version and exit")
     verbs = parser.add_subparsers(metavar="COMMAND", required=True)
 
-    run = verbs.add_parser("run", help="answer a scene and save the trajectory, in a file or a run folder")
+    run = verbs.add_parser("run", help="solve a scene and save the trajectory, in a file or a run folder")
     _scene(run, commands.run)
     run.add_argument(
         "-o",
         "--output",
         metavar="RUN.nc|FOLDER/",
         help="NetCDF file to write (default: SCENE.nc beside the scene); or, with a / at its end, a run folder, in "
-        "which the output grows on the disk and the run can be gone on with after a stop of any kind",
+        "which the output grows on the disk and which `lmpchain resume` continues after a stop of any kind",
     )
-    run.add_argument("--engine", metavar="E", default="auto", help="which engine answers (default: auto)")
+    run.add_argument("--engine", metavar="E", default="auto", help="engine (default: auto)")
     _tolerance(run)
     run.add_argument("--integrator", metavar="I", help="rkn6, kahan-li6 or verlet (default: what the engine prefers)")
     run.add_argument("--step", metavar="S", type=float, help="longest time step, s; then no tolerance is enforced")
     run.add_argument(
         "--diameter",
         choices=["auto", "physical", "gauge"],
-        help="LAMMPS only: positions from the real diameters, or from a far smaller one that leaves more digits",
+        help="LAMMPS only: positions from the real diameters, or from a far smaller one, which reduces round-off",
     )
 
     run.add_argument(
@@ -170,19 +168,19 @@ def _parser() -> argparse.ArgumentParser:
 
     _max_wall(run)
 
-    resume = verbs.add_parser("resume", help="go on with the run in a folder, to the same bits as without the stop")
+    resume = verbs.add_parser("resume", help="continue the run in a folder, bit-identical to a run without the stop")
     resume.add_argument("folder", metavar="FOLDER", help="folder that lmpchain run -o FOLDER/ made")
     _max_wall(resume)
     resume.set_defaults(command=commands.resume)
 
-    compare = verbs.add_parser("compare", help="answer a scene with several engines and compare with the truth")
+    compare = verbs.add_parser("compare", help="solve a scene with several engines, compare with a reference")
     _scene(compare, commands.compare)
-    compare.add_argument("--engines", metavar="A,B,...", help="which engines (default: all that can do the scene)")
+    compare.add_argument("--engines", metavar="A,B,...", help="engines (default: all that can solve the scene)")
     _tolerance(compare)
     compare.add_argument("-o", "--output", metavar="PICTURE.png", help="picture to write (.png, .pdf or .svg)")
     compare.add_argument("--json", metavar="FILE", help="file for the numbers")
 
-    plan = verbs.add_parser("plan", help="say which engine answers a scene at the least cost, and why")
+    plan = verbs.add_parser("plan", help="show which engine solves a scene at the lowest cost, and why")
     plan.add_argument("scene", metavar="SCENE.toml", nargs="?", help="scene file")
     plan.set_defaults(command=commands.plan)
     _tolerance(plan)
@@ -190,7 +188,7 @@ def _parser() -> argparse.ArgumentParser:
     plan.add_argument(
         "--calibrate",
         action="store_true",
-        help="measure how fast the engines are here, and keep it for all plans",
+        help="measure the speed of the engines on this machine and store it for the cost model",
     )
 
     deck = verbs.add_parser("deck", help="write a LAMMPS input that runs by itself")
@@ -203,11 +201,11 @@ def _parser() -> argparse.ArgumentParser:
     deck.add_argument("--pair-style", choices=["granular", "gran/hertz/history"], default="granular")
     _own(deck)
 
-    dyson = verbs.add_parser("dyson", help="weigh a run over depth as Eq. (22) does; average over random chains")
+    dyson = verbs.add_parser("dyson", help="weighted velocities of Eq. (22), beside the mean over random chains")
     _saved(dyson, commands.dyson)
     dyson.add_argument("--m", metavar="M,M,...", required=True, help="orders of Dyson's distribution, such as 1,2,5,20")
     dyson.add_argument("--realisations", metavar="R", type=int, default=200, help="random chains each (default: 200)")
-    dyson.add_argument("--seed", metavar="S", type=int, default=1, help="which random chains (default: 1)")
+    dyson.add_argument("--seed", metavar="S", type=int, default=1, help="seed of the random chains (default: 1)")
     dyson.add_argument("-o", "--output", metavar="PICTURE.png", help="picture to write (.png, .pdf or .svg)")
     dyson.add_argument("--json", metavar="FILE", help="file for the numbers")
 
@@ -221,7 +219,7 @@ def _parser() -> argparse.ArgumentParser:
         "-o", "--output", metavar="REPORT.html", help="file to write (default: RUN.html beside the run)"
     )
 
-    workprec = verbs.add_parser("workprec", help="chart speed against accuracy: every engine and integrator on a scene")
+    workprec = verbs.add_parser("workprec", help="work-precision chart of every engine and integrator on a scene")
     _scene(workprec, commands.workprec)
     workprec.add_argument(
         "--budget", metavar="S", type=float, default=60.0, help="about how long it may take, s (default: 60)"
@@ -238,15 +236,15 @@ def _parser() -> argparse.ArgumentParser:
     stability.add_argument("-o", "--output", metavar="CHART.png", help="picture to write (.png, .pdf or .svg)")
     stability.add_argument("--json", metavar="FILE", help="file for the numbers")
 
-    sweep = verbs.add_parser("sweep", help="answer many scenes: a grid, a list, random draws, disordered chains")
+    sweep = verbs.add_parser("sweep", help="solve many scenes: a grid, a list, random draws, disordered chains")
     sweep.add_argument("sweep", metavar="SWEEP.toml", help="sweep file")
     sweep.add_argument("-o", "--output", metavar="FOLDER", required=True, help="folder for the results")
     by = sweep.add_mutually_exclusive_group()
     by.add_argument("--workers", metavar="P", type=int, help="processes of this machine (default: one a core)")
-    by.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask scheduler whose workers answer the scenes")
+    by.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask scheduler whose workers solve the scenes")
     sweep.set_defaults(command=commands.sweep)
 
-    doctor = verbs.add_parser("doctor", help="say what works here: LAMMPS, MPI, versions, cores, engines")
+    doctor = verbs.add_parser("doctor", help="check the installation: LAMMPS, MPI, versions, cores, engines")
     doctor.add_argument("--json", metavar="FILE", help="file for the findings")
     doctor.set_defaults(command=commands.doctor)
     return parser
@@ -267,15 +265,15 @@ def _max_wall(parser: argparse.ArgumentParser) -> None:
         "--max-wall",
         metavar="H:MM:SS",
         type=_duration,
-        help="run folders only: after this time (or so many seconds), keep what is done and stop with exit code 75; "
-        "lmpchain resume goes on. Leave some seconds to the limit of the queue",
+        help="run folders only: after this time (or so many seconds), save and stop with exit code 75; lmpchain resume "
+        "continues. Leave some seconds to the time limit of the queue",
     )
 
 
 def _duration(text: str) -> float:
     """Return H:MM:SS, or seconds, as seconds."""
-    found = re.fullmatch(r"(?:(\d+):([0-5]\d):)?(\d+(?:\.\d+)?)", text, re.ASCII)
-    hours, minutes, seconds = found.groups() if found else (None, None, 0)
+    match = re.fullmatch(r"(?:(\d+):([0-5]\d):)?(\d+(?:\.\d+)?)", text, re.ASCII)
+    hours, minutes, seconds = match.groups() if match else (None, None, 0)
     total = 3600 * int(hours or 0) + 60 * int(minutes or 0) + float(seconds)
     if not total or (hours and float(seconds) >= 60):
         raise argparse.ArgumentTypeError(f"must be a time above 0, as H:MM:SS or in seconds (got {text!r})")

@@ -1,4 +1,4 @@
-"""What the commands share: reading scenes, checking where to write, showing and keeping what was found."""
+"""Shared by the commands: reading scenes, checking output paths, writing results."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..errors import InputError
 
-# what computes is imported inside the functions, so that wrong input is answered at once
+# heavy modules are imported inside the functions, so that wrong input is reported at once
 if TYPE_CHECKING:
     from ..scene.scene import Scene
 
@@ -18,7 +18,7 @@ PICTURES = (".png", ".pdf", ".svg")
 
 
 def complain(text: str, kind: str = "error") -> None:
-    """Say on stderr, in one line, what is wrong; what cannot be printed, as in names of files, is escaped."""
+    """Print a fault on stderr in one line, with unprintable characters escaped."""
     shown = (c if c.isprintable() else c.encode("unicode_escape").decode() for c in " ".join(text.split()))
     print(f"{kind}: {''.join(shown)}", file=sys.stderr)
 
@@ -44,7 +44,7 @@ def read(path: str) -> Scene:
 
 
 def output(name: str, scene: str, suffixes: Sequence[str] = ()) -> Path:
-    """Return the path of a file to write, once it is clear that it can be written."""
+    """Return the path of a file to write, after checking that it can be written."""
     path = Path(name)
     if path.is_dir() or name.endswith(("/", os.sep)):
         raise InputError([(name, f"is a folder; name a file, such as {path / 'run.nc' if not suffixes else path}")])
@@ -67,7 +67,7 @@ def beside(path: str, suffix: str) -> str:
 
 
 def write_json(data: dict[str, Any], path: Path) -> None:
-    """Write numbers that others can read back."""
+    """Write numbers as JSON."""
     import json
 
     from ..util.files import write_aside
@@ -76,13 +76,13 @@ def write_json(data: dict[str, Any], path: Path) -> None:
         aside.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def keep(found: Any, numbers: Path | None, picture: Path | None, *arguments: Any) -> None:
-    """Write numbers and picture of what was found, where they are asked for."""
+def keep(result: Any, numbers: Path | None, picture: Path | None, *arguments: Any) -> None:
+    """Write numbers and picture of a result, where they are asked for."""
     if numbers:
-        write_json(found.to_json(*arguments), numbers)
+        write_json(result.to_json(*arguments), numbers)
         print(f"numbers: {numbers}")
     if picture:
         from ..util.plotting import save
 
-        save(found.plot(*arguments), picture)
+        save(result.plot(*arguments), picture)
         print(f"picture: {picture}")

@@ -1,26 +1,29 @@
-"""Commands that set engines beside the truth: compare, workprec, stability, doctor."""
+"""Commands that compare engines: compare, workprec, stability, doctor."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 import warnings
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import EngineUnavailable, InputError, RunFailed, ToleranceNotMet, check_tolerance
 from .common import PICTURES, beside, complain, gather, keep, output, read, write_json
 
 if TYPE_CHECKING:
+    from ..benchmark.curves import WorkPrecision
     from ..benchmark.reference import Reference
     from ..scene.scene import Scene
+    from ..stability.result import Stability
     from ..trajectory.trajectory import Trajectory
 
-REFERENCE_S = 60.0  # longest expected time for the independent reference; the native engine takes over beyond it
+REFERENCE_S = 60.0  # longest expected time of the independent reference; beyond it the native engine takes over
 TIGHTEST = 1e-11  # tolerance that the native engine reaches on every ordinary scene
 
 
 def compare(arguments: argparse.Namespace) -> int:
-    """Answer a scene with several engines and set them beside the truth."""
+    """Solve a scene with several engines and compare them with a reference solution."""
     names, scene, picture, numbers, _ = gather(
         lambda: _names(arguments.engines),
         lambda: read(arguments.scene),
@@ -68,13 +71,13 @@ def _names(given: str | None) -> list[str]:
 
 
 def _answers(scene: Scene, names: list[str], tolerance: float) -> tuple[list[Trajectory], list[str]]:
-    """Run every engine; return the answers and what went wrong, in words."""
+    """Run every engine; return the trajectories and the failures, in words."""
     from ..simulation.api import simulate
 
     trajectories, failures = [], []
     for name in names:
         try:
-            with warnings.catch_warnings(action="ignore"):  # how far off an answer is stands in the table
+            with warnings.catch_warnings(action="ignore"):  # the table shows the errors
                 trajectories.append(simulate(scene, name, tolerance, progress=sys.stderr.isatty()))
         except ToleranceNotMet as error:
             failures.append(f"{name}: {error.reason}")
@@ -86,7 +89,7 @@ def _answers(scene: Scene, names: list[str], tolerance: float) -> tuple[list[Tra
 
 
 def _reference(scene: Scene, tolerance: float) -> Reference:
-    """Return the truth: from an integrator apart, or from the native engine where that would take too long."""
+    """Return the reference solution, from the native engine if Taylor series would take too long."""
     from ..benchmark.reference import Reference, expected_seconds, reference
     from ..scene.scene import Scene
     from ..simulation.api import simulate
@@ -96,13 +99,13 @@ def _reference(scene: Scene, tolerance: float) -> Reference:
     tight = max(tolerance / 100, TIGHTEST)
     everywhere = Scene(chain=scene.chain, excitation=scene.excitation, duration=scene.duration, samples=scene.samples)
     try:
-        truth = simulate(everywhere, "native", tight, progress=sys.stderr.isatty())
+        run = simulate(everywhere, "native", tight, progress=sys.stderr.isatty())
     except ToleranceNotMet as error:
         if error.trajectory is None:
             raise
-        truth = error.trajectory
-    method = f"the native engine at a tolerance of {tight:g} (too long a scene for an integrator apart)"
-    return Reference(truth.time, truth.displacement, truth.velocity, truth.error_estimate.total, method)
+        run = error.trajectory
+    method = f"the native engine at a tolerance of {tight:g} (the scene is too long for the independent integrator)"
+    return Reference(run.time, run.displacement, run.velocity, run.error_estimate.total, method)
 
 
 def workprec(arguments: argparse.Namespace) -> int:
@@ -115,11 +118,8 @@ def workprec(arguments: argparse.Namespace) -> int:
     )
     from ..benchmark.bench import work_precision
 
-    found = work_precision(scene, arguments.budget, progress=sys.stderr.isatty())
-    print(found.table())
-    for reason in found.left_out:
-        print(f"left out: {reason}")
-    keep(found, numbers, picture)
+    result = work_precision(scene, arguments.budget, progress=sys.stderr.isatty())
+    _show(result, numbers, picture)
     return 0
 
 
@@ -132,16 +132,21 @@ def stability(arguments: argparse.Namespace) -> int:
     )
     from ..stability.find import stability as found_out
 
-    found = found_out(scene, progress=sys.stderr.isatty())
-    print(found.table())
-    for reason in found.left_out:
-        print(f"left out: {reason}")
-    keep(found, numbers, picture)
+    result = found_out(scene, progress=sys.stderr.isatty())
+    _show(result, numbers, picture)
     return 0
 
 
+def _show(result: WorkPrecision | Stability, numbers: Path | None, picture: Path | None) -> None:
+    """Print the table of a result and what it leaves out; write numbers and picture."""
+    print(result.table())
+    for reason in result.left_out:
+        print(f"left out: {reason}")
+    keep(result, numbers, picture)
+
+
 def doctor(arguments: argparse.Namespace) -> int:
-    """Say what works here, finding by finding; a fault makes it fail."""
+    """Check the installation and print finding by finding; a fault sets the exit code."""
     path = arguments.json and output(arguments.json, "")
     from ..doctor import diagnose
 

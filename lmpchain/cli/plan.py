@@ -1,15 +1,16 @@
-"""The command that says which engine would answer a scene, and how fast the engines are here."""
+"""The command `plan`: which engine solves a scene at which cost, and how fast the engines are here."""
 
 from __future__ import annotations
 
 import argparse
 
 from ..errors import InputError, LmpchainError, check_tolerance
+from ..util.tables import aligned, number
 from .common import gather, output, read, write_json
 
 
 def plan(arguments: argparse.Namespace) -> int:
-    """Show what every engine proposes for a scene, and which one is taken; measure how fast they are, if asked to."""
+    """Print what every engine proposes for a scene and which one is chosen; calibrate the cost model."""
     if arguments.scene is None and not arguments.calibrate:
         raise InputError([("scene", "is missing; name a scene file, or use --calibrate alone")])
     if arguments.scene is None and arguments.json:
@@ -24,10 +25,10 @@ def plan(arguments: argparse.Namespace) -> int:
     if scene:
         from ..simulation.planner import plan
 
-        found = plan(scene, arguments.tolerance)
-        print(found.table())
+        chosen = plan(scene, arguments.tolerance)
+        print(chosen.table())
         if numbers:
-            write_json(found.to_json(), numbers)
+            write_json(chosen.to_json(), numbers)
             print(f"numbers: {numbers}")
     return 0
 
@@ -41,5 +42,8 @@ def _calibrate() -> None:
     except OSError as error:
         raise LmpchainError(f"{cache_file()}: cannot be written: {error.strerror or error}") from None
     print(f"measured in {took:.2g} s how fast the engines are here: {path}")
-    for name, (start, slowness) in measured().items():
-        print(f"{name:<10} {1e3 * start:8.3g} ms for every answer, the rest {slowness:.2g} times the shipped times")
+    rows = [("engine", "overhead of a run", "cost over the shipped one")]
+    rows += [
+        (name, number(1e3 * start, unit="ms"), f"{slowness:.2g}") for name, (start, slowness) in measured().items()
+    ]
+    print("\n".join(aligned(rows)))

@@ -1,4 +1,4 @@
-"""Commands that read what a saved run shows: fit, dyson, report."""
+"""Commands that evaluate a saved run: fit, dyson, report."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PAGES = (".html", ".htm")
 
 
 def dyson(arguments: argparse.Namespace) -> int:
-    """Weight a run over depth as Eq. (22) does, and average its scene over random chains."""
+    """Compute Eq. (22) for a run, beside the mean over chains with random stiffness."""
     from ..disorder.averages import at_the_end
     from ..measure.dyson import orders, sums
 
@@ -27,15 +27,15 @@ def dyson(arguments: argparse.Namespace) -> int:
         lambda: arguments.json and output(arguments.json, arguments.run),
         lambda: orders(arguments.m),
     )
-    found = sums(run, m)
+    result = sums(run, m)
     chains = at_the_end(run.scene, m, arguments.realisations, arguments.seed, progress=sys.stderr.isatty())
-    print(found.table(*chains))
-    keep(found, numbers, picture, *chains)
+    print(result.table(*chains))
+    keep(result, numbers, picture, *chains)
     return 0
 
 
 def fit(arguments: argparse.Namespace) -> int:
-    """Say what a saved run, or a dump of LAMMPS, shows of the theory."""
+    """Fit the theory to a saved run or a LAMMPS dump."""
     trajectory, path = gather(
         lambda: _run_or_dump(arguments.run, arguments.scene),
         lambda: arguments.json and output(arguments.json, arguments.scene or arguments.run),
@@ -44,14 +44,14 @@ def fit(arguments: argparse.Namespace) -> int:
         raise InputError([(arguments.json, "is the run itself; name another file")])
     from ..measure.fit.summary import summary
 
-    found = summary(trajectory)
-    print(found.table())
-    keep(found, path, None)
+    result = summary(trajectory)
+    print(result.table())
+    keep(result, path, None)
     return 0
 
 
 def _run_or_dump(path: str, scene: str | None) -> Trajectory:
-    """Read a saved run, or a dump if the scene is given that it was made for."""
+    """Read a saved run, or a dump together with its scene."""
     from ..trajectory.lammps_dump import is_dump
 
     dumped = is_dump(path)
@@ -68,7 +68,7 @@ def _run_or_dump(path: str, scene: str | None) -> Trajectory:
 
 
 def report(arguments: argparse.Namespace) -> int:
-    """Write a page about a saved run, or a dump of LAMMPS."""
+    """Write an HTML page about a saved run or a LAMMPS dump."""
     page = arguments.output or beside(arguments.run, ".html")
     trajectory, path = gather(
         lambda: _run_or_dump(arguments.run, arguments.scene), lambda: output(page, arguments.run, PAGES)

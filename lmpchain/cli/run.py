@@ -1,4 +1,4 @@
-"""Commands that answer scenes: run, resume, sweep; and the deck with which LAMMPS does."""
+"""Commands that solve scenes: run, resume, sweep; and deck, which writes LAMMPS input."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from ..errors import InputError, ToleranceNotMet, check_tolerance
 from ..util import mpi
+from ..util.tables import aligned
 from .common import beside, complain, gather, output, read
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ def _policy(arguments: argparse.Namespace) -> Policy:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Answer a scene and save the trajectory, in a file or in a run folder."""
+    """Solve a scene and save the trajectory, in a file or in a run folder."""
     name = arguments.output or beside(arguments.scene, ".nc")
     whole = run_folder(arguments) is not None
     scene, path, policy, _ = gather(
@@ -64,22 +65,22 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def resume(arguments: argparse.Namespace) -> int:
-    """Go on with the run in a folder."""
+    """Continue the run in a folder."""
     from ..simulation.api import resume
     from ..simulation.run_folder import status
 
-    found = status(arguments.folder)
-    if found["state"] == "finished":
+    about = status(arguments.folder)
+    if about["state"] == "finished":
         print(f"{arguments.folder}: this run is finished; there is nothing left to do")
     return _told(
         lambda: resume(arguments.folder, max_wall=arguments.max_wall, progress=sys.stderr.isatty()),
-        found["tolerance"],
+        about["tolerance"],
         Path(arguments.folder),
     )
 
 
 def run_folder(arguments: argparse.Namespace) -> str | None:
-    """Return the run folder that a command works in, if it does in one."""
+    """Return the run folder of a command, None if it has none."""
     if "folder" in arguments:
         return arguments.folder
     name = getattr(arguments, "output", None)
@@ -94,13 +95,13 @@ def _new_folder(name: str) -> Path:
 
 
 def _told(answer: Callable[[], Trajectory], tolerance: float, path: Path, save: bool = False) -> int:
-    """Get an answer and say how good it is; return the exit code."""
+    """Run, print the summary and return the exit code."""
     from ..simulation.signals import Stopped
 
     missed = ""
     try:
         trajectory = answer()
-    except Stopped as stopped:  # by --max-wall: a signal goes its own way
+    except Stopped as stopped:  # by --max-wall; signals are handled elsewhere
         print(stopped, file=sys.stderr)
         return TO_BE_RESUMED
     except ToleranceNotMet as error:
@@ -116,7 +117,7 @@ def _told(answer: Callable[[], Trajectory], tolerance: float, path: Path, save: 
 
 
 def _summary(trajectory: Trajectory, tolerance: float, path: Path) -> str:
-    """Return in a few lines what was done, how well and at what cost."""
+    """Return a summary of the run: engine, steps, error and cost."""
     cost, error, scene = trajectory.cost, trajectory.error_estimate, trajectory.scene
     ranks = f", on {cost.ranks} ranks" if cost.ranks > 1 else ""
     parts = f" = {error.model:.2g} (equation) + {error.solver:.2g} (solver)" if error.model else ""
@@ -129,11 +130,11 @@ def _summary(trajectory: Trajectory, tolerance: float, path: Path) -> str:
         f"{cost.setup_s:.3g} s set-up",
         "folder" if path.is_dir() else "file": str(path),
     }
-    return "\n".join(f"{key:<16} {value}" for key, value in lines.items())
+    return "\n".join(aligned(lines.items()))
 
 
 def deck(arguments: argparse.Namespace) -> int:
-    """Write a LAMMPS input that runs by itself."""
+    """Write a LAMMPS input that `lmp` runs by itself."""
     scene, _ = gather(lambda: read(arguments.scene), lambda: check_tolerance(arguments.tolerance))
     from shlex import quote
 
@@ -157,7 +158,7 @@ def deck(arguments: argparse.Namespace) -> int:
 
 
 def sweep(arguments: argparse.Namespace) -> int:
-    """Answer the scenes of a sweep that are not done yet, and say how many failed."""
+    """Solve the missing scenes of a sweep, and print how many failed."""
     from ..sweeps.run import dask, sweep
 
     if mpi.joined():
@@ -165,9 +166,9 @@ def sweep(arguments: argparse.Namespace) -> int:
     folder, cores = arguments.output, len(os.sched_getaffinity(0))
     workers = cores if arguments.workers is None else arguments.workers
     with dask(arguments.scheduler) if arguments.scheduler else nullcontext() as executor:
-        found = sweep(arguments.sweep, folder, workers=workers, executor=executor, progress=sys.stderr.isatty())
-    reasons = [reason for reason in found["reason"].to_numpy().flat if reason]
-    print(f"{found['reason'].size - len(reasons)} of {found['reason'].size} scenes are answered in {folder}")
+        results = sweep(arguments.sweep, folder, workers=workers, executor=executor, progress=sys.stderr.isatty())
+    reasons = [reason for reason in results["reason"].to_numpy().flat if reason]
+    print(f"{results['reason'].size - len(reasons)} of {results['reason'].size} scenes are answered in {folder}")
     if reasons:
         complain(f"{len(reasons)} scenes have no answer, the first because: {reasons[0]}")
     return 1 if reasons else 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from ..errors import InputError, ToleranceNotMet, check_tolerance
 from ..scene.scene import Scene
 from ..simulation.api import simulate
 from ..util.arrays import Array
+from ..util.progress import ProgressBar
 from .draws import Law, Of, check, disordered, factors, fault_of_whole, realisation
 
 if TYPE_CHECKING:
@@ -161,7 +162,7 @@ def ensemble(
         raise InputError(reasons)
     average = _Average(*np.zeros((2, 2, scene.samples, scene.recorded.size)))
     batch = max(1, min(BATCH, BATCH_VALUES // (16 * scene.chain.grains)))
-    with _bar(realisations, f"m = {m:g}", progress) as bar:
+    with ProgressBar(realisations, f"m = {m:g}", " chains", shown=progress) as bar:
         while average.count < realisations:
             wanted = min(batch, realisations - average.count)
             # one step per full batch, so that results do not depend on the size of the ensemble
@@ -232,7 +233,7 @@ class _Average:
     solver: float = 0.0
     squeezed: int = 0
 
-    def add(self, run: Run, wanted: int, bar: Any) -> None:
+    def add(self, run: Run, wanted: int, bar: ProgressBar) -> None:
         """Take in the first chains of a batch, one after the other."""
         for block in run.blocks():
             if block.samples.start < block.samples.stop:
@@ -242,7 +243,7 @@ class _Average:
                     off = value - mean
                     mean += off / (self.count + place + 1)
                     square += off * (value - mean)
-            bar.update(self.count + wanted * run.progress - bar.n)
+            bar.reach(self.count + wanted * run.progress)
         self.count += wanted
 
     def copy(self) -> _Average:
@@ -251,7 +252,7 @@ class _Average:
 
 
 def _answer(
-    engine: Engine, scenes: Sequence[Scene], wanted: int, tolerance: float, before: _Average, bar: Any
+    engine: Engine, scenes: Sequence[Scene], wanted: int, tolerance: float, before: _Average, bar: ProgressBar
 ) -> _Average:
     """Return the average with the first `wanted` scenes of a batch, at steps short enough for all."""
     proposed = [engine.candidate(engine.part(scene), tolerance) for scene in scenes]
@@ -275,10 +276,3 @@ def _answer(
 
 def _squeezed(chain: Chain) -> bool:
     return bool((chain.contacts.overlap > LARGEST_OVERLAP * chain.contact_lengths).any())
-
-
-def _bar(realisations: int, text: str, progress: bool) -> Any:
-    from tqdm.auto import tqdm
-
-    layout = "{desc}: {n:.0f} of {total} chains |{bar}| {elapsed}, {remaining} left"
-    return tqdm(total=realisations, desc=text, disable=not progress, leave=False, bar_format=layout)

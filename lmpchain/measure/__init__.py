@@ -1,4 +1,4 @@
-"""What one reads off a trajectory: pure functions of arrays, which never run an engine."""
+"""Quantities measured on trajectories; nothing here runs an engine."""
 
 from ..util.lazy import attributes
 

@@ -1,4 +1,4 @@
-"""What experiments measure: contact forces, openings, and the forces on walls, drivers and sensors."""
+"""Contact forces, openings, and the forces on walls, drivers and sensors."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LINES = 6  # contacts drawn as lines; more are drawn as a map
-STILL, UNKNOWN = -1, -2  # in place of the column of a body that was not recorded
+STILL, UNKNOWN = -1, -2  # marks for bodies that were not recorded
 
 
 @dataclass(frozen=True, order=True)
@@ -34,7 +34,9 @@ class Event:
 
 @dataclass(frozen=True, eq=False)
 class ContactHistory:
-    """What happened in C contacts; contact n lies between grains n and n + 1, 0 and N are those with walls.
+    """Overlap and force of C contacts over time.
+
+    Contact n lies between grains n and n + 1; 0 and N are those with walls.
 
     Attributes
     ----------
@@ -63,19 +65,19 @@ class ContactHistory:
         are both pressed a contact has opened only if its rates say so, falling at the first and rising at the second
         (the other way round if both are open): neither an interpolant that overshoots nor round-off makes an event.
         """
-        found = []
+        events = []
         o, v, gap = self.overlap, self.closing, self.overlap < 0
         changed = gap[1:] != gap[:-1]
-        turned = (o[:-1] * v[:-1] < 0) & (o[1:] * v[1:] > 0) & ~changed  # toward touching at first, away from it then
+        turned = (o[:-1] * v[:-1] < 0) & (o[1:] * v[1:] > 0) & ~changed  # approaches closing or opening, then recedes
         for i, c in np.argwhere(changed | turned):
             pair = slice(i, i + 2)
             roots = CubicHermiteSpline(self.time[pair], o[pair, c], v[pair, c]).roots(extrapolate=False)
-            if changed[i, c]:  # the end nearer to touching, should round-off hide the root
+            if changed[i, c]:  # if round-off hides the root, the sample nearer to contact
                 roots = roots[:1] if roots.size else [self.time[i + np.abs(o[pair, c]).argmin()]]
             if changed[i, c] or len(roots) == 2:
                 number, opens = int(self.contact[c]), (not gap[i, c], bool(gap[i, c]))
-                found += [Event(float(t), number, state) for t, state in zip(roots, opens, strict=False)]
-        return sorted(found)
+                events += [Event(float(t), number, state) for t, state in zip(roots, opens, strict=False)]
+        return sorted(events)
 
     def plot(self, ax: Axes | None = None) -> Figure:
         """Draw the forces over time: a line a contact, or a map if there are many; returns the figure."""
@@ -100,7 +102,7 @@ class ContactHistory:
 
 @dataclass(frozen=True, eq=False)
 class Signal:
-    """What a force sensor inside a grain shows.
+    """The signal of a force sensor inside a grain.
 
     Attributes
     ----------
@@ -169,7 +171,7 @@ def contacts(trajectory: Trajectory, numbers: Sequence[int] | None = None) -> Co
 
 
 def wall_force(trajectory: Trajectory, end: Literal["top", "bottom"] = "bottom") -> Array:
-    """Return the force between the chain and what stands still at one end, (T,) N, never negative.
+    """Return the force between the chain and the wall or held grain at one end, (T,) N, at least 0.
 
     It is the force of the contact with the wall; where the bottom is "fixed", the force that holds grain N up, which
     is that of contact N - 1 and the weight of grain N.
@@ -189,7 +191,7 @@ def wall_force(trajectory: Trajectory, end: Literal["top", "bottom"] = "bottom")
 
 
 def drive_motion(trajectory: Trajectory) -> tuple[Array, Array, Array]:
-    """Return displacement, m, velocity, m/s, and acceleration, m/s2, of the driven grain 1, exactly; (T,) each."""
+    """Return the prescribed displacement, velocity and acceleration of grain 1, (T,) m, m/s, m/s2."""
     time, drive = trajectory.time, trajectory.scene.drive
     if drive is None:
         raise InputError([("excitation", "no grain is driven in this scene")])
@@ -197,9 +199,10 @@ def drive_motion(trajectory: Trajectory) -> tuple[Array, Array, Array]:
 
 
 def drive_force(trajectory: Trajectory) -> Array:
-    """Return the force with which the driver pushes grain 1, (T,) N, positive downward: m_1 phi_1'' + F_1 - m_1 g.
+    """Return the force of the driver on grain 1, (T,) N, positive downward.
 
-    At rest it is the top load. The blow that starts a motion with a velocity at t = 0 is not in it.
+    It is m_1 phi_1'' + F_1 - m_1 g.
+    At rest it is the top load. The impulse that starts a motion with a velocity at t = 0 is left out.
 
     Raises
     ------
@@ -212,7 +215,7 @@ def drive_force(trajectory: Trajectory) -> Array:
 
 
 def sensor(trajectory: Trajectory, grain: int) -> Signal:
-    """Return what a sensor inside a grain shows: the mean of the forces of its two contacts.
+    """Return the signal of a force sensor inside a grain: the mean of its two contact forces.
 
     Job et al., Phys. Rev. Lett. 94, 178002 (2005); Daraio et al., Phys. Rev. E 73, 026610 (2006).
 
@@ -229,7 +232,7 @@ def sensor(trajectory: Trajectory, grain: int) -> Signal:
 
 
 def motion(trajectory: Trajectory, bodies: np.ndarray) -> tuple[Array, Array]:
-    """Return displacement (T, ...) m and velocity (T, ...) m/s of bodies (...): grains, or 0 and N + 1 for the walls.
+    """Return displacement, m, and velocity, m/s, of grains or walls (0 and N + 1), (T, ...) each.
 
     Raises
     ------
@@ -247,7 +250,7 @@ def motion(trajectory: Trajectory, bodies: np.ndarray) -> tuple[Array, Array]:
 
 
 def _columns(trajectory: Trajectory) -> np.ndarray:
-    """Return the column in which each body was recorded, (N+2,), or that it stands still, or that it is unknown."""
+    """Return the recorded column of each body, (N+2,), or a mark if it stands still or is unknown."""
     chain = trajectory.scene.chain
     column = np.full(chain.grains + 2, UNKNOWN)
     column[[0, -1]] = STILL

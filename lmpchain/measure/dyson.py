@@ -1,4 +1,4 @@
-"""Eq. (22), a velocity weighted over depth by Dyson's distribution, beside averages over random chains."""
+"""Eq. (22), velocities weighted by Dyson's distribution, beside means over random chains."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from ..scene.scene import Scene
 from ..theory import dyson
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
+from ..util.tables import aligned, number
 from .contact import motion
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from ..disorder.averages import Ensemble
 
 DASHES = ("-", "--", "-.", ":")
-MARGIN = 4  # grains at rest that are shown below the wave
+MARGIN = 4  # grains at rest drawn below the wave
 WHAT = "a sum over the grains of one chain, weighted by D_m(kappa_n): no average over disorder"
 
 
@@ -64,7 +65,7 @@ class DysonSums:
 
     @property
     def unit_name(self) -> str:
-        """In what velocities are shown."""
+        """Unit in which velocities are shown."""
         return "m/s" if self.unit == 1 else "v0"
 
     def table(self, ordered: Array, ensembles: Sequence[Ensemble]) -> str:
@@ -83,19 +84,17 @@ class DysonSums:
             f"Eq. (22): {WHAT}",
             f"random chains: largest mean velocity over {ensembles[0].realisations} linear chains with "
             "kappa_n zeta_n, its standard error and grain",
-            f"{'':>8} {'Eq. (22)':>11} {'sum of':>11} {'Eq. (22)':>11} {'random':>11} {'standard':>11} {'at':>6}",
-            f"{'m':>8} {'as printed':>11} {'weights':>11} {'normalised':>11} {'chains':>11} {'error':>11} {'grain':>6}",
         ]
+        rows = [["m", "as printed", "sum of weights", "normalised", "random chains", "standard error", "grain"]]
         for row in self._rows(ensembles):
-            values = [row[key] for key in ("as_printed", "weights", "normalised")]
             mean = row["random_chains"]
-            values += [mean["largest"], mean["standard_error"]]
-            numbers = " ".join(f"{value:11.5g}" for value in values)
-            lines.append(f"{row['m']:>8g} {numbers} {mean['grain']:>6}")
+            values = row["as_printed"], row["weights"], row["normalised"], mean["largest"], mean["standard_error"]
+            rows.append([f"{row['m']:g}", *(number(value, ".5g") for value in values), str(mean["grain"])])
         at = int(np.abs(ordered).argmax())
-        lines.append(f"{'ordered':>8} {'':35} {ordered[at] / self.unit:11.5g} {'':11} {at + 1:>6}")
+        rows.append(["ordered", "", "", "", number(ordered[at] / self.unit, ".5g"), "", str(at + 1)])
+        lines += aligned(rows)
         largest = max(each.model_error for each in ensembles)
-        lines.append(f"Eq. (3) leaves out up to {largest:.2g} of what a random chain does")
+        lines.append(f"model error of Eq. (3) in random chains: up to {largest:.2g}")
         if squeezed := sum(each.squeezed for each in ensembles):
             lines.append(f"in {squeezed} chains a contact is so soft that Hertz's law would no longer hold at rest")
         return "\n".join(lines)
@@ -123,7 +122,7 @@ class DysonSums:
         }
 
     def _rows(self, ensembles: Sequence[Ensemble]) -> list[dict[str, Any]]:
-        """Return what is shown of each m at the last sample, velocities in the unit."""
+        """Return the values of each m at the last sample, in the unit."""
         rows = []
         for place, (m, each) in enumerate(zip(self.m, ensembles, strict=True)):
             at = int(np.abs(each.velocity[-1]).argmax())
@@ -145,7 +144,7 @@ class DysonSums:
         return rows
 
     def plot(self, ordered: Array, ensembles: Sequence[Ensemble], axes: Sequence[Axes] | None = None) -> Figure:
-        """Draw, against grain number at the last sample, the means over random chains and the terms of Eq. (22).
+        """Draw means over random chains and terms of Eq. (22) against grain number, at the last sample.
 
         Parameters
         ----------
@@ -161,7 +160,7 @@ class DysonSums:
         grains = np.arange(1, ordered.size + 1)
         true.plot(grains, ordered / self.unit, color="black", lw=2.2, alpha=0.6, label="ordered")
         for place, (m, each) in enumerate(zip(self.m, ensembles, strict=True)):
-            # colour and dash both differ, and go on differing together when the colours are used up
+            # colours repeat before dashes do, so that no two lines look alike
             dash = DASHES[(place + place // len(colours)) % len(DASHES)]
             style: dict[str, Any] = {"color": colours[place % len(colours)], "ls": dash, "lw": 1.6}
             mean, band = each.velocity[-1] / self.unit, 2 * each.velocity_error[-1] / abs(self.unit)
@@ -236,20 +235,21 @@ def orders(text: str) -> list[float]:
     >>> orders("1, 2.5")
     [1.0, 2.5]
     """
-    found = []
+    values = []
     for part in dict.fromkeys(part.strip() for part in text.split(",")):
         try:
-            found.append(float(part))
+            values.append(float(part))
         except ValueError:
             raise InputError([("m", f"must be numbers with commas between them (got {part!r})")]) from None
-    if wrong := [m for m in found if not 0 < m < np.inf]:
+    if wrong := [m for m in values if not 0 < m < np.inf]:
         raise InputError([("m", f"must be above 0 (got {wrong[0]:g})")])
-    return found
+    return values
 
 
 def relative_stiffness(chain: Chain) -> Array:
-    """Return the linear stiffness of the contact below each grain over that of the first, (N,); n^(1 - 1/delta) here.
+    """Return the stiffness of the contact below each grain over that of the first, (N,).
 
+    In a uniform column under gravity it is n^(1 - 1/delta).
     Grain N has no contact below it unless there is a wall: it is then given one like that above it, under its weight.
 
     Raises

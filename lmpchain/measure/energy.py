@@ -1,4 +1,4 @@
-"""The ledger of energy and momentum: what the chain holds, and what the world outside puts in."""
+"""Energy and momentum balance of a chain, with the work of gravity, load, walls and drive."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class EnergyLedger:
-    """Energies above those of the chain at rest, J, and momenta, N s, over time.
+    """Energies relative to the chain at rest, J, and momenta, N s, over time.
 
     ``kinetic + contact + gravity + load = total``. For a weak wave these terms, `contact` and `gravity` above all,
     are far larger than their sum and cancel in it; `total`, `kinetic` and `drive` keep their digits.
@@ -64,16 +64,16 @@ class EnergyLedger:
 
     @property
     def drift(self) -> Array:
-        """Energy that came from nowhere since t = 0, (T,) J; 0 if the motion is exact."""
+        """Energy change not explained by the work done on the chain, (T,) J; 0 for the exact motion."""
         return self.total - self.total[0] - self.drive
 
     @property
     def momentum_drift(self) -> Array:
-        """Momentum that came from nowhere since t = 0, (T,) N s; 0 if the motion is exact."""
+        """Momentum change not explained by external forces, (T,) N s; 0 for the exact motion."""
         return self.momentum - self.momentum[0] - self.impulse
 
     def virial_ratio(self, start: float = 0.0, end: float | None = None) -> float:
-        """Return the time mean of the kinetic energy over that of the total, from `start` to `end` in s.
+        """Return the time mean of the kinetic over that of the total energy, from `start` to `end` in s.
 
         In a sonic vacuum between walls it tends to (delta + 1) / (delta + 3), 5/9 for Hertz, as 1 over the time
         (Slepyan, arXiv:1410.8301); in a weak wave to 1/2. It is NaN if there is no energy.
@@ -98,7 +98,7 @@ class EnergyLedger:
 
 
 def ledger(trajectory: Trajectory) -> EnergyLedger:
-    """Return the energies and momenta of a chain over time, and what came from outside.
+    """Return the energy and momentum balance of a trajectory over time.
 
     Parameters
     ----------

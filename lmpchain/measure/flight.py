@@ -1,4 +1,4 @@
-"""When a signal arrives, and how long it takes from one sensor to another."""
+"""Arrival times of signals, and times of flight between sensors."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from .contact import sensor
 
-REACH = 6  # samples on either side of a peak that its interpolation uses
+REACH = 6  # samples on either side of a peak used to interpolate it
 
 
 @dataclass(frozen=True)
 class Arrival:
-    """The largest maximum of a signal: its time, s, its height, and by how much sampling may shift it, s."""
+    """The largest maximum of a signal: time, s, height, and uncertainty by sampling, s."""
 
     time: float
     height: float
@@ -28,7 +28,7 @@ class Arrival:
 
 @dataclass(frozen=True)
 class Flight:
-    """How long a wave takes from one sensor to another.
+    """Time of flight between two sensors.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class Flight:
     distance : float
         Between their centres at rest, m.
     seconds, error : float
-        s; by how much sampling may shift it, s.
+        s; uncertainty by sampling, s.
     """
 
     grains: int
@@ -94,9 +94,9 @@ def arrival(time: Array, values: Array, name: str = "signal") -> Arrival:
 def time_of_flight(
     trajectory: Trajectory, first: int, second: int, method: Literal["peak", "correlation"] = "peak"
 ) -> Flight:
-    """Return how long a wave takes between sensors in two grains, and so its speed.
+    """Return the time of flight between sensors in two grains, which gives the wave speed.
 
-    An echo within the recording may be taken for the wave: record up to it.
+    An echo within the recording may be mistaken for the wave: record up to it.
 
     Parameters
     ----------
@@ -128,7 +128,10 @@ def time_of_flight(
 
 
 def summit(time: Array, values: Array, top: int, stride: int) -> tuple[float, float]:
-    """Return time and height of the maximum near a sample, by a quintic spline through every `stride`-th around it."""
+    """Return time and height of the maximum near a sample, by a quintic spline.
+
+    The spline runs through every `stride`-th sample around it.
+    """
     near = np.arange(top - REACH * stride, top + REACH * stride + 1, stride)
     near = near[(near >= 0) & (near < len(values))]
     unit = time[top + 1] - time[top]

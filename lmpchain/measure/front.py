@@ -1,4 +1,4 @@
-"""The front of a wave, grain by grain, and the power laws by which it changes with depth."""
+"""The wave front, grain by grain, and the power laws by which it changes with depth."""
 
 from __future__ import annotations
 
@@ -20,18 +20,19 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Quantity = Literal["amplitude", "time", "width", "speed"]
+FEWEST = 6  # grains for a power law with its correction
 OTHERS = {"time": "s", "width": "s", "speed": "m/s"}  # units
 
 
 @dataclass(frozen=True, eq=False)
 class Front:
-    """The front of a wave as it passes P grains.
+    """The wave front as it passes P grains: arrival, height and width.
 
     Attributes
     ----------
     field : "velocity" or "displacement"
     grain, depth : (P,) arrays
-        Those whose maximum was found, from the top downward; their centres at rest below that of grain 1, m.
+        Grains with a maximum, from the top downward; depths of their centres at rest below that of grain 1, m.
     time, amplitude, width : (P,) arrays
         When the maximum is reached, s; the value there, m/s or m, negative for a motion upward; the full width at half
         maximum in time, s, NaN where the motion does not pass half the amplitude on both sides.
@@ -51,7 +52,7 @@ class Front:
 
     @property
     def speed(self) -> Array:
-        """Local speed, (P,) m/s, negative upward, from the grains next in the list; meaningless beside a source."""
+        """Local speed, (P,) m/s, negative upward, from neighbouring grains; undefined beside a source."""
         return 1 / self._slowness(self.depth)
 
     @property
@@ -65,12 +66,12 @@ class Front:
         return np.gradient(self.time, place, edge_order=2 if place.size > 2 else 1)
 
     def between(self, first: int, last: int) -> Front:
-        """Return the front at the grains from `first` to `last`."""
+        """Return the part of the front at the grains from `first` to `last`."""
         keep = (self.grain >= first) & (self.grain <= last)
         return replace(self, **{key: x[keep] for key, x in vars(self).items() if key != "field"})
 
     def against_depth(self, quantity: Quantity) -> tuple[Array, Array, str]:
-        """Return depths h = n - 1/2 in grains and the size of a quantity where it is known, (K,) each; its label."""
+        """Return depths h = n - 1/2 and the size of a quantity where it is known, (K,) each; its label."""
         if quantity not in get_args(Quantity):
             raise InputError([("quantity", f"must be one of {', '.join(get_args(Quantity))} (got {quantity!r})")])
         values = np.abs(getattr(self, quantity))
@@ -85,7 +86,7 @@ class Front:
 
 @dataclass(frozen=True, eq=False)
 class Exponents:
-    """Local exponents p of a quantity that goes as h^p, each fitted to some neighbouring grains.
+    """Local exponents p of a quantity that varies as h^p, each fitted to neighbouring grains.
 
     Attributes
     ----------
@@ -93,7 +94,7 @@ class Exponents:
     depth, exponent : (L,) arrays
         Geometric mean of the depths h = n - 1/2 of each fit, in grains; p.
     error, residual : (L,) arrays
-        Half the 95 % confidence interval of p and the root mean square of the relative scatter that it rests on.
+        Half the 95 % confidence interval of p, and the root mean square of the relative scatter.
     """
 
     quantity: Quantity
@@ -109,7 +110,7 @@ class Exponents:
 
 @dataclass(frozen=True, eq=False)
 class PowerLaw:
-    """A power law with its first correction for finite depth: factor h^exponent (1 + correction / h^order).
+    """A power law with a finite-depth correction: factor h^exponent (1 + correction / h^order).
 
     Attributes
     ----------
@@ -118,7 +119,7 @@ class PowerLaw:
     order, exponent, factor, correction : float
     error : (3,) array
         Of exponent, factor and correction: half the 95 % confidence interval and, added to it, the shift when a term
-        in h^(-2 order) is fitted too. On smooth data such terms count for more than scatter; yet it is no bound.
+        in h^(-2 order) is fitted too. On smooth data such terms exceed the scatter; it is an estimate, not a bound.
     """
 
     label: str
@@ -136,7 +137,7 @@ class PowerLaw:
 
     @property
     def residual(self) -> Array:
-        """How far the values lie above the law, (P,), relative."""
+        """Relative residual of the values, (P,)."""
         return self.values / self(self.depth) - 1
 
     def plot(self, ax: Axes | None = None) -> Figure:
@@ -146,13 +147,13 @@ class PowerLaw:
 
 
 def track(trajectory: Trajectory, field: Field = "velocity", fraction: float = 0.5) -> Front:
-    """Follow the front of a wave from grain to grain, between the samples too.
+    """Track the wave front from grain to grain, with sub-sample resolution.
 
-    At each grain the front is the first local maximum, of the size so that it may move upward, that reaches
+    At each grain the front is the first local maximum of the absolute value, so upward motion counts, that reaches
     `fraction` of the largest size there and after which the motion falls by more than the error of the trajectory.
     Left out are grains that begin with such a size, as the one that was struck does, and those whose maximum is less
     than two samples from an end of the recording. Behind the front the displacement falls slowly in a column, not at
-    all in a sonic vacuum: follow the velocity there, which is largest where the displacement rises most.
+    all in a sonic vacuum: track the velocity there, which is largest where the displacement rises most.
 
     Examples
     --------
@@ -166,7 +167,7 @@ def track(trajectory: Trajectory, field: Field = "velocity", fraction: float = 0
     grains, motion = recorded(trajectory, field)
     error = trajectory.error_estimate.solver
     certain = (error if np.isfinite(error) else 0.0) * np.abs(motion).max()
-    found = []
+    rows = []
     for grain, values in zip(grains, motion.T, strict=True):
         size = np.abs(values)
         enough = fraction * size.max()
@@ -174,15 +175,15 @@ def track(trajectory: Trajectory, field: Field = "velocity", fraction: float = 0
         if size[0] < enough and tops.size and 2 <= (top := int(tops[0])) < size.size - 2:
             up = np.sign(values[top])
             fine, coarse = (_pulse(trajectory.time[top % n :: n], up * values[top % n :: n], top // n) for n in (1, 2))
-            found.append([grain, *fine * [1, up, 1], *np.abs(fine - coarse)])
-    if not found:
+            rows.append([grain, *fine * [1, up, 1], *np.abs(fine - coarse)])
+    if not rows:
         raise InputError([("duration", f"no grain shows the {field} of a front that passes: record for longer")])
-    passed, *columns = np.array(found).T
+    passed, *columns = np.array(rows).T
     return Front(field, passed.astype(int), trajectory.scene.chain.depths[passed.astype(int) - 1], *columns)
 
 
 def exponent(front: Front, quantity: Quantity = "amplitude", window: int | None = 11) -> Exponents:
-    """Fit power laws in h = n - 1/2 to every `window` grains that follow one another, or to all if it is None."""
+    """Fit power laws in h = n - 1/2 to windows of neighbouring grains, or to all of them."""
     depth, values, _ = front.against_depth(quantity)
     size = depth.size if window is None else window
     if not 3 <= size <= depth.size:
@@ -194,19 +195,22 @@ def exponent(front: Front, quantity: Quantity = "amplitude", window: int | None 
 
 
 def asymptotic(front: Front, quantity: Quantity, delta: float, exponent: float | None = None) -> PowerLaw:
-    """Fit the law to which a quantity tends with depth, and how it gets there, after a weak strike on a column's top.
+    """Fit the asymptotic power law of a quantity and its finite-depth correction.
 
+    The wave is that after a weak strike on the top of a column.
     With xi = 1 - 1/delta, dispersion spreads the front (tau^2 - chi^2)^(-a), a = xi / (4 - 2 xi), over times ~ h^w,
     w = 1/3 - xi/2. Displacements tend to the power -xi/4 - a w of h, velocities to -xi/4 - (1 + a) w: -1/10 and -4/15
     for Hertz; -1/12 and -1/4 of Hong, Ji and Kim, Phys. Rev. Lett. 82, 3058 (1999), are local ones on the way there.
 
     The order is 1/delta - 1/3 for amplitude and width, 2/3 for time and speed; above delta = 2 the correction cannot be
-    told from the power. A given `exponent` is not fitted. `Front.between` leaves out first grains and reflections.
+    separated from the power. A given `exponent` is not fitted. `Front.between` leaves out first grains and reflections.
     """
     depth, values, label = front.against_depth(quantity)
     x, y = np.log(depth), np.log(values)
-    if depth.size < 6 or not 1 <= delta <= 2:
-        raise InputError([("front", f"takes 6 grains or more (got {depth.size}), and 1 <= delta <= 2 (got {delta})")])
+    if not 1 <= delta <= 2:
+        raise InputError([("front", f"has such a law for 1 <= delta <= 2 only (got {delta})")])
+    if depth.size < FEWEST:
+        raise InputError([("front", f"a fit needs it at {FEWEST} or more grains (got {depth.size}): record longer")])
     order = 2 / 3 if quantity in ("time", "speed") else 1 / delta - 1 / 3
     known: list[float] = [] if exponent is None else [exponent]
 
@@ -215,12 +219,13 @@ def asymptotic(front: Front, quantity: Quantity, delta: float, exponent: float |
         return scale + power * x + np.log(np.abs(1 + first * np.exp(-order * x) + second * np.exp(-2 * order * x)))
 
     try:
-        found, covariance = optimize.curve_fit(law, x, y, [*np.polyfit(x, y, 1), 0.0][len(known) :])
-        further, _ = optimize.curve_fit(law, x, y, [*found, 0.0])
+        parameters, covariance = optimize.curve_fit(law, x, y, [*np.polyfit(x, y, 1), 0.0][len(known) :])
+        further, _ = optimize.curve_fit(law, x, y, [*parameters, 0.0])
     except RuntimeError:
-        raise InputError([("front", "follows no such law: choose other grains with Front.between")]) from None
-    error = stats.t.ppf(0.975, x.size - found.size) * np.sqrt(np.diag(covariance)) + np.abs(further[:-1] - found)
-    (power, scale, correction), error = np.append(known, found), np.append(np.zeros(len(known)), error)
+        raise InputError([("front", "obeys no such law: choose other grains with Front.between")]) from None
+    error = stats.t.ppf(0.975, x.size - parameters.size) * np.sqrt(np.diag(covariance))
+    error += np.abs(further[:-1] - parameters)
+    (power, scale, correction), error = np.append(known, parameters), np.append(np.zeros(len(known)), error)
     return PowerLaw(label, depth, values, order, error * [1, np.exp(scale), 1], power, np.exp(scale), correction)
 
 
@@ -237,7 +242,7 @@ def _pulse(time: Array, values: Array, top: int) -> Array:
 
 
 def _draw(ax: Axes | None, h: Array, y: Array, label: str, error: Array | None = None, **laws: Array) -> Figure:
-    """Draw values against depth, logarithmic unless they have errors, and laws through them."""
+    """Draw values against depth, logarithmic unless they have errors, with fitted laws."""
     from matplotlib.ticker import LogLocator
 
     ax, picture = axes_in_units(ax, "", "")

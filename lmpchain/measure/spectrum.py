@@ -1,4 +1,4 @@
-"""Waves by frequency and wavenumber, beside what the chain lets pass, and as pictures in space and time."""
+"""Spectra over frequency and wavenumber, with the dispersion relation, and space-time diagrams."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
 
 Field = Literal["velocity", "displacement"]
 UNITS = {"velocity": "m/s", "displacement": "m"}
-FEWEST_SAMPLES, FEWEST_GRAINS = 16, 8  # for a front to be followed and a spectrum; for wavenumbers to be told apart
-DECADES = 3  # that the colours of a spectrum span
+FEWEST_SAMPLES, FEWEST_GRAINS = 16, 8  # least for tracking a front or a spectrum; least to resolve wavenumbers
+DECADES = 3  # spanned by the colours of a spectrum
 LINE = "#D55E00"  # vermilion of Okabe and Ito: seen on every colour of cividis, whatever the colour vision
 
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """The frequencies in the motion of G grains.
+    """Amplitude spectra of the motion of G grains.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class Spectrum:
 
 @dataclass(frozen=True, eq=False)
 class Dispersion:
-    """The frequencies and wavenumbers in the motion of neighbouring grains.
+    """Spectrum of neighbouring grains over frequency and wavenumber.
 
     Attributes
     ----------
@@ -117,7 +117,7 @@ def recorded(trajectory: Trajectory, field: Field) -> tuple[np.ndarray, Array]:
 
 
 def spectrum(trajectory: Trajectory, field: Field = "velocity", window: str = "boxcar") -> Spectrum:
-    """Return the spectrum of every recorded grain.
+    """Return the amplitude spectrum of every recorded grain.
 
     Record often enough: what is faster than half the sampling rate appears at a lower frequency.
 
@@ -134,8 +134,8 @@ def spectrum(trajectory: Trajectory, field: Field = "velocity", window: str = "b
     >>> import lmpchain
     >>> chain = lmpchain.Chain(grains=30, diameter=1e-3)
     >>> scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-6), duration=1e-3, samples=1001)
-    >>> found = spectrum(lmpchain.simulate(scene, engine="native"))
-    >>> found.amplitude.shape, f"{found.frequency[-1]:.0f} Hz", f"{found.cut_off[0]:.0f} Hz"
+    >>> spectra = spectrum(lmpchain.simulate(scene, engine="native"))
+    >>> spectra.amplitude.shape, f"{spectra.frequency[-1]:.0f} Hz", f"{spectra.cut_off[0]:.0f} Hz"
     ((501, 30), '499500 Hz', '46332 Hz')
     """
     grain, motion = recorded(trajectory, field)
@@ -178,8 +178,9 @@ def dispersion(
 
 
 def cut_off(chain: Chain) -> Array:
-    """Return the highest frequency that passes each grain, as if all were like it and the contact below, (N,) Hz.
+    """Return the local cut-off frequency of each grain, (N,) Hz.
 
+    It is that of a uniform chain of such grains with the contact below.
     It is sqrt(k_n / m_n) / pi; the last grain takes the contact above. In a sonic vacuum it is 0.
     """
     stiffness = chain.linear_stiffness
@@ -187,8 +188,9 @@ def cut_off(chain: Chain) -> Array:
 
 
 def travel_time(chain: Chain, source: int = 1) -> Array:
-    """Return when a weak, long wave from one grain comes to each, (N,) s: the sum of sqrt(m / k) over the contacts.
+    """Return the travel time of a weak, long wave from one grain to each, (N,) s.
 
+    It is the sum of sqrt(m / k) over the contacts between.
     From grain 1 under a free top it takes half a contact more, as from the surface. The velocity is largest a little
     later, by a time that grows with the width of the front.
     """
@@ -243,6 +245,6 @@ def _logarithmic(ax: Axes, x: Array, y: Array, values: Array, label: str) -> Non
 
 
 def _edges(middles: Array) -> Array:
-    """Return where cells around these middles meet, and end."""
+    """Return the edges of cells around these centres."""
     half = (middles[1] - middles[0]) / 2 if len(middles) > 1 else 0.5
     return np.concatenate(([middles[0] - half], (middles[1:] + middles[:-1]) / 2, [middles[-1] + half]))

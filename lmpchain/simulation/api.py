@@ -20,6 +20,7 @@ from ..scene.scene import LightCone, Scene
 from ..trajectory.record import Block
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
+from ..util.progress import RATE, ProgressBar
 from ..util.provenance import versions
 from .policy import policy_for, record
 from .task import Task
@@ -261,16 +262,11 @@ def _zeros(shape: tuple[int, int], moving: int) -> Array:
 
 def _shown(run: Run, name: str, samples: int, done: int, progress: bool) -> Generator[Block, None, None]:
     """Yield the blocks of a run, showing how far it is, how fast, and how good it is so far."""
-    from tqdm.auto import tqdm
-
-    layout = "{desc}: {percentage:3.0f}% |{bar}| {rate_fmt}, {remaining} left{postfix}"
     looked = time.monotonic()
-    with tqdm(
-        total=samples, initial=done, desc=name, unit=" samples", disable=not progress, leave=False, bar_format=layout
-    ) as bar:
+    with ProgressBar(samples, name, " samples", done=done, layout=RATE, shown=progress) as bar:
         for block in run.blocks():
             yield block
-            bar.update(max(block.samples.stop, run.progress * samples) - bar.n)
+            bar.reach(max(block.samples.stop, run.progress * samples))
             if progress and time.monotonic() > looked + GLANCE_S:
-                bar.set_postfix_str(f"error {run.errors()[0].total:.1g}", refresh=False)
+                bar.remark(f"error {run.errors()[0].total:.1g}")
                 looked = time.monotonic()

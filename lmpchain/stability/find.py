@@ -20,6 +20,7 @@ from ..errors import EngineUnavailable, InputError, LmpchainError, ToleranceNotM
 from ..integrators.methods import METHODS
 from ..scene.scene import Scene
 from ..util.arrays import Array
+from ..util.progress import ProgressBar
 from .result import TOLERANCE, Boundary, Curve, Stability
 
 if TYPE_CHECKING:
@@ -44,15 +45,14 @@ def stability(scene: Scene, *, progress: bool = False) -> Stability:
     progress : bool
         Whether to show a progress bar.
     """
-    from tqdm.auto import tqdm
-
     boundaries: list[Boundary] = []
     curves: list[Curve] = []
     left_out: list[str] = []
-    layout = "{desc}: {n_fmt} of {total_fmt} |{bar}| {elapsed}"
-    with tqdm(list(_parts(scene)), disable=not progress, leave=False, bar_format=layout) as bar:
-        for name, part in bar:
-            bar.set_description(name)
+    parts = list(_parts(scene))
+    with ProgressBar(len(parts), shown=progress) as bar:
+        for place, (name, part) in enumerate(parts):
+            bar.reach(place)
+            bar.describe(name)
             try:
                 for item in part():
                     (boundaries if isinstance(item, Boundary) else curves).append(item)  # type: ignore[arg-type]

@@ -177,9 +177,7 @@ def _draw_growth(axes: Axes, result: Stability) -> None:
         if row.what.startswith("predictable"):
             for value, style, label in ((row.predicted, "--", "predicted"), (row.measured, "-", "measured")):
                 if np.isfinite(value) and value <= 1.2 * end:
-                    axes.axvline(
-                        value, color="0.3", ls=style, lw=1.2, label=f"{label} predictability time for {TOLERANCE:g}"
-                    )
+                    axes.axvline(value, color="0.3", ls=style, lw=1.2, label=f"predictable to {TOLERANCE:g}, {label}")
     axes.set(yscale="log", xlabel="time", ylabel="distance of two runs, over the largest value")
     axes.xaxis.set_major_formatter(EngFormatter("s"))
     axes.locator_params(axis="x", nbins=5)

@@ -22,6 +22,7 @@ from filelock import FileLock, Timeout
 
 from ..errors import InputError
 from ..util.files import make_folder, write_aside
+from ..util.progress import ProgressBar
 from .executors import Here, Processes
 from .file import Sweep, name_of, plain, read
 from .results import FORMAT, load_sweep
@@ -88,7 +89,8 @@ def sweep(
         left = [batch for batch in batches if not done.issuperset(batch)]
         tasks = (Task(tuple(plan.asked(scenes[name]) for name in batch), plan.folder, results) for batch in left)
         crew = nullcontext(executor) if executor else Processes(workers) if workers > 1 else Here()
-        with crew as chosen, _bar(len(every), sum(map(len, left)), progress) as bar:
+        before = len(every) - sum(map(len, left))
+        with crew as chosen, ProgressBar(len(every), unit=" scenes", done=before, shown=progress) as bar:
             trouble = _answer_all(chosen, tasks, bar, WAITING if executor or workers > 1 else 1)
     if trouble:
         warnings.warn(f"some scenes could not be done this time; of the first: {trouble[0]}", stacklevel=2)
@@ -147,13 +149,7 @@ def dask(address: str) -> Iterator[Executor]:
         yield client.get_executor(pure=False)
 
 
-def _bar(scenes: int, left: int, progress: bool) -> Any:
-    from tqdm.auto import tqdm
-
-    return tqdm(total=scenes, initial=scenes - left, unit=" scenes", disable=not progress, leave=False)
-
-
-def _answer_all(executor: Executor, tasks: Iterator[Task], bar: Any, most: int) -> list[str]:
+def _answer_all(executor: Executor, tasks: Iterator[Task], bar: ProgressBar, most: int) -> list[str]:
     """Have all tasks answered, so many at a time, and return why some were not, in words."""
     trouble: list[str] = []
     deaths: dict[Task, int] = {}
@@ -176,7 +172,7 @@ def _answer_all(executor: Executor, tasks: Iterator[Task], bar: Any, most: int) 
                     trouble.append(f"the process that was at it died {DEATHS} times")
                 except Exception as error:  # of the machine or the cluster, not of the scene
                     trouble.append(f"{type(error).__name__} {error}".strip())
-                bar.update(len(task.asked))
+                bar.advance(len(task.asked))
     finally:
         for future in pending:
             future.cancel()

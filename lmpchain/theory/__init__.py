@@ -1,4 +1,4 @@
-"""Theory of the linear and continuous limits: pure functions in the paper's own dimensionless variables.
+"""Theory of the linear and continuous limits, in the paper's dimensionless variables.
 
 Each function names its equation and where the paper misprints it. The exponent delta of the contact force is one
 number, 1 or more, by default that of Hertz; ``xi = 1 - 1/delta``, ``eta = 1 + 1/delta``, ``nu = 1/(1 + delta)``.

@@ -1,4 +1,4 @@
-"""Bessel-function solutions: the uniform chain (Eqs. 5-8, 11, 13) and the exact series of any chain (Eqs. 19-21)."""
+"""Bessel-function solutions of the uniform chain (Eqs. 5-8, 11, 13) and of any chain (Eqs. 19-21)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ DECAY = 640.0  # recurrences begin where Bessel functions are exp(-640), not far
 
 
 def infinite(n: ArrayLike, p: ArrayLike, T: ArrayLike) -> Array:
-    """Return J_(2(n-p))(2T), Eq. (6): grain n of the infinite uniform chain after unit displacement of grain p.
+    """Return Eq. (6), J_(2(n-p))(2T): the infinite uniform chain after unit displacement of grain p.
 
     T is tau sqrt(kappa). The main maximum passes at ``2T = 2|n-p| + 0.8086 (2|n-p|)^(1/3)``, not at 2T = 2|n-p|.
 
@@ -77,7 +77,7 @@ def infinite_general(
 
 
 def free_end(n: ArrayLike, T: ArrayLike) -> Array:
-    """Return J_(2n-2)(2T) + J_(2n)(2T), Eq. (11): the semi-infinite uniform chain after unit displacement of grain 1.
+    """Return Eq. (11), J_(2n-2)(2T) + J_(2n)(2T): the semi-infinite chain, grain 1 displaced by 1.
 
     It holds in a finite chain until the wave has come back from the other end.
 
@@ -146,7 +146,9 @@ def local(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
 
 
 def far_field(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
-    """Return the limit of `local` for tau far above 2 n^2 / sqrt(kappa_n), Eq. (8) with phi_0 = 1, the tau of Eq. (3).
+    """Return Eq. (8) with phi_0 = 1: the limit of `local` at long times.
+
+    It holds for tau, that of Eq. (3), far above 2 n^2 / sqrt(kappa_n).
 
     ``n^(-xi/4) cos(2 n^(xi/2) tau - pi n - pi/4) / sqrt(pi tau)``; the paper's own tau here is that of Eq. (3) over
     g^(1/6). It is not how Eq. (3) behaves at long times: there nothing oscillates, and a displaced top grain
@@ -169,8 +171,9 @@ def far_field(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
 
 
 def coefficients(kappa: ArrayLike, n: ArrayLike, k: int, terms: int, scale: float | None = None) -> Array:
-    """Return A_1(n) ... A_terms(n) of Eq. (19), phi_n = sum_j A_j(n) J_(2j-2)(2 sqrt(scale) tau), Eqs. (20)-(21).
+    """Return the coefficients A_1(n) ... A_terms(n) of the series (19), by Eqs. (20)-(21).
 
+    The series is phi_n = sum_j A_j(n) J_(2j-2)(2 sqrt(scale) tau).
     Since ``cos(2 phi_i) = 1 - omega_i^2 / (2 scale)``, they are Chebyshev polynomials of the matrix of Eq. (3): the
     three-term recurrence gives them without eigenvectors. In Eq. (20) the cases of the brace are j = 1 and j > 1, not
     i; after Eq. (21), 90 degrees is no mode of N = 3, which has but two.
@@ -224,7 +227,7 @@ def coefficients(kappa: ArrayLike, n: ArrayLike, k: int, terms: int, scale: floa
 
 
 def finite(kappa: ArrayLike, n: ArrayLike, k: int, tau: ArrayLike) -> Array:
-    """Return the motion after unit displacement of grain k, Eq. (19) summed: exact for any chain whose grain N is held.
+    """Return the series (19) after unit displacement of grain k, exact if grain N is held.
 
     Parameters
     ----------
@@ -277,7 +280,7 @@ def _series(kappa: ArrayLike, n: ArrayLike, k: int, tau: ArrayLike) -> tuple[Arr
 
 
 def _table(key: str, z: Array, count: int | None = None) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Return J_0, J_2 ... J_(2 count - 2) of z, half their integrals from 0 to z, and where each z stands in them.
+    """Return J_0, J_2 ... J_(2 count - 2) of z, half their integrals, and the index of each z.
 
     Miller's downward recurrence, normalised by ``J_0 + 2 (J_2 + J_4 + ...) = 1``; half the integral of J_(2k) is
     ``J_(2k+1) + J_(2k+3) + ...``. What is below exp(-640) may be given as 0; without a count the tables end there.

@@ -1,4 +1,4 @@
-"""The column as a continuous medium: Eq. (27), phi_tautau = (h^xi phi_h)_h, its modes, packets and impulse response.
+"""Eq. (27), phi_tautau = (h^xi phi_h)_h, the column as a continuum: modes, packets, responses.
 
 Grain n sits at the depth h = n - 1/2. In the travel time chi from the top, Eq. (27) is the Euler-Poisson-Darboux
 equation ``phi_tautau = phi_chichi + (xi / eta) phi_chi / chi``; the light cone is tau = chi.
@@ -52,7 +52,9 @@ def mode(h: ArrayLike, lam: ArrayLike, delta: float = 1.5) -> Complex:
 
 
 def standing(h: ArrayLike, lam: ArrayLike, delta: float = 1.5) -> Array:
-    """Return h^(1/2delta) J_(-nu)(lambda chi), the mode with no flux through the free top, to go with cos(lambda tau).
+    """Return the standing mode h^(1/2delta) J_(-nu)(lambda chi), with no flux through the free top.
+
+    It goes with cos(lambda tau).
 
     Parameters
     ----------
@@ -81,8 +83,9 @@ def standing(h: ArrayLike, lam: ArrayLike, delta: float = 1.5) -> Array:
 def superpose(
     A: Callable[[Complex], ArrayLike], h: ArrayLike, tau: ArrayLike, delta: float = 1.5, angle: float = np.pi / 2
 ) -> Complex:
-    """Return the integral of A(lambda) u_lambda(h) exp(i lambda tau) over lambda > 0: Eq. (31), and (29) with A = 1.
+    """Return the integral of A(lambda) u_lambda(h) exp(i lambda tau) over lambda > 0, Eq. (31).
 
+    With A = 1 it is Eq. (29).
     Along the real axis it converges but conditionally; along ``lambda = y exp(i angle)`` exponentially, for every
     tau > -chi. A must be analytic between the two and grow less than exponentially; at 0 it may be as singular as
     lambda^(nu - 0.9). Relative error about 1e-13.
@@ -155,7 +158,9 @@ def packet(h: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
 
 
 def packet_front(h: ArrayLike, delta: float = 1.5) -> Array:
-    """Return the limit of `packet` at the light cone tau = chi, Eq. (33): 2 nu a chi^(nu - 1), for Hertz as h^(-1/2).
+    """Return the limit of `packet` at the light cone tau = chi, Eq. (33): 2 nu a chi^(nu - 1).
+
+    For Hertz it varies as h^(-1/2).
 
     Raises
     ------
@@ -172,8 +177,9 @@ def packet_front(h: ArrayLike, delta: float = 1.5) -> Array:
 
 
 def resonant_packet(h: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
-    """Return the real part of Eq. (31) for A = lambda^(-nu), for Hertz lambda^(-2/5): Eq. (34) in one form for all tau.
+    """Return the real part of Eq. (31) for A = lambda^(-nu): Eq. (34) in one form for all tau.
 
+    For Hertz A is lambda^(-2/5).
     It does not resonate: the two singular terms of Eq. (34) cancel at the light cone, where it is smooth (as printed,
     with constants of four digits, they leave a spurious peak), and outside the cone the printed form is wrong.
 
@@ -218,8 +224,9 @@ def impulse_amplitude(delta: float = 1.5) -> float:
 
 
 def impulse_response(h: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
-    """Return C (tau^2 - chi^2)^(-xi/2eta) inside the light cone and 0 outside: what unit dphi/dtau of grain 1 causes.
+    """Return the response to unit dphi/dtau of grain 1: C (tau^2 - chi^2)^(-xi/2eta), causal.
 
+    It is 0 outside the light cone.
     This is Eq. (35) made causal, with its amplitude; for Hertz C (tau^2 - chi^2)^(-1/10). It is infinite on the cone
     (for delta = 1, a step of height 1), where the front of a chain of grains is an Airy function: see `front`.
 
@@ -242,7 +249,7 @@ def impulse_response(h: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
 
 
 def impulse_of_grain(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> tuple[Array, Array]:
-    """Return phi and dphi/dtau of `impulse_response`, averaged over the place of grain n, n - 1 < h < n.
+    """Return phi and dphi/dtau of `impulse_response`, averaged over grain n, n - 1 < h < n.
 
     With ``I`` the regularised incomplete beta function of order 1/eta, 1 - xi/(2 eta), it is ``tau I((chi/tau)^2)``
     between the two ends: finite on the light cone too, and of momentum 1 at all times.
@@ -284,7 +291,9 @@ def impulse_of_grain(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> tuple[
 
 
 def peaked(h: ArrayLike, tau: ArrayLike, c1: float, c2: float, c3: float, delta: float = 1.5) -> Array:
-    """Return c1 + c2 |(tau + c3)^2 - chi^2|^(-xi/2eta), Eq. (35), which solves Eq. (27) on each side of the light cone.
+    """Return Eq. (35), c1 + c2 |(tau + c3)^2 - chi^2|^(-xi/2eta).
+
+    It solves Eq. (27) on each side of the light cone.
 
     Parameters
     ----------

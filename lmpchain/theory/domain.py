@@ -1,4 +1,4 @@
-"""What the formulas share: where they hold, their exponents, depth and travel time."""
+"""Shared by the formulas: domains of validity, exponents, depth and travel time."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..util.arrays import Array
 
 
 def require(*rules: tuple[str, Any, str]) -> None:
-    """Raise `InputError` with every rule (key, condition, message) whose condition does not hold everywhere."""
+    """Raise `InputError` for every rule (key, condition, message) that is violated somewhere."""
     if faults := [(key, message) for key, condition, message in rules if not np.all(condition)]:
         raise InputError(faults)
 
@@ -73,7 +73,7 @@ def chi(h: ArrayLike, delta: float = 1.5) -> Array:
 
 
 def depth(tau: ArrayLike, delta: float = 1.5) -> Array:
-    """Return how deep a wave from the top is at tau, (eta tau / 2)^(2/eta): the inverse of `chi`.
+    """Return the depth of the light cone at tau, (eta tau / 2)^(2/eta): the inverse of `chi`.
 
     For Hertz (5 tau / 6)^(6/5); the tau^(6/5) after Eq. (9) lacks the factor.
 

@@ -1,4 +1,4 @@
-"""Dyson's distribution of force constants (Eq. 23) and the weighted sum that the paper makes of it (Eq. 22)."""
+"""Dyson's distribution of force constants (Eq. 23) and the paper's weighted sum (Eq. 22)."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ COURANT = 0.9
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """What `solve` found at the grains.
+    """The solution of `solve` at the grains.
 
     Attributes
     ----------

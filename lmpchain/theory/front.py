@@ -18,7 +18,7 @@ from .domain import exponents, real, require, whole
 
 
 def decay(delta: float = 1.5) -> tuple[float, float]:
-    """Return p and q: after a strike on grain 1, peak velocities fall as n^(-p) and peak displacements as n^(-q).
+    """Return p and q: peak velocities fall as n^(-p), peak displacements as n^(-q), after a strike.
 
     For Hertz 4/15 and 1/10; the 1/12 of Eq. (8) holds for waves of one frequency. From delta = 3 on both are xi/4.
 
@@ -41,8 +41,9 @@ def decay(delta: float = 1.5) -> tuple[float, float]:
 
 
 def displacement(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
-    """Return phi_n near the front, ``C (2 chi w)^(-a) G((tau - chi) / w)``, after unit dphi/dtau of grain 1.
+    """Return phi_n near the front after unit dphi/dtau of grain 1.
 
+    It is ``C (2 chi w)^(-a) G((tau - chi) / w)``.
     G is the integral of ``y^(-a) Ai(y - s)`` over y > 0, a = xi / (2 eta) and C that of Eq. (35).
 
     Parameters
@@ -67,7 +68,7 @@ def displacement(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
 
 
 def velocity(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
-    """Return dphi_n/dtau near the front, the derivative of `displacement`, with the same arguments and errors.
+    """Return dphi_n/dtau near the front: the derivative of `displacement`, same arguments.
 
     Examples
     --------
@@ -78,8 +79,9 @@ def velocity(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
 
 
 def peak_velocity(n: ArrayLike, delta: float = 1.5) -> Array:
-    """Return the largest velocity of grain n over that of the strike, for Hertz 0.931768 n^(-4/15) to leading order.
+    """Return the largest velocity of grain n over that of the strike.
 
+    For Hertz it is 0.931768 n^(-4/15) to leading order.
     Arguments and errors as for `displacement`.
 
     Examples
@@ -91,8 +93,9 @@ def peak_velocity(n: ArrayLike, delta: float = 1.5) -> Array:
 
 
 def peak_time(n: ArrayLike, delta: float = 1.5) -> Array:
-    """Return when the largest velocity passes grain n, chi + s w with s = 0.908 for Hertz, in units of tau.
+    """Return the arrival time of the largest velocity at grain n, chi + s w, in units of tau.
 
+    For Hertz s = 0.908.
     Arguments and errors as for `displacement`.
 
     Examples
@@ -122,7 +125,7 @@ def _scales(n: ArrayLike, delta: float) -> tuple[Array, Array, float]:
 
 
 def _smooth(s: Array, a: float, derivative: int) -> Array:
-    """Return a derivative by s of the integral of y^(-a) Ai(y - s) over y > 0, by Gauss-Jacobi quadrature."""
+    """Return an s-derivative of the integral of y^(-a) Ai(y - s) over y > 0, by Gauss-Jacobi."""
     reach = np.maximum(s, 0.0) + 16
     x, weight = roots_jacobi(64 + int(reach.max() ** 1.5), 0.0, -a)
     y = reach[..., None] * (1 + x) / 2

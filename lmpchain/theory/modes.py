@@ -35,7 +35,7 @@ class Modes:
     def response(
         self, time: ArrayLike, displacement: ArrayLike = 0.0, velocity: ArrayLike = 0.0
     ) -> tuple[Array, Array]:
-        """Return how the chain moves: Eq. (15) for any initial displacement, with sin(wt)/w for any velocity.
+        """Return the motion, Eq. (15), for any initial displacement, with sin(wt)/w for any velocity.
 
         Parameters
         ----------
@@ -112,7 +112,7 @@ def between(stiffness: Array, mass: Array) -> Modes:
 
 
 def quasi_normal(k: ArrayLike, grains: int, delta: float = 1.5) -> Array:
-    """Return the frequencies of the quasi-normal modes of Eq. (30) in a column of N grains, in units of 1/tau.
+    """Return the quasi-normal frequencies of Eq. (30) in a column of N grains, in units of 1/tau.
 
     ``(eta/2) j H^(-eta/2)`` with j the k-th zero of J_(-nu) and H = N - 1/2, where grain N is held: the solutions of
     the Sturm-Liouville problem with no flux through the free top. Relative error of order (k/N)^2.
@@ -139,7 +139,7 @@ def quasi_normal(k: ArrayLike, grains: int, delta: float = 1.5) -> Array:
 
 
 def band_edge(grains: int, delta: float = 1.5) -> float:
-    """Return the highest frequency of a column of N grains, in units of 1/tau, by Airy's equation at its bottom.
+    """Return the highest frequency of a column of N grains, in units of 1/tau, by Airy's equation.
 
     ``omega^2 = H^xi [4 - 2.338107 (4 xi / H)^(2/3)]``, H = N - 1/2; error 2e-4 for N = 100, 1e-5 for N = 1000. The mode
     is localised in the lowest (H / 4 xi)^(1/3) grains.
@@ -162,8 +162,9 @@ def band_edge(grains: int, delta: float = 1.5) -> float:
 
 
 def count(frequency: ArrayLike, grains: int, delta: float = 1.5) -> Array:
-    """Return how many modes of a column of N grains lie below a frequency (in units of 1/tau), as WKB counts them.
+    """Return the number of modes of a column of N grains below a frequency, by WKB.
 
+    The frequency is in units of 1/tau.
     The integral of (2/pi) arcsin(min(1, omega h^(-xi/2) / 2)) over 0 < h < H = N - 1/2. At the k-th
     eigenfrequency it is k - 1/4 - nu/2 (omega < 2) or k - 1/4 (above, where the mode has a turning point).
 
@@ -198,7 +199,7 @@ def _bottom(grains: int) -> float:
 
 
 def _zero(order: float, k: Array) -> Array:
-    """Return the k-th positive zero of J_order, -1/2 <= order <= 0, by Newton's method from McMahon's expansion."""
+    """Return the k-th positive zero of J_order, -1/2 <= order <= 0, by Newton's method."""
     z = (k + order / 2 - 0.25) * np.pi
     z = z - (4 * order**2 - 1) / (8 * z)
     for _ in range(6):

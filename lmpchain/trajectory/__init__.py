@@ -1,4 +1,4 @@
-"""The answer: arrays with their error estimate and cost; NetCDF, Zarr, LAMMPS dumps, extended XYZ, MDAnalysis."""
+"""Trajectories and their formats: NetCDF, Zarr, LAMMPS dump, extended XYZ, MDAnalysis."""
 
 from ..util.lazy import attributes
 

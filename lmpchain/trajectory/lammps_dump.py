@@ -1,4 +1,4 @@
-"""Reading what LAMMPS dumped, for a deck of `lmpchain deck` or a user's own: displacements and velocities of grains."""
+"""Displacements and velocities from LAMMPS dumps, of `lmpchain deck` or of a user's own deck."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from .record import Cost, ErrorEstimate, Record
 
 BEGIN = b"ITEM: TIMESTEP"
 HEADER = 9  # lines above the atoms of a frame
-SAME = 1e-6  # how far, relative to the largest in the dump, the first frame may be from the start of the scene
-FEWEST_LEVELS = 100  # that heights must resolve in a displacement
+SAME = 1e-6  # largest difference of the first frame from the initial state, over the largest value in the dump
+FEWEST_LEVELS = 100  # of height that a displacement must span
 BLOCK = 1 << 20  # bytes
 
 
 def is_dump(path: str | PathLike[str]) -> bool:
-    """Say whether a file, which may be compressed by gzip, begins as a LAMMPS dump does."""
+    """Say whether a file, possibly compressed by gzip, is a LAMMPS dump."""
     path = Path(path)
     try:
-        check_readable(path, sys.maxsize)  # a pipe would be waited for
+        check_readable(path, sys.maxsize)  # reading a pipe would block
         with _open(path) as opened:
             return opened.read(len(BEGIN)) == BEGIN
     except (OSError, EOFError, ValueError, zlib.error):
@@ -42,7 +42,7 @@ def _open(path: Path) -> IO[bytes]:
 
 
 def read(path: str | PathLike[str], scene: Scene, equilibrium: Sequence[float] | Array | None = None) -> Record:
-    """Read a dump as the answer of LAMMPS to a scene; see `lmpchain.Trajectory.from_dump`.
+    """Read a LAMMPS dump as the trajectory of a scene; see `lmpchain.Trajectory.from_dump`.
 
     Raises
     ------
@@ -124,7 +124,10 @@ def _ways_down(scene: Scene, z: Array, rest: Array | None) -> list[float]:
 
 
 def _misfit(scene: Scene, displacement: Array, velocity: Array, rounding: float) -> str:
-    """Return how the first frame differs from the start of the scene, or nothing; `rounding` is of heights, m."""
+    """Return how the first frame differs from the initial state of the scene, or nothing.
+
+    The `rounding` is that of the heights, m.
+    """
     u, v = scene.initial()
     for what, unit, values, start, slack in (
         ("velocity", "m/s", velocity, v, 0.0),
@@ -138,7 +141,7 @@ def _misfit(scene: Scene, displacement: Array, velocity: Array, rounding: float)
 
 
 def _columns(path: Path, scene: Scene) -> list[str]:
-    """Return the names of the columns, once it is clear that the dump is of such a chain."""
+    """Return the names of the columns, after checking that the dump fits the chain."""
     name, grains = str(path), scene.chain.grains
     if not path.is_file():
         raise InputError([(name, "is a folder; name the dump in it" if path.is_dir() else "there is no such file")])
@@ -169,7 +172,7 @@ def _columns(path: Path, scene: Scene) -> list[str]:
 
 
 def _frames(path: Path, columns: list[str]) -> tuple[np.ndarray, dict[str, Array]]:
-    """Return the numbers of the steps, (T,), and these columns by atom, in the order of their numbers, (T, N) each.
+    """Return step numbers, (T,), and these columns ordered by atom number, (T, N) each.
 
     MDAnalysis holds positions in single precision, but columns that are asked for by name in double.
     """
@@ -188,7 +191,7 @@ def _frames(path: Path, columns: list[str]) -> tuple[np.ndarray, dict[str, Array
 
 
 def _check_digits(name: str, heights: Array) -> None:
-    """Raise `InputError` if the heights of a grain that moves, (T,) m, were written with too few digits to show it."""
+    """Raise `InputError` if the dump has too few digits to resolve the motion, heights (T,) m."""
     largest, moved = np.abs(heights).max(), np.ptp(heights)
     digits = next((d for d in range(1, 17) if all(float(f"{z:.{d - 1}e}") == z for z in heights.tolist())), 17)
     if largest and moved < FEWEST_LEVELS * 10.0 ** (np.floor(np.log10(largest)) - digits + 1):

@@ -1,4 +1,4 @@
-"""A trajectory as MDAnalysis sees it."""
+"""Trajectories as MDAnalysis universes, read on demand."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .record import Record
 
 
 class SampleReader(ProtoReader):
-    """Gives the samples of a trajectory to MDAnalysis one by one, each when it is asked for.
+    """Reader that passes the samples of a trajectory to MDAnalysis on demand.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class SampleReader(ProtoReader):
         return ts
 
     def copy(self) -> SampleReader:
-        """Return a reader of its own of the same trajectory, at the same sample."""
+        """Return another reader of the same trajectory, at the same sample."""
         new = SampleReader(self._run)
         new.add_transformations(*self.transformations)
         new.ts = self.ts.copy()

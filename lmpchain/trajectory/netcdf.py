@@ -1,4 +1,4 @@
-"""One NetCDF file a trajectory, with a hash of itself at its end."""
+"""Trajectories as NetCDF files, sealed by a hash of the content."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 def write(record: Record, path: str | PathLike[str]) -> None:
     """Write a trajectory; see `lmpchain.Trajectory.save`."""
-    import h5netcdf  # xarray would write the same, but takes longer to import than most scenes to answer
+    import h5netcdf  # xarray writes the same, but its import takes longer than most runs
 
     memory = BytesIO()  # HDF5 crashes the process when a disk is full
     with h5netcdf.File(memory, "w") as file:
@@ -29,7 +29,7 @@ def write(record: Record, path: str | PathLike[str]) -> None:
 
 
 def read(path: Path) -> xarray.Dataset:
-    """Return what a file holds; raises what the readers of damaged files raise."""
+    """Return the fields of a file; damaged files raise whatever their readers raise."""
     import xarray
 
     check_seal(path)

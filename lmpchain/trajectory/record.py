@@ -1,4 +1,4 @@
-"""What a run leaves: samples, error estimate, cost, and what a file says of them."""
+"""The data of a trajectory: samples, error estimate, cost, and the metadata of its files."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ LABELS: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class ErrorEstimate:
-    """How far an answer is from the solution of Eq. (1).
+    """Estimated relative error against the exact solution of Eq. (1): model and solver.
 
     The error is the larger of those of displacement and velocity, each max|x - x_true| / max|x_true|
     over all samples and all grains of the chain.
@@ -34,9 +34,9 @@ class ErrorEstimate:
     Attributes
     ----------
     model : float
-        Because the equation solved is not Eq. (1).
+        Error of the equation solved, 0 for Eq. (1).
     solver : float
-        Because it was not solved exactly: step and round-off.
+        Error of its numerical solution: time step and round-off.
     """
 
     model: float
@@ -44,13 +44,13 @@ class ErrorEstimate:
 
     @property
     def total(self) -> float:
-        """Both together."""
+        """Model error plus solver error."""
         return self.model + self.solver
 
 
 @dataclass(frozen=True)
 class Cost:
-    """What an answer cost."""
+    """Computing time, steps and force evaluations of a trajectory."""
 
     integration_s: float
     estimate_s: float
@@ -64,10 +64,10 @@ class Cost:
 
 
 class Block(NamedTuple):
-    """Part of an answer: realisations x samples x recorded grains.
+    """A block of the solution: realisations x samples x recorded grains.
 
-    `columns` says which of the recorded grains they are; the others have not moved from equilibrium. A block without
-    samples says that the engine is still at work: a moment to show progress or stop.
+    `columns` are the recorded grains that it holds; the others are still at equilibrium. A block without samples lets
+    the caller show progress or stop while the engine is at work.
     """
 
     samples: slice
@@ -78,25 +78,7 @@ class Block(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """What an engine answered.
-
-    Attributes
-    ----------
-    scene : Scene
-    engine : str
-    equation : int
-        Number in the paper of the equation solved.
-    time : (T,) array
-        s.
-    grains : (G,) array
-        Numbers of the recorded grains, from 1 at the top.
-    displacement, velocity : (T, G) arrays
-        From equilibrium, positive downward; m and m/s.
-    error_estimate : ErrorEstimate
-    cost : Cost
-    provenance : dict
-        Choices that shaped the answer, and versions.
-    """
+    """The solution of a scene by an engine; its fields are those of `lmpchain.Trajectory`."""
 
     scene: Scene
     engine: str
@@ -121,12 +103,12 @@ class Record:
     __hash__ = None  # type: ignore[assignment]
 
     def attributes(self) -> dict[str, Any]:
-        """Return what the file says about the whole."""
+        """Return the metadata of the file."""
         known = subject(self.scene, self.engine, self.equation, self.provenance)
         return known | verdict(self.error_estimate, self.cost)
 
     def variables(self) -> dict[str, tuple[tuple[str, ...], Any, dict[str, str]]]:
-        """Return the dimensions, the values and what the file says of each array."""
+        """Return dimensions, values and metadata of each array."""
         fields = {name: (DIMENSIONS, getattr(self, name), LABELS[name]) for name in FIELDS}
         return {
             "time": (("time",), self.time, LABELS["time"]),
@@ -136,7 +118,7 @@ class Record:
 
 
 def subject(scene: Scene, engine: str, equation: int, provenance: Mapping[str, str]) -> dict[str, Any]:
-    """Return what a file says of an answer that is still to come."""
+    """Return the metadata known before a run: scene, engine and provenance."""
     return {
         "title": "Displacement and velocity of the grains of a chain",
         "lmpchain_format": FORMAT,
@@ -148,7 +130,7 @@ def subject(scene: Scene, engine: str, equation: int, provenance: Mapping[str, s
 
 
 def verdict(error: ErrorEstimate, cost: Cost) -> dict[str, Any]:
-    """Return what a file says of how good an answer is and what it cost."""
+    """Return the metadata known after a run: error estimate and cost."""
     return {
         "model_error": error.model,
         "solver_error": error.solver,

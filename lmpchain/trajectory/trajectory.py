@@ -1,4 +1,4 @@
-"""The answer: arrays with their provenance, error estimate and cost; in and out of files."""
+"""Trajectories with provenance, error estimate and cost, and their file formats."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Trajectory(Record):
-    """What an engine answered: the arrays of `Record`, in and out of files.
+    """The solution of a scene by an engine: the arrays of `Record`, in and out of files.
 
     Attributes
     ----------
@@ -39,11 +39,11 @@ class Trajectory(Record):
     error_estimate : ErrorEstimate
     cost : Cost
     provenance : dict
-        Choices that shaped the answer, and versions.
+        Choices that shaped the solution, and versions.
     """
 
     def to_xarray(self) -> xarray.Dataset:
-        """Return a self-describing dataset with the dimensions time and grain; what is on the disk stays there."""
+        """Return a labelled dataset with the dimensions time and grain; stored arrays stay on the disk."""
         import xarray
 
         variables = {
@@ -53,7 +53,7 @@ class Trajectory(Record):
         return xarray.Dataset(variables, attrs=self.attributes())
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write one NetCDF file; nothing stands under its name until it is whole."""
+        """Write a NetCDF file, atomically."""
         from .netcdf import write
 
         write(self, path)
@@ -63,14 +63,14 @@ class Trajectory(Record):
 
         The columns are species (X), pos and velo in m and m/s with z up and grain 1 at rest at z = 0 (as in a deck), id
         (number of the grain), radius in m, and displacement in m, from equilibrium and positive downward; every number
-        is written with all its digits. Nothing stands under the name until the file is whole.
+        is written with all its digits. The file is written atomically.
         """
         from .extxyz import write
 
         write(self, path)
 
     def universe(self) -> Universe:
-        """Return an MDAnalysis Universe of the recorded grains, in SI units; samples are read as they are asked for.
+        """Return an MDAnalysis Universe of the recorded grains, in SI units, read on demand.
 
         MDAnalysis holds positions and velocities in single precision, in which a height of 0.1 m has steps of 7e-9 m
         and most waves are lost. They are there to draw and select (z up, grain 1 at rest at z = 0). To measure, take
@@ -97,12 +97,12 @@ class Trajectory(Record):
     def from_dump(
         cls, path: str | PathLike[str], scene: Scene, equilibrium: Sequence[float] | Array | None = None
     ) -> Trajectory:
-        """Read a LAMMPS dump as the answer to a scene: of `lmpchain deck`, or of a deck of your own.
+        """Read a LAMMPS dump of `lmpchain deck` or of your own deck as the trajectory of a scene.
 
         Grains are numbered by their heights in the first frame, from the top, whatever the numbers of their atoms; the
         gaps between them, which the weight narrows, and their velocities tell whether z points up or down.
         Displacements are the column v_phi where there is one (and z points up). Else they are how far a grain has
-        fallen from its height at rest; heights leave fewer digits. Nothing is known of the error: its estimate is
+        fallen from its height at rest; heights leave fewer digits. The error is unknown: its estimate is
         infinite.
 
         Parameters
@@ -129,14 +129,14 @@ class Trajectory(Record):
     def load(cls, path: str | PathLike[str]) -> Trajectory:
         """Read a file that `save` wrote, or a run folder; raises `InputError` for anything else.
 
-        The arrays of a run folder stay on the disk: what is indexed is read. Of a run that is not finished, the samples
-        are there that are complete, and the estimate of the error is infinite.
+        The arrays of a run folder stay on the disk and are read on demand. Of an unfinished run, the complete samples
+        are returned with an infinite error estimate.
         """
         from . import netcdf
         from .zarr_store import NAME, OnDisk, open_dataset
 
         path = Path(path)
-        folder = os.path.isdir(path)  # which no name makes raise
+        folder = os.path.isdir(path)  # never raises
         if folder and not (path / NAME).is_dir():
             raise InputError([(str(path), "is a folder without a run in it, or with one that has no samples yet")])
         if not folder and not os.path.isfile(path):

@@ -1,4 +1,4 @@
-"""A trajectory on disk that grows while it is read: a Zarr store of whole shards.
+"""Trajectories as Zarr stores that can be read while they grow, in whole shards.
 
 The length of every array is fixed beforehand, and its values are NaN until they are known. A sample is complete when
 its time is there, which is written last. Zarr moves every file into place, so a kill leaves none half written.
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import xarray
 
 NAME = "trajectory.zarr"
-SAMPLES = 16  # in a shard, or as many times that as fill a chunk
+SAMPLES = 16  # in a shard, or a multiple that fills a chunk
 WIDTH = 12_500  # grains in a chunk at most: one grain's trace and one snapshot are then both read in some 20 ms
 TIMES = 65_536  # in a chunk at least
 
@@ -41,7 +41,7 @@ def create(folder: Path, scene: Scene, attributes: Mapping[str, Any]) -> None:
     parts = math.ceil(grains / WIDTH)
     width = math.ceil(grains / parts)
     rows = SAMPLES * math.ceil(min(samples / SAMPLES, WIDTH / grains))
-    times = rows * math.ceil(TIMES / rows)  # so that the times of a shard lie in one chunk, which is moved into place
+    times = rows * math.ceil(TIMES / rows)  # so that the times of a shard lie in one chunk, replaced atomically
     unknown: Any = {"dtype": "f8", "fill_value": math.nan}
     for name in FIELDS:
         group.create_array(
@@ -64,17 +64,17 @@ def create(folder: Path, scene: Scene, attributes: Mapping[str, Any]) -> None:
         **unknown,
     )
     group.create_array("grain", data=scene.recorded, dimension_names=("grain",), attributes=LABELS["grain"])
-    with warnings.catch_warnings(action="ignore"):  # one file describes all arrays, which xarray looks for first
+    with warnings.catch_warnings(action="ignore"):  # consolidated metadata, which xarray reads first
         zarr.consolidate_metadata(folder / NAME)
 
 
 class Writer:
-    """Adds samples to a store, from a given one on, shard by shard."""
+    """Appends samples to a store, from a given one on, shard by shard."""
 
     def __init__(self, folder: Path, scene: Scene, sample: int = 0):
         import zarr
 
-        for left in (folder / NAME).rglob("*.partial*"):  # by a kill
+        for left in (folder / NAME).rglob("*.partial*"):  # left by a killed process
             left.unlink()
         self._group: Any = zarr.open_group(folder / NAME, mode="r+")
         self._fields: list[Any] = [self._group[name] for name in FIELDS]
@@ -91,13 +91,13 @@ class Writer:
         self._first = self._end = first
         self._buffers.fill(math.nan)
         if first < self._known:
-            with suppress(ValueError):  # of samples to come, damaged: they are written anew
+            with suppress(ValueError):  # damaged samples to come are written anew
                 for buffer, array in zip(self._buffers, self._fields, strict=True):
                     known = array[first : first + self._rows]
                     buffer[: len(known)] = known
 
     def put(self, block: Block) -> None:
-        """Add the next samples; full shards go to the disk."""
+        """Append samples; full shards are written to the disk."""
         fields = block.displacement[0], block.velocity[0]
         done, count = 0, len(fields[0])
         while done < count:
@@ -113,7 +113,7 @@ class Writer:
                 self._go_to(self._end)
 
     def flush(self) -> None:
-        """Bring to the disk what is not there yet, its times last."""
+        """Write all pending samples to the disk, their times last."""
         if self._end > self._first:
             last = min(self._first + self._rows, self._times.size)
             for array, buffer in zip(self._fields, self._buffers, strict=True):
@@ -121,12 +121,12 @@ class Writer:
             self._group["time"][self._first : self._end] = self._times[self._first : self._end]
 
     def conclude(self, error: ErrorEstimate, cost: Cost) -> None:
-        """Note how good the answer is, and what it cost."""
+        """Store the error estimate and the cost."""
         self._group.attrs.update(verdict(error, cost))
 
 
 def usable(folder: Path, samples: int) -> bool:
-    """Say whether so many samples are complete, and those can be read that lie in a shard with the next one."""
+    """Say whether so many samples are complete and readable, up to the shard of the next one."""
     import zarr
 
     if not samples:
@@ -141,7 +141,7 @@ def usable(folder: Path, samples: int) -> bool:
 
 
 def open_dataset(folder: Path) -> xarray.Dataset:
-    """Open the complete samples of a store, which stay on the disk until they are asked for.
+    """Open the complete samples of a store; they are read on demand.
 
     Of a run that is not finished, the error is unknown: its estimate is infinite.
     """
@@ -164,7 +164,7 @@ def open_dataset(folder: Path) -> xarray.Dataset:
 
 
 class OnDisk(NDArrayOperatorsMixin):
-    """An array on the disk that serves as one of numpy: rows and columns are read as they are indexed.
+    """An array on disk with the interface of a NumPy array, read on demand.
 
     Anything else that numpy can do with an array reads all of it.
     """
@@ -179,7 +179,7 @@ class OnDisk(NDArrayOperatorsMixin):
     def __getitem__(self, key: Any) -> Any:
         keys = key if isinstance(key, tuple) else (key,)
         fancy = [part for part in keys if not isinstance(part, int | np.integer | slice | EllipsisType)]
-        if len(fancy) > 1 or any(np.ndim(part) != 1 for part in fancy):  # where xarray's rules are not those of numpy
+        if len(fancy) > 1 or any(np.ndim(part) != 1 for part in fancy):  # rules of xarray and numpy differ
             return np.asarray(self)[key]
         return self._read(self.variable[key])
 
@@ -202,6 +202,6 @@ class OnDisk(NDArrayOperatorsMixin):
         return getattr(ufunc, method)(*read, **options)
 
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("_") or name == "variable":  # asked for while it is being made
+        if name.startswith("_") or name == "variable":  # asked for during construction
             raise AttributeError(name)
         return getattr(np.asarray(self), name)

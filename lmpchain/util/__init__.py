@@ -1,1 +1,1 @@
-"""What every room needs and none owns: arrays, checked input, files, templates, MPI, compiled loops, pictures."""
+"""Shared tools: arrays, input validation, files, tables, templates, MPI, compilation, plotting."""

@@ -1,4 +1,4 @@
-"""Loops that numba compiles once for a machine and keeps for later processes."""
+"""Compilation by numba, once per machine, with the result kept for later processes."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ import numba
 from numba.core.event import Event, Listener, register
 
 BESIDE = re.compile(r"^from \.(\w+) import", re.MULTILINE)
-_news: dict[Callable, str] = {}  # what is to be said when one of these functions is compiled
+_news: dict[Callable, str] = {}  # message for the compilation of each function
 
 
 class _Announcer(Listener):
-    """Say what takes so long; numba tells of no function that it finds compiled."""
+    """Announce compilations that take long; loading a kept result is silent."""
 
     def on_start(self, event: Event) -> None:
         news = _news.get(event.data["dispatcher"].py_func)
@@ -36,7 +36,7 @@ register("numba:compile", _Announcer())
 
 @cache
 def _sources(module: Path) -> str:
-    """Return a hash of a module and of those in its folder that it imports, directly or not."""
+    """Return a hash of a module and of the modules in its folder that it imports, at any depth."""
     known, waiting = {}, [module]
     while waiting:
         path = waiting.pop()
@@ -47,7 +47,7 @@ def _sources(module: Path) -> str:
 
 
 def compiled_once(what: str, seconds: int, **options: Any) -> Callable[[Callable], Any]:
-    """Return a decorator: numba compiles the function at its first call on a machine, and says so on stderr.
+    """Return a decorator for `numba.njit` with a persistent cache and a message on stderr.
 
     The result is kept beside the source; if that folder may not be written to, in the user's cache or in
     NUMBA_CACHE_DIR. It is used until the module changes, or one beside it that it imports. Where nothing can be kept,
@@ -56,7 +56,7 @@ def compiled_once(what: str, seconds: int, **options: Any) -> Callable[[Callable
     Parameters
     ----------
     what : str
-        What is compiled, announced once a process for all functions of which the same is said.
+        What is compiled; functions with the same text are announced once a process.
     seconds : int
         About how long all of it takes.
     **options
@@ -67,7 +67,7 @@ def compiled_once(what: str, seconds: int, **options: Any) -> Callable[[Callable
         when = "once for this machine"
         try:
             made = numba.njit(cache=True, **options)(function)
-            # numba looks at the source of this one function's module only, but what it calls may lie beside it
+            # numba checks only the source of this function's module, but it may call modules beside it
             kept: Any = made._cache._cache_file
             kept._source_stamp = kept._source_stamp, _sources(Path(function.__code__.co_filename))
         except RuntimeError:

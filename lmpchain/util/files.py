@@ -1,4 +1,4 @@
-"""Files that are either whole or not there."""
+"""Atomic writing of files, and hashes of their content."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from ..errors import InputError
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a path to write to; move it to `path` when all went well, remove it when not.
+    """Yield a temporary path; rename it to `path` on success, remove it on failure.
 
-    What is moved is on the disk, and so is its name. Raises `OSError` as it comes.
+    File and name are flushed to the disk. Raises `OSError` as it comes.
     """
     aside = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.partial{path.suffix}")
     try:
@@ -46,7 +46,7 @@ SEAL = b"lmpchain sha256 "
 
 
 def check_readable(path: Path, largest: int) -> None:
-    """Raise `OSError` unless this is a file, not a folder, a device or a pipe, of at most so many bytes."""
+    """Raise `OSError` unless this is a regular file of at most so many bytes."""
     about = path.stat()
     if not stat.S_ISREG(about.st_mode):
         raise OSError(errno.EINVAL, "is no file, but a folder, a device or a pipe")
@@ -56,7 +56,7 @@ def check_readable(path: Path, largest: int) -> None:
 
 @contextmanager
 def write_aside(path: str | PathLike[str]) -> Iterator[Path]:
-    """Do as `replacing` does, for a path that a user gave.
+    """Write a user's file atomically, as `replacing` does.
 
     Raises
     ------
@@ -75,12 +75,15 @@ def write_aside(path: str | PathLike[str]) -> Iterator[Path]:
 
 
 def seal(content: Any) -> bytes:
-    """Return what to put at the end of a file, where HDF5 does not look: a hash of what it holds."""
+    """Return the seal to append to a file: a hash of its content, which HDF5 ignores."""
     return SEAL + hashlib.sha256(content).digest()
 
 
 def check_seal(path: Path) -> None:
-    """Raise `ValueError` if the seal of a file is not its own; HDF5 may search damaged files without end."""
+    """Raise `ValueError` if the content of a file does not match its seal.
+
+    HDF5 may search damaged files without end.
+    """
     if not path.stat().st_size:
         return
     content, length = np.memmap(path, np.uint8, "r"), len(seal(b""))

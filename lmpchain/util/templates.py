@@ -1,4 +1,4 @@
-"""Text from templates, those of the package and the user's: LAMMPS input and pages."""
+"""Text from Jinja2 templates, the package's or the user's: LAMMPS input and HTML pages."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _FOLDERS = [_PACKAGE / "templates", _PACKAGE.parent / "templates"]  # in a wheel
 
 
 class _Closed(ImmutableSandboxedEnvironment):
-    """Templates that read what they are given and call nothing but `range` and macros of their own."""
+    """Sandboxed templates, which may read their values and call only `range` and their own macros."""
 
     def __init__(self, closed: tuple[type, ...] = (), **options: Any):
         self._closed_types = closed
@@ -41,7 +41,7 @@ class _Closed(ImmutableSandboxedEnvironment):
 
 
 def render(name: str, closed: tuple[type, ...] = (), **values: Any) -> str:
-    """Fill in a template of the package; a value that it names and does not get is an error. HTML is escaped.
+    """Fill in a template of the package; a missing value is an error, and HTML is escaped.
 
     Numbers go through the filter `exact` where every digit counts. Of objects of the types `closed` nothing is read.
     """
@@ -50,7 +50,9 @@ def render(name: str, closed: tuple[type, ...] = (), **values: Any) -> str:
 
 
 def render_text(text: str, key: str, closed: tuple[type, ...] = (), **values: Any) -> str:
-    """Fill in a template of the user, which may include those of the package; of the types `closed` nothing is read.
+    """Fill in a template of the user, which may include those of the package.
+
+    Objects of the types `closed` are not readable in it.
 
     Raises
     ------

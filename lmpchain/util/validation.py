@@ -1,4 +1,4 @@
-"""Checked input: pydantic models whose faults come all at once, each with its key and its cure."""
+"""Input validation: pydantic models that report every fault at once, each with its key."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ NOT_GIVEN: Any = None  # default of array fields that are filled in when they ar
 
 
 class Checked(BaseModel):
-    """A frozen value that raises `InputError` with every fault when it is made."""
+    """A frozen value that raises `InputError` with every fault on construction."""
 
     model_config = ConfigDict(
         frozen=True, extra="forbid", strict=True, allow_inf_nan=False, arbitrary_types_allowed=True
@@ -38,7 +38,7 @@ class Checked(BaseModel):
             raise InputError(faults)
 
     def _faults(self) -> Iterator[tuple[str, str]]:
-        """Yield what is wrong between fields that are each right by themselves."""
+        """Yield faults that concern several fields together."""
         yield from ()
 
     def given(self) -> dict[str, Any]:

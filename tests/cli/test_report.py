@@ -65,7 +65,7 @@ def test_a_whole_page(run: Trajectory):
         "Contacts",
         "Energy",
         "Fits",
-        "Where it came from",
+        "Provenance",
         "The scene",
     ]
     assert len(page.pictures) == 6
@@ -79,7 +79,7 @@ def test_a_whole_page(run: Trajectory):
         "Eq. (1)",
     ):
         assert number in facts
-    assert run.provenance["numba"] in page.sections["Where it came from"]
+    assert run.provenance["numba"] in page.sections["Provenance"]
     assert "energy of all modes" in page.sections["Fits"]
     assert "velocity = 0.001" in page.sections["The scene"]
     assert "Not for this run" not in text
@@ -105,7 +105,7 @@ def test_markup_in_a_scene_is_shown_and_not_obeyed(run: Trajectory):
     spoilt = Trajectory(**{**vars(run), "provenance": {"note": "<script>alert(1)</script>"}})
     text = htmlreport.page(spoilt)
     assert "<script>" not in text
-    assert "<script>alert(1)</script>" in Page(text).sections["Where it came from"]
+    assert "<script>alert(1)</script>" in Page(text).sections["Provenance"]
 
 
 def test_command_line(run: Trajectory, tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -40,7 +40,7 @@ def test_the_unit_of_time_has_no_limit_without_gravity():
 
 def test_linear_theory_ends_where_gravity_does():
     gravity = np.logspace(-2, 3, 6)
-    scenes = [limits.gentle(1.5, float(g), 1e-5) for g in gravity]
+    scenes = [limits.weak(1.5, float(g), 1e-5) for g in gravity]
     found, theory = (np.array([f(scene) for scene in scenes]) for f in (limits.from_linear, law))
     gentle = theory < 0.03
     assert slope(gravity[gentle], found[gentle]) == pytest.approx(-5 / 6, abs=0.05)
@@ -50,7 +50,7 @@ def test_linear_theory_ends_where_gravity_does():
 
 def test_hertz_becomes_springs():
     excess = np.array([1e-4, 1e-3, 1e-2])
-    scenes = [limits.gentle(1 + float(x)) for x in excess]
+    scenes = [limits.weak(1 + float(x)) for x in excess]
     springs = [limits.from_springs(scene) for scene in scenes]
     assert slope(excess, np.array(springs)) == pytest.approx(1, abs=0.05)
     assert springs == pytest.approx(limits.springs_error(30, excess), rel=0.05, abs=0)

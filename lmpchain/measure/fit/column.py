@@ -1,4 +1,4 @@
-"""Laws of a column that is struck at its top, fitted to a trajectory: the continuum's (Eqs. 27, 35) and power laws."""
+"""Continuum and power laws (Eqs. 27, 35) fitted to a column struck at its top."""
 
 from __future__ import annotations
 
@@ -18,22 +18,24 @@ from ...theory.domain import exponents
 from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array
 from ...util.plotting import axes_in_units
-from ..front import Front, PowerLaw, asymptotic, track
+from ..front import FEWEST, Front, PowerLaw, asymptotic, track
 from ..spectrum import Field
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-QUIET = 1e-6  # least fall behind a front, of the largest motion, where the error of a trajectory is not known
-INSIDE = 0.5  # of tau, up to which travel time the grains have forgotten that they are grains
-EARLIEST, LATEST = 5.0, 50.0  # tau between which that begins
-FORERUNNER = 10.0  # widths of the front by which an echo is felt before it comes
+QUIET = 1e-6  # least drop behind a front, over the largest motion, if the error of a trajectory is unknown
+INSIDE = 0.5  # travel time over tau up to which the continuum describes the grains
+EARLIEST, LATEST = 5.0, 50.0  # tau between which this region begins
+FORERUNNER = 10.0  # widths of the front by which an echo precedes its arrival time
 
 
 @dataclass(frozen=True, eq=False)
 class FrontLaw:
-    """Arrival times of the front, less the lag of the grains: ``factor h^exponent (1 + correction / h^order)``.
+    """Arrival times of the front, ``factor h^exponent (1 + correction / h^order)``.
+
+    The lag of the discrete chain behind the continuum is subtracted from the times.
 
     Attributes
     ----------
@@ -45,7 +47,7 @@ class FrontLaw:
         The order is 1/delta + 1/3, the next one after that of the lag.
     error : (3,) array
         Of exponent, factor and correction: half the 95 % confidence interval, and twice the shift when one more order,
-        higher by 1/delta - 1/3, is fitted too; which is most of what higher orders do.
+        higher by 1/delta - 1/3, is fitted too, which is most of the effect of higher orders.
     expected : (2,) array
         eta / 2 and 2 / eta, Eq. (9) with its factor.
     """
@@ -67,7 +69,7 @@ class FrontLaw:
 
     @property
     def residual(self) -> Array:
-        """How far the times less the lag lie above the law, (P,), relative."""
+        """Relative residual of the times less the lag, (P,)."""
         return (self.time - self.shift) / self.law - 1
 
     def plot(self, ax: Axes | None = None) -> Figure:
@@ -84,7 +86,7 @@ class FrontLaw:
 
 @dataclass(frozen=True, eq=False)
 class ContinuumFit:
-    """The impulse response of the continuum, ``phi = v0 C (tau^2 - chi^2)^(-xi/2eta)``, Eq. (35), far behind the front.
+    """Eq. (35), ``phi = v0 C (tau^2 - chi^2)^(-xi/2eta)``, fitted far behind the front.
 
     Attributes
     ----------
@@ -127,7 +129,7 @@ class ContinuumFit:
 
 
 def fit_continuum(trajectory: Trajectory, first: int = 10, inside: float = INSIDE) -> ContinuumFit:
-    """Fit amplitude and front law of the continuum, Eqs. (27) and (35), to a column that is struck at its top.
+    """Fit amplitude and front law of the continuum, Eqs. (27) and (35), to a struck column.
 
     The amplitude rests on samples with ``chi <= inside tau`` that no echo from below has reached, later than tau = 50,
     or, in shorter recordings, half the latest; the front on grains from `first` on, down to where the echo is near.
@@ -135,10 +137,10 @@ def fit_continuum(trajectory: Trajectory, first: int = 10, inside: float = INSID
     Parameters
     ----------
     trajectory : Trajectory
-        Of any engine; strikes of strike number far below 1.
+        Of any engine, with a strike number far below 1.
     first : int
     inside : float
-        Between 0 and 1; with less there are fewer grains, less disturbed by being grains.
+        Between 0 and 1; smaller values leave fewer grains, closer to the continuum.
 
     Raises
     ------
@@ -203,13 +205,13 @@ def _front_law(trajectory: Trajectory, first: int) -> FrontLaw | None:
     """Fit the arrival times of the largest velocities, if there are enough."""
     chain = trajectory.scene.chain
     try:
-        found = _front(trajectory, "velocity", first)
+        front = _front(trajectory, "velocity", first)
     except InputError:
         return None
-    n = found.grain
-    if n.size < 6:
+    n = front.grain
+    if n.size < FEWEST:
         return None
-    h, time = n - 0.5, found.time / chain.time_scale
+    h, time = n - 0.5, front.time / chain.time_scale
     shift = theory.peak_time(n, chain.exponent) - chi(h, chain.exponent)
     order, step = 1 / 3 + 1 / chain.exponent, 1 / chain.exponent - 1 / 3
 
@@ -220,21 +222,21 @@ def _front_law(trajectory: Trajectory, first: int) -> FrontLaw | None:
     x, y = np.log(h), np.log(time - shift)
     try:
         start = np.polyfit(x, y, 1)[::-1]
-        found, covariance = curve_fit(law, x, y, [*start, 0.0])
-        further, _ = curve_fit(law, x, y, [*found, 0.0])
-    except RuntimeError:  # so strong a strike that it follows no such law
+        parameters, covariance = curve_fit(law, x, y, [*start, 0.0])
+        further, _ = curve_fit(law, x, y, [*parameters, 0.0])
+    except RuntimeError:  # after so strong a strike there is no such law
         return None
-    error = stats.t.ppf(0.975, n.size - 3) * np.sqrt(np.diag(covariance)) + 2 * np.abs(further[:3] - found)
-    factor = float(np.exp(found[0]))
+    error = stats.t.ppf(0.975, n.size - 3) * np.sqrt(np.diag(covariance)) + 2 * np.abs(further[:3] - parameters)
+    factor = float(np.exp(parameters[0]))
     _, eta, _ = exponents(chain.exponent)
     return FrontLaw(
         depth=h,
         time=time,
         shift=shift,
         order=order,
-        exponent=float(found[1]),
+        exponent=float(parameters[1]),
         factor=factor,
-        correction=float(found[2]),
+        correction=float(parameters[2]),
         error=error[[1, 0, 2]] * [1, factor, 1],
         expected=np.array([eta / 2, 2 / eta]),
     )
@@ -257,7 +259,7 @@ class ExponentFit:
     expected: Mapping[str, float]
 
     def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw with their intervals how far the exponents lie above the expected ones; returns the figure."""
+        """Draw the deviations from the expected exponents, with their intervals; returns the figure."""
         ax, picture = axes_in_units(ax, "", "")
         above = [law.exponent - self.expected[key] for key, law in self.laws.items()]
         ax.axhline(0, color="0.5", lw=1, ls="--")
@@ -268,7 +270,7 @@ class ExponentFit:
 
 
 def fit_exponents(trajectory: Trajectory, first: int = 20, last: int | None = None) -> ExponentFit:
-    """Fit the exponents with which the front of a strike on a column's top changes with depth.
+    """Fit the exponents with which the front of a strike on the top changes with depth.
 
     Each by `lmpchain.measure.front.asymptotic`: with its confidence interval and the correction for finite depth.
 
@@ -289,6 +291,9 @@ def fit_exponents(trajectory: Trajectory, first: int = 20, last: int | None = No
     xi, eta, _ = exponents(delta)
     p, q = theory.decay(delta)
     velocity = _front(trajectory, "velocity", first, last)
+    if (shown := velocity.grain.size) < FEWEST:
+        need = f"a fit needs it at {FEWEST} or more grains from grain {first} on; this run shows {shown}"
+        raise InputError([("front", f"{need}: record longer")])
     fronts = {"velocity": ("amplitude", velocity)}
     with suppress(InputError):  # behind a strong wave the displacement has no maximum
         fronts["displacement"] = "amplitude", _front(trajectory, "displacement", first, last)
@@ -306,7 +311,7 @@ def fit_exponents(trajectory: Trajectory, first: int = 20, last: int | None = No
 
 
 def _front(trajectory: Trajectory, field: Field, first: int, last: int | None = None) -> Front:
-    """Follow the front, whatever is known of the error, where no echo disturbs it."""
+    """Track the front as far as no echo reaches it."""
     estimate, chain = trajectory.error_estimate, trajectory.scene.chain
     if not np.isfinite(estimate.solver):
         trajectory = replace(trajectory, error_estimate=replace(estimate, solver=QUIET))
@@ -316,14 +321,14 @@ def _front(trajectory: Trajectory, field: Field, first: int, last: int | None = 
 
 
 def _bottom(grains: int, delta: float) -> tuple[float, float]:
-    """Return when the front comes to the bottom, and its width there, in units of tau."""
+    """Return the arrival time of the front at the bottom and its width there, in units of tau."""
     power = 1.5 / delta - 0.5
     depth = grains - 0.5
     return float(chi(depth, delta)), float(np.cbrt(depth**power / (8 * power)))
 
 
 def _struck_at_the_top(trajectory: Trajectory) -> float:
-    """Return the strike, m/s; raise `InputError` with all that makes this another scene."""
+    """Return the velocity of the strike, m/s; raise `InputError` if the scene is another."""
     scene, chain = trajectory.scene, trajectory.scene.chain
     given, faults = scene.excitation, []
     if not chain.gravity or chain.top_load:

@@ -1,4 +1,4 @@
-"""What a measured trace says about a scene: strike, load or Young's modulus, by fitting runs of an engine to it."""
+"""Inverse problem: strike, load or Young's modulus of a scene from a measured trace."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ if TYPE_CHECKING:
 Field = Literal["velocity", "displacement", "force"]
 Parameter = Literal["velocity", "top_load", "youngs_modulus"]
 UNITS = {"velocity": "m/s", "displacement": "m", "force": "N", "top_load": "N", "youngs_modulus": "Pa"}
-TRIES = 9  # values among which the fit looks for where to begin
-STEP = 1e-3  # relative, for derivatives: far above what a tolerance leaves of noise
+TRIES = 9  # values tried for the start of the fit
+STEP = 1e-3  # relative, for finite differences: far above the noise that a tolerance leaves
 DRAWN = 4  # traces in a picture
 
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """What was measured.
+    """A measured trace: velocity, displacement or force of some grains over time.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ class Trace:
 
     @classmethod
     def of(cls, trajectory: Trajectory, grains: Sequence[int] | None = None, field: Field = "velocity") -> Trace:
-        """Return what a trajectory shows of some grains; by default of all recorded ones that move."""
+        """Return the trace of some grains of a trajectory; by default of all recorded ones that move."""
         if grains is None:
             grains = [int(n) for n in trajectory.grains if n <= trajectory.scene.chain.movable]
         return cls(trajectory.time, grains, _seen(trajectory, np.array(grains), field), field)
@@ -91,13 +91,13 @@ class Trace:
 
 @dataclass(frozen=True, eq=False)
 class ParameterFit:
-    """A parameter of a scene, as a trace has it.
+    """A parameter of a scene, fitted to a trace.
 
     Attributes
     ----------
     parameter : str
     value, error : float
-        m/s, N or Pa; one standard error, which supposes that residuals are independent of one another, as noise is.
+        m/s, N or Pa; one standard error, which assumes independent residuals, as of noise.
     trace : Trace
     model : (T, G) array
         What the scene with this value gives, in the units of the trace.
@@ -143,22 +143,22 @@ def fit_parameter(
     simulate: Callable[[Scene], Trajectory],
     span: float = 2.0,
 ) -> ParameterFit:
-    """Find the strike velocity, top load or Young's modulus with which a scene gives a trace.
+    """Fit the strike velocity, top load or Young's modulus of a scene to a trace.
 
-    Nine values between 1/span and span times that of the scene are tried, then least squares goes on from the best;
-    the answer may lie 2 span away. An oscillation can be matched a period too early or late: begin near, or let the
-    trace include the arrival of the wave.
+    Nine values between 1/span and span times that of the scene are tried, then least squares continues from the
+    best; the solution may lie 2 span away. An oscillation can be matched a period too early or late: start near, or
+    include the arrival of the wave in the trace.
 
     Parameters
     ----------
     trace : Trace or Trajectory
         Of a trajectory, the velocities of all recorded grains are taken; see `Trace.of`. It begins with the strike.
     scene : Scene
-        All else that is known; its recording plays no part.
+        Everything else that is known; its recording is not used.
     parameter : "velocity", "top_load" or "youngs_modulus"
         Of an impulse, of the chain, of its material (not that of impurities and walls with one of their own).
     simulate : callable
-        What answers a scene: `lmpchain.simulate`, or with an engine of one's choice
+        Solver of a scene: `lmpchain.simulate`, or with an engine of your choice
         ``functools.partial(lmpchain.simulate, engine="native", tolerance=1e-9)``.
     span : float
         Above 1; a span of 1 begins with the value of the scene and tries no others.
@@ -204,31 +204,31 @@ def fit_parameter(
         raise InputError(faults or [("simulate", "gives nothing that is finite: choose another value to begin with")])
     start = tries[int(np.argmin(misfit))]
     bounds = (start / (2 * span), start * 2 * span)
-    found = least_squares(
+    solution = least_squares(
         off, [start], jac="3-point", diff_step=STEP, bounds=bounds, x_scale=[start], xtol=1e-12, ftol=1e-15, gtol=1e-15
     )
-    x, slope = float(found.x[0]), float(np.linalg.norm(found.jac))
+    x, slope = float(solution.x[0]), float(np.linalg.norm(solution.jac))
     if slope < 1e-9:
         raise InputError([(parameter, "the trace does not depend on it: choose another parameter or another grain")])
     if min(x / bounds[0], bounds[1] / x) < 1 + 1e-6:
-        ends, cure = [first * x for x in bounds], "give the scene a value closer to the truth, or a larger span"
+        ends, cure = [first * x for x in bounds], "start from a value closer to the true one, or use a larger span"
         raise InputError([(parameter, f"no value between {ends[0]:.4g} and {ends[1]:.4g} fits: {cure}")])
-    spread = float(np.sqrt(2 * found.cost / (trace.values.size - 1)) / slope)
-    fitted = trace.values + scale * found.fun.reshape(trace.values.shape)
+    spread = float(np.sqrt(2 * solution.cost / (trace.values.size - 1)) / slope)
+    fitted = trace.values + scale * solution.fun.reshape(trace.values.shape)
     return ParameterFit(
         parameter=parameter,
         value=first * x,
         error=abs(first) * spread,
         trace=trace,
         model=fitted,
-        residual=float(np.sqrt(2 * found.cost / trace.values.size)),
+        residual=float(np.sqrt(2 * solution.cost / trace.values.size)),
         scene=make(first * x),
         runs=runs,
     )
 
 
 def _parameter(scene: Scene, parameter: Parameter, trace: Trace, span: float) -> tuple[float, Callable[[float], Scene]]:
-    """Return what the scene says of the parameter, and what makes the scene with another value; find all faults."""
+    """Return the value of the parameter in the scene, and a function that replaces it."""
     chain, given, faults = scene.chain, scene.excitation, []
     value = 0.0
     if parameter == "velocity" and isinstance(given, Impulse):
@@ -273,7 +273,7 @@ def _changed(scene: Scene, parameter: Parameter, value: float) -> dict[str, Any]
 
 
 def _times(scene: Scene, wanted: Array) -> Array:
-    """Return evenly spaced times from 0 on: those wanted, or some close enough to interpolate between."""
+    """Return evenly spaced times from 0: those wanted, or close enough to interpolate between."""
     even = np.arange(wanted.size) * wanted[-1] / (wanted.size - 1)
     if np.abs(even - wanted).max() <= 1e-9 * wanted[-1]:
         return even
@@ -283,7 +283,7 @@ def _times(scene: Scene, wanted: Array) -> Array:
 
 
 def _answer(scene: Scene, trace: Trace, simulate: Callable[[Scene], Trajectory]) -> Array:
-    """Return what the engine says the trace should be, (T, G)."""
+    """Return the trace that the engine predicts, (T, G)."""
     trajectory = simulate(scene)
     seen = _seen(trajectory, trace.grain, trace.field)
     wanted = trace.time

@@ -1,4 +1,4 @@
-"""What a trajectory says about the theory, and a trace about its scene: all fits, and a summary of those that apply."""
+"""All fits of the theory to a trajectory, and their summary."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from ...errors import InputError
 from ...trajectory.trajectory import Trajectory
-from ...util.tables import aligned, finite
+from ...util.tables import aligned, finite, number
 from .column import ContinuumFit as ContinuumFit
 from .column import ExponentFit as ExponentFit
 from .column import FrontLaw as FrontLaw
@@ -25,13 +25,13 @@ from .waves import ModeFit as ModeFit
 from .waves import fit_bessel as fit_bessel
 from .waves import fit_modes as fit_modes
 
-WEAK = 0.3  # strike number up to which linear theory holds to about 1 % in peak velocities
-MOST_MODES = 3000  # grains up to which a summary takes the seconds that all modes need
+WEAK = 0.3  # strike number up to which linear theory is right to about 1 % in peak velocities
+MOST_MODES = 3000  # grains up to which all eigenmodes take seconds only
 
 
 @dataclass(frozen=True)
 class Row:
-    """One number found.
+    """One fitted number.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class Summary:
         body = []
         for _, rows in groupby(self.rows, key=lambda row: row.fit):
             for first, row in enumerate(rows):
-                numbers = [_shown(row.value, row.error), _of_error(row.error), _shown(row.expected, row.error)]
+                numbers = [_rounded(row.value, row.error), number(row.error, ".1g"), _rounded(row.expected, row.error)]
                 body.append(["" if first else row.fit, row.quantity, *numbers, row.unit])
         lines = aligned([head, *body] if body else [])
         lines += [f"left out: {fit} ({reason})" for fit, reason in self.left_out]
@@ -88,7 +88,7 @@ class Summary:
 
 
 def summary(trajectory: Trajectory) -> Summary:
-    """Fit all that applies to the scene of a trajectory.
+    """Fit everything that applies to the scene of a trajectory.
 
     Parameters
     ----------
@@ -101,8 +101,8 @@ def summary(trajectory: Trajectory) -> Summary:
     >>> chain = lmpchain.Chain(grains=30, diameter=1e-3, gravity=0.0, top_load=0.1)
     >>> duration = 20 * chain.time_scale
     >>> scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-7), duration=duration)
-    >>> found = summary(lmpchain.simulate(scene, engine="native"))
-    >>> sorted({row.fit for row in found.rows}), [fit for fit, _ in found.left_out]
+    >>> fits = summary(lmpchain.simulate(scene, engine="native"))
+    >>> sorted({row.fit for row in fits.rows}), [fit for fit, _ in fits.left_out]
     (['bessel', 'modes'], ['continuum', 'exponents'])
     """
     rows: list[Row] = []
@@ -163,12 +163,8 @@ def _exponents(trajectory: Trajectory) -> list[Row]:
     ]
 
 
-def _of_error(error: float) -> str:
-    return "" if math.isnan(error) else f"{error:.1g}"
-
-
-def _shown(value: float, error: float = math.nan) -> str:
-    """Return a number with as many digits as its error leaves it."""
+def _rounded(value: float, error: float = math.nan) -> str:
+    """Return a number rounded to the digits that its error leaves significant."""
     if math.isnan(value):
         return ""
     if not error > 0 or not math.isfinite(error) or value == 0:

@@ -1,4 +1,4 @@
-"""The linear theory fitted to a trajectory: eigenmodes (Eqs. 14-16) and Bessel functions (Eqs. 6, 11, 13)."""
+"""Linear theory fitted to a trajectory: eigenmodes (Eqs. 14-16), Bessel functions (6, 11, 13)."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-EVEN = 0.05  # by how much masses and stiffnesses may differ where a chain counts as uniform
-FORERUNNER = 7.4  # J_m(m - 7.4 m^(1/3)) is below 1e-10: the echo has not come
+EVEN = 0.05  # relative differences of masses and stiffnesses up to which a chain counts as uniform
+FORERUNNER = 7.4  # J_m(m - 7.4 m^(1/3)) is below 1e-10: no echo has arrived
 FEWEST = 12  # values for three parameters and their errors
-ARRIVED = 1e-3  # of the strike: more must be seen of the wave
+ARRIVED = 1e-3  # of the strike: the recorded wave must be larger
 DRAWN = 4  # grains in a picture
 
 
 @dataclass(frozen=True, eq=False)
 class ModeFit:
-    """A motion by eigenmodes.
+    """A motion as a superposition of eigenmodes.
 
     Attributes
     ----------
@@ -59,17 +59,17 @@ class ModeFit:
 
     @property
     def share(self) -> Array:
-        """Part of the energy that each mode holds at t = 0, (M,); they sum to 1 (0 at rest)."""
+        """Fraction of the energy in each mode at t = 0, (M,); they sum to 1 (0 at rest)."""
         total = self.energy.sum()
         return self.energy / total if total else self.energy
 
     @property
     def share_error(self) -> Array:
-        """Standard deviation of the energy of each mode over time, in parts of the whole at t = 0, (M,)."""
+        """Standard deviation of the energy of each mode over time, relative to the total at t = 0, (M,)."""
         return self.energy_error / (self.energy.sum() or 1.0)
 
     def plot(self, ax: Axes | None = None, what: Literal["share", "residual"] = "share") -> Figure:
-        """Draw the shares against frequency, with bars where they change, or the residual over time."""
+        """Draw the energy fractions against frequency with their variation, or the residual over time."""
         if what == "residual":
             ax, picture = axes_in_units(ax, "s", "")
             ax.plot(self.time, self.residual)
@@ -84,7 +84,7 @@ class ModeFit:
 
 
 def fit_modes(trajectory: Trajectory) -> ModeFit:
-    """Project a motion onto the eigenmodes of the linearised chain, and compare with their linear evolution.
+    """Project a motion onto the eigenmodes of the linearised chain; compare with linear evolution.
 
     Parameters
     ----------
@@ -124,10 +124,11 @@ def fit_modes(trajectory: Trajectory) -> ModeFit:
 
 @dataclass(frozen=True, eq=False)
 class BesselFit:
-    """A motion ``amplitude [J_(2|n-p|)(2s) + J_(2(n+p-1))(2s)]``, s = rate (t - delay), after a strike on grain p.
+    """A motion ``amplitude [J_(2|n-p|)(2s) + J_(2(n+p-1))(2s)]`` after a strike on grain p.
 
+    Here s = rate (t - delay).
     The second term is the image in a free top, Eq. (11) if p = 1; under a wall it is absent, Eq. (6). Standard errors
-    suppose that residuals are independent of one another, as noise is; what theory leaves out is not.
+    assume independent residuals, as of noise; model errors are not independent.
 
     Attributes
     ----------
@@ -167,7 +168,10 @@ class BesselFit:
     residual: float
 
     def front_time(self, grain: int) -> float:
-        """Return when the main maximum passes a grain, ``2s = m + 0.8086 m^(1/3)``, m = 2 |n - p|, s (large m)."""
+        """Return when the main maximum passes a grain, ``2s = m + 0.8086 m^(1/3)``, s.
+
+        Here m = 2 |n - p|, which must be large.
+        """
         m = 2 * abs(grain - self.struck)
         return self.delay + (m + 0.8086 * np.cbrt(m)) / (2 * self.rate)
 
@@ -187,7 +191,9 @@ class BesselFit:
 
 
 def fit_bessel(trajectory: Trajectory, grains: tuple[int, int] | None = None, until: float | None = None) -> BesselFit:
-    """Fit the solution of the uniform chain, infinite or with a free top, to the motion after a strike on one grain.
+    """Fit the solution of the uniform chain to the motion after a strike on one grain.
+
+    The chain is infinite or has a free top.
 
     Parameters
     ----------
@@ -231,7 +237,7 @@ def fit_bessel(trajectory: Trajectory, grains: tuple[int, int] | None = None, un
     n = np.broadcast_to(trajectory.grains, inside.shape)[inside]
     time = np.broadcast_to(trajectory.time[:, None], inside.shape)[inside]
     values = getattr(trajectory, field)[inside]
-    if n.size < FEWEST or np.abs(values[time > 0]).max(initial=0.0) < ARRIVED * abs(size):  # at t = 0 it is given
+    if n.size < FEWEST or np.abs(values[time > 0]).max(initial=0.0) < ARRIVED * abs(size):  # at t = 0 it is prescribed
         cure = "record more often or for longer, more grains near it, or give grains and until"
         reason = f"{n.size} values lie where the solution can hold, too few, or without the wave: {cure}"
         raise InputError([("samples", reason)])
@@ -246,10 +252,10 @@ def fit_bessel(trajectory: Trajectory, grains: tuple[int, int] | None = None, un
         steep = x[0] * sum(jv(m - 1, z) - jv(m + 1, z) for m in orders)
         return np.stack([sum(jv(m, z) for m in orders), steep * rate * time, -steep], axis=1)
 
-    found = least_squares(off, [1.0, 1.0, 0.0], jac=slope, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15)
-    spread = 2 * found.cost / (n.size - 3) * np.linalg.pinv(found.jac.T @ found.jac)
+    solution = least_squares(off, [1.0, 1.0, 0.0], jac=slope, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    spread = 2 * solution.cost / (n.size - 3) * np.linalg.pinv(solution.jac.T @ solution.jac)
     # from the fitted numbers to amplitude, rate and delay = x_2 / (x_1 rate)
-    share, factor, angle = found.x
+    share, factor, angle = solution.x
     change = np.diag([size, rate, 1 / (factor * rate)])
     change[2, 1] = -angle / (factor**2 * rate)
     covariance = change @ spread @ change.T
@@ -269,8 +275,8 @@ def fit_bessel(trajectory: Trajectory, grains: tuple[int, int] | None = None, un
         grain=n,
         time=time,
         values=values,
-        model=values + size * found.fun,
-        residual=float(np.sqrt(np.mean(found.fun**2) / np.mean((values / size) ** 2))),
+        model=values + size * solution.fun,
+        residual=float(np.sqrt(np.mean(solution.fun**2) / np.mean((values / size) ** 2))),
     )
 
 
@@ -298,7 +304,7 @@ def _window(
 
 
 def _uniform(chain: Chain, p: int) -> tuple[int, int]:
-    """Return the first and last grain of the part around grain p whose masses and contacts are like its own."""
+    """Return first and last grain of the uniform part around grain p."""
     k, m = chain.linear_stiffness, chain.masses
     held = chain.bottom == "fixed"
     own = k[min(p, k.size) - 1]

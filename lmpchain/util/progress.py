@@ -1,0 +1,77 @@
+"""The progress bar of everything that takes time."""
+
+from __future__ import annotations
+
+from typing import Any, Self
+
+COUNT = "{desc}: {n:.0f} of {total}{unit} |{bar}| {elapsed}, {remaining} left"
+RATE = "{desc}: {percentage:3.0f}% |{bar}| {rate_fmt}, {remaining} left{postfix}"
+
+
+class ProgressBar:
+    """A progress bar on stderr while its `with` block lasts, or nothing where none is shown.
+
+    Parameters
+    ----------
+    total : float
+        Amount of work; it may be done in fractions.
+    text : str
+        What is going on, in front of the bar.
+    unit : str
+        Of the work, such as " samples", with its leading space.
+    done : float
+        Amount that was done before.
+    layout : str
+        What the bar says, in the fields of tqdm: `COUNT` or `RATE`.
+    shown : bool
+        tqdm is imported only if it is.
+
+    Examples
+    --------
+    >>> with ProgressBar(3, "engines", shown=False) as bar:
+    ...     bar.advance()
+    ...     bar.reach(2.5)
+    """
+
+    def __init__(
+        self,
+        total: float,
+        text: str = "",
+        unit: str = "",
+        *,
+        done: float = 0,
+        layout: str = COUNT,
+        shown: bool = True,
+    ):
+        self._bar: Any = None
+        if shown:
+            from tqdm.auto import tqdm
+
+            self._bar = tqdm(total=total, desc=text, unit=unit, initial=done, leave=False, bar_format=layout)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.close()
+
+    def advance(self, amount: float = 1) -> None:
+        """Add an amount of work that is done."""
+        if self._bar is not None:
+            self._bar.update(amount)
+
+    def reach(self, done: float) -> None:
+        """Set the amount of work that is done."""
+        if self._bar is not None:
+            self._bar.update(done - self._bar.n)
+
+    def describe(self, text: str) -> None:
+        """Change the text in front of the bar."""
+        if self._bar is not None:
+            self._bar.set_description(text)
+
+    def remark(self, text: str) -> None:
+        """Change the text behind the bar, from its next update on; only `RATE` shows one."""
+        if self._bar is not None:
+            self._bar.set_postfix_str(text, refresh=False)
