@@ -1,7 +1,7 @@
 """What all tests begin with."""
 
 import pytest
-from helpers.scenes import paper
+from helpers.example_scenes import paper
 
 from lmpchain import simulate
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.reference import extended_reference, relative_error
-from helpers.scenes import paper, smooth
+from helpers.example_scenes import paper, smooth
+from helpers.independent_integrators import extended_reference, relative_error
 from matplotlib.figure import Figure
 
 from lmpchain import Chain, Displacement, Impulse, InputError, Profile, Scene, Trajectory, simulate

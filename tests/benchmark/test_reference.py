@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.reference import extended_reference, relative_error
-from helpers.scenes import paper, random_scene, smooth
+from helpers.example_scenes import paper, random_scene, smooth
+from helpers.independent_integrators import extended_reference, relative_error
 
 from lmpchain import Chain, Displacement, Drive, Impulse, Scene
 from lmpchain.benchmark.reference import reference

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.reference import extended_reference, relative_error
-from helpers.scenes import smooth
+from helpers.example_scenes import smooth
+from helpers.independent_integrators import extended_reference, relative_error
 
 from lmpchain import Chain, Impulse, InputError, RunFailed, Scene, engines, simulate
 from lmpchain.benchmark.bench import Bench, work_precision

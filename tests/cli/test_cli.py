@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.commands import SCENE, keys, names
-from helpers.runs import COMMAND
+from helpers.child_processes import COMMAND
+from helpers.command_output import SCENE, keys, names
 
 from lmpchain import EngineUnavailable, RunFailed, Scene, ToleranceNotMet, Trajectory, simulate
 from lmpchain.cli.command_line import main

@@ -18,7 +18,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import numpy as np
-from helpers.scenes import random_scene
+from helpers.example_scenes import random_scene
 
 import lmpchain
 from lmpchain import InputError, RunFailed, ToleranceNotMet

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.reference import relative_error
+from helpers.independent_integrators import relative_error
 
 from lmpchain import (
     Chain,

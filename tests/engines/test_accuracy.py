@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from helpers.reference import extended_reference, relative_error, scipy_reference
-from helpers.scenes import PAPER, paper, random_scene
+from helpers.example_scenes import PAPER, paper, random_scene
+from helpers.independent_integrators import extended_reference, relative_error, scipy_reference
 
 from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Scene, ToleranceNotMet, simulate
 from lmpchain.engines import Lammps, Native

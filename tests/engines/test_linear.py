@@ -3,7 +3,7 @@
 import mpmath
 import numpy as np
 import pytest
-from helpers.reference import relative_error
+from helpers.independent_integrators import relative_error
 
 from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Profile, Scene, simulate
 from lmpchain.engines import Chebyshev, Modes

@@ -4,8 +4,8 @@ from itertools import product
 
 import numpy as np
 import pytest
-from helpers.reference import extended_reference, relative_error
-from helpers.scenes import paper, smooth
+from helpers.example_scenes import paper, smooth
+from helpers.independent_integrators import extended_reference, relative_error
 from scipy.integrate import simpson
 
 from lmpchain import Chain, Displacement, Drive, Impulse, Profile, Scene, engines, simulate

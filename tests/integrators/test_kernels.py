@@ -10,7 +10,7 @@ import mpmath
 import numba
 import numpy as np
 import pytest
-from helpers.scenes import smooth
+from helpers.example_scenes import smooth
 from llvmlite import binding
 from numba import boolean, float64, int64, types
 from numpy.typing import NDArray

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers.reference import extended_reference, relative_error
-from helpers.scenes import paper
+from helpers.example_scenes import paper
+from helpers.independent_integrators import extended_reference, relative_error
 
 from lmpchain import engines, simulate
 from lmpchain.engines import error_estimate as lockstep

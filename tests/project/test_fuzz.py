@@ -16,7 +16,7 @@ from typing import Any
 import hypothesis
 import pytest
 import tomli_w
-from helpers.runs import same
+from helpers.child_processes import same
 from hypothesis import strategies as st
 
 from lmpchain import LmpchainError, Scene, Stopped, Trajectory, engines, resume, simulate

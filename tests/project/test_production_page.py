@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.runs import at_work, same, until
+from helpers.child_processes import at_work, same, until
 
 from lmpchain import Chain, Impulse, Scene, Trajectory, load_sweep, simulate
 from lmpchain.simulation.run_folder import status

@@ -6,7 +6,7 @@ from typing import Any
 import mpmath
 import numpy as np
 import pytest
-from helpers.reference import extended_reference, relative_error, scipy_reference
+from helpers.independent_integrators import extended_reference, relative_error, scipy_reference
 from numpy.typing import NDArray
 from scipy.integrate import simpson
 from scipy.interpolate import make_interp_spline

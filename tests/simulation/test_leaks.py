@@ -4,7 +4,7 @@ import gc
 
 import psutil
 import pytest
-from helpers.scenes import smooth
+from helpers.example_scenes import smooth
 
 from lmpchain import engines, simulate
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.reference import extended_reference, relative_error
-from helpers.scenes import paper, random_scene, wide_scene
+from helpers.example_scenes import paper, random_scene, wide_scene
+from helpers.independent_integrators import extended_reference, relative_error
 
 import lmpchain
 from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Profile, Scene, ToleranceNotMet, simulate

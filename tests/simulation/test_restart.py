@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.runs import finish, same, start, write
-from helpers.scenes import paper
+from helpers.child_processes import finish, same, start, write
+from helpers.example_scenes import paper
 
 from lmpchain import Chain, Drive, Impulse, InputError, Scene, Stopped, Trajectory, engines, resume, simulate
 from lmpchain.engines import error_estimate as lockstep

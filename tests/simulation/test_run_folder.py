@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 import xarray
 from filelock import FileLock
-from helpers.runs import COMMAND, at_work, finish, same, start, write
-from helpers.scenes import paper
+from helpers.child_processes import COMMAND, at_work, finish, same, start, write
+from helpers.example_scenes import paper
 
 import lmpchain
 from lmpchain import Chain, Impulse, InputError, Profile, Scene, Stopped, ToleranceNotMet, Trajectory, resume, simulate

@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
-from helpers.runs import COMMAND, at_work, finish, processes, start, write
+from helpers.child_processes import COMMAND, at_work, finish, processes, start, write
 
 from lmpchain import Chain, Impulse, Scene, Stopped, Trajectory, simulate
 from lmpchain.cli.command_line import main

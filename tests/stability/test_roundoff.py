@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from helpers.reference import extended_reference, relative_error
-from helpers.scenes import random_scene
+from helpers.example_scenes import random_scene
+from helpers.independent_integrators import extended_reference, relative_error
 
 from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Scene, ToleranceNotMet, simulate
 from lmpchain.benchmark.reference import reference

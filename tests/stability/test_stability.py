@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.scenes import paper
+from helpers.example_scenes import paper
 
 from lmpchain import Chain, Drive, Impulse, Scene
 from lmpchain.cli.command_line import main

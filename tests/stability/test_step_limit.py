@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from helpers.reference import extended_reference
+from helpers.independent_integrators import extended_reference
 from laws.openings import drift, errors_through_openings, order_through_openings
 from scipy.linalg import eigvalsh_tridiagonal
 

@@ -3,7 +3,7 @@
 import mpmath as mp
 import numpy as np
 import pytest
-from helpers.oracles import gravity_column, integrate, largest, springs, unit
+from helpers.independent_theory import gravity_column, integrate, largest, springs, unit
 from scipy.special import jv
 
 from lmpchain import InputError

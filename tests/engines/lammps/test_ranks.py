@@ -225,7 +225,7 @@ def test_an_error_on_one_rank_ends_all_with_its_message(tmp_path):
     script.write_text(
         "import sys\n"
         "from lmpchain import cli\n"
-            "from lmpchain.util import mpi\n"
+        "from lmpchain.util import mpi\n"
         "from lmpchain.engines.lammps.worker import Worker\n"
         "def fail(*_):\n"
         "    raise FloatingPointError('the third digit of pi')\n"

@@ -1,11 +1,11 @@
-"""Parts of chains, and what long chains cost, against the whole and against chains written out grain by grain."""
+"""Pieces of a chain, and what long chains cost, against the whole and against chains written out grain by grain."""
 
 import tracemalloc
 from itertools import combinations, product
 
 import numpy as np
 import pytest
-from helpers.chains import CHAINS, WALLED
+from helpers.example_chains import CHAINS, WALLED
 
 from lmpchain import (
     PTFE,
