@@ -6,13 +6,13 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from itertools import pairwise, takewhile
 from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.child_processes import COMMAND, PATIENCE, on_a_terminal
 from helpers.example_scenes import smooth
 from helpers.independent_integrators import extended_reference, relative_error
 
@@ -240,13 +240,12 @@ def test_the_command(tmp_path, capsys):
 
 def test_ctrl_c_leaves_nothing_behind(tmp_path):
     SCENE.to_toml(tmp_path / "scene.toml")
-    command = [sys.executable, "-m", "lmpchain.cli", "workprec", "scene.toml", "--budget", "600", "-o", "chart.png"]
-    running = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
-    time.sleep(4)
-    running.send_signal(signal.SIGINT)
-    _, said = running.communicate(timeout=30)
-    assert running.returncode in (130, -signal.SIGINT), said  # a shell says 130 of either
-    assert "stopped by Ctrl-C" in said
+    words = ["workprec", "scene.toml", "--budget", 600, "-o", "chart.png"]
+    with on_a_terminal(*COMMAND, *words, cwd=tmp_path) as (process, read_until):
+        read_until(r" [1-9]\d* of \d+ \|")  # the progress bar, once an integrator is done
+        process.send_signal(signal.SIGINT)
+        assert process.wait(PATIENCE) in (130, -signal.SIGINT)  # a shell says 130 of either
+        assert "Traceback" not in read_until("stopped by Ctrl-C")
     assert [path.name for path in tmp_path.iterdir()] == ["scene.toml"]
 
 

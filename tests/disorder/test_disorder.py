@@ -1,19 +1,14 @@
 """Chains with random contacts: the law of the factors, averages over many chains, and the command `dyson`."""
 
 import json
-import os
-import pty
 import re
-import select
 import signal
-import subprocess
-import sys
-import termios
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from helpers.child_processes import COMMAND, PATIENCE, on_a_terminal
 from helpers.independent_integrators import relative_error
 
 from lmpchain import (
@@ -441,19 +436,8 @@ def test_dyson_of_what_it_cannot_do(saved: Path, capsys: pytest.CaptureFixture[s
 
 
 def test_dyson_stops_at_ctrl_c(saved: Path):
-    terminal, theirs = pty.openpty()
-    termios.tcsetwinsize(theirs, (24, 80))
-    command = [sys.executable, "-m", "lmpchain.cli", "dyson", str(saved), "--m", "1", "--realisations", "1000000"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=theirs)
-    os.close(theirs)
-    said = ""
-    try:
-        while " of 1000000 chains" not in said:
-            assert select.select([terminal], [], [], 60)[0], said
-            said += os.read(terminal, 4096).decode()
+    command = [*COMMAND, "dyson", saved, "--m", "1", "--realisations", "1000000"]
+    with on_a_terminal(*command) as (process, read_until):
+        read_until(" of 1000000 chains")
         process.send_signal(signal.SIGINT)
-        assert process.wait(timeout=30) == 130
-    finally:
-        process.kill()
-        process.communicate()
-        os.close(terminal)
+        assert process.wait(PATIENCE) == 130

@@ -1,17 +1,25 @@
-"""Runs as processes of their own, and what they must end with."""
+"""Commands as processes of their own: started, watched by what they have done so far, stopped and read."""
 
 import os
+import pty
+import re
+import select
 import subprocess
 import sys
+import termios
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+
+import psutil
 
 from lmpchain import Scene, Trajectory
 from lmpchain.simulation.run_folder import status
 from lmpchain.util import mpi
 
 COMMAND = [sys.executable, "-m", "lmpchain.cli"]
+PATIENCE = 600.0  # s, after which a process is taken to hang: on a busy machine everything is slow
 
 
 def start(*words: object, ranks: int = 1, **options) -> subprocess.Popen[str]:
@@ -21,28 +29,81 @@ def start(*words: object, ranks: int = 1, **options) -> subprocess.Popen[str]:
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, **options)
 
 
+def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
+    """Return the exit code of a process and what it said; one that hangs is not left behind."""
+    try:
+        out, err = process.communicate(timeout=PATIENCE)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        raise
+    return process.returncode, out + (err or "")
+
+
 def finish(*words: object, ranks: int = 1, **options) -> tuple[int, str]:
     """Run a command of lmpchain; return its exit code and what it said."""
-    process = start(*words, ranks=ranks, **options)
-    said, _ = process.communicate(timeout=300)
-    return process.returncode, said
+    return ended(start(*words, ranks=ranks, **options))
 
 
-def at_work(folder: Path, process: subprocess.Popen[str]) -> None:
-    """Wait until a run has kept some samples."""
-    while process.poll() is None:
-        if (folder / "scene.toml").exists() and status(folder)["samples_done"]:
-            return
-        time.sleep(0.02)
-    raise AssertionError("it ended too early")
-
-
-def until(condition: Callable[[], bool], within: float = 60) -> None:
+def until(condition: Callable[[], object], every: float = 0.01) -> None:
     """Wait until something is so."""
-    deadline = time.monotonic() + within
+    deadline = time.monotonic() + PATIENCE
     while not condition():
-        assert time.monotonic() < deadline, "it takes too long"
-        time.sleep(0.02)
+        assert time.monotonic() < deadline, "waited in vain"
+        time.sleep(every)
+
+
+def recorded(folder: Path) -> int:
+    """Return how many samples a run folder says it has, less than none while there is no folder."""
+    return status(folder)["samples_done"] if (folder / "scene.toml").exists() else -1
+
+
+def at_work(folder: Path, process: subprocess.Popen[str], samples: int = 1) -> None:
+    """Wait until a run has kept so many samples."""
+
+    def reached() -> bool:
+        assert process.poll() is None, "it ended too early"
+        return recorded(folder) >= samples
+
+    until(reached)
+
+
+def busy(process: int, seconds: float) -> None:
+    """Wait until a process has computed for so long with LAMMPS loaded, however little of the cores it is given."""
+    watched = psutil.Process(process)
+
+    def spent() -> float:
+        times = watched.cpu_times()
+        return times.user + times.system
+
+    until(lambda: any("liblammps" in each.path for each in watched.memory_maps()))
+    begun = spent()
+    until(lambda: spent() > begun + seconds)
+
+
+@contextmanager
+def on_a_terminal(*command: object, **options) -> Iterator[tuple[subprocess.Popen[str], Callable[[str], str]]]:
+    """Run a command whose stderr is a terminal, where it shows its progress.
+
+    Yields the process and a function that reads from the terminal until a pattern is found and returns what was read.
+    """
+    terminal, theirs = pty.openpty()
+    termios.tcsetwinsize(theirs, (24, 120))
+    process = subprocess.Popen([*map(str, command)], stdout=subprocess.PIPE, stderr=theirs, text=True, **options)
+    os.close(theirs)
+
+    def read_until(wanted: str) -> str:
+        said = ""
+        while not re.search(wanted, said):
+            assert select.select([terminal], [], [], PATIENCE)[0], said
+            said += os.read(terminal, 4096).decode()
+        return said
+
+    try:
+        yield process, read_until
+    finally:
+        process.kill()
+        process.communicate()
+        os.close(terminal)
 
 
 def same(answer: Trajectory, truth: Trajectory) -> bool:

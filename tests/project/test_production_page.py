@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.child_processes import at_work, same, until
+from helpers.child_processes import PATIENCE, at_work, same, until
 
 from lmpchain import Chain, Impulse, Scene, Trajectory, load_sweep, simulate
 from lmpchain.simulation.run_folder import status
@@ -97,7 +97,7 @@ def test_every_command_of_the_page(here: Path):
                 wanted = 130
                 begun(command, process)
                 os.killpg(process.pid, signal.SIGINT)
-            said, _ = process.communicate(timeout=120)
+            said, _ = process.communicate(timeout=PATIENCE)
             assert process.returncode == wanted, f"{line}\n{said}"
             assert "Traceback" not in said, f"{line}\n{said}"
             assert "nothing unfinished was kept" not in said, f"{line}\n{said}"
@@ -105,7 +105,7 @@ def test_every_command_of_the_page(here: Path):
         for process in behind:
             if process.poll() is None:
                 os.killpg(process.pid, signal.SIGTERM)
-                process.communicate(timeout=30)
+                process.communicate(timeout=PATIENCE)
 
     for name, scene in (("run", LASTING["-o run/"]), ("job", LASTING["job/"]), ("other", SHORT)):
         assert status(name)["state"] == "finished"

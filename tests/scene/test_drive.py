@@ -12,7 +12,7 @@ from scipy.integrate import simpson
 from scipy.interpolate import make_interp_spline
 
 from lmpchain import Chain, Drive, Impulse, Scene, engines, simulate
-from lmpchain.engines import error_estimate as lockstep
+from lmpchain.engines import error_estimate
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.splittings import SPLITTINGS
 
@@ -311,7 +311,7 @@ def test_exact_restart(integrator: str, make: Any, monkeypatch: pytest.MonkeyPat
     candidate = solver.candidate(scenes[0], 1e-6)
     whole = solver.start(scenes, candidate)
     u, v = blocks_of(whole)
-    monkeypatch.setattr(lockstep, "BLOCK_BYTES", 1)  # four samples a block, after the one at t = 0
+    monkeypatch.setattr(error_estimate, "BLOCK_BYTES", 1)  # four samples a block, after the one at t = 0
     begun = solver.start(scenes, candidate)
     blocks = []
     for block in begun.blocks():
@@ -334,7 +334,7 @@ def test_pieces_do_not_matter(integrator: str, monkeypatch: pytest.MonkeyPatch):
     scene = scene_of(chain, path(chain, 2.0), samples=3)
     solver = engines.Native(integrator=integrator, step=scene.duration / 2000)
     whole = simulate(scene, engine=solver)
-    monkeypatch.setattr(lockstep, "PIECE_S", 1e-5)
+    monkeypatch.setattr(error_estimate, "PIECE_S", 1e-5)
     pieces = simulate(scene, engine=solver)
     assert np.array_equal(whole.displacement, pieces.displacement)
     assert np.array_equal(whole.velocity, pieces.velocity)
