@@ -238,6 +238,7 @@ def test_the_command(tmp_path, capsys):
     assert len(list(tmp_path.iterdir())) == 3
 
 
+@pytest.mark.slow
 def test_ctrl_c_leaves_nothing_behind(tmp_path):
     SCENE.to_toml(tmp_path / "scene.toml")
     words = ["workprec", "scene.toml", "--budget", 600, "-o", "chart.png"]
@@ -249,6 +250,7 @@ def test_ctrl_c_leaves_nothing_behind(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["scene.toml"]
 
 
+@pytest.mark.slow
 def test_the_script(tmp_path):
     command = [sys.executable, SCRIPT, "weak", "--budget", "0.1", "-o", tmp_path]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -435,6 +435,7 @@ def test_dyson_of_what_it_cannot_do(saved: Path, capsys: pytest.CaptureFixture[s
     assert set(keys(capsys.readouterr())) == {none, "m", folder, "p.txt"}
 
 
+@pytest.mark.slow
 def test_dyson_stops_at_ctrl_c(saved: Path):
     command = [*COMMAND, "dyson", saved, "--m", "1", "--realisations", "1000000"]
     with on_a_terminal(*command) as (process, read_until):

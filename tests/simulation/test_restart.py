@@ -63,6 +63,7 @@ def killed(case: str, folder: Path, parts: list[float], rng: random.Random) -> t
     return Trajectory.load(folder / "run"), kills
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("case", "times"), [("native", 2), ("lammps", 1), ("two ranks, then mpirun", 2)])
 def test_killed_again_and_again(case: str, times: int, tmp_path: Path):
     rng = random.Random(case)
@@ -139,6 +140,7 @@ def test_stopped_after_every_block(case: str, tmp_path: Path):
     assert same(answer, simulate(scene, engine, tolerance))
 
 
+@pytest.mark.slow
 def test_the_attempt_goes_on(tmp_path: Path):
     """A later attempt, at a shorter step, is the one that is gone on with; the time is that of all sessions."""
     at, engine, said = tmp_path / "run", engines.Native(adaptive=False), []

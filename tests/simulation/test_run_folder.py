@@ -188,6 +188,7 @@ def test_folders_without_a_run_are_refused(tmp_path: Path):
         Trajectory.load(tmp_path)
 
 
+@pytest.mark.slow
 def test_reading_while_the_run_goes_on_and_after_a_kill(tmp_path: Path):
     """xarray and `load` see only complete samples, the right ones, and more and more of them."""
     folder = tmp_path / "run"
@@ -302,6 +303,7 @@ def test_in_another_thread(tmp_path: Path):
 # --- the disk
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limit", [2_000, 150_000])
 def test_a_full_disk(limit: int, tmp_path: Path):
     """No file may grow beyond the limit: one line, what is done is kept, and it goes on where there is room."""

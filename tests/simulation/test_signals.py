@@ -28,9 +28,9 @@ CASES = {
 @pytest.mark.parametrize(
     ("case", "number", "code"),
     [
-        ("native", signal.SIGINT, 130),
-        ("two ranks", signal.SIGINT, 130),
-        ("mpirun", signal.SIGTERM, 143),
+        pytest.param("native", signal.SIGINT, 130, marks=pytest.mark.slow),
+        pytest.param("two ranks", signal.SIGINT, 130, marks=pytest.mark.slow),
+        pytest.param("mpirun", signal.SIGTERM, 143, marks=pytest.mark.slow),
         pytest.param("native", signal.SIGTERM, 143, marks=pytest.mark.soak),
         pytest.param("lammps", signal.SIGINT, 130, marks=pytest.mark.soak),
         pytest.param("lammps", signal.SIGTERM, 143, marks=pytest.mark.soak),
@@ -63,6 +63,7 @@ def test_a_signal_stops_at_the_next_block(case: str, number: int, code: int, tmp
     assert status(folder)["samples_done"] > kept["samples_done"]
 
 
+@pytest.mark.slow
 def test_a_stop_waits_for_the_sample_at_work(tmp_path: Path):
     """Where one takes many blocks, the stop comes at its end, so that nothing is lost."""
     scene = ENDLESS.model_copy(update={"samples": 1001})
@@ -79,6 +80,7 @@ def test_a_stop_waits_for_the_sample_at_work(tmp_path: Path):
     assert Trajectory.load(folder).time.size == kept["samples_done"] > 0
 
 
+@pytest.mark.slow
 def test_a_signal_in_python_is_passed_on(tmp_path: Path):
     """Whoever calls `simulate` gets KeyboardInterrupt, once all is saved."""
     script = (
@@ -118,6 +120,7 @@ def test_max_wall_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixt
         assert main(["resume", str(folder), f"--max-wall={wrong}"]) == 2, wrong
 
 
+@pytest.mark.slow
 def test_a_single_file_says_how_a_folder_would_have_kept_it(tmp_path: Path):
     words = ["run", write(ENDLESS, tmp_path), "-o", tmp_path / "run.nc", "--engine", "native", "--step", "1e-6"]
     with on_a_terminal(*COMMAND, *words) as (process, read_until):
@@ -129,6 +132,7 @@ def test_a_single_file_says_how_a_folder_would_have_kept_it(tmp_path: Path):
     assert "Traceback" not in said
 
 
+@pytest.mark.slow
 def test_progress_on_a_terminal(tmp_path: Path):
     """Rate, time left and the error so far; nothing where stderr is no terminal."""
     words = ["run", write(ENDLESS, tmp_path), "-o", f"{tmp_path}/run/", "--engine", "native", "--step", "1e-6"]

@@ -211,7 +211,7 @@ def test_arrays_are_read_when_they_are_used(tmp_path):
         again.velocity[1].load()
 
 
-@pytest.mark.parametrize(("engine", "workers"), [("lammps", 2), ("chebyshev", 1)])
+@pytest.mark.parametrize(("engine", "workers"), [pytest.param("lammps", 2, marks=pytest.mark.slow), ("chebyshev", 1)])
 def test_other_engines(tmp_path, engine, workers):
     asked = {"scene": SHORT, "engine": engine, "grid": {"chain.gravity": GRAVITIES}}
     found = sweep(asked, tmp_path, workers=workers)
@@ -403,6 +403,7 @@ def test_a_process_that_dies_takes_only_its_own_task():
                 assert future.result() == number
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["shutdown", "kill"])
 def test_processes_end_in_the_middle_of_a_task(how):
     """With the pool, and with the process that has the pool, however that ends."""
@@ -442,6 +443,7 @@ def children(parent: int) -> list[psutil.Process]:
     return found
 
 
+@pytest.mark.slow
 def test_what_kills_every_process_is_given_up_and_done_the_next_time(tmp_path):
     stop = threading.Event()
 
@@ -518,6 +520,7 @@ def begun(folder: Path) -> bool:
     return (folder / "scenes").exists() and written(folder) > 0
 
 
+@pytest.mark.slow
 def test_a_killed_worker_loses_nothing(tmp_path, serial):
     path, expected = serial
     with command(path, "-o", tmp_path, "--workers", 2) as process:
@@ -529,6 +532,7 @@ def test_a_killed_worker_loses_nothing(tmp_path, serial):
     assert contents(tmp_path) == expected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_a_stopped_sweep_goes_on(tmp_path, serial, how):
     """Ctrl-C reaches all processes of a terminal; what is done is kept, and no process is left."""
@@ -554,6 +558,7 @@ def test_one_sweep_at_a_time_in_a_folder(tmp_path):
     assert (sweep(chains(2), tmp_path).reason == "").all()
 
 
+@pytest.mark.slow
 def test_a_full_disk(tmp_path, serial):
     """No file may grow beyond 16 kB: arrays do not fit. Nothing is half written, and later all is done."""
     path, expected = serial
@@ -592,6 +597,7 @@ def cluster(folder: Path, workers: int = 2) -> Iterator[tuple[str, list[psutil.P
                 process.kill()
 
 
+@pytest.mark.slow
 def test_dask_with_a_killed_worker(tmp_path, serial):
     path, expected = serial
     with (

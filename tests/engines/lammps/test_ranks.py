@@ -60,8 +60,13 @@ def same(one: Trajectory, other: Trajectory) -> bool:
     return np.array_equal(one.displacement, other.displacement) and np.array_equal(one.velocity, other.velocity)
 
 
-@pytest.mark.parametrize("name", SCENES)
-@pytest.mark.parametrize("integrator", ["verlet", "kahan-li6", "rkn6"])
+EVERY = [(name, integrator) for name in SCENES for integrator in ("verlet", "kahan-li6", "rkn6")]
+FIRST = ("strike in the middle", "rkn6")
+
+
+@pytest.mark.parametrize(
+    ("name", "integrator"), [pytest.param(*each, marks=() if each == FIRST else pytest.mark.slow) for each in EVERY]
+)
 def test_ranks_give_the_bytes_of_one(name, integrator):
     scene, options = SCENES[name], {"integrator": integrator, "step": 2e-7, "diameter": "physical"}
     one = simulate(scene, engine=Lammps(**options))
@@ -71,6 +76,7 @@ def test_ranks_give_the_bytes_of_one(name, integrator):
     assert same(one, two)
 
 
+@pytest.mark.slow
 def test_three_ranks_and_the_gauge_diameter():
     one, three = (simulate(MIDDLE, engine=Lammps(diameter="gauge", ranks=ranks)) for ranks in (1, 3))
     assert three.cost.ranks == 3
@@ -87,6 +93,7 @@ def test_more_ranks_than_grains_are_refused():
     assert same(simulate(scene, "lammps"), simulate(scene, "lammps", ranks=2))
 
 
+@pytest.mark.slow
 def test_dump_of_two_ranks(tmp_path):
     """The files that a run keeps do not tell how many ranks wrote them."""
     for ranks in (1, 2):
@@ -102,6 +109,7 @@ def mpirun(*words: str | Path, ranks: int = 2, **options) -> subprocess.Popen[st
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options)
 
 
+@pytest.mark.slow
 def test_plain_mpirun_of_the_command_line(tmp_path):
     MIDDLE.to_toml(tmp_path / "scene.toml")
     words = ("-m", "lmpchain.cli", "run", tmp_path / "scene.toml", "--engine", "lammps", "-o")
@@ -122,6 +130,7 @@ def test_plain_mpirun_of_the_command_line(tmp_path):
     assert "leave the number of ranks out" in said
 
 
+@pytest.mark.slow
 def test_ranks_on_the_command_line(tmp_path):
     MIDDLE.to_toml(tmp_path / "scene.toml")
     words = ["-m", "lmpchain.cli", "run", str(tmp_path / "scene.toml"), "--engine", "lammps", "--ranks", "2"]
@@ -131,6 +140,7 @@ def test_ranks_on_the_command_line(tmp_path):
     assert Trajectory.load(tmp_path / "scene.nc").cost.ranks == 2
 
 
+@pytest.mark.slow
 def test_scripts_under_mpirun_run_alone(tmp_path):
     """A script that every rank runs for itself, as for a sweep, gets a LAMMPS of its own on every rank."""
     script = tmp_path / "script.py"
@@ -148,6 +158,7 @@ def test_scripts_under_mpirun_run_alone(tmp_path):
     assert first.startswith("1 ")
 
 
+@pytest.mark.slow
 def test_a_killed_rank_ends_the_run_with_a_message(monkeypatch):
     started = []
 
@@ -189,6 +200,7 @@ def endless(tmp_path: Path) -> tuple[subprocess.Popen[str], dict[int, int]]:
     return process, ranks
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rank", [0, 1])
 def test_a_killed_rank_ends_mpirun(tmp_path, rank):
     process, ranks = endless(tmp_path)
@@ -199,6 +211,7 @@ def test_a_killed_rank_ends_mpirun(tmp_path, rank):
     assert not (tmp_path / "x.nc").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_signals_stop_all_ranks(tmp_path, number, code):
     process, ranks = endless(tmp_path)
@@ -209,6 +222,7 @@ def test_signals_stop_all_ranks(tmp_path, number, code):
     assert not any(Path(f"/proc/{pid}").exists() for pid in ranks.values())
 
 
+@pytest.mark.slow
 def test_an_error_on_one_rank_ends_all_with_its_message(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
