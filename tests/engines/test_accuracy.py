@@ -1,5 +1,7 @@
 """An answer that comes back is as accurate as was asked for, and knows how accurate it is."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from helpers.example_scenes import PAPER, paper, random_scene
@@ -68,9 +70,16 @@ def test_every_kind_of_scene(kind):
         check(KINDS[kind], stored_reference(kind), "native", tolerance, integrator=integrator)
 
 
-@pytest.mark.parametrize("name", PAPER)
-@pytest.mark.parametrize("engine", ["native", "lammps"])
-@pytest.mark.parametrize("integrator", ["rkn6", "kahan-li6", "verlet"])
+LONGEST = [("fig1", "lammps", "verlet"), ("fig5 10g", "lammps", "verlet"), ("fig5 g", "lammps", "verlet")]
+
+
+@pytest.mark.parametrize(
+    ("name", "engine", "integrator"),
+    [
+        pytest.param(*case, marks=pytest.mark.slow if case in LONGEST else ())
+        for case in product(PAPER, ("native", "lammps"), ("rkn6", "kahan-li6", "verlet"))
+    ],
+)
 def test_paper_scenes_to_1e_6(name, engine, integrator):
     check(paper(name), stored_reference(name), engine, 1e-6, integrator=integrator)
 
@@ -109,7 +118,9 @@ def test_random_scenes(seed):
         check(scene, reference, "native", tolerance, integrator=integrator)
 
 
-@pytest.mark.parametrize("seed", range(100, 120))
+@pytest.mark.parametrize(
+    "seed", [*range(100, 105), *(pytest.param(n, marks=pytest.mark.slow) for n in range(105, 120))]
+)
 def test_random_scenes_in_lammps(seed):
     scene, reference = SCENES[f"random for LAMMPS {seed}"], stored_reference(f"random for LAMMPS {seed}")
     for integrator in ("rkn6", "verlet"):
@@ -142,6 +153,7 @@ def test_estimate_at_a_given_step(divisor):
     assert true / 3 < t.error_estimate.solver < 5 * true
 
 
+@pytest.mark.slow
 def test_chaos_is_refused_with_its_predictability_time():
     """Reflections through opening contacts amplify round-off: beyond some time there is no answer."""
     chain = Chain(grains=12, material="glass", diameter=1e-3)

@@ -145,6 +145,7 @@ def apart_in_long_double(scene, change):
     return np.max([np.abs(y - x).max(1) / np.abs(x).max() for x, y in pairs], axis=0)
 
 
+@pytest.mark.slow
 def test_growth_is_that_of_extended_precision():
     scene = agitated(8, 100.0, 5, samples=26)
     times, apart = growth(scene, 1e-11)

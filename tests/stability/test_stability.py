@@ -71,6 +71,7 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert {"what", "method", "unit", "predicted", "measured", "here", "beyond"} == set(rows[0])
 
 
+@pytest.mark.slow
 def test_what_cannot_be_measured_is_said(tmp_path: Path):
     vacuum = Scene(chain=Chain(grains=5, diameter=1e-3, gravity=0.0), excitation=Impulse(velocity=0.1), duration=1e-4)
     said = stability(vacuum).left_out
