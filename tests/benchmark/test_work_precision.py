@@ -138,7 +138,7 @@ def test_what_is_too_accurate_to_tell_is_dropped():
     assert bench.dropped == 4  # and then it stops, for none gets better
 
 
-def test_the_front(found):
+def test_the_pareto_front(found):
     points = found.points
     for p in points:
         beaten = any(q.seconds <= p.seconds and q.error < p.error for q in points) or any(

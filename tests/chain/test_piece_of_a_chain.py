@@ -102,7 +102,7 @@ def test_a_part_moves_as_the_whole(strike, first: int, last: int):
 
 
 @pytest.mark.parametrize(("first", "last"), [(0, 3), (3, 3), (4, 2), (2, 6), (-2, 3)])
-def test_no_such_part(first: int, last: int):
+def test_a_piece_must_lie_within_the_chain(first: int, last: int):
     with pytest.raises(InputError, match=r"part: must be two or more of grains 1 to 5 \(got"):
         Chain(grains=5, diameter=1e-3).part(first, last)
 

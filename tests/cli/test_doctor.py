@@ -63,7 +63,7 @@ def test_all_is_well_here(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
         assert not line[27].isspace()
 
 
-def test_what_is_said_is_so():
+def test_findings_are_true():
     found = {finding.name: finding.found for finding in diagnose().findings}
     assert found["numpy"].startswith(f"{np.__version__} (must be 2.1 or later)")
     assert Path(found["liblammps"]).samefile(
@@ -205,7 +205,9 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("case", BROKEN)
-def test_faults(case: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_each_fault_is_found_and_has_its_cure(
+    case: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
     name, breaks, found, cure = BROKEN[case]
     keep(monkeypatch, name)
     with monkeypatch.context() as broken:

@@ -96,7 +96,7 @@ def test_constants_are_multiplied_by_the_factors(exponent):
 
 
 @pytest.mark.parametrize("of", ["stiffness", "constant"])
-def test_all_else_is_kept(of):
+def test_masses_and_diameters_stay_as_stiffness_is_drawn(of):
     for chain in chains(1.5):
         drawn = disordered(chain, 3, generator(), of=of)
         for name in ("masses", "diameters", "equilibrium_force"):
@@ -287,7 +287,7 @@ def test_a_longer_series_begins_with_the_shorter_one():
     assert len(long.asked) > len(short.asked)
 
 
-def test_failures():
+def test_ensembles_that_fail_say_why():
     scene = column(grains=10, tau=20.0, speed=1.0)
     with pytest.raises(RunFailed, match="shorter step"):
         ensemble(scene, 5, 2, seed=1, engine=engines.Native(integrator="verlet", step=2e-6))

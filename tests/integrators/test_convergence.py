@@ -166,7 +166,7 @@ def test_exact_restart(engine, integrator, excitation):
     assert error_again.total == error.total
 
 
-def test_chunks_do_not_matter(monkeypatch):
+def test_where_an_integration_may_be_interrupted_leaves_no_trace(monkeypatch):
     """The length of the pieces between two chances to stop leaves no trace, in any integrator."""
     struck = paper("fig1", samples=3)
     bump = Drive(times=[0, 4e-5, 5e-5, 6e-5, 1e-4], displacement=[0, 0, 1e-7, 0, 0])

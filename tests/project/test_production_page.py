@@ -39,9 +39,10 @@ LASTING = {
 STANDING_IN = {
     "mpiexec": f'exec {mpi.launcher()} "$@"',
     "srun": '[ "$1" != -n ] || { SLURM_NTASKS=$2; shift 2; }; exec mpiexec -n "$SLURM_NTASKS" "$@"',
-    # the first job has some two seconds beyond those that the job script spares, the others have enough
+    "date": "echo 1000000",  # so that it is certain how much is left of the time of a job
+    # the first job has two seconds beyond those that the job script spares, the others have enough
     "sbatch": """
-export SLURM_NTASKS=2 SLURM_JOB_END_TIME=$(($(date +%s) + $([ -e jobs ] && echo 600 || echo 302)))
+export SLURM_NTASKS=2 SLURM_JOB_END_TIME=$([ -e jobs ] && echo 1000900 || echo 1000302)
 for option; do case $option in --*) shift;; *) break;; esac; done
 code=0; bash "$@" || code=$?
 echo $code >> jobs""",

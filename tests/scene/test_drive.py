@@ -328,7 +328,7 @@ def test_exact_restart(integrator: str, make: Any, monkeypatch: pytest.MonkeyPat
 
 
 @every
-def test_pieces_do_not_matter(integrator: str, monkeypatch: pytest.MonkeyPatch):
+def test_where_a_driven_run_may_be_interrupted_leaves_no_trace(integrator: str, monkeypatch: pytest.MonkeyPatch):
     """Where a run may be stopped leaves no trace."""
     chain = Chain(grains=10, diameter=1e-3)
     scene = scene_of(chain, path(chain, 2.0), samples=3)
@@ -360,7 +360,7 @@ def test_recorded_motion_of_a_driven_grain(integrator: str, engine: str, drive: 
     assert t.velocity[:, 0] == pytest.approx(v, rel=1e-11, abs=1e-14)
 
 
-def test_what_is_not_smooth_is_known() -> None:
+def test_knots_and_touching_walls_count_as_not_smooth() -> None:
     """Knots of a path and a wall that only touches break the order of a method without any contact opening."""
     pressed = Chain(grains=12, material="steel", diameter=5e-3, top_load=1.0)
     loose = Chain(grains=12, material="steel", diameter=5e-3, top="wall")

@@ -187,7 +187,7 @@ def test_what_linear_theory_leaves_out_is_bounded_before_and_after(seed: int):
     assert true < 2 * modes.look(scene, candidate).model_error + 1e-15
 
 
-def test_the_paper():
+def test_plans_of_the_paper_scenes():
     """A strike number of 8.5 leaves no room for linear theory; a weak strike is left to the cheapest."""
     strong = lmpchain.plan(paper("fig5 g"))
     assert strong.engine == "native"

@@ -141,7 +141,7 @@ def test_stopped_after_every_block(case: str, tmp_path: Path):
 
 
 @pytest.mark.slow
-def test_the_attempt_goes_on(tmp_path: Path):
+def test_a_run_resumes_in_the_attempt_that_was_stopped(tmp_path: Path):
     """A later attempt, at a shorter step, is the one that is gone on with; the time is that of all sessions."""
     at, engine, said = tmp_path / "run", engines.Native(adaptive=False), []
     for again in itertools.count():

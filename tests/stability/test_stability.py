@@ -97,7 +97,7 @@ def test_a_step_that_holds_at_rest_only():
     assert not list(caveats(STRUCK, Native(integrator="verlet", step=struck / 2), 0.5))
 
 
-def test_a_scene_that_outlasts_its_horizon():
+def test_a_scene_that_outlasts_its_predictability_time():
     (said,) = caveats(BOUNCING, Native(), 1e-6)
     assert "amplify round-off beyond 1e-06 at about" in said
     assert not list(caveats(STRUCK, Native(), 1e-6))

@@ -171,7 +171,7 @@ def test_a_single_order_of_grains_is_kept(tmp_path):
     assert np.abs(found.velocity[0, -1, 1]) > np.abs(found.velocity[0, -1, 0]) > 0
 
 
-def test_what_is_kept(tmp_path):
+def test_kept_quantities_are_those_of_measure(tmp_path):
     """Numbers are those that `measure` reads off the trajectory."""
     keep = ["wall_force", "arrival_time", "peak_displacement", "peak_velocity"]
     found = sweep({"scene": str(SCENES / "weak.toml"), "grid": {"chain.gravity": [9.81]}, "keep": keep}, tmp_path)
