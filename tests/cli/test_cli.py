@@ -205,9 +205,7 @@ def test_a_tolerance_known_to_be_out_of_reach(scene: Path, capsys: pytest.Captur
     assert names(scene.parent) == ["scene.toml"]
 
 
-def test_a_scene_that_misses_its_tolerance_names_the_predictability_time(
-    scene: Path, capsys: pytest.CaptureFixture[str]
-):
+def test_a_missed_tolerance_names_the_predictability_time(scene: Path, capsys: pytest.CaptureFixture[str]):
     scene.write_text(
         SCENE.replace("grains = 20", "grains = 4")
         .replace("8.57e-4", "0.3")
