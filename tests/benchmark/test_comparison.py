@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.reference import extended_reference, relative_error
-from helpers.scenes import paper, smooth
+from helpers.example_scenes import paper, smooth
+from helpers.independent_integrators import extended_reference, relative_error
 from matplotlib.figure import Figure
 
 from lmpchain import Chain, Displacement, Impulse, InputError, Profile, Scene, Trajectory, simulate
@@ -36,7 +36,7 @@ SCENES = {"weak": smooth(), "mixed": pulled(), "opening": strong_and_open(), "va
 
 
 @pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
-def test_the_reference_is_as_good_as_it_says(scene: Scene):
+def test_the_error_of_the_reference_is_what_it_says(scene: Scene):
     truth = reference(scene)
     u, v, itself = extended_reference(scene, 1e-16)
     assert truth.displacement.shape == truth.velocity.shape == (scene.samples, scene.chain.grains)
@@ -99,7 +99,7 @@ def made_up(grains: Any = "all") -> tuple[Trajectory, Reference]:
     return answer, Reference(scene.time, u, 10 * u, 1e-12, "made up")
 
 
-def test_no_error():
+def test_equal_answers_have_no_error():
     answer, truth = made_up()
     assert errors(answer, truth) == (0.0, 0.0)
     assert error(answer, truth) == 0.0

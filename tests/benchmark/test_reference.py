@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.reference import extended_reference, relative_error
-from helpers.scenes import paper, random_scene, smooth
+from helpers.example_scenes import paper, random_scene, smooth
+from helpers.independent_integrators import extended_reference, relative_error
 
 from lmpchain import Chain, Displacement, Drive, Impulse, Scene
 from lmpchain.benchmark.reference import reference
@@ -42,7 +42,7 @@ KINDS = {
 
 
 @pytest.mark.parametrize("scene", KINDS.values(), ids=KINDS)
-def test_it_is_as_good_as_it_says(scene: Scene):
+def test_the_error_of_the_reference_is_what_it_says(scene: Scene):
     truth = reference(scene)
     u, v, itself = extended_reference(scene, TIGHT)
     assert truth.displacement.shape == truth.velocity.shape == (scene.samples, scene.chain.grains)

@@ -6,15 +6,15 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from itertools import pairwise, takewhile
 from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.reference import extended_reference, relative_error
-from helpers.scenes import smooth
+from helpers.child_processes import COMMAND, PATIENCE, on_a_terminal
+from helpers.example_scenes import smooth
+from helpers.independent_integrators import extended_reference, relative_error
 
 from lmpchain import Chain, Impulse, InputError, RunFailed, Scene, engines, simulate
 from lmpchain.benchmark.bench import Bench, work_precision
@@ -138,7 +138,7 @@ def test_what_is_too_accurate_to_tell_is_dropped():
     assert bench.dropped == 4  # and then it stops, for none gets better
 
 
-def test_the_front(found):
+def test_the_pareto_front(found):
     points = found.points
     for p in points:
         beaten = any(q.seconds <= p.seconds and q.error < p.error for q in points) or any(
@@ -238,18 +238,19 @@ def test_the_command(tmp_path, capsys):
     assert len(list(tmp_path.iterdir())) == 3
 
 
+@pytest.mark.slow
 def test_ctrl_c_leaves_nothing_behind(tmp_path):
     SCENE.to_toml(tmp_path / "scene.toml")
-    command = [sys.executable, "-m", "lmpchain.cli", "workprec", "scene.toml", "--budget", "600", "-o", "chart.png"]
-    running = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
-    time.sleep(4)
-    running.send_signal(signal.SIGINT)
-    _, said = running.communicate(timeout=30)
-    assert running.returncode in (130, -signal.SIGINT), said  # a shell says 130 of either
-    assert "stopped by Ctrl-C" in said
+    words = ["workprec", "scene.toml", "--budget", 600, "-o", "chart.png"]
+    with on_a_terminal(*COMMAND, *words, cwd=tmp_path) as (process, read_until):
+        read_until(r" [1-9]\d* of \d+ \|")  # the progress bar, once an integrator is done
+        process.send_signal(signal.SIGINT)
+        assert process.wait(PATIENCE) in (130, -signal.SIGINT)  # a shell says 130 of either
+        assert "Traceback" not in read_until("stopped by Ctrl-C")
     assert [path.name for path in tmp_path.iterdir()] == ["scene.toml"]
 
 
+@pytest.mark.slow
 def test_the_script(tmp_path):
     command = [sys.executable, SCRIPT, "weak", "--budget", "0.1", "-o", tmp_path]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

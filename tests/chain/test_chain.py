@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from helpers.chains import BETWEEN, CHAINS, DISORDERED, RIGID, WALLED
+from helpers.example_chains import BETWEEN, CHAINS, DISORDERED, RIGID, WALLED
 from scipy.integrate import quad
 
 from lmpchain import (

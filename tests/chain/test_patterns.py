@@ -88,13 +88,13 @@ def test_masses_and_contacts_follow_from_the_two_grains(chain: Chain):
 
 
 @each_chain
-def test_they_are_chains_like_any_other(chain: Chain, tmp_path: Path):
+def test_patterned_chains_are_written_read_and_run(chain: Chain, tmp_path: Path):
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-5), duration=1e-5, samples=3)
     scene.to_toml(tmp_path / "scene.toml")
     assert Scene.from_toml(tmp_path / "scene.toml") == scene
 
 
-def test_the_rest_is_passed_on():
+def test_patterns_take_all_that_a_chain_takes():
     chain = tapered(5, 1e-3, 0.1, material=["steel", "ptfe"] * 2 + ["steel"], gravity=0.0, top_load=0.5, bottom="wall")
     assert (chain.gravity, chain.top_load, chain.bottom, chain.material[1]) == (0.0, 0.5, "wall", PTFE)
     assert periodic(4, 1e-3, impurity=[{"grain": 2, "diameter": 2e-3}]).diameters[1] == 2e-3

@@ -2,22 +2,18 @@
 
 import json
 import os
-import pty
 import re
-import select
 import signal
 import stat
 import subprocess
 import sys
-import termios
-import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers.commands import SCENE, keys, names
-from helpers.runs import COMMAND
+from helpers.child_processes import COMMAND, PATIENCE, on_a_terminal
+from helpers.command_output import SCENE, keys, names
 
 from lmpchain import EngineUnavailable, RunFailed, Scene, ToleranceNotMet, Trajectory, simulate
 from lmpchain.cli.command_line import main
@@ -209,7 +205,7 @@ def test_a_tolerance_known_to_be_out_of_reach(scene: Path, capsys: pytest.Captur
     assert names(scene.parent) == ["scene.toml"]
 
 
-def test_a_scene_that_misses_its_tolerance_names_the_horizon(scene: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_missed_tolerance_names_the_predictability_time(scene: Path, capsys: pytest.CaptureFixture[str]):
     scene.write_text(
         SCENE.replace("grains = 20", "grains = 4")
         .replace("8.57e-4", "0.3")
@@ -381,37 +377,18 @@ LONG = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", LONG)
 @pytest.mark.parametrize(("sent", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_long_run_stops_at_once(engine: str, sent: int, code: int, scene: Path):
     duration, options = LONG[engine]
     scene.write_text(SCENE.replace("grains = 20", "grains = 2000").replace("20e-6", duration))
-    terminal, theirs = pty.openpty()
-    termios.tcsetwinsize(theirs, (24, 80))
-    command = [*COMMAND, "run", str(scene), "--engine", engine, *options]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=theirs)
-    os.close(theirs)
-    try:
-        read_until(terminal, f"{engine}:")  # the progress bar, shown because stderr is a terminal
-        time.sleep(0.3)
+    with on_a_terminal(*COMMAND, "run", scene, "--engine", engine, *options) as (process, read_until):
+        read_until(f"{engine}:")  # the progress bar
         process.send_signal(sent)
-        assert process.wait(timeout=30) == code  # the run itself would take minutes
-        said = read_until(terminal, "stopped by")
-    finally:
-        process.kill()
-        process.communicate()
-        os.close(terminal)
-    assert "Traceback" not in said
+        assert process.wait(PATIENCE) == code
+        assert "Traceback" not in read_until("stopped by")
     assert names(scene.parent) == ["scene.toml"]
-
-
-def read_until(terminal: int, wanted: str) -> str:
-    """Return what comes from the terminal up to the wanted text."""
-    said = ""
-    while wanted not in said:
-        assert select.select([terminal], [], [], 60)[0], said
-        said += os.read(terminal, 4096).decode()
-    return said
 
 
 def test_from_another_thread(scene: Path):

@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import time
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.child_processes import PATIENCE, until
 
 import lmpchain
 from lmpchain import LmpchainError, doctor
@@ -63,7 +63,7 @@ def test_all_is_well_here(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
         assert not line[27].isspace()
 
 
-def test_what_is_said_is_so():
+def test_findings_are_true():
     found = {finding.name: finding.found for finding in diagnose().findings}
     assert found["numpy"].startswith(f"{np.__version__} (must be 2.1 or later)")
     assert Path(found["liblammps"]).samefile(
@@ -124,7 +124,7 @@ def no_mpiexec(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
 
 def slow_mpiexec(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
     monkeypatch.setattr(doctor, "MPIEXEC_S", 0.3)
-    mpiexec("exec sleep 60")(monkeypatch, folder)
+    mpiexec("exec sleep inf")(monkeypatch, folder)
 
 
 def no_place_for_kernels(monkeypatch: pytest.MonkeyPatch, _: Path) -> None:
@@ -205,7 +205,9 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("case", BROKEN)
-def test_faults(case: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_each_fault_is_found_and_has_its_cure(
+    case: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
     name, breaks, found, cure = BROKEN[case]
     keep(monkeypatch, name)
     with monkeypatch.context() as broken:
@@ -310,23 +312,21 @@ def test_it_works_where_hardly_anything_does():
 
 @pytest.mark.parametrize(("sent", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_ctrl_c_leaves_at_once(sent: int, code: int, tmp_path: Path):
-    """While mpiexec hangs, which is the longest it may take."""
-    (tmp_path / "mpiexec").write_text("#!/bin/sh\necho $$ > $0.pid\nexec sleep 60\n")
+    """While mpiexec hangs, for which it would wait for ever."""
+    (tmp_path / "mpiexec").write_text("#!/bin/sh\necho $$ > $0.pid\nexec sleep inf\n")
     (tmp_path / "mpiexec").chmod(0o755)
     script = (
-        f"import sys; from lmpchain import mpi; from lmpchain.cli import main\n"
-        f"mpi.launcher = lambda: '{tmp_path}/mpiexec'; sys.exit(main(['doctor', '--json', '{tmp_path}/d.json']))"
+        "import sys; from lmpchain import doctor; from lmpchain.cli import main; from lmpchain.util import mpi\n"
+        f"doctor.MPIEXEC_S = 1e6; mpi.launcher = lambda: '{tmp_path}/mpiexec'\n"
+        f"sys.exit(main(['doctor', '--json', '{tmp_path}/d.json']))"
     )
     process = subprocess.Popen(
         [sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     started = tmp_path / "mpiexec.pid"
-    until = time.monotonic() + 30
-    while not (started.exists() and started.read_text().strip()):
-        assert time.monotonic() < until
-        time.sleep(0.05)
+    until(lambda: process.poll() is not None or (started.exists() and started.read_text().strip()))
     process.send_signal(sent)
-    out, err = process.communicate(timeout=10)  # mpiexec would be given twice as long
+    out, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == code
     assert err.startswith("stopped by")
     assert "Traceback" not in out + err

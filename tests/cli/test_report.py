@@ -95,7 +95,7 @@ def test_what_does_not_apply_says_why():
     assert 1 <= len(page.pictures) <= 4
 
 
-def test_a_run_at_rest():
+def test_the_page_of_a_chain_at_rest():
     scene = Scene(chain=Chain(grains=5, diameter=1e-3), excitation=Impulse(velocity=0.0), duration=1e-5, samples=5)
     page = Page(htmlreport.page(simulate(scene, "native", 1e-6)))
     assert "strongest" not in page.sections["Fits"]

@@ -116,6 +116,7 @@ def test_compiling_is_announced_once_for_a_machine(toy: Path):
     assert play(toy) == TOYS + OTHERS
 
 
+@pytest.mark.slow
 def test_what_is_kept_is_renewed_when_a_module_that_it_imports_changes(toy: Path):
     """Compiled loops hold what they call; numba alone would not notice that it has changed."""
     play(toy)
@@ -125,6 +126,7 @@ def test_what_is_kept_is_renewed_when_a_module_that_it_imports_changes(toy: Path
     assert play(toy) == TOYS + OTHERS
 
 
+@pytest.mark.slow
 def test_the_package_may_lie_where_nobody_writes(toy: Path):
     (toy / "toys" / "__pycache__").write_text("a file where numba would make its folder")
     assert play(toy, HOME=str(toy), XDG_CACHE_HOME=str(toy / "cache")) == TOYS + OTHERS
@@ -133,6 +135,7 @@ def test_the_package_may_lie_where_nobody_writes(toy: Path):
     assert play(toy, NUMBA_CACHE_DIR=str(toy / "own")) == ""
 
 
+@pytest.mark.slow
 def test_without_a_folder_to_keep_it_every_process_compiles(toy: Path):
     (toy / "toys" / "__pycache__").write_text("a file")
     (toy / "home").write_text("another")
@@ -143,6 +146,7 @@ def test_without_a_folder_to_keep_it_every_process_compiles(toy: Path):
         assert said.count("\n") == 2
 
 
+@pytest.mark.slow
 def test_two_that_start_at_once_on_an_empty_cache(toy: Path):
     both = [start("-c", PLAY, cwd=toy) for _ in range(2)]
     assert [ended(process)[0] for process in both] == ["1.5 1.5 16.0\n"] * 2

@@ -1,27 +1,35 @@
 """Hash the answers to 200 random scenes by every engine, integrator and end: `bits.json` beside this file.
 
-    python tests/data/make_bits.py [FIRST LAST]      writes bits.json, or prints what those scenes give
+    python tests/data/make_bits.py                         # makes the table anew
+    python tests/data/make_bits.py --check [EVERY]         # prints what differs from it; of every 10th scene, say
 
-Answers rest on the last bit of NumPy, SciPy and the compiler for one kind of processor, so the table names these, and
-`tests/simulation/test_bits.py` compares bits where they are the same.
+The last bits of an answer also rest on the versions of NumPy, SciPy and the compiler and on the processor. The table
+names these; where they are others, `--check` and `tests/simulation/test_bits.py` compare engines, steps and error
+estimates instead of bits.
 """
 
+import argparse
 import hashlib
 import json
+import math
 import platform
+import re
 import sys
 import tempfile
 import warnings
+from collections.abc import Iterable, Iterator
 from importlib.metadata import version
+from itertools import chain
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import numpy as np
-from helpers.scenes import random_scene
+from helpers.example_scenes import random_scene
 
 import lmpchain
-from lmpchain import InputError, RunFailed, ToleranceNotMet
+from lmpchain import Chain, Impulse, InputError, RunFailed, Scene, ToleranceNotMet
 
 TABLE = Path(__file__).with_name("bits.json")
 SCENES = 200
@@ -29,6 +37,9 @@ NATIVE = ("auto", "verlet", "rkn4", "rkn6", "kahan-li6", "kahan-li8", "dop853", 
 LAMMPS = ("rkn6", "kahan-li6", "verlet")
 LINEAR = ("modes", "chebyshev", "bessel", "continuum")
 FAILURES = (InputError, RunFailed, ToleranceNotMet)
+Row = list[Any]  # hashes, numbers, names
+HASH = re.compile("[0-9a-f]{16}")
+ROUND_OFF = 1e-12  # error estimates below it are chance
 
 
 def fingerprint() -> dict[str, str]:
@@ -45,17 +56,19 @@ def digest(*arrays: np.ndarray) -> str:
     return hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays)).hexdigest()[:16]
 
 
-def answer(scene, engine, tolerance, folder=None, **options) -> list:
-    """Return the hash of an answer, its error estimate and its steps; or what was raised."""
+def answer(scene: Scene, engine: str, tolerance: float, folder: Path | None = None, **options: Any) -> Row:
+    """Return the hash of an answer, its error estimates, engine and steps; or the name of what was raised.
+
+    With a folder the run is stopped after its first samples and resumed.
+    """
+    options |= {"on_miss": "warn"}
     with warnings.catch_warnings(action="ignore"):
         try:
             if folder is None:
-                t = lmpchain.simulate(scene, engine, tolerance, on_miss="warn", **options)
+                t = lmpchain.simulate(scene, engine, tolerance, **options)
             else:
                 try:
-                    t = lmpchain.simulate(
-                        scene, engine, tolerance, on_miss="warn", folder=folder, max_wall=1e-9, **options
-                    )
+                    t = lmpchain.simulate(scene, engine, tolerance, folder=folder, max_wall=1e-9, **options)
                 except lmpchain.Stopped:
                     t = lmpchain.resume(folder)
         except FAILURES as error:
@@ -70,7 +83,7 @@ def answer(scene, engine, tolerance, folder=None, **options) -> list:
     ]
 
 
-def cases(number: int):
+def cases(number: int) -> Iterator[tuple[str, Row]]:
     """Yield the name and the answer of every case of one scene."""
     rng = np.random.default_rng([20261122, number])
     scene = random_scene(rng)
@@ -96,49 +109,72 @@ def cases(number: int):
             for name in ("auto", "native", "modes", "chebyshev", "lammps"):
                 yield f"{name} resumed", answer(scene, name, max(tolerance, 1e-6), Path(scratch) / name)
     if number % 10 == 0:
-        try:
-            plan = lmpchain.plan(scene, tolerance)
-            yield (
-                "plan",
-                [
-                    plan.engine,
-                    plan.integrator,
-                    plan.active_grains,
-                    repr(float(plan.step)),
-                    repr(float(plan.expected_error)),
-                ],
-            )
-        except FAILURES as error:
-            yield "plan", [type(error).__name__]
+        yield "plan", planned(scene, tolerance)
 
 
-def batches():
+def planned(scene: Scene, tolerance: float) -> Row:
+    """Return what a plan says, or the name of what was raised."""
+    try:
+        plan = lmpchain.plan(scene, tolerance)
+    except FAILURES as error:
+        return [type(error).__name__]
+    step, error = repr(float(plan.step)), repr(float(plan.expected_error))
+    return [plan.engine, plan.integrator, plan.active_grains, step, error]
+
+
+def batches() -> Iterator[tuple[str, Row]]:
     """Yield the name and the answer of ensembles of random chains and of sweeps, which go in batches."""
-    from lmpchain import Chain, Impulse, Scene
-
-    chain = Chain(grains=40, diameter=1e-3)
+    column = Chain(grains=40, diameter=1e-3)
     for velocity in (1e-6, 8.57e-4):
-        scene = Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=4e-5, samples=5)
+        scene = Scene(chain=column, excitation=Impulse(velocity=velocity), duration=4e-5, samples=5)
         for engine in ("chebyshev", "modes", "native"):
             e = lmpchain.disorder.ensemble(scene, 2, 40, 7, engine)
             errors = [repr(float(e.model_error)), repr(float(e.solver_error))]
             yield f"ensemble {velocity} {engine}", [digest(e.velocity, e.displacement_error), *errors]
+        grid = {"excitation.velocity": [velocity, 2 * velocity, 30 * velocity], "chain.gravity": [1.0, 10.0]}
         for engine in ("native", "chebyshev", "auto"):
-            axes = [{"excitation.velocity": [velocity, 2 * velocity, 30 * velocity], "chain.gravity": [1.0, 10.0]}]
-            source = {"scene": scene, "engine": engine, "tolerance": 1e-7, "keep": ["velocity"], "grid": axes[0]}
+            asked = {"scene": scene, "engine": engine, "tolerance": 1e-7, "keep": ["velocity"], "grid": grid}
             with tempfile.TemporaryDirectory() as scratch:
-                data = lmpchain.sweep(source, scratch)
+                data = lmpchain.sweep(asked, scratch)
                 values = [data[key].to_numpy() for key in ("velocity", "solver_error", "model_error")]
             yield f"sweep {velocity} {engine}", [digest(*values)]
 
 
+def alike(one: Row, other: Row) -> bool:
+    """Say whether two rows differ in bits only: engine and failure are the same, numbers agree to 1e-3."""
+
+    def close(a: Any, b: Any) -> bool:
+        if HASH.fullmatch(str(a)) and HASH.fullmatch(str(b)):
+            return True
+        try:
+            return math.isclose(float(a), float(b), rel_tol=1e-3, abs_tol=ROUND_OFF)
+        except ValueError:
+            return bool(a == b)
+
+    return len(one) == len(other) and all(map(close, one, other))
+
+
+def differences(key: str, found: Iterable[tuple[str, Row]]) -> Iterator[str]:
+    """Yield a line for every case of a scene, or of the batches, that is not as in the table."""
+    table = json.loads(TABLE.read_text(encoding="utf-8"))
+    left, bits = table[key], table["made with"] == fingerprint()
+    for name, row in found:
+        stored = left.pop(name, [])
+        if row != stored and (bits or not alike(row, stored)):
+            yield f"{key}, {name}: {row}, stored {stored}"
+    yield from (f"{key}, {name}: not found, stored {stored}" for name, stored in left.items())
+
+
 def main() -> None:
-    """Make the table."""
-    if len(sys.argv) == 3:
-        for number in range(int(sys.argv[1]), int(sys.argv[2])):
-            for name, found in cases(number):
-                print(number, name, *found)
-        return
+    """Make the table, or print what differs from it."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--check", nargs="?", type=int, const=1, metavar="EVERY")
+    every = parser.parse_args().check
+    if every:
+        scenes = (differences(str(number), cases(number)) for number in range(0, SCENES, every))
+        found = list(chain.from_iterable([*scenes, differences("batches", batches())]))
+        print(*found, f"{len(found)} cases differ", sep="\n")
+        sys.exit(bool(found))
     table = {str(number): dict(cases(number)) for number in range(SCENES)} | {"batches": dict(batches())}
     rows = ",\n".join(f"{json.dumps(key)}: {json.dumps(value)}" for key, value in table.items())
     TABLE.write_text(f'{{"made with": {json.dumps(fingerprint())},\n{rows}}}\n', encoding="utf-8")

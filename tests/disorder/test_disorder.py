@@ -1,20 +1,15 @@
 """Chains with random contacts: the law of the factors, averages over many chains, and the command `dyson`."""
 
 import json
-import os
-import pty
 import re
-import select
 import signal
-import subprocess
-import sys
-import termios
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers.reference import relative_error
+from helpers.child_processes import COMMAND, PATIENCE, on_a_terminal
+from helpers.independent_integrators import relative_error
 
 from lmpchain import (
     Chain,
@@ -101,7 +96,7 @@ def test_constants_are_multiplied_by_the_factors(exponent):
 
 
 @pytest.mark.parametrize("of", ["stiffness", "constant"])
-def test_all_else_is_kept(of):
+def test_masses_and_diameters_stay_as_stiffness_is_drawn(of):
     for chain in chains(1.5):
         drawn = disordered(chain, 3, generator(), of=of)
         for name in ("masses", "diameters", "equilibrium_force"):
@@ -292,7 +287,7 @@ def test_a_longer_series_begins_with_the_shorter_one():
     assert len(long.asked) > len(short.asked)
 
 
-def test_failures():
+def test_ensembles_that_fail_say_why():
     scene = column(grains=10, tau=20.0, speed=1.0)
     with pytest.raises(RunFailed, match="shorter step"):
         ensemble(scene, 5, 2, seed=1, engine=engines.Native(integrator="verlet", step=2e-6))
@@ -440,20 +435,10 @@ def test_dyson_of_what_it_cannot_do(saved: Path, capsys: pytest.CaptureFixture[s
     assert set(keys(capsys.readouterr())) == {none, "m", folder, "p.txt"}
 
 
+@pytest.mark.slow
 def test_dyson_stops_at_ctrl_c(saved: Path):
-    terminal, theirs = pty.openpty()
-    termios.tcsetwinsize(theirs, (24, 80))
-    command = [sys.executable, "-m", "lmpchain.cli", "dyson", str(saved), "--m", "1", "--realisations", "1000000"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=theirs)
-    os.close(theirs)
-    said = ""
-    try:
-        while " of 1000000 chains" not in said:
-            assert select.select([terminal], [], [], 60)[0], said
-            said += os.read(terminal, 4096).decode()
+    command = [*COMMAND, "dyson", saved, "--m", "1", "--realisations", "1000000"]
+    with on_a_terminal(*command) as (process, read_until):
+        read_until(" of 1000000 chains")
         process.send_signal(signal.SIGINT)
-        assert process.wait(timeout=30) == 130
-    finally:
-        process.kill()
-        process.communicate()
-        os.close(terminal)
+        assert process.wait(PATIENCE) == 130

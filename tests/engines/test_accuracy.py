@@ -1,11 +1,14 @@
 """An answer that comes back is as accurate as was asked for, and knows how accurate it is."""
 
+from itertools import product
+
 import numpy as np
 import pytest
-from helpers.reference import extended_reference, relative_error, scipy_reference
-from helpers.scenes import PAPER, paper, random_scene
+from helpers.example_scenes import PAPER, paper, random_scene
+from helpers.independent_integrators import extended_reference, relative_error, scipy_reference
+from helpers.stored_references import CLOSED, KINDS, LONG_AND_WEAK, SCENES, at_speed, stored_reference
 
-from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Scene, ToleranceNotMet, simulate
+from lmpchain import Chain, Impulse, InputError, Scene, ToleranceNotMet, simulate
 from lmpchain.engines import Lammps, Native
 
 FLOOR = "heights in double precision|round-off alone"
@@ -40,91 +43,64 @@ def check_or_floor(scene, reference, engine, tolerance, **options):
     assert true > 0.03 * tolerance  # the law beforehand overestimates some chains of few grains
 
 
-def between(excitation, **keys):
-    """Return a scene of twelve glass beads between two walls, unless they are told otherwise."""
-    chain = Chain(**{"grains": 12, "diameter": 1e-3, "top": "wall", "bottom": "wall"} | keys)
-    duration = min(30 * chain.time_scale, 1e-4)
-    return Scene(chain=chain, excitation=excitation, duration=duration, samples=6)
-
-
-def path(size):
-    return Drive(times=np.arange(9) * 1.3e-5, displacement=np.array([0, 1, -1, 2, 0, -2, 1, 1, 0]) * size)
-
-
-CLOSED = {
-    "paper": paper("weak", samples=6),
-    "pressed by the wall": between(Impulse(velocity=1e-6, grain=5), top_load=1e-4),
-    "springs": between(Displacement(displacement=1e-13, grain=2), top_load=1e-4, exponent=1.0),
-    "exponent": between(Impulse(velocity=-1e-7), top_load=1e-4, exponent=2.3, gravity=0.0, bottom_material="ptfe"),
-    "impurities": between(Impulse(velocity=1e-6), top="free", impurity=[{"grain": 12, "mass": 1e-5}]),
-    "sine": between(Drive(amplitude=1e-10, frequency=3e4), top="free"),
-    "path": between(path(1e-10), top="free", bottom="fixed"),
-    "path and exponent": between(path(1e-11), top="free", bottom="fixed", exponent=1.7, material="steel"),
-}
-OPENING = {  # to touch without pressing is to open
-    "paper": paper("fig1", samples=6),
-    "just touched by the wall": between(Impulse(velocity=-1e-4)),
-    "vacuum": between(Impulse(velocity=1e-2, grain=4), gravity=0.0, top_material="steel"),
-    "sine": between(Drive(amplitude=1e-8, frequency=3e4), top="free"),
-    "sine in the vacuum": between(Drive(amplitude=1e-7, frequency=2e4), top="free", bottom="free", gravity=0.0),
-    "path": between(path(3e-9), top="free"),
-}
-KINDS = CLOSED | {f"{name}, opening": scene for name, scene in OPENING.items()}
 each_kind = pytest.mark.parametrize("kind", KINDS)
 
 
-@pytest.fixture(scope="module")
-def known():
-    return {kind: extended_reference(scene) for kind, scene in KINDS.items()}
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["path", "just touched by the wall, opening", "weak", "random 3"])
+def test_stored_references_can_be_made_again(name):
+    u, v, own = extended_reference(SCENES[name])
+    stored = stored_reference(name)
+    assert relative_error(u, v, *stored[:2]) <= 2e-16 + own
+    assert own == pytest.approx(stored[2], rel=0.5, abs=1e-17)
 
 
 @each_kind
-def test_the_references_agree(known, kind):
+def test_the_references_agree(kind):
     """One integrator in double precision, one in extended: they share Eq. (1) and nothing else."""
-    u, v, own = known[kind]
+    u, v, own = stored_reference(kind)
     limit = 2e-13 if kind in CLOSED else 1e-10
     assert own < 1e-2 * limit
     assert relative_error(*scipy_reference(KINDS[kind])[:2], u, v) < limit
 
 
 @each_kind
-def test_every_kind_of_scene(known, kind):
+def test_every_kind_of_scene(kind):
     for integrator, tolerance in (("rkn6", 1e-6), ("rkn6", 1e-9), ("kahan-li6", 1e-8), ("verlet", 1e-5)):
-        check(KINDS[kind], known[kind], "native", tolerance, integrator=integrator)
+        check(KINDS[kind], stored_reference(kind), "native", tolerance, integrator=integrator)
 
 
-@pytest.fixture(scope="module")
-def truth():
-    return {name: extended_reference(paper(name)) for name in PAPER}
+LONGEST = [("fig1", "lammps", "verlet"), ("fig5 10g", "lammps", "verlet"), ("fig5 g", "lammps", "verlet")]
 
 
-@pytest.mark.parametrize("name", PAPER)
-@pytest.mark.parametrize("engine", ["native", "lammps"])
-@pytest.mark.parametrize("integrator", ["rkn6", "kahan-li6", "verlet"])
-def test_paper_scenes_to_1e_6(truth, name, engine, integrator):
-    check(paper(name), truth[name], engine, 1e-6, integrator=integrator)
+@pytest.mark.parametrize(
+    ("name", "engine", "integrator"),
+    [
+        pytest.param(*case, marks=pytest.mark.slow if case in LONGEST else ())
+        for case in product(PAPER, ("native", "lammps"), ("rkn6", "kahan-li6", "verlet"))
+    ],
+)
+def test_paper_scenes_to_1e_6(name, engine, integrator):
+    check(paper(name), stored_reference(name), engine, 1e-6, integrator=integrator)
 
 
 @pytest.mark.parametrize(
     ("name", "tolerance"),
     [("fig1", 1e-9), ("fig5 g/10", 1e-9), ("fig5 10g", 1e-10), ("fig5 g", 1e-10), ("weak", 1e-10)],
 )
-def test_native_goes_further(truth, name, tolerance):
-    check(paper(name), truth[name], "native", tolerance)
+def test_native_goes_further(name, tolerance):
+    check(paper(name), stored_reference(name), "native", tolerance)
 
 
 @pytest.mark.parametrize("velocity", [1e-3, 1e-6, 1e-9, 1e-12])
 def test_relative_accuracy_at_any_amplitude(velocity):
-    chain = Chain(grains=120, material="glass", diameter=1e-3)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=100e-6, samples=11)
-    check(scene, extended_reference(scene), "native", 1e-10)
+    name = at_speed(velocity)
+    check(SCENES[name], stored_reference(name), "native", 1e-10)
 
 
 def test_gauge_diameter_on_the_weak_scene():
     """To 400 us: 1e-7 with the gauge diameter; the physical one is refused beforehand, and rightly."""
-    weak = paper("weak")
-    scene = Scene(chain=weak.chain, excitation=weak.excitation, duration=400e-6, samples=41)
-    reference = extended_reference(scene)
+    scene, reference = SCENES[LONG_AND_WEAK], stored_reference(LONG_AND_WEAK)
     check(scene, reference, "lammps", 1e-7)
     with pytest.raises(ToleranceNotMet, match="heights in double precision") as refusal:
         simulate(scene, engine="lammps", tolerance=1e-7, diameter="physical")
@@ -137,16 +113,16 @@ def test_gauge_diameter_on_the_weak_scene():
 
 @pytest.mark.parametrize("seed", range(20))
 def test_random_scenes(seed):
-    scene = random_scene(np.random.default_rng(seed))
-    reference = extended_reference(scene)
+    scene, reference = SCENES[f"random {seed}"], stored_reference(f"random {seed}")
     for integrator, tolerance in (("rkn6", 1e-4), ("rkn6", 1e-6), ("rkn6", 1e-9), ("verlet", 1e-6)):
         check(scene, reference, "native", tolerance, integrator=integrator)
 
 
-@pytest.mark.parametrize("seed", range(100, 120))
+@pytest.mark.parametrize(
+    "seed", [*range(100, 105), *(pytest.param(n, marks=pytest.mark.slow) for n in range(105, 120))]
+)
 def test_random_scenes_in_lammps(seed):
-    scene = random_scene(np.random.default_rng(seed), exponents=(1.0, 1.5, 1.5))
-    reference = extended_reference(scene)
+    scene, reference = SCENES[f"random for LAMMPS {seed}"], stored_reference(f"random for LAMMPS {seed}")
     for integrator in ("rkn6", "verlet"):
         check_or_floor(scene, reference, "lammps", 1e-6, integrator=integrator)
 
@@ -170,14 +146,15 @@ def test_estimate_at_a_given_step(divisor):
     scene = paper("fig5 g", samples=6)
     step = scene.duration / 5 / (40 * divisor) * 1.001
     t = simulate(scene, engine=Native(integrator="verlet", step=step), tolerance=1e-12)
-    u, v, _ = extended_reference(scene)
+    u, v = (each[::5] for each in stored_reference("fig5 g")[:2])
     true = relative_error(t.displacement, t.velocity, u, v)
     assert t.cost.steps == 5 * 40 * divisor
     assert t.cost.step_s <= step
     assert true / 3 < t.error_estimate.solver < 5 * true
 
 
-def test_chaos_is_refused_with_its_horizon():
+@pytest.mark.slow
+def test_chaos_is_refused_with_its_predictability_time():
     """Reflections through opening contacts amplify round-off: beyond some time there is no answer."""
     chain = Chain(grains=12, material="glass", diameter=1e-3)
     scene = Scene(chain=chain, excitation=Impulse(velocity=0.05), duration=5e-3, samples=51)
@@ -185,9 +162,9 @@ def test_chaos_is_refused_with_its_horizon():
         simulate(scene, tolerance=1e-6)
     assert refusal.value.trajectory is not None
     assert refusal.value.trajectory.error_estimate.total > 1e-6
-    horizon = float(refusal.value.reason.split("at t = ")[1].split()[0])
-    assert 0 < horizon < scene.duration
-    short = Scene(chain=chain, excitation=scene.excitation, duration=horizon / 3, samples=11)
+    predictable = float(refusal.value.reason.split("at t = ")[1].split()[0])
+    assert 0 < predictable < scene.duration
+    short = Scene(chain=chain, excitation=scene.excitation, duration=predictable / 3, samples=11)
     check(short, extended_reference(short), "native", 1e-6)
     with pytest.warns(UserWarning, match="amplifies round-off"):
         simulate(scene, tolerance=1e-6, on_miss="warn")

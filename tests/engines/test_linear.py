@@ -3,7 +3,7 @@
 import mpmath
 import numpy as np
 import pytest
-from helpers.reference import relative_error
+from helpers.independent_integrators import relative_error
 
 from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Profile, Scene, simulate
 from lmpchain.engines import Chebyshev, Modes
@@ -103,7 +103,7 @@ def test_against_forty_digits(engine, seed):
 
 
 @pytest.mark.parametrize(("seed", "grains"), [(seed, grains) for seed in range(6) for grains in (2, 3, 40, 500)])
-def test_two_ways_to_one_solution(seed, grains):
+def test_modes_and_the_chebyshev_series_agree(seed, grains):
     """Modes and Chebyshev share no line of arithmetic; to 1e-11 on random chains."""
     scene = random_linear(seed + 100, max(grains, 3))
     one, other = (simulate(scene, engine) for engine in ENGINES)
@@ -178,7 +178,7 @@ def test_springs_have_no_model_error_until_they_open():
 
 
 @both
-def test_loud_where_the_chain_is_not_linear(engine):
+def test_a_warning_where_the_chain_is_not_linear(engine):
     scene = Scene(chain=Chain(grains=40, diameter=1e-3), excitation=Impulse(velocity=1e-2), duration=1e-4, samples=11)
     with pytest.warns(UserWarning, match=r"Eq. \(3\) leaves out about .*not linear here: contact \d+ opens"):
         t = simulate(scene, engine)

@@ -4,12 +4,12 @@ from itertools import product
 
 import numpy as np
 import pytest
-from helpers.reference import extended_reference, relative_error
-from helpers.scenes import paper, smooth
+from helpers.example_scenes import paper, smooth
+from helpers.independent_integrators import extended_reference, relative_error
 from scipy.integrate import simpson
 
 from lmpchain import Chain, Displacement, Drive, Impulse, Profile, Scene, engines, simulate
-from lmpchain.engines import error_estimate as lockstep
+from lmpchain.engines import error_estimate
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.splittings import SPLITTINGS
 
@@ -156,7 +156,7 @@ def test_exact_restart(engine, integrator, excitation):
 
     whole, error = run()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(lockstep, "BLOCK_BYTES", 1)  # four samples a block
+        patch.setattr(error_estimate, "BLOCK_BYTES", 1)  # four samples a block
         first, kept = run(stop=4)
     rest, error_again = run(kept)
     assert rest[0].samples.start == first[-1].samples.stop < scene.samples
@@ -166,7 +166,7 @@ def test_exact_restart(engine, integrator, excitation):
     assert error_again.total == error.total
 
 
-def test_chunks_do_not_matter(monkeypatch):
+def test_where_an_integration_may_be_interrupted_leaves_no_trace(monkeypatch):
     """The length of the pieces between two chances to stop leaves no trace, in any integrator."""
     struck = paper("fig1", samples=3)
     bump = Drive(times=[0, 4e-5, 5e-5, 6e-5, 1e-4], displacement=[0, 0, 1e-7, 0, 0])
@@ -175,7 +175,7 @@ def test_chunks_do_not_matter(monkeypatch):
         for integrator, scene in product(ENGINES[engine], (struck, driven)):
             solver = fixed_step(engine, integrator, 1e-7 if engine == "native" else 5e-7)
             whole = simulate(scene, engine=solver)
-            monkeypatch.setattr(lockstep, "PIECE_S", 1e-5)
+            monkeypatch.setattr(error_estimate, "PIECE_S", 1e-5)
             pieces = simulate(scene, engine=solver)
             monkeypatch.undo()
             assert np.array_equal(whole.displacement, pieces.displacement)

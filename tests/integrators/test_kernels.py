@@ -10,7 +10,7 @@ import mpmath
 import numba
 import numpy as np
 import pytest
-from helpers.scenes import smooth
+from helpers.example_scenes import smooth
 from llvmlite import binding
 from numba import boolean, float64, int64, types
 from numpy.typing import NDArray
@@ -135,7 +135,7 @@ def untiled() -> Any:
     return made
 
 
-def test_tiles_leave_no_trace(untiled: Any, monkeypatch: pytest.MonkeyPatch):
+def test_tiled_loops_give_the_bits_of_untiled_ones(untiled: Any, monkeypatch: pytest.MonkeyPatch):
     """A wave all over a chain of three tiles, with contacts that open and a wall that only touches."""
     chain = Chain(grains=3 * kernels.TILE + 5, diameter=1e-3, top="wall")
     velocity = 1e-2 * np.random.default_rng(1).normal(size=chain.grains)

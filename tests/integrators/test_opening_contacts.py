@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers.reference import extended_reference, relative_error
-from helpers.scenes import paper
+from helpers.example_scenes import paper
+from helpers.independent_integrators import extended_reference, relative_error
 
 from lmpchain import engines, simulate
-from lmpchain.engines import error_estimate as lockstep
+from lmpchain.engines import error_estimate
 
 
 @pytest.mark.parametrize("name", ["fig5 g", "fig1"])
@@ -36,8 +36,8 @@ def test_a_restart_goes_on_with_the_same_bits(integrator: str, monkeypatch: pyte
     assert candidate.adaptive
     whole = engine.start([scene], candidate)
     truth = np.concatenate([block.velocity for block in whole.blocks()], axis=1)
-    monkeypatch.setattr(lockstep, "BLOCK_BYTES", 1)  # four samples a block
-    monkeypatch.setattr(lockstep, "PIECE_S", 1e-5)
+    monkeypatch.setattr(error_estimate, "BLOCK_BYTES", 1)  # four samples a block
+    monkeypatch.setattr(error_estimate, "PIECE_S", 1e-5)
     pieces, state = [], None
     while not pieces or pieces[-1].samples.stop < scene.samples:
         run = engine.start([scene], candidate, state)

@@ -204,7 +204,7 @@ def test_energy_of_a_solitary_wave(exponent: float) -> None:
     assert energy.virial_ratio(*passes) == pytest.approx((exponent + 1) / (exponent + 3), abs=1e-6)
 
 
-def test_nothing_moves() -> None:
+def test_energy_of_a_chain_at_rest_is_zero() -> None:
     energy = ledger(record(COLUMN, Impulse(velocity=0.0), 1e-6, 5))
     assert not any(x.any() for x in (energy.total, energy.kinetic, energy.contact, energy.momentum, energy.impulse))
     assert np.isnan(energy.virial_ratio())

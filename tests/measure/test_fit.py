@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.scenes import paper
+from helpers.example_scenes import paper
 from scipy.special import jv
 
 from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Material, Profile, Scene, Trajectory, simulate
@@ -495,7 +495,7 @@ samples = 21
 @pytest.fixture(scope="module")
 def dumped(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Return a dump that LAMMPS wrote for a scene file."""
-    from helpers.lammps_runs import lmp
+    from helpers.standalone_lammps import lmp
 
     folder = tmp_path_factory.mktemp("dumped")
     (folder / "scene.toml").write_text(DUMPED)
@@ -523,7 +523,7 @@ def without(dump: Path, column: str, name: str, form: str = "{}") -> Path:
 
 
 def test_a_dump_is_read_as_mdanalysis_gives_it(dumped: tuple[Path, Path], tmp_path: Path):
-    from helpers.lammps_runs import read_dump
+    from helpers.standalone_lammps import read_dump
 
     scene = Scene.from_toml(dumped[1])
     t = Trajectory.from_dump(dumped[0], scene)

@@ -282,7 +282,7 @@ def test_scatter_widens_the_intervals():
     assert abs(local.exponent + 0.3) < 2 * local.error
 
 
-def test_what_follows_no_such_law():
+def test_fronts_that_follow_no_power_law_are_refused():
     front = power_law()
     with pytest.raises(InputError, match="choose other grains"):
         asymptotic(replace(front, amplitude=np.exp(-front.depth / 0.05)), "amplitude", 1.5, -0.3)
@@ -307,7 +307,7 @@ def test_faults_name_their_key(call: Callable[[Trajectory], object], key: str):
     assert [fault[0] for fault in caught.value.faults] == [key]
 
 
-def test_two_grains_have_a_speed():
+def test_speed_of_the_front_between_two_grains():
     front = power_law().between(10, 11)
     assert front.grains_per_second == pytest.approx(1)
 

@@ -217,7 +217,7 @@ def test_faults_name_their_key(call: Callable[[Trajectory], object], key: str):
     assert [fault[0] for fault in caught.value.faults] == [key]
 
 
-def test_the_cure_of_a_gap_is_named():
+def test_an_unrecorded_grain_is_named_with_the_remedy():
     t = made_up(noise)
     gap = replace(t, grains=np.delete(np.arange(1, 18), 8))
     with pytest.raises(InputError, match=r'grain 9 was not recorded.*record grains = "1:16"'):

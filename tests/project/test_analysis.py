@@ -101,6 +101,7 @@ def run(script: str, folder: Path) -> dict[str, float]:
     return {label: float(number.split()[0]) for label, _, number in lines}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("script", KNOWN)
 def test_figure(script: str, tmp_path: Path):
     found = run(script, tmp_path)
@@ -130,6 +131,7 @@ def test_every_script_has_its_picture_on_the_page():
 MAPS = sorted(path.stem for path in (ANALYSIS / "maps").glob("[a-z]*.py"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MAPS)
 def test_maps_of_where_methods_fail(name: str, tmp_path: Path):
     command = [sys.executable, ANALYSIS / "stability_map.py", name, "--quick", "-o", tmp_path]
@@ -139,6 +141,7 @@ def test_maps_of_where_methods_fail(name: str, tmp_path: Path):
     assert json.loads((tmp_path / f"stability_{name}.json").read_text(encoding="utf-8")).keys() == kept.keys()
 
 
+@pytest.mark.slow
 def test_scaling(tmp_path: Path):
     picture = tmp_path / "scaling.png"
     done = subprocess.run(

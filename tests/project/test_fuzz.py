@@ -16,12 +16,12 @@ from typing import Any
 import hypothesis
 import pytest
 import tomli_w
-from helpers.runs import same
+from helpers.child_processes import same
 from hypothesis import strategies as st
 
 from lmpchain import LmpchainError, Scene, Stopped, Trajectory, engines, resume, simulate
 from lmpchain.cli.command_line import main
-from lmpchain.engines import error_estimate as lockstep
+from lmpchain.engines import error_estimate
 
 Tables = dict[str, Any]
 MARK = "INJECTED"  # what no deck may hold
@@ -361,7 +361,7 @@ def answers(tmp_path_factory: pytest.TempPathFactory) -> Path:
     scene = Scene.from_toml(folder / "scene.toml")
     simulate(scene, "native", folder=folder / "finished").save(folder / "run.nc")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(lockstep, "BLOCK_S", 1e-9)  # four samples a block
+        patch.setattr(error_estimate, "BLOCK_S", 1e-9)  # four samples a block
         with pytest.raises(Stopped):
             simulate(scene, "native", folder=folder / "stopped", max_wall=1e-9)
         with pytest.raises(Stopped):

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.reference import extended_reference
-from helpers.scenes import paper
+from helpers.example_scenes import paper
+from helpers.independent_integrators import extended_reference
 
 import lmpchain
 from lmpchain.benchmark.reference import Reference

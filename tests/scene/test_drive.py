@@ -6,13 +6,13 @@ from typing import Any
 import mpmath
 import numpy as np
 import pytest
-from helpers.reference import extended_reference, relative_error, scipy_reference
+from helpers.independent_integrators import extended_reference, relative_error, scipy_reference
 from numpy.typing import NDArray
 from scipy.integrate import simpson
 from scipy.interpolate import make_interp_spline
 
 from lmpchain import Chain, Drive, Impulse, Scene, engines, simulate
-from lmpchain.engines import error_estimate as lockstep
+from lmpchain.engines import error_estimate
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.splittings import SPLITTINGS
 
@@ -311,7 +311,7 @@ def test_exact_restart(integrator: str, make: Any, monkeypatch: pytest.MonkeyPat
     candidate = solver.candidate(scenes[0], 1e-6)
     whole = solver.start(scenes, candidate)
     u, v = blocks_of(whole)
-    monkeypatch.setattr(lockstep, "BLOCK_BYTES", 1)  # four samples a block, after the one at t = 0
+    monkeypatch.setattr(error_estimate, "BLOCK_BYTES", 1)  # four samples a block, after the one at t = 0
     begun = solver.start(scenes, candidate)
     blocks = []
     for block in begun.blocks():
@@ -328,13 +328,13 @@ def test_exact_restart(integrator: str, make: Any, monkeypatch: pytest.MonkeyPat
 
 
 @every
-def test_pieces_do_not_matter(integrator: str, monkeypatch: pytest.MonkeyPatch):
+def test_where_a_driven_run_may_be_interrupted_leaves_no_trace(integrator: str, monkeypatch: pytest.MonkeyPatch):
     """Where a run may be stopped leaves no trace."""
     chain = Chain(grains=10, diameter=1e-3)
     scene = scene_of(chain, path(chain, 2.0), samples=3)
     solver = engines.Native(integrator=integrator, step=scene.duration / 2000)
     whole = simulate(scene, engine=solver)
-    monkeypatch.setattr(lockstep, "PIECE_S", 1e-5)
+    monkeypatch.setattr(error_estimate, "PIECE_S", 1e-5)
     pieces = simulate(scene, engine=solver)
     assert np.array_equal(whole.displacement, pieces.displacement)
     assert np.array_equal(whole.velocity, pieces.velocity)
@@ -360,7 +360,7 @@ def test_recorded_motion_of_a_driven_grain(integrator: str, engine: str, drive: 
     assert t.velocity[:, 0] == pytest.approx(v, rel=1e-11, abs=1e-14)
 
 
-def test_what_is_not_smooth_is_known() -> None:
+def test_knots_and_touching_walls_count_as_not_smooth() -> None:
     """Knots of a path and a wall that only touches break the order of a method without any contact opening."""
     pressed = Chain(grains=12, material="steel", diameter=5e-3, top_load=1.0)
     loose = Chain(grains=12, material="steel", diameter=5e-3, top="wall")

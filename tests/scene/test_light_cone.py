@@ -6,7 +6,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from helpers.scenes import random_scene
+from helpers.example_scenes import random_scene
 
 from lmpchain import GLASS, Chain, Displacement, Drive, Impulse, Impurity, Scene, engines, simulate
 from lmpchain.scene.light_cone import reached as grains_reached

@@ -4,13 +4,14 @@ import gc
 
 import psutil
 import pytest
-from helpers.scenes import smooth
+from helpers.example_scenes import smooth
 
 from lmpchain import engines, simulate
 
 RUNS, WARM = 100, 20
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [{}, {"integrator": "verlet"}])
 def test_lammps_runs_leak_nothing(options):
     scene, process, seen = smooth(samples=11), psutil.Process(), {}

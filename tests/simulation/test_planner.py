@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.reference import extended_reference, relative_error
-from helpers.scenes import paper, random_scene, wide_scene
+from helpers.example_scenes import paper, random_scene, wide_scene
+from helpers.independent_integrators import extended_reference, relative_error
 
 import lmpchain
 from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Profile, Scene, ToleranceNotMet, simulate
@@ -102,6 +102,7 @@ def keeps_its_word(seed: int) -> str:
     return " ".join(used)
 
 
+@pytest.mark.slow
 def test_twenty_random_scenes_are_within_the_tolerance():
     used = " ".join(keeps_its_word(seed) for seed in range(20))
     assert used.count("native") > 30
@@ -186,7 +187,7 @@ def test_what_linear_theory_leaves_out_is_bounded_before_and_after(seed: int):
     assert true < 2 * modes.bound_model_error(scene, candidate) + 1e-15
 
 
-def test_the_paper():
+def test_plans_of_the_paper_scenes():
     """A strike number of 8.5 leaves no room for linear theory; a weak strike is left to the cheapest."""
     strong = lmpchain.plan(paper("fig5 g"))
     assert strong.engine == "native"

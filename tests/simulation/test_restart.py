@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.runs import finish, same, start, write
-from helpers.scenes import paper
+from helpers.child_processes import ended, finish, recorded, same, start, write
+from helpers.example_scenes import paper
 
 from lmpchain import Chain, Drive, Impulse, InputError, Scene, Stopped, Trajectory, engines, resume, simulate
-from lmpchain.engines import error_estimate as lockstep
+from lmpchain.engines import error_estimate
 from lmpchain.simulation.run_folder import status
 
 CHAIN = Chain(grains=200, diameter=1e-3)
@@ -42,17 +42,19 @@ def truth(engine: str) -> Trajectory:
     return simulate(LONGER, engines.Lammps(integrator="verlet", step=2e-8, diameter="physical"))
 
 
-def killed(case: str, folder: Path, moments: list[float]) -> tuple[Trajectory, int]:
-    """Run a case with a kill at each of these times after its start; return the answer and how often it was killed."""
+def killed(case: str, folder: Path, parts: list[float], rng: random.Random) -> tuple[Trajectory, int]:
+    """Run a case, killed once it has these parts of its samples; return the answer and how often it was killed."""
     scene, words, ranks = CASES[case]
     command: tuple[object, ...] = ("run", write(scene, folder), "-o", f"{folder}/run/", *words)
     counts, kills = itertools.cycle(ranks), 0
-    for moment in moments:
+    for part in parts:
         process = start(*command, ranks=next(counts))
-        time.sleep(moment)
+        while process.poll() is None and recorded(folder / "run") < part * scene.samples:
+            time.sleep(0.005)
+        time.sleep(rng.uniform(0, 0.1))  # not always just behind a sample
         alive = process.poll() is None
         process.kill()
-        said, _ = process.communicate(timeout=60)
+        _, said = ended(process)
         assert "Traceback" not in said, said
         if (folder / "run" / "scene.toml").exists():  # else it was so early that there is nothing to go on with
             command, kills = ("resume", folder / "run"), kills + alive
@@ -61,10 +63,12 @@ def killed(case: str, folder: Path, moments: list[float]) -> tuple[Trajectory, i
     return Trajectory.load(folder / "run"), kills
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("case", "times"), [("native", 2), ("lammps", 1), ("two ranks, then mpirun", 2)])
 def test_killed_again_and_again(case: str, times: int, tmp_path: Path):
     rng = random.Random(case)
-    answer, kills = killed(case, tmp_path, [rng.uniform(1.2, 2.5) for _ in range(times)])
+    parts = sorted(rng.uniform(0.01, 0.5) for _ in range(times))
+    answer, kills = killed(case, tmp_path, parts, rng)
     assert kills >= 1
     assert same(answer, truth("native" if case == "native" else "lammps"))
     assert status(tmp_path / "run")["state"] == "finished"
@@ -78,7 +82,7 @@ def test_killed_at_random(case: str, times: int, tmp_path: Path):
     for attempt in itertools.count():
         folder = tmp_path / str(attempt)
         folder.mkdir()
-        answer, kills = killed(case, folder, [rng.uniform(0.8, 4.5)])
+        answer, kills = killed(case, folder, [rng.uniform(-0.2, 1)], rng)
         assert same(answer, right), f"after {count} kills that went well"
         count += kills
         if count == times:
@@ -104,7 +108,7 @@ STOPPED = {
 @pytest.fixture(autouse=True)
 def _small_blocks(monkeypatch: pytest.MonkeyPatch):
     """Have four samples in a block, however short the run, so that it can be stopped on the way."""
-    monkeypatch.setattr(lockstep, "BLOCK_S", 1e-9)
+    monkeypatch.setattr(error_estimate, "BLOCK_S", 1e-9)
 
 
 @pytest.mark.filterwarnings("ignore:Eq. ")
@@ -136,7 +140,8 @@ def test_stopped_after_every_block(case: str, tmp_path: Path):
     assert same(answer, simulate(scene, engine, tolerance))
 
 
-def test_the_attempt_goes_on(tmp_path: Path):
+@pytest.mark.slow
+def test_a_run_resumes_in_the_attempt_that_was_stopped(tmp_path: Path):
     """A later attempt, at a shorter step, is the one that is gone on with; the time is that of all sessions."""
     at, engine, said = tmp_path / "run", engines.Native(adaptive=False), []
     for again in itertools.count():

@@ -8,15 +8,14 @@ import shutil
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray
 from filelock import FileLock
-from helpers.runs import COMMAND, at_work, finish, same, start, write
-from helpers.scenes import paper
+from helpers.child_processes import COMMAND, at_work, finish, same, start, write
+from helpers.example_scenes import paper
 
 import lmpchain
 from lmpchain import Chain, Impulse, InputError, Profile, Scene, Stopped, ToleranceNotMet, Trajectory, resume, simulate
@@ -189,6 +188,7 @@ def test_folders_without_a_run_are_refused(tmp_path: Path):
         Trajectory.load(tmp_path)
 
 
+@pytest.mark.slow
 def test_reading_while_the_run_goes_on_and_after_a_kill(tmp_path: Path):
     """xarray and `load` see only complete samples, the right ones, and more and more of them."""
     folder = tmp_path / "run"
@@ -196,8 +196,7 @@ def test_reading_while_the_run_goes_on_and_after_a_kill(tmp_path: Path):
     seen: list[int] = []
     try:
         at_work(folder, process)
-        until = time.monotonic() + 2.5
-        while time.monotonic() < until:
+        while len(set(seen)) < 4:
             data = xarray.open_zarr(folder / "trajectory.zarr", chunks=None)
             complete = int(np.isfinite(data["time"]).sum())
             assert np.array_equal(data["time"][:complete], LONG.time[:complete])
@@ -206,8 +205,7 @@ def test_reading_while_the_run_goes_on_and_after_a_kill(tmp_path: Path):
             assert answer.displacement.shape[0] == answer.time.size >= complete
             assert np.isfinite(answer.displacement[-1]).all()
             seen.append(complete)
-        assert process.poll() is None
-        assert len(set(seen)) >= 2
+            assert process.poll() is None, "it ended too early"
         assert seen == sorted(seen)
     finally:
         process.kill()
@@ -305,6 +303,7 @@ def test_in_another_thread(tmp_path: Path):
 # --- the disk
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limit", [2_000, 150_000])
 def test_a_full_disk(limit: int, tmp_path: Path):
     """No file may grow beyond the limit: one line, what is done is kept, and it goes on where there is room."""

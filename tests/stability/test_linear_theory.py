@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from helpers.reference import scipy_reference
-from helpers.scenes import paper
+from helpers.example_scenes import paper
+from helpers.independent_integrators import scipy_reference
 from laws import theories
 from laws.theory_errors import (
     bessel_error,

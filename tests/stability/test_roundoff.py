@@ -1,11 +1,11 @@
-"""The floor of round-off and the horizon of predictability, held against extended precision."""
+"""The floor of round-off and the predictability time, held against extended precision."""
 
 import math
 
 import numpy as np
 import pytest
-from helpers.reference import extended_reference, relative_error
-from helpers.scenes import random_scene
+from helpers.example_scenes import random_scene
+from helpers.independent_integrators import extended_reference, relative_error
 
 from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Scene, ToleranceNotMet, simulate
 from lmpchain.benchmark.reference import reference
@@ -56,7 +56,7 @@ def test_the_measured_floor_is_the_error_of_the_answer(options):
 @pytest.mark.parametrize(
     ("options", "weakest", "strongest"), [(HEIGHTS[0], -5, 1), (HEIGHTS[1], -8, 1), ({"force": "plain"}, -9, -3)]
 )
-def test_these_floors_fall_as_the_strike_grows(options, weakest, strongest):
+def test_round_off_floors_fall_as_the_strike_grows(options, weakest, strongest):
     strikes = np.logspace(weakest, strongest, 7)
     found = [measured_floor(column(8, s, 6), **options) for s in strikes]
     law = [floor(column(8, s, 6), **options) for s in strikes]
@@ -101,7 +101,7 @@ def test_long_columns_are_measured_where_the_wave_is():
     assert 1 / 6 < measured_floor(scene, "lammps") / floor(scene, "lammps") < 6
 
 
-def test_what_floors_refuse():
+def test_scenes_without_a_round_off_floor_are_refused():
     scene = column(5, 1e-3, 2)
     for function in (floor, measured_floor):
         with pytest.raises(InputError, match=r"native \| lammps"):
@@ -145,6 +145,7 @@ def apart_in_long_double(scene, change):
     return np.max([np.abs(y - x).max(1) / np.abs(x).max() for x, y in pairs], axis=0)
 
 
+@pytest.mark.slow
 def test_growth_is_that_of_extended_precision():
     scene = agitated(8, 100.0, 5, samples=26)
     times, apart = growth(scene, 1e-11)
@@ -182,7 +183,7 @@ def test_decades_a_reflection(grains, strike, gravity):
     assert 7 / (end - begin) == pytest.approx(growth_rate(scene), rel=0.5, abs=0)
 
 
-def test_the_predicted_horizon():
+def test_the_predicted_predictability_time():
     scene = agitated(20, 100.0, 20)
     assert predicted_time(scene, 1e-6) == pytest.approx(predictability_time(scene, 1e-6), rel=0.4, abs=0)
     looser = predicted_time(scene, 1e-3) - predicted_time(scene, 1e-6)
@@ -190,7 +191,7 @@ def test_the_predicted_horizon():
 
 
 @pytest.mark.soak
-def test_no_double_holds_beyond_the_horizon():
+def test_no_double_precision_run_holds_beyond_the_predictability_time():
     """The error of two accurate runs passes a tolerance where the growth of a change says, to half a millisecond."""
     scene = agitated(10, 99.0, 32, samples=201)
     true = reference(scene)
@@ -252,7 +253,7 @@ def answerable(scene, tolerance, patient):
 
 
 def test_what_can_be_answered_is_not_refused():
-    """Up to close to the horizon."""
+    """Up to close to the predictability time."""
     whole = chaotic()
     end = predictability_time(whole, 1e-6)
     for part in (0.5, 0.7, 0.85):

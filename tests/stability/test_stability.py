@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.scenes import paper
+from helpers.example_scenes import paper
 
 from lmpchain import Chain, Drive, Impulse, Scene
 from lmpchain.cli.command_line import main
@@ -71,6 +71,7 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert {"what", "method", "unit", "predicted", "measured", "here", "beyond"} == set(rows[0])
 
 
+@pytest.mark.slow
 def test_what_cannot_be_measured_is_said(tmp_path: Path):
     vacuum = Scene(chain=Chain(grains=5, diameter=1e-3, gravity=0.0), excitation=Impulse(velocity=0.1), duration=1e-4)
     said = stability(vacuum).left_out
@@ -96,7 +97,7 @@ def test_a_step_that_holds_at_rest_only():
     assert not list(caveats(STRUCK, Native(integrator="verlet", step=struck / 2), 0.5))
 
 
-def test_a_scene_that_outlasts_its_horizon():
+def test_a_scene_that_outlasts_its_predictability_time():
     (said,) = caveats(BOUNCING, Native(), 1e-6)
     assert "amplify round-off beyond 1e-06 at about" in said
     assert not list(caveats(STRUCK, Native(), 1e-6))

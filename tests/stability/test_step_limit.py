@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from helpers.reference import extended_reference
+from helpers.independent_integrators import extended_reference
 from laws.openings import drift, errors_through_openings, order_through_openings
 from scipy.linalg import eigvalsh_tridiagonal
 
@@ -182,6 +182,7 @@ def test_the_energy_error_goes_as_the_step_to_the_order(integrator: str) -> None
     assert slope == pytest.approx(METHODS[integrator].order, abs=0.05)
 
 
+@pytest.mark.slow
 @every
 def test_the_energy_over_a_million_steps(integrator: str) -> None:
     """Splittings keep it to a fluctuation without a trend; the others lose or gain it, steadily."""

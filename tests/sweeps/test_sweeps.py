@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -19,6 +19,7 @@ import numpy as np
 import psutil
 import pytest
 from filelock import FileLock
+from helpers.child_processes import PATIENCE, until
 
 from lmpchain import Chain, Impulse, InputError, Scene, load_sweep, simulate, sweep
 from lmpchain.cli.command_line import main
@@ -48,13 +49,6 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 def written(folder: Path) -> int:
     return sum(1 for _ in (folder / "scenes").glob("[!.]*"))
-
-
-def until(true: Callable[[], Any], seconds: float = 60.0) -> None:
-    end = time.monotonic() + seconds
-    while not true():
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.005)
 
 
 # --- what is swept
@@ -177,7 +171,7 @@ def test_a_single_order_of_grains_is_kept(tmp_path):
     assert np.abs(found.velocity[0, -1, 1]) > np.abs(found.velocity[0, -1, 0]) > 0
 
 
-def test_what_is_kept(tmp_path):
+def test_kept_quantities_are_those_of_measure(tmp_path):
     """Numbers are those that `measure` reads off the trajectory."""
     keep = ["wall_force", "arrival_time", "peak_displacement", "peak_velocity"]
     found = sweep({"scene": str(SCENES / "weak.toml"), "grid": {"chain.gravity": [9.81]}, "keep": keep}, tmp_path)
@@ -217,7 +211,7 @@ def test_arrays_are_read_when_they_are_used(tmp_path):
         again.velocity[1].load()
 
 
-@pytest.mark.parametrize(("engine", "workers"), [("lammps", 2), ("chebyshev", 1)])
+@pytest.mark.parametrize(("engine", "workers"), [pytest.param("lammps", 2, marks=pytest.mark.slow), ("chebyshev", 1)])
 def test_other_engines(tmp_path, engine, workers):
     asked = {"scene": SHORT, "engine": engine, "grid": {"chain.gravity": GRAVITIES}}
     found = sweep(asked, tmp_path, workers=workers)
@@ -409,6 +403,7 @@ def test_a_process_that_dies_takes_only_its_own_task():
                 assert future.result() == number
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["shutdown", "kill"])
 def test_processes_end_in_the_middle_of_a_task(how):
     """With the pool, and with the process that has the pool, however that ends."""
@@ -432,8 +427,8 @@ def test_processes_end_in_the_middle_of_a_task(how):
             else:
                 process.stdin.write("\n")
                 process.stdin.flush()
-            until(lambda: not worker.is_running(), 20)
-            assert process.wait(20) == (-signal.SIGKILL if how == "kill" else 0)
+            until(lambda: not worker.is_running())
+            assert process.wait(PATIENCE) == (-signal.SIGKILL if how == "kill" else 0)
         finally:
             process.kill()
 
@@ -448,6 +443,7 @@ def children(parent: int) -> list[psutil.Process]:
     return found
 
 
+@pytest.mark.slow
 def test_what_kills_every_process_is_given_up_and_done_the_next_time(tmp_path):
     stop = threading.Event()
 
@@ -505,30 +501,38 @@ def long_sweep(folder: Path, count: int) -> Path:
     return path
 
 
+SCENES_OF_A_SWEEP = 200  # as many as it takes to be in the midst of them
+
+
 @pytest.fixture(scope="module")
 def serial(tmp_path_factory):
     """Return a sweep that is to be disturbed, and what it gives undisturbed."""
     folder = tmp_path_factory.mktemp("serial")
-    path = long_sweep(folder, 60)
+    path = long_sweep(folder, SCENES_OF_A_SWEEP)
     sweep(path, folder / "out")
     return path, contents(folder / "out")
+
+
+ALL_DONE = f"{SCENES_OF_A_SWEEP} of {SCENES_OF_A_SWEEP}"
 
 
 def begun(folder: Path) -> bool:
     return (folder / "scenes").exists() and written(folder) > 0
 
 
+@pytest.mark.slow
 def test_a_killed_worker_loses_nothing(tmp_path, serial):
     path, expected = serial
     with command(path, "-o", tmp_path, "--workers", 2) as process:
         until(lambda: begun(tmp_path))
         random.choice(children(process.pid)).kill()
-        out, err = process.communicate(timeout=120)
+        out, err = process.communicate(timeout=PATIENCE)
     assert (process.returncode, err) == (0, "")
-    assert "60 of 60" in out
+    assert ALL_DONE in out
     assert contents(tmp_path) == expected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_a_stopped_sweep_goes_on(tmp_path, serial, how):
     """Ctrl-C reaches all processes of a terminal; what is done is kept, and no process is left."""
@@ -537,13 +541,13 @@ def test_a_stopped_sweep_goes_on(tmp_path, serial, how):
         until(lambda: begun(tmp_path))
         workers = children(process.pid)
         os.killpg(process.pid, how) if how == signal.SIGINT else process.send_signal(how)
-        _, err = process.communicate(timeout=60)
-    until(lambda: not any(worker.is_running() for worker in workers), 10)
+        _, err = process.communicate(timeout=PATIENCE)
+    until(lambda: not any(worker.is_running() for worker in workers))
     if how != signal.SIGKILL:
         assert process.returncode == 128 + how
         assert str(tmp_path) in err.splitlines()[0]
         assert "Traceback" not in err
-    assert 0 < written(tmp_path) < 60
+    assert 0 < written(tmp_path) < SCENES_OF_A_SWEEP
     assert main(["sweep", str(path), "-o", str(tmp_path), "--workers", "1"]) == 0
     assert contents(tmp_path) == expected
 
@@ -554,11 +558,12 @@ def test_one_sweep_at_a_time_in_a_folder(tmp_path):
     assert (sweep(chains(2), tmp_path).reason == "").all()
 
 
+@pytest.mark.slow
 def test_a_full_disk(tmp_path, serial):
     """No file may grow beyond 16 kB: arrays do not fit. Nothing is half written, and later all is done."""
     path, expected = serial
     line = f"ulimit -f 16; exec {sys.executable} -m lmpchain.cli sweep {path} -o {tmp_path} --workers 1"
-    ended = subprocess.run(["bash", "-c", line], capture_output=True, text=True, timeout=120)
+    ended = subprocess.run(["bash", "-c", line], capture_output=True, text=True, timeout=PATIENCE)
     assert ended.returncode == 1
     assert "could not be done this time" in ended.stderr
     assert "Traceback" not in ended.stderr
@@ -586,12 +591,13 @@ def cluster(folder: Path, workers: int = 2) -> Iterator[tuple[str, list[psutil.P
         every = [process for each in started for process in psutil.Process(each.pid).children(recursive=True)]
         for each in reversed(started):
             each.terminate()
-            each.wait(30)
+            each.wait(PATIENCE)
         for process in every:
             if process.is_running():
                 process.kill()
 
 
+@pytest.mark.slow
 def test_dask_with_a_killed_worker(tmp_path, serial):
     path, expected = serial
     with (
@@ -600,8 +606,8 @@ def test_dask_with_a_killed_worker(tmp_path, serial):
     ):
         until(lambda: begun(tmp_path / "out"))
         random.choice(workers).kill()
-        out, _ = process.communicate(timeout=120)
-    assert (process.returncode, "60 of 60" in out) == (0, True)
+        out, _ = process.communicate(timeout=PATIENCE)
+    assert (process.returncode, ALL_DONE in out) == (0, True)
     assert contents(tmp_path / "out") == expected
 
 
@@ -621,9 +627,9 @@ def test_dask_soak(tmp_path):
             command(path, "-o", folder, "--scheduler", address) as process,
         ):
             moment = random.randint(1, 900)
-            until(lambda: (folder / "scenes").exists() and written(folder) >= moment, 300)  # noqa: B023
+            until(lambda: (folder / "scenes").exists() and written(folder) >= moment)  # noqa: B023
             random.choice(workers).kill()
-            out, _ = process.communicate(timeout=600)
+            out, _ = process.communicate(timeout=PATIENCE)
         assert (process.returncode, "1000 of 1000" in out) == (0, True)
         assert contents(folder) == contents(tmp_path / "serial")
 

@@ -3,7 +3,7 @@
 import mpmath as mp
 import numpy as np
 import pytest
-from helpers.oracles import gravity_column, integrate, largest, springs, unit
+from helpers.independent_theory import gravity_column, integrate, largest, springs, unit
 from scipy.special import jv
 
 from lmpchain import InputError
@@ -77,7 +77,7 @@ def test_free_end_against_an_integrator():
     assert bessel.free_end_impulse(n, T[:, None]) == pytest.approx(dynamic, abs=1e-12)
 
 
-def test_at_time_zero():
+def test_closed_forms_begin_with_the_initial_data():
     n = np.arange(1, 5)
     assert bessel.free_end(n, 0.0).tolist() == [1, 0, 0, 0]
     assert bessel.free_end_impulse(n, 0.0).tolist() == [0, 0, 0, 0]

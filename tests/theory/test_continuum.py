@@ -3,7 +3,7 @@
 import mpmath as mp
 import numpy as np
 import pytest
-from helpers.oracles import gravity_column, residual_of_27, superposition
+from helpers.independent_theory import gravity_column, residual_of_27, superposition
 from scipy.integrate import quad
 
 from lmpchain import InputError

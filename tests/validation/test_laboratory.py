@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.peaks import find_peak
-from helpers.scenes import random_scene
+from helpers.example_scenes import random_scene
+from helpers.interpolated_peak import find_peak
 from numpy.typing import NDArray
 from scipy.special import jv
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers.peaks import find_peak
+from helpers.interpolated_peak import find_peak
 from numpy.typing import NDArray
 from scipy.special import jv
 

@@ -5,9 +5,9 @@ import sys
 
 import numpy as np
 import pytest
-from helpers.lammps_runs import lmp, read_dump, small
-from helpers.reference import extended_reference, relative_error
-from helpers.scenes import paper
+from helpers.example_scenes import paper
+from helpers.independent_integrators import extended_reference, relative_error
+from helpers.standalone_lammps import lmp, read_dump, small
 
 from lmpchain import (
     Chain,

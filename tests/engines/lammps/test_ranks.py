@@ -5,11 +5,12 @@ import signal
 import subprocess
 import sys
 import threading
-import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.child_processes import busy, ended, processes, until
 
 from lmpchain import Chain, Drive, EngineUnavailable, Impulse, InputError, RunFailed, Scene, Trajectory, simulate
 from lmpchain.engines import Lammps
@@ -59,8 +60,13 @@ def same(one: Trajectory, other: Trajectory) -> bool:
     return np.array_equal(one.displacement, other.displacement) and np.array_equal(one.velocity, other.velocity)
 
 
-@pytest.mark.parametrize("name", SCENES)
-@pytest.mark.parametrize("integrator", ["verlet", "kahan-li6", "rkn6"])
+EVERY = [(name, integrator) for name in SCENES for integrator in ("verlet", "kahan-li6", "rkn6")]
+FIRST = ("strike in the middle", "rkn6")
+
+
+@pytest.mark.parametrize(
+    ("name", "integrator"), [pytest.param(*each, marks=() if each == FIRST else pytest.mark.slow) for each in EVERY]
+)
 def test_ranks_give_the_bytes_of_one(name, integrator):
     scene, options = SCENES[name], {"integrator": integrator, "step": 2e-7, "diameter": "physical"}
     one = simulate(scene, engine=Lammps(**options))
@@ -70,6 +76,7 @@ def test_ranks_give_the_bytes_of_one(name, integrator):
     assert same(one, two)
 
 
+@pytest.mark.slow
 def test_three_ranks_and_the_gauge_diameter():
     one, three = (simulate(MIDDLE, engine=Lammps(diameter="gauge", ranks=ranks)) for ranks in (1, 3))
     assert three.cost.ranks == 3
@@ -86,6 +93,7 @@ def test_more_ranks_than_grains_are_refused():
     assert same(simulate(scene, "lammps"), simulate(scene, "lammps", ranks=2))
 
 
+@pytest.mark.slow
 def test_dump_of_two_ranks(tmp_path):
     """The files that a run keeps do not tell how many ranks wrote them."""
     for ranks in (1, 2):
@@ -101,36 +109,28 @@ def mpirun(*words: str | Path, ranks: int = 2, **options) -> subprocess.Popen[st
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options)
 
 
-def finish(process: subprocess.Popen[str], within: float = 60) -> tuple[int, str]:
-    """Return exit code and all that was said; a process that hangs fails the test, and is not left behind."""
-    try:
-        out, err = process.communicate(timeout=within)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        raise
-    return process.returncode, out + err
-
-
+@pytest.mark.slow
 def test_plain_mpirun_of_the_command_line(tmp_path):
     MIDDLE.to_toml(tmp_path / "scene.toml")
     words = ("-m", "lmpchain.cli", "run", tmp_path / "scene.toml", "--engine", "lammps", "-o")
-    code, said = finish(mpirun(*words, tmp_path / "two.nc"))
+    code, said = ended(mpirun(*words, tmp_path / "two.nc"))
     assert code == 0, said
     assert said.count("engine ") == 1, "one rank speaks for all"
     two = Trajectory.load(tmp_path / "two.nc")
     assert two.cost.ranks == 2
     assert same(two, simulate(MIDDLE, "lammps"))
-    code, said = finish(mpirun("-m", "lmpchain.cli", "run", tmp_path / "scene.toml", "-o", tmp_path / "native.nc"))
+    code, said = ended(mpirun("-m", "lmpchain.cli", "run", tmp_path / "scene.toml", "-o", tmp_path / "native.nc"))
     assert code == 0
     assert said.count("the engine auto runs on one rank") == 1
-    code, said = finish(mpirun("-m", "lmpchain.cli", "run", tmp_path / "none.toml"))
+    code, said = ended(mpirun("-m", "lmpchain.cli", "run", tmp_path / "none.toml"))
     assert code == 2
     assert said.count("there is no such file") == 1
-    code, said = finish(mpirun(*words, tmp_path / "three.nc", "--ranks", "3"))
+    code, said = ended(mpirun(*words, tmp_path / "three.nc", "--ranks", "3"))
     assert code == 2
     assert "leave the number of ranks out" in said
 
 
+@pytest.mark.slow
 def test_ranks_on_the_command_line(tmp_path):
     MIDDLE.to_toml(tmp_path / "scene.toml")
     words = ["-m", "lmpchain.cli", "run", str(tmp_path / "scene.toml"), "--engine", "lammps", "--ranks", "2"]
@@ -140,6 +140,7 @@ def test_ranks_on_the_command_line(tmp_path):
     assert Trajectory.load(tmp_path / "scene.nc").cost.ranks == 2
 
 
+@pytest.mark.slow
 def test_scripts_under_mpirun_run_alone(tmp_path):
     """A script that every rank runs for itself, as for a sweep, gets a LAMMPS of its own on every rank."""
     script = tmp_path / "script.py"
@@ -150,76 +151,78 @@ def test_scripts_under_mpirun_run_alone(tmp_path):
         "sys.stdout.write(f'{t.cost.ranks} {t.velocity[-1].sum()!r}\\n')\n"
     )
     MIDDLE.to_toml(tmp_path / "scene.toml")
-    code, said = finish(mpirun(script))
+    code, said = ended(mpirun(script))
     assert code == 0, said
     first, second = said.split("\n")[:2]
     assert first == second
     assert first.startswith("1 ")
 
 
+@pytest.mark.slow
 def test_a_killed_rank_ends_the_run_with_a_message(monkeypatch):
-    crews = []
+    started = []
+
+    def kill():
+        busy(started[0].pids[1], 0.3)
+        os.kill(started[0].pids[1], signal.SIGKILL)
 
     def gather(*arguments):
-        crews.append(SubprocessRanks(*arguments))
-        threading.Timer(0.5, os.kill, (crews[0].pids[1], signal.SIGKILL)).start()
-        return crews[0]
+        started.append(SubprocessRanks(*arguments))
+        threading.Thread(target=kill).start()
+        return started[0]
 
     monkeypatch.setattr(lammps_engine, "gather", gather)
-    began = time.monotonic()
     with pytest.raises(RunFailed, match=r"a rank of LAMMPS died.*EXIT CODE: 9"):
         simulate(ENDLESS, engine=Lammps(integrator="verlet", step=1e-7, diameter="physical", ranks=2))
-    assert time.monotonic() - began < 20, "it must not hang"
-    assert not Path(f"/proc/{crews[0].pids[0]}").exists()
+    assert not Path(f"/proc/{started[0].pids[0]}").exists()
 
 
 def endless(tmp_path: Path) -> tuple[subprocess.Popen[str], dict[int, int]]:
     """Start a long run under mpirun; return it, at work, with its ranks."""
     ENDLESS.to_toml(tmp_path / "endless.toml")
     words = ["run", tmp_path / "endless.toml", "--engine", "lammps", "--integrator", "verlet", "--step", "1e-7"]
-    mark = f"{os.getpid()}-{tmp_path.name}"
-    process = mpirun(
-        "-m", "lmpchain.cli", *words, "--diameter", "physical", "-o", tmp_path / "x.nc", env=os.environ | {"MARK": mark}
-    )
-    until = time.monotonic() + 30
-    while time.monotonic() < until:
-        ranks = {}
-        for folder in Path("/proc").iterdir():
-            try:
-                environment = (folder / "environ").read_bytes().split(b"\0") if folder.name.isdigit() else []
-            except OSError:
-                continue
-            if f"MARK={mark}".encode() in environment:
-                number = [entry[9:] for entry in environment if entry.startswith(b"PMI_RANK=")]
-                ranks |= {int(n): int(folder.name) for n in number}
-        if len(ranks) == 2:
-            time.sleep(2.0)  # both are in the midst of it
-            return process, ranks
-        time.sleep(0.1)
-    process.kill()
-    raise AssertionError("the ranks did not start")
+    mark = f"MARK={os.getpid()}-{tmp_path.name}"
+    environment = os.environ | dict([mark.split("=")])
+    process = mpirun("-m", "lmpchain.cli", *words, "--diameter", "physical", "-o", tmp_path / "x.nc", env=environment)
+    ranks: dict[int, int] = {}
+
+    def started() -> bool:
+        assert process.poll() is None, "it ended too early"
+        for each in processes(mark):
+            with suppress(OSError):
+                entries = Path(f"/proc/{each}/environ").read_bytes().split(b"\0")
+                ranks.update({int(entry[9:]): each for entry in entries if entry.startswith(b"PMI_RANK=")})
+        return len(ranks) == 2
+
+    until(started)
+    for rank in ranks.values():
+        busy(rank, 1.0)
+    return process, ranks
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rank", [0, 1])
 def test_a_killed_rank_ends_mpirun(tmp_path, rank):
     process, ranks = endless(tmp_path)
     os.kill(ranks[rank], signal.SIGKILL)
-    code, said = finish(process, within=15)
+    code, said = ended(process)
     assert code != 0
     assert "EXIT CODE: 9" in said
     assert not (tmp_path / "x.nc").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_signals_stop_all_ranks(tmp_path, number, code):
     process, ranks = endless(tmp_path)
     process.send_signal(number)
-    ended, said = finish(process, within=15)
-    assert ended == code, said
+    ending, said = ended(process)
+    assert ending == code, said
     assert "stopped by" in said
     assert not any(Path(f"/proc/{pid}").exists() for pid in ranks.values())
 
 
+@pytest.mark.slow
 def test_an_error_on_one_rank_ends_all_with_its_message(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
@@ -234,19 +237,19 @@ def test_an_error_on_one_rank_ends_all_with_its_message(tmp_path):
         f"sys.exit(cli.main(['run', {str(tmp_path / 'scene.toml')!r}, '--engine', 'lammps']))\n"
     )
     MIDDLE.to_toml(tmp_path / "scene.toml")
-    code, said = finish(mpirun(script), within=30)
+    code, said = ended(mpirun(script))
     assert code == 1
     assert "error: rank 1: the third digit of pi" in said
 
 
 def test_lammps_errors_are_those_of_one_rank():
-    crew = SubprocessRanks(2, "none")
+    ranks = SubprocessRanks(2, "none")
     try:
         with pytest.raises(RunFailed, match="Unknown command: nonsense"):
-            crew.ask("commands", "nonsense")
-        assert crew.ask("commands", "units si") == [None, None], "the ranks are still there"
+            ranks.ask("commands", "nonsense")
+        assert ranks.ask("commands", "units si") == [None, None], "the ranks are still there"
     finally:
-        crew.close()
+        ranks.close()
 
 
 def test_a_foreign_mpirun_is_recognised(monkeypatch, tmp_path):

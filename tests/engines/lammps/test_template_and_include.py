@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.commands import SCENE, keys, names
-from helpers.lammps_runs import lmp, small
-from helpers.reference import relative_error
+from helpers.command_output import SCENE, keys, names
+from helpers.independent_integrators import relative_error
+from helpers.standalone_lammps import lmp, small
 
 from lmpchain import InputError, Scene, Trajectory, simulate
 from lmpchain.cli.command_line import main

@@ -1,11 +1,11 @@
-"""Parts of chains, and what long chains cost, against the whole and against chains written out grain by grain."""
+"""Pieces of a chain, and what long chains cost, against the whole and against chains written out grain by grain."""
 
 import tracemalloc
 from itertools import combinations, product
 
 import numpy as np
 import pytest
-from helpers.chains import CHAINS, WALLED
+from helpers.example_chains import CHAINS, WALLED
 
 from lmpchain import (
     PTFE,
@@ -102,7 +102,7 @@ def test_a_part_moves_as_the_whole(strike, first: int, last: int):
 
 
 @pytest.mark.parametrize(("first", "last"), [(0, 3), (3, 3), (4, 2), (2, 6), (-2, 3)])
-def test_no_such_part(first: int, last: int):
+def test_a_piece_must_lie_within_the_chain(first: int, last: int):
     with pytest.raises(InputError, match=r"part: must be two or more of grains 1 to 5 \(got"):
         Chain(grains=5, diameter=1e-3).part(first, last)
 

@@ -8,11 +8,11 @@ import lmpchain
 
 
 @pytest.mark.parametrize("name", ["bessel", "continuum", "dyson", "front", "modes"])
-def test_parts_resolve(name: str):
+def test_modules_of_theory_come_on_access(name: str):
     assert getattr(lmpchain.theory, name) is import_module(f"lmpchain.theory.{name}")
     assert name in dir(lmpchain.theory)
 
 
-def test_nothing_else_resolves():
+def test_an_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="has no attribute 'modal'"):
         _ = lmpchain.theory.modal

@@ -1,0 +1,131 @@
+"""Commands as processes of their own: started, watched by what they have done so far, stopped and read."""
+
+import os
+import pty
+import re
+import select
+import subprocess
+import sys
+import termios
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import psutil
+
+from lmpchain import Scene, Trajectory
+from lmpchain.simulation.run_folder import status
+from lmpchain.util import mpi
+
+COMMAND = [sys.executable, "-m", "lmpchain.cli"]
+PATIENCE = 600.0  # s, after which a process is taken to hang: on a busy machine everything is slow
+
+
+def start(*words: object, ranks: int = 1, **options) -> subprocess.Popen[str]:
+    """Start a command of lmpchain, under mpirun if there are several ranks."""
+    under = [mpi.launcher(), "-n", str(ranks)] if ranks > 1 else []
+    command = [*under, *COMMAND, *map(str, words)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, **options)
+
+
+def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
+    """Return the exit code of a process and what it said; one that hangs is not left behind."""
+    try:
+        out, err = process.communicate(timeout=PATIENCE)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        raise
+    return process.returncode, out + (err or "")
+
+
+def finish(*words: object, ranks: int = 1, **options) -> tuple[int, str]:
+    """Run a command of lmpchain; return its exit code and what it said."""
+    return ended(start(*words, ranks=ranks, **options))
+
+
+def until(condition: Callable[[], object], every: float = 0.01) -> None:
+    """Wait until something is so."""
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < deadline, "waited in vain"
+        time.sleep(every)
+
+
+def recorded(folder: Path) -> int:
+    """Return how many samples a run folder says it has, less than none while there is no folder."""
+    return status(folder)["samples_done"] if (folder / "scene.toml").exists() else -1
+
+
+def at_work(folder: Path, process: subprocess.Popen[str], samples: int = 1) -> None:
+    """Wait until a run has kept so many samples."""
+
+    def reached() -> bool:
+        assert process.poll() is None, "it ended too early"
+        return recorded(folder) >= samples
+
+    until(reached)
+
+
+def busy(process: int, seconds: float) -> None:
+    """Wait until a process has computed for so long with LAMMPS loaded, however little of the cores it is given."""
+    watched = psutil.Process(process)
+
+    def spent() -> float:
+        times = watched.cpu_times()
+        return times.user + times.system
+
+    until(lambda: any("liblammps" in each.path for each in watched.memory_maps()))
+    begun = spent()
+    until(lambda: spent() > begun + seconds)
+
+
+@contextmanager
+def on_a_terminal(*command: object, **options) -> Iterator[tuple[subprocess.Popen[str], Callable[[str], str]]]:
+    """Run a command whose stderr is a terminal, where it shows its progress.
+
+    Yields the process and a function that reads from the terminal until a pattern is found and returns what was read.
+    """
+    terminal, theirs = pty.openpty()
+    termios.tcsetwinsize(theirs, (24, 120))
+    process = subprocess.Popen([*map(str, command)], stdout=subprocess.PIPE, stderr=theirs, text=True, **options)
+    os.close(theirs)
+
+    def read_until(wanted: str) -> str:
+        said = ""
+        while not re.search(wanted, said):
+            assert select.select([terminal], [], [], PATIENCE)[0], said
+            said += os.read(terminal, 4096).decode()
+        return said
+
+    try:
+        yield process, read_until
+    finally:
+        process.kill()
+        process.communicate()
+        os.close(terminal)
+
+
+def same(answer: Trajectory, truth: Trajectory) -> bool:
+    """Say whether two answers agree to the last bit."""
+    names = ("time", "displacement", "velocity", "grains")
+    bits = all(getattr(answer, name)[:].tobytes() == getattr(truth, name)[:].tobytes() for name in names)
+    return bits and answer.error_estimate == truth.error_estimate and answer.scene == truth.scene
+
+
+def write(scene: Scene, folder: Path) -> Path:
+    """Write a scene file."""
+    scene.to_toml(folder / "in.toml")
+    return folder / "in.toml"
+
+
+def processes(mark: str) -> list[int]:
+    """Return the processes that have this in their environment."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        try:
+            if entry.name.isdigit() and mark.encode() in (entry / "environ").read_bytes().split(b"\0"):
+                found.append(int(entry.name))
+        except OSError:
+            continue
+    return [pid for pid in found if pid != os.getpid()]
