@@ -24,7 +24,7 @@ from ..integrators.step_schedule import StepSchedule
 from ..integrators.stepper import NativeStepper
 from ..scene.scene import Scene
 from ..trajectory.record import Block, Cost
-from ..util.arrays import Array
+from ..util.arrays import EPSILON, Array
 from .base import Candidate, ErrorBudget, Run
 
 PIECE_S = 0.1  # longest stretch of work between two opportunities to stop
@@ -36,7 +36,6 @@ CLOSE_TO_OPENING = -0.5  # r / eps below which a contact's force is no longer a 
 # order assumed in the Richardson estimate after adaptive steps through an opening, where differences scatter
 ORDER_AT_OPENINGS = 4
 KINKED_BELOW, ORDER_AT_KINKS = 1.25, 2  # the same for exponents below that, whose force has a kink at an opening
-EPSILON = float(np.finfo(float).eps)
 
 
 class Stepper(Protocol):

@@ -170,7 +170,7 @@ def _solve(task: Task, engine: Engine, attempt: Attempt, output: _Memory | RunFo
     cone = None if part is task.scene else task.scene.light_cone
 
     def collect(run: Run) -> Any:
-        with closing(_shown(run, engine.name, samples, output.samples, progress)) as blocks:
+        with closing(_with_progress(run, engine.name, samples, output.samples, progress)) as blocks:
             return output.collect(run, (_in_whole(block, cone) for block in blocks) if cone else blocks)
 
     return solve_to_tolerance(engine, [part], attempt, collect, output.begin, task.best_effort)
@@ -260,7 +260,7 @@ def _zeros(shape: tuple[int, int], moving: int) -> Array:
     return np.frombuffer(pages).reshape(shape)
 
 
-def _shown(run: Run, name: str, samples: int, done: int, progress: bool) -> Generator[Block, None, None]:
+def _with_progress(run: Run, name: str, samples: int, done: int, progress: bool) -> Generator[Block, None, None]:
     """Yield the blocks of a run, showing how far it is, how fast, and how good it is so far."""
     looked = time.monotonic()
     with ProgressBar(samples, name, " samples", done=done, layout=RATE, shown=progress) as bar:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 from ..errors import check_tolerance
 from ..scene.scene import Scene
-from ..util.tables import aligned
+from ..util.tables import aligned, number
 from .selection import Proposal, cheapest, propose_all, reason
 
 HEAD = ("", "engine", "Eq.", "model error", "solver error", "grains", "step", "cost", "")
@@ -106,13 +105,9 @@ def plan(scene: Scene, tolerance: float = 1e-6) -> Plan:
 def _cells(proposal: Proposal) -> Iterator[str]:
     yield f"{proposal.engine}{f' {proposal.integrator}' if proposal.integrator else ''}"
     yield "" if proposal.equation is None else f"({proposal.equation})"
-    yield "0" if proposal.model_error == 0 else _shown(proposal.model_error, ".1g")
-    yield _shown(proposal.solver_error, ".1g")
+    yield "0" if proposal.model_error == 0 else number(proposal.model_error, ".1g")
+    yield number(proposal.solver_error, ".1g")
     yield "" if proposal.active_grains is None else str(proposal.active_grains)
-    yield _shown(proposal.step, ".3g", " s")
-    yield _shown(1e3 * proposal.cost_s, ".3g", " ms")
+    yield number(proposal.step, unit="s")
+    yield number(1e3 * proposal.cost_s, unit="ms")
     yield f"{'kept' if proposal.kept else 'dropped'}: {proposal.why}"
-
-
-def _shown(value: float, form: str, unit: str = "") -> str:
-    return "" if math.isnan(value) else f"{value:{form}}{unit}"

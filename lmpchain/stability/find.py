@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from functools import cache, partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,9 +21,6 @@ from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.progress import ProgressBar
 from .result import TOLERANCE, Boundary, Curve, Stability
-
-if TYPE_CHECKING:
-    pass
 
 RUNS = 60  # that a bisection takes
 LONGEST_S = 20.0  # that one measurement may be expected to take

@@ -14,7 +14,7 @@ from ..integrators.methods import METHODS
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.plotting import COLOURS, LOWEST, SHADES, figure
-from ..util.tables import aligned, finite
+from ..util.tables import aligned, finite, number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -92,7 +92,7 @@ class Stability:
         """Return the boundaries as a table; what the scene lies beyond bears a mark."""
         rows: list[tuple[str, ...]] = [("", "", "", "predicted", "measured", "this scene")]
         for row in self.boundaries:
-            numbers = (_shown(x, row.unit) for x in (row.predicted, row.measured, row.here))
+            numbers = (number(x, unit=row.unit, infinite="none") for x in (row.predicted, row.measured, row.here))
             rows.append(("!" if row.beyond else "", row.what, row.method, *numbers))
         return "\n".join(aligned(rows))
 
@@ -111,12 +111,6 @@ class Stability:
             By default those of a new figure.
         """
         return draw(self, axes)
-
-
-def _shown(value: float, unit: str) -> str:
-    if not math.isfinite(value):
-        return "" if math.isnan(value) else "none"
-    return f"{value:.3g} {unit}".rstrip()
 
 
 def _list(values: Array) -> list[float | None]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..engines import Lammps, Native
-from ..engines.error_estimate import EPSILON, native_floor
+from ..engines.error_estimate import native_floor
 from ..engines.lammps.engine import gauge_diameter
 from ..errors import InputError
 from ..integrators.batch import force_form
@@ -20,7 +20,7 @@ from ..integrators.kernels.contact_forces import ROOTS
 from ..integrators.splittings import RKN6, Splitting
 from ..scene.scene import Scene
 from ..simulation.api import simulate
-from ..util.arrays import Array
+from ..util.arrays import EPSILON, Array
 
 Long = np.longdouble
 STEP = 0.3  # highest frequency times the step of rkn6 at which floors are given: its own error is some 1e-9 there

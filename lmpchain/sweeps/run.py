@@ -60,7 +60,8 @@ def sweep(
     workers : int
         Processes of this machine; with 1 all is done in this one. Scripts need ``if __name__ == "__main__":`` for more.
     executor : concurrent.futures.Executor, optional
-        Who answers the scenes instead, such as ``dask.distributed.Client(address).get_executor(pure=False)``.
+        Executor that runs the scenes in place of local processes, such as
+        ``dask.distributed.Client(address).get_executor(pure=False)``.
     progress : bool
         Whether to show a progress bar.
 

@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 from ...integrators.kernels.chebyshev import SPAN, Propagator, terms
 from ...scene.scene import Scene
 from ...trajectory.record import Block, Cost
-from ...util.arrays import Array
+from ...util.arrays import EPSILON, Array
 from ..base import Candidate, Engine, ErrorBudget, Run, SharperBound
 from ..cost_model import seconds
 from .model_error import EVENLY, PhaseError, bounds, dense, evaluation_times
 
-EPSILON = float(np.finfo(float).eps)
 BLOCK = 16  # samples a block, if so many fit
 BLOCK_VALUES, SMALL = 2**22, 2**14  # values that are at hand at a time, and that take no time worth speaking of
 MOST_MODES = 12_000  # 1.2 GB of eigenvectors
