@@ -14,7 +14,8 @@ import numba
 from numba.core.event import Event, Listener, register
 
 BESIDE = re.compile(r"^from \.(\w+) import", re.MULTILINE)
-_news: dict[Callable, str] = {}  # what is to be said when one of these functions is compiled
+_news: dict[Callable, str] = {}  # what is to be said when one of these functions is compiled, and what was said
+_said: set[str] = set()
 
 
 class _Announcer(Listener):
@@ -22,10 +23,9 @@ class _Announcer(Listener):
 
     def on_start(self, event: Event) -> None:
         news = _news.get(event.data["dispatcher"].py_func)
-        if news is not None:
+        if news is not None and news not in _said:
+            _said.add(news)
             print(news, file=sys.stderr, flush=True)
-            for function in [function for function, same in _news.items() if same == news]:
-                del _news[function]
 
     def on_end(self, event: Event) -> None:
         pass
