@@ -10,9 +10,9 @@ import numba
 
 from ..errors import InputError, ToleranceNotMet
 from ..integrators.batch import FORCES, ChainBatch, force_form, name_of
-from ..integrators.kernels.splitting import PAD
-from ..integrators.methods import METHODS, DormandPrince, Method
-from ..integrators.splittings import Splitting
+from ..integrators.kernels.layout import PAD
+from ..integrators.method import Method
+from ..integrators.methods import METHODS
 from ..integrators.step_schedule import StepSchedule
 from ..integrators.stepper import NativeStepper
 from ..scene.scene import Scene
@@ -85,8 +85,8 @@ class Native(TimeSteppingEngine):
                     f"round-off alone makes an error of about {floor:.1g}, above the tolerance; "
                     'use a higher order (integrator "rkn6") or less accuracy'
                 )
-            adapts, splits = isinstance(method, DormandPrince), isinstance(method, Splitting)
-            varies = adapts or (splits and method.order > 2 and scene.largest_strain > GENTLE)
+            opens = method.adaptive == "openings" and scene.largest_strain > GENTLE
+            varies = opens or method.adaptive == "error"
             candidate = replace(candidate, adaptive=self.adaptive and varies)
         return replace(candidate, choices={"force": name_of(force_form(scene, self.force))})
 

@@ -1,4 +1,4 @@
-"""Scenes laid out in memory for the kernels."""
+"""Chains laid out in memory for the compiled loops."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from .kernels.contact_forces import CORRECTED, FORMS, LOOSE_POWER, POLYNOMIAL, POWER, ROOTS, SPRING
-from .kernels.splitting import PAD
+from .kernels.layout import PAD, Chains
 
 STRONG = 1.0  # strike number from which the fastest form of the force loses nothing
 FORCES = ("auto", "exact", "plain")
@@ -29,14 +29,20 @@ class ChainBatch:
     ----------
     table : (R, 3, W) array
         1 / length and strength of the contact below every body, and its inverse mass.
-    loose : (R,) array
+    uncompressed : (R,) array
         Constant of a first contact that touches without pressing in a chain that is pressed otherwise, else 0.
-    base : float
+    precompressed : float
         1 if the chains are pressed, else 0.
-    forms, shape : (R,) and (8,) arrays
-        The form of the force of each, and its coefficients.
+    forms, coefficients : (R,) and (8,) arrays
+        The form of the force of each, and the coefficients of the force.
+    opening_power : float
+        The force of a contact that opens goes as the overlap to this power.
     drive, knots, pieces : arrays
         How grain 1 is moved, if it is.
+    omega : (R,) array
+        Highest frequency, rad/s.
+    scale : (R, 2) array
+        Largest displacement and speed of the excitation, m and m/s.
     """
 
     def __init__(self, scenes: Sequence[Scene], force: str = "auto"):
@@ -47,26 +53,34 @@ class ChainBatch:
         overlap, carried, constant = (
             np.array([getattr(c, k) for c in contacts]) for k in ("overlap", "force", "constant")
         )
-        self.base = float(chains[0].compressed)
+        self.precompressed = float(chains[0].compressed)
         self.table = self._rows(3)
         held = slice(PAD - 1, PAD + self.grains)
         if chains[0].compressed:
             self.table[:, 0, held] = np.divide(1.0, overlap, out=np.zeros_like(overlap), where=overlap > 0)
             self.table[:, 1, held] = carried
-            self.loose = np.where(carried[:, 0] > 0, 0.0, constant[:, 0])
+            self.uncompressed = np.where(carried[:, 0] > 0, 0.0, constant[:, 0])
         else:
             self.table[:, 0, held], self.table[:, 1, held] = 1.0, constant
-            self.loose = np.zeros(len(scenes))
+            self.uncompressed = np.zeros(len(scenes))
         self.table[:, 2, PAD : PAD + chains[0].movable] = [1 / chain.masses[: chain.movable] for chain in chains]
         if self.driven:
             self.table[:, 2, PAD] = 0.0
         self.forms = np.array([force_form(scene, force) for scene in scenes])
-        self.shape = series(chains[0].exponent)
+        self.coefficients, self.opening_power = series(chains[0].exponent), chains[0].exponent
         self.drive, self.knots, self.pieces = self._drives()
         self.omega = np.array([scene.highest_frequency for scene in scenes])
         imposed = np.array([[np.abs(x).max() for x in scene.excitation.largest(scene.chain)] for scene in scenes])
         speed = np.maximum(imposed[:, 1], imposed[:, 0] * self.omega)
         self.scale = np.stack([speed / self.omega, speed], axis=1)
+
+    def arrays(self, share: slice, x: Array, v: Array, history: Array, state: Array) -> Chains:
+        """Return some of the chains, and where and how fast their bodies are, for the compiled loops."""
+        return Chains(
+            x[share], v[share], history[share], state[share], self.table[share], self.uncompressed[share],
+            self.scale[share], self.forms[share], self.precompressed, self.coefficients,
+            self.driven, self.drive[share], self.knots[share], self.pieces[share],
+        )  # fmt: skip
 
     def _rows(self, count: int) -> Array:
         """Return (R, count, W) zeros, or (R, W) for none, of which every row begins at a cache line."""
@@ -84,11 +98,11 @@ class ChainBatch:
         return rows
 
     def _drives(self) -> tuple[Array, Array, Array]:
-        """Return how grain 1 of every chain is driven: (R, 3), (R, P) and (R, 4, P-1) arrays; see `kernels.place`."""
-        drives = [scene.drive for scene in self.scenes if scene.drive]
-        most = max((0 if d.times is None else len(d.times) for d in drives), default=0)
-        table, knots = np.zeros((len(drives), 3)), np.zeros((len(self.scenes), most))
-        pieces = np.zeros((len(self.scenes), 4, max(most - 1, 0)))
+        """Return how grain 1 of every chain is driven: (R, 3), (R, P) and (R, 4, P-1) arrays; see `kernels.drive`."""
+        drives, size = [scene.drive for scene in self.scenes if scene.drive], len(self.scenes)
+        knots_max = max((0 if d.times is None else len(d.times) for d in drives), default=0)
+        table, knots = np.zeros((size, 3)), np.zeros((size, knots_max))
+        pieces = np.zeros((size, 4, max(knots_max - 1, 0)))
         for real, drive in enumerate(drives):
             if drive.times is None:
                 table[real, :2] = drive.amplitude, 2 * np.pi * drive.frequency
@@ -98,12 +112,12 @@ class ChainBatch:
                 knots[real, :count], pieces[real, :, : count - 1] = drive.spline.x, drive.spline.c
         return table, knots, pieces
 
-    def weight(self) -> Array:
-        """Return how much each contact that opens or closes changes the motion, (R, W); see `kernels._pace`."""
+    def opening_weight(self) -> Array:
+        """Return the square of how much each contact that opens or closes changes the motion, (R, W)."""
         inverse_mass = self.table[:, 2]
         mobility = np.maximum(inverse_mass, np.roll(inverse_mass, -1, axis=1))
         strength = self.table[:, 1].copy()
-        strength[:, PAD - 1] += self.loose
+        strength[:, PAD - 1] += self.uncompressed
         change = strength * mobility / (self.omega[:, None] ** 2.5 * self.scale[:, 1:] + 1e-300)
         return np.minimum(change, 1e150) ** 2
 
@@ -141,4 +155,4 @@ def force_form(scene: Scene, force: str = "auto") -> int:
 
 def name_of(form: int) -> str:
     """Return what a form of the force is called."""
-    return FORMS[form]
+    return FORMS[form][0]

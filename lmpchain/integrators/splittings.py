@@ -10,10 +10,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from ..util.arrays import Array
+from .method import March
+from .step_schedule import StepSchedule
+
+if TYPE_CHECKING:
+    from .batch import ChainBatch
+
+# adaptive step size, over the longest step: small enough that these steps leave as little error as the others do
+ADAPTIVE_STEP = 0.4  # where a contact is near to opening at a distance of one oscillation
+CROSSING_STEP = 0.03  # over the length, to the power that the order asks for, of the step that crosses an opening
 
 
 @dataclass(frozen=True)
@@ -58,10 +68,28 @@ class Splitting:
         stable = np.abs(self._half_trace(grid)) <= 1 + 1e-12
         return float(grid[np.argmin(stable) - 1]) if not stable.all() else float(grid[-1])
 
+    @property
+    def adaptive(self) -> Literal["no", "openings"]:
+        """Whether the step size can adapt to openings, which leave an order of 2 as it is."""
+        return "openings" if self.order > 2 else "no"
+
     def growth(self, reach: float) -> float:
         """Return by what factor x'' = -omega^2 x with omega h = reach grows a step: 1 where it is stable."""
         half = abs(float(self._half_trace(np.array(reach))))
         return half + float(np.sqrt(half**2 - 1)) if half > 1 else 1.0
+
+    def march(self, batch: ChainBatch, schedule: StepSchedule) -> March:
+        """Return what moves a batch of chains by steps of this schedule."""
+        from .kernels import adaptive_splitting, splitting
+
+        kicks, drifts = np.array(self.kicks), np.array(self.drifts)
+        if not schedule.adaptive:
+            return March(splitting.march, (kicks, drifts))
+        reach = schedule.step * batch.omega
+        crossing = CROSSING_STEP * reach ** ((self.order + 1) / (batch.opening_power + 1))
+        nearest = (ADAPTIVE_STEP * reach / crossing) ** (14 / 9)
+        each = batch.omega, nearest, batch.opening_weight()
+        return March(adaptive_splitting.march, (kicks, drifts, ADAPTIVE_STEP), each)
 
     def _half_trace(self, frequency: Array) -> Array:
         """Half the trace of the one-step matrix of x'' = -omega^2 x at h = 1."""

@@ -1,4 +1,4 @@
-"""How a chain is stepped through time."""
+"""The step size of a run, and where its steps land on samples."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class StepSchedule:
-    """Steps between the samples that are stopped at.
+    """Step schedule between two recorded samples on which the run lands.
 
     Attributes
     ----------
     steps : int
-        Steps from one stop to the next, if all are equal.
+        Steps from one landing to the next, if all are equal.
     stride : int
-        Samples from one stop to the next.
+        Samples from one landing to the next.
     step : float
-        Longest step, s.
+        Largest step size, s.
     adaptive : bool
-        Whether steps shorten where a contact is about to open or close.
+        Whether the step size adapts, shorter where a contact is about to open or close.
     """
 
     steps: int

@@ -1,8 +1,8 @@
-"""Chains in memory, moved forward by the compiled kernels."""
+"""A batch of chains in memory, stepped through time by the compiled march of a method."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -10,21 +10,11 @@ import numpy as np
 
 from ..util.arrays import Array
 from .batch import ChainBatch
-from .kernels import dop853, gear
-from .kernels import splitting as kernels
-from .kernels.splitting import PAD
-from .methods import DormandPrince, Gear, Method
-from .splittings import Splitting
+from .kernels.layout import CLOSEST, FIRST, LAST, LOWEST, PAD, SAMPLE, STEP, STEPS, Clock
+from .method import Method
 from .step_schedule import StepSchedule
 
-ADAPTIVE = (
-    0.4  # length of the steps near an opening contact, and of the one that crosses the opening: small enough that
-)
-CROSSING = 0.03  # both leave as little as the other steps do
-
-SHORT = 14 * PAD  # bodies
-ALLOWED = 1e-9  # error of a step of DOP853 for omega h = 1, from which it finds its steps
-LEAST = 2e-18  # of that error: less is round-off, and would stop it
+WINDOW_MIN = 14 * PAD  # bodies: shorter chains are computed as a whole, for less than it costs to follow the wave
 
 
 class NativeStepper:
@@ -59,50 +49,31 @@ class NativeStepper:
         self._v = chains.bodies(state.get("v", np.array([v for _, v in initial])))
         if chains.driven:
             self._v[:, PAD] = 0.0  # it is put where its motion says
-        if "memo" in state:
-            self._memo = state["memo"].copy()
+        if "state" in state:
+            self._state = state["state"].copy()
         else:
-            self._memo = np.zeros((len(scenes), kernels.STEP + 1))
-            self._memo[:, kernels.FIRST], self._memo[:, kernels.LAST] = self._window()
-        self.stride = schedule.stride
-        self._extra = np.array(state.get("extra", np.zeros((len(scenes), 3, self._x.shape[1]))))
-        self._advance, self._by = self._plan(method, schedule)
-        self._arrays = [self._of(share) for share in self._shares]
-        self._advance(*self._of(slice(0)), np.empty((0, 1, 1)), np.empty((0, 1, 1)), 0, 0, 0)  # only compiles
+            self._state = np.zeros((len(scenes), STEP + 1))
+            self._state[:, FIRST], self._state[:, LAST] = self._window()
+        self.stride, final = schedule.stride, scenes[0].samples - 1
+        clock = Clock(scenes[0].duration / final, schedule.steps, schedule.step, schedule.stride, final)
+        march = method.march(chains, schedule)
+        self._march = march.run
+        self._history = np.array(state.get("history", np.zeros((len(scenes), march.history, self._x.shape[1]))))
+        bodies = self._x, self._v, self._history, self._state
 
-    def _plan(
-        self, method: Method, schedule: StepSchedule
-    ) -> tuple[Callable[..., int], Callable[[slice], tuple[Array, ...]]]:
-        """Return the compiled loop of a method, and what it takes beside the chains."""
-        scene, chains = self.chains.scenes[0], self.chains
-        final = scene.samples - 1
-        interval = scene.duration / final
-        clock = np.array([interval, schedule.steps, schedule.stride, final])
-        if isinstance(method, Gear):
-            corrections = np.array(method.corrections)
-            return gear.march_gear, lambda share: (corrections, self._extra[share], clock)
-        if isinstance(method, DormandPrince):
-            allowed = (
-                max(LEAST, ALLOWED * (schedule.step * chains.omega.max()) ** method.order) if schedule.adaptive else 0.0
-            )
-            clock = np.array([interval, schedule.step, schedule.stride, final, allowed, schedule.steps])
-            return dop853.march_dop853, lambda _: (*method.tables, clock)
-        assert isinstance(method, Splitting)
-        kicks, drifts = np.array(method.kicks), np.array(method.drifts)
-        if not schedule.adaptive:
-            return kernels.march, lambda _: (kicks, drifts, clock)
-        reach = schedule.step * chains.omega
-        crossing = CROSSING * reach ** ((method.order + 1) / (chains.shape[7] + 1))
-        adaptivity = np.stack([chains.omega, (ADAPTIVE * reach / crossing) ** (14 / 9)], axis=1)
-        clock, weight = np.array([interval, schedule.step, schedule.stride, final, ADAPTIVE]), chains.weight()
-        return kernels.march_adaptive, lambda share: (kicks, drifts, clock, adaptivity[share], weight[share])
+        def arguments(share: slice) -> tuple[Any, ...]:
+            """Return what the compiled march takes of some of the chains."""
+            return chains.arrays(share, *bodies), (*march.common, *(rows[share] for rows in march.each)), clock
+
+        self._arguments = [arguments(share) for share in self._shares]
+        self._march(*arguments(slice(0)), np.empty((0, 1, 1)), np.empty((0, 1, 1)), 0, 0, 0)  # only compiles
 
     def _window(self) -> tuple[Array, Array]:
         """Return where the window of each chain begins and ends: at the lines that hold what moves at t = 0.
 
-        A short chain is computed as a whole, which costs less than to look where the wave is.
+        A short chain is computed as a whole.
         """
-        if self._x.shape[1] <= SHORT:
+        if self._x.shape[1] <= WINDOW_MIN:
             return np.array([PAD]), np.array([self._x.shape[1] - PAD])
         moves = (self._x != 0) | (self._v != 0)
         if self.chains.driven:
@@ -111,48 +82,38 @@ class NativeStepper:
         last = moves.shape[1] - np.where(moves.any(1), moves[:, ::-1].argmax(1), moves.shape[1] - PAD)
         return first // PAD * PAD, np.minimum(-(-np.maximum(last, first + 1) // PAD) * PAD, moves.shape[1] - PAD)
 
-    def fill(self, u: Array, v: Array, offset: int, until: int, most: int) -> int:
-        """Move on to the sample `until`, or by some `most` steps a thread, and put samples from `offset` into u, v."""
+    def fill(self, u: Array, v: Array, offset: int, until: int, max_steps: int) -> int:
+        """Move on to the sample `until`, or by some `max_steps` a thread, and put samples from `offset` into u, v."""
 
-        def move(share: slice, arrays: tuple[Any, ...]) -> int:
-            return self._advance(*arrays, u[share], v[share], offset, until, most)
+        def move(share: slice, arguments: tuple[Any, ...]) -> int:
+            return self._march(*arguments, u[share], v[share], offset, until, max_steps)
 
         over = self._pool.map if self._pool else map
-        return sum(over(move, self._shares, self._arrays))
-
-    def _of(self, share: slice) -> tuple[Any, ...]:
-        """Return what the compiled loop takes of some of the chains."""
-        chains = self.chains
-        return (
-            self._x[share], self._v[share], self._memo[share], chains.table[share], chains.loose[share],
-            chains.scale[share], chains.forms[share], chains.base, chains.shape,
-            chains.drive[share] if chains.driven else chains.drive, chains.knots[share], chains.pieces[share],
-            *self._by(share),
-        )  # fmt: skip
+        return sum(over(move, self._shares, self._arguments))
 
     @property
     def sample(self) -> int:
         """The last sample that all chains have reached."""
-        return int(self._memo[:, kernels.SAMPLE].min())
+        return int(self._state[:, SAMPLE].min())
 
     @property
     def steps(self) -> Array:
         """Steps that each chain has made, (R,)."""
-        return self._memo[:, kernels.STEPS]
+        return self._state[:, STEPS]
 
     def lowest(self) -> Array:
         """Return the smallest r / eps that any contact of each chain has had, (R,); -1 is an opening."""
-        opens = (self.chains.loose > 0) | (self.chains.base == 0)
-        return np.where(opens, -1.0, self._memo[:, kernels.LOWEST])
+        opens = (self.chains.uncompressed > 0) | (self.chains.precompressed == 0)
+        return np.where(opens, -1.0, self._state[:, LOWEST])
 
     def closest(self) -> Array:
         """Return by how much two grains have come closer than at rest at most, (R,) m; seen after whole steps."""
-        return self._memo[:, kernels.CLOSEST]
+        return self._state[:, CLOSEST]
 
     def state(self) -> dict[str, Array]:
         """Return what is needed to go on with the same bits."""
         inside = slice(PAD, PAD + self.chains.grains)
-        kept = {"u": self._x[:, inside], "v": self._v[:, inside], "memo": self._memo, "extra": self._extra}
+        kept = {"u": self._x[:, inside], "v": self._v[:, inside], "state": self._state, "history": self._history}
         return {name: array.copy() for name, array in kept.items()}
 
     def close(self) -> None:

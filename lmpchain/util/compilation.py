@@ -15,6 +15,7 @@ from numba.core.event import Event, Listener, register
 
 BESIDE = re.compile(r"^from \.(\w+) import", re.MULTILINE)
 _news: dict[Callable, str] = {}  # message for the compilation of each function
+_said: set[str] = set()  # messages that were given
 
 
 class _Announcer(Listener):
@@ -22,10 +23,9 @@ class _Announcer(Listener):
 
     def on_start(self, event: Event) -> None:
         news = _news.get(event.data["dispatcher"].py_func)
-        if news is not None:
+        if news is not None and news not in _said:
+            _said.add(news)
             print(news, file=sys.stderr, flush=True)
-            for function in [function for function, same in _news.items() if same == news]:
-                del _news[function]
 
     def on_end(self, event: Event) -> None:
         pass

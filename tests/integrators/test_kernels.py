@@ -12,13 +12,15 @@ import numpy as np
 import pytest
 from helpers.example_scenes import smooth
 from llvmlite import binding
-from numba import boolean, float64, int64, types
+from numba import boolean, float64, types
 from numpy.typing import NDArray
 
 from lmpchain import Chain, Profile, Scene
 from lmpchain.integrators.batch import ChainBatch, series, weakest
 from lmpchain.integrators.kernels import contact_forces as forces
+from lmpchain.integrators.kernels import sample_loop, window
 from lmpchain.integrators.kernels import splitting as kernels
+from lmpchain.integrators.kernels.adaptive_splitting import _nearness
 from lmpchain.integrators.kernels.contact_forces import CORRECTED, LOOSE_POWER, POLYNOMIAL, POWER, ROOTS, SPRING
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.step_schedule import StepSchedule
@@ -35,12 +37,12 @@ def spread(low: float, high: float, count: int = 400) -> Array:
     return np.exp(np.random.default_rng(1).uniform(np.log(low), np.log(high), count))
 
 
-def force(form: int, exponent: float, r: Array, base: float = 1.0, strength: float = 1.0) -> Array:
+def force(form: int, exponent: float, r: Array, precompressed: float = 1.0, strength: float = 1.0) -> Array:
     """Return the force of contacts whose bodies have come closer by r, all of them found in one loop."""
     bodies = np.zeros(2 * r.size)
     bodies[::2] = r
     found, alike = np.zeros(2 * r.size - 1), np.ones(2 * r.size - 1)
-    forces.contact_forces(form, found, bodies, alike, strength * alike, base, series(exponent))
+    forces.contact_forces(form, found, bodies, alike, strength * alike, precompressed, series(exponent))
     return found[::2]
 
 
@@ -86,7 +88,7 @@ def test_forces_where_nothing_is_pressed(form: int, exponent: float):
     with mpmath.workdps(60):
         true = [mpmath.mpf(x) ** mpmath.mpf(exponent) for x in r]
     lost = exponent * 70 if form == LOOSE_POWER else 0
-    assert relative(force(form, exponent, r, base=0.0), true) < 2 + lost
+    assert relative(force(form, exponent, r, precompressed=0.0), true) < 2 + lost
 
 
 @pytest.mark.parametrize(("form", "exponent"), [*PRESSED, *PLAIN])
@@ -97,7 +99,7 @@ def test_open_contacts_and_rest_are_exact(form: int, exponent: float):
 
 @pytest.mark.parametrize(("form", "exponent"), [*PLAIN, (SPRING, 1.0), (LOOSE_POWER, 2.3)])
 def test_what_is_not_pressed_does_not_pull(form: int, exponent: float):
-    assert not force(form, exponent, np.array([-1e-30, -1.0, -1e6, 0.0]), base=0.0).any()
+    assert not force(form, exponent, np.array([-1e-30, -1.0, -1e6, 0.0]), precompressed=0.0).any()
 
 
 @pytest.mark.parametrize("exponent", [1.0, 1.3, 1.5, 2.5])
@@ -126,7 +128,9 @@ def untiled() -> Any:
     def again(function: Any) -> FunctionType:
         return FunctionType(function.py_func.__code__, names)
 
-    names["_sweep"] = forces.compiled(again(kernels._sweep))
+    for name in ("sweep", "_advance", "_land"):
+        names[name] = forces.inlined(again(names[name]))
+    names["_march"] = sample_loop.sample_loop(names["_advance"], True, names["_land"])
     made = numba.njit(nogil=True, error_model="numpy", fastmath=forces.STRICT)(again(kernels.march))
     NativeStepper(
         ChainBatch([smooth()]), METHODS["verlet"], StepSchedule(1, 1, 1e-6, False), {}
@@ -172,25 +176,28 @@ def packed(assembly: str, operation: str) -> int:
 @x86
 @pytest.mark.parametrize(
     ("form", "operation"),
-    [("corrected", "sqrt"), ("6", "sqrt"), ("polynomial", "fmadd"), ("power", "div"), ("loose", "div")],
+    [(CORRECTED, "sqrt"), (6, "sqrt"), (POLYNOMIAL, "fmadd"), (POWER, "div"), (LOOSE_POWER, "div")],
 )
-def test_loops_over_grains_do_several_at_a_time(form: str, operation: str):
+def test_loops_over_grains_do_several_at_a_time(form: int, operation: str):
     row = types.Array(float64, 1, "C")
-    loop = getattr(forces, f"_rows_{form}")
+    _, loop = forces.LOOPS[form]
     loop.compile((row,) * 8 + (boolean, float64, float64, row, row))
     assert packed(next(iter(loop.inspect_asm().values())), operation) > 0
 
 
 @x86
 def test_other_loops_do_several_at_a_time():
-    row = types.Array(float64, 1, "C")
+    row, batch = types.Array(float64, 1, "C"), ChainBatch([smooth()])
+    bodies = batch.bodies()
+    chains = batch.arrays(slice(None), bodies, bodies, bodies[:, None], np.zeros((1, 9)))
     for loop, takes, operation in (
-        (forces.contact_forces, (int64, row, row, row, row, float64, row), "sqrt"),
-        (kernels._pace, (row,) * 5 + (float64,) * 4, "sqrt"),
-        (kernels.watch, (row,) * 4, "mul"),
+        (_nearness, (row,) * 5 + (float64,) * 4, "sqrt"),
+        (window.watch, (numba.typeof(sample_loop._chain.py_func(chains, 0)),), "mul"),
     ):
         loop.compile(takes)
         assert packed(loop.inspect_asm(takes), operation) > 0
+    force(CORRECTED, 1.5, np.ones(4))
+    assert packed(next(iter(forces.contact_forces.inspect_asm().values())), "sqrt") > 0
 
 
 @x86

@@ -1,8 +1,9 @@
 """The force of a contact, compiled: its forms, and the two loops that are made of each.
 
 Every form gives the force minus what the contact carries at rest, ``strength f(r / length)``, where
-``r = phi_n - phi_(n+1)`` is how much closer the two bodies are than at rest. `base` is the overlap at rest over the
-length: 1, or 0 where nothing is pressed (length 1 m, strength K).
+``r = phi_n - phi_(n+1)`` is how much closer the two bodies are than at rest. `precompressed` is the overlap at rest
+over the length: 1, or 0 where nothing is pressed (length 1 m, strength K). `coefficients` are the first seven of the
+binomial series of (1 + s)^delta - 1, and delta.
 """
 
 from __future__ import annotations
@@ -17,11 +18,17 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
+from .layout import PAD
+
 # no reordering and no contraction but the explicit fma: every blocking of the loops gives the same bits
 STRICT = {"nnan", "ninf", "nsz"}
 NEWS = "the native engine", 20  # what is compiled when it runs for the first time, and about how long that takes, s
 _inline: Any = intrinsic  # to a type checker it takes the arguments of the compiled function
-compiled = numba.njit(error_model="numpy", fastmath=STRICT)
+
+# without numba's runtime: such functions make no arrays and count no references, which would take half of the time
+_OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": STRICT, "_nrt": False}
+compiled = numba.njit(**_OPTIONS)
+inlined = numba.njit(**_OPTIONS, inline="always")
 
 
 @_inline
@@ -84,7 +91,7 @@ def _exp(t, less):
 
 
 @compiled
-def _corrected(r, inverse_length, strength, base, shape):
+def _corrected(r, inverse_length, strength, precompressed, coefficients):
     """delta = 3/2 without cancellation: relative accuracy at any amplitude for one square root."""
     s = r * inverse_length
     s = s if s > -1.0 else -1.0
@@ -94,45 +101,45 @@ def _corrected(r, inverse_length, strength, base, shape):
 
 
 @compiled
-def _polynomial(r, inverse_length, strength, base, shape):
+def _polynomial(r, inverse_length, strength, precompressed, coefficients):
     """Any delta while |s| is small enough for seven terms of the binomial series; no contact may open."""
     s = r * inverse_length
-    p = fma(s, fma(s, fma(s, shape[6], shape[5]), shape[4]), shape[3])
-    return (strength * s) * fma(s, fma(s, fma(s, p, shape[2]), shape[1]), shape[0])
+    p = fma(s, fma(s, fma(s, coefficients[6], coefficients[5]), coefficients[4]), coefficients[3])
+    return (strength * s) * fma(s, fma(s, fma(s, p, coefficients[2]), coefficients[1]), coefficients[0])
 
 
 @compiled
-def _spring(r, inverse_length, strength, base, shape):
+def _spring(r, inverse_length, strength, precompressed, coefficients):
     """delta = 1: linear until the contact opens."""
     s = r * inverse_length
-    return strength * (s if s > -base else -base)
+    return strength * (s if s > -precompressed else -precompressed)
 
 
 @compiled
-def _power(r, inverse_length, strength, base, shape):
+def _power(r, inverse_length, strength, precompressed, coefficients):
     """Any delta without cancellation."""
     s = r * inverse_length
     inside = s if s > -1.0 else 0.0
     y = 1.0 + inside
-    held = _exp(shape[7] * _log(y, inside - (y - 1.0)), 1.0)
+    held = _exp(coefficients[7] * _log(y, inside - (y - 1.0)), 1.0)
     return strength * (held if s > -1.0 else -1.0)
 
 
 @compiled
-def _loose_power(r, inverse_length, strength, base, shape):
+def _loose_power(r, inverse_length, strength, precompressed, coefficients):
     """Any delta where nothing is pressed."""
     y = r if r > 1e-90 else 1.0
-    held = _exp(shape[7] * _log(y, 0.0), 0.0)
+    held = _exp(coefficients[7] * _log(y, 0.0), 0.0)
     return strength * held if r > 1e-90 else 0.0
 
 
 def _roots(quarters: int) -> Callable[..., Any]:
-    """Return the force for delta = quarters / 4 as y^delta - base, by square roots alone."""
+    """Return the force for delta = quarters / 4 as y^delta - precompressed, by square roots alone."""
     whole, half, quarter = quarters // 4, quarters % 4 // 2, quarters % 2
 
     @compiled
-    def force(r, inverse_length, strength, base, shape):
-        y = fma(r, inverse_length, base)
+    def force(r, inverse_length, strength, precompressed, coefficients):
+        y = fma(r, inverse_length, precompressed)
         y = y if y > 0.0 else 0.0
         held = strength
         for _ in range(whole):
@@ -141,22 +148,42 @@ def _roots(quarters: int) -> Callable[..., Any]:
         rest = root if half > 0 else 1.0
         if quarter > 0:
             rest = rest * math.sqrt(root)
-        return fma(held, rest, -(strength * base))
+        return fma(held, rest, -(strength * precompressed))
 
     return force
+
+
+@compiled
+def _touching(r, uncompressed, coefficients):
+    """Return the force of a first contact that touches without pressing in a chain that is pressed otherwise."""
+    return uncompressed * r ** coefficients[7] if r > 0.0 else 0.0
 
 
 def _loops(force: Callable[..., Any]) -> tuple[Callable[..., Any], Callable[..., Any]]:
     """Make the two loops over contacts that are all there is to Eq. (1), for one form of the force."""
 
     @compiled
-    def forces(out, x, inverse_length, strength, base, shape):
+    def forces(out, x, inverse_length, strength, precompressed, coefficients):
         """Fill out (C,) with the force of every contact between the bodies x (C+1,), N."""
         for n in range(out.size):
-            out[n] = force(x[n] - x[n + 1], inverse_length[n], strength[n], base, shape)
+            out[n] = force(x[n] - x[n + 1], inverse_length[n], strength[n], precompressed, coefficients)
 
     @compiled
-    def rows(x, v, inverse_length, strength, inverse_mass, kicks, drifts, carried, top, loose, base, shape, path):
+    def rows(
+        x,
+        v,
+        inverse_length,
+        strength,
+        inverse_mass,
+        kicks,
+        drifts,
+        carried,
+        top,
+        uncompressed,
+        precompressed,
+        coefficients,
+        path,
+    ):
         """Kick and drift all grains once a row, in place and in one pass: each contact's force is found once.
 
         x (G+2,) has a body more at either end than v (G,); contacts n = 0 ... G lie between x[n] and x[n+1]. The force
@@ -171,11 +198,11 @@ def _loops(force: Callable[..., Any]) -> tuple[Callable[..., Any], Callable[...,
             if top:
                 above = 0.0
                 if strength[0] > 0.0:
-                    above = force(x[0] - x[1], inverse_length[0], strength[0], base, shape)
-                if loose > 0.0 and x[0] > x[1]:
-                    above += loose * (x[0] - x[1]) ** shape[7]
+                    above = force(x[0] - x[1], inverse_length[0], strength[0], precompressed, coefficients)
+                if uncompressed > 0.0:
+                    above += _touching(x[0] - x[1], uncompressed, coefficients)
             for n in range(v.size):
-                below = force(x[n + 1] - x[n + 2], inverse_length[n + 1], strength[n + 1], base, shape)
+                below = force(x[n + 1] - x[n + 2], inverse_length[n + 1], strength[n + 1], precompressed, coefficients)
                 faster = fma(kick, inverse_mass[n] * (above - below), v[n])
                 v[n] = faster
                 x[n + 1] = fma(drift, faster, x[n + 1])
@@ -187,66 +214,61 @@ def _loops(force: Callable[..., Any]) -> tuple[Callable[..., Any], Callable[...,
 
 CORRECTED, POLYNOMIAL, SPRING, POWER, LOOSE_POWER = range(5)
 ROOTS = (5, 6, 7, 8)  # forms of delta = quarters / 4
-FORMS = {
-    CORRECTED: "corrected square root",
-    POLYNOMIAL: "polynomial",
-    SPRING: "spring",
-    POWER: "vectorised power",
-    LOOSE_POWER: "vectorised power",
-} | dict.fromkeys(ROOTS, "plain square roots")
-
-_forces_corrected, _rows_corrected = _loops(_corrected)
-_forces_polynomial, _rows_polynomial = _loops(_polynomial)
-_forces_spring, _rows_spring = _loops(_spring)
-_forces_power, _rows_power = _loops(_power)
-_forces_loose, _rows_loose = _loops(_loose_power)
-_forces_5, _rows_5 = _loops(_roots(5))
-_forces_6, _rows_6 = _loops(_roots(6))
-_forces_7, _rows_7 = _loops(_roots(7))
-_forces_8, _rows_8 = _loops(_roots(8))
+FORMS: dict[int, tuple[str, Callable[..., Any]]] = {
+    CORRECTED: ("corrected square root", _corrected),
+    POLYNOMIAL: ("polynomial", _polynomial),
+    SPRING: ("spring", _spring),
+    POWER: ("vectorised power", _power),
+    LOOSE_POWER: ("vectorised power", _loose_power),
+} | {form: ("plain square roots", _roots(form)) for form in ROOTS}
+LOOPS = {form: _loops(force) for form, (_, force) in FORMS.items()}
 
 
-@compiled
-def contact_forces(form, out, x, il, st, base, shape):
-    """Fill out with the force of every contact, in the given form; see `_loops`."""
-    if form == CORRECTED:
-        _forces_corrected(out, x, il, st, base, shape)
-    elif form == 6:
-        _forces_6(out, x, il, st, base, shape)
-    elif form == POLYNOMIAL:
-        _forces_polynomial(out, x, il, st, base, shape)
-    elif form == SPRING:
-        _forces_spring(out, x, il, st, base, shape)
-    elif form == POWER:
-        _forces_power(out, x, il, st, base, shape)
-    elif form == LOOSE_POWER:
-        _forces_loose(out, x, il, st, base, shape)
-    elif form == 5:
-        _forces_5(out, x, il, st, base, shape)
-    elif form == 7:
-        _forces_7(out, x, il, st, base, shape)
-    else:
-        _forces_8(out, x, il, st, base, shape)
+def _by_form(loops: dict[int, Callable[..., None]]) -> Callable[..., None]:
+    """Make the function of a form, and of what its loop takes, that runs the loop of that form."""
+    *others, (_, last) = loops.items()
+
+    @inlined
+    def choose(form, arguments):
+        last(*arguments)
+
+    for one, loop in others:
+        choose = _either(one, loop, choose)
+
+    @compiled
+    def run(form, *arguments):
+        choose(form, arguments)
+
+    return run
 
 
-@compiled
-def kick_and_drift(form, x, v, il, st, im, kicks, drifts, carried, top, loose, base, shape, path):
-    """Kick and drift, in the given form; see `_loops`."""
-    if form == CORRECTED:
-        _rows_corrected(x, v, il, st, im, kicks, drifts, carried, top, loose, base, shape, path)
-    elif form == 6:
-        _rows_6(x, v, il, st, im, kicks, drifts, carried, top, loose, base, shape, path)
-    elif form == POLYNOMIAL:
-        _rows_polynomial(x, v, il, st, im, kicks, drifts, carried, top, loose, base, shape, path)
-    elif form == SPRING:
-        _rows_spring(x, v, il, st, im, kicks, drifts, carried, top, loose, base, shape, path)
-    elif form == POWER:
-        _rows_power(x, v, il, st, im, kicks, drifts, carried, top, loose, base, shape, path)
-    elif form == LOOSE_POWER:
-        _rows_loose(x, v, il, st, im, kicks, drifts, carried, top, loose, base, shape, path)
-    elif form == 5:
-        _rows_5(x, v, il, st, im, kicks, drifts, carried, top, loose, base, shape, path)
-    elif form == 7:
-        _rows_7(x, v, il, st, im, kicks, drifts, carried, top, loose, base, shape, path)
-    else:
-        _rows_8(x, v, il, st, im, kicks, drifts, carried, top, loose, base, shape, path)
+def _either(one: int, loop: Callable[..., None], choose: Callable[..., None]) -> Callable[..., None]:
+    """Make the function that runs a loop if the form is its own, and else looks further."""
+
+    @inlined
+    def either(form, arguments):
+        if form == one:
+            loop(*arguments)
+        else:
+            choose(form, arguments)
+
+    return either
+
+
+contact_forces = _by_form({form: forces for form, (forces, _) in LOOPS.items()})
+kick_and_drift = _by_form({form: rows for form, (_, rows) in LOOPS.items()})
+
+
+@inlined
+def accelerate(chain, y, first, last, force, pull):
+    """Fill pull (W,) with the accelerations of bodies first ... last-1 of a row y (W,); force (W,) is room for work."""
+    near = slice(first - 1, last)
+    f, im, a = force[: last - first + 1], chain.inverse_mass[first:last], pull[first:last]
+    contact_forces(
+        chain.form, f, y[first - 1 : last + 1], chain.inverse_length[near], chain.strength[near],
+        chain.precompressed, chain.coefficients,
+    )  # fmt: skip
+    if first == PAD and chain.uncompressed > 0.0:
+        f[0] += _touching(y[PAD - 1] - y[PAD], chain.uncompressed, chain.coefficients)
+    for n in range(a.size):
+        a[n] = im[n] * (f[n] - f[n + 1])

@@ -1,0 +1,137 @@
+"""Kick-drift splittings with an adaptive step size around contacts that open or close, compiled.
+
+A method of order p needs p derivatives of the force, which goes like t^delta where a contact opens or closes; steps
+that shorten like the distance to that time to the power 9/14 keep the error of every step the same, and the order.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ...util.compilation import compiled_once
+from .contact_forces import NEWS, STRICT, accelerate, bits, fma, inlined, number
+from .drive import ahead, place
+from .layout import DONE, FIRST, LAST, PAD, PENDING
+from .sample_loop import sample_loop
+from .splitting import sweep
+from .window import watch, widen
+
+
+@inlined
+def _score(gap, rate, bend, weight, omega, nearest):
+    """Return how near a contact is to opening or closing, weighed by what that does to the motion, squared.
+
+    For a contact with the overlap `gap` and its two rates, the force behaves like t^(3/2) around the time at which the
+    overlap is 0; of a quadratic through them the nearest root counts, also a complex one (a contact that all but
+    opens). The local error of a step h there goes as (h / distance)^7 distance^(5/2).
+    """
+    inside = rate * rate - 2.0 * gap * bend
+    size = inside if inside > 0.0 else -inside
+    root, modulus = math.sqrt(size), math.sqrt(rate * rate + size)
+    towards = abs(rate) if gap > 0.0 else rate  # behind a contact that has just opened lies nothing
+    fast = towards + root if inside > 0.0 else modulus
+    comes = gap if gap > inside else inside
+    fast = fast if comes > 0.0 else 0.0
+    near = fast / (2.0 * omega * (abs(gap) + 1e-300))
+    near = near if near > 0.0 else 0.0
+    near = near if near < nearest else nearest
+    near2 = near * near
+    near4 = near2 * near2
+    return weight * (size * root) * (near4 * near4) * near
+
+
+@inlined
+def _nearness(y, rates, bends, inverse_length, weight, precompressed, uncompressed, omega, nearest):
+    """Return the largest score of all contacts between the bodies y."""
+    largest = 0  # as bits, see `window.watch`
+    for n in range(inverse_length.size):
+        il = inverse_length[n]
+        gap = precompressed + (y[n] - y[n + 1]) * il
+        rate, bend = (rates[n] - rates[n + 1]) * il, (bends[n] - bends[n + 1]) * il
+        largest = max(bits(_score(gap, rate, bend, weight[n], omega, nearest)), largest)
+    most = number(largest)
+    if uncompressed > 0.0:
+        score = _score(y[0] - y[1], rates[0] - rates[1], bends[0] - bends[1], weight[0], omega, nearest)
+        most = score if score > most else most
+    return most
+
+
+@inlined
+def _finish_kick(chain, margin, force, pull):
+    """Complete the kick of the step before with the acceleration (W,), which is left in pull."""
+    state = chain.state
+    widen(chain, margin)
+    first, last = int(state[FIRST]), int(state[LAST])
+    accelerate(chain, chain.x, first, last, force, pull)
+    speeds, a = chain.v[first:last], pull[first:last]
+    for n in range(speeds.size):
+        speeds[n] = fma(state[PENDING], a[n], speeds[n])
+    state[PENDING] = 0.0
+
+
+@inlined
+def _advance(chain, method, work, clock, span):
+    """Take one step."""
+    kicks, drifts, shortened, omega, nearest, weight = method
+    kick, drift, carried, path, reach, force, pull = work
+    y, w, state, stages = chain.x, chain.v, chain.state, drifts.size
+    _finish_kick(chain, stages + 1, force, pull)
+    watch(chain)
+    first, last = int(state[FIRST]), int(state[LAST])
+    bodies, near, grains, speeds = slice(first - 1, last + 1), slice(first - 1, last), y[first:last], w[first:last]
+    whole = span.length - state[DONE]
+    left = whole
+    if chain.driven:
+        t = span.begin + state[DONE]
+        w[PAD] = place(chain, t, 1)
+        left = min(left, ahead(chain, t, span.begin + span.length, 1e-9 * clock.step))
+    nearness = _nearness(
+        y[bodies], w[bodies], pull[bodies], chain.inverse_length[near], weight[chain.number, near],
+        chain.precompressed, chain.uncompressed if first == PAD else 0.0, omega[chain.number], nearest[chain.number],
+    )  # fmt: skip
+    h = clock.step * min(1.0, shortened * nearness ** (-1 / 14)) if nearness > 0.0 else clock.step
+    steps = max(1, math.ceil(left / h - 1e-9))
+    h = left / steps
+    if chain.driven:
+        w[PAD] = 0.0
+        for stage in range(stages - 1):
+            path[stage] = place(chain, span.begin + state[DONE] + reach[stage] * h, 0)
+    a = pull[first:last]
+    for n in range(speeds.size):
+        speeds[n] = fma(kicks[0] * h, a[n], speeds[n])
+        grains[n] = fma(drifts[0] * h, speeds[n], grains[n])
+    for stage in range(stages - 1):
+        kick[stage], drift[stage] = kicks[stage + 1] * h, drifts[stage + 1] * h
+    sweep(chain, kick, drift, carried, path)
+    state[DONE] = span.length if steps == 1 and left == whole else state[DONE] + h
+    state[PENDING] = kicks[stages] * h
+    if chain.driven:
+        y[PAD] = place(chain, span.begin + state[DONE], 0)
+    return 1
+
+
+@inlined
+def _land(chain, method, work, span):
+    """Complete the last kick."""
+    _finish_kick(chain, method[1].size + 1, work[5], work[6])
+
+
+_march = sample_loop(_advance, False, _land)
+
+
+@compiled_once(*NEWS, nogil=True, error_model="numpy", fastmath=STRICT)
+def march(chains, method, clock, u_out, v_out, offset, until, max_steps):
+    """Advance as `sample_loop` says by a splitting with an adaptive step size.
+
+    Parameters
+    ----------
+    method : kicks (S+1,) and drifts (S,) as parts of a step, length of the shortened steps, and of R chains
+        the highest frequency (R,) in rad/s, the largest 1 / (distance x frequency) that is told apart (R,), and
+        for each contact the square of the acceleration that it gives over what changes the motion (R, W)
+    """
+    rows, width = method[1].size - 1, chains.x.shape[1]
+    kick, drift, carried, path = np.zeros(rows), np.zeros(rows), np.zeros(rows), np.zeros(rows if chains.driven else 0)
+    work = kick, drift, carried, path, np.cumsum(method[1]), np.zeros(width), np.zeros(width)
+    return _march(chains, method, work, clock, u_out, v_out, offset, until, max_steps)

@@ -1,0 +1,100 @@
+"""How chains lie in memory, and the tuples of arrays that the compiled loops hand on.
+
+A row of bodies is a wall (or nothing), N grains and a wall (or nothing), grain 1 at the index `PAD`, where a cache line
+begins; behind them come bodies that do not exist, up to a whole number of lines. Whatever is held has no inverse mass.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from ...util.arrays import Array
+
+PAD = 8  # doubles in a cache line
+
+# the state of a chain between two calls: the last sample, how far beyond it (in steps or s), the part of a kick that is
+# still due, the active window, extremes of the contacts, steps made, and the step size of a method that changes it
+SAMPLE, DONE, PENDING, FIRST, LAST, LOWEST, CLOSEST, STEPS, STEP = range(9)
+
+
+class Chains(NamedTuple):
+    """A batch of R chains in rows of W bodies.
+
+    Attributes
+    ----------
+    x, v : (R, W) arrays
+        Displacements from equilibrium and velocities, m and m/s.
+    history : (R, H, W) array
+        What the method keeps of earlier steps.
+    state : (R, 9) array
+        See SAMPLE ... STEP.
+    table : (R, 3, W) array
+        1 / length and strength of the contact below each body, and its inverse mass.
+    uncompressed : (R,) array
+        N/m^delta: the constant of a first contact that touches without pressing in a compressed chain, else 0.
+    scale : (R, 2) array
+        Largest displacement and speed of the excitation, m and m/s.
+    forms, precompressed, coefficients : (R,) array, number and (8,) array
+        See `contact_forces`.
+    driven : bool
+        Whether the motion of grain 1 is imposed:
+    drive, knots, pieces : (R, 3), (R, P) and (R, 4, P-1) arrays
+        how; see `drive.place`.
+    """
+
+    x: Array
+    v: Array
+    history: Array
+    state: Array
+    table: Array
+    uncompressed: Array
+    scale: Array
+    forms: Array
+    precompressed: float
+    coefficients: Array
+    driven: bool
+    drive: Array
+    knots: Array
+    pieces: Array
+
+
+class Chain(NamedTuple):
+    """One chain of a batch, and its number in it."""
+
+    x: Array
+    v: Array
+    history: Array
+    state: Array
+    inverse_length: Array
+    strength: Array
+    inverse_mass: Array
+    uncompressed: float
+    scale: Array
+    form: int
+    precompressed: float
+    coefficients: Array
+    driven: bool
+    drive: Array
+    knots: Array
+    pieces: Array
+    number: int
+
+
+class Clock(NamedTuple):
+    """Sample interval in s, steps between two landings, longest step in s, samples between landings, last sample."""
+
+    interval: float
+    steps: int
+    step: float
+    stride: int
+    final: int
+
+
+class Span(NamedTuple):
+    """From one landing to the next: when it begins and ends and how long it is in s, and its steps if all are equal."""
+
+    begin: float
+    end: float
+    length: float
+    steps: int
+    step: float

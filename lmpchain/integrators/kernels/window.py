@@ -1,0 +1,63 @@
+"""The active window of a chain, what is remembered of its contacts, and the record of a sample, compiled.
+
+Only the window is computed: what lies outside, beyond the light cone, has not moved by `TINY` of the strike.
+"""
+
+from __future__ import annotations
+
+from .contact_forces import bits, inlined, number
+from .drive import place
+from .layout import CLOSEST, FIRST, LAST, LOWEST, PAD
+
+TINY = 1e-19  # of the largest speed and displacement: what has moved less lies outside of the light cone
+
+
+@inlined
+def widen(chain, margin):
+    """Let the window grow until `margin` grains at either end have not moved by TINY of the scale."""
+    x, v, state = chain.x, chain.v, chain.state
+    still_x, still_v = TINY * chain.scale[0], TINY * chain.scale[1]
+    last, end = int(state[LAST]), x.size - PAD
+    if last < end:
+        n = last - 1
+        while n > PAD and abs(x[n]) <= still_x and abs(v[n]) <= still_v:
+            n -= 1
+        state[LAST] = min(end, max(last, (n + 1 + margin + PAD - 1) // PAD * PAD))
+    first = int(state[FIRST])
+    if first > PAD:
+        n = first
+        while n < end - 1 and abs(x[n]) <= still_x and abs(v[n]) <= still_v:
+            n += 1
+        state[FIRST] = max(PAD, min(first, (n - margin) // PAD * PAD))
+
+
+@inlined
+def watch(chain):
+    """Remember the smallest r / length, whose -1 is an opening, and the largest r of all contacts in the window.
+
+    Positive numbers compare like their bits: the largest of whole numbers is found many at a time.
+    """
+    state = chain.state
+    first, last = int(state[FIRST]), int(state[LAST])
+    x = chain.x[first - 1 : last + 1]
+    inverse_length, strength = chain.inverse_length[first - 1 : last], chain.strength[first - 1 : last]
+    opened, closest = bits(max(-state[LOWEST], 0.0)), bits(state[CLOSEST])
+    for n in range(strength.size):
+        r = x[n] - x[n + 1]
+        s = bits(-(r * inverse_length[n]))
+        r = r if strength[n] > 0.0 else 0.0
+        opened = max(s, opened)
+        closest = max(bits(r), closest)
+    state[LOWEST], state[CLOSEST] = -number(opened), number(closest)
+
+
+@inlined
+def record(chain, t, u_out, v_out):
+    """Copy the grains of the window at time t to where they are recorded, (N,) m and m/s."""
+    last = int(chain.state[LAST])
+    x, v = chain.x[PAD:last], chain.v[PAD:last]
+    for n in range(min(u_out.size, x.size)):
+        u_out[n] = x[n]
+        v_out[n] = v[n]
+    if chain.driven:
+        v_out[0] = place(chain, t, 1)

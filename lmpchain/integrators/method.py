@@ -1,0 +1,77 @@
+"""What every method of time integration is and says of itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
+
+import numpy as np
+
+from ..util.arrays import Array
+from .step_schedule import StepSchedule
+
+if TYPE_CHECKING:  # numba, which it imports, is not needed to know a method
+    from .batch import ChainBatch
+
+
+class March(NamedTuple):
+    """The compiled march of a method for a batch of chains.
+
+    Attributes
+    ----------
+    run : function
+        See `kernels.sample_loop`.
+    common, each : tuples
+        What it takes beside the chains: what all share, and arrays with a row for each of the R chains.
+    history : int
+        Values a grain that it keeps of earlier steps.
+    """
+
+    run: Callable[..., int]
+    common: tuple[Any, ...]
+    each: tuple[Array, ...] = ()
+    history: int = 0
+
+
+class Method(Protocol):
+    """What is known of every method."""
+
+    @property
+    def name(self) -> str:
+        """How it is asked for."""
+
+    @property
+    def order(self) -> int:
+        """Order of convergence while no contact opens."""
+
+    @property
+    def evaluations(self) -> int:
+        """Force evaluations a step."""
+
+    @property
+    def error_constant(self) -> float:
+        """Relative error at ``omega h = 1`` of the paper's scene, where ``omega T`` is 60."""
+
+    @property
+    def reference(self) -> str:
+        """Where it comes from."""
+
+    @property
+    def adaptive(self) -> Literal["no", "openings", "error"]:
+        """Whether its step size can adapt: to contacts that open or close, or everywhere to an error estimate."""
+
+    @property
+    def stability_limit(self) -> float:
+        """Largest omega h for which a harmonic oscillator stays bounded, or hardly grows."""
+
+    def growth(self, reach: float) -> float:
+        """Return by what factor a harmonic oscillator with omega h = reach grows a step, or shrinks."""
+
+    def march(self, batch: ChainBatch, schedule: StepSchedule) -> March:
+        """Return what moves a batch of chains by steps of this schedule."""
+
+
+def first_growth(growth: Callable[[float], float], more: float) -> float:
+    """Return the first omega h, in steps of a thousandth, at which an oscillator grows by `more` a step."""
+    grid = np.arange(1, 10000) / 1000
+    return float(next(y for y in grid if growth(y) > 1 + more))
