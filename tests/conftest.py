@@ -1,5 +1,6 @@
 """What all tests begin with."""
 
+import multiprocessing
 import os
 
 import pytest
@@ -13,19 +14,21 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
 def pytest_configure(config: pytest.Config) -> None:
     """Have all loops compiled that a machine compiles once, so that no test waits for it or reads of it.
 
-    It is done before `-n` starts its workers, which then find them compiled.
+    It is done before `-n` starts its workers, which then find them compiled, and half of it in a process beside.
     """
     if hasattr(config, "workerinput") or config.option.collectonly:
         return
+    beside = multiprocessing.get_context("fork").Process(target=_run, args=("weak", "chebyshev"))
+    beside.start()
+    for integrator in ("dop853", "gear4", "auto"):
+        _run("weak", "native", integrator=integrator)
+    _run("fig1", "native")
+    beside.join()
+
+
+def _run(name: str, engine: str, **options: str) -> None:
     from helpers.example_scenes import paper
 
     from lmpchain import simulate
 
-    for name, engine, options in (
-        ("weak", "chebyshev", {}),
-        ("weak", "native", {"integrator": "dop853"}),
-        ("weak", "native", {"integrator": "gear4"}),
-        ("weak", "native", {}),
-        ("fig1", "native", {}),
-    ):
-        simulate(paper(name, 5), engine, 1e-2, **options)
+    simulate(paper(name, 5), engine, 1e-2, **options)

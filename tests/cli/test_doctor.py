@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 from helpers.child_processes import PATIENCE, until
 
@@ -324,7 +325,8 @@ def test_ctrl_c_leaves_at_once(sent: int, code: int, tmp_path: Path):
         [sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     started = tmp_path / "mpiexec.pid"
-    until(lambda: process.poll() is not None or (started.exists() and started.read_text().strip()))
+    until(lambda: started.exists() and started.read_text().strip())
+    until(lambda: psutil.Process(process.pid).status() == psutil.STATUS_SLEEPING)  # it waits for mpiexec
     process.send_signal(sent)
     out, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == code
