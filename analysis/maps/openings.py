@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 EXPONENT = 1.5
-ADAPTIVE = [name for name in METHODS if name not in ("verlet", "gear4")]  # which can be, and have an order to lose
+ADAPTIVE = [name for name, method in METHODS.items() if method.adaptive != "no"]
 ASYMPTOTIC = {"gear4": 0.02}  # step x frequency below which a slope is found; of the others from the first point on
 RUNS = {"dop853": 120}  # for an error; of the others 40
 FLOOR = 3e-13  # error below which round-off has its part

@@ -1,4 +1,4 @@
-"""Chains in memory, moved forward by the compiled"""
+"""Chains moved forward in time by the compiled march of a method."""
 
 from __future__ import annotations
 

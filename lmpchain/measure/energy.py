@@ -162,7 +162,7 @@ def _integral(
     """
     (column,) = np.flatnonzero(history.contact == number)
     overlap, closing, force = (x[:, column] for x in (history.overlap, history.closing, history.change))
-    steep = chain.exponent * chain.contacts.constant[number] * np.maximum(overlap, 0.0) ** (chain.exponent - 1)
+    steep = chain.contacts.of(number).stiffness_at(np.maximum(overlap, 0.0))
     value, slope = force * weight, np.where(overlap > 0, steep * closing, 0.0) * weight + force * rate
     fine, coarse = (
         CubicHermiteSpline(history.time[::n], value[::n], slope[::n]).antiderivative()(history.time[::n])

@@ -255,10 +255,7 @@ def first_overlaps(chain: Chain, excitation: Excitation) -> Array:
     inertia[0] *= not isinstance(excitation, Drive)  # what is driven does not give way,
     inertia[chain.movable :] = 0.0  # nor does what is held, or a wall
     inertia = np.concatenate(([0.0], inertia, [0.0]))
-    power = chain.exponent + 1
-    closing = np.maximum(contacts.closer(v), 0.0)
-    stiff = (inertia[:-1] + inertia[1:]) * contacts.constant
-    two_body = (power / 2 * closing**2 / np.where(stiff > 0, stiff, np.inf)) ** (1 / power)
+    two_body = contacts.collision_overlap(np.maximum(contacts.closer(v), 0.0), inertia[:-1] + inertia[1:])
     return np.maximum(contacts.overlap + contacts.exists * contacts.closer(u), two_body)
 
 

@@ -31,8 +31,7 @@ def reached(scene: Scene) -> tuple[int, int]:
         if last - first + 1 > WORTH * grains:
             return 1, grains
         chain = scene.chain.part(first, last)
-        squeezed = chain.contacts.overlap_bound(scene.energy)
-        stiffness = chain.exponent * chain.contacts.constant * squeezed ** (chain.exponent - 1)
+        stiffness = chain.contacts.stiffness_at(chain.contacts.overlap_bound(scene.energy))
         needed = _distance(2 * math.sqrt(float(stiffness.max()) / chain.masses.min()) * scene.duration)
         if needed <= away:
             return max(1, top - needed), min(grains, bottom + needed)
