@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 EXPONENT = 1.5
-ADAPTIVE = [name for name in METHODS if name not in ("verlet", "gear4")]  # methods of adaptive steps, order above 2
-ASYMPTOTIC = {"gear4": 0.02}  # step x frequency below which the slope is fitted; others from the first point on
+ADAPTIVE = [name for name, method in METHODS.items() if method.adaptive != "no"]
+ASYMPTOTIC = {"gear4": 0.02}  # step x frequency below which a slope is found; of the others from the first point on
 RUNS = {"dop853": 120}  # for an error; of the others 40
 FLOOR = 3e-13  # error below which round-off contributes
 

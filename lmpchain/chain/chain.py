@@ -170,14 +170,14 @@ class Chain(Checked):
         modulus, d, mass = self._kinds
         walls: list[Any] = [self.top_material, self.bottom_material]
         modulus = np.append(modulus, [wall.plane_strain_modulus for wall in walls if wall])
-        length, delta = d ** (1.5 - self.exponent), self.exponent
-        with np.errstate(all="ignore"):  # non-finite values fail the check
+        length = d ** (1.5 - self.exponent)
+        with np.errstate(all="ignore"):  # what is not finite here is looked at more closely
             softest = 4 / 3 * modulus.min() / 2 * np.sqrt(d.min() / 4) * length.min()
             hardest = 4 / 3 * modulus.max() / 2 * np.sqrt(d.max() / 2) * length.max()
             load = self.top_load + self.gravity * (self.grains * mass[0] + mass[1:].sum())
-            overlap = (load / softest) ** (1 / delta)
-            largest = delta * hardest * overlap ** (delta - 1) / mass.min()
-            return bool(overlap <= LARGEST_OVERLAP * d.min() and np.isfinite(2 * largest))
+            overlap = Contacts(softest, load, self.exponent).overlap
+            largest = Contacts(hardest, load, self.exponent).stiffness_at(overlap) / mass.min()
+            return bool(softest > 0 and overlap <= LARGEST_OVERLAP * d.min() and np.isfinite(2 * largest))
 
     def _by_grain(self, prop: str) -> Array:
         """Return a property of the material of every grain, (N,)."""

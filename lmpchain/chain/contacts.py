@@ -73,7 +73,19 @@ class Contacts:
     @cached_property
     def stiffness(self) -> Array:
         """Linear stiffness delta K_n eps_n^(delta-1) at rest, (N+1,) N/m."""
-        return self.exponent * self.constant * self.overlap ** (self.exponent - 1)
+        return self.stiffness_at(self.overlap)
+
+    def of(self, numbers: int | NDArray[np.intp]) -> Contacts:
+        """Return these contacts alone."""
+        return Contacts(self.constant[numbers], self.force[numbers], self.exponent)
+
+    def force_at(self, overlap: Array) -> Array:
+        """Return the force K o^delta of contacts with the overlap o, 0 where they are open, (..., N+1) N."""
+        return self.constant * np.maximum(overlap, 0.0) ** self.exponent
+
+    def stiffness_at(self, overlap: Array) -> Array:
+        """Return the stiffness delta K o^(delta-1) of contacts with the overlap o >= 0, (..., N+1) N/m."""
+        return self.exponent * self.constant * overlap ** (self.exponent - 1)
 
     @staticmethod
     def closer(displacement: Array) -> Array:
@@ -89,7 +101,7 @@ class Contacts:
         """
         s = r / np.where(self.pressed, self.overlap, np.inf)
         held = np.where(s > -1, np.expm1(self.exponent * np.log1p(np.where(s > -1, s, 0.0))), -1.0)
-        return np.where(self.pressed, self.force * held, self.constant * np.maximum(r, 0.0) ** self.exponent)
+        return np.where(self.pressed, self.force * held, self.force_at(r))
 
     def energy(self, r: Array) -> Array:
         """Return the contact energy above that at rest, (..., N+1) J, for a change r of the overlap.
@@ -109,6 +121,27 @@ class Contacts:
             series += term * s**k
         scaled = np.where(np.abs(s) < 0.02, series, exact)
         return np.where(self.pressed, self.force * self.overlap * scaled, loose)
+
+    def collision_overlap(self, speed: Array, inverse_mass: Array) -> Array:
+        """Return the largest overlap, m, of two bodies that meet alone at a speed, (N+1,) m/s.
+
+        The sum of their inverse masses is (N+1,) 1/kg; where it is 0 nothing meets.
+        """
+        power, stiff = self.exponent + 1, inverse_mass * self.constant
+        return (power / 2 * speed**2 / np.where(stiff > 0, stiff, np.inf)) ** (1 / power)
+
+    @property
+    def elastic_share(self) -> float:
+        """Mean share of the energy that the contacts of an uncompressed chain hold (virial theorem)."""
+        return 2 / (self.exponent + 3)
+
+    def constant_for_stiffness(self, factor: Array) -> Array:
+        """Return by what factor constants change if stiffnesses at rest change by this one, under the same forces."""
+        return factor**self.exponent
+
+    def stiffness_for_force(self, factor: Array) -> Array:
+        """Return by what factor stiffnesses at rest change if the forces at rest change by this one."""
+        return factor ** (1 - 1 / self.exponent)
 
     def overlap_bound(self, energy: float) -> Array:
         """Return an upper bound of each overlap for this energy above rest, (N+1,) m.

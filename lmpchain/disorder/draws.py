@@ -125,7 +125,7 @@ def realisation(scene: Scene, m: float, seed: int, index: int = 0, law: Law = "d
 def _redrawn(chain: Chain, m: float, rng: np.random.Generator, law: Law, of: Of) -> dict[str, Any]:
     """Return the fields of a chain whose contact constants are changed by random factors."""
     zeta = factors(m, chain.grains - 1, rng, law)
-    change = zeta**chain.exponent if of == "stiffness" else zeta
+    change = chain.contacts.constant_for_stiffness(zeta) if of == "stiffness" else zeta
     fields = chain.given() | {"masses": chain.masses, "contact_constants": chain.contact_constants * change}
     if fields.pop("impurity", ()):  # impure diameters and materials do not go with given constants: say them by grain
         fields["diameter"] = chain.diameters

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..scene.scene import Scene
 from ..util.arrays import Array
-from .kernels.contact_forces import CORRECTED, FORMS, LOOSE_POWER, POLYNOMIAL, POWER, ROOTS, SPRING
+from .kernels.contact_forces import CORRECTED, FORMS, POLYNOMIAL, POWER, ROOTS, SPRING, UNCOMPRESSED_POWER
 from .kernels.layout import PAD, Chains
 
 STRONG = 1.0  # strike number from which the fastest form of the force loses nothing
@@ -145,7 +145,7 @@ def force_form(scene: Scene, force: str = "auto") -> int:
     if exponent == 1:
         return SPRING
     if not scene.chain.compressed:
-        return LOOSE_POWER if roots is None else roots
+        return UNCOMPRESSED_POWER if roots is None else roots
     if force == "auto" and scene.largest_strain < weakest(exponent):
         return POLYNOMIAL
     if roots is not None and (force == "plain" or (force == "auto" and scene.strike_number > STRONG)):

@@ -21,9 +21,9 @@ from .step_schedule import StepSchedule
 if TYPE_CHECKING:
     from .batch import ChainBatch
 
-# adaptive step size, over the longest step: small enough that these steps leave as little error as the others do
-ADAPTIVE_STEP = 0.4  # where a contact is near to opening at a distance of one oscillation
-CROSSING_STEP = 0.03  # over the length, to the power that the order asks for, of the step that crosses an opening
+# of the adaptive step size h' near an opening, small enough that these steps leave as little error as the others
+ADAPTIVE_STEP = 0.4  # h' / h at the time 1 / omega from the opening of a contact that matters most
+CROSSING_STEP = 0.03  # omega h' / (omega h)^((order + 1) / (delta + 1)) of the step that crosses the opening
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""A batch of chains in memory, stepped through time by the compiled march of a method."""
+"""Chains moved forward in time by the compiled march of a method."""
 
 from __future__ import annotations
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from ..chain.contacts import Contacts
 from ..errors import InputError
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
@@ -165,9 +164,9 @@ def contacts(trajectory: Trajectory, numbers: Sequence[int] | None = None) -> Co
             raise InputError([("numbers", f"the contacts are numbered {there[0]} to {there[-1]} (got {numbers})")])
     u, v = motion(trajectory, np.stack([chosen, chosen + 1]))
     r = u[:, 0] - u[:, 1]
-    these = Contacts(every.constant[chosen], every.force[chosen], every.exponent)
-    force = these.constant * np.maximum(these.overlap + r, 0.0) ** these.exponent
-    return ContactHistory(trajectory.time, chosen, these.overlap + r, v[:, 0] - v[:, 1], force, these.force_change(r))
+    these = every.of(chosen)
+    overlap, closing = these.overlap + r, v[:, 0] - v[:, 1]
+    return ContactHistory(trajectory.time, chosen, overlap, closing, these.force_at(overlap), these.force_change(r))
 
 
 def wall_force(trajectory: Trajectory, end: Literal["top", "bottom"] = "bottom") -> Array:

@@ -268,7 +268,7 @@ def relative_stiffness(chain: Chain) -> Array:
     stiffness, force = chain.contacts.stiffness[1:].copy(), chain.contacts.force
     if chain.bottom != "wall":
         weight = chain.gravity * chain.masses[-1]
-        stiffness[-1] = stiffness[-2] * (1 + weight / force[-2]) ** (1 - 1 / chain.exponent)
+        stiffness[-1] = stiffness[-2] * chain.contacts.stiffness_for_force(1 + weight / force[-2])
     return stiffness / stiffness[0]
 
 

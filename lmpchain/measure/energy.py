@@ -158,8 +158,8 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
 def _contact_forces(contacts: Contacts, closer: Array, closing: Array) -> tuple[Array, Array]:
     """Return the force of every contact less that at rest, N, and its rate, N/s, (T, N+1) each."""
     overlap = contacts.overlap + closer
-    steep = contacts.exponent * contacts.constant * np.maximum(overlap, 0.0) ** (contacts.exponent - 1)
-    return contacts.force_change(closer), np.where(overlap > 0, steep * closing, 0.0)
+    stiffness = contacts.stiffness_at(np.maximum(overlap, 0.0))
+    return contacts.force_change(closer), np.where(overlap > 0, stiffness * closing, 0.0)
 
 
 def _integral(time: Array, value: Array, slope: Array) -> tuple[Array, float]:

@@ -39,8 +39,7 @@ def reached(chain: Chain, excitation: Excitation, energy: float, duration: float
         if last - first + 1 > WORTH * grains:
             return 1, grains
         part = chain.part(first, last)
-        squeezed = part.contacts.overlap_bound(energy)
-        stiffness = part.exponent * part.contacts.constant * squeezed ** (part.exponent - 1)
+        stiffness = part.contacts.stiffness_at(part.contacts.overlap_bound(energy))
         needed = _distance(2 * math.sqrt(float(stiffness.max()) / part.masses.min()) * duration)
         if needed <= away:
             return max(1, top - needed), min(grains, bottom + needed)

@@ -119,8 +119,7 @@ class Scene(Recording):
         The band edge of the chain at rest, that of two grains pressed together by the strike, or that of a drive.
         """
         chain = self.chain
-        pressed = first_overlaps(chain, self.excitation)
-        stiffness = chain.exponent * chain.contacts.constant * pressed ** (chain.exponent - 1)
+        stiffness = chain.contacts.stiffness_at(first_overlaps(chain, self.excitation))
         pair = float(np.sqrt(2 * stiffness.max() / chain.masses.min()))
         return max(chain.band_edge, pair, self.excitation.fastest) or 1 / self.duration
 

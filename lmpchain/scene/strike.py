@@ -17,15 +17,14 @@ def first_overlaps(chain: Chain, excitation: Excitation) -> Array:
     Two bodies that approach with the relative velocity v, and nothing around them, come closer than at rest by r with
     ``K r^(delta+1) / (delta+1) = mu v^2 / 2``, mu their reduced mass.
     """
-    contacts, power = chain.contacts, chain.exponent + 1
+    contacts = chain.contacts
     (u, _), (_, v) = excitation.initial(chain), excitation.largest(chain)
     inverse_mass = 1 / chain.masses
     inverse_mass[: excitation.driven] = 0.0  # what is driven does not give way,
     inverse_mass[chain.movable :] = 0.0  # nor does what is held, or a wall
     inverse_mass = np.concatenate(([0.0], inverse_mass, [0.0]))
     approach = np.maximum(contacts.closer(v), 0.0)
-    stiff = (inverse_mass[:-1] + inverse_mass[1:]) * contacts.constant
-    collision = (power / 2 * approach**2 / np.where(stiff > 0, stiff, np.inf)) ** (1 / power)
+    collision = contacts.collision_overlap(approach, inverse_mass[:-1] + inverse_mass[1:])
     return np.maximum(contacts.overlap + contacts.exists * contacts.closer(u), collision)
 
 

@@ -42,14 +42,14 @@ def struck_frequency(scene: Scene) -> float:
     if part.excitation.does_work:
         return part.highest_frequency
     displaced = chain.excess_energy(part.initial()[0], np.zeros(chain.grains))
-    elastic = max(2 / (chain.exponent + 3) * part.energy, float(displaced))
+    elastic = max(contacts.elastic_share * part.energy, float(displaced))
     inertia = np.concatenate(([0.0], np.where(np.arange(chain.grains) < chain.movable, 1 / chain.masses, 0.0), [0.0]))
 
     def worst(energy: float) -> float:
         """Return the highest squared frequency of neighbours that share an energy, as springs."""
         highest = 0.0
         for n in range(1, SHARED + 1):
-            stiffness = chain.exponent * contacts.constant * contacts.overlap_bound(energy / n) ** (chain.exponent - 1)
+            stiffness = contacts.stiffness_at(contacts.overlap_bound(energy / n))
             coupling = np.sqrt(stiffness[:-1] * stiffness[1:]) * inertia[1:-1]
             beside = np.append(coupling, 0.0) + np.append(0.0, coupling)
             alone = stiffness * (inertia[:-1] + inertia[1:])

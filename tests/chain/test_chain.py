@@ -23,6 +23,7 @@ from lmpchain import (
     Scene,
     simulate,
 )
+from lmpchain.chain.contacts import Contacts
 
 each_chain = pytest.mark.parametrize("chain", CHAINS.values(), ids=CHAINS)
 each_walled = pytest.mark.parametrize("chain", WALLED.values(), ids=WALLED)
@@ -131,6 +132,26 @@ def test_forces_balance_at_rest_between_walls(chain: Chain):
     assert contacts.stiffness == pytest.approx(slope, rel=1e-14, abs=0)
     assert loose[1:-1].sum() == 0
     assert np.array_equal(chain.equilibrium_overlap, contacts.overlap[1:-1])
+
+
+@pytest.mark.parametrize("exponent", [1.0, 1.5, 2.3])
+def test_the_contact_law_and_what_follows_from_it(exponent: float):
+    """Stiffness is the slope of the force, a collision ends where the energy is spent, and loads scale stiffnesses."""
+    every = Chain(grains=5, diameter=1e-3, exponent=exponent).contacts
+    contacts = every.of(np.flatnonzero(every.pressed))
+    o, h, alike = contacts.overlap, 1e-4 * contacts.overlap, np.ones(4)
+    slope = (contacts.force_at(o + h) - contacts.force_at(o - h)) / (2 * h)
+    assert slope == pytest.approx(contacts.stiffness_at(o), rel=1e-7, abs=0)
+    assert contacts.force_at(o) == pytest.approx(contacts.force, rel=1e-13, abs=0)
+    assert not contacts.force_at(-o).any()
+    deepest = contacts.collision_overlap(0.1 * alike, 2e6 * alike)
+    vacuum = Contacts(contacts.constant, 0 * alike, exponent)
+    assert vacuum.energy(deepest) == pytest.approx(0.1**2 / 2 / 2e6 * alike, rel=1e-12, abs=0)
+    loaded = Contacts(contacts.constant, 3 * contacts.force, exponent)
+    assert loaded.stiffness == pytest.approx(contacts.stiffness * contacts.stiffness_for_force(3.0), rel=1e-13, abs=0)
+    changed = Contacts(contacts.constant * contacts.constant_for_stiffness(2.0), contacts.force, exponent)
+    assert changed.stiffness == pytest.approx(2 * contacts.stiffness, rel=1e-13, abs=0)
+    assert contacts.of(2).stiffness == contacts.stiffness[2]
 
 
 def test_a_wall_that_just_touches_does_not_press():

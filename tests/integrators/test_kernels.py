@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from types import FunctionType
 from typing import Any
 
@@ -21,7 +22,7 @@ from lmpchain.integrators.kernels import contact_forces as forces
 from lmpchain.integrators.kernels import sample_loop, window
 from lmpchain.integrators.kernels import splitting as kernels
 from lmpchain.integrators.kernels.adaptive_splitting import _nearness
-from lmpchain.integrators.kernels.contact_forces import CORRECTED, LOOSE_POWER, POLYNOMIAL, POWER, ROOTS, SPRING
+from lmpchain.integrators.kernels.contact_forces import CORRECTED, POLYNOMIAL, POWER, ROOTS, SPRING, UNCOMPRESSED_POWER
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.step_schedule import StepSchedule
 from lmpchain.integrators.stepper import NativeStepper
@@ -80,14 +81,14 @@ def test_plain_forms_lose_the_last_digit_of_the_force_at_rest(form: int, exponen
 
 
 @pytest.mark.parametrize(
-    ("form", "exponent"), [*PLAIN, (SPRING, 1.0), *((LOOSE_POWER, delta) for delta in (1.01, 1.3, 2.3, 3.0))]
+    ("form", "exponent"), [*PLAIN, (SPRING, 1.0), *((UNCOMPRESSED_POWER, delta) for delta in (1.01, 1.3, 2.3, 3.0))]
 )
 def test_forces_where_nothing_is_pressed(form: int, exponent: float):
     """Down to 1e-30 m; what is found as an exponential is as good as its argument."""
     r = spread(1e-30, 10)
     with mpmath.workdps(60):
         true = [mpmath.mpf(x) ** mpmath.mpf(exponent) for x in r]
-    lost = exponent * 70 if form == LOOSE_POWER else 0
+    lost = exponent * 70 if form == UNCOMPRESSED_POWER else 0
     assert relative(force(form, exponent, r, precompressed=0.0), true) < 2 + lost
 
 
@@ -97,7 +98,7 @@ def test_open_contacts_and_rest_are_exact(form: int, exponent: float):
     assert np.array_equal(found, [-0.7, -0.7, -0.7, -0.7, 0.0])
 
 
-@pytest.mark.parametrize(("form", "exponent"), [*PLAIN, (SPRING, 1.0), (LOOSE_POWER, 2.3)])
+@pytest.mark.parametrize(("form", "exponent"), [*PLAIN, (SPRING, 1.0), (UNCOMPRESSED_POWER, 2.3)])
 def test_what_is_not_pressed_does_not_pull(form: int, exponent: float):
     assert not force(form, exponent, np.array([-1e-30, -1.0, -1e6, 0.0]), precompressed=0.0).any()
 
@@ -118,6 +119,13 @@ def test_force_is_the_derivative_of_the_energy(exponent: float):
 
 
 # --- tiles, and what all this is compiled to
+
+
+@pytest.mark.parametrize("path", sorted(Path(forces.__file__).parent.glob("*.py")), ids=lambda path: path.stem)
+def test_kernels_are_compiled_anew_for_nothing_outside_of_their_folder(path: Path):
+    """What they import of ours lies beside them, and is looked at, or in `util`, and is not compiled."""
+    above = re.findall(r"^\s*from (\.\.\S*|lmpchain\S*) import", path.read_text(encoding="utf-8"), re.MULTILINE)
+    assert set(above) <= {"...util.arrays", "...util.compilation"}
 
 
 @pytest.fixture(scope="module")
@@ -176,7 +184,7 @@ def packed(assembly: str, operation: str) -> int:
 @x86
 @pytest.mark.parametrize(
     ("form", "operation"),
-    [(CORRECTED, "sqrt"), (6, "sqrt"), (POLYNOMIAL, "fmadd"), (POWER, "div"), (LOOSE_POWER, "div")],
+    [(CORRECTED, "sqrt"), (6, "sqrt"), (POLYNOMIAL, "fmadd"), (POWER, "div"), (UNCOMPRESSED_POWER, "div")],
 )
 def test_loops_over_grains_do_several_at_a_time(form: int, operation: str):
     row = types.Array(float64, 1, "C")

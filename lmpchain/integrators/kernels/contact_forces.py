@@ -126,7 +126,7 @@ def _power(r, inverse_length, strength, precompressed, coefficients):
 
 
 @compiled
-def _loose_power(r, inverse_length, strength, precompressed, coefficients):
+def _uncompressed_power(r, inverse_length, strength, precompressed, coefficients):
     """Any delta where nothing is pressed."""
     y = r if r > 1e-90 else 1.0
     held = _exp(coefficients[7] * _log(y, 0.0), 0.0)
@@ -170,20 +170,9 @@ def _loops(force: Callable[..., Any]) -> tuple[Callable[..., Any], Callable[...,
 
     @compiled
     def rows(
-        x,
-        v,
-        inverse_length,
-        strength,
-        inverse_mass,
-        kicks,
-        drifts,
-        carried,
-        top,
-        uncompressed,
-        precompressed,
-        coefficients,
-        path,
-    ):
+        x, v, inverse_length, strength, inverse_mass, kicks, drifts, carried,
+        top, uncompressed, precompressed, coefficients, path,
+    ):  # fmt: skip
         """Kick and drift all grains once a row, in place and in one pass: each contact's force is found once.
 
         x (G+2,) has a body more at either end than v (G,); contacts n = 0 ... G lie between x[n] and x[n+1]. The force
@@ -212,14 +201,14 @@ def _loops(force: Callable[..., Any]) -> tuple[Callable[..., Any], Callable[...,
     return forces, rows
 
 
-CORRECTED, POLYNOMIAL, SPRING, POWER, LOOSE_POWER = range(5)
+CORRECTED, POLYNOMIAL, SPRING, POWER, UNCOMPRESSED_POWER = range(5)
 ROOTS = (5, 6, 7, 8)  # forms of delta = quarters / 4
 FORMS: dict[int, tuple[str, Callable[..., Any]]] = {
     CORRECTED: ("corrected square root", _corrected),
     POLYNOMIAL: ("polynomial", _polynomial),
     SPRING: ("spring", _spring),
     POWER: ("vectorised power", _power),
-    LOOSE_POWER: ("vectorised power", _loose_power),
+    UNCOMPRESSED_POWER: ("vectorised power", _uncompressed_power),
 } | {form: ("plain square roots", _roots(form)) for form in ROOTS}
 LOOPS = {form: _loops(force) for form, (_, force) in FORMS.items()}
 
