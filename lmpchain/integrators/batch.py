@@ -48,7 +48,7 @@ class ChainBatch:
     def __init__(self, scenes: Sequence[Scene], force: str = "auto"):
         chains = [scene.chain for scene in scenes]
         self.scenes, self.grains = scenes, chains[0].grains
-        self.driven = scenes[0].drive is not None
+        self.imposed, self.driven = scenes[0].excitation.does_work, scenes[0].excitation.driven
         contacts = [chain.contacts for chain in chains]
         overlap, carried, constant = (
             np.array([getattr(c, k) for c in contacts]) for k in ("overlap", "force", "constant")
@@ -64,11 +64,12 @@ class ChainBatch:
             self.table[:, 0, held], self.table[:, 1, held] = 1.0, constant
             self.uncompressed = np.zeros(len(scenes))
         self.table[:, 2, PAD : PAD + chains[0].movable] = [1 / chain.masses[: chain.movable] for chain in chains]
-        if self.driven:
-            self.table[:, 2, PAD] = 0.0
+        self.table[:, 2, PAD : PAD + self.driven] = 0.0
         self.forms = np.array([force_form(scene, force) for scene in scenes])
         self.coefficients, self.opening_power = series(chains[0].exponent), chains[0].exponent
         self.drive, self.knots, self.pieces = self._drives()
+        reach = [scene.excitation.reach(scene.chain) if self.imposed else (self.grains, 1) for scene in scenes]
+        self.acted = np.array(reach) + (PAD - 1)
         self.omega = np.array([scene.highest_frequency for scene in scenes])
         imposed = np.array([[np.abs(x).max() for x in scene.excitation.largest(scene.chain)] for scene in scenes])
         speed = np.maximum(imposed[:, 1], imposed[:, 0] * self.omega)
@@ -79,7 +80,7 @@ class ChainBatch:
         return Chains(
             x[share], v[share], history[share], state[share], self.table[share], self.uncompressed[share],
             self.scale[share], self.forms[share], self.precompressed, self.coefficients,
-            self.driven, self.drive[share], self.knots[share], self.pieces[share],
+            self.imposed, self.acted[share], self.drive[share], self.knots[share], self.pieces[share],
         )  # fmt: skip
 
     def _rows(self, count: int) -> Array:
@@ -98,7 +99,7 @@ class ChainBatch:
         return rows
 
     def _drives(self) -> tuple[Array, Array, Array]:
-        """Return how grain 1 of every chain is driven: (R, 3), (R, P) and (R, 4, P-1) arrays; see `kernels.drive`."""
+        """Return how grain 1 of every chain is driven: (R, 3), (R, P) and (R, 4, P-1) arrays; see `right_hand_side`."""
         drives, size = [scene.drive for scene in self.scenes if scene.drive], len(self.scenes)
         knots_max = max((0 if d.times is None else len(d.times) for d in drives), default=0)
         table, knots = np.zeros((size, 3)), np.zeros((size, knots_max))

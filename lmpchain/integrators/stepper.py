@@ -47,8 +47,7 @@ class NativeStepper:
         initial = [scene.initial() for scene in scenes]
         self._x = chains.bodies(state.get("u", np.array([u for u, _ in initial])))
         self._v = chains.bodies(state.get("v", np.array([v for _, v in initial])))
-        if chains.driven:
-            self._v[:, PAD] = 0.0  # it is put where its motion says
+        self._v[:, PAD : PAD + chains.driven] = 0.0  # it is put where its motion says
         if "state" in state:
             self._state = state["state"].copy()
         else:
@@ -76,8 +75,8 @@ class NativeStepper:
         if self._x.shape[1] <= WINDOW_MIN:
             return np.array([PAD]), np.array([self._x.shape[1] - PAD])
         moves = (self._x != 0) | (self._v != 0)
-        if self.chains.driven:
-            moves[:, PAD] = True
+        for row, (first, last) in zip(moves, self.chains.acted, strict=True):
+            row[first : last + 1] = True
         first = np.where(moves.any(1), moves.argmax(1), PAD)
         last = moves.shape[1] - np.where(moves.any(1), moves[:, ::-1].argmax(1), moves.shape[1] - PAD)
         return first // PAD * PAD, np.minimum(-(-np.maximum(last, first + 1) // PAD) * PAD, moves.shape[1] - PAD)

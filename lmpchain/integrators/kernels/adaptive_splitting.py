@@ -11,11 +11,10 @@ import math
 import numpy as np
 
 from ...util.compilation import compiled_once
-from .contact_forces import NEWS, STRICT, accelerate, bits, fma, inlined, number
-from .drive import ahead, place
+from .contact_forces import NEWS, STRICT, bits, fma, inlined, number
 from .layout import DONE, FIRST, LAST, PAD, PENDING
+from .right_hand_side import accelerate, ahead, hold, impose, impose_velocity, imposed, sweep
 from .sample_loop import sample_loop
-from .splitting import sweep
 from .window import watch, widen
 
 
@@ -82,11 +81,9 @@ def _advance(chain, method, work, clock, span):
     first, last = int(state[FIRST]), int(state[LAST])
     bodies, near, grains, speeds = slice(first - 1, last + 1), slice(first - 1, last), y[first:last], w[first:last]
     whole = span.length - state[DONE]
-    left = whole
-    if chain.driven:
-        t = span.begin + state[DONE]
-        w[PAD] = place(chain, t, 1)
-        left = min(left, ahead(chain, t, span.begin + span.length, 1e-9 * clock.step))
+    t = span.begin + state[DONE]
+    left = min(whole, ahead(chain, t, span.begin + span.length, 1e-9 * clock.step))
+    impose_velocity(chain, w, PAD, t)
     nearness = _nearness(
         y[bodies], w[bodies], pull[bodies], chain.inverse_length[near], weight[chain.number, near],
         chain.precompressed, chain.uncompressed if first == PAD else 0.0, omega[chain.number], nearest[chain.number],
@@ -94,10 +91,10 @@ def _advance(chain, method, work, clock, span):
     h = clock.step * min(1.0, shortened * nearness ** (-1 / 14)) if nearness > 0.0 else clock.step
     steps = max(1, math.ceil(left / h - 1e-9))
     h = left / steps
-    if chain.driven:
-        w[PAD] = 0.0
+    hold(chain, w)
+    if chain.imposed:
         for stage in range(stages - 1):
-            path[stage] = place(chain, span.begin + state[DONE] + reach[stage] * h, 0)
+            path[stage] = imposed(chain, t + reach[stage] * h)
     a = pull[first:last]
     for n in range(speeds.size):
         speeds[n] = fma(kicks[0] * h, a[n], speeds[n])
@@ -107,8 +104,7 @@ def _advance(chain, method, work, clock, span):
     sweep(chain, kick, drift, carried, path)
     state[DONE] = span.length if steps == 1 and left == whole else state[DONE] + h
     state[PENDING] = kicks[stages] * h
-    if chain.driven:
-        y[PAD] = place(chain, span.begin + state[DONE], 0)
+    impose(chain, y, span.begin + state[DONE])
     return 1
 
 
@@ -132,6 +128,6 @@ def march(chains, method, clock, u_out, v_out, offset, until, max_steps):
         for each contact the square of the acceleration that it gives over what changes the motion (R, W)
     """
     rows, width = method[1].size - 1, chains.x.shape[1]
-    kick, drift, carried, path = np.zeros(rows), np.zeros(rows), np.zeros(rows), np.zeros(rows if chains.driven else 0)
+    kick, drift, carried, path = np.zeros(rows), np.zeros(rows), np.zeros(rows), np.zeros(rows if chains.imposed else 0)
     work = kick, drift, carried, path, np.cumsum(method[1]), np.zeros(width), np.zeros(width)
     return _march(chains, method, work, clock, u_out, v_out, offset, until, max_steps)

@@ -18,8 +18,6 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from .layout import PAD
-
 # no reordering and no contraction but the explicit fma: every blocking of the loops gives the same bits
 STRICT = {"nnan", "ninf", "nsz"}
 NEWS = "the native engine", 20  # what is compiled when it runs for the first time, and about how long that takes, s
@@ -154,7 +152,7 @@ def _roots(quarters: int) -> Callable[..., Any]:
 
 
 @compiled
-def _touching(r, uncompressed, coefficients):
+def touching(r, uncompressed, coefficients):
     """Return the force of a first contact that touches without pressing in a chain that is pressed otherwise."""
     return uncompressed * r ** coefficients[7] if r > 0.0 else 0.0
 
@@ -189,7 +187,7 @@ def _loops(force: Callable[..., Any]) -> tuple[Callable[..., Any], Callable[...,
                 if strength[0] > 0.0:
                     above = force(x[0] - x[1], inverse_length[0], strength[0], precompressed, coefficients)
                 if uncompressed > 0.0:
-                    above += _touching(x[0] - x[1], uncompressed, coefficients)
+                    above += touching(x[0] - x[1], uncompressed, coefficients)
             for n in range(v.size):
                 below = force(x[n + 1] - x[n + 2], inverse_length[n + 1], strength[n + 1], precompressed, coefficients)
                 faster = fma(kick, inverse_mass[n] * (above - below), v[n])
@@ -246,18 +244,3 @@ def _either(one: int, loop: Callable[..., None], choose: Callable[..., None]) ->
 
 contact_forces = _by_form({form: forces for form, (forces, _) in LOOPS.items()})
 kick_and_drift = _by_form({form: rows for form, (_, rows) in LOOPS.items()})
-
-
-@inlined
-def accelerate(chain, y, first, last, force, pull):
-    """Fill pull (W,) with the accelerations of bodies first ... last-1 of a row y (W,); force (W,) is room for work."""
-    near = slice(first - 1, last)
-    f, im, a = force[: last - first + 1], chain.inverse_mass[first:last], pull[first:last]
-    contact_forces(
-        chain.form, f, y[first - 1 : last + 1], chain.inverse_length[near], chain.strength[near],
-        chain.precompressed, chain.coefficients,
-    )  # fmt: skip
-    if first == PAD and chain.uncompressed > 0.0:
-        f[0] += _touching(y[PAD - 1] - y[PAD], chain.uncompressed, chain.coefficients)
-    for n in range(a.size):
-        a[n] = im[n] * (f[n] - f[n + 1])

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ...util.compilation import compiled_once
-from .contact_forces import NEWS, STRICT, accelerate, inlined
-from .drive import place
+from .contact_forces import NEWS, STRICT, inlined
 from .layout import DONE, FIRST, LAST, PAD, STEP
+from .right_hand_side import accelerate, hold, impose
 from .sample_loop import sample_loop
 from .window import watch, widen
 
@@ -26,8 +26,7 @@ def _begin(chain, work, span):
         t = span.begin + (state[DONE] + side) * h
         for n in range(first, last):
             z[n] = y[n] + side * h * w[n] + 0.5 * h * h * more[0, n]
-        if chain.driven:
-            z[PAD] = place(chain, t, 0)
+        impose(chain, z, t)
         accelerate(chain, z, first, last, force, pull)
         for n in range(first, last):
             more[1, n] = pull[n] if side > 0 else (more[1, n] - pull[n]) * h * h / 12
@@ -53,8 +52,7 @@ def _advance(chain, method, work, clock, span):
         w[n] += (2.0 * a + 3.0 * b + 4.0 * c) / h
         more[0, n], more[1, n] = a + 3.0 * b + 6.0 * c, b + 4.0 * c
     then = span.begin + (state[DONE] + 1) * h
-    if chain.driven:
-        y[PAD] = place(chain, then, 0)
+    impose(chain, y, then)
     accelerate(chain, y, first, last, force, pull)
     for n in range(first, last):
         off = 0.5 * h * h * pull[n] - more[0, n]
@@ -63,8 +61,9 @@ def _advance(chain, method, work, clock, span):
         more[0, n] += corrections[2] * off
         more[1, n] += corrections[3] * off
         more[2, n] += corrections[4] * off
-    if chain.driven:
-        y[PAD], w[PAD] = place(chain, then, 0), 0.0
+    impose(chain, y, then)
+    hold(chain, w)
+    if chain.inverse_mass[PAD] == 0.0:  # its derivatives are imposed, too
         more[0, PAD], more[1, PAD], more[2, PAD] = 0.0, 0.0, 0.0
     watch(chain)
     state[DONE] += 1.0

@@ -36,10 +36,12 @@ class Chains(NamedTuple):
         Largest displacement and speed of the excitation, m and m/s.
     forms, precompressed, coefficients : (R,) array, number and (8,) array
         See `contact_forces`.
-    driven : bool
-        Whether the motion of grain 1 is imposed:
+    imposed : bool
+        Whether the excitation acts after t = 0,
+    acted : (R, 2) array
+        on the bodies from the first to the last of these; else none, the last before the first.
     drive, knots, pieces : (R, 3), (R, P) and (R, 4, P-1) arrays
-        how; see `drive.place`.
+        How; see `right_hand_side`.
     """
 
     x: Array
@@ -52,7 +54,8 @@ class Chains(NamedTuple):
     forms: Array
     precompressed: float
     coefficients: Array
-    driven: bool
+    imposed: bool
+    acted: Array
     drive: Array
     knots: Array
     pieces: Array
@@ -73,7 +76,8 @@ class Chain(NamedTuple):
     form: int
     precompressed: float
     coefficients: Array
-    driven: bool
+    imposed: bool
+    acted: Array
     drive: Array
     knots: Array
     pieces: Array

@@ -6,27 +6,27 @@ Only the window is computed: what lies outside, beyond the light cone, has not m
 from __future__ import annotations
 
 from .contact_forces import bits, inlined, number
-from .drive import place
 from .layout import CLOSEST, FIRST, LAST, LOWEST, PAD
+from .right_hand_side import impose_velocity
 
 TINY = 1e-19  # of the largest speed and displacement: what has moved less lies outside of the light cone
 
 
 @inlined
 def widen(chain, margin):
-    """Let the window grow until `margin` grains at either end have not moved by TINY of the scale."""
+    """Let the window grow until `margin` grains at either end have not moved by TINY of the scale, nor are acted on."""
     x, v, state = chain.x, chain.v, chain.state
     still_x, still_v = TINY * chain.scale[0], TINY * chain.scale[1]
     last, end = int(state[LAST]), x.size - PAD
     if last < end:
-        n = last - 1
-        while n > PAD and abs(x[n]) <= still_x and abs(v[n]) <= still_v:
+        n, least = last - 1, max(PAD, chain.acted[1])
+        while n > least and abs(x[n]) <= still_x and abs(v[n]) <= still_v:
             n -= 1
         state[LAST] = min(end, max(last, (n + 1 + margin + PAD - 1) // PAD * PAD))
     first = int(state[FIRST])
     if first > PAD:
-        n = first
-        while n < end - 1 and abs(x[n]) <= still_x and abs(v[n]) <= still_v:
+        n, most = first, min(end - 1, chain.acted[0])
+        while n < most and abs(x[n]) <= still_x and abs(v[n]) <= still_v:
             n += 1
         state[FIRST] = max(PAD, min(first, (n - margin) // PAD * PAD))
 
@@ -59,5 +59,4 @@ def record(chain, t, u_out, v_out):
     for n in range(min(u_out.size, x.size)):
         u_out[n] = x[n]
         v_out[n] = v[n]
-    if chain.driven:
-        v_out[0] = place(chain, t, 1)
+    impose_velocity(chain, v_out, 0, t)
