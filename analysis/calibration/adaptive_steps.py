@@ -1,8 +1,8 @@
-"""Measure the constants of adaptive steps: ADAPTIVE and CROSSING of the splittings, ALLOWED and LEAST of DOP853.
+"""Measure the constants of adaptive steps: ADAPTIVE, CROSSING, and ALLOWED and LEAST of DOP853.
 
-Random scenes whose contacts open are run at some longest steps with each constant changed, and the other as it is. What
-counts is the work for a given true error (by the Taylor series in extended precision): steps times error^(1 / order), in
-the geometric mean over scenes and steps. A value is supported where that is within 10 % of the best.
+Random scenes whose contacts open are run at some longest steps with each constant changed, and the other as it is.
+What counts is the work for a given true error (by the Taylor series in extended precision): steps times error^(1 /
+order), in the geometric mean over scenes and steps. A value is supported where that is within 10 % of the best.
 
     python analysis/calibration/adaptive_steps.py           # two minutes
     python analysis/calibration/adaptive_steps.py --quick   # seconds
@@ -97,9 +97,15 @@ def main(quick: bool = False) -> list[Row]:
     return [
         row("ADAPTIVE", (0.1, 0.2, 0.3, 0.4, 0.6, 0.8), cases, splittings, "work for a given error over that with 0.4"),
         row("CROSSING", (0.003, 0.01, 0.03, 0.1, 0.3), cases, splittings, "work for a given error over that with 0.03"),
-        row("ALLOWED", (1e-11, 1e-10, 1e-9, 1e-8, 1e-7), [*cases, *smooth], ("dop853",), "work for a given error over that with 1e-9"),
+        row(
+            "ALLOWED",
+            (1e-11, 1e-10, 1e-9, 1e-8, 1e-7),
+            [*cases, *smooth],
+            ("dop853",),
+            "work for a given error over that with 1e-9",
+        ),
         floor(cases[: 4 if quick else 20]),
-    ]  # fmt: skip
+    ]
 
 
 if __name__ == "__main__":

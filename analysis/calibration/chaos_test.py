@@ -1,11 +1,11 @@
-"""Measure the constants of the test for chaos and of tries: LOOK, LOST, DIGITS, FAR, SEED, STALLS, ATTEMPTS.
+"""Measure the constants of the test for chaos and of the number of attempts.
 
-Short columns, weakly to strongly struck, for up to hundreds of periods, so that some are chaotic: each is tried at ever
-shorter steps, without the test. It can be answered if a try meets the tolerance and agrees with another integrator, kahan-li8,
-to the tolerance; no integrator shares its steps. Beside it two runs begin a last digit (LAST_DIGIT) apart. LOST must lie between
-what scenes that can be answered and those that cannot make of that digit; a first miss beyond LOOK tolerances should be
-rare among the former. DIGITS and SEED: what all rounding of a run makes of it, against the same steps in extended
-precision, over what a last digit at t = 0 becomes.
+Short columns, weakly to strongly struck, for up to hundreds of periods, so that some are chaotic: each is tried at
+ever shorter steps, without the test. It can be answered if a try meets the tolerance and agrees with another
+integrator, kahan-li8, to the tolerance; no integrator shares its steps. Beside it two runs begin a last digit
+(LAST_DIGIT) apart. LOST must lie between what scenes that can be answered and those that cannot make of that digit; a
+first miss beyond LOOK tolerances should be rare among the former. DIGITS and SEED: what all rounding of a run makes
+of it, against the same steps in extended precision, over what a last digit at t = 0 becomes.
 
     python analysis/calibration/chaos_test.py           # two minutes
     python analysis/calibration/chaos_test.py --quick   # seconds
@@ -13,6 +13,7 @@ precision, over what a last digit at t = 0 becomes.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, replace
 
@@ -112,15 +113,42 @@ def main(quick: bool = False) -> list[Row]:
     worst, least = max(harmless, default=math.nan), quantile(lost, 0.25)
     accused = sum(x.grown >= LOST * x.tolerance for x in suspects)
     rows = [
-        Row("LOST", LOST, worst, quantile(harmless, 0.95), max(least, worst), (
-            f"last digit grown, in tolerances: at most {worst:.2g} (95 %: {quantile(harmless, 0.95):.2g}) in {len(can)} scenes that can be answered, "
-            f"a quarter below {least:.2g} in {len(cannot)} that cannot; {accused} of {len(suspects)} suspects accused wrongly; {wrong} met ones differ")),
-        Row("LOOK", LOOK, quantile([x.first for x in can], 0.95), quantile([x.first for x in can], 0.9), quantile([x.first for x in cannot], 0.75), (
-            f"first error in tolerances: 90 % {quantile([x.first for x in can], 0.9):.2g} of those that can be answered, "
-            f"{quantile([x.first for x in cannot], 0.5):.2g} half of the others")),
-        Row("LOOK_AT_MOST", LOOK_AT_MOST, quantile([x.errors[0] for x in cannot], 0.25), quantile([x.errors[0] for x in can], 0.75),
-            quantile([x.errors[0] for x in cannot], 0.9), "first error: three quarters of those that can be answered are below, one in ten of the others above"),
-    ]  # fmt: skip
+        Row(
+            "LOST",
+            LOST,
+            worst,
+            quantile(harmless, 0.95),
+            max(least, worst),
+            (
+                f"last digit grown, in tolerances: at most {worst:.2g} (95 "
+                f"%: {quantile(harmless, 0.95):.2g}) in {len(can)} scenes "
+                "that can be answered, "
+                f"a quarter below {least:.2g} in {len(cannot)} that cannot; "
+                f"{accused} of {len(suspects)} suspects accused wrongly; {wrong} "
+                "met ones differ"
+            ),
+        ),
+        Row(
+            "LOOK",
+            LOOK,
+            quantile([x.first for x in can], 0.95),
+            quantile([x.first for x in can], 0.9),
+            quantile([x.first for x in cannot], 0.75),
+            (
+                f"first error in tolerances: 90 % {quantile([x.first for x in can], 0.9):.2g} "
+                "of those that can be answered, "
+                f"{quantile([x.first for x in cannot], 0.5):.2g} half of the others"
+            ),
+        ),
+        Row(
+            "LOOK_AT_MOST",
+            LOOK_AT_MOST,
+            quantile([x.errors[0] for x in cannot], 0.25),
+            quantile([x.errors[0] for x in can], 0.75),
+            quantile([x.errors[0] for x in cannot], 0.9),
+            "first error: three quarters of those that can be answered are below, one in ten of the others above",
+        ),
+    ]
     stalls = [_longest_stall(x.errors) for x in can]
     some = quantile(stalls, 0.95)
     rows.append(
@@ -141,7 +169,8 @@ def main(quick: bool = False) -> list[Row]:
             max(needed),
             max(needed),
             PATIENT,
-            f"most tries that a scene took that could be answered; 99 %: {quantile(needed, 0.99):.0f}, half {quantile(needed, 0.5):.0f}",
+            "most tries that a scene took that could be answered; 99 "
+            f"%: {quantile(needed, 0.99):.0f}, half {quantile(needed, 0.5):.0f}",
         )
     )
     few = drawn(
@@ -167,14 +196,17 @@ def main(quick: bool = False) -> list[Row]:
     )
     stuck = [x.errors[-1] / x.roundoff for x in cannot]
     worst, far = quantile(walks, 0.95), quantile(stuck, 0.25)
-    says = f"error over expected round-off: 95 % of ordinary runs {worst:.2g}; a quarter of those that nothing helps {far:.2g}"
+    says = (
+        f"error over expected round-off: 95 % of ordinary runs {worst:.2g}; "
+        f"a quarter of those that nothing helps {far:.2g}"
+    )
     rows.append(Row("FAR", FAR, math.sqrt(worst * far), worst, far, says))
     return rows
 
 
 def _longest_stall(errors: tuple[float, ...]) -> int:
     longest = here = 0
-    for before, after in zip(errors, errors[1:], strict=False):
+    for before, after in itertools.pairwise(errors):
         here = here + 1 if after > 0.7 * before else 0
         longest = max(longest, here)
     return longest

@@ -1,4 +1,4 @@
-"""What the calibration scripts share: rows and their table, arguments, runs at a given step, true errors."""
+"""What the calibration scripts share: rows and their table, arguments, runs, true errors."""
 
 from __future__ import annotations
 

@@ -1,10 +1,11 @@
-"""Measure `error_constant` of every integrator: the relative error at omega h = 1 of the paper's scene, omega T = 60.
+"""Measure the error constant of every integrator: the error at omega h = 1 of the paper's scene.
 
-Each method runs at ever shorter steps of one length; where its error falls with its order, error / (omega h)^order times
-60 / (omega T) is the constant. The truth is the Taylor series in extended precision. The interval spans the paper's scenes
-whose contacts stay closed: a strike of 1e-6 m/s, and those of Fig. 5 at 10 g and at g. Beside it stands what other gentle
-scenes have (columns and loaded chains, all ends and exponents, strains below 0.3): the constant of the paper's scene is
-small because its wave travels where the column is softest, so that little of it is at the highest frequency.
+Each method runs at ever shorter steps of one length; where its error falls with its order, error / (omega h)^order
+times 60 / (omega T) is the constant. The truth is the Taylor series in extended precision. The interval spans the
+paper's scenes whose contacts stay closed: a strike of 1e-6 m/s, and those of Fig. 5 at 10 g and at g. Beside it
+stands what other gentle scenes have (columns and loaded chains, all ends and exponents, strains below 0.3): the
+constant of the paper's scene is small because its wave travels where the column is softest, so that little of it is
+at the highest frequency.
 
     python analysis/calibration/error_constants.py           # half a minute
     python analysis/calibration/error_constants.py --quick   # seconds
@@ -37,7 +38,7 @@ def constants(case: Case, name: str) -> list[float]:
     method, scene, found = METHODS[name], case.scene, []
     engine = Native(name, adaptive=False)
     proposed = engine.candidate(scene, 1e-3)
-    for reach in REACHES[REACHES < 0.45 * method.stability_limit]:
+    for reach in REACHES[0.45 * method.stability_limit > REACHES]:
         run = answer(engine, scene, with_reach(scene, proposed, reach))
         if run is None:
             continue
@@ -61,7 +62,10 @@ def main(quick: bool = False) -> list[Row]:
             for cases in (papers, others)
         )
         low, middle, high = (quantile(there, part) for part in (0.05, 0.5, 0.95))
-        says = f"paper's scenes {', '.join(f'{c:.2g}' for c in here)}; others: median {middle:.2g}, 5 to 95 % {low:.1g} to {high:.1g}"
+        says = (
+            f"paper's scenes {', '.join(f'{c:.2g}' for c in here)}; others: "
+            f"median {middle:.2g}, 5 to 95 % {low:.1g} to {high:.1g}"
+        )
         rows.append(
             Row(f"{name}.error_constant", method.error_constant, quantile(here, 0.5), min(here), max(here), says)
         )

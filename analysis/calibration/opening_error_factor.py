@@ -1,11 +1,11 @@
-"""Measure how much larger errors are where contacts may open, by which the first step is chosen: 14, 3, 33, 1.5, 30.
+"""Measure how much larger errors are where contacts may open, by which the first step is chosen.
 
-Random scenes are run at the step that the engine proposes. The error estimate of the run over the one expected without
-openings, SAFETY error_constant (omega T / 60) (omega h)^order, is the factor that the scene needed. A constant of the law
-14 clip(strain / 3, 1, 33)^1.5 is right where nine scenes in ten meet their tolerance at the first try, and too large where
-99 in 100 would. STRONGER is the same factor for steps of one length. LONGEST, the longest step over the stability limit:
-companions at twice the step must be stable and runs must not break. A true error above the tolerance in a run that says
-it is met (by the Taylor series in extended precision) is counted too.
+Random scenes are run at the step that the engine proposes. The error estimate of the run over the one expected
+without openings, SAFETY error_constant (omega T / 60) (omega h)^order, is the factor that the scene needed. A
+constant of the law 14 clip(strain / 3, 1, 33)^1.5 is right where nine scenes in ten meet their tolerance at the first
+try, and too large where 99 in 100 would. STRONGER is the same factor for steps of one length. LONGEST, the longest
+step over the stability limit: companions at twice the step must be stable and runs must not break. A true error above
+the tolerance in a run that says it is met (by the Taylor series in extended precision) is counted too.
 
     python analysis/calibration/opening_error_factor.py           # two minutes
     python analysis/calibration/opening_error_factor.py --quick   # seconds
@@ -13,6 +13,7 @@ it is met (by the Taylor series in extended precision) is counted too.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -20,7 +21,6 @@ import numpy as np
 from common import NINE_IN_TEN, Case, Row, answer, command, proposal, quantile, with_reach
 from scenes import drawn
 
-from lmpchain import Scene
 from lmpchain.engines.error_estimate import SAFETY, TRUSTED_ORDER
 from lmpchain.engines.native import Native
 from lmpchain.engines.time_stepping import GENTLE, LONGEST, STRONGER
@@ -108,7 +108,7 @@ def main(quick: bool = False) -> list[Row]:
     vast = [x for x in found if x.strain > begins * most]
     rows = [row("harder: 14", unit, [x.needed for x in weak], f"factor at strains 0.3 to {begins:.2g}")]
     edges = np.geomspace(0.3, LARGEST_STRAIN * 1.01, 8) if quick else np.array([0.3, 1, 3, 10, 30, 100, 1000, 1.01e9])
-    bins = [[x for x in found if a < x.strain <= b] for a, b in zip(edges, edges[1:], strict=False)]
+    bins = [[x for x in found if a < x.strain <= b] for a, b in itertools.pairwise(edges)]
     listed = ", ".join(
         f"{a:.2g}: {quantile([x.needed for x in part], 0.9):.2g}" for a, part in zip(edges, bins, strict=False) if part
     )
@@ -217,7 +217,7 @@ def _longest(cases: list[Case]) -> Row:
             if run is None:
                 held.append(False)
                 continue
-            held.append(len(run.differences) > 1 or part * 4 > 1 and run.error.truncation >= case.error(run.motion))
+            held.append(len(run.differences) > 1 or (part * 4 > 1 and run.error.truncation >= case.error(run.motion)))
         parts[part] = float(np.mean(held)) if held else math.nan
     good = [part for part, held in parts.items() if held >= NINE_IN_TEN]
     listed = ", ".join(f"{part:g}: {100 * held:.0f}" for part, held in parts.items())

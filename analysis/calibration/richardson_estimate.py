@@ -1,4 +1,4 @@
-"""Measure the constants of the Richardson estimate of the error: SAFETY, TRUSTED_ORDER, SPRINGY and the factors 1.5 and 1/4.
+"""Measure the constants of the Richardson estimate of the error: SAFETY, TRUSTED_ORDER and others.
 
 Random scenes of every kind are run at three to four steps and the estimate is held against the true error, which comes
 from the Taylor series in extended precision. What is asked of every constant is that 99 in 100 estimates are no smaller
@@ -11,6 +11,7 @@ median one is five times the error.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -91,7 +92,10 @@ def row_of_factor(name: str, shipped: float, found: list[Look], order: float, sm
     needed = [look.error / look.estimate(look.order if smooth else order, smooth) * shipped for look in found]
     low, most, middle = quantile(needed, ALL_BUT_ONE), max(needed), quantile(needed, 0.5)
     enough = np.mean(np.array(needed) <= shipped)
-    says = f"half need {middle:.2g}, 99 % {low:.2g}, all {most:.2g}; {100 * enough:.1f} % of {len(found)} {what} are bounds"
+    says = (
+        f"half need {middle:.2g}, 99 % {low:.2g}, all {most:.2g}; "
+        f"{100 * enough:.1f} % of {len(found)} {what} are bounds"
+    )
     return Row(name, shipped, low, low, max(MARGIN * most, LOOSE * middle), says)
 
 
@@ -132,14 +136,25 @@ def main(quick: bool = False) -> list[Row]:
         for d in (1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 16.0)
     }
     good = [d for d, part in caught.items() if part > ALL_BUT_ONE - 0.005] or [min(caught)]
-    says = f"{100 * caught[4.0]:.0f} % are bounds with it, {100 - 100 * len(alone) / max(1, len(fixed)):.0f} % without the run at 4h"
+    says = (
+        f"{100 * caught[4.0]:.0f} % are bounds with it, {100 - 100 * len(alone) / max(1, len(fixed)):.0f} "
+        "% without the run at 4h"
+    )
     rows.append(Row("extrapolate: / 4", divisor, max(good), min(good), max(good), says))
 
     slopes = _orders(fixed)
     rows.append(
-        Row("ORDER_THROUGH_OPENINGS", ORDER_THROUGH_OPENINGS, quantile(slopes, 0.5), quantile(slopes, 0.25), quantile(slopes, 0.75),
-            f"order of rkn6 with fixed steps through openings, Hertz, {len(slopes)} scenes: median and quartiles; theory delta + 1")
-    )  # fmt: skip
+        Row(
+            "ORDER_THROUGH_OPENINGS",
+            ORDER_THROUGH_OPENINGS,
+            quantile(slopes, 0.5),
+            quantile(slopes, 0.25),
+            quantile(slopes, 0.75),
+            "order of rkn6 with fixed steps through openings, Hertz, "
+            f"{len(slopes)} scenes: median and quartiles; theory delta "
+            "+ 1",
+        )
+    )
     for name, shipped, found, what in (
         ("TRUSTED_ORDER", TRUSTED_ORDER, hertz, f"adaptive runs, exponents from {SPRINGY}"),
         ("TRUSTED_OF_SPRINGS", TRUSTED_OF_SPRINGS, sprung, f"adaptive runs, exponents below {SPRINGY}"),
@@ -187,7 +202,7 @@ def _closeness(cases: list[Case], quick: bool) -> Row:
     """Return the row of CLOSE_TO_OPENING: how low r / eps may fall while Richardson's estimate at fixed steps holds."""
     found = [look for look in looks(cases, "rkn6", False) if math.isfinite(look.fine)]
     edges, parts = (0.0, -0.25, -0.5, -0.75, -1.0, -1e9), {}
-    for top, bottom in zip(edges, edges[1:], strict=False):
+    for top, bottom in itertools.pairwise(edges):
         inside = [look for look in found if bottom < look.lowest <= top]
         if len(inside) >= (3 if quick else 8):
             parts[bottom] = float(np.mean([look.estimate(6, True) >= look.error for look in inside]))

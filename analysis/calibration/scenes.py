@@ -1,4 +1,4 @@
-"""Random scenes for the calibration: every exponent from 1 to 3, end, load and excitation, weak to strong."""
+"""Random scenes for the calibration: all exponents, ends, loads and excitations, weak to strong."""
 
 from __future__ import annotations
 

@@ -1,9 +1,10 @@
-"""Measure the literals of `refine`, by which a step is shortened after a run that missed its tolerance.
+"""Measure the literals of `refine`, by which a step is shortened after a run that missed.
 
-Random scenes are run from a step that is a few times too long until they meet their tolerance, with each literal changed
-and the others as they are. The cost is the number of steps of all tries; its geometric mean over the scenes decides. A
-value is supported where that mean is within 10 % of the best. For literals that say when to give up, or what a run that
-breaks down costs, the same holds. The rule is written here once more and held against `refine` itself.
+Random scenes are run from a step that is a few times too long until they meet their tolerance, with each literal
+changed and the others as they are. The cost is the number of steps of all tries; its geometric mean over the scenes
+decides. A value is supported where that mean is within 10 % of the best. For literals that say when to give up, or
+what a run that breaks down costs, the same holds. The rule is written here once more and held against `refine`
+itself.
 
     python analysis/calibration/step_refinement.py           # half a minute
     python analysis/calibration/step_refinement.py --quick   # seconds
@@ -164,14 +165,34 @@ def main(quick: bool = False) -> list[Row]:
     return [
         best_of("refine: 0.7 (aim)", "aim", (0.2, 0.35, 0.5, 0.7, 0.85, 0.95), smooth, "part of the room aimed at"),
         best_of("refine: 16 (most)", "most", (4.0, 8.0, 16.0, 32.0, 64.0), wide, "largest factor at once"),
-        best_of("refine: 4 (most, far off)", "most_far", (2.0, 4.0, 8.0, 16.0), lost, "largest factor where the error is large"),
+        best_of(
+            "refine: 4 (most, far off)",
+            "most_far",
+            (2.0, 4.0, 8.0, 16.0),
+            lost,
+            "largest factor where the error is large",
+        ),
         best_of("refine: 0.1 (far off)", "far", (0.01, 0.03, 0.1, 0.3, 1.0), lost, "error that counts as large"),
         best_of("refine: 1.3 (least)", "least", (1.01, 1.1, 1.2, 1.3, 1.5, 2.0), near, "smallest factor"),
-        best_of("refine: 2 (least, erratic)", "least_erratic", (1.1, 1.5, 2.0, 3.0, 4.0), erratic, "smallest factor where errors are erratic"),
-        best_of("refine: 4 (broken down)", "broken", (2.0, 4.0, 8.0, 16.0), _breaking(hard), "factor after a breakdown"),
-        best_of("refine: 0.9 (hopeless)", "hopeless", (0.5, 0.7, 0.8, 0.9, 0.95, 1.0), floor, "round-off from which nothing helps"),
+        best_of(
+            "refine: 2 (least, erratic)",
+            "least_erratic",
+            (1.1, 1.5, 2.0, 3.0, 4.0),
+            erratic,
+            "smallest factor where errors are erratic",
+        ),
+        best_of(
+            "refine: 4 (broken down)", "broken", (2.0, 4.0, 8.0, 16.0), _breaking(hard), "factor after a breakdown"
+        ),
+        best_of(
+            "refine: 0.9 (hopeless)",
+            "hopeless",
+            (0.5, 0.7, 0.8, 0.9, 0.95, 1.0),
+            floor,
+            "round-off from which nothing helps",
+        ),
         best_of("refine: / 4 (room)", "room", (0.05, 0.125, 0.25, 0.5), floor, "least part of the tolerance aimed at"),
-    ]  # fmt: skip
+    ]
 
 
 def _breaking(scenes: list[Scene]) -> list[Walk]:
