@@ -4,7 +4,8 @@ Times depend on the machine: shipped numbers are those of one processor, and `lm
 machine's own. What must hold is that engines which differ by ten are told apart, so a constant is supported within a
 factor of three. Every run is timed some times and the shortest counts. The coefficients of the linear engines are
 fitted to the logarithms of the times of many scenes. They are not all told apart by times: each is drawn to its
-shipped value as if that were known to a factor of ten, so only what the times demand moves it.
+shipped value as if that were known to a factor of ten, so only what the times demand moves it. On a busy machine run
+it with OPENBLAS_NUM_THREADS=1: threads that wait for each other say nothing about modes.
 
     python analysis/calibration/cost_model.py           # a minute
     python analysis/calibration/cost_model.py --quick   # seconds
