@@ -148,16 +148,8 @@ def _linear(engine: LinearEngine, quick: bool) -> list[Row]:
     here = _fitted(table, np.maximum(measured - SHIPPED[engine.name][0] / 2, 1e-5), own)
     ratios = measured / (np.array(told) + SHIPPED[engine.name][0])
     low, middle, high = (quantile(ratios, part) for part in (0.1, 0.5, 0.9))
-    rows = [
-        Row(
-            f"{engine.name}.work",
-            1.0,
-            middle,
-            low,
-            high,
-            f"time over SHIPPED start and work of {len(times)} scenes: median, 10 to 90 %",
-        )
-    ]
+    says = f"time over SHIPPED start and work of {len(times)} scenes: median; 10 to 90 % {low:.2g} to {high:.2g}"
+    rows = [supported(f"{engine.name}.work", 1.0, middle, says)]
     each = np.array([table[:, k] * own[k] / np.array(told) for k in range(own.size)])
     for k, part in enumerate(PARTS[engine.name]):
         share = float(np.max(each[k]))

@@ -99,8 +99,8 @@ def main(quick: bool = False) -> list[Row]:
         _end("FLYING", FLYING, (5.0, 15.0, 50.0, 150.0, 500.0), lambda x: (column(n, x * n) for n in (10, 20)), True),
         _end("FEW", FEW, (3.0, 4.0, 6.0, 8.0), lambda x: (column(int(x), v) for v in (50.0, 100.0, 200.0)), False),
     ]
-    if not quick:
-        rows.append(_end("MANY", MANY, (30.0, 40.0, 60.0), lambda x: (column(int(x), v) for v in (50.0, 500.0)), True))
+    long = (40.0,) if quick else (30.0, 40.0, 60.0)
+    rows.append(_end("MANY", MANY, long, lambda x: (column(int(x), v) for v in (50.0, 500.0)), True))
     return rows + _solitary()
 
 
