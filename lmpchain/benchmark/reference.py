@@ -24,6 +24,7 @@ REST = 1e-6 * EPSILON  # motion below it is none
 SHORTEST = 1e-6 * EPSILON  # steps below it lead nowhere
 TINY = 1e-200  # next to any number that occurs
 SEARCH = 60  # most iterations for a root; where that does not do, the step ends before it
+# analysis/calibration/reference_cost.py
 # to expect the time: usual steps while all contacts stay closed and where some open; time of one, and of a grain in it
 SMOOTH, BROKEN, STEP_S, GRAIN_S = 0.4, 0.06, 0.6e-3, 7e-6
 

@@ -11,6 +11,7 @@ from ..util.arrays import Array
 from .kernels.contact_forces import CORRECTED, FORMS, LOOSE_POWER, POLYNOMIAL, POWER, ROOTS, SPRING
 from .kernels.splitting import PAD
 
+# analysis/calibration/roundoff.py
 STRONG = 1.0  # strike number from which the fastest form of the force loses nothing
 FORCES = ("auto", "exact", "plain")
 

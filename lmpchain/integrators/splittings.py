@@ -30,7 +30,8 @@ class Splitting:
     substeps : tuple of float
         For a composition of velocity Verlet steps, their lengths; empty otherwise.
     error_constant : float
-        Relative error at ``omega h = 1`` of the paper's scene, where ``omega T`` is 60.
+        Relative error at ``omega h = 1`` of the paper's scene, where ``omega T`` is 60:
+        analysis/calibration/error_constants.py.
     """
 
     name: str

@@ -17,12 +17,14 @@ from .methods import DormandPrince, Gear, Method
 from .splittings import Splitting
 from .step_schedule import StepSchedule
 
+# analysis/calibration/adaptive_steps.py
 ADAPTIVE = (
     0.4  # length of the steps near an opening contact, and of the one that crosses the opening: small enough that
 )
 CROSSING = 0.03  # both leave as little as the other steps do
 
-SHORT = 14 * PAD  # bodies
+SHORT = 14 * PAD  # bodies; analysis/calibration/light_cone.py
+# analysis/calibration/adaptive_steps.py
 ALLOWED = 1e-9  # error of a step of DOP853 for omega h = 1, from which it finds its steps
 LEAST = 2e-18  # of that error: less is round-off, and would stop it
 

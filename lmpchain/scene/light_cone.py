@@ -11,7 +11,7 @@ from ..engines.base import Candidate
 from .scene import Scene
 
 UNSEEN = math.log(1e-22)  # motion, over that of the grain that is struck, which no answer holds
-WORTH = 0.7  # of the grains: more than that are not worth a cut
+WORTH = 0.7  # of the grains: more than that are not worth a cut; analysis/calibration/light_cone.py
 
 
 def reached(scene: Scene) -> tuple[int, int]:

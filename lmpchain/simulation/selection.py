@@ -18,6 +18,7 @@ from ..scene.scene import Scene
 from ..util.arrays import Array
 
 THEORY = {3: "linear theory", 4: "the homogeneous chain", 27: "the continuum"}  # what solves an equation but Eq. (1)
+# analysis/calibration/light_cone.py
 WORTH = 0.8  # a closer look and what it speaks for must together be so much cheaper
 ROUNDING = 1 + 1e-9  # of a sum of errors that is equal to the tolerance
 

@@ -12,6 +12,7 @@ from ..scene.scene import Scene
 from .overlap import deepest, hertz_excess
 from .predictability import amplifies, predicted_horizon
 
+# analysis/calibration/stability_limits.py
 TRUSTED, GENTLE = 0.7, 0.3  # of `steps.limit`: Verlet held for 300 periods; strain below which all of it is to be had
 
 
