@@ -179,6 +179,16 @@ def quantile(values: Iterable[float], part: float) -> float:
     return float(np.quantile(values, part)) if values.size else math.nan
 
 
+def best(work: Callable[[], object], repeats: int) -> float:
+    """Return the shortest time of some, s."""
+    times = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - began)
+    return min(times)
+
+
 def near_best(costs: dict[float, float], within: float = 1.1) -> tuple[float, float, float]:
     """Return the value of least cost, and the smallest and the largest one whose cost is within 10 % of that."""
     best = min(costs, key=lambda value: costs[value])

@@ -14,12 +14,10 @@ it with OPENBLAS_NUM_THREADS=1: threads that wait for each other say nothing abo
 from __future__ import annotations
 
 import math
-import time
 import warnings
-from collections.abc import Callable
 
 import numpy as np
-from common import Row, command, quantile
+from common import Row, best, command, quantile
 from scipy.optimize import least_squares, nnls
 
 from lmpchain import Chain, Impulse, Profile, Scene
@@ -57,16 +55,6 @@ def struck(grains: int, periods: float, samples: int) -> Scene:
     """Return a loaded chain that is struck on the top, gently, all grains recorded."""
     chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-3)
     return Scene(chain=chain, excitation=Impulse(velocity=1e-12), duration=periods * chain.time_scale, samples=samples)
-
-
-def best(work: Callable[[], object], repeats: int) -> float:
-    """Return the shortest time of some, s."""
-    times = []
-    for _ in range(repeats):
-        began = time.perf_counter()
-        work()
-        times.append(time.perf_counter() - began)
-    return min(times)
 
 
 def supported(name: str, shipped: float, measured: float, says: str) -> Row:
@@ -136,12 +124,11 @@ def _linear(engine: LinearEngine, quick: bool) -> list[Row]:
             for _ in running.blocks():
                 pass
 
-        part_scene = scene
         if engine.candidate(scene, 1.0).active_grains != grains:
             continue
-        features.append(_features(engine.name, part_scene, samples, values))
+        features.append(_features(engine.name, scene, samples, values))
         times.append(best(run, 3))
-        told.append(engine.work(part_scene, samples, values))
+        told.append(engine.work(scene, samples, values))
     table, measured = np.array(features, dtype=float), np.array(times)
     scaled = table / np.array(told)[:, None]
     own = np.linalg.lstsq(scaled / scaled.max(0), np.ones(len(told)), rcond=None)[0] / scaled.max(0)

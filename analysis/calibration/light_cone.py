@@ -12,13 +12,11 @@ scenes of ten. SHORT: chains up to which computing all grains is no slower than 
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable
 from dataclasses import replace
 from unittest import mock
 
 import numpy as np
-from common import Row, command, quantile
+from common import Row, best, command, quantile
 
 from lmpchain import Chain, Impulse, Scene
 from lmpchain.engines.base import Candidate, Engine
@@ -39,16 +37,6 @@ def struck(grains: int, periods: float, strike_number: float = 0.01, samples: in
     velocity = strike_number * chain.length_scale / chain.time_scale
     duration = periods * chain.time_scale
     return Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=duration, samples=samples)
-
-
-def best(work: Callable[[], object], repeats: int) -> float:
-    """Return the shortest time of some, s."""
-    times = []
-    for _ in range(repeats):
-        began = time.perf_counter()
-        work()
-        times.append(time.perf_counter() - began)
-    return min(times)
 
 
 def through(engine: Engine, scene: Scene, candidate: Candidate) -> None:

@@ -26,7 +26,6 @@ from lmpchain.simulation.api import simulate
 from lmpchain.stability.predictability import FEW, FLYING, MANY, OPENING, growth, growth_rate, reflection_time
 
 START, END = 1e-11, 1e-4  # how far apart the runs are where growth is fitted
-FACTOR = 1.5  # within which the law is right
 
 
 def column(grains: int, strike_number: float, gravity: float = 9.81, decades: float = 12.0) -> Scene:
