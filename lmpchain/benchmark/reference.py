@@ -24,6 +24,7 @@ REST = 1e-6 * EXTENDED  # motion below it counts as rest
 SHORTEST = 1e-6 * EXTENDED  # shorter steps would not advance the time
 TINY = 1e-200  # negligible beside any number that occurs
 SEARCH = 60  # most iterations for a root; if they do not converge, the step ends before it
+# analysis/calibration/reference_cost.py
 # cost model: usual steps while all contacts stay closed and where some open; time of a step, and of a grain in it
 SMOOTH, BROKEN, STEP_S, GRAIN_S = 0.4, 0.06, 0.6e-3, 7e-6
 

@@ -177,7 +177,8 @@ class Engine(ABC):
     ranks_of_mpi : bool
         Whether it shares a scene out over the ranks of MPI.
     start_up_s, seconds_per_grain_step : float
-        Timings of the cost model, s: of every answer, and of a force evaluation for one grain.
+        Timings of the cost model, s: of every answer, and of a force evaluation for one grain; measured by
+        analysis/calibration/cost_model.py.
     """
 
     name: ClassVar[str]

@@ -31,6 +31,7 @@ PIECE_S = 0.1  # longest stretch of work between two opportunities to stop
 GUESSED_RATE = 1e7  # grain-steps a second, a low guess to begin with
 BLOCK_BYTES = 2**25  # of the samples that are compared at a time,
 BLOCK_S = 0.5  # and how long they may take: what is stopped or killed loses no more
+# analysis/calibration/richardson_estimate.py measures the constants of the estimate
 SAFETY = 2.0  # factor on the Richardson estimate
 CLOSE_TO_OPENING = -0.5  # r / eps below which a contact's force is no longer a smooth function of time
 # order assumed in the Richardson estimate after adaptive steps through an opening, where differences scatter
@@ -268,7 +269,7 @@ def extrapolate(order: int, smooth: bool, coarse: Array | None, fine: Array) -> 
 
     Where contacts open or nearly so, a high order falls to about 2.5, unless steps are adaptive, with a coefficient
     that depends on where in a step the opening falls: the error at h can then be as large as the difference.
-    Measured on some hundred random chains, the estimate is between 1 and 5 times the true error while
+    On random chains the estimate is between 1 and 5 times the true error while
     the order holds and rarely below it elsewhere.
     """
     if coarse is None:
@@ -281,7 +282,7 @@ def extrapolate(order: int, smooth: bool, coarse: Array | None, fine: Array) -> 
 
 
 def native_floor(evaluations: float) -> float:
-    """Round-off of the native integration in displacements: a random walk of half-ulps."""
+    """Round-off of the native integration, a random walk of half-ulps; analysis/calibration/roundoff.py."""
     return EPSILON * (2 + math.sqrt(evaluations))
 
 

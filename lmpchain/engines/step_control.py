@@ -21,6 +21,7 @@ from ..util.arrays import Array
 from .base import Candidate, Engine, ErrorBudget, Run
 from .perturbation import LAST_DIGIT, divergence
 
+# analysis/calibration/chaos_test.py measures these
 ATTEMPTS = 12
 STALLS = 2  # attempts in a row that do not help: round-off or chaos, not the step, is the limit
 STALLED = 0.7  # truncation error over that of the attempt before, from which on it is no help

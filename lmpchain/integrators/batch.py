@@ -11,6 +11,7 @@ from ..util.arrays import Array
 from .kernels.contact_forces import CORRECTED, FORMS, POLYNOMIAL, POWER, ROOTS, SPRING, UNCOMPRESSED_POWER
 from .kernels.layout import PAD, Chains
 
+# analysis/calibration/roundoff.py
 STRONG = 1.0  # strike number from which the fastest form of the force loses nothing
 FORCES = ("auto", "exact", "plain")
 

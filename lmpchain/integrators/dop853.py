@@ -15,6 +15,7 @@ from .step_schedule import StepSchedule
 if TYPE_CHECKING:
     from .batch import ChainBatch
 
+# analysis/calibration/adaptive_steps.py
 STEP_ERROR = 1e-9  # allowed error of an adaptive step with omega h = 1, over the scale of the motion; goes as h^order
 STEP_ERROR_MIN = 2e-18  # least that is asked for: the estimate of less is round-off, and steps would never end
 

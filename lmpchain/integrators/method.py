@@ -50,7 +50,7 @@ class Method(Protocol):
 
     @property
     def error_constant(self) -> float:
-        """Relative error at ``omega h = 1`` of the paper's scene, where ``omega T`` is 60."""
+        """Relative error at ``omega h = 1`` for ``omega T = 60``; analysis/calibration/error_constants.py."""
 
     @property
     def reference(self) -> str:

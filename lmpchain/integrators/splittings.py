@@ -21,7 +21,8 @@ from .step_schedule import StepSchedule
 if TYPE_CHECKING:
     from .batch import ChainBatch
 
-# of the adaptive step size h' near an opening, small enough that these steps leave as little error as the others
+# of the adaptive step size h' near an opening, small enough that these steps leave as little error as the others;
+# analysis/calibration/adaptive_steps.py
 ADAPTIVE_STEP = 0.4  # h' / h at the time 1 / omega from the opening of a contact that matters most
 CROSSING_STEP = 0.03  # omega h' / (omega h)^((order + 1) / (delta + 1)) of the step that crosses the opening
 
@@ -40,7 +41,8 @@ class Splitting:
     substeps : tuple of float
         For a composition of velocity Verlet steps, their lengths; empty otherwise.
     error_constant : float
-        Relative error at ``omega h = 1`` of the paper's scene, where ``omega T`` is 60.
+        Relative error at ``omega h = 1`` of the paper's scene, where ``omega T`` is 60:
+        analysis/calibration/error_constants.py.
     """
 
     name: str

@@ -14,7 +14,8 @@ from .kernels.layout import CLOSEST, FIRST, LAST, LOWEST, PAD, SAMPLE, STEP, STE
 from .method import Method
 from .step_schedule import StepSchedule
 
-WINDOW_MIN = 14 * PAD  # bodies: shorter chains are computed as a whole, for less than it costs to follow the wave
+# bodies: shorter chains are computed as a whole, for less than it costs to follow the wave
+WINDOW_MIN = 14 * PAD  # analysis/calibration/light_cone.py
 
 
 class NativeStepper:

@@ -8,7 +8,7 @@ from ..chain.chain import Chain
 from .base import Excitation
 
 UNSEEN = math.log(1e-22)  # motion, over that of the grain that is struck, which no answer holds
-WORTH = 0.7  # of the grains: where more than that are reached, all are computed
+WORTH = 0.7  # of the grains: where more than that are reached, all are computed; analysis/calibration/light_cone.py
 SHORT = 64  # grains: a shorter chain is computed as a whole
 
 

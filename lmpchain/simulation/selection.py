@@ -18,6 +18,7 @@ from ..scene.scene import Scene
 from ..util.tables import finite
 
 THEORY = {3: "linear theory", 4: "the homogeneous chain", 27: "the continuum"}  # by the equation that it solves
+# analysis/calibration/linear_model_error.py
 WORTH = 0.8  # a sharper bound, with the answer that it speaks for, must cost less than this part of the cheapest
 ROUNDING = 1 + 1e-9  # of a sum of errors that is equal to the tolerance
 

@@ -13,6 +13,7 @@ from ..engines.linear.model_error import COLUMN
 from ..theory.domain import exponents, require
 
 # norm: error of the linear theory over (delta - 1) v0* for weak strikes, and where it saturates
+# analysis/calibration/linear_model_error.py
 LINEAR = {"velocity": (0.54, 2**0.5), "displacement": (0.186, 0.45), "package": (COLUMN, 0.69), "peak": (0.134, 0.3)}
 
 

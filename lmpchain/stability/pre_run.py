@@ -12,6 +12,7 @@ from .overlap import deepest, hertz_excess
 from .predictability import amplifies, predicted_time
 from .step_limit import limit
 
+# analysis/calibration/stability_limits.py
 TRUSTED, GENTLE = 0.7, 0.3  # of `steps.limit`: Verlet held for 300 periods; strain below which all of it is to be had
 
 

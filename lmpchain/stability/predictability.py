@@ -12,8 +12,10 @@ from ..errors import InputError
 from ..scene.scene import Scene
 from ..util.arrays import Array
 
+# analysis/calibration/predictability.py
 OPENING, FLYING = 30.0, 50.0  # strike number, and that over N, between which `growth_rate` has been measured
 FEW, MANY = 6, 40  # and for how many grains
+# analysis/calibration/chaos_test.py
 SEED = 1e-14  # change at t = 0 that does as much as all rounding of a run: measured median, 1e-15.4 to 1e-12.4
 
 
@@ -22,7 +24,7 @@ def reflection_time(scene: Scene) -> float:
 
     The solitary wave that a grain makes of its velocity v0 in a chain without load moves by
     0.907470 (K/m)^(2/5) (0.681632 v0)^(1/5) grains a second; Chatterjee, Phys. Rev. E 59, 5912 (1999), and numbers
-    computed for this package.
+    computed for this package (analysis/calibration/predictability.py).
 
     Raises
     ------
@@ -42,7 +44,7 @@ def growth_rate(scene: Scene) -> float:
 
     Measured: 0.9 (1 - exp(-N / 20)) decades while a pulse runs down and up, whatever the strike and gravity, for
     N = 6 ... 40, v0* = 30 to 50 N, 0.1 to 100 g, within a factor of 1.5. A weaker strike opens few contacts, a
-    stronger one has most of its energy in a top grain that flies.
+    stronger one has most of its energy in a top grain that flies. analysis/calibration/predictability.py.
     """
     return 0.9 * (1 - math.exp(-scene.chain.grains / 20)) / reflection_time(scene)
 

@@ -24,6 +24,7 @@ from ..util.arrays import EPSILON, Array
 
 Long = np.longdouble
 STEP = 0.3  # highest frequency times the step of rkn6 at which floors are given: its own error is some 1e-9 there
+# analysis/calibration/roundoff.py
 TYPICAL = 0.23  # of the bound that the engine lammps takes: the median of 140 floors of random scenes
 PLAIN = 0.9  # last digits of the force at rest that the plain form loses in a step: measured for 10 to 250 grains
 
@@ -36,7 +37,8 @@ def floor(scene: Scene, engine: str = "native", diameter: str = "physical", forc
     of 0.9 EPSILON F_n / m, which walks to that times sqrt(duration h) in the velocity.
     LAMMPS: every drift rounds all heights, a random walk of 0.16 ulp(largest height) sqrt(evaluations) in them and of
     that times the highest frequency in the velocities. Measured over 13 decades, on 70 random scenes with both
-    diameters: half of the floors are within a factor of 1.7 of it, nine in ten within 6.
+    diameters: half of the floors are within a factor of 1.7 of it, nine in ten within 6
+    (analysis/calibration/roundoff.py).
 
     Parameters
     ----------

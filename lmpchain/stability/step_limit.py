@@ -69,7 +69,7 @@ def limit(scene: Scene, integrator: str) -> float:
 
     Measured on loaded chains for a hundred periods and strike numbers up to 1e4, runs break at so many times it:
     0.93 to 1 verlet, 0.88 to 1 kahan-li6, 0.68 to 1.02 dop853 (a step of which spans a whole blow), 1.3 to 1.6 rkn4,
-    2.5 to 3.1 rkn6 and 1 to 1.5 kahan-li8 (see `suspect`), 1.2 to 2.4 gear4.
+    2.5 to 3.1 rkn6 and 1 to 1.5 kahan-li8 (see `suspect`), 1.2 to 2.4 gear4 (analysis/calibration/stability_limits.py).
 
     Examples
     --------

@@ -32,6 +32,7 @@ from .stepper import LammpsStepper, word
 LOG, DECK = "log.lammps", "deck"  # in a run folder
 UNKEPT = ("keep", "template", "include")  # options with which a run cannot go on in another process
 DIAMETERS = ("auto", "physical", "gauge")
+# analysis/calibration/roundoff.py measures the next two
 HEADROOM = 3.0  # gauge diameter over the largest overlap: grain n + 2 is never touched
 ROUNDING = 0.7  # of an ulp of the largest height and force evaluation: the measured random walk
 

@@ -28,6 +28,7 @@ class LinearEngine(Engine):
     """An engine for the linearised chain, Eq. (3), exact to round-off."""
 
     equation: ClassVar[int] = 3
+    # timings of `work`: analysis/calibration/cost_model.py; of `round_off`: analysis/calibration/roundoff.py
     batches: ClassVar[bool] = True
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:

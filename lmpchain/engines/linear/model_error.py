@@ -19,6 +19,7 @@ from ...scene.scene import Scene
 from ...util.arrays import Array
 
 EARLIEST, GROWTH, EVENLY = 0.5, 1.25, 64  # extra evaluation times: geometric (ratio 1.25) and 64 uniform
+# analysis/calibration/linear_model_error.py measures the next ones
 AT_ONCE = 0.25  # of (delta - 1) s: the distortion that no phase accounts for
 DOUBT, WANDER = 3.0, 0.5  # true error over the estimate; over that of phases that add up as a random walk
 COLUMN, STEEPEST = 0.272, 2.2  # the error over (delta - 1) v0* of a column struck at the top; up to this delta

@@ -1,0 +1,199 @@
+"""What the calibration scripts share: rows and their table, arguments, runs, true errors."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from lmpchain import Scene
+from lmpchain.benchmark.reference import Reference, reference
+from lmpchain.engines.base import Candidate, Engine, ErrorBudget, Run
+from lmpchain.engines.error_estimate import CompanionRun
+from lmpchain.engines.native import Native
+from lmpchain.errors import RunFailed, ToleranceNotMet
+from lmpchain.util.provenance import session
+from lmpchain.util.tables import aligned
+
+NINE_IN_TEN, ALL_BUT_ONE = 0.9, 0.99
+
+
+class Row(NamedTuple):
+    """A constant: its value in the code, the value measured, and the interval that the measurement supports."""
+
+    name: str
+    shipped: float
+    measured: float
+    low: float
+    high: float
+    says: str
+
+    @property
+    def holds(self) -> bool:
+        """Whether the measurement supports the shipped value."""
+        return self.low <= self.shipped * (1 + 1e-9) and self.shipped <= self.high * (1 + 1e-9)
+
+
+def table(rows: Iterable[Row]) -> list[str]:
+    """Return aligned lines: constant, shipped and measured value, supported interval and what it means."""
+    head = ("constant", "shipped", "measured", "supported", "", "of what")
+    lines = [
+        (
+            row.name,
+            f"{row.shipped:.4g}",
+            f"{row.measured:.4g}",
+            f"{row.low:.3g} ... {row.high:.3g}",
+            "" if row.holds else "NOT SUPPORTED",
+            row.says,
+        )
+        for row in rows
+    ]
+    return aligned([head, *lines])
+
+
+def command(main: Callable[[bool], list[Row]], doc: str | None) -> None:
+    """Run a script from the command line: read --quick, print the table and how long it took, on which processor."""
+    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="seconds, with few scenes, as the tests run it")
+    quick = parser.parse_args().quick
+    began = time.perf_counter()
+    rows = main(quick)
+    print("\n".join(table(rows)))
+    print(f"{time.perf_counter() - began:.0f} s on {session()['processor']}")
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """One run at a given step.
+
+    Attributes
+    ----------
+    motion : (2, T, G) array
+        Displacement and velocity.
+    differences : tuple of float
+        Largest relative differences from its companions: at 2h and 4h, as far as there are any.
+    lowest : float
+        The smallest r / eps that any contact had in any of these runs; -1 is an opening.
+    """
+
+    candidate: Candidate
+    error: ErrorBudget
+    motion: np.ndarray
+    steps: int
+    evaluations: int
+    differences: tuple[float, ...]
+    lowest: float
+
+
+def answer(engine: Engine, scene: Scene, candidate: Candidate) -> Answer | None:
+    """Run a candidate; None if the run breaks down."""
+    motion = np.zeros((2, scene.samples, scene.recorded.size))
+    run = engine.start([scene], candidate)
+    try:
+        for block in run.blocks():
+            motion[0, block.samples, block.columns] = block.displacement[0]
+            motion[1, block.samples, block.columns] = block.velocity[0]
+        cost = run.cost()
+        differences, lowest = _companions(run)
+        return Answer(candidate, run.errors()[0], motion, cost.steps, cost.force_evaluations, differences, lowest)
+    except RunFailed:
+        return None
+    finally:
+        run.close()
+
+
+def _companions(run: Run) -> tuple[tuple[float, ...], float]:
+    """Return how far the companions of a run are from it, and how low r / eps fell in any of them."""
+    if not isinstance(run, CompanionRun):
+        return (), 0.0
+    peaks = np.where(run.peaks[0] > 0, run.peaks[0], 1.0)
+    relative = np.asarray(run.state()["differences"])[:, :, 0] / peaks
+    return tuple(relative.max((1, 2)).tolist()), min(float(stepper.lowest()[0]) for stepper in run._steppers)
+
+
+def with_steps(candidate: Candidate, steps_per_sample: int) -> Candidate:
+    """Return the candidate with another number of steps between two samples."""
+    step = candidate.step * candidate.steps_per_sample / steps_per_sample
+    return replace(candidate, steps_per_sample=steps_per_sample, step=step)
+
+
+def with_reach(scene: Scene, candidate: Candidate, reach: float) -> Candidate:
+    """Return the candidate with the longest step up to omega h = reach that divides the sample interval."""
+    interval = scene.duration / (scene.samples - 1)
+    return with_steps(candidate, max(1, math.ceil(interval * scene.highest_frequency / reach * (1 - 1e-12))))
+
+
+def proposal(engine: Engine, scene: Scene, tolerance: float) -> Candidate | None:
+    """Return what the engine proposes, None if it cannot meet the tolerance."""
+    try:
+        return engine.candidate(scene, tolerance)
+    except ToleranceNotMet:
+        return None
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A scene with its true motion, found once: Taylor series in extended precision, independent of all engines."""
+
+    scene: Scene
+
+    @cached_property
+    def reference(self) -> Reference:
+        """The independent solution of Eq. (1)."""
+        return reference(self.scene)
+
+    @cached_property
+    def motion(self) -> np.ndarray:
+        """True displacement and velocity of the recorded grains, (2, T, G)."""
+        columns = self.scene.recorded - 1
+        return np.array([self.reference.displacement[:, columns], self.reference.velocity[:, columns]])
+
+    def error(self, motion: np.ndarray) -> float:
+        """Return the true relative error: the larger of displacement and velocity, over the largest true sample."""
+        return distance(motion, self.motion)
+
+    @property
+    def known(self) -> bool:
+        """Whether the reference could be found, and is known to 1e-12."""
+        try:
+            return self.reference.error < 1e-12
+        except RunFailed:
+            return False
+
+
+def distance(motion: np.ndarray, true: np.ndarray) -> float:
+    """Return how far two motions (2, T, G) are apart, relative to the largest values of the second."""
+    size = np.abs(true).max((1, 2))
+    return float((np.abs(motion - true).max((1, 2)) / np.where(size > 0, size, 1.0)).max())
+
+
+def quantile(values: Iterable[float], part: float) -> float:
+    """Return a quantile; NaN of nothing."""
+    values = np.array(list(values), dtype=float)
+    return float(np.quantile(values, part)) if values.size else math.nan
+
+
+def best(work: Callable[[], object], repeats: int) -> float:
+    """Return the shortest time of some, s."""
+    times = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - began)
+    return min(times)
+
+
+def near_best(costs: dict[float, float], within: float = 1.1) -> tuple[float, float, float]:
+    """Return the value of least cost, and the smallest and the largest one whose cost is within 10 % of that."""
+    best = min(costs, key=lambda value: costs[value])
+    good = [value for value, cost in costs.items() if cost <= within * costs[best]]
+    return best, min(good), max(good)
+
+
+NATIVE = Native()

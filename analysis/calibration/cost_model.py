@@ -1,0 +1,195 @@
+"""Measure the timing constants of the cost model: of time stepping and of the linear engines.
+
+Times depend on the machine: shipped numbers are those of one processor, and `lmpchain plan --calibrate` measures a
+machine's own. What must hold is that engines which differ by ten are told apart, so a constant is supported within a
+factor of three. Every run is timed some times and the shortest counts. The coefficients of the linear engines are
+fitted to the logarithms of the times of many scenes. They are not all told apart by times: each is drawn to its
+shipped value as if that were known to a factor of ten, so only what the times demand moves it. On a busy machine run
+it with OPENBLAS_NUM_THREADS=1: threads that wait for each other say nothing about modes.
+
+    python analysis/calibration/cost_model.py           # a minute
+    python analysis/calibration/cost_model.py --quick   # seconds
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+
+import numpy as np
+from common import Row, best, command, quantile
+from scipy.optimize import least_squares, nnls
+
+from lmpchain import Chain, Impulse, Profile, Scene, engines
+from lmpchain.engines.base import Engine
+from lmpchain.engines.lammps.engine import Lammps
+from lmpchain.engines.linear.closed_form import Bessel
+from lmpchain.engines.linear.engine import EXTRA, Chebyshev, LinearEngine, Modes, dense
+from lmpchain.engines.native import Native
+from lmpchain.engines.time_stepping import EVALUATION_OVERHEAD
+from lmpchain.integrators.kernels.chebyshev import SPAN, terms
+from lmpchain.simulation.api import simulate
+
+FACTOR = 3.0  # between machines, and between a time and its estimate
+PARTS = {  # of `work`: names of its literals, in their order
+    "modes": ("6e-8 N^2", "1e-10 N^3", "5e-7 a look", "3e-8 N a look", "6e-10 N^2 a look", "1e-8 a value"),
+    "chebyshev": (
+        "3e-6 a series", "7e-8 a polynomial", "1.7e-9 N a polynomial", "3e-7 a look", "5e-10 N polynomials a look",
+        "2e-9 N a look", "1e-8 a value",
+    ),
+}  # fmt: skip
+
+
+def shaken(grains: int, periods: float, samples: int = 11) -> Scene:
+    """Return a loaded chain whose grains all move, gently."""
+    chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-3)
+    velocity = 1e-3 * chain.length_scale / chain.time_scale * np.sin(np.arange(grains))
+    velocity[chain.movable :] = 0.0
+    return Scene(
+        chain=chain, excitation=Profile(velocity=velocity), duration=periods * chain.time_scale, samples=samples
+    )
+
+
+def struck(grains: int, periods: float, samples: int) -> Scene:
+    """Return a loaded chain that is struck on the top, gently, all grains recorded."""
+    chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-3)
+    return Scene(chain=chain, excitation=Impulse(velocity=1e-12), duration=periods * chain.time_scale, samples=samples)
+
+
+def supported(name: str, shipped: float, measured: float, says: str) -> Row:
+    """Return the row of a time, supported within a factor of three."""
+    return Row(name, shipped, measured, measured / FACTOR, measured * FACTOR, says)
+
+
+def _stepping(engine: Engine, sizes: tuple[int, ...], most: float, repeats: int) -> tuple[float, float]:
+    """Return the seconds per grain and force evaluation, companions included, and the overhead in grains."""
+    features, times = [], []
+    for grains in sizes:
+        for periods in (2.0, most / grains + 2.0):
+            scene = shaken(grains, periods)
+            candidate = engine.candidate(scene, 1e-4)
+            spent = []
+            for _ in range(repeats):
+                run = engine.start([scene], candidate)
+                for _ in run.blocks():
+                    pass
+                cost = run.cost()
+                run.close()
+                spent.append(cost.integration_s + cost.estimate_s)
+            features.append((cost.force_evaluations * grains, cost.force_evaluations, 1.0))
+            times.append(min(spent))
+    scaled = np.array(features) / np.array(times)[:, None]
+    size = scaled.max(0)
+    per_grain, per_call, _ = nnls(scaled / size, np.ones(len(times)))[0] / size
+    return float(per_grain), float(per_call / max(per_grain, 1e-300))
+
+
+def _fitted(features: np.ndarray, times: np.ndarray, shipped: np.ndarray) -> np.ndarray:
+    """Return coefficients that give the times within some 30 %, drawn to the shipped ones within a factor of ten."""
+
+    def off(logs: np.ndarray) -> np.ndarray:
+        told = features @ (shipped * np.exp(logs))
+        return np.append(np.log(told / times) / 0.3, logs / math.log(10))
+
+    return shipped * np.exp(least_squares(off, np.zeros(shipped.size), loss="soft_l1").x)
+
+
+def _features(name: str, scene: Scene, samples: int, values: int) -> tuple[float, ...]:
+    """Return what the literals of `work` stand in front of."""
+    grains, looks = scene.chain.grains, samples + (0 if samples and dense(scene) else EXTRA)
+    if name == "modes":
+        return grains**2, grains**3, looks, looks * grains, looks * grains**2, values
+    z = scene.chain.band_edge * scene.duration
+    series = min(looks, max(1.0, z / SPAN))
+    orders, reached = terms(z / series), min(grains, z / 4 + 30)
+    return (
+        series, 2 * series * orders, 2 * series * orders * reached, looks, looks * reached * orders, looks * reached,
+        values,
+    )  # fmt: skip
+
+
+def _linear(engine: LinearEngine, quick: bool) -> list[Row]:
+    """Return the rows of the literals of `work`, and one of how well times are told with the shipped ones."""
+    rng, features, times, told = np.random.default_rng(81), [], [], []
+    most = 600 if engine.name == "modes" and not quick else 200 if engine.name == "modes" else 3000
+    for _ in range(25 if quick else 120):
+        grains, periods = int(10 ** rng.uniform(0.5, math.log10(most))), 10 ** rng.uniform(0.5, 3)
+        samples = int(10 ** rng.uniform(0.5, 3))
+        scene = struck(grains, periods, samples)
+        values = samples * grains
+
+        def run(scene: Scene = scene) -> None:
+            running = engine.start([scene], engine.candidate(scene, 1.0))
+            for _ in running.blocks():
+                pass
+
+        features.append(_features(engine.name, scene, samples, values))
+        times.append(best(run, 3))
+        told.append(engine.work(scene, samples, values))
+    table, measured = np.array(features, dtype=float), np.array(times)
+    scaled = table / np.array(told)[:, None]
+    own = np.linalg.lstsq(scaled / scaled.max(0), np.ones(len(told)), rcond=None)[0] / scaled.max(0)
+    here = _fitted(table, np.maximum(measured - engine.start_up_s / 2, 1e-5), own)
+    ratios = measured / (np.array(told) + engine.start_up_s)
+    low, middle, high = (quantile(ratios, part) for part in (0.1, 0.5, 0.9))
+    says = f"time over start_up_s and work of {len(times)} scenes: median; 10 to 90 % {low:.2g} to {high:.2g}"
+    rows = [supported(f"{engine.name}.work", 1.0, middle, says)]
+    each = np.array([table[:, k] * own[k] / np.array(told) for k in range(own.size)])
+    for k, part in enumerate(PARTS[engine.name]):
+        share = float(np.max(each[k]))
+        rows.append(
+            supported(
+                f"{engine.name}.work: {part}", own[k], here[k], f"s; at most {100 * share:.0f} % of the work of a scene"
+            )
+        )
+    return rows
+
+
+def main(quick: bool = False) -> list[Row]:
+    """Return a row for each constant."""
+    repeats = 3 if quick else 7
+    rows = []
+    for engine, sizes, most in (
+        (Native(), (10, 30, 100, 300, 1000) if quick else (5, 10, 20, 50, 100, 200, 500, 1000, 3000), 1e5),
+        (Lammps(), (10, 100) if quick else (10, 30, 100, 300, 1000), 5e3),
+    ):
+        per_grain, call = _stepping(engine, sizes, most / 5 if quick else most, repeats)
+        name = f"{engine.name}.seconds_per_grain_step"
+        rows.append(
+            supported(
+                name, engine.seconds_per_grain_step, per_grain, "s a grain and force evaluation, companions included"
+            )
+        )
+        rows.append(
+            supported(
+                f"EVALUATION_OVERHEAD ({engine.name})",
+                EVALUATION_OVERHEAD,
+                call,
+                "grains that take as long as the rest of an evaluation",
+            )
+        )
+    with warnings.catch_warnings(action="ignore"):
+        for name in (*engines.names(),):
+            scene = struck(2, 1.0, 3)
+            if name == "continuum":
+                scene = Scene(
+                    chain=Chain(grains=2, diameter=1e-3), excitation=Impulse(velocity=1e-12), duration=1e-6, samples=3
+                )
+            simulate(scene, name, 0.5, on_miss="warn")
+            took = best(lambda name=name, scene=scene: simulate(scene, name, 0.5, on_miss="warn"), repeats)  # type: ignore[misc]
+            rows.append(supported(f"{name}.start_up_s", engines.get(name).start_up_s, took, "s, the smallest answer"))
+    for engine in (Modes(), Chebyshev()):
+        rows += _linear(engine, quick)
+    return [*rows, _formula(quick)]
+
+
+def _formula(quick: bool) -> Row:
+    """Return the row of the closed forms: seconds a value."""
+    engine, scene = Bessel(), struck(300, 50.0, 31 if quick else 101)
+    shipped = engine.work(scene, 31, 1) - engine.work(scene, 31, 0) - 1e-8
+    took = best(lambda: engine.wave(scene, scene.time), 3) / (scene.samples * scene.chain.grains)
+    return supported("ClosedForm.work: 1e-6 a value", shipped, took, "s a value of the engine bessel")
+
+
+if __name__ == "__main__":
+    command(main, __doc__)

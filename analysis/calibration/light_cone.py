@@ -1,0 +1,140 @@
+"""Measure when a cut at the light cone pays: WORTH of the cut and of a closer look, and WINDOW_MIN.
+
+WORTH of the light cone: the time to answer a scene with the grains that the wave reaches over that with all of them,
+for cuts that leave more and more; the largest part that saves anything is measured. WORTH of a look: engines whose
+look and answer should cost a part of the native answer are timed; the estimate must be right to that part in nine
+scenes of ten. WINDOW_MIN: chains up to which computing all grains is no slower than following the wave.
+
+    python analysis/calibration/light_cone.py           # a minute
+    python analysis/calibration/light_cone.py --quick   # seconds
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from unittest import mock
+
+import numpy as np
+from common import Row, best, command, quantile
+
+from lmpchain import Chain, Impulse, Scene
+from lmpchain.engines.base import Candidate, Engine
+from lmpchain.engines.lammps.engine import Lammps
+from lmpchain.engines.linear.engine import Chebyshev, Modes
+from lmpchain.engines.native import Native
+from lmpchain.integrators import stepper
+from lmpchain.integrators.kernels.splitting import PAD
+from lmpchain.scene import light_cone
+from lmpchain.scene.light_cone import WORTH as WORTH_OF_CUT
+from lmpchain.simulation.selection import WORTH as WORTH_OF_LOOK
+
+
+def struck(grains: int, periods: float, strike_number: float = 0.01, samples: int = 11) -> Scene:
+    """Return a column that is struck on the top."""
+    chain = Chain(grains=grains, diameter=1e-3)
+    velocity = strike_number * chain.length_scale / chain.time_scale
+    duration = periods * chain.time_scale
+    return Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=duration, samples=samples)
+
+
+def through(engine: Engine, scene: Scene, candidate: Candidate) -> None:
+    """Run a scene."""
+    run = engine.start([scene], candidate)
+    for _ in run.blocks():
+        pass
+    run.close()
+
+
+def _cut(engine: Engine, quick: bool) -> Row:
+    """Return the row of WORTH of the light cone for one engine."""
+    repeats, ratios, periods = (3 if quick else 9), {}, 20.0
+    needed = struck(3000, periods).light_cone.scene.chain.grains
+    for part in (0.3, 0.7, 0.97) if quick else (0.3, 0.5, 0.6, 0.7, 0.8, 0.9, 0.97):
+        scene, times = struck(math.ceil(needed / part), periods), []
+        for worth in (1.1, 0.0):  # always, and never
+            with mock.patch.object(light_cone, "WORTH", worth):
+                times.append(best(lambda scene=scene: fresh(engine, scene), repeats))  # type: ignore[misc]
+        ratios[part] = times[0] / times[1]
+    saving = [part for part, ratio in ratios.items() if ratio < 0.97]
+    harmless = [part for part, ratio in ratios.items() if ratio < 1.05]
+    listed = ", ".join(f"{part:g}: {ratio:.2f}" for part, ratio in ratios.items())
+    says = f"{needed} grains; time with the cut over that without, by the part that is left: {listed}"
+    return Row(
+        f"WORTH (light cone, {engine.name})",
+        WORTH_OF_CUT,
+        max(saving, default=0.0),
+        0.0,
+        max(harmless, default=0.0),
+        says,
+    )
+
+
+def fresh(engine: Engine, scene: Scene) -> None:
+    """Answer a scene of which nothing is known yet."""
+    new = Scene(**scene.given())
+    part = engine.part(new)
+    through(engine, part, engine.candidate(part, 1e-4))
+
+
+def _look(quick: bool) -> Row:
+    """Return the row of WORTH of a closer look: times over their estimates, linear engine over native."""
+    rng, off, repeats = np.random.default_rng(91), [], 3
+    native, linear = Native(), Chebyshev()
+    for _ in range(10 if quick else 60):
+        scene = struck(
+            int(10 ** rng.uniform(1.5, 3)), 10 ** rng.uniform(0.7, 2), samples=int(10 ** rng.uniform(1, 2.5))
+        )
+        scene = scene.light_cone.scene
+        ours, theirs = linear.candidate(scene, 1.0), native.candidate(scene, 10 ** rng.uniform(-9, -3))
+        expected = (ours.sharper.cost_s + ours.cost_s) / theirs.cost_s
+        looked = best(lambda scene=scene, ours=ours: linear.bound_model_error(scene, ours), repeats)  # type: ignore[misc]
+        took = best(lambda scene=scene, ours=ours: through(linear, scene, replace(ours)), repeats)  # type: ignore[misc]
+        other = best(lambda scene=scene, theirs=theirs: through(native, scene, theirs), repeats)  # type: ignore[misc]
+        off.append((looked + took) / other / expected)
+    low, middle, high = (quantile(off, part) for part in (0.1, 0.5, 0.9))
+    return Row(
+        "WORTH (look)",
+        WORTH_OF_LOOK,
+        1 / max(middle, 1.0),
+        1 / max(high, 1.0),
+        1.0,
+        f"measured ratio of times over the expected one: 10 % {low:.2g}, "
+        f"half {middle:.2g}, 90 % {high:.2g}; a ratio below 1 over "
+        "that is sure to pay",
+    )
+
+
+def _short(quick: bool) -> Row:
+    """Return the row of WINDOW_MIN: time with the window over that without, by the number of bodies."""
+    ratios, repeats = {}, 5 if quick else 25
+    for bodies in (4, 8, 11, 14, 20, 30, 60):
+        scene = struck(max(2, bodies * PAD - 2 * PAD), 12.0)
+        candidate = Native().candidate(scene, 1e-6)
+        times = []
+        for short in (0, 10**6):
+            with mock.patch.object(stepper, "WINDOW_MIN", short):
+                times.append(
+                    best(lambda scene=scene, candidate=candidate: through(Native(), scene, candidate), repeats)
+                )  # type: ignore[misc]
+        ratios[bodies * PAD] = times[0] / times[1]
+    good = [bodies for bodies, ratio in ratios.items() if ratio > 0.97]
+    listed = ", ".join(f"{bodies}: {ratio:.2f}" for bodies, ratio in ratios.items())
+    harmless = [bodies for bodies, ratio in ratios.items() if ratio > 1 / 1.1]
+    return Row(
+        "WINDOW_MIN",
+        stepper.WINDOW_MIN,
+        max(good, default=0),
+        4 * PAD,
+        max(harmless, default=0),
+        f"time with the window over that without, by bodies: {listed}",
+    )
+
+
+def main(quick: bool = False) -> list[Row]:
+    """Return a row for each constant."""
+    return [*(_cut(engine, quick) for engine in (Native(), Modes(), Lammps())), _look(quick), _short(quick)]
+
+
+if __name__ == "__main__":
+    command(main, __doc__)

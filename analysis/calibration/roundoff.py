@@ -1,0 +1,195 @@
+"""Measure round-off: of the native engine, of LAMMPS, which keeps heights, and of linear engines.
+
+Runs at steps of rkn6 with omega h = 0.3 against the same steps in extended precision, so that only rounding is left;
+of linear engines, chains of springs against the Taylor series in extended precision. A bound is supported from where
+nine in ten runs stay below it up to ten times that; a typical value where it is within the middle half.
+
+    python analysis/calibration/roundoff.py           # two minutes
+    python analysis/calibration/roundoff.py --quick   # seconds
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from common import Case, Row, answer, command, quantile
+from scenes import drawn
+
+from lmpchain import Scene
+from lmpchain.engines.error_estimate import EPSILON, native_floor
+from lmpchain.engines.lammps.engine import HEADROOM, ROUNDING, Lammps, gauge_diameter
+from lmpchain.engines.linear.engine import Chebyshev, LinearEngine, Modes
+from lmpchain.engines.native import Native
+from lmpchain.errors import InputError, ToleranceNotMet
+from lmpchain.integrators.batch import STRONG, force_form
+from lmpchain.integrators.kernels.contact_forces import ROOTS
+from lmpchain.integrators.splittings import RKN6
+from lmpchain.simulation.api import simulate
+from lmpchain.stability.roundoff import PLAIN, TYPICAL, measured_floor
+from lmpchain.stability.roundoff import floor as predicted_floor
+
+STEP = 0.3  # omega h
+
+
+def gentle(count: int, seed: int, **ranges: object) -> list[Scene]:
+    """Draw scenes that cannot be chaotic: short, and nothing is driven."""
+    return drawn(count, seed, driven=0.0, grains=(2, 3, 5, 12, 30), spans=(2.0, 15.0), **ranges)
+
+
+def evaluations(scene: Scene) -> int:
+    """Return how often the force is evaluated at steps with omega h = 0.3."""
+    intervals = scene.samples - 1
+    return RKN6.evaluations * intervals * math.ceil(scene.duration / intervals * scene.highest_frequency / STEP)
+
+
+def _native(count: int) -> Row:
+    """Return the row of the random walk of the native engine: its factor, 1 in the code."""
+    ratios = [measured_floor(scene, force="exact") / native_floor(evaluations(scene)) for scene in gentle(count, 51)]
+    low, middle = quantile(ratios, 0.9), quantile(ratios, 0.5)
+    shipped = native_floor(1e12) / (EPSILON * 1e6)
+    return Row(
+        "native_floor",
+        shipped,
+        low,
+        quantile(ratios, 0.25),
+        10 * low,
+        f"round-off over EPSILON (2 + sqrt(evaluations)): half {middle:.2g}, 9 in 10 {low:.2g}, most {max(ratios):.2g}",
+    )
+
+
+def _plain(count: int) -> list[Row]:
+    """Return the rows of PLAIN and STRONG: what the plain form of the force loses."""
+    lost, strong = [], []
+    ranges = {"kinds": ("gravity", "load"), "exponents": (1.5,)}
+    for scene in gentle(count, 52, strength=(-4.0, -1.0), **ranges):
+        if force_form(scene, "plain") not in ROOTS:
+            continue
+        law = predicted_floor(scene, force="plain") - native_floor(evaluations(scene))
+        lost.append(PLAIN * measured_floor(scene, force="plain") / law)
+    for scene in gentle(count, 53, strength=(math.log10(STRONG), 2.0), **ranges):
+        strong.append(measured_floor(scene, force="plain") / measured_floor(scene, force="exact"))
+    low, middle, high = (quantile(lost, part) for part in (0.25, 0.5, 0.9))
+    most = quantile(strong, 0.9)
+    return [
+        Row(
+            "PLAIN",
+            PLAIN,
+            middle,
+            low,
+            max(high, low),
+            f"last digits lost a step by the plain form: quarter, half, 9 in 10 {low:.2g}, {middle:.2g}, {high:.2g}",
+        ),
+        Row(
+            "STRONG",
+            STRONG,
+            STRONG if most < 10 else 10.0,
+            0.0 if most < 10 else STRONG * 2,
+            math.inf,
+            "round-off of the plain form over that of the exact one beyond "
+            f"it: half {quantile(strong, 0.5):.2g}, 9 in 10 {most:.2g}",
+        ),
+    ]
+
+
+def _lammps(count: int) -> list[Row]:
+    """Return the rows of the random walk of LAMMPS: a bound, and what is typical."""
+    ratios: list[float] = []
+    for scene in gentle(count, 54, strength=(-4.0, 2.0), exponents=(1.5,)):
+        if Lammps().refuses(scene):
+            continue
+        for diameter in ("physical", "gauge"):
+            try:
+                found = measured_floor(scene, "lammps", diameter)
+            except (InputError, ToleranceNotMet):
+                continue
+            ratios.append(found / predicted_floor(scene, "lammps", diameter))
+    walks = [TYPICAL * ratio for ratio in ratios]
+    low, middle, high = (quantile(walks, part) for part in (0.25, 0.5, 0.75))
+    nine = quantile(walks, 0.9)
+    wide = quantile(np.exp(np.abs(np.log(ratios))), 0.9) if ratios else math.nan
+    return [
+        Row(
+            "ROUNDING",
+            ROUNDING,
+            ROUNDING * nine,
+            ROUNDING * nine,
+            10 * ROUNDING * nine,
+            f"ulp(height) sqrt(evaluations) that bound nine in ten of {len(walks)} runs; half {ROUNDING * middle:.2g}",
+        ),
+        Row(
+            "TYPICAL",
+            TYPICAL,
+            middle,
+            low,
+            high,
+            f"round-off over that bound: quartiles and median; nine in ten within a factor {wide:.2g} of it",
+        ),
+    ]
+
+
+def _headroom(count: int) -> Row:
+    """Return the row of HEADROOM: overlaps of two neighbouring contacts over the bound on one."""
+    needed = []
+    for scene in gentle(count, 55, strength=(-2.0, 3.0), kinds=("gravity", "load", "vacuum")):
+        part, engine = Scene(**scene.given() | {"samples": 201}), Native()
+        try:
+            run = simulate(part, engine, 1e-6)
+        except ToleranceNotMet:
+            continue
+        u = run.displacement
+        overlap = part.chain.contacts.overlap[1:-1] + u[:, :-1] - u[:, 1:]
+        gauge = gauge_diameter(part)
+        if gauge and overlap.shape[1] > 1:
+            needed.append(
+                float((np.maximum(overlap[:, 1:], 0) + np.maximum(overlap[:, :-1], 0)).max() / gauge * HEADROOM)
+            )
+    low = max(needed, default=math.nan)
+    return Row(
+        "HEADROOM",
+        HEADROOM,
+        low,
+        low,
+        3 * low,
+        "gauge diameter at which grain n + 2 is touched, over the "
+        f"largest overlap; never above 2 by geometry; {len(needed)} "
+        "scenes",
+    )
+
+
+def _linear(count: int) -> list[Row]:
+    """Return the rows of the round-off of linear engines: factors of their laws, 1 in the code."""
+    scenes = [
+        Case(scene) for scene in gentle(count, 56, kinds=("gravity", "load"), exponents=(1.0,), strength=(-3.0, 0.0))
+    ]
+    rows, engines = [], (Modes(), Chebyshev())
+    for engine in engines:
+        ratios = []
+        for case in scenes:
+            if isinstance(engine, LinearEngine) and not engine.refuses(case.scene) and case.known:
+                run = answer(engine, case.scene, engine.candidate(case.scene, 1.0))
+                assert run
+                ratios.append(case.error(run.motion) / engine.round_off(case.scene))
+        low = quantile(ratios, 0.9)
+        rows.append(
+            Row(
+                f"{engine.name}.round_off",
+                1.0,
+                low,
+                low,
+                30 * low,
+                f"error on springs over EPSILON (10 + omega T{' + 4 N' if engine.name == 'modes' else ''}): "
+                f"half {quantile(ratios, 0.5):.2g}, 9 in 10 {low:.2g}",
+            )
+        )
+    return rows
+
+
+def main(quick: bool = False) -> list[Row]:
+    """Return a row for each constant."""
+    count = 8 if quick else 60
+    return [_native(count), *_plain(count), *_lammps(count // 2), _headroom(count), *_linear(count)]
+
+
+if __name__ == "__main__":
+    command(main, __doc__)

@@ -1,0 +1,69 @@
+"""Every measured constant is printed by a script in analysis/calibration/ that anyone can run again."""
+
+import importlib
+import math
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+FOLDER = ROOT / "analysis" / "calibration"
+SHARED = ("common", "scenes")
+SCRIPTS = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem not in SHARED)
+# what few scenes already show; the README has what many do, and what none does
+SHOWN = {
+    "adaptive_steps": ["CROSSING_STEP", "STEP_ERROR", "STEP_ERROR_MIN"],
+    "chaos_test": ["STALLS", "ATTEMPTS", "ERRATIC", "CHAOS_ERROR"],
+    "error_constants": ["rkn4.error_constant", "kahan-li8.error_constant", "dop853.error_constant"],
+    "linear_model_error": [
+        "COLUMN, LINEAR[package][0]",
+        "LINEAR[velocity][0]",
+        "LINEAR[peak][0]",
+        "EVENLY",
+        "STEEPEST",
+    ],
+    "opening_error_factor": ["OPENING_ERROR (verlet)", "GENTLE", "LONGEST_STEP"],
+    "predictability": ["OPENING", "FLYING", "FEW", "reflection_time: 0.907470, 0.681632"],
+    "richardson_estimate": ["SAFETY", "ORDER_AT_OPENINGS", "ORDER_AT_KINKS", "CLOSE_TO_OPENING"],
+    "roundoff": ["native_floor", "PLAIN", "STRONG", "ROUNDING", "HEADROOM", "modes.round_off", "chebyshev.round_off"],
+    "stability_limits": ["TRUSTED", "GENTLE (pre_run)", "limit: verlet"],
+    "step_refinement": ["refine: 0.7 (aim)", "refine: 16 (most)", "refine: 1.3 (least)", "refine: 2 (least, erratic)"],
+}
+
+
+def claimed(script: str) -> list[str]:
+    """Return the constants that the README says a script prints."""
+    rows = re.findall(
+        rf"^\| (.+?) \| .* \| {script} \|", (FOLDER / "README.md").read_text(encoding="utf-8"), re.MULTILINE
+    )
+    return [row.strip("`") for row in rows]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("script", SCRIPTS)
+def test_script_prints_what_it_claims(script, monkeypatch):
+    monkeypatch.syspath_prepend(str(FOLDER))
+    module = importlib.import_module(script)
+    rows = {row.name: row for row in module.main(quick=True)}
+    assert claimed(script)
+    assert set(claimed(script)) <= set(rows)
+    assert all(math.isfinite(row.shipped) for row in rows.values())
+    assert [name for name in SHOWN.get(script, []) if not rows[name].holds] == []
+
+
+def test_every_script_says_what_it_measures_and_how_to_run_it():
+    for script in SCRIPTS:
+        text = (FOLDER / f"{script}.py").read_text(encoding="utf-8")
+        assert text.startswith('"""Measure ')
+        assert f"python analysis/calibration/{script}.py --quick" in text
+
+
+def test_scripts_named_in_comments_exist():
+    named = {
+        script
+        for path in (ROOT / "lmpchain").rglob("*.py")
+        for script in re.findall(r"analysis/calibration/(\w+)\.py", path.read_text(encoding="utf-8"))
+    }
+    assert named
+    assert named <= set(SCRIPTS)
