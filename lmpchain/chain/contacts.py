@@ -136,7 +136,7 @@ class Contacts:
         return 2 / (self.exponent + 3)
 
     def constant_for_stiffness(self, factor: Array) -> Array:
-        """Return by what factor constants change if stiffnesses at rest change by this one, under the same forces."""
+        """Return the factor on constants for a factor on stiffnesses at rest, under the same forces."""
         return factor**self.exponent
 
     def stiffness_for_force(self, factor: Array) -> Array:

@@ -287,7 +287,7 @@ def native_floor(evaluations: float) -> float:
 
 
 def _block(steppers: int, realisations: int, grains: int, samples: int) -> int:
-    """Return the number of samples in a block, a multiple of four so that every companion stops at its end."""
+    """Return the number of samples in a block, a multiple of four: every companion stops at its end."""
     fit = BLOCK_BYTES // (16 * steppers * realisations * grains)
     return max(4, min(fit, samples) // 4 * 4)
 

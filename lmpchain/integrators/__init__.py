@@ -1,1 +1,1 @@
-"""Integrators of Eq. (1): kick-drift splittings, DOP853 and Gear, and the compiled loops that step with them."""
+"""Integrators of Eq. (1): kick-drift splittings, DOP853 and Gear, and their compiled loops."""

@@ -100,7 +100,7 @@ class ChainBatch:
         return rows
 
     def _drives(self) -> tuple[Array, Array, Array]:
-        """Return how grain 1 of every chain is driven: (R, 3), (R, P) and (R, 4, P-1) arrays; see `right_hand_side`."""
+        """Return the imposed motion of grain 1 as (R, 3), (R, P) and (R, 4, P-1) arrays."""
         drives, size = [scene.drive for scene in self.scenes if scene.drive], len(self.scenes)
         knots_max = max((0 if d.times is None else len(d.times) for d in drives), default=0)
         table, knots = np.zeros((size, 3)), np.zeros((size, knots_max))
@@ -138,7 +138,7 @@ def weakest(exponent: float) -> float:
 
 
 def force_form(scene: Scene, force: str = "auto") -> int:
-    """Choose the form of the force: "plain" is the fastest one, "exact" keeps the digits of the weakest wave.
+    """Choose the form of the force: "plain" is fastest, "exact" keeps the digits of the weakest wave.
 
     The plain form is wrong by the last digit of the force at rest, which is nothing in strong waves.
     """

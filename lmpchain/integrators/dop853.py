@@ -33,7 +33,7 @@ class DormandPrince:
 
     @cached_property
     def tables(self) -> tuple[Array, Array, Array]:
-        """Nodes (12,), inner weights (12, 12) and the weights of step and errors (6, 12); see `kernels.dop853`."""
+        """Nodes (12,), inner weights (12, 12), weights of step and errors (6, 12); see `kernels.dop853`."""
         from scipy.integrate import DOP853
 
         a, b = DOP853.A[:12, :12], DOP853.B

@@ -83,7 +83,7 @@ class NativeStepper:
         return first // PAD * PAD, np.minimum(-(-np.maximum(last, first + 1) // PAD) * PAD, moves.shape[1] - PAD)
 
     def fill(self, u: Array, v: Array, offset: int, until: int, max_steps: int) -> int:
-        """Move on to the sample `until`, or by some `max_steps` a thread, and put samples from `offset` into u, v."""
+        """Step on to the sample `until`, or by `max_steps` a thread; samples from `offset` on go into u, v."""
 
         def move(share: slice, arguments: tuple[Any, ...]) -> int:
             return self._march(*arguments, u[share], v[share], offset, until, max_steps)

@@ -163,7 +163,7 @@ def _contact_forces(contacts: Contacts, closer: Array, closing: Array) -> tuple[
 
 
 def _integral(time: Array, value: Array, slope: Array) -> tuple[Array, float]:
-    """Integrate samples whose slope is known up to each of them, (T,); and its shift when every second one is used."""
+    """Integrate samples of known slope up to each, (T,); and the shift when every second is used."""
     fine, coarse = (
         CubicHermiteSpline(time[::n], value[::n], slope[::n]).antiderivative()(time[::n])
         if len(value) > n

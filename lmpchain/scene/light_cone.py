@@ -1,4 +1,4 @@
-"""The light cone: the grains that a wave can have reached. What lies outside is at rest and need not be computed."""
+"""The light cone: the grains that a wave can have reached; all others are at rest."""
 
 from __future__ import annotations
 

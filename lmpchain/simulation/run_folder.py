@@ -1,4 +1,4 @@
-"""A run folder: the task, the samples so far, and the state from which the run can be resumed bit for bit.
+"""A run folder: the task, the samples so far, and the state to resume the run from bit for bit.
 
 scene.toml, run.json
     The task (`lmpchain.simulation.task`), and every session that worked on it: command, host, versions.

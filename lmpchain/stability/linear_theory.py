@@ -18,7 +18,7 @@ LINEAR = {"velocity": (0.54, 2**0.5), "displacement": (0.186, 0.45), "package": 
 
 
 def linear_law(strike_number: float, norm: str, exponent: float = 1.5, grain: int = 20) -> float:
-    """Return the error of Eq. (3), x / (1 + x / limit) with x = c (delta - 1) v0*, after a strike on the top.
+    """Return the error of Eq. (3) after a strike on the top, x / (1 + x / limit), x = c (delta - 1) v0*.
 
     A contact that is compressed by the fraction s of its overlap is stiffer, and the wave faster by (delta - 1) s / 4.
     The strain falls faster than 1/h, so that the lead is won at the first grains and stays: for tau above 6 the error

@@ -1,4 +1,4 @@
-"""Predictability time: growth of a small change (a finite-time Lyapunov exponent), law and measurement."""
+"""Predictability time: growth of a small change (finite-time Lyapunov exponent), law and measurement."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def amplifies(scene: Scene) -> bool:
 
 
 def predicted_time(scene: Scene, tolerance: float) -> float:
-    """Predict `predictability_time` from `growth_rate`, s, without an integration; it may lie beyond the duration."""
+    """Predict the predictability time from `growth_rate`, s; it may lie beyond the duration."""
     return math.log10(tolerance / SEED) / growth_rate(scene)
 
 

@@ -103,7 +103,7 @@ class Stability:
         return {"rows": rows, "curves": curves, "left_out": list(self.left_out)}
 
     def plot(self, axes: Sequence[Axes] | None = None) -> Figure:
-        """Draw longest steps, energy error, divergence of two runs, and errors over the strength of the strike.
+        """Draw longest steps, energy error, divergence of two runs, and errors over the strike strength.
 
         Parameters
         ----------

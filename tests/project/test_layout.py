@@ -28,6 +28,7 @@ ROOMS = [
     "cli",
 ]
 LONGEST = 350  # lines
+OPENING = 100  # letters of the first line of a docstring
 
 
 def name_of(path: Path) -> str:
@@ -81,3 +82,11 @@ def test_arrows_run_down(module: str):
 def test_modules_are_short():
     lengths = {name: len(path.read_text(encoding="utf-8").splitlines()) for name, path in MODULES.items()}
     assert not {name: length for name, length in lengths.items() if length >= LONGEST}
+
+
+@pytest.mark.parametrize("module", sorted(MODULES))
+def test_docstrings_open_with_one_short_line(module: str):
+    tree = ast.parse(MODULES[module].read_text(encoding="utf-8"))
+    documented = (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.Module))
+    opening = [text.split("\n\n")[0] for node in documented if (text := ast.get_docstring(node))]
+    assert [text for text in opening if "\n" in text or len(text) > OPENING] == []

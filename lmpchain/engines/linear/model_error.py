@@ -141,7 +141,7 @@ def bounds(scene: Scene) -> tuple[float, float]:
 
 
 def _struck_column(scene: Scene) -> bool:
-    """Whether it is a uniform column under gravity alone, struck at its free top, for at most ten passages."""
+    """Whether it is a uniform column under gravity alone, struck at its top, for at most ten passages."""
     chain, strike = scene.chain, scene.excitation
     if not (strike.strikes_top and chain.gravity > 0 and chain.top_load == 0):
         return False
@@ -159,5 +159,5 @@ def evaluation_times(scene: Scene) -> Array:
 
 
 def dense(scene: Scene) -> bool:
-    """Say whether samples show the fastest oscillation of a chain, so that no other evaluations are needed."""
+    """Whether samples resolve the fastest oscillation, so that no other evaluations are needed."""
     return bool(scene.duration * scene.chain.band_edge < scene.samples - 1)

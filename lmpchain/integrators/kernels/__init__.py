@@ -1,1 +1,1 @@
-"""Compiled loops. A module here is compiled anew where it, or one beside it that it imports, has changed."""
+"""Compiled loops; one is compiled anew when its module, or one beside it that it imports, changes."""

@@ -20,7 +20,7 @@ from .window import watch, widen
 
 @inlined
 def _score(gap, rate, bend, weight, omega, nearest):
-    """Return how near a contact is to opening or closing, weighed by what that does to the motion, squared.
+    """Return the squared nearness of a contact to opening or closing, weighed by its effect on the motion.
 
     For a contact with the overlap `gap` and its two rates, the force behaves like t^(3/2) around the time at which the
     overlap is 0; of a quadratic through them the nearest root counts, also a complex one (a contact that all but

@@ -1,4 +1,4 @@
-"""The exact propagator of the linearised chain as a sum of Chebyshev polynomials, without eigenvectors.
+"""The exact propagator of the linearised chain as a sum of Chebyshev polynomials.
 
 For ``phi'' = -L phi`` and any ``w`` of at least the highest frequency, with ``T_k`` the Chebyshev polynomials of
 ``1 - 2 L / w^2`` and ``W_k`` the sums ``T_0 + 2 (T_1 + ... + T_k)``,
@@ -38,7 +38,7 @@ def terms(z):
 
 @compiled_once(*NEWS, error_model="numpy")
 def bessel(z, orders):
-    """Return J_0(z) ... J_(orders-1)(z), (orders, T), by Miller's backward recurrence, whose sum rule gives the scale.
+    """Return J_0(z) ... J_(orders-1)(z), (orders, T), by Miller's backward recurrence.
 
     More orders than the largest z.
     """
@@ -68,7 +68,7 @@ def bessel(z, orders):
 
 @compiled_once(*NEWS, error_model="numpy", fastmath={"nnan", "ninf", "nsz"})
 def series(x, stiffness, mobility, oscillator, scale, of_t, of_w, reach):
-    """Return sums of ``T_0 x, 2 T_1 x, 2 T_2 x ...`` with weights of_t (S, K), and of ``W_0 x, W_1 x ...`` with of_w.
+    """Return sums of ``T_0 x, 2 T_1 x ...`` with weights of_t (S, K), of ``W_0 x, W_1 x ...`` with of_w.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def moving(u, v):
 
 @compiled_once(*NEWS, error_model="numpy")
 def _weights(scale, times):
-    """Return those of ``T_k phi`` and ``W_k v`` in phi and of ``T_k phi`` in v at these times, (3, T, K+1)."""
+    """Return weights of ``T_k phi`` and ``W_k v`` in phi, of ``T_k phi`` in v at these times, (3, T, K+1)."""
     table = bessel(scale * times, 2 * terms(scale * times[-1]) + 2)
     orders = table.shape[0]
     while orders > 4 and np.abs(table[orders - 2 : orders]).max() < LEAST:

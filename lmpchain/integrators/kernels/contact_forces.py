@@ -73,7 +73,7 @@ def _log(y, rest):
 
 @compiled
 def _exp(t, less):
-    """Return exp(t) - less, less being 0 or 1, for |t| < 700: powers of two times a Taylor series around 0."""
+    """Return exp(t) - less, less being 0 or 1, for |t| < 700, by powers of two and a Taylor series."""
     whole = fma(t, 1.4426950408889634, SHIFT)
     scale = number((bits(whole) - SHIFT_BITS + 1023) << 52)
     whole -= SHIFT
@@ -153,7 +153,7 @@ def _roots(quarters: int) -> Callable[..., Any]:
 
 @compiled
 def touching(r, uncompressed, coefficients):
-    """Return the force of a first contact that touches without pressing in a chain that is pressed otherwise."""
+    """Return the force of a first contact that only touches, in a chain that is pressed otherwise."""
     return uncompressed * r ** coefficients[7] if r > 0.0 else 0.0
 
 

@@ -1,4 +1,4 @@
-"""The Runge-Kutta method DOP853 on the same contact forces, compiled: the usual choice for smooth problems."""
+"""The Runge-Kutta method DOP853 on the same contact forces, compiled."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def _error(chain, weights, slopes, h):
 
 @inlined
 def _advance(chain, method, work, clock, span):
-    """Take one step in Nystrom's form: the stages of x'' = a(x) need no velocities; if its error is too large, none."""
+    """Take one step of the Runge-Kutta-Nystrom form, or none if its error is too large."""
     nodes, inner, weights, allowed = method
     force, z, slopes = work
     y, w, state, stages = chain.x, chain.v, chain.state, nodes.size

@@ -85,7 +85,7 @@ class Chain(NamedTuple):
 
 
 class Clock(NamedTuple):
-    """Sample interval in s, steps between two landings, longest step in s, samples between landings, last sample."""
+    """Sample interval (s), steps and longest step (s) to a landing, samples between, last sample."""
 
     interval: float
     steps: int
@@ -95,7 +95,7 @@ class Clock(NamedTuple):
 
 
 class Span(NamedTuple):
-    """From one landing to the next: when it begins and ends and how long it is in s, and its steps if all are equal."""
+    """From one landing to the next: begin, end and length in s, and its steps if all are equal."""
 
     begin: float
     end: float

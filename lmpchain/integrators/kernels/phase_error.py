@@ -1,4 +1,4 @@
-"""Phase error of a linear solution, accumulated over its evaluation times; see `engines.linear.model_error`.
+"""Phase error of a linear solution, accumulated over its evaluation times.
 
 The state of the accumulation: time, strain and phase shift (s) by then; largest strain, displacement, velocity and
 acceleration; largest effect of the shift on displacement and velocity; the first contact that opens, if any; largest

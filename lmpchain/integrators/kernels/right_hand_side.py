@@ -1,4 +1,4 @@
-"""The right-hand side of Eq. (1), compiled: contact forces, and what an excitation imposes after t = 0.
+"""The right-hand side of Eq. (1), compiled: contact forces and what an excitation imposes.
 
 What is imposed is the motion of grain 1: a method calls `impose` for every time at which it evaluates accelerations,
 and `imposed` for every row of a `sweep`.
@@ -19,7 +19,7 @@ TILE = 8192  # grains that stay in the cache while ROWS evaluations pass over th
 
 @compiled
 def _driven(chain, t, order):
-    """Return displacement (order 0) or speed (order 1) of the driven grain at time t; a sine, or pieces of cubics.
+    """Return displacement (order 0) or speed (order 1) of the driven grain: a sine or a cubic spline.
 
     `chain.drive` holds amplitude, frequency in rad/s and the number of knots, 0 for a sine.
     """
@@ -35,7 +35,7 @@ def _driven(chain, t, order):
 
 @compiled
 def ahead(chain, t, end, resolution):
-    """Return the time to the next knot of the imposed motion, if that clearly comes before `end`, else infinity."""
+    """Return the time to the next knot of the imposed motion before `end`, else infinity."""
     count, knots = int(chain.drive[2]), chain.knots
     if chain.imposed and count > 0:
         following = np.searchsorted(knots[:count], t + resolution, "right")
@@ -73,7 +73,7 @@ def hold(chain, v):
 
 @inlined
 def accelerate(chain, y, first, last, force, pull):
-    """Fill pull (W,) with the accelerations of bodies first ... last-1 of a row y (W,); force (W,) is room for work."""
+    """Fill pull (W,) with accelerations of bodies first ... last-1 of y (W,); force (W,) is room for work."""
     near = slice(first - 1, last)
     f, im, a = force[: last - first + 1], chain.inverse_mass[first:last], pull[first:last]
     contact_forces(
@@ -88,7 +88,7 @@ def accelerate(chain, y, first, last, force, pull):
 
 @inlined
 def sweep(chain, kicks, drifts, carried, path):
-    """Kick and drift the window once a row; long chains in tiles, each moved ahead by all rows while it is cached.
+    """Kick and drift the window once a row; long chains in tiles that stay in the cache.
 
     Every row of a tile ends a cache line before the one above it, so that it needs nothing of the tile to come.
     """

@@ -55,7 +55,7 @@ _march = sample_loop(_advance, True, _land)
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy", fastmath=STRICT)
 def march(chains, method, clock, u_out, v_out, offset, until, max_steps):
-    """Advance as `sample_loop` says by a splitting; `method` is its kicks (S+1,) and drifts (S,) as parts of a step."""
+    """Advance by a splitting; `method` is its kicks (S+1,) and drifts (S,) as fractions of a step."""
     rows = ROWS + method[1].size
     kick, drift, carried, path = np.zeros(rows), np.zeros(rows), np.zeros(rows), np.zeros(rows if chains.imposed else 0)
     work = kick, drift, carried, path, np.cumsum(method[1])

@@ -1,4 +1,4 @@
-"""The active window of a chain, what is remembered of its contacts, and the record of a sample, compiled.
+"""The active window of a chain, extremes of its contacts, and the record of a sample, compiled.
 
 Only the window is computed: what lies outside, beyond the light cone, has not moved by `TINY` of the strike.
 """
@@ -14,7 +14,7 @@ TINY = 1e-19  # of the largest speed and displacement: what has moved less lies 
 
 @inlined
 def widen(chain, margin):
-    """Let the window grow until `margin` grains at either end have not moved by TINY of the scale, nor are acted on."""
+    """Let the window grow until `margin` grains at either end are at rest and not acted on."""
     x, v, state = chain.x, chain.v, chain.state
     still_x, still_v = TINY * chain.scale[0], TINY * chain.scale[1]
     last, end = int(state[LAST]), x.size - PAD
@@ -33,7 +33,7 @@ def widen(chain, margin):
 
 @inlined
 def watch(chain):
-    """Remember the smallest r / length, whose -1 is an opening, and the largest r of all contacts in the window.
+    """Note the smallest r / length (-1 is an opening) and the largest r of all contacts in the window.
 
     Positive numbers compare like their bits: the largest of whole numbers is found many at a time.
     """
