@@ -18,16 +18,16 @@ from scenes import drawn
 
 from lmpchain import Scene
 from lmpchain.engines.error_estimate import EPSILON, native_floor
-from lmpchain.engines.lammps.engine import HEADROOM, ROUNDING, Lammps, gauge_diameter
+from lmpchain.engines.lammps.engine import HEADROOM, ROUNDING, TYPICAL, Lammps, gauge_diameter
 from lmpchain.engines.linear.engine import Chebyshev, LinearEngine, Modes
-from lmpchain.engines.native import Native
+from lmpchain.engines.native import PLAIN, Native
 from lmpchain.errors import InputError, ToleranceNotMet
 from lmpchain.integrators.batch import STRONG, force_form
 from lmpchain.integrators.kernels.contact_forces import ROOTS
 from lmpchain.integrators.splittings import RKN6
 from lmpchain.simulation.api import simulate
-from lmpchain.stability.roundoff import PLAIN, TYPICAL, measured_floor
 from lmpchain.stability.roundoff import floor as predicted_floor
+from lmpchain.stability.roundoff import measured_floor
 
 STEP = 0.3  # omega h
 

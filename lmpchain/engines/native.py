@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import ClassVar
@@ -10,16 +11,20 @@ import numba
 
 from ..errors import InputError, ToleranceNotMet
 from ..integrators.batch import FORCES, ChainBatch, force_form, name_of
+from ..integrators.kernels.contact_forces import ROOTS
 from ..integrators.kernels.layout import PAD
 from ..integrators.method import Method
 from ..integrators.methods import METHODS
 from ..integrators.step_schedule import StepSchedule
 from ..integrators.stepper import NativeStepper
 from ..scene.scene import Scene
-from ..util.arrays import Array
+from ..util.arrays import EPSILON, Array
 from .base import Candidate
 from .error_estimate import native_floor
 from .time_stepping import GENTLE, TimeSteppingEngine
+
+# last digits of the force at rest that the plain form loses in a step; analysis/calibration/roundoff.py
+PLAIN = 0.9
 
 
 class Native(TimeSteppingEngine):
@@ -89,6 +94,18 @@ class Native(TimeSteppingEngine):
             varies = opens or method.adaptive == "error"
             candidate = replace(candidate, adaptive=self.adaptive and varies)
         return replace(candidate, choices={"force": name_of(force_form(scene, self.force))})
+
+    def typical_round_off(self, scene: Scene, steps: int, speed: float) -> float:
+        """Predict round-off: a random walk of one ulp a force evaluation, and what the plain force loses.
+
+        That is the last digit of what the contacts carry at rest, at every step: an acceleration of 0.9 EPSILON F_n/m,
+        which walks to that times sqrt(duration h) in the velocity.
+        """
+        walk = native_floor(steps * self.methods[0].evaluations)
+        if force_form(scene, self.force) in ROOTS:
+            lost = PLAIN * EPSILON * float((scene.chain.contacts.force[:-1] / scene.chain.masses).max())
+            walk += lost * scene.duration / math.sqrt(steps) / speed
+        return walk
 
     def computed(self, scene: Scene) -> float:
         """Return how many grains it computes in each step, on average: those that a wave has reached by then."""

@@ -153,6 +153,10 @@ class TimeSteppingEngine(Engine):
         grain_steps = method.evaluations * steps * (self.computed(scene) + EVALUATION_OVERHEAD)
         return seconds(self.name, self.start_up_s, self.seconds_per_grain_step * grain_steps)
 
+    @abstractmethod
+    def typical_round_off(self, scene: Scene, steps: int, speed: float) -> float:
+        """Predict the relative round-off of so many steps; `speed` is the largest velocity, m/s."""
+
     def computed(self, scene: Scene) -> float:
         """Return how many grains it computes in each step, on average."""
         return scene.chain.grains

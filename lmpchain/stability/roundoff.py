@@ -12,32 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..engines import Lammps, Native
-from ..engines.error_estimate import native_floor
-from ..engines.lammps.engine import gauge_diameter
+from ..engines.time_stepping import TimeSteppingEngine
 from ..errors import InputError
-from ..integrators.batch import force_form
-from ..integrators.kernels.contact_forces import ROOTS
 from ..integrators.splittings import RKN6, Splitting
 from ..scene.scene import Scene
 from ..simulation.api import simulate
-from ..util.arrays import EPSILON, Array
+from ..util.arrays import Array
 
 Long = np.longdouble
 STEP = 0.3  # highest frequency times the step of rkn6 at which floors are given: its own error is some 1e-9 there
-# analysis/calibration/roundoff.py
-TYPICAL = 0.23  # of the bound that the engine lammps takes: the median of 140 floors of random scenes
-PLAIN = 0.9  # last digits of the force at rest that the plain form loses in a step: measured for 10 to 250 grains
 
 
 def floor(scene: Scene, engine: str = "native", diameter: str = "physical", force: str = "auto") -> float:
     """Predict the relative error from round-off alone, at steps of rkn6 with omega h = 0.3.
 
-    Native: one unit in the last place times the square root of the number of force evaluations, a random walk. The
-    plain form of the force adds the last digit of what the contacts carry at rest, at every step: an acceleration
-    of 0.9 EPSILON F_n / m, which walks to that times sqrt(duration h) in the velocity.
-    LAMMPS: every drift rounds all heights, a random walk of 0.16 ulp(largest height) sqrt(evaluations) in them and of
-    that times the highest frequency in the velocities. Measured over 13 decades, on 70 random scenes with both
-    diameters: half of the floors are within a factor of 1.7 of it, nine in ten within 6
+    The laws are those of the engines, `typical_round_off`. Measured over 13 decades, on 70 random scenes, LAMMPS with
+    both diameters: half of the floors are within a factor of 1.7 of it, nine in ten within 6
     (analysis/calibration/roundoff.py).
 
     Parameters
@@ -57,15 +47,7 @@ def floor(scene: Scene, engine: str = "native", diameter: str = "physical", forc
     part = scene.light_cone.scene
     steps = _steps(part)
     speed = _speed(part)
-    if engine == "native":
-        walk = native_floor(steps * RKN6.evaluations)
-        if force_form(part, force) in ROOTS:
-            lost = PLAIN * EPSILON * float((part.chain.contacts.force[:-1] / part.chain.masses).max())
-            walk += lost * part.duration / math.sqrt(steps) / speed
-        return walk
-    lammps = _lammps(engine, diameter)
-    gauge = gauge_diameter(part) if diameter == "gauge" else 0.0
-    return TYPICAL * lammps.round_off(part, gauge, steps, np.array([np.inf, speed]))
+    return _engine(engine, diameter, force).typical_round_off(part, steps, speed)
 
 
 def long_double(scene: Scene) -> tuple[Array, Array]:
@@ -96,10 +78,7 @@ def measured_floor(
     part = scene.light_cone.scene
     steps = _steps(part)
     h = part.duration / steps * (1 + 1e-9)
-    if engine == "native":
-        run = simulate(part, Native("rkn6", step=h, force=force, adaptive=False))
-    else:
-        run = simulate(part, _lammps(engine, diameter, h))
+    run = simulate(part, _engine(engine, diameter, force, h))
     assert run.cost.steps == steps
     true = exact or long_double(scene)
     values = run.displacement, run.velocity
@@ -108,12 +87,12 @@ def measured_floor(
     return max(float(np.abs(x - y).max() / most) for x, y, most in pairs)
 
 
-def _lammps(engine: str, diameter: str, step: float | None = None) -> Lammps:
+def _engine(engine: str, diameter: str, force: str, step: float | None = None) -> TimeSteppingEngine:
     known = (("engine", engine, ("native", "lammps")), ("diameter", diameter, ("physical", "gauge")))
     for key, value, allowed in known:
         if value not in allowed:
             raise InputError([(key, f"must be {' | '.join(allowed)} (got {value!r})")])
-    return Lammps("rkn6", step=step, diameter=diameter)
+    return Native("rkn6", step, force=force) if engine == "native" else Lammps("rkn6", step, diameter)
 
 
 def _steps(scene: Scene) -> int:
