@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..chain.contacts import Contacts
 from ..engines import Lammps, Native
 from ..engines.time_stepping import TimeSteppingEngine
 from ..errors import InputError
@@ -112,20 +113,14 @@ def _same_steps(scene: Scene, splitting: Splitting, steps: int) -> tuple[Array, 
     chain = scene.chain
     mass, constant = chain.masses.astype(Long), chain.contacts.constant.astype(Long)
     carried = Long(chain.top_load) + Long(chain.gravity) * np.append(Long(0), np.cumsum(mass))
-    pressed = (constant > 0) & (carried > 0)
-    overlap = np.where(pressed, carried / np.where(pressed, constant, 1), 1) ** (1 / Long(chain.exponent))
+    contacts = Contacts(constant, np.where(constant > 0, carried, 0), Long(chain.exponent))  # type: ignore[arg-type]
     mobility = np.where(np.arange(chain.grains) < chain.movable, 1 / mass, 0)
     u, v = (x.astype(Long) for x in scene.initial())
     h = Long(scene.duration) / steps
     kept = [(u, v)]
 
     def acceleration(u: NDArray[Any]) -> NDArray[Any]:
-        closer = -np.diff(u, prepend=Long(0), append=Long(0))
-        strain = np.maximum(closer / overlap, -1)
-        with np.errstate(divide="ignore"):  # the logarithm of an opening contact
-            change = carried * np.expm1(chain.exponent * np.log1p(strain))
-        force = np.where(pressed, change, constant * np.maximum(closer, 0) ** Long(chain.exponent))
-        return (force[:-1] - force[1:]) * mobility
+        return -np.diff(contacts.force_change(contacts.closer(u))) * mobility
 
     push = acceleration(u)
     for step in range(1, steps + 1):
