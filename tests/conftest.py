@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import signal
 
 import pytest
 
@@ -15,7 +16,10 @@ def pytest_configure(config: pytest.Config) -> None:
     """Have all loops compiled that a machine compiles once, so that no test waits for it or reads of it.
 
     It is done before `-n` starts its workers, which then find them compiled, and half of it in a process beside.
+    Commands that tests start obey Ctrl-C, also where a shell has started these in the background.
     """
+    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # which processes would inherit
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     if hasattr(config, "workerinput") or config.option.collectonly:
         return
     beside = multiprocessing.get_context("fork").Process(target=_run, args=("weak", "chebyshev"))
