@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from lmpchain import Chain, Profile, Scene
 from lmpchain.integrators.batch import ChainBatch, series, weakest
 from lmpchain.integrators.kernels import contact_forces as forces
-from lmpchain.integrators.kernels import sample_loop, window
+from lmpchain.integrators.kernels import right_hand_side, sample_loop, window
 from lmpchain.integrators.kernels import splitting as kernels
 from lmpchain.integrators.kernels.adaptive_splitting import _nearness
 from lmpchain.integrators.kernels.contact_forces import CORRECTED, POLYNOMIAL, POWER, ROOTS, SPRING, UNCOMPRESSED_POWER
@@ -131,7 +131,7 @@ def test_kernels_are_compiled_anew_for_nothing_outside_of_their_folder(path: Pat
 @pytest.fixture(scope="module")
 def untiled() -> Any:
     """Return the loop over steps, compiled anew for tiles that no chain fills."""
-    names = vars(kernels) | {"TILE": 2**60}
+    names = vars(right_hand_side) | vars(kernels) | {"TILE": 2**60}
 
     def again(function: Any) -> FunctionType:
         return FunctionType(function.py_func.__code__, names)

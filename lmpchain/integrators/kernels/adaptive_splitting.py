@@ -76,14 +76,14 @@ def _advance(chain, method, work, clock, span):
     kicks, drifts, shortened, omega, nearest, weight = method
     kick, drift, carried, path, reach, force, pull = work
     y, w, state, stages = chain.x, chain.v, chain.state, drifts.size
+    t = span.begin + state[DONE]
+    impose_velocity(chain, w, PAD, t)  # before the forces, like all that is imposed
     _finish_kick(chain, stages + 1, force, pull)
     watch(chain)
     first, last = int(state[FIRST]), int(state[LAST])
     bodies, near, grains, speeds = slice(first - 1, last + 1), slice(first - 1, last), y[first:last], w[first:last]
     whole = span.length - state[DONE]
-    t = span.begin + state[DONE]
     left = min(whole, ahead(chain, t, span.begin + span.length, 1e-9 * clock.step))
-    impose_velocity(chain, w, PAD, t)
     nearness = _nearness(
         y[bodies], w[bodies], pull[bodies], chain.inverse_length[near], weight[chain.number, near],
         chain.precompressed, chain.uncompressed if first == PAD else 0.0, omega[chain.number], nearest[chain.number],

@@ -19,6 +19,7 @@ def _begin(chain, work, span):
     y, w, more, state, h = chain.x, chain.v, chain.history, chain.state, span.step
     first, last = int(state[FIRST]), int(state[LAST])
     state[STEP] = h
+    impose(chain, y, span.begin + state[DONE] * h)
     accelerate(chain, y, first, last, force, pull)
     for n in range(first, last):
         more[0, n] = pull[n]
