@@ -24,9 +24,9 @@ from scenes import drawn
 from lmpchain.engines.error_estimate import ORDER_AT_OPENINGS, SAFETY
 from lmpchain.engines.native import Native
 from lmpchain.engines.time_stepping import (
-    GENTLE,
     LONGEST_STEP,
     OPENING_ERROR,
+    SAFE_STRAIN,
     opening_error_factor,
 )
 from lmpchain.integrators.methods import METHODS
@@ -183,7 +183,7 @@ def _power(shipped: float, found: list[Try], unit: float, begins: float) -> Row:
 
 
 def _gentle(quick: bool) -> Row:
-    """Return the row of GENTLE: the strain up to which steps of one length keep their order."""
+    """Return the row of SAFE_STRAIN: the strain up to which steps of one length keep their order."""
     cases, found = drawn(20 if quick else 100, 13, lambda s: 0.03 < s.largest_strain < 10, strength=(-2.5, 1.0)), []
     engine = Native("rkn6", adaptive=False)
     for scene in cases:
@@ -198,8 +198,8 @@ def _gentle(quick: bool) -> Row:
     ]
     listed = ", ".join(f"{100 * part:.0f} %" for part in parts)
     return Row(
-        "GENTLE",
-        GENTLE,
+        "SAFE_STRAIN",
+        SAFE_STRAIN,
         low,
         0.0,
         high,

@@ -1,8 +1,8 @@
-"""Measure how long steps may be in struck chains: TRUSTED and GENTLE of `pre_run`, and `limit`.
+"""Measure how long steps may be in struck chains: TRUSTED and SAFE_STRAIN of `pre_run`, and `limit`.
 
 Loaded chains of 12 grains are struck from v0* = 0.01 to 1e4, and the longest step with which they hold is found by
 bisection (`blow_up`): a run breaks where a grain has more energy than there is. It is compared with the law, `limit`.
-TRUSTED must lie below the smallest ratio of Verlet over 300 periods; GENTLE below the largest strain up to which the
+TRUSTED must lie below the smallest ratio of Verlet over 300 periods, SAFE_STRAIN below the largest strain to which the
 whole limit holds.
 
     python analysis/calibration/stability_limits.py           # two minutes
@@ -18,7 +18,7 @@ from common import Row, command
 
 from lmpchain import Chain, Impulse, Scene
 from lmpchain.integrators.methods import METHODS
-from lmpchain.stability.pre_run import GENTLE, TRUSTED
+from lmpchain.stability.pre_run import SAFE_STRAIN, TRUSTED
 from lmpchain.stability.step_limit import blow_up, limit
 
 NUMBERS = np.geomspace(1e-2, 1e4, 7)
@@ -42,7 +42,7 @@ def main(quick: bool = False) -> list[Row]:
     chains = ((12, 1.5),) if quick else ((12, 1.5), (3, 1.5))
     runs = [loaded(number, long, *chain) for chain in chains for number in numbers]
     ratios = [blow_up(scene, "verlet") / limit(scene, "verlet") for scene in runs]
-    strong = [(scene, ratio) for scene, ratio in zip(runs, ratios, strict=True) if scene.largest_strain > GENTLE]
+    strong = [(scene, ratio) for scene, ratio in zip(runs, ratios, strict=True) if scene.largest_strain > SAFE_STRAIN]
     low = min(ratio for _, ratio in strong)
     least = {n: min(ratio for scene, ratio in strong if scene.chain.grains == n) for n, _ in chains}
     listed = ", ".join(f"{ratio:.3g} of {n} grains" for n, ratio in least.items())
@@ -67,8 +67,8 @@ def main(quick: bool = False) -> list[Row]:
     listed = ", ".join(f"{strain:.2g}: {ratio:.3f}" for strain, ratio in weak.items())
     rows.append(
         Row(
-            "GENTLE (pre_run)",
-            GENTLE,
+            "SAFE_STRAIN (pre_run)",
+            SAFE_STRAIN,
             max(good, default=math.nan),
             0.0,
             max(good, default=math.nan),

@@ -43,10 +43,10 @@ def run(arguments: argparse.Namespace) -> int:
     )
     path = path or output(name, arguments.scene)
     from ..simulation.api import simulate
-    from ..stability.pre_run import caveats
+    from ..stability.pre_run import pre_run_warnings
 
-    for caveat in caveats(scene, policy.chosen, arguments.tolerance):
-        warnings.warn(caveat, stacklevel=1)
+    for warning in pre_run_warnings(scene, policy.chosen, arguments.tolerance):
+        warnings.warn(warning, stacklevel=1)
     if mpi.joined() and not (policy.chosen and policy.chosen.ranks_of_mpi):
         warnings.warn(f"the engine {policy.name} runs on one rank; --engine lammps would use them all", stacklevel=1)
     return _told(

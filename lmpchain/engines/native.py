@@ -21,7 +21,7 @@ from ..scene.scene import Scene
 from ..util.arrays import EPSILON, Array
 from .base import Candidate
 from .error_estimate import native_floor
-from .time_stepping import GENTLE, TimeSteppingEngine
+from .time_stepping import SAFE_STRAIN, TimeSteppingEngine
 
 # last digits of the force at rest that the plain form loses in a step; analysis/calibration/roundoff.py
 PLAIN = 0.9
@@ -90,7 +90,7 @@ class Native(TimeSteppingEngine):
                     f"round-off alone makes an error of about {floor:.1g}, above the tolerance; "
                     'use a higher order (integrator "rkn6") or less accuracy'
                 )
-            opens = method.adaptive == "openings" and scene.largest_strain > GENTLE
+            opens = method.adaptive == "openings" and scene.largest_strain > SAFE_STRAIN
             varies = opens or method.adaptive == "error"
             candidate = replace(candidate, adaptive=self.adaptive and varies)
         return replace(candidate, choices={"force": name_of(force_form(scene, self.force))})

@@ -21,7 +21,7 @@ PERIODS = 60.0  # omega T of the scene for which `Method.error_constant` is give
 CHOICE = ("rkn4", "rkn6")  # of which the cheaper one is taken, if none is asked for
 # analysis/calibration/opening_error_factor.py measures the next four
 LONGEST_STEP = 0.45  # longest step that is proposed, over the stability limit
-GENTLE = 0.3  # strain below which no contact comes near to opening
+SAFE_STRAIN = 0.3  # strain below which no contact comes near to opening
 OPENING_ERROR = 30.0  # factor on the error where contacts may open within steps of one length
 ADAPTIVE_ERROR, LEAST_STRAIN, MOST_STRAIN = 14.0, 3.0, 99.0  # of `opening_error_factor`
 LONGEST_RUN_S = 3e8  # ten years
@@ -126,7 +126,7 @@ class TimeSteppingEngine(Engine):
             return self._at(scene, method, math.ceil(interval / self.step * (1 - 1e-12)), tolerance, fixed=True)
         omega = scene.highest_frequency
         expected = method.error_constant * max(1.0, omega * scene.duration / PERIODS)  # phases drift apart with time
-        if scene.largest_strain > GENTLE:
+        if scene.largest_strain > SAFE_STRAIN:
             adapts = self.adaptive and method.order > 2
             expected *= opening_error_factor(scene.largest_strain, method.order) if adapts else OPENING_ERROR
         reach = (tolerance / SAFETY / expected) ** (1 / method.order)

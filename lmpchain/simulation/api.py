@@ -28,7 +28,7 @@ from .task import Task
 if TYPE_CHECKING:
     from .run_folder import RunFolder
 
-GLANCE_S = 2.0  # between two looks at the error for the progress bar
+ESTIMATE_S = 2.0  # between two error estimates for the progress bar
 
 
 def simulate(
@@ -262,11 +262,11 @@ def _zeros(shape: tuple[int, int], moving: int) -> Array:
 
 def _with_progress(run: Run, name: str, samples: int, done: int, progress: bool) -> Generator[Block, None, None]:
     """Yield the blocks of a run, showing how far it is, how fast, and how good it is so far."""
-    looked = time.monotonic()
+    estimated = time.monotonic()
     with ProgressBar(samples, name, " samples", done=done, layout=RATE, shown=progress) as bar:
         for block in run.blocks():
             yield block
             bar.reach(max(block.samples.stop, run.progress * samples))
-            if progress and time.monotonic() > looked + GLANCE_S:
+            if progress and time.monotonic() > estimated + ESTIMATE_S:
                 bar.remark(f"error {run.errors()[0].total:.1g}")
-                looked = time.monotonic()
+                estimated = time.monotonic()

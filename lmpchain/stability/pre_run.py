@@ -7,16 +7,17 @@ from collections.abc import Iterator
 
 from ..chain.chain import LARGEST_OVERLAP
 from ..engines.base import Engine
+from ..engines.time_stepping import SAFE_STRAIN
 from ..scene.scene import Scene
 from .overlap import deepest, hertz_excess
 from .predictability import amplifies, predicted_time
 from .step_limit import limit
 
 # analysis/calibration/stability_limits.py
-TRUSTED, GENTLE = 0.7, 0.3  # of `steps.limit`: Verlet held for 300 periods; strain below which all of it is to be had
+TRUSTED = 0.7  # of `step_limit.limit`: Verlet held for 300 periods
 
 
-def caveats(scene: Scene, engine: Engine | None, tolerance: float) -> Iterator[str]:
+def pre_run_warnings(scene: Scene, engine: Engine | None, tolerance: float) -> Iterator[str]:
     """Yield what is beyond a boundary: overlaps, a given step, and time until which an answer can be had."""
     deep = deepest(scene)
     if LARGEST_OVERLAP < deep < math.inf:
@@ -24,7 +25,7 @@ def caveats(scene: Scene, engine: Engine | None, tolerance: float) -> Iterator[s
         yield f"contacts may be squeezed to {100 * deep:.2g} % of the diameter: {excess}"
     if engine and engine.step is not None:
         method, edge = engine.methods[0], scene.light_cone.scene.chain.band_edge
-        longest = limit(scene, method.name) * (TRUSTED if scene.largest_strain > GENTLE else 1.0)
+        longest = limit(scene, method.name) * (TRUSTED if scene.largest_strain > SAFE_STRAIN else 1.0)
         if longest < engine.step and engine.step * edge <= method.stability_limit:  # beyond, the engine refuses it
             yield (
                 f"step: {engine.step:.3g} s is stable at rest, but while the strike squeezes the contacts only steps "

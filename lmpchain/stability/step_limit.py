@@ -18,12 +18,12 @@ from ..util.arrays import Array
 if TYPE_CHECKING:
     pass
 
-SHARED = 8  # contacts over which the energy of a wave is spread at most, when it is looked for where it is worst
+SHARED = 8  # contacts over which the energy of a wave is spread at most, in the search for the worst place
 BROKEN = 1.5  # kinetic energy over all the energy there is: beyond that the engines call a run broken
 SCAN = 1.02  # from one step that is tried to the next, until a run breaks; then the last two are bisected
 BISECTIONS = 7
 NARROW = 1.02  # over the stability limit: how far a first, narrow band of unstable steps may reach
-LOOKS = 2000  # most samples in which a run is looked at
+SAMPLES_MAX = 2000  # most samples of a run
 BLOCKS, CONFIDENCE = 50, 0.99  # of a trend: means of so many stretches, and how sure its interval is
 
 
@@ -134,9 +134,9 @@ def blow_up(scene: Scene, integrator: str, engine: str = "native") -> float:
     suspected = suspect(integrator) / edge if edge else math.inf
 
     def survives(step: float) -> bool:
-        steps = math.ceil(scene.duration / step / LOOKS)
-        looks = max(1, int(scene.duration / step / steps))
-        tried = Scene(**scene.given() | {"duration": looks * steps * step, "samples": looks + 1})
+        steps = math.ceil(scene.duration / step / SAMPLES_MAX)
+        samples = max(1, int(scene.duration / step / steps))
+        tried = Scene(**scene.given() | {"duration": samples * steps * step, "samples": samples + 1})
         try:
             run = solver.start([tried], replace(proposed, steps_per_sample=steps, step=step))
         except RunFailed:

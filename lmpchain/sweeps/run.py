@@ -89,9 +89,9 @@ def sweep(
         batches = [every[first : first + size] for first in range(0, len(every), size)]
         left = [batch for batch in batches if not done.issuperset(batch)]
         tasks = (Task(tuple(plan.asked(scenes[name]) for name in batch), plan.folder, results) for batch in left)
-        crew = nullcontext(executor) if executor else Processes(workers) if workers > 1 else Here()
+        executors = nullcontext(executor) if executor else Processes(workers) if workers > 1 else Here()
         before = len(every) - sum(map(len, left))
-        with crew as chosen, ProgressBar(len(every), unit=" scenes", done=before, shown=progress) as bar:
+        with executors as chosen, ProgressBar(len(every), unit=" scenes", done=before, shown=progress) as bar:
             trouble = _answer_all(chosen, tasks, bar, WAITING if executor or workers > 1 else 1)
     if trouble:
         warnings.warn(f"some scenes could not be done this time; of the first: {trouble[0]}", stacklevel=2)

@@ -23,11 +23,11 @@ SHOWN = {
         "EVENLY",
         "STEEPEST",
     ],
-    "opening_error_factor": ["OPENING_ERROR (verlet)", "GENTLE", "LONGEST_STEP"],
+    "opening_error_factor": ["OPENING_ERROR (verlet)", "SAFE_STRAIN", "LONGEST_STEP"],
     "predictability": ["OPENING", "FLYING", "FEW", "reflection_time: 0.907470, 0.681632"],
     "richardson_estimate": ["SAFETY", "ORDER_AT_OPENINGS", "ORDER_AT_KINKS", "CLOSE_TO_OPENING"],
     "roundoff": ["native_floor", "PLAIN", "STRONG", "ROUNDING", "HEADROOM", "modes.round_off", "chebyshev.round_off"],
-    "stability_limits": ["TRUSTED", "GENTLE (pre_run)", "limit: verlet"],
+    "stability_limits": ["TRUSTED", "SAFE_STRAIN (pre_run)", "limit: verlet"],
     "step_refinement": ["refine: 0.7 (aim)", "refine: 16 (most)", "refine: 1.3 (least)", "refine: 2 (least, erratic)"],
 }
 

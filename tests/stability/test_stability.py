@@ -12,7 +12,7 @@ from lmpchain import Chain, Drive, Impulse, Scene
 from lmpchain.cli.command_line import main
 from lmpchain.engines import Lammps, Modes, Native
 from lmpchain.stability.find import stability
-from lmpchain.stability.pre_run import caveats
+from lmpchain.stability.pre_run import pre_run_warnings
 from lmpchain.stability.result import Stability
 from lmpchain.stability.step_limit import limit
 
@@ -86,21 +86,21 @@ def test_what_cannot_be_measured_is_said(tmp_path: Path):
 
 def test_a_weak_scene_is_warned_of_nothing():
     for engine in (Native(), Lammps(), Modes(), Native(integrator="verlet", step=1e-7)):
-        assert not list(caveats(paper("weak"), engine, 1e-6))
+        assert not list(pre_run_warnings(paper("weak"), engine, 1e-6))
 
 
 def test_a_step_that_holds_at_rest_only():
     at_rest, struck = 1.9 / FEW.band_edge, limit(STRUCK, "verlet")
     assert struck < 0.65 * at_rest
-    (said,) = caveats(STRUCK, Native(integrator="verlet", step=at_rest), 0.5)
+    (said,) = pre_run_warnings(STRUCK, Native(integrator="verlet", step=at_rest), 0.5)
     assert said.startswith(f"step: {at_rest:.3g} s is stable at rest")
-    assert not list(caveats(STRUCK, Native(integrator="verlet", step=struck / 2), 0.5))
+    assert not list(pre_run_warnings(STRUCK, Native(integrator="verlet", step=struck / 2), 0.5))
 
 
 def test_a_scene_that_outlasts_its_predictability_time():
-    (said,) = caveats(BOUNCING, Native(), 1e-6)
+    (said,) = pre_run_warnings(BOUNCING, Native(), 1e-6)
     assert "amplify round-off beyond 1e-06 at about" in said
-    assert not list(caveats(STRUCK, Native(), 1e-6))
+    assert not list(pre_run_warnings(STRUCK, Native(), 1e-6))
 
 
 def test_deep_overlaps():
@@ -108,7 +108,7 @@ def test_deep_overlaps():
     sizes = 5e-3 * 0.7 ** np.arange(8)
     chain = Chain(grains=8, material="ptfe", diameter=sizes, gravity=0.0)
     scene = Scene(chain=chain, excitation=Impulse(velocity=3.0), duration=1e-4, samples=11)
-    (said,) = caveats(scene, Native(), 1e-6)
+    (said,) = pre_run_warnings(scene, Native(), 1e-6)
     assert said.startswith("contacts may be squeezed to")
 
 

@@ -210,14 +210,14 @@ class Lammps(TimeSteppingEngine):
         if self.keep is not None:
             log = word(self.keep / "log.lammps")
             make_folder(self.keep)
-        team = gather(self.ranks, log)
+        communicator = gather(self.ranks, log)
         if self.log:
-            team.ask("commands", f'log "{word(self.log)}" append')
+            communicator.ask("commands", f'log "{word(self.log)}" append')
         stepper = LammpsStepper(
-            column, self.splitting, schedule.step, state, team, every=schedule.steps, keep=self.keep
+            column, self.splitting, schedule.step, state, communicator, every=schedule.steps, keep=self.keep
         )
         if self.log and self.splitting.order > 2:
-            team.ask("commands", "log none")
+            communicator.ask("commands", "log none")
         return stepper
 
     def column(self, scene: Scene, candidate: Candidate, remark: str = "") -> Column:

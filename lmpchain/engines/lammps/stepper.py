@@ -28,7 +28,7 @@ class LammpsStepper:
         s.
     state : mapping
         Empty, or what `state` returned.
-    team : Communicator
+    communicator : Communicator
         The ranks; closed with the stepper.
     every : int
         Steps from one sample to the next.
@@ -44,31 +44,33 @@ class LammpsStepper:
         splitting: Splitting,
         step: float,
         state: Mapping[str, Array],
-        team: Communicator,
+        communicator: Communicator,
         *,
         every: int,
         keep: Path | None = None,
     ):
-        self._column, self._team, self._every = column, team, every
+        self._column, self._communicator, self._every = column, communicator, every
         self._done = int(state.get("done", 0))
         scene = column.scene
         first, last = column.mobile
         pieces = tuple(drive.pieces(scene.excitation, scene.duration))
-        recipe = StepPlan(
+        plan = StepPlan(
             scene.chain.grains, first - 1, last, splitting, step, self._done, scene.drive, pieces, column.heights[0]
         )
         try:
             with tempfile.TemporaryDirectory(prefix="lmpchain-") as scratch:
                 folder = Path(scratch) if keep is None else keep
                 deck.write_data(column, folder / "column.data")
-                team.ask("commands", deck.setup(column, word(folder / "column.data"), step, splitting, self._done))
+                communicator.ask(
+                    "commands", deck.setup(column, word(folder / "column.data"), step, splitting, self._done)
+                )
                 if keep is not None:
                     deck.write_deck(column, keep, step, splitting)
                     dump = word(keep / "column.lammpstrj")
-                    team.ask("commands", deck.dump(dump, every * deck.deck_steps(splitting)))
-                self._take(team.ask("begin", recipe, (state["z"], state["vz"]) if state else None))
+                    communicator.ask("commands", deck.dump(dump, every * deck.deck_steps(splitting)))
+                self._take(communicator.ask("begin", plan, (state["z"], state["vz"]) if state else None))
         except BaseException:
-            team.close()
+            communicator.close()
             raise
 
     def fill(self, u: Array, v: Array, offset: int, until: int, most: int) -> int:
@@ -76,7 +78,7 @@ class LammpsStepper:
         made = 0
         while made < most and self.sample < until:
             steps = min(most - made, self._every - self._done % self._every)
-            self._take(self._team.ask("advance", steps))
+            self._take(self._communicator.ask("advance", steps))
             self._done += steps
             made += steps
             if self._done % self._every == 0:
@@ -108,7 +110,7 @@ class LammpsStepper:
     @property
     def ranks(self) -> int:
         """How many processes share the column."""
-        return self._team.ranks
+        return self._communicator.ranks
 
     def lowest(self) -> Array:
         """Leave the watch for openings to the native twin."""
@@ -120,7 +122,7 @@ class LammpsStepper:
 
     def close(self) -> None:
         """End the LAMMPS instances."""
-        self._team.close()
+        self._communicator.close()
 
 
 def _together(shares: list[LocalState]) -> tuple[Array, Array]:

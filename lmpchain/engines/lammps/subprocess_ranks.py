@@ -102,7 +102,7 @@ class SubprocessRanks:
         return (errors or spoken or ["no reason is known"])[0 if errors else -1].removeprefix("error: ")
 
     def close(self) -> None:
-        """Dismiss the ranks, and end those that do not go."""
+        """Shut the ranks down, and end those that do not go."""
         line: Connection | None = getattr(self, "_line", None)
         mpiexec: subprocess.Popen[bytes] | None = getattr(self, "_mpiexec", None)
         if line:
@@ -130,7 +130,7 @@ def serve(address: str) -> None:
         end.connect(address)
         line = Connection(end.detach())
     line.send(pids)
-    team: MpiRanks | None = None
+    communicator: MpiRanks | None = None
     while True:
         try:
             name, values = line.recv()
@@ -138,16 +138,16 @@ def serve(address: str) -> None:
             break
         try:
             if name == "open":
-                team = MpiRanks(world, *values)
+                communicator = MpiRanks(world, *values)
                 answer: Any = None
             else:
-                assert team
-                answer = team.ask(name, *values)
+                assert communicator
+                answer = communicator.ask(name, *values)
         except LmpchainError as error:
             answer = error
         line.send(answer)
-    if team:
-        team.close()
+    if communicator:
+        communicator.close()
     shutdown_workers(world)
 
 

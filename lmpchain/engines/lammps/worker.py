@@ -73,12 +73,12 @@ class Worker:
         """Execute commands."""
         self._lammps.commands_string(text)
 
-    def begin(self, recipe: StepPlan, kept: tuple[Array, Array] | None) -> LocalState:
+    def begin(self, plan: StepPlan, kept: tuple[Array, Array] | None) -> LocalState:
         """Put kept heights and velocities in place, compute the first forces, and keep views of the arrays."""
-        self._recipe, self._done, self._piece = recipe, recipe.done, 0
+        self._plan, self._done, self._piece = plan, plan.done, 0
         arrays, here = self._lammps.numpy, self._lammps.extract_global("nlocal")
-        if self._lammps.get_natoms() != recipe.grains:  # all ranks see this: an error as LAMMPS itself raises them
-            raise Exception(f"LAMMPS has lost grains: {self._lammps.get_natoms():.0f} of {recipe.grains} are left")
+        if self._lammps.get_natoms() != plan.grains:  # all ranks see this: an error as LAMMPS itself raises them
+            raise Exception(f"LAMMPS has lost grains: {self._lammps.get_natoms():.0f} of {plan.grains} are left")
         ids = arrays.extract_atom("id")[:here] if here else np.empty(0, int)
         self._start = start = int(ids[0]) - 1 if here else 0
         if not np.array_equal(ids, np.arange(start + 1, start + here + 1)):
@@ -88,7 +88,7 @@ class Worker:
                 arrays.extract_atom(name)[:here, 2] = values[start : start + here]
         self._lammps.command("run 0 post no")
         self._x, self._v, self._f = (arrays.extract_atom(name)[:here] if here else np.empty((0, 3)) for name in "xvf")
-        moving = slice(*(min(max(edge - start, 0), here) for edge in (recipe.first, recipe.last)))
+        moving = slice(*(min(max(edge - start, 0), here) for edge in (plan.first, plan.last)))
         self._vz, self._fz = self._v[moving, 2], self._f[moving, 2]
         self._inverse_mass = 1 / arrays.extract_atom("rmass")[:here][moving] if here else np.empty(0)
         self._kick = np.empty_like(self._inverse_mass)
@@ -96,20 +96,20 @@ class Worker:
 
     def advance(self, steps: int) -> LocalState:
         """Move forward by `steps` steps."""
-        splitting = self._recipe.splitting
+        splitting = self._plan.splitting
         if splitting.order == 2:
             self._run(steps)
         else:
             kicks = () if splitting.substeps else splitting.kicks
-            self._split([b * self._recipe.step for b in kicks], steps)
+            self._split([b * self._plan.step for b in kicks], steps)
         self._done += steps
         return self._share()
 
     def _run(self, steps: int) -> None:
         """Velocity Verlet, interrupted only where one cubic piece of a drive gives way to the next."""
         now, last = self._done, self._done + steps
-        for index, (end, _) in enumerate(self._recipe.pieces):
-            until = min(last, int(end / self._recipe.step))
+        for index, (end, _) in enumerate(self._plan.pieces):
+            until = min(last, int(end / self._plan.step))
             if until > now:
                 self._put_in_force(index)
                 self._lammps.command(f"run {until - now} pre no post no")
@@ -119,15 +119,15 @@ class Worker:
 
     def _split(self, kicks: list[float], steps: int) -> None:
         """Steps of several drifts, each a run: with LAMMPS's own kicks, or with these, on its own arrays."""
-        command, recipe = self._lammps.command, self._recipe
-        drifts = [a * recipe.step for a in recipe.splitting.drifts]
+        command, plan = self._lammps.command, self._plan
+        drifts = [a * plan.step for a in plan.splitting.drifts]
         lengths = [f"timestep {drift!r}" for drift in drifts]
         weights = [self._inverse_mass * b for b in kicks]
         v, f, kick = self._vz, self._fz, self._kick
-        driven = recipe.drive if self._start == 0 and self._x.size else None
+        driven = plan.drive if self._start == 0 and self._x.size else None
         if driven:
             index = self._done + np.arange(steps)[:, None]
-            goals = recipe.rest - driven.motion((index + np.array(recipe.splitting.reach)) * recipe.step)[0]
+            goals = plan.rest - driven.motion((index + np.array(plan.splitting.reach)) * plan.step)[0]
         for step in range(steps):
             for part, length in enumerate(lengths):
                 if weights:
@@ -139,11 +139,11 @@ class Worker:
             if weights:  # this kick stays apart from the next step's first: chunks of any length give the same bits
                 v += np.multiply(f, weights[-1], out=kick)
         if driven:
-            self._v[0, 2] = -driven.motion((self._done + steps) * recipe.step)[1]
+            self._v[0, 2] = -driven.motion((self._done + steps) * plan.step)[1]
 
     def _put_in_force(self, index: int) -> None:
         if index != self._piece:
-            self.commands("\n".join(self._recipe.pieces[index][1]))
+            self.commands("\n".join(self._plan.pieces[index][1]))
             self._piece = index
 
     def _share(self) -> LocalState:

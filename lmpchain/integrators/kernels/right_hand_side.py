@@ -13,7 +13,7 @@ import numpy as np
 from .contact_forces import compiled, contact_forces, inlined, kick_and_drift, touching
 from .layout import FIRST, LAST, PAD
 
-ROWS = 64  # evaluations of the force between two looks at the window, for long chains and for methods of one stage
+ROWS = 64  # evaluations of the force between two updates of the window, for long chains and for methods of one stage
 TILE = 8192  # grains that stay in the cache while ROWS evaluations pass over them
 
 
