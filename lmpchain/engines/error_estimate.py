@@ -56,8 +56,8 @@ class Stepper(Protocol):
     def steps(self) -> Array:
         """Steps that each chain has made, (R,)."""
 
-    def fill(self, u: Array, v: Array, offset: int, until: int, most: int) -> int:
-        """Move on to the sample `until`, or by some `most` steps.
+    def fill(self, u: Array, v: Array, offset: int, until: int, max_steps: int) -> int:
+        """Move on to the sample `until`, or by some `max_steps` steps.
 
         Samples from `offset` on are put into u and v, (R, B, N) m and m/s. Returns the steps made.
         """
@@ -161,9 +161,9 @@ class CompanionRun(Run):
         nothing = np.empty((self.realisations, 0, self._rows.size))
         stepper, u, v = self._steppers[index], self._u[index], self._v[index]
         while True:
-            most = max(1, int(self._rate[index] * PIECE_S))
+            max_steps = max(1, int(self._rate[index] * PIECE_S))
             began = time.perf_counter()
-            done = stepper.fill(u, v, first, until, most)
+            done = stepper.fill(u, v, first, until, max_steps)
             took = time.perf_counter() - began
             self._rate[index] = done / max(took, 1e-9)
             if index == 0:

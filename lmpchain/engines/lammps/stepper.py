@@ -73,11 +73,11 @@ class LammpsStepper:
             communicator.close()
             raise
 
-    def fill(self, u: Array, v: Array, offset: int, until: int, most: int) -> int:
-        """Step on to the sample `until`, or by `most` steps; samples from `offset` on go into u, v (1, B, N)."""
+    def fill(self, u: Array, v: Array, offset: int, until: int, max_steps: int) -> int:
+        """Step on to the sample `until`, or by `max_steps` steps; samples from `offset` on go into u, v (1, B, N)."""
         made = 0
-        while made < most and self.sample < until:
-            steps = min(most - made, self._every - self._done % self._every)
+        while made < max_steps and self.sample < until:
+            steps = min(max_steps - made, self._every - self._done % self._every)
             self._take(self._communicator.ask("advance", steps))
             self._done += steps
             made += steps

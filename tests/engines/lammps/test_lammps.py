@@ -188,13 +188,13 @@ def test_faults_that_lammps_does_not_report():
     for spoil, message in (
         (lambda s: s._z.__setitem__(3, np.nan), "no longer numbers"),
         (lambda s: s._z.__setitem__(3, s._z[4]), "passed into another"),
-        (lambda s: s._team._rank._x[:, 0].__setitem__(3, 1e-9), "buckled sideways"),
+        (lambda s: s._communicator._rank._x[:, 0].__setitem__(3, 1e-9), "buckled sideways"),
     ):
         column = stepper(small())
         try:
             spoil(column)
             with pytest.raises(RunFailed, match=message):
-                column.fill(*np.zeros((2, 1, 1, 25)), offset=1, until=1, most=1)
+                column.fill(*np.zeros((2, 1, 1, 25)), offset=1, until=1, max_steps=1)
         finally:
             column.close()
 
