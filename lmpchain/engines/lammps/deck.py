@@ -109,6 +109,7 @@ def _filled(column: Column, step: float, splitting: Splitting, done: int = 0, **
         # velocity Verlet and its compositions kick in LAMMPS; for others the kicks come from outside
         "fix": "nve" if carries(splitting) else "nve/noforce",
         "first_step": done * deck_steps(splitting),
+        "start_time": done * step,
         "moves": splitting.order == 2,  # fix move wants steps of one length; else the speeds come from outside
         "include": column.include,
         **drive.placeholders(scene.excitation, scene.duration),

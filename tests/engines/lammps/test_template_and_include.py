@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from lmpchain import InputError, Scene, Trajectory, simulate
 from lmpchain.cli.command_line import main
 from lmpchain.engines import Lammps
 from lmpchain.engines.lammps.export import write_deck
+from lmpchain.integrators.step_schedule import StepSchedule
 
 TEMPLATES = Path(__file__).parents[3] / "templates"
 VERLET = {"integrator": "verlet", "step": 1e-7, "diameter": "physical"}
@@ -58,6 +60,23 @@ def test_an_include_works_in_the_library(ranks: int):
     scene = Scene(**small().given() | {"samples": t.cost.steps // 10 + 1})
     mine = Trajectory.from_dump("mine.dump", scene)
     assert np.array_equal(mine.velocity[:: t.cost.steps // 50], t.velocity)
+
+
+@pytest.mark.parametrize("integrator", ["verlet", "kahan-li6"])
+def test_the_clock_of_lammps_goes_on_after_a_stop(integrator: str):
+    """A force of the user's own that depends on the time is the same, whichever chunks the run is made in."""
+    Path("clock.include").write_text("print           $(time:%.17g) append clock.txt screen no\n")
+    engine = Lammps(integrator=integrator, step=1e-7, include="clock.include")
+    candidate = engine.candidate(small(), 1.0)
+    schedule = StepSchedule.of(candidate.steps_per_sample, candidate.step, False)
+    state: dict[str, Any] = {}
+    for _ in range(2):
+        stepper = engine.stepper([small()], candidate, schedule, state)
+        u, v = np.zeros((2, 1, small().samples, small().chain.grains))
+        stepper.fill(u, v, 0, small().samples - 1, 7)
+        state = stepper.state()
+        stepper.close()
+    assert np.loadtxt("clock.txt") == pytest.approx([0.0, 7 * candidate.step], rel=1e-12)
 
 
 def test_an_include_stands_in_the_deck_as_it_is():
