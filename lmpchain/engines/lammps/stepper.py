@@ -74,7 +74,7 @@ class LammpsStepper:
             raise
 
     def fill(self, u: Array, v: Array, offset: int, until: int, max_steps: int) -> int:
-        """Step on to the sample `until`, or by `max_steps` steps; samples from `offset` on go into u, v (1, B, N)."""
+        """Step to the sample `until`, or by `max_steps`; samples from `offset` on go into u, v (1, B, N)."""
         made = 0
         while made < max_steps and self.sample < until:
             steps = min(max_steps - made, self._every - self._done % self._every)
