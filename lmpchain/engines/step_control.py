@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import Generic, TypeVar
 
@@ -115,7 +116,7 @@ def first_attempt(engine: Engine, scene: Scene, tolerance: float, best_effort: b
     """
     began = time.perf_counter()
     if best_effort:
-        attempt = Attempt(engine.name, *best_candidate(engine, scene, tolerance))
+        attempt = Attempt(engine.name, *loosened(partial(engine.candidate, scene), tolerance))
     else:
         attempt = Attempt(engine.name, engine.candidate(scene, tolerance), tolerance)
     return replace(attempt, planned_s=time.perf_counter() - began)
@@ -206,12 +207,12 @@ def next_attempt(
     return replace(made, candidate=better), ""
 
 
-def best_candidate(engine: Engine, scene: Scene, tolerance: float) -> tuple[Candidate, float, str]:
-    """Return a candidate, loosening a tolerance that the engine refuses.
+def loosened(propose: Callable[[float], T], tolerance: float) -> tuple[T, float, str]:
+    """Return what is proposed for a tolerance, or for a looser one while `ToleranceNotMet` is raised.
 
     Returns
     -------
-    candidate, the tolerance it is for, and why the one asked for was refused (empty if it was not)
+    the proposal, the tolerance it is for, and why the one asked for was refused (empty if it was not)
 
     Raises
     ------
@@ -221,7 +222,7 @@ def best_candidate(engine: Engine, scene: Scene, tolerance: float) -> tuple[Cand
     reason = ""
     while True:
         try:
-            return engine.candidate(scene, tolerance), tolerance, reason
+            return propose(tolerance), tolerance, reason
         except ToleranceNotMet as refusal:
             if tolerance > 0.1:
                 raise

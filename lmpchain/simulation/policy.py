@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Protocol
 
 from .. import engines
 from ..engines.base import Candidate, Engine, ErrorBudget
-from ..engines.step_control import Attempt, first_attempt
-from ..errors import ToleranceNotMet
+from ..engines.step_control import Attempt, first_attempt, loosened
+from ..errors import InputError, ToleranceNotMet
 from ..scene.scene import Scene
 from .selection import Proposal, cheapest, propose_all, reason
 
@@ -103,18 +104,13 @@ class Auto:
 
     def first(self, scene: Scene, tolerance: float, best_effort: bool) -> Attempt:
         """Return the first attempt of the cheapest engine; `best_effort` loosens the tolerance if need be."""
-        began, refusal = time.perf_counter(), ""
-        while True:
-            try:
-                proposals = propose_all(scene, tolerance)
-                best = cheapest(proposals)
-            except ToleranceNotMet as error:
-                if not best_effort or tolerance > 0.1:
-                    raise
-                refusal, tolerance = refusal or error.reason, 4 * tolerance
-                continue
-            attempt = _attempt(best, tolerance, plan=f"{best.engine}: {reason(proposals)}")
-            return replace(attempt, refusal=refusal, planned_s=time.perf_counter() - began)
+        began = time.perf_counter()
+        choose, refusal = partial(_cheapest, scene), ""
+        if best_effort:
+            attempt, _, refusal = loosened(choose, tolerance)
+        else:
+            attempt = choose(tolerance)
+        return replace(attempt, refusal=refusal, planned_s=time.perf_counter() - began)
 
     def engine(self, attempt: Attempt) -> Engine:
         """Return the engine that was chosen."""
@@ -137,6 +133,13 @@ class Auto:
         return _attempt(best, tolerance, plan=f"{best.engine}: {told}", redone=told)
 
 
+def _cheapest(scene: Scene, tolerance: float) -> Attempt:
+    """Return the first attempt of the cheapest engine; raises `ToleranceNotMet` if none is good enough."""
+    proposals = propose_all(scene, tolerance)
+    best = cheapest(proposals)
+    return _attempt(best, tolerance, plan=f"{best.engine}: {reason(proposals)}")
+
+
 def _attempt(proposal: Proposal, tolerance: float, **why: str) -> Attempt:
     """Return the first attempt of a proposal, which keeps on record why it was chosen."""
     assert proposal.candidate
@@ -154,6 +157,8 @@ def policy_for(engine: str | Engine, **options: Any) -> Policy:
     """
     if engine == AUTO and not options:
         return Auto()
+    if isinstance(engine, str) and engine not in (AUTO, *engines.names()):
+        raise InputError([("engine", f"must be {' | '.join((AUTO, *engines.names()))} (got {engine!r})")])
     return Named(engines.get("native" if engine == AUTO else engine, **options))
 
 

@@ -6,6 +6,7 @@ import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -22,7 +23,7 @@ from ...util.files import make_folder
 from ..base import Candidate, ErrorBudget, Run
 from ..error_estimate import CompanionRun
 from ..native import Native
-from ..step_control import best_candidate, run_to_tolerance
+from ..step_control import loosened, run_to_tolerance
 from ..time_stepping import TimeSteppingEngine
 from . import deck
 from .column import PAIR_STYLES, Column
@@ -272,7 +273,7 @@ class Lammps(TimeSteppingEngine):
 
         Where round-off in heights keeps the tolerance out of reach, it is written for the error that can be had.
         """
-        candidate, _, refusal = best_candidate(self, self.part(scene), tolerance)
+        candidate, _, refusal = loosened(partial(self.candidate, self.part(scene)), tolerance)
         remark = f"the tolerance of {tolerance:.1g} is out of reach: {refusal}" if refusal else ""
         column = self.column(scene, candidate, remark)
         deck.write_data(column, folder / "column.data")
