@@ -116,6 +116,8 @@ class RunFolder:
                     left.unlink()
                 self.task = tasks.read(self.path)
                 self._find()
+                with suppress(InputError, LookupError):  # what the sessions before did after their last checkpoint
+                    self._before["wall_s"] = max(self._before["wall_s"], float(status(self.path)["wall_s"]))
                 self._say("running")
         except BaseException:
             self._lock.release()
