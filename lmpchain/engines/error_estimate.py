@@ -180,7 +180,7 @@ class CompanionRun(Run):
         count, samples = stop - first, np.arange(first, stop)
         u, v = self._u[0, :, :count], self._v[0, :, :count]
         peaks, energy, differences = compared(self._u, self._v, self._masses, count)
-        self.peaks = np.maximum(self.peaks, peaks)
+        self.peaks = np.maximum(np.maximum(self.peaks, peaks), self._native[0].largest())
         if not np.isfinite(energy).all():
             raise RunFailed(self._broke_down(first, "positions or velocities are no longer numbers"))
         if (energy > self._most_energy).any():

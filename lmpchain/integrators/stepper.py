@@ -10,7 +10,7 @@ import numpy as np
 
 from ..util.arrays import Array
 from .batch import ChainBatch
-from .kernels.layout import CLOSEST, FIRST, LAST, LOWEST, PAD, SAMPLE, STEP, STEPS, Clock
+from .kernels.layout import CLOSEST, FARTHEST, FASTEST, FIRST, LAST, LOWEST, PAD, SAMPLE, STEP, STEPS, Clock
 from .method import Method
 from .step_schedule import StepSchedule
 
@@ -109,6 +109,13 @@ class NativeStepper:
     def closest(self) -> Array:
         """Return by how much two grains have come closer than at rest at most, (R,) m; seen after whole steps."""
         return self._state[:, CLOSEST]
+
+    def largest(self) -> Array:
+        """Return the largest displacement and speed that any grain of each chain has had, (R, 2) m and m/s.
+
+        They are seen after steps some half a radian of the fastest motion apart, or one step if that is longer.
+        """
+        return self._state[:, [FARTHEST, FASTEST]]
 
     def state(self) -> dict[str, Array]:
         """Return what is needed to go on with the same bits."""

@@ -28,8 +28,8 @@ LABELS: dict[str, dict[str, Any]] = {
 class ErrorEstimate:
     """Estimated relative error against the exact solution of Eq. (1): model and solver.
 
-    The error is the larger of those of displacement and velocity, each max|x - x_true| / max|x_true|
-    over all samples and all grains of the chain.
+    The error is the larger of those of displacement and velocity, each max|x - x_true| over all samples and grains
+    over the largest |x_true| of any grain of the chain at any time of the run, between the samples too.
 
     Attributes
     ----------
@@ -134,7 +134,7 @@ def verdict(error: ErrorEstimate, cost: Cost) -> dict[str, Any]:
     return {
         "model_error": error.model,
         "solver_error": error.solver,
-        "error_definition": "max|x - x_true| / max|x_true| over all samples and grains, the larger of "
-        "displacement and velocity, x_true the solution of Eq. (1)",
+        "error_definition": "max|x - x_true| over all samples and grains / max|x_true| of any grain at any time of the "
+        "run, the larger of displacement and velocity, x_true the solution of Eq. (1)",
         "cost": json.dumps(asdict(cost)),
     }
