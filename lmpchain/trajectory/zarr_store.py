@@ -74,8 +74,6 @@ class Writer:
     def __init__(self, folder: Path, scene: Scene, sample: int = 0):
         import zarr
 
-        for left in (folder / NAME).rglob("*.partial*"):  # left by a killed process
-            left.unlink()
         self._group: Any = zarr.open_group(folder / NAME, mode="r+")
         self._fields: list[Any] = [self._group[name] for name in FIELDS]
         self._times = scene.time

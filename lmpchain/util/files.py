@@ -5,10 +5,13 @@ from __future__ import annotations
 import errno
 import hashlib
 import os
+import platform
+import re
 import secrets
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -22,9 +25,12 @@ from ..errors import InputError
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path; rename it to `path` on success, remove it on failure.
 
-    File and name are flushed to the disk. Raises `OSError` as it comes.
+    File and name are flushed to the disk. Raises `OSError` as it comes. What a kill leaves behind in a folder, the next
+    process removes that writes there.
     """
-    aside = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.partial{path.suffix}")
+    _sweep(path.parent.absolute())
+    writer = f"{platform.node()}-{os.getpid()}"
+    aside = path.with_name(f".{path.stem}.{writer}-{secrets.token_hex(4)}.partial{path.suffix}")
     try:
         yield aside
         _to_disk(aside)
@@ -32,6 +38,16 @@ def replacing(path: Path) -> Iterator[Path]:
         _to_disk(path.parent)
     finally:
         aside.unlink(missing_ok=True)
+
+
+@cache
+def _sweep(folder: Path) -> None:
+    """Remove what processes of this machine were writing in a folder as they were killed."""
+    pattern = re.compile(rf"\..*\.{re.escape(platform.node())}-(\d+)-[0-9a-f]{{8}}\.partial", re.DOTALL)
+    for entry in folder.iterdir():
+        writer = pattern.match(entry.name)
+        if writer and not Path("/proc", writer[1]).exists():
+            entry.unlink(missing_ok=True)
 
 
 def _to_disk(path: Path) -> None:
