@@ -15,7 +15,7 @@ from .. import engines
 from ..errors import InputError
 from ..scene.scene import Scene
 from ..util import mpi
-from ..util.files import replacing
+from ..util.files import check_tree, replacing
 from ..util.provenance import session
 from .policy import Named, Policy, policy_for
 
@@ -56,6 +56,10 @@ def check_run(folder: str | PathLike[str]) -> Path:
     """Return the path of a run folder; raises `InputError` if it is none."""
     if not is_run(folder):
         raise InputError([(str(folder), "is no run folder; lmpchain run SCENE.toml -o FOLDER/ makes one")])
+    try:
+        check_tree(Path(folder))
+    except OSError as error:
+        raise InputError([(str(folder), error.strerror)]) from None
     return Path(folder)
 
 
@@ -119,7 +123,9 @@ def read(folder: Path) -> Task:
     if others := [f"{name} {new}, not {old}" for name, (new, old) in versions.items() if new != old]:
         warnings.warn(f"the run went so far with other versions, and may now differ: {'; '.join(others)}", stacklevel=2)
     _note(folder, asked | {"sessions": [*asked["sessions"], now]})
-    return Task(scene, policy_for(asked["engine"], **options), asked["tolerance"], asked["best_effort"])
+    policy = policy_for(asked["engine"], **options)
+    check_kept(policy)  # no commands of whoever wrote this folder
+    return Task(scene, policy, asked["tolerance"], asked["best_effort"])
 
 
 def _note(folder: Path, what: dict[str, Any]) -> None:
