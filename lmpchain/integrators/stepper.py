@@ -54,11 +54,16 @@ class NativeStepper:
         else:
             self._state = np.zeros((len(scenes), STEP + 1))
             self._state[:, FIRST], self._state[:, LAST] = self._window()
+        self._check_state()
         self.stride, final = schedule.stride, scenes[0].samples - 1
         clock = Clock(scenes[0].duration / final, schedule.steps, schedule.step, schedule.stride, final)
         march = method.march(chains, schedule)
         self._march = march.run
-        self._history = np.array(state.get("history", np.zeros((len(scenes), march.history, self._x.shape[1]))))
+        self._history = np.zeros((len(scenes), march.history, self._x.shape[1]))
+        if "history" in state:
+            if state["history"].shape != self._history.shape:
+                raise ValueError("the state that was kept does not fit")
+            self._history[:] = state["history"]
         bodies = self._x, self._v, self._history, self._state
 
         def arguments(share: slice) -> tuple[Any, ...]:
@@ -67,6 +72,15 @@ class NativeStepper:
 
         self._arguments = [arguments(share) for share in self._shares]
         self._march(*arguments(slice(0)), np.empty((0, 1, 1)), np.empty((0, 1, 1)), 0, 0, 0)  # only compiles
+
+    def _check_state(self) -> None:
+        """Raise `ValueError` if a kept state does not fit these chains: the compiled loops trust its window."""
+        kept, width = self._state, self._x.shape[1]
+        if kept.shape != (len(self._x), STEP + 1) or kept.dtype != float or not np.isfinite(kept).all():
+            raise ValueError("the state that was kept does not fit")
+        inside = (kept[:, FIRST] >= PAD) & (kept[:, FIRST] < kept[:, LAST]) & (kept[:, LAST] <= width - PAD)
+        if not (inside & (kept[:, SAMPLE] == kept[0, SAMPLE])).all() or (kept[:, [FIRST, LAST]] % 1).any():
+            raise ValueError("the state that was kept does not fit")
 
     def _window(self) -> tuple[Array, Array]:
         """Return where the window of each chain begins and ends: at the lines that hold what moves at t = 0.

@@ -166,7 +166,7 @@ class RunFolder:
         """Find the newest checkpoint that is whole, and whose samples are there."""
         lost = False
         for checkpoint in checkpoints.load(self.path):
-            if checkpoint and store.usable(self.path, checkpoint.notes["samples"]):
+            if checkpoint and store.usable(self.path, self.task.scene, checkpoint.notes["samples"]):
                 notes, self._state = checkpoint
                 self.attempt, self.samples, self._before = _attempt(notes), notes["samples"], notes["spent"]
                 break
