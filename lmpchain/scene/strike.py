@@ -65,13 +65,12 @@ def strike_remarks(chain: Chain, excitation: Excitation, relative: float) -> Ite
     if chain.exponent == 1.5 and at_rest < HERTZ_OVERLAP < relative:
         yield f"{_strength(excitation)}: {beyond_hertz(relative)}"
     first, near, strike = surroundings(chain, excitation)
-    speed = np.abs(strike.largest(near)[1])
-    fastest = int(speed.argmax())
-    sound = near.by_grain("sound_speed")[fastest]
-    if speed[fastest] > sound:
+    speed, sound = np.abs(strike.largest(near)[1]), near.by_grain("sound_speed")
+    worst = int((speed / sound).argmax())
+    if speed[worst] > sound[worst]:
         yield (
-            f"{_strength(excitation)}: grain {fastest + first} moves at {speed[fastest]:.3g} m/s, faster than sound "
-            f"in its material, {sound:.3g} m/s"
+            f"{_strength(excitation)}: grain {worst + first} moves at {speed[worst]:.3g} m/s, faster than sound "
+            f"in its material, {sound[worst]:.3g} m/s"
         )
 
 

@@ -134,7 +134,8 @@ def _chain(keys: dict[str, Any], folder: Path) -> Chain:
 def _excitation(keys: dict[str, Any], folder: Path) -> Excitation:
     kind = keys.pop("kind", None)
     if not isinstance(kind, str) or kind not in EXCITATIONS:
-        missing = f"is missing; {' | '.join(EXCITATIONS)}"
+        meant = "".join(f"; {key!r} is unknown{guess}" for key in keys if (guess := did_you_mean(key, ["kind"])))
+        missing = f"is missing; {' | '.join(EXCITATIONS)}{meant}"
         raise InputError([("kind", missing if kind is None else not_among(kind, EXCITATIONS))])
     made = EXCITATIONS[kind]
     if made.columns and "file" in keys:
