@@ -13,6 +13,7 @@ from ..integrators.methods import METHODS, Method
 from ..integrators.step_schedule import StepSchedule
 from ..scene.scene import Scene
 from ..util.arrays import Array
+from ..util.suggestions import not_among
 from .base import Candidate, Engine, ErrorBudget
 from .cost_model import seconds
 from .error_estimate import ORDER_AT_OPENINGS, SAFETY, CompanionRun, Stepper
@@ -93,7 +94,7 @@ class TimeSteppingEngine(Engine):
 
     def __init__(self, integrator: str, step: float | None):
         if integrator not in self.integrators:
-            raise InputError([("integrator", f"must be {' | '.join(self.integrators)} (got {integrator!r})")])
+            raise InputError([("integrator", not_among(integrator, self.integrators))])
         if step is not None and not (isinstance(step, int | float) and math.isfinite(step) and step > 0):
             raise InputError([("step", f"must be a time above 0 s (got {step!r})")])
         self.integrator, self.step = integrator, step

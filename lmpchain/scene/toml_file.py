@@ -11,14 +11,16 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ..chain.chain import Chain, Impurity
+from ..chain.chain import Chain
+from ..chain.impurities import Impurity
 from ..chain.materials import MATERIALS, Material
 from ..errors import InputError
 from ..util.files import check_readable
+from ..util.suggestions import did_you_mean, not_among
 from .base import Excitation
 from .excitation import EXCITATIONS
 from .recording import Recording
-from .strike import strike_faults
+from .strike import squeezed, strike_faults
 
 LARGEST_FILE, LARGEST_TABLE = 2**25, 2**33  # bytes
 LONGEST_LINE = 2**20  # of a table, characters
@@ -46,7 +48,8 @@ def fields(data: dict[str, Any], folder: Path | None = Path()) -> dict[str, Any]
             return None
 
     for key in data.keys() - set(SECTIONS):
-        faults.append((key, f"unknown section; the sections are {', '.join(SECTIONS)}"))
+        known = ", ".join(SECTIONS)
+        faults.append((key, f"unknown section{did_you_mean(key, SECTIONS)}; the sections are {known}"))
     given: dict[str, dict[str, Any]] = {}
     for section in SECTIONS:
         table = data.get(section)
@@ -64,7 +67,7 @@ def fields(data: dict[str, Any], folder: Path | None = Path()) -> dict[str, Any]
     if counted and excitation:
         found = list(excitation.faults(counted, recording.duration if recording else 0.0))
         if chain and not found:
-            found = list(strike_faults(chain, excitation))
+            found = list(strike_faults(excitation, *squeezed(chain, excitation)))
         faults.extend(InputError(found).under("excitation"))
     if counted and recording:
         faults.extend(InputError(recording.faults(counted)).under("recording"))
@@ -80,7 +83,7 @@ def _of_this_length(table: dict[str, Any]) -> Chain | None:
     """Return a sound chain with the grains and ends of a faulty one, to check other tables against."""
     kept = {key: table[key] for key in ("grains", "top", "bottom") if key in table}
     try:
-        return Chain(**kept, diameter=1.0, gravity=0.0)
+        return Chain(**kept, diameter=1e-3, gravity=0.0)
     except InputError:
         return None
 
@@ -131,8 +134,9 @@ def _chain(keys: dict[str, Any], folder: Path | None) -> Chain:
 def _excitation(keys: dict[str, Any], folder: Path | None) -> Excitation:
     kind = keys.pop("kind", None)
     if not isinstance(kind, str) or kind not in EXCITATIONS:
-        known = " | ".join(EXCITATIONS)
-        raise InputError([("kind", f"must be {known} (got {kind!r})" if kind is not None else f"is missing; {known}")])
+        meant = "".join(f"; {key!r} is unknown{guess}" for key in keys if (guess := did_you_mean(key, ["kind"])))
+        missing = f"is missing; {' | '.join(EXCITATIONS)}{meant}"
+        raise InputError([("kind", missing if kind is None else not_among(kind, EXCITATIONS))])
     made = EXCITATIONS[kind]
     if made.columns and "file" in keys:
         columns = _csv(folder, keys.pop("file"), tuple(made.columns))
