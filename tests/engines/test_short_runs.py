@@ -67,7 +67,7 @@ def test_one_step():
     chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=0.1)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1 / chain.band_edge, samples=2)
     t = simulate(scene, "native", 1e-2)
-    true, own = true_error(t, scene)
+    true, _ = true_error(t, scene)
     assert t.cost.steps == 1
     assert 1e-6 < true < 3 * t.error_estimate.total < 0.03
 
