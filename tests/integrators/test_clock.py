@@ -1,11 +1,17 @@
 """The clock of the integration: exact over any number of steps, and never stuck."""
 
+from fractions import Fraction
+from typing import NamedTuple
+
 import numpy as np
 import pytest
+from numba import njit
 
 from lmpchain import Chain, Impulse, Scene
 from lmpchain.engines.error_estimate import native_floor
 from lmpchain.integrators.batch import ChainBatch
+from lmpchain.integrators.kernels.layout import DONE, STEP, Span
+from lmpchain.integrators.kernels.sample_loop import end_of_step
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.step_schedule import StepSchedule
 from lmpchain.integrators.stepper import NativeStepper
@@ -54,19 +60,31 @@ def test_the_clock_does_not_drift_in_a_hundred_thousand_periods(integrator, reac
     assert error / 3 < floor < 1e-9
 
 
-@pytest.mark.parametrize("integrator", ["rkn6", "kahan-li8"])
-@pytest.mark.parametrize("exponent", [1.0, 1.1])
-def test_there_are_never_too_many_steps_to_be_counted(integrator, exponent):
-    """Where a contact opened, short steps once were more than 2^63 in the time left, which then was taken in one."""
-    chain = Chain(grains=3, diameter=1e-3, gravity=0.0, top_load=1e-3, exponent=exponent, bottom="wall")
-    speed = 30 * chain.length_scale * chain.band_edge
-    scene = Scene(chain=chain, excitation=Impulse(velocity=speed), duration=1e6 / chain.band_edge, samples=2)
-    steps = int(np.ceil(scene.duration * scene.highest_frequency / 1e-4))
-    schedule = StepSchedule.of(steps, scene.duration / steps, True)
-    stepper = NativeStepper(ChainBatch([scene]), METHODS[integrator], schedule, {})
-    u, v = np.zeros((2, 1, 2, 3))
-    stepper.fill(u, v, 0, 1, 200_000)
-    assert stepper.lowest() < -1  # a contact has opened,
-    assert stepper.sample == 0  # and it goes on
-    assert stepper.steps == 200_000
-    assert np.isfinite(stepper.state()["u"]).all()
+class Bodies(NamedTuple):
+    state: np.ndarray
+
+
+@njit
+def ends(bodies, span, left, step):
+    return end_of_step(bodies, span, left, step)
+
+
+@pytest.mark.parametrize("step", [1e-30, 1e-19, 0.0])
+def test_there_are_never_too_many_steps_to_be_counted(step):
+    """More than 2^63 steps in the time left, where a contact opens, once were one giant step."""
+    state = np.zeros(STEP + 1)
+    span = Span(0.0, 3.0, 3.0, 1, 3.0)
+    after = ends(Bodies(state), span, 3.0, step)
+    assert 0 < after < 1e-14
+    state[DONE] = 3.0 - 2e-15
+    assert state[DONE] < ends(Bodies(state), span, 3.0 - state[DONE], step) <= 3.0
+
+
+def test_steps_add_up_to_the_span_exactly():
+    state, span, sizes = np.zeros(STEP + 1), Span(0.0, 0.7, 0.7, 1, 0.7), []
+    while state[DONE] < span.length:
+        done = ends(Bodies(state), span, span.length - state[DONE], 0.7 / 333.3)
+        sizes.append(Fraction(done - state[DONE]))
+        state[DONE] = done
+    assert len(sizes) == 334
+    assert abs(sum(sizes) - Fraction(0.7)) <= Fraction(0.7) / 2**53
