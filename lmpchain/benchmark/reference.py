@@ -58,7 +58,7 @@ class Reference:
 
     @property
     def scale(self) -> Array:
-        """What errors of displacement and velocity are relative to, (2,) m and m/s: the largest motion, 1 if none."""
+        """Largest displacement and speed, to which errors are relative, (2,) m and m/s; 1 where that is 0."""
         sampled = np.array([np.abs(self.displacement).max(), np.abs(self.velocity).max()])
         largest = sampled if self.largest is None else self.largest
         return np.where(largest > 0, largest, 1.0)
@@ -144,9 +144,9 @@ class _Motion:
         self.knots = np.array(knots, dtype=Long) / self.time
 
     def solve(self, order: int, tolerance: float) -> tuple[Array, Array]:
-        """Return displacement and velocity, (2, T, N), by series of this order and error a step; and the largest, (2,).
+        """Return displacement and velocity, (2, T, N), and the largest at any time, (2,); m and m/s.
 
-        All in m and m/s.
+        By series of this order, with this error a step.
         """
         solution = np.zeros((2, self.instants.size, self.start.shape[1]))
         solution[:, :1] = self.start[:, None] * self.units

@@ -85,7 +85,7 @@ class Native(TimeSteppingEngine):
         candidate = super().choose_step(scene, tolerance, method)
         if not candidate.fixed:
             evaluations = candidate.steps_per_sample * (scene.samples - 1) * method.evaluations
-            floor = native_floor(evaluations)
+            floor = native_floor(evaluations, scene.highest_frequency * scene.duration)
             if floor > tolerance:
                 raise ToleranceNotMet(
                     f"round-off alone makes an error of about {floor:.1g}, above the tolerance; "
@@ -99,10 +99,11 @@ class Native(TimeSteppingEngine):
     def typical_round_off(self, scene: Scene, steps: int, speed: float) -> float:
         """Predict round-off: a random walk of one ulp a force evaluation, and what the plain force loses.
 
+        The phase shifts by a quarter of what `native_floor` allows for.
         That is the last digit of what the contacts carry at rest, at every step: an acceleration of 0.9 EPSILON F_n/m,
         which walks to that times sqrt(duration h) in the velocity.
         """
-        walk = native_floor(steps * self.methods[0].evaluations)
+        walk = native_floor(steps * self.methods[0].evaluations, scene.highest_frequency * scene.duration / 4)
         if force_form(scene, self.force) in ROOTS:
             lost = PLAIN * EPSILON * float((scene.chain.contacts.force[:-1] / scene.chain.masses).max())
             walk += lost * scene.duration / math.sqrt(steps) / speed

@@ -75,7 +75,7 @@ class Method(Protocol):
 
 
 def steps_between_looks(schedule: StepSchedule, batch: ChainBatch) -> int:
-    """Return after how many steps of one length the largest motion is looked for at first; never mind companions."""
+    """Return after how many equal steps the largest motion is looked for at first."""
     return max(1, int(LOOK / (schedule.step * batch.omega.max()))) if schedule.ratio == 1 else SELDOM
 
 

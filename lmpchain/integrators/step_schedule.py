@@ -36,6 +36,11 @@ class StepSchedule:
         common = math.gcd(steps_per_sample, ratio)
         return cls(steps_per_sample // common, ratio // common, step * ratio, adaptive, ratio)
 
+    def total(self, samples: int) -> int:
+        """Return the steps from sample 0 to the sample of this number, if all are equal."""
+        whole, rest = divmod(samples, self.stride)
+        return whole * self.steps - (-self.steps * rest // self.stride)
+
     @property
     def halved(self) -> StepSchedule:
         """The schedule of a companion at half the step."""

@@ -31,7 +31,7 @@ def _as_it_is(chain, method, work, span):
 
 @inlined
 def end_of_step(chain, span, left, step):
-    """Return what `state[DONE]` is after a step of at most this length, one of equal ones in the time that is left.
+    """Return `state[DONE]` after a step of at most this length, one of equal ones in the time left.
 
     The step to take is the difference to `state[DONE]`, not `step`: all steps together then are the span, exactly.
     """

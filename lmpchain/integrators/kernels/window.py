@@ -1,4 +1,4 @@
-"""The active window of a chain, extremes of its contacts and grains, and the record of a sample, compiled.
+"""The active window of a chain, extremes of its contacts and grains, and samples, compiled.
 
 Only the window is computed: what lies outside, beyond the light cone, has not moved by `TINY` of the strike.
 """
