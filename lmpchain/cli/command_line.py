@@ -172,9 +172,7 @@ def _parser() -> argparse.ArgumentParser:
         help="LAMMPS only: positions from the real diameters, or from a far smaller one, which reduces round-off",
     )
 
-    run.add_argument(
-        "--ranks", metavar="P", type=int, help="LAMMPS only: MPI processes that share the chain (not under mpirun)"
-    )
+    _ranks(run)
 
     _own(run)
 
@@ -182,6 +180,7 @@ def _parser() -> argparse.ArgumentParser:
 
     resume = verbs.add_parser("resume", help="continue the run in a folder, bit-identical to a run without the stop")
     resume.add_argument("folder", metavar="FOLDER", help="folder that lmpchain run -o FOLDER/ made")
+    _ranks(resume)
     _max_wall(resume)
     resume.set_defaults(command=commands.resume)
 
@@ -265,6 +264,12 @@ def _parser() -> argparse.ArgumentParser:
 def _scene(parser: argparse.ArgumentParser, command: Callable[[argparse.Namespace], int]) -> None:
     parser.add_argument("scene", metavar="SCENE.toml", help="scene file")
     parser.set_defaults(command=command)
+
+
+def _ranks(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--ranks", metavar="P", type=int, help="LAMMPS only: MPI processes that share the chain (not under mpirun)"
+    )
 
 
 def _own(parser: argparse.ArgumentParser) -> None:

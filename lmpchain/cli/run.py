@@ -72,8 +72,13 @@ def resume(arguments: argparse.Namespace) -> int:
     about = status(arguments.folder)
     if about["state"] == "finished":
         print(f"{arguments.folder}: this run is finished; there is nothing left to do")
+    elif about["state"] == "killed":
+        done = f"at sample {about['samples_done']} of {about['samples']} or later"
+        print(f"{arguments.folder}: {about['reason']} {done}; going on from its last checkpoint")
     return _told(
-        lambda: resume(arguments.folder, max_wall=arguments.max_wall, progress=sys.stderr.isatty()),
+        lambda: resume(
+            arguments.folder, max_wall=arguments.max_wall, progress=sys.stderr.isatty(), ranks=arguments.ranks
+        ),
         about["tolerance"],
         Path(arguments.folder),
     )

@@ -180,7 +180,12 @@ class TimeSteppingEngine(Engine):
         def make(schedule: StepSchedule, kept: Mapping[str, Array]) -> Stepper:
             return self.stepper(scenes, candidate, schedule, kept)
 
-        return CompanionRun(make, METHODS[candidate.integrator], scenes, candidate, state, self.twin)
+        try:
+            return CompanionRun(make, METHODS[candidate.integrator], scenes, candidate, state, self.twin)
+        except (LookupError, TypeError, ValueError) as error:
+            if state is None or isinstance(error, InputError):
+                raise
+            raise InputError([("checkpoint", "does not fit its run, or was changed: run the scene anew")]) from error
 
 
 def kind(scene: Scene) -> tuple:

@@ -171,14 +171,20 @@ class Scene(Recording):
         return cls(**toml_file.read(path))
 
     @classmethod
-    def from_dict(cls, tables: dict[str, Any], folder: Path = Path()) -> Self:
-        """Make a scene from the tables of a scene file, whose CSV files lie in `folder`; raises `InputError`."""
+    def from_dict(cls, tables: dict[str, Any], folder: Path | None = Path()) -> Self:
+        """Make a scene from the tables of a scene file, whose CSV files lie in `folder`; raises `InputError`.
+
+        Without a folder the tables may name no files.
+        """
         return cls(**toml_file.fields(tables, folder))
 
     @classmethod
     def from_text(cls, text: str) -> Self:
-        """Make a scene from the text of a file; raises `InputError`, or `ValueError` if it is not TOML."""
-        return cls.from_dict(tomllib.loads(text))
+        """Make a scene from the text of a file that names no other file.
+
+        Raises `InputError`, or `ValueError` if it is not TOML.
+        """
+        return cls.from_dict(tomllib.loads(text), None)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the tables of a scene file."""

@@ -34,8 +34,8 @@ def read(path: str | PathLike[str]) -> dict[str, Any]:
     return fields(parse(path), path.parent)
 
 
-def fields(data: dict[str, Any], folder: Path = Path()) -> dict[str, Any]:
-    """Return the fields of a scene from the tables of its file; `folder` is where its CSV files lie."""
+def fields(data: dict[str, Any], folder: Path | None = Path()) -> dict[str, Any]:
+    """Return the fields of a scene from the tables of its file; `folder` is where its CSV files lie, if any may."""
     faults: list[tuple[str, str]] = []
 
     def attempt(section: str, make: Callable[[dict[str, Any]], T]) -> T | None:
@@ -118,7 +118,7 @@ def parse(path: Path) -> dict[str, Any]:
         raise InputError([(name, f"cannot be read: {error}")]) from None
 
 
-def _chain(keys: dict[str, Any], folder: Path) -> Chain:
+def _chain(keys: dict[str, Any], folder: Path | None) -> Chain:
     if "file" in keys:
         columns = _csv(folder, keys.pop("file"), ("material", "diameter", "mass"))
         if twice := [key for key in columns if key in keys or (key == "mass" and "masses" in keys)]:
@@ -131,7 +131,7 @@ def _chain(keys: dict[str, Any], folder: Path) -> Chain:
     return Chain(**keys)
 
 
-def _excitation(keys: dict[str, Any], folder: Path) -> Excitation:
+def _excitation(keys: dict[str, Any], folder: Path | None) -> Excitation:
     kind = keys.pop("kind", None)
     if not isinstance(kind, str) or kind not in EXCITATIONS:
         meant = "".join(f"; {key!r} is unknown{guess}" for key in keys if (guess := did_you_mean(key, ["kind"])))
@@ -144,10 +144,12 @@ def _excitation(keys: dict[str, Any], folder: Path) -> Excitation:
     return made(**keys)
 
 
-def _csv(folder: Path, name: Any, known: Sequence[str]) -> dict[str, Any]:
+def _csv(folder: Path | None, name: Any, known: Sequence[str]) -> dict[str, Any]:
     """Read the known columns of a CSV file with a header, as lists of numbers, of words for `material`."""
     if not isinstance(name, str):
         raise InputError([("file", "must be the name of a CSV file")])
+    if folder is None:
+        raise InputError([("file", "a scene without a folder can name no file: give the numbers themselves")])
     path = folder / name
     try:
         check_readable(path, LARGEST_TABLE)

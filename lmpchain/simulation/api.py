@@ -108,7 +108,9 @@ def simulate(
     return _judged(task, *answer)
 
 
-def resume(folder: str | PathLike[str], *, max_wall: float | None = None, progress: bool = False) -> Trajectory:
+def resume(
+    folder: str | PathLike[str], *, max_wall: float | None = None, progress: bool = False, ranks: int | None = None
+) -> Trajectory:
     """Go on with a run in a folder, and end with the same bits as if nothing had stopped it.
 
     Parameters
@@ -117,6 +119,8 @@ def resume(folder: str | PathLike[str], *, max_wall: float | None = None, progre
         That `simulate(..., folder=...)` or `lmpchain run -o FOLDER/` made; nothing is done to a finished one.
     max_wall, progress
         As for `simulate`.
+    ranks : int, optional
+        MPI ranks that share the column from here on, in LAMMPS; by default as the run began. The bits stay the same.
 
     Returns
     -------
@@ -125,7 +129,7 @@ def resume(folder: str | PathLike[str], *, max_wall: float | None = None, progre
     Raises
     ------
     InputError
-        If this is no run folder, or another process is at work in it.
+        If this is no run folder, another process is at work in it, or its engine cannot use these ranks.
     LmpchainError
         As for `simulate`.
     """
@@ -138,7 +142,7 @@ def resume(folder: str | PathLike[str], *, max_wall: float | None = None, progre
         if said["reason"] and not said["best_effort"]:
             raise ToleranceNotMet(said["reason"], trajectory)
         return trajectory
-    with RunFolder(folder, Requests(max_wall)) as output:
+    with RunFolder(folder, Requests(max_wall), ranks=ranks) as output:
         answer = _answer(output.task, output, progress)
     return _judged(output.task, *answer)
 

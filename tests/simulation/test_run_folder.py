@@ -216,7 +216,8 @@ def test_reading_while_the_run_goes_on_and_after_a_kill(tmp_path: Path):
     first = Scene(chain=LONG.chain, excitation=LONG.excitation, duration=LONG.duration / 1000, samples=11)
     there = simulate(first, lmpchain.engines.Native(step=1e-6))
     assert np.allclose(partial.velocity[:11], there.velocity, rtol=0, atol=1e-12)
-    assert status(folder)["state"] == "running", "a kill leaves no time to say otherwise"
+    assert json.loads((folder / "status.json").read_text())["state"] == "running", "a kill leaves no time to say more"
+    assert (status(folder)["state"], status(folder)["reason"]) == ("killed", "the process that was at work was killed")
 
 
 # --- who may work in it
