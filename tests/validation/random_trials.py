@@ -33,6 +33,7 @@ from lmpchain.engines.native import Native
 LONGEST = 60.0  # s of this process; a scene that takes longer is a finding
 LOW = 3.0  # an estimate below a third of the truth is one too
 ROUND = 2.3e-16  # two answers in double precision may differ by so much
+SAFE = 10.0  # by so much must the doubt about the reference be below what it decides
 FAMILIES = ("native", "step", "auto", "linear", "lammps")
 LOOSE = {"verlet": 1e-7, "gear4": 1e-8, "rkn4": 1e-11, "kahan-li6": 1e-12}  # least tolerance that makes sense
 ENDINGS = ("right", "above", "missed", "refused", "failed", "slow", "unresolved")
@@ -163,13 +164,16 @@ def judge(
             off = true.error(answer.displacement, answer.velocity)
             row |= {"true": off, "ratio": estimate / off if off else np.inf, "above": off - doubt > tolerance,
                     "low": off - doubt - ROUND > LOW * estimate}  # fmt: skip
-            sure = [abs(off - tolerance) > doubt, abs(off - LOW * estimate - ROUND) > doubt or off < ROUND]
+            sure = [
+                abs(off - tolerance) > SAFE * doubt,
+                abs(off - LOW * estimate - ROUND) > SAFE * doubt or off < ROUND,
+            ]
             clear |= all(sure[fixed:]) or doubt < ROUND
         if clear or tried <= finest:
             break
         tried = max(finest, 1e-4 * tried)
     if not clear:
-        return row
+        return row | {"low": False}
     if missed:
         return row | {"possible": possible(scene, true, tolerance, engine)}
     return row | {"ending": "above" if row["above"] and not fixed else "right"}
