@@ -16,7 +16,7 @@ from ..util.validation import NOT_GIVEN, Checked, OneOrMany, PositiveVector, Rea
 from .contacts import Contacts, hertz_constant
 from .impurities import Impurities, misfits, with_impurities
 from .materials import GLASS, Material, OneMaterial, OneOrManyMaterials
-from .plausible import remarks
+from .plausible import HERTZ_OVERLAP, remarks
 
 LEAST_GRAVITY = 1e-100  # m/s2
 LARGEST_OVERLAP = 0.1  # of the diameter: beyond it the Hertz law no longer describes a contact
@@ -109,7 +109,8 @@ class Chain(Checked):
             )
 
     def _remarks(self) -> Iterator[str]:
-        yield from remarks(self)
+        plain = self.exponent != 1.5 or self.plainly_below(HERTZ_OVERLAP)
+        yield from remarks(self.diameter, 0.0 if plain else (self.contacts.overlap / self.contact_lengths).max())
 
     def _misfits(self) -> Iterator[tuple[str, str]]:
         """Yield what does not fit together, so that no array can be filled in."""
@@ -168,7 +169,7 @@ class Chain(Checked):
         return np.array(kinds).T
 
     def plainly_below(self, limit: float) -> bool:
-        """Sufficient O(1) check: the whole weight squeezes the softest contact to no more of the diameter than this."""
+        """Sufficient O(1) check that no contact is squeezed to more of the diameter at rest."""
         if not self._alike:
             return False
         modulus, d, mass = self._kinds
@@ -333,7 +334,7 @@ class Chain(Checked):
         return float(np.sqrt(self.masses[0] / k)) if k > 0 else np.inf
 
     def excess_energy(self, displacement: Array, velocity: Array) -> Array:
-        """Energy above that of the chain at rest: kinetic, contacts, load and weight together, J.
+        """Energy (...) above that of the chain at rest: kinetic, contacts, load and weight, J.
 
         It is conserved by Eq. (1) and zero at rest; weak waves keep their relative accuracy.
 
@@ -341,10 +342,6 @@ class Chain(Checked):
         ----------
         displacement, velocity : (..., N) arrays
             m, positive downward; m/s.
-
-        Returns
-        -------
-        (...) array
         """
         contacts = self.contacts
         return 0.5 * (self.masses * velocity**2).sum(-1) + contacts.energy(contacts.closer(displacement)).sum(-1)

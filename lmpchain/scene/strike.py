@@ -42,7 +42,7 @@ def surroundings(chain: Chain, excitation: Excitation) -> tuple[int, Chain, Exci
 
 
 def squeezed(chain: Chain, excitation: Excitation) -> tuple[int, float]:
-    """Return the contact that is squeezed most at first, and its overlap over the mean diameter of its grains."""
+    """Return the contact that is squeezed most at first, and to what part of the diameter."""
     first, near, strike = surroundings(chain, excitation)
     relative = first_overlaps(near, strike) / near.contact_lengths
     worst = int(relative.argmax())
@@ -60,7 +60,7 @@ def strike_faults(excitation: Excitation, contact: int, relative: float) -> Iter
 
 
 def strike_remarks(chain: Chain, excitation: Excitation, relative: float) -> Iterator[str]:
-    """Yield what is hardly meant: overlaps where Hertz's law holds only roughly, grains faster than sound in them."""
+    """Yield what is hardly meant: overlaps beyond Hertz's law, grains faster than sound in them."""
     at_rest = float((chain.contacts.overlap / chain.contact_lengths).max()) if relative > HERTZ_OVERLAP else 0.0
     if chain.exponent == 1.5 and at_rest < HERTZ_OVERLAP < relative:
         yield f"{_strength(excitation)}: {beyond_hertz(relative)}"

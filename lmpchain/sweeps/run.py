@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 import shutil
 import warnings
 from collections.abc import Iterator, Mapping
@@ -78,7 +79,10 @@ def sweep(
     if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
         raise InputError([("workers", f"must be a whole number from 1 (got {workers!r})")])
     plan = read(source)
-    size = min(together(plan.engine, scene) for scene in plan.trials())
+    with warnings.catch_warnings(record=True, action="always") as remarks:
+        size = min(together(plan.engine, scene) for scene in plan.trials())
+    for remark in {re.sub(r"\d\S*", "", text): text for text in (str(w.message) for w in reversed(remarks))}.values():
+        warnings.warn(f"{remark}; perhaps in other scenes, too", stacklevel=2)
     folder = make_folder(folder).absolute()
     results = make_folder(folder / "scenes")
     with _alone(folder):

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 FINEST = {"long double": 1e-20, "double": 1e-17}  # tolerances of a step
-MOST_WORK = 2e9  # contacts times steps times order squared, some 15 s in extended precision
+MOST_WORK = 5e8  # contacts times steps times order squared, some 4 s in extended precision
 
 
 class Unresolved(ArithmeticError):

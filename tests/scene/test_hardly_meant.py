@@ -4,7 +4,7 @@ import warnings
 
 import pytest
 
-from lmpchain import GLASS, Chain, Impulse, Impurity, Profile, Scene, plan, simulate
+from lmpchain import GLASS, Chain, Impulse, Impurity, Profile, Scene, plan, simulate, sweep
 from lmpchain.cli import main
 
 CHAIN = Chain(grains=5, diameter=1e-3)
@@ -72,3 +72,10 @@ def test_the_command_line_says_it_once(tmp_path, capsys):
     assert capsys.readouterr().err.splitlines() == [
         "warning: diameter: 0.5 m is wide for a grain; diameters are in metres (1 mm is 1e-3)"
     ]
+
+
+def test_a_sweep_says_it_once(tmp_path):
+    swept = {"scene": struck(CHAIN, 1e-3), "keep": ["peak_velocity"], "tolerance": 1e-2}
+    grid = {"excitation.velocity": [20.0, 22.0, 25.0]}
+    (text,) = said(lambda: sweep(swept | {"grid": grid}, tmp_path))
+    assert text.startswith("velocity: a contact is squeezed to 0.012 of the diameter")
