@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 def errors(trajectory: Trajectory, reference: Reference) -> tuple[float, float]:
     """Return the relative errors of displacement and velocity.
 
-    Each is max|x - x_true| / max|x_true|, the numerator over all samples and recorded grains, the denominator over
-    all samples and all grains of the chain. It is NaN where the trajectory is.
+    Each is max|x - x_true| over all samples and recorded grains over the largest |x_true| of any grain of the chain
+    at any time of the run. It is NaN where the trajectory is.
 
     Raises
     ------
@@ -53,7 +53,7 @@ def _relative(trajectory: Trajectory, reference: Reference) -> tuple[Array, Arra
         raise InputError([("grains", f"{trajectory.scene.chain.grains} grains, but {grains} in the reference")])
     columns = trajectory.grains - 1
     pairs = (trajectory.displacement, reference.displacement), (trajectory.velocity, reference.velocity)
-    u, v = (np.abs(x - true[:, columns]).max(1) / (np.abs(true).max() or 1.0) for x, true in pairs)
+    u, v = (np.abs(x - true[:, columns]).max(1) / s for (x, true), s in zip(pairs, reference.scale, strict=True))
     return u, v
 
 
@@ -126,7 +126,8 @@ class Comparison:
         ]  # fmt: skip
         source = f"reference: {self.reference.method}; its own error is about {self.reference.error:.1e}"
         meaning = (
-            "error: max|x - x_true| / max|x_true| over samples and grains, the larger of displacement and velocity"
+            "error: max|x - x_true| over samples and grains over max|x_true| at any time, "
+            "the larger of displacement and velocity"
         )
         return "\n".join([*aligned([head, *body]), source, meaning])
 

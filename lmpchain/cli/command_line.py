@@ -17,6 +17,7 @@ from typing import Any, NoReturn
 
 from ..errors import InputError, LmpchainError
 from ..util import mpi
+from ..util.suggestions import did_you_mean
 from . import commands
 from .common import complain
 
@@ -114,7 +115,18 @@ def _show_warning(message: Warning | str, *_: Any) -> None:
 class _Parser(argparse.ArgumentParser):
     """Argument parser that reports faults like all others, without the usage message."""
 
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Complain of unknown arguments here, where the options of the verb are known."""
+        known, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            names = (name.partition("=")[0] for name in unknown)
+            meant = next(filter(None, (did_you_mean(name, self._option_string_actions) for name in names)), "")
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{meant}")
+        return known, unknown
+
     def error(self, message: str) -> NoReturn:
+        if choice := re.search(r"invalid choice: '(.*)' \(choose from (.*)\)", message):
+            message += did_you_mean(choice[1], re.findall(r"[\w/-]+", choice[2]))
         named = message.removeprefix("argument ")
         complain(f"{'arguments: ' if named == message else ''}{named}; see {self.prog} --help")
         sys.exit(2)

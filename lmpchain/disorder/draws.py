@@ -18,6 +18,7 @@ from ..chain.chain import Chain
 from ..errors import InputError
 from ..scene.scene import Scene
 from ..util.arrays import Array
+from ..util.suggestions import not_among
 
 Law = Literal["dyson", "paper"]
 Of = Literal["stiffness", "constant"]
@@ -118,8 +119,8 @@ def realisation(scene: Scene, m: float, seed: int, index: int = 0, law: Law = "d
         _fault_of_vacuum(scene.chain, of),
     )
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
-    chain = Chain.model_construct(**_redrawn(scene.chain, m, rng, law, of))
-    return Scene.model_construct(**(scene.given() | {"chain": chain}))
+    chain = Chain._unchecked(**_redrawn(scene.chain, m, rng, law, of))
+    return Scene._unchecked(**(scene.given() | {"chain": chain}))
 
 
 def _redrawn(chain: Chain, m: float, rng: np.random.Generator, law: Law, of: Of) -> dict[str, Any]:
@@ -157,7 +158,7 @@ def fault_of_whole(key: str, value: object, least: int) -> Fault:
 
 
 def _fault_of_choice(key: str, value: object, known: Sequence[str]) -> Fault:
-    return None if value in known else (key, f"must be {' | '.join(known)} (got {value!r})")
+    return None if value in known else (key, not_among(value, known))
 
 
 def _fault_of_vacuum(chain: Chain, of: Of) -> Fault:

@@ -140,6 +140,9 @@ class CompanionRun(Run):
         self._differences = np.zeros(shape) if state is None else state["differences"].copy()
         self.peaks = np.zeros((self.realisations, 2)) if state is None else state["peaks"].copy()
         self._sample = -1 if state is None else int(state["sample"])
+        apart = any(stepper.sample != max(self._sample, 0) for stepper in self._steppers)
+        if self._differences.shape != shape or self.peaks.shape != (self.realisations, 2) or apart:
+            raise ValueError("the state that was kept does not fit")
         self._rate = np.full(len(self._steppers), GUESSED_RATE / (self.realisations * grains * method.evaluations))
         self._integration_s = self._estimate_s = 0.0
         self._setup_s = time.perf_counter() - began
@@ -180,7 +183,7 @@ class CompanionRun(Run):
         count, samples = stop - first, np.arange(first, stop)
         u, v = self._u[0, :, :count], self._v[0, :, :count]
         peaks, energy, differences = compared(self._u, self._v, self._masses, count)
-        self.peaks = np.maximum(self.peaks, peaks)
+        self.peaks = np.maximum(np.maximum(self.peaks, peaks), self._native[0].largest())
         if not np.isfinite(energy).all():
             raise RunFailed(self._broke_down(first, "positions or velocities are no longer numbers"))
         if (energy > self._most_energy).any():

@@ -19,6 +19,7 @@ from ..integrators.step_schedule import StepSchedule
 from ..integrators.stepper import NativeStepper
 from ..scene.scene import Scene
 from ..util.arrays import EPSILON, Array
+from ..util.suggestions import not_among
 from .base import Candidate
 from .error_estimate import native_floor
 from .time_stepping import SAFE_STRAIN, TimeSteppingEngine
@@ -72,7 +73,7 @@ class Native(TimeSteppingEngine):
         if isinstance(threads, bool) or not isinstance(threads, int) or threads < 1:
             raise InputError([("threads", f"must be a whole number from 1 (got {threads!r})")])
         if force not in FORCES:
-            raise InputError([("force", f"must be {' | '.join(FORCES)} (got {force!r})")])
+            raise InputError([("force", not_among(force, FORCES))])
         self.threads, self.force, self.adaptive = threads, force, adaptive
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:

@@ -51,6 +51,11 @@ class Recording(Checked):
             return int(first), int(last)
         return min(self.grains), max(self.grains)
 
+    def count(self, chain: Chain) -> int:
+        """Return how many grains are recorded."""
+        first, last = self._ends(chain)
+        return len(self.grains) if isinstance(self.grains, tuple) else last - first + 1
+
     def numbers(self, chain: Chain) -> np.ndarray:
         """Return the recorded grains, (G,) numbers from 1."""
         if isinstance(self.grains, tuple):

@@ -20,7 +20,9 @@ from .base import Excitation
 from .excitation import Drive
 from .light_cone import reached
 from .recording import Recording
-from .strike import first_overlaps, strike_faults, surroundings
+from .strike import first_overlaps, squeezed, strike_faults, strike_remarks, surroundings
+
+LONGEST = 3600.0  # s: of a duration that may be meant
 
 
 class Scene(Recording):
@@ -59,8 +61,17 @@ class Scene(Recording):
 
     def _faults(self) -> Iterator[tuple[str, str]]:
         misfits = list(self.excitation.faults(self.chain, self.duration))
-        yield from misfits or strike_faults(self.chain, self.excitation)
+        yield from misfits or strike_faults(self.excitation, *self._squeezed)
         yield from self.faults(self.chain)
+
+    def _remarks(self) -> Iterator[str]:
+        if self.duration > LONGEST:
+            yield f"duration: {self.duration:g} s is long for a wave in a chain; times are in seconds (100 us is 1e-4)"
+        yield from strike_remarks(self.chain, self.excitation, self._squeezed[1])
+
+    @cached_property
+    def _squeezed(self) -> tuple[int, float]:
+        return squeezed(self.chain, self.excitation)
 
     @property
     def time(self) -> Array:
@@ -147,7 +158,7 @@ class Scene(Recording):
 
     def part(self, first: int, last: int) -> Scene:
         """Return grains first ... last, all recorded, as a scene: right until a wave meets their ends."""
-        return Scene(
+        return Scene._unchecked(  # a part of a valid scene is valid
             chain=self.chain.part(first, last),
             excitation=self.excitation.part(first, last),
             duration=self.duration,
@@ -160,14 +171,20 @@ class Scene(Recording):
         return cls(**toml_file.read(path))
 
     @classmethod
-    def from_dict(cls, tables: dict[str, Any], folder: Path = Path()) -> Self:
-        """Make a scene from the tables of a scene file, whose CSV files lie in `folder`; raises `InputError`."""
+    def from_dict(cls, tables: dict[str, Any], folder: Path | None = Path()) -> Self:
+        """Make a scene from the tables of a scene file, whose CSV files lie in `folder`; raises `InputError`.
+
+        Without a folder the tables may name no files.
+        """
         return cls(**toml_file.fields(tables, folder))
 
     @classmethod
     def from_text(cls, text: str) -> Self:
-        """Make a scene from the text of a file; raises `InputError`, or `ValueError` if it is not TOML."""
-        return cls.from_dict(tomllib.loads(text))
+        """Make a scene from the text of a file that names no other file.
+
+        Raises `InputError`, or `ValueError` if it is not TOML.
+        """
+        return cls.from_dict(tomllib.loads(text), None)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the tables of a scene file."""

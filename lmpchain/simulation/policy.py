@@ -12,6 +12,7 @@ from ..engines.base import Candidate, Engine, ErrorBudget
 from ..engines.step_control import Attempt, first_attempt, loosened
 from ..errors import InputError, ToleranceNotMet
 from ..scene.scene import Scene
+from ..util.suggestions import not_among
 from .selection import Proposal, cheapest, propose_all, reason
 
 AUTO = "auto"
@@ -158,7 +159,7 @@ def policy_for(engine: str | Engine, **options: Any) -> Policy:
     if engine == AUTO and not options:
         return Auto()
     if isinstance(engine, str) and engine not in (AUTO, *engines.names()):
-        raise InputError([("engine", f"must be {' | '.join((AUTO, *engines.names()))} (got {engine!r})")])
+        raise InputError([("engine", not_among(engine, (AUTO, *engines.names())))])
     return Named(engines.get("native" if engine == AUTO else engine, **options))
 
 

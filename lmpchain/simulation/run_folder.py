@@ -144,6 +144,8 @@ class RunFolder:
             else:
                 self.task = tasks.read(self.path, self._ranks)
                 self._find()
+                with suppress(InputError, LookupError):  # what the sessions before did after their last checkpoint
+                    self._before["wall_s"] = max(self._before["wall_s"], float(status(self.path)["wall_s"]))
                 self._say("running")
         except BaseException:
             self._lock.release()
@@ -164,7 +166,7 @@ class RunFolder:
         """Find the newest checkpoint that is whole, and whose samples are there."""
         lost = False
         for checkpoint in checkpoints.load(self.path):
-            if checkpoint and store.usable(self.path, checkpoint.notes["samples"]):
+            if checkpoint and store.usable(self.path, self.task.scene, checkpoint.notes["samples"]):
                 notes, self._state = checkpoint
                 self.attempt, self.samples, self._before = _attempt(notes), notes["samples"], notes["spent"]
                 break

@@ -15,7 +15,7 @@ from .. import engines
 from ..errors import InputError
 from ..scene.scene import Scene
 from ..util import mpi
-from ..util.files import replacing
+from ..util.files import check_tree, replacing
 from ..util.provenance import session
 from .policy import Named, Policy, policy_for
 
@@ -56,6 +56,10 @@ def check_run(folder: str | PathLike[str]) -> Path:
     """Return the path of a run folder; raises `InputError` if it is none."""
     if not is_run(folder):
         raise InputError([(str(folder), "is no run folder; lmpchain run SCENE.toml -o FOLDER/ makes one")])
+    try:
+        check_tree(Path(folder))
+    except OSError as error:
+        raise InputError([(str(folder), error.strerror)]) from None
     return Path(folder)
 
 
@@ -123,6 +127,7 @@ def read(folder: Path, ranks: int | None = None) -> Task:
     if ranks is not None or (mpi.joined() and "ranks" in options):  # those of mpirun serve
         options["ranks"] = ranks
     policy = policy_for(asked["engine"], **options)
+    check_kept(policy)  # no commands of whoever wrote this folder
     if reasons := policy.refuses(scene):
         raise InputError(reasons)
     now = _session(options)

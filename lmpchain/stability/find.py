@@ -177,4 +177,4 @@ def _too_long(scene: Scene) -> bool:
 
 def _times(scene: Scene, factor: float) -> Scene:
     """Return the scene with an excitation that is so many times as strong."""
-    return Scene(**scene.given() | {"excitation": scene.excitation.scaled(factor)})
+    return scene.replace(excitation=scene.excitation.scaled(factor))

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..errors import InputError
 from ..scene.scene import Scene
 from ..util.arrays import Array
-from .record import FIELDS, FORMAT, Cost, ErrorEstimate, Record
+from .record import Record, told
 
 if TYPE_CHECKING:
     import xarray
@@ -132,39 +131,27 @@ class Trajectory(Record):
         The arrays of a run folder stay on the disk and are read on demand. Of an unfinished run, the complete samples
         are returned with an infinite error estimate.
         """
-        from . import netcdf
-        from .zarr_store import NAME, OnDisk, open_dataset
+        from . import netcdf, zarr_store
 
         path = Path(path)
         folder = os.path.isdir(path)  # never raises
-        if folder and not (path / NAME).is_dir():
+        if folder and not (path / zarr_store.NAME).is_dir():
             raise InputError([(str(path), "is a folder without a run in it, or with one that has no samples yet")])
         if not folder and not os.path.isfile(path):
-            raise InputError([(str(path), "there is no such file")])
+            there = os.path.lexists(path)
+            raise InputError([(str(path), "is no file, but a device or a pipe" if there else "there is no such file")])
         try:
-            data = open_dataset(path) if folder else netcdf.read(path)
-            if data.attrs["lmpchain_format"] != FORMAT:
-                raise ValueError("of another version")
-            scene = Scene.from_text(data.attrs["scene"])
-            shape = (data.sizes["time"] if folder else scene.samples, scene.recorded.size)
-            if any(data[name].shape != shape for name in FIELDS):
-                raise ValueError(f"its arrays are not {shape[0]} samples of {shape[1]} grains")
-            if not (
-                np.array_equal(data["time"], scene.time[: shape[0]]) and np.array_equal(data["grain"], scene.recorded)
-            ):
+            about, scene, arrays = zarr_store.read(path) if folder else netcdf.read(path)
+            time = arrays["time"]
+            if not (np.array_equal(time, scene.time[: time.size]) and np.array_equal(arrays["grain"], scene.recorded)):
                 raise ValueError("its times or grains are not those of its scene")
-            fields = {name: OnDisk(data[name].variable) if folder else data[name].to_numpy() for name in FIELDS}
-            estimate = ErrorEstimate(float(data.attrs["model_error"]), float(data.attrs["solver_error"]))
             return cls(
                 scene=scene,
-                engine=data.attrs["engine"],
-                equation=int(data.attrs["equation"]),
-                time=data["time"].to_numpy(),
-                grains=data["grain"].to_numpy(),
-                error_estimate=estimate,
-                cost=Cost(**json.loads(data.attrs["cost"])),
-                provenance=json.loads(data.attrs["provenance"]),
-                **cast(Mapping[str, Array], fields),
+                time=time,
+                grains=arrays["grain"],
+                displacement=arrays["displacement"],
+                velocity=arrays["velocity"],
+                **told(about),
             )
         except Exception as error:  # whatever a damaged file makes the readers raise
             raise InputError(

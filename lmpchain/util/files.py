@@ -9,9 +9,11 @@ import platform
 import re
 import secrets
 import stat
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
+from io import BytesIO
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -70,6 +72,20 @@ def check_readable(path: Path, largest: int) -> None:
         raise OSError(errno.EFBIG, f"is larger than {largest / 2**20:.0f} MB")
 
 
+def check_tree(folder: Path) -> None:
+    """Raise `OSError` unless this is a folder of folders and regular files, without a link to anywhere."""
+    if folder.is_symlink():
+        raise OSError(errno.EINVAL, f"{folder.name} is a link; name what it points to")
+    for at, folders, files in os.walk(folder):
+        for name in (*folders, *files):
+            try:
+                mode = os.lstat(os.path.join(at, name)).st_mode
+            except FileNotFoundError:  # just renamed, by a run that goes on
+                continue
+            if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+                raise OSError(errno.EINVAL, f"{name} in it is a link, a device or a pipe, which no run folder holds")
+
+
 @contextmanager
 def write_aside(path: str | PathLike[str]) -> Iterator[Path]:
     """Write a user's file atomically, as `replacing` does.
@@ -106,6 +122,23 @@ def check_seal(path: Path) -> None:
     end = content[-length:].tobytes()
     if SEAL in end and end != seal(content[:-length]):
         raise ValueError("it is not as it was written")
+
+
+def unpack(content: bytes | memoryview) -> dict[str, np.ndarray]:
+    """Return the arrays that `numpy.savez` packed: plain ones, as large as their bytes; raises if there are others."""
+    arrays = {}
+    with zipfile.ZipFile(BytesIO(content)) as packed:
+        if any(item.compress_type != zipfile.ZIP_STORED for item in packed.infolist()):
+            raise ValueError("it holds compressed arrays")
+        for name in packed.namelist():
+            data = BytesIO(packed.read(name))
+            np.lib.format.read_magic(data)
+            shape, columns_first, dtype = np.lib.format.read_array_header_1_0(data)
+            if dtype.hasobject or columns_first:
+                raise ValueError("it holds arrays that are not plain")
+            numbers = np.frombuffer(data.read(), dtype).reshape(shape)
+            arrays[name.removesuffix(".npy")] = numbers.copy()
+    return arrays
 
 
 def make_folder(path: str | PathLike[str]) -> Path:

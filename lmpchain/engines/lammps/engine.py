@@ -20,6 +20,7 @@ from ...integrators.step_schedule import StepSchedule
 from ...scene.scene import Scene
 from ...util.arrays import Array
 from ...util.files import make_folder
+from ...util.suggestions import not_among
 from ..base import Candidate, ErrorBudget, Run
 from ..error_estimate import CompanionRun
 from ..native import Native
@@ -100,7 +101,7 @@ class Lammps(TimeSteppingEngine):
         super().__init__(integrator or ("rkn6" if template is None and include is None else "verlet"), step)
         for key, value, known in (("diameter", diameter, DIAMETERS), ("pair_style", pair_style, PAIR_STYLES)):
             if value not in known:
-                raise InputError([(key, f"must be {' | '.join(known)} (got {value!r})")])
+                raise InputError([(key, not_among(value, known))])
         self.diameter, self.pair_style = diameter, pair_style
         if ranks is not None and (isinstance(ranks, bool) or not isinstance(ranks, int) or ranks < 1):
             raise InputError([("ranks", f"must be a whole number from 1 (got {ranks!r})")])

@@ -10,7 +10,6 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.optimize import least_squares
 
-from ...chain.chain import Chain
 from ...chain.materials import Material
 from ...errors import InputError
 from ...scene.excitation import Impulse
@@ -268,8 +267,8 @@ def _changed(scene: Scene, parameter: Parameter, value: float) -> dict[str, Any]
         return {"excitation": Impulse(velocity=value, grain=given.grain)}  # type: ignore[attr-defined]
     changed: dict[str, Any] = {"top_load": value}
     if parameter == "youngs_modulus":
-        changed = {"material": Material(**chain.material.given() | {"youngs_modulus": value})}  # type: ignore[union-attr]
-    return {"chain": Chain(**chain.given() | changed)}
+        changed = {"material": chain.material.replace(youngs_modulus=value)}  # type: ignore[union-attr]
+    return {"chain": chain.replace(**changed)}
 
 
 def _times(scene: Scene, wanted: Array) -> Array:
