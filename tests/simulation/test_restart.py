@@ -1,6 +1,7 @@
 """Stopped at any block, a run goes on and ends with the bits that it would have had."""
 
 import itertools
+import json
 import os
 import random
 from itertools import pairwise
@@ -152,3 +153,25 @@ def test_a_changed_scene_is_refused_in_one_line(stopped: Path):
             resume(stopped)
         (stopped / name).write_text(before)
     assert same(resume(stopped), simulate(SHORT, "native", 1e-2))
+
+
+def test_ranks_are_for_engines_that_can_use_them(stopped: Path):
+    with pytest.raises(InputError, match="ranks: the engine native runs on one"):
+        resume(stopped, ranks=2)
+    assert same(resume(stopped), simulate(SHORT, "native", 1e-2))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["lammps", "lammps, driven"])
+def test_another_number_of_ranks_gives_the_same_bits(case: str, tmp_path: Path):
+    scene, engine, tolerance = STOPPED[case]
+    with pytest.raises(Stopped):
+        simulate(scene, engine, tolerance, folder=tmp_path / "run", max_wall=1e-9)
+    with pytest.raises(InputError, match="ranks: must be at most one a grain"):
+        resume(tmp_path / "run", ranks=1000)
+    with pytest.raises(Stopped):
+        resume(tmp_path / "run", ranks=2, max_wall=1e-9)
+    answer = resume(tmp_path / "run", ranks=1)
+    assert same(answer, simulate(scene, engine, tolerance))
+    sessions = json.loads((tmp_path / "run" / "run.json").read_text())["sessions"]
+    assert [session["ranks"] for session in sessions] == [1, 2, 1]
