@@ -164,7 +164,7 @@ class ClosedFormRun(Run):
         return replace(
             cost,
             integration_s=self._formula_s,
-            estimate_s=cost.integration_s,
+            estimate_s=cost.integration_s + cost.estimate_s,
             force_evaluations=0,
             integrator=self._engine.name,
         )

@@ -200,7 +200,7 @@ class LinearRun(Run):
         ]
         self._rows: NDArray[np.intp] = scenes[0].recorded - 1
         self._between = [np.zeros(0) if dense(scene) else evaluation_times(scene) for scene in scenes]
-        self._integration_s = 0.0
+        self._integration_s = self._estimate_s = 0.0
         self._setup_s = clock() - began
 
     def blocks(self) -> Iterator[Block]:
@@ -212,7 +212,7 @@ class LinearRun(Run):
             here = slice(self._sample, min(self._sample + size, self._scene.samples))
             before = times[self._sample - 1] if self._sample else -1.0
             shape = (len(self._solutions), here.stop - here.start, self._rows.size)
-            block = Block(here, np.empty(shape), np.empty(shape))
+            block, evaluated = Block(here, np.empty(shape), np.empty(shape)), 0
             for real, (solution, error) in enumerate(zip(self._solutions, self._phase_errors, strict=True)):
                 extra = self._between[real]
                 extra = extra[(extra > before) & (extra < times[here.stop - 1])]
@@ -220,13 +220,15 @@ class LinearRun(Run):
                 wanted = (
                     np.isin(moments, times[here], assume_unique=True) if extra.size else np.ones(moments.size, bool)
                 )
-                place = 0
+                place, evaluated = 0, evaluated + moments.size
                 for part, u, v in _followed(solution, error, moments, wanted, max(1, BLOCK_VALUES // grains)):
                     which, into = np.ix_(wanted[part], self._rows), slice(place, place + int(wanted[part].sum()))
                     block.displacement[real, into], block.velocity[real, into] = u[which], v[which]
                     place = into.stop
             self._sample = here.stop
-            self._integration_s += clock() - began
+            took, asked = clock() - began, (here.stop - here.start) * len(self._solutions)
+            self._integration_s += took * asked / evaluated
+            self._estimate_s += took * (1 - asked / evaluated)
             yield block
 
     @property
@@ -247,7 +249,7 @@ class LinearRun(Run):
         """Return what it has cost so far."""
         return Cost(
             integration_s=self._integration_s,
-            estimate_s=0.0,
+            estimate_s=self._estimate_s,
             setup_s=self._setup_s,
             steps=self._scene.samples - 1,
             force_evaluations=sum(solution.work for solution in self._solutions),
