@@ -128,7 +128,7 @@ def main(quick: bool = False) -> list[Row]:
             DOUBT,
             quantile(doubt, 0.99),
             quantile(doubt, 0.99),
-            max(*alone, DOUBT * 1e-9),
+            3 * max(alone),
             f"true error over estimate: half {quantile(alone, 0.5):.2g}, "
             f"95 % {quantile(alone, 0.95):.2g}; {broken} of {len(found)} "
             "bounds broken",
@@ -138,7 +138,7 @@ def main(quick: bool = False) -> list[Row]:
             WANDER,
             quantile(wander, 0.99),
             quantile(wander, 0.99),
-            1.5 * max(apart),
+            3 * max(apart),
             f"true error over strains added like random steps: half {quantile(apart, 0.5):.2g}, "
             f"95 % {quantile(apart, 0.95):.2g}",
         ),

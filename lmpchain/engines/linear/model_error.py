@@ -23,6 +23,7 @@ SMALL = 1024  # values of one chain for which more of them cost next to nothing
 # where contacts may open: evaluations in a unit of 1 / highest frequency, the most of them, and the most values
 RESOLVED, MOST_TIMES, MOST_VALUES = 2.0, 2**18, 2**22
 OPEN = -0.99  # strain, known to 1e-2 from evaluations so close, at which a contact counts as open
+GRAZES = 1e-3  # of the largest velocity, which a contact that opens so little may take
 # analysis/calibration/linear_model_error.py measures the next ones
 AT_ONCE = 0.25  # of (delta - 1) s: the distortion that no phase accounts for
 DOUBT = 3.0  # true error over the estimate
@@ -102,7 +103,8 @@ class PhaseError:
             return 0.0
         by_phase = (self.state[OFF] / self.scale).max()
         at_once = AT_ONCE * self._excess * self.state[kernel.MOST_STRAIN] * self._begun
-        return float(max(by_phase, at_once) + self.state[kernel.PULLED] / v)
+        grazes = 0.0 if np.isnan(self.state[kernel.OPENED]) else GRAZES
+        return float(max(by_phase, at_once) + max(self.state[kernel.PULLED] / v, grazes))
 
     def _strays(self, frequency: float) -> float:
         """Return the strains added up as if the phases that they shift went at random."""

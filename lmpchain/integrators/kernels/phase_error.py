@@ -69,7 +69,7 @@ def accumulate(
                 largest = strain
             if lowest <= open_at and np.isnan(state[OPENED]):
                 state[OPENED] = first + n
-            held = stiffness[first + n] / inverse_overlap[first + n] * (-1.0 - strain) if strain < -1.0 else 0.0
+            held = stiffness[first + n] / inverse_overlap[first + n] * (-1.0 - lowest) if lowest < -1.0 else 0.0
             if n > 0:
                 displacement, velocity = max(displacement, abs(u[n - 1])), max(velocity, abs(v[n - 1]))
                 fastest = max(fastest, abs(a[n]))
