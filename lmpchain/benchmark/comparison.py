@@ -69,8 +69,8 @@ class Row:
         As `error` and `errors` give them.
     expected_error : float
         `Trajectory.error_estimate.total`, the engine's own estimate.
-    integration_s : float
-        s.
+    integration_s, compile_s : float
+        s; what is compiled or loaded, the first time, is no part of the integration.
     steps, force_evaluations : int
     """
 
@@ -84,6 +84,7 @@ class Row:
     integration_s: float
     steps: int
     force_evaluations: int
+    compile_s: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,6 +160,7 @@ def compare(trajectories: Sequence[Trajectory], reference: Reference) -> Compari
                 integration_s=answer.cost.integration_s,
                 steps=answer.cost.steps,
                 force_evaluations=answer.cost.force_evaluations,
+                compile_s=answer.cost.compile_s,
             )
         )
     return Comparison(reference, tuple(trajectories), tuple(rows))

@@ -132,7 +132,7 @@ def _summary(trajectory: Trajectory, tolerance: float, path: Path) -> str:
         "integrator": f"{cost.integrator}, {cost.steps} steps of {cost.step_s:.4g} s",
         "estimated error": f"{error.total:.2g}{parts} (tolerance {tolerance:g})",
         "time spent": f"{cost.integration_s:.3g} s integration, {cost.estimate_s:.3g} s error estimate, "
-        f"{cost.setup_s:.3g} s set-up",
+        f"{cost.setup_s:.3g} s set-up, {cost.compile_s:.3g} s compilation",
         "folder" if path.is_dir() else "file": str(path),
     }
     return "\n".join(aligned(lines.items()))

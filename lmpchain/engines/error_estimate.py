@@ -10,7 +10,6 @@ they differ by is round-off, measured.
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Protocol, cast
 
@@ -26,6 +25,7 @@ from ..integrators.stepper import NativeStepper
 from ..scene.scene import Scene
 from ..trajectory.record import Block, Cost
 from ..util.arrays import EPSILON, Array
+from ..util.compilation import clock
 from .base import Candidate, ErrorBudget, Run
 
 PIECE_S = 0.1  # longest stretch of work between two opportunities to stop
@@ -104,7 +104,7 @@ class CompanionRun(Run):
         state: Mapping[str, Array] | None,
         twin: bool,
     ):
-        began = time.perf_counter()
+        began = clock()
         self.method, self.scene, self.candidate = method, scenes[0], candidate
         self._rows: NDArray[np.intp] = scenes[0].recorded - 1
         kept = _unpack(state)
@@ -155,7 +155,7 @@ class CompanionRun(Run):
             raise ValueError("the state that was kept does not fit")
         self._rate = np.full(len(self._steppers), GUESSED_RATE / (self.realisations * grains * method.evaluations))
         self._integration_s = self._estimate_s = 0.0
-        self._setup_s = time.perf_counter() - began
+        self._setup_s = clock() - began
 
     def blocks(self) -> Iterator[Block]:
         """Yield the answer; samples that a restored state already had are not repeated."""
@@ -175,9 +175,9 @@ class CompanionRun(Run):
         stepper, u, v = self._steppers[index], self._u[index], self._v[index]
         while True:
             max_steps = max(1, int(self._rate[index] * PIECE_S))
-            began = time.perf_counter()
+            began = clock()
             done = stepper.fill(u, v, first, until, max_steps)
-            took = time.perf_counter() - began
+            took = clock() - began
             self._rate[index] = done / max(took, 1e-9)
             if index == 0:
                 self._integration_s += took
@@ -189,7 +189,7 @@ class CompanionRun(Run):
 
     def _keep(self, first: int, stop: int) -> Block:
         """Check the samples first ... stop - 1 of the answer, and keep its differences from the companions."""
-        began = time.perf_counter()
+        began = clock()
         count, samples = stop - first, np.arange(first, stop)
         u, v = self._u[0, :, :count], self._v[0, :, :count]
         peaks, energy, differences = compared(self._u, self._v, self._masses, count)
@@ -202,7 +202,7 @@ class CompanionRun(Run):
             stops = (samples % right.stride == 0) | (samples == self.scene.samples - 1)
             self._differences[index, samples[stops]] = differences[index, stops]
         self._sample = stop - 1
-        self._estimate_s += time.perf_counter() - began
+        self._estimate_s += clock() - began
         return Block(slice(first, stop), u[:, :, self._rows], v[:, :, self._rows])
 
     def _broke_down(self, sample: int, what: str) -> str:

@@ -145,6 +145,27 @@ class Scene(Recording):
         return float((closer / pressed).max()) * 1.05  # an opening contact is a little softer
 
     @cached_property
+    def linear_strain(self) -> float:
+        """A bound on |r / eps| of every contact of the linear chain at any time; infinite where there is none.
+
+        Of the energy E put in, a contact that is stretched by r takes at least ``r^2 / 2c``. Its compliance c is 1/k
+        or, between two ends that stand still, where the others must give way, ``(1 - (1/k) / sum 1/k) / k``.
+        """
+        chain, contacts, excitation = self.chain, self.chain.contacts, self.excitation
+        k, pressed = contacts.stiffness, contacts.pressed
+        if not (pressed == contacts.exists).all() or not pressed.any():
+            return np.inf
+        compliance = np.divide(1.0, k, out=np.zeros(k.size), where=pressed)
+        if excitation.does_work:
+            norm = excitation.energy_norm(chain, self.duration)  # sqrt(2 E)
+        else:
+            u, v = self.initial()
+            norm = float(np.sqrt((chain.masses * v**2).sum() + (k * contacts.closer(u) ** 2).sum()))
+            if pressed[0]:
+                compliance *= 1 - compliance / compliance.sum()
+        return float(norm * (np.sqrt(compliance[pressed]) / contacts.overlap[pressed]).max())
+
+    @cached_property
     def light_cone(self) -> LightCone:
         """The grains that the wave can have reached when the scene ends, as a scene of their own."""
         first, last = reached(self.chain, self.excitation, self.energy, self.duration)

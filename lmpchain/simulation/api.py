@@ -20,6 +20,7 @@ from ..scene.scene import LightCone, Scene
 from ..trajectory.record import Block
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
+from ..util.compilation import clock
 from ..util.progress import RATE, ProgressBar
 from ..util.provenance import versions
 from .policy import policy_for, record
@@ -154,7 +155,7 @@ def _answer(task: Task, output: _Memory | RunFolder, progress: bool) -> tuple[Tr
     with output.requests:
         while True:
             outcome = _solve(task, output.prepare(policy.engine(attempt)), attempt, output, progress)
-            began, cost = time.perf_counter(), outcome.cost
+            began, cost = clock(), outcome.cost
             try:
                 following = policy.fallback(scene, outcome.attempt, outcome.error)
             except ToleranceNotMet as refusal:
@@ -162,9 +163,11 @@ def _answer(task: Task, output: _Memory | RunFolder, progress: bool) -> tuple[Tr
                 break
             if not following:
                 break
-            planned_s = cost.setup_s + time.perf_counter() - began
+            planned_s = cost.setup_s + clock() - began
             spent_s = cost.integration_s + cost.estimate_s
-            attempt = replace(following, refusal=attempt.refusal, planned_s=planned_s, spent_s=spent_s)
+            attempt = replace(
+                following, refusal=attempt.refusal, planned_s=planned_s, spent_s=spent_s, compiled_s=cost.compile_s
+            )
     return output.finish(outcome), outcome
 
 
@@ -190,9 +193,10 @@ def _judged(task: Task, trajectory: Trajectory, outcome: Outcome[Any]) -> Trajec
     """Return the trajectory, or raise `ToleranceNotMet`."""
     if "redone" in trajectory.provenance:
         warnings.warn(trajectory.provenance["redone"], stacklevel=3)
-    model = trajectory.error_estimate.model
+    model, bound = trajectory.error_estimate.model, outcome.error.model_bound
     if model > task.tolerance:
-        left_out = f"Eq. ({trajectory.equation}) leaves out about {model:.2g} of the answer"
+        most = f" (at most {bound:.2g})" if bound > model else ""
+        left_out = f"Eq. ({trajectory.equation}) leaves out about {model:.2g} of the answer{most}"
         warnings.warn(f"{left_out}, more than {task.tolerance:g}. {outcome.error.remark}".rstrip(". "), stacklevel=3)
     if outcome.missed and not task.best_effort:
         raise ToleranceNotMet(outcome.missed, trajectory)

@@ -52,7 +52,10 @@ class ErrorEstimate:
 
 @dataclass(frozen=True)
 class Cost:
-    """Computing time, steps and force evaluations of a trajectory."""
+    """Computing time, steps and force evaluations of a trajectory.
+
+    What is compiled, once on a machine, or loaded from what was compiled there before, is counted as `compile_s` alone.
+    """
 
     integration_s: float
     estimate_s: float
@@ -63,6 +66,12 @@ class Cost:
     integrator: str
     step_s: float
     ranks: int
+    compile_s: float = 0.0
+
+    @property
+    def total_s(self) -> float:
+        """All of the time but that of compilation, s."""
+        return self.integration_s + self.estimate_s + self.setup_s
 
 
 class Block(NamedTuple):
