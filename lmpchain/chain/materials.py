@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field
 
+from ..errors import shown
 from ..util.validation import Checked, Positive, Real
 
 
@@ -67,7 +68,7 @@ def _one_material(value: Any) -> Material:
     if isinstance(value, str) and value in MATERIALS:
         return MATERIALS[value]
     raise ValueError(
-        f"no material is called {value!r}; use {', '.join(MATERIALS)}, "
+        f"no material is called {shown(value)}; use {', '.join(MATERIALS)}, "
         "or give density, youngs_modulus and poissons_ratio"
     )
 

@@ -7,18 +7,22 @@ before the run was, 130 after Ctrl-C, 143 after SIGTERM.
 from __future__ import annotations
 
 import argparse
+import os
 import re
 import signal
 import sys
 import threading
 import warnings
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any, NoReturn
 
-from ..errors import InputError, LmpchainError
+from ..errors import LONGEST, InputError, LmpchainError, short, shown
 from ..util import mpi
 from . import commands
 from .common import complain
+
+NO_READER = 128 + signal.SIGPIPE  # what a shell says of tools that SIGPIPE ends
 
 
 class _Terminated(BaseException):
@@ -34,7 +38,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         Arguments without the name of the program; those of the process by default.
     """
     if mpi.launched() == 1:
-        return _main(argv)
+        return _piped(argv)
     try:
         world = mpi.join()
     except LmpchainError as error:
@@ -46,9 +50,30 @@ def main(argv: Sequence[str] | None = None) -> int:
         worker_loop(world)
         return 0
     try:
-        return _main(argv)
+        return _piped(argv)
     finally:
         shutdown_workers(world)
+
+
+def _piped(argv: Sequence[str] | None) -> int:
+    """Run the command line; where nobody reads on, as behind `| head`, end without a word."""
+    try:
+        code = _main(argv)
+        for stream in (sys.stdout, sys.stderr):
+            if stream is not None:  # as it is where it was closed
+                stream.flush()
+        return code
+    except BrokenPipeError:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        for stream in (sys.stdout, sys.stderr):  # what is left in them is flushed at exit
+            with suppress(AttributeError, OSError, ValueError):
+                os.dup2(nowhere, stream.fileno())
+        return NO_READER
+    except OSError as error:  # such as a full disk behind stdout
+        with suppress(OSError, ValueError):
+            sys.stdout.close()
+        complain(str(error))
+        return 1
 
 
 def _main(argv: Sequence[str] | None) -> int:
@@ -68,7 +93,9 @@ def _main(argv: Sequence[str] | None) -> int:
     except LmpchainError as error:
         complain(str(error))
         return 1
-    except OSError as error:  # such as a full disk behind stdout
+    except BrokenPipeError:
+        raise
+    except OSError as error:
         complain(str(error))
         return 1
     except KeyboardInterrupt:
@@ -115,8 +142,9 @@ class _Parser(argparse.ArgumentParser):
     """Argument parser that reports faults like all others, without the usage message."""
 
     def error(self, message: str) -> NoReturn:
-        named = message.removeprefix("argument ")
-        complain(f"{'arguments: ' if named == message else ''}{named}; see {self.prog} --help")
+        brief = re.sub(rf"\S{{{LONGEST},}}", lambda match: short(match[0]), message)
+        named = brief.removeprefix("argument ")
+        complain(f"{'arguments: ' if named == brief else ''}{named}; see {self.prog} --help")
         sys.exit(2)
 
 
@@ -276,7 +304,7 @@ def _duration(text: str) -> float:
     hours, minutes, seconds = match.groups() if match else (None, None, 0)
     total = 3600 * int(hours or 0) + 60 * int(minutes or 0) + float(seconds)
     if not total or (hours and float(seconds) >= 60):
-        raise argparse.ArgumentTypeError(f"must be a time above 0, as H:MM:SS or in seconds (got {text!r})")
+        raise argparse.ArgumentTypeError(f"must be a time above 0, as H:MM:SS or in seconds (got {shown(text)})")
     return total
 
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import InputError
-from .common import PICTURES, beside, gather, keep, output, read
+from .common import PICTURES, beside, gather, keep, on_terminal, output, read
 
 if TYPE_CHECKING:
     from ..trajectory.trajectory import Trajectory
@@ -28,7 +27,7 @@ def dyson(arguments: argparse.Namespace) -> int:
         lambda: orders(arguments.m),
     )
     result = sums(run, m)
-    chains = at_the_end(run.scene, m, arguments.realisations, arguments.seed, progress=sys.stderr.isatty())
+    chains = at_the_end(run.scene, m, arguments.realisations, arguments.seed, progress=on_terminal())
     print(result.table(*chains))
     keep(result, numbers, picture, *chains)
     return 0

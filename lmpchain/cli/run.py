@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from ..errors import InputError, ToleranceNotMet, check_tolerance
 from ..util import mpi
 from ..util.tables import aligned
-from .common import beside, complain, gather, output, read
+from .common import beside, complain, gather, on_terminal, output, read
 
 if TYPE_CHECKING:
     from ..simulation.policy import Policy
@@ -54,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
             scene,
             policy.chosen or policy.name,
             arguments.tolerance,
-            progress=sys.stderr.isatty(),
+            progress=on_terminal(),
             folder=path if whole else None,
             max_wall=arguments.max_wall,
         ),
@@ -73,7 +73,7 @@ def resume(arguments: argparse.Namespace) -> int:
     if about["state"] == "finished":
         print(f"{arguments.folder}: this run is finished; there is nothing left to do")
     return _told(
-        lambda: resume(arguments.folder, max_wall=arguments.max_wall, progress=sys.stderr.isatty()),
+        lambda: resume(arguments.folder, max_wall=arguments.max_wall, progress=on_terminal()),
         about["tolerance"],
         Path(arguments.folder),
     )
@@ -166,7 +166,7 @@ def sweep(arguments: argparse.Namespace) -> int:
     folder, cores = arguments.output, len(os.sched_getaffinity(0))
     workers = cores if arguments.workers is None else arguments.workers
     with dask(arguments.scheduler) if arguments.scheduler else nullcontext() as executor:
-        results = sweep(arguments.sweep, folder, workers=workers, executor=executor, progress=sys.stderr.isatty())
+        results = sweep(arguments.sweep, folder, workers=workers, executor=executor, progress=on_terminal())
     reasons = [reason for reason in results["reason"].to_numpy().flat if reason]
     print(f"{results['reason'].size - len(reasons)} of {results['reason'].size} scenes are answered in {folder}")
     if reasons:

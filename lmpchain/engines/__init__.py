@@ -6,7 +6,7 @@ from importlib import import_module
 from inspect import signature
 from typing import TYPE_CHECKING, Any
 
-from ..errors import InputError
+from ..errors import InputError, shown
 from .base import Engine
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def get(engine: str | Engine, **options: Any) -> Engine:
             raise InputError([(key, "belongs to the engine: give it to its constructor") for key in options])
         return engine
     if engine not in REGISTRY:
-        raise InputError([("engine", f"must be {' | '.join(REGISTRY)} (got {engine!r})")])
+        raise InputError([("engine", f"must be {' | '.join(REGISTRY)} (got {shown(engine)})")])
     made = _load(*REGISTRY[engine])
     known = list(signature(made).parameters) if options else []
     if unknown := [key for key in options if key not in known]:

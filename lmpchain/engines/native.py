@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numba
 
-from ..errors import InputError, ToleranceNotMet
+from ..errors import InputError, ToleranceNotMet, shown
 from ..integrators.batch import FORCES, ChainBatch, force_form, name_of
 from ..integrators.kernels.contact_forces import ROOTS
 from ..integrators.kernels.layout import PAD
@@ -70,9 +70,9 @@ class Native(TimeSteppingEngine):
     ):
         super().__init__(integrator, step)
         if isinstance(threads, bool) or not isinstance(threads, int) or threads < 1:
-            raise InputError([("threads", f"must be a whole number from 1 (got {threads!r})")])
+            raise InputError([("threads", f"must be a whole number from 1 (got {shown(threads)})")])
         if force not in FORCES:
-            raise InputError([("force", f"must be {' | '.join(FORCES)} (got {force!r})")])
+            raise InputError([("force", f"must be {' | '.join(FORCES)} (got {shown(force)})")])
         self.threads, self.force, self.adaptive = threads, force, adaptive
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.signal import get_window
 
 from ..chain.chain import Chain
-from ..errors import InputError
+from ..errors import InputError, shown
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.plotting import axes_in_units
@@ -109,7 +109,7 @@ class Dispersion:
 def recorded(trajectory: Trajectory, field: Field) -> tuple[np.ndarray, Array]:
     """Return the recorded grains from the top downward, (G,), and their motion, (T, G) m/s or m."""
     if field not in get_args(Field):
-        raise InputError([("field", f'must be "velocity" or "displacement" (got {field!r})')])
+        raise InputError([("field", f'must be "velocity" or "displacement" (got {shown(field)})')])
     if trajectory.time.size < FEWEST_SAMPLES:
         raise InputError([("samples", f"must be {FEWEST_SAMPLES} or more: record more often or for longer")])
     order = np.argsort(trajectory.grains)
@@ -230,7 +230,7 @@ def _window(name: str, size: int) -> Array:
     try:
         return get_window(name, size)
     except ValueError:
-        raise InputError([("window", f"must be a name that scipy.signal.get_window knows (got {name!r})")]) from None
+        raise InputError([("window", f"must be a name for scipy.signal.get_window (got {shown(name)})")]) from None
 
 
 def _logarithmic(ax: Axes, x: Array, y: Array, values: Array, label: str) -> None:

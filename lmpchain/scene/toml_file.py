@@ -13,7 +13,7 @@ import numpy as np
 
 from ..chain.chain import Chain, Impurity
 from ..chain.materials import MATERIALS, Material
-from ..errors import InputError
+from ..errors import InputError, short, shown
 from ..util.files import check_readable
 from .base import Excitation
 from .excitation import EXCITATIONS
@@ -33,7 +33,7 @@ def read(path: str | PathLike[str]) -> dict[str, Any]:
 
 
 def fields(data: dict[str, Any], folder: Path | None = Path()) -> dict[str, Any]:
-    """Return the fields of a scene from the tables of its file; `folder` is where its CSV files lie, if any may."""
+    """Return the fields of a scene from the tables of its file; its CSV files lie in `folder`."""
     faults: list[tuple[str, str]] = []
 
     def attempt(section: str, make: Callable[[dict[str, Any]], T]) -> T | None:
@@ -132,7 +132,9 @@ def _excitation(keys: dict[str, Any], folder: Path | None) -> Excitation:
     kind = keys.pop("kind", None)
     if not isinstance(kind, str) or kind not in EXCITATIONS:
         known = " | ".join(EXCITATIONS)
-        raise InputError([("kind", f"must be {known} (got {kind!r})" if kind is not None else f"is missing; {known}")])
+        raise InputError(
+            [("kind", f"must be {known} (got {shown(kind)})" if kind is not None else f"is missing; {known}")]
+        )
     made = EXCITATIONS[kind]
     if made.columns and "file" in keys:
         columns = _csv(folder, keys.pop("file"), tuple(made.columns))
@@ -171,7 +173,7 @@ def _csv(folder: Path | None, name: Any, known: Sequence[str]) -> dict[str, Any]
         try:
             columns[key] = [float(value) for value in columns[key]]
         except ValueError as error:
-            raise InputError([("file", f"{path}: the column {key} must hold numbers ({error})")]) from None
+            raise InputError([("file", f"{path}: the column {key} must hold numbers ({short(error)})")]) from None
     if columns.pop("grain", None) not in (None, [float(n) for n in range(1, len(rows) + 1)]):
         raise InputError([("file", f"{path}: the column grain must count 1, 2, 3 ...")])
     return columns

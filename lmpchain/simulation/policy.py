@@ -10,7 +10,7 @@ from typing import Any, Protocol
 from .. import engines
 from ..engines.base import Candidate, Engine, ErrorBudget
 from ..engines.step_control import Attempt, first_attempt, loosened
-from ..errors import InputError, ToleranceNotMet
+from ..errors import InputError, ToleranceNotMet, shown
 from ..scene.scene import Scene
 from .selection import Proposal, cheapest, propose_all, reason
 
@@ -158,7 +158,7 @@ def policy_for(engine: str | Engine, **options: Any) -> Policy:
     if engine == AUTO and not options:
         return Auto()
     if isinstance(engine, str) and engine not in (AUTO, *engines.names()):
-        raise InputError([("engine", f"must be {' | '.join((AUTO, *engines.names()))} (got {engine!r})")])
+        raise InputError([("engine", f"must be {' | '.join((AUTO, *engines.names()))} (got {shown(engine)})")])
     return Named(engines.get("native" if engine == AUTO else engine, **options))
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..engines.linear.model_error import COLUMN
+from ..errors import shown
 from ..theory.domain import exponents, require
 
 # norm: error of the linear theory over (delta - 1) v0* for weak strikes, and where it saturates
@@ -59,7 +60,7 @@ def strike_number_at(error: float, norm: str, exponent: float = 1.5, grain: int 
 
 
 def _linear_constants(norm: str, exponent: float, grain: int) -> tuple[float, float]:
-    require(("norm", norm in LINEAR, f"must be one of {', '.join(LINEAR)} (got {norm!r})"))
+    require(("norm", norm in LINEAR, f"must be one of {', '.join(LINEAR)} (got {shown(norm)})"))
     xi, _, _ = exponents(exponent)
     slope, limit = LINEAR[norm]
     spread = grain ** (0.75 * xi - 0.5) if norm == "peak" else 1.0

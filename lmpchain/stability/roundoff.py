@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..chain.contacts import Contacts
 from ..engines import Lammps, Native
 from ..engines.time_stepping import TimeSteppingEngine
-from ..errors import InputError
+from ..errors import InputError, shown
 from ..integrators.splittings import RKN6, Splitting
 from ..scene.scene import Scene
 from ..simulation.api import simulate
@@ -92,7 +92,7 @@ def _engine(engine: str, diameter: str, force: str, step: float | None = None) -
     known = (("engine", engine, ("native", "lammps")), ("diameter", diameter, ("physical", "gauge")))
     for key, value, allowed in known:
         if value not in allowed:
-            raise InputError([(key, f"must be {' | '.join(allowed)} (got {value!r})")])
+            raise InputError([(key, f"must be {' | '.join(allowed)} (got {shown(value)})")])
     return Native("rkn6", step, force=force) if engine == "native" else Lammps("rkn6", step, diameter)
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, short
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from .record import Record, told
@@ -155,5 +155,5 @@ class Trajectory(Record):
             )
         except Exception as error:  # whatever a damaged file makes the readers raise
             raise InputError(
-                [(str(path), f"is not a trajectory that lmpchain saved, or is cut short ({error})")]
+                [(str(path), f"is not a trajectory that lmpchain saved, or is cut short ({short(error)})")]
             ) from None

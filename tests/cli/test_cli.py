@@ -3,15 +3,18 @@
 import json
 import os
 import re
+import shlex
 import signal
 import stat
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import tomli_w
 from helpers.child_processes import COMMAND, PATIENCE, on_a_terminal
 from helpers.command_output import SCENE, keys, names
 
@@ -400,3 +403,57 @@ def test_from_another_thread(scene: Path):
     worker.start()
     worker.join()
     assert codes == [0]
+
+
+# --- ends of pipes, and values in error lines
+
+
+@pytest.mark.parametrize("words", [["--help"], ["plan", "scene.toml"], ["run", "scene.toml", "--engine", "modes"]])
+def test_nothing_is_said_where_nobody_reads(words: list[str], tmp_path: Path):
+    """As behind `| head`, once it has read enough: the exit code is that of tools that SIGPIPE ends."""
+    (tmp_path / "scene.toml").write_text(SCENE)
+    read, write = os.pipe()
+    os.close(read)
+    with os.fdopen(write, "w") as nobody:
+        done = subprocess.run([*COMMAND, *words], cwd=tmp_path, stdout=nobody, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == (0 if words == ["--help"] else 141)  # argparse keeps what it met to itself
+    assert all(line.startswith("warning: ") for line in done.stderr.splitlines()), done.stderr
+    assert (tmp_path / "scene.nc").exists() == (words[0] == "run")
+
+
+def test_a_full_disk_behind_stdout_is_an_error(tmp_path: Path):
+    (tmp_path / "scene.toml").write_text(SCENE)
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [*COMMAND, "plan", "scene.toml"], cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, text=True
+        )
+    assert done.returncode == 1
+    assert re.fullmatch(r"error: .*No space left on device\n", done.stderr)
+
+
+def test_closed_streams_are_no_fault(tmp_path: Path):
+    (tmp_path / "scene.toml").write_text(SCENE)
+    command = f"{shlex.join(COMMAND)} run scene.toml --engine modes >&- 2>&-"
+    assert subprocess.run(command, shell=True, cwd=tmp_path).returncode == 0
+    assert (tmp_path / "scene.nc").exists()
+
+
+@pytest.mark.parametrize("key", ["gravity", "grains", "material", "top", "diameter", "impurity", "g" * 10**5])
+def test_error_lines_show_the_beginning_of_long_values(key: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    for value in ("x" * 10**6, ["y"] * 10**5, {"z" * 10**5: 1}, [[[0.5] * 10**5]]):
+        tables = tomllib.loads(SCENE)
+        tables["chain"][key] = value
+        (tmp_path / "scene.toml").write_text(tomli_w.dumps(tables))
+        assert main(["run", str(tmp_path / "scene.toml")]) == 2
+        said = capsys.readouterr().err
+        assert all(line.startswith("error: ") and len(line) < 300 for line in said.splitlines()), said[:1000]
+
+
+@pytest.mark.parametrize("option", ["--engine", "--tolerance", "--integrator", "--step", "--ranks", "--max-wall"])
+def test_error_lines_show_the_beginning_of_long_options(
+    option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    (tmp_path / "scene.toml").write_text(SCENE)
+    assert main(["run", str(tmp_path / "scene.toml"), option, "9x" * 10**4]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert len(line) < 300
