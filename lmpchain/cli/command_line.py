@@ -178,6 +178,7 @@ def _parser() -> argparse.ArgumentParser:
         help="NetCDF file to write (default: SCENE.nc beside the scene); or, with a / at its end, a run folder, in "
         "which the output grows on the disk and which `lmpchain resume` continues after a stop of any kind",
     )
+    run.add_argument("--force", action="store_true", help="replace the file or the run that is there already")
     run.add_argument("--engine", metavar="E", default="auto", help="engine (default: auto)")
     _tolerance(run)
     run.add_argument("--integrator", metavar="I", help="rkn6, kahan-li6 or verlet (default: what the engine prefers)")
@@ -313,6 +314,9 @@ def _saved(parser: argparse.ArgumentParser, command: Callable[[argparse.Namespac
         "run", metavar="RUN.nc", help="file that lmpchain run saved, or a dump such as column.lammpstrj"
     )
     parser.add_argument("--scene", metavar="SCENE.toml", help="for a dump: the scene that it was made for")
+    parser.add_argument(
+        "--axis", choices=["x", "y", "z"], help="for a dump: along which the column stands (default: seen)"
+    )
     parser.set_defaults(command=command)
 
 

@@ -129,7 +129,7 @@ class RunFolder:
         try:
             self._lock.acquire()
         except Timeout:
-            raise InputError([(self.name, "another process is at work here; wait for it, or stop it")]) from None
+            raise InputError([(self.name, tasks.AT_WORK)]) from None
         except OSError as error:
             raise LmpchainError(f"{self.name}: cannot be written: {error.strerror}") from None
 

@@ -108,10 +108,36 @@ def test_run_with_lammps(diameter: str, scene: Path, capsys: pytest.CaptureFixtu
     assert np.abs(saved.velocity - native.velocity).max() <= 1e-6 * np.abs(native.velocity).max()
 
 
-def test_a_run_replaces_an_older_file(scene: Path):
-    scene.with_suffix(".nc").write_text("older")
-    assert main(["run", str(scene)]) == 0
-    assert Trajectory.load(scene.with_suffix(".nc")).engine == "native"
+def test_a_run_replaces_an_older_file_only_by_force(scene: Path, capsys: pytest.CaptureFixture[str]):
+    file = scene.with_suffix(".nc")
+    file.write_text("older")
+    for words in (["run", str(scene)], ["run", str(scene), "-o", str(file)]):
+        assert main(words) == 2
+        assert capsys.readouterr().err.startswith(f"error: {file}: is there already: replace it with --force, ")
+        assert file.read_text() == "older"
+    assert main(["run", str(scene), "--force"]) == 0
+    assert Trajectory.load(file).engine == "native"
+
+
+def test_a_run_replaces_a_run_folder_only_by_force(scene: Path, capsys: pytest.CaptureFixture[str]):
+    folder = scene.parent / "run"
+    run = ["run", str(scene), "-o", f"{folder}/", "--engine"]
+    assert main([*run, "native"]) == 0
+    said = (folder / "status.json").read_bytes()
+    capsys.readouterr()
+    assert main([*run, "modes"]) == 2
+    assert "replace it with --force" in capsys.readouterr().err
+    assert main([*run, "bessel", "--step", "1", "--force"]) == 2  # wrong: nothing is removed for it
+    assert main(["resume", str(folder)]) == 0
+    assert (folder / "status.json").read_bytes() == said
+    assert main([*run, "modes", "--force"]) == 0
+    assert Trajectory.load(folder).engine == "modes"
+    (folder / "mine").touch()
+    (folder / "run.json").unlink()
+    capsys.readouterr()
+    assert main([*run, "modes", "--force"]) == 2
+    assert "neither empty nor a run folder" in capsys.readouterr().err
+    assert (folder / "mine").exists()
 
 
 @pytest.mark.parametrize(
@@ -367,7 +393,7 @@ def test_exit_codes_of_the_process(scene: Path):
 
     done = run("run", str(scene))
     assert (done.returncode, done.stderr) == (0, "")  # no progress bar: stderr is no terminal
-    missed = run("run", str(scene), "--tolerance", "1e-17")
+    missed = run("run", str(scene), "--tolerance", "1e-17", "--force")
     assert (missed.returncode, missed.stdout) == (1, "")
     wrong = run("run", str(scene.with_name("none.toml")))
     assert (wrong.returncode, wrong.stdout) == (2, "")
