@@ -75,6 +75,6 @@ def report(arguments: argparse.Namespace) -> int:
     trajectory, path = gather(lambda: _run_or_dump(arguments), lambda: output(page, arguments.run, PAGES))
     from ..report import write
 
-    write(trajectory, path)
+    write(trajectory, path, progress=on_terminal())
     print(f"page: {path}")
     return 0

@@ -12,7 +12,7 @@ from scipy.interpolate import CubicHermiteSpline
 from ..errors import InputError, shown
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
-from ..util.plotting import axes_in_units
+from ..util.plotting import axes_in_units, thinned
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -90,8 +90,8 @@ class ContactHistory:
             ax.legend(frameon=False)
         else:
             rows = np.argsort(self.contact)
-            force = self.force.T[rows]
-            shown = ax.pcolormesh(self.time, self.contact[rows], force, shading="nearest", cmap="cividis")
+            numbers, force = thinned(self.contact[rows], self.force.T[rows])
+            shown = ax.pcolormesh(self.time, numbers, force, shading="nearest", cmap="cividis")
             picture.colorbar(shown, ax=ax, label="contact force", format=EngFormatter("N"))
             ax.yaxis.set_major_formatter("{x:g}")
             ax.yaxis.set_major_locator(MaxNLocator(integer=True))

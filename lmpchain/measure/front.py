@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, get_args
 
@@ -168,7 +169,8 @@ def track(trajectory: Trajectory, field: Field = "velocity", fraction: float = 0
     error = trajectory.error_estimate.solver
     certain = (error if np.isfinite(error) else 0.0) * np.abs(motion).max()
     rows = []
-    for grain, values in zip(grains, motion.T, strict=True):
+    loud = np.flatnonzero(np.abs(motion).max(0) >= max(certain, sys.float_info.min))  # no top of the others is certain
+    for grain, values in zip(grains[loud], motion[:, loud].T, strict=True):
         size = np.abs(values)
         enough = fraction * size.max()
         tops, _ = signal.find_peaks(size, height=enough, prominence=certain)

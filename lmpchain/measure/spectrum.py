@@ -12,7 +12,7 @@ from ..chain.chain import Chain
 from ..errors import InputError, shown
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
-from ..util.plotting import axes_in_units
+from ..util.plotting import axes_in_units, thinned
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -215,7 +215,8 @@ def space_time(trajectory: Trajectory, field: Field = "velocity", ax: Axes | Non
     ax, picture = axes_in_units(ax, "s", "")
     largest = np.abs(motion).max(0)
     limit = float(np.median(largest[largest > 1e-3 * largest.max()])) if largest.any() else 1.0
-    shown = ax.pcolorfast(_edges(trajectory.time), _edges(grain), motion.T, cmap="RdBu_r", vmin=-limit, vmax=limit)
+    rows, drawn = thinned(grain, motion.T)
+    shown = ax.pcolorfast(_edges(trajectory.time), _edges(rows), drawn, cmap="RdBu_r", vmin=-limit, vmax=limit)
     picture.colorbar(shown, ax=ax, label=f"{field}, downward", format=EngFormatter(UNITS[field]), extend="both")
     ax.set(xlabel="time", ylabel="grain, from the top", xlim=trajectory.time[[0, -1]], ylim=ax.get_ylim()[::-1])
     ax.locator_params(axis="y", integer=True, min_n_ticks=1)

@@ -210,7 +210,9 @@ class RunFolder:
     def _checkpoint(self, run: Run) -> None:
         began = time.monotonic()
         self._writer.flush()
-        self._estimate = run.errors()[0].total
+        error = run.errors()[0]
+        self._estimate = error.total
+        self._writer.note(error.estimate)
         checkpoints.save(self.path, self._notes(self._spent(run.cost())), run.state())
         self._say("running")
         self._next = time.monotonic() + max(OFTEN_S, (time.monotonic() - began) / SHARE)

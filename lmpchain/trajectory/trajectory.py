@@ -138,7 +138,7 @@ class Trajectory(Record):
         """Read a file that `save` wrote, or a run folder; raises `InputError` for anything else.
 
         The arrays of a run folder stay on the disk and are read on demand. Of an unfinished run, the complete samples
-        are returned with an infinite error estimate.
+        are returned with the error estimate so far, relative to the motion so far, or infinite if that is not known.
         """
         from . import netcdf, zarr_store
 
