@@ -96,7 +96,7 @@ class Chain(Checked):
         if self.plainly_below(LARGEST_OVERLAP):
             return
         with np.errstate(all="ignore"):  # non-finite values are faults
-            known = np.isfinite(self.dynamical_matrix()[0]).all() and (self.masses > 0).all()
+            known = all(np.isfinite(part).all() for part in self.dynamical_matrix()) and (self.masses > 0).all()
             relative = self.contacts.overlap / self.contact_lengths
         if not known or np.isnan(relative).any():
             yield "masses", "are too small or too large to compute with, or contacts too hard or too soft: use SI units"

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field
 
+from ..errors import shown
 from ..util.suggestions import did_you_mean
 from ..util.validation import Checked, Positive, Real
 
@@ -80,7 +81,7 @@ def _one_material(value: Any) -> Material:
     if isinstance(value, str) and value in MATERIALS:
         return MATERIALS[value]
     raise ValueError(
-        f"no material is called {value!r}{did_you_mean(value, MATERIALS)}; use {', '.join(MATERIALS)}, "
+        f"no material is called {shown(value)}{did_you_mean(value, MATERIALS)}; use {', '.join(MATERIALS)}, "
         "or give density, youngs_modulus and poissons_ratio"
     )
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..errors import EngineUnavailable, InputError, RunFailed, ToleranceNotMet, check_tolerance
-from .common import PICTURES, beside, complain, gather, keep, output, read, write_json
+from ..errors import EngineUnavailable, InputError, RunFailed, ToleranceNotMet, check_tolerance, shown
+from .common import PICTURES, beside, complain, gather, keep, on_terminal, output, read, write_json
 
 if TYPE_CHECKING:
     from ..benchmark.curves import WorkPrecision
@@ -65,7 +64,9 @@ def _names(given: str | None) -> list[str]:
         return list(engines.names())
     chosen = list(dict.fromkeys(name.strip() for name in given.split(",") if name.strip()))
     known = ", ".join(engines.names())
-    if faults := [("engines", f"no engine is called {n!r}; use {known}") for n in chosen if n not in engines.names()]:
+    if faults := [
+        ("engines", f"no engine is called {shown(n)}; use {known}") for n in chosen if n not in engines.names()
+    ]:
         raise InputError(faults)
     if not chosen:
         raise InputError([("engines", f"names none; use {known}")])
@@ -84,7 +85,7 @@ def _answers(scene: Scene, names: list[str], tolerance: float) -> tuple[list[Tra
     for name in names:
         try:
             with warnings.catch_warnings(action="ignore"):  # the table shows the errors
-                answer = simulate(scene, name, tolerance, progress=sys.stderr.isatty())
+                answer = simulate(scene, name, tolerance, progress=on_terminal())
                 if answer.cost.total_s < SHORT_S:
                     again = repeated(lambda name=name: simulate(scene, name, tolerance).cost)  # type: ignore[misc]
                     quickest = min(cost.integration_s for cost in again)
@@ -110,7 +111,7 @@ def _reference(scene: Scene, tolerance: float) -> Reference:
     tight = max(tolerance / 100, TIGHTEST)
     everywhere = Scene(chain=scene.chain, excitation=scene.excitation, duration=scene.duration, samples=scene.samples)
     try:
-        run = simulate(everywhere, "native", tight, progress=sys.stderr.isatty())
+        run = simulate(everywhere, "native", tight, progress=on_terminal())
     except ToleranceNotMet as error:
         if error.trajectory is None:
             raise
@@ -129,7 +130,7 @@ def workprec(arguments: argparse.Namespace) -> int:
     )
     from ..benchmark.bench import work_precision
 
-    result = work_precision(scene, arguments.budget, progress=sys.stderr.isatty())
+    result = work_precision(scene, arguments.budget, progress=on_terminal())
     _show(result, numbers, picture)
     return 0
 
@@ -143,7 +144,7 @@ def stability(arguments: argparse.Namespace) -> int:
     )
     from ..stability.find import stability as found_out
 
-    result = found_out(scene, progress=sys.stderr.isatty())
+    result = found_out(scene, progress=on_terminal())
     _show(result, numbers, picture)
     return 0
 

@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ..chain.chain import Chain
-from ..errors import InputError
+from ..errors import InputError, shown
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.suggestions import not_among
@@ -148,13 +148,13 @@ def check(*faults: Fault) -> None:
 
 def _fault_of_m(m: object) -> Fault:
     right = isinstance(m, int | float | np.number) and not isinstance(m, bool) and 0 < m < math.inf
-    return None if right else ("m", f"must be a number above 0 (got {m!r})")
+    return None if right else ("m", f"must be a number above 0 (got {shown(m)})")
 
 
 def fault_of_whole(key: str, value: object, least: int) -> Fault:
     """Return what is wrong unless the value is a whole number from `least`."""
     right = isinstance(value, int | np.integer) and not isinstance(value, bool) and value >= least
-    return None if right else (key, f"must be a whole number from {least} (got {value!r})")
+    return None if right else (key, f"must be a whole number from {least} (got {shown(value)})")
 
 
 def _fault_of_choice(key: str, value: object, known: Sequence[str]) -> Fault:

@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numba
 
-from ..errors import InputError, ToleranceNotMet
+from ..errors import InputError, ToleranceNotMet, shown
 from ..integrators.batch import FORCES, ChainBatch, force_form, name_of
 from ..integrators.kernels.contact_forces import ROOTS
 from ..integrators.kernels.layout import PAD
@@ -71,7 +71,7 @@ class Native(TimeSteppingEngine):
     ):
         super().__init__(integrator, step)
         if isinstance(threads, bool) or not isinstance(threads, int) or threads < 1:
-            raise InputError([("threads", f"must be a whole number from 1 (got {threads!r})")])
+            raise InputError([("threads", f"must be a whole number from 1 (got {shown(threads)})")])
         if force not in FORCES:
             raise InputError([("force", not_among(force, FORCES))])
         self.threads, self.force, self.adaptive = threads, force, adaptive

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from ..errors import InputError
+from ..errors import InputError, shown
 from ..integrators.methods import METHODS, Method
 from ..integrators.step_schedule import StepSchedule
 from ..scene.scene import Scene
@@ -96,7 +96,7 @@ class TimeSteppingEngine(Engine):
         if integrator not in self.integrators:
             raise InputError([("integrator", not_among(integrator, self.integrators))])
         if step is not None and not (isinstance(step, int | float) and math.isfinite(step) and step > 0):
-            raise InputError([("step", f"must be a time above 0 s (got {step!r})")])
+            raise InputError([("step", f"must be a time above 0 s (got {shown(step)})")])
         self.integrator, self.step = integrator, step
 
     @property

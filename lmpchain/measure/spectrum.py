@@ -9,10 +9,10 @@ import numpy as np
 from scipy.signal import get_window
 
 from ..chain.chain import Chain
-from ..errors import InputError
+from ..errors import InputError, shown
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
-from ..util.plotting import axes_in_units
+from ..util.plotting import axes_in_units, thinned
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -109,7 +109,7 @@ class Dispersion:
 def recorded(trajectory: Trajectory, field: Field) -> tuple[np.ndarray, Array]:
     """Return the recorded grains from the top downward, (G,), and their motion, (T, G) m/s or m."""
     if field not in get_args(Field):
-        raise InputError([("field", f'must be "velocity" or "displacement" (got {field!r})')])
+        raise InputError([("field", f'must be "velocity" or "displacement" (got {shown(field)})')])
     if trajectory.time.size < FEWEST_SAMPLES:
         raise InputError([("samples", f"must be {FEWEST_SAMPLES} or more: record more often or for longer")])
     order = np.argsort(trajectory.grains)
@@ -215,7 +215,8 @@ def space_time(trajectory: Trajectory, field: Field = "velocity", ax: Axes | Non
     ax, picture = axes_in_units(ax, "s", "")
     largest = np.abs(motion).max(0)
     limit = float(np.median(largest[largest > 1e-3 * largest.max()])) if largest.any() else 1.0
-    shown = ax.pcolorfast(_edges(trajectory.time), _edges(grain), motion.T, cmap="RdBu_r", vmin=-limit, vmax=limit)
+    rows, drawn = thinned(grain, motion.T)
+    shown = ax.pcolorfast(_edges(trajectory.time), _edges(rows), drawn, cmap="RdBu_r", vmin=-limit, vmax=limit)
     picture.colorbar(shown, ax=ax, label=f"{field}, downward", format=EngFormatter(UNITS[field]), extend="both")
     ax.set(xlabel="time", ylabel="grain, from the top", xlim=trajectory.time[[0, -1]], ylim=ax.get_ylim()[::-1])
     ax.locator_params(axis="y", integer=True, min_n_ticks=1)
@@ -230,7 +231,7 @@ def _window(name: str, size: int) -> Array:
     try:
         return get_window(name, size)
     except ValueError:
-        raise InputError([("window", f"must be a name that scipy.signal.get_window knows (got {name!r})")]) from None
+        raise InputError([("window", f"must be a name for scipy.signal.get_window (got {shown(name)})")]) from None
 
 
 def _logarithmic(ax: Axes, x: Array, y: Array, values: Array, label: str) -> None:

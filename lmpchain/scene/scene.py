@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import InstanceOf
 
 from ..chain.chain import Chain
 from ..util.arrays import Array
@@ -57,7 +58,7 @@ class Scene(Recording):
     """
 
     chain: Chain
-    excitation: Excitation
+    excitation: InstanceOf[Excitation]
 
     def _faults(self) -> Iterator[tuple[str, str]]:
         misfits = list(self.excitation.faults(self.chain, self.duration))

@@ -14,7 +14,7 @@ import numpy as np
 from ..chain.chain import Chain
 from ..chain.impurities import Impurity
 from ..chain.materials import MATERIALS, Material
-from ..errors import InputError
+from ..errors import InputError, short, shown
 from ..util.files import check_readable
 from ..util.suggestions import did_you_mean, not_among
 from .base import Excitation
@@ -35,7 +35,7 @@ def read(path: str | PathLike[str]) -> dict[str, Any]:
 
 
 def fields(data: dict[str, Any], folder: Path | None = Path()) -> dict[str, Any]:
-    """Return the fields of a scene from the tables of its file; `folder` is where its CSV files lie, if any may."""
+    """Return the fields of a scene from the tables of its file; its CSV files lie in `folder`."""
     faults: list[tuple[str, str]] = []
 
     def attempt(section: str, make: Callable[[dict[str, Any]], T]) -> T | None:
@@ -134,7 +134,7 @@ def _chain(keys: dict[str, Any], folder: Path | None) -> Chain:
 def _excitation(keys: dict[str, Any], folder: Path | None) -> Excitation:
     kind = keys.pop("kind", None)
     if not isinstance(kind, str) or kind not in EXCITATIONS:
-        meant = "".join(f"; {key!r} is unknown{guess}" for key in keys if (guess := did_you_mean(key, ["kind"])))
+        meant = "".join(f"; {shown(key)} is unknown{guess}" for key in keys if (guess := did_you_mean(key, ["kind"])))
         missing = f"is missing; {' | '.join(EXCITATIONS)}{meant}"
         raise InputError([("kind", missing if kind is None else not_among(kind, EXCITATIONS))])
     made = EXCITATIONS[kind]
@@ -175,7 +175,7 @@ def _csv(folder: Path | None, name: Any, known: Sequence[str]) -> dict[str, Any]
         try:
             columns[key] = [float(value) for value in columns[key]]
         except ValueError as error:
-            raise InputError([("file", f"{path}: the column {key} must hold numbers ({error})")]) from None
+            raise InputError([("file", f"{path}: the column {key} must hold numbers ({short(error)})")]) from None
     if columns.pop("grain", None) not in (None, [float(n) for n in range(1, len(rows) + 1)]):
         raise InputError([("file", f"{path}: the column grain must count 1, 2, 3 ...")])
     return columns

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..engines.base import Engine, Run
 from ..engines.step_control import Attempt, Outcome, solve_to_tolerance
-from ..errors import InputError, ToleranceNotMet, check_tolerance
+from ..errors import InputError, ToleranceNotMet, check_tolerance, shown
 from ..scene.scene import LightCone, Scene
 from ..trajectory.record import Block
 from ..trajectory.trajectory import Trajectory
@@ -92,7 +92,7 @@ def simulate(
     """
     check_tolerance(tolerance)
     if on_miss not in ("raise", "warn"):
-        raise InputError([("on_miss", f'must be "raise" or "warn" (got {on_miss!r})')])
+        raise InputError([("on_miss", f'must be "raise" or "warn" (got {shown(on_miss)})')])
     policy = policy_for(engine, **options)
     if reasons := policy.refuses(scene):
         raise InputError(reasons)

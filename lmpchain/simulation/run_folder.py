@@ -159,7 +159,7 @@ class RunFolder:
         except OSError as error:
             raise LmpchainError(f"{self.name}: cannot be written: {error.strerror}") from None
         if not lock:
-            raise InputError([(self.name, "another process is at work here; wait for it, or stop it")])
+            raise InputError([(self.name, tasks.AT_WORK)])
         return lock
 
     def _find(self) -> None:
@@ -240,7 +240,9 @@ class RunFolder:
     def _checkpoint(self, run: Run) -> None:
         began = time.monotonic()
         self._writer.flush()
-        self._estimate = run.errors()[0].total
+        error = run.errors()[0]
+        self._estimate = error.total
+        self._writer.note(error.estimate)
         checkpoints.save(self.path, self._notes(self._spent(run.cost())), run.state())
         self._say("running")
         self._next = time.monotonic() + max(OFTEN_S, (time.monotonic() - began) / SHARE)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shlex
+import shutil
 import warnings
 from dataclasses import dataclass
 from os import PathLike
@@ -19,6 +20,7 @@ from ..util.files import check_tree, replacing
 from ..util.provenance import session
 from .policy import Named, Policy, policy_for
 
+AT_WORK = "another process is at work here; wait for it, or stop it"
 SCENE, RUN, STATUS, LOCK = "scene.toml", "run.json", "status.json", ".lock"
 
 
@@ -59,7 +61,7 @@ def check_run(folder: str | PathLike[str]) -> Path:
     try:
         check_tree(Path(folder))
     except OSError as error:
-        raise InputError([(str(folder), error.strerror)]) from None
+        raise InputError([(str(folder), str(error.strerror))]) from None
     return Path(folder)
 
 
@@ -75,6 +77,17 @@ def check_new(folder: str | PathLike[str]) -> Path:
     if path.exists() and any(p.name not in before and ".partial" not in p.suffixes for p in path.iterdir()):
         raise InputError([(str(folder), "is neither empty nor a run folder; choose another")])
     return path
+
+
+def remove(folder: Path) -> None:
+    """Remove a run folder and the run in it; raises `InputError` if another process is at work there."""
+    from filelock import FileLock, Timeout
+
+    try:
+        with FileLock(check_run(folder) / LOCK, timeout=0):
+            shutil.rmtree(folder)
+    except Timeout:
+        raise InputError([(str(folder), AT_WORK)]) from None
 
 
 def write(folder: Path, task: Task) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..engines.linear.engine import Chebyshev
 from ..engines.linear.model_error import COLUMN, struck_column
+from ..errors import shown
 from ..scene.scene import Scene
 from ..theory.domain import exponents, require
 
@@ -79,7 +80,7 @@ def strike_number_where(error: float, scene: Scene) -> float:
 
 
 def _linear_constants(norm: str, exponent: float, grain: int) -> tuple[float, float]:
-    require(("norm", norm in LINEAR, f"must be one of {', '.join(LINEAR)} (got {norm!r})"))
+    require(("norm", norm in LINEAR, f"must be one of {', '.join(LINEAR)} (got {shown(norm)})"))
     xi, _, _ = exponents(exponent)
     slope, limit = LINEAR[norm]
     spread = grain ** (0.75 * xi - 0.5) if norm == "peak" else 1.0

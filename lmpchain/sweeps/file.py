@@ -17,7 +17,7 @@ import numpy as np
 from .. import engines
 from ..chain.materials import MATERIALS
 from ..disorder.draws import Law, Of, realisation
-from ..errors import InputError, check_tolerance
+from ..errors import InputError, check_tolerance, shown
 from ..scene.scene import Scene
 from ..scene.toml_file import LARGEST_TABLE, SECTIONS, parse
 from ..util.files import check_readable
@@ -202,7 +202,7 @@ def _base(given: Any, folder: Path) -> tuple[dict[str, Any], Path]:
 
 def _engine(name: Any) -> str:
     if not isinstance(name, str):
-        raise InputError([("engine", f"must be the name of an engine (got {name!r})")])
+        raise InputError([("engine", f"must be the name of an engine (got {shown(name)})")])
     if name == "auto":  # one engine for all: small scenes go together, and bits do not hang on how fast a machine is
         return "native"
     return engines.get(name).name
@@ -214,7 +214,7 @@ def _keep(names: Any) -> list[str]:
         raise InputError([("keep", f"must be a list of some of {known}")])
     if wrong := [name for name in names if not isinstance(name, str) or name not in QUANTITIES]:
         meant = [(name, did_you_mean(name, QUANTITIES)) for name in wrong]
-        raise InputError([("keep", f"there is no {name!r}{other}; use {known}") for name, other in meant])
+        raise InputError([("keep", f"there is no {shown(name)}{other}; use {known}") for name, other in meant])
     return sorted(set(names))
 
 

@@ -152,7 +152,7 @@ def verdict(error: ErrorEstimate, cost: Cost) -> dict[str, Any]:
 
 
 def scene_of(about: Mapping[str, Any]) -> Scene:
-    """Return the scene that the metadata of a file hold; raises `ValueError` or the like where there is none."""
+    """Return the scene that the metadata of a file hold; raises where there is none."""
     if about["lmpchain_format"] != FORMAT:
         raise ValueError("it is of another version of lmpchain")
     return Scene.from_text(about["scene"])
@@ -165,7 +165,7 @@ def shapes(scene: Scene) -> dict[str, tuple[int, ...]]:
 
 
 def told(about: Mapping[str, Any]) -> dict[str, Any]:
-    """Return engine, equation, error, cost and provenance from the metadata of a file; raises where they are odd."""
+    """Return engine, equation, error, cost and provenance from the metadata; raises if they are odd."""
     error = ErrorEstimate(float(about["model_error"]), float(about["solver_error"]))
     cost, provenance = json.loads(about["cost"]), json.loads(about["provenance"])
     kinds: dict[Any, Any] = {"float": int | float, "int": int, "str": str}

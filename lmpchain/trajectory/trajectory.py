@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, short
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from .record import Record, told
@@ -94,26 +94,35 @@ class Trajectory(Record):
 
     @classmethod
     def from_dump(
-        cls, path: str | PathLike[str], scene: Scene, equilibrium: Sequence[float] | Array | None = None
+        cls,
+        path: str | PathLike[str],
+        scene: Scene,
+        equilibrium: Sequence[float] | Array | None = None,
+        axis: str | None = None,
     ) -> Trajectory:
         """Read a LAMMPS dump of `lmpchain deck` or of your own deck as the trajectory of a scene.
 
-        Grains are numbered by their heights in the first frame, from the top, whatever the numbers of their atoms; the
-        gaps between them, which the weight narrows, and their velocities tell whether z points up or down.
-        Displacements are the column v_phi where there is one (and z points up). Else they are how far a grain has
-        fallen from its height at rest; heights leave fewer digits. The error is unknown: its estimate is
+        Grains are numbered by their heights in the first frame, from the top, whatever the numbers of their atoms. The
+        column stands along the axis on which they are farthest apart; the gaps between them, which the weight narrows,
+        and their velocities tell whether that axis points up or down. Displacements are the column v_phi where there
+        is one (with z, it points up). Else they are how far a grain has fallen from its height at rest; heights leave
+        fewer digits, and `provenance["precision"]` says what they leave unknown. The error is unknown: its estimate is
         infinite.
+
+        Frames that a restarted run wrote twice are read once, the last time; a frame that a kill cut short, not at all.
 
         Parameters
         ----------
         path : path
-            A text dump, or one compressed by gzip (.gz), in units si, with the columns id x y z vz, or id xu yu zu vz,
-            and v_phi if it can be had, in any order, and a frame a sample of the scene.
+            A text dump, or one compressed by gzip (.gz), in units si, with the columns id x y z, or id xu yu zu, and vz
+            (vx, vy for a column along x, y), and v_phi if it can be had, in any order; a frame a sample of the scene.
         scene : Scene
             The one that the dump was made for.
         equilibrium : (N,) array, optional
             Heights z of the grains at rest, m, from the top. By default they follow from the first frame, which
             differs from rest by the displacement that the scene starts with.
+        axis : "x", "y" or "z", optional
+            Along which the column stands, if the first frame does not say it.
 
         Raises
         ------
@@ -122,14 +131,14 @@ class Trajectory(Record):
         """
         from .lammps_dump import read
 
-        return cls(**vars(read(path, scene, equilibrium)))
+        return cls(**vars(read(path, scene, equilibrium, axis)))
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Trajectory:
         """Read a file that `save` wrote, or a run folder; raises `InputError` for anything else.
 
         The arrays of a run folder stay on the disk and are read on demand. Of an unfinished run, the complete samples
-        are returned with an infinite error estimate.
+        are returned with the error estimate so far, relative to the motion so far, or infinite if that is not known.
         """
         from . import netcdf, zarr_store
 
@@ -155,5 +164,5 @@ class Trajectory(Record):
             )
         except Exception as error:  # whatever a damaged file makes the readers raise
             raise InputError(
-                [(str(path), f"is not a trajectory that lmpchain saved, or is cut short ({error})")]
+                [(str(path), f"is not a trajectory that lmpchain saved, or is cut short ({short(error)})")]
             ) from None

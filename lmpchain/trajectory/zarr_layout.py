@@ -32,7 +32,7 @@ Piece = tuple[int, ...]
 
 
 def pieces(samples: int, grains: int) -> dict[str, Piece]:
-    """Return the shapes of the files of each array, and under "chunk" that of the chunks in those of the fields."""
+    """Return the shapes of the files of each array; under "chunk", that inside those of the fields."""
     parts = math.ceil(grains / WIDTH)
     width = math.ceil(grains / parts)
     rows = SAMPLES * math.ceil(min(samples / SAMPLES, WIDTH / grains))
@@ -54,7 +54,7 @@ def metadata(node: Path) -> dict[str, Any]:
 
 
 def check(store: Path, scene: Scene) -> None:
-    """Raise `ValueError` or the like unless the arrays are those of this scene, laid out as lmpchain does it."""
+    """Raise unless the arrays are those of this scene, laid out as lmpchain does it."""
     if metadata(store).get("node_type") != "group" or {p.name for p in store.iterdir() if p.is_dir()} - KINDS.keys():
         raise ValueError("it is no store of lmpchain, or holds more than that")
     sizes = pieces(scene.samples, scene.count(scene.chain))

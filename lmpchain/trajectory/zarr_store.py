@@ -10,6 +10,7 @@ import math
 import warnings
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from types import EllipsisType
 from typing import TYPE_CHECKING, Any
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     import xarray
 
 NAME = "trajectory.zarr"
+SO_FAR = "error_so_far"  # attribute of a run that is not finished
 
 
 def create(folder: Path, scene: Scene, attributes: Mapping[str, Any]) -> None:
@@ -121,9 +123,14 @@ class Writer:
                 array[self._first : last] = buffer[: last - self._first]
             self._group["time"][self._first : self._end] = self._times[self._first : self._end]
 
+    def note(self, error: ErrorEstimate) -> None:
+        """Store the error estimate of the samples so far, if it is finite."""
+        if math.isfinite(error.total):
+            self._group.attrs[SO_FAR] = {"samples": self._end} | asdict(error)
+
     def conclude(self, error: ErrorEstimate, cost: Cost) -> None:
         """Store the error estimate and the cost."""
-        self._group.attrs.update(verdict(error, cost))
+        self._group.attrs.update(verdict(error, cost) | {SO_FAR: None})
 
 
 def usable(folder: Path, scene: Scene, samples: int) -> bool:
@@ -145,8 +152,8 @@ def usable(folder: Path, scene: Scene, samples: int) -> bool:
 def read(folder: Path) -> tuple[dict[str, Any], Scene, dict[str, Any]]:
     """Return metadata, scene and arrays of the complete samples of a store; fields are read on demand.
 
-    Of a run that is not finished, the error is unknown: its estimate is infinite. Foreign or damaged stores raise
-    whatever comes first, before any of their arrays is opened.
+    Of a run that is not finished, the error is the estimate so far, or infinite if more samples are there than it is
+    of. Foreign or damaged stores raise whatever comes first, before any of their arrays is opened.
     """
     import xarray
 
@@ -162,9 +169,11 @@ def read(folder: Path) -> tuple[dict[str, Any], Scene, dict[str, Any]]:
         raise ValueError("the run was finished, but samples are not there")
     data = data.isel(time=slice(0, complete))
     nothing = Cost(0.0, 0.0, 0.0, 0, 0, data.sizes["grain"], "unknown", 0.0, 1)
+    noted = about.get(SO_FAR) or {"samples": -1}
+    error = (noted["model"], noted["solver"]) if noted["samples"] >= complete else (0.0, math.inf)
     arrays = {name: data[name].to_numpy() for name in ("time", "grain")}
     fields = {name: OnDisk(data[name].variable) for name in FIELDS}
-    return verdict(ErrorEstimate(0.0, math.inf), nothing) | about, scene, arrays | fields
+    return verdict(ErrorEstimate(*error), nothing) | about, scene, arrays | fields
 
 
 class OnDisk(NDArrayOperatorsMixin):

@@ -125,7 +125,7 @@ def check_seal(path: Path) -> None:
 
 
 def unpack(content: bytes | memoryview) -> dict[str, np.ndarray]:
-    """Return the arrays that `numpy.savez` packed: plain ones, as large as their bytes; raises if there are others."""
+    """Return the arrays that `numpy.savez` packed: plain ones as large as their bytes, or it raises."""
     arrays = {}
     with zipfile.ZipFile(BytesIO(content)) as packed:
         if any(item.compress_type != zipfile.ZIP_STORED for item in packed.infolist()):

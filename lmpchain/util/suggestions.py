@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from difflib import get_close_matches
 
+from ..errors import shown
+
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
     """Return " (did you mean 'glass'?)" for a name that resembles a known one, else nothing.
@@ -30,4 +32,4 @@ def not_among(name: object, known: Iterable[str]) -> str:
     "must be glass | steel (got 'Glas') (did you mean 'glass'?)"
     """
     known = list(known)
-    return f"must be {' | '.join(known)} (got {name!r}){did_you_mean(name, known)}"
+    return f"must be {' | '.join(known)} (got {shown(name)}){did_you_mean(name, known)}"

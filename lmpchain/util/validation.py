@@ -11,7 +11,7 @@ from typing import Annotated, Any, NoReturn, Self
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from ..errors import InputError
+from ..errors import InputError, shown
 from .arrays import Array, read_only
 from .suggestions import did_you_mean
 
@@ -157,17 +157,17 @@ def _one_or_many(value: Any) -> Any:
     """A positive number as a float, or a list of them as an array."""
     value = _plain(value)
     if isinstance(value, bool | str):
-        raise ValueError(f"must be a number or a list of numbers (got {value!r})")
+        raise ValueError(f"must be a number or a list of numbers (got {shown(value)})")
     if isinstance(value, int | float):
         if not 0 < value <= sys.float_info.max:
-            raise ValueError(f"must be a finite number above 0 (got {value!r})")
+            raise ValueError(f"must be a finite number above 0 (got {shown(value)})")
         return float(value)
     return _positive_vector(value)
 
 
 Real = Annotated[float, BeforeValidator(_plain)]
 Positive = Annotated[float, BeforeValidator(_plain), Field(gt=0)]
-Whole = Annotated[int, BeforeValidator(_plain)]
+Whole = Annotated[int, BeforeValidator(_plain), Field(lt=2**63)]
 Vector = Annotated[Array, BeforeValidator(_vector)]
 PositiveVector = Annotated[Array, BeforeValidator(_positive_vector)]
 OneOrMany = Annotated[float | Array, BeforeValidator(_one_or_many)]
@@ -178,26 +178,29 @@ def _describe(error: ValidationError) -> Iterator[tuple[str, str]]:
     for fault in error.errors():
         key = ".".join(str(part) for part in fault["loc"])
         kind, value, limits = fault["type"], fault["input"], fault.get("ctx", {})
-        shown = repr(value) if len(repr(value)) < 40 else f"a {type(value).__name__}"
+        got = shown(value) if isinstance(value, bool | int | float | str | list) else f"a {type(value).__name__}"
         if kind == "missing":
             message = "is missing; add it"
         elif kind == "finite_number":
-            message = f"must be a finite number (got {value!r})"
+            message = f"must be a finite number (got {shown(value)})"
         elif kind in ("greater_than", "greater_than_equal", "less_than", "less_than_equal"):
             words = {"gt": "above", "ge": "at least", "lt": "below", "le": "at most"}
-            message = f"must be {'; '.join(f'{words[k]} {v}' for k, v in limits.items())} (got {shown})"
+            message = f"must be {'; '.join(f'{words[k]} {v}' for k, v in limits.items())} (got {got})"
         elif kind in ("int_type", "int_from_float"):
-            message = f"must be a whole number (got {shown})"
+            message = f"must be a whole number (got {got})"
         elif kind == "float_type":
-            message = f"must be a number (got {shown})"
+            message = f"must be a number (got {got})"
+        elif kind in ("is_instance_of", "model_type", "model_attributes_type"):
+            made = limits.get("class") or limits.get("class_name")
+            message = f"must be of the type {made} (got {got}): make one, or read a scene file"
         elif kind == "literal_error":
             meant = did_you_mean(value, re.findall("'(.*?)'", limits["expected"]))
-            message = f"must be {limits['expected']} (got {shown}){meant}"
+            message = f"must be {limits['expected']} (got {got}){meant}"
         elif kind == "value_error" and isinstance(limits["error"], InputError):  # a value inside this one
             yield from limits["error"].under(key)
             continue
         elif kind == "value_error":
             message = str(limits["error"])
         else:
-            message = f"{fault['msg'].lower()} (got {shown})"
+            message = f"{fault['msg'].lower()} (got {got})"
         yield key, message

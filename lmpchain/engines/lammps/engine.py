@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from ...errors import InputError, LmpchainError, ToleranceNotMet
+from ...errors import InputError, LmpchainError, ToleranceNotMet, shown
 from ...integrators.methods import Method
 from ...integrators.splittings import SPLITTINGS
 from ...integrators.step_schedule import StepSchedule
@@ -104,7 +104,7 @@ class Lammps(TimeSteppingEngine):
                 raise InputError([(key, not_among(value, known))])
         self.diameter, self.pair_style = diameter, pair_style
         if ranks is not None and (isinstance(ranks, bool) or not isinstance(ranks, int) or ranks < 1):
-            raise InputError([("ranks", f"must be a whole number from 1 (got {ranks!r})")])
+            raise InputError([("ranks", f"must be a whole number from 1 (got {shown(ranks)})")])
         self.ranks = ranks
         self.splitting = SPLITTINGS[self.integrator]
         for key, given in (("keep", keep), ("template", template), ("include", include)):
