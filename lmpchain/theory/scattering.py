@@ -1,15 +1,15 @@
 """Scattering of linear waves by a piece of chain between two uniform leads.
 
-The leads are the chain's own ends, extended: above grain 1 as grain 1 and contact 1, below grain N as grain N and contact
-N - 1. A wave of amplitude 1 comes from above. Transfer matrices carry displacement and force from the transmitted wave
-upward, where that solution is the one that grows: long pieces and gaps cost no digits.
+The leads are the chain's own ends, extended: above grain 1 as grain 1 and contact 1, below grain N as grain N and
+contact N - 1. A wave of amplitude 1 comes from above. Transfer matrices carry displacement and force from the
+transmitted wave upward, where that solution is the one that grows: long pieces and gaps cost no digits.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +17,6 @@ from scipy.optimize import brentq
 
 from ..chain.chain import Chain
 from ..chain.impurities import Impurity
-from ..errors import InputError
 from ..util.arrays import Array
 from ..util.plotting import axes_in_units
 from .domain import real, require
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
 Complex = NDArray[np.complex128]
 Property = Literal["diameter", "mass", "modulus"]
 STEPS = 400  # in which a solution is searched for
-SYMMETRIC = 1e-9  # relative differences up to which a piece is its own mirror image
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +143,11 @@ def transparent(
     require(
         ("chain", not chain.impurity and isinstance(chain.diameter, float), "must be uniform, with no impurity"),
         ("gravity", chain.gravity == 0, "must be 0, so that the leads are alike"),
-        ("grains", mirrored and len(set(numbers)) == len(numbers), "must be their own mirror image, as 5 and 6, or 4, 5, 6"),
+        (
+            "grains",
+            mirrored and len(set(numbers)) == len(numbers),
+            "must be their own mirror image, as 5 and 6, or 4, 5, 6",
+        ),
         ("grains", inside, f"must be from 3 to {chain.grains - 2}, so that the leads begin where the chain is uniform"),
         ("vary", vary in get_args(Property), f'must be "diameter", "mass" or "modulus" (got {vary!r})'),
         ("between", 0 < low < high, f"must be two factors above 0, the smaller one first (got {between!r})"),
@@ -162,3 +164,59 @@ def transparent(
     turns = np.flatnonzero(values[:-1] * values[1:] < 0)
     found = np.exp([brentq(reflected, places[i], places[i + 1], xtol=1e-14, rtol=1e-14) for i in turns])
     return found[np.abs(found - 1) > 1e-9]
+
+
+def _changed(chain: Chain, grains: Sequence[int], vary: Property, factor: float) -> Chain:
+    """Return the chain with a property of these grains changed by a factor."""
+    if vary == "mass":
+        odd = [Impurity(grain=n, mass=float(chain.masses[n - 1]) * factor) for n in grains]
+    elif vary == "diameter":
+        odd = [Impurity(grain=n, diameter=float(chain.diameters[n - 1]) * factor) for n in grains]
+    else:
+        one: Any = chain.material
+        stiffer = type(one)(**one.given() | {"youngs_modulus": one.youngs_modulus * factor})
+        odd = [Impurity(grain=n, material=stiffer) for n in grains]
+    return Chain(**chain.given() | {"impurity": odd})
+
+
+def _scatter(mass: Array, stiffness: Array, frequency: Array) -> Transmission:
+    """Return what grains, (N,) kg, with contacts between, (N-1,) N/m, reflect and transmit."""
+    square = frequency**2
+    (above, half_above), (below, half_below) = (
+        _lead(frequency / 2 * np.sqrt(mass[end] / stiffness[end])) for end in (0, -1)
+    )
+    require(("frequency", (above > 0) & (above < 1), _band(mass[0], stiffness[0])))
+    # displacement and force on the contact below, from the wave that goes on; their size is kept apart
+    moved, force = np.ones(frequency.shape, complex), -2j * stiffness[-1] * below * half_below
+    logarithm = np.zeros(frequency.shape)
+    for own, stiff in zip(mass[:0:-1], stiffness[::-1], strict=True):
+        force = force - own * square * moved
+        moved = moved + force / stiff
+        size = np.maximum(np.abs(moved), np.abs(force) / stiff)
+        moved, force, logarithm = moved / size, force / size, logarithm + np.log(size)
+    force = (force - mass[0] * square * moved) / stiffness[0]
+    step = 2j * above * half_above  # exp(i k) - 1
+    sine = 2 * above * half_above.real  # sin(k)
+    comes = (moved * step - force) / (2j * sine)
+    reflected = (force - moved * step.conj()) / (2j * sine) / comes
+    transmitted = np.exp(-logarithm) / comes
+    share = stiffness[-1] * below * half_below.real / (stiffness[0] * above * half_above.real)
+    return Transmission(
+        frequency=frequency,
+        wavenumber=2 * np.arcsin(above),
+        amplitude_reflected=reflected,
+        amplitude_transmitted=transmitted,
+        reflected=np.abs(reflected) ** 2,
+        transmitted=np.abs(transmitted) ** 2 * share,
+    )
+
+
+def _lead(sine: Array) -> tuple[Array, Complex]:
+    """Return sin(k/2) and exp(i k/2) of a lead, of the wave that decays away if sin(k/2) > 1."""
+    cosine = np.where(sine <= 1, np.sqrt(np.maximum(1 - sine**2, 0)), -1j * np.sqrt(np.maximum(sine**2 - 1, 0)))
+    return sine, cosine + 1j * sine
+
+
+def _band(mass: float, stiffness: float) -> str:
+    """Return what a frequency in the lead above must be."""
+    return f"must be above 0 and below {2 * np.sqrt(stiffness / mass):.6g} rad/s, the band edge of the lead above"
