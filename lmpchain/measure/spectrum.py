@@ -10,6 +10,7 @@ from scipy.signal import get_window
 
 from ..chain.chain import Chain
 from ..errors import InputError, shown
+from ..theory.bands import Cell, branches, repeating
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.plotting import axes_in_units, thinned
@@ -77,8 +78,9 @@ class Dispersion:
         |sum over grains of integral of w x exp(i k n - 2 pi i f t) dt| with the window w, m/s or m per Hz.
     grain : (3,) array
         First, middle and last grain.
-    relation : (3, K) array
-        The local dispersion relation at these, cut-off times |sin(k / 2)|, Hz.
+    relation : (3, B, K) array
+        The B branches of the local dispersion relation at these, Hz: those of the cell that repeats there, `cut_off`
+        times |sin(k / 2)| where all grains are alike or no cell is found.
     """
 
     field: Field
@@ -99,7 +101,8 @@ class Dispersion:
         _logarithmic(ax, self.wavenumber, self.frequency, self.amplitude, f"{self.field} ({UNITS[self.field]} per Hz)")
         for number, relation, style in zip(self.grain, self.relation, (":", "-", "--"), strict=True):
             if relation.any():
-                ax.plot(self.wavenumber, relation, style, color=LINE, label=f"grain {number}")
+                ax.plot(self.wavenumber, relation[0], style, color=LINE, label=f"grain {number}")
+                ax.plot(self.wavenumber, relation[1:].T, style, color=LINE)
                 ax.legend(title="local relation", loc="upper center", ncols=3)
         ax.set(xlabel="wavenumber, downward (radians a grain)", ylabel="frequency")
         ax.set_ylim(0, min(self.frequency[-1], 1.5 * self.relation.max() or np.inf))
@@ -172,9 +175,19 @@ def dispersion(
     both = np.fft.ifft(step * np.fft.rfft(windowed, axis=0), axis=1, norm="forward")
     wavenumber = 2 * np.pi * np.fft.fftshift(np.fft.fftfreq(chosen.size))
     three = np.array([first, (first + last) // 2, last])
-    relation = cut_off(trajectory.scene.chain)[three - 1, None] * np.abs(np.sin(wavenumber / 2))
+    period = repeating(trajectory.scene.chain, first, last)
+    relation = np.array([_branches(trajectory.scene.chain, grain, period, wavenumber) for grain in three])
     amplitude = np.abs(np.fft.fftshift(both, axes=1))
     return Dispersion(field, np.fft.rfftfreq(samples, step), wavenumber, amplitude, three, relation)
+
+
+def _branches(chain: Chain, grain: int, period: int, wavenumber: Array) -> Array:
+    """Return the branches (B, K), Hz, of a chain that repeats the grains from this one on."""
+    if period == 1 or not chain.compressed:
+        return cut_off(chain)[grain - 1] * np.abs(np.sin(wavenumber / 2))[None]
+    start = min(grain, chain.grains - period)
+    cell = Cell(chain.masses[start - 1 :][:period], chain.linear_stiffness[start - 1 :][:period])
+    return branches(cell, period * wavenumber).frequency / (2 * np.pi)
 
 
 def cut_off(chain: Chain) -> Array:
