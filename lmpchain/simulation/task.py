@@ -61,7 +61,7 @@ def check_run(folder: str | PathLike[str]) -> Path:
     try:
         check_tree(Path(folder))
     except OSError as error:
-        raise InputError([(str(folder), str(error.strerror))]) from None
+        raise InputError([(str(folder), error.strerror or str(error))]) from None
     return Path(folder)
 
 

@@ -64,7 +64,7 @@ class Cell:
             ("top_load", chain.top_load > 0, "must be above 0: nothing is linear without it"),
         )
         ends = [-2, -1, 0][-chain.grains - 1 :]  # the last contact tells how given constants compare with Hertz's
-        d, modulus = chain.diameters[ends], chain._by_grain("plane_strain_modulus")[ends]
+        d, modulus = chain.diameters[ends], chain.by_grain("plane_strain_modulus")[ends]
         natural = hertz_constant(modulus, 2 / d, (d[:-1] + d[1:]) / 2, chain.exponent)
         constant = natural[-1] * np.prod(chain.contact_constants[-1:] / natural[:-1])
         closing = Contacts(np.array([constant]), np.array([chain.top_load]), chain.exponent)
