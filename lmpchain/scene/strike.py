@@ -43,7 +43,8 @@ def surroundings(chain: Chain, excitation: Excitation) -> tuple[int, Chain, Exci
 def strike_faults(chain: Chain, excitation: Excitation) -> Iterator[tuple[str, str]]:
     """Yield a fault if the excitation squeezes a contact beyond the range of Hertz's law."""
     first, near, strike = surroundings(chain, excitation)
-    relative = first_overlaps(near, strike) / near.contact_lengths
+    with np.errstate(over="ignore"):  # of a strike that is refused
+        relative = first_overlaps(near, strike) / near.contact_lengths
     if not relative.max() <= LARGEST_OVERLAP:
         worst = int(relative.argmax())
         yield (

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from .. import engines
-from ..errors import InputError
+from ..errors import InputError, check_tolerance
 from ..scene.scene import Scene
 from ..util import mpi
 from ..util.files import check_tree, replacing
@@ -127,17 +127,20 @@ def read(folder: Path) -> Task:
         options, before = dict(asked["options"]), dict(asked["sessions"][-1]["packages"])
         if asked["sha256"] != _seal(asked, text):
             raise ValueError("they are not those that the run began with")
+        if mpi.joined() and "ranks" in options:  # those of mpirun serve
+            options["ranks"] = None
+        policy = policy_for(str(asked["engine"]), **options)
+        check_kept(policy)  # no commands of whoever wrote this folder
+        check_tolerance(asked["tolerance"])
+        if not isinstance(asked["best_effort"], bool) or not isinstance(asked["sessions"], list):
+            raise ValueError("they do not say what was asked")
     except (ValueError, LookupError, TypeError, RecursionError) as error:
         raise InputError([(str(folder), f"its {RUN} or {SCENE} was changed and cannot be read: {error}")]) from None
-    if mpi.joined() and "ranks" in options:  # those of mpirun serve
-        options["ranks"] = None
     now = session()
     versions = {name: (now["packages"].get(name), version) for name, version in before.items()}
     if others := [f"{name} {new}, not {old}" for name, (new, old) in versions.items() if new != old]:
         warnings.warn(f"the run went so far with other versions, and may now differ: {'; '.join(others)}", stacklevel=2)
     _note(folder, asked | {"sessions": [*asked["sessions"], now]})
-    policy = policy_for(asked["engine"], **options)
-    check_kept(policy)  # no commands of whoever wrote this folder
     return Task(scene, policy, asked["tolerance"], asked["best_effort"])
 
 
