@@ -119,7 +119,7 @@ def read(
 
 
 def _axis(name: str, first: Sequence[Array]) -> str:
-    """Return the axis along which the column stands: that along which the grains of the first frame are apart."""
+    """Return the axis along which the column stands: on which the grains of the first frame lie apart."""
     spread = [float(np.ptp(along)) for along in first]
     longest = int(np.argmax(spread))
     if not spread[longest] > 2 * sorted(spread)[-2]:
