@@ -128,7 +128,7 @@ def _axis(name: str, first: Sequence[Array]) -> str:
 
 
 def _precision(told: Array, speeds: Array, displacement: Array, velocity: Array) -> str:
-    """Say in words what the digits of the dump leave unknown, from the numbers of the grain that moves most."""
+    """Say what the digits of the dump leave unknown, from the numbers of the grain that moves most."""
     parts = []
     for what, unit, values, motion in (
         ("displacement", "m", told, displacement),
