@@ -105,7 +105,7 @@ def _new_folder(name: str, force: bool) -> Path:
 
 
 def _new_file(name: str, scene: str, force: bool) -> Path:
-    """Return the path of a file to write; what is there may have taken long, and is kept unless told otherwise."""
+    """Return the path of a file to write; what is there may have taken long, and is kept unless forced."""
     path = output(name, scene)
     if path.exists() and not force:
         raise InputError([(name, "is there already: replace it with --force, or name another file with -o")])

@@ -44,7 +44,8 @@ def surroundings(chain: Chain, excitation: Excitation) -> tuple[int, Chain, Exci
 def squeezed(chain: Chain, excitation: Excitation) -> tuple[int, float]:
     """Return the contact that is squeezed most at first, and to what part of the diameter."""
     first, near, strike = surroundings(chain, excitation)
-    relative = first_overlaps(near, strike) / near.contact_lengths
+    with np.errstate(over="ignore"):  # of a strike that is refused
+        relative = first_overlaps(near, strike) / near.contact_lengths
     worst = int(relative.argmax())
     return worst + first - 1, float(relative[worst])
 

@@ -59,6 +59,6 @@ def _unpack(content: memoryview) -> Checkpoint | None:
         arrays = unpack(content)
         notes = json.loads(str(arrays["notes"]))
         state = {name.removeprefix(STATE): values for name, values in arrays.items() if name.startswith(STATE)}
-        return Checkpoint(notes, state)
+        return Checkpoint(dict(notes), state)
     except Exception:  # whatever it is, it is no checkpoint, though it bears its hash
         return None

@@ -30,7 +30,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from ..engines.base import Candidate, Engine, Run, SharperBound
+from .. import engines
+from ..engines.base import Engine, Run
 from ..engines.step_control import Attempt, Outcome
 from ..errors import EngineUnavailable, InputError, LmpchainError
 from ..trajectory import zarr_store as store
@@ -166,9 +167,10 @@ class RunFolder:
         """Find the newest checkpoint that is whole, and whose samples are there."""
         lost = False
         for checkpoint in checkpoints.load(self.path):
-            if checkpoint and store.usable(self.path, self.task.scene, checkpoint.notes["samples"]):
+            if checkpoint and store.usable(self.path, self.task.scene, checkpoint.notes.get("samples")):
                 notes, self._state = checkpoint
-                self.attempt, self.samples, self._before = _attempt(notes), notes["samples"], notes["spent"]
+                self.attempt = _attempt(notes, self._before)
+                self.samples, self._before = notes["samples"], notes["spent"]
                 break
             lost = True
         if lost:
@@ -291,16 +293,20 @@ class RunFolder:
             aside.write_text(json.dumps(said, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def _attempt(notes: Mapping[str, Any]) -> Attempt:
-    """Return the attempt that a checkpoint tells of."""
-    given = notes["attempt"]
+def _attempt(notes: Mapping[str, Any], spent: Mapping[str, float]) -> Attempt:
+    """Return the attempt that a checkpoint tells of, after checking all that it notes."""
+    from pydantic import TypeAdapter, ValidationError
+
     try:
-        fields = given["candidate"]
-        sharper = fields["sharper"] and SharperBound(**fields["sharper"])
-        candidate = Candidate(**fields | {"sharper": sharper})
-        return Attempt(**given | {"candidate": candidate, "truncations": tuple(given["truncations"])})
-    except (TypeError, LookupError):
+        attempt = TypeAdapter(Attempt).validate_json(json.dumps(notes["attempt"]))
+        candidate, known = attempt.candidate, dict(TypeAdapter(dict[str, float]).validate_python(notes["spent"]))
+        if not (0 < candidate.step < math.inf and candidate.steps_per_sample > 0 and 0 < attempt.tolerance < 1):
+            raise ValueError("it has no steps")
+        if known.keys() != spent.keys() or attempt.engine not in engines.names():
+            raise ValueError("it is not of this version")
+    except (ValidationError, TypeError, ValueError, LookupError):
         cure = "go on with that one, or run the scene anew"
         raise InputError(
             [("checkpoint", f"was written by a version of lmpchain that this one does not know: {cure}")]
         ) from None
+    return attempt

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from .. import engines
-from ..errors import InputError
+from ..errors import InputError, check_tolerance
 from ..scene.scene import Scene
 from ..util import mpi
 from ..util.files import check_tree, replacing
@@ -133,14 +133,18 @@ def read(folder: Path, ranks: int | None = None) -> Task:
         options, before = dict(asked["options"]), dict(asked["sessions"][-1]["packages"])
         if asked["sha256"] != _seal(asked, text):
             raise ValueError("they are not those that the run began with")
+        ranked = "ranks" in options
+        if ranked and (ranks is not None or mpi.joined()):  # those of mpirun serve
+            options["ranks"] = ranks
+        policy = policy_for(str(asked["engine"]), **options)
+        check_kept(policy)  # no commands of whoever wrote this folder
+        check_tolerance(asked["tolerance"])
+        if not isinstance(asked["best_effort"], bool) or not isinstance(asked["sessions"], list):
+            raise ValueError("they do not say what was asked")
     except (ValueError, LookupError, TypeError, RecursionError) as error:
         raise InputError([(str(folder), f"its {RUN} or {SCENE} was changed and cannot be read: {error}")]) from None
-    if ranks is not None and "ranks" not in options:
+    if ranks is not None and not ranked:
         raise InputError([("ranks", f"the engine {asked['engine']} runs on one; leave the number of ranks out")])
-    if ranks is not None or (mpi.joined() and "ranks" in options):  # those of mpirun serve
-        options["ranks"] = ranks
-    policy = policy_for(asked["engine"], **options)
-    check_kept(policy)  # no commands of whoever wrote this folder
     if reasons := policy.refuses(scene):
         raise InputError(reasons)
     now = _session(options)

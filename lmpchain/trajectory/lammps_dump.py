@@ -119,7 +119,7 @@ def read(
 
 
 def _axis(name: str, first: Sequence[Array]) -> str:
-    """Return the axis along which the column stands: that along which the grains of the first frame are apart."""
+    """Return the axis along which the column stands: on which the grains of the first frame lie apart."""
     spread = [float(np.ptp(along)) for along in first]
     longest = int(np.argmax(spread))
     if not spread[longest] > 2 * sorted(spread)[-2]:
@@ -128,7 +128,7 @@ def _axis(name: str, first: Sequence[Array]) -> str:
 
 
 def _precision(told: Array, speeds: Array, displacement: Array, velocity: Array) -> str:
-    """Say in words what the digits of the dump leave unknown, from the numbers of the grain that moves most."""
+    """Say what the digits of the dump leave unknown, from the numbers of the grain that moves most."""
     parts = []
     for what, unit, values, motion in (
         ("displacement", "m", told, displacement),

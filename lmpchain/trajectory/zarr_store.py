@@ -133,10 +133,12 @@ class Writer:
         self._group.attrs.update(verdict(error, cost) | {SO_FAR: None})
 
 
-def usable(folder: Path, scene: Scene, samples: int) -> bool:
+def usable(folder: Path, scene: Scene, samples: Any) -> bool:
     """Say whether so many samples are complete and readable, up to the shard of the next one."""
     import zarr
 
+    if isinstance(samples, bool) or not isinstance(samples, int) or not 0 <= samples <= scene.samples:
+        return False
     if not samples:
         return True
     try:

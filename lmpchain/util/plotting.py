@@ -32,7 +32,7 @@ SHAPES = ("o", "D", "s", "v", "^", "P", "X", "p")
 
 
 def thinned(rows: Array, values: Array, most: int = 2000) -> tuple[Array, Array]:
-    """Return fewer rows of a map than a picture has lines: of each few, the one that differs most from its first value.
+    """Return fewer rows of a map: of every few, the one that differs most from its first value.
 
     Examples
     --------

@@ -306,7 +306,7 @@ def _window(
 
 
 def _thinned(inside: np.ndarray, trajectory: Trajectory, p: int, rate: float) -> np.ndarray:
-    """Leave out grains that the wave has not reached, and then all but every so many, if there are too many values."""
+    """Of too many values, leave out grains that the wave has not reached, then all but every so many."""
     if np.count_nonzero(inside) <= MOST:
         return inside
     reach = 2 * rate * float(trajectory.time[-1])
