@@ -56,6 +56,7 @@ class PhaseError:
         self._fastest, self._most = fastest(scene), bounds(scene)[1]
         self._open_at = OPEN if may_open(scene) else -np.inf
         self._looked = decidable(scene)
+        self._spreads = struck_column(scene)  # where the lead is won at the first grains, and stays
         self.state = start() if state is None else state.copy()
 
     def add(self, times: Array, recorded: NDArray[np.bool_], u: Array, v: Array, reach: NDArray[np.intp]) -> None:
@@ -83,7 +84,8 @@ class PhaseError:
         if not self._looked:
             return 1.0
         slows = SLOWS * self._excess * self._typical * self.state[kernel.SQUARED_STRAIN]
-        return float(min(1.0, max(self._leads, STRAYS * self._strays(self._typical) + slows)))
+        strayed = 0.0 if self._spreads else STRAYS * self._strays(self._typical) + slows
+        return float(min(1.0, max(self._leads / (1 + self._leads), strayed)))
 
     @property
     def at_most(self) -> float:
