@@ -170,7 +170,7 @@ def _judge(proposal: Proposal, scene: Scene, tolerance: float) -> Proposal:
 
 
 def estimated(proposals: Sequence[Proposal], scene: Scene) -> list[Proposal]:
-    """Add to proposals that are dropped for a bound on their model error what it is about, where that takes no time."""
+    """Add to proposals dropped for a bound on their model error what it is about, where that is cheap."""
     known: dict[int | None, float] = {}
     told = []
     for proposal in proposals:

@@ -63,7 +63,7 @@ def strike_number_at(error: float, norm: str, exponent: float = 1.5, grain: int 
 
 
 def strike_number_where(error: float, scene: Scene) -> float:
-    """Return the strike number at which Eq. (3) would have an error, were the scene so much weaker or stronger.
+    """Return the strike number at which Eq. (3) would have this error, in a scene like this one.
 
     By `linear_law` for a column struck at its top, for any other scene by the estimate from its linear wave.
     """

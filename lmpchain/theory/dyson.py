@@ -1,4 +1,4 @@
-"""Dyson's distribution of force constants, his exact spectrum, and the paper's weighted sum (Eqs. 22, 23)."""
+"""Dyson's distribution of force constants (Eq. 23), his exact spectrum, and the sum of Eq. (22)."""
 
 from __future__ import annotations
 
