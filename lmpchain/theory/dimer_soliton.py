@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,7 +23,12 @@ from ..chain.chain import Chain
 from ..errors import InputError
 from ..scene.excitation import Profile
 from ..util.arrays import Array
+from ..util.plotting import axes_in_units
 from .domain import real, require
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 PERIOD, POINTS = 12.0, 256  # grains, and points in them
 GRAINS, CONTACT, UNTIL = 50, 28, 60.0  # of the chain that is struck for an approximation
@@ -65,7 +71,8 @@ class DimerSoliton:
     def on(self, chain: Chain, grain: float) -> Profile:
         """Return this wave on a chain, as it passes a grain downward.
 
-        Displacements and velocities are in SI units. The largest velocity of heavy grains is that for which it was solved, in m/s.
+        Displacements and velocities are in SI units; the largest velocity of heavy grains is that for which it was
+        solved, in m/s.
 
         Raises
         ------
@@ -87,6 +94,18 @@ class DimerSoliton:
         x = np.arange(1, chain.grains + 1) - grain
         u, v = (np.where(heavy, f(x), f(x, light=True)) for f in (self.displacement, self.velocity))
         return Profile(displacement=u * unit, velocity=v)
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw the velocities of heavy and light grains against x, and the overlaps; returns the figure."""
+        ax, picture = axes_in_units(ax, "", "")
+        x = np.linspace(-PERIOD / 3, PERIOD / 3, 401)
+        for name, light in (("heavy", False), ("light", True)):
+            ax.plot(x, self.velocity(x, light), label=f"velocity of {name} grains")
+            ax.plot(x, self.overlap(x, light), "--", lw=1, label=f"overlap ahead of {name} grains")
+        ax.set(xlabel="x − ct (grains)", ylabel="units of heavy mass and contact")
+        ax.set_title(f"δ = {self.delta:g}, mass ratio {self.mass_ratio:.8g}, speed {self.speed:.7g}", loc="left")
+        ax.legend(frameon=False, fontsize="small")
+        return picture
 
     def _series(self, x: Array, derivative: int) -> Array:
         """Return A or A' by its Fourier series, 0 beyond."""
