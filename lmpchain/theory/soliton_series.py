@@ -8,7 +8,7 @@ straight.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -18,19 +18,22 @@ from scipy.special import roots_legendre
 from ..chain.contacts import Contacts
 from ..errors import InputError
 from ..util.arrays import Array
+from .domain import real
 
 DROP = 45.0  # of log r from the middle to where its series ends
-RESOLVED, IN_TAILS = 1e-13, 1e-8  # residuals of the equation over the largest overlap, over that at the same place
+RESOLVED = 1e-13  # residual of the equation over the largest overlap
+IN_TAILS = 1e-5  # weight of residuals over the overlap in place
 FURTHEST = 20.0  # logarithm of how often log(overlap) is larger than at the reach: beyond, the overlap is 0
 CROWDED = 3.0  # b of the stretched x = reach sinh(b z) / sinh(b)
 PICARD = 12  # iterations before those of Newton
-FEWEST, MOST = 48, 400  # coefficients
+FEWEST, MOST = 48, 370  # coefficients
 POINTS = 40  # of Gauss and Legendre, for half of the kernel; 8 delta more
 
 
 class Series(NamedTuple):
-    """Reach, coefficients of T_0, T_2, T_4 ..., largest residual over the largest overlap."""
+    """Speed, reach, coefficients of T_0, T_2, T_4 ..., and the largest residual between the points."""
 
+    speed: float
     reach: float
     coefficients: Array
     residual: float
@@ -62,34 +65,48 @@ def rows(x: Array, terms: int, reach: float, delta: float, loaded: bool) -> Arra
 
 
 @cache
-def solved(delta: float, speed: float | None) -> Series:
-    """Return the wave of this speed under a load, or that of speed 1 in the sonic vacuum."""
+def solved(delta: float, speed: float | None, velocity: float | None = None) -> Series:
+    """Return the wave of this speed under a load, or that of speed 1 in the sonic vacuum.
+
+    With a velocity, that of the grains at their fastest, the speed is an approximation to begin with.
+    """
+    guess, reach = _guess(delta, speed)
     terms = FEWEST
     while terms <= MOST:
         with np.errstate(over="ignore", invalid="ignore"):
-            found = _newton(delta, speed, terms)
-        if found:
+            found = _newton(delta, speed, velocity, terms, guess, reach)
+        if found and found.residual < RESOLVED:
             return found
+        if found:
+            guess = partial(_continued, found, delta, speed is not None)
         terms = 3 * terms // 2
     raise InputError([("speed" if speed else "delta", "its wave is too wide or too sharp: no series resolves it")])
 
 
-def _newton(delta: float, speed: float | None, terms: int) -> Series | None:
-    """Solve for a series of so many terms; None if they are too few."""
+def _continued(found: Series, delta: float, loaded: bool, x: Array) -> Array:
+    """Return log(overlap) by a series that is too short."""
+    return rows(x, found.coefficients.size, found.reach, delta, loaded) @ found.coefficients
+
+
+def _newton(
+    delta: float, speed: float | None, velocity: float | None, terms: int, guess: Callable[[Array], Array], reach: float
+) -> Series | None:
+    """Solve for a series of so many terms and the logarithm of the speed; None if that does not converge."""
     loaded, c = speed is not None, speed or 1.0
     contact = law(delta, loaded)
-    s, weight = roots_legendre(POINTS + round(8 * delta))
-    s = np.concatenate((s - 1, s + 1)) / 2  # the halves of the kernel
-    weight = np.tile(weight, 2) / 2 * (1 - np.abs(s))
-    guess, reach = _guess(delta, speed)
+    y, halves = roots_legendre(POINTS + round(8 * delta))
+    s = np.concatenate((y - 1, y + 1)) / 2  # the halves of the kernel
+    weight = np.tile(halves, 2) / 2 * (1 - np.abs(s))
 
     def around(x: Array) -> Array:
         return rows(x[:, None] + s, terms, reach, delta, loaded)
 
     x = np.cos(np.pi * (np.arange(terms) + 0.5) / (2 * terms))
     x = reach * (np.sinh(CROWDED * x) / np.sinh(CROWDED) if loaded else x)
-    here, beside = rows(x, terms, reach, delta, loaded), around(x)
+    here, beside, within = rows(x, terms, reach, delta, loaded), around(x), rows(s / 2, terms, reach, delta, loaded)
     series = np.linalg.solve(here, guess(x))
+    matrix = np.zeros((terms + 1, terms + 1))
+    matrix[:-1, -1] = 2.0
     for step in range(60):
         overlap = np.exp(beside @ series)
         force = contact.force_change(overlap) @ weight
@@ -99,11 +116,20 @@ def _newton(delta: float, speed: float | None, terms: int) -> Series | None:
             series[0] += off[-1] * delta / (delta - 1)
             continue
         slope = contact.stiffness_at(contact.overlap + overlap) * overlap * (weight / force[:, None])
-        change = np.linalg.solve(here - np.matmul(slope[:, None], beside)[:, 0], off)
-        size = np.abs(here @ change).max()
+        matrix[:-1, :-1] = here - np.matmul(slope[:, None], beside)[:, 0]
+        matrix[-1], closing = np.append(np.zeros(terms), 1.0), 0.0
+        if velocity is not None:  # c times it is the mean force over one grain
+            middle = np.exp(within @ series)
+            share = np.tile(halves, 2) / 4
+            mean = contact.force_change(middle) @ share
+            matrix[-1, :-1] = -(contact.stiffness_at(contact.overlap + middle) * middle * share / mean) @ within
+            closing = float(np.log(c * velocity / mean))
+        change = np.linalg.solve(matrix, np.append(off, closing))
+        size = np.abs(np.append(here @ change[:-1], change[-1])).max()
         if not np.isfinite(size):
             return None
-        series = series - change * min(1.0, 3 / size)
+        change *= min(1.0, 3 / size)
+        series, c = series - change[:-1], float(c * np.exp(-change[-1]))
         if size < 1e-6:  # the next change is its square
             break
     else:
@@ -111,8 +137,7 @@ def _newton(delta: float, speed: float | None, terms: int) -> Series | None:
     between = np.linspace(0, reach, 4 * terms + 1)
     overlap = np.exp(rows(between, terms, reach, delta, loaded) @ series)
     miss = np.abs(contact.force_change(np.exp(around(between) @ series)) @ weight / c**2 - overlap)
-    resolved = miss.max() < RESOLVED * overlap.max() and (miss / overlap).max() < IN_TAILS
-    return Series(reach, series, float(miss.max() / overlap.max())) if resolved else None
+    return Series(c, reach, real(series), float(max(miss.max() / overlap.max(), IN_TAILS * (miss / overlap).max())))
 
 
 def _guess(delta: float, speed: float | None) -> tuple[Callable[[Array], Array], float]:
