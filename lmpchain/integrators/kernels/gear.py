@@ -6,7 +6,7 @@ import numpy as np
 
 from ...util.compilation import compiled_once
 from .contact_forces import NEWS, STRICT, inlined
-from .layout import DONE, FIRST, LAST, PAD, STEP
+from .layout import DONE, FIRST, LAST, PAD, STEP, STEPS
 from .right_hand_side import accelerate, hold, impose
 from .sample_loop import sample_loop
 from .window import look, watch, widen
@@ -67,8 +67,7 @@ def _advance(chain, method, work, clock, span):
     if chain.inverse_mass[PAD] == 0.0:  # its derivatives are imposed, too
         more[0, PAD], more[1, PAD], more[2, PAD] = 0.0, 0.0, 0.0
     watch(chain)
-    if int(state[DONE]) % every == 0:
-        look(chain, then, 1.0)
+    look(chain, every, int(state[STEPS]) + 1, then, 1.0)
     state[DONE] += 1.0
     return 1
 

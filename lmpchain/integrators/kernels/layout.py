@@ -15,7 +15,7 @@ PAD = 8  # doubles in a cache line
 # the state of a chain between two calls: the last sample, how far beyond it (in steps or s), the part of a kick that is
 # still due, the active window, extremes of the contacts, the largest displacement and speed of any grain, steps made,
 # and the step size of a method that changes it
-SAMPLE, DONE, PENDING, FIRST, LAST, LOWEST, CLOSEST, FARTHEST, FASTEST, STEPS, STEP = range(11)
+SAMPLE, DONE, PENDING, FIRST, LAST, LOWEST, CLOSEST, FARTHEST, FASTEST, NEXT, STEPS, STEP = range(12)
 
 
 class Chains(NamedTuple):

@@ -6,12 +6,10 @@ import numpy as np
 
 from ...util.compilation import compiled_once
 from .contact_forces import NEWS, STRICT, inlined
-from .layout import DONE, FIRST, LAST, PAD, PENDING, STEPS
+from .layout import DONE, FIRST, LAST, NEXT, PAD, PENDING, STEPS
 from .right_hand_side import ROWS, TILE, imposed, sweep
 from .sample_loop import sample_loop
 from .window import look, watch, widen
-
-SETTLED = 64  # steps after which pieces between two looks for the largest motion are twice as long
 
 
 @inlined
@@ -35,12 +33,13 @@ def _advance(chain, method, work, clock, span):
                 path[row] = imposed(chain, t)
         kick[step * stages] += state[PENDING]
         state[PENDING] = kicks[stages] * h
-    piece = every * (1 + int(state[STEPS]) // SETTLED)  # later, what is new is rare
-    for step in range(0, burst, piece):
-        end = min(burst, step + piece)
+    step, made = 0, int(state[STEPS])
+    while step < burst:
+        end = min(burst, max(step + 1, int(state[NEXT]) - made))
         some = slice(step * stages, end * stages)
         sweep(chain, kick[some], drift[some], carried[some], path[some])
-        look(chain, begun + end * h, complete)
+        look(chain, every, made + end, begun + end * h, complete)
+        step = end
     watch(chain)
     state[DONE] += burst
     return burst
