@@ -267,9 +267,9 @@ class CompanionRun(Run):
         if self._at_rest[real] or self._sample < self.scene.samples - 1:
             return 0.0
         if real not in self._amplified:
-            began = time.perf_counter()
+            began = clock()
             self._amplified[real] = amplified_digit(self._scenes[real], peaks, self._answer.steps[real])
-            self._estimate_s += time.perf_counter() - began
+            self._estimate_s += clock() - began
         return self._amplified[real]
 
     def cost(self) -> Cost:
