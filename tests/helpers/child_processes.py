@@ -8,7 +8,7 @@ import subprocess
 import sys
 import termios
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -18,14 +18,15 @@ from lmpchain import Scene, Trajectory
 from lmpchain.simulation.run_folder import status
 from lmpchain.util import mpi
 
-COMMAND = [sys.executable, "-m", "lmpchain.cli"]
+COMMAND = (sys.executable, "-m", "lmpchain.cli")
+HURRIED = (sys.executable, str(Path(__file__).with_name("hurried.py")))
 PATIENCE = 600.0  # s, after which a process is taken to hang: on a busy machine everything is slow
 
 
-def start(*words: object, ranks: int = 1, **options) -> subprocess.Popen[str]:
+def start(*words: object, ranks: int = 1, command: Sequence[str] = COMMAND, **options) -> subprocess.Popen[str]:
     """Start a command of lmpchain, under mpirun if there are several ranks."""
     under = [mpi.launcher(), "-n", str(ranks)] if ranks > 1 else []
-    command = [*under, *COMMAND, *map(str, words)]
+    command = [*under, *command, *map(str, words)]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, **options)
 
 
@@ -39,9 +40,9 @@ def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
     return process.returncode, out + (err or "")
 
 
-def finish(*words: object, ranks: int = 1, **options) -> tuple[int, str]:
+def finish(*words: object, **options) -> tuple[int, str]:
     """Run a command of lmpchain; return its exit code and what it said."""
-    return ended(start(*words, ranks=ranks, **options))
+    return ended(start(*words, **options))
 
 
 def until(condition: Callable[[], object], every: float = 0.01) -> None:
