@@ -118,7 +118,7 @@ def realisation(scene: Scene, m: float, seed: int, index: int = 0, law: Law = "d
         _fault_of_vacuum(scene.chain, of),
     )
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
-    chain = Chain.model_construct(**_redrawn(scene.chain, m, rng, law, of))
+    chain = Chain.model_construct(**_redrawn(scene.chain, m, rng, law, of))._leave_open()
     return Scene.model_construct(**(scene.given() | {"chain": chain}))
 
 

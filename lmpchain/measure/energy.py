@@ -35,15 +35,16 @@ class EnergyLedger:
     contact : (T,) array
         Elastic energy K overlap^(delta+1) / (delta+1) of all contacts, less that at rest.
     gravity, load : (T,) arrays
-        Potential energies of the weight and of a constant load on a free top, 0 at rest.
+        Potential energies of the weight, and of a constant load on a free top or on a wall that moves, 0 at rest.
     total : (T,) array
         `Chain.excess_energy`.
     drive : (T,) array
-        Work of the driver since t = 0 beyond that of the load: the integral of (drive force - top load) phi_1'.
+        Work of a force, or of a driver beyond that of the load, since t = 0: the integral of (drive force - top load)
+        times the velocity of the grain or wall that it acts on.
     momentum : (T,) array
         Of all grains, positive downward.
     impulse : (T,) array
-        What driver, walls and a held grain have given since t = 0 beyond the impulses that balance at rest.
+        What force, driver, walls and a held grain have given since t = 0 beyond the impulses that balance at rest.
     drive_error, impulse_error : float
         How far the two may be off, as the contact forces are known at samples only: the shift when every second
         sample is used, J and N s; infinite for fewer than three samples. Where forces are smooth and well sampled,
@@ -122,21 +123,24 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
     scene = trajectory.scene
     chain = scene.chain
     u, v = motion(trajectory, np.arange(1, chain.grains + 1))
-    closer, time = chain.contacts.closer(u), trajectory.time
-    force, rate = _contact_forces(chain.contacts, closer, chain.contacts.closer(v))
+    time, wall = trajectory.time, trajectory.scene.excitation.wall
+    top, top_speed = (None if wall is None else wall.at(time, order) for order in (0, 1))
+    closer = chain.contacts.closer(u, top)
+    force, rate = _contact_forces(chain.contacts, closer, chain.contacts.closer(v, top_speed))
     momentum = v @ chain.masses
     drive, impulse = np.zeros((2, time.size))
     drive_error = impulse_error = 0.0
     if chain.top == "wall":
         impulse, impulse_error = _integral(time, force[:, 0], rate[:, 0])
-    if push := scene.excitation.push(chain, time, force, rate):
-        speed = v[:, push.grain - 1]
+    if push := scene.excitation.push(chain, time, force, rate, v):
+        speed = push.speed
         power, change = push.force * speed, push.rate * speed + push.force * push.acceleration
         work, drive_error = _integral(time, power, change)
         given, error = _integral(time, push.force, push.rate)
         drive = work + push.inertia / 2 * (speed**2 - speed[0] ** 2)
-        impulse = impulse + given + push.inertia * (speed - speed[0])
-        impulse_error += error
+        if push.on_grain:
+            impulse = impulse + given + push.inertia * (speed - speed[0])
+            impulse_error += error
     if chain.bottom != "free":
         given, error = _integral(time, force[:, chain.movable], rate[:, chain.movable])
         impulse, impulse_error = impulse - given, impulse_error + error
@@ -145,8 +149,8 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
         kinetic=v**2 @ chain.masses / 2,
         contact=chain.contacts.energy(closer).sum(1) + closer @ chain.contacts.force,
         gravity=-chain.gravity * (u @ chain.masses),
-        load=-chain.top_load * u[:, 0] * (chain.top == "free"),
-        total=chain.excess_energy(u, v),
+        load=-chain.top_load * (u[:, 0] * (chain.top == "free") if top is None else top),
+        total=chain.excess_energy(u, v, top),
         drive=drive,
         momentum=momentum,
         impulse=impulse,

@@ -35,7 +35,8 @@ def pieces(excitation: Excitation, duration: float) -> list[tuple[float, list[st
     """Return when each cubic piece of a sampled motion ends, s, and the commands that put it in force."""
     if not isinstance(excitation, Drive) or excitation.times is None:
         return []
-    spline = excitation.spline
+    spline = excitation.waveform.spline
+    assert spline is not None
     cubics = []
     for k, (begin, end) in enumerate(pairwise(spline.x.tolist())):
         if begin < duration:

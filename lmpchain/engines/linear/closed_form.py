@@ -15,7 +15,8 @@ from ...scene.scene import Scene
 from ...trajectory.record import Block, Cost
 from ...util.arrays import Array
 from ..base import Candidate, ErrorBudget, Run
-from .engine import Chebyshev, LinearEngine, Solution
+from .engine import Chebyshev, LinearEngine
+from .solutions import Solution
 
 UNIFORM = 1e-12  # relative difference of masses and constants that still counts as none
 

@@ -46,7 +46,7 @@ class PhaseError:
         self._stiffness, self._inverse_mass = contacts.stiffness, 1 / chain.masses
         self._inverse_mass[chain.movable :] = 0.0
         self._inverse_overlap = np.divide(1.0, contacts.overlap, out=np.zeros(chain.grains + 1), where=contacts.pressed)
-        self._excess = chain.exponent - 1
+        self._excess, self._wall = chain.exponent - 1, scene.excitation.wall
         self._fastest, self._most = chain.band_edge, bounds(scene)[1]
         self.state = start() if state is None else state.copy()
 
@@ -64,9 +64,10 @@ class PhaseError:
         reach : (T, 2) array
             First grain, from 0, and the one after the last that moves.
         """
+        walls = np.zeros(times.size) if self._wall is None else self._wall.at(times)
         accumulate(
-            times, recorded, u, v, reach, self._inverse_overlap, self._stiffness, self._inverse_mass, self._excess / 4,
-            self.state,
+            times, recorded, u, v, walls, reach, self._inverse_overlap, self._stiffness, self._inverse_mass,
+            self._excess / 4, self.state,
         )  # fmt: skip
 
     @property

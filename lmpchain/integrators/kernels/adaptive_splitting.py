@@ -13,7 +13,7 @@ import numpy as np
 from ...util.compilation import compiled_once
 from .contact_forces import NEWS, STRICT, bits, fma, inlined, number
 from .layout import DONE, FIRST, LAST, PAD, PENDING
-from .right_hand_side import accelerate, ahead, hold, impose, impose_velocity, imposed, sweep
+from .right_hand_side import RESOLUTION, accelerate, ahead, hold, impose, impose_velocity, imposed, recall, sweep
 from .sample_loop import sample_loop
 from .window import watch, widen
 
@@ -77,13 +77,14 @@ def _advance(chain, method, work, clock, span):
     kick, drift, carried, path, reach, force, pull = work
     y, w, state, stages = chain.x, chain.v, chain.state, drifts.size
     t = span.begin + state[DONE]
+    recall(chain, t)
     impose_velocity(chain, w, PAD, t)  # before the forces, like all that is imposed
     _finish_kick(chain, stages + 1, force, pull)
     watch(chain)
     first, last = int(state[FIRST]), int(state[LAST])
     bodies, near, grains, speeds = slice(first - 1, last + 1), slice(first - 1, last), y[first:last], w[first:last]
     whole = span.length - state[DONE]
-    left = min(whole, ahead(chain, t, span.begin + span.length, 1e-9 * clock.step))
+    left = min(whole, ahead(chain, t, span.begin + span.length, RESOLUTION * clock.step))
     nearness = _nearness(
         y[bodies], w[bodies], pull[bodies], chain.inverse_length[near], weight[chain.number, near],
         chain.precompressed, chain.uncompressed if first == PAD else 0.0, omega[chain.number], nearest[chain.number],
@@ -104,7 +105,7 @@ def _advance(chain, method, work, clock, span):
     sweep(chain, kick, drift, carried, path)
     state[DONE] = span.length if steps == 1 and left == whole else state[DONE] + h
     state[PENDING] = kicks[stages] * h
-    impose(chain, y, span.begin + state[DONE])
+    impose(chain, y, span.begin + state[DONE], span.begin + state[DONE])
     return 1
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from ...util.compilation import compiled_once
 from .contact_forces import NEWS, STRICT, inlined
 from .layout import DONE, FIRST, LAST, STEP
-from .right_hand_side import accelerate, ahead, impose
+from .right_hand_side import RESOLUTION, accelerate, ahead, impose
 from .sample_loop import sample_loop
 from .window import watch, widen
 
@@ -45,7 +45,7 @@ def _advance(chain, method, work, clock, span):
     first, last = int(state[FIRST]), int(state[LAST])
     here = slice(first, last)
     now, whole = span.begin + state[DONE], span.length - state[DONE]
-    left = min(whole, ahead(chain, now, span.begin + span.length, 1e-9 * clock.step))
+    left = min(whole, ahead(chain, now, span.begin + span.length, RESOLUTION * clock.step))
     h = span.step if allowed == 0.0 else (state[STEP] if state[STEP] > 0.0 else clock.step)
     steps = max(1, math.ceil(left / h - 1e-9))
     h = left / steps
@@ -60,7 +60,7 @@ def _advance(chain, method, work, clock, span):
             if part != 0.0:
                 for n in range(grains.size):
                     stage_grains[n] += part * slope[n]
-        impose(chain, z, now + nodes[stage] * h)
+        impose(chain, z, now + nodes[stage] * h, now + 0.5 * h)
         accelerate(chain, z, first, last, force, slopes[stage])
     if allowed > 0.0:
         error = _error(chain, weights, slopes, h)
@@ -77,7 +77,7 @@ def _advance(chain, method, work, clock, span):
             grains[n] += wx * slope[n]
             speeds[n] += wv * slope[n]
     state[DONE] = span.length if steps == 1 and left == whole else state[DONE] + h
-    impose(chain, y, span.begin + state[DONE])
+    impose(chain, y, span.begin + state[DONE], span.begin + state[DONE])
     watch(chain)
     return 1
 

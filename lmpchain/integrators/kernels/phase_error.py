@@ -37,14 +37,15 @@ def start() -> Array:
 
 
 @compiled_once("the phase error of linear theory", 3)
-def accumulate(times, recorded, us, vs, reach, inverse_overlap, stiffness, inverse_mass, faster, state):
-    """Take in the solution (T, N) at these times."""
+def accumulate(times, recorded, us, vs, walls, reach, inverse_overlap, stiffness, inverse_mass, faster, state):
+    """Take in the solution (T, N) at these times, with the top wall at (T,)."""
     for i in range(times.size):
         first, last = reach[i]
         u, v = us[i, first:last], vs[i, first:last]
         largest = displacement = velocity = acceleration = before = 0.0
+        above = walls[i] if first == 0 else 0.0
         for n in range(u.size + 1):  # contacts; before and after these grains is one at rest
-            r = (u[n - 1] if n > 0 else 0.0) - (u[n] if n < u.size else 0.0)
+            r = (u[n - 1] if n > 0 else above) - (u[n] if n < u.size else 0.0)
             strain, force = r * inverse_overlap[first + n], r * stiffness[first + n]
             if abs(strain) > abs(largest):
                 largest = strain
