@@ -7,9 +7,10 @@ import math
 import numpy as np
 
 from ...util.compilation import compiled_once
+from ..step_schedule import RESOLUTION
 from .contact_forces import NEWS, STRICT, inlined
 from .layout import DONE, FIRST, LAST, STEP
-from .right_hand_side import RESOLUTION, accelerate, ahead, impose
+from .right_hand_side import accelerate, ahead, impose
 from .sample_loop import sample_loop
 from .window import watch, widen
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from ...util.compilation import compiled_once
+from ..step_schedule import RESOLUTION
 from .contact_forces import NEWS, STRICT, inlined
 from .layout import DONE, FIRST, LAST, PAD, STEP
-from .right_hand_side import RESOLUTION, accelerate, cut, hold, impose
+from .right_hand_side import accelerate, cut, hold, impose
 from .sample_loop import sample_loop
 from .window import watch, widen
 
