@@ -144,7 +144,7 @@ def bounds(scene: Scene) -> tuple[float, float]:
 def _struck_column(scene: Scene) -> bool:
     """Whether it is a uniform column under gravity alone, struck at its top, for at most ten passages."""
     chain, strike = scene.chain, scene.excitation
-    if not (strike.strikes_top and chain.gravity > 0 and chain.top_load == 0):
+    if chain.grains == 1 or not (strike.strikes_top and chain.gravity > 0 and chain.top_load == 0):
         return False
     if chain.top != "free" or chain.exponent > STEEPEST or np.ptp(chain.masses) or np.ptp(chain.contact_constants):
         return False

@@ -26,6 +26,7 @@ def _begin(chain, work, now, h):
     for n in range(first, last):
         more[0, n] = pull[n]
     for side in (1.0, -1.0):
+        z[first - 1], z[last] = y[first - 1], y[last]
         for n in range(first, last):
             z[n] = y[n] + side * h * w[n] + 0.5 * h * h * more[0, n]
         impose(chain, z, now + side * h, inside)
