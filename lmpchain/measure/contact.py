@@ -154,10 +154,7 @@ def contacts(trajectory: Trajectory, numbers: Sequence[int] | None = None) -> Co
     """
     every = trajectory.scene.chain.contacts
     if numbers is None:
-        known = _columns(trajectory) != UNKNOWN
-        chosen = np.flatnonzero(known[:-1] & known[1:] & every.exists)
-        if not chosen.size:
-            raise InputError([("grains", "no two neighbours were recorded, so no contact is known: record both")])
+        chosen = known_contacts(trajectory)
     else:
         chosen, there = np.array(numbers, dtype=int).reshape(-1), np.flatnonzero(every.exists)
         if not np.isin(chosen, there).all():
@@ -167,6 +164,15 @@ def contacts(trajectory: Trajectory, numbers: Sequence[int] | None = None) -> Co
     these = every.of(chosen)
     overlap, closing = these.overlap + r, v[:, 0] - v[:, 1]
     return ContactHistory(trajectory.time, chosen, overlap, closing, these.force_at(overlap), these.force_change(r))
+
+
+def known_contacts(trajectory: Trajectory) -> np.ndarray:
+    """Return the numbers of the contacts whose two bodies were recorded or stand still; raises `InputError` if none."""
+    known = _columns(trajectory) != UNKNOWN
+    chosen = np.flatnonzero(known[:-1] & known[1:] & trajectory.scene.chain.contacts.exists)
+    if not chosen.size:
+        raise InputError([("grains", "no two neighbours were recorded, so no contact is known: record both")])
+    return chosen
 
 
 def wall_force(trajectory: Trajectory, end: Literal["top", "bottom"] = "bottom") -> Array:

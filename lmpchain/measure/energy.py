@@ -1,4 +1,4 @@
-"""Energy and momentum balance of a chain, with the work of gravity, load, walls and drive."""
+"""Energy of grains, contacts and parts of a chain; its balance of energy and momentum with the world outside."""
 
 from __future__ import annotations
 
@@ -6,13 +6,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from ..chain.contacts import Contacts
+from ..errors import InputError
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.plotting import axes_in_units
-from .contact import motion
+from .contact import known_contacts, motion
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -96,6 +98,77 @@ class EnergyLedger:
         ax.set_title(f"Drift: at most {np.abs(self.drift).max() / largest:.1e} of the largest total", loc="left")
         ax.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=4)
         return picture
+
+
+@dataclass(frozen=True, eq=False)
+class EnergyShares:
+    """Energies of the G recorded grains and of the C contacts between them over time, above those at rest, J.
+
+    The sum over all grains and contacts is `EnergyLedger.total`: each contact holds its elastic energy less the work
+    that load and weight do as it gives way, which is never below 0.
+
+    Attributes
+    ----------
+    time : (T,) array
+        s.
+    grain, contact : (G,) and (C,) arrays
+        Their numbers; contact n lies below grain n, 0 and N are those with walls.
+    kinetic : (T, G) array
+    elastic : (T, C) array
+    of_grain : (T, G) array
+        Kinetic energy of each grain, half of its contacts with other grains, and all of those with walls; NaN where a
+        neighbour was not recorded.
+    """
+
+    time: Array
+    grain: NDArray[np.intp]
+    contact: NDArray[np.intp]
+    kinetic: Array
+    elastic: Array
+    of_grain: Array
+
+    def part(self, first: int, last: int) -> Array:
+        """Return the energy of grains first ... last, the sum of `of_grain`, (T,) J.
+
+        Raises
+        ------
+        InputError
+            If one of them was not recorded.
+        """
+        wanted = np.arange(first, last + 1)
+        if not wanted.size or not np.isin(wanted, self.grain).all():
+            raise InputError([("part", f"takes recorded grains, from the first to the last (got {first} to {last})")])
+        return self.of_grain[:, np.isin(self.grain, wanted)].sum(1)
+
+
+def shares(trajectory: Trajectory) -> EnergyShares:
+    """Return the energy of each recorded grain and of each contact between them over time.
+
+    Raises
+    ------
+    InputError
+        If no two neighbours were recorded.
+
+    Examples
+    --------
+    >>> import lmpchain
+    >>> chain = lmpchain.Chain(grains=20, diameter=1e-3)
+    >>> scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-3), duration=2e-5, samples=3)
+    >>> energy = shares(lmpchain.simulate(scene, engine="native", tolerance=1e-9))
+    >>> (energy.part(1, 20) / scene.energy).round(8).tolist()
+    [1.0, 1.0, 1.0]
+    """
+    chain, grain = trajectory.scene.chain, trajectory.grains
+    contact = known_contacts(trajectory)
+    u, _ = motion(trajectory, np.stack([contact, contact + 1]))
+    elastic = chain.contacts.of(contact).energy(u[:, 0] - u[:, 1])
+    kinetic = chain.masses[grain - 1] * trajectory.velocity**2 / 2
+    every = np.where(chain.contacts.exists, np.nan, 0.0) + np.zeros((trajectory.time.size, 1))
+    every[:, contact] = elastic
+    every[:, 1:-1] /= 2
+    return EnergyShares(
+        trajectory.time, grain, contact, kinetic, elastic, kinetic + every[:, grain - 1] + every[:, grain]
+    )
 
 
 def ledger(trajectory: Trajectory) -> EnergyLedger:

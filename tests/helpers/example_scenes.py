@@ -3,7 +3,17 @@
 import numpy as np
 
 from lmpchain import (
-    GLASS, Chain, Displacement, Drive, Force, Impulse, Impurity, InputError, Packet, Profile, Scene
+    GLASS,
+    Chain,
+    Displacement,
+    Drive,
+    Force,
+    Impulse,
+    Impurity,
+    InputError,
+    Packet,
+    Profile,
+    Scene,
 )  # fmt: skip
 
 PAPER = {  # name: strike m/s, gravity m/s2
