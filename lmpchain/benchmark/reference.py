@@ -245,7 +245,7 @@ class _Motion:
 
 
 def _exact_sines(excitation: Any) -> list[tuple[Long, Long]]:
-    """Return amplitudes, and frequencies in rad/s as exact as those of the scene, of the sines that are imposed."""
+    """Return the sines that are imposed: amplitudes, and frequencies as exact as in the scene, rad/s."""
     wave = excitation.waveform
     if wave is None or wave.spline is not None:
         return []

@@ -89,7 +89,7 @@ class Contacts:
 
     @staticmethod
     def closer(displacement: Array, wall: Array | None = None) -> Array:
-        """Return the change of every overlap from that at rest, (..., N+1) m, with the top wall at (...) m, or at 0."""
+        """Return how much every overlap exceeds that at rest, (..., N+1) m; the top wall is at (...) m."""
         u = np.asarray(displacement)
         still = np.zeros((*u.shape[:-1], 1))
         return -np.diff(u, axis=-1, prepend=still if wall is None else wall[..., None], append=still)

@@ -79,7 +79,7 @@ def with_impurities(values: Array, impurities: Sequence[Impurity], key: str) -> 
 
 
 def kinds(material: Any, diameter: Any, impurities: Sequence[Impurity]) -> Array:
-    """Return plane-strain modulus, diameter and mass of a common grain and of every impurity, (3, I+1)."""
+    """Return plane-strain modulus, diameter and mass of a common grain and every impurity, (3, I+1)."""
     found = []
     for odd in (None, *impurities):
         own = getattr(odd, "material", None) or material

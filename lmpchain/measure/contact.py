@@ -167,7 +167,7 @@ def contacts(trajectory: Trajectory, numbers: Sequence[int] | None = None) -> Co
 
 
 def known_contacts(trajectory: Trajectory) -> np.ndarray:
-    """Return the numbers of the contacts whose two bodies were recorded or stand still; raises `InputError` if none."""
+    """Return the numbers of contacts whose two bodies were recorded or stand still, if there are any."""
     known = _columns(trajectory) != UNKNOWN
     chosen = np.flatnonzero(known[:-1] & known[1:] & trajectory.scene.chain.contacts.exists)
     if not chosen.size:
@@ -196,7 +196,7 @@ def wall_force(trajectory: Trajectory, end: Literal["top", "bottom"] = "bottom")
 
 
 def drive_motion(trajectory: Trajectory) -> tuple[Array, Array, Array]:
-    """Return the prescribed displacement, velocity and acceleration of what is driven, (T,) m, m/s, m/s2."""
+    """Return displacement, velocity and acceleration of what is driven, (T,) m, m/s, m/s2."""
     time, drive = trajectory.time, trajectory.scene.drive
     if drive is None:
         raise InputError([("excitation", "nothing is driven in this scene")])

@@ -1,4 +1,4 @@
-"""Energy of grains, contacts and parts of a chain; its balance of energy and momentum with the world outside."""
+"""Energy of grains, contacts and parts of a chain; balance of energy and momentum."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ class EnergyLedger:
 
 @dataclass(frozen=True, eq=False)
 class EnergyShares:
-    """Energies of the G recorded grains and of the C contacts between them over time, above those at rest, J.
+    """Energies above rest of the G recorded grains and the C contacts between them over time, J.
 
     The sum over all grains and contacts is `EnergyLedger.total`: each contact holds its elastic energy less the work
     that load and weight do as it gives way, which is never below 0.

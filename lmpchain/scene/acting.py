@@ -1,4 +1,4 @@
-"""Excitations that act after t = 0: a prescribed motion of grain 1 or of the top wall, and a force on a grain."""
+"""Excitations that act after t = 0: motion of grain 1 or of the top wall, force on a grain."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class _Acting(Excitation):
 
     @property
     def smooth(self) -> bool:
-        """Whether its third derivative never jumps but where a step can end; that of a spline does at every knot."""
+        """Whether its third derivative never jumps but where a step can end, as at knots of a spline."""
         return self.waveform.smooth
 
     @property
@@ -76,7 +76,7 @@ class _Acting(Excitation):
 
 
 class Drive(_Acting):
-    """A prescribed motion of grain 1, or of the top wall, whatever the chain does; positive downward, from 0 at t = 0.
+    """A prescribed motion of grain 1 or of the top wall; positive downward, from 0 at t = 0.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ class Drive(_Acting):
         return np.zeros(chain.grains), self._at_top(chain, self.motion(0.0)[1] if self.grain else 0.0)
 
     def largest(self, chain: Chain) -> tuple[Array, Array]:
-        """Return the largest displacement and speed of grain 1, or the wall, at the place of grain 1 in (N,) arrays."""
+        """Return the largest displacement and speed of grain 1 or the wall, as if of grain 1, (N,)."""
         return self._at_top(chain, self.waveform.largest()), self._at_top(chain, self.waveform.largest(1))
 
     def reach(self, chain: Chain) -> tuple[int, int]:
@@ -163,7 +163,7 @@ class Drive(_Acting):
         return self.waveform.at(t, 2)
 
     def energy_norm(self, chain: Chain, duration: float) -> float:
-        """Bound sqrt(2 E) by the path of what is driven: ``d sqrt(2 E) / dt <= sqrt(k) |v|``, k its contact below."""
+        """Bound sqrt(2 E) by the path: ``d sqrt(2 E) / dt <= sqrt(k) |v|`` with the contact below."""
         return float(np.sqrt(chain.contacts.stiffness[self.grain]) * self.waveform.path(duration))
 
     def push(self, chain: Chain, time: Array, force: Array, rate: Array, velocity: Array) -> Push:
@@ -232,7 +232,7 @@ class Force(OneGrain, _Acting):
         return np.zeros(chain.grains), np.zeros(chain.grains)
 
     def largest(self, chain: Chain) -> tuple[Array, Array]:
-        """Return how far and how fast it moves its grain, as the softest of its contacts and its inertia allow.
+        """Return how far and how fast it moves its grain, as its contacts and inertia allow.
 
         It is an estimate: nothing is known of what the chain does later.
         """

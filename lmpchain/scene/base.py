@@ -18,7 +18,7 @@ Number = Annotated[Whole, Field(ge=1)]
 
 
 class Push(NamedTuple):
-    """The force of the outside world on one body, a grain or the top wall, beyond what balances at rest.
+    """The force of the outside world on a grain or the top wall, beyond what balances at rest.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class Excitation(Checked):
 
     @property
     def waveform(self) -> Waveform | None:
-        """How what acts after t = 0 goes over time: the motion of grain 1 or of the top wall, m, or a force, N."""
+        """What acts after t = 0: the motion of grain 1 or of the top wall, m, or a force, N."""
         return None
 
     @property

@@ -17,7 +17,7 @@ CUT = 9.0  # widths beyond which it is nothing
 
 
 class Packet(Excitation):
-    """A Gaussian packet of linear waves of one frequency that travels downward, at rest before and behind it.
+    """A Gaussian packet of linear waves of one frequency that travels downward.
 
     Velocities of grains and strains of contacts are samples of one wave ``A(x) cos(theta(x))`` at whole and half
     numbers: the chain is a row of both in turn, each of which drives its neighbours, so waves that go down differ from
@@ -75,7 +75,7 @@ class Packet(Excitation):
 
     @staticmethod
     def _hops(chain: Chain, first: int, last: int) -> Array:
-        """Return sqrt(k/m), 1/s, from every grain to the contact below it and on to the next, from the first on."""
+        """Return sqrt(k/m), 1/s, from every grain to the contact below it, and on to the next grain."""
         k, m = chain.contacts.stiffness[first:last], chain.masses[first - 1 : last]
         return np.sqrt(np.column_stack((k / m[:-1], k / m[1:]))).ravel()
 

@@ -1,4 +1,4 @@
-"""How a force or a prescribed motion goes over time: a sine, a Hann tone burst, a half-sine, or a cubic spline."""
+"""Waveforms of forces and motions: a sine, a Hann tone burst, a half-sine, or a cubic spline."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Waveform:
 
     @classmethod
     def sine(cls, amplitude: float, frequency: float, cycles: float | None = None) -> Waveform:
-        """Return a sine, or a Hann tone burst of so many cycles: ``A sin(2 pi f t) sin(pi f t / cycles)^2``."""
+        """Return a sine, or a Hann burst of so many cycles: ``A sin(2 pi f t) sin(pi f t / cycles)^2``."""
         omega = 2 * np.pi * frequency
         if cycles is None:
             return cls(amplitude, omega)
@@ -96,7 +96,7 @@ class Waveform:
         return float(self.omega + 2 * self.envelope)
 
     def largest(self, order: int = 0) -> float:
-        """Return the largest size of its values, or of its derivative: of a burst a bound, of a spline nearly so."""
+        """Return the largest size of its values or derivative: of a burst a bound, of a spline nearly."""
         if self.spline is not None:
             return float(np.abs(self.at(self._dense, order)).max())
         return float(abs(self.amplitude) * (self.omega + self.envelope) ** order)

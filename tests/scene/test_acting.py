@@ -1,17 +1,34 @@
 """Forces and prescribed motions, of a grain or of the top wall, against exact solutions and other integrators."""
 
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from helpers.example_scenes import acted_scene
 from helpers.independent_integrators import extended_reference, relative_error
+from helpers.standalone_lammps import lmp, read_dump
 from numpy.typing import NDArray
 from scipy.integrate import quad
 from scipy.interpolate import CubicSpline
 
-from lmpchain import Chain, Drive, Force, Impulse, InputError, Packet, Scene, engines, simulate
+from lmpchain import (
+    Chain,
+    Drive,
+    Force,
+    Impulse,
+    InputError,
+    Packet,
+    RunFailed,
+    Scene,
+    ToleranceNotMet,
+    engines,
+    simulate,
+)
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines import error_estimate
+from lmpchain.engines.lammps.export import write_deck
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.splittings import SPLITTINGS
 from lmpchain.measure import contact, energy
@@ -400,8 +417,46 @@ def test_scene_files(kind: str):
     assert twice > 1.2 * given.largest(chain)[1].max()
 
 
-def test_a_force_in_a_file(tmp_path):
+def test_a_force_in_a_file(tmp_path: Path):
     (tmp_path / "hammer.csv").write_text("time,force\n0,0\n1e-6,0.5\n3e-5,0\n")
     tables = scene_of(LOADED, Impulse(velocity=1e-6)).to_dict()
     tables["excitation"] = {"kind": "force", "grain": 2, "file": "hammer.csv"}
     assert Scene.from_dict(tables, tmp_path).excitation == Force(grain=2, times=[0, 1e-6, 3e-5], force=[0, 0.5, 0])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["force, burst", "force, half-sine", "force, points", "wall, burst", "wall, points"])
+def test_decks(kind: str, tmp_path: Path):
+    """A deck by itself carries forces and a wall that moves: the same steps give the same motion."""
+    scene = scene_of(*STRONG[kind], samples=5)
+    step = scene.duration / 400
+    write_deck(scene, tmp_path, step=step, diameter="gauge")
+    lmp(tmp_path)
+    u, v = read_dump(tmp_path / "column.lammpstrj")
+    same = simulate(scene, engines.Native("verlet", step))
+    assert relative_error(u, v, same.displacement, same.velocity) < 1e-10
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("seed", range(200))
+def test_random_scenes(seed: int):
+    """No estimate is below a third of the truth, no answer above its tolerance without a word."""
+    rng = np.random.default_rng([77, seed])
+    scene = acted_scene(rng)
+    truth = reference(scene)
+    integrator = str(rng.choice(sorted(METHODS)))
+    tolerance = max(10 ** rng.uniform(-9, -4), {"verlet": 1e-5, "gear4": 1e-6}.get(integrator, 0.0))
+    step = scene.duration / 10 / int(rng.integers(3, 20))
+    asked: list[Any] = ["native", "auto"]
+    with suppress(InputError):  # a step that is not stable here
+        engines.Native(integrator, step).candidate(scene, tolerance)
+        asked.append(engines.Native(integrator, step))
+    for engine in asked:
+        options = {"integrator": integrator} if engine == "native" else {}
+        try:
+            t = simulate(scene, engine, tolerance, on_miss="warn", **options)
+        except (RunFailed, ToleranceNotMet):
+            continue
+        true, estimate = err(t, truth), t.error_estimate.total
+        assert (true - truth.error) / 3 <= estimate
+        assert true <= tolerance or estimate > tolerance or engine not in ("native", "auto")

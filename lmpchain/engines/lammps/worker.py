@@ -57,7 +57,7 @@ class StepPlan:
         return bool(self.wave) and self.splitting.order > 2 and not self.driven and self.pushed is None
 
     def parts(self, index: int) -> list[tuple[float, Array]]:
-        """Return length and times, begin and end of every drift, of a step: two where what is imposed ends in it."""
+        """Return length and times of drifts of a step, or of its two parts if what is imposed ends in it."""
         reach, h = np.array([0.0, *self.splitting.reach]), self.step
         end = self.wave.end if self.wave and self.wave.spline is None else np.inf
         begin, left = index * h, end - index * h
@@ -166,7 +166,7 @@ class Worker:
             self._v[0, 2] = -plan.wave.at((self._done + steps) * plan.step, 1)
 
     def _give(self, length: float, force: float) -> None:
-        """Kick all grains for this time, s, with the forces of LAMMPS, and that which comes from outside, N."""
+        """Kick all grains for this time, s, by the forces of LAMMPS, and one by a force from outside, N."""
         self._vz += np.multiply(self._fz, self._inverse_mass * length, out=self._kick)
         if self._pushed is not None:
             self._vz[self._pushed] -= length * self._inverse_mass[self._pushed] * force

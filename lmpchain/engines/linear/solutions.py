@@ -1,4 +1,4 @@
-"""Solutions of the linearised chain, Eq. (3), at any time: sums of Chebyshev polynomials, or of eigenmodes."""
+"""Solutions of the linearised chain, Eq. (3): sums of Chebyshev polynomials, or of eigenmodes."""
 
 from __future__ import annotations
 
@@ -100,17 +100,17 @@ class ModalSolution:
         return u, v, np.tile((0, u.shape[1]), (times.size, 1))
 
     def _forced(self, t: Array) -> tuple[Array, Array]:
-        """Return ``q'' + w^2 q = f(t)`` from rest, (T, M): sines up to where they end, and free motion afterwards."""
+        """Return ``q'' + w^2 q = f(t)`` from rest, (T, M): sines, and free motion when they have ended."""
         assert self._wave
         w, end = self._modes.frequency, self._wave.end
-        q, p = sum(np.array(self._by_sine(np.minimum(t, end), *sine)) for sine in self._wave.sines)
+        q, p = np.sum([self._by_sine(np.minimum(t, end), *sine) for sine in self._wave.sines], axis=0)
         if np.isinf(end):
             return q, p
         free = np.maximum(t - end, 0.0) * w
         return q * np.cos(free) + p / w * np.sin(free), p * np.cos(free) - q * w * np.sin(free)
 
     def _by_sine(self, t: Array, amplitude: float, omega: float) -> tuple[Array, Array]:
-        """Return ``q'' + w^2 q = f sin(W t)`` from rest, (T, M), in a form that holds at resonance, w = W."""
+        """Return ``q'' + w^2 q = f sin(W t)`` from rest, (T, M), in a form that holds where w = W."""
         w, drive = self._modes.frequency, abs(omega)
         mean, half = (w + drive) / 2, (w - drive) / 2
         beat = t * np.sinc(half * t / np.pi)  # sin(half t) / half

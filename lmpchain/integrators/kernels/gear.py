@@ -15,7 +15,7 @@ from .window import watch, widen
 
 @inlined
 def _begin(chain, work, now, h):
-    """Find the derivatives at the start, from the motion of a moment before and after, by the law that holds now."""
+    """Find the derivatives at the start by the law that holds now, a moment before and after."""
     force, pull, z = work
     y, w, more, state = chain.x, chain.v, chain.history, chain.state
     first, last = int(state[FIRST]), int(state[LAST])

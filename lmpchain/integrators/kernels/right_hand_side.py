@@ -20,7 +20,7 @@ TILE = 8192  # grains that stay in the cache while ROWS evaluations pass over th
 
 @compiled
 def _course(chain, t, order, inside):
-    """Return what is imposed at time t (order 0), or its rate (order 1), by the law that holds at time `inside`.
+    """Return what is imposed at time t, or its rate (order 1), by the law of time `inside`.
 
     It is a sine, also one with an envelope, or a cubic spline.
     """
@@ -58,7 +58,7 @@ def ahead(chain, t, end, resolution):
 
 @inlined
 def cut(chain, t, h):
-    """Return the time to where a sine ends within a step h, 0 if it does not; knots of a spline do not count."""
+    """Return the time to where a sine ends within a step h, 0 if it does not, or for a spline."""
     if chain.imposed and chain.drive[KNOTS] == 0.0:
         left = chain.drive[END] - t
         return left if RESOLUTION * h < left < (1.0 - RESOLUTION) * h else 0.0
@@ -79,7 +79,7 @@ def imposed(chain, t):
 
 @inlined
 def impose(chain, x, t, inside):
-    """Put what is driven where it is at time t in a row x (W,), or note the force, by the law of time `inside`."""
+    """Put what is driven where it is at time t in x (W,), or note the force, by the law of `inside`."""
     if chain.imposed:
         x[max(int(chain.drive[BODY]), 0)] = _course(chain, t, 0, inside)
 
@@ -93,7 +93,7 @@ def recall(chain, t):
 
 @inlined
 def impose_velocity(chain, v, grain_1, t):
-    """Give what is driven its velocity at time t, in v with grain 1 at that index, if v has a place for it."""
+    """Give what is driven its velocity at time t, if v, with grain 1 at that index, has a place."""
     if chain.imposed and int(chain.drive[BODY]) + grain_1 >= PAD:
         v[int(chain.drive[BODY]) + grain_1 - PAD] = _course(chain, t, 1, t)
 
