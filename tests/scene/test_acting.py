@@ -183,7 +183,7 @@ COUNTS = {  # all are 4 beyond a multiple of 8, so that what ends after three ei
     "kahan-li6": [44, 52, 60, 76, 92],
     "rkn6": [60, 76, 100, 132],
     "kahan-li8": [36, 44, 52, 60],
-    "dop853": [28, 36, 44, 52],
+    "dop853": [44, 52, 60, 76],
 }
 PERIODS = {"sine": 7.3, "burst": 3 / 0.9, "half-sine": 6.0}
 ACTING = {f"force, {kind}": (LOADED, forces(1e-3, 3, period)[kind]) for kind, period in PERIODS.items()} | {
