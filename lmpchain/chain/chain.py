@@ -11,12 +11,13 @@ import numpy as np
 from pydantic import Field
 
 from ..errors import InputError
-from ..util.arrays import Array
+from ..util.arrays import Array, read_only
 from ..util.validation import NOT_GIVEN, Checked, OneOrMany, PositiveVector, Real, Vector, Whole
 from . import walls
 from .contacts import Contacts, hertz_constant
-from .impurities import Impurities, Impurity, kinds, misfits, with_impurities
+from .impurities import Impurities, kinds, misfits, with_impurities
 from .materials import GLASS, Material, OneMaterial, OneOrManyMaterials
+from .plausible import HERTZ_OVERLAP, remarks
 
 LEAST_GRAVITY = 1e-100  # m/s2
 LARGEST_OVERLAP = 0.1  # of the diameter: beyond it the Hertz law no longer describes a contact
@@ -98,10 +99,10 @@ class Chain(Checked):
         if wrong:
             return
         self._leave_open()
-        if self._plainly_sound():
+        if self.plainly_below(LARGEST_OVERLAP):
             return
         with np.errstate(all="ignore"):  # non-finite values are faults
-            known = np.isfinite(self.dynamical_matrix()[0]).all() and (self.masses > 0).all()
+            known = all(np.isfinite(part).all() for part in self.dynamical_matrix()) and (self.masses > 0).all()
             relative = self.contacts.overlap / self.contact_lengths
         if not known or np.isnan(relative).any():
             yield "masses", "are too small or too large to compute with, or contacts too hard or too soft: use SI units"
@@ -112,6 +113,10 @@ class Chain(Checked):
                 f"contact {worst} is compressed by {relative[worst]:.2g} of the diameter, more than "
                 f"{LARGEST_OVERLAP:g}: use fewer grains, less gravity or load, or a stiffer material",
             )
+
+    def _remarks(self) -> Iterator[str]:
+        plain = self.exponent != 1.5 or self.plainly_below(HERTZ_OVERLAP)
+        yield from remarks(self.diameter, 0.0 if plain else (self.contacts.overlap / self.contact_lengths).max())
 
     def _misfits(self) -> Iterator[tuple[str, str]]:
         """Yield what does not fit together, so that no array can be filled in."""
@@ -133,7 +138,7 @@ class Chain(Checked):
             if self.__dict__[key] is None:
                 del self.__dict__[key]
         if "masses" in self.__dict__ and self.impurity:
-            self.__dict__["masses"] = with_impurities(self.masses, self.impurity, "mass")
+            self.__dict__["masses"] = read_only(with_impurities(self.masses, self.impurity, "mass"))
         return self
 
     if not TYPE_CHECKING:
@@ -141,14 +146,15 @@ class Chain(Checked):
         def __getattr__(self, name: str) -> Any:
             """Compute masses and constants from grains and walls on first use."""
             if name == "masses":
-                alike = self._by_grain("density") * np.pi / 6 * self.diameters**3
-                value = with_impurities(alike, self.impurity, "mass")
+                alike = self.by_grain("density") * np.pi / 6 * self.diameters**3
+                value = read_only(with_impurities(alike, self.impurity, "mass"))
             elif name == "contact_constants":
                 value = self._hertz_constants[1:-1]
             elif name == "wall_constants":
-                value = np.zeros(2)
-                if any(there := [end == "wall" for end in (self.top, self.bottom)]):
-                    value = there * walls.constants(self._hertz_constants, self.contact_constants)
+                value = np.array([end == "wall" for end in (self.top, self.bottom)], dtype=float)
+                if value.any():
+                    value *= walls.constants(self._hertz_constants, self.contact_constants)
+                read_only(value)
             else:
                 return super().__getattr__(name)
             self.__dict__[name] = value
@@ -165,9 +171,9 @@ class Chain(Checked):
         """Plane-strain modulus, diameter and mass of a common grain and of every impurity, (3, I+1)."""
         return kinds(self.material, self.diameter, self.impurity)
 
-    def _plainly_sound(self) -> bool:
-        """Sufficient O(1) check: the whole weight on the softest contact stays within the overlap limit."""
-        if not self._alike or "wall_constants" in self.__dict__:
+    def plainly_below(self, limit: float) -> bool:
+        """Sufficient O(1) check that no contact is squeezed to more of the diameter at rest."""
+        if not self._alike or "wall_constants" in self.model_fields_set:
             return False
         modulus, d, mass = self._kinds
         both: list[Any] = [self.top_material, self.bottom_material]
@@ -179,9 +185,9 @@ class Chain(Checked):
             load = self.top_load + self.gravity * (self.grains * mass[0] + mass[1:].sum())
             overlap = Contacts(softest, load, self.exponent).overlap
             largest = Contacts(hardest, load, self.exponent).stiffness_at(overlap) / mass.min()
-            return bool(softest > 0 and overlap <= LARGEST_OVERLAP * d.min() and np.isfinite(2 * largest))
+            return bool(softest > 0 and overlap <= limit * d.min() and np.isfinite(2 * largest))
 
-    def _by_grain(self, prop: str) -> Array:
+    def by_grain(self, prop: str) -> Array:
         """Return a property of the material of every grain, (N,)."""
         materials = self.material if isinstance(self.material, tuple) else [self.material]
         values = np.array(np.broadcast_to([getattr(m, prop) for m in materials], (self.grains,)))
@@ -193,14 +199,14 @@ class Chain(Checked):
     @cached_property
     def _hertz_constants(self) -> Array:
         """Hertz constants of all contacts, with a wall at either end, (N+1,) N/m^delta."""
-        modulus = self._by_grain("plane_strain_modulus")
+        modulus = self.by_grain("plane_strain_modulus")
         above, below = (
             here if wall is None else wall.plane_strain_modulus  # type: ignore[union-attr]
             for wall, here in ((self.top_material, modulus[0]), (self.bottom_material, modulus[-1]))
         )
         modulus = np.concatenate(([above], modulus, [below]))
         curvature = np.concatenate(([0.0], 2 / self.diameters, [0.0]))  # a wall is flat
-        return hertz_constant(modulus, curvature, self.contact_lengths, self.exponent)
+        return read_only(hertz_constant(modulus, curvature, self.contact_lengths, self.exponent))
 
     @cached_property
     def contacts(self) -> Contacts:
@@ -209,23 +215,23 @@ class Chain(Checked):
         constants = np.concatenate(([above], self.contact_constants, [below]))
         weight = self.gravity * np.cumsum(self.masses.astype(np.longdouble))
         force = np.concatenate(([self.top_load], (self.top_load + weight).astype(float)))
-        return Contacts(constants, np.where(constants > 0, force, 0.0), self.exponent)
+        return Contacts(read_only(constants), read_only(np.where(constants > 0, force, 0.0)), self.exponent)
 
     @cached_property
     def diameters(self) -> Array:
         """Diameter of every grain, (N,) m."""
-        return with_impurities(np.broadcast_to(self.diameter, (self.grains,)), self.impurity, "diameter")
+        return read_only(with_impurities(np.broadcast_to(self.diameter, (self.grains,)), self.impurity, "diameter"))
 
     @cached_property
     def contact_lengths(self) -> Array:
         """Mean diameter of the two grains of every contact, at a wall that of the grain, (N+1,) m."""
         d = self.diameters
-        return np.concatenate((d[:1], (d[:-1] + d[1:]) / 2, d[-1:]))
+        return read_only(np.concatenate((d[:1], (d[:-1] + d[1:]) / 2, d[-1:])))
 
     @cached_property
     def depths(self) -> Array:
         """How far below grain 1 the centre of every grain rests, (N,) m."""
-        return np.append(0.0, np.cumsum((self.contact_lengths - self.contacts.overlap)[1:-1]))
+        return read_only(np.append(0.0, np.cumsum((self.contact_lengths - self.contacts.overlap)[1:-1])))
 
     @property
     def equilibrium_force(self) -> Array:
@@ -272,16 +278,16 @@ class Chain(Checked):
                 fields[key] = fields[key][first - 1 : end]
         inside = [odd for odd in self.impurity if first <= odd.grain <= last]
         if self.impurity:
-            fields["impurity"] = tuple(Impurity(**odd.given() | {"grain": odd.grain - first + 1}) for odd in inside)
+            fields["impurity"] = tuple(odd.replace(grain=odd.grain - first + 1) for odd in inside)
         if "wall_constants" in fields:
-            fields["wall_constants"] = self.wall_constants * [first == 1, last == self.grains]
+            fields["wall_constants"] = read_only(self.wall_constants * [first == 1, last == self.grains])
         if first > 1:
             fields |= {"top": "free", "top_load": self._force_on(first)}
             fields.pop("top_material", None)
         if last < self.grains:
             fields["bottom"] = "fixed"
             fields.pop("bottom_material", None)
-        return Chain.model_construct(**fields)._leave_open()  # a part of a valid chain is valid
+        return Chain._unchecked(**fields)._leave_open()  # a part of a valid chain is valid
 
     def _force_on(self, grain: int) -> float:
         """Return the force at rest on grain n > 1 from the grains above it, N."""
@@ -329,7 +335,7 @@ class Chain(Checked):
         return float(np.sqrt(self.masses[0] / k)) if k > 0 else np.inf
 
     def excess_energy(self, displacement: Array, velocity: Array, wall: Array | None = None) -> Array:
-        """Energy above that of the chain at rest: kinetic, contacts, load and weight together, J.
+        """Energy (...) above that of the chain at rest: kinetic, contacts, load and weight, J.
 
         It is conserved by Eq. (1) and zero at rest; weak waves keep their relative accuracy.
 
@@ -339,10 +345,6 @@ class Chain(Checked):
             m, positive downward; m/s.
         wall : (...) array, optional
             Displacement of the top wall, m; by default 0.
-
-        Returns
-        -------
-        (...) array
         """
         closer = self.contacts.closer(displacement, wall)
         return 0.5 * (self.masses * velocity**2).sum(-1) + self.contacts.energy(closer).sum(-1)

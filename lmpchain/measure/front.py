@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 from scipy import interpolate, optimize, signal, stats
 
-from ..errors import InputError
+from ..errors import InputError, shown
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.plotting import axes_in_units
@@ -73,7 +74,7 @@ class Front:
     def against_depth(self, quantity: Quantity) -> tuple[Array, Array, str]:
         """Return depths h = n - 1/2 and the size of a quantity where it is known, (K,) each; its label."""
         if quantity not in get_args(Quantity):
-            raise InputError([("quantity", f"must be one of {', '.join(get_args(Quantity))} (got {quantity!r})")])
+            raise InputError([("quantity", f"must be one of {', '.join(get_args(Quantity))} (got {shown(quantity)})")])
         values = np.abs(getattr(self, quantity))
         known = np.isfinite(values)
         label = f"{quantity} of the front ({OTHERS.get(quantity, UNITS[self.field])})"
@@ -168,7 +169,8 @@ def track(trajectory: Trajectory, field: Field = "velocity", fraction: float = 0
     error = trajectory.error_estimate.solver
     certain = (error if np.isfinite(error) else 0.0) * np.abs(motion).max()
     rows = []
-    for grain, values in zip(grains, motion.T, strict=True):
+    loud = np.flatnonzero(np.abs(motion).max(0) >= max(certain, sys.float_info.min))  # no top of the others is certain
+    for grain, values in zip(grains[loud], motion[:, loud].T, strict=True):
         size = np.abs(values)
         enough = fraction * size.max()
         tops, _ = signal.find_peaks(size, height=enough, prominence=certain)

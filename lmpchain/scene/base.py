@@ -129,9 +129,8 @@ class Excitation(Checked):
 
     def scaled(self, factor: float) -> Self:
         """Return the same excitation, so many times as strong."""
-        given = self.given()
-        scaled = {key: factor * given[key] for key in self.strength if given.get(key) is not None}
-        return type(self)(**given | scaled)
+        strengths = {key: getattr(self, key) for key in self.strength}
+        return self.replace(**{key: factor * value for key, value in strengths.items() if value is not None})
 
     def energy_norm(self, chain: Chain, duration: float) -> float:
         """Bound sqrt(2 E), in J^(1/2), for the energy E that it puts into the linearised chain after t = 0."""
@@ -168,7 +167,7 @@ class OneGrain(Excitation):
 
     def part(self, first: int, last: int) -> Excitation:
         """Return the same with the grain as it is numbered among grains first ... last."""
-        return type(self)(**self.given() | {"grain": self.grain - first + 1})
+        return self.replace(grain=self.grain - first + 1)
 
     def at_grain(self, chain: Chain, value: float) -> Array:
         """Return an (N,) array with this value for the grain, and 0 for the others."""

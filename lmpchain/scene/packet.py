@@ -86,7 +86,7 @@ class Packet(Excitation):
 
     def part(self, first: int, last: int) -> Packet:
         """Return the same with its middle as it is numbered among grains first ... last."""
-        return Packet(**self.given() | {"grain": self.grain - first + 1})
+        return self.replace(grain=self.grain - first + 1)
 
     def initial(self, chain: Chain) -> tuple[Array, Array]:
         """Return displacement and velocity of every grain at t = 0."""

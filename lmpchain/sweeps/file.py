@@ -17,10 +17,11 @@ import numpy as np
 from .. import engines
 from ..chain.materials import MATERIALS
 from ..disorder.draws import Law, Of, realisation
-from ..errors import InputError, check_tolerance
+from ..errors import InputError, check_tolerance, shown
 from ..scene.scene import Scene
 from ..scene.toml_file import LARGEST_TABLE, SECTIONS, parse
 from ..util.files import check_readable
+from ..util.suggestions import did_you_mean
 from ..util.validation import Checked, Positive, Whole
 from .axes import MAKERS, Axis, Seed, axes
 from .quantities import QUANTITIES
@@ -159,7 +160,8 @@ def read(source: str | PathLike[str] | Mapping[str, Any]) -> Sweep:
         data, folder = dict(source), Path()
     else:
         data, folder = parse(Path(source)), Path(source).parent
-    faults = [(key, f"unknown key; the keys here are {', '.join(KEYS)}") for key in data if key not in KEYS]
+    there = f"the keys here are {', '.join(KEYS)}"
+    faults = [(key, f"unknown key{did_you_mean(key, KEYS)}; {there}") for key in data if key not in KEYS]
     parts = {part: data[part] for part in MAKERS if part in data}
     tolerance = data.get("tolerance", 1e-6)
     results: list[Any] = []
@@ -192,13 +194,15 @@ def _base(given: Any, folder: Path) -> tuple[dict[str, Any], Path]:
     if not isinstance(given, dict):
         raise InputError([("scene", "name a scene file, or give its tables: [scene.chain], [scene.excitation] ...")])
     if unknown := [key for key in given if key not in SECTIONS]:
-        raise InputError([(f"scene.{key}", f"unknown section; they are {', '.join(SECTIONS)}") for key in unknown])
+        there = f"they are {', '.join(SECTIONS)}"
+        meant = {key: did_you_mean(key, SECTIONS) for key in unknown}
+        raise InputError([(f"scene.{key}", f"unknown section{meant[key]}; {there}") for key in unknown])
     return dict(given), folder
 
 
 def _engine(name: Any) -> str:
     if not isinstance(name, str):
-        raise InputError([("engine", f"must be the name of an engine (got {name!r})")])
+        raise InputError([("engine", f"must be the name of an engine (got {shown(name)})")])
     if name == "auto":  # one engine for all: small scenes go together, and bits do not hang on how fast a machine is
         return "native"
     return engines.get(name).name
@@ -209,7 +213,8 @@ def _keep(names: Any) -> list[str]:
     if not isinstance(names, list) or not names:
         raise InputError([("keep", f"must be a list of some of {known}")])
     if wrong := [name for name in names if not isinstance(name, str) or name not in QUANTITIES]:
-        raise InputError([("keep", f"there is no {name!r}; use {known}") for name in wrong])
+        meant = [(name, did_you_mean(name, QUANTITIES)) for name in wrong]
+        raise InputError([("keep", f"there is no {shown(name)}{other}; use {known}") for name, other in meant])
     return sorted(set(names))
 
 

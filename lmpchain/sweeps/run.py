@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 import shutil
 import warnings
 from collections.abc import Iterator, Mapping
@@ -20,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 from filelock import FileLock, Timeout
 
-from ..errors import InputError
+from ..errors import InputError, short, shown
 from ..util.files import make_folder, write_aside
 from ..util.progress import ProgressBar
 from .executors import Here, Processes
@@ -76,9 +77,12 @@ def sweep(
         With every fault of the sweep; if another process is at this folder, or nothing can be written there.
     """
     if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
-        raise InputError([("workers", f"must be a whole number from 1 (got {workers!r})")])
+        raise InputError([("workers", f"must be a whole number from 1 (got {shown(workers)})")])
     plan = read(source)
-    size = min(together(plan.engine, scene) for scene in plan.trials())
+    with warnings.catch_warnings(record=True, action="always") as remarks:
+        size = min(together(plan.engine, scene) for scene in plan.trials())
+    for remark in {re.sub(r"\d\S*", "", text): text for text in (str(w.message) for w in reversed(remarks))}.values():
+        warnings.warn(f"{remark}; perhaps in other scenes, too", stacklevel=2)
     folder = make_folder(folder).absolute()
     results = make_folder(folder / "scenes")
     with _alone(folder):
@@ -143,7 +147,7 @@ def dask(address: str) -> Iterator[Executor]:
     try:
         client = Client(address, timeout=CONNECT_S)
     except (OSError, ValueError) as error:
-        raise InputError([("scheduler", f"no Dask scheduler answers at {address} ({error})")]) from None
+        raise InputError([("scheduler", f"no Dask scheduler answers at {short(address)} ({short(error)})")]) from None
     with client:
         if not client.nthreads():
             warnings.warn(f"no workers are there yet; start some: dask worker {address} --nthreads 1", stacklevel=3)

@@ -65,7 +65,8 @@ def answer(task: Task) -> None:
     faults: dict[str, InputError] = {}
     for name, wanted in asked.items():
         try:
-            scenes[name] = scene_of(wanted, task.files)
+            with warnings.catch_warnings(action="ignore"):  # said of all scenes when the sweep began
+                scenes[name] = scene_of(wanted, task.files)
         except InputError as error:
             faults[name] = error
     engine, tolerance = engines.get(wanted["engine"]), wanted["tolerance"]

@@ -10,7 +10,7 @@ from .contact_forces import NEWS, STRICT, inlined
 from .layout import DONE, FIRST, LAST, PAD, STEP
 from .right_hand_side import accelerate, cut, hold, impose
 from .sample_loop import sample_loop
-from .window import watch, widen
+from .window import look, watch, widen
 
 
 @inlined
@@ -70,7 +70,7 @@ def _step(chain, corrections, work, now, then, h):
 @inlined
 def _advance(chain, method, work, clock, span):
     """Take one step, or two where what is imposed ends within it, and begin anew there."""
-    (corrections,) = method
+    corrections, every = method
     state, h = chain.state, span.step
     widen(chain, 4)
     now, then = span.begin + state[DONE] * h, span.begin + (state[DONE] + 1) * h
@@ -82,6 +82,8 @@ def _advance(chain, method, work, clock, span):
     else:
         _step(chain, corrections, work, now, then, h)
     watch(chain)
+    if int(state[DONE]) % every == 0:
+        look(chain, then, 1.0)
     state[DONE] += 1.0
     return 1
 
@@ -91,9 +93,10 @@ _march = sample_loop(_advance, True)
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy", fastmath=STRICT)
 def march(chains, method, clock, u_out, v_out, offset, until, max_steps):
-    """Advance as `sample_loop` says by Gear's method of five values; `method` is its coefficients (5,).
+    """Advance as `sample_loop` says by Gear's method of five values.
 
-    `chains.history` holds the second, third and fourth derivatives of the displacements, times h^k / k!.
+    `method` is its coefficients (5,), and the steps from one look for the largest motion to the next. `chains.history`
+    holds the second, third and fourth derivatives of the displacements, times h^k / k!.
     """
     width = chains.x.shape[1]
     force, pull, moved = np.zeros(width), np.zeros(width), np.zeros(width)

@@ -6,10 +6,12 @@ import numpy as np
 
 from ...util.compilation import compiled_once
 from .contact_forces import NEWS, STRICT, inlined
-from .layout import DONE, FIRST, LAST, PAD, PENDING
+from .layout import DONE, FIRST, LAST, PAD, PENDING, STEPS
 from .right_hand_side import ROWS, TILE, cut, imposed, sweep
 from .sample_loop import sample_loop
-from .window import watch, widen
+from .window import look, watch, widen
+
+SETTLED = 64  # steps after which pieces between two looks for the largest motion are twice as long
 
 
 @inlined
@@ -18,15 +20,16 @@ def _advance(chain, method, work, clock, span):
 
     A step in which what is imposed ends is made as two, so that the order is kept.
     """
-    kicks, drifts = method
+    kicks, drifts, every, complete = method
     kick, drift, carried, path, reach = work
     state, stages, h = chain.state, drifts.size, span.step
     full = state[FIRST] == PAD and state[LAST] == chain.x.size - PAD
     wide = stages == 1 or full or state[LAST] - state[FIRST] > TILE
     burst = min(span.steps - int(state[DONE]), max(1, ROWS // stages) if wide else 1)
-    begun, rows = span.begin + state[DONE] * h, 0
+    begun, rows, halved = span.begin + state[DONE] * h, 0, burst
     for step in range(burst):
         first = cut(chain, begun + step * h, h) if stages > 1 else 0.0  # a corner leaves an order of 2 as it is
+        halved = step if first > 0.0 else halved
         for part in range(2 if first > 0.0 else 1):
             whole = h if first == 0.0 else (first if part == 0 else h - first)
             for stage in range(stages):
@@ -41,7 +44,12 @@ def _advance(chain, method, work, clock, span):
             state[PENDING] = kicks[stages] * whole
             rows += stages
     widen(chain, rows + 1)
-    sweep(chain, kick[:rows], drift[:rows], carried[:rows], path[:rows])
+    piece = every * (1 + int(state[STEPS]) // SETTLED)  # later, what is new is rare
+    for step in range(0, burst, piece):
+        end = min(burst, step + piece)
+        some = slice((step + (step > halved)) * stages, (end + (end > halved)) * stages)
+        sweep(chain, kick[some], drift[some], carried[some], path[some])
+        look(chain, begun + end * h, complete)
     watch(chain)
     state[DONE] += burst
     return burst
@@ -63,7 +71,11 @@ _march = sample_loop(_advance, True, _land)
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy", fastmath=STRICT)
 def march(chains, method, clock, u_out, v_out, offset, until, max_steps):
-    """Advance by a splitting; `method` is its kicks (S+1,) and drifts (S,) as fractions of a step."""
+    """Advance by a splitting.
+
+    `method` is its kicks (S+1,) and drifts (S,) as fractions of a step, the steps from one look to the next, and what
+    `look` takes.
+    """
     rows = ROWS + 2 * method[1].size
     kick, drift, carried, path = np.zeros(rows), np.zeros(rows), np.zeros(rows), np.zeros(rows if chains.imposed else 0)
     work = kick, drift, carried, path, np.cumsum(method[1])
