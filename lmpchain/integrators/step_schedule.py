@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-RESOLUTION = 1e-9  # of a step: nearer to its ends what is imposed has no corner
-
 
 @dataclass(frozen=True)
 class StepSchedule:

@@ -77,6 +77,14 @@ class Motion:
             state[:, 0] = u / self.length, v * (self.time / self.length)
         return state
 
+    def size(self, t: np.floating[Any], state: Array) -> Array:
+        """Return the largest displacement and velocity of all grains in a state (2, N), and of a wall that moves."""
+        largest = np.abs(state).max(axis=1)
+        if self.acting and self.body == 0:  # it moves before any grain does
+            u, v = self.acting(t * self.time)
+            largest = np.maximum(largest, np.abs([u / self.length, v * (self.time / self.length)]))
+        return largest
+
     def acceleration(self, t: np.floating[Any], x: Array) -> Array:
         """Return x'' (N,) of the displacements x (N,) at time t; 0 for a grain that is held or driven."""
         bodies = np.zeros(x.size + 2, dtype=x.dtype)  # a wall, or nothing, at either end
@@ -233,7 +241,7 @@ def extended_reference(scene: Scene, tolerance: float = 1e-18) -> Reference:
 
     def run(loose: float) -> tuple[Array, Array]:
         state, states = motion.start, [motion.start]
-        peak = np.abs(state).max(axis=1)
+        peak = motion.size(motion.instants[0], state)
         step = np.longdouble(0.01)
         for begin, end, sampled in motion.stretches():
             left = end - begin
@@ -248,7 +256,7 @@ def extended_reference(scene: Scene, tolerance: float = 1e-18) -> Reference:
                     continue
                 left = left - tried if parts > 1 else 0
                 state = motion.at(end - left, proposal)
-                peak = np.maximum(peak, np.abs(state).max(axis=1))
+                peak = np.maximum(peak, motion.size(end - left, state))
                 if columns >= 9:
                     step = 0.8 * tried
                 elif columns <= 7:
@@ -272,7 +280,7 @@ def _extrapolate(
             ratio = np.longdouble(parts) / (parts - k)
             row.append(row[k - 1] + (row[k - 1] - above[k - 1]) / (ratio**2 - 1))
         if parts > 2:
-            size = np.maximum(peak, np.abs(row[-1]).max(axis=1))
+            size = np.maximum(peak, motion.size(begin + step, row[-1]))
             if (np.abs(row[-1] - row[-2]).max(axis=1) <= tolerance * size).all():
                 return row[-1], parts
     return None, 10

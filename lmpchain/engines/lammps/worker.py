@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...integrators.kernels.layout import RESOLUTION
 from ...integrators.splittings import Splitting
-from ...integrators.step_schedule import RESOLUTION
 from ...scene.waveform import Waveform
 from ...util.arrays import Array
 from .library import open_lammps

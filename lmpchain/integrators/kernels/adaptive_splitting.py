@@ -11,9 +11,8 @@ import math
 import numpy as np
 
 from ...util.compilation import compiled_once
-from ..step_schedule import RESOLUTION
 from .contact_forces import NEWS, STRICT, bits, fma, inlined, number
-from .layout import DONE, FIRST, LAST, PAD, PENDING
+from .layout import DONE, FIRST, LAST, PAD, PENDING, RESOLUTION
 from .right_hand_side import accelerate, ahead, hold, impose, impose_velocity, imposed, recall, sweep
 from .sample_loop import end_of_step, sample_loop
 from .window import look, watch, widen

@@ -7,9 +7,8 @@ import math
 import numpy as np
 
 from ...util.compilation import compiled_once
-from ..step_schedule import RESOLUTION
 from .contact_forces import NEWS, STRICT, inlined
-from .layout import DONE, FIRST, LAST, STEP
+from .layout import DONE, FIRST, LAST, RESOLUTION, STEP
 from .right_hand_side import accelerate, ahead, impose
 from .sample_loop import end_of_step, sample_loop
 from .window import look, watch, widen

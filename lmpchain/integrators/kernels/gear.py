@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ...util.compilation import compiled_once
-from ..step_schedule import RESOLUTION
 from .contact_forces import NEWS, STRICT, inlined
-from .layout import DONE, FIRST, LAST, PAD, STEP
+from .layout import DONE, FIRST, LAST, PAD, RESOLUTION, STEP
 from .right_hand_side import accelerate, cut, hold, impose
 from .sample_loop import sample_loop
 from .window import look, watch, widen

@@ -12,6 +12,8 @@ from ...util.arrays import Array
 
 PAD = 8  # doubles in a cache line
 
+RESOLUTION = 1e-9  # of a step: nearer to its ends what is imposed has no corner
+
 # of what is imposed: amplitude (m or N), frequency and that of the envelope (rad/s) and end (s) of a sine; number of
 # knots, 0 for a sine; the body that is driven, or less than 0 the one that is pushed
 AMPLITUDE, OMEGA, ENVELOPE, END, KNOTS, BODY = range(6)

@@ -10,9 +10,8 @@ import math
 
 import numpy as np
 
-from ..step_schedule import RESOLUTION
 from .contact_forces import compiled, contact_forces, inlined, kick_and_drift, touching
-from .layout import AMPLITUDE, BODY, END, ENVELOPE, FIRST, KNOTS, LAST, OMEGA, PAD
+from .layout import AMPLITUDE, BODY, END, ENVELOPE, FIRST, KNOTS, LAST, OMEGA, PAD, RESOLUTION
 
 ROWS = 64  # evaluations of the force between two updates of the window, for long chains and for methods of one stage
 TILE = 8192  # grains that stay in the cache while ROWS evaluations pass over them
