@@ -212,7 +212,9 @@ def test_order_of_convergence(integrator: str, kind: str):
 
 
 def err(t: Any, truth: Any) -> float:
-    return relative_error(t.displacement, t.velocity, truth.displacement, truth.velocity)
+    """Return the error as the package defines it, relative to the largest motion at any time."""
+    apart = np.abs([t.displacement[:] - truth.displacement, t.velocity[:] - truth.velocity]).max((1, 2))
+    return float((apart / truth.scale).max())
 
 
 STRONG = {
