@@ -77,7 +77,7 @@ def test_stopped_after_every_block(case: str, tmp_path: Path):
                 partial = Trajectory.load(tmp_path / "run")
                 assert partial.displacement.shape == (said["samples_done"], scene.recorded.size)
                 assert np.isfinite(partial.velocity[:]).all()
-                assert 0 < partial.error_estimate.total < np.inf  # that so far
+                assert 0 < partial.error_estimate.total < np.inf
     assert len(seen) == stops >= 2, "every stop was at another place"
     assert same(answer, simulate(scene, engine, tolerance))
 
