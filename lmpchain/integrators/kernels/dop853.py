@@ -8,7 +8,7 @@ import numpy as np
 
 from ...util.compilation import compiled_once
 from .contact_forces import NEWS, STRICT, inlined
-from .layout import DONE, FIRST, LAST, STEP, STEPS
+from .layout import DONE, FIRST, LAST, RESOLUTION, STEP, STEPS
 from .right_hand_side import accelerate, ahead, impose
 from .sample_loop import end_of_step, sample_loop
 from .window import look, watch, widen
@@ -45,7 +45,7 @@ def _advance(chain, method, work, clock, span):
     first, last = int(state[FIRST]), int(state[LAST])
     here = slice(first, last)
     now = span.begin + state[DONE]
-    left = min(span.length - state[DONE], ahead(chain, now, span.begin + span.length, 1e-9 * clock.step))
+    left = min(span.length - state[DONE], ahead(chain, now, span.begin + span.length, RESOLUTION * clock.step))
     h = span.step if allowed == 0.0 else (state[STEP] if state[STEP] > 0.0 else clock.step)
     done = end_of_step(chain, span, left, h)
     h = done - state[DONE]
@@ -60,7 +60,7 @@ def _advance(chain, method, work, clock, span):
             if part != 0.0:
                 for n in range(grains.size):
                     stage_grains[n] += part * slope[n]
-        impose(chain, z, now + nodes[stage] * h)
+        impose(chain, z, now + nodes[stage] * h, now + 0.5 * h)
         accelerate(chain, z, first, last, force, slopes[stage])
     if allowed > 0.0:
         error = _error(chain, weights, slopes, h)
@@ -77,7 +77,7 @@ def _advance(chain, method, work, clock, span):
             grains[n] += wx * slope[n]
             speeds[n] += wv * slope[n]
     state[DONE] = done
-    impose(chain, y, span.begin + state[DONE])
+    impose(chain, y, span.begin + state[DONE], span.begin + state[DONE])
     watch(chain)
     look(chain, every, int(state[STEPS]) + 1, span.begin + done, 1.0)
     return 1
