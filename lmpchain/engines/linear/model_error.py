@@ -17,6 +17,7 @@ from ...integrators.kernels import phase_error as kernel
 from ...integrators.kernels.phase_error import accumulate, start
 from ...scene.scene import Scene
 from ...util.arrays import Array
+from .resonance import Resonance
 
 EARLIEST, GROWTH, EVENLY = 0.5, 1.25, 64  # extra evaluation times: geometric (ratio 1.25) and 64 all over the run
 SMALL = 1024  # values of one chain for which more of them cost next to nothing
@@ -57,6 +58,7 @@ class PhaseError:
         self._fastest, self._most = fastest(scene), bounds(scene)[1]
         self._open_at = OPEN if may_open(scene) else -np.inf
         self._looked = decidable(scene)
+        self._resonance = Resonance(scene)
         self._spreads = struck_column(scene)  # where the lead is won at the first grains, and stays
         self.state = start() if state is None else state.copy()
 
@@ -90,8 +92,9 @@ class PhaseError:
         if not self._looked:
             return 1.0
         slows = SLOWS * self._excess * self._typical * self.state[kernel.SQUARED_STRAIN]
-        strayed = 0.0 if self._spreads else STRAYS * self._strays(self._typical) + slows
-        return float(min(1.0, max(self._leads / (1 + self._leads), strayed)))
+        resonant = float((self._resonance.motion(self.state[kernel.TIME]) / self.scale).max())
+        strayed = 0.0 if self._spreads else max(resonant, STRAYS * self._strays(self._typical)) + slows
+        return float(min(1.0, max(self._leads, strayed)))
 
     @property
     def at_most(self) -> float:
@@ -110,9 +113,9 @@ class PhaseError:
         if v == 0:
             return 0.0
         by_phase = (self.state[OFF] / self.scale).max()
-        at_once = AT_ONCE * self._excess * self.state[kernel.MOST_STRAIN] * self._begun
+        lead = max(by_phase, AT_ONCE * self._excess * self.state[kernel.MOST_STRAIN] * self._begun)
         grazes = 0.0 if np.isnan(self.state[kernel.OPENED]) else GRAZES
-        return float(max(by_phase, at_once) + max(self.state[kernel.PULLED] / v, grazes))
+        return float(lead / (1 + lead) + max(self.state[kernel.PULLED] / v, grazes))
 
     def _strays(self, frequency: float) -> float:
         """Return the strains added up as if the phases that they shift went at random."""
