@@ -221,15 +221,20 @@ SEVERAL = {"native to a tolerance", "lammps", "two ranks to a tolerance"}  # tha
 DOZE = {"MPIR_CVAR_POLLS_BEFORE_YIELD": "1", "MPIR_CVAR_ENABLE_HEAVY_YIELD": "1"}
 
 
-@cache
-def truth(case: str, folders: pytest.TempPathFactory) -> Trajectory:
-    """Return the uninterrupted answer, on one rank."""
-    scene, words, _ = CASES[case]
-    at = folders.mktemp("truth")
-    alone = words[: -len(TWO)] if words[-len(TWO) :] == TWO else words
-    code, said = finish("run", write(scene, at), "-o", f"{at}/run/", *alone, command=HURRIED)
-    assert code == 0, said
-    return Trajectory.load(at / "run")
+@pytest.fixture(scope="module")
+def truth(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Trajectory]:
+    """Return what gives the uninterrupted answer to a case, on one rank."""
+
+    @cache
+    def answer(case: str) -> Trajectory:
+        scene, words, _ = CASES[case]
+        at = tmp_path_factory.mktemp("truth")
+        alone = words[: -len(TWO)] if words[-len(TWO) :] == TWO else words
+        code, said = finish("run", write(scene, at), "-o", f"{at}/run/", *alone, command=HURRIED)
+        assert code == 0, said
+        return Trajectory.load(at / "run")
+
+    return answer
 
 
 def reached(folder: Path) -> float:
@@ -277,12 +282,12 @@ def killed(case: str, folder: Path, parts: list[float], rng: random.Random) -> t
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("case", "times"), [("native", 2), ("lammps", 1), ("two ranks, then mpirun", 2)])
-def test_killed_again_and_again(case: str, times: int, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory):
+def test_killed_again_and_again(case: str, times: int, tmp_path: Path, truth: Callable):
     rng = random.Random(case)
     parts = sorted(rng.uniform(0.01, 0.5) for _ in range(times))
     answer, kills = killed(case, tmp_path / "here", parts, rng)
     assert kills >= 1
-    assert same(answer, truth(case, tmp_path_factory))
+    assert same(answer, truth(case))
     assert status(tmp_path / "here" / "run")["state"] == "finished"
 
 
@@ -301,9 +306,9 @@ SOAK = {
 @pytest.mark.parametrize(
     ("case", "piece"), [(case, piece) for case, times in SOAK.items() for piece in range(times // 10)]
 )
-def test_killed_at_random(case: str, piece: int, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory):
+def test_killed_at_random(case: str, piece: int, tmp_path: Path, truth: Callable):
     """Ten kills, some of them of the same run, in any of its attempts."""
-    right, rng, count = truth(case, tmp_path_factory), random.Random(f"{case} {piece}"), 0
+    right, rng, count = truth(case), random.Random(f"{case} {piece}"), 0
     attempts = 2 if case in SEVERAL else 1
     for again in itertools.count():
         parts = sorted(rng.uniform(-0.2, attempts) for _ in range(rng.choice([1, 2, 3, 4])))
