@@ -14,8 +14,9 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from helpers.child_processes import HURRIED, at_work, ended, finish, processes, same, start, until, write
+from helpers.child_processes import HURRIED, PATIENCE, at_work, ended, finish, processes, same, start, until, write
 from helpers.example_scenes import paper
+from helpers.hurried import Process, forked
 from helpers.kill_moments import kill_moments
 
 from lmpchain import Chain, EngineUnavailable, Impulse, Scene, Trajectory, engines, resume, simulate
@@ -228,6 +229,7 @@ def truth(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Trajector
     @cache
     def answer(case: str) -> Trajectory:
         scene, words, _ = CASES[case]
+        simulate(scene, "native", 1e-2)  # every fork has these kernels
         at = tmp_path_factory.mktemp("truth")
         alone = words[: -len(TWO)] if words[-len(TWO) :] == TWO else words
         code, said = finish("run", write(scene, at), "-o", f"{at}/run/", *alone, command=HURRIED)
@@ -245,35 +247,62 @@ def reached(folder: Path) -> float:
     return max(said["attempt"] - 1, 0) + said["samples_done"] / said["samples"]
 
 
+class Command:
+    """A command of lmpchain that is to be killed: hurried, in a fork of this process or under mpirun."""
+
+    def __init__(self, words: tuple[object, ...], ranks: int, folder: Path):
+        self._mark, self._said = f"MARK={folder}", folder.with_name(f"{folder.name} said")
+        environment = os.environ | DOZE | {"MARK": str(folder), "TMPDIR": str(folder / "scratch")}
+        if ranks > 1:
+            self._process = start(*words, ranks=ranks, command=HURRIED, env=environment)
+        else:
+            self._process = forked(words, environment, self._said)
+        self.pid = self._process.pid
+
+    def at_work(self) -> bool:
+        forked = isinstance(self._process, Process)
+        return self._process.is_alive() if forked else self._process.poll() is None
+
+    def processes(self) -> list[int]:
+        """Return those of it, and of what it has started, that are there."""
+        return [*processes(self._mark), *([self.pid] if self.at_work() else [])]
+
+    def ended(self) -> tuple[int, str]:
+        """Wait until it and all that it has started has ended; return its exit code and what it said."""
+        if isinstance(self._process, Process):
+            self._process.join(PATIENCE)
+            code, said = self._process.exitcode, self._said.read_text() if self._said.exists() else ""
+        else:
+            code, said = ended(self._process)
+        until(lambda: not processes(self._mark))
+        return code, said
+
+
 def killed(case: str, folder: Path, parts: list[float], rng: random.Random) -> tuple[Trajectory, int]:
     """Run a case; kill a part of it, drawn at random, once so many of its attempts are done.
 
     Returns the answer, and how often something was killed. A part below 0 is of the time before the first sample.
     """
     scene, words, ranks = CASES[case]
-    scratch, mark = folder / "scratch", f"MARK={folder}"
+    scratch = folder / "scratch"
     scratch.mkdir(parents=True)
-    environment = os.environ | DOZE | {"MARK": str(folder), "TMPDIR": str(scratch)}
-    command: tuple[object, ...] = ("run", write(scene, folder), "-o", f"{folder}/run/", *words)
+    line: tuple[object, ...] = ("run", write(scene, folder), "-o", f"{folder}/run/", *words)
     counts, kills = itertools.cycle(ranks), 0
     for part in parts:
-        process = start(*command, ranks=next(counts), command=HURRIED, env=environment)
-        while process.poll() is None and reached(folder / "run") < part:
+        command = Command(line, next(counts), folder)
+        while command.at_work() and reached(folder / "run") < part:
             time.sleep(0.01)
-        time.sleep(rng.uniform(0, 3) if part < 0 else rng.uniform(0, 0.1))  # not always just behind a sample
-        there = processes(mark)
-        victim = process.pid if rng.random() < 0.5 or not there else rng.choice(there)
-        alive_still = process.poll() is None
+        time.sleep(rng.uniform(0, 1) if part < 0 else rng.uniform(0, 0.1))  # not always just behind a sample
+        there, alive_still = command.processes(), command.at_work()
+        victim = command.pid if rng.random() < 0.5 or not there else rng.choice(there)
         with suppress(ProcessLookupError):
             os.kill(victim, signal.SIGKILL)
-        code, said = ended(process)
+        code, said = command.ended()
         assert "Traceback" not in said, said
-        until(lambda: not processes(mark))  # nothing of it is left
         if is_run(folder / "run"):  # else it was so early that there is nothing to go on with
-            command, kills = ("resume", folder / "run"), kills + (alive_still and code != 0)
-    code, said = finish(*command, ranks=next(counts), command=HURRIED, env=environment)
+            line, kills = ("resume", folder / "run"), kills + (alive_still and code != 0)
+    code, said = Command(line, next(counts), folder).ended()
     assert code == 0, said
-    until(lambda: not processes(mark))
     assert os.listdir(scratch) == []
     assert sorted(os.listdir(folder)) == ["in.toml", "run", "scratch"]
     assert [name for name in names(folder) if "partial" in name] == []
