@@ -119,7 +119,7 @@ def realisation(scene: Scene, m: float, seed: int, index: int = 0, law: Law = "d
         _fault_of_vacuum(scene.chain, of),
     )
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
-    chain = Chain._unchecked(**_redrawn(scene.chain, m, rng, law, of))
+    chain = Chain._unchecked(**_redrawn(scene.chain, m, rng, law, of))._leave_open()
     return Scene._unchecked(**(scene.given() | {"chain": chain}))
 
 

@@ -25,6 +25,8 @@ def first_overlaps(chain: Chain, excitation: Excitation) -> Array:
     inverse_mass[chain.movable :] = 0.0  # nor does what is held, or a wall
     inverse_mass = np.concatenate(([0.0], inverse_mass, [0.0]))
     approach = np.maximum(contacts.closer(v), 0.0)
+    if excitation.wall:  # grain 1 rests when the wall comes
+        approach[0] = excitation.wall.largest(1)
     collision = contacts.collision_overlap(approach, inverse_mass[:-1] + inverse_mass[1:])
     return np.maximum(contacts.overlap + contacts.exists * contacts.closer(u), collision)
 

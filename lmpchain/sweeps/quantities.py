@@ -34,6 +34,24 @@ def _wall_force(trajectory: Trajectory) -> Array:
     return wall_force(trajectory).max()
 
 
+def _energy(which: str) -> Callable[[Trajectory], Array]:
+    def measure(trajectory: Trajectory) -> Array:
+        from ..measure.energy import shares
+
+        energy = shares(trajectory)
+        if which == "all":
+            return energy.kinetic.sum(1) + energy.elastic.sum(1)
+        if which == "grain":
+            return energy.of_grain
+        below = np.full(energy.kinetic.shape, np.nan)
+        there = np.isin(energy.grain, energy.contact)
+        places = {number: place for place, number in enumerate(energy.contact.tolist())}
+        below[:, there] = energy.elastic[:, [places[number] for number in energy.grain[there].tolist()]]
+        return below
+
+    return measure
+
+
 QUANTITIES = {
     "displacement": Quantity(
         ("time", "grain"), "m", "displacement from equilibrium, positive downward", lambda t: t.displacement
@@ -47,6 +65,18 @@ QUANTITIES = {
     ),
     "arrival_time": Quantity(
         ("grain",), "s", "when the front passes, by the velocity (measure.front.track)", _arrival_time
+    ),
+    "energy": Quantity(
+        ("time",), "J", "energy above rest of the recorded grains and the contacts between them", _energy("all")
+    ),
+    "grain_energy": Quantity(
+        ("time", "grain"),
+        "J",
+        "energy above rest of a grain and its share of contacts (measure.energy.shares)",
+        _energy("grain"),
+    ),
+    "contact_energy": Quantity(
+        ("time", "grain"), "J", "energy above rest of the contact below a grain; NaN if unknown", _energy("contact")
     ),
     "wall_force": Quantity(
         (), "N", "largest force on what holds the bottom, in any sample (measure.contact.wall_force)", _wall_force

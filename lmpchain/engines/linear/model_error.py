@@ -50,9 +50,10 @@ class PhaseError:
         chain, contacts = scene.chain, scene.chain.contacts
         self._stiffness, self._inverse_mass = contacts.stiffness, 1 / chain.masses
         self._inverse_mass[chain.movable :] = 0.0
-        self._oscillator = (2 * np.pi * scene.drive.frequency) ** 2 if scene.drive else 0.0
+        self._inverse_mass[: scene.excitation.driven] = 0.0
         self._inverse_overlap = np.divide(1.0, contacts.overlap, out=np.zeros(chain.grains + 1), where=contacts.pressed)
-        self._excess = chain.exponent - 1
+        self._excess, self._excitation = chain.exponent - 1, scene.excitation
+        self._place = scene.excitation.reach(chain)[0] - 1
         self._fastest, self._most = fastest(scene), bounds(scene)[1]
         self._open_at = OPEN if may_open(scene) else -np.inf
         self._looked = decidable(scene)
@@ -73,9 +74,14 @@ class PhaseError:
         reach : (T, 2) array
             First grain, from 0, and the one after the last that moves.
         """
+        walls, given = np.zeros((times.size, 3)), np.zeros(times.size)
+        if (wave := self._excitation.waveform) and self._excitation.wall:
+            walls = np.stack([wave.at(times, order) for order in range(3)], axis=1)
+        elif wave:
+            given = wave.at(times, 2) if self._excitation.driven else wave.at(times) * self._inverse_mass[self._place]
         accumulate(
-            times, recorded, u, v, reach, self._inverse_overlap, self._stiffness, self._inverse_mass, self._oscillator,
-            self._excess / 4, 0.6 / RESOLVED / self._fastest, self._open_at, self.state,
+            times, recorded, u, v, reach, walls, self._place, given, self._inverse_overlap, self._stiffness,
+            self._inverse_mass, self._excess / 4, 0.6 / RESOLVED / self._fastest, self._open_at, self.state,
         )  # fmt: skip
 
     @property
@@ -169,7 +175,7 @@ def bounds(scene: Scene) -> tuple[float, float]:
 def struck_column(scene: Scene) -> bool:
     """Whether it is a uniform column under gravity alone, struck at its top, for at most ten passages."""
     chain, strike = scene.chain, scene.excitation
-    if not (strike.strikes_top and chain.gravity > 0 and chain.top_load == 0):
+    if chain.grains == 1 or not (strike.strikes_top and chain.gravity > 0 and chain.top_load == 0):
         return False
     if chain.top != "free" or chain.exponent > STEEPEST or np.ptp(chain.masses) or np.ptp(chain.contact_constants):
         return False
