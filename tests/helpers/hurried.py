@@ -5,14 +5,8 @@
 So a run of a second has as many attempts and checkpoints to be killed at as one of an hour.
 """
 
-import os
 import sys
-import tempfile
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from multiprocessing import get_context
-from multiprocessing.context import ForkProcess as Process
-from pathlib import Path
 
 from lmpchain.cli import command_line
 from lmpchain.engines import error_estimate, time_stepping
@@ -34,30 +28,6 @@ def main(words: list[str]) -> int:
 
     time_stepping.TimeSteppingEngine.candidate = candidate
     return command_line.main(words)
-
-
-def forked(words: Sequence[object], environment: Mapping[str, str], said: Path) -> Process:
-    """Run a command in a fork of this process, which saves the time to import and compile.
-
-    What it says goes to a file. It is the first process of a group of its own.
-    """
-
-    def child() -> None:
-        os.setsid()
-        os.environ.clear()
-        os.environ.update(environment)
-        with open(said, "w", encoding="utf-8", buffering=1) as file:
-            for number in (1, 2):
-                os.dup2(file.fileno(), number)
-            sys.stdout = sys.stderr = file
-            tempfile.tempdir = None  # anew from the environment
-            code = main([str(word) for word in words])
-            file.flush()
-        os._exit(code)
-
-    process = get_context("fork").Process(target=child)
-    process.start()
-    return process
 
 
 if __name__ == "__main__":

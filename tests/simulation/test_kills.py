@@ -6,6 +6,7 @@ import mmap
 import os
 import random
 import signal
+import subprocess
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -14,9 +15,9 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from helpers.child_processes import HURRIED, PATIENCE, at_work, ended, finish, processes, same, start, until, write
+from helpers import hurried
+from helpers.child_processes import HURRIED, Fork, at_work, ended, finish, processes, same, start, until, write
 from helpers.example_scenes import paper
-from helpers.hurried import Process, forked
 from helpers.kill_moments import kill_moments
 
 from lmpchain import Chain, EngineUnavailable, Impulse, Scene, Trajectory, engines, resume, simulate
@@ -251,29 +252,25 @@ class Command:
     """A command of lmpchain that is to be killed: hurried, in a fork of this process or under mpirun."""
 
     def __init__(self, words: tuple[object, ...], ranks: int, folder: Path):
-        self._mark, self._said = f"MARK={folder}", folder.with_name(f"{folder.name} said")
+        self._mark = f"MARK={folder}"
         environment = os.environ | DOZE | {"MARK": str(folder), "TMPDIR": str(folder / "scratch")}
+        self._process: Fork | subprocess.Popen[str]
         if ranks > 1:
             self._process = start(*words, ranks=ranks, command=HURRIED, env=environment)
         else:
-            self._process = forked(words, environment, self._said)
+            self._process = Fork(hurried.main, words, environment, folder.with_name(f"{folder.name} said"))
         self.pid = self._process.pid
 
     def at_work(self) -> bool:
-        forked = isinstance(self._process, Process)
-        return self._process.is_alive() if forked else self._process.poll() is None
+        return self._process.poll() is None
 
     def processes(self) -> list[int]:
         """Return those of it, and of what it has started, that are there."""
         return [*processes(self._mark), *([self.pid] if self.at_work() else [])]
 
-    def ended(self) -> tuple[int, str]:
+    def ended(self) -> tuple[int | None, str]:
         """Wait until it and all that it has started has ended; return its exit code and what it said."""
-        if isinstance(self._process, Process):
-            self._process.join(PATIENCE)
-            code, said = self._process.exitcode, self._said.read_text() if self._said.exists() else ""
-        else:
-            code, said = ended(self._process)
+        code, said = self._process.ended() if isinstance(self._process, Fork) else ended(self._process)
         until(lambda: not processes(self._mark))
         return code, said
 

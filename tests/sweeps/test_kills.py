@@ -9,9 +9,10 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from helpers.child_processes import ended, finish, processes, start, until
+from helpers.child_processes import Fork, processes, until
 
 from lmpchain import InputError, load_sweep
+from lmpchain.cli.command_line import main
 
 SCENES = 200
 
@@ -74,22 +75,23 @@ def killed(folder: Path, parts: list[float], rng: random.Random) -> tuple[int, i
     path, environment = scenes_of(folder), os.environ | {"MARK": str(folder), "TMPDIR": str(scratch)}
     words = ["sweep", path, "-o", out, "--workers"]
     for part in parts:
-        process = start(*words, rng.choice([1, 2]), env=environment)
+        process = Fork(main, [*words, rng.choice([1, 2])], environment, folder.with_name(f"{folder.name} said"))
         while process.poll() is None and done(out) < part * SCENES:
             time.sleep(0.02)
         time.sleep(rng.uniform(0, 3) if part < 0 else rng.uniform(0, 0.1))  # not always just behind a scene
-        there = processes(mark)
+        there = processes(mark)  # workers
         victim = process.pid if rng.random() < 0.7 or not there else rng.choice(there)
         alive_still = process.poll() is None
         with suppress(ProcessLookupError):
             os.kill(victim, signal.SIGKILL)
-        code, said = ended(process)
+        code, said = process.ended()
         assert "Traceback" not in said, said
         assert code in (0, -signal.SIGKILL), said
         until(lambda: not processes(mark))  # nothing of it is left
         counts[0] += alive_still
         counts[1] += code == -signal.SIGKILL
-    code, said = finish(*words, rng.choice([1, 2]), env=environment)
+    last = Fork(main, [*words, rng.choice([1, 2])], environment, folder.with_name(f"{folder.name} said"))
+    code, said = last.ended()
     assert code == 0, said
     until(lambda: not processes(mark))
     assert os.listdir(scratch) == []
@@ -101,8 +103,7 @@ def killed(folder: Path, parts: list[float], rng: random.Random) -> tuple[int, i
 def serial(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of the same sweep on one process, undisturbed."""
     folder = tmp_path_factory.mktemp("serial")
-    code, said = finish("sweep", scenes_of(folder), "-o", folder / "out", "--workers", 1)
-    assert code == 0, said
+    assert main(["sweep", str(scenes_of(folder)), "-o", str(folder / "out"), "--workers", "1"]) == 0
     return folder / "out"
 
 
