@@ -14,7 +14,9 @@ from lmpchain.simulation import run_folder
 
 LONGER = 20  # than the steps that it would choose
 
-if __name__ == "__main__":
+
+def main(words: list[str]) -> int:
+    """Run a command of lmpchain."""
     error_estimate.BLOCK_S = run_folder.OFTEN_S = 0.02
     run_folder.SHARE = 0.5
     honest = time_stepping.TimeSteppingEngine.candidate
@@ -25,4 +27,8 @@ if __name__ == "__main__":
         return replace(right, steps_per_sample=steps, step=right.step * right.steps_per_sample / steps)
 
     time_stepping.TimeSteppingEngine.candidate = candidate
-    sys.exit(command_line.main())
+    return command_line.main(words)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
