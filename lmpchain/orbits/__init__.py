@@ -7,7 +7,7 @@ __getattr__ = attributes(
     __name__,
     names={
         "orbit": "Orbit",
-        "find": "find linear_mode",
+        "search": "find linear_mode",
         "modes": "breather mode_family normal_mode",
         "continuation": "follow",
         "family": "Event Family",

@@ -49,10 +49,13 @@ class Curve:
         if before is not None and direction @ before < 0:
             direction = -direction
         error = discretisation(self.equations, solution, [*self.held, constraint])
-        rates = [
-            float(fixed(self.equations, what, 1.0).of(unknown, point)[1] @ direction) for what in (self.of, "energy")
-        ]
-        return Place(orbit_of(self.equations, solution, error), unknown, direction, *rates)
+        orbit = orbit_of(self.equations, solution, error)
+
+        def rate(what: str) -> float:
+            return float(fixed(self.equations, what, 1.0).of(unknown, point)[1] @ direction)
+
+        turning = rate(self.of) if orbit.drive else np.nan if self.of == "value" else rate("energy")
+        return Place(orbit, unknown, direction, rate(self.of), turning)
 
     def along(self, place: Place, length: float) -> Place | None:
         """Return the place at this distance along the family, or None where none is found."""
@@ -110,13 +113,22 @@ def follow(
     """
     curve, first = _curve(orbit, parameter, start, until, hold)
     target = fixed(curve.equations, curve.of, until)
-    begun = curve.solved(first, fixed(curve.equations, curve.of, _value(curve, first)))
+    # at a given period the amplitude of a small orbit is next to free
+    anchor = fixed(
+        curve.equations,
+        *(
+            ("energy", orbit.energy)
+            if curve.of == "period" and orbit.drive is None
+            else (curve.of, _value(curve, first))
+        ),
+    )
+    begun = curve.solved(first, anchor)
     if begun is None:
         raise RunFailed("the orbit to begin with does not solve these equations: is it that of `start`?")
-    here = curve.place(begun, fixed(curve.equations, curve.of, _value(curve, first)))
+    here = curve.place(begun, anchor)
     left = target.of(here.unknown, begun.point)[0]
     if here.rate * left > 0:
-        here = here._replace(direction=-here.direction, rate=-here.rate, energy_rate=-here.energy_rate)
+        here = here._replace(direction=-here.direction, rate=-here.rate, turning=-here.turning)
     length = FIRST * float(np.linalg.norm(here.unknown))
     places, whole, reached = [here], max(abs(left), 1e-300), left == 0
     found: list[Event] = []

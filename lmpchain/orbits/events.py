@@ -13,21 +13,21 @@ from .orbit import Orbit
 
 EVENTS = ("fold", "period doubling", "Neimark-Sacker", "branch point")
 SPLIT = 1e-6  # of two means: less is what round-off makes of a double one
-TRIES = 40
-NEAR = 1e-9  # of a step: where an event is located
+TRIES = 12
+NEAR = 1e-6  # of a step: where an event is located
 
 
 class Place(NamedTuple):
     """A point of a family: its orbit, the unknowns (U,) and the direction (U,) of the family.
 
-    `rate` and `energy_rate` are those of the parameter and of log(energy) along it.
+    `rate` is that of the parameter along it; where `turning` passes 0 a pair of multipliers passes 1 by itself.
     """
 
     orbit: Orbit
     unknown: Array
     direction: Array
     rate: float
-    energy_rate: float
+    turning: float
 
 
 def between(kind: str, here: Place, there: Place, at: Callable[[float], Place | None]) -> Place | None:
@@ -39,7 +39,7 @@ def between(kind: str, here: Place, there: Place, at: Callable[[float], Place | 
         Of the part of the way, 0 to 1.
     """
     before, after = _count(kind, here), _count(kind, there)
-    if before == after or (kind == "branch point" and here.energy_rate * there.energy_rate < 0):
+    if before == after or (kind == "branch point" and here.turning * there.turning < 0):
         return None
     low, high, found = 0.0, 1.0, there
     f_low, f_high = _distance(kind, here, before, after), _distance(kind, there, before, after)

@@ -13,8 +13,8 @@ from ..util.arrays import Array
 from .flow import Flow, Passage
 
 REACH = 0.3  # step times the highest frequency of the chain at its stiffest
-GRADING = 0.3  # step over the time to the nearest opening
-CROSSING = 4e-7  # the shortest step times that frequency: what a contact does in it is lost in round-off
+GRADING = 0.35  # step over the time to the nearest opening
+CROSSING = 1e-4  # the shortest step times that frequency, around an opening: its error is far below that of the others
 MOST = 20_000  # steps
 FEWEST = 24
 

@@ -11,8 +11,8 @@ from ..errors import InputError, RunFailed, shown
 from ..util.arrays import Array
 from .continuation import follow
 from .family import Family
-from .find import check_positive, find, linear_mode
 from .orbit import Orbit
+from .search import check_positive, find, linear_mode
 
 STRAIN = 1e-2  # of the small orbit that a family begins with
 HEAVY = 1e3  # factor on masses at which grains stand almost still
@@ -141,7 +141,7 @@ def _alone(chain: Chain, grain: int, period: float) -> float:
         speed = np.sqrt(2 * np.maximum(top - potential(x), 1e-30 * top) / mass)
         return float(2 * ((right - left) / 2 * np.cos(angle) / speed) @ weight * np.pi / 2 / period - 1)
 
-    amplitudes = np.linspace(*np.log(ALONE), 100)
+    amplitudes = np.log(np.geomspace(*ALONE, 100))
     apart = np.array([excess(a) for a in amplitudes])
     crossing = np.flatnonzero(apart[1:] * apart[:-1] <= 0)
     if not crossing.size:

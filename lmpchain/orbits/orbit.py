@@ -60,7 +60,6 @@ class Orbit:
     iterations: int
     flow: Flow = field(repr=False)
     mesh: Array = field(repr=False)
-    tangent: Array = field(repr=False)
     state: Array = field(repr=False)
 
     @property
@@ -72,6 +71,14 @@ class Orbit:
     def amplitude(self) -> float:
         """Largest displacement of any grain, m."""
         return float(np.abs(self._passage[0]).max())
+
+    @cached_property
+    def tangent(self) -> Array:
+        """Tangent map of a period, or of its half if the orbit is reversible, in canonical variables, (2M, 2M)."""
+        size = 2 * self.flow.size
+        steps = self.mesh[: self.mesh.size // 2] if self.reversible else self.mesh
+        passage = self.flow.run(self.state, self.period, steps, np.eye(size).reshape(2, -1, size))
+        return read_only(passage.deviation.reshape(size, size))
 
     @cached_property
     def monodromy(self) -> Array:
@@ -204,5 +211,5 @@ def orbit_of(equations: Equations, solution: Solution, error: float) -> Orbit:
     drive = None if flow.drive is None else flow.drive.replace(frequency=flow.cycles / point.period)
     return Orbit(
         flow.chain, point.period, read_only(u[0].copy()), read_only(v[0].copy()), drive, equations.reversible,
-        residual, error, solution.iterations, flow, solution.mesh, read_only(solution.tangent), point.state,
+        residual, error, solution.iterations, flow, solution.mesh, point.state,
     )  # fmt: skip

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import lstsq
 
-from ..errors import RunFailed
+from ..errors import InputError, RunFailed
 from ..util.arrays import EPSILON, Array
 from . import mesh as meshes
 from .flow import Flow
@@ -20,6 +20,7 @@ TUNED = 4  # times that steps are laid anew around openings
 NUDGE = 1e-6  # of a parameter, for the derivative by it
 SHORTER = 0.6  # factor on the steps until their error is below CLOSED
 ROUNDS = 3
+SAFETY = 2.0  # on the error that half the steps show
 
 
 class Point(NamedTuple):
@@ -72,35 +73,43 @@ class Equations:
         """Return what keeps the orbit from closing, (R,)."""
         return self._closure(self.flow_at(point.value), point, mesh)[0]
 
-    def linearised(self, point: Point, mesh: Array) -> tuple[Array, Array, Array]:
-        """Return closure (R,), its derivatives (R, U), and the tangent map of these steps (2M, 2M)."""
+    def linearised(self, point: Point, mesh: Array) -> tuple[Array, Array]:
+        """Return closure (R,) and its derivatives (R, U)."""
         flow = self.flow_at(point.value)
-        size = 2 * flow.size
-        columns = np.zeros((2, flow.size, size + 1))
-        columns.reshape(size, size + 1)[:, :size] = np.eye(size)
-        residual, end = self._closure(flow, point, mesh, columns)
-        tangent, longer = end[:, :size], end[:, size:]
+        size = flow.size if self.reversible else 2 * flow.size  # of the displacements alone, or with the momenta
+        columns = np.zeros((2 * flow.size, size + 1))
+        columns[:size, :size] = np.eye(size)
+        residual, end = self._closure(flow, point, mesh, columns.reshape(2, flow.size, -1), 1)
         if self.reversible:
-            slopes = np.hstack((tangent[flow.size :, : flow.size], longer[flow.size :] / self.unit))
+            slopes = np.hstack((end[size:, :size], end[size:, size:] / self.unit))
         else:
-            slopes = np.hstack((tangent - np.eye(size), longer / self.unit))
+            slopes = np.hstack((end[:, :size] - np.eye(size), end[:, size:] / self.unit))
             if flow.drive is None:  # of all states of an orbit, the one across the motion from the last guess
                 across = flow.direction(point.state).ravel()
                 slopes = np.vstack((slopes, np.append(across / np.linalg.norm(across), 0.0)))
                 residual = np.append(residual, 0.0)
         if self.scale:
-            step = NUDGE * self.scale
-            up, down = (
-                self._closure(self.flow_at(v), point, mesh)[0] for v in (point.value + step, point.value - step)
-            )
             by_value = np.zeros((residual.size, 1))
-            by_value[: up.size, 0] = (up - down) / (2 * NUDGE)
+            change = self.by_value(point, lambda flow: self._closure(flow, point, mesh)[0])
+            by_value[: change.size, 0] = change
             slopes = np.hstack((slopes, by_value))
-        return residual, slopes, tangent
+        return residual, slopes
 
-    def _closure(self, flow: Flow, point: Point, mesh: Array, columns: Array | None = None) -> tuple[Array, Array]:
+    def by_value(self, point: Point, quantity: Callable[[Flow], Any]) -> Any:
+        """Return the derivative of a quantity by the parameter, over its scale, by differences."""
+        for up, down in ((NUDGE, -NUDGE), (NUDGE, 0.0), (0.0, -NUDGE)):
+            try:
+                above, below = (quantity(self.flow_at(point.value + step * self.scale)) for step in (up, down))
+            except InputError:  # of a chain that there is not, at the end of what the parameter may be
+                continue
+            return (above - below) / (up - down)
+        raise RunFailed(f"the parameter can be nothing but {point.value:g}")
+
+    def _closure(
+        self, flow: Flow, point: Point, mesh: Array, columns: Array | None = None, stretch: int = 0
+    ) -> tuple[Array, Array]:
         steps = mesh[: mesh.size // 2] if self.reversible else mesh
-        passage = flow.run(point.state, point.period, steps, columns, 0 if columns is None else 1)
+        passage = flow.run(point.state, point.period, steps, columns, stretch)
         end = flow.canonical(passage.displacement[-1], passage.velocity[-1])
         residual = end[1] if self.reversible else (end - point.state).ravel()
         return residual / self.unit, passage.deviation.reshape(2 * flow.size, -1)
@@ -127,11 +136,10 @@ class Constraint(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """A solved point: its steps, its tangent map over them, and the derivatives of all equations."""
+    """A solved point: its steps, and the derivatives of all equations."""
 
     point: Point
     mesh: Array
-    tangent: Array
     slopes: Array
     iterations: int
 
@@ -155,9 +163,7 @@ def fixed(equations: Equations, what: str, value: float) -> Constraint:
         inner = slope[0] if equations.reversible else slope.ravel()
         row[: inner.size] = inner * equations.unit / here
         if equations.scale:
-            step = NUDGE * equations.scale
-            up, down = (equations.flow_at(point.value + s).energy(point.state)[0] for s in (step, -step))
-            row[-1] = (up - down) / (2 * NUDGE * here)
+            row[-1] = equations.by_value(point, lambda flow: flow.energy(point.state)[0]) / here
         return float(np.log(here / value)), row
 
     return Constraint({"period": period, "energy": energy, "value": parameter}[what])
@@ -188,7 +194,7 @@ def _newton(equations: Equations, guess: Point, constraints: Sequence[Constraint
     size, period_at = np.abs(unknown).max(), equations.period_at(unknown)
     for iteration in range(ITERATIONS):
         point = equations.unpack(unknown)
-        residual, slopes, tangent = equations.linearised(point, mesh)
+        residual, slopes = equations.linearised(point, mesh)
         more = [constraint.of(unknown, point) for constraint in constraints]
         residual = np.append(residual, [r for r, _ in more])
         slopes = np.vstack((slopes, *(row[None] for _, row in more)))
@@ -196,7 +202,7 @@ def _newton(equations: Equations, guess: Point, constraints: Sequence[Constraint
         if not np.isfinite(here) or here > 1e3 * max(last, 1.0):
             return None
         if here < CLOSED / 4 and here > last / 4:
-            return Solution(point, mesh, tangent, slopes, iteration)
+            return Solution(point, mesh, slopes, iteration)
         last, best = here, min(best, here)
         change = lstsq(slopes, residual, cond=1e-13, lapack_driver="gelsy")[0]
         if np.abs(change[period_at]) > 1 or not np.isfinite(change).all():
@@ -205,8 +211,8 @@ def _newton(equations: Equations, guess: Point, constraints: Sequence[Constraint
         if np.abs(unknown).max() > 1e3 * size:
             return None
         if np.abs(change).max() < 4 * EPSILON * np.abs(unknown).max():
-            return Solution(point, mesh, tangent, slopes, iteration)
-    return Solution(point, mesh, tangent, slopes, ITERATIONS) if best < CLOSED else None
+            return Solution(point, mesh, slopes, iteration)
+    return Solution(point, mesh, slopes, ITERATIONS) if best < CLOSED else None
 
 
 def discretisation(equations: Equations, solution: Solution, constraints: Sequence[Constraint]) -> float:
@@ -217,7 +223,7 @@ def discretisation(equations: Equations, solution: Solution, constraints: Sequen
     rows = len(solution.slopes) - residual.size
     change = lstsq(solution.slopes, np.append(residual, np.zeros(rows)), cond=1e-13, lapack_driver="gelsy")[0]
     end = equations.period_at(unknown)
-    return float(max(np.abs(change[:end]).max() / np.abs(unknown[:end]).max(), *np.abs(change[end:])))
+    return SAFETY * float(max(np.abs(change[:end]).max() / np.abs(unknown[:end]).max(), *np.abs(change[end:])))
 
 
 def accurate(
