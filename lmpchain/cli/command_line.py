@@ -231,6 +231,13 @@ def _parser() -> argparse.ArgumentParser:
         help="measure the speed of the engines on this machine and store it for the cost model",
     )
 
+    orbit = verbs.add_parser("orbit", help="periodic orbit of the chain: a linear mode followed up to an energy")
+    _scene(orbit, commands.orbit)
+    orbit.add_argument("--mode", metavar="K", type=int, required=True, help="number of the mode, the lowest is 1")
+    orbit.add_argument("--energy", metavar="E", type=float, required=True, help="energy above rest, J")
+    orbit.add_argument("-o", "--output", metavar="PICTURE.png", help="picture to write (.png, .pdf or .svg)")
+    orbit.add_argument("--json", metavar="FILE", help="file for the numbers")
+
     deck = verbs.add_parser("deck", help="write a LAMMPS input that runs by itself")
     _scene(deck, commands.deck)
     deck.add_argument("-o", "--output", metavar="FOLDER", required=True, help="folder for in.column and column.data")

@@ -93,8 +93,8 @@ class Family:
         ax, picture = axes_in_units(ax, "Hz", "J")
         frequency, energy, stable = 1 / self.period, self.energy, self.stable
         span = np.array([frequency.min(), frequency.max()])
-        for low, high in self._bands():
-            ax.axvspan(low, high, color="0.9", lw=0, zorder=0)
+        for number, (low, high) in enumerate(self._bands()):
+            ax.axvspan(low, high, color="0.9", lw=0, zorder=0, label="" if number else "linear waves")
             span = np.array([min(span[0], max(low, 0.9 * span[0])), max(span[1], min(high, 1.1 * span[1]))])
         colour = COLOURS["native"]
         for part, style, label in ((stable, "-", "stable"), (~stable, "--", "unstable")):

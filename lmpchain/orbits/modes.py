@@ -50,7 +50,7 @@ def normal_mode(chain: Chain, mode: int, energy: float) -> Orbit:
     family = mode_family(chain, mode, energy, events=False)
     if not family.reached:
         raise RunFailed(f"the family of mode {mode} does not come to {energy:g} J: follow it with orbits.mode_family")
-    return family[-1]
+    return find(chain, family[-1], energy=energy)
 
 
 def mode_family(chain: Chain, mode: int, energy: float, *, events: bool = True, progress: bool = False) -> Family:

@@ -175,14 +175,14 @@ class Orbit:
         return Scene(chain=self.chain, excitation=profile, duration=periods * self.period, samples=samples)
 
     def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the displacements of the grains at 9 moments of a period; returns the figure."""
+        """Draw the displacements of the grains at five moments of half a period; returns the figure."""
         ax, picture = axes_in_units(ax, "", "m")
         time, u, _ = self.motion()
         for moment in np.linspace(0.0, 0.5, 5):
             row = u[np.abs(time - moment * self.period).argmin()]
             ax.plot(np.arange(1, row.size + 1), row, ".-", lw=1, label=f"{moment:g} period")
         ax.set(xlabel="grain", ylabel="displacement")
-        ax.legend(frameon=False)
+        ax.legend(frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
         return picture
 
     def to_json(self) -> dict[str, Any]:

@@ -88,10 +88,9 @@ def pi_mode_period(chain: Chain, amplitude: float) -> float:
 
 
 @pytest.mark.parametrize("load", [1.0, 0.0])
-@pytest.mark.parametrize("exponent", [1.5, 2.0])
 @pytest.mark.parametrize("relative", [0.3, 0.7, 3.0])
-def test_pi_modes_match_quadrature_with_contacts_that_open(load: float, exponent: float, relative: float):
-    chain = Chain(grains=5, diameter=1e-3, gravity=0.0, top_load=load, exponent=exponent, **WALLS)
+def test_pi_modes_match_quadrature_with_contacts_that_open(load: float, relative: float):
+    chain = Chain(grains=5, diameter=1e-3, gravity=0.0, top_load=load, **WALLS)
     amplitude = relative * (chain.contacts.overlap[1] or 1e-7)
     orbit = at_rest(chain, amplitude * (-1.0) ** np.arange(5), pi_mode_period(chain, amplitude))
     found = np.abs(orbit.displacement).max()
@@ -148,10 +147,10 @@ def test_frequencies_shift_with_the_energy_as_perturbation_theory_says(exponent:
         k * d * (d - 1) / 2 * eps ** (d - 2) / m,
         k * d * (d - 1) * (d - 2) / 6 * eps ** (d - 3) / m,
     )
-    energy = 0.5 * m * w**2 * (1e-3 * eps) ** 2
+    energy = 0.5 * m * w**2 * (eps * np.array([1e-2, 2e-2])) ** 2
     shift = (9 * third * w**2 - 10 * second**2) / (24 * w**3) * 2 / (m * w**2)  # Landau and Lifshitz, section 28
-    slope = (2 * np.pi / orbits.normal_mode(chain, 1, energy).period - w) / energy
-    assert slope == pytest.approx(shift, rel=1e-5)
+    slope = [(2 * np.pi / orbits.normal_mode(chain, 1, e).period - w) / e for e in energy]
+    assert (4 * slope[0] - slope[1]) / 3 == pytest.approx(shift, rel=1e-6)
 
 
 def test_a_driven_chain_follows_the_closed_form_in_the_linear_limit():
@@ -205,7 +204,9 @@ def test_what_cannot_be_is_said_in_one_line():
         "period: must be a number above 0": lambda: orbits.find(chain, Impulse(velocity=1e-3)),
         "guess: is the chain at rest": lambda: at_rest(chain, np.zeros(5), 1e-4),
         "guess: is missing": lambda: orbits.find(chain, period=1e-4),
-        "guess.displacement: must have one entry a grain": lambda: orbits.find(chain, (np.ones(4), np.ones(4)), 1e-4),
+        "guess.displacement: must have one entry a grain, 5, not 6": lambda: orbits.find(
+            chain, Profile(displacement=np.ones(6)), 1e-4
+        ),
         "period: must be a whole number": lambda: orbits.find(chain, period=1e-4, drive=other),
         "drive: must be a sine": lambda: orbits.find(chain, period=1e-4, drive=burst),
         "grain: 3 has no heavier neighbour": lambda: orbits.breather(loaded, 3, 1e-5),
