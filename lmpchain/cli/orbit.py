@@ -54,7 +54,9 @@ def _picture(family: Family) -> Figure:
     from ..util.plotting import COLOURS, figure
 
     picture = figure(11.0, 4.2)
-    for ax, drawn in zip(picture.subplots(1, 2), (family, family[-1]), strict=True):
+    left, right = picture.subplots(1, 2)
+    for ax in (left, right):
         ax.set_prop_cycle(color=list(COLOURS.values()))
-        drawn.plot(ax)
+    family.plot(left)
+    family[-1].plot(right)
     return picture

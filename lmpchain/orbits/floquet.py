@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eigvals, qr
+from scipy.linalg import eigvals
 
 from ..util.arrays import Array
 
@@ -33,34 +33,23 @@ def there_and_back(half: Array) -> Array:
     return sign[:, None] * inverse(half) * sign @ half
 
 
-def means(matrix: Array, direction: Array | None = None) -> Complex:
-    """Return the mean of every pair of multipliers, without the pair 1 of an orbit that is not driven.
-
-    Parameters
-    ----------
-    matrix : (2M, 2M) array
-        Symplectic.
-    direction : (2M,) array, optional
-        Of the motion at t = 0, which stays what it is over a period: it is projected out.
-
-    Returns
-    -------
-    (M,) or (M-1,) complex array
-    """
-    if direction is not None:
-        matrix = _without(matrix, direction)
-    return eigvals(_once((matrix + inverse(matrix)) / 2)).astype(complex) if len(matrix) else np.zeros(0, complex)
+def means(matrix: Array) -> Complex:
+    """Return the mean of every pair of multipliers of a symplectic matrix (2M, 2M), (M,)."""
+    return eigvals(_once((matrix + inverse(matrix)) / 2)).astype(complex)
 
 
-def reversible_means(half: Array, direction: Array) -> Complex:
+def reversible_means(half: Array) -> Complex:
     """Return the same for an orbit at rest at t = 0 from the tangent map of half its period.
 
     With the blocks a, b, c, d of that map, (A + 1/A) / 2 is 1 + 2 b^T c for the displacements alone.
     """
     _, b, c, _ = blocks(half)
-    basis = qr(direction[len(b) :, None])[0][:, 1:]
-    rest = basis.T @ b.T @ (c @ basis)
-    return (1 + 2 * eigvals(rest)).astype(complex) if rest.size else np.zeros(0, complex)
+    return (1 + 2 * eigvals(b.T @ c)).astype(complex)
+
+
+def without_trivial(mean: Complex) -> Complex:
+    """Return the means but for the pair 1 of an orbit that is not driven: the nearest to 1."""
+    return np.delete(mean, np.abs(mean - 1).argmin())
 
 
 def multipliers(mean: Complex, trivial: bool) -> Complex:
@@ -72,15 +61,6 @@ def multipliers(mean: Complex, trivial: bool) -> Complex:
     order = np.lexsort((np.angle(large), -np.abs(large).round(9)))
     pairs = np.stack((large, 1 / large), 1)[order]
     return np.append(pairs.ravel(), [1.0, 1.0]) if trivial else pairs.ravel()
-
-
-def _without(matrix: Array, direction: Array) -> Array:
-    """Return the symplectic map of what neither lies along the motion nor beside it, (2M-2, 2M-2)."""
-    half = len(direction) // 2
-    along = (direction[:half] + 1j * direction[half:])[:, None]
-    unitary = qr(along)[0][:, 1:]
-    basis = np.block([[unitary.real, -unitary.imag], [unitary.imag, unitary.real]])
-    return basis.T @ matrix @ basis
 
 
 def _once(matrix: Array) -> Array:

@@ -88,11 +88,8 @@ class Orbit:
     @cached_property
     def means(self) -> floquet.Complex:
         """Mean (l + 1/l) / 2 of every pair of multipliers, real in [-1, 1] if stable, (M-1,), driven (M,)."""
-        if self.drive is not None:
-            return read_only(floquet.means(self.tangent))
-        direction = self.flow.direction(self.state).ravel()
-        means = floquet.reversible_means if self.reversible else floquet.means
-        return read_only(means(self.tangent, direction))
+        means = (floquet.reversible_means if self.reversible else floquet.means)(self.tangent)
+        return read_only(means if self.drive is not None else floquet.without_trivial(means))
 
     @cached_property
     def multipliers(self) -> floquet.Complex:

@@ -35,12 +35,9 @@ def dimer(grains: int = 43) -> Chain:
 def gap_breather() -> Orbit:
     """The lowest optical mode of the dimer, continued into the gap."""
     chain = dimer()
-    w = eigenmodes(chain).frequency
-    u, period = orbits.linear_mode(chain, 23, 1e-2)
-    first = at_rest(chain, u, period, energy=float(chain.excess_energy(u, 0 * u)))
-    family = orbits.follow(first, "period", 2 * np.pi / (0.9 * w[22] + 0.1 * w[21]), events=False)
-    assert family.reached
-    return orbits.find(chain, family[-1])
+    u, period = orbits.linear_mode(chain, 23, 0.7)
+    local = u * np.exp(-(((np.arange(43) - 21) / 8) ** 2))
+    return at_rest(chain, local, period, energy=2.4e-4)
 
 
 @pytest.mark.parametrize("load", [1.0, 0.0])
@@ -184,10 +181,19 @@ def test_an_orbit_runs_in_an_engine_and_leaves_along_its_unstable_direction():
     orbit = gap_breather()
     run = simulate(orbit.scene(3, samples=4), "native", 1e-10)
     assert np.abs(run.displacement - orbit.displacement).max() < 1e-8 * orbit.amplitude
-    chain = Chain(grains=16, diameter=1e-3, gravity=0.0, top_load=1.0, **WALLS)
-    amplitude = 3.0 * chain.contacts.overlap[1]
-    unstable = at_rest(chain, amplitude * (-1.0) ** np.arange(16), pi_mode_period(chain, amplitude))
-    print(unstable.multipliers)
+
+
+def test_an_unstable_orbit_is_left_at_the_rate_of_its_multiplier():
+    masses = np.where(np.arange(11) % 2 == 0, 3e-3, 1e-3)
+    chain = Chain(grains=11, diameter=1e-2, gravity=0.0, top_load=20.0, top="wall", bottom="wall", masses=masses)
+    orbit = orbits.breather(chain, 6, 5.5e-5)
+    growth = orbit.unstable[0]
+    print(orbit.unstable)
+    pushed = orbit.perturbed(1e-5)
+    scene = Scene(chain=chain, excitation=pushed, duration=2 * orbit.period, samples=3)
+    away = simulate(scene, "native", 1e-11).displacement - orbit.displacement
+    assert growth.imag == 0
+    assert away[1:] == pytest.approx(away[0] * np.array([[growth.real], [growth.real**2]]), rel=1e-3)
 
 
 def test_what_cannot_be_is_said_in_one_line():
@@ -195,6 +201,7 @@ def test_what_cannot_be_is_said_in_one_line():
     chain = Chain(grains=5, diameter=1e-3)
     small = orbits.normal_mode(chain, 1, 1e-20)
     free, loaded = (Chain(grains=5, diameter=1e-3, gravity=0.0, top_load=load) for load in (0.0, 1.0))
+    long = Profile(displacement=np.ones(6))
     burst, other = Drive(times=[0, 1], displacement=[0, 1e-9]), Drive(amplitude=1e-9, frequency=1.5e4)
     wrong = {
         "chain: carries no force at rest": lambda: orbits.normal_mode(vacuum, 1, 1e-9),
