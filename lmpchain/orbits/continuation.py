@@ -129,7 +129,7 @@ def follow(
     left = target.of(here.unknown, begun.point)[0]
     if here.rate * left > 0:
         here = here._replace(direction=-here.direction, rate=-here.rate, turning=-here.turning)
-    length = FIRST * float(np.linalg.norm(here.unknown))
+    length = FIRST * _size(curve, here)
     places, whole, reached = [here], max(abs(left), 1e-300), left == 0
     found: list[Event] = []
     with ProgressBar(1.0, "orbits", layout="{desc}: {percentage:3.0f}% |{bar}| {elapsed}", shown=progress) as bar:
@@ -165,9 +165,14 @@ def _where(curve: Curve, place: Place) -> str:
     return f"{'the parameter' if curve.of == 'value' else curve.of} {value:.6g} (period {place.orbit.period:.6g} s)"
 
 
+def _size(curve: Curve, place: Place) -> float:
+    """Return the size of an orbit among the unknowns."""
+    return float(np.linalg.norm(place.unknown[: curve.equations.period_at(place.unknown)]))
+
+
 def _step(curve: Curve, here: Place, length: float) -> tuple[Place, float] | None:
     """Return the next place and how long the step after it may be."""
-    size = float(np.linalg.norm(here.unknown))
+    size = _size(curve, here)
     length = min(length, LARGEST * size)
     while length > SMALLEST * size:
         there = curve.along(here, length)
@@ -226,7 +231,7 @@ def _curve(
 
 
 def _equations(orbit: Orbit, flow_at: Callable[[float], Flow], scale: float) -> Equations:
-    return Equations(flow_at, orbit.reversible, float(np.linalg.norm(orbit.state)), scale)
+    return Equations(flow_at, orbit.reversible, float(np.linalg.norm(orbit.state)), scale, orbit.period)
 
 
 def _varied(

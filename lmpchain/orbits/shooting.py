@@ -45,25 +45,30 @@ class Equations:
         Of the state.
     scale : float
         Of the parameter; 0 if there is none.
+    time : float
+        Unit of the period, s.
     """
 
     flow_at: Callable[[float], Flow]
     reversible: bool
     unit: float
     scale: float = 0.0
+    time: float = 1.0
 
     def pack(self, point: Point) -> Array:
         """Return the unknowns (U,): state, log(period) and parameter."""
         state = point.state[0] if self.reversible else point.state.ravel()
         last = [point.value / self.scale] if self.scale else []
-        return np.concatenate((state / self.unit, [np.log(point.period)], last))
+        return np.concatenate((state / self.unit, [np.log(point.period / self.time)], last))
 
     def unpack(self, unknown: Array) -> Point:
         """Return the point of these unknowns."""
         end = self.period_at(unknown)
         state = unknown[:end] * self.unit
         state = np.stack((state, np.zeros(end))) if self.reversible else state.reshape(2, -1)
-        return Point(state, float(np.exp(unknown[end])), float(unknown[-1] * self.scale) if self.scale else 0.0)
+        return Point(
+            state, float(np.exp(unknown[end]) * self.time), float(unknown[-1] * self.scale) if self.scale else 0.0
+        )
 
     def period_at(self, unknown: Array) -> int:
         """Return the place of log(period) among the unknowns, behind those of the state."""
