@@ -200,11 +200,8 @@ def _parser() -> argparse.ArgumentParser:
         choices=["auto", "physical", "gauge"],
         help="LAMMPS only: positions from the real diameters, or from a far smaller one, which reduces round-off",
     )
-
     _ranks(run)
-
     _own(run)
-
     _max_wall(run)
 
     resume = verbs.add_parser("resume", help="continue the run in a folder, bit-identical to a run without the stop")
@@ -255,11 +252,9 @@ def _parser() -> argparse.ArgumentParser:
     dyson.add_argument("--seed", metavar="S", type=int, default=1, help="seed of the random chains (default: 1)")
     dyson.add_argument("-o", "--output", metavar="PICTURE.png", help="picture to write (.png, .pdf or .svg)")
     dyson.add_argument("--json", metavar="FILE", help="file for the numbers")
-
     fit = verbs.add_parser("fit", help="fit the theory to a saved run or a LAMMPS dump: modes, speeds, the front")
     _saved(fit, commands.fit)
     fit.add_argument("--json", metavar="FILE", help="file for the numbers")
-
     report = verbs.add_parser("report", help="write a page about a saved run: pictures, fits, errors, provenance")
     _saved(report, commands.report)
     report.add_argument(

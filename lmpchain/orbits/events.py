@@ -1,4 +1,4 @@
-"""Folds and bifurcations along a family of orbits, told from Floquet multipliers and located by regula falsi."""
+"""Folds and bifurcations along a family of orbits, located by regula falsi."""
 
 from __future__ import annotations
 

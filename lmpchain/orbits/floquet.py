@@ -28,7 +28,7 @@ def inverse(matrix: Array) -> Array:
 
 
 def there_and_back(half: Array) -> Array:
-    """Return the tangent map of a period that half a period (2M, 2M), and the same reversed in time, make up."""
+    """Return the tangent map of half a period (2M, 2M) followed by the same reversed in time."""
     sign = np.repeat([1.0, -1.0], len(half) // 2)
     return sign[:, None] * inverse(half) * sign @ half
 

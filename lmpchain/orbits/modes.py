@@ -94,10 +94,11 @@ def breather(chain: Chain, grain: int, period: float, *, progress: bool = False)
 
     Examples
     --------
-    >>> dimer = Chain(grains=9, diameter=1e-2, material=["steel", "ptfe"] * 4 + ["steel"], gravity=0.0, top_load=20.0)
-    >>> orbit = breather(dimer, 4, period=1.55e-4)
+    >>> ends = {"gravity": 0.0, "top_load": 20.0, "top": "wall", "bottom": "wall"}
+    >>> dimer = Chain(grains=11, diameter=1e-2, material=["steel", "ptfe"] * 5 + ["steel"], **ends)
+    >>> orbit = breather(dimer, 6, period=1.53e-4)
     >>> int(np.abs(orbit.displacement).argmax()) + 1, orbit.residual < 1e-12
-    (4, True)
+    (6, True)
     """
     check_positive("period", period)
     if isinstance(grain, bool) or not isinstance(grain, int | np.integer) or not 1 <= grain <= chain.movable:

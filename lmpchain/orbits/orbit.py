@@ -1,4 +1,4 @@
-"""A periodic orbit: its initial state, energy, Floquet multipliers and stability, and scenes that run it."""
+"""A periodic orbit: initial state, energy, Floquet multipliers, stability, and scenes that run it."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class Orbit:
 
     @cached_property
     def tangent(self) -> Array:
-        """Tangent map of a period, or of its half if the orbit is reversible, in canonical variables, (2M, 2M)."""
+        """Tangent map (2M, 2M) of a period, or of half if reversible, in canonical variables."""
         size = 2 * self.flow.size
         steps = self.mesh[: self.mesh.size // 2] if self.reversible else self.mesh
         passage = self.flow.run(self.state, self.period, steps, np.eye(size).reshape(2, -1, size))
@@ -116,7 +116,7 @@ class Orbit:
         return passage.displacement, passage.velocity
 
     def motion(self) -> tuple[Array, Array, Array]:
-        """Return times (K+1,) s, displacement and velocity (K+1, N) over a period, at the steps that were taken."""
+        """Return times (K+1,) s, displacement and velocity (K+1, N) over a period, at the steps taken."""
         return np.concatenate(([0.0], np.cumsum(self.mesh))) * self.period, *self._passage
 
     def direction(self, number: int = 1) -> tuple[Array, Array]:

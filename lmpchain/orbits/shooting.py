@@ -234,7 +234,7 @@ def discretisation(equations: Equations, solution: Solution, constraints: Sequen
 def accurate(
     equations: Equations, guess: Point, constraints: Sequence[Constraint], what: str
 ) -> tuple[Solution, float]:
-    """Return an orbit with steps so short that their error is below `CLOSED`, if round-off lets it, and that error.
+    """Return an orbit whose steps err by less than `CLOSED`, if round-off lets them, and that error.
 
     Raises
     ------

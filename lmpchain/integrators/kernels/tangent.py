@@ -1,4 +1,4 @@
-"""The map of a kick-drift splitting and its tangent: how deviations of the initial state grow, compiled.
+"""The map of a kick-drift splitting and its tangent, compiled: how deviations of a state grow.
 
 The map is that of the native engine, so its tangent is exact for the steps taken, and symplectic.
 """
