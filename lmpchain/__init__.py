@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from . import disorder as disorder
     from . import engines as engines
     from . import measure as measure
+    from . import orbits as orbits
     from . import theory as theory
     from .benchmark.bench import work_precision as work_precision
     from .chain import patterns as patterns
@@ -59,7 +60,7 @@ _MODULES = {
     "errors": "LmpchainError InputError ToleranceNotMet RunFailed EngineUnavailable",
     "chain": "patterns",
 }
-_PACKAGES = ("disorder", "engines", "measure", "theory")
+_PACKAGES = ("disorder", "engines", "measure", "orbits", "theory")
 __all__ = [*_PACKAGES, *" ".join(_MODULES.values()).split()]
 __getattr__ = attributes(__name__, _PACKAGES, _MODULES)
 

@@ -200,11 +200,8 @@ def _parser() -> argparse.ArgumentParser:
         choices=["auto", "physical", "gauge"],
         help="LAMMPS only: positions from the real diameters, or from a far smaller one, which reduces round-off",
     )
-
     _ranks(run)
-
     _own(run)
-
     _max_wall(run)
 
     resume = verbs.add_parser("resume", help="continue the run in a folder, bit-identical to a run without the stop")
@@ -231,6 +228,13 @@ def _parser() -> argparse.ArgumentParser:
         help="measure the speed of the engines on this machine and store it for the cost model",
     )
 
+    orbit = verbs.add_parser("orbit", help="periodic orbit of the chain: a linear mode followed up to an energy")
+    _scene(orbit, commands.orbit)
+    orbit.add_argument("--mode", metavar="K", type=int, required=True, help="number of the mode, the lowest is 1")
+    orbit.add_argument("--energy", metavar="E", type=float, required=True, help="energy above rest, J")
+    orbit.add_argument("-o", "--output", metavar="PICTURE.png", help="picture to write (.png, .pdf or .svg)")
+    orbit.add_argument("--json", metavar="FILE", help="file for the numbers")
+
     deck = verbs.add_parser("deck", help="write a LAMMPS input that runs by itself")
     _scene(deck, commands.deck)
     deck.add_argument("-o", "--output", metavar="FOLDER", required=True, help="folder for in.column and column.data")
@@ -248,11 +252,9 @@ def _parser() -> argparse.ArgumentParser:
     dyson.add_argument("--seed", metavar="S", type=int, default=1, help="seed of the random chains (default: 1)")
     dyson.add_argument("-o", "--output", metavar="PICTURE.png", help="picture to write (.png, .pdf or .svg)")
     dyson.add_argument("--json", metavar="FILE", help="file for the numbers")
-
     fit = verbs.add_parser("fit", help="fit the theory to a saved run or a LAMMPS dump: modes, speeds, the front")
     _saved(fit, commands.fit)
     fit.add_argument("--json", metavar="FILE", help="file for the numbers")
-
     report = verbs.add_parser("report", help="write a page about a saved run: pictures, fits, errors, provenance")
     _saved(report, commands.report)
     report.add_argument(

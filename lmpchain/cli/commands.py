@@ -1,6 +1,7 @@
 """What the commands of the command line do, one function a verb."""
 
 from .compare import compare, doctor, stability, workprec
+from .orbit import orbit
 from .plan import plan
 from .read import dyson, fit, report
 from .run import deck, resume, run, run_folder, sweep
@@ -11,6 +12,7 @@ __all__ = [
     "doctor",
     "dyson",
     "fit",
+    "orbit",
     "plan",
     "report",
     "resume",

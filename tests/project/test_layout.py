@@ -19,6 +19,7 @@ ROOMS = [
     "engines",
     "simulation",
     "disorder",
+    "orbits",
     "measure",
     "benchmark",
     "stability",

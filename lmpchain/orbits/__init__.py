@@ -1,0 +1,15 @@
+"""Periodic orbits of granular chains: nonlinear modes, breathers, their families and stability."""
+
+from ..util.lazy import attributes
+
+__all__ = ["Event", "Family", "Orbit", "breather", "find", "follow", "linear_mode", "mode_family", "normal_mode"]
+__getattr__ = attributes(
+    __name__,
+    names={
+        "orbit": "Orbit",
+        "search": "find linear_mode",
+        "modes": "breather mode_family normal_mode",
+        "continuation": "follow",
+        "family": "Event Family",
+    },
+)

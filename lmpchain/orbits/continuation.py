@@ -1,0 +1,271 @@
+"""Families of periodic orbits, by pseudo-arclength continuation, with their bifurcations located.
+
+A step goes along the family, not along the parameter, so that folds are passed; H. B. Keller, in Applications of
+Bifurcation Theory, ed. P. H. Rabinowitz (1977).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.linalg import svd
+
+from ..chain.chain import Chain
+from ..errors import InputError, RunFailed, shown
+from ..util.arrays import Array
+from ..util.progress import ProgressBar
+from .events import EVENTS, Place, between
+from .family import Event, Family
+from .flow import Flow
+from .orbit import Orbit, orbit_of
+from .shooting import Constraint, Equations, Point, Solution, discretisation, fixed, solve
+
+FIRST, LARGEST, SMALLEST = 0.05, 0.4, 1e-7  # steps along the family, over the size of the orbit
+STRAIGHT, BENT = 0.98, 0.9  # cosine of the angle between two tangents: a longer step, and a shorter one
+EASY = 5  # iterations
+ELEMENT = re.compile(r"(\w+)\[(\d+)\]")
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """The family that an orbit belongs to: its equations, what is held, and what its parameter is."""
+
+    equations: Equations
+    held: tuple[Constraint, ...]
+    of: str
+
+    def solved(self, guess: Point, constraint: Constraint) -> Solution | None:
+        """Return the orbit of the family near a guess that a constraint selects."""
+        return solve(self.equations, guess, [*self.held, constraint])
+
+    def place(self, solution: Solution, constraint: Constraint, before: Array | None = None) -> Place:
+        """Return a solved orbit with the direction of the family, turned as that of the place before."""
+        unknown, point = self.equations.pack(solution.point), solution.point
+        direction = svd(solution.slopes[:-1])[2][-1]
+        if before is not None and direction @ before < 0:
+            direction = -direction
+        error = discretisation(self.equations, solution, [*self.held, constraint])
+        orbit = orbit_of(self.equations, solution, error)
+
+        def rate(what: str) -> float:
+            return float(fixed(self.equations, what, 1.0).of(unknown, point)[1] @ direction)
+
+        turning = rate(self.of) if orbit.drive else np.nan if self.of == "value" else rate("energy")
+        return Place(orbit, unknown, direction, rate(self.of), turning)
+
+    def along(self, place: Place, length: float) -> Place | None:
+        """Return the place at this distance along the family, or None where none is found."""
+        ahead = place.unknown + length * place.direction
+        arc = Constraint(lambda unknown, _: (float(place.direction @ (unknown - ahead)), place.direction))
+        try:
+            solution = self.solved(self.equations.unpack(ahead), arc)
+        except InputError:  # of a chain that there is not, beyond the end of what the parameter may be
+            return None
+        return None if solution is None else self.place(solution, arc, place.direction)
+
+
+def follow(
+    orbit: Orbit,
+    parameter: str | Callable[[float], Chain],
+    until: float,
+    *,
+    start: float | None = None,
+    hold: str = "period",
+    points: int = 400,
+    events: bool = True,
+    progress: bool = False,
+) -> Family:
+    """Follow a periodic orbit as its energy, its period or a number of the chain changes, folds included.
+
+    Parameters
+    ----------
+    orbit : Orbit
+    parameter : str, or function of a number that returns a chain
+        "energy" (J), "period" (s), "amplitude" (of the drive, m), a number of the chain such as "top_load" or
+        "exponent", or one of many, such as "masses[7]" (from 1).
+    until : float
+        Value of the parameter where the family ends.
+    start : float, optional
+        For a function: the value that gives the chain of the orbit.
+    hold : "period" or "energy"
+        What stays as it is while the chain or the drive changes.
+    points : int
+        Most orbits of the family.
+    events : bool
+        Whether folds and bifurcations are located.
+    progress : bool
+
+    Returns
+    -------
+    Family
+        With `reached` false if the family never came to `until`.
+
+    Raises
+    ------
+    InputError
+        If the parameter is none of this orbit, or a value is wrong.
+    RunFailed
+        If the family cannot be followed further.
+    """
+    curve, first = _curve(orbit, parameter, start, until, hold)
+    target = fixed(curve.equations, curve.of, until)
+    # at a given period the amplitude of a small orbit is next to free
+    anchor = fixed(
+        curve.equations,
+        *(
+            ("energy", orbit.energy)
+            if curve.of == "period" and orbit.drive is None
+            else (curve.of, _value(curve, first))
+        ),
+    )
+    begun = curve.solved(first, anchor)
+    if begun is None:
+        raise RunFailed("the orbit to begin with does not solve these equations: is it that of `start`?")
+    here = curve.place(begun, anchor)
+    left = target.of(here.unknown, begun.point)[0]
+    if here.rate * left > 0:
+        here = here._replace(direction=-here.direction, rate=-here.rate, turning=-here.turning)
+    length = FIRST * _size(curve, here)
+    places, whole, reached = [here], max(abs(left), 1e-300), left == 0
+    found: list[Event] = []
+    with ProgressBar(1.0, "orbits", layout="{desc}: {percentage:3.0f}% |{bar}| {elapsed}", shown=progress) as bar:
+        while not reached and len(places) < points:
+            here, step = places[-1], _step(curve, places[-1], length)
+            if step is None:
+                raise RunFailed(f"the family cannot be followed beyond {_where(curve, here)}")
+            there, length = step
+            point = curve.equations.unpack(there.unknown)
+            now = target.of(there.unknown, point)[0]
+            if reached := bool(now * left <= 0):
+                part = abs(left) / (abs(left) + abs(now)) if now else 1.0
+                guess = curve.equations.unpack(here.unknown + part * (there.unknown - here.unknown))
+                ended = curve.solved(guess, target)
+                if ended is None:
+                    raise RunFailed(f"no orbit of the family is found at {until:g}")
+                there = curve.place(ended, target, here.direction)
+            if events:
+                found += _events(curve, here, there)
+            places.append(there)
+            left = now
+            bar.reach(max(0.0, 1 - abs(now) / whole))
+    return Family(
+        tuple(place.orbit for place in places),
+        np.array([_value(curve, curve.equations.unpack(place.unknown)) for place in places]),
+        parameter if isinstance(parameter, str) else "parameter", tuple(found), bool(reached),
+    )  # fmt: skip
+
+
+def _where(curve: Curve, place: Place) -> str:
+    """Return where on a family a place is, in words."""
+    value = _value(curve, curve.equations.unpack(place.unknown))
+    return f"{'the parameter' if curve.of == 'value' else curve.of} {value:.6g} (period {place.orbit.period:.6g} s)"
+
+
+def _size(curve: Curve, place: Place) -> float:
+    """Return the size of an orbit among the unknowns."""
+    return float(np.linalg.norm(place.unknown[: curve.equations.period_at(place.unknown)]))
+
+
+def _step(curve: Curve, here: Place, length: float) -> tuple[Place, float] | None:
+    """Return the next place and how long the step after it may be."""
+    size = _size(curve, here)
+    length = min(length, LARGEST * size)
+    while length > SMALLEST * size:
+        there = curve.along(here, length)
+        if there is not None and (turn := float(there.direction @ here.direction)) > BENT:
+            easy = there.orbit.iterations <= EASY and turn > STRAIGHT
+            return there, length * (1.5 if easy else 0.8 if turn < STRAIGHT else 1.0)
+        length /= 2
+    return None
+
+
+def _events(curve: Curve, here: Place, there: Place) -> list[Event]:
+    """Return what happens between two places, located along the family."""
+    length = float(here.direction @ (there.unknown - here.unknown))
+    found = []
+    for kind in EVENTS:
+        where = between(kind, here, there, lambda part: curve.along(here, part * length))
+        if where is not None:
+            value = _value(curve, curve.equations.unpack(where.unknown))
+            found.append((float(here.direction @ where.unknown), Event(kind, value, where.orbit)))
+    return [event for _, event in sorted(found, key=lambda pair: pair[0])]
+
+
+def _value(curve: Curve, point: Point) -> float:
+    """Return the parameter of a point."""
+    if curve.of == "energy":
+        return curve.equations.flow_at(point.value).energy(point.state)[0]
+    return point.period if curve.of == "period" else point.value
+
+
+def _curve(
+    orbit: Orbit, parameter: str | Callable[[float], Chain], start: float | None, until: float, hold: str
+) -> tuple[Curve, Point]:
+    """Return the family of an orbit and where on it the orbit is."""
+    if isinstance(until, bool) or not isinstance(until, int | float) or not np.isfinite(until):
+        raise InputError([("until", f"must be a number (got {shown(until)})")])
+    if hold not in ("period", "energy") or (hold == "energy" and orbit.drive is not None):
+        raise InputError([("hold", 'must be "period", or "energy" of an orbit that is not driven')])
+    if parameter in ("energy", "period"):
+        if parameter == "energy" and orbit.drive is not None:
+            raise InputError([("parameter", "energy is not conserved in a driven chain: follow period or amplitude")])
+        if until <= 0:
+            raise InputError([("until", f"must be above 0 for the {parameter} (got {until:g})")])
+        equations = _equations(orbit, lambda _: orbit.flow, 0.0)
+        return Curve(equations, (), str(parameter)), Point(orbit.state, orbit.period)
+    chain_at, value, drive_at = _varied(orbit, parameter, start)
+
+    @lru_cache(maxsize=8)
+    def flow_at(number: float) -> Flow:
+        return Flow(chain_at(number), orbit.flow.rate, drive_at(number), orbit.flow.cycles)
+
+    flow_at(until)  # what the chain does not allow is said at once
+    equations = _equations(orbit, flow_at, max(abs(value), abs(until)))
+    kept = orbit.period if hold == "period" else orbit.energy
+    state = flow_at(value).canonical(orbit.displacement, orbit.velocity)
+    return Curve(equations, (fixed(equations, hold, kept),), "value"), Point(state, orbit.period, value)
+
+
+def _equations(orbit: Orbit, flow_at: Callable[[float], Flow], scale: float) -> Equations:
+    return Equations(flow_at, orbit.reversible, float(np.linalg.norm(orbit.state)), scale, orbit.period)
+
+
+def _varied(
+    orbit: Orbit, parameter: str | Callable[[float], Chain], start: float | None
+) -> tuple[Callable[[float], Chain], float, Callable]:
+    """Return chain and drive as functions of the parameter, and its value for this orbit."""
+    chain, drive = orbit.chain, orbit.drive
+    if not isinstance(parameter, str):
+        if start is None:
+            raise InputError([("start", "is missing: the value for which the function gives the chain of the orbit")])
+        return parameter, float(start), lambda _: drive
+    if parameter == "amplitude":
+        if drive is None:
+            raise InputError([("parameter", "amplitude is that of a drive, and the orbit is not driven")])
+        return lambda _: chain, float(drive.amplitude), lambda number: drive.replace(amplitude=number)
+    element = ELEMENT.fullmatch(parameter)
+    name, place = (element[1], int(element[2]) - 1) if element else (parameter, None)
+    arrays = {"masses": chain.masses, "diameter": chain.diameters, "contact_constants": chain.contact_constants}
+    given = arrays[name] if element and name in arrays else getattr(chain, name, None)
+    if (
+        place is not None
+        and isinstance(given, np.ndarray)
+        and 0 <= place < given.size
+        and name in type(chain).model_fields
+    ):
+
+        def with_element(number: float) -> Chain:
+            changed = given.copy()
+            changed[place] = number
+            return chain.replace(**{name: changed})
+
+        return with_element, float(given[place]), lambda _: drive
+    if place is not None or name not in type(chain).model_fields or type(given) is not float:
+        raise InputError(
+            [("parameter", f"must be energy, period, amplitude or a number of the chain (got {shown(parameter)})")]
+        )
+    return lambda number: chain.replace(**{name: number}), given, lambda _: drive

@@ -1,0 +1,91 @@
+"""Folds and bifurcations along a family of orbits, located by regula falsi."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from ..util.arrays import Array
+from .floquet import Complex
+from .orbit import Orbit
+
+EVENTS = ("fold", "period doubling", "Neimark-Sacker", "branch point")
+SPLIT = 1e-6  # of two means: less is what round-off makes of a double one
+TRIES = 12
+NEAR = 1e-6  # of a step: where an event is located
+
+
+class Place(NamedTuple):
+    """A point of a family: its orbit, the unknowns (U,) and the direction (U,) of the family.
+
+    `rate` is that of the parameter along it; where `turning` passes 0 a pair of multipliers passes 1 by itself.
+    """
+
+    orbit: Orbit
+    unknown: Array
+    direction: Array
+    rate: float
+    turning: float
+
+
+def between(kind: str, here: Place, there: Place, at: Callable[[float], Place | None]) -> Place | None:
+    """Return where between two places something happens, nearer the second, or None.
+
+    Parameters
+    ----------
+    at : function
+        Of the part of the way, 0 to 1.
+    """
+    before, after = _count(kind, here), _count(kind, there)
+    if before == after or (kind == "branch point" and here.turning * there.turning < 0):
+        return None
+    low, high, found = 0.0, 1.0, there
+    f_low, f_high = _distance(kind, here, before, after), _distance(kind, there, before, after)
+    side = 0
+    for _ in range(TRIES):
+        part = (low * f_high + high * f_low) / (f_high + f_low) if f_low + f_high > 0 else (low + high) / 2
+        part = min(max(part, low + 0.02 * (high - low)), high - 0.02 * (high - low))
+        middle = at(part)
+        if middle is None:
+            break
+        f = _distance(kind, middle, before, after)
+        if _count(kind, middle) == before:
+            low, f_low = part, f
+            f_high, side = (f_high / 2 if side < 0 else f_high), -1
+        else:
+            high, f_high, found = part, f, middle
+            f_low, side = (f_low / 2 if side > 0 else f_low), 1
+        if high - low < NEAR:
+            break
+    return found
+
+
+def _count(kind: str, place: Place) -> int:
+    """Return a number that changes where something of this kind happens."""
+    if kind == "fold":
+        return int(place.rate > 0)
+    mean = place.orbit.means
+    real = _real(mean)
+    if kind == "Neimark-Sacker":
+        return mean.size - real.size
+    return int((real > 1).sum() if kind == "branch point" else (real < -1).sum())
+
+
+def _distance(kind: str, place: Place, before: int, after: int) -> float:
+    """Return a number that goes through zero, but for its sign, where something of this kind happens."""
+    if kind == "fold":
+        return abs(place.rate)
+    mean = place.orbit.means
+    real = np.sort(_real(mean))
+    if kind == "Neimark-Sacker":
+        if _count(kind, place) == max(before, after):
+            apart = mean.imag[np.abs(mean.imag) > SPLIT]
+            return float((4 * apart**2).min()) if apart.size else 0.0
+        return float((np.diff(real) ** 2).min()) if real.size > 1 else 0.0
+    return float(np.abs(real - (1 if kind == "branch point" else -1)).min()) if real.size else 0.0
+
+
+def _real(mean: Complex) -> Array:
+    return mean.real[np.abs(mean.imag) <= SPLIT]

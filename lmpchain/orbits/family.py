@@ -1,0 +1,149 @@
+"""A family of periodic orbits, and its picture: energy against frequency, the linear bands behind it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..theory.bands import Cell, branches, repeating
+from ..theory.modes import eigenmodes
+from ..util.arrays import Array
+from ..util.plotting import COLOURS, axes_in_units
+from .floquet import Complex
+from .orbit import Orbit
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MARKS = {"fold": "o", "period doubling": "s", "Neimark-Sacker": "^", "branch point": "D"}
+
+
+@dataclass(frozen=True, eq=False)
+class Event:
+    """What happens to a family at one of its orbits.
+
+    Attributes
+    ----------
+    kind : "fold", "period doubling", "Neimark-Sacker" or "branch point"
+        The parameter turns back; a pair of multipliers passes -1; two pairs meet on the unit circle and leave it, or
+        come back; a pair passes 1.
+    value : float
+        Of the parameter.
+    orbit : Orbit
+    """
+
+    kind: str
+    value: float
+    orbit: Orbit
+
+
+@dataclass(frozen=True, eq=False)
+class Family:
+    """Periodic orbits along a parameter, as `follow` returns them.
+
+    Attributes
+    ----------
+    orbits : tuple of P Orbit
+    value : (P,) array
+        Of the parameter, in its SI unit.
+    parameter : str
+    events : tuple of Event
+        In their order.
+    reached : bool
+        Whether the family came to the value asked for.
+    """
+
+    orbits: tuple[Orbit, ...]
+    value: Array
+    parameter: str
+    events: tuple[Event, ...]
+    reached: bool
+
+    def __len__(self) -> int:
+        return len(self.orbits)
+
+    def __getitem__(self, number: int) -> Orbit:
+        return self.orbits[number]
+
+    @property
+    def period(self) -> Array:
+        """Periods (P,), s."""
+        return np.array([orbit.period for orbit in self.orbits])
+
+    @property
+    def energy(self) -> Array:
+        """Energies above rest at t = 0, (P,) J."""
+        return np.array([orbit.energy for orbit in self.orbits])
+
+    @property
+    def multipliers(self) -> Complex:
+        """Floquet multipliers, (P, 2M)."""
+        return np.array([orbit.multipliers for orbit in self.orbits])
+
+    @property
+    def stable(self) -> np.ndarray:
+        """Which orbits are stable, (P,) bool."""
+        return np.array([orbit.stable for orbit in self.orbits])
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw energy against frequency, unstable orbits dashed, the linear bands behind; returns the figure."""
+        ax, picture = axes_in_units(ax, "Hz", "J")
+        frequency, energy, stable = 1 / self.period, self.energy, self.stable
+        span = np.array([frequency.min(), frequency.max()])
+        for number, (low, high) in enumerate(self._bands()):
+            ax.axvspan(low, high, color="0.9", lw=0, zorder=0, label="" if number else "linear waves")
+            span = np.array([min(span[0], max(low, 0.9 * span[0])), max(span[1], min(high, 1.1 * span[1]))])
+        colour = COLOURS["native"]
+        for part, style, label in ((stable, "-", "stable"), (~stable, "--", "unstable")):
+            near = part | np.append(part[1:], False) if style == "--" else part
+            if part.any():
+                ax.plot(frequency, np.where(near, energy, np.nan), style, marker=".", color=colour, label=label)
+        for kind, mark in MARKS.items():
+            here = [event.orbit for event in self.events if event.kind == kind]
+            if here:
+                ax.plot(
+                    [1 / o.period for o in here], [o.energy for o in here], mark, color=COLOURS["lammps"], mfc="none",
+                    label=kind,
+                )  # fmt: skip
+        margin = 0.03 * (span[1] - span[0])
+        ax.set(xlabel="frequency", ylabel="energy above rest", xlim=(span[0] - margin, span[1] + margin), yscale="log")
+        ax.legend(frameon=False)
+        return picture
+
+    def _bands(self) -> Array:
+        """Return the bands of the linearised chain, (B, 2) Hz; of a chain that does not repeat, of its modes."""
+        chain = self.orbits[0].chain
+        if not chain.compressed:
+            return np.zeros((0, 2))
+        period = repeating(chain)
+        if chain.gravity == 0 and chain.grains > period and (period > 1 or _uniform(chain)):
+            cell = Cell(chain.masses[:period], chain.linear_stiffness[:period])
+            edges = branches(cell, [0.0, np.pi]).frequency / (2 * np.pi)
+            return np.sort(edges, axis=1)
+        modes = eigenmodes(chain).frequency / (2 * np.pi)
+        return np.array([[modes[0], modes[-1]]])
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the numbers of the family, and the last of its orbits."""
+        return {
+            "parameter": self.parameter,
+            "value": self.value.tolist(),
+            "period_s": self.period.tolist(),
+            "energy_J": self.energy.tolist(),
+            "stable": self.stable.tolist(),
+            "events": [
+                {"kind": e.kind, "value": e.value, "period_s": e.orbit.period, "energy_J": e.orbit.energy}
+                for e in self.events
+            ],
+            "orbit": self.orbits[-1].to_json(),
+        }
+
+
+def _uniform(chain: Any) -> bool:
+    return bool(
+        np.ptp(chain.masses) < 1e-9 * chain.masses[0]
+        and np.ptp(chain.linear_stiffness) < 1e-9 * chain.linear_stiffness[0]
+    )

@@ -1,0 +1,94 @@
+"""Floquet multipliers of symplectic tangent maps, in exact pairs.
+
+Multipliers come in pairs l, 1/l. The skew-Hamiltonian (A + 1/A) / 2 has their means c = (l + 1/l) / 2 as double
+eigenvalues; C. Van Loan, Linear Algebra Appl. 61, 233 (1984), brings it to a form in which each is found once.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eigvals
+
+from ..util.arrays import Array
+
+Complex = NDArray[np.complex128]
+
+
+def blocks(matrix: Array) -> tuple[Array, Array, Array, Array]:
+    """Return the four (M, M) blocks of a (2M, 2M) matrix, row by row."""
+    half = len(matrix) // 2
+    return matrix[:half, :half], matrix[:half, half:], matrix[half:, :half], matrix[half:, half:]
+
+
+def inverse(matrix: Array) -> Array:
+    """Return the inverse of a symplectic matrix."""
+    a, b, c, d = blocks(matrix)
+    return np.block([[d.T, -b.T], [-c.T, a.T]])
+
+
+def there_and_back(half: Array) -> Array:
+    """Return the tangent map of half a period (2M, 2M) followed by the same reversed in time."""
+    sign = np.repeat([1.0, -1.0], len(half) // 2)
+    return sign[:, None] * inverse(half) * sign @ half
+
+
+def means(matrix: Array) -> Complex:
+    """Return the mean of every pair of multipliers of a symplectic matrix (2M, 2M), (M,)."""
+    return eigvals(_once((matrix + inverse(matrix)) / 2)).astype(complex)
+
+
+def reversible_means(half: Array) -> Complex:
+    """Return the same for an orbit at rest at t = 0 from the tangent map of half its period.
+
+    With the blocks a, b, c, d of that map, (A + 1/A) / 2 is 1 + 2 b^T c for the displacements alone.
+    """
+    _, b, c, _ = blocks(half)
+    return (1 + 2 * eigvals(b.T @ c)).astype(complex)
+
+
+def without_trivial(mean: Complex) -> Complex:
+    """Return the means but for the pair 1 of an orbit that is not driven: the nearest to 1."""
+    return np.delete(mean, np.abs(mean - 1).argmin())
+
+
+def multipliers(mean: Complex, trivial: bool) -> Complex:
+    """Return the pairs (2M,), side by side, the largest first; a trivial pair 1 is the last."""
+    root = np.sqrt(mean**2 - 1)
+    large = np.where(np.abs(mean + root) >= np.abs(mean - root), mean + root, mean - root)
+    on_circle = (mean.imag == 0) & (np.abs(mean.real) <= 1)
+    large = np.where(on_circle, np.exp(1j * np.arccos(np.clip(mean.real, -1, 1))), large)
+    order = np.lexsort((np.angle(large), -np.abs(large).round(9)))
+    pairs = np.stack((large, 1 / large), 1)[order]
+    return np.append(pairs.ravel(), [1.0, 1.0]) if trivial else pairs.ravel()
+
+
+def _once(matrix: Array) -> Array:
+    """Return an (M, M) matrix with the eigenvalues, each once, of a skew-Hamiltonian one (2M, 2M)."""
+    matrix, size = matrix.copy(), len(matrix) // 2
+    for j in range(size - 1):
+        rows = np.arange(j + 1, size)
+        _reflect(matrix, matrix[size + rows, j], rows, size)
+        _rotate(matrix, j + 1, j, size)
+        _reflect(matrix, matrix[rows, j], rows, size)
+    return matrix[:size, :size]
+
+
+def _rotate(matrix: Array, row: int, column: int, size: int) -> None:
+    """Rotate a displacement and its momentum so that the entry of the momentum vanishes."""
+    a, b = matrix[row, column], matrix[size + row, column]
+    if (norm := np.hypot(a, b)) > 0:
+        turn, pair = np.array([[a, b], [-b, a]]) / norm, [row, size + row]
+        matrix[pair] = turn @ matrix[pair]
+        matrix[:, pair] = matrix[:, pair] @ turn.T
+
+
+def _reflect(matrix: Array, column: Array, rows: NDArray[np.intp], size: int) -> None:
+    """Reflect displacements and momenta alike so that all but the first entry of a column vanish."""
+    normal = column.copy()
+    normal[0] += np.copysign(np.linalg.norm(column), column[0])
+    if not (square := normal @ normal):
+        return
+    for part in (rows, rows + size):
+        matrix[part] -= np.outer(2 * normal / square, normal @ matrix[part])
+        matrix[:, part] -= np.outer(matrix[:, part] @ normal, 2 * normal / square)

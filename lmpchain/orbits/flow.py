@@ -1,0 +1,171 @@
+"""The motion of a chain over a period by a symplectic splitting, and its tangent map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from ..chain.chain import Chain
+from ..errors import InputError
+from ..integrators.batch import ChainBatch
+from ..integrators.kernels.layout import PAD
+from ..integrators.kernels.tangent import Links, march
+from ..integrators.splittings import KAHAN_LI8
+from ..scene.excitation import Drive, Profile
+from ..scene.scene import Scene
+from ..util.arrays import Array
+
+METHOD = KAHAN_LI8
+
+
+class Passage(NamedTuple):
+    """What a chain does in K steps.
+
+    Attributes
+    ----------
+    displacement, velocity : (K+1, N) arrays
+        States between the steps, m and m/s.
+    deviation : (2, M, C) array
+        Deviations at the end.
+    """
+
+    displacement: Array
+    velocity: Array
+    deviation: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Flow:
+    """Eq. (1) in canonical variables, for the M grains that are free.
+
+    ``q = sqrt(m) phi`` and ``p = sqrt(m) phi' / rate``, so that tangent maps are symplectic.
+
+    Parameters
+    ----------
+    chain : Chain
+    rate : float
+        rad/s, of the order of the frequencies of the orbit.
+    drive : Drive, optional
+        Harmonic; its frequency follows the period.
+    cycles : int
+        Of the drive in a period.
+
+    Raises
+    ------
+    InputError
+        If nothing keeps the chain together, or the drive is not harmonic or not one of this chain.
+    """
+
+    chain: Chain
+    rate: float
+    drive: Drive | None = None
+    cycles: int = 1
+
+    def __post_init__(self) -> None:
+        chain, drive = self.chain, self.drive
+        if drive is not None:
+            if drive.times is not None or getattr(drive, "cycles", None) is not None:
+                raise InputError([("drive", "must be a sine that never ends: give amplitude and frequency alone")])
+            if faults := list(drive.faults(chain, 1.0)):
+                raise InputError([(f"drive.{key}", message) for key, message in faults])
+        elif not chain.compressed and (chain.top == "free" or chain.bottom == "free"):
+            raise InputError([("chain", "flies apart: use a top load, gravity, or walls at both ends")])
+
+    @cached_property
+    def links(self) -> Links:
+        """The chain as the compiled loop takes it."""
+        rest = Profile(velocity=np.zeros(self.chain.grains))
+        with np.errstate(all="ignore"):  # of scales of a chain at rest, which are not used
+            batch = ChainBatch([Scene(chain=self.chain, excitation=rest, duration=1.0, samples=2)], "exact")
+        batch.table[0, 2, PAD : PAD + self.held] = 0.0
+        length, strength, inverse_mass = batch.table[0]
+        return Links(
+            length, strength, inverse_mass, float(batch.uncompressed[0]), int(batch.forms[0]), batch.precompressed,
+            batch.coefficients,
+        )  # fmt: skip
+
+    @cached_property
+    def weight(self) -> Array:
+        """Roots of the masses of the free grains, (M,)."""
+        return np.sqrt(self.chain.masses[self.free])
+
+    @property
+    def held(self) -> int:
+        """How many grains the drive holds at the top: 1 or 0."""
+        return int(self.drive is not None and getattr(self.drive, "grain", 1) == 1)
+
+    @property
+    def free(self) -> slice:
+        """The grains that move by themselves."""
+        return slice(self.held, self.chain.movable)
+
+    @property
+    def size(self) -> int:
+        """M."""
+        return self.chain.movable - self.held
+
+    def canonical(self, displacement: Array, velocity: Array) -> Array:
+        """Return (..., 2, M) canonical variables of states (..., N)."""
+        return np.stack(
+            (self.weight * displacement[..., self.free], self.weight / self.rate * velocity[..., self.free]), -2
+        )
+
+    def physical(self, state: Array) -> tuple[Array, Array]:
+        """Return displacement and velocity of every grain, (N,) each, at t = 0; a driven grain has none."""
+        u, v = np.zeros((2, self.chain.grains))
+        u[self.free], v[self.free] = state[0] / self.weight, state[1] / self.weight * self.rate
+        return u, v
+
+    def run(
+        self, state: Array, period: float, mesh: Array, deviation: Array | None = None, stretch: int = 0
+    ) -> Passage:
+        """Advance a state (2, M) from t = 0 by steps that are fractions (K,) of a period.
+
+        Parameters
+        ----------
+        deviation : (2, M, C) array, optional
+            Deviations that are carried along.
+        stretch : int
+            How many of the last of these are derivatives by log(period).
+        """
+        grains = self.chain.grains
+        given = np.zeros((2, self.size, 0)) if deviation is None else deviation
+        rows = np.zeros((2, self.links.strength.size))
+        rows[:, PAD : PAD + grains] = self.physical(state)
+        columns, longer = np.zeros((2, grains, given.shape[2])), np.zeros(given.shape[2])
+        scale = np.stack((self.weight, self.weight / self.rate))[..., None]
+        columns[:, self.free] = given / scale
+        longer[longer.size - stretch :] = 1.0
+        nodes = np.zeros((2, mesh.size + 1, grains))
+        march(
+            self.links, *rows, *columns, longer, np.array(METHOD.kicks), np.array(METHOD.drifts), mesh * period,
+            PAD - 1 + self.held, self._path(mesh), *nodes,
+        )  # fmt: skip
+        if self.held:
+            turns = 2 * np.pi * self.cycles * np.concatenate(([0.0], np.cumsum(mesh)))
+            nodes[1, :, 0] = self.drive.amplitude * 2 * np.pi * self.cycles / period * np.cos(turns)  # type: ignore[union-attr]
+        return Passage(nodes[0], nodes[1], columns[:, self.free] * scale)
+
+    def _path(self, mesh: Array) -> Array:
+        """Return where the drive is at every evaluation of the force, m; nothing without a drive."""
+        if self.drive is None:
+            return np.zeros(0)
+        begin = np.cumsum(mesh) - mesh
+        stages = begin[:, None] + mesh[:, None] * np.array([0.0, *METHOD.reach[:-1]])
+        turns = self.cycles * np.append(stages.ravel(), mesh.sum())
+        return self.drive.amplitude * np.sin(2 * np.pi * (turns - np.round(turns)))
+
+    def direction(self, state: Array) -> Array:
+        """Return the rate of change of a state (2, M) at t = 0, over `rate`."""
+        u, _ = self.physical(state)
+        force = self.chain.contacts.force_change(self.chain.contacts.closer(u))
+        pull = (force[:-1] - force[1:])[self.free] / self.weight / self.rate**2
+        return np.stack((state[1], pull))
+
+    def energy(self, state: Array) -> tuple[float, Array]:
+        """Return the energy above rest, J, and its gradient (2, M)."""
+        q_rate, p_rate = self.direction(state)
+        return float(self.chain.excess_energy(*self.physical(state))), self.rate**2 * np.stack((-p_rate, q_rate))

@@ -1,0 +1,152 @@
+"""Nonlinear normal modes from linear ones, and breathers from the anti-continuous limit."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.special import roots_legendre
+
+from ..chain.chain import Chain
+from ..errors import InputError, RunFailed, shown
+from ..util.arrays import Array
+from .continuation import follow
+from .family import Family
+from .orbit import Orbit
+from .search import check_positive, find, linear_mode
+
+STRAIN = 1e-2  # of the small orbit that a family begins with
+HEAVY = 1e3  # factor on masses at which grains stand almost still
+HEAVIER = 1.001  # ratio of masses
+ALONE = (1e-4, 1e2)  # amplitudes of a grain between two that stand still, over the overlap
+
+
+def normal_mode(chain: Chain, mode: int, energy: float) -> Orbit:
+    """Return the nonlinear normal mode that a linear one grows into at this energy.
+
+    A. F. Vakakis et al., Normal Modes and Localization in Nonlinear Systems (1996). That at the edge of a band which
+    softens becomes a breather in the gap below: G. Theocharis et al., Phys. Rev. E 82, 056604 (2010).
+
+    Parameters
+    ----------
+    mode : int
+        From 1, in the order of frequencies, as in `lmpchain.theory.modes`.
+    energy : float
+        Above rest, J.
+
+    Raises
+    ------
+    InputError
+        If there is no such mode, or no contact is compressed, or the energy is not above 0.
+    RunFailed
+        If the family of the mode does not come to this energy.
+
+    Examples
+    --------
+    >>> chain = Chain(grains=10, diameter=1e-3, gravity=0.0, top_load=1.0)
+    >>> orbit = normal_mode(chain, 9, energy=1e-6)
+    >>> orbit.residual < 1e-12, orbit.error < 1e-11
+    (True, True)
+    """
+    family = mode_family(chain, mode, energy, events=False)
+    if not family.reached:
+        raise RunFailed(f"the family of mode {mode} does not come to {energy:g} J: follow it with orbits.mode_family")
+    return find(chain, family[-1], energy=energy)
+
+
+def mode_family(chain: Chain, mode: int, energy: float, *, events: bool = True, progress: bool = False) -> Family:
+    """Return the family of a nonlinear normal mode, from the linear mode up to an energy.
+
+    Parameters
+    ----------
+    mode, energy
+        As for `normal_mode`.
+    events, progress : bool
+        As for `follow`.
+    """
+    check_positive("energy", energy)
+    u, period = linear_mode(chain, mode, STRAIN)
+    rest = np.zeros(chain.grains)
+    least = float(chain.excess_energy(u, rest))
+    small = min(1.0, float(np.sqrt(0.5 * energy / least)))
+    first = find(chain, (small * u, rest), period, energy=least * small**2)
+    return follow(first, "energy", energy, events=events, progress=progress)
+
+
+def breather(chain: Chain, grain: int, period: float, *, progress: bool = False) -> Orbit:
+    """Return the breather around a grain, from the limit in which all heavier grains stand still.
+
+    In that limit the grain oscillates alone; then the masses of the heavier grains come down to their own. See
+    R. S. MacKay and S. Aubry, Nonlinearity 7, 1623 (1994).
+
+    Parameters
+    ----------
+    grain : int
+        From 1; a light one of a dimer, or a light defect.
+    period : float
+        s; with frequency and multiples outside of the linear bands.
+
+    Raises
+    ------
+    InputError
+        If the chain is under gravity or not compressed, no neighbour is heavier, or a grain alone has no such period.
+    RunFailed
+        If the breather cannot be followed.
+
+    Examples
+    --------
+    >>> ends = {"gravity": 0.0, "top_load": 20.0, "top": "wall", "bottom": "wall"}
+    >>> dimer = Chain(grains=11, diameter=1e-2, material=["steel", "ptfe"] * 5 + ["steel"], **ends)
+    >>> orbit = breather(dimer, 6, period=1.53e-4)
+    >>> int(np.abs(orbit.displacement).argmax()) + 1, orbit.residual < 1e-12
+    (6, True)
+    """
+    check_positive("period", period)
+    if isinstance(grain, bool) or not isinstance(grain, int | np.integer) or not 1 <= grain <= chain.movable:
+        raise InputError([("grain", f"must be a whole number from 1 to {chain.movable} (got {shown(grain)})")])
+    heavier = chain.masses > HEAVIER * chain.masses[grain - 1]
+    if chain.gravity > 0 or not chain.compressed:
+        raise InputError([("chain", "must be pressed by a top load, without gravity, which other masses would change")])
+    if not heavier[max(grain - 2, 0) : grain + 1].any():
+        raise InputError([("grain", f"{grain} has no heavier neighbour: there is no limit in which it moves alone")])
+
+    def eased(part: float) -> Chain:
+        return chain.replace(masses=np.where(heavier, HEAVY ** (1 - part), 1.0) * chain.masses)
+
+    u = np.zeros(chain.grains)
+    u[grain - 1] = _alone(chain, grain, period)
+    limit = find(eased(0.0), (u, np.zeros(chain.grains)), period)
+    family = follow(limit, eased, 1.0, start=0.0, events=False, progress=progress)
+    if not family.reached:
+        raise RunFailed(f"the breather of {period:g} s does not go on to the masses of the chain: is it in a gap?")
+    orbit = family[-1]
+    return find(chain, orbit)
+
+
+def _alone(chain: Chain, grain: int, period: float) -> float:
+    """Return the amplitude at which a grain oscillates with this period while all others stand still, m."""
+    unit = np.zeros(chain.grains)
+    unit[grain - 1] = 1.0
+    contacts, mass = chain.contacts, chain.masses[grain - 1]
+    overlap = float(contacts.overlap[grain - 1 : grain + 1].max())
+    s, weight = roots_legendre(64)
+
+    def potential(x: Array | float) -> Array:
+        return contacts.energy(contacts.closer(np.multiply.outer(x, unit))).sum(-1)
+
+    def excess(logarithm: float) -> float:
+        right = overlap * np.exp(logarithm)
+        top = float(potential(right))
+        left = brentq(lambda x: float(potential(x)) - top, -1e3 * right, 0.0, xtol=1e-15 * right)
+        angle = np.pi / 2 * s
+        x = (right + left) / 2 + (right - left) / 2 * np.sin(angle)
+        speed = np.sqrt(2 * np.maximum(top - potential(x), 1e-30 * top) / mass)
+        return float(2 * ((right - left) / 2 * np.cos(angle) / speed) @ weight * np.pi / 2 / period - 1)
+
+    amplitudes = np.log(np.geomspace(*ALONE, 100))
+    apart = np.array([excess(a) for a in amplitudes])
+    crossing = np.flatnonzero(apart[1:] * apart[:-1] <= 0)
+    if not crossing.size:
+        least, most = period * (1 + apart.min()), period * (1 + apart.max())
+        message = f"must be between {least:.5g} and {most:.5g} s, those of grain {grain} alone (got {period:g})"
+        raise InputError([("period", message)])
+    return float(overlap * np.exp(brentq(excess, *amplitudes[crossing[0] : crossing[0] + 2])))

@@ -1,0 +1,212 @@
+"""A periodic orbit: initial state, energy, Floquet multipliers, stability, and scenes that run it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.linalg import svd
+
+from ..chain.chain import Chain
+from ..errors import InputError, shown
+from ..scene.excitation import Drive, Profile
+from ..scene.scene import Scene
+from ..util.arrays import Array, read_only
+from ..util.plotting import axes_in_units
+from . import floquet
+from .flow import Flow
+from .shooting import Equations, Point, Solution
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+STABLE = 1e-6  # of |multiplier| - 1: what round-off makes of a pair that is on the unit circle
+
+
+@dataclass(frozen=True, eq=False)
+class Orbit:
+    """A periodic orbit of Eq. (1), as `find`, `normal_mode`, `breather` and `follow` return it.
+
+    Attributes
+    ----------
+    chain : Chain
+    period : float
+        s.
+    displacement, velocity : (N,) arrays
+        At t = 0, m and m/s.
+    drive : Drive or None
+        What moves grain 1, at this period.
+    reversible : bool
+        Whether all grains rest at t = 0, so that the motion is the same backwards.
+    residual : float
+        Largest displacement or speed that is left after a period, over the largest of the orbit.
+    error : float
+        Of the orbit and its period, relative, by steps of half the size: what the integrator leaves.
+    iterations : int
+        Steps of Newton's method.
+    """
+
+    chain: Chain
+    period: float
+    displacement: Array
+    velocity: Array
+    drive: Drive | None
+    reversible: bool
+    residual: float
+    error: float
+    iterations: int
+    flow: Flow = field(repr=False)
+    mesh: Array = field(repr=False)
+    state: Array = field(repr=False)
+
+    @property
+    def energy(self) -> float:
+        """Energy above rest at t = 0, J; it is conserved unless the orbit is driven."""
+        return float(self.chain.excess_energy(self.displacement, self.velocity))
+
+    @property
+    def amplitude(self) -> float:
+        """Largest displacement of any grain, m."""
+        return float(np.abs(self._passage[0]).max())
+
+    @cached_property
+    def tangent(self) -> Array:
+        """Tangent map (2M, 2M) of a period, or of half if reversible, in canonical variables."""
+        size = 2 * self.flow.size
+        steps = self.mesh[: self.mesh.size // 2] if self.reversible else self.mesh
+        passage = self.flow.run(self.state, self.period, steps, np.eye(size).reshape(2, -1, size))
+        return read_only(passage.deviation.reshape(size, size))
+
+    @cached_property
+    def monodromy(self) -> Array:
+        """Tangent map of a period in canonical variables, symplectic, (2M, 2M); see `lmpchain.orbits.flow`."""
+        return read_only(floquet.there_and_back(self.tangent) if self.reversible else self.tangent)
+
+    @cached_property
+    def means(self) -> floquet.Complex:
+        """Mean (l + 1/l) / 2 of every pair of multipliers, real in [-1, 1] if stable, (M-1,), driven (M,)."""
+        means = (floquet.reversible_means if self.reversible else floquet.means)(self.tangent)
+        return read_only(means if self.drive is not None else floquet.without_trivial(means))
+
+    @cached_property
+    def multipliers(self) -> floquet.Complex:
+        """Floquet multipliers in pairs l, 1/l side by side, the largest first, (2M,) complex.
+
+        Unless the orbit is driven, the last pair is 1: along the orbit, and to its neighbours in the family.
+        """
+        return read_only(floquet.multipliers(self.means, self.drive is None))
+
+    @property
+    def stable(self) -> bool:
+        """Whether no multiplier lies outside of the unit circle."""
+        return bool((np.abs(self.multipliers) < 1 + STABLE).all())
+
+    @property
+    def unstable(self) -> floquet.Complex:
+        """Multipliers outside of the unit circle, the largest first."""
+        return self.multipliers[np.abs(self.multipliers) >= 1 + STABLE]
+
+    @cached_property
+    def _passage(self) -> tuple[Array, Array]:
+        """Displacement and velocity between the steps of a period, (K+1, N) each."""
+        passage = self.flow.run(self.state, self.period, self.mesh)
+        return passage.displacement, passage.velocity
+
+    def motion(self) -> tuple[Array, Array, Array]:
+        """Return times (K+1,) s, displacement and velocity (K+1, N) over a period, at the steps taken."""
+        return np.concatenate(([0.0], np.cumsum(self.mesh))) * self.period, *self._passage
+
+    def direction(self, number: int = 1) -> tuple[Array, Array]:
+        """Return displacement and velocity (N,) of an unstable direction, its largest displacement 1 m.
+
+        For a complex multiplier it is the real part, which turns as it grows.
+
+        Parameters
+        ----------
+        number : int
+            From 1, the fastest.
+
+        Raises
+        ------
+        InputError
+            If there are not so many.
+        """
+        growing = self.unstable
+        if not 1 <= number <= growing.size:
+            many = f"has {growing.size} unstable directions" if growing.size else "is stable"
+            raise InputError([("number", f"the orbit {many}: there is no direction {shown(number)}")])
+        shifted = self.monodromy - growing[number - 1] * np.eye(len(self.monodromy))
+        vector = svd(shifted)[2][-1].conj()
+        vector = vector * np.exp(-1j * np.angle(vector[np.abs(vector).argmax()]))
+        u, v = self.flow.physical(vector.real.reshape(2, -1))
+        return u / np.abs(u).max(), v / np.abs(u).max()
+
+    def perturbed(self, size: float, number: int = 1) -> Profile:
+        """Return the orbit with an unstable direction added, as initial data to run.
+
+        Parameters
+        ----------
+        size : float
+            Of its largest displacement, over that of the orbit.
+        number : int
+            From 1, the fastest.
+        """
+        u, v = self.direction(number)
+        scale = size * self.amplitude
+        return Profile(displacement=self.displacement + scale * u, velocity=self.velocity + scale * v)
+
+    def scene(self, periods: float = 1, samples: int = 101) -> Scene:
+        """Return the scene that runs the orbit for so many periods, in any engine.
+
+        Raises
+        ------
+        InputError
+            If the orbit is driven: a scene begins with the other grains at rest.
+        """
+        if self.drive is not None:
+            raise InputError([("orbit", "is driven, and no scene has both a drive and grains in motion at t = 0")])
+        profile = Profile(displacement=self.displacement, velocity=self.velocity)
+        return Scene(chain=self.chain, excitation=profile, duration=periods * self.period, samples=samples)
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw the displacements of the grains at five moments of half a period; returns the figure."""
+        ax, picture = axes_in_units(ax, "", "m")
+        time, u, _ = self.motion()
+        for moment in np.linspace(0.0, 0.5, 5):
+            row = u[np.abs(time - moment * self.period).argmin()]
+            ax.plot(np.arange(1, row.size + 1), row, ".-", lw=1, label=f"{moment:g} period")
+        ax.set(xlabel="grain", ylabel="displacement")
+        ax.legend(frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        return picture
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the numbers of the orbit."""
+        return {
+            "period_s": self.period,
+            "frequency_hz": 1 / self.period,
+            "energy_J": self.energy,
+            "amplitude_m": self.amplitude,
+            "residual": self.residual,
+            "error": self.error,
+            "stable": self.stable,
+            "multipliers": [[z.real, z.imag] for z in self.multipliers.tolist()],
+            "displacement_m": self.displacement.tolist(),
+            "velocity_m_per_s": self.velocity.tolist(),
+        }
+
+
+def orbit_of(equations: Equations, solution: Solution, error: float) -> Orbit:
+    """Return the orbit of a solution."""
+    point: Point = solution.point
+    flow = equations.flow_at(point.value)
+    passage = flow.run(point.state, point.period, solution.mesh)
+    u, v = passage.displacement, passage.velocity
+    residual = max(float(np.abs(x[-1] - x[0]).max() / np.abs(x).max()) for x in (u, v))
+    drive = None if flow.drive is None else flow.drive.replace(frequency=flow.cycles / point.period)
+    return Orbit(
+        flow.chain, point.period, read_only(u[0].copy()), read_only(v[0].copy()), drive, equations.reversible,
+        residual, error, solution.iterations, flow, solution.mesh, point.state,
+    )  # fmt: skip

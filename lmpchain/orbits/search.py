@@ -1,0 +1,151 @@
+"""Periodic orbits from a guess, and linear modes and driven motions to begin with."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.linalg import solve_banded
+
+from ..chain.chain import Chain
+from ..errors import InputError, RunFailed, shown
+from ..scene.excitation import Drive, Profile
+from ..theory.modes import eigenmodes
+from ..util.arrays import Array
+from ..util.validation import Checked
+from .flow import Flow
+from .orbit import Orbit, orbit_of
+from .shooting import Equations, Point, accurate, fixed
+
+REST = 1e-3  # of the guess: an orbit so much smaller is the chain at rest
+RESTING = 1e-12  # of the largest speed of a linear wave with these displacements: a guess at rest
+
+
+def find(
+    chain: Chain,
+    guess: Profile | Orbit | tuple[Array, Array] | None = None,
+    period: float | None = None,
+    *,
+    energy: float | None = None,
+    drive: Drive | None = None,
+) -> Orbit:
+    """Return the periodic orbit near a guess, by Newton shooting with the exact tangent map.
+
+    A guess whose grains are all at rest gives an orbit that is symmetric in time, for half of the work. The steps are
+    those of a splitting of order 8, as many in a period as their error needs, and shorter where contacts open. See
+    J. L. Marin and S. Aubry, Nonlinearity 9, 1501 (1996), for breathers by Newton's method.
+
+    Parameters
+    ----------
+    chain : Chain
+    guess : Profile, Orbit, or (displacement, velocity), each (N,)
+        At t = 0, m and m/s. None for the answer of the linearised chain to the drive.
+    period : float
+        s; of a driven orbit a whole number of periods of the drive, by default one. With an energy it is a guess.
+    energy : float, optional
+        J; the period then follows.
+    drive : Drive, optional
+        A harmonic motion of grain 1.
+
+    Raises
+    ------
+    InputError
+        If guess, period, energy or drive are wrong, or nothing keeps the chain together.
+    RunFailed
+        If Newton's method finds no orbit, or only the chain at rest.
+
+    Examples
+    --------
+    >>> chain = Chain(grains=2, diameter=1e-3)  # one grain that moves, under its weight
+    >>> guess = [0.5 * chain.length_scale, 0.0], [0.0, 0.0]
+    >>> orbit = find(chain, guess, period=1.02 * 2 * np.pi * chain.time_scale)
+    >>> orbit.residual < 1e-12, orbit.stable, f"{orbit.displacement[0] / chain.length_scale:.3f}"
+    (True, True, '0.613')
+    """
+    if isinstance(guess, Orbit):
+        period, guess = period or guess.period, (guess.displacement, guess.velocity)
+    if period is None and drive is not None and drive.frequency is not None:
+        period = 1 / drive.frequency
+    period = check_positive("period", period)
+    turns = 1.0 if drive is None or drive.frequency is None else drive.frequency * period
+    if round(turns) < 1 or abs(turns - round(turns)) > 1e-9 * turns:
+        raise InputError([("period", f"must be a whole number of those of the drive, {period / turns:g} s")])
+    if energy is not None and drive is not None:
+        raise InputError([("energy", "is not conserved in a driven chain: give the period")])
+    flow = Flow(chain, 2 * np.pi / period, drive, round(turns))
+    state = flow.canonical(*(_answer(flow) if guess is None else _states(chain, guess)))
+    if not (size := float(np.abs(state).max())) > 0:
+        raise InputError([("guess", "is the chain at rest: give displacements or velocities")])
+    reversible = drive is None and bool(np.abs(state[1]).max() < RESTING * size)
+    equations = Equations(lambda _: flow, reversible, size)
+    constraint = fixed(equations, "period", period)
+    if energy is not None:
+        constraint = fixed(equations, "energy", check_positive("energy", energy))
+    solution, error = accurate(equations, Point(state, period), [constraint], f"a period of {period:g} s")
+    if np.abs(solution.point.state).max() < REST * size and drive is None:
+        raise RunFailed("only the chain at rest is found near the guess: make it larger, or change the period")
+    return orbit_of(equations, solution, error)
+
+
+def linear_mode(chain: Chain, mode: int, strain: float = 1e-3) -> tuple[Array, float]:
+    """Return the displacement (N,), m, and the period, s, of a small linear mode.
+
+    Parameters
+    ----------
+    mode : int
+        From 1, in the order of frequencies.
+    strain : float
+        Largest change of an overlap, over that at rest.
+
+    Raises
+    ------
+    InputError
+        If no contact is compressed, or there is no such mode.
+    """
+    modes = eigenmodes(chain)
+    if isinstance(mode, bool) or not isinstance(mode, int | np.integer) or not 1 <= mode <= modes.frequency.size:
+        raise InputError([("mode", f"must be a whole number from 1 to {modes.frequency.size} (got {shown(mode)})")])
+    u = np.zeros(chain.grains)
+    u[: chain.movable] = modes.shape[:, mode - 1]
+    contacts = chain.contacts
+    change = np.abs(contacts.closer(u))[contacts.pressed] / contacts.overlap[contacts.pressed]
+    return strain / change.max() * u, float(2 * np.pi / modes.frequency[mode - 1])
+
+
+def check_positive(key: str, value: Any) -> float:
+    """Return a number above 0; raise `InputError` for anything else."""
+    if isinstance(value, bool) or not isinstance(value, int | float | np.floating) or not 0 < value < np.inf:
+        raise InputError([(key, f"must be a number above 0 (got {shown(value)})")])
+    return float(value)
+
+
+def _states(chain: Chain, guess: Profile | tuple[Array, Array]) -> tuple[Array, Array]:
+    """Return displacement and velocity of a guess, checked."""
+    if not isinstance(guess, Checked):
+        try:
+            displacement, velocity = guess
+        except (TypeError, ValueError):
+            raise InputError([("guess", "must be a Profile, an Orbit, or displacements and velocities")]) from None
+        guess = Profile(displacement=displacement, velocity=velocity)
+    if faults := list(guess.faults(chain, 1.0)):
+        raise InputError([(f"guess.{key}", message) for key, message in faults])
+    return guess.initial(chain)
+
+
+def _answer(flow: Flow) -> tuple[Array, Array]:
+    """Return the motion at t = 0 of the linearised chain that follows the drive."""
+    chain, drive = flow.chain, flow.drive
+    if drive is None:
+        raise InputError([("guess", "is missing: give displacements and velocities, such as those of a linear mode")])
+    if not chain.compressed:
+        raise InputError([("guess", "is missing, and a chain that is not compressed has no linear answer to a drive")])
+    k, m, omega = chain.contacts.stiffness, chain.masses, 2 * np.pi * drive.frequency
+    free = np.arange(flow.free.start, flow.free.stop)
+    bands = np.zeros((3, free.size))
+    bands[1] = k[free] + k[free + 1] - m[free] * omega**2
+    bands[0, 1:] = bands[2, :-1] = -k[free[1:]]
+    pull = np.zeros(free.size)
+    pull[0] = k[free[0]] * drive.amplitude
+    u, v = np.zeros((2, chain.grains))
+    v[free] = omega * solve_banded((1, 1), bands, pull)
+    return u, v

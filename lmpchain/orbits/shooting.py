@@ -1,0 +1,258 @@
+"""Newton's method for periodic orbits, with the exact tangent map of the steps taken."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.linalg import lstsq
+
+from ..errors import InputError, RunFailed
+from ..util.arrays import EPSILON, Array
+from . import mesh as meshes
+from .flow import Flow
+
+CLOSED = 1e-12  # residual over the size of the orbit
+ITERATIONS = 25
+TUNED = 4  # times that steps are laid anew around openings
+NUDGE = 1e-6  # of a parameter, for the derivative by it
+SHORTER = 0.6  # factor on the steps until their error is below CLOSED
+ROUNDS = 3
+SAFETY = 2.0  # on the error that half the steps show
+
+
+class Point(NamedTuple):
+    """What is solved for: a state (2, M) in canonical variables, a period, s, and a parameter."""
+
+    state: Array
+    period: float
+    value: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """The equations of a periodic orbit, in unknowns that are all of order 1.
+
+    Parameters
+    ----------
+    flow_at : function
+        Of the parameter.
+    reversible : bool
+        Whether all grains rest at t = 0, and so half a period later.
+    unit : float
+        Of the state.
+    scale : float
+        Of the parameter; 0 if there is none.
+    time : float
+        Unit of the period, s.
+    """
+
+    flow_at: Callable[[float], Flow]
+    reversible: bool
+    unit: float
+    scale: float = 0.0
+    time: float = 1.0
+
+    def pack(self, point: Point) -> Array:
+        """Return the unknowns (U,): state, log(period) and parameter."""
+        state = point.state[0] if self.reversible else point.state.ravel()
+        last = [point.value / self.scale] if self.scale else []
+        return np.concatenate((state / self.unit, [np.log(point.period / self.time)], last))
+
+    def unpack(self, unknown: Array) -> Point:
+        """Return the point of these unknowns."""
+        end = self.period_at(unknown)
+        state = unknown[:end] * self.unit
+        state = np.stack((state, np.zeros(end))) if self.reversible else state.reshape(2, -1)
+        return Point(
+            state, float(np.exp(unknown[end]) * self.time), float(unknown[-1] * self.scale) if self.scale else 0.0
+        )
+
+    def period_at(self, unknown: Array) -> int:
+        """Return the place of log(period) among the unknowns, behind those of the state."""
+        return unknown.size - 1 - bool(self.scale)
+
+    def closure(self, point: Point, mesh: Array) -> Array:
+        """Return what keeps the orbit from closing, (R,)."""
+        return self._closure(self.flow_at(point.value), point, mesh)[0]
+
+    def linearised(self, point: Point, mesh: Array) -> tuple[Array, Array]:
+        """Return closure (R,) and its derivatives (R, U)."""
+        flow = self.flow_at(point.value)
+        size = flow.size if self.reversible else 2 * flow.size  # of the displacements alone, or with the momenta
+        columns = np.zeros((2 * flow.size, size + 1))
+        columns[:size, :size] = np.eye(size)
+        residual, end = self._closure(flow, point, mesh, columns.reshape(2, flow.size, -1), 1)
+        if self.reversible:
+            slopes = np.hstack((end[size:, :size], end[size:, size:] / self.unit))
+        else:
+            slopes = np.hstack((end[:, :size] - np.eye(size), end[:, size:] / self.unit))
+            if flow.drive is None:  # of all states of an orbit, the one across the motion from the last guess
+                across = flow.direction(point.state).ravel()
+                slopes = np.vstack((slopes, np.append(across / np.linalg.norm(across), 0.0)))
+                residual = np.append(residual, 0.0)
+        if self.scale:
+            by_value = np.zeros((residual.size, 1))
+            change = self.by_value(point, lambda flow: self._closure(flow, point, mesh)[0])
+            by_value[: change.size, 0] = change
+            slopes = np.hstack((slopes, by_value))
+        return residual, slopes
+
+    def by_value(self, point: Point, quantity: Callable[[Flow], Any]) -> Any:
+        """Return the derivative of a quantity by the parameter, over its scale, by differences."""
+        for up, down in ((NUDGE, -NUDGE), (NUDGE, 0.0), (0.0, -NUDGE)):
+            try:
+                above, below = (quantity(self.flow_at(point.value + step * self.scale)) for step in (up, down))
+            except InputError:  # of a chain that there is not, at the end of what the parameter may be
+                continue
+            return (above - below) / (up - down)
+        raise RunFailed(f"the parameter can be nothing but {point.value:g}")
+
+    def _closure(
+        self, flow: Flow, point: Point, mesh: Array, columns: Array | None = None, stretch: int = 0
+    ) -> tuple[Array, Array]:
+        steps = mesh[: mesh.size // 2] if self.reversible else mesh
+        passage = flow.run(point.state, point.period, steps, columns, stretch)
+        end = flow.canonical(passage.displacement[-1], passage.velocity[-1])
+        residual = end[1] if self.reversible else (end - point.state).ravel()
+        return residual / self.unit, passage.deviation.reshape(2 * flow.size, -1)
+
+    def mesh(self, point: Point, reach: float, before: Array | None = None) -> tuple[Array, bool]:
+        """Return steps for a point, and whether they differ from those before around openings."""
+        flow = self.flow_at(point.value)
+        guess = meshes.uniform(flow, point.period, flow.physical(point.state)[0]) if before is None else before
+        passage = flow.run(point.state, point.period, guess)
+        if before is None:
+            guess = meshes.uniform(flow, point.period, passage.displacement)
+            passage = flow.run(point.state, point.period, guess)
+        times = meshes.openings(flow, passage, point.period, guess)
+        laid = meshes.graded(flow, point.period, passage.displacement, times, reach)
+        if before is not None and not times.size:
+            return before, False
+        return laid, bool(times.size)
+
+
+class Constraint(NamedTuple):
+    """A further equation: from the unknowns and their point, a residual and its derivatives (U,)."""
+
+    of: Callable[[Array, Point], tuple[float, Array]]
+
+
+class Solution(NamedTuple):
+    """A solved point: its steps, and the derivatives of all equations."""
+
+    point: Point
+    mesh: Array
+    slopes: Array
+    iterations: int
+
+
+def fixed(equations: Equations, what: str, value: float) -> Constraint:
+    """Return the constraint that "period", "energy" or "value" is this number."""
+
+    def period(unknown: Array, point: Point) -> tuple[float, Array]:
+        row = np.zeros(unknown.size)
+        row[equations.period_at(unknown)] = 1.0
+        return float(np.log(point.period / value)), row
+
+    def parameter(unknown: Array, point: Point) -> tuple[float, Array]:
+        row = np.zeros(unknown.size)
+        row[-1] = 1.0
+        return (point.value - value) / equations.scale, row
+
+    def energy(unknown: Array, point: Point) -> tuple[float, Array]:
+        here, slope = equations.flow_at(point.value).energy(point.state)
+        row = np.zeros(unknown.size)
+        inner = slope[0] if equations.reversible else slope.ravel()
+        row[: inner.size] = inner * equations.unit / here
+        if equations.scale:
+            row[-1] = equations.by_value(point, lambda flow: flow.energy(point.state)[0]) / here
+        return float(np.log(here / value)), row
+
+    return Constraint({"period": period, "energy": energy, "value": parameter}[what])
+
+
+def solve(
+    equations: Equations, guess: Point, constraints: Sequence[Constraint], reach: float = meshes.REACH
+) -> Solution | None:
+    """Return the orbit near a guess, or None where Newton's method does not find one.
+
+    Steps are laid anew around the openings of what was found until these stay where they are.
+    """
+    mesh, _ = equations.mesh(guess, reach)
+    found, point, iterations = None, guess, 0
+    for _ in range(TUNED):
+        found = _newton(equations, point, constraints, mesh)
+        if found is None:
+            return None
+        point, iterations = found.point, iterations + found.iterations
+        mesh, moved = equations.mesh(point, reach, mesh)
+        if not moved or found.iterations <= 1:
+            break
+    return found and found._replace(iterations=iterations)
+
+
+def _newton(equations: Equations, guess: Point, constraints: Sequence[Constraint], mesh: Array) -> Solution | None:
+    unknown, last, best = equations.pack(guess), np.inf, np.inf
+    size, period_at = np.abs(unknown).max(), equations.period_at(unknown)
+    for iteration in range(ITERATIONS):
+        point = equations.unpack(unknown)
+        residual, slopes = equations.linearised(point, mesh)
+        more = [constraint.of(unknown, point) for constraint in constraints]
+        residual = np.append(residual, [r for r, _ in more])
+        slopes = np.vstack((slopes, *(row[None] for _, row in more)))
+        here = float(np.abs(residual).max() / np.abs(unknown[:period_at]).max())
+        if not np.isfinite(here) or here > 1e3 * max(last, 1.0):
+            return None
+        if here < CLOSED / 4 and here > last / 4:
+            return Solution(point, mesh, slopes, iteration)
+        last, best = here, min(best, here)
+        change = lstsq(slopes, residual, cond=1e-13, lapack_driver="gelsy")[0]
+        if np.abs(change[period_at]) > 1 or not np.isfinite(change).all():
+            return None
+        unknown = unknown - change
+        if np.abs(unknown).max() > 1e3 * size:
+            return None
+        if np.abs(change).max() < 4 * EPSILON * np.abs(unknown).max():
+            return Solution(point, mesh, slopes, iteration)
+    return Solution(point, mesh, slopes, ITERATIONS) if best < CLOSED else None
+
+
+def discretisation(equations: Equations, solution: Solution, constraints: Sequence[Constraint]) -> float:
+    """Return how far, in relative terms, the orbit and its period move if all steps are halved."""
+    point, unknown = solution.point, equations.pack(solution.point)
+    half = np.repeat(solution.mesh, 2) / 2
+    residual = equations.closure(point, half)
+    rows = len(solution.slopes) - residual.size
+    change = lstsq(solution.slopes, np.append(residual, np.zeros(rows)), cond=1e-13, lapack_driver="gelsy")[0]
+    end = equations.period_at(unknown)
+    return SAFETY * float(max(np.abs(change[:end]).max() / np.abs(unknown[:end]).max(), *np.abs(change[end:])))
+
+
+def accurate(
+    equations: Equations, guess: Point, constraints: Sequence[Constraint], what: str
+) -> tuple[Solution, float]:
+    """Return an orbit whose steps err by less than `CLOSED`, if round-off lets them, and that error.
+
+    Raises
+    ------
+    RunFailed
+        If Newton's method finds no orbit.
+    """
+    reach, best, error, iterations = meshes.REACH, None, np.inf, 0
+    for _ in range(ROUNDS):
+        solution = solve(equations, guess, constraints, reach)
+        if solution is None:
+            break
+        iterations += solution.iterations
+        left = discretisation(equations, solution, constraints)
+        if best is None or left < error:
+            best, error = solution, left
+        if error < CLOSED / 4:
+            break
+        guess, reach = solution.point, reach * SHORTER
+    if best is None:
+        raise RunFailed(f"no periodic orbit found near {what}: give a guess or a period closer to one")
+    return best._replace(iterations=iterations), error

@@ -1,0 +1,81 @@
+"""Families of orbits: folds, bifurcations, ways there and back."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from lmpchain import Chain, Drive, orbits
+from lmpchain.orbits import Family
+
+CHAIN = Chain(grains=3, diameter=1e-3, gravity=0.0, top_load=1.0)  # one grain that moves, below the driven one
+OMEGA = float(np.sqrt(2 * CHAIN.linear_stiffness[0] / CHAIN.masses[0]))
+
+
+@cache
+def resonance() -> Family:
+    """A driven grain, from below its resonance, which softens, through two folds of the period."""
+    drive = Drive(amplitude=0.05 * CHAIN.length_scale, frequency=0.7 * OMEGA / (2 * np.pi))
+    return orbits.follow(orbits.find(CHAIN, drive=drive), "period", 2 * np.pi / OMEGA)
+
+
+def test_a_driven_grain_folds_where_a_multiplier_passes_1():
+    family = resonance()
+    assert family.reached
+    assert [event.kind for event in family.events] == ["fold", "fold"]
+    for event in family.events:
+        assert np.abs(event.orbit.multipliers - 1).max() < 1e-4
+    assert family.value[-1] == pytest.approx(2 * np.pi / OMEGA, rel=1e-12)
+    turns = np.sign(np.diff(family.period))
+    assert np.sum(turns[1:] != turns[:-1]) == 2
+    # beyond a fold in the period of the drive: independent integration
+    orbit = family[len(family) // 2]
+    k, eps, m = CHAIN.contact_constants, CHAIN.length_scale, CHAIN.masses[0]
+
+    def rate(t: float, y: np.ndarray) -> list[float]:
+        push = k[0] * max(eps + orbit.drive.motion(t)[0] - y[0], 0.0) ** 1.5
+        return [y[1], (push - k[1] * max(eps + y[0], 0.0) ** 1.5) / m]
+
+    start = [orbit.displacement[1], orbit.velocity[1]]
+    scale = [1e-14 * eps, 1e-14 * eps * OMEGA]
+    end = solve_ivp(rate, (0, orbit.period), start, "DOP853", rtol=1e-12, atol=scale).y[:, -1]
+    assert end == pytest.approx(start, abs=1e-8 * max(abs(start[0]), abs(start[1]) / OMEGA) * OMEGA)
+    assert end[0] == pytest.approx(start[0], abs=1e-8 * orbit.amplitude)
+
+
+def test_a_family_goes_through_its_folds_and_back():
+    there = resonance()
+    back = orbits.follow(there[-1], "period", there.period[0], events=False)
+    assert back.reached
+    turns = np.sign(np.diff(back.period))
+    assert np.sum(turns[1:] != turns[:-1]) == 2
+    assert back[-1].velocity == pytest.approx(there[0].velocity, rel=1e-9)
+    assert np.abs(back[-1].displacement - there[0].displacement).max() < 1e-9 * there[0].amplitude
+
+
+def test_an_energy_family_returns_to_where_it_began():
+    chain = Chain(grains=6, diameter=1e-3)
+    energy = chain.length_scale * chain.masses[0] * 9.81
+    first = orbits.normal_mode(chain, 3, 0.01 * energy)
+    there = orbits.follow(first, "energy", energy, events=False)
+    back = orbits.follow(there[-1], "energy", first.energy, events=False)
+    assert there.reached
+    assert back.reached
+    assert back[-1].period == pytest.approx(first.period, rel=1e-10)
+    assert back[-1].displacement == pytest.approx(first.displacement, abs=1e-9 * first.amplitude)
+    assert (np.diff(there.energy) > 0).all()
+
+
+@pytest.mark.parametrize(("parameter", "factor"), [("masses[2]", 1.3), ("gravity", 2.0), ("exponent", 1.1)])
+def test_any_number_of_the_chain_can_change(parameter: str, factor: float):
+    chain = Chain(grains=5, diameter=1e-3)
+    orbit = orbits.normal_mode(chain, 2, 0.1 * chain.length_scale * chain.masses[0] * 9.81)
+    start = chain.masses[1] if "[" in parameter else getattr(chain, parameter)
+    family = orbits.follow(orbit, parameter, factor * start, hold="energy", events=False)
+    assert family.reached
+    end = family[-1].chain
+    assert (end.masses[1] if "[" in parameter else getattr(end, parameter)) == pytest.approx(factor * start, rel=1e-12)
+    assert family.energy == pytest.approx(np.full(len(family), orbit.energy), rel=1e-9)
+    exact = orbits.normal_mode(end, 2, orbit.energy)
+    assert family[-1].period == pytest.approx(exact.period, rel=1e-9)

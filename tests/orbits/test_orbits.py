@@ -1,0 +1,228 @@
+"""Periodic orbits against exact solutions, the linear limit, extended precision and the engines."""
+
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from helpers.extended_precision import tangent_map
+from scipy.integrate import quad
+
+from lmpchain import Chain, Drive, Impulse, InputError, Material, Profile, Scene, orbits, simulate
+from lmpchain.engines import Native
+from lmpchain.errors import RunFailed
+from lmpchain.integrators.splittings import KAHAN_LI8
+from lmpchain.orbits import Orbit
+from lmpchain.orbits.flow import Flow
+from lmpchain.theory.modes import eigenmodes
+
+RIGID = Material(density=1e3, youngs_modulus=1e30, poissons_ratio=0.0)
+WALLS = {"top": "wall", "bottom": "wall", "top_material": RIGID, "bottom_material": RIGID}
+
+
+def at_rest(chain: Chain, displacement: np.ndarray, period: float, **given: float) -> Orbit:
+    return orbits.find(chain, (displacement, np.zeros(chain.grains)), period, **given)
+
+
+@cache
+def dimer(grains: int = 43) -> Chain:
+    """Masses 3 : 1 between walls, a light grain in the middle."""
+    masses = np.where(np.arange(grains) % 2 == 0, 3e-3, 1e-3)
+    return Chain(grains=grains, diameter=1e-2, gravity=0.0, top_load=20.0, top="wall", bottom="wall", masses=masses)
+
+
+@cache
+def gap_breather() -> Orbit:
+    """The lowest optical mode of the dimer, continued into the gap."""
+    chain = dimer()
+    u, period = orbits.linear_mode(chain, 23, 0.7)
+    local = u * np.exp(-(((np.arange(43) - 21) / 8) ** 2))
+    return at_rest(chain, local, period, energy=2.4e-4)
+
+
+@pytest.mark.parametrize("load", [1.0, 0.0])
+def test_the_tangent_map_is_that_of_the_native_engine_and_symplectic(load: float):
+    rng = np.random.default_rng(1)
+    chain = Chain(grains=12, diameter=1e-3, gravity=0.0, top_load=load, top="wall", bottom="wall")
+    scale = chain.length_scale or 1e-7
+    u, v = rng.normal(size=(2, 12)) * [[scale], [scale * 1e6]]
+    flow, size = Flow(chain, 1e6), 24
+    mesh, period = rng.uniform(0.5, 1.5, 40) / 40, 1e-5
+    passage = flow.run(flow.canonical(u, v), period, mesh, np.eye(size).reshape(2, 12, size))
+    overlap = chain.contacts.overlap + chain.contacts.closer(passage.displacement)
+    assert overlap.min() < -scale / 10  # contacts open
+    matrix = passage.deviation.reshape(size, size)
+    turn = np.kron([[0, 1], [-1, 0]], np.eye(12))
+    assert np.abs(matrix.T @ turn @ matrix - turn).max() < 1e-12
+    x, _, exact = tangent_map(chain, u, v, mesh * period, KAHAN_LI8)
+    weight = np.concatenate((flow.weight, flow.weight / flow.rate))
+    assert np.abs(passage.displacement[-1] - x).max() < 1e-13 * np.abs(u).max()
+    assert np.abs(matrix - weight[:, None] * exact / weight).max() < 1e-12 * np.abs(matrix).max()
+    even = flow.run(flow.canonical(u, v), period, np.full(40, 1 / 40))
+    scene = scene_of(chain, u, v, period)
+    run = simulate(scene, engine=Native(integrator="kahan-li8", step=period / 40))
+    assert np.abs(run.displacement[-1] - even.displacement[-1]).max() < 1e-13 * np.abs(run.displacement).max()
+
+
+def scene_of(chain: Chain, u: np.ndarray, v: np.ndarray, duration: float):
+    return Scene(chain=chain, excitation=Profile(displacement=u, velocity=v), duration=duration, samples=2)
+
+
+def pi_mode_period(chain: Chain, amplitude: float) -> float:
+    """Neighbours in antiphase between rigid walls: one oscillator, by quadrature."""
+    m, k, eps, power = chain.masses[0], chain.contact_constants[0], chain.contacts.overlap[1], chain.exponent + 1
+
+    def potential(x: float) -> float:
+        return k / (2 * power) * (max(eps + 2 * x, 0.0) ** power + max(eps - 2 * x, 0.0) ** power)
+
+    def slowness(angle: float) -> float:
+        x = amplitude * np.sin(angle)
+        return amplitude * np.cos(angle) / np.sqrt(2 * (potential(amplitude) - potential(x)) / m)
+
+    opening = [np.arcsin(eps / (2 * amplitude))] if eps < 2 * amplitude else []
+    parts = pairwise([0.0, *opening, np.pi / 2])
+    return 4 * sum(quad(slowness, a, b, epsabs=0, epsrel=1e-12, limit=200)[0] for a, b in parts)
+
+
+@pytest.mark.parametrize("load", [1.0, 0.0])
+@pytest.mark.parametrize("relative", [0.3, 0.7, 3.0])
+def test_pi_modes_match_quadrature_with_contacts_that_open(load: float, relative: float):
+    chain = Chain(grains=5, diameter=1e-3, gravity=0.0, top_load=load, **WALLS)
+    amplitude = relative * (chain.contacts.overlap[1] or 1e-7)
+    orbit = at_rest(chain, amplitude * (-1.0) ** np.arange(5), pi_mode_period(chain, amplitude))
+    found = np.abs(orbit.displacement).max()
+    assert pi_mode_period(chain, found) == pytest.approx(orbit.period, rel=1e-11)
+    assert orbit.residual < 1e-13
+    assert orbit.error < 1e-11
+    assert orbit.displacement[:-1] == pytest.approx(-orbit.displacement[1:], rel=1e-12)
+
+
+def test_a_gap_breather_returns_and_has_the_multipliers_of_extended_precision():
+    orbit = gap_breather()
+    assert orbit.residual < 1e-13
+    assert orbit.error < 1e-11
+    share = orbit.chain.masses * orbit.motion()[2].std(0) ** 2
+    assert share[15:28].sum() > 0.75 * share.sum()  # it is localised
+    _, _, exact = tangent_map(orbit.chain, orbit.displacement, orbit.velocity, orbit.mesh * orbit.period, KAHAN_LI8)
+    scale = np.repeat([1.0, 1 / orbit.flow.rate], 43)
+    eigenvalues = np.linalg.eigvals((scale[:, None] * exact / scale).astype(float))
+    own = orbit.multipliers[:-2]
+    assert np.abs(own[:, None] - eigenvalues).min(1).max() < 1e-8
+    assert np.abs(own[::2] * own[1::2] - 1).max() < 1e-10
+    assert np.sum(np.abs(eigenvalues - 1) < 1e-5) == 2  # along the orbit, and to its neighbours
+
+
+def test_the_anticontinuous_limit_leads_to_the_same_breather_as_the_linear_mode():
+    chain = dimer(11)
+    u, period = orbits.linear_mode(chain, 7, 1e-2)
+    first = at_rest(chain, u, period, energy=float(chain.excess_energy(u, 0 * u)))
+    target = 5.45e-5
+    one = orbits.find(chain, orbits.follow(first, "period", target, events=False)[-1])
+    other = orbits.breather(chain, 6, target)
+    nearest = min(
+        (one.displacement, one.motion()[1][one.mesh.size // 2]), key=lambda x: abs(x[5] - other.displacement[5])
+    )
+    assert nearest == pytest.approx(other.displacement, abs=1e-10 * other.amplitude)
+
+
+def test_small_orbits_have_the_multipliers_of_the_linear_chain():
+    chain = Chain(grains=9, diameter=1e-3)
+    u, period = orbits.linear_mode(chain, 3, 1e-6)
+    orbit = at_rest(chain, u, period, energy=float(chain.excess_energy(u, 0 * u)))
+    turn = np.exp(1j * eigenmodes(chain).frequency * orbit.period)
+    assert orbit.period == pytest.approx(period, rel=1e-11)
+    assert np.abs(np.delete(turn, 2)[:, None] - orbit.multipliers).min(1).max() < 1e-6
+    assert orbit.stable
+
+
+@pytest.mark.parametrize("exponent", [1.5, 2.5])
+def test_frequencies_shift_with_the_energy_as_perturbation_theory_says(exponent: float):
+    chain = Chain(grains=2, diameter=1e-3, exponent=exponent)
+    k, m, eps, d = chain.contact_constants[0], chain.masses[0], chain.length_scale, exponent
+    w, second, third = (
+        np.sqrt(k * d * eps ** (d - 1) / m),
+        k * d * (d - 1) / 2 * eps ** (d - 2) / m,
+        k * d * (d - 1) * (d - 2) / 6 * eps ** (d - 3) / m,
+    )
+    energy = 0.5 * m * w**2 * (eps * np.array([1e-2, 2e-2])) ** 2
+    shift = (9 * third * w**2 - 10 * second**2) / (24 * w**3) * 2 / (m * w**2)  # Landau and Lifshitz, section 28
+    slope = [(2 * np.pi / orbits.normal_mode(chain, 1, e).period - w) / e for e in energy]
+    assert (4 * slope[0] - slope[1]) / 3 == pytest.approx(shift, rel=1e-6)
+
+
+def test_a_driven_chain_follows_the_closed_form_in_the_linear_limit():
+    chain = Chain(grains=6, diameter=1e-3, gravity=0.0, top_load=1.0)
+    modes = eigenmodes(Chain(grains=7, diameter=1e-3, gravity=0.0, top_load=1.0))
+    w, k, m = 0.9 * modes.frequency[0], chain.linear_stiffness[0], chain.masses[0]
+    amplitude = 1e-6 * chain.length_scale
+    orbit = orbits.find(chain, drive=Drive(amplitude=amplitude, frequency=w / (2 * np.pi)))
+    q = 2 * np.arcsin(w / 2 * np.sqrt(m / k))  # between the drive and grain 6, which is held
+    exact = amplitude * w * np.sin(q * np.arange(5, -1, -1)) / np.sin(5 * q)
+    assert orbit.velocity == pytest.approx(exact, rel=1e-5)
+    assert orbit.residual < 1e-12
+    again = orbits.find(chain, (0 * exact, 0.9 * exact * [0, 1, 1, 1, 1, 1]), drive=orbit.drive)
+    assert again.velocity == pytest.approx(orbit.velocity, rel=1e-10)
+
+
+def test_an_orbit_that_moves_at_the_start_has_the_same_multipliers():
+    chain = Chain(grains=6, diameter=1e-3)
+    energy = 0.2 * chain.length_scale * chain.masses[0] * 9.81
+    orbit = orbits.normal_mode(chain, 2, energy)
+    _, u, v = orbit.motion()
+    later = orbits.find(chain, (u[7], v[7]), orbit.period)
+    assert not later.reversible
+    assert later.residual < 1e-12
+    assert later.energy == pytest.approx(energy, rel=1e-9)
+    assert np.sort_complex(later.means) == pytest.approx(np.sort_complex(orbit.means), abs=1e-9)
+    assert np.abs(later.multipliers[::2] * later.multipliers[1::2] - 1).max() < 1e-10
+
+
+def test_an_orbit_runs_in_an_engine_and_leaves_along_its_unstable_direction():
+    orbit = gap_breather()
+    run = simulate(orbit.scene(3, samples=4), "native", 1e-10)
+    assert np.abs(run.displacement - orbit.displacement).max() < 1e-8 * orbit.amplitude
+
+
+def test_an_unstable_orbit_is_left_at_the_rate_of_its_multiplier():
+    masses = np.where(np.arange(11) % 2 == 0, 3e-3, 1e-3)
+    chain = Chain(grains=11, diameter=1e-2, gravity=0.0, top_load=20.0, top="wall", bottom="wall", masses=masses)
+    orbit = orbits.breather(chain, 6, 5.5e-5)
+    growth = orbit.unstable[0]
+    scene = Scene(chain=chain, excitation=orbit.perturbed(1e-5), duration=2 * orbit.period, samples=3)
+    away = simulate(scene, "native", 1e-11).displacement - orbit.displacement
+    # in the plane of a complex pair l, l*, and for a real l too
+    expected = 2 * growth.real * away[1] - np.abs(growth) ** 2 * away[0]
+    assert away[2] == pytest.approx(expected, abs=1e-3 * np.abs(away).max())
+
+
+def test_what_cannot_be_is_said_in_one_line():
+    vacuum = Chain(grains=5, diameter=1e-3, gravity=0.0, top="wall", bottom="wall")
+    chain = Chain(grains=5, diameter=1e-3)
+    small = orbits.normal_mode(chain, 1, 1e-20)
+    free, loaded = (Chain(grains=5, diameter=1e-3, gravity=0.0, top_load=load) for load in (0.0, 1.0))
+    long = Profile(displacement=np.ones(6))
+    burst, other = Drive(times=[0, 1], displacement=[0, 1e-9]), Drive(amplitude=1e-9, frequency=1.5e4)
+    wrong = {
+        "chain: carries no force at rest": lambda: orbits.normal_mode(vacuum, 1, 1e-9),
+        "chain: flies apart": lambda: at_rest(free, np.array([1e-9, 0, 0, 0, 0]), 1e-4),
+        "mode: must be a whole number from 1 to 4": lambda: orbits.normal_mode(chain, 5, 1e-9),
+        "energy: must be a number above 0": lambda: orbits.normal_mode(chain, 1, -1.0),
+        "period: must be a number above 0": lambda: orbits.find(chain, Impulse(velocity=1e-3)),
+        "guess: is the chain at rest": lambda: at_rest(chain, np.zeros(5), 1e-4),
+        "guess: is missing": lambda: orbits.find(chain, period=1e-4),
+        "guess.displacement: must have one entry a grain": lambda: orbits.find(chain, long, 1e-4),
+        "period: must be a whole number": lambda: orbits.find(chain, period=1e-4, drive=other),
+        "drive: must be a sine": lambda: orbits.find(chain, period=1e-4, drive=burst),
+        "grain: 3 has no heavier neighbour": lambda: orbits.breather(loaded, 3, 1e-5),
+        "period: must be between": lambda: orbits.breather(dimer(), 22, 1e-3),
+        "parameter: must be energy, period": lambda: orbits.follow(small, "colour", 1.0),
+        "until: must be above 0": lambda: orbits.follow(small, "energy", -1.0),
+        "number: the orbit is stable": lambda: small.direction(),
+    }
+    for message, call in wrong.items():
+        with pytest.raises(InputError) as caught:
+            call()
+        assert str(caught.value).startswith(message)
+        assert "\n" not in str(caught.value)
+    with pytest.raises(RunFailed, match=r"orbit found near|at rest is found"):
+        at_rest(chain, chain.length_scale * np.array([3.0, -2.0, 5.0, 1.0, 0.0]), 1e-5)
