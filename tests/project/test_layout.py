@@ -22,6 +22,7 @@ ROOMS = [
     "measure",
     "benchmark",
     "stability",
+    "design",
     "sweeps",
     "report",
     "doctor",
