@@ -1,4 +1,4 @@
-"""Gradients of what a run gives with respect to what a chain is, and fits and sensitivities made of them."""
+"""Gradients of what a run gives with respect to what a chain is."""
 
 from ..util.lazy import attributes
 

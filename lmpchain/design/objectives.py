@@ -1,4 +1,4 @@
-"""What one may want of a motion: a number, and its derivatives by displacements, velocities and the chain itself.
+"""What one may want of a motion: a number, and its derivatives by the motion and the chain.
 
 An objective looks at some grains at times that are equal parts of the duration: at the samples of the scene or, where
 it is `dense`, so often that the fastest motion turns by a quarter of a radian at most in between.
@@ -97,7 +97,7 @@ def _known(scene: Scene, grains: Sequence[int]) -> Sequence[int]:
 
 
 def _contact_force(seen: Seen, contact: int) -> tuple[Array, Array, Array, Array, list[int]]:
-    """Return the force of a contact over time, (T,) N, its derivatives by r, F and K, and the grains at its ends."""
+    """Return the force of a contact, (T,) N, its derivatives by r, F and K, and the grains it joins."""
     chain = seen.scene.chain
     constant, carried, delta = chain.contacts.constant[contact], chain.contacts.force[contact], chain.exponent
     ends = [grain for grain in (contact, contact + 1) if 1 <= grain <= chain.grains]

@@ -38,7 +38,7 @@ UNITS = {
 
 
 def check(scene: Scene, names: Iterable[str]) -> tuple[str, ...]:
-    """Return the names of parameters; raises `InputError` for those that are unknown or without a derivative here."""
+    """Return the names; raises `InputError` for those that are unknown or without a derivative here."""
     names = (names,) if isinstance(names, str) else tuple(names)
     chain, drive, faults = scene.chain, scene.drive, []
     harmonic = drive is not None and drive.times is None
@@ -76,7 +76,7 @@ def values(scene: Scene, name: str) -> Array:
 
 
 def pull(scene: Scene, gradient: Inputs, name: str) -> Array:
-    """Return derivatives with respect to the parameters of this name, (P,), from those with respect to all inputs."""
+    """Return derivatives by the parameters of this name, (P,), from those by all inputs."""
     chain = scene.chain
     below = np.cumsum(gradient.forces[:0:-1])[::-1]  # of all contacts from that below a grain on, (N,)
     whole = {
@@ -114,7 +114,7 @@ def push(scene: Scene, name: str, change: Array) -> Inputs:
 
 
 def _dependence(scene: Scene, name: str) -> dict[str, sparse.csr_array]:
-    """Return derivatives of what a chain is made of with respect to the parameters of this name, as matrices."""
+    """Return derivatives of what the motion depends on by the parameters of this name, as matrices."""
     chain = scene.chain
     if name == "contact_constants":
         return {"constants": _between(chain)}
@@ -137,7 +137,7 @@ def _dependence(scene: Scene, name: str) -> dict[str, sparse.csr_array]:
 
 
 def _between(chain: Chain) -> sparse.csr_array:
-    """Return dK/dK of contacts between grains, (N+1, N-1): constants of walls are in proportion, unless given."""
+    """Return dK/dK of contacts between grains, (N+1, N-1): those of walls follow, unless given."""
     grains, constant = chain.grains, chain.contacts.constant
     matrix = sparse.eye_array(grains + 1, grains - 1, k=-1, format="lil")
     if "wall_constants" not in chain.model_fields_set:
@@ -147,7 +147,7 @@ def _between(chain: Chain) -> sparse.csr_array:
 
 
 def _following(chain: Chain) -> sparse.csr_array:
-    """Return d(log K)/d(log of Hertz's constant), (N+1, N+1): what is given follows nothing, walls what is next."""
+    """Return d(log K)/d(log of Hertz's constant), (N+1, N+1), by what is given and what follows."""
     last = chain.grains
     follow = np.full(last + 1, float("contact_constants" not in chain.model_fields_set))
     matrix = sparse.diags_array(follow).tolil()
@@ -158,14 +158,14 @@ def _following(chain: Chain) -> sparse.csr_array:
 
 
 def _by_body(chain: Chain, above: Array, below: Array) -> sparse.csr_array:
-    """Return dK/d(parameter of a grain), (N+1, N), from d(log of Hertz's constant) by the grain above and below it."""
+    """Return dK/d(of a grain), (N+1, N), from d(log of Hertz's constant) by the grains above and below."""
     grains = chain.grains
     matrix = sparse.diags_array([above[1:], below[:-1]], offsets=[-1, 0], shape=(grains + 1, grains))
     return sparse.diags_array(chain.contacts.constant) @ (_following(chain) @ matrix.tocsr())
 
 
 def _by_modulus(chain: Chain) -> sparse.csr_array:
-    """Return dK/dE, (N+1, N), by E* = 1 / (1/M_above + 1/M_below); a wall without a material has that of its grain."""
+    """Return dK/dE, (N+1, N), by E* = 1 / (1/M_above + 1/M_below), a wall having its grain's by default."""
     young, own = chain.by_grain("youngs_modulus"), chain.by_grain("plane_strain_modulus")
     walls: list[Any] = [chain.top_material, chain.bottom_material]
     top, bottom = (w.plane_strain_modulus if w else at for w, at in zip(walls, own[[0, -1]], strict=True))

@@ -30,7 +30,7 @@ CHECKPOINTS = 2**29  # bytes of all checkpoints
 
 
 class Inputs(NamedTuple):
-    """What a motion depends on: derivatives with respect to it, or directions (D, ...) in which it changes.
+    """What a motion depends on: derivatives by it, or directions (D, ...) in which it changes.
 
     Attributes
     ----------
@@ -169,7 +169,7 @@ class DifferentiableRun:
         return self._looks[1]
 
     def pull(self, displacement: Array, velocity: Array) -> Inputs:
-        """Return the derivatives of an answer with respect to all inputs, from those with respect to what was seen.
+        """Return the derivatives of an answer by all inputs, from those by what was seen.
 
         Parameters
         ----------
@@ -210,7 +210,7 @@ class DifferentiableRun:
         )  # fmt: skip
 
     def push(self, change: Inputs) -> tuple[Array, Array]:
-        """Return how displacement and velocity of the grains looked at change, (D, looks+1, G), in D directions."""
+        """Return how displacement and velocity looked at change, (D, looks+1, G), in D directions."""
         chain, contacts = self.scene.chain, self.scene.chain.contacts
         dx = np.pad(np.array(change.displacement, dtype=float), ((0, 0), (1, 1)))
         dv = np.array(change.velocity, dtype=float)

@@ -42,7 +42,7 @@ def _hertz(x, inverse_length, strength, pressed, less, power, force):
 
 @_loop
 def _other(x, inverse_length, strength, pressed, less, power, force):
-    """Fill power and force (C,) of contacts between the bodies x (C+1,) for any delta; `less` is delta - 1."""
+    """Fill power and force (C,) of contacts between the bodies x (C+1,); `less` is delta - 1."""
     for n in range(power.size):
         s = (x[n] - x[n + 1]) * inverse_length[n]
         shut = pressed + s > 1e-90
@@ -57,7 +57,7 @@ def _other(x, inverse_length, strength, pressed, less, power, force):
 
 @_loop
 def _contacts(law, x, table, pressed, less, power, force):
-    """Fill power and force (N+1,) of contact 0, which may only touch in a pressed chain, and of all others."""
+    """Fill power and force (N+1,) of all contacts; contact 0 may only touch in a pressed chain."""
     inverse_length, strength = table[0], table[1]
     if law == HERTZ:
         _hertz(x[:2], inverse_length[:1], strength[:1], pressed[0], less, power[:1], force[:1])
