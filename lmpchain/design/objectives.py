@@ -70,13 +70,7 @@ class Slopes(NamedTuple):
 
 
 class Objective(Protocol):
-    """A number that one wants of a motion.
-
-    Attributes
-    ----------
-    dense : bool
-        Whether it needs times between the samples.
-    """
+    """A number that one wants of a motion."""
 
     @property
     def dense(self) -> bool:
