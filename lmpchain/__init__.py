@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from .util.lazy import attributes
 
 if TYPE_CHECKING:
+    from . import design as design
     from . import disorder as disorder
     from . import engines as engines
     from . import measure as measure
@@ -60,7 +61,7 @@ _MODULES = {
     "errors": "LmpchainError InputError ToleranceNotMet RunFailed EngineUnavailable",
     "chain": "patterns",
 }
-_PACKAGES = ("disorder", "engines", "measure", "orbits", "theory")
+_PACKAGES = ("design", "disorder", "engines", "measure", "orbits", "theory")
 __all__ = [*_PACKAGES, *" ".join(_MODULES.values()).split()]
 __getattr__ = attributes(__name__, _PACKAGES, _MODULES)
 

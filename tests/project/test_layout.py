@@ -23,6 +23,7 @@ ROOMS = [
     "measure",
     "benchmark",
     "stability",
+    "design",
     "sweeps",
     "report",
     "doctor",

@@ -1,0 +1,57 @@
+"""The cost of all derivatives of an answer over that of the run itself, at the same step, as a Markdown table.
+
+Every grain moves from the start, so that no run is spared what a wave has not reached. The run is the stepper of the
+native engine alone, without the companions that show its error. Times are seconds of the processor, so that others on
+the machine do not count.
+"""
+
+import time
+
+import numpy as np
+
+from lmpchain import Chain, Profile, Scene
+from lmpchain.design import Momentum
+from lmpchain.design.gradients import at_step
+from lmpchain.integrators.batch import ChainBatch
+from lmpchain.integrators.splittings import SPLITTINGS
+from lmpchain.integrators.step_schedule import StepSchedule
+from lmpchain.integrators.stepper import NativeStepper
+
+SAMPLES = 11
+REPEATS = 9
+
+
+def costs(grains: int, steps: int, integrator: str) -> tuple[float, float]:
+    """Return the seconds of the run and of the gradient, each the least of some repeats."""
+    velocity = np.append(1e-3 * np.random.default_rng(1).standard_normal(grains - 1), 0.0)
+    scene = Scene(chain=Chain(grains=grains, diameter=1e-3), excitation=Profile(velocity=velocity), duration=1e-5)
+    method, turn = SPLITTINGS[integrator], 0.2 if integrator == "verlet" else 1.0
+    per = steps // (SAMPLES - 1)
+    step = turn / scene.highest_frequency
+    scene = scene.replace(duration=step * per * (SAMPLES - 1), samples=SAMPLES)
+    bare, gradient = [], []
+    for _ in range(REPEATS):
+        run = NativeStepper(ChainBatch([scene]), method, StepSchedule.of(per, step, False), {})
+        u, v = np.zeros((2, 1, SAMPLES, grains))
+        began = time.process_time()
+        run.fill(u, v, 0, SAMPLES - 1, 10**9)
+        bare.append(time.process_time() - began)
+        began = time.process_time()
+        at_step(scene, Momentum([grains // 2]), ["masses", "contact_constants"], method, step)
+        gradient.append(time.process_time() - began)
+    return min(bare), min(gradient)
+
+
+def main() -> None:
+    """Print the table."""
+    print("| grains | integrator | steps | run | all derivatives | ratio |")
+    print("|---|---|---|---|---|---|")
+    for grains, steps in ((120, 20000), (10000, 400)):
+        for integrator in ("verlet", "rkn4", "rkn6"):
+            bare, gradient = costs(grains, steps, integrator)
+            print(f"| {grains} | {integrator} | {steps} | {bare * 1e3:.1f} ms | "
+                  f"{gradient * 1e3:.1f} ms | {gradient / bare:.1f} |")  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

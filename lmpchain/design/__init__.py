@@ -1,0 +1,10 @@
+"""Gradients of what a run gives with respect to what a chain is."""
+
+from ..util.lazy import attributes
+
+_MODULES = {
+    "gradients": "gradient Gradient",
+    "objectives": "ArrivalTime DriveWork Function KineticEnergy Misfit Momentum PeakForce Seen Slopes",
+}
+__all__ = " ".join(_MODULES.values()).split()
+__getattr__ = attributes(__name__, (), _MODULES)

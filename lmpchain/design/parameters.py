@@ -1,0 +1,193 @@
+"""What a chain and its excitation are made of, and how their motion depends on it.
+
+The motion depends on masses, contact constants K_n, forces at rest ``F_n = F_top + g (m_1 + ... + m_n)`` and on what
+the excitation gives. Displacements are from equilibrium, whose overlaps ``eps_n = (F_n / K_n)^(1/delta)`` depend on all
+of them, so that a mass acts by its inertia and by its weight on every contact below. Diameters and moduli act through
+Hertz's constants ``K = (4/3) E* sqrt(R*) dbar^(1.5 - delta)`` and masses, where these are not given on their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from ..chain.chain import Chain
+from ..errors import InputError, shown
+from ..integrators.adjoint import Inputs
+from ..scene.scene import Scene
+from ..util.arrays import Array
+from ..util.suggestions import not_among
+
+UNITS = {
+    "masses": "kg",
+    "contact_constants": "N/m^delta",
+    "wall_constants": "N/m^delta",
+    "diameters": "m",
+    "youngs_moduli": "Pa",
+    "top_load": "N",
+    "gravity": "m/s2",
+    "displacement": "m",
+    "velocity": "m/s",
+    "drive": "m",
+    "amplitude": "m",
+    "frequency": "Hz",
+}
+
+
+def check(scene: Scene, names: Iterable[str]) -> tuple[str, ...]:
+    """Return the names; raises `InputError` for those that are unknown or without a derivative here."""
+    names = (names,) if isinstance(names, str) else tuple(names)
+    chain, drive, faults = scene.chain, scene.drive, []
+    harmonic = drive is not None and drive.times is None
+    for name in names:
+        if name not in UNITS:
+            faults.append(("parameters", not_among(name, tuple(UNITS))))
+        elif name in ("top_load", "gravity") and not chain.compressed:
+            faults.append((name, "has no derivative in a chain that nothing presses: give it a load or gravity"))
+        elif name == "top_load" and chain.top == "wall" and chain.top_load == 0:
+            faults.append((name, "has no derivative at 0, where the top wall only touches: give it a load"))
+        elif name == "wall_constants" and not chain.wall_constants.any():
+            faults.append((name, 'there is no wall: use top or bottom = "wall"'))
+        elif name in ("amplitude", "frequency") and not harmonic:
+            faults.append((name, "is that of a harmonic drive, which this scene has not"))
+        elif name == "drive" and (drive is None or harmonic):
+            faults.append((name, "is the displacements of a sampled drive, which this scene has not"))
+    if not names:
+        faults.append(("parameters", f"name one or more of {', '.join(UNITS)} (got {shown(names)})"))
+    if faults:
+        raise InputError(faults)
+    return names
+
+
+def values(scene: Scene, name: str) -> Array:
+    """Return the parameters of this name as they are in the scene, (P,)."""
+    chain = scene.chain
+    if name == "youngs_moduli":
+        return chain.by_grain("youngs_modulus")
+    if name in ("displacement", "velocity"):
+        return scene.initial()[name == "velocity"]
+    if name == "drive":
+        return scene.excitation.displacement  # type: ignore[attr-defined, no-any-return]
+    owner = scene.excitation if name in ("amplitude", "frequency") else chain
+    return np.atleast_1d(getattr(owner, name))
+
+
+def pull(scene: Scene, gradient: Inputs, name: str) -> Array:
+    """Return derivatives by the parameters of this name, (P,), from those by all inputs."""
+    chain = scene.chain
+    below = np.cumsum(gradient.forces[:0:-1])[::-1]  # of all contacts from that below a grain on, (N,)
+    whole = {
+        "masses": gradient.masses + chain.gravity * below,
+        "constants": gradient.constants,
+        "top_load": np.array([gradient.forces.sum()]),
+        "gravity": np.array([gradient.forces[1:] @ np.cumsum(chain.masses)]),
+        "displacement": gradient.displacement,
+        "velocity": gradient.velocity,
+        "drive": gradient.drive,
+    }
+    return sum(matrix.T @ whole[key] for key, matrix in _dependence(scene, name).items())
+
+
+def push(scene: Scene, name: str, change: Array) -> Inputs:
+    """Return the directions in which all inputs change with parameters of this name, for changes (D, P)."""
+    chain, count = scene.chain, len(change)
+    drive = scene.drive
+    sizes = {
+        "masses": chain.grains,
+        "constants": chain.grains + 1,
+        "top_load": 1,
+        "gravity": 1,
+        "displacement": chain.grains,
+        "velocity": chain.grains,
+        "drive": 0 if drive is None else 2 if drive.times is None else len(drive.times),
+    }
+    whole = {key: np.zeros((count, size)) for key, size in sizes.items()}
+    for key, matrix in _dependence(scene, name).items():
+        whole[key] = (matrix @ change.T).T
+    weight = chain.gravity * np.cumsum(whole["masses"], axis=1) + whole["gravity"] * np.cumsum(chain.masses)
+    forces = whole["top_load"] + np.pad(weight, ((0, 0), (1, 0)))
+    forces = np.where(chain.contacts.pressed, forces, 0.0)
+    return Inputs(whole["masses"], whole["constants"], forces, whole["displacement"], whole["velocity"], whole["drive"])
+
+
+def _dependence(scene: Scene, name: str) -> dict[str, sparse.csr_array]:
+    """Return derivatives of what the motion depends on by the parameters of this name, as matrices."""
+    chain = scene.chain
+    if name == "contact_constants":
+        return {"constants": _between(chain)}
+    if name == "wall_constants":
+        walls = sparse.lil_array((chain.grains + 1, 2))
+        walls[0, 0], walls[chain.grains, 1] = chain.contacts.exists[[0, -1]]
+        return {"constants": walls.tocsr()}
+    if name == "youngs_moduli":
+        return {"constants": _by_modulus(chain)}
+    if name == "diameters":
+        follow = ~np.isin(np.arange(chain.grains) + 1, [odd.grain for odd in chain.impurity if odd.mass])
+        follow &= "masses" not in chain.model_fields_set
+        return {
+            "masses": sparse.diags_array(follow * 3 * chain.masses / chain.diameters, format="csr"),
+            "constants": _by_diameter(chain),
+        }
+    if name in ("amplitude", "frequency"):
+        return {"drive": sparse.csr_array(np.eye(2)[:, [int(name == "frequency")]])}
+    return {name: sparse.eye_array(values(scene, name).size, format="csr")}
+
+
+def _between(chain: Chain) -> sparse.csr_array:
+    """Return dK/dK of contacts between grains, (N+1, N-1): those of walls follow, unless given."""
+    grains, constant = chain.grains, chain.contacts.constant
+    matrix = sparse.eye_array(grains + 1, grains - 1, k=-1, format="lil")
+    if "wall_constants" not in chain.model_fields_set:
+        matrix[0, 0] = constant[0] / constant[1]
+        matrix[grains, grains - 2] = constant[grains] / constant[grains - 1]
+    return matrix.tocsr()
+
+
+def _following(chain: Chain) -> sparse.csr_array:
+    """Return d(log K)/d(log of Hertz's constant), (N+1, N+1), by what is given and what follows."""
+    last = chain.grains
+    follow = np.full(last + 1, float("contact_constants" not in chain.model_fields_set))
+    matrix = sparse.diags_array(follow).tolil()
+    for wall, near in ((0, 1), (last, last - 1)):
+        matrix[wall, wall] = float("wall_constants" not in chain.model_fields_set)
+        matrix[wall, near] = matrix[wall, wall] * (follow[near] - 1)
+    return matrix.tocsr()
+
+
+def _by_body(chain: Chain, above: Array, below: Array) -> sparse.csr_array:
+    """Return dK/d(of a grain), (N+1, N), from d(log of Hertz's constant) by the grains above and below."""
+    grains = chain.grains
+    matrix = sparse.diags_array([above[1:], below[:-1]], offsets=[-1, 0], shape=(grains + 1, grains))
+    return sparse.diags_array(chain.contacts.constant) @ (_following(chain) @ matrix.tocsr())
+
+
+def _by_modulus(chain: Chain) -> sparse.csr_array:
+    """Return dK/dE, (N+1, N), by E* = 1 / (1/M_above + 1/M_below), a wall having its grain's by default."""
+    young, own = chain.by_grain("youngs_modulus"), chain.by_grain("plane_strain_modulus")
+    walls: list[Any] = [chain.top_material, chain.bottom_material]
+    top, bottom = (w.plane_strain_modulus if w else at for w, at in zip(walls, own[[0, -1]], strict=True))
+    modulus = np.concatenate(([top], own, [bottom]))
+    above, below = modulus[1:] / (modulus[:-1] + modulus[1:]), modulus[:-1] / (modulus[:-1] + modulus[1:])
+    above[1:] /= young
+    below[:-1] /= young
+    if chain.top_material is None:
+        below[0] = 1 / young[0]
+    if chain.bottom_material is None:
+        above[-1] = 1 / young[-1]
+    return _by_body(chain, above, below)
+
+
+def _by_diameter(chain: Chain) -> sparse.csr_array:
+    """Return dK/dd, (N+1, N), by R* = 1 / (2/d_above + 2/d_below), at a wall d/2, and the mean diameter."""
+    d, length = chain.diameters, chain.contact_lengths
+    curvature = np.concatenate(([0.0], 2 / d, [0.0]))
+    radius = 1 / (curvature[:-1] + curvature[1:])
+    share = np.concatenate(([1.0], np.full(chain.grains - 1, 0.5), [1.0]))  # of a grain in the mean diameter
+    power = 1.5 - chain.exponent
+    above, below = np.zeros(chain.grains + 1), np.zeros(chain.grains + 1)
+    above[1:] = radius[1:] / d**2 + power * share[1:] / length[1:]
+    below[:-1] = radius[:-1] / d**2 + power * share[:-1] / length[:-1]
+    return _by_body(chain, above, below)

@@ -1,0 +1,304 @@
+"""Gradients against differences in extended precision, the linear propagator, and runs at higher accuracy."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import extended_splitting as extended
+from scipy.linalg import expm, expm_frechet
+
+from lmpchain import Chain, Drive, Impulse, InputError, Profile, Scene
+from lmpchain.design import (
+    ArrivalTime,
+    DriveWork,
+    Function,
+    KineticEnergy,
+    Misfit,
+    Momentum,
+    PeakForce,
+    gradient,
+    parameters,
+)
+from lmpchain.design.gradients import at_step
+from lmpchain.integrators.adjoint import DifferentiableRun
+from lmpchain.integrators.splittings import SPLITTINGS
+
+LOOKS, STEPS = 6, 4
+DIFFERENCE = np.longdouble(1e-7)  # relative, of central differences in extended precision
+
+
+def drawn(seed: int) -> Scene:
+    """Draw a scene in which contacts open, of any exponent, ends, excitation and grains."""
+    rng = np.random.default_rng(seed)
+    while True:
+        try:
+            return draw(rng)
+        except InputError:  # beyond Hertz's law
+            continue
+
+
+def draw(rng: np.random.Generator) -> Scene:
+    grains = int(rng.integers(3, 9))
+    vacuum = rng.random() < 0.25
+    top = "wall" if rng.random() < 0.4 else "free"
+    chain: dict[str, Any] = {
+        "grains": grains,
+        "material": str(rng.choice(["glass", "steel", "ptfe"])),
+        "diameter": rng.uniform(0.7, 1.3, grains) * 2e-3,
+        "exponent": float(rng.choice([1.5, 1.5, 1.5, 1.0, 2.0, 3.0, rng.uniform(1.05, 3)])),
+        "gravity": 0.0 if vacuum or rng.random() < 0.3 else rng.uniform(1, 100),
+        "top": top,
+        "bottom": str(rng.choice(["free", "fixed", "wall"] if vacuum else ["fixed", "wall"])),
+    }
+    if not vacuum and (chain["gravity"] == 0 or rng.random() < 0.5):
+        chain["top_load"] = rng.uniform(0.01, 1)
+    if top == "wall" and rng.random() < 0.5:
+        chain["top_material"] = "brass"
+    if rng.random() < 0.2:
+        chain["masses"] = rng.uniform(1, 3, grains) * 1e-5
+    if rng.random() < 0.2:
+        chain["contact_constants"] = rng.uniform(1, 3, grains - 1) * Chain(**chain).contact_constants[0]
+    made = Chain(**chain)
+    scale = made.contacts.overlap.max() or 1e-7
+    omega = made.band_edge or float(
+        np.sqrt(made.contacts.stiffness_at(np.full(grains + 1, scale)).max() * 4 / made.masses.min())
+    )
+    duration = 12 / omega
+    if top == "free" and not vacuum and rng.random() < 0.4:  # in a vacuum it begins at the very opening
+        time = np.linspace(0, duration, 6)
+        shape = 2 * scale * np.sin(np.linspace(0, 3, 6)) ** 2
+        sampled = rng.random() < 0.5
+        what: Any = (
+            Drive(times=time, displacement=shape) if sampled else Drive(amplitude=2 * scale, frequency=omega / 10)
+        )
+    else:
+        still = made.movable < grains
+        u, v = rng.uniform(-1, 1, (2, grains)) * [[0.5 * scale], [2 * scale * omega]]
+        u -= np.linspace(0, 0.7 * scale * grains, grains) * vacuum  # no contact at the very opening at first
+        if still:
+            u[-1] = v[-1] = 0
+        what = Profile(displacement=u, velocity=v)
+    return Scene(chain=made, excitation=what, duration=duration, samples=LOOKS + 1)
+
+
+def differences(scene: Scene, method: str, weights: np.ndarray, name: str) -> np.ndarray:
+    """Return central differences, by parameters of a name, of the sum of weights times displacement and velocity."""
+    base = extended.parameters(scene)
+    u, v, _ = extended.run(scene, SPLITTINGS[method], STEPS, LOOKS, {})
+    forces, weight = scene.chain.contacts.force, scene.chain.masses.sum()
+    least = forces[forces > 0].min(initial=np.inf)
+    scales = {
+        "displacement": np.abs(u).max(),
+        "velocity": np.abs(v).max(),
+        "top_load": least,
+        "gravity": least / weight,
+    }
+    held = np.zeros(scene.chain.grains, dtype=bool)
+    held[scene.chain.movable :] = True
+    held[: scene.drive is not None] = True
+    found = []
+    for place, value in enumerate(base[name]):
+        if (name in ("displacement", "velocity") and held[place]) or (name == "wall_constants" and value == 0):
+            found.append(np.longdouble(0))
+            continue
+        step = DIFFERENCE * scales.get(name, np.abs(base[name]).max())
+        answers = []
+        for sign in (1, -1):
+            changed = base[name].copy()
+            changed[place] += sign * step
+            u, v, _ = extended.run(scene, SPLITTINGS[method], STEPS, LOOKS, {name: changed})
+            answers.append((weights * np.array([u, v])).sum())
+        found.append((answers[0] - answers[1]) / (2 * step))
+    return np.array(found)
+
+
+def check_scene(seed: int) -> None:
+    scene = drawn(seed)
+    method = ["verlet", "rkn4", "rkn6", "kahan-li6", "kahan-li8"][seed % 5]
+    everyone = np.arange(1, scene.chain.grains + 1)
+    run = DifferentiableRun(scene, SPLITTINGS[method], scene.duration / (LOOKS * STEPS), LOOKS, everyone)
+    assert run.steps == LOOKS * STEPS
+    u, v, _ = extended.run(scene, SPLITTINGS[method], STEPS, LOOKS, {})
+    weights = np.random.default_rng(seed).standard_normal((2, *u.shape))
+    weights /= [[[float(np.abs(u).max())]], [[float(np.abs(v).max())]]]
+    inputs = run.pull(*weights)
+    for name in extended.parameters(scene):
+        try:
+            parameters.check(scene, [name])
+        except InputError:
+            continue
+        true = differences(scene, method, weights, name)
+        scale = float(np.abs(true).max())
+        back = parameters.pull(scene, inputs, name)
+        assert np.abs(back - true).max() <= 1e-8 * scale, (seed, name)
+        change = np.eye(back.size)
+        forth = run.push(parameters.push(scene, name, change))
+        along = (weights[0] * forth[0]).sum((1, 2)) + (weights[1] * forth[1]).sum((1, 2))
+        assert np.abs(along - back).max() <= 1e-11 * scale, (seed, name)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_gradients_agree_with_differences_in_extended_precision(seed: int):
+    check_scene(seed)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(6, 100))
+def test_gradients_agree_with_differences_on_random_scenes(seed: int):
+    check_scene(seed)
+
+
+def propagator(scene: Scene, masses: np.ndarray, constants: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the generator of the linear chain and that of u, v -> u, v over the duration, (2N, 2N)."""
+    chain, n = scene.chain, masses.size
+    carried = chain.top_load + chain.gravity * np.cumsum(masses)[:-1]
+    k = chain.exponent * constants ** (1 / chain.exponent) * carried ** (1 - 1 / chain.exponent)
+    stiffness = np.diag(np.append(k, 0)) + np.diag(np.append(0, k)) - np.diag(k, 1) - np.diag(k, -1)
+    slope = np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness / masses[:, None], np.zeros((n, n))]])
+    slope[n - 1] = slope[-1] = 0  # grain N is held
+    return slope, expm(slope * scene.duration)
+
+
+def test_weak_waves_have_the_derivatives_of_the_linear_propagator():
+    n = 6
+    chain = Chain(grains=n, diameter=np.linspace(1e-3, 1.3e-3, n), top_load=0.05)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-16), duration=3e-5, samples=2)
+    objective = Momentum([3])
+    found = at_step(
+        scene, objective, ["masses", "contact_constants", "top_load", "velocity"], SPLITTINGS["kahan-li8"], 1e-7
+    )
+    value, gradients, _ = found
+    start = np.concatenate(scene.initial())
+    slope = propagator(scene, chain.masses, chain.contact_constants)[0]
+
+    def derivative(masses: np.ndarray, constants: np.ndarray) -> float:
+        """Return that of the velocity of grain 3 in this direction: the Frechet derivative of the exponential."""
+        carried = chain.contacts.force[1:-1]
+        growth = constants / chain.contact_constants / 1.5 + 9.81 * np.cumsum(masses)[:-1] / carried / 3
+        k = chain.linear_stiffness * growth
+        change = np.zeros((2 * n, 2 * n))
+        change[n:, :n] = np.diag(k, 1) + np.diag(k, -1) - np.diag(np.append(k, 0)) - np.diag(np.append(0, k))
+        change[n:] /= chain.masses[:, None]
+        change[n:] -= slope[n:] * (masses / chain.masses)[:, None]
+        change[-1] = 0
+        unit = np.append(np.ones(n), np.full(n, 1 / chain.band_edge))  # else entries differ by 1e12
+        scaled = [unit[:, None] * matrix * scene.duration / unit for matrix in (slope, change)]
+        moved = expm_frechet(*scaled, compute_expm=False) / unit[:, None] * unit
+        return float((moved @ start)[n + 2])
+
+    end = propagator(scene, chain.masses, chain.contact_constants)[1] @ start
+    m = chain.masses[2]
+    assert value == pytest.approx(m * end[n + 2], rel=1e-12)
+    by_mass = np.array([m * derivative(e, np.zeros(n - 1)) + e[2] * end[n + 2] for e in np.eye(n)])
+    by_constant = np.array([m * derivative(np.zeros(n), e) for e in np.eye(n - 1)])
+    np.testing.assert_allclose(gradients["masses"], by_mass, rtol=0, atol=1e-12 * np.abs(by_mass).max())
+    np.testing.assert_allclose(
+        gradients["contact_constants"], by_constant, rtol=0, atol=1e-12 * np.abs(by_constant).max()
+    )
+    by_velocity = m * propagator(scene, chain.masses, chain.contact_constants)[1][n + 2, n:]
+    by_velocity[-1] = 0
+    np.testing.assert_allclose(gradients["velocity"], by_velocity, rtol=0, atol=1e-12 * np.abs(by_velocity).max())
+
+
+def square(time, u, v):
+    return float((u**2).sum() + (time[:, None] * v).sum()), 2 * u, np.broadcast_to(time[:, None], v.shape)
+
+
+STRUCK = Scene(
+    chain=Chain(grains=8, diameter=1e-3, top_load=0.02, bottom="wall", exponent=1.7),
+    excitation=Impulse(velocity=5e-3),
+    duration=2e-5,
+    samples=9,
+)
+DRIVEN = STRUCK.replace(
+    excitation=Drive(times=np.linspace(0, 2e-5, 6), displacement=2e-8 * np.sin(np.arange(6)) ** 2),
+)
+OBJECTIVES = {
+    "peak force": (STRUCK, PeakForce(3)),
+    "peak force at a wall": (STRUCK, PeakForce(8, sharpness=30)),
+    "energy": (STRUCK, KineticEnergy([2, 3, 4], time=1e-5)),
+    "momentum": (STRUCK, Momentum([2, 5])),
+    "arrival": (STRUCK, ArrivalTime(4, 1e-3)),
+    "misfit": (STRUCK, Misfit([3, 6], np.full((9, 2), 1e-3), scale=1e-4)),
+    "misfit of displacements": (STRUCK, Misfit([3], np.full((9, 1), 1e-9), "displacement", 1e-9)),
+    "work": (DRIVEN, DriveWork()),
+    "function": (DRIVEN, Function(square, [1, 4])),
+}
+
+
+@pytest.mark.parametrize("case", OBJECTIVES)
+def test_objectives_have_the_derivatives_that_differences_show(case: str):
+    scene, objective = OBJECTIVES[case]
+    names = ["masses", "contact_constants", "top_load"] + ["drive"] * (scene is DRIVEN)
+    method, chain = SPLITTINGS["rkn4"], scene.chain
+    _, gradients, _ = at_step(scene, objective, names, method, 2e-7)
+    step = 1e-5
+    rng = np.random.default_rng(5)
+    for name in names:
+        base = parameters.values(scene, name)
+        along = rng.uniform(-1, 1, base.size) * np.abs(base).max()
+        if name == "drive":
+            along[0] = 0  # begins with 0
+        values = []
+        for sign in (-2, -1, 1, 2):
+            changed: Any = base + sign * step * along
+            if name == "drive":
+                other = scene.replace(excitation=Drive(times=scene.excitation.times, displacement=changed))
+            else:
+                other = scene.replace(
+                    chain=chain.replace(**{name: float(changed[0]) if name == "top_load" else changed})
+                )
+            values.append(at_step(other, objective, [name], method, 2e-7)[0])
+        slope = (8 * (values[2] - values[1]) - (values[3] - values[0])) / (12 * step)
+        assert gradients[name] @ along == pytest.approx(slope, rel=1e-7, abs=1e-9 * abs(values[0])), name
+
+
+@pytest.mark.parametrize("case", ["peak force", "energy", "arrival", "work"])
+def test_error_estimates_cover_the_errors(case: str):
+    scene, objective = OBJECTIVES[case]
+    names = ["masses", "contact_constants", "diameters"]
+    true = gradient(scene, objective, names, 1e-10, integrator="rkn6")
+    for tolerance in (1e-3, 1e-5, 1e-7):
+        found = gradient(scene, objective, names, tolerance)
+        assert found.error <= tolerance
+        for name in names:
+            off = np.abs(found[name] - true[name]).max()
+            assert off <= found.errors[name] + true.errors[name]
+        assert abs(found.value - true.value) <= found.value_error + true.value_error
+
+
+def test_a_peak_is_a_peak():
+    found = gradient(STRUCK, PeakForce(3, sharpness=1000), ["top_load"], 1e-4)
+    dense = STRUCK.replace(samples=4001)
+    run = DifferentiableRun(dense, SPLITTINGS["rkn6"], 1e-8, 4000, np.arange(1, 9))
+    contacts = dense.chain.contacts
+    force = contacts.force_at(contacts.overlap + contacts.closer(run.displacement))[:, 3]
+    assert found.value == pytest.approx(force.max(), rel=1e-3)
+    assert found.value < force.max()
+
+
+def test_checkpoints_change_nothing(monkeypatch: pytest.MonkeyPatch):
+    method, names = SPLITTINGS["rkn4"], ["masses", "contact_constants"]
+    _, whole, run = at_step(STRUCK, PeakForce(3), names, method, 2e-8)
+    monkeypatch.setattr("lmpchain.integrators.adjoint.ROOM", 16 * 9 * 40)
+    _, parts, again = at_step(STRUCK, PeakForce(3), names, method, 2e-8)
+    assert len(again._kept) > len(run._kept)
+    for name in names:
+        np.testing.assert_allclose(parts[name], whole[name], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("mass", {}),
+        ("top_load", {"top_load": 0.0, "gravity": 0.0}),
+        ("wall_constants", {"bottom": "fixed"}),
+        ("amplitude", {}),
+        ("drive", {}),
+    ],
+)
+def test_what_has_no_derivative_is_refused_by_name(name: str, change: dict[str, Any]):
+    with pytest.raises(InputError) as error:
+        gradient(STRUCK.replace(chain=STRUCK.chain.replace(**change)), PeakForce(3), [name])
+    assert name in str(error.value)
+    assert "\n" not in str(error.value)

@@ -1,0 +1,132 @@
+"""Kick-drift splittings in extended precision, from Eq. (1) alone: differences of their answers check derivatives.
+
+What a chain is made of is found here from diameters and moduli anew, so that one number may be changed at a time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from lmpchain import Scene
+from lmpchain.integrators.splittings import Splitting
+
+Array = NDArray[np.longdouble]
+WIDE = np.longdouble
+
+
+def parameters(scene: Scene) -> dict[str, Array]:
+    """Return all that may be changed."""
+    chain, excitation = scene.chain, scene.excitation
+    u, v = scene.initial()
+    made = {
+        "masses": chain.masses, "contact_constants": chain.contact_constants, "wall_constants": chain.wall_constants,
+        "diameters": chain.diameters, "youngs_moduli": chain.by_grain("youngs_modulus"),
+        "top_load": [chain.top_load], "gravity": [chain.gravity], "displacement": u, "velocity": v,
+    }  # fmt: skip
+    if excitation.kind == "drive" and excitation.times is None:
+        made |= {"amplitude": [excitation.amplitude], "frequency": [excitation.frequency]}
+    elif excitation.kind == "drive":
+        made["drive"] = excitation.displacement
+    return {name: np.array(value, dtype=WIDE) for name, value in made.items()}
+
+
+def _hertz(scene: Scene, young: Array, d: Array) -> Array:
+    """Return Hertz's constants of all contacts, a wall at either end."""
+    chain = scene.chain
+    poisson = chain.by_grain("poissons_ratio").astype(WIDE)
+    modulus = young / (1 - poisson**2)
+    walls = []
+    for wall, grain in ((chain.top_material, modulus[0]), (chain.bottom_material, modulus[-1])):
+        walls.append(grain if wall is None else WIDE(wall.youngs_modulus) / (1 - WIDE(wall.poissons_ratio) ** 2))
+    modulus = np.array([walls[0], *modulus, walls[1]])
+    together = modulus[:-1] * modulus[1:] / (modulus[:-1] + modulus[1:])
+    radius = np.array([d[0] / 2, *(d[:-1] * d[1:] / (d[:-1] + d[1:]) / 2), d[-1] / 2])
+    mean = np.array([d[0], *((d[:-1] + d[1:]) / 2), d[-1]])
+    return WIDE(4) / 3 * together * np.sqrt(radius) * mean ** (WIDE(3) / 2 - WIDE(chain.exponent))
+
+
+def made_of(scene: Scene, changed: dict[str, Array]) -> dict[str, Any]:
+    """Return masses, constants and so on with some parameters changed, and all that follows from them."""
+    chain, now = scene.chain, parameters(scene)
+    before = {name: value.copy() for name, value in now.items()}
+    now |= changed
+    natural = _hertz(scene, now["youngs_moduli"], now["diameters"])
+    original = _hertz(scene, before["youngs_moduli"], before["diameters"])
+    if "masses" not in chain.model_fields_set and "masses" not in changed:
+        own = [odd.grain - 1 for odd in chain.impurity if odd.mass]
+        factor = (now["diameters"] / before["diameters"]) ** 3
+        factor[own] = 1
+        now["masses"] = before["masses"] * factor
+    if "contact_constants" not in chain.model_fields_set and "contact_constants" not in changed:
+        now["contact_constants"] = before["contact_constants"] * (natural / original)[1:-1]
+    if "wall_constants" not in chain.model_fields_set and "wall_constants" not in changed:
+        follow = now["contact_constants"][[0, -1]] / before["contact_constants"][[0, -1]]
+        ratio = natural / original
+        now["wall_constants"] = before["wall_constants"] * follow * (ratio[[0, -1]] / ratio[[1, -2]])
+    return now
+
+
+def _motion(scene: Scene, now: dict[str, Any]) -> Callable[[Any], tuple[Any, Any]] | None:
+    excitation = scene.excitation
+    if excitation.kind != "drive":
+        return None
+    if excitation.times is None:
+        size, omega = now["amplitude"][0], 8 * np.arctan(WIDE(1)) * now["frequency"][0]
+        return lambda t: (size * np.sin(omega * t), size * omega * np.cos(omega * t))
+    knots, basis = excitation.times.astype(WIDE), CubicSpline(excitation.times, np.eye(len(excitation.times)))
+    pieces = basis.c.astype(WIDE) @ now["drive"]
+
+    def spline(t: Any) -> tuple[Any, Any]:
+        at = min(max(int(np.searchsorted(knots, t, side="right")) - 1, 0), knots.size - 2)
+        s, (a, b, c, d) = t - knots[at], pieces[:, at]
+        return ((a * s + b) * s + c) * s + d, (3 * a * s + 2 * b) * s + c
+
+    return spline
+
+
+def run(scene: Scene, method: Splitting, steps: int, looks: int, changed: dict[str, Array]) -> tuple[Array, Array, Any]:
+    """Return displacement and velocity (looks+1, N) after so many steps a look, and what the chain is made of."""
+    chain, now = scene.chain, made_of(scene, changed)
+    m, delta = now["masses"], WIDE(chain.exponent)
+    k = np.concatenate((now["wall_constants"][:1], now["contact_constants"], now["wall_constants"][1:]))
+    carried = now["top_load"][0] + now["gravity"][0] * np.concatenate(([WIDE(0)], np.cumsum(m)))
+    carried = np.where(k > 0, carried, 0)
+    overlap = np.where(k > 0, carried / np.where(k > 0, k, 1), 0) ** (1 / delta)
+    x, v = now["displacement"].copy(), now["velocity"].copy()
+    free = np.ones(chain.grains, dtype=WIDE)
+    free[chain.movable :] = 0
+    motion = _motion(scene, now)
+    if motion:
+        free[0], v[0] = 0, 0
+    h = WIDE(scene.duration) / (looks * steps)
+    offsets = np.concatenate(([WIDE(0)], np.cumsum(np.array(method.drifts, dtype=WIDE))))
+    offsets[-1] = 1
+    seen = [(x.copy(), v.copy())]
+
+    def kick(fraction: float, t: Any) -> None:
+        if motion:
+            x[0] = motion(t)[0]
+        r = -np.diff(x, prepend=WIDE(0), append=WIDE(0))
+        s = np.where(carried > 0, r / np.where(carried > 0, overlap, 1), r)
+        with np.errstate(all="ignore"):
+            held = np.where(s > -1, np.expm1(delta * np.log1p(np.maximum(s, -1))), -1)
+        f = np.where(carried > 0, carried * held, k * np.maximum(r, 0) ** delta)
+        v[:] += WIDE(fraction) * h * free * (f[:-1] - f[1:]) / m
+
+    for look in range(looks):
+        for step in range(steps):
+            begun = (look * steps + step) * h
+            for stage, (b, a) in enumerate(zip(method.kicks, (*method.drifts, 0.0), strict=True)):
+                kick(b, begun + offsets[stage] * h)
+                x[:] += WIDE(a) * h * v
+        seen.append((x.copy(), v.copy()))
+        if motion:
+            x[0], seen[-1][1][0] = seen[-1][0][0], motion((look + 1) * steps * h)[1]
+    if motion:
+        seen[0][0][0], seen[0][1][0] = motion(WIDE(0))
+    return np.array([u for u, _ in seen]), np.array([v for _, v in seen]), now | {"constants": k, "carried": carried}
