@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..util.arrays import Array
 from .step_schedule import StepSchedule
@@ -74,9 +75,13 @@ class Method(Protocol):
         """Return what moves a batch of chains by steps of this schedule."""
 
 
-def steps_between_looks(schedule: StepSchedule, batch: ChainBatch) -> int:
-    """Return after how many equal steps the largest motion is looked for at first; companions do not look."""
-    return max(1, int(LOOK / (schedule.step * batch.omega.max()))) if schedule.ratio == 1 else SELDOM
+def steps_between_looks(schedule: StepSchedule, batch: ChainBatch) -> NDArray[np.int64]:
+    """Return after how many equal steps the largest motion of each chain is looked for at first, (R,).
+
+    Companions do not look.
+    """
+    steps = LOOK / (schedule.step * batch.omega) if schedule.ratio == 1 else np.full(batch.omega.shape, SELDOM)
+    return np.clip(steps, 1, SELDOM).astype(np.int64)
 
 
 def first_growth(growth: Callable[[float], float], more: float) -> float:

@@ -58,13 +58,13 @@ def watch(chain):
 def look(chain, every, made, t, complete):
     """Note the largest displacement and speed of all grains at time t, if a look is due.
 
-    It is due after `every` steps at first, later more rarely; `made` have been made. `complete` is the least part of
-    its largest value to which a speed without the last kick may have grown.
+    It is due after `every` steps of this chain at first, later more rarely; `made` have been made. `complete` is the
+    least part of its largest value to which a speed without the last kick may have grown.
     """
     state = chain.state
     if made < state[NEXT]:
         return
-    state[NEXT] = made + every + made // SETTLED
+    state[NEXT] = made + every[chain.number] + made // SETTLED
     first, last = int(state[FIRST]), int(state[LAST])
     x, v = chain.x[first:last], chain.v[first:last]
     farthest, fastest = bits(state[FARTHEST]), 0
