@@ -1,0 +1,190 @@
+"""Largest values and wave fronts of grains, between their samples too, compiled."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ..util.compilation import compiled_once
+from .derivatives import NEWS
+from .hermite import (
+    BUMP,
+    PARTS,
+    STEEPEST,
+    VELOCITY,
+    compiled,
+    inlined,
+    path,
+    polynomial,
+    root,
+    sampled,
+    size,
+    slope,
+    turns,
+    value,
+)
+
+
+@inlined
+def _hidden(p, i):
+    """Return a bound on what is looked at between sample i and the next if it does not follow from these, or -1."""
+    if p.ceiling.size == 0 or p.ceiling[i] < 0.0:
+        return -1.0
+    if p.kind == VELOCITY:
+        return p.ceiling[i]
+    return (size(p.u[i], p.kind) + size(p.u[i + 1], p.kind) + p.h * p.ceiling[i]) / 2
+
+
+@compiled
+def _peak(p):
+    """Return the largest value at any time, and between what it lies."""
+    y, kind = sampled(p), p.kind
+    best = size(y[0], kind)
+    for i in range(1, y.size):
+        best = max(best, size(y[i], kind))
+    low = high = best
+    for i in range(y.size - 1):
+        limit = _hidden(p, i)
+        if limit >= 0.0:
+            high = max(high, limit)
+        elif p.reach[i] + p.error[i] > high:
+            polynomial(p, i)
+            top = max(size(y[i], kind), size(y[i + 1], kind))
+            for k in range(turns(p)):
+                top = max(top, size(value(p.c, p.places[k]), kind))
+            best, low, high = max(best, top), max(low, top - p.error[i]), max(high, top + p.error[i])
+    return best, low, high
+
+
+@compiled
+def _crossing(p, sign, level, i, s, step):
+    """Return when sign times the value first falls to a level, from the place s in an interval on.
+
+    `step` is 1 for later, -1 for earlier. Also the error of the polynomial there, and its slope.
+    """
+    goal = 1.0 if step > 0 else 0.0
+    here = s
+    while 0 <= i < p.error.size:
+        polynomial(p, i)
+        p.c[:] *= sign
+        begin = here
+        for part in range(1, PARTS + 1):
+            there = begin + (goal - begin) * part / PARTS
+            if value(p.c, there) < level:
+                at = root(p.c, level, min(here, there), max(here, there))
+                return (i + at) * p.h, p.error[i], max(abs(slope(p.c, at)), 1e-300) / p.h
+            here = there
+        i, here = i + step, 1.0 - goal
+    return np.nan, np.nan, np.nan
+
+
+class Found(NamedTuple):
+    """The first maximum of some size after which the value falls: interval (-1 for none) and place in it.
+
+    Also how far it had fallen when that was seen, and in which interval; the largest value at which an earlier one
+    turned; and the first interval in which one may be hidden, or -1.
+    """
+
+    at: int
+    place: float
+    fell: float
+    seen: int
+    missed: float
+    hidden: int
+
+
+@compiled
+def _find(p, enough, fall):
+    """Look for the first maximum of a size after which the value falls by so much."""
+    y, last, begin = sampled(p), p.error.size, 0
+    while begin < last and p.reach[begin] + p.error[begin] < enough / 2 and _hidden(p, begin) < 0.0:
+        begin += 1
+    top, at, place, missed, hidden = abs(y[min(begin, last)]), -1, 0.0, 0.0, -1
+    for i in range(begin, last):
+        count, limit = 0, _hidden(p, i)
+        if limit >= 0.0:
+            hidden = i if hidden < 0 and limit >= enough else hidden
+        elif p.reach[i] + p.error[i] >= enough or top >= enough:
+            polynomial(p, i)
+            count = turns(p)
+        for k in range(count + 1):
+            s = p.places[k] if k < count else 1.0
+            now = abs(value(p.c, s)) if k < count else abs(y[i + 1])
+            if now < top:
+                if top >= enough and top - now > fall:
+                    return Found(at, place, top - now, i, missed, hidden)
+                missed = max(missed, top)
+            if now >= top or top < enough:
+                top, at, place = now, i, s
+    return Found(-1, 0.0, 0.0, last - 1, missed, hidden)
+
+
+@compiled
+def _front(p, fraction, known_error, certain, frequency, out):
+    """Fill out, (9,), with time, value and width of the front at a grain, their errors, and what `_peak` finds.
+
+    They are no numbers where no front passes.
+    """
+    y, end = sampled(p), p.h * p.error.size
+    out[:] = np.nan
+    out[6], out[7], out[8] = _peak(p)
+    largest, low, high = out[6], out[7], out[8]
+    enough = fraction * largest
+    if largest <= known_error or abs(y[0]) >= enough:
+        return
+    found = _find(p, enough, certain)
+    at, s = found.at, found.place
+    if at < 0:
+        return
+    off = max(p.error[at], _hidden(p, at) - abs(y[at + 1])) + known_error
+    polynomial(p, at)
+    height = y[at + 1] if s == 1.0 else value(p.c, s)
+    sign, top, when = math.copysign(1.0, height), abs(height), (at + s) * p.h
+    for k in range(7):
+        p.d[k] = (k + 1) * p.c[k + 1]
+    bend = abs(slope(p.d, s)) / p.h**2
+    # for how long the value is as large as that, within its error; or what the errors of the slope make of it
+    spread = 0.0
+    for step in (-1, 1):
+        edge, _, _ = _crossing(p, sign, top - 2 * off, at, s, step)
+        spread = max(spread, abs(edge - when) if math.isfinite(edge) else (when if step < 0 else end - when))
+    tilt = STEEPEST / BUMP * (off - known_error) / p.h + frequency * known_error
+    late = min(tilt / bend, spread) if bend > 0.0 else spread
+    # which other maxima it may be, if values are off by their errors
+    least, most = fraction * (low - known_error) - off, fraction * (high + known_error) + off
+    if found.missed >= least:
+        other = _find(p, least, 0.0)
+        late = max(late, abs((other.at + other.place) * p.h - when)) if other.at >= 0 else late
+    if top < most or found.fell <= certain + 2 * off:
+        other = _find(p, most, certain + 2 * off)
+        late = max(late, abs((other.at + other.place) * p.h - when) if other.at >= 0 else end - when)
+    if found.hidden >= 0:
+        late = max(late, when - found.hidden * p.h, ((found.seen + 1) * p.h if top >= most else end) - when)
+    before, before_error, rise = _crossing(p, sign, top / 2, at, s, -1)
+    after, after_error, drop = _crossing(p, sign, top / 2, at, s, 1)
+    out[0], out[1], out[2], out[3], out[4] = when, height, after - before, late, off
+    both = known_error + off / 2
+    out[5] = (before_error + both) / rise + (after_error + both) / drop if found.hidden < 0 else end
+
+
+@compiled_once(*NEWS, nogil=True, error_model="numpy")
+def peaks(motion, h, kind, ceiling):
+    """Return the largest values of G grains at any time and bounds from below and above, (G, 3)."""
+    out, count = np.empty((motion.shape[1], 3)), motion.shape[2] - 1
+    reach, error, c, d, places = np.empty(count), np.empty(count), np.zeros(8), np.zeros(8), np.zeros(PARTS)
+    for g in range(motion.shape[1]):
+        out[g, 0], out[g, 1], out[g, 2] = _peak(path(motion, g, h, kind, ceiling, reach, error, c, d, places))
+    return out
+
+
+@compiled_once(*NEWS, nogil=True, error_model="numpy")
+def fronts(motion, h, kind, ceiling, fraction, known_error, certain, frequency):
+    """Return what `_front` finds at G grains, (G, 9)."""
+    out, count = np.empty((motion.shape[1], 9)), motion.shape[2] - 1
+    reach, error, c, d, places = np.empty(count), np.empty(count), np.zeros(8), np.zeros(8), np.zeros(PARTS)
+    for g in range(motion.shape[1]):
+        grain = path(motion, g, h, kind, ceiling, reach, error, c, d, places)
+        _front(grain, fraction, known_error, certain, frequency, out[g])
+    return out
