@@ -106,7 +106,7 @@ def derivatives(u, v, sides, table, inverse_mass, exponent, linear, h, known):
         Displacement and velocity of what was recorded.
     sides : (G, 3) array
         Columns of the body above, the grain and the body below, or a mark.
-    table : (G, 3, 2) array
+    table : (G, 2, 3) array
         1 / overlap at rest, force at rest, and 1 of the contacts above and below; 1, constant and 0 where they are not
         pressed at rest.
     inverse_mass : (G,) array

@@ -123,14 +123,10 @@ def _find(p, enough, fall):
 
 @compiled
 def _front(p, fraction, known_error, certain, frequency, out):
-    """Fill out, (9,), with time, value and width of the front at a grain, their errors, and what `_peak` finds.
-
-    They are no numbers where no front passes.
-    """
+    """Fill out, (6,), with time, height and width of the front at a grain, and their errors; NaN where none passes."""
     y, end = sampled(p), p.h * p.error.size
     out[:] = np.nan
-    out[6], out[7], out[8] = _peak(p)
-    largest, low, high = out[6], out[7], out[8]
+    largest, low, high = _peak(p)
     enough = fraction * largest
     if largest <= known_error or abs(y[0]) >= enough:
         return
@@ -181,8 +177,8 @@ def peaks(motion, h, kind, ceiling):
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
 def fronts(motion, h, kind, ceiling, fraction, known_error, certain, frequency):
-    """Return what `_front` finds at G grains, (G, 9)."""
-    out, count = np.empty((motion.shape[1], 9)), motion.shape[2] - 1
+    """Return what `_front` finds at G grains, (G, 6)."""
+    out, count = np.empty((motion.shape[1], 6)), motion.shape[2] - 1
     reach, error, c, d, places = np.empty(count), np.empty(count), np.zeros(8), np.zeros(8), np.zeros(PARTS)
     for g in range(motion.shape[1]):
         grain = path(motion, g, h, kind, ceiling, reach, error, c, d, places)

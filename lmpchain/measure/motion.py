@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cached_property
-from typing import get_args
+from typing import NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,20 +24,18 @@ RESOLVED = 2.0
 RESOLVED_BY_DIFFERENCES = 0.7  # the same where accelerations come from the samples
 
 
-@dataclass(frozen=True, eq=False)
-class Peaks:
+class Peaks(NamedTuple):
     """The largest displacement or speed that each of G grains reaches at any time.
 
     Attributes
     ----------
-    field : "velocity" or "displacement"
     grain : (G,) array
+        Their numbers.
     value, error : (G,) arrays
         Its size, m/s or m, and how far that may be off: by sampling, and by the error of the trajectory where it is
         known.
     """
 
-    field: Field
     grain: np.ndarray
     value: Array
     error: Array
@@ -64,75 +61,108 @@ class Motion:
 
     Attributes
     ----------
+    displacement, velocity : (T, G) arrays
     step : float
         Time between two samples, s.
-    values : (4, G, T) array
-        Displacement, velocity, acceleration and jerk, m and s.
     """
 
     def __init__(
         self, scene: Scene, equation: int, grains: np.ndarray, displacement: Array, velocity: Array, error: float
     ):
         self._scene, self._equation, self._error = scene, equation, error if math.isfinite(error) else 0.0
-        self._u, self._v = (np.ascontiguousarray(x, dtype=float) for x in (displacement, velocity))
+        self.displacement, self.velocity, self._grains = displacement, velocity, grains
         self.step = scene.duration / (scene.samples - 1)
-        chain, excitation = scene.chain, scene.excitation
-        contacts, linear = chain.contacts, equation == 3
         self._column = columns(scene, grains)
-        self._grains = grains
-        bodies = grains[:, None] + np.array([-1, 0, 1])
-        sides = self._column[bodies]
-        between = grains[:, None] + np.array([-1, 0])  # contacts above and below
+
+    @cached_property
+    def _known(self) -> NDArray[np.bool_]:
+        """Whether the forces of its contacts are known, and all that act on it, of each grain, (G,)."""
+        scene, grains, chain = self._scene, self._grains, self._scene.chain
+        exists = chain.contacts.exists
+        neighbours = self._column[grains[:, None] + np.array([-1, 1])]
+        known: NDArray[np.bool_] = (neighbours != UNKNOWN) | ~exists[grains[:, None] + np.array([-1, 0])]
+        known = known.all(1) & (self._equation in (1, 3))
+        if scene.excitation.does_work:
+            first, last = scene.excitation.reach(chain)
+            known &= (grains < first) | (grains > last)
+        return known | (grains > chain.movable)
+
+    @cached_property
+    def values(self) -> Array:
+        """Displacement, velocity, acceleration and jerk, (4, G, T) m and s."""
+        chain, linear = self._scene.chain, self._equation == 3
+        grains, contacts = self._grains, chain.contacts
         pressed, constant = contacts.pressed, contacts.constant
         length = np.divide(1.0, contacts.overlap, out=np.ones_like(constant), where=pressed)
         loose = np.zeros_like(constant) if linear and chain.exponent > 1 else constant
-        strength = np.where(pressed, contacts.force, loose)
-        table = np.stack([length, strength, pressed.astype(float)], axis=1)[between]
+        table = np.stack([length, np.where(pressed, contacts.force, loose), pressed.astype(float)])
+        above = np.ascontiguousarray(table[:, grains[:, None] + np.array([-1, 0])].transpose(1, 2, 0))
+        sides = self._column[grains[:, None] + np.array([-1, 0, 1])]
         inverse_mass = np.where(grains <= chain.movable, 1 / chain.masses[grains - 1], 0.0)
-        known = ((sides[:, [0, 2]] != UNKNOWN) | ~contacts.exists[between]).all(1) & (equation in (1, 3))
-        if excitation.does_work:
-            first, last = excitation.reach(chain)
-            known &= (grains < first) | (grains > last)
-        self._known: NDArray[np.bool_] = known | (inverse_mass == 0) & ~(grains <= chain.movable)
-        self.values: Array = derivatives(
-            self._u, self._v, sides, table, inverse_mass, chain.exponent, linear, self.step, self._known
-        )
+        u, v = (np.ascontiguousarray(x, dtype=float) for x in (self.displacement, self.velocity))
+        found: Array = derivatives(u, v, sides, above, inverse_mass, chain.exponent, linear, self.step, self._known)
+        return found
 
     def peaks(self, field: Field) -> Peaks:
         """Return the largest displacement or speed of every grain."""
         found = extremes.peaks(self.values, self.step, KINDS[field], self.ceiling)
-        return Peaks(field, self._grains, *_within(found, self.known_error(field)))
+        return Peaks(self._grains, *_within(found, self.known_error(field)))
+
+    def largest_wall_force(self) -> tuple[float, float]:
+        """Return the largest force at any time on what holds the bottom, N, and how far that may be off.
+
+        Raises
+        ------
+        InputError
+            If nothing stands still at the bottom, or a grain that touches it was not recorded.
+        """
+        chain = self._scene.chain
+        if chain.bottom == "free":
+            raise InputError([("end", "there is no wall at the end 'bottom' of this chain")])
+        contact = chain.grains - (chain.bottom == "fixed")
+        weight = float(chain.masses[-1] * chain.gravity) if chain.bottom == "fixed" else 0.0
+        closer, error = self.closest(contact)
+        these = chain.contacts.of(np.array([contact]))
+        force, most = (float(these.force_at(these.overlap + r)[0]) for r in (closer, closer + error))
+        return force + weight, max(most - force, force - float(these.force_at(these.overlap + closer - error)[0]))
 
     def closest(self, contact: int) -> tuple[float, float]:
-        """Return by how much the overlap of a contact exceeds that at rest at most, m, and the error."""
-        sides, ceiling = [], np.zeros((1, 0)) if not self.ceiling.size else np.zeros((1, self._u.shape[0] - 1))
-        for grain in (contact, contact + 1):
-            column = self._column[grain]
+        """Return by how much the overlap of a contact exceeds that at rest at most, m, and how far that may be off."""
+        values = np.zeros((4, 1, self.displacement.shape[0]))
+        hidden = np.zeros(self.displacement.shape[0] - 1) if self.ceiling.size else np.zeros(0)
+        for column, sign in zip(self._column[[contact, contact + 1]], (1, -1), strict=True):
             if column == UNKNOWN:
-                raise InputError([("grains", f"this takes a grain that was not recorded; record {grain} too")])
-            sides.append(0.0 if column == STILL else self.values[:, column])
-            if ceiling.size and column != STILL:
-                limits = self.ceiling[column]
-                ceiling[0] = np.where((limits < 0) | (ceiling[0] < 0), -1.0, ceiling[0] + limits)
-        approach = np.ascontiguousarray((sides[0] - sides[1])[:, None])
-        found = extremes.peaks(approach, self.step, RAISED, ceiling)
+                raise InputError([("grains", f"the grains of contact {contact} must be recorded")])
+            if column != STILL:
+                values[:, 0] += sign * self.values[:, column]
+                if hidden.size:
+                    limits = self.ceiling[column]
+                    hidden += np.where(limits < 0, 0.0, limits)
+        if hidden.size:
+            hidden[hidden == 0] = -1.0
+        found = extremes.peaks(values, self.step, RAISED, hidden[None])
         value, error = _within(found, 2 * self.known_error("displacement"))
         return float(value[0]), float(error[0])
 
-    def fronts(self, field: Field, fraction: float, certain: float) -> Array:
+    def fronts(self, field: Field, fraction: float, certain: float | None = None) -> Array:
         """Return time, value and width of the front at every grain, and their errors, (G, 6); see `front.track`."""
         known, frequency = self.known_error(field), self._scene.highest_frequency
+        fall = known if certain is None else certain
         found: Array = extremes.fronts(
-            self.values, self.step, KINDS[field], self.ceiling, fraction, known, certain, frequency
+            self.values, self.step, KINDS[field], self.ceiling, fraction, known, fall, frequency
         )
-        return found[:, :6]
+        return found
+
+    def rows(self, grains: np.ndarray) -> NDArray[np.intp]:
+        """Return where in the results these grains stand."""
+        return self._column[grains]
 
     def known_error(self, field: Field) -> float:
         """Return how far any value may be off by the error of the trajectory."""
         if not self._error:
             return 0.0
         imposed = self._scene.excitation.largest(self._scene.chain)[field == "velocity"]
-        moved = self._v if field == "velocity" else self._u
+        moved = self.velocity if field == "velocity" else self.displacement
         return self._error * max(float(np.abs(moved).max()), float(np.abs(imposed).max()))
 
     @cached_property
@@ -142,7 +172,7 @@ class Motion:
         if swift <= RESOLVED_BY_DIFFERENCES or (swift <= RESOLVED and self._known.all()):
             return np.zeros((1, 0))
         if swift <= RESOLVED:
-            limits = np.full((self._grains.size, self._u.shape[0] - 1), -1.0)
+            limits = np.full((self._grains.size, self.displacement.shape[0] - 1), -1.0)
             limits[~self._known] = self._speed_limit()[0][~self._known]
             return limits
         limits, frequency = self._speed_limit()
@@ -155,7 +185,7 @@ class Motion:
         No grain can have more than the energy that was within reach of it at the sample before.
         """
         scene, chain = self._scene, self._scene.chain
-        contacts, count = chain.contacts, self._u.shape[0] - 1
+        contacts, count = chain.contacts, self.displacement.shape[0] - 1
         if scene.excitation.does_work or self._equation not in (1, 3):
             return np.full((2, self._grains.size, count), np.inf)
         near = math.ceil(scene.highest_frequency * self.step / 2) + 2
@@ -163,7 +193,7 @@ class Motion:
             within = np.full((count, chain.grains), scene.energy)
         else:
             u, v = (np.zeros((count + 1, chain.grains)) for _ in range(2))
-            u[:, self._grains - 1], v[:, self._grains - 1] = self._u, self._v
+            u[:, self._grains - 1], v[:, self._grains - 1] = self.displacement, self.velocity
             r = contacts.closer(u)
             held = contacts.stiffness * r**2 / 2 if self._equation == 3 else contacts.energy(r)
             energy = chain.masses * v**2 / 2 + held[:, 1:] + held[:, :-1]  # each contact twice: a bound

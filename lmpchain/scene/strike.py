@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..chain.chain import LARGEST_OVERLAP, Chain
+from ..chain.contacts import Contacts
 from ..util.arrays import Array
 from .base import Excitation
 
@@ -17,14 +18,19 @@ def first_overlaps(chain: Chain, excitation: Excitation) -> Array:
     Two bodies that approach with the relative velocity v, and nothing around them, come closer than at rest by r with
     ``K r^(delta+1) / (delta+1) = mu v^2 / 2``, mu their reduced mass.
     """
-    contacts = chain.contacts
+    return overlaps_of(chain, excitation, chain.contacts, chain.masses)
+
+
+def overlaps_of(chain: Chain, excitation: Excitation, contacts: Contacts, masses: Array) -> Array:
+    """Return the same, (..., N+1) m, for the contacts and masses (..., N) kg of chains that are else like this one."""
     (u, _), (_, v) = excitation.initial(chain), excitation.largest(chain)
-    inverse_mass = 1 / chain.masses
-    inverse_mass[: excitation.driven] = 0.0  # what is driven does not give way,
-    inverse_mass[chain.movable :] = 0.0  # nor does what is held, or a wall
-    inverse_mass = np.concatenate(([0.0], inverse_mass, [0.0]))
+    inverse_mass = 1 / masses
+    inverse_mass[..., : excitation.driven] = 0.0  # what is driven does not give way,
+    inverse_mass[..., chain.movable :] = 0.0  # nor does what is held, or a wall
+    edge = np.zeros((*masses.shape[:-1], 1))
+    inverse_mass = np.concatenate((edge, inverse_mass, edge), axis=-1)
     approach = np.maximum(contacts.closer(v), 0.0)
-    collision = contacts.collision_overlap(approach, inverse_mass[:-1] + inverse_mass[1:])
+    collision = contacts.collision_overlap(approach, inverse_mass[..., :-1] + inverse_mass[..., 1:])
     return np.maximum(contacts.overlap + contacts.exists * contacts.closer(u), collision)
 
 
