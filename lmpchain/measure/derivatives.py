@@ -65,14 +65,26 @@ def _differences(u, v, h, a, j):
 
 
 @compiled
-def _derivatives(u, v, sides, table, inverse_mass, exponent, linear, h, known, out):
-    """Fill out, (4, G, T), with u, v, a, j of G grains; u, v are (T, C), see `Motion` for the rest."""
+def _largest(y):
+    most = 0.0
+    for value in y:
+        most = max(most, abs(value))
+    return most
+
+
+@compiled
+def _derivatives(u, v, sides, table, inverse_mass, exponent, linear, h, known, error, out, quiet):
+    """Fill out, (4, G, T), with u, v, a, j of G grains, and quiet, (G,); see `derivatives`."""
     still = np.zeros(u.shape[0])
     columns_u, columns_v = np.ascontiguousarray(u.T), np.ascontiguousarray(v.T)
     for g in range(sides.shape[0]):
         own = sides[g, 1]
         x, w, a, j = out[0, g], out[1, g], out[2, g], out[3, g]
         x[:], w[:] = columns_u[own], columns_v[own]
+        quiet[g] = _largest(w) <= error[1] and _largest(x) <= error[0]
+        if quiet[g]:
+            a[:], j[:] = 0.0, 0.0
+            continue
         if not known[g]:
             _differences(x, w, h, a, j)
             continue
@@ -93,12 +105,11 @@ def _derivatives(u, v, sides, table, inverse_mass, exponent, linear, h, known, o
                 force, rate = _pull(r, closing, length, strength, pressed, exponent, linear)
                 a[i] += share * force
                 j[i] += share * rate
-    return out
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
-def derivatives(u, v, sides, table, inverse_mass, exponent, linear, h, known):
-    """Return displacement, velocity, acceleration and jerk of G grains, (4, G, T).
+def derivatives(u, v, sides, table, inverse_mass, exponent, linear, h, known, error):
+    """Return displacement, velocity, acceleration and jerk of G grains, (4, G, T), and which of them are quiet, (G,).
 
     Parameters
     ----------
@@ -114,7 +125,9 @@ def derivatives(u, v, sides, table, inverse_mass, exponent, linear, h, known):
         Of the force; whether it is linearised; time between two samples.
     known : (G,) array
         Whether these forces are all that act; if not, acceleration and jerk follow from the samples.
+    error : (2,) array
+        Displacement and velocity up to which a grain is quiet, so that nothing more is asked of it.
     """
-    out = np.empty((4, sides.shape[0], u.shape[0]))
-    _derivatives(u, v, sides, table, inverse_mass, exponent, linear, h, known, out)
-    return out
+    out, quiet = np.empty((4, sides.shape[0], u.shape[0])), np.zeros(sides.shape[0], dtype=np.bool_)
+    _derivatives(u, v, sides, table, inverse_mass, exponent, linear, h, known, error, out, quiet)
+    return out, quiet

@@ -65,7 +65,9 @@ def _crossing(p, sign, level, i, s, step):
     `step` is 1 for later, -1 for earlier. Also the error of the polynomial there, and its slope.
     """
     goal = 1.0 if step > 0 else 0.0
-    here = s
+    here, y = s, sampled(p)
+    while 0 <= i < p.error.size and sign * y[i + (step > 0)] >= level:
+        i, here = i + step, 1.0 - goal
     while 0 <= i < p.error.size:
         polynomial(p, i)
         p.c[:] *= sign
@@ -122,10 +124,9 @@ def _find(p, enough, fall):
 
 
 @compiled
-def _front(p, fraction, known_error, certain, frequency, out):
+def _front(p, fraction, known_error, certain, frequency, width, out):
     """Fill out, (6,), with time, height and width of the front at a grain, and their errors; NaN where none passes."""
     y, end = sampled(p), p.h * p.error.size
-    out[:] = np.nan
     largest, low, high = _peak(p)
     enough = fraction * largest
     if largest <= known_error or abs(y[0]) >= enough:
@@ -158,29 +159,43 @@ def _front(p, fraction, known_error, certain, frequency, out):
         late = max(late, abs((other.at + other.place) * p.h - when) if other.at >= 0 else end - when)
     if found.hidden >= 0:
         late = max(late, when - found.hidden * p.h, ((found.seen + 1) * p.h if top >= most else end) - when)
+    out[0], out[1], out[3], out[4] = when, height, late, off
+    if not width:
+        return
     before, before_error, rise = _crossing(p, sign, top / 2, at, s, -1)
     after, after_error, drop = _crossing(p, sign, top / 2, at, s, 1)
-    out[0], out[1], out[2], out[3], out[4] = when, height, after - before, late, off
+    out[2] = after - before
     both = known_error + off / 2
     out[5] = (before_error + both) / rise + (after_error + both) / drop if found.hidden < 0 else end
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
-def peaks(motion, h, kind, ceiling):
-    """Return the largest values of G grains at any time and bounds from below and above, (G, 3)."""
+def peaks(motion, quiet, h, kind, ceiling):
+    """Return the largest values of G grains at any time and bounds from below and above, (G, 3).
+
+    Those of a quiet grain are of its samples; how large they are is within the error.
+    """
     out, count = np.empty((motion.shape[1], 3)), motion.shape[2] - 1
     reach, error, c, d, places = np.empty(count), np.empty(count), np.zeros(8), np.zeros(8), np.zeros(PARTS)
     for g in range(motion.shape[1]):
+        if quiet[g]:
+            y = motion[1, g] if kind == VELOCITY else motion[0, g]
+            most = np.abs(y).max()
+            out[g, 0], out[g, 1], out[g, 2] = most, most, 2.0 * most
+            continue
         out[g, 0], out[g, 1], out[g, 2] = _peak(path(motion, g, h, kind, ceiling, reach, error, c, d, places))
     return out
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
-def fronts(motion, h, kind, ceiling, fraction, known_error, certain, frequency):
-    """Return what `_front` finds at G grains, (G, 6)."""
+def fronts(motion, quiet, h, kind, ceiling, fraction, known_error, certain, frequency, width):
+    """Return what `_front` finds at G grains, (G, 6), without widths if they are not asked for."""
     out, count = np.empty((motion.shape[1], 6)), motion.shape[2] - 1
     reach, error, c, d, places = np.empty(count), np.empty(count), np.zeros(8), np.zeros(8), np.zeros(PARTS)
+    out[:] = np.nan
     for g in range(motion.shape[1]):
+        if quiet[g]:
+            continue
         grain = path(motion, g, h, kind, ceiling, reach, error, c, d, places)
-        _front(grain, fraction, known_error, certain, frequency, out[g])
+        _front(grain, fraction, known_error, certain, frequency, width, out[g])
     return out

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..scene.scene import Scene
+from ..trajectory.record import FIELDS
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from . import extremes
@@ -88,8 +89,8 @@ class Motion:
         return known | (grains > chain.movable)
 
     @cached_property
-    def values(self) -> Array:
-        """Displacement, velocity, acceleration and jerk, (4, G, T) m and s."""
+    def _values(self) -> tuple[Array, NDArray[np.bool_]]:
+        """Displacement, velocity, acceleration and jerk, (4, G, T) m and s, and who moves less than errors, (G,)."""
         chain, linear = self._scene.chain, self._equation == 3
         grains, contacts = self._grains, chain.contacts
         pressed, constant = contacts.pressed, contacts.constant
@@ -100,12 +101,15 @@ class Motion:
         sides = self._column[grains[:, None] + np.array([-1, 0, 1])]
         inverse_mass = np.where(grains <= chain.movable, 1 / chain.masses[grains - 1], 0.0)
         u, v = (np.ascontiguousarray(x, dtype=float) for x in (self.displacement, self.velocity))
-        found: Array = derivatives(u, v, sides, above, inverse_mass, chain.exponent, linear, self.step, self._known)
+        error = np.array([0.0 if self.ceiling.size else self.known_error(field) for field in FIELDS])
+        found: tuple[Array, NDArray[np.bool_]] = derivatives(
+            u, v, sides, above, inverse_mass, chain.exponent, linear, self.step, self._known, error
+        )
         return found
 
     def peaks(self, field: Field) -> Peaks:
         """Return the largest displacement or speed of every grain."""
-        found = extremes.peaks(self.values, self.step, KINDS[field], self.ceiling)
+        found = extremes.peaks(*self._values, self.step, KINDS[field], self.ceiling)
         return Peaks(self._grains, *_within(found, self.known_error(field)))
 
     def largest_wall_force(self) -> tuple[float, float]:
@@ -134,22 +138,22 @@ class Motion:
             if column == UNKNOWN:
                 raise InputError([("grains", f"the grains of contact {contact} must be recorded")])
             if column != STILL:
-                values[:, 0] += sign * self.values[:, column]
+                values[:, 0] += sign * self._values[0][:, column]
                 if hidden.size:
                     limits = self.ceiling[column]
                     hidden += np.where(limits < 0, 0.0, limits)
         if hidden.size:
             hidden[hidden == 0] = -1.0
-        found = extremes.peaks(values, self.step, RAISED, hidden[None])
+        found = extremes.peaks(values, np.zeros(1, dtype=bool), self.step, RAISED, hidden[None])
         value, error = _within(found, 2 * self.known_error("displacement"))
         return float(value[0]), float(error[0])
 
-    def fronts(self, field: Field, fraction: float, certain: float | None = None) -> Array:
+    def fronts(self, field: Field, fraction: float, certain: float | None = None, width: bool = True) -> Array:
         """Return time, value and width of the front at every grain, and their errors, (G, 6); see `front.track`."""
         known, frequency = self.known_error(field), self._scene.highest_frequency
         fall = known if certain is None else certain
         found: Array = extremes.fronts(
-            self.values, self.step, KINDS[field], self.ceiling, fraction, known, fall, frequency
+            *self._values, self.step, KINDS[field], self.ceiling, fraction, known, fall, frequency, width
         )
         return found
 
@@ -159,11 +163,15 @@ class Motion:
 
     def known_error(self, field: Field) -> float:
         """Return how far any value may be off by the error of the trajectory."""
-        if not self._error:
-            return 0.0
-        imposed = self._scene.excitation.largest(self._scene.chain)[field == "velocity"]
-        moved = self.velocity if field == "velocity" else self.displacement
-        return self._error * max(float(np.abs(moved).max()), float(np.abs(imposed).max()))
+        return self._known_errors[field == "velocity"]
+
+    @cached_property
+    def _known_errors(self) -> tuple[float, ...]:
+        imposed = self._scene.excitation.largest(self._scene.chain)
+        return tuple(
+            self._error * max(float(np.abs(x).max()), float(np.abs(y).max()))
+            for x, y in zip((self.displacement, self.velocity), imposed, strict=True)
+        )
 
     @cached_property
     def ceiling(self) -> Array:

@@ -34,6 +34,11 @@ def overlaps_of(chain: Chain, excitation: Excitation, contacts: Contacts, masses
     return np.maximum(contacts.overlap + contacts.exists * contacts.closer(u), collision)
 
 
+def pair_frequency(contacts: Contacts, masses: Array, overlaps: Array) -> Array:
+    """Return the frequency of two of the lightest grains with the stiffest contact at these overlaps, (...) rad/s."""
+    return np.asarray(np.sqrt(2 * contacts.stiffness_at(overlaps).max(-1) / masses.min(-1)))
+
+
 def surroundings(chain: Chain, excitation: Excitation) -> tuple[int, Chain, Excitation]:
     """Cut out the grains that an excitation moves and their neighbours, all that it acts on at first.
 

@@ -140,7 +140,8 @@ class Sweep:
             grains = self.grains(place)
             for key, values in self.drawn(place, grains).items():
                 tables = _of_every_grain(tables, key, values)
-        return _scene(json.dumps({key: tables[key] for key in tables if key != "disorder"}, default=plain), self.folder)
+        asked = {key: table for key, table in tables.items() if key != "disorder"}
+        return _scene(json.dumps((asked, self.source["files"]), default=plain), self.folder)
 
     def scene(self, place: Place) -> Scene:
         """Make a scene; raises `InputError`."""
@@ -195,7 +196,7 @@ class Sweep:
 
 @lru_cache(maxsize=4)  # realisations of one chain follow one another
 def _scene(text: str, folder: Path) -> Scene:
-    return Scene.from_dict(json.loads(text), folder)
+    return Scene.from_dict(json.loads(text)[0], folder)
 
 
 def _digests(tables: Mapping[str, Any], swept: Sequence[Axis], folder: Path) -> dict[str, str]:

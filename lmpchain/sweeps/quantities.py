@@ -28,7 +28,7 @@ class Quantity(NamedTuple):
 
 
 def _arrival_time(motion: Motion) -> tuple[Array, Array]:
-    rows = motion.fronts("velocity", FRACTION)
+    rows = motion.fronts("velocity", FRACTION, width=False)
     return rows[:, 0], rows[:, 3]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -13,13 +13,15 @@ from ..chain.impurities import with_impurities
 from ..disorder.draws import drawn_constants
 from ..errors import InputError
 from ..scene.scene import LightCone, Scene
-from ..scene.strike import overlaps_of
+from ..scene.strike import overlaps_of, pair_frequency
 from ..util.arrays import Array
+from ..util.validation import Checked
 from .axes import INDEX
 from .file import Sweep
 from .quantities import QUANTITIES
 
 Made = Scene | InputError
+M = TypeVar("M", bound=Checked)
 
 
 def scenes(plan: Sweep, first: int, count: int, together: bool) -> list[Made]:
@@ -79,8 +81,11 @@ def _together(plan: Sweep, first: int, count: int) -> list[Made]:
     columns = {key: np.array([each[key] for each in drawn]) for key in drawn[0]}
     with np.errstate(all="ignore"):  # what is not sound is made alone, which says why
         parts = _chains(chain, columns, change, count)
-        sound = _sound(common, parts, bool(columns))
-    return [_scene(common, parts, row) if sound[row] else _alone(plan, n) for row, n in enumerate(numbers)]
+        parts["first"] = overlaps_of(chain, common.excitation, parts["contacts"], parts["masses"])
+        sound = _sound(parts, bool(columns))
+        known = _known(common, parts)
+        parts |= _pattern(chain, parts)
+    return [_scene(common, parts, known, row) if sound[row] else _alone(plan, n) for row, n in enumerate(numbers)]
 
 
 def _chains(chain: Chain, columns: Mapping[str, Array], change: Array, count: int) -> dict[str, Any]:
@@ -132,10 +137,10 @@ def _chains(chain: Chain, columns: Mapping[str, Array], change: Array, count: in
             "contacts": contacts, "given": {key.split(".")[1] for key in columns}}  # fmt: skip
 
 
-def _sound(common: Scene, parts: Mapping[str, Any], drawn: bool) -> np.ndarray:
+def _sound(parts: Mapping[str, Any], drawn: bool) -> np.ndarray:
     """Say which of the chains `Chain` and `Scene` accept beyond doubt, (R,)."""
     contacts, masses, room = parts["contacts"], parts["masses"], LARGEST_OVERLAP * parts["length"]
-    first = overlaps_of(common.chain, common.excitation, contacts, masses)
+    first = parts["first"]
     sound = np.isfinite(contacts.stiffness[:, :-1] / masses).all(1) & (masses > 0).all(1)
     sound &= (parts["diameter"] > 0).all(1) & (parts["between"] > 0).all(1) & np.isfinite(parts["between"]).all(1)
     if drawn:  # random contacts alone may be as soft as they come out
@@ -143,17 +148,59 @@ def _sound(common: Scene, parts: Mapping[str, Any], drawn: bool) -> np.ndarray:
     return np.asarray(sound)
 
 
-def _scene(common: Scene, parts: Mapping[str, Any], row: int) -> Scene:
+def _pattern(chain: Chain, parts: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a chain that has what all have in common, and the names of its fields."""
+    fields = {key: value for key, value in chain.given().items() if key != "impurity"}
+    fields |= {"masses": parts["masses"][0], "contact_constants": parts["between"][0]}
+    if chain.impurity or "diameter" in parts["given"]:
+        fields["diameter"] = parts["diameter"][0]
+    own = [name for name in Chain.model_fields if name not in ("masses", "contact_constants")]
+    return {"pattern": Chain.model_construct(**fields), "names": own}
+
+
+def _known(common: Scene, parts: Mapping[str, Any]) -> dict[str, Array]:
+    """Return what `Scene` derives from contacts and masses, of all scenes at once, (R,) each, by name."""
+    contacts, masses = parts["contacts"], parts["masses"]
+    pair = pair_frequency(contacts, masses, parts["first"])
+    if common.excitation.does_work:
+        return {"_pair_frequency": pair}
+    u, v = common.initial()
+    first, last = common.excitation.reach(common.chain)
+    near, above = slice(max(first - 2, 0), last + 2), slice(max(first - 2, 0), last + 3)
+    held = Contacts(contacts.constant[:, above], contacts.force[:, above], contacts.exponent).energy
+    energy = 0.5 * (masses[:, near] * v[near] ** 2).sum(-1) + held(contacts.closer(u)[above]).sum(-1)
+    return {"energy": energy, "_pair_frequency": pair}
+
+
+def _scene(common: Scene, parts: Mapping[str, Any], known: Mapping[str, Array], row: int) -> Scene:
     """Return one of the scenes, with what is known of all of them filled in."""
-    contacts, chain = parts["contacts"], common.chain
+    contacts = parts["contacts"]
     own = Contacts(contacts.constant[row], contacts.force[row], contacts.exponent)
     own.__dict__.update(overlap=contacts.overlap[row], stiffness=contacts.stiffness[row])
-    fields = {key: value for key, value in chain.given().items() if key != "impurity"}
-    fields |= {"masses": parts["masses"][row], "contact_constants": parts["between"][row]}
-    if chain.impurity or "diameter" in parts["given"]:
-        fields["diameter"] = parts["diameter"][row]
-    made = Chain.model_construct(**fields)
-    made.__dict__.update(contacts=own, wall_constants=parts["walls"][row], diameters=parts["diameter"][row])
-    scene = Scene.model_construct(**common.given() | {"chain": made})
-    scene.__dict__["light_cone"] = LightCone(scene, np.arange(scene.recorded.size), slice(None))
+    chain = _like(
+        parts["pattern"],
+        **{name: getattr(parts["pattern"], name) for name in parts["names"]},
+        masses=parts["masses"][row],
+        contact_constants=parts["between"][row],
+        diameters=parts["diameter"][row],
+        contacts=own,
+        wall_constants=parts["walls"][row],
+    )
+    scene = _like(common, **{name: getattr(common, name) for name in Scene.model_fields} | {"chain": chain})
+    filled = {key: float(values[row]) for key, values in known.items()}
+    cone = LightCone(scene, np.arange(scene.recorded.size), slice(None))
+    scene.__dict__.update(filled, light_cone=cone, _surroundings=(1, chain, scene.excitation))
     return scene
+
+
+def _like(model: M, **fields: Any) -> M:
+    """Return a model with these fields and nothing else in it, unchecked; pydantic's way takes ten times as long."""
+    made = object.__new__(type(model))
+    for name, value in {
+        "__dict__": fields,
+        "__pydantic_fields_set__": set(model.model_fields_set),
+        "__pydantic_extra__": None,
+        "__pydantic_private__": None,
+    }.items():
+        object.__setattr__(made, name, value)
+    return made

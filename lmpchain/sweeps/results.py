@@ -15,8 +15,7 @@ from xarray.core import indexing
 from ..errors import InputError
 from ..util.arrays import Array
 from .file import FORMAT, Sweep, again
-from .labels import labels
-from .store import NAME, SCALARS, Layout, layout, open_store, read
+from .store import NAME, SCALARS, Layout, laid_out, open_store, read
 
 LARGEST_INDEX = 2**30  # bytes
 
@@ -81,10 +80,7 @@ def kept(results: Path) -> tuple[Sweep, Layout]:
     try:
         if not _read(path):
             raise InputError([(str(path), "is missing: remove its folder, and sweep again")])
-        plan = again(path.read_text(encoding="utf-8"), results)
-        found = labels(plan)
-        batch = open_store(results).attrs["batch"]
-        return plan, layout(plan.keep, plan.count, batch, found.samples, found.grains.size, found.extra)
+        return again(path.read_text(encoding="utf-8"), results), laid_out(open_store(results))
     except (KeyError, TypeError, ValueError) as error:
         if isinstance(error, InputError) and str(path) in str(error):
             raise

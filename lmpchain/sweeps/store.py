@@ -109,6 +109,18 @@ def layout(
     return Layout(count, batch, columns)
 
 
+def laid_out(store: Any) -> Layout:
+    """Return what a store that is there looks like."""
+    columns = {}
+    for name, array in sorted(store.arrays(), key=lambda pair: pair[0] == "reason"):
+        first, *dimensions = array.metadata.dimension_names
+        if first == "scene":
+            kind = str if array.dtype.kind == "T" else array.dtype.str[1:]
+            about = array.attrs["units"], array.attrs["long_name"], array.fill_value, kind
+            columns[name] = Column(tuple(dimensions), array.shape[1:], *about)
+    return Layout(store["reason"].shape[0], int(store.attrs["batch"]), columns)
+
+
 def create(folder: Path, made: Layout, coordinates: Coordinates, swept: Mapping[str, int]) -> None:
     """Make a store without results; it appears under its name when it is whole."""
     import zarr
@@ -265,7 +277,12 @@ def read(folder: Path, made: Layout, name: str, numbers: Array, of: Sequence[np.
     """Return what an array holds for these scenes, from shards and from parts; NaN where there is nothing."""
     column = made.columns[name]
     array = open_store(folder)[name]
-    found = np.asarray(array.oindex[(numbers, *of)] if of else array.oindex[numbers])
+    try:
+        found = np.asarray(array.oindex[(numbers, *of)] if of else array.oindex[numbers])
+    except Exception as error:  # whatever a damaged file makes zarr raise
+        raise InputError(
+            [(str(folder / RESULTS / name), f"is damaged ({error}): remove it, and sweep again")]
+        ) from None
     wanted = set(np.unique(numbers // made.batch * made.batch).tolist())
     for first, path in parts_of(folder).items():
         if first in wanted and not complete(folder, first // made.shard):

@@ -132,8 +132,11 @@ def _put(columns: Mapping[str, Any], row: int, found: Answer, plan: Sweep, task:
     """Put what is kept of an answer where it belongs."""
     place = plan.place(task.first + row)
     motion = Motion(found.scene, found.equation, found.grains, found.displacement, found.velocity, found.error.total)
-    wanted = found.grains[np.isin(found.grains, recorded(plan, place, found.scene.chain.grains))]
-    spots = np.argsort(task.grains)[np.searchsorted(task.grains, wanted, sorter=np.argsort(task.grains))]
+    wanted = recorded(plan, place, found.scene.chain.grains)
+    spots: Any = slice(None)
+    if not np.array_equal(wanted, task.grains):
+        order = np.argsort(task.grains)
+        spots = order[np.searchsorted(task.grains, wanted, sorter=order)]
     for name, values in measured(motion, plan.keep, wanted).items():
         into = columns[name][row]
         if values.ndim == 2:
