@@ -11,6 +11,7 @@ from ..util.compilation import compiled_once
 
 NEWS = "the measures", 20  # what is compiled, and about how long that takes, s
 STILL, UNKNOWN = -1, -2  # columns of bodies that stand still, or were not recorded
+KINK = 0.25  # of the jump of the jerk times an interval, by which accelerations may be off
 compiled = numba.njit(error_model="numpy")
 
 
@@ -43,25 +44,32 @@ def _add_hertz(x, w, ux, vx, up, length, strength, pressed, share, a, j):
 
 
 @compiled
-def _differences(u, v, h, a, j):
-    """Fill a and j with those of the quintics through three neighbouring samples, (T,) each."""
+def _quintic(u, v, h, k, s):
+    """Return a and j at k + s of the quintic through the samples k - 1, k and k + 1."""
+    above, below = u[k + 1] - u[k], u[k - 1] - u[k]
+    # u - u[k] = v[k] h t + c2 t^2 + ... + c5 t^5, t from -1 to 1
+    even, odd = (above + below) / 2, (above - below) / 2 - h * v[k]
+    steep, bent = h * (v[k + 1] - v[k - 1]) / 4, h * ((v[k + 1] + v[k - 1]) / 2 - v[k])
+    c2, c4 = 2 * even - steep, steep - even
+    c3, c5 = (5 * odd - bent) / 2, (bent - 3 * odd) / 2
+    a = (2 * c2 + 6 * c3 * s + 12 * c4 * s**2 + 20 * c5 * s**3) / h**2
+    return a, (6 * c3 + 24 * c4 * s + 60 * c5 * s**2) / h**3
+
+
+@compiled
+def _differences(u, v, h, a, j, off):
+    """Fill a and j with those of the quintics through three neighbouring samples, and how far off a is, (T,) each."""
     last = u.size - 1
-    if last < 2:
-        a[0] = (6.0 * (u[1] - u[0]) / h - 4.0 * v[0] - 2.0 * v[1]) / h
-        a[1] = (-6.0 * (u[1] - u[0]) / h + 2.0 * v[0] + 4.0 * v[1]) / h
-        j[:] = (12.0 * (u[0] - u[1]) / h + 6.0 * (v[0] + v[1])) / h**2
+    if last < 3:
+        a[:], j[:], off[:] = 0.0, 0.0, math.inf
         return
     for i in range(last + 1):
         k = min(max(i, 1), last - 1)
-        above, below = u[k + 1] - u[k], u[k - 1] - u[k]
-        s = float(i - k)
-        # u - u[k] = v[k] h t + c2 t^2 + ... + c5 t^5, t from -1 to 1
-        even, odd = (above + below) / 2, (above - below) / 2 - h * v[k]
-        steep, bent = h * (v[k + 1] - v[k - 1]) / 4, h * ((v[k + 1] + v[k - 1]) / 2 - v[k])
-        c2, c4 = 2 * even - steep, steep - even
-        c3, c5 = (5 * odd - bent) / 2, (bent - 3 * odd) / 2
-        a[i] = (2 * c2 + 6 * c3 * s + 12 * c4 * s**2 + 20 * c5 * s**3) / h**2
-        j[i] = (6 * c3 + 24 * c4 * s + 60 * c5 * s**2) / h**3
+        a[i], j[i] = _quintic(u, v, h, k, float(i - k))
+        before, after = max(k - 1, 1), min(k + 1, last - 1)
+        one, _ = _quintic(u, v, h, before, float(i - before))
+        other, _ = _quintic(u, v, h, after, float(i - after))
+        off[i] = max(abs(one - a[i]), abs(other - a[i]))
 
 
 @compiled
@@ -74,21 +82,21 @@ def _largest(y):
 
 @compiled
 def _derivatives(u, v, sides, table, inverse_mass, exponent, linear, h, known, error, out, quiet):
-    """Fill out, (4, G, T), with u, v, a, j of G grains, and quiet, (G,); see `derivatives`."""
+    """Fill out, (5, G, T), with u, v, a, j and the error of a of G grains, and quiet, (G,); see `derivatives`."""
     still = np.zeros(u.shape[0])
     columns_u, columns_v = np.ascontiguousarray(u.T), np.ascontiguousarray(v.T)
     for g in range(sides.shape[0]):
         own = sides[g, 1]
-        x, w, a, j = out[0, g], out[1, g], out[2, g], out[3, g]
+        x, w, a, j, off = out[0, g], out[1, g], out[2, g], out[3, g], out[4, g]
         x[:], w[:] = columns_u[own], columns_v[own]
         quiet[g] = _largest(w) <= error[1] and _largest(x) <= error[0]
         if quiet[g]:
-            a[:], j[:] = 0.0, 0.0
+            a[:], j[:], off[:] = 0.0, 0.0, 0.0
             continue
         if not known[g]:
-            _differences(x, w, h, a, j)
+            _differences(x, w, h, a, j, off)
             continue
-        a[:], j[:] = 0.0, 0.0
+        a[:], j[:], off[:] = 0.0, 0.0, 0.0
         for side in (0, 2):
             length, strength, pressed = table[g, side // 2]
             if strength == 0.0:
@@ -100,16 +108,24 @@ def _derivatives(u, v, sides, table, inverse_mass, exponent, linear, h, known, e
             if exponent == 1.5 and not linear:
                 _add_hertz(x, w, ux, vx, up, length, strength, pressed, share, a, j)
                 continue
+            before, last = False, 0.0
             for i in range(x.size):
                 r, closing = up * (ux[i] - x[i]), up * (vx[i] - w[i])
                 force, rate = _pull(r, closing, length, strength, pressed, exponent, linear)
                 a[i] += share * force
                 j[i] += share * rate
+                closed = pressed + r * length > 0.0
+                if i > 0 and closed != before and not linear:  # the jerk jumps in between, or nearly so
+                    jump = KINK * h * abs(share * (rate - last))
+                    off[i - 1], off[i] = max(off[i - 1], jump), max(off[i], jump)
+                before, last = closed, rate
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
 def derivatives(u, v, sides, table, inverse_mass, exponent, linear, h, known, error):
-    """Return displacement, velocity, acceleration and jerk of G grains, (4, G, T), and which of them are quiet, (G,).
+    """Return displacement, velocity, acceleration, jerk and the error of the acceleration of G grains, (5, G, T).
+
+    Also which of them are quiet, (G,).
 
     Parameters
     ----------
@@ -128,6 +144,6 @@ def derivatives(u, v, sides, table, inverse_mass, exponent, linear, h, known, er
     error : (2,) array
         Displacement and velocity up to which a grain is quiet, so that nothing more is asked of it.
     """
-    out, quiet = np.empty((4, sides.shape[0], u.shape[0])), np.zeros(sides.shape[0], dtype=np.bool_)
+    out, quiet = np.empty((5, sides.shape[0], u.shape[0])), np.zeros(sides.shape[0], dtype=np.bool_)
     _derivatives(u, v, sides, table, inverse_mass, exponent, linear, h, known, error, out, quiet)
     return out, quiet

@@ -83,7 +83,7 @@ def _crossing(p, sign, level, i, s, step):
 
 
 class Found(NamedTuple):
-    """The first maximum of some size after which the value falls: interval (-1 for none) and place in it.
+    """The first maximum of some size after which the value falls: interval (-1 for none), place in it, and size.
 
     Also how far it had fallen when that was seen, and in which interval; the largest value at which an earlier one
     turned; and the first interval in which one may be hidden, or -1.
@@ -91,6 +91,7 @@ class Found(NamedTuple):
 
     at: int
     place: float
+    top: float
     fell: float
     seen: int
     missed: float
@@ -116,11 +117,11 @@ def _find(p, enough, fall):
             now = abs(value(p.c, s)) if k < count else abs(y[i + 1])
             if now < top:
                 if top >= enough and top - now > fall:
-                    return Found(at, place, top - now, i, missed, hidden)
+                    return Found(at, place, top, top - now, i, missed, hidden)
                 missed = max(missed, top)
             if now >= top or top < enough:
                 top, at, place = now, i, s
-    return Found(-1, 0.0, 0.0, last - 1, missed, hidden)
+    return Found(-1, 0.0, 0.0, 0.0, last - 1, missed, hidden)
 
 
 @compiled
@@ -149,24 +150,28 @@ def _front(p, fraction, known_error, certain, frequency, width, out):
         spread = max(spread, abs(edge - when) if math.isfinite(edge) else (when if step < 0 else end - when))
     tilt = STEEPEST / BUMP * (off - known_error) / p.h + frequency * known_error
     late = min(tilt / bend, spread) if bend > 0.0 else spread
-    # which other maxima it may be, if values are off by their errors
+    # which other maxima it may be, if values are off by their errors, and how far apart these are
+    apart = 0.0
     least, most = fraction * (low - known_error) - off, fraction * (high + known_error) + off
     if found.missed >= least:
         other = _find(p, least, 0.0)
-        late = max(late, abs((other.at + other.place) * p.h - when)) if other.at >= 0 else late
+        if other.at >= 0:
+            late, apart = max(late, abs((other.at + other.place) * p.h - when)), abs(other.top - top)
     if top < most or found.fell <= certain + 2 * off:
         other = _find(p, most, certain + 2 * off)
         late = max(late, abs((other.at + other.place) * p.h - when) if other.at >= 0 else end - when)
+        apart = max(apart, abs(other.top - top) if other.at >= 0 else high)
     if found.hidden >= 0:
+        apart = high
         late = max(late, when - found.hidden * p.h, ((found.seen + 1) * p.h if top >= most else end) - when)
-    out[0], out[1], out[3], out[4] = when, height, late, off
+    out[0], out[1], out[3], out[4] = when, height, late, max(off, apart)
     if not width:
         return
     before, before_error, rise = _crossing(p, sign, top / 2, at, s, -1)
     after, after_error, drop = _crossing(p, sign, top / 2, at, s, 1)
     out[2] = after - before
     both = known_error + off / 2
-    out[5] = (before_error + both) / rise + (after_error + both) / drop if found.hidden < 0 else end
+    out[5] = (before_error + both) / rise + (after_error + both) / drop if apart == 0.0 else end
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")

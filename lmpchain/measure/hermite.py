@@ -18,6 +18,7 @@ VELOCITY, DISPLACEMENT, RAISED = range(3)  # what is looked at: |v|, |u|, or u w
 # factor on the misfit of the way; analysis/calibration/between_samples.py measures that it suffices
 SAFETY = 4.0
 BUMP = 2.1875  # largest value of 140 s^3 (1-s)^3, the shape of the misfit
+SWING = 0.3125  # by which an acceleration at both ends changes the velocity between them, in intervals
 STEEPEST = 7.52  # and of its slope
 PARTS = 4  # of an interval, in which roots are looked for
 inlined = numba.njit(inline="always", error_model="numpy")
@@ -80,16 +81,22 @@ def misfit(u, v, a, j, i, h):
 @compiled
 def path(motion, g, h, kind, ceiling, reach, error, c, d, places):
     """Return a grain between its samples."""
-    u, v, a, j = motion[0, g], motion[1, g], motion[2, g], motion[3, g]
+    u, v, a, j, off = motion[0, g], motion[1, g], motion[2, g], motion[3, g], motion[4, g]
+    last = reach.size - 1
     for i in range(reach.size):
         way = abs(misfit(u, v, a, j, i, h))
-        speed = max(abs(v[i]), abs(v[i + 1])) + 0.3125 * h * max(abs(a[i]), abs(a[i + 1]))
+        speed = max(abs(v[i]), abs(v[i + 1])) + SWING * h * max(abs(a[i]), abs(a[i + 1]))
         reach[i] = speed + 0.035 * h * h * max(abs(j[i]), abs(j[i + 1])) + BUMP * way
-        error[i] = SAFETY * BUMP * way
+        error[i] = SAFETY * BUMP * way + SWING * h * max(off[i], off[i + 1])
+    before = error[0]
+    for i in range(reach.size):  # a misfit may vanish by chance: its neighbours count, too
+        own = error[i]
+        error[i] = max(before, own, error[min(i + 1, last)])
+        before = own
     if kind != VELOCITY:
         for i in range(reach.size):
             reach[i] = max(size(u[i], kind), size(u[i + 1], kind)) + h * reach[i] / 2
-            error[i] *= h / (2 * BUMP)
+            error[i] *= h / BUMP
     limits = ceiling[g] if ceiling.size else ceiling[0]
     return Path(u, v, a, j, h, kind, limits, reach, error, c, d, places)
 

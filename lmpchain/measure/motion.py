@@ -90,7 +90,7 @@ class Motion:
 
     @cached_property
     def _values(self) -> tuple[Array, NDArray[np.bool_]]:
-        """Displacement, velocity, acceleration and jerk, (4, G, T) m and s, and who moves less than errors, (G,)."""
+        """What `derivatives.derivatives` returns of the motion."""
         chain, linear = self._scene.chain, self._equation == 3
         grains, contacts = self._grains, chain.contacts
         pressed, constant = contacts.pressed, contacts.constant
@@ -132,13 +132,14 @@ class Motion:
 
     def closest(self, contact: int) -> tuple[float, float]:
         """Return by how much the overlap of a contact exceeds that at rest at most, m, and how far that may be off."""
-        values = np.zeros((4, 1, self.displacement.shape[0]))
+        values = np.zeros((5, 1, self.displacement.shape[0]))
         hidden = np.zeros(self.displacement.shape[0] - 1) if self.ceiling.size else np.zeros(0)
         for column, sign in zip(self._column[[contact, contact + 1]], (1, -1), strict=True):
             if column == UNKNOWN:
                 raise InputError([("grains", f"the grains of contact {contact} must be recorded")])
             if column != STILL:
-                values[:, 0] += sign * self._values[0][:, column]
+                values[:4, 0] += sign * self._values[0][:4, column]
+                values[4, 0] += self._values[0][4, column]
                 if hidden.size:
                     limits = self.ceiling[column]
                     hidden += np.where(limits < 0, 0.0, limits)
