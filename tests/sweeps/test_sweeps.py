@@ -126,6 +126,73 @@ def test_realisations_are_those_of_the_disordered_chain(tmp_path):
             assert here.solver_error == alone.error_estimate.solver
 
 
+DRAWN: dict[str, dict[str, Any]] = {
+    "chain.masses": {"mean": 1.3e-6, "deviation": 1e-7, "log": True},
+    "chain.diameter": {"low": 0.9e-3, "high": 1.1e-3},
+    "chain.contact_constants": {"low": 1e8, "high": 1e9, "log": True},
+    "chain.material.density": {"mean": 2400.0, "deviation": 50.0},
+    "chain.material.youngs_modulus": {"mean": 62e9, "deviation": 5e9, "log": True},
+    "chain.material.poissons_ratio": {"low": 0.15, "high": 0.25},
+}
+
+
+@pytest.mark.parametrize("keys", [*([key] for key in DRAWN), list(DRAWN)[:2], list(DRAWN)[3:]])
+@pytest.mark.parametrize("bottom", ["fixed", "wall"])
+def test_numbers_of_every_grain_are_drawn(tmp_path, keys, bottom):
+    """Each scene is that which its scene file would be, to the last bit; what is drawn is a coordinate."""
+    impurity = [{"grain": 4, "mass": 1e-6}]
+    scene = SHORT | {"chain": SHORT["chain"] | {"bottom": bottom, "impurity": impurity}}
+    table = {"seed": 4, "realisations": 5} | {key: DRAWN[key] for key in keys}
+    found = sweep({"scene": scene, "disorder": table}, tmp_path)
+    assert (found.reason == "").all()
+    numbers = {key: found[key].values[3].tolist() for key in keys}
+    tables = scene | {"chain": dict(scene["chain"])}
+    for key, values in numbers.items():
+        name, _, own = key.removeprefix("chain.").partition(".")
+        before = tables["chain"].get(name)
+        glass = {"density": 2426.0, "youngs_modulus": 62e9, "poissons_ratio": 0.2}
+        each = before if isinstance(before, list) else [glass] * 12
+        made = [one | {own: value} for one, value in zip(each, values, strict=True)] if own else values
+        tables["chain"][name] = made
+    alone = simulate(Scene.from_dict(tables), "native")
+    assert np.array_equal(found.velocity[3], alone.velocity)
+    assert found.solver_error[3] == alone.error_estimate.solver
+
+
+@pytest.mark.parametrize("log", [False, True])
+def test_drawn_numbers_obey_their_law(tmp_path, log):
+    """Mean and deviation are those of the number itself; a seed stands for the same ones, however many scenes."""
+    law = {"mean": 62e9, "deviation": 2e9, "log": log, "per_grain": True}
+    asked = {
+        "scene": SHORT,
+        "keep": ["wall_force"],
+        "random": {"draws": 300, "seed": 9, "chain.material.youngs_modulus": law},
+    }
+    found = sweep(asked, tmp_path)["chain.material.youngs_modulus"].values
+    assert found.shape == (300, 12)
+    assert found.mean() == pytest.approx(62e9, rel=5 * 2 / 62 / 60)
+    assert found.std() == pytest.approx(2e9, rel=5 / np.sqrt(2 * 3600))
+    shape = np.log(found) if log else found
+    assert abs(((shape - shape.mean()) ** 3).mean() / shape.std() ** 3) < 5 * np.sqrt(6 / 3600)
+    again = sweep(asked | {"random": asked["random"] | {"draws": 3}}, tmp_path / "b")
+    assert np.array_equal(again["chain.material.youngs_modulus"], found[:3])
+
+
+def test_draws_that_make_no_scene_are_recorded(tmp_path):
+    table = {"seed": 4, "realisations": 30, "chain.masses": {"mean": 1e-6, "deviation": 6e-7}}
+    found = sweep({"scene": SHORT, "disorder": table}, tmp_path)
+    lost = found["chain.masses"].isnull().any("chain.masses.entry").values
+    assert 0 < lost.sum() < 30
+    assert all("masses: must be above 0" in reason for reason in found.reason.values[lost])
+    assert (found.reason.values[~lost] == "").all()
+
+
+def test_arrays_are_coordinates(tmp_path):
+    masses = [[1e-6] * 12, (np.arange(12) + 1) * 1e-7]
+    found = sweep({"scene": SHORT, "grid": {"chain.masses": [masses[0], masses[1].tolist()]}}, tmp_path)
+    assert found["chain.masses"].dims == ("chain.masses", "chain.masses.entry")
+
+
 def test_material_and_impurity_keys(tmp_path):
     """The constants of a named material and what is in an impurity can be swept."""
     scene = SHORT | {"chain": SHORT["chain"] | {"impurity": [{"grain": 3, "mass": 1e-6}, {"grain": 5, "mass": 1e-6}]}}
@@ -273,6 +340,15 @@ def test_other_engines(tmp_path, engine, workers):
             {"random.chain.gravity.high"},
         ),
         ({"disorder": {"m": 2, "seed": 1}}, {"disorder.realisations"}),
+        (
+            {"disorder": {"realisations": 2, "chain.masses": {"low": 1.0}, "chain.diameter": {"mean": 1.0}}},
+            {"disorder.chain.masses.high", "disorder.chain.diameter.deviation"},
+        ),
+        ({"disorder": {"realisations": 2, "chain.masses": {"low": 1e-6, "high": 2e-6}}}, {"disorder.seed"}),
+        (
+            {"disorder": {"realisations": 2, "seed": 1, "chain.gravity": {"low": 1, "high": 2}}},
+            {"disorder.chain.gravity"},
+        ),
         ({"disorder": {"m": -2, "realisations": 3, "laws": "dyson"}}, {"disorder.m", "disorder.seed", "disorder.laws"}),
         ({"engine": "bessel", "disorder": {"m": 2, "seed": 1, "realisations": 3}}, {"contact_constants"}),
         ({"grid": {"chain.gravity": [1.0] * 1001}, "disorder": {"m": 2, "seed": 1, "realisations": 1000}}, {"grid"}),
