@@ -1,7 +1,8 @@
 """Speed of a sweep: scenes a second, the share of the integration, and files, for random columns like the paper's.
 
-Arrival times and largest velocities are kept. With one worker the CPU time of the integration and its error estimate is
-set against that of everything; with more, wall time counts, from nothing to the dataset, start of the processes included.
+Arrival times and largest velocities are kept. With one worker the CPU time of the integration and its error estimate
+is set against that of everything; with more, wall time counts, from nothing to the dataset, start of the processes
+included.
 Kernels are compiled beforehand. Compare numbers of one run only: other work on the machine slows all of them.
 """
 

@@ -19,11 +19,12 @@ from dataclasses import replace
 from unittest import mock
 
 import numpy as np
-from common import Row, command
+from common import ALL_BUT_ONE, Row, command
 from scenes import draw
 
 from lmpchain import LmpchainError, Scene, Trajectory, simulate
 from lmpchain.measure import motion
+from lmpchain.measure.hermite import SAFETY
 from lmpchain.measure.motion import Motion
 
 DENSE = 0.12  # omega h of the truth
@@ -100,7 +101,11 @@ def main(quick: bool) -> list[Row]:
         good = [value for value, fine, _ in holds if fine]
         told = "true over claimed errors; " + ", ".join(says for _, _, says in holds)
         rows.append(Row(name, shipped, max(good, default=0.0), 0.0, max(good, default=0.0), told))
-    return rows
+    worst = np.array([max(ratios(*pair).values()) for pair in pairs])
+    least = SAFETY * max(float(np.quantile(worst, ALL_BUT_ONE)), float(worst.max()) / 3)
+    seen = f"median {np.median(worst):.2g}, worst {worst.max():.2g}"
+    told = f"factor on the misfit of the way; true over claimed errors: {seen}"
+    return [*rows, Row("SAFETY (samples)", SAFETY, least, least, math.inf, told)]
 
 
 if __name__ == "__main__":

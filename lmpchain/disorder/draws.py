@@ -117,7 +117,7 @@ def realisation(scene: Scene, m: float, seed: int, index: int = 0, law: Law = "d
 
 
 def drawn_constants(chain: Chain, m: float, seed: int, index: int, law: Law = "dyson", of: Of = "stiffness") -> Array:
-    """Return the factors on the contact constants of a realisation, (N-1,); the parameters are those of this name."""
+    """Return the factors on the contact constants of a `realisation`, (N-1,); same parameters."""
     check(
         fault_of_whole("seed", seed, 0),
         fault_of_whole("index", index, 0),

@@ -30,7 +30,7 @@ def _pull(r, rate, length, strength, pressed, exponent, linear):
 
 @compiled
 def _add_hertz(x, w, ux, vx, up, length, strength, pressed, share, a, j):
-    """Add what a contact of exponent 3/2 gives to acceleration and jerk of a grain, (T,) each, many at a time."""
+    """Add what a contact of exponent 3/2 gives to acceleration and jerk of a grain, (T,) each."""
     for i in range(x.size):
         s = up * (ux[i] - x[i]) * length
         y = pressed + s
@@ -58,7 +58,7 @@ def _quintic(u, v, h, k, s):
 
 @compiled
 def _differences(u, v, h, a, j, off):
-    """Fill a and j with those of the quintics through three neighbouring samples, and how far off a is, (T,) each."""
+    """Fill a, j and how far off a is, (T,) each, from the quintics through three samples."""
     last = u.size - 1
     if last < 3:
         a[:], j[:], off[:] = 0.0, 0.0, math.inf
@@ -82,7 +82,7 @@ def _largest(y):
 
 @compiled
 def _derivatives(u, v, sides, table, inverse_mass, exponent, linear, h, known, error, out, quiet):
-    """Fill out, (5, G, T), with u, v, a, j and the error of a of G grains, and quiet, (G,); see `derivatives`."""
+    """Fill out, (5, G, T), and quiet, (G,); see `derivatives`."""
     still = np.zeros(u.shape[0])
     columns_u, columns_v = np.ascontiguousarray(u.T), np.ascontiguousarray(v.T)
     for g in range(sides.shape[0]):
@@ -123,7 +123,7 @@ def _derivatives(u, v, sides, table, inverse_mass, exponent, linear, h, known, e
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
 def derivatives(u, v, sides, table, inverse_mass, exponent, linear, h, known, error):
-    """Return displacement, velocity, acceleration, jerk and the error of the acceleration of G grains, (5, G, T).
+    """Return displacement, velocity, acceleration, jerk and error of acceleration, (5, G, T).
 
     Also which of them are quiet, (G,).
 

@@ -29,12 +29,20 @@ from .hermite import (
 
 @inlined
 def _hidden(p, i):
-    """Return a bound on what is looked at between sample i and the next if it does not follow from these, or -1."""
+    """Return a bound on what hides between sample i and the next, or -1 if nothing does."""
     if p.ceiling.size == 0 or p.ceiling[i] < 0.0:
         return -1.0
     if p.kind == VELOCITY:
         return p.ceiling[i]
     return (size(p.u[i], p.kind) + size(p.u[i + 1], p.kind) + p.h * p.ceiling[i]) / 2
+
+
+@inlined
+def _steady(p, i):
+    """Say whether a velocity surely rises or falls all the way from sample i to the next."""
+    one, other = p.a[i], p.a[i + 1]
+    bend = p.h * max(abs(p.j[i]), abs(p.j[i + 1])) + STEEPEST / BUMP * p.error[i] / p.h
+    return p.kind == VELOCITY and one * other > 0.0 and min(abs(one), abs(other)) > bend
 
 
 @compiled
@@ -49,7 +57,9 @@ def _peak(p):
         limit = _hidden(p, i)
         if limit >= 0.0:
             high = max(high, limit)
-        elif p.reach[i] + p.error[i] > high:
+        elif p.reach[i] + p.error[i] > high and not (
+            _steady(p, i) and max(size(y[i], kind), size(y[i + 1], kind)) + p.error[i] <= high
+        ):
             polynomial(p, i)
             top = max(size(y[i], kind), size(y[i + 1], kind))
             for k in range(turns(p)):
@@ -62,11 +72,14 @@ def _peak(p):
 def _crossing(p, sign, level, i, s, step):
     """Return when sign times the value first falls to a level, from the place s in an interval on.
 
-    `step` is 1 for later, -1 for earlier. Also the error of the polynomial there, and its slope.
+    `step` is 1 for later, -1 for earlier. Also the error of the polynomial there.
     """
     goal = 1.0 if step > 0 else 0.0
     here, y = s, sampled(p)
-    while 0 <= i < p.error.size and sign * y[i + (step > 0)] >= level:
+    while 0 <= i < p.error.size:
+        swing = p.reach[i] - max(size(y[i], p.kind), size(y[i + 1], p.kind))
+        if min(sign * y[i], sign * y[i + 1]) - swing < level:
+            break
         i, here = i + step, 1.0 - goal
     while 0 <= i < p.error.size:
         polynomial(p, i)
@@ -76,14 +89,14 @@ def _crossing(p, sign, level, i, s, step):
             there = begin + (goal - begin) * part / PARTS
             if value(p.c, there) < level:
                 at = root(p.c, level, min(here, there), max(here, there))
-                return (i + at) * p.h, p.error[i], max(abs(slope(p.c, at)), 1e-300) / p.h
+                return (i + at) * p.h, p.error[i]
             here = there
         i, here = i + step, 1.0 - goal
-    return np.nan, np.nan, np.nan
+    return np.nan, np.nan
 
 
 class Found(NamedTuple):
-    """The first maximum of some size after which the value falls: interval (-1 for none), place in it, and size.
+    """The first maximum of some size: interval (-1 for none), place in it, and size.
 
     Also how far it had fallen when that was seen, and in which interval; the largest value at which an earlier one
     turned; and the first interval in which one may be hidden, or -1.
@@ -109,7 +122,7 @@ def _find(p, enough, fall):
         count, limit = 0, _hidden(p, i)
         if limit >= 0.0:
             hidden = i if hidden < 0 and limit >= enough else hidden
-        elif p.reach[i] + p.error[i] >= enough or top >= enough:
+        elif (p.reach[i] + p.error[i] >= enough or top >= enough) and not _steady(p, i):
             polynomial(p, i)
             count = turns(p)
         for k in range(count + 1):
@@ -126,7 +139,7 @@ def _find(p, enough, fall):
 
 @compiled
 def _front(p, fraction, known_error, certain, frequency, width, out):
-    """Fill out, (6,), with time, height and width of the front at a grain, and their errors; NaN where none passes."""
+    """Fill out, (6,), with time, height and width of the front and their errors, or NaN."""
     y, end = sampled(p), p.h * p.error.size
     largest, low, high = _peak(p)
     enough = fraction * largest
@@ -146,7 +159,7 @@ def _front(p, fraction, known_error, certain, frequency, width, out):
     # for how long the value is as large as that, within its error; or what the errors of the slope make of it
     spread = 0.0
     for step in (-1, 1):
-        edge, _, _ = _crossing(p, sign, top - 2 * off, at, s, step)
+        edge, _ = _crossing(p, sign, top - 2 * off, at, s, step)
         spread = max(spread, abs(edge - when) if math.isfinite(edge) else (when if step < 0 else end - when))
     tilt = STEEPEST / BUMP * (off - known_error) / p.h + frequency * known_error
     late = min(tilt / bend, spread) if bend > 0.0 else spread
@@ -167,11 +180,20 @@ def _front(p, fraction, known_error, certain, frequency, width, out):
     out[0], out[1], out[3], out[4] = when, height, late, max(off, apart)
     if not width:
         return
-    before, before_error, rise = _crossing(p, sign, top / 2, at, s, -1)
-    after, after_error, drop = _crossing(p, sign, top / 2, at, s, 1)
+    before, one = _crossing(p, sign, top / 2, at, s, -1)
+    after, other = _crossing(p, sign, top / 2, at, s, 1)
     out[2] = after - before
-    both = known_error + off / 2
-    out[5] = (before_error + both) / rise + (after_error + both) / drop if apart == 0.0 else end
+    if not math.isfinite(out[2]):
+        return
+    if apart > 0.0:
+        out[5] = end
+        return
+    out[5] = 0.0
+    for change in (-1.0, 1.0):  # the width at a level that is off by the errors
+        level = top / 2 + change * (known_error + off / 2 + max(one, other))
+        left, right = _crossing(p, sign, level, at, s, -1)[0], _crossing(p, sign, level, at, s, 1)[0]
+        width_there = right - left
+        out[5] = max(out[5], abs(width_there - out[2])) if math.isfinite(width_there) else end
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")

@@ -1,4 +1,4 @@
-"""The motion between samples, compiled: Hermite interpolation with derivatives that the equation of motion gives.
+"""The motion between samples by Hermite interpolation, compiled.
 
 Between two samples the velocity is the polynomial of degree 6 that has the recorded velocity v, the acceleration a and
 the jerk j at both ends, and carries the grain from one recorded displacement u to the other. Without that last
@@ -139,7 +139,7 @@ def slope(c, s):
 
 @compiled
 def root(c, level, low, high):
-    """Return where the polynomial is at a level, between two places on either side of it: Newton, or bisection."""
+    """Return where the polynomial is at a level, between two places on either side of it."""
     first, last = value(c, low) - level, value(c, high) - level
     rising = last > 0.0
     s = low + (high - low) * first / (first - last)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..scene.scene import Scene
-from ..trajectory.record import FIELDS
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from . import extremes
@@ -43,7 +42,7 @@ class Peaks(NamedTuple):
 
 
 class Motion:
-    """Displacement, velocity, acceleration and jerk of grains at the samples, and bounds on what lies between.
+    """The motion of grains at the samples and between them.
 
     Where the equation of motion of the trajectory is Eq. (1) or (3), and the neighbours of a grain are known, they give
     its acceleration and jerk; else these follow from three neighbouring samples.
@@ -81,12 +80,12 @@ class Motion:
         scene, grains, chain = self._scene, self._grains, self._scene.chain
         exists = chain.contacts.exists
         neighbours = self._column[grains[:, None] + np.array([-1, 1])]
-        known: NDArray[np.bool_] = (neighbours != UNKNOWN) | ~exists[grains[:, None] + np.array([-1, 0])]
-        known = known.all(1) & (self._equation in (1, 3))
+        there = (neighbours != UNKNOWN) | ~exists[grains[:, None] + np.array([-1, 0])]
+        known = np.asarray(there.all(1) & (self._equation in (1, 3)))
         if scene.excitation.does_work:
             first, last = scene.excitation.reach(chain)
             known &= (grains < first) | (grains > last)
-        return known | (grains > chain.movable)
+        return np.asarray(known | (grains > chain.movable))
 
     @cached_property
     def _values(self) -> tuple[Array, NDArray[np.bool_]]:
@@ -101,7 +100,7 @@ class Motion:
         sides = self._column[grains[:, None] + np.array([-1, 0, 1])]
         inverse_mass = np.where(grains <= chain.movable, 1 / chain.masses[grains - 1], 0.0)
         u, v = (np.ascontiguousarray(x, dtype=float) for x in (self.displacement, self.velocity))
-        error = np.array([0.0 if self.ceiling.size else self.known_error(field) for field in FIELDS])
+        error = np.zeros(2) if self.ceiling.size else np.array(self._known_errors)
         found: tuple[Array, NDArray[np.bool_]] = derivatives(
             u, v, sides, above, inverse_mass, chain.exponent, linear, self.step, self._known, error
         )
@@ -131,7 +130,7 @@ class Motion:
         return force + weight, max(most - force, force - float(these.force_at(these.overlap + closer - error)[0]))
 
     def closest(self, contact: int) -> tuple[float, float]:
-        """Return by how much the overlap of a contact exceeds that at rest at most, m, and how far that may be off."""
+        """Return by how much a contact is closer than at rest at most, m, and the error of that."""
         values = np.zeros((5, 1, self.displacement.shape[0]))
         hidden = np.zeros(self.displacement.shape[0] - 1) if self.ceiling.size else np.zeros(0)
         for column, sign in zip(self._column[[contact, contact + 1]], (1, -1), strict=True):
@@ -150,7 +149,7 @@ class Motion:
         return float(value[0]), float(error[0])
 
     def fronts(self, field: Field, fraction: float, certain: float | None = None, width: bool = True) -> Array:
-        """Return time, value and width of the front at every grain, and their errors, (G, 6); see `front.track`."""
+        """Return time, height and width of the front, and their errors, (G, 6); see `front.track`."""
         known, frequency = self.known_error(field), self._scene.highest_frequency
         fall = known if certain is None else certain
         found: Array = extremes.fronts(
@@ -196,7 +195,7 @@ class Motion:
         scene, chain = self._scene, self._scene.chain
         contacts, count = chain.contacts, self.displacement.shape[0] - 1
         if scene.excitation.does_work or self._equation not in (1, 3):
-            return np.full((2, self._grains.size, count), np.inf)
+            return tuple(np.full((2, self._grains.size, count), np.inf))
         near = math.ceil(scene.highest_frequency * self.step / 2) + 2
         if (self._column[1 : chain.movable + 1] == UNKNOWN).any():
             within = np.full((count, chain.grains), scene.energy)
@@ -221,7 +220,7 @@ class Motion:
 
 
 def motion_of(trajectory: Trajectory) -> Motion:
-    """Return the motion of a trajectory between its samples; nothing is known of its equation without an error."""
+    """Return the motion of a trajectory; without an error, nothing is known of its equation."""
     error = trajectory.error_estimate
     equation = trajectory.equation if math.isfinite(error.solver) else 0
     u, v = (np.asarray(x) for x in (trajectory.displacement, trajectory.velocity))
@@ -229,7 +228,7 @@ def motion_of(trajectory: Trajectory) -> Motion:
 
 
 def peaks(trajectory: Trajectory, field: Field = "velocity") -> Peaks:
-    """Return the largest displacement or speed that every recorded grain reaches, at the samples or between them.
+    """Return the largest displacement or speed that every recorded grain reaches at any time.
 
     Examples
     --------

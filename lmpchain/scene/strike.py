@@ -22,7 +22,7 @@ def first_overlaps(chain: Chain, excitation: Excitation) -> Array:
 
 
 def overlaps_of(chain: Chain, excitation: Excitation, contacts: Contacts, masses: Array) -> Array:
-    """Return the same, (..., N+1) m, for the contacts and masses (..., N) kg of chains that are else like this one."""
+    """Return the same, (..., N+1) m, for contacts and masses (..., N) kg of chains like this."""
     (u, _), (_, v) = excitation.initial(chain), excitation.largest(chain)
     inverse_mass = 1 / masses
     inverse_mass[..., : excitation.driven] = 0.0  # what is driven does not give way,
@@ -35,7 +35,7 @@ def overlaps_of(chain: Chain, excitation: Excitation, contacts: Contacts, masses
 
 
 def pair_frequency(contacts: Contacts, masses: Array, overlaps: Array) -> Array:
-    """Return the frequency of two of the lightest grains with the stiffest contact at these overlaps, (...) rad/s."""
+    """Return the frequency of the lightest grains with the stiffest contact, (...) rad/s."""
     return np.asarray(np.sqrt(2 * contacts.stiffness_at(overlaps).max(-1) / masses.min(-1)))
 
 

@@ -178,11 +178,14 @@ def _random(table: dict[str, Any]) -> list[Axis]:
 
 def _disorder(table: dict[str, Any]) -> list[Axis]:
     tables = {key: value for key, value in table.items() if isinstance(value, dict)}
-    asked, seed = ({key: table[key] for key in (kind,) if key in table} for kind in ("realisations", "seed"))
-    count, laws = _checked(Realisations, asked, tables)
-    made = drawn(laws, _checked(Seeded, seed, {})[0].seed) if laws else ()
+    count, laws = _checked(Realisations, _only(table, "realisations"), tables)
+    made = drawn(laws, Seeded(**_only(table, "seed")).seed) if laws else ()
     axis = Axis("realisation", count.realisations, {}, drawn=True, arrays=made)
     return [axis if made and "m" not in table else _indexed(axis)]
+
+
+def _only(table: dict[str, Any], key: str) -> dict[str, Any]:
+    return {key: table[key]} if key in table else {}
 
 
 def _indexed(axis: Axis) -> Axis:
@@ -191,7 +194,7 @@ def _indexed(axis: Axis) -> Axis:
 
 
 def _checked(kind: type[T], table: dict[str, Any], tables: dict[str, Any]) -> tuple[T, dict[str, Uniform | Normal]]:
-    """Return what the table of plain keys says, and the laws that the others stand for, with every fault at once."""
+    """Return what plain keys say, and the laws that tables stand for, with every fault at once."""
     faults: list[tuple[str, str]] = []
     laws: dict[str, Uniform | Normal] = {}
     try:

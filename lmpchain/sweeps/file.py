@@ -200,7 +200,7 @@ def _scene(text: str, folder: Path) -> Scene:
 
 
 def _digests(tables: Mapping[str, Any], swept: Sequence[Axis], folder: Path) -> dict[str, str]:
-    """Return the hashes of the CSV files that are named; one that cannot be read is reported with its scene."""
+    """Return the hashes of the CSV files; one that cannot be read is reported with its scene."""
     names = {table.get("file") for table in tables.values() if isinstance(table, dict)}
     for axis in swept:
         for key, values in axis.columns.items():

@@ -1,4 +1,4 @@
-"""What the results of a sweep are labelled by: samples and grains, of scenes that may differ in what they record."""
+"""What the results of a sweep are labelled by, where scenes may differ in what they record."""
 
 from __future__ import annotations
 

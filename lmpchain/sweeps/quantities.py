@@ -1,4 +1,4 @@
-"""What a sweep can keep of each scene: the whole trajectory, or a few numbers read off it with their errors."""
+"""What a sweep can keep of each scene: its motion, or numbers read off it with their errors."""
 
 from __future__ import annotations
 

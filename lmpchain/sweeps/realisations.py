@@ -25,9 +25,10 @@ M = TypeVar("M", bound=Checked)
 
 
 def scenes(plan: Sweep, first: int, count: int, together: bool) -> list[Made]:
-    """Return so many scenes of a sweep, or why they cannot be made; those that are alike are made `together`.
+    """Return so many scenes of a sweep, or why they cannot be made.
 
-    Every grain is recorded that what is kept takes; such scenes answer, but do not describe themselves in full.
+    Those that are alike are made `together`, if that is asked for. Every grain is recorded that what is kept takes;
+    such scenes answer, but do not describe themselves in full.
     """
     made: list[Made] = []
     length = len(plan.axes[-1]) if together and _alike(plan) else 1
@@ -194,7 +195,7 @@ def _scene(common: Scene, parts: Mapping[str, Any], known: Mapping[str, Array], 
 
 
 def _like(model: M, **fields: Any) -> M:
-    """Return a model with these fields and nothing else in it, unchecked; pydantic's way takes ten times as long."""
+    """Return a model with these fields, unchecked; pydantic's way takes ten times as long."""
     made = object.__new__(type(model))
     for name, value in {
         "__dict__": fields,

@@ -1,4 +1,4 @@
-"""Many scenes: which are left to do, and who does them; how the results lie in a folder stands in `store`."""
+"""Many scenes: which are left to do, and who does them; how results are kept stands in `store`."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def sweep(
 
 
 def _prepare(plan: Sweep, folder: Path, size: int) -> tuple[Path, Layout, np.ndarray]:
-    """Make the folder of the results, with what others in this folder have found; return also how it is laid out."""
+    """Make the folder of the results; return it, how it is laid out, and the grains."""
     found = labels(plan)
     made = layout(plan.keep, plan.count, size, found.samples, found.grains.size, found.extra)
     results = folder / plan.name

@@ -1,4 +1,4 @@
-"""The results of a sweep on the disk: shards of a Zarr store, and parts of those that are not complete.
+"""The results of a sweep on the disk: shards of a Zarr store, and parts of unfinished ones.
 
     sweep.json              which sweep the folder is about
     0123456789abcdef/       the results of a sweep, under a hash of all that shapes them
@@ -202,7 +202,7 @@ def complete(folder: Path, shard: int) -> bool:
 
 
 def part_of(folder: Path, first: int, whole: bool = True) -> Path:
-    """Return the path of the part that begins with a scene; one that is not whole lacks some of its scenes."""
+    """Return the path of the part that begins with a scene; some lack in one that is not whole."""
     return folder / PARTS / f"{first:07d}{'' if whole else '.some'}.npz"
 
 
@@ -273,7 +273,7 @@ def clean(folder: Path, made: Layout) -> None:
             path.unlink(missing_ok=True)
 
 
-def read(folder: Path, made: Layout, name: str, numbers: Array, of: Sequence[np.ndarray] = ()) -> Array:
+def read(folder: Path, made: Layout, name: str, numbers: np.ndarray, of: Sequence[np.ndarray] = ()) -> Array:
     """Return what an array holds for these scenes, from shards and from parts; NaN where there is nothing."""
     column = made.columns[name]
     array = open_store(folder)[name]

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from ..util.arrays import Array
 from .file import Sweep
 from .results import kept
 from .store import NAME, NOT_DONE, Layout, read, write_part
@@ -21,7 +20,7 @@ def others(folder: Path, results: Path) -> list[Path]:
 
 
 def take_over(plan: Sweep, made: Layout, results: Path, before: Path) -> None:
-    """Write what another sweep has found of the scenes of this one, if both record the same samples and grains."""
+    """Write what another sweep has found of these scenes, if both record the same grains and times."""
     try:
         old, laid = kept(before)
     except InputError:  # damaged, or of another version
@@ -48,7 +47,7 @@ def take_over(plan: Sweep, made: Layout, results: Path, before: Path) -> None:
                 _write(results, begin, end, numbers[mine], {name: values[mine] for name, values in found.items()})
 
 
-def _write(results: Path, begin: int, end: int, numbers: Array, found: dict[str, Any]) -> None:
+def _write(results: Path, begin: int, end: int, numbers: np.ndarray, found: dict[str, Any]) -> None:
     """Write a part of which these scenes are known."""
     columns = {}
     for name, values in found.items():
@@ -59,7 +58,7 @@ def _write(results: Path, begin: int, end: int, numbers: Array, found: dict[str,
     write_part(results, begin, columns, whole=len(numbers) == end - begin)
 
 
-def _done(plan: Sweep, made: Layout, results: Path) -> tuple[Array, Array]:
+def _done(plan: Sweep, made: Layout, results: Path) -> tuple[np.ndarray, np.ndarray]:
     """Return the keys of the scenes that are done, in order, and their numbers."""
     reasons = read(results, made, "reason", np.arange(made.count))
     numbers = np.flatnonzero(reasons != NOT_DONE)

@@ -1,4 +1,4 @@
-"""The tasks of a sweep: neighbouring scenes are answered, like ones in batches, and what is kept of them is written."""
+"""The tasks of a sweep: scenes are answered, like ones in batches, and what is kept is written."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from .quantities import measured
 from .realisations import scenes
 from .store import NAME, NOT_DONE, Layout, complete, part_of, read_part, write_part
 
-MOST, MOST_NUMBERS = 64, 2**20  # scenes in a task, and their samples x grains
+MOST, MOST_NUMBERS = 256, 2**22  # scenes in a task, and their samples x grains
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +198,7 @@ def _batch(engine: Engine, alike: Sequence[Scene], candidate: Candidate) -> list
     """Run scenes together; return the answer to each, and its error."""
     grains = alike[0].recorded
     shape = len(alike), alike[0].samples, grains.size
-    displacement, velocity = np.zeros(shape), np.zeros(shape)
+    displacement, velocity = np.empty(shape), np.empty(shape)
     run = engine.start(alike, candidate)
     try:
         for block in run.blocks():

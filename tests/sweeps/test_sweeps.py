@@ -596,7 +596,7 @@ def command(*arguments: Any, **options: Any) -> Iterator[subprocess.Popen]:
 
 
 def long_sweep(folder: Path, count: int) -> Path:
-    """Write a sweep of so many scenes, ten of which make a task."""
+    """Write a sweep of so many scenes, some forty of which make a task."""
     path = folder / "sweep.toml"
     path.write_text(
         f"""
