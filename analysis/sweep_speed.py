@@ -77,11 +77,8 @@ def main() -> None:
         lmpchain.sweep(asked(arguments.scenes), folder, workers=arguments.workers)
         seconds, used = time.perf_counter() - began, cpu() - before
         files = sum(path.is_file() for path in Path(folder).rglob("*"))
-    rate = arguments.scenes / seconds
-    print(
-        f"{arguments.workers} workers: {arguments.scenes} scenes in {seconds:.1f} s ({used:.1f} s of CPU): {rate:.0f} a"
-    )
-    print(f"second, {files} files")
+    done = f"{arguments.scenes} scenes in {seconds:.1f} s ({used:.1f} s of CPU)"
+    print(f"{arguments.workers} workers: {done}, {arguments.scenes / seconds:.0f} a second, in {files} files")
 
 
 if __name__ == "__main__":

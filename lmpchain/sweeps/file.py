@@ -85,7 +85,7 @@ class Sweep:
     @cached_property
     def text(self) -> str:
         """All that shapes the answers, and what is kept of them, as JSON."""
-        return json.dumps({"format": FORMAT, **self.source}, sort_keys=True, default=plain)
+        return json.dumps({"format": FORMAT, **self.source}, default=plain)  # in order: that of the axes is in it
 
     @property
     def name(self) -> str:

@@ -84,6 +84,10 @@ def test_a_grid_is_every_combination(tmp_path):
             assert here.solver_error == alone.error_estimate.solver
     assert np.array_equal(found.time, alone.time)
     assert (found.reason == "").all()
+    found.load()  # before the next sweep takes its folder over
+    turned = sweep({"scene": SHORT, "grid": dict(reversed(grid.items()))}, tmp_path)
+    assert turned.velocity.dims == ("excitation.velocity", "chain.gravity", "time", "grain"), "as they are named"
+    assert turned.velocity.transpose(*found.velocity.dims).equals(found.velocity)
 
 
 def test_a_list_goes_case_by_case(tmp_path):
