@@ -2,8 +2,39 @@
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Iterable
 from typing import Any
+
+LONGEST = 80  # letters of a value that an error line shows
+
+
+def short(text: object) -> str:
+    """Return a text as an error line shows it: whole, or what it begins with.
+
+    Examples
+    --------
+    >>> short("gravity"), len(short("g" * 1000))
+    ('gravity', 80)
+    """
+    text = str(text)
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
+
+
+def shown(value: object) -> str:
+    """Return a value as an error line shows it: as Python writes it, cut short where it is long.
+
+    Examples
+    --------
+    >>> shown(1.5), shown("a"), shown(list(range(10**6)))
+    ('1.5', "'a'", '[0, 1, 2, 3, 4, 5, ...]')
+    """
+    brief = reprlib.Repr()
+    brief.maxstring = brief.maxlong = brief.maxother = LONGEST
+    try:
+        return short(brief.repr(value))
+    except Exception:  # of a number with thousands of digits, or of an object that cannot say what it is
+        return f"a {type(value).__name__} too long to show"
 
 
 class LmpchainError(Exception):
@@ -20,7 +51,7 @@ class InputError(LmpchainError, ValueError):
     """
 
     def __init__(self, faults: Iterable[tuple[str, str]]):
-        self.faults = list(faults)
+        self.faults = [(key if "/" in key[:LONGEST] else short(key), message) for key, message in faults]  # or a path
         super().__init__("\n".join(f"{key}: {message}" for key, message in self.faults))
 
     def under(self, prefix: str) -> list[tuple[str, str]]:
@@ -56,4 +87,4 @@ class ToleranceNotMet(LmpchainError):
 def check_tolerance(tolerance: object) -> None:
     """Raise `InputError` unless this is a number between 0 and 1."""
     if isinstance(tolerance, bool) or not (isinstance(tolerance, int | float) and 0 < tolerance < 1):
-        raise InputError([("tolerance", f"must be between 0 and 1 (got {tolerance!r})")])
+        raise InputError([("tolerance", f"must be between 0 and 1 (got {shown(tolerance)})")])

@@ -18,12 +18,14 @@ from .measure.fit import summary as fit
 from .trajectory.trajectory import Trajectory
 from .util.files import write_aside
 from .util.plotting import COLOURS, figure
+from .util.progress import ProgressBar
 from .util.templates import render
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOMENTS = (0.25, 0.5, 1.0)  # of the duration, for the waveforms
+PARTS = 7  # that take time
 SHADES = ("#56B4E9", "#0072B2", "#009E73")
 
 
@@ -38,20 +40,22 @@ class Section:
     rows: tuple[tuple[str, str], ...] = ()
 
 
-def write(trajectory: Trajectory, path: str | PathLike[str]) -> None:
+def write(trajectory: Trajectory, path: str | PathLike[str], progress: bool = False) -> None:
     """Write the page, atomically."""
     with write_aside(path) as aside:
-        aside.write_text(page(trajectory), encoding="utf-8")
+        aside.write_text(page(trajectory, progress), encoding="utf-8")
 
 
-def page(trajectory: Trajectory) -> str:
+def page(trajectory: Trajectory, progress: bool = False) -> str:
     """Return the page as self-contained HTML; a part that does not apply to the run says why."""
     scene = trajectory.scene
     title = f"{scene.chain.grains} grains, {scene.excitation.kind}, {scene.duration * 1e6:g} µs"
-    return render("report.html", title=title, sections=list(_sections(trajectory)))
+    with ProgressBar(PARTS, "report", " parts", shown=progress) as bar:
+        sections = list(_sections(trajectory, bar))
+    return render("report.html", title=title, sections=sections)
 
 
-def _sections(trajectory: Trajectory) -> Iterator[Section]:
+def _sections(trajectory: Trajectory, bar: ProgressBar) -> Iterator[Section]:
     yield Section("The run", rows=tuple(_facts(trajectory)))
     drawn: tuple[tuple[str, str, Callable[[Trajectory], Figure]], ...] = (
         ("The wave in space and time", "Velocity of every recorded grain.", spectrum.space_time),
@@ -74,10 +78,14 @@ def _sections(trajectory: Trajectory) -> Iterator[Section]:
         ),
     )
     for title, text, draw in drawn:
+        bar.describe(title)
+        bar.advance()
         try:
             yield Section(title, text, _png(draw(trajectory)))
         except LmpchainError as error:
             yield Section(title, f"Not for this run: {error}")
+    bar.describe("Fits")
+    bar.advance()
     yield Section("Fits", "Fits of the theory to this run.", verbatim=fit.summary(trajectory).table())
     yield Section("Provenance", rows=tuple((key, str(value)) for key, value in trajectory.provenance.items()))
     yield Section("The scene", verbatim=trajectory.scene.to_text())

@@ -137,10 +137,7 @@ class Bench:
         if row.error < KNOWN * self.reference.error:
             self.dropped += 1
             return
-        costs: list[Cost] = []
-        began = time.perf_counter()
-        while len(costs) < RUNS or (time.perf_counter() - began < ENOUGH_S and len(costs) < MOST_RUNS):
-            costs.append(self._run(engine, tolerance).cost)
+        costs = repeated(lambda: self._run(engine, tolerance).cost)
         integration = min(cost.integration_s for cost in costs)
         whole = min(cost.integration_s + cost.estimate_s for cost in costs)
         yield Point(
@@ -162,6 +159,15 @@ class Bench:
             answer = simulate(self.scene, engine, **options)
         self.versions |= {key: answer.provenance[key] for key in VERSIONS if key in answer.provenance}
         return answer
+
+
+def repeated(run: Callable[[], Cost]) -> list[Cost]:
+    """Return what some runs cost, more of them if they are short; one before should have warmed up."""
+    costs: list[Cost] = []
+    began = time.perf_counter()
+    while len(costs) < RUNS or (time.perf_counter() - began < ENOUGH_S and len(costs) < MOST_RUNS):
+        costs.append(run())
+    return costs
 
 
 BUDGET_S = 60.0

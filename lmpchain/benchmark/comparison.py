@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 def errors(trajectory: Trajectory, reference: Reference) -> tuple[float, float]:
     """Return the relative errors of displacement and velocity.
 
-    Each is max|x - x_true| / max|x_true|, the numerator over all samples and recorded grains, the denominator over
-    all samples and all grains of the chain. It is NaN where the trajectory is.
+    Each is max|x - x_true| over all samples and recorded grains over the largest |x_true| of any grain of the chain
+    at any time of the run. It is NaN where the trajectory is.
 
     Raises
     ------
@@ -53,7 +53,7 @@ def _relative(trajectory: Trajectory, reference: Reference) -> tuple[Array, Arra
         raise InputError([("grains", f"{trajectory.scene.chain.grains} grains, but {grains} in the reference")])
     columns = trajectory.grains - 1
     pairs = (trajectory.displacement, reference.displacement), (trajectory.velocity, reference.velocity)
-    u, v = (np.abs(x - true[:, columns]).max(1) / (np.abs(true).max() or 1.0) for x, true in pairs)
+    u, v = (np.abs(x - true[:, columns]).max(1) / s for (x, true), s in zip(pairs, reference.scale, strict=True))
     return u, v
 
 
@@ -69,8 +69,8 @@ class Row:
         As `error` and `errors` give them.
     expected_error : float
         `Trajectory.error_estimate.total`, the engine's own estimate.
-    integration_s : float
-        s.
+    integration_s, compile_s : float
+        s; what is compiled or loaded, the first time, is no part of the integration.
     steps, force_evaluations : int
     """
 
@@ -84,6 +84,7 @@ class Row:
     integration_s: float
     steps: int
     force_evaluations: int
+    compile_s: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +127,8 @@ class Comparison:
         ]  # fmt: skip
         source = f"reference: {self.reference.method}; its own error is about {self.reference.error:.1e}"
         meaning = (
-            "error: max|x - x_true| / max|x_true| over samples and grains, the larger of displacement and velocity"
+            "error: max|x - x_true| over samples and grains over max|x_true| at any time, "
+            "the larger of displacement and velocity"
         )
         return "\n".join([*aligned([head, *body]), source, meaning])
 
@@ -158,6 +160,7 @@ def compare(trajectories: Sequence[Trajectory], reference: Reference) -> Compari
                 integration_s=answer.cost.integration_s,
                 steps=answer.cost.steps,
                 force_evaluations=answer.cost.force_evaluations,
+                compile_s=answer.cost.compile_s,
             )
         )
     return Comparison(reference, tuple(trajectories), tuple(rows))

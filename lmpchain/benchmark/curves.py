@@ -309,7 +309,8 @@ def _footer(result: WorkPrecision) -> str:
     versions = ", ".join(f"{name} {version}" for name, version in result.versions.items())
     said = (
         "Error: the larger of those of displacement and velocity, each the largest over samples and grains relative to "
-        f"the largest there is. Reference: {result.reference.method}; its error is {result.reference.error:.0e}, and "
+        "the largest motion of any grain at any time. "
+        f"Reference: {result.reference.method}; its error is {result.reference.error:.0e}, and "
         f"{result.dropped} points within {KNOWN:g} times of that are left out. Times: of the integration, to a "
         f"tolerance with the error estimate, and the least of several runs after a first, on {machine()}; {versions}."
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ EXTENDED = float(np.finfo(Long).eps)  # spacing of the numbers of the reference 
 ORDER, TRUNCATION = 32, 0.1 * EXTENDED  # order of the series, and local error of a step
 LOWER, LOOSER = 24, 10 * EXTENDED  # of a second run, whose difference shows the error
 SHARED = 50 * EXTENDED + EPSILON  # error that both runs share: equilibrium and steps, rounding of the result
+WITHIN = np.arange(1, 17, dtype=Long)[:, None] / 16  # of a step: where the largest motion is looked for
 REST = 1e-6 * EXTENDED  # motion below it counts as rest
 SHORTEST = 1e-6 * EXTENDED  # shorter steps would not advance the time
 TINY = 1e-200  # negligible beside any number that occurs
@@ -43,6 +44,9 @@ class Reference:
         Its own error, as defined for `lmpchain.trajectory.record.ErrorEstimate`.
     method : str
         Description of the method.
+    largest : (2,) array, optional
+        Largest displacement and speed of any grain at any time, m and m/s; where it is not known, that at the samples
+        is taken.
     """
 
     time: Array
@@ -50,6 +54,14 @@ class Reference:
     velocity: Array
     error: float
     method: str
+    largest: Array | None = None
+
+    @property
+    def scale(self) -> Array:
+        """Largest displacement and speed, to which errors are relative, (2,) m and m/s; 1 where that is 0."""
+        sampled = np.array([np.abs(self.displacement).max(), np.abs(self.velocity).max()])
+        largest = sampled if self.largest is None else self.largest
+        return np.where(largest > 0, largest, 1.0)
 
 
 def reference(scene: Scene) -> Reference:
@@ -74,13 +86,15 @@ def reference(scene: Scene) -> Reference:
         If steps become too short to continue.
     """
     motion = _Motion(scene)
-    u, v = motion.solve(ORDER, TRUNCATION)
-    error = max(map(_difference, motion.solve(LOWER, LOOSER), (u, v))) + SHARED
+    solution, largest = motion.solve(ORDER, TRUNCATION)
+    found = Reference(scene.time, solution[0], solution[1], math.nan, "", largest)
+    apart = np.abs(motion.solve(LOWER, LOOSER)[0] - solution).max((1, 2))
+    error = float((apart / found.scale).max()) + SHARED
     digits = np.finfo(Long).precision
     method = f"Taylor series of order {ORDER} with {digits} digits, steps ending where contacts open and close"
     if digits == np.finfo(float).precision:
         method += "; long double is no better than double here"
-    return Reference(scene.time, u, v, error, method)
+    return replace(found, error=error, method=method)
 
 
 def expected_seconds(scene: Scene) -> float:
@@ -129,10 +143,14 @@ class _Motion:
         knots = () if self.drive is None or self.drive.times is None else self.drive.times
         self.knots = np.array(knots, dtype=Long) / self.time
 
-    def solve(self, order: int, tolerance: float) -> Array:
-        """Return displacement and velocity, (2, T, N) m and m/s, by series of this order and error a step."""
+    def solve(self, order: int, tolerance: float) -> tuple[Array, Array]:
+        """Return displacement and velocity, (2, T, N), and the largest at any time, (2,); m and m/s.
+
+        By series of this order, with this error a step.
+        """
         solution = np.zeros((2, self.instants.size, self.start.shape[1]))
         solution[:, :1] = self.start[:, None] * self.units
+        largest = np.abs(self.start).max(axis=1)
         state, here = self.start.copy(), slice(0, self.start.shape[1])
         knots = self.knots[(self.knots > 0) & (self.knots < self.instants[-1])]
         t, done = Long(0), 1
@@ -146,10 +164,12 @@ class _Motion:
                 end = stop if step == stop - t else t + step
                 now = int(np.searchsorted(self.instants, end, side="right"))
                 solution[:, done:now, here] = _motion_at(x, self.instants[done:now, None] - t) * self.units
-                moved = _motion_at(x, step)
+                within = _motion_at(x, WITHIN * step)
+                largest = np.maximum(largest, np.abs(within).max(axis=(1, 2)))
+                moved = within[:, -1]
                 state[:, here] = np.where(np.abs(moved) <= REST, 0, moved)
                 t, done = end, now
-        return solution
+        return solution, np.asarray(largest * self.units[:, 0, 0], dtype=float)
 
     def _reached(self, state: Longs, before: slice, order: int) -> slice:
         """Return the grains that move, widened on either side by the reach of a series of this order."""
@@ -275,7 +295,3 @@ def _at(series: Longs, tau: Longs | Long) -> Any:
 def _motion_at(x: Longs, tau: Longs | Long) -> Longs:
     """Return displacements and velocities after tau."""
     return np.array([_at(x, tau), _at(_slope(x), tau)])
-
-
-def _difference(x: Array, true: Array) -> float:
-    return float(np.abs(x - true).max() / (np.abs(true).max() or 1.0))

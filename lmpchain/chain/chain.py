@@ -11,11 +11,12 @@ import numpy as np
 from pydantic import Field
 
 from ..errors import InputError
-from ..util.arrays import Array
+from ..util.arrays import Array, read_only
 from ..util.validation import NOT_GIVEN, Checked, OneOrMany, PositiveVector, Real, Whole
 from .contacts import Contacts, hertz_constant
-from .impurities import Impurities, Impurity, misfits, with_impurities
+from .impurities import Impurities, misfits, with_impurities
 from .materials import GLASS, Material, OneMaterial, OneOrManyMaterials
+from .plausible import HERTZ_OVERLAP, remarks
 
 LEAST_GRAVITY = 1e-100  # m/s2
 LARGEST_OVERLAP = 0.1  # of the diameter: beyond it the Hertz law no longer describes a contact
@@ -92,10 +93,10 @@ class Chain(Checked):
         if wrong:
             return
         self._leave_open()
-        if self._plainly_sound():
+        if self.plainly_below(LARGEST_OVERLAP):
             return
         with np.errstate(all="ignore"):  # non-finite values are faults
-            known = np.isfinite(self.dynamical_matrix()[0]).all() and (self.masses > 0).all()
+            known = all(np.isfinite(part).all() for part in self.dynamical_matrix()) and (self.masses > 0).all()
             relative = self.contacts.overlap / self.contact_lengths
         if not known or np.isnan(relative).any():
             yield "masses", "are too small or too large to compute with, or contacts too hard or too soft: use SI units"
@@ -106,6 +107,10 @@ class Chain(Checked):
                 f"contact {worst} is compressed by {relative[worst]:.2g} of the diameter, more than "
                 f"{LARGEST_OVERLAP:g}: use fewer grains, less gravity or load, or a stiffer material",
             )
+
+    def _remarks(self) -> Iterator[str]:
+        plain = self.exponent != 1.5 or self.plainly_below(HERTZ_OVERLAP)
+        yield from remarks(self.diameter, 0.0 if plain else (self.contacts.overlap / self.contact_lengths).max())
 
     def _misfits(self) -> Iterator[tuple[str, str]]:
         """Yield what does not fit together, so that no array can be filled in."""
@@ -127,7 +132,7 @@ class Chain(Checked):
             if self.__dict__[key] is None:
                 del self.__dict__[key]
         if "masses" in self.__dict__ and self.impurity:
-            self.__dict__["masses"] = with_impurities(self.masses, self.impurity, "mass")
+            self.__dict__["masses"] = read_only(with_impurities(self.masses, self.impurity, "mass"))
         return self
 
     if not TYPE_CHECKING:
@@ -135,8 +140,8 @@ class Chain(Checked):
         def __getattr__(self, name: str) -> Any:
             """Compute masses and contact constants from the grains on first use."""
             if name == "masses":
-                alike = self._by_grain("density") * np.pi / 6 * self.diameters**3
-                value = with_impurities(alike, self.impurity, "mass")
+                alike = self.by_grain("density") * np.pi / 6 * self.diameters**3
+                value = read_only(with_impurities(alike, self.impurity, "mass"))
             elif name == "contact_constants":
                 value = self._hertz_constants[1:-1]
             else:
@@ -163,8 +168,8 @@ class Chain(Checked):
             kinds.append((material.plane_strain_modulus, diameter, mass))
         return np.array(kinds).T
 
-    def _plainly_sound(self) -> bool:
-        """Sufficient O(1) check: the whole weight on the softest contact stays within the overlap limit."""
+    def plainly_below(self, limit: float) -> bool:
+        """Sufficient O(1) check that no contact is squeezed to more of the diameter at rest."""
         if not self._alike:
             return False
         modulus, d, mass = self._kinds
@@ -177,9 +182,9 @@ class Chain(Checked):
             load = self.top_load + self.gravity * (self.grains * mass[0] + mass[1:].sum())
             overlap = Contacts(softest, load, self.exponent).overlap
             largest = Contacts(hardest, load, self.exponent).stiffness_at(overlap) / mass.min()
-            return bool(softest > 0 and overlap <= LARGEST_OVERLAP * d.min() and np.isfinite(2 * largest))
+            return bool(softest > 0 and overlap <= limit * d.min() and np.isfinite(2 * largest))
 
-    def _by_grain(self, prop: str) -> Array:
+    def by_grain(self, prop: str) -> Array:
         """Return a property of the material of every grain, (N,)."""
         materials = self.material if isinstance(self.material, tuple) else [self.material]
         values = np.array(np.broadcast_to([getattr(m, prop) for m in materials], (self.grains,)))
@@ -191,14 +196,14 @@ class Chain(Checked):
     @cached_property
     def _hertz_constants(self) -> Array:
         """Hertz constants of all contacts, with a wall at either end, (N+1,) N/m^delta."""
-        modulus = self._by_grain("plane_strain_modulus")
+        modulus = self.by_grain("plane_strain_modulus")
         above, below = (
             here if wall is None else wall.plane_strain_modulus  # type: ignore[union-attr]
             for wall, here in ((self.top_material, modulus[0]), (self.bottom_material, modulus[-1]))
         )
         modulus = np.concatenate(([above], modulus, [below]))
         curvature = np.concatenate(([0.0], 2 / self.diameters, [0.0]))  # a wall is flat
-        return hertz_constant(modulus, curvature, self.contact_lengths, self.exponent)
+        return read_only(hertz_constant(modulus, curvature, self.contact_lengths, self.exponent))
 
     @cached_property
     def wall_constants(self) -> Array:
@@ -207,7 +212,7 @@ class Chain(Checked):
         if walls.any():
             natural = self._hertz_constants
             walls *= natural[[0, -1]] * (self.contact_constants[[0, -1]] / natural[[1, -2]])
-        return walls
+        return read_only(walls)
 
     @cached_property
     def contacts(self) -> Contacts:
@@ -216,23 +221,23 @@ class Chain(Checked):
         constants = np.concatenate(([above], self.contact_constants, [below]))
         weight = self.gravity * np.cumsum(self.masses.astype(np.longdouble))
         force = np.concatenate(([self.top_load], (self.top_load + weight).astype(float)))
-        return Contacts(constants, np.where(constants > 0, force, 0.0), self.exponent)
+        return Contacts(read_only(constants), read_only(np.where(constants > 0, force, 0.0)), self.exponent)
 
     @cached_property
     def diameters(self) -> Array:
         """Diameter of every grain, (N,) m."""
-        return with_impurities(np.broadcast_to(self.diameter, (self.grains,)), self.impurity, "diameter")
+        return read_only(with_impurities(np.broadcast_to(self.diameter, (self.grains,)), self.impurity, "diameter"))
 
     @cached_property
     def contact_lengths(self) -> Array:
         """Mean diameter of the two grains of every contact, at a wall that of the grain, (N+1,) m."""
         d = self.diameters
-        return np.concatenate((d[:1], (d[:-1] + d[1:]) / 2, d[-1:]))
+        return read_only(np.concatenate((d[:1], (d[:-1] + d[1:]) / 2, d[-1:])))
 
     @cached_property
     def depths(self) -> Array:
         """How far below grain 1 the centre of every grain rests, (N,) m."""
-        return np.append(0.0, np.cumsum((self.contact_lengths - self.contacts.overlap)[1:-1]))
+        return read_only(np.append(0.0, np.cumsum((self.contact_lengths - self.contacts.overlap)[1:-1])))
 
     @property
     def equilibrium_force(self) -> Array:
@@ -279,14 +284,14 @@ class Chain(Checked):
                 fields[key] = fields[key][first - 1 : end]
         inside = [odd for odd in self.impurity if first <= odd.grain <= last]
         if self.impurity:
-            fields["impurity"] = tuple(Impurity(**odd.given() | {"grain": odd.grain - first + 1}) for odd in inside)
+            fields["impurity"] = tuple(odd.replace(grain=odd.grain - first + 1) for odd in inside)
         if first > 1:
             fields |= {"top": "free", "top_load": self._force_on(first)}
             fields.pop("top_material", None)
         if last < self.grains:
             fields["bottom"] = "fixed"
             fields.pop("bottom_material", None)
-        return Chain.model_construct(**fields)._leave_open()  # a part of a valid chain is valid
+        return Chain._unchecked(**fields)._leave_open()  # a part of a valid chain is valid
 
     def _force_on(self, grain: int) -> float:
         """Return the force at rest on grain n > 1 from the grains above it, N."""
@@ -329,7 +334,7 @@ class Chain(Checked):
         return float(np.sqrt(self.masses[0] / k)) if k > 0 else np.inf
 
     def excess_energy(self, displacement: Array, velocity: Array) -> Array:
-        """Energy above that of the chain at rest: kinetic, contacts, load and weight together, J.
+        """Energy (...) above that of the chain at rest: kinetic, contacts, load and weight, J.
 
         It is conserved by Eq. (1) and zero at rest; weak waves keep their relative accuracy.
 
@@ -337,10 +342,6 @@ class Chain(Checked):
         ----------
         displacement, velocity : (..., N) arrays
             m, positive downward; m/s.
-
-        Returns
-        -------
-        (...) array
         """
         contacts = self.contacts
         return 0.5 * (self.masses * velocity**2).sum(-1) + contacts.energy(contacts.closer(displacement)).sum(-1)

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..util.arrays import Array
+from ..util.arrays import Array, read_only
 
 
 def hertz_constant(modulus: Array, curvature: Array, length: Array, exponent: float) -> Array:
@@ -58,22 +58,22 @@ class Contacts:
     @cached_property
     def exists(self) -> NDArray[np.bool_]:
         """Whether there are two bodies, (N+1,) bool."""
-        return self.constant > 0
+        return read_only(self.constant > 0)
 
     @cached_property
     def pressed(self) -> NDArray[np.bool_]:
         """Whether the contact is compressed at rest, (N+1,) bool."""
-        return self.force > 0
+        return read_only(self.force > 0)
 
     @cached_property
     def overlap(self) -> Array:
         """Overlap eps_n at rest, (N+1,) m."""
-        return (self.force / np.where(self.exists, self.constant, 1.0)) ** (1 / self.exponent)
+        return read_only((self.force / np.where(self.exists, self.constant, 1.0)) ** (1 / self.exponent))
 
     @cached_property
     def stiffness(self) -> Array:
         """Linear stiffness delta K_n eps_n^(delta-1) at rest, (N+1,) N/m."""
-        return self.stiffness_at(self.overlap)
+        return read_only(self.stiffness_at(self.overlap))
 
     def of(self, numbers: int | NDArray[np.intp]) -> Contacts:
         """Return these contacts alone."""

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field
 
+from ..errors import shown
+from ..util.suggestions import did_you_mean
 from ..util.validation import Checked, Positive, Real
 
 
@@ -30,6 +33,17 @@ class Material(Checked):
     poissons_ratio: Annotated[Real, Field(gt=-1, le=0.5)]
     name: str = ""
     source: str = ""
+
+    @property
+    def sound_speed(self) -> float:
+        """Speed of sound in a thin bar, sqrt(E / rho), m/s.
+
+        Examples
+        --------
+        >>> round(GLASS.sound_speed)
+        5055
+        """
+        return math.sqrt(self.youngs_modulus / self.density)
 
     @property
     def plane_strain_modulus(self) -> float:
@@ -67,7 +81,7 @@ def _one_material(value: Any) -> Material:
     if isinstance(value, str) and value in MATERIALS:
         return MATERIALS[value]
     raise ValueError(
-        f"no material is called {value!r}; use {', '.join(MATERIALS)}, "
+        f"no material is called {shown(value)}{did_you_mean(value, MATERIALS)}; use {', '.join(MATERIALS)}, "
         "or give density, youngs_modulus and poissons_ratio"
     )
 

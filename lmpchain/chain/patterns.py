@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from ..errors import InputError
+from ..errors import InputError, shown
 from ..util.arrays import Array
 from ..util.validation import Checked, OneOrMany, Positive, Real, Whole
 from .chain import Chain
@@ -162,7 +162,7 @@ class _Decorated(_Tapered):
 def _counts(value: Any) -> tuple[int, ...]:
     numbers = tuple(value) if np.iterable(value) else (value,)
     if not numbers or any(isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1 for n in numbers):
-        raise ValueError(f"must be a whole number above 0, or a list of them (got {value!r})")
+        raise ValueError(f"must be a whole number above 0, or a list of them (got {shown(value)})")
     return tuple(int(n) for n in numbers)
 
 

@@ -7,18 +7,23 @@ before the run was, 130 after Ctrl-C, 143 after SIGTERM.
 from __future__ import annotations
 
 import argparse
+import os
 import re
 import signal
 import sys
 import threading
 import warnings
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any, NoReturn
 
-from ..errors import InputError, LmpchainError
+from ..errors import LONGEST, InputError, LmpchainError, short, shown
 from ..util import mpi
+from ..util.suggestions import did_you_mean
 from . import commands
 from .common import complain
+
+NO_READER = 128 + signal.SIGPIPE  # what a shell says of tools that SIGPIPE ends
 
 
 class _Terminated(BaseException):
@@ -34,7 +39,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         Arguments without the name of the program; those of the process by default.
     """
     if mpi.launched() == 1:
-        return _main(argv)
+        return _piped(argv)
     try:
         world = mpi.join()
     except LmpchainError as error:
@@ -46,9 +51,30 @@ def main(argv: Sequence[str] | None = None) -> int:
         worker_loop(world)
         return 0
     try:
-        return _main(argv)
+        return _piped(argv)
     finally:
         shutdown_workers(world)
+
+
+def _piped(argv: Sequence[str] | None) -> int:
+    """Run the command line; where nobody reads on, as behind `| head`, end without a word."""
+    try:
+        code = _main(argv)
+        for stream in (sys.stdout, sys.stderr):
+            if stream is not None:  # as it is where it was closed
+                stream.flush()
+        return code
+    except BrokenPipeError:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        for stream in (sys.stdout, sys.stderr):  # what is left in them is flushed at exit
+            with suppress(AttributeError, OSError, ValueError):
+                os.dup2(nowhere, stream.fileno())
+        return NO_READER
+    except OSError as error:  # such as a full disk behind stdout
+        with suppress(OSError, ValueError):
+            sys.stdout.close()
+        complain(str(error))
+        return 1
 
 
 def _main(argv: Sequence[str] | None) -> int:
@@ -68,7 +94,9 @@ def _main(argv: Sequence[str] | None) -> int:
     except LmpchainError as error:
         complain(str(error))
         return 1
-    except OSError as error:  # such as a full disk behind stdout
+    except BrokenPipeError:
+        raise
+    except OSError as error:
         complain(str(error))
         return 1
     except KeyboardInterrupt:
@@ -114,9 +142,21 @@ def _show_warning(message: Warning | str, *_: Any) -> None:
 class _Parser(argparse.ArgumentParser):
     """Argument parser that reports faults like all others, without the usage message."""
 
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Complain of unknown arguments here, where the options of the verb are known."""
+        known, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            names = (name.partition("=")[0] for name in unknown)
+            meant = next(filter(None, (did_you_mean(name, self._option_string_actions) for name in names)), "")
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{meant}")
+        return known, unknown
+
     def error(self, message: str) -> NoReturn:
-        named = message.removeprefix("argument ")
-        complain(f"{'arguments: ' if named == message else ''}{named}; see {self.prog} --help")
+        if choice := re.search(r"invalid choice: '(.*)' \(choose from (.*)\)", message):
+            message += did_you_mean(choice[1], re.findall(r"[\w/-]+", choice[2]))
+        brief = re.sub(rf"\S{{{LONGEST},}}", lambda match: short(match[0]), message)
+        named = brief.removeprefix("argument ")
+        complain(f"{'arguments: ' if named == brief else ''}{named}; see {self.prog} --help")
         sys.exit(2)
 
 
@@ -150,6 +190,7 @@ def _parser() -> argparse.ArgumentParser:
         help="NetCDF file to write (default: SCENE.nc beside the scene); or, with a / at its end, a run folder, in "
         "which the output grows on the disk and which `lmpchain resume` continues after a stop of any kind",
     )
+    run.add_argument("--force", action="store_true", help="replace the file or the run that is there already")
     run.add_argument("--engine", metavar="E", default="auto", help="engine (default: auto)")
     _tolerance(run)
     run.add_argument("--integrator", metavar="I", help="rkn6, kahan-li6 or verlet (default: what the engine prefers)")
@@ -160,9 +201,7 @@ def _parser() -> argparse.ArgumentParser:
         help="LAMMPS only: positions from the real diameters, or from a far smaller one, which reduces round-off",
     )
 
-    run.add_argument(
-        "--ranks", metavar="P", type=int, help="LAMMPS only: MPI processes that share the chain (not under mpirun)"
-    )
+    _ranks(run)
 
     _own(run)
 
@@ -170,6 +209,7 @@ def _parser() -> argparse.ArgumentParser:
 
     resume = verbs.add_parser("resume", help="continue the run in a folder, bit-identical to a run without the stop")
     resume.add_argument("folder", metavar="FOLDER", help="folder that lmpchain run -o FOLDER/ made")
+    _ranks(resume)
     _max_wall(resume)
     resume.set_defaults(command=commands.resume)
 
@@ -255,6 +295,12 @@ def _scene(parser: argparse.ArgumentParser, command: Callable[[argparse.Namespac
     parser.set_defaults(command=command)
 
 
+def _ranks(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--ranks", metavar="P", type=int, help="LAMMPS only: MPI processes that share the chain (not under mpirun)"
+    )
+
+
 def _own(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--template", metavar="FILE", help="LAMMPS only: your own deck, with placeholders (Jinja2)")
     parser.add_argument("--include", metavar="FILE", help="LAMMPS only: your own fixes, computes and dumps")
@@ -276,7 +322,7 @@ def _duration(text: str) -> float:
     hours, minutes, seconds = match.groups() if match else (None, None, 0)
     total = 3600 * int(hours or 0) + 60 * int(minutes or 0) + float(seconds)
     if not total or (hours and float(seconds) >= 60):
-        raise argparse.ArgumentTypeError(f"must be a time above 0, as H:MM:SS or in seconds (got {text!r})")
+        raise argparse.ArgumentTypeError(f"must be a time above 0, as H:MM:SS or in seconds (got {shown(text)})")
     return total
 
 
@@ -285,6 +331,9 @@ def _saved(parser: argparse.ArgumentParser, command: Callable[[argparse.Namespac
         "run", metavar="RUN.nc", help="file that lmpchain run saved, or a dump such as column.lammpstrj"
     )
     parser.add_argument("--scene", metavar="SCENE.toml", help="for a dump: the scene that it was made for")
+    parser.add_argument(
+        "--axis", choices=["x", "y", "z"], help="for a dump: along which the column stands (default: seen)"
+    )
     parser.set_defaults(command=command)
 
 

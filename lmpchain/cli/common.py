@@ -23,6 +23,11 @@ def complain(text: str, kind: str = "error") -> None:
     print(f"{kind}: {''.join(shown)}", file=sys.stderr)
 
 
+def on_terminal() -> bool:
+    """Say whether stderr is a terminal, where progress is shown."""
+    return sys.stderr is not None and sys.stderr.isatty()
+
+
 def gather(*checks: Callable[[], Any]) -> list[Any]:
     """Return what the checks return; raise one `InputError` with the faults of all of them."""
     results, faults = [], []

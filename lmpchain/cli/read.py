@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import InputError
-from .common import PICTURES, beside, gather, keep, output, read
+from .common import PICTURES, beside, gather, keep, on_terminal, output, read
 
 if TYPE_CHECKING:
     from ..trajectory.trajectory import Trajectory
@@ -22,13 +21,13 @@ def dyson(arguments: argparse.Namespace) -> int:
     from ..measure.dyson import orders, sums
 
     run, picture, numbers, m = gather(
-        lambda: _run_or_dump(arguments.run, arguments.scene),
+        lambda: _run_or_dump(arguments),
         lambda: arguments.output and output(arguments.output, arguments.run, PICTURES),
         lambda: arguments.json and output(arguments.json, arguments.run),
         lambda: orders(arguments.m),
     )
     result = sums(run, m)
-    chains = at_the_end(run.scene, m, arguments.realisations, arguments.seed, progress=sys.stderr.isatty())
+    chains = at_the_end(run.scene, m, arguments.realisations, arguments.seed, progress=on_terminal())
     print(result.table(*chains))
     keep(result, numbers, picture, *chains)
     return 0
@@ -37,7 +36,7 @@ def dyson(arguments: argparse.Namespace) -> int:
 def fit(arguments: argparse.Namespace) -> int:
     """Fit the theory to a saved run or a LAMMPS dump."""
     trajectory, path = gather(
-        lambda: _run_or_dump(arguments.run, arguments.scene),
+        lambda: _run_or_dump(arguments),
         lambda: arguments.json and output(arguments.json, arguments.scene or arguments.run),
     )
     if path and path.exists() and path.samefile(arguments.run):
@@ -50,8 +49,9 @@ def fit(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _run_or_dump(path: str, scene: str | None) -> Trajectory:
+def _run_or_dump(arguments: argparse.Namespace) -> Trajectory:
     """Read a saved run, or a dump together with its scene."""
+    path, scene, axis = arguments.run, arguments.scene, arguments.axis
     from ..trajectory.lammps_dump import is_dump
 
     dumped = is_dump(path)
@@ -59,9 +59,11 @@ def _run_or_dump(path: str, scene: str | None) -> Trajectory:
         raise InputError([(path, "is a LAMMPS dump: give its scene as well, --scene SCENE.toml")])
     if scene is not None and not dumped and Path(path).is_file():
         raise InputError([("scene", f"goes with a LAMMPS dump, which {path} is not; leave it out for a saved run")])
+    if axis and scene is None:
+        raise InputError([("axis", "goes with a LAMMPS dump and its scene; leave it out for a saved run")])
     from ..trajectory.trajectory import Trajectory
 
-    run = Trajectory.load(path) if scene is None else Trajectory.from_dump(path, read(scene))
+    run = Trajectory.load(path) if scene is None else Trajectory.from_dump(path, read(scene), axis=axis)
     if run.time.size < 2:
         raise InputError([(path, "has too few samples yet: go on with the run, or run the scene anew")])
     return run
@@ -70,11 +72,9 @@ def _run_or_dump(path: str, scene: str | None) -> Trajectory:
 def report(arguments: argparse.Namespace) -> int:
     """Write an HTML page about a saved run or a LAMMPS dump."""
     page = arguments.output or beside(arguments.run, ".html")
-    trajectory, path = gather(
-        lambda: _run_or_dump(arguments.run, arguments.scene), lambda: output(page, arguments.run, PAGES)
-    )
+    trajectory, path = gather(lambda: _run_or_dump(arguments), lambda: output(page, arguments.run, PAGES))
     from ..report import write
 
-    write(trajectory, path)
+    write(trajectory, path, progress=on_terminal())
     print(f"page: {path}")
     return 0

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from ..errors import InputError, ToleranceNotMet, check_tolerance
 from ..util import mpi
 from ..util.tables import aligned
-from .common import beside, complain, gather, output, read
+from .common import beside, complain, gather, on_terminal, output, read
 
 if TYPE_CHECKING:
     from ..simulation.policy import Policy
@@ -37,14 +37,18 @@ def run(arguments: argparse.Namespace) -> int:
     whole = run_folder(arguments) is not None
     scene, path, policy, _ = gather(
         lambda: read(arguments.scene),
-        lambda: _new_folder(name) if whole else arguments.output and output(name, arguments.scene),
+        lambda: _new_folder(name, arguments.force) if whole else _new_file(name, arguments.scene, arguments.force),
         lambda: _policy(arguments),
         lambda: check_tolerance(arguments.tolerance),
     )
-    path = path or output(name, arguments.scene)
     from ..simulation.api import simulate
+    from ..simulation.task import is_run, remove
     from ..stability.pre_run import pre_run_warnings
 
+    if reasons := policy.refuses(scene):
+        raise InputError(reasons)
+    if whole and is_run(path):
+        remove(path)
     for warning in pre_run_warnings(scene, policy.chosen, arguments.tolerance):
         warnings.warn(warning, stacklevel=1)
     if mpi.joined() and not (policy.chosen and policy.chosen.ranks_of_mpi):
@@ -54,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
             scene,
             policy.chosen or policy.name,
             arguments.tolerance,
-            progress=sys.stderr.isatty(),
+            progress=on_terminal(),
             folder=path if whole else None,
             max_wall=arguments.max_wall,
         ),
@@ -72,8 +76,11 @@ def resume(arguments: argparse.Namespace) -> int:
     about = status(arguments.folder)
     if about["state"] == "finished":
         print(f"{arguments.folder}: this run is finished; there is nothing left to do")
+    elif about["state"] == "killed":
+        done = f"at sample {about['samples_done']} of {about['samples']} or later"
+        print(f"{arguments.folder}: {about['reason']} {done}; going on from its last checkpoint")
     return _told(
-        lambda: resume(arguments.folder, max_wall=arguments.max_wall, progress=sys.stderr.isatty()),
+        lambda: resume(arguments.folder, max_wall=arguments.max_wall, progress=on_terminal(), ranks=arguments.ranks),
         about["tolerance"],
         Path(arguments.folder),
     )
@@ -88,10 +95,21 @@ def run_folder(arguments: argparse.Namespace) -> str | None:
     return name if in_folder else None
 
 
-def _new_folder(name: str) -> Path:
-    from ..simulation.task import check_new
+def _new_folder(name: str, force: bool) -> Path:
+    from ..simulation.task import check_new, check_run, is_run, resume_command
 
-    return check_new(name)
+    if is_run(name) and not force:
+        cure = f"go on with it, {resume_command(name)}, replace it with --force, or name another folder"
+        raise InputError([(name, f"holds a run already: {cure}")])
+    return check_run(name) if is_run(name) else check_new(name)
+
+
+def _new_file(name: str, scene: str, force: bool) -> Path:
+    """Return the path of a file to write; what is there may have taken long, and is kept unless forced."""
+    path = output(name, scene)
+    if path.exists() and not force:
+        raise InputError([(name, "is there already: replace it with --force, or name another file with -o")])
+    return path
 
 
 def _told(answer: Callable[[], Trajectory], tolerance: float, path: Path, save: bool = False) -> int:
@@ -127,7 +145,7 @@ def _summary(trajectory: Trajectory, tolerance: float, path: Path) -> str:
         "integrator": f"{cost.integrator}, {cost.steps} steps of {cost.step_s:.4g} s",
         "estimated error": f"{error.total:.2g}{parts} (tolerance {tolerance:g})",
         "time spent": f"{cost.integration_s:.3g} s integration, {cost.estimate_s:.3g} s error estimate, "
-        f"{cost.setup_s:.3g} s set-up",
+        f"{cost.setup_s:.3g} s set-up, {cost.compile_s:.3g} s compilation",
         "folder" if path.is_dir() else "file": str(path),
     }
     return "\n".join(aligned(lines.items()))
@@ -166,7 +184,7 @@ def sweep(arguments: argparse.Namespace) -> int:
     folder, cores = arguments.output, len(os.sched_getaffinity(0))
     workers = cores if arguments.workers is None else arguments.workers
     with dask(arguments.scheduler) if arguments.scheduler else nullcontext() as executor:
-        results = sweep(arguments.sweep, folder, workers=workers, executor=executor, progress=sys.stderr.isatty())
+        results = sweep(arguments.sweep, folder, workers=workers, executor=executor, progress=on_terminal())
     reasons = [reason for reason in results["reason"].to_numpy().flat if reason]
     print(f"{results['reason'].size - len(reasons)} of {results['reason'].size} scenes are answered in {folder}")
     if reasons:

@@ -1,8 +1,24 @@
-"""Random chains, and averages over them."""
+"""Random chains, averages over them, and localisation in them."""
 
 from ..util.lazy import attributes
 
-__all__ = ["Ensemble", "at_the_end", "disordered", "ensemble", "factors", "realisation"]
+__all__ = [
+    "DensityOfStates",
+    "Ensemble",
+    "Localisation",
+    "at_the_end",
+    "density_of_states",
+    "disordered",
+    "ensemble",
+    "factors",
+    "lyapunov",
+    "realisation",
+]
 __getattr__ = attributes(
-    __name__, names={"averages": "Ensemble at_the_end ensemble", "draws": "disordered factors realisation"}
+    __name__,
+    names={
+        "averages": "Ensemble at_the_end ensemble",
+        "draws": "disordered factors realisation",
+        "transfer_matrix": "DensityOfStates Localisation density_of_states lyapunov",
+    },
 )

@@ -13,7 +13,7 @@ from .. import engines
 from ..chain.chain import LARGEST_OVERLAP, Chain
 from ..engines.base import Engine, Run
 from ..engines.step_control import Attempt, solve_to_tolerance
-from ..errors import InputError, ToleranceNotMet, check_tolerance
+from ..errors import InputError, ToleranceNotMet, check_tolerance, shown
 from ..scene.scene import Scene
 from ..simulation.api import simulate
 from ..util.arrays import Array
@@ -157,7 +157,7 @@ def ensemble(
     chosen = engines.get(engine)
     if not chosen.batches:
         able = ", ".join(name for name in engines.names() if engines.get(name).batches)
-        raise InputError([("engine", f"random chains are for {able} (got {chosen.name!r})")])
+        raise InputError([("engine", f"random chains are for {able} (got {shown(chosen.name)})")])
     if reasons := chosen.refuses(realisation(scene, m, seed, 0, law, of)):
         raise InputError(reasons)
     average = _Average(*np.zeros((2, 2, scene.samples, scene.recorded.size)))

@@ -15,9 +15,10 @@ from typing import Any, Literal
 import numpy as np
 
 from ..chain.chain import Chain
-from ..errors import InputError
+from ..errors import InputError, shown
 from ..scene.scene import Scene
 from ..util.arrays import Array
+from ..util.suggestions import not_among
 
 Law = Literal["dyson", "paper"]
 Of = Literal["stiffness", "constant"]
@@ -112,8 +113,8 @@ def realisation(scene: Scene, m: float, seed: int, index: int = 0, law: Law = "d
     True
     """
     change = drawn_constants(scene.chain, m, seed, index, law, of)
-    chain = Chain.model_construct(**_redrawn(scene.chain, change))
-    return Scene.model_construct(**(scene.given() | {"chain": chain}))
+    chain = Chain._unchecked(**_redrawn(scene.chain, change))
+    return Scene._unchecked(**(scene.given() | {"chain": chain}))
 
 
 def drawn_constants(chain: Chain, m: float, seed: int, index: int, law: Law = "dyson", of: Of = "stiffness") -> Array:
@@ -156,17 +157,17 @@ def check(*faults: Fault) -> None:
 
 def _fault_of_m(m: object) -> Fault:
     right = isinstance(m, int | float | np.number) and not isinstance(m, bool) and 0 < m < math.inf
-    return None if right else ("m", f"must be a number above 0 (got {m!r})")
+    return None if right else ("m", f"must be a number above 0 (got {shown(m)})")
 
 
 def fault_of_whole(key: str, value: object, least: int) -> Fault:
     """Return what is wrong unless the value is a whole number from `least`."""
     right = isinstance(value, int | np.integer) and not isinstance(value, bool) and value >= least
-    return None if right else (key, f"must be a whole number from {least} (got {value!r})")
+    return None if right else (key, f"must be a whole number from {least} (got {shown(value)})")
 
 
 def _fault_of_choice(key: str, value: object, known: Sequence[str]) -> Fault:
-    return None if value in known else (key, f"must be {' | '.join(known)} (got {value!r})")
+    return None if value in known else (key, not_among(value, known))
 
 
 def _fault_of_vacuum(chain: Chain, of: Of) -> Fault:

@@ -7,6 +7,7 @@ from inspect import signature
 from typing import TYPE_CHECKING, Any
 
 from ..errors import InputError
+from ..util.suggestions import did_you_mean, not_among
 from .base import Engine
 
 if TYPE_CHECKING:
@@ -57,12 +58,13 @@ def get(engine: str | Engine, **options: Any) -> Engine:
             raise InputError([(key, "belongs to the engine: give it to its constructor") for key in options])
         return engine
     if engine not in REGISTRY:
-        raise InputError([("engine", f"must be {' | '.join(REGISTRY)} (got {engine!r})")])
+        raise InputError([("engine", not_among(engine, REGISTRY))])
     made = _load(*REGISTRY[engine])
     known = list(signature(made).parameters) if options else []
     if unknown := [key for key in options if key not in known]:
         listed = ", ".join(known)
-        raise InputError([(key, f"the engine {engine} has no such option; it has {listed}") for key in unknown])
+        no = f"the engine {engine} has no such option"
+        raise InputError([(key, f"{no}{did_you_mean(key, known)}; it has {listed}") for key in unknown])
     return made(**options)
 
 

@@ -230,6 +230,10 @@ class Engine(ABC):
         """Return a sharper bound on what the equation leaves out of this scene; see `Candidate.sharper`."""
         return candidate.model_error
 
+    def estimate_model_error(self, scene: Scene) -> float:
+        """Estimate before the run what the equation leaves out, as the run will; NaN if that is not known."""
+        return float("nan")
+
     def options(self) -> dict[str, Any]:
         """Return the constructor arguments that make an equal engine in another process.
 

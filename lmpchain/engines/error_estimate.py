@@ -1,15 +1,15 @@
 """Error estimate by Richardson extrapolation: an answer beside companion runs at other step sizes.
 
-The answer runs at the step h. Beside it run native companions at 2h and 4h (where those are unstable, one at h/2): the
-rate at which their differences shrink gives the truncation error. Where a companion's step is longer than the time
-between two samples, it passes over some. An engine that rounds in another way than the native one also has a native
-twin at the same step. Twin and answer are the same map in exact arithmetic: what they differ by is round-off, measured.
+The answer runs at the step h. Beside it run native companions at about 2h and 4h (where those are unstable, or the run
+has too few steps for them, one at h/2): the rate at which their differences shrink gives the truncation error. Where a
+companion's step is longer than the time between two samples, it passes over some. An engine that rounds in another way
+than the native one also has a native twin at the same step. Twin and answer are the same map in exact arithmetic: what
+they differ by is round-off, measured.
 """
 
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Protocol, cast
 
@@ -25,6 +25,7 @@ from ..integrators.stepper import NativeStepper
 from ..scene.scene import Scene
 from ..trajectory.record import Block, Cost
 from ..util.arrays import EPSILON, Array
+from ..util.compilation import clock
 from .base import Candidate, ErrorBudget, Run
 
 PIECE_S = 0.1  # longest stretch of work between two opportunities to stop
@@ -32,7 +33,12 @@ GUESSED_RATE = 1e7  # grain-steps a second, a low guess to begin with
 BLOCK_BYTES = 2**25  # of the samples that are compared at a time,
 BLOCK_S = 0.5  # and how long they may take: what is stopped or killed loses no more
 # analysis/calibration/richardson_estimate.py measures the constants of the estimate
+FEWEST = 8  # steps of a run from which on companions have longer steps; of these there are then no two alike
 SAFETY = 2.0  # factor on the Richardson estimate
+# over round-off: what two runs may differ by for that reason alone, which no law of the step divides, where contacts
+# open or not; reflections through opening contacts make much of a little
+GROWN, STEADY = 300.0, 3.0
+PHASE_ULPS = 1.5  # of the phase of the fastest motion, by which rounding shifts it
 CLOSE_TO_OPENING = -0.5  # r / eps below which a contact's force is no longer a smooth function of time
 # order assumed in the Richardson estimate after adaptive steps through an opening, where differences scatter
 ORDER_AT_OPENINGS = 4
@@ -98,7 +104,7 @@ class CompanionRun(Run):
         state: Mapping[str, Array] | None,
         twin: bool,
     ):
-        began = time.perf_counter()
+        began = clock()
         self.method, self.scene, self.candidate = method, scenes[0], candidate
         self._rows: NDArray[np.intp] = scenes[0].recorded - 1
         kept = _unpack(state)
@@ -107,9 +113,12 @@ class CompanionRun(Run):
         self._steppers: list[Stepper] = [self._answer]
         self._twin = twin
         reach = candidate.step * max(scene.chain.band_edge for scene in scenes)
-        longer = [ratio for ratio in (2, 4) if ratio * reach <= method.stability_limit]
+        final = self.scene.samples - 1
+        steps = candidate.steps_per_sample * final
+        longer = [ratio for ratio in (2, 4) if ratio * reach <= method.stability_limit and steps >= FEWEST]
         self._finer = not longer
         schedules = [StepSchedule.of(*own, ratio) for ratio in longer] if longer else [StepSchedule.of(*own).halved]
+        self._ratios = [steps / schedule.total(final) for schedule in schedules]
         if twin:
             schedules = [StepSchedule.of(*own), *schedules]
         shared = None if twin else cast(NativeStepper, self._answer)
@@ -121,6 +130,7 @@ class CompanionRun(Run):
         self._native = [*([shared] if shared else []), *companions]
         self._steppers += companions
         self.realisations = len(scenes)
+        self._radians = [scene.highest_frequency * scene.duration for scene in scenes]
         self._energy = np.array([scene.energy for scene in scenes])
         self._at_rest = [scene.at_rest for scene in scenes]
         self._kinked = [not scene.excitation.smooth for scene in scenes]
@@ -140,9 +150,12 @@ class CompanionRun(Run):
         self._differences = np.zeros(shape) if state is None else state["differences"].copy()
         self.peaks = np.zeros((self.realisations, 2)) if state is None else state["peaks"].copy()
         self._sample = -1 if state is None else int(state["sample"])
+        apart = any(stepper.sample != max(self._sample, 0) for stepper in self._steppers)
+        if self._differences.shape != shape or self.peaks.shape != (self.realisations, 2) or apart:
+            raise ValueError("the state that was kept does not fit")
         self._rate = np.full(len(self._steppers), GUESSED_RATE / (self.realisations * grains * method.evaluations))
         self._integration_s = self._estimate_s = 0.0
-        self._setup_s = time.perf_counter() - began
+        self._setup_s = clock() - began
 
     def blocks(self) -> Iterator[Block]:
         """Yield the answer; samples that a restored state already had are not repeated."""
@@ -162,9 +175,9 @@ class CompanionRun(Run):
         stepper, u, v = self._steppers[index], self._u[index], self._v[index]
         while True:
             max_steps = max(1, int(self._rate[index] * PIECE_S))
-            began = time.perf_counter()
+            began = clock()
             done = stepper.fill(u, v, first, until, max_steps)
-            took = time.perf_counter() - began
+            took = clock() - began
             self._rate[index] = done / max(took, 1e-9)
             if index == 0:
                 self._integration_s += took
@@ -176,11 +189,11 @@ class CompanionRun(Run):
 
     def _keep(self, first: int, stop: int) -> Block:
         """Check the samples first ... stop - 1 of the answer, and keep its differences from the companions."""
-        began = time.perf_counter()
+        began = clock()
         count, samples = stop - first, np.arange(first, stop)
         u, v = self._u[0, :, :count], self._v[0, :, :count]
         peaks, energy, differences = compared(self._u, self._v, self._masses, count)
-        self.peaks = np.maximum(self.peaks, peaks)
+        self.peaks = np.maximum(np.maximum(self.peaks, peaks), self._native[0].largest())
         if not np.isfinite(energy).all():
             raise RunFailed(self._broke_down(first, "positions or velocities are no longer numbers"))
         if (energy > self._most_energy).any():
@@ -189,7 +202,7 @@ class CompanionRun(Run):
             stops = (samples % right.stride == 0) | (samples == self.scene.samples - 1)
             self._differences[index, samples[stops]] = differences[index, stops]
         self._sample = stop - 1
-        self._estimate_s += time.perf_counter() - began
+        self._estimate_s += clock() - began
         return Block(slice(first, stop), u[:, :, self._rows], v[:, :, self._rows])
 
     def _broke_down(self, sample: int, what: str) -> str:
@@ -230,8 +243,10 @@ class CompanionRun(Run):
         if self._finer:
             truncation = 2 * steps[0].max()
         else:
-            truncation = extrapolate(trusted, smooth, steps[1] if len(steps) > 1 else None, steps[0]).max()
-        roundoff = native_floor(float(self._answer.steps[real]) * self.method.evaluations)
+            coarse = steps[1] if len(steps) > 1 else None
+            truncation = extrapolate(trusted, smooth, coarse, steps[0], self._ratios).max()
+        roundoff = native_floor(float(self._answer.steps[real]) * self.method.evaluations, self._radians[real])
+        truncation = max(truncation, min(steps[0].max(), (GROWN if opens else STEADY) * roundoff))
         if self._twin:
             roundoff += float(relative[0].max())
         return ErrorBudget(float(truncation), roundoff, bool(smooth), relative.max((0, 2)), self.scene.time)
@@ -264,8 +279,12 @@ class CompanionRun(Run):
             stepper.close()
 
 
-def extrapolate(order: int, smooth: bool, coarse: Array | None, fine: Array) -> Array:
+def extrapolate(
+    order: int, smooth: bool, coarse: Array | None, fine: Array, ratios: Sequence[float] = (2.0, 4.0)
+) -> Array:
     """Return the Richardson estimate of the error at step h from runs at 4h, 2h and h, or from h and 2h.
+
+    `ratios` are those of the steps, where they are not 2 and 4 because steps must end at the last sample.
 
     Where contacts open or nearly so, a high order falls to about 2.5, unless steps are adaptive, with a coefficient
     that depends on where in a step the opening falls: the error at h can then be as large as the difference.
@@ -276,14 +295,20 @@ def extrapolate(order: int, smooth: bool, coarse: Array | None, fine: Array) -> 
         return fine
     if not smooth:
         return 1.5 * np.maximum(fine, coarse / 4)
-    best = 2.0**order
-    ratio = np.clip(coarse / np.maximum(fine, 1e-300), 1.5, best)
-    return SAFETY * np.maximum(fine / (ratio - 1), coarse / (best * (best - 1)))
+    first, second = ratios
+    doublings = math.log2(second / first)
+    ratio = np.clip(coarse / np.maximum(fine, 1e-300), 1.5**doublings, (second / first) ** order)
+    gain = ratio ** (math.log2(first) / doublings)  # error at the longer step over that at h
+    return SAFETY * np.maximum(fine / (gain - 1), coarse / (second**order - first**order))
 
 
-def native_floor(evaluations: float) -> float:
-    """Round-off of the native integration, a random walk of half-ulps; analysis/calibration/roundoff.py."""
-    return EPSILON * (2 + math.sqrt(evaluations))
+def native_floor(evaluations: float, radians: float) -> float:
+    """Round-off of the native integration; analysis/calibration/roundoff.py.
+
+    A random walk of half-ulps, and the phase (in `radians` of the fastest motion), which the rounding of masses,
+    stiffnesses and fractions of a step shifts in proportion to the time: by 0.1 to 4 ulps of it.
+    """
+    return EPSILON * (2 + math.sqrt(evaluations) + PHASE_ULPS * radians)
 
 
 def _block(steppers: int, realisations: int, grains: int, samples: int) -> int:

@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numba
 
-from ..errors import InputError, ToleranceNotMet
+from ..errors import InputError, ToleranceNotMet, shown
 from ..integrators.batch import FORCES, ChainBatch, force_form, name_of
 from ..integrators.kernels.contact_forces import ROOTS
 from ..integrators.kernels.layout import PAD
@@ -19,6 +19,7 @@ from ..integrators.step_schedule import StepSchedule
 from ..integrators.stepper import NativeStepper
 from ..scene.scene import Scene
 from ..util.arrays import EPSILON, Array
+from ..util.suggestions import not_among
 from .base import Candidate
 from .error_estimate import native_floor
 from .time_stepping import SAFE_STRAIN, TimeSteppingEngine
@@ -70,9 +71,9 @@ class Native(TimeSteppingEngine):
     ):
         super().__init__(integrator, step)
         if isinstance(threads, bool) or not isinstance(threads, int) or threads < 1:
-            raise InputError([("threads", f"must be a whole number from 1 (got {threads!r})")])
+            raise InputError([("threads", f"must be a whole number from 1 (got {shown(threads)})")])
         if force not in FORCES:
-            raise InputError([("force", f"must be {' | '.join(FORCES)} (got {force!r})")])
+            raise InputError([("force", not_among(force, FORCES))])
         self.threads, self.force, self.adaptive = threads, force, adaptive
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
@@ -84,7 +85,7 @@ class Native(TimeSteppingEngine):
         candidate = super().choose_step(scene, tolerance, method)
         if not candidate.fixed:
             evaluations = candidate.steps_per_sample * (scene.samples - 1) * method.evaluations
-            floor = native_floor(evaluations)
+            floor = native_floor(evaluations, scene.highest_frequency * scene.duration)
             if floor > tolerance:
                 raise ToleranceNotMet(
                     f"round-off alone makes an error of about {floor:.1g}, above the tolerance; "
@@ -98,10 +99,11 @@ class Native(TimeSteppingEngine):
     def typical_round_off(self, scene: Scene, steps: int, speed: float) -> float:
         """Predict round-off: a random walk of one ulp a force evaluation, and what the plain force loses.
 
+        The phase shifts by a quarter of what `native_floor` allows for.
         That is the last digit of what the contacts carry at rest, at every step: an acceleration of 0.9 EPSILON F_n/m,
         which walks to that times sqrt(duration h) in the velocity.
         """
-        walk = native_floor(steps * self.methods[0].evaluations)
+        walk = native_floor(steps * self.methods[0].evaluations, scene.highest_frequency * scene.duration / 4)
         if force_form(scene, self.force) in ROOTS:
             lost = PLAIN * EPSILON * float((scene.chain.contacts.force[:-1] / scene.chain.masses).max())
             walk += lost * scene.duration / math.sqrt(steps) / speed

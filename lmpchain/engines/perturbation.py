@@ -28,7 +28,7 @@ def perturbed(scene: Scene, change: float) -> Scene:
         moved = v if v.any() else u
         moved += change * np.abs(moved).max() * turns
         excitation = Profile(displacement=u, velocity=v)
-    return Scene(**scene.given() | {"excitation": excitation})
+    return scene.replace(excitation=excitation)
 
 
 def divergence(scene: Scene, candidate: Candidate, change: float) -> Array:
@@ -42,7 +42,7 @@ def divergence(scene: Scene, candidate: Candidate, change: float) -> Array:
     RunFailed
         If a run breaks down.
     """
-    part = Scene(**scene.light_cone.scene.given() | {"grains": "all"})
+    part = scene.light_cone.scene.replace(grains="all")
     run = Native().start([part, perturbed(part, change)], candidate)
     apart = np.zeros((2, scene.samples))
     try:

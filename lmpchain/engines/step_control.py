@@ -6,7 +6,6 @@ its error estimate, `solve_to_tolerance` goes from attempt to attempt.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -19,6 +18,7 @@ from ..errors import RunFailed, ToleranceNotMet
 from ..scene.scene import Scene
 from ..trajectory.record import Cost
 from ..util.arrays import Array
+from ..util.compilation import clock, compiled_s
 from .base import Candidate, Engine, ErrorBudget, Run
 from .perturbation import LAST_DIGIT, divergence
 
@@ -51,6 +51,8 @@ class Attempt:
         Time spent before it on finding candidates and setting up, s.
     spent_s : float
         Time spent before it on integrations and their estimates, s.
+    compiled_s : float
+        Time spent before it on compilation, part of none of these, s.
     truncations : tuple of float
         Truncation errors of the attempts before it that ran through.
     breakdowns : int
@@ -63,6 +65,7 @@ class Attempt:
     refusal: str = ""
     planned_s: float = 0.0
     spent_s: float = 0.0
+    compiled_s: float = 0.0
     truncations: tuple[float, ...] = ()
     breakdowns: int = 0
 
@@ -114,12 +117,12 @@ def first_attempt(engine: Engine, scene: Scene, tolerance: float, best_effort: b
     ToleranceNotMet
         If the engine knows beforehand that it cannot meet the tolerance.
     """
-    began = time.perf_counter()
+    began, compiled = clock(), compiled_s()
     if best_effort:
         attempt = Attempt(engine.name, *loosened(partial(engine.candidate, scene), tolerance))
     else:
         attempt = Attempt(engine.name, engine.candidate(scene, tolerance), tolerance)
-    return replace(attempt, planned_s=time.perf_counter() - began)
+    return replace(attempt, planned_s=clock() - began, compiled_s=compiled_s() - compiled)
 
 
 def run_to_tolerance(engine: Engine, scene: Scene, tolerance: float, collect: Callable[[Run], T]) -> Outcome[T]:
@@ -156,8 +159,9 @@ def solve_to_tolerance(
     RunFailed
         If the run breaks down, at a given step or again and again.
     """
+    compiled = compiled_s() - attempt.compiled_s
     while True:
-        began = time.perf_counter()
+        began = clock()
         run = engine.start(scenes, attempt.candidate, begin(attempt))
         errors: list[ErrorBudget] = []
         try:
@@ -170,15 +174,15 @@ def solve_to_tolerance(
             cost = run.cost()
             run.close()
         place = max(range(len(errors)), key=lambda i: errors[i].solver, default=0)
-        judged = time.perf_counter()
+        judged = clock()
         following, missed = next_attempt(engine, scenes[place], attempt, errors[place] if errors else None, patient)
-        judging_s = time.perf_counter() - judged  # an integration, where chaos is tested for
+        judging_s = clock() - judged  # an integration, where chaos is tested for
         if not following:
             setup_s, estimate_s = cost.setup_s + attempt.planned_s, cost.estimate_s + attempt.spent_s + judging_s
-            cost = replace(cost, setup_s=setup_s, estimate_s=estimate_s)
+            cost = replace(cost, setup_s=setup_s, estimate_s=estimate_s, compile_s=compiled_s() - compiled)
             return Outcome(collected, attempt, errors, cost, attempt.refusal or missed)
         run_s = cost.integration_s + cost.estimate_s + judging_s
-        planned_s = time.perf_counter() - began - run_s
+        planned_s = clock() - began - run_s
         spent_s = attempt.spent_s + run_s
         attempt = replace(following, planned_s=attempt.planned_s + planned_s, spent_s=spent_s)
 

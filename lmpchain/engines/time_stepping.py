@@ -8,11 +8,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from ..errors import InputError
+from ..errors import InputError, shown
 from ..integrators.methods import METHODS, Method
 from ..integrators.step_schedule import StepSchedule
 from ..scene.scene import Scene
 from ..util.arrays import Array
+from ..util.suggestions import not_among
 from .base import Candidate, Engine, ErrorBudget
 from .cost_model import seconds
 from .error_estimate import ORDER_AT_OPENINGS, SAFETY, CompanionRun, Stepper
@@ -93,9 +94,9 @@ class TimeSteppingEngine(Engine):
 
     def __init__(self, integrator: str, step: float | None):
         if integrator not in self.integrators:
-            raise InputError([("integrator", f"must be {' | '.join(self.integrators)} (got {integrator!r})")])
+            raise InputError([("integrator", not_among(integrator, self.integrators))])
         if step is not None and not (isinstance(step, int | float) and math.isfinite(step) and step > 0):
-            raise InputError([("step", f"must be a time above 0 s (got {step!r})")])
+            raise InputError([("step", f"must be a time above 0 s (got {shown(step)})")])
         self.integrator, self.step = integrator, step
 
     @property
@@ -179,7 +180,12 @@ class TimeSteppingEngine(Engine):
         def make(schedule: StepSchedule, kept: Mapping[str, Array]) -> Stepper:
             return self.stepper(scenes, candidate, schedule, kept)
 
-        return CompanionRun(make, METHODS[candidate.integrator], scenes, candidate, state, self.twin)
+        try:
+            return CompanionRun(make, METHODS[candidate.integrator], scenes, candidate, state, self.twin)
+        except (LookupError, TypeError, ValueError) as error:
+            if state is None or isinstance(error, InputError):
+                raise
+            raise InputError([("checkpoint", "does not fit its run, or was changed: run the scene anew")]) from error
 
 
 def kind(scene: Scene) -> tuple:

@@ -58,5 +58,6 @@ class DormandPrince:
 
         allowed = 0.0
         if schedule.adaptive:
-            allowed = float(max(STEP_ERROR_MIN, STEP_ERROR * (schedule.step * batch.omega.max()) ** self.order))
+            reach = schedule.step / schedule.ratio * batch.omega.max()
+            allowed = float(max(STEP_ERROR_MIN, STEP_ERROR * reach**self.order) * schedule.ratio**self.order)
         return March(march, (*self.tables, allowed))

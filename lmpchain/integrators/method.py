@@ -13,6 +13,9 @@ from .step_schedule import StepSchedule
 if TYPE_CHECKING:  # numba, which it imports, is not needed to know a method
     from .batch import ChainBatch
 
+# omega t between two looks for the largest motion: of the fastest one at most 3 % is missed
+LOOK, SELDOM = 0.5, 2**30
+
 
 class March(NamedTuple):
     """The compiled march of a method for a batch of chains.
@@ -69,6 +72,11 @@ class Method(Protocol):
 
     def march(self, batch: ChainBatch, schedule: StepSchedule) -> March:
         """Return what moves a batch of chains by steps of this schedule."""
+
+
+def steps_between_looks(schedule: StepSchedule, batch: ChainBatch) -> int:
+    """Return after how many equal steps the largest motion is looked for at first."""
+    return max(1, int(LOOK / (schedule.step * batch.omega.max()))) if schedule.ratio == 1 else SELDOM
 
 
 def first_growth(growth: Callable[[float], float], more: float) -> float:

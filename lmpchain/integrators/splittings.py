@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from ..util.arrays import Array
-from .method import March
+from ..util.arrays import EPSILON, Array
+from .method import March, steps_between_looks
 from .step_schedule import StepSchedule
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 # analysis/calibration/adaptive_steps.py
 ADAPTIVE_STEP = 0.4  # h' / h at the time 1 / omega from the opening of a contact that matters most
 CROSSING_STEP = 0.03  # omega h' / (omega h)^((order + 1) / (delta + 1)) of the step that crosses the opening
+LEAST_CROSSING = 0.1  # the same over the (delta + 1)th root of EPSILON: what a shorter step would gain is round-off
 
 
 @dataclass(frozen=True)
@@ -86,9 +87,12 @@ class Splitting:
 
         kicks, drifts = np.array(self.kicks), np.array(self.drifts)
         if not schedule.adaptive:
-            return March(splitting.march, (kicks, drifts))
+            missing = kicks[-1] * schedule.step * batch.omega.max()  # of a speed, without the last kick of a step
+            complete = 1 / (1 + missing**2 / 2)
+            return March(splitting.march, (kicks, drifts, steps_between_looks(schedule, batch), complete))
         reach = schedule.step * batch.omega
         crossing = CROSSING_STEP * reach ** ((self.order + 1) / (batch.opening_power + 1))
+        crossing = np.maximum(crossing, schedule.ratio * LEAST_CROSSING * EPSILON ** (1 / (batch.opening_power + 1)))
         nearest = (ADAPTIVE_STEP * reach / crossing) ** (14 / 9)
         each = batch.omega, nearest, batch.opening_weight()
         return March(adaptive_splitting.march, (kicks, drifts, ADAPTIVE_STEP), each)

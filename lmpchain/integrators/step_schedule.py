@@ -20,20 +20,28 @@ class StepSchedule:
         Largest step size, s.
     adaptive : bool
         Whether the step size adapts, shorter where a contact is about to open or close.
+    ratio : float
+        Step over that of the answer.
     """
 
     steps: int
     stride: int
     step: float
     adaptive: bool
+    ratio: float = 1.0
 
     @classmethod
     def of(cls, steps_per_sample: int, step: float, adaptive: bool, ratio: int = 1) -> StepSchedule:
         """Return the schedule with so many steps between two samples, or one with steps longer by this ratio."""
         common = math.gcd(steps_per_sample, ratio)
-        return cls(steps_per_sample // common, ratio // common, step * ratio, adaptive)
+        return cls(steps_per_sample // common, ratio // common, step * ratio, adaptive, ratio)
+
+    def total(self, samples: int) -> int:
+        """Return the steps from sample 0 to the sample of this number, if all are equal."""
+        whole, rest = divmod(samples, self.stride)
+        return whole * self.steps - (-self.steps * rest // self.stride)
 
     @property
     def halved(self) -> StepSchedule:
         """The schedule of a companion at half the step."""
-        return StepSchedule(2 * self.steps, self.stride, self.step / 2, self.adaptive)
+        return StepSchedule(2 * self.steps, self.stride, self.step / 2, self.adaptive, self.ratio / 2)

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..util.arrays import Array
 from .batch import ChainBatch
-from .kernels.layout import CLOSEST, FIRST, LAST, LOWEST, PAD, SAMPLE, STEP, STEPS, Clock
+from .kernels.layout import CLOSEST, FARTHEST, FASTEST, FIRST, LAST, LOWEST, PAD, SAMPLE, STEP, STEPS, Clock
 from .method import Method
 from .step_schedule import StepSchedule
 
@@ -54,11 +54,16 @@ class NativeStepper:
         else:
             self._state = np.zeros((len(scenes), STEP + 1))
             self._state[:, FIRST], self._state[:, LAST] = self._window()
+        self._check_state()
         self.stride, final = schedule.stride, scenes[0].samples - 1
         clock = Clock(scenes[0].duration / final, schedule.steps, schedule.step, schedule.stride, final)
         march = method.march(chains, schedule)
         self._march = march.run
-        self._history = np.array(state.get("history", np.zeros((len(scenes), march.history, self._x.shape[1]))))
+        self._history = np.zeros((len(scenes), march.history, self._x.shape[1]))
+        if "history" in state:
+            if state["history"].shape != self._history.shape:
+                raise ValueError("the state that was kept does not fit")
+            self._history[:] = state["history"]
         bodies = self._x, self._v, self._history, self._state
 
         def arguments(share: slice) -> tuple[Any, ...]:
@@ -67,6 +72,15 @@ class NativeStepper:
 
         self._arguments = [arguments(share) for share in self._shares]
         self._march(*arguments(slice(0)), np.empty((0, 1, 1)), np.empty((0, 1, 1)), 0, 0, 0)  # only compiles
+
+    def _check_state(self) -> None:
+        """Raise `ValueError` if a kept state does not fit these chains: the compiled loops trust its window."""
+        kept, width = self._state, self._x.shape[1]
+        if kept.shape != (len(self._x), STEP + 1) or kept.dtype != float or not np.isfinite(kept).all():
+            raise ValueError("the state that was kept does not fit")
+        inside = (kept[:, FIRST] >= PAD) & (kept[:, FIRST] < kept[:, LAST]) & (kept[:, LAST] <= width - PAD)
+        if not (inside & (kept[:, SAMPLE] == kept[0, SAMPLE])).all() or (kept[:, [FIRST, LAST]] % 1).any():
+            raise ValueError("the state that was kept does not fit")
 
     def _window(self) -> tuple[Array, Array]:
         """Return where the window of each chain begins and ends: at the lines that hold what moves at t = 0.
@@ -109,6 +123,13 @@ class NativeStepper:
     def closest(self) -> Array:
         """Return by how much two grains have come closer than at rest at most, (R,) m; seen after whole steps."""
         return self._state[:, CLOSEST]
+
+    def largest(self) -> Array:
+        """Return the largest displacement and speed that any grain of each chain has had, (R, 2) m and m/s.
+
+        They are seen after steps some half a radian of the fastest motion apart, or one step if that is longer.
+        """
+        return self._state[:, [FARTHEST, FASTEST]]
 
     def state(self) -> dict[str, Array]:
         """Return what is needed to go on with the same bits."""

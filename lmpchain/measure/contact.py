@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from ..errors import InputError
+from ..errors import InputError, shown
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
-from ..util.plotting import axes_in_units
+from ..util.plotting import axes_in_units, thinned
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -90,8 +90,8 @@ class ContactHistory:
             ax.legend(frameon=False)
         else:
             rows = np.argsort(self.contact)
-            force = self.force.T[rows]
-            shown = ax.pcolormesh(self.time, self.contact[rows], force, shading="nearest", cmap="cividis")
+            numbers, force = thinned(self.contact[rows], self.force.T[rows])
+            shown = ax.pcolormesh(self.time, numbers, force, shading="nearest", cmap="cividis")
             picture.colorbar(shown, ax=ax, label="contact force", format=EngFormatter("N"))
             ax.yaxis.set_major_formatter("{x:g}")
             ax.yaxis.set_major_locator(MaxNLocator(integer=True))
@@ -183,7 +183,7 @@ def wall_force(trajectory: Trajectory, end: Literal["top", "bottom"] = "bottom")
     chain = trajectory.scene.chain
     kind = {"top": chain.top, "bottom": chain.bottom}.get(end, "free")
     if kind == "free":
-        raise InputError([("end", f"there is no wall at the end {end!r} of this chain")])
+        raise InputError([("end", f"there is no wall at the end {shown(end)} of this chain")])
     if kind == "fixed":
         return contacts(trajectory, [chain.grains - 1]).force[:, 0] + chain.masses[-1] * chain.gravity
     return contacts(trajectory, [0 if end == "top" else chain.grains]).force[:, 0]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..chain.chain import Chain
-from ..errors import InputError
+from ..errors import InputError, shown
 from ..scene.scene import Scene
 from ..theory import dyson
 from ..trajectory.trajectory import Trajectory
@@ -240,7 +240,7 @@ def orders(text: str) -> list[float]:
         try:
             values.append(float(part))
         except ValueError:
-            raise InputError([("m", f"must be numbers with commas between them (got {part!r})")]) from None
+            raise InputError([("m", f"must be numbers with commas between them (got {shown(part)})")]) from None
     if wrong := [m for m in values if not 0 < m < np.inf]:
         raise InputError([("m", f"must be above 0 (got {wrong[0]:g})")])
     return values

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +26,8 @@ from .hermite import (
     turns,
     value,
 )
+
+SMALLEST = sys.float_info.min  # of a top that has all of its digits
 
 
 @inlined
@@ -143,7 +146,7 @@ def _front(p, fraction, known_error, certain, frequency, width, out):
     y, end = sampled(p), p.h * p.error.size
     largest, low, high = _peak(p)
     enough = fraction * largest
-    if largest <= known_error or abs(y[0]) >= enough:
+    if largest <= known_error or largest < SMALLEST or abs(y[0]) >= enough:
         return
     found = _find(p, enough, certain)
     at, s = found.at, found.place

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 from scipy import optimize, stats
 
-from ..errors import InputError
+from ..errors import InputError, shown
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.plotting import axes_in_units
@@ -74,7 +74,7 @@ class Front:
     def against_depth(self, quantity: Quantity) -> tuple[Array, Array, str]:
         """Return depths h = n - 1/2 and the size of a quantity where it is known, (K,) each; its label."""
         if quantity not in get_args(Quantity):
-            raise InputError([("quantity", f"must be one of {', '.join(get_args(Quantity))} (got {quantity!r})")])
+            raise InputError([("quantity", f"must be one of {', '.join(get_args(Quantity))} (got {shown(quantity)})")])
         values = np.abs(getattr(self, quantity))
         known = np.isfinite(values)
         label = f"{quantity} of the front ({OTHERS.get(quantity, UNITS[self.field])})"

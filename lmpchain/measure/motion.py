@@ -9,7 +9,7 @@ from typing import NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import InputError, shown
 from ..scene.scene import Scene
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
@@ -167,11 +167,34 @@ class Motion:
 
     @cached_property
     def _known_errors(self) -> tuple[float, ...]:
-        imposed = self._scene.excitation.largest(self._scene.chain)
-        return tuple(
-            self._error * max(float(np.abs(x).max()), float(np.abs(y).max()))
+        return tuple(self._error * largest for largest in self._largest)
+
+    @property
+    def _largest(self) -> tuple[float, float]:
+        """What displacement, m, and velocity, m/s, no grain exceeds at any time: what errors are relative to.
+
+        A motion without frequencies above omega is at most ``1 / cos(omega h / 2)`` times its largest sample.
+        Where that does not hold, or not all grains are recorded, it follows from the energy if that is known.
+        """
+        scene, chain = self._scene, self._scene.chain
+        imposed = scene.excitation.largest(chain)
+        u, v = (
+            max(float(np.abs(x).max()), float(np.abs(y).max()))
             for x, y in zip((self.displacement, self.velocity), imposed, strict=True)
         )
+        swift = scene.highest_frequency * self.step
+        whole = not (self._column[1 : chain.movable + 1] == UNKNOWN).any()
+        if (whole and swift <= RESOLVED) or scene.excitation.does_work or self._equation not in (1, 3):
+            more = 1 / math.cos(min(swift, RESOLVED) / 2)
+            return more * u, more * v
+        fastest = max(v, math.sqrt(2 * scene.energy / chain.masses[: chain.movable].min()))
+        farthest = u + fastest * (self.step / 2 if whole else scene.duration)
+        if self._equation == 3 or scene.largest_strain < 1:  # no contact opens: each holds its share of the energy
+            pressed, softness = chain.contacts.pressed, np.zeros(chain.grains + 1)
+            np.divide(1.0, chain.contacts.stiffness, where=pressed, out=softness)
+            held = (chain.exponent + 1) * scene.energy * softness[1:].sum()
+            farthest = min(farthest, math.sqrt(held)) if softness[-2:].any() else farthest
+        return max(u, farthest), fastest
 
     @cached_property
     def ceiling(self) -> Array:
@@ -240,7 +263,7 @@ def peaks(trajectory: Trajectory, field: Field = "velocity") -> Peaks:
     True
     """
     if field not in get_args(Field):
-        raise InputError([("field", f'must be "velocity" or "displacement" (got {field!r})')])
+        raise InputError([("field", f'must be "velocity" or "displacement" (got {shown(field)})')])
     return motion_of(trajectory).peaks(field)
 
 

@@ -9,10 +9,11 @@ import numpy as np
 from scipy.signal import get_window
 
 from ..chain.chain import Chain
-from ..errors import InputError
+from ..errors import InputError, shown
+from ..theory.bands import Cell, branches, repeating
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
-from ..util.plotting import axes_in_units
+from ..util.plotting import axes_in_units, thinned
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -77,8 +78,9 @@ class Dispersion:
         |sum over grains of integral of w x exp(i k n - 2 pi i f t) dt| with the window w, m/s or m per Hz.
     grain : (3,) array
         First, middle and last grain.
-    relation : (3, K) array
-        The local dispersion relation at these, cut-off times |sin(k / 2)|, Hz.
+    relation : (3, B, K) array
+        The B branches of the local dispersion relation at these, Hz: those of the cell that repeats there, `cut_off`
+        times |sin(k / 2)| where all grains are alike or no cell is found.
     """
 
     field: Field
@@ -99,7 +101,8 @@ class Dispersion:
         _logarithmic(ax, self.wavenumber, self.frequency, self.amplitude, f"{self.field} ({UNITS[self.field]} per Hz)")
         for number, relation, style in zip(self.grain, self.relation, (":", "-", "--"), strict=True):
             if relation.any():
-                ax.plot(self.wavenumber, relation, style, color=LINE, label=f"grain {number}")
+                ax.plot(self.wavenumber, relation[0], style, color=LINE, label=f"grain {number}")
+                ax.plot(self.wavenumber, relation[1:].T, style, color=LINE)
                 ax.legend(title="local relation", loc="upper center", ncols=3)
         ax.set(xlabel="wavenumber, downward (radians a grain)", ylabel="frequency")
         ax.set_ylim(0, min(self.frequency[-1], 1.5 * self.relation.max() or np.inf))
@@ -109,7 +112,7 @@ class Dispersion:
 def recorded(trajectory: Trajectory, field: Field) -> tuple[np.ndarray, Array]:
     """Return the recorded grains from the top downward, (G,), and their motion, (T, G) m/s or m."""
     if field not in get_args(Field):
-        raise InputError([("field", f'must be "velocity" or "displacement" (got {field!r})')])
+        raise InputError([("field", f'must be "velocity" or "displacement" (got {shown(field)})')])
     if trajectory.time.size < FEWEST_SAMPLES:
         raise InputError([("samples", f"must be {FEWEST_SAMPLES} or more: record more often or for longer")])
     order = np.argsort(trajectory.grains)
@@ -172,9 +175,19 @@ def dispersion(
     both = np.fft.ifft(step * np.fft.rfft(windowed, axis=0), axis=1, norm="forward")
     wavenumber = 2 * np.pi * np.fft.fftshift(np.fft.fftfreq(chosen.size))
     three = np.array([first, (first + last) // 2, last])
-    relation = cut_off(trajectory.scene.chain)[three - 1, None] * np.abs(np.sin(wavenumber / 2))
+    period = repeating(trajectory.scene.chain, first, last)
+    relation = np.array([_branches(trajectory.scene.chain, grain, period, wavenumber) for grain in three])
     amplitude = np.abs(np.fft.fftshift(both, axes=1))
     return Dispersion(field, np.fft.rfftfreq(samples, step), wavenumber, amplitude, three, relation)
+
+
+def _branches(chain: Chain, grain: int, period: int, wavenumber: Array) -> Array:
+    """Return the branches (B, K), Hz, of a chain that repeats the grains from this one on."""
+    if period == 1 or not chain.compressed:
+        return cut_off(chain)[grain - 1] * np.abs(np.sin(wavenumber / 2))[None]
+    start = min(grain, chain.grains - period)
+    cell = Cell(chain.masses[start - 1 :][:period], chain.linear_stiffness[start - 1 :][:period])
+    return branches(cell, period * wavenumber).frequency / (2 * np.pi)
 
 
 def cut_off(chain: Chain) -> Array:
@@ -215,7 +228,8 @@ def space_time(trajectory: Trajectory, field: Field = "velocity", ax: Axes | Non
     ax, picture = axes_in_units(ax, "s", "")
     largest = np.abs(motion).max(0)
     limit = float(np.median(largest[largest > 1e-3 * largest.max()])) if largest.any() else 1.0
-    shown = ax.pcolorfast(_edges(trajectory.time), _edges(grain), motion.T, cmap="RdBu_r", vmin=-limit, vmax=limit)
+    rows, drawn = thinned(grain, motion.T)
+    shown = ax.pcolorfast(_edges(trajectory.time), _edges(rows), drawn, cmap="RdBu_r", vmin=-limit, vmax=limit)
     picture.colorbar(shown, ax=ax, label=f"{field}, downward", format=EngFormatter(UNITS[field]), extend="both")
     ax.set(xlabel="time", ylabel="grain, from the top", xlim=trajectory.time[[0, -1]], ylim=ax.get_ylim()[::-1])
     ax.locator_params(axis="y", integer=True, min_n_ticks=1)
@@ -230,7 +244,7 @@ def _window(name: str, size: int) -> Array:
     try:
         return get_window(name, size)
     except ValueError:
-        raise InputError([("window", f"must be a name that scipy.signal.get_window knows (got {name!r})")]) from None
+        raise InputError([("window", f"must be a name for scipy.signal.get_window (got {shown(name)})")]) from None
 
 
 def _logarithmic(ax: Axes, x: Array, y: Array, values: Array, label: str) -> None:

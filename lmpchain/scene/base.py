@@ -111,9 +111,8 @@ class Excitation(Checked):
 
     def scaled(self, factor: float) -> Self:
         """Return the same excitation, so many times as strong."""
-        given = self.given()
-        scaled = {key: factor * given[key] for key in self.strength if given.get(key) is not None}
-        return type(self)(**given | scaled)
+        strengths = {key: getattr(self, key) for key in self.strength}
+        return self.replace(**{key: factor * value for key, value in strengths.items() if value is not None})
 
     def energy_norm(self, chain: Chain, duration: float) -> float:
         """Bound sqrt(2 E), in J^(1/2), for the energy E that it puts into the linearised chain after t = 0."""

@@ -37,7 +37,7 @@ class _OneGrain(Excitation):
 
     def part(self, first: int, last: int) -> Excitation:
         """Return the same with the grain as it is numbered among grains first ... last."""
-        return type(self)(**self.given() | {"grain": self.grain - first + 1})
+        return self.replace(grain=self.grain - first + 1)
 
     def _at_grain(self, chain: Chain, value: float) -> Array:
         array = np.zeros(chain.grains)

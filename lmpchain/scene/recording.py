@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from typing import Annotated, Any
 
@@ -9,6 +10,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from ..chain.chain import Chain
+from ..errors import shown
 from ..util.validation import Checked, Positive, Whole
 
 
@@ -16,8 +18,8 @@ def _selection(value: Any) -> Any:
     """Grains to record: "all", "1:200" or a list of numbers."""
     if isinstance(value, str):
         parts = value.split(":")
-        if value != "all" and not (len(parts) == 2 and all(p.isascii() and p.isdigit() for p in parts)):
-            raise ValueError(f'must be "all", a range such as "1:200", or a list of grains (got {value!r})')
+        if value != "all" and not (len(parts) == 2 and all(p.isascii() and p.isdigit() and len(p) < 19 for p in parts)):
+            raise ValueError(f'must be "all", a range such as "1:200", or a list of grains (got {shown(value)})')
         return value
     try:
         numbers = [v.item() if isinstance(v, np.generic) else v for v in value]
@@ -37,9 +39,12 @@ class Recording(Checked):
 
     def faults(self, chain: Chain) -> Iterator[tuple[str, str]]:
         """Yield what this chain does not allow."""
+        if self.duration / (self.samples - 1) < sys.float_info.min:
+            apart = f"{self.samples} samples in {self.duration:g} s are too close for numbers of full precision"
+            yield "duration", f"{apart}: record for longer"
         first, last = self._ends(chain)
         if not 1 <= first <= last <= chain.grains:
-            yield "grains", f"grains are numbered 1 to {chain.grains} (got {first} to {last})"
+            yield "grains", f"grains are numbered 1 to {chain.grains} (got {shown(first)} to {shown(last)})"
         elif isinstance(self.grains, tuple) and len(set(self.grains)) < len(self.grains):
             yield "grains", "names a grain twice"
 
@@ -50,6 +55,11 @@ class Recording(Checked):
             first, last = self.grains.split(":")
             return int(first), int(last)
         return min(self.grains), max(self.grains)
+
+    def count(self, chain: Chain) -> int:
+        """Return how many grains are recorded."""
+        first, last = self._ends(chain)
+        return len(self.grains) if isinstance(self.grains, tuple) else last - first + 1
 
     def numbers(self, chain: Chain) -> np.ndarray:
         """Return the recorded grains, (G,) numbers from 1."""

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import InstanceOf
 
 from ..chain.chain import Chain
 from ..util.arrays import Array
@@ -20,7 +21,9 @@ from .base import Excitation
 from .excitation import Drive
 from .light_cone import reached
 from .recording import Recording
-from .strike import first_overlaps, pair_frequency, strike_faults, surroundings
+from .strike import first_overlaps, pair_frequency, squeezed, strike_faults, strike_remarks, surroundings
+
+LONGEST = 3600.0  # s: of a duration that may be meant
 
 
 class Scene(Recording):
@@ -55,12 +58,21 @@ class Scene(Recording):
     """
 
     chain: Chain
-    excitation: Excitation
+    excitation: InstanceOf[Excitation]
 
     def _faults(self) -> Iterator[tuple[str, str]]:
         misfits = list(self.excitation.faults(self.chain, self.duration))
-        yield from misfits or strike_faults(self.chain, self.excitation)
+        yield from misfits or strike_faults(self.excitation, *self._squeezed)
         yield from self.faults(self.chain)
+
+    def _remarks(self) -> Iterator[str]:
+        if self.duration > LONGEST:
+            yield f"duration: {self.duration:g} s is long for a wave in a chain; times are in seconds (100 us is 1e-4)"
+        yield from strike_remarks(self.chain, self.excitation, self._squeezed[1])
+
+    @cached_property
+    def _squeezed(self) -> tuple[int, float]:
+        return squeezed(self.chain, self.excitation)
 
     @property
     def time(self) -> Array:
@@ -137,6 +149,27 @@ class Scene(Recording):
         return float((closer / pressed).max()) * 1.05  # an opening contact is a little softer
 
     @cached_property
+    def linear_strain(self) -> float:
+        """A bound on |r / eps| of every contact of the linear chain at any time; infinite where there is none.
+
+        Of the energy E put in, a contact that is stretched by r takes at least ``r^2 / 2c``. Its compliance c is 1/k
+        or, between two ends that stand still, where the others must give way, ``(1 - (1/k) / sum 1/k) / k``.
+        """
+        chain, contacts, excitation = self.chain, self.chain.contacts, self.excitation
+        k, pressed = contacts.stiffness, contacts.pressed
+        if not (pressed == contacts.exists).all() or not pressed.any():
+            return np.inf
+        compliance = np.divide(1.0, k, out=np.zeros(k.size), where=pressed)
+        if excitation.does_work:
+            norm = excitation.energy_norm(chain, self.duration)  # sqrt(2 E)
+        else:
+            u, v = self.initial()
+            norm = float(np.sqrt((chain.masses * v**2).sum() + (k * contacts.closer(u) ** 2).sum()))
+            if pressed[0]:
+                compliance *= 1 - compliance / compliance.sum()
+        return float(norm * (np.sqrt(compliance[pressed]) / contacts.overlap[pressed]).max())
+
+    @cached_property
     def light_cone(self) -> LightCone:
         """The grains that the wave can have reached when the scene ends, as a scene of their own."""
         first, last = reached(self.chain, self.excitation, self.energy, self.duration)
@@ -150,7 +183,7 @@ class Scene(Recording):
 
     def part(self, first: int, last: int) -> Scene:
         """Return grains first ... last, all recorded, as a scene: right until a wave meets their ends."""
-        return Scene(
+        return Scene._unchecked(  # a part of a valid scene is valid
             chain=self.chain.part(first, last),
             excitation=self.excitation.part(first, last),
             duration=self.duration,
@@ -163,14 +196,20 @@ class Scene(Recording):
         return cls(**toml_file.read(path))
 
     @classmethod
-    def from_dict(cls, tables: dict[str, Any], folder: Path = Path()) -> Self:
-        """Make a scene from the tables of a scene file, whose CSV files lie in `folder`; raises `InputError`."""
+    def from_dict(cls, tables: dict[str, Any], folder: Path | None = Path()) -> Self:
+        """Make a scene from the tables of a scene file, whose CSV files lie in `folder`; raises `InputError`.
+
+        Without a folder the tables may name no files.
+        """
         return cls(**toml_file.fields(tables, folder))
 
     @classmethod
     def from_text(cls, text: str) -> Self:
-        """Make a scene from the text of a file; raises `InputError`, or `ValueError` if it is not TOML."""
-        return cls.from_dict(tomllib.loads(text))
+        """Make a scene from the text of a file that names no other file.
+
+        Raises `InputError`, or `ValueError` if it is not TOML.
+        """
+        return cls.from_dict(tomllib.loads(text), None)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the tables of a scene file."""

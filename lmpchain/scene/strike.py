@@ -8,6 +8,7 @@ import numpy as np
 
 from ..chain.chain import LARGEST_OVERLAP, Chain
 from ..chain.contacts import Contacts
+from ..chain.plausible import HERTZ_OVERLAP, beyond_hertz
 from ..util.arrays import Array
 from .base import Excitation
 
@@ -51,14 +52,39 @@ def surroundings(chain: Chain, excitation: Excitation) -> tuple[int, Chain, Exci
     return first, chain.part(first, last), excitation.part(first, last)
 
 
-def strike_faults(chain: Chain, excitation: Excitation) -> Iterator[tuple[str, str]]:
-    """Yield a fault if the excitation squeezes a contact beyond the range of Hertz's law."""
+def squeezed(chain: Chain, excitation: Excitation) -> tuple[int, float]:
+    """Return the contact that is squeezed most at first, and to what part of the diameter."""
     first, near, strike = surroundings(chain, excitation)
-    relative = first_overlaps(near, strike) / near.contact_lengths
-    if not relative.max() <= LARGEST_OVERLAP:
-        worst = int(relative.argmax())
+    with np.errstate(over="ignore"):  # of a strike that is refused
+        relative = first_overlaps(near, strike) / near.contact_lengths
+    worst = int(relative.argmax())
+    return worst + first - 1, float(relative[worst])
+
+
+def strike_faults(excitation: Excitation, contact: int, relative: float) -> Iterator[tuple[str, str]]:
+    """Yield a fault if a contact is squeezed beyond the range of Hertz's law."""
+    if not relative <= LARGEST_OVERLAP:
         yield (
-            "kind" if excitation.does_work else excitation.strength[0],
-            f"squeezes contact {worst + first - 1} to {relative[worst]:.2g} of the diameter, more than "
-            f"{LARGEST_OVERLAP:g}: strike more gently",
+            _strength(excitation),
+            f"squeezes contact {contact} to {relative:.2g} of the diameter, more than {LARGEST_OVERLAP:g}: strike more "
+            "gently",
         )
+
+
+def strike_remarks(chain: Chain, excitation: Excitation, relative: float) -> Iterator[str]:
+    """Yield what is hardly meant: overlaps beyond Hertz's law, grains faster than sound in them."""
+    at_rest = float((chain.contacts.overlap / chain.contact_lengths).max()) if relative > HERTZ_OVERLAP else 0.0
+    if chain.exponent == 1.5 and at_rest < HERTZ_OVERLAP < relative:
+        yield f"{_strength(excitation)}: {beyond_hertz(relative)}"
+    first, near, strike = surroundings(chain, excitation)
+    speed, sound = np.abs(strike.largest(near)[1]), near.by_grain("sound_speed")
+    worst = int((speed / sound).argmax())
+    if speed[worst] > sound[worst]:
+        yield (
+            f"{_strength(excitation)}: grain {worst + first} moves at {speed[worst]:.3g} m/s, faster than sound "
+            f"in its material, {sound[worst]:.3g} m/s"
+        )
+
+
+def _strength(excitation: Excitation) -> str:
+    return "kind" if excitation.does_work else excitation.strength[0]

@@ -11,14 +11,16 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ..chain.chain import Chain, Impurity
+from ..chain.chain import Chain
+from ..chain.impurities import Impurity
 from ..chain.materials import MATERIALS, Material
-from ..errors import InputError
+from ..errors import InputError, short, shown
 from ..util.files import check_readable
+from ..util.suggestions import did_you_mean, not_among
 from .base import Excitation
 from .excitation import EXCITATIONS
 from .recording import Recording
-from .strike import strike_faults
+from .strike import squeezed, strike_faults
 
 LARGEST_FILE, LARGEST_TABLE = 2**25, 2**33  # bytes
 LONGEST_LINE = 2**20  # of a table, characters
@@ -32,8 +34,8 @@ def read(path: str | PathLike[str]) -> dict[str, Any]:
     return fields(parse(path), path.parent)
 
 
-def fields(data: dict[str, Any], folder: Path = Path()) -> dict[str, Any]:
-    """Return the fields of a scene from the tables of its file; `folder` is where its CSV files lie."""
+def fields(data: dict[str, Any], folder: Path | None = Path()) -> dict[str, Any]:
+    """Return the fields of a scene from the tables of its file; its CSV files lie in `folder`."""
     faults: list[tuple[str, str]] = []
 
     def attempt(section: str, make: Callable[[dict[str, Any]], T]) -> T | None:
@@ -46,7 +48,8 @@ def fields(data: dict[str, Any], folder: Path = Path()) -> dict[str, Any]:
             return None
 
     for key in data.keys() - set(SECTIONS):
-        faults.append((key, f"unknown section; the sections are {', '.join(SECTIONS)}"))
+        known = ", ".join(SECTIONS)
+        faults.append((key, f"unknown section{did_you_mean(key, SECTIONS)}; the sections are {known}"))
     given: dict[str, dict[str, Any]] = {}
     for section in SECTIONS:
         table = data.get(section)
@@ -64,7 +67,7 @@ def fields(data: dict[str, Any], folder: Path = Path()) -> dict[str, Any]:
     if counted and excitation:
         found = list(excitation.faults(counted, recording.duration if recording else 0.0))
         if chain and not found:
-            found = list(strike_faults(chain, excitation))
+            found = list(strike_faults(excitation, *squeezed(chain, excitation)))
         faults.extend(InputError(found).under("excitation"))
     if counted and recording:
         faults.extend(InputError(recording.faults(counted)).under("recording"))
@@ -80,7 +83,7 @@ def _of_this_length(table: dict[str, Any]) -> Chain | None:
     """Return a sound chain with the grains and ends of a faulty one, to check other tables against."""
     kept = {key: table[key] for key in ("grains", "top", "bottom") if key in table}
     try:
-        return Chain(**kept, diameter=1.0, gravity=0.0)
+        return Chain(**kept, diameter=1e-3, gravity=0.0)
     except InputError:
         return None
 
@@ -115,7 +118,7 @@ def parse(path: Path) -> dict[str, Any]:
         raise InputError([(name, f"cannot be read: {error}")]) from None
 
 
-def _chain(keys: dict[str, Any], folder: Path) -> Chain:
+def _chain(keys: dict[str, Any], folder: Path | None) -> Chain:
     if "file" in keys:
         columns = _csv(folder, keys.pop("file"), ("material", "diameter", "mass"))
         if twice := [key for key in columns if key in keys or (key == "mass" and "masses" in keys)]:
@@ -128,11 +131,12 @@ def _chain(keys: dict[str, Any], folder: Path) -> Chain:
     return Chain(**keys)
 
 
-def _excitation(keys: dict[str, Any], folder: Path) -> Excitation:
+def _excitation(keys: dict[str, Any], folder: Path | None) -> Excitation:
     kind = keys.pop("kind", None)
     if not isinstance(kind, str) or kind not in EXCITATIONS:
-        known = " | ".join(EXCITATIONS)
-        raise InputError([("kind", f"must be {known} (got {kind!r})" if kind is not None else f"is missing; {known}")])
+        meant = "".join(f"; {shown(key)} is unknown{guess}" for key in keys if (guess := did_you_mean(key, ["kind"])))
+        missing = f"is missing; {' | '.join(EXCITATIONS)}{meant}"
+        raise InputError([("kind", missing if kind is None else not_among(kind, EXCITATIONS))])
     made = EXCITATIONS[kind]
     if made.columns and "file" in keys:
         columns = _csv(folder, keys.pop("file"), tuple(made.columns))
@@ -140,10 +144,12 @@ def _excitation(keys: dict[str, Any], folder: Path) -> Excitation:
     return made(**keys)
 
 
-def _csv(folder: Path, name: Any, known: Sequence[str]) -> dict[str, Any]:
+def _csv(folder: Path | None, name: Any, known: Sequence[str]) -> dict[str, Any]:
     """Read the known columns of a CSV file with a header, as lists of numbers, of words for `material`."""
     if not isinstance(name, str):
         raise InputError([("file", "must be the name of a CSV file")])
+    if folder is None:
+        raise InputError([("file", "a scene without a folder can name no file: give the numbers themselves")])
     path = folder / name
     try:
         check_readable(path, LARGEST_TABLE)
@@ -169,7 +175,7 @@ def _csv(folder: Path, name: Any, known: Sequence[str]) -> dict[str, Any]:
         try:
             columns[key] = [float(value) for value in columns[key]]
         except ValueError as error:
-            raise InputError([("file", f"{path}: the column {key} must hold numbers ({error})")]) from None
+            raise InputError([("file", f"{path}: the column {key} must hold numbers ({short(error)})")]) from None
     if columns.pop("grain", None) not in (None, [float(n) for n in range(1, len(rows) + 1)]):
         raise InputError([("file", f"{path}: the column grain must count 1, 2, 3 ...")])
     return columns

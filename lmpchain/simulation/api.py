@@ -15,11 +15,12 @@ import numpy as np
 
 from ..engines.base import Engine, Run
 from ..engines.step_control import Attempt, Outcome, solve_to_tolerance
-from ..errors import InputError, ToleranceNotMet, check_tolerance
+from ..errors import InputError, ToleranceNotMet, check_tolerance, shown
 from ..scene.scene import LightCone, Scene
 from ..trajectory.record import Block
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
+from ..util.compilation import clock
 from ..util.progress import RATE, ProgressBar
 from ..util.provenance import versions
 from .policy import policy_for, record
@@ -91,7 +92,7 @@ def simulate(
     """
     check_tolerance(tolerance)
     if on_miss not in ("raise", "warn"):
-        raise InputError([("on_miss", f'must be "raise" or "warn" (got {on_miss!r})')])
+        raise InputError([("on_miss", f'must be "raise" or "warn" (got {shown(on_miss)})')])
     policy = policy_for(engine, **options)
     if reasons := policy.refuses(scene):
         raise InputError(reasons)
@@ -108,7 +109,9 @@ def simulate(
     return _judged(task, *answer)
 
 
-def resume(folder: str | PathLike[str], *, max_wall: float | None = None, progress: bool = False) -> Trajectory:
+def resume(
+    folder: str | PathLike[str], *, max_wall: float | None = None, progress: bool = False, ranks: int | None = None
+) -> Trajectory:
     """Go on with a run in a folder, and end with the same bits as if nothing had stopped it.
 
     Parameters
@@ -117,6 +120,8 @@ def resume(folder: str | PathLike[str], *, max_wall: float | None = None, progre
         That `simulate(..., folder=...)` or `lmpchain run -o FOLDER/` made; nothing is done to a finished one.
     max_wall, progress
         As for `simulate`.
+    ranks : int, optional
+        MPI ranks that share the column from here on, in LAMMPS; by default as the run began. The bits stay the same.
 
     Returns
     -------
@@ -125,7 +130,7 @@ def resume(folder: str | PathLike[str], *, max_wall: float | None = None, progre
     Raises
     ------
     InputError
-        If this is no run folder, or another process is at work in it.
+        If this is no run folder, another process is at work in it, or its engine cannot use these ranks.
     LmpchainError
         As for `simulate`.
     """
@@ -138,7 +143,7 @@ def resume(folder: str | PathLike[str], *, max_wall: float | None = None, progre
         if said["reason"] and not said["best_effort"]:
             raise ToleranceNotMet(said["reason"], trajectory)
         return trajectory
-    with RunFolder(folder, Requests(max_wall)) as output:
+    with RunFolder(folder, Requests(max_wall), ranks=ranks) as output:
         answer = _answer(output.task, output, progress)
     return _judged(output.task, *answer)
 
@@ -150,7 +155,7 @@ def _answer(task: Task, output: _Memory | RunFolder, progress: bool) -> tuple[Tr
     with output.requests:
         while True:
             outcome = _solve(task, output.prepare(policy.engine(attempt)), attempt, output, progress)
-            began, cost = time.perf_counter(), outcome.cost
+            began, cost = clock(), outcome.cost
             try:
                 following = policy.fallback(scene, outcome.attempt, outcome.error)
             except ToleranceNotMet as refusal:
@@ -158,9 +163,11 @@ def _answer(task: Task, output: _Memory | RunFolder, progress: bool) -> tuple[Tr
                 break
             if not following:
                 break
-            planned_s = cost.setup_s + time.perf_counter() - began
+            planned_s = cost.setup_s + clock() - began
             spent_s = cost.integration_s + cost.estimate_s
-            attempt = replace(following, refusal=attempt.refusal, planned_s=planned_s, spent_s=spent_s)
+            attempt = replace(
+                following, refusal=attempt.refusal, planned_s=planned_s, spent_s=spent_s, compiled_s=cost.compile_s
+            )
     return output.finish(outcome), outcome
 
 
@@ -186,9 +193,10 @@ def _judged(task: Task, trajectory: Trajectory, outcome: Outcome[Any]) -> Trajec
     """Return the trajectory, or raise `ToleranceNotMet`."""
     if "redone" in trajectory.provenance:
         warnings.warn(trajectory.provenance["redone"], stacklevel=3)
-    model = trajectory.error_estimate.model
+    model, bound = trajectory.error_estimate.model, outcome.error.model_bound
     if model > task.tolerance:
-        left_out = f"Eq. ({trajectory.equation}) leaves out about {model:.2g} of the answer"
+        most = f" (at most {bound:.2g})" if bound > model else ""
+        left_out = f"Eq. ({trajectory.equation}) leaves out about {model:.2g} of the answer{most}"
         warnings.warn(f"{left_out}, more than {task.tolerance:g}. {outcome.error.remark}".rstrip(". "), stacklevel=3)
     if outcome.missed and not task.best_effort:
         raise ToleranceNotMet(outcome.missed, trajectory)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..util.arrays import Array
-from ..util.files import replacing
+from ..util.files import replacing, unpack
 
 NAMES = ("checkpoint", "checkpoint-before")
 STATE = "state."  # before the names of the arrays of a state, so that they never meet another
@@ -48,14 +48,17 @@ def load(folder: Path) -> Iterator[Checkpoint | None]:
     for path in (folder / name for name in NAMES):
         if path.exists():
             content = memoryview(path.read_bytes())
-            if HASH(content[LENGTH:]).digest() == content[:LENGTH]:
-                yield _unpack(content[LENGTH:])
-            else:
+            kept = _unpack(content[LENGTH:]) if HASH(content[LENGTH:]).digest() == content[:LENGTH] else None
+            if kept is None:
                 path.unlink()
-                yield None
+            yield kept
 
 
-def _unpack(content: memoryview) -> Checkpoint:
-    with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
-        state = {name.removeprefix(STATE): arrays[name] for name in arrays.files if name.startswith(STATE)}
-        return Checkpoint(json.loads(str(arrays["notes"])), state)
+def _unpack(content: memoryview) -> Checkpoint | None:
+    try:
+        arrays = unpack(content)
+        notes = json.loads(str(arrays["notes"]))
+        state = {name.removeprefix(STATE): values for name, values in arrays.items() if name.startswith(STATE)}
+        return Checkpoint(dict(notes), state)
+    except Exception:  # whatever it is, it is no checkpoint, though it bears its hash
+        return None

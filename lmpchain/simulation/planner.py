@@ -9,9 +9,9 @@ from typing import Any
 from ..errors import check_tolerance
 from ..scene.scene import Scene
 from ..util.tables import aligned, number
-from .selection import Proposal, cheapest, propose_all, reason
+from .selection import Proposal, cheapest, estimated, propose_all, reason
 
-HEAD = ("", "engine", "Eq.", "model error", "solver error", "grains", "step", "cost", "")
+HEAD = ("", "engine", "Eq.", "model error, at most", "solver error", "grains", "step", "cost", "")
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def plan(scene: Scene, tolerance: float = 1e-6) -> Plan:
     'native'
     """
     check_tolerance(tolerance)
-    proposals = propose_all(scene, tolerance)
+    proposals = estimated(propose_all(scene, tolerance), scene)
     best = cheapest(proposals)
     assert best.active_grains is not None
     return Plan(

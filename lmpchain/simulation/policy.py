@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Protocol
@@ -12,6 +11,8 @@ from ..engines.base import Candidate, Engine, ErrorBudget
 from ..engines.step_control import Attempt, first_attempt, loosened
 from ..errors import InputError, ToleranceNotMet
 from ..scene.scene import Scene
+from ..util.compilation import clock, compiled_s
+from ..util.suggestions import not_among
 from .selection import Proposal, cheapest, propose_all, reason
 
 AUTO = "auto"
@@ -104,13 +105,13 @@ class Auto:
 
     def first(self, scene: Scene, tolerance: float, best_effort: bool) -> Attempt:
         """Return the first attempt of the cheapest engine; `best_effort` loosens the tolerance if need be."""
-        began = time.perf_counter()
+        began, compiled = clock(), compiled_s()
         choose, refusal = partial(_cheapest, scene), ""
         if best_effort:
             attempt, _, refusal = loosened(choose, tolerance)
         else:
             attempt = choose(tolerance)
-        return replace(attempt, refusal=refusal, planned_s=time.perf_counter() - began)
+        return replace(attempt, refusal=refusal, planned_s=clock() - began, compiled_s=compiled_s() - compiled)
 
     def engine(self, attempt: Attempt) -> Engine:
         """Return the engine that was chosen."""
@@ -158,7 +159,7 @@ def policy_for(engine: str | Engine, **options: Any) -> Policy:
     if engine == AUTO and not options:
         return Auto()
     if isinstance(engine, str) and engine not in (AUTO, *engines.names()):
-        raise InputError([("engine", f"must be {' | '.join((AUTO, *engines.names()))} (got {engine!r})")])
+        raise InputError([("engine", not_among(engine, (AUTO, *engines.names())))])
     return Named(engines.get("native" if engine == AUTO else engine, **options))
 
 

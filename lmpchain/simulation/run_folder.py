@@ -3,7 +3,7 @@
 scene.toml, run.json
     The task (`lmpchain.simulation.task`), and every session that worked on it: command, host, versions.
 status.json
-    Running, stopped, finished or failed, why, and how far.
+    Running, stopped, finished or failed, why, and how far; see `status` for a run that was killed.
 trajectory.zarr
     The samples (`lmpchain.trajectory.zarr_store`); any Zarr reader opens it, also while the run goes on.
 checkpoint, checkpoint-before
@@ -30,9 +30,10 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from ..engines.base import Candidate, Engine, Run, SharperBound
+from .. import engines
+from ..engines.base import Engine, Run
 from ..engines.step_control import Attempt, Outcome
-from ..errors import InputError, LmpchainError
+from ..errors import EngineUnavailable, InputError, LmpchainError
 from ..trajectory import zarr_store as store
 from ..trajectory.record import Block, Cost, subject
 from ..trajectory.trajectory import Trajectory
@@ -49,14 +50,13 @@ SUMS = "SHA256SUMS"
 STATES = ("running", "stopped", "finished", "failed")
 SHARE = 0.01  # of the time that checkpoints may take
 OFTEN_S = 1.0  # shortest time between two
+LOOK_S = 1.0  # more than `status` keeps the lock
 PATIENCE_S = 5.0  # how long a stop waits for the sample at work, so that it need not be done again
 SPENT = ("integration_s", "estimate_s", "setup_s")
 
 
 def status(folder: str | PathLike[str]) -> dict[str, Any]:
-    """Return what the status file of a run folder says.
-
-    A run that was killed still says that it is running.
+    """Return what the status file of a run folder says, or that the run was killed.
 
     Raises
     ------
@@ -68,9 +68,35 @@ def status(folder: str | PathLike[str]) -> dict[str, Any]:
         said = json.loads(path.read_text(encoding="utf-8"))
         if said["state"] not in STATES or not 0 < said["tolerance"] < 1 or not isinstance(said["reason"], str):
             raise ValueError("it does not say how the run stands")
-        return said | {"best_effort": bool(said["best_effort"])}
+        said |= {"best_effort": bool(said["best_effort"])}
     except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
         raise InputError([(str(path), f"was changed and cannot be read: {error}")]) from None
+    return said | _killed(path) if said["state"] == "running" else said
+
+
+def _killed(path: Path) -> dict[str, str]:
+    """Return what to say in place of "running" if no process is at work any more."""
+    with suppress(OSError):  # perhaps it may be read only
+        if lock := _lock(path.parent):
+            try:
+                state = json.loads(path.read_text(encoding="utf-8"))["state"]  # it may have come to its end just now
+            finally:
+                lock.release()
+            if state == "running":
+                return {"state": "killed", "reason": "the process that was at work was killed"}
+    return {}
+
+
+def _lock(folder: Path, patience: float = 0.0) -> Any:
+    """Return the lock of a run folder once it is free, None if another process keeps it."""
+    from filelock import FileLock, Timeout
+
+    lock = FileLock(folder / LOCK, timeout=patience)
+    try:
+        lock.acquire()
+    except Timeout:
+        return None
+    return lock
 
 
 class RunFolder:
@@ -89,7 +115,10 @@ class RunFolder:
 
     task: Task
 
-    def __init__(self, folder: str | PathLike[str], requests: Requests, task: Task | None = None):
+    def __init__(
+        self, folder: str | PathLike[str], requests: Requests, task: Task | None = None, ranks: int | None = None
+    ):
+        self._ranks = ranks
         self.name, self.path, self.requests, self._new = str(folder), Path(folder), requests, task
         self.attempt: Attempt | None = None
         self.samples = 0
@@ -104,42 +133,44 @@ class RunFolder:
             make_folder(tasks.check_new(self.path))
         else:
             tasks.check_run(self.path)
-        self._acquire()
+        self._lock = self._locked()
         try:
+            for left in (*self.path.rglob(".*.partial*"), *(self.path / store.NAME).rglob("*.partial")):  # by a kill
+                left.unlink()
             if self._new:
                 self.task = self._new
                 tasks.check_new(self.path)  # another may have been faster
                 self._say("running")
                 tasks.write(self.path, self.task)
             else:
-                for left in self.path.glob(".*.partial*"):  # by a kill
-                    left.unlink()
-                self.task = tasks.read(self.path)
+                self.task = tasks.read(self.path, self._ranks)
                 self._find()
+                with suppress(InputError, LookupError):  # what the sessions before did after their last checkpoint
+                    self._before["wall_s"] = max(self._before["wall_s"], float(status(self.path)["wall_s"]))
                 self._say("running")
         except BaseException:
             self._lock.release()
             raise
         return self
 
-    def _acquire(self) -> None:
-        from filelock import FileLock, Timeout
-
-        self._lock = FileLock(self.path / LOCK, timeout=0)
+    def _locked(self) -> Any:
+        """Return the lock of the folder, which nobody else has now."""
         try:
-            self._lock.acquire()
-        except Timeout:
-            raise InputError([(self.name, "another process is at work here; wait for it, or stop it")]) from None
+            lock = _lock(self.path, LOOK_S)
         except OSError as error:
             raise LmpchainError(f"{self.name}: cannot be written: {error.strerror}") from None
+        if not lock:
+            raise InputError([(self.name, tasks.AT_WORK)])
+        return lock
 
     def _find(self) -> None:
         """Find the newest checkpoint that is whole, and whose samples are there."""
         lost = False
         for checkpoint in checkpoints.load(self.path):
-            if checkpoint and store.usable(self.path, checkpoint.notes["samples"]):
+            if checkpoint and store.usable(self.path, self.task.scene, checkpoint.notes.get("samples")):
                 notes, self._state = checkpoint
-                self.attempt, self.samples, self._before = _attempt(notes), notes["samples"], notes["spent"]
+                self.attempt = _attempt(notes, self._before)
+                self.samples, self._before = notes["samples"], notes["spent"]
                 break
             lost = True
         if lost:
@@ -155,12 +186,13 @@ class RunFolder:
                 self._say("stopped" if stopped else "failed", str(error) or self.requests.reason or "interrupted")
         self._lock.release()
         self.requests.pass_on()
-        if isinstance(error, OSError):
-            what = f"{error.filename or self.name}: cannot be written: {error.strerror or error}"
+        if isinstance(error, OSError | EngineUnavailable):
+            what = str(error)
+            if isinstance(error, OSError):
+                what = f"{error.filename or self.name}: cannot be written: {error.strerror or error}"
             kept = f"{self.samples} of {self.task.scene.samples} samples were done and most are kept"
-            raise LmpchainError(
-                f"{what}; {kept}; when that is put right, {resume_command(self.name)} goes on"
-            ) from error
+            kind = type(error) if isinstance(error, LmpchainError) else LmpchainError
+            raise kind(f"{what}; {kept}; when that is put right, {resume_command(self.name)} goes on") from error
 
     def prepare(self, engine: Engine) -> Engine:
         """Return the engine that answers, which writes what it says on the way into this folder."""
@@ -210,7 +242,9 @@ class RunFolder:
     def _checkpoint(self, run: Run) -> None:
         began = time.monotonic()
         self._writer.flush()
-        self._estimate = run.errors()[0].total
+        error = run.errors()[0]
+        self._estimate = error.total
+        self._writer.note(error.estimate)
         checkpoints.save(self.path, self._notes(self._spent(run.cost())), run.state())
         self._say("running")
         self._next = time.monotonic() + max(OFTEN_S, (time.monotonic() - began) / SHARE)
@@ -259,16 +293,20 @@ class RunFolder:
             aside.write_text(json.dumps(said, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def _attempt(notes: Mapping[str, Any]) -> Attempt:
-    """Return the attempt that a checkpoint tells of."""
-    given = notes["attempt"]
+def _attempt(notes: Mapping[str, Any], spent: Mapping[str, float]) -> Attempt:
+    """Return the attempt that a checkpoint tells of, after checking all that it notes."""
+    from pydantic import TypeAdapter, ValidationError
+
     try:
-        fields = given["candidate"]
-        sharper = fields["sharper"] and SharperBound(**fields["sharper"])
-        candidate = Candidate(**fields | {"sharper": sharper})
-        return Attempt(**given | {"candidate": candidate, "truncations": tuple(given["truncations"])})
-    except (TypeError, LookupError):
+        attempt = TypeAdapter(Attempt).validate_json(json.dumps(notes["attempt"]))
+        candidate, known = attempt.candidate, dict(TypeAdapter(dict[str, float]).validate_python(notes["spent"]))
+        if not (0 < candidate.step < math.inf and candidate.steps_per_sample > 0 and 0 < attempt.tolerance < 1):
+            raise ValueError("it has no steps")
+        if known.keys() != spent.keys() or attempt.engine not in engines.names():
+            raise ValueError("it is not of this version")
+    except (ValidationError, TypeError, ValueError, LookupError):
         cure = "go on with that one, or run the scene anew"
         raise InputError(
             [("checkpoint", f"was written by a version of lmpchain that this one does not know: {cure}")]
         ) from None
+    return attempt

@@ -20,6 +20,7 @@ from ..util.tables import finite
 THEORY = {3: "linear theory", 4: "the homogeneous chain", 27: "the continuum"}  # by the equation that it solves
 # analysis/calibration/linear_model_error.py
 WORTH = 0.8  # a sharper bound, with the answer that it speaks for, must cost less than this part of the cheapest
+AT_ONCE_S = 0.05  # what an estimate that decides nothing may take
 ROUNDING = 1 + 1e-9  # of a sum of errors that is equal to the tolerance
 
 
@@ -40,6 +41,8 @@ class Proposal:
         Why it is kept or not.
     bounded : bool
         Whether its model error was bounded from the linear solution.
+    estimate : float
+        Estimate of its model error where it is not kept for the bound on it; NaN if none was made.
     """
 
     engine: str
@@ -48,6 +51,7 @@ class Proposal:
     kept: bool = False
     why: str = ""
     bounded: bool = False
+    estimate: float = math.nan
 
     @property
     def integrator(self) -> str:
@@ -86,6 +90,7 @@ class Proposal:
             "equation",
             "integrator",
             "model_error",
+            "estimate",
             "solver_error",
             "active_grains",
             "step",
@@ -162,6 +167,23 @@ def _judge(proposal: Proposal, scene: Scene, tolerance: float) -> Proposal:
         error = percent(candidate.model_error)
         why = f"strike number {scene.strike_number:.2g}: {theory}, a priori bound {reaches} {error}"
     return replace(proposal, kept=kept, why=why)
+
+
+def estimated(proposals: Sequence[Proposal], scene: Scene) -> list[Proposal]:
+    """Add to proposals dropped for a bound on their model error what it is about, where that is cheap."""
+    known: dict[int | None, float] = {}
+    told = []
+    for proposal in proposals:
+        look = proposal.candidate.sharper if proposal.candidate and not proposal.kept else None
+        if look and look.cost_s < AT_ONCE_S and proposal.solver_error < proposal.model_error:
+            if proposal.equation not in known:
+                engine = engines.get(proposal.engine)
+                known[proposal.equation] = engine.estimate_model_error(engine.part(scene))
+            estimate = known[proposal.equation]
+            why = f"{proposal.why}; the linear wave itself tells about {percent(estimate)}"
+            proposal = replace(proposal, estimate=estimate, why=why)
+        told.append(proposal)
+    return told
 
 
 def percent(error: float) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shlex
+import shutil
 import warnings
 from dataclasses import dataclass
 from os import PathLike
@@ -12,13 +13,14 @@ from pathlib import Path
 from typing import Any
 
 from .. import engines
-from ..errors import InputError
+from ..errors import InputError, check_tolerance
 from ..scene.scene import Scene
 from ..util import mpi
-from ..util.files import replacing
+from ..util.files import check_tree, replacing
 from ..util.provenance import session
 from .policy import Named, Policy, policy_for
 
+AT_WORK = "another process is at work here; wait for it, or stop it"
 SCENE, RUN, STATUS, LOCK = "scene.toml", "run.json", "status.json", ".lock"
 
 
@@ -56,6 +58,10 @@ def check_run(folder: str | PathLike[str]) -> Path:
     """Return the path of a run folder; raises `InputError` if it is none."""
     if not is_run(folder):
         raise InputError([(str(folder), "is no run folder; lmpchain run SCENE.toml -o FOLDER/ makes one")])
+    try:
+        check_tree(Path(folder))
+    except OSError as error:
+        raise InputError([(str(folder), error.strerror or str(error))]) from None
     return Path(folder)
 
 
@@ -73,16 +79,27 @@ def check_new(folder: str | PathLike[str]) -> Path:
     return path
 
 
+def remove(folder: Path) -> None:
+    """Remove a run folder and the run in it; raises `InputError` if another process is at work there."""
+    from filelock import FileLock, Timeout
+
+    try:
+        with FileLock(check_run(folder) / LOCK, timeout=0):
+            shutil.rmtree(folder)
+    except Timeout:
+        raise InputError([(str(folder), AT_WORK)]) from None
+
+
 def write(folder: Path, task: Task) -> None:
     """Note a new task and this session; from the moment that the scene is there, `read` finds it."""
-    asked = {
+    asked: dict[str, Any] = {
         "engine": task.policy.name,
         "options": task.policy.options(),
         "tolerance": task.tolerance,
         "best_effort": task.best_effort,
     }
     seal = _seal(asked, task.scene.to_text())
-    _note(folder, asked | {"sha256": seal, "sessions": [session()]})
+    _note(folder, asked | {"sha256": seal, "sessions": [_session(asked["options"])]})
     task.scene.to_toml(folder / SCENE)
 
 
@@ -101,8 +118,14 @@ def check_kept(policy: Policy) -> None:
     policy.options()
 
 
-def read(folder: Path) -> Task:
-    """Return the task of a run folder, and note that this session works on it."""
+def read(folder: Path, ranks: int | None = None) -> Task:
+    """Return the task of a run folder, and note that this session works on it.
+
+    Raises
+    ------
+    InputError
+        If the files of the task were changed, or its engine cannot use these ranks.
+    """
     try:
         asked = json.loads((folder / RUN).read_text(encoding="utf-8"))
         text = (folder / SCENE).read_bytes().decode("utf-8")
@@ -110,16 +133,32 @@ def read(folder: Path) -> Task:
         options, before = dict(asked["options"]), dict(asked["sessions"][-1]["packages"])
         if asked["sha256"] != _seal(asked, text):
             raise ValueError("they are not those that the run began with")
+        ranked = "ranks" in options
+        if ranked and (ranks is not None or mpi.joined()):  # those of mpirun serve
+            options["ranks"] = ranks
+        policy = policy_for(str(asked["engine"]), **options)
+        check_kept(policy)  # no commands of whoever wrote this folder
+        check_tolerance(asked["tolerance"])
+        if not isinstance(asked["best_effort"], bool) or not isinstance(asked["sessions"], list):
+            raise ValueError("they do not say what was asked")
     except (ValueError, LookupError, TypeError, RecursionError) as error:
         raise InputError([(str(folder), f"its {RUN} or {SCENE} was changed and cannot be read: {error}")]) from None
-    if mpi.joined() and "ranks" in options:  # those of mpirun serve
-        options["ranks"] = None
-    now = session()
+    if ranks is not None and not ranked:
+        raise InputError([("ranks", f"the engine {asked['engine']} runs on one; leave the number of ranks out")])
+    if reasons := policy.refuses(scene):
+        raise InputError(reasons)
+    now = _session(options)
     versions = {name: (now["packages"].get(name), version) for name, version in before.items()}
     if others := [f"{name} {new}, not {old}" for name, (new, old) in versions.items() if new != old]:
         warnings.warn(f"the run went so far with other versions, and may now differ: {'; '.join(others)}", stacklevel=2)
     _note(folder, asked | {"sessions": [*asked["sessions"], now]})
-    return Task(scene, policy_for(asked["engine"], **options), asked["tolerance"], asked["best_effort"])
+    return Task(scene, policy, asked["tolerance"], asked["best_effort"])
+
+
+def _session(options: dict[str, Any]) -> dict[str, Any]:
+    """Return what is noted of this session, with its ranks where the engine can use several."""
+    world = mpi.joined()
+    return session() | ({"ranks": world.size if world else options["ranks"] or 1} if "ranks" in options else {})
 
 
 def _note(folder: Path, what: dict[str, Any]) -> None:

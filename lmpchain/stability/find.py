@@ -132,13 +132,12 @@ def _predictability(scene: Scene) -> Iterator[Boundary | Curve]:
 
 
 def _linear(scene: Scene) -> Iterator[Boundary]:
-    from .linear_theory import strike_number_at
+    from .linear_theory import strike_number_where
 
-    engine = engines.Chebyshev()
-    if reasons := engine.refuses(scene.light_cone.scene):
+    if reasons := engines.Chebyshev().refuses(scene.light_cone.scene):
         raise InputError(reasons)
     for error in (0.01, 0.1):
-        bound, number = strike_number_at(error, "package", scene.chain.exponent), scene.strike_number
+        bound, number = strike_number_where(error, scene), scene.strike_number
         yield Boundary(
             f"linear theory {100 * error:g} % off at v0*", "Eq. (3)", "", bound, here=number, beyond=number > bound
         )
@@ -158,8 +157,9 @@ def _strength(scene: Scene) -> Iterator[Curve]:
     linear, weaker = engines.Chebyshev(), [_times(scene, factor) for factor in STRENGTHS]
     if not linear.refuses(scene.light_cone.scene):
         parts = (weak.light_cone.scene for weak in weaker)
-        bounds = [linear.bound_model_error(part, linear.candidate(part, 0.9)) for part in parts]
-        yield Curve("strength", "Eq. (3), bound", STRENGTHS, np.array(bounds))
+        looks = [linear.look(part) for part in parts]
+        yield Curve("strength", "Eq. (3), estimate", STRENGTHS, np.array([look.error for look in looks]))
+        yield Curve("strength", "Eq. (3), at most", STRENGTHS, np.array([look.at_most for look in looks]))
     for engine, diameter in ROUNDINGS:
         yield Curve(
             "strength",
@@ -177,4 +177,4 @@ def _too_long(scene: Scene) -> bool:
 
 def _times(scene: Scene, factor: float) -> Scene:
     """Return the scene with an excitation that is so many times as strong."""
-    return Scene(**scene.given() | {"excitation": scene.excitation.scaled(factor)})
+    return scene.replace(excitation=scene.excitation.scaled(factor))

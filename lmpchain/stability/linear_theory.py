@@ -9,9 +9,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..engines.linear.model_error import COLUMN
+from ..engines.linear.engine import Chebyshev
+from ..engines.linear.model_error import COLUMN, struck_column
+from ..errors import shown
+from ..scene.scene import Scene
 from ..theory.domain import exponents, require
 
+WEAK, SEARCH = 1e-6, 20  # strike number at which no contact comes near to opening; iterations from there
 # norm: error of the linear theory over (delta - 1) v0* for weak strikes, and where it saturates
 # analysis/calibration/linear_model_error.py
 LINEAR = {"velocity": (0.54, 2**0.5), "displacement": (0.186, 0.45), "package": (COLUMN, 0.69), "peak": (0.134, 0.3)}
@@ -58,8 +62,25 @@ def strike_number_at(error: float, norm: str, exponent: float = 1.5, grain: int 
     return error / slope / (1 - error / limit) if error < limit else np.inf
 
 
+def strike_number_where(error: float, scene: Scene) -> float:
+    """Return the strike number at which Eq. (3) would have this error, in a scene like this one.
+
+    By `linear_law` for a column struck at its top, for any other scene by the estimate from its linear wave.
+    """
+    if struck_column(scene):
+        return strike_number_at(error, "package", scene.chain.exponent)
+    number = min(WEAK, scene.strike_number)
+    for _ in range(SEARCH):
+        given = scene.given() | {"excitation": scene.excitation.scaled(number / (scene.strike_number or 1.0))}
+        estimate = Chebyshev().estimate_model_error(Scene(**given).light_cone.scene)
+        if not estimate:
+            return np.inf
+        number *= error / estimate  # which grows with the strike, or with its square
+    return number
+
+
 def _linear_constants(norm: str, exponent: float, grain: int) -> tuple[float, float]:
-    require(("norm", norm in LINEAR, f"must be one of {', '.join(LINEAR)} (got {norm!r})"))
+    require(("norm", norm in LINEAR, f"must be one of {', '.join(LINEAR)} (got {shown(norm)})"))
     xi, _, _ = exponents(exponent)
     slope, limit = LINEAR[norm]
     spread = grain ** (0.75 * xi - 0.5) if norm == "peak" else 1.0

@@ -117,7 +117,7 @@ def _list(values: Array) -> list[float | None]:
     return [float(x) if np.isfinite(x) else None for x in values]
 
 
-STRENGTHS = {"Eq. (3), bound": COLOURS["modes"], "native, round-off": COLOURS["native"]}
+STRENGTHS = {"Eq. (3), estimate": COLOURS["modes"], "Eq. (3), at most": "0.6", "native, round-off": COLOURS["native"]}
 LEVELS = (1e-3, TOLERANCE, 1e-9)
 
 

@@ -19,6 +19,7 @@ from ..integrators.splittings import RKN6, Splitting
 from ..scene.scene import Scene
 from ..simulation.api import simulate
 from ..util.arrays import Array
+from ..util.suggestions import not_among
 
 Long = np.longdouble
 STEP = 0.3  # highest frequency times the step of rkn6 at which floors are given: its own error is some 1e-9 there
@@ -92,7 +93,7 @@ def _engine(engine: str, diameter: str, force: str, step: float | None = None) -
     known = (("engine", engine, ("native", "lammps")), ("diameter", diameter, ("physical", "gauge")))
     for key, value, allowed in known:
         if value not in allowed:
-            raise InputError([(key, f"must be {' | '.join(allowed)} (got {value!r})")])
+            raise InputError([(key, not_among(value, allowed))])
     return Native("rkn6", step, force=force) if engine == "native" else Lammps("rkn6", step, diameter)
 
 

@@ -136,7 +136,7 @@ def blow_up(scene: Scene, integrator: str, engine: str = "native") -> float:
     def survives(step: float) -> bool:
         steps = math.ceil(scene.duration / step / SAMPLES_MAX)
         samples = max(1, int(scene.duration / step / steps))
-        tried = Scene(**scene.given() | {"duration": samples * steps * step, "samples": samples + 1})
+        tried = scene.replace(duration=samples * steps * step, samples=samples + 1)
         try:
             run = solver.start([tried], replace(proposed, steps_per_sample=steps, step=step))
         except RunFailed:
@@ -216,7 +216,7 @@ def energy_error(scene: Scene, integrator: str, step: float, periods: float, sam
     from ..simulation.api import simulate  # which may ask this module for a warning
 
     duration = periods * 2 * math.pi / scene.chain.band_edge
-    longer = Scene(**scene.given() | {"duration": duration, "samples": samples, "grains": "all"})
+    longer = scene.replace(duration=duration, samples=samples, grains="all")
     run = simulate(longer, engines.Native(integrator=integrator, step=step))
     energy = scene.chain.excess_energy(run.displacement, run.velocity)
     return EnergyError(run.time, energy / energy[0] - 1, run.cost.step_s)

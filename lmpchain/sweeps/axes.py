@@ -14,6 +14,7 @@ from pydantic import Field
 from ..errors import InputError
 from ..scene.toml_file import SECTIONS
 from ..util.arrays import Array
+from ..util.suggestions import did_you_mean
 from ..util.validation import Checked, Whole
 from .laws import ALWAYS, MARKS, Drawn, Normal, Uniform, drawn, law
 
@@ -122,7 +123,9 @@ def axes(parts: Mapping[str, Any]) -> list[Axis]:
     keys = [key for axis in made for key in (*axis.columns, *(each.key for each in axis.arrays))]
     for place, key in enumerate(keys):
         if key.partition(".")[0] not in sections:
-            faults.append((key, f"is no key of a scene; they begin with {', '.join(sections)}, as chain.gravity does"))
+            meant = did_you_mean(key.partition(".")[0], sections)
+            there = f"they begin with {', '.join(sections)}, as chain.gravity does"
+            faults.append((key, f"is no key of a scene{meant}; {there}"))
         for other in keys[:place]:
             if f"{key}.".startswith(f"{other}.") or f"{other}.".startswith(f"{key}."):
                 faults.append((key, "is swept twice" if key == other else f"overlaps {other}: sweep one of them"))

@@ -7,7 +7,7 @@ import signal
 import threading
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
-from multiprocessing import get_context
+from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -38,6 +38,7 @@ class Processes(Executor):
         self._own = threading.local()
         self._pools: list[ProcessPoolExecutor] = []
         self._theirs, self._ours = SPAWN.Pipe(duplex=False)
+        resource_tracker.ensure_running()  # its start unblocks Ctrl-C in the thread that asks for it
         # threads that block Ctrl-C start processes that do: only the main process is to answer it
         block = signal.SIG_BLOCK, {signal.SIGINT}
         self._threads = ThreadPoolExecutor(workers, initializer=signal.pthread_sigmask, initargs=block)

@@ -6,8 +6,9 @@ import hashlib
 import itertools
 import json
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from os import PathLike
 from pathlib import Path
@@ -18,11 +19,12 @@ import numpy as np
 from .. import engines
 from ..chain.materials import MATERIALS
 from ..disorder.draws import Law, Of, realisation
-from ..errors import InputError, check_tolerance
+from ..errors import InputError, check_tolerance, shown
 from ..scene.scene import Scene
 from ..scene.toml_file import LARGEST_TABLE, SECTIONS, parse
 from ..util.arrays import Array
 from ..util.files import check_readable
+from ..util.suggestions import did_you_mean
 from ..util.validation import Checked, Positive, Whole
 from .axes import MAKERS, Axis, Seed, axes
 from .quantities import QUANTITIES
@@ -234,13 +236,20 @@ def read(source: str | PathLike[str] | Mapping[str, Any]) -> Sweep:
 def again(text: str, folder: Path) -> Sweep:
     """Return the sweep whose `text` this is; `folder` is where its CSV files lie."""
     kept = json.loads(text)
-    made = _plan({key: value for key, value in kept.items() if key not in ("format", "files")}, folder)
-    return replace(made, source=made.source | {"files": kept["files"]})
+    if not isinstance(kept["scene"], dict):
+        raise InputError([("scene", "must be tables: a sweep that is kept names no other file")])
+    return _plan({key: value for key, value in kept.items() if key not in ("format", "files")}, folder, kept["files"])
 
 
-def _plan(data: dict[str, Any], folder: Path) -> Sweep:
-    """Return what the tables of a sweep file say; raises `InputError`."""
-    faults = [(key, f"unknown key; the keys here are {', '.join(KEYS)}") for key in data if key not in KEYS]
+def is_name(text: Any) -> bool:
+    """Say whether results may be called so, as `Sweep.name`."""
+    return isinstance(text, str) and bool(re.fullmatch("[0-9a-f]{16}", text))
+
+
+def _plan(data: dict[str, Any], folder: Path, files: Any = None) -> Sweep:
+    """Return what the tables of a sweep file say; raises `InputError`. Files that are not given are looked up."""
+    there = f"the keys here are {', '.join(KEYS)}"
+    faults = [(key, f"unknown key{did_you_mean(key, KEYS)}; {there}") for key in data if key not in KEYS]
     parts = {part: data[part] for part in MAKERS if part in data}
     tolerance = data.get("tolerance", 1e-6)
     results: list[Any] = []
@@ -260,7 +269,7 @@ def _plan(data: dict[str, Any], folder: Path) -> Sweep:
     (tables, folder), engine, _, keep, swept = results
     folder = folder.absolute()
     source = {"scene": tables, "engine": engine, "tolerance": float(tolerance), "keep": keep, **parts}
-    source["files"] = _digests(tables, swept, folder)
+    source["files"] = _digests(tables, swept, folder) if files is None else files
     if "disorder" in parts and any(key.startswith("disorder.") for axis in swept for key in axis.columns):
         own = {key: value for key, value in parts["disorder"].items() if key != "realisations"}
         tables = tables | {"disorder": {key: value for key, value in own.items() if not isinstance(value, dict)}}
@@ -277,13 +286,15 @@ def _base(given: Any, folder: Path) -> tuple[dict[str, Any], Path]:
     if not isinstance(given, dict):
         raise InputError([("scene", "name a scene file, or give its tables: [scene.chain], [scene.excitation] ...")])
     if unknown := [key for key in given if key not in SECTIONS]:
-        raise InputError([(f"scene.{key}", f"unknown section; they are {', '.join(SECTIONS)}") for key in unknown])
+        there = f"they are {', '.join(SECTIONS)}"
+        meant = {key: did_you_mean(key, SECTIONS) for key in unknown}
+        raise InputError([(f"scene.{key}", f"unknown section{meant[key]}; {there}") for key in unknown])
     return dict(given), folder
 
 
 def _engine(name: Any) -> str:
     if not isinstance(name, str):
-        raise InputError([("engine", f"must be the name of an engine (got {name!r})")])
+        raise InputError([("engine", f"must be the name of an engine (got {shown(name)})")])
     if name == "auto":  # one engine for all: small scenes go together, and bits do not hang on how fast a machine is
         return "native"
     return engines.get(name).name
@@ -294,7 +305,8 @@ def _keep(names: Any) -> list[str]:
     if not isinstance(names, list) or not names:
         raise InputError([("keep", f"must be a list of some of {known}")])
     if wrong := [name for name in names if not isinstance(name, str) or name not in QUANTITIES]:
-        raise InputError([("keep", f"there is no {name!r}; use {known}") for name in wrong])
+        meant = [(name, did_you_mean(name, QUANTITIES)) for name in wrong]
+        raise InputError([("keep", f"there is no {shown(name)}{other}; use {known}") for name, other in meant])
     return sorted(set(names))
 
 

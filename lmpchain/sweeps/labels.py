@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import itertools
 import json
+import warnings
+from contextlib import suppress
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -47,10 +49,8 @@ def labels(plan: Sweep) -> Labels:
     swept = [range(len(axis)) if _shapes(axis) else range(1) for axis in plan.axes]
     kinds = set()
     for place in itertools.product(*swept):
-        try:
+        with suppress(InputError), warnings.catch_warnings(action="ignore"):  # said of the trials
             kinds.add(_kind(plan, place))
-        except InputError:
-            continue
     times = {(samples, duration) for samples, duration, _, _ in kinds}
     numbers = {recorded for _, _, recorded, _ in kinds}
     samples = max(count for count, _ in times)
@@ -86,7 +86,7 @@ def _kind(plan: Sweep, place: Place) -> tuple[int, float, tuple[int, ...], int]:
 @lru_cache(maxsize=64)
 def _recorded(table: str, size: int) -> tuple[Recording, np.ndarray]:
     """Return what a table asks to record, and the numbers of the grains of a chain of this size."""
-    what, chain = Recording(**json.loads(table)), Chain(grains=size, diameter=1.0, gravity=0.0)
+    what, chain = Recording(**json.loads(table)), Chain(grains=size, diameter=1e-3, gravity=0.0)
     if faults := list(what.faults(chain)):
         raise InputError(faults)
     return what, what.numbers(chain)

@@ -14,7 +14,7 @@ from ..disorder.draws import drawn_constants
 from ..errors import InputError
 from ..scene.scene import LightCone, Scene
 from ..scene.strike import overlaps_of, pair_frequency
-from ..util.arrays import Array
+from ..util.arrays import Array, read_only
 from ..util.validation import Checked
 from .axes import INDEX
 from .file import Sweep
@@ -60,7 +60,7 @@ def _wider(scene: Scene, keep: Sequence[str]) -> Scene:
     more = {n for grain in scene.recorded.tolist() for n in (grain - 1, grain, grain + 1)}
     more |= {last - 1, last} if "wall_force" in keep else set()
     grains = tuple(sorted(more - {0, last + 1}))
-    return Scene.model_construct(**scene.given() | {"grains": "all" if len(grains) == last else grains})
+    return Scene._unchecked(**scene.given() | {"grains": "all" if len(grains) == last else grains})
 
 
 def _together(plan: Sweep, first: int, count: int) -> list[Made]:
@@ -99,7 +99,9 @@ def _chains(chain: Chain, columns: Mapping[str, Array], change: Array, count: in
         return np.array([with_impurities(row, chain.impurity, key) for row in values]) if chain.impurity else values
 
     def of_material(key: str) -> Array:
-        values = np.array(by_grain(f"chain.material.{key}", chain._by_grain(key)))
+        if (drawn := columns.get(f"chain.material.{key}")) is None:
+            return np.broadcast_to(chain.by_grain(key), (count, chain.grains))
+        values = np.array(drawn)
         for impurity in chain.impurity:
             if impurity.material is not None:
                 values[:, impurity.grain - 1] = getattr(impurity.material, key)
@@ -134,6 +136,8 @@ def _chains(chain: Chain, columns: Mapping[str, Array], change: Array, count: in
     weight = chain.gravity * np.cumsum(masses.astype(np.longdouble), axis=1)
     force = np.concatenate((np.full((count, 1), chain.top_load), (chain.top_load + weight).astype(float)), axis=1)
     contacts = Contacts(constant, np.where(constant > 0, force, 0.0), chain.exponent)
+    for each in (diameter, masses, between, walls, contacts.constant, contacts.force):
+        read_only(each)  # as are the rows that chains get
     return {"diameter": diameter, "masses": masses, "between": between, "walls": walls, "length": length,
             "contacts": contacts, "given": {key.split(".")[1] for key in columns}}  # fmt: skip
 
@@ -156,7 +160,7 @@ def _pattern(chain: Chain, parts: Mapping[str, Any]) -> dict[str, Any]:
     if chain.impurity or "diameter" in parts["given"]:
         fields["diameter"] = parts["diameter"][0]
     own = [name for name in Chain.model_fields if name not in ("masses", "contact_constants")]
-    return {"pattern": Chain.model_construct(**fields), "names": own}
+    return {"pattern": Chain._unchecked(**fields), "names": own}
 
 
 def _known(common: Scene, parts: Mapping[str, Any]) -> dict[str, Array]:

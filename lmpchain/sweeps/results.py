@@ -12,9 +12,10 @@ import xarray
 from xarray.backends import BackendArray
 from xarray.core import indexing
 
-from ..errors import InputError
+from ..errors import InputError, short
 from ..util.arrays import Array
-from .file import FORMAT, Sweep, again
+from ..util.files import check_readable, check_tree
+from .file import FORMAT, Sweep, again, is_name
 from .store import NAME, SCALARS, Layout, laid_out, open_store, read
 
 LARGEST_INDEX = 2**30  # bytes
@@ -44,17 +45,20 @@ def load_sweep(folder: str | PathLike[str]) -> xarray.Dataset:
     """
     folder = Path(folder)
     index = _read(folder / NAME)
-    if not isinstance(index, dict) or index.get("format") != FORMAT:
+    if not isinstance(index, dict) or index.get("format") != FORMAT or not is_name(index.get("results")):
         raise InputError([(str(folder), "holds no sweep, or one of another version of lmpchain")])
-    results = folder / Path(str(index.get("results"))).name
+    results = folder / index["results"]
     plan, made = kept(results)
     store = open_store(results)
     swept = tuple(axis.name for axis in plan.axes)
-    coordinates = {
-        name: (array.metadata.dimension_names, array[:], dict(array.attrs))
-        for name, array in store.arrays()
-        if name not in made.columns
-    }
+    try:
+        coordinates = {
+            name: (array.metadata.dimension_names, array[:], dict(array.attrs))
+            for name, array in store.arrays()
+            if name not in made.columns
+        }
+    except Exception as error:  # whatever a damaged file makes zarr raise
+        raise InputError([(str(results), f"is damaged ({short(error)}): remove it, and sweep again")]) from None
     data: dict[str, Any] = {}
     for name, column in made.columns.items():
         about = {"units": column.units, "long_name": column.long_name}
@@ -78,20 +82,25 @@ def kept(results: Path) -> tuple[Sweep, Layout]:
     """Return the sweep that results are of, and how they are laid out; raises `InputError`."""
     path = results / NAME
     try:
+        check_tree(results)
         if not _read(path):
             raise InputError([(str(path), "is missing: remove its folder, and sweep again")])
-        return again(path.read_text(encoding="utf-8"), results), laid_out(open_store(results))
-    except (KeyError, TypeError, ValueError) as error:
+        plan = again(path.read_text(encoding="utf-8"), results)
+    except (OSError, KeyError, TypeError, ValueError) as error:
         if isinstance(error, InputError) and str(path) in str(error):
             raise
-        raise InputError([(str(path), f"cannot be read ({error}): remove its folder, and sweep again")]) from None
+        raise InputError(
+            [(str(path), f"cannot be read ({short(error)}): remove its folder, and sweep again")]
+        ) from None
+    return plan, laid_out(results, plan)
 
 
 def _read(path: Path) -> Any:
     """Return what a JSON file holds, or None if there is none."""
     try:
-        if path.stat().st_size > LARGEST_INDEX:
+        if path.is_symlink():
             raise ValueError
+        check_readable(path, LARGEST_INDEX)
         return json.loads(path.read_bytes())
     except FileNotFoundError:
         return None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
@@ -16,8 +17,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from filelock import FileLock, Timeout
 
-from ..errors import InputError
-from ..util.files import make_folder, write_aside
+from ..errors import InputError, short, shown
+from ..util.files import check_tree, make_folder, write_aside
 from ..util.progress import ProgressBar
 from .executors import Here, Processes
 from .file import FORMAT, Sweep, read
@@ -75,9 +76,12 @@ def sweep(
         With every fault of the sweep; if another process is at this folder, or nothing can be written there.
     """
     if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
-        raise InputError([("workers", f"must be a whole number from 1 (got {workers!r})")])
+        raise InputError([("workers", f"must be a whole number from 1 (got {shown(workers)})")])
     plan = read(source)
-    size = min(together(plan.engine, scene) for scene in plan.trials())
+    with warnings.catch_warnings(record=True, action="always") as remarks:
+        size = min(together(plan.engine, scene) for scene in plan.trials())
+    for remark in {re.sub(r"\d\S*", "", text): text for text in (str(w.message) for w in reversed(remarks))}.values():
+        warnings.warn(f"{remark}; perhaps in other scenes, too", stacklevel=2)
     folder = make_folder(folder).absolute()
     with _alone(folder):
         results, made, grains = _prepare(plan, folder, size)
@@ -102,6 +106,7 @@ def _prepare(plan: Sweep, folder: Path, size: int) -> tuple[Path, Layout, np.nda
     found = labels(plan)
     made = layout(plan.keep, plan.count, size, found.samples, found.grains.size, found.extra)
     results = folder / plan.name
+    _check(results, plan)
     if not (results / NAME).exists():
         (results / PARTS).mkdir(parents=True, exist_ok=True)
         if not (results / RESULTS).exists():
@@ -117,8 +122,19 @@ def _prepare(plan: Sweep, folder: Path, size: int) -> tuple[Path, Layout, np.nda
     return results, made, found.grains
 
 
+def _check(results: Path, plan: Sweep) -> None:
+    """Raise `InputError` if a folder of results that is there is not one of this sweep."""
+    try:
+        if results.exists():
+            check_tree(results)
+            if (results / NAME).exists() and (results / NAME).read_text(encoding="utf-8") != plan.text:
+                raise ValueError("its sweep.json is of another sweep")
+    except (OSError, ValueError) as error:
+        raise InputError([(str(results), f"is damaged ({short(error)}): remove it, and sweep again")]) from None
+
+
 def _write(path: Path, text: str) -> None:
-    if not path.exists() or path.read_text(encoding="utf-8") != text:
+    if path.is_symlink() or not path.is_file() or path.read_text(encoding="utf-8") != text:
         with write_aside(path) as aside:
             aside.write_text(text, encoding="utf-8")
 
@@ -144,8 +160,11 @@ def _scenes(made: Layout, firsts: Iterable[int]) -> int:
 @contextmanager
 def _alone(folder: Path) -> Iterator[None]:
     """Lock the folder of a sweep."""
+    lock = folder / ".lock"
+    if lock.is_symlink() or (lock.exists() and not lock.is_file()):
+        raise InputError([(str(lock), "is a link, a device or a pipe, which lmpchain never writes: remove it")])
     try:
-        with FileLock(folder / ".lock", timeout=0):
+        with FileLock(lock, timeout=0):
             yield
     except Timeout:
         raise InputError([(str(folder), "another process sweeps into this folder; wait for it")]) from None
@@ -168,7 +187,7 @@ def dask(address: str) -> Iterator[Executor]:
     try:
         client = Client(address, timeout=CONNECT_S)
     except (OSError, ValueError) as error:
-        raise InputError([("scheduler", f"no Dask scheduler answers at {address} ({error})")]) from None
+        raise InputError([("scheduler", f"no Dask scheduler answers at {short(address)} ({short(error)})")]) from None
     with client:
         if not client.nthreads():
             warnings.warn(f"no workers are there yet; start some: dask worker {address} --nthreads 1", stacklevel=3)

@@ -13,11 +13,12 @@ have an answer, and stays "not done" where there is no shard.
 
 from __future__ import annotations
 
-import json
 import math
 import os
+import re
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -26,17 +27,17 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, short
 from ..util.arrays import Array
+from ..util.files import unpack_one
+from .file import Sweep
 from .quantities import QUANTITIES
+from .store_check import CHUNK_BYTES, described
 
 NAME, PARTS, RESULTS = "sweep.json", "parts", "results.zarr"
 NOT_DONE = "not done"
 SCENES_A_FILE = 160  # at least, in a shard, for every array: 100 files hold 10^4 scenes,
 SHARD_BYTES = 2**27  # unless a shard would be larger than this
-CHUNK_BYTES = 2**18  # of a shard, read at a time
-CODECS = {"bytes", "crc32c", "sharding_indexed", "vlen-utf8", "zstd"}  # that a store of ours may have
-LARGEST_METADATA = 2**20  # bytes
 SCALARS = {"model_error": "of the equation that was solved", "solver_error": "of its solution"}
 
 
@@ -109,16 +110,34 @@ def layout(
     return Layout(count, batch, columns)
 
 
-def laid_out(store: Any) -> Layout:
-    """Return what a store that is there looks like."""
-    columns = {}
-    for name, array in sorted(store.arrays(), key=lambda pair: pair[0] == "reason"):
-        first, *dimensions = array.metadata.dimension_names
-        if first == "scene":
-            kind = str if array.dtype.kind == "T" else array.dtype.str[1:]
-            about = array.attrs["units"], array.attrs["long_name"], array.fill_value, kind
-            columns[name] = Column(tuple(dimensions), array.shape[1:], *about)
-    return Layout(store["reason"].shape[0], int(store.attrs["batch"]), columns)
+def laid_out(folder: Path, plan: Sweep) -> Layout:
+    """Return what the store of a sweep that is there looks like.
+
+    Raises
+    ------
+    InputError
+        If it is not there, damaged, or not laid out as this package does it for this sweep.
+    """
+    with _checked(folder) as (batch, arrays):
+        drawn = {each.key: f"{each.key}.entry" for axis in plan.axes for each in axis.arrays}
+        extra = {}
+        for name, about in arrays.items():
+            if about["dimension_names"] == ["scene", drawn.get(name, "sample" if name == "time" else None)]:
+                extra[name] = Column((about["dimension_names"][1],), (about["shape"][1],), **about["attributes"])
+        samples = extra["time"].shape[0] if "time" in extra else arrays["time"]["shape"][0]
+        made = layout(plan.keep, plan.count, batch, samples, arrays["grain"]["shape"][0], extra)
+        for name, column in made.columns.items():
+            about = arrays[name]
+            size = about["shape"], about["chunk_grid"]["configuration"]["chunk_shape"]
+            kind = "string" if column.dtype is str else "float64"
+            if (*size, about["dimension_names"], about["data_type"]) != (
+                [made.count, *column.shape], [made.shard, *column.shape], ["scene", *column.dimensions], kind,
+            ):  # fmt: skip
+                raise ValueError(f"{name} is not that of its sweep")
+        labels = {"time", "grain"} | {key for axis in plan.axes for key in (axis.name, *axis.columns)}
+        if strange := arrays.keys() - made.columns.keys() - labels:
+            raise ValueError(f"{min(strange)} does not belong there")
+    return made
 
 
 def create(folder: Path, made: Layout, coordinates: Coordinates, swept: Mapping[str, int]) -> None:
@@ -168,32 +187,18 @@ def open_store(folder: Path, writing: bool = False) -> Any:
     """
     import zarr
 
-    path = folder / RESULTS
+    with _checked(folder):
+        return zarr.open_group(folder / RESULTS, mode="r+" if writing else "r", zarr_format=3, use_consolidated=False)
+
+
+@contextmanager
+def _checked(folder: Path) -> Iterator[tuple[int, dict[str, dict[str, Any]]]]:
+    """Yield what `described` says of the store; raises `InputError` if it is not one, or of what is done with it."""
     try:
-        for each in [path, *sorted(path.iterdir())]:
-            if each.is_symlink() or (not each.is_dir() and each.name != "zarr.json"):
-                raise ValueError(f"{each.name} does not belong there")
-            if each.is_dir():
-                _check(each / "zarr.json")
-        return zarr.open_group(path, mode="r+" if writing else "r", zarr_format=3, use_consolidated=False)
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise InputError([(str(path), f"is damaged ({error}): remove {folder}, and sweep again")]) from None
-
-
-def _check(path: Path) -> None:
-    """Raise `ValueError` unless the metadata are of the kind that this package writes."""
-    if path.is_symlink() or path.stat().st_size > LARGEST_METADATA:
-        raise ValueError(f"{path.parent.name} has strange metadata")
-    about = json.loads(path.read_bytes())
-    if about["zarr_format"] != 3:
-        raise ValueError("it is of another version of Zarr")
-    codecs = list(about.get("codecs", ()))
-    while codecs:
-        codec = codecs.pop()
-        if codec["name"] not in CODECS:
-            raise ValueError(f"{path.parent.name} is packed by {codec['name']}")
-        inner = codec.get("configuration", {})
-        codecs += [*inner.get("codecs", ()), *inner.get("index_codecs", ())]
+        yield described(folder / RESULTS)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, LookupError, RecursionError) as error:
+        at = str(folder / RESULTS)
+        raise InputError([(at, f"is damaged ({short(error)}): remove {folder}, and sweep again")]) from None
 
 
 def complete(folder: Path, shard: int) -> bool:
@@ -212,7 +217,8 @@ def write_part(folder: Path, first: int, columns: Mapping[str, Array], whole: bo
     aside = path.with_name(f".{path.stem}.{token_hex(4)}.partial")
     try:
         with open(aside, "wb") as opened:
-            np.savez(opened, allow_pickle=False, **columns)  # type: ignore[arg-type]
+            whole_rows: Any = {name: np.ascontiguousarray(values) for name, values in columns.items()}
+            np.savez(opened, allow_pickle=False, **whole_rows)
         os.replace(aside, path)
     finally:
         aside.unlink(missing_ok=True)
@@ -223,8 +229,7 @@ def write_part(folder: Path, first: int, columns: Mapping[str, Array], whole: bo
 def read_part(path: Path, name: str, column: Column) -> Array:
     """Return one array of a part; raises `InputError` if it is damaged."""
     try:
-        with np.load(path, allow_pickle=False) as part:
-            values: Array = part[name]
+        values: Array = unpack_one(path, name)
         if values.shape[1:] != column.shape or values.dtype.kind not in ("U" if column.dtype is str else "f"):
             raise ValueError("an array has another shape")
         return values
@@ -253,13 +258,18 @@ def gather(folder: Path, made: Layout, shard: int) -> None:
 
 def parts_of(folder: Path) -> dict[int, Path]:
     """Return the parts that there are, whole or not, by their first scene."""
-    found = {int(path.name[:7]): path for path in sorted((folder / PARTS).glob("[0-9]*.some.npz"))}
-    return found | {first: path for first, path in whole_parts(folder).items()}
+    return _parts(folder, ".some") | whole_parts(folder)
 
 
 def whole_parts(folder: Path) -> dict[int, Path]:
     """Return the parts that are whole, by their first scene."""
-    return {int(path.stem): path for path in (folder / PARTS).glob("[0-9]*.npz") if path.stem.isdecimal()}
+    return _parts(folder, "")
+
+
+def _parts(folder: Path, kind: str) -> dict[int, Path]:
+    pattern = re.compile(rf"([0-9]{{7}}){re.escape(kind)}\.npz")
+    found = ((pattern.fullmatch(path.name), path) for path in sorted((folder / PARTS).glob("*.npz")))
+    return {int(name[1]): path for name, path in found if name}
 
 
 def clean(folder: Path, made: Layout) -> None:

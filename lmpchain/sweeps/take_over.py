@@ -9,14 +9,16 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from .file import Sweep
+from .file import Sweep, is_name
 from .results import kept
 from .store import NAME, NOT_DONE, Layout, read, write_part
 
 
 def others(folder: Path, results: Path) -> list[Path]:
     """Return where the results of other sweeps of the folder lie."""
-    return sorted(path.parent for path in folder.glob(f"*/{NAME}") if path.parent != results)
+    return sorted(
+        path for path in folder.iterdir() if is_name(path.name) and (path / NAME).exists() and path != results
+    )
 
 
 def take_over(plan: Sweep, made: Layout, results: Path, before: Path) -> None:

@@ -83,8 +83,9 @@ def answer(task: Task) -> None:
     plan = again(_text(task.folder / NAME), task.files)
     engine = engines.get(plan.engine)
     alike = engine.batches and engine.equation == 1
-    made = scenes(plan, task.first, task.count, alike)
-    with warnings.catch_warnings(action="ignore"):  # how far off an answer is stands in the result
+    # what is hardly meant was said when the sweep began; how far off an answer is stands in the result
+    with warnings.catch_warnings(action="ignore"):
+        made = scenes(plan, task.first, task.count, alike)
         answers = _in_batches(engine, {n: s for n, s in enumerate(made) if isinstance(s, Scene)}, plan.tolerance)
         columns = _columns(task)
         for row, scene in enumerate(made):

@@ -7,5 +7,5 @@ Contact n has ``kappa_n = n^xi``, grain n sits at the depth ``h = n - 1/2``. Arr
 
 from ..util.lazy import attributes
 
-__all__ = ["bessel", "continuum", "dyson", "front", "modes"]
+__all__ = ["bands", "bessel", "continuum", "dimer_soliton", "dyson", "front", "modes", "scattering", "soliton"]
 __getattr__ = attributes(__name__, __all__)

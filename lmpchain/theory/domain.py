@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import InputError
+from ..errors import InputError, shown
 from ..util.arrays import Array
 
 
@@ -44,7 +44,7 @@ def exponents(delta: float) -> tuple[float, float, float]:
     >>> exponents(1.0)
     (0.0, 2.0, 0.5)
     """
-    require(("delta", np.isfinite(delta) and delta >= 1, f"must be 1 or more (got {delta!r})"))
+    require(("delta", np.isfinite(delta) and delta >= 1, f"must be 1 or more (got {shown(delta)})"))
     return 1 - 1 / delta, 1 + 1 / delta, 1 / (1 + delta)
 
 

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import gzip
 import sys
-import warnings
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import islice
 from os import PathLike
 from pathlib import Path
 from typing import IO
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, short, shown
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.files import check_readable
@@ -24,6 +24,8 @@ HEADER = 9  # lines above the atoms of a frame
 SAME = 1e-6  # largest difference of the first frame from the initial state, over the largest value in the dump
 FEWEST_LEVELS = 100  # of height that a displacement must span
 BLOCK = 1 << 20  # bytes
+AXES = ("x", "y", "z")
+COLUMNS = "dump custom ... id x y z vz v_phi, with dump_modify format float %.17g"
 
 
 def is_dump(path: str | PathLike[str]) -> bool:
@@ -41,7 +43,12 @@ def _open(path: Path) -> IO[bytes]:
     return gzip.open(path) if path.suffix == ".gz" else open(path, "rb")  # type: ignore[return-value]
 
 
-def read(path: str | PathLike[str], scene: Scene, equilibrium: Sequence[float] | Array | None = None) -> Record:
+def read(
+    path: str | PathLike[str],
+    scene: Scene,
+    equilibrium: Sequence[float] | Array | None = None,
+    axis: str | None = None,
+) -> Record:
     """Read a LAMMPS dump as the trajectory of a scene; see `lmpchain.Trajectory.from_dump`.
 
     Raises
@@ -52,21 +59,27 @@ def read(path: str | PathLike[str], scene: Scene, equilibrium: Sequence[float] |
     path = Path(path)
     name, chain = str(path), scene.chain
     rest = None if equilibrium is None else _checked(equilibrium, chain.grains)
+    if axis not in (None, *AXES):
+        raise InputError([("axis", f"must be x, y or z, along which the column stands (got {shown(axis)})")])
     columns = _columns(path, scene)
-    height = "z" if "z" in columns else "zu"
-    steps, data = _frames(path, [height, "vz", *(["v_phi"] if "v_phi" in columns else [])])
+    heights = [key for key in AXES if key in columns] or [f"{key}u" for key in AXES]
+    given = [*heights, *(f"v{key}" for key in AXES if f"v{key}" in columns), *(["v_phi"] if "v_phi" in columns else [])]
+    steps, data = read_frames(path, columns, given, chain.grains, most=2 * scene.samples)
     if len(steps) != scene.samples:
         cure = "set the samples of the scene so, or run LAMMPS to its end"
         raise InputError([(name, f"has {len(steps)} whole frames, the scene {scene.samples} samples: {cure}")])
+    if not all(np.isfinite(values).all() for values in data.values()):
+        raise InputError([(name, "holds numbers that are not finite: the run broke down; use a shorter step")])
+    axis = axis or _axis(name, [data[key][0] for key in heights])
+    if f"v{axis}" not in data:
+        raise InputError([(name, f"has no column v{axis}, though the column stands along {axis}: {COLUMNS}")])
     apart = np.diff(steps)
     if (apart <= 0).any() or (apart != apart[0]).any():
         raise InputError([(name, "its frames are not equally far apart: dump every so many steps, from the start")])
-    if not all(np.isfinite(values).all() for values in data.values()):
-        raise InputError([(name, "holds numbers that are not finite: the run broke down; use a shorter step")])
-    z, vz = data[height], data["vz"]
+    z, vz = data[heights[AXES.index(axis)]], data[f"v{axis}"]
     origin = "heights less those at first" if rest is None else "heights less those given"
     misfits = []
-    for down in [-1.0] if "v_phi" in data else _ways_down(scene, z[0], rest):
+    for down in [-1.0] if "v_phi" in data and axis == "z" else _ways_down(scene, z[0], rest):
         order = np.argsort(down * z[0], kind="stable")
         velocity = down * vz[:, order]
         if "v_phi" in data:
@@ -80,9 +93,10 @@ def read(path: str | PathLike[str], scene: Scene, equilibrium: Sequence[float] |
             break
     else:
         raise InputError([(name, f"{misfits[0]}: give the scene that the dump was made for")])
+    mover = order[int(np.abs(velocity).sum(0).argmax())]
+    told = data["v_phi"] if origin == "v_phi" else z
     if origin != "v_phi":
-        mover = int(np.abs(velocity).sum(0).argmax())
-        _check_digits(name, z[:, order[mover]])
+        _check_digits(name, z[:, mover])
     chosen = scene.recorded - 1
     total = int(steps[-1] - steps[0])
     return Record(
@@ -95,8 +109,34 @@ def read(path: str | PathLike[str], scene: Scene, equilibrium: Sequence[float] |
         velocity=velocity[:, chosen].copy(),
         error_estimate=ErrorEstimate(0.0, float("inf")),
         cost=Cost(0.0, 0.0, 0.0, total, total, chain.grains, "unknown", scene.duration / total, 1),
-        provenance={"dump": name, "displacement": origin},
+        provenance={
+            "dump": name,
+            "displacement": origin,
+            "column": f"along {axis}, {axis} points {'up' if down < 0 else 'down'}",
+            "precision": _precision(told[:, mover], vz[:, mover], displacement, velocity),
+        },
     )
+
+
+def _axis(name: str, first: Sequence[Array]) -> str:
+    """Return the axis along which the column stands: on which the grains of the first frame lie apart."""
+    spread = [float(np.ptp(along)) for along in first]
+    longest = int(np.argmax(spread))
+    if not spread[longest] > 2 * sorted(spread)[-2]:
+        raise InputError([("axis", f"{name}: its grains stand along none of x, y and z: name the axis of the column")])
+    return AXES[longest]
+
+
+def _precision(told: Array, speeds: Array, displacement: Array, velocity: Array) -> str:
+    """Say what the digits of the dump leave unknown, from the numbers of the grain that moves most."""
+    parts = []
+    for what, unit, values, motion in (
+        ("displacement", "m", told, displacement),
+        ("velocity", "m/s", speeds, velocity),
+    ):
+        within, largest = _last_digit(values) / 2, float(np.abs(motion).max())
+        parts.append(f"{what} within {within:.2g} {unit}, {within / (largest or np.inf):.1g} of the largest")
+    return "; ".join(parts)
 
 
 def _checked(equilibrium: Sequence[float] | Array, grains: int) -> Array:
@@ -163,38 +203,79 @@ def _columns(path: Path, scene: Scene) -> list[str]:
     if int(head[3]) != grains:
         raise InputError([(name, f"has {head[3]} atoms, the scene {grains} grains: give the scene it was made for")])
     columns = head[8].split()[2:]
-    unwrapped = not {"x", "y", "z"} <= set(columns) and {"xu", "yu", "zu"} <= set(columns)
-    wanted = ("id", "xu", "yu", "zu", "vz") if unwrapped else ("id", "x", "y", "z", "vz")
-    if missing := [key for key in wanted if key not in columns]:
-        cure = "dump custom ... id x y z vz v_phi, with dump_modify format float %.17g"
-        raise InputError([(name, f"has no column {', '.join(missing)}: {cure}")])
-    return columns
+    unwrapped = not set(AXES) <= set(columns) and {"xu", "yu", "zu"} <= set(columns)
+    wanted = ("id", "xu", "yu", "zu") if unwrapped else ("id", *AXES)
+    missing = [key for key in wanted if key not in columns]
+    if not {"vx", "vy", "vz"} & set(columns):
+        missing.append("vz")
+    if missing:
+        raise InputError([(name, f"has no column {', '.join(missing)}: {COLUMNS}")])
+    return [key for key in columns if key not in AXES] if unwrapped else columns
 
 
-def _frames(path: Path, columns: list[str]) -> tuple[np.ndarray, dict[str, Array]]:
+def read_frames(
+    path: Path, columns: list[str], wanted: list[str], grains: int, most: int
+) -> tuple[np.ndarray, dict[str, Array]]:
     """Return step numbers, (T,), and these columns ordered by atom number, (T, N) each.
 
-    MDAnalysis holds positions in single precision, but columns that are asked for by name in double.
+    A run that was stopped and started again writes frames twice, and one that was killed leaves half a frame: of each
+    step, the frame that was written last is taken, and what is not whole is left out.
     """
-    from MDAnalysis.coordinates.LAMMPS import DumpReader
-
+    places = [columns.index(key) for key in ("id", *wanted)]
+    frames: dict[int, Array] = {}
     try:
-        with warnings.catch_warnings(action="ignore"), DumpReader(str(path), additional_columns=columns) as dump:
-            steps, rows = [], []
-            for frame in dump:
-                steps.append(int(frame.data["step"]))
-                rows.append([frame.data[column].copy() for column in columns])
-    except Exception as error:  # whatever damaged lines make the reader raise
-        reason = f"cannot be read as a dump: {error}; write it anew"
-        raise InputError([(str(path), reason)]) from None
-    return np.array(steps), dict(zip(columns, np.array(rows).transpose(1, 0, 2), strict=True))
+        with _open(path) as opened:
+            for body in _whole_frames(opened, grains):
+                frames.pop(int(body[0]), None)
+                frames[int(body[0])] = _sorted(np.loadtxt(body[HEADER - 1 :], usecols=places, ndmin=2, comments=None))
+                if len(frames) > most:
+                    raise ValueError(f"it has more than {most} frames")
+    except (ValueError, OverflowError, OSError, EOFError, zlib.error) as error:
+        raise InputError([(str(path), f"cannot be read as a dump: {short(error)}; write it anew")]) from None
+    steps = np.array(sorted(frames))
+    rows = np.array([frames[step] for step in steps]).reshape(len(steps), len(wanted), grains)
+    return steps, dict(zip(wanted, rows.transpose(1, 0, 2), strict=True))
+
+
+def _whole_frames(opened: IO[bytes], grains: int) -> Iterator[list[bytes]]:
+    """Yield the lines of every whole frame, without the first; of one that was cut short, nothing."""
+    while line := opened.readline():
+        if BEGIN not in line:
+            continue
+        body = list(islice(opened, HEADER - 1 + grains))
+        headed = len(body) >= HEADER - 1 and not any(BEGIN in at for at in body[: HEADER - 1])
+        if headed and body[2].strip().isdigit() and int(body[2]) != grains:
+            raise ValueError(f"the number of atoms changes at step {short(body[0].decode(errors='replace').strip())}")
+        if again := next((number for number, at in enumerate(body, 1) if BEGIN in at), 0):
+            next_one = body[again - 1][body[again - 1].index(BEGIN) :]
+            opened.seek(opened.tell() - len(next_one) - sum(map(len, body[again:])))
+        elif len(body) == HEADER - 1 + grains:
+            if not body[HEADER - 2].startswith(b"ITEM: ATOMS"):
+                raise ValueError("its frames are not alike")
+            yield body
+
+
+def _sorted(atoms: Array) -> Array:
+    """Return the columns of a frame, behind that of the numbers, in their order; (N, C) to (C-1, N)."""
+    numbers = atoms[:, 0]
+    order = np.argsort(numbers)
+    if (np.diff(numbers[order]) <= 0).any():
+        raise ValueError("two atoms have the same number")
+    return atoms[order, 1:].T
+
+
+def _last_digit(values: Array) -> float:
+    """Return how large a step of the last digit is with which the largest of some numbers was written."""
+    largest = float(np.abs(values).max())
+    digits = next((d for d in range(1, 17) if all(float(f"{z:.{d - 1}e}") == z for z in values.tolist())), 0)
+    return float(10.0 ** (np.floor(np.log10(largest)) - digits + 1) if digits and largest else np.spacing(largest))
 
 
 def _check_digits(name: str, heights: Array) -> None:
     """Raise `InputError` if the dump has too few digits to resolve the motion, heights (T,) m."""
-    largest, moved = np.abs(heights).max(), np.ptp(heights)
-    digits = next((d for d in range(1, 17) if all(float(f"{z:.{d - 1}e}") == z for z in heights.tolist())), 17)
-    if largest and moved < FEWEST_LEVELS * 10.0 ** (np.floor(np.log10(largest)) - digits + 1):
+    moved, digit = np.ptp(heights), _last_digit(heights)
+    if heights.any() and moved < FEWEST_LEVELS * digit:
+        digits = round(np.log10(np.abs(heights).max() / digit) + 0.5)
         cure = "write them with dump_modify format float %.17g, or dump v_phi, as lmpchain deck does"
         raise InputError(
             [(name, f"its heights have {digits} digits, too few for displacements of {moved:.1g} m: {cure}")]

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import sys
 from io import BytesIO
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from ..util.files import check_seal, seal, write_aside
-from .record import DIMENSIONS, Record
+import numpy as np
+
+from ..scene.scene import Scene
+from ..util.arrays import Array
+from ..util.files import check_readable, check_seal, seal, write_aside
+from .record import DIMENSIONS, KINDS, TOLD, Record, scene_of, shapes
 
 if TYPE_CHECKING:
-    import xarray
+    import h5py
 
 
 def write(record: Record, path: str | PathLike[str]) -> None:
@@ -28,9 +33,47 @@ def write(record: Record, path: str | PathLike[str]) -> None:
         opened.writelines((memory.getbuffer(), seal(memory.getbuffer())))
 
 
-def read(path: Path) -> xarray.Dataset:
-    """Return the fields of a file; damaged files raise whatever their readers raise."""
-    import xarray
+def read(path: Path) -> tuple[dict[str, Any], Scene, dict[str, Array]]:
+    """Return metadata, scene and arrays of a file; damaged or foreign ones raise whatever comes first.
 
+    Only plain arrays in this very file are read, and a claim about their size is checked before they are.
+    """
+    import h5py
+
+    check_readable(path, sys.maxsize)
     check_seal(path)
-    return xarray.load_dataset(path, engine="h5netcdf", decode_times=False)
+    with h5py.File(path, "r") as file:
+        about = {name: _attribute(file, name) for name in TOLD}
+        scene = scene_of(about)
+        return about, scene, {name: _array(file, name, shape) for name, shape in shapes(scene).items()}
+
+
+def _attribute(file: h5py.File, name: str) -> Any:
+    """Return a text or a number of the metadata."""
+    import h5py
+
+    if not h5py.h5a.exists(file.id, name.encode()):
+        raise ValueError(f"it has no {name}")
+    kept = h5py.h5a.open(file.id, name.encode())
+    if kept.shape not in ((), (1,)) or not (h5py.check_string_dtype(kept.dtype) or kept.dtype.kind in "if"):
+        raise ValueError(f"its {name} is neither text nor a number")
+    return np.asarray(file.attrs[name]).item()
+
+
+def _array(file: h5py.File, name: str, shape: tuple[int, ...]) -> Array:
+    """Return an array that lies in this file, whole and plain, with this shape."""
+    import h5py
+
+    if not isinstance(file.get(name, getlink=True), h5py.HardLink):
+        raise ValueError(f"its {name} is not in the file, or a link")
+    found = file[name]
+    if not isinstance(found, h5py.Dataset) or found.dtype != KINDS[name]:
+        raise ValueError(f"its {name} are not numbers of the kind {KINDS[name]}")
+    layout = found.id.get_create_plist().get_layout()
+    if layout not in (h5py.h5d.COMPACT, h5py.h5d.CONTIGUOUS) or found.external:
+        raise ValueError(f"its {name} does not lie in the file in one piece, as lmpchain writes it")
+    if found.shape != shape:
+        raise ValueError(f"its {name} has the shape {found.shape}, its scene {shape}")
+    if found.id.get_storage_size() != found.nbytes:
+        raise ValueError(f"its {name} is not stored in the file")
+    return found[()]

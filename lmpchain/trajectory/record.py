@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,6 +16,8 @@ from ..util.arrays import Array
 FORMAT = 1
 DIMENSIONS = ("time", "grain")
 FIELDS = ("displacement", "velocity")
+KINDS = {"time": "float64", "grain": "int64", "displacement": "float64", "velocity": "float64"}
+TOLD = ("lmpchain_format", "engine", "equation", "scene", "provenance", "model_error", "solver_error", "cost")
 LABELS: dict[str, dict[str, Any]] = {
     "time": {"units": "s", "long_name": "time since the strike"},
     "grain": {"units": "1", "long_name": "number of the grain, from the top"},
@@ -28,8 +30,8 @@ LABELS: dict[str, dict[str, Any]] = {
 class ErrorEstimate:
     """Estimated relative error against the exact solution of Eq. (1): model and solver.
 
-    The error is the larger of those of displacement and velocity, each max|x - x_true| / max|x_true|
-    over all samples and all grains of the chain.
+    The error is the larger of those of displacement and velocity, each max|x - x_true| over all samples and grains
+    over the largest |x_true| of any grain of the chain at any time of the run, between the samples too.
 
     Attributes
     ----------
@@ -50,7 +52,10 @@ class ErrorEstimate:
 
 @dataclass(frozen=True)
 class Cost:
-    """Computing time, steps and force evaluations of a trajectory."""
+    """Computing time, steps and force evaluations of a trajectory.
+
+    What is compiled, once on a machine, or loaded from what was compiled there before, is counted as `compile_s` alone.
+    """
 
     integration_s: float
     estimate_s: float
@@ -61,6 +66,12 @@ class Cost:
     integrator: str
     step_s: float
     ranks: int
+    compile_s: float = 0.0
+
+    @property
+    def total_s(self) -> float:
+        """All of the time but that of compilation, s."""
+        return self.integration_s + self.estimate_s + self.setup_s
 
 
 class Block(NamedTuple):
@@ -134,7 +145,42 @@ def verdict(error: ErrorEstimate, cost: Cost) -> dict[str, Any]:
     return {
         "model_error": error.model,
         "solver_error": error.solver,
-        "error_definition": "max|x - x_true| / max|x_true| over all samples and grains, the larger of "
-        "displacement and velocity, x_true the solution of Eq. (1)",
+        "error_definition": "max|x - x_true| over all samples and grains / max|x_true| of any grain at any time of the "
+        "run, the larger of displacement and velocity, x_true the solution of Eq. (1)",
         "cost": json.dumps(asdict(cost)),
+    }
+
+
+def scene_of(about: Mapping[str, Any]) -> Scene:
+    """Return the scene that the metadata of a file hold; raises where there is none."""
+    if about["lmpchain_format"] != FORMAT:
+        raise ValueError("it is of another version of lmpchain")
+    return Scene.from_text(about["scene"])
+
+
+def shapes(scene: Scene) -> dict[str, tuple[int, ...]]:
+    """Return the shapes of the arrays of a scene, by name, without making one of them."""
+    samples, grains = scene.samples, scene.count(scene.chain)
+    return {"time": (samples,), "grain": (grains,), **dict.fromkeys(FIELDS, (samples, grains))}
+
+
+def told(about: Mapping[str, Any]) -> dict[str, Any]:
+    """Return engine, equation, error, cost and provenance from the metadata; raises if they are odd."""
+    error = ErrorEstimate(float(about["model_error"]), float(about["solver_error"]))
+    cost, provenance = json.loads(about["cost"]), json.loads(about["provenance"])
+    kinds: dict[Any, Any] = {"float": int | float, "int": int, "str": str}
+    if not (error.model >= 0 and error.solver >= 0):
+        raise ValueError("its error estimate is no number from 0")
+    if not all(isinstance(cost[item.name], kinds[item.type]) for item in fields(Cost)):
+        raise ValueError("its cost is not in numbers")
+    if not isinstance(about["engine"], str) or not isinstance(about["equation"], int | float):
+        raise ValueError("its engine or equation is none")
+    if not all(isinstance(value, str) for value in dict(provenance).values()):
+        raise ValueError("its provenance is not in words")
+    return {
+        "engine": about["engine"],
+        "equation": int(about["equation"]),
+        "error_estimate": error,
+        "cost": Cost(**cost),
+        "provenance": provenance,
     }

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, short
 from ..scene.scene import Scene
 from ..util.arrays import Array
-from .record import FIELDS, FORMAT, Cost, ErrorEstimate, Record
+from .record import Record, told
 
 if TYPE_CHECKING:
     import xarray
@@ -95,26 +94,35 @@ class Trajectory(Record):
 
     @classmethod
     def from_dump(
-        cls, path: str | PathLike[str], scene: Scene, equilibrium: Sequence[float] | Array | None = None
+        cls,
+        path: str | PathLike[str],
+        scene: Scene,
+        equilibrium: Sequence[float] | Array | None = None,
+        axis: str | None = None,
     ) -> Trajectory:
         """Read a LAMMPS dump of `lmpchain deck` or of your own deck as the trajectory of a scene.
 
-        Grains are numbered by their heights in the first frame, from the top, whatever the numbers of their atoms; the
-        gaps between them, which the weight narrows, and their velocities tell whether z points up or down.
-        Displacements are the column v_phi where there is one (and z points up). Else they are how far a grain has
-        fallen from its height at rest; heights leave fewer digits. The error is unknown: its estimate is
+        Grains are numbered by their heights in the first frame, from the top, whatever the numbers of their atoms. The
+        column stands along the axis on which they are farthest apart; the gaps between them, which the weight narrows,
+        and their velocities tell whether that axis points up or down. Displacements are the column v_phi where there
+        is one (with z, it points up). Else they are how far a grain has fallen from its height at rest; heights leave
+        fewer digits, and `provenance["precision"]` says what they leave unknown. The error is unknown: its estimate is
         infinite.
+
+        Frames that a restarted run wrote twice are read once, the last time; a frame that a kill cut short, not at all.
 
         Parameters
         ----------
         path : path
-            A text dump, or one compressed by gzip (.gz), in units si, with the columns id x y z vz, or id xu yu zu vz,
-            and v_phi if it can be had, in any order, and a frame a sample of the scene.
+            A text dump, or one compressed by gzip (.gz), in units si, with the columns id x y z, or id xu yu zu, and vz
+            (vx, vy for a column along x, y), and v_phi if it can be had, in any order; a frame a sample of the scene.
         scene : Scene
             The one that the dump was made for.
         equilibrium : (N,) array, optional
             Heights z of the grains at rest, m, from the top. By default they follow from the first frame, which
             differs from rest by the displacement that the scene starts with.
+        axis : "x", "y" or "z", optional
+            Along which the column stands, if the first frame does not say it.
 
         Raises
         ------
@@ -123,50 +131,38 @@ class Trajectory(Record):
         """
         from .lammps_dump import read
 
-        return cls(**vars(read(path, scene, equilibrium)))
+        return cls(**vars(read(path, scene, equilibrium, axis)))
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Trajectory:
         """Read a file that `save` wrote, or a run folder; raises `InputError` for anything else.
 
         The arrays of a run folder stay on the disk and are read on demand. Of an unfinished run, the complete samples
-        are returned with an infinite error estimate.
+        are returned with the error estimate so far, relative to the motion so far, or infinite if that is not known.
         """
-        from . import netcdf
-        from .zarr_store import NAME, OnDisk, open_dataset
+        from . import netcdf, zarr_store
 
         path = Path(path)
         folder = os.path.isdir(path)  # never raises
-        if folder and not (path / NAME).is_dir():
+        if folder and not (path / zarr_store.NAME).is_dir():
             raise InputError([(str(path), "is a folder without a run in it, or with one that has no samples yet")])
         if not folder and not os.path.isfile(path):
-            raise InputError([(str(path), "there is no such file")])
+            there = os.path.lexists(path)
+            raise InputError([(str(path), "is no file, but a device or a pipe" if there else "there is no such file")])
         try:
-            data = open_dataset(path) if folder else netcdf.read(path)
-            if data.attrs["lmpchain_format"] != FORMAT:
-                raise ValueError("of another version")
-            scene = Scene.from_text(data.attrs["scene"])
-            shape = (data.sizes["time"] if folder else scene.samples, scene.recorded.size)
-            if any(data[name].shape != shape for name in FIELDS):
-                raise ValueError(f"its arrays are not {shape[0]} samples of {shape[1]} grains")
-            if not (
-                np.array_equal(data["time"], scene.time[: shape[0]]) and np.array_equal(data["grain"], scene.recorded)
-            ):
+            about, scene, arrays = zarr_store.read(path) if folder else netcdf.read(path)
+            time = arrays["time"]
+            if not (np.array_equal(time, scene.time[: time.size]) and np.array_equal(arrays["grain"], scene.recorded)):
                 raise ValueError("its times or grains are not those of its scene")
-            fields = {name: OnDisk(data[name].variable) if folder else data[name].to_numpy() for name in FIELDS}
-            estimate = ErrorEstimate(float(data.attrs["model_error"]), float(data.attrs["solver_error"]))
             return cls(
                 scene=scene,
-                engine=data.attrs["engine"],
-                equation=int(data.attrs["equation"]),
-                time=data["time"].to_numpy(),
-                grains=data["grain"].to_numpy(),
-                error_estimate=estimate,
-                cost=Cost(**json.loads(data.attrs["cost"])),
-                provenance=json.loads(data.attrs["provenance"]),
-                **cast(Mapping[str, Array], fields),
+                time=time,
+                grains=arrays["grain"],
+                displacement=arrays["displacement"],
+                velocity=arrays["velocity"],
+                **told(about),
             )
         except Exception as error:  # whatever a damaged file makes the readers raise
             raise InputError(
-                [(str(path), f"is not a trajectory that lmpchain saved, or is cut short ({error})")]
+                [(str(path), f"is not a trajectory that lmpchain saved, or is cut short ({short(error)})")]
             ) from None

@@ -10,6 +10,7 @@ import math
 import warnings
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from types import EllipsisType
 from typing import TYPE_CHECKING, Any
@@ -20,15 +21,15 @@ from numpy.lib.mixins import NDArrayOperatorsMixin
 from ..errors import InputError
 from ..scene.scene import Scene
 from ..util.arrays import Array
-from .record import FIELDS, LABELS, Block, Cost, ErrorEstimate, verdict
+from ..util.files import check_tree
+from .record import FIELDS, LABELS, Block, Cost, ErrorEstimate, scene_of, verdict
+from .zarr_layout import check, metadata, pieces
 
 if TYPE_CHECKING:
     import xarray
 
 NAME = "trajectory.zarr"
-SAMPLES = 16  # in a shard, or a multiple that fills a chunk
-WIDTH = 12_500  # grains in a chunk at most: one grain's trace and one snapshot are then both read in some 20 ms
-TIMES = 65_536  # in a chunk at least
+SO_FAR = "error_so_far"  # attribute of a run that is not finished
 
 
 def create(folder: Path, scene: Scene, attributes: Mapping[str, Any]) -> None:
@@ -36,19 +37,16 @@ def create(folder: Path, scene: Scene, attributes: Mapping[str, Any]) -> None:
     import zarr
     from zarr.codecs import BloscCodec, Crc32cCodec
 
-    group = zarr.open_group(folder / NAME, mode="w", attributes=dict(attributes))
+    group = zarr.open_group(folder / NAME, mode="w", zarr_format=3, attributes=dict(attributes))
     samples, grains = scene.samples, scene.recorded.size
-    parts = math.ceil(grains / WIDTH)
-    width = math.ceil(grains / parts)
-    rows = SAMPLES * math.ceil(min(samples / SAMPLES, WIDTH / grains))
-    times = rows * math.ceil(TIMES / rows)  # so that the times of a shard lie in one chunk, replaced atomically
+    sizes = pieces(samples, grains)
     unknown: Any = {"dtype": "f8", "fill_value": math.nan}
     for name in FIELDS:
         group.create_array(
             name,
             shape=(samples, grains),
-            chunks=(rows, width),
-            shards=(rows, width * parts),
+            chunks=sizes["chunk"],
+            shards=sizes[name],
             compressors=[BloscCodec(cname="zstd", clevel=1, shuffle="shuffle"), Crc32cCodec()],
             dimension_names=("time", "grain"),
             attributes=LABELS[name],
@@ -57,13 +55,20 @@ def create(folder: Path, scene: Scene, attributes: Mapping[str, Any]) -> None:
     group.create_array(
         "time",
         shape=(samples,),
-        chunks=(min(times, samples),),
+        chunks=sizes["time"],
         compressors=[BloscCodec(cname="zstd", clevel=1, shuffle="shuffle"), Crc32cCodec()],
         dimension_names=("time",),
         attributes=LABELS["time"],
         **unknown,
     )
-    group.create_array("grain", data=scene.recorded, dimension_names=("grain",), attributes=LABELS["grain"])
+    group.create_array(
+        "grain",
+        data=scene.recorded,
+        chunks=sizes["grain"],
+        compressors=[BloscCodec(cname="zstd", clevel=1, shuffle="shuffle"), Crc32cCodec()],
+        dimension_names=("grain",),
+        attributes=LABELS["grain"],
+    )
     with warnings.catch_warnings(action="ignore"):  # consolidated metadata, which xarray reads first
         zarr.consolidate_metadata(folder / NAME)
 
@@ -74,8 +79,6 @@ class Writer:
     def __init__(self, folder: Path, scene: Scene, sample: int = 0):
         import zarr
 
-        for left in (folder / NAME).rglob("*.partial*"):  # left by a killed process
-            left.unlink()
         self._group: Any = zarr.open_group(folder / NAME, mode="r+")
         self._fields: list[Any] = [self._group[name] for name in FIELDS]
         self._times = scene.time
@@ -120,19 +123,27 @@ class Writer:
                 array[self._first : last] = buffer[: last - self._first]
             self._group["time"][self._first : self._end] = self._times[self._first : self._end]
 
+    def note(self, error: ErrorEstimate) -> None:
+        """Store the error estimate of the samples so far, if it is finite."""
+        if math.isfinite(error.total):
+            self._group.attrs[SO_FAR] = {"samples": self._end} | asdict(error)
+
     def conclude(self, error: ErrorEstimate, cost: Cost) -> None:
         """Store the error estimate and the cost."""
-        self._group.attrs.update(verdict(error, cost))
+        self._group.attrs.update(verdict(error, cost) | {SO_FAR: None})
 
 
-def usable(folder: Path, samples: int) -> bool:
+def usable(folder: Path, scene: Scene, samples: Any) -> bool:
     """Say whether so many samples are complete and readable, up to the shard of the next one."""
     import zarr
 
+    if isinstance(samples, bool) or not isinstance(samples, int) or not 0 <= samples <= scene.samples:
+        return False
     if not samples:
         return True
     try:
-        group: Any = zarr.open_group(folder / NAME, mode="r")
+        check(folder / NAME, scene)
+        group: Any = zarr.open_group(folder / NAME, mode="r", zarr_format=3)
         first = samples - samples % group[FIELDS[0]].shards[0]
         parts = (group["time"][:samples], *(group[name][first:samples] for name in FIELDS))
         return all(bool(np.isfinite(part).all()) for part in parts)
@@ -140,27 +151,31 @@ def usable(folder: Path, samples: int) -> bool:
         return False
 
 
-def open_dataset(folder: Path) -> xarray.Dataset:
-    """Open the complete samples of a store; they are read on demand.
+def read(folder: Path) -> tuple[dict[str, Any], Scene, dict[str, Any]]:
+    """Return metadata, scene and arrays of the complete samples of a store; fields are read on demand.
 
-    Of a run that is not finished, the error is unknown: its estimate is infinite.
+    Of a run that is not finished, the error is the estimate so far, or infinite if more samples are there than it is
+    of. Foreign or damaged stores raise whatever comes first, before any of their arrays is opened.
     """
     import xarray
 
+    check_tree(folder / NAME)
+    about = metadata(folder / NAME)["attributes"]
+    scene = scene_of(about)
+    check(folder / NAME, scene)
     data = xarray.open_dataset(
-        folder / NAME,
-        engine="zarr",
-        chunks=None,
-        cache=False,
-        decode_times=False,
-        mask_and_scale=False,
+        folder / NAME, engine="zarr", chunks=None, cache=False, decode_cf=False, zarr_format=3, consolidated=False
     )
     complete = int(np.isfinite(data["time"].to_numpy()).sum())
-    if "solver_error" in data.attrs and complete < data.sizes["time"]:
+    if "solver_error" in about and complete < scene.samples:
         raise ValueError("the run was finished, but samples are not there")
     data = data.isel(time=slice(0, complete))
     nothing = Cost(0.0, 0.0, 0.0, 0, 0, data.sizes["grain"], "unknown", 0.0, 1)
-    return data.assign_attrs(verdict(ErrorEstimate(0.0, math.inf), nothing) | data.attrs)
+    noted = about.get(SO_FAR) or {"samples": -1}
+    error = (noted["model"], noted["solver"]) if noted["samples"] >= complete else (0.0, math.inf)
+    arrays = {name: data[name].to_numpy() for name in ("time", "grain")}
+    fields = {name: OnDisk(data[name].variable) for name in FIELDS}
+    return verdict(ErrorEstimate(*error), nothing) | about, scene, arrays | fields
 
 
 class OnDisk(NDArrayOperatorsMixin):

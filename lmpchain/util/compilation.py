@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import sys
+import threading
+import time
 from collections.abc import Callable
 from functools import cache
 from hashlib import sha256
@@ -31,7 +33,36 @@ class _Announcer(Listener):
         pass
 
 
+class _Stopwatch(Listener, threading.local):
+    """Add up, thread by thread, how long compilations and the loading of kept results take."""
+
+    def __init__(self) -> None:
+        self.depth, self.total_s = 0, 0.0
+
+    def on_start(self, event: Event) -> None:
+        if self.depth == 0:
+            self.began = time.perf_counter()
+        self.depth += 1
+
+    def on_end(self, event: Event) -> None:
+        self.depth -= 1
+        if self.depth == 0:
+            self.total_s += time.perf_counter() - self.began
+
+
+_stopwatch = _Stopwatch()
 register("numba:compile", _Announcer())
+register("numba:compiler_lock", _stopwatch)
+
+
+def compiled_s() -> float:
+    """Return how long this thread has compiled, or loaded what was compiled before, so far, s."""
+    return _stopwatch.total_s
+
+
+def clock() -> float:
+    """Return a time, s, that stands still while this thread compiles or loads what was compiled before."""
+    return time.perf_counter() - _stopwatch.total_s
 
 
 @cache

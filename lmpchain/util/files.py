@@ -5,10 +5,16 @@ from __future__ import annotations
 import errno
 import hashlib
 import os
+import platform
+import re
 import secrets
 import stat
+import sys
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
+from io import BytesIO
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -22,9 +28,12 @@ from ..errors import InputError
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path; rename it to `path` on success, remove it on failure.
 
-    File and name are flushed to the disk. Raises `OSError` as it comes.
+    File and name are flushed to the disk. Raises `OSError` as it comes. What a kill leaves behind in a folder, the next
+    process removes that writes there.
     """
-    aside = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.partial{path.suffix}")
+    _sweep(path.parent.absolute())
+    writer = f"{platform.node()}-{os.getpid()}"
+    aside = path.with_name(f".{path.stem}.{writer}-{secrets.token_hex(4)}.partial{path.suffix}")
     try:
         yield aside
         _to_disk(aside)
@@ -32,6 +41,16 @@ def replacing(path: Path) -> Iterator[Path]:
         _to_disk(path.parent)
     finally:
         aside.unlink(missing_ok=True)
+
+
+@cache
+def _sweep(folder: Path) -> None:
+    """Remove what processes of this machine were writing in a folder as they were killed."""
+    pattern = re.compile(rf"\..*\.{re.escape(platform.node())}-(\d+)-[0-9a-f]{{8}}\.partial", re.DOTALL)
+    for entry in folder.iterdir():
+        writer = pattern.match(entry.name)
+        if writer and not Path("/proc", writer[1]).exists():
+            entry.unlink(missing_ok=True)
 
 
 def _to_disk(path: Path) -> None:
@@ -52,6 +71,20 @@ def check_readable(path: Path, largest: int) -> None:
         raise OSError(errno.EINVAL, "is no file, but a folder, a device or a pipe")
     if about.st_size > largest:
         raise OSError(errno.EFBIG, f"is larger than {largest / 2**20:.0f} MB")
+
+
+def check_tree(folder: Path) -> None:
+    """Raise `OSError` unless this is a folder of folders and regular files, without a link to anywhere."""
+    if folder.is_symlink():
+        raise OSError(errno.EINVAL, f"{folder.name} is a link; name what it points to")
+    for at, folders, files in os.walk(folder):
+        for name in (*folders, *files):
+            try:
+                mode = os.lstat(os.path.join(at, name)).st_mode
+            except FileNotFoundError:  # just renamed, by a run that goes on
+                continue
+            if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+                raise OSError(errno.EINVAL, f"{name} there is a link, a device or a pipe, which lmpchain never writes")
 
 
 @contextmanager
@@ -90,6 +123,36 @@ def check_seal(path: Path) -> None:
     end = content[-length:].tobytes()
     if SEAL in end and end != seal(content[:-length]):
         raise ValueError("it is not as it was written")
+
+
+def unpack(content: bytes | memoryview) -> dict[str, np.ndarray]:
+    """Return the arrays that `numpy.savez` packed: plain ones as large as their bytes, or it raises."""
+    arrays = {}
+    with zipfile.ZipFile(BytesIO(content)) as packed:
+        if any(item.compress_type != zipfile.ZIP_STORED for item in packed.infolist()):
+            raise ValueError("it holds compressed arrays")
+        for name in packed.namelist():
+            arrays[name.removesuffix(".npy")] = _plain_array(packed.read(name))
+    return arrays
+
+
+def unpack_one(path: Path, name: str) -> np.ndarray:
+    """Return one of the arrays of a file of `numpy.savez`, as `unpack` does."""
+    check_readable(path, sys.maxsize)
+    with zipfile.ZipFile(path) as packed:
+        item = packed.getinfo(f"{name}.npy")
+        if item.compress_type != zipfile.ZIP_STORED:
+            raise ValueError("it holds compressed arrays")
+        return _plain_array(packed.read(item))
+
+
+def _plain_array(content: bytes) -> np.ndarray:
+    data = BytesIO(content)
+    np.lib.format.read_magic(data)
+    shape, columns_first, dtype = np.lib.format.read_array_header_1_0(data)
+    if dtype.hasobject or columns_first:
+        raise ValueError("it holds arrays that are not plain")
+    return np.frombuffer(data.read(), dtype).reshape(shape).copy()
 
 
 def make_folder(path: str | PathLike[str]) -> Path:

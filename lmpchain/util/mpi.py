@@ -10,6 +10,7 @@ from shutil import which
 from typing import Any, NoReturn
 
 from ..errors import EngineUnavailable
+from .leftovers import end_with_parent, unname_shared_memory
 
 PASS_ON_S = 0.5  # for mpiexec to pass a message on, which an abort would lose
 _joined: list[Any] = []
@@ -24,7 +25,7 @@ def launched() -> int:
 
 
 def join() -> Any:
-    """Return the MPI world of this process, which rank 0 is to lead.
+    """Return the MPI world of this process, which rank 0 is to lead; a kill of any part ends all.
 
     Raises
     ------
@@ -37,8 +38,16 @@ def join() -> Any:
             f"mpirun has started {count} processes, but MPI sees {world.size}: it belongs to another MPI than LAMMPS "
             f"does; use {launcher()}"
         )
+    settle(world)
     _joined[:] = [world]
     return world
+
+
+def settle(world: Any) -> None:
+    """Make sure that a kill leaves nothing of these ranks behind."""
+    world.Barrier()  # all have attached to the shared memory
+    unname_shared_memory()
+    end_with_parent()
 
 
 def joined() -> Any:

@@ -5,6 +5,9 @@ from __future__ import annotations
 from os import PathLike
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from .arrays import Array
 from .files import write_aside
 
 if TYPE_CHECKING:
@@ -26,6 +29,24 @@ LOWEST = 1e-17  # below all round-off: drawn in place of 0 on a logarithmic axis
 # colours and markers of integrators: Okabe and Ito, and two shades that differ in lightness
 SHADES = ("#E69F00", "#56B4E9", "#0072B2", "#009E73", "#CC79A7", "#D55E00", "#6A3D00", "#999933")
 SHAPES = ("o", "D", "s", "v", "^", "P", "X", "p")
+
+
+def thinned(rows: Array, values: Array, most: int = 2000) -> tuple[Array, Array]:
+    """Return fewer rows of a map: of every few, the one that differs most from its first value.
+
+    Examples
+    --------
+    >>> rows, values = thinned(np.arange(6.0), np.array([[0, 0], [0, 9], [0, 1], [0, 0], [0, 0], [0, -4.0]]), most=2)
+    >>> rows.tolist(), values.tolist()
+    ([0.0, 3.0], [[0.0, 9.0], [0.0, -4.0]])
+    """
+    every = -(-len(rows) // most)
+    if every == 1:
+        return rows, values
+    first = np.arange(0, len(rows), every)
+    size = np.abs(values - values[:, :1]).max(1)
+    loudest = [at + int(size[at : at + every].argmax()) for at in first]
+    return rows[first], values[loudest]
 
 
 def figure(width: float = 8.0, height: float = 7.0) -> Figure:

@@ -11,7 +11,7 @@ from jinja2.meta import find_undeclared_variables
 from jinja2.runtime import Macro
 from jinja2.sandbox import ImmutableSandboxedEnvironment, SecurityError
 
-from ..errors import InputError
+from ..errors import InputError, short, shown
 
 _PACKAGE = Path(__file__).parents[1]
 _FOLDERS = [_PACKAGE / "templates", _PACKAGE.parent / "templates"]  # in a wheel, in a source tree
@@ -68,11 +68,11 @@ def render_text(text: str, key: str, closed: tuple[type, ...] = (), **values: An
         raise InputError([(key, f"line {error.lineno} is not in the form of Jinja2: {error.message}")]) from None
     except TemplateNotFound as error:
         known = ", ".join(environment.list_templates())
-        raise InputError([(key, f"can include no {error.name!r}; there are {known}")]) from None
+        raise InputError([(key, f"can include no {shown(error.name)}; there are {known}")]) from None
     except SecurityError:
         why = "it may read the values that it is given, and call range and macros of its own, nothing else"
         raise InputError([(key, f"asks for something that is closed to it: {why}")]) from None
     except Exception as error:  # whatever the expressions of a template raise
-        raise InputError([(key, f"cannot be filled in: {error}")]) from None
+        raise InputError([(key, f"cannot be filled in: {short(error)}")]) from None
     known = ", ".join(sorted(values))
-    raise InputError([(key, f"there is no placeholder {name!r}; there are {known}") for name in sorted(unknown)])
+    raise InputError([(key, f"there is no placeholder {shown(name)}; there are {known}") for name in sorted(unknown)])

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import re
 import sys
-from collections.abc import Iterator
-from typing import Annotated, Any
+import warnings
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, NoReturn, Self
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from ..errors import InputError
-from .arrays import Array
+from ..errors import InputError, shown
+from .arrays import Array, read_only
+from .suggestions import did_you_mean
 
 NOT_GIVEN: Any = None  # default of array fields that are filled in when they are not given
 
 
 class Checked(BaseModel):
-    """A frozen value that raises `InputError` with every fault on construction."""
+    """A frozen value that raises `InputError` with every fault on construction.
+
+    A changed copy comes from `replace`, which checks it; no other way lets a value through unchecked.
+    """
 
     model_config = ConfigDict(
         frozen=True, extra="forbid", strict=True, allow_inf_nan=False, arbitrary_types_allowed=True
@@ -28,7 +34,8 @@ class Checked(BaseModel):
             raise InputError([("", f"takes {', '.join(names)}: {len(values)} values are too many")])
         data = dict(zip(names, values, strict=False)) | data
         known = {key: value for key, value in data.items() if key in names}
-        faults = [(key, f"unknown key; the keys here are {', '.join(names)}") for key in data if key not in known]
+        there = f"the keys here are {', '.join(names)}"
+        faults = [(key, f"unknown key{did_you_mean(key, names)}; {there}") for key in data if key not in known]
         try:
             super().__init__(**known)
             faults += self._faults()
@@ -36,10 +43,71 @@ class Checked(BaseModel):
             faults += _describe(error)
         if faults:
             raise InputError(faults)
+        for remark in self._remarks():
+            warnings.warn(remark, stacklevel=1)  # from one line, so that Python says each once
+
+    def _remarks(self) -> Iterator[str]:
+        """Yield what is allowed but hardly meant."""
+        yield from ()
 
     def _faults(self) -> Iterator[tuple[str, str]]:
         """Yield faults that concern several fields together."""
         yield from ()
+
+    def replace(self, **changes: Any) -> Self:
+        """Return a checked copy with these fields changed; None takes a field back that need not be given.
+
+        Raises
+        ------
+        InputError
+            With every fault of the copy.
+        """
+        fields = self.given() | changes
+        return type(self)(**{key: value for key, value in fields.items() if value is not None})
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """Return this value, which never changes, or what `replace` makes of it."""
+        return self.replace(**update) if update else self
+
+    def __copy__(self) -> Self:
+        return self
+
+    def __deepcopy__(self, memo: Any = None) -> Self:
+        return self
+
+    def copy(self, **options: Any) -> Self:
+        """Return this value; other fields come from `replace`."""
+        update = options.pop("update", None)
+        if any(value is not None for key, value in options.items() if key != "deep"):
+            raise InputError([("copy", "copies whole values: use .replace(...) for one with other fields")])
+        return self.model_copy(update=update)
+
+    @classmethod
+    def model_construct(cls, *_: Any, **__: Any) -> NoReturn:  # type: ignore[override]
+        """Raise `InputError`: nothing is made unchecked."""
+        raise InputError([(cls.__name__, f"is not made unchecked: use {cls.__name__}(...), or .replace(...) of one")])
+
+    @classmethod
+    def _unchecked(cls, **fields: Any) -> Self:
+        """Return a value of fields that are known to be right, as they are."""
+        return super().model_construct(**fields)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        raise InputError([(name, f"cannot be changed: use .replace({name}=...), which returns a checked copy")])
+
+    def __delattr__(self, name: str) -> None:
+        raise InputError([(name, "cannot be taken away: use .replace(...), which returns a checked copy")])
+
+    def __getstate__(self) -> dict[Any, Any]:
+        """Leave out what is computed on first use."""
+        state = super().__getstate__()
+        fields = {key: value for key, value in state["__dict__"].items() if key in type(self).model_fields}
+        return state | {"__dict__": fields}
+
+    def __setstate__(self, state: dict[Any, Any]) -> None:
+        super().__setstate__(state)
+        for value in self.__dict__.values():
+            read_only(value)  # which pickle does not keep
 
     def given(self) -> dict[str, Any]:
         """Return the fields that the user gave, by name."""
@@ -74,8 +142,7 @@ def _vector(value: Any) -> Any:
         raise ValueError(f"must be a list of numbers, not of shape {array.shape}")
     if not np.isfinite(array).all():
         raise ValueError(f"must be finite, but entry {int(np.argmin(np.isfinite(array))) + 1} is not")
-    array.flags.writeable = False
-    return array
+    return read_only(array)
 
 
 def _positive_vector(value: Any) -> Any:
@@ -90,17 +157,17 @@ def _one_or_many(value: Any) -> Any:
     """A positive number as a float, or a list of them as an array."""
     value = _plain(value)
     if isinstance(value, bool | str):
-        raise ValueError(f"must be a number or a list of numbers (got {value!r})")
+        raise ValueError(f"must be a number or a list of numbers (got {shown(value)})")
     if isinstance(value, int | float):
         if not 0 < value <= sys.float_info.max:
-            raise ValueError(f"must be a finite number above 0 (got {value!r})")
+            raise ValueError(f"must be a finite number above 0 (got {shown(value)})")
         return float(value)
     return _positive_vector(value)
 
 
 Real = Annotated[float, BeforeValidator(_plain)]
 Positive = Annotated[float, BeforeValidator(_plain), Field(gt=0)]
-Whole = Annotated[int, BeforeValidator(_plain)]
+Whole = Annotated[int, BeforeValidator(_plain), Field(lt=2**63)]
 Vector = Annotated[Array, BeforeValidator(_vector)]
 PositiveVector = Annotated[Array, BeforeValidator(_positive_vector)]
 OneOrMany = Annotated[float | Array, BeforeValidator(_one_or_many)]
@@ -111,25 +178,29 @@ def _describe(error: ValidationError) -> Iterator[tuple[str, str]]:
     for fault in error.errors():
         key = ".".join(str(part) for part in fault["loc"])
         kind, value, limits = fault["type"], fault["input"], fault.get("ctx", {})
-        shown = repr(value) if len(repr(value)) < 40 else f"a {type(value).__name__}"
+        got = shown(value) if isinstance(value, bool | int | float | str | list) else f"a {type(value).__name__}"
         if kind == "missing":
             message = "is missing; add it"
         elif kind == "finite_number":
-            message = f"must be a finite number (got {value!r})"
+            message = f"must be a finite number (got {shown(value)})"
         elif kind in ("greater_than", "greater_than_equal", "less_than", "less_than_equal"):
             words = {"gt": "above", "ge": "at least", "lt": "below", "le": "at most"}
-            message = f"must be {'; '.join(f'{words[k]} {v}' for k, v in limits.items())} (got {shown})"
+            message = f"must be {'; '.join(f'{words[k]} {v}' for k, v in limits.items())} (got {got})"
         elif kind in ("int_type", "int_from_float"):
-            message = f"must be a whole number (got {shown})"
+            message = f"must be a whole number (got {got})"
         elif kind == "float_type":
-            message = f"must be a number (got {shown})"
+            message = f"must be a number (got {got})"
+        elif kind in ("is_instance_of", "model_type", "model_attributes_type"):
+            made = limits.get("class") or limits.get("class_name")
+            message = f"must be of the type {made} (got {got}): make one, or read a scene file"
         elif kind == "literal_error":
-            message = f"must be {limits['expected']} (got {shown})"
+            meant = did_you_mean(value, re.findall("'(.*?)'", limits["expected"]))
+            message = f"must be {limits['expected']} (got {got}){meant}"
         elif kind == "value_error" and isinstance(limits["error"], InputError):  # a value inside this one
             yield from limits["error"].under(key)
             continue
         elif kind == "value_error":
             message = str(limits["error"])
         else:
-            message = f"{fault['msg'].lower()} (got {shown})"
+            message = f"{fault['msg'].lower()} (got {got})"
         yield key, message

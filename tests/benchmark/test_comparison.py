@@ -177,7 +177,7 @@ def test_json_has_the_agreed_shape_and_no_nan():
     for row in data["rows"]:
         assert list(row) == [
             "engine", "equation", "error", "error_displacement", "error_velocity", "expected_error", "integration_s",
-            "steps", "force_evaluations",
+            "steps", "force_evaluations", "compile_s",
         ]  # fmt: skip
     assert data["rows"][1]["error"] is None
     assert data["rows"][1]["error_displacement"] == 0.0

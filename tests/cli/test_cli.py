@@ -3,15 +3,18 @@
 import json
 import os
 import re
+import shlex
 import signal
 import stat
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import tomli_w
 from helpers.child_processes import COMMAND, PATIENCE, on_a_terminal
 from helpers.command_output import SCENE, keys, names
 
@@ -105,10 +108,36 @@ def test_run_with_lammps(diameter: str, scene: Path, capsys: pytest.CaptureFixtu
     assert np.abs(saved.velocity - native.velocity).max() <= 1e-6 * np.abs(native.velocity).max()
 
 
-def test_a_run_replaces_an_older_file(scene: Path):
-    scene.with_suffix(".nc").write_text("older")
-    assert main(["run", str(scene)]) == 0
-    assert Trajectory.load(scene.with_suffix(".nc")).engine == "native"
+def test_a_run_replaces_an_older_file_only_by_force(scene: Path, capsys: pytest.CaptureFixture[str]):
+    file = scene.with_suffix(".nc")
+    file.write_text("older")
+    for words in (["run", str(scene)], ["run", str(scene), "-o", str(file)]):
+        assert main(words) == 2
+        assert capsys.readouterr().err.startswith(f"error: {file}: is there already: replace it with --force, ")
+        assert file.read_text() == "older"
+    assert main(["run", str(scene), "--force"]) == 0
+    assert Trajectory.load(file).engine == "native"
+
+
+def test_a_run_replaces_a_run_folder_only_by_force(scene: Path, capsys: pytest.CaptureFixture[str]):
+    folder = scene.parent / "run"
+    run = ["run", str(scene), "-o", f"{folder}/", "--engine"]
+    assert main([*run, "native"]) == 0
+    said = (folder / "status.json").read_bytes()
+    capsys.readouterr()
+    assert main([*run, "modes"]) == 2
+    assert "replace it with --force" in capsys.readouterr().err
+    assert main([*run, "bessel", "--step", "1", "--force"]) == 2  # wrong: nothing is removed for it
+    assert main(["resume", str(folder)]) == 0
+    assert (folder / "status.json").read_bytes() == said
+    assert main([*run, "modes", "--force"]) == 0
+    assert Trajectory.load(folder).engine == "modes"
+    (folder / "mine").touch()
+    (folder / "run.json").unlink()
+    capsys.readouterr()
+    assert main([*run, "modes", "--force"]) == 2
+    assert "neither empty nor a run folder" in capsys.readouterr().err
+    assert (folder / "mine").exists()
 
 
 @pytest.mark.parametrize(
@@ -364,7 +393,7 @@ def test_exit_codes_of_the_process(scene: Path):
 
     done = run("run", str(scene))
     assert (done.returncode, done.stderr) == (0, "")  # no progress bar: stderr is no terminal
-    missed = run("run", str(scene), "--tolerance", "1e-17")
+    missed = run("run", str(scene), "--tolerance", "1e-17", "--force")
     assert (missed.returncode, missed.stdout) == (1, "")
     wrong = run("run", str(scene.with_name("none.toml")))
     assert (wrong.returncode, wrong.stdout) == (2, "")
@@ -400,3 +429,57 @@ def test_from_another_thread(scene: Path):
     worker.start()
     worker.join()
     assert codes == [0]
+
+
+# --- ends of pipes, and values in error lines
+
+
+@pytest.mark.parametrize("words", [["--help"], ["plan", "scene.toml"], ["run", "scene.toml", "--engine", "modes"]])
+def test_nothing_is_said_where_nobody_reads(words: list[str], tmp_path: Path):
+    """As behind `| head`, once it has read enough: the exit code is that of tools that SIGPIPE ends."""
+    (tmp_path / "scene.toml").write_text(SCENE)
+    read, write = os.pipe()
+    os.close(read)
+    with os.fdopen(write, "w") as nobody:
+        done = subprocess.run([*COMMAND, *words], cwd=tmp_path, stdout=nobody, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == (0 if words == ["--help"] else 141)  # argparse keeps what it met to itself
+    assert all(line.startswith("warning: ") for line in done.stderr.splitlines()), done.stderr
+    assert (tmp_path / "scene.nc").exists() == (words[0] == "run")
+
+
+def test_a_full_disk_behind_stdout_is_an_error(tmp_path: Path):
+    (tmp_path / "scene.toml").write_text(SCENE)
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [*COMMAND, "plan", "scene.toml"], cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, text=True
+        )
+    assert done.returncode == 1
+    assert re.fullmatch(r"error: .*No space left on device\n", done.stderr)
+
+
+def test_closed_streams_are_no_fault(tmp_path: Path):
+    (tmp_path / "scene.toml").write_text(SCENE)
+    command = f"{shlex.join(COMMAND)} run scene.toml --engine modes >&- 2>&-"
+    assert subprocess.run(command, shell=True, cwd=tmp_path).returncode == 0
+    assert (tmp_path / "scene.nc").exists()
+
+
+@pytest.mark.parametrize("key", ["gravity", "grains", "material", "top", "diameter", "impurity", "g" * 10**5])
+def test_error_lines_show_the_beginning_of_long_values(key: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    for value in ("x" * 10**6, ["y"] * 10**5, {"z" * 10**5: 1}, [[[0.5] * 10**5]]):
+        tables = tomllib.loads(SCENE)
+        tables["chain"][key] = value
+        (tmp_path / "scene.toml").write_text(tomli_w.dumps(tables))
+        assert main(["run", str(tmp_path / "scene.toml")]) == 2
+        said = capsys.readouterr().err
+        assert all(line.startswith("error: ") and len(line) < 300 for line in said.splitlines()), said[:1000]
+
+
+@pytest.mark.parametrize("option", ["--engine", "--tolerance", "--integrator", "--step", "--ranks", "--max-wall"])
+def test_error_lines_show_the_beginning_of_long_options(
+    option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    (tmp_path / "scene.toml").write_text(SCENE)
+    assert main(["run", str(tmp_path / "scene.toml"), option, "9x" * 10**4]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert len(line) < 300

@@ -332,3 +332,17 @@ def test_pictures():
         assert (axes.get_ylabel(), axes.get_xscale(), axes.get_yscale()) == (label, "log", scale)
         picture.draw_without_rendering()
         assert picture is front.plot(axes)
+
+
+def test_grains_without_motion_are_passed_over():
+    """A long chain at rest behind the wave changes nothing of the front."""
+    chain = Chain(grains=60, diameter=1e-3, gravity=0.0, top_load=1.0)
+    longer = Chain(grains=6000, diameter=1e-3, gravity=0.0, top_load=1.0)
+    short, long = (
+        track(
+            simulate(Scene(chain=made, excitation=Impulse(velocity=1e-6), duration=30e-6, samples=301), "native", 1e-9)
+        )
+        for made in (chain, longer)
+    )
+    assert short.grain.tolist() == long.grain.tolist()
+    assert short.time == pytest.approx(long.time, rel=1e-8)

@@ -139,7 +139,7 @@ def test_a_uniform_chain_has_its_dispersion_relation():
     found = dispersion(simulate(scene, engine="native", tolerance=1e-8), 1, 121)
     assert found.grain.tolist() == [1, 61, 121]
     exact = omega / (2 * np.pi) * np.abs(np.sin(found.wavenumber / 2))
-    assert found.relation == pytest.approx(np.tile(exact, (3, 1)), rel=1e-12)
+    assert found.relation == pytest.approx(np.tile(exact, (3, 1, 1)), rel=1e-12)
     assert np.abs(found.ridge - exact).max() < 0.6 * found.frequency[1]
     assert found.amplitude == pytest.approx(found.amplitude[:, ::-1], abs=0.03 * found.amplitude.max())
 
@@ -154,7 +154,33 @@ def test_waves_in_a_column_move_downward_on_the_local_relation():
     assert (found.relation[0] <= found.relation[1]).all()
     assert (found.relation[1] <= found.relation[2]).all()
     seen = (found.wavenumber > 0.15) & (found.wavenumber < 0.8)
-    assert found.ridge[seen] == pytest.approx(found.relation[1, seen], abs=2 * found.frequency[1])
+    assert found.ridge[seen] == pytest.approx(found.relation[1, 0, seen], abs=2 * found.frequency[1])
+
+
+def test_a_dimer_has_two_branches():
+    """w^2 = K (1/m + 1/M) -+ K [(1/m + 1/M)^2 - 4 sin^2(k) / (m M)]^(1/2), k in radians a grain, and waves on both."""
+    masses = np.resize([1e-6, 3e-6], 160)
+    chain = Chain(grains=160, diameter=1e-3, masses=masses, gravity=0.0, top_load=1e-3)
+    stiffness, unit = chain.linear_stiffness[0], chain.time_scale
+    scene = Scene(
+        chain=chain,
+        excitation=Impulse(velocity=1e-5 * chain.length_scale / unit, grain=81),
+        duration=150 * unit,
+        samples=601,
+    )
+    found = dispersion(simulate(scene, engine="native", tolerance=1e-7), 1, 160)
+    both, k = 1e6 * (1 + 1 / 3), found.wavenumber
+    root = np.sqrt(both**2 - 4 * np.sin(k) ** 2 * 1e12 / 3)
+    exact = np.sqrt(stiffness * np.maximum([both - root, both + root], 0)) / (2 * np.pi)
+    assert found.relation == pytest.approx(np.tile(exact, (3, 1, 1)), rel=1e-9, abs=1e-9 * exact.max())
+    gap = (found.relation[1, 0].max() + found.relation[1, 1].min()) / 2
+    near = (np.abs(found.wavenumber) > 0.3) & (np.abs(found.wavenumber) < 1.4)
+    for branch, side in zip(found.relation[1], (found.frequency < gap, found.frequency > gap), strict=True):
+        ridge = found.frequency[side][found.amplitude[side].argmax(0)]
+        assert np.abs(ridge - branch)[near].max() < 1.5 * found.frequency[1]
+    axes = found.plot().axes[0]
+    assert len(axes.lines) == 6
+    assert axes.get_ylim()[1] > found.relation.max()
 
 
 # --- what the chain lets pass, and how fast

@@ -550,7 +550,7 @@ def test_python_finds_the_same_faults_in_a_drive_as_a_file():
 
 def test_a_scene_cannot_be_changed_once_it_is_checked():
     scene = Scene(chain=Chain(grains=3, diameter=[1e-3] * 3), excitation=Impulse(velocity=1e-3), duration=1e-6)
-    with pytest.raises(Exception, match="frozen"):
+    with pytest.raises(InputError, match=r"^duration: cannot be changed: use .replace\(duration=...\)"):
         scene.duration = -1.0
     with pytest.raises(ValueError, match="read-only"):
         scene.chain.diameter[0] = -1.0
@@ -593,3 +593,34 @@ def test_a_faulty_chain_does_not_hide_what_is_wrong_elsewhere(tmp_path: Path):
         Scene.from_toml(path)
     keys = [key for key, _ in caught.value.faults]
     assert keys == ["chain.colour", "chain.bottom", "excitation.grain", "recording.grains"]
+
+
+@pytest.mark.parametrize("given", [{"kind": "impulse", "velocity": 1e-5}, {}, None, 3, "impulse", [1e-5], Impulse])
+def test_what_is_no_excitation_is_named(given: object):
+    with pytest.raises(InputError, match="must be of the type Excitation") as caught:
+        Scene(chain=Chain(grains=12, diameter=1e-3), excitation=given, duration=1e-5)  # type: ignore[arg-type]
+    assert [key for key, _ in caught.value.faults] == ["excitation"]
+
+
+@pytest.mark.parametrize("value", [10**5000, [10**400], "1:" + "9" * 5000, [1.0] * 10**6], ids=type)
+@pytest.mark.parametrize("key", ["duration", "samples", "grains"])
+def test_values_of_any_length_are_refused_in_a_line(key: str, value: object):
+    fields = {"chain": Chain(grains=12, diameter=1e-3), "excitation": Impulse(velocity=1e-5), "duration": 1e-5}
+    with pytest.raises(InputError) as caught:
+        Scene(**fields | {key: value})
+    (fault,) = caught.value.faults
+    assert fault[0] == key
+    assert len(fault[1]) < 250
+
+
+@pytest.mark.parametrize("duration", [5e-324, 1e-310])
+def test_samples_are_apart_in_numbers_of_full_precision(duration: float):
+    with pytest.raises(InputError, match=r"^duration: 5 samples .* too close"):
+        Scene(chain=Chain(grains=12, diameter=1e-3), excitation=Impulse(velocity=1e-5), duration=duration, samples=5)
+
+
+def test_the_text_of_a_scene_names_no_file(tmp_path: Path):
+    (tmp_path / "grains.csv").write_text("diameter\n1e-3\n1e-3\n")
+    text = GOOD.replace('grains = 20\nmaterial = "glass"\ndiameter = 1.0e-3', f'file = "{tmp_path / "grains.csv"}"')
+    with pytest.raises(InputError, match=r"chain\.file: a scene without a folder"):
+        Scene.from_text(text)

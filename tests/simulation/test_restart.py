@@ -1,16 +1,15 @@
-"""Killed at any moment, a run goes on and ends with the bits that it would have had."""
+"""Stopped at any block, a run goes on and ends with the bits that it would have had."""
 
 import itertools
+import json
 import os
 import random
-import time
-from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.child_processes import ended, finish, recorded, same, start, write
+from helpers.child_processes import same
 from helpers.example_scenes import paper
 
 from lmpchain import Chain, Drive, Impulse, InputError, Scene, Stopped, Trajectory, engines, resume, simulate
@@ -22,73 +21,6 @@ STRIKE = Impulse(velocity=8.57e-3)
 SCENE = Scene(chain=CHAIN, excitation=STRIKE, duration=4e-3, samples=3001)
 SHORT = Scene(chain=CHAIN, excitation=STRIKE, duration=3e-4, samples=601)
 BRIEF = Scene(chain=CHAIN, excitation=STRIKE, duration=3e-5, samples=301)
-LONGER = Scene(chain=CHAIN, excitation=STRIKE, duration=1e-3, samples=1001)
-VERLET = ["--engine", "lammps", "--integrator", "verlet", "--step", "2e-8", "--diameter", "physical"]
-# scene, words for `run`, and the processes that mpirun starts for the first command and those after it, in turn
-CASES = {
-    "native": (SCENE, ["--engine", "native", "--step", "5e-9"], [1]),
-    "lammps": (LONGER, VERLET, [1]),
-    "two ranks": (LONGER, [*VERLET, "--ranks", "2"], [1]),
-    "mpirun": (LONGER, VERLET, [2, 1, 2]),
-    "two ranks, then mpirun": (LONGER, [*VERLET, "--ranks", "2"], [1, 2, 1]),
-}
-
-
-@cache
-def truth(engine: str) -> Trajectory:
-    """Return the uninterrupted answer, in memory and on one rank."""
-    if engine == "native":
-        return simulate(SCENE, engines.Native(step=5e-9))
-    return simulate(LONGER, engines.Lammps(integrator="verlet", step=2e-8, diameter="physical"))
-
-
-def killed(case: str, folder: Path, parts: list[float], rng: random.Random) -> tuple[Trajectory, int]:
-    """Run a case, killed once it has these parts of its samples; return the answer and how often it was killed."""
-    scene, words, ranks = CASES[case]
-    command: tuple[object, ...] = ("run", write(scene, folder), "-o", f"{folder}/run/", *words)
-    counts, kills = itertools.cycle(ranks), 0
-    for part in parts:
-        process = start(*command, ranks=next(counts))
-        while process.poll() is None and recorded(folder / "run") < part * scene.samples:
-            time.sleep(0.005)
-        time.sleep(rng.uniform(0, 0.1))  # not always just behind a sample
-        alive = process.poll() is None
-        process.kill()
-        _, said = ended(process)
-        assert "Traceback" not in said, said
-        if (folder / "run" / "scene.toml").exists():  # else it was so early that there is nothing to go on with
-            command, kills = ("resume", folder / "run"), kills + alive
-    code, said = finish(*command, ranks=next(counts))
-    assert code == 0, said
-    return Trajectory.load(folder / "run"), kills
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("case", "times"), [("native", 2), ("lammps", 1), ("two ranks, then mpirun", 2)])
-def test_killed_again_and_again(case: str, times: int, tmp_path: Path):
-    rng = random.Random(case)
-    parts = sorted(rng.uniform(0.01, 0.5) for _ in range(times))
-    answer, kills = killed(case, tmp_path, parts, rng)
-    assert kills >= 1
-    assert same(answer, truth("native" if case == "native" else "lammps"))
-    assert status(tmp_path / "run")["state"] == "finished"
-
-
-@pytest.mark.soak
-@pytest.mark.timeout(1800)
-@pytest.mark.parametrize(("case", "times"), [("native", 30), ("lammps", 30), ("two ranks", 30), ("mpirun", 30)])
-def test_killed_at_random(case: str, times: int, tmp_path: Path):
-    right, rng, count = truth("native" if case == "native" else "lammps"), random.Random(case), 0
-    for attempt in itertools.count():
-        folder = tmp_path / str(attempt)
-        folder.mkdir()
-        answer, kills = killed(case, folder, [rng.uniform(-0.2, 1)], rng)
-        assert same(answer, right), f"after {count} kills that went well"
-        count += kills
-        if count == times:
-            break
-
-
 DRIVEN = Scene(chain=CHAIN, excitation=Drive(amplitude=1e-8, frequency=2e4), duration=3e-4, samples=301)
 STOPPED = {
     "native": (SCENE, engines.Native(step=2e-8), 1e-6),
@@ -135,7 +67,7 @@ def test_stopped_after_every_block(case: str, tmp_path: Path):
                 partial = Trajectory.load(tmp_path / "run")
                 assert partial.displacement.shape == (said["samples_done"], scene.recorded.size)
                 assert np.isfinite(partial.velocity[:]).all()
-                assert partial.error_estimate.total == np.inf
+                assert 0 < partial.error_estimate.total < np.inf
     assert len(seen) == stops >= 2, "every stop was at another place"
     assert same(answer, simulate(scene, engine, tolerance))
 
@@ -221,3 +153,25 @@ def test_a_changed_scene_is_refused_in_one_line(stopped: Path):
             resume(stopped)
         (stopped / name).write_text(before)
     assert same(resume(stopped), simulate(SHORT, "native", 1e-2))
+
+
+def test_ranks_are_for_engines_that_can_use_them(stopped: Path):
+    with pytest.raises(InputError, match="ranks: the engine native runs on one"):
+        resume(stopped, ranks=2)
+    assert same(resume(stopped), simulate(SHORT, "native", 1e-2))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["lammps", "lammps, driven"])
+def test_another_number_of_ranks_gives_the_same_bits(case: str, tmp_path: Path):
+    scene, engine, tolerance = STOPPED[case]
+    with pytest.raises(Stopped):
+        simulate(scene, engine, tolerance, folder=tmp_path / "run", max_wall=1e-9)
+    with pytest.raises(InputError, match="ranks: must be at most one a grain"):
+        resume(tmp_path / "run", ranks=1000)
+    with pytest.raises(Stopped):
+        resume(tmp_path / "run", ranks=2, max_wall=1e-9)
+    answer = resume(tmp_path / "run", ranks=1)
+    assert same(answer, simulate(scene, engine, tolerance))
+    sessions = json.loads((tmp_path / "run" / "run.json").read_text())["sessions"]
+    assert [session["ranks"] for session in sessions] == [1, 2, 1]

@@ -18,8 +18,21 @@ from helpers.child_processes import COMMAND, at_work, finish, same, start, write
 from helpers.example_scenes import paper
 
 import lmpchain
-from lmpchain import Chain, Impulse, InputError, Profile, Scene, Stopped, ToleranceNotMet, Trajectory, resume, simulate
+from lmpchain import (
+    Chain,
+    Impulse,
+    InputError,
+    Profile,
+    Scene,
+    Stopped,
+    ToleranceNotMet,
+    Trajectory,
+    engines,
+    resume,
+    simulate,
+)
 from lmpchain.cli.command_line import main
+from lmpchain.engines import error_estimate
 from lmpchain.simulation.run_folder import status
 
 SCENE = Scene(
@@ -216,7 +229,8 @@ def test_reading_while_the_run_goes_on_and_after_a_kill(tmp_path: Path):
     first = Scene(chain=LONG.chain, excitation=LONG.excitation, duration=LONG.duration / 1000, samples=11)
     there = simulate(first, lmpchain.engines.Native(step=1e-6))
     assert np.allclose(partial.velocity[:11], there.velocity, rtol=0, atol=1e-12)
-    assert status(folder)["state"] == "running", "a kill leaves no time to say otherwise"
+    assert json.loads((folder / "status.json").read_text())["state"] == "running", "a kill leaves no time to say more"
+    assert (status(folder)["state"], status(folder)["reason"]) == ("killed", "the process that was at work was killed")
 
 
 # --- who may work in it
@@ -355,3 +369,30 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
         peaks.append(float(subprocess.run(words, capture_output=True, text=True, check=True).stdout))
     assert peaks[1] < 1000
     assert peaks[1] < peaks[0] + 60
+
+
+def test_a_stopped_run_loads_with_its_estimate_so_far(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """The estimate is of the samples that are there, and covers their true error; later samples make it unknown."""
+    monkeypatch.setattr(error_estimate, "BLOCK_S", 1e-9)  # four samples a block
+    scene = Scene(chain=Chain(grains=12, diameter=1e-3), excitation=Impulse(velocity=1e-4), duration=6e-5, samples=61)
+    truth = simulate(scene, "native", 1e-12)
+    with pytest.raises(Stopped):
+        simulate(scene, engines.Native(step=1e-6), folder=tmp_path / "run", max_wall=1e-9)
+    for _ in range(3):
+        with pytest.raises(Stopped):
+            resume(tmp_path / "run", max_wall=1e-9)
+        part = Trajectory.load(tmp_path / "run")
+        done = part.time.size
+        assert 1 < done < 61
+        off = max(
+            np.abs(getattr(part, name)[:] - getattr(truth, name)[:done]).max()
+            / np.abs(getattr(truth, name)[:done]).max()
+            for name in ("displacement", "velocity")
+        )
+        assert off <= part.error_estimate.total < 100 * off
+    about = json.loads((tmp_path / "run" / "trajectory.zarr" / "zarr.json").read_text())
+    about["attributes"]["error_so_far"]["samples"] -= 1  # as if samples had come since
+    (tmp_path / "run" / "trajectory.zarr" / "zarr.json").write_text(json.dumps(about))
+    assert Trajectory.load(tmp_path / "run").error_estimate.total == np.inf
+    whole = resume(tmp_path / "run")
+    assert whole.error_estimate.total == Trajectory.load(tmp_path / "run").error_estimate.total < np.inf

@@ -60,13 +60,20 @@ def test_a_signal_stops_at_the_next_block(case: str, number: int, code: int, tmp
     until(lambda: not processes(mark))  # no rank is left behind
     code, said = finish("resume", folder, "--max-wall", "0.01", ranks=ranks)
     assert code == 75, said
-    assert status(folder)["samples_done"] > kept["samples_done"]
+    done = status(folder)["samples_done"]
+    assert done >= kept["samples_done"]
+    process = start("resume", folder, ranks=ranks)
+    try:
+        at_work(folder, process, done + 1)
+    finally:
+        process.terminate()
+        assert ended(process)[0] == 143
 
 
 @pytest.mark.slow
 def test_a_stop_waits_for_the_sample_at_work(tmp_path: Path):
     """Where one takes many blocks, the stop comes at its end, so that nothing is lost."""
-    scene = ENDLESS.model_copy(update={"samples": 1001})
+    scene = ENDLESS.replace(samples=1001)
     folder = tmp_path / "run"
     process = start("run", write(scene, tmp_path), "-o", f"{folder}/", "--engine", "native", "--step", "1e-7")
     try:

@@ -1,6 +1,7 @@
 """Other tools read what is written here, and what they wrote is read."""
 
 import gzip
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -252,3 +253,90 @@ def test_dumps_without_what_is_needed(tmp_path: Path):
     timed.write_text(scaled.read_text().replace("ITEM: NUMBER", "ITEM: TIME\n0\nITEM: NUMBER"))
     with pytest.raises(InputError, match="dump_modify units or time"):
         Trajectory.from_dump(timed, OWN)
+
+
+def turned(text: str, axis: str, sign: int) -> str:
+    """Return a dump whose column stands along another axis, with its sign as it is or turned around."""
+    lines, header = text.splitlines(), "ITEM: ATOMS id x y z vz"
+    out = []
+    for line in lines:
+        if line == header:
+            out.append("ITEM: ATOMS id x y z vx vy vz")
+        elif len(parts := line.split()) == 5 and not line.startswith("ITEM"):
+            number, _, _, z, vz = parts
+            place, speed = {"x": "0", "y": "0", "z": "0"}, {"x": "0", "y": "0", "z": "0"}
+            place[axis], speed[axis] = (value if sign > 0 else repr(-float(value)) for value in (z, vz))
+            out.append(" ".join([number, *place.values(), *speed.values()]))
+        else:
+            out.append(line)
+    return "\n".join(out) + "\n"
+
+
+@pytest.fixture(scope="module")
+def upright(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return own_deck(tmp_path_factory.mktemp("upright") / "own", OWN)
+
+
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_columns_along_any_axis(upright: Path, axis: str, sign: int, tmp_path: Path):
+    path, truth = tmp_path / "dump", Trajectory.from_dump(upright, OWN)
+    path.write_text(turned(upright.read_text(), axis, sign))
+    t = Trajectory.from_dump(path, OWN)
+    assert np.array_equal(t.velocity, truth.velocity)
+    assert np.array_equal(t.displacement, truth.displacement)
+    assert t.provenance["column"] == f"along {axis}, {axis} points {'up' if sign > 0 else 'down'}"
+    OWN.to_toml(tmp_path / "scene.toml")
+    words = ["fit", str(path), "--scene", str(tmp_path / "scene.toml"), "--axis"]
+    assert main([*words, axis]) == 0
+    assert main([*words, "x" if axis == "y" else "y"]) == 2
+
+
+def test_a_column_along_a_diagonal_is_refused(upright: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    path = tmp_path / "dump"
+    path.write_text(re.sub(r"^(\d+) 0 0 (\S+) (\S+)$", r"\1 \2 0 \2 \3", upright.read_text(), flags=re.M))
+    with pytest.raises(InputError, match=r"axis: .*along none of x, y and z"):
+        Trajectory.from_dump(path, OWN)
+    assert np.isfinite(Trajectory.from_dump(path, OWN, axis="z").velocity).all()
+    with pytest.raises(InputError, match="axis: must be x, y or z"):
+        Trajectory.from_dump(path, OWN, axis="down")
+
+
+def test_dumps_of_runs_that_were_started_again(upright: Path, tmp_path: Path):
+    """A frame that is there twice is read once, half a frame not at all, wherever the run was killed in it."""
+    path, truth, text = tmp_path / "dump", Trajectory.from_dump(upright, OWN), upright.read_text()
+    frames = ["ITEM: TIMESTEP" + part for part in text.split("ITEM: TIMESTEP")[1:]]
+    assert len(frames) == 11
+    for kept in (1, 5, 10):
+        path.write_text("".join([*frames[: kept + 1], *frames[kept:]]))  # a restart writes its first frame anew
+        assert np.array_equal(Trajectory.from_dump(path, OWN).displacement, truth.displacement)
+        for cut in (3, 20, len(frames[kept]) // 2, len(frames[kept]) - 3):
+            path.write_text("".join([*frames[:kept], frames[kept][:cut], *frames[kept - 1 :]]))
+            again = Trajectory.from_dump(path, OWN)
+            assert np.array_equal(again.displacement, truth.displacement)
+            assert np.array_equal(again.velocity, truth.velocity)
+        path.write_text("".join([*frames[:kept], frames[kept].replace("\n12\n", "\n11\n", 1), *frames[kept + 1 :]]))
+        with pytest.raises(InputError, match="number of atoms changes"):
+            Trajectory.from_dump(path, OWN)
+    path.write_text("".join(frames[:5] + frames[6:]))
+    with pytest.raises(InputError, match="has 10 whole frames"):
+        Trajectory.from_dump(path, OWN)
+
+
+@pytest.mark.parametrize("digits", [9, 10, 12])
+def test_the_precision_of_a_dump_is_stated(upright: Path, digits: int, tmp_path: Path):
+    """What digits that are cut off change is within what the dump says of itself."""
+
+    def rounded(match: re.Match[str]) -> str:
+        return f"{match[1]} 0 0 {float(match[2]):.{digits - 1}e} {float(match[3]):.{digits - 1}e}"
+
+    path, truth = tmp_path / "dump", Trajectory.from_dump(upright, OWN)
+    path.write_text(re.sub(r"^(\d+) 0 0 (\S+) (\S+)$", rounded, upright.read_text(), flags=re.M))
+    t = Trajectory.from_dump(path, OWN)
+    found = re.match(r"displacement within (\S+) m, .*; velocity within (\S+) m/s, ", t.provenance["precision"])
+    assert found
+    for stated, mine, true in zip(
+        found.groups(), (t.displacement, t.velocity), (truth.displacement, truth.velocity), strict=True
+    ):
+        off = np.abs(mine - true).max()
+        assert float(stated) / 100 < off <= 2 * float(stated)  # the height at rest is rounded as well

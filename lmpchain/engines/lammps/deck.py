@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -84,15 +87,31 @@ def check_carried(splitting: Splitting, key: str) -> None:
 
 def write_data(column: Column, path: str | PathLike[str]) -> None:
     """Write the data file of a column."""
+    with write_aside(path) as aside:
+        aside.write_bytes(_data(column))
+
+
+@contextmanager
+def data_file(column: Column, folder: Path | None) -> Iterator[Path]:
+    """Yield the path of a data file: in a folder, or in memory, where a kill leaves none behind."""
+    if folder is not None:
+        write_data(column, path := folder / "column.data")
+        yield path
+        return
+    with open(os.memfd_create("column.data"), "wb") as held:
+        held.write(_data(column))
+        held.flush()
+        yield Path(f"/proc/{os.getpid()}/fd/{held.fileno()}")
+
+
+def _data(column: Column) -> bytes:
     z, speeds = column.start
     if column.strike:  # the deck strikes, so that the speed can be set on the command line
         speeds = 0.0 * speeds
     rows = zip(column.types, column.diameters.tolist(), column.densities.tolist(), z.tolist(), strict=True)
-    text = render(
+    return render(
         "column.data", CLOSED, column=column, rows=rows, speeds=speeds.tolist(), heights=column.heights.tolist()
-    )
-    with write_aside(path) as aside:
-        aside.write_text(text, encoding="ascii")
+    ).encode("ascii")
 
 
 def _filled(column: Column, step: float, splitting: Splitting, done: int = 0, **values: Any) -> str:

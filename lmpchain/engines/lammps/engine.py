@@ -13,13 +13,14 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from ...errors import InputError, LmpchainError, ToleranceNotMet
+from ...errors import InputError, LmpchainError, ToleranceNotMet, shown
 from ...integrators.methods import Method
 from ...integrators.splittings import SPLITTINGS
 from ...integrators.step_schedule import StepSchedule
 from ...scene.scene import Scene
 from ...util.arrays import Array
 from ...util.files import make_folder
+from ...util.suggestions import not_among
 from ..base import Candidate, ErrorBudget, Run
 from ..error_estimate import CompanionRun
 from ..native import Native
@@ -100,10 +101,10 @@ class Lammps(TimeSteppingEngine):
         super().__init__(integrator or ("rkn6" if template is None and include is None else "verlet"), step)
         for key, value, known in (("diameter", diameter, DIAMETERS), ("pair_style", pair_style, PAIR_STYLES)):
             if value not in known:
-                raise InputError([(key, f"must be {' | '.join(known)} (got {value!r})")])
+                raise InputError([(key, not_among(value, known))])
         self.diameter, self.pair_style = diameter, pair_style
         if ranks is not None and (isinstance(ranks, bool) or not isinstance(ranks, int) or ranks < 1):
-            raise InputError([("ranks", f"must be a whole number from 1 (got {ranks!r})")])
+            raise InputError([("ranks", f"must be a whole number from 1 (got {shown(ranks)})")])
         self.ranks = ranks
         self.splitting = SPLITTINGS[self.integrator]
         for key, given in (("keep", keep), ("template", template), ("include", include)):

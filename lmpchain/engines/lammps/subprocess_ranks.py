@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import os
+import secrets
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import tempfile
 import time
 from contextlib import suppress
 from multiprocessing.connection import Connection
-from pathlib import Path
 from typing import Any
 
-from ...errors import EngineUnavailable, LmpchainError, RunFailed
+from ...errors import EngineUnavailable, LmpchainError
 from ...util import mpi
 from .communicators import SIGNALS, MpiRanks, shutdown_workers, worker_loop
 
@@ -33,8 +34,7 @@ class SubprocessRanks:
 
     def __init__(self, ranks: int, log: str):
         self.ranks = ranks
-        self._folder = tempfile.TemporaryDirectory(prefix="lmpchain-")
-        self._said = open(Path(self._folder.name) / "said", "w+b")  # noqa: SIM115
+        self._said = tempfile.TemporaryFile()  # noqa: SIM115
         try:
             self._mpiexec, self._line = self._start()
             self.pids = self._receive(START_S)
@@ -49,9 +49,9 @@ class SubprocessRanks:
             raise
 
     def _start(self) -> tuple[subprocess.Popen[bytes], Connection]:
-        address = str(Path(self._folder.name) / "line")
+        address = f"lmpchain-{os.getpid()}-{secrets.token_hex(8)}"
         with socket.socket(socket.AF_UNIX) as listener:
-            listener.bind(address)
+            listener.bind(f"\0{address}")  # no file, which a kill would leave behind
             listener.listen(1)
             listener.settimeout(0.2)
             command = [mpi.launcher(), "-n", str(self.ranks), sys.executable, "-m", __name__, address]
@@ -62,8 +62,7 @@ class SubprocessRanks:
             while True:
                 try:
                     line, _ = listener.accept()
-                    line.setblocking(True)
-                    return mpiexec, Connection(line.detach())
+                    return mpiexec, _own(line)
                 except TimeoutError:
                     if mpiexec.poll() is not None or time.monotonic() > until:
                         raise EngineUnavailable(f"the ranks do not start: {self._last_words()}") from None
@@ -87,11 +86,13 @@ class SubprocessRanks:
             raise answer
         return answer
 
-    def _death(self) -> RunFailed:
-        """Return what to say when the ranks are gone."""
+    def _death(self) -> EngineUnavailable:
+        """Return what to say when the ranks are gone: no `RunFailed`, as a shorter step would not help."""
         with suppress(subprocess.TimeoutExpired):
             self._mpiexec.wait(10)
-        return RunFailed(f"a rank of LAMMPS died, and with it the other ones of {self.ranks}: {self._last_words()}")
+        return EngineUnavailable(
+            f"a rank of LAMMPS died, and with it the other ones of {self.ranks}: {self._last_words()}"
+        )
 
     def _last_words(self) -> str:
         self._said.flush()
@@ -114,12 +115,21 @@ class SubprocessRanks:
                 os.killpg(mpiexec.pid, signal.SIGKILL)
                 mpiexec.wait()
         self._said.close()
-        self._folder.cleanup()
+
+
+def _own(end: socket.socket) -> Connection:
+    """Return the line to the process at the other end, which must be one of this user's."""
+    user = struct.unpack("3i", end.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))[1]
+    if user != os.getuid():
+        raise EngineUnavailable("the ranks cannot be reached: another user answers in their place")
+    end.setblocking(True)
+    return Connection(end.detach())
 
 
 def serve(address: str) -> None:
     """Be a rank: the first one takes orders from the socket and leads the others."""
     world = mpi.library().COMM_WORLD
+    mpi.settle(world)
     pids = world.gather(os.getpid())
     if world.rank > 0:
         worker_loop(world)
@@ -127,8 +137,8 @@ def serve(address: str) -> None:
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
     with socket.socket(socket.AF_UNIX) as end:
-        end.connect(address)
-        line = Connection(end.detach())
+        end.connect(f"\0{address}")
+        line = _own(end)
     line.send(pids)
     communicator: MpiRanks | None = None
     while True:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from typing import ClassVar, Protocol
@@ -14,14 +13,15 @@ from ...integrators.kernels.chebyshev import SPAN, Propagator, terms
 from ...scene.scene import Scene
 from ...trajectory.record import Block, Cost
 from ...util.arrays import EPSILON, Array
+from ...util.compilation import clock
 from ..base import Candidate, Engine, ErrorBudget, Run, SharperBound
 from ..cost_model import seconds
-from .model_error import EVENLY, PhaseError, bounds, dense, evaluation_times
+from .model_error import PhaseError, bounds, decidable, dense, evaluation_times, evaluations
 
 BLOCK = 16  # samples a block, if so many fit
 BLOCK_VALUES, SMALL = 2**22, 2**14  # values that are at hand at a time, and that take no time worth speaking of
 MOST_MODES = 12_000  # 1.2 GB of eigenvectors
-EXTRA = EVENLY + 24  # evaluations besides the samples, for a usual number of periods
+LOOK_VALUES = 2**18  # a contact that opens ends a look: values at a time
 
 
 class LinearEngine(Engine):
@@ -44,15 +44,15 @@ class LinearEngine(Engine):
 
     def candidate(self, scene: Scene, tolerance: float) -> Candidate:
         """Propose the one way there is."""
-        least, most = bounds(scene)
-        values = scene.samples * scene.recorded.size
+        (least, most), values = bounds(scene), scene.samples * scene.recorded.size
+        look = SharperBound(least, self._seconds(self.work(scene, 0, 0)) - self._seconds(0.0))
         return Candidate(
             step=scene.duration / (scene.samples - 1),
             active_grains=scene.chain.grains,
             model_error=most,
             solver_error=self.round_off(scene),
             cost_s=self._seconds(self.work(scene, scene.samples, values)),
-            sharper=SharperBound(least, self._seconds(self.work(scene, 0, 0)) - self._seconds(0.0)),
+            sharper=look if decidable(scene) else None,
         )
 
     def _seconds(self, work_s: float) -> float:
@@ -60,10 +60,20 @@ class LinearEngine(Engine):
 
     def bound_model_error(self, scene: Scene, candidate: Candidate) -> float:
         """Bound the model error from the linear solution, evaluated between the samples too."""
+        return self.look(scene).at_most
+
+    def estimate_model_error(self, scene: Scene) -> float:
+        """Estimate the model error from the linear solution, as a run does."""
+        return self.look(scene).error
+
+    def look(self, scene: Scene) -> PhaseError:
+        """Follow the linear solution and what it leaves out; end where a contact opens."""
         times, error = np.append(evaluation_times(scene), scene.duration), PhaseError(scene)
-        for _ in _followed(self.solve(scene, {}), error, times, np.ones(times.size, bool), scene.chain.grains):
-            pass
-        return error.at_most
+        size, every = max(64, LOOK_VALUES // scene.chain.grains), np.ones(times.size, bool)
+        for _ in _followed(self.solve(scene, {}), error, times, every, size):
+            if error.remark:
+                break
+        return error
 
     def round_off(self, scene: Scene) -> float:
         """Return the relative error that rounding makes: that of the frequencies, times the periods."""
@@ -98,7 +108,7 @@ class Chebyshev(LinearEngine):
 
     def work(self, scene: Scene, samples: int, values: int) -> float:
         """Return the time for the polynomials from one evaluation to the next."""
-        z, moments = scene.chain.band_edge * scene.duration, samples + (0 if samples and dense(scene) else EXTRA)
+        z, moments = scene.chain.band_edge * scene.duration, _moments(scene, samples)
         series = min(moments, max(1.0, z / SPAN))
         orders, grains = terms(z / series), min(scene.chain.grains, z / 4 + 30)  # on average in a growing light cone
         a_series = 3e-6 + 2 * orders * (7e-8 + 1.7e-9 * grains)
@@ -127,7 +137,7 @@ class Modes(LinearEngine):
 
     def work(self, scene: Scene, samples: int, values: int) -> float:
         """Return the time for the diagonalisation, and for sums over modes at every evaluation."""
-        grains, moments = scene.chain.grains, samples + (0 if samples and dense(scene) else EXTRA)
+        grains, moments = scene.chain.grains, _moments(scene, samples)
         once, a_moment = 6e-8 * grains**2 + 1e-10 * grains**3, 5e-7 + 3e-8 * grains + 6e-10 * grains**2
         return once + a_moment * moments + 1e-8 * values
 
@@ -153,11 +163,15 @@ class Solution(Protocol):
         """Return what is needed to go on with the same bits."""
 
 
+def _moments(scene: Scene, samples: int) -> int:
+    """Return how often a solution is evaluated for so many samples, 0 for a look at it alone."""
+    return samples + (0 if samples and dense(scene) else evaluations(scene))
+
+
 def _followed(
-    solution: Solution, error: PhaseError, times: Array, recorded: NDArray[np.bool_], grains: int
+    solution: Solution, error: PhaseError, times: Array, recorded: NDArray[np.bool_], size: int
 ) -> Iterator[tuple[slice, Array, Array]]:
-    """Evaluate a solution at all times, add to its model error, and yield it part by part."""
-    size = max(1, BLOCK_VALUES // grains)
+    """Evaluate a solution at all times, add to its model error, and yield it, so many times at a time."""
     for begin in range(0, times.size, size):
         part = slice(begin, begin + size)
         u, v, reach = solution.at(times[part])
@@ -174,7 +188,7 @@ class LinearRun(Run):
         scenes: Sequence[Scene],
         state: Mapping[str, Array],
     ):
-        began = time.perf_counter()
+        began = clock()
         if len({(s.chain.grains, s.samples, s.duration, s.grains) for s in scenes}) != 1:
             raise ValueError("a batch needs chains of one length, recorded alike")
         self._engine, self._scene = engine, scenes[0]
@@ -186,19 +200,19 @@ class LinearRun(Run):
         ]
         self._rows: NDArray[np.intp] = scenes[0].recorded - 1
         self._between = [np.zeros(0) if dense(scene) else evaluation_times(scene) for scene in scenes]
-        self._integration_s = 0.0
-        self._setup_s = time.perf_counter() - began
+        self._integration_s = self._estimate_s = 0.0
+        self._setup_s = clock() - began
 
     def blocks(self) -> Iterator[Block]:
         """Yield the answer."""
         times, grains = self._scene.time, self._scene.chain.grains
         size = max(1, min(max(BLOCK, SMALL // grains), BLOCK_VALUES // grains))
         while self._sample < self._scene.samples:
-            began = time.perf_counter()
+            began = clock()
             here = slice(self._sample, min(self._sample + size, self._scene.samples))
             before = times[self._sample - 1] if self._sample else -1.0
             shape = (len(self._solutions), here.stop - here.start, self._rows.size)
-            block = Block(here, np.empty(shape), np.empty(shape))
+            block, evaluated = Block(here, np.empty(shape), np.empty(shape)), 0
             for real, (solution, error) in enumerate(zip(self._solutions, self._phase_errors, strict=True)):
                 extra = self._between[real]
                 extra = extra[(extra > before) & (extra < times[here.stop - 1])]
@@ -206,13 +220,15 @@ class LinearRun(Run):
                 wanted = (
                     np.isin(moments, times[here], assume_unique=True) if extra.size else np.ones(moments.size, bool)
                 )
-                place = 0
-                for part, u, v in _followed(solution, error, moments, wanted, grains):
+                place, evaluated = 0, evaluated + moments.size
+                for part, u, v in _followed(solution, error, moments, wanted, max(1, BLOCK_VALUES // grains)):
                     which, into = np.ix_(wanted[part], self._rows), slice(place, place + int(wanted[part].sum()))
                     block.displacement[real, into], block.velocity[real, into] = u[which], v[which]
                     place = into.stop
             self._sample = here.stop
-            self._integration_s += time.perf_counter() - began
+            took, asked = clock() - began, (here.stop - here.start) * len(self._solutions)
+            self._integration_s += took * asked / evaluated
+            self._estimate_s += took * (1 - asked / evaluated)
             yield block
 
     @property
@@ -233,7 +249,7 @@ class LinearRun(Run):
         """Return what it has cost so far."""
         return Cost(
             integration_s=self._integration_s,
-            estimate_s=0.0,
+            estimate_s=self._estimate_s,
             setup_s=self._setup_s,
             steps=self._scene.samples - 1,
             force_evaluations=sum(solution.work for solution in self._solutions),
@@ -242,6 +258,11 @@ class LinearRun(Run):
             step_s=self._scene.duration / (self._scene.samples - 1),
             ranks=1,
         )
+
+    @property
+    def scale(self) -> Array:
+        """Largest displacement and velocity of any grain at any time, (2, R)."""
+        return np.stack([error.scale for error in self._phase_errors], axis=1)
 
     def state(self) -> dict[str, Array]:
         """Return what `start` needs to go on from the last sample with the same bits."""

@@ -14,8 +14,8 @@ from ...util.compilation import compiled_once
 from .contact_forces import NEWS, STRICT, bits, fma, inlined, number
 from .layout import DONE, FIRST, LAST, PAD, PENDING
 from .right_hand_side import accelerate, ahead, hold, impose, impose_velocity, imposed, sweep
-from .sample_loop import sample_loop
-from .window import watch, widen
+from .sample_loop import end_of_step, sample_loop
+from .window import look, watch, widen
 
 
 @inlined
@@ -80,17 +80,17 @@ def _advance(chain, method, work, clock, span):
     impose_velocity(chain, w, PAD, t)  # before the forces, like all that is imposed
     _finish_kick(chain, stages + 1, force, pull)
     watch(chain)
+    look(chain, t, 1.0)
     first, last = int(state[FIRST]), int(state[LAST])
     bodies, near, grains, speeds = slice(first - 1, last + 1), slice(first - 1, last), y[first:last], w[first:last]
-    whole = span.length - state[DONE]
-    left = min(whole, ahead(chain, t, span.begin + span.length, 1e-9 * clock.step))
+    left = min(span.length - state[DONE], ahead(chain, t, span.begin + span.length, 1e-9 * clock.step))
     nearness = _nearness(
         y[bodies], w[bodies], pull[bodies], chain.inverse_length[near], weight[chain.number, near],
         chain.precompressed, chain.uncompressed if first == PAD else 0.0, omega[chain.number], nearest[chain.number],
     )  # fmt: skip
     h = clock.step * min(1.0, shortened * nearness ** (-1 / 14)) if nearness > 0.0 else clock.step
-    steps = max(1, math.ceil(left / h - 1e-9))
-    h = left / steps
+    done = end_of_step(chain, span, left, h)
+    h = done - state[DONE]
     hold(chain, w)
     if chain.imposed:
         for stage in range(stages - 1):
@@ -102,7 +102,7 @@ def _advance(chain, method, work, clock, span):
     for stage in range(stages - 1):
         kick[stage], drift[stage] = kicks[stage + 1] * h, drifts[stage + 1] * h
     sweep(chain, kick, drift, carried, path)
-    state[DONE] = span.length if steps == 1 and left == whole else state[DONE] + h
+    state[DONE] = done
     state[PENDING] = kicks[stages] * h
     impose(chain, y, span.begin + state[DONE])
     return 1

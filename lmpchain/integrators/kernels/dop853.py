@@ -10,8 +10,8 @@ from ...util.compilation import compiled_once
 from .contact_forces import NEWS, STRICT, inlined
 from .layout import DONE, FIRST, LAST, STEP
 from .right_hand_side import accelerate, ahead, impose
-from .sample_loop import sample_loop
-from .window import watch, widen
+from .sample_loop import end_of_step, sample_loop
+from .window import look, watch, widen
 
 
 @inlined
@@ -44,11 +44,11 @@ def _advance(chain, method, work, clock, span):
     widen(chain, stages + 2)
     first, last = int(state[FIRST]), int(state[LAST])
     here = slice(first, last)
-    now, whole = span.begin + state[DONE], span.length - state[DONE]
-    left = min(whole, ahead(chain, now, span.begin + span.length, 1e-9 * clock.step))
+    now = span.begin + state[DONE]
+    left = min(span.length - state[DONE], ahead(chain, now, span.begin + span.length, 1e-9 * clock.step))
     h = span.step if allowed == 0.0 else (state[STEP] if state[STEP] > 0.0 else clock.step)
-    steps = max(1, math.ceil(left / h - 1e-9))
-    h = left / steps
+    done = end_of_step(chain, span, left, h)
+    h = done - state[DONE]
     grains, speeds, stage_grains = y[here], w[here], z[here]
     for n in range(first - 1, last + 1):
         z[n] = y[n]
@@ -76,9 +76,10 @@ def _advance(chain, method, work, clock, span):
         for n in range(grains.size):
             grains[n] += wx * slope[n]
             speeds[n] += wv * slope[n]
-    state[DONE] = span.length if steps == 1 and left == whole else state[DONE] + h
+    state[DONE] = done
     impose(chain, y, span.begin + state[DONE])
     watch(chain)
+    look(chain, span.begin + done, 1.0)
     return 1
 
 

@@ -9,7 +9,7 @@ from .contact_forces import NEWS, STRICT, inlined
 from .layout import DONE, FIRST, LAST, PAD, STEP
 from .right_hand_side import accelerate, hold, impose
 from .sample_loop import sample_loop
-from .window import watch, widen
+from .window import look, watch, widen
 
 
 @inlined
@@ -40,7 +40,7 @@ def _begin(chain, work, span):
 @inlined
 def _advance(chain, method, work, clock, span):
     """Take one step: predict by the Taylor series, evaluate the force once, correct."""
-    (corrections,) = method
+    corrections, every = method
     force, pull, _ = work
     y, w, more, state, h = chain.x, chain.v, chain.history, chain.state, span.step
     widen(chain, 4)
@@ -67,6 +67,8 @@ def _advance(chain, method, work, clock, span):
     if chain.inverse_mass[PAD] == 0.0:  # its derivatives are imposed, too
         more[0, PAD], more[1, PAD], more[2, PAD] = 0.0, 0.0, 0.0
     watch(chain)
+    if int(state[DONE]) % every == 0:
+        look(chain, then, 1.0)
     state[DONE] += 1.0
     return 1
 
@@ -76,9 +78,10 @@ _march = sample_loop(_advance, True)
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy", fastmath=STRICT)
 def march(chains, method, clock, u_out, v_out, offset, until, max_steps):
-    """Advance as `sample_loop` says by Gear's method of five values; `method` is its coefficients (5,).
+    """Advance as `sample_loop` says by Gear's method of five values.
 
-    `chains.history` holds the second, third and fourth derivatives of the displacements, times h^k / k!.
+    `method` is its coefficients (5,), and the steps from one look for the largest motion to the next. `chains.history`
+    holds the second, third and fourth derivatives of the displacements, times h^k / k!.
     """
     width = chains.x.shape[1]
     force, pull, moved = np.zeros(width), np.zeros(width), np.zeros(width)

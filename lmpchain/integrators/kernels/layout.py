@@ -13,8 +13,9 @@ from ...util.arrays import Array
 PAD = 8  # doubles in a cache line
 
 # the state of a chain between two calls: the last sample, how far beyond it (in steps or s), the part of a kick that is
-# still due, the active window, extremes of the contacts, steps made, and the step size of a method that changes it
-SAMPLE, DONE, PENDING, FIRST, LAST, LOWEST, CLOSEST, STEPS, STEP = range(9)
+# still due, the active window, extremes of the contacts, the largest displacement and speed of any grain, steps made,
+# and the step size of a method that changes it
+SAMPLE, DONE, PENDING, FIRST, LAST, LOWEST, CLOSEST, FARTHEST, FASTEST, STEPS, STEP = range(11)
 
 
 class Chains(NamedTuple):
@@ -26,7 +27,7 @@ class Chains(NamedTuple):
         Displacements from equilibrium and velocities, m and m/s.
     history : (R, H, W) array
         What the method keeps of earlier steps.
-    state : (R, 9) array
+    state : (R, 11) array
         See SAMPLE ... STEP.
     table : (R, 3, W) array
         1 / length and strength of the contact below each body, and its inverse mass.

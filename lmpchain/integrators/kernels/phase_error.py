@@ -1,8 +1,8 @@
 """Phase error of a linear solution, accumulated over its evaluation times.
 
 The state of the accumulation: time, strain and phase shift (s) by then; largest strain, displacement, velocity and
-acceleration; largest effect of the shift on displacement and velocity; the first contact that opens, if any; largest
-displacement and velocity in samples; integral of the squared strain.
+acceleration; largest effect of the shift on displacement and velocity in samples; the first contact that opens, if any;
+pull of open contacts by then, and the velocity that it has given; integral of the squared strain.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from ...util.compilation import compiled_once
     OFF_DISPLACEMENT,
     OFF_VELOCITY,
     OPENED,
-    SAMPLED_DISPLACEMENT,
-    SAMPLED_VELOCITY,
+    PULL,
+    PULLED,
     SQUARED_STRAIN,
 ) = range(13)
 
@@ -37,33 +37,54 @@ def start() -> Array:
 
 
 @compiled_once("the phase error of linear theory", 3)
-def accumulate(times, recorded, us, vs, reach, inverse_overlap, stiffness, inverse_mass, faster, state):
-    """Take in the solution (T, N) at these times."""
+def accumulate(
+    times, recorded, us, vs, reach, inverse_overlap, stiffness, inverse_mass, oscillator, faster, near, open_at, state
+):
+    """Take in the solution (T, N) at these times.
+
+    A contact that turns around within the time `near` is followed there by a parabola; one that comes below the strain
+    `open_at` is open.
+    """
+    acceleration = np.zeros(us.shape[1] + 2)  # between two bodies that stand still
     for i in range(times.size):
         first, last = reach[i]
-        u, v = us[i, first:last], vs[i, first:last]
-        largest = displacement = velocity = acceleration = before = 0.0
-        for n in range(u.size + 1):  # contacts; before and after these grains is one at rest
-            r = (u[n - 1] if n > 0 else 0.0) - (u[n] if n < u.size else 0.0)
-            strain, force = r * inverse_overlap[first + n], r * stiffness[first + n]
+        u, v, a = us[i, first:last], vs[i, first:last], acceleration[first : last + 2]
+        a[0] = a[-1] = 0.0
+        above = -stiffness[first] * u[0] if u.size else 0.0
+        for n in range(u.size):  # beyond these grains is one at rest
+            below = stiffness[first + n + 1] * (u[n] - (u[n + 1] if n + 1 < u.size else 0.0))
+            a[n + 1] = (above - below) * inverse_mass[first + n]
+            above = below
+        if oscillator > 0 and first == 0 and u.size:
+            a[1] = -oscillator * u[0]
+        largest = displacement = velocity = fastest = pull = before = 0.0
+        for n in range(u.size + 1):  # contacts
+            x, y = (u[n - 1] if n > 0 else 0.0), (u[n] if n < u.size else 0.0)
+            p, q = (v[n - 1] if n > 0 else 0.0), (v[n] if n < u.size else 0.0)
+            strain, bend = (x - y) * inverse_overlap[first + n], (a[n] - a[n + 1]) * inverse_overlap[first + n]
+            rate, lowest = (p - q) * inverse_overlap[first + n], strain
+            if bend > 0 and abs(rate) < near * bend:
+                lowest = strain - rate * rate / (2 * bend)
             if abs(strain) > abs(largest):
                 largest = strain
-            if strain <= -1.0 and np.isnan(state[OPENED]):
+            if lowest <= open_at and np.isnan(state[OPENED]):
                 state[OPENED] = first + n
+            held = stiffness[first + n] / inverse_overlap[first + n] * (-1.0 - lowest) if lowest < -1.0 else 0.0
             if n > 0:
                 displacement, velocity = max(displacement, abs(u[n - 1])), max(velocity, abs(v[n - 1]))
-                acceleration = max(acceleration, abs(before - force) * inverse_mass[first + n - 1])
-            before = force
-        state[SHIFT] += faster * (state[STRAIN] + largest) / 2 * (times[i] - state[TIME])
-        state[SQUARED_STRAIN] += (state[STRAIN] ** 2 + largest**2) / 2 * (times[i] - state[TIME])
-        state[TIME], state[STRAIN] = times[i], largest
+                fastest = max(fastest, abs(a[n]))
+                pull = max(pull, abs(before - held) * inverse_mass[first + n - 1])
+            before = held
+        span = times[i] - state[TIME]
+        state[SHIFT] += faster * (state[STRAIN] + largest) / 2 * span
+        state[SQUARED_STRAIN] += (state[STRAIN] ** 2 + largest**2) / 2 * span
+        state[PULLED] += (state[PULL] + pull) / 2 * span
+        state[TIME], state[STRAIN], state[PULL] = times[i], largest, pull
         state[MOST_STRAIN] = max(state[MOST_STRAIN], abs(largest))
         state[MOST_DISPLACEMENT] = max(state[MOST_DISPLACEMENT], displacement)
         state[MOST_VELOCITY] = max(state[MOST_VELOCITY], velocity)
-        state[MOST_ACCELERATION] = max(state[MOST_ACCELERATION], acceleration)
+        state[MOST_ACCELERATION] = max(state[MOST_ACCELERATION], fastest)
         if recorded[i]:
             shift = abs(state[SHIFT])
             state[OFF_DISPLACEMENT] = max(state[OFF_DISPLACEMENT], shift * velocity)
-            state[OFF_VELOCITY] = max(state[OFF_VELOCITY], shift * acceleration)
-            state[SAMPLED_DISPLACEMENT] = max(state[SAMPLED_DISPLACEMENT], displacement)
-            state[SAMPLED_VELOCITY] = max(state[SAMPLED_VELOCITY], velocity)
+            state[OFF_VELOCITY] = max(state[OFF_VELOCITY], shift * fastest)

@@ -65,6 +65,12 @@ def impose_velocity(chain, v, grain_1, t):
 
 
 @inlined
+def imposed_speed(chain, t):
+    """Return how fast grain 1 is at time t if it is driven, else 0."""
+    return abs(_driven(chain, t, 1)) if chain.imposed else 0.0
+
+
+@inlined
 def hold(chain, v):
     """Take the velocity of grain 1 out of v if it is driven: a drift must not move it."""
     if chain.imposed:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from .contact_forces import compiled, inlined
 from .layout import DONE, SAMPLE, STEPS, Chain, Span
 from .window import record
+
+# of the time between two landings: shorter steps would not move the clock, and there would be too many to be counted
+SHORTEST = 2.0**-50
 
 
 @inlined
@@ -23,6 +27,17 @@ def _chain(chains, real):
 @inlined
 def _as_it_is(chain, method, work, span):
     """At a landing nothing is left to do."""
+
+
+@inlined
+def end_of_step(chain, span, left, step):
+    """Return `state[DONE]` after a step of at most this length, one of equal ones in the time left.
+
+    The step to take is the difference to `state[DONE]`, not `step`: all steps together then are the span, exactly.
+    """
+    done = chain.state[DONE]
+    steps = max(1, math.ceil(left / max(step, SHORTEST * span.length) - 1e-9))
+    return span.length if steps == 1 and left == span.length - done else done + left / steps
 
 
 def sample_loop(

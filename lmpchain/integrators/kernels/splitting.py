@@ -6,16 +6,18 @@ import numpy as np
 
 from ...util.compilation import compiled_once
 from .contact_forces import NEWS, STRICT, inlined
-from .layout import DONE, FIRST, LAST, PAD, PENDING
+from .layout import DONE, FIRST, LAST, PAD, PENDING, STEPS
 from .right_hand_side import ROWS, TILE, imposed, sweep
 from .sample_loop import sample_loop
-from .window import watch, widen
+from .window import look, watch, widen
+
+SETTLED = 64  # steps after which pieces between two looks for the largest motion are twice as long
 
 
 @inlined
 def _advance(chain, method, work, clock, span):
     """Take a burst of steps; the last kick of a step and the first of the next are one."""
-    kicks, drifts = method
+    kicks, drifts, every, complete = method
     kick, drift, carried, path, reach = work
     state, stages, h = chain.state, drifts.size, span.step
     full = state[FIRST] == PAD and state[LAST] == chain.x.size - PAD
@@ -33,7 +35,12 @@ def _advance(chain, method, work, clock, span):
                 path[row] = imposed(chain, t)
         kick[step * stages] += state[PENDING]
         state[PENDING] = kicks[stages] * h
-    sweep(chain, kick[:rows], drift[:rows], carried[:rows], path[:rows])
+    piece = every * (1 + int(state[STEPS]) // SETTLED)  # later, what is new is rare
+    for step in range(0, burst, piece):
+        end = min(burst, step + piece)
+        some = slice(step * stages, end * stages)
+        sweep(chain, kick[some], drift[some], carried[some], path[some])
+        look(chain, begun + end * h, complete)
     watch(chain)
     state[DONE] += burst
     return burst
@@ -55,7 +62,11 @@ _march = sample_loop(_advance, True, _land)
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy", fastmath=STRICT)
 def march(chains, method, clock, u_out, v_out, offset, until, max_steps):
-    """Advance by a splitting; `method` is its kicks (S+1,) and drifts (S,) as fractions of a step."""
+    """Advance by a splitting.
+
+    `method` is its kicks (S+1,) and drifts (S,) as fractions of a step, the steps from one look to the next, and what
+    `look` takes.
+    """
     rows = ROWS + method[1].size
     kick, drift, carried, path = np.zeros(rows), np.zeros(rows), np.zeros(rows), np.zeros(rows if chains.imposed else 0)
     work = kick, drift, carried, path, np.cumsum(method[1])

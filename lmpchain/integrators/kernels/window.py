@@ -1,4 +1,4 @@
-"""The active window of a chain, extremes of its contacts, and the record of a sample, compiled.
+"""The active window of a chain, extremes of its contacts and grains, and samples, compiled.
 
 Only the window is computed: what lies outside, beyond the light cone, has not moved by `TINY` of the strike.
 """
@@ -6,10 +6,11 @@ Only the window is computed: what lies outside, beyond the light cone, has not m
 from __future__ import annotations
 
 from .contact_forces import bits, inlined, number
-from .layout import CLOSEST, FIRST, LAST, LOWEST, PAD
-from .right_hand_side import impose_velocity
+from .layout import CLOSEST, FARTHEST, FASTEST, FIRST, LAST, LOWEST, PAD
+from .right_hand_side import impose_velocity, imposed_speed
 
 TINY = 1e-19  # of the largest speed and displacement: what has moved less lies outside of the light cone
+MAGNITUDE = (1 << 63) - 1  # the bits of a number without its sign
 
 
 @inlined
@@ -49,6 +50,23 @@ def watch(chain):
         opened = max(s, opened)
         closest = max(bits(r), closest)
     state[LOWEST], state[CLOSEST] = -number(opened), number(closest)
+
+
+@inlined
+def look(chain, t, complete):
+    """Note the largest displacement and speed of all grains in the window, at time t.
+
+    `complete` is the least part of its largest value to which a speed without the last kick may have grown.
+    """
+    state = chain.state
+    first, last = int(state[FIRST]), int(state[LAST])
+    x, v = chain.x[first:last], chain.v[first:last]
+    farthest, fastest = bits(state[FARTHEST]), 0
+    for n in range(v.size):
+        farthest = max(bits(x[n]) & MAGNITUDE, farthest)
+        fastest = max(bits(v[n]) & MAGNITUDE, fastest)
+    state[FARTHEST] = number(farthest)
+    state[FASTEST] = max(state[FASTEST], complete * number(fastest), imposed_speed(chain, t))
 
 
 @inlined

@@ -6,6 +6,7 @@ _NAMES = {
     "summary": "Summary summary",
     "waves": "BesselFit ModeFit fit_bessel fit_modes",
     "column": "ContinuumFit ExponentFit FrontLaw fit_continuum fit_exponents",
+    "solitary": "SolitonFit fit_soliton",
     "inverse": "ParameterFit Trace fit_parameter",
 }
 __all__ = [name for names in _NAMES.values() for name in names.split()]

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import stats
 from scipy.optimize import curve_fit
 
-from ...errors import InputError
+from ...errors import InputError, shown
 from ...theory import front as theory
 from ...theory.continuum import chi, impulse_amplitude, peaked
 from ...theory.domain import exponents
@@ -160,7 +160,7 @@ def fit_continuum(trajectory: Trajectory, first: int = 10, inside: float = INSID
     chain = trajectory.scene.chain
     strike = _struck_at_the_top(trajectory)
     if not 0 < inside < 1:
-        raise InputError([("inside", f"must be between 0 and 1 (got {inside!r})")])
+        raise InputError([("inside", f"must be between 0 and 1 (got {shown(inside)})")])
     delta = chain.exponent
     xi, eta, _ = exponents(delta)
     tau, travel = trajectory.time / chain.time_scale, chi(trajectory.grains - 0.5, delta)

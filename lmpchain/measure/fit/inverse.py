@@ -10,9 +10,8 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.optimize import least_squares
 
-from ...chain.chain import Chain
 from ...chain.materials import Material
-from ...errors import InputError
+from ...errors import InputError, shown
 from ...scene.excitation import Impulse
 from ...scene.scene import Scene
 from ...trajectory.trajectory import Trajectory
@@ -65,7 +64,7 @@ class Trace:
         rows = rows[:, None] if rows.ndim == 1 else rows
         faults = []
         if field not in get_args(Field):
-            faults.append(("field", f"must be one of {', '.join(get_args(Field))} (got {field!r})"))
+            faults.append(("field", f"must be one of {', '.join(get_args(Field))} (got {shown(field)})"))
         increasing = clock.ndim == 1 and clock.size > 2 and np.isfinite(clock).all() and np.diff(clock).min() > 0
         if not increasing or clock[0] < 0:
             faults.append(("time", "must be three or more finite times, 0 or later, each above the one before"))
@@ -239,7 +238,7 @@ def _parameter(scene: Scene, parameter: Parameter, trace: Trace, span: float) ->
         value = chain.top_load
     elif parameter != "youngs_modulus":
         known = ", ".join(get_args(Parameter))
-        raise InputError([("parameter", f"must be one of {known} (got {parameter!r})")])
+        raise InputError([("parameter", f"must be one of {known} (got {shown(parameter)})")])
     elif not isinstance(chain.material, Material):
         faults.append(("material", "the grains have materials of their own: give the chain one for all"))
     elif chain.given().get("contact_constants") is not None:
@@ -249,7 +248,7 @@ def _parameter(scene: Scene, parameter: Parameter, trace: Trace, span: float) ->
     if not value and not faults:
         faults.append((parameter, "is 0 in the scene: give it a value of the right size to begin with"))
     if not np.isfinite(span) or span < 1:
-        faults.append(("span", f"must be 1 or more (got {span!r})"))
+        faults.append(("span", f"must be 1 or more (got {shown(span)})"))
     if trace.grain.min() < 1 or trace.grain.max() > chain.movable:
         faults.append(("grain", f"the trace is of grain {trace.grain.max()}, but 1 to {chain.movable} move"))
     if faults:
@@ -268,8 +267,8 @@ def _changed(scene: Scene, parameter: Parameter, value: float) -> dict[str, Any]
         return {"excitation": Impulse(velocity=value, grain=given.grain)}  # type: ignore[attr-defined]
     changed: dict[str, Any] = {"top_load": value}
     if parameter == "youngs_modulus":
-        changed = {"material": Material(**chain.material.given() | {"youngs_modulus": value})}  # type: ignore[union-attr]
-    return {"chain": Chain(**chain.given() | changed)}
+        changed = {"material": chain.material.replace(youngs_modulus=value)}  # type: ignore[union-attr]
+    return {"chain": chain.replace(**changed)}
 
 
 def _times(scene: Scene, wanted: Array) -> Array:
@@ -297,6 +296,6 @@ def _seen(trajectory: Trajectory, grains: np.ndarray, field: Field) -> Array:
     if field == "force":
         return np.stack([sensor(trajectory, int(n)).change for n in grains], axis=1)
     if field not in get_args(Field):
-        raise InputError([("field", f"must be one of {', '.join(get_args(Field))} (got {field!r})")])
+        raise InputError([("field", f"must be one of {', '.join(get_args(Field))} (got {shown(field)})")])
     u, v = motion(trajectory, grains)
     return v if field == "velocity" else u

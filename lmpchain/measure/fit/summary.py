@@ -20,6 +20,8 @@ from .column import fit_exponents as fit_exponents
 from .inverse import ParameterFit as ParameterFit
 from .inverse import Trace as Trace
 from .inverse import fit_parameter as fit_parameter
+from .solitary import SolitonFit as SolitonFit
+from .solitary import fit_soliton as fit_soliton
 from .waves import BesselFit as BesselFit
 from .waves import ModeFit as ModeFit
 from .waves import fit_bessel as fit_bessel
@@ -103,11 +105,18 @@ def summary(trajectory: Trajectory) -> Summary:
     >>> scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-7), duration=duration)
     >>> fits = summary(lmpchain.simulate(scene, engine="native"))
     >>> sorted({row.fit for row in fits.rows}), [fit for fit, _ in fits.left_out]
-    (['bessel', 'modes'], ['continuum', 'exponents'])
+    (['bessel', 'modes'], ['continuum', 'exponents', 'soliton'])
     """
     rows: list[Row] = []
     left_out = []
-    for name, fit in {"modes": _modes, "bessel": _bessel, "continuum": _continuum, "exponents": _exponents}.items():
+    fits = {
+        "modes": _modes,
+        "bessel": _bessel,
+        "continuum": _continuum,
+        "exponents": _exponents,
+        "soliton": _soliton,
+    }
+    for name, fit in fits.items():
         try:
             rows += fit(trajectory)
         except InputError as error:
@@ -160,6 +169,17 @@ def _exponents(trajectory: Trajectory) -> list[Row]:
     return [
         Row("exponents", name, float(law.exponent), float(law.error[0]), fit.expected[name])
         for name, law in fit.laws.items()
+    ]
+
+
+def _soliton(trajectory: Trajectory) -> list[Row]:
+    fit = fit_soliton(trajectory)
+    unknown = math.nan
+    return [
+        Row("soliton", "largest velocity", fit.amplitude, float(fit.error[0]), unknown, "m/s"),
+        Row("soliton", "speed", fit.speed, float(fit.error[1]), float(fit.expected[1]), "grains/s"),
+        Row("soliton", "width", fit.width, float(fit.error[2]), float(fit.expected[2]), "grains"),
+        Row("soliton", "speed by the long-wave formula", fit.formula, unknown, float(fit.expected[1]), "grains/s"),
     ]
 
 

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 EVEN = 0.05  # relative differences of masses and stiffnesses up to which a chain counts as uniform
 FORERUNNER = 7.4  # J_m(m - 7.4 m^(1/3)) is below 1e-10: no echo has arrived
 FEWEST = 12  # values for three parameters and their errors
+MOST = 2**18  # values that are fitted: of longer chains and recordings, those of every so many grains
 ARRIVED = 1e-3  # of the strike: the recorded wave must be larger
 DRAWN = 4  # grains in a picture
 
@@ -203,7 +204,8 @@ def fit_bessel(trajectory: Trajectory, grains: tuple[int, int] | None = None, un
         By default those around the struck one whose mass and contacts are like its own within 5 %.
     until : float, optional
         s. By default each grain is taken until the first echo from the end of that region, or of the chain, can come:
-        until ``2 s = m - 7.4 m^(1/3)``, m = 2 (2 end - n - p), at the nominal rate.
+        until ``2 s = m - 7.4 m^(1/3)``, m = 2 (2 end - n - p), at the nominal rate. Of more than 262144 values, those
+        of every so many of the grains that the wave has reached are fitted.
 
     Raises
     ------
@@ -233,7 +235,7 @@ def fit_bessel(trajectory: Trajectory, grains: tuple[int, int] | None = None, un
     p, stiffness = given.grain, chain.contacts.stiffness
     near = stiffness[p] or stiffness[p - 1]
     rate = float(np.sqrt(near / chain.masses[p - 1]))
-    inside = _window(trajectory, p, rate, grains, until)
+    inside = _thinned(_window(trajectory, p, rate, grains, until), trajectory, p, rate)
     n = np.broadcast_to(trajectory.grains, inside.shape)[inside]
     time = np.broadcast_to(trajectory.time[:, None], inside.shape)[inside]
     values = getattr(trajectory, field)[inside]
@@ -301,6 +303,18 @@ def _window(
         order = np.minimum(order, 2.0 * (n + p - 2 * first))
     order = np.maximum(order, 0.0)
     return here & (2 * rate * time <= order - FORERUNNER * np.cbrt(order))
+
+
+def _thinned(inside: np.ndarray, trajectory: Trajectory, p: int, rate: float) -> np.ndarray:
+    """Of too many values, leave out grains that the wave has not reached, then all but every so many."""
+    if np.count_nonzero(inside) <= MOST:
+        return inside
+    reach = 2 * rate * float(trajectory.time[-1])
+    near = 2 * np.abs(trajectory.grains - p) <= reach + 12 * np.cbrt(reach) + 20  # beyond, J_m(z) is below 1e-17
+    columns = np.flatnonzero(near & inside.any(0))
+    kept = np.zeros(inside.shape[1], dtype=bool)
+    kept[columns[:: max(1, -(-np.count_nonzero(inside[:, columns]) // MOST))]] = True
+    return inside & kept
 
 
 def _uniform(chain: Chain, p: int) -> tuple[int, int]:

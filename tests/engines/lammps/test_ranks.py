@@ -172,7 +172,7 @@ def test_a_killed_rank_ends_the_run_with_a_message(monkeypatch):
         return started[0]
 
     monkeypatch.setattr(lammps_engine, "gather", gather)
-    with pytest.raises(RunFailed, match=r"a rank of LAMMPS died.*EXIT CODE: 9"):
+    with pytest.raises(EngineUnavailable, match=r"a rank of LAMMPS died.*EXIT CODE: 9"):
         simulate(ENDLESS, engine=Lammps(integrator="verlet", step=1e-7, diameter="physical", ranks=2))
     assert not Path(f"/proc/{started[0].pids[0]}").exists()
 

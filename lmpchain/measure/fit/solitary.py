@@ -1,0 +1,162 @@
+"""A solitary wave recognised in a trajectory: speed, amplitude and width against the exact ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import stats
+
+from ...chain.chain import Chain
+from ...errors import InputError
+from ...theory.soliton import Soliton, coste_speed, nesterenko_speed, solve, struck
+from ...trajectory.trajectory import Trajectory
+from ...util.arrays import Array
+from ...util.plotting import axes_in_units
+from ..front import FEWEST, track
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+EVEN = 1e-9  # relative differences of masses and contacts up to which a chain counts as uniform
+END = 5  # grains at an end, where a wave that comes back meets itself
+STEADY = 0.02  # relative scatter of the peak velocities of a wave that does not change
+NEAR = 0.02  # relative differences of speed and width from the exact ones
+
+
+@dataclass(frozen=True, eq=False)
+class SolitonFit:
+    """A wave that keeps its height, beside the exact solitary wave of that height.
+
+    Attributes
+    ----------
+    grain : (P,) array
+    time, velocity : (P,) arrays
+        When the largest velocity passes, s, and its size, m/s.
+    amplitude, speed, width : float
+        Mean of these velocities, m/s; grains/s; full width at half maximum of the velocity, in grains.
+    error : (3,) array
+        Of amplitude, speed and width: half the 95 % confidence interval, and what sampling may cost.
+    wave : Soliton
+        The exact one of this amplitude.
+    expected : (3,) array
+        Its amplitude, speed and width, in the same units.
+    formula : float
+        Speed by the long-wave formula for this wave, Coste's under a load, Nesterenko's in a sonic vacuum, grains/s.
+    """
+
+    grain: np.ndarray
+    time: Array
+    velocity: Array
+    amplitude: float
+    speed: float
+    width: float
+    error: Array
+    wave: Soliton
+    expected: Array
+    formula: float
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw peak velocity and local speed of every grain over the exact ones; returns the figure."""
+        ax, picture = axes_in_units(ax, "", "")
+        local = np.abs(1 / np.gradient(self.time, self.grain.astype(float)))
+        ax.plot(self.grain, self.velocity / self.amplitude - 1, ".", label="largest velocity, over its mean")
+        ax.plot(self.grain, local / self.expected[1] - 1, ".", label="local speed, over that of the solitary wave")
+        name = "Coste" if self.wave.loaded else "Nesterenko"
+        ax.axhline(self.formula / self.expected[1] - 1, color="0.4", lw=1, ls="--", label=f"speed by {name}'s formula")
+        ax.axhline(0, color="k", lw=1)
+        ax.set(xlabel="grain, from the top", ylabel="relative difference")
+        ax.legend(frameon=False)
+        return picture
+
+
+def fit_soliton(trajectory: Trajectory, first: int | None = None, last: int | None = None) -> SolitonFit:
+    """Recognise a solitary wave in a uniform chain by its speed and width, which its height decides.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Of any engine that solves Eq. (1).
+    first, last : int, optional
+        Grains; by default the later half of those that the wave passes, away from both ends.
+
+    Raises
+    ------
+    InputError
+        If the chain is not uniform or under gravity, or if what passes is no solitary wave.
+
+    Examples
+    --------
+    >>> import lmpchain
+    >>> chain = lmpchain.Chain(grains=40, diameter=1e-3, gravity=0.0)
+    >>> scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=0.1), duration=1e-4, samples=601)
+    >>> fit = fit_soliton(lmpchain.simulate(scene, engine="native"))
+    >>> f"{fit.amplitude:.5f} m/s", f"{fit.speed / fit.expected[1] - 1:.0e}", f"{fit.width:.3f} grains"
+    ('0.06816 m/s', '-5e-08', '1.579 grains')
+    """
+    chain = trajectory.scene.chain
+    _fits(chain)
+    front = track(trajectory, "velocity")
+    if first is None and last is None:
+        front = front.between(1 + END, chain.grains - END)
+        later = front.grain[np.argsort(front.time)[front.grain.size // 2 :]]
+        first, last = int(later.min(initial=chain.grains)), int(later.max(initial=1))
+    front = front.between(first or 1, last or chain.grains)
+    whole = np.isfinite(front.width) & np.isfinite(front.width_error)  # the recording may end within the wave
+    if whole.sum() < FEWEST:
+        need = f"must pass {FEWEST} or more recorded grains as a whole, not {whole.sum()}"
+        raise InputError([("front", f"{need}: record for longer, or more grains")])
+    line = stats.linregress(front.grain, front.time)
+    if (front.amplitude * line.slope <= 0).any():
+        raise InputError([("front", "grains move against it: no solitary wave under compression")])
+    amplitude = float(np.abs(front.amplitude).mean())
+    if (scatter := float(np.ptp(np.abs(front.amplitude))) / amplitude) > STEADY:
+        between = f"from grain {front.grain[0]} to {front.grain[-1]}"
+        raise InputError([("front", f"its height changes by {scatter:.1%} {between}: no solitary wave")])
+    wave, time = _exact(chain, amplitude)
+    speed = float(1 / np.abs(line.slope))
+    width = float(front.width[whole].mean() * speed)
+    expected = np.array([amplitude, wave.speed / time, wave.width])
+    fast, wide = np.array([speed, width]) / expected[1:]
+    if max(abs(fast - 1), abs(wide - 1)) > NEAR:
+        raise InputError([("front", f"has {fast:.3g} times the speed and {wide:.3g} the width of a solitary wave")])
+    if wave.loaded:
+        formula = float(coste_speed((1 + wave.overlap(0.0)) ** chain.exponent, chain.exponent)) / time
+    else:
+        formula = float(nesterenko_speed(amplitude, chain.exponent)) / time
+    sure = stats.t.ppf(0.975, whole.sum() - 2)
+    sampled = np.array([front.amplitude_error.max(), np.ptp(front.time_error) / np.ptp(front.grain) * speed**2,
+                        front.width_error[whole].max() * speed])  # fmt: skip
+    spread = np.array([stats.sem(front.amplitude), line.stderr * speed**2, stats.sem(front.width[whole]) * speed])
+    return SolitonFit(
+        grain=front.grain,
+        time=front.time,
+        velocity=np.abs(front.amplitude),
+        amplitude=amplitude,
+        speed=speed,
+        width=width,
+        error=sure * spread + sampled,
+        wave=wave,
+        expected=expected,
+        formula=formula,
+    )
+
+
+def _fits(chain: Chain) -> None:
+    """Raise InputError unless solitary waves travel unchanged in this chain."""
+    if chain.gravity > 0:
+        raise InputError([("gravity", "must be 0: contacts that stiffen with depth change a wave")])
+    if chain.exponent == 1:
+        raise InputError([("exponent", "must be above 1: springs have no solitary wave")])
+    if any(np.ptp(x) > EVEN * x[0] for x in (chain.masses, chain.contact_constants)):
+        raise InputError([("chain", "must be uniform")])
+
+
+def _exact(chain: Chain, velocity: float) -> tuple[Soliton, float]:
+    """Return the solitary wave whose grains reach this velocity, m/s, and its unit of time, s."""
+    if chain.compressed:
+        return struck(velocity * chain.time_scale / chain.length_scale, chain.exponent), chain.time_scale
+    unit = (chain.masses[0] / chain.contact_constants[0]) ** (1 / (1 + chain.exponent))
+    return solve(chain.exponent, velocity=velocity), float(unit)

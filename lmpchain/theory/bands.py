@@ -1,0 +1,300 @@
+"""Bands of linear waves in periodic chains, and the modes that a finite chain has in their gaps.
+
+A cell is repeated without end, and a wave turns its phase by the wavenumber from cell to cell. The rows of B
+are the extensions of the contacts, each by the root of its stiffness, of displacements by the roots of the masses:
+frequencies are the singular values of B, the lowest as accurate as the highest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..chain.chain import Chain
+from ..chain.contacts import Contacts, hertz_constant
+from ..util.arrays import Array
+from ..util.plotting import axes_in_units
+from .domain import real, require
+from .modes import eigenmodes
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+TOUCHING = 1e-9  # of the highest frequency: narrower gaps are none
+ALIKE = 1e-9  # relative differences of masses and contacts that repeat
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """Masses and springs that repeat: grains, each with the contact below it, and their resonators.
+
+    Parameters
+    ----------
+    masses, stiffness : (P,) array_like
+        kg and N/m; the last contact is that with the next cell.
+    resonators : (P, 2) array_like, optional
+        Mass, kg, and stiffness, N/m, of an oscillator that each grain carries; mass 0 for none. L. Bonanomi,
+        G. Theocharis and C. Daraio, Phys. Rev. E 91, 033208 (2015), for such chains.
+
+    Examples
+    --------
+    >>> branches(Cell([1.0, 3.0], [1.0, 1.0]), np.pi).frequency.ravel().round(12).tolist()
+    [0.816496580928, 1.414213562373]
+    """
+
+    masses: ArrayLike
+    stiffness: ArrayLike
+    resonators: ArrayLike | None = None
+
+    @classmethod
+    def of(cls, chain: Chain) -> Cell:
+        """Return all grains of a chain as a cell, closed by a contact of its last grain with its first.
+
+        Raises
+        ------
+        InputError
+            If the chain is under gravity or not compressed.
+        """
+        require(
+            ("gravity", chain.gravity == 0, "must be 0: contacts that stiffen with depth do not repeat"),
+            ("top_load", chain.top_load > 0, "must be above 0: nothing is linear without it"),
+        )
+        ends = [-2, -1, 0][-chain.grains - 1 :]  # the last contact tells how given constants compare with Hertz's
+        d, modulus = chain.diameters[ends], chain.by_grain("plane_strain_modulus")[ends]
+        natural = hertz_constant(modulus, 2 / d, (d[:-1] + d[1:]) / 2, chain.exponent)
+        constant = natural[-1] * np.prod(chain.contact_constants[-1:] / natural[:-1])
+        closing = Contacts(np.array([constant]), np.array([chain.top_load]), chain.exponent)
+        return cls(chain.masses, np.append(chain.linear_stiffness, closing.stiffness))
+
+
+@dataclass(frozen=True, eq=False)
+class Bands:
+    """Frequencies of waves in a periodic chain, branch by branch.
+
+    Attributes
+    ----------
+    cell : Cell
+    wavenumber : (K,) array
+        Radians a cell.
+    frequency : (B, K) array
+        rad/s, ascending; numpy takes the object itself for this array.
+    group_velocity : (B, K) array
+        Cells a second; the limit from above at wavenumber 0, positive where the branch rises.
+    gaps : (G, 2) array
+        rad/s, between branches; `gaps` of the module.
+    """
+
+    cell: Cell
+    wavenumber: Array
+    frequency: Array
+    group_velocity: Array
+    gaps: Array
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray:
+        return np.array(self.frequency, dtype=dtype)
+
+    def __getitem__(self, key: Any) -> Any:
+        return self.frequency[key]
+
+    def density_of_states(self, frequency: ArrayLike) -> Array:
+        """Return modes a cell and a rad/s at these frequencies, (F,) s: 0 in gaps, infinite at edges.
+
+        ``1 / (pi |v|)`` with the group velocity v of the one branch that is there.
+        """
+        w = real(frequency)
+        place = np.clip(_half_trace(self.cell, w), -1, 1)
+        found = branches(self.cell, np.arccos(place).ravel())
+        nearest = np.abs(found.frequency - w.ravel()).argmin(0)
+        v = np.take_along_axis(found.group_velocity, nearest[None], 0)[0].reshape(w.shape)
+        with np.errstate(divide="ignore"):
+            return np.where(np.abs(_half_trace(self.cell, w)) <= 1, 1 / (np.pi * np.abs(v)), 0.0)
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw the branches over wavenumber, with the gaps between them shaded; returns the figure."""
+        ax, picture = axes_in_units(ax, "", "Hz")
+        order = np.argsort(self.wavenumber)
+        for number, branch in enumerate(self.frequency, 1):
+            ax.plot(self.wavenumber[order], branch[order] / (2 * np.pi), label=f"branch {number}")
+        for low, high in self.gaps / (2 * np.pi):
+            ax.axhspan(low, high, color="0.9", lw=0)
+        ax.set(xlabel="wavenumber (radians a cell)", ylabel="frequency", ylim=(0, None))
+        ax.legend(frameon=False)
+        return picture
+
+
+@dataclass(frozen=True, eq=False)
+class GapModes:
+    """Eigenmodes of a finite chain outside the bands of its cell: at ends, or at grains that differ.
+
+    Attributes
+    ----------
+    frequency : (L,) array
+        rad/s, ascending.
+    shape : (L, M) array
+        Displacements, orthonormal in mass.
+    participation : (L,) array
+        How many grains take part, 1 / sum of the squares of their shares in the kinetic energy.
+    centre : (L,) array
+        Mean grain, weighted by these shares: near 1 or M for surface modes.
+    """
+
+    frequency: Array
+    shape: Array
+    participation: Array
+    centre: Array
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw the displacements of the grains in each mode, over its largest; returns the figure."""
+        ax, picture = axes_in_units(ax, "", "")
+        for w, shape, number in zip(self.frequency, self.shape, self.participation, strict=True):
+            label = f"{w / (2 * np.pi):.4g} Hz, {number:.1f} grains"
+            ax.plot(np.arange(1, shape.size + 1), shape / np.abs(shape).max(), ".-", lw=1, label=label)
+        ax.set(xlabel="grain", ylabel="displacement over the largest")
+        ax.legend(frameon=False)
+        return picture
+
+
+def branches(cell: Cell | Chain, wavenumber: ArrayLike) -> Bands:
+    """Return the Bloch branches of the chain that repeats a cell.
+
+    L. Brillouin, Wave Propagation in Periodic Structures (1946); Boechler, Theocharis, Job, Kevrekidis, Porter and
+    Daraio, Phys. Rev. Lett. 104, 244302 (2010), for dimers of spheres.
+
+    Parameters
+    ----------
+    cell : Cell or Chain
+        All grains of the chain are one cell, under its load.
+    wavenumber : (K,) array_like
+        Radians a cell.
+
+    Raises
+    ------
+    InputError
+        If masses or stiffnesses are not above 0 or not one a grain, or a chain is not a cell.
+
+    Examples
+    --------
+    >>> dimer = Chain(grains=2, material=["steel", "ptfe"], diameter=1e-2, gravity=0.0, top_load=20.0)
+    >>> bands = branches(dimer, [0.0, np.pi])
+    >>> (bands.gaps / (2 * np.pi)).round().tolist()
+    [[3484.0, 6644.0]]
+    """
+    cell = Cell.of(cell) if isinstance(cell, Chain) else cell
+    q = np.atleast_1d(real(wavenumber))
+    b, slope = _extensions(cell, q)
+    left, frequency, right = np.linalg.svd(b)
+    product = np.einsum("kis,kij,ksj->ks", left.conj(), slope, right.conj())
+    soft = frequency <= TOUCHING * np.abs(slope).max(initial=0.0)  # there the phases of both vectors are free
+    velocity = np.where(soft, np.abs(product), product.real)
+    order = slice(None, None, -1)
+    return Bands(cell, q, frequency.T[order], velocity.T[order], gaps(cell))
+
+
+def gaps(cell: Cell | Chain) -> Array:
+    """Return the gaps between the bands of the chain that repeats a cell, (G, 2) rad/s.
+
+    The edges of the bands are at the wavenumbers 0 and pi, a branch rising from one to the other or falling.
+    """
+    return _outside(cell)[:-1]
+
+
+def repeating(chain: Chain, first: int = 1, last: int | None = None, most: int = 8) -> int:
+    """Return after how many grains masses and contact constants repeat; 1 if they never do.
+
+    Examples
+    --------
+    >>> repeating(Chain(grains=9, material=["steel", "ptfe", "glass"] * 3, diameter=1e-3))
+    3
+    """
+    last = chain.grains if last is None else last
+    rows = [np.log(chain.masses[first - 1 : last]), np.log(chain.contact_constants[first - 1 : last - 1])]
+    for period in range(1, min(most, (last - first + 1) // 2) + 1):
+        if all(np.abs(x[period:] - x[:-period]).max(initial=0.0) < ALIKE for x in rows):
+            return period
+    return 1
+
+
+def gap_modes(chain: Chain, cell: Cell | Chain) -> GapModes:
+    """Return the eigenmodes of a chain in the gaps or above the bands of a cell that repeats.
+
+    Parameters
+    ----------
+    chain : Chain
+        Compressed, with any ends and defects.
+    cell : Cell or Chain
+
+    Examples
+    --------
+    >>> host = {"diameter": 1e-3, "gravity": 0.0, "top_load": 1.0}
+    >>> light = Chain(grains=41, **host, impurity=[{"grain": 20, "diameter": 0.7e-3}])
+    >>> found = gap_modes(light, Chain(grains=2, **host))
+    >>> [f"{number:.2f} grains around {centre:.0f}" for number, centre in zip(found.participation, found.centre)]
+    ['1.57 grains around 20']
+    """
+    modes = eigenmodes(chain)
+    low, high = _outside(cell).T[..., None]
+    margin = TOUCHING * modes.frequency[-1]
+    inside = ((modes.frequency > low + margin) & (modes.frequency < high - margin)).any(0)
+    shape = modes.shape[:, inside].T
+    share = modes.mass * shape**2
+    grain = np.arange(1, modes.mass.size + 1)
+    return GapModes(modes.frequency[inside], shape, 1 / (share**2).sum(1), share @ grain)
+
+
+def _outside(cell: Cell | Chain) -> Array:
+    """Return the gaps and what lies above the highest band, (G + 1, 2) rad/s."""
+    cell = Cell.of(cell) if isinstance(cell, Chain) else cell
+    edges = np.sort(np.linalg.svd(_extensions(cell, np.array([0.0, np.pi]))[0], compute_uv=False), axis=1)
+    low, high = edges.min(0), edges.max(0)
+    between = np.column_stack((high, np.append(low[1:], np.inf)))
+    return between[between[:, 1] - between[:, 0] > TOUCHING * high[-1]]
+
+
+def _parts(cell: Cell) -> tuple[Array, Array, Array]:
+    """Return masses and stiffness, (P,) each, and resonators, (R, 3): grain from 0, mass, stiffness."""
+    m, k = real(cell.masses), real(cell.stiffness)
+    inside = np.zeros((m.size, 2)) if cell.resonators is None else real(cell.resonators)
+    require(
+        ("masses", m.ndim == 1 and m.size and (m > 0).all() and np.isfinite(m).all(), "must be above 0, one a grain"),
+        ("stiffness", k.shape == m.shape and (k > 0).all() and np.isfinite(k).all(), "must be above 0, one a grain"),
+        ("resonators", inside.shape == (m.size, 2) and (inside >= 0).all(), "must be (mass, stiffness), one a grain"),
+    )
+    carried = np.flatnonzero(inside[:, 0])
+    return m, k, np.column_stack((carried, inside[carried]))
+
+
+def _extensions(cell: Cell, q: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Return B and its derivative by the wavenumber, (K, P + R, P + R)."""
+    m, k, inside = _parts(cell)
+    size, total = m.size, m.size + len(inside)
+    b, slope = np.zeros((2, q.size, total, total), complex)
+    for i in range(size):
+        b[:, i, i] += np.sqrt(k[i] / m[i])
+        turn = np.exp(1j * q) if i == size - 1 else np.ones(q.size)
+        coupling = np.sqrt(k[i] / m[(i + 1) % size]) * turn
+        b[:, i, (i + 1) % size] -= coupling
+        if i == size - 1:
+            slope[:, i, 0] = -1j * coupling
+    for row, (grain, mass, stiffness) in enumerate(inside, size):
+        b[:, row, row], b[:, row, int(grain)] = np.sqrt(stiffness / mass), -np.sqrt(stiffness / m[int(grain)])
+    return b, slope
+
+
+def _half_trace(cell: Cell, w: Array) -> Array:
+    """Return cos(wavenumber) at these frequencies: half the trace of the transfer matrix of a cell."""
+    m, k, inside = _parts(cell)
+    square = w**2
+    dynamic = np.broadcast_to(m[:, None], (m.size, w.size)).copy()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for grain, mass, stiffness in inside:
+            dynamic[int(grain)] += mass / (1 - square.ravel() * mass / stiffness)
+    matrix = np.broadcast_to(np.eye(2), (w.size, 2, 2))
+    for own, stiff in zip(dynamic, k, strict=True):  # of displacement and force
+        step = np.broadcast_to(np.eye(2), (w.size, 2, 2)).copy()
+        step[:, 1, 0] = own * square.ravel()
+        matrix = np.array([[1.0, -1 / stiff], [0.0, 1.0]]) @ step @ matrix
+    return matrix.trace(axis1=1, axis2=2).reshape(w.shape) / 2

@@ -1,0 +1,332 @@
+"""Solitary waves of the lattice itself, for any exponent, in the sonic vacuum and under a load.
+
+A contact at x = n + 1/2 - c t, in grains, has the overlap r(x) beyond that at rest, with the excess force N(r):
+``c^2 r(x) = integral of (1 - |s|) N(r(x + s)) over -1 < s < 1``.
+It is due to English and Pego, Proc. Am. Math. Soc. 133, 1763 (2005), and is the advance-delay equation
+``c^2 r'' = N(r(x - 1)) - 2 N(r(x)) + N(r(x + 1))``. Its kernel is positive, so log r is found, by Newton's method as a
+Chebyshev series: relative errors are small in the tails, too. It falls as -delta^|x| in the sonic vacuum, as -kappa |x|
+under a load, ``sinh(kappa/2) = c kappa/2``.
+
+Units. Under a load: the overlap at rest, the mass of a grain and tau, the unit of the paper, in which sound travels one
+grain. In the sonic vacuum: masses and contact constants are 1, which leaves the unit of velocity open.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import brentq
+from scipy.special import roots_legendre
+
+from ..chain.chain import Chain
+from ..scene.excitation import Profile
+from ..util.arrays import Array
+from ..util.plotting import axes_in_units
+from .domain import real, require
+from .soliton_series import law, long_wave_speed, rows, solved
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+POINTS = 96  # of Gauss and Legendre, for the integral of the force over one grain
+WEAKEST = 1.0001  # speed over that of sound
+HARDEST = 6.0  # exponent: beyond, contacts are so short that a series converges slowly
+UNEVEN = 1e-9  # relative differences of grains that count as alike
+FITS = 1e-10  # of the largest overlap, at the ends of a chain that holds the wave
+
+
+@dataclass(frozen=True, eq=False)
+class Soliton:
+    """A solitary wave, as a function of the distance x from its middle, in grains, positive ahead of it.
+
+    Attributes
+    ----------
+    delta : float
+    loaded : bool
+        Whether the chain is compressed at rest; decides the units, see the module.
+    speed : float
+        c, grains a unit of time; under a load over the speed of sound.
+    height : float
+        Overlap by which exp(series) is multiplied.
+    reach : float
+        |x| up to which the series holds.
+    series : (K,) array
+        Coefficients of log(overlap / height), see `lmpchain.theory.soliton_series`.
+    residual : float
+        Largest residual of the equation between the points where it was solved, over the largest overlap; in the tails
+        at most 1e-8 of the overlap there.
+
+    Examples
+    --------
+    >>> wave = solve(delta=1.5, velocity=1.0)
+    >>> f"{wave.speed:.10f} {wave.width:.6f}", bool(wave.residual < 1e-12)
+    ('0.9074700784 1.579137', True)
+    """
+
+    delta: float
+    loaded: bool
+    speed: float
+    height: float
+    reach: float
+    series: Array
+    residual: float
+
+    def overlap(self, x: ArrayLike) -> Array:
+        """Return the overlap beyond that at rest of a contact at x; it is even in x."""
+        logarithm = rows(real(x), self.series.size, self.reach, self.delta, self.loaded)
+        return self.height * np.exp(logarithm @ self.series)
+
+    def force(self, x: ArrayLike) -> Array:
+        """Return the force beyond that at rest of a contact at x."""
+        return law(self.delta, self.loaded).force_change(self.overlap(x))
+
+    def velocity(self, x: ArrayLike) -> Array:
+        """Return the velocity of a grain at x, in the direction in which the wave travels; it is even in x."""
+        s, weight = roots_legendre(POINTS)
+        return self.force(real(x)[..., None] + s / 2) @ weight / (2 * self.speed)
+
+    def displacement(self, x: ArrayLike) -> Array:
+        """Return the displacement of a grain at x: 0 far ahead of the wave, and largest behind it."""
+        x, far = real(x), np.ceil(self.reach) + 1
+        nearest = x + 0.5 + np.ceil(np.maximum(-far - x - 0.5, 0.0))  # contacts further behind are closed again
+        return self.overlap(nearest[..., None] + np.arange(2 * far + 2)).sum(-1)
+
+    @property
+    def energy(self) -> float:
+        """Kinetic and contact energy above that at rest."""
+        grains = self._grains
+        contact = law(self.delta, self.loaded).energy(self.overlap(grains + 0.5))
+        return float((self.velocity(grains) ** 2 / 2 + contact).sum())
+
+    @property
+    def momentum(self) -> float:
+        """Momentum of all grains."""
+        return float(self.velocity(self._grains).sum())
+
+    @property
+    def width(self) -> float:
+        """Full width at half maximum of the velocity, in grains."""
+        half = float(self.velocity(0.0)) / 2
+        return 2 * brentq(lambda x: float(self.velocity(x)) - half, 0.0, self.reach, xtol=1e-14)
+
+    @property
+    def _grains(self) -> Array:
+        far = np.ceil(self.reach) + 1
+        return np.arange(-far, far + 1)
+
+    def on(self, chain: Chain, grain: float, downward: bool = True) -> Profile:
+        """Return this wave on a chain, as it passes a grain: displacements and velocities in SI units.
+
+        In the sonic vacuum its largest velocity is that for which it was solved, in m/s.
+
+        Parameters
+        ----------
+        chain : Chain
+            Uniform where the wave is, without gravity.
+        grain : float
+            Where its middle is; 10.5 lies between grains 10 and 11.
+        downward : bool
+            Whether it travels so.
+
+        Raises
+        ------
+        InputError
+            If the chain has another exponent, a gravity, a load where there should be none or none where it should,
+            is not uniform there, or is too short.
+
+        Examples
+        --------
+        >>> chain = Chain(grains=60, diameter=1e-3, gravity=0.0, top_load=1.0)
+        >>> profile = solve(speed=1.2).on(chain, 30)
+        >>> f"{profile.velocity.max():.4f} m/s"
+        '5.2186 m/s'
+        """
+        first = self._place(chain, grain)
+        mass, here = float(chain.masses[first]), chain.contacts.of(first)
+        if self.loaded:
+            length, time = float(here.overlap), np.sqrt(mass / float(here.stiffness))
+        else:  # in which 1 m/s is the unit of velocity
+            length = time = (mass / float(here.constant)) ** (1 / (1 + self.delta))
+        x = (np.arange(1, chain.grains + 1) - grain) * (1 if downward else -1)
+        displacement, velocity = self.displacement(x) * length, self.velocity(x) * (length / time)
+        if not downward:  # nothing below is moved, where a grain may be held
+            displacement, velocity = self.displacement(-2 * self.reach) * length - displacement, -velocity
+        displacement[chain.movable :] = velocity[chain.movable :] = 0.0
+        return Profile(displacement=displacement, velocity=velocity)
+
+    def _place(self, chain: Chain, grain: float) -> int:
+        """Return the number of a contact in the wave if it fits the chain."""
+        require(
+            ("chain", chain.exponent == self.delta, f"must have the exponent {self.delta:g} of the wave"),
+            ("gravity", chain.gravity == 0, "must be 0: contacts that stiffen with depth change a wave"),
+            ("top_load", chain.compressed == self.loaded, "must be above 0 for a wave under a load, else 0"),
+        )
+        highest = float(self.overlap(0.0))
+        far = 1 + brentq(lambda x: float(self.overlap(x)) / highest - FITS, 0.0, 2 * self.reach)
+        low, high = 1 + far, chain.movable - far
+        require(("grain", low <= grain <= high, f"must lie from {low:.1f} to {high:.1f} for the wave to fit the chain"))
+        first, last = int(grain - far), int(np.ceil(grain + far))
+        uneven = [
+            np.ptp(x) / x[0] for x in (chain.masses[first - 1 : last], chain.contact_constants[first - 1 : last - 1])
+        ]
+        require(("chain", max(uneven) < UNEVEN, f"must be uniform from grain {first} to {last}, where the wave is"))
+        return first
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw overlap, velocity and displacement against x, each over its largest value; returns the figure."""
+        ax, picture = axes_in_units(ax, "", "")
+        half = min(self.reach, 3.2 * self.width)
+        x = np.linspace(-half, half, 401)
+        for name in ("overlap", "velocity", "displacement"):
+            values = getattr(self, name)(x)
+            ax.plot(x, values / values.max(), label=f"{name}, at most {values.max():.5g}")
+        if self.loaded:
+            name, formula = "Korteweg-de Vries", kdv_overlap(x, self.speed, self.delta)
+        else:
+            name, formula = "Nesterenko", nesterenko_overlap(x, self.speed, self.delta)
+        ax.plot(x, formula / self.overlap(0.0), color="0.4", lw=1, ls="--", label=f"overlap, {name}")
+        ax.set(xlabel="x − ct (grains)", ylabel="over the largest value")
+        ax.set_title(f"δ = {self.delta:g}, speed {self.speed:.7g}{' times sound' if self.loaded else ''}", loc="left")
+        ax.legend(frameon=False)
+        return picture
+
+
+def solve(delta: float = 1.5, speed: float | None = None, velocity: float | None = None) -> Soliton:
+    """Return the solitary wave of a given speed under a load, or of a given velocity in the sonic vacuum.
+
+    Parameters
+    ----------
+    delta : float
+        Above 1, at most 6.
+    speed : float
+        Over the speed of sound, 1.0001 or more: weaker waves are those of `kdv_overlap`, to 1 part in 4000.
+    velocity : float
+        Of a grain, in units in which mass and contact constant are 1 (`Soliton.on` takes it for m/s).
+
+    Raises
+    ------
+    InputError
+        If these are out of range, not exactly one of speed and velocity is given, or the wave cannot be resolved.
+
+    Examples
+    --------
+    >>> f"{float(solve(delta=1.5, speed=1.1).overlap(0.0)):.8f}"
+    '1.42131540'
+    """
+    require(
+        (
+            "delta",
+            1 < delta <= HARDEST,
+            f"must be above 1, where waves are linear, and {HARDEST:g} or less (got {delta!r})",
+        ),
+        ("speed", (speed is None) != (velocity is None), "give it, under a load, or velocity, in the sonic vacuum"),
+        (
+            "speed",
+            speed is None or (np.isfinite(speed) and speed > 1),
+            f"must be above 1, that of sound (got {speed!r})",
+        ),
+        ("velocity", velocity is None or 0 < velocity < np.inf, f"must be above 0 (got {velocity!r})"),
+    )
+    found = solved(float(delta), None if speed is None else float(speed))
+    wave = Soliton(float(delta), speed is not None, found.speed, 1.0, *found[1:])
+    if velocity is None:
+        return wave
+    speed = (velocity / float(wave.velocity(0.0))) ** ((delta - 1) / (delta + 1))
+    return replace(wave, speed=speed, height=speed ** (2 / (delta - 1)))
+
+
+def struck(velocity: float, delta: float = 1.5) -> Soliton:
+    """Return the solitary wave under a load whose grains reach a given velocity.
+
+    Parameters
+    ----------
+    velocity : float
+        Overlaps at rest a tau.
+    delta : float
+
+    Examples
+    --------
+    >>> wave = struck(0.1)
+    >>> f"{wave.speed:.6f} {float(wave.velocity(0.0)):.12f}"
+    '1.008121 0.100000000000'
+    """
+    require(("velocity", 0 < velocity < np.inf, f"must be above 0 (got {velocity!r})"))
+    overlap = brentq(lambda r: r * float(long_wave_speed(real(r), delta)) - velocity, 1e-4 * velocity, velocity)
+    near = float(long_wave_speed(real(overlap), delta))
+    require(("velocity", near > WEAKEST, "is too small: the wave is that of Korteweg and de Vries"))
+    found = solved(float(delta), near, float(velocity))
+    return Soliton(float(delta), True, found.speed, 1.0, *found[1:])
+
+
+def nesterenko_speed(velocity: ArrayLike, delta: float = 1.5) -> Array:
+    """Return the speed of Nesterenko's long-wave soliton in the sonic vacuum.
+
+    ``(2 / (delta + 1))^(1/(delta+1)) v^((delta-1)/(delta+1))``, V. F. Nesterenko, J. Appl. Mech. Tech. Phys. 24, 733
+    (1983); that of the lattice is 0.78 % slower for Hertz.
+
+    Examples
+    --------
+    >>> f"{nesterenko_speed(1.0) / solve(velocity=1.0).speed - 1:.4f}"
+    '0.0079'
+    """
+    return (2 / (delta + 1)) ** (1 / (delta + 1)) * real(velocity) ** ((delta - 1) / (delta + 1))
+
+
+def nesterenko_overlap(x: ArrayLike, speed: float, delta: float = 1.5) -> Array:
+    """Return the overlap of Nesterenko's long-wave soliton in the sonic vacuum.
+
+    ``[(delta+1) c^2 / 2]^(1/(delta-1)) cos^(2/(delta-1))(q x)`` for |q x| < pi/2,
+    ``q = (delta - 1) [6 / (delta (delta + 1))]^(1/2)``, sqrt(10)/5 for Hertz, where the power is 4.
+    """
+    q = (delta - 1) * np.sqrt(6 / (delta * (delta + 1)))
+    inside = np.abs(q * real(x)) < np.pi / 2
+    return ((delta + 1) / 2 * speed**2) ** (1 / (delta - 1)) * (inside * np.cos(q * real(x))) ** (2 / (delta - 1))
+
+
+def sen_displacement(x: ArrayLike) -> Array:
+    """Return the displacement (1 - tanh(f(x)/2))/2 over the largest, fitted for Hertz in the sonic vacuum.
+
+    ``f = 2.39536 x + 0.268529 x^3 + 0.0061347 x^5``: Sen, Hong, Bang, Avalos and Doney, Phys. Rep. 462, 21 (2008).
+
+    Examples
+    --------
+    >>> wave, x = solve(velocity=1.0), np.linspace(-2, 2, 9)
+    >>> bool(np.abs(wave.displacement(x) / wave.displacement(-9.0) - sen_displacement(x)).max() < 1e-3)
+    True
+    """
+    x = real(x)
+    return (1 - np.tanh((2.39536 * x + 0.268529 * x**3 + 0.0061347 * x**5) / 2)) / 2
+
+
+def coste_speed(force: ArrayLike, delta: float = 1.5) -> Array:
+    """Return the long-wave speed over that of sound under a load, for the largest over the static force.
+
+    ``(f^(2/3) - 1)^(-1) {(4/15) [3 + 2 f^(5/3) - 5 f^(2/3)]}^(1/2)`` for Hertz: Coste, Falcon and Fauve, Phys. Rev. E
+    56, 6104 (1997). The lattice is faster, by 0.05 % at 1.05 and 1.2 % for strong waves.
+
+    Raises
+    ------
+    InputError
+        If a force is not above 1.
+
+    Examples
+    --------
+    >>> f"{coste_speed(2.12584727):.6f}"
+    '1.049464'
+    """
+    f = real(force)
+    require(("force", f > 1, "must be above 1: that at rest"))
+    return long_wave_speed(np.expm1(np.log(f) / delta), delta)
+
+
+def kdv_overlap(x: ArrayLike, speed: float, delta: float = 1.5) -> Array:
+    """Return the overlap of the soliton of Korteweg and de Vries, the limit of weak waves under a load.
+
+    ``6 e / (delta - 1) sech^2((6 e)^(1/2) x)`` with e = speed - 1.
+    """
+    e = speed - 1
+    return 6 * e / (delta - 1) / np.cosh(np.sqrt(6 * e) * real(x)) ** 2

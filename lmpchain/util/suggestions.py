@@ -1,0 +1,35 @@
+"""What a misspelt name was probably meant to be."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+from ..errors import shown
+
+
+def did_you_mean(name: object, known: Iterable[str]) -> str:
+    """Return " (did you mean 'glass'?)" for a name that resembles a known one, else nothing.
+
+    Examples
+    --------
+    >>> did_you_mean("Glas", ["glass", "steel"])
+    " (did you mean 'glass'?)"
+    >>> did_you_mean("wood", ["glass", "steel"])
+    ''
+    """
+    meant = {other.lower(): other for other in known}
+    near = get_close_matches(name.lower(), meant, 1) if isinstance(name, str) else []
+    return f" (did you mean {meant[near[0]]!r}?)" if near else ""
+
+
+def not_among(name: object, known: Iterable[str]) -> str:
+    """Return what to say of a name that is none of these.
+
+    Examples
+    --------
+    >>> not_among("Glas", ["glass", "steel"])
+    "must be glass | steel (got 'Glas') (did you mean 'glass'?)"
+    """
+    known = list(known)
+    return f"must be {' | '.join(known)} (got {shown(name)}){did_you_mean(name, known)}"

@@ -1,0 +1,137 @@
+"""Copies: a changed one is checked and owes nothing to the old one, and nothing else changes a value."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+
+from lmpchain import GLASS, Chain, Displacement, Drive, Impulse, Impurity, InputError, Profile, Scene, simulate
+
+ARRAYS = (
+    *("masses", "contact_constants", "wall_constants", "diameters", "contact_lengths", "depths"),
+    *("equilibrium_force", "equilibrium_overlap", "linear_stiffness"),
+)
+
+
+def used() -> Chain:
+    """Return a chain with everything computed that it computes on first use."""
+    chain = Chain(
+        grains=6, diameter=1e-3, bottom="wall", masses=np.full(6, 2e-6), impurity=[Impurity(grain=2, mass=1e-6)]
+    )
+    assert chain.band_edge > 0
+    assert all(getattr(chain, name).size for name in ARRAYS)
+    return chain
+
+
+def scene(chain: Chain) -> Scene:
+    return Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=2e-5, samples=5)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        lambda chain: chain.replace(gravity=98.1),
+        lambda chain: chain.model_copy(update={"gravity": 98.1}),
+        lambda chain: chain.model_copy(update={"gravity": 98.1}, deep=True),
+        lambda chain: chain.copy(update={"gravity": 98.1}),
+    ],
+    ids=["replace", "model_copy", "model_copy deep", "copy"],
+)
+def test_a_changed_copy_of_a_used_chain_moves_as_a_new_one_does(changed):
+    before = used()
+    after, afresh = changed(before), Chain(**before.given() | {"gravity": 98.1})
+    assert after == afresh
+    assert after.band_edge == afresh.band_edge > before.band_edge
+    for name in ARRAYS:
+        np.testing.assert_array_equal(getattr(after, name), getattr(afresh, name))
+    moved, expected = (simulate(scene(chain), "native", 1e-9) for chain in (after, afresh))
+    np.testing.assert_array_equal(moved.velocity, expected.velocity)
+
+
+def test_a_changed_copy_of_a_used_scene_is_a_new_scene():
+    before = scene(used())
+    assert np.isfinite([before.strike_number, before.highest_frequency, before.energy, before.largest_strain]).all()
+    chain = before.chain.replace(gravity=0.0, top_load=1.0)
+    after = before.replace(chain=chain, duration=1e-5, excitation=before.excitation.replace(velocity=1e-2))
+    afresh = Scene(chain=chain, excitation=Impulse(velocity=1e-2), duration=1e-5, samples=5)
+    assert after == afresh
+    for name in ("strike_number", "highest_frequency", "energy", "largest_strain"):
+        assert getattr(after, name) == getattr(afresh, name) != getattr(before, name)
+
+
+@pytest.mark.parametrize(
+    ("value", "changes", "key"),
+    [
+        (used(), {"gravity": -1.0}, "gravity"),
+        (used(), {"grains": 7}, "masses"),
+        (used(), {"gravty": 1.0}, "gravty"),
+        (scene(used()), {"duration": -1.0}, "duration"),
+        (scene(used()), {"excitation": Impulse(velocity=1e-3, grain=7)}, "grain"),
+        (GLASS, {"poissons_ratio": 0.7}, "poissons_ratio"),
+        (Drive(amplitude=1e-9, frequency=1e3), {"frequency": 0.0}, "frequency"),
+        (Profile(velocity=[1.0, 0.0]), {"velocity": [np.nan, 0.0]}, "velocity"),
+    ],
+)
+def test_a_changed_copy_is_checked(value, changes, key):
+    for change in (value.replace, lambda **fields: value.model_copy(update=fields)):
+        with pytest.raises(InputError) as caught:
+            change(**changes)
+        assert caught.value.faults[0][0] == key
+
+
+def test_none_takes_a_field_back_that_need_not_be_given():
+    assert Chain(grains=3, diameter=1e-3, masses=[1e-6] * 3).replace(masses=None) == Chain(grains=3, diameter=1e-3)
+
+
+@pytest.mark.parametrize(
+    "value", [used(), scene(used()), GLASS, Impulse(velocity=1.0), Displacement(displacement=1e-9)], ids=type
+)
+def test_no_other_way_leads_past_the_checks(value):
+    field = next(iter(type(value).model_fields))
+    for wrong in (
+        lambda: setattr(value, field, -1),
+        lambda: setattr(value, "colour", "red"),
+        lambda: delattr(value, field),
+        lambda: type(value).model_construct(**value.given()),
+        lambda: value.copy(exclude={field}),
+    ):
+        with pytest.raises(InputError, match="replace") as caught:
+            wrong()
+        assert "\n" not in str(caught.value)
+    with pytest.raises(ValueError, match="unknown key"):
+        type(value).model_validate(value.given() | {"colour": "red"})
+
+
+@pytest.mark.parametrize(
+    "copied",
+    [lambda x: x, copy.copy, copy.deepcopy, lambda x: x.model_copy(deep=True), lambda x: pickle.loads(pickle.dumps(x))],
+    ids=["itself", "copy", "deepcopy", "model_copy", "pickle"],
+)
+def test_arrays_of_a_chain_cannot_be_written_to(copied):
+    for chain in (used(), Chain(grains=4, diameter=[1e-3, 2e-3, 1e-3, 2e-3], top="wall", top_load=1e-3)):
+        other = copied(chain)
+        assert other == chain
+        for name in ARRAYS:
+            with pytest.raises(ValueError, match="read-only"):
+                getattr(other, name)[0] = 1.0
+    profile = copied(Profile(velocity=[1.0, 0.0]))
+    with pytest.raises(ValueError, match="read-only"):
+        profile.velocity[0] = 2.0
+
+
+def test_arrays_of_the_user_are_copied():
+    masses, moved, times = np.full(3, 1e-6), np.zeros(3), np.array([0.0, 1e-5])
+    chain, profile = Chain(grains=3, diameter=1e-3, masses=masses), Profile(displacement=moved)
+    drive = Drive(times=times, displacement=times)
+    masses[1], moved[0], times[1] = 5.0, 1.0, 1.0
+    assert chain.masses[1] == 1e-6
+    assert profile.displacement[0] == 0
+    assert drive.times[1] == drive.displacement[1] == 1e-5
+
+
+def test_a_pickled_scene_gives_the_same_bits():
+    given = scene(used())
+    again = pickle.loads(pickle.dumps(given))
+    assert again == given
+    np.testing.assert_array_equal(simulate(again, "native").velocity, simulate(given, "native").velocity)

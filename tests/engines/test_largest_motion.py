@@ -1,0 +1,79 @@
+"""Errors are relative to the largest motion at any time of a run, not only at its samples."""
+
+import numpy as np
+import pytest
+from helpers.example_scenes import paper
+
+from lmpchain import Chain, Displacement, Drive, Impulse, Scene, simulate
+from lmpchain.benchmark.comparison import error
+from lmpchain.benchmark.reference import reference
+from lmpchain.engines import Lammps, Native
+from lmpchain.integrators.methods import METHODS
+
+PAIR = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0)  # grain 2 is fixed: an oscillator
+OMEGA, SPEED = PAIR.band_edge, 1e-3
+LENGTH = SPEED / OMEGA
+
+
+def oscillator(excitation, periods: float, samples: int) -> Scene:
+    return Scene(chain=PAIR, excitation=excitation, duration=periods * 2 * np.pi / OMEGA, samples=samples)
+
+
+@pytest.mark.parametrize("engine", ["native", "lammps"])
+@pytest.mark.parametrize(("samples", "periods"), [(3, 2), (5, 2), (2, 7)])
+def test_samples_on_the_nodes_of_an_oscillator(engine, samples, periods):
+    """They show no displacement after a strike, and no velocity after a release; both are known exactly."""
+    for excitation in (Impulse(velocity=SPEED), Displacement(displacement=LENGTH)):
+        scene = oscillator(excitation, periods, samples)
+        phase, struck = OMEGA * scene.time, excitation.kind == "impulse"
+        t = simulate(scene, engine)
+        u, v = (np.sin(phase), np.cos(phase)) if struck else (np.cos(phase), -np.sin(phase))
+        true = max(np.abs(t.displacement[:, 0] / LENGTH - u).max(), np.abs(t.velocity[:, 0] / SPEED - v).max())
+        assert true / 3 - 1e-12 < t.error_estimate.total <= 1e-6
+        assert error(t, reference(scene)) == pytest.approx(true, rel=2e-3, abs=1e-12)
+
+
+@pytest.mark.parametrize("frequency", [0.1, 0.31])
+def test_a_drive_sampled_at_its_period(frequency):
+    """A stroboscopic (Poincare) section of a driven chain is an answer like any other."""
+    chain = Chain(grains=6, diameter=1e-3)
+    drive = Drive(amplitude=1e-10, frequency=frequency * chain.band_edge / (2 * np.pi))
+    scene = Scene(chain=chain, excitation=drive, duration=20 / drive.frequency, samples=21)
+    t, truth = simulate(scene, "native", 1e-7), reference(scene)
+    assert np.abs(t.displacement[:, 0]).max() < 1e-9 * drive.amplitude  # all its samples are nodes
+    true = error(t, truth)
+    assert true / 3 < t.error_estimate.total <= 1e-7
+    assert truth.largest[0] >= drive.amplitude * (1 - 1e-3)
+
+
+@pytest.mark.parametrize("integrator", METHODS)
+@pytest.mark.parametrize("scene", ["oscillator", "released", "driven", "strong"])
+def test_the_largest_motion_is_found(integrator, scene):
+    """To 5 % at the usual steps, though no sample shows it; never more than there is (known to 1e-3)."""
+    chain = Chain(grains=6, diameter=1e-3)
+    drive = Drive(amplitude=1e-10, frequency=0.2 * chain.band_edge / (2 * np.pi))
+    chosen = {
+        "oscillator": oscillator(Impulse(velocity=SPEED), 2, 3),
+        "released": oscillator(Displacement(displacement=LENGTH), 2, 3),
+        "driven": Scene(chain=chain, excitation=drive, duration=5 / drive.frequency, samples=6),
+        "strong": paper("fig1", samples=3),
+    }[scene]
+    engine = Native(integrator, adaptive=integrator != "rkn6")
+    run = engine.start([chosen], engine.candidate(chosen, 1e-4 if METHODS[integrator].order <= 4 else 1e-8))
+    for _ in run.blocks():
+        pass
+    found = run.peaks[0] / reference(chosen).largest
+    assert (found > 0.95).all()
+    assert (found < 1.001 + 2 * run.errors()[0].truncation).all()
+
+
+def test_the_largest_motion_of_a_lammps_run_is_that_of_its_twin():
+    scene = oscillator(Impulse(velocity=SPEED), 2, 3)
+    engine = Lammps()
+    run = engine.start([scene], engine.candidate(scene, 1e-4))
+    try:
+        for _ in run.blocks():
+            pass
+        assert run.peaks[0] == pytest.approx([LENGTH, SPEED], rel=0.04)
+    finally:
+        run.close()

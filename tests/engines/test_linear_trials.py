@@ -1,0 +1,268 @@
+"""Random trials of the linear engines: what they say that linearising leaves out, against the nonlinear motion."""
+
+from __future__ import annotations
+
+import warnings
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+import lmpchain
+from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Profile, Scene, ToleranceNotMet, simulate
+from lmpchain.engines import Modes
+from lmpchain.errors import RunFailed
+from lmpchain.simulation.selection import percent
+from lmpchain.stability import find
+from lmpchain.theory.modes import eigenmodes
+
+LINEAR = ("modes", "chebyshev", "bessel", "continuum")
+MOST_POINTS = 40_000  # of time, at which the largest motion is looked for
+
+
+def drawn(seed: int) -> Scene:
+    """Return a compressed chain of any exponent and ends, moved in any way, seldom or often recorded."""
+    rng = np.random.default_rng(seed)
+    while True:
+        try:
+            return _drawn(rng)
+        except InputError:
+            continue
+
+
+def _drawn(rng: np.random.Generator) -> Scene:
+    grains, load = int(rng.choice([2, 3, 4, 6, 12, 30, 80])), rng.choice(["gravity", "load", "both"])
+    bottom, even = str(rng.choice(["fixed", "wall"])), rng.random() < 0.6
+    kind = str(rng.choice(["impulse", "impulse", "displacement", "profile", "drive"]))
+    chain = Chain(
+        grains=grains,
+        diameter=1e-3 if even else rng.uniform(0.6e-3, 1.6e-3, grains),
+        gravity=0.0 if load == "load" else 9.81,
+        top_load=0.0 if load == "gravity" else 10 ** rng.uniform(-5, -1),
+        exponent=float(rng.choice([1.0, 1.0, 1.0, rng.uniform(1.0, 1.3), 1.5, 1.5, 2.0, rng.uniform(1, 3), 3.0])),
+        top="wall" if load != "gravity" and kind != "drive" and rng.random() < 0.3 else "free",
+        bottom=bottom,
+    )
+    edge, frequencies = chain.band_edge, eigenmodes(chain).frequency
+    grain = 1 if rng.random() < 0.5 else int(rng.integers(1, chain.movable + 1))
+    length = float(chain.equilibrium_overlap[min(grain, chain.grains - 1) - 1])
+    strength = 10 ** (rng.uniform(-12, 0.2) if rng.random() < 0.4 else rng.uniform(-3, 0.3))
+    sign = float(rng.choice([-1.0, 1.0]))
+    excitation: lmpchain.scene.base.Excitation
+    frequency = float(rng.choice(frequencies)) * float(rng.choice([1.0, 1.0 + 1e-3, rng.uniform(0.1, 1.5)]))
+    if kind == "impulse":
+        omega = np.sqrt(chain.linear_stiffness[min(grain, chain.grains - 1) - 1] / chain.masses[grain - 1])
+        excitation = Impulse(velocity=sign * strength * length * omega, grain=grain)
+    elif kind == "displacement":
+        excitation = Displacement(displacement=sign * strength * length, grain=grain)
+    elif kind == "profile":
+        v = strength * length * edge / 2 * rng.normal(size=grains)
+        v[chain.movable :] = 0
+        excitation = Profile(velocity=v)
+    else:
+        excitation = Drive(amplitude=strength * length * 0.3, frequency=frequency / (2 * np.pi))
+    samples = int(rng.choice([2, 3, 4, 5, 11, 51, 101, 1001]))
+    duration = 10 ** rng.uniform(-0.5, 3 if rng.random() < 0.5 else 2) / edge * 6
+    if rng.random() < 0.25:  # sampled at the same phase of one oscillation
+        half = np.pi / frequency
+        duration = half * (samples - 1) * max(1, round(duration / half / (samples - 1)))
+    return Scene(chain=chain, excitation=excitation, duration=float(duration), samples=samples)
+
+
+class Truth(NamedTuple):
+    """The motion in the samples, (2, T, N), and its largest values at any time, (2,)."""
+
+    motion: np.ndarray
+    scale: np.ndarray
+
+    def error(self, answer: lmpchain.Trajectory) -> float:
+        """Return the error of an answer, as the package defines it."""
+        found = np.array([answer.displacement, answer.velocity])
+        return float((np.abs(found - self.motion).max((1, 2)) / self.scale).max())
+
+
+def truth(scene: Scene) -> Truth | None:
+    """Return the motion by the native engine at 1e-10; None where it cannot be had."""
+    span = scene.duration * max(scene.chain.band_edge, scene.excitation.fastest)
+    finer = int(np.clip(np.ceil(4 * span / (scene.samples - 1)), 1, max(1, MOST_POINTS // scene.samples)))
+    fine = Scene(**scene.given() | {"samples": finer * (scene.samples - 1) + 1})
+    try:
+        run = simulate(fine, "native", 1e-10)
+    except ToleranceNotMet as error:
+        if error.trajectory is None or error.trajectory.error_estimate.total > 1e-4:
+            return None
+        run = error.trajectory
+    except RunFailed:
+        return None
+    motion = np.array([run.displacement, run.velocity])
+    return Truth(motion[:, ::finer], np.abs(motion).max((1, 2)))
+
+
+class Trial(NamedTuple):
+    """One answer to a drawn scene: which engine, what it says and what is true."""
+
+    seed: int
+    engine: str
+    tolerance: float
+    true: float
+    model: float
+    solver: float
+    bound: float
+
+
+def trials(seed: int) -> list[Trial]:
+    """Return the answers of every linear engine, and of "auto" where that is one of them."""
+    scene, rng = drawn(seed), np.random.default_rng([seed, 1])
+    known, rows = truth(scene), []
+    if known is None:
+        return []
+    with warnings.catch_warnings(action="ignore"):
+        for name in LINEAR:
+            engine = lmpchain.engines.get(name)
+            if engine.refuses(engine.part(scene)):
+                continue
+            t = simulate(scene, name, 0.9, on_miss="warn")
+            modes = Modes()
+            part = modes.part(scene)
+            bound = modes.bound_model_error(part, modes.candidate(part, 0.9)) if name == "modes" else np.nan
+            rows.append(
+                Trial(seed, name, np.nan, known.error(t), t.error_estimate.model, t.error_estimate.solver, bound)
+            )
+        for _ in range(2):
+            tolerance = float(10 ** rng.uniform(-9, -0.3))
+            try:
+                if lmpchain.plan(scene, tolerance).engine not in LINEAR:
+                    continue
+                t = simulate(scene, tolerance=tolerance, on_miss="warn")
+            except ToleranceNotMet:
+                continue
+            estimate = t.error_estimate
+            rows.append(
+                Trial(seed, f"auto {t.engine}", tolerance, known.error(t), estimate.model, estimate.solver, np.nan)
+            )
+    return rows
+
+
+def springs() -> Scene:
+    """Return springs between a wall and a grain that is held, of which one opens between two of few samples."""
+    chain = Chain(grains=4, diameter=1e-3, gravity=0.0, top_load=3.3e-3, top="wall", exponent=1.0)
+    unit = float(chain.equilibrium_overlap[2] * np.sqrt(chain.linear_stiffness[2] / chain.masses[2]))
+    strike = Impulse(velocity=1.05 * unit, grain=3)
+    return Scene(chain=chain, excitation=strike, duration=978 / chain.band_edge, samples=5)
+
+
+def test_springs_that_open_between_samples_are_left_to_eq_1():
+    """Between the samples a contact opens, where Eq. (3) is no longer Eq. (1)."""
+    scene = springs()
+    known = truth(scene)
+    assert known
+    t = simulate(scene)
+    assert t.equation == 1
+    assert known.error(t) < 1e-6
+    for engine in ("modes", "chebyshev"):
+        with pytest.warns(UserWarning, match=r"leaves out about .* \(at most 1\).*contact \d opens"):
+            t = simulate(scene, engine)
+        assert known.error(t) > 0.1
+        assert t.error_estimate.model > known.error(t) / 3
+
+
+def test_springs_that_nobody_can_look_at_for_so_long_are_not_trusted():
+    """A run of 10^6 periods is not looked at: it may be right, and is not said to be, unless the energy says so."""
+    chain = Chain(grains=40, diameter=1e-3, gravity=0.0, top_load=3.3e-3, exponent=1.0)
+    strike = Impulse(velocity=1.005 * chain.length_scale / chain.time_scale)
+    scene = Scene(chain=chain, excitation=strike, duration=1e7 / chain.band_edge, samples=5)
+    assert 1 <= scene.linear_strain < 1.01
+    candidate = Modes().candidate(scene, 1e-6)
+    assert (candidate.model_error, candidate.sharper) == (1.0, None)
+    with pytest.warns(UserWarning, match="contacts may open"):
+        assert simulate(scene, "modes").error_estimate.model == 1
+    weak = Scene(**scene.given() | {"excitation": strike.scaled(0.98)})
+    assert Modes().candidate(weak, 1e-6).model_error == 0
+    assert simulate(weak, "modes").error_estimate.model == 0
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_no_contact_is_stretched_beyond_what_the_energy_allows(seed):
+    """The bound on the strain is that of the quadratic form, by inverting it, and the linear motion keeps to it."""
+    scene = next(s for s in map(drawn, range(100 * seed, 100 * seed + 100)) if not s.drive)
+    chain, contacts = scene.chain, scene.chain.contacts
+    part = slice(0, chain.movable)
+    stretch = -np.diff(np.eye(chain.grains)[:, part], axis=0, prepend=0, append=0)  # of contacts by displacements
+    form = stretch.T @ (contacts.stiffness[:, None] * stretch)
+    u, v = scene.initial()
+    energy = (chain.masses * v**2).sum() + (contacts.stiffness * (stretch @ u[part]) ** 2).sum()
+    most = np.sqrt(energy * np.einsum("ci,ij,cj->c", stretch, np.linalg.inv(form), stretch))
+    pressed = contacts.pressed
+    assert scene.linear_strain == pytest.approx((most[pressed] / contacts.overlap[pressed]).max(), rel=1e-9, abs=0)
+    times = np.linspace(0, scene.duration, 2000)
+    moved = eigenmodes(chain).response(times, u[part], v[part])[0] @ stretch.T
+    assert (np.abs(moved[:, pressed]) / contacts.overlap[pressed]).max() <= scene.linear_strain * (1 + 1e-9)
+
+
+@pytest.mark.filterwarnings("ignore:Eq. ")
+@pytest.mark.parametrize("samples", [2, 3, 5])
+@pytest.mark.parametrize("engine", ["modes", "chebyshev"])
+def test_errors_are_relative_to_the_largest_motion_also_between_samples(engine, samples):
+    """An oscillation that is sampled where it is at rest: what is off there is no large part of nothing."""
+    chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=10.0)
+    unit = chain.length_scale / chain.time_scale
+    periods = 64 * (samples - 1) * np.pi / chain.band_edge
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3 * unit), duration=periods, samples=samples)
+    known, t = truth(scene), simulate(scene, engine, 0.9)
+    assert known
+    assert known.error(t) / 3 < t.error_estimate.model < 0.2
+    assert Modes().look(scene).scale == pytest.approx(known.scale, rel=0.01, abs=0)
+
+
+@pytest.mark.parametrize("seed", range(60, 90))
+def test_the_scale_of_errors_is_the_largest_motion_of_the_run(seed):
+    """However seldom it is recorded: never above it, and never far below."""
+    scene = drawn(seed)
+    seldom = Scene(**scene.given() | {"samples": 2, "duration": min(scene.duration, 100 / scene.chain.band_edge)})
+    dense = Scene(**seldom.given() | {"samples": 2001})
+    u, v = (np.abs(x).max() for x in _linear(dense))
+    found = Modes().look(seldom).scale
+    assert (found <= [1.001 * u, 1.001 * v]).all()
+    assert (found >= [0.75 * u, 0.75 * v]).all()
+
+
+def _linear(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Return the linear motion of all grains."""
+    with warnings.catch_warnings(action="ignore"):
+        t = simulate(scene, "modes", 0.9)
+    return t.displacement, t.velocity
+
+
+@pytest.mark.parametrize(("amplitude", "frequency"), [(1.5e-9, 3e3), (1e-9, 1e4), (3e-10, 1e4), (1e-10, 3e4)])
+def test_one_estimate_of_linear_theory_for_a_driven_column(amplitude, frequency):
+    """Plan, run and stability say the same of one scene, and it is true within a factor of three."""
+    drive = Drive(amplitude=amplitude, frequency=frequency)
+    scene = Scene(chain=Chain(grains=120, diameter=1e-3), excitation=drive, duration=5e-4, samples=101)
+    planned = next(p for p in lmpchain.plan(scene).candidates if p.engine == "chebyshev")
+    with pytest.warns(UserWarning, match=r"leaves out about .* of the answer \(at most "):
+        t = simulate(scene, "chebyshev")
+    known = truth(scene)
+    assert known
+    true, said = known.error(t), t.error_estimate.model
+    assert true / 3 < said < 3 * true
+    assert planned.model_error > true
+    assert planned.estimate == pytest.approx(said, rel=0.15, abs=0)
+    assert f"the linear wave itself tells about {percent(planned.estimate)}" in planned.why
+    for boundary, error in zip(find._linear(scene), (0.01, 0.1), strict=True):
+        assert boundary.beyond == (said > error)
+    curves = {curve.name: curve for curve in find._strength(scene)}
+    here = np.interp(0.0, np.log10(find.STRENGTHS), curves["Eq. (3), estimate"].y)
+    assert here == pytest.approx(planned.estimate, rel=1e-6, abs=0)
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(7200)
+def test_what_linear_engines_say_of_random_scenes():
+    """None of the answers of "auto" is above its tolerance, and in a thousand estimates one is below a third."""
+    rows = [row for seed in range(3000) for row in trials(seed)]
+    auto = [row for row in rows if row.engine.startswith("auto")]
+    low = [row for row in rows if row.true > 3 * (row.model + row.solver) + 1e-10]
+    assert len(rows) > 5000
+    assert len(auto) > 500
+    assert [row for row in auto if row.true > row.tolerance + 1e-10] == []
+    assert len({row.seed for row in low}) <= 3, low

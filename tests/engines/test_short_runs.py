@@ -1,0 +1,90 @@
+"""The error estimate of runs of one step and of a few."""
+
+import warnings
+
+import numpy as np
+import pytest
+from helpers.largest_motion import true_error
+
+from lmpchain import Chain, Displacement, Impulse, Scene, simulate
+from lmpchain.engines import Native
+from lmpchain.integrators.methods import METHODS
+
+
+def short_scene(rng: np.random.Generator) -> Scene:
+    """Return a few grains for a few tenths to a few radians of their fastest motion, seen a few times."""
+    grains = int(rng.integers(2, 8))
+    chain = Chain(
+        grains=grains,
+        diameter=1e-3,
+        exponent=float(rng.choice([1.0, 1.25, 1.5, 2.0, 3.0])),
+        top=str(rng.choice(["free", "wall"])),
+        bottom=str(rng.choice(["wall", "fixed"])),
+        gravity=float(rng.choice([0.0, 9.81])),
+        top_load=float(10 ** rng.uniform(-4, 0)),
+    )
+    size, sample = 10 ** rng.uniform(-5, 0.5), float(10 ** rng.uniform(-0.7, 0.7))
+    grain = int(rng.integers(1, grains))
+    length = chain.length_scale or float(chain.equilibrium_overlap[1])
+    speed = length * chain.band_edge
+    struck, moved = Impulse(velocity=size * speed, grain=grain), Displacement(displacement=size * length, grain=grain)
+    excitation = struck if rng.random() < 0.5 else moved
+    samples = int(rng.choice([2, 2, 2, 3, 4, 6]))
+    return Scene(chain=chain, excitation=excitation, duration=sample * (samples - 1) / chain.band_edge, samples=samples)
+
+
+def check(seed: int) -> None:
+    """Hold an answer to a tolerance, or at a step of the user's, and its estimate against the truth."""
+    rng = np.random.default_rng([2026, seed])
+    scene, integrator = short_scene(rng), str(rng.choice(list(METHODS)))
+    tolerance, steps = float(10 ** rng.uniform(-9, -1.5)), int(rng.integers(1, 12))
+    if METHODS[integrator].order <= 4:
+        tolerance = max(tolerance, 1e-5)
+    step = scene.duration / (scene.samples - 1) / steps
+    fixed = rng.random() < 0.5 and step * scene.highest_frequency < 0.9 * METHODS[integrator].stability_limit
+    with warnings.catch_warnings(action="ignore"):
+        t = simulate(scene, Native(integrator, step if fixed else None), tolerance, on_miss="warn")
+    true, own = true_error(t, scene)
+    estimate = t.error_estimate.total
+    said = f"seed {seed}, {integrator}, {t.cost.steps} steps: true {true:.2e}, estimate {estimate:.2e}"
+    assert estimate >= (true - own) / 3 - 1e-15, said
+    assert fixed or estimate > tolerance or true <= tolerance + own, said
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_short_runs(seed):
+    check(seed)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("seed", range(12, 1500))
+def test_many_short_runs(seed):
+    check(seed)
+
+
+def test_one_step():
+    """Its companion must take another one: 1.6e-5 was once estimated at 1e-15."""
+    chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=0.1)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1 / chain.band_edge, samples=2)
+    t = simulate(scene, "native", 1e-2)
+    true, _ = true_error(t, scene)
+    assert t.cost.steps == 1
+    assert 1e-6 < true < 3 * t.error_estimate.total < 0.03
+
+
+@pytest.mark.parametrize("steps", range(1, 25))
+@pytest.mark.parametrize("samples", [2, 3, 4, 12])
+def test_companions_differ_from_the_answer_and_from_each_other(steps, samples):
+    """Whether or not the number of steps divides, and the estimate is within three of the truth."""
+    chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=0.1, exponent=1.0)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=2.9 / chain.band_edge, samples=samples)
+    for integrator in ("verlet", "rkn4", "dop853"):
+        step = scene.duration / (samples - 1) / steps
+        if step * chain.band_edge > 0.9 * METHODS[integrator].stability_limit:
+            continue
+        t = simulate(scene, Native(integrator, step))
+        phase = chain.band_edge * scene.time
+        speed = np.abs(t.velocity[:, 0] / 1e-3 - np.cos(phase)).max()
+        true = max(speed, np.abs(t.displacement[:, 0] * chain.band_edge / 1e-3 - np.sin(phase)).max())
+        assert t.cost.steps == steps * (samples - 1)
+        assert t.error_estimate.solver > true / 2 - 1e-15

@@ -1,0 +1,70 @@
+"""What a kill leaves of a folder: copies of it from just before every change that a process makes to the disk."""
+
+import os
+import random
+import shutil
+import sys
+import threading
+from collections.abc import Callable, Container
+from contextlib import suppress
+from pathlib import Path
+from typing import Self
+
+CHANGES = {"open", "os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.truncate"}
+_watches: list["Watch"] = []  # at most one at a time
+_turn = threading.RLock()
+_hooked: list[bool] = []
+
+
+class Watch:
+    """Counts the changes to a folder, and copies it just before some of them."""
+
+    def __init__(self, folder: Path, wanted: Container[int], into: Path):
+        self.count, self.copies, self._folder, self._wanted, self._into = 0, [], folder, wanted, into
+
+    def __enter__(self) -> Self:
+        if not _hooked:
+            sys.addaudithook(_look)  # for good: there is no way to remove one
+            _hooked.append(True)
+        _watches.append(self)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        _watches.clear()
+
+    def look(self, words: list[str]) -> None:
+        """Take note of a change to what these words name."""
+        if self._folder.exists() and any(str(self._folder) in word for word in words):
+            if self.count in self._wanted:
+                with suppress(shutil.Error):  # a file that another thread has moved meanwhile
+                    self.copies.append(shutil.copytree(self._folder, self._into / str(self.count)))
+            self.count += 1
+
+
+def kill_moments(folder: Path, work: Callable[[], object], most: int, rng: random.Random, into: Path) -> list[Path]:
+    """Do some work, twice; return what up to so many kills, at any change that it makes to a folder, would leave."""
+    before = folder.with_name(f"{folder.name} before")
+    if folder.exists():
+        shutil.copytree(folder, before)
+    with Watch(folder, (), into) as watch:
+        work()
+    shutil.rmtree(folder)
+    if before.exists():
+        before.rename(folder)
+    with Watch(folder, rng.sample(range(watch.count), min(most, watch.count)), into) as watch:
+        work()
+    return watch.copies
+
+
+def _look(event: str, arguments: tuple) -> None:
+    if not _watches or event not in CHANGES:
+        return
+    if event == "open" and not (isinstance(arguments[2], int) and arguments[2] & (os.O_WRONLY | os.O_RDWR)):
+        return
+    with _turn:
+        if _watches:
+            watch = _watches.pop()  # what copying changes is no change of the work
+            try:
+                watch.look([os.fsdecode(each) for each in arguments if isinstance(each, str | bytes)])
+            finally:
+                _watches.append(watch)

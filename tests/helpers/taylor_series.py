@@ -1,0 +1,143 @@
+"""A reference for hard scenes: Taylor series in time, in extended precision, compiled from `taylor_series.c`.
+
+It shares nothing with the package but Eq. (1): equilibrium, force and time integration are its own. Steps follow the
+radius of convergence, so that contacts that open and close cost no accuracy, and the motion is known at any time. Its
+error is the distance to a second run of another order and with tolerances a hundred times looser.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import subprocess
+import tempfile
+from functools import cache
+from math import ceil, log
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+if TYPE_CHECKING:
+    from lmpchain import Scene
+
+Array = NDArray[np.float64]
+FINEST = {"long double": 1e-20, "double": 1e-17}  # tolerances of a step
+MOST_WORK = 5e8  # contacts times steps times order squared, some 4 s in extended precision
+
+
+class Unresolved(ArithmeticError):
+    """The reference cannot tell what the solution is, or not in time."""
+
+
+class Reference(NamedTuple):
+    """Displacement and velocity (T, N) in SI units, the largest of either at any time, and steps and events taken."""
+
+    displacement: Array
+    velocity: Array
+    largest: tuple[float, float]
+    steps: int
+    events: int
+
+    def error(self, displacement: Array, velocity: Array) -> float:
+        """Return how far an answer is off, relative to the largest motion of the run."""
+        pairs = zip((displacement, velocity), (self.displacement, self.velocity), self.largest, strict=True)
+        return max(float(np.abs(x - true).max()) / largest if largest else 0.0 for x, true, largest in pairs)
+
+
+@cache
+def _library(kind: str) -> Any:
+    folder = tempfile.TemporaryDirectory()
+    built = Path(folder.name) / "taylor_series.so"
+    source = Path(__file__).with_name("taylor_series.c")
+    flags = ["-O3", "-march=native", "-ffp-contract=off", "-shared", "-fPIC", f"-DREAL={kind}"]
+    subprocess.run(["cc", *flags, str(source), "-o", str(built), "-lm"], check=True)
+    loaded = ctypes.CDLL(str(built))
+    loaded.folder = folder  # as long as the library
+    return loaded
+
+
+def solve(scene: Scene, tolerance: float, kind: str = "long double", more: int = 0) -> Reference:
+    """Return the solution with this tolerance of one step, and a Taylor order higher by `more` than is best for it.
+
+    Raises
+    ------
+    Unresolved
+        If steps become too short, or too many.
+    """
+    real: Any = np.longdouble if kind == "long double" else np.float64
+    chain, excitation = scene.chain, scene.excitation
+    wide = np.longdouble
+    mass = np.asarray(chain.masses, dtype=wide)
+    above, below = chain.wall_constants
+    constant = np.concatenate(([above], chain.contact_constants, [below])).astype(wide)
+    delta = wide(chain.exponent)
+    force = wide(chain.top_load) + wide(chain.gravity) * np.append(wide(0), np.cumsum(mass))
+    force = np.where(constant > 0, force, 0)
+    overlap = (force / np.where(constant > 0, constant, 1)) ** (1 / delta)
+    mobile = np.ones(chain.grains, dtype=wide)
+    if chain.bottom == "fixed":
+        mobile[-1] = 0
+    u, v = (np.asarray(x, dtype=wide) for x in scene.initial())
+    sine, knots, pieces, drive = np.zeros(2, wide), np.zeros(1, wide), np.zeros(4, wide), 0
+    farthest, fastest = np.abs(u).max(), np.abs(v).max()
+    if excitation.kind == "drive":
+        mobile[0] = 0
+        if excitation.times is None:
+            drive, omega = 1, 8 * np.arctan(wide(1)) * wide(excitation.frequency)
+            sine = np.array([excitation.amplitude, omega], dtype=wide)
+            farthest, fastest = abs(sine[0]), abs(sine[0]) * omega
+        else:
+            drive, knots = 2, np.asarray(excitation.times, dtype=wide)
+            pieces = CubicSpline(excitation.times, excitation.displacement).c[::-1].T.astype(wide)
+            farthest = np.abs(excitation.displacement).max()
+            fastest = np.abs(np.diff(excitation.displacement) / np.diff(excitation.times)).max()
+    typical = overlap.max()
+    if typical == 0:
+        typical = max(farthest, (mass.min() * fastest**2 / constant.max()) ** (1 / (delta + 1)))
+    time = 1 / np.sqrt(delta * constant.max() * typical ** (delta - 1) / mass.min())
+    length = max(farthest, fastest * time)
+    unit = mass.min() * length / time**2  # of force
+    fields = [
+        constant * length**delta / unit,
+        force / unit,
+        overlap / length,
+        mobile * (mass.min() / mass),
+        np.array([sine[0] / length, sine[1] * time]),
+        knots / time,
+        pieces.reshape(-1, 4) * (time ** np.arange(4) / length),
+        np.array([u / length, v * (time / length)]),
+        np.asarray(scene.time, dtype=wide) / time,
+    ]
+    k, f, eps, mobility, sine, knots, pieces, start, instants = (np.ascontiguousarray(x, dtype=real) for x in fields)
+    out, peak, stats = np.empty((scene.samples, 2, chain.grains)), np.empty(2), np.empty(3)
+    tolerance = max(tolerance, FINEST[kind])
+    at = [np.ascontiguousarray(delta, dtype=real), k, f, eps, mobility]
+    result = _library(kind).integrate(
+        chain.grains, *map(_address, at), drive, _address(sine), knots.size, _address(knots), _address(pieces),
+        _address(start), scene.samples, _address(instants), ctypes.c_double(tolerance),
+        min(ceil(-log(tolerance) / 2) + 3 + more, 36), ctypes.c_double(MOST_WORK), *map(_address, (out, peak, stats)),
+    )  # fmt: skip
+    if result:
+        raise Unresolved(
+            f"{['', 'too many steps', 'too short a step'][result]} ({stats[0]:g} steps, {stats[1]:g} events)"
+        )
+    scale = (float(length), float(length / time))
+    return Reference(
+        out[:, 0] * scale[0],
+        out[:, 1] * scale[1],
+        (peak[0] * scale[0], peak[1] * scale[1]),
+        int(stats[0]),
+        int(stats[1]),
+    )
+
+
+def _address(array: NDArray[Any]) -> ctypes.c_void_p:
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+def reference(scene: Scene, tolerance: float) -> tuple[Reference, float]:
+    """Return a solution with this tolerance of one step, and its error: the distance to a looser one."""
+    best, looser = solve(scene, tolerance), solve(scene, 100 * tolerance, more=2)
+    return best, best.error(looser.displacement, looser.velocity)

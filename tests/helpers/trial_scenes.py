@@ -1,0 +1,146 @@
+"""Scenes drawn from all that a user may ask, each from its seed; what they cost is bounded, nothing else is.
+
+2 to 10^5 grains, exponents 1 to 3, every end and excitation, strike numbers 1e-12 to 1e4, mass ratios to 10^6,
+impurities, tapered, periodic and disordered chains, 0.5 to 4000 periods, 2 to 1001 samples, some of them on the nodes
+of the motion.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from lmpchain import Chain, Displacement, Drive, Impulse, Impurity, InputError, Profile, Scene
+
+MATERIALS = ("glass", "steel", "ptfe", "brass", "tungsten_carbide")
+
+
+def trial_scene(rng: np.random.Generator, exponents: tuple[float, ...] = (), work: float = 2e5) -> Scene:
+    """Draw a scene of one of these exponents (any if there is none), of about so many grain-radians at most."""
+    while True:
+        try:
+            chain = _chain(rng, exponents)
+            scene = _struck(rng, chain, work)
+            _ = scene.strike_number, scene.largest_strain
+            return scene
+        except InputError:  # not a scene: beyond Hertz's law, say
+            continue
+
+
+def _log(rng: np.random.Generator, low: float, high: float) -> float:
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def _chain(rng: np.random.Generator, exponents: tuple[float, ...]) -> Chain:
+    near_springs = 1 + _log(rng, 1e-6, 0.1)
+    any_exponent = (1.0, 1.5, 1.5, 1.5, 2.0, 3.0, near_springs, *rng.uniform(1, 3, 2))
+    grains = int(_log(rng, 2, 100 if rng.random() < 0.7 else 1.0001e5))
+    pressed = rng.choice(["gravity", "gravity", "load", "both", "vacuum"])
+    ends: dict[str, Any] = {"top": "wall" if rng.random() < 0.3 else "free"}
+    ends["bottom"] = rng.choice(["fixed", "wall", "free"] if pressed == "vacuum" else ["fixed", "wall"]).item()
+    for end in ("top", "bottom"):
+        if ends[end] == "wall" and rng.random() < 0.5:
+            ends[f"{end}_material"] = rng.choice(MATERIALS).item()
+    fields: dict[str, Any] = {
+        "grains": grains,
+        "exponent": float(rng.choice(exponents or any_exponent)),
+        "gravity": _log(rng, 1e-3, 1e3) if pressed in ("gravity", "both") else 0.0,
+        "top_load": _log(rng, 1e-5, 30) if pressed in ("load", "both") else 0.0,
+        **ends,
+        **_grains(rng, grains),
+    }
+    return Chain(**fields)
+
+
+def _grains(rng: np.random.Generator, grains: int) -> dict[str, Any]:
+    """Draw the grains: alike, with impurities, tapered, periodic, disordered, or masses and constants of their own."""
+    diameter, material, n = _log(rng, 2e-4, 5e-2), rng.choice(MATERIALS).item(), np.arange(grains)
+    kind = rng.choice(["alike", "alike", "impurities", "tapered", "periodic", "disordered", "masses", "constants"])
+    if kind == "impurities":
+        odd = []
+        for grain in rng.permutation(grains)[: rng.integers(1, 4)] + 1:
+            heavier = 2426 * np.pi / 6 * diameter**3 * _log(rng, 1e-3, 1e3)
+            what = rng.choice(["diameter", "material", "mass"]).item()
+            draws = {
+                "diameter": diameter * _log(rng, 0.3, 3),
+                "material": rng.choice(MATERIALS).item(),
+                "mass": heavier,
+            }
+            odd.append(Impurity(grain=int(grain), **{what: draws[what]}))
+        return {"diameter": diameter, "material": material, "impurity": odd}
+    if kind == "tapered":
+        return {"diameter": diameter * _log(rng, 0.2, 5) ** (n / grains), "material": material}
+    if kind == "periodic":
+        cell = rng.integers(2, 5)
+        materials = [rng.choice(MATERIALS).item() for _ in range(cell)]
+        return {"diameter": diameter, "material": [materials[i % cell] for i in n]}
+    if kind == "disordered":
+        return {"diameter": diameter * rng.uniform(0.7, 1.3, grains), "material": material}
+    alike: dict[str, Any] = {"diameter": diameter, "material": material}
+    if kind == "masses":
+        ratio, mass = _log(rng, 1, 1e6), 2426 * np.pi / 6 * diameter**3
+        return alike | {
+            "masses": mass * (np.where(n % 2, ratio, 1) if rng.random() < 0.5 else ratio ** rng.random(grains))
+        }
+    if kind == "constants":
+        return alike | {"contact_constants": 1e9 * _log(rng, 0.1, 10) * rng.gamma(3, 1 / 3, grains - 1)}
+    return alike
+
+
+def _struck(rng: np.random.Generator, chain: Chain, work: float) -> Scene:
+    grain = 1 if rng.random() < 0.6 else int(rng.integers(1, chain.movable + 1))
+    number, contact, mass = _log(rng, 1e-12, 1e4), min(grain, chain.grains - 1) - 1, chain.masses[grain - 1]
+    constant = chain.contact_constants[contact]
+    if chain.compressed:
+        length = chain.equilibrium_overlap[contact]
+        speed = number * length * np.sqrt(chain.linear_stiffness[contact] / mass)
+        rest = float(np.sqrt(chain.linear_stiffness[contact] / mass))
+    else:
+        speed, rest = _log(rng, 1e-9, 3), 0.0
+        length = number = 0.0
+    hit = speed / (mass * speed**2 / constant) ** (1 / (chain.exponent + 1))  # rad/s of a collision
+    omega = max(rest, hit)
+    excitation = _excitation(rng, chain, grain, speed, omega, periods := _log(rng, 0.5, 4000))
+    once = Scene(chain=chain, excitation=excitation, duration=2 * np.pi * periods / omega, samples=2)
+    if rng.random() < 0.1:  # samples at nodes: half periods of the excitation or of the chain
+        half = np.pi / (excitation.fastest or chain.band_edge or omega)
+        samples = int(_log(rng, 2, 20))
+        duration = half * (samples - 1) * int(_log(rng, 1, 20))
+    else:
+        samples, duration = int(_log(rng, 2, 1001.5)), once.duration
+    angle = once.highest_frequency * duration
+    most = max(np.sqrt(work), work / chain.grains)  # angle that the work allows
+    if angle > most:
+        duration *= most / angle * rng.uniform(0.5, 1)
+    if isinstance(excitation, Drive) and excitation.times is not None:  # its knots go with the duration
+        stretch = duration * rng.uniform(1, 1.2) / excitation.times[-1]
+        excitation = Drive(times=excitation.times * stretch, displacement=excitation.displacement * stretch)
+    samples = max(2, min(samples, int(2e6 / chain.grains)))
+    return Scene(chain=chain, excitation=excitation, duration=float(duration), samples=samples)
+
+
+def _excitation(
+    rng: np.random.Generator, chain: Chain, grain: int, speed: float, omega: float, periods: float
+) -> Impulse | Displacement | Profile | Drive:
+    sign = float(rng.choice([-1.0, 1.0]))
+    kinds = ["impulse", "impulse", "displacement", "profile", *["sine", "spline"] * (chain.top == "free")]
+    match rng.choice(kinds):
+        case "impulse":
+            return Impulse(velocity=sign * speed, grain=grain)
+        case "displacement":
+            return Displacement(displacement=sign * speed / omega, grain=grain)
+        case "profile":
+            fields = {}
+            for key, size in (("velocity", speed), ("displacement", speed / omega)):
+                if rng.random() < 0.7 or (key == "displacement" and not fields):
+                    fields[key] = np.zeros(chain.grains)
+                    struck = slice(grain - 1, min(grain + 20, chain.movable))
+                    fields[key][struck] = size * rng.normal(size=fields[key][struck].size)
+            return Profile(**fields)
+        case "sine":
+            frequency = omega * _log(rng, 0.02, 3)
+            return Drive(amplitude=sign * speed / frequency, frequency=frequency / (2 * np.pi))
+    times = np.append(0, np.cumsum(rng.uniform(0.3, 1, rng.integers(1, 30))))
+    path = np.append(0, rng.normal(size=times.size - 1)) * speed * 2 * np.pi * periods / omega / times.size
+    return Drive(times=times * (2 * np.pi * periods / omega / times[-1]), displacement=path)

@@ -1,0 +1,90 @@
+"""The clock of the integration: exact over any number of steps, and never stuck."""
+
+from fractions import Fraction
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from numba import njit
+
+from lmpchain import Chain, Impulse, Scene
+from lmpchain.engines.error_estimate import native_floor
+from lmpchain.integrators.batch import ChainBatch
+from lmpchain.integrators.kernels.layout import DONE, STEP, Span
+from lmpchain.integrators.kernels.sample_loop import end_of_step
+from lmpchain.integrators.methods import METHODS
+from lmpchain.integrators.step_schedule import StepSchedule
+from lmpchain.integrators.stepper import NativeStepper
+
+SPEED = 1e-3
+
+
+def oscillator(periods: float, samples: int = 3) -> tuple[Scene, float]:
+    """Return a grain on a spring (grain 2 is fixed), struck, and its frequency in rad/s."""
+    chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0)
+    omega = np.sqrt(np.longdouble(chain.contact_constants[0]) / np.longdouble(chain.masses[0]))
+    duration = periods * 2 * np.pi / float(omega)
+    return Scene(chain=chain, excitation=Impulse(velocity=SPEED), duration=duration, samples=samples), omega
+
+
+def phase_error(periods: float, integrator: str, reach: float, adaptive: bool, samples: int = 3):
+    """Return the error against the exact phase, and the floor of round-off that is claimed."""
+    scene, omega = oscillator(periods, samples)
+    interval = scene.duration / (samples - 1)
+    steps = int(np.ceil(interval * float(omega) / reach))
+    schedule = StepSchedule.of(steps, interval / steps, adaptive)
+    stepper = NativeStepper(ChainBatch([scene]), METHODS[integrator], schedule, {})
+    u, v = np.zeros((2, 1, samples, 2))
+    stepper.fill(u, v, 0, samples - 1, 2**62)
+    phase = (omega * scene.time.astype(np.longdouble))[1:]
+    x, w = u[0, 1:, 0] * omega / SPEED, v[0, 1:, 0] / SPEED
+    error = float(max(np.abs(x - np.sin(phase)).max(), np.abs(w - np.cos(phase)).max()))
+    return error, native_floor(stepper.steps[0] * METHODS[integrator].evaluations, float(phase[-1]))
+
+
+LONG = [("rkn6", 0.03, True), ("rkn6", 0.03, False), ("kahan-li8", 0.06, True), ("dop853", 0.06, True)]
+
+
+@pytest.mark.parametrize(("integrator", "reach", "adaptive"), LONG)
+def test_the_clock_does_not_drift(integrator, reach, adaptive):
+    """Seconds added up a step at a time once drifted by 1e-12 a hundred periods, and companions alike."""
+    error, floor = phase_error(1000, integrator, reach, adaptive)
+    assert error / 3 < floor < 1e-11
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize(("integrator", "reach", "adaptive"), LONG)
+@pytest.mark.parametrize("samples", [2, 3, 1001])
+def test_the_clock_does_not_drift_in_a_hundred_thousand_periods(integrator, reach, adaptive, samples):
+    error, floor = phase_error(1e5, integrator, reach, adaptive, samples)
+    assert error / 3 < floor < 1e-9
+
+
+class Bodies(NamedTuple):
+    state: np.ndarray
+
+
+@njit
+def ends(bodies, span, left, step):
+    return end_of_step(bodies, span, left, step)
+
+
+@pytest.mark.parametrize("step", [1e-30, 1e-19, 0.0])
+def test_there_are_never_too_many_steps_to_be_counted(step):
+    """More than 2^63 steps in the time left, where a contact opens, once were one giant step."""
+    state = np.zeros(STEP + 1)
+    span = Span(0.0, 3.0, 3.0, 1, 3.0)
+    after = ends(Bodies(state), span, 3.0, step)
+    assert 0 < after < 1e-14
+    state[DONE] = 3.0 - 2e-15
+    assert state[DONE] < ends(Bodies(state), span, 3.0 - state[DONE], step) <= 3.0
+
+
+def test_steps_add_up_to_the_span_exactly():
+    state, span, sizes = np.zeros(STEP + 1), Span(0.0, 0.7, 0.7, 1, 0.7), []
+    while state[DONE] < span.length:
+        done = ends(Bodies(state), span, span.length - state[DONE], 0.7 / 333.3)
+        sizes.append(Fraction(done - state[DONE]))
+        state[DONE] = done
+    assert len(sizes) == 334
+    assert abs(sum(sizes) - Fraction(0.7)) <= Fraction(0.7) / 2**53

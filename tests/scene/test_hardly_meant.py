@@ -1,0 +1,81 @@
+"""What is allowed but hardly meant gets a warning of one line, once: wrong units, strikes that are too hard."""
+
+import warnings
+
+import pytest
+
+from lmpchain import GLASS, Chain, Impulse, Impurity, Profile, Scene, plan, simulate, sweep
+from lmpchain.cli import main
+
+CHAIN = Chain(grains=5, diameter=1e-3)
+SPRINGS = Chain(grains=3, diameter=1e-3, gravity=0.0, exponent=1.0, top_load=1e-3, masses=[1e-20] * 3)
+
+
+def said(make) -> list[str]:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        make()
+    return [str(warning.message) for warning in caught]
+
+
+def struck(chain: Chain, velocity: float, duration: float = 1e-5) -> Scene:
+    return Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=duration)
+
+
+@pytest.mark.parametrize(
+    ("make", "begin", "number"),
+    [
+        (lambda: Chain(grains=5, diameter=1.0), "diameter: ", "1 m is wide"),
+        (lambda: Chain(grains=2, diameter=[1e-3, 5.0]), "diameter: ", "5 m is wide"),
+        (lambda: Chain(grains=5, diameter=1e-3, gravity=0.0, top_load=30.0), "diameter: ", "to 0.012 of the diameter"),
+        (lambda: struck(CHAIN, 1e-3, 7200.0), "duration: ", "7200 s is long"),
+        (lambda: struck(CHAIN, 20.0), "velocity: ", "to 0.012 of the diameter"),
+        (lambda: struck(SPRINGS, 6e3), "velocity: ", "6e+03 m/s, faster than sound in its material, 5.06e+03 m/s"),
+    ],
+)
+def test_it_is_said_in_one_line_with_number_and_unit(make, begin, number):
+    (text,) = said(make)
+    assert text.startswith(begin)
+    assert number in text
+    assert "\n" not in text
+
+
+def test_sound_is_that_in_the_material_of_the_grain():
+    slow = {"density": 1e4, "youngs_modulus": 1e4, "poissons_ratio": 0.2}  # 1 m/s
+    assert GLASS.sound_speed == pytest.approx(5055, abs=1)
+    odd = SPRINGS.replace(impurity=[Impurity(grain=2, mass=1e-20)])
+    soft = Chain(grains=4, diameter=1e-3, gravity=0.0, material=["glass", "glass", slow, "glass"], bottom="free")
+    for chain, speeds, grains in ((odd, [0, 2.0, 0], 0), (soft, [2.0] * 4, 1), (soft, [0.5] * 4, 0)):
+        texts = said(lambda c=chain, v=speeds: Scene(chain=c, excitation=Profile(velocity=v), duration=1e-6))
+        assert sum("grain 3 moves at 2 m/s, faster than sound" in text for text in texts) == grains
+
+
+def test_what_is_usual_is_not_remarked_on():
+    assert not said(lambda: struck(Chain(grains=120, diameter=1e-3), 8.57e-3, 1.0))
+    assert not said(lambda: struck(Chain(grains=120, diameter=1e-3, exponent=1.0, top_load=1e-2), 1e-3))
+
+
+def test_it_is_said_once():
+    def work():
+        scene = struck(CHAIN, 20.0)
+        plan(scene)
+        simulate(scene, "native")
+
+    assert len(said(work)) == 1
+
+
+def test_the_command_line_says_it_once(tmp_path, capsys):
+    Scene(chain=CHAIN, excitation=Impulse(velocity=1e-3), duration=1e-5).to_toml(tmp_path / "s.toml")
+    text = (tmp_path / "s.toml").read_text().replace("0.001", "0.5", 1)
+    (tmp_path / "s.toml").write_text(text)
+    assert main(["run", str(tmp_path / "s.toml"), "-o", str(tmp_path / "s.nc")]) == 0
+    assert capsys.readouterr().err.splitlines() == [
+        "warning: diameter: 0.5 m is wide for a grain; diameters are in metres (1 mm is 1e-3)"
+    ]
+
+
+def test_a_sweep_says_it_once(tmp_path):
+    swept = {"scene": struck(CHAIN, 1e-3), "keep": ["peak_velocity"], "tolerance": 1e-2}
+    grid = {"excitation.velocity": [20.0, 22.0, 25.0]}
+    (text,) = said(lambda: sweep(swept | {"grid": grid}, tmp_path))
+    assert text.startswith("velocity: a contact is squeezed to 0.012 of the diameter")

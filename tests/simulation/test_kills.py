@@ -1,0 +1,303 @@
+"""Whatever part of a run is killed, at any moment, it goes on and ends with the bits that it would have had."""
+
+import itertools
+import json
+import mmap
+import os
+import random
+import signal
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import pytest
+from helpers.child_processes import at_work, ended, finish, processes, recorded, same, start, until, write
+from helpers.example_scenes import paper
+from helpers.kill_moments import kill_moments
+
+from lmpchain import Chain, EngineUnavailable, Impulse, Scene, Trajectory, engines, resume, simulate
+from lmpchain.engines import error_estimate, time_stepping
+from lmpchain.engines.lammps import engine as lammps_engine
+from lmpchain.engines.lammps.subprocess_ranks import SubprocessRanks
+from lmpchain.engines.linear import engine as linear
+from lmpchain.simulation import run_folder
+from lmpchain.simulation.run_folder import status
+from lmpchain.simulation.task import is_run
+from lmpchain.util import files, leftovers
+
+CHAIN = Chain(grains=200, diameter=1e-3)
+STRIKE = Impulse(velocity=8.57e-3)
+SHORT = Scene(chain=CHAIN, excitation=STRIKE, duration=1e-4, samples=13)
+SMALL = Scene(chain=Chain(grains=12, diameter=1e-3), excitation=Impulse(velocity=0.05), duration=2e-5, samples=9)
+
+# --- every moment of the disk
+
+
+def native(_: pytest.MonkeyPatch):
+    """Several attempts, each at a shorter step."""
+    return SHORT, engines.Native(adaptive=False), 1e-4
+
+
+def lammps(monkeypatch: pytest.MonkeyPatch):
+    """An attempt with the physical diameter, for a law of round-off that hopes for too much, and one with the gauge."""
+    monkeypatch.setattr(lammps_engine, "ROUNDING", 1e-6)
+    return paper("weak", 13), engines.Lammps(), 1e-6
+
+
+def breakdown(monkeypatch: pytest.MonkeyPatch):
+    """A first attempt with steps that are far too long, so that it breaks down."""
+    honest = time_stepping.TimeSteppingEngine.choose_step
+
+    def choose(*arguments):
+        candidate = honest(*arguments)
+        longer = candidate.steps_per_sample * candidate.step
+        return replace(candidate, step=longer, steps_per_sample=1)
+
+    monkeypatch.setattr(time_stepping.TimeSteppingEngine, "choose_step", choose)
+    scene = Scene(chain=SMALL.chain, excitation=SMALL.excitation, duration=1.5e-4, samples=13)
+    return scene, engines.Native("verlet"), 1e-3
+
+
+def fallback(monkeypatch: pytest.MonkeyPatch):
+    """An attempt of "auto" with linear theory, which turns out to leave out too much."""
+    monkeypatch.setattr(linear, "bounds", lambda _: (0.0, 0.0))
+    monkeypatch.setattr(time_stepping, "seconds", lambda *_: 1.0)
+    monkeypatch.setattr(linear, "seconds", lambda *_: 1e-6)
+    chain = Chain(grains=6, diameter=1e-3, gravity=0.0, top_load=1e-3)
+    strike = Impulse(velocity=0.1 * chain.length_scale / chain.time_scale)
+    return Scene(chain=chain, excitation=strike, duration=30.0 * chain.time_scale, samples=11), "auto", 1e-6
+
+
+@pytest.fixture
+def busy_disk(monkeypatch: pytest.MonkeyPatch):
+    """Have a checkpoint after every four samples, and do not wait for the disk."""
+    monkeypatch.setattr(files, "_to_disk", lambda _: None)
+    monkeypatch.setattr(error_estimate, "BLOCK_S", 1e-9)
+    monkeypatch.setattr(run_folder, "OFTEN_S", 0.0)
+    monkeypatch.setattr(run_folder, "SHARE", 1e9)
+
+
+EVERY = [(case, most) for case in (native, lammps, breakdown, fallback) for most in (4, 60)]
+
+
+@pytest.mark.filterwarnings("ignore:Eq. ")
+@pytest.mark.parametrize(
+    ("case", "most"), [pytest.param(*each, marks=pytest.mark.slow if each[1] > 4 else ()) for each in EVERY]
+)
+def test_a_kill_at_any_change_of_the_disk(
+    case: Callable, most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, busy_disk: None
+):
+    scene, engine, tolerance = case(monkeypatch)
+    right, run, rng = simulate(scene, engine, tolerance), tmp_path / "run", random.Random(case.__name__)
+    left = kill_moments(run, lambda: simulate(scene, engine, tolerance, folder=run), most, rng, tmp_path / "killed")
+    assert status(run)["attempt"] >= (1 if case is fallback else 2)
+    begun = [folder for folder in left if (folder / "scene.toml").exists()]  # else there is nothing to go on with
+    assert len(begun) > most / 2
+    for folder in begun:
+        if status(folder)["state"] == "killed" and rng.random() < 0.5:  # the next session is killed, too
+            again = kill_moments(folder, lambda at=folder: resume(at), 1, rng, tmp_path / f"again {folder.name}")
+            folder = again[0]
+        answer = resume(folder)
+        assert same(answer, right), folder
+        assert answer.cost.steps == right.cost.steps
+        assert names(folder) == names(run)
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
+
+
+# --- ranks
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("victim", [0, 1, "mpiexec"])
+def test_a_killed_rank_is_no_step_that_is_too_long(victim: int | str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Whichever process of the ranks goes, in an attempt whose step is not given, the same attempt goes on."""
+    scene, engine = SMALL, engines.Lammps("kahan-li6", ranks=2)
+    right, rng = simulate(scene, engines.Lammps("kahan-li6"), 1e-4), random.Random(str(victim))
+    honest, left = SubprocessRanks.ask, [0]
+
+    def ask(self: SubprocessRanks, name: str, *values: object) -> list:
+        left[0] -= name == "advance"
+        if name == "advance" and not left[0]:
+            os.kill(self._mpiexec.pid if victim == "mpiexec" else self.pids[victim], signal.SIGKILL)
+            until(lambda: not any(alive(pid) for pid in self.pids))
+        return honest(self, name, *values)
+
+    monkeypatch.setattr(SubprocessRanks, "ask", ask)
+    left[0] = rng.randint(1, 5)
+    with pytest.raises(EngineUnavailable, match=r"a rank of LAMMPS died.*lmpchain resume .* goes on"):
+        simulate(scene, engine, 1e-4, folder=tmp_path / "run")
+    said = status(tmp_path / "run")
+    assert (said["state"], said["attempt"]) == ("failed", 1)
+    left[0] = rng.randint(1, 5)
+    with pytest.raises(EngineUnavailable):
+        resume(tmp_path / "run")
+    answer = resume(tmp_path / "run", ranks=1)
+    assert same(answer, right)
+    assert (answer.cost.steps, answer.cost.ranks) == (right.cost.steps, 1)
+    sessions = json.loads((tmp_path / "run" / "run.json").read_text())["sessions"]
+    assert [session["ranks"] for session in sessions] == [2, 2, 1]
+
+
+def alive(pid: int) -> bool:
+    """Say whether a process is there, and more than the entry of one that has ended."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+    except OSError:
+        return False
+
+
+@pytest.mark.slow
+def test_ranks_hold_no_name_of_shared_memory_and_end_with_their_launcher(tmp_path: Path):
+    """What no kill leaves behind: a name in /dev/shm, or a rank whose launcher was killed with all that watches it."""
+    scene = Scene(chain=CHAIN, excitation=STRIKE, duration=1.0, samples=20001)
+    mark = {"MARK": str(tmp_path), "TMPDIR": str(tmp_path / "scratch")}
+    (tmp_path / "scratch").mkdir()
+    words = ["run", write(scene, tmp_path), "-o", f"{tmp_path}/run/", *VERLET, "--ranks", "2"]
+    process = start(*words, env=os.environ | mark)
+    try:
+        at_work(tmp_path / "run", process)
+        there = processes(f"MARK={tmp_path}")
+        assert len(there) >= 5, "lmpchain, mpiexec, its proxy and two ranks"
+        shared = [
+            line for pid in there for line in Path(f"/proc/{pid}/maps").read_text().splitlines() if "mpich" in line
+        ]
+        assert [line for line in shared if "/dev/shm" in line and not line.endswith("(deleted)")] == []
+        assert os.listdir(tmp_path / "scratch") == []
+        for pid in there:
+            if (
+                b"hydra" in Path(f"/proc/{pid}/cmdline").read_bytes()
+                or b"mpiexec" in Path(f"/proc/{pid}/cmdline").read_bytes()
+            ):
+                os.kill(pid, signal.SIGKILL)
+        code, said = ended(process)
+    finally:
+        process.kill()
+    assert code == 1
+    assert "a rank of LAMMPS died" in said
+    until(lambda: not processes(f"MARK={tmp_path}"))
+
+
+def test_shared_memory_of_killed_runs_is_swept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """That of ranks which were killed as they attached to it; not what is in use, new, or of another program."""
+    monkeypatch.setattr(leftovers, "SHARED", tmp_path)
+    names = ("mpich_shm_old_0", "mpich_shm_used_0", "other_old")
+    for name in (*names, "mpich_shm_new_0"):
+        (tmp_path / name).write_bytes(bytes(4096))
+    for name in names:
+        os.utime(tmp_path / name, (1, 1))
+    with open(tmp_path / names[1], "rb") as held, mmap.mmap(held.fileno(), 0, prot=mmap.PROT_READ):
+        leftovers.sweep_shared_memory.__wrapped__()
+        assert sorted(os.listdir(tmp_path)) == ["mpich_shm_new_0", "mpich_shm_used_0", "other_old"]
+        leftovers.unname_shared_memory()
+        assert sorted(os.listdir(tmp_path)) == ["mpich_shm_new_0", "other_old"]
+
+
+# --- kills at random moments
+
+LONG = Scene(chain=CHAIN, excitation=STRIKE, duration=4e-3, samples=3001)
+LONGER = Scene(chain=CHAIN, excitation=STRIKE, duration=1e-3, samples=1001)
+VERLET = ["--engine", "lammps", "--integrator", "verlet", "--step", "2e-8", "--diameter", "physical"]
+FREE = ["--engine", "lammps", "--integrator", "kahan-li6", "--tolerance", "1e-4"]
+# scene, words for `run`, and the processes that mpirun starts for the first command and those after it, in turn
+CASES = {
+    "native": (LONG, ["--engine", "native", "--step", "5e-9"], [1]),
+    "native to a tolerance": (LONG, ["--engine", "native", "--tolerance", "1e-2"], [1]),
+    "lammps": (LONGER, VERLET, [1]),
+    "two ranks": (LONGER, [*VERLET, "--ranks", "2"], [1]),
+    "two ranks to a tolerance": (LONGER, [*FREE, "--ranks", "2"], [1]),
+    "mpirun": (LONGER, VERLET, [2, 1, 2]),
+    "two ranks, then mpirun": (LONGER, [*VERLET, "--ranks", "2"], [1, 2, 1]),
+}
+
+
+@cache
+def truth(case: str) -> Trajectory:
+    """Return the uninterrupted answer, in memory and on one rank."""
+    match case:
+        case "native":
+            return simulate(LONG, engines.Native(step=5e-9))
+        case "native to a tolerance":
+            return simulate(LONG, "native", 1e-2)
+        case "two ranks to a tolerance":
+            return simulate(LONGER, engines.Lammps("kahan-li6"), 1e-4)
+    return simulate(LONGER, engines.Lammps("verlet", step=2e-8, diameter="physical"))
+
+
+def killed(case: str, folder: Path, parts: list[float], rng: random.Random) -> tuple[Trajectory, int]:
+    """Run a case; kill a part of it, drawn at random, once so many of its samples are there.
+
+    Returns the answer, and how often something was killed. A part below 0 is of the time before the first sample.
+    """
+    scene, words, ranks = CASES[case]
+    scratch, mark = folder / "scratch", f"MARK={folder}"
+    scratch.mkdir(parents=True)
+    environment = os.environ | {"MARK": str(folder), "TMPDIR": str(scratch)}
+    command: tuple[object, ...] = ("run", write(scene, folder), "-o", f"{folder}/run/", *words)
+    counts, kills = itertools.cycle(ranks), 0
+    for part in parts:
+        process = start(*command, ranks=next(counts), env=environment)
+        while process.poll() is None and recorded(folder / "run") < part * scene.samples:
+            time.sleep(0.005)
+        time.sleep(rng.uniform(0, 3) if part < 0 else rng.uniform(0, 0.1))  # not always just behind a sample
+        there = processes(mark)
+        victim = process.pid if rng.random() < 0.5 or not there else rng.choice(there)
+        alive_still = process.poll() is None
+        with suppress(ProcessLookupError):
+            os.kill(victim, signal.SIGKILL)
+        code, said = ended(process)
+        assert "Traceback" not in said, said
+        until(lambda: not processes(mark))  # nothing of it is left
+        if is_run(folder / "run"):  # else it was so early that there is nothing to go on with
+            command, kills = ("resume", folder / "run"), kills + (alive_still and code != 0)
+    code, said = finish(*command, ranks=next(counts), env=environment)
+    assert code == 0, said
+    until(lambda: not processes(mark))
+    assert os.listdir(scratch) == []
+    assert sorted(os.listdir(folder)) == ["in.toml", "run", "scratch"]
+    assert [name for name in names(folder) if "partial" in name] == []
+    return Trajectory.load(folder / "run"), kills
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("case", "times"), [("native", 2), ("lammps", 1), ("two ranks, then mpirun", 2)])
+def test_killed_again_and_again(case: str, times: int, tmp_path: Path):
+    rng = random.Random(case)
+    parts = sorted(rng.uniform(0.01, 0.5) for _ in range(times))
+    answer, kills = killed(case, tmp_path / "here", parts, rng)
+    assert kills >= 1
+    assert same(answer, truth(case))
+    assert status(tmp_path / "here" / "run")["state"] == "finished"
+
+
+SOAK = {
+    "native": 50,
+    "native to a tolerance": 50,
+    "two ranks": 40,
+    "two ranks to a tolerance": 60,
+    "lammps": 30,
+    "mpirun": 30,
+}
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(0)
+@pytest.mark.parametrize(
+    ("case", "piece"), [(case, piece) for case, times in SOAK.items() for piece in range(times // 10)]
+)
+def test_killed_at_random(case: str, piece: int, tmp_path: Path):
+    """Ten kills, some of them of the same run."""
+    right, rng, count = truth(case), random.Random(f"{case} {piece}"), 0
+    for attempt in itertools.count():
+        parts = sorted(rng.uniform(-0.2, 1) for _ in range(rng.choice([1, 1, 2, 3])))
+        answer, kills = killed(case, tmp_path / str(attempt), parts, rng)
+        assert same(answer, right), f"{parts} after {count} kills that went well"
+        assert answer.cost.steps == right.cost.steps
+        count += kills
+        if count >= 10:
+            break

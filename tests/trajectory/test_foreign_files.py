@@ -1,0 +1,397 @@
+"""Files from someone else: what lmpchain did not write is refused before anything in it is opened."""
+
+import hashlib
+import io
+import json
+import os
+import pickle
+import shutil
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numcodecs
+import numpy as np
+import pytest
+from helpers.child_processes import finish
+from numcodecs.abc import Codec
+
+from lmpchain import Chain, Impulse, InputError, Scene, Stopped, Trajectory, resume, simulate
+from lmpchain.cli.command_line import main
+from lmpchain.engines import error_estimate
+from lmpchain.simulation import task as tasks
+
+SCENE = Scene(
+    chain=Chain(grains=12, material="glass", diameter=1e-3),
+    excitation=Impulse(velocity=1e-5),
+    duration=2e-5,
+    samples=41,
+)
+
+
+@pytest.fixture(scope="module")
+def originals(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a run in a file, in a run folder, and in one that was stopped."""
+    folder = tmp_path_factory.mktemp("originals")
+    simulate(SCENE, "native", folder=folder / "run").save(folder / "run.nc")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(error_estimate, "BLOCK_S", 1e-9)  # four samples a block
+        with pytest.raises(Stopped):
+            simulate(SCENE, "native", folder=folder / "stopped", max_wall=1e-9)
+    return folder
+
+
+@pytest.fixture
+def run(originals: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(originals / "run", tmp_path / "run"))
+
+
+@pytest.fixture
+def stopped(originals: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(originals / "stopped", tmp_path / "stopped"))
+
+
+def refused(path: Path, capsys: pytest.CaptureFixture[str]) -> str:
+    """Return the one line with which a file is refused by all that read it."""
+    with pytest.raises(InputError) as caught:
+        Trajectory.load(path)
+    ((key, why),) = caught.value.faults
+    assert key == str(path)
+    capsys.readouterr()
+    for words in (["fit", str(path)], ["report", str(path), "-o", str(path.parent / "new.html")]):
+        assert main(words) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 2, said
+    assert all(line.startswith(f"error: {path}: ") for line in said)
+    assert not (path.parent / "new.html").exists()
+    return why
+
+
+class Trap:
+    """What leaves a mark when it is unpickled."""
+
+    def __init__(self, mark: Path):
+        self.mark = mark
+
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[str, bytes]]:
+        return Path.write_bytes, (self.mark, b"")  # type: ignore[return-value]
+
+
+class Unpickling(Codec):
+    """The codec "pickle" of older versions of numcodecs, under another name."""
+
+    codec_id = "lmpchain-test-pickle"
+
+    def encode(self, buf: Any) -> bytes:
+        return pickle.dumps(buf)
+
+    def decode(self, buf: Any, out: Any = None) -> Any:
+        return pickle.loads(bytes(buf))
+
+
+numcodecs.register_codec(Unpickling)
+
+
+@pytest.mark.parametrize("codec", ["pickle", Unpickling.codec_id])
+@pytest.mark.parametrize("kind", ["filters", "compressor"])
+def test_no_pickle_of_a_store_is_opened(run: Path, codec: str, kind: str, capsys: pytest.CaptureFixture[str]):
+    """The store is one of Zarr version 2 and made by hand; its filter runs what its chunks say."""
+    mark, store = run.parent / "mark", run / "trajectory.zarr"
+    about = json.loads((store / "zarr.json").read_text())["attributes"]
+    shutil.rmtree(store)
+    fields = {"displacement": (41, 12), "velocity": (41, 12), "time": (41,), "grain": (12,)}
+    (store / "velocity").mkdir(parents=True)
+    (store / ".zgroup").write_text('{"zarr_format": 2}')
+    (store / ".zattrs").write_text(json.dumps(about))
+    for name, shape in fields.items():
+        made = {"zarr_format": 2, "shape": shape, "chunks": shape, "dtype": "|O", "fill_value": None, "order": "C"}
+        made |= {"filters": None, "compressor": None} | {
+            kind: [{"id": codec}] if kind == "filters" else {"id": codec, "protocol": 5}
+        }
+        (store / name).mkdir(exist_ok=True)
+        (store / name / ".zarray").write_text(json.dumps(made))
+        dimensions = ["time", "grain"] if len(shape) == 2 else [name]
+        (store / name / ".zattrs").write_text(json.dumps({"_ARRAY_DIMENSIONS": dimensions}))
+        (store / name / ".".join("0" * len(shape))).write_bytes(pickle.dumps(Trap(mark)))
+    assert "Zarr format 3" in refused(run, capsys)
+    assert not mark.exists()
+
+
+def changed(run: Path, name: str, change: Callable[[dict[str, Any]], None]) -> None:
+    """Change the metadata of an array where they stand: with it, and together with those of the others."""
+    for path, where in ((run / "trajectory.zarr" / name, None), (run / "trajectory.zarr", name)):
+        about = json.loads((path / "zarr.json").read_text())
+        change(about["consolidated_metadata"]["metadata"][name] if where else about)
+        (path / "zarr.json").write_text(json.dumps(about))
+
+
+CODEC = {"name": "numcodecs.pickle", "configuration": {}}
+CHANGES: dict[str, tuple[str, Callable[[dict[str, Any]], None]]] = {
+    "codec": ("time", lambda about: about["codecs"].append(CODEC)),
+    "other codec": ("time", lambda about: about["codecs"].__setitem__(1, {"name": "gzip", "configuration": {}})),
+    "codec in a shard": (
+        "velocity",
+        lambda about: about["codecs"][0]["configuration"]["codecs"].append(CODEC),
+    ),
+    "codec of an index": (
+        "velocity",
+        lambda about: about["codecs"][0]["configuration"]["index_codecs"].append(CODEC),
+    ),
+    "no shards": ("velocity", lambda about: about.update(codecs=[{"name": "bytes"}])),
+    "transformer": ("velocity", lambda about: about["storage_transformers"].append({"name": "remote"})),
+    "objects": ("velocity", lambda about: about.update(data_type="object")),
+    "text": ("grain", lambda about: about.update(data_type="string", fill_value="")),
+    "single precision": ("velocity", lambda about: about.update(data_type="float32")),
+    "shape": ("velocity", lambda about: about.update(shape=[10**9, 12])),
+    "shape of times": ("time", lambda about: about.update(shape=[10**12])),
+    "shard": ("velocity", lambda about: about["chunk_grid"]["configuration"].update(chunk_shape=[48 * 10**8, 12])),
+    "chunk": (
+        "velocity",
+        lambda about: about["codecs"][0]["configuration"].update(chunk_shape=[48 * 10**8, 12]),
+    ),
+    "fill": ("velocity", lambda about: about.update(fill_value=0.0)),
+    "unknown": ("velocity", lambda about: about.update(plugin={"must_understand": False})),
+    "a list": ("velocity", lambda about: about.update(codecs=[[]])),
+    "nothing": ("velocity", lambda about: about.clear()),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_store_that_is_laid_out_otherwise_is_refused_unopened(
+    run: Path, change: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    import xarray
+    import zarr
+
+    changed(run, *CHANGES[change])
+    for library, opening in ((xarray, "open_dataset"), (zarr, "open_group"), (zarr, "open_array")):
+        monkeypatch.setattr(library, opening, lambda *_, **__: pytest.fail("it was opened"))
+    refused(run, capsys)
+
+
+def test_a_chunk_that_claims_more_than_it_holds_is_refused(run: Path, capsys: pytest.CaptureFixture[str]):
+    path = run / "trajectory.zarr" / "time" / "c" / "0"
+    content = bytearray(path.read_bytes())
+    content[4:8] = (2**31 - 17).to_bytes(4, "little")  # bytes that Blosc is to make room for
+    path.write_bytes(content)
+    assert "more than it" in refused(run, capsys)
+
+
+@pytest.mark.parametrize("where", ["trajectory.zarr", "trajectory.zarr/velocity", "trajectory.zarr/velocity/c/0/0"])
+@pytest.mark.parametrize("kind", ["link", "pipe"])
+def test_nothing_outside_of_a_run_folder_is_read_or_written(
+    run: Path, where: str, kind: str, capsys: pytest.CaptureFixture[str]
+):
+    path, outside = run / where, run.parent / "outside"
+    os.rename(path, outside)
+    before = {p: p.read_bytes() for p in outside.rglob("*") if p.is_file()}
+    if kind == "link":
+        path.symlink_to(outside)
+    else:
+        os.mkfifo(path)
+    refused(run, capsys)
+    assert main(["resume", str(run)]) == 2
+    assert capsys.readouterr().err.startswith(f"error: {run}: ")
+    assert before == {p: p.read_bytes() for p in outside.rglob("*") if p.is_file()}
+
+
+@pytest.mark.parametrize("name", ["run.json", "scene.toml", "status.json", "checkpoint", ".lock", "deck"])
+@pytest.mark.parametrize("kind", ["link", "pipe"])
+def test_a_run_is_not_resumed_through_links(stopped: Path, name: str, kind: str, capsys: pytest.CaptureFixture[str]):
+    path, outside = stopped / name, stopped.parent / "outside"
+    outside.write_bytes(path.read_bytes() if path.exists() else b"mine")
+    before = outside.read_bytes()
+    path.unlink(missing_ok=True)
+    path.symlink_to(outside) if kind == "link" else os.mkfifo(path)
+    assert main(["resume", str(stopped)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"error: {stopped}: ")
+    assert outside.read_bytes() == before
+
+
+def test_a_run_folder_brings_no_commands(stopped: Path):
+    """Commands of LAMMPS can start programs; what a run folder names is not run."""
+    mark, path = stopped.parent / "mark", stopped / "run.json"
+    (stopped / "more.in").write_text(f"shell touch {mark}\n")
+    asked = json.loads(path.read_text())
+    for options in ({"include": str(stopped / "more.in")}, {"template": str(stopped / "more.in")}):
+        asked |= {"engine": "lammps", "options": options | {"integrator": "verlet", "step": 1e-7}}
+        path.write_text(json.dumps(asked | {"sha256": tasks._seal(asked, (stopped / "scene.toml").read_text())}))
+        with pytest.raises(InputError, match="leave it out with a run folder"):
+            resume(stopped)
+    assert not mark.exists()
+
+
+# --- checkpoints: their hash stands in them, so that anybody can make one
+
+
+def with_checkpoint(folder: Path, content: bytes) -> None:
+    (folder / "checkpoint-before").unlink()
+    (folder / "checkpoint").write_bytes(hashlib.sha256(content).digest() + content)
+
+
+def arrays_of(folder: Path) -> dict[str, np.ndarray]:
+    with np.load(io.BytesIO((folder / "checkpoint").read_bytes()[32:])) as arrays:
+        return dict(arrays)
+
+
+def test_no_pickle_of_a_checkpoint_is_opened(stopped: Path):
+    mark = stopped.parent / "mark"
+    packed = io.BytesIO()
+    np.savez(packed, notes=arrays_of(stopped)["notes"], **{"state.0.u": np.array([Trap(mark)], dtype=object)})
+    with_checkpoint(stopped, packed.getvalue())
+    with pytest.warns(UserWarning, match="the newest checkpoint is damaged; going on from the start"):
+        assert np.array_equal(resume(stopped).velocity, simulate(SCENE, "native").velocity)
+    assert not mark.exists()
+
+
+@pytest.mark.parametrize("what", ["compressed", "huge", "not an archive"])
+def test_a_checkpoint_that_is_none_is_not_used(stopped: Path, what: str):
+    packed, arrays = io.BytesIO(), arrays_of(stopped)
+    if what == "compressed":
+        np.savez_compressed(packed, **arrays)
+    else:
+        np.savez(packed, **arrays)
+    if what == "huge":
+        header = io.BytesIO()
+        np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (10**12,)})
+        with zipfile.ZipFile(packed, "a") as archive:
+            archive.writestr("state.more.npy", header.getvalue())
+    with_checkpoint(stopped, packed.getvalue() if what != "not an archive" else b"PK")
+    with pytest.warns(UserWarning, match="the newest checkpoint is damaged; going on from the start"):
+        assert np.array_equal(resume(stopped).velocity, simulate(SCENE, "native").velocity)
+
+
+@pytest.mark.parametrize("what", ["window", "shape", "sample", "lost", "none", "text"])
+def test_the_state_of_a_checkpoint_fits_its_run(stopped: Path, what: str):
+    """The compiled loops trust the state: they do not look whether they are inside of their arrays."""
+    arrays = arrays_of(stopped)
+    if what == "window":
+        arrays["state.0.state"][0, 3] = -1e9
+    elif what == "shape":
+        arrays["state.0.history"] = np.zeros((1, 9, 9))
+    elif what == "sample":
+        arrays["state.sample"] = np.array(3)
+    elif what == "lost":
+        del arrays["state.differences"]
+    elif what == "none":
+        arrays["state.7.u"] = np.zeros(1)
+    else:
+        arrays["state.0.u"] = np.array(["a"] * 12)
+    packed = io.BytesIO()
+    np.savez(packed, **arrays)
+    with_checkpoint(stopped, packed.getvalue())
+    with pytest.raises(InputError, match="checkpoint: does not fit"):
+        resume(stopped)
+
+
+# --- HDF5
+
+
+def linked(file: h5py.File, outside: Path) -> None:
+    file["velocity"] = h5py.ExternalLink(outside, "/velocity")
+
+
+def loop(file: h5py.File, outside: Path) -> None:
+    file["velocity"] = h5py.SoftLink("/again")
+    file["again"] = h5py.SoftLink("/velocity")
+
+
+def soft(file: h5py.File, outside: Path) -> None:
+    file["other"] = np.zeros((41, 12))
+    file["velocity"] = h5py.SoftLink("/other")
+
+
+def external(file: h5py.File, outside: Path) -> None:
+    file.create_dataset("velocity", (41, 12), "f8", external=[(str(outside), 0, h5py.h5f.UNLIMITED)])
+
+
+def virtual(file: h5py.File, outside: Path) -> None:
+    layout = h5py.VirtualLayout((41, 12), "f8")
+    layout[:] = h5py.VirtualSource(outside, "velocity", (41, 12))
+    file.create_virtual_dataset("velocity", layout)
+
+
+def huge(file: h5py.File, outside: Path) -> None:
+    file.create_dataset("velocity", (41, 10**12), "f8")
+
+
+def unwritten(file: h5py.File, outside: Path) -> None:
+    file.create_dataset("velocity", (41, 12), "f8")
+
+
+def packed(file: h5py.File, outside: Path) -> None:
+    file.create_dataset("velocity", data=np.zeros((41, 12)), compression="gzip")
+
+
+def objects(file: h5py.File, outside: Path) -> None:
+    file.create_dataset("velocity", (41, 12), h5py.string_dtype())
+
+
+def group(file: h5py.File, outside: Path) -> None:
+    file.create_group("velocity")
+
+
+def long_scene(file: h5py.File, outside: Path) -> None:
+    file["velocity"] = np.zeros((41, 12))
+    text = file.attrs["scene"]
+    file.attrs["scene"] = text.replace("grains = 12", "grains = 100000000")
+
+
+def many_scenes(file: h5py.File, outside: Path) -> None:
+    file["velocity"] = np.zeros((41, 12))
+    file.attrs["scene"] = np.array(["a", "b"], dtype=object)
+
+
+def tables(file: h5py.File, outside: Path) -> None:
+    file["velocity"] = np.zeros((41, 12))
+    text = file.attrs["scene"]
+    file.attrs["scene"] = text.replace("grains = 12", f'file = "{outside}"')
+
+
+KINDS = [
+    linked,
+    loop,
+    soft,
+    external,
+    virtual,
+    huge,
+    unwritten,
+    packed,
+    objects,
+    group,
+    long_scene,
+    many_scenes,
+    tables,
+]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_only_plain_arrays_of_the_file_itself_are_read(
+    originals: Path, tmp_path: Path, kind: Callable[[h5py.File, Path], None], capsys: pytest.CaptureFixture[str]
+):
+    outside, path = tmp_path / "outside.nc", tmp_path / "run.nc"
+    for copy in (outside, path):
+        shutil.copy(originals / "run.nc", copy)
+    with h5py.File(path, "r+") as file:
+        del file["velocity"]
+        kind(file, outside)
+    refused(path, capsys)
+
+
+def test_a_damaged_file_is_refused_in_one_line(originals: Path, tmp_path: Path):
+    """h5netcdf used to print a traceback after it."""
+    content = (originals / "run.nc").read_bytes()
+    (tmp_path / "run.nc").write_bytes(b"\x89HDF\r\n\x1a\n" + content[8 : len(content) // 2])
+    code, said = finish("fit", tmp_path / "run.nc")
+    assert code == 2
+    assert said.count("\n") == 1, said
+
+
+@pytest.mark.parametrize("kind", ["pipe", "device"])
+def test_what_is_no_file_is_refused(tmp_path: Path, kind: str, capsys: pytest.CaptureFixture[str]):
+    path = tmp_path / "run.nc"
+    os.mkfifo(path) if kind == "pipe" else path.symlink_to("/dev/zero")
+    refused(path, capsys)

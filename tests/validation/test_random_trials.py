@@ -1,0 +1,80 @@
+"""Thousands of random scenes against an independent integrator, and that integrator against exact solutions.
+
+Counts of a range of seeds, the trials that failed, and any one of them: `python -m validation.random_trials`.
+"""
+
+from math import gamma, pi, sqrt
+
+import numpy as np
+import pytest
+from helpers.example_scenes import paper
+from helpers.independent_integrators import extended_reference
+from helpers.taylor_series import reference
+from validation.random_trials import FAMILIES, table, trial
+
+from lmpchain import Chain, Drive, Impulse, Profile, Scene
+
+pytestmark = pytest.mark.slow  # it needs a C compiler
+TRIALS = {"native": 5000, "step": 1000, "auto": 1000, "linear": 500, "lammps": 300}
+
+
+def test_the_reference_finds_a_harmonic_oscillator():
+    chain = Chain(grains=2, diameter=1e-3, exponent=1.0, gravity=0.0, top_load=1.0)
+    omega = sqrt(chain.linear_stiffness[0] / chain.masses[0])
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=1000 / omega, samples=101)
+    found, error = reference(scene, 1e-19)
+    exact = np.cos(omega * scene.time.astype(np.longdouble))
+    assert error < 1e-14
+    assert np.abs(found.velocity[:, 0] / 1e-6 - exact).max() < 1e-13  # the last digit of omega, 1000 times
+    assert found.largest[0] == pytest.approx(1e-6 / omega, rel=1e-2)
+
+
+@pytest.mark.parametrize("delta", [1.0, 1.25, 1.5, 2.0, 3.0])
+def test_the_reference_finds_a_collision(delta):
+    """Two equal grains exchange their velocities, in the time that the energy integral gives."""
+    chain = Chain(grains=2, diameter=1e-3, gravity=0.0, exponent=delta, bottom="free")
+    mass, constant, speed, power = chain.masses[0] / 2, chain.contact_constants[0], 1e-3, 1 / (delta + 1)
+    deepest = ((delta + 1) * mass * speed**2 / (2 * constant)) ** power
+    lasts = 2 * deepest / speed * sqrt(pi) * gamma(1 + power) / gamma(0.5 + power)
+    ends = Scene(chain=chain, excitation=Impulse(velocity=speed), duration=lasts, samples=3)
+    found, error = reference(ends, 1e-19)
+    assert error < 1e-14
+    np.testing.assert_allclose(found.velocity[[0, -1]] / speed, [[1, 0], [0, 1]], atol=3e-15)
+    assert found.displacement[1] @ [1, -1] == pytest.approx(deepest, rel=1e-14)
+    for change in (1e-3, -1e-3):  # still pressed, or apart for long
+        found, _ = reference(ends.replace(duration=lasts * (1 - change)), 1e-19)
+        force = found.velocity[-1, 0] / speed
+        assert (force > 1e-12) if change > 0 and delta < 3 else abs(force) < 1e-7
+
+
+def test_the_reference_agrees_with_the_other_independent_one():
+    springs = Chain(grains=6, diameter=1e-3, exponent=1.0, top_load=1e-3, top="wall", bottom="wall")
+    vacuum = Chain(grains=12, diameter=1e-3, exponent=2.5, gravity=0.0, bottom="wall")
+    sine = Drive(amplitude=1e-8, frequency=2e4)
+    spline = Drive(times=[0, 1e-5, 3e-5, 5e-5, 6e-5], displacement=[0, 1e-9, -1e-9, 2e-9, 0])
+    for scene in (
+        paper("fig1", 5),
+        Scene(chain=springs, excitation=Profile(velocity=[0, 1e-3, 0, 0, -1e-3, 0]), duration=3e-6, samples=5),
+        Scene(chain=vacuum, excitation=Impulse(velocity=0.1), duration=1e-5, samples=5),
+        *(Scene(chain=Chain(grains=5, diameter=1e-3), excitation=e, duration=5e-5, samples=5) for e in (sine, spline)),
+    ):
+        found, error = reference(scene, 1e-19)
+        u, v, other = extended_reference(scene, 1e-16)
+        assert error < 1e-13
+        assert found.error(u, v) < 3 * (other + error)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_few_trials(family):
+    rows = [trial(family, seed) for seed in range(3, 9)]
+    assert {row["ending"] for row in rows} <= {"right", "missed", "refused", "unresolved"}, table(rows)
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(0)
+@pytest.mark.parametrize("family", FAMILIES)
+def test_no_answer_is_above_its_tolerance_unsaid(family):
+    rows = [trial(family, seed) for seed in range(TRIALS[family])]
+    print(told := table(rows))
+    assert not [row for row in rows if row["ending"] in ("above", "failed", "slow")], told
+    assert sum(bool(row.get("low")) for row in rows) <= len(rows) / 1000, told

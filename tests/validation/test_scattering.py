@@ -1,0 +1,133 @@
+"""Impurities and Ramsauer-Townsend resonances in chains of spheres: closed forms, and packets in the native engine."""
+
+import numpy as np
+import pytest
+
+import lmpchain
+from lmpchain.theory.scattering import transmission, transparent
+
+HOST = {"diameter": 1e-3, "material": "steel", "gravity": 0.0, "top_load": 10.0}
+
+
+def _edge(chain: lmpchain.Chain) -> float:
+    return 2 * float(np.sqrt(chain.linear_stiffness[0] / chain.masses[0]))
+
+
+def _with(diameter: float, grains: list[int], total: int = 15) -> lmpchain.Chain:
+    return lmpchain.Chain(grains=total, **HOST, impurity=[{"grain": n, "diameter": diameter * 1e-3} for n in grains])
+
+
+def _closed(k: np.ndarray, mass: float, beside: float, between: float | None) -> np.ndarray:
+    """Return T of one impurity, or of two if there is a contact between them, all relative to the host.
+
+    Source: Martinez, Yasuda, Kim, Kevrekidis, Porter and Yang, Phys. Rev. E 93, 052224 (2016), derived again.
+    """
+    y = 4 * mass * np.sin(k / 2) ** 2
+    if between is None:
+        even, odd = 1 + beside * y / (2 * beside - y), 1 - beside
+    else:
+        even, odd = 1 + beside * y / (beside - y), 1 + beside * (y - 2 * between) / (beside + 2 * between - y)
+    r = [(g * np.exp(-1j * k) - 1) / (1 - g * np.exp(1j * k)) for g in (even, odd)]
+    return np.abs(r[0] - r[1]) ** 2 / 4
+
+
+@pytest.mark.parametrize(
+    ("alpha", "published"),
+    [(0.5, [0.970052, 0.718629, 0.252156, 0.004277]), (2.0, [0.463157, 0.071997, 0.014462, 0.000244])],
+)
+def test_one_impurity(alpha: float, published: list[float]):
+    k = np.array([0.3, 1.0, 2.0, 3.0])
+    chain = _with(alpha, [8])
+    found = transmission(chain, _edge(chain) * np.sin(k / 2))
+    assert found.wavenumber == pytest.approx(k, rel=1e-12)
+    assert found.transmitted == pytest.approx(_closed(k, alpha**3, np.cbrt(2 * alpha / (1 + alpha)), None), rel=1e-12)
+    assert found.transmitted == pytest.approx(published, abs=5.1e-7)
+
+
+@pytest.mark.parametrize("mass", [0.2, 3.0])
+def test_a_defect_of_mass_alone(mass: float):
+    """T = 1 / (1 + ((M/m - 1) tan(k/2))^2)."""
+    k = np.linspace(0.05, 3.1, 40)
+    plain = lmpchain.Chain(grains=9, **HOST)
+    chain = lmpchain.Chain(grains=9, **HOST, impurity=[{"grain": 5, "mass": mass * plain.masses[0]}])
+    found = transmission(chain, _edge(chain) * np.sin(k / 2))
+    assert found.transmitted == pytest.approx(1 / (1 + ((mass - 1) * np.tan(k / 2)) ** 2), rel=1e-11)
+
+
+def test_a_defect_of_one_spring():
+    """T = 1 / (1 + ((K/K' - 1) tan(k/2))^2): mass and compliance are dual to one another."""
+    k = np.linspace(0.05, 3.1, 40)
+    constants = np.ones(8)
+    constants[4] = 2.0
+    chain = lmpchain.Chain(grains=9, diameter=1e5, gravity=0.0, top_load=1.0, masses=np.ones(9),
+                           contact_constants=constants)  # fmt: skip
+    ratio = chain.linear_stiffness[0] / chain.linear_stiffness[4]
+    found = transmission(chain, _edge(chain) * np.sin(k / 2))
+    assert found.transmitted == pytest.approx(1 / (1 + ((ratio - 1) * np.tan(k / 2)) ** 2), rel=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("alpha", "k", "share"),
+    [
+        (0.8, 2.5112540717, 0.9507439162),
+        (0.9, 1.8995598781, 0.8132874794),
+        (1.1, 1.3450334091, 0.6229566659),
+        (1.5, 0.8496891181, 0.4121791640),
+    ],
+)
+def test_ramsauer_townsend_pairs(alpha: float, k: float, share: float):
+    """A pair of spheres that differ is transparent at one frequency, and the frequency gives the pair."""
+    chain = _with(alpha, [7, 8])
+    found = transmission(chain, _edge(chain) * share)
+    assert found.reflected < 1e-18
+    assert found.wavenumber == pytest.approx(k, abs=1e-9)
+    wavenumbers = np.linspace(0.1, 3.1, 31)
+    closed = _closed(wavenumbers, alpha**3, np.cbrt(2 * alpha / (1 + alpha)), np.cbrt(alpha))
+    across = transmission(chain, _edge(chain) * np.sin(wavenumbers / 2))
+    assert across.transmitted == pytest.approx(closed, rel=1e-11)
+    plain = lmpchain.Chain(grains=15, **HOST)
+    assert transparent(plain, _edge(plain) * share, [7, 8]) == pytest.approx([alpha], abs=1e-9)
+    mass = 1 / (2 * share**2)  # w^2 = 2 K / M where only the masses differ
+    assert transparent(plain, _edge(plain) * share, [7, 8], "mass") == pytest.approx([mass], rel=1e-11)
+
+
+def test_small_pairs_are_never_transparent():
+    """None for alpha <= 0.75: transparency leaves the band above it."""
+    plain = lmpchain.Chain(grains=15, **HOST)
+    for share in (0.3, 0.9, 0.999):
+        assert all(factor > 0.75 for factor in transparent(plain, _edge(plain) * share, [7, 8]))
+
+
+@pytest.mark.parametrize(
+    ("alpha", "grains", "k"), [(2.0, [900], 1.0), (0.5, [900], 2.0), (1.1, [900, 901], 1.3450334091)]
+)
+def test_packets_in_the_native_engine(alpha: float, grains: list[int], k: float):
+    """Energy that passes is the mean of T over the spectrum of the packet, and what returns that of R."""
+    total, start, width, amplitude = 1800, 600, 60.0, 1e-5
+    chain = _with(alpha, grains, total)
+    w = _edge(chain)
+    n = np.arange(1, total + 1)
+    shape = np.exp(-(((n - start) / width) ** 2) / 2) * np.cos(k * (n - start)) * amplitude * chain.length_scale
+    wavenumber = 2 * np.pi * np.fft.fftfreq(total)
+    frequency, spectrum = w * np.abs(np.sin(wavenumber / 2)), np.fft.fft(shape)
+    velocity = np.fft.ifft(-1j * np.sign(wavenumber) * frequency * spectrum).real  # every component moves downward
+    velocity[np.abs(n - start) > 9 * width] = shape[np.abs(n - start) > 9 * width] = 0.0
+    speed = w / 2 * np.cos(k / 2)
+    scene = lmpchain.Scene(
+        chain=chain,
+        excitation=lmpchain.Profile(displacement=shape, velocity=velocity),
+        duration=600 / speed,
+        samples=2,
+    )
+    t = lmpchain.simulate(scene, engine="native", tolerance=1e-7)
+    u, v = t.displacement[-1], t.velocity[-1]
+    contact = chain.contacts.energy(chain.contacts.closer(u))[1:]
+    energy = chain.masses * v**2 / 2 + contact
+    inside = (frequency > 0) & (frequency < 0.999999 * w)
+    weight = (np.abs(spectrum) * frequency)[inside] ** 2
+    expected = transmission(chain, frequency[inside])
+    passed = energy[grains[-1] :].sum() / energy.sum()
+    assert passed == pytest.approx(expected.transmitted @ weight / weight.sum(), abs=2e-6)
+    assert energy[: grains[0] - 1].sum() / energy.sum() == pytest.approx(
+        expected.reflected @ weight / weight.sum(), abs=2e-6
+    )
