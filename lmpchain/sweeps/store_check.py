@@ -57,8 +57,8 @@ def _check(node: Path, about: dict[str, Any]) -> None:
         inner = about["codecs"][0]["configuration"]["chunk_shape"]
         codecs = codec_names_in_shards(about["codecs"], tuple(inner))
         width = 8 * math.prod(shape[1:])
-        plain &= chunk[1:] == shape[1:] == inner[1:] and chunk[0] % inner[0] == 0
-        plain &= 0 < inner[0] * width <= max(CHUNK_BYTES, width) and about["fill_value"] == FILLS[about["data_type"]]
+        plain &= inner[0] > 0 and chunk[0] % inner[0] == 0 and chunk[1:] == shape[1:] == inner[1:]
+        plain &= inner[0] * width <= max(CHUNK_BYTES, width) and about["fill_value"] == FILLS[about["data_type"]]
     else:
         codecs = codec_names(about["codecs"])
         held = sum(path.stat().st_size for path in (node / "c").rglob("*") if path.is_file())
