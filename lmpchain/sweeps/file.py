@@ -247,7 +247,7 @@ def is_name(text: Any) -> bool:
 
 
 def _plan(data: dict[str, Any], folder: Path, files: Any = None) -> Sweep:
-    """Return what the tables of a sweep file say; raises `InputError`. Files that are not given are looked up."""
+    """Return what the tables of a sweep file say, with the hashes of `files`; raises `InputError`."""
     there = f"the keys here are {', '.join(KEYS)}"
     faults = [(key, f"unknown key{did_you_mean(key, KEYS)}; {there}") for key in data if key not in KEYS]
     parts = {part: data[part] for part in MAKERS if part in data}

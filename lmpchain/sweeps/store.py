@@ -193,7 +193,7 @@ def open_store(folder: Path, writing: bool = False) -> Any:
 
 @contextmanager
 def _checked(folder: Path) -> Iterator[tuple[int, dict[str, dict[str, Any]]]]:
-    """Yield what `described` says of the store; raises `InputError` if it is not one, or of what is done with it."""
+    """Yield what `described` says of the store; raises `InputError` for any damage found meanwhile."""
     try:
         yield described(folder / RESULTS)
     except (OSError, ValueError, KeyError, TypeError, AttributeError, LookupError, RecursionError) as error:
