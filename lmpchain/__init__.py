@@ -29,7 +29,9 @@ if TYPE_CHECKING:
     from .errors import ToleranceNotMet as ToleranceNotMet
     from .scene.excitation import Displacement as Displacement
     from .scene.excitation import Drive as Drive
+    from .scene.excitation import Force as Force
     from .scene.excitation import Impulse as Impulse
+    from .scene.excitation import Packet as Packet
     from .scene.excitation import Profile as Profile
     from .scene.scene import Scene as Scene
     from .simulation.api import resume as resume
@@ -44,7 +46,7 @@ _MODULES = {
     "chain.chain": "Chain",
     "chain.impurities": "Impurity",
     "chain.materials": "Material GLASS STEEL PTFE BRASS TUNGSTEN_CARBIDE",
-    "scene.excitation": "Impulse Displacement Profile Drive",
+    "scene.excitation": "Impulse Displacement Profile Packet Drive Force",
     "scene.scene": "Scene",
     "simulation.api": "simulate resume",
     "simulation.planner": "plan",

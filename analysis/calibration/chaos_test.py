@@ -22,8 +22,9 @@ from common import NATIVE, Answer, Row, answer, command, distance, proposal, qua
 from scenes import drawn
 
 from lmpchain import Scene
+from lmpchain.engines.amplification import LAST_DIGIT
 from lmpchain.engines.native import Native
-from lmpchain.engines.perturbation import LAST_DIGIT, divergence
+from lmpchain.engines.perturbation import divergence
 from lmpchain.engines.step_control import (
     ATTEMPTS,
     CHAOS_DIVERGENCE,

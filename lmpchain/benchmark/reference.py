@@ -115,16 +115,20 @@ class _Motion:
 
     def __init__(self, scene: Scene):
         chain = scene.chain
-        self.drive, self.delta = scene.drive, Long(chain.exponent)
+        given = scene.excitation
+        self.wave, self.delta = given.waveform, Long(chain.exponent)
+        self.driven, self.walled = bool(given.driven), given.wall is not None
+        self.pushed = None if self.wave is None or scene.drive else given.reach(chain)[0] - 1
+        self.sines = _exact_sines(given)
         mass, constant = chain.masses.astype(Long), chain.contacts.constant.astype(Long)
         carried = Long(chain.top_load) + Long(chain.gravity) * np.append(Long(0), np.cumsum(mass))
         pressed = (constant > 0) & (carried > 0)
         overlap = np.where(pressed, carried / np.where(pressed, constant, 1), 0) ** (1 / self.delta)
-        deepest = first_overlaps(chain, scene.excitation).astype(Long)
+        deepest = first_overlaps(chain, given).astype(Long)
         heavier = np.maximum(np.append(mass[0], mass), np.append(mass, mass[-1]))
         fastest = np.sqrt((self.delta * constant * deepest ** (self.delta - 1) / heavier).max())
         self.time = 1 / fastest if fastest else Long(scene.duration)
-        u, v = (x.astype(Long) for x in scene.excitation.largest(chain))
+        u, v = (x.astype(Long) for x in given.largest(chain))
         self.length = max(np.abs(u).max(), np.abs(v).max() * self.time) or Long(1)
 
         self.at_rest = pressed.astype(Long)
@@ -132,7 +136,7 @@ class _Motion:
         self.strength = np.where(pressed, carried, constant * self.length**self.delta)
         self.mobility = self.time**2 / (mass * self.length)
         self.mobility[chain.movable :] = 0
-        if self.drive:
+        if self.driven:
             self.mobility[0] = 0
         self.push = self.strength * np.maximum(np.append(0, self.mobility), np.append(self.mobility, 0))
 
@@ -140,8 +144,7 @@ class _Motion:
         self.start = np.array([u / self.length, v * (self.time / self.length)])
         self.units = np.array([self.length, self.length / self.time])[:, None, None]
         self.instants = scene.time.astype(Long) / self.time
-        knots = () if self.drive is None or self.drive.times is None else self.drive.times
-        self.knots = np.array(knots, dtype=Long) / self.time
+        self.knots = np.array(self.wave.corners if self.wave else (), dtype=Long) / self.time
 
     def solve(self, order: int, tolerance: float) -> tuple[Array, Array]:
         """Return displacement and velocity, (2, T, N), and the largest at any time, (2,); m and m/s.
@@ -174,8 +177,8 @@ class _Motion:
     def _reached(self, state: Longs, before: slice, order: int) -> slice:
         """Return the grains that move, widened on either side by the reach of a series of this order."""
         places = before.start + np.flatnonzero(state[:, before].any(axis=0))
-        if self.drive:  # a driven grain counts even while it rests
-            places = np.append(0, places)
+        if self.wave:  # a grain that is acted on counts even while it rests
+            places = np.union1d(places, self.pushed or 0).astype(int)
         first, last = (places[0], places[-1]) if places.size else (0, 0)
         return slice(max(0, first - order // 2), min(state.shape[1], last + 1 + order // 2))
 
@@ -188,12 +191,16 @@ class _Motion:
         closer, at_rest, strength = (a[_contacts(here)] for a in (self.closer, self.at_rest, self.strength))
         x, y, power = (np.zeros((order + 1, n), dtype=Long) for n in (state.shape[1], closer.size, closer.size))
         x[:2] = state
-        driven = self.drive is not None and here.start == 0
+        driven, wall, outside = self.driven and here.start == 0, np.zeros(order + 1, dtype=Long), np.zeros_like(x)
         if driven:
-            x[:, 0] = self._imposed(t, order)
+            x[:, 0] = self._imposed(t, order) / self.length
+        elif self.walled and here.start == 0:
+            wall = self._imposed(t, order) / self.length
+        elif self.pushed is not None:
+            outside[:, self.pushed - here.start] = self._imposed(t, order)
         k = np.arange(order + 1, dtype=Long)
         for i in range(order + 1):
-            y[i] = -np.diff(x[i], prepend=Long(0), append=Long(0)) * closer
+            y[i] = -np.diff(x[i], prepend=wall[i], append=Long(0)) * closer
             if i > order - 2:
                 continue
             if i == 0:
@@ -208,22 +215,26 @@ class _Motion:
                 total = np.einsum("j,jn,jn->n", weight, y[1 : i + 1], power[i - 1 :: -1])
                 change = power[i] = shut * total / (i * whole)
             force = strength * change
-            x[i + 2, driven:] = ((force[:-1] - force[1:]) * self.mobility[here] / ((i + 1) * (i + 2)))[driven:]
+            pull = (force[:-1] - force[1:] + outside[i]) * self.mobility[here]
+            x[i + 2, driven:] = (pull / ((i + 1) * (i + 2)))[driven:]
         return x, y
 
     def _imposed(self, t: Long, order: int) -> Longs:
-        """Return the coefficients of the motion of a driven grain, (order + 1,)."""
-        drive, k = self.drive, np.arange(order + 1, dtype=Long)
-        assert drive
-        if drive.times is None:
-            quarter = 2 * np.arctan(Long(1))
-            omega, factorial = 4 * quarter * Long(drive.frequency) * self.time, np.cumprod(np.maximum(k, 1))
-            return Long(drive.amplitude) / self.length * omega**k * np.sin(omega * t + k * quarter) / factorial
-        piece = min(int(np.searchsorted(self.knots, t, side="right")), self.knots.size - 1) - 1
-        c, z = drive.spline.c[::-1, piece].astype(Long) * self.time ** k[:4], t - self.knots[piece]
+        """Return the coefficients of what is imposed, in m or N, (order + 1,)."""
+        wave, k = self.wave, np.arange(order + 1, dtype=Long)
+        assert wave
         series = np.zeros_like(k)
+        if wave.spline is None:
+            if self.knots.size == 0 or t < self.knots[0]:
+                quarter, factorial = 2 * np.arctan(Long(1)), np.cumprod(np.maximum(k, 1))
+                for amplitude, omega in self.sines:
+                    scaled = omega * self.time
+                    series += amplitude * scaled**k * np.sin(scaled * t + k * quarter) / factorial
+            return series
+        piece = min(int(np.searchsorted(self.knots, t, side="right")), self.knots.size - 1) - 1
+        c, z = wave.spline.c[::-1, piece].astype(Long) * self.time ** k[:4], t - self.knots[piece]
         series[:4] = [sum(math.comb(j, m) * c[j] * z ** (j - m) for j in range(m, 4)) for m in range(4)]
-        return series / self.length
+        return series
 
     def _step(self, x: Longs, y: Longs, here: slice, most: Long, tolerance: float) -> Long:
         """Return how long the series converge to this error, and until a contact opens or closes."""
@@ -251,6 +262,16 @@ class _Motion:
             if push * deepest**self.delta * after <= tolerance:
                 return after
             after /= 2
+
+
+def _exact_sines(excitation: Any) -> list[tuple[Long, Long]]:
+    """Return the sines that are imposed: amplitudes, and frequencies as exact as in the scene, rad/s."""
+    wave = excitation.waveform
+    if wave is None or wave.spline is not None:
+        return []
+    half = 4 * np.arctan(Long(1))
+    exact = half / Long(excitation.duration) if excitation.frequency is None else 2 * half * Long(excitation.frequency)
+    return [(Long(amplitude), Long(omega) * (exact / Long(wave.omega))) for amplitude, omega in wave.sines]
 
 
 def _contacts(here: slice) -> slice:

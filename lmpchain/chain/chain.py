@@ -12,9 +12,10 @@ from pydantic import Field
 
 from ..errors import InputError
 from ..util.arrays import Array, read_only
-from ..util.validation import NOT_GIVEN, Checked, OneOrMany, PositiveVector, Real, Whole
+from ..util.validation import NOT_GIVEN, Checked, OneOrMany, PositiveVector, Real, Vector, Whole
+from . import walls
 from .contacts import Contacts, hertz_constant
-from .impurities import Impurities, misfits, with_impurities
+from .impurities import Impurities, kinds, misfits, with_impurities
 from .materials import GLASS, Material, OneMaterial, OneOrManyMaterials
 from .plausible import HERTZ_OVERLAP, remarks
 
@@ -25,13 +26,12 @@ LARGEST_OVERLAP = 0.1  # of the diameter: beyond it the Hertz law no longer desc
 class Chain(Checked):
     """A vertical column of grains that touch, numbered 1 ... N from the top.
 
-    Grain n obeys ``m_n z_n'' = K_(n-1) [o_(n-1)]^delta - K_n [o_n]^delta + m_n g`` (Eq. 1 of the
-    paper), with no force where the overlap ``o_n`` is negative.
+    Grain n obeys ``m_n z_n'' = K_(n-1) [o_(n-1)]^delta - K_n [o_n]^delta + m_n g`` (Eq. 1), [o] 0 below 0.
 
     Parameters
     ----------
     grains : int
-        N, two or more.
+        N; a single grain needs a wall.
     material : Material, name, or N of them
     diameter : float or (N,) array
         m.
@@ -53,6 +53,8 @@ class Chain(Checked):
         Grains that differ.
     top_material, bottom_material : Material or name, optional
         Of the walls; by default that of the grain which touches it, so that K_wall = sqrt(2) K.
+    wall_constants : (top, bottom), optional
+        N/m^delta, instead of those of the materials; 0 where there is no wall. One of ``2^delta K`` mirrors the chain.
 
     Raises
     ------
@@ -68,7 +70,7 @@ class Chain(Checked):
     20
     """
 
-    grains: Annotated[Whole, Field(ge=2, le=10**8)]
+    grains: Annotated[Whole, Field(ge=1, le=10**8)]
     material: OneOrManyMaterials = GLASS
     diameter: OneOrMany
     gravity: Annotated[Real, Field(ge=0)] = 9.81
@@ -81,10 +83,13 @@ class Chain(Checked):
     impurity: Impurities = ()
     top_material: OneMaterial = NOT_GIVEN
     bottom_material: OneMaterial = NOT_GIVEN
+    wall_constants: Vector = NOT_GIVEN
 
     def _faults(self) -> Iterator[tuple[str, str]]:
         wrong = list(self._misfits())
         yield from wrong
+        if self.grains == 1 and "wall" not in (self.top, self.bottom):
+            yield "grains", 'a single grain that is held, or touches nothing: use bottom = "wall", or more grains'
         if self.bottom == "free" and (self.gravity > 0 or self.top_load > 0):
             yield "bottom", 'must be "fixed" or "wall" under gravity or a top load: a free chain would fall'
         if 0 < self.gravity < LEAST_GRAVITY:
@@ -122,13 +127,13 @@ class Chain(Checked):
             if isinstance(value, np.ndarray) and len(value) != length:
                 yield key, f"must have {length} entries for {self.grains} grains, not {len(value)}"
         yield from misfits(self.impurity, self.grains, self.contact_constants is not None)
-        for end, wall in (("top", self.top_material), ("bottom", self.bottom_material)):
-            if wall is not None and getattr(self, end) != "wall":
-                yield f"{end}_material", f'is that of a wall; there is none unless {end} = "wall"'
+        yield from walls.misfits(
+            (self.top, self.bottom), (self.top_material, self.bottom_material), self.__dict__["wall_constants"]
+        )
 
     def _leave_open(self) -> Chain:
-        """Leave masses and contact constants that were not given to be computed on first use."""
-        for key in ("masses", "contact_constants"):
+        """Leave masses and constants that were not given to be computed on first use."""
+        for key in ("masses", "contact_constants", "wall_constants"):
             if self.__dict__[key] is None:
                 del self.__dict__[key]
         if "masses" in self.__dict__ and self.impurity:
@@ -138,12 +143,17 @@ class Chain(Checked):
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any:
-            """Compute masses and contact constants from the grains on first use."""
+            """Compute masses and constants from grains and walls on first use."""
             if name == "masses":
                 alike = self.by_grain("density") * np.pi / 6 * self.diameters**3
                 value = read_only(with_impurities(alike, self.impurity, "mass"))
             elif name == "contact_constants":
                 value = self._hertz_constants[1:-1]
+            elif name == "wall_constants":
+                value = np.array([end == "wall" for end in (self.top, self.bottom)], dtype=float)
+                if value.any():
+                    value *= walls.constants(self._hertz_constants, self.contact_constants)
+                read_only(value)
             else:
                 return super().__getattr__(name)
             self.__dict__[name] = value
@@ -158,23 +168,15 @@ class Chain(Checked):
     @property
     def _kinds(self) -> Array:
         """Plane-strain modulus, diameter and mass of a common grain and of every impurity, (3, I+1)."""
-        common: Any = self
-        kinds = []
-        for odd in (None, *self.impurity):
-            material = getattr(odd, "material", None) or common.material
-            diameter = getattr(odd, "diameter", None) or common.diameter
-            with np.errstate(over="ignore"):  # a Python float would raise
-                mass = getattr(odd, "mass", None) or material.density * np.pi / 6 * np.float64(diameter) ** 3
-            kinds.append((material.plane_strain_modulus, diameter, mass))
-        return np.array(kinds).T
+        return kinds(self.material, self.diameter, self.impurity)
 
     def plainly_below(self, limit: float) -> bool:
         """Sufficient O(1) check that no contact is squeezed to more of the diameter at rest."""
-        if not self._alike:
+        if not self._alike or "wall_constants" in self.model_fields_set:
             return False
         modulus, d, mass = self._kinds
-        walls: list[Any] = [self.top_material, self.bottom_material]
-        modulus = np.append(modulus, [wall.plane_strain_modulus for wall in walls if wall])
+        both: list[Any] = [self.top_material, self.bottom_material]
+        modulus = np.append(modulus, [wall.plane_strain_modulus for wall in both if wall])
         length = d ** (1.5 - self.exponent)
         with np.errstate(all="ignore"):  # what is not finite here is looked at more closely
             softest = 4 / 3 * modulus.min() / 2 * np.sqrt(d.min() / 4) * length.min()
@@ -204,15 +206,6 @@ class Chain(Checked):
         modulus = np.concatenate(([above], modulus, [below]))
         curvature = np.concatenate(([0.0], 2 / self.diameters, [0.0]))  # a wall is flat
         return read_only(hertz_constant(modulus, curvature, self.contact_lengths, self.exponent))
-
-    @cached_property
-    def wall_constants(self) -> Array:
-        """Constants of the contacts with top and bottom wall, (2,) N/m^delta; 0 without a wall."""
-        walls = np.array([self.top == "wall", self.bottom == "wall"], dtype=float)
-        if walls.any():
-            natural = self._hertz_constants
-            walls *= natural[[0, -1]] * (self.contact_constants[[0, -1]] / natural[[1, -2]])
-        return read_only(walls)
 
     @cached_property
     def contacts(self) -> Contacts:
@@ -274,9 +267,9 @@ class Chain(Checked):
         Raises
         ------
         InputError
-            Unless there are such grains, two or more.
+            Unless there are such grains, two or more, or all there are.
         """
-        if not 1 <= index(first) < index(last) <= self.grains:
+        if not 1 <= index(first) <= index(last) <= self.grains or (first == last and self.grains > 1):
             raise InputError([("part", f"must be two or more of grains 1 to {self.grains} (got {first} to {last})")])
         fields = self.given() | {"grains": int(last - first + 1)}
         for key, end in {"material": last, "diameter": last, "masses": last, "contact_constants": last - 1}.items():
@@ -285,6 +278,8 @@ class Chain(Checked):
         inside = [odd for odd in self.impurity if first <= odd.grain <= last]
         if self.impurity:
             fields["impurity"] = tuple(odd.replace(grain=odd.grain - first + 1) for odd in inside)
+        if "wall_constants" in fields:
+            fields["wall_constants"] = read_only(self.wall_constants * [first == 1, last == self.grains])
         if first > 1:
             fields |= {"top": "free", "top_load": self._force_on(first)}
             fields.pop("top_material", None)
@@ -323,17 +318,22 @@ class Chain(Checked):
         return float(np.sqrt(max(top[0], 0.0)))
 
     @property
+    def _first(self) -> int:
+        """Number of the contact below grain 1, or of that above it if there is none below."""
+        return int(self.contacts.exists[1])
+
+    @property
     def length_scale(self) -> float:
-        """Overlap eps_1 of the top contact at rest, m."""
-        return float(self.equilibrium_overlap[0])
+        """Overlap eps_1 of the contact below grain 1 at rest, m."""
+        return float(self.contacts.overlap[self._first])
 
     @property
     def time_scale(self) -> float:
         """Unit of the paper's tau, sqrt(m_1 / k_1), s (infinite in the sonic vacuum)."""
-        k = float(self.linear_stiffness[0])
+        k = float(self.contacts.stiffness[self._first])
         return float(np.sqrt(self.masses[0] / k)) if k > 0 else np.inf
 
-    def excess_energy(self, displacement: Array, velocity: Array) -> Array:
+    def excess_energy(self, displacement: Array, velocity: Array, wall: Array | None = None) -> Array:
         """Energy (...) above that of the chain at rest: kinetic, contacts, load and weight, J.
 
         It is conserved by Eq. (1) and zero at rest; weak waves keep their relative accuracy.
@@ -342,6 +342,8 @@ class Chain(Checked):
         ----------
         displacement, velocity : (..., N) arrays
             m, positive downward; m/s.
+        wall : (...) array, optional
+            Displacement of the top wall, m; by default 0.
         """
-        contacts = self.contacts
-        return 0.5 * (self.masses * velocity**2).sum(-1) + contacts.energy(contacts.closer(displacement)).sum(-1)
+        closer = self.contacts.closer(displacement, wall)
+        return 0.5 * (self.masses * velocity**2).sum(-1) + self.contacts.energy(closer).sum(-1)

@@ -75,7 +75,7 @@ class Contacts:
         """Linear stiffness delta K_n eps_n^(delta-1) at rest, (N+1,) N/m."""
         return read_only(self.stiffness_at(self.overlap))
 
-    def of(self, numbers: int | NDArray[np.intp]) -> Contacts:
+    def of(self, numbers: int | np.integer | slice | NDArray[np.intp]) -> Contacts:
         """Return these contacts alone."""
         return Contacts(self.constant[numbers], self.force[numbers], self.exponent)
 
@@ -88,11 +88,11 @@ class Contacts:
         return self.exponent * self.constant * overlap ** (self.exponent - 1)
 
     @staticmethod
-    def closer(displacement: Array) -> Array:
-        """Return the change of every overlap from that at rest, (..., N+1) m; walls stand still."""
+    def closer(displacement: Array, wall: Array | None = None) -> Array:
+        """Return how much every overlap exceeds that at rest, (..., N+1) m; the top wall is at (...) m."""
         u = np.asarray(displacement)
         still = np.zeros((*u.shape[:-1], 1))
-        return -np.diff(u, axis=-1, prepend=still, append=still)
+        return -np.diff(u, axis=-1, prepend=still if wall is None else wall[..., None], append=still)
 
     def force_change(self, r: Array) -> Array:
         """Return the change of force for a change r of the overlap, (..., N+1) N.
@@ -129,6 +129,12 @@ class Contacts:
         """
         power, stiff = self.exponent + 1, inverse_mass * self.constant
         return (power / 2 * speed**2 / np.where(stiff > 0, stiff, np.inf)) ** (1 / power)
+
+    def squeezed_by(self, force: float) -> float:
+        """Return how much closer this force more brings the two bodies of one contact, m."""
+        if self.pressed:
+            return float(self.overlap * np.expm1(np.log1p(force / self.force) / self.exponent))
+        return float((force / self.constant) ** (1 / self.exponent))
 
     @property
     def elastic_share(self) -> float:

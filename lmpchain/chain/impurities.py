@@ -76,3 +76,15 @@ def with_impurities(values: Array, impurities: Sequence[Impurity], key: str) -> 
         if (own := getattr(impurity, key)) is not None:
             changed[impurity.grain - 1] = own
     return changed
+
+
+def kinds(material: Any, diameter: Any, impurities: Sequence[Impurity]) -> Array:
+    """Return plane-strain modulus, diameter and mass of a common grain and every impurity, (3, I+1)."""
+    found = []
+    for odd in (None, *impurities):
+        own = getattr(odd, "material", None) or material
+        width = getattr(odd, "diameter", None) or diameter
+        with np.errstate(over="ignore"):  # a Python float would raise
+            mass = getattr(odd, "mass", None) or own.density * np.pi / 6 * np.float64(width) ** 3
+        found.append((own.plane_strain_modulus, width, mass))
+    return np.array(found).T

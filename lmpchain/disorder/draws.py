@@ -113,7 +113,7 @@ def realisation(scene: Scene, m: float, seed: int, index: int = 0, law: Law = "d
     True
     """
     change = drawn_constants(scene.chain, m, seed, index, law, of)
-    chain = Chain._unchecked(**_redrawn(scene.chain, change))
+    chain = Chain._unchecked(**_redrawn(scene.chain, change))._leave_open()
     return Scene._unchecked(**(scene.given() | {"chain": chain}))
 
 

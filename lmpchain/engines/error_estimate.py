@@ -26,6 +26,7 @@ from ..scene.scene import Scene
 from ..trajectory.record import Block, Cost
 from ..util.arrays import EPSILON, Array
 from ..util.compilation import clock
+from .amplification import amplified_digit
 from .base import Candidate, ErrorBudget, Run
 
 PIECE_S = 0.1  # longest stretch of work between two opportunities to stop
@@ -39,6 +40,10 @@ SAFETY = 2.0  # factor on the Richardson estimate
 # open or not; reflections through opening contacts make much of a little
 GROWN, STEADY = 300.0, 3.0
 PHASE_ULPS = 1.5  # of the phase of the fastest motion, by which rounding shifts it
+DISPLACED = 0.05  # part of omega x_max / v_max by which the rounding of displacements exceeds that of velocities
+# rounding that all runs share (of the parameters, say), where contacts open, as a multiple of what becomes of a last
+# digit; looked for below that estimate, if it can grow so far: from so much, by less than that exponent a radian
+SHARED, NEAR_ROUNDOFF, SHORT, GROWTH = 1.0, 1e-6, 1e-13, 0.05
 CLOSE_TO_OPENING = -0.5  # r / eps below which a contact's force is no longer a smooth function of time
 # order assumed in the Richardson estimate after adaptive steps through an opening, where differences scatter
 ORDER_AT_OPENINGS = 4
@@ -105,7 +110,8 @@ class CompanionRun(Run):
         twin: bool,
     ):
         began = clock()
-        self.method, self.scene, self.candidate = method, scenes[0], candidate
+        self.method, self.scene, self.candidate, self._scenes = method, scenes[0], candidate, scenes
+        self._amplified: dict[int, float] = {}
         self._rows: NDArray[np.intp] = scenes[0].recorded - 1
         kept = _unpack(state)
         own = candidate.steps_per_sample, candidate.step, candidate.adaptive
@@ -117,7 +123,8 @@ class CompanionRun(Run):
         steps = candidate.steps_per_sample * final
         longer = [ratio for ratio in (2, 4) if ratio * reach <= method.stability_limit and steps >= FEWEST]
         self._finer = not longer
-        schedules = [StepSchedule.of(*own, ratio) for ratio in longer] if longer else [StepSchedule.of(*own).halved]
+        stretched = candidate.adaptive and method.adaptive == "error"
+        schedules = [StepSchedule.of(*own, ratio, stretched) for ratio in longer] or [StepSchedule.of(*own).halved]
         self._ratios = [steps / schedule.total(final) for schedule in schedules]
         if twin:
             schedules = [StepSchedule.of(*own), *schedules]
@@ -245,11 +252,25 @@ class CompanionRun(Run):
         else:
             coarse = steps[1] if len(steps) > 1 else None
             truncation = extrapolate(trusted, smooth, coarse, steps[0], self._ratios).max()
-        roundoff = native_floor(float(self._answer.steps[real]) * self.method.evaluations, self._radians[real])
+        radians = self._radians[real]
+        displaced = radians / self.scene.duration * peaks[0] / peaks[1] if self.peaks[real, 1] > 0 else 0.0
+        roundoff = native_floor(float(self._answer.steps[real]) * self.method.evaluations, radians, displaced)
         truncation = max(truncation, min(steps[0].max(), (GROWN if opens else STEADY) * roundoff))
         if self._twin:
             roundoff += float(relative[0].max())
+        elif opens and truncation + roundoff < min(NEAR_ROUNDOFF, SHORT * math.exp(min(GROWTH * radians, 99))):
+            roundoff += SHARED * self._grown(real, peaks)
         return ErrorBudget(float(truncation), roundoff, bool(smooth), relative.max((0, 2)), self.scene.time)
+
+    def _grown(self, real: int, peaks: Array) -> float:
+        """Return what becomes of a last digit in the whole run; 0 before its end."""
+        if self._at_rest[real] or self._sample < self.scene.samples - 1:
+            return 0.0
+        if real not in self._amplified:
+            began = clock()
+            self._amplified[real] = amplified_digit(self._scenes[real], peaks, self._answer.steps[real])
+            self._estimate_s += clock() - began
+        return self._amplified[real]
 
     def cost(self) -> Cost:
         """Return what it has cost so far; steps and evaluations are those of the realisation that took most."""
@@ -302,13 +323,14 @@ def extrapolate(
     return SAFETY * np.maximum(fine / (gain - 1), coarse / (second**order - first**order))
 
 
-def native_floor(evaluations: float, radians: float) -> float:
+def native_floor(evaluations: float, radians: float, displaced: float = 0.0) -> float:
     """Round-off of the native integration; analysis/calibration/roundoff.py.
 
-    A random walk of half-ulps, and the phase (in `radians` of the fastest motion), which the rounding of masses,
-    stiffnesses and fractions of a step shifts in proportion to the time: by 0.1 to 4 ulps of it.
+    A random walk of half-ulps, more where displacements are large against v / omega (`displaced` times), for a stiff
+    contact makes a velocity of their last digit; and the phase (in `radians` of the fastest motion), which the rounding
+    of masses, stiffnesses and fractions of a step shifts in proportion to the time: by 0.1 to 4 ulps of it.
     """
-    return EPSILON * (2 + math.sqrt(evaluations) + PHASE_ULPS * radians)
+    return EPSILON * (2 + math.sqrt(evaluations) * max(1.0, DISPLACED * displaced) + PHASE_ULPS * radians)
 
 
 def _block(steppers: int, realisations: int, grains: int, samples: int) -> int:

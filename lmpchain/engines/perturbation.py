@@ -4,31 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..scene.base import Excitation
-from ..scene.excitation import Profile
 from ..scene.scene import Scene
 from ..util.arrays import Array
+from .amplification import perturbed
 from .base import Candidate
 from .native import Native
-
-LAST_DIGIT = 1e-15  # of the largest velocity: a few units in the last place of a double
-
-
-def perturbed(scene: Scene, change: float) -> Scene:
-    """Return the scene with every velocity changed by a fraction of the largest, alternating in sign.
-
-    Of the largest displacement where nothing is struck; what does work becomes so much stronger.
-    """
-    excitation: Excitation
-    if scene.excitation.does_work:
-        excitation = scene.excitation.scaled(1 + change)
-    else:
-        u, v = (x.copy() for x in scene.initial())
-        turns = np.where(np.arange(u.size) % 2, -1.0, 1.0) * (np.arange(u.size) < scene.chain.movable)
-        moved = v if v.any() else u
-        moved += change * np.abs(moved).max() * turns
-        excitation = Profile(displacement=u, velocity=v)
-    return scene.replace(excitation=excitation)
 
 
 def divergence(scene: Scene, candidate: Candidate, change: float) -> Array:

@@ -19,8 +19,9 @@ from ..scene.scene import Scene
 from ..trajectory.record import Cost
 from ..util.arrays import Array
 from ..util.compilation import clock, compiled_s
+from .amplification import LAST_DIGIT
 from .base import Candidate, Engine, ErrorBudget, Run
-from .perturbation import LAST_DIGIT, divergence
+from .perturbation import divergence
 
 # analysis/calibration/chaos_test.py measures these
 ATTEMPTS = 12

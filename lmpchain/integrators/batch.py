@@ -10,7 +10,7 @@ import numpy as np
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from .kernels.contact_forces import CORRECTED, FORMS, POLYNOMIAL, POWER, ROOTS, SPRING, UNCOMPRESSED_POWER
-from .kernels.layout import PAD, Chains
+from .kernels.layout import KNOTS, PAD, Chains
 
 # analysis/calibration/roundoff.py
 STRONG = 1.0  # strike number from which the fastest form of the force loses nothing
@@ -40,7 +40,7 @@ class ChainBatch:
     opening_power : float
         The force of a contact that opens goes as the overlap to this power.
     drive, knots, pieces : arrays
-        How grain 1 is moved, if it is.
+        How grain 1 or the top wall is moved, or a grain is pushed.
     omega : (R,) array
         Highest frequency, rad/s.
     scale : (R, 2) array
@@ -69,7 +69,7 @@ class ChainBatch:
         self.table[:, 2, PAD : PAD + self.driven] = 0.0
         self.forms = np.array([force_form(scene, force) for scene in scenes])
         self.coefficients, self.opening_power = series(chains[0].exponent), chains[0].exponent
-        self.drive, self.knots, self.pieces = self._drives()
+        self.drive, self.knots, self.pieces = self._imposed()
         reach = [scene.excitation.reach(scene.chain) if self.imposed else (self.grains, 1) for scene in scenes]
         self.acted = np.array(reach) + (PAD - 1)
         self.omega = np.array([scene.highest_frequency for scene in scenes])
@@ -100,19 +100,23 @@ class ChainBatch:
             rows[:, PAD : PAD + self.grains] = grains
         return rows
 
-    def _drives(self) -> tuple[Array, Array, Array]:
-        """Return the imposed motion of grain 1 as (R, 3), (R, P) and (R, 4, P-1) arrays."""
-        drives, size = [scene.drive for scene in self.scenes if scene.drive], len(self.scenes)
-        knots_max = max((0 if d.times is None else len(d.times) for d in drives), default=0)
-        table, knots = np.zeros((size, 3)), np.zeros((size, knots_max))
+    def _imposed(self) -> tuple[Array, Array, Array]:
+        """Return what is imposed after t = 0, as (R, 6), (R, P) and (R, 4, P-1) arrays."""
+        waves, size = [scene.excitation.waveform for scene in self.scenes], len(self.scenes)
+        splines = [wave.spline if wave else None for wave in waves]
+        knots_max = max(0 if spline is None else len(spline.x) for spline in splines)
+        table, knots = np.zeros((size, 6)), np.zeros((size, knots_max))
         pieces = np.zeros((size, 4, max(knots_max - 1, 0)))
-        for real, drive in enumerate(drives):
-            if drive.times is None:
-                table[real, :2] = drive.amplitude, 2 * np.pi * drive.frequency
-            else:
-                count = len(drive.spline.x)
-                table[real, 2] = count
-                knots[real, :count], pieces[real, :, : count - 1] = drive.spline.x, drive.spline.c
+        for real, (scene, wave, spline) in enumerate(zip(self.scenes, waves, splines, strict=True)):
+            if wave is None:
+                continue
+            first, _ = scene.excitation.reach(scene.chain)
+            body = PAD + first - 1
+            body = body if scene.excitation.driven else PAD - 1 if scene.excitation.wall else -body
+            table[real] = wave.amplitude, wave.omega, wave.envelope, wave.end, 0.0, body
+            if spline is not None:
+                table[real, KNOTS] = count = len(spline.x)
+                knots[real, :count], pieces[real, :, : count - 1] = spline.x, spline.c
         return table, knots, pieces
 
     def opening_weight(self) -> Array:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from ..util.arrays import Array
-from .method import March, first_growth
+from .method import March, first_growth, steps_between_looks
 from .step_schedule import StepSchedule
 
 if TYPE_CHECKING:
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 # analysis/calibration/adaptive_steps.py
 STEP_ERROR = 1e-9  # allowed error of an adaptive step with omega h = 1, over the scale of the motion; goes as h^order
 STEP_ERROR_MIN = 2e-18  # least that is asked for: the estimate of less is round-off, and steps would never end
+LONGER, FEWEST = 4.0, 8  # most of an adaptive step over that of the schedule; least steps of a run, if that has as many
 
 
 @dataclass(frozen=True)
@@ -60,4 +61,6 @@ class DormandPrince:
         if schedule.adaptive:
             reach = schedule.step / schedule.ratio * batch.omega.max()
             allowed = float(max(STEP_ERROR_MIN, STEP_ERROR * reach**self.order) * schedule.ratio**self.order)
-        return March(march, (*self.tables, allowed))
+        total = schedule.ratio * schedule.total(batch.scenes[0].samples - 1)
+        most = min(LONGER, max(1.0, total / FEWEST))
+        return March(march, (*self.tables, allowed, most, steps_between_looks(schedule, batch)))

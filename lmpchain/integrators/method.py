@@ -13,8 +13,8 @@ from .step_schedule import StepSchedule
 if TYPE_CHECKING:  # numba, which it imports, is not needed to know a method
     from .batch import ChainBatch
 
-# omega t between two looks for the largest motion: of the fastest one at most 3 % is missed
-LOOK, SELDOM = 0.5, 2**30
+# omega t between the first looks for the largest motion: of one period of the fastest at most 12 % is missed
+LOOK, SELDOM = 1.0, 2**30
 
 
 class March(NamedTuple):
@@ -75,7 +75,7 @@ class Method(Protocol):
 
 
 def steps_between_looks(schedule: StepSchedule, batch: ChainBatch) -> int:
-    """Return after how many equal steps the largest motion is looked for at first."""
+    """Return after how many equal steps the largest motion is looked for at first; companions do not look."""
     return max(1, int(LOOK / (schedule.step * batch.omega.max()))) if schedule.ratio == 1 else SELDOM
 
 

@@ -94,8 +94,8 @@ class Splitting:
         crossing = CROSSING_STEP * reach ** ((self.order + 1) / (batch.opening_power + 1))
         crossing = np.maximum(crossing, schedule.ratio * LEAST_CROSSING * EPSILON ** (1 / (batch.opening_power + 1)))
         nearest = (ADAPTIVE_STEP * reach / crossing) ** (14 / 9)
-        each = batch.omega, nearest, batch.opening_weight()
-        return March(adaptive_splitting.march, (kicks, drifts, ADAPTIVE_STEP), each)
+        common = kicks, drifts, ADAPTIVE_STEP, steps_between_looks(schedule, batch)
+        return March(adaptive_splitting.march, common, (batch.omega, nearest, batch.opening_weight()))
 
     def _half_trace(self, frequency: Array) -> Array:
         """Half the trace of the one-step matrix of x'' = -omega^2 x at h = 1."""

@@ -31,9 +31,14 @@ class StepSchedule:
     ratio: float = 1.0
 
     @classmethod
-    def of(cls, steps_per_sample: int, step: float, adaptive: bool, ratio: int = 1) -> StepSchedule:
-        """Return the schedule with so many steps between two samples, or one with steps longer by this ratio."""
-        common = math.gcd(steps_per_sample, ratio)
+    def of(
+        cls, steps_per_sample: int, step: float, adaptive: bool, ratio: int = 1, stretched: bool = False
+    ) -> StepSchedule:
+        """Return the schedule with so many steps between two samples, or one with steps longer by this ratio.
+
+        `stretched` says that steps may grow until samples cut them: the time between landings is then longer, too.
+        """
+        common = 1 if stretched else math.gcd(steps_per_sample, ratio)
         return cls(steps_per_sample // common, ratio // common, step * ratio, adaptive, ratio)
 
     def total(self, samples: int) -> int:

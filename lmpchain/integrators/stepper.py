@@ -127,7 +127,8 @@ class NativeStepper:
     def largest(self) -> Array:
         """Return the largest displacement and speed that any grain of each chain has had, (R, 2) m and m/s.
 
-        They are seen after steps some half a radian of the fastest motion apart, or one step if that is longer.
+        They are seen after steps, at first a radian of the fastest motion apart (or one step, if that is longer), later
+        more rarely.
         """
         return self._state[:, [FARTHEST, FASTEST]]
 

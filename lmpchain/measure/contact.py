@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from .motion import Motion
+
 LINES = 6  # contacts drawn as lines; more are drawn as a map
 STILL, UNKNOWN = -1, -2  # marks for bodies that were not recorded
 
@@ -154,10 +156,7 @@ def contacts(trajectory: Trajectory, numbers: Sequence[int] | None = None) -> Co
     """
     every = trajectory.scene.chain.contacts
     if numbers is None:
-        known = _columns(trajectory) != UNKNOWN
-        chosen = np.flatnonzero(known[:-1] & known[1:] & every.exists)
-        if not chosen.size:
-            raise InputError([("grains", "no two neighbours were recorded, so no contact is known: record both")])
+        chosen = known_contacts(trajectory)
     else:
         chosen, there = np.array(numbers, dtype=int).reshape(-1), np.flatnonzero(every.exists)
         if not np.isin(chosen, there).all():
@@ -167,6 +166,15 @@ def contacts(trajectory: Trajectory, numbers: Sequence[int] | None = None) -> Co
     these = every.of(chosen)
     overlap, closing = these.overlap + r, v[:, 0] - v[:, 1]
     return ContactHistory(trajectory.time, chosen, overlap, closing, these.force_at(overlap), these.force_change(r))
+
+
+def known_contacts(trajectory: Trajectory | Motion) -> np.ndarray:
+    """Return the numbers of contacts whose two bodies were recorded or stand still, if there are any."""
+    known = _columns(trajectory) != UNKNOWN
+    chosen = np.flatnonzero(known[:-1] & known[1:] & trajectory.scene.chain.contacts.exists)
+    if not chosen.size:
+        raise InputError([("grains", "no two neighbours were recorded, so no contact is known: record both")])
+    return chosen
 
 
 def wall_force(trajectory: Trajectory, end: Literal["top", "bottom"] = "bottom") -> Array:
@@ -190,27 +198,30 @@ def wall_force(trajectory: Trajectory, end: Literal["top", "bottom"] = "bottom")
 
 
 def drive_motion(trajectory: Trajectory) -> tuple[Array, Array, Array]:
-    """Return the prescribed displacement, velocity and acceleration of grain 1, (T,) m, m/s, m/s2."""
+    """Return displacement, velocity and acceleration of what is driven, (T,) m, m/s, m/s2."""
     time, drive = trajectory.time, trajectory.scene.drive
     if drive is None:
-        raise InputError([("excitation", "no grain is driven in this scene")])
+        raise InputError([("excitation", "nothing is driven in this scene")])
     return *drive.motion(time), drive.acceleration(time)
 
 
 def drive_force(trajectory: Trajectory) -> Array:
-    """Return the force of the driver on grain 1, (T,) N, positive downward.
+    """Return the force of the driver on grain 1 or on the top wall, (T,) N, positive downward.
 
-    It is m_1 phi_1'' + F_1 - m_1 g.
-    At rest it is the top load. The impulse that starts a motion with a velocity at t = 0 is left out.
+    On grain 1 it is m_1 phi_1'' + F_1 - m_1 g, less the force of a wall above it; on the wall that of its contact.
+    At rest it is the top load, or 0 on grain 1 below a wall. The impulse that starts a motion with a velocity at t = 0
+    is left out.
 
     Raises
     ------
     InputError
         If the chain is not driven, or grain 2 was not recorded.
     """
-    chain = trajectory.scene.chain
-    inertia = chain.masses[0] * drive_motion(trajectory)[2]
-    return chain.top_load + inertia + contacts(trajectory, [1]).change[:, 0]
+    chain, acceleration = trajectory.scene.chain, drive_motion(trajectory)[2]
+    if trajectory.scene.excitation.wall:
+        return contacts(trajectory, [0]).force[:, 0]
+    force = chain.masses[0] * acceleration + contacts(trajectory, [1]).change[:, 0]
+    return force - contacts(trajectory, [0]).change[:, 0] if chain.top == "wall" else chain.top_load + force
 
 
 def sensor(trajectory: Trajectory, grain: int) -> Signal:
@@ -230,7 +241,7 @@ def sensor(trajectory: Trajectory, grain: int) -> Signal:
     return Signal(grain, both.time, both.force.mean(1), both.change.mean(1))
 
 
-def motion(trajectory: Trajectory, bodies: np.ndarray) -> tuple[Array, Array]:
+def motion(trajectory: Trajectory | Motion, bodies: np.ndarray) -> tuple[Array, Array]:
     """Return displacement, m, and velocity, m/s, of grains or walls (0 and N + 1), (T, ...) each.
 
     Raises
@@ -245,10 +256,12 @@ def motion(trajectory: Trajectory, bodies: np.ndarray) -> tuple[Array, Array]:
         raise InputError([("grains", f"this takes grains that were not recorded; record these too: {some}")])
     u, v = trajectory.displacement[:, column], trajectory.velocity[:, column]
     u[:, column == STILL] = v[:, column == STILL] = 0.0
+    if wall := trajectory.scene.excitation.wall:
+        u[:, bodies == 0], v[:, bodies == 0] = (wall.at(trajectory.time, order)[:, None] for order in (0, 1))
     return u, v
 
 
-def _columns(trajectory: Trajectory) -> np.ndarray:
+def _columns(trajectory: Trajectory | Motion) -> np.ndarray:
     """Return the recorded column of each body, (N+2,), or a mark if it stands still or is unknown."""
     chain = trajectory.scene.chain
     column = np.full(chain.grains + 2, UNKNOWN)

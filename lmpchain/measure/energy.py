@@ -1,4 +1,4 @@
-"""Energy and momentum balance of a chain, with the work of gravity, load, walls and drive."""
+"""Energy of grains, contacts and parts of a chain; balance of energy and momentum."""
 
 from __future__ import annotations
 
@@ -6,17 +6,21 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from ..chain.contacts import Contacts
+from ..errors import InputError
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.plotting import axes_in_units
-from .contact import motion
+from .contact import known_contacts, motion
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from .motion import Motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,15 +39,16 @@ class EnergyLedger:
     contact : (T,) array
         Elastic energy K overlap^(delta+1) / (delta+1) of all contacts, less that at rest.
     gravity, load : (T,) arrays
-        Potential energies of the weight and of a constant load on a free top, 0 at rest.
+        Potential energies of the weight, and of a constant load on a free top or on a wall that moves, 0 at rest.
     total : (T,) array
         `Chain.excess_energy`.
     drive : (T,) array
-        Work of the driver since t = 0 beyond that of the load: the integral of (drive force - top load) phi_1'.
+        Work of a force, or of a driver beyond that of the load, since t = 0: the integral of (drive force - top load)
+        times the velocity of the grain or wall that it acts on.
     momentum : (T,) array
         Of all grains, positive downward.
     impulse : (T,) array
-        What driver, walls and a held grain have given since t = 0 beyond the impulses that balance at rest.
+        What force, driver, walls and a held grain have given since t = 0 beyond the impulses that balance at rest.
     drive_error, impulse_error : float
         How far the two may be off, as the contact forces are known at samples only: the shift when every second
         sample is used, J and N s; infinite for fewer than three samples. Where forces are smooth and well sampled,
@@ -97,6 +102,77 @@ class EnergyLedger:
         return picture
 
 
+@dataclass(frozen=True, eq=False)
+class EnergyShares:
+    """Energies above rest of the G recorded grains and the C contacts between them over time, J.
+
+    The sum over all grains and contacts is `EnergyLedger.total`: each contact holds its elastic energy less the work
+    that load and weight do as it gives way, which is never below 0.
+
+    Attributes
+    ----------
+    time : (T,) array
+        s.
+    grain, contact : (G,) and (C,) arrays
+        Their numbers; contact n lies below grain n, 0 and N are those with walls.
+    kinetic : (T, G) array
+    elastic : (T, C) array
+    of_grain : (T, G) array
+        Kinetic energy of each grain, half of its contacts with other grains, and all of those with walls; NaN where a
+        neighbour was not recorded.
+    """
+
+    time: Array
+    grain: NDArray[np.intp]
+    contact: NDArray[np.intp]
+    kinetic: Array
+    elastic: Array
+    of_grain: Array
+
+    def part(self, first: int, last: int) -> Array:
+        """Return the energy of grains first ... last, the sum of `of_grain`, (T,) J.
+
+        Raises
+        ------
+        InputError
+            If one of them was not recorded.
+        """
+        wanted = np.arange(first, last + 1)
+        if not wanted.size or not np.isin(wanted, self.grain).all():
+            raise InputError([("part", f"takes recorded grains, from the first to the last (got {first} to {last})")])
+        return self.of_grain[:, np.isin(self.grain, wanted)].sum(1)
+
+
+def shares(trajectory: Trajectory | Motion) -> EnergyShares:
+    """Return the energy of each recorded grain and of each contact between them over time.
+
+    Raises
+    ------
+    InputError
+        If no two neighbours were recorded.
+
+    Examples
+    --------
+    >>> import lmpchain
+    >>> chain = lmpchain.Chain(grains=20, diameter=1e-3)
+    >>> scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-3), duration=2e-5, samples=3)
+    >>> energy = shares(lmpchain.simulate(scene, engine="native", tolerance=1e-9))
+    >>> (energy.part(1, 20) / scene.energy).round(8).tolist()
+    [1.0, 1.0, 1.0]
+    """
+    chain, grain = trajectory.scene.chain, trajectory.grains
+    contact = known_contacts(trajectory)
+    u, _ = motion(trajectory, np.stack([contact, contact + 1]))
+    elastic = chain.contacts.of(contact).energy(u[:, 0] - u[:, 1])
+    kinetic = chain.masses[grain - 1] * trajectory.velocity**2 / 2
+    every = np.where(chain.contacts.exists, np.nan, 0.0) + np.zeros((trajectory.time.size, 1))
+    every[:, contact] = elastic
+    every[:, 1:-1] /= 2
+    return EnergyShares(
+        trajectory.time, grain, contact, kinetic, elastic, kinetic + every[:, grain - 1] + every[:, grain]
+    )
+
+
 def ledger(trajectory: Trajectory) -> EnergyLedger:
     """Return the energy and momentum balance of a trajectory over time.
 
@@ -122,21 +198,24 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
     scene = trajectory.scene
     chain = scene.chain
     u, v = motion(trajectory, np.arange(1, chain.grains + 1))
-    closer, time = chain.contacts.closer(u), trajectory.time
-    force, rate = _contact_forces(chain.contacts, closer, chain.contacts.closer(v))
+    time, wall = trajectory.time, trajectory.scene.excitation.wall
+    top, top_speed = (None if wall is None else wall.at(time, order) for order in (0, 1))
+    closer = chain.contacts.closer(u, top)
+    force, rate = _contact_forces(chain.contacts, closer, chain.contacts.closer(v, top_speed))
     momentum = v @ chain.masses
     drive, impulse = np.zeros((2, time.size))
     drive_error = impulse_error = 0.0
     if chain.top == "wall":
         impulse, impulse_error = _integral(time, force[:, 0], rate[:, 0])
-    if push := scene.excitation.push(chain, time, force, rate):
-        speed = v[:, push.grain - 1]
+    if push := scene.excitation.push(chain, time, force, rate, v):
+        speed = push.speed
         power, change = push.force * speed, push.rate * speed + push.force * push.acceleration
         work, drive_error = _integral(time, power, change)
         given, error = _integral(time, push.force, push.rate)
         drive = work + push.inertia / 2 * (speed**2 - speed[0] ** 2)
-        impulse = impulse + given + push.inertia * (speed - speed[0])
-        impulse_error += error
+        if push.on_grain:
+            impulse = impulse + given + push.inertia * (speed - speed[0])
+            impulse_error += error
     if chain.bottom != "free":
         given, error = _integral(time, force[:, chain.movable], rate[:, chain.movable])
         impulse, impulse_error = impulse - given, impulse_error + error
@@ -145,8 +224,8 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
         kinetic=v**2 @ chain.masses / 2,
         contact=chain.contacts.energy(closer).sum(1) + closer @ chain.contacts.force,
         gravity=-chain.gravity * (u @ chain.masses),
-        load=-chain.top_load * u[:, 0] * (chain.top == "free"),
-        total=chain.excess_energy(u, v),
+        load=-chain.top_load * (u[:, 0] * (chain.top == "free") if top is None else top),
+        total=chain.excess_energy(u, v, top),
         drive=drive,
         momentum=momentum,
         impulse=impulse,

@@ -61,7 +61,10 @@ class Motion:
 
     Attributes
     ----------
-    displacement, velocity : (T, G) arrays
+    scene, grains, displacement, velocity
+        As given.
+    time : (T,) array
+        s.
     step : float
         Time between two samples, s.
     """
@@ -69,15 +72,15 @@ class Motion:
     def __init__(
         self, scene: Scene, equation: int, grains: np.ndarray, displacement: Array, velocity: Array, error: float
     ):
-        self._scene, self._equation, self._error = scene, equation, error if math.isfinite(error) else 0.0
-        self.displacement, self.velocity, self._grains = displacement, velocity, grains
+        self.scene, self._equation, self._error = scene, equation, error if math.isfinite(error) else 0.0
+        self.displacement, self.velocity, self.grains, self.time = displacement, velocity, grains, scene.time
         self.step = scene.duration / (scene.samples - 1)
         self._column = columns(scene, grains)
 
     @cached_property
     def _known(self) -> NDArray[np.bool_]:
         """Whether the forces of its contacts are known, and all that act on it, of each grain, (G,)."""
-        scene, grains, chain = self._scene, self._grains, self._scene.chain
+        scene, grains, chain = self.scene, self.grains, self.scene.chain
         exists = chain.contacts.exists
         neighbours = self._column[grains[:, None] + np.array([-1, 1])]
         there = (neighbours != UNKNOWN) | ~exists[grains[:, None] + np.array([-1, 0])]
@@ -90,8 +93,8 @@ class Motion:
     @cached_property
     def _values(self) -> tuple[Array, NDArray[np.bool_]]:
         """What `derivatives.derivatives` returns of the motion."""
-        chain, linear = self._scene.chain, self._equation == 3
-        grains, contacts = self._grains, chain.contacts
+        chain, linear = self.scene.chain, self._equation == 3
+        grains, contacts = self.grains, chain.contacts
         pressed, constant = contacts.pressed, contacts.constant
         length = np.divide(1.0, contacts.overlap, out=np.ones_like(constant), where=pressed)
         loose = np.zeros_like(constant) if linear and chain.exponent > 1 else constant
@@ -109,7 +112,7 @@ class Motion:
     def peaks(self, field: Field) -> Peaks:
         """Return the largest displacement or speed of every grain."""
         found = extremes.peaks(*self._values, self.step, KINDS[field], self.ceiling)
-        return Peaks(self._grains, *_within(found, self.known_error(field)))
+        return Peaks(self.grains, *_within(found, self.known_error(field)))
 
     def largest_wall_force(self) -> tuple[float, float]:
         """Return the largest force at any time on what holds the bottom, N, and how far that may be off.
@@ -119,7 +122,7 @@ class Motion:
         InputError
             If nothing stands still at the bottom, or a grain that touches it was not recorded.
         """
-        chain = self._scene.chain
+        chain = self.scene.chain
         if chain.bottom == "free":
             raise InputError([("end", "there is no wall at the end 'bottom' of this chain")])
         contact = chain.grains - (chain.bottom == "fixed")
@@ -150,7 +153,7 @@ class Motion:
 
     def fronts(self, field: Field, fraction: float, certain: float | None = None, width: bool = True) -> Array:
         """Return time, height and width of the front, and their errors, (G, 6); see `front.track`."""
-        known, frequency = self.known_error(field), self._scene.highest_frequency
+        known, frequency = self.known_error(field), self.scene.highest_frequency
         fall = known if certain is None else certain
         found: Array = extremes.fronts(
             *self._values, self.step, KINDS[field], self.ceiling, fraction, known, fall, frequency, width
@@ -176,7 +179,7 @@ class Motion:
         A motion without frequencies above omega is at most ``1 / cos(omega h / 2)`` times its largest sample.
         Where that does not hold, or not all grains are recorded, it follows from the energy if that is known.
         """
-        scene, chain = self._scene, self._scene.chain
+        scene, chain = self.scene, self.scene.chain
         imposed = scene.excitation.largest(chain)
         u, v = (
             max(float(np.abs(x).max()), float(np.abs(y).max()))
@@ -199,11 +202,11 @@ class Motion:
     @cached_property
     def ceiling(self) -> Array:
         """Bounds on the speed of each grain between samples, (G, T-1) m/s; -1 where nothing hides; or (1, 0)."""
-        swift = self._scene.highest_frequency * self.step
+        swift = self.scene.highest_frequency * self.step
         if swift <= RESOLVED_BY_DIFFERENCES or (swift <= RESOLVED and self._known.all()):
             return np.zeros((1, 0))
         if swift <= RESOLVED:
-            limits = np.full((self._grains.size, self.displacement.shape[0] - 1), -1.0)
+            limits = np.full((self.grains.size, self.displacement.shape[0] - 1), -1.0)
             limits[~self._known] = self._speed_limit()[0][~self._known]
             return limits
         limits, frequency = self._speed_limit()
@@ -215,16 +218,16 @@ class Motion:
 
         No grain can have more than the energy that was within reach of it at the sample before.
         """
-        scene, chain = self._scene, self._scene.chain
+        scene, chain = self.scene, self.scene.chain
         contacts, count = chain.contacts, self.displacement.shape[0] - 1
         if scene.excitation.does_work or self._equation not in (1, 3):
-            return tuple(np.full((2, self._grains.size, count), np.inf))
+            return tuple(np.full((2, self.grains.size, count), np.inf))
         near = math.ceil(scene.highest_frequency * self.step / 2) + 2
         if (self._column[1 : chain.movable + 1] == UNKNOWN).any():
             within = np.full((count, chain.grains), scene.energy)
         else:
             u, v = (np.zeros((count + 1, chain.grains)) for _ in range(2))
-            u[:, self._grains - 1], v[:, self._grains - 1] = self.displacement, self.velocity
+            u[:, self.grains - 1], v[:, self.grains - 1] = self.displacement, self.velocity
             r = contacts.closer(u)
             held = contacts.stiffness * r**2 / 2 if self._equation == 3 else contacts.energy(r)
             energy = chain.masses * v**2 / 2 + held[:, 1:] + held[:, :-1]  # each contact twice: a bound
@@ -239,7 +242,7 @@ class Motion:
         square = np.broadcast_to((stiffness[..., 1:] + stiffness[..., :-1]) / chain.masses, within.shape)
         edged = np.pad(square, ((0, 0), (1, 1)))
         square = np.maximum(np.maximum(edged[:, :-2], edged[:, 2:]), square)
-        return speed[:, self._grains - 1].T, np.sqrt(square[:, self._grains - 1]).T
+        return speed[:, self.grains - 1].T, np.sqrt(square[:, self.grains - 1]).T
 
 
 def motion_of(trajectory: Trajectory) -> Motion:

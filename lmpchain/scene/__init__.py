@@ -2,12 +2,12 @@
 
 from ..util.lazy import attributes
 
-__all__ = ["Displacement", "Drive", "Excitation", "Impulse", "Profile", "Recording", "Scene"]
+__all__ = ["Displacement", "Drive", "Excitation", "Force", "Impulse", "Packet", "Profile", "Recording", "Scene"]
 __getattr__ = attributes(
     __name__,
     names={
         "base": "Excitation",
-        "excitation": "Displacement Drive Impulse Profile",
+        "excitation": "Displacement Drive Force Impulse Packet Profile",
         "recording": "Recording",
         "scene": "Scene",
     },

@@ -4,34 +4,40 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator
-from typing import ClassVar, NamedTuple, Self
+from typing import Annotated, ClassVar, NamedTuple, Self
 
 import numpy as np
+from pydantic import Field
 
 from ..chain.chain import Chain
 from ..util.arrays import Array
-from ..util.validation import Checked
+from ..util.validation import Checked, Whole
+from .waveform import Waveform
+
+Number = Annotated[Whole, Field(ge=1)]
 
 
 class Push(NamedTuple):
-    """The force of the outside world on one grain, beyond what balances at rest.
+    """The force of the outside world on a grain or the top wall, beyond what balances at rest.
 
     Attributes
     ----------
-    grain : int
     force, rate : (T,) arrays
         N and N/s; without what the inertia of a driven grain takes, its mass times the acceleration.
-    acceleration : (T,) array
-        Of the grain, m/s2.
+    speed, acceleration : (T,) arrays
+        Of the body, m/s and m/s2.
     inertia : float
         Mass of the grain if it is driven, kg, else 0.
+    on_grain : bool
+        Whether it acts on a grain, else on the wall, which hands it on by its contact.
     """
 
-    grain: int
     force: Array
     rate: Array
+    speed: Array
     acceleration: Array
     inertia: float
+    on_grain: bool
 
 
 class Excitation(Checked):
@@ -49,19 +55,31 @@ class Excitation(Checked):
         Columns of its CSV file, and the fields that they fill; empty if it has no file.
     does_work : bool
         Whether it acts after t = 0, so that the energy of the chain is not known beforehand.
-    driven : int
-        Number of grains, from the top, whose motion it prescribes.
     """
 
     kind: ClassVar[str]
     strength: ClassVar[tuple[str, ...]]
     columns: ClassVar[dict[str, str]] = {}
     does_work: ClassVar[bool] = False
-    driven: ClassVar[int] = 0
+
+    @property
+    def driven(self) -> int:
+        """Number of grains, from the top, whose motion it prescribes."""
+        return 0
+
+    @property
+    def waveform(self) -> Waveform | None:
+        """What acts after t = 0: the motion of grain 1 or of the top wall, m, or a force, N."""
+        return None
+
+    @property
+    def wall(self) -> Waveform | None:
+        """How the top wall moves, m; None if it stands still."""
+        return None
 
     @property
     def smooth(self) -> bool:
-        """Whether its third derivative in time never jumps after t = 0."""
+        """Whether its third derivative in time never jumps after t = 0, but where a step can end."""
         return True
 
     @property
@@ -118,12 +136,41 @@ class Excitation(Checked):
         """Bound sqrt(2 E), in J^(1/2), for the energy E that it puts into the linearised chain after t = 0."""
         return np.inf
 
-    def push(self, chain: Chain, time: Array, force: Array, rate: Array) -> Push | None:
+    def push(self, chain: Chain, time: Array, force: Array, rate: Array, velocity: Array) -> Push | None:
         """Return the push from outside at these times, (T,) s; None if nothing acts after t = 0.
 
         Parameters
         ----------
         force, rate : (T, N+1) arrays
             Force of every contact less that at rest, N, and its rate, N/s.
+        velocity : (T, N) array
+            Of every grain, m/s.
         """
         return None
+
+
+class OneGrain(Excitation):
+    """An excitation of one grain, to be chosen."""
+
+    grain: Number
+
+    def faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
+        """Yield what this chain does not allow."""
+        if self.grain > chain.grains:
+            yield "grain", f"there is no grain {self.grain}: the chain has {chain.grains}"
+        elif self.grain > chain.movable:
+            yield "grain", f"grain {self.grain} is held; choose one of 1 to {chain.movable}"
+
+    def reach(self, chain: Chain) -> tuple[int, int]:
+        """Return the grain that it moves, as the first and the last."""
+        return self.grain, self.grain
+
+    def part(self, first: int, last: int) -> Excitation:
+        """Return the same with the grain as it is numbered among grains first ... last."""
+        return self.replace(grain=self.grain - first + 1)
+
+    def at_grain(self, chain: Chain, value: float) -> Array:
+        """Return an (N,) array with this value for the grain, and 0 for the others."""
+        array = np.zeros(chain.grains)
+        array[self.grain - 1] = value
+        return array

@@ -32,7 +32,7 @@ class Scene(Recording):
     Parameters
     ----------
     chain : Chain
-    excitation : Impulse, Displacement, Profile or Drive
+    excitation : Impulse, Displacement, Profile, Packet, Drive or Force
     duration : float
         s.
     samples : int
@@ -90,7 +90,7 @@ class Scene(Recording):
 
     @property
     def drive(self) -> Drive | None:
-        """The prescribed motion of grain 1, if there is one."""
+        """The prescribed motion of grain 1 or of the top wall, if there is one."""
         return self.excitation if isinstance(self.excitation, Drive) else None
 
     @cached_property

@@ -31,6 +31,8 @@ def overlaps_of(chain: Chain, excitation: Excitation, contacts: Contacts, masses
     edge = np.zeros((*masses.shape[:-1], 1))
     inverse_mass = np.concatenate((edge, inverse_mass, edge), axis=-1)
     approach = np.maximum(contacts.closer(v), 0.0)
+    if excitation.wall:  # grain 1 rests when the wall comes
+        approach[..., 0] = excitation.wall.largest(1)
     collision = contacts.collision_overlap(approach, inverse_mass[..., :-1] + inverse_mass[..., 1:])
     return np.maximum(contacts.overlap + contacts.exists * contacts.closer(u), collision)
 

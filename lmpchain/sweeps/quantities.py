@@ -45,6 +45,24 @@ def _wall_force(motion: Motion) -> tuple[Array, Array]:
     return np.array(force), np.array(error)
 
 
+def _energy(which: str) -> Callable[[Motion], Array]:
+    def measure(motion: Motion) -> Array:
+        from ..measure.energy import shares
+
+        energy = shares(motion)
+        if which == "all":
+            return energy.kinetic.sum(1) + energy.elastic.sum(1)
+        if which == "grain":
+            return energy.of_grain
+        below = np.full(energy.kinetic.shape, np.nan)
+        there = np.isin(energy.grain, energy.contact)
+        places = {number: place for place, number in enumerate(energy.contact.tolist())}
+        below[:, there] = energy.elastic[:, [places[number] for number in energy.grain[there].tolist()]]
+        return below
+
+    return measure
+
+
 QUANTITIES = {
     "displacement": Quantity(
         ("time", "grain"), "m", "displacement from equilibrium, positive downward", lambda m: m.displacement
@@ -54,6 +72,18 @@ QUANTITIES = {
     "peak_velocity": Quantity(("grain",), "m s-1", "largest size of the velocity at any time", _peak_velocity),
     "arrival_time": Quantity(
         ("grain",), "s", "when the front passes, by the velocity (measure.front.track)", _arrival_time
+    ),
+    "energy": Quantity(
+        ("time",), "J", "energy above rest of the recorded grains and the contacts between them", _energy("all")
+    ),
+    "grain_energy": Quantity(
+        ("time", "grain"),
+        "J",
+        "energy above rest of a grain and its share of contacts (measure.energy.shares)",
+        _energy("grain"),
+    ),
+    "contact_energy": Quantity(
+        ("time", "grain"), "J", "energy above rest of the contact below a grain; NaN if unknown", _energy("contact")
     ),
     "wall_force": Quantity(
         (), "N", "largest force on what holds the bottom, at any time (measure.contact.wall_force)", _wall_force

@@ -70,7 +70,7 @@ def _together(plan: Sweep, first: int, count: int) -> list[Made]:
     try:
         common, disorder = _wider(plan.ordered(places[0]), plan.keep), plan.disorder(places[0])
         chain = common.chain
-        if common.light_cone.scene.chain.grains < chain.grains:  # each is cut to its own
+        if common.light_cone.scene.chain.grains < chain.grains or chain.grains == 1:  # each is cut to its own
             return [_alone(plan, number) for number in numbers]
         change = np.ones((1, 1))
         if disorder:
@@ -130,8 +130,11 @@ def _chains(chain: Chain, columns: Mapping[str, Array], change: Array, count: in
     else:
         between = natural[:, 1:-1]
     between = between * change
-    walls = np.array([chain.top == "wall", chain.bottom == "wall"], dtype=float)
-    walls = walls * (natural[:, [0, -1]] * (between[:, [0, -1]] / natural[:, [1, -2]]))
+    if "wall_constants" in chain.model_fields_set:
+        walls = np.tile(chain.wall_constants, (count, 1))
+    else:
+        walls = np.array([chain.top == "wall", chain.bottom == "wall"], dtype=float)
+        walls = walls * (natural[:, [0, -1]] * (between[:, [0, -1]] / natural[:, [1, -2]]))
     constant = np.concatenate((walls[:, :1], between, walls[:, 1:]), axis=1)
     weight = chain.gravity * np.cumsum(masses.astype(np.longdouble), axis=1)
     force = np.concatenate((np.full((count, 1), chain.top_load), (chain.top_load + weight).astype(float)), axis=1)
@@ -159,7 +162,7 @@ def _pattern(chain: Chain, parts: Mapping[str, Any]) -> dict[str, Any]:
     fields |= {"masses": parts["masses"][0], "contact_constants": parts["between"][0]}
     if chain.impurity or "diameter" in parts["given"]:
         fields["diameter"] = parts["diameter"][0]
-    own = [name for name in Chain.model_fields if name not in ("masses", "contact_constants")]
+    own = [name for name in Chain.model_fields if name not in ("masses", "contact_constants", "wall_constants")]
     return {"pattern": Chain._unchecked(**fields), "names": own}
 
 

@@ -165,7 +165,7 @@ def test_options_that_are_wrong(options: list[str], key: str, scene: Path, capsy
 
 
 def test_faults_of_scene_options_and_output_come_at_once(scene: Path, capsys: pytest.CaptureFixture[str]):
-    scene.write_text(SCENE.replace("grains = 20", "grains = 1").replace("samples = 11", "samples = 0"))
+    scene.write_text(SCENE.replace("grains = 20", "grains = 0").replace("samples = 11", "samples = 0"))
     arguments = ["run", str(scene), "-o", "none/run.nc", "--diameter", "gauge", "--tolerance", "7"]
     assert main(arguments) == 2
     assert set(keys(capsys.readouterr())) == {

@@ -163,13 +163,19 @@ OTHERS = {
 def test_model_error_of_other_scenes(name, samples):
     """However few samples are recorded, for the solution is looked at in between.
 
-    Where a wave is reflected, what it gains and loses may cancel, which is not counted on.
+    It is an estimate of the largest error at any time, not of what is left of it at two moments: with 3 samples the
+    wave that is reflected within is seen where it has made up for two thirds of it (1.05e-4; 3.1e-4 at any time; the
+    estimate is 1.6e-3). Nine in ten estimates are below 7 times the truth in random scenes (test_linear_trials.py).
     """
     chain, excitation, duration = OTHERS[name]
-    scene = Scene(chain=chain, excitation=excitation, duration=duration, samples=samples)
-    t, truth = simulate(scene, "chebyshev", 0.9), simulate(scene, "native", 1e-9)
-    true = relative_error(t.displacement, t.velocity, truth.displacement, truth.velocity)
-    assert true / 3 < t.error_estimate.model < (8 if "reflected" in name else 5) * true
+    fine = Scene(chain=chain, excitation=excitation, duration=duration, samples=1001)
+    t = simulate(Scene(**fine.given() | {"samples": samples}), "chebyshev", 0.9)
+    runs = simulate(fine, "chebyshev", 0.9), simulate(fine, "native", 1e-9)
+    motions = [(run.displacement, run.velocity) for run in runs]
+    every = 1000 // (samples - 1)
+    scales = [np.abs(x).max() for x in motions[1]]
+    off = np.array([np.abs(x - y).max(1) / scale for x, y, scale in zip(*motions, scales, strict=True)])
+    assert off[:, ::every].max() / 3 < t.error_estimate.model < 7 * off.max()
 
 
 def test_springs_have_no_model_error_until_they_open():
@@ -236,7 +242,7 @@ def test_what_cannot_be_linearised_is_refused():
     for chain, excitation, key in (
         (vacuum, Impulse(velocity=1e-6), "gravity: without gravity and load"),
         (loose, Impulse(velocity=1e-6), "top: a wall that only touches"),
-        (Chain(grains=5, diameter=1e-3), points, "excitation: linear engines know harmonic drives only"),
+        (Chain(grains=5, diameter=1e-3), points, "excitation: linear engines know no motion or force by points"),
     ):
         for engine in ENGINES:
             with pytest.raises(InputError, match=key):

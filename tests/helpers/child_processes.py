@@ -6,10 +6,12 @@ import re
 import select
 import subprocess
 import sys
+import tempfile
 import termios
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from multiprocessing import get_context
 from pathlib import Path
 
 import psutil
@@ -18,14 +20,15 @@ from lmpchain import Scene, Trajectory
 from lmpchain.simulation.run_folder import status
 from lmpchain.util import mpi
 
-COMMAND = [sys.executable, "-m", "lmpchain.cli"]
+COMMAND = (sys.executable, "-m", "lmpchain.cli")
+HURRIED = (sys.executable, str(Path(__file__).with_name("hurried.py")))
 PATIENCE = 600.0  # s, after which a process is taken to hang: on a busy machine everything is slow
 
 
-def start(*words: object, ranks: int = 1, **options) -> subprocess.Popen[str]:
+def start(*words: object, ranks: int = 1, command: Sequence[str] = COMMAND, **options) -> subprocess.Popen[str]:
     """Start a command of lmpchain, under mpirun if there are several ranks."""
     under = [mpi.launcher(), "-n", str(ranks)] if ranks > 1 else []
-    command = [*under, *COMMAND, *map(str, words)]
+    command = [*under, *command, *map(str, words)]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, **options)
 
 
@@ -39,9 +42,43 @@ def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
     return process.returncode, out + (err or "")
 
 
-def finish(*words: object, ranks: int = 1, **options) -> tuple[int, str]:
+def finish(*words: object, **options) -> tuple[int, str]:
     """Run a command of lmpchain; return its exit code and what it said."""
-    return ended(start(*words, ranks=ranks, **options))
+    return ended(start(*words, **options))
+
+
+class Fork:
+    """A command in a fork of this process, which saves the time to import and compile."""
+
+    def __init__(
+        self, main: Callable[[list[str]], int], words: Sequence[object], environment: Mapping[str, str], said: Path
+    ):
+        self._said = said
+        self._process = get_context("fork").Process(target=self._child, args=(main, words, environment))
+        self._process.start()
+        self.pid: int = self._process.pid or 0
+
+    def _child(self, main: Callable[[list[str]], int], words: Sequence[object], environment: Mapping[str, str]) -> None:
+        os.setsid()
+        os.environ.clear()
+        os.environ.update(environment)
+        tempfile.tempdir = None  # anew from the environment
+        with open(self._said, "w", encoding="utf-8", buffering=1) as file:
+            for number in (1, 2):
+                os.dup2(file.fileno(), number)
+            sys.stdout = sys.stderr = file
+            code = main([str(word) for word in words])
+            file.flush()
+        os._exit(code)
+
+    def poll(self) -> int | None:
+        """Return its exit code once it has ended."""
+        return self._process.exitcode
+
+    def ended(self) -> tuple[int | None, str]:
+        """Wait until it has ended; return its exit code and what it said."""
+        self._process.join(PATIENCE)
+        return self.poll(), self._said.read_text(encoding="utf-8") if self._said.exists() else ""
 
 
 def until(condition: Callable[[], object], every: float = 0.01) -> None:

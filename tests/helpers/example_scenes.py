@@ -2,7 +2,19 @@
 
 import numpy as np
 
-from lmpchain import GLASS, Chain, Displacement, Drive, Impulse, Impurity, InputError, Profile, Scene
+from lmpchain import (
+    GLASS,
+    Chain,
+    Displacement,
+    Drive,
+    Force,
+    Impulse,
+    Impurity,
+    InputError,
+    Packet,
+    Profile,
+    Scene,
+)  # fmt: skip
 
 PAPER = {  # name: strike m/s, gravity m/s2
     "fig1": (8.57e-3, 9.81),
@@ -121,6 +133,62 @@ def _driven(rng: np.random.Generator, chain: Chain) -> Scene:
         times = np.append(0, np.cumsum(apart)) * (duration * rng.uniform(1, 1.2) / apart.sum())
         excitation = Drive(times=times, displacement=np.append(0, rng.normal(size=apart.size)) * length)
     return Scene(chain=chain, excitation=excitation, duration=duration, samples=11)
+
+
+def acted_scene(rng: np.random.Generator, exponents: tuple[float, ...] = (1.0, 1.25, 1.5, 1.5, 1.5, 2.0, 3.0)) -> Scene:
+    """Draw forces, bursts, walls that move and packets, on chains of one grain and more, also between given walls."""
+    while True:
+        try:
+            chain = _ended(rng, _chain(rng, float(rng.choice(exponents))))
+            return _acted(rng, chain)
+        except InputError:
+            continue
+
+
+def _ended(rng: np.random.Generator, chain: Chain) -> Chain:
+    """Draw the constants of walls, and sometimes a single grain of the chain."""
+    keys = chain.given()
+    if rng.random() < 0.1 and "wall" in (chain.top, chain.bottom):
+        lone = {key: value for key, value in keys.items() if key != "impurity"}
+        keys = lone | {"grains": 1, "diameter": float(chain.diameters[0])}
+        keys |= {"bottom": "wall" if chain.bottom == "fixed" else chain.bottom}
+        chain = Chain(**keys)
+    if rng.random() < 0.3:
+        keys.pop("top_material", None)
+        keys.pop("bottom_material", None)
+        keys["wall_constants"] = chain.wall_constants * 10 ** rng.uniform(-1, 1, 2)
+    return Chain(**keys)
+
+
+def _acted(rng: np.random.Generator, chain: Chain) -> Scene:
+    grain = 1 if rng.random() < 0.5 else int(rng.integers(1, chain.movable + 1))
+    length, omega = _units(rng, chain, grain) if chain.grains > 1 else (chain.length_scale, 1 / chain.time_scale)
+    if not np.isfinite(omega) or not length:
+        length, omega = 1e-8, 1e4
+    size = 10 ** rng.uniform(-4, 1) if chain.compressed else 1.0
+    duration, frequency = rng.uniform(2, 20) / omega, omega / (2 * np.pi) * 10 ** rng.uniform(-1, 0.3)
+    strength = float(size * chain.masses[grain - 1] * omega**2 * length) * rng.choice([-1.0, 1.0])
+    cycles = float(rng.choice([1.0, 2.0, 5.0, rng.uniform(0.3, 6)]))
+    apart = np.append(0, np.cumsum(rng.uniform(0.3, 1, rng.integers(5, 30))))
+    times = apart * (duration * rng.uniform(1, 1.2) / apart[-1])
+    wall = 0 if chain.top == "wall" and rng.random() < 0.8 else 1
+    waves = {"amplitude": strength, "frequency": frequency}
+    excitation = {
+        "sine": lambda: Force(grain=grain, **waves),
+        "burst": lambda: Force(grain=grain, **waves, cycles=cycles),
+        "half-sine": lambda: Force(grain=grain, shape="half-sine", amplitude=strength, duration=0.5 / frequency),
+        "points": lambda: Force(grain=grain, times=times, force=rng.normal(size=times.size) * strength),
+        "moved": lambda: Drive(amplitude=size * length, frequency=frequency, grain=wall),
+        "moved in a burst": lambda: Drive(amplitude=size * length, frequency=frequency, grain=wall, cycles=cycles),
+        "moved by points": lambda: Drive(
+            times=times, displacement=np.append(0, rng.normal(size=times.size - 1)) * size * length, grain=wall
+        ),
+        "packet": lambda: Packet(
+            frequency=frequency / 2, width=chain.grains / 13, grain=chain.grains // 2, amplitude=min(size, 1) * length
+        ),
+    }
+    made = excitation[rng.choice(list(excitation))]()
+    return Scene(chain=chain, excitation=made, duration=duration, samples=11)
 
 
 def wide_scene(rng: np.random.Generator) -> Scene:

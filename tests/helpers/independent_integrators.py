@@ -45,9 +45,14 @@ class Motion:
         pressed = (stiffness > 0) & (force > 0)
         self.compressed, self.loose = bool(pressed.any()), np.flatnonzero((stiffness > 0) & ~pressed)
         overlap = np.where(pressed, force / np.where(pressed, stiffness, 1), 0) ** (1 / self.delta)
-        self.driven = _driven(scene, kind)
-        u, v = (np.asarray(a, dtype=kind) for a in ((0 * mass, 0 * mass) if self.driven else scene.initial()))
-        farthest, fastest = self.driven.largest() if self.driven else (np.abs(u).max(), np.abs(v).max())
+        self.acting, self.body = _acting(scene, kind)
+        self.driven = self.acting if self.body == 1 and scene.excitation.kind == "drive" else None
+        u, v = (np.asarray(a, dtype=kind) for a in ((0 * mass, 0 * mass) if self.acting else scene.initial()))
+        farthest, fastest = self.acting.largest() if self.acting else (np.abs(u).max(), np.abs(v).max())
+        self.pushes = scene.excitation.kind == "force"
+        if self.pushes:  # what a free grain would do in a period or so
+            fastest = farthest * self.acting.unit / mass[self.body - 1]
+            farthest = fastest * self.acting.unit
         typical = overlap.max()
         if typical == 0:
             typical = max(farthest, (mass.min() * fastest**2 / stiffness.max()) ** (1 / (self.delta + 1)))
@@ -61,7 +66,7 @@ class Motion:
         if self.driven:
             self.mobility[0] = 0
         self.instants = np.asarray(scene.time, dtype=kind) / self.time
-        self.knots = self.driven.knots / self.time if self.driven else np.empty(0, dtype=kind)
+        self.knots = self.acting.knots / self.time if self.acting else np.empty(0, dtype=kind)
         self.start = self.at(self.instants[0], np.array([u / self.length, v * (self.time / self.length)]))
 
     def at(self, t: np.floating[Any], state: Array) -> Array:
@@ -72,12 +77,20 @@ class Motion:
             state[:, 0] = u / self.length, v * (self.time / self.length)
         return state
 
+    def size(self, t: np.floating[Any], state: Array) -> Array:
+        """Return the largest displacement and velocity of all grains in a state (2, N), and of a wall that moves."""
+        largest = np.abs(state).max(axis=1)
+        if self.acting and self.body == 0:  # it moves before any grain does
+            u, v = self.acting(t * self.time)
+            largest = np.maximum(largest, np.abs([u / self.length, v * (self.time / self.length)]))
+        return largest
+
     def acceleration(self, t: np.floating[Any], x: Array) -> Array:
         """Return x'' (N,) of the displacements x (N,) at time t; 0 for a grain that is held or driven."""
         bodies = np.zeros(x.size + 2, dtype=x.dtype)  # a wall, or nothing, at either end
         bodies[1:-1] = x
-        if self.driven:
-            bodies[1] = self.driven(t * self.time)[0] / self.length
+        if self.acting and not self.pushes:
+            bodies[self.body] = self.acting(t * self.time)[0] / self.length
         s = (bodies[:-1] - bodies[1:]) * self.closer
         if self.compressed:
             shut = s > -1
@@ -86,7 +99,10 @@ class Motion:
         else:
             change = np.maximum(s, 0) ** self.delta
         force = self.strength * change
-        return (force[:-1] - force[1:]) * self.mobility
+        pull = force[:-1] - force[1:]
+        if self.pushes:
+            pull[self.body - 1] += self.acting(t * self.time)[0]
+        return pull * self.mobility
 
     def stretches(self) -> Iterator[tuple[np.floating[Any], np.floating[Any], bool]]:
         """Yield begin and end of every stretch of time that is smooth, and whether a sample is taken at its end."""
@@ -102,18 +118,30 @@ class Motion:
 
 
 class Sine:
-    """A sin(2 pi f t)."""
+    """A sin(2 pi f t), for as many cycles under a Hann window, or for its first half period."""
 
-    def __init__(self, amplitude: float, frequency: float, kind: type[np.floating[Any]]):
+    def __init__(
+        self, amplitude: float, frequency: float, kind: type[np.floating[Any]], cycles: float | None, half: bool
+    ):
         self.amplitude, self.omega = kind(amplitude), 8 * np.arctan(kind(1)) * kind(frequency)
-        self.knots = np.empty(0, dtype=kind)
+        self.unit, self.cycles, self.half = 1 / self.omega, cycles, half
+        ends = [kind(cycles) / kind(frequency)] if cycles else [1 / kind(2 * frequency)] if half else []
+        self.knots = np.array(ends, dtype=kind)
 
     def __call__(self, t: np.floating[Any]) -> tuple[np.floating[Any], np.floating[Any]]:
-        """Return displacement, m, and velocity, m/s."""
-        return self.amplitude * np.sin(self.omega * t), self.amplitude * self.omega * np.cos(self.omega * t)
+        """Return displacement, m, and velocity, m/s; or a force, N, and its rate."""
+        if self.knots.size and t >= self.knots[0]:
+            return 0 * self.omega, 0 * self.omega
+        a, w = self.amplitude, self.omega
+        value, rate = a * np.sin(w * t), a * w * np.cos(w * t)
+        if not self.cycles:
+            return value, rate
+        half = w * t / (2 * self.cycles)  # the square of its sine keeps the digits that 1 - cos loses at first
+        hann, slope = np.sin(half) ** 2, np.sin(half) * np.cos(half) * w / self.cycles
+        return value * hann, rate * hann + value * slope
 
     def largest(self) -> tuple[np.floating[Any], np.floating[Any]]:
-        """Return the largest displacement and speed."""
+        """Return the largest value and rate, about."""
         return abs(self.amplitude), abs(self.amplitude) * self.omega
 
 
@@ -126,7 +154,7 @@ class Spline:
         length, mean = np.diff(self.knots), np.diff(y) / np.diff(self.knots)
         bend = (3 * mean - 2 * slope[:-1] - slope[1:]) / length
         twist = (slope[:-1] + slope[1:] - 2 * mean) / length**2
-        self.pieces = np.array([y[:-1], slope[:-1], bend, twist])
+        self.pieces, self.unit = np.array([y[:-1], slope[:-1], bend, twist]), length.min()
 
     def __call__(self, t: np.floating[Any]) -> tuple[np.floating[Any], np.floating[Any]]:
         """Return displacement, m, and velocity, m/s."""
@@ -142,14 +170,16 @@ class Spline:
         return u, v
 
 
-def _driven(scene: Scene, kind: type[np.floating[Any]]) -> Sine | Spline | None:
-    """Return the motion that grain 1 follows, if there is one."""
-    excitation = scene.excitation
-    if excitation.kind != "drive":
-        return None
-    if excitation.times is None:
-        return Sine(excitation.amplitude, excitation.frequency, kind)
-    return Spline(excitation.times, excitation.displacement, kind)
+def _acting(scene: Scene, kind: type[np.floating[Any]]) -> tuple[Sine | Spline | None, int]:
+    """Return what acts after t = 0, if anything does, and the body: 0 is the wall above grain 1."""
+    given = scene.excitation
+    if given.kind not in ("drive", "force"):
+        return None, 0
+    if given.times is not None:
+        return Spline(given.times, given.force if given.kind == "force" else given.displacement, kind), given.grain
+    half = given.kind == "force" and given.shape == "half-sine"
+    frequency = 0.5 / given.duration if half else given.frequency
+    return Sine(given.amplitude, frequency, kind, given.cycles, half), given.grain
 
 
 def relative_error(u: Array, v: Array, u_ref: Array, v_ref: Array) -> float:
@@ -211,7 +241,7 @@ def extended_reference(scene: Scene, tolerance: float = 1e-18) -> Reference:
 
     def run(loose: float) -> tuple[Array, Array]:
         state, states = motion.start, [motion.start]
-        peak = np.abs(state).max(axis=1)
+        peak = motion.size(motion.instants[0], state)
         step = np.longdouble(0.01)
         for begin, end, sampled in motion.stretches():
             left = end - begin
@@ -226,7 +256,7 @@ def extended_reference(scene: Scene, tolerance: float = 1e-18) -> Reference:
                     continue
                 left = left - tried if parts > 1 else 0
                 state = motion.at(end - left, proposal)
-                peak = np.maximum(peak, np.abs(state).max(axis=1))
+                peak = np.maximum(peak, motion.size(end - left, state))
                 if columns >= 9:
                     step = 0.8 * tried
                 elif columns <= 7:
@@ -250,7 +280,7 @@ def _extrapolate(
             ratio = np.longdouble(parts) / (parts - k)
             row.append(row[k - 1] + (row[k - 1] - above[k - 1]) / (ratio**2 - 1))
         if parts > 2:
-            size = np.maximum(peak, np.abs(row[-1]).max(axis=1))
+            size = np.maximum(peak, motion.size(begin + step, row[-1]))
             if (np.abs(row[-1] - row[-2]).max(axis=1) <= tolerance * size).all():
                 return row[-1], parts
     return None, 10

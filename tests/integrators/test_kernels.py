@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from helpers.example_scenes import smooth
 from llvmlite import binding
-from numba import boolean, float64, types
+from numba import boolean, float64, int64, types
 from numpy.typing import NDArray
 
 from lmpchain import Chain, Profile, Scene
@@ -189,7 +189,7 @@ def packed(assembly: str, operation: str) -> int:
 def test_loops_over_grains_do_several_at_a_time(form: int, operation: str):
     row = types.Array(float64, 1, "C")
     _, loop = forces.LOOPS[form]
-    loop.compile((row,) * 8 + (boolean, float64, float64, row, row))
+    loop.compile((row,) * 8 + (boolean, float64, float64, row, row, int64, boolean))
     assert packed(next(iter(loop.inspect_asm().values())), operation) > 0
 
 

@@ -323,7 +323,7 @@ def test_what_is_not_there_is_named(column: Trajectory) -> None:
         ("end: there is no wall at the end 'top'", lambda: wall_force(column, "top")),
         ("end: there is no wall at the end 'bottom'", lambda: wall_force(free)),
         ("end: there is no wall at the end 'left'", lambda: wall_force(column, "left")),  # type: ignore[arg-type]
-        ("excitation: no grain is driven", lambda: drive_force(column)),
+        ("excitation: nothing is driven", lambda: drive_force(column)),
         ("second: choose two grains", lambda: time_of_flight(column, 5, 5)),
         ("second: choose two grains", lambda: time_of_flight(column, 5, 6, "guess")),  # type: ignore[arg-type]
     ]:

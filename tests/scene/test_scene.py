@@ -67,7 +67,8 @@ FAULTS = {  # what is replaced, what by, and the key that must be named
     "infinite velocity": ("velocity = 8.57e-4", "velocity = -inf", "excitation.velocity"),
     "NaN in time": ("duration = 10e-6", "duration = nan", "recording.duration"),
     "no grains": ("grains = 20", "grains = 0", "chain.grains"),
-    "one grain": ("grains = 20", "grains = 1", "chain.grains"),
+    "no grain": ("grains = 20", "grains = 0", "chain.grains"),
+    "one grain that is held": ("grains = 20", "grains = 1", "chain.grains"),
     "negative number of grains": ("grains = 20", "grains = -5", "chain.grains"),
     "strike on a grain that is not there": ("grain = 1\n", "grain = 21\n", "excitation.grain"),
     "strike on grain 0": ("grain = 1\n", "grain = 0\n", "excitation.grain"),
@@ -191,9 +192,12 @@ FAULTS = {  # what is replaced, what by, and the key that must be named
         STRIKE, 'kind = "drive"\ntimes = [0.0, 2e-5]\ndisplacement = [0.0, 1e-9, 0.0]', "excitation.displacement"
     ),
     "drive by one point": (STRIKE, 'kind = "drive"\ntimes = [0.0]\ndisplacement = [0.0]', "excitation.displacement"),
-    "drive behind a wall": (
-        GOOD[GOOD.index("gravity") : GOOD.index("[recording]")],
-        'top = "wall"\n[excitation]\nkind = "drive"\namplitude = 1e-9\nfrequency = 1e5\n', "excitation.kind",
+    "drive of a wall that is not there": (
+        STRIKE, 'kind = "drive"\ngrain = 0\namplitude = 1e-9\nfrequency = 1e5', "excitation.grain"
+    ),
+    "force of no kind": (STRIKE, 'kind = "force"\namplitude = 1e-3', "excitation.amplitude"),
+    "packet of one grain": (
+        STRIKE, 'kind = "packet"\ngrain = 10\nfrequency = 1e4\nwidth = 5.0\namplitude = 1e-12', "excitation.width"
     ),
     "drive of one grain above a held one": (
         GOOD[GOOD.index("grains") : GOOD.index("[recording]")],
@@ -235,7 +239,7 @@ def test_a_fault_is_named_by_its_key(old: str, new: str, key: str, file: Path, c
 
 def test_all_faults_come_at_once(file: Path, capsys: pytest.CaptureFixture[str]):
     text = GOOD
-    chosen = ("unknown key", "NaN", "one grain", "word for a velocity", "no duration", "one sample")
+    chosen = ("unknown key", "NaN", "no grain", "word for a velocity", "no duration", "one sample")
     for name in chosen:
         old, new, _ = FAULTS[name]
         text = text.replace(old, new)
@@ -264,13 +268,13 @@ def test_faults_of_walls_impurities_and_drives_come_at_once(file: Path, capsys: 
 def test_what_does_not_fit_together_comes_at_once(file: Path, capsys: pytest.CaptureFixture[str]):
     """Each value is right by itself: walls and their materials, impurities, a drive and how long it lasts."""
     impurities = "".join(f"[[chain.impurity]]\ngrain = {n}\nmass = 1e-6\n" for n in (21, 4, 4))
-    table = 'top = "wall"\nbottom_material = "steel"\n' + impurities + "[excitation]"
-    drive = 'kind = "drive"\ntimes = [0.0, 9e-6]\ndisplacement = [0.0, 1e-9]'
+    table = 'bottom_material = "steel"\n' + impurities + "[excitation]"
+    drive = 'kind = "drive"\ntimes = [0.0, 9e-6]\ndisplacement = [0.0, 1e-9]\ngrain = 0'
     recorded = 'samples = 11\ngrains = "20:21"'
     file.write_text(GOOD.replace("[excitation]", table).replace(STRIKE, drive).replace("samples = 11", recorded))
     assert refused(file, capsys) == [
         "chain.impurity.0.grain", "chain.impurity.2.grain", "chain.bottom_material",
-        "excitation.kind", "excitation.times", "recording.grains",
+        "excitation.grain", "excitation.times", "recording.grains",
     ]  # fmt: skip
 
 
@@ -530,7 +534,7 @@ def test_a_faulty_csv_file_is_refused(text: str, file: Path, capsys: pytest.Capt
 
 def test_python_finds_the_same_faults_as_a_file():
     with pytest.raises(InputError) as caught:
-        Chain(grains=1, diameter=-1.0, gravity=np.nan, colour="red")
+        Chain(grains=0, diameter=-1.0, gravity=np.nan, colour="red")
     assert {key for key, _ in caught.value.faults} == {"grains", "diameter", "gravity", "colour"}
     chain = Chain(grains=3, diameter=1e-3)
     with pytest.raises(InputError) as caught:
@@ -539,10 +543,10 @@ def test_python_finds_the_same_faults_as_a_file():
 
 
 def test_python_finds_the_same_faults_in_a_drive_as_a_file():
-    chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top="wall")
+    chain = Chain(grains=2, diameter=1e-3, gravity=0.0)
     with pytest.raises(InputError) as caught:
         Scene(chain=chain, excitation=Drive(times=[0, 1e-6], displacement=[0, 1e-9]), duration=1e-5, grains=[4])
-    assert [key for key, _ in caught.value.faults] == ["kind", "kind", "times", "grains"]
+    assert [key for key, _ in caught.value.faults] == ["kind", "times", "grains"]
     with pytest.raises(InputError) as caught:
         Drive(times=[1e-6, 0], displacement=[1e-9, 0])
     assert [key for key, _ in caught.value.faults] == ["times", "displacement"]

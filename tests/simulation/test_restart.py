@@ -12,7 +12,7 @@ import pytest
 from helpers.child_processes import same
 from helpers.example_scenes import paper
 
-from lmpchain import Chain, Drive, Impulse, InputError, Scene, Stopped, Trajectory, engines, resume, simulate
+from lmpchain import Chain, Drive, Force, Impulse, InputError, Scene, Stopped, Trajectory, engines, resume, simulate
 from lmpchain.engines import error_estimate
 from lmpchain.simulation.run_folder import status
 
@@ -22,11 +22,21 @@ SCENE = Scene(chain=CHAIN, excitation=STRIKE, duration=4e-3, samples=3001)
 SHORT = Scene(chain=CHAIN, excitation=STRIKE, duration=3e-4, samples=601)
 BRIEF = Scene(chain=CHAIN, excitation=STRIKE, duration=3e-5, samples=301)
 DRIVEN = Scene(chain=CHAIN, excitation=Drive(amplitude=1e-8, frequency=2e4), duration=3e-4, samples=301)
+PUSHED = DRIVEN.replace(excitation=Force(grain=3, shape="half-sine", amplitude=1e-3, duration=1.03e-4))
+MOVED = DRIVEN.replace(
+    chain=CHAIN.replace(top="wall", top_load=0.1),
+    excitation=Drive(amplitude=1e-9, frequency=2e4, cycles=2.3, grain=0),
+)
 STOPPED = {
     "native": (SCENE, engines.Native(step=2e-8), 1e-6),
     "several attempts": (SHORT, engines.Native(adaptive=False), 1e-4),
     "verlet": (SHORT, engines.Native(integrator="verlet", step=1e-9), 1e-6),
     "driven": (DRIVEN, engines.Native(step=2e-9), 1e-6),
+    "pushed": (PUSHED, engines.Native(step=2e-8), 1e-6),
+    "wall moved": (MOVED, engines.Native(integrator="gear4", step=2e-9), 1e-6),
+    "lammps, pushed": (PUSHED, engines.Lammps(integrator="rkn6", step=1e-7), 1e-6),
+    "lammps, wall moved": (MOVED, engines.Lammps(integrator="rkn6", step=1e-7), 1e-6),
+    "modes, pushed": (PUSHED, engines.Modes(), 0.99),
     "lammps": (BRIEF, engines.Lammps(integrator="kahan-li6", step=1e-7, diameter="physical"), 1e-6),
     "lammps, gauge": (paper("weak", 301), engines.Lammps(diameter="gauge", step=4e-7), 1e-6),
     "lammps, driven": (DRIVEN, engines.Lammps(integrator="verlet", step=1e-7, diameter="physical"), 1e-6),

@@ -10,7 +10,7 @@ from helpers.independent_integrators import extended_reference, relative_error
 from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Scene, ToleranceNotMet, simulate
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines import Lammps, Native
-from lmpchain.engines.perturbation import perturbed
+from lmpchain.engines.amplification import perturbed
 from lmpchain.engines.step_control import first_attempt, run_to_tolerance, solve_to_tolerance
 from lmpchain.errors import RunFailed
 from lmpchain.stability.predictability import growth, growth_rate, predictability_time, predicted_time, reflection_time

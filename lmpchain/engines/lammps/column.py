@@ -127,7 +127,7 @@ class Column:
         """Neighbour skin, m: every gap of the start lies within it."""
         z, _ = self.start
         gap = z[:-1] - z[1:] - (self.diameters[:-1] + self.diameters[1:]) / 2
-        return float(0.3 * self.diameters.max() + max(gap.max(), 0.0))
+        return float(0.3 * self.diameters.max() + gap.max(initial=0.0))
 
     @cached_property
     def box(self) -> tuple[float, float, float, float]:
@@ -148,7 +148,7 @@ class Column:
         if self.pair_style != "granular":
             return ["* *"]
         pairs = self._typed[1]
-        lines = [f"* * {self.model} {next(iter(pairs.values()))!r} {LOSSLESS}"]
+        lines = [f"* * {self.model} {next(iter(pairs.values()), 1.0)!r} {LOSSLESS}"]
         if len(pairs) > 1:
             lines += [f"{i} {j} {self.model} {value!r} {LOSSLESS}" for (i, j), value in pairs.items()]
         return lines
@@ -158,7 +158,7 @@ class Column:
         """Argument of the pair_style command."""
         if self.pair_style == "granular":
             return "granular"
-        return f"{self.pair_style} {self._typed[1][1, 1]!r} 0.0 0.0 0.0 0.0 0"
+        return f"{self.pair_style} {self._typed[1].get((1, 1), 1.0)!r} 0.0 0.0 0.0 0.0 0"
 
     @cached_property
     def _typed(self) -> tuple[list[int], dict[tuple[int, int], float]]:

@@ -13,6 +13,7 @@ from typing import Any
 from ...chain.materials import Material
 from ...errors import InputError
 from ...integrators.splittings import Splitting
+from ...scene.scene import Scene
 from ...util.files import write_aside
 from ...util.templates import render, render_text
 from . import drive
@@ -61,7 +62,7 @@ def check_template(column: Column, splitting: Splitting) -> None:
 def write_deck(column: Column, folder: Path, step: float, splitting: Splitting) -> Path:
     """Write `in.column`, which runs by itself."""
     if splitting.order > 2 and column.scene.excitation.does_work:
-        raise InputError([("integrator", "a deck can carry a drive with verlet only; use that")])
+        raise InputError([("integrator", "a deck can carry a drive or a force with verlet only; use that")])
     text = _filled(column, step, splitting, data="column.data", alone=True)
     path = folder / "in.column"
     with write_aside(path) as aside:
@@ -77,6 +78,12 @@ def dump(path: str, every: int) -> str:
 def carries(splitting: Splitting) -> bool:
     """Say whether a deck can carry this splitting: its kicks must be LAMMPS's own."""
     return splitting.order == 2 or bool(splitting.substeps)
+
+
+def kicked_by_force(scene: Scene, splitting: Splitting) -> bool:
+    """Say whether a force acts with a method of several drifts, which has its own times for it."""
+    acting = scene.excitation
+    return splitting.order > 2 and acting.does_work and not acting.driven and acting.wall is None
 
 
 def check_carried(splitting: Splitting, key: str) -> None:
@@ -126,7 +133,7 @@ def _filled(column: Column, step: float, splitting: Splitting, done: int = 0, **
         "substeps": splitting.substeps,
         "stride": f"$(v_every*{len(splitting.substeps)})" if splitting.substeps else "${every}",
         # velocity Verlet and its compositions kick in LAMMPS; for others the kicks come from outside
-        "fix": "nve" if carries(splitting) else "nve/noforce",
+        "fix": "nve" if carries(splitting) and not kicked_by_force(scene, splitting) else "nve/noforce",
         "first_step": done * deck_steps(splitting),
         "start_time": done * step,
         "moves": splitting.order == 2,  # fix move wants steps of one length; else the speeds come from outside

@@ -53,9 +53,11 @@ class LammpsStepper:
         scene = column.scene
         first, last = column.mobile
         pieces = tuple(drive.pieces(scene.excitation, scene.duration))
+        pushed = scene.excitation.reach(scene.chain)[0] - 1 if deck.kicked_by_force(scene, splitting) else None
         plan = StepPlan(
-            scene.chain.grains, first - 1, last, splitting, step, self._done, scene.drive, pieces, column.heights[0]
-        )
+            scene.chain.grains, first - 1, last, splitting, step, self._done, pieces, column.heights[0],
+            scene.excitation.waveform, bool(scene.excitation.driven), pushed,
+        )  # fmt: skip
         try:
             with deck.data_file(column, keep) as data:
                 communicator.ask("commands", deck.setup(column, word(data), step, splitting, self._done))

@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...integrators.kernels.layout import RESOLUTION
 from ...integrators.splittings import Splitting
-from ...scene.excitation import Drive
+from ...scene.waveform import Waveform
 from ...util.arrays import Array
 from .library import open_lammps
 
@@ -27,12 +28,15 @@ class StepPlan:
         s.
     done : int
         Steps of before.
-    drive : Drive or None
-        The motion of grain 1.
     pieces : tuple of (end, commands)
-        Of a sampled drive.
+        Of a spline.
     rest : float
         Height at which grain 1 rests, m.
+    wave : Waveform or None
+        What is imposed: a force if it is `pushed`, or the motion of grain 1 if that is `driven`, else of the top wall.
+    driven : bool
+    pushed : int or None
+        The grain, counted from 0, that a force kicks from outside.
     """
 
     grains: int
@@ -41,9 +45,25 @@ class StepPlan:
     splitting: Splitting
     step: float
     done: int
-    drive: Drive | None
     pieces: tuple[tuple[float, list[str]], ...]
     rest: float
+    wave: Waveform | None
+    driven: bool
+    pushed: int | None
+
+    @property
+    def walled(self) -> bool:
+        """Whether the top wall is put where it is from outside."""
+        return bool(self.wave) and self.splitting.order > 2 and not self.driven and self.pushed is None
+
+    def parts(self, index: int) -> list[tuple[float, Array]]:
+        """Return length and times of drifts of a step, or of its two parts if what is imposed ends in it."""
+        reach, h = np.array([0.0, *self.splitting.reach]), self.step
+        end = self.wave.end if self.wave and self.wave.spline is None else np.inf
+        begin, left = index * h, end - index * h
+        if not RESOLUTION * h < left < (1 - RESOLUTION) * h:
+            return [(h, (index + reach) * h)]
+        return [(left, begin + left * reach), (h - left, begin + left + (h - left) * reach)]
 
 
 class LocalState(NamedTuple):
@@ -86,12 +106,18 @@ class Worker:
         if kept and here:
             for name, values in zip("xv", kept, strict=True):
                 arrays.extract_atom(name)[:here, 2] = values[start : start + here]
+        if plan.walled:
+            self._move_wall(plan.done * plan.step)
+        elif plan.done and plan.pieces and plan.splitting.order == 2:  # with the piece of the last step
+            self._put_in_force(next(k for k, (end, _) in enumerate(plan.pieces) if int(end / plan.step) >= plan.done))
         self._lammps.command("run 0 post no")
         self._x, self._v, self._f = (arrays.extract_atom(name)[:here] if here else np.empty((0, 3)) for name in "xvf")
         moving = slice(*(min(max(edge - start, 0), here) for edge in (plan.first, plan.last)))
         self._vz, self._fz = self._v[moving, 2], self._f[moving, 2]
         self._inverse_mass = 1 / arrays.extract_atom("rmass")[:here][moving] if here else np.empty(0)
         self._kick = np.empty_like(self._inverse_mass)
+        place = -1 if plan.pushed is None else plan.pushed - max(plan.first, start)
+        self._pushed = place if 0 <= place < self._vz.size else None
         return self._share()
 
     def advance(self, steps: int) -> LocalState:
@@ -100,8 +126,8 @@ class Worker:
         if splitting.order == 2:
             self._run(steps)
         else:
-            kicks = () if splitting.substeps else splitting.kicks
-            self._split([b * self._plan.step for b in kicks], steps)
+            from_outside = not splitting.substeps or self._plan.pushed is not None
+            self._split(splitting.kicks if from_outside else (), steps)
         self._done += steps
         return self._share()
 
@@ -117,29 +143,38 @@ class Worker:
         if last > now:
             self._lammps.command(f"run {last - now} pre no post no")
 
-    def _split(self, kicks: list[float], steps: int) -> None:
+    def _split(self, kicks: tuple[float, ...], steps: int) -> None:
         """Steps of several drifts, each a run: with LAMMPS's own kicks, or with these, on its own arrays."""
         command, plan = self._lammps.command, self._plan
-        drifts = [a * plan.step for a in plan.splitting.drifts]
-        lengths = [f"timestep {drift!r}" for drift in drifts]
-        weights = [self._inverse_mass * b for b in kicks]
-        v, f, kick = self._vz, self._fz, self._kick
-        driven = plan.drive if self._start == 0 and self._x.size else None
-        if driven:
-            index = self._done + np.arange(steps)[:, None]
-            goals = plan.rest - driven.motion((index + np.array(plan.splitting.reach)) * plan.step)[0]
-        for step in range(steps):
-            for part, length in enumerate(lengths):
-                if weights:
-                    v += np.multiply(f, weights[part], out=kick)
-                if driven:  # the speed that takes it where it should be
-                    self._v[0, 2] = (goals[step, part] - self._x[0, 2]) / drifts[part]
-                command(length)
-                command("run 1 pre no post no")
-            if weights:  # this kick stays apart from the next step's first: chunks of any length give the same bits
-                v += np.multiply(f, weights[-1], out=kick)
-        if driven:
-            self._v[0, 2] = -driven.motion((self._done + steps) * plan.step)[1]
+        at_work = plan.driven and self._start == 0 and self._x.size
+        for index in range(self._done, self._done + steps):
+            for h, times in plan.parts(index):
+                imposed = plan.wave.at(times) if plan.wave else times
+                for part, drift in enumerate(a * h for a in plan.splitting.drifts):
+                    if kicks:
+                        self._give(kicks[part] * h, imposed[part])
+                    if at_work:  # the speed that takes it where it should be
+                        self._v[0, 2] = (plan.rest - imposed[part + 1] - self._x[0, 2]) / drift
+                    if plan.walled:
+                        self._move_wall(times[part + 1])
+                    command(f"timestep {drift!r}")
+                    command("run 1 pre no post no")
+                if kicks:  # this kick stays apart from the next step's first: chunks of any length give the same bits
+                    self._give(kicks[-1] * h, imposed[-1])
+        if at_work:
+            assert plan.wave
+            self._v[0, 2] = -plan.wave.at((self._done + steps) * plan.step, 1)
+
+    def _give(self, length: float, force: float) -> None:
+        """Kick all grains for this time, s, by the forces of LAMMPS, and one by a force from outside, N."""
+        self._vz += np.multiply(self._fz, self._inverse_mass * length, out=self._kick)
+        if self._pushed is not None:
+            self._vz[self._pushed] -= length * self._inverse_mass[self._pushed] * force
+
+    def _move_wall(self, t: float) -> None:
+        """Put the top wall where it is at this time."""
+        assert self._plan.wave
+        self._lammps.set_internal_variable("wall_at", float(-self._plan.wave.at(t)))
 
     def _put_in_force(self, index: int) -> None:
         if index != self._piece:

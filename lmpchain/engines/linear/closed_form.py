@@ -15,7 +15,8 @@ from ...trajectory.record import Block, Cost
 from ...util.arrays import Array
 from ...util.compilation import clock
 from ..base import Candidate, ErrorBudget, Run
-from .engine import Chebyshev, LinearEngine, LinearRun, Solution
+from .engine import Chebyshev, LinearEngine, LinearRun
+from .solutions import Solution
 
 UNIFORM = 1e-12  # relative difference of masses and constants that still counts as none
 
@@ -35,7 +36,7 @@ class ClosedForm(LinearEngine):
         reached = scene.light_cone.scene
         chain, reasons = reached.chain, super().refuses(reached)
         for key, values in (("masses", chain.masses), ("contact_constants", chain.contact_constants)):
-            if np.ptp(values) > UNIFORM * values.max():
+            if values.size and np.ptp(values) > UNIFORM * values.max():
                 reasons.append((key, f"{self.name} knows grains that are all alike only; use modes or chebyshev"))
         if not scene.excitation.strikes_top:
             reasons.append(("excitation", f"{self.name} knows an impulse on grain 1 only; use modes or chebyshev"))

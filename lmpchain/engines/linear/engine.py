@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from typing import ClassVar, Protocol
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...integrators.kernels.chebyshev import SPAN, Propagator, terms
+from ...integrators.kernels.chebyshev import SPAN, terms
 from ...scene.scene import Scene
 from ...trajectory.record import Block, Cost
 from ...util.arrays import EPSILON, Array
@@ -17,10 +17,12 @@ from ...util.compilation import clock
 from ..base import Candidate, Engine, ErrorBudget, Run, SharperBound
 from ..cost_model import seconds
 from .model_error import PhaseError, bounds, decidable, dense, evaluation_times, evaluations
+from .solutions import ChebyshevSolution, ModalSolution, Solution
 
 BLOCK = 16  # samples a block, if so many fit
 BLOCK_VALUES, SMALL = 2**22, 2**14  # values that are at hand at a time, and that take no time worth speaking of
 MOST_MODES = 12_000  # 1.2 GB of eigenvectors
+CANCELS = 40.0  # digits in the last place that a burst loses in modes, at the lowest of its frequencies
 LOOK_VALUES = 2**18  # a contact that opens ends a look: values at a time
 
 
@@ -39,7 +41,7 @@ class LinearEngine(Engine):
         elif (contacts.exists & ~contacts.pressed).any():
             reasons.append(("top", "a wall that only touches cannot be linearised; give a top_load or use native"))
         if not scene.excitation.linear:
-            reasons.append(("excitation", "linear engines know harmonic drives only; use the engine native"))
+            reasons.append(("excitation", "linear engines know no motion or force by points; use the engine native"))
         return reasons
 
     def candidate(self, scene: Scene, tolerance: float) -> Candidate:
@@ -106,6 +108,13 @@ class Chebyshev(LinearEngine):
     name: ClassVar[str] = "chebyshev"
     start_up_s: ClassVar[float] = 2e-4
 
+    def refuses(self, scene: Scene) -> list[tuple[str, str]]:
+        """Return why there is no linear theory of this scene, or no such series of it."""
+        reasons, given = super().refuses(scene), scene.excitation
+        if given.linear and given.does_work and not (scene.drive and np.isinf(scene.drive.waveform.end)):
+            reasons.append(("excitation", f"{self.name} knows motions that are a sine without end only; use modes"))
+        return reasons
+
     def work(self, scene: Scene, samples: int, values: int) -> float:
         """Return the time for the polynomials from one evaluation to the next."""
         z, moments = scene.chain.band_edge * scene.duration, _moments(scene, samples)
@@ -116,7 +125,7 @@ class Chebyshev(LinearEngine):
 
     def solve(self, scene: Scene, state: Mapping[str, Array]) -> Solution:
         """Return the solution, from the start or from a kept state."""
-        return _Chebyshev(scene, state)
+        return ChebyshevSolution(scene, state)
 
 
 class Modes(LinearEngine):
@@ -132,8 +141,14 @@ class Modes(LinearEngine):
         return reasons
 
     def round_off(self, scene: Scene) -> float:
-        """Return the relative error that rounding makes; eigenvectors have their part in it."""
-        return super().round_off(scene) + EPSILON * 4 * scene.chain.grains
+        """Return the relative error that rounding makes; eigenvectors have their part in it.
+
+        A burst is the sum of three sines whose transients all but cancel.
+        """
+        rounding, wave = super().round_off(scene) + EPSILON * 4 * scene.chain.grains, scene.excitation.waveform
+        if wave and wave.envelope:
+            rounding += EPSILON * CANCELS * (1 + scene.chain.grains * wave.fastest / scene.chain.band_edge)
+        return rounding
 
     def work(self, scene: Scene, samples: int, values: int) -> float:
         """Return the time for the diagonalisation, and for sums over modes at every evaluation."""
@@ -143,24 +158,7 @@ class Modes(LinearEngine):
 
     def solve(self, scene: Scene, state: Mapping[str, Array]) -> Solution:
         """Return the solution, whose start is all that is needed."""
-        return _Modes(scene)
-
-
-class Solution(Protocol):
-    """The solution of one linear chain."""
-
-    @property
-    def work(self) -> int:
-        """How often the matrix of the chain has been applied so far, or how many modes there are."""
-
-    def at(self, times: Array) -> tuple[Array, Array, NDArray[np.intp]]:
-        """Return displacement and velocity at these times, later and later ones, (T, N) m and m/s.
-
-        With them come the first grain, from 0, and the one after the last that may move, (T, 2).
-        """
-
-    def state(self) -> dict[str, Array]:
-        """Return what is needed to go on with the same bits."""
+        return ModalSolution(scene)
 
 
 def _moments(scene: Scene, samples: int) -> int:
@@ -275,78 +273,3 @@ class LinearRun(Run):
 
     def close(self) -> None:
         """There is nothing to release."""
-
-
-class _Chebyshev:
-    """The propagator, from one time to the next."""
-
-    def __init__(self, scene: Scene, state: Mapping[str, Array]):
-        chain = scene.chain
-        mobility = 1 / chain.masses
-        mobility[chain.movable :] = 0.0
-        if scene.drive:
-            mobility[0] = 0.0
-        u, v = (np.array(state[key]) for key in "uv") if state else scene.initial()
-        oscillator = 2 * np.pi * scene.drive.frequency if scene.drive else 0.0
-        self._chain = Propagator(chain.contacts.stiffness, mobility, oscillator, u, v)
-        self._time = float(state.get("time", 0.0))
-
-    @property
-    def work(self) -> int:
-        """Polynomials so far."""
-        return self._chain.terms
-
-    def at(self, times: Array) -> tuple[Array, Array, NDArray[np.intp]]:
-        """Return the solution at these times."""
-        before, self._time = self._time, float(times[-1])
-        return self._chain.advance(times - before)
-
-    def state(self) -> dict[str, Array]:
-        """Return displacement and velocity, and when they were so."""
-        return {"u": self._chain.u.copy(), "v": self._chain.v.copy(), "time": np.array(self._time)}
-
-
-class _Modes:
-    """The sum over eigenmodes, and what a harmonic drive forces on each."""
-
-    def __init__(self, scene: Scene):
-        from ...theory.modes import between
-
-        chain, drive = scene.chain, scene.drive
-        first, last = 1 if drive else 0, chain.movable
-        self._modes = between(chain.contacts.stiffness[first : last + 1], chain.masses[first:last])
-        u, v = scene.initial()
-        self._initial = u[first:last], v[first:last]
-        self._drive, self._pull = drive, chain.contacts.stiffness[first] * self._modes.shape[0]
-        self._held = chain.grains - last
-
-    @property
-    def work(self) -> int:
-        """Number of modes."""
-        return self._modes.frequency.size
-
-    def at(self, times: Array) -> tuple[Array, Array, NDArray[np.intp]]:
-        """Return the solution at these times, found for all of them at once."""
-        u, v = self._modes.response(times, *self._initial)
-        top = np.empty((2, times.size, 0))
-        if self._drive:
-            forced = self._forced(times[:, None])
-            u, v = u + forced[0] @ self._modes.shape.T, v + forced[1] @ self._modes.shape.T
-            top = np.array(self._drive.motion(times))[..., None]
-        rest = np.zeros((times.size, self._held))
-        u, v = np.hstack((top[0], u, rest)), np.hstack((top[1], v, rest))
-        return u, v, np.tile((0, u.shape[1]), (times.size, 1))
-
-    def _forced(self, t: Array) -> tuple[Array, Array]:
-        """Return ``q'' + w^2 q = f sin(W t)`` from rest, (T, M), in a form that holds at resonance, w = W."""
-        assert self._drive
-        w, drive = self._modes.frequency, 2 * np.pi * self._drive.frequency
-        mean, half = (w + drive) / 2, (w - drive) / 2
-        beat = t * np.sinc(half * t / np.pi)  # sin(half t) / half
-        f = self._pull * self._drive.amplitude / (2 * mean)
-        q = f / w * (np.sin(mean * t) * np.cos(half * t) - mean * np.cos(mean * t) * beat)
-        return q, f * drive * np.sin(mean * t) * beat
-
-    def state(self) -> dict[str, Array]:
-        """Any time follows from the modes."""
-        return {}

@@ -17,6 +17,7 @@ from ...integrators.kernels import phase_error as kernel
 from ...integrators.kernels.phase_error import accumulate, start
 from ...scene.scene import Scene
 from ...util.arrays import Array
+from .resonance import Resonance
 
 EARLIEST, GROWTH, EVENLY = 0.5, 1.25, 64  # extra evaluation times: geometric (ratio 1.25) and 64 all over the run
 SMALL = 1024  # values of one chain for which more of them cost next to nothing
@@ -50,12 +51,14 @@ class PhaseError:
         chain, contacts = scene.chain, scene.chain.contacts
         self._stiffness, self._inverse_mass = contacts.stiffness, 1 / chain.masses
         self._inverse_mass[chain.movable :] = 0.0
-        self._oscillator = (2 * np.pi * scene.drive.frequency) ** 2 if scene.drive else 0.0
+        self._inverse_mass[: scene.excitation.driven] = 0.0
         self._inverse_overlap = np.divide(1.0, contacts.overlap, out=np.zeros(chain.grains + 1), where=contacts.pressed)
-        self._excess = chain.exponent - 1
+        self._excess, self._excitation = chain.exponent - 1, scene.excitation
+        self._place = scene.excitation.reach(chain)[0] - 1
         self._fastest, self._most = fastest(scene), bounds(scene)[1]
         self._open_at = OPEN if may_open(scene) else -np.inf
         self._looked = decidable(scene)
+        self._resonance = Resonance(scene)
         self._spreads = struck_column(scene)  # where the lead is won at the first grains, and stays
         self.state = start() if state is None else state.copy()
 
@@ -73,9 +76,14 @@ class PhaseError:
         reach : (T, 2) array
             First grain, from 0, and the one after the last that moves.
         """
+        walls, given = np.zeros((times.size, 3)), np.zeros(times.size)
+        if (wave := self._excitation.waveform) and self._excitation.wall:
+            walls = np.stack([wave.at(times, order) for order in range(3)], axis=1)
+        elif wave:
+            given = wave.at(times, 2) if self._excitation.driven else wave.at(times) * self._inverse_mass[self._place]
         accumulate(
-            times, recorded, u, v, reach, self._inverse_overlap, self._stiffness, self._inverse_mass, self._oscillator,
-            self._excess / 4, 0.6 / RESOLVED / self._fastest, self._open_at, self.state,
+            times, recorded, u, v, reach, walls, self._place, given, self._inverse_overlap, self._stiffness,
+            self._inverse_mass, self._excess / 4, 0.6 / RESOLVED / self._fastest, self._open_at, self.state,
         )  # fmt: skip
 
     @property
@@ -84,8 +92,9 @@ class PhaseError:
         if not self._looked:
             return 1.0
         slows = SLOWS * self._excess * self._typical * self.state[kernel.SQUARED_STRAIN]
-        strayed = 0.0 if self._spreads else STRAYS * self._strays(self._typical) + slows
-        return float(min(1.0, max(self._leads / (1 + self._leads), strayed)))
+        resonant = float((self._resonance.motion(self.state[kernel.TIME]) / self.scale).max())
+        strayed = 0.0 if self._spreads else max(resonant, STRAYS * self._strays(self._typical)) + slows
+        return float(min(1.0, max(self._leads, strayed)))
 
     @property
     def at_most(self) -> float:
@@ -104,9 +113,9 @@ class PhaseError:
         if v == 0:
             return 0.0
         by_phase = (self.state[OFF] / self.scale).max()
-        at_once = AT_ONCE * self._excess * self.state[kernel.MOST_STRAIN] * self._begun
+        lead = max(by_phase, AT_ONCE * self._excess * self.state[kernel.MOST_STRAIN] * self._begun)
         grazes = 0.0 if np.isnan(self.state[kernel.OPENED]) else GRAZES
-        return float(max(by_phase, at_once) + max(self.state[kernel.PULLED] / v, grazes))
+        return float(lead / (1 + lead) + max(self.state[kernel.PULLED] / v, grazes))
 
     def _strays(self, frequency: float) -> float:
         """Return the strains added up as if the phases that they shift went at random."""
@@ -169,7 +178,7 @@ def bounds(scene: Scene) -> tuple[float, float]:
 def struck_column(scene: Scene) -> bool:
     """Whether it is a uniform column under gravity alone, struck at its top, for at most ten passages."""
     chain, strike = scene.chain, scene.excitation
-    if not (strike.strikes_top and chain.gravity > 0 and chain.top_load == 0):
+    if chain.grains == 1 or not (strike.strikes_top and chain.gravity > 0 and chain.top_load == 0):
         return False
     if chain.top != "free" or chain.exponent > STEEPEST or np.ptp(chain.masses) or np.ptp(chain.contact_constants):
         return False

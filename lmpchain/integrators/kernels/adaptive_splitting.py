@@ -12,8 +12,8 @@ import numpy as np
 
 from ...util.compilation import compiled_once
 from .contact_forces import NEWS, STRICT, bits, fma, inlined, number
-from .layout import DONE, FIRST, LAST, PAD, PENDING
-from .right_hand_side import accelerate, ahead, hold, impose, impose_velocity, imposed, sweep
+from .layout import DONE, FIRST, LAST, PAD, PENDING, RESOLUTION, STEPS
+from .right_hand_side import accelerate, ahead, hold, impose, impose_velocity, imposed, recall, sweep
 from .sample_loop import end_of_step, sample_loop
 from .window import look, watch, widen
 
@@ -73,17 +73,18 @@ def _finish_kick(chain, margin, force, pull):
 @inlined
 def _advance(chain, method, work, clock, span):
     """Take one step."""
-    kicks, drifts, shortened, omega, nearest, weight = method
+    kicks, drifts, shortened, every, omega, nearest, weight = method
     kick, drift, carried, path, reach, force, pull = work
     y, w, state, stages = chain.x, chain.v, chain.state, drifts.size
     t = span.begin + state[DONE]
+    recall(chain, t)
     impose_velocity(chain, w, PAD, t)  # before the forces, like all that is imposed
     _finish_kick(chain, stages + 1, force, pull)
     watch(chain)
-    look(chain, t, 1.0)
+    look(chain, every, int(state[STEPS]), t, 1.0)
     first, last = int(state[FIRST]), int(state[LAST])
     bodies, near, grains, speeds = slice(first - 1, last + 1), slice(first - 1, last), y[first:last], w[first:last]
-    left = min(span.length - state[DONE], ahead(chain, t, span.begin + span.length, 1e-9 * clock.step))
+    left = min(span.length - state[DONE], ahead(chain, t, span.begin + span.length, RESOLUTION * clock.step))
     nearness = _nearness(
         y[bodies], w[bodies], pull[bodies], chain.inverse_length[near], weight[chain.number, near],
         chain.precompressed, chain.uncompressed if first == PAD else 0.0, omega[chain.number], nearest[chain.number],
@@ -104,7 +105,7 @@ def _advance(chain, method, work, clock, span):
     sweep(chain, kick, drift, carried, path)
     state[DONE] = done
     state[PENDING] = kicks[stages] * h
-    impose(chain, y, span.begin + state[DONE])
+    impose(chain, y, span.begin + state[DONE], span.begin + state[DONE])
     return 1
 
 
@@ -123,7 +124,8 @@ def march(chains, method, clock, u_out, v_out, offset, until, max_steps):
 
     Parameters
     ----------
-    method : kicks (S+1,) and drifts (S,) as parts of a step, length of the shortened steps, and of R chains
+    method : kicks (S+1,) and drifts (S,) as parts of a step, length of the shortened steps, steps from one look for
+        the largest motion to the next, and of R chains
         the highest frequency (R,) in rad/s, the largest 1 / (distance x frequency) that is told apart (R,), and
         for each contact the square of the acceleration that it gives over what changes the motion (R, W)
     """

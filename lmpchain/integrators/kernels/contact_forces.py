@@ -169,18 +169,23 @@ def _loops(force: Callable[..., Any]) -> tuple[Callable[..., Any], Callable[...,
     @compiled
     def rows(
         x, v, inverse_length, strength, inverse_mass, kicks, drifts, carried,
-        top, uncompressed, precompressed, coefficients, path,
+        top, uncompressed, precompressed, coefficients, path, place, forced,
     ):  # fmt: skip
         """Kick and drift all grains once a row, in place and in one pass: each contact's force is found once.
 
         x (G+2,) has a body more at either end than v (G,); contacts n = 0 ... G lie between x[n] and x[n+1]. The force
         on the first grain from above is that of contact 0 if it is the `top`, else the one in `carried` (rows,), where
-        the force below the last grain is left for the part of the chain that follows.
+        the force below the last grain is left for the part of the chain that follows. `path` (rows,), if it has any,
+        is where the body x[place] of the `top` is, or a force on it if it is `forced` and among those that move.
         """
         for row in range(kicks.size):
             kick, drift = kicks[row], drifts[row]
-            if path.size > 0 and top:
-                x[1] = path[row]
+            if path.size > 0:
+                if forced:
+                    if 1 <= place <= v.size:
+                        v[place - 1] = fma(kick * inverse_mass[place - 1], path[row], v[place - 1])
+                elif top:
+                    x[place] = path[row]
             above = carried[row]
             if top:
                 above = 0.0

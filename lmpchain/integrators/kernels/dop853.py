@@ -8,7 +8,7 @@ import numpy as np
 
 from ...util.compilation import compiled_once
 from .contact_forces import NEWS, STRICT, inlined
-from .layout import DONE, FIRST, LAST, STEP
+from .layout import DONE, FIRST, LAST, RESOLUTION, STEP, STEPS
 from .right_hand_side import accelerate, ahead, impose
 from .sample_loop import end_of_step, sample_loop
 from .window import look, watch, widen
@@ -38,14 +38,14 @@ def _error(chain, weights, slopes, h):
 @inlined
 def _advance(chain, method, work, clock, span):
     """Take one step of the Runge-Kutta-Nystrom form, or none if its error is too large."""
-    nodes, inner, weights, allowed = method
+    nodes, inner, weights, allowed, most, every = method
     force, z, slopes = work
     y, w, state, stages = chain.x, chain.v, chain.state, nodes.size
     widen(chain, stages + 2)
     first, last = int(state[FIRST]), int(state[LAST])
     here = slice(first, last)
     now = span.begin + state[DONE]
-    left = min(span.length - state[DONE], ahead(chain, now, span.begin + span.length, 1e-9 * clock.step))
+    left = min(span.length - state[DONE], ahead(chain, now, span.begin + span.length, RESOLUTION * clock.step))
     h = span.step if allowed == 0.0 else (state[STEP] if state[STEP] > 0.0 else clock.step)
     done = end_of_step(chain, span, left, h)
     h = done - state[DONE]
@@ -60,12 +60,12 @@ def _advance(chain, method, work, clock, span):
             if part != 0.0:
                 for n in range(grains.size):
                     stage_grains[n] += part * slope[n]
-        impose(chain, z, now + nodes[stage] * h)
+        impose(chain, z, now + nodes[stage] * h, now + 0.5 * h)
         accelerate(chain, z, first, last, force, slopes[stage])
     if allowed > 0.0:
         error = _error(chain, weights, slopes, h)
         factor = 0.9 * (allowed / error) ** 0.125 if error > 0.0 else 4.0
-        state[STEP] = min(4.0 * clock.step, h * min(4.0, max(0.2, factor)))
+        state[STEP] = min(most * clock.step, h * min(4.0, max(0.2, factor)))
         if error > allowed and h > 1e-9 * clock.step:
             return 1
     for stage in range(stages):
@@ -77,9 +77,9 @@ def _advance(chain, method, work, clock, span):
             grains[n] += wx * slope[n]
             speeds[n] += wv * slope[n]
     state[DONE] = done
-    impose(chain, y, span.begin + state[DONE])
+    impose(chain, y, span.begin + state[DONE], span.begin + state[DONE])
     watch(chain)
-    look(chain, span.begin + done, 1.0)
+    look(chain, every, int(state[STEPS]) + 1, span.begin + done, 1.0)
     return 1
 
 
@@ -93,7 +93,8 @@ def march(chains, method, clock, u_out, v_out, offset, until, max_steps):
     Parameters
     ----------
     method : nodes c (12,) and inner weights A^2 (12, 12); weights (6, 12) for displacement and velocity, of the step,
-        of the error of order 5 and of that of order 3; largest error of a step, 0 for steps of one size
+        of the error of order 5 and of that of order 3; largest error of a step, 0 for steps of one size; the longest
+        step over that of the schedule; steps from one look for the largest motion to the next
     """
     width = chains.x.shape[1]
     force, stage, accelerations = np.zeros(width), np.zeros(width), np.zeros((method[0].size, width))

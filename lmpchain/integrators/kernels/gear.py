@@ -6,28 +6,29 @@ import numpy as np
 
 from ...util.compilation import compiled_once
 from .contact_forces import NEWS, STRICT, inlined
-from .layout import DONE, FIRST, LAST, PAD, STEP
-from .right_hand_side import accelerate, hold, impose
+from .layout import DONE, FIRST, LAST, PAD, RESOLUTION, STEP, STEPS
+from .right_hand_side import accelerate, cut, hold, impose
 from .sample_loop import sample_loop
 from .window import look, watch, widen
 
 
 @inlined
-def _begin(chain, work, span):
-    """Find the derivatives at the start, from the motion of a moment before and after."""
+def _begin(chain, work, now, h):
+    """Find the derivatives at the start by the law that holds now, a moment before and after."""
     force, pull, z = work
-    y, w, more, state, h = chain.x, chain.v, chain.history, chain.state, span.step
+    y, w, more, state = chain.x, chain.v, chain.history, chain.state
     first, last = int(state[FIRST]), int(state[LAST])
     state[STEP] = h
-    impose(chain, y, span.begin + state[DONE] * h)
+    inside = now + RESOLUTION * h
+    impose(chain, y, now, inside)
     accelerate(chain, y, first, last, force, pull)
     for n in range(first, last):
         more[0, n] = pull[n]
     for side in (1.0, -1.0):
-        t = span.begin + (state[DONE] + side) * h
+        z[first - 1], z[last] = y[first - 1], y[last]
         for n in range(first, last):
             z[n] = y[n] + side * h * w[n] + 0.5 * h * h * more[0, n]
-        impose(chain, z, t)
+        impose(chain, z, now + side * h, inside)
         accelerate(chain, z, first, last, force, pull)
         for n in range(first, last):
             more[1, n] = pull[n] if side > 0 else (more[1, n] - pull[n]) * h * h / 12
@@ -38,22 +39,19 @@ def _begin(chain, work, span):
 
 
 @inlined
-def _advance(chain, method, work, clock, span):
+def _step(chain, corrections, work, now, then, h):
     """Take one step: predict by the Taylor series, evaluate the force once, correct."""
-    corrections, every = method
     force, pull, _ = work
-    y, w, more, state, h = chain.x, chain.v, chain.history, chain.state, span.step
-    widen(chain, 4)
+    y, w, more, state = chain.x, chain.v, chain.history, chain.state
     first, last = int(state[FIRST]), int(state[LAST])
     if state[STEP] != h:
-        _begin(chain, work, span)
+        _begin(chain, work, now, h)
     for n in range(first, last):
         a, b, c = more[0, n], more[1, n], more[2, n]
         y[n] += h * w[n] + a + b + c
         w[n] += (2.0 * a + 3.0 * b + 4.0 * c) / h
         more[0, n], more[1, n] = a + 3.0 * b + 6.0 * c, b + 4.0 * c
-    then = span.begin + (state[DONE] + 1) * h
-    impose(chain, y, then)
+    impose(chain, y, then, then)
     accelerate(chain, y, first, last, force, pull)
     for n in range(first, last):
         off = 0.5 * h * h * pull[n] - more[0, n]
@@ -62,13 +60,28 @@ def _advance(chain, method, work, clock, span):
         more[0, n] += corrections[2] * off
         more[1, n] += corrections[3] * off
         more[2, n] += corrections[4] * off
-    impose(chain, y, then)
+    impose(chain, y, then, then)
     hold(chain, w)
     if chain.inverse_mass[PAD] == 0.0:  # its derivatives are imposed, too
         more[0, PAD], more[1, PAD], more[2, PAD] = 0.0, 0.0, 0.0
+
+
+@inlined
+def _advance(chain, method, work, clock, span):
+    """Take one step, or two where what is imposed ends within it, and begin anew there."""
+    corrections, every = method
+    state, h = chain.state, span.step
+    widen(chain, 4)
+    now, then = span.begin + state[DONE] * h, span.begin + (state[DONE] + 1) * h
+    first = cut(chain, now, h)
+    if first > 0.0:
+        _step(chain, corrections, work, now, now + first, first)
+        _step(chain, corrections, work, now + first, then, h - first)
+        state[STEP] = 0.0
+    else:
+        _step(chain, corrections, work, now, then, h)
     watch(chain)
-    if int(state[DONE]) % every == 0:
-        look(chain, then, 1.0)
+    look(chain, every, int(state[STEPS]) + 1, then, 1.0)
     state[DONE] += 1.0
     return 1
 

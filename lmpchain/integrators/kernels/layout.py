@@ -12,10 +12,16 @@ from ...util.arrays import Array
 
 PAD = 8  # doubles in a cache line
 
+RESOLUTION = 1e-9  # of a step: nearer to its ends what is imposed has no corner
+
+# of what is imposed: amplitude (m or N), frequency and that of the envelope (rad/s) and end (s) of a sine; number of
+# knots, 0 for a sine; the body that is driven, or less than 0 the one that is pushed
+AMPLITUDE, OMEGA, ENVELOPE, END, KNOTS, BODY = range(6)
+
 # the state of a chain between two calls: the last sample, how far beyond it (in steps or s), the part of a kick that is
 # still due, the active window, extremes of the contacts, the largest displacement and speed of any grain, steps made,
 # and the step size of a method that changes it
-SAMPLE, DONE, PENDING, FIRST, LAST, LOWEST, CLOSEST, FARTHEST, FASTEST, STEPS, STEP = range(11)
+SAMPLE, DONE, PENDING, FIRST, LAST, LOWEST, CLOSEST, FARTHEST, FASTEST, NEXT, STEPS, STEP = range(12)
 
 
 class Chains(NamedTuple):
@@ -41,8 +47,8 @@ class Chains(NamedTuple):
         Whether the excitation acts after t = 0,
     acted : (R, 2) array
         on the bodies from the first to the last of these; else none, the last before the first.
-    drive, knots, pieces : (R, 3), (R, P) and (R, 4, P-1) arrays
-        How; see `right_hand_side`.
+    drive, knots, pieces : (R, 6), (R, P) and (R, 4, P-1) arrays
+        How: see AMPLITUDE ... BODY; times and coefficients of a spline.
     """
 
     x: Array

@@ -38,29 +38,33 @@ def start() -> Array:
 
 @compiled_once("the phase error of linear theory", 3)
 def accumulate(
-    times, recorded, us, vs, reach, inverse_overlap, stiffness, inverse_mass, oscillator, faster, near, open_at, state
-):
-    """Take in the solution (T, N) at these times.
+    times, recorded, us, vs, reach, walls, place, given, inverse_overlap, stiffness, inverse_mass,
+    faster, near, open_at, state,
+):  # fmt: skip
+    """Take in the solution (T, N) at these times, with the motion (T, 3) of the top wall.
 
-    A contact that turns around within the time `near` is followed there by a parabola; one that comes below the strain
-    `open_at` is open.
+    The grain at the index `place` has the accelerations `given` (T,) besides those by its contacts. A contact that
+    turns around within the time `near` is followed there by a parabola; one that comes below the strain `open_at` is
+    open.
     """
-    acceleration = np.zeros(us.shape[1] + 2)  # between two bodies that stand still
+    acceleration = np.zeros(us.shape[1] + 2)  # between the top wall and a body that stands still
     for i in range(times.size):
         first, last = reach[i]
         u, v, a = us[i, first:last], vs[i, first:last], acceleration[first : last + 2]
-        a[0] = a[-1] = 0.0
-        above = -stiffness[first] * u[0] if u.size else 0.0
+        wall = wall_speed = a[0] = a[-1] = 0.0
+        if first == 0:
+            wall, wall_speed, a[0] = walls[i, 0], walls[i, 1], walls[i, 2]
+        above = stiffness[first] * (wall - u[0]) if u.size else 0.0
         for n in range(u.size):  # beyond these grains is one at rest
             below = stiffness[first + n + 1] * (u[n] - (u[n + 1] if n + 1 < u.size else 0.0))
             a[n + 1] = (above - below) * inverse_mass[first + n]
             above = below
-        if oscillator > 0 and first == 0 and u.size:
-            a[1] = -oscillator * u[0]
+        if first <= place < last:
+            a[place - first + 1] += given[i]
         largest = displacement = velocity = fastest = pull = before = 0.0
         for n in range(u.size + 1):  # contacts
-            x, y = (u[n - 1] if n > 0 else 0.0), (u[n] if n < u.size else 0.0)
-            p, q = (v[n - 1] if n > 0 else 0.0), (v[n] if n < u.size else 0.0)
+            x, y = (u[n - 1] if n > 0 else wall), (u[n] if n < u.size else 0.0)
+            p, q = (v[n - 1] if n > 0 else wall_speed), (v[n] if n < u.size else 0.0)
             strain, bend = (x - y) * inverse_overlap[first + n], (a[n] - a[n + 1]) * inverse_overlap[first + n]
             rate, lowest = (p - q) * inverse_overlap[first + n], strain
             if bend > 0 and abs(rate) < near * bend:

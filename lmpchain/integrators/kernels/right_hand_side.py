@@ -1,7 +1,7 @@
 """The right-hand side of Eq. (1), compiled: contact forces and what an excitation imposes.
 
-What is imposed is the motion of grain 1: a method calls `impose` for every time at which it evaluates accelerations,
-and `imposed` for every row of a `sweep`.
+What is imposed is the motion of grain 1 or of the top wall, or a force on a grain, which x[0] holds, where no body is:
+a method calls `impose` for every time at which it evaluates accelerations, and `imposed` for every row of a `sweep`.
 """
 
 from __future__ import annotations
@@ -11,22 +11,31 @@ import math
 import numpy as np
 
 from .contact_forces import compiled, contact_forces, inlined, kick_and_drift, touching
-from .layout import FIRST, LAST, PAD
+from .layout import AMPLITUDE, BODY, END, ENVELOPE, FIRST, KNOTS, LAST, OMEGA, PAD, RESOLUTION
 
 ROWS = 64  # evaluations of the force between two updates of the window, for long chains and for methods of one stage
 TILE = 8192  # grains that stay in the cache while ROWS evaluations pass over them
 
 
 @compiled
-def _driven(chain, t, order):
-    """Return displacement (order 0) or speed (order 1) of the driven grain: a sine or a cubic spline.
+def _course(chain, t, order, inside):
+    """Return what is imposed at time t, or its rate (order 1), by the law of time `inside`.
 
-    `chain.drive` holds amplitude, frequency in rad/s and the number of knots, 0 for a sine.
+    It is a sine, also one with an envelope, or a cubic spline.
     """
     drive, pieces = chain.drive, chain.pieces
-    count = int(drive[2])
+    count = int(drive[KNOTS])
     if count == 0:
-        return drive[0] * math.sin(drive[1] * t) if order == 0 else drive[0] * drive[1] * math.cos(drive[1] * t)
+        size, omega, envelope = drive[AMPLITUDE], drive[OMEGA], drive[ENVELOPE]
+        if inside >= drive[END]:
+            return 0.0
+        if envelope == 0.0:
+            return size * math.sin(omega * t) if order == 0 else size * omega * math.cos(omega * t)
+        part = math.sin(envelope * t)
+        if order == 0:
+            return size * math.sin(omega * t) * (part * part)
+        slope = 2.0 * envelope * math.cos(envelope * t) * math.sin(omega * t)
+        return size * part * (omega * math.cos(omega * t) * part + slope)
     piece = min(max(np.searchsorted(chain.knots[:count], t, "right") - 1, 0), count - 2)
     s = t - chain.knots[piece]
     a, b, c, d = pieces[0, piece], pieces[1, piece], pieces[2, piece], pieces[3, piece]
@@ -35,45 +44,69 @@ def _driven(chain, t, order):
 
 @compiled
 def ahead(chain, t, end, resolution):
-    """Return the time to the next knot of the imposed motion before `end`, else infinity."""
-    count, knots = int(chain.drive[2]), chain.knots
+    """Return the time to the next corner of what is imposed before `end`, else infinity."""
+    count, knots, corner = int(chain.drive[KNOTS]), chain.knots, chain.drive[END]
     if chain.imposed and count > 0:
         following = np.searchsorted(knots[:count], t + resolution, "right")
         if following < count and knots[following] < end - resolution:
             return knots[following] - t
+    elif chain.imposed and t + resolution < corner < end - resolution:
+        return corner - t
     return 1e300
 
 
 @inlined
-def imposed(chain, t):
-    """Return what is imposed at time t, for a row of `sweep`: the displacement of grain 1."""
-    return _driven(chain, t, 0)
+def cut(chain, t, h):
+    """Return the time to where a sine ends within a step h, 0 if it does not, or for a spline."""
+    if chain.imposed and chain.drive[KNOTS] == 0.0:
+        left = chain.drive[END] - t
+        return left if RESOLUTION * h < left < (1.0 - RESOLUTION) * h else 0.0
+    return 0.0
 
 
 @inlined
-def impose(chain, x, t):
-    """Put grain 1 of a row x (W,) where it is at time t if it is driven."""
+def _forced(chain):
+    """Return the body that is pushed, 0 if there is none."""
+    return int(-chain.drive[BODY]) if chain.imposed and chain.drive[BODY] < 0.0 else 0
+
+
+@inlined
+def imposed(chain, t):
+    """Return what is imposed at time t, for a row of `sweep`: a displacement, or a force."""
+    return _course(chain, t, 0, t)
+
+
+@inlined
+def impose(chain, x, t, inside):
+    """Put what is driven where it is at time t in x (W,), or note the force, by the law of `inside`."""
     if chain.imposed:
-        x[PAD] = _driven(chain, t, 0)
+        x[max(int(chain.drive[BODY]), 0)] = _course(chain, t, 0, inside)
+
+
+@inlined
+def recall(chain, t):
+    """Put what is imposed at time t back where no grain holds it: a wall, or a force."""
+    if chain.imposed and chain.drive[BODY] < PAD:
+        impose(chain, chain.x, t, t)
 
 
 @inlined
 def impose_velocity(chain, v, grain_1, t):
-    """Give grain 1 of v, at that index, its velocity at time t if it is driven."""
-    if chain.imposed:
-        v[grain_1] = _driven(chain, t, 1)
+    """Give what is driven its velocity at time t, if v, with grain 1 at that index, has a place."""
+    if chain.imposed and int(chain.drive[BODY]) + grain_1 >= PAD:
+        v[int(chain.drive[BODY]) + grain_1 - PAD] = _course(chain, t, 1, t)
 
 
 @inlined
 def imposed_speed(chain, t):
     """Return how fast grain 1 is at time t if it is driven, else 0."""
-    return abs(_driven(chain, t, 1)) if chain.imposed else 0.0
+    return abs(_course(chain, t, 1, t)) if chain.imposed and chain.drive[BODY] == PAD else 0.0
 
 
 @inlined
 def hold(chain, v):
     """Take the velocity of grain 1 out of v if it is driven: a drift must not move it."""
-    if chain.imposed:
+    if chain.imposed and chain.drive[BODY] == PAD:
         v[PAD] = 0.0
 
 
@@ -90,6 +123,9 @@ def accelerate(chain, y, first, last, force, pull):
         f[0] += touching(y[PAD - 1] - y[PAD], chain.uncompressed, chain.coefficients)
     for n in range(a.size):
         a[n] = im[n] * (f[n] - f[n + 1])
+    pushed = _forced(chain)
+    if first <= pushed < last:
+        pull[pushed] += chain.inverse_mass[pushed] * y[0]
 
 
 @inlined
@@ -101,6 +137,8 @@ def sweep(chain, kicks, drifts, carried, path):
     x, v, il, st, im = chain.x, chain.v, chain.inverse_length, chain.strength, chain.inverse_mass
     first, last = int(chain.state[FIRST]), int(chain.state[LAST])
     rows, tile = kicks.size, TILE if last - first > 2 * TILE else last - first
+    forced = _forced(chain)
+    body = forced if forced > 0 else int(chain.drive[BODY])
     for begin in range(first, last, tile):
         end = begin + tile if begin + 2 * tile <= last else last
         together = rows if tile == last - first else 1
@@ -114,7 +152,7 @@ def sweep(chain, kicks, drifts, carried, path):
                 chain.form, x[a - 1 : b + 1], v[a:b], il[a - 1 : b], st[a - 1 : b], im[a:b],
                 kicks[some], drifts[some], carried[some],
                 a == first, chain.uncompressed if a == PAD else 0.0, chain.precompressed, chain.coefficients,
-                path[some],
+                path[some], body - (a - 1), forced > 0,
             )  # fmt: skip
         if end == last:
             break

@@ -6,41 +6,49 @@ import numpy as np
 
 from ...util.compilation import compiled_once
 from .contact_forces import NEWS, STRICT, inlined
-from .layout import DONE, FIRST, LAST, PAD, PENDING, STEPS
-from .right_hand_side import ROWS, TILE, imposed, sweep
+from .layout import DONE, FIRST, LAST, NEXT, PAD, PENDING, STEPS
+from .right_hand_side import ROWS, TILE, cut, imposed, sweep
 from .sample_loop import sample_loop
 from .window import look, watch, widen
-
-SETTLED = 64  # steps after which pieces between two looks for the largest motion are twice as long
 
 
 @inlined
 def _advance(chain, method, work, clock, span):
-    """Take a burst of steps; the last kick of a step and the first of the next are one."""
+    """Take a burst of steps; the last kick of a step and the first of the next are one.
+
+    A step in which what is imposed ends is made as two, so that the order is kept.
+    """
     kicks, drifts, every, complete = method
     kick, drift, carried, path, reach = work
     state, stages, h = chain.state, drifts.size, span.step
     full = state[FIRST] == PAD and state[LAST] == chain.x.size - PAD
     wide = stages == 1 or full or state[LAST] - state[FIRST] > TILE
     burst = min(span.steps - int(state[DONE]), max(1, ROWS // stages) if wide else 1)
-    rows = burst * stages
-    widen(chain, rows + 1)
-    begun = span.begin + state[DONE] * h
+    begun, rows, halved = span.begin + state[DONE] * h, 0, burst
     for step in range(burst):
-        for stage in range(stages):
-            row = step * stages + stage
-            kick[row], drift[row] = kicks[stage] * h, drifts[stage] * h
-            if chain.imposed:
-                t = begun + (step + (reach[stage - 1] if stage > 0 else 0.0)) * h
-                path[row] = imposed(chain, t)
-        kick[step * stages] += state[PENDING]
-        state[PENDING] = kicks[stages] * h
-    piece = every * (1 + int(state[STEPS]) // SETTLED)  # later, what is new is rare
-    for step in range(0, burst, piece):
-        end = min(burst, step + piece)
-        some = slice(step * stages, end * stages)
+        first = cut(chain, begun + step * h, h) if stages > 1 else 0.0  # a corner leaves an order of 2 as it is
+        halved = step if first > 0.0 else halved
+        for part in range(2 if first > 0.0 else 1):
+            whole = h if first == 0.0 else (first if part == 0 else h - first)
+            for stage in range(stages):
+                kick[rows + stage], drift[rows + stage] = kicks[stage] * whole, drifts[stage] * whole
+                if chain.imposed:
+                    along = reach[stage - 1] if stage > 0 else 0.0
+                    t = begun + (step + along) * h
+                    if first > 0.0:
+                        t = begun + step * h + (first if part > 0 else 0.0) + along * whole
+                    path[rows + stage] = imposed(chain, t)
+            kick[rows] += state[PENDING]
+            state[PENDING] = kicks[stages] * whole
+            rows += stages
+    widen(chain, rows + 1)
+    step, made = 0, int(state[STEPS])
+    while step < burst:
+        end = min(burst, max(step + 1, int(state[NEXT]) - made))
+        some = slice((step + (step > halved)) * stages, (end + (end > halved)) * stages)
         sweep(chain, kick[some], drift[some], carried[some], path[some])
-        look(chain, begun + end * h, complete)
+        look(chain, every, made + end, begun + end * h, complete)
+        step = end
     watch(chain)
     state[DONE] += burst
     return burst
@@ -67,7 +75,7 @@ def march(chains, method, clock, u_out, v_out, offset, until, max_steps):
     `method` is its kicks (S+1,) and drifts (S,) as fractions of a step, the steps from one look to the next, and what
     `look` takes.
     """
-    rows = ROWS + method[1].size
+    rows = ROWS + 2 * method[1].size
     kick, drift, carried, path = np.zeros(rows), np.zeros(rows), np.zeros(rows), np.zeros(rows if chains.imposed else 0)
     work = kick, drift, carried, path, np.cumsum(method[1])
     return _march(chains, method, work, clock, u_out, v_out, offset, until, max_steps)

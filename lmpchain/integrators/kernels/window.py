@@ -6,11 +6,13 @@ Only the window is computed: what lies outside, beyond the light cone, has not m
 from __future__ import annotations
 
 from .contact_forces import bits, inlined, number
-from .layout import CLOSEST, FARTHEST, FASTEST, FIRST, LAST, LOWEST, PAD
+from .layout import CLOSEST, FARTHEST, FASTEST, FIRST, LAST, LOWEST, NEXT, PAD
 from .right_hand_side import impose_velocity, imposed_speed
 
 TINY = 1e-19  # of the largest speed and displacement: what has moved less lies outside of the light cone
 MAGNITUDE = (1 << 63) - 1  # the bits of a number without its sign
+# looks for the largest motion are at least a 32nd of the steps so far apart: later, what is new is rare
+SETTLED = 32
 
 
 @inlined
@@ -53,12 +55,16 @@ def watch(chain):
 
 
 @inlined
-def look(chain, t, complete):
-    """Note the largest displacement and speed of all grains in the window, at time t.
+def look(chain, every, made, t, complete):
+    """Note the largest displacement and speed of all grains at time t, if a look is due.
 
-    `complete` is the least part of its largest value to which a speed without the last kick may have grown.
+    It is due after `every` steps at first, later more rarely; `made` have been made. `complete` is the least part of
+    its largest value to which a speed without the last kick may have grown.
     """
     state = chain.state
+    if made < state[NEXT]:
+        return
+    state[NEXT] = made + every + made // SETTLED
     first, last = int(state[FIRST]), int(state[LAST])
     x, v = chain.x[first:last], chain.v[first:last]
     farthest, fastest = bits(state[FARTHEST]), 0

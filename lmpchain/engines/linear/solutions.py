@@ -1,0 +1,123 @@
+"""Solutions of the linearised chain, Eq. (3): sums of Chebyshev polynomials, or of eigenmodes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...integrators.kernels.chebyshev import Propagator
+from ...scene.scene import Scene
+from ...util.arrays import Array
+
+
+class Solution(Protocol):
+    """The solution of one linear chain."""
+
+    @property
+    def work(self) -> int:
+        """How often the matrix of the chain has been applied so far, or how many modes there are."""
+
+    def at(self, times: Array) -> tuple[Array, Array, NDArray[np.intp]]:
+        """Return displacement and velocity at these times, later and later ones, (T, N) m and m/s.
+
+        With them come the first grain, from 0, and the one after the last that may move, (T, 2).
+        """
+
+    def state(self) -> dict[str, Array]:
+        """Return what is needed to go on with the same bits."""
+
+
+class ChebyshevSolution:
+    """The propagator, from one time to the next."""
+
+    def __init__(self, scene: Scene, state: Mapping[str, Array]):
+        chain, drive = scene.chain, scene.drive
+        stiffness, mobility = chain.contacts.stiffness, 1 / chain.masses
+        mobility[chain.movable :] = 0.0
+        mobility[: scene.excitation.driven] = 0.0
+        u, v = (np.array(state[key]) for key in "uv") if state else scene.initial()
+        self._walls = int(scene.excitation.wall is not None)
+        if scene.excitation.wall:  # a wall that moves is one more body at the top
+            stiffness, mobility = np.append(0.0, stiffness), np.append(0.0, mobility)
+            if not state:
+                u, v = np.append(0.0, u), np.append(scene.excitation.wall.at(0.0, 1), v)
+        self._chain = Propagator(stiffness, mobility, drive.waveform.omega if drive else 0.0, u, v)
+        self._time = float(state.get("time", 0.0))
+
+    @property
+    def work(self) -> int:
+        """Polynomials so far."""
+        return self._chain.terms
+
+    def at(self, times: Array) -> tuple[Array, Array, NDArray[np.intp]]:
+        """Return the solution at these times."""
+        before, self._time = self._time, float(times[-1])
+        u, v, reach = self._chain.advance(times - before)
+        return u[:, self._walls :], v[:, self._walls :], np.maximum(reach - self._walls, 0)
+
+    def state(self) -> dict[str, Array]:
+        """Return displacement and velocity, and when they were so."""
+        return {"u": self._chain.u.copy(), "v": self._chain.v.copy(), "time": np.array(self._time)}
+
+
+class ModalSolution:
+    """The sum over eigenmodes, and what a motion or a force that is made of sines does to each."""
+
+    def __init__(self, scene: Scene):
+        from ...theory.modes import between
+
+        chain, given = scene.chain, scene.excitation
+        first, last = given.driven, chain.movable
+        stiffness = chain.contacts.stiffness
+        self._modes = between(stiffness[first : last + 1], chain.masses[first:last])
+        u, v = scene.initial()
+        self._initial = u[first:last], v[first:last]
+        self._wave, self._drive = given.waveform, scene.drive if first else None
+        moved = bool(scene.drive)  # or pushed
+        place = 0 if moved else given.reach(chain)[0] - 1
+        self._pull = (stiffness[first] if moved else 1.0) * self._modes.shape[place]
+        self._held = chain.grains - last
+
+    @property
+    def work(self) -> int:
+        """Number of modes."""
+        return self._modes.frequency.size
+
+    def at(self, times: Array) -> tuple[Array, Array, NDArray[np.intp]]:
+        """Return the solution at these times, found for all of them at once."""
+        u, v = self._modes.response(times, *self._initial)
+        top = np.empty((2, times.size, 0))
+        if self._wave:
+            forced = self._forced(times[:, None])
+            u, v = u + forced[0] @ self._modes.shape.T, v + forced[1] @ self._modes.shape.T
+        if self._drive:
+            top = np.array(self._drive.motion(times))[..., None]
+        rest = np.zeros((times.size, self._held))
+        u, v = np.hstack((top[0], u, rest)), np.hstack((top[1], v, rest))
+        return u, v, np.tile((0, u.shape[1]), (times.size, 1))
+
+    def _forced(self, t: Array) -> tuple[Array, Array]:
+        """Return ``q'' + w^2 q = f(t)`` from rest, (T, M): sines, and free motion when they have ended."""
+        assert self._wave
+        w, end = self._modes.frequency, self._wave.end
+        q, p = np.sum([self._by_sine(np.minimum(t, end), *sine) for sine in self._wave.sines], axis=0)
+        if np.isinf(end):
+            return q, p
+        free = np.maximum(t - end, 0.0) * w
+        return q * np.cos(free) + p / w * np.sin(free), p * np.cos(free) - q * w * np.sin(free)
+
+    def _by_sine(self, t: Array, amplitude: float, omega: float) -> tuple[Array, Array]:
+        """Return ``q'' + w^2 q = f sin(W t)`` from rest, (T, M), in a form that holds where w = W."""
+        w, drive = self._modes.frequency, abs(omega)
+        mean, half = (w + drive) / 2, (w - drive) / 2
+        beat = t * np.sinc(half * t / np.pi)  # sin(half t) / half
+        f = self._pull * np.copysign(amplitude, amplitude * omega) / (2 * mean)
+        q = f / w * (np.sin(mean * t) * np.cos(half * t) - mean * np.cos(mean * t) * beat)
+        return q, f * drive * np.sin(mean * t) * beat
+
+    def state(self) -> dict[str, Array]:
+        """Any time follows from the modes."""
+        return {}

@@ -1,0 +1,255 @@
+"""Excitations that act after t = 0: motion of grain 1 or of the top wall, force on a grain."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cached_property
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from ..chain.chain import Chain
+from ..util.arrays import Array
+from ..util.validation import NOT_GIVEN, Positive, Real, Vector, Whole
+from .base import Excitation, Number, OneGrain, Push
+from .waveform import Waveform
+
+SAMPLED = 1e-12  # least distance of two times, of the last one
+
+
+class _Acting(Excitation):
+    """What a motion and a force have in common: their course over time."""
+
+    does_work: ClassVar[bool] = True
+    if TYPE_CHECKING:
+        amplitude: Real
+        frequency: Positive
+        cycles: Positive
+        times: Vector
+
+    @cached_property
+    def waveform(self) -> Waveform:
+        """Its course over time."""
+        if self.times is not None:
+            return Waveform.through(self.times, getattr(self, self.strength[1]))
+        return Waveform.sine(self.amplitude, self.frequency, self.cycles)
+
+    def _faults(self) -> Iterator[tuple[str, str]]:
+        values, given = self.strength[1], {key for key, value in self if value is not None} - {"grain"}
+        ways = self._ways(values)
+        if given not in ways:
+            yield "amplitude", f"give {self._words(values)} (or a file with both)"
+        elif self.times is not None:
+            yield from self._samples(values, getattr(self, values))
+
+    def _ways(self, values: str) -> list[set[str]]:
+        return [{"amplitude", "frequency"}, {"amplitude", "frequency", "cycles"}, {"times", values}]
+
+    def _words(self, values: str) -> str:
+        return f"amplitude and frequency, with or without cycles, or times and {values}"
+
+    def _samples(self, key: str, values: Array) -> Iterator[tuple[str, str]]:
+        if len(self.times) != len(values) or len(self.times) < 2:
+            yield key, f"must have one entry for each of two or more times, not {len(values)}"
+        if self.times[0] != 0 or not (np.diff(self.times) > SAMPLED * self.times[-1]).all():
+            yield "times", f"must begin with 0 and increase, each by more than {SAMPLED:g} of the last"
+
+    def _too_short(self, duration: float) -> Iterator[tuple[str, str]]:
+        if self.times is not None and self.times[-1] < duration:
+            yield "times", f"end at {self.times[-1]:g} s, before the recording does at {duration:g} s"
+
+    @property
+    def smooth(self) -> bool:
+        """Whether its third derivative never jumps but where a step can end, as at knots of a spline."""
+        return self.waveform.smooth
+
+    @property
+    def fastest(self) -> float:
+        """Highest frequency that a step must resolve, rad/s."""
+        return self.waveform.fastest
+
+    @property
+    def linear(self) -> bool:
+        """Whether it is made of sines, as linear engines need it."""
+        return self.times is None
+
+
+class Drive(_Acting):
+    """A prescribed motion of grain 1 or of the top wall; positive downward, from 0 at t = 0.
+
+    Parameters
+    ----------
+    amplitude, frequency : float
+        m and Hz, for ``phi_1 = A sin(2 pi f t)``,
+    cycles : float, optional
+        with as many cycles a Hann tone burst, ``A sin(2 pi f t) sin(pi f t / cycles)^2``, and rest afterwards; or else
+    times, displacement : arrays
+        s and m: the cubic spline (not-a-knot) through these points; two of them make a piston of constant speed.
+    grain : 0 or 1
+        0 moves the top wall, of a chain with ``top = "wall"``.
+
+    Examples
+    --------
+    >>> piston = Drive(times=[0, 1e-4], displacement=[0, 1e-6])
+    >>> [round(float(x), 9) for x in piston.motion(5e-5)]
+    [5e-07, 0.01]
+    >>> burst = Drive(amplitude=1e-9, frequency=1e4, cycles=5, grain=0)
+    >>> float(burst.motion(5e-4)[0])
+    0.0
+    """
+
+    kind: ClassVar[str] = "drive"
+    strength: ClassVar[tuple[str, ...]] = ("amplitude", "displacement")
+    columns: ClassVar[dict[str, str]] = {"time": "times", "displacement": "displacement"}
+    amplitude: Real = NOT_GIVEN
+    frequency: Positive = NOT_GIVEN
+    times: Vector = NOT_GIVEN
+    displacement: Vector = NOT_GIVEN
+    cycles: Positive = NOT_GIVEN
+    grain: Annotated[Whole, Field(ge=0, le=1)] = 1
+
+    def _samples(self, key: str, values: Array) -> Iterator[tuple[str, str]]:
+        yield from super()._samples(key, values)
+        if values[0] != 0:
+            yield key, f"must begin with 0, where {'grain 1' if self.grain else 'the wall'} rests"
+
+    def faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
+        """Yield what this chain, or a scene that lasts so long, does not allow."""
+        if self.grain == 0 and chain.top != "wall":
+            yield "grain", '0 moves the top wall, and there is none: use top = "wall", or drive grain 1'
+        if self.grain == 1 and chain.movable < 2:
+            yield "kind", "with grain 1 driven nothing is left to move: use more grains"
+        yield from self._too_short(duration)
+
+    @property
+    def driven(self) -> int:
+        """Number of grains that it moves; the wall is none."""
+        return self.grain
+
+    @property
+    def wall(self) -> Waveform | None:
+        """How the top wall moves, m; None if it stands still."""
+        return None if self.grain else self.waveform
+
+    def initial(self, chain: Chain) -> tuple[Array, Array]:
+        """Return displacement and velocity of every grain at t = 0."""
+        return np.zeros(chain.grains), self._at_top(chain, self.motion(0.0)[1] if self.grain else 0.0)
+
+    def largest(self, chain: Chain) -> tuple[Array, Array]:
+        """Return the largest displacement and speed of grain 1 or the wall, as if of grain 1, (N,)."""
+        return self._at_top(chain, self.waveform.largest()), self._at_top(chain, self.waveform.largest(1))
+
+    def reach(self, chain: Chain) -> tuple[int, int]:
+        """Return grain 1, as the first and the last."""
+        return 1, 1
+
+    def part(self, first: int, last: int) -> Drive:
+        """Return the same: it moves grain 1, which must be among the grains."""
+        return self
+
+    @staticmethod
+    def _at_top(chain: Chain, value: float | Array) -> Array:
+        array = np.zeros(chain.grains)
+        array[0] = value
+        return array
+
+    def motion(self, t: float | Array) -> tuple[Array, Array]:
+        """Return displacement, m, and velocity, m/s, of what is driven at these times, s."""
+        return self.waveform.at(t), self.waveform.at(t, 1)
+
+    def acceleration(self, t: Array) -> Array:
+        """Return the acceleration of what is driven at these times, m/s2."""
+        return self.waveform.at(t, 2)
+
+    def energy_norm(self, chain: Chain, duration: float) -> float:
+        """Bound sqrt(2 E) by the path: ``d sqrt(2 E) / dt <= sqrt(k) |v|`` with the contact below."""
+        return float(np.sqrt(chain.contacts.stiffness[self.grain]) * self.waveform.path(duration))
+
+    def push(self, chain: Chain, time: Array, force: Array, rate: Array, velocity: Array) -> Push:
+        """Return what keeps it on its path: the forces of its contacts, besides the inertia of a grain."""
+        speed, acceleration = self.motion(time)[1], self.acceleration(time)
+        if not self.grain:
+            return Push(force[:, 0], rate[:, 0], speed, acceleration, 0.0, False)
+        force, rate = force[:, 1] - force[:, 0], rate[:, 1] - rate[:, 0]
+        return Push(force, rate, speed, acceleration, float(chain.masses[0]), True)
+
+
+class Force(OneGrain, _Acting):
+    """A force on one grain over time, N, positive downward.
+
+    Parameters
+    ----------
+    grain : int
+    amplitude, frequency : float
+        N and Hz, for ``A sin(2 pi f t)``,
+    cycles : float, optional
+        with as many cycles a Hann tone burst, ``A sin(2 pi f t) sin(pi f t / cycles)^2``, and nothing afterwards; or
+    shape, amplitude, duration
+        "half-sine": ``A sin(pi t / duration)``, N and s, as of a hammer, and nothing afterwards; or else
+    times, force : arrays
+        s and N: the cubic spline (not-a-knot) through these points.
+
+    Examples
+    --------
+    >>> hammer = Force(grain=1, shape="half-sine", amplitude=0.1, duration=5e-5)
+    >>> [round(float(hammer.waveform.at(t)), 9) for t in (0.0, 2.5e-5, 6e-5)]
+    [0.0, 0.1, 0.0]
+    """
+
+    kind: ClassVar[str] = "force"
+    strength: ClassVar[tuple[str, ...]] = ("amplitude", "force")
+    columns: ClassVar[dict[str, str]] = {"time": "times", "force": "force"}
+    grain: Number = 1
+    amplitude: Real = NOT_GIVEN
+    frequency: Positive = NOT_GIVEN
+    cycles: Positive = NOT_GIVEN
+    shape: Literal["half-sine"] = NOT_GIVEN
+    duration: Positive = NOT_GIVEN
+    times: Vector = NOT_GIVEN
+    force: Vector = NOT_GIVEN
+
+    def _ways(self, values: str) -> list[set[str]]:
+        return [*super()._ways(values), {"shape", "amplitude", "duration"}]
+
+    def _words(self, values: str) -> str:
+        return f"{super()._words(values)}, or shape, amplitude and duration"
+
+    @cached_property
+    def waveform(self) -> Waveform:
+        """Its course over time, N."""
+        if self.shape is not None:
+            return Waveform.half_sine(self.amplitude, self.duration)
+        return super().waveform
+
+    def faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
+        """Yield what this chain, or a scene that lasts so long, does not allow."""
+        yield from super().faults(chain, duration)
+        yield from self._too_short(duration)
+
+    def initial(self, chain: Chain) -> tuple[Array, Array]:
+        """Return rest."""
+        return np.zeros(chain.grains), np.zeros(chain.grains)
+
+    def largest(self, chain: Chain) -> tuple[Array, Array]:
+        """Return how far and how fast it moves its grain, as its contacts and inertia allow.
+
+        It is an estimate: nothing is known of what the chain does later.
+        """
+        size, mass = self.waveform.largest(), chain.masses[self.grain - 1]
+        if not size:
+            return self.initial(chain)
+        contacts = chain.contacts.of(slice(self.grain - 1, self.grain + 1))
+        distance = max(contacts.of(n).squeezed_by(size) for n in np.flatnonzero(contacts.exists))
+        speed = min(self.waveform.gained / mass, float(np.sqrt(2 * size * distance / mass)))
+        return self.at_grain(chain, speed * np.sqrt(mass * distance / size)), self.at_grain(chain, speed)
+
+    def energy_norm(self, chain: Chain, duration: float) -> float:
+        """Bound sqrt(2 E) by its impulse: ``d sqrt(2 E) / dt <= |F| / sqrt(m)``."""
+        return float(self.waveform.area(duration) / np.sqrt(chain.masses[self.grain - 1]))
+
+    def push(self, chain: Chain, time: Array, force: Array, rate: Array, velocity: Array) -> Push:
+        """Return the force itself."""
+        n, given = self.grain, self.waveform.at(time)
+        acceleration = (given + force[:, n - 1] - force[:, n]) / chain.masses[n - 1]
+        return Push(given, self.waveform.at(time, 1), velocity[:, n - 1], acceleration, 0.0, True)

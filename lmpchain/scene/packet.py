@@ -1,0 +1,110 @@
+"""A packet of linear waves that travels downward, as initial displacements and velocities."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import ClassVar
+
+import numpy as np
+
+from ..chain.chain import Chain
+from ..util.arrays import Array
+from ..util.validation import Positive, Real
+from .base import Excitation, Number
+
+INSIDE = 6.0  # widths on either side of its middle that must lie in the chain: it is 1.5e-8 of its height there
+CUT = 9.0  # widths beyond which it is nothing
+
+
+class Packet(Excitation):
+    """A Gaussian packet of linear waves of one frequency that travels downward.
+
+    Velocities of grains and strains of contacts are samples of one wave ``A(x) cos(theta(x))`` at whole and half
+    numbers: the chain is a row of both in turn, each of which drives its neighbours, so waves that go down differ from
+    those that go up in wave number. The local wave number q follows from ``w = 2 sqrt(k/m) sin(q/2)`` contact by
+    contact, the amplitude from the energy that flows, the envelope from the travel time (WKB). On a uniform chain the
+    part that goes up is what is left of the Gaussian in q below 0 and above pi: in amplitude some
+    ``exp(-(q width)^2/2)`` and ``exp(-((pi - q) width)^2/2)``. Where stiffness and mass change it is what the chain
+    reflects on the way, and what a change within a wavelength adds.
+
+    Parameters
+    ----------
+    frequency : float
+        Hz.
+    width : float
+        Standard deviation of the envelope ``exp(-x^2 / (2 width^2))``, in grains, where its middle is.
+    grain : int
+        Its middle.
+    amplitude : float
+        Largest displacement, about, m; linear theory holds if it is small.
+
+    Examples
+    --------
+    >>> chain = Chain(grains=200, diameter=1e-3, gravity=0, top_load=1, top="wall", bottom="wall")
+    >>> u, v = Packet(frequency=2e4, width=10, grain=80, amplitude=1e-12).initial(chain)
+    >>> int(abs(v).argmax()) + 1
+    80
+    """
+
+    kind: ClassVar[str] = "packet"
+    strength: ClassVar[tuple[str, ...]] = ("amplitude",)
+    frequency: Positive
+    width: Positive
+    grain: Number
+    amplitude: Real
+
+    def faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
+        """Yield what this chain does not allow."""
+        if self.grain > chain.movable:
+            yield "grain", f"must be one that moves, 1 to {chain.movable} (got {self.grain})"
+        elif not chain.compressed:
+            yield "kind", "there are no linear waves without gravity and load: give a top_load"
+        else:
+            first, last = self._within(chain, INSIDE)
+            if first < 1 or last > chain.movable:
+                yield "width", f"the packet is {INSIDE:g} widths long on either side, which does not fit in the chain"
+                return
+            speed = self._hops(chain, first, last)
+            if (2 * np.pi * self.frequency >= 2 * speed).any():
+                limit, slowest = float(speed.min() / np.pi), first + int(speed.argmin()) // 2
+                yield "frequency", f"must be below the highest that travels at grain {slowest}, {limit:.4g} Hz"
+
+    def _within(self, chain: Chain, widths: float) -> tuple[int, int]:
+        far = int(min(np.ceil(widths * self.width), chain.grains))
+        return self.grain - far, self.grain + far
+
+    @staticmethod
+    def _hops(chain: Chain, first: int, last: int) -> Array:
+        """Return sqrt(k/m), 1/s, from every grain to the contact below it, and on to the next grain."""
+        k, m = chain.contacts.stiffness[first:last], chain.masses[first - 1 : last]
+        return np.sqrt(np.column_stack((k / m[:-1], k / m[1:]))).ravel()
+
+    def reach(self, chain: Chain) -> tuple[int, int]:
+        """Return the first and the last grain that it moves."""
+        first, last = self._within(chain, CUT)
+        return max(1, first), min(chain.movable, last)
+
+    def part(self, first: int, last: int) -> Packet:
+        """Return the same with its middle as it is numbered among grains first ... last."""
+        return self.replace(grain=self.grain - first + 1)
+
+    def initial(self, chain: Chain) -> tuple[Array, Array]:
+        """Return displacement and velocity of every grain at t = 0."""
+        first, last = self.reach(chain)
+        omega = 2 * np.pi * self.frequency
+        hops = self._hops(chain, first, last)
+        middle = 2 * (self.grain - first)  # of the row of grains and contacts in turn
+        ratio = np.minimum(omega / (2 * hops), 0.999)  # a turning point far out, where the packet is nothing
+        speed = 2 * hops * np.sqrt(1 - ratio**2)  # in places of that row a second
+        phase, late = (np.append(0.0, np.cumsum(each)) for each in (np.arcsin(ratio), 1 / speed))
+        around = np.sqrt(np.append(speed[:1], speed) * np.append(speed, speed[-1:]))
+        apart = (late - late[middle]) * around[middle] / (2 * self.width)
+        height = self.amplitude * omega * np.sqrt(chain.masses[self.grain - 1] * around[middle] / around)
+        wave = height * np.exp(-(apart**2) / 2) * np.cos(phase - phase[middle])
+        v = wave[::2] / np.sqrt(chain.masses[first - 1 : last])
+        strain = wave[1::2] / np.sqrt(chain.contacts.stiffness[first:last])
+        strain -= strain.sum() * (share := np.exp(-(apart[1::2] ** 2) / 2)) / share.sum()  # at rest beyond either end
+        u = np.append(np.cumsum(strain[::-1])[::-1], 0.0)
+        fields = np.zeros((2, chain.grains))
+        fields[:, first - 1 : last] = u, v
+        return fields[0], fields[1]

@@ -1,0 +1,133 @@
+"""Waveforms of forces and motions: a sine, a Hann tone burst, a half-sine, or a cubic spline."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..util.arrays import Array
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
+
+
+@dataclass(frozen=True, eq=False)
+class Waveform:
+    """A function of time: ``A sin(w t) sin(e t)^2`` up to its end and 0 afterwards, or a cubic spline.
+
+    Attributes
+    ----------
+    amplitude : float
+        A.
+    omega, envelope : float
+        w and e, rad/s; without an envelope, 0, the second factor is left out.
+    end : float
+        s; infinite if it goes on.
+    spline : CubicSpline, optional
+        In place of all that.
+    """
+
+    amplitude: float = 0.0
+    omega: float = 0.0
+    envelope: float = 0.0
+    end: float = np.inf
+    spline: CubicSpline | None = None
+
+    @classmethod
+    def sine(cls, amplitude: float, frequency: float, cycles: float | None = None) -> Waveform:
+        """Return a sine, or a Hann burst of so many cycles: ``A sin(2 pi f t) sin(pi f t / cycles)^2``."""
+        omega = 2 * np.pi * frequency
+        if cycles is None:
+            return cls(amplitude, omega)
+        return cls(amplitude, omega, omega / (2 * cycles), cycles / frequency)
+
+    @classmethod
+    def half_sine(cls, amplitude: float, duration: float) -> Waveform:
+        """Return the positive half of a sine."""
+        return cls(amplitude, np.pi / duration, 0.0, duration)
+
+    @classmethod
+    def through(cls, times: Array, values: Array) -> Waveform:
+        """Return the cubic spline (not-a-knot) through points."""
+        from scipy.interpolate import CubicSpline
+
+        return cls(end=float(times[-1]), spline=CubicSpline(times, values))
+
+    def at(self, t: float | Array, order: int = 0) -> Array:
+        """Return its values at these times, s, or its derivatives of order 1 or 2."""
+        t = np.asarray(t, dtype=float)
+        if self.spline is not None:
+            return self.spline(t, order)
+        a, w, e = self.amplitude, self.omega, self.envelope
+        if not e:
+            value = (a * np.sin(w * t), a * w * np.cos(w * t), -(w**2) * (a * np.sin(w * t)))[order]
+        else:
+            sin, cos, part, slope = np.sin(w * t), np.cos(w * t), np.sin(e * t) ** 2, e * np.sin(2 * e * t)
+            bend = 2 * e**2 * np.cos(2 * e * t)
+            terms = sin * part, w * cos * part + sin * slope, -(w**2) * sin * part + 2 * w * cos * slope + sin * bend
+            value = a * terms[order]
+        return value if np.isinf(self.end) else np.where(t < self.end, value, 0.0)
+
+    @property
+    def sines(self) -> tuple[tuple[float, float], ...]:
+        """Amplitude and frequency, rad/s, of the sines that it is the sum of up to its end."""
+        a, w, e = self.amplitude, self.omega, self.envelope
+        return ((a / 2, w), (-a / 4, w + 2 * e), (-a / 4, w - 2 * e)) if e else ((a, w),)
+
+    @property
+    def corners(self) -> tuple[float, ...]:
+        """Times, s, after which it is another function: where it ends, or the knots of a spline."""
+        if self.spline is not None:
+            return tuple(self.spline.x.tolist())
+        return () if np.isinf(self.end) else (self.end,)
+
+    @property
+    def smooth(self) -> bool:
+        """Whether it has no corners but one at which a step can end."""
+        return self.spline is None or len(self.spline.x) <= 4
+
+    @property
+    def fastest(self) -> float:
+        """Highest frequency that a step must resolve, rad/s."""
+        if self.spline is not None:
+            return float(1 / np.diff(self.spline.x).min())
+        return float(self.omega + 2 * self.envelope)
+
+    def largest(self, order: int = 0) -> float:
+        """Return the largest size of its values or derivative: of a burst a bound, of a spline nearly."""
+        if self.spline is not None:
+            return float(np.abs(self.at(self._dense, order)).max())
+        return float(abs(self.amplitude) * (self.omega + self.envelope) ** order)
+
+    @property
+    def gained(self) -> float:
+        """Largest size of its integral from 0 on, of a burst a bound, of a spline nearly so."""
+        if self.spline is not None:
+            return float(np.abs(self.spline.antiderivative()(self._dense)).max())
+        return 2 * abs(self.amplitude) / self.omega
+
+    def area(self, duration: float) -> float:
+        """Bound the integral of its size up to a time, s; infinite for a spline."""
+        if self.spline is not None:
+            return np.inf
+        until = min(duration, self.end)
+        if self.envelope:
+            return abs(self.amplitude) * until / 2 * (1 if until == self.end else 2)
+        arches = np.ceil(self.omega * until / np.pi * (1 - 1e-12))
+        return float(abs(self.amplitude) * min(2 * arches / self.omega, until))
+
+    def path(self, duration: float) -> float:
+        """Bound the integral of the size of its derivative up to a time, s; infinite for a spline."""
+        if self.spline is not None:
+            return np.inf
+        until = min(duration, self.end)
+        return float(abs(self.amplitude) * (1 + 4 * self.omega / (2 * np.pi) * until + (2 if self.envelope else 0)))
+
+    @property
+    def _dense(self) -> Array:
+        """Eight times from knot to knot."""
+        assert self.spline is not None
+        knots = self.spline.x
+        return np.interp(np.arange(8 * len(knots)) / 8, np.arange(len(knots)), knots)

@@ -1,0 +1,89 @@
+"""Walls by their constants, chains of one grain, and the wall that mirrors a chain."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.independent_integrators import extended_reference, relative_error
+from scipy.integrate import quad
+
+from lmpchain import Chain, Impulse, Profile, Scene, engines, simulate
+
+
+@pytest.mark.parametrize("delta", [1.0, 1.5, 2.2])
+@pytest.mark.parametrize("load", [0.0, 1e-2])
+@pytest.mark.parametrize("engine", ["native", pytest.param("lammps", marks=pytest.mark.slow), "modes"])
+def test_a_wall_mirrors_the_chain(delta: float, load: float, engine: str):
+    """With K_wall = 2^delta K it is half of a symmetric chain, whose middle contact is squeezed from both sides."""
+    if (engine == "lammps" and delta == 2.2) or (engine == "modes" and not load):
+        return
+    rng = np.random.default_rng(5)
+    n, diameters = 6, 1e-3 * rng.uniform(0.8, 1.2, 6)
+    ends = {"gravity": 0.0, "exponent": delta, "top_load": load, "top": "wall"}
+    double = Chain(
+        grains=2 * n, diameter=[*diameters, *diameters[::-1]], bottom="wall", wall_constants=[3e8, 3e8], **ends
+    )
+    across = double.contact_constants[n - 1]
+    half = Chain(grains=n, diameter=diameters, bottom="wall", wall_constants=[3e8, 2**delta * across], **ends)
+    speed = 1e-4 * rng.normal(size=n) * (1e-4 if engine == "modes" else 1.0)
+    duration = 30e-6
+    options: dict[str, Any] = {"step": duration / 600} | ({"diameter": "gauge"} if engine == "lammps" else {})
+    solver = engines.get(engine, **({} if engine == "modes" else options))
+
+    def run(chain: Chain, velocity: Any) -> Any:
+        return simulate(Scene(chain=chain, excitation=Profile(velocity=velocity), duration=duration, samples=7), solver)
+
+    one, two = run(half, speed), run(double, np.append(speed, -speed[::-1]))
+    tolerance = 1e-8 if engine == "lammps" else 1e-12  # round-off of heights
+    assert relative_error(one.displacement, one.velocity, two.displacement[:, :n], two.velocity[:, :n]) < tolerance
+    assert np.abs(two.velocity + two.velocity[:, ::-1]).max() < tolerance * np.abs(two.velocity).max()
+
+
+def test_wall_constants_take_the_place_of_materials():
+    given = {"grains": 7, "diameter": 1e-3, "top": "wall", "bottom": "wall", "top_load": 1e-3}
+    usual = Chain(**given, top_material="steel", bottom_material="ptfe")
+    same = Chain(**given, wall_constants=usual.wall_constants)
+    assert np.array_equal(same.contacts.constant, usual.contacts.constant)
+    assert np.array_equal(same.contacts.overlap, usual.contacts.overlap)
+    below, above = same.part(3, 7), same.part(1, 4)
+    assert below.wall_constants.tolist() == [0.0, usual.wall_constants[1]]
+    assert above.wall_constants.tolist() == [usual.wall_constants[0], 0.0]
+    for part in (below, above, same):
+        assert Chain(**part.given()) == part
+
+
+LONE = {
+    "under gravity on a wall": {"bottom": "wall"},
+    "between walls": {"gravity": 0.0, "top_load": 1e-2, "top": "wall", "bottom": "wall"},
+    "below a wall that just touches": {"top": "wall", "bottom": "wall"},
+    "loaded on a wall": {"gravity": 0.0, "top_load": 1e-2, "bottom": "wall"},
+}
+
+
+@pytest.mark.parametrize("name", LONE)
+@pytest.mark.parametrize("strike", [1e-7, 3e-3])
+def test_one_grain(name: str, strike: float):
+    chain = Chain(grains=1, diameter=1e-3, **LONE[name])
+    assert chain.movable == 1
+    assert chain.band_edge == pytest.approx(np.sqrt(chain.contacts.stiffness.sum() / chain.masses[0]), rel=1e-14)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=strike), duration=7 * chain.time_scale, samples=9)
+    u, v, own = extended_reference(scene)
+    for engine in ("native", "auto", "lammps"):
+        t = simulate(scene, engine, 1e-6)
+        true = relative_error(t.displacement, t.velocity, u, v)
+        assert true < 1e-6
+        assert t.error_estimate.total > (true - own) / 3
+    assert Scene.from_text(scene.to_text()) == scene
+
+
+def test_the_bounce_of_one_grain():
+    """A grain on a wall in a vacuum of forces: the time of a Hertzian collision by quadrature."""
+    chain = Chain(grains=1, diameter=1e-3, gravity=0.0, bottom="wall")
+    m, k, v = float(chain.masses[0]), float(chain.wall_constants[1]), 1e-2
+    deepest = (5 * m * v**2 / (4 * k)) ** 0.4
+    share, _ = quad(lambda s: 2 * s / np.sqrt(1 - (1 - s**2) ** 2.5), 0, 1, epsabs=0, epsrel=1e-13)
+    contact_time = 2 * deepest / v * share
+    scene = Scene(chain=chain, excitation=Impulse(velocity=v), duration=contact_time, samples=3)
+    t = simulate(scene, "native", 1e-9)
+    assert t.displacement[1, 0] == pytest.approx(deepest, rel=1e-8)
+    assert t.velocity[:, 0] == pytest.approx([v, 0.0, -v], rel=1e-8, abs=1e-8 * v)

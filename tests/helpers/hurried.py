@@ -1,0 +1,34 @@
+"""The command line of lmpchain with a checkpoint at every few samples, and first attempts whose steps are too long.
+
+    python tests/helpers/hurried.py run scene.toml -o run/
+
+So a run of a second has as many attempts and checkpoints to be killed at as one of an hour.
+"""
+
+import sys
+from dataclasses import replace
+
+from lmpchain.cli import command_line
+from lmpchain.engines import error_estimate, time_stepping
+from lmpchain.simulation import run_folder
+
+LONGER = 20  # than the steps that it would choose
+
+
+def main(words: list[str]) -> int:
+    """Run a command of lmpchain."""
+    error_estimate.BLOCK_S = run_folder.OFTEN_S = 0.02
+    run_folder.SHARE = 0.5
+    honest = time_stepping.TimeSteppingEngine.candidate
+
+    def candidate(engine, *arguments):
+        right = honest(engine, *arguments)
+        steps = right.steps_per_sample if engine.step else max(1, right.steps_per_sample // LONGER)
+        return replace(right, steps_per_sample=steps, step=right.step * right.steps_per_sample / steps)
+
+    time_stepping.TimeSteppingEngine.candidate = candidate
+    return command_line.main(words)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,76 @@
+"""The energy of grains, contacts and parts of a chain adds up to what there is."""
+
+import numpy as np
+import pytest
+from helpers.example_chains import WALLED
+
+from lmpchain import Chain, Drive, Force, Impulse, InputError, Scene, simulate, sweep
+from lmpchain.measure import energy
+
+LOADED = Chain(grains=9, diameter=1e-3, gravity=0.0, top_load=1e-2, top="wall", bottom="wall")
+ACTED = {
+    "struck": Impulse(velocity=1e-3, grain=3),
+    "pushed": Force(grain=2, shape="half-sine", amplitude=1e-2, duration=5e-6),
+    "a wall that moves": Drive(amplitude=1e-8, frequency=1e5, cycles=2, grain=0),
+}
+
+
+@pytest.mark.parametrize("name", WALLED)
+def test_shares_add_up(name: str):
+    chain = WALLED[name]
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-2, grain=chain.movable), duration=2e-5, samples=21)
+    t = simulate(scene, "native", 1e-9)
+    found = energy.shares(t)
+    assert min(found.kinetic.min(), found.elastic.min()) >= 0
+    total = found.kinetic.sum(1) + found.elastic.sum(1)
+    assert total == pytest.approx(scene.energy, rel=1e-8)
+    assert found.of_grain.sum(1) == pytest.approx(total, rel=1e-13)
+    assert energy.ledger(t).total == pytest.approx(total, rel=1e-13)
+    halves = found.part(1, 1) + (found.part(2, chain.grains) if chain.grains > 1 else 0)
+    assert halves == pytest.approx(total, rel=1e-13)
+
+
+@pytest.mark.parametrize("kind", ACTED)
+def test_what_flows_into_a_part(kind: str):
+    """The energy of grains 5 to 9 changes by the power of contact 4: its force times the mean of the two velocities."""
+    scene = Scene(chain=LOADED, excitation=ACTED[kind], duration=3e-5, samples=3001)
+    t = simulate(scene, "native", 1e-10)
+    part = energy.shares(t).part(5, 9)
+    change = LOADED.contacts.of(4).force_change(t.displacement[:, 3] - t.displacement[:, 4])
+    power = change * (t.velocity[:, 3] + t.velocity[:, 4]) / 2
+    flown = np.append(0, np.cumsum((power[1:] + power[:-1]) / 2)) * (scene.duration / 3000)
+    assert part - part[0] == pytest.approx(flown, rel=0, abs=3e-4 * part.max())
+    assert part.max() > 0.1 * energy.ledger(t).total.max()
+
+
+def test_a_closed_form():
+    """A single grain on a spring: half of the energy goes back and forth."""
+    spring = Chain(grains=1, diameter=1e-3, exponent=1.0, bottom="wall", masses=[2e-6], wall_constants=[0.0, 50.0])
+    scene = Scene(chain=spring, excitation=Impulse(velocity=1e-4), duration=1e-3, samples=101)
+    found = energy.shares(simulate(scene, "modes"))
+    whole = 2e-6 * 1e-8 / 2
+    assert found.kinetic[:, 0] == pytest.approx(whole * np.cos(5000 * found.time) ** 2, rel=0, abs=1e-12 * whole)
+    assert found.elastic[:, 0] == pytest.approx(whole * np.sin(5000 * found.time) ** 2, rel=0, abs=1e-12 * whole)
+    assert found.contact.tolist() == [1]
+
+
+def test_parts_of_what_was_recorded():
+    scene = Scene(chain=LOADED, excitation=ACTED["struck"], duration=2e-5, samples=11)
+    whole = energy.shares(simulate(scene, "native", 1e-9))
+    some = energy.shares(simulate(Scene(**scene.given() | {"grains": "3:6"}), "native", 1e-9))
+    assert some.contact.tolist() == [3, 4, 5]
+    assert np.isnan(some.of_grain[:, [0, -1]]).all()
+    assert some.part(4, 5) == pytest.approx(whole.part(4, 5), rel=1e-12)
+    with pytest.raises(InputError, match="part: takes recorded grains"):
+        some.part(2, 5)
+
+
+def test_energies_in_a_sweep(tmp_path):
+    scene = Scene(chain=LOADED, excitation=ACTED["struck"], duration=2e-5, samples=11)
+    asked = {"scene": scene.to_dict(), "keep": ["energy", "grain_energy", "contact_energy"], "engine": "native"}
+    data = sweep(asked | {"tolerance": 1e-9, "grid": {"excitation.velocity": [1e-3, 2e-3]}}, tmp_path)
+    found = energy.shares(simulate(scene, "native", 1e-9))
+    first = data.isel({"excitation.velocity": 0})
+    assert first["energy"].to_numpy() == pytest.approx(scene.energy, rel=1e-8)
+    assert first["grain_energy"].to_numpy() == pytest.approx(found.of_grain, rel=1e-12)
+    assert first["contact_energy"].to_numpy() == pytest.approx(found.elastic[:, 1:], rel=1e-12)

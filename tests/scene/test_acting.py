@@ -1,0 +1,463 @@
+"""Forces and prescribed motions, of a grain or of the top wall, against exact solutions and other integrators."""
+
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.example_scenes import acted_scene
+from helpers.independent_integrators import extended_reference, relative_error
+from helpers.standalone_lammps import lmp, read_dump
+from numpy.typing import NDArray
+from scipy.integrate import quad
+from scipy.interpolate import CubicSpline
+
+from lmpchain import (
+    Chain,
+    Drive,
+    Force,
+    Impulse,
+    InputError,
+    Packet,
+    RunFailed,
+    Scene,
+    ToleranceNotMet,
+    engines,
+    simulate,
+)
+from lmpchain.benchmark.reference import reference
+from lmpchain.engines import error_estimate
+from lmpchain.engines.lammps.export import write_deck
+from lmpchain.integrators.methods import METHODS
+from lmpchain.integrators.splittings import SPLITTINGS
+from lmpchain.measure import contact, energy
+from lmpchain.scene.excitation import EXCITATIONS
+
+Array = NDArray[np.float64]
+every = pytest.mark.parametrize("integrator", sorted(METHODS))
+LOADED = Chain(grains=8, diameter=1e-3, gravity=0.0, top_load=1e-3)
+WALLED = Chain(**LOADED.given() | {"top": "wall"})
+UNIT, LENGTH, LOAD = LOADED.time_scale, LOADED.length_scale, LOADED.top_load
+POINTS = np.append(0.0, np.random.default_rng(3).normal(size=11))
+TIMES = np.append(0.0, np.cumsum(np.random.default_rng(4).uniform(0.4, 1, 11)))
+TIMES *= 8.5 * UNIT / TIMES[-1]
+
+
+def forces(size: float, grain: int = 1, period: float = 2 * np.pi) -> dict[str, Force]:
+    """Return forces of every kind, of this size in top loads and this period in units of sqrt(m_1 / k_1)."""
+    wave = {"amplitude": size * LOAD, "frequency": 1 / (period * UNIT)}
+    return {
+        "sine": Force(grain=grain, **wave),
+        "burst": Force(grain=grain, **wave, cycles=0.9),
+        "half-sine": Force(grain=grain, shape="half-sine", amplitude=size * LOAD, duration=period * UNIT / 2),
+        "points": Force(grain=grain, times=TIMES, force=(1 + POINTS) * size * LOAD),
+    }
+
+
+def drives(size: float, grain: int = 0, period: float = 2 * np.pi) -> dict[str, Drive]:
+    """Return motions of every kind, of this size in overlaps."""
+    wave = {"amplitude": size * LENGTH, "frequency": 1 / (period * UNIT)}
+    return {
+        "sine": Drive(grain=grain, **wave),
+        "burst": Drive(grain=grain, **wave, cycles=0.9),
+        "points": Drive(grain=grain, times=TIMES, displacement=POINTS * size * LENGTH),
+    }
+
+
+def scene_of(chain: Chain, excitation: Any, samples: int = 2, units: float = 8.0) -> Scene:
+    return Scene(chain=chain, excitation=excitation, duration=units * UNIT, samples=samples)
+
+
+# --- exact solutions
+
+SPRING = Chain(grains=1, diameter=1e-3, exponent=1.0, bottom="wall", masses=[2e-6], wall_constants=[0.0, 50.0])
+OWN = 5000.0  # rad/s: sqrt(50 / 2e-6)
+
+
+def course(given: Any) -> Any:
+    """Return what is imposed as a function of time, from its definition."""
+    if given.times is not None:
+        return CubicSpline(given.times, given.force if given.kind == "force" else given.displacement)
+    if getattr(given, "shape", None):
+        return lambda t: given.amplitude * np.sin(np.pi * t / given.duration) if t < given.duration else 0.0
+    f, cycles = given.frequency, given.cycles
+
+    def value(t: float) -> float:
+        hann = 1.0 if cycles is None else (1 - np.cos(2 * np.pi * f * t / cycles)) / 2 * (f * t < cycles)
+        return given.amplitude * np.sin(2 * np.pi * f * t) * hann
+
+    return value
+
+
+def duhamel(given: Any, strength: float, times: Array, corners: list[float]) -> tuple[Array, Array]:
+    """Return x and x' of x'' = -OWN^2 x + strength f(t), at rest to begin with, by quadrature."""
+    f, found = course(given), []
+    largest = max(abs(f(t)) for t in np.linspace(0, times[-1], 101))
+    for t in times:
+        inside = [c for c in corners if 0 < c < t] or None
+        options = {"points": inside, "epsabs": 1e-13 * abs(strength / OWN) * t * largest, "epsrel": 1e-14, "limit": 500}
+        sin, _ = quad(lambda s, t=t: f(s) * np.sin(OWN * (t - s)), 0, t, **options)
+        cos, _ = quad(lambda s, t=t: f(s) * np.cos(OWN * (t - s)), 0, t, **options)
+        found.append((strength / OWN * sin, strength * cos))
+    x, v = np.array(found).T
+    return x, v
+
+
+ON_A_SPRING = {
+    "sine": Force(amplitude=1e-7, frequency=300.0),
+    "resonance": Force(amplitude=1e-7, frequency=OWN / (2 * np.pi)),
+    "burst": Force(amplitude=1e-7, frequency=900.0, cycles=5),
+    "broken burst": Force(amplitude=-1e-7, frequency=900.0, cycles=2.3),
+    "half-sine": Force(shape="half-sine", amplitude=1e-7, duration=7.3e-4),
+    "points": Force(times=np.linspace(0, 5e-3, 9), force=1e-7 * np.cos(np.arange(9.0))),
+}
+
+
+@pytest.mark.parametrize("kind", ON_A_SPRING)
+@pytest.mark.parametrize("where", ["grain", "wall"])
+def test_one_grain_on_a_spring(kind: str, where: str):
+    """The driven oscillator, by Duhamel's integral: pushed itself, or by a spring whose other end is moved."""
+    given = ON_A_SPRING[kind]
+    chain, strength = SPRING, 1 / 2e-6
+    if where == "wall":
+        if kind == "half-sine":
+            return
+        keys = given.given() | {"grain": 0}
+        points = 1e-3 * (given.force - given.force[0]) if kind == "points" else None
+        keys.pop("force", None)
+        given = Drive(**keys | ({"displacement": points} if points is not None else {"amplitude": 1e-10}))
+        chain = Chain(**SPRING.given() | {"top": "wall", "top_load": 1e-3, "wall_constants": [20.0, 30.0]})
+        strength = 20.0 / 2e-6
+    scene = Scene(chain=chain, excitation=given, duration=5e-3, samples=9)
+    corners = [*given.waveform.corners]
+    x, v = duhamel(given, strength, scene.time[1:], corners)
+
+    def error(u: Array, w: Array) -> float:
+        return relative_error(u[1:, 0], w[1:, 0], x, v)
+
+    truth = reference(scene)
+    assert error(truth.displacement, truth.velocity) < 1e-13
+    assert error(*extended_reference(scene)[:2]) < 1e-13
+    t = simulate(scene, "native", 1e-11)
+    assert error(t.displacement, t.velocity) < min(3 * t.error_estimate.total, 1e-11) + 1e-13
+    if kind != "points":
+        t = simulate(scene, "modes", on_miss="warn")
+        assert error(t.displacement, t.velocity) < 1e-13
+
+
+@pytest.mark.parametrize("name", ["modes", "chebyshev"])
+def test_a_wall_that_moves_in_linear_engines(name: str):
+    springs = Chain(**WALLED.given() | {"exponent": 1.0})
+    for kind, given in drives(1e-2).items():
+        scene = scene_of(springs, given, samples=5)
+        if kind == "points" or (name == "chebyshev" and kind == "burst"):
+            with pytest.raises(InputError, match=r"excitation: .* (native|modes)"):
+                simulate(scene, name)
+            continue
+        t, truth = simulate(scene, name), reference(scene)
+        assert relative_error(t.displacement, t.velocity, truth.displacement, truth.velocity) < 1e-12
+
+
+def test_forces_in_modes():
+    springs = Chain(**LOADED.given() | {"exponent": 1.0, "bottom": "wall"})
+    for kind, given in forces(1e-2, grain=3).items():
+        scene = scene_of(springs, given, samples=5, units=30 if kind != "points" else 8)
+        if kind == "points":
+            with pytest.raises(InputError, match="by points"):
+                simulate(scene, "modes")
+            continue
+        t, truth = simulate(scene, "modes"), reference(scene)
+        assert relative_error(t.displacement, t.velocity, truth.displacement, truth.velocity) < 1e-12
+        for other in ("chebyshev", "bessel"):
+            with pytest.raises(InputError, match="excitation"):
+                simulate(scene, other)
+
+
+# --- integrators
+
+COUNTS = {  # all are 4 beyond a multiple of 8, so that what ends after three eighths ends in the middle of a step
+    "verlet": [252, 508, 1020, 2044],
+    "gear4": [508, 1020, 1532, 2044, 4092],
+    "rkn4": [44, 60, 76, 100, 132],
+    "kahan-li6": [44, 52, 60, 76, 92],
+    "rkn6": [60, 76, 100, 132],
+    "kahan-li8": [36, 44, 52, 60],
+    "dop853": [44, 52, 60, 76],
+}
+PERIODS = {"sine": 7.3, "burst": 3 / 0.9, "half-sine": 6.0}
+ACTING = {f"force, {kind}": (LOADED, forces(1e-3, 3, period)[kind]) for kind, period in PERIODS.items()} | {
+    f"wall, {kind}": (WALLED, drives(1e-3, 0, PERIODS[kind])[kind]) for kind in ("sine", "burst")
+}
+
+
+@every
+@pytest.mark.parametrize("kind", ACTING)
+def test_order_of_convergence(integrator: str, kind: str):
+    """Half-sines and bursts end within a step: it is made as two, or the order would fall to 2 or 4."""
+    scene = scene_of(*ACTING[kind])
+    u, v, own = extended_reference(scene)
+    errors, counts = [], COUNTS[integrator]
+    for count in counts:
+        t = simulate(scene, engine=engines.Native(integrator=integrator, step=scene.duration / count))
+        assert t.cost.steps == count or integrator == "dop853"
+        errors.append(relative_error(t.displacement, t.velocity, u, v))
+    assert min(errors) > 100 * own
+    n = np.array(counts, dtype=float)  # the step that is made as two has less of an error than the others
+    laws = [np.ones(n.size), -np.log(n)] + (
+        [1 / n] if scene.excitation.waveform.corners and integrator in SPLITTINGS else []
+    )
+    slope = np.linalg.lstsq(np.stack(laws, axis=1), np.log(errors), rcond=None)[0][1]
+    assert slope == pytest.approx(METHODS[integrator].order, abs=0.05 if integrator in SPLITTINGS else 0.2)
+
+
+def err(t: Any, truth: Any) -> float:
+    """Return the error as the package defines it, relative to the largest motion at any time."""
+    apart = np.abs([t.displacement[:] - truth.displacement, t.velocity[:] - truth.velocity]).max((1, 2))
+    return float((apart / truth.scale).max())
+
+
+STRONG = {
+    **{f"force, {kind}": (Chain(**LOADED.given() | {"gravity": 9.81}), g) for kind, g in forces(3.0, 2).items()},
+    **{f"wall, {kind}": (WALLED, g) for kind, g in drives(2.0).items()},
+    **{f"grain below a wall, {kind}": (WALLED, g) for kind, g in drives(2.0, 1).items()},
+    "a hammer on a sonic vacuum": (
+        Chain(grains=5, diameter=1e-3, gravity=0.0, bottom="wall"),
+        Force(shape="half-sine", amplitude=1e-2, duration=2 * UNIT),
+    ),
+    "a wall on a sonic vacuum": (
+        Chain(grains=5, diameter=1e-3, gravity=0.0, top="wall", bottom="free"),
+        Drive(amplitude=1e-8, frequency=0.1 / UNIT, grain=0),
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", STRONG)
+def test_accuracy_is_as_asked_for_and_known(kind: str):
+    """Where contacts open and close, too; the two references agree."""
+    scene = scene_of(*STRONG[kind], samples=5)
+    truth = reference(scene)
+    u, v, own = extended_reference(scene)
+    assert relative_error(truth.displacement, truth.velocity, u, v) < truth.error + 2 * own + 1e-13
+    for integrator, tolerance in (
+        ("rkn6", 1e-5),
+        ("rkn6", 1e-9),
+        ("kahan-li8", 1e-7),
+        ("dop853", 1e-8),
+        ("verlet", 1e-5),
+    ):
+        t = simulate(scene, "native", tolerance, integrator=integrator)
+        true = err(t, truth)
+        assert true <= tolerance
+        assert (true - truth.error) / 3 <= t.error_estimate.total <= tolerance
+
+
+@pytest.mark.parametrize("integrator", ["rkn6", "kahan-li6", "verlet"])
+@pytest.mark.parametrize("kind", ["force, burst", "force, half-sine", "force, points", "wall, burst", "wall, points"])
+def test_lammps(kind: str, integrator: str):
+    """LAMMPS takes forces and a wall that moves at the times of the method, to the round-off of its heights."""
+    scene = scene_of(*STRONG[kind], samples=5)
+    truth = reference(scene)
+    t = simulate(scene, "lammps", 1e-3 if integrator == "verlet" else 1e-6, integrator=integrator)
+    assert (err(t, truth) - truth.error) / 3 <= t.error_estimate.total
+    step = scene.duration / 200  # in steps of any length it is the native map: formulas are right to the last digits
+    gauge = simulate(scene, engines.Lammps(integrator, step, "gauge"))
+    assert err(gauge, simulate(scene, engines.Native(integrator, step))) < 1e-11
+
+
+# --- many at once, in pieces, and again from a kept state
+
+
+def blocks_of(run: Any) -> tuple[Array, Array]:
+    try:
+        blocks = list(run.blocks())
+        return tuple(np.concatenate([getattr(b, k) for b in blocks], axis=1) for k in ("displacement", "velocity"))
+    finally:
+        run.close()
+
+
+@every
+def test_batch_equals_single_runs(integrator: str):
+    """Forces on different grains, and motions of the wall, each as if it had been alone."""
+    given = [*forces(2.0, 3).values(), *drives(2.0).values(), Force(grain=7, amplitude=1e-3, frequency=1e5)]
+    scenes = [scene_of(WALLED, each, samples=5) for each in given]
+    solver = engines.Native(integrator=integrator, step=scenes[0].duration / 200)
+    run = solver.start(scenes, solver.candidate(scenes[0], 1e-6))
+    u, v = blocks_of(run)
+    for i, scene in enumerate(scenes):
+        alone = simulate(scene, engine=solver)
+        assert np.array_equal(u[i], alone.displacement)
+        assert np.array_equal(v[i], alone.velocity)
+    assert len({*u[:, -1, 0]}) == len(scenes)
+
+
+PLACES = [("native", integrator) for integrator in sorted(METHODS)] + [
+    pytest.param("lammps", integrator, marks=pytest.mark.slow) for integrator in ("verlet", "kahan-li6", "rkn6")
+]
+
+
+@pytest.mark.parametrize(("engine", "integrator"), PLACES)
+@pytest.mark.parametrize("kind", [kind for kind in STRONG if kind.startswith(("force", "wall"))])
+def test_exact_restart(engine: str, integrator: str, kind: str, monkeypatch: pytest.MonkeyPatch):
+    """A run that goes on from a kept state ends with the same bytes: the clock of a force is kept too."""
+    scene = scene_of(*STRONG[kind], samples=9)
+    options = {"diameter": "gauge"} if engine == "lammps" else {}
+    solver = engines.get(engine, integrator=integrator, step=scene.duration / 203, **options)
+    candidate = solver.candidate(scene, 1e-6)
+    whole = solver.start([scene], candidate)
+    u, v = blocks_of(whole)
+    monkeypatch.setattr(error_estimate, "BLOCK_BYTES", 1)  # four samples a block
+    begun = solver.start([scene], candidate)
+    blocks = []
+    for block in begun.blocks():
+        blocks.append(block)
+        if block.samples.stop == 5:
+            break
+    kept = begun.state()
+    begun.close()
+    again = solver.start([scene], candidate, kept)
+    rest_u, rest_v = blocks_of(again)
+    assert np.array_equal(np.concatenate([*(b.displacement for b in blocks), rest_u], axis=1), u)
+    assert np.array_equal(np.concatenate([*(b.velocity for b in blocks), rest_v], axis=1), v)
+    assert [e.total for e in again.errors()] == [e.total for e in whole.errors()]
+
+
+def test_adaptive_steps_restart_exactly_too(monkeypatch: pytest.MonkeyPatch):
+    for kind in ("force, burst", "force, points", "wall, burst", "wall, points"):
+        scene = scene_of(*STRONG[kind], samples=9)
+        whole = simulate(scene, "native", 1e-8)
+        monkeypatch.setattr(error_estimate, "BLOCK_BYTES", 1)
+        monkeypatch.setattr(error_estimate, "PIECE_S", 1e-5)
+        pieces = simulate(scene, "native", 1e-8)
+        monkeypatch.undo()
+        assert np.array_equal(whole.displacement, pieces.displacement)
+
+
+# --- balances
+
+
+@pytest.mark.parametrize("kind", STRONG)
+def test_work_and_impulse_are_accounted_for(kind: str):
+    """Energy is what the force or the driver has put in, momentum what it, the load and the walls have."""
+    scene = scene_of(*STRONG[kind], samples=4001)
+    t = simulate(scene, "native", 1e-9)
+    ledger = energy.ledger(t)
+    assert np.ptp(ledger.total) > 0
+    assert np.abs(ledger.drift).max() <= ledger.drive_error + 1e-8 * ledger.total.max()
+    largest = np.abs(ledger.momentum).max()
+    assert np.abs(ledger.momentum_drift).max() <= ledger.impulse_error + 1e-8 * largest
+    assert ledger.drive_error < 1e-5 * ledger.total.max()
+    parts = ledger.kinetic + ledger.contact + ledger.gravity + ledger.load
+    assert parts == pytest.approx(ledger.total, rel=0, abs=1e-9 * np.abs(ledger.contact).max())
+
+
+def test_the_force_of_a_driver():
+    scene = scene_of(WALLED, drives(0.5)["burst"], samples=401)
+    t = simulate(scene, "native", 1e-9)
+    wall, u = scene.excitation.motion(t.time)[0], t.displacement[:, 0]
+    overlap = WALLED.contacts.overlap[0] + wall - u
+    assert contact.drive_force(t) == pytest.approx(WALLED.wall_constants[0] * overlap**1.5, rel=1e-9)
+    assert contact.wall_force(t, "top") == pytest.approx(contact.drive_force(t), rel=1e-12)
+    below = scene_of(WALLED, drives(0.5, 1)["burst"], samples=401)
+    alone = scene_of(LOADED, drives(0.5, 1)["burst"], samples=401)
+    t, free = simulate(below, "native", 1e-9), simulate(alone, "native", 1e-9)
+    assert np.array_equal(t.displacement, free.displacement)  # a wall above a driven grain moves nothing
+    squeezed = contact.contacts(t, [0]).change[:, 0]
+    assert contact.drive_force(t) == pytest.approx(
+        contact.drive_force(free) - LOAD - squeezed, rel=1e-9, abs=1e-9 * LOAD
+    )
+
+
+# --- what is said of them
+
+FAULTS = {
+    "amplitude: give amplitude and frequency": lambda: Force(amplitude=1.0),
+    "amplitude: give amplitude": lambda: Force(amplitude=1.0, shape="half-sine", frequency=2.0, duration=1.0),
+    "shape: must be": lambda: Force(amplitude=1.0, shape="square", duration=1.0),
+    "force: must have one entry": lambda: Force(times=[0.0, 1.0], force=[1.0]),
+    "times: must begin with 0": lambda: Force(times=[0.5, 1.0], force=[1.0, 2.0]),
+    "displacement: must begin with 0, where the wall": lambda: Drive(times=[0, 1.0], displacement=[1, 2.0], grain=0),
+    "grain: must be": lambda: Drive(amplitude=1.0, frequency=1.0, grain=2),
+    "grain: 0 moves the top wall": lambda: scene_of(LOADED, drives(1.0)["sine"]),
+    "cycles: must be above 0": lambda: Drive(amplitude=1.0, frequency=1.0, cycles=0.0),
+    "times: end at": lambda: scene_of(LOADED, forces(1.0)["points"], units=9.0),
+    "grain: there is no grain 9": lambda: scene_of(LOADED, forces(1.0, 9)["sine"]),
+    "grain: grain 8 is held": lambda: scene_of(LOADED, forces(1.0, 8)["sine"]),
+    "kind: squeezes contact": lambda: scene_of(LOADED, forces(1e9)["sine"]),
+    "wall_constants: must be two": lambda: Chain(grains=3, diameter=1e-3, bottom="wall", wall_constants=[1.0, 2.0]),
+    "wall_constants: take the place": lambda: Chain(
+        grains=3, diameter=1e-3, bottom="wall", bottom_material="steel", wall_constants=[0.0, 2.0]
+    ),
+    "grains: a single grain": lambda: Chain(grains=1, diameter=1e-3),
+    "width: the packet is 6 widths": lambda: scene_of(LOADED, Packet(1e4, 2.0, 4, 1e-12)),
+    "kind: there are no linear waves": lambda: scene_of(
+        Chain(grains=30, diameter=1e-3, gravity=0.0), Packet(1e4, 1.0, 15, 1e-12)
+    ),
+    "frequency: must be below": lambda: scene_of(Chain(grains=90, diameter=1e-3), Packet(1e8, 2.0, 15, 1e-12)),
+}
+
+
+@pytest.mark.parametrize("said", FAULTS)
+def test_faults_in_words(said: str):
+    with pytest.raises(InputError) as fault:
+        FAULTS[said]()
+    assert any(line.startswith(said) for line in str(fault.value).splitlines()), fault.value
+
+
+@pytest.mark.parametrize("kind", [*STRONG, "packet"])
+def test_scene_files(kind: str):
+    """A scene file holds all that there is, and a scaled excitation is as much stronger."""
+    chain = Chain(grains=90, diameter=1e-3, gravity=0.0, top_load=1.0, bottom="wall", wall_constants=[0.0, 3e9])
+    chain, given = (chain, Packet(2e4, 5.0, 40, 1e-12)) if kind == "packet" else STRONG[kind]
+    scene = scene_of(chain, given)
+    assert Scene.from_text(scene.to_text()) == scene
+    assert Scene.from_dict(scene.to_dict()) == scene
+    assert given.kind in EXCITATIONS
+    assert given.scaled(1.0) == given
+    twice = given.scaled(2.0).largest(chain)[1].max()
+    assert twice > 1.2 * given.largest(chain)[1].max()
+
+
+def test_a_force_in_a_file(tmp_path: Path):
+    (tmp_path / "hammer.csv").write_text("time,force\n0,0\n1e-6,0.5\n3e-5,0\n")
+    tables = scene_of(LOADED, Impulse(velocity=1e-6)).to_dict()
+    tables["excitation"] = {"kind": "force", "grain": 2, "file": "hammer.csv"}
+    assert Scene.from_dict(tables, tmp_path).excitation == Force(grain=2, times=[0, 1e-6, 3e-5], force=[0, 0.5, 0])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["force, burst", "force, half-sine", "force, points", "wall, burst", "wall, points"])
+def test_decks(kind: str, tmp_path: Path):
+    """A deck by itself carries forces and a wall that moves: the same steps give the same motion."""
+    scene = scene_of(*STRONG[kind], samples=5)
+    step = scene.duration / 400
+    write_deck(scene, tmp_path, step=step, diameter="gauge")
+    lmp(tmp_path)
+    u, v = read_dump(tmp_path / "column.lammpstrj")
+    same = simulate(scene, engines.Native("verlet", step))
+    assert relative_error(u, v, same.displacement, same.velocity) < 1e-10
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("seed", range(200))
+def test_random_scenes(seed: int):
+    """No estimate is below a third of the truth, no answer above its tolerance without a word."""
+    rng = np.random.default_rng([77, seed])
+    scene = acted_scene(rng)
+    truth = reference(scene)
+    integrator = str(rng.choice(sorted(METHODS)))
+    tolerance = max(10 ** rng.uniform(-9, -4), {"verlet": 1e-5, "gear4": 1e-6}.get(integrator, 0.0))
+    step = scene.duration / 10 / int(rng.integers(3, 20))
+    asked: list[Any] = ["native", "auto"]
+    with suppress(InputError):  # a step that is not stable here
+        engines.Native(integrator, step).candidate(scene, tolerance)
+        asked.append(engines.Native(integrator, step))
+    for engine in asked:
+        options = {"integrator": integrator} if engine == "native" else {}
+        try:
+            t = simulate(scene, engine, tolerance, on_miss="warn", **options)
+        except (RunFailed, ToleranceNotMet):
+            continue
+        true, estimate = err(t, truth), t.error_estimate.total
+        assert (true - truth.error) / 3 <= estimate
+        assert true <= tolerance or estimate > tolerance or engine not in ("native", "auto")

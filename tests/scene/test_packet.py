@@ -1,0 +1,102 @@
+"""Packets go down at the group velocity; what meets them reflects and transmits as theory says."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from lmpchain import Chain, Packet, Profile, Scene, simulate
+from lmpchain.measure import energy
+
+Array = NDArray[np.float64]
+SPRINGS = {"diameter": 1e-3, "gravity": 0.0, "top_load": 1.0, "exponent": 1.0, "top": "wall", "bottom": "wall"}
+
+
+def uniform(grains: int = 400, **keys: object) -> Chain:
+    return Chain(**SPRINGS | {"grains": grains} | keys)
+
+
+def middle(t, part: slice = slice(None)) -> Array:
+    """Return the mean place of the energy over time, in grains."""
+    found = energy.shares(t)
+    weight = found.of_grain[:, part]
+    return (weight * found.grain[part]).sum(1) / weight.sum(1)
+
+
+@pytest.mark.parametrize("q", [0.3, 1.0, 2.0])
+@pytest.mark.parametrize("engine", ["modes", "native"])
+def test_a_packet_travels_with_the_group_velocity(q: float, engine: str):
+    """On a uniform chain w = 2 sqrt(k/m) sin(q/2): its middle moves at sqrt(k/m) cos(q/2), averaged over the band."""
+    chain = uniform()
+    omega, width = 2 / chain.time_scale * np.sin(q / 2), 20.0
+    packet = Packet(frequency=omega / (2 * np.pi), width=width, grain=140, amplitude=1e-6 * chain.length_scale)
+    speed = np.cos(q / 2) / chain.time_scale
+    scene = Scene(chain=chain, excitation=packet, duration=100 / speed, samples=11)
+    u, v = packet.initial(chain)
+    assert np.abs(u).max() == pytest.approx(packet.amplitude, rel=2e-2)
+    assert np.abs(v).max() == pytest.approx(packet.amplitude * omega, rel=1e-2)
+    place = middle(simulate(scene, engine, 1e-9))
+    # energy is spread over wave numbers as exp(-(width dq)^2), whose mean of cos is smaller by exp(-1 / (16 width^2))
+    expected = place[0] + speed * scene.time * np.exp(-1 / (16 * width**2))
+    assert place == pytest.approx(expected, rel=0, abs=2e-3)
+
+
+@pytest.mark.parametrize(("width", "most"), [(4.0, 3e-3), (8.0, 1e-9), (12.0, 1e-14)])
+def test_hardly_anything_goes_up(width: float, most: float):
+    """The part that goes up is that of the Gaussian beyond q = 0 and pi: exp(-(q width)^2 / 2) at q = 1."""
+    chain = uniform(500)
+    omega = 2 / chain.time_scale * np.sin(0.5)
+    packet = Packet(frequency=omega / (2 * np.pi), width=width, grain=200, amplitude=1e-6 * chain.length_scale)
+    scene = Scene(chain=chain, excitation=packet, duration=150 * chain.time_scale, samples=2)
+    found = energy.shares(simulate(scene, "modes"))
+    up = found.part(1, 170)[-1] / found.part(1, 500)[-1]
+    assert up < most
+    rest = Profile(displacement=packet.initial(chain)[0])  # without its velocity, half of it goes up
+    still = energy.shares(simulate(Scene(**scene.given() | {"excitation": rest}), "modes"))
+    assert still.part(1, 200)[-1] / still.part(1, 500)[-1] == pytest.approx(0.5, abs=0.02)
+
+
+def test_a_packet_under_gravity():
+    """In a column the local wave number makes it: what goes up stays small, and arrival follows the travel time."""
+    chain = Chain(grains=900, diameter=1e-3, bottom="wall")
+    omega = 0.8 * np.sqrt(chain.linear_stiffness[300] / chain.masses[0])
+    packet = Packet(frequency=omega / (2 * np.pi), width=20.0, grain=300, amplitude=1e-7 * chain.length_scale)
+    local = np.sqrt(chain.linear_stiffness / chain.masses[0])
+    group = local * np.sqrt(1 - (omega / (2 * local)) ** 2)
+    late = np.cumsum(1 / group[299:])
+    scene = Scene(chain=chain, excitation=packet, duration=float(late[300]), samples=2)
+    t = simulate(scene, "chebyshev", 1e-3)
+    found = energy.shares(t)
+    assert found.part(1, 300)[-1] / found.part(1, 900)[-1] < 1e-7
+    assert middle(t)[-1] == pytest.approx(600, abs=2)
+
+
+@pytest.mark.parametrize("engine", ["modes", "native", pytest.param("lammps", marks=pytest.mark.slow)])
+def test_reflection_and_transmission(engine: str):
+    """A grain of another mass lets |T|^2 = 1 / (1 + (dm/m)^2 tan^2(q/2)) through, here averaged over the packet."""
+    q0, width, odd = 1.2, 16.0, 300
+    plain = uniform(600)
+    chain = uniform(600, impurity=[{"grain": odd, "mass": 1.8 * plain.masses[0]}])
+    omega = 2 / plain.time_scale * np.sin(q0 / 2)
+    packet = Packet(frequency=omega / (2 * np.pi), width=width, grain=170, amplitude=1e-4 * plain.length_scale)
+    scene = Scene(chain=chain, excitation=packet, duration=260 / np.cos(q0 / 2) * plain.time_scale, samples=2)
+    found = energy.shares(simulate(scene, engine, 1e-6))
+    whole = found.part(1, 600)[0]
+    through, back = found.part(odd + 10, 600)[-1] / whole, found.part(1, odd - 10)[-1] / whole
+    q = q0 + np.linspace(-8, 8, 2001) / width
+    weight = np.exp(-((width * (q - q0)) ** 2))
+    expected = (weight / (1 + 0.8**2 * np.tan(q / 2) ** 2)).sum() / weight.sum()
+    assert through == pytest.approx(expected, abs=2e-4)
+    assert through + back == pytest.approx(1, abs=1e-5)
+
+
+def test_part_and_scale():
+    chain = uniform()
+    packet = Packet(frequency=5e3, width=10.0, grain=200, amplitude=1e-12)
+    first, last = packet.reach(chain)
+    u, v = packet.initial(chain)
+    assert not u[: first - 1].any()
+    assert not v[last:].any()
+    near, far = packet.part(50, 390).initial(chain.part(50, 390))
+    assert near == pytest.approx(u[49:390], rel=1e-9, abs=1e-12 * np.abs(u).max())
+    assert far == pytest.approx(v[49:390], rel=1e-9, abs=1e-12 * np.abs(v).max())
+    assert packet.scaled(3.0).initial(chain)[1] == pytest.approx(3 * v, rel=1e-14)

@@ -1,0 +1,126 @@
+"""Whatever process of a sweep is killed, at any moment, it goes on and ends with the bits that it would have had."""
+
+import itertools
+import os
+import random
+import signal
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from helpers.child_processes import Fork, processes, until
+
+from lmpchain import InputError, load_sweep
+from lmpchain.cli.command_line import main
+
+SCENES = 200
+
+
+def scenes_of(folder: Path) -> Path:
+    """Write a sweep that takes about a second."""
+    path = folder / "sweep.toml"
+    path.write_text(
+        f"""
+        keep = ["velocity", "peak_velocity"]
+        [scene.chain]
+        grains = 120
+        diameter = 1e-3
+        [scene.excitation]
+        kind = "impulse"
+        velocity = 8.57e-4
+        [scene.recording]
+        duration = 1e-4
+        samples = 801
+        grains = [1, 10, 20]
+        [disorder]
+        m = 20
+        seed = 1
+        realisations = {SCENES}
+        """
+    )
+    return path
+
+
+def done(folder: Path) -> int:
+    """Return how many scenes of a sweep are done, less than none before it has begun."""
+    with suppress(InputError):
+        return int((load_sweep(folder).reason != "not done").sum())
+    return -1
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Return all that lies in a folder but locks, by file."""
+    files = (path for path in folder.rglob("*") if path.is_file() and path.name != ".lock")
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+
+
+def values(folder: Path) -> dict[str, bytes]:
+    """Return the bits of all that a sweep has found, by name."""
+    found = load_sweep(folder).load()
+    return {
+        str(name): array.values.astype(str if array.dtype == object else array.dtype).tobytes()
+        for name, array in found.variables.items()
+    }
+
+
+def killed(folder: Path, parts: list[float], rng: random.Random) -> tuple[int, int]:
+    """Sweep, and kill a process of it, drawn at random, once so many scenes are done.
+
+    Returns how often something was killed, and how often it was the process that leads. A part below 0 is of the time
+    before the first scene.
+    """
+    scratch, mark, out, counts = folder / "scratch", f"MARK={folder}", folder / "out", [0, 0]
+    scratch.mkdir(parents=True)
+    path, environment = scenes_of(folder), os.environ | {"MARK": str(folder), "TMPDIR": str(scratch)}
+    words = ["sweep", path, "-o", out, "--workers"]
+    for part in parts:
+        process = Fork(main, [*words, rng.choice([1, 2])], environment, folder.with_name(f"{folder.name} said"))
+        while process.poll() is None and done(out) < part * SCENES:
+            time.sleep(0.02)
+        time.sleep(rng.uniform(0, 3) if part < 0 else rng.uniform(0, 0.1))  # not always just behind a scene
+        there = processes(mark)  # workers
+        victim = process.pid if rng.random() < 0.7 or not there else rng.choice(there)
+        alive_still = process.poll() is None
+        with suppress(ProcessLookupError):
+            os.kill(victim, signal.SIGKILL)
+        code, said = process.ended()
+        assert "Traceback" not in said, said
+        assert code in (0, -signal.SIGKILL), said
+        until(lambda: not processes(mark))  # nothing of it is left
+        counts[0] += alive_still
+        counts[1] += code == -signal.SIGKILL
+    last = Fork(main, [*words, rng.choice([1, 2])], environment, folder.with_name(f"{folder.name} said"))
+    code, said = last.ended()
+    assert code == 0, said
+    until(lambda: not processes(mark))
+    assert os.listdir(scratch) == []
+    assert sorted(os.listdir(folder)) == ["out", "scratch", "sweep.toml"]
+    return counts[0], counts[1]
+
+
+@pytest.fixture(scope="module")
+def serial(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of the same sweep on one process, undisturbed."""
+    folder = tmp_path_factory.mktemp("serial")
+    assert main(["sweep", str(scenes_of(folder)), "-o", str(folder / "out"), "--workers", "1"]) == 0
+    return folder / "out"
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(0)
+@pytest.mark.parametrize("piece", range(5))
+def test_killed_at_random(piece: int, tmp_path: Path, serial: Path):
+    """Ten kills, some of them of the same sweep."""
+    rng, count = random.Random(f"sweep {piece}"), 0
+    for again in itertools.count():
+        parts = sorted(rng.uniform(-0.2, 1) for _ in range(rng.choice([1, 2, 3, 4])))
+        kills, leaders = killed(tmp_path / str(again), parts, rng)
+        assert values(tmp_path / str(again) / "out") == values(serial), parts
+        assert contents(tmp_path / str(again) / "out") == contents(serial), parts
+        count += kills
+        print(
+            f"sweep {piece}: {count} kills, {leaders} of the leader, {[round(part, 2) for part in parts]}", flush=True
+        )
+        if count >= 10:
+            break
