@@ -16,21 +16,21 @@ def hertz_constant(modulus: Array, curvature: Array, length: Array, exponent: fl
 
     Parameters
     ----------
-    modulus : (B,) array
+    modulus : (..., B) array
         E / (1 - nu^2) of each, Pa.
-    curvature : (B,) array
+    curvature : (..., B) array
         1 / radius of each, 1/m; 0 for a plane.
-    length : (B-1,) array
+    length : (..., B-1) array
         Mean diameter, m, which keeps the unit of a force for exponents other than Hertz's.
     exponent : float
 
     Returns
     -------
-    (B-1,) array
+    (..., B-1) array
         N/m^delta.
     """
-    together = 1 / (1 / modulus[:-1] + 1 / modulus[1:])
-    radius = 1 / (curvature[:-1] + curvature[1:])
+    together = 1 / (1 / modulus[..., :-1] + 1 / modulus[..., 1:])
+    radius = 1 / (curvature[..., :-1] + curvature[..., 1:])
     return 4 / 3 * together * np.sqrt(radius) * length ** (1.5 - exponent)
 
 

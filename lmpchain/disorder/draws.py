@@ -83,7 +83,7 @@ def disordered(chain: Chain, m: float, rng: np.random.Generator, law: Law = "dys
     True
     """
     check(_fault_of_choice("of", of, ("stiffness", "constant")), _fault_of_vacuum(chain, of))
-    return Chain(**_redrawn(chain, m, rng, law, of))
+    return Chain(**_redrawn(chain, _change(chain, factors(m, chain.grains - 1, rng, law), of)))
 
 
 def realisation(scene: Scene, m: float, seed: int, index: int = 0, law: Law = "dyson", of: Of = "stiffness") -> Scene:
@@ -112,21 +112,30 @@ def realisation(scene: Scene, m: float, seed: int, index: int = 0, law: Law = "d
     >>> realisation(scene, 1, seed=7, index=3) == realisation(scene, 1, seed=7, index=3)
     True
     """
+    change = drawn_constants(scene.chain, m, seed, index, law, of)
+    chain = Chain._unchecked(**_redrawn(scene.chain, change))._leave_open()
+    return Scene._unchecked(**(scene.given() | {"chain": chain}))
+
+
+def drawn_constants(chain: Chain, m: float, seed: int, index: int, law: Law = "dyson", of: Of = "stiffness") -> Array:
+    """Return the factors on the contact constants of a `realisation`, (N-1,); same parameters."""
     check(
         fault_of_whole("seed", seed, 0),
         fault_of_whole("index", index, 0),
         _fault_of_choice("of", of, ("stiffness", "constant")),
-        _fault_of_vacuum(scene.chain, of),
+        _fault_of_vacuum(chain, of),
     )
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
-    chain = Chain._unchecked(**_redrawn(scene.chain, m, rng, law, of))._leave_open()
-    return Scene._unchecked(**(scene.given() | {"chain": chain}))
+    return _change(chain, factors(m, chain.grains - 1, rng, law), of)
 
 
-def _redrawn(chain: Chain, m: float, rng: np.random.Generator, law: Law, of: Of) -> dict[str, Any]:
-    """Return the fields of a chain whose contact constants are changed by random factors."""
-    zeta = factors(m, chain.grains - 1, rng, law)
-    change = chain.contacts.constant_for_stiffness(zeta) if of == "stiffness" else zeta
+def _change(chain: Chain, zeta: Array, of: Of) -> Array:
+    """Return the factors on contact constants for random factors zeta."""
+    return chain.contacts.constant_for_stiffness(zeta) if of == "stiffness" else zeta
+
+
+def _redrawn(chain: Chain, change: Array) -> dict[str, Any]:
+    """Return the fields of a chain whose contact constants are changed by these factors."""
     fields = chain.given() | {"masses": chain.masses, "contact_constants": chain.contact_constants * change}
     if fields.pop("impurity", ()):  # impure diameters and materials do not go with given constants: say them by grain
         fields["diameter"] = chain.diameters

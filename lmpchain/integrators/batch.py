@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 
@@ -134,6 +135,7 @@ def series(exponent: float) -> Array:
     return np.append(np.cumprod((exponent - k) / (k + 1)), exponent)
 
 
+@cache
 def weakest(exponent: float) -> float:
     """Return |r / length| up to which seven terms of the binomial series give every digit."""
     k = np.arange(8)

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from .motion import Motion
+
 LINES = 6  # contacts drawn as lines; more are drawn as a map
 STILL, UNKNOWN = -1, -2  # marks for bodies that were not recorded
 
@@ -166,7 +168,7 @@ def contacts(trajectory: Trajectory, numbers: Sequence[int] | None = None) -> Co
     return ContactHistory(trajectory.time, chosen, overlap, closing, these.force_at(overlap), these.force_change(r))
 
 
-def known_contacts(trajectory: Trajectory) -> np.ndarray:
+def known_contacts(trajectory: Trajectory | Motion) -> np.ndarray:
     """Return the numbers of contacts whose two bodies were recorded or stand still, if there are any."""
     known = _columns(trajectory) != UNKNOWN
     chosen = np.flatnonzero(known[:-1] & known[1:] & trajectory.scene.chain.contacts.exists)
@@ -239,7 +241,7 @@ def sensor(trajectory: Trajectory, grain: int) -> Signal:
     return Signal(grain, both.time, both.force.mean(1), both.change.mean(1))
 
 
-def motion(trajectory: Trajectory, bodies: np.ndarray) -> tuple[Array, Array]:
+def motion(trajectory: Trajectory | Motion, bodies: np.ndarray) -> tuple[Array, Array]:
     """Return displacement, m, and velocity, m/s, of grains or walls (0 and N + 1), (T, ...) each.
 
     Raises
@@ -259,7 +261,7 @@ def motion(trajectory: Trajectory, bodies: np.ndarray) -> tuple[Array, Array]:
     return u, v
 
 
-def _columns(trajectory: Trajectory) -> np.ndarray:
+def _columns(trajectory: Trajectory | Motion) -> np.ndarray:
     """Return the recorded column of each body, (N+2,), or a mark if it stands still or is unknown."""
     chain = trajectory.scene.chain
     column = np.full(chain.grains + 2, UNKNOWN)

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from .motion import Motion
+
 
 @dataclass(frozen=True, eq=False)
 class EnergyLedger:
@@ -141,7 +143,7 @@ class EnergyShares:
         return self.of_grain[:, np.isin(self.grain, wanted)].sum(1)
 
 
-def shares(trajectory: Trajectory) -> EnergyShares:
+def shares(trajectory: Trajectory | Motion) -> EnergyShares:
     """Return the energy of each recorded grain and of each contact between them over time.
 
     Raises

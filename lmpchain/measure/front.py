@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
-from scipy import interpolate, optimize, signal, stats
+from scipy import optimize, stats
 
 from ..errors import InputError, shown
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.plotting import axes_in_units
-from .flight import REACH, summit
+from .motion import motion_of
 from .spectrum import UNITS, Field, recorded
 
 if TYPE_CHECKING:
@@ -38,7 +37,8 @@ class Front:
         When the maximum is reached, s; the value there, m/s or m, negative for a motion upward; the full width at half
         maximum in time, s, NaN where the motion does not pass half the amplitude on both sides.
     time_error, amplitude_error, width_error : (P,) arrays
-        Shifts when every second sample is left out: far above the errors of sampling where samples are dense.
+        How far these may be off: by sampling, by the error of the trajectory where it is known, and because another
+        maximum may be the front if values are off by as much.
     """
 
     field: Field
@@ -148,12 +148,12 @@ class PowerLaw:
 
 
 def track(trajectory: Trajectory, field: Field = "velocity", fraction: float = 0.5) -> Front:
-    """Track the wave front from grain to grain, with sub-sample resolution.
+    """Track the wave front from grain to grain, between the samples too.
 
     At each grain the front is the first local maximum of the absolute value, so upward motion counts, that reaches
     `fraction` of the largest size there and after which the motion falls by more than the error of the trajectory.
-    Left out are grains that begin with such a size, as the one that was struck does, and those whose maximum is less
-    than two samples from an end of the recording. Behind the front the displacement falls slowly in a column, not at
+    Left out are grains that begin with such a size, as the one that was struck does, and those whose maximum is not
+    within the recording. Behind the front the displacement falls slowly in a column, not at
     all in a sonic vacuum: track the velocity there, which is largest where the displacement rises most.
 
     Examples
@@ -165,23 +165,14 @@ def track(trajectory: Trajectory, field: Field = "velocity", fraction: float = 0
     >>> front.grain[:3].tolist(), [f"{c:.0f} m/s" for c in front.speed[[5, 10, 15]]]
     ([2, 3, 4], ['190 m/s', '212 m/s', '227 m/s'])
     """
-    grains, motion = recorded(trajectory, field)
+    grains, values = recorded(trajectory, field)
     error = trajectory.error_estimate.solver
-    certain = (error if np.isfinite(error) else 0.0) * np.abs(motion).max()
-    rows = []
-    loud = np.flatnonzero(np.abs(motion).max(0) >= max(certain, sys.float_info.min))  # no top of the others is certain
-    for grain, values in zip(grains[loud], motion[:, loud].T, strict=True):
-        size = np.abs(values)
-        enough = fraction * size.max()
-        tops, _ = signal.find_peaks(size, height=enough, prominence=certain)
-        if size[0] < enough and tops.size and 2 <= (top := int(tops[0])) < size.size - 2:
-            up = np.sign(values[top])
-            fine, coarse = (_pulse(trajectory.time[top % n :: n], up * values[top % n :: n], top // n) for n in (1, 2))
-            rows.append([grain, *fine * [1, up, 1], *np.abs(fine - coarse)])
-    if not rows:
+    certain = (error if np.isfinite(error) else 0.0) * float(np.abs(values).max())
+    rows = motion_of(trajectory).fronts(field, fraction, certain)[np.argsort(trajectory.grains)]
+    passed = np.isfinite(rows[:, 0])
+    if not passed.any():
         raise InputError([("duration", f"no grain shows the {field} of a front that passes: record for longer")])
-    passed, *columns = np.array(rows).T
-    return Front(field, passed.astype(int), trajectory.scene.chain.depths[passed.astype(int) - 1], *columns)
+    return Front(field, grains[passed], trajectory.scene.chain.depths[grains[passed] - 1], *rows[passed].T.copy())
 
 
 def exponent(front: Front, quantity: Quantity = "amplitude", window: int | None = 11) -> Exponents:
@@ -229,18 +220,6 @@ def asymptotic(front: Front, quantity: Quantity, delta: float, exponent: float |
     error += np.abs(further[:-1] - parameters)
     (power, scale, correction), error = np.append(known, parameters), np.append(np.zeros(len(known)), error)
     return PowerLaw(label, depth, values, order, error * [1, np.exp(scale), 1], power, np.exp(scale), correction)
-
-
-def _pulse(time: Array, values: Array, top: int) -> Array:
-    """Return time, height and full width at half maximum of the maximum near a sample, (3,)."""
-    when, height = summit(time, values, top, 1)
-    low = np.flatnonzero(values < height / 2)
-    first, last = low[low < top].max(initial=0), low[low > top].min(initial=time.size)
-    near, unit = slice(max(0, first + 1 - REACH), last + REACH), time[1] - time[0]
-    spline = interpolate.make_interp_spline((time[near] - when) / unit, values[near] - height / 2, k=5)
-    roots = interpolate.PPoly.from_spline(spline).roots(extrapolate=False)
-    before, after = roots[roots < 0], roots[roots > 0]
-    return np.array([when, height, unit * (after.min() - before.max()) if before.size and after.size else np.nan])
 
 
 def _draw(ax: Axes | None, h: Array, y: Array, label: str, error: Array | None = None, **laws: Array) -> Figure:

@@ -21,7 +21,7 @@ from .base import Excitation
 from .excitation import Drive
 from .light_cone import reached
 from .recording import Recording
-from .strike import first_overlaps, squeezed, strike_faults, strike_remarks, surroundings
+from .strike import first_overlaps, pair_frequency, squeezed, strike_faults, strike_remarks, surroundings
 
 LONGEST = 3600.0  # s: of a duration that may be meant
 
@@ -130,10 +130,13 @@ class Scene(Recording):
 
         The band edge of the chain at rest, that of two grains pressed together by the strike, or that of a drive.
         """
+        return max(self.chain.band_edge, self._pair_frequency, self.excitation.fastest) or 1 / self.duration
+
+    @cached_property
+    def _pair_frequency(self) -> float:
+        """That of two grains pressed together by the strike, rad/s."""
         chain = self.chain
-        stiffness = chain.contacts.stiffness_at(first_overlaps(chain, self.excitation))
-        pair = float(np.sqrt(2 * stiffness.max() / chain.masses.min()))
-        return max(chain.band_edge, pair, self.excitation.fastest) or 1 / self.duration
+        return float(pair_frequency(chain.contacts, chain.masses, first_overlaps(chain, self.excitation)))
 
     @cached_property
     def largest_strain(self) -> float:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..chain.chain import LARGEST_OVERLAP, Chain
+from ..chain.contacts import Contacts
 from ..chain.plausible import HERTZ_OVERLAP, beyond_hertz
 from ..util.arrays import Array
 from .base import Excitation
@@ -18,17 +19,27 @@ def first_overlaps(chain: Chain, excitation: Excitation) -> Array:
     Two bodies that approach with the relative velocity v, and nothing around them, come closer than at rest by r with
     ``K r^(delta+1) / (delta+1) = mu v^2 / 2``, mu their reduced mass.
     """
-    contacts = chain.contacts
+    return overlaps_of(chain, excitation, chain.contacts, chain.masses)
+
+
+def overlaps_of(chain: Chain, excitation: Excitation, contacts: Contacts, masses: Array) -> Array:
+    """Return the same, (..., N+1) m, for contacts and masses (..., N) kg of chains like this."""
     (u, _), (_, v) = excitation.initial(chain), excitation.largest(chain)
-    inverse_mass = 1 / chain.masses
-    inverse_mass[: excitation.driven] = 0.0  # what is driven does not give way,
-    inverse_mass[chain.movable :] = 0.0  # nor does what is held, or a wall
-    inverse_mass = np.concatenate(([0.0], inverse_mass, [0.0]))
+    inverse_mass = 1 / masses
+    inverse_mass[..., : excitation.driven] = 0.0  # what is driven does not give way,
+    inverse_mass[..., chain.movable :] = 0.0  # nor does what is held, or a wall
+    edge = np.zeros((*masses.shape[:-1], 1))
+    inverse_mass = np.concatenate((edge, inverse_mass, edge), axis=-1)
     approach = np.maximum(contacts.closer(v), 0.0)
     if excitation.wall:  # grain 1 rests when the wall comes
-        approach[0] = excitation.wall.largest(1)
-    collision = contacts.collision_overlap(approach, inverse_mass[:-1] + inverse_mass[1:])
+        approach[..., 0] = excitation.wall.largest(1)
+    collision = contacts.collision_overlap(approach, inverse_mass[..., :-1] + inverse_mass[..., 1:])
     return np.maximum(contacts.overlap + contacts.exists * contacts.closer(u), collision)
+
+
+def pair_frequency(contacts: Contacts, masses: Array, overlaps: Array) -> Array:
+    """Return the frequency of the lightest grains with the stiffest contact, (...) rad/s."""
+    return np.asarray(np.sqrt(2 * contacts.stiffness_at(overlaps).max(-1) / masses.min(-1)))
 
 
 def surroundings(chain: Chain, excitation: Excitation) -> tuple[int, Chain, Excitation]:

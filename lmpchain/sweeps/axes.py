@@ -4,48 +4,37 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from typing import Annotated, Any
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from pydantic import Field
 
 from ..errors import InputError
 from ..scene.toml_file import SECTIONS
+from ..util.arrays import Array
 from ..util.suggestions import did_you_mean
-from ..util.validation import Checked, Real, Whole
+from ..util.validation import Checked, Whole
+from .laws import ALWAYS, MARKS, Drawn, Normal, Uniform, drawn, law
 
 MOST = 10**6  # scenes in a sweep
 Count = Annotated[Whole, Field(ge=1, le=MOST)]
 Seed = Annotated[Whole, Field(ge=0)]
 INDEX = "disorder.index"
-
-
-class Range(Checked):
-    """Between what numbers a key is drawn: evenly, or with its logarithm even."""
-
-    low: Real
-    high: Real
-    log: bool = False
-
-    def _faults(self) -> Iterator[tuple[str, str]]:
-        if self.low >= self.high:
-            yield "high", f"must be above low, {self.low:g} (got {self.high:g})"
-        if self.log and self.low <= 0:
-            yield "low", f"must be above 0 where log is true (got {self.low:g})"
-
-    def at(self, part: np.ndarray) -> list[float]:
-        """Return the numbers that lie at these parts of the range, 0 to 1."""
-        if self.log:
-            return np.exp(math.log(self.low) + part * math.log(self.high / self.low)).tolist()
-        return (self.low + part * (self.high - self.low)).tolist()
+T = TypeVar("T")
 
 
 class Draws(Checked):
     """How many points of a Latin hypercube, and which."""
 
     draws: Count
+    seed: Seed
+
+
+class Seeded(Checked):
+    """Which of all sequences of random numbers."""
+
     seed: Seed
 
 
@@ -57,23 +46,54 @@ class Realisations(Checked):
 
 @dataclass(frozen=True)
 class Axis:
-    """One dimension of a sweep: its name, and the values that each of its keys takes along it."""
+    """One dimension of a sweep.
+
+    Attributes
+    ----------
+    name : str
+    length : int
+    columns : mapping
+        The values that each key takes along it.
+    drawn : bool
+        Whether values are drawn, so that no single one is the user's to correct.
+    arrays : tuple of Drawn
+        Keys of which every grain gets a number of its own.
+    """
 
     name: str
-    columns: Mapping[str, list[Any]]
-    drawn: bool = False  # so that no single value is the user's to correct
+    length: int
+    columns: Mapping[str, Sequence[Any]]
+    drawn: bool = False
+    arrays: tuple[Drawn, ...] = ()
 
     def __len__(self) -> int:
-        return len(next(iter(self.columns.values())))
+        return self.length
 
-    def coordinates(self) -> dict[str, list[Any]]:
-        """Return what the places along the axis are called, by name of the coordinate."""
-        columns: dict[str, list[Any]] = {} if self.name in self.columns else {self.name: list(range(len(self)))}
+    def coordinates(self) -> dict[str, Array | list[str]]:
+        """Return what the places along the axis are called, by name of the coordinate: (L,) or (L, E) each."""
+        columns: dict[str, Any] = {} if self.name in self.columns else {self.name: np.arange(self.length)}
         for key, values in self.columns.items():
-            numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
             if key != INDEX:
-                columns[key] = values if numbers else [_label(value) for value in values]
+                columns[key] = _numbers(values) if _numeric(values) else [_label(value) for value in values]
         return columns
+
+
+def _numeric(values: Sequence[Any]) -> bool:
+    """Say whether these are numbers, or lists of numbers."""
+    kinds = {type(value) for value in values}
+    if kinds == {list}:
+        return all(map(_numeric, values))
+    return kinds <= {int, float} and bool(kinds)
+
+
+def _numbers(values: Sequence[Any]) -> Array:
+    """Return numbers as an array, lists of them as its rows, filled up with NaN."""
+    if not isinstance(values[0], list):
+        return np.array(values)
+    rows = np.full((len(values), max(map(len, values))), np.nan)
+    for row, value in zip(rows, values, strict=True):
+        row[: len(value)] = value
+    return rows
 
 
 def _label(value: Any) -> str:
@@ -97,8 +117,10 @@ def axes(parts: Mapping[str, Any]) -> list[Axis]:
             made += MAKERS[part](table)
         except InputError as error:
             faults += error.under(part)
+    if any(key.startswith("disorder.") for axis in made for key in axis.columns):
+        made = [_indexed(axis) if axis.name == "realisation" else axis for axis in made]
     sections = (*SECTIONS, *(["disorder"] if "disorder" in parts else []))
-    keys = [key for axis in made for key in axis.columns]
+    keys = [key for axis in made for key in (*axis.columns, *(each.key for each in axis.arrays))]
     for place, key in enumerate(keys):
         if key.partition(".")[0] not in sections:
             meant = did_you_mean(key.partition(".")[0], sections)
@@ -117,7 +139,7 @@ def axes(parts: Mapping[str, Any]) -> list[Axis]:
 
 
 def _grid(table: dict[str, Any]) -> list[Axis]:
-    return [Axis(key, {key: values}) for key, values in _lists(table).items()]
+    return [Axis(key, len(values), {key: values}) for key, values in _lists(table).items()]
 
 
 def _list(table: dict[str, Any]) -> list[Axis]:
@@ -128,7 +150,7 @@ def _list(table: dict[str, Any]) -> list[Axis]:
         raise InputError(
             [(key, f"must have as many values as {first}, {count}, not {len(made[key])}") for key in unlike]
         )
-    return [Axis("case", made)]
+    return [Axis("case", count, made)]
 
 
 def _lists(table: dict[str, Any]) -> dict[str, list[Any]]:
@@ -144,39 +166,61 @@ def _lists(table: dict[str, Any]) -> dict[str, list[Any]]:
 def _random(table: dict[str, Any]) -> list[Axis]:
     from scipy.stats import qmc
 
-    faults: list[tuple[str, str]] = []
-    ranges: dict[str, Range] = {}
     tables = {key: value for key, value in table.items() if isinstance(value, dict)}
+    asked, laws = _checked(Draws, {key: value for key, value in table.items() if key not in tables}, tables)
+    if not laws:
+        raise InputError([("", "name a key, such as chain.gravity = {low = 1.0, high = 10.0}")])
+    by_grain = {key: each for key, each in laws.items() if each.per_grain or key in ALWAYS}
+    ranges = {key: each for key, each in laws.items() if key not in by_grain}
+    made = {}
+    if ranges:
+        parts = qmc.LatinHypercube(len(ranges), seed=np.random.default_rng(asked.seed)).random(asked.draws)
+        made = {key: each.at(part).tolist() for (key, each), part in zip(ranges.items(), parts.T, strict=True)}
+    return [Axis("draw", asked.draws, made, drawn=True, arrays=drawn(by_grain, asked.seed))]
+
+
+def _disorder(table: dict[str, Any]) -> list[Axis]:
+    tables = {key: value for key, value in table.items() if isinstance(value, dict)}
+    count, laws = _checked(Realisations, _only(table, "realisations"), tables)
+    made = drawn(laws, Seeded(**_only(table, "seed")).seed) if laws else ()
+    axis = Axis("realisation", count.realisations, {}, drawn=True, arrays=made)
+    return [axis if made and "m" not in table else _indexed(axis)]
+
+
+def _only(table: dict[str, Any], key: str) -> dict[str, Any]:
+    return {key: table[key]} if key in table else {}
+
+
+def _indexed(axis: Axis) -> Axis:
+    """Return the axis of disorder with contacts that are drawn anew for each realisation."""
+    return replace(axis, columns={INDEX: range(len(axis))})
+
+
+def _checked(kind: type[T], table: dict[str, Any], tables: dict[str, Any]) -> tuple[T, dict[str, Uniform | Normal]]:
+    """Return what plain keys say, and the laws that tables stand for, with every fault at once."""
+    faults: list[tuple[str, str]] = []
+    laws: dict[str, Uniform | Normal] = {}
     try:
-        asked = Draws(**{key: value for key, value in table.items() if key not in tables})
+        made = kind(**table)
     except InputError as error:
         faults += error.faults
     for key, value in _leaves(tables):
         try:
-            if not isinstance(value, dict):
-                raise InputError([("", "must be a range, such as {low = 1.0, high = 10.0}")])
-            ranges[key] = Range(**value)
+            laws[key] = law(value)
         except InputError as error:
             faults += error.under(key)
-    if faults or not ranges:
-        raise InputError(faults or [("", "name a key, such as chain.gravity = {low = 1.0, high = 10.0}")])
-    parts = qmc.LatinHypercube(len(ranges), seed=np.random.default_rng(asked.seed)).random(asked.draws)
-    made = {key: value.at(part) for (key, value), part in zip(ranges.items(), parts.T, strict=True)}
-    return [Axis("draw", made, drawn=True)]
-
-
-def _disorder(table: dict[str, Any]) -> list[Axis]:
-    count = Realisations(**{key: value for key, value in table.items() if key == "realisations"}).realisations
-    return [Axis("realisation", {INDEX: list(range(count))}, drawn=True)]
+    if faults:
+        raise InputError(faults)
+    return made, laws
 
 
 MAKERS = {"grid": _grid, "list": _list, "random": _random, "disorder": _disorder}
 
 
 def _leaves(table: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield dotted keys and their values; ranges are values."""
+    """Yield dotted keys and their values; laws are values."""
     for key, value in table.items():
-        if isinstance(value, dict) and not value.keys() & {"low", "high"}:
+        if isinstance(value, dict) and not value.keys() & MARKS:
             yield from _leaves(value, f"{prefix}{key}.")
         else:
             yield f"{prefix}{key}", value

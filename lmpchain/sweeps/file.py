@@ -5,9 +5,11 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from functools import lru_cache
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -20,13 +22,17 @@ from ..disorder.draws import Law, Of, realisation
 from ..errors import InputError, check_tolerance, shown
 from ..scene.scene import Scene
 from ..scene.toml_file import LARGEST_TABLE, SECTIONS, parse
+from ..util.arrays import Array
 from ..util.files import check_readable
 from ..util.suggestions import did_you_mean
 from ..util.validation import Checked, Positive, Whole
 from .axes import MAKERS, Axis, Seed, axes
 from .quantities import QUANTITIES
 
+FORMAT = 2
 KEYS = ("scene", "engine", "tolerance", "keep", *MAKERS)
+MOST_GRAINS = 10**8
+DRAWS_TRIED = 32  # before a sweep is refused because none of them makes a scene
 WHOLE = ["displacement", "velocity"]
 Place = tuple[int, ...]
 
@@ -41,7 +47,7 @@ class Disorder(Checked):
     of: Of = "stiffness"
 
 
-@dataclass
+@dataclass(frozen=True)
 class Sweep:
     """What a sweep file says.
 
@@ -56,6 +62,8 @@ class Sweep:
     keep : list of str
         Names of `quantities.QUANTITIES`.
     axes : list of Axis
+    source : dict
+        The same as a sweep file with the tables of the scene in it, and the hashes of CSV files.
     """
 
     tables: dict[str, Any]
@@ -64,39 +72,96 @@ class Sweep:
     tolerance: float
     keep: list[str]
     axes: list[Axis]
-    _digests: dict[str, str] = field(default_factory=dict)
+    source: dict[str, Any]
 
-    def places(self) -> Iterator[Place]:
-        """Yield all places of the sweep, the last axis fastest."""
-        return itertools.product(*(range(len(axis)) for axis in self.axes))
+    @property
+    def shape(self) -> Place:
+        """How long the axes are."""
+        return tuple(map(len, self.axes))
 
-    def asked(self, place: Place) -> str:
-        """Return one scene of the sweep as JSON, with all that shapes its answer and what is kept of it."""
+    @property
+    def count(self) -> int:
+        """How many scenes these are."""
+        return math.prod(self.shape)
+
+    @cached_property
+    def text(self) -> str:
+        """All that shapes the answers, and what is kept of them, as JSON."""
+        return json.dumps({"format": FORMAT, **self.source}, default=plain)  # in order: that of the axes is in it
+
+    @property
+    def name(self) -> str:
+        """What the results are called, a hash of all that shapes them."""
+        return hashlib.sha256(self.text.encode()).hexdigest()[:16]
+
+    def place(self, number: int) -> Place:
+        """Return the place of a scene; the last axis is the fastest."""
+        return tuple(int(index) for index in np.unravel_index(number, self.shape))
+
+    def key(self, number: int) -> bytes:
+        """Return a hash of all that shapes the answer to one scene, and of what is kept of it."""
+        place = self.place(number)
+        drawn = [
+            (each.key, repr(each.law), each.seed, index)
+            for axis, index in zip(self.axes, place, strict=True)
+            for each in axis.arrays
+        ]
+        files, others = self.source["files"], (self.engine, self.tolerance, self.keep)
+        asked = json.dumps((self.asked(place), drawn, files, others), sort_keys=True, default=plain)
+        return hashlib.sha256(asked.encode()).digest()[:16]
+
+    def asked(self, place: Place) -> dict[str, Any]:
+        """Return the tables of one scene, without what is drawn for every grain."""
         tables = self.tables
         for axis, index in zip(self.axes, place, strict=True):
             for key, values in axis.columns.items():
                 tables = _with(tables, key.split("."), values[index], key)
-        files = (table.get("file") for table in tables.values() if isinstance(table, dict))
-        asked = {
-            "scene": {name: table for name, table in tables.items() if name != "disorder"},
-            "disorder": tables.get("disorder"),
-            "files": {name: self._digest(name) for name in files if isinstance(name, str)},
-            "engine": self.engine,
-            "tolerance": self.tolerance,
-            "keep": self.keep,
-        }
-        return json.dumps(asked, sort_keys=True, default=plain)
+        return tables
 
-    def _digest(self, name: str) -> str:
-        """Return the hash of a file; one that cannot be read is reported when its scene is made."""
-        if name not in self._digests:
-            try:
-                check_readable(self.folder / name, LARGEST_TABLE)
-                with open(self.folder / name, "rb") as opened:
-                    self._digests[name] = hashlib.file_digest(opened, "sha256").hexdigest()
-            except (OSError, ValueError):
-                self._digests[name] = ""
-        return self._digests[name]
+    def drawn(self, place: Place, grains: int) -> dict[str, Array]:
+        """Return what is drawn for every grain of one scene, by key."""
+        return {
+            each.key: each.values(index, grains)
+            for axis, index in zip(self.axes, place, strict=True)
+            for each in axis.arrays
+        }
+
+    def grains(self, place: Place) -> int:
+        """Return how many grains the chain of a scene has, as its table says."""
+        tables = self.asked(place)
+        chain = tables.get("chain")
+        count = chain.get("grains") if isinstance(chain, dict) else None
+        if not isinstance(count, int) or isinstance(count, bool) or not 2 <= count <= MOST_GRAINS:
+            raise InputError([("chain.grains", "must be a whole number from 2 where values of every grain are drawn")])
+        return count
+
+    def ordered(self, place: Place) -> Scene:
+        """Make a scene with all but the random contacts of its chain; raises `InputError`."""
+        tables = self.asked(place)
+        if any(axis.arrays for axis in self.axes):
+            grains = self.grains(place)
+            for key, values in self.drawn(place, grains).items():
+                tables = _of_every_grain(tables, key, values)
+        asked = {key: table for key, table in tables.items() if key != "disorder"}
+        return _scene(json.dumps((asked, self.source["files"]), default=plain), self.folder)
+
+    def scene(self, place: Place) -> Scene:
+        """Make a scene; raises `InputError`."""
+        ordered, disorder = self.ordered(place), self.disorder(place)
+        if not disorder:
+            return ordered
+        try:
+            return realisation(ordered, **disorder.given())
+        except InputError as error:
+            raise InputError(error.under("disorder")) from None
+
+    def disorder(self, place: Place) -> Disorder | None:
+        """Return how the contacts of a scene are drawn, if they are; raises `InputError`."""
+        table = self.asked(place).get("disorder")
+        try:
+            return None if table is None else Disorder(**table)
+        except InputError as error:
+            raise InputError(error.under("disorder")) from None
 
     def trials(self) -> Iterator[Scene]:
         """Yield scenes until every value has been in one; drawn values count as one.
@@ -109,12 +174,16 @@ class Sweep:
         engine = engines.get(self.engine)
         good: set[tuple[int, int]] = set()
         faults: dict[tuple[int, int], list[tuple[str, str]]] = {}
-        for place in self.places():
+        every = sum(1 if axis.drawn else len(axis) for axis in self.axes)
+        tried = (range(min(len(axis), DRAWS_TRIED) if axis.drawn else len(axis)) for axis in self.axes)
+        for place in itertools.product(*tried):
+            if len(good) == every:
+                break
             values = {(n, 0 if self.axes[n].drawn else index) for n, index in enumerate(place)}
             if values <= good:
                 continue
             try:
-                scene = scene_of(json.loads(self.asked(place)), self.folder)
+                scene = self.scene(place)
                 if reasons := engine.refuses(scene):
                     raise InputError(reasons)
             except InputError as error:
@@ -127,25 +196,27 @@ class Sweep:
             raise InputError(dict.fromkeys(bad))
 
 
-def name_of(asked: str) -> str:
-    """Return the name of the folder of a scene, which follows from what is asked."""
-    return hashlib.sha256(asked.encode()).hexdigest()[:32]
-
-
-def scene_of(asked: Mapping[str, Any], folder: Path) -> Scene:
-    """Make the scene that is asked for; `folder` is where its CSV files lie."""
-    scene = _ordered(json.dumps((asked["scene"], asked["files"])), folder)
-    if asked["disorder"] is None:
-        return scene
-    try:
-        return realisation(scene, **Disorder(**asked["disorder"]).given())
-    except InputError as error:
-        raise InputError(error.under("disorder")) from None
-
-
-@lru_cache(maxsize=1)  # realisations of one chain follow one another
-def _ordered(text: str, folder: Path) -> Scene:
+@lru_cache(maxsize=4)  # realisations of one chain follow one another
+def _scene(text: str, folder: Path) -> Scene:
     return Scene.from_dict(json.loads(text)[0], folder)
+
+
+def _digests(tables: Mapping[str, Any], swept: Sequence[Axis], folder: Path) -> dict[str, str]:
+    """Return the hashes of the CSV files; one that cannot be read is reported with its scene."""
+    names = {table.get("file") for table in tables.values() if isinstance(table, dict)}
+    for axis in swept:
+        for key, values in axis.columns.items():
+            if key.endswith(".file"):
+                names.update(value for value in values if isinstance(value, str))
+    found = {}
+    for name in sorted(name for name in names if isinstance(name, str)):
+        try:
+            check_readable(folder / name, LARGEST_TABLE)
+            with open(folder / name, "rb") as opened:
+                found[name] = hashlib.file_digest(opened, "sha256").hexdigest()
+        except (OSError, ValueError):
+            found[name] = ""
+    return found
 
 
 def read(source: str | PathLike[str] | Mapping[str, Any]) -> Sweep:
@@ -157,9 +228,26 @@ def read(source: str | PathLike[str] | Mapping[str, Any]) -> Sweep:
         With every fault in it; those of the values come with `Sweep.trials`.
     """
     if isinstance(source, Mapping):
-        data, folder = dict(source), Path()
-    else:
-        data, folder = parse(Path(source)), Path(source).parent
+        return _plan(dict(source), Path())
+    return _plan(parse(Path(source)), Path(source).parent)
+
+
+@lru_cache(maxsize=2)  # tasks of one sweep follow one another
+def again(text: str, folder: Path) -> Sweep:
+    """Return the sweep whose `text` this is; `folder` is where its CSV files lie."""
+    kept = json.loads(text)
+    if not isinstance(kept["scene"], dict):
+        raise InputError([("scene", "must be tables: a sweep that is kept names no other file")])
+    return _plan({key: value for key, value in kept.items() if key not in ("format", "files")}, folder, kept["files"])
+
+
+def is_name(text: Any) -> bool:
+    """Say whether results may be called so, as `Sweep.name`."""
+    return isinstance(text, str) and bool(re.fullmatch("[0-9a-f]{16}", text))
+
+
+def _plan(data: dict[str, Any], folder: Path, files: Any = None) -> Sweep:
+    """Return what the tables of a sweep file say, with the hashes of `files`; raises `InputError`."""
     there = f"the keys here are {', '.join(KEYS)}"
     faults = [(key, f"unknown key{did_you_mean(key, KEYS)}; {there}") for key in data if key not in KEYS]
     parts = {part: data[part] for part in MAKERS if part in data}
@@ -179,9 +267,13 @@ def read(source: str | PathLike[str] | Mapping[str, Any]) -> Sweep:
     if faults:
         raise InputError(faults)
     (tables, folder), engine, _, keep, swept = results
-    if "disorder" in parts:
-        tables |= {"disorder": {key: value for key, value in parts["disorder"].items() if key != "realisations"}}
-    return Sweep(tables, folder.absolute(), engine, float(tolerance), keep, swept)
+    folder = folder.absolute()
+    source = {"scene": tables, "engine": engine, "tolerance": float(tolerance), "keep": keep, **parts}
+    source["files"] = _digests(tables, swept, folder) if files is None else files
+    if "disorder" in parts and any(key.startswith("disorder.") for axis in swept for key in axis.columns):
+        own = {key: value for key, value in parts["disorder"].items() if key != "realisations"}
+        tables = tables | {"disorder": {key: value for key, value in own.items() if not isinstance(value, dict)}}
+    return Sweep(tables, folder, engine, float(tolerance), keep, swept, source)
 
 
 def _base(given: Any, folder: Path) -> tuple[dict[str, Any], Path]:
@@ -234,6 +326,17 @@ def _with(table: Any, path: list[str], value: Any, key: str) -> Any:
         raise InputError([(key, "is no key of a scene: what should hold it is not a table")])
     table = table or {}
     return table | {first: _with(table.get(first), rest, value, key)}
+
+
+def _of_every_grain(tables: dict[str, Any], key: str, values: Array) -> dict[str, Any]:
+    """Return the tables with a value for every grain; that of a material makes one material a grain."""
+    path = key.split(".")
+    if len(path) == 2:
+        return _with(tables, path, values.tolist(), key)
+    material = (tables.get("chain") or {}).get("material", "glass")
+    each = material if isinstance(material, list) else [material] * len(values)
+    made = [_with(one, path[2:], value, key) for one, value in zip(each, values.tolist(), strict=False)]
+    return _with(tables, path[:2], made, key)
 
 
 def plain(value: Any) -> Any:

@@ -1,44 +1,55 @@
-"""What a sweep can keep of each scene: the whole trajectory, or a few numbers read off it."""
+"""What a sweep can keep of each scene: its motion, or numbers read off it with their errors."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import numpy as np
 
-from ..trajectory.trajectory import Trajectory
+from ..measure.motion import Motion
 from ..util.arrays import Array
+
+FRACTION = 0.5  # of the largest speed of a grain that the front has at least, as in measure.front.track
 
 
 class Quantity(NamedTuple):
-    """Something read off a trajectory: its dimensions, unit and name, and how."""
+    """Something read off a motion: its dimensions, unit and name, and how it and its error are found."""
 
     dimensions: tuple[str, ...]
     units: str
     long_name: str
-    measure: Callable[[Trajectory], Array]
+    measure: Callable[[Motion], tuple[Array, Array] | Array]
+
+    @property
+    def whole(self) -> bool:
+        """Whether it is the recorded motion itself, with the error of the trajectory and no other."""
+        return "time" in self.dimensions
 
 
-def _arrival_time(trajectory: Trajectory) -> Array:
-    from ..measure.front import track
-
-    front = track(trajectory)
-    times = dict(zip(front.grain.tolist(), front.time, strict=True))
-    return np.array([times.get(grain, np.nan) for grain in trajectory.grains.tolist()])
+def _arrival_time(motion: Motion) -> tuple[Array, Array]:
+    rows = motion.fronts("velocity", FRACTION, width=False)
+    return rows[:, 0], rows[:, 3]
 
 
-def _wall_force(trajectory: Trajectory) -> Array:
-    from ..measure.contact import wall_force
-
-    return wall_force(trajectory).max()
+def _peak_displacement(motion: Motion) -> tuple[Array, Array]:
+    return motion.peaks("displacement")[1:]
 
 
-def _energy(which: str) -> Callable[[Trajectory], Array]:
-    def measure(trajectory: Trajectory) -> Array:
+def _peak_velocity(motion: Motion) -> tuple[Array, Array]:
+    return motion.peaks("velocity")[1:]
+
+
+def _wall_force(motion: Motion) -> tuple[Array, Array]:
+    force, error = motion.largest_wall_force()
+    return np.array(force), np.array(error)
+
+
+def _energy(which: str) -> Callable[[Motion], Array]:
+    def measure(motion: Motion) -> Array:
         from ..measure.energy import shares
 
-        energy = shares(trajectory)
+        energy = shares(motion)
         if which == "all":
             return energy.kinetic.sum(1) + energy.elastic.sum(1)
         if which == "grain":
@@ -54,15 +65,11 @@ def _energy(which: str) -> Callable[[Trajectory], Array]:
 
 QUANTITIES = {
     "displacement": Quantity(
-        ("time", "grain"), "m", "displacement from equilibrium, positive downward", lambda t: t.displacement
+        ("time", "grain"), "m", "displacement from equilibrium, positive downward", lambda m: m.displacement
     ),
-    "velocity": Quantity(("time", "grain"), "m s-1", "velocity, downward", lambda t: t.velocity),
-    "peak_displacement": Quantity(
-        ("grain",), "m", "largest size of the displacement in any sample", lambda t: np.abs(t.displacement).max(0)
-    ),
-    "peak_velocity": Quantity(
-        ("grain",), "m s-1", "largest size of the velocity in any sample", lambda t: np.abs(t.velocity).max(0)
-    ),
+    "velocity": Quantity(("time", "grain"), "m s-1", "velocity, downward", lambda m: m.velocity),
+    "peak_displacement": Quantity(("grain",), "m", "largest size of the displacement at any time", _peak_displacement),
+    "peak_velocity": Quantity(("grain",), "m s-1", "largest size of the velocity at any time", _peak_velocity),
     "arrival_time": Quantity(
         ("grain",), "s", "when the front passes, by the velocity (measure.front.track)", _arrival_time
     ),
@@ -79,6 +86,18 @@ QUANTITIES = {
         ("time", "grain"), "J", "energy above rest of the contact below a grain; NaN if unknown", _energy("contact")
     ),
     "wall_force": Quantity(
-        (), "N", "largest force on what holds the bottom, in any sample (measure.contact.wall_force)", _wall_force
+        (), "N", "largest force on what holds the bottom, at any time (measure.contact.wall_force)", _wall_force
     ),
 }
+
+
+def measured(motion: Motion, keep: Iterable[str], grains: np.ndarray) -> dict[str, Array]:
+    """Return what is kept of a motion, by name, at these of its grains; errors under the name with _error."""
+    rows = motion.rows(grains)
+    found: dict[str, Array] = {}
+    for name in keep:
+        quantity = QUANTITIES[name]
+        values = quantity.measure(motion)
+        for key, each in zip((name, f"{name}_error"), values if isinstance(values, tuple) else (values,), strict=False):
+            found[key] = each[..., rows] if quantity.dimensions else each
+    return found

@@ -1,17 +1,12 @@
-"""Many scenes: which are left to do, and who does them.
-
-The folder of a sweep holds `sweep.json`, which says what is swept and what the folders of the scenes are called, and
-`scenes`, where these are (see `sweepwork`). What is there is never done again, whichever sweep asks for it.
-"""
+"""Many scenes: which are left to do, and who does them; how results are kept stands in `store`."""
 
 from __future__ import annotations
 
 import json
 import logging
 import re
-import shutil
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from contextlib import contextmanager, nullcontext
 from itertools import islice
@@ -19,14 +14,18 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from filelock import FileLock, Timeout
 
 from ..errors import InputError, short, shown
-from ..util.files import make_folder, write_aside
+from ..util.files import check_tree, make_folder, write_aside
 from ..util.progress import ProgressBar
 from .executors import Here, Processes
-from .file import Sweep, name_of, plain, read
-from .results import FORMAT, load_sweep
+from .file import FORMAT, Sweep, read
+from .labels import Labels, labels
+from .results import load_sweep
+from .store import NAME, PARTS, RESULTS, Layout, clean, complete, create, gather, layout, whole_parts
+from .take_over import drop, others, take_over
 from .tasks import Task, answer, together
 
 if TYPE_CHECKING:
@@ -84,48 +83,89 @@ def sweep(
     for remark in {re.sub(r"\d\S*", "", text): text for text in (str(w.message) for w in reversed(remarks))}.values():
         warnings.warn(f"{remark}; perhaps in other scenes, too", stacklevel=2)
     folder = make_folder(folder).absolute()
-    results = make_folder(folder / "scenes")
     with _alone(folder):
-        names = [name_of(plan.asked(place)) for place in plan.places()]
-        _write_index(plan, names, folder / "sweep.json")
-        scenes = dict(zip(names, plan.places(), strict=True))
-        every, done = list(scenes), {path.name for path in results.iterdir()}
-        batches = [every[first : first + size] for first in range(0, len(every), size)]
-        left = [batch for batch in batches if not done.issuperset(batch)]
-        tasks = (Task(tuple(plan.asked(scenes[name]) for name in batch), plan.folder, results) for batch in left)
+        results, made, grains = _prepare(plan, folder, size)
+        there = whole_parts(results).keys()
+        missing = {
+            shard: set(made.batches(shard)) - there for shard in range(made.shards) if not complete(results, shard)
+        }
+        before = made.count - sum(_scenes(made, firsts) for firsts in missing.values())
         executors = nullcontext(executor) if executor else Processes(workers) if workers > 1 else Here()
-        before = len(every) - sum(map(len, left))
-        with executors as chosen, ProgressBar(len(every), unit=" scenes", done=before, shown=progress) as bar:
-            trouble = _answer_all(chosen, tasks, bar, WAITING if executor or workers > 1 else 1)
+        with executors as chosen, ProgressBar(made.count, unit=" scenes", done=before, shown=progress) as bar:
+            work = _Work(results, made, missing)
+            every = (first for firsts in missing.values() for first in sorted(firsts))
+            tasks = (Task(results, plan.folder, made, grains, first) for first in every)
+            trouble = work.do(chosen, tasks, bar, WAITING if executor or workers > 1 else 1)
     if trouble:
         warnings.warn(f"some scenes could not be done this time; of the first: {trouble[0]}", stacklevel=2)
     return load_sweep(folder)
 
 
-def _write_index(plan: Sweep, names: list[str], path: Path) -> None:
-    index = {
-        "format": FORMAT,
-        "engine": plan.engine,
-        "tolerance": plan.tolerance,
-        "keep": plan.keep,
-        "scene": plan.tables,
-        "axes": [{"name": axis.name, "length": len(axis), "coordinates": axis.coordinates()} for axis in plan.axes],
-        "names": names,
-    }
-    with write_aside(path) as aside:
-        aside.write_text(json.dumps(index, default=plain), encoding="utf-8")
+def _prepare(plan: Sweep, folder: Path, size: int) -> tuple[Path, Layout, np.ndarray]:
+    """Make the folder of the results; return it, how it is laid out, and the grains."""
+    found = labels(plan)
+    made = layout(plan.keep, plan.count, size, found.samples, found.grains.size, found.extra)
+    results = folder / plan.name
+    _check(results, plan)
+    if not (results / NAME).exists():
+        (results / PARTS).mkdir(parents=True, exist_ok=True)
+        if not (results / RESULTS).exists():
+            swept = {axis.name: len(axis) for axis in plan.axes}
+            create(results, made, _coordinates(plan, found), swept)
+        for before in others(folder, results):
+            take_over(plan, made, results, before)
+        _write(results / NAME, plan.text)
+    clean(results, made)
+    _write(folder / NAME, json.dumps({"format": FORMAT, "results": plan.name}))
+    for before in others(folder, results):
+        drop(plan, before)
+    return results, made, found.grains
+
+
+def _check(results: Path, plan: Sweep) -> None:
+    """Raise `InputError` if a folder of results that is there is not one of this sweep."""
+    try:
+        if results.exists():
+            check_tree(results)
+            if (results / NAME).exists() and (results / NAME).read_text(encoding="utf-8") != plan.text:
+                raise ValueError("its sweep.json is of another sweep")
+    except (OSError, ValueError) as error:
+        raise InputError([(str(results), f"is damaged ({short(error)}): remove it, and sweep again")]) from None
+
+
+def _write(path: Path, text: str) -> None:
+    if path.is_symlink() or not path.is_file() or path.read_text(encoding="utf-8") != text:
+        with write_aside(path) as aside:
+            aside.write_text(text, encoding="utf-8")
+
+
+def _coordinates(plan: Sweep, found: Labels) -> dict[str, tuple[tuple[str, ...], Any, dict[str, str]]]:
+    """Return what the axes, times and grains are called, with dimensions and metadata."""
+    made: dict[str, tuple[tuple[str, ...], Any, dict[str, str]]] = {}
+    for axis in plan.axes:
+        for key, values in axis.coordinates().items():
+            dimensions = (axis.name, f"{key}.entry") if np.ndim(values) == 2 else (axis.name,)
+            made[key] = dimensions, values, {}
+    if found.time is not None:
+        made["time"] = ("time",), found.time, {"units": "s", "long_name": "time since the strike"}
+    made["grain"] = ("grain",), found.grains, {"units": "1", "long_name": "number of the grain, from the top"}
+    return made
+
+
+def _scenes(made: Layout, firsts: Iterable[int]) -> int:
+    """Return how many scenes these batches are."""
+    return sum(min(made.batch, made.count - first) for first in firsts)
 
 
 @contextmanager
 def _alone(folder: Path) -> Iterator[None]:
-    """Lock the folder of a sweep, and remove what killed processes have left half done."""
+    """Lock the folder of a sweep."""
+    lock = folder / ".lock"
+    if lock.is_symlink() or (lock.exists() and not lock.is_file()):
+        raise InputError([(str(lock), "is a link, a device or a pipe, which lmpchain never writes: remove it")])
     try:
-        with FileLock(folder / ".lock", timeout=0):
-            try:
-                yield
-            finally:
-                for left in (folder / "scenes").glob(".*.partial"):
-                    shutil.rmtree(left, ignore_errors=True)
+        with FileLock(lock, timeout=0):
+            yield
     except Timeout:
         raise InputError([(str(folder), "another process sweeps into this folder; wait for it")]) from None
 
@@ -154,30 +194,53 @@ def dask(address: str) -> Iterator[Executor]:
         yield client.get_executor(pure=False)
 
 
-def _answer_all(executor: Executor, tasks: Iterator[Task], bar: ProgressBar, most: int) -> list[str]:
-    """Have all tasks answered, so many at a time, and return why some were not, in words."""
-    trouble: list[str] = []
-    deaths: dict[Task, int] = {}
-    pending: dict[Future, Task] = {}
-    try:
-        while True:
-            for task in islice(tasks, most - len(pending)):
-                pending[executor.submit(answer, task)] = task
-            if not pending:
-                return trouble
-            for future in wait(pending, return_when=FIRST_COMPLETED).done:
-                task = pending.pop(future)
-                try:
-                    future.result()
-                except BrokenExecutor:
-                    deaths[task] = deaths.get(task, 0) + 1
-                    if deaths[task] < DEATHS:
-                        pending[executor.submit(answer, task)] = task
-                        continue
-                    trouble.append(f"the process that was at it died {DEATHS} times")
-                except Exception as error:  # of the machine or the cluster, not of the scene
-                    trouble.append(f"{type(error).__name__} {error}".strip())
-                bar.advance(len(task.asked))
-    finally:
-        for future in pending:
-            future.cancel()
+class _Work:
+    """What is left to do: batches of scenes to answer, and shards to gather when all of theirs are there."""
+
+    def __init__(self, folder: Path, made: Layout, missing: Mapping[int, set[int]]):
+        self._folder, self._made, self._missing = folder, made, {shard: set(each) for shard, each in missing.items()}
+
+    def do(self, executor: Executor, tasks: Iterator[Task], bar: ProgressBar, most: int) -> list[str]:
+        """Have all tasks done, so many at a time, and return why some were not, in words."""
+        trouble: list[str] = []
+        deaths: dict[Any, int] = {}
+        pending: dict[Future, Task | int] = {}
+
+        def submit(what: Task | int) -> None:
+            if isinstance(what, Task):
+                pending[executor.submit(answer, what)] = what
+            else:
+                pending[executor.submit(gather, self._folder, self._made, what)] = what
+
+        try:
+            for shard in [shard for shard, missing in self._missing.items() if not missing]:
+                submit(shard)
+            while True:
+                for task in islice(tasks, max(most - len(pending), 0)):
+                    submit(task)
+                if not pending:
+                    return trouble
+                for future in wait(pending, return_when=FIRST_COMPLETED).done:
+                    what = pending.pop(future)
+                    failed = True
+                    try:
+                        future.result()
+                        failed = False
+                    except BrokenExecutor:
+                        deaths[what] = deaths.get(what, 0) + 1
+                        if deaths[what] < DEATHS:
+                            submit(what)
+                            continue
+                        trouble.append(f"the process that was at it died {DEATHS} times")
+                    except Exception as error:  # of the machine or the cluster, not of the scene
+                        trouble.append(f"{type(error).__name__} {error}".strip())
+                    if isinstance(what, Task):
+                        bar.advance(what.count)
+                        missing = self._missing[what.first // self._made.shard]
+                        if not failed:
+                            missing.discard(what.first)
+                            if not missing:
+                                submit(what.first // self._made.shard)
+        finally:
+            for future in pending:
+                future.cancel()

@@ -72,7 +72,9 @@ def check(store: Path, scene: Scene) -> None:
             raise ValueError(f"the {wrong[0]} of {name} is not that of its scene")
         if about.keys() - KEYS or about.get("storage_transformers"):
             raise ValueError(f"{name} is stored in a way that lmpchain does not use")
-        codecs = _sharded(about["codecs"], sizes["chunk"]) if name in FIELDS else _names(about["codecs"])
+        codecs = (
+            codec_names_in_shards(about["codecs"], sizes["chunk"]) if name in FIELDS else codec_names(about["codecs"])
+        )
         if codecs not in ([SHRUNK, SHRUNK_ONCE] if name == "grain" else [SHRUNK]):
             raise ValueError(f"{name} is stored with codecs that lmpchain does not use")
         if name not in FIELDS:
@@ -95,9 +97,9 @@ def _named(name: str, **configuration: Any) -> dict[str, Any]:
     return {"name": name, "configuration": configuration}
 
 
-def _names(codecs: Any) -> list[str]:
+def codec_names(codecs: Any) -> list[str]:
     """Return the names of codecs that hold no other codec."""
-    plain = {"bytes": {"endian"}, "zstd": {"level", "checksum"}, "crc32c": set()}
+    plain = {"bytes": {"endian"}, "zstd": {"level", "checksum"}, "crc32c": set(), "vlen-utf8": set()}
     plain["blosc"] = {"typesize", "cname", "clevel", "shuffle", "blocksize"}
     for codec in codecs:
         if codec["name"] not in plain or codec.keys() - {"name", "configuration"}:
@@ -107,12 +109,12 @@ def _names(codecs: Any) -> list[str]:
     return [codec["name"] for codec in codecs]
 
 
-def _sharded(codecs: Any, chunk: Piece) -> list[str]:
+def codec_names_in_shards(codecs: Any, chunk: Piece) -> list[str]:
     """Return the names of the codecs inside the one of a shard."""
     (outer,) = codecs
     inside = outer["configuration"]
     if outer["name"] != "sharding_indexed" or inside["chunk_shape"] != list(chunk):
         raise ValueError("it is not in shards of lmpchain")
-    if _names(inside["index_codecs"]) != INDEX or inside.get("index_location", "end") != "end":
+    if codec_names(inside["index_codecs"]) != INDEX or inside.get("index_location", "end") != "end":
         raise ValueError("it is not in shards of lmpchain")
-    return _names(inside["codecs"])
+    return codec_names(inside["codecs"])

@@ -9,6 +9,7 @@ import platform
 import re
 import secrets
 import stat
+import sys
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -83,7 +84,7 @@ def check_tree(folder: Path) -> None:
             except FileNotFoundError:  # just renamed, by a run that goes on
                 continue
             if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-                raise OSError(errno.EINVAL, f"{name} in it is a link, a device or a pipe, which no run folder holds")
+                raise OSError(errno.EINVAL, f"{name} there is a link, a device or a pipe, which lmpchain never writes")
 
 
 @contextmanager
@@ -131,14 +132,27 @@ def unpack(content: bytes | memoryview) -> dict[str, np.ndarray]:
         if any(item.compress_type != zipfile.ZIP_STORED for item in packed.infolist()):
             raise ValueError("it holds compressed arrays")
         for name in packed.namelist():
-            data = BytesIO(packed.read(name))
-            np.lib.format.read_magic(data)
-            shape, columns_first, dtype = np.lib.format.read_array_header_1_0(data)
-            if dtype.hasobject or columns_first:
-                raise ValueError("it holds arrays that are not plain")
-            numbers = np.frombuffer(data.read(), dtype).reshape(shape)
-            arrays[name.removesuffix(".npy")] = numbers.copy()
+            arrays[name.removesuffix(".npy")] = _plain_array(packed.read(name))
     return arrays
+
+
+def unpack_one(path: Path, name: str) -> np.ndarray:
+    """Return one of the arrays of a file of `numpy.savez`, as `unpack` does."""
+    check_readable(path, sys.maxsize)
+    with zipfile.ZipFile(path) as packed:
+        item = packed.getinfo(f"{name}.npy")
+        if item.compress_type != zipfile.ZIP_STORED:
+            raise ValueError("it holds compressed arrays")
+        return _plain_array(packed.read(item))
+
+
+def _plain_array(content: bytes) -> np.ndarray:
+    data = BytesIO(content)
+    np.lib.format.read_magic(data)
+    shape, columns_first, dtype = np.lib.format.read_array_header_1_0(data)
+    if dtype.hasobject or columns_first:
+        raise ValueError("it holds arrays that are not plain")
+    return np.frombuffer(data.read(), dtype).reshape(shape).copy()
 
 
 def make_folder(path: str | PathLike[str]) -> Path:

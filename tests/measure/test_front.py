@@ -49,12 +49,19 @@ def displacement(weak: Trajectory) -> Front:
 
 
 def made_up(motion: Callable[[Array, Array], Array], samples: int = 401, grains: int = 5) -> Trajectory:
-    """Return a trajectory with a velocity and displacement motion(t, n) for t from 0 to 20 us."""
+    """Return a trajectory with a velocity motion(t, n) for t from 0 to 20 us, that no equation is known to give."""
     scene = Scene(
-        chain=Chain(grains=grains, diameter=1e-3), excitation=Impulse(velocity=1e-6), duration=20e-6, samples=samples
-    )
-    values = motion(scene.time[:, None] * 1e6, np.arange(1.0, grains + 1))
-    return replace(simulate(scene, engine="native", tolerance=1e-3), velocity=values, displacement=values)
+        chain=Chain(grains=grains + 1, diameter=1e-3), excitation=Impulse(velocity=1e-6), duration=20e-6,
+        samples=samples, grains=f"1:{grains}",
+    )  # fmt: skip
+    numbers, step = np.arange(1.0, grains + 1), 20 / (samples - 1)
+    nodes, weights = np.polynomial.legendre.leggauss(16)
+    inside = scene.time[:-1, None, None] * 1e6 + step * (nodes[:, None] + 1) / 2
+    way = (motion(inside, numbers) * weights[:, None]).sum(1) * step / 2 * 1e-6
+    displacement = np.concatenate((np.zeros((1, grains)), np.cumsum(way, axis=0)))
+    t = simulate(scene, engine="native", tolerance=1e-3)
+    velocity, unknown = motion(scene.time[:, None] * 1e6, numbers), replace(t.error_estimate, solver=np.inf)
+    return replace(t, velocity=velocity, displacement=displacement, error_estimate=unknown, equation=0)
 
 
 def gauss(t: Array, middle: Array | float, width: Array | float = 1.0) -> Array:

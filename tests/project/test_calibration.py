@@ -14,6 +14,7 @@ SCRIPTS = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem not in S
 # what few scenes already show; the README has what many do, and what none does
 SHOWN = {
     "adaptive_steps": ["CROSSING_STEP", "STEP_ERROR", "STEP_ERROR_MIN"],
+    "between_samples": ["RESOLVED", "RESOLVED_BY_DIFFERENCES", "SAFETY (samples)"],
     "chaos_test": ["STALLS", "ATTEMPTS", "ERRATIC", "CHAOS_ERROR"],
     "error_constants": ["rkn4.error_constant", "kahan-li8.error_constant", "dop853.error_constant"],
     "linear_model_error": [

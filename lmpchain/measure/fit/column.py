@@ -213,6 +213,8 @@ def _front_law(trajectory: Trajectory, first: int) -> FrontLaw | None:
         return None
     h, time = n - 0.5, front.time / chain.time_scale
     shift = theory.peak_time(n, chain.exponent) - chi(h, chain.exponent)
+    if not (time > shift).all():  # noise
+        return None
     order, step = 1 / 3 + 1 / chain.exponent, 1 / chain.exponent - 1 / 3
 
     def law(x: Array, *terms: float) -> Array:

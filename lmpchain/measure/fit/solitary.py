@@ -127,7 +127,8 @@ def fit_soliton(trajectory: Trajectory, first: int | None = None, last: int | No
     else:
         formula = float(nesterenko_speed(amplitude, chain.exponent)) / time
     sure = stats.t.ppf(0.975, whole.sum() - 2)
-    sampled = np.array([front.amplitude_error.max(), np.ptp(front.time_error) / np.ptp(front.grain) * speed**2,
+    # the slope of a line through times that are each off by e, over the length L, is off by up to 3 e / L
+    sampled = np.array([front.amplitude_error.max(), 3 * front.time_error.max() / np.ptp(front.grain) * speed**2,
                         front.width_error[whole].max() * speed])  # fmt: skip
     spread = np.array([stats.sem(front.amplitude), line.stderr * speed**2, stats.sem(front.width[whole]) * speed])
     return SolitonFit(

@@ -1,0 +1,85 @@
+"""Speed of a sweep: scenes a second, the share of the integration, and files, for random columns like the paper's.
+
+Arrival times and largest velocities are kept. With one worker the CPU time of the integration and its error estimate
+is set against that of everything; with more, wall time counts, from nothing to the dataset, start of the processes
+included.
+Kernels are compiled beforehand. Compare numbers of one run only: other work on the machine slows all of them.
+"""
+
+import argparse
+import os
+import resource
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from unittest import mock
+
+import lmpchain
+from lmpchain.engines.base import Run
+from lmpchain.engines.error_estimate import CompanionRun
+from lmpchain.trajectory.record import Block
+
+KEEP = ["arrival_time", "peak_velocity"]
+
+
+def cpu() -> float:
+    """Return user plus system time of this process and its children so far, s."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(each.ru_utime + each.ru_stime for each in used)
+
+
+def asked(realisations: int, seed: int = 1) -> dict[str, object]:
+    """Return a sweep over disordered columns."""
+    scene = lmpchain.Scene(
+        chain=lmpchain.Chain(grains=120, diameter=1e-3), excitation=lmpchain.Impulse(velocity=8.57e-4), duration=100e-6
+    )
+    return {"scene": scene, "keep": KEEP, "disorder": {"m": 20.0, "seed": seed, "realisations": realisations}}
+
+
+def share(realisations: int) -> tuple[float, float]:
+    """Return CPU time of a sweep in this process, s, and the part of it that is integration and its estimate."""
+    inside = [0.0]
+    blocks = CompanionRun.blocks
+
+    def timed(run: Run) -> Iterator[Block]:
+        parts = blocks(run)  # type: ignore[arg-type]
+        while True:
+            began = time.process_time()
+            block = next(parts, None)
+            inside[0] += time.process_time() - began
+            if block is None:
+                return
+            yield block
+
+    with mock.patch.object(CompanionRun, "blocks", timed), tempfile.TemporaryDirectory() as folder:
+        began = time.process_time()
+        lmpchain.sweep(asked(realisations), folder)
+        spent = time.process_time() - began
+    return spent, inside[0] / spent
+
+
+def main() -> None:
+    """Print the figures."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--scenes", type=int, default=10_000)
+    parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        lmpchain.sweep(asked(64, seed=2), folder)  # compiles
+    count = min(arguments.scenes, 2000)
+    spent, part = share(count)
+    print(
+        f"one process: {1e3 * spent / count:.2f} ms of CPU a scene, {100 * part:.0f} % of it integration and estimate"
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        before, began = cpu(), time.perf_counter()
+        lmpchain.sweep(asked(arguments.scenes), folder, workers=arguments.workers)
+        seconds, used = time.perf_counter() - began, cpu() - before
+        files = sum(path.is_file() for path in Path(folder).rglob("*"))
+    done = f"{arguments.scenes} scenes in {seconds:.1f} s ({used:.1f} s of CPU)"
+    print(f"{arguments.workers} workers: {done}, {arguments.scenes / seconds:.0f} a second, in {files} files")
+
+
+if __name__ == "__main__":
+    main()

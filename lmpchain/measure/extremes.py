@@ -1,0 +1,231 @@
+"""Largest values and wave fronts of grains, between their samples too, compiled."""
+
+from __future__ import annotations
+
+import math
+import sys
+from typing import NamedTuple
+
+import numpy as np
+
+from ..util.compilation import compiled_once
+from .derivatives import NEWS
+from .hermite import (
+    BUMP,
+    PARTS,
+    STEEPEST,
+    VELOCITY,
+    compiled,
+    inlined,
+    path,
+    polynomial,
+    root,
+    sampled,
+    size,
+    slope,
+    turns,
+    value,
+)
+
+SMALLEST = sys.float_info.min  # of a top that has all of its digits
+
+
+@inlined
+def _hidden(p, i):
+    """Return a bound on what hides between sample i and the next, or -1 if nothing does."""
+    if p.ceiling.size == 0 or p.ceiling[i] < 0.0:
+        return -1.0
+    if p.kind == VELOCITY:
+        return p.ceiling[i]
+    return (size(p.u[i], p.kind) + size(p.u[i + 1], p.kind) + p.h * p.ceiling[i]) / 2
+
+
+@inlined
+def _steady(p, i):
+    """Say whether a velocity surely rises or falls all the way from sample i to the next."""
+    one, other = p.a[i], p.a[i + 1]
+    bend = p.h * max(abs(p.j[i]), abs(p.j[i + 1])) + STEEPEST / BUMP * p.error[i] / p.h
+    return p.kind == VELOCITY and one * other > 0.0 and min(abs(one), abs(other)) > bend
+
+
+@compiled
+def _peak(p):
+    """Return the largest value at any time, and between what it lies."""
+    y, kind = sampled(p), p.kind
+    best = size(y[0], kind)
+    for i in range(1, y.size):
+        best = max(best, size(y[i], kind))
+    low = high = best
+    for i in range(y.size - 1):
+        limit = _hidden(p, i)
+        if limit >= 0.0:
+            high = max(high, limit)
+        elif p.reach[i] + p.error[i] > high and not (
+            _steady(p, i) and max(size(y[i], kind), size(y[i + 1], kind)) + p.error[i] <= high
+        ):
+            polynomial(p, i)
+            top = max(size(y[i], kind), size(y[i + 1], kind))
+            for k in range(turns(p)):
+                top = max(top, size(value(p.c, p.places[k]), kind))
+            best, low, high = max(best, top), max(low, top - p.error[i]), max(high, top + p.error[i])
+    return best, low, high
+
+
+@compiled
+def _crossing(p, sign, level, i, s, step):
+    """Return when sign times the value first falls to a level, from the place s in an interval on.
+
+    `step` is 1 for later, -1 for earlier. Also the error of the polynomial there.
+    """
+    goal = 1.0 if step > 0 else 0.0
+    here, y = s, sampled(p)
+    while 0 <= i < p.error.size:
+        swing = p.reach[i] - max(size(y[i], p.kind), size(y[i + 1], p.kind))
+        if min(sign * y[i], sign * y[i + 1]) - swing < level:
+            break
+        i, here = i + step, 1.0 - goal
+    while 0 <= i < p.error.size:
+        polynomial(p, i)
+        p.c[:] *= sign
+        begin = here
+        for part in range(1, PARTS + 1):
+            there = begin + (goal - begin) * part / PARTS
+            if value(p.c, there) < level:
+                at = root(p.c, level, min(here, there), max(here, there))
+                return (i + at) * p.h, p.error[i]
+            here = there
+        i, here = i + step, 1.0 - goal
+    return np.nan, np.nan
+
+
+class Found(NamedTuple):
+    """The first maximum of some size: interval (-1 for none), place in it, and size.
+
+    Also how far it had fallen when that was seen, and in which interval; the largest value at which an earlier one
+    turned; and the first interval in which one may be hidden, or -1.
+    """
+
+    at: int
+    place: float
+    top: float
+    fell: float
+    seen: int
+    missed: float
+    hidden: int
+
+
+@compiled
+def _find(p, enough, fall):
+    """Look for the first maximum of a size after which the value falls by so much."""
+    y, last, begin = sampled(p), p.error.size, 0
+    while begin < last and p.reach[begin] + p.error[begin] < enough / 2 and _hidden(p, begin) < 0.0:
+        begin += 1
+    top, at, place, missed, hidden = abs(y[min(begin, last)]), -1, 0.0, 0.0, -1
+    for i in range(begin, last):
+        count, limit = 0, _hidden(p, i)
+        if limit >= 0.0:
+            hidden = i if hidden < 0 and limit >= enough else hidden
+        elif (p.reach[i] + p.error[i] >= enough or top >= enough) and not _steady(p, i):
+            polynomial(p, i)
+            count = turns(p)
+        for k in range(count + 1):
+            s = p.places[k] if k < count else 1.0
+            now = abs(value(p.c, s)) if k < count else abs(y[i + 1])
+            if now < top:
+                if top >= enough and top - now > fall:
+                    return Found(at, place, top, top - now, i, missed, hidden)
+                missed = max(missed, top)
+            if now >= top or top < enough:
+                top, at, place = now, i, s
+    return Found(-1, 0.0, 0.0, 0.0, last - 1, missed, hidden)
+
+
+@compiled
+def _front(p, fraction, known_error, certain, frequency, width, out):
+    """Fill out, (6,), with time, height and width of the front and their errors, or NaN."""
+    y, end = sampled(p), p.h * p.error.size
+    largest, low, high = _peak(p)
+    enough = fraction * largest
+    if largest <= known_error or largest < SMALLEST or abs(y[0]) >= enough:
+        return
+    found = _find(p, enough, certain)
+    at, s = found.at, found.place
+    if at < 0:
+        return
+    off = max(p.error[at], _hidden(p, at) - abs(y[at + 1])) + known_error
+    polynomial(p, at)
+    height = y[at + 1] if s == 1.0 else value(p.c, s)
+    sign, top, when = math.copysign(1.0, height), abs(height), (at + s) * p.h
+    for k in range(7):
+        p.d[k] = (k + 1) * p.c[k + 1]
+    bend = abs(slope(p.d, s)) / p.h**2
+    # for how long the value is as large as that, within its error; or what the errors of the slope make of it
+    spread = 0.0
+    for step in (-1, 1):
+        edge, _ = _crossing(p, sign, top - 2 * off, at, s, step)
+        spread = max(spread, abs(edge - when) if math.isfinite(edge) else (when if step < 0 else end - when))
+    tilt = STEEPEST / BUMP * (off - known_error) / p.h + frequency * known_error
+    late = min(tilt / bend, spread) if bend > 0.0 else spread
+    # which other maxima it may be, if values are off by their errors, and how far apart these are
+    apart = 0.0
+    least, most = fraction * (low - known_error) - off, fraction * (high + known_error) + off
+    if found.missed >= least:
+        other = _find(p, least, 0.0)
+        if other.at >= 0:
+            late, apart = max(late, abs((other.at + other.place) * p.h - when)), abs(other.top - top)
+    if top < most or found.fell <= certain + 2 * off:
+        other = _find(p, most, certain + 2 * off)
+        late = max(late, abs((other.at + other.place) * p.h - when) if other.at >= 0 else end - when)
+        apart = max(apart, abs(other.top - top) if other.at >= 0 else high)
+    if found.hidden >= 0:
+        apart = high
+        late = max(late, when - found.hidden * p.h, ((found.seen + 1) * p.h if top >= most else end) - when)
+    out[0], out[1], out[3], out[4] = when, height, late, max(off, apart)
+    if not width:
+        return
+    before, one = _crossing(p, sign, top / 2, at, s, -1)
+    after, other = _crossing(p, sign, top / 2, at, s, 1)
+    out[2] = after - before
+    if not math.isfinite(out[2]):
+        return
+    if apart > 0.0:
+        out[5] = end
+        return
+    out[5] = 0.0
+    for change in (-1.0, 1.0):  # the width at a level that is off by the errors
+        level = top / 2 + change * (known_error + off / 2 + max(one, other))
+        left, right = _crossing(p, sign, level, at, s, -1)[0], _crossing(p, sign, level, at, s, 1)[0]
+        width_there = right - left
+        out[5] = max(out[5], abs(width_there - out[2])) if math.isfinite(width_there) else end
+
+
+@compiled_once(*NEWS, nogil=True, error_model="numpy")
+def peaks(motion, quiet, h, kind, ceiling):
+    """Return the largest values of G grains at any time and bounds from below and above, (G, 3).
+
+    Those of a quiet grain are of its samples; how large they are is within the error.
+    """
+    out, count = np.empty((motion.shape[1], 3)), motion.shape[2] - 1
+    reach, error, c, d, places = np.empty(count), np.empty(count), np.zeros(8), np.zeros(8), np.zeros(PARTS)
+    for g in range(motion.shape[1]):
+        if quiet[g]:
+            y = motion[1, g] if kind == VELOCITY else motion[0, g]
+            most = np.abs(y).max()
+            out[g, 0], out[g, 1], out[g, 2] = most, most, 2.0 * most
+            continue
+        out[g, 0], out[g, 1], out[g, 2] = _peak(path(motion, g, h, kind, ceiling, reach, error, c, d, places))
+    return out
+
+
+@compiled_once(*NEWS, nogil=True, error_model="numpy")
+def fronts(motion, quiet, h, kind, ceiling, fraction, known_error, certain, frequency, width):
+    """Return what `_front` finds at G grains, (G, 6), without widths if they are not asked for."""
+    out, count = np.empty((motion.shape[1], 6)), motion.shape[2] - 1
+    reach, error, c, d, places = np.empty(count), np.empty(count), np.zeros(8), np.zeros(8), np.zeros(PARTS)
+    out[:] = np.nan
+    for g in range(motion.shape[1]):
+        if quiet[g]:
+            continue
+        grain = path(motion, g, h, kind, ceiling, reach, error, c, d, places)
+        _front(grain, fraction, known_error, certain, frequency, width, out[g])
+    return out

@@ -1,0 +1,131 @@
+"""The motion between samples: peaks against exact and densely sampled motion, and what is claimed of their errors."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lmpchain import Chain, Drive, Impulse, InputError, Scene, simulate
+from lmpchain.measure.front import track
+from lmpchain.measure.motion import Motion, motion_of, peaks
+
+CALIBRATION = Path(__file__).parents[2] / "analysis" / "calibration"
+
+
+def column(samples: int, velocity: float = 8.57e-4) -> Scene:
+    """Return the scene of the paper, recorded so often."""
+    chain = Chain(grains=120, diameter=1e-3)
+    return Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=100e-6, samples=samples)
+
+
+@pytest.fixture(scope="module")
+def dense():
+    return simulate(column(6401), "native", 1e-10)
+
+
+@pytest.mark.parametrize("samples", [11, 21, 41, 81])
+def test_sparse_samples_say_how_far_off_they_are(dense, samples):
+    sparse = simulate(column(samples), "native", 1e-10)
+    for field in ("velocity", "displacement"):
+        sampled, seen = np.abs(getattr(dense, field)).max(0), peaks(sparse, field)
+        assert (np.abs(seen.value - sampled) <= seen.error + 2e-6 * sampled.max()).all(), "what hides between these"
+        true = peaks(dense, field).value
+        assert (np.abs(seen.value - true) <= seen.error + 1e-9 * true.max()).all()
+        if samples > 40:
+            assert np.abs(seen.value - true).max() < 1e-6 * true.max()
+            assert seen.error.max() < 1e-3 * true.max()
+    if samples > 20:
+        true, seen = track(dense), track(sparse)
+        assert seen.grain.tolist() == true.grain.tolist()
+        for name in ("time", "amplitude", "width"):
+            off = np.abs(getattr(seen, name) - getattr(true, name))
+            assert (off <= getattr(seen, f"{name}_error") + getattr(true, f"{name}_error"))[np.isfinite(off)].all()
+
+
+def test_two_grains_against_the_exact_oscillation():
+    """One spring between held ends: phi = (v/omega) sin(omega t), and three samples in a period suffice."""
+    chain = Chain(grains=2, diameter=1e-3, exponent=1.0, top_load=1.0, gravity=0.0)
+    omega = float(np.sqrt(chain.linear_stiffness[0] / chain.masses[0]))
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=4 * np.pi / omega, samples=7)
+    found = motion_of(simulate(scene, "native", 1e-12))
+    for field, size in (("displacement", 1e-6 / omega), ("velocity", 1e-6)):
+        value, error = found.peaks(field)[1:]
+        assert abs(value[0] - size) <= error[0]
+        assert value[0] == pytest.approx(size, rel=2e-3)
+        assert value[1] == 0
+
+
+@pytest.mark.parametrize("equation", [1, 0])
+def test_order_of_the_interpolation(dense, equation):
+    """The error of the velocity falls with the sixth power of the time between samples, or the fourth."""
+    every = np.array([200, 100, 50]) if equation else np.array([100, 50, 25])
+    off, true = [], peaks(dense).value
+    for step in every:
+        scene = column(6400 // step + 1)
+        thin = Motion(scene, equation, dense.grains, dense.displacement[::step], dense.velocity[::step], 0.0)
+        off.append(np.abs(thin.peaks("velocity").value - true)[1:15].max())
+    power = 6 if equation else 4
+    assert off[0] > 2**power * off[1] > 4**power * off[2] > 0
+
+
+def test_what_hides_between_two_samples_is_bounded():
+    """A pulse of the sonic vacuum passes unseen: the bound is what energy allows."""
+    chain = Chain(grains=60, diameter=1e-3, gravity=0.0, bottom="free")
+    scene = Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=4e-4, samples=3)
+    sparse = peaks(simulate(scene, "native", 1e-8))
+    true = peaks(simulate(Scene(**scene.given() | {"samples": 801}), "native", 1e-8))
+    assert (np.abs(sparse.value - true.value) <= sparse.error + true.error).all()
+    assert (sparse.value + sparse.error <= 0.1 * (1 + 1e-6) * 1.5).all()
+
+
+def test_recorded_grains_alone():
+    """Without their neighbours accelerations come from the samples."""
+    whole = simulate(column(401), "native", 1e-9)
+    few = simulate(Scene(**column(401).given() | {"grains": [3, 9]}), "native", 1e-9)
+    one, other = peaks(whole), peaks(few)
+    assert other.grain.tolist() == [3, 9]
+    assert (np.abs(other.value - one.value[[2, 8]]) <= other.error).all()
+    assert (other.error < 1e-3 * other.value).all()
+
+
+def test_driven_grain():
+    drive = Drive(amplitude=1e-9, frequency=20e3)
+    scene = Scene(chain=Chain(grains=30, diameter=1e-3), excitation=drive, duration=1e-4, samples=201)
+    found = peaks(simulate(scene, "native", 1e-9))
+    assert abs(found.value[0] - 2e4 * 2 * np.pi * 1e-9) <= found.error[0] < 1e-5 * found.value[0]
+
+
+def test_unknown_errors_leave_those_of_sampling():
+    t = simulate(column(201), "native", 1e-6)
+    unknown = replace(t, error_estimate=replace(t.error_estimate, solver=np.inf))
+    one, other = peaks(t), peaks(unknown)
+    assert np.isfinite(other.error).all()
+    assert one.value[:15] == pytest.approx(other.value[:15], rel=1e-6)
+    with pytest.raises(InputError, match="field"):
+        peaks(t, "energy")
+
+
+def worst(count: int, seed: int, equation: int, monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
+    """Return the largest true error over the claimed one of every one of these random scenes."""
+    monkeypatch.syspath_prepend(str(CALIBRATION))
+    from between_samples import ratios, trials
+
+    return np.array([max(ratios(*pair, equation).values()) for pair in trials(count, seed)])
+
+
+@pytest.mark.parametrize("equation", [1, 0])
+def test_random_scenes(equation, monkeypatch):
+    assert (worst(5, 11, equation, monkeypatch) < 1).all()
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("equation", [1, 0])
+def test_random_scenes_soak(equation, monkeypatch):
+    found = worst(400, 12, equation, monkeypatch)
+    assert (found > 1).mean() < 0.01
+    assert found.max() < 3
+    assert "between_samples" in sys.modules

@@ -1,0 +1,236 @@
+"""Results of sweeps that somebody else has tampered with: nothing is opened, nothing runs, one line says why."""
+
+import json
+import os
+import pickle
+import shutil
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lmpchain import InputError, load_sweep, sweep
+from lmpchain.sweeps.store import part_of, write_part
+
+SCENE: dict[str, Any] = {
+    "chain": {"grains": 6, "material": "glass", "diameter": 1e-3},
+    "excitation": {"kind": "impulse", "velocity": 1e-4},
+    "recording": {"duration": 5e-6, "samples": 3},
+}
+ASKED = {"scene": SCENE, "grid": {"chain.gravity": [1.0, 2.0, 3.0]}, "keep": ["velocity", "wall_force"]}
+SHARDS = "codecs", 0, "configuration"
+INNER = (*SHARDS, "codecs")
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> Path:
+    """Return the folder of a sweep."""
+    folder = tmp_path_factory.mktemp("trust") / "sweep"
+    sweep(ASKED, folder)
+    return folder
+
+
+@pytest.fixture
+def folder(tmp_path: Path, whole: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return a copy of it, in which no store can be opened: what is refused is refused before."""
+    import zarr
+
+    def opened(*_: Any, **__: Any) -> None:
+        raise AssertionError("the store was opened")
+
+    shutil.copytree(whole, tmp_path / "sweep")
+    monkeypatch.setattr(zarr, "open_group", opened)
+    return tmp_path / "sweep"
+
+
+def results(folder: Path) -> Path:
+    (found,) = folder.glob("*/results.zarr")
+    return found.parent
+
+
+def changed(name: str, *path: Any, to: Any) -> Callable[[Path], None]:
+    """Return what changes a value in the metadata of an array."""
+
+    def change(folder: Path) -> None:
+        file = results(folder) / "results.zarr" / name / "zarr.json"
+        about = json.loads(file.read_text())
+        inside = about
+        for key in path[:-1]:
+            inside = inside[key]
+        inside[path[-1]] = to
+        file.write_text(json.dumps(about))
+
+    return change
+
+
+def link(name: str) -> Callable[[Path], None]:
+    """Return what puts a link to the same file elsewhere in place of a file."""
+
+    def change(folder: Path) -> None:
+        file = results(folder) / name if name else folder / "sweep.json"
+        file.rename(folder.parent / "elsewhere")
+        file.symlink_to(folder.parent / "elsewhere")
+
+    return change
+
+
+def pipe(name: str) -> Callable[[Path], None]:
+    """Return what puts a pipe, on which a reader would wait without end, in place of a file."""
+
+    def change(folder: Path) -> None:
+        file = results(folder) / name if name else folder / "sweep.json"
+        file.unlink(missing_ok=True)
+        os.mkfifo(file)
+
+    return change
+
+
+def named(name: str) -> Callable[[Path], None]:
+    """Return what makes the index name other results."""
+
+    def change(folder: Path) -> None:
+        index = json.loads((folder / "sweep.json").read_text())
+        (folder / "sweep.json").write_text(json.dumps(index | {"results": name}))
+
+    return change
+
+
+def asking(**more: Any) -> Callable[[Path], None]:
+    """Return what changes the sweep that the results say they are of."""
+
+    def change(folder: Path) -> None:
+        file = results(folder) / "sweep.json"
+        file.write_text(json.dumps(json.loads(file.read_text()) | more))
+
+    return change
+
+
+def older(folder: Path) -> None:
+    """Turn an array into one of Zarr version 2 with a filter that runs code when it is read."""
+    array = results(folder) / "results.zarr" / "wall_force"
+    shutil.rmtree(array)
+    array.mkdir()
+    about = {"zarr_format": 2, "shape": [3], "chunks": [3], "dtype": "|O", "fill_value": None, "order": "C"}
+    (array / ".zarray").write_text(json.dumps(about | {"compressor": None, "filters": [{"id": "pickle"}]}))
+    (array / "0").write_bytes(pickle.dumps(np.zeros(3, dtype=object)))
+
+
+@pytest.mark.parametrize(
+    "tamper",
+    [
+        older,
+        changed("wall_force", "zarr_format", to=2),
+        changed("wall_force", "node_type", to="group"),
+        changed("wall_force", "data_type", to="object"),
+        changed("wall_force", "data_type", to="int64"),
+        changed("wall_force", "fill_value", to=0.0),
+        changed("wall_force", "shape", to=[10**12]),
+        changed("wall_force", "shape", to=[-3]),
+        changed("wall_force", "shape", to=["3"]),
+        changed("wall_force", "storage_transformers", to=[{"name": "other"}]),
+        changed("wall_force", "extension", to={}),
+        changed("wall_force", "chunk_key_encoding", "configuration", "separator", to="../"),
+        changed("wall_force", "chunk_grid", "configuration", "chunk_shape", to=[10**9]),
+        changed("wall_force", *SHARDS, "chunk_shape", to=[0]),
+        changed("wall_force", *SHARDS, "index_location", to="start"),
+        changed("wall_force", *INNER, to=[{"name": "numcodecs.pickle"}]),
+        changed("wall_force", *INNER, 1, "name", to="numcodecs.zlib"),
+        changed("wall_force", *INNER, 1, "configuration", "strange", to=1),
+        changed("wall_force", "dimension_names", to=["scene", "scene"]),
+        changed("wall_force", "attributes", to={"units": {}, "long_name": ""}),
+        changed("velocity", "shape", to=[3, 5, 6]),
+        changed("reason", "data_type", to="float64"),
+        changed("grain", "shape", to=[10**10]),
+        changed("grain", "codecs", to=[{"name": "numcodecs.pickle"}]),
+        changed("chain.gravity", "data_type", to="variable_length_bytes"),
+        changed("", "attributes", "batch", to=-1),
+        changed("", "attributes", "batch", to=2),
+        changed("", "node_type", to="array"),
+        link(""),
+        link("sweep.json"),
+        link("results.zarr/zarr.json"),
+        link("results.zarr/wall_force/zarr.json"),
+        link("results.zarr/wall_force/c/0"),
+        link("results.zarr/wall_force"),
+        link("results.zarr"),
+        pipe(""),
+        pipe("sweep.json"),
+        pipe("results.zarr/wall_force/zarr.json"),
+        pipe("results.zarr/wall_force/c/0"),
+        pipe("parts/0000000.npz"),
+        named(".."),
+        named("."),
+        named("../sweep"),
+        named("/etc"),
+        asking(scene="/etc/hostname"),
+        asking(keep=["velocity"]),
+        asking(keep=["velocity", "wall_force", "arrival_time"]),
+        asking(grid={"chain.gravity": [1.0, 2.0]}),
+        asking(files=None, scene=None),
+        lambda folder: (results(folder) / "results.zarr" / "strange").mkdir(),
+        lambda folder: (results(folder) / "results.zarr" / "strange").touch(),
+        lambda folder: shutil.copytree(*(results(folder) / "results.zarr" / name for name in ("grain", "strange"))),
+        lambda folder: (results(folder) / "results.zarr" / "wall_force" / "zarr.json").write_text("[" * 10**5),
+    ],
+)
+def test_what_lmpchain_does_not_write_is_not_opened(folder, tamper):
+    tamper(folder)
+    with pytest.raises(InputError) as caught:
+        load_sweep(folder)
+    assert len(caught.value.faults) == 1
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("tamper", [link("sweep.json"), pipe("parts/0000000.npz"), asking(scene={})])
+def test_nothing_goes_on_in_such_results(folder, tamper):
+    tamper(folder)
+    with pytest.raises(InputError, match="is damaged"):
+        sweep(ASKED, folder)
+
+
+def test_a_lock_is_no_link(tmp_path):
+    (tmp_path / "precious").write_text("precious")
+    (tmp_path / "sweep").mkdir()
+    (tmp_path / "sweep" / ".lock").symlink_to(tmp_path / "precious")
+    with pytest.raises(InputError, match="is a link"):
+        sweep(ASKED, tmp_path / "sweep")
+    assert (tmp_path / "precious").read_text() == "precious"
+
+
+class Trap:
+    """What leaves a mark if it is unpickled."""
+
+    def __init__(self, mark: Path):
+        self.mark = mark
+
+    def __reduce__(self) -> Any:
+        return Path.touch, (self.mark,)
+
+
+@pytest.mark.parametrize("how", ["pickle", "compressed", "too small", "whole"])
+def test_parts_hold_plain_numbers(tmp_path, whole, how):
+    """What has been found of unfinished sweeps is not unpickled, and no larger than its file."""
+    shutil.copytree(whole, tmp_path / "sweep")
+    mine = results(tmp_path / "sweep")
+    shutil.rmtree(mine / "results.zarr" / "reason" / "c")
+    mark, force = tmp_path / "mark", np.array([1.0, 2.0, 3.0])
+    parts: dict[str, Any] = {"reason": np.array(["", "", ""]), "wall_force": force, "wall_force_error": force}
+    parts |= {"solver_error": force, "model_error": force, "velocity": np.zeros((3, 3, 6))}
+    write_part(mine, 0, parts)
+    if how == "pickle":
+        np.savez(part_of(mine, 0), **parts | {"wall_force": np.array([Trap(mark)] * 3)}, allow_pickle=True)
+    elif how == "compressed":
+        np.savez_compressed(part_of(mine, 0), **parts)
+    elif how == "too small":
+        header = b"\x93NUMPY\x01\x00v\x00{'descr': '<f8', 'fortran_order': False, 'shape': (99999999999,), }"
+        with zipfile.ZipFile(part_of(mine, 0), "a") as packed:
+            packed.writestr("wall_force.npy", header.ljust(127) + b"\n")
+    if how == "whole":
+        assert load_sweep(tmp_path / "sweep").wall_force.values.tolist() == force.tolist()
+        return
+    with pytest.raises(InputError, match="cannot be read"):
+        load_sweep(tmp_path / "sweep").wall_force.load()
+    assert not mark.exists()
