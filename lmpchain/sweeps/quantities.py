@@ -99,5 +99,5 @@ def measured(motion: Motion, keep: Iterable[str], grains: np.ndarray) -> dict[st
         quantity = QUANTITIES[name]
         values = quantity.measure(motion)
         for key, each in zip((name, f"{name}_error"), values if isinstance(values, tuple) else (values,), strict=False):
-            found[key] = each[..., rows] if quantity.dimensions else each
+            found[key] = each[..., rows] if "grain" in quantity.dimensions else each
     return found
