@@ -58,7 +58,7 @@ DECKS = {
 def test_stand_alone_deck_gives_the_bytes_of_the_library(tmp_path, name, integrator, diameter):
     scene, step = DECKS[name], 1e-7
     if scene.drive and integrator != "verlet":
-        with pytest.raises(InputError, match="a deck can carry a drive with verlet only"):
+        with pytest.raises(InputError, match="a deck can carry a drive or a force with verlet only"):
             write_deck(scene, tmp_path, step=step, integrator=integrator, diameter=diameter)
         return
     write_deck(scene, tmp_path / "deck", step=step, integrator=integrator, diameter=diameter)

@@ -153,7 +153,7 @@ def test_an_include_may_not_run(commands: str, capsys: pytest.CaptureFixture[str
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("{{ colour }}", "there is no placeholder 'colour'; there are alone, column, data, "),
+        ("{{ colour }}", "there is no placeholder 'colour'; there are alone, column, cycles, data, "),
         ("{{ column.colour }}", "has no attribute 'colour'"),
         ("{% if false %}{{ colour }}{% endif %}", "no placeholder 'colour'"),
         ("{{ 1 / 0 }}", "division by zero"),
