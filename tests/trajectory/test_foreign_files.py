@@ -337,7 +337,7 @@ def group(file: h5py.File, outside: Path) -> None:
 def long_scene(file: h5py.File, outside: Path) -> None:
     file["velocity"] = np.zeros((41, 12))
     text = file.attrs["scene"]
-    file.attrs["scene"] = text.replace("grains = 12", "grains = 100000000")
+    file.attrs["scene"] = text.replace("grains = 12", "grains = 1000000")
 
 
 def many_scenes(file: h5py.File, outside: Path) -> None:
