@@ -24,7 +24,8 @@ from lmpchain import Chain, Impulse, Profile, Scene, engines
 from lmpchain.engines.base import Engine
 from lmpchain.engines.lammps.engine import Lammps
 from lmpchain.engines.linear.closed_form import Bessel
-from lmpchain.engines.linear.engine import EXTRA, Chebyshev, LinearEngine, Modes, dense
+from lmpchain.engines.linear.engine import Chebyshev, LinearEngine, Modes
+from lmpchain.engines.linear.model_error import dense, evaluations
 from lmpchain.engines.native import Native
 from lmpchain.engines.time_stepping import EVALUATION_OVERHEAD
 from lmpchain.integrators.kernels.chebyshev import SPAN, terms
@@ -96,7 +97,7 @@ def _fitted(features: np.ndarray, times: np.ndarray, shipped: np.ndarray) -> np.
 
 def _features(name: str, scene: Scene, samples: int, values: int) -> tuple[float, ...]:
     """Return what the literals of `work` stand in front of."""
-    grains, looks = scene.chain.grains, samples + (0 if samples and dense(scene) else EXTRA)
+    grains, looks = scene.chain.grains, samples + (0 if samples and dense(scene) else evaluations(scene))
     if name == "modes":
         return grains**2, grains**3, looks, looks * grains, looks * grains**2, values
     z = scene.chain.band_edge * scene.duration
