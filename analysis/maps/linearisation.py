@@ -43,7 +43,7 @@ def measure(quick: bool) -> dict[str, Any]:
         "gravity": gravity.tolist(),
         "error": errors,
         "strike number": numbers.tolist(),
-        "norms": {norm: [error[norm] for error in norms] for norm in LINEAR},
+        "norms": {norm: [error.get(norm, np.nan) for error in norms] for norm in LINEAR},
         "estimate": {
             "most": [bounds(scene)[1] for scene in scenes],
             "look": [engine.bound_model_error(scene, engine.candidate(scene, 1e-6)) for scene in scenes],
