@@ -10,7 +10,7 @@ import numpy as np
 
 from ..util.arrays import Array
 from .batch import ChainBatch
-from .kernels.layout import CLOSEST, FARTHEST, FASTEST, FIRST, LAST, LOWEST, PAD, SAMPLE, STEP, STEPS, Clock
+from .kernels.layout import CLOSEST, DONE, FARTHEST, FASTEST, FIRST, LAST, LOWEST, NEXT, PAD, SAMPLE, STEP, STEPS, Clock
 from .method import Method
 from .step_schedule import StepSchedule
 
@@ -76,7 +76,12 @@ class NativeStepper:
     def _check_state(self) -> None:
         """Raise `ValueError` if a kept state does not fit these chains: the compiled loops trust its window."""
         kept, width = self._state, self._x.shape[1]
-        if kept.shape != (len(self._x), STEP + 1) or kept.dtype != float or not np.isfinite(kept).all():
+        if kept.shape != (len(self._x), STEP + 1) or kept.dtype != float:
+            raise ValueError("the state that was kept does not fit")
+        counted = kept[
+            :, [SAMPLE, DONE, FIRST, LAST, NEXT, STEPS]
+        ]  # the rest is not finite where a companion broke down
+        if not np.isfinite(counted).all():
             raise ValueError("the state that was kept does not fit")
         inside = (kept[:, FIRST] >= PAD) & (kept[:, FIRST] < kept[:, LAST]) & (kept[:, LAST] <= width - PAD)
         if not (inside & (kept[:, SAMPLE] == kept[0, SAMPLE])).all() or (kept[:, [FIRST, LAST]] % 1).any():

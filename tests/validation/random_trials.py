@@ -45,7 +45,7 @@ class TooLong(Exception):
 
 @contextmanager
 def within(seconds: float) -> Iterator[None]:
-    """Raise `TooLong` after so much time of this process, whatever else the machine does."""
+    """Raise `TooLong` after so much time of this process, whatever else the machine does; 0 is no limit."""
 
     def stop(*_: object) -> None:
         raise TooLong
@@ -109,8 +109,8 @@ def draw(family: str, seed: int) -> tuple[Scene, str, float, dict[str, Any]]:
     return scene, engine, tolerance, options
 
 
-def trial(family: str, seed: int) -> dict[str, Any]:
-    """Return what came of a trial, as a row of the table."""
+def trial(family: str, seed: int, longest: float = 0.0) -> dict[str, Any]:
+    """Return what came of a trial, as a row of the table; it is given up after `longest` s of this process."""
     scene, engine, tolerance, options = draw(family, seed)
     chain = scene.chain
     row: dict[str, Any] = {
@@ -121,7 +121,7 @@ def trial(family: str, seed: int) -> dict[str, Any]:
     }  # fmt: skip
     began, answer, reason = time.process_time(), None, ""
     try:
-        with within(LONGEST), warnings.catch_warnings(record=True) as said:
+        with within(longest), warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
             answer = simulate(scene, engine, tolerance, **options)
     except TooLong:
@@ -254,7 +254,7 @@ def main() -> None:
     for seed in range(int(first), int(end or int(first) + 1)):
         if seed in done:
             continue
-        rows.append(row := trial(asked.family, seed))
+        rows.append(row := trial(asked.family, seed, LONGEST))
         if asked.output:
             with open(asked.output, "a") as opened:
                 opened.write(json.dumps(row, default=lambda value: value.item()) + os.linesep)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from ...util.compilation import compiled_once
-from .contact_forces import NEWS, STRICT, inlined
+from .contact_forces import NEWS, STRICT, compiled, inlined
 from .layout import DONE, FIRST, LAST, PAD, RESOLUTION, STEP, STEPS
 from .right_hand_side import accelerate, cut, hold, impose
 from .sample_loop import sample_loop
 from .window import look, watch, widen
 
 
-@inlined
+@compiled
 def _begin(chain, work, now, h):
     """Find the derivatives at the start by the law that holds now, a moment before and after."""
     force, pull, z = work
@@ -74,12 +74,12 @@ def _advance(chain, method, work, clock, span):
     widen(chain, 4)
     now, then = span.begin + state[DONE] * h, span.begin + (state[DONE] + 1) * h
     first = cut(chain, now, h)
+    corner = now + first if first > 0.0 else then
+    for begin, end, length in ((now, corner, first if first > 0.0 else h), (corner, then, h - first)):
+        if begin < end:
+            _step(chain, corrections, work, begin, end, length)
     if first > 0.0:
-        _step(chain, corrections, work, now, now + first, first)
-        _step(chain, corrections, work, now + first, then, h - first)
         state[STEP] = 0.0
-    else:
-        _step(chain, corrections, work, now, then, h)
     watch(chain)
     look(chain, every, int(state[STEPS]) + 1, then, 1.0)
     state[DONE] += 1.0
