@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Protocol, cast
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from ..integrators.batch import ChainBatch
 from ..integrators.kernels.reductions import compared
 from ..integrators.methods import Method
 from ..integrators.step_schedule import StepSchedule
-from ..integrators.stepper import NativeStepper
+from ..integrators.stepper import NativeStepper, Stepper
 from ..scene.scene import Scene
 from ..trajectory.record import Block, Cost
 from ..util.arrays import EPSILON, Array
@@ -48,39 +48,6 @@ CLOSE_TO_OPENING = -0.5  # r / eps below which a contact's force is no longer a 
 # order assumed in the Richardson estimate after adaptive steps through an opening, where differences scatter
 ORDER_AT_OPENINGS = 4
 KINKED_BELOW, ORDER_AT_KINKS = 1.25, 2  # the same for exponents below that, whose force has a kink at an opening
-
-
-class Stepper(Protocol):
-    """A batch of chains that can be moved forward in time."""
-
-    stride: int  # samples from one that it stops at to the next
-
-    @property
-    def ranks(self) -> int:
-        """How many processes share a chain."""
-
-    @property
-    def sample(self) -> int:
-        """The last sample that all chains have reached."""
-
-    @property
-    def steps(self) -> Array:
-        """Steps that each chain has made, (R,)."""
-
-    def fill(self, u: Array, v: Array, offset: int, until: int, max_steps: int) -> int:
-        """Move on to the sample `until`, or by some `max_steps` steps.
-
-        Samples from `offset` on are put into u and v, (R, B, N) m and m/s. Returns the steps made.
-        """
-
-    def lowest(self) -> Array:
-        """Return the smallest r / eps that any contact of each chain has had, (R,); -1 is an opening."""
-
-    def state(self) -> dict[str, Array]:
-        """Return what is needed to go on with the same bits."""
-
-    def close(self) -> None:
-        """Release everything."""
 
 
 class CompanionRun(Run):
@@ -145,6 +112,9 @@ class CompanionRun(Run):
         # the energy of the contacts is never below that at rest, so the kinetic energy cannot exceed what was put in
         self._scale = np.array([(c.length_scale, c.length_scale / c.time_scale) for c in (s.chain for s in scenes)])
         self._most_energy = 3 * self._energy + self._masses.sum(1) * (1e-3 * self._scale[:, 1]) ** 2
+        # m; nothing bounds what is driven, but if it is a million times as close as it is long, it has broken down
+        bounds = [s.chain.contacts.overlap_bound(e).max() for s, e in zip(scenes, self._most_energy, strict=True)]
+        self._deepest = np.minimum(bounds, [1e6 * scene.chain.diameters.sum() for scene in scenes])
         samples, grains = self.scene.samples, self.scene.chain.grains
         self._most = _block(len(self._steppers), self.realisations, grains, samples)
         self._sample_s = candidate.cost_s * self.realisations / samples  # a guess to begin with
@@ -190,9 +160,21 @@ class CompanionRun(Run):
                 self._integration_s += took
             else:
                 self._estimate_s += took
+            broken = self._broken(index)
+            if index == 0 and broken.any():
+                raise RunFailed(self._broke_down(first, "grains overlap more than all the energy there is allows"))
+            if broken.any():  # adaptive steps would be ever shorter
+                cast(NativeStepper, stepper).leave(broken, until)
             if stepper.sample >= until:
                 return
             yield Block(slice(first, first), nothing, nothing)
+
+    def _broken(self, index: int) -> NDArray[np.bool_]:
+        """Return which realisations of a native stepper have broken down, (R,); their error is infinite."""
+        stepper = self._steppers[index]
+        if not isinstance(stepper, NativeStepper):
+            return np.zeros(self.realisations, bool)
+        return stepper.closest() > self._deepest
 
     def _keep(self, first: int, stop: int) -> Block:
         """Check the samples first ... stop - 1 of the answer, and keep its differences from the companions."""
@@ -208,6 +190,7 @@ class CompanionRun(Run):
         for index, right in enumerate(self._steppers[1:]):
             stops = (samples % right.stride == 0) | (samples == self.scene.samples - 1)
             self._differences[index, samples[stops]] = differences[index, stops]
+            self._differences[index, :, self._broken(index + 1)] = np.inf
         self._sample = stop - 1
         self._estimate_s += clock() - began
         return Block(slice(first, stop), u[:, :, self._rows], v[:, :, self._rows])

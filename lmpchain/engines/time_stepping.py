@@ -11,12 +11,13 @@ from typing import ClassVar
 from ..errors import InputError, shown
 from ..integrators.methods import METHODS, Method
 from ..integrators.step_schedule import StepSchedule
+from ..integrators.stepper import Stepper
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.suggestions import not_among
 from .base import Candidate, Engine, ErrorBudget
 from .cost_model import seconds
-from .error_estimate import ORDER_AT_OPENINGS, SAFETY, CompanionRun, Stepper
+from .error_estimate import ORDER_AT_OPENINGS, SAFETY, CompanionRun
 
 PERIODS = 60.0  # omega T of the scene for which `Method.error_constant` is given
 CHOICE = ("rkn4", "rkn6")  # of which the cheaper one is taken, if none is asked for

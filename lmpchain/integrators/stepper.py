@@ -1,12 +1,13 @@
-"""Chains moved forward in time by the compiled march of a method."""
+"""Chains moved forward in time: what all engines do, and the compiled march of a method that does it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..util.arrays import Array
 from .batch import ChainBatch
@@ -16,6 +17,39 @@ from .step_schedule import StepSchedule
 
 # bodies: shorter chains are computed as a whole, for less than it costs to follow the wave
 WINDOW_MIN = 14 * PAD  # analysis/calibration/light_cone.py
+
+
+class Stepper(Protocol):
+    """A batch of chains that can be moved forward in time."""
+
+    stride: int  # samples from one that it stops at to the next
+
+    @property
+    def ranks(self) -> int:
+        """How many processes share a chain."""
+
+    @property
+    def sample(self) -> int:
+        """The last sample that all chains have reached."""
+
+    @property
+    def steps(self) -> Array:
+        """Steps that each chain has made, (R,)."""
+
+    def fill(self, u: Array, v: Array, offset: int, until: int, max_steps: int) -> int:
+        """Move on to the sample `until`, or by some `max_steps` steps.
+
+        Samples from `offset` on are put into u and v, (R, B, N) m and m/s. Returns the steps made.
+        """
+
+    def lowest(self) -> Array:
+        """Return the smallest r / eps that any contact of each chain has had, (R,); -1 is an opening."""
+
+    def state(self) -> dict[str, Array]:
+        """Return what is needed to go on with the same bits."""
+
+    def close(self) -> None:
+        """Release everything."""
 
 
 class NativeStepper:
@@ -142,6 +176,10 @@ class NativeStepper:
         inside = slice(PAD, PAD + self.chains.grains)
         kept = {"u": self._x[:, inside], "v": self._v[:, inside], "state": self._state, "history": self._history}
         return {name: array.copy() for name, array in kept.items()}
+
+    def leave(self, broken: NDArray[np.bool_], until: int) -> None:
+        """Let those chains (R,) be at the sample `until` as they are."""
+        self._state[broken, SAMPLE], self._state[broken, DONE] = until, 0.0
 
     def close(self) -> None:
         """End the threads."""

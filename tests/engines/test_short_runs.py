@@ -1,12 +1,14 @@
 """The error estimate of runs of one step and of a few."""
 
 import warnings
+from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from helpers.largest_motion import true_error
 
-from lmpchain import Chain, Displacement, Impulse, Scene, simulate
+from lmpchain import Chain, Displacement, Impulse, RunFailed, Scene, simulate
 from lmpchain.engines import Native
 from lmpchain.integrators.methods import METHODS
 
@@ -88,3 +90,29 @@ def test_companions_differ_from_the_answer_and_from_each_other(steps, samples):
         true = max(speed, np.abs(t.displacement[:, 0] * chain.band_edge / 1e-3 - np.sin(phase)).max())
         assert t.cost.steps == steps * (samples - 1)
         assert t.error_estimate.solver > true / 2 - 1e-15
+
+
+@pytest.mark.parametrize("steps", [1, 2, 4])
+def test_adaptive_steps_end_where_a_run_breaks_down(steps):
+    """Grains that are thrown at each other ever faster would be followed with ever shorter steps, for ever."""
+    diameters = [
+        0.005193770218387011, 0.00423413056826046, 0.0038987219159366308, 0.0031985482555149693,
+        0.004402414507304734, 0.004439272661335074, 0.005101144042289529, 0.005052169823236045,
+        0.00389580675678367, 0.004839438043639775, 0.0051150367614991, 0.0037009743144796664,
+    ]  # fmt: skip
+    chain = Chain(
+        grains=12, diameter=diameters, gravity=26.13332937185664, exponent=2.5, top_load=0.0927680953941959,
+        top="wall", bottom="wall",
+    )  # fmt: skip
+    scene = Scene(
+        chain=chain, excitation=Impulse(velocity=2.9797464221365813), duration=0.000458478080663487, samples=11
+    )
+    engine = Native("rkn4")
+    step = scene.duration / (scene.samples - 1) / steps
+    candidate = replace(engine.candidate(scene, 1e-5), step=step, steps_per_sample=steps)
+    run, ended = engine.start([scene], candidate), False
+    with suppress(RunFailed):
+        for _ in run.blocks():
+            pass
+        ended = True
+    assert not ended or run.errors()[0].total > 0.1
