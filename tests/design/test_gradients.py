@@ -142,8 +142,9 @@ def test_gradients_agree_with_differences_in_extended_precision(seed: int):
     check_scene(seed)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(6, 100))
+@pytest.mark.parametrize(
+    "seed", [pytest.param(n, marks=pytest.mark.slow if n < 26 else pytest.mark.soak) for n in range(6, 100)]
+)
 def test_gradients_agree_with_differences_on_random_scenes(seed: int):
     check_scene(seed)
 

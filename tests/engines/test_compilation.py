@@ -75,8 +75,13 @@ def test_costs_of_old_files_have_no_compilation():
     assert Cost(**json.loads(json.dumps(old))).compile_s == 0
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("engine", ["native", "modes", "chebyshev", "bessel", "continuum", "auto"])
+QUICK, LONG = ("modes", "auto"), ("native", "chebyshev", "bessel", "continuum")
+
+
+@pytest.mark.parametrize(
+    "engine",
+    [pytest.param(name, marks=pytest.mark.slow if name in QUICK else pytest.mark.soak) for name in QUICK + LONG],
+)
 def test_no_compilation_is_counted_as_cost_on_a_new_machine(engine, tmp_path):
     """Nor what the next process loads that the first has kept; a second run in one process compiles nothing."""
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}

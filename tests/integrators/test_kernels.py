@@ -147,6 +147,7 @@ def untiled() -> Any:
     return made
 
 
+@pytest.mark.slow
 def test_tiled_loops_give_the_bits_of_untiled_ones(untiled: Any, monkeypatch: pytest.MonkeyPatch):
     """A wave all over a chain of three tiles, with contacts that open and a wall that only touches."""
     chain = Chain(grains=3 * kernels.TILE + 5, diameter=1e-3, top="wall")

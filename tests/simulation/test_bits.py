@@ -23,7 +23,11 @@ def _shipped_speeds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 
 
 @pytest.mark.parametrize(
-    "number", [pytest.param(n, marks=() if n % 20 == 0 else pytest.mark.slow) for n in range(make_bits.SCENES)]
+    "number",
+    [
+        pytest.param(n, marks=() if n % 20 == 0 else pytest.mark.slow if n % 4 == 0 else pytest.mark.soak)
+        for n in range(make_bits.SCENES)
+    ],
 )
 def test_answers_to_a_random_scene(number: int):
     assert not list(make_bits.differences(str(number), make_bits.cases(number)))

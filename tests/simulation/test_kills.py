@@ -82,13 +82,12 @@ def busy_disk(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(run_folder, "SHARE", 1e9)
 
 
-EVERY = [(case, most) for case in (native, lammps, breakdown, fallback) for most in (4, 60)]
+MARKS = {4: (), 20: pytest.mark.slow, 60: pytest.mark.soak}
+EVERY = [(case, most) for case in (native, lammps, breakdown, fallback) for most in MARKS]
 
 
 @pytest.mark.filterwarnings("ignore:Eq. ")
-@pytest.mark.parametrize(
-    ("case", "most"), [pytest.param(*each, marks=pytest.mark.slow if each[1] > 4 else ()) for each in EVERY]
-)
+@pytest.mark.parametrize(("case", "most"), [pytest.param(*each, marks=MARKS[each[1]]) for each in EVERY])
 def test_a_kill_at_any_change_of_the_disk(
     case: Callable, most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, busy_disk: None
 ):
