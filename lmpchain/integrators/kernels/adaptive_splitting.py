@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from ...util.compilation import compiled_once
-from .contact_forces import NEWS, STRICT, bits, compiled, fma, inlined, number
+from .contact_forces import NEWS, STRICT, bits, fma, inlined, number
 from .layout import DONE, FIRST, LAST, PAD, PENDING, RESOLUTION, STEPS
 from .right_hand_side import accelerate, ahead, hold, impose, impose_velocity, imposed, recall, sweep
 from .sample_loop import end_of_step, sample_loop
@@ -57,7 +57,7 @@ def _nearness(y, rates, bends, inverse_length, weight, precompressed, uncompress
     return most
 
 
-@compiled
+@inlined
 def _finish_kick(chain, margin, force, pull):
     """Complete the kick of the step before with the acceleration (W,), which is left in pull."""
     state = chain.state

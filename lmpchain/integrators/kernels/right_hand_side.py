@@ -128,7 +128,7 @@ def accelerate(chain, y, first, last, force, pull):
         pull[pushed] += chain.inverse_mass[pushed] * y[0]
 
 
-@compiled
+@inlined
 def sweep(chain, kicks, drifts, carried, path):
     """Kick and drift the window once a row; long chains in tiles that stay in the cache.
 

@@ -5,7 +5,7 @@ Only the window is computed: what lies outside, beyond the light cone, has not m
 
 from __future__ import annotations
 
-from .contact_forces import bits, compiled, number
+from .contact_forces import bits, inlined, number
 from .layout import CLOSEST, FARTHEST, FASTEST, FIRST, LAST, LOWEST, NEXT, PAD
 from .right_hand_side import impose_velocity, imposed_speed
 
@@ -15,7 +15,7 @@ MAGNITUDE = (1 << 63) - 1  # the bits of a number without its sign
 SETTLED = 32
 
 
-@compiled
+@inlined
 def widen(chain, margin):
     """Let the window grow until `margin` grains at either end are at rest and not acted on."""
     x, v, state = chain.x, chain.v, chain.state
@@ -34,7 +34,7 @@ def widen(chain, margin):
         state[FIRST] = max(PAD, min(first, (n - margin) // PAD * PAD))
 
 
-@compiled
+@inlined
 def watch(chain):
     """Note the smallest r / length (-1 is an opening) and the largest r of all contacts in the window.
 
@@ -54,7 +54,7 @@ def watch(chain):
     state[LOWEST], state[CLOSEST] = -number(opened), number(closest)
 
 
-@compiled
+@inlined
 def look(chain, every, made, t, complete):
     """Note the largest displacement and speed of all grains at time t, if a look is due.
 
@@ -75,7 +75,7 @@ def look(chain, every, made, t, complete):
     state[FASTEST] = max(state[FASTEST], complete * number(fastest), imposed_speed(chain, t))
 
 
-@compiled
+@inlined
 def record(chain, t, u_out, v_out):
     """Copy the grains of the window at time t to where they are recorded, (N,) m and m/s."""
     last = int(chain.state[LAST])
