@@ -1,9 +1,10 @@
-"""Chains with random contacts.
+"""Chains with random contacts or random grains.
 
 The contacts of a disordered chain are those of the ordered one times independent factors zeta_n drawn from Dyson's
 distribution: a gamma distribution of shape m, mean 1 and variance 1/m (F. J. Dyson, Phys. Rev. 92, 1331, 1953), which
-narrows to order as m grows. Masses, diameters and moduli of grains are drawn alike. Eq. (23) as printed has a power too many, hence shape m + 1, mean 1 + 1/m and variance
-(m+1)/m^2; the mean of 1/zeta is then 1 for every m, so that disorder does not change the speed of the longest waves.
+narrows to order as m grows. Masses, diameters and moduli of grains are drawn alike. Eq. (23) as printed has a power too
+many, hence shape m + 1, mean 1 + 1/m and variance (m+1)/m^2; the mean of 1/zeta is then 1 for every m, so that disorder
+does not change the speed of the longest waves.
 """
 
 from __future__ import annotations
@@ -154,7 +155,9 @@ def _redrawn(chain: Chain, zeta: Array, of: Of) -> dict[str, Any]:
     if of == "diameter" or impure:
         fields["diameter"] = chain.diameters * (zeta if of == "diameter" else 1.0)
     if of == "modulus" or impure:
-        materials = list(chain.material) if isinstance(chain.material, tuple) else [chain.material] * chain.grains
+        materials: list[Any] = (
+            list(chain.material) if isinstance(chain.material, tuple) else [chain.material] * chain.grains
+        )
         for impurity in impure:
             materials[impurity.grain - 1] = impurity.material or materials[impurity.grain - 1]
         if of == "modulus":

@@ -97,7 +97,10 @@ class Spreading:
         return slope(self.second_moment), float(np.sqrt((count - 1) * np.var(without)))
 
     def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw second moment and participation over time, with bands of two standard errors; returns the figure."""
+        """Draw second moment and participation over time, with bands of two standard errors.
+
+        Returns the figure.
+        """
         from ..util.plotting import axes_in_units
 
         ax, picture = axes_in_units(ax, "s", "")
@@ -126,8 +129,9 @@ def spreading(
     """Return how the energy of an excitation spreads, averaged over many disordered chains.
 
     In a random linear chain the second moment grows as t^(3/2) after a strike and as t^(1/2) after a displacement while
-    the participation stays finite: S. Lepri, R. Schilling and S. Aubry, Phys. Rev. E 82, 056602 (2010). Granular chains:
-    A. J. Martinez, P. G. Kevrekidis and M. A. Porter, Phys. Rev. E 93, 022902 (2016). Only running means are held.
+    the participation stays finite: S. Lepri, R. Schilling and S. Aubry, Phys. Rev. E 82, 056602 (2010); for granular
+    chains see A. J. Martinez, P. G. Kevrekidis and M. A. Porter, Phys. Rev. E 93, 022902 (2016). Running means alone
+    are held, whatever the number of chains.
 
     Parameters
     ----------

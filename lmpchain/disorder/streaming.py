@@ -114,9 +114,7 @@ def averaged(
     return chosen, average
 
 
-def _answer(
-    engine: Engine, scenes: Sequence[Scene], wanted: int, tolerance: float, before: A, bar: ProgressBar
-) -> A:
+def _answer(engine: Engine, scenes: Sequence[Scene], wanted: int, tolerance: float, before: A, bar: ProgressBar) -> A:
     """Return the average with the first `wanted` scenes of a batch, at steps short enough for all."""
     proposed = [engine.candidate(engine.part(scene), tolerance) for scene in scenes]
     hardest = max(proposed, key=lambda candidate: candidate.cost_s)
