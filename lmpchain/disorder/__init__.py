@@ -6,6 +6,7 @@ __all__ = [
     "DensityOfStates",
     "Ensemble",
     "Localisation",
+    "Spreading",
     "at_the_end",
     "density_of_states",
     "disordered",
@@ -13,12 +14,14 @@ __all__ = [
     "factors",
     "lyapunov",
     "realisation",
+    "spreading",
 ]
 __getattr__ = attributes(
     __name__,
     names={
         "averages": "Ensemble at_the_end ensemble",
         "draws": "disordered factors realisation",
+        "spread": "Spreading spreading",
         "transfer_matrix": "DensityOfStates Localisation density_of_states lyapunov",
     },
 )

@@ -4,28 +4,23 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .. import engines
-from ..chain.chain import LARGEST_OVERLAP, Chain
-from ..engines.base import Engine, Run
-from ..engines.step_control import Attempt, solve_to_tolerance
-from ..errors import InputError, ToleranceNotMet, check_tolerance, shown
+from ..engines.base import Engine
 from ..scene.scene import Scene
 from ..simulation.api import simulate
 from ..util.arrays import Array
-from ..util.progress import ProgressBar
 from .draws import Law, Of, check, disordered, factors, fault_of_whole, realisation
+from .streaming import Average, Draw, averaged
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 __all__ = ["Ensemble", "at_the_end", "disordered", "ensemble", "factors", "realisation"]
-BATCH, BATCH_VALUES = 16, 2**24  # chains at a time, and the numbers that a block of them may hold
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,26 +147,9 @@ def ensemble(
     >>> few.velocity.shape, bool(few.velocity_error.max() > 0)
     ((2, 30), True)
     """
-    check_tolerance(tolerance)
-    check(fault_of_whole("realisations", realisations, 1))
-    chosen = engines.get(engine)
-    if not chosen.batches:
-        able = ", ".join(name for name in engines.names() if engines.get(name).batches)
-        raise InputError([("engine", f"random chains are for {able} (got {shown(chosen.name)})")])
-    if reasons := chosen.refuses(realisation(scene, m, seed, 0, law, of)):
-        raise InputError(reasons)
-    average = _Average(*np.zeros((2, 2, scene.samples, scene.recorded.size)))
-    batch = max(1, min(BATCH, BATCH_VALUES // (16 * scene.chain.grains)))
-    with ProgressBar(realisations, f"m = {m:g}", " chains", shown=progress) as bar:
-        while average.count < realisations:
-            wanted = min(batch, realisations - average.count)
-            # one step per full batch, so that results do not depend on the size of the ensemble
-            size = batch if chosen.equation == 1 else wanted
-            numbers = range(average.count, average.count + size)
-            scenes = [realisation(scene, m, seed, index, law, of) for index in numbers]
-            average = _answer(chosen, scenes, wanted, tolerance, average, bar)
-    spread = average.square / max(realisations - 1, 1) / realisations
-    errors = np.sqrt(spread) if realisations > 1 else np.full_like(spread, np.nan)
+    first = Average(*np.zeros((2, 2, scene.samples, scene.recorded.size)))
+    chosen, average = averaged(Draw(scene, m, seed, law, of), realisations, engine, tolerance, first, progress)
+    errors = average.errors
     return Ensemble(
         scene=scene,
         m=m,
@@ -220,59 +198,3 @@ def at_the_end(
     averages = [ensemble(end, m, realisations, seed, progress=progress) for m in orders]
     with warnings.catch_warnings(action="ignore"):  # the averages say how far from linear the chains are
         return simulate(end, "chebyshev").velocity[-1], averages
-
-
-@dataclass(eq=False)
-class _Average:
-    """Running means and sums of squared deviations (Welford) of displacement and velocity, (2, T, G)."""
-
-    mean: Array
-    square: Array
-    count: int = 0
-    model: float = 0.0
-    solver: float = 0.0
-    squeezed: int = 0
-
-    def add(self, run: Run, wanted: int, bar: ProgressBar) -> None:
-        """Take in the first chains of a batch, one after the other."""
-        for block in run.blocks():
-            if block.samples.start < block.samples.stop:
-                mean, square = self.mean[:, block.samples], self.square[:, block.samples]
-                for place in range(wanted):
-                    value = np.stack((block.displacement[place], block.velocity[place]))
-                    off = value - mean
-                    mean += off / (self.count + place + 1)
-                    square += off * (value - mean)
-            bar.reach(self.count + wanted * run.progress)
-        self.count += wanted
-
-    def copy(self) -> _Average:
-        """Return one to go on with while this one is kept."""
-        return replace(self, mean=self.mean.copy(), square=self.square.copy())
-
-
-def _answer(
-    engine: Engine, scenes: Sequence[Scene], wanted: int, tolerance: float, before: _Average, bar: ProgressBar
-) -> _Average:
-    """Return the average with the first `wanted` scenes of a batch, at steps short enough for all."""
-    proposed = [engine.candidate(engine.part(scene), tolerance) for scene in scenes]
-    hardest = max(proposed, key=lambda candidate: candidate.cost_s)
-    candidate = replace(hardest, adaptive=any(each.adaptive for each in proposed))
-
-    def collect(run: Run) -> _Average:
-        average = before.copy()
-        average.add(run, wanted, bar)
-        return average
-
-    outcome = solve_to_tolerance(engine, scenes, Attempt(engine.name, candidate, tolerance), collect)
-    if outcome.missed:
-        raise ToleranceNotMet(f"in chains {before.count + 1} to {before.count + len(scenes)} {outcome.missed}")
-    average, errors = outcome.collected, outcome.errors[:wanted]
-    average.model = max(average.model, *(error.model for error in errors))
-    average.solver = max(average.solver, *(error.solver for error in errors))
-    average.squeezed += sum(_squeezed(scene.chain) for scene in scenes[:wanted])
-    return average
-
-
-def _squeezed(chain: Chain) -> bool:
-    return bool((chain.contacts.overlap > LARGEST_OVERLAP * chain.contact_lengths).any())

@@ -1,27 +1,30 @@
-"""Chains with random contacts.
+"""Chains with random contacts or random grains.
 
 The contacts of a disordered chain are those of the ordered one times independent factors zeta_n drawn from Dyson's
 distribution: a gamma distribution of shape m, mean 1 and variance 1/m (F. J. Dyson, Phys. Rev. 92, 1331, 1953), which
-narrows to order as m grows. Eq. (23) as printed has a power too many, hence shape m + 1, mean 1 + 1/m and variance
-(m+1)/m^2; the mean of 1/zeta is then 1 for every m, so that disorder does not change the speed of the longest waves.
+narrows to order as m grows. Masses, diameters and moduli of grains are drawn alike. Eq. (23) as printed has a power too
+many, hence shape m + 1, mean 1 + 1/m and variance (m+1)/m^2; the mean of 1/zeta is then 1 for every m, so that disorder
+does not change the speed of the longest waves.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from ..chain.chain import Chain
+from ..chain.materials import Material
 from ..errors import InputError, shown
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.suggestions import not_among
 
 Law = Literal["dyson", "paper"]
-Of = Literal["stiffness", "constant"]
+Of = Literal["stiffness", "constant", "mass", "diameter", "modulus"]
+OF_CONTACTS = ("stiffness", "constant")
 SOFTEST = 1e-90  # smallest factor: at 0 there would be no contact; drawn once in 10^9 at m = 0.1
 
 
@@ -54,25 +57,27 @@ def factors(m: float, size: int, rng: np.random.Generator, law: Law = "dyson") -
 
 
 def disordered(chain: Chain, m: float, rng: np.random.Generator, law: Law = "dyson", of: Of = "stiffness") -> Chain:
-    """Return a chain like this one, with every contact changed by a random factor.
+    """Return a chain like this one, with every contact or every grain changed by a random factor.
 
     Parameters
     ----------
     chain : Chain
-        Masses, diameters, load and kinds of ends are kept. A wall keeps its proportion to the contact next to it, and
-        so shares its factor; the equilibrium follows the contacts.
+        Load and kinds of ends are kept, and so is all that does not follow from what is drawn; the equilibrium follows
+        it. A wall keeps its proportion to the contact next to it if contacts are drawn, and so shares its factor.
     m, rng, law
         As for `factors`.
-    of : "stiffness" or "constant"
-        What is multiplied by zeta_n. The linear stiffness kappa_n, as in Eqs. (3) and (23): under a given force it
-        goes as K^(1/delta), so K_n becomes K_n zeta_n^delta. Or the contact constant K_n itself, as a scatter of
-        elastic moduli would have it: the stiffness then changes by zeta_n^(1/delta) only.
+    of : str
+        What is multiplied by zeta_n. "stiffness": the linear kappa_n, as in Eqs. (3) and (23); under a given force it
+        goes as K^(1/delta), so K_n becomes K_n zeta_n^delta. "constant": the contact constant K_n itself; the stiffness
+        then changes by zeta_n^(1/delta) only. Or one factor a grain: "mass"; "diameter", with mass and contacts that
+        follow from it; or Young's "modulus", with its contacts.
 
     Raises
     ------
     InputError
-        If an option is wrong; if the stiffness of a sonic vacuum is asked for, which is 0; or if a contact came out so
-        soft that it is compressed by more than a tenth of the diameter, where Hertz's law no longer holds.
+        If an option is wrong; if the stiffness of a sonic vacuum is asked for, which is 0; if contact constants are
+        given, which then do not follow from diameters or moduli; or if a contact came out so soft that it is compressed
+        by more than a tenth of the diameter, where Hertz's law no longer holds.
 
     Examples
     --------
@@ -82,12 +87,12 @@ def disordered(chain: Chain, m: float, rng: np.random.Generator, law: Law = "dys
     >>> bool(abs(drawn.linear_stiffness / chain.linear_stiffness / zeta - 1).max() < 1e-13)
     True
     """
-    check(_fault_of_choice("of", of, ("stiffness", "constant")), _fault_of_vacuum(chain, of))
-    return Chain(**_redrawn(chain, _change(chain, factors(m, chain.grains - 1, rng, law), of)))
+    _check_of(chain, of)
+    return Chain(**_redrawn(chain, factors(m, _count(chain, of), rng, law), of))
 
 
 def realisation(scene: Scene, m: float, seed: int, index: int = 0, law: Law = "dyson", of: Of = "stiffness") -> Scene:
-    """Return the scene with the chain number `index` (from 0) of the sequence that `seed` stands for.
+    """Return the scene with the chain number `index` (from 0) of the sequence of this seed.
 
     It depends on seed and index only, not on how many others are drawn. Unlike `disordered` it lets contacts be as
     soft as they come out, for dropping such chains would change the distribution; `Ensemble.squeezed` counts them.
@@ -103,7 +108,7 @@ def realisation(scene: Scene, m: float, seed: int, index: int = 0, law: Law = "d
     Raises
     ------
     InputError
-        If an option is wrong, or the stiffness of a sonic vacuum is asked for.
+        As `disordered`, but for contacts that are too soft.
 
     Examples
     --------
@@ -112,21 +117,26 @@ def realisation(scene: Scene, m: float, seed: int, index: int = 0, law: Law = "d
     >>> realisation(scene, 1, seed=7, index=3) == realisation(scene, 1, seed=7, index=3)
     True
     """
-    change = drawn_constants(scene.chain, m, seed, index, law, of)
-    chain = Chain._unchecked(**_redrawn(scene.chain, change))._leave_open()
+    zeta = _drawn(scene.chain, m, seed, index, law, of)
+    chain = Chain._unchecked(**_redrawn(scene.chain, zeta, of))._leave_open()
     return Scene._unchecked(**(scene.given() | {"chain": chain}))
 
 
 def drawn_constants(chain: Chain, m: float, seed: int, index: int, law: Law = "dyson", of: Of = "stiffness") -> Array:
-    """Return the factors on the contact constants of a `realisation`, (N-1,); same parameters."""
-    check(
-        fault_of_whole("seed", seed, 0),
-        fault_of_whole("index", index, 0),
-        _fault_of_choice("of", of, ("stiffness", "constant")),
-        _fault_of_vacuum(chain, of),
-    )
+    """Return the factors on the contact constants of a `realisation` whose contacts are drawn, (N-1,)."""
+    return _change(chain, _drawn(chain, m, seed, index, law, of), of)
+
+
+def _drawn(chain: Chain, m: float, seed: int, index: int, law: Law, of: Of) -> Array:
+    """Return the random factors of a realisation, one a contact or one a grain."""
+    check(fault_of_whole("seed", seed, 0), fault_of_whole("index", index, 0))
+    _check_of(chain, of)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
-    return _change(chain, factors(m, chain.grains - 1, rng, law), of)
+    return factors(m, _count(chain, of), rng, law)
+
+
+def _count(chain: Chain, of: Of) -> int:
+    return chain.grains - (of in OF_CONTACTS)
 
 
 def _change(chain: Chain, zeta: Array, of: Of) -> Array:
@@ -134,14 +144,31 @@ def _change(chain: Chain, zeta: Array, of: Of) -> Array:
     return chain.contacts.constant_for_stiffness(zeta) if of == "stiffness" else zeta
 
 
-def _redrawn(chain: Chain, change: Array) -> dict[str, Any]:
-    """Return the fields of a chain whose contact constants are changed by these factors."""
-    fields = chain.given() | {"masses": chain.masses, "contact_constants": chain.contact_constants * change}
-    if fields.pop("impurity", ()):  # impure diameters and materials do not go with given constants: say them by grain
-        fields["diameter"] = chain.diameters
-        materials = list(chain.material) if isinstance(chain.material, tuple) else [chain.material] * chain.grains
-        for impurity in chain.impurity:
+def _redrawn(chain: Chain, zeta: Array, of: Of) -> dict[str, Any]:
+    """Return the fields of a chain whose contacts or grains are changed by these factors."""
+    fields = chain.given() | {"masses": chain.masses}
+    if of in OF_CONTACTS:
+        fields["contact_constants"] = chain.contact_constants * _change(chain, zeta, of)
+    elif of != "modulus":
+        fields["masses"] = chain.masses * (zeta**3 if of == "diameter" else zeta)
+    impure = fields.pop("impurity", ())  # given by grain below: impurities do not go with given constants
+    if of == "diameter" or impure:
+        fields["diameter"] = chain.diameters * (zeta if of == "diameter" else 1.0)
+    if of == "modulus" or impure:
+        materials: list[Any] = (
+            list(chain.material) if isinstance(chain.material, tuple) else [chain.material] * chain.grains
+        )
+        for impurity in impure:
             materials[impurity.grain - 1] = impurity.material or materials[impurity.grain - 1]
+        if of == "modulus":
+            materials = [
+                Material(
+                    density=each.density,
+                    youngs_modulus=each.youngs_modulus * factor,
+                    poissons_ratio=each.poissons_ratio,
+                )
+                for each, factor in zip(materials, zeta.tolist(), strict=True)
+            ]
         fields["material"] = tuple(materials)
     return fields
 
@@ -170,7 +197,12 @@ def _fault_of_choice(key: str, value: object, known: Sequence[str]) -> Fault:
     return None if value in known else (key, not_among(value, known))
 
 
-def _fault_of_vacuum(chain: Chain, of: Of) -> Fault:
-    if chain.compressed or of == "constant":
-        return None
-    return ("gravity", 'without gravity and load contacts have no stiffness at rest to be random; use of="constant"')
+def _check_of(chain: Chain, of: Of) -> None:
+    """Raise `InputError` unless this can be drawn for a chain."""
+    check(_fault_of_choice("of", of, get_args(Of)))
+    if of == "stiffness" and not chain.compressed:
+        cure = 'without gravity and load contacts have no stiffness at rest to be random; use of="constant"'
+        raise InputError([("gravity", cure)])
+    if of in ("diameter", "modulus") and "contact_constants" in chain.model_fields_set:
+        cure = f'contact constants are given and do not follow from the {of}; use of="constant"'
+        raise InputError([("contact_constants", cure)])

@@ -10,7 +10,7 @@ from scipy.signal import get_window
 
 from ..chain.chain import Chain
 from ..errors import InputError, shown
-from ..theory.bands import Cell, branches, repeating
+from ..theory.bands import Cell, branches, local_bands, repeating
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.plotting import axes_in_units, thinned
@@ -35,8 +35,10 @@ class Spectrum:
     field : "velocity" or "displacement"
     frequency : (F,) array
         Hz, from 0 to half the sampling rate.
-    grain, cut_off : (G,) arrays
-        From the top downward; Hz, see the function of this name.
+    grain : (G,) array
+        From the top downward.
+    bands : (G, B, 2) array
+        Edges of the bands of linear waves around each, Hz: one from 0 where all grains are alike.
     amplitude : (F, G) array
         |integral of w x exp(-2 pi i f t) dt| with the window w, m/s or m per Hz. That of a pulse does not depend on
         how long it is recorded; a steady oscillation of amplitude A has a line of height A / 2 times the integral of
@@ -46,15 +48,24 @@ class Spectrum:
     field: Field
     frequency: Array
     grain: np.ndarray
-    cut_off: Array
+    bands: Array
     amplitude: Array
 
+    @property
+    def cut_off(self) -> Array:
+        """Highest frequency that travels around each grain, (G,) Hz, 0 in a sonic vacuum."""
+        return self.bands[:, -1, 1]
+
     def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the amplitude over frequency and depth, with the local cut-off; returns the figure."""
+        """Draw the amplitude over frequency and depth, with the local bands; returns the figure."""
         ax, picture = axes_in_units(ax, "Hz", "")
         _logarithmic(ax, self.frequency, self.grain, self.amplitude.T, f"{self.field} ({UNITS[self.field]} per Hz)")
         if self.cut_off.any():
             ax.plot(self.cut_off, self.grain, color=LINE, label="local cut-off")
+            for number, edge in enumerate(self.bands[:, :-1, 1].T):
+                label = "" if number else "gap between branches"
+                ax.plot(edge, self.grain, "--", color=LINE, label=label)
+                ax.plot(self.bands[:, number + 1, 0], self.grain, "--", color=LINE)
             ax.legend(loc="lower left")
         ax.set(xlabel="frequency", ylabel="grain, from the top", ylim=ax.get_ylim()[::-1])
         ax.set_xlim(0, min(self.frequency[-1], 1.5 * self.cut_off.max() or np.inf))
@@ -144,7 +155,8 @@ def spectrum(trajectory: Trajectory, field: Field = "velocity", window: str = "b
     grain, motion = recorded(trajectory, field)
     step, samples = trajectory.time[1], trajectory.time.size
     amplitude = step * np.abs(np.fft.rfft(_window(window, samples)[:, None] * motion, axis=0))
-    return Spectrum(field, np.fft.rfftfreq(samples, step), grain, cut_off(trajectory.scene.chain)[grain - 1], amplitude)
+    bands = local_bands(trajectory.scene.chain)[grain - 1] / (2 * np.pi)
+    return Spectrum(field, np.fft.rfftfreq(samples, step), grain, bands, amplitude)
 
 
 def dispersion(
@@ -191,13 +203,12 @@ def _branches(chain: Chain, grain: int, period: int, wavenumber: Array) -> Array
 
 
 def cut_off(chain: Chain) -> Array:
-    """Return the local cut-off frequency of each grain, (N,) Hz.
+    """Return the highest frequency that travels around each grain, (N,) Hz; 0 in a sonic vacuum.
 
-    It is that of a uniform chain of such grains with the contact below.
-    It is sqrt(k_n / m_n) / pi; the last grain takes the contact above. In a sonic vacuum it is 0.
+    It is the top of the highest branch of the cell that repeats there, as that of a dimer; where none does, that of a
+    uniform chain of such grains with the contact below, sqrt(k_n / m_n) / pi.
     """
-    stiffness = chain.linear_stiffness
-    return np.sqrt(np.append(stiffness, stiffness[-1]) / chain.masses) / np.pi
+    return local_bands(chain)[:, -1, 1] / (2 * np.pi)
 
 
 def travel_time(chain: Chain, source: int = 1) -> Array:

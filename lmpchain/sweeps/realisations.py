@@ -10,7 +10,7 @@ import numpy as np
 from ..chain.chain import LARGEST_OVERLAP, Chain
 from ..chain.contacts import Contacts, hertz_constant
 from ..chain.impurities import with_impurities
-from ..disorder.draws import drawn_constants
+from ..disorder.draws import OF_CONTACTS, drawn_constants
 from ..errors import InputError
 from ..scene.scene import LightCone, Scene
 from ..scene.strike import overlaps_of, pair_frequency
@@ -73,6 +73,8 @@ def _together(plan: Sweep, first: int, count: int) -> list[Made]:
         if common.light_cone.scene.chain.grains < chain.grains or chain.grains == 1:  # each is cut to its own
             return [_alone(plan, number) for number in numbers]
         change = np.ones((1, 1))
+        if disorder and disorder.of not in OF_CONTACTS:
+            return [_alone(plan, number) for number in numbers]
         if disorder:
             given = disorder.given()
             change = np.array([drawn_constants(chain, **given | {"index": place[-1]}) for place in places])

@@ -131,7 +131,7 @@ def test_contacts_too_soft_for_hertz():
     ("change", "key"),
     [({"m": m}, "m") for m in (0, -1, np.nan, np.inf, "2", True)]
     + [({"realisations": n}, "realisations") for n in (0, 2.0)]
-    + [({"seed": -1}, "seed"), ({"law": "gauss"}, "law"), ({"of": "mass"}, "of"), ({"tolerance": 0}, "tolerance")]
+    + [({"seed": -1}, "seed"), ({"law": "gauss"}, "law"), ({"of": "colour"}, "of"), ({"tolerance": 0}, "tolerance")]
     + [({"engine": name}, "engine") for name in ("abacus", "lammps", "continuum")],
 )
 def test_options_that_are_wrong(change, key):
@@ -244,7 +244,7 @@ def test_a_batch_is_its_chains(engine, monkeypatch):
     assert np.array_equal(one.displacement, alone[0].displacement)
     assert np.isnan(one.velocity_error).all()
     whole = ensemble(scene, 3, 21, seed=11, engine=made)
-    monkeypatch.setattr("lmpchain.disorder.averages.BATCH", 4)
+    monkeypatch.setattr("lmpchain.disorder.streaming.BATCH", 4)
     assert_same(whole, ensemble(scene, 3, 21, seed=11, engine=made))
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.special import polygamma
-from scipy.stats import expon, gamma, norm, uniform
+from scipy.stats import expon, gamma, norm
 
 from lmpchain import InputError
 from lmpchain.disorder import density_of_states, lyapunov
@@ -19,13 +19,6 @@ def test_an_ordered_chain():
     assert (found.integrated[below.size :] == 1).all()
     assert lyapunov(above, k, m, grains=10_000, chains=2).exponent == pytest.approx(2 * np.arccosh(above / edge), 1e-12)
     assert (np.abs(lyapunov(below, k, m, grains=200_000, chains=2).exponent) < 1e-4).all()
-
-
-def test_published_values_of_dysons_chain():
-    """The squares of the frequencies are those of the published table; exponential ratios of rate 1."""
-    square = np.array([0.01, 0.1, 0.5, 1, 2, 4, 6])
-    share = [0.0640078600, 0.1486019989, 0.3014597107, 0.4215709293, 0.5992618019, 0.8366863345, 0.9512900219]
-    assert dyson.integrated(np.sqrt(square), 1) == pytest.approx(share, abs=6e-11)
 
 
 @pytest.mark.parametrize("shape", [0.05, 0.5, 1, 7.3, 100])
@@ -55,34 +48,6 @@ def test_transfer_matrices_find_dysons_spectrum(shape):
     found = density_of_states(np.sqrt(square), ratios=gamma(shape), grains=30_000, chains=20, seed=3)
     assert (np.abs(found.integrated - dyson.integrated(np.sqrt(square), shape)) < 4 * found.error).all()
     assert (found.error < 2e-3).all()
-
-
-@pytest.mark.slow
-def test_dysons_spectrum_to_three_in_ten_thousand():
-    square = np.array([0.01, 0.1, 0.5, 1, 2, 4, 6])
-    found = density_of_states(np.sqrt(square), ratios=expon(), grains=100_000, chains=60, seed=5)
-    assert found.integrated == pytest.approx(dyson.integrated(np.sqrt(square), 1), abs=3e-4)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("m", "omega"), [(5, 0.05), (5, 0.1), (20, 0.2)])
-def test_weak_localisation_by_random_springs(m, omega):
-    """gamma = omega^2 Var(1/k) / (8 <1/k>), here with <1/k> = 1 and Var(1/k) = 1/(m-1): Eq. (23) as printed."""
-    springs = gamma(m + 1, scale=1 / m)
-    found = lyapunov(omega, springs, grains=1_000_000, chains=20, seed=2)
-    law = omega**2 / 8 / (m - 1)
-    assert abs(found.exponent[0] - law) < 0.02 * law + 3 * found.error[0]
-    assert found.error[0] < 0.03 * law
-    share = density_of_states(omega, springs, grains=1_000_000, chains=20, seed=2)
-    assert share.integrated[0] == pytest.approx(omega / np.pi, rel=2e-3)
-
-
-@pytest.mark.slow
-def test_weak_localisation_by_random_masses():
-    """gamma = omega^2 Var(m) / (8 <m>) in a chain of unit springs (Matsuda and Ishii)."""
-    omega = 0.1
-    found = lyapunov(omega, 1.0, uniform(0.5, 1.0), grains=1_000_000, chains=20, seed=2)
-    assert found.exponent[0] == pytest.approx(omega**2 / 12 / 8, rel=0.03)
 
 
 def test_the_error_is_that_of_the_mean():

@@ -194,6 +194,27 @@ def test_cut_off():
     assert not cut_off(Chain(grains=5, diameter=1e-3, gravity=0.0)).any()
 
 
+def test_cut_off_of_a_dimer():
+    """The optical branch ends at 2K (1/m + 1/M); the gap is from 2K/M to 2K/m, at every depth with its own K."""
+    masses = np.resize([1e-6, 3e-6], 60)
+    chain = Chain(grains=60, diameter=1e-3, masses=masses, gravity=0.0, top_load=1e-3)
+    k = chain.linear_stiffness[0]
+    assert (2 * np.pi * cut_off(chain)) ** 2 == pytest.approx(2 * k * 1e6 * (1 + 1 / 3), rel=1e-12)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-9), duration=20 * chain.time_scale, samples=64)
+    found = spectrum(simulate(scene, "modes"))
+    assert (2 * np.pi * found.bands[:, 0, 1]) ** 2 == pytest.approx(2 * k * 1e6 / 3, rel=1e-12)
+    assert (2 * np.pi * found.bands[:, 1, 0]) ** 2 == pytest.approx(2 * k * 1e6, rel=1e-12)
+    assert found.bands[:, 0, 0] == pytest.approx(0, abs=1e-9 * found.cut_off[0])
+    axes = found.plot().axes[0]
+    assert [line.get_label() for line in axes.lines[:2]] == ["local cut-off", "gap between branches"]
+    assert axes.get_xlim()[1] == pytest.approx(1.5 * found.cut_off[0])
+    one = Chain(grains=1, diameter=1e-3, gravity=0.0, top_load=1.0, top="wall", bottom="wall")
+    assert cut_off(one) == pytest.approx(np.sqrt(one.contacts.stiffness.sum() / one.masses[0]) / (2 * np.pi))
+    column = Chain(grains=200, diameter=1e-3, masses=np.resize([1e-6, 3e-6], 200))
+    local = column.linear_stiffness[99]
+    assert (2 * np.pi * cut_off(column)[99]) ** 2 == pytest.approx(2 * local * 1e6 * (1 + 1 / 3), rel=5e-3)
+
+
 def test_travel_time_in_a_uniform_chain():
     chain = loaded(20)
     unit = np.sqrt(chain.masses[0] / chain.linear_stiffness[0])

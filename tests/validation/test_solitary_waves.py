@@ -72,6 +72,44 @@ def test_under_a_load(speed: float, force: float, overlap: float, coste: float):
     assert speed / soliton.coste_speed(force) - 1 == pytest.approx(coste, rel=0.1)
 
 
+def test_long_waves_and_their_lattice():
+    """V = [2/(delta+1)]^(1/(delta+1)) v^((delta-1)/(delta+1)) and [2/(delta+1)]^(1/2) F^((delta-1)/(2 delta)); cos^4.
+
+    Source: Nesterenko as in Job et al. (2008), and Daraio et al., Phys. Rev. E 73, 026610 (2006), whose prefactors are
+    the same number. FWHM 1.8084 and support 4.967 grains; the effective mass of the long wave is 1.419, the lattice's
+    1.304.
+    """
+    for delta in (1.5, 2.0, 3.0):
+        prefactor = (2 / (delta + 1)) ** (1 / (delta + 1))
+        speed = soliton.nesterenko_speed(0.3, delta)
+        assert speed == pytest.approx(prefactor * 0.3 ** ((delta - 1) / (delta + 1)), rel=1e-12)
+        force = float(soliton.nesterenko_overlap(0.0, speed, delta)) ** delta
+        assert speed == pytest.approx(np.sqrt(2 / (delta + 1)) * force ** ((delta - 1) / (2 * delta)), rel=1e-12)
+    assert soliton.nesterenko_speed(1.0) == pytest.approx(0.914610, abs=5e-7)
+    assert np.sqrt(2 / 2.5) == pytest.approx(0.894427, abs=5e-7)
+    x = np.linspace(-2.5, 2.5, 500_001)
+    speed = float(soliton.nesterenko_speed(1.0))
+    r = soliton.nesterenko_overlap(x, speed)
+    assert np.ptp(x[r > 0]) == pytest.approx(4.967, abs=5e-4)
+    assert np.ptp(x[r > r.max() / 2]) == pytest.approx(1.8084, abs=1e-4)
+    momentum, kinetic = (speed * r).sum() * 1e-5, ((speed * r) ** 2 / 2).sum() * 1e-5
+    assert momentum**2 / (2 * 9 / 5 * kinetic) == pytest.approx(1.419, abs=5e-4)  # 5/9 of the energy is kinetic
+
+
+@pytest.mark.parametrize(("speed", "off"), [(1.2, 3.6e-3), (1.5, 8.1e-3), (100.0, 1.24e-2)])
+def test_coste_formula_is_slower_than_the_lattice(speed: float, off: float):
+    """By these shares, the last that of the strongest waves, quoted to a hundredth of a percent."""
+    force = float(1 + solve(speed=speed).overlap(0.0)) ** 1.5
+    assert speed / soliton.coste_speed(force) - 1 == pytest.approx(off, abs=1.1e-4)
+
+
+def test_limit_of_korteweg_and_de_vries():
+    """c/c0 - 1 = (delta - 1) w / (6 r0) to 2e-6 at 1.001 (1.001002 in an independent solver), second order in w."""
+    off = [speed - 1 - 0.5 * float(solve(speed=speed).overlap(0.0)) / 6 for speed in (1.001, 1.0005)]
+    assert off[0] == pytest.approx(-2e-6, abs=1e-6)
+    assert off[0] / off[1] == pytest.approx(4, rel=0.05)
+
+
 def changed(wave: Soliton, engine: str, tolerance: float) -> float:
     """Return how much a wave is changed a hundred grains further, over its largest velocity and displacement."""
     far = int(wave.reach) + 2

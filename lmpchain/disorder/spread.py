@@ -1,0 +1,222 @@
+"""How the energy of a local excitation spreads in random chains: moments, participation, transmission."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .. import engines
+from ..engines.base import Engine
+from ..errors import InputError, shown
+from ..scene.scene import Scene
+from ..util.arrays import Array
+from .draws import Law, Of, check, fault_of_whole
+from .streaming import Average, Draw, averaged
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+GROUPS = 16  # of chains, whose scatter gives the error of an exponent
+
+
+@dataclass(frozen=True, eq=False)
+class Spreading:
+    """Spreading of energy in disordered chains of the same scene: means and their standard errors.
+
+    The energy of a grain is its kinetic energy, half of that of its contacts with other grains, and that of its
+    contact with a wall.
+
+    Attributes
+    ----------
+    scene : Scene
+        With the ordered chain.
+    m, seed, law, of, engine, equation, realisations
+        As for `Ensemble`.
+    time : (T,) array
+        s.
+    second_moment, second_moment_error : (T,) arrays
+        Mean square distance of the energy from where it was at t = 0, grains squared.
+    participation, participation_error : (T,) arrays
+        1 / sum of the squared shares of the grains: over how many of them the energy is spread.
+    transmitted, transmitted_error : (T, N) arrays
+        Share of the energy that is below each grain.
+    model_error, solver_error, squeezed
+        As for `Ensemble`.
+    """
+
+    scene: Scene
+    m: float
+    seed: int
+    law: Law
+    of: Of
+    engine: str
+    equation: int
+    realisations: int
+    time: Array
+    second_moment: Array
+    second_moment_error: Array
+    participation: Array
+    participation_error: Array
+    transmitted: Array
+    transmitted_error: Array
+    model_error: float
+    solver_error: float
+    squeezed: int
+    groups: Array = field(repr=False)  # sums of the second moments of every so many chains
+
+    @property
+    def profile(self) -> Array:
+        """Mean share of the energy that each grain has, (T, N)."""
+        return -np.diff(self.transmitted, axis=1, prepend=1.0)
+
+    def growth(self, start: float = 0.0, end: float = np.inf) -> tuple[float, float]:
+        """Return the power of time with which the second moment grows, and its standard error.
+
+        A least-squares slope of the logarithms from `start` to `end`, s, all octaves of time alike; the error is that
+        of a jackknife over groups of chains, NaN for a single chain.
+
+        Raises
+        ------
+        InputError
+            If fewer than three samples lie between.
+        """
+        within = (self.time >= start) & (self.time <= end) & (self.time > 0)
+        if within.sum() < 3:
+            raise InputError([("start", f"must leave three samples or more up to the end (got {shown(start)})")])
+        logarithm = np.log(self.time[within])
+        weight = np.sqrt(np.gradient(logarithm))
+
+        def slope(moment: Array) -> float:
+            return float(np.polyfit(logarithm, np.log(moment[within]), 1, w=weight)[0])
+
+        count = len(self.groups)
+        without = [slope(self.groups.sum(0) - group) for group in self.groups] if count > 1 else [np.nan]
+        return slope(self.second_moment), float(np.sqrt((count - 1) * np.var(without)))
+
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw second moment and participation over time, with bands of two standard errors.
+
+        Returns the figure.
+        """
+        from ..util.plotting import axes_in_units
+
+        ax, picture = axes_in_units(ax, "s", "")
+        for name, label in (("second_moment", "second moment, grains²"), ("participation", "participation, grains")):
+            mean, band = getattr(self, name)[1:], 2 * getattr(self, f"{name}_error")[1:]
+            (line,) = ax.plot(self.time[1:], mean, label=label)
+            if self.realisations > 1:
+                ax.fill_between(self.time[1:], mean - band, mean + band, color=line.get_color(), alpha=0.25, lw=0)
+        ax.set(xscale="log", yscale="log", xlabel="time", ylabel=f"mean of {self.realisations} chains, m = {self.m:g}")
+        ax.legend(frameon=False)
+        return picture
+
+
+def spreading(
+    scene: Scene,
+    m: float,
+    realisations: int,
+    seed: int,
+    engine: str | Engine = "chebyshev",
+    *,
+    tolerance: float = 1e-6,
+    law: Law = "dyson",
+    of: Of = "stiffness",
+    progress: bool = False,
+) -> Spreading:
+    """Return how the energy of an excitation spreads, averaged over many disordered chains.
+
+    In a random linear chain the second moment grows as t^(3/2) after a strike and as t^(1/2) after a displacement while
+    the participation stays finite: S. Lepri, R. Schilling and S. Aubry, Phys. Rev. E 82, 056602 (2010); for granular
+    chains see A. J. Martinez, P. G. Kevrekidis and M. A. Porter, Phys. Rev. E 93, 022902 (2016). Running means alone
+    are held, whatever the number of chains.
+
+    Parameters
+    ----------
+    scene : Scene
+        With the ordered chain, long enough that nothing comes to its ends; whatever it records, all grains are.
+    m, realisations, seed, engine, tolerance, law, of, progress
+        As for `ensemble`. "chebyshev" and "modes" follow Eq. (3), and energies are those of its springs.
+
+    Raises
+    ------
+    InputError, ToleranceNotMet, RunFailed
+        As `ensemble`; or if the excitation gives no energy at t = 0.
+
+    Examples
+    --------
+    >>> from lmpchain import Chain, Impulse
+    >>> chain = Chain(grains=61, diameter=1e-3, gravity=0.0, top_load=1.0, bottom="wall")
+    >>> struck = Impulse(velocity=1e-9, grain=31)
+    >>> scene = Scene(chain=chain, excitation=struck, duration=20 * chain.time_scale, samples=5)
+    >>> spread = spreading(scene, m=5, realisations=10, seed=1)
+    >>> spread.second_moment.shape, spread.transmitted.shape, f"{spread.participation[0]:.3f}"
+    ((5,), (5, 61), '1.000')
+    """
+    if scene.at_rest or scene.excitation.does_work:
+        raise InputError([("excitation", "must give the chain energy at t = 0 and leave it alone from then on")])
+    check(fault_of_whole("realisations", realisations, 1))
+    scene = scene.replace(grains="all")
+    groups = np.zeros((min(GROUPS, realisations), scene.samples))
+    first = _Spread(
+        *np.zeros((2, 2 + scene.chain.grains, scene.samples)),
+        groups=groups,
+        linear=engines.get(engine).equation != 1,
+    )
+    chosen, average = averaged(Draw(scene, m, seed, law, of), realisations, engine, tolerance, first, progress)
+    (moment, participation), transmitted = average.mean[:2], average.mean[2:].T
+    errors = average.errors
+    return Spreading(
+        scene=scene,
+        m=m,
+        seed=seed,
+        law=law,
+        of=of,
+        engine=chosen.name,
+        equation=chosen.equation,
+        realisations=realisations,
+        time=scene.time,
+        second_moment=moment,
+        second_moment_error=errors[0],
+        participation=participation,
+        participation_error=errors[1],
+        transmitted=transmitted,
+        transmitted_error=errors[2:].T,
+        model_error=average.model,
+        solver_error=average.solver,
+        squeezed=average.squeezed,
+        groups=average.groups,
+    )
+
+
+@dataclass(eq=False)
+class _Spread(Average):
+    """Means of the second moment, the participation and the shares below each grain, (2 + N, T)."""
+
+    groups: Array = field(kw_only=True)
+    linear: bool = field(kw_only=True)
+
+    def measured(self, scene: Scene, displacement: Array, velocity: Array) -> Array:
+        (begun,) = self._energy(scene, *(x[None] for x in scene.initial()))
+        number = np.arange(1, begun.size + 1)
+        energy = self._energy(scene, displacement, velocity)
+        share = energy / energy.sum(1)[:, None]
+        moment = share @ (number - begun @ number / begun.sum()) ** 2
+        below = np.cumsum(share[:, :0:-1], axis=1)[:, ::-1]
+        return np.concatenate(([moment, 1 / (share**2).sum(1)], below.T, np.zeros((1, len(share)))))
+
+    def keep(self, number: int, samples: slice, value: Array) -> None:
+        self.groups[number % GROUPS, samples] += value[0]
+
+    def copy(self) -> _Spread:
+        return replace(self, mean=self.mean.copy(), square=self.square.copy(), groups=self.groups.copy())
+
+    def _energy(self, scene: Scene, displacement: Array, velocity: Array) -> Array:
+        """Return the energy of every grain, (t, N) J."""
+        chain = scene.chain
+        closer = chain.contacts.closer(displacement)
+        of_contact = chain.contacts.stiffness / 2 * closer**2 if self.linear else chain.contacts.energy(closer)
+        of_contact[:, 1:-1] /= 2
+        return chain.masses / 2 * velocity**2 + of_contact[:, :-1] + of_contact[:, 1:]

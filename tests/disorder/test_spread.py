@@ -1,0 +1,137 @@
+"""Spreading of energy: ordered chains against Bessel functions, averages against all chains at once."""
+
+import tracemalloc
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.special import j0, jv, jvp
+
+from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Scene, simulate
+from lmpchain.disorder import disordered, factors, realisation, spreading
+from lmpchain.measure.energy import shares
+
+ORDER = 1e26  # factors of 1 to the last digit
+
+
+def scene(grains: int = 81, tau: float = 20.0, moved: bool = False, samples: int = 6, **chain: Any) -> Scene:
+    """Return a loaded chain between walls, with the grain in its middle struck or displaced."""
+    line = Chain(**{"grains": grains, "diameter": 1e-3, "gravity": 0.0, "top_load": 1.0, "top": "wall"} | chain)
+    middle = (grains + 1) // 2
+    excitation = Displacement(displacement=1e-12, grain=middle) if moved else Impulse(velocity=1e-9, grain=middle)
+    return Scene(chain=line, excitation=excitation, duration=tau * line.time_scale, samples=samples)
+
+
+@pytest.mark.parametrize("engine", ["chebyshev", "native"])
+def test_an_ordered_chain_that_is_struck(engine):
+    """Grain n moves with J_2n(2 tau) and contact n + 1/2 holds J_2n+1: m2 = tau^2 / 2 + (1 - J_0(4 tau)) / 8."""
+    case = scene()
+    found = spreading(case, ORDER, 2, 1, engine, tolerance=1e-10)
+    tau = case.time / case.chain.time_scale
+    assert found.second_moment == pytest.approx(tau**2 / 2 + (1 - j0(4 * tau)) / 8, rel=2e-8)
+    k = np.arange(-81, 82)  # grains are even, contacts odd
+    energy = jv(k, 2 * tau[:, None]) ** 2
+    of_grain = energy[:, 1:-1:2] + (energy[:, 0:-2:2] + energy[:, 2::2]) / 2
+    assert found.participation == pytest.approx(1 / (of_grain**2).sum(1), rel=2e-8)
+    assert found.profile == pytest.approx(of_grain, rel=0, abs=2e-8)
+    assert found.profile.sum(1) == pytest.approx(1, rel=1e-14)
+    assert found.growth(case.time[2])[0] == pytest.approx(2, abs=0.01)
+    assert found.transmitted[:, -1] == pytest.approx(0, abs=1e-15)
+
+
+def test_an_ordered_chain_that_is_displaced():
+    """Velocities and forces are derivatives of those Bessel functions."""
+    case = scene(moved=True)
+    found = spreading(case, ORDER, 1, 1)
+    k = np.arange(-81, 82)
+    energy = 2 * jvp(k, 2 * (case.time / case.chain.time_scale)[:, None]) ** 2
+    of_grain = energy[:, 1:-1:2] + (energy[:, 0:-2:2] + energy[:, 2::2]) / 2
+    assert found.second_moment == pytest.approx(of_grain @ np.arange(-40, 41) ** 2, rel=1e-9)
+    assert found.participation == pytest.approx(1 / (of_grain**2).sum(1), rel=1e-9)
+    assert np.isnan(found.second_moment_error).all()
+    assert np.isnan(found.growth(case.time[1])[1])
+
+
+@pytest.mark.parametrize("of", ["stiffness", "constant", "mass", "diameter", "modulus"])
+def test_means_and_errors(of):
+    """Against the energies of every chain, each answered by itself by the nonlinear engine."""
+    case, count = scene(grains=21, tau=6.0), 19
+    found = spreading(case, 6, count, 5, "native", of=of, tolerance=1e-9)
+    alone = [shares(simulate(realisation(case, 6, 5, i, of=of), "native", 1e-10)).of_grain for i in range(count)]
+    energy = np.array(alone)
+    share = energy / energy.sum(2)[..., None]
+    centre = share[:, 0] @ np.arange(21)
+    moment = (share * (np.arange(21) - centre[:, None, None]) ** 2).sum(2)
+    for name, each in {
+        "second_moment": moment,
+        "participation": 1 / (share**2).sum(2),
+        "transmitted": 1 - np.cumsum(share, 2),
+    }.items():
+        assert getattr(found, name) == pytest.approx(each.mean(0), rel=1e-6, abs=1e-7)
+        assert getattr(found, f"{name}_error") == pytest.approx(
+            each.std(0, ddof=1) / np.sqrt(count), rel=1e-5, abs=1e-7
+        )
+
+
+@pytest.mark.slow
+def test_the_error_of_the_growth_is_its_scatter():
+    case = scene(grains=31, tau=7.0, samples=7)
+    several = [spreading(case, 3, 32, seed) for seed in range(30)]
+    growth, error = np.array([each.growth(case.time[2]) for each in several]).T
+    assert np.std(growth, ddof=1) == pytest.approx(np.sqrt((error**2).mean()), rel=0.35)
+
+
+def test_memory_does_not_grow_with_the_number_of_chains():
+    case = scene(grains=401, tau=1.0)
+    spreading(case, 3, 2, 1)
+    peaks = []
+    for count in (16, 64):
+        tracemalloc.start()
+        spreading(case, 3, count, 1)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 1.2 * peaks[0]
+
+
+@pytest.mark.parametrize("of", ["mass", "diameter", "modulus"])
+def test_chains_with_random_grains(of):
+    odd = {"grain": 5, "diameter": 1.3e-3}, {"grain": 8, "material": "steel"}, {"grain": 9, "mass": 2e-6}
+    chain = Chain(grains=12, diameter=1e-3, gravity=0, top_load=1e-3, top="wall", bottom="wall", impurity=odd)
+    zeta = factors(30, 12, np.random.default_rng(1))
+    drawn = disordered(chain, 30, np.random.default_rng(1), of=of)
+    power = {"mass": 1, "diameter": 3, "modulus": 0}[of]
+    assert drawn.masses / chain.masses == pytest.approx(zeta**power, rel=1e-13)
+    assert drawn.diameters / chain.diameters == pytest.approx(zeta ** (of == "diameter"), rel=1e-13)
+    stiff = chain.by_grain("plane_strain_modulus") * zeta ** (of == "modulus")
+    assert drawn.by_grain("plane_strain_modulus") == pytest.approx(stiff, rel=1e-13)
+    radius = drawn.diameters / 2
+    expected = 4 / 3 / (1 / stiff[1:] + 1 / stiff[:-1]) / np.sqrt(1 / radius[1:] + 1 / radius[:-1])
+    assert drawn.contact_constants == pytest.approx(expected, rel=1e-12)
+    walls = 4 / 3 * stiff[[0, -1]] / 2 * np.sqrt(radius[[0, -1]])
+    assert drawn.wall_constants == pytest.approx(walls, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("call", "key"),
+    [
+        (lambda: spreading(scene(), 3, 0, 1), "realisations"),
+        (lambda: spreading(scene(), 3, 2, 1, of="colour"), "of"),
+        (lambda: spreading(scene(), 3, 2, 1, "lammps"), "engine"),
+        (lambda: spreading(scene(), 3, 2, 1).growth(1.0), "start"),
+        (lambda: spreading(scene(contact_constants=np.full(80, 1e9)), 3, 2, 1, of="modulus"), "contact_constants"),
+        (lambda: spreading(scene().replace(excitation=Impulse(velocity=0.0)), 3, 2, 1), "excitation"),
+        (
+            lambda: spreading(scene().replace(excitation=Drive(amplitude=1e-12, frequency=1e3)), 3, 2, 1),
+            "excitation",
+        ),
+    ],
+)
+def test_what_is_wrong_is_named(call, key):
+    with pytest.raises(InputError, match=f"^{key}:"):
+        call()
+
+
+def test_picture_of_spreading():
+    (axes,) = spreading(scene(), 3, 5, 1).plot().axes
+    assert [line.get_label() for line in axes.lines] == ["second moment, grains²", "participation, grains"]
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("time", "mean of 5 chains, m = 3")
