@@ -32,7 +32,7 @@ from .splittings import Splitting
 from .stepper import WINDOW_MIN
 
 ROOM = 2**19  # bytes for what is kept between two checkpoints, about what stays in the cache
-LEAST = 64  # rows between two checkpoints
+LEAST = 32  # rows between two checkpoints
 CHECKPOINTS = 2**29  # bytes of all checkpoints
 CALL = 2**16  # rows in a call of the compiled loops where something is imposed in each
 

@@ -28,8 +28,8 @@ from .window import widen
 
 PLAIN, HERTZ, OTHER = range(3)  # delta = 3/2 in strong waves, or in any; any delta
 NEWS = "gradients of the native engine", 30
-BURST = 64  # rows between two updates of the window
-TILE = 512  # bodies that stay in the nearest cache while the rows of a burst pass over them
+BURST = 32  # rows between two updates of the window
+TILE = 384  # bodies that stay in the nearest cache while the rows of a burst pass over them
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"nnan", "ninf", "nsz", "contract"}, "_nrt": False}
 _loop = numba.njit(**_OPTIONS)
 
