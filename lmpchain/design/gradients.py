@@ -91,7 +91,9 @@ def at_step(
     if not np.isfinite(run.velocity).all():
         raise RunFailed(f"the motion breaks down with steps of {run.step:.3g} s: use shorter ones")
     slopes = objective(Seen(scene, run.time, grains, run.displacement, run.velocity))
-    inputs = run.pull(slopes.displacement, slopes.velocity)
+    names = tuple(names)
+    everywhere = not {"displacement", "velocity"}.isdisjoint(names)
+    inputs = run.pull(slopes.displacement, slopes.velocity, everywhere)
     nothing = np.zeros(scene.chain.grains), np.zeros(scene.chain.grains), np.zeros(inputs.drive.size)
     inputs += Inputs(slopes.masses, slopes.constants, slopes.forces, *nothing)
     return slopes.value, {name: params.pull(scene, inputs, name) for name in names}, run

@@ -88,7 +88,9 @@ def pull(scene: Scene, gradient: Inputs, name: str) -> Array:
         "velocity": gradient.velocity,
         "drive": gradient.drive,
     }
-    return sum(matrix.T @ whole[key] for key, matrix in _dependence(scene, name).items())
+    return (
+        whole[name] if name in whole else sum(matrix.T @ whole[key] for key, matrix in _dependence(scene, name).items())
+    )
 
 
 def push(scene: Scene, name: str, change: Array) -> Inputs:
@@ -139,22 +141,22 @@ def _dependence(scene: Scene, name: str) -> dict[str, sparse.csr_array]:
 def _between(chain: Chain) -> sparse.csr_array:
     """Return dK/dK of contacts between grains, (N+1, N-1): those of walls follow, unless given."""
     grains, constant = chain.grains, chain.contacts.constant
-    matrix = sparse.eye_array(grains + 1, grains - 1, k=-1, format="lil")
+    row, column, entry = np.arange(1, grains), np.arange(grains - 1), np.ones(grains - 1)
     if "wall_constants" not in chain.model_fields_set:
-        matrix[0, 0] = constant[0] / constant[1]
-        matrix[grains, grains - 2] = constant[grains] / constant[grains - 1]
-    return matrix.tocsr()
+        row, column = np.append(row, [0, grains]), np.append(column, [0, grains - 2])
+        entry = np.append(entry, constant[[0, -1]] / constant[[1, -2]])
+    return sparse.csr_array((entry, (row, column)), shape=(grains + 1, grains - 1))
 
 
 def _following(chain: Chain) -> sparse.csr_array:
     """Return d(log K)/d(log of Hertz's constant), (N+1, N+1), by what is given and what follows."""
     last = chain.grains
     follow = np.full(last + 1, float("contact_constants" not in chain.model_fields_set))
-    matrix = sparse.diags_array(follow).tolil()
-    for wall, near in ((0, 1), (last, last - 1)):
-        matrix[wall, wall] = float("wall_constants" not in chain.model_fields_set)
-        matrix[wall, near] = matrix[wall, wall] * (follow[near] - 1)
-    return matrix.tocsr()
+    walls, near = [0, last], [1, last - 1]
+    follow[walls] = float("wall_constants" not in chain.model_fields_set)
+    own = np.arange(last + 1)
+    row, column = np.append(own, walls), np.append(own, near)
+    return sparse.csr_array((np.append(follow, follow[walls] * (follow[near] - 1)), (row, column)))
 
 
 def _by_body(chain: Chain, above: Array, below: Array) -> sparse.csr_array:

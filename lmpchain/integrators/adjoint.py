@@ -6,27 +6,35 @@ the solution up to the error of the steps. A contact that opens or closes is no 
 and stiffness are continuous. For delta = 1 the stiffness jumps: what is returned is the derivative with every contact
 open or closed where the run found it so, which is that of the run unless an evaluation falls on the very opening, and
 converges to that of the solution with the step, at first order only.
+
+The run itself is made by the loops of the native engine, and leaves a checkpoint now and then. The way back makes each
+piece between two checkpoints once more, and keeps of it one number a contact and evaluation, within the cache.
 """
 
 from __future__ import annotations
 
 import math
-from functools import cached_property
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
-from ..scene.excitation import Drive
+from ..scene.acting import Drive, Force
 from ..scene.scene import Scene
 from ..util.arrays import Array
+from .batch import ChainBatch
+from .imposed import ImposedCourse
 from .kernels import adjoint as kernels
+from .kernels.contact_forces import ROOTS
+from .kernels.layout import FIRST, LAST, PAD, STEP, Chain
 from .splittings import Splitting
+from .stepper import WINDOW_MIN
 
-LEG = 64  # steps between two completed kicks at most
-ROOM = 2**20  # bytes that keep what is between two checkpoints, about what stays in the cache
+ROOM = 2**19  # bytes for what is kept between two checkpoints, about what stays in the cache
+LEAST = 32  # rows between two checkpoints
 CHECKPOINTS = 2**29  # bytes of all checkpoints
+CALL = 2**16  # rows in a call of the compiled loops where something is imposed in each
 
 
 class Inputs(NamedTuple):
@@ -43,7 +51,7 @@ class Inputs(NamedTuple):
     displacement, velocity : (N,) arrays
         Of every grain at t = 0, m and m/s.
     drive : (P,) array
-        Amplitude and frequency of a harmonic drive, or the displacements of a sampled one.
+        Amplitude and frequency of a drive or a force, or its samples.
     """
 
     masses: Array
@@ -57,16 +65,22 @@ class Inputs(NamedTuple):
         return Inputs(*(mine + its for mine, its in zip(self, other, strict=True)))
 
 
+def aligned(rows: int, width: int) -> Array:
+    """Return zeros (rows, width), where rows of whole cache lines begin with one."""
+    memory = np.zeros(rows * width + PAD)
+    skip = -memory.ctypes.data // memory.itemsize % PAD
+    return memory[skip : skip + rows * width].reshape(rows, width)
+
+
 class DifferentiableRun:
-    """A run by steps of one length with its exact derivatives.
+    """A run by given steps with its exact derivatives.
 
     Parameters
     ----------
     scene : Scene
-        Struck, displaced or with grain 1 driven.
     method : Splitting
-    step : float
-        s; the largest step up to it that divides the time between two looks is used.
+    step : float, or sequence of `looks` arrays
+        s; the largest step up to it that divides the time between two looks is used. Or all steps between two looks.
     looks : int
         Equal parts of the duration, at whose ends grains are looked at.
     grains : (G,) array
@@ -77,86 +91,107 @@ class DifferentiableRun:
     time : (looks+1,) array
         When grains are looked at, s; from 0 to the duration.
     step : float
-        Of the steps taken, s.
+        The longest step taken, s.
     displacement, velocity : (looks+1, G) arrays
         m and m/s.
-
-    Raises
-    ------
-    InputError
-        If something acts on the chain that its derivatives are not known of.
     """
 
-    def __init__(self, scene: Scene, method: Splitting, step: float, looks: int, grains: NDArray[np.intp]):
+    def __init__(
+        self, scene: Scene, method: Splitting, step: float | list[Array], looks: int, grains: NDArray[np.intp]
+    ):
         self.scene, self.grains = scene, np.asarray(grains)
         self.time = np.linspace(0.0, scene.duration, looks + 1)
-        steps = max(1, math.ceil(scene.duration / looks / step * (1 - 1e-12)))
-        bytes_a_step = 16 * (scene.chain.grains + 1) * method.evaluations
-        self._every = -(-steps // min(LEG, max(1, ROOM // bytes_a_step)))  # legs a look
-        steps = -(-steps // self._every)
-        self.step = scene.duration / (looks * self._every * steps)
-        self.steps, self._legs = looks * self._every * steps, looks * self._every
-        inner = np.tile(method.kicks[:-1], steps)
-        inner[len(method.drifts) :: len(method.drifts)] += method.kicks[-1]
-        self._kicks = np.append(inner, method.kicks[-1]) * self.step
-        self._drifts = np.append(np.tile(method.drifts, steps), 0.0) * self.step
-        self._reach = np.append(0.0, np.cumsum(self._drifts[:-1]))  # time of a row from the begin of its leg
-        self.drive = _drive(scene)
+        if isinstance(step, list):
+            lengths, made = np.concatenate(step), [len(part) for part in step]
+            begins = np.concatenate([t + np.cumsum(part) - part for t, part in zip(self.time, step, strict=False)])
+        else:
+            each = max(1, math.ceil(scene.duration / looks / step * (1 - 1e-12)))
+            lengths, made = np.full(looks * each, scene.duration / (looks * each)), [each] * looks
+            begins = np.arange(looks * each) * lengths[0]
+        self.step, self.steps, self._begins = float(lengths.max()), lengths.size, begins
+        begun = np.concatenate(([0], np.cumsum(made)))
+        self._reach = np.array((0.0, *method.reach[:-1]))
+        self._course = np.array(method.kicks), np.array(method.drifts), lengths, begun
+        self._offsets = method.evaluations * begun + np.arange(looks + 1)  # rows before each look
+        self.imposed = ImposedCourse(scene.excitation) if isinstance(scene.excitation, (Drive, Force)) else None
+        self._driven = scene.excitation.driven if self.imposed else 0
         self._read(scene)
-        rows = self._kicks.size
-        least = math.ceil(self._legs * 16 * scene.chain.grains / CHECKPOINTS)
-        self._span = min(self._legs, max(1, least, ROOM // (16 * rows * (scene.chain.grains + 1))))  # legs a segment
+        width, rows = self._table.shape[1], int(self._offsets[-1])
+        most = max(LEAST, ROOM // (8 * width), math.ceil(rows * 16 * width / CHECKPOINTS))
+        starts = np.append(np.arange(0, rows, most), rows)
+        before = np.searchsorted(self._offsets, starts, side="right") - 1
+        states = np.empty((starts.size - 1, 2, width))
+        self._pieces = starts, before, starts - self._offsets[before], states, np.empty((starts.size - 1, 2))
+        self._most = min(most, rows)
         self._looks = np.zeros((2, looks + 1, self.grains.size))
         self._run()
 
     def _read(self, scene: Scene) -> None:
         """Lay out the chain for the compiled loops."""
-        chain, contacts = scene.chain, scene.chain.contacts
-        pressed = contacts.pressed
-        length = np.where(pressed, contacts.overlap, 1.0)
-        strength = np.where(pressed, contacts.force, contacts.constant)
-        self._pressed = pressed[:2].astype(float)
-        touches = np.concatenate((self._pressed[:1], np.full(chain.grains, self._pressed[1])))
-        self._table = np.array([np.where(contacts.exists, 1 / length, 0.0), strength])
-        self._stiff = chain.exponent * self._table[0] * strength * np.array([touches, np.ones(touches.size)])
-        self._inverse_mass = 1 / chain.masses
-        self._inverse_mass[chain.movable :] = 0.0
-        self._inverse_mass[: self.drive is not None] = 0.0
-        self._law = kernels.HERTZ if chain.exponent == 1.5 else kernels.OTHER
-        self._less = chain.exponent - 1
+        batch, chain = ChainBatch([scene]), scene.chain
+        u, v = scene.initial()
+        self._x, self._v = batch.bodies(np.array([u])), batch.bodies(np.array([v]))
+        self._v[:, PAD : PAD + self._driven] = 0.0
+        state = np.zeros((1, STEP + 1))
+        arrays = batch.arrays(slice(0, 1), self._x, self._v, np.zeros((1, 0, self._x.shape[1])), state)
+        length, strength, mobility = batch.table[0]
+        x, v, history, self._state = (rows[0] for rows in arrays[:4])
+        self._chain = Chain(
+            x, v, history, self._state, length, strength, mobility, batch.uncompressed[0], batch.scale[0],
+            batch.forms[0], batch.precompressed, batch.coefficients, batch.imposed, batch.acted[0], batch.drive[0],
+            batch.knots[0], batch.pieces[0], 0,
+        )  # fmt: skip
+        self._table = aligned(3, self._x.shape[1])  # of the contact above each body
+        self._table[:2, 1:] = batch.table[0, :2, :-1]
+        self._table[2] = chain.exponent * self._table[1] * self._table[0]
+        by_root = kernels.PLAIN if batch.forms[0] in ROOTS else kernels.HERTZ
+        self._law = by_root if chain.exponent == 1.5 else kernels.OTHER
+        self._less = chain.exponent - 1.0
+        self._room = np.zeros((5, kernels.BURST))
+
+    def _window(self) -> tuple[int, int]:
+        """Return where the window of the run begins and ends: at the lines that hold what moves at t = 0."""
+        width = self._x.shape[1]
+        if width <= WINDOW_MIN:
+            return PAD, width - PAD
+        moves = (self._x[0] != 0) | (self._v[0] != 0)
+        moves[int(self._chain.acted[0]) : int(self._chain.acted[1]) + 1] = True
+        where = np.flatnonzero(moves)
+        first, last = (where[0], where[-1] + 1) if where.size else (PAD, PAD + 1)
+        return first // PAD * PAD, min(-(-last // PAD) * PAD, width - PAD)
+
+    def _times(self, row: int, count: int) -> Array:
+        """Return the times of some rows, s."""
+        rows = np.arange(row, row + count)
+        look = np.searchsorted(self._offsets, rows, side="right") - 1
+        step, stage = np.divmod(rows - self._offsets[look], len(self._reach))
+        at = self._course[3][look] + step
+        over = at == self._course[3][look + 1]  # the last kick before a look
+        at = np.where(over, at - 1, at)
+        return np.where(over, self.time[look + 1], self._begins[at] + self._reach[stage] * self._course[2][at])
+
+    def _path(self, row: int, count: int) -> Array:
+        """Return what is imposed in some rows, or nothing."""
+        return np.empty(0) if self.imposed is None else self.imposed.waveform.at(self._times(row, count))
+
+    def _calls(self) -> list[tuple[NDArray[np.intp], int, int]]:
+        """Return, for every call of a compiled loop, some pieces, the first row and how many there are."""
+        starts = self._pieces[0]
+        each = starts.size if self.imposed is None else max(1, CALL // self._most)
+        cuts = np.append(np.arange(0, starts.size - 1, each), starts.size - 1)
+        return [(np.array(some), int(starts[some[0]]), int(np.diff(starts[list(some)])[0])) for some in pairwise(cuts)]
 
     def _run(self) -> None:
-        """Move on to the end, with checkpoints at the begin of every segment."""
-        u, v = self.scene.initial()
-        x, v = np.concatenate(([0.0], u, [0.0])), np.array(v, dtype=float)
-        v[: self.drive is not None] = 0.0
-        self._looks[0, 0], self._looks[1, 0] = u[self.grains - 1], v[self.grains - 1]
-        self._kept = []
-        self._room = np.empty((2, self._kicks.size * self._span, x.size - 1))
-        for first in range(0, self._legs, self._span):
-            self._kept.append((x.copy(), v.copy()))
-            self._forward(first, x, v, self._looks, self._legs > self._span)
-        if self.drive is not None:
-            own = self.grains == 1
+        """Move on to the end, with checkpoints at the begin of every piece."""
+        columns = self.grains + (PAD - 1)
+        self._looks[:, 0] = self._x[0, columns], self._v[0, columns]
+        self._state[FIRST], self._state[LAST] = self._window()
+        common = self._chain, self._course, self._room
+        for some, row, count in self._calls():
+            kernels.forward(*common, self._path(row, count), self._pieces, some, (columns, self._looks))
+        if self.imposed and self._driven:
             for order in (0, 1):
-                self._looks[order][:, own] = self.drive.motion(self.time)[order][:, None]
-
-    def _forward(self, first: int, x: Array, v: Array, looks: Array, forget: bool) -> None:
-        """Move x and v through the segment that begins with this leg."""
-        legs = min(self._span, self._legs - first)
-        room = self._room[:, :1] if forget else self._room
-        kernels.forward(
-            self._law, x, v, self._table, self._inverse_mass, self._pressed, self._less, self._kicks, self._drifts,
-            self._path(first, legs), legs, *room, (self.grains - 1, self._every, first, looks),
-        )  # fmt: skip
-
-    def _times(self, first: int, legs: int) -> Array:
-        """Return the times of all rows of some legs, (legs, R) s."""
-        return (first + np.arange(legs))[:, None] * (self.scene.duration / self._legs) + self._reach
-
-    def _path(self, first: int, legs: int) -> Array:
-        """Return where grain 1 is driven in every row of some legs, (legs, R) m, or nothing."""
-        return np.empty((0, 0)) if self.drive is None else self.drive.motion(self._times(first, legs))[0]
+                self._looks[order][:, self.grains == 1] = self.imposed.waveform.at(self.time, order)[:, None]
 
     @property
     def displacement(self) -> Array:
@@ -168,138 +203,83 @@ class DifferentiableRun:
         """Velocity of the grains looked at, (looks+1, G) m/s."""
         return self._looks[1]
 
-    def pull(self, displacement: Array, velocity: Array) -> Inputs:
+    def pull(self, displacement: Array, velocity: Array, everywhere: bool = True) -> Inputs:
         """Return the derivatives of an answer by all inputs, from those by what was seen.
 
         Parameters
         ----------
         displacement, velocity : (looks+1, G) arrays
             Derivatives of the answer with respect to each displacement, 1/m, and velocity, s/m, looked at.
+        everywhere : bool
+            Whether derivatives by displacement and velocity at t = 0 are wanted, also of grains that never move.
+            Without them, the way back stays within the light cone of the run.
         """
         chain, grains = self.scene.chain, self.scene.chain.grains
         looks = np.array([displacement, velocity], dtype=float)
-        x, v, w = np.zeros(grains), np.zeros(grains), np.zeros(grains + 2)
-        sums = np.zeros(grains + 1), np.zeros(grains + 1), np.zeros(grains)
-        by_drive = np.zeros(0 if self.drive is None else self.imposed.size)
-        if self.drive is not None:
+        by_course = np.zeros(self.imposed.size if self.imposed else 0)
+        if self.imposed and self._driven:
             own = looks[..., self.grains == 1].sum(-1)
-            by_drive += self.imposed.pull(self.time, own[1], 1) + self.imposed.pull(self.time[:1], own[0, :1], 0)
+            by_course += self.imposed.pull(self.time, own[1], 1) + self.imposed.pull(self.time[:1], own[0, :1], 0)
             looks[1][:, self.grains == 1] = 0.0
-        aside = np.empty_like(looks)
-        for first in reversed(range(0, self._legs, self._span)):
-            legs = min(self._span, self._legs - first)
-            if self._legs > self._span:
-                again = self._kept[first // self._span]
-                self._forward(first, again[0].copy(), again[1].copy(), aside, False)
-            on_path = np.empty((0, 0) if self.drive is None else (legs, self._kicks.size))
+        width, columns = self._x.shape[1], self.grains + (PAD - 1)
+        adjoint, bodies = aligned(5, width + PAD), aligned(3, width + PAD)
+        bodies[2, 1 : width + 1] = self._chain.inverse_mass
+        powers, tops = aligned(self._most, width), np.empty((2, self._most))
+        forces = aligned(self._most if self._law == kernels.OTHER else 1, width)
+        state = self._state.copy()
+        common = self._law, self._less, self._chain._replace(state=state), self._table, self._course, self._room
+        kept = powers, forces, tops
+        for some, row, count in reversed(self._calls()):
+            path = self._path(row, count)
+            on_path = np.zeros(path.size)
             kernels.backward(
-                x, v, w, self._stiff, self._inverse_mass, self._kicks, self._drifts, on_path, legs, *self._room,
-                (self.grains - 1, self._every, first, looks), sums,
-            )  # fmt: skip
-            if self.drive is not None:
-                by_drive += self.imposed.pull(self._times(first, legs), on_path, 0)
-        np.add.at(x, self.grains - 1, looks[0, 0])
-        np.add.at(v, self.grains - 1, looks[1, 0])
-        contacts, (by_power, by_force, by_mass) = chain.contacts, sums
-        held = self._inverse_mass == 0
-        x[held], v[held] = 0.0, 0.0
+                *common, path, self._pieces, some, kept, bodies, (columns, looks), adjoint, on_path, everywhere
+            )
+            if self.imposed:
+                by_course += self.imposed.pull(self._times(row, count), on_path, 0)
+        np.add.at(adjoint[0], columns + 1, looks[0, 0])
+        np.add.at(adjoint[1], columns, looks[1, 0])
+        contacts, inside = chain.contacts, slice(PAD, PAD + grains)
+        x, v, by_mass = adjoint[0, PAD + 1 :][:grains], adjoint[1, inside], adjoint[4, PAD + 1 :][:grains]
+        by_power, by_force = adjoint[2:4, PAD : PAD + grains + 1]
+        held = self._chain.inverse_mass[inside] == 0
         constant = np.where(contacts.exists, contacts.constant, 1.0)
         return Inputs(
             -by_mass / chain.masses, np.where(contacts.exists, by_force - contacts.force * by_power, 0.0) / constant,
-            np.where(contacts.pressed, by_power, 0.0), x, v, by_drive,
+            np.where(contacts.pressed, by_power, 0.0), np.where(held, 0.0, x), np.where(held, 0.0, v), by_course,
         )  # fmt: skip
 
     def push(self, change: Inputs) -> tuple[Array, Array]:
         """Return how displacement and velocity looked at change, (D, looks+1, G), in D directions."""
-        chain, contacts = self.scene.chain, self.scene.chain.contacts
-        dx = np.pad(np.array(change.displacement, dtype=float), ((0, 0), (1, 1)))
-        dv = np.array(change.velocity, dtype=float)
-        held = self._inverse_mass == 0
-        dx[:, 1:-1][:, held], dv[:, held] = 0.0, 0.0
-        looks = np.zeros((dx.shape[0], *self._looks.shape))
-        looks[:, 0, 0], looks[:, 1, 0] = dx[:, self.grains], dv[:, self.grains - 1]
-        forces = np.where(contacts.pressed, change.forces, 0.0)
-        fixed = self._stiff, contacts.constant, contacts.force, change.masses / chain.masses, change.constants, forces
-        x, v = (start.copy() for start in self._kept[0])
-        work = np.empty((5, chain.grains + 1))
-        for first in range(0, self._legs, self._span):
-            legs = min(self._span, self._legs - first)
-            by_path = np.empty((0, 0, 0))
-            if self.drive is not None:
-                by_path = self.imposed.push(self._times(first, legs), change.drive, 0)
+        chain, contacts, columns = self.scene.chain, self.scene.chain.contacts, self.grains + (PAD - 1)
+        width, grains = self._x.shape[1], self.scene.chain.grains
+
+        def bodies(rows: Array) -> Array:
+            wide = np.zeros((len(rows), width))
+            wide[:, PAD : PAD + rows.shape[1]] = rows
+            return wide
+
+        held = self._chain.inverse_mass[PAD : PAD + grains] == 0
+        dx, dv = (bodies(np.where(held, 0.0, part)) for part in (change.displacement, change.velocity))
+        looks = np.zeros((len(dx), *self._looks.shape))
+        looks[:, 0, 0], looks[:, 1, 0] = dx[:, columns], dv[:, columns]
+        near = np.zeros((6, width))
+        inverse = np.divide(1.0, contacts.constant, out=np.zeros(grains + 1), where=contacts.exists)
+        near[4:, PAD : PAD + grains + 1] = inverse, contacts.force
+        relative, forces = change.masses / chain.masses, np.where(contacts.pressed, change.forces, 0.0)
+        fixed = bodies(relative), bodies(change.constants), bodies(forces)
+        _, before, rows, states, _ = self._pieces
+        again = self._chain._replace(x=states[0, 0].copy(), v=states[0, 1].copy(), state=self._state.copy())
+        for (piece, _), row, count in self._calls():
+            by_path = np.empty((len(dx), 0))
+            if self.imposed:
+                by_path = self.imposed.push(self._times(row, count), change.drive, 0)
             kernels.tangent(
-                self._law, x, v, work, self._table, self._inverse_mass, self._pressed, self._less, self._kicks,
-                self._drifts, self._path(first, legs), legs, (*fixed, by_path), dx, dv,
-                (self.grains - 1, self._every, first, looks),
+                self._law, self._less, again, self._table, self._course, self._room, self._path(row, count),
+                before[piece], rows[piece], count, near, np.empty((2, 1)), (*fixed, by_path), dx, dv, (columns, looks),
             )  # fmt: skip
-        if self.drive is not None:
-            own = self.grains == 1
+        if self.imposed and self._driven:
             for order in (0, 1):
-                looks[:, order][:, :, own] = self.imposed.push(self.time, change.drive, order)[..., None]
+                own = self.imposed.push(self.time, change.drive, order)
+                looks[:, order][:, :, self.grains == 1] = own[..., None]
         return looks[:, 0], looks[:, 1]
-
-    @cached_property
-    def imposed(self) -> ImposedMotion:
-        """How the motion of a driven grain depends on amplitude and frequency, or on its samples."""
-        assert self.drive is not None
-        return ImposedMotion(self.drive)
-
-
-class ImposedMotion:
-    """The motion of a driven grain as a function of amplitude and frequency, or of its samples."""
-
-    def __init__(self, drive: Drive):
-        self.drive = drive
-        self.size = 2 if drive.times is None else len(drive.times)
-
-    @cached_property
-    def _basis(self) -> Any:
-        """The spline through 1 at one sample and 0 at the others, for each of them."""
-        from scipy.interpolate import CubicSpline
-
-        return CubicSpline(self.drive.times, np.eye(self.size))
-
-    def _pieces(self, time: Array, order: int) -> tuple[NDArray[np.intp], Array]:
-        """Return the piece of the spline at each time, and what multiplies its four coefficients, (4, T)."""
-        knots = self._basis.x
-        piece = np.clip(np.searchsorted(knots, time, side="right") - 1, 0, knots.size - 2)
-        s = time - knots[piece]
-        one = np.ones_like(s)
-        return piece, np.array([s**3, s**2, s, one] if order == 0 else [3 * s**2, 2 * s, one, 0 * s])
-
-    def _harmonic(self, time: Array, order: int) -> Array:
-        """Return derivatives with respect to amplitude and frequency, (2, ...)."""
-        size, omega = self.drive.amplitude, 2 * np.pi * self.drive.frequency
-        sine, cosine, turn = np.sin(omega * time), np.cos(omega * time), 2 * np.pi * size
-        if order == 0:
-            return np.array([sine, turn * time * cosine])
-        return np.array([omega * cosine, turn * (cosine - omega * time * sine)])
-
-    def pull(self, time: Array, weight: Array, order: int) -> Array:
-        """Return derivatives (P,) of the sum of weight times displacement (order 0) or velocity (1) at times."""
-        time, weight = time.ravel(), weight.ravel()
-        if self.drive.times is None:
-            return self._harmonic(time, order) @ weight
-        piece, powers = self._pieces(time, order)
-        count = self.size - 1
-        gathered = np.array([np.bincount(piece, weight * power, count) for power in powers])
-        return np.tensordot(gathered, self._basis.c, 2)
-
-    def push(self, time: Array, change: Array, order: int) -> Array:
-        """Return the change (D, ...) of displacement (order 0) or velocity (1) at times, for changes (D, P)."""
-        if self.drive.times is None:
-            return np.tensordot(change, self._harmonic(time, order), 1)
-        piece, powers = self._pieces(time, order)
-        coefficients = np.tensordot(change, self._basis.c, (1, 2))  # (D, 4, P-1)
-        return np.einsum("k...,dk...->d...", powers, coefficients[:, :, piece])
-
-
-def _drive(scene: Scene) -> Drive | None:
-    """Return the motion of grain 1 if it is driven; the one place that knows what may act after t = 0."""
-    drive = scene.drive
-    if scene.excitation.does_work and drive is None:
-        kind = scene.excitation.kind
-        raise InputError([("excitation", f"derivatives of a {kind} are not known: use initial data or a drive")])
-    if drive and (drive.grain != 1 or drive.cycles is not None):
-        raise InputError([("excitation", "derivatives are known of a drive of grain 1 by a sine or along points only")])
-    return drive

@@ -1,0 +1,66 @@
+"""How what acts on a chain after t = 0 depends on its amplitude and frequency, or on its samples."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..scene.acting import Drive, Force
+from ..util.arrays import Array
+
+
+class ImposedCourse:
+    """A motion or a force over time as a function of amplitude and frequency, or of its samples.
+
+    Attributes
+    ----------
+    size : int
+        2, or the number of samples.
+    """
+
+    def __init__(self, excitation: Drive | Force):
+        self.waveform, self.frequency = excitation.waveform, excitation.frequency
+        self.size = 2 if self.waveform.spline is None else len(self.waveform.spline.x)
+
+    @cached_property
+    def _basis(self) -> Any:
+        """The spline through 1 at one sample and 0 at the others, for each of them."""
+        from scipy.interpolate import CubicSpline
+
+        assert self.waveform.spline is not None
+        return CubicSpline(self.waveform.spline.x, np.eye(self.size))
+
+    def _pieces(self, time: Array, order: int) -> tuple[NDArray[np.intp], Array]:
+        """Return the piece of the spline at each time, and what multiplies its four coefficients, (4, T)."""
+        knots = self._basis.x
+        piece = np.clip(np.searchsorted(knots, time, side="right") - 1, 0, knots.size - 2)
+        s = time - knots[piece]
+        one = np.ones_like(s)
+        return piece, np.array([s**3, s**2, s, one] if order == 0 else [3 * s**2, 2 * s, one, 0 * s])
+
+    def _sine(self, time: Array, order: int) -> Array:
+        """Return derivatives with respect to amplitude and frequency, (2, ...); it depends on their product."""
+        wave, rate = self.waveform, self.waveform.at(time, order + 1)
+        by_frequency = time * rate + (wave.at(time, 1) if order else 0.0)
+        return np.array([replace(wave, amplitude=1.0).at(time, order), by_frequency / (self.frequency or np.inf)])
+
+    def pull(self, time: Array, weight: Array, order: int) -> Array:
+        """Return derivatives (P,) of the sum of weight times value (order 0) or rate (1) at times."""
+        time, weight = time.ravel(), weight.ravel()
+        if self.waveform.spline is None:
+            return self._sine(time, order) @ weight
+        piece, powers = self._pieces(time, order)
+        gathered = np.array([np.bincount(piece, weight * power, self.size - 1) for power in powers])
+        return np.tensordot(gathered, self._basis.c, 2)
+
+    def push(self, time: Array, change: Array, order: int) -> Array:
+        """Return the change (D, ...) of value (order 0) or rate (1) at times, for changes (D, P)."""
+        if self.waveform.spline is None:
+            return np.tensordot(change, self._sine(time, order), 1)
+        piece, powers = self._pieces(time, order)
+        coefficients = np.tensordot(change, self._basis.c, (1, 2))  # (D, 4, P-1)
+        return np.einsum("k...,dk...->d...", powers, coefficients[:, :, piece])
