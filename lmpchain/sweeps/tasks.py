@@ -198,13 +198,13 @@ def _in_batches(engine: Engine, made: Mapping[int, Scene], tolerance: float) -> 
 def _batch(engine: Engine, alike: Sequence[Scene], candidate: Candidate) -> list[tuple[Answer, ErrorBudget]]:
     """Run scenes together; return the answer to each, and its error."""
     grains = alike[0].recorded
-    shape = len(alike), alike[0].samples, grains.size
-    displacement, velocity = np.empty(shape), np.empty(shape)
     run = engine.start(alike, candidate)
     try:
-        for block in run.blocks():
-            displacement[:, block.samples, block.columns] = block.displacement
-            velocity[:, block.samples, block.columns] = block.velocity
+        blocks = [block for block in run.blocks() if block.displacement.size]
+        displacement, velocity = (
+            np.concatenate(parts, axis=1) if len(parts) > 1 else parts[0]
+            for parts in ([block.displacement for block in blocks], [block.velocity for block in blocks])
+        )
         errors = run.errors()
     finally:
         run.close()
