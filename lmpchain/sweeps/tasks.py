@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
@@ -29,6 +29,7 @@ from .realisations import scenes
 from .store import NAME, NOT_DONE, Layout, complete, part_of, read_part, write_part
 
 MOST, MOST_NUMBERS = 256, 2**22  # scenes in a task, and their samples x grains
+BATCH_NUMBERS = 2**19  # samples x grains of the scenes of a batch, which then stay in the cache of a processor
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,18 +87,12 @@ def answer(task: Task) -> None:
     # what is hardly meant was said when the sweep began; how far off an answer is stands in the result
     with warnings.catch_warnings(action="ignore"):
         made = scenes(plan, task.first, task.count, alike)
-        answers = _in_batches(engine, {n: s for n, s in enumerate(made) if isinstance(s, Scene)}, plan.tolerance)
-        columns = _columns(task)
-        for row, scene in enumerate(made):
-            try:
-                if isinstance(scene, InputError):
-                    raise scene
-                found = answers.pop(row, None) or _alone(scene, engine, plan.tolerance)
-                if isinstance(found, ToleranceNotMet):
-                    raise found
-                _put(columns, row, found, plan, task)
-            except (InputError, ToleranceNotMet, RunFailed) as error:
-                columns["reason"][row] = str(error)
+        columns, left = _columns(task), dict(enumerate(made))
+        for row, found in in_batches(engine, {n: s for n, s in left.items() if isinstance(s, Scene)}, plan.tolerance):
+            del left[row]
+            _put(columns, row, found, plan, task)
+        for row, scene in left.items():
+            _put(columns, row, _alone(scene, engine, plan.tolerance), plan, task)
     columns["reason"] = np.array(columns["reason"], dtype=str)
     write_part(task.folder, task.first, _with_known(columns, task))
 
@@ -129,8 +124,11 @@ def _columns(task: Task) -> dict[str, Any]:
     return columns | {"reason": [""] * task.count}
 
 
-def _put(columns: Mapping[str, Any], row: int, found: Answer, plan: Sweep, task: Task) -> None:
-    """Put what is kept of an answer where it belongs."""
+def _put(columns: Mapping[str, Any], row: int, found: Answer | LmpchainError, plan: Sweep, task: Task) -> None:
+    """Put what is kept of an answer where it belongs, or why there is none."""
+    if isinstance(found, LmpchainError):
+        columns["reason"][row] = str(found)
+        return
     place = plan.place(task.first + row)
     motion = Motion(found.scene, found.equation, found.grains, found.displacement, found.velocity, found.error.total)
     wanted = recorded(plan, place, found.scene.chain.grains)
@@ -153,22 +151,28 @@ def _put(columns: Mapping[str, Any], row: int, found: Answer, plan: Sweep, task:
         columns[key][row, : len(values)] = values
 
 
-def _alone(scene: Scene, engine: Engine, tolerance: float) -> Answer:
-    """Answer one scene; raises what `simulate` raises."""
-    found = simulate(scene, engine, tolerance)
+def _alone(scene: Scene | InputError, engine: Engine, tolerance: float) -> Answer | LmpchainError:
+    """Answer one scene, or say why there is no answer."""
+    if isinstance(scene, InputError):
+        return scene
+    try:
+        found = simulate(scene, engine, tolerance)
+    except (InputError, ToleranceNotMet, RunFailed) as error:
+        return error
     u, v = np.asarray(found.displacement), np.asarray(found.velocity)
     return Answer(scene, found.equation, found.grains, u, v, found.error_estimate)
 
 
-def _in_batches(engine: Engine, made: Mapping[int, Scene], tolerance: float) -> dict[int, Answer | ToleranceNotMet]:
+def in_batches(
+    engine: Engine, made: Mapping[int, Scene], tolerance: float
+) -> Iterator[tuple[int, Answer | ToleranceNotMet]]:
     """Answer scenes that are like one another in batches; what no batch answers is left for `simulate`.
 
     A batch has the step that each of its scenes would have alone.
     """
-    answers: dict[int, Answer | ToleranceNotMet] = {}
     attempts: dict[int, Attempt] = {}
     if not engine.batches or engine.equation != 1:
-        return answers  # linear engines take one scene after the other anyway
+        return  # linear engines take one scene after the other anyway
     for name, scene in made.items():
         with suppress(LmpchainError):
             attempt = first_attempt(engine, engine.part(scene), tolerance)
@@ -181,7 +185,7 @@ def _in_batches(engine: Engine, made: Mapping[int, Scene], tolerance: float) -> 
             steps = chosen.integrator, chosen.steps_per_sample, chosen.step, chosen.adaptive
             groups.setdefault((*kind(made[name]), *steps, *chosen.choices.items()), []).append(name)
         before, attempts = attempts, {}
-        for names in groups.values():
+        for names in _pieces(made, groups.values()):
             try:
                 runs = _batch(engine, [made[name] for name in names], before[names[0]].candidate)
             except RunFailed:  # one of them; alone it will show which
@@ -191,8 +195,15 @@ def _in_batches(engine: Engine, made: Mapping[int, Scene], tolerance: float) -> 
                 if following:
                     attempts[name] = following
                 else:
-                    answers[name] = ToleranceNotMet(missed) if missed else found
-    return answers
+                    yield name, ToleranceNotMet(missed) if missed else found
+
+
+def _pieces(made: Mapping[int, Scene], groups: Iterable[list[int]]) -> Iterator[list[int]]:
+    """Yield groups of scenes in pieces that are no larger than a batch."""
+    for names in groups:
+        scene = made[names[0]]
+        size = max(1, BATCH_NUMBERS // (scene.samples * scene.chain.grains))
+        yield from (names[first : first + size] for first in range(0, len(names), size))
 
 
 def _batch(engine: Engine, alike: Sequence[Scene], candidate: Candidate) -> list[tuple[Answer, ErrorBudget]]:
