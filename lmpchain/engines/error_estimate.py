@@ -210,7 +210,7 @@ class CompanionRun(Run):
             self._differences[index, samples[stops]] = differences[index, stops]
         self._sample = stop - 1
         self._estimate_s += clock() - began
-        return Block(slice(first, stop), *(np.array(x[:, :, self._rows]) for x in (u, v)))
+        return Block(slice(first, stop), np.array(u[:, :, self._rows]), np.array(v[:, :, self._rows]))
 
     def _broke_down(self, sample: int, what: str) -> str:
         t = sample * self.scene.duration / (self.scene.samples - 1)

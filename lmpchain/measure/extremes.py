@@ -220,7 +220,7 @@ def peaks(motion, quiet, h, kind, ceiling):
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
 def fronts(motion, quiet, h, kind, ceiling, fraction, known_error, certain, frequency, width):
-    """Return what `_front` finds at G grains, (G, 6), without widths if they are not asked for; and their `peaks`."""
+    """Return what `_front` finds at G grains, (G, 6), and their `peaks`; widths only if asked for."""
     out, tops, count = np.empty((motion.shape[1], 6)), np.empty((motion.shape[1], 3)), motion.shape[2] - 1
     reach, error, c, d, places = np.empty(count), np.empty(count), np.zeros(8), np.zeros(8), np.zeros(PARTS)
     out[:] = np.nan

@@ -42,9 +42,10 @@ class Peaks(NamedTuple):
 
 
 class _Around(NamedTuple):
-    """What lies around G grains of a chain: columns of bodies, (N+2,), and of those beside each grain, (G, 3).
+    """What lies beside G grains of a chain of N.
 
-    Also its contacts, (G, 2); whether all forces on it follow from what was recorded, (G,); whether all that move were.
+    Columns of all bodies, (N+2,), and of those at and beside each grain, (G, 3); its contacts, (G, 2); whether all
+    forces on it follow from what was recorded, (G,); whether all grains that move were.
     """
 
     column: NDArray[np.intp]
@@ -103,7 +104,7 @@ class Motion:
         ends = chain.contacts.exists[[0, -1]]
         self._around = _around(chain.grains, chain.movable, *ends.tolist(), np.asarray(grains, dtype=int).tobytes())
         self._column = self._around.column
-        self._fronts: dict[str, Array] = {}  # peaks that were found on the way to the fronts
+        self._tops: dict[str, Array] = {}  # what `fronts` has found of peaks on the way
 
     @cached_property
     def _known(self) -> NDArray[np.bool_]:
@@ -139,7 +140,7 @@ class Motion:
 
     def peaks(self, field: Field) -> Peaks:
         """Return the largest displacement or speed of every grain."""
-        found = self._fronts.get(field)
+        found = self._tops.get(field)
         if found is None:
             found = extremes.peaks(*self._values, self.step, KINDS[field], self.ceiling)
         return Peaks(self.grains, *_within(found, self.known_error(field)))
@@ -186,7 +187,7 @@ class Motion:
         known, frequency = self.known_error(field), self.scene.highest_frequency
         fall = known if certain is None else certain
         found: Array
-        found, self._fronts[field] = extremes.fronts(
+        found, self._tops[field] = extremes.fronts(
             *self._values, self.step, KINDS[field], self.ceiling, fraction, known, fall, frequency, width
         )
         return found
