@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from .scene.scene import Scene as Scene
     from .simulation.api import resume as resume
     from .simulation.api import simulate as simulate
+    from .simulation.many import simulate_many as simulate_many
     from .simulation.planner import plan as plan
     from .simulation.signals import Stopped as Stopped
     from .sweeps.results import load_sweep as load_sweep
@@ -51,6 +52,7 @@ _MODULES = {
     "scene.excitation": "Impulse Displacement Profile Packet Drive Force",
     "scene.scene": "Scene",
     "simulation.api": "simulate resume",
+    "simulation.many": "simulate_many",
     "simulation.planner": "plan",
     "simulation.signals": "Stopped",
     "sweeps.run": "sweep",

@@ -79,7 +79,9 @@ class CompanionRun(Run):
         began = clock()
         self.method, self.scene, self.candidate, self._scenes = method, scenes[0], candidate, scenes
         self._amplified: dict[int, float] = {}
-        self._rows: NDArray[np.intp] = scenes[0].recorded - 1
+        rows = scenes[0].recorded - 1
+        together = np.array_equal(rows, np.arange(rows[0], rows[0] + rows.size))
+        self._rows: slice | NDArray[np.intp] = slice(int(rows[0]), int(rows[-1]) + 1) if together else rows
         kept = _unpack(state)
         own = candidate.steps_per_sample, candidate.step, candidate.adaptive
         self._answer = make(StepSchedule.of(*own), kept[0])
@@ -120,9 +122,7 @@ class CompanionRun(Run):
         self._sample_s = candidate.cost_s * self.realisations / samples  # a guess to begin with
         shape = (len(self._steppers), self.realisations, self._most + 1, grains)  # with sample 0 in the first block
         self._u, self._v = np.zeros(shape), np.zeros(shape)
-        for index in range(len(self._steppers)):
-            for real, scene in enumerate(scenes):
-                self._u[index, real, 0], self._v[index, real, 0] = scene.initial()
+        self._u[:, :, 0], self._v[:, :, 0] = chains.initial
         shape = (len(self._steppers) - 1, samples, self.realisations, 2)
         self._differences = np.zeros(shape) if state is None else state["differences"].copy()
         self.peaks = np.zeros((self.realisations, 2)) if state is None else state["peaks"].copy()
@@ -148,7 +148,7 @@ class CompanionRun(Run):
 
     def _fill(self, index: int, first: int, until: int) -> Iterator[Block]:
         """Move one stepper through a block of samples, in pieces short enough to be interrupted."""
-        nothing = np.empty((self.realisations, 0, self._rows.size))
+        nothing = np.empty((self.realisations, 0, self.scene.recorded.size))
         stepper, u, v = self._steppers[index], self._u[index], self._v[index]
         while True:
             max_steps = max(1, int(self._rate[index] * PIECE_S))
@@ -193,7 +193,7 @@ class CompanionRun(Run):
             self._differences[index, :, self._broken(index + 1)] = np.inf
         self._sample = stop - 1
         self._estimate_s += clock() - began
-        return Block(slice(first, stop), u[:, :, self._rows], v[:, :, self._rows])
+        return Block(slice(first, stop), np.array(u[:, :, self._rows]), np.array(v[:, :, self._rows]))
 
     def _broke_down(self, sample: int, what: str) -> str:
         t = sample * self.scene.duration / (self.scene.samples - 1)
@@ -214,36 +214,36 @@ class CompanionRun(Run):
 
     def errors(self) -> list[ErrorBudget]:
         """Return the estimate for every realisation."""
-        return [self._error(real) for real in range(self.realisations)]
-
-    def _error(self, real: int) -> ErrorBudget:
         # nothing is put in: there is no motion to be relative to, but that of a strike number of 1
-        peaks = self._scale[real] if self._at_rest[real] else self.peaks[real]
+        peaks = np.where(np.array(self._at_rest)[:, None], self._scale, self.peaks)
         peaks = np.where(peaks > 0, peaks, 1.0)
-        relative = self._differences[:, :, real, :] / peaks
-        relative = np.where(np.isnan(relative), np.inf, relative)
-        order, adaptive = self.method.order, self.candidate.adaptive
-        opens = min(stepper.lowest()[real] for stepper in self._steppers) <= CLOSE_TO_OPENING
-        smooth = adaptive or order == 2 or not (opens or self._kinked[real])
-        trusted = order
-        if adaptive and opens:
-            kinked = self.scene.chain.exponent < KINKED_BELOW
-            trusted = min(order, ORDER_AT_KINKS if kinked else ORDER_AT_OPENINGS)
+        relative = self._differences / peaks
+        relative[np.isnan(relative)] = np.inf
+        lowest = np.min([stepper.lowest() for stepper in self._steppers], axis=0)
         steps = relative[int(self._twin) :].max(1)  # largest differences between steps h, 2h (and 4h), or h and h/2
-        if self._finer:
-            truncation = 2 * steps[0].max()
-        else:
-            coarse = steps[1] if len(steps) > 1 else None
-            truncation = extrapolate(trusted, smooth, coarse, steps[0], self._ratios).max()
-        radians = self._radians[real]
-        displaced = radians / self.scene.duration * peaks[0] / peaks[1] if self.peaks[real, 1] > 0 else 0.0
-        roundoff = native_floor(float(self._answer.steps[real]) * self.method.evaluations, radians, displaced)
-        truncation = max(truncation, min(steps[0].max(), (GROWN if opens else STEADY) * roundoff))
-        if self._twin:
-            roundoff += float(relative[0].max())
-        elif opens and truncation + roundoff < min(NEAR_ROUNDOFF, SHORT * math.exp(min(GROWTH * radians, 99))):
-            roundoff += SHARED * self._grown(real, peaks)
-        return ErrorBudget(float(truncation), roundoff, bool(smooth), relative.max((0, 2)), self.scene.time)
+        rounding, every = relative[0].max((0, 2)).tolist(), np.ascontiguousarray(relative.max((0, 3)).T)
+        taken, time = self._answer.steps.tolist(), self.scene.time
+        order, adaptive, found = self.method.order, self.candidate.adaptive, []
+        kinked = self.scene.chain.exponent < KINKED_BELOW
+        at_openings = min(order, ORDER_AT_KINKS if kinked else ORDER_AT_OPENINGS)
+        for real, opens in enumerate((lowest <= CLOSE_TO_OPENING).tolist()):
+            fine, coarse = steps[0, real], steps[1, real] if len(steps) > 1 else None
+            smooth = adaptive or order == 2 or not (opens or self._kinked[real])
+            trusted = at_openings if adaptive and opens else order
+            most = float(fine.max())
+            truncation = 2 * most
+            if not self._finer:
+                truncation = float(extrapolate(trusted, smooth, coarse, fine, self._ratios).max())
+            radians, (farthest, fastest) = self._radians[real], peaks[real].tolist()
+            displaced = radians / self.scene.duration * farthest / fastest if self.peaks[real, 1] > 0 else 0.0
+            roundoff = native_floor(taken[real] * self.method.evaluations, radians, displaced)
+            truncation = max(truncation, min(most, (GROWN if opens else STEADY) * roundoff))
+            if self._twin:
+                roundoff += rounding[real]
+            elif opens and truncation + roundoff < min(NEAR_ROUNDOFF, SHORT * math.exp(min(GROWTH * radians, 99))):
+                roundoff += SHARED * self._grown(real, peaks[real])
+            found.append(ErrorBudget(truncation, roundoff, smooth, every[real], time))
+        return found
 
     def _grown(self, real: int, peaks: Array) -> float:
         """Return what becomes of a last digit in the whole run; 0 before its end."""

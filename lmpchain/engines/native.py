@@ -82,7 +82,7 @@ class Native(TimeSteppingEngine):
 
     def choose_step(self, scene: Scene, tolerance: float, method: Method) -> Candidate:
         """Propose the step size of a method, unless round-off alone exceeds the tolerance."""
-        candidate = super().choose_step(scene, tolerance, method)
+        candidate, adaptive = super().choose_step(scene, tolerance, method), False
         if not candidate.fixed:
             evaluations = candidate.steps_per_sample * (scene.samples - 1) * method.evaluations
             floor = native_floor(evaluations, scene.highest_frequency * scene.duration)
@@ -92,9 +92,8 @@ class Native(TimeSteppingEngine):
                     'use a higher order (integrator "rkn6") or less accuracy'
                 )
             opens = method.adaptive == "openings" and scene.largest_strain > SAFE_STRAIN
-            varies = opens or method.adaptive == "error"
-            candidate = replace(candidate, adaptive=self.adaptive and varies)
-        return replace(candidate, choices={"force": name_of(force_form(scene, self.force))})
+            adaptive = self.adaptive and (opens or method.adaptive == "error")
+        return replace(candidate, adaptive=adaptive, choices={"force": name_of(force_form(scene, self.force))})
 
     def typical_round_off(self, scene: Scene, steps: int, speed: float) -> float:
         """Predict round-off: a random walk of one ulp a force evaluation, and what the plain force loses.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -76,6 +76,12 @@ class ChainBatch:
         imposed = np.array([[np.abs(x).max() for x in scene.excitation.largest(scene.chain)] for scene in scenes])
         speed = np.maximum(imposed[:, 1], imposed[:, 0] * self.omega)
         self.scale = np.stack([speed / self.omega, speed], axis=1)
+
+    @cached_property
+    def initial(self) -> tuple[Array, Array]:
+        """Displacement, m, and velocity, m/s, of every grain at t = 0, (R, N) each."""
+        u, v = zip(*(scene.initial() for scene in self.scenes), strict=True)
+        return np.array(u), np.array(v)
 
     def arrays(self, share: slice, x: Array, v: Array, history: Array, state: Array) -> Chains:
         """Return some of the chains, and where and how fast their bodies are, for the compiled loops."""

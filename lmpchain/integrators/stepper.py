@@ -79,9 +79,8 @@ class NativeStepper:
         shares = min(threads, len(scenes))
         self._shares = [slice(i * len(scenes) // shares, (i + 1) * len(scenes) // shares) for i in range(shares)]
         self._pool = ThreadPoolExecutor(shares) if shares > 1 else None
-        initial = [scene.initial() for scene in scenes]
-        self._x = chains.bodies(state.get("u", np.array([u for u, _ in initial])))
-        self._v = chains.bodies(state.get("v", np.array([v for _, v in initial])))
+        u, v = chains.initial
+        self._x, self._v = chains.bodies(state.get("u", u)), chains.bodies(state.get("v", v))
         self._v[:, PAD : PAD + chains.driven] = 0.0  # it is put where its motion says
         if "state" in state:
             self._state = state["state"].copy()

@@ -141,10 +141,9 @@ def _find(p, enough, fall):
 
 
 @compiled
-def _front(p, fraction, known_error, certain, frequency, width, out):
+def _front(p, fraction, known_error, certain, frequency, width, largest, low, high, out):
     """Fill out, (6,), with time, height and width of the front and their errors, or NaN."""
     y, end = sampled(p), p.h * p.error.size
-    largest, low, high = _peak(p)
     enough = fraction * largest
     if largest <= known_error or largest < SMALLEST or abs(y[0]) >= enough:
         return
@@ -199,19 +198,21 @@ def _front(p, fraction, known_error, certain, frequency, width, out):
         out[5] = max(out[5], abs(width_there - out[2])) if math.isfinite(width_there) else end
 
 
+@compiled
+def _quiet_peak(motion, g, kind):
+    """Return the largest value of a quiet grain at the samples, which is within the error, and bounds."""
+    most = np.abs(motion[1, g] if kind == VELOCITY else motion[0, g]).max()
+    return most, most, 2.0 * most
+
+
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
 def peaks(motion, quiet, h, kind, ceiling):
-    """Return the largest values of G grains at any time and bounds from below and above, (G, 3).
-
-    Those of a quiet grain are of its samples; how large they are is within the error.
-    """
+    """Return the largest values of G grains at any time and bounds from below and above, (G, 3)."""
     out, count = np.empty((motion.shape[1], 3)), motion.shape[2] - 1
     reach, error, c, d, places = np.empty(count), np.empty(count), np.zeros(8), np.zeros(8), np.zeros(PARTS)
     for g in range(motion.shape[1]):
         if quiet[g]:
-            y = motion[1, g] if kind == VELOCITY else motion[0, g]
-            most = np.abs(y).max()
-            out[g, 0], out[g, 1], out[g, 2] = most, most, 2.0 * most
+            out[g, 0], out[g, 1], out[g, 2] = _quiet_peak(motion, g, kind)
             continue
         out[g, 0], out[g, 1], out[g, 2] = _peak(path(motion, g, h, kind, ceiling, reach, error, c, d, places))
     return out
@@ -219,13 +220,16 @@ def peaks(motion, quiet, h, kind, ceiling):
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
 def fronts(motion, quiet, h, kind, ceiling, fraction, known_error, certain, frequency, width):
-    """Return what `_front` finds at G grains, (G, 6), without widths if they are not asked for."""
-    out, count = np.empty((motion.shape[1], 6)), motion.shape[2] - 1
+    """Return what `_front` finds at G grains, (G, 6), and their `peaks`; widths only if asked for."""
+    out, tops, count = np.empty((motion.shape[1], 6)), np.empty((motion.shape[1], 3)), motion.shape[2] - 1
     reach, error, c, d, places = np.empty(count), np.empty(count), np.zeros(8), np.zeros(8), np.zeros(PARTS)
     out[:] = np.nan
     for g in range(motion.shape[1]):
         if quiet[g]:
+            tops[g, 0], tops[g, 1], tops[g, 2] = _quiet_peak(motion, g, kind)
             continue
         grain = path(motion, g, h, kind, ceiling, reach, error, c, d, places)
-        _front(grain, fraction, known_error, certain, frequency, width, out[g])
-    return out
+        largest, low, high = _peak(grain)
+        tops[g, 0], tops[g, 1], tops[g, 2] = largest, low, high
+        _front(grain, fraction, known_error, certain, frequency, width, largest, low, high, out[g])
+    return out, tops

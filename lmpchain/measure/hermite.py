@@ -71,6 +71,12 @@ def sampled(p):
 
 
 @inlined
+def larger(one, other):
+    """Return the larger of two numbers, in one instruction."""
+    return one if one > other else other
+
+
+@inlined
 def misfit(u, v, a, j, i, h):
     """Return by how much the quintic through v, a and j misses the way from sample i to the next, over h."""
     return (u[i + 1] - u[i]) / h - (
@@ -83,11 +89,13 @@ def path(motion, g, h, kind, ceiling, reach, error, c, d, places):
     """Return a grain between its samples."""
     u, v, a, j, off = motion[0, g], motion[1, g], motion[2, g], motion[3, g], motion[4, g]
     last = reach.size - 1
+    for i in range(reach.size):  # short loops, for the compiler makes vectors of these
+        reach[i] = abs(misfit(u, v, a, j, i, h))
     for i in range(reach.size):
-        way = abs(misfit(u, v, a, j, i, h))
-        speed = max(abs(v[i]), abs(v[i + 1])) + SWING * h * max(abs(a[i]), abs(a[i + 1]))
-        reach[i] = speed + 0.035 * h * h * max(abs(j[i]), abs(j[i + 1])) + BUMP * way
-        error[i] = SAFETY * BUMP * way + SWING * h * max(off[i], off[i + 1])
+        error[i] = SAFETY * BUMP * reach[i] + SWING * h * larger(off[i], off[i + 1])
+    for i in range(reach.size):
+        speed = larger(abs(v[i]), abs(v[i + 1])) + SWING * h * larger(abs(a[i]), abs(a[i + 1]))
+        reach[i] = speed + 0.035 * h * h * larger(abs(j[i]), abs(j[i + 1])) + BUMP * reach[i]
     before = error[0]
     for i in range(reach.size):  # a misfit may vanish by chance: its neighbours count, too
         own = error[i]

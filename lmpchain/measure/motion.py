@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple, get_args
 
 import numpy as np
@@ -41,6 +41,31 @@ class Peaks(NamedTuple):
     error: Array
 
 
+class _Around(NamedTuple):
+    """What lies beside G grains of a chain of N.
+
+    Columns of all bodies, (N+2,), and of those at and beside each grain, (G, 3); its contacts, (G, 2); whether all
+    forces on it follow from what was recorded, (G,); whether all grains that move were.
+    """
+
+    column: NDArray[np.intp]
+    sides: NDArray[np.intp]
+    contacts: NDArray[np.intp]
+    known: NDArray[np.bool_]
+    whole: bool
+
+
+@lru_cache(maxsize=4)  # scenes of a sweep are alike
+def _around(size: int, movable: int, above: bool, below: bool, recorded: bytes) -> _Around:
+    """Return what lies around these grains of a chain of this size, with or without contacts at its ends."""
+    grains = np.frombuffer(recorded, dtype=int)
+    column, contacts = columns(size, movable, grains), grains[:, None] + np.array([-1, 0])
+    sides = column[grains[:, None] + np.array([-1, 0, 1])]
+    nothing = (not above) & (contacts == 0) | (not below) & (contacts == size)
+    known = ((sides[:, ::2] != UNKNOWN) | nothing).all(1) | (grains > movable)
+    return _Around(column, sides, contacts, known, not (column[1 : movable + 1] == UNKNOWN).any())
+
+
 class Motion:
     """The motion of grains at the samples and between them.
 
@@ -75,20 +100,23 @@ class Motion:
         self.scene, self._equation, self._error = scene, equation, error if math.isfinite(error) else 0.0
         self.displacement, self.velocity, self.grains, self.time = displacement, velocity, grains, scene.time
         self.step = scene.duration / (scene.samples - 1)
-        self._column = columns(scene, grains)
+        chain = scene.chain
+        ends = chain.contacts.exists[[0, -1]]
+        self._around = _around(chain.grains, chain.movable, *ends.tolist(), np.asarray(grains, dtype=int).tobytes())
+        self._column = self._around.column
+        self._tops: dict[str, Array] = {}  # what `fronts` has found of peaks on the way
 
     @cached_property
     def _known(self) -> NDArray[np.bool_]:
         """Whether the forces of its contacts are known, and all that act on it, of each grain, (G,)."""
-        scene, grains, chain = self.scene, self.grains, self.scene.chain
-        exists = chain.contacts.exists
-        neighbours = self._column[grains[:, None] + np.array([-1, 1])]
-        there = (neighbours != UNKNOWN) | ~exists[grains[:, None] + np.array([-1, 0])]
-        known = np.asarray(there.all(1) & (self._equation in (1, 3)))
-        if scene.excitation.does_work:
-            first, last = scene.excitation.reach(chain)
-            known &= (grains < first) | (grains > last)
-        return np.asarray(known | (grains > chain.movable))
+        grains, chain, excitation = self.grains, self.scene.chain, self.scene.excitation
+        held = grains > chain.movable
+        if self._equation not in (1, 3):
+            return held
+        if not excitation.does_work:
+            return self._around.known
+        first, last = excitation.reach(chain)
+        return np.asarray((self._around.known & ((grains < first) | (grains > last))) | held)
 
     @cached_property
     def _values(self) -> tuple[Array, NDArray[np.bool_]]:
@@ -96,22 +124,25 @@ class Motion:
         chain, linear = self.scene.chain, self._equation == 3
         grains, contacts = self.grains, chain.contacts
         pressed, constant = contacts.pressed, contacts.constant
-        length = np.divide(1.0, contacts.overlap, out=np.ones_like(constant), where=pressed)
-        loose = np.zeros_like(constant) if linear and chain.exponent > 1 else constant
-        table = np.stack([length, np.where(pressed, contacts.force, loose), pressed.astype(float)])
-        above = np.ascontiguousarray(table[:, grains[:, None] + np.array([-1, 0])].transpose(1, 2, 0))
-        sides = self._column[grains[:, None] + np.array([-1, 0, 1])]
+        table = np.empty((constant.size, 3))
+        table[:, 0] = 1.0
+        np.divide(1.0, contacts.overlap, out=table[:, 0], where=pressed)
+        table[:, 1] = np.where(pressed, contacts.force, 0.0 if linear and chain.exponent > 1 else constant)
+        table[:, 2] = pressed
         inverse_mass = np.where(grains <= chain.movable, 1 / chain.masses[grains - 1], 0.0)
         u, v = (np.ascontiguousarray(x, dtype=float) for x in (self.displacement, self.velocity))
         error = np.zeros(2) if self.ceiling.size else np.array(self._known_errors)
+        sides, beside = self._around.sides, table[self._around.contacts]
         found: tuple[Array, NDArray[np.bool_]] = derivatives(
-            u, v, sides, above, inverse_mass, chain.exponent, linear, self.step, self._known, error
+            u, v, sides, beside, inverse_mass, chain.exponent, linear, self.step, self._known, error
         )
         return found
 
     def peaks(self, field: Field) -> Peaks:
         """Return the largest displacement or speed of every grain."""
-        found = extremes.peaks(*self._values, self.step, KINDS[field], self.ceiling)
+        found = self._tops.get(field)
+        if found is None:
+            found = extremes.peaks(*self._values, self.step, KINDS[field], self.ceiling)
         return Peaks(self.grains, *_within(found, self.known_error(field)))
 
     def largest_wall_force(self) -> tuple[float, float]:
@@ -155,7 +186,8 @@ class Motion:
         """Return time, height and width of the front, and their errors, (G, 6); see `front.track`."""
         known, frequency = self.known_error(field), self.scene.highest_frequency
         fall = known if certain is None else certain
-        found: Array = extremes.fronts(
+        found: Array
+        found, self._tops[field] = extremes.fronts(
             *self._values, self.step, KINDS[field], self.ceiling, fraction, known, fall, frequency, width
         )
         return found
@@ -182,11 +214,10 @@ class Motion:
         scene, chain = self.scene, self.scene.chain
         imposed = scene.excitation.largest(chain)
         u, v = (
-            max(float(np.abs(x).max()), float(np.abs(y).max()))
+            max(float(x.max()), -float(x.min()), float(np.abs(y).max()))
             for x, y in zip((self.displacement, self.velocity), imposed, strict=True)
         )
-        swift = scene.highest_frequency * self.step
-        whole = not (self._column[1 : chain.movable + 1] == UNKNOWN).any()
+        swift, whole = scene.highest_frequency * self.step, self._around.whole
         if (whole and swift <= RESOLVED) or scene.excitation.does_work or self._equation not in (1, 3):
             more = 1 / math.cos(min(swift, RESOLVED) / 2)
             return more * u, more * v
@@ -223,7 +254,7 @@ class Motion:
         if scene.excitation.does_work or self._equation not in (1, 3):
             return tuple(np.full((2, self.grains.size, count), np.inf))
         near = math.ceil(scene.highest_frequency * self.step / 2) + 2
-        if (self._column[1 : chain.movable + 1] == UNKNOWN).any():
+        if not self._around.whole:
             within = np.full((count, chain.grains), scene.energy)
         else:
             u, v = (np.zeros((count + 1, chain.grains)) for _ in range(2))
@@ -270,12 +301,11 @@ def peaks(trajectory: Trajectory, field: Field = "velocity") -> Peaks:
     return motion_of(trajectory).peaks(field)
 
 
-def columns(scene: Scene, grains: np.ndarray) -> NDArray[np.intp]:
+def columns(size: int, movable: int, grains: np.ndarray) -> NDArray[np.intp]:
     """Return the recorded column of each body, (N+2,), or a mark if it stands still or is unknown."""
-    chain = scene.chain
-    column = np.full(chain.grains + 2, UNKNOWN)
+    column = np.full(size + 2, UNKNOWN)
     column[[0, -1]] = STILL
-    column[chain.movable + 1 :] = STILL
+    column[movable + 1 :] = STILL
     column[grains] = np.arange(grains.size)
     return column
 

@@ -91,8 +91,7 @@ def simulate(
     ((101, 40), True)
     """
     check_tolerance(tolerance)
-    if on_miss not in ("raise", "warn"):
-        raise InputError([("on_miss", f'must be "raise" or "warn" (got {shown(on_miss)})')])
+    check_on_miss(on_miss)
     policy = policy_for(engine, **options)
     if reasons := policy.refuses(scene):
         raise InputError(reasons)
@@ -107,6 +106,12 @@ def simulate(
     with RunFolder(folder, Requests(max_wall), task) as output:
         answer = _answer(output.task, output, progress)
     return _judged(task, *answer)
+
+
+def check_on_miss(on_miss: Any) -> None:
+    """Raise `InputError` unless this says what to do if a tolerance cannot be met."""
+    if on_miss not in ("raise", "warn"):
+        raise InputError([("on_miss", f'must be "raise" or "warn" (got {shown(on_miss)})')])
 
 
 def resume(

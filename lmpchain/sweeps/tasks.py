@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -13,15 +12,13 @@ from typing import Any
 import numpy as np
 
 from .. import engines
-from ..engines.base import Candidate, Engine, ErrorBudget
-from ..engines.step_control import Attempt, first_attempt, next_attempt
-from ..engines.time_stepping import kind
+from ..engines.base import Engine
 from ..errors import InputError, LmpchainError, RunFailed, ToleranceNotMet
-from ..measure.motion import Motion
+from ..measure.motion import motion_of
 from ..scene.scene import Scene
 from ..simulation.api import simulate
-from ..trajectory.record import ErrorEstimate
-from ..util.arrays import Array
+from ..simulation.many import in_batches
+from ..trajectory.trajectory import Trajectory
 from .file import Sweep, again
 from .labels import recorded
 from .quantities import QUANTITIES, measured
@@ -57,18 +54,6 @@ class Task:
         return min(self.layout.batch, self.layout.count - self.first)
 
 
-@dataclass(frozen=True)
-class Answer:
-    """The recorded motion of a scene, and its estimated error."""
-
-    scene: Scene
-    equation: int
-    grains: np.ndarray
-    displacement: Array
-    velocity: Array
-    error: ErrorEstimate
-
-
 def together(engine: str, scene: Scene) -> int:
     """Return how many scenes like this one make a task: one, unless it is small."""
     if not engines.get(engine).batches:
@@ -86,18 +71,12 @@ def answer(task: Task) -> None:
     # what is hardly meant was said when the sweep began; how far off an answer is stands in the result
     with warnings.catch_warnings(action="ignore"):
         made = scenes(plan, task.first, task.count, alike)
-        answers = _in_batches(engine, {n: s for n, s in enumerate(made) if isinstance(s, Scene)}, plan.tolerance)
-        columns = _columns(task)
-        for row, scene in enumerate(made):
-            try:
-                if isinstance(scene, InputError):
-                    raise scene
-                found = answers.pop(row, None) or _alone(scene, engine, plan.tolerance)
-                if isinstance(found, ToleranceNotMet):
-                    raise found
-                _put(columns, row, found, plan, task)
-            except (InputError, ToleranceNotMet, RunFailed) as error:
-                columns["reason"][row] = str(error)
+        columns, left = _columns(task), dict(enumerate(made))
+        for row, found in in_batches(engine, {n: s for n, s in left.items() if isinstance(s, Scene)}, plan.tolerance):
+            del left[row]
+            _put(columns, row, found, plan, task)
+        for row, scene in left.items():
+            _put(columns, row, _alone(scene, engine, plan.tolerance), plan, task)
     columns["reason"] = np.array(columns["reason"], dtype=str)
     write_part(task.folder, task.first, _with_known(columns, task))
 
@@ -129,10 +108,13 @@ def _columns(task: Task) -> dict[str, Any]:
     return columns | {"reason": [""] * task.count}
 
 
-def _put(columns: Mapping[str, Any], row: int, found: Answer, plan: Sweep, task: Task) -> None:
-    """Put what is kept of an answer where it belongs."""
+def _put(columns: Mapping[str, Any], row: int, found: Trajectory | LmpchainError, plan: Sweep, task: Task) -> None:
+    """Put what is kept of an answer where it belongs, or why there is none."""
+    if isinstance(found, LmpchainError):
+        columns["reason"][row] = str(found)
+        return
     place = plan.place(task.first + row)
-    motion = Motion(found.scene, found.equation, found.grains, found.displacement, found.velocity, found.error.total)
+    motion = motion_of(found)
     wanted = recorded(plan, place, found.scene.chain.grains)
     spots: Any = slice(None)
     if not np.array_equal(wanted, task.grains):
@@ -146,69 +128,18 @@ def _put(columns: Mapping[str, Any], row: int, found: Answer, plan: Sweep, task:
             into[slice(len(values)) if name in QUANTITIES and QUANTITIES[name].whole else spots] = values
         else:
             columns[name][row] = values
-    columns["model_error"][row], columns["solver_error"][row] = found.error.model, found.error.solver
+    columns["model_error"][row], columns["solver_error"][row] = found.error_estimate.model, found.error_estimate.solver
     if "time" in columns:
         columns["time"][row, : found.scene.samples] = found.scene.time
     for key, values in plan.drawn(place, found.scene.chain.grains).items():
         columns[key][row, : len(values)] = values
 
 
-def _alone(scene: Scene, engine: Engine, tolerance: float) -> Answer:
-    """Answer one scene; raises what `simulate` raises."""
-    found = simulate(scene, engine, tolerance)
-    u, v = np.asarray(found.displacement), np.asarray(found.velocity)
-    return Answer(scene, found.equation, found.grains, u, v, found.error_estimate)
-
-
-def _in_batches(engine: Engine, made: Mapping[int, Scene], tolerance: float) -> dict[int, Answer | ToleranceNotMet]:
-    """Answer scenes that are like one another in batches; what no batch answers is left for `simulate`.
-
-    A batch has the step that each of its scenes would have alone.
-    """
-    answers: dict[int, Answer | ToleranceNotMet] = {}
-    attempts: dict[int, Attempt] = {}
-    if not engine.batches or engine.equation != 1:
-        return answers  # linear engines take one scene after the other anyway
-    for name, scene in made.items():
-        with suppress(LmpchainError):
-            attempt = first_attempt(engine, engine.part(scene), tolerance)
-            if 2 * attempt.candidate.active_grains >= scene.chain.grains:  # else the light cone saves more than a batch
-                attempts[name] = attempt
-    while attempts:
-        groups: dict[Any, list[int]] = {}
-        for name, attempt in attempts.items():
-            chosen = attempt.candidate
-            steps = chosen.integrator, chosen.steps_per_sample, chosen.step, chosen.adaptive
-            groups.setdefault((*kind(made[name]), *steps, *chosen.choices.items()), []).append(name)
-        before, attempts = attempts, {}
-        for names in groups.values():
-            try:
-                runs = _batch(engine, [made[name] for name in names], before[names[0]].candidate)
-            except RunFailed:  # one of them; alone it will show which
-                continue
-            for name, (found, error) in zip(names, runs, strict=True):
-                following, missed = next_attempt(engine, made[name], before[name], error)
-                if following:
-                    attempts[name] = following
-                else:
-                    answers[name] = ToleranceNotMet(missed) if missed else found
-    return answers
-
-
-def _batch(engine: Engine, alike: Sequence[Scene], candidate: Candidate) -> list[tuple[Answer, ErrorBudget]]:
-    """Run scenes together; return the answer to each, and its error."""
-    grains = alike[0].recorded
-    shape = len(alike), alike[0].samples, grains.size
-    displacement, velocity = np.empty(shape), np.empty(shape)
-    run = engine.start(alike, candidate)
+def _alone(scene: Scene | InputError, engine: Engine, tolerance: float) -> Trajectory | LmpchainError:
+    """Answer one scene, or say why there is no answer."""
+    if isinstance(scene, InputError):
+        return scene
     try:
-        for block in run.blocks():
-            displacement[:, block.samples, block.columns] = block.displacement
-            velocity[:, block.samples, block.columns] = block.velocity
-        errors = run.errors()
-    finally:
-        run.close()
-    return [
-        (Answer(scene, engine.equation, grains, u, v, error.estimate), error)
-        for scene, u, v, error in zip(alike, displacement, velocity, errors, strict=True)
-    ]
+        return simulate(scene, engine, tolerance)
+    except (InputError, ToleranceNotMet, RunFailed) as error:
+        return error
