@@ -6,6 +6,7 @@ its error estimate, `solve_to_tolerance` goes from attempt to attempt.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -15,9 +16,10 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from ..errors import RunFailed, ToleranceNotMet
+from ..integrators.methods import METHODS
 from ..scene.scene import Scene
 from ..trajectory.record import Cost
-from ..util.arrays import Array
+from ..util.arrays import EPSILON, Array
 from ..util.compilation import clock, compiled_s
 from .amplification import LAST_DIGIT
 from .base import Candidate, Engine, ErrorBudget, Run
@@ -242,11 +244,12 @@ def _why_not(scene: Scene, error: ErrorBudget, attempt: Attempt, better: Candida
     """
     tolerance, truncations = attempt.tolerance, attempt.truncations
     recent = truncations[-STALLS - 1 :]
+    worse = len(recent) > 1 and recent[-1] > recent[-2]
     stalled = len(recent) > STALLS and all(b > STALLED * a for a, b in pairwise(recent))
-    if better and not stalled and len(truncations) < ATTEMPTS:
+    if better and not stalled and not worse and len(truncations) < ATTEMPTS:
         return ""
-    rounding = better is None or error.truncation < ERRATIC * error.roundoff
-    rounding = rounding or _divergence_time(scene, attempt.candidate, tolerance / ROUNDING_ULPS) is not None
+    rounding = better is None or (stalled and error.truncation < ERRATIC * error.roundoff)
+    rounding = rounding or _divergence_time(scene, attempt.candidate, tolerance / _ulps(scene, attempt)) is not None
     if not rounding and len(truncations) < ATTEMPTS:
         return ""
     reason = (
@@ -258,6 +261,14 @@ def _why_not(scene: Scene, error: ErrorBudget, attempt: Attempt, better: Candida
     time_s = error.first_beyond(tolerance)
     known = rounding and time_s < float("inf")
     return f"{reason}: {_amplifies(time_s)}" if known else f"{reason}: ask for less"
+
+
+def _ulps(scene: Scene, attempt: Attempt) -> float:
+    """Return how many last digits at t = 0 do as much as rounding all along a run: it walks, or adds up."""
+    candidate = attempt.candidate
+    steps = candidate.steps_per_sample * (scene.samples - 1)
+    evaluations = METHODS[candidate.integrator].evaluations if candidate.integrator else 0
+    return max(ROUNDING_ULPS, EPSILON / LAST_DIGIT * math.sqrt(steps * evaluations))
 
 
 def _chaotic(scene: Scene, error: ErrorBudget, attempt: Attempt) -> str:
