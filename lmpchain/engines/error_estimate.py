@@ -253,11 +253,11 @@ class CompanionRun(Run):
             coarse = steps[1] if len(steps) > 1 else None
             truncation = extrapolate(trusted, smooth, coarse, steps[0], self._ratios).max()
         radians = self._radians[real]
-        displaced = radians / self.scene.duration * peaks[0] / peaks[1] if self.peaks[real, 1] > 0 else 0.0
+        displaced = radians / self.scene.duration * float(peaks[0] / peaks[1]) if self.peaks[real, 1] > 0 else 0.0
         made = float(self._answer.steps[real])
         roundoff = native_floor(made * self.method.evaluations, radians, displaced)
         if self._native[0].chains.forms[real] in ROOTS and self.scene.chain.compressed and made:
-            roundoff += self.method.spread * plain_loss(self._scenes[real], made) / peaks[1]
+            roundoff += self.method.spread * plain_loss(self._scenes[real], made) / float(peaks[1])
         truncation = max(truncation, min(steps[0].max(), (GROWN if opens else STEADY) * roundoff))
         if self._twin:
             roundoff += float(relative[0].max())

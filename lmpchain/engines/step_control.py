@@ -21,7 +21,7 @@ from ..scene.scene import Scene
 from ..trajectory.record import Cost
 from ..util.arrays import EPSILON, Array
 from ..util.compilation import clock, compiled_s
-from .amplification import LAST_DIGIT
+from .amplification import COARSE, LAST_DIGIT
 from .base import Candidate, Engine, ErrorBudget, Run
 from .perturbation import divergence
 
@@ -34,6 +34,7 @@ STALLED = 0.7  # truncation error over that of the attempt before, from which on
 CHAOS_MISS, CHAOS_ERROR, CHAOS_DIVERGENCE = 1e4, 0.3, 10.0
 ERRATIC = 1e5  # truncation over round-off: an estimate that stalls above that is erratic, or the scene is chaotic
 ROUNDING_ULPS = 30.0  # rounding all along a run does as much as a change of up to so many ulps at t = 0
+ENOUGH = 3e5  # steps that show what a scene makes of a last digit
 T = TypeVar("T")
 
 
@@ -291,6 +292,10 @@ def _divergence_time(scene: Scene, candidate: Candidate, distance: float, times:
     """
     if not candidate.integrator:
         return None
+    intervals, steps = scene.samples - 1, candidate.steps_per_sample
+    enough = math.ceil(max(ENOUGH, scene.duration * scene.highest_frequency / COARSE) / intervals)
+    if steps > enough:
+        candidate = replace(candidate, steps_per_sample=enough, step=candidate.step * steps / enough)
     time_s = scene.duration
     for adaptive in {candidate.adaptive, False}:
         try:
