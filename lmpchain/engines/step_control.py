@@ -29,6 +29,7 @@ from .perturbation import divergence
 ATTEMPTS = 12
 STALLS = 2  # attempts in a row that do not help: round-off or chaos, not the step, is the limit
 STALLED = 0.7  # truncation error over that of the attempt before, from which on it is no help
+WORSE = 2.0  # the same from which on shorter steps may have made it worse, by rounding
 # test for chaos if the first attempt misses by so many tolerances or so much: two runs one ulp apart at t = 0 must
 # diverge by so many tolerances; of 290 random scenes, 250 of which can be answered, none of these did
 CHAOS_MISS, CHAOS_ERROR, CHAOS_DIVERGENCE = 1e4, 0.3, 10.0
@@ -245,7 +246,7 @@ def _why_not(scene: Scene, error: ErrorBudget, attempt: Attempt, better: Candida
     """
     tolerance, truncations = attempt.tolerance, attempt.truncations
     recent = truncations[-STALLS - 1 :]
-    worse = len(recent) > 1 and recent[-1] > recent[-2]
+    worse = len(recent) > 1 and recent[-1] > WORSE * recent[-2]
     stalled = len(recent) > STALLS and all(b > STALLED * a for a, b in pairwise(recent))
     if better and not stalled and not worse and len(truncations) < ATTEMPTS:
         return ""

@@ -24,7 +24,7 @@ from ..trajectory.record import ErrorEstimate
 from ..util.arrays import Array
 from .file import Sweep, again
 from .labels import recorded
-from .quantities import QUANTITIES, measured
+from .quantities import measured
 from .realisations import scenes
 from .store import NAME, NOT_DONE, Layout, complete, part_of, read_part, write_part
 
@@ -143,7 +143,7 @@ def _put(columns: Mapping[str, Any], row: int, found: Answer, plan: Sweep, task:
         if values.ndim == 2:
             into[: len(values), spots] = values
         elif values.ndim:
-            into[slice(len(values)) if name in QUANTITIES and QUANTITIES[name].whole else spots] = values
+            into[slice(len(values)) if task.layout.columns[name].dimensions == ("time",) else spots] = values
         else:
             columns[name][row] = values
     columns["model_error"][row], columns["solver_error"][row] = found.error.model, found.error.solver
