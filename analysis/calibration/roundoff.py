@@ -17,10 +17,10 @@ from common import Case, Row, answer, command, quantile
 from scenes import drawn
 
 from lmpchain import Scene
-from lmpchain.engines.error_estimate import EPSILON, native_floor
 from lmpchain.engines.lammps.engine import HEADROOM, ROUNDING, TYPICAL, Lammps, gauge_diameter
 from lmpchain.engines.linear.engine import Chebyshev, LinearEngine, Modes
-from lmpchain.engines.native import PLAIN, Native
+from lmpchain.engines.native import Native
+from lmpchain.engines.round_off import EPSILON, PLAIN, native_floor
 from lmpchain.errors import InputError, ToleranceNotMet
 from lmpchain.integrators.batch import STRONG, force_form
 from lmpchain.integrators.kernels.contact_forces import ROOTS

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..engines.error_estimate import native_floor
+from ..engines.round_off import native_floor
 from ..errors import InputError, RunFailed, ToleranceNotMet, check_tolerance
 from ..integrators.adjoint import DifferentiableRun, Inputs
 from ..integrators.splittings import SPLITTINGS, Splitting

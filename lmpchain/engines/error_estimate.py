@@ -18,16 +18,18 @@ from numpy.typing import NDArray
 
 from ..errors import RunFailed
 from ..integrators.batch import ChainBatch
+from ..integrators.kernels.contact_forces import ROOTS
 from ..integrators.kernels.reductions import compared
 from ..integrators.methods import Method
 from ..integrators.step_schedule import StepSchedule
 from ..integrators.stepper import NativeStepper, Stepper
 from ..scene.scene import Scene
 from ..trajectory.record import Block, Cost
-from ..util.arrays import EPSILON, Array
+from ..util.arrays import Array
 from ..util.compilation import clock
 from .amplification import amplified_digit
 from .base import Candidate, ErrorBudget, Run
+from .round_off import native_floor, plain_loss
 
 PIECE_S = 0.1  # longest stretch of work between two opportunities to stop
 GUESSED_RATE = 1e7  # grain-steps a second, a low guess to begin with
@@ -39,8 +41,6 @@ SAFETY = 2.0  # factor on the Richardson estimate
 # over round-off: what two runs may differ by for that reason alone, which no law of the step divides, where contacts
 # open or not; reflections through opening contacts make much of a little
 GROWN, STEADY = 300.0, 3.0
-PHASE_ULPS = 1.5  # of the phase of the fastest motion, by which rounding shifts it
-DISPLACED = 0.05  # part of omega x_max / v_max by which the rounding of displacements exceeds that of velocities
 # rounding that all runs share (of the parameters, say), where contacts open, as a multiple of what becomes of a last
 # digit; looked for below that estimate, if it can grow so far: from so much, by less than that exponent a radian
 SHARED, NEAR_ROUNDOFF, SHORT, GROWTH = 1.0, 1e-6, 1e-13, 0.05
@@ -225,6 +225,7 @@ class CompanionRun(Run):
         taken, time = self._answer.steps.tolist(), self.scene.time
         order, adaptive, found = self.method.order, self.candidate.adaptive, []
         kinked = self.scene.chain.exponent < KINKED_BELOW
+        plain = np.isin(self._native[0].chains.forms, ROOTS) & self.scene.chain.compressed
         at_openings = min(order, ORDER_AT_KINKS if kinked else ORDER_AT_OPENINGS)
         for real, opens in enumerate((lowest <= CLOSE_TO_OPENING).tolist()):
             fine, coarse = steps[0, real], steps[1, real] if len(steps) > 1 else None
@@ -237,6 +238,8 @@ class CompanionRun(Run):
             radians, (farthest, fastest) = self._radians[real], peaks[real].tolist()
             displaced = radians / self.scene.duration * farthest / fastest if self.peaks[real, 1] > 0 else 0.0
             roundoff = native_floor(taken[real] * self.method.evaluations, radians, displaced)
+            if plain[real] and taken[real]:
+                roundoff += self.method.spread * plain_loss(self._scenes[real], taken[real]) / fastest
             truncation = max(truncation, min(most, (GROWN if opens else STEADY) * roundoff))
             if self._twin:
                 roundoff += rounding[real]
@@ -246,8 +249,8 @@ class CompanionRun(Run):
         return found
 
     def _grown(self, real: int, peaks: Array) -> float:
-        """Return what becomes of a last digit in the whole run; 0 before its end."""
-        if self._at_rest[real] or self._sample < self.scene.samples - 1:
+        """Return what becomes of a last digit in the whole run; 0 before its end, and where nothing ever meets."""
+        if self._at_rest[real] or self._sample < self.scene.samples - 1 or not self.closest[real] > 0:
             return 0.0
         if real not in self._amplified:
             began = clock()
@@ -304,16 +307,6 @@ def extrapolate(
     ratio = np.clip(coarse / np.maximum(fine, 1e-300), 1.5**doublings, (second / first) ** order)
     gain = ratio ** (math.log2(first) / doublings)  # error at the longer step over that at h
     return SAFETY * np.maximum(fine / (gain - 1), coarse / (second**order - first**order))
-
-
-def native_floor(evaluations: float, radians: float, displaced: float = 0.0) -> float:
-    """Round-off of the native integration; analysis/calibration/roundoff.py.
-
-    A random walk of half-ulps, more where displacements are large against v / omega (`displaced` times), for a stiff
-    contact makes a velocity of their last digit; and the phase (in `radians` of the fastest motion), which the rounding
-    of masses, stiffnesses and fractions of a step shifts in proportion to the time: by 0.1 to 4 ulps of it.
-    """
-    return EPSILON * (2 + math.sqrt(evaluations) * max(1.0, DISPLACED * displaced) + PHASE_ULPS * radians)
 
 
 def _block(steppers: int, realisations: int, grains: int, samples: int) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import ClassVar
@@ -18,14 +17,11 @@ from ..integrators.methods import METHODS
 from ..integrators.step_schedule import StepSchedule
 from ..integrators.stepper import NativeStepper
 from ..scene.scene import Scene
-from ..util.arrays import EPSILON, Array
+from ..util.arrays import Array
 from ..util.suggestions import not_among
 from .base import Candidate
-from .error_estimate import native_floor
+from .round_off import native_floor, plain_loss
 from .time_stepping import SAFE_STRAIN, TimeSteppingEngine
-
-# last digits of the force at rest that the plain form loses in a step; analysis/calibration/roundoff.py
-PLAIN = 0.9
 
 
 class Native(TimeSteppingEngine):
@@ -99,13 +95,10 @@ class Native(TimeSteppingEngine):
         """Predict round-off: a random walk of one ulp a force evaluation, and what the plain force loses.
 
         The phase shifts by a quarter of what `native_floor` allows for.
-        That is the last digit of what the contacts carry at rest, at every step: an acceleration of 0.9 EPSILON F_n/m,
-        which walks to that times sqrt(duration h) in the velocity.
         """
         walk = native_floor(steps * self.methods[0].evaluations, scene.highest_frequency * scene.duration / 4)
         if force_form(scene, self.force) in ROOTS:
-            lost = PLAIN * EPSILON * float((scene.chain.contacts.force[:-1] / scene.chain.masses).max())
-            walk += lost * scene.duration / math.sqrt(steps) / speed
+            walk += plain_loss(scene, steps) / speed
         return walk
 
     def computed(self, scene: Scene) -> float:

@@ -42,6 +42,11 @@ class DormandPrince:
         return DOP853.C[:12], a @ a, np.array(outer)
 
     @cached_property
+    def spread(self) -> float:
+        """Root of the sum of its squared weights, some of which are large."""
+        return float(np.linalg.norm(self.tables[2][1]))
+
+    @cached_property
     def stability_limit(self) -> float:
         """Largest omega h for which x'' = -omega^2 x stays bounded."""
         return first_growth(self.growth, 1e-12)

@@ -22,6 +22,7 @@ class Gear:
     name: str = "gear4"
     order: int = 4
     evaluations: int = 1
+    spread: float = 1.0
     error_constant: float = 1e-3
     reference: str = "Gear, Numerical Initial Value Problems in Ordinary Differential Equations (1971), chapter 9"
     adaptive: Literal["no"] = "no"

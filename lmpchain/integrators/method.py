@@ -53,6 +53,10 @@ class Method(Protocol):
         """Force evaluations a step."""
 
     @property
+    def spread(self) -> float:
+        """By what a step multiplies errors of the force that know nothing of each other, 1 if by no more."""
+
+    @property
     def error_constant(self) -> float:
         """Relative error at ``omega h = 1`` for ``omega T = 60``; analysis/calibration/error_constants.py."""
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
@@ -53,6 +53,7 @@ class Splitting:
     error_constant: float
     reference: str
     substeps: tuple[float, ...] = ()
+    spread: ClassVar[float] = 1.0
 
     @property
     def evaluations(self) -> int:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+EVERY, EVERY_STRETCHED = 32, 128  # steps between two samples from which on companions land on each, too
+
 
 @dataclass(frozen=True)
 class StepSchedule:
@@ -36,8 +38,12 @@ class StepSchedule:
     ) -> StepSchedule:
         """Return the schedule with so many steps between two samples, or one with steps longer by this ratio.
 
+        Where a sample more or less matters little, it lands on every one: a collision may be seen in a single one.
         `stretched` says that steps may grow until samples cut them: the time between landings is then longer, too.
         """
+        if steps_per_sample >= (EVERY_STRETCHED if stretched else EVERY):
+            fewer = math.ceil(steps_per_sample / ratio)
+            return cls(fewer, 1, step * steps_per_sample / fewer, adaptive, ratio)
         common = 1 if stretched else math.gcd(steps_per_sample, ratio)
         return cls(steps_per_sample // common, ratio // common, step * ratio, adaptive, ratio)
 

@@ -15,12 +15,13 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.plotting import axes_in_units
 from .contact import known_contacts, motion
+from .motion import Motion, motion_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from .motion import Motion
+    from ..chain.chain import Chain
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +121,8 @@ class EnergyShares:
     of_grain : (T, G) array
         Kinetic energy of each grain, half of its contacts with other grains, and all of those with walls; NaN where a
         neighbour was not recorded.
+    kinetic_error, elastic_error, of_grain_error : arrays like these three
+        How far each may be off by the error of the trajectory, where that is known.
     """
 
     time: Array
@@ -128,6 +131,9 @@ class EnergyShares:
     kinetic: Array
     elastic: Array
     of_grain: Array
+    kinetic_error: Array
+    elastic_error: Array
+    of_grain_error: Array
 
     def part(self, first: int, last: int) -> Array:
         """Return the energy of grains first ... last, the sum of `of_grain`, (T,) J.
@@ -161,16 +167,25 @@ def shares(trajectory: Trajectory | Motion) -> EnergyShares:
     [1.0, 1.0, 1.0]
     """
     chain, grain = trajectory.scene.chain, trajectory.grains
+    between = trajectory if isinstance(trajectory, Motion) else motion_of(trajectory)
+    off, fast = between.known_error("displacement"), between.known_error("velocity")
     contact = known_contacts(trajectory)
     u, _ = motion(trajectory, np.stack([contact, contact + 1]))
-    elastic = chain.contacts.of(contact).energy(u[:, 0] - u[:, 1])
-    kinetic = chain.masses[grain - 1] * trajectory.velocity**2 / 2
-    every = np.where(chain.contacts.exists, np.nan, 0.0) + np.zeros((trajectory.time.size, 1))
-    every[:, contact] = elastic
+    these, closer, speed = chain.contacts.of(contact), u[:, 0] - u[:, 1], np.abs(trajectory.velocity)
+    steepest = np.maximum(*(np.abs(these.force_change(closer + side)) for side in (-2 * off, 2 * off)))
+    kinetic = chain.masses[grain - 1] * speed**2 / 2, chain.masses[grain - 1] * fast * (speed + fast / 2)
+    elastic = these.energy(closer), 2 * off * steepest
+    of_grain = [k + _beside(chain, contact, e, grain) for k, e in zip(kinetic, elastic, strict=True)]
+    values, errors = zip(kinetic, elastic, of_grain, strict=True)
+    return EnergyShares(trajectory.time, grain, contact, *values, *errors)
+
+
+def _beside(chain: Chain, contact: NDArray[np.intp], held: Array, grain: NDArray[np.intp]) -> Array:
+    """Return what grains have of what their contacts hold, (T, G): half, or all where it is with a wall."""
+    every = np.where(chain.contacts.exists, np.nan, 0.0) + np.zeros((len(held), 1))
+    every[:, contact] = held
     every[:, 1:-1] /= 2
-    return EnergyShares(
-        trajectory.time, grain, contact, kinetic, elastic, kinetic + every[:, grain - 1] + every[:, grain]
-    )
+    return every[:, grain - 1] + every[:, grain]
 
 
 def ledger(trajectory: Trajectory) -> EnergyLedger:

@@ -6,8 +6,10 @@ from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..measure.motion import Motion
+from ..measure.derivatives import UNKNOWN
+from ..measure.motion import Motion, columns
 from ..util.arrays import Array
 
 FRACTION = 0.5  # of the largest speed of a grain that the front has at least, as in measure.front.track
@@ -19,71 +21,76 @@ class Quantity(NamedTuple):
     dimensions: tuple[str, ...]
     units: str
     long_name: str
-    measure: Callable[[Motion], tuple[Array, Array] | Array]
-
-    @property
-    def whole(self) -> bool:
-        """Whether it is the recorded motion itself, with the error of the trajectory and no other."""
-        return "time" in self.dimensions
+    measure: Callable[[Motion, NDArray[np.intp]], tuple[Array, ...]]
+    whole: bool = False  # whether it is the recorded motion itself, with the error of the trajectory and no other
 
 
-def _arrival_time(motion: Motion) -> tuple[Array, Array]:
+def _arrival_time(motion: Motion, _: NDArray[np.intp]) -> tuple[Array, Array]:
     rows = motion.fronts("velocity", FRACTION, width=False)
     return rows[:, 0], rows[:, 3]
 
 
-def _peak_displacement(motion: Motion) -> tuple[Array, Array]:
+def _peak_displacement(motion: Motion, _: NDArray[np.intp]) -> tuple[Array, Array]:
     return motion.peaks("displacement")[1:]
 
 
-def _peak_velocity(motion: Motion) -> tuple[Array, Array]:
+def _peak_velocity(motion: Motion, _: NDArray[np.intp]) -> tuple[Array, Array]:
     return motion.peaks("velocity")[1:]
 
 
-def _wall_force(motion: Motion) -> tuple[Array, Array]:
+def _wall_force(motion: Motion, _: NDArray[np.intp]) -> tuple[Array, Array]:
     force, error = motion.largest_wall_force()
     return np.array(force), np.array(error)
 
 
-def _energy(which: str) -> Callable[[Motion], Array]:
-    def measure(motion: Motion) -> Array:
-        from ..measure.energy import shares
+def _energy(motion: Motion, grains: NDArray[np.intp]) -> tuple[Array, Array]:
+    from ..measure.energy import shares
 
-        energy = shares(motion)
-        if which == "all":
-            return energy.kinetic.sum(1) + energy.elastic.sum(1)
-        if which == "grain":
-            return energy.of_grain
-        below = np.full(energy.kinetic.shape, np.nan)
-        there = np.isin(energy.grain, energy.contact)
-        places = {number: place for place, number in enumerate(energy.contact.tolist())}
-        below[:, there] = energy.elastic[:, [places[number] for number in energy.grain[there].tolist()]]
-        return below
+    energy, known = shares(motion), columns(motion.scene, grains) != UNKNOWN
+    grain, contact = np.isin(energy.grain, grains), known[energy.contact] & known[energy.contact + 1]
+    moving = energy.kinetic[:, grain].sum(1), energy.kinetic_error[:, grain].sum(1)
+    held = energy.elastic[:, contact].sum(1), energy.elastic_error[:, contact].sum(1)
+    return moving[0] + held[0], moving[1] + held[1]
 
-    return measure
+
+def _grain_energy(motion: Motion, _: NDArray[np.intp]) -> tuple[Array, Array]:
+    from ..measure.energy import shares
+
+    energy = shares(motion)
+    return energy.of_grain, energy.of_grain_error
+
+
+def _contact_energy(motion: Motion, _: NDArray[np.intp]) -> tuple[Array, Array]:
+    from ..measure.energy import shares
+
+    energy = shares(motion)
+    below = np.full((2, *energy.kinetic.shape), np.nan)
+    _, there, places = np.intersect1d(energy.grain, energy.contact, return_indices=True)
+    below[:, :, there] = np.stack([energy.elastic, energy.elastic_error])[:, :, places]
+    return below[0], below[1]
 
 
 QUANTITIES = {
     "displacement": Quantity(
-        ("time", "grain"), "m", "displacement from equilibrium, positive downward", lambda m: m.displacement
+        ("time", "grain"), "m", "displacement from equilibrium, positive downward", lambda m, _: (m.displacement,), True
     ),
-    "velocity": Quantity(("time", "grain"), "m s-1", "velocity, downward", lambda m: m.velocity),
+    "velocity": Quantity(("time", "grain"), "m s-1", "velocity, downward", lambda m, _: (m.velocity,), True),
     "peak_displacement": Quantity(("grain",), "m", "largest size of the displacement at any time", _peak_displacement),
     "peak_velocity": Quantity(("grain",), "m s-1", "largest size of the velocity at any time", _peak_velocity),
     "arrival_time": Quantity(
         ("grain",), "s", "when the front passes, by the velocity (measure.front.track)", _arrival_time
     ),
     "energy": Quantity(
-        ("time",), "J", "energy above rest of the recorded grains and the contacts between them", _energy("all")
+        ("time",), "J", "energy above rest of the recorded grains and the contacts between them", _energy
     ),
     "grain_energy": Quantity(
         ("time", "grain"),
         "J",
         "energy above rest of a grain and its share of contacts (measure.energy.shares)",
-        _energy("grain"),
+        _grain_energy,
     ),
     "contact_energy": Quantity(
-        ("time", "grain"), "J", "energy above rest of the contact below a grain; NaN if unknown", _energy("contact")
+        ("time", "grain"), "J", "energy above rest of the contact below a grain; NaN if unknown", _contact_energy
     ),
     "wall_force": Quantity(
         (), "N", "largest force on what holds the bottom, at any time (measure.contact.wall_force)", _wall_force
@@ -91,13 +98,12 @@ QUANTITIES = {
 }
 
 
-def measured(motion: Motion, keep: Iterable[str], grains: np.ndarray) -> dict[str, Array]:
+def measured(motion: Motion, keep: Iterable[str], grains: NDArray[np.intp]) -> dict[str, Array]:
     """Return what is kept of a motion, by name, at these of its grains; errors under the name with _error."""
     rows = motion.rows(grains)
     found: dict[str, Array] = {}
     for name in keep:
         quantity = QUANTITIES[name]
-        values = quantity.measure(motion)
-        for key, each in zip((name, f"{name}_error"), values if isinstance(values, tuple) else (values,), strict=False):
+        for key, each in zip((name, f"{name}_error"), quantity.measure(motion, grains), strict=False):
             found[key] = each[..., rows] if "grain" in quantity.dimensions else each
     return found

@@ -21,7 +21,7 @@ from ..simulation.many import in_batches
 from ..trajectory.trajectory import Trajectory
 from .file import Sweep, again
 from .labels import recorded
-from .quantities import QUANTITIES, measured
+from .quantities import measured
 from .realisations import scenes
 from .store import NAME, NOT_DONE, Layout, complete, part_of, read_part, write_part
 
@@ -125,7 +125,7 @@ def _put(columns: Mapping[str, Any], row: int, found: Trajectory | LmpchainError
         if values.ndim == 2:
             into[: len(values), spots] = values
         elif values.ndim:
-            into[slice(len(values)) if name in QUANTITIES and QUANTITIES[name].whole else spots] = values
+            into[slice(len(values)) if task.layout.columns[name].dimensions == ("time",) else spots] = values
         else:
             columns[name][row] = values
     columns["model_error"][row], columns["solver_error"][row] = found.error_estimate.model, found.error_estimate.solver

@@ -138,6 +138,10 @@ def _address(array: NDArray[Any]) -> ctypes.c_void_p:
 
 
 def reference(scene: Scene, tolerance: float) -> tuple[Reference, float]:
-    """Return a solution with this tolerance of one step, and its error: the distance to a looser one."""
+    """Return a solution with this tolerance of one step, and its error: the distance to a looser one.
+
+    It is never below what all openings may leave out, for two solutions may leave out the same.
+    """
     best, looser = solve(scene, tolerance), solve(scene, 100 * tolerance, more=2)
-    return best, best.error(looser.displacement, looser.velocity)
+    left_out = best.events * max(tolerance, FINEST["long double"])
+    return best, max(best.error(looser.displacement, looser.velocity), left_out)

@@ -74,3 +74,30 @@ def test_energies_in_a_sweep(tmp_path):
     assert first["energy"].to_numpy() == pytest.approx(scene.energy, rel=1e-8)
     assert first["grain_energy"].to_numpy() == pytest.approx(found.of_grain, rel=1e-12)
     assert first["contact_energy"].to_numpy() == pytest.approx(found.elastic[:, 1:], rel=1e-12)
+    for name, exact in (("energy", scene.energy), ("grain_energy", found.of_grain)):
+        off = np.abs(first[name].to_numpy() - exact)
+        assert (off <= first[f"{name}_error"].to_numpy() + 1e-12 * scene.energy).all()
+
+
+@pytest.mark.parametrize("name", WALLED)
+def test_energies_are_no_further_off_than_they_say(name: str):
+    """Against the energy put in, and a run a million times more accurate."""
+    chain = WALLED[name]
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-2, grain=chain.movable), duration=2e-5, samples=21)
+    found, better = (energy.shares(simulate(scene, "native", tolerance)) for tolerance in (1e-3, 1e-9))
+    error = found.kinetic_error.sum(1) + found.elastic_error.sum(1)
+    assert (np.abs(found.kinetic.sum(1) + found.elastic.sum(1) - scene.energy) <= error).all()
+    for field in ("kinetic", "elastic", "of_grain"):
+        off, said = np.abs(getattr(found, field) - getattr(better, field)), getattr(found, f"{field}_error")
+        assert (off <= said + getattr(better, f"{field}_error")).all()
+    assert 0 < error.max() < 0.02 * scene.energy
+
+
+def test_the_energy_of_some_grains_does_not_depend_on_what_else_is_kept(tmp_path):
+    scene = Scene(chain=LOADED, excitation=ACTED["struck"], duration=2e-5, samples=11, grains="3:6").to_dict()
+    kept = {}
+    for number, keep in enumerate((["energy"], ["energy", "peak_velocity", "grain_energy"])):
+        grid = {"excitation.velocity": [1e-3, 2e-3]}
+        kept[number] = sweep({"scene": scene, "keep": keep, "engine": "native", "grid": grid}, tmp_path / str(number))
+    assert kept[1]["energy"].to_numpy() == pytest.approx(kept[0]["energy"].to_numpy(), rel=1e-12)
+    assert np.isfinite(kept[1]["grain_energy"].to_numpy()).all()

@@ -1,0 +1,32 @@
+"""What rounding makes of a native run, as measured by analysis/calibration/roundoff.py."""
+
+from __future__ import annotations
+
+import math
+
+from ..scene.scene import Scene
+from ..util.arrays import EPSILON
+
+PHASE_ULPS = 1.5  # of the phase of the fastest motion, by which rounding shifts it
+DISPLACED = 0.05  # part of omega x_max / v_max by which the rounding of displacements exceeds that of velocities
+PLAIN = 0.9  # last digits of the force at rest that the plain form loses in a step
+
+
+def native_floor(evaluations: float, radians: float, displaced: float = 0.0) -> float:
+    """Return the round-off of the native integration, relative to the largest motion.
+
+    A random walk of half-ulps, more where displacements are large against v / omega (`displaced` times), for a stiff
+    contact makes a velocity of their last digit; and the phase (in `radians` of the fastest motion), which the rounding
+    of masses, stiffnesses and fractions of a step shifts in proportion to the time: by 0.1 to 4 ulps of it.
+    """
+    return EPSILON * (2 + math.sqrt(evaluations) * max(1.0, DISPLACED * displaced) + PHASE_ULPS * radians)
+
+
+def plain_loss(scene: Scene, steps: float) -> float:
+    """Return the velocity that the plain form of the force loses in so many steps, m/s.
+
+    That is the last digit of what the contacts carry at rest, at every step: an acceleration of 0.9 EPSILON F_n/m,
+    which walks to that times sqrt(duration h) in the velocity.
+    """
+    lost = PLAIN * EPSILON * float((scene.chain.contacts.force[:-1] / scene.chain.masses).max())
+    return lost * scene.duration / math.sqrt(steps)
