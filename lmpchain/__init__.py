@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from .util.lazy import attributes
+from .util.lazy import attributes, listed
 
 if TYPE_CHECKING:
     from . import design as design
@@ -66,7 +66,4 @@ _MODULES = {
 _PACKAGES = ("design", "disorder", "engines", "measure", "orbits", "theory")
 __all__ = [*_PACKAGES, *" ".join(_MODULES.values()).split()]
 __getattr__ = attributes(__name__, _PACKAGES, _MODULES)
-
-
-def __dir__() -> list[str]:
-    return sorted([*globals(), *__all__])
+__dir__ = listed(__name__)

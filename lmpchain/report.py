@@ -22,6 +22,7 @@ from .util.progress import ProgressBar
 from .util.templates import render
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 MOMENTS = (0.25, 0.5, 1.0)  # of the duration, for the waveforms
@@ -58,23 +59,27 @@ def page(trajectory: Trajectory, progress: bool = False) -> str:
 def _sections(trajectory: Trajectory, bar: ProgressBar) -> Iterator[Section]:
     yield Section("The run", rows=tuple(_facts(trajectory)))
     drawn: tuple[tuple[str, str, Callable[[Trajectory], Figure]], ...] = (
-        ("The wave in space and time", "Velocity of every recorded grain.", spectrum.space_time),
+        (
+            "The wave in space and time",
+            "Velocity of every recorded grain.",
+            lambda run: _of(spectrum.space_time(run)),
+        ),
         ("Waveforms", "Points: this run. Lines: linear theory, Eq. (3), exact. Below: their difference.", _waveforms),
         (
             "The front",
             "Amplitude of the first maximum of the velocity at each grain.",
-            lambda run: front.track(run).plot(),
+            lambda run: _of(front.track(run).plot()),
         ),
         (
             "Spectra",
             "Velocity spectrum of every grain; the line is the local cut-off frequency.",
-            lambda run: spectrum.spectrum(run).plot(),
+            lambda run: _of(spectrum.spectrum(run).plot()),
         ),
         ("Contacts", "Force of every contact; a contact without force is open or about to close.", _contacts),
         (
             "Energy",
             "Energy relative to rest. Drift: change not explained by work done on the chain.",
-            lambda run: energy.ledger(run).plot(),
+            lambda run: _of(energy.ledger(run).plot()),
         ),
     )
     for title, text, draw in drawn:
@@ -113,6 +118,10 @@ def _facts(trajectory: Trajectory) -> Iterator[tuple[str, str]]:
     for key, value in asdict(cost).items():
         name = f"{key.removesuffix('_s')} (s)" if key.endswith("_s") else key
         yield name.replace("_", " "), f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _of(ax: Axes) -> Figure:
+    return ax.figure.figure  # type: ignore[return-value]
 
 
 def _png(picture: Figure) -> str:
@@ -159,7 +168,7 @@ def _linear(trajectory: Trajectory) -> np.ndarray | None:
 
 def _contacts(trajectory: Trajectory) -> Figure:
     history = contact.contacts(trajectory)
-    picture = history.plot()
+    picture = _of(history.plot())
     openings = sum(event.opens for event in history.events())
     picture.axes[0].set_title(f"{openings} openings", loc="left")
     return picture

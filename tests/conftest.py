@@ -3,8 +3,19 @@
 import multiprocessing
 import os
 import signal
+import sys
 
 import pytest
+
+os.environ["MPLBACKEND"] = "agg"  # no test opens a window
+
+
+@pytest.fixture(autouse=True)
+def _figures_are_closed():
+    """Let `pyplot` keep no figure of one test for the next."""
+    yield
+    if "matplotlib.pyplot" in sys.modules:
+        sys.modules["matplotlib.pyplot"].close("all")
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:

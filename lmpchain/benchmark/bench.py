@@ -21,10 +21,13 @@ from ..scene.scene import Scene
 from ..simulation.api import simulate
 from ..trajectory.record import Cost
 from ..trajectory.trajectory import Trajectory
+from ..util.lazy import listed
 from ..util.progress import ProgressBar
 from .comparison import Row, compare
 from .curves import KNOWN, Curve, Point, WorkPrecision, front
 from .reference import Reference, expected_seconds, reference
+
+__dir__ = listed(__name__)
 
 DENSITY = math.sqrt(2)  # ratio of the steps of neighbouring points
 SHARPNESS = 1.1  # factor to which the longest stable step is known; the search takes a quarter of the time at most

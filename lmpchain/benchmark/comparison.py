@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -11,13 +11,16 @@ import numpy as np
 from ..errors import InputError
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
-from ..util.plotting import COLOURS, LOWEST, MARKERS, figure
+from ..util.lazy import listed
+from ..util.notebook import Shown
+from ..util.plotting import COLOURS, LOWEST, MARKERS, panels, window
 from ..util.tables import aligned, finite, number
 from .reference import Reference
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+
+__dir__ = listed(__name__)
 
 
 def errors(trajectory: Trajectory, reference: Reference) -> tuple[float, float]:
@@ -87,8 +90,8 @@ class Row:
     compile_s: float
 
 
-@dataclass(frozen=True, eq=False)
-class Comparison:
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison(Shown):
     """Trajectories of one scene compared with its reference solution.
 
     Attributes
@@ -117,30 +120,31 @@ class Comparison:
             rows.append(fields)
         return {"reference": reference, "rows": rows}
 
+    def _summary(self) -> Iterator[Sequence[str]]:
+        yield "engine", "equation", "integrator", "error", "expected", "integration", "steps", "force evaluations"
+        for row in self.rows:
+            errors = f"{row.error:.2e}", f"{row.expected_error:.2e}"
+            counts = number(row.integration_s, unit="s"), str(row.steps), str(row.force_evaluations)
+            yield row.engine, f"({row.equation})", row.integrator, *errors, *counts
+
     def table(self) -> str:
         """Return the comparison as text."""
-        head = ["engine", "equation", "integrator", "error", "expected", "integration", "steps", "force evaluations"]
-        body = [
-            [row.engine, f"({row.equation})", row.integrator, f"{row.error:.2e}", f"{row.expected_error:.2e}",
-             number(row.integration_s, unit="s"), str(row.steps), str(row.force_evaluations)]
-            for row in self.rows
-        ]  # fmt: skip
         source = f"reference: {self.reference.method}; its own error is about {self.reference.error:.1e}"
         meaning = (
             "error: max|x - x_true| over samples and grains over max|x_true| at any time, "
             "the larger of displacement and velocity"
         )
-        return "\n".join([*aligned([head, *body]), source, meaning])
+        return "\n".join([*aligned(self._summary()), source, meaning])
 
-    def plot(self, axes: Sequence[Axes] | None = None) -> Figure:
-        """Draw the trajectories, their errors over time and their cost.
+    def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Axes:
+        """Draw the trajectories, their errors over time and their cost; returns the axes of the first.
 
         Parameters
         ----------
-        axes : three axes, optional
-            Where to draw; by default in a figure of its own, which is returned.
+        ax : axes, or three of them, optional
+            In one the trajectories alone are drawn; by default all three in a figure of their own.
         """
-        return draw_comparison(self, axes)
+        return draw_comparison(self, ax)
 
 
 def compare(trajectories: Sequence[Trajectory], reference: Reference) -> Comparison:
@@ -169,27 +173,15 @@ def compare(trajectories: Sequence[Trajectory], reference: Reference) -> Compari
 WIDEST, MARGIN = 60, 4  # grains of the wave shown, and grains at rest on either side
 
 
-def draw_comparison(comparison: Comparison, axes: Sequence[Axes] | None = None) -> Figure:
-    """Draw the trajectories, their errors over time and their cost.
-
-    Parameters
-    ----------
-    comparison : Comparison
-    axes : three axes, optional
-        For the wave, the error over time and the cost; by default those of a new figure.
-
-    Returns
-    -------
-    Figure
-    """
-    if axes is None:
-        panels = figure().subplot_mosaic([["wave", "wave"], ["error", "cost"]])
-        axes = [panels["wave"], panels["error"], panels["cost"]]
-    wave, error, cost = axes
+def draw_comparison(comparison: Comparison, ax: Axes | Sequence[Axes] | None = None) -> Axes:
+    """Draw the trajectories, their errors over time and their cost; see `Comparison.plot`."""
+    if ax is None:
+        ax = list(window(8.0, 7.0).subplot_mosaic([["wave", "wave"], ["error", "cost"]]).values())
+    wave, *others = panels(ax)
     _draw_wave(comparison, wave)
-    _draw_errors(comparison, error)
-    _draw_cost(comparison, cost)
-    return wave.figure.figure  # type: ignore[return-value]
+    for draw, place in zip((_draw_errors, _draw_cost), others, strict=False):
+        draw(comparison, place)
+    return wave
 
 
 def _draw_wave(comparison: Comparison, axes: Axes) -> None:

@@ -13,6 +13,9 @@ from ..errors import RunFailed
 from ..scene.scene import Scene
 from ..scene.strike import first_overlaps
 from ..util.arrays import EPSILON, Array
+from ..util.lazy import listed
+
+__dir__ = listed(__name__)
 
 Long = np.longdouble
 Longs = NDArray[np.longdouble]

@@ -1,6 +1,6 @@
 """The chain at rest: materials, contact law, grains, walls, and patterns of grains."""
 
-from ..util.lazy import attributes
+from ..util.lazy import attributes, listed
 
 __all__ = ["Chain", "Contacts", "Impurity", "Material", "patterns"]
 __getattr__ = attributes(
@@ -8,3 +8,4 @@ __getattr__ = attributes(
     ["patterns"],
     {"chain": "Chain", "contacts": "Contacts", "impurities": "Impurity", "materials": "Material"},
 )
+__dir__ = listed(__name__)

@@ -17,13 +17,14 @@ from . import walls
 from .contacts import Contacts, hertz_constant
 from .impurities import Impurities, kinds, misfits, with_impurities
 from .materials import GLASS, Material, OneMaterial, OneOrManyMaterials
+from .picture import AtRest
 from .plausible import HERTZ_OVERLAP, remarks
 
 LEAST_GRAVITY = 1e-100  # m/s2
 LARGEST_OVERLAP = 0.1  # of the diameter: beyond it the Hertz law no longer describes a contact
 
 
-class Chain(Checked):
+class Chain(AtRest, Checked):
     """A vertical column of grains that touch, numbered 1 ... N from the top.
 
     Grain n obeys ``m_n z_n'' = K_(n-1) [o_(n-1)]^delta - K_n [o_n]^delta + m_n g`` (Eq. 1), [o] 0 below 0.
@@ -95,10 +96,7 @@ class Chain(Checked):
         if 0 < self.gravity < LEAST_GRAVITY:
             yield "gravity", f"must be 0, or at least {LEAST_GRAVITY:g} m/s2: below, squares of overlaps underflow"
             return
-        if wrong:
-            return
-        self._leave_open()
-        if self.plainly_below(LARGEST_OVERLAP):
+        if wrong or self._leave_open().plainly_below(LARGEST_OVERLAP):
             return
         with np.errstate(all="ignore"):  # non-finite values are faults
             known = all(np.isfinite(part).all() for part in self.dynamical_matrix()) and (self.masses > 0).all()

@@ -34,6 +34,11 @@ class Material(Checked):
     name: str = ""
     source: str = ""
 
+    def __repr__(self) -> str:
+        return f"Material({self.name!r})" if self.name else super().__repr__()
+
+    __str__ = __repr__
+
     @property
     def sound_speed(self) -> float:
         """Speed of sound in a thin bar, sqrt(E / rho), m/s.

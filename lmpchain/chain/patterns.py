@@ -13,9 +13,12 @@ from pydantic import BeforeValidator, Field
 
 from ..errors import InputError, shown
 from ..util.arrays import Array
+from ..util.lazy import listed
 from ..util.validation import Checked, OneOrMany, Positive, Real, Whole
 from .chain import Chain
 from .materials import GLASS, OneOrManyMaterials
+
+__dir__ = listed(__name__)
 
 
 def tapered(grains: int, diameter: float, taper: float, **rest: Any) -> Chain:

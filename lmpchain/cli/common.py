@@ -87,7 +87,10 @@ def keep(result: Any, numbers: Path | None, picture: Path | None, *arguments: An
         write_json(result.to_json(*arguments), numbers)
         print(f"numbers: {numbers}")
     if picture:
+        import matplotlib
+
         from ..util.plotting import save
 
+        matplotlib.use("agg")  # a command opens no window
         save(result.plot(*arguments), picture)
         print(f"picture: {picture}")

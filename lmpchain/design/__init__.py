@@ -1,6 +1,6 @@
 """Gradients of what a run gives with respect to what a chain is."""
 
-from ..util.lazy import attributes
+from ..util.lazy import attributes, listed
 
 _MODULES = {
     "gradients": "gradient Gradient",
@@ -8,3 +8,4 @@ _MODULES = {
 }
 __all__ = " ".join(_MODULES.values()).split()
 __getattr__ = attributes(__name__, (), _MODULES)
+__dir__ = listed(__name__)

@@ -1,6 +1,6 @@
 """Random chains, averages over them, and localisation in them."""
 
-from ..util.lazy import attributes
+from ..util.lazy import attributes, listed
 
 __all__ = [
     "DensityOfStates",
@@ -25,3 +25,4 @@ __getattr__ = attributes(
         "transfer_matrix": "DensityOfStates Localisation density_of_states lyapunov",
     },
 )
+__dir__ = listed(__name__)

@@ -13,18 +13,18 @@ from ..engines.base import Engine
 from ..scene.scene import Scene
 from ..simulation.api import simulate
 from ..util.arrays import Array
+from ..util.notebook import Shown
 from .draws import Law, Of, check, disordered, factors, fault_of_whole, realisation
 from .streaming import Average, Draw, averaged
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 __all__ = ["Ensemble", "at_the_end", "disordered", "ensemble", "factors", "realisation"]
 
 
-@dataclass(frozen=True, eq=False)
-class Ensemble:
+@dataclass(frozen=True, eq=False, repr=False)
+class Ensemble(Shown):
     """Averages over disordered chains of the same scene.
 
     Attributes
@@ -72,14 +72,14 @@ class Ensemble:
     solver_error: float
     squeezed: int
 
-    def plot(self, ax: Axes | None = None, sample: int = -1) -> Figure:
+    def plot(self, ax: Axes | None = None, sample: int = -1) -> Axes:
         """Draw the mean velocity against grain number at one sample, with a band of two standard errors.
 
-        Returns the figure.
+        Returns the axes.
         """
-        from ..util.plotting import axes_in_units
+        from ..util.plotting import axes_in_units, legend, titled
 
-        ax, picture = axes_in_units(ax, "", "m/s")
+        ax = axes_in_units(ax, "", "m/s")
         mean, band = self.velocity[sample], 2 * self.velocity_error[sample]
         (line,) = ax.plot(self.grains, mean, label=f"m = {self.m:g}: mean of {self.realisations} chains")
         if self.realisations > 1:
@@ -87,9 +87,9 @@ class Ensemble:
                 self.grains, mean - band, mean + band, color=line.get_color(), alpha=0.25, lw=0, label="± 2 st. errors"
             )
         ax.set(xlabel="grain number, from the top", ylabel="mean velocity, downward")
-        ax.set_title(f"t = {self.time[sample]:.4g} s", loc="left")
-        ax.legend(frameon=False)
-        return picture
+        titled(ax, f"t = {self.time[sample]:.4g} s")
+        legend(ax)
+        return ax
 
 
 def ensemble(

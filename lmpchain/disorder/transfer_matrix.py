@@ -23,12 +23,12 @@ from numpy.typing import ArrayLike
 from ..errors import InputError
 from ..util.arrays import EPSILON, Array
 from ..util.compilation import compiled_once
+from ..util.notebook import Shown
 from ..util.progress import ProgressBar
 from .draws import check, fault_of_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 PIECE = 2**16  # grains drawn at a time
 WARM_UP = 0.1  # share of each chain that is passed before counting, where the ratios still know of its top
@@ -41,8 +41,8 @@ class Distribution(Protocol):
         """Draw so many values."""
 
 
-@dataclass(frozen=True, eq=False)
-class Localisation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Localisation(Shown):
     """Lyapunov exponent of the waves of a random chain against frequency.
 
     Attributes
@@ -63,15 +63,15 @@ class Localisation:
         with np.errstate(divide="ignore"):
             return 1 / self.exponent
 
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the Lyapunov exponent against frequency, with bars of two standard errors; returns the figure."""
-        ax, picture = _errorbars(ax, self.frequency, self.exponent, self.error)
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the Lyapunov exponent against frequency, with bars of two standard errors; returns the axes."""
+        ax = _errorbars(ax, self.frequency, self.exponent, self.error)
         ax.set(xscale="log", yscale="log", ylabel="Lyapunov exponent per grain")
-        return picture
+        return ax
 
 
-@dataclass(frozen=True, eq=False)
-class DensityOfStates:
+@dataclass(frozen=True, eq=False, repr=False)
+class DensityOfStates(Shown):
     """Integrated density of states of a random chain.
 
     Attributes
@@ -91,11 +91,11 @@ class DensityOfStates:
         """Share of the modes per rad/s between each frequency and the next, (F-1,) s."""
         return np.diff(self.integrated) / np.diff(self.frequency)
 
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the integrated density of states, with bars of two standard errors; returns the figure."""
-        ax, picture = _errorbars(ax, self.frequency, self.integrated, self.error)
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the integrated density of states, with bars of two standard errors; returns the axes."""
+        ax = _errorbars(ax, self.frequency, self.integrated, self.error)
         ax.set(ylabel="share of the modes below")
-        return picture
+        return ax
 
 
 def lyapunov(
@@ -264,10 +264,10 @@ def _mean(values: Array) -> tuple[Array, Array]:
     return values.mean(0), values.std(0, ddof=1) / math.sqrt(len(values))
 
 
-def _errorbars(ax: Axes | None, frequency: Array, values: Array, errors: Array) -> tuple[Axes, Figure]:
+def _errorbars(ax: Axes | None, frequency: Array, values: Array, errors: Array) -> Axes:
     from ..util.plotting import axes_in_units
 
-    ax, picture = axes_in_units(ax, "", "")
+    ax = axes_in_units(ax, "", "")
     ax.errorbar(frequency, values, 2 * errors, fmt="o-", ms=3, capsize=2)
     ax.set_xlabel("frequency, rad/s")
-    return ax, picture
+    return ax

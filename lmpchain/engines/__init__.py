@@ -7,6 +7,7 @@ from inspect import signature
 from typing import TYPE_CHECKING, Any
 
 from ..errors import InputError
+from ..util.lazy import listed
 from ..util.suggestions import did_you_mean, not_among
 from .base import Engine
 
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
     from .linear.engine import Modes as Modes
     from .native import Native as Native
 
+__dir__ = listed(__name__)
+
 REGISTRY = {  # module and class, by name
     "lammps": ("lammps.engine", "Lammps"),
     "native": ("native", "Native"),
@@ -26,6 +29,7 @@ REGISTRY = {  # module and class, by name
     "bessel": ("linear.closed_form", "Bessel"),
     "continuum": ("linear.closed_form", "Continuum"),
 }
+__all__ = ["Engine", "automatic", "get", "names", *(cls for _, cls in REGISTRY.values())]
 ON_REQUEST = frozenset({"lammps"})  # taken by "auto" only where no other engine can do a scene
 
 

@@ -10,15 +10,19 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from ..errors import InputError, shown
+from ..trajectory.picture import scale
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
-from ..util.plotting import axes_in_units, thinned
+from ..util.lazy import listed
+from ..util.notebook import Shown
+from ..util.plotting import axes_in_units, colour_bar, edges, legend, thinned
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
     from .motion import Motion
+
+__dir__ = listed(__name__)
 
 LINES = 6  # contacts drawn as lines; more are drawn as a map
 STILL, UNKNOWN = -1, -2  # marks for bodies that were not recorded
@@ -33,8 +37,8 @@ class Event:
     opens: bool
 
 
-@dataclass(frozen=True, eq=False)
-class ContactHistory:
+@dataclass(frozen=True, eq=False, repr=False)
+class ContactHistory(Shown):
     """Overlap and force of C contacts over time.
 
     Contact n lies between grains n and n + 1; 0 and N are those with walls.
@@ -80,29 +84,41 @@ class ContactHistory:
                 events += [Event(float(t), number, state) for t, state in zip(roots, opens, strict=False)]
         return sorted(events)
 
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the forces over time: a line a contact, or a map if there are many; returns the figure."""
+    def plot(self, ax: Axes | None = None, above_rest: bool = False) -> Axes:
+        """Draw the forces over time: a line a contact, or a map if there are many; returns the axes.
+
+        Parameters
+        ----------
+        ax : axes, optional
+            By default those of a new figure.
+        above_rest : bool
+            Whether to draw what the forces are above those at rest.
+        """
         from matplotlib.ticker import EngFormatter, MaxNLocator
 
-        ax, picture = axes_in_units(ax, "s", "N")
-        ax.set(xlabel="time", ylabel="contact force")
+        ax = axes_in_units(ax, "s", "N")
+        label = "contact force above rest" if above_rest else "contact force"
+        values = self.change if above_rest else self.force
+        ax.set(xlabel="time", ylabel=label)
         if len(self.contact) <= LINES:
-            for number, force in zip(self.contact, self.force.T, strict=True):
+            for number, force in zip(self.contact, values.T, strict=True):
                 ax.plot(self.time, force, label=f"contact {number}")
-            ax.legend(frameon=False)
+            legend(ax)
         else:
             rows = np.argsort(self.contact)
-            numbers, force = thinned(self.contact[rows], self.force.T[rows])
-            shown = ax.pcolormesh(self.time, numbers, force, shading="nearest", cmap="cividis")
-            picture.colorbar(shown, ax=ax, label="contact force", format=EngFormatter("N"))
+            numbers, force = thinned(self.contact[rows], values.T[rows])
+            limit = scale(values)
+            colours = {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit} if above_rest else {"cmap": "cividis"}
+            shown = ax.pcolorfast(edges(self.time), edges(numbers), force, **colours)
+            colour_bar(ax, shown, label, format=EngFormatter("N"), extend="both" if above_rest else "neither")
             ax.yaxis.set_major_formatter("{x:g}")
             ax.yaxis.set_major_locator(MaxNLocator(integer=True))
             ax.set(ylabel="contact, from the top", ylim=ax.get_ylim()[::-1])
-        return picture
+        return ax
 
 
-@dataclass(frozen=True, eq=False)
-class Signal:
+@dataclass(frozen=True, eq=False, repr=False)
+class Signal(Shown):
     """The signal of a force sensor inside a grain.
 
     Attributes
@@ -119,13 +135,13 @@ class Signal:
     force: Array
     change: Array
 
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the force over time; returns the figure."""
-        ax, picture = axes_in_units(ax, "s", "N")
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the force over time; returns the axes."""
+        ax = axes_in_units(ax, "s", "N")
         ax.plot(self.time, self.force, label=f"grain {self.grain}")
         ax.set(xlabel="time", ylabel="force on the sensor")
-        ax.legend(frameon=False)
-        return picture
+        legend(ax)
+        return ax
 
 
 def contacts(trajectory: Trajectory, numbers: Sequence[int] | None = None) -> ContactHistory:

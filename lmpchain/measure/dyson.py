@@ -14,22 +14,25 @@ from ..scene.scene import Scene
 from ..theory import dyson
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
+from ..util.lazy import listed
+from ..util.notebook import Shown
 from ..util.tables import aligned, number
 from .contact import motion
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
     from ..disorder.averages import Ensemble
+
+__dir__ = listed(__name__)
 
 DASHES = ("-", "--", "-.", ":")
 MARGIN = 4  # grains at rest drawn below the wave
 WHAT = "a sum over the grains of one chain, weighted by D_m(kappa_n): no average over disorder"
 
 
-@dataclass(frozen=True, eq=False)
-class DysonSums:
+@dataclass(frozen=True, eq=False, repr=False)
+class DysonSums(Shown):
     """Eq. (22) for one trajectory and M orders m.
 
     Attributes
@@ -62,6 +65,9 @@ class DysonSums:
     as_printed: Array
     normalised: Array
     unit: float
+
+    def _picture(self) -> str:
+        return ""  # it takes random chains
 
     @property
     def unit_name(self) -> str:
@@ -143,19 +149,24 @@ class DysonSums:
             )
         return rows
 
-    def plot(self, ordered: Array, ensembles: Sequence[Ensemble], axes: Sequence[Axes] | None = None) -> Figure:
+    def plot(self, ordered: Array, ensembles: Sequence[Ensemble], ax: Axes | Sequence[Axes] | None = None) -> Axes:
         """Draw means over random chains and terms of Eq. (22) against grain number, at the last sample.
 
         Parameters
         ----------
         ordered, ensembles
             As for `table`.
-        axes : two axes, optional
-            By default those of a new figure.
-        """
-        from ..util.plotting import COLOURS, figure
+        ax : axes, or two of them, optional
+            In one the means alone are drawn; by default both in a figure of their own.
 
-        true, weighted = figure(7.0, 8.0).subplots(2, sharex=True) if axes is None else axes
+        Returns
+        -------
+        Axes
+            Those of the means.
+        """
+        from ..util.plotting import COLOURS, legend, panels, titled, window
+
+        true, *others = panels(window(7.0, 8.0).subplots(2, sharex=True) if ax is None else ax)
         colours = list(COLOURS.values())
         grains = np.arange(1, ordered.size + 1)
         true.plot(grains, ordered / self.unit, color="black", lw=2.2, alpha=0.6, label="ordered")
@@ -168,20 +179,23 @@ class DysonSums:
             true.fill_between(each.grains, mean - band, mean + band, color=style["color"], alpha=0.2, lw=0)
             terms = self.weight[place] * self.velocity[-1] / self.unit
             total = self.as_printed[place, -1] / self.unit
-            weighted.plot(grains, terms, label=f"m = {m:g}: sum {total:.4g}", **style)
+            for weighted in others:
+                weighted.plot(grains, terms, label=f"m = {m:g}: sum {total:.4g}", **style)
         unit = r"$v_0$" if self.unit != 1 else "m/s"
         true.set_ylabel(f"mean velocity ({unit})")
-        true.set_title(f"Mean over {ensembles[0].realisations} random linear chains, ± 2 standard errors", loc="left")
-        weighted.set(xlabel="grain number n, from the top", ylabel=rf"$D_m(\kappa_n)\,\dot\varphi_n$ ({unit})")
-        weighted.set_title(f"Terms of Eq. (22), one chain weighted over depth, tau = {self.tau[-1]:.4g}", loc="left")
+        titled(true, f"Mean over {ensembles[0].realisations} random linear chains, ± 2 standard errors")
+        for weighted in others:
+            weighted.set_ylabel(rf"$D_m(\kappa_n)\,\dot\varphi_n$ ({unit})")
+            titled(weighted, f"Terms of Eq. (22), one chain weighted over depth, tau = {self.tau[-1]:.4g}")
         shown = np.abs([ordered, self.velocity[-1]]).max(0)
         moving = np.flatnonzero(shown > 1e-3 * shown.max())
         last = int(moving[-1]) + 1 + MARGIN if moving.size else grains.size
-        for panel in (true, weighted):
+        for panel in (true, *others):
             panel.set_xlim(0.5, min(last, grains.size) + 0.5)
             panel.axhline(0, color="0.8", lw=0.8, zorder=0)
-            panel.legend(frameon=False)
-        return true.figure.figure
+            legend(panel)
+        panel.set_xlabel("grain number n, from the top")
+        return true
 
 
 def sums(trajectory: Trajectory, m: Sequence[float]) -> DysonSums:

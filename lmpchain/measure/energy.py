@@ -13,19 +13,22 @@ from ..chain.contacts import Contacts
 from ..errors import InputError
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
-from ..util.plotting import axes_in_units
+from ..util.lazy import listed
+from ..util.notebook import Shown
+from ..util.plotting import axes_in_units, legend, titled
 from .contact import known_contacts, motion
 from .motion import Motion, motion_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
     from ..chain.chain import Chain
 
+__dir__ = listed(__name__)
 
-@dataclass(frozen=True, eq=False)
-class EnergyLedger:
+
+@dataclass(frozen=True, eq=False, repr=False)
+class EnergyLedger(Shown):
     """Energies relative to the chain at rest, J, and momenta, N s, over time.
 
     ``kinetic + contact + gravity + load = total``. For a weak wave these terms, `contact` and `gravity` above all,
@@ -88,9 +91,9 @@ class EnergyLedger:
         kinetic, total = (CubicSpline(self.time, x).integrate(start, end) for x in (self.kinetic, self.total))
         return float(kinetic / total) if total else np.nan
 
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw total, kinetic and potential energy, and the work of a driver, over time; returns the figure."""
-        ax, picture = axes_in_units(ax, "s", "J")
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw total, kinetic and potential energy, and the work of a driver, over time; returns the axes."""
+        ax = axes_in_units(ax, "s", "J")
         ax.plot(self.time, self.total, label="total")
         ax.plot(self.time, self.kinetic, label="kinetic")
         ax.plot(self.time, self.total - self.kinetic, label="potential")
@@ -98,13 +101,13 @@ class EnergyLedger:
             ax.plot(self.time, self.total[0] + self.drive, "k--", lw=1, label="given by strike and driver")
         ax.set(xlabel="time", ylabel="energy above rest")
         largest = np.abs(self.total).max() or 1.0
-        ax.set_title(f"Drift: at most {np.abs(self.drift).max() / largest:.1e} of the largest total", loc="left")
-        ax.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=4)
-        return picture
+        titled(ax, f"Drift: at most {np.abs(self.drift).max() / largest:.1e} of the largest total")
+        legend(ax, loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2)
+        return ax
 
 
-@dataclass(frozen=True, eq=False)
-class EnergyShares:
+@dataclass(frozen=True, eq=False, repr=False)
+class EnergyShares(Shown):
     """Energies above rest of the G recorded grains and the C contacts between them over time, J.
 
     The sum over all grains and contacts is `EnergyLedger.total`: each contact holds its elastic energy less the work

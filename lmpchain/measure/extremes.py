@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..util.compilation import compiled_once
+from ..util.lazy import listed
 from .derivatives import NEWS
 from .hermite import (
     BUMP,
@@ -26,6 +27,8 @@ from .hermite import (
     turns,
     value,
 )
+
+__dir__ = listed(__name__)
 
 SMALLEST = sys.float_info.min  # of a top that has all of its digits
 

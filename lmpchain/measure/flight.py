@@ -12,7 +12,10 @@ from scipy.signal import correlate
 from ..errors import InputError
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
+from ..util.lazy import listed
 from .contact import sensor
+
+__dir__ = listed(__name__)
 
 REACH = 6  # samples on either side of a peak used to interpolate it
 

@@ -11,21 +11,24 @@ from scipy import optimize, stats
 from ..errors import InputError, shown
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
-from ..util.plotting import axes_in_units
+from ..util.lazy import listed
+from ..util.notebook import Shown
+from ..util.plotting import axes_in_units, legend
 from .motion import motion_of
 from .spectrum import UNITS, Field, recorded
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+
+__dir__ = listed(__name__)
 
 Quantity = Literal["amplitude", "time", "width", "speed"]
 FEWEST = 6  # grains for a power law with its correction
 OTHERS = {"time": "s", "width": "s", "speed": "m/s"}  # units
 
 
-@dataclass(frozen=True, eq=False)
-class Front:
+@dataclass(frozen=True, eq=False, repr=False)
+class Front(Shown):
     """The wave front as it passes P grains: arrival, height and width.
 
     Attributes
@@ -80,13 +83,13 @@ class Front:
         label = f"{quantity} of the front ({OTHERS.get(quantity, UNITS[self.field])})"
         return self.grain[known] - 0.5, values[known], label
 
-    def plot(self, ax: Axes | None = None, quantity: Quantity = "amplitude") -> Figure:
-        """Draw a quantity against depth, both logarithmic; returns the figure."""
+    def plot(self, ax: Axes | None = None, quantity: Quantity = "amplitude") -> Axes:
+        """Draw a quantity against depth, both logarithmic; returns the axes."""
         return _draw(ax, *self.against_depth(quantity))
 
 
-@dataclass(frozen=True, eq=False)
-class Exponents:
+@dataclass(frozen=True, eq=False, repr=False)
+class Exponents(Shown):
     """Local exponents p of a quantity that varies as h^p, each fitted to neighbouring grains.
 
     Attributes
@@ -104,13 +107,13 @@ class Exponents:
     error: Array
     residual: Array
 
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the exponents with their confidence intervals against depth; returns the figure."""
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the exponents with their confidence intervals against depth; returns the axes."""
         return _draw(ax, self.depth, self.exponent, f"local exponent of the {self.quantity}", error=self.error)
 
 
-@dataclass(frozen=True, eq=False)
-class PowerLaw:
+@dataclass(frozen=True, eq=False, repr=False)
+class PowerLaw(Shown):
     """A power law with a finite-depth correction: factor h^exponent (1 + correction / h^order).
 
     Attributes
@@ -141,8 +144,8 @@ class PowerLaw:
         """Relative residual of the values, (P,)."""
         return self.values / self(self.depth) - 1
 
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw values and law against depth, both logarithmic; returns the figure."""
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw values and law against depth, both logarithmic; returns the axes."""
         law = f"exponent {self.exponent:.4f} ± {self.error[0]:.4f}, corrected for finite depth"
         return _draw(ax, self.depth, self.values, self.label, **{law: self(self.depth)})
 
@@ -222,15 +225,15 @@ def asymptotic(front: Front, quantity: Quantity, delta: float, exponent: float |
     return PowerLaw(label, depth, values, order, error * [1, np.exp(scale), 1], power, np.exp(scale), correction)
 
 
-def _draw(ax: Axes | None, h: Array, y: Array, label: str, error: Array | None = None, **laws: Array) -> Figure:
+def _draw(ax: Axes | None, h: Array, y: Array, label: str, error: Array | None = None, **laws: Array) -> Axes:
     """Draw values against depth, logarithmic unless they have errors, with fitted laws."""
     from matplotlib.ticker import LogLocator
 
-    ax, picture = axes_in_units(ax, "", "")
+    ax = axes_in_units(ax, "", "")
     ax.errorbar(h, y, yerr=error, fmt=".", markersize=4, elinewidth=1)
     for name, values in laws.items():
         ax.plot(h, values, label=name)
-        ax.legend(frameon=False)
+        legend(ax)
     ax.set(xscale="log", yscale="log" if error is None else "linear", xlabel="depth h = n − 1/2 (grains)", ylabel=label)
     ax.xaxis.set(major_locator=LogLocator(subs=(1, 2, 5)), major_formatter="{x:g}", minor_formatter="")
-    return picture
+    return ax

@@ -13,10 +13,13 @@ from ..errors import InputError, shown
 from ..scene.scene import Scene
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
+from ..util.lazy import listed
 from . import extremes
 from .derivatives import STILL, UNKNOWN, derivatives
 from .hermite import DISPLACEMENT, RAISED, VELOCITY
 from .spectrum import Field
+
+__dir__ = listed(__name__)
 
 KINDS = {"velocity": VELOCITY, "displacement": DISPLACEMENT}
 # omega h up to which no motion hides between two samples; analysis/calibration/between_samples.py

@@ -11,23 +11,26 @@ from scipy.signal import get_window
 from ..chain.chain import Chain
 from ..errors import InputError, shown
 from ..theory.bands import Cell, branches, local_bands, repeating
+from ..trajectory.picture import UNITS as UNITS
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
-from ..util.plotting import axes_in_units, thinned
+from ..util.lazy import listed
+from ..util.notebook import Shown
+from ..util.plotting import axes_in_units, colour_bar, edges, legend
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+
+__dir__ = listed(__name__)
 
 Field = Literal["velocity", "displacement"]
-UNITS = {"velocity": "m/s", "displacement": "m"}
 FEWEST_SAMPLES, FEWEST_GRAINS = 16, 8  # least for tracking a front or a spectrum; least to resolve wavenumbers
 DECADES = 3  # spanned by the colours of a spectrum
 LINE = "#D55E00"  # vermilion of Okabe and Ito: seen on every colour of cividis, whatever the colour vision
 
 
-@dataclass(frozen=True, eq=False)
-class Spectrum:
+@dataclass(frozen=True, eq=False, repr=False)
+class Spectrum(Shown):
     """Amplitude spectra of the motion of G grains.
 
     Attributes
@@ -56,9 +59,9 @@ class Spectrum:
         """Highest frequency that travels around each grain, (G,) Hz, 0 in a sonic vacuum."""
         return self.bands[:, -1, 1]
 
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the amplitude over frequency and depth, with the local bands; returns the figure."""
-        ax, picture = axes_in_units(ax, "Hz", "")
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the amplitude over frequency and depth, with the local bands; returns the axes."""
+        ax = axes_in_units(ax, "Hz", "")
         _logarithmic(ax, self.frequency, self.grain, self.amplitude.T, f"{self.field} ({UNITS[self.field]} per Hz)")
         if self.cut_off.any():
             ax.plot(self.cut_off, self.grain, color=LINE, label="local cut-off")
@@ -66,16 +69,16 @@ class Spectrum:
                 label = "" if number else "gap between branches"
                 ax.plot(edge, self.grain, "--", color=LINE, label=label)
                 ax.plot(self.bands[:, number + 1, 0], self.grain, "--", color=LINE)
-            ax.legend(loc="lower left")
+            legend(ax, loc="lower left", frameon=True)
         ax.set(xlabel="frequency", ylabel="grain, from the top", ylim=ax.get_ylim()[::-1])
         ax.set_xlim(0, min(self.frequency[-1], 1.5 * self.cut_off.max() or np.inf))
         ax.locator_params(axis="x", nbins=6)
         ax.locator_params(axis="y", integer=True, min_n_ticks=1)
-        return picture
+        return ax
 
 
-@dataclass(frozen=True, eq=False)
-class Dispersion:
+@dataclass(frozen=True, eq=False, repr=False)
+class Dispersion(Shown):
     """Spectrum of neighbouring grains over frequency and wavenumber.
 
     Attributes
@@ -106,18 +109,18 @@ class Dispersion:
         """Frequency at which each wavenumber is strongest, (K,) Hz, one of `frequency`."""
         return self.frequency[self.amplitude.argmax(0)]
 
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the amplitude over wavenumber and frequency, with the local relation; returns the figure."""
-        ax, picture = axes_in_units(ax, "", "Hz")
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the amplitude over wavenumber and frequency, with the local relation; returns the axes."""
+        ax = axes_in_units(ax, "", "Hz")
         _logarithmic(ax, self.wavenumber, self.frequency, self.amplitude, f"{self.field} ({UNITS[self.field]} per Hz)")
         for number, relation, style in zip(self.grain, self.relation, (":", "-", "--"), strict=True):
             if relation.any():
                 ax.plot(self.wavenumber, relation[0], style, color=LINE, label=f"grain {number}")
                 ax.plot(self.wavenumber, relation[1:].T, style, color=LINE)
-                ax.legend(title="local relation", loc="upper center", ncols=3)
+                legend(ax, title="local relation", loc="upper center", ncols=3, frameon=True)
         ax.set(xlabel="wavenumber, downward (radians a grain)", ylabel="frequency")
         ax.set_ylim(0, min(self.frequency[-1], 1.5 * self.relation.max() or np.inf))
-        return picture
+        return ax
 
 
 def recorded(trajectory: Trajectory, field: Field) -> tuple[np.ndarray, Array]:
@@ -227,28 +230,18 @@ def travel_time(chain: Chain, source: int = 1) -> Array:
     return np.abs(time - time[source - 1]) + (apart[0] / 2 if source == 1 and chain.top == "free" else 0.0)
 
 
-def space_time(trajectory: Trajectory, field: Field = "velocity", ax: Axes | None = None, law: bool = False) -> Figure:
-    """Draw the motion over time and depth, downward in red and upward in blue; returns the figure.
+def space_time(trajectory: Trajectory, field: Field = "velocity", ax: Axes | None = None, law: bool = False) -> Axes:
+    """Draw the motion over time and depth, downward in red and upward in blue; returns the axes.
 
-    The colours saturate at the median of the largest sizes of the grains that move, so that the wave can be seen
-    where it has become weak. With `law` a line shows `travel_time` from the grain that is struck or driven.
+    It is `Trajectory.plot`. With `law` a line shows `travel_time` from the grain that is struck or driven.
     """
-    from matplotlib.ticker import EngFormatter
-
-    grain, motion = recorded(trajectory, field)
-    ax, picture = axes_in_units(ax, "s", "")
-    largest = np.abs(motion).max(0)
-    limit = float(np.median(largest[largest > 1e-3 * largest.max()])) if largest.any() else 1.0
-    rows, drawn = thinned(grain, motion.T)
-    shown = ax.pcolorfast(_edges(trajectory.time), _edges(rows), drawn, cmap="RdBu_r", vmin=-limit, vmax=limit)
-    picture.colorbar(shown, ax=ax, label=f"{field}, downward", format=EngFormatter(UNITS[field]), extend="both")
-    ax.set(xlabel="time", ylabel="grain, from the top", xlim=trajectory.time[[0, -1]], ylim=ax.get_ylim()[::-1])
-    ax.locator_params(axis="y", integer=True, min_n_ticks=1)
+    recorded(trajectory, field)
+    ax = trajectory.plot(ax, field)
     if law:
         chain, source = trajectory.scene.chain, getattr(trajectory.scene.excitation, "grain", 1)
         ax.plot(travel_time(chain, source), np.arange(1, chain.grains + 1), "k--", lw=1, label="long weak wave")
-        ax.legend(loc="lower left")
-    return picture
+        legend(ax, loc="lower left", frameon=True)
+    return ax
 
 
 def _window(name: str, size: int) -> Array:
@@ -265,11 +258,5 @@ def _logarithmic(ax: Axes, x: Array, y: Array, values: Array, label: str) -> Non
     largest = values.max() or 1.0
     smallest = largest / 10**DECADES
     scale = LogNorm(smallest, largest)
-    shown = ax.pcolorfast(_edges(x), _edges(y), np.maximum(values, smallest), norm=scale, cmap="cividis")
-    ax.figure.colorbar(shown, ax=ax, label=label, extend="min")
-
-
-def _edges(middles: Array) -> Array:
-    """Return the edges of cells around these centres."""
-    half = (middles[1] - middles[0]) / 2 if len(middles) > 1 else 0.5
-    return np.concatenate(([middles[0] - half], (middles[1:] + middles[:-1]) / 2, [middles[-1] + half]))
+    shown = ax.pcolorfast(edges(x), edges(y), np.maximum(values, smallest), norm=scale, cmap="cividis")
+    colour_bar(ax, shown, label, extend="min")

@@ -1,6 +1,6 @@
 """Periodic orbits of granular chains: nonlinear modes, breathers, their families and stability."""
 
-from ..util.lazy import attributes
+from ..util.lazy import attributes, listed
 
 __all__ = ["Event", "Family", "Orbit", "breather", "find", "follow", "linear_mode", "mode_family", "normal_mode"]
 __getattr__ = attributes(
@@ -13,3 +13,4 @@ __getattr__ = attributes(
         "family": "Event Family",
     },
 )
+__dir__ = listed(__name__)

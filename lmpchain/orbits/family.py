@@ -10,13 +10,13 @@ import numpy as np
 from ..theory.bands import Cell, branches, repeating
 from ..theory.modes import eigenmodes
 from ..util.arrays import Array
-from ..util.plotting import COLOURS, axes_in_units
+from ..util.notebook import Shown
+from ..util.plotting import COLOURS, axes_in_units, legend
 from .floquet import Complex
 from .orbit import Orbit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 MARKS = {"fold": "o", "period doubling": "s", "Neimark-Sacker": "^", "branch point": "D"}
 
@@ -40,8 +40,8 @@ class Event:
     orbit: Orbit
 
 
-@dataclass(frozen=True, eq=False)
-class Family:
+@dataclass(frozen=True, eq=False, repr=False)
+class Family(Shown):
     """Periodic orbits along a parameter, as `follow` returns them.
 
     Attributes
@@ -88,9 +88,9 @@ class Family:
         """Which orbits are stable, (P,) bool."""
         return np.array([orbit.stable for orbit in self.orbits])
 
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw energy against frequency, unstable orbits dashed, the linear bands behind; returns the figure."""
-        ax, picture = axes_in_units(ax, "Hz", "J")
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw energy against frequency, unstable orbits dashed, the linear bands behind; returns the axes."""
+        ax = axes_in_units(ax, "Hz", "J")
         frequency, energy, stable = 1 / self.period, self.energy, self.stable
         span = np.array([frequency.min(), frequency.max()])
         for number, (low, high) in enumerate(self._bands()):
@@ -110,8 +110,8 @@ class Family:
                 )  # fmt: skip
         margin = 0.03 * (span[1] - span[0])
         ax.set(xlabel="frequency", ylabel="energy above rest", xlim=(span[0] - margin, span[1] + margin), yscale="log")
-        ax.legend(frameon=False)
-        return picture
+        legend(ax)
+        return ax
 
     def _bands(self) -> Array:
         """Return the bands of the linearised chain, (B, 2) Hz; of a chain that does not repeat, of its modes."""

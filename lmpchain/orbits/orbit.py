@@ -14,20 +14,20 @@ from ..errors import InputError, shown
 from ..scene.excitation import Drive, Profile
 from ..scene.scene import Scene
 from ..util.arrays import Array, read_only
-from ..util.plotting import axes_in_units
+from ..util.notebook import Shown
+from ..util.plotting import axes_in_units, legend
 from . import floquet
 from .flow import Flow
 from .shooting import Equations, Point, Solution
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 STABLE = 1e-6  # of |multiplier| - 1: what round-off makes of a pair that is on the unit circle
 
 
-@dataclass(frozen=True, eq=False)
-class Orbit:
+@dataclass(frozen=True, eq=False, repr=False)
+class Orbit(Shown):
     """A periodic orbit of Eq. (1), as `find`, `normal_mode`, `breather` and `follow` return it.
 
     Attributes
@@ -171,16 +171,16 @@ class Orbit:
         profile = Profile(displacement=self.displacement, velocity=self.velocity)
         return Scene(chain=self.chain, excitation=profile, duration=periods * self.period, samples=samples)
 
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the displacements of the grains at five moments of half a period; returns the figure."""
-        ax, picture = axes_in_units(ax, "", "m")
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the displacements of the grains at five moments of half a period; returns the axes."""
+        ax = axes_in_units(ax, "", "m")
         time, u, _ = self.motion()
         for moment in np.linspace(0.0, 0.5, 5):
             row = u[np.abs(time - moment * self.period).argmin()]
             ax.plot(np.arange(1, row.size + 1), row, ".-", lw=1, label=f"{moment:g} period")
         ax.set(xlabel="grain", ylabel="displacement")
-        ax.legend(frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-        return picture
+        legend(ax, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        return ax
 
     def to_json(self) -> dict[str, Any]:
         """Return the numbers of the orbit."""

@@ -1,6 +1,6 @@
 """What happens: the excitation of a chain, what is recorded, scene files, and the light cone."""
 
-from ..util.lazy import attributes
+from ..util.lazy import attributes, listed
 
 __all__ = ["Displacement", "Drive", "Excitation", "Force", "Impulse", "Packet", "Profile", "Recording", "Scene"]
 __getattr__ = attributes(
@@ -12,3 +12,4 @@ __getattr__ = attributes(
         "scene": "Scene",
     },
 )
+__dir__ = listed(__name__)

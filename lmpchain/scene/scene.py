@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import InstanceOf
 
 from ..chain.chain import Chain
+from ..chain.picture import DRAWN, MOST
 from ..util.arrays import Array
 from ..util.files import write_aside
+from ..util.plotting import axes_in_units, legend
 from . import toml_file
 from .base import Excitation
 from .excitation import Drive
@@ -23,6 +25,10 @@ from .light_cone import reached
 from .recording import Recording
 from .strike import first_overlaps, pair_frequency, squeezed, strike_faults, strike_remarks, surroundings
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+MARGIN = 10  # grains at rest drawn on either side of those that are moved
 LONGEST = 3600.0  # s: of a duration that may be meant
 
 
@@ -73,6 +79,36 @@ class Scene(Recording):
     @cached_property
     def _squeezed(self) -> tuple[int, float]:
         return squeezed(self.chain, self.excitation)
+
+    def _summary(self) -> Iterator[Sequence[str]]:
+        yield "chain", repr(self.chain), ""
+        yield "excitation", repr(self.excitation), ""
+        yield "recorded", f"{self.samples} times to {self.duration:g} s, {self.count(self.chain)} grains", ""
+        if self.chain.grains <= MOST:
+            yield "strike number", f"{self.strike_number:.4g}", "linear theory needs it to be far below 1"
+
+    def _picture(self) -> str:
+        return super()._picture() if self.chain.grains <= MOST else ""
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the excitation: its course over time, or what it gives the grains at t = 0; returns the axes."""
+        waveform = getattr(self.excitation, "waveform", None)
+        if waveform:
+            name = self.excitation.strength[1]
+            ax = axes_in_units(ax, "s", "m" if name == "displacement" else "N")
+            time = np.linspace(0.0, self.duration, DRAWN)
+            ax.plot(time, waveform.at(time))
+            ax.set(xlabel="time", ylabel=f"{name}, downward")
+            return ax
+        ax = axes_in_units(ax, "", "")
+        first, last = self.excitation.reach(self.chain)
+        near = np.arange(max(1, first - MARGIN), min(self.chain.grains, last + MARGIN) + 1)
+        for name, unit, values in zip(("displacement", "velocity"), ("m", "m/s"), self.initial(), strict=True):
+            if values.any():
+                ax.plot(near, values[near - 1], ".-", lw=1, label=f"{name} ({unit})")
+        ax.set(xlabel="grain, from the top", ylabel="at t = 0, downward")
+        legend(ax)
+        return ax
 
     @property
     def time(self) -> Array:

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from ..errors import check_tolerance
 from ..scene.scene import Scene
+from ..util.notebook import Shown
+from ..util.plotting import COLOURS, LOWEST, MARKERS, axes_in_units, legend
 from ..util.tables import aligned, number
 from .selection import Proposal, cheapest, estimated, propose_all, reason
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 HEAD = ("", "engine", "Eq.", "model error, at most", "solver error", "grains", "step", "cost", "")
 
 
-@dataclass(frozen=True)
-class Plan:
+@dataclass(frozen=True, repr=False)
+class Plan(Shown):
     """How a scene is answered within a tolerance at the least expected cost.
 
     Attributes
@@ -47,9 +54,39 @@ class Plan:
 
     def table(self) -> str:
         """Return all candidates as a table, and why the first is taken."""
-        ordered = sorted(self.candidates, key=lambda proposal: proposal.price_s)
-        rows = [HEAD, *(("*" if proposal.engine == self.engine else "", *_cells(proposal)) for proposal in ordered)]
-        return "\n".join([*aligned(rows), f"{self.engine} {self.why}"])
+        return "\n".join([*aligned(self._summary()), f"{self.engine} {self.why}"])
+
+    def _fields(self) -> Iterator[tuple[str, Any]]:
+        yield from ((key, value) for key, value in super()._fields() if key not in ("why", "candidates"))
+
+    def _summary(self) -> Iterator[Sequence[str]]:
+        yield HEAD
+        for proposal in sorted(self.candidates, key=lambda proposal: proposal.price_s):
+            yield "*" if proposal.engine == self.engine else "", *_cells(proposal)
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw expected error against cost of every candidate, with the tolerance; returns the axes.
+
+        Filled markers stand for candidates that are expected to meet the tolerance; the ring is the one taken.
+        """
+        from matplotlib.ticker import EngFormatter
+
+        ax = axes_in_units(ax, "s", "")
+        ax.axhline(self.tolerance, color="0.4", lw=1, ls="--", label=f"tolerance {self.tolerance:g}")
+        for proposal in self.candidates:
+            error = max(proposal.model_error + proposal.solver_error, LOWEST)
+            if np.isfinite([error, proposal.cost_s]).all():
+                colour, marker = COLOURS.get(proposal.engine, "k"), MARKERS.get(proposal.engine, "x")
+                inside, said = (colour, "") if proposal.kept else ("none", ", dropped")
+                label = f"{proposal.engine}{said}"
+                ax.plot(proposal.cost_s, error, marker, color=colour, mfc=inside, ls="none", label=label)
+        ax.plot(self.expected_cost_s, max(self.expected_error, LOWEST), "o", ms=15, mfc="none", mec="k", label="taken")
+        ax.set(xscale="log", yscale="log", xlabel="expected cost", ylabel="expected error, at most")
+        ax.xaxis.set_major_formatter(EngFormatter("s"))
+        ax.xaxis.set_minor_formatter("")
+        ax.margins(0.2)
+        legend(ax)
+        return ax
 
     def to_json(self) -> dict[str, Any]:
         """Return the plan in plain numbers; what is not known is null."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -13,12 +13,12 @@ from matplotlib.ticker import EngFormatter, LogLocator
 from ..integrators.methods import METHODS
 from ..scene.scene import Scene
 from ..util.arrays import Array
-from ..util.plotting import COLOURS, LOWEST, SHADES, figure
+from ..util.notebook import Shown
+from ..util.plotting import COLOURS, LOWEST, SHADES, panels, window
 from ..util.tables import aligned, finite, number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 TOLERANCE = 1e-6  # of the predictability time
 
@@ -70,8 +70,8 @@ class Curve:
     y: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Stability:
+@dataclass(frozen=True, eq=False, repr=False)
+class Stability(Shown):
     """The boundaries of a scene.
 
     Attributes
@@ -90,11 +90,13 @@ class Stability:
 
     def table(self) -> str:
         """Return the boundaries as a table; what the scene lies beyond bears a mark."""
-        rows: list[tuple[str, ...]] = [("", "", "", "predicted", "measured", "this scene")]
+        return "\n".join(aligned(self._summary()))
+
+    def _summary(self) -> Iterator[Sequence[str]]:
+        yield "", "", "", "predicted", "measured", "this scene"
         for row in self.boundaries:
             numbers = (number(x, unit=row.unit, infinite="none") for x in (row.predicted, row.measured, row.here))
-            rows.append(("!" if row.beyond else "", row.what, row.method, *numbers))
-        return "\n".join(aligned(rows))
+            yield "!" if row.beyond else "", row.what, row.method, *numbers
 
     def to_json(self) -> dict[str, Any]:
         """Return what goes into a JSON file; numbers that are not finite become None."""
@@ -102,15 +104,20 @@ class Stability:
         curves = [vars(curve) | {key: _list(getattr(curve, key)) for key in "xy"} for curve in self.curves]
         return {"rows": rows, "curves": curves, "left_out": list(self.left_out)}
 
-    def plot(self, axes: Sequence[Axes] | None = None) -> Figure:
+    def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Axes:
         """Draw longest steps, energy error, divergence of two runs, and errors over the strike strength.
 
         Parameters
         ----------
-        axes : four axes, optional
-            By default those of a new figure.
+        ax : axes, or four of them, optional
+            In one the longest steps alone are drawn; by default all in a figure of their own.
+
+        Returns
+        -------
+        Axes
+            Those of the longest steps.
         """
-        return draw(self, axes)
+        return draw(self, ax)
 
 
 def _list(values: Array) -> list[float | None]:
@@ -121,16 +128,13 @@ STRENGTHS = {"Eq. (3), estimate": COLOURS["modes"], "Eq. (3), at most": "0.6", "
 LEVELS = (1e-3, TOLERANCE, 1e-9)
 
 
-def draw(result: Stability, axes: Sequence[Axes] | None) -> Figure:
+def draw(result: Stability, ax: Axes | Sequence[Axes] | None) -> Axes:
     """Draw the four panels; see `Stability.plot`."""
-    if axes is None:
-        axes = figure(15, 8.5).subplots(2, 2).ravel()
-    steps, energy, growth, strength = axes
+    steps, *others = panels(window(15.0, 8.5).subplots(2, 2).ravel() if ax is None else ax)
     _draw_steps(steps, result)
-    _draw_energy(energy, [curve for curve in result.curves if curve.panel == "energy"])
-    _draw_growth(growth, result)
-    _draw_strength(strength, result)
-    return steps.figure.figure  # type: ignore[return-value]
+    for draw, place in zip((_draw_energy, _draw_growth, _draw_strength), others, strict=False):
+        draw(place, result)
+    return steps
 
 
 def _draw_steps(axes: Axes, result: Stability) -> None:
@@ -147,8 +151,8 @@ def _draw_steps(axes: Axes, result: Stability) -> None:
     _legend(axes)
 
 
-def _draw_energy(axes: Axes, curves: Sequence[Curve]) -> None:
-    for curve in curves:
+def _draw_energy(axes: Axes, result: Stability) -> None:
+    for curve in (curve for curve in result.curves if curve.panel == "energy"):
         place = list(METHODS).index(curve.name) % len(SHADES)
         axes.plot(curve.x[1:], np.maximum(curve.y[1:], LOWEST), color=SHADES[place], lw=1.2, label=curve.name)
     axes.set(xscale="log", yscale="log", xlabel="time", ylabel="relative error of the energy")

@@ -14,9 +14,12 @@ from ..errors import RunFailed
 from ..integrators.methods import METHODS
 from ..scene.scene import Scene
 from ..util.arrays import Array
+from ..util.lazy import listed
 
 if TYPE_CHECKING:
     pass
+
+__dir__ = listed(__name__)
 
 SHARED = 8  # contacts over which the energy of a wave is spread at most, in the search for the worst place
 BROKEN = 1.5  # kinetic energy over all the energy there is: beyond that the engines call a run broken

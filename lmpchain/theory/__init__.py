@@ -5,7 +5,8 @@ number, 1 or more, by default that of Hertz; ``xi = 1 - 1/delta``, ``eta = 1 + 1
 Contact n has ``kappa_n = n^xi``, grain n sits at the depth ``h = n - 1/2``. Array arguments broadcast.
 """
 
-from ..util.lazy import attributes
+from ..util.lazy import attributes, listed
 
 __all__ = ["bands", "bessel", "continuum", "dimer_soliton", "dyson", "front", "modes", "scattering", "soliton"]
 __getattr__ = attributes(__name__, __all__)
+__dir__ = listed(__name__)

@@ -16,13 +16,16 @@ from numpy.typing import ArrayLike, NDArray
 from ..chain.chain import Chain
 from ..chain.contacts import Contacts, hertz_constant
 from ..util.arrays import Array
-from ..util.plotting import axes_in_units
+from ..util.lazy import listed
+from ..util.notebook import Shown
+from ..util.plotting import axes_in_units, legend
 from .domain import real, require
 from .modes import eigenmodes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+
+__dir__ = listed(__name__)
 
 TOUCHING = 1e-9  # of the highest frequency: narrower gaps are none
 ALIKE = 1e-9  # relative differences of masses and contacts that repeat
@@ -71,8 +74,8 @@ class Cell:
         return cls(chain.masses, np.append(chain.linear_stiffness, closing.stiffness))
 
 
-@dataclass(frozen=True, eq=False)
-class Bands:
+@dataclass(frozen=True, eq=False, repr=False)
+class Bands(Shown):
     """Frequencies of waves in a periodic chain, branch by branch.
 
     Attributes
@@ -113,21 +116,21 @@ class Bands:
         with np.errstate(divide="ignore"):
             return np.where(np.abs(_half_trace(self.cell, w)) <= 1, 1 / (np.pi * np.abs(v)), 0.0)
 
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the branches over wavenumber, with the gaps between them shaded; returns the figure."""
-        ax, picture = axes_in_units(ax, "", "Hz")
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the branches over wavenumber, with the gaps between them shaded; returns the axes."""
+        ax = axes_in_units(ax, "", "Hz")
         order = np.argsort(self.wavenumber)
         for number, branch in enumerate(self.frequency, 1):
             ax.plot(self.wavenumber[order], branch[order] / (2 * np.pi), label=f"branch {number}")
         for low, high in self.gaps / (2 * np.pi):
             ax.axhspan(low, high, color="0.9", lw=0)
         ax.set(xlabel="wavenumber (radians a cell)", ylabel="frequency", ylim=(0, None))
-        ax.legend(frameon=False)
-        return picture
+        legend(ax)
+        return ax
 
 
-@dataclass(frozen=True, eq=False)
-class GapModes:
+@dataclass(frozen=True, eq=False, repr=False)
+class GapModes(Shown):
     """Eigenmodes of a finite chain outside the bands of its cell: at ends, or at grains that differ.
 
     Attributes
@@ -147,15 +150,15 @@ class GapModes:
     participation: Array
     centre: Array
 
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the displacements of the grains in each mode, over its largest; returns the figure."""
-        ax, picture = axes_in_units(ax, "", "")
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the displacements of the grains in each mode, over its largest; returns the axes."""
+        ax = axes_in_units(ax, "", "")
         for w, shape, number in zip(self.frequency, self.shape, self.participation, strict=True):
             label = f"{w / (2 * np.pi):.4g} Hz, {number:.1f} grains"
             ax.plot(np.arange(1, shape.size + 1), shape / np.abs(shape).max(), ".-", lw=1, label=label)
         ax.set(xlabel="grain", ylabel="displacement over the largest")
-        ax.legend(frameon=False)
-        return picture
+        legend(ax)
+        return ax
 
 
 def branches(cell: Cell | Chain, wavenumber: ArrayLike) -> Bands:

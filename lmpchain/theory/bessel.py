@@ -7,7 +7,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import jv
 
 from ..util.arrays import Array
+from ..util.lazy import listed
 from .domain import exponents, real, require, whole
+
+__dir__ = listed(__name__)
 
 DECAY = 640.0  # recurrences begin where Bessel functions are exp(-640), not far from the smallest number there is
 

@@ -13,11 +13,14 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import beta, betainc, gamma, hankel1e, hyp2f1, jv
 
 from ..util.arrays import Array
+from ..util.lazy import listed
 from .domain import chi as chi
 from .domain import depth as depth
 from .domain import exponents, real, require, whole
 from .finite_volume import Field as Field
 from .finite_volume import solve as solve
+
+__dir__ = listed(__name__)
 
 Complex = NDArray[np.complex128]
 

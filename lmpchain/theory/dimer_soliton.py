@@ -23,20 +23,23 @@ from ..chain.chain import Chain
 from ..errors import InputError
 from ..scene.excitation import Profile
 from ..util.arrays import Array
-from ..util.plotting import axes_in_units
+from ..util.lazy import listed
+from ..util.notebook import Shown
+from ..util.plotting import axes_in_units, legend, titled
 from .domain import real, require
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+
+__dir__ = listed(__name__)
 
 PERIOD, POINTS = 12.0, 256  # grains, and points in them
 GRAINS, CONTACT, UNTIL = 50, 28, 60.0  # of the chain that is struck for an approximation
 ALIKE = 1e-9  # relative differences of masses and constants that count as none
 
 
-@dataclass(frozen=True, eq=False)
-class DimerSoliton:
+@dataclass(frozen=True, eq=False, repr=False)
+class DimerSoliton(Shown):
     """A solitary wave in a chain of heavy and light grains in turn.
 
     Attributes
@@ -95,17 +98,17 @@ class DimerSoliton:
         u, v = (np.where(heavy, f(x), f(x, light=True)) for f in (self.displacement, self.velocity))
         return Profile(displacement=u * unit, velocity=v)
 
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the velocities of heavy and light grains against x, and the overlaps; returns the figure."""
-        ax, picture = axes_in_units(ax, "", "")
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the velocities of heavy and light grains against x, and the overlaps; returns the axes."""
+        ax = axes_in_units(ax, "", "")
         x = np.linspace(-PERIOD / 3, PERIOD / 3, 401)
         for name, light in (("heavy", False), ("light", True)):
             ax.plot(x, self.velocity(x, light), label=f"velocity of {name} grains")
             ax.plot(x, self.overlap(x, light), "--", lw=1, label=f"overlap ahead of {name} grains")
         ax.set(xlabel="x − ct (grains)", ylabel="units of heavy mass and contact")
-        ax.set_title(f"δ = {self.delta:g}, mass ratio {self.mass_ratio:.8g}, speed {self.speed:.7g}", loc="left")
-        ax.legend(frameon=False, fontsize="small")
-        return picture
+        titled(ax, f"δ = {self.delta:g}, mass ratio {self.mass_ratio:.8g}, speed {self.speed:.7g}")
+        legend(ax)
+        return ax
 
     def _series(self, x: Array, derivative: int) -> Array:
         """Return A or A' by its Fourier series, 0 beyond."""

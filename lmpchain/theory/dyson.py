@@ -7,7 +7,10 @@ from numpy.typing import ArrayLike
 from scipy.special import gammaln, xlogy
 
 from ..util.arrays import Array
+from ..util.lazy import listed
 from .domain import real, require
+
+__dir__ = listed(__name__)
 
 
 def weight(kappa: ArrayLike, m: ArrayLike) -> Array:

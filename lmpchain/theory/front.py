@@ -13,8 +13,11 @@ from scipy.optimize import brentq
 from scipy.special import airy, roots_jacobi
 
 from ..util.arrays import Array
+from ..util.lazy import listed
 from .continuum import chi, impulse_amplitude
 from .domain import exponents, real, require, whole
+
+__dir__ = listed(__name__)
 
 
 def decay(delta: float = 1.5) -> tuple[float, float]:

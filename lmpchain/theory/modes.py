@@ -11,7 +11,10 @@ from scipy.special import ai_zeros, jv, jvp, roots_legendre
 
 from ..chain.chain import Chain
 from ..util.arrays import Array
+from ..util.lazy import listed
 from .domain import exponents, real, require, whole
+
+__dir__ = listed(__name__)
 
 
 @dataclass(frozen=True, eq=False)

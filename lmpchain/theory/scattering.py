@@ -18,20 +18,23 @@ from scipy.optimize import brentq
 from ..chain.chain import Chain
 from ..chain.impurities import Impurity
 from ..util.arrays import Array
-from ..util.plotting import axes_in_units
+from ..util.lazy import listed
+from ..util.notebook import Shown
+from ..util.plotting import axes_in_units, legend
 from .domain import real, require
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+
+__dir__ = listed(__name__)
 
 Complex = NDArray[np.complex128]
 Property = Literal["diameter", "mass", "modulus"]
 STEPS = 400  # in which a solution is searched for
 
 
-@dataclass(frozen=True, eq=False)
-class Transmission:
+@dataclass(frozen=True, eq=False, repr=False)
+class Transmission(Shown):
     """Reflection and transmission of waves that come from above.
 
     Attributes
@@ -54,14 +57,14 @@ class Transmission:
     reflected: Array
     transmitted: Array
 
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw both shares of the energy over frequency; returns the figure."""
-        ax, picture = axes_in_units(ax, "Hz", "")
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw both shares of the energy over frequency; returns the axes."""
+        ax = axes_in_units(ax, "Hz", "")
         for name in ("transmitted", "reflected"):
             ax.plot(self.frequency / (2 * np.pi), getattr(self, name), label=name)
         ax.set(xlabel="frequency", ylabel="share of the energy", ylim=(-0.02, 1.02))
-        ax.legend(frameon=False)
-        return picture
+        legend(ax)
+        return ax
 
 
 def transmission(chain: Chain, frequency: ArrayLike) -> Transmission:

@@ -24,13 +24,16 @@ from scipy.special import roots_legendre
 from ..chain.chain import Chain
 from ..scene.excitation import Profile
 from ..util.arrays import Array
-from ..util.plotting import axes_in_units
+from ..util.lazy import listed
+from ..util.notebook import Shown
+from ..util.plotting import axes_in_units, legend, titled
 from .domain import real, require
 from .soliton_series import law, long_wave_speed, rows, solved
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+
+__dir__ = listed(__name__)
 
 POINTS = 96  # of Gauss and Legendre, for the integral of the force over one grain
 WEAKEST = 1.0001  # speed over that of sound
@@ -39,8 +42,8 @@ UNEVEN = 1e-9  # relative differences of grains that count as alike
 FITS = 1e-10  # of the largest overlap, at the ends of a chain that holds the wave
 
 
-@dataclass(frozen=True, eq=False)
-class Soliton:
+@dataclass(frozen=True, eq=False, repr=False)
+class Soliton(Shown):
     """A solitary wave, as a function of the distance x from its middle, in grains, positive ahead of it.
 
     Attributes
@@ -176,9 +179,9 @@ class Soliton:
         require(("chain", max(uneven) < UNEVEN, f"must be uniform from grain {first} to {last}, where the wave is"))
         return first
 
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw overlap, velocity and displacement against x, each over its largest value; returns the figure."""
-        ax, picture = axes_in_units(ax, "", "")
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw overlap, velocity and displacement against x, each over its largest value; returns the axes."""
+        ax = axes_in_units(ax, "", "")
         half = min(self.reach, 3.2 * self.width)
         x = np.linspace(-half, half, 401)
         for name in ("overlap", "velocity", "displacement"):
@@ -190,9 +193,9 @@ class Soliton:
             name, formula = "Nesterenko", nesterenko_overlap(x, self.speed, self.delta)
         ax.plot(x, formula / self.overlap(0.0), color="0.4", lw=1, ls="--", label=f"overlap, {name}")
         ax.set(xlabel="x − ct (grains)", ylabel="over the largest value")
-        ax.set_title(f"δ = {self.delta:g}, speed {self.speed:.7g}{' times sound' if self.loaded else ''}", loc="left")
-        ax.legend(frameon=False)
-        return picture
+        titled(ax, f"δ = {self.delta:g}, speed {self.speed:.7g}{' times sound' if self.loaded else ''}")
+        legend(ax)
+        return ax
 
 
 def solve(delta: float = 1.5, speed: float | None = None, velocity: float | None = None) -> Soliton:

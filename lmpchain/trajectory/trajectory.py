@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from ..errors import InputError, short
 from ..scene.scene import Scene
 from ..util.arrays import Array
+from ..util.notebook import Shown
 from .record import Record, told
 
 if TYPE_CHECKING:
     import xarray
+    from matplotlib.axes import Axes
     from MDAnalysis import Universe
 
+MOST_DRAWN = 4_000_000  # values of a trajectory that a notebook draws unasked
 
-class Trajectory(Record):
+
+class Trajectory(Shown, Record):
     """The solution of a scene by an engine: the arrays of `Record`, in and out of files.
 
     Attributes
@@ -40,6 +44,38 @@ class Trajectory(Record):
     provenance : dict
         Choices that shaped the solution, and versions.
     """
+
+    def __repr__(self) -> str:
+        size = f"{self.time.size} samples x {self.grains.size} grains"
+        return f"Trajectory({self.engine}, Eq. ({self.equation}), {size}, error {self.error_estimate.total:.2g})"
+
+    def _summary(self) -> Iterator[Sequence[str]]:
+        scene, error, cost = self.scene, self.error_estimate, self.cost
+        yield "scene", f"{scene.chain.grains} grains, {scene.excitation.label}"
+        yield "engine", f"{self.engine}, which solves Eq. ({self.equation})"
+        yield "recorded", f"{self.time.size} times to {scene.duration:g} s, {self.grains.size} grains"
+        yield "error estimate", f"{error.total:.2g} = {error.model:.2g} (model) + {error.solver:.2g} (solver)"
+        how = f" of {cost.step_s:.4g} s by {cost.integrator}" if cost.integrator else ""
+        yield "cost", f"{cost.total_s:.3g} s, {cost.steps} steps{how}, {cost.active_grains} grains computed"
+
+    def _picture(self) -> str:
+        return super()._picture() if self.time.size * self.grains.size <= MOST_DRAWN else ""
+
+    def plot(self, ax: Axes | None = None, field: Literal["velocity", "displacement"] = "velocity") -> Axes:
+        """Draw the motion over time and depth, downward in red and upward in blue; returns the axes.
+
+        The colours saturate at the median of the largest sizes of the grains that move, so that the wave can be seen
+        where it has become weak.
+
+        Parameters
+        ----------
+        ax : axes, optional
+            By default those of a new figure.
+        field : "velocity" or "displacement"
+        """
+        from .picture import space_time
+
+        return space_time(self, field, ax)
 
     def to_xarray(self) -> xarray.Dataset:
         """Return a labelled dataset with the dimensions time and grain; stored arrays stay on the disk."""

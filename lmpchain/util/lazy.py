@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterable, Mapping
 from importlib import import_module
 from typing import Any
@@ -37,3 +38,26 @@ def attributes(
         return getattr(import_module(f".{where[name]}", package), name)
 
     return find
+
+
+def listed(module: str) -> Callable[[], list[str]]:
+    """Return a `__dir__` for a module that lists what it offers and nothing else.
+
+    That is its `__all__`, or the functions and classes that it defines.
+
+    Examples
+    --------
+    >>> from lmpchain.util import tables
+    >>> listed(tables.__name__)()
+    ['aligned', 'finite', 'number']
+    """
+
+    def names() -> list[str]:
+        own = vars(sys.modules[module])
+        return sorted(own.get("__all__", [name for name, value in own.items() if _offered(name, value, module)]))
+
+    return names
+
+
+def _offered(name: str, value: Any, module: str) -> bool:
+    return callable(value) and getattr(value, "__module__", "") == module and not name.startswith("_")

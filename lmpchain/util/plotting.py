@@ -1,9 +1,11 @@
-"""Colours, markers and figures of all charts, without global matplotlib state."""
+"""Colours, markers and figures of all charts."""
 
 from __future__ import annotations
 
+import textwrap
+from collections.abc import Sequence
 from os import PathLike
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,6 +14,7 @@ from .files import write_aside
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.cm import ScalarMappable
     from matplotlib.figure import Figure
 
 
@@ -25,6 +28,7 @@ COLOURS = {
     "continuum": "#E69F00",
 }
 MARKERS = {"native": "s", "lammps": "o", "modes": "^", "chebyshev": "D", "bessel": "v", "continuum": "P"}
+NARROW = 3.5  # inches: axes that share a page with others
 LOWEST = 1e-17  # below all round-off: drawn in place of 0 on a logarithmic axis
 # colours and markers of integrators: Okabe and Ito, and two shades that differ in lightness
 SHADES = ("#E69F00", "#56B4E9", "#0072B2", "#009E73", "#CC79A7", "#D55E00", "#6A3D00", "#999933")
@@ -49,8 +53,20 @@ def thinned(rows: Array, values: Array, most: int = 2000) -> tuple[Array, Array]
     return rows[first], values[loudest]
 
 
+def edges(middles: Array) -> Array:
+    """Return the edges of cells around these centres.
+
+    Examples
+    --------
+    >>> edges(np.array([1.0, 2.0, 4.0])).tolist()
+    [0.5, 1.5, 3.0, 5.0]
+    """
+    half = (middles[1] - middles[0]) / 2 if len(middles) > 1 else 0.5
+    return np.concatenate(([middles[0] - half], (middles[1:] + middles[:-1]) / 2, [middles[-1] + half]))
+
+
 def figure(width: float = 8.0, height: float = 7.0) -> Figure:
-    """Return an empty figure of this size in inches, drawn with Agg."""
+    """Return an empty figure of this size in inches, to be saved: `pyplot` knows nothing of it."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -59,20 +75,69 @@ def figure(width: float = 8.0, height: float = 7.0) -> Figure:
     return new
 
 
-def axes_in_units(ax: Axes | None, x: str, y: str) -> tuple[Axes, Figure]:
-    """Return axes, given or new, labelled in these units with SI prefixes, and their figure."""
+def window(width: float = 6.4, height: float = 4.2) -> Figure:
+    """Return an empty figure of this size in inches that `pyplot.show` and notebooks show."""
+    from matplotlib import pyplot
+
+    return pyplot.figure(figsize=(width, height), layout="constrained")
+
+
+def axes_in_units(ax: Axes | None, x: str, y: str) -> Axes:
+    """Return axes, given or of a new figure, in our colours and labelled in these units with SI prefixes."""
     from matplotlib.ticker import EngFormatter
 
-    if ax is None:
-        ax = figure(6.4, 4.2).subplots()
+    ax = window().subplots() if ax is None else ax
+    if not ax.has_data():
         ax.set_prop_cycle(color=list(COLOURS.values()))
     for axis, unit in ((ax.xaxis, x), (ax.yaxis, y)):
         if unit:
             axis.set_major_formatter(EngFormatter(unit))
-    return ax, ax.figure.figure  # type: ignore[return-value]
+    if _inches(ax) < NARROW:
+        ax.locator_params(nbins=5)
+        ax.tick_params(labelsize=8.0)
+        for axis in (ax.xaxis, ax.yaxis):
+            axis.label.set_fontsize(8.0)
+    return ax
 
 
-def save(picture: Figure, path: str | PathLike[str], dpi: int = 150) -> None:
-    """Write a picture, atomically."""
+def panels(ax: Axes | Sequence[Axes]) -> list[Axes]:
+    """Return the axes given, one or several, in our colours."""
+    return [axes_in_units(each, "", "") for each in (ax if isinstance(ax, Sequence | np.ndarray) else [ax])]
+
+
+def titled(ax: Axes, text: str) -> None:
+    """Put a title above axes, on the left, in as many lines as it takes."""
+    ax.set_title(_folded(ax, text, 10.0), loc="left", fontsize=10.0)
+
+
+def legend(ax: Axes, *handles: Any, **keys: Any) -> None:
+    """Explain lines and markers, if there are any, in letters and lines that fit the axes."""
+    handles = handles or ax.get_legend_handles_labels()
+    if handles[0]:
+        size = 7.0 if _inches(ax) < NARROW else 9.0
+        labels = [_folded(ax, label, size + 2.0) for label in handles[1]]
+        ax.legend(handles[0], labels, **{"frameon": False, "fontsize": size, "handlelength": 1.5} | keys)
+
+
+def colour_bar(ax: Axes, shown: ScalarMappable, label: str, **keys: Any) -> None:
+    """Explain the colours of axes beside them, in letters of the same size."""
+    bar = ax.figure.figure.colorbar(shown, ax=ax, label=label, **keys)
+    bar.ax.yaxis.label.set_fontsize(ax.yaxis.label.get_fontsize())
+    if _inches(ax) < NARROW:
+        bar.ax.tick_params(labelsize=8.0)
+
+
+def _inches(ax: Axes) -> float:
+    """Return the width of axes before they are laid out."""
+    return float(ax.get_position().width * ax.figure.figure.get_size_inches()[0])
+
+
+def _folded(ax: Axes, text: str, size: float) -> str:
+    """Return text in lines as wide as axes at this size in points; letters are about half as wide."""
+    return textwrap.fill(text, max(12, int(72 * _inches(ax) / (0.52 * size))))
+
+
+def save(picture: Figure | Axes, path: str | PathLike[str], dpi: int = 150) -> None:
+    """Write a picture, or the one that axes are in, atomically."""
     with write_aside(path) as aside:
-        picture.savefig(aside, dpi=dpi)
+        picture.figure.figure.savefig(aside, dpi=dpi)

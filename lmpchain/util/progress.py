@@ -52,8 +52,11 @@ class ProgressBar:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, error: object, *_: object) -> None:
         if self._bar is not None:
+            if error is None:
+                self._bar.n = self._bar.total
+                self._bar.refresh()  # a fast one has shown nothing since its beginning
             self._bar.close()
 
     def advance(self, amount: float = 1) -> None:

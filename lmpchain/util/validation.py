@@ -6,6 +6,7 @@ import re
 import sys
 import warnings
 from collections.abc import Iterator, Mapping
+from inspect import Parameter, Signature
 from typing import Annotated, Any, NoReturn, Self
 
 import numpy as np
@@ -13,12 +14,13 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from ..errors import InputError, shown
 from .arrays import Array, read_only
+from .notebook import Shown
 from .suggestions import did_you_mean
 
 NOT_GIVEN: Any = None  # default of array fields that are filled in when they are not given
 
 
-class Checked(BaseModel):
+class Checked(Shown, BaseModel):
     """A frozen value that raises `InputError` with every fault on construction.
 
     A changed copy comes from `replace`, which checks it; no other way lets a value through unchecked.
@@ -27,6 +29,24 @@ class Checked(BaseModel):
     model_config = ConfigDict(
         frozen=True, extra="forbid", strict=True, allow_inf_nan=False, arbitrary_types_allowed=True
     )
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **_: Any) -> None:
+        """Let `help` begin with the names and defaults of the fields."""
+        cls.__signature__ = Signature(
+            [
+                Parameter(name, Parameter.KEYWORD_ONLY, default=Parameter.empty if own.is_required() else own.default)
+                for name, own in cls.model_fields.items()
+            ]
+        )
+
+    def _fields(self) -> Iterator[tuple[str, Any]]:
+        yield from self.given().items()
+
+    def __repr__(self) -> str:
+        return Shown.__repr__(self)
+
+    __str__ = __repr__
 
     def __init__(self, *values: Any, **data: Any):
         names = list(type(self).model_fields)

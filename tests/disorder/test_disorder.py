@@ -318,7 +318,7 @@ def test_everything_is_released_when_it_is_stopped(monkeypatch):
 
 def test_picture_of_a_mean():
     found = ensemble(column(), 2, 10, seed=1)
-    (axes,) = found.plot().axes
+    (axes,) = found.plot().figure.axes
     (line,) = axes.lines
     assert np.array_equal(line.get_ydata(), found.velocity[-1])
     assert len(axes.collections) == 1
@@ -396,7 +396,7 @@ def test_lines_of_the_picture_differ_in_colour_and_dash():
     orders = [float(m) for m in range(1, 11)]
     found = sums(simulate(scene, "modes"), orders)
     few = [ensemble(scene, m, 2, seed=1) for m in orders]
-    true, weighted = found.plot(found.velocity[-1], few).axes
+    true, weighted = found.plot(found.velocity[-1], few).figure.axes
     lines = [line for line in weighted.lines if line.get_label().startswith("m = ")]
     assert len({(line.get_color(), line.get_linestyle()) for line in lines}) == 10
     assert "v_0" in true.get_ylabel()

@@ -66,7 +66,7 @@ def test_the_same_seed_gives_the_same_bits():
 def test_pictures_have_labels():
     frequency = np.geomspace(0.1, 2, 5)
     for found in (lyapunov(frequency, expon(0.1), grains=1000), density_of_states(frequency, expon(0.1), grains=1000)):
-        (ax,) = found.plot().axes
+        (ax,) = found.plot().figure.axes
         assert ax.get_xlabel() == "frequency, rad/s"
         assert ax.get_ylabel()
 

@@ -327,11 +327,12 @@ def test_pictures():
         (exponent(front).plot(), "local exponent of the amplitude", "linear"),
         (asymptotic(front, "amplitude", 1.5).plot(), "amplitude of the front (m/s)", "log"),
     ):
-        (axes,) = picture.axes
+        axes, picture = picture, picture.figure
+        assert picture.axes == [axes]
         assert axes.get_xlabel() == "depth h = n − 1/2 (grains)"
         assert (axes.get_ylabel(), axes.get_xscale(), axes.get_yscale()) == (label, "log", scale)
         picture.draw_without_rendering()
-        assert picture is front.plot(axes)
+        assert axes is front.plot(axes)
 
 
 def test_grains_without_motion_are_passed_over():

@@ -50,7 +50,7 @@ def test_under_a_load(downward: bool):
     rows = {row.quantity: row for row in summary(t).rows if row.fit == "soliton"}
     assert rows["speed"].value == fit.speed
     assert rows["width"].expected == pytest.approx(wave.width, rel=1e-5)
-    assert len(fit.plot().axes[0].lines) == 4
+    assert len(fit.plot().figure.axes[0].lines) == 4
 
 
 @pytest.mark.parametrize(

@@ -178,7 +178,7 @@ def test_a_dimer_has_two_branches():
     for branch, side in zip(found.relation[1], (found.frequency < gap, found.frequency > gap), strict=True):
         ridge = found.frequency[side][found.amplitude[side].argmax(0)]
         assert np.abs(ridge - branch)[near].max() < 1.5 * found.frequency[1]
-    axes = found.plot().axes[0]
+    axes = found.plot().figure.axes[0]
     assert len(axes.lines) == 6
     assert axes.get_ylim()[1] > found.relation.max()
 
@@ -280,7 +280,7 @@ def ringing(grains: Any = "all", **given: Any) -> Trajectory:
 @pytest.mark.parametrize("grains", ["all", [2, 9, 7], [4]], ids=["all", "some", "one"])
 def test_pictures_of_spectrum_and_motion(grains: Any):
     t = ringing(grains)
-    picture = spectrum(t).plot()
+    picture = spectrum(t).plot().figure
     axes, bar = picture.axes
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("frequency", "grain, from the top")
     assert bar.get_ylabel() == "velocity (m/s per Hz)"
@@ -289,7 +289,7 @@ def test_pictures_of_spectrum_and_motion(grains: Any):
     assert axes.get_xlim()[1] <= 1.5 * cut_off(t.scene.chain).max()
     picture.draw_without_rendering()
 
-    picture = space_time(t, "displacement", law=True)
+    picture = space_time(t, "displacement", law=True).figure
     axes, bar = picture.axes
     assert (axes.get_xlabel(), axes.get_ylabel(), bar.get_ylabel()) == (
         "time", "grain, from the top", "displacement, downward",
@@ -300,25 +300,25 @@ def test_pictures_of_spectrum_and_motion(grains: Any):
     assert shown.get_array().shape == (t.grains.size, 201)
     assert axes.lines[0].get_xdata() == pytest.approx(travel_time(t.scene.chain, 3))
     picture.draw_without_rendering()
-    assert not space_time(t).axes[0].lines
+    assert not space_time(t).figure.axes[0].lines
 
 
 def test_picture_of_dispersion():
     found = dispersion(ringing(), 2, 11)
-    picture = found.plot()
+    picture = found.plot().figure
     axes, bar = picture.axes
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("wavenumber, downward (radians a grain)", "frequency")
     assert bar.get_ylabel() == "velocity (m/s per Hz)"
     assert [line.get_label() for line in axes.lines] == ["grain 2", "grain 6", "grain 11"]
     picture.draw_without_rendering()
-    assert found.plot(picture.axes[0]) is picture
+    assert found.plot(axes) is axes
 
 
 def test_pictures_where_nothing_is_linear_and_where_nothing_moves():
     t = ringing(gravity=0.0, bottom="free")
-    assert not spectrum(t).plot().axes[0].lines
-    assert not dispersion(t, 1, 12).plot().axes[0].lines
+    assert not spectrum(t).plot().figure.axes[0].lines
+    assert not dispersion(t, 1, 12).plot().figure.axes[0].lines
     scene = Scene(chain=Chain(grains=12, diameter=1e-3), excitation=Profile(velocity=np.zeros(12)), duration=1e-4)
     still = simulate(scene, engine="native", tolerance=1e-6)
     for picture in (spectrum(still).plot(), dispersion(still, 1, 12).plot(), space_time(still)):
-        picture.draw_without_rendering()
+        picture.figure.draw_without_rendering()

@@ -81,7 +81,7 @@ def test_what_cannot_be_measured_is_said(tmp_path: Path):
     assert any("a drive does work" in line for line in found.left_out)
     assert all(math.isnan(row.measured) for row in by_method(found, "smallest error").values())
     for name in ("vacuum.png", "driven.png"):
-        found.plot().savefig(tmp_path / name)
+        found.plot().figure.savefig(tmp_path / name)
 
 
 def test_a_weak_scene_is_warned_of_nothing():

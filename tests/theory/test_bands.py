@@ -159,11 +159,11 @@ def test_a_surface_mode_at_a_light_free_end():
 
 def test_pictures():
     found = branches(Cell([1.0, 3.0], [1.0, 1.0]), Q)
-    axes = found.plot().axes[0]
+    axes = found.plot().figure.axes[0]
     assert (len(axes.lines), len(axes.patches)) == (2, 1)
     chain = Chain(grains=20, **LOADED, impurity=[{"grain": 9, "diameter": 0.5e-3}])
     modes = gap_modes(chain, Chain(grains=2, **LOADED))
-    assert len(modes.plot().axes[0].lines) == modes.frequency.size == 1
+    assert len(modes.plot().figure.axes[0].lines) == modes.frequency.size == 1
 
 
 @pytest.mark.parametrize(

@@ -101,7 +101,7 @@ def test_one_impurity_has_no_resonance_in_mass():
 
 
 def test_picture():
-    axes = transmission(HOST, EDGE * np.linspace(0.1, 0.9, 5)).plot().axes[0]
+    axes = transmission(HOST, EDGE * np.linspace(0.1, 0.9, 5)).plot().figure.axes[0]
     assert len(axes.lines) == 2
 
 

@@ -126,7 +126,7 @@ def test_on_a_chain(load: float, downward: bool):
 
 def test_picture():
     for wave in (VACUUM[1], LOADED[1]):
-        lines = wave.plot().axes[0].lines
+        lines = wave.plot().figure.axes[0].lines
         assert len(lines) == 4
         assert lines[0].get_ydata().max() == 1
 

@@ -28,7 +28,7 @@ def test_travels_unchanged(near: float):
                            contact_constants=np.full(89, 1e9))  # fmt: skip
     start, end = wave.on(chain, 13), wave.on(chain, 73)
     unit = (1e-5 / 1e9) ** 0.4
-    assert len(wave.plot().axes[0].lines) == 4
+    assert len(wave.plot().figure.axes[0].lines) == 4
     assert start.velocity[::2].max() <= 0.1 * (1 + 1e-12)
     scene = lmpchain.Scene(chain=chain, excitation=start, duration=60 * unit / wave.speed, samples=2)
     t = lmpchain.simulate(scene, engine="native", tolerance=1e-9)

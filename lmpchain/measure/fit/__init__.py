@@ -1,6 +1,6 @@
 """Fits of the theory to a trajectory, and of the parameters of a scene to a measurement."""
 
-from ...util.lazy import attributes
+from ...util.lazy import attributes, listed
 
 _NAMES = {
     "summary": "Summary summary",
@@ -11,3 +11,4 @@ _NAMES = {
 }
 __all__ = [name for names in _NAMES.values() for name in names.split()]
 __getattr__ = attributes(__name__, names=_NAMES)
+__dir__ = listed(__name__)

@@ -17,13 +17,13 @@ from ...theory.continuum import chi, impulse_amplitude, peaked
 from ...theory.domain import exponents
 from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array
-from ...util.plotting import axes_in_units
+from ...util.notebook import Shown
+from ...util.plotting import axes_in_units, legend
 from ..front import FEWEST, Front, PowerLaw, asymptotic, track
 from ..spectrum import Field
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 QUIET = 1e-6  # least drop behind a front, over the largest motion, if the error of a trajectory is unknown
 INSIDE = 0.5  # travel time over tau up to which the continuum describes the grains
@@ -31,8 +31,8 @@ EARLIEST, LATEST = 5.0, 50.0  # tau between which this region begins
 FORERUNNER = 10.0  # widths of the front by which an echo precedes its arrival time
 
 
-@dataclass(frozen=True, eq=False)
-class FrontLaw:
+@dataclass(frozen=True, eq=False, repr=False)
+class FrontLaw(Shown):
     """Arrival times of the front, ``factor h^exponent (1 + correction / h^order)``.
 
     The lag of the discrete chain behind the continuum is subtracted from the times.
@@ -72,20 +72,20 @@ class FrontLaw:
         """Relative residual of the times less the lag, (P,)."""
         return (self.time - self.shift) / self.law - 1
 
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the times against depth, with the law, both logarithmic; returns the figure."""
-        ax, picture = axes_in_units(ax, "", "")
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the times against depth, with the law, both logarithmic; returns the axes."""
+        ax = axes_in_units(ax, "", "")
         ax.plot(self.depth, self.time, ".", markersize=4, label="largest velocity")
         ax.plot(self.depth, self.time - self.shift, ".", markersize=4, label="less the lag of the grains")
         law = f"{self.factor:.4f} h^{self.exponent:.4f}, expected {self.expected[1]:.4f} h^{self.expected[0]:.4f}"
         ax.plot(self.depth, self.law, lw=1, label=law)
         ax.set(xscale="log", yscale="log", xlabel="depth h = n − 1/2 (grains)", ylabel="arrival (units of tau)")
-        ax.legend(frameon=False)
-        return picture
+        legend(ax)
+        return ax
 
 
-@dataclass(frozen=True, eq=False)
-class ContinuumFit:
+@dataclass(frozen=True, eq=False, repr=False)
+class ContinuumFit(Shown):
     """Eq. (35), ``phi = v0 C (tau^2 - chi^2)^(-xi/2eta)``, fitted far behind the front.
 
     Attributes
@@ -116,16 +116,16 @@ class ContinuumFit:
     residual: float
     front: FrontLaw | None
 
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw C from every sample against tau^2 - chi^2, with fit and theory; returns the figure."""
-        ax, picture = axes_in_units(ax, "", "")
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw C from every sample against tau^2 - chi^2, with fit and theory; returns the axes."""
+        ax = axes_in_units(ax, "", "")
         each = self.values * self.cone**self.power
         ax.plot(self.cone, each, ".", markersize=3, label=f"samples of {np.unique(self.grain).size} grains")
         ax.axhline(self.amplitude, color="k", lw=1, label=f"C = {self.amplitude:.8g} ± {self.error:.1g}")
         ax.axhline(self.expected, color="0.5", lw=1, ls="--", label=f"Eq. (35): {self.expected:.8g}")
-        ax.set(xscale="log", xlabel="tau² − chi²", ylabel=f"displacement / v0 · (tau² − chi²)^{self.power:.3g}")
-        ax.legend(frameon=False)
-        return picture
+        ax.set(xscale="log", xlabel="tau² − chi²", ylabel=f"displacement / v0\n· (tau² − chi²)^{self.power:.3g}")
+        legend(ax)
+        return ax
 
 
 def fit_continuum(trajectory: Trajectory, first: int = 10, inside: float = INSIDE) -> ContinuumFit:
@@ -244,8 +244,8 @@ def _front_law(trajectory: Trajectory, first: int) -> FrontLaw | None:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class ExponentFit:
+@dataclass(frozen=True, eq=False, repr=False)
+class ExponentFit(Shown):
     """Power laws of the front with depth, each with its first correction for finite depth.
 
     Attributes
@@ -260,15 +260,15 @@ class ExponentFit:
     laws: Mapping[str, PowerLaw]
     expected: Mapping[str, float]
 
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the deviations from the expected exponents, with their intervals; returns the figure."""
-        ax, picture = axes_in_units(ax, "", "")
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the deviations from the expected exponents, with their intervals; returns the axes."""
+        ax = axes_in_units(ax, "", "")
         above = [law.exponent - self.expected[key] for key, law in self.laws.items()]
-        ax.axhline(0, color="0.5", lw=1, ls="--")
-        ax.errorbar(range(len(above)), above, yerr=[law.error[0] for law in self.laws.values()], fmt="o", capsize=3)
-        ax.set_xticks(range(len(above)), [f"{key}\n{law.exponent:.4f}" for key, law in self.laws.items()])
-        ax.set(ylabel="exponent less that of a weak wave, deep down", xlim=(-0.5, len(above) - 0.5))
-        return picture
+        ax.axvline(0, color="0.5", lw=1, ls="--")
+        ax.errorbar(above, range(len(above)), xerr=[law.error[0] for law in self.laws.values()], fmt="o", capsize=3)
+        ax.set_yticks(range(len(above)), [f"{key}\n{law.exponent:.4f}" for key, law in self.laws.items()])
+        ax.set(xlabel="exponent less that of\na weak wave, deep down", ylim=(len(above) - 0.5, -0.5))
+        return ax
 
 
 def fit_exponents(trajectory: Trajectory, first: int = 20, last: int | None = None) -> ExponentFit:

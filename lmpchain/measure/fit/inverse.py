@@ -16,12 +16,12 @@ from ...scene.excitation import Impulse
 from ...scene.scene import Scene
 from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array
-from ...util.plotting import axes_in_units
+from ...util.notebook import Shown
+from ...util.plotting import axes_in_units, legend, titled
 from ..contact import motion, sensor
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 Field = Literal["velocity", "displacement", "force"]
 Parameter = Literal["velocity", "top_load", "youngs_modulus"]
@@ -88,8 +88,8 @@ class Trace:
         return cls(trajectory.time, grains, _seen(trajectory, np.array(grains), field), field)
 
 
-@dataclass(frozen=True, eq=False)
-class ParameterFit:
+@dataclass(frozen=True, eq=False, repr=False)
+class ParameterFit(Shown):
     """A parameter of a scene, fitted to a trace.
 
     Attributes
@@ -117,12 +117,12 @@ class ParameterFit:
     scene: Scene
     runs: int
 
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw some of the traces as points and the fit as lines; returns the figure."""
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw some of the traces as points and the fit as lines; returns the axes."""
         from matplotlib.ticker import EngFormatter
 
         trace = self.trace
-        ax, picture = axes_in_units(ax, "s", UNITS[trace.field])
+        ax = axes_in_units(ax, "s", UNITS[trace.field])
         for i in np.unique(np.linspace(0, trace.grain.size - 1, DRAWN).round().astype(int)):
             (points,) = ax.plot(trace.time, trace.values[:, i], ".", markersize=4, label=f"grain {trace.grain[i]}")
             ax.plot(trace.time, self.model[:, i], color=points.get_color(), lw=1)
@@ -130,9 +130,9 @@ class ParameterFit:
         shown = EngFormatter(UNITS[self.parameter], places=4)
         name = self.parameter.replace("_", " ").replace("youngs", "Young's")
         title = f"{name} {shown(self.value)} ± {EngFormatter(UNITS[self.parameter], places=1)(self.error)} (lines)"
-        ax.set_title(title, loc="left")
-        ax.legend(frameon=False)
-        return picture
+        titled(ax, title)
+        legend(ax)
+        return ax
 
 
 def fit_parameter(

@@ -13,12 +13,12 @@ from ...errors import InputError
 from ...theory.soliton import Soliton, coste_speed, nesterenko_speed, solve, struck
 from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array
-from ...util.plotting import axes_in_units
+from ...util.notebook import Shown
+from ...util.plotting import axes_in_units, legend
 from ..front import FEWEST, track
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 EVEN = 1e-9  # relative differences of masses and contacts up to which a chain counts as uniform
 END = 5  # grains at an end, where a wave that comes back meets itself
@@ -26,8 +26,8 @@ STEADY = 0.02  # relative scatter of the peak velocities of a wave that does not
 NEAR = 0.02  # relative differences of speed and width from the exact ones
 
 
-@dataclass(frozen=True, eq=False)
-class SolitonFit:
+@dataclass(frozen=True, eq=False, repr=False)
+class SolitonFit(Shown):
     """A wave that keeps its height, beside the exact solitary wave of that height.
 
     Attributes
@@ -58,9 +58,9 @@ class SolitonFit:
     expected: Array
     formula: float
 
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw peak velocity and local speed of every grain over the exact ones; returns the figure."""
-        ax, picture = axes_in_units(ax, "", "")
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw peak velocity and local speed of every grain over the exact ones; returns the axes."""
+        ax = axes_in_units(ax, "", "")
         local = np.abs(1 / np.gradient(self.time, self.grain.astype(float)))
         ax.plot(self.grain, self.velocity / self.amplitude - 1, ".", label="largest velocity, over its mean")
         ax.plot(self.grain, local / self.expected[1] - 1, ".", label="local speed, over that of the solitary wave")
@@ -68,8 +68,8 @@ class SolitonFit:
         ax.axhline(self.formula / self.expected[1] - 1, color="0.4", lw=1, ls="--", label=f"speed by {name}'s formula")
         ax.axhline(0, color="k", lw=1)
         ax.set(xlabel="grain, from the top", ylabel="relative difference")
-        ax.legend(frameon=False)
-        return picture
+        legend(ax)
+        return ax
 
 
 def fit_soliton(trajectory: Trajectory, first: int | None = None, last: int | None = None) -> SolitonFit:

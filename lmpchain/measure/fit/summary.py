@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from itertools import groupby
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 
 from ...errors import InputError
 from ...trajectory.trajectory import Trajectory
+from ...util.notebook import Shown
 from ...util.tables import aligned, finite, number
 from .column import ContinuumFit as ContinuumFit
 from .column import ExponentFit as ExponentFit
@@ -52,8 +54,8 @@ class Row:
     unit: str = ""
 
 
-@dataclass(frozen=True)
-class Summary:
+@dataclass(frozen=True, repr=False)
+class Summary(Shown):
     """All fits that apply to a trajectory.
 
     Attributes
@@ -75,15 +77,16 @@ class Summary:
             "left_out": [{"fit": fit, "reason": reason} for fit, reason in self.left_out],
         }
 
-    def table(self) -> str:
-        """Return the numbers as text."""
-        head = ["fit", "quantity", "value", "error", "expected", "unit"]
-        body = []
+    def _summary(self) -> Iterator[Sequence[str]]:
+        yield "fit", "quantity", "value", "error", "expected", "unit"
         for _, rows in groupby(self.rows, key=lambda row: row.fit):
             for first, row in enumerate(rows):
-                numbers = [_rounded(row.value, row.error), number(row.error, ".1g"), _rounded(row.expected, row.error)]
-                body.append(["" if first else row.fit, row.quantity, *numbers, row.unit])
-        lines = aligned([head, *body] if body else [])
+                numbers = _rounded(row.value, row.error), number(row.error, ".1g"), _rounded(row.expected, row.error)
+                yield "" if first else row.fit, row.quantity, *numbers, row.unit
+
+    def table(self) -> str:
+        """Return the numbers as text."""
+        lines = aligned(self._summary()) if self.rows else []
         lines += [f"left out: {fit} ({reason})" for fit, reason in self.left_out]
         remark = "" if self.strike_number <= WEAK else ", so linear theory is not expected to hold"
         return "\n".join([*lines, f"strike number {self.strike_number:.3g}{remark}"])

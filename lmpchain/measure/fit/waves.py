@@ -15,13 +15,13 @@ from ...scene.excitation import Displacement, Impulse
 from ...theory.modes import eigenmodes
 from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array
-from ...util.plotting import axes_in_units
+from ...util.notebook import Shown
+from ...util.plotting import axes_in_units, legend, titled
 from ..contact import motion
 from ..spectrum import UNITS, Field
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 EVEN = 0.05  # relative differences of masses and stiffnesses up to which a chain counts as uniform
 FORERUNNER = 7.4  # J_m(m - 7.4 m^(1/3)) is below 1e-10: no echo has arrived
@@ -31,8 +31,8 @@ ARRIVED = 1e-3  # of the strike: the recorded wave must be larger
 DRAWN = 4  # grains in a picture
 
 
-@dataclass(frozen=True, eq=False)
-class ModeFit:
+@dataclass(frozen=True, eq=False, repr=False)
+class ModeFit(Shown):
     """A motion as a superposition of eigenmodes.
 
     Attributes
@@ -69,19 +69,19 @@ class ModeFit:
         """Standard deviation of the energy of each mode over time, relative to the total at t = 0, (M,)."""
         return self.energy_error / (self.energy.sum() or 1.0)
 
-    def plot(self, ax: Axes | None = None, what: Literal["share", "residual"] = "share") -> Figure:
+    def plot(self, ax: Axes | None = None, what: Literal["share", "residual"] = "share") -> Axes:
         """Draw the energy fractions against frequency with their variation, or the residual over time."""
         if what == "residual":
-            ax, picture = axes_in_units(ax, "s", "")
+            ax = axes_in_units(ax, "s", "")
             ax.plot(self.time, self.residual)
-            ax.set(xlabel="time", ylabel="linear motion from t = 0, relative residual")
-            return picture
-        ax, picture = axes_in_units(ax, "Hz", "")
+            ax.set(xlabel="time", ylabel="linear motion from t = 0,\nrelative residual")
+            return ax
+        ax = axes_in_units(ax, "Hz", "")
         hertz = self.frequency / (2 * np.pi)
         ax.errorbar(hertz, 100 * self.share, yerr=100 * self.share_error, fmt=".", markersize=4, elinewidth=1)
         ax.set(xlabel="frequency of the mode", ylabel="share of the energy at t = 0 (%)")
-        ax.set_title(f"Linear motion from t = 0: off by at most {self.residual.max():.1e}", loc="left")
-        return picture
+        titled(ax, f"Linear motion from t = 0: off by at most {self.residual.max():.1e}")
+        return ax
 
 
 def fit_modes(trajectory: Trajectory) -> ModeFit:
@@ -123,8 +123,8 @@ def fit_modes(trajectory: Trajectory) -> ModeFit:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class BesselFit:
+@dataclass(frozen=True, eq=False, repr=False)
+class BesselFit(Shown):
     """A motion ``amplitude [J_(2|n-p|)(2s) + J_(2(n+p-1))(2s)]`` after a strike on grain p.
 
     Here s = rate (t - delay).
@@ -176,9 +176,9 @@ class BesselFit:
         m = 2 * abs(grain - self.struck)
         return self.delay + (m + 0.8086 * np.cbrt(m)) / (2 * self.rate)
 
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the motion of some of the grains as points and the fit as lines; returns the figure."""
-        ax, picture = axes_in_units(ax, "s", UNITS[self.field])
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the motion of some of the grains as points and the fit as lines; returns the axes."""
+        ax = axes_in_units(ax, "s", UNITS[self.field])
         present = np.unique(self.grain[np.abs(self.values) > 0.05 * np.abs(self.values).max()])
         chosen = present[np.unique(np.linspace(0, present.size - 1, DRAWN).round().astype(int))]
         for number in chosen:
@@ -186,9 +186,9 @@ class BesselFit:
             (points,) = ax.plot(self.time[here], self.values[here], ".", markersize=4, label=f"grain {number}")
             ax.plot(self.time[here], self.model[here], color=points.get_color(), lw=1)
         ax.set(xlabel="time", ylabel=f"{self.field}, downward")
-        ax.set_title(f"kappa {self.kappa:.5g} ± {self.error[3]:.1g}, residual {self.residual:.1e} (lines)", loc="left")
-        ax.legend(frameon=False)
-        return picture
+        titled(ax, f"kappa {self.kappa:.5g} ± {self.error[3]:.1g}, residual {self.residual:.1e} (lines)")
+        legend(ax)
+        return ax
 
 
 def fit_bessel(trajectory: Trajectory, grains: tuple[int, int] | None = None, until: float | None = None) -> BesselFit:

@@ -1,0 +1,42 @@
+"""The space-time picture of a trajectory."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from ..util.arrays import Array
+from ..util.plotting import axes_in_units, colour_bar, edges, thinned
+from .record import Record
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+UNITS = {"velocity": "m/s", "displacement": "m"}
+MOVING = 1e-3  # of the largest motion: grains that move less are left out of the colour scale
+WIDEST = 4000  # samples drawn: a picture has fewer columns
+
+
+def space_time(trajectory: Record, field: Literal["velocity", "displacement"], ax: Axes | None) -> Axes:
+    """Draw the motion over time and depth; see `Trajectory.plot`."""
+    from matplotlib.ticker import EngFormatter, MaxNLocator
+
+    ax = axes_in_units(ax, "s", "")
+    order = np.argsort(trajectory.grains)
+    every = -(-trajectory.time.size // WIDEST)
+    time = trajectory.time[::every]
+    motion = np.asarray(getattr(trajectory, field)[::every])[:, order]
+    rows, drawn = thinned(trajectory.grains[order], motion.T)
+    limit = scale(motion)
+    shown = ax.pcolorfast(edges(time), edges(rows), drawn, cmap="RdBu_r", vmin=-limit, vmax=limit)
+    colour_bar(ax, shown, f"{field}, downward", format=EngFormatter(UNITS[field]), extend="both")
+    ax.set(xlabel="time", ylabel="grain, from the top", xlim=time[[0, -1]], ylim=ax.get_ylim()[::-1])
+    ax.yaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+    return ax
+
+
+def scale(motion: Array) -> float:
+    """Return where colours of a motion (T, G) saturate: the median of the peaks of grains that move."""
+    largest = np.abs(motion).max(0)
+    return float(np.median(largest[largest > MOVING * largest.max()])) if largest.any() else 1.0

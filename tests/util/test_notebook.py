@@ -1,0 +1,253 @@
+"""What prompts, notebooks and `help` show; what pictures fit into; what modules list."""
+
+import contextlib
+import importlib
+import inspect
+import io
+import re
+import warnings
+from collections.abc import Callable
+from html.parser import HTMLParser
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib import pyplot
+
+import lmpchain
+from lmpchain import Chain, Drive, Force, Impulse, Scene, Trajectory, simulate
+from lmpchain.measure import contact, energy, front, spectrum
+from lmpchain.measure.fit import fit_bessel, fit_continuum, fit_exponents, fit_modes
+from lmpchain.measure.fit.summary import summary
+from lmpchain.orbits import normal_mode
+from lmpchain.simulation.planner import Plan
+from lmpchain.theory import bands, dimer_soliton, scattering, soliton
+from lmpchain.util.notebook import brief
+from lmpchain.util.plotting import COLOURS
+from lmpchain.util.progress import RATE, ProgressBar
+
+CHAIN = Chain(grains=40, diameter=1e-3)
+SCENE = Scene(chain=CHAIN, excitation=Impulse(velocity=1e-5), duration=1.2e-4, samples=121)
+LOADED = {"diameter": 1e-3, "gravity": 0.0, "top_load": 1.0}
+
+
+@pytest.fixture(scope="module")
+def run() -> Trajectory:
+    return simulate(SCENE, "native", 1e-8)
+
+
+class Seen(HTMLParser):
+    """The texts and pictures of some HTML, whose elements are closed in their turn."""
+
+    def __init__(self, html: str):
+        super().__init__()
+        self.texts: list[str] = []
+        self.pictures = 0
+        self.open: list[str] = []
+        self.feed(html)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        if tag == "img":
+            self.pictures += 1
+            assert dict(attrs)["alt"]
+        else:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.texts.append(data)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("chain", "6.94554e-10 m"),
+        ("scene", "0.09892"),
+        ("plan", "modes"),
+        ("trajectory", "native, which solves Eq. (1)"),
+        ("front", "'velocity'"),
+        ("summary", "energy of all modes"),
+    ],
+)
+def test_a_notebook_shows_a_table_and_a_picture(run: Trajectory, name: str, said: str):
+    made: dict[str, Callable[[], Any]] = {
+        "chain": lambda: CHAIN,
+        "scene": lambda: SCENE,
+        "plan": lambda: lmpchain.plan(SCENE),
+        "trajectory": lambda: run,
+        "front": lambda: front.track(run),
+        "summary": lambda: summary(run),
+    }
+    value = made[name]()
+    seen = Seen(value._repr_html_())
+    assert seen.texts[0] == type(value).__name__
+    assert any(said in text for text in seen.texts)
+    assert seen.pictures == (name != "summary")
+    assert len(repr(value)) < 600
+    assert "\n" not in repr(value)
+
+
+def test_a_chain_of_millions_is_shown_at_once():
+    chain = Chain(grains=10**7, diameter=1e-7)
+    assert repr(chain) == "Chain(grains=10000000, diameter=1e-07)"
+    assert Seen(chain._repr_html_()).pictures == 0
+    assert "masses" not in vars(chain)
+
+
+def test_what_a_value_holds_is_shown_and_not_obeyed():
+    odd = lmpchain.Material(density=1.0, youngs_modulus=1e9, poissons_ratio=0.3, name="<script>alert(1)</script>")
+    html = odd._repr_html_()
+    assert "<script>" not in html
+    assert any("<script>alert(1)</script>" in text for text in Seen(html).texts)
+
+
+def test_a_table_says_what_the_docstring_says(run: Trajectory):
+    texts = Seen(energy.ledger(run)._repr_html_()).texts
+    assert texts[texts.index("time") + 2] == "s."
+
+
+def test_values_in_few_letters():
+    assert brief(np.array([np.nan, np.inf])) == "[nan inf]"
+    assert brief(np.full((9, 9), np.nan)) == "(9, 9)"
+    assert brief("x" * 200).endswith("x ...")
+    assert brief(np.array([1j] * 9)) == "(9,) from 1 to 1"
+
+
+def test_every_plot_has_ax_and_returns_axes():
+    found = {Chain, Scene, Trajectory, Plan}
+    for package in ("measure", "measure.fit", "theory", "disorder", "orbits", "benchmark", "stability"):
+        folder = importlib.import_module(f"lmpchain.{package}")
+        for path in Path(folder.__path__[0]).glob("[a-z]*.py"):
+            module = importlib.import_module(f"{folder.__name__}.{path.stem}")
+            found |= {c for c in vars(module).values() if isinstance(c, type) and "plot" in vars(c)}
+    assert len(found) >= 25
+    for kind in found:
+        signature = inspect.signature(kind.plot)
+        assert signature.parameters["ax"].default is None, kind
+        assert signature.return_annotation == "Axes", kind
+        assert kind.__repr__.__qualname__ in ("Shown.__repr__", "Checked.__repr__", "Trajectory.__repr__"), kind
+
+
+def test_pictures_are_known_to_pyplot_and_given_axes_are_not_replaced(run: Trajectory):
+    ax = run.plot()
+    assert pyplot.get_fignums() == [ax.figure.number]
+    assert run.plot(ax=ax) is ax
+    assert front.track(run).plot(ax) is ax
+    assert len(pyplot.get_fignums()) == 1
+
+
+def test_the_palette_is_kept_and_a_second_line_has_the_next_colour():
+    ax = SCENE.plot()
+    SCENE.replace(excitation=Impulse(velocity=2e-5)).plot(ax=ax)
+    assert [line.get_color() for line in ax.lines] == list(COLOURS.values())[:2]
+
+
+def overlap(a: Any, b: Any) -> bool:
+    """Whether two boxes have more than 2 pixels in common both ways."""
+    return min(a.x1, b.x1) - max(a.x0, b.x0) > 2 and min(a.y1, b.y1) - max(a.y0, b.y0) > 2
+
+
+def all_drawn(t: Trajectory) -> dict[str, Callable[..., Any]]:
+    """Return every picture of one panel."""
+    first = front.track(t)
+    host = Chain(grains=9, **LOADED, impurity=[{"grain": 5, "diameter": 2e-3}])
+    uniform = Chain(grains=40, **LOADED)
+    struck = Scene(chain=uniform, excitation=Impulse(velocity=1e-7), duration=20 * uniform.time_scale)
+    cell = Chain(grains=2, **LOADED | {"diameter": [1e-3, 2e-3]})
+    return {
+        "chain": CHAIN.plot,
+        "scene": SCENE.plot,
+        "force": SCENE.replace(excitation=Force(shape="half-sine", amplitude=0.1, duration=3e-5)).plot,
+        "plan": lmpchain.plan(SCENE).plot,
+        "trajectory": t.plot,
+        "front": first.plot,
+        "power": front.asymptotic(first, "amplitude", 1.5).plot,
+        "exponents": front.exponent(first).plot,
+        "ledger": energy.ledger(t).plot,
+        "contacts": contact.contacts(t).plot,
+        "sensor": contact.sensor(t, 5).plot,
+        "spectrum": spectrum.spectrum(t).plot,
+        "dispersion": spectrum.dispersion(t, 2, 30).plot,
+        "modes": fit_modes(t).plot,
+        "residual": lambda ax: fit_modes(t).plot(ax, what="residual"),
+        "continuum": fit_continuum(t).plot,
+        "fit of exponents": fit_exponents(t, first=5).plot,
+        "bessel": fit_bessel(simulate(struck, "native", 1e-9)).plot,
+        "soliton": soliton.solve(speed=1.2).plot,
+        "dimer": dimer_soliton.solve(0.3).plot,
+        "bands": bands.branches(cell, np.linspace(-np.pi, np.pi, 101)).plot,
+        "transmission": scattering.transmission(host, np.linspace(0.1, 0.9, 50) * 2 / uniform.time_scale).plot,
+        "orbit": normal_mode(Chain(grains=4, **LOADED), 1, 1e-9).plot,
+        "drive": SCENE.replace(excitation=Drive(amplitude=1e-9, frequency=1e4)).plot,
+    }
+
+
+@pytest.mark.slow
+def test_four_pictures_fit_a_page_of_7_by_5_inches(run: Trajectory, tmp_path: Path):
+    every = all_drawn(run)
+    names = list(every)
+    faults = []
+    for first in range(0, len(names), 4):
+        here = names[first : first + 4]
+        picture = pyplot.figure(figsize=(7, 5), layout="constrained")
+        axes = picture.subplots(2, 2).ravel()[: len(here)]
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # a layout that does not fit warns
+            for name, ax in zip(here, axes, strict=True):
+                assert every[name](ax=ax) is ax, name
+            picture.savefig(tmp_path / f"{first}.png")
+        boxes = [ax.get_tightbbox() for ax in axes]
+        for place, (name, box, ax) in enumerate(zip(here, boxes, axes, strict=True)):
+            if min(box.x0, box.y0) < -3 or box.x1 > 703 or box.y1 > 503:
+                faults.append(f"{name} leaves the page: {box}")
+            if any(overlap(box, other) for other in boxes[:place]):
+                faults.append(f"{name} lies over another")
+            size = ax.get_window_extent()
+            if min(size.width, size.height) < 85:
+                faults.append(f"{name}: {size.width:.0f} x {size.height:.0f} pixels are left")
+            ticks = [tick.get_window_extent() for tick in ax.get_xticklabels() if tick.get_text()]
+            within = [one for one in ticks if size.x0 - 2 <= (one.x0 + one.x1) / 2 <= size.x1 + 2]
+            if any(overlap(*pair) for pair in pairwise(sorted(within, key=lambda one: one.x0))):
+                faults.append(f"{name}: the labels of its ticks lie over each other")
+    assert faults == []
+
+
+MODULES = ["", "measure", "measure.front", "measure.energy", "measure.spectrum", "theory", "theory.bessel"]
+MODULES += ["engines", "disorder", "orbits", "design", "chain", "scene", "trajectory", "stability", "chain.patterns"]
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_a_module_lists_what_it_offers_and_nothing_else(name: str):
+    module = importlib.import_module(f"lmpchain.{name}".rstrip("."))
+    names = dir(module)
+    assert names
+    foreign = {"np", "annotations", "dataclass", "TYPE_CHECKING", "Any", "Array", "attributes", "listed"}
+    assert not foreign & set(names)
+    assert not [one for one in names if one.startswith("_")]
+    assert all(inspect.getdoc(value) for value in (getattr(module, one) for one in names) if callable(value))
+
+
+@pytest.mark.parametrize("kind", [Chain, Scene, Impulse, Drive])
+def test_help_begins_with_what_a_user_needs(kind: type):
+    text = io.StringIO()
+    with contextlib.redirect_stdout(text):
+        help(kind)
+    opening = re.sub(".\b", "", text.getvalue()).split(inspect.getdoc(kind).splitlines()[0])[0]
+    assert "Annotated" not in opening
+    assert len(opening) < 700
+    assert re.search(rf"{kind.__name__}\(\*,\s+\|?\s*{next(iter(kind.model_fields))}", opening)
+    assert list(inspect.signature(kind).parameters) == list(kind.model_fields)
+
+
+def test_the_bar_of_a_fast_run_ends_at_100_percent(capsys: pytest.CaptureFixture[str]):
+    with ProgressBar(7, "quick", layout=RATE) as bar:
+        bar.advance(0.5)
+    assert "quick: 100%" in capsys.readouterr().err
+    with pytest.raises(KeyError), ProgressBar(7, "stopped", layout=RATE):
+        raise KeyError
+    assert "stopped: 100%" not in capsys.readouterr().err
