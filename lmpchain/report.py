@@ -14,7 +14,7 @@ import numpy as np
 
 from .errors import InputError, LmpchainError
 from .measure import contact, energy, front, spectrum
-from .measure.fit import summary as fit
+from .measure.fit import overview as fit
 from .trajectory.trajectory import Trajectory
 from .util.files import write_aside
 from .util.plotting import COLOURS, figure

@@ -41,7 +41,7 @@ def fit(arguments: argparse.Namespace) -> int:
     )
     if path and path.exists() and path.samefile(arguments.run):
         raise InputError([(arguments.json, "is the run itself; name another file")])
-    from ..measure.fit.summary import summary
+    from ..measure.fit.overview import summary
 
     result = summary(trajectory)
     print(result.table())

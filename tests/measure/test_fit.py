@@ -20,7 +20,7 @@ from lmpchain.benchmark.comparison import compare
 from lmpchain.benchmark.reference import reference
 from lmpchain.cli.command_line import main
 from lmpchain.engines.lammps.export import write_deck
-from lmpchain.measure.fit.summary import (
+from lmpchain.measure.fit.overview import (
     ExponentFit,
     Summary,
     Trace,

@@ -5,7 +5,7 @@ import pytest
 
 from lmpchain import Chain, Impulse, InputError, Profile, Scene, Trajectory, simulate
 from lmpchain.measure.fit import fit_soliton
-from lmpchain.measure.fit.summary import summary
+from lmpchain.measure.fit.overview import summary
 from lmpchain.theory.soliton import solve
 
 CHAIN = {"grains": 60, "diameter": 1e-3, "gravity": 0.0, "material": "steel"}

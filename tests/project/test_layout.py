@@ -2,7 +2,9 @@
 
 import ast
 from graphlib import CycleError, TopologicalSorter
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -92,3 +94,13 @@ def test_docstrings_open_with_one_short_line(module: str):
     documented = (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.Module))
     opening = [text.split("\n\n")[0] for node in documented if (text := ast.get_docstring(node))]
     assert [text for text in opening if "\n" in text or len(text) > OPENING] == []
+
+
+def test_no_module_bears_the_name_of_something_that_its_package_hands_on():
+    """Python would put the module in its place as soon as it is imported."""
+    for name, path in MODULES.items():
+        if path.name == "__init__.py":
+            package = import_module(name)
+            modules = {other.rpartition(".")[2] for other in MODULES if other.rpartition(".")[0] == name}
+            both = modules & set(getattr(package, "__all__", ()))
+            assert {each for each in both if not isinstance(getattr(package, each), ModuleType)} == set(), name

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import lmpchain
-from lmpchain.engines.lammps.export import write_deck
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -55,22 +54,6 @@ def test_readme_examples(tmp_path, monkeypatch):
     results = doctest.testfile(str(ROOT / "README.md"), module_relative=False)
     assert results.attempted > 5
     assert results.failed == 0
-
-
-def test_readme_reads_a_dump(tmp_path, monkeypatch):
-    chain = lmpchain.Chain(grains=10, material="glass", diameter=1e-3)
-    scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-3), duration=1e-5, samples=5)
-    write_deck(scene, tmp_path, step=1e-7)
-    monkeypatch.chdir(tmp_path)
-    subprocess.run([Path(sys.executable).with_name("lmp"), "-in", "in.column"], check=True, capture_output=True)
-    example = next(
-        b for b in re.findall(r"^```python\n(.*?)^```$", README, re.DOTALL | re.MULTILINE) if "MDAnalysis" in b
-    )
-    names: dict = {}
-    exec(example, names)
-    t = lmpchain.simulate(scene, "native", tolerance=1e-9)
-    assert names["displacement"].shape == (5, 10)
-    assert np.abs(names["displacement"] - t.displacement).max() < 1e-2 * np.abs(t.displacement).max()
 
 
 @pytest.mark.slow

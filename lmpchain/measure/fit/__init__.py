@@ -3,7 +3,7 @@
 from ...util.lazy import attributes, listed
 
 _NAMES = {
-    "summary": "Summary summary",
+    "overview": "Summary summary",
     "waves": "BesselFit ModeFit fit_bessel fit_modes",
     "column": "ContinuumFit ExponentFit FrontLaw fit_continuum fit_exponents",
     "solitary": "SolitonFit fit_soliton",

@@ -1,0 +1,58 @@
+"""Sphinx configuration: hand-written pages in Markdown, the API from the docstrings, the gallery from scripts."""
+
+import sys
+from importlib.metadata import version as installed_version
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE))  # for gallery_pictures, which Sphinx keeps by name
+
+project = "lmpchain"
+author = "the lmpchain developers"
+version = release = installed_version("lmpchain")
+extensions = [
+    "myst_nb",
+    "numpydoc",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx_copybutton",
+    "sphinx_gallery.gen_gallery",
+    "sphinxarg.ext",
+]
+exclude_patterns = ["build", "gallery", "**/*.ipynb", "**/sg_execution_times.rst", "sg_execution_times.rst"]
+templates_path = ["_templates"]
+
+html_theme = "furo"
+html_title = f"lmpchain {version}"
+html_show_sourcelink = False
+html_show_copyright = False
+copybutton_prompt_text = r">>> |\.\.\. |\$ "
+copybutton_prompt_is_regexp = True
+
+myst_heading_anchors = 3
+myst_links_external_new_tab = False
+nb_execution_mode = "force"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 300  # s
+nb_merge_streams = True
+
+default_role = "py:obj"  # what docstrings put between single backquotes
+autosummary_generate = True
+autodoc_default_options = {"members": True, "member-order": "bysource"}
+autodoc_typehints = "none"  # numpydoc's sections name the types
+numpydoc_show_class_members = False
+numpydoc_class_members_toctree = False
+
+sphinx_gallery_conf = {
+    "examples_dirs": "gallery",
+    "gallery_dirs": "measurements",
+    "filename_pattern": r"\.py$",
+    "image_scrapers": ("gallery_pictures.scraper",),
+    "capture_repr": (),
+    "abort_on_example_error": True,
+    "download_all_examples": False,
+    "min_reported_time": 1e9,
+    "show_memory": False,
+    "show_signature": False,
+    "write_computation_times": False,
+}

@@ -1,0 +1,31 @@
+"""
+The front: when it passes, how high, how wide
+=============================================
+
+A weak strike on a column: the front fades as a power of depth.
+"""
+
+import lmpchain
+from lmpchain.measure import front
+
+chain = lmpchain.Chain(grains=300, diameter=1e-3)
+duration = 200 * chain.time_scale
+scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-9), duration=duration, samples=1601)
+t = lmpchain.simulate(scene, "chebyshev")
+
+found = front.track(t)  # .time .amplitude .width of every grain, with errors
+picture = found.plot()
+
+# %%
+# Its width, which dispersion spreads.
+picture_of_width = found.plot(quantity="width")
+
+# %%
+# The local exponent of the amplitude tends to -4/15 = -0.267.
+picture_of_exponent = front.exponent(found).plot()
+
+# %%
+# The asymptotic law with its correction at finite depth.
+law = front.asymptotic(found.between(20, 250), "amplitude", 1.5)
+print(f"exponent {law.exponent:.4f} +- {law.error[0]:.4f}; -4/15 = {-4 / 15:.4f}")
+picture_of_law = law.plot()

@@ -1,0 +1,271 @@
+"""The pages in `docs/`: links, examples, commands, gallery and build; and that their tables say what was measured."""
+
+import ast
+import doctest
+import importlib
+import json
+import os
+import re
+import runpy
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.child_processes import PATIENCE
+
+import lmpchain
+from lmpchain import Chain, Impulse, Scene, simulate
+from lmpchain.engines.lammps.export import write_deck
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+PAGES = sorted(DOCS.glob("*.md"))
+GALLERY = sorted((DOCS / "gallery").glob("plot_*.py"))
+NAMES = [page.stem for page in PAGES]
+SHORT = Scene(chain=Chain(grains=20, diameter=1e-3), excitation=Impulse(velocity=1e-5), duration=4e-5, samples=61)
+
+
+def blocks(page: str, language: str) -> list[str]:
+    """Return the code blocks of a page in this language."""
+    text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
+    return re.findall(rf"^```{re.escape(language)}\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
+
+
+def places(page: Path) -> set[str]:
+    """Return the anchors of the headings of a page, as Markdown readers make them."""
+    text = page.read_text(encoding="utf-8")
+    for source, start in re.findall(r"```{include} (\S+)\n:start-after: \"(.*)\"", text):
+        text += (page.parent / source).read_text(encoding="utf-8").split(start)[1]
+    titles = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in titles}
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", ROOT / "analysis" / "README.md", *PAGES], ids=lambda p: p.stem)
+def test_links_lead_somewhere(page: Path):
+    text = re.sub(r"^```\w.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    for link in re.findall(r"\]\(([^)\s]+)\)", text):
+        name, _, place = link.partition("#")
+        if "://" in name:
+            continue
+        target = page.parent / name if name else page
+        if "measurements/" in name:  # made from the gallery
+            target = DOCS / "gallery" / Path(name).with_suffix(".py").name.replace("index.py", "GALLERY_HEADER.rst")
+        assert target.exists(), link
+        assert not place or place in places(target), link
+
+
+def test_every_page_is_in_the_contents():
+    index = (DOCS / "index.md").read_text(encoding="utf-8")
+    listed = "\n".join(re.findall(r"```{toctree}\n(.*?)^```$", index, re.DOTALL | re.MULTILINE)).split()
+    assert {*NAMES, "measurements/index"} - {"index"} <= set(listed)
+
+
+def test_the_reference_lists_what_is_public():
+    text = (DOCS / "api.md").read_text(encoding="utf-8")
+    for package in (lmpchain, lmpchain.measure, lmpchain.theory):
+        for name in package.__all__:
+            assert re.search(rf"\b{name}\b", text), f"{package.__name__}.{name}"
+    for entry in listed_names():
+        assert entry is not None
+
+
+def listed_names() -> list[str]:
+    """Return what the reference lists, with dotted names; it must be there."""
+    found, package = [], ""
+    for line in (DOCS / "api.md").read_text(encoding="utf-8").splitlines():
+        if line.startswith(".. currentmodule:: "):
+            package = line.split()[-1]
+        elif re.fullmatch(r"   [\w.]+", line):
+            found.append(f"{package}.{line.strip()}")
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", [name for name in NAMES if "\n>>> " in (DOCS / f"{name}.md").read_text()])
+def test_examples(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+    results = doctest.testfile(str(DOCS / f"{page}.md"), module_relative=False, optionflags=doctest.ELLIPSIS)
+    assert results.attempted > 0
+    assert results.failed == 0
+
+
+def test_no_block_is_left_out():
+    """Only these kinds of blocks are there, and every one of them is run or read by a test."""
+    for page in NAMES:
+        text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
+        assert "+SKIP" not in text
+        kinds = set(re.findall(r"^```(\S+)", text, re.MULTILINE))
+        assert kinds <= {"python", "sh", "toml", "text", "{code-cell}", "{eval-rst}", "{include}", "{toctree}"}, page
+        loose = [block for block in blocks(page, "python") if ">>> " not in block]
+        assert len(loose) == (page == "lammps"), page  # which test_the_page_reads_a_dump runs
+        assert bool(blocks(page, "toml")) == (page in ("scenes", "production"))
+
+
+def test_the_page_reads_a_dump(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    chain = Chain(grains=10, material="glass", diameter=1e-3)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1e-5, samples=5)
+    write_deck(scene, tmp_path, step=1e-7)
+    monkeypatch.chdir(tmp_path)
+    subprocess.run([Path(sys.executable).with_name("lmp"), "-in", "in.column"], check=True, capture_output=True)
+    (example,) = (block for block in blocks("lammps", "python") if "MDAnalysis." in block)
+    names: dict = {}
+    exec(example, names)
+    t = simulate(scene, "native", tolerance=1e-9)
+    assert names["displacement"].shape == (5, 10)
+    assert np.abs(names["displacement"] - t.displacement).max() < 1e-2 * np.abs(t.displacement).max()
+
+
+def test_scene_files_of_the_page(tmp_path: Path):
+    paper, grains = blocks("scenes", "toml")
+    (tmp_path / "grains.csv").write_text(blocks("scenes", "text")[0])
+    for text in (paper, grains):
+        (tmp_path / "scene.toml").write_text(text)
+        assert Scene.from_toml(tmp_path / "scene.toml").samples == 101
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", [name for name in NAMES if blocks(name, "sh") and name != "production"])
+def test_commands(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Those of the page on production are in `test_production_page`."""
+    monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}:{os.environ['PATH']}")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "templates").symlink_to(ROOT / "templates")
+    SHORT.to_toml("scene.toml")
+    said = ""
+    for line in "".join(blocks(page, "sh")).splitlines():
+        command, _, remark = line.partition("  # ")
+        wanted = int((re.search(r"exit code (\d+)", remark) or [0, 0])[1])
+        done = subprocess.run(
+            ["bash", "-c", command], capture_output=True, text=True, check=False, timeout=PATIENCE
+        )  # fmt: skip
+        assert done.returncode == wanted, f"{line}\n{done.stdout}{done.stderr}"
+        assert "Traceback" not in done.stderr
+        said += done.stderr
+    if page == "faq":
+        for message in blocks(page, "text"):
+            assert message in said
+    if page == "lammps":
+        assert len(Path("mine/ke.txt").read_text().splitlines()) > 10
+
+
+def classes_that_plot() -> set[str]:
+    """Return the classes with a method `plot`."""
+    trees = (ast.parse(path.read_text(encoding="utf-8")) for path in (ROOT / "lmpchain").rglob("*.py"))
+    classes = (node for tree in trees for node in ast.walk(tree) if isinstance(node, ast.ClassDef))
+    return {c.name for c in classes if any(isinstance(f, ast.FunctionDef) and f.name == "plot" for f in c.body)}
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_the_gallery_draws_every_plot(monkeypatch: pytest.MonkeyPatch):
+    drawn: set[str] = set()
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    for script in GALLERY:
+        names = runpy.run_path(str(script))
+        shown = [
+            line
+            for line in script.read_text(encoding="utf-8").splitlines()
+            if ".plot(" in line or "space_time(" in line
+        ]
+        assert len([name for name in names if name.startswith("picture")]) == len(shown), script.name
+        drawn |= set(re.findall(r"@ (\w+)", " ".join(f"@ {type(value).__name__}" for value in names.values())))
+    assert classes_that_plot() <= drawn | TEMPORARIES
+
+
+# drawn without a name of their own in a script: what returns them
+TEMPORARIES: set[str] = set()
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_the_tutorial_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    monkeypatch.chdir(tmp_path)
+    names: dict = {}
+    for cell in blocks("tutorial", "{code-cell} ipython3"):
+        exec(cell, names)
+    assert capsys.readouterr().out.rstrip().endswith("True")
+
+
+TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
+
+
+@pytest.mark.parametrize(("number", "scene"), list(enumerate(["fig5_1g", "fig1", "ten_thousand"])))
+def test_times_of_native_on_the_page_on_speed(number: int, scene: str):
+    """Each row is of what its label says: no time of a run to a tolerance stands for a fixed step."""
+    tables = (DOCS / "speed.md").read_text(encoding="utf-8").split("\n\n|")
+    table = [t for t in tables if "| native, the best integrator at a fixed step |" in t][number]
+    kept = json.loads((ROOT / "analysis" / "other_codes" / f"{scene}.json").read_text())["rows"]
+    fixed = [row for row in kept if re.fullmatch(r"native [\w-]+", row["code"])]
+    chosen = {
+        "the best integrator at a fixed step": fixed,
+        "to a tolerance, without its error estimate": [r for r in kept if r["code"].endswith("integration alone")],
+        "to a tolerance, with its error estimate": [r for r in kept if r["code"].endswith("with estimate")],
+    }
+    for label, rows in chosen.items():
+        (line,) = re.findall(rf"^\| native,? {label} \| (.*) \|$", table, re.MULTILINE)
+        best = [min((1e3 * r["seconds"] for r in rows if r["error"] <= target), default=None) for target in TARGETS]
+        assert line.split(" | ") == ["never" if x is None else f"{x:.3g}" for x in best], label
+
+
+def public_functions() -> list[str]:
+    """Return the dotted names of the functions that the reference shows."""
+    found = []
+    for entry in listed_names():
+        package, _, name = entry.rpartition(".")
+        try:
+            thing = getattr(importlib.import_module(package), name)
+        except AttributeError:
+            thing = importlib.import_module(entry)
+        if not hasattr(thing, "__path__") and not hasattr(thing, "__file__"):
+            found += (
+                [f"{thing.__module__}.{thing.__qualname__}"] if callable(thing) and not isinstance(thing, type) else []
+            )
+            continue
+        for each in getattr(thing, "__all__", None) or [k for k in vars(thing) if not k.startswith("_")]:
+            value = getattr(thing, each)
+            of_ours = getattr(value, "__module__", "").startswith(entry)
+            if callable(value) and not isinstance(value, type) and of_ours:
+                found.append(f"{value.__module__}.{value.__qualname__}")
+    return sorted(set(found))
+
+
+@pytest.mark.slow
+def test_functions_document_what_they_take_and_give():
+    validate = pytest.importorskip("numpydoc.validate", reason="numpydoc comes with lmpchain[docs]").validate
+    names = public_functions()
+    assert len(names) > 80
+    wanted = {"PR01", "PR02", "PR03", "RT01", "YD01", "SS01"}
+    faults = {name: [text for code, text in validate(name)["errors"] if code in wanted] for name in names}
+    assert {name: texts for name, texts in faults.items() if texts} == {}
+
+
+@pytest.mark.slow
+def test_the_pages_build_without_a_warning(tmp_path: Path):
+    pytest.importorskip("sphinxarg", reason="Sphinx and its extensions come with lmpchain[docs]")
+    copy = tmp_path / "docs"
+    shutil.copytree(DOCS, copy, ignore=shutil.ignore_patterns("build", "api", "measurements"))
+    for name in ("analysis", "CITATION.cff"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    build = tmp_path / "built"
+    command = [sys.executable, "-m", "sphinx", "-W", "-q", str(copy), str(build)]
+    done = subprocess.run(
+        command, capture_output=True, text=True, check=False, env=os.environ | {"PYTHONPATH": str(ROOT)}
+    )
+    assert done.returncode == 0, done.stderr
+    index = (build / "searchindex.js").read_text(encoding="utf-8")
+    assert index.startswith("Search.setIndex(")  # a script, which works from the file system
+    assert 'src="searchindex.js"' in (build / "search.html").read_text(encoding="utf-8")
+    for script in GALLERY:
+        page = (build / "measurements" / f"{script.stem}.html").read_text(encoding="utf-8")
+        assert page.count("_images/sphx_glr_") >= script.read_text(encoding="utf-8").count("\npicture")
+    if browser := shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome"):
+        shown = subprocess.run(
+            [browser, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path / 'browser'}",
+             "--virtual-time-budget=8000", "--dump-dom", f"{(build / 'search.html').as_uri()}?q=dispersion"],
+            capture_output=True, text=True, check=False, timeout=PATIENCE,
+        ).stdout  # fmt: skip
+        assert "plot_05_spectra.html" in shown
