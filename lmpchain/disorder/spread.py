@@ -17,7 +17,6 @@ from .streaming import Average, Draw, averaged
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 GROUPS = 16  # of chains, whose scatter gives the error of an exponent
 
@@ -96,22 +95,19 @@ class Spreading:
         without = [slope(self.groups.sum(0) - group) for group in self.groups] if count > 1 else [np.nan]
         return slope(self.second_moment), float(np.sqrt((count - 1) * np.var(without)))
 
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw second moment and participation over time, with bands of two standard errors.
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw second moment and participation over time, with bands of two standard errors; returns the axes."""
+        from ..util.plotting import axes_in_units, legend
 
-        Returns the figure.
-        """
-        from ..util.plotting import axes_in_units
-
-        ax, picture = axes_in_units(ax, "s", "")
+        ax = axes_in_units(ax, "s", "")
         for name, label in (("second_moment", "second moment, grains²"), ("participation", "participation, grains")):
             mean, band = getattr(self, name)[1:], 2 * getattr(self, f"{name}_error")[1:]
             (line,) = ax.plot(self.time[1:], mean, label=label)
             if self.realisations > 1:
                 ax.fill_between(self.time[1:], mean - band, mean + band, color=line.get_color(), alpha=0.25, lw=0)
         ax.set(xscale="log", yscale="log", xlabel="time", ylabel=f"mean of {self.realisations} chains, m = {self.m:g}")
-        ax.legend(frameon=False)
-        return picture
+        legend(ax)
+        return ax
 
 
 def spreading(

@@ -16,16 +16,15 @@ from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, colour_bar, edges, legend, thinned
+from .derivatives import STILL, UNKNOWN
+from .motion import Motion, columns
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from .motion import Motion
-
 __dir__ = listed(__name__)
 
 LINES = 6  # contacts drawn as lines; more are drawn as a map
-STILL, UNKNOWN = -1, -2  # marks for bodies that were not recorded
 
 
 @dataclass(frozen=True, order=True)
@@ -186,7 +185,7 @@ def contacts(trajectory: Trajectory, numbers: Sequence[int] | None = None) -> Co
 
 def known_contacts(trajectory: Trajectory | Motion) -> np.ndarray:
     """Return the numbers of contacts whose two bodies were recorded or stand still, if there are any."""
-    known = _columns(trajectory) != UNKNOWN
+    known = columns(trajectory.scene.chain.grains, trajectory.scene.chain.movable, trajectory.grains) != UNKNOWN
     chosen = np.flatnonzero(known[:-1] & known[1:] & trajectory.scene.chain.contacts.exists)
     if not chosen.size:
         raise InputError([("grains", "no two neighbours were recorded, so no contact is known: record both")])
@@ -265,7 +264,7 @@ def motion(trajectory: Trajectory | Motion, bodies: np.ndarray) -> tuple[Array, 
     InputError
         If one of them was not recorded and is not held.
     """
-    column = _columns(trajectory)[bodies]
+    column = columns(trajectory.scene.chain.grains, trajectory.scene.chain.movable, trajectory.grains)[bodies]
     missing = np.unique(bodies[column == UNKNOWN])
     if missing.size:
         some = ", ".join(map(str, missing[:8])) + ", ..." * (missing.size > 8)
@@ -275,13 +274,3 @@ def motion(trajectory: Trajectory | Motion, bodies: np.ndarray) -> tuple[Array, 
     if wall := trajectory.scene.excitation.wall:
         u[:, bodies == 0], v[:, bodies == 0] = (wall.at(trajectory.time, order)[:, None] for order in (0, 1))
     return u, v
-
-
-def _columns(trajectory: Trajectory | Motion) -> np.ndarray:
-    """Return the recorded column of each body, (N+2,), or a mark if it stands still or is unknown."""
-    chain = trajectory.scene.chain
-    column = np.full(chain.grains + 2, UNKNOWN)
-    column[[0, -1]] = STILL
-    column[chain.movable + 1 :] = STILL
-    column[trajectory.grains] = np.arange(trajectory.grains.size)
-    return column

@@ -46,7 +46,8 @@ def _wall_force(motion: Motion, _: NDArray[np.intp]) -> tuple[Array, Array]:
 def _energy(motion: Motion, grains: NDArray[np.intp]) -> tuple[Array, Array]:
     from ..measure.energy import shares
 
-    energy, known = shares(motion), columns(motion.scene, grains) != UNKNOWN
+    energy, chain = shares(motion), motion.scene.chain
+    known = columns(chain.grains, chain.movable, grains) != UNKNOWN
     grain, contact = np.isin(energy.grain, grains), known[energy.contact] & known[energy.contact + 1]
     moving = energy.kinetic[:, grain].sum(1), energy.kinetic_error[:, grain].sum(1)
     held = energy.elastic[:, contact].sum(1), energy.elastic_error[:, contact].sum(1)

@@ -132,6 +132,6 @@ def test_what_is_wrong_is_named(call, key):
 
 
 def test_picture_of_spreading():
-    (axes,) = spreading(scene(), 3, 5, 1).plot().axes
+    axes = spreading(scene(), 3, 5, 1).plot()
     assert [line.get_label() for line in axes.lines] == ["second moment, grains²", "participation, grains"]
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("time", "mean of 5 chains, m = 3")
