@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from helpers.example_scenes import paper, smooth
 from helpers.independent_integrators import extended_reference, relative_error
+from helpers.whole_runs import blocks_of
 from scipy.integrate import simpson
 
 from lmpchain import Chain, Displacement, Drive, Impulse, Profile, Scene, engines, simulate
@@ -192,11 +193,10 @@ def test_batch_equals_single_runs(integrator):
         scenes.append(Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=30e-6, samples=5))
     solver = engines.Native(integrator=integrator, step=1e-7)
     run = solver.start(scenes, solver.candidate(scenes[0], 1e-6))
-    together = np.concatenate([block.velocity for block in run.blocks()], axis=1)
+    _, together = blocks_of(run)
     errors = run.errors()
     threaded = engines.Native(integrator=integrator, step=1e-7, threads=2).start(scenes, run.candidate)
-    assert np.array_equal(together, np.concatenate([block.velocity for block in threaded.blocks()], axis=1))
-    threaded.close()
+    assert np.array_equal(together, blocks_of(threaded)[1])
     for i, scene in enumerate(scenes):
         alone = simulate(scene, engine=solver)
         assert np.array_equal(together[i], alone.velocity)

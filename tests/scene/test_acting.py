@@ -9,6 +9,7 @@ import pytest
 from helpers.example_scenes import acted_scene
 from helpers.independent_integrators import extended_reference, relative_error
 from helpers.standalone_lammps import lmp, read_dump
+from helpers.whole_runs import blocks_of
 from numpy.typing import NDArray
 from scipy.integrate import quad
 from scipy.interpolate import CubicSpline
@@ -267,14 +268,6 @@ def test_lammps(kind: str, integrator: str):
 
 
 # --- many at once, in pieces, and again from a kept state
-
-
-def blocks_of(run: Any) -> tuple[Array, Array]:
-    try:
-        blocks = list(run.blocks())
-        return tuple(np.concatenate([getattr(b, k) for b in blocks], axis=1) for k in ("displacement", "velocity"))
-    finally:
-        run.close()
 
 
 @every

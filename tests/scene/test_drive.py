@@ -7,6 +7,7 @@ import mpmath
 import numpy as np
 import pytest
 from helpers.independent_integrators import extended_reference, relative_error, scipy_reference
+from helpers.whole_runs import blocks_of
 from numpy.typing import NDArray
 from scipy.integrate import simpson
 from scipy.interpolate import make_interp_spline
@@ -259,14 +260,6 @@ def test_the_chain_holds_what_the_drive_puts_in():
 
 
 # --- many at once, in pieces, and again from a kept state
-
-
-def blocks_of(run: engines.base.Run) -> tuple[Array, Array]:
-    try:
-        blocks = list(run.blocks())
-        return tuple(np.concatenate([getattr(b, k) for b in blocks], axis=1) for k in ("displacement", "velocity"))
-    finally:
-        run.close()
 
 
 @every

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from helpers.example_scenes import random_scene
 from helpers.independent_integrators import extended_reference, relative_error
+from helpers.whole_runs import blocks_of
 
 from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Scene, ToleranceNotMet, simulate
 from lmpchain.benchmark.reference import reference
@@ -198,9 +199,7 @@ def test_no_double_precision_run_holds_beyond_the_predictability_time():
     said = {tolerance: predictability_time(scene, tolerance) for tolerance in (1e-9, 1e-6)}
     for engine in (Native("rkn6"), Native("dop853")):
         run = engine.start([scene], engine.candidate(scene, 1e-11))
-        found = [np.concatenate(x, axis=1)[0] for x in zip(*(block[1:3] for block in run.blocks()), strict=True)]
-        run.close()
-        pairs = zip(found, (true.displacement, true.velocity), strict=True)
+        pairs = zip((x[0] for x in blocks_of(run)), (true.displacement, true.velocity), strict=True)
         error = np.max([np.abs(x - y).max(1) / np.abs(y).max() for x, y in pairs], axis=0)
         for tolerance, end in said.items():
             assert crossing(scene.time, error, tolerance) == pytest.approx(end, abs=5e-4)
