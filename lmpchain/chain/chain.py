@@ -18,10 +18,10 @@ from .contacts import Contacts, hertz_constant
 from .impurities import Impurities, kinds, misfits, with_impurities
 from .materials import GLASS, Material, OneMaterial, OneOrManyMaterials
 from .picture import AtRest
-from .plausible import HERTZ_OVERLAP, remarks
+from .plausible import HERTZ_OVERLAP, least_squeezed, remarks, too_squeezed
+from .plausible import LARGEST_OVERLAP as LARGEST_OVERLAP
 
 LEAST_GRAVITY = 1e-100  # m/s2
-LARGEST_OVERLAP = 0.1  # of the diameter: beyond it the Hertz law no longer describes a contact
 
 
 class Chain(AtRest, Checked):
@@ -98,6 +98,9 @@ class Chain(AtRest, Checked):
             return
         if wrong or self._leave_open().plainly_below(LARGEST_OVERLAP):
             return
+        if self._alike and (least := least_squeezed(self._kinds, self)) > LARGEST_OVERLAP:
+            yield "diameter", too_squeezed(f"a contact is compressed by at least {least:.2g}")
+            return
         with np.errstate(all="ignore"):  # non-finite values are faults
             known = all(np.isfinite(part).all() for part in self.dynamical_matrix()) and (self.masses > 0).all()
             relative = self.contacts.overlap / self.contact_lengths
@@ -105,11 +108,7 @@ class Chain(AtRest, Checked):
             yield "masses", "are too small or too large to compute with, or contacts too hard or too soft: use SI units"
         elif relative.max() > LARGEST_OVERLAP:
             worst = int(relative.argmax())
-            yield (
-                "diameter",
-                f"contact {worst} is compressed by {relative[worst]:.2g} of the diameter, more than "
-                f"{LARGEST_OVERLAP:g}: use fewer grains, less gravity or load, or a stiffer material",
-            )
+            yield "diameter", too_squeezed(f"contact {worst} is compressed by {relative[worst]:.2g}")
 
     def _remarks(self) -> Iterator[str]:
         plain = self.exponent != 1.5 or self.plainly_below(HERTZ_OVERLAP)

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..util.arrays import Array
+from .contacts import Contacts
+
+if TYPE_CHECKING:
+    from .chain import Chain
 
 # overlap over diameter: the contact is then a tenth as wide as the grain, and Hertz's theory takes it to be far
 # narrower (K. L. Johnson, Contact Mechanics, Cambridge 1985, section 4.2)
 HERTZ_OVERLAP = 0.01
 LARGEST_DIAMETER = 0.3  # m
+LARGEST_OVERLAP = 0.1  # of the diameter: beyond it the Hertz law no longer describes a contact
+LONG = 10**6  # grains from which on arrays are a burden
 
 
 def beyond_hertz(relative: float) -> str:
@@ -26,3 +33,24 @@ def remarks(diameter: float | Array, relative: float) -> Iterator[str]:
         yield f"diameter: {widest:g} m is wide for a grain; diameters are in metres (1 mm is 1e-3)"
     if relative > HERTZ_OVERLAP:
         yield f"diameter: at rest {beyond_hertz(relative)}"
+
+
+def least_squeezed(kinds: Array, chain: Chain) -> float:
+    """Return to what part of the diameter a contact of a long chain is squeezed at least, without arrays.
+
+    Its grains are of these kinds (3, I+1), alike but for I impurities; 0 for a chain whose arrays are no burden. Of the
+    2 I + 1 lowest contacts one is between two common grains.
+    """
+    if chain.grains < LONG:
+        return 0.0
+    modulus, d, mass = kinds[:, 0]
+    above = max(chain.grains - 3 * kinds.shape[1], 0)
+    constant = 2 / 3 * modulus * np.sqrt(d / 4) * d ** (1.5 - chain.exponent)
+    with np.errstate(all="ignore"):
+        return float(Contacts(constant, chain.top_load + chain.gravity * above * mass, chain.exponent).overlap / d)
+
+
+def too_squeezed(how: str) -> str:
+    """Return the fault of a contact that is compressed too much."""
+    than = f"of the diameter, more than {LARGEST_OVERLAP:g}"
+    return f"{how} {than}: use fewer grains, less gravity or load, or a stiffer material"

@@ -44,6 +44,7 @@ GROWN, STEADY = 300.0, 3.0
 # rounding that all runs share (of the parameters, say), where contacts open, as a multiple of what becomes of a last
 # digit; looked for below that estimate, if it can grow so far: from so much, by less than that exponent a radian
 SHARED, NEAR_ROUNDOFF, SHORT, GROWTH = 1.0, 1e-6, 1e-13, 0.05
+SCATTER = 10.0  # multiple of that by which two runs may differ for rounding alone
 CLOSE_TO_OPENING = -0.5  # r / eps below which a contact's force is no longer a smooth function of time
 # order assumed in the Richardson estimate after adaptive steps through an opening, where differences scatter
 ORDER_AT_OPENINGS = 4
@@ -244,7 +245,9 @@ class CompanionRun(Run):
             if self._twin:
                 roundoff += rounding[real]
             elif opens and truncation + roundoff < min(NEAR_ROUNDOFF, SHORT * math.exp(min(GROWTH * radians, 99))):
-                roundoff += SHARED * self._grown(real, peaks[real])
+                grown = SHARED * self._grown(real, peaks[real])
+                truncation = max(truncation, min(most, SCATTER * grown))
+                roundoff += grown
             found.append(ErrorBudget(truncation, roundoff, smooth, every[real], time))
         return found
 

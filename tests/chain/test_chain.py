@@ -1,5 +1,6 @@
 """The chain at rest, its band edge and its energy, against formulas and methods that the package does not use."""
 
+import tracemalloc
 from itertools import pairwise
 
 import numpy as np
@@ -24,6 +25,7 @@ from lmpchain import (
     simulate,
 )
 from lmpchain.chain.contacts import Contacts
+from lmpchain.chain.plausible import least_squeezed
 
 each_chain = pytest.mark.parametrize("chain", CHAINS.values(), ids=CHAINS)
 each_walled = pytest.mark.parametrize("chain", WALLED.values(), ids=WALLED)
@@ -489,3 +491,19 @@ def test_materials():
     with pytest.raises(InputError) as caught:
         Material(density=0.0, youngs_modulus=np.inf, poissons_ratio=0.51)
     assert [key for key, _ in caught.value.faults] == ["density", "youngs_modulus", "poissons_ratio"]
+
+
+@pytest.mark.parametrize("odd", [[], [Impurity(grain=7, mass=1e-9), Impurity(grain=9, diameter=3e-3)]])
+def test_a_long_squeezed_column_is_refused_before_memory_is_taken(odd: list[Impurity], monkeypatch):
+    """A hundred million grains would be gigabytes; the bound is what arrays say of a chain that is just long."""
+    tracemalloc.start()
+    try:
+        with pytest.raises(InputError, match=r"diameter: a contact is compressed by at least .* fewer grains"):
+            Chain(grains=10**8, diameter=1e-3, impurity=odd)
+        assert tracemalloc.get_traced_memory()[1] < 2e6
+    finally:
+        tracemalloc.stop()
+    monkeypatch.setattr("lmpchain.chain.plausible.LONG", 1000)
+    long = Chain(grains=1000, diameter=1e-3, impurity=odd, top="wall", bottom="wall", top_load=1e-3)
+    relative = (long.contacts.overlap / long.contact_lengths)[-2]
+    assert 0.95 < least_squeezed(long._kinds, long) / relative <= 1
