@@ -22,11 +22,11 @@ from .events import EVENTS, Place, between
 from .family import Event, Family
 from .flow import Flow
 from .orbit import Orbit, orbit_of
-from .shooting import Constraint, Equations, Point, Solution, discretisation, fixed, solve
+from .shooting import Constraint, Equations, Point, Solution, discretisation, fixed, solve, solved
 
 FIRST, LARGEST, SMALLEST = 0.05, 0.4, 1e-7  # steps along the family, over the size of the orbit
 STRAIGHT, BENT = 0.98, 0.9  # cosine of the angle between two tangents: a longer step, and a shorter one
-EASY = 5  # iterations
+EASY = 8  # iterations
 ELEMENT = re.compile(r"(\w+)\[(\d+)\]")
 
 
@@ -45,7 +45,11 @@ class Curve:
     def place(self, solution: Solution, constraint: Constraint, before: Array | None = None) -> Place:
         """Return a solved orbit with the direction of the family, turned as that of the place before."""
         unknown, point = self.equations.pack(solution.point), solution.point
-        direction = svd(solution.slopes[:-1])[2][-1]
+        if len(solution.slopes) == unknown.size:  # the way on which only the last equation, the constraint, changes
+            direction = solved(solution.slopes, np.append(np.zeros(unknown.size - 1), 1.0))
+            direction /= np.linalg.norm(direction)
+        else:
+            direction = svd(solution.slopes[:-1])[2][-1]
         if before is not None and direction @ before < 0:
             direction = -direction
         error = discretisation(self.equations, solution, [*self.held, constraint])

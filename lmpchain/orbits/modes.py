@@ -15,6 +15,7 @@ from .orbit import Orbit
 from .search import check_positive, find, linear_mode
 
 STRAIN = 1e-2  # of the small orbit that a family begins with
+SLOW = 0.2  # of the band edge: below it harmonics are nearly resonant, and a family begins with smaller orbits
 HEAVY = 1e3  # factor on masses at which grains stand almost still
 HEAVIER = 1.001  # ratio of masses
 ALONE = (1e-4, 1e2)  # amplitudes of a grain between two that stand still, over the overlap
@@ -65,6 +66,7 @@ def mode_family(chain: Chain, mode: int, energy: float, *, events: bool = True, 
     """
     check_positive("energy", energy)
     u, period = linear_mode(chain, mode, STRAIN)
+    u *= min(1.0, 2 * np.pi / period / (SLOW * chain.band_edge)) ** 2
     rest = np.zeros(chain.grains)
     least = float(chain.excess_energy(u, rest))
     small = min(1.0, float(np.sqrt(0.5 * energy / least)))

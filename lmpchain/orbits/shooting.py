@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, NamedTuple
+from warnings import catch_warnings
 
 import numpy as np
-from scipy.linalg import lstsq
+from scipy.linalg import LinAlgError, LinAlgWarning, lstsq
+from scipy.linalg import solve as solve_linear
 
 from ..errors import InputError, RunFailed
 from ..util.arrays import EPSILON, Array
@@ -16,6 +19,7 @@ from .flow import Flow
 
 CLOSED = 1e-12  # residual over the size of the orbit
 ITERATIONS = 25
+USEFUL = 0.1  # factor on the residual by which old derivatives must still bring it down
 TUNED = 4  # times that steps are laid anew around openings
 NUDGE = 1e-6  # of a parameter, for the derivative by it
 SHORTER = 0.6  # factor on the steps until their error is below CLOSED
@@ -195,29 +199,47 @@ def solve(
 
 
 def _newton(equations: Equations, guess: Point, constraints: Sequence[Constraint], mesh: Array) -> Solution | None:
+    """Return the solution at given steps; derivatives are taken anew only where old ones no longer serve."""
     unknown, last, best = equations.pack(guess), np.inf, np.inf
-    size, period_at = np.abs(unknown).max(), equations.period_at(unknown)
-    for iteration in range(ITERATIONS):
+    size, period_at, steps = np.abs(unknown).max(), equations.period_at(unknown), 0
+    slopes: Array | None = None
+    while steps < ITERATIONS:
         point = equations.unpack(unknown)
-        residual, slopes = equations.linearised(point, mesh)
         more = [constraint.of(unknown, point) for constraint in constraints]
-        residual = np.append(residual, [r for r, _ in more])
-        slopes = np.vstack((slopes, *(row[None] for _, row in more)))
+        fresh = slopes is None
+        if slopes is None:
+            residual, slopes = equations.linearised(point, mesh)
+            slopes = np.vstack((slopes, *(row[None] for _, row in more)))
+        else:
+            residual = equations.closure(point, mesh)
+        residual = np.concatenate((residual, np.zeros(len(slopes) - residual.size - len(more)), [r for r, _ in more]))
         here = float(np.abs(residual).max() / np.abs(unknown[:period_at]).max())
         if not np.isfinite(here) or here > 1e3 * max(last, 1.0):
             return None
-        if here < CLOSED / 4 and here > last / 4:
-            return Solution(point, mesh, slopes, iteration)
+        done = here < CLOSED / 4 and here > last / 4
+        if not fresh and (done or here > USEFUL * last):
+            slopes = None
+            continue
+        if done:
+            return Solution(point, mesh, slopes, steps)
         last, best = here, min(best, here)
-        change = lstsq(slopes, residual, cond=1e-13, lapack_driver="gelsy")[0]
+        change = solved(slopes, residual)
         if np.abs(change[period_at]) > 1 or not np.isfinite(change).all():
             return None
-        unknown = unknown - change
+        unknown, steps = unknown - change, steps + 1
         if np.abs(unknown).max() > 1e3 * size:
             return None
-        if np.abs(change).max() < 4 * EPSILON * np.abs(unknown).max():
-            return Solution(point, mesh, slopes, iteration)
-    return Solution(point, mesh, slopes, ITERATIONS) if best < CLOSED else None
+        if fresh and np.abs(change).max() < 4 * EPSILON * np.abs(unknown).max():
+            return Solution(point, mesh, slopes, steps)
+    return Solution(point, mesh, slopes, ITERATIONS) if best < CLOSED and slopes is not None else None
+
+
+def solved(slopes: Array, residual: Array) -> Array:
+    """Return the change of the unknowns that the linear equations ask for, by least squares if these are singular."""
+    if slopes.shape[0] == slopes.shape[1]:
+        with suppress(LinAlgError, LinAlgWarning), catch_warnings(action="error", category=LinAlgWarning):
+            return np.asarray(solve_linear(slopes, residual))
+    return np.asarray(lstsq(slopes, residual, cond=1e-13, lapack_driver="gelsy")[0])
 
 
 def discretisation(equations: Equations, solution: Solution, constraints: Sequence[Constraint]) -> float:
@@ -226,7 +248,7 @@ def discretisation(equations: Equations, solution: Solution, constraints: Sequen
     half = np.repeat(solution.mesh, 2) / 2
     residual = equations.closure(point, half)
     rows = len(solution.slopes) - residual.size
-    change = lstsq(solution.slopes, np.append(residual, np.zeros(rows)), cond=1e-13, lapack_driver="gelsy")[0]
+    change = solved(solution.slopes, np.append(residual, np.zeros(rows)))
     end = equations.period_at(unknown)
     return SAFETY * float(max(np.abs(change[:end]).max() / np.abs(unknown[:end]).max(), *np.abs(change[end:])))
 
