@@ -3,7 +3,10 @@
 from ..util.lazy import attributes
 
 _MODULES = {
+    "fitting": "fit Fit Traces",
     "gradients": "gradient Gradient",
+    "optimisation": "optimise Optimum",
+    "sensitivities": "sensitivity Sensitivity",
     "objectives": "ArrivalTime DriveWork Function KineticEnergy Misfit Momentum PeakForce Seen Slopes",
 }
 __all__ = " ".join(_MODULES.values()).split()
