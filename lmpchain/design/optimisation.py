@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-TURN = 1.0  # of the fastest motion in a step of rkn4, rad
+TURN = 1.0  # of the fastest motion in a step of rkn4 at most, rad
 HARDLY = 1e-9  # a relative gain that is none
 
 Values = dict[str, Array]
@@ -130,7 +130,7 @@ def optimise(
     starts: int = 8,
     runs: int = 200,
     seed: int = 0,
-    tolerance: float = 1e-6,
+    tolerance: float = 1e-5,
     folder: str | Path | None = None,
     progress: bool = False,
 ) -> Optimum:
@@ -154,7 +154,7 @@ def optimise(
     starts, runs, seed : int
         How many starts, the most runs of each, and what the starts are drawn with.
     tolerance : float
-        Relative, of the value that is given in the end; that of the runs on the way is what rkn4 leaves.
+        Relative, of the value that is given in the end. Steps on the way are those that it needs at the start.
     folder : path, optional
         Where every finished start is kept; a call with the same task goes on from there.
     progress : bool
@@ -191,9 +191,10 @@ def optimise(
     store = None if folder is None else _Store(Path(folder), sha256(task.encode()).hexdigest())
     found: list[tuple[float, Array, Array]] = [] if store is None else store.finished()
     sign = -1.0 if maximise else 1.0
+    turn = min(TURN, _value(changed(scene, box.values(box.start)), objective, tolerance)[2])
     with ProgressBar(len(begins), "starts", done=len(found), shown=progress) as bar:
         for begin in begins[len(found) :]:
-            found.append(_descend(box, objective, constraints, begin, sign, runs))
+            found.append(_descend(box, objective, constraints, begin, sign, runs, turn))
             if store is not None:
                 store.keep(found)
             bar.advance()
@@ -203,12 +204,12 @@ def optimise(
         raise RunFailed("no start came to an answer: use narrower bounds")
     best = box.values(at)
     there = changed(scene, best)
-    value, error = _value(there, objective, tolerance)
+    value, error, _ = _value(there, objective, tolerance)
     return Optimum(there, value, error, best, [sign * part[2] for part in found])
 
 
-def _value(scene: Scene, objective: Objective, tolerance: float) -> tuple[float, float]:
-    """Return an objective and its error from steps of two lengths, halved until it is within the tolerance."""
+def _value(scene: Scene, objective: Objective, tolerance: float) -> tuple[float, float, float]:
+    """Return an objective, its error from steps of two lengths, and how far the longer ones turn that are enough."""
     step, method = TURN / scene.highest_frequency, SPLITTINGS["rkn4"]
     value = at_step(scene, objective, (), method, 2 * step)[0]
     for halving in range(HALVINGS):
@@ -216,11 +217,17 @@ def _value(scene: Scene, objective: Objective, tolerance: float) -> tuple[float,
         error = SAFETY * abs(value - before)
         if error <= tolerance * abs(value):
             break
-    return value, error
+    return value, error, 2 * TURN / 2**halving
 
 
 def _descend(
-    box: _Box, objective: Objective, constraints: Sequence[Constraint], begin: Array, sign: float, runs: int
+    box: _Box,
+    objective: Objective,
+    constraints: Sequence[Constraint],
+    begin: Array,
+    sign: float,
+    runs: int,
+    turn: float,
 ) -> tuple[float, Array, Array]:
     """Return the least value, where it is, and the values of all runs, of one start."""
     from scipy.optimize import minimize
@@ -237,7 +244,7 @@ def _descend(
         at = np.clip(at, 0.0, 1.0)
         try:
             scene = changed(box.scene, box.values(at))
-            found, by_name, _ = at_step(scene, objective, box.names, method, TURN / scene.highest_frequency)
+            found, by_name, _ = at_step(scene, objective, box.names, method, turn / scene.highest_frequency)
         except (RunFailed, InputError):
             history.append(np.inf)
             return 1e3, np.zeros(at.size)
