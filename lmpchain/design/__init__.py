@@ -3,9 +3,10 @@
 from ..util.lazy import attributes
 
 _MODULES = {
-    "fitting": "fit Fit Traces",
+    "fitting": "fit Fit",
     "gradients": "gradient Gradient",
     "optimisation": "optimise Optimum",
+    "traces": "Traces",
     "sensitivities": "sensitivity Sensitivity",
     "objectives": "ArrivalTime DriveWork Function KineticEnergy Misfit Momentum PeakForce Seen Slopes",
 }
