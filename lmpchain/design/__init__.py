@@ -3,7 +3,11 @@
 from ..util.lazy import attributes, listed
 
 _MODULES = {
+    "fitting": "fit Fit",
     "gradients": "gradient Gradient",
+    "optimisation": "optimise Optimum",
+    "traces": "Traces",
+    "sensitivities": "sensitivity Sensitivity",
     "objectives": "ArrivalTime DriveWork Function KineticEnergy Misfit Momentum PeakForce Seen Slopes",
 }
 __all__ = " ".join(_MODULES.values()).split()

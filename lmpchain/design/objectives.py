@@ -90,7 +90,7 @@ def _known(scene: Scene, grains: Sequence[int]) -> Sequence[int]:
     return grains
 
 
-def _contact_force(seen: Seen, contact: int) -> tuple[Array, Array, Array, Array, list[int]]:
+def contact_force(seen: Seen, contact: int) -> tuple[Array, Array, Array, Array, list[int]]:
     """Return the force of a contact, (T,) N, its derivatives by r, F and K, and the grains it joins."""
     chain = seen.scene.chain
     constant, carried, delta = chain.contacts.constant[contact], chain.contacts.force[contact], chain.exponent
@@ -138,7 +138,7 @@ class PeakForce:
 
     def __call__(self, seen: Seen) -> Slopes:
         """Return the smooth maximum and its derivatives."""
-        force, by_closer, by_force, by_constant, ends = _contact_force(seen, self.contact)
+        force, by_closer, by_force, by_constant, ends = contact_force(seen, self.contact)
         largest = force.max()
         if largest == 0:
             return seen.slopes(0.0)
@@ -305,7 +305,7 @@ class DriveWork:
 
     def __call__(self, seen: Seen) -> Slopes:
         """Return the work and its derivatives."""
-        force, by_closer, by_force, by_constant, _ = _contact_force(seen, 1)
+        force, by_closer, by_force, by_constant, _ = contact_force(seen, 1)
         change, v, m = force - seen.scene.chain.contacts.force[1], seen.velocity[:, 0], seen.scene.chain.masses[0]
         weight = np.full(v.size, seen.time[1])
         weight[[0, -1]] /= 2

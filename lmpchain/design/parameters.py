@@ -17,6 +17,7 @@ from scipy import sparse
 from ..chain.chain import Chain
 from ..errors import InputError, shown
 from ..integrators.adjoint import Inputs
+from ..scene.acting import Drive, Force
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.suggestions import not_among
@@ -32,7 +33,8 @@ UNITS = {
     "displacement": "m",
     "velocity": "m/s",
     "drive": "m",
-    "amplitude": "m",
+    "force": "N",
+    "amplitude": "m or N",
     "frequency": "Hz",
 }
 
@@ -40,8 +42,7 @@ UNITS = {
 def check(scene: Scene, names: Iterable[str]) -> tuple[str, ...]:
     """Return the names; raises `InputError` for those that are unknown or without a derivative here."""
     names = (names,) if isinstance(names, str) else tuple(names)
-    chain, drive, faults = scene.chain, scene.drive, []
-    harmonic = drive is not None and drive.times is None
+    chain, course, faults = scene.chain, _course(scene), []
     for name in names:
         if name not in UNITS:
             faults.append(("parameters", not_among(name, tuple(UNITS))))
@@ -51,10 +52,10 @@ def check(scene: Scene, names: Iterable[str]) -> tuple[str, ...]:
             faults.append((name, "has no derivative at 0, where the top wall only touches: give it a load"))
         elif name == "wall_constants" and not chain.wall_constants.any():
             faults.append((name, 'there is no wall: use top or bottom = "wall"'))
-        elif name in ("amplitude", "frequency") and not harmonic:
-            faults.append((name, "is that of a harmonic drive, which this scene has not"))
-        elif name == "drive" and (drive is None or harmonic):
-            faults.append((name, "is the displacements of a sampled drive, which this scene has not"))
+        elif name in ("amplitude", "frequency") and getattr(course, name, None) is None:
+            faults.append((name, "is that of a sine or a burst that drives or pushes, which this scene has not"))
+        elif name in ("drive", "force") and (scene.excitation.kind != name or course is None or course.times is None):
+            faults.append((name, f"is the samples of a {name} along points, which this scene has not"))
     if not names:
         faults.append(("parameters", f"name one or more of {', '.join(UNITS)} (got {shown(names)})"))
     if faults:
@@ -69,8 +70,8 @@ def values(scene: Scene, name: str) -> Array:
         return chain.by_grain("youngs_modulus")
     if name in ("displacement", "velocity"):
         return scene.initial()[name == "velocity"]
-    if name == "drive":
-        return scene.excitation.displacement  # type: ignore[attr-defined, no-any-return]
+    if name in ("drive", "force"):
+        return getattr(scene.excitation, scene.excitation.strength[1])  # type: ignore[no-any-return]
     owner = scene.excitation if name in ("amplitude", "frequency") else chain
     return np.atleast_1d(getattr(owner, name))
 
@@ -87,6 +88,7 @@ def pull(scene: Scene, gradient: Inputs, name: str) -> Array:
         "displacement": gradient.displacement,
         "velocity": gradient.velocity,
         "drive": gradient.drive,
+        "force": gradient.drive,
     }
     return (
         whole[name] if name in whole else sum(matrix.T @ whole[key] for key, matrix in _dependence(scene, name).items())
@@ -96,7 +98,7 @@ def pull(scene: Scene, gradient: Inputs, name: str) -> Array:
 def push(scene: Scene, name: str, change: Array) -> Inputs:
     """Return the directions in which all inputs change with parameters of this name, for changes (D, P)."""
     chain, count = scene.chain, len(change)
-    drive = scene.drive
+    course = _course(scene)
     sizes = {
         "masses": chain.grains,
         "constants": chain.grains + 1,
@@ -104,7 +106,7 @@ def push(scene: Scene, name: str, change: Array) -> Inputs:
         "gravity": 1,
         "displacement": chain.grains,
         "velocity": chain.grains,
-        "drive": 0 if drive is None else 2 if drive.times is None else len(drive.times),
+        "drive": 0 if course is None else 2 if course.times is None else len(course.times),
     }
     whole = {key: np.zeros((count, size)) for key, size in sizes.items()}
     for key, matrix in _dependence(scene, name).items():
@@ -113,6 +115,11 @@ def push(scene: Scene, name: str, change: Array) -> Inputs:
     forces = whole["top_load"] + np.pad(weight, ((0, 0), (1, 0)))
     forces = np.where(chain.contacts.pressed, forces, 0.0)
     return Inputs(whole["masses"], whole["constants"], forces, whole["displacement"], whole["velocity"], whole["drive"])
+
+
+def _course(scene: Scene) -> Drive | Force | None:
+    """Return what acts after t = 0."""
+    return scene.excitation if isinstance(scene.excitation, (Drive, Force)) else None
 
 
 def _dependence(scene: Scene, name: str) -> dict[str, sparse.csr_array]:
@@ -135,6 +142,8 @@ def _dependence(scene: Scene, name: str) -> dict[str, sparse.csr_array]:
         }
     if name in ("amplitude", "frequency"):
         return {"drive": sparse.csr_array(np.eye(2)[:, [int(name == "frequency")]])}
+    if name == "force":
+        return {"drive": sparse.eye_array(values(scene, name).size, format="csr")}
     return {name: sparse.eye_array(values(scene, name).size, format="csr")}
 
 

@@ -7,7 +7,7 @@ import pytest
 from helpers import extended_splitting as extended
 from scipy.linalg import expm, expm_frechet
 
-from lmpchain import Chain, Drive, Impulse, InputError, Profile, Scene
+from lmpchain import Chain, Drive, Force, Impulse, InputError, Profile, Scene
 from lmpchain.design import (
     ArrivalTime,
     DriveWork,
@@ -95,7 +95,7 @@ def differences(scene: Scene, method: str, weights: np.ndarray, name: str) -> np
     }
     held = np.zeros(scene.chain.grains, dtype=bool)
     held[scene.chain.movable :] = True
-    held[: scene.drive is not None] = True
+    held[: scene.excitation.driven] = True
     found = []
     for place, value in enumerate(base[name]):
         if (name in ("displacement", "velocity") and held[place]) or (name == "wall_constants" and value == 0):
@@ -112,8 +112,7 @@ def differences(scene: Scene, method: str, weights: np.ndarray, name: str) -> np
     return np.array(found)
 
 
-def check_scene(seed: int) -> None:
-    scene = drawn(seed)
+def check_scene(seed: int, scene: Scene) -> None:
     method = ["verlet", "rkn4", "rkn6", "kahan-li6", "kahan-li8"][seed % 5]
     everyone = np.arange(1, scene.chain.grains + 1)
     run = DifferentiableRun(scene, SPLITTINGS[method], scene.duration / (LOOKS * STEPS), LOOKS, everyone)
@@ -139,14 +138,35 @@ def check_scene(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_gradients_agree_with_differences_in_extended_precision(seed: int):
-    check_scene(seed)
+    check_scene(seed, drawn(seed))
 
 
 @pytest.mark.parametrize(
     "seed", [pytest.param(n, marks=pytest.mark.slow if n < 26 else pytest.mark.soak) for n in range(6, 100)]
 )
 def test_gradients_agree_with_differences_on_random_scenes(seed: int):
-    check_scene(seed)
+    check_scene(seed, drawn(seed))
+
+
+PUSHED = Chain(grains=6, diameter=1e-3, top_load=0.02, top="wall", bottom="wall", top_material="brass")
+KNOTS = np.linspace(0, 1e-5, 5)
+ACTING = {
+    "sine force": Force(grain=3, amplitude=0.05, frequency=2e5),
+    "burst of force": Force(grain=2, amplitude=0.1, frequency=4e5, cycles=3),
+    "half-sine force": Force(grain=1, shape="half-sine", amplitude=0.1, duration=7e-6),
+    "sampled force": Force(grain=6, times=KNOTS, force=0.1 * np.sin(np.arange(5.0)) ** 2),
+    "burst of grain 1": Drive(amplitude=1e-7, frequency=4e5, cycles=3),
+    "sine of the wall": Drive(grain=0, amplitude=2e-7, frequency=2e5),
+    "samples of the wall": Drive(grain=0, times=KNOTS, displacement=2e-7 * np.sin(np.arange(5.0)) ** 2),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", ACTING)
+def test_what_acts_has_derivatives_as_in_extended_precision(what: str):
+    exponent = 1.5 if "force" in what else 1.7
+    chain = PUSHED.replace(exponent=exponent)
+    check_scene(1, Scene(chain=chain, excitation=ACTING[what], duration=1e-5, samples=LOOKS + 1))
 
 
 def propagator(scene: Scene, masses: np.ndarray, constants: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -28,10 +28,12 @@ def parameters(scene: Scene) -> dict[str, Array]:
         "diameters": chain.diameters, "youngs_moduli": chain.by_grain("youngs_modulus"),
         "top_load": [chain.top_load], "gravity": [chain.gravity], "displacement": u, "velocity": v,
     }  # fmt: skip
-    if excitation.kind == "drive" and excitation.times is None:
-        made |= {"amplitude": [excitation.amplitude], "frequency": [excitation.frequency]}
-    elif excitation.kind == "drive":
-        made["drive"] = excitation.displacement
+    if excitation.does_work and excitation.times is None:
+        made["amplitude"] = [excitation.amplitude]
+        if excitation.frequency is not None:
+            made["frequency"] = [excitation.frequency]
+    elif excitation.does_work:
+        made[excitation.kind] = getattr(excitation, excitation.strength[1])
     return {name: np.array(value, dtype=WIDE) for name, value in made.items()}
 
 
@@ -72,14 +74,31 @@ def made_of(scene: Scene, changed: dict[str, Array]) -> dict[str, Any]:
 
 
 def _motion(scene: Scene, now: dict[str, Any]) -> Callable[[Any], tuple[Any, Any]] | None:
+    """Return the displacement or force that is imposed, and its rate, as a function of time."""
     excitation = scene.excitation
-    if excitation.kind != "drive":
+    if not excitation.does_work:
         return None
     if excitation.times is None:
-        size, omega = now["amplitude"][0], 8 * np.arctan(WIDE(1)) * now["frequency"][0]
-        return lambda t: (size * np.sin(omega * t), size * omega * np.cos(omega * t))
+        turn = 8 * np.arctan(WIDE(1))
+        size, cycles = now["amplitude"][0], excitation.cycles
+        if "frequency" not in now:
+            end, omega = WIDE(excitation.duration), turn / 2 / WIDE(excitation.duration)
+        else:
+            omega = turn * now["frequency"][0]
+            end = WIDE(np.inf) if cycles is None else cycles / now["frequency"][0]
+        part = WIDE(0) if cycles is None else omega / (2 * WIDE(cycles))
+
+        def wave(t: Any) -> tuple[Any, Any]:
+            if t >= end:
+                return WIDE(0), WIDE(0)
+            if not part:
+                return size * np.sin(omega * t), size * omega * np.cos(omega * t)
+            hann, rate = np.sin(part * t) ** 2, part * np.sin(2 * part * t)
+            return size * np.sin(omega * t) * hann, size * (omega * np.cos(omega * t) * hann + np.sin(omega * t) * rate)
+
+        return wave
     knots, basis = excitation.times.astype(WIDE), CubicSpline(excitation.times, np.eye(len(excitation.times)))
-    pieces = basis.c.astype(WIDE) @ now["drive"]
+    pieces = basis.c.astype(WIDE) @ now[excitation.kind]
 
     def spline(t: Any) -> tuple[Any, Any]:
         at = min(max(int(np.searchsorted(knots, t, side="right")) - 1, 0), knots.size - 2)
@@ -100,8 +119,9 @@ def run(scene: Scene, method: Splitting, steps: int, looks: int, changed: dict[s
     x, v = now["displacement"].copy(), now["velocity"].copy()
     free = np.ones(chain.grains, dtype=WIDE)
     free[chain.movable :] = 0
-    motion = _motion(scene, now)
-    if motion:
+    motion, driven = _motion(scene, now), scene.excitation.driven
+    wall = scene.excitation.kind == "drive" and not driven
+    if driven:
         free[0], v[0] = 0, 0
     h = WIDE(scene.duration) / (looks * steps)
     offsets = np.concatenate(([WIDE(0)], np.cumsum(np.array(method.drifts, dtype=WIDE))))
@@ -109,14 +129,17 @@ def run(scene: Scene, method: Splitting, steps: int, looks: int, changed: dict[s
     seen = [(x.copy(), v.copy())]
 
     def kick(fraction: float, t: Any) -> None:
-        if motion:
+        if driven:
             x[0] = motion(t)[0]
-        r = -np.diff(x, prepend=WIDE(0), append=WIDE(0))
+        r = -np.diff(x, prepend=motion(t)[0] if wall else WIDE(0), append=WIDE(0))
         s = np.where(carried > 0, r / np.where(carried > 0, overlap, 1), r)
         with np.errstate(all="ignore"):
             held = np.where(s > -1, np.expm1(delta * np.log1p(np.maximum(s, -1))), -1)
         f = np.where(carried > 0, carried * held, k * np.maximum(r, 0) ** delta)
-        v[:] += WIDE(fraction) * h * free * (f[:-1] - f[1:]) / m
+        pull = f[:-1] - f[1:]
+        if motion and not driven and not wall:
+            pull[scene.excitation.grain - 1] += motion(t)[0]
+        v[:] += WIDE(fraction) * h * free * pull / m
 
     for look in range(looks):
         for step in range(steps):
@@ -125,8 +148,8 @@ def run(scene: Scene, method: Splitting, steps: int, looks: int, changed: dict[s
                 kick(b, begun + offsets[stage] * h)
                 x[:] += WIDE(a) * h * v
         seen.append((x.copy(), v.copy()))
-        if motion:
+        if driven:
             x[0], seen[-1][1][0] = seen[-1][0][0], motion((look + 1) * steps * h)[1]
-    if motion:
+    if driven:
         seen[0][0][0], seen[0][1][0] = motion(WIDE(0))
     return np.array([u for u, _ in seen]), np.array([v for _, v in seen]), now | {"constants": k, "carried": carried}

@@ -1,0 +1,121 @@
+"""Fits against runs of another integrator, draws of noise, and what linear theory of errors says."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lmpchain import Chain, Impulse, InputError, Scene, engines, simulate
+from lmpchain.design import Traces, fit
+from lmpchain.design.fitting import _Problem
+
+CHAIN = Chain(grains=10, diameter=2e-3, top_load=0.5, gravity=0.0, material="steel", bottom="wall")
+SCENE = Scene(chain=CHAIN, excitation=Impulse(velocity=0.02), duration=1e-4, samples=201)
+LOOKED_AT = [4, 7]
+
+
+def measured(noise: float = 0.0, seed: int = 0, late: float = 0.0, scene: Scene = SCENE) -> np.ndarray:
+    """Return velocities (T, 2) of an independent integrator, later by some time, with noise."""
+    run = simulate(scene, engine=engines.Native(integrator="dop853"), tolerance=1e-10)
+    columns = run.velocity[:, [grain - 1 for grain in LOOKED_AT]]
+    steps = round(late / (run.time[1] - run.time[0]))
+    moved = np.pad(columns, ((steps, 0), (0, 0)))[: len(columns)]
+    return moved + noise * np.random.default_rng(seed).standard_normal(columns.shape)
+
+
+def guess(velocity: float = 0.02) -> Scene:
+    chain = CHAIN.replace(material=CHAIN.material.replace(youngs_modulus=1.88e11))
+    return SCENE.replace(chain=chain, excitation=Impulse(velocity=velocity), duration=1.05e-4)
+
+
+def test_what_made_a_trace_is_found_again():
+    late, offsets = 5e-6, np.array([3e-4, -2e-4])
+    traces = Traces(SCENE.time, LOOKED_AT, measured(late=late) + offsets, trigger=True, offset=True)
+    found = fit(
+        traces,
+        guess(0.0196).replace(chain=guess().chain.replace(top_load=0.51)),
+        ["youngs_moduli", "top_load", "velocity"],
+    )
+    truth = [193e9, 0.5, 0.02, late, *offsets]
+    np.testing.assert_allclose(found.estimate, truth, rtol=1e-5)  # load and modulus all but trade off
+    assert (np.abs(found.estimate - truth) <= 5 * found.error + found.bias).all()
+    assert found.names == ["youngs_moduli", "top_load", "velocity", "trigger", "offset 4", "offset 7"]
+    assert found.scene.chain.top_load == pytest.approx(found.estimate[1], rel=1e-12)
+
+
+@pytest.mark.parametrize("field", ["velocity", "displacement", "force", "contact"])
+def test_jacobians_agree_with_differences(field: str):
+    traces = Traces(SCENE.time, [4, 10], np.zeros((201, 2)), field, trigger=True, gain=True, offset=True)  # type: ignore[arg-type]
+    problem = _Problem(SCENE.replace(duration=1.2e-4), [traces], {"youngs_moduli": "common", "masses": [3]}, 0.5)
+    theta = np.array([0.01, -0.02, 0.013, 0.1, 0.0, 0.0])
+    exact = problem.residuals(theta, True)[1]
+    for k in range(theta.size):
+        step = 1e-5 * (np.arange(theta.size) == k)
+        slope = (problem.residuals(theta + step)[0] - problem.residuals(theta - step)[0]) / 2e-5
+        assert np.abs(exact[:, k] - slope).max() <= 1e-5 * np.abs(slope).max(), problem.names[k]
+
+
+@pytest.mark.slow
+def test_a_profile_of_a_nearly_linear_fit_is_a_parabola():
+    found = fit(Traces(SCENE.time, LOOKED_AT, measured(1e-4), noise=1e-4), guess(), ["youngs_moduli", "velocity"])
+    assert found.chi_square == pytest.approx(found.freedom, rel=0.2)
+    at, growth = found.profile("velocity", points=5)
+    np.testing.assert_allclose(growth, ((at - found.estimate[1]) / found.error[1]) ** 2, atol=0.05)
+    assert "velocity" in found.table()
+    assert found.plot().axes
+
+
+def test_traces_come_from_oscilloscopes(tmp_path: Path):
+    path = tmp_path / "scope.csv"
+    path.write_text("Model,TDS 2014\nSource;CH1\ntime,CH1,CH2\n0.0,1e-3,2\n1e-6,2e-3,3,\n\n2e-6,3e-3,4\n")
+    traces = Traces.from_csv(path, [1, 5], field="force", noise=0.1)
+    np.testing.assert_array_equal(traces.time, [0, 1e-6, 2e-6])
+    np.testing.assert_array_equal(traces.values, [[1e-3, 2], [2e-3, 3], [3e-3, 4]])
+    for text in ("", "a,b\n1,2\n"):
+        path.write_text(text)
+        with pytest.raises(InputError, match="two lines of 3 numbers"):
+            Traces.from_csv(path, [1, 5])
+    with pytest.raises(InputError, match="No such file"):
+        Traces.from_csv(tmp_path / "none.csv", [1])
+
+
+def test_what_traces_do_not_tell_is_refused():
+    traces = Traces(SCENE.time, LOOKED_AT, measured())
+    for parameters, text in (
+        ({"youngs_moduli": "common", "contact_constants": "common"}, "tell these apart"),
+        ({"youngs_moduli": [11]}, "1 to 10"),
+        (["modulus"], "youngs_moduli"),
+    ):
+        with pytest.raises(InputError, match=text):
+            fit(traces, guess(), parameters)
+    with pytest.raises(InputError, match="has no 11"):
+        fit(Traces(SCENE.time, [11], np.zeros(201)), guess(), ["top_load"])
+    with pytest.raises(InputError, match="increasing"):
+        Traces([0.0, 0.0], [1], np.zeros(2))
+
+
+@pytest.mark.soak
+def test_a_posterior_is_as_wide_as_the_covariance_says():
+    pytest.importorskip("emcee")
+    found = fit(Traces(SCENE.time, LOOKED_AT, measured(1e-3), noise=1e-3), guess(), ["youngs_moduli", "velocity"])
+    draws = found.posterior(samples=3000)
+    np.testing.assert_allclose(draws.mean(0), found.estimate, atol=0.3 * found.error.min(), rtol=1e-2)
+    np.testing.assert_allclose(np.cov(draws.T), found.covariance, rtol=0.25)
+
+
+@pytest.mark.soak
+def test_intervals_cover_the_truth_as_often_as_they_say():
+    clean, rng, sigma = measured(), np.random.default_rng(1), 5e-4
+    inside = []
+    for _ in range(1000):
+        noisy = clean + sigma * rng.standard_normal(clean.shape)
+        traces = Traces(SCENE.time, LOOKED_AT, noisy, noise=sigma, trigger=True)
+        found = fit(
+            traces,
+            guess(0.0196).replace(chain=guess().chain.replace(top_load=0.51)),
+            ["youngs_moduli", "top_load", "velocity"],
+        )
+        inside.append(np.abs(found.estimate - [193e9, 0.5, 0.02, 0.0]) / found.error)
+    for reach, share, slack in ((1.0, 0.683, 0.03), (1.96, 0.95, 0.02)):
+        within = (np.array(inside) <= reach).mean(0)
+        assert np.abs(within - share).max() <= slack + 0.01, (reach, within)
