@@ -1,4 +1,4 @@
-"""The page: title, summary cards, live view, panels, tables; one file, of which nothing else can be executed."""
+"""The page about a run: title, summary cards, live view, panels and tables in one file."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ ONWARD = 0.9  # part of the grains that a front passes later than those before t
 
 @dataclass(frozen=True)
 class Panel:
-    """A picture, what it shows in words, and whether it is a map, whose colours stay as they are in the dark."""
+    """A picture, what it shows in words, and whether it is a map, whose colours stay in the dark."""
 
     caption: str
     alt: str
@@ -136,7 +136,7 @@ def arrival(run: Trajectory) -> Panel:
 
 
 def _front(run: Trajectory) -> front.Front:
-    """Return the front beyond the grain that is struck; raises `InputError` where none travels away from it."""
+    """Return the front below the grain that is struck; raises `InputError` where there is none."""
     source = getattr(run.scene.excitation, "grain", None)
     if source is None or getattr(run.scene.excitation, "frequency", None):
         raise InputError([("excitation", "sends no single front: there is one after a strike or a push on a grain")])
