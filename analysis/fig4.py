@@ -64,7 +64,7 @@ def main() -> None:
             off = end_of_run((wave, below), scene, engine, strength * scene.chain.length_scale, exact)
             wave.lines[-1].set_label(f"{engine}, strength {strength:.0e}: {off:.0e} off")
             say(f"{name[0]}, {engine}", off)
-        wave.set_title(f"{name}, at τ = {tau}", fontsize="medium")
+        wave.set_title(f"{name}, at τ = {tau}; LAMMPS at strength 1e-4, native at 1e-9", fontsize="medium")
         below.set(xlabel="grain, from the top", xlim=(0, grains), ylim=(1e-16, 1e1))
     pairs[0][0].set_ylabel("displacement / that of grain 1 at t = 0")
     pairs[1][0].set_ylabel("displacement / (speed of grain 1 at τ = 0)")

@@ -8,6 +8,7 @@ the paper holds: more disorder, less velocity.
 
 import numpy as np
 from figures import NATIVE, PRINTED, SHADES, THEORY, apart, arguments, finish, kappa, legends, page, say, weak_scene
+from matplotlib import colormaps
 
 import lmpchain
 from lmpchain.disorder.averages import ensemble
@@ -48,7 +49,8 @@ def main() -> None:
     columns = 12 if given.quick else 200
     wave.plot(n, linear, **THEORY, label=f"ordered: max {linear.max():.3f}")
     say("ordered, largest velocity", linear.max())
-    for order, shade in zip(ORDERS, SHADES, strict=False):
+    shades = colormaps["plasma"](np.linspace(0.0, 0.85, len(ORDERS)))  # green is the paper's formula, left
+    for order, shade in zip(ORDERS, shades, strict=True):
         average = ensemble(scene, order, columns, seed=1)
         mean, error = (v[-1] / scene.excitation.velocity for v in (average.velocity, average.velocity_error))
         label = f"m = {order}: max {mean.max():.3f} ± {error[mean.argmax()]:.3f}"

@@ -7,13 +7,14 @@ sum with the velocities of the native engine against that with Eq. (19), and the
 
 import numpy as np
 from figures import SHADES, arguments, finish, kappa, legends, page, say, weak_scene
+from matplotlib.colors import SymLogNorm
 
 import lmpchain
 from lmpchain.disorder.averages import ensemble
 from lmpchain.theory import bessel, dyson
 
 GRAINS, TAU, SAMPLES = 60, 30, 61
-ORDERS = (1, 2, 5, 10, 20, 50, 100)
+ORDERS = (1, 1.4, 2, 3, 4, 5, 7, 10, 14, 20, 30, 50, 70, 100)
 
 
 def main() -> None:
@@ -31,18 +32,19 @@ def main() -> None:
     picture, ((weighted, below), (mean, noise)) = page(title, 2, width=12, height=7)
     m = np.geomspace(1, 100, 81)
     sums, theory = (np.array([dyson.average(v, n ** (1 / 3), order) for order in m]) for v in (velocity, linear))
-    levels = np.linspace(-0.8, 0.8, 17)
-    image = weighted.contourf(tau, m, sums, levels=levels, cmap="PuOr", extend="both")
-    picture.colorbar(image, ax=weighted, label="Eq. (22): Σ weight × velocity / $v_0$")
+    scale = SymLogNorm(0.1, vmin=-np.abs(sums).max(), vmax=np.abs(sums).max())
+    image = weighted.pcolormesh(tau, m, sums, norm=scale, cmap="PuOr", shading="gouraud")
+    label = "Eq. (22): Σ weight × velocity / $v_0$"
+    picture.colorbar(image, ax=weighted, label=label, ticks=[-4, -1, -0.1, 0, 0.1, 1, 4], format="{x:g}")
     off = np.abs(sums - theory).max(0)
     below.plot(tau[1:], off[1:], color=SHADES[0], label=f"native − Eq. (19): at most {off.max():.0e}")
 
     averages = [ensemble(scene, order, columns, seed=1) for order in orders]
     largest = np.array([average.velocity.max(1) for average in averages]) / scene.excitation.velocity
-    image = mean.contourf(tau, orders, largest, levels=np.arange(0, 1.01, 0.1), cmap="viridis")
+    image = mean.pcolormesh(tau, orders, largest, cmap="viridis", vmin=0, vmax=0.5, shading="gouraud")
     lines = mean.contour(tau, orders, largest, levels=(0.1, 0.2, 0.3, 0.4), colors="w", linewidths=0.7)
-    mean.clabel(lines, fontsize="x-small")
-    picture.colorbar(image, ax=mean, label="largest mean velocity / $v_0$")
+    mean.clabel(lines, fontsize="x-small", manual=[(t, 4.0) for t in (4, 6, 10, 14)])
+    picture.colorbar(image, ax=mean, label="largest mean velocity / $v_0$", extend="max")
     for place, shade in zip((0, len(orders) // 2, len(orders) - 1), SHADES, strict=False):
         average = averages[place]
         error = average.velocity_error[np.arange(SAMPLES), average.velocity.argmax(1)] / scene.excitation.velocity

@@ -48,8 +48,8 @@ def main() -> None:
     good, bad, discrete = (distance(x[near], cells_[near]) for x in (wave_out, wave_in, grains_))
     wave.plot(n, wave_out, **THEORY, label=f"Eq. (30), $H^{{(2)}}$: {100 * good:.2g} % from Eq. (27)")
     wave.plot(n, wave_in, **PRINTED, label=f"$H^{{(1)}}$ as printed: {100 * bad:.0f} %")
-    wave.plot(n, cells_, "o", ms=5, mfc="none", color=SHADES[1], label="Eq. (27), solved")
-    wave.plot(n, grains_, **NATIVE, label=f"chain, Eq. (1), weak: {100 * discrete:.2g} %")
+    wave.plot(n, cells_, "o", ms=5, mfc="none", color=SHADES[1], markevery=5, label="Eq. (27), solved")
+    wave.plot(n, grains_, **NATIVE, markevery=5, label=f"chain, Eq. (1), weak: {100 * discrete:.2g} %")
     apart(below, n, wave_out, cells_, 1.0, **THEORY)
     apart(below, n, wave_in, cells_, 1.0, **PRINTED)
     apart(below, n, grains_, cells_, 1.0, **NATIVE)
@@ -62,8 +62,10 @@ def main() -> None:
     power = h ** (-1 / 12) * np.sqrt(2 / (np.pi * LAMBDA) / 1.2)
     height.loglog(h, np.abs(mode), **THEORY, label=r"$|u_λ|$, Eq. (30)")
     height.loglog(h, power, color=SHADES[3], ls=":", label="its limit, $h^{-1/12}$")
-    height.loglog(h[near], amplitudes[0][near], "o", ms=5, mfc="none", color=SHADES[1], label="Eq. (27), solved")
-    height.loglog(h[near], amplitudes[1][near], **NATIVE, label="chain, Eq. (1), weak")
+    height.loglog(
+        h[near], amplitudes[0][near], "o", ms=5, mfc="none", color=SHADES[1], markevery=5, label="Eq. (27), solved"
+    )
+    height.loglog(h[near], amplitudes[1][near], **NATIVE, markevery=5, label="chain, Eq. (1), weak")
     apart(relative, h, power, np.abs(mode), np.abs(mode), color=SHADES[3], ls=":")
     for amplitude, style in zip(amplitudes, ({"color": SHADES[1], "marker": "o"}, NATIVE), strict=True):
         apart(relative, h[near], amplitude[near], np.abs(mode)[near], np.abs(mode)[near], **style)
@@ -74,7 +76,13 @@ def main() -> None:
     say("mode as printed", 100 * bad, "% off")
     say("chain and Eq. (27) differ by", 100 * discrete, "%")
     deep = near & (h > 20)
-    say("exponent of the amplitude of the chain", np.polyfit(np.log(h[deep]), np.log(amplitudes[1][deep]), 1)[0])
+    exponent = np.polyfit(np.log(h[deep]), np.log(amplitudes[1][deep]), 1)[0]
+    say("exponent of the amplitude of the chain", exponent)
+    microseconds = tau * chain.time_scale * 1e6
+    wave.set_title(
+        f"displacements at τ = {tau:.1f}, {microseconds:.0f} µs; markers: every fifth grain", fontsize="medium"
+    )
+    height.set_title(f"amplitudes: the chain's fall as h^{exponent:.4f} (limit: -1/12 = -0.0833)", fontsize="medium")
     legends(picture, loc="upper right")
     finish(picture, given.output)
 

@@ -42,7 +42,7 @@ def main() -> None:
             fine + 0.5, continuum.impulse_response(fine, float(tau)), **THEORY, label=f"causal: {off:.0e} off, χ < τ/2"
         )
         wave.plot(n, field, color=SHADES[1], lw=1, label="Eq. (27), solved")
-        wave.plot(n, chain, **NATIVE | ({} if not whole else {"markevery": 4}), label="chain, Eq. (1), weak")
+        wave.plot(n, chain, **NATIVE, label="chain, Eq. (1), weak")
         cone = float(continuum.depth(float(tau)))
         wave.axvline(cone + 0.5, color="0.6", ls=":", lw=1.2, label=f"light cone, grain {cone + 0.5:.0f}")
         if not whole:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import json
+import re
+import subprocess
+import sys
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from PIL import Image
 
 import lmpchain
 from lmpchain.util.files import write_aside
@@ -25,6 +28,7 @@ NATIVE, LAMMPS = (
     for name, size in (("native", 3.5), ("lammps", 6.5))
 )
 THEORY = {"color": "0.2", "lw": 1.4}
+PRINTED_NUMBERS: dict[str, float] = {}  # what `say` has said
 PRINTED = {"color": COLOURS["modes"], "lw": 1.4, "ls": "--"}  # the paper's formula where it is wrong
 
 
@@ -86,18 +90,38 @@ def legends(picture: Figure, **keys: object) -> None:
 
 
 def finish(picture: Figure, path: Path) -> None:
-    """Save the picture with a palette, at a third of the size, and say where."""
-    picture.set_dpi(110)
-    picture.canvas.draw()
-    pixels = Image.fromarray(np.asarray(picture.canvas.buffer_rgba())).convert("RGB")
+    """Save the picture in full colour with the commit, the command and the printed numbers in it, and say where."""
+    about = {"Commit": commit(), "Command": command(), "Numbers": json.dumps(PRINTED_NUMBERS)}
     with write_aside(path) as aside:
-        pixels.quantize(256, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(aside, optimize=True)
+        picture.savefig(aside, dpi=110, format="png", metadata=about, pil_kwargs={"optimize": True})
     print(f"picture: {path}")
+
+
+def commit() -> str:
+    """Return the commit that draws, with a mark if files differ from it; empty outside a repository."""
+    said = [
+        subprocess.run(["git", *words.split()], cwd=HERE, capture_output=True, text=True, check=False).stdout.strip()
+        for words in ("rev-parse HEAD", "status --porcelain --untracked-files=no -- ../lmpchain . :!pictures")
+    ]
+    return f"{said[0]}{' and changes' if said[1] else ''}"
+
+
+def command() -> str:
+    """Return the command that draws, from the folder above this one, without where the picture goes."""
+    options = [word for word in sys.argv[1:] if word.startswith("--") or not re.search(r"[/.]|^-o$", word)]
+    return " ".join(["python", f"analysis/{Path(sys.argv[0]).name}", *options])
 
 
 def say(label: str, value: float, unit: str = "") -> None:
     """Print a number in the form that the tests read: label, colon, number, unit."""
+    PRINTED_NUMBERS[label] = float(f"{value:.6g}")
     print(f"{label}: {value:.6g} {unit}".rstrip())
+
+
+def no_answer(axes: Axes) -> None:
+    """Hatch what a map leaves empty, and say what that means."""
+    axes.patch.set(facecolor="0.93", hatch="////", edgecolor="0.75")
+    axes.plot([], [], "s", color="0.93", mec="0.6", ms=9, label="no answer here")
 
 
 def distance(measured: np.ndarray, reference: np.ndarray) -> float:

@@ -6,14 +6,19 @@ interpolated as a power law; where the longest step is better already, it is the
 
 import argparse
 import json
+import math
 from collections import defaultdict
+from itertools import groupby
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 from figures import finish
 
 import lmpchain
 from lmpchain.benchmark.bench import BUDGET_S, work_precision
+from lmpchain.benchmark.chart import draw
+from lmpchain.benchmark.curves import Curve, Point, WorkPrecision
 from lmpchain.util.files import write_aside
 
 HERE = Path(__file__).parent
@@ -33,23 +38,39 @@ def others(name: str) -> list[dict[str, Any]]:
     return [row for row in rows if not row["code"].startswith("native")]
 
 
+def again(name: str, path: Path) -> WorkPrecision:
+    """Return what was measured before, for the chart and the table."""
+    kept = json.loads(path.read_text(encoding="utf-8"))
+    known = ({key: math.nan if value is None and key != "tolerance" else value for key, value in row.items()}
+             for row in kept["rows"])  # fmt: skip
+    rows = [Point(**{"compile_s": 0.0} | row) for row in known]
+    groups = groupby(rows, key=lambda point: (point.engine, "" if point.tolerance else point.integrator))
+    points = [(engine, integrator, tuple(each)) for (engine, integrator), each in groups]
+    curves = tuple(Curve(*each) if len(each[2]) > 1 else Curve(each[0], "", each[2]) for each in points)
+    reference = SimpleNamespace(**kept["reference"])
+    return WorkPrecision(at_the_end(name), reference, curves, kept["dropped"], (), kept["versions"], kept["machine"])
+
+
 def main() -> None:
     """Measure, print the tables and draw."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"some of {', '.join(SCENES)}; by default all")
     parser.add_argument("--budget", type=float, default=BUDGET_S, help="time for each, s (default: %(default)g)")
     parser.add_argument("-o", "--output", type=Path, default=HERE / "pictures", help="folder for the pictures")
+    parser.add_argument("--draw", action="store_true", help="draw the kept numbers again, without a measurement")
     given = parser.parse_args()
     for name in given.scenes or SCENES:
-        result = work_precision(at_the_end(name), given.budget, progress=True)
+        kept = given.output / f"work_precision_{name}.json"
+        result = again(name, kept) if given.draw else work_precision(at_the_end(name), given.budget, progress=True)
         measured = others(name)
         reached = defaultdict(list)
         for row in measured:
             reached[row["code"]].append((row["seconds"], row["error"]))
         print(f"{name}\n{result.table(reached)}")
-        with write_aside(given.output / f"work_precision_{name}.json") as aside:
-            aside.write_text(json.dumps(result.to_json()) + "\n", encoding="utf-8")
-        finish(result.plot(others=measured), given.output / f"work_precision_{name}.png")
+        if not given.draw:
+            with write_aside(kept) as aside:
+                aside.write_text(json.dumps(result.to_json()) + "\n", encoding="utf-8")
+        finish(draw(result, others=measured).figure.figure, kept.with_suffix(".png"))
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from figures import no_answer
 from laws.theories import behind_front, continuum_width, phase_velocity
 from laws.theory_errors import continuum_error, fronts, impulse_error, phase_velocities
 from matplotlib.colors import LogNorm
@@ -65,6 +66,7 @@ def draw_strike(plane: Axes, data: dict[str, Any], picture: Figure) -> None:
     plane.plot(fine, behind_front(fine), color="white", ls="--", lw=1.6, label=law)
     plane.set(xlim=(1, fine[-1]), ylim=(0, times[-1]), xlabel="grain, from the top", ylabel="time τ after the strike")
     plane.set_title("Strike on grain 1: Eq. (35) holds behind the front", loc="left", fontsize="medium")
+    no_answer(plane)
     legend = plane.legend(fontsize="small", loc="lower right")
     legend.get_frame().set(facecolor="0.75", alpha=1)
 

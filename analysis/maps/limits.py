@@ -1,22 +1,18 @@
-"""Eight limits of scenes, theories and engines, each with the law that predicts it."""
+"""Four limits of scenes and theories, each with the law that predicts it."""
 
 from __future__ import annotations
 
 from typing import Any
 
-import mpmath as mp
 import numpy as np
 from figures import SHADES
 from laws import limits
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from lmpchain import Chain, Scene
-from lmpchain.chain.chain import LARGEST_OVERLAP
+from lmpchain import Scene
 from lmpchain.stability.linear_theory import linear_law
-from lmpchain.stability.overlap import deepest, hertz_excess
-from lmpchain.theory import bessel, dyson
-from lmpchain.util.plotting import COLOURS, MARKERS, figure
+from lmpchain.util.plotting import COLOURS, figure
 
 BLUE, ORANGE, GREEN, PINK, SKY, RED = SHADES
 POINT = {"ls": "none", "ms": 5, "mfc": "none"}
@@ -29,15 +25,9 @@ def measure(quick: bool) -> dict[str, Any]:
     fields = np.logspace(-3, 3, 13)[::every]
     excess = np.logspace(-5, 0, 11)[::every]
     numbers = np.logspace(-2, 2, 13)[::every]
-    strains = np.append(np.logspace(-6, -1.5, 10)[::every], 0.0999)
-    gauges = np.logspace(-7, -3, 9)[::every]
-    orders = np.logspace(0, 15, 16)[::every]
-    grains = np.round(np.logspace(3, 8, 11)).astype(int)[::every]
     weak = [limits.weak(1.5, float(g), 1e-5) for g in fields]
     near = [limits.weak(1 + float(x)) for x in excess]
     swings = {n: [limits.swinging(n, float(x)) for x in numbers] for n in (2, 3)}
-    pressed = [limits.squeezing(float(x)) for x in strains]
-    column = Chain(grains=20, diameter=limits.BEAD)
 
     def law(scene: Scene) -> float:
         return linear_law(scene.strike_number, "package", scene.chain.exponent)
@@ -67,44 +57,14 @@ def measure(quick: bool) -> dict[str, Any]:
             n: [limits.measured_period(s) * s.chain.band_edge / (2 * np.pi) for s in swung]
             for n, swung in swings.items()
         },
-        "strains": strains.tolist(),
-        "deepest": [deepest(scene) for scene in pressed],
-        "squeezed": [limits.squeezed(scene) for scene in pressed],
-        "hertz": hertz_excess(strains).tolist(),
-        "gauges": gauges.tolist(),
-        "rates": [float(limits.buckling(column, float(d)).frequency[-1]) for d in gauges],
-        "growth": [limits.growth(column, float(d)) for d in gauges],
-        "band_edge": column.band_edge,
-        "orders": orders.tolist(),
-        "dyson": [_dyson(float(m)) for m in orders],
-        "grains": grains.tolist(),
-        "bessel": np.abs(bessel.free_end(grains, grains - 0.5) / limits.front_of_springs(grains) - 1).tolist(),
-        "bessel_law": limits.bessel_rounding(grains).tolist(),
     }
-
-
-def _dyson(m: float) -> tuple[float, float, float]:
-    """Return the largest error of Eq. (23) within 3 standard deviations, its law, and the printed form's."""
-    kappa = 1 + np.linspace(-0.9, 3, 14) / np.sqrt(m)
-    with mp.workdps(60):
-        true = [mp.exp(m * mp.log(m) - mp.loggamma(m) + m * mp.log(k) - m * k) for k in map(mp.mpf, kappa.tolist())]
-
-    def off(values: np.ndarray) -> float:
-        return max(float(abs(f / t - 1)) for f, t in zip(values.tolist(), true, strict=True))
-
-    with np.errstate(all="ignore"):
-        plain = np.float64(m) ** m / np.float64(mp.gamma(m)) * kappa**m * np.exp(-m * kappa)
-    printed = off(plain) if np.isfinite(plain).all() and (plain > 0).all() else np.inf
-    return off(dyson.weight(kappa, m)), float(limits.dyson_rounding(kappa, m).max()), printed
 
 
 def draw(data: dict[str, Any]) -> Figure:
     """Draw a panel a limit: laws are lines, points are measured."""
-    picture = figure(15, 8)
-    panels = picture.subplots(2, 4).ravel()
-    for axes, panel in zip(
-        panels, (_vacuum, _fields, _springs, _periods, _overlaps, _bending, _weights, _functions), strict=True
-    ):
+    picture = figure(11, 8)
+    panels = picture.subplots(2, 2).ravel()
+    for axes, panel in zip(panels, (_vacuum, _fields, _springs, _periods), strict=True):
         axes.set(xscale="log", yscale="log")
         panel(axes, data)
         axes.title.set_fontsize("medium")
@@ -152,44 +112,3 @@ def _periods(axes: Axes, data: dict[str, Any]) -> None:
         axes.plot(data["numbers"], values, **POINT, marker=marker, color=colour, label=f"{name}: {far:.0e} off")
     axes.set(xlabel="strike number", ylabel="period / that of the top mode", ylim=(None, 300))
     axes.set_title("Two and three grains: period by quadrature")
-
-
-def _overlaps(axes: Axes, data: dict[str, Any]) -> None:
-    strains, squeezed = data["strains"], np.array(data["squeezed"])
-    axes.plot(strains, data["deepest"], color=BLUE, lw=1.2, label="deepest overlap: bound by energy")
-    axes.plot(strains, squeezed[:, 0], **POINT, marker="s", color=BLUE, label="... in the run")
-    axes.plot(strains, data["hertz"], color=ORANGE, lw=1.2, label="Hertz too hard, by shape alone")
-    axes.plot(strains, squeezed[:, 1], **POINT, marker="o", color=RED, label="LAMMPS from native")
-    axes.axvline(LARGEST_OVERLAP, color="0.4", ls="--", lw=1)
-    axes.annotate("refused", (LARGEST_OVERLAP, 1e-11), (-3, 0), "data", "offset points", ha="right", color="0.4")
-    axes.set(xlabel="overlap / diameter as struck", ylabel="ratio", ylim=(1e-12, 1e3))
-    axes.set_title("Deep overlaps")
-
-
-def _bending(axes: Axes, data: dict[str, Any]) -> None:
-    axes.plot(data["gauges"], data["rates"], color=BLUE, lw=1.2, label="linear stability of a column")
-    axes.plot(data["gauges"], data["growth"], **POINT, marker=MARKERS["lammps"], color=RED, label="LAMMPS")
-    axes.axhline(data["band_edge"], color="0.4", ls="--", lw=1)
-    axes.annotate("band edge", (data["gauges"][-1], data["band_edge"]), (0, 4), "data", "offset points", ha="right")
-    axes.set(xlabel="diameter drawn (m)", ylabel="growth of a bend (1/s)", ylim=(None, 2e6))
-    axes.set_title("LAMMPS: a bent column buckles")
-
-
-def _weights(axes: Axes, data: dict[str, Any]) -> None:
-    values, law, printed = np.array(data["dyson"], dtype=float).T
-    axes.plot(data["orders"], law, color=BLUE, lw=1.2, label="rounding of κ: ε m |κ - 1|")
-    axes.plot(data["orders"], values, **POINT, marker="o", color=BLUE, label="theory.dyson.weight")
-    axes.plot(data["orders"], np.where(np.isfinite(printed), printed, np.nan), **POINT, marker="x", color=RED,
-              label="as printed")  # fmt: skip
-    axes.axvline(limits.MOST_PRINTED, color=RED, ls="--", lw=1)
-    axes.annotate("overflows", (limits.MOST_PRINTED, 1e-6), (4, 0), "data", "offset points", color=RED)
-    axes.set(xlabel="m", ylabel="relative error", ylim=(1e-17, 1e-3))
-    axes.set_title("Dyson's weight, Eq. (23), to 3 deviations")
-
-
-def _functions(axes: Axes, data: dict[str, Any]) -> None:
-    axes.plot(data["grains"], data["bessel_law"], color=BLUE, lw=1.2, label="rounding of T: ε (2n)$^{2/3}$")
-    floor = np.maximum(data["bessel"], 1e-16)
-    axes.plot(data["grains"], floor, **POINT, marker="o", color=BLUE, label="theory.bessel.free_end at T = n - 1/2")
-    axes.set(xlabel="grain n", ylabel="relative error", ylim=(1e-17, 1e-8))
-    axes.set_title("Bessel functions of large order")

@@ -81,8 +81,10 @@ def _draw_continuum(axes: Axes, h: np.ndarray, error: np.ndarray) -> None:
     for row, below in ((0, -14), (-1, 8)):
         _point(axes, h[row], LAMBDA, f"{100 * error[row]:.0f} %", (0, below), "center")
     axes.text(1.3, 0.53, "Fig. 8: driven top", color=COLOURS["lammps"])
+    tenth = float(np.interp(0.1, error, h))
+    _point(axes, tenth, LAMBDA, f"measured: 10 %\nat h = {tenth:.0f}", (-4, 8), "right")
     for level in (0.01, 0.1):
-        axes.text(1.3, 0.88 * (12 * level / 1.3**0.5) ** (1 / 3), f"{100 * level:.0f} %", va="top")
+        axes.text(1.3, 0.88 * (12 * level / 1.3**0.5) ** (1 / 3), f"law: {100 * level:.0f} %", va="top")
     axes.set_yticks([0.1, 0.2, 0.5, 1, 2, 4], labels=["0.1", "0.2", "0.5", "1", "2", "4"])
     axes.minorticks_off()
     axes.set(xlim=(1, 1000), ylim=(0.1, 4), xlabel="depth h (grains)", ylabel="frequency ω of τ")

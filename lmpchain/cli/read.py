@@ -74,7 +74,8 @@ def report(arguments: argparse.Namespace) -> int:
     page = arguments.output or beside(arguments.run, ".html")
     trajectory, path = gather(lambda: _run_or_dump(arguments), lambda: output(page, arguments.run, PAGES))
     from ..report import write
+    from ..report.origin import origin
 
-    write(trajectory, path, progress=on_terminal())
+    write(trajectory, path, progress=on_terminal(), origin=origin(arguments.run))
     print(f"page: {path}")
     return 0

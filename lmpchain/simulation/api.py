@@ -259,7 +259,7 @@ class _Memory:
             velocity=velocity,
             error_estimate=outcome.error.estimate,
             cost=outcome.cost,
-            provenance=versions() | record(engine, scene, outcome.attempt.candidate),
+            provenance=versions() | record(engine, scene, outcome.attempt.candidate, self._task.tolerance),
         )
 
 

@@ -163,7 +163,8 @@ def policy_for(engine: str | Engine, **options: Any) -> Policy:
     return Named(engines.get("native" if engine == AUTO else engine, **options))
 
 
-def record(engine: Engine, scene: Scene, candidate: Candidate) -> dict[str, str]:
+def record(engine: Engine, scene: Scene, candidate: Candidate, tolerance: float) -> dict[str, str]:
     """Return what shaped an answer, for the record: what the engine says, and why it was chosen."""
+    asked = "none, for a step was given" if getattr(engine, "step", None) else f"{tolerance:g}"
     why = {key: candidate.choices[key] for key in ("plan", "redone") if key in candidate.choices}
-    return engine.describe(engine.part(scene), candidate) | why
+    return {"tolerance": asked} | engine.describe(engine.part(scene), candidate) | why

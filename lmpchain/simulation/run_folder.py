@@ -208,7 +208,7 @@ class RunFolder:
             for _ in checkpoints.NAMES:  # both: none may tell of the attempt before, whose samples go
                 checkpoints.save(self.path, self._notes(self._before), {})
             engine, scene = self._engine, self.task.scene
-            choices = versions() | record(engine, scene, attempt.candidate)
+            choices = versions() | record(engine, scene, attempt.candidate, self.task.tolerance)
             store.create(self.path, scene, subject(scene, engine.name, engine.equation, choices))
             engine.write_inputs(scene, attempt.candidate, self.task.tolerance, self.path)
         self._writer = store.Writer(self.path, self.task.scene, self.samples)

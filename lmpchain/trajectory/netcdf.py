@@ -13,6 +13,7 @@ import numpy as np
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.files import check_readable, check_seal, seal, write_aside
+from ..util.provenance import command, now
 from .record import DIMENSIONS, KINDS, TOLD, Record, scene_of, shapes
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ def write(record: Record, path: str | PathLike[str]) -> None:
     memory = BytesIO()  # HDF5 crashes the process when a disk is full
     with h5netcdf.File(memory, "w") as file:
         file.dimensions = dict(zip(DIMENSIONS, record.displacement.shape, strict=True))
-        file.attrs.update(record.attributes())
+        file.attrs.update(record.attributes() | {"history": f"{now()} {command()}"})
         for name, (dimensions, values, attributes) in record.variables().items():
             file.create_variable(name, dimensions, data=values).attrs.update(attributes)
     with write_aside(path) as aside, open(aside, "wb") as opened:

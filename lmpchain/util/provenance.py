@@ -39,11 +39,16 @@ def now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
+def command() -> str:
+    """Return the command that this process runs."""
+    return shlex.join(sys.argv)
+
+
 def session() -> dict[str, Any]:
     """Return command, host, machine and package versions of this process."""
     return {
         "began": now(),
-        "command": shlex.join(sys.argv),
+        "command": command(),
         "working_folder": os.getcwd(),
         "host": platform.node(),
         "system": platform.platform(),

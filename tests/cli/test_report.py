@@ -1,15 +1,23 @@
 """The page about a run: one file, all of it inside, with the numbers of the run."""
 
 import base64
+import hashlib
+import re
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.browser import browser, installed
 
-from lmpchain import Chain, Impulse, Scene, Trajectory, simulate
+from lmpchain import Chain, Drive, Force, Impulse, InputError, Packet, Scene, Trajectory, simulate
 from lmpchain import report as htmlreport
 from lmpchain.cli.command_line import main
+from lmpchain.report.document import title
+from lmpchain.report.live import numbers
+from lmpchain.report.origin import origin
+from lmpchain.report.panels import arrival
+from lmpchain.util.provenance import command
 
 
 class Page(HTMLParser):
@@ -20,28 +28,33 @@ class Page(HTMLParser):
         self.sections: dict[str, str] = {}
         self.pictures: list[bytes] = []
         self.links: list[str] = []
+        self.scripts: list[dict] = []
+        self.texts: list[str] = []
         self.open: list[str] = []
         self.feed(text)
         self.close()
 
     def handle_starttag(self, tag, attrs):
-        if tag not in ("meta", "img"):
+        if tag not in ("meta", "img", "input"):
             self.open.append(tag)
         known = dict(attrs)
         self.links += [known[key] for key in ("src", "href") if key in known]
+        if tag == "script":
+            self.scripts.append(known)
         if tag == "img":
             kind, data = known["src"].split(",", 1)
-            assert kind == "data:image/png;base64"
-            assert known["alt"] == list(self.sections)[-1]
+            assert kind == "data:image/svg+xml;base64"
+            assert len(known["alt"]) > 40, "it says what is seen"
             self.pictures.append(base64.b64decode(data))
 
     def handle_endtag(self, tag):
         assert self.open.pop() == tag, "every element is closed in its turn"
 
     def handle_data(self, data):
+        self.texts.append(data)
         if self.open and self.open[-1] == "h2":
             self.sections[data] = ""
-        elif self.sections and "footer" not in self.open:
+        elif self.sections and not {"footer", "script"} & set(self.open):
             self.sections[list(self.sections)[-1]] += data
 
 
@@ -57,7 +70,6 @@ def test_a_whole_page(run: Trajectory):
     page = Page(text)
     assert page.open == []
     assert list(page.sections) == [
-        "The run",
         "The wave in space and time",
         "Waveforms",
         "The front",
@@ -65,24 +77,60 @@ def test_a_whole_page(run: Trajectory):
         "Contacts",
         "Energy",
         "Fits",
+        "The run",
         "Provenance",
         "The scene",
     ]
     assert len(page.pictures) == 6
-    assert all(picture.startswith(b"\x89PNG") for picture in page.pictures)
+    assert all(b"<svg" in picture for picture in page.pictures)
     assert all(link.startswith("data:") for link in page.links), "nothing is fetched from elsewhere"
-    facts = page.sections["The run"]
+    facts = " ".join(page.texts[: page.texts.index("The wave in space and time")])
     for number in (
         f"{run.scene.strike_number:.3g}",
         f"{run.error_estimate.total:.2g}",
-        f"{np.abs(run.displacement).max():.6g} m",
         "Eq. (1)",
+        "1e-08",
+        "not recorded",
     ):
         assert number in facts
+    assert f"{np.abs(run.displacement).max():.6g} m" in page.sections["The run"]
     assert run.provenance["numba"] in page.sections["Provenance"]
     assert "energy of all modes" in page.sections["Fits"]
     assert "velocity = 0.001" in page.sections["The scene"]
     assert "Not for this run" not in text
+
+
+def test_titles_tell_runs_apart(run: Trajectory):
+    scene = run.scene
+    others = [
+        scene.replace(excitation=Impulse(velocity=2e-3)),
+        scene.replace(duration=5e-5),
+        scene.replace(chain=scene.chain.replace(gravity=98.1)),
+        scene.replace(excitation=Force(shape="half-sine", amplitude=0.1, duration=3e-5)),
+    ]
+    titles = {title(run)} | {title(Trajectory(**{**vars(run), "scene": other})) for other in others}
+    assert len(titles) == 5
+
+
+def test_the_live_view_holds_the_motion(run: Trajectory):
+    live = numbers(run)
+    data = np.frombuffer(base64.b64decode(live["data"]), "<i2").reshape(len(live["time"]), len(live["grains"]))
+    there = np.searchsorted(run.time, live["time"])
+    shown = run.velocity[np.ix_(there, np.array(live["grains"]) - 1)]
+    assert np.abs(data * live["largest"] / 32767 - shown).max() < live["largest"] / 60000
+    assert live["grains"][0] == 1
+    assert 10 < live["grains"][-1] < 40, "grains that the wave has not reached are left out"
+    first = np.abs(run.velocity[:, 9]).argmax()
+    assert live["law"][9] == pytest.approx(run.time[first], rel=0.2)
+
+
+def test_a_front_only_where_there_is_one(run: Trajectory):
+    assert "weak wave deep in the column" in arrival(run).caption
+    for excitation in (Drive(amplitude=1e-9, frequency=1e4), Packet(frequency=2e4, width=2, grain=20, amplitude=1e-12)):
+        with pytest.raises(InputError, match="no single front"):
+            arrival(simulate(run.scene.replace(excitation=excitation), "chebyshev"))
+    with pytest.raises(InputError, match="no grain shows"):
+        arrival(simulate(run.scene.replace(excitation=Impulse(velocity=0.0)), "native", 1e-6))
 
 
 def test_what_does_not_apply_says_why():
@@ -102,16 +150,26 @@ def test_the_page_of_a_chain_at_rest():
 
 
 def test_markup_in_a_scene_is_shown_and_not_obeyed(run: Trajectory):
-    spoilt = Trajectory(**{**vars(run), "provenance": {"note": "<script>alert(1)</script>"}})
-    text = htmlreport.page(spoilt)
-    assert "<script>" not in text
-    assert "<script>alert(1)</script>" in Page(text).sections["Provenance"]
+    odd = "</script><script>alert(1)</script><img src=x onerror=alert(1)>"
+    spoilt = Trajectory(**{**vars(run), "provenance": {"note": odd, "tolerance": odd}, "engine": odd})
+    text = htmlreport.page(spoilt, origin={"date": odd, "command": odd})
+    page = Page(text)
+    assert odd in page.sections["Provenance"]
+    assert page.texts.count(odd) >= 4
+    assert len(page.scripts) == 2
+    (policy,) = re.findall(r'Content-Security-Policy" content="([^"]*)"', text)
+    (script,) = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    assert policy == f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{digest}'"
 
 
 def test_command_line(run: Trajectory, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     run.save(tmp_path / "run.nc")
     assert main(["report", str(tmp_path / "run.nc")]) == 0
-    assert Page((tmp_path / "run.html").read_text(encoding="utf-8")).pictures
+    page = Page((tmp_path / "run.html").read_text(encoding="utf-8"))
+    assert page.pictures
+    assert page.texts[page.texts.index("Command") + 1] == command()
+    assert re.fullmatch(r"\d{4}-\d\d-\d\d \d\d:\d\d UTC", page.texts[page.texts.index("Date") + 1])
     assert main(["report", str(tmp_path / "run.nc"), "-o", str(tmp_path / "other.html")]) == 0
     assert (tmp_path / "other.html").exists()
     capsys.readouterr()
@@ -124,3 +182,61 @@ def test_command_line(run: Trajectory, tmp_path: Path, capsys: pytest.CaptureFix
         said = capsys.readouterr().err.splitlines()
         assert len(said) == 1
         assert key in said[0]
+
+
+def test_a_run_folder_says_when_and_by_which_command(run: Trajectory, tmp_path: Path):
+    simulate(run.scene, "native", 1e-6, folder=tmp_path / "run")
+    found = origin(tmp_path / "run")
+    assert found["command"] == command()
+    (tmp_path / "run" / "run.json").write_text("[" * 100000)
+    assert origin(tmp_path / "run")["command"] == "not recorded"
+    assert origin(tmp_path / "none") == {"date": "not recorded", "command": "not recorded"}
+
+
+SAID = "document.getElementById('said').textContent"
+FOCUS = "document.activeElement.id"
+COLOURS = """(() => {
+  const map = document.getElementById("map"), all = map.getContext("2d").getImageData(0, 0, map.width, map.height);
+  return new Set(new Uint32Array(all.data.buffer)).size;
+})()"""
+PLACE = "(({x, y, width, height}) => [x, y, width, height])(document.getElementById('map').getBoundingClientRect())"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not installed(), reason="no Chromium is installed here")
+def test_in_a_browser(run: Trajectory, tmp_path: Path):
+    page = tmp_path / "page.html"
+    odd = "</script><script>document.title = 'obeyed'</script><img src=x onerror=\"document.title = 'obeyed'\">"
+    htmlreport.write(run, page, origin={"date": odd, "command": odd})
+    with browser(tmp_path / "profile") as shown:
+        for width, height, scheme in ((1280, 900, "light"), (390, 844, "dark")):
+            shown.open(page, width, height, scheme)
+            assert shown.run("document.title") == title(run)
+            assert shown.run("document.documentElement.scrollWidth") == width, "nothing is wider than the window"
+            assert shown.run("[...document.images].every((one) => one.complete && one.naturalWidth > 0)")
+            assert shown.run(COLOURS) > 100, "the map has colours"
+            small = "[...document.querySelectorAll('button, input, summary')].some((one) => one.offsetHeight < 44)"
+            assert not shown.run(small), "what is pressed is as large as a finger"
+            shown.press("Tab")
+            assert shown.run(FOCUS) == "map"
+            grain = int(shown.run(SAID).split()[1])
+            shown.press("ArrowDown")
+            assert shown.run(SAID).startswith(f"Grain {grain + 1} at 60 µs: ")
+            for _ in range(2):
+                shown.press("ArrowLeft")
+            value = run.velocity[-3, grain] * 1e6
+            assert shown.run(SAID) == f"Grain {grain + 1} at 59 µs: {float(f'{value:.3g}'):g} µm/s"
+            shown.press("Tab")
+            assert shown.run(FOCUS) == "play"
+            shown.press(" ", " ")
+            playing = "document.getElementById('play').textContent"
+            assert shown.run(playing) == "Pause"
+            shown.press(" ", " ")
+            assert shown.run(playing) == "Play"
+            shown.press("Tab")
+            assert shown.run(FOCUS) == "time"
+            shown.run("document.getElementById('map').scrollIntoView()")
+            left, top, across, _ = shown.run(PLACE)
+            shown.point(left + across / 2, top + 12)
+            assert shown.run(SAID).startswith("Grain 1 at ")
+            assert shown.remarks == []

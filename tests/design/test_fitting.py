@@ -96,7 +96,6 @@ def test_what_traces_do_not_tell_is_refused():
 
 @pytest.mark.soak
 def test_a_posterior_is_as_wide_as_the_covariance_says():
-    pytest.importorskip("emcee")
     found = fit(Traces(SCENE.time, LOOKED_AT, measured(1e-3), noise=1e-3), guess(), ["youngs_moduli", "velocity"])
     draws = found.posterior(samples=3000)
     np.testing.assert_allclose(draws.mean(0), found.estimate, atol=0.3 * found.error.min(), rtol=1e-2)

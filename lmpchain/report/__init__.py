@@ -1,0 +1,7 @@
+"""One self-contained page about a run: summary, live view, pictures, fits and provenance."""
+
+from ..util.lazy import attributes, listed
+
+__all__ = ["page", "write"]
+__getattr__ = attributes(__name__, names={"document": "page write"})
+__dir__ = listed(__name__)

@@ -1,0 +1,147 @@
+"""The page about a run: title, summary cards, live view, panels and tables in one file."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from os import PathLike
+
+import numpy as np
+from markupsafe import Markup
+
+from ..errors import LmpchainError
+from ..measure.fit.summary import summary
+from ..trajectory.trajectory import Trajectory
+from ..util.files import write_aside
+from ..util.progress import ProgressBar
+from ..util.templates import render
+from . import live, panels
+from .origin import UNKNOWN
+from .panels import Panel
+
+Rows = Sequence[Sequence[str]]
+DRAWN: dict[str, Callable[[Trajectory], Panel]] = {
+    "Waveforms": panels.waveforms,
+    "The front": panels.arrival,
+    "Spectra": panels.spectra,
+    "Contacts": panels.forces,
+    "Energy": panels.balance,
+}
+PARTS = len(DRAWN) + 2  # that take time: the wave and the fits, too
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the page: a picture, or a table, or a text, or why there is none."""
+
+    title: str
+    panel: Panel | None = None
+    reason: str = ""
+    rows: Rows = ()
+
+
+def write(
+    trajectory: Trajectory, path: str | PathLike[str], progress: bool = False, origin: Mapping[str, str] = UNKNOWN
+) -> None:
+    """Write the page, atomically; see `page`."""
+    with write_aside(path) as aside:
+        aside.write_text(page(trajectory, progress, origin), encoding="utf-8")
+
+
+def page(trajectory: Trajectory, progress: bool = False, origin: Mapping[str, str] = UNKNOWN) -> str:
+    """Return the page as self-contained HTML; a part that does not apply to the run says why.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    progress : bool
+        Whether to show a progress bar.
+    origin : mapping
+        "date" and "command" of the run.
+    """
+    script = render("report.js")
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
+    with ProgressBar(PARTS, "report", " parts", shown=progress) as bar:
+        bar.describe("The wave in space and time")
+        still, numbers = panels.wave(trajectory), live.numbers(trajectory)
+        bar.advance()
+        sections = list(_sections(trajectory, bar))
+        bar.describe("Fits")
+        fits = summary(trajectory)
+        bar.advance()
+    return render(
+        "report.html",
+        title=title(trajectory),
+        cards=list(_cards(trajectory, origin)),
+        still=still,
+        live=numbers,
+        sections=sections,
+        fits=list(fits._summary()) if fits.rows else [],
+        left_out=fits.left_out,
+        facts=list(_facts(trajectory)),
+        provenance=list(trajectory.provenance.items()),
+        scene=trajectory.scene.to_text(),
+        script=Markup(script),  # ours, and the only one that the policy of the page lets a browser run
+        digest=digest,
+    )
+
+
+def title(trajectory: Trajectory) -> str:
+    """Return a title that tells this run from others: chain, excitation, duration and engine."""
+    scene = trajectory.scene
+    chain = scene.chain
+    weight = f"g = {chain.gravity:g} m/s²" if chain.gravity else "no gravity"
+    load = f", load {chain.top_load:g} N" if chain.top_load else ""
+    how = f"{scene.excitation.label}, {scene.duration * 1e6:g} µs, {trajectory.engine}"
+    return f"{chain.grains} grains, {weight}{load}, {how}"
+
+
+def _sections(trajectory: Trajectory, bar: ProgressBar) -> Iterator[Section]:
+    for name, draw in DRAWN.items():
+        bar.describe(name)
+        try:
+            yield Section(name, draw(trajectory))
+        except LmpchainError as error:
+            yield Section(name, reason=str(error))
+        bar.advance()
+
+
+def _cards(trajectory: Trajectory, origin: Mapping[str, str]) -> Iterator[tuple[str, str, str]]:
+    """Yield name, value and remark of each card."""
+    scene, error, cost = trajectory.scene, trajectory.error_estimate, trajectory.cost
+    strike = f"strike number {scene.strike_number:.3g}"
+    yield (
+        "Scene",
+        f"{scene.chain.grains} grains, {scene.excitation.label}",
+        f"{strike}; linear theory needs far below 1",
+    )
+    yield "Engine", trajectory.engine, f"solves Eq. ({trajectory.equation}) {cost.integrator}"
+    yield "Tolerance", trajectory.provenance.get("tolerance", "not recorded"), "largest relative error asked for"
+    yield "Error", f"{error.total:.2g}", f"estimated: {error.model:.2g} (equation) + {error.solver:.2g} (solver)"
+    yield "Cost", f"{cost.total_s:.3g} s", f"{cost.steps} steps, {cost.active_grains} grains computed"
+    yield "Date", origin["date"], ""
+    yield "Command", origin["command"], ""
+
+
+def _facts(trajectory: Trajectory) -> Iterator[tuple[str, str]]:
+    scene, cost = trajectory.scene, trajectory.cost
+    chain = scene.chain
+    yield "chain", f"{chain.grains} grains, top {chain.top}, bottom {chain.bottom}, exponent {chain.exponent:g}"
+    yield "gravity and load", f"{chain.gravity:g} m/s², {chain.top_load:g} N"
+    given = ((key, value) for key, value in scene.excitation.given().items() if value is not None)
+    yield (
+        "excitation",
+        f"{scene.excitation.kind}: "
+        + ", ".join(
+            f"{key} {value:g}" if isinstance(value, int | float) else f"{key} of {np.size(value)} values"
+            for key, value in given
+        ),
+    )
+    yield "recorded", f"{trajectory.grains.size} grains at {trajectory.time.size} times up to {scene.duration:g} s"
+    yield "largest velocity", f"{np.abs(trajectory.velocity).max():.6g} m/s"
+    yield "largest displacement", f"{np.abs(trajectory.displacement).max():.6g} m"
+    for key, value in asdict(cost).items():
+        name = f"{key.removesuffix('_s')} (s)" if key.endswith("_s") else key
+        yield name.replace("_", " "), f"{value:.4g}" if isinstance(value, float) else str(value)

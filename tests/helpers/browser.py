@@ -1,0 +1,117 @@
+"""Headless Chromium, steered through a pipe by the DevTools protocol; nothing but the browser is needed."""
+
+import base64
+import json
+import os
+import shutil
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+FLAGS = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--hide-scrollbars",
+    "--no-first-run",
+    "--remote-debugging-pipe",
+)
+
+
+def installed() -> str | None:
+    """Return the path of a browser, if there is one."""
+    return next(filter(None, map(shutil.which, NAMES)), None)
+
+
+class Browser:
+    """One page of a browser."""
+
+    def __init__(self, given: Any, said: Any):
+        self._given, self._said, self._number, self._session = given, said, 0, {}
+        self.remarks: list[dict[str, Any]] = []  # what the console and the security policy say
+        target = self.call("Target.createTarget", url="about:blank")["targetId"]
+        self._session = {"sessionId": self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]}
+        for domain in ("Page", "Runtime", "Log"):
+            self.call(f"{domain}.enable")
+
+    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
+        """Call a method of the protocol and return its answer."""
+        self._number += 1
+        message = {"id": self._number, "method": method, "params": parameters} | self._session
+        self._given.write(json.dumps(message).encode() + b"\0")
+        self._given.flush()
+        while True:
+            answer = self._read()
+            if answer.get("id") == self._number:
+                assert "error" not in answer, answer
+                return answer["result"]
+
+    def _read(self) -> dict[str, Any]:
+        letters = bytearray()
+        while (letter := self._said.read(1)) != b"\0":
+            assert letter, "the browser has ended"
+            letters += letter
+        answer = json.loads(letters)
+        if answer.get("method") in ("Runtime.exceptionThrown", "Runtime.consoleAPICalled", "Log.entryAdded"):
+            self.remarks.append(answer["params"])
+        return answer
+
+    def open(self, path: Path, width: int, height: int, scheme: str = "light") -> None:
+        """Open a file in a window of this size, as a reader who prefers light or dark pages."""
+        self.remarks.clear()
+        self.call(
+            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=2, mobile=width < 500
+        )
+        self.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+        self.call("Page.navigate", url=path.as_uri())
+        while self.run("document.readyState") != "complete":
+            pass
+
+    def run(self, script: str) -> Any:
+        """Return the value of an expression in the page; a promise is waited for."""
+        answer = self.call("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
+        assert "exceptionDetails" not in answer, answer["exceptionDetails"]
+        return answer["result"].get("value")
+
+    def press(self, key: str, text: str = "") -> None:
+        """Press and let go a key."""
+        name = {"key": key, "code": {" ": "Space"}.get(key, key)}
+        code = {"Tab": 9, " ": 32, "ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40}.get(key, 0)
+        self.call("Input.dispatchKeyEvent", type="keyDown", windowsVirtualKeyCode=code, text=text, **name)
+        self.call("Input.dispatchKeyEvent", type="keyUp", windowsVirtualKeyCode=code, **name)
+
+    def point(self, x: float, y: float) -> None:
+        """Move the pointer."""
+        self.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
+
+    def screenshot(self, path: Path) -> None:
+        """Save a picture of the whole page."""
+        taken = self.call("Page.captureScreenshot", captureBeyondViewport=True)
+        path.write_bytes(base64.b64decode(taken["data"]))
+
+
+@contextmanager
+def browser(folder: Path) -> Iterator[Browser]:
+    """Start a browser that keeps its files in a folder, and end it."""
+    ours, theirs = os.pipe(), os.pipe()  # it reads from 3 and writes to 4
+    given, said = os.fdopen(ours[1], "wb"), os.fdopen(theirs[0], "rb")
+    script = f'exec "$0" "$@" 3<&{ours[0]} 4>&{theirs[1]}'
+    arguments = [installed() or "", *FLAGS, f"--user-data-dir={folder}"]
+    process = subprocess.Popen(
+        ["bash", "-c", script, *arguments],
+        pass_fds=(ours[0], theirs[1]),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    os.close(ours[0])
+    os.close(theirs[1])
+    try:
+        yield Browser(given, said)
+    finally:
+        process.kill()
+        process.wait()
+        given.close()
+        said.close()
