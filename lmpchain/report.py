@@ -41,13 +41,34 @@ class Section:
 
 
 def write(trajectory: Trajectory, path: str | PathLike[str], progress: bool = False) -> None:
-    """Write the page, atomically."""
+    """Write the page, atomically.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    path : path
+        Of the HTML file.
+    progress : bool
+        Whether to show a progress bar.
+    """
     with write_aside(path) as aside:
         aside.write_text(page(trajectory, progress), encoding="utf-8")
 
 
 def page(trajectory: Trajectory, progress: bool = False) -> str:
-    """Return the page as self-contained HTML; a part that does not apply to the run says why."""
+    """Return the page as self-contained HTML; a part that does not apply to the run says why.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    progress : bool
+        Whether to show a progress bar.
+
+    Returns
+    -------
+    str
+        HTML.
+    """
     scene = trajectory.scene
     title = f"{scene.chain.grains} grains, {scene.excitation.kind}, {scene.duration * 1e6:g} µs"
     with ProgressBar(PARTS, "report", " parts", shown=progress) as bar:

@@ -34,6 +34,10 @@ def tapered(grains: int, diameter: float, taper: float, **rest: Any) -> Chain:
     **rest
         As for `Chain`.
 
+    Returns
+    -------
+    Chain
+
     Raises
     ------
     InputError
@@ -72,6 +76,10 @@ def decorated(grains: int, diameter: float, ratio: float, taper: float = 0.0, **
     **rest
         As for `Chain`.
 
+    Returns
+    -------
+    Chain
+
     Raises
     ------
     InputError
@@ -108,6 +116,10 @@ def periodic(grains: int, diameters: Any, materials: Any = GLASS, counts: Any = 
         How many grains of each kind follow one another in a cell.
     **rest
         As for `Chain`.
+
+    Returns
+    -------
+    Chain
 
     Raises
     ------

@@ -38,6 +38,10 @@ def factors(m: float, size: int, rng: np.random.Generator, law: Law = "dyson") -
         Of mean 1 and variance 1/m, `theory.dyson.density`; or Eq. (23) as printed, of mean 1 + 1/m and variance
         (m+1)/m^2, `theory.dyson.weight`.
 
+    Returns
+    -------
+    (size,) array
+
     Raises
     ------
     InputError
@@ -68,6 +72,10 @@ def disordered(chain: Chain, m: float, rng: np.random.Generator, law: Law = "dys
         goes as K^(1/delta), so K_n becomes K_n zeta_n^delta. Or the contact constant K_n itself, as a scatter of
         elastic moduli would have it: the stiffness then changes by zeta_n^(1/delta) only.
 
+    Returns
+    -------
+    Chain
+
     Raises
     ------
     InputError
@@ -95,10 +103,16 @@ def realisation(scene: Scene, m: float, seed: int, index: int = 0, law: Law = "d
     Parameters
     ----------
     scene : Scene
-    m, law, of
-        As for `disordered`.
+    m : float
+        As for `factors`.
     seed, index : int
         0 or more.
+    law, of : str
+        As for `disordered`.
+
+    Returns
+    -------
+    Scene
 
     Raises
     ------

@@ -146,6 +146,14 @@ class EnergyShares:
 def shares(trajectory: Trajectory | Motion) -> EnergyShares:
     """Return the energy of each recorded grain and of each contact between them over time.
 
+    Parameters
+    ----------
+    trajectory : Trajectory or Motion
+
+    Returns
+    -------
+    EnergyShares
+
     Raises
     ------
     InputError
@@ -180,6 +188,10 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
     ----------
     trajectory : Trajectory
         Of any engine, with all grains that move.
+
+    Returns
+    -------
+    EnergyLedger
 
     Raises
     ------

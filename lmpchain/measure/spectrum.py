@@ -38,7 +38,7 @@ class Spectrum:
     grain, cut_off : (G,) arrays
         From the top downward; Hz, see the function of this name.
     amplitude : (F, G) array
-        |integral of w x exp(-2 pi i f t) dt| with the window w, m/s or m per Hz. That of a pulse does not depend on
+        ``|integral of w x exp(-2 pi i f t) dt|`` with the window w, m/s or m per Hz. That of a pulse does not depend on
         how long it is recorded; a steady oscillation of amplitude A has a line of height A / 2 times the integral of
         w. The integral of (w x)^2 over time is that of 2 amplitude^2 over frequency.
     """
@@ -75,12 +75,12 @@ class Dispersion:
     wavenumber : (K,) array
         Radians a grain, from -pi to pi; those of waves that move downward are positive.
     amplitude : (F, K) array
-        |sum over grains of integral of w x exp(i k n - 2 pi i f t) dt| with the window w, m/s or m per Hz.
+        ``|sum over grains of integral of w x exp(i k n - 2 pi i f t) dt|`` with the window w, m/s or m per Hz.
     grain : (3,) array
         First, middle and last grain.
     relation : (3, B, K) array
         The B branches of the local dispersion relation at these, Hz: those of the cell that repeats there, `cut_off`
-        times |sin(k / 2)| where all grains are alike or no cell is found.
+        times ``|sin(k / 2)|`` where all grains are alike or no cell is found.
     """
 
     field: Field
@@ -110,7 +110,22 @@ class Dispersion:
 
 
 def recorded(trajectory: Trajectory, field: Field) -> tuple[np.ndarray, Array]:
-    """Return the recorded grains from the top downward, (G,), and their motion, (T, G) m/s or m."""
+    """Return the recorded grains from the top downward, (G,), and their motion, (T, G) m/s or m.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    field : "velocity" or "displacement"
+
+    Returns
+    -------
+    (G,) and (T, G) arrays
+
+    Raises
+    ------
+    InputError
+        If samples are too few or there is no such field.
+    """
     if field not in get_args(Field):
         raise InputError([("field", f'must be "velocity" or "displacement" (got {shown(field)})')])
     if trajectory.time.size < FEWEST_SAMPLES:
@@ -131,6 +146,15 @@ def spectrum(trajectory: Trajectory, field: Field = "velocity", window: str = "b
     window : str
         A name that `scipy.signal.get_window` knows: "boxcar", which changes nothing, for pulses that come and go;
         "hann" for oscillations that last, where it keeps strong lines from hiding weak ones.
+
+    Returns
+    -------
+    Spectrum
+
+    Raises
+    ------
+    InputError
+        If samples are too few, or there is no such field or window.
 
     Examples
     --------
@@ -160,6 +184,15 @@ def dispersion(
     field : str
     window : str
         Over time and over grains; a name that `scipy.signal.get_window` knows.
+
+    Returns
+    -------
+    Dispersion
+
+    Raises
+    ------
+    InputError
+        If grains are too few or were not recorded, samples too few, or there is no such field or window.
     """
     grains, motion = recorded(trajectory, field)
     chosen = np.arange(first, last + 1)
@@ -195,6 +228,15 @@ def cut_off(chain: Chain) -> Array:
 
     It is that of a uniform chain of such grains with the contact below.
     It is sqrt(k_n / m_n) / pi; the last grain takes the contact above. In a sonic vacuum it is 0.
+
+    Parameters
+    ----------
+    chain : Chain
+
+    Returns
+    -------
+    (N,) array
+        Hz.
     """
     stiffness = chain.linear_stiffness
     return np.sqrt(np.append(stiffness, stiffness[-1]) / chain.masses) / np.pi
@@ -206,6 +248,22 @@ def travel_time(chain: Chain, source: int = 1) -> Array:
     It is the sum of sqrt(m / k) over the contacts between.
     From grain 1 under a free top it takes half a contact more, as from the surface. The velocity is largest a little
     later, by a time that grows with the width of the front.
+
+    Parameters
+    ----------
+    chain : Chain
+    source : int
+        Grain from which the wave starts.
+
+    Returns
+    -------
+    (N,) array
+        s.
+
+    Raises
+    ------
+    InputError
+        If the chain is not compressed, or there is no such grain.
     """
     if not chain.compressed:
         raise InputError([("chain", "without gravity and load no weak wave travels: there is no such time")])
@@ -221,6 +279,19 @@ def space_time(trajectory: Trajectory, field: Field = "velocity", ax: Axes | Non
 
     The colours saturate at the median of the largest sizes of the grains that move, so that the wave can be seen
     where it has become weak. With `law` a line shows `travel_time` from the grain that is struck or driven.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    field : "velocity" or "displacement"
+    ax : Axes, optional
+        Of your own figure.
+    law : bool
+        Whether to draw the arrival of a long weak wave.
+
+    Returns
+    -------
+    Figure
     """
     from matplotlib.ticker import EngFormatter
 
