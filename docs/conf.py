@@ -26,6 +26,7 @@ html_theme = "furo"
 html_title = f"lmpchain {version}"
 html_show_sourcelink = False
 html_show_copyright = False
+html_show_sphinx = False
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
 
@@ -47,6 +48,7 @@ sphinx_gallery_conf = {
     "examples_dirs": "gallery",
     "gallery_dirs": "measurements",
     "filename_pattern": r"\.py$",
+    "within_subsection_order": "FileNameSortKey",
     "image_scrapers": ("gallery_pictures.scraper",),
     "capture_repr": (),
     "abort_on_example_error": True,

@@ -95,6 +95,11 @@ def diagnose(tell: Callable[[Finding], object] = lambda finding: None) -> Diagno
     ----------
     tell : function, optional
         Called with each finding as soon as it is there; all of it takes a few seconds.
+
+    Returns
+    -------
+    Diagnosis
+        All findings, each with its cure.
     """
     findings = []
     for check in _CHECKS:

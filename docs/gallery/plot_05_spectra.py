@@ -9,9 +9,8 @@ import lmpchain
 from lmpchain.measure import spectrum
 
 chain = lmpchain.Chain(grains=64, diameter=1e-3, gravity=0.0, top_load=1.0)
-scene = lmpchain.Scene(
-    chain=chain, excitation=lmpchain.Impulse(velocity=1e-6, grain=32), duration=150 * chain.time_scale, samples=1024
-)
+strike = lmpchain.Impulse(velocity=1e-6, grain=32)
+scene = lmpchain.Scene(chain=chain, excitation=strike, duration=150 * chain.time_scale, samples=1024)
 t = lmpchain.simulate(scene, tolerance=1e-3)
 
 picture = spectrum.dispersion(t, 1, 63).plot()  # the line: theory
@@ -23,6 +22,5 @@ picture_of_spectrum = spectrum.spectrum(t).plot()
 # %%
 # A dimer has two bands and a gap between them.
 dimer = lmpchain.patterns.periodic(64, 1e-2, ["steel", "ptfe"], gravity=0, top_load=20.0)
-strike = lmpchain.Impulse(velocity=1e-6, grain=32)
 ringing = lmpchain.Scene(chain=dimer, excitation=strike, duration=2e-3, samples=1024)
 picture_of_dimer = spectrum.dispersion(lmpchain.simulate(ringing, tolerance=1e-3), 1, 62).plot()

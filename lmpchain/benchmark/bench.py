@@ -193,6 +193,11 @@ def work_precision(scene: Scene, budget_s: float = BUDGET_S, *, progress: bool =
     progress : bool
         Whether to show a progress bar.
 
+    Returns
+    -------
+    WorkPrecision
+        Curves of error against time, one for each engine and integrator.
+
     Raises
     ------
     InputError

@@ -26,8 +26,18 @@ __dir__ = listed(__name__)
 def errors(trajectory: Trajectory, reference: Reference) -> tuple[float, float]:
     """Return the relative errors of displacement and velocity.
 
-    Each is max|x - x_true| over all samples and recorded grains over the largest |x_true| of any grain of the chain
-    at any time of the run. It is NaN where the trajectory is.
+    Each is ``max|x - x_true|`` over all samples and recorded grains over the largest ``|x_true|`` of any grain
+    of the chain at any time of the run. It is NaN where the trajectory is.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    reference : Reference
+
+    Returns
+    -------
+    (float, float)
+        Of displacement and of velocity.
 
     Raises
     ------
@@ -39,12 +49,33 @@ def errors(trajectory: Trajectory, reference: Reference) -> tuple[float, float]:
 
 
 def error(trajectory: Trajectory, reference: Reference) -> float:
-    """Return the error as this package defines it: the larger of those of displacement and velocity."""
+    """Return the error as this package defines it: the larger of those of displacement and velocity.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    reference : Reference
+
+    Returns
+    -------
+    float
+        Relative to the largest value.
+    """
     return float(np.max(errors(trajectory, reference)))  # unlike max(), this keeps a NaN
 
 
 def error_over_time(trajectory: Trajectory, reference: Reference) -> Array:
-    """Return the error sample by sample, (T,); its largest value is `error`."""
+    """Return the error sample by sample, (T,); its largest value is `error`.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    reference : Reference
+
+    Returns
+    -------
+    (T,) array
+    """
     return np.maximum(*_relative(trajectory, reference))
 
 
@@ -148,7 +179,18 @@ class Comparison(Shown):
 
 
 def compare(trajectories: Sequence[Trajectory], reference: Reference) -> Comparison:
-    """Compare trajectories of one scene with its reference solution."""
+    """Compare trajectories of one scene with its reference solution.
+
+    Parameters
+    ----------
+    trajectories : list of Trajectory
+        Of the same scene.
+    reference : Reference
+
+    Returns
+    -------
+    Comparison
+    """
     rows = []
     for answer in trajectories:
         displacement, velocity = errors(answer, reference)

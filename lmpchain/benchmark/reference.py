@@ -83,6 +83,15 @@ def reference(scene: Scene) -> Reference:
 
     Jorba and Zou, Experimental Mathematics 14, 99 (2005), for the steps.
 
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    Reference
+        Displacement and velocity of all recorded grains, and how far off these are.
+
     Raises
     ------
     RunFailed
@@ -101,7 +110,17 @@ def reference(scene: Scene) -> Reference:
 
 
 def expected_seconds(scene: Scene) -> float:
-    """Return about how long `reference` will take, s."""
+    """Return about how long `reference` will take, s.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    float
+        s.
+    """
     motion = _Motion(scene)
     moving = np.flatnonzero(motion.start.any(axis=0))
     reached = min(scene.chain.grains, (np.ptp(moving) if moving.size else 0) + ORDER + float(motion.instants[-1]))

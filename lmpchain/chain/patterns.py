@@ -37,6 +37,10 @@ def tapered(grains: int, diameter: float, taper: float, **rest: Any) -> Chain:
     **rest
         As for `Chain`.
 
+    Returns
+    -------
+    Chain
+
     Raises
     ------
     InputError
@@ -75,6 +79,10 @@ def decorated(grains: int, diameter: float, ratio: float, taper: float = 0.0, **
     **rest
         As for `Chain`.
 
+    Returns
+    -------
+    Chain
+
     Raises
     ------
     InputError
@@ -111,6 +119,10 @@ def periodic(grains: int, diameters: Any, materials: Any = GLASS, counts: Any = 
         How many grains of each kind follow one another in a cell.
     **rest
         As for `Chain`.
+
+    Returns
+    -------
+    Chain
 
     Raises
     ------

@@ -289,6 +289,8 @@ def _parser() -> argparse.ArgumentParser:
     doctor = verbs.add_parser("doctor", help="check the installation: LAMMPS, MPI, versions, cores, engines")
     doctor.add_argument("--json", metavar="FILE", help="file for the findings")
     doctor.set_defaults(command=commands.doctor)
+
+    verbs.add_parser("docs", help="open the pages of the documentation").set_defaults(command=commands.docs)
     return parser
 
 
@@ -343,7 +345,3 @@ def _tolerance(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--tolerance", metavar="X", type=float, default=1e-6, help="largest relative error (default: 1e-6)"
     )
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -2,6 +2,7 @@
 
 from .compare import compare, doctor, stability, workprec
 from .orbit import orbit
+from .pages import docs
 from .plan import plan
 from .read import dyson, fit, report
 from .run import deck, resume, run, run_folder, sweep
@@ -9,6 +10,7 @@ from .run import deck, resume, run, run_folder, sweep
 __all__ = [
     "compare",
     "deck",
+    "docs",
     "doctor",
     "dyson",
     "fit",

@@ -19,7 +19,6 @@ from .traces import Traces, model
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 TURN = 0.25  # of the fastest motion between two looks, through which quintic splines go, rad
 BIAS = 0.05  # of a standard deviation: what the steps may add to an estimate
@@ -130,11 +129,11 @@ class Fit:
         sampler.run_mcmc(state, steps)
         return np.asarray(sampler.get_chain(flat=True))[:samples]
 
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw what was measured and what the fitted scene says; returns the figure."""
-        from ..util.plotting import COLOURS, axes_in_units
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw what was measured and what the fitted scene says; returns the axes."""
+        from ..util.plotting import COLOURS, axes_in_units, legend
 
-        ax, picture = axes_in_units(ax, "s", "")
+        ax = axes_in_units(ax, "s", "")
         colours = list(COLOURS.values())
         column = 0
         for traces, said in zip(
@@ -145,8 +144,8 @@ class Fit:
                 ax.plot(traces.time, measured, ".", ms=2, color=colour, alpha=0.5)
                 ax.plot(traces.time, line, color=colour, label=f"{traces.field} {place}")
                 column += 1
-        ax.legend(frameon=False)
-        return picture
+        legend(ax)
+        return ax
 
 
 class _Problem:

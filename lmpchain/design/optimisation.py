@@ -25,7 +25,6 @@ from .objectives import Objective
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 TURN = 1.0  # of the fastest motion in a step of rkn4 at most, rad
 HARDLY = 1e-9  # a relative gain that is none
@@ -62,18 +61,18 @@ class Optimum:
         """How many runs with gradients there were."""
         return sum(map(len, self.history))
 
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the best value so far over the runs, a line a start; returns the figure."""
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the best value so far over the runs, a line a start; returns the axes."""
         from ..util.plotting import axes_in_units
 
-        ax, picture = axes_in_units(ax, "", "")
+        ax = axes_in_units(ax, "", "")
         less = self.value <= min(part.min() for part in self.history) + HARDLY * abs(self.value)
         for part in self.history:
             best = (np.minimum if less else np.maximum).accumulate(part)
             ax.plot(np.arange(1, best.size + 1), best, lw=1)
         ax.set_xlabel("runs")
         ax.set_ylabel("best value")
-        return picture
+        return ax
 
 
 class _Box:

@@ -128,6 +128,11 @@ def ensemble(
     progress : bool
         Whether to show a progress bar.
 
+    Returns
+    -------
+    Ensemble
+        Mean displacement and velocity with their standard errors.
+
     Raises
     ------
     InputError

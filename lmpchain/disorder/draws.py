@@ -41,6 +41,10 @@ def factors(m: float, size: int, rng: np.random.Generator, law: Law = "dyson") -
         Of mean 1 and variance 1/m, `theory.dyson.density`; or Eq. (23) as printed, of mean 1 + 1/m and variance
         (m+1)/m^2, `theory.dyson.weight`.
 
+    Returns
+    -------
+    (size,) array
+
     Raises
     ------
     InputError
@@ -72,6 +76,10 @@ def disordered(chain: Chain, m: float, rng: np.random.Generator, law: Law = "dys
         then changes by zeta_n^(1/delta) only. Or one factor a grain: "mass"; "diameter", with mass and contacts that
         follow from it; or Young's "modulus", with its contacts.
 
+    Returns
+    -------
+    Chain
+
     Raises
     ------
     InputError
@@ -100,10 +108,16 @@ def realisation(scene: Scene, m: float, seed: int, index: int = 0, law: Law = "d
     Parameters
     ----------
     scene : Scene
-    m, law, of
-        As for `disordered`.
+    m : float
+        As for `factors`.
     seed, index : int
         0 or more.
+    law, of : str
+        As for `disordered`.
+
+    Returns
+    -------
+    Scene
 
     Raises
     ------

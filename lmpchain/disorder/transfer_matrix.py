@@ -126,6 +126,11 @@ def lyapunov(
     progress : bool
         Whether to show a progress bar.
 
+    Returns
+    -------
+    Localisation
+        The exponent a grain at each frequency, with its error.
+
     Raises
     ------
     InputError
@@ -159,6 +164,24 @@ def density_of_states(
     """Return the integrated density of states of a random linear chain.
 
     Arguments and what is raised are those of `lyapunov`.
+
+    Parameters
+    ----------
+    frequency : (F,) array_like
+        rad/s.
+    stiffness, masses : float or distribution
+        As for `lyapunov`.
+    ratios : distribution, optional
+        As for `lyapunov`.
+    grains, chains, seed : int
+        As for `lyapunov`.
+    progress : bool
+        Whether to show a progress bar.
+
+    Returns
+    -------
+    DensityOfStates
+        The share of the modes below each frequency, with its error.
 
     Examples
     --------

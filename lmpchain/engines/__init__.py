@@ -36,6 +36,10 @@ ON_REQUEST = frozenset({"lammps"})  # taken by "auto" only where no other engine
 def names() -> tuple[str, ...]:
     """Return the names of the engines.
 
+    Returns
+    -------
+    tuple of str
+
     Examples
     --------
     >>> names()

@@ -153,6 +153,10 @@ def contacts(trajectory: Trajectory, numbers: Sequence[int] | None = None) -> Co
     numbers : (C,) sequence of int, optional
         Contacts; by default all those between grains that were recorded, or between them and walls.
 
+    Returns
+    -------
+    ContactHistory
+
     Raises
     ------
     InputError
@@ -184,7 +188,21 @@ def contacts(trajectory: Trajectory, numbers: Sequence[int] | None = None) -> Co
 
 
 def known_contacts(trajectory: Trajectory | Motion) -> np.ndarray:
-    """Return the numbers of contacts whose two bodies were recorded or stand still, if there are any."""
+    """Return the numbers of contacts whose two bodies were recorded or stand still, if there are any.
+
+    Parameters
+    ----------
+    trajectory : Trajectory or Motion
+
+    Returns
+    -------
+    (C,) array of int
+
+    Raises
+    ------
+    InputError
+        If no two neighbours were recorded.
+    """
     known = columns(trajectory.scene.chain.grains, trajectory.scene.chain.movable, trajectory.grains) != UNKNOWN
     chosen = np.flatnonzero(known[:-1] & known[1:] & trajectory.scene.chain.contacts.exists)
     if not chosen.size:
@@ -197,6 +215,16 @@ def wall_force(trajectory: Trajectory, end: Literal["top", "bottom"] = "bottom")
 
     It is the force of the contact with the wall; where the bottom is "fixed", the force that holds grain N up, which
     is that of contact N - 1 and the weight of grain N.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    end : "top" or "bottom"
+
+    Returns
+    -------
+    (T,) array
+        N.
 
     Raises
     ------
@@ -213,7 +241,23 @@ def wall_force(trajectory: Trajectory, end: Literal["top", "bottom"] = "bottom")
 
 
 def drive_motion(trajectory: Trajectory) -> tuple[Array, Array, Array]:
-    """Return displacement, velocity and acceleration of what is driven, (T,) m, m/s, m/s2."""
+    """Return displacement, velocity and acceleration of what is driven, (T,) m, m/s, m/s2.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Of a driven chain.
+
+    Returns
+    -------
+    three (T,) arrays
+        m, m/s, m/s2.
+
+    Raises
+    ------
+    InputError
+        If nothing is driven.
+    """
     time, drive = trajectory.time, trajectory.scene.drive
     if drive is None:
         raise InputError([("excitation", "nothing is driven in this scene")])
@@ -226,6 +270,16 @@ def drive_force(trajectory: Trajectory) -> Array:
     On grain 1 it is m_1 phi_1'' + F_1 - m_1 g, less the force of a wall above it; on the wall that of its contact.
     At rest it is the top load, or 0 on grain 1 below a wall. The impulse that starts a motion with a velocity at t = 0
     is left out.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Of a driven chain.
+
+    Returns
+    -------
+    (T,) array
+        N.
 
     Raises
     ------
@@ -244,6 +298,16 @@ def sensor(trajectory: Trajectory, grain: int) -> Signal:
 
     Job et al., Phys. Rev. Lett. 94, 178002 (2005); Daraio et al., Phys. Rev. E 73, 026610 (2006).
 
+    Parameters
+    ----------
+    trajectory : Trajectory
+    grain : int
+        Recorded with both of its neighbours.
+
+    Returns
+    -------
+    Signal
+
     Raises
     ------
     InputError
@@ -258,6 +322,17 @@ def sensor(trajectory: Trajectory, grain: int) -> Signal:
 
 def motion(trajectory: Trajectory | Motion, bodies: np.ndarray) -> tuple[Array, Array]:
     """Return displacement, m, and velocity, m/s, of grains or walls (0 and N + 1), (T, ...) each.
+
+    Parameters
+    ----------
+    trajectory : Trajectory or Motion
+    bodies : (B,) array of int
+        Grains, or walls: 0 and N + 1.
+
+    Returns
+    -------
+    two (T, B) arrays
+        m, m/s.
 
     Raises
     ------

@@ -208,6 +208,10 @@ def sums(trajectory: Trajectory, m: Sequence[float]) -> DysonSums:
     m : (M,) array_like
         Above 0.
 
+    Returns
+    -------
+    DysonSums
+
     Raises
     ------
     InputError
@@ -244,6 +248,19 @@ def sums(trajectory: Trajectory, m: Sequence[float]) -> DysonSums:
 def orders(text: str) -> list[float]:
     """Return the numbers of a list such as 1,2,5,20; raises `InputError` unless all are above 0.
 
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    list of float
+
+    Raises
+    ------
+    InputError
+        If one is no number above 0.
+
     Examples
     --------
     >>> orders("1, 2.5")
@@ -265,6 +282,14 @@ def relative_stiffness(chain: Chain) -> Array:
 
     In a uniform column under gravity it is n^(1 - 1/delta).
     Grain N has no contact below it unless there is a wall: it is then given one like that above it, under its weight.
+
+    Parameters
+    ----------
+    chain : Chain
+
+    Returns
+    -------
+    (N,) array
 
     Raises
     ------

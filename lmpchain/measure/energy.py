@@ -155,6 +155,14 @@ class EnergyShares(Shown):
 def shares(trajectory: Trajectory | Motion) -> EnergyShares:
     """Return the energy of each recorded grain and of each contact between them over time.
 
+    Parameters
+    ----------
+    trajectory : Trajectory or Motion
+
+    Returns
+    -------
+    EnergyShares
+
     Raises
     ------
     InputError
@@ -198,6 +206,10 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
     ----------
     trajectory : Trajectory
         Of any engine, with all grains that move.
+
+    Returns
+    -------
+    EnergyLedger
 
     Raises
     ------

@@ -72,6 +72,10 @@ def arrival(time: Array, values: Array, name: str = "signal") -> Arrival:
     name : str
         Of the signal, for messages.
 
+    Returns
+    -------
+    Arrival
+
     Raises
     ------
     InputError
@@ -110,6 +114,10 @@ def time_of_flight(
         "peak": from the largest maximum of one signal to that of the other; "correlation": the shift that makes the
         two most alike, for which the whole of both must have been recorded.
 
+    Returns
+    -------
+    Flight
+
     Raises
     ------
     InputError
@@ -134,6 +142,19 @@ def summit(time: Array, values: Array, top: int, stride: int) -> tuple[float, fl
     """Return time and height of the maximum near a sample, by a quintic spline.
 
     The spline runs through every `stride`-th sample around it.
+
+    Parameters
+    ----------
+    time, values : (T,) arrays
+        s; in any unit.
+    top : int
+        Number of the sample.
+    stride : int
+
+    Returns
+    -------
+    (float, float)
+        Time, s, and height.
     """
     near = np.arange(top - REACH * stride, top + REACH * stride + 1, stride)
     near = near[(near >= 0) & (near < len(values))]

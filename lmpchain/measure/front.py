@@ -159,6 +159,22 @@ def track(trajectory: Trajectory, field: Field = "velocity", fraction: float = 0
     within the recording. Behind the front the displacement falls slowly in a column, not at
     all in a sonic vacuum: track the velocity there, which is largest where the displacement rises most.
 
+    Parameters
+    ----------
+    trajectory : Trajectory
+    field : "velocity" or "displacement"
+    fraction : float
+        Between 0 and 1.
+
+    Returns
+    -------
+    Front
+
+    Raises
+    ------
+    InputError
+        If no grain shows a front that passes, or samples are fewer than 16.
+
     Examples
     --------
     >>> import lmpchain
@@ -179,7 +195,24 @@ def track(trajectory: Trajectory, field: Field = "velocity", fraction: float = 0
 
 
 def exponent(front: Front, quantity: Quantity = "amplitude", window: int | None = 11) -> Exponents:
-    """Fit power laws in h = n - 1/2 to windows of neighbouring grains, or to all of them."""
+    """Fit power laws in h = n - 1/2 to windows of neighbouring grains, or to all of them.
+
+    Parameters
+    ----------
+    front : Front
+    quantity : "amplitude", "width", "time" or "speed"
+    window : int, optional
+        How many grains each fit takes; None for all of them in one.
+
+    Returns
+    -------
+    Exponents
+
+    Raises
+    ------
+    InputError
+        If the window does not fit the grains passed.
+    """
     depth, values, _ = front.against_depth(quantity)
     size = depth.size if window is None else window
     if not 3 <= size <= depth.size:
@@ -200,6 +233,24 @@ def asymptotic(front: Front, quantity: Quantity, delta: float, exponent: float |
 
     The order is 1/delta - 1/3 for amplitude and width, 2/3 for time and speed; above delta = 2 the correction cannot be
     separated from the power. A given `exponent` is not fitted. `Front.between` leaves out first grains and reflections.
+
+    Parameters
+    ----------
+    front : Front
+    quantity : "amplitude", "width", "time" or "speed"
+    delta : float
+        Exponent of the contact force, 1 to 2.
+    exponent : float, optional
+        Power of h that is taken as known.
+
+    Returns
+    -------
+    PowerLaw
+
+    Raises
+    ------
+    InputError
+        If delta is not 1 to 2, or too few grains show the front.
     """
     depth, values, label = front.against_depth(quantity)
     x, y = np.log(depth), np.log(values)

@@ -280,7 +280,16 @@ class Motion:
 
 
 def motion_of(trajectory: Trajectory) -> Motion:
-    """Return the motion of a trajectory; without an error, nothing is known of its equation."""
+    """Return the motion of a trajectory; without an error, nothing is known of its equation.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+
+    Returns
+    -------
+    Motion
+    """
     error = trajectory.error_estimate
     equation = trajectory.equation if math.isfinite(error.solver) else 0
     u, v = (np.asarray(x) for x in (trajectory.displacement, trajectory.velocity))
@@ -289,6 +298,21 @@ def motion_of(trajectory: Trajectory) -> Motion:
 
 def peaks(trajectory: Trajectory, field: Field = "velocity") -> Peaks:
     """Return the largest displacement or speed that every recorded grain reaches at any time.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    field : "velocity" or "displacement"
+
+    Returns
+    -------
+    Peaks
+        Grains, values and how far off these may be.
+
+    Raises
+    ------
+    InputError
+        If there is no such field.
 
     Examples
     --------
@@ -305,7 +329,19 @@ def peaks(trajectory: Trajectory, field: Field = "velocity") -> Peaks:
 
 
 def columns(size: int, movable: int, grains: np.ndarray) -> NDArray[np.intp]:
-    """Return the recorded column of each body, (N+2,), or a mark if it stands still or is unknown."""
+    """Return the recorded column of each body, (N+2,), or a mark if it stands still or is unknown.
+
+    Parameters
+    ----------
+    size, movable : int
+        Number of grains, and of those that move.
+    grains : (G,) array of int
+        Those that were recorded.
+
+    Returns
+    -------
+    (N+2,) array of int
+    """
     column = np.full(size + 2, UNKNOWN)
     column[[0, -1]] = STILL
     column[movable + 1 :] = STILL

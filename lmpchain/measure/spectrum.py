@@ -43,7 +43,7 @@ class Spectrum(Shown):
     bands : (G, B, 2) array
         Edges of the bands of linear waves around each, Hz: one from 0 where all grains are alike.
     amplitude : (F, G) array
-        |integral of w x exp(-2 pi i f t) dt| with the window w, m/s or m per Hz. That of a pulse does not depend on
+        ``|integral of w x exp(-2 pi i f t) dt|`` with the window w, m/s or m per Hz. That of a pulse does not depend on
         how long it is recorded; a steady oscillation of amplitude A has a line of height A / 2 times the integral of
         w. The integral of (w x)^2 over time is that of 2 amplitude^2 over frequency.
     """
@@ -89,12 +89,12 @@ class Dispersion(Shown):
     wavenumber : (K,) array
         Radians a grain, from -pi to pi; those of waves that move downward are positive.
     amplitude : (F, K) array
-        |sum over grains of integral of w x exp(i k n - 2 pi i f t) dt| with the window w, m/s or m per Hz.
+        ``|sum over grains of integral of w x exp(i k n - 2 pi i f t) dt|`` with the window w, m/s or m per Hz.
     grain : (3,) array
         First, middle and last grain.
     relation : (3, B, K) array
         The B branches of the local dispersion relation at these, Hz: those of the cell that repeats there, `cut_off`
-        times |sin(k / 2)| where all grains are alike or no cell is found.
+        times ``|sin(k / 2)|`` where all grains are alike or no cell is found.
     """
 
     field: Field
@@ -124,7 +124,22 @@ class Dispersion(Shown):
 
 
 def recorded(trajectory: Trajectory, field: Field) -> tuple[np.ndarray, Array]:
-    """Return the recorded grains from the top downward, (G,), and their motion, (T, G) m/s or m."""
+    """Return the recorded grains from the top downward, (G,), and their motion, (T, G) m/s or m.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    field : "velocity" or "displacement"
+
+    Returns
+    -------
+    (G,) and (T, G) arrays
+
+    Raises
+    ------
+    InputError
+        If samples are too few or there is no such field.
+    """
     if field not in get_args(Field):
         raise InputError([("field", f'must be "velocity" or "displacement" (got {shown(field)})')])
     if trajectory.time.size < FEWEST_SAMPLES:
@@ -145,6 +160,15 @@ def spectrum(trajectory: Trajectory, field: Field = "velocity", window: str = "b
     window : str
         A name that `scipy.signal.get_window` knows: "boxcar", which changes nothing, for pulses that come and go;
         "hann" for oscillations that last, where it keeps strong lines from hiding weak ones.
+
+    Returns
+    -------
+    Spectrum
+
+    Raises
+    ------
+    InputError
+        If samples are too few, or there is no such field or window.
 
     Examples
     --------
@@ -175,6 +199,15 @@ def dispersion(
     field : str
     window : str
         Over time and over grains; a name that `scipy.signal.get_window` knows.
+
+    Returns
+    -------
+    Dispersion
+
+    Raises
+    ------
+    InputError
+        If grains are too few or were not recorded, samples too few, or there is no such field or window.
     """
     grains, motion = recorded(trajectory, field)
     chosen = np.arange(first, last + 1)
@@ -210,6 +243,15 @@ def cut_off(chain: Chain) -> Array:
 
     It is the top of the highest branch of the cell that repeats there, as that of a dimer; where none does, that of a
     uniform chain of such grains with the contact below, sqrt(k_n / m_n) / pi.
+
+    Parameters
+    ----------
+    chain : Chain
+
+    Returns
+    -------
+    (N,) array
+        Hz.
     """
     return local_bands(chain)[:, -1, 1] / (2 * np.pi)
 
@@ -220,6 +262,22 @@ def travel_time(chain: Chain, source: int = 1) -> Array:
     It is the sum of sqrt(m / k) over the contacts between.
     From grain 1 under a free top it takes half a contact more, as from the surface. The velocity is largest a little
     later, by a time that grows with the width of the front.
+
+    Parameters
+    ----------
+    chain : Chain
+    source : int
+        Grain from which the wave starts.
+
+    Returns
+    -------
+    (N,) array
+        s.
+
+    Raises
+    ------
+    InputError
+        If the chain is not compressed, or there is no such grain.
     """
     if not chain.compressed:
         raise InputError([("chain", "without gravity and load no weak wave travels: there is no such time")])
@@ -234,6 +292,19 @@ def space_time(trajectory: Trajectory, field: Field = "velocity", ax: Axes | Non
     """Draw the motion over time and depth, downward in red and upward in blue; returns the axes.
 
     It is `Trajectory.plot`. With `law` a line shows `travel_time` from the grain that is struck or driven.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    field : "velocity" or "displacement"
+    ax : Axes, optional
+        Of your own figure.
+    law : bool
+        Whether to draw the arrival of a long weak wave.
+
+    Returns
+    -------
+    Axes
     """
     recorded(trajectory, field)
     ax = trajectory.plot(ax, field)

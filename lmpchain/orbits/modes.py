@@ -29,10 +29,15 @@ def normal_mode(chain: Chain, mode: int, energy: float) -> Orbit:
 
     Parameters
     ----------
+    chain : Chain
     mode : int
         From 1, in the order of frequencies, as in `lmpchain.theory.modes`.
     energy : float
         Above rest, J.
+
+    Returns
+    -------
+    Orbit
 
     Raises
     ------
@@ -59,10 +64,20 @@ def mode_family(chain: Chain, mode: int, energy: float, *, events: bool = True, 
 
     Parameters
     ----------
+    chain : Chain
     mode, energy
         As for `normal_mode`.
     events, progress : bool
         As for `follow`.
+
+    Returns
+    -------
+    Family
+
+    Raises
+    ------
+    InputError
+        If the chain is not compressed, or there is no such mode or energy.
     """
     check_positive("energy", energy)
     u, period = linear_mode(chain, mode, STRAIN)
@@ -82,10 +97,17 @@ def breather(chain: Chain, grain: int, period: float, *, progress: bool = False)
 
     Parameters
     ----------
+    chain : Chain
     grain : int
         From 1; a light one of a dimer, or a light defect.
     period : float
         s; with frequency and multiples outside of the linear bands.
+    progress : bool
+        Whether to show a progress bar.
+
+    Returns
+    -------
+    Orbit
 
     Raises
     ------

@@ -47,6 +47,10 @@ def find(
     drive : Drive, optional
         A harmonic motion of grain 1.
 
+    Returns
+    -------
+    Orbit
+
     Raises
     ------
     InputError
@@ -92,10 +96,16 @@ def linear_mode(chain: Chain, mode: int, strain: float = 1e-3) -> tuple[Array, f
 
     Parameters
     ----------
+    chain : Chain
     mode : int
         From 1, in the order of frequencies.
     strain : float
         Largest change of an overlap, over that at rest.
+
+    Returns
+    -------
+    (N,) array and float
+        m, s.
 
     Raises
     ------

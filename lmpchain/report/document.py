@@ -12,7 +12,7 @@ import numpy as np
 from markupsafe import Markup
 
 from ..errors import LmpchainError
-from ..measure.fit.summary import summary
+from ..measure.fit.overview import summary
 from ..trajectory.trajectory import Trajectory
 from ..util.files import write_aside
 from ..util.progress import ProgressBar

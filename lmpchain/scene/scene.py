@@ -176,7 +176,7 @@ class Scene(Recording):
 
     @cached_property
     def largest_strain(self) -> float:
-        """A bound on |r / eps| of every contact, rigorous while it is small; infinite where there is none."""
+        """A bound on ``|r / eps|`` of every contact, rigorous while it is small; infinite where there is none."""
         contacts = self.chain.contacts
         if not (contacts.pressed == contacts.exists).all():
             return np.inf
@@ -186,7 +186,7 @@ class Scene(Recording):
 
     @cached_property
     def linear_strain(self) -> float:
-        """A bound on |r / eps| of every contact of the linear chain at any time; infinite where there is none.
+        """A bound on ``|r / eps|`` of every contact of the linear chain at any time, or infinity.
 
         Of the energy E put in, a contact that is stretched by r takes at least ``r^2 / 2c``. Its compliance c is 1/k
         or, between two ends that stand still, where the others must give way, ``(1 - (1/k) / sum 1/k) / k``.

@@ -114,7 +114,7 @@ def in_batches(
         before, attempts = attempts, {}
         for names in _pieces(made, groups.values()):
             try:
-                judged = _together(engine, [made[name] for name in names], [before[name] for name in names])
+                judged = _together(engine, [made[name] for name in names], [before[name] for name in names], tolerance)
             except RunFailed:  # one of them; alone it will show which
                 continue
             for name, (found, following, missed) in zip(names, judged, strict=True):
@@ -133,7 +133,7 @@ def _pieces(made: Mapping[int, Scene], groups: Iterable[list[int]]) -> Iterator[
 
 
 def _together(
-    engine: Engine, scenes: Sequence[Scene], attempts: Sequence[Attempt]
+    engine: Engine, scenes: Sequence[Scene], attempts: Sequence[Attempt], tolerance: float
 ) -> list[tuple[Trajectory, Attempt | None, str]]:
     """Run scenes together; return of each the answer, the next attempt, and why it missed the tolerance."""
     first, candidate, size = scenes[0], attempts[0].candidate, len(scenes)
@@ -146,7 +146,7 @@ def _together(
     fields = [block.displacement for block in blocks], [block.velocity for block in blocks]
     u, v = (parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1) for parts in fields)
     spent = {name: getattr(whole, name) / size for name in ("integration_s", "estimate_s", "setup_s")}
-    share, about = replace(whole, **spent), versions() | record(engine, first, candidate)
+    share, about = replace(whole, **spent), versions() | record(engine, first, candidate, tolerance)
     time, grains, told = first.time, first.recorded, []
     for scene, attempt, error, displacement, velocity in zip(scenes, attempts, errors, u, v, strict=True):
         following, missed = next_attempt(engine, scene, attempt, error)

@@ -40,6 +40,11 @@ def stability(scene: Scene, *, progress: bool = False) -> Stability:
     scene : Scene
     progress : bool
         Whether to show a progress bar.
+
+    Returns
+    -------
+    Stability
+        Limits and curves, predicted and measured.
     """
     boundaries: list[Boundary] = []
     curves: list[Curve] = []

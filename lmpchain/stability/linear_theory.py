@@ -33,13 +33,22 @@ def linear_law(strike_number: float, norm: str, exponent: float = 1.5, grain: in
 
     Parameters
     ----------
+    strike_number : float
+        v0*.
     norm : str
         "velocity": root of the sum of squares over grains, at the end of the run; "displacement": largest over all
         samples and grains, relative to the largest there; "package": the same, of displacement or velocity, as
         everywhere in this package; "peak": largest velocity of a grain, from grain 3 on, with x ~ w^(-3/2), w being
         the width of the front.
+    exponent : float
+        Delta, of the contact force.
     grain : int
         For the norm "peak".
+
+    Returns
+    -------
+    float
+        Relative error.
 
     Raises
     ------
@@ -52,6 +61,20 @@ def linear_law(strike_number: float, norm: str, exponent: float = 1.5, grain: in
 
 def strike_number_at(error: float, norm: str, exponent: float = 1.5, grain: int = 20) -> float:
     """Return the strike number at which Eq. (3) has an error, the inverse of `linear_law`.
+
+    Parameters
+    ----------
+    error : float
+        Relative, above 0.
+    norm : str
+        As for `linear_law`.
+    exponent, grain : float, int
+        As for `linear_law`.
+
+    Returns
+    -------
+    float
+        v0*.
 
     Examples
     --------
@@ -66,6 +89,17 @@ def strike_number_where(error: float, scene: Scene) -> float:
     """Return the strike number at which Eq. (3) would have this error, in a scene like this one.
 
     By `linear_law` for a column struck at its top, for any other scene by the estimate from its linear wave.
+
+    Parameters
+    ----------
+    error : float
+        Relative, above 0.
+    scene : Scene
+
+    Returns
+    -------
+    float
+        v0*.
     """
     if struck_column(scene):
         return strike_number_at(error, "package", scene.chain.exponent)

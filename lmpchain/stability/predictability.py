@@ -26,6 +26,15 @@ def reflection_time(scene: Scene) -> float:
     0.907470 (K/m)^(2/5) (0.681632 v0)^(1/5) grains a second; Chatterjee, Phys. Rev. E 59, 5912 (1999), and numbers
     computed for this package (analysis/calibration/predictability.py).
 
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    float
+        s.
+
     Raises
     ------
     InputError
@@ -45,19 +54,48 @@ def growth_rate(scene: Scene) -> float:
     Measured: 0.9 (1 - exp(-N / 20)) decades while a pulse runs down and up, whatever the strike and gravity, for
     N = 6 ... 40, v0* = 30 to 50 N, 0.1 to 100 g, within a factor of 1.5. A weaker strike opens few contacts, a
     stronger one has most of its energy in a top grain that flies. analysis/calibration/predictability.py.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    float
+        Decades a second.
     """
     return 0.9 * (1 - math.exp(-scene.chain.grains / 20)) / reflection_time(scene)
 
 
 def amplifies(scene: Scene) -> bool:
-    """Say whether `growth_rate` is known to hold: a strike on the top of few grains that opens contacts."""
+    """Say whether `growth_rate` is known to hold: a strike on the top of few grains that opens contacts.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    bool
+    """
     grains = scene.chain.grains
     struck = scene.excitation.strikes_top and scene.chain.exponent == 1.5
     return struck and FEW <= grains <= MANY and OPENING < scene.strike_number < FLYING * grains
 
 
 def predicted_time(scene: Scene, tolerance: float) -> float:
-    """Predict the predictability time from `growth_rate`, s; it may lie beyond the duration."""
+    """Predict the predictability time from `growth_rate`, s; it may lie beyond the duration.
+
+    Parameters
+    ----------
+    scene : Scene
+    tolerance : float
+
+    Returns
+    -------
+    float
+        s.
+    """
     return math.log10(tolerance / SEED) / growth_rate(scene)
 
 
@@ -69,6 +107,14 @@ def growth(scene: Scene, perturbation: float = CHANGE, accuracy: float = ACCURAC
     """Measure the growth of a small change at t = 0 (Lyapunov exponent): two native runs, same steps.
 
     All grains are moved, down and up by turns, by this part of the largest velocity (displacement, amplitude).
+
+    Parameters
+    ----------
+    scene : Scene
+    perturbation : float
+        Relative size of the change.
+    accuracy : float
+        Tolerance of the two runs.
 
     Returns
     -------
@@ -88,11 +134,33 @@ def predictability_time(scene: Scene, tolerance: float) -> float:
 
     Rounding does what a change of 1e-14 at t = 0 does, within a factor of 30: at four decades a millisecond, as in
     columns of glass beads of 1 mm, that is 0.4 ms.
+
+    Parameters
+    ----------
+    scene : Scene
+    tolerance : float
+
+    Returns
+    -------
+    float
+        s.
     """
     return predictability_time_of(*growth(scene, CHANGE), tolerance)
 
 
 def predictability_time_of(times: Array, apart: Array, tolerance: float) -> float:
-    """Return `predictability_time` from what `growth` has measured for its own perturbation, s."""
+    """Return `predictability_time` from what `growth` has measured for its own perturbation, s.
+
+    Parameters
+    ----------
+    times, apart : (T,) arrays
+        As `growth` returns them.
+    tolerance : float
+
+    Returns
+    -------
+    float
+        s.
+    """
     beyond = np.flatnonzero(apart > tolerance * CHANGE / SEED)
     return float(times[beyond[0]]) if beyond.size else math.inf

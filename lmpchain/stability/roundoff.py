@@ -41,6 +41,11 @@ def floor(scene: Scene, engine: str = "native", diameter: str = "physical", forc
     force : "auto", "exact" or "plain"
         Of native.
 
+    Returns
+    -------
+    float
+        Relative error.
+
     Raises
     ------
     InputError
@@ -53,7 +58,17 @@ def floor(scene: Scene, engine: str = "native", diameter: str = "physical", forc
 
 
 def long_double(scene: Scene) -> tuple[Array, Array]:
-    """Return displacement and velocity of the light cone, (T, N) m and m/s, in long double."""
+    """Return displacement and velocity of the light cone, (T, N) m and m/s, in long double.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    two (T, N) arrays
+        m, m/s.
+    """
     part = scene.light_cone.scene
     return _same_steps(part, RKN6, _steps(part))
 
@@ -69,6 +84,18 @@ def measured_floor(
 
     The two take the same steps, so the error of the method is the same in both, whether contacts open or not.
     `exact` is `long_double(scene)`, where that is known already.
+
+    Parameters
+    ----------
+    scene : Scene
+    engine, diameter, force : str
+        As for `floor`.
+    exact : two (T, N) arrays, optional
+
+    Returns
+    -------
+    float
+        Relative error.
 
     Raises
     ------

@@ -39,6 +39,15 @@ def struck_frequency(scene: Scene) -> float:
     is sqrt([2 + 2 cos(pi / (n + 1))] k / m). Held against the eigenfrequencies of the exact motion at every moment,
     for strike numbers from 0.01 to 1e4, it is right to 3 % in loaded chains and columns of Hertz contacts, to 7 % for
     exponent 2. A drive puts in no energy that is known beforehand: there it is `Scene.highest_frequency`.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    float
+        rad/s.
     """
     part = scene.light_cone.scene
     chain, contacts = part.chain, part.chain.contacts
@@ -73,6 +82,16 @@ def limit(scene: Scene, integrator: str) -> float:
     Measured on loaded chains for a hundred periods and strike numbers up to 1e4, runs break at so many times it:
     0.93 to 1 verlet, 0.88 to 1 kahan-li6, 0.68 to 1.02 dop853 (a step of which spans a whole blow), 1.3 to 1.6 rkn4,
     2.5 to 3.1 rkn6 and 1 to 1.5 kahan-li8 (see `suspect`), 1.2 to 2.4 gear4 (analysis/calibration/stability_limits.py).
+
+    Parameters
+    ----------
+    scene : Scene
+    integrator : str
+
+    Returns
+    -------
+    float
+        s.
 
     Examples
     --------
@@ -112,6 +131,14 @@ def suspect(integrator: str) -> float:
 
     Beyond the limits of rkn4, rkn6 and kahan-li8 lies a band of unstable steps only 0.16, 0.03 and 1.4 % wide, where
     half a period or so of the fastest grain is one step; behind it they are stable again up to 5.0, 6.3 and 5.6.
+
+    Parameters
+    ----------
+    integrator : str
+
+    Returns
+    -------
+    float
     """
     method = METHODS[integrator]
     reaches = method.stability_limit * np.linspace(1, NARROW, 1001)
@@ -124,6 +151,17 @@ def blow_up(scene: Scene, integrator: str, engine: str = "native") -> float:
     Steps of one length are tried ever longer, by 2 % and at those of which the method is suspected, until a run
     breaks: a grain moves with more than one and a half times all the energy there is. Then the step is bisected. The
     steps are given to `Engine.start` as a candidate of our own, past the check that refuses what is unstable at rest.
+
+    Parameters
+    ----------
+    scene : Scene
+    integrator : str
+    engine : "native" or "lammps"
+
+    Returns
+    -------
+    float
+        s.
 
     Raises
     ------
@@ -208,6 +246,21 @@ def energy_error(scene: Scene, integrator: str, step: float, periods: float, sam
 
     Energies are differences from rest, in displacements: `Chain.excess_energy`, which keeps the digits of the weakest
     wave.
+
+    Parameters
+    ----------
+    scene : Scene
+    integrator : str
+    step : float
+        s.
+    periods : float
+        How long, in periods of the band edge.
+    samples : int
+
+    Returns
+    -------
+    EnergyError
+        Over time, relative to the energy at t = 0.
 
     Raises
     ------

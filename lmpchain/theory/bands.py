@@ -174,6 +174,10 @@ def branches(cell: Cell | Chain, wavenumber: ArrayLike) -> Bands:
     wavenumber : (K,) array_like
         Radians a cell.
 
+    Returns
+    -------
+    Bands
+
     Raises
     ------
     InputError
@@ -201,12 +205,33 @@ def gaps(cell: Cell | Chain) -> Array:
     """Return the gaps between the bands of the chain that repeats a cell, (G, 2) rad/s.
 
     The edges of the bands are at the wavenumbers 0 and pi, a branch rising from one to the other or falling.
+
+    Parameters
+    ----------
+    cell : Cell or Chain
+
+    Returns
+    -------
+    (G, 2) array
+        rad/s.
     """
     return _outside(cell)[:-1]
 
 
 def repeating(chain: Chain, first: int = 1, last: int | None = None, most: int = 8) -> int:
     """Return after how many grains masses and contact constants repeat; 1 if they never do.
+
+    Parameters
+    ----------
+    chain : Chain
+    first, last : int
+        Grains between which to look; by default all.
+    most : int
+        Longest period that is looked for.
+
+    Returns
+    -------
+    int
 
     Examples
     --------
@@ -250,6 +275,10 @@ def gap_modes(chain: Chain, cell: Cell | Chain) -> GapModes:
     chain : Chain
         Compressed, with any ends and defects.
     cell : Cell or Chain
+
+    Returns
+    -------
+    GapModes
 
     Examples
     --------

@@ -10,17 +10,32 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import beta, betainc, gamma, hankel1e, hyp2f1, jv
+from scipy.special import gamma, hankel1e, hyp2f1, jv
 
 from ..util.arrays import Array
 from ..util.lazy import listed
-from .domain import chi as chi
-from .domain import depth as depth
-from .domain import exponents, real, require, whole
-from .finite_volume import Field as Field
-from .finite_volume import solve as solve
+from .domain import chi, depth, exponents, real, require
+from .finite_volume import Field, solve
+from .strike_response import impulse_amplitude, impulse_of_grain, impulse_response, peaked
 
 __dir__ = listed(__name__)
+__all__ = [
+    "Field",
+    "chi",
+    "depth",
+    "impulse_amplitude",
+    "impulse_of_grain",
+    "impulse_response",
+    "mode",
+    "packet",
+    "packet_front",
+    "peaked",
+    "resonant_packet",
+    "solve",
+    "standing",
+    "superpose",
+]
+
 
 Complex = NDArray[np.complex128]
 
@@ -37,6 +52,12 @@ def mode(h: ArrayLike, lam: ArrayLike, delta: float = 1.5) -> Complex:
         Depth, 0 or more.
     lam : array_like
         lambda, above 0, or complex in the upper half plane.
+    delta : float
+        Exponent of the contact force.
+
+    Returns
+    -------
+    complex array
 
     Raises
     ------
@@ -63,6 +84,12 @@ def standing(h: ArrayLike, lam: ArrayLike, delta: float = 1.5) -> Array:
     ----------
     h, lam : array_like
         Depth, 0 or more; lambda, above 0.
+    delta : float
+        Exponent of the contact force.
+
+    Returns
+    -------
+    array
 
     Raises
     ------
@@ -99,8 +126,14 @@ def superpose(
         A(lambda) for complex arrays.
     h, tau : array_like
         h >= 0, tau > -chi(h).
+    delta : float
+        Exponent of the contact force.
     angle : float
         Above 0, at most pi/2; less for an A such as exp(-lambda^2), which grows along the imaginary axis.
+
+    Returns
+    -------
+    complex array
 
     Raises
     ------
@@ -137,6 +170,12 @@ def packet(h: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     ----------
     h, tau : array_like
         h >= 0, tau > -chi(h).
+    delta : float
+        Exponent of the contact force.
+
+    Returns
+    -------
+    array
 
     Raises
     ------
@@ -165,6 +204,17 @@ def packet_front(h: ArrayLike, delta: float = 1.5) -> Array:
 
     For Hertz it varies as h^(-1/2).
 
+    Parameters
+    ----------
+    h : array_like
+        Above 0.
+    delta : float
+        Exponent of the contact force.
+
+    Returns
+    -------
+    array
+
     Raises
     ------
     InputError
@@ -190,6 +240,12 @@ def resonant_packet(h: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     ----------
     h, tau : array_like
         h >= 0, tau > -chi(h).
+    delta : float
+        Exponent of the contact force.
+
+    Returns
+    -------
+    array
 
     Raises
     ------
@@ -207,118 +263,6 @@ def resonant_packet(h: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     require(("tau", ahead > 0, "must be above -chi"), ("delta", delta > 1, "must be above 1"))
     amplitude = 2 / np.sqrt(np.pi) * np.cos(np.pi * nu) * (eta / 4) ** nu * gamma(1 - 2 * nu) / gamma(1.5 - nu)
     return amplitude * ahead ** (2 * nu - 1) * hyp2f1(0.5 - nu, 1 - 2 * nu, 1.5 - nu, (tau - travel) / ahead)
-
-
-def impulse_amplitude(delta: float = 1.5) -> float:
-    """Return C = eta (2/eta)^(2/eta) / B(1/eta, 1 - xi/(2 eta)) of `impulse_response`.
-
-    Raises
-    ------
-    InputError
-        If delta < 1.
-
-    Examples
-    --------
-    >>> f"{impulse_amplitude():.12f}"
-    '1.155137236597'
-    """
-    xi, eta, _ = exponents(delta)
-    return float(eta * (2 / eta) ** (2 / eta) / beta(1 / eta, 1 - xi / (2 * eta)))
-
-
-def impulse_response(h: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
-    """Return the response to unit dphi/dtau of grain 1: C (tau^2 - chi^2)^(-xi/2eta), causal.
-
-    It is 0 outside the light cone.
-    This is Eq. (35) made causal, with its amplitude; for Hertz C (tau^2 - chi^2)^(-1/10). It is infinite on the cone
-    (for delta = 1, a step of height 1), where the front of a chain of grains is an Airy function: see `front`.
-
-    Parameters
-    ----------
-    h, tau : array_like
-        h >= 0; any real tau.
-
-    Raises
-    ------
-    InputError
-        If h < 0 or delta < 1.
-
-    Examples
-    --------
-    >>> impulse_response([0.0, 100.0], 50.0).round(6).tolist()
-    [0.52825, 0.0]
-    """
-    return np.where(real(tau) >= chi(h, delta), peaked(h, tau, 0.0, impulse_amplitude(delta), 0.0, delta), 0.0)
-
-
-def impulse_of_grain(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> tuple[Array, Array]:
-    """Return phi and dphi/dtau of `impulse_response`, averaged over grain n, n - 1 < h < n.
-
-    With ``I`` the regularised incomplete beta function of order 1/eta, 1 - xi/(2 eta), it is ``tau I((chi/tau)^2)``
-    between the two ends: finite on the light cone too, and of momentum 1 at all times.
-
-    Parameters
-    ----------
-    n : array_like
-        Grain, from 1.
-    tau : array_like
-        0 or more.
-
-    Raises
-    ------
-    InputError
-        If n is not whole or below 1, tau < 0 or delta < 1.
-
-    Examples
-    --------
-    >>> phi, speed = impulse_of_grain(np.arange(1, 200), 50.0)
-    >>> float(phi.sum().round(12)), float(speed.sum().round(12))
-    (50.0, 1.0)
-    """
-    xi, eta, _ = exponents(delta)
-    n, tau = whole("n", n, 1), real(tau)
-    require(("tau", tau >= 0, "must be 0 or more"))
-    order, other = 1 / eta, 1 - xi / (2 * eta)
-
-    def below(h: Array) -> tuple[Array, Array]:
-        """Return the integral of both over depths above h."""
-        far, now = np.broadcast_arrays(chi(h, delta), tau)
-        x = np.divide(far, now, out=np.where(far > 0, np.inf, 0.0), where=now > 0)
-        inside = np.minimum(x, np.nextafter(1.0, 0.0))
-        share = np.where(x < 1, betainc(order, other, inside**2), 1.0)
-        slope = 2 * inside ** (2 * order) * (1 - inside**2) ** (other - 1) / beta(order, other)
-        return tau * share, share - np.where(x < 1, slope, 0.0)
-
-    (phi, speed), (phi_above, speed_above) = below(real(n)), below(real(n) - 1)
-    return phi - phi_above, speed - speed_above
-
-
-def peaked(h: ArrayLike, tau: ArrayLike, c1: float, c2: float, c3: float, delta: float = 1.5) -> Array:
-    """Return Eq. (35), c1 + c2 |(tau + c3)^2 - chi^2|^(-xi/2eta).
-
-    It solves Eq. (27) on each side of the light cone.
-
-    Parameters
-    ----------
-    h, tau : array_like
-        h >= 0; any real tau.
-    c1, c2, c3 : float
-        Any real numbers.
-
-    Raises
-    ------
-    InputError
-        If h < 0 or delta < 1.
-
-    Examples
-    --------
-    >>> peaked(4.0, 2.0, 1.0, 0.0, 0.5).tolist()
-    1.0
-    """
-    xi, eta, _ = exponents(delta)
-    shifted, travel = real(tau) + c3, chi(h, delta)
-    with np.errstate(divide="ignore"):
-        return c1 + c2 * abs((shifted - travel) * (shifted + travel)) ** (-xi / (2 * eta))
 
 
 def _bare_mode(h: ArrayLike, lam: ArrayLike, delta: float) -> Complex:

@@ -140,6 +140,10 @@ def solve(near: float, delta: float = 1.5, velocity: float = 1.0) -> DimerSolito
     velocity : float
         The largest one of heavy grains.
 
+    Returns
+    -------
+    DimerSoliton
+
     Raises
     ------
     InputError

@@ -55,6 +55,12 @@ def chi(h: ArrayLike, delta: float = 1.5) -> Array:
     ----------
     h : array_like
         Depth, 0 or more.
+    delta : float
+        Exponent of the contact force.
+
+    Returns
+    -------
+    array
 
     Raises
     ------
@@ -76,6 +82,17 @@ def depth(tau: ArrayLike, delta: float = 1.5) -> Array:
     """Return the depth of the light cone at tau, (eta tau / 2)^(2/eta): the inverse of `chi`.
 
     For Hertz (5 tau / 6)^(6/5); the tau^(6/5) after Eq. (9) lacks the factor.
+
+    Parameters
+    ----------
+    tau : array_like
+        0 or more.
+    delta : float
+        Exponent of the contact force.
+
+    Returns
+    -------
+    array
 
     Raises
     ------

@@ -26,6 +26,10 @@ def weight(kappa: ArrayLike, m: ArrayLike) -> Array:
     m : array_like
         Order, above 0 and not necessarily whole; broadcasts against kappa. Large m means order.
 
+    Returns
+    -------
+    array
+
     Raises
     ------
     InputError
@@ -43,6 +47,15 @@ def density(kappa: ArrayLike, m: ArrayLike) -> Array:
     """Return Dyson's own m^m / (m-1)! kappa^(m-1) exp(-m kappa), of mean 1 and variance 1/m.
 
     F. J. Dyson, Phys. Rev. 92, 1331 (1953). Arguments as for `weight`; infinite at kappa = 0 for m < 1.
+
+    Parameters
+    ----------
+    kappa, m : array_like
+        As for `weight`.
+
+    Returns
+    -------
+    array
 
     Examples
     --------

@@ -60,8 +60,14 @@ def solve(
         impulse of grain 1 gives.
     drive : callable, optional
         tau -> phi and dphi/dtau of grain 1, h = 1/2, whose motion it prescribes.
+    delta : float
+        Exponent of the contact force.
     cells : int
         Cells a grain, odd.
+
+    Returns
+    -------
+    Field
 
     Raises
     ------

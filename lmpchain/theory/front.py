@@ -25,6 +25,16 @@ def decay(delta: float = 1.5) -> tuple[float, float]:
 
     For Hertz 4/15 and 1/10; the 1/12 of Eq. (8) holds for waves of one frequency. From delta = 3 on both are xi/4.
 
+    Parameters
+    ----------
+    delta : float
+        Exponent of the contact force.
+
+    Returns
+    -------
+    (float, float)
+        p and q.
+
     Raises
     ------
     InputError
@@ -56,6 +66,12 @@ def displacement(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     tau : array_like
         Not later than chi(n - 1/2) + 30 w, where `lmpchain.theory.continuum.impulse_response` is as good; broadcasts
         with n.
+    delta : float
+        Exponent of the contact force.
+
+    Returns
+    -------
+    array
 
     Raises
     ------
@@ -73,6 +89,20 @@ def displacement(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
 def velocity(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     """Return dphi_n/dtau near the front: the derivative of `displacement`, same arguments.
 
+    Parameters
+    ----------
+    n, tau, delta : array_like, float
+        As for `displacement`.
+
+    Returns
+    -------
+    array
+
+    Raises
+    ------
+    InputError
+        As `displacement`.
+
     Examples
     --------
     >>> f"{velocity(1000, 381.0):.3f}"
@@ -87,6 +117,22 @@ def peak_velocity(n: ArrayLike, delta: float = 1.5) -> Array:
     For Hertz it is 0.931768 n^(-4/15) to leading order.
     Arguments and errors as for `displacement`.
 
+    Parameters
+    ----------
+    n : array_like
+        Grain, from 1.
+    delta : float
+        Exponent of the contact force.
+
+    Returns
+    -------
+    array
+
+    Raises
+    ------
+    InputError
+        As `displacement`.
+
     Examples
     --------
     >>> f"{peak_velocity(10**9) * 1e9 ** (4 / 15):.6f}"
@@ -100,6 +146,22 @@ def peak_time(n: ArrayLike, delta: float = 1.5) -> Array:
 
     For Hertz s = 0.908.
     Arguments and errors as for `displacement`.
+
+    Parameters
+    ----------
+    n : array_like
+        Grain, from 1.
+    delta : float
+        Exponent of the contact force.
+
+    Returns
+    -------
+    array
+
+    Raises
+    ------
+    InputError
+        As `displacement`.
 
     Examples
     --------

@@ -79,6 +79,15 @@ def eigenmodes(chain: Chain) -> Modes:
     squares, ``omega^2 = sum_n k_n (X_n - X_(n+1))^2``: all are right to a few 1e-16, the lowest too, as long as the
     highest is less than 1e5 times the lowest. Time and memory grow as M^2: seconds at M = 5000.
 
+    Parameters
+    ----------
+    chain : Chain
+
+    Returns
+    -------
+    Modes
+        Frequencies, rad/s, ascending, and shapes, orthonormal in mass.
+
     Raises
     ------
     InputError
@@ -104,6 +113,10 @@ def between(stiffness: Array, mass: Array) -> Modes:
         Of the contacts above, between and below them, N/m; 0 where there is nothing.
     mass : (M,) array
         kg.
+
+    Returns
+    -------
+    Modes
     """
     diagonal = (stiffness[:-1] + stiffness[1:]) / mass
     _, vectors = eigh_tridiagonal(diagonal, -stiffness[1:-1] / np.sqrt(mass[:-1] * mass[1:]))
@@ -126,6 +139,12 @@ def quasi_normal(k: ArrayLike, grains: int, delta: float = 1.5) -> Array:
         Number of the mode, from 1.
     grains : int
         N; the last one is held.
+    delta : float
+        Exponent of the contact force.
+
+    Returns
+    -------
+    array
 
     Raises
     ------
@@ -146,6 +165,17 @@ def band_edge(grains: int, delta: float = 1.5) -> float:
 
     ``omega^2 = H^xi [4 - 2.338107 (4 xi / H)^(2/3)]``, H = N - 1/2; error 2e-4 for N = 100, 1e-5 for N = 1000. The mode
     is localised in the lowest (H / 4 xi)^(1/3) grains.
+
+    Parameters
+    ----------
+    grains : int
+        N.
+    delta : float
+        Exponent of the contact force.
+
+    Returns
+    -------
+    float
 
     Raises
     ------
@@ -170,6 +200,19 @@ def count(frequency: ArrayLike, grains: int, delta: float = 1.5) -> Array:
     The frequency is in units of 1/tau.
     The integral of (2/pi) arcsin(min(1, omega h^(-xi/2) / 2)) over 0 < h < H = N - 1/2. At the k-th
     eigenfrequency it is k - 1/4 - nu/2 (omega < 2) or k - 1/4 (above, where the mode has a turning point).
+
+    Parameters
+    ----------
+    frequency : array_like
+        In units of 1/tau.
+    grains : int
+        N.
+    delta : float
+        Exponent of the contact force.
+
+    Returns
+    -------
+    array
 
     Raises
     ------

@@ -80,6 +80,10 @@ def transmission(chain: Chain, frequency: ArrayLike) -> Transmission:
     frequency : (F,) array_like
         rad/s, above 0 and within the band of the lead above.
 
+    Returns
+    -------
+    Transmission
+
     Raises
     ------
     InputError

@@ -4,8 +4,8 @@ A contact at x = n + 1/2 - c t, in grains, has the overlap r(x) beyond that at r
 ``c^2 r(x) = integral of (1 - |s|) N(r(x + s)) over -1 < s < 1``.
 It is due to English and Pego, Proc. Am. Math. Soc. 133, 1763 (2005), and is the advance-delay equation
 ``c^2 r'' = N(r(x - 1)) - 2 N(r(x)) + N(r(x + 1))``. Its kernel is positive, so log r is found, by Newton's method as a
-Chebyshev series: relative errors are small in the tails, too. It falls as -delta^|x| in the sonic vacuum, as -kappa |x|
-under a load, ``sinh(kappa/2) = c kappa/2``.
+Chebyshev series: relative errors are small in the tails, too. It falls as ``-delta^|x|`` in the sonic vacuum, as
+``-kappa |x|`` under a load, ``sinh(kappa/2) = c kappa/2``.
 
 Units. Under a load: the overlap at rest, the mass of a grain and tau, the unit of the paper, in which sound travels one
 grain. In the sonic vacuum: masses and contact constants are 1, which leaves the unit of velocity open.
@@ -28,7 +28,19 @@ from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, legend, titled
 from .domain import real, require
+from .soliton_limits import coste_speed, kdv_overlap, nesterenko_overlap, nesterenko_speed, sen_displacement
 from .soliton_series import law, long_wave_speed, rows, solved
+
+__all__ = [
+    "Soliton",
+    "coste_speed",
+    "kdv_overlap",
+    "nesterenko_overlap",
+    "nesterenko_speed",
+    "sen_displacement",
+    "solve",
+    "struck",
+]
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -56,7 +68,7 @@ class Soliton(Shown):
     height : float
         Overlap by which exp(series) is multiplied.
     reach : float
-        |x| up to which the series holds.
+        ``|x|`` up to which the series holds.
     series : (K,) array
         Coefficients of log(overlap / height), see `lmpchain.theory.soliton_series`.
     residual : float
@@ -210,6 +222,10 @@ def solve(delta: float = 1.5, speed: float | None = None, velocity: float | None
     velocity : float
         Of a grain, in units in which mass and contact constant are 1 (`Soliton.on` takes it for m/s).
 
+    Returns
+    -------
+    Soliton
+
     Raises
     ------
     InputError
@@ -251,6 +267,15 @@ def struck(velocity: float, delta: float = 1.5) -> Soliton:
         Overlaps at rest a tau.
     delta : float
 
+    Returns
+    -------
+    Soliton
+
+    Raises
+    ------
+    InputError
+        If the velocity or delta is out of range.
+
     Examples
     --------
     >>> wave = struck(0.1)
@@ -263,73 +288,3 @@ def struck(velocity: float, delta: float = 1.5) -> Soliton:
     require(("velocity", near > WEAKEST, "is too small: the wave is that of Korteweg and de Vries"))
     found = solved(float(delta), near, float(velocity))
     return Soliton(float(delta), True, found.speed, 1.0, *found[1:])
-
-
-def nesterenko_speed(velocity: ArrayLike, delta: float = 1.5) -> Array:
-    """Return the speed of Nesterenko's long-wave soliton in the sonic vacuum.
-
-    ``(2 / (delta + 1))^(1/(delta+1)) v^((delta-1)/(delta+1))``, V. F. Nesterenko, J. Appl. Mech. Tech. Phys. 24, 733
-    (1983); that of the lattice is 0.78 % slower for Hertz.
-
-    Examples
-    --------
-    >>> f"{nesterenko_speed(1.0) / solve(velocity=1.0).speed - 1:.4f}"
-    '0.0079'
-    """
-    return (2 / (delta + 1)) ** (1 / (delta + 1)) * real(velocity) ** ((delta - 1) / (delta + 1))
-
-
-def nesterenko_overlap(x: ArrayLike, speed: float, delta: float = 1.5) -> Array:
-    """Return the overlap of Nesterenko's long-wave soliton in the sonic vacuum.
-
-    ``[(delta+1) c^2 / 2]^(1/(delta-1)) cos^(2/(delta-1))(q x)`` for |q x| < pi/2,
-    ``q = (delta - 1) [6 / (delta (delta + 1))]^(1/2)``, sqrt(10)/5 for Hertz, where the power is 4.
-    """
-    q = (delta - 1) * np.sqrt(6 / (delta * (delta + 1)))
-    inside = np.abs(q * real(x)) < np.pi / 2
-    return ((delta + 1) / 2 * speed**2) ** (1 / (delta - 1)) * (inside * np.cos(q * real(x))) ** (2 / (delta - 1))
-
-
-def sen_displacement(x: ArrayLike) -> Array:
-    """Return the displacement (1 - tanh(f(x)/2))/2 over the largest, fitted for Hertz in the sonic vacuum.
-
-    ``f = 2.39536 x + 0.268529 x^3 + 0.0061347 x^5``: Sen, Hong, Bang, Avalos and Doney, Phys. Rep. 462, 21 (2008).
-
-    Examples
-    --------
-    >>> wave, x = solve(velocity=1.0), np.linspace(-2, 2, 9)
-    >>> bool(np.abs(wave.displacement(x) / wave.displacement(-9.0) - sen_displacement(x)).max() < 1e-3)
-    True
-    """
-    x = real(x)
-    return (1 - np.tanh((2.39536 * x + 0.268529 * x**3 + 0.0061347 * x**5) / 2)) / 2
-
-
-def coste_speed(force: ArrayLike, delta: float = 1.5) -> Array:
-    """Return the long-wave speed over that of sound under a load, for the largest over the static force.
-
-    ``(f^(2/3) - 1)^(-1) {(4/15) [3 + 2 f^(5/3) - 5 f^(2/3)]}^(1/2)`` for Hertz: Coste, Falcon and Fauve, Phys. Rev. E
-    56, 6104 (1997). The lattice is faster, by 0.05 % at 1.05 and 1.2 % for strong waves.
-
-    Raises
-    ------
-    InputError
-        If a force is not above 1.
-
-    Examples
-    --------
-    >>> f"{coste_speed(2.12584727):.6f}"
-    '1.049464'
-    """
-    f = real(force)
-    require(("force", f > 1, "must be above 1: that at rest"))
-    return long_wave_speed(np.expm1(np.log(f) / delta), delta)
-
-
-def kdv_overlap(x: ArrayLike, speed: float, delta: float = 1.5) -> Array:
-    """Return the overlap of the soliton of Korteweg and de Vries, the limit of weak waves under a load.
-
-    ``6 e / (delta - 1) sech^2((6 e)^(1/2) x)`` with e = speed - 1.
-    """
-    e = speed - 1
-    return 6 * e / (delta - 1) / np.cosh(np.sqrt(6 * e) * real(x)) ** 2

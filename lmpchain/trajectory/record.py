@@ -31,7 +31,7 @@ class ErrorEstimate:
     """Estimated relative error against the exact solution of Eq. (1): model and solver.
 
     The error is the larger of those of displacement and velocity, each max|x - x_true| over all samples and grains
-    over the largest |x_true| of any grain of the chain at any time of the run, between the samples too.
+    over the largest ``|x_true|`` of any grain of the chain at any time of the run, between the samples too.
 
     Attributes
     ----------

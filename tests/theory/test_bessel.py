@@ -7,7 +7,7 @@ from helpers.independent_theory import gravity_column, integrate, largest, sprin
 from scipy.special import jv
 
 from lmpchain import InputError
-from lmpchain.theory import bessel, continuum, modes
+from lmpchain.theory import bessel, bessel_series, continuum, modes
 
 RNG = np.random.default_rng(5)
 
@@ -215,7 +215,7 @@ def test_long_time_laws_of_the_top_grain():
 def test_tables_of_bessel_functions():
     """J_(2k) and the sums of odd orders, from no argument to large ones and from order 0 to far too high ones."""
     z = np.array([0.0, 1e-5, 0.5, 3.0, -30.0, 77.7, 1000.3])
-    even, integral, column = bessel._table("z", z, 700)
+    even, integral, column = bessel_series.table("z", z, 700)
     for i, x in enumerate(z):
         for k in (0, 1, 2, 10, 40, 300, 699):
             exact = besselj(2 * k, x)

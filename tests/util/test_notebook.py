@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from lmpchain.measure.fit.summary import summary
 from matplotlib import pyplot
 
 import lmpchain
 from lmpchain import Chain, Drive, Force, Impulse, Scene, Trajectory, simulate
 from lmpchain.measure import contact, energy, front, spectrum
 from lmpchain.measure.fit import fit_bessel, fit_continuum, fit_exponents, fit_modes
+from lmpchain.measure.fit.overview import summary
 from lmpchain.orbits import normal_mode
 from lmpchain.simulation.planner import Plan
 from lmpchain.theory import bands, dimer_soliton, scattering, soliton

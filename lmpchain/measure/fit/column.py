@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,13 +19,12 @@ from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array
 from ...util.notebook import Shown
 from ...util.plotting import axes_in_units, legend
-from ..front import FEWEST, Front, PowerLaw, asymptotic, track
-from ..spectrum import Field
+from ..front import FEWEST, PowerLaw, asymptotic
+from .column_front import bottom, front_before_echo, struck_at_the_top
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-QUIET = 1e-6  # least drop behind a front, over the largest motion, if the error of a trajectory is unknown
 INSIDE = 0.5  # travel time over tau up to which the continuum describes the grains
 EARLIEST, LATEST = 5.0, 50.0  # tau between which this region begins
 FORERUNNER = 10.0  # widths of the front by which an echo precedes its arrival time
@@ -142,6 +141,10 @@ def fit_continuum(trajectory: Trajectory, first: int = 10, inside: float = INSID
     inside : float
         Between 0 and 1; smaller values leave fewer grains, closer to the continuum.
 
+    Returns
+    -------
+    ContinuumFit
+
     Raises
     ------
     InputError
@@ -158,13 +161,13 @@ def fit_continuum(trajectory: Trajectory, first: int = 10, inside: float = INSID
     ('1.1551', '0.83')
     """
     chain = trajectory.scene.chain
-    strike = _struck_at_the_top(trajectory)
+    strike = struck_at_the_top(trajectory)
     if not 0 < inside < 1:
         raise InputError([("inside", f"must be between 0 and 1 (got {shown(inside)})")])
     delta = chain.exponent
     xi, eta, _ = exponents(delta)
     tau, travel = trajectory.time / chain.time_scale, chi(trajectory.grains - 0.5, delta)
-    end, lag = _bottom(chain.grains, delta)
+    end, lag = bottom(chain.grains, delta)
     known = tau[:, None] <= 2 * end - travel - FORERUNNER * lag
     behind = known & (travel <= inside * tau[:, None])
     latest = tau[behind.any(1)].max(initial=0.0)
@@ -205,7 +208,7 @@ def _front_law(trajectory: Trajectory, first: int) -> FrontLaw | None:
     """Fit the arrival times of the largest velocities, if there are enough."""
     chain = trajectory.scene.chain
     try:
-        front = _front(trajectory, "velocity", first)
+        front = front_before_echo(trajectory, "velocity", first)
     except InputError:
         return None
     n = front.grain
@@ -283,22 +286,26 @@ def fit_exponents(trajectory: Trajectory, first: int = 20, last: int | None = No
     first, last : int
         Grains; the last one by default where the echo from below is near.
 
+    Returns
+    -------
+    ExponentFit
+
     Raises
     ------
     InputError
         If the scene is not a uniform column struck at its free top, or fewer than 6 grains show the front.
     """
-    _struck_at_the_top(trajectory)
+    struck_at_the_top(trajectory)
     delta = trajectory.scene.chain.exponent
     xi, eta, _ = exponents(delta)
     p, q = theory.decay(delta)
-    velocity = _front(trajectory, "velocity", first, last)
+    velocity = front_before_echo(trajectory, "velocity", first, last)
     if (shown := velocity.grain.size) < FEWEST:
         need = f"a fit needs it at {FEWEST} or more grains from grain {first} on; this run shows {shown}"
         raise InputError([("front", f"{need}: record longer")])
     fronts = {"velocity": ("amplitude", velocity)}
     with suppress(InputError):  # behind a strong wave the displacement has no maximum
-        fronts["displacement"] = "amplitude", _front(trajectory, "displacement", first, last)
+        fronts["displacement"] = "amplitude", front_before_echo(trajectory, "displacement", first, last)
     fronts |= {key: (key, velocity) for key in ("time", "speed", "width")}
     laws, faults = {}, []
     for name, (quantity, front) in fronts.items():
@@ -310,39 +317,3 @@ def fit_exponents(trajectory: Trajectory, first: int = 20, last: int | None = No
         raise InputError(faults)
     expected = {"velocity": -p, "displacement": -q, "time": eta / 2, "speed": xi / 2, "width": 1 / 3 - xi / 2}
     return ExponentFit(laws, {name: expected[name] for name in laws})
-
-
-def _front(trajectory: Trajectory, field: Field, first: int, last: int | None = None) -> Front:
-    """Track the front as far as no echo reaches it."""
-    estimate, chain = trajectory.error_estimate, trajectory.scene.chain
-    if not np.isfinite(estimate.solver):
-        trajectory = replace(trajectory, error_estimate=replace(estimate, solver=QUIET))
-    if last is None:
-        last = int(chain.grains - 3 - 2.5 * np.cbrt(chain.grains))  # some widths of the front, in grains
-    return track(trajectory, field).between(first, last)
-
-
-def _bottom(grains: int, delta: float) -> tuple[float, float]:
-    """Return the arrival time of the front at the bottom and its width there, in units of tau."""
-    power = 1.5 / delta - 0.5
-    depth = grains - 0.5
-    return float(chi(depth, delta)), float(np.cbrt(depth**power / (8 * power)))
-
-
-def _struck_at_the_top(trajectory: Trajectory) -> float:
-    """Return the velocity of the strike, m/s; raise `InputError` if the scene is another."""
-    scene, chain = trajectory.scene, trajectory.scene.chain
-    given, faults = scene.excitation, []
-    if not chain.gravity or chain.top_load:
-        faults.append(("gravity", "takes a column under gravity alone, without a top load"))
-    if chain.top != "free":
-        faults.append(("top", "takes a free top, not a wall"))
-    if chain.exponent >= 3:
-        faults.append(("exponent", "takes one below 3: from there on waves are dispersed at the top"))
-    if any(np.ptp(x) > 1e-9 * x.max() for x in (chain.masses, chain.contact_constants)):
-        faults.append(("material", "takes equal grains, as the column of the paper has"))
-    if not given.strikes_top or not given.strike_velocity:
-        faults.append(("excitation", "takes a strike on grain 1: an impulse other than 0"))
-    if faults:
-        raise InputError(faults)
-    return given.strike_velocity

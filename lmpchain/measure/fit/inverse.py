@@ -162,6 +162,10 @@ def fit_parameter(
     span : float
         Above 1; a span of 1 begins with the value of the scene and tries no others.
 
+    Returns
+    -------
+    ParameterFit
+
     Raises
     ------
     InputError

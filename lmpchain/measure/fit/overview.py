@@ -100,6 +100,11 @@ def summary(trajectory: Trajectory) -> Summary:
     trajectory : Trajectory
         Of any engine, or read from a dump.
 
+    Returns
+    -------
+    Summary
+        A row for each fitted number, and why other fits were left out.
+
     Examples
     --------
     >>> import lmpchain

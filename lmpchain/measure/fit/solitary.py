@@ -82,6 +82,10 @@ def fit_soliton(trajectory: Trajectory, first: int | None = None, last: int | No
     first, last : int, optional
         Grains; by default the later half of those that the wave passes, away from both ends.
 
+    Returns
+    -------
+    SolitonFit
+
     Raises
     ------
     InputError

@@ -92,6 +92,10 @@ def fit_modes(trajectory: Trajectory) -> ModeFit:
     trajectory : Trajectory
         Of any engine, with all grains that move. Time and memory grow as M^2.
 
+    Returns
+    -------
+    ModeFit
+
     Raises
     ------
     InputError
@@ -206,6 +210,10 @@ def fit_bessel(trajectory: Trajectory, grains: tuple[int, int] | None = None, un
         s. By default each grain is taken until the first echo from the end of that region, or of the chain, can come:
         until ``2 s = m - 7.4 m^(1/3)``, m = 2 (2 end - n - p), at the nominal rate. Of more than 262144 values, those
         of every so many of the grains that the wave has reached are fitted.
+
+    Returns
+    -------
+    BesselFit
 
     Raises
     ------

@@ -1,0 +1,51 @@
+"""The front of a struck column, as far as no echo from below reaches it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ...errors import InputError
+from ...theory.domain import chi
+from ...trajectory.trajectory import Trajectory
+from ..front import Front, track
+from ..spectrum import Field
+
+QUIET = 1e-6  # least drop behind a front, over the largest motion, if the error of a trajectory is unknown
+
+
+def front_before_echo(trajectory: Trajectory, field: Field, first: int, last: int | None = None) -> Front:
+    """Track the front as far as no echo reaches it."""
+    estimate, chain = trajectory.error_estimate, trajectory.scene.chain
+    if not np.isfinite(estimate.solver):
+        trajectory = replace(trajectory, error_estimate=replace(estimate, solver=QUIET))
+    if last is None:
+        last = int(chain.grains - 3 - 2.5 * np.cbrt(chain.grains))  # some widths of the front, in grains
+    return track(trajectory, field).between(first, last)
+
+
+def bottom(grains: int, delta: float) -> tuple[float, float]:
+    """Return the arrival time of the front at the bottom and its width there, in units of tau."""
+    power = 1.5 / delta - 0.5
+    depth = grains - 0.5
+    return float(chi(depth, delta)), float(np.cbrt(depth**power / (8 * power)))
+
+
+def struck_at_the_top(trajectory: Trajectory) -> float:
+    """Return the velocity of the strike, m/s; raise `InputError` if the scene is another."""
+    scene, chain = trajectory.scene, trajectory.scene.chain
+    given, faults = scene.excitation, []
+    if not chain.gravity or chain.top_load:
+        faults.append(("gravity", "takes a column under gravity alone, without a top load"))
+    if chain.top != "free":
+        faults.append(("top", "takes a free top, not a wall"))
+    if chain.exponent >= 3:
+        faults.append(("exponent", "takes one below 3: from there on waves are dispersed at the top"))
+    if any(np.ptp(x) > 1e-9 * x.max() for x in (chain.masses, chain.contact_constants)):
+        faults.append(("material", "takes equal grains, as the column of the paper has"))
+    if not given.strikes_top or not given.strike_velocity:
+        faults.append(("excitation", "takes a strike on grain 1: an impulse other than 0"))
+    if faults:
+        raise InputError(faults)
+    return given.strike_velocity
