@@ -210,6 +210,7 @@ def test_other_loops_do_several_at_a_time():
 
 
 @x86
+@pytest.mark.slow
 def test_steps_do_several_grains_at_a_time(untiled: Any):
     """What is kept for later processes cannot be read; the same compiled anew can."""
     assembly = next(iter(untiled.inspect_asm().values()))

@@ -46,6 +46,8 @@ STOPPED = {
     "continuum": (paper("weak", 301), engines.Continuum(), 0.99),
 }
 
+LONGEST = "lammps, pushed", "lammps, wall moved"
+
 
 @pytest.fixture(autouse=True)
 def _small_blocks(monkeypatch: pytest.MonkeyPatch):
@@ -54,7 +56,9 @@ def _small_blocks(monkeypatch: pytest.MonkeyPatch):
 
 
 @pytest.mark.filterwarnings("ignore:Eq. ")
-@pytest.mark.parametrize("case", STOPPED)
+@pytest.mark.parametrize(
+    "case", [pytest.param(name, marks=pytest.mark.slow if name in LONGEST else ()) for name in STOPPED]
+)
 def test_stopped_after_every_block(case: str, tmp_path: Path):
     """Every engine's own state: at the end of its time already, a run stops as soon as it has a sample."""
     scene, engine, tolerance = STOPPED[case]

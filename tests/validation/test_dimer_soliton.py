@@ -9,7 +9,12 @@ from lmpchain.theory.dimer_soliton import solve
 
 @pytest.mark.parametrize(
     ("near", "ratio", "published"),
-    [(0.36, 0.3428457812, 0.3428), (0.16, 0.1547515139, 0.1548), (0.092, 0.0901, 0.0901), (0.0625, 0.0615, None)],
+    [
+        (0.36, 0.3428457812, 0.3428),
+        pytest.param(0.16, 0.1547515139, 0.1548, marks=pytest.mark.slow),
+        pytest.param(0.092, 0.0901, 0.0901, marks=pytest.mark.slow),
+        pytest.param(0.0625, 0.0615, None, marks=pytest.mark.slow),
+    ],
 )
 def test_antiresonances(near: float, ratio: float, published: float | None):
     """Source: Jayaprakash, Starosvetsky and Vakakis, Phys. Rev. E 83, 036606 (2011); ten digits by another solver."""

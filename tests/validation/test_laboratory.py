@@ -20,6 +20,7 @@ from lmpchain.chain.patterns import tapered
 
 Array = NDArray[np.float64]
 both = pytest.mark.parametrize("engine", ["native", "lammps"])
+long_in_lammps = pytest.mark.parametrize("engine", ["native", pytest.param("lammps", marks=pytest.mark.slow)])
 
 # speed of the soliton of a sonic vacuum, V = C v_m^((delta-1)/(delta+1)), from the exact lattice soliton
 SOLITON_SPEED = {1.5: 0.9074700784, 2.0: 0.855251932, 3.0: 0.804760116}
@@ -51,7 +52,7 @@ def _steel_beads() -> lmpchain.Chain:
     return lmpchain.Chain(**beads, contact_constants=np.pi / 2 * lmpchain.Chain(**beads).contact_constants)
 
 
-@both
+@long_in_lammps
 def test_trajectory_of_another_code(engine: str) -> None:
     """Velocities in a chain between walls 1 and 2 ms after its first bead was struck.
 
@@ -78,7 +79,7 @@ def test_engines_agree_on_the_steel_beads_after_they_were_reflected() -> None:
     assert np.abs(one.velocity - other.velocity).max() < 2e-5 * 0.099188
 
 
-@both
+@long_in_lammps
 @pytest.mark.parametrize(("wall", "ratio"), [("same", 1.94390), ("rigid", 2.23837)])
 def test_force_on_a_wall(engine: str, wall: str, ratio: float) -> None:
     """Peak force on the wall that ends a chain, over that within the chain.

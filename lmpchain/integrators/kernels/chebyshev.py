@@ -197,7 +197,7 @@ class Propagator:
         # grain 1, if driven, is an oscillator that pulls the others and is not pulled
         squares = 2 * (stiffness[:-1] + stiffness[1:]) * mobility  # bounds on frequencies (Gershgorin)
         squares[0] = max(squares[0], drive**2)
-        self._chain = stiffness, mobility, drive**2, squares
+        self._chain = np.array(stiffness), mobility, drive**2, squares  # loops for what is read-only are others
         self.u, self.v = u, v
         self.terms = 0
         self._reach = moving(u, v)
