@@ -20,7 +20,7 @@ from .materials import GLASS, Material, OneMaterial, OneOrManyMaterials
 from .plausible import HERTZ_OVERLAP, least_squeezed, remarks, too_squeezed
 from .plausible import LARGEST_OVERLAP as LARGEST_OVERLAP
 
-LEAST_GRAVITY = 1e-100  # m/s2
+LEAST = {"gravity": 1e-100, "top_load": 1e-100}  # m/s2 and N
 
 
 class Chain(Checked):
@@ -92,10 +92,10 @@ class Chain(Checked):
             yield "grains", 'a single grain that is held, or touches nothing: use bottom = "wall", or more grains'
         if self.bottom == "free" and (self.gravity > 0 or self.top_load > 0):
             yield "bottom", 'must be "fixed" or "wall" under gravity or a top load: a free chain would fall'
-        if 0 < self.gravity < LEAST_GRAVITY:
-            yield "gravity", f"must be 0, or at least {LEAST_GRAVITY:g} m/s2: below, squares of overlaps underflow"
-            return
-        if wrong:
+        small = [key for key in LEAST if 0 < getattr(self, key) < LEAST[key]]
+        for key in small:
+            yield key, f"must be 0, or at least {LEAST[key]:g} in SI units: below, squares of overlaps underflow"
+        if wrong or small:
             return
         self._leave_open()
         if self.plainly_below(LARGEST_OVERLAP):
