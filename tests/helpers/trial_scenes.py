@@ -165,7 +165,7 @@ def _acting(rng: np.random.Generator, chain: Chain, duration: float) -> Force | 
     """Draw what acts on a chain for so long: strengths over that at rest 1e-10 to 100."""
     grain = 1 if rng.random() < 0.4 else int(rng.integers(1, chain.movable + 1))
     kinds = ["force"] * 4 + ["wall"] * 3 * (chain.top == "wall") + ["drive"] * (chain.top == "free")
-    kind = rng.choice(kinds + ["packet"] * 2 * chain.compressed)
+    kind = rng.choice(kinds + ["packet"] * 3 * chain.compressed)
     contact = max(grain - 1, int(chain.top == "free")) if kind == "force" else int(kind == "drive")
     constant, mass = chain.contacts.constant[contact], chain.masses[max(contact - 1, 0)]
     held = chain.contacts.force[contact] if chain.compressed else _log(rng, 1e-6, 10)
@@ -177,8 +177,8 @@ def _acting(rng: np.random.Generator, chain: Chain, duration: float) -> Force | 
     omega = chain.band_edge if chain.compressed else float(np.sqrt(abs(size) / length / mass))
     frequency = omega * _log(rng, 0.02, 3) / (2 * np.pi)
     if kind == "packet":
-        width = _log(rng, 2, 20)
-        return Packet(frequency=frequency, width=width, grain=grain, amplitude=float(np.sign(size)) * length)
+        middle, width = (chain.grains + 1) // 2, _log(rng, 1.5, max(1.6, chain.grains / 10))
+        return Packet(frequency=frequency / 3, width=width, grain=middle, amplitude=float(np.sign(size)) * length)
     strength = size if kind == "force" else float(np.sign(size)) * length
     where: dict[str, Any] = {"grain": grain if kind == "force" else int(kind == "drive")}
     acts: Any = Force if kind == "force" else Drive
