@@ -21,7 +21,8 @@ from .picture import AtRest
 from .plausible import HERTZ_OVERLAP, least_squeezed, remarks, too_squeezed
 from .plausible import LARGEST_OVERLAP as LARGEST_OVERLAP
 
-LEAST_GRAVITY = 1e-100  # m/s2
+HARDEST = 1e150  # 1/s2, of a stiffness over a mass: squares are finite
+LEAST = {"gravity": 1e-100, "top_load": 1e-100}  # m/s2 and N
 
 
 class Chain(AtRest, Checked):
@@ -93,16 +94,16 @@ class Chain(AtRest, Checked):
             yield "grains", 'a single grain that is held, or touches nothing: use bottom = "wall", or more grains'
         if self.bottom == "free" and (self.gravity > 0 or self.top_load > 0):
             yield "bottom", 'must be "fixed" or "wall" under gravity or a top load: a free chain would fall'
-        if 0 < self.gravity < LEAST_GRAVITY:
-            yield "gravity", f"must be 0, or at least {LEAST_GRAVITY:g} m/s2: below, squares of overlaps underflow"
-            return
-        if wrong or self._leave_open().plainly_below(LARGEST_OVERLAP):
+        small = [key for key in LEAST if 0 < getattr(self, key) < LEAST[key]]
+        for key in small:
+            yield key, f"must be 0, or at least {LEAST[key]:g} in SI units: below, squares of overlaps underflow"
+        if wrong or small or self._leave_open().plainly_below(LARGEST_OVERLAP):
             return
         if self._alike and (least := least_squeezed(self._kinds, self)) > LARGEST_OVERLAP:
             yield "diameter", too_squeezed(f"a contact is compressed by at least {least:.2g}")
             return
         with np.errstate(all="ignore"):  # non-finite values are faults
-            known = all(np.isfinite(part).all() for part in self.dynamical_matrix()) and (self.masses > 0).all()
+            known = all((abs(part) < HARDEST).all() for part in self.dynamical_matrix()) and (self.masses > 0).all()
             relative = self.contacts.overlap / self.contact_lengths
         if not known or np.isnan(relative).any():
             yield "masses", "are too small or too large to compute with, or contacts too hard or too soft: use SI units"
@@ -181,7 +182,7 @@ class Chain(AtRest, Checked):
             load = self.top_load + self.gravity * (self.grains * mass[0] + mass[1:].sum())
             overlap = Contacts(softest, load, self.exponent).overlap
             largest = Contacts(hardest, load, self.exponent).stiffness_at(overlap) / mass.min()
-            return bool(softest > 0 and overlap <= limit * d.min() and np.isfinite(2 * largest))
+            return bool(softest > 0 and overlap <= limit * d.min() and 2 * largest < HARDEST)
 
     def by_grain(self, prop: str) -> Array:
         """Return a property of the material of every grain, (N,)."""

@@ -16,6 +16,7 @@ from .base import Excitation, Number, OneGrain, Push
 from .waveform import Waveform
 
 SAMPLED = 1e-12  # least distance of two times, of the last one
+FASTEST, LARGEST = 1e20, 1e100  # rad/s, and of a value in SI units: what nobody means, and what does not overflow
 
 
 class _Acting(Excitation):
@@ -40,8 +41,13 @@ class _Acting(Excitation):
         ways = self._ways(values)
         if given not in ways:
             yield "amplitude", f"give {self._words(values)} (or a file with both)"
-        elif self.times is not None:
-            yield from self._samples(values, getattr(self, values))
+            return
+        wrong = list(self._samples(values, getattr(self, values))) if self.times is not None else []
+        yield from wrong
+        if not wrong and not self.waveform.fastest < FASTEST:
+            swift = 2 * np.pi * (self.frequency or 0.0) >= FASTEST
+            key = "frequency" if swift else next(key for key in ("times", "cycles", "duration") if key in given)
+            yield key, f"makes for {self.waveform.fastest:.2g} rad/s, too fast to compute with: use SI units"
 
     def _ways(self, values: str) -> list[set[str]]:
         return [{"amplitude", "frequency"}, {"amplitude", "frequency", "cycles"}, {"times", values}]
@@ -52,6 +58,8 @@ class _Acting(Excitation):
     def _samples(self, key: str, values: Array) -> Iterator[tuple[str, str]]:
         if len(self.times) != len(values) or len(self.times) < 2:
             yield key, f"must have one entry for each of two or more times, not {len(values)}"
+        if (np.abs(values) > LARGEST).any():
+            yield key, f"must be at most {LARGEST:g} in size"
         if self.times[0] != 0 or not (np.diff(self.times) > SAMPLED * self.times[-1]).all():
             yield "times", f"must begin with 0 and increase, each by more than {SAMPLED:g} of the last"
 

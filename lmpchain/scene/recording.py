@@ -33,7 +33,7 @@ def _selection(value: Any) -> Any:
 class Recording(Checked):
     """When and which grains are recorded: `samples` times from 0 to `duration`, both included."""
 
-    duration: Positive
+    duration: Annotated[Positive, Field(le=1e12)]
     samples: Annotated[Whole, Field(ge=2, le=10**8)] = 101
     grains: Annotated[str | tuple[int, ...], BeforeValidator(_selection)] = "all"
 

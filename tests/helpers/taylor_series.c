@@ -13,19 +13,36 @@ show: steps shrink towards such a moment, until what the contact still gives is 
 #define SCAN 8
 
 typedef struct {
-  int kind; /* 0 none, 1 sine, 2 spline */
-  REAL amplitude, omega;
+  int kind; /* 0 none, 1 sum of sines, 2 spline */
+  int grain; /* where: -1 the top wall, 0 grain 0 (both are put there), n + 1 pushes grain n */
+  int sines;
+  const REAL *amplitude, *omega;
+  REAL end; /* of the sines, 0 afterwards */
   int knots;
   const REAL *times, *pieces; /* pieces: (knots - 1, 4), ascending powers */
 } Drive;
 
+/* Time up to which it stays the same analytic function. */
+static REAL corner(const Drive *d, REAL t, REAL end) {
+  REAL next = end;
+  if (d->kind == 1 && t < d->end) next = d->end;
+  if (d->kind == 2) {
+    int i = 0;
+    while (i < d->knots - 2 && d->times[i + 1] <= t) i++;
+    next = i < d->knots - 2 ? d->times[i + 1] : end;
+  }
+  return next < end ? next : end;
+}
+
 static void drive_series(const Drive *d, REAL t, int p, REAL *a) {
   memset(a, 0, sizeof(REAL) * (p + 1));
   if (d->kind == 1) {
-    REAL s = d->amplitude * sin(d->omega * t), c = d->amplitude * cos(d->omega * t), power = 1;
-    for (int k = 0; k <= p; k++) {
-      a[k] = power * ((k & 1) ? c : s) * ((k & 2) ? -1 : 1);
-      power *= d->omega / (k + 1);
+    for (int i = 0; i < d->sines && t < d->end; i++) {
+      REAL s = d->amplitude[i] * sin(d->omega[i] * t), c = d->amplitude[i] * cos(d->omega[i] * t), power = 1;
+      for (int k = 0; k <= p; k++) {
+        a[k] += power * ((k & 1) ? c : s) * ((k & 2) ? -1 : 1);
+        power *= d->omega[i] / (k + 1);
+      }
     }
   } else {
     int i = 0;
@@ -84,11 +101,11 @@ static REAL crossing(const REAL *a, int p, REAL h, int sign, int from_start) {
 
 /* Returns 0, 1 if `most` contact-steps were too few, 2 if a step became too short. */
 int integrate(int N, const REAL *delta_, const REAL *K, const REAL *F, const REAL *eps, const REAL *mobility, int kind,
-              const REAL *sine, int knots, const REAL *knot_times, const REAL *pieces, const REAL *start, int T,
+              int grain, int sines, const REAL *sine, int knots, const REAL *knot_times, const REAL *pieces, const REAL *start, int T,
               const REAL *times, double tol_, int p, double most, double *out, double *peak, double *stats) {
   const REAL delta = *delta_, tol = tol_;
   const int whole = delta == 1 || delta == 2 || delta == 3;
-  Drive drive = {kind, sine[0], sine[1], knots, knot_times, pieces};
+  Drive drive = {kind, grain, sines, sine, sine + sines, sine[2 * sines], knots, knot_times, pieces};
   REAL *X = calloc((size_t)(p + 1) * N, sizeof(REAL)), *O = calloc((size_t)(p + 1) * (N + 1), sizeof(REAL));
   REAL *G = calloc((size_t)(p + 1) * (N + 1), sizeof(REAL)), *Q = calloc((size_t)(p + 1) * (N + 1), sizeof(REAL));
   REAL *root = calloc(N + 1, sizeof(REAL)), *x = malloc(sizeof(REAL) * N), *v = malloc(sizeof(REAL) * N);
@@ -99,13 +116,19 @@ int integrate(int N, const REAL *delta_, const REAL *K, const REAL *F, const REA
   double work = 0, steps = 0, events = 0;
   memcpy(x, start, sizeof(REAL) * N);
   memcpy(v, start + N, sizeof(REAL) * N);
+  REAL wall[ORDERS];
+  memset(wall, 0, sizeof wall);
   if (kind) {
     drive_series(&drive, 0, p, driven);
-    x[0] = driven[0];
-    v[0] = driven[1];
-    lo = 0;
-    hi = 1;
+    if (grain == 0) {
+      x[0] = driven[0];
+      v[0] = driven[1];
+    }
+    if (grain < 0) memcpy(wall, driven, sizeof(REAL) * (p + 1));
+    lo = grain > 0 ? grain - 1 : 0;
+    hi = lo + 1;
   }
+#define ABOVE(k, c) ((c) > first ? X[(size_t)(k) * N + (c) - 1] : (c) == 0 ? wall[k] : 0)
   for (int n = 0; n < N; n++)
     if (x[n] != 0 || v[n] != 0) {
       if (n < lo) lo = n;
@@ -113,7 +136,7 @@ int integrate(int N, const REAL *delta_, const REAL *K, const REAL *F, const REA
     }
   if (hi <= lo) { lo = 0; hi = 1; }
   for (int c = 0; c <= N; c++) {
-    REAL o = eps[c] + (c ? x[c - 1] : 0) - (c < N ? x[c] : 0);
+    REAL o = eps[c] + (c ? x[c - 1] : wall[0]) - (c < N ? x[c] : 0);
     shut[c] = K[c] > 0 && o > 0;
     root[c] = 0;
   }
@@ -130,23 +153,20 @@ int integrate(int N, const REAL *delta_, const REAL *K, const REAL *F, const REA
   REAL knot_end = end;
   while (sample < T) {
     int pad = p / 2 + 2, first = lo - pad > 0 ? lo - pad : 0, last = hi + pad < N ? hi + pad : N; /* grains */
-    if (kind == 2) {
-      int i = 0;
-      while (i < knots - 2 && drive.times[i + 1] <= t) i++;
-      knot_end = i < knots - 2 ? drive.times[i + 1] : end;
-      if (knot_end > end) knot_end = end;
-    }
+    if (kind) knot_end = corner(&drive, t, end);
     for (int n = first; n < last; n++) {
       X[n] = x[n];
       X[N + n] = v[n];
     }
     if (kind) {
       drive_series(&drive, t, p, driven);
-      for (int k = 0; k <= p; k++) X[(size_t)k * N] = driven[k];
+      if (grain == 0)
+        for (int k = 0; k <= p; k++) X[(size_t)k * N] = driven[k];
+      if (grain < 0) memcpy(wall, driven, sizeof(REAL) * (p + 1));
     }
     for (int c = first; c <= last; c++) { /* shut ones that give nothing more */
-      REAL o = eps[c] + (c > first ? X[c - 1] : 0) - (c < last ? X[c] : 0);
-      REAL rate = (c > first ? X[N + c - 1] : 0) - (c < last ? X[N + c] : 0);
+      REAL o = eps[c] + ABOVE(0, c) - (c < last ? X[c] : 0);
+      REAL rate = ABOVE(1, c) - (c < last ? X[N + c] : 0);
       O[c] = o;
       if (!shut[c] || rate >= 0) continue;
       REAL mob = fmax(c > 0 ? mobility[c - 1] : 0, c < N ? mobility[c] : 0);
@@ -159,10 +179,10 @@ int integrate(int N, const REAL *delta_, const REAL *K, const REAL *F, const REA
     for (int k = 0; k <= p - 2; k++) {
       REAL *g = G + (size_t)k * (N + 1), *o = O + (size_t)k * (N + 1), *above = X + (size_t)k * N;
       if (k)
-        for (int c = first; c <= last; c++) o[c] = (c > first ? above[c - 1] : 0) - (c < last ? above[c] : 0);
+        for (int c = first; c <= last; c++) o[c] = ABOVE(k, c) - (c < last ? above[c] : 0);
       if (k == 0) {
         for (int c = first; c <= last; c++) {
-          REAL r = (c > first ? X[c - 1] : 0) - (c < last ? X[c] : 0);
+          REAL r = ABOVE(0, c) - (c < last ? X[c] : 0);
           if (!shut[c]) g[c] = -F[c];
           else if (delta == 1) g[c] = K[c] * r;
           else if (eps[c] > 0 && r > -eps[c] / 2) g[c] = F[c] * expm1(delta * log1p(r / eps[c]));
@@ -197,16 +217,16 @@ int integrate(int N, const REAL *delta_, const REAL *K, const REAL *F, const REA
       }
       REAL *next = X + (size_t)(k + 2) * N;
       for (int n = first; n < last; n++) next[n] = (g[n] - g[n + 1]) * mobility[n] / ((k + 1) * (k + 2));
-      if (kind) next[0] = driven[k + 2];
+      if (kind && grain == 0) next[0] = driven[k + 2];
+      if (kind && grain > 0) next[grain - 1] += driven[k] * mobility[grain - 1] / ((k + 1) * (k + 2));
     }
     for (int k = p - 1; k <= p; k++)
       for (int c = first; c <= last; c++)
-        O[(size_t)k * (N + 1) + c] =
-            (c > first ? X[(size_t)k * N + c - 1] : 0) - (c < last ? X[(size_t)k * N + c] : 0);
+        O[(size_t)k * (N + 1) + c] = ABOVE(k, c) - (c < last ? X[(size_t)k * N + c] : 0);
     work += last - first + 1;
     steps++;
     REAL h = end - t;
-    if (kind == 2 && knot_end - t < h) h = knot_end - t;
+    if (kind && knot_end - t < h) h = knot_end - t;
     for (int k = p - 2; k <= p; k++) {
       REAL most_x = 0;
       for (int n = first; n < last; n++) {
@@ -251,7 +271,7 @@ int integrate(int N, const REAL *delta_, const REAL *K, const REAL *F, const REA
         }
       if (bad < h) { h = bad; flip = c; }
     }
-    if (kind == 2 && flip < 0 && t + h >= knot_end) h = knot_end - t;
+    if (kind && flip < 0 && t + h >= knot_end) h = knot_end - t;
     while (sample < T && (times[sample] <= t + h || (t + h >= end))) {
       REAL s = times[sample] - t;
       for (int n = 0; n < N; n++) {
@@ -295,7 +315,7 @@ int integrate(int N, const REAL *delta_, const REAL *K, const REAL *F, const REA
       root[flip] = t + h;
       events++;
     }
-    t = kind == 2 && flip < 0 && t + h >= knot_end ? knot_end : t + h;
+    t = kind && flip < 0 && t + h >= knot_end ? knot_end : t + h;
     const REAL cut = tol * (REAL)1e-6;
     while (first < lo && fabs(x[first]) <= cut * X_peak && fabs(v[first]) <= cut * V_peak) x[first] = v[first] = 0, first++;
     while (last > hi && fabs(x[last - 1]) <= cut * X_peak && fabs(v[last - 1]) <= cut * V_peak) last--, x[last] = v[last] = 0;

@@ -80,33 +80,31 @@ def solve(scene: Scene, tolerance: float, kind: str = "long double", more: int =
     if chain.bottom == "fixed":
         mobile[-1] = 0
     u, v = (np.asarray(x, dtype=wide) for x in scene.initial())
-    sine, knots, pieces, drive = np.zeros(2, wide), np.zeros(1, wide), np.zeros(4, wide), 0
     farthest, fastest = np.abs(u).max(), np.abs(v).max()
-    if excitation.kind == "drive":
-        mobile[0] = 0
-        if excitation.times is None:
-            drive, omega = 1, 8 * np.arctan(wide(1)) * wide(excitation.frequency)
-            sine = np.array([excitation.amplitude, omega], dtype=wide)
-            farthest, fastest = abs(sine[0]), abs(sine[0]) * omega
-        else:
-            drive, knots = 2, np.asarray(excitation.times, dtype=wide)
-            pieces = CubicSpline(excitation.times, excitation.displacement).c[::-1].T.astype(wide)
-            farthest = np.abs(excitation.displacement).max()
-            fastest = np.abs(np.diff(excitation.displacement) / np.diff(excitation.times)).max()
+    drive, place, sines, end, knots, pieces = _acting(excitation)
+    if drive and place <= 0:
+        mobile[0] = 0 if place == 0 else 1
+        farthest, fastest = _largest(sines, knots, pieces)
     typical = overlap.max()
-    if typical == 0:
+    if typical == 0 and place > 0:
+        typical = (_largest(sines, knots, pieces)[0] / constant.max()) ** (1 / delta)
+    elif typical == 0:
         typical = max(farthest, (mass.min() * fastest**2 / constant.max()) ** (1 / (delta + 1)))
     time = 1 / np.sqrt(delta * constant.max() * typical ** (delta - 1) / mass.min())
+    if place > 0:
+        strongest, rise = _largest(sines, knots, pieces)
+        farthest = min(strongest, rise * time) * time**2 / mass[place - 1]
     length = max(farthest, fastest * time)
     unit = mass.min() * length / time**2  # of force
+    value = unit if place > 0 else length  # of what acts
     fields = [
         constant * length**delta / unit,
         force / unit,
         overlap / length,
         mobile * (mass.min() / mass),
-        np.array([sine[0] / length, sine[1] * time]),
+        np.concatenate((sines[:, 0] / value, sines[:, 1] * time, [end / time])),
         knots / time,
-        pieces.reshape(-1, 4) * (time ** np.arange(4) / length),
+        pieces.reshape(-1, 4) * (time ** np.arange(4) / value),
         np.array([u / length, v * (time / length)]),
         np.asarray(scene.time, dtype=wide) / time,
     ]
@@ -115,8 +113,8 @@ def solve(scene: Scene, tolerance: float, kind: str = "long double", more: int =
     tolerance = max(tolerance, FINEST[kind])
     at = [np.ascontiguousarray(delta, dtype=real), k, f, eps, mobility]
     result = _library(kind).integrate(
-        chain.grains, *map(_address, at), drive, _address(sine), knots.size, _address(knots), _address(pieces),
-        _address(start), scene.samples, _address(instants), ctypes.c_double(tolerance),
+        chain.grains, *map(_address, at), drive, place, len(sines), _address(sine), knots.size, _address(knots),
+        _address(pieces), _address(start), scene.samples, _address(instants), ctypes.c_double(tolerance),
         min(ceil(-log(tolerance) / 2) + 3 + more, 36), ctypes.c_double(MOST_WORK), *map(_address, (out, peak, stats)),
     )  # fmt: skip
     if result:
@@ -131,6 +129,35 @@ def solve(scene: Scene, tolerance: float, kind: str = "long double", more: int =
         int(stats[0]),
         int(stats[1]),
     )
+
+
+def _acting(excitation: Any) -> tuple[int, int, Array, float, Array, Array]:
+    """Return what acts: kind, where, sines (S, 2) up to a time, knots, and pieces between them; see `Drive` in C."""
+    wide = np.longdouble
+    none = 0, 0, np.zeros((1, 2), wide), wide(np.inf), np.zeros(1, wide), np.zeros(4, wide)
+    if excitation.kind not in ("drive", "force"):
+        return none
+    place = excitation.grain if excitation.kind == "force" else excitation.grain - 1
+    if excitation.times is not None:
+        values = excitation.force if excitation.kind == "force" else excitation.displacement
+        pieces = CubicSpline(excitation.times, values).c[::-1].T.astype(wide)
+        return 2, place, none[2], none[3], np.asarray(excitation.times, dtype=wide), pieces
+    size, pi = wide(excitation.amplitude), 4 * np.arctan(wide(1))
+    if getattr(excitation, "shape", None):  # half a sine
+        return 1, place, np.array([[size, pi / wide(excitation.duration)]]), wide(excitation.duration), *none[4:]
+    omega = 2 * pi * wide(excitation.frequency)
+    if excitation.cycles is None:
+        return 1, place, np.array([[size, omega]]), *none[3:]
+    cycles = wide(excitation.cycles)  # sin(w t) sin(w t / 2 c)^2 = sin(w t) / 2 - (sin(w + w/c) t + sin(w - w/c) t) / 4
+    sines = [[size / 2, omega], [-size / 4, omega * (1 + 1 / cycles)], [-size / 4, omega * (1 - 1 / cycles)]]
+    return 1, place, np.array(sines), cycles / wide(excitation.frequency), *none[4:]
+
+
+def _largest(sines: Array, knots: Array, pieces: Array) -> tuple[Any, Any]:
+    """Return about the largest size and rate of what acts."""
+    if knots.size > 1:
+        return np.abs(pieces[:, 0]).max(), np.abs(pieces[:, 1]).max()
+    return np.abs(sines[:, 0]).sum(), np.abs(sines[:, 0] * sines[:, 1]).sum()
 
 
 def _address(array: NDArray[Any]) -> ctypes.c_void_p:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from lmpchain import Chain, Displacement, Drive, Impulse, Impurity, InputError, Profile, Scene
+from lmpchain import Chain, Displacement, Drive, Force, Impulse, Impurity, InputError, Packet, Profile, Scene
 
 MATERIALS = ("glass", "steel", "ptfe", "brass", "tungsten_carbide")
 
@@ -144,3 +144,51 @@ def _excitation(
     times = np.append(0, np.cumsum(rng.uniform(0.3, 1, rng.integers(1, 30))))
     path = np.append(0, rng.normal(size=times.size - 1)) * speed * 2 * np.pi * periods / omega / times.size
     return Drive(times=times * (2 * np.pi * periods / omega / times[-1]), displacement=path)
+
+
+def acted_trial_scene(rng: np.random.Generator, exponents: tuple[float, ...] = (), work: float = 2e5) -> Scene:
+    """Draw a scene as `trial_scene` does, but with a force, a burst, a moving wall, or a packet of waves."""
+    while True:
+        still = trial_scene(rng, exponents, work)
+        try:
+            scene = still.replace(excitation=_acting(rng, still.chain, still.duration))
+            angle, most = scene.highest_frequency * scene.duration, max(np.sqrt(work), work / scene.chain.grains)
+            if angle > most and not isinstance(scene.excitation, Packet):
+                continue
+            _ = scene.strike_number, scene.largest_strain
+            return scene.replace(duration=scene.duration * min(1.0, most / angle))
+        except InputError:
+            continue
+
+
+def _acting(rng: np.random.Generator, chain: Chain, duration: float) -> Force | Drive | Packet:
+    """Draw what acts on a chain for so long: strengths over that at rest 1e-10 to 100."""
+    grain = 1 if rng.random() < 0.4 else int(rng.integers(1, chain.movable + 1))
+    kinds = ["force"] * 4 + ["wall"] * 3 * (chain.top == "wall") + ["drive"] * (chain.top == "free")
+    kind = rng.choice(kinds + ["packet"] * 3 * chain.compressed)
+    contact = max(grain - 1, int(chain.top == "free")) if kind == "force" else int(kind == "drive")
+    constant, mass = chain.contacts.constant[contact], chain.masses[max(contact - 1, 0)]
+    held = chain.contacts.force[contact] if chain.compressed else _log(rng, 1e-6, 10)
+    size = float(rng.choice([-1.0, 1.0])) * held * _log(rng, 1e-10, 1e2)
+    length = abs(size) / chain.contacts.stiffness[contact] if chain.compressed else 0.0
+    length = max(length, (abs(size) / constant) ** (1 / chain.exponent)) if abs(size) > held else length
+    if not chain.compressed:
+        length = (abs(size) / constant) ** (1 / chain.exponent)
+    omega = chain.band_edge if chain.compressed else float(np.sqrt(abs(size) / length / mass))
+    frequency = omega * _log(rng, 0.02, 3) / (2 * np.pi)
+    if kind == "packet":
+        middle, width = (chain.grains + 1) // 2, _log(rng, 1.5, max(1.6, chain.grains / 10))
+        return Packet(frequency=frequency / 3, width=width, grain=middle, amplitude=float(np.sign(size)) * length)
+    strength = size if kind == "force" else float(np.sign(size)) * length
+    where: dict[str, Any] = {"grain": grain if kind == "force" else int(kind == "drive")}
+    acts: Any = Force if kind == "force" else Drive
+    course = rng.choice(["sine", "burst", "burst", "spline", *["half-sine"] * 2 * (kind == "force")])
+    if course == "half-sine":
+        return Force(shape="half-sine", amplitude=strength, duration=0.5 / frequency, **where)
+    if course == "spline":
+        times = np.append(0, np.cumsum(rng.uniform(0.3, 1, rng.integers(2, 30))))
+        path = np.append(0, rng.normal(size=times.size - 1)) * strength
+        values = {"force" if kind == "force" else "displacement": path}
+        return acts(times=times * (duration * rng.uniform(1, 1.2) / times[-1]), **values, **where)
+    cycles = {} if course == "sine" else {"cycles": _log(rng, 0.6, 20)}
+    return acts(amplitude=strength, frequency=frequency, **cycles, **where)

@@ -88,3 +88,13 @@ def test_steps_add_up_to_the_span_exactly():
         state[DONE] = done
     assert len(sizes) == 334
     assert abs(sum(sizes) - Fraction(0.7)) <= Fraction(0.7) / 2**53
+
+
+@pytest.mark.parametrize("steps", [32, 33, 141, 1000])
+@pytest.mark.parametrize("ratio", [2, 4])
+def test_companions_of_many_steps_land_on_every_sample(steps: int, ratio: int):
+    schedule = StepSchedule.of(steps, 1e-9, True, ratio)
+    assert schedule.stride == 1
+    assert schedule.step * schedule.steps == pytest.approx(steps * 1e-9, rel=1e-14)
+    assert schedule.step / 1e-9 == pytest.approx(ratio, rel=0.1)
+    assert StepSchedule.of(3, 1e-9, True, ratio).stride == ratio

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 from helpers.taylor_series import FINEST, Reference, Unresolved, reference, solve
-from helpers.trial_scenes import trial_scene
+from helpers.trial_scenes import acted_trial_scene, trial_scene
 
 from lmpchain import InputError, RunFailed, Scene, ToleranceNotMet, Trajectory, simulate
 from lmpchain.engines.native import Native
@@ -34,7 +34,7 @@ LONGEST = 60.0  # s of this process; a scene that takes longer is a finding
 LOW = 3.0  # an estimate below a third of the truth is one too
 ROUND = 2.3e-16  # two answers in double precision may differ by so much
 SAFE = 10.0  # by so much must the doubt about the reference be below what it decides
-FAMILIES = ("native", "step", "auto", "linear", "lammps")
+FAMILIES = ("native", "step", "auto", "linear", "lammps", "acted")
 LOOSE = {"verlet": 1e-7, "gear4": 1e-8, "rkn4": 1e-11, "kahan-li6": 1e-12}  # least tolerance that makes sense
 ENDINGS = ("right", "above", "missed", "refused", "failed", "slow", "unresolved")
 
@@ -95,6 +95,9 @@ def draw(family: str, seed: int) -> tuple[Scene, str, float, dict[str, Any]]:
                 engine, options["step"] = "native", float(10 ** rng.uniform(-2, 0.3) / scene.highest_frequency)
         case "auto":
             scene = trial_scene(rng, work=work)
+        case "acted":
+            engine = rng.choice(["auto", "native"]).item()
+            scene = acted_trial_scene(rng, work=work)
         case "linear":
             engine = rng.choice(["modes", "chebyshev", "bessel", "continuum"]).item()
             scene = trial_scene(rng, work=work)

@@ -83,6 +83,9 @@ def test_a_few_trials(family):
         ("native", 544),  # two grains between walls make 1e-6 of a last digit
         ("auto", 345),  # grains fly apart: displacements of 3,700 times v / omega
         ("auto", 366),
+        ("auto", 276),  # a collision at a sample that companions passed over
+        ("auto", 200195),  # 238 openings make 2e-8 of a last digit; runs at two steps agree better by chance
+        ("native", 101540),  # here the reference was wrong: two solutions left out the same opening
     ],
 )
 def test_what_was_once_underestimated(family, seed):
