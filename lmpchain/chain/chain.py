@@ -261,7 +261,7 @@ class Chain(Checked):
         """Return grains first ... last as a chain: the same motion until a wave reaches its ends.
 
         Grains above become a top load, and grain `last` is held unless the chain ends with it. Masses and constants are
-        kept, and so are forces and overlaps if `first` is 1, else but for last bits. Many that are left out cost nothing.
+        kept, and so are forces and overlaps if `first` is 1, else but for last bits. Many left out cost nothing.
 
         Raises
         ------
@@ -312,10 +312,8 @@ class Chain(Checked):
         """Highest eigenfrequency of the linearised chain, rad/s (0 in the sonic vacuum)."""
         from scipy.linalg.lapack import dstebz
 
-        diagonal, coupling = self.dynamical_matrix()
-        if self.movable == 1:
-            return float(np.sqrt(diagonal[0]))
-        top = dstebz(diagonal, coupling, 2, 0.0, 1.0, self.movable, self.movable, 0.0, "E")[1][0]  # by number
+        (diagonal, coupling), last, by_number = self.dynamical_matrix(), self.movable, 2
+        top = dstebz(diagonal, coupling, by_number, 0.0, 1.0, last, last, 0.0, "E")[1][0] if last > 1 else diagonal[0]
         return float(np.sqrt(max(top, 0.0)))
 
     @property
