@@ -14,7 +14,7 @@ from ..errors import InputError
 from ..util.arrays import Array, read_only
 from ..util.validation import NOT_GIVEN, Checked, OneOrMany, PositiveVector, Real, Vector, Whole
 from . import walls
-from .contacts import Contacts, hertz_constant
+from .contacts import FEW, Contacts, hertz_constant
 from .impurities import Impurities, kinds, misfits, with_impurities
 from .materials import GLASS, Material, OneMaterial, OneOrManyMaterials
 from .picture import AtRest
@@ -258,9 +258,8 @@ class Chain(AtRest, Checked):
     def part(self, first: int, last: int) -> Chain:
         """Return grains first ... last as a chain: the same motion until a wave reaches its ends.
 
-        Grains above become a top load, and grain `last` is held unless the chain ends with it. Masses and
-        constants are those of this chain, and so are forces and overlaps if `first` is 1; else their last bits may
-        differ. Grains left out cost nothing where grains are alike but for impurities.
+        Grains above become a top load, and grain `last` is held unless the chain ends with it. Masses and constants are
+        kept, and so are forces and overlaps if `first` is 1, else but for last bits. Many left out cost nothing.
 
         Raises
         ------
@@ -284,7 +283,10 @@ class Chain(AtRest, Checked):
         if last < self.grains:
             fields["bottom"] = "fixed"
             fields.pop("bottom_material", None)
-        return Chain._unchecked(**fields)._leave_open()  # a part of a valid chain is valid
+        made = Chain._unchecked(**fields)._leave_open()  # a part of a valid chain is valid
+        if first == 1 and last < self.grains <= min(FEW, 8 * last):
+            made.__dict__.update(contacts=self.contacts.above(last), masses=self.masses[:last])
+        return made
 
     def _force_on(self, grain: int) -> float:
         """Return the force at rest on grain n > 1 from the grains above it, N."""
@@ -308,12 +310,9 @@ class Chain(AtRest, Checked):
         """Highest eigenfrequency of the linearised chain, rad/s (0 in the sonic vacuum)."""
         from scipy.linalg.lapack import dstebz
 
-        diagonal, coupling = self.dynamical_matrix()
-        if self.movable == 1:
-            return float(np.sqrt(diagonal[0]))
-        # as scipy.linalg.eigh_tridiagonal does, which takes as long to look at what it is given
-        top = dstebz(diagonal, coupling, 2, 0.0, 1.0, self.movable, self.movable, 0.0, "E")[1]
-        return float(np.sqrt(max(top[0], 0.0)))
+        (diagonal, coupling), last, by_number = self.dynamical_matrix(), self.movable, 2
+        top = dstebz(diagonal, coupling, by_number, 0.0, 1.0, last, last, 0.0, "E")[1][0] if last > 1 else diagonal[0]
+        return float(np.sqrt(max(top, 0.0)))
 
     @property
     def _first(self) -> int:

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from ..util.arrays import Array, read_only
 
+FEW = 10**4  # grains of a chain, of which all contacts are known sooner than those of some parts
+
 
 def hertz_constant(modulus: Array, curvature: Array, length: Array, exponent: float) -> Array:
     """Return K = (4/3) E* sqrt(R*) length^(1.5 - delta) of neighbours in a row of B bodies.
@@ -78,6 +80,11 @@ class Contacts:
     def of(self, numbers: int | np.integer | slice | NDArray[np.intp]) -> Contacts:
         """Return these contacts alone."""
         return Contacts(self.constant[numbers], self.force[numbers], self.exponent)
+
+    def above(self, grain: int) -> Contacts:
+        """Return the contacts above a grain that is held from now on."""
+        constant, force = (read_only(np.append(x[:grain], 0.0)) for x in (self.constant, self.force))
+        return Contacts(constant, force, self.exponent)
 
     def force_at(self, overlap: Array) -> Array:
         """Return the force K o^delta of contacts with the overlap o, 0 where they are open, (..., N+1) N."""

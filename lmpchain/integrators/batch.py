@@ -125,10 +125,12 @@ class ChainBatch:
                 knots[real, :count], pieces[real, :, : count - 1] = spline.x, spline.c
         return table, knots, pieces
 
+    @cached_property
     def opening_weight(self) -> Array:
-        """Return the square of how much each contact that opens or closes changes the motion, (R, W)."""
+        """The square of how much each contact that opens or closes changes the motion, (R, W)."""
         inverse_mass = self.table[:, 2]
-        mobility = np.maximum(inverse_mass, np.roll(inverse_mass, -1, axis=1))
+        mobility = inverse_mass.copy()  # beyond the last body nothing moves
+        np.maximum(mobility[:, :-1], inverse_mass[:, 1:], out=mobility[:, :-1])
         strength = self.table[:, 1].copy()
         strength[:, PAD - 1] += self.uncompressed
         change = strength * mobility / (self.omega[:, None] ** 2.5 * self.scale[:, 1:] + 1e-300)

@@ -84,8 +84,9 @@ def steps_between_looks(schedule: StepSchedule, batch: ChainBatch) -> NDArray[np
 
     Companions do not look.
     """
-    steps = LOOK / (schedule.step * batch.omega) if schedule.ratio == 1 else np.full(batch.omega.shape, SELDOM)
-    return np.clip(steps, 1, SELDOM).astype(np.int64)
+    if schedule.ratio != 1:
+        return np.full(batch.omega.shape, SELDOM)
+    return np.minimum(np.maximum(LOOK / (schedule.step * batch.omega), 1), SELDOM).astype(np.int64)
 
 
 def first_growth(growth: Callable[[float], float], more: float) -> float:

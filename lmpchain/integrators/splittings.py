@@ -96,7 +96,7 @@ class Splitting:
         crossing = np.maximum(crossing, schedule.ratio * LEAST_CROSSING * EPSILON ** (1 / (batch.opening_power + 1)))
         nearest = (ADAPTIVE_STEP * reach / crossing) ** (14 / 9)
         common = kicks, drifts, ADAPTIVE_STEP, steps_between_looks(schedule, batch)
-        return March(adaptive_splitting.march, common, (batch.omega, nearest, batch.opening_weight()))
+        return March(adaptive_splitting.march, common, (batch.omega, nearest, batch.opening_weight))
 
     def _half_trace(self, frequency: Array) -> Array:
         """Half the trace of the one-step matrix of x'' = -omega^2 x at h = 1."""

@@ -84,10 +84,10 @@ class NativeStepper:
         self._v[:, PAD : PAD + chains.driven] = 0.0  # it is put where its motion says
         if "state" in state:
             self._state = state["state"].copy()
+            self._check_state()
         else:
             self._state = np.zeros((len(scenes), STEP + 1))
             self._state[:, FIRST], self._state[:, LAST] = self._window()
-        self._check_state()
         self.stride, final = schedule.stride, scenes[0].samples - 1
         clock = Clock(scenes[0].duration / final, schedule.steps, schedule.step, schedule.stride, final)
         march = method.march(chains, schedule)
@@ -104,7 +104,8 @@ class NativeStepper:
             return chains.arrays(share, *bodies), (*march.common, *(rows[share] for rows in march.each)), clock
 
         self._arguments = [arguments(share) for share in self._shares]
-        self._march(*arguments(slice(0)), np.empty((0, 1, 1)), np.empty((0, 1, 1)), 0, 0, 0)  # only compiles
+        if not self._march.overloads:  # type: ignore[attr-defined]
+            self._march(*arguments(slice(0)), np.empty((0, 1, 1)), np.empty((0, 1, 1)), 0, 0, 0)  # only compiles
 
     def _check_state(self) -> None:
         """Raise `ValueError` if a kept state does not fit these chains: the compiled loops trust its window."""

@@ -74,11 +74,11 @@ class Scene(Recording):
     def _remarks(self) -> Iterator[str]:
         if self.duration > LONGEST:
             yield f"duration: {self.duration:g} s is long for a wave in a chain; times are in seconds (100 us is 1e-4)"
-        yield from strike_remarks(self.chain, self.excitation, self._squeezed[1])
+        yield from strike_remarks(self.chain, self.excitation, self._surroundings, self._squeezed[1])
 
     @cached_property
     def _squeezed(self) -> tuple[int, float]:
-        return squeezed(self.chain, self.excitation)
+        return squeezed(*self._surroundings)
 
     def _summary(self) -> Iterator[Sequence[str]]:
         yield "chain", repr(self.chain), ""

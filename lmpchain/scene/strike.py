@@ -54,9 +54,8 @@ def surroundings(chain: Chain, excitation: Excitation) -> tuple[int, Chain, Exci
     return first, chain.part(first, last), excitation.part(first, last)
 
 
-def squeezed(chain: Chain, excitation: Excitation) -> tuple[int, float]:
-    """Return the contact that is squeezed most at first, and to what part of the diameter."""
-    first, near, strike = surroundings(chain, excitation)
+def squeezed(first: int, near: Chain, strike: Excitation) -> tuple[int, float]:
+    """Return the contact in these surroundings that is squeezed most, and to what part of the diameter."""
     with np.errstate(over="ignore"):  # of a strike that is refused
         relative = first_overlaps(near, strike) / near.contact_lengths
     worst = int(relative.argmax())
@@ -73,12 +72,14 @@ def strike_faults(excitation: Excitation, contact: int, relative: float) -> Iter
         )
 
 
-def strike_remarks(chain: Chain, excitation: Excitation, relative: float) -> Iterator[str]:
+def strike_remarks(
+    chain: Chain, excitation: Excitation, around: tuple[int, Chain, Excitation], relative: float
+) -> Iterator[str]:
     """Yield what is hardly meant: overlaps beyond Hertz's law, grains faster than sound in them."""
     at_rest = float((chain.contacts.overlap / chain.contact_lengths).max()) if relative > HERTZ_OVERLAP else 0.0
     if chain.exponent == 1.5 and at_rest < HERTZ_OVERLAP < relative:
         yield f"{_strength(excitation)}: {beyond_hertz(relative)}"
-    first, near, strike = surroundings(chain, excitation)
+    first, near, strike = around
     speed, sound = np.abs(strike.largest(near)[1]), near.by_grain("sound_speed")
     worst = int((speed / sound).argmax())
     if speed[worst] > sound[worst]:

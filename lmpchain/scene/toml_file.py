@@ -20,7 +20,7 @@ from ..util.suggestions import did_you_mean, not_among
 from .base import Excitation
 from .excitation import EXCITATIONS
 from .recording import Recording
-from .strike import squeezed, strike_faults
+from .strike import squeezed, strike_faults, surroundings
 
 LARGEST_FILE, LARGEST_TABLE = 2**25, 2**33  # bytes
 LONGEST_LINE = 2**20  # of a table, characters
@@ -67,7 +67,7 @@ def fields(data: dict[str, Any], folder: Path | None = Path()) -> dict[str, Any]
     if counted and excitation:
         found = list(excitation.faults(counted, recording.duration if recording else 0.0))
         if chain and not found:
-            found = list(strike_faults(excitation, *squeezed(chain, excitation)))
+            found = list(strike_faults(excitation, *squeezed(*surroundings(chain, excitation))))
         faults.extend(InputError(found).under("excitation"))
     if counted and recording:
         faults.extend(InputError(recording.faults(counted)).under("recording"))

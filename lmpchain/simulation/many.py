@@ -69,6 +69,8 @@ def simulate_many(
     """
     check_tolerance(tolerance)
     check_on_miss(on_miss)
+    if isinstance(scenes, Scene) or not isinstance(scenes, Iterable):
+        raise InputError([("scenes", "must be a list of scenes; simulate takes one alone")])
     policy, every = policy_for(engine, **options), list(scenes)
     for place, scene in enumerate(every):
         if not isinstance(scene, Scene):

@@ -10,51 +10,14 @@ from pathlib import Path
 
 import pytest
 from helpers.child_processes import Fork, processes, until
+from helpers.example_sweeps import contents, done, long_sweep
 
 import lmpchain
-from lmpchain import InputError, load_sweep
+from lmpchain import load_sweep
 from lmpchain.cli.command_line import main
 
 SCENES = 200
 PACKAGE = Path(lmpchain.__file__).parent
-
-
-def scenes_of(folder: Path) -> Path:
-    """Write a sweep that takes about a second."""
-    path = folder / "sweep.toml"
-    path.write_text(
-        f"""
-        keep = ["velocity", "peak_velocity"]
-        [scene.chain]
-        grains = 120
-        diameter = 1e-3
-        [scene.excitation]
-        kind = "impulse"
-        velocity = 8.57e-4
-        [scene.recording]
-        duration = 1e-4
-        samples = 801
-        grains = [1, 10, 20]
-        [disorder]
-        m = 20
-        seed = 1
-        realisations = {SCENES}
-        """
-    )
-    return path
-
-
-def done(folder: Path) -> int:
-    """Return how many scenes of a sweep are done, less than none before it has begun."""
-    with suppress(InputError):
-        return int((load_sweep(folder).reason != "not done").sum())
-    return -1
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    """Return all that lies in a folder but locks, by file."""
-    files = (path for path in folder.rglob("*") if path.is_file() and path.name != ".lock")
-    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 
 def values(folder: Path) -> dict[str, bytes]:
@@ -74,7 +37,7 @@ def killed(folder: Path, parts: list[float], rng: random.Random) -> tuple[int, i
     """
     scratch, mark, out, counts = folder / "scratch", f"MARK={folder}", folder / "out", [0, 0]
     scratch.mkdir(parents=True)
-    path, environment = scenes_of(folder), os.environ | {"MARK": str(folder), "TMPDIR": str(scratch)}
+    path, environment = long_sweep(folder, SCENES), os.environ | {"MARK": str(folder), "TMPDIR": str(scratch)}
     words = ["sweep", path, "-o", out, "--workers"]
     for part in parts:
         process = Fork(main, [*words, rng.choice([1, 2])], environment, folder.with_name(f"{folder.name} said"))
@@ -105,7 +68,7 @@ def killed(folder: Path, parts: list[float], rng: random.Random) -> tuple[int, i
 def serial(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of the same sweep on one process, undisturbed."""
     folder = tmp_path_factory.mktemp("serial")
-    assert main(["sweep", str(scenes_of(folder)), "-o", str(folder / "out"), "--workers", "1"]) == 0
+    assert main(["sweep", str(long_sweep(folder, SCENES)), "-o", str(folder / "out"), "--workers", "1"]) == 0
     return folder / "out"
 
 

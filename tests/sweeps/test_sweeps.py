@@ -19,6 +19,7 @@ import psutil
 import pytest
 from filelock import FileLock
 from helpers.child_processes import PATIENCE, until
+from helpers.example_sweeps import contents, done, long_sweep
 
 import lmpchain.sweeps.run as run
 from lmpchain import Chain, Impulse, InputError, Scene, load_sweep, simulate, sweep
@@ -42,19 +43,6 @@ GRAVITIES = [1.62, 9.81, 24.8]
 def chains(count: int, **more: Any) -> dict[str, Any]:
     """Return a sweep over disordered chains."""
     return {"scene": SHORT, "disorder": {"m": 20, "seed": 1, "realisations": count}} | more
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    """Return everything that a sweep has written, by file."""
-    files = (path for path in folder.rglob("*") if path.is_file() and path.name != ".lock")
-    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
-
-
-def written(folder: Path) -> int:
-    """Return how many scenes of a sweep are done."""
-    with suppress(InputError):
-        return int((load_sweep(folder).reason != "not done").sum())
-    return 0
 
 
 def begun(folder: Path) -> bool:
@@ -599,31 +587,6 @@ def command(*arguments: Any, **options: Any) -> Iterator[subprocess.Popen]:
         process.communicate()
 
 
-def long_sweep(folder: Path, count: int) -> Path:
-    """Write a sweep of so many scenes, some forty of which make a task."""
-    path = folder / "sweep.toml"
-    path.write_text(
-        f"""
-        keep = ["velocity", "peak_velocity"]
-        [scene.chain]
-        grains = 120
-        diameter = 1e-3
-        [scene.excitation]
-        kind = "impulse"
-        velocity = 8.57e-4
-        [scene.recording]
-        duration = 1e-4
-        samples = 801
-        grains = [1, 10, 20]
-        [disorder]
-        m = 20
-        seed = 1
-        realisations = {count}
-        """
-    )
-    return path
-
-
 SCENES_OF_A_SWEEP = 200  # as many as it takes to be in the midst of them
 
 
@@ -666,7 +629,7 @@ def test_a_stopped_sweep_goes_on(tmp_path, serial, how):
         assert process.returncode == 128 + how
         assert str(tmp_path) in err.splitlines()[0]
         assert "Traceback" not in err
-    assert 0 < written(tmp_path) < SCENES_OF_A_SWEEP
+    assert 0 < done(tmp_path) < SCENES_OF_A_SWEEP
     assert main(["sweep", str(path), "-o", str(tmp_path), "--workers", "1"]) == 0
     assert contents(tmp_path) == expected
 
@@ -746,7 +709,7 @@ def test_dask_soak(tmp_path):
             command(path, "-o", folder, "--scheduler", address) as process,
         ):
             moment = random.randint(1, 900)
-            until(lambda: written(folder) >= moment)  # noqa: B023
+            until(lambda: done(folder) >= moment)  # noqa: B023
             random.choice(workers).kill()
             out, _ = process.communicate(timeout=PATIENCE)
         assert (process.returncode, "1000 of 1000" in out) == (0, True)
@@ -764,7 +727,7 @@ def test_many_scenes_soak(tmp_path):
     seen: list[tuple[int, list[tuple[int, int]]]] = []
     with command(path, "-o", tmp_path / "out", "--workers", 2) as process:
         while process.poll() is None:
-            count = written(tmp_path / "out")
+            count = done(tmp_path / "out")
             if count > 1000:
                 with suppress(psutil.Error):  # it is ending
                     all_three = [psutil.Process(process.pid), *children(process.pid)]

@@ -1,0 +1,120 @@
+"""A large sweep, killed again and again, ends with the bytes of one that was left alone on other workers; its memory.
+
+Arrival times and largest velocities of random columns like the paper's are kept, as in `sweep_speed.py`. The process
+that leads is killed when so many shards are written as chance says. Each folder is hashed and removed; 10^6 scenes take
+some 4 GB meanwhile, so name a folder with room for them.
+"""
+
+import argparse
+import hashlib
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import psutil
+
+SWEEP = """
+keep = ["arrival_time", "peak_velocity"]
+[scene.chain]
+grains = 120
+diameter = 1e-3
+[scene.excitation]
+kind = "impulse"
+velocity = 8.57e-4
+[scene.recording]
+duration = 1e-4
+[disorder]
+m = 20
+seed = 1
+realisations = {scenes}
+"""
+LOOK_S = 0.2  # between two looks at a sweep
+
+
+def shards(folder: Path) -> int:
+    """Return how many shards of a sweep are complete."""
+    return sum(1 for _ in folder.glob("*/results.zarr/reason/c/*"))
+
+
+def digests(folder: Path) -> dict[str, str]:
+    """Return the hash of every file but locks, by name."""
+    found = {}
+    for path in sorted(folder.rglob("*")):
+        if path.is_file() and path.name != ".lock":
+            with open(path, "rb") as opened:
+                found[str(path.relative_to(folder))] = hashlib.file_digest(opened, "sha256").hexdigest()
+    return found
+
+
+def swept(source: Path, folder: Path, workers: int, until: int | None = None) -> tuple[bool, dict[int, int]]:
+    """Sweep, and kill the process that leads once so many shards are complete.
+
+    Returns whether it came to its end, and the most memory that any of its processes has had, MB, by the shards done.
+    """
+    command = [sys.executable, "-m", "lmpchain.cli", "sweep", source, "-o", folder, "--workers", str(workers)]
+    process = psutil.Popen([*map(str, command)], stdout=subprocess.DEVNULL)
+    memory: dict[int, int] = {}
+    family: list[psutil.Process] = []
+    while process.poll() is None:
+        done = shards(folder)
+        try:
+            family = [process, *process.children(recursive=True)]
+            memory[done] = max(memory.get(done, 0), *(each.memory_info().rss >> 20 for each in family))
+        except psutil.NoSuchProcess:  # it is ending
+            pass
+        if until is not None and done >= until:
+            os.kill(process.pid, signal.SIGKILL)
+        time.sleep(LOOK_S)
+    psutil.wait_procs(family)  # workers end with the process that leads
+    if process.returncode not in (0, -signal.SIGKILL):
+        raise SystemExit(f"the sweep ended with the code {process.returncode}")
+    return process.returncode == 0, memory
+
+
+def main() -> None:
+    """Print what came of the kills, and how much memory it took."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--scenes", type=int, default=20_000)
+    parser.add_argument("--kills", type=int, default=5)
+    parser.add_argument(
+        "--workers", type=int, default=2, help="of the sweep that is killed; the other one has one more"
+    )
+    parser.add_argument("--folder", type=Path, help="where there is room; by default that of temporary files")
+    parser.add_argument("--seed", type=int, default=1, help="of the moments")
+    arguments = parser.parse_args()
+    rng = random.Random(arguments.seed)
+    with tempfile.TemporaryDirectory(dir=arguments.folder) as name:
+        source, out = Path(name, "sweep.toml"), Path(name, "out")
+        source.write_text(SWEEP.format(scenes=arguments.scenes), encoding="utf-8")
+        began = time.perf_counter()
+        _, memory = swept(source, out, arguments.workers + 1)
+        seconds, found = time.perf_counter() - began, digests(out)
+        total = shards(out)
+        rate = f"{seconds:.0f} s, {arguments.scenes / seconds:.0f} scenes a second"
+        print(f"{arguments.scenes} scenes on {arguments.workers + 1} workers: {rate}, in {len(found)} files")
+        halves = [
+            max((mb for n, mb in memory.items() if (2 * n < total) == first), default=0) for first in (True, False)
+        ]
+        print(f"most memory of a process, MB: {halves[0]} in the first half, {halves[1]} in the second", flush=True)
+        shutil.rmtree(out)
+        kills = 0
+        for moment in sorted(rng.randrange(total) for _ in range(arguments.kills)):
+            ended, _ = swept(source, out, arguments.workers, moment)
+            kills += not ended
+            print(f"killed at {shards(out)} of {total} shards" if not ended else "it was at its end", flush=True)
+        swept(source, out, arguments.workers)
+        again = digests(out)
+    unlike = sorted(key for key in found.keys() | again.keys() if found.get(key) != again.get(key))
+    if unlike:
+        raise SystemExit(f"{len(unlike)} files differ: {', '.join(unlike[:5])}")
+    print(f"{kills} kills, {arguments.workers} workers: the same bytes in all {len(again)} files")
+
+
+if __name__ == "__main__":
+    main()

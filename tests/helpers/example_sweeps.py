@@ -1,0 +1,44 @@
+"""A sweep to be disturbed, and what can be seen of it from outside."""
+
+from contextlib import suppress
+from pathlib import Path
+
+from lmpchain import InputError, load_sweep
+
+
+def long_sweep(folder: Path, count: int) -> Path:
+    """Write a sweep of so many scenes, some forty of which make a task."""
+    path = folder / "sweep.toml"
+    path.write_text(
+        f"""
+        keep = ["velocity", "peak_velocity"]
+        [scene.chain]
+        grains = 120
+        diameter = 1e-3
+        [scene.excitation]
+        kind = "impulse"
+        velocity = 8.57e-4
+        [scene.recording]
+        duration = 1e-4
+        samples = 801
+        grains = [1, 10, 20]
+        [disorder]
+        m = 20
+        seed = 1
+        realisations = {count}
+        """
+    )
+    return path
+
+
+def done(folder: Path) -> int:
+    """Return how many scenes of a sweep are done, less than none before it has begun."""
+    with suppress(InputError):
+        return int((load_sweep(folder).reason != "not done").sum())
+    return -1
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Return all that lies in a folder but locks, by file."""
+    files = (path for path in folder.rglob("*") if path.is_file() and path.name != ".lock")
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}

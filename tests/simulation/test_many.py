@@ -1,0 +1,82 @@
+"""A list of scenes at once: the answers, their order, their errors, and what is refused."""
+
+import numpy as np
+import pytest
+from helpers.example_scenes import smooth
+from helpers.independent_integrators import relative_error, scipy_reference
+
+from lmpchain import Chain, Impulse, InputError, Scene, ToleranceNotMet, simulate, simulate_many
+from lmpchain.engines import Native
+
+
+def struck(velocity: float, grains: int = 12, **more) -> Scene:
+    """Return a short column that is struck."""
+    chain = Chain(grains=grains, diameter=1e-3, **more)
+    return Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=2e-5, samples=11)
+
+
+def test_answers_come_in_order_with_the_bits_of_each_alone():
+    """Scenes of several shapes and strengths, shuffled: those that are alike go together, and each is itself."""
+    scenes = [struck(v, n) for v in (1e-6, 1e-4, 1e-2) for n in (12, 9, 12)] + [struck(1e-4, gravity=1.62)]
+    found = simulate_many(scenes, 1e-8)
+    assert [t.scene for t in found] == scenes
+    for t, scene in zip(found, scenes, strict=True):
+        alone = simulate(scene, "native", 1e-8)
+        assert np.array_equal(t.displacement, alone.displacement)
+        assert np.array_equal(t.velocity, alone.velocity)
+        assert np.array_equal(t.time, alone.time)
+        assert np.array_equal(t.grains, alone.grains)
+        assert t.provenance == alone.provenance
+        assert (t.cost.integrator, t.cost.step_s) == (alone.cost.integrator, alone.cost.step_s)
+        assert t.error_estimate.total <= 1e-8
+
+
+def test_the_error_covers_the_truth():
+    """Against SciPy's DOP853 of another equation of motion; chains that open contacts and chains that do not."""
+    scenes = [smooth(grains=6, samples=6).replace(excitation=Impulse(velocity=v)) for v in (1e-6, 1e-3, 1e-2)]
+    for t in simulate_many(scenes, 1e-7):
+        u, v, _ = scipy_reference(t.scene)
+        error = relative_error(np.asarray(t.displacement), np.asarray(t.velocity), u, v)
+        assert error <= t.error_estimate.total + 1e-10
+        assert t.error_estimate.total <= 1e-7
+
+
+def test_a_batch_costs_its_scenes_the_same():
+    """Shares of a batch add up; one that took two attempts has both in it."""
+    alike = simulate_many([struck(1e-4 * (1 + 1e-3 * i)) for i in range(4)])
+    assert len({t.cost.integration_s for t in alike}) == 1
+    assert all(t.cost.integration_s > 0 for t in alike)
+
+
+def test_other_engines_and_given_steps():
+    scenes = [struck(1e-8), struck(1e-7)]
+    for options in ({"engine": "modes"}, {"engine": "auto"}, {"engine": Native(step=1e-7)}):
+        for t, scene in zip(simulate_many(scenes, 1e-2, **options), scenes, strict=True):
+            alone = simulate(scene, tolerance=1e-2, **options)
+            assert (t.engine, t.equation) == (alone.engine, alone.equation)
+            assert np.array_equal(t.velocity, alone.velocity)
+    assert simulate_many([]) == []
+
+
+def test_one_that_cannot_be_met():
+    scenes = [struck(1e-6), struck(3e-2)]
+    with pytest.raises(ToleranceNotMet) as missed:
+        simulate_many(scenes, 3e-15)
+    assert missed.value.reason
+    with pytest.warns(UserWarning, match="round-off|not help"):
+        found = simulate_many(scenes, 3e-15, on_miss="warn")
+    assert len(found) == 2
+    assert found[1].error_estimate.total > 3e-15
+
+
+def test_what_is_refused():
+    with pytest.raises(InputError, match=r"scenes\.1: must be a scene"):
+        simulate_many([struck(1e-6), 3])
+    with pytest.raises(InputError, match="on_miss"):
+        simulate_many([struck(1e-6)], on_miss="ignore")
+    with pytest.raises(InputError, match=r"scenes\.1\.gravity"):
+        simulate_many([struck(1e-6), struck(1e-6, gravity=0.0)], engine="modes")
+    with pytest.raises(InputError, match="scenes: must be"):
+        simulate_many(struck(1e-6))
+    with pytest.raises(InputError, match="scenes: must be"):
+        simulate_many(3)
