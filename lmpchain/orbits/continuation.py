@@ -26,7 +26,7 @@ from .shooting import Constraint, Equations, Point, Solution, discretisation, fi
 
 FIRST, LARGEST, SMALLEST = 0.05, 0.4, 1e-7  # steps along the family, over the size of the orbit
 STRAIGHT, BENT = 0.98, 0.9  # cosine of the angle between two tangents: a longer step, and a shorter one
-EASY = 8  # iterations
+EASY = 10  # iterations
 ELEMENT = re.compile(r"(\w+)\[(\d+)\]")
 
 

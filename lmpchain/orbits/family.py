@@ -90,7 +90,9 @@ class Family(Shown):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw energy against frequency, unstable orbits dashed, the linear bands behind; returns the axes."""
-        ax = axes_in_units(ax, "Hz", "J")
+        from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
+
+        ax = axes_in_units(ax, "Hz", "")
         frequency, energy, stable = 1 / self.period, self.energy, self.stable
         span = np.array([frequency.min(), frequency.max()])
         for number, (low, high) in enumerate(self._bands()):
@@ -110,6 +112,9 @@ class Family(Shown):
                 )  # fmt: skip
         margin = 0.03 * (span[1] - span[0])
         ax.set(xlabel="frequency", ylabel="energy above rest", xlim=(span[0] - margin, span[1] + margin), yscale="log")
+        ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        ax.yaxis.set_major_formatter(EngFormatter("J"))
+        ax.yaxis.set_minor_formatter(NullFormatter())
         legend(ax)
         return ax
 

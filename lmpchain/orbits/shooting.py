@@ -19,6 +19,7 @@ from .flow import Flow
 
 CLOSED = 1e-12  # residual over the size of the orbit
 ITERATIONS = 25
+LONG = 8  # iterations after which round-off is taken to be what is left
 USEFUL = 0.1  # factor on the residual by which old derivatives must still bring it down
 TUNED = 4  # times that steps are laid anew around openings
 NUDGE = 1e-6  # of a parameter, for the derivative by it
@@ -216,7 +217,7 @@ def _newton(equations: Equations, guess: Point, constraints: Sequence[Constraint
         here = float(np.abs(residual).max() / np.abs(unknown[:period_at]).max())
         if not np.isfinite(here) or here > 1e3 * max(last, 1.0):
             return None
-        done = here < CLOSED / 4 and here > last / 4
+        done = here > last / 4 and here < (CLOSED / 4 if steps < LONG else CLOSED)
         if not fresh and (done or here > USEFUL * last):
             slopes = None
             continue

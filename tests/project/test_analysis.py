@@ -81,6 +81,31 @@ KNOWN = {
         "local exponent at the deepest grains, v_0^* = 0.01": (-0.2421, 0.001),
         "local exponent at the deepest grains, v_0^* = 10000": (-0.01, 0.01),
     },
+    "soliton": {
+        "struck chain in native off the exact wave": (0, 3e-4),
+        "struck chain in lammps off the exact wave": (0, 3e-4),
+        "width of the exact wave": (1.579139, 1e-5),
+        "speed over that of Nesterenko": (0.9074700784 / 0.914610, 1e-6),
+        "faster than Coste's by, at 1.1 of the speed of sound": (0.15, 0.005),
+    },
+    "orbits": {"residual of the breather": (0, 1e-12)},
+    "scattering": {
+        "transparent at, diameter × 0.9": (0.8132874794, 0.005),
+        "transparent at, diameter × 1.1": (0.6229566659, 0.005),
+        "transparent at, diameter × 1.5": (0.4121791640, 0.005),
+        "packets in native, largest distance from theory": (0, 1e-7),
+        "packets in lammps, largest distance from theory": (0, 1e-7),
+    },
+    "bands": {
+        "ridge off the acoustic branch": (0, 1),
+        "ridge off the optical branch": (0, 1),
+        "surface mode, frequency over exact": (1, 1e-9),
+    },
+    "disorder": {
+        "largest distance from Dyson's spectrum, m = 1": (0, 4e-3),
+        "largest distance from Dyson's spectrum, m = 3": (0, 4e-3),
+        "power of the second moment after a strike": (1.5, 0.1),
+    },
     "asymmetry": {
         "fall, theory off by": (0, 0.3),
         "rise, theory off by": (0, 10),

@@ -1,0 +1,73 @@
+"""Breathers in the gap of a dimer: their family, their shape, and where they lose stability.
+
+The lowest optical mode of a dimer between walls softens with its energy, leaves its band and becomes a breather, as
+narrow as it is strong. Floquet multipliers on the unit circle say that it is stable.
+"""
+
+import numpy as np
+from figures import SHADES, arguments, finish, say
+
+import lmpchain
+from lmpchain import orbits
+from lmpchain.util.plotting import figure
+
+
+def dimer(grains: int) -> lmpchain.Chain:
+    """Return masses 3 : 1 between walls, heavy ones at both ends."""
+    masses = np.where(np.arange(grains) % 2 == 0, 3e-3, 1e-3)
+    return lmpchain.Chain(
+        grains=grains, diameter=1e-2, gravity=0.0, top_load=20.0, top="wall", bottom="wall", masses=masses
+    )
+
+
+def main() -> None:
+    """Follow the breather through the gap; draw its family, its shapes, and its multipliers."""
+    given = arguments(__file__, __doc__)
+    grains = 23 if given.quick else 43
+    chain = dimer(grains)
+    u, period = orbits.linear_mode(chain, (grains + 1) // 2 + 1, 0.7)
+    local = u * np.exp(-(((np.arange(grains) - grains // 2) / 8) ** 2))
+    breather = orbits.find(chain, (local, 0 * local), period, energy=2.4e-4)
+    say("residual of the breather", breather.residual)
+    most = 1.1 if given.quick else 1.35
+    near = orbits.follow(breather, "period", 1.0005 * period)
+    far = orbits.follow(breather, "period", most * period)
+    both = orbits.Family(
+        (*near.orbits[::-1], *far.orbits[1:]), np.append(near.value[::-1], far.value[1:]), "period",
+        (*near.events, *far.events), True,
+    )  # fmt: skip
+    say("orbits followed", len(both))
+    inside = np.flatnonzero(both.period > breather.period)
+    least = int(inside[both.energy[inside].argmin()])
+    say("least energy of a narrow one", 1e6 * both.energy[least], "µJ")
+    say("period there over that of the linear mode", both.period[least] / period)
+
+    picture = figure(12, 4.8)
+    family, shape, circle = picture.subplots(1, 3, width_ratios=(1.3, 1.3, 1))
+    both.plot(family)
+    family.set_title("energy against frequency", loc="left", fontsize="medium")
+    chosen = [both[0], both[least], both[-1]]
+    for orbit, colour, mark in zip(chosen, (SHADES[2], SHADES[0], SHADES[5]), "^os", strict=True):
+        label = f"{1e6 * orbit.energy:.3g} µJ, {1e-3 / orbit.period:.2f} kHz"
+        n = np.arange(1, grains + 1)
+        shape.plot(n, orbit.displacement * 1e6, mark + "-", ms=3.5, lw=0.8, color=colour, label=label)
+        family.plot(1 / orbit.period, orbit.energy, mark, ms=8, mfc="none", mew=1.6, color=colour)
+        multipliers = orbit.multipliers
+        circle.plot(multipliers.real, multipliers.imag, mark, ms=4, mfc="none", color=colour)
+        share = chain.masses * orbit.motion()[2].std(0) ** 2
+        say(f"participation at {1e6 * orbit.energy:.3g} µJ", share.sum() ** 2 / (share**2).sum(), "grains")
+        say(f"largest multiplier at {1e6 * orbit.energy:.3g} µJ", np.abs(multipliers).max())
+    shape.set(xlabel="grain", ylabel="displacement (µm)")
+    shape.set_title("the orbits marked, at rest at t = 0", loc="left", fontsize="medium")
+    shape.legend(frameon=False, fontsize="small", loc="upper left")
+    bottom, top = shape.get_ylim()
+    shape.set_ylim(bottom, top + 0.35 * (top - bottom))
+    turn = np.linspace(0, 2 * np.pi, 200)
+    circle.plot(np.cos(turn), np.sin(turn), color="0.6", lw=0.8, zorder=0)
+    circle.set(xlabel="real part", ylabel="imaginary part", aspect="equal")
+    circle.set_title("Floquet multipliers", loc="left", fontsize="medium")
+    finish(picture, given.output)
+
+
+if __name__ == "__main__":
+    main()
