@@ -27,13 +27,13 @@ def test_a_vacuum_chain_scales_with_its_modulus_and_strike():
     assert found.relative["velocity"].sum() == pytest.approx(1.2 * found.value, rel=1e-3)
     assert "gravity" not in found.relative
     ranked = found.ranked()
-    assert ranked[0][0] == "velocity 1"
+    assert ranked[0][0] == "diameters 1"
     assert abs(ranked[0][1]) >= abs(ranked[-1][1])
 
 
 @pytest.mark.slow
 def test_an_uncertainty_is_the_scatter_of_random_chains():
-    share, rng = 1e-3, np.random.default_rng(3)
+    share, rng = 1e-4, np.random.default_rng(3)
     found = sensitivity(VACUUM, "peak_force:6", {"diameters": share, "youngs_moduli": share})
     answers = []
     for _ in range(200):
@@ -41,10 +41,11 @@ def test_an_uncertainty_is_the_scatter_of_random_chains():
             name: values(VACUUM, name) * (1 + share * rng.standard_normal(12))
             for name in ("diameters", "youngs_moduli")
         }
-        answers.append(gradient(changed(VACUUM, other), PeakForce(6), ["masses"], step=4e-8, integrator="rkn4").value)
+        answers.append(gradient(changed(VACUUM, other), PeakForce(6), ["masses"], 1e-4).value)
     assert np.std(answers) == pytest.approx(found.deviation, rel=0.15)
 
 
+@pytest.mark.slow
 def test_the_command_ranks_and_draws(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     simulate(VACUUM, tolerance=1e-6).save(tmp_path / "run.nc")
     picture, numbers = tmp_path / "along.png", tmp_path / "numbers.json"
@@ -60,7 +61,10 @@ def test_the_command_ranks_and_draws(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 @pytest.mark.parametrize(
     ("of", "text"),
-    [("peak_force", "peak_force:CONTACT"), ("peek_force:3", "peak_force"), ("momentum:9-3", "FIRST-LAST"), ("peak_force:99", "12")],
+    [
+        ("peak_force", "peak_force:CONTACT"), ("peek_force:3", "peak_force"), ("momentum:9-3", "FIRST-LAST"),
+        ("peak_force:99", "12"),
+    ],
 )  # fmt: skip
 def test_a_wrong_answer_is_named(of: str, text: str):
     with pytest.raises(InputError, match=text):
