@@ -20,7 +20,7 @@ from typing import Any, NoReturn
 from ..errors import LONGEST, InputError, LmpchainError, short, shown
 from ..util import mpi
 from ..util.suggestions import did_you_mean
-from . import commands
+from . import commands, sensitivity
 from .common import complain
 
 NO_READER = 128 + signal.SIGPIPE  # what a shell says of tools that SIGPIPE ends
@@ -234,7 +234,7 @@ def _parser() -> argparse.ArgumentParser:
     orbit.add_argument("--energy", metavar="E", type=float, required=True, help="energy above rest, J")
     orbit.add_argument("-o", "--output", metavar="PICTURE.png", help="picture to write (.png, .pdf or .svg)")
     orbit.add_argument("--json", metavar="FILE", help="file for the numbers")
-
+    sensitivity.add(verbs)
     deck = verbs.add_parser("deck", help="write a LAMMPS input that runs by itself")
     _scene(deck, commands.deck)
     deck.add_argument("-o", "--output", metavar="FOLDER", required=True, help="folder for in.column and column.data")

@@ -20,7 +20,7 @@ from .traces import Traces, model
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-TURN = 0.25  # of the fastest motion between two looks, through which quintic splines go, rad
+TURN = 0.5  # of the fastest motion in a step of rkn4 at first, through all of which quintic splines go, rad
 BIAS = 0.05  # of a standard deviation: what the steps may add to an estimate
 HALVINGS = 8
 SIGNED = ("displacement", "velocity", "drive", "force", "amplitude")  # what may change its sign
@@ -151,8 +151,8 @@ class Fit:
 class _Problem:
     """What is not known, as K relative changes, and the residuals that they leave."""
 
-    def __init__(self, scene: Scene, traces: Sequence[Traces], parameters: Mapping[str, Any], turn: float):
-        self.scene, self.traces, self.turn, self.variance = scene, traces, turn, 1.0
+    def __init__(self, scene: Scene, traces: Sequence[Traces], parameters: Mapping[str, Any]):
+        self.scene, self.traces, self.variance = scene, traces, 1.0
         self.names: list[str] = []
         self.units: list[float] = []  # of the estimates, in relative changes
         self.origin: list[float] = []
@@ -168,8 +168,7 @@ class _Problem:
                 self.names.append(label)
                 self.origin.append(begin)
                 self.units.append(unit)
-        self.omega = scene.highest_frequency
-        self.looks = max(8, int(np.ceil(scene.duration * self.omega / TURN)))
+        self.looks = max(8, int(np.ceil(scene.duration * scene.highest_frequency / TURN)))
         self.grains = np.unique(np.concatenate([one.grains(scene) for one in traces]))
 
     def _add(self, name: str, base: Array, how: Any) -> None:
@@ -218,8 +217,7 @@ class _Problem:
         from scipy.interpolate import make_interp_spline
 
         scene = changed(self.scene, self.by_name(theta))
-        step = self.turn / self.omega  # the same for all changes, of which the answer is a smooth function then
-        run = DifferentiableRun(scene, SPLITTINGS["rkn4"], step, self.looks, self.grains)
+        run = DifferentiableRun(scene, SPLITTINGS["rkn4"], scene.duration, self.looks, self.grains)
         if not np.isfinite(run.velocity).all():
             raise RunFailed(f"the motion breaks down with steps of {run.step:.3g} s")
         change = self._directions(scene) if derivatives and self.along else None
@@ -283,9 +281,7 @@ class _Problem:
         ).x  # fmt: skip
 
 
-def fit(
-    traces: Traces | Sequence[Traces], scene: Scene, parameters: Mapping[str, Any] | Sequence[str], step: float = 1.0
-) -> Fit:
+def fit(traces: Traces | Sequence[Traces], scene: Scene, parameters: Mapping[str, Any] | Sequence[str]) -> Fit:
     """Return the scene that fits measured traces best, with the covariance of what was fitted.
 
     Gauss-Newton with exact Jacobians, from the tangent of the native integrator along each unknown number. Steps are
@@ -299,8 +295,6 @@ def fit(
     parameters : mapping, or names
         By a name that `gradient` knows: "common", one factor for all entries, which a name alone means; "each"; or the
         numbers of entries, from 1.
-    step : float
-        Of rkn4 at first, in radians of the fastest motion.
 
     Returns
     -------
@@ -327,7 +321,7 @@ def fit(
     """
     given = [traces] if isinstance(traces, Traces) else list(traces)
     wanted = dict(parameters) if isinstance(parameters, Mapping) else dict.fromkeys(parameters, "common")
-    problem = _Problem(scene, given, wanted, step)
+    problem = _Problem(scene, given, wanted)
     theta = np.zeros(len(problem.names))
     for _ in range(HALVINGS):
         theta = problem.least(theta, lambda rest: rest, slice(None))
@@ -341,13 +335,13 @@ def fit(
         known = all(one.noise is not None for one in given)
         problem.variance = 1.0 if known else max(square, np.finfo(float).tiny) / max(freedom, 1)
         covariance = problem.variance * inverse
-        problem.turn /= 2
+        problem.looks *= 2
         finer = problem.residuals(theta)[0]
-        problem.turn *= 2
+        problem.looks //= 2
         bias = inverse @ jacobian.T @ (finer - left)
         if (np.abs(bias) <= BIAS * np.sqrt(np.diag(covariance)) + 1e-9).all():
             break
-        problem.turn /= 2
+        problem.looks *= 2
     else:
         raise ToleranceNotMet("the steps change the estimates however short they are: use a shorter time")
     for one, name in ((one, name) for name in problem.names for one in given if name.startswith("trigger")):

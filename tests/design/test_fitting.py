@@ -46,7 +46,7 @@ def test_what_made_a_trace_is_found_again():
 @pytest.mark.parametrize("field", ["velocity", "displacement", "force", "contact"])
 def test_jacobians_agree_with_differences(field: str):
     traces = Traces(SCENE.time, [4, 10], np.zeros((201, 2)), field, trigger=True, gain=True, offset=True)  # type: ignore[arg-type]
-    problem = _Problem(SCENE.replace(duration=1.2e-4), [traces], {"youngs_moduli": "common", "masses": [3]}, 0.5)
+    problem = _Problem(SCENE.replace(duration=1.2e-4), [traces], {"youngs_moduli": "common", "masses": [3]})
     theta = np.array([0.01, -0.02, 0.013, 0.1, 0.0, 0.0])
     exact = problem.residuals(theta, True)[1]
     for k in range(theta.size):

@@ -288,6 +288,23 @@ def test_error_estimates_cover_the_errors(case: str):
         assert abs(found.value - true.value) <= found.value_error + true.value_error
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(40))
+def test_error_estimates_cover_the_errors_of_random_scenes(seed: int):
+    scene, rng = drawn(seed), np.random.default_rng(seed)
+    while scene.chain.exponent == 1.0:  # of which derivatives converge at first order only
+        scene = drawn(seed := seed + 1000)
+    contact = int(rng.choice(np.flatnonzero(scene.chain.contacts.exists)))
+    objective = [PeakForce(contact), KineticEnergy([1, 2]), Momentum([2])][seed % 3]
+    method = "rkn4" if objective.dense else "rkn6"
+    names = ["masses", "contact_constants"]
+    found = gradient(scene, objective, names, 1e-3, method)
+    true = gradient(scene, objective, names, 1e-5, method)
+    for name in names:
+        assert np.abs(found[name] - true[name]).max() <= found.errors[name] + true.errors[name], name
+    assert abs(found.value - true.value) <= found.value_error + true.value_error
+
+
 def test_a_peak_is_a_peak():
     found = gradient(STRUCK, PeakForce(3, sharpness=1000), ["top_load"], 1e-4)
     dense = STRUCK.replace(samples=4001)

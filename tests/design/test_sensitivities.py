@@ -1,0 +1,80 @@
+"""Sensitivities against scaling laws that hold exactly, and against random chains."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lmpchain import Chain, Impulse, InputError, Profile, Scene, simulate
+from lmpchain.cli import main
+from lmpchain.design import KineticEnergy, PeakForce, gradient, sensitivity
+from lmpchain.design.changes import changed
+from lmpchain.design.parameters import values
+
+VACUUM = Scene(
+    chain=Chain(grains=12, diameter=1e-3, gravity=0.0, bottom="wall"),
+    excitation=Impulse(velocity=0.1),
+    duration=6e-5,
+    samples=31,
+)
+
+
+def test_a_vacuum_chain_scales_with_its_modulus_and_strike():
+    """Forces go as E^(2/5) v^(6/5) at all times that are long enough, whatever the chain."""
+    found = sensitivity(VACUUM, "peak_force:6")
+    assert found.relative["youngs_moduli"].sum() == pytest.approx(0.4 * found.value, rel=1e-3)
+    assert found.relative["velocity"].sum() == pytest.approx(1.2 * found.value, rel=1e-3)
+    assert "gravity" not in found.relative
+    ranked = found.ranked()
+    assert ranked[0][0] == "diameters 1"
+    assert abs(ranked[0][1]) >= abs(ranked[-1][1])
+
+
+@pytest.mark.slow
+def test_an_uncertainty_is_the_scatter_of_random_chains():
+    share, rng = 1e-4, np.random.default_rng(3)
+    found = sensitivity(VACUUM, "peak_force:6", {"diameters": share, "youngs_moduli": share})
+    answers = []
+    for _ in range(200):
+        other = {
+            name: values(VACUUM, name) * (1 + share * rng.standard_normal(12))
+            for name in ("diameters", "youngs_moduli")
+        }
+        answers.append(gradient(changed(VACUUM, other), PeakForce(6), ["masses"], 1e-4).value)
+    assert np.std(answers) == pytest.approx(found.deviation, rel=0.15)
+
+
+@pytest.mark.slow
+def test_the_command_ranks_and_draws(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    simulate(VACUUM, tolerance=1e-6).save(tmp_path / "run.nc")
+    picture, numbers = tmp_path / "along.png", tmp_path / "numbers.json"
+    wanted = ["sensitivity", str(tmp_path / "run.nc"), "--of", "momentum:3-9", "--diameter", "0.01"]
+    assert main([*wanted, "-o", str(picture), "--json", str(numbers)]) == 0
+    said = capsys.readouterr().out
+    assert "momentum:3-9" in said
+    assert "by the uncertainty of diameters" in said
+    assert picture.stat().st_size > 1000
+    kept = json.loads(numbers.read_text())
+    assert len(kept["derivatives"]["diameters"]) == 12
+
+
+@pytest.mark.parametrize(
+    ("of", "text"),
+    [
+        ("peak_force", "peak_force:CONTACT"), ("peek_force:3", "peak_force"), ("momentum:9-3", "FIRST-LAST"),
+        ("peak_force:99", "12"),
+    ],
+)  # fmt: skip
+def test_a_wrong_answer_is_named(of: str, text: str):
+    with pytest.raises(InputError, match=text):
+        sensitivity(VACUUM, of)
+
+
+def test_what_is_given_takes_the_place_of_diameters():
+    chain = Chain(grains=4, diameter=1e-3, masses=np.full(4, 1e-6), contact_constants=np.full(3, 1e9), top_load=0.1)
+    scene = Scene(chain=chain, excitation=Profile(velocity=[1e-3, 0, 0, 0]), duration=1e-5, samples=3)
+    found = sensitivity(scene, KineticEnergy([2]), {"masses": 0.01})
+    assert set(found.relative) == {"masses", "contact_constants", "top_load", "gravity", "velocity"}
+    with pytest.raises(InputError, match="uncertain"):
+        sensitivity(scene, KineticEnergy([2]), {"diameters": 0.01})
