@@ -24,7 +24,7 @@ LARGEST_OVERLAP = 0.1  # of the diameter: beyond it the Hertz law no longer desc
 
 
 class Chain(Checked):
-    """A vertical column of grains that touch, numbered 1 ... N from the top.
+    """A vertical column of grains that touch, numbered 1 to N from the top.
 
     Grain n obeys ``m_n z_n'' = K_(n-1) [o_(n-1)]^delta - K_n [o_n]^delta + m_n g`` (Eq. 1), [o] 0 below 0.
 
