@@ -249,6 +249,15 @@ def test_times_of_native_on_the_page_on_speed(number: int, scene: str):
         assert line.split(" | ") == ["never" if x is None else f"{x:.3g}" for x in best], label
 
 
+def test_times_in_the_readme_are_those_of_the_page():
+    page = (DOCS / "speed.md").read_text(encoding="utf-8").splitlines()
+    rows = re.findall(
+        r"^\| (?:native|LAMMPS),? .*\d.*$", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE
+    )
+    assert len(rows) == 3
+    assert set(rows) <= set(page)
+
+
 def public_functions() -> list[str]:
     """Return the dotted names of the functions that the reference shows."""
     found = []
