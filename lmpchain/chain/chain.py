@@ -26,7 +26,7 @@ LEAST = {"gravity": 1e-100, "top_load": 1e-100}  # m/s2 and N
 
 
 class Chain(AtRest, Checked):
-    """A vertical column of grains that touch, numbered 1 ... N from the top.
+    """A vertical column of grains that touch, numbered 1 to N from the top.
 
     Grain n obeys ``m_n z_n'' = K_(n-1) [o_(n-1)]^delta - K_n [o_n]^delta + m_n g`` (Eq. 1), [o] 0 below 0.
 

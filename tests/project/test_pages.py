@@ -249,6 +249,15 @@ def test_times_of_native_on_the_page_on_speed(number: int, scene: str):
         assert line.split(" | ") == ["never" if x is None else f"{x:.3g}" for x in best], label
 
 
+def test_times_in_the_readme_are_those_of_the_page():
+    page = (DOCS / "speed.md").read_text(encoding="utf-8").splitlines()
+    rows = re.findall(
+        r"^\| (?:native|LAMMPS),? .*\d.*$", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE
+    )
+    assert len(rows) == 3
+    assert set(rows) <= set(page)
+
+
 def public_functions() -> list[str]:
     """Return the dotted names of the functions that the reference shows."""
     found = []
@@ -294,23 +303,33 @@ def test_functions_document_what_they_raise():
         assert all(error in section or "LmpchainError" in section for error in raised), name
 
 
-@pytest.mark.slow
-def test_the_pages_build_without_a_warning(tmp_path: Path):
+@pytest.mark.parametrize(
+    "executed", [pytest.param(False, marks=pytest.mark.slow), pytest.param(True, marks=pytest.mark.soak)]
+)
+def test_the_pages_build_without_a_warning(tmp_path: Path, executed: bool):
+    """The tutorial and the gallery are executed by tests above; once more, as pages, in the soak."""
     pytest.importorskip("sphinxarg", reason="Sphinx and its extensions come with lmpchain[docs]")
-    copy = tmp_path / "docs"
+    copy, build = tmp_path / "docs", tmp_path / "built"
     shutil.copytree(DOCS, copy, ignore=shutil.ignore_patterns("build", "api", "measurements"))
     for name in ("analysis", "CITATION.cff"):
         (tmp_path / name).symlink_to(ROOT / name)
-    build = tmp_path / "built"
-    command = [sys.executable, "-m", "sphinx", "-W", "-q", str(copy), str(build)]
+    options = (
+        []
+        if executed
+        else ["-D", "plot_gallery=0", "-D", "nb_execution_mode=off", "-D", "suppress_warnings=myst-nb.lexer"]
+    )
     done = subprocess.run(
-        command, capture_output=True, text=True, check=False, env=os.environ | {"PYTHONPATH": str(ROOT)}
+        [sys.executable, "-m", "sphinx", "-W", "-q", *options, str(copy), str(build)],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
     )
     assert done.returncode == 0, done.stderr
     index = (build / "searchindex.js").read_text(encoding="utf-8")
     assert index.startswith("Search.setIndex(")  # a script, which works from the file system
     assert 'src="searchindex.js"' in (build / "search.html").read_text(encoding="utf-8")
-    for script in GALLERY:
+    for script in GALLERY if executed else ():
         page = (build / "measurements" / f"{script.stem}.html").read_text(encoding="utf-8")
         assert page.count("_images/sphx_glr_") >= script.read_text(encoding="utf-8").count("\npicture")
     if browser := shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome"):
