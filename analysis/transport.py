@@ -49,16 +49,6 @@ def theory_carried(depths: np.ndarray, delta: float) -> np.ndarray:
     return here * ((depths - 0.5) / (n - 0.5)) ** (1 / 3 - 2 * front.decay(delta)[0])  # a product of powers of depth
 
 
-def shift(passed: measured.Front, deepest: int, delta: float, exponent: float) -> float:
-    """Return what orders left out of the law may do to its exponent: how far it is from that of deeper grains."""
-    deeper = passed.between(deepest // 5, deepest)
-    try:
-        other = measured.asymptotic(deeper, "amplitude", delta).exponent
-    except lmpchain.InputError:  # the correction cannot be told from the power: without it
-        other = float(measured.exponent(deeper, window=None).exponent[0])
-    return abs(other - exponent)
-
-
 def main() -> None:
     """Strike columns of several exponents; draw velocity, time and energy against depth."""
     given = arguments(__file__, __doc__)
@@ -73,7 +63,7 @@ def main() -> None:
         passed = measured.track(run)
         if delta <= 2:  # beyond, the asymptotic law is not reached
             law = measured.asymptotic(passed.between(deepest // 10, deepest), "amplitude", delta)
-            exponents.append((delta, -law.exponent, law.error[0] + shift(passed, deepest, delta, law.exponent)))
+            exponents.append((delta, -law.exponent, law.error[0]))
         if delta not in deltas:
             continue
         shade = SHADES[deltas.index(delta)]
