@@ -59,7 +59,7 @@ def main() -> None:
         say(f"peak at {name}, Eq. (1)", summit(native))
         say(f"peak at {name}, linear", summit(linear))
     pairs[0][0].set_ylabel("velocity / $v_0$")
-    pairs[0][1].set_ylabel("|difference from native| / max")
+    pairs[0][1].set_ylabel("|difference|\n/ max")
     legends(picture, loc="upper left")
     finish(picture, given.output)
 

@@ -32,10 +32,11 @@ def main() -> None:
     picture, ((weighted, below), (mean, noise)) = page(title, 2, width=12, height=7)
     m = np.geomspace(1, 100, 81)
     sums, theory = (np.array([dyson.average(v, n ** (1 / 3), order) for order in m]) for v in (velocity, linear))
-    scale = SymLogNorm(0.1, vmin=-np.abs(sums).max(), vmax=np.abs(sums).max())
+    most = np.ceil(np.abs(sums).max())
+    scale = SymLogNorm(0.1, vmin=-most, vmax=most)
     image = weighted.pcolormesh(tau, m, sums, norm=scale, cmap="PuOr", shading="gouraud")
     label = "Eq. (22): Σ weight × velocity / $v_0$"
-    picture.colorbar(image, ax=weighted, label=label, ticks=[-4, -1, -0.1, 0, 0.1, 1, 4], format="{x:g}")
+    picture.colorbar(image, ax=weighted, label=label, ticks=[-most, -1, -0.1, 0, 0.1, 1, most], format="{x:g}")
     off = np.abs(sums - theory).max(0)
     below.plot(tau[1:], off[1:], color=SHADES[0], label=f"native − Eq. (19): at most {off.max():.0e}")
 
@@ -43,7 +44,7 @@ def main() -> None:
     largest = np.array([average.velocity.max(1) for average in averages]) / scene.excitation.velocity
     image = mean.pcolormesh(tau, orders, largest, cmap="viridis", vmin=0, vmax=0.5, shading="gouraud")
     lines = mean.contour(tau, orders, largest, levels=(0.1, 0.2, 0.3, 0.4), colors="w", linewidths=0.7)
-    mean.clabel(lines, fontsize="x-small", manual=[(t, 4.0) for t in (4, 6, 10, 14)])
+    mean.clabel(lines, fontsize="x-small", manual=[(6, 14), (13, 10), (18, 5), (22, 1.5)])
     picture.colorbar(image, ax=mean, label="largest mean velocity / $v_0$", extend="max")
     for place, shade in zip((0, len(orders) // 2, len(orders) - 1), SHADES, strict=False):
         average = averages[place]

@@ -82,7 +82,9 @@ def main() -> None:
     wave.set_title(
         f"displacements at τ = {tau:.1f}, {microseconds:.0f} µs; markers: every fifth grain", fontsize="medium"
     )
-    height.set_title(f"amplitudes: the chain's fall as h^{exponent:.4f} (limit: -1/12 = -0.0833)", fontsize="medium")
+    height.set_title(
+        f"amplitudes: the chain's fall as $h^{{{exponent:.4f}}}$ (limit: $h^{{-1/12}}$, -0.0833)", fontsize="medium"
+    )
     legends(picture, loc="upper right")
     finish(picture, given.output)
 

@@ -54,7 +54,7 @@ def main() -> None:
         wave.set(xlim=limits if whole else (limits[0] * cone, limits[1] * cone), ylim=(-0.05, 1.6))
         below.set(xlabel="grain, from the top", ylim=(1e-7, 5))
     pairs[0][0].set_ylabel("displacement / (speed of grain 1 at τ = 0)")
-    pairs[0][1].set_ylabel("|difference from chain|")
+    pairs[0][1].set_ylabel("|difference|")
     pairs[0][0].set_title(f"τ = {tau}, {tau * scene.chain.time_scale * 1e6:.0f} µs", fontsize="medium")
     pairs[1][0].set_title("the front", fontsize="medium")
     say("causal Eq. (35), largest relative error behind half the light cone", off)

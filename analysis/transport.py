@@ -63,9 +63,7 @@ def main() -> None:
         passed = measured.track(run)
         if delta <= 2:  # beyond, the asymptotic law is not reached
             law = measured.asymptotic(passed.between(deepest // 10, deepest), "amplitude", delta)
-            lower = measured.asymptotic(passed.between(deepest // 5, deepest), "amplitude", delta)
-            shift = abs(lower.exponent - law.exponent)  # what orders left out of the law may do
-            exponents.append((delta, -law.exponent, law.error[0] + shift))
+            exponents.append((delta, -law.exponent, law.error[0]))
         if delta not in deltas:
             continue
         shade = SHADES[deltas.index(delta)]

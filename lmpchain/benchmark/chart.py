@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
-from itertools import chain
+from itertools import chain, groupby
 from typing import TYPE_CHECKING, Any
 
 from ..scene.scene import Scene
@@ -38,7 +38,7 @@ def draw(result: Any, ax: Axes | Sequence[Axes] | None = None, others: Sequence[
     styles = {curve.name: _style(place, curve) for place, curve in enumerate(soonest)}
     _draw_errors(over_time, "seconds", result, curves, styles)
     over_time.set(xlabel="time (s)", ylabel="relative error")
-    legend(over_time, loc="upper right", frameon=True, framealpha=0.9)
+    legend(rest[0] if rest else over_time, *over_time.get_legend_handles_labels(), loc="upper right")
     if rest:
         over_evaluations, bars = rest
         _draw_errors(over_evaluations, "force_evaluations", result, curves, styles)
@@ -65,7 +65,7 @@ def _draw_errors(
     if best:
         ax.plot(*zip(*(best[place] for place in front(best)), strict=True), color=FRONT, lw=9, alpha=0.5, zorder=0.5,
                 solid_capstyle="round", label="Pareto front")  # fmt: skip
-    unnamed = "others"
+    unnamed, alone = "others", []
     for name, points in known.items():
         if not points:
             continue
@@ -75,9 +75,8 @@ def _draw_errors(
             ax.plot(*zip(*points, strict=True), marker=".", label=unnamed, **GREY)
             unnamed = "_others"
         else:
-            engine = name.split(",")[0]
-            ax.plot(*points[0], MARKERS.get(engine, "x"), color="0.8", mec="k", ms=8, zorder=3)
-            ax.annotate(engine, points[0], (7, 0), textcoords="offset points", va="center", fontsize="small")
+            alone.append((points[0][1], points[0][0], name.split(",")[0]))
+    _draw_alone(ax, sorted(alone))
     for curve in result.curves:
         longest = _known((vars(point) for point in curve.points if point.longest), cost)
         if longest and curve.name in styles:
@@ -86,8 +85,19 @@ def _draw_errors(
     ax.axhline(floor, color="0.6", lw=0.8, ls=(0, (1, 3)))
     ax.annotate(f"{KNOWN:g} × error of the reference", (0.01, floor), (0, -3), xycoords=("axes fraction", "data"),
                 textcoords="offset points", va="top", color="0.4", fontsize="x-small")  # fmt: skip
-    ax.annotate("better", (0.03, 0.12), (0.16, 0.25), "axes fraction", "axes fraction", color="0.3", ha="center",
+    foot = 0.1 if cost == "seconds" else 0.46  # there the orders are
+    ax.annotate("better", (0.03, foot), (0.15, foot + 0.12), "axes fraction", "axes fraction", color="0.3", ha="center",
                 arrowprops={"arrowstyle": "-|>", "color": "0.3", "lw": 1.5})  # fmt: skip
+
+
+def _draw_alone(ax: Axes, points: Sequence[tuple[float, float, str]]) -> None:
+    """Draw engines with one point each (error, cost, name), and name those of one error together."""
+    for _, same in groupby(points, key=lambda point: f"{point[0]:.1e}"):
+        errors, costs, names = zip(*same, strict=True)
+        for error, cost, name in zip(errors, costs, names, strict=True):
+            ax.plot(cost, error, MARKERS.get(name, "x"), color="0.8", mec="k", ms=8, zorder=5)
+        ax.annotate(", ".join(names), (max(costs), errors[0]), (8, 0), textcoords="offset points", va="center",
+                    fontsize="small", zorder=6, bbox={"facecolor": "w", "lw": 0, "pad": 1, "alpha": 0.8})  # fmt: skip
 
 
 def _draw_bars(ax: Axes, times: Mapping[str, float], styles: Mapping[str, dict[str, Any]]) -> None:

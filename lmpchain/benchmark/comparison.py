@@ -13,7 +13,7 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import COLOURS, LOWEST, MARKERS, panels, window
+from ..util.plotting import COLOURS, LOWEST, MARKERS, legend, panels, titled, window
 from ..util.tables import aligned, finite, number
 from .reference import Reference
 
@@ -221,6 +221,7 @@ def draw_comparison(comparison: Comparison, ax: Axes | Sequence[Axes] | None = N
         ax = list(window(8.0, 7.0).subplot_mosaic([["wave", "wave"], ["error", "cost"]]).values())
     wave, *others = panels(ax)
     _draw_wave(comparison, wave)
+    legend(wave)  # the only one: colours and markers are the same below
     for draw, place in zip((_draw_errors, _draw_cost), others, strict=False):
         draw(comparison, place)
     return wave
@@ -252,8 +253,13 @@ def _draw_wave(comparison: Comparison, axes: Axes) -> None:
         )
     axes.axhline(0, color="0.8", lw=0.8, zorder=0)
     axes.set(xlabel="grain number, from the top", ylabel=label, xlim=(first - 0.5, end + 0.5))
-    axes.set_title(f"Grains {first} to {end} of {scene.chain.grains} at t = {scene.duration * 1e6:g} µs", loc="left")
-    axes.legend(frameon=False)
+    titled(axes, f"Grains {first} to {end} of {scene.chain.grains} at t = {scene.duration * 1e6:g} µs")
+    span = np.array([last.min(), last.max()])
+    if np.ptp(span):  # of the truth: what is far off leaves the picture, not the scale
+        axes.set_ylim(span + 0.25 * np.ptp(span) * np.array([-1, 1]))
+    far = [a.engine for a in comparison.trajectories if _beyond(a.velocity[-1] / unit, axes.get_ylim())]
+    if far:
+        axes.text(0.01, 0.02, f"partly beyond the scale: {', '.join(far)}", transform=axes.transAxes, fontsize=8)
 
 
 def _window(velocity: Array) -> tuple[int, int]:
@@ -280,12 +286,9 @@ def _draw_errors(comparison: Comparison, axes: Axes) -> None:
         axes.semilogy(time[1:], values[1:], color=colour, lw=1.3, label=answer.engine)  # at t = 0 the error is 0
         axes.axhline(max(row.expected_error, LOWEST), color=colour, ls="--", lw=1.3)
     axes.axhline(max(reference.error, LOWEST), color="0.55", ls=":", lw=1.5)
-    axes.plot([], [], color="0.3", ls="--", label="expected by the engine")
-    axes.plot([], [], color="0.55", ls=":", lw=1.5, label="error of the reference")
     axes.set(xlabel="time (µs)", ylabel="relative error")
-    axes.set_title("Error over time", loc="left")
+    titled(axes, "Error over time; dashed: expected by the engine, dotted: of the reference")
     axes.margins(y=0.12)
-    axes.legend(frameon=False, fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2)
 
 
 def _draw_cost(comparison: Comparison, axes: Axes) -> None:
@@ -299,9 +302,12 @@ def _draw_cost(comparison: Comparison, axes: Axes) -> None:
         name = row.engine if row.integrator == row.engine else f"{row.engine}, {row.integrator}"
         axes.loglog(x, y, marker=MARKERS.get(row.engine, "x"), markersize=8, color=colour, ls="none", label=name)
     axes.set(xlabel="integration time (s)", ylabel="relative error")
-    axes.set_title("Error and cost (bar: expected error)", loc="left")
+    titled(axes, "Error and cost; bar: expected error")
     axes.margins(x=0.2, y=0.15)
-    axes.legend(frameon=False, fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2)
+
+
+def _beyond(values: Array, limits: tuple[float, float]) -> bool:
+    return bool(np.any((values < limits[0]) | (values > limits[1])))
 
 
 def _colour(engine: str) -> str:

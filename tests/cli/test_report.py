@@ -13,6 +13,7 @@ from helpers.browser import browser, installed
 from lmpchain import Chain, Drive, Force, Impulse, InputError, Packet, Scene, Trajectory, simulate
 from lmpchain import report as htmlreport
 from lmpchain.cli.command_line import main
+from lmpchain.report import document
 from lmpchain.report.document import title
 from lmpchain.report.live import numbers
 from lmpchain.report.origin import origin
@@ -65,8 +66,18 @@ def run() -> Trajectory:
     return simulate(scene, "native", 1e-8)
 
 
-def test_a_whole_page(run: Trajectory):
-    text = htmlreport.page(run)
+@pytest.fixture(scope="module")
+def text(run: Trajectory) -> str:
+    return htmlreport.page(run)
+
+
+@pytest.fixture
+def no_panels(monkeypatch: pytest.MonkeyPatch):
+    """Leave out the pictures that take time, where a test is about something else."""
+    monkeypatch.setattr(document, "DRAWN", {})
+
+
+def test_a_whole_page(run: Trajectory, text: str):
     page = Page(text)
     assert page.open == []
     assert list(page.sections) == [
@@ -143,12 +154,14 @@ def test_what_does_not_apply_says_why():
     assert 1 <= len(page.pictures) <= 4
 
 
+@pytest.mark.slow
 def test_the_page_of_a_chain_at_rest():
     scene = Scene(chain=Chain(grains=5, diameter=1e-3), excitation=Impulse(velocity=0.0), duration=1e-5, samples=5)
     page = Page(htmlreport.page(simulate(scene, "native", 1e-6)))
     assert "strongest" not in page.sections["Fits"]
 
 
+@pytest.mark.usefixtures("no_panels")
 def test_markup_in_a_scene_is_shown_and_not_obeyed(run: Trajectory):
     odd = "</script><script>alert(1)</script><img src=x onerror=alert(1)>"
     spoilt = Trajectory(**{**vars(run), "provenance": {"note": odd, "tolerance": odd}, "engine": odd})
@@ -163,6 +176,7 @@ def test_markup_in_a_scene_is_shown_and_not_obeyed(run: Trajectory):
     assert policy == f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{digest}'"
 
 
+@pytest.mark.usefixtures("no_panels")
 def test_command_line(run: Trajectory, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     run.save(tmp_path / "run.nc")
     assert main(["report", str(tmp_path / "run.nc")]) == 0
