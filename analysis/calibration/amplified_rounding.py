@@ -37,9 +37,7 @@ REACHES = {"rkn6": (0.4, 0.2, 0.1, 0.05), "kahan-li8": (0.4, 0.2, 0.1), "dop853"
 KNOWN = 0.01  # errors and growths above it saturate
 CHANGE = 1e-10  # of the Taylor series, far above what they round
 ENOUGH = 1 / 3  # of the true growth
-LEFT = (
-    1 / 4
-)  # of an error at a shorter step, from which on it is rounding: truncation would fall to a sixteenth
+LEFT = 1 / 4  # of an error at a shorter step, from which on it is rounding: truncation would fall to a sixteenth
 
 
 @dataclass(frozen=True)
