@@ -3,9 +3,9 @@
 OPEN: the lowest strain that a look sees, over that of sixteen times as many evaluations of the same linear solution; of
 a hundred contacts that open 99 must be seen, and few that do not. GRAZES: chains of springs, for which an opening is
 all that linear theory leaves out, struck so that one opens by a few percent: the error of eigenmodes against the Taylor
-series in extended precision; supported between a quarter of them and the most. FEW: long runs, with and without resonances in their
-estimate; it is supported from the most grains in which they bring three quarters of estimates closer to the truth, the
-nonlinear motion by the native engine at a tolerance of 1e-9.
+series in extended precision; supported between a quarter of them and the most. FEW: long runs, with and without
+resonances in their estimate; it is supported from the most grains in which they bring three quarters of estimates
+closer to the truth, the nonlinear motion by the native engine at a tolerance of 1e-9.
 
     python analysis/calibration/linear_openings.py           # two minutes
     python analysis/calibration/linear_openings.py --quick   # seconds

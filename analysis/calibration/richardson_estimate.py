@@ -209,7 +209,8 @@ def _fewest(count: int) -> Row:
                 continue
             if run is None or len(run.differences) < 2:
                 continue
-            error = case.error(run.motion)
+            # of one sample, which may be far below the largest motion
+            error = float((np.abs(run.motion - case.motion).max((1, 2)) / case.reference.scale).max())
             if CLEAR * run.error.roundoff + 10 * case.reference.error < error < KNOWN:
                 bounds.append(run.error.total >= error)
         if bounds:
