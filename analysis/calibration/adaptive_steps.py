@@ -1,8 +1,10 @@
-"""Measure the constants of adaptive steps: ADAPTIVE_STEP, CROSSING_STEP, and STEP_ERROR, STEP_ERROR_MIN of DOP853.
+"""Measure the constants of adaptive steps: ADAPTIVE_STEP, CROSSING_STEP, LEAST_CROSSING, and those of DOP853.
 
 Random scenes whose contacts open are run at some longest steps with each constant changed, and the other as it is.
 What counts is the work for a given true error (by the Taylor series in extended precision): steps times error^(1 /
 order), in the geometric mean over scenes and steps. A value is supported where that is within 10 % of the best.
+STEP_ERROR_MIN and LEAST_CROSSING end what is only round-off: supported where the error left is within twice the least
+and steps are at most half again as many.
 
     python analysis/calibration/adaptive_steps.py           # two minutes
     python analysis/calibration/adaptive_steps.py --quick   # seconds
@@ -59,15 +61,16 @@ def row(name: str, values: tuple[float, ...], cases: list[Case], methods: tuple[
     return Row(name, shipped, best, low, high, f"{what}: {listed}; {sum(map(len, own.values()))} runs")
 
 
-def floor(cases: list[Case]) -> Row:
-    """Return the row of STEP_ERROR_MIN: the work of DOP853 at tolerances near round-off, and what error is left."""
-    engine, costs, errors, own = Native("dop853"), {}, {}, dop853.STEP_ERROR_MIN
-    for value in (own / 100, own / 10, own, own * 10, own * 100, own * 1000):
+def floor(cases: list[Case], name: str, method: str, reach: float, factors: tuple[float, ...]) -> Row:
+    """Return the row of a least step or step error: the work near round-off, and what error is left."""
+    module = dop853 if method == "dop853" else splittings
+    engine, costs, errors, own = Native(method), {}, {}, getattr(module, name)
+    for value in (own * factor for factor in factors):
         steps, left = [], []
-        with mock.patch.object(dop853, "STEP_ERROR_MIN", value):
+        with mock.patch.object(module, name, value):
             for case in cases:
-                if (proposed := proposal(engine, case.scene, 1e-13)) is not None and proposed.adaptive:
-                    run = answer(engine, case.scene, with_reach(case.scene, proposed, 0.1))
+                if (proposed := proposal(engine, case.scene, 1e-11)) is not None and proposed.adaptive:
+                    run = answer(engine, case.scene, with_reach(case.scene, proposed, reach))
                     if run is not None:
                         steps.append(run.steps)
                         left.append(max(case.error(run.motion), 1e-16))
@@ -75,7 +78,7 @@ def floor(cases: list[Case]) -> Row:
         errors[value] = float(np.exp(np.mean(np.log(left))))
     good = [value for value in costs if errors[value] < 2 * min(errors.values()) and costs[value] < 1.5 * costs[own]]
     listed = ", ".join(f"{value:.0e}: {costs[value]:.0f} steps, {errors[value]:.1e}" for value in costs)
-    return Row("STEP_ERROR_MIN", own, max(good), min(good), max(good), f"omega h = 0.1; steps and error left: {listed}")
+    return Row(name, own, max(good), min(good), max(good), f"omega h = {reach:g}; steps and error left: {listed}")
 
 
 def main(quick: bool = False) -> list[Row]:
@@ -117,7 +120,8 @@ def main(quick: bool = False) -> list[Row]:
             ("dop853",),
             "work for a given error over that with 1e-9",
         ),
-        floor(cases[: 4 if quick else 20]),
+        floor(cases[: 4 if quick else 20], "STEP_ERROR_MIN", "dop853", 0.1, (0.01, 0.1, 1.0, 10.0, 100.0, 1000.0)),
+        floor(cases[: 4 if quick else 20], "LEAST_CROSSING", "kahan-li8", 0.02, (0.01, 0.1, 1.0, 10.0, 100.0)),
     ]
 
 

@@ -34,6 +34,7 @@ from lmpchain.engines.step_control import (
     ROUNDING_ULPS,
     STALLED,
     STALLS,
+    WORSE,
 )  # fmt: skip
 from lmpchain.errors import RunFailed
 from lmpchain.stability.predictability import SEED
@@ -172,6 +173,12 @@ def main(quick: bool = False) -> list[Row]:
             f"tries in a row that hardly helped, in scenes that can be answered: 95 %; most {max(stalls):.0f}",
         )
     )
+    rows += [
+        _falling(
+            STALLED, "STALLED", [_least_helpful(x.errors) for x in can], [_least_helpful(x.errors) for x in cannot]
+        ),
+        _falling(WORSE, "WORSE", [_worst_turn(x.errors) for x in can], [_worst_turn(x.errors) for x in cannot]),
+    ]
     needed = [len(x.errors) for x in can]
     rows.append(
         Row(
@@ -213,6 +220,26 @@ def main(quick: bool = False) -> list[Row]:
     )
     rows.append(Row("ERRATIC", ERRATIC, math.sqrt(worst * far), worst, far, says))
     return rows
+
+
+def _least_helpful(errors: tuple[float, ...]) -> float:
+    """Return the error over that of the try before, of the STALLS tries in a row that helped least; 0 of fewer."""
+    ratios = [after / before for before, after in itertools.pairwise(errors)]
+    return max((min(ratios[k : k + STALLS]) for k in range(len(ratios) - STALLS + 1)), default=0.0)
+
+
+def _worst_turn(errors: tuple[float, ...]) -> float:
+    """Return the largest error over that of the try before; 0 of one try."""
+    return max((after / before for before, after in itertools.pairwise(errors)), default=0.0)
+
+
+def _falling(name: str, shipped: float, can: list[float], cannot: list[float]) -> Row:
+    """Return the row of a ratio of errors that few scenes exceed that can be answered, and most others do."""
+    low, high = quantile(can, 0.95), quantile(cannot, 0.25)
+    beyond = sum(x > shipped for x in can)
+    says = f"95 % of {len(can)} scenes that can be answered stay below {low:.2g}, {beyond} exceed {shipped:g}; "
+    says += f"three quarters of {len(cannot)} others reach {high:.2g}"
+    return Row(name, shipped, low, low, max(low, high), says)
 
 
 def _longest_stall(errors: tuple[float, ...]) -> int:

@@ -14,13 +14,17 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
+from unittest import mock
 
 import numpy as np
-from common import ALL_BUT_ONE, Case, Row, answer, command, proposal, quantile, with_reach
+from common import ALL_BUT_ONE, Case, Row, answer, command, proposal, quantile, with_reach, with_steps
 from scenes import drawn
 
+from lmpchain import Scene
+from lmpchain.engines import error_estimate
 from lmpchain.engines.error_estimate import (
     CLOSE_TO_OPENING,
+    FEWEST,
     KINKED_BELOW,
     ORDER_AT_KINKS,
     ORDER_AT_OPENINGS,
@@ -182,8 +186,40 @@ def main(quick: bool = False) -> list[Row]:
             f"% of estimates of order {ORDER_AT_OPENINGS} that are bounds, by exponent: {listed}",
         )
     )
-    rows.append(_closeness(calm + between, quick))
+    rows += [_closeness(calm + between, quick), _fewest(count)]
     return rows
+
+
+def _fewest(count: int) -> Row:
+    """Return the row of FEWEST: from how many steps of a run on companions at 2h and 4h show its error."""
+    short = drawn(2 * count, 6, lambda s: s.largest_strain < 0.3, strength=(-4.0, 0.0), spans=(0.5, 6.0))
+    cases = [case for scene in short if (case := Case(Scene(**scene.given() | {"samples": 2}))).known]
+    parts, runs = {}, 0
+    for steps in (1, 2, 3, 4, 6, 8, 12, 16):
+        bounds = []
+        for case, name in itertools.product(cases, ("verlet", "rkn4", "rkn6", "kahan-li8")):
+            proposed = proposal(engine := Native(name, adaptive=False), case.scene, 1e-3)
+            if proposed is None:
+                continue
+            try:
+                with mock.patch.object(error_estimate, "FEWEST", 1):
+                    run = answer(engine, case.scene, with_steps(proposed, steps))
+            except ZeroDivisionError:  # the companions are alike
+                bounds.append(False)
+                continue
+            if run is None or len(run.differences) < 2:
+                continue
+            # of one sample, which may be far below the largest motion
+            error = float((np.abs(run.motion - case.motion).max((1, 2)) / case.reference.scale).max())
+            if CLEAR * run.error.roundoff + 10 * case.reference.error < error < KNOWN:
+                bounds.append(run.error.total >= error)
+        if bounds:
+            parts[steps], runs = float(np.mean(bounds)), runs + len(bounds)
+    failing = [steps for steps, part in parts.items() if part < ALL_BUT_ONE - 0.005]
+    first = min((steps for steps in parts if steps > max(failing, default=0)), default=math.inf)
+    listed = ", ".join(f"{steps}: {100 * part:.0f}" for steps, part in parts.items())
+    says = f"% of {runs} estimates from 2h and 4h that are bounds, by the steps of the run: {listed}"
+    return Row("FEWEST", FEWEST, first, first, max(first, 4 * first), says)
 
 
 def _orders(found: list[Look]) -> list[float]:

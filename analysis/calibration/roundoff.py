@@ -16,14 +16,15 @@ import numpy as np
 from common import Case, Row, answer, command, quantile
 from scenes import drawn
 
-from lmpchain import Scene
+from lmpchain import Chain, Drive, Scene
 from lmpchain.engines.lammps.engine import HEADROOM, ROUNDING, TYPICAL, Lammps, gauge_diameter
-from lmpchain.engines.linear.engine import Chebyshev, LinearEngine, Modes
+from lmpchain.engines.linear.engine import CANCELS, Chebyshev, LinearEngine, Modes
 from lmpchain.engines.native import Native
-from lmpchain.engines.round_off import EPSILON, PLAIN, native_floor
+from lmpchain.engines.round_off import DISPLACED, EPSILON, PHASE_ULPS, PLAIN, native_floor, plain_loss
 from lmpchain.errors import InputError, ToleranceNotMet
 from lmpchain.integrators.batch import STRONG, force_form
 from lmpchain.integrators.kernels.contact_forces import ROOTS
+from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.splittings import RKN6
 from lmpchain.simulation.api import simulate
 from lmpchain.stability.roundoff import floor as predicted_floor
@@ -33,8 +34,8 @@ STEP = 0.3  # omega h
 
 
 def gentle(count: int, seed: int, **ranges: object) -> list[Scene]:
-    """Draw scenes that cannot be chaotic: short, and nothing is driven."""
-    return drawn(count, seed, driven=0.0, grains=(2, 3, 5, 12, 30), spans=(2.0, 15.0), **ranges)
+    """Draw scenes that cannot be chaotic: short, unless weak, and nothing is driven."""
+    return drawn(count, seed, **{"driven": 0.0, "grains": (2, 3, 5, 12, 30), "spans": (2.0, 15.0)} | ranges)
 
 
 def evaluations(scene: Scene) -> int:
@@ -51,7 +52,7 @@ def radians(scene: Scene) -> float:
 def _native(count: int) -> Row:
     """Return the row of the random walk of the native engine: its factor, 1 in the code."""
     ratios = [
-        measured_floor(scene, force="exact") / native_floor(evaluations(scene), radians(scene))
+        measured_floor(scene, force="exact") / native_floor(evaluations(scene), radians(scene), _displaced(scene))
         for scene in gentle(count, 51)
     ]
     low, middle = quantile(ratios, 0.9), quantile(ratios, 0.5)
@@ -64,6 +65,90 @@ def _native(count: int) -> Row:
         10 * low,
         f"round-off over the floor: half {middle:.2g}, 9 in 10 {low:.2g}, most {max(ratios):.2g}",
     )
+
+
+def _displaced(scene: Scene) -> float:
+    """Return by how much displacements exceed velocities over the highest frequency."""
+    run = simulate(scene, Native("rkn6"), 1e-6)
+    return float(scene.highest_frequency * np.abs(run.displacement).max() / np.abs(run.velocity).max())
+
+
+def _phases(count: int) -> Row:
+    """Return the row of PHASE_ULPS: what rounding makes of long runs, less the random walk."""
+    shifts = []
+    for scene in gentle(
+        count, 57, strength=(-4.0, -0.5), kinds=("gravity", "load"), grains=(2, 3, 5), spans=(100.0, 500.0)
+    ):
+        walk = native_floor(evaluations(scene), 0.0, _displaced(scene))
+        shifts.append(max(0.0, measured_floor(scene, force="exact") - walk) / (EPSILON * radians(scene)))
+    middle, high = quantile(shifts, 0.5), quantile(shifts, 0.9)
+    says = f"ulps of the phase in long runs: half {middle:.2g}, 9 in 10 {high:.2g}, most {max(shifts):.2g}"
+    return Row("PHASE_ULPS", PHASE_ULPS, high, high, 10 * high, says)
+
+
+def _stiff(count: int) -> Row:
+    """Return the row of DISPLACED: the random walk where a soft chain has a stiff contact."""
+    walks, rng = [], np.random.default_rng(58)
+    ranges = {"strength": (-4.0, -0.5), "kinds": ("gravity", "load"), "exponents": (1.5, 2.0, 3.0)}
+    for scene in gentle(count, 58, **ranges):
+        scene = _with_light_grain(scene, rng)
+        if (displaced := _displaced(scene)) > 1 / DISPLACED:
+            others = native_floor(0.0, radians(scene))
+            walk = max(0.0, measured_floor(scene, force="exact") - others)
+            walks.append(walk / (EPSILON * math.sqrt(evaluations(scene)) * displaced))
+    middle, high = quantile(walks, 0.5), quantile(walks, 0.9)
+    says = f"walk over omega x / v, from {1 / DISPLACED:.0f} on: half {middle:.2g}, 9 in 10 {high:.2g} of {len(walks)}"
+    return Row("DISPLACED", DISPLACED, high, high, 10 * high, says)
+
+
+def _with_light_grain(scene: Scene, rng: np.random.Generator) -> Scene:
+    """Return the scene with one movable grain much smaller, so that its frequency is far above that of the wave."""
+    chain = scene.chain
+    diameters = np.broadcast_to(chain.diameters, chain.grains).copy()
+    diameters[rng.integers(chain.movable)] *= 10 ** rng.uniform(-1.5, -0.5)
+    return scene.replace(chain=chain.replace(diameter=diameters))
+
+
+def _spread(count: int) -> list[Row]:
+    """Return the rows of `spread` of every method: what its steps lose by the plain form, less by the exact one."""
+    lost: dict[str, list[float]] = {name: [] for name in METHODS}
+    for scene in gentle(count, 59, strength=(-4.0, -2.0), kinds=("gravity", "load"), exponents=(1.5,)):
+        if force_form(scene, "plain") not in ROOTS:
+            continue
+        for name in METHODS:
+            step = scene.duration / evaluations(scene) * RKN6.evaluations * (1 + 1e-9)
+            runs = [simulate(scene, Native(name, step, force=force, adaptive=False)) for force in ("plain", "exact")]
+            apart = float(np.abs(runs[0].velocity - runs[1].velocity).max())
+            lost[name].append(apart / plain_loss(scene, runs[0].cost.steps))
+    rows = []
+    for name, method in METHODS.items():
+        low, middle, high = (quantile(lost[name], part) for part in (0.25, 0.5, 0.9))
+        says = f"loss of the plain form over `plain_loss`: quarter, half, 9 in 10 {low:.2g}, {middle:.2g}, {high:.2g}"
+        rows.append(Row(f"{name}.spread", method.spread, high, middle, 10 * high, says))
+    return rows
+
+
+def _bursts(count: int) -> Row:
+    """Return the row of CANCELS: what rounding makes of tone bursts in eigenmodes, less the rest."""
+    rng, losses = np.random.default_rng(60), []
+    while len(losses) < count:
+        chain = Chain(grains=int(rng.choice([3, 5, 12, 30])), diameter=1e-3, gravity=9.81, exponent=1.0)
+        frequency = chain.band_edge / (2 * np.pi) * 10 ** rng.uniform(-3, 0.5)
+        cycles = int(rng.choice([1, 3, 10]))
+        drive = Drive(amplitude=1e-3 * chain.equilibrium_overlap[0], frequency=frequency, cycles=cycles)
+        duration = 10 ** rng.uniform(-1.5, 0.3) * cycles / frequency
+        case = Case(Scene(chain=chain, excitation=drive, duration=duration, samples=21))
+        if not 0.5 < chain.band_edge * duration < 1000 or not case.known:
+            continue
+        run = answer(Modes(), case.scene, Modes().candidate(case.scene, 1.0))
+        assert run
+        wave = case.scene.excitation.waveform
+        assert wave
+        law = EPSILON * (1 + chain.grains * wave.fastest / chain.band_edge)
+        losses.append(max(0.0, case.error(run.motion) - Modes().round_off(case.scene) + CANCELS * law) / law)
+    middle, low = quantile(losses, 0.5), quantile(losses, 0.9)
+    says = f"bursts on springs, less the rest: half {middle:.2g}, 9 in 10 {low:.2g}, most {max(losses):.2g}"
+    return Row("CANCELS", CANCELS, low, low, 30 * low, says)
 
 
 def _plain(count: int) -> list[Row]:
@@ -196,7 +281,10 @@ def _linear(count: int) -> list[Row]:
 def main(quick: bool = False) -> list[Row]:
     """Return a row for each constant."""
     count = 8 if quick else 60
-    return [_native(count), *_plain(count), *_lammps(count // 2), _headroom(count), *_linear(count)]
+    return [
+        *(_native(count), _phases(count // 2), _stiff(2 * count), *_plain(count), *_spread(count // 2)),
+        *(*_lammps(count // 2), _headroom(count), *_linear(count), _bursts(count // 2)),
+    ]
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ from ..scene.scene import Scene
 from ..util.arrays import Array
 
 LAST_DIGIT = 1e-15  # of the largest velocity: a few units in the last place of a double
+# analysis/calibration/amplified_rounding.py
 # omega h of the runs with verlet, and their steps over those of the answer: what a change grows to does not ask for
 # accurate steps, but for stable ones, also where the frequency is not known beforehand
 COARSE, LONGER = 0.25, 4

@@ -38,6 +38,7 @@ BLOCK_S = 0.5  # and how long they may take: what is stopped or killed loses no 
 # analysis/calibration/richardson_estimate.py measures the constants of the estimate
 FEWEST = 8  # steps of a run from which on companions have longer steps; of these there are then no two alike
 SAFETY = 2.0  # factor on the Richardson estimate
+# analysis/calibration/amplified_rounding.py measures the next ones
 # over round-off: what two runs may differ by for that reason alone, which no law of the step divides, where contacts
 # open or not; reflections through opening contacts make much of a little
 GROWN, STEADY = 300.0, 3.0
@@ -45,6 +46,7 @@ GROWN, STEADY = 300.0, 3.0
 # digit; looked for below that estimate, if it can grow so far: from so much, by less than that exponent a radian
 SHARED, NEAR_ROUNDOFF, SHORT, GROWTH = 1.0, 1e-6, 1e-13, 0.05
 SCATTER = 10.0  # multiple of that by which two runs may differ for rounding alone
+# analysis/calibration/richardson_estimate.py
 CLOSE_TO_OPENING = -0.5  # r / eps below which a contact's force is no longer a smooth function of time
 # order assumed in the Richardson estimate after adaptive steps through an opening, where differences scatter
 ORDER_AT_OPENINGS = 4

@@ -54,7 +54,10 @@ class Method(Protocol):
 
     @property
     def spread(self) -> float:
-        """By what a step multiplies errors of the force that know nothing of each other, 1 if by no more."""
+        """By what a step multiplies errors of the force that know nothing of each other, 1 if by no more.
+
+        analysis/calibration/roundoff.py.
+        """
 
     @property
     def error_constant(self) -> float:

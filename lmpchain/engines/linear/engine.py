@@ -22,6 +22,7 @@ from .solutions import ChebyshevSolution, ModalSolution, Solution
 BLOCK = 16  # samples a block, if so many fit
 BLOCK_VALUES, SMALL = 2**22, 2**14  # values that are at hand at a time, and that take no time worth speaking of
 MOST_MODES = 12_000  # 1.2 GB of eigenvectors
+# analysis/calibration/roundoff.py
 CANCELS = 40.0  # digits in the last place that a burst loses in modes, at the lowest of its frequencies
 LOOK_VALUES = 2**18  # a contact that opens ends a look: values at a time
 

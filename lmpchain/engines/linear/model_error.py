@@ -23,6 +23,7 @@ EARLIEST, GROWTH, EVENLY = 0.5, 1.25, 64  # extra evaluation times: geometric (r
 SMALL = 1024  # values of one chain for which more of them cost next to nothing
 # where contacts may open: evaluations in a unit of 1 / highest frequency, the most of them, and the most values
 RESOLVED, MOST_TIMES, MOST_VALUES = 2.0, 2**18, 2**22
+# analysis/calibration/linear_openings.py measures the next two
 OPEN = -0.99  # strain, known to 1e-2 from evaluations so close, at which a contact counts as open
 GRAZES = 1e-3  # of the largest velocity, which a contact that opens so little may take
 # analysis/calibration/linear_model_error.py measures the next ones

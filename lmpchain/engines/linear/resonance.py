@@ -15,7 +15,7 @@ import numpy as np
 from ...scene.scene import Scene
 from ...util.arrays import Array
 
-FEW = 12  # grains up to which all pairs of waves are gone through
+FEW = 12  # grains up to which all pairs of waves are gone through; analysis/calibration/linear_openings.py
 
 
 class Resonance:

@@ -1,0 +1,228 @@
+"""Measure what rounding grows to where contacts open, and the constants with which an estimate allows for it.
+
+Random scenes are run at ever shorter steps. Runs that shorter ones do not improve are rounding: they are held against
+the Taylor series in extended precision. GROWN, STEADY and SHARED are supported from what 99 in 100 runs need of them
+for their estimate to be no smaller than the true error, the other parts being as they are, up to what all of them need
+if the other parts were nothing. NEAR_ROUNDOFF, SHORT and GROWTH say which runs need no SHARED: they are supported from
+the least that leaves out none, or one in a hundred, of the runs that do. COARSE and LONGER: the growth of a small
+change in the coarse runs against that in two Taylor series; a value is supported if nine in ten are above a third of
+it.
+
+    python analysis/calibration/amplified_rounding.py           # three minutes
+    python analysis/calibration/amplified_rounding.py --quick   # seconds
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from unittest import mock
+
+import numpy as np
+from common import ALL_BUT_ONE, NINE_IN_TEN, Case, Row, answer, command, proposal, quantile, with_reach
+from scenes import drawn
+
+from lmpchain import Scene
+from lmpchain.benchmark.reference import reference
+from lmpchain.engines import amplification, error_estimate
+from lmpchain.engines.amplification import COARSE, LAST_DIGIT, LONGER, amplified_digit, perturbed
+from lmpchain.engines.base import Candidate
+from lmpchain.engines.error_estimate import CLOSE_TO_OPENING, GROWN, GROWTH, NEAR_ROUNDOFF, SHARED, SHORT, STEADY
+from lmpchain.engines.native import Native
+from lmpchain.errors import RunFailed
+from lmpchain.util.arrays import Array
+
+REACHES = {"rkn6": (0.4, 0.2, 0.1, 0.05), "kahan-li8": (0.4, 0.2, 0.1), "dop853": (0.4, 0.2, 0.1)}  # omega h
+KNOWN = 0.01  # errors and growths above it saturate
+CHANGE = 1e-10  # of the Taylor series, far above what they round
+ENOUGH = 1 / 3  # of the true growth
+LEFT = 1 / 4  # of an error at a shorter step, from which on it is rounding: truncation would fall to a sixteenth
+
+
+@dataclass(frozen=True)
+class Look:
+    """One run: its true error, the parts of its estimate, and what becomes of a last digit.
+
+    Attributes
+    ----------
+    extrapolated : float
+        The Richardson estimate without GROWN and STEADY.
+    difference : float
+        Largest from the companion at 2h.
+    floor : float
+        The law of round-off, without SHARED.
+    """
+
+    true: float
+    extrapolated: float
+    difference: float
+    floor: float
+    grown: float
+    radians: float
+    opens: bool
+
+    @property
+    def truncation(self) -> float:
+        """The estimate of what the step makes."""
+        return max(self.extrapolated, min(self.difference, (GROWN if self.opens else STEADY) * self.floor))
+
+    @property
+    def shared(self) -> float:
+        """The part of rounding that all runs share, where it is looked for."""
+        likely = min(NEAR_ROUNDOFF, SHORT * math.exp(min(GROWTH * self.radians, 99)))
+        return SHARED * self.grown if self.truncation + self.floor < likely else 0.0
+
+    def differs(self, others: float) -> float:
+        """Return the factor on round-off that this run needs, beside other parts; 0 if it needs none or none helps."""
+        if self.true <= self.extrapolated + self.floor + others or self.true > self.difference + self.floor + others:
+            return 0.0
+        return (self.true - self.floor - others) / self.floor
+
+    def shares(self, truncation: float) -> float:
+        """Return the factor on the grown last digit that this run needs, beside an estimate of the truncation."""
+        return max(0.0, self.true - truncation - self.floor) / self.grown if self.grown else 0.0
+
+
+def size(case: Case) -> Array:
+    """Return the largest true displacement and velocity at any time, (2,)."""
+    return case.reference.scale
+
+
+def looks(case: Case) -> list[Look]:
+    """Run a scene at short steps with several methods; keep the runs that shorter steps do not improve."""
+    found = []
+    for name, reaches in REACHES.items():
+        if (proposed := proposal(Native(name), case.scene, 1e-9)) is None:
+            continue
+        runs = [look(case, Native(name), with_reach(case.scene, proposed, reach)) for reach in reaches]
+        for k, run in enumerate(runs[:-1]):
+            if run and run.true < KNOWN and max((x.true for x in runs[k + 1 :] if x), default=0.0) > LEFT * run.true:
+                found.append(run)
+    return found
+
+
+def look(case: Case, engine: Native, candidate: Candidate) -> Look | None:
+    """Hold one run against the truth; None if it breaks down, or has no companion with longer steps."""
+    with mock.patch.multiple(error_estimate, GROWN=0.0, STEADY=0.0, NEAR_ROUNDOFF=0.0):
+        run = answer(engine, case.scene, candidate)
+    if run is None or len(run.differences) < 2:
+        return None
+    opens, radians = run.lowest <= CLOSE_TO_OPENING, case.scene.highest_frequency * case.scene.duration
+    true = float((np.abs(run.motion - case.motion).max((1, 2)) / size(case)).max())
+    grown = amplified_digit(case.scene, size(case), run.steps) if opens else 0.0
+    return Look(true, run.error.truncation, run.differences[0], run.error.roundoff, grown, radians, opens)
+
+
+def _factor(name: str, shipped: float, beside: list[float], alone: list[float], what: str) -> Row:
+    """Return the row of a factor: what is needed of it beside the other parts, and alone."""
+    low = quantile(beside, ALL_BUT_ONE)
+    most = max(beside, default=math.nan)
+    says = f"99 % of {len(beside)} {what} need {low:.2g}, all {most:.2g}; without the other parts {max(alone):.2g}"
+    return Row(name, shipped, most, low, max(*alone, low, shipped / 100), says)
+
+
+def estimates(open_ones: list[Look], smooth: list[Look]) -> list[Row]:
+    """Return the rows of the parts of the estimate, and of when the grown last digit is looked for."""
+    missed = [x for x in open_ones if x.shares(x.extrapolated) > 0]
+    worst = max((x.extrapolated + x.floor for x in missed), default=0.0)
+    starts = [x.grown / math.exp(min(GROWTH * x.radians, 99)) for x in open_ones if x.grown]
+    rates = [math.log(x.grown / SHORT) / x.radians for x in open_ones if x.grown]
+    counted = f"of {len(open_ones)} runs, {len(missed)} of which need it"
+    return [
+        _factor(
+            "GROWN", GROWN, [x.differs(x.shared) for x in open_ones], [x.differs(0.0) for x in open_ones], "open runs"
+        ),
+        _factor("STEADY", STEADY, [x.differs(0.0) for x in smooth], [x.true / x.floor for x in smooth], "runs without"),
+        _factor(
+            "SHARED",
+            SHARED,
+            [x.shares(x.truncation) for x in open_ones],
+            [x.shares(x.extrapolated) for x in open_ones],
+            "open runs",
+        ),
+        Row("NEAR_ROUNDOFF", NEAR_ROUNDOFF, worst, worst, math.inf, f"largest estimate that needs SHARED, {counted}"),
+        Row(
+            "SHORT",
+            SHORT,
+            quantile(starts, ALL_BUT_ONE),
+            quantile(starts, ALL_BUT_ONE),
+            math.inf,
+            f"what a digit grows to, less GROWTH: 99 % of {len(starts)} runs; all {max(starts, default=math.nan):.2g}",
+        ),
+        Row(
+            "GROWTH",
+            GROWTH,
+            quantile(rates, ALL_BUT_ONE),
+            quantile(rates, ALL_BUT_ONE),
+            math.inf,
+            f"exponent a radian beyond SHORT: 99 % of {len(rates)} runs; all {max(rates, default=math.nan):.2g}",
+        ),
+    ]
+
+
+def growths(cases: Sequence[Case]) -> list[tuple[Case, float, int]]:
+    """Return by what two Taylor series show a last digit to grow to, and the steps of an accurate run."""
+    found = []
+    for case in cases:
+        try:
+            other = reference(perturbed(case.scene, CHANGE))
+        except RunFailed:
+            continue
+        apart = np.array([other.displacement, other.velocity]) - [case.reference.displacement, case.reference.velocity]
+        grown = float((np.abs(apart).max((1, 2)) / size(case)).max())
+        proposed = proposal(Native("rkn6"), case.scene, 1e-9)
+        if proposed is None or not 100 * case.reference.error < grown < KNOWN:
+            continue
+        if (run := answer(Native("rkn6"), case.scene, with_reach(case.scene, proposed, 0.2))) is not None:
+            found.append((case, grown * LAST_DIGIT / CHANGE, run.steps))
+    return found
+
+
+def coarse(known: list[tuple[Case, float, int]]) -> list[Row]:
+    """Return the rows of COARSE and LONGER: what coarse runs say of the growth, over the true one."""
+    rows = []
+    for name, shipped, values in (
+        ("COARSE", COARSE, (2.0, 1.0, 0.5, 0.25, 0.1)),
+        ("LONGER", LONGER, (64, 32, 16, 8, 4, 2)),
+    ):
+        parts, middles = {}, {}
+        for value in values:
+            alone = {"COARSE": math.inf, "LONGER": math.inf} | {name: value}
+            with mock.patch.multiple(amplification, **alone):
+                ratios = [amplified_digit(case.scene, size(case), steps) / grown for case, grown, steps in known]
+            parts[value] = float(np.mean([ratio > ENOUGH for ratio in ratios])) if ratios else math.nan
+            middles[value] = quantile(ratios, 0.5)
+        good = [value for value, part in parts.items() if part >= NINE_IN_TEN] or [min(values)]
+        listed = ", ".join(f"{value:g}: {100 * part:.0f} % ({middles[value]:.2g})" for value, part in parts.items())
+        rows.append(
+            Row(
+                name,
+                shipped,
+                max(good),
+                0.0,
+                max(good),
+                f"growths above a third of the true one (median over it), alone, {len(known)} scenes: {listed}",
+            )
+        )
+    return rows
+
+
+def scenes(count: int, seed: int, spans: tuple[float, float], strength: tuple[float, float]) -> list[Scene]:
+    """Draw scenes of few grains, with or without openings."""
+    return drawn(count, seed, strength=strength, grains=(2, 3, 5, 8), spans=spans)
+
+
+def main(quick: bool = False) -> list[Row]:
+    """Return a row for each constant."""
+    count, long = (4, (10.0, 30.0)) if quick else (14, (15.0, 60.0))
+    drawings = ((111, (2.0, 20.0), (0.0, 3.0)), (112, long, (0.0, 2.0)), (113, long, (-4.0, 0.0)))
+    cases = [case for seed, *how in drawings for case in map(Case, scenes(count, seed, *how)) if case.known]
+    found = [x for case in cases for x in looks(case)]
+    opens, smooth = [x for x in found if x.opens], [x for x in found if not x.opens]
+    open_cases = [case for case in cases if case.scene.largest_strain > 1]
+    return [*estimates(opens, smooth), *coarse(growths(open_cases))]
+
+
+if __name__ == "__main__":
+    command(main, __doc__)
