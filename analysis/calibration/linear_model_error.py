@@ -199,7 +199,8 @@ def main(quick: bool = False) -> list[Row]:
     scenes += drawn(count // 2, 42, strength=(-4.0, -0.5), spans=(60.0, 400.0), **ranges)
     found = [x for x in held(scenes) if x.true < SMALL]
     pushed = {"kinds": ranges["kinds"], "exponents": (2.0, 2.5, 3.0), "samples": 101, "grains": (13, 16, 20, 30)}
-    asking = drawn(3 * count // 4, 920, strength=(-3.0, -0.3), spans=(5.0, 100.0), driven=1.0, **pushed) + columns(quick)
+    asking = drawn(3 * count // 4, 920, strength=(-3.0, -0.3), spans=(5.0, 100.0), driven=1.0, **pushed)
+    asking += columns(quick)
     rows = [
         *_bounds(found + [x for x in held(asking) if x.true < SMALL]),
         _factor("STRAYS", STRAYS, [_strays(x) for x in found]),

@@ -18,7 +18,6 @@ from .objectives import ArrivalTime, KineticEnergy, Momentum, Objective, PeakFor
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 ROWS = 12  # of a table
 CANDIDATES = (
@@ -100,11 +99,11 @@ class Sensitivity:
             "uncertainty": self.uncertainty | {"all": self.deviation},
         }  # fmt: skip
 
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the change for 1 % of every entry along the chain; returns the figure."""
-        from ..util.plotting import COLOURS, axes_in_units
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the change for 1 % of every entry along the chain; returns the axes."""
+        from ..util.plotting import COLOURS, axes_in_units, legend, titled
 
-        ax, picture = axes_in_units(ax, "", "%")
+        ax = axes_in_units(ax, "", "%")
         size = abs(self.value) or 1.0
         drawn = [(name, part) for name, part in self.relative.items() if part.size > 2]
         for (name, part), colour in zip(drawn, COLOURS.values(), strict=False):
@@ -113,10 +112,9 @@ class Sensitivity:
         ax.axhline(0, color="0.6", lw=0.6, zorder=0)
         ax.set_xlabel("grain")
         ax.set_ylabel("change for 1 % more")
-        ax.set_title(f"{self.of.replace('_', ' ')}: {self.value:.6g} {self.unit}", fontsize=10)
-        if drawn:
-            ax.legend(frameon=False)
-        return picture
+        titled(ax, f"{self.of.replace('_', ' ')}: {self.value:.6g} {self.unit}")
+        legend(ax)
+        return ax
 
 
 def objective(of: str) -> tuple[Objective, str]:

@@ -17,7 +17,8 @@ from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, colour_bar, edges, legend, thinned
 from .derivatives import STILL, UNKNOWN
-from .motion import Motion, columns
+from .motion import Motion
+from .recorded import columns
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -246,7 +247,6 @@ def drive_motion(trajectory: Trajectory) -> tuple[Array, Array, Array]:
     Parameters
     ----------
     trajectory : Trajectory
-        Of a driven chain.
 
     Returns
     -------
@@ -274,7 +274,6 @@ def drive_force(trajectory: Trajectory) -> Array:
     Parameters
     ----------
     trajectory : Trajectory
-        Of a driven chain.
 
     Returns
     -------
@@ -332,7 +331,6 @@ def motion(trajectory: Trajectory | Motion, bodies: np.ndarray) -> tuple[Array, 
     Returns
     -------
     two (T, B) arrays
-        m, m/s.
 
     Raises
     ------

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import NamedTuple, get_args
 
 import numpy as np
@@ -17,6 +17,7 @@ from ..util.lazy import listed
 from . import extremes
 from .derivatives import STILL, UNKNOWN, derivatives
 from .hermite import DISPLACEMENT, RAISED, VELOCITY
+from .recorded import around
 from .spectrum import Field
 
 __dir__ = listed(__name__)
@@ -42,31 +43,6 @@ class Peaks(NamedTuple):
     grain: np.ndarray
     value: Array
     error: Array
-
-
-class _Around(NamedTuple):
-    """What lies beside G grains of a chain of N.
-
-    Columns of all bodies, (N+2,), and of those at and beside each grain, (G, 3); its contacts, (G, 2); whether all
-    forces on it follow from what was recorded, (G,); whether all grains that move were.
-    """
-
-    column: NDArray[np.intp]
-    sides: NDArray[np.intp]
-    contacts: NDArray[np.intp]
-    known: NDArray[np.bool_]
-    whole: bool
-
-
-@lru_cache(maxsize=4)  # scenes of a sweep are alike
-def _around(size: int, movable: int, above: bool, below: bool, recorded: bytes) -> _Around:
-    """Return what lies around these grains of a chain of this size, with or without contacts at its ends."""
-    grains = np.frombuffer(recorded, dtype=int)
-    column, contacts = columns(size, movable, grains), grains[:, None] + np.array([-1, 0])
-    sides = column[grains[:, None] + np.array([-1, 0, 1])]
-    nothing = (not above) & (contacts == 0) | (not below) & (contacts == size)
-    known = ((sides[:, ::2] != UNKNOWN) | nothing).all(1) | (grains > movable)
-    return _Around(column, sides, contacts, known, not (column[1 : movable + 1] == UNKNOWN).any())
 
 
 class Motion:
@@ -105,7 +81,7 @@ class Motion:
         self.step = scene.duration / (scene.samples - 1)
         chain = scene.chain
         ends = chain.contacts.exists[[0, -1]]
-        self._around = _around(chain.grains, chain.movable, *ends.tolist(), np.asarray(grains, dtype=int).tobytes())
+        self._around = around(chain.grains, chain.movable, *ends.tolist(), np.asarray(grains, dtype=int).tobytes())
         self._column = self._around.column
         self._tops: dict[str, Array] = {}  # what `fronts` has found of peaks on the way
 
@@ -326,27 +302,6 @@ def peaks(trajectory: Trajectory, field: Field = "velocity") -> Peaks:
     if field not in get_args(Field):
         raise InputError([("field", f'must be "velocity" or "displacement" (got {shown(field)})')])
     return motion_of(trajectory).peaks(field)
-
-
-def columns(size: int, movable: int, grains: np.ndarray) -> NDArray[np.intp]:
-    """Return the recorded column of each body, (N+2,), or a mark if it stands still or is unknown.
-
-    Parameters
-    ----------
-    size, movable : int
-        Number of grains, and of those that move.
-    grains : (G,) array of int
-        Those that were recorded.
-
-    Returns
-    -------
-    (N+2,) array of int
-    """
-    column = np.full(size + 2, UNKNOWN)
-    column[[0, -1]] = STILL
-    column[movable + 1 :] = STILL
-    column[grains] = np.arange(grains.size)
-    return column
 
 
 def _within(found: Array, known: float) -> tuple[Array, Array]:

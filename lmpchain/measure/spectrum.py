@@ -10,7 +10,8 @@ from scipy.signal import get_window
 
 from ..chain.chain import Chain
 from ..errors import InputError, shown
-from ..theory.bands import Cell, branches, local_bands, repeating
+from ..theory.bands import Cell, branches, repeating
+from ..theory.local_bands import local_bands
 from ..trajectory.picture import UNITS as UNITS
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array

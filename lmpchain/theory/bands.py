@@ -246,27 +246,6 @@ def repeating(chain: Chain, first: int = 1, last: int | None = None, most: int =
     return 1
 
 
-def local_bands(chain: Chain) -> Array:
-    """Return the edges of the bands around every grain, (N, B, 2) rad/s, of the cell that repeats there.
-
-    Where no cell repeats it is a uniform chain of such grains with the contact below, for the last grain that above.
-    All are 0 in a sonic vacuum. A single grain has its frequency between the walls.
-    """
-    if chain.grains == 1:
-        return np.full((1, 1, 2), np.sqrt(chain.contacts.stiffness.sum() / chain.masses[0]))
-    number, period = np.arange(chain.grains), repeating(chain)
-    start = np.minimum(number, chain.grains - 1 - period)[:, None] + np.arange(period)
-    m = chain.masses[start if period > 1 else number[:, None]]
-    k = chain.linear_stiffness[start]
-    b = np.zeros((chain.grains, 2, period, period))  # at the wavenumbers 0 and pi
-    for i in range(period):
-        turn = np.array([1.0, -1.0]) if i == period - 1 else 1.0
-        b[:, :, i, i] += np.sqrt(k[:, i] / m[:, i])[:, None]
-        b[:, :, i, (i + 1) % period] -= np.sqrt(k[:, i] / m[:, (i + 1) % period])[:, None] * turn
-    edges = np.sort(np.linalg.svd(b, compute_uv=False), axis=2)
-    return np.sort(edges.transpose(0, 2, 1), axis=2)
-
-
 def gap_modes(chain: Chain, cell: Cell | Chain) -> GapModes:
     """Return the eigenmodes of a chain in the gaps or above the bands of a cell that repeats.
 
