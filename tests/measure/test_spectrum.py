@@ -205,7 +205,7 @@ def test_cut_off_of_a_dimer():
     assert (2 * np.pi * found.bands[:, 0, 1]) ** 2 == pytest.approx(2 * k * 1e6 / 3, rel=1e-12)
     assert (2 * np.pi * found.bands[:, 1, 0]) ** 2 == pytest.approx(2 * k * 1e6, rel=1e-12)
     assert found.bands[:, 0, 0] == pytest.approx(0, abs=1e-9 * found.cut_off[0])
-    axes = found.plot().axes[0]
+    axes = found.plot()
     assert [line.get_label() for line in axes.lines[:2]] == ["local cut-off", "gap between branches"]
     assert axes.get_xlim()[1] == pytest.approx(1.5 * found.cut_off[0])
     one = Chain(grains=1, diameter=1e-3, gravity=0.0, top_load=1.0, top="wall", bottom="wall")

@@ -193,7 +193,7 @@ CAPTIONS = {
 }
 PAGE = " ".join((ANALYSIS / "README.md").read_text(encoding="utf-8").split())
 UNMARKED = {"scaling"}  # minutes of measurement: with the next one
-AGAIN = ("fig4", "fig5", "fig8", "fig9")  # those that take seconds
+AGAIN = ("fig5", "fig8", "fig9")  # those that take seconds
 
 
 def kept(name: str) -> dict[str, str]:

@@ -11,6 +11,7 @@ import pytest
 import xarray
 
 from lmpchain import Chain, Impulse, InputError, Profile, Scene, Trajectory, simulate
+from lmpchain.util.provenance import command
 
 
 @pytest.fixture(scope="module")
@@ -79,6 +80,7 @@ def test_xarray_reads_it(trajectory: Trajectory, tmp_path: Path):
         assert data.attrs["equation"] == 1
         assert data.attrs["solver_error"] == trajectory.error_estimate.solver
         assert 'kind = "impulse"' in data.attrs["scene"]
+    assert data.attrs.pop("history").endswith(command())  # of the file, not of the run
     assert data.identical(trajectory.to_xarray())
 
 
