@@ -69,6 +69,11 @@ class Look:
         return max(self.extrapolated, min(self.difference, (GROWN if self.opens else STEADY) * self.floor))
 
     @property
+    def raised(self) -> float:
+        """By what that raises the estimate."""
+        return (self.truncation + self.floor) / (self.extrapolated + self.floor)
+
+    @property
     def shared(self) -> float:
         """The part of rounding that all runs share, where it is looked for."""
         likely = min(NEAR_ROUNDOFF, SHORT * math.exp(min(GROWTH * self.radians, 99)))
@@ -112,12 +117,12 @@ def look(case: Case, engine: Native, candidate: Candidate) -> Look | None:
     return Look(true, run.error.truncation, run.differences[0], run.error.roundoff, grown, radians, opens)
 
 
-def _factor(name: str, shipped: float, beside: list[float], alone: list[float], what: str) -> Row:
+def _factor(name: str, shipped: float, needs: list[tuple[float, float]], made: list[float], what: str) -> Row:
     """Return the row of a factor: what is needed of it beside the other parts, and alone."""
-    low = quantile(beside, ALL_BUT_ONE)
-    most = max(beside, default=math.nan)
-    says = f"99 % of {len(beside)} {what} need {low:.2g}, all {most:.2g}; without the other parts {max(alone):.2g}"
-    return Row(name, shipped, most, low, max(*alone, low, shipped / 100), says)
+    beside, alone = ([need[k] for need in needs] for k in (0, 1))
+    low, most = quantile(beside, ALL_BUT_ONE), max(alone)
+    says = f"99 % of {len(needs)} {what} need {low:.2g}, all {max(beside):.2g}, without the other parts {most:.2g}"
+    return Row(name, shipped, low, low, max(low, most), f"{says}; doubles {sum(x > 2 for x in made)} estimates")
 
 
 def estimates(open_ones: list[Look], smooth: list[Look]) -> list[Row]:
@@ -127,18 +132,13 @@ def estimates(open_ones: list[Look], smooth: list[Look]) -> list[Row]:
     starts = [x.grown / math.exp(min(GROWTH * x.radians, 99)) for x in open_ones if x.grown]
     rates = [math.log(x.grown / SHORT) / x.radians for x in open_ones if x.grown]
     counted = f"of {len(open_ones)} runs, {len(missed)} of which need it"
+    grown = [(x.differs(x.shared), x.differs(0.0)) for x in open_ones]
+    steady = [(x.differs(0.0), x.differs(0.0)) for x in smooth]
+    shared = [(x.shares(x.truncation), x.shares(x.extrapolated)) for x in open_ones]
     return [
-        _factor(
-            "GROWN", GROWN, [x.differs(x.shared) for x in open_ones], [x.differs(0.0) for x in open_ones], "open runs"
-        ),
-        _factor("STEADY", STEADY, [x.differs(0.0) for x in smooth], [x.true / x.floor for x in smooth], "runs without"),
-        _factor(
-            "SHARED",
-            SHARED,
-            [x.shares(x.truncation) for x in open_ones],
-            [x.shares(x.extrapolated) for x in open_ones],
-            "open runs",
-        ),
+        _factor("GROWN", GROWN, grown, [x.raised for x in open_ones], "open runs"),
+        _factor("STEADY", STEADY, steady, [x.raised for x in smooth], "others"),
+        _factor("SHARED", SHARED, shared, [1 + x.shared / (x.truncation + x.floor) for x in open_ones], "open runs"),
         Row("NEAR_ROUNDOFF", NEAR_ROUNDOFF, worst, worst, math.inf, f"largest estimate that needs SHARED, {counted}"),
         Row(
             "SHORT",
