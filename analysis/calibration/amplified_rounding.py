@@ -121,7 +121,7 @@ def _factor(name: str, shipped: float, needs: list[tuple[float, float]], made: l
     """Return the row of a factor: what is needed of it beside the other parts, and alone."""
     beside, alone = ([need[k] for need in needs] for k in (0, 1))
     low, most = quantile(beside, ALL_BUT_ONE), max(alone, default=math.nan)
-    says = f"99 % of {len(needs)} {what} need {low:.2g}, all {max(beside, default=math.nan):.2g}, without the other parts {most:.2g}"
+    says = f"99 % of {len(needs)} {what} need {low:.2g}, without the other parts all {most:.2g}"
     return Row(name, shipped, low, low, max(low, most), f"{says}; doubles {sum(x > 2 for x in made)} estimates")
 
 
