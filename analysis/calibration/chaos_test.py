@@ -173,12 +173,8 @@ def main(quick: bool = False) -> list[Row]:
             f"tries in a row that hardly helped, in scenes that can be answered: 95 %; most {max(stalls):.0f}",
         )
     )
-    rows += [
-        _falling(
-            STALLED, "STALLED", [_least_helpful(x.errors) for x in can], [_least_helpful(x.errors) for x in cannot]
-        ),
-        _falling(WORSE, "WORSE", [_worst_turn(x.errors) for x in can], [_worst_turn(x.errors) for x in cannot]),
-    ]
+    for name, shipped, turn in (("STALLED", STALLED, _least_helpful), ("WORSE", WORSE, _worst_turn)):
+        rows.append(_falling(name, shipped, [turn(x.errors) for x in can], [turn(x.errors) for x in cannot]))
     needed = [len(x.errors) for x in can]
     rows.append(
         Row(

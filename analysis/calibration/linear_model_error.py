@@ -200,9 +200,8 @@ def main(quick: bool = False) -> list[Row]:
     found = [x for x in held(scenes) if x.true < SMALL]
     pushed = {"kinds": ranges["kinds"], "exponents": (2.0, 2.5, 3.0), "samples": 101, "grains": (13, 16, 20, 30)}
     asking = drawn(3 * count // 4, 920, strength=(-3.0, -0.3), spans=(5.0, 100.0), driven=1.0, **pushed)
-    asking += columns(quick)
     rows = [
-        *_bounds(found + [x for x in held(asking) if x.true < SMALL]),
+        *_bounds(found + [x for x in held(asking + columns(quick)) if x.true < SMALL]),
         _factor("STRAYS", STRAYS, [_strays(x) for x in found]),
         _factor("SLOWS", SLOWS, [_slows(x) for x in found]),
     ]
@@ -265,12 +264,12 @@ def _errors(delta: float, strike_number: float, tau: float, grains: int, gravity
     with warnings.catch_warnings(action="ignore"):
         runs = [simulate(scene, engine, TRUTH) for engine in (Modes(), Native())]
     found, true = (np.array([run.displacement, run.velocity]) for run in runs)
-    peaks = [track(run).between(DEPTH, DEPTH).amplitude[0] for run in runs]
+    peaks = [amplitude for run in runs for amplitude in track(run).between(DEPTH, DEPTH).amplitude]  # if it has one
     return {
         "velocity": float(np.linalg.norm((found - true)[1, -1]) / np.linalg.norm(true[1, -1])),
         "displacement": float(np.abs(found - true)[0].max() / np.abs(true[0]).max()),
         "package": distance(found, true),
-        "peak": float(abs(peaks[0] / peaks[1] - 1)),
+        "peak": float(abs(peaks[0] / peaks[1] - 1)) if len(peaks) == len(runs) else math.nan,
     }
 
 
@@ -303,7 +302,8 @@ def _columns(quick: bool) -> list[Row]:
         for delta in (1.5,) if quick else (1.3, 1.5, 2.0):
             x = 0.1 / (1 - 0.1 / limit)
             error = _errors(delta, x / slope / _spread(norm, delta) / (delta - 1), 20.0, 80)[norm]
-            limits.append(1 / max(1 / error - 1 / x, 0.1))
+            if not math.isnan(error):
+                limits.append(1 / max(1 / error - 1 / x, 0.1))
         rows.append(
             Row(
                 f"LINEAR[{norm}][1]",

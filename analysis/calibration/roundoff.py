@@ -91,7 +91,10 @@ def _stiff(count: int) -> Row:
     walks, rng = [], np.random.default_rng(58)
     ranges = {"strength": (-4.0, -0.5), "kinds": ("gravity", "load"), "exponents": (1.5, 2.0, 3.0)}
     for scene in gentle(count, 58, **ranges):
-        scene = _with_light_grain(scene, rng)
+        try:
+            scene = _with_light_grain(scene, rng)
+        except InputError:  # squeezed too much
+            continue
         if (displaced := _displaced(scene)) > 1 / DISPLACED:
             others = native_floor(0.0, radians(scene))
             walk = max(0.0, measured_floor(scene, force="exact") - others)

@@ -99,7 +99,8 @@ class Chain(AtRest, Checked):
             yield key, f"must be 0, or at least {LEAST[key]:g} in SI units: below, squares of overlaps underflow"
         if wrong or small or self._leave_open().plainly_below(LARGEST_OVERLAP):
             return
-        if self._alike and (least := least_squeezed(self._kinds, self)) > LARGEST_OVERLAP:
+        weights = self.grains, self.exponent, self.gravity, self.top_load
+        if self._alike and (least := least_squeezed(self._kinds, *weights)) > LARGEST_OVERLAP:
             yield "diameter", too_squeezed(f"a contact is compressed by at least {least:.2g}")
             return
         with np.errstate(all="ignore"):  # non-finite values are faults

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..util.arrays import Array
 from .contacts import Contacts
-
-if TYPE_CHECKING:
-    from .chain import Chain
 
 # overlap over diameter: the contact is then a tenth as wide as the grain, and Hertz's theory takes it to be far
 # narrower (K. L. Johnson, Contact Mechanics, Cambridge 1985, section 4.2)
@@ -35,19 +31,19 @@ def remarks(diameter: float | Array, relative: float) -> Iterator[str]:
         yield f"diameter: at rest {beyond_hertz(relative)}"
 
 
-def least_squeezed(kinds: Array, chain: Chain) -> float:
+def least_squeezed(kinds: Array, grains: int, exponent: float, gravity: float, top_load: float) -> float:
     """Return to what part of the diameter a contact of a long chain is squeezed at least, without arrays.
 
     Its grains are of these kinds (3, I+1), alike but for I impurities; 0 for a chain whose arrays are no burden. Of the
     2 I + 1 lowest contacts one is between two common grains.
     """
-    if chain.grains < LONG:
+    if grains < LONG:
         return 0.0
     modulus, d, mass = kinds[:, 0]
-    above = max(chain.grains - 3 * kinds.shape[1], 0)
-    constant = 2 / 3 * modulus * np.sqrt(d / 4) * d ** (1.5 - chain.exponent)
+    above = max(grains - 3 * kinds.shape[1], 0)
+    constant = 2 / 3 * modulus * np.sqrt(d / 4) * d ** (1.5 - exponent)
     with np.errstate(all="ignore"):
-        return float(Contacts(constant, chain.top_load + chain.gravity * above * mass, chain.exponent).overlap / d)
+        return float(Contacts(constant, top_load + gravity * above * mass, exponent).overlap / d)
 
 
 def too_squeezed(how: str) -> str:

@@ -12,6 +12,7 @@ from ..engines.base import Engine
 from ..errors import InputError, shown
 from ..scene.scene import Scene
 from ..util.arrays import Array
+from ..util.notebook import Shown
 from .draws import Law, Of, check, fault_of_whole
 from .streaming import Average, Draw, averaged
 
@@ -21,8 +22,8 @@ if TYPE_CHECKING:
 GROUPS = 16  # of chains, whose scatter gives the error of an exponent
 
 
-@dataclass(frozen=True, eq=False)
-class Spreading:
+@dataclass(frozen=True, eq=False, repr=False)
+class Spreading(Shown):
     """Spreading of energy in disordered chains of the same scene: means and their standard errors.
 
     The energy of a grain is its kinetic energy, half of that of its contacts with other grains, and that of its

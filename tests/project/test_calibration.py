@@ -13,7 +13,8 @@ SHARED = ("common", "scenes")
 SCRIPTS = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem not in SHARED)
 # what few scenes already show; the README has what many do, and what none does
 SHOWN = {
-    "adaptive_steps": ["CROSSING_STEP", "STEP_ERROR", "STEP_ERROR_MIN"],
+    "adaptive_steps": ["CROSSING_STEP", "LEAST_CROSSING", "STEP_ERROR", "STEP_ERROR_MIN"],
+    "amplified_rounding": ["COARSE", "LONGER", "NEAR_ROUNDOFF", "SHORT", "GROWTH"],
     "between_samples": ["RESOLVED", "RESOLVED_BY_DIFFERENCES", "SAFETY (samples)"],
     "chaos_test": ["STALLS", "ATTEMPTS", "ERRATIC", "CHAOS_ERROR"],
     "error_constants": ["rkn4.error_constant", "kahan-li8.error_constant", "dop853.error_constant"],
@@ -23,11 +24,16 @@ SHOWN = {
         "LINEAR[peak][0]",
         "EVENLY",
         "STEEPEST",
+        "DOUBT",
     ],
+    "linear_openings": ["GRAZES", "FEW (waves)"],
     "opening_error_factor": ["OPENING_ERROR (verlet)", "SAFE_STRAIN", "LONGEST_STEP"],
     "predictability": ["OPENING", "FLYING", "FEW", "reflection_time: 0.907470, 0.681632"],
-    "richardson_estimate": ["SAFETY", "ORDER_AT_OPENINGS", "ORDER_AT_KINKS", "CLOSE_TO_OPENING"],
-    "roundoff": ["native_floor", "PLAIN", "STRONG", "ROUNDING", "HEADROOM", "modes.round_off", "chebyshev.round_off"],
+    "richardson_estimate": ["SAFETY", "ORDER_AT_OPENINGS", "ORDER_AT_KINKS", "CLOSE_TO_OPENING", "FEWEST"],
+    "roundoff": [
+        *("native_floor", "DISPLACED", "PLAIN", "STRONG", "dop853.spread"),
+        *("ROUNDING", "HEADROOM", "modes.round_off", "chebyshev.round_off"),
+    ],
     "stability_limits": ["TRUSTED", "SAFE_STRAIN (pre_run)", "limit: verlet"],
     "step_refinement": ["refine: 0.7 (aim)", "refine: 16 (most)", "refine: 1.3 (least)", "refine: 2 (least, erratic)"],
 }
