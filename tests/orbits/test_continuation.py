@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 from lmpchain import Chain, Drive, orbits
 from lmpchain.orbits import Family
@@ -42,6 +43,38 @@ def test_a_driven_grain_folds_where_a_multiplier_passes_1():
     end = solve_ivp(rate, (0, orbit.period), start, "DOP853", rtol=1e-12, atol=scale).y[:, -1]
     assert end == pytest.approx(start, abs=1e-8 * max(abs(start[0]), abs(start[1]) / OMEGA) * OMEGA)
     assert end[0] == pytest.approx(start[0], abs=1e-8 * orbit.amplitude)
+
+
+def test_a_grain_driven_at_twice_its_frequency_doubles_its_period():
+    """Where the trace of the tangent map of the one grain that moves is -2, by an independent integration."""
+    k, eps, m, w = CHAIN.contact_constants, CHAIN.length_scale, CHAIN.masses[0], 1.95 * OMEGA
+    drive = Drive(amplitude=0.02 * eps, frequency=w / (2 * np.pi))
+    family = orbits.follow(orbits.find(CHAIN, drive=drive), "amplitude", 0.4 * eps)
+    (event,) = family.events[:1]
+    assert event.kind == "period doubling"
+    assert np.abs(event.orbit.multipliers + 1).max() < 1e-2
+
+    def returned(amplitude: float, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the state after a period and its derivatives; overlaps, and times in radians of the drive."""
+
+        def rate(t: float, y: np.ndarray) -> np.ndarray:
+            above, below = max(1 + amplitude * np.sin(t) - y[0], 0.0), max(1 + y[0], 0.0)
+            pull = (k[0] * above**1.5 - k[1] * below**1.5) * eps**0.5 / m / w**2
+            stiff = 1.5 * (k[0] * above**0.5 + k[1] * below**0.5) * eps**0.5 / m / w**2
+            return np.array([y[1], pull, y[3], -stiff * y[2], y[5], -stiff * y[4]])
+
+        end = solve_ivp(rate, (0, 2 * np.pi), [*state, 1, 0, 0, 1], "DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+        return end[:2], end[2:].reshape(2, 2).T
+
+    def excess(amplitude: float) -> float:
+        state = np.array([event.orbit.displacement[1] / eps, event.orbit.velocity[1] / eps / w])
+        for _ in range(6):
+            end, slope = returned(amplitude, state)
+            state = state - np.linalg.solve(slope - np.eye(2), end - state)
+        return float(np.trace(returned(amplitude, state)[1]) + 2)
+
+    near = event.value / eps * np.array([0.98, 1.02])
+    assert event.value / eps == pytest.approx(brentq(excess, *near, rtol=1e-9), rel=1e-5)
 
 
 def test_a_family_goes_through_its_folds_and_back():
