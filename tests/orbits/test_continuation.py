@@ -112,3 +112,41 @@ def test_any_number_of_the_chain_can_change(parameter: str, factor: float):
     assert family.energy == pytest.approx(np.full(len(family), orbit.energy), rel=1e-9)
     exact = orbits.normal_mode(end, 2, orbit.energy)
     assert family[-1].period == pytest.approx(exact.period, rel=1e-9)
+
+
+def growth(orbit: orbits.Orbit) -> float:
+    """Return the largest Floquet multiplier, by an independent integration of the chain and its variations."""
+    chain, n = orbit.chain, orbit.chain.grains
+    constant, overlap = np.array(chain.contacts.constant), np.array(chain.contacts.overlap)
+    unit, clock = chain.length_scale, orbit.period / (2 * np.pi)
+
+    def rate(_: float, y: np.ndarray) -> np.ndarray:
+        u, v = y.reshape(2, n, n * 2 + 1)
+        squeezed = np.maximum(overlap + np.diff(-u[:, 0] * unit, prepend=0.0, append=0.0), 0.0)
+        force, stiff = constant * squeezed**1.5 / unit, 1.5 * constant * squeezed**0.5
+        pull = np.empty_like(u)
+        pull[:, 0] = force[:-1] - force[1:]
+        change = -stiff[:, None] * np.diff(u[:, 1:], axis=0, prepend=0.0, append=0.0)
+        pull[:, 1:] = change[:-1] - change[1:]
+        return np.concatenate((v, pull * clock**2 / chain.masses[:, None])).ravel()
+
+    state = np.concatenate((orbit.displacement / unit, orbit.velocity * clock / unit))
+    start = np.concatenate((state[:, None], np.eye(2 * n)), axis=1).ravel()
+    end = solve_ivp(rate, (0, 2 * np.pi), start, "DOP853", rtol=1e-11, atol=1e-12).y[:, -1].reshape(2 * n, -1)
+    assert np.abs(end[:, 0] - state).max() < 1e-8 * np.abs(state).max()
+    return float(np.abs(np.linalg.eigvals(end[:, 1:])).max())
+
+
+@pytest.mark.slow
+def test_a_breather_loses_its_stability_and_comes_back_where_pairs_of_multipliers_meet():
+    masses = np.where(np.arange(11) % 2 == 0, 3e-3, 1e-3)
+    chain = Chain(grains=11, diameter=1e-2, gravity=0.0, top_load=20.0, top="wall", bottom="wall", masses=masses)
+    u, period = orbits.linear_mode(chain, 7, 1e-2)
+    rest = np.zeros(11)
+    first = orbits.find(chain, (u, rest), period, energy=float(chain.excess_energy(u, rest)))
+    family = orbits.follow(first, "period", 1.05 * period)
+    assert [event.kind for event in family.events] == ["Neimark-Sacker", "Neimark-Sacker"]
+    for event, inside in zip(family.events, (1, -1), strict=True):
+        near = [orbits.find(chain, event.orbit, event.value * (1 + side * 2e-4)) for side in (-inside, inside)]
+        assert growth(near[0]) == pytest.approx(1, abs=1e-4)
+        assert growth(near[1]) > 1.001
