@@ -23,14 +23,14 @@ def dimer(grains: int) -> lmpchain.Chain:
 def main() -> None:
     """Follow the breather through the gap; draw its family, its shapes, and its multipliers."""
     given = arguments(__file__, __doc__)
-    grains = 23 if given.quick else 43
+    grains = 43
     chain = dimer(grains)
     u, period = orbits.linear_mode(chain, (grains + 1) // 2 + 1, 0.7)
     local = u * np.exp(-(((np.arange(grains) - grains // 2) / 8) ** 2))
     breather = orbits.find(chain, (local, 0 * local), period, energy=2.4e-4)
     say("residual of the breather", breather.residual)
     most = 1.1 if given.quick else 1.35
-    near = orbits.follow(breather, "period", 1.0005 * period)
+    near = orbits.follow(breather, "period", (1.01 if given.quick else 1.0005) * period)
     far = orbits.follow(breather, "period", most * period)
     both = orbits.Family(
         (*near.orbits[::-1], *far.orbits[1:]), np.append(near.value[::-1], far.value[1:]), "period",

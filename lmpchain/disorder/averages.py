@@ -144,7 +144,7 @@ def ensemble(
 
     Examples
     --------
-    >>> from lmpchain import Impulse
+    >>> from lmpchain import Chain, Impulse
     >>> scene = Scene(
     ...     chain=Chain(grains=30, diameter=1e-3), excitation=Impulse(velocity=1e-9), duration=3e-5, samples=2
     ... )

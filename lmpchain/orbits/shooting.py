@@ -236,7 +236,7 @@ def _newton(equations: Equations, guess: Point, constraints: Sequence[Constraint
 
 
 def solved(slopes: Array, residual: Array) -> Array:
-    """Return the change of the unknowns that linear equations ask for, by least squares if singular."""
+    """Solve the linear equations of a Newton step, by least squares if they are singular."""
     if slopes.shape[0] == slopes.shape[1]:
         with suppress(LinAlgError, LinAlgWarning), catch_warnings(action="error", category=LinAlgWarning):
             return np.asarray(solve_linear(slopes, residual))

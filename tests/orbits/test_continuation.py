@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 from lmpchain import Chain, Drive, orbits
 from lmpchain.orbits import Family
@@ -44,6 +45,38 @@ def test_a_driven_grain_folds_where_a_multiplier_passes_1():
     assert end[0] == pytest.approx(start[0], abs=1e-8 * orbit.amplitude)
 
 
+def test_a_grain_driven_at_twice_its_frequency_doubles_its_period():
+    """Where the trace of the tangent map of the one grain that moves is -2, by an independent integration."""
+    k, eps, m, w = CHAIN.contact_constants, CHAIN.length_scale, CHAIN.masses[0], 1.95 * OMEGA
+    drive = Drive(amplitude=0.02 * eps, frequency=w / (2 * np.pi))
+    family = orbits.follow(orbits.find(CHAIN, drive=drive), "amplitude", 0.4 * eps)
+    (event,) = family.events[:1]
+    assert event.kind == "period doubling"
+    assert np.abs(event.orbit.multipliers + 1).max() < 1e-2
+
+    def returned(amplitude: float, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the state after a period and its derivatives; overlaps, and times in radians of the drive."""
+
+        def rate(t: float, y: np.ndarray) -> np.ndarray:
+            above, below = max(1 + amplitude * np.sin(t) - y[0], 0.0), max(1 + y[0], 0.0)
+            pull = (k[0] * above**1.5 - k[1] * below**1.5) * eps**0.5 / m / w**2
+            stiff = 1.5 * (k[0] * above**0.5 + k[1] * below**0.5) * eps**0.5 / m / w**2
+            return np.array([y[1], pull, y[3], -stiff * y[2], y[5], -stiff * y[4]])
+
+        end = solve_ivp(rate, (0, 2 * np.pi), [*state, 1, 0, 0, 1], "DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+        return end[:2], end[2:].reshape(2, 2).T
+
+    def excess(amplitude: float) -> float:
+        state = np.array([event.orbit.displacement[1] / eps, event.orbit.velocity[1] / eps / w])
+        for _ in range(6):
+            end, slope = returned(amplitude, state)
+            state = state - np.linalg.solve(slope - np.eye(2), end - state)
+        return float(np.trace(returned(amplitude, state)[1]) + 2)
+
+    near = event.value / eps * np.array([0.98, 1.02])
+    assert event.value / eps == pytest.approx(brentq(excess, *near, rtol=1e-9), rel=1e-5)
+
+
 def test_a_family_goes_through_its_folds_and_back():
     there = resonance()
     back = orbits.follow(there[-1], "period", there.period[0], events=False)
@@ -79,3 +112,41 @@ def test_any_number_of_the_chain_can_change(parameter: str, factor: float):
     assert family.energy == pytest.approx(np.full(len(family), orbit.energy), rel=1e-9)
     exact = orbits.normal_mode(end, 2, orbit.energy)
     assert family[-1].period == pytest.approx(exact.period, rel=1e-9)
+
+
+def growth(orbit: orbits.Orbit) -> float:
+    """Return the largest Floquet multiplier, by an independent integration of the chain and its variations."""
+    chain, n = orbit.chain, orbit.chain.grains
+    constant, overlap = np.array(chain.contacts.constant), np.array(chain.contacts.overlap)
+    unit, clock = chain.length_scale, orbit.period / (2 * np.pi)
+
+    def rate(_: float, y: np.ndarray) -> np.ndarray:
+        u, v = y.reshape(2, n, n * 2 + 1)
+        squeezed = np.maximum(overlap + np.diff(-u[:, 0] * unit, prepend=0.0, append=0.0), 0.0)
+        force, stiff = constant * squeezed**1.5 / unit, 1.5 * constant * squeezed**0.5
+        pull = np.empty_like(u)
+        pull[:, 0] = force[:-1] - force[1:]
+        change = -stiff[:, None] * np.diff(u[:, 1:], axis=0, prepend=0.0, append=0.0)
+        pull[:, 1:] = change[:-1] - change[1:]
+        return np.concatenate((v, pull * clock**2 / chain.masses[:, None])).ravel()
+
+    state = np.concatenate((orbit.displacement / unit, orbit.velocity * clock / unit))
+    start = np.concatenate((state[:, None], np.eye(2 * n)), axis=1).ravel()
+    end = solve_ivp(rate, (0, 2 * np.pi), start, "DOP853", rtol=1e-11, atol=1e-12).y[:, -1].reshape(2 * n, -1)
+    assert np.abs(end[:, 0] - state).max() < 1e-8 * np.abs(state).max()
+    return float(np.abs(np.linalg.eigvals(end[:, 1:])).max())
+
+
+@pytest.mark.slow
+def test_a_breather_loses_its_stability_and_comes_back_where_pairs_of_multipliers_meet():
+    masses = np.where(np.arange(11) % 2 == 0, 3e-3, 1e-3)
+    chain = Chain(grains=11, diameter=1e-2, gravity=0.0, top_load=20.0, top="wall", bottom="wall", masses=masses)
+    u, period = orbits.linear_mode(chain, 7, 1e-2)
+    rest = np.zeros(11)
+    first = orbits.find(chain, (u, rest), period, energy=float(chain.excess_energy(u, rest)))
+    family = orbits.follow(first, "period", 1.05 * period)
+    assert [event.kind for event in family.events] == ["Neimark-Sacker", "Neimark-Sacker"]
+    for event, inside in zip(family.events, (1, -1), strict=True):
+        near = [orbits.find(chain, event.orbit, event.value * (1 + side * 2e-4)) for side in (-inside, inside)]
+        assert growth(near[0]) == pytest.approx(1, abs=1e-4)
+        assert growth(near[1]) > 1.001

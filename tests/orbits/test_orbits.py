@@ -183,6 +183,15 @@ def test_an_orbit_runs_in_an_engine_and_leaves_along_its_unstable_direction():
     assert np.abs(run.displacement - orbit.displacement).max() < 1e-8 * orbit.amplitude
 
 
+@pytest.mark.slow
+def test_an_orbit_runs_in_lammps():
+    """As far as heights allow."""
+    chain = Chain(grains=10, diameter=1e-3, gravity=0.0, top_load=1.0, top="wall", bottom="wall")
+    orbit = orbits.normal_mode(chain, 6, 1e-7)
+    run = simulate(orbit.scene(2, samples=3), "lammps", 1e-6)
+    assert np.abs(run.displacement - orbit.displacement).max() < 1e-6 * orbit.amplitude
+
+
 def test_an_unstable_orbit_is_left_at_the_rate_of_its_multiplier():
     masses = np.where(np.arange(11) % 2 == 0, 3e-3, 1e-3)
     chain = Chain(grains=11, diameter=1e-2, gravity=0.0, top_load=20.0, top="wall", bottom="wall", masses=masses)
