@@ -104,15 +104,17 @@ class Sensitivity:
         """Draw the change for 1 % of every entry along the chain; returns the figure."""
         from ..util.plotting import COLOURS, axes_in_units
 
-        ax, picture = axes_in_units(ax, "", "%")
+        ax, picture = axes_in_units(ax, "", "")
         size = abs(self.value) or 1.0
         drawn = [(name, part) for name, part in self.relative.items() if part.size > 2]
+        matters = np.concatenate([np.flatnonzero(abs(part) > 1e-3 * abs(part).max()) for _, part in drawn] or [[0]])
         for (name, part), colour in zip(drawn, COLOURS.values(), strict=False):
             at = np.arange(1, part.size + 1) + (0.5 if name == "contact_constants" else 0.0)
             ax.plot(at, part / size, color=colour, label=name.replace("_", " "), marker=".", ms=3, lw=0.9)
         ax.axhline(0, color="0.6", lw=0.6, zorder=0)
         ax.set_xlabel("grain")
-        ax.set_ylabel("change for 1 % more")
+        ax.set_ylabel("change for 1 % more, %")
+        ax.set_xlim(0.5, matters.max() + 2.5)
         ax.set_title(f"{self.of.replace('_', ' ')}: {self.value:.6g} {self.unit}", fontsize=10)
         if drawn:
             ax.legend(frameon=False)
