@@ -107,7 +107,9 @@ class Sensitivity:
         ax, picture = axes_in_units(ax, "", "")
         size = abs(self.value) or 1.0
         drawn = [(name, part) for name, part in self.relative.items() if part.size > 2]
-        matters = np.concatenate([np.flatnonzero(abs(part) > 1e-3 * abs(part).max()) for _, part in drawn] or [[0]])
+        matters = np.concatenate(
+            [np.flatnonzero(abs(part) > 1e-3 * abs(part).max()) for _, part in drawn] or [np.zeros(1, int)]
+        )
         for (name, part), colour in zip(drawn, COLOURS.values(), strict=False):
             at = np.arange(1, part.size + 1) + (0.5 if name == "contact_constants" else 0.0)
             ax.plot(at, part / size, color=colour, label=name.replace("_", " "), marker=".", ms=3, lw=0.9)
@@ -150,7 +152,7 @@ def objective(of: str) -> tuple[Objective, str]:
 
 
 def _depends_on(scene: Scene) -> list[str]:
-    """Return what the answer depends on in this scene: diameters and moduli, or what is given in their place."""
+    """Return what the answer depends on: diameters and moduli, or what is given in their place."""
     given, names = scene.chain.model_fields_set, []
     for name in CANDIDATES:
         if name in OVERRIDES and name not in given:
