@@ -1,4 +1,4 @@
-"""The tangent of a run by a kick-drift splitting, compiled: how it changes in a few directions, see `adjoint`."""
+"""The tangent of a run by a kick-drift splitting, compiled; see `adjoint`."""
 
 from __future__ import annotations
 
