@@ -35,14 +35,14 @@ PRINTED = {"color": COLOURS["modes"], "lw": 1.4, "ls": "--"}  # the paper's form
 def arguments(script: str, doc: str) -> argparse.Namespace:
     """Read --quick and -o.
 
-    The picture goes into `pictures/`, with --quick into this folder.
+    The picture goes into `pictures/` beside the script, with --quick into this folder.
     """
     name = f"{Path(script).stem}.png"
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="smaller and faster, for tests; draws ./" + name)
     parser.add_argument("-o", "--output", type=Path, help="the picture; by default pictures/" + name)
     given = parser.parse_args()
-    given.output = given.output or (Path(name) if given.quick else HERE / "pictures" / name)
+    given.output = given.output or (Path(name) if given.quick else Path(script).resolve().parent / "pictures" / name)
     return given
 
 

@@ -79,7 +79,7 @@ def looks_of(scene: Scene, objective: Objective, finer: int = 1) -> int:
 def at_step(
     scene: Scene, objective: Objective, names: Iterable[str], method: Splitting, step: float, finer: int = 1
 ) -> tuple[float, dict[str, Array], DifferentiableRun]:
-    """Return value and gradients of a run by steps of one length, and the run; `finer` is of a dense objective.
+    """Return value and gradients of a run by steps of one length, and the run.
 
     Raises
     ------

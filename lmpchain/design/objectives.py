@@ -7,68 +7,16 @@ whenever the steps of a gradient are halved.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from ..errors import InputError, shown
 from ..scene.scene import Scene
 from ..util.arrays import Array
-
-
-class Seen(NamedTuple):
-    """What is seen of a motion.
-
-    Attributes
-    ----------
-    scene : Scene
-    time : (T,) array
-        s.
-    grains : (G,) array
-        Numbers from 1.
-    displacement, velocity : (T, G) arrays
-        m and m/s, positive downward.
-    """
-
-    scene: Scene
-    time: Array
-    grains: np.ndarray
-    displacement: Array
-    velocity: Array
-
-    def slopes(self, value: float) -> Slopes:
-        """Return a value whose derivatives are all 0 so far, to be filled in."""
-        chain = self.scene.chain
-        contacts = np.zeros((2, chain.grains + 1))
-        return Slopes(value, np.zeros(self.displacement.shape), np.zeros(self.velocity.shape),
-                      np.zeros(chain.grains), *contacts)  # fmt: skip
-
-    def column(self, grain: int) -> int:
-        """Return the column of a grain."""
-        return int(np.flatnonzero(self.grains == grain)[0])
-
-
-class Slopes(NamedTuple):
-    """A value and its derivatives.
-
-    Attributes
-    ----------
-    value : float
-    displacement, velocity : (T, G) arrays
-        With respect to what was seen.
-    masses, constants, forces : (N,), (N+1,) and (N+1,) arrays
-        With respect to masses, constants and forces at rest of all contacts, where the objective itself has them.
-    """
-
-    value: float
-    displacement: Array
-    velocity: Array
-    masses: Array
-    constants: Array
-    forces: Array
+from .seen import Seen, Slopes, contact_force, quadrature
 
 
 class Objective(Protocol):
@@ -90,24 +38,6 @@ def _known(scene: Scene, grains: Sequence[int]) -> Sequence[int]:
     if not len(grains) or min(grains) < 1 or max(grains) > scene.chain.grains:
         raise InputError([("grains", f"must be some of 1 to {scene.chain.grains} (got {shown(list(grains))})")])
     return grains
-
-
-def contact_force(seen: Seen, contact: int) -> tuple[Array, Array, Array, Array, list[int]]:
-    """Return the force of a contact, (T,) N, its derivatives by r, F and K, and the grains it joins."""
-    chain = seen.scene.chain
-    constant, carried, delta = chain.contacts.constant[contact], chain.contacts.force[contact], chain.exponent
-    ends = [grain for grain in (contact, contact + 1) if 1 <= grain <= chain.grains]
-    closer = np.zeros(seen.time.size)
-    for grain in ends:
-        closer += seen.displacement[:, seen.column(grain)] * (1 if grain == contact else -1)
-    overlap = np.maximum(chain.contacts.overlap[contact] + closer, 0.0)
-    stiffness = delta * constant * overlap ** (delta - 1) * (overlap > 0)
-    by_force, by_constant = np.zeros(closer.shape), overlap**delta
-    if carried > 0:  # eps = (F / K)^(1/delta)
-        rest = chain.contacts.overlap[contact]
-        by_force = stiffness * rest / (delta * carried)
-        by_constant = by_constant - stiffness * rest / (delta * constant)
-    return constant * overlap**delta, stiffness, by_force, by_constant, ends
 
 
 @dataclass(frozen=True)
@@ -145,7 +75,7 @@ class PeakForce:
         if largest == 0:
             return seen.slopes(0.0)
         part = force / largest
-        weight = _quadrature(part.size) * part**self.sharpness
+        weight = quadrature(part.size) * part**self.sharpness
         weight /= weight.sum()
         value = float(largest * (weight @ part))
         ratio = np.divide(value, force, out=np.zeros(force.size), where=part > 1e-3)
@@ -290,18 +220,6 @@ class Misfit:
         return slopes
 
 
-def _quadrature(size: int) -> Array:
-    """Return the weights of the trapezoidal rule with Gregory's corrections of order 6 at the ends, (size,)."""
-    weight = np.ones(size)
-    weight[[0, -1]] = 0.5
-    for k, gregory in enumerate((1 / 12, 1 / 24, 19 / 720, 3 / 160, 863 / 60480), 1):
-        if 2 * k < size:
-            part = [gregory * (-1) ** j * math.comb(k, j) for j in range(k + 1)]
-            weight[: k + 1] -= part
-            weight[-k - 1 :] -= part[::-1]
-    return weight
-
-
 @dataclass(frozen=True)
 class DriveWork:
     """The work that a driven grain 1 takes, J, beyond that against what balances at rest.
@@ -322,7 +240,7 @@ class DriveWork:
         """Return the work and its derivatives."""
         force, by_closer, by_force, by_constant, _ = contact_force(seen, 1)
         change, v, m = force - seen.scene.chain.contacts.force[1], seen.velocity[:, 0], seen.scene.chain.masses[0]
-        weight = _quadrature(v.size) * seen.time[1]
+        weight = quadrature(v.size) * seen.time[1]
         slopes = seen.slopes(float(m / 2 * (v[-1] ** 2 - v[0] ** 2) + weight @ (change * v)))
         slopes.displacement[:, 0], slopes.displacement[:, 1] = weight * v * by_closer, -weight * v * by_closer
         slopes.velocity[:, 0] = weight * change

@@ -1,4 +1,4 @@
-"""The chain that does best: bounded optimisation of an objective by its exact gradient, from several starts."""
+"""The chain that does best: bounded optimisation by exact gradients, from several starts."""
 
 from __future__ import annotations
 
@@ -208,7 +208,7 @@ def optimise(
 
 
 def _value(scene: Scene, objective: Objective, tolerance: float) -> tuple[float, float, float]:
-    """Return an objective, its error from steps of two lengths, and how far the longer ones turn that are enough."""
+    """Return an objective, its error from two steps, and the turn of the longer one that is enough."""
     step, method = TURN / scene.highest_frequency, SPLITTINGS["rkn4"]
     value = at_step(scene, objective, (), method, 2 * step)[0]
     for halving in range(HALVINGS):

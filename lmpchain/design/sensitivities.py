@@ -103,15 +103,19 @@ class Sensitivity:
         """Draw the change for 1 % of every entry along the chain; returns the axes."""
         from ..util.plotting import COLOURS, axes_in_units, legend, titled
 
-        ax = axes_in_units(ax, "", "%")
+        ax = axes_in_units(ax, "", "")
         size = abs(self.value) or 1.0
         drawn = [(name, part) for name, part in self.relative.items() if part.size > 2]
+        matters = np.concatenate(
+            [np.flatnonzero(abs(part) > 1e-3 * abs(part).max()) for _, part in drawn] or [np.zeros(1, int)]
+        )
         for (name, part), colour in zip(drawn, COLOURS.values(), strict=False):
             at = np.arange(1, part.size + 1) + (0.5 if name == "contact_constants" else 0.0)
             ax.plot(at, part / size, color=colour, label=name.replace("_", " "), marker=".", ms=3, lw=0.9)
         ax.axhline(0, color="0.6", lw=0.6, zorder=0)
         ax.set_xlabel("grain")
-        ax.set_ylabel("change for 1 % more")
+        ax.set_ylabel("change for 1 % more, %")
+        ax.set_xlim(0.5, matters.max() + 2.5)
         titled(ax, f"{self.of.replace('_', ' ')}: {self.value:.6g} {self.unit}")
         legend(ax)
         return ax
@@ -146,7 +150,7 @@ def objective(of: str) -> tuple[Objective, str]:
 
 
 def _depends_on(scene: Scene) -> list[str]:
-    """Return what the answer depends on in this scene: diameters and moduli, or what is given in their place."""
+    """Return what the answer depends on: diameters and moduli, or what is given in their place."""
     given, names = scene.chain.model_fields_set, []
     for name in CANDIDATES:
         if name in OVERRIDES and name not in given:

@@ -14,7 +14,7 @@ from ..errors import InputError, shown
 from ..integrators.adjoint import DifferentiableRun, Inputs
 from ..scene.scene import Scene
 from ..util.arrays import Array
-from .objectives import Seen, contact_force
+from .seen import Seen, contact_force
 
 Field = Literal["velocity", "displacement", "force", "contact"]
 LARGEST = 2**28  # bytes of a file
@@ -76,7 +76,7 @@ class Traces:
 
     @classmethod
     def from_csv(cls, path: str | PathLike[str], places: Sequence[int], **known: Any) -> Traces:
-        """Read a table as oscilloscopes write them: lines of time, s, and one value a place; others are passed over.
+        """Read lines of time, s, and one value a place, as oscilloscopes write them; skip others.
 
         Raises
         ------
@@ -117,7 +117,7 @@ class Traces:
 def model(
     scene: Scene, run: DifferentiableRun, traces: Traces, change: Inputs | None, moved: tuple[Array, Array] | None
 ) -> tuple[Array, Array]:
-    """Return what a run says of traces at all looks, (T, G), and how that changes in D directions, (D, T, G)."""
+    """Return what a run says of traces at all looks, (T, G), and its changes, (D, T, G)."""
     seen = Seen(scene, run.time, run.grains, run.displacement, run.velocity)
     columns = (
         [seen.column(int(place)) for place in traces.places] if traces.field in ("velocity", "displacement") else []

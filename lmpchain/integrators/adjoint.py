@@ -26,6 +26,7 @@ from ..util.arrays import Array
 from .batch import ChainBatch
 from .imposed import ImposedCourse
 from .kernels import adjoint as kernels
+from .kernels.adjoint_tangent import tangent
 from .kernels.contact_forces import ROOTS
 from .kernels.layout import FIRST, LAST, PAD, STEP, Chain
 from .splittings import Splitting
@@ -274,7 +275,7 @@ class DifferentiableRun:
             by_path = np.empty((len(dx), 0))
             if self.imposed:
                 by_path = self.imposed.push(self._times(row, count), change.drive, 0)
-            kernels.tangent(
+            tangent(
                 self._law, self._less, again, self._table, self._course, self._room, self._path(row, count),
                 before[piece], rows[piece], count, near, np.empty((2, 1)), (*fixed, by_path), dx, dv, (columns, looks),
             )  # fmt: skip

@@ -7,7 +7,7 @@ import pytest
 
 from lmpchain import Chain, Impulse, InputError, Scene, engines, simulate
 from lmpchain.design import Traces, fit
-from lmpchain.design.fitting import _Problem
+from lmpchain.design.unknowns import Problem
 
 CHAIN = Chain(grains=10, diameter=2e-3, top_load=0.5, gravity=0.0, material="steel", bottom="wall")
 SCENE = Scene(chain=CHAIN, excitation=Impulse(velocity=0.02), duration=1e-4, samples=201)
@@ -46,7 +46,7 @@ def test_what_made_a_trace_is_found_again():
 @pytest.mark.parametrize("field", ["velocity", "displacement", "force", "contact"])
 def test_jacobians_agree_with_differences(field: str):
     traces = Traces(SCENE.time, [4, 10], np.zeros((201, 2)), field, trigger=True, gain=True, offset=True)  # type: ignore[arg-type]
-    problem = _Problem(SCENE.replace(duration=1.2e-4), [traces], {"youngs_moduli": "common", "masses": [3]})
+    problem = Problem(SCENE.replace(duration=1.2e-4), [traces], {"youngs_moduli": "common", "masses": [3]})
     theta = np.array([0.01, -0.02, 0.013, 0.1, 0.0, 0.0])
     exact = problem.residuals(theta, True)[1]
     for k in range(theta.size):

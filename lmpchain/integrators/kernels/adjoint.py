@@ -15,13 +15,9 @@ and a drift; the last kick of a step and the first of the next are one, but wher
 from __future__ import annotations
 
 import math
-from typing import Any
-
-import numba
-from numba import types
 
 from ...util.compilation import compiled_once
-from .contact_forces import _exp, _inline, _log
+from .adjoint_rows import _OPTIONS, _back_hertz, _back_other, _loop, _there_hertz, _there_other, _there_plain
 from .layout import BODY, FIRST, LAST, PAD
 from .right_hand_side import sweep
 from .window import widen
@@ -30,113 +26,6 @@ PLAIN, HERTZ, OTHER = range(3)  # delta = 3/2 in strong waves, or in any; any de
 NEWS = "gradients of the native engine", 30
 BURST = 32  # rows between two updates of the window
 TILE = 384  # bodies that stay in the nearest cache while the rows of a burst pass over them
-_OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"nnan", "ninf", "nsz", "contract"}, "_nrt": False}
-_loop = numba.njit(**_OPTIONS)
-
-
-@_inline
-def apart(typing: Any) -> Any:
-    """Tell the compiler that no two arrays that a function takes overlap, or it checks that again and again."""
-
-    def mark(context: Any, builder: Any, _signature: Any, _args: Any) -> Any:
-        for arg in builder.function.args[2:]:
-            if arg.type.is_pointer:
-                arg.add_attribute("noalias")
-        return context.get_dummy_value()
-
-    return types.void(), mark
-
-
-@_loop
-def _hertz(s, c):
-    """Return p for delta = 3/2, with the digits that 1 + s loses."""
-    p = math.sqrt(c + s) - c
-    return p + 0.5 * c * ((s - 2.0 * p) - p * p)
-
-
-@_loop
-def _other(s, c, less):
-    """Return p for any delta; `less` is delta - 1."""
-    shut = c + s > 1e-90
-    inside = s if shut else 1.0 - c
-    y = c + inside
-    p = _exp(less * _log(y, inside - (y - c)), c)
-    return p if shut else -c
-
-
-def _there_by_root(exact: bool) -> Any:
-    """Make the loop that kicks and drifts for delta = 3/2, with the digits of weak waves or without."""
-
-    @_loop
-    def there(x, v, inverse_length, strength, inverse_mass, kick, drift, above, c, power):
-        """Kick and drift the bodies x (C+1,) but the last, as fast as v (C,), and keep p; return the last force."""
-        apart()
-        for n in range(v.size):
-            s = (x[n] - x[n + 1]) * inverse_length[n]
-            s = s if s > -c else -c
-            p = _hertz(s, c) if exact else math.sqrt(c + s) - c
-            power[n] = p
-            below = strength[n] * p * (3.0 * c + p * (3.0 * c + p))
-            faster = v[n] + kick * inverse_mass[n] * (above - below)
-            v[n] = faster
-            x[n] += drift * faster
-            above = below
-        return above
-
-    return there
-
-
-_there_plain, _there_hertz = _there_by_root(False), _there_by_root(True)
-
-
-@_loop
-def _there_other(x, v, inverse_length, strength, inverse_mass, kick, drift, above, c, less, power, force):
-    """Do the same for any delta, and keep f, too."""
-    apart()
-    for n in range(v.size):
-        s = (x[n] - x[n + 1]) * inverse_length[n]
-        s = s if s > -c else -c
-        p = _other(s, c, less)
-        power[n] = p
-        below = strength[n] * (c * (s + p) + s * p)
-        force[n] = below
-        faster = v[n] + kick * inverse_mass[n] * (above - below)
-        v[n] = faster
-        x[n] += drift * faster
-        above = below
-    return above
-
-
-def _back(kept: bool) -> Any:
-    """Make the loop of the way back, with forces that were kept or follow from p."""
-
-    @_loop
-    def back(x, v, stiff, strength, inverse_mass, kick, drift, before, c, power, force, sums_p, sums_f, sums_m):
-        """Take adjoints of bodies v (C,) and x (C+1,), from the one above on, back through a drift and a kick.
-
-        `before` and what is returned are w, the adjoint of the momentum gained, stiffness and force at either end.
-        """
-        apart()
-        w_before, g_before, f_before = before
-        for n in range(v.size):
-            faster = v[n] + drift * x[n + 1]
-            v[n] = faster
-            w = kick * inverse_mass[n] * faster
-            y = w - w_before  # the adjoint of the force
-            p = power[n]
-            f = force[n] if kept else strength[n] * p * (3.0 * c + p * (3.0 * c + p))
-            g = stiff[n] * (c + p) * y
-            sums_p[n] += y * p
-            sums_f[n] += y * f
-            sums_m[n] += w_before * (f_before - f)
-            x[n] += g - g_before
-            w_before, g_before, f_before = w, g, f
-        return w_before, g_before, f_before
-
-    return back
-
-
-_back_hertz, _back_other = _back(False), _back(True)
 
 
 @_loop
@@ -191,7 +80,7 @@ def _forward(chain, course, room, path, look, q, count, seen):
 
 @compiled_once(*NEWS, nogil=True, **_OPTIONS)
 def forward(chain, course, room, path, pieces, some, seen):
-    """Move a chain through the pieces some[0] ... some[1] - 1 of its run by the loops of the native engine.
+    """Move a chain through some pieces of its run by the loops of the native engine.
 
     `course` is kicks (S+1,) and drifts (S,) as parts of a step, the lengths (K,) of all steps, s, and how many are
     made before each look. `seen` is the indices (G,) of bodies and room for their x and v at all looks. `path` is what
@@ -343,7 +232,7 @@ def _backward(
 def backward(
     law, less, chain, table, course, room, path, pieces, some, kept, bodies, seen, adjoint, on_path, everywhere
 ):
-    """Make the pieces some[0] ... some[1] - 1 of a run again, the last one first, and take adjoints back through them.
+    """Make some pieces of a run again, the last one first, and take adjoints back through them.
 
     `kept` is room for p and, if it does not follow from p, f of the contacts in a piece, and for those of a first one
     that only touches. The rest is as in `forward`, `_keep` and `_backward`; `everywhere` makes windows no narrower.
@@ -366,90 +255,3 @@ def backward(
             law, less, chain, table, course, room, path[part], looks[piece + 1], rows[piece + 1], count,
             powers, forces, tops, seen, adjoint, on_path[part],
         )  # fmt: skip
-
-
-@_loop
-def _evaluate(law, less, chain, table, row, first, last, tops, near):
-    """Fill slope, p, f of the contacts, and what the constant does; `near` is as in `tangent`."""
-    c, power, force, slope, soften = chain.precompressed, near[0], near[1], near[2], near[3]
-    for n in range(first, last):
-        s = (chain.x[n - 1] - chain.x[n]) * table[0, n]
-        s = s if s > -c else -c
-        p = _hertz(s, c) if law <= HERTZ else _other(s, c, less)
-        power[n], slope[n] = p, table[2, n] * (c + p)
-        force[n] = table[1, n] * (c * (s + p) + s * p)
-    if chain.uncompressed > 0.0 and first == PAD:
-        force[PAD] = _touch(law, chain.x[PAD - 1] - chain.x[PAD], chain.uncompressed, less, 0, tops)
-        power[PAD] = tops[0, 0]
-        slope[PAD] = (less + 1.0) * chain.uncompressed * power[PAD]
-    for n in range(first, last):
-        soften[n] = (force[n] - near[5, n] * power[n]) * near[4, n]
-
-
-@_loop
-def _move(x, v, inverse_mass, force, kick, drift):
-    """Kick and drift bodies x and v (C-1,) by the forces (C,) between them."""
-    apart()
-    for n in range(v.size):
-        faster = v[n] + kick * inverse_mass[n] * (force[n] - force[n + 1])
-        v[n] = faster
-        x[n] += drift * faster
-
-
-@_loop
-def _change(x, v, inverse_mass, slope, power, force, soften, by_force, by_constant, by_mass, kick, drift):
-    """Kick and drift small changes of the bodies x (C+1,) but the last, as fast as v (C,)."""
-    apart()
-    above, f_above = 0.0, 0.0
-    for n in range(v.size):
-        below = slope[n] * (x[n] - x[n + 1]) + power[n] * by_force[n] + soften[n] * by_constant[n]
-        faster = v[n] + kick * inverse_mass[n] * (above - below - (f_above - force[n]) * by_mass[n])
-        v[n] = faster
-        x[n] += drift * faster
-        above, f_above = below, force[n]
-
-
-@compiled_once(*NEWS, nogil=True, **_OPTIONS)
-def tangent(law, less, chain, table, course, room, path, look, q, count, near, tops, change, dx, dv, seen):
-    """Move a chain, and D small changes dx and dv (D, W) of it, by some rows as `forward` does.
-
-    `near` is (6, W): room for four, the inverse of the constant of every contact and what it carries at rest. `change`
-    has directions: relative masses, constants and forces at rest (D, W) each, and what is imposed (D, rows).
-    """
-    columns, looks = seen
-    by_mass, by_constant, by_force, by_path = change
-    im, first, last = chain.inverse_mass, PAD, chain.x.size
-    body = int(chain.drive[BODY]) if path.size > 0 else 0
-    done = 0
-    while done < count:
-        some = min(BURST, count - done, _rows(course, look) - q)
-        kick, drift = room[0, :some], room[1, :some]
-        _fill(course, look, q, kick, drift)
-        for row in range(some):
-            place = done + row
-            if body > 0:
-                chain.x[body] = path[place]
-            _evaluate(law, less, chain, table, 0, first, last, tops, near)
-            for d in range(dx.shape[0]):
-                if body > 0:
-                    dx[d, body] = by_path[d, place]
-                elif body < 0:
-                    dv[d, -body] += kick[row] * im[-body] * (by_path[d, place] - path[place] * by_mass[d, -body])
-                _change(
-                    dx[d, first - 1 : last], dv[d, first - 1 : last - 1], im[first - 1 : last - 1], near[2, first:last],
-                    near[0, first:last], near[1, first:last], near[3, first:last], by_force[d, first:last],
-                    by_constant[d, first:last], by_mass[d, first - 1 : last - 1], kick[row], drift[row],
-                )  # fmt: skip
-            if body < 0:
-                chain.v[-body] += kick[row] * im[-body] * path[place]
-            _move(
-                chain.x[first : last - 1], chain.v[first : last - 1], im[first : last - 1], near[1, first:last],
-                kick[row], drift[row],
-            )  # fmt: skip
-        q, done = q + some, done + some
-        if q == _rows(course, look):
-            look, q = look + 1, 0
-            for column in range(columns.size):
-                for d in range(dx.shape[0]):
-                    looks[d, 0, look, column] = dx[d, columns[column]]
-                    looks[d, 1, look, column] = dv[d, columns[column]]
