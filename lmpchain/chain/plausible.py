@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
 from ..util.arrays import Array
 from .contacts import Contacts
-
-if TYPE_CHECKING:
-    from .chain import Chain
 
 # overlap over diameter: the contact is then a tenth as wide as the grain, and Hertz's theory takes it to be far
 # narrower (K. L. Johnson, Contact Mechanics, Cambridge 1985, section 4.2)
@@ -19,6 +16,15 @@ HERTZ_OVERLAP = 0.01
 LARGEST_DIAMETER = 0.3  # m
 LARGEST_OVERLAP = 0.1  # of the diameter: beyond it the Hertz law no longer describes a contact
 LONG = 10**6  # grains from which on arrays are a burden
+
+
+class Squeezed(Protocol):
+    """What is squeezed: the fields of a chain that say how much."""
+
+    grains: int
+    gravity: float
+    top_load: float
+    exponent: float
 
 
 def beyond_hertz(relative: float) -> str:
@@ -35,7 +41,7 @@ def remarks(diameter: float | Array, relative: float) -> Iterator[str]:
         yield f"diameter: at rest {beyond_hertz(relative)}"
 
 
-def least_squeezed(kinds: Array, chain: Chain) -> float:
+def least_squeezed(kinds: Array, chain: Squeezed) -> float:
     """Return to what part of the diameter a contact of a long chain is squeezed at least, without arrays.
 
     Its grains are of these kinds (3, I+1), alike but for I impurities; 0 for a chain whose arrays are no burden. Of the

@@ -269,7 +269,7 @@ class CompanionRun(Run):
         return ErrorBudget(float(truncation), roundoff, bool(smooth), relative.max((0, 2)), self.scene.time)
 
     def _grown(self, real: int, peaks: Array) -> float:
-        """Return what becomes of a last digit in the whole run; 0 before its end, and where nothing ever meets."""
+        """Return what becomes of a last digit; 0 before the end, and where nothing ever meets."""
         if self._at_rest[real] or self._sample < self.scene.samples - 1 or not self.closest[real] > 0:
             return 0.0
         if real not in self._amplified:
