@@ -101,13 +101,14 @@ class Chain(Checked):
         self._leave_open()
         if self.plainly_below(LARGEST_OVERLAP):
             return
-        if self._alike and (least := least_squeezed(self._kinds, self)) > LARGEST_OVERLAP:
+        known = self.grains, self.top_load, self.gravity, self.exponent
+        if self._alike and (least := least_squeezed(self._kinds, *known)) > LARGEST_OVERLAP:
             yield "diameter", too_squeezed(f"a contact is compressed by at least {least:.2g}")
             return
         with np.errstate(all="ignore"):  # non-finite values are faults
-            known = all((abs(part) < HARDEST).all() for part in self.dynamical_matrix()) and (self.masses > 0).all()
+            sound = all((abs(part) < HARDEST).all() for part in self.dynamical_matrix()) and (self.masses > 0).all()
             relative = self.contacts.overlap / self.contact_lengths
-        if not known or np.isnan(relative).any():
+        if not sound or np.isnan(relative).any():
             yield "masses", "are too small or too large to compute with, or contacts too hard or too soft: use SI units"
         elif relative.max() > LARGEST_OVERLAP:
             worst = int(relative.argmax())

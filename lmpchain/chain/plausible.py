@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Protocol
 
 import numpy as np
 
@@ -16,15 +15,6 @@ HERTZ_OVERLAP = 0.01
 LARGEST_DIAMETER = 0.3  # m
 LARGEST_OVERLAP = 0.1  # of the diameter: beyond it the Hertz law no longer describes a contact
 LONG = 10**6  # grains from which on arrays are a burden
-
-
-class Squeezed(Protocol):
-    """What is squeezed: the fields of a chain that say how much."""
-
-    grains: int
-    gravity: float
-    top_load: float
-    exponent: float
 
 
 def beyond_hertz(relative: float) -> str:
@@ -41,19 +31,19 @@ def remarks(diameter: float | Array, relative: float) -> Iterator[str]:
         yield f"diameter: at rest {beyond_hertz(relative)}"
 
 
-def least_squeezed(kinds: Array, chain: Squeezed) -> float:
+def least_squeezed(kinds: Array, grains: int, load: float, gravity: float, exponent: float) -> float:
     """Return to what part of the diameter a contact of a long chain is squeezed at least, without arrays.
 
     Its grains are of these kinds (3, I+1), alike but for I impurities; 0 for a chain whose arrays are no burden. Of the
     2 I + 1 lowest contacts one is between two common grains.
     """
-    if chain.grains < LONG:
+    if grains < LONG:
         return 0.0
     modulus, d, mass = kinds[:, 0]
-    above = max(chain.grains - 3 * kinds.shape[1], 0)
-    constant = 2 / 3 * modulus * np.sqrt(d / 4) * d ** (1.5 - chain.exponent)
+    above = max(grains - 3 * kinds.shape[1], 0)
+    constant = 2 / 3 * modulus * np.sqrt(d / 4) * d ** (1.5 - exponent)
     with np.errstate(all="ignore"):
-        return float(Contacts(constant, chain.top_load + chain.gravity * above * mass, chain.exponent).overlap / d)
+        return float(Contacts(constant, load + gravity * above * mass, exponent).overlap / d)
 
 
 def too_squeezed(how: str) -> str:
