@@ -93,8 +93,7 @@ class Chain(Checked):
             yield "grains", 'a single grain that is held, or touches nothing: use bottom = "wall", or more grains'
         if self.bottom == "free" and (self.gravity > 0 or self.top_load > 0):
             yield "bottom", 'must be "fixed" or "wall" under gravity or a top load: a free chain would fall'
-        small = [key for key in LEAST if 0 < getattr(self, key) < LEAST[key]]
-        for key in small:
+        for key in (small := [key for key in LEAST if 0 < getattr(self, key) < LEAST[key]]):
             yield key, f"must be 0, or at least {LEAST[key]:g} in SI units: below, squares of overlaps underflow"
         if wrong or small:
             return
