@@ -94,8 +94,7 @@ class Chain(AtRest, Checked):
             yield "grains", 'a single grain that is held, or touches nothing: use bottom = "wall", or more grains'
         if self.bottom == "free" and (self.gravity > 0 or self.top_load > 0):
             yield "bottom", 'must be "fixed" or "wall" under gravity or a top load: a free chain would fall'
-        small = [key for key in LEAST if 0 < getattr(self, key) < LEAST[key]]
-        for key in small:
+        for key in (small := [key for key in LEAST if 0 < getattr(self, key) < LEAST[key]]):
             yield key, f"must be 0, or at least {LEAST[key]:g} in SI units: below, squares of overlaps underflow"
         if wrong or small or self._leave_open().plainly_below(LARGEST_OVERLAP):
             return
@@ -104,9 +103,9 @@ class Chain(AtRest, Checked):
             yield "diameter", too_squeezed(f"a contact is compressed by at least {least:.2g}")
             return
         with np.errstate(all="ignore"):  # non-finite values are faults
-            known = all((abs(part) < HARDEST).all() for part in self.dynamical_matrix()) and (self.masses > 0).all()
+            sound = all((abs(part) < HARDEST).all() for part in self.dynamical_matrix()) and (self.masses > 0).all()
             relative = self.contacts.overlap / self.contact_lengths
-        if not known or np.isnan(relative).any():
+        if not sound or np.isnan(relative).any():
             yield "masses", "are too small or too large to compute with, or contacts too hard or too soft: use SI units"
         elif relative.max() > LARGEST_OVERLAP:
             worst = int(relative.argmax())

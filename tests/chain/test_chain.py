@@ -506,4 +506,4 @@ def test_a_long_squeezed_column_is_refused_before_memory_is_taken(odd: list[Impu
     monkeypatch.setattr("lmpchain.chain.plausible.LONG", 1000)
     long = Chain(grains=1000, diameter=1e-3, impurity=odd, top="wall", bottom="wall", top_load=1e-3)
     relative = (long.contacts.overlap / long.contact_lengths)[-2]
-    assert 0.95 < least_squeezed(long._kinds, long) / relative <= 1
+    assert 0.95 < least_squeezed(long._kinds, 1000, 1e-3, 9.81, 1.5) / relative <= 1
