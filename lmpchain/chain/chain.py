@@ -98,7 +98,7 @@ class Chain(AtRest, Checked):
             yield key, f"must be 0, or at least {LEAST[key]:g} in SI units: below, squares of overlaps underflow"
         if wrong or small or self._leave_open().plainly_below(LARGEST_OVERLAP):
             return
-        weights = self.grains, self.exponent, self.gravity, self.top_load
+        weights = self.grains, self.top_load, self.gravity, self.exponent
         if self._alike and (least := least_squeezed(self._kinds, *weights)) > LARGEST_OVERLAP:
             yield "diameter", too_squeezed(f"a contact is compressed by at least {least:.2g}")
             return

@@ -31,7 +31,7 @@ def remarks(diameter: float | Array, relative: float) -> Iterator[str]:
         yield f"diameter: at rest {beyond_hertz(relative)}"
 
 
-def least_squeezed(kinds: Array, grains: int, exponent: float, gravity: float, top_load: float) -> float:
+def least_squeezed(kinds: Array, grains: int, load: float, gravity: float, exponent: float) -> float:
     """Return to what part of the diameter a contact of a long chain is squeezed at least, without arrays.
 
     Its grains are of these kinds (3, I+1), alike but for I impurities; 0 for a chain whose arrays are no burden. Of the
@@ -43,7 +43,7 @@ def least_squeezed(kinds: Array, grains: int, exponent: float, gravity: float, t
     above = max(grains - 3 * kinds.shape[1], 0)
     constant = 2 / 3 * modulus * np.sqrt(d / 4) * d ** (1.5 - exponent)
     with np.errstate(all="ignore"):
-        return float(Contacts(constant, top_load + gravity * above * mass, exponent).overlap / d)
+        return float(Contacts(constant, load + gravity * above * mass, exponent).overlap / d)
 
 
 def too_squeezed(how: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -168,6 +169,8 @@ def optimise(
     ------
     InputError
         If parameters and bounds do not fit, or the folder is of another task.
+    RunFailed
+        If no start comes to an answer.
 
     Examples
     --------
@@ -184,9 +187,9 @@ def optimise(
     names = params.check(scene, parameters)
     box = _Box(scene, names, bounds)
     begins = np.vstack([box.start, qmc.LatinHypercube(box.start.size, seed=seed).random(max(0, starts - 1))])[:starts]
-    task = repr(
-        (repr(scene), repr(objective), names, box.low.tolist(), box.width.tolist(), maximise, starts, runs, seed)
-    )
+    with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
+        numbers = box.low.tolist(), box.width.tolist(), maximise, starts, runs, seed
+        task = repr((scene.to_text(), type(objective).__name__, vars(objective), names, numbers))
     store = None if folder is None else _Store(Path(folder), sha256(task.encode()).hexdigest())
     found: list[tuple[float, Array, Array]] = [] if store is None else store.finished()
     sign = -1.0 if maximise else 1.0

@@ -102,7 +102,7 @@ class Sweep:
         """Return a hash of all that shapes the answer to one scene, and of what is kept of it."""
         place = self.place(number)
         drawn = [
-            (each.key, repr(each.law), each.seed, index)
+            (each.key, type(each.law).__name__, each.law.given(), each.seed, index)
             for axis, index in zip(self.axes, place, strict=True)
             for each in axis.arrays
         ]

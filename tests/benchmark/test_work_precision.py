@@ -180,7 +180,7 @@ def test_the_picture(found, tmp_path):
     assert {ax.get_xscale() for ax in picture.axes} | {ax.get_yscale() for ax in picture.axes[:2]} == {"log"}
     assert over_time.get_xlabel() == "time (s)"
     assert over_time.get_ylabel() == "relative error"
-    shown = [text.get_text().replace("\n", " ") for text in over_time.get_legend().get_texts()]
+    shown = [text.get_text().replace("\n", " ") for text in over_evaluations.get_legend().get_texts()]
     assert {"native, to a tolerance", "others", "Pareto front"} <= set(shown)
     assert len(shown) == len(set(shown)) <= LABELLED + 2
     rings = [line for line in over_evaluations.lines if line.get_markersize() == 14]

@@ -229,7 +229,7 @@ def test_chaos_is_refused_after_the_first_try():
     assert said == pytest.approx(predictability_time(scene, 1e-6), rel=0.3, abs=0)
     with pytest.warns(UserWarning, match="amplifies round-off"):
         best = simulate(scene, "native", 1e-6, on_miss="warn")
-    assert best.cost.step_s < early.cost.step_s / 4
+    assert best.cost.step_s <= early.cost.step_s / 4
 
 
 def test_lammps_refuses_chaos_before_it_runs():

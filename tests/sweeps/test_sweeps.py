@@ -151,6 +151,17 @@ def test_numbers_of_every_grain_are_drawn(tmp_path, keys, bottom):
     assert found.solver_error[3] == alone.error_estimate.solver
 
 
+def test_laws_that_differ_in_a_late_digit_are_not_the_same(tmp_path):
+    """What is done in a folder is found again by all that shapes it."""
+    found = []
+    for mean in (1.0, 1.0 + 1e-7):
+        law = {"mean": 62e9 * mean, "deviation": 1e9, "per_grain": True}
+        table = {"draws": 2, "seed": 1, "chain.material.youngs_modulus": law}
+        asked = {"scene": SHORT, "keep": ["wall_force"], "random": table}
+        found.append(sweep(asked, tmp_path).wall_force.values)
+    assert (found[0] != found[1]).all()
+
+
 @pytest.mark.parametrize("log", [False, True])
 def test_drawn_numbers_obey_their_law(tmp_path, log):
     """Mean and deviation are those of the number itself; a seed stands for the same ones, however many scenes."""
