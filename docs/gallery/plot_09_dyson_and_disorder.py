@@ -30,3 +30,10 @@ picture_of_localisation = disorder.lyapunov(frequency, law, grains=10_000, seed=
 
 # %%
 picture_of_states = disorder.density_of_states(frequency, law, grains=10_000, seed=1).plot()
+
+# %%
+# How the energy of a strike in the middle spreads: second moment and participation.
+line = lmpchain.Chain(grains=121, diameter=1e-3, gravity=0.0, top_load=1.0, bottom="wall")
+struck = lmpchain.Impulse(velocity=1e-9, grain=61)
+middle = lmpchain.Scene(chain=line, excitation=struck, duration=30 * line.time_scale, samples=31)
+picture_of_spreading = disorder.spreading(middle, 5, realisations=50, seed=1).plot()

@@ -216,7 +216,19 @@ WIDEST, MARGIN = 60, 4  # grains of the wave shown, and grains at rest on either
 
 
 def draw_comparison(comparison: Comparison, ax: Axes | Sequence[Axes] | None = None) -> Axes:
-    """Draw the trajectories, their errors over time and their cost; see `Comparison.plot`."""
+    """Draw the trajectories, their errors over time and their cost.
+
+    Parameters
+    ----------
+    comparison : Comparison
+    ax : Axes, or a sequence of three, optional
+        For the motion alone, or for motion, errors and cost.
+
+    Returns
+    -------
+    Axes
+        Those of the motion.
+    """
     if ax is None:
         ax = list(window(8.0, 7.0).subplot_mosaic([["wave", "wave"], ["error", "cost"]]).values())
     wave, *others = panels(ax)

@@ -163,7 +163,7 @@ def optimise(
     Returns
     -------
     Optimum
-        `.scene`, `.value`, `.values` and `.history`.
+        With ``scene``, ``value``, ``values`` and ``history``.
 
     Raises
     ------

@@ -186,6 +186,13 @@ def sensitivity(
     Sensitivity
         Its `table`, `plot`, `relative` changes and `uncertainty`.
 
+    Raises
+    ------
+    InputError
+        If there is no such answer, or a parameter or its deviation is none.
+    ToleranceNotMet
+        As `gradient`.
+
     Examples
     --------
     >>> from lmpchain import Chain, Impulse, Scene

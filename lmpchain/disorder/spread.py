@@ -137,6 +137,10 @@ def spreading(
     m, realisations, seed, engine, tolerance, law, of, progress
         As for `ensemble`. "chebyshev" and "modes" follow Eq. (3), and energies are those of its springs.
 
+    Returns
+    -------
+    Spreading
+
     Raises
     ------
     InputError, ToleranceNotMet, RunFailed

@@ -45,7 +45,15 @@ class Section:
 def write(
     trajectory: Trajectory, path: str | PathLike[str], progress: bool = False, origin: Mapping[str, str] = UNKNOWN
 ) -> None:
-    """Write the page, atomically; see `page`."""
+    """Write the page, atomically.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    path : path
+    progress, origin
+        As for `page`.
+    """
     with write_aside(path) as aside:
         aside.write_text(page(trajectory, progress, origin), encoding="utf-8")
 
@@ -60,6 +68,10 @@ def page(trajectory: Trajectory, progress: bool = False, origin: Mapping[str, st
         Whether to show a progress bar.
     origin : mapping
         "date" and "command" of the run.
+
+    Returns
+    -------
+    str
     """
     script = render("report.js")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")

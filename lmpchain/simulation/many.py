@@ -40,10 +40,12 @@ def simulate_many(
     ----------
     scenes : iterable of R scenes
         All answers are held in memory: 16 bytes a sample and grain. `lmpchain.sweep` keeps those of more on the disk.
-    tolerance, on_miss, **options
+    tolerance : float
         As for `simulate`.
     engine : str or Engine
         A name or an engine object. All but the native engine, and "auto", take one scene after the other.
+    on_miss, **options
+        As for `simulate`.
 
     Returns
     -------

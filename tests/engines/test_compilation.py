@@ -75,7 +75,7 @@ def test_costs_of_old_files_have_no_compilation():
     assert Cost(**json.loads(json.dumps(old))).compile_s == 0
 
 
-QUICK, LONG = ("modes", "auto"), ("native", "chebyshev", "bessel", "continuum")
+QUICK, LONG = ("modes",), ("auto", "native", "chebyshev", "bessel", "continuum")
 
 
 @pytest.mark.parametrize(

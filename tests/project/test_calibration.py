@@ -27,7 +27,7 @@ SHOWN = {
         "DOUBT",
     ],
     "linear_openings": ["GRAZES", "FEW (waves)"],
-    "opening_error_factor": ["OPENING_ERROR (verlet)", "SAFE_STRAIN", "LONGEST_STEP"],
+    "opening_error_factor": ["SAFE_STRAIN", "LONGEST_STEP"],
     "predictability": ["OPENING", "FLYING", "FEW", "reflection_time: 0.907470, 0.681632"],
     "richardson_estimate": ["SAFETY", "ORDER_AT_OPENINGS", "ORDER_AT_KINKS", "CLOSE_TO_OPENING", "FEWEST"],
     "roundoff": [

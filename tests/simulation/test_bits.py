@@ -25,7 +25,7 @@ def _shipped_speeds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 @pytest.mark.parametrize(
     "number",
     [
-        pytest.param(n, marks=() if n % 20 == 0 else pytest.mark.slow if n % 4 == 0 else pytest.mark.soak)
+        pytest.param(n, marks=() if n % 20 == 0 else pytest.mark.slow if n % 8 == 4 else pytest.mark.soak)
         for n in range(make_bits.SCENES)
     ],
 )

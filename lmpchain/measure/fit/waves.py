@@ -175,7 +175,7 @@ class BesselFit(Shown):
     def front_time(self, grain: int) -> float:
         """Return when the main maximum passes a grain, ``2s = m + 0.8086 m^(1/3)``, s.
 
-        Here m = 2 |n - p|, which must be large.
+        Here ``m = 2 |n - p|``, which must be large.
         """
         m = 2 * abs(grain - self.struck)
         return self.delay + (m + 0.8086 * np.cbrt(m)) / (2 * self.rate)
