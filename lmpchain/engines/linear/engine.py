@@ -144,11 +144,12 @@ class Modes(LinearEngine):
     def round_off(self, scene: Scene) -> float:
         """Return the relative error that rounding makes; eigenvectors have their part in it.
 
-        A burst is the sum of three sines whose transients all but cancel.
+        A burst is the sum of three sines whose transients all but cancel, the more the sooner after its beginning.
         """
         rounding, wave = super().round_off(scene) + EPSILON * 4 * scene.chain.grains, scene.excitation.waveform
         if wave and wave.envelope:
-            rounding += EPSILON * CANCELS * (1 + scene.chain.grains * wave.fastest / scene.chain.band_edge)
+            begun = min(1.0, wave.envelope * scene.duration)
+            rounding += EPSILON * CANCELS / begun**2 * (1 + scene.chain.grains * wave.fastest / scene.chain.band_edge)
         return rounding
 
     def work(self, scene: Scene, samples: int, values: int) -> float:

@@ -29,6 +29,7 @@ GRAZES = 1e-3  # of the largest velocity, which a contact that opens so little m
 # analysis/calibration/linear_model_error.py measures the next ones
 AT_ONCE = 0.25  # of (delta - 1) s: the distortion that no phase accounts for
 DOUBT = 3.0  # true error over the estimate
+LARGE = 0.6  # bound from which on it says no more than that the error is large
 STRAYS, WANDER = 0.15, 0.6  # true error over strains that add up as a random walk: an estimate, and a bound
 SLOWS = 0.05  # true error over (delta - 1) strain^2 periods: an oscillation is slower the stronger it is
 COLUMN, STEEPEST = 0.272, 2.2  # the error over (delta - 1) v0* of a column struck at the top; up to this delta
@@ -105,7 +106,8 @@ class PhaseError:
         """
         if self.remark:
             return 1.0
-        return float(min(self._most, 1.0, max(DOUBT * self.error, WANDER * self._strays(self._fastest))))
+        bound = max(DOUBT * self.error, WANDER * self._strays(self._fastest))
+        return float(min(self._most, bound if bound < LARGE else 1.0))
 
     @property
     def _leads(self) -> float:
