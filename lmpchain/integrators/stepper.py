@@ -110,15 +110,13 @@ class NativeStepper:
     def _check_state(self) -> None:
         """Raise `ValueError` if a kept state does not fit these chains: the compiled loops trust its window."""
         kept, width = self._state, self._x.shape[1]
-        if kept.shape != (len(self._x), STEP + 1) or kept.dtype != float:
-            raise ValueError("the state that was kept does not fit")
-        counted = kept[
-            :, [SAMPLE, DONE, FIRST, LAST, NEXT, STEPS]
-        ]  # the rest is not finite where a companion broke down
-        if not np.isfinite(counted).all():
-            raise ValueError("the state that was kept does not fit")
-        inside = (kept[:, FIRST] >= PAD) & (kept[:, FIRST] < kept[:, LAST]) & (kept[:, LAST] <= width - PAD)
-        if not (inside & (kept[:, SAMPLE] == kept[0, SAMPLE])).all() or (kept[:, [FIRST, LAST]] % 1).any():
+        fits = kept.shape == (len(self._x), STEP + 1) and kept.dtype == float
+        if fits:
+            first, last, sample = kept[:, [FIRST, LAST, SAMPLE]].T
+            inside = (first >= PAD) & (first < last) & (last <= width - PAD) & (sample == sample[0])
+            counted = np.isfinite(kept[:, [SAMPLE, DONE, NEXT, STEPS]])  # extremes need not be, after a breakdown
+            fits = bool(inside.all() and counted.all() and not (kept[:, [FIRST, LAST]] % 1).any())
+        if not fits:
             raise ValueError("the state that was kept does not fit")
 
     def _window(self) -> tuple[Array, Array]:
