@@ -23,7 +23,7 @@ POINT = {"ls": "none", "ms": 5, "mfc": "none"}
 
 def measure(quick: bool) -> dict[str, Any]:
     """Return the numbers of all panels."""
-    every = 3 if quick else 1
+    every = 5 if quick else 1
     strains = np.append(np.logspace(-6, -1.5, 10)[::every], 0.0999)
     gauges = np.logspace(-7, -3, 9)[::every]
     orders = np.logspace(0, 15, 16)[::every]

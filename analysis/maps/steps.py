@@ -44,7 +44,7 @@ def steep(method: Method) -> float:
 
 def measure(quick: bool) -> dict[str, Any]:
     """Return steps in s: predicted, and found by bisection."""
-    numbers = np.logspace(-2, 4, 2 if quick else 13)
+    numbers = np.logspace(-2, 4, 13)[: 1 if quick else None]
     speeds = np.logspace(-4, -1, 1 if quick else 4)
     few = numbers[-1:] if quick else numbers[::6]
     smooth = np.logspace(-2.3, 4.3, 7 if quick else 67)

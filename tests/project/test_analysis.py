@@ -2,10 +2,14 @@
 
 import json
 import re
+import runpy
 import subprocess
 import sys
+import warnings
+from collections.abc import Callable
 from pathlib import Path
 
+import figures
 import numpy as np
 import pytest
 from PIL import Image
@@ -115,27 +119,38 @@ KNOWN = {
 }
 
 
-def run(script: str, folder: Path, quick: bool = True) -> dict[str, float]:
+Command = Callable[..., str]
+
+
+@pytest.fixture
+def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
+    """Return what runs a script in this process, which has loaded what was compiled, and returns what it prints."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(script: str, *words: object) -> str:
+        path = str(ANALYSIS / f"{script}.py")
+        monkeypatch.setattr(sys, "argv", [path, *map(str, words)])
+        figures.PRINTED_NUMBERS.clear()
+        runpy.run_path(path, run_name="__main__")
+        return capsys.readouterr().out
+
+    return run
+
+
+def numbers(command: Command, script: str, *words: str) -> dict[str, float]:
     """Run a script and return the numbers that it prints."""
-    picture = folder / "picture.png"
-    done = subprocess.run(
-        [sys.executable, ANALYSIS / f"{script}.py", *["--quick"] * quick, "-o", picture],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "Warning" not in done.stderr
-    assert picture.read_bytes()[:4] == b"\x89PNG"
-    lines = (line.rpartition(": ") for line in done.stdout.splitlines() if not line.startswith("picture: "))
+    with warnings.catch_warnings(record=True) as warned:
+        said = command(script, *words, "-o", "picture.png")
+    assert [w for w in warned if not issubclass(w.category, DeprecationWarning)] == []
+    assert Path("picture.png").read_bytes()[:4] == b"\x89PNG"
+    lines = (line.rpartition(": ") for line in said.splitlines() if not line.startswith("picture: "))
     return {label: float(number.split()[0]) for label, _, number in lines}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("script", KNOWN)
-def test_figure(script: str, tmp_path: Path):
-    found = run(script, tmp_path)
+def test_figure(script: str, command: Command):
+    found = numbers(command, script, "--quick")
     for label, (known, tolerance) in KNOWN[script].items():
         assert found[label] == pytest.approx(known, abs=tolerance, rel=0), label
     if script == "fig6":  # the mean over disordered columns: 400 of them by another code
@@ -204,9 +219,9 @@ def kept(name: str) -> dict[str, str]:
 
 @pytest.mark.parametrize("name", CAPTIONS)
 def test_captions_say_what_the_pictures_do(name: str):
-    numbers = json.loads(kept(name)["Numbers"])
+    printed = json.loads(kept(name)["Numbers"])
     for label, words in CAPTIONS[name].items():
-        said = words.format(numbers[label]).replace("e-0", "e-")
+        said = words.format(printed[label]).replace("e-0", "e-")
         assert said in PAGE, label
 
 
@@ -223,8 +238,8 @@ def test_every_picture_says_which_commit_and_command_drew_it():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("script", AGAIN)
-def test_pictures_are_those_that_the_code_draws(script: str, tmp_path: Path):
-    found, before = run(script, tmp_path, quick=False), json.loads(kept(script)["Numbers"])
+def test_pictures_are_those_that_the_code_draws(script: str, command: Command):
+    found, before = numbers(command, script), json.loads(kept(script)["Numbers"])
     assert found.keys() == before.keys()
     for label, number in before.items():
         assert found[label] == pytest.approx(number, rel=1e-2, abs=1e-12), label
@@ -235,9 +250,8 @@ MAPS = sorted(path.stem for path in (ANALYSIS / "maps").glob("[a-z]*.py"))
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MAPS)
-def test_maps_of_where_methods_fail(name: str, tmp_path: Path):
-    command = [sys.executable, ANALYSIS / "stability_map.py", name, "--quick", "-o", tmp_path]
-    subprocess.run(command, check=True, capture_output=True)
+def test_maps_of_where_methods_fail(name: str, tmp_path: Path, command: Command):
+    command("stability_map", name, "--quick", "-o", tmp_path)
     assert (tmp_path / f"stability_{name}.png").stat().st_size > 10_000
     kept = json.loads((ANALYSIS / "pictures" / f"stability_{name}.json").read_text(encoding="utf-8"))
     assert json.loads((tmp_path / f"stability_{name}.json").read_text(encoding="utf-8")).keys() == kept.keys()

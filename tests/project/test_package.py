@@ -80,13 +80,6 @@ print(lmpchain.__file__)
     assert there <= {str(path.relative_to(tmp_path / "site")) for path in (tmp_path / "site").rglob("*.py")}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("script", ["fig1", "fig5"])
-def test_figures(tmp_path, script):
-    python(f"analysis/{script}.py", "-o", str(tmp_path / "picture.png"))
-    assert (tmp_path / "picture.png").read_bytes()[:4] == b"\x89PNG"
-
-
 def test_shipped_scenes():
     scenes = {path.stem: lmpchain.Scene.from_toml(path) for path in (ROOT / "analysis" / "scenes").glob("*.toml")}
     numbers = {name: scene.strike_number for name, scene in scenes.items()}
