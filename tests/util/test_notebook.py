@@ -251,3 +251,27 @@ def test_the_bar_of_a_fast_run_ends_at_100_percent(capsys: pytest.CaptureFixture
     with pytest.raises(KeyError), ProgressBar(7, "stopped", layout=RATE):
         raise KeyError
     assert "stopped: 100%" not in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_plot_shows_once_in_a_notebook(monkeypatch: pytest.MonkeyPatch):
+    """By a real kernel: one picture where it is drawn, none of what only saves, with and without a semicolon."""
+    nbclient = pytest.importorskip("nbclient", reason="nbclient comes with lmpchain[docs]")
+    from nbformat.v4 import new_code_cell, new_notebook
+
+    monkeypatch.delenv("MPLBACKEND", raising=False)  # what the kernel chooses
+    column = "Scene(chain=Chain(grains=9, diameter=1e-3), excitation=Impulse(velocity=1e-5), duration=2e-5)"
+    pictures = {
+        "import lmpchain\nfrom matplotlib import pyplot\nfrom lmpchain import *": 0,
+        f"run = simulate({column}, 'native')": 0,
+        "run.plot()": 1,
+        "run.plot();": 1,
+        "figure, both = pyplot.subplots(1, 2)\nrun.plot(ax=both[0])": 1,
+        "lmpchain.plan(run.scene)": 0,
+        "run": 0,
+    }
+    book = new_notebook(cells=[new_code_cell(cell) for cell in pictures])
+    nbclient.NotebookClient(book, timeout=600, kernel_name="python3").execute()
+    shown = [[out.get("data", {}) for out in cell.outputs] for cell in book.cells]
+    assert [sum("image/png" in data for data in cell) for cell in shown] == list(pictures.values())
+    assert [sum("<img" in data.get("text/html", "") for data in cell) for cell in shown] == [0, 0, 0, 0, 0, 1, 1]
