@@ -53,10 +53,9 @@ def main() -> None:
     for axes in (over_depth, over_strength):
         axes.axhline(-4 / 15, color="k", lw=0.8, ls="--")
         axes.axhline(0, color="k", lw=0.8, ls=":")
-    over_strength.annotate("solitary wave: 0", (0.98, 0), xycoords=("axes fraction", "data"), ha="right", va="bottom")
-    over_strength.annotate(
-        "−4/15, great depth", (0.98, -4 / 15), xycoords=("axes fraction", "data"), ha="right", va="top"
-    )
+    for text, level in (("solitary wave: 0", 0), ("−4/15, great depth", -4 / 15)):
+        above = {"xytext": (0, 2), "textcoords": "offset points", "ha": "right", "va": "bottom"}
+        over_strength.annotate(text, (0.98, level), xycoords=("axes fraction", "data"), **above)
     over_depth.set(xlabel="depth h = n − 1/2 (grains)", ylabel="p, as the peak velocity $h^p$", ylim=(-0.285, 0.02))
     over_strength.set(xlabel="local strength: peak velocity / $\\epsilon_n \\omega_n$")
     legends(picture, loc="upper left")

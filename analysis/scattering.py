@@ -6,6 +6,7 @@ frequency, as electrons pass atoms in the Ramsauer-Townsend effect.
 
 import numpy as np
 from figures import LAMMPS, NATIVE, SHADES, arguments, finish, say
+from scipy.optimize import minimize_scalar
 
 import lmpchain
 from lmpchain.measure.energy import shares
@@ -44,6 +45,11 @@ def passed(engine: str, ratio: float, count: int, share: float, tolerance: float
     return energy.part(odd[-1] + 1, 600)[-1] / energy.part(1, 600)[-1], expected
 
 
+def reflected(chain: lmpchain.Chain, frequency: float) -> float:
+    """Return the share of the energy that is not transmitted, at a frequency over the band edge."""
+    return 1 - transmission(chain, edge(chain) * np.array([frequency])).transmitted[0]
+
+
 def main() -> None:
     """Draw the transmitted energy of single and double impurities over frequency, with packets in two engines."""
     given = arguments(__file__, __doc__)
@@ -58,8 +64,9 @@ def main() -> None:
             found = transmission(chain, edge(chain) * frequency)
             panel.plot(frequency, found.transmitted, color=colour, lw=1.5, label=f"diameter × {ratio:g}")
             if count == 2:
-                inner = found.transmitted[100:]  # the longest waves pass anything
-                say(f"transparent at, diameter × {ratio:g}", frequency[100 + inner.argmax()])
+                at = 100 + found.transmitted[100:].argmax()  # the longest waves pass anything
+                peak = minimize_scalar(lambda x, c=chain: reflected(c, x), frequency[[at - 1, at, at + 1]])
+                say(f"transparent at, diameter × {ratio:g}", peak.x)
             for engine, style, tolerance in (("native", NATIVE, 1e-7), ("lammps", LAMMPS, 1e-5)):
                 for place in places if engine == "native" else places[1::2]:
                     share, expected = passed(engine, ratio, count, place, tolerance)

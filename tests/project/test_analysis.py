@@ -182,6 +182,7 @@ CAPTIONS = {
         "LAMMPS and native differ by": "which agree to {:.0e}",
     },
     "fig2": {"Eq. (6) at tau 5": "{:.0f} % at 5", "Eq. (6) at tau 10": "and {:.0f} % at 10"},
+    "fig3": {"a, native": "hold to {:.0e} against the native", "a, lammps": "and to {:.0e} against LAMMPS"},
     "fig4": {"Eq. (20) as printed": "is {:.0f} % off here", "a, native": "to {:.0e}, which is"},
     "fig5": {
         "linear theory at 10 g": "It is {:.0f} % off at 10 g",
@@ -204,6 +205,33 @@ CAPTIONS = {
         "peak velocity at the deepest grain, delta = 1.5": "{:.4f} of that of the strike",
         "its theory, delta = 1.5": "says {:.4f} and",
         "fitted exponent of the peak velocity, Hertz": "fitted power, {:.3f}",
+    },
+    "soliton": {
+        "struck chain in lammps off the exact wave": "follow to {:.0e} of the exact",
+        "width of the exact wave": "{:.3f} grains wide",
+        "faster than Coste's by, at 1.5 of the speed of sound": "and {:.2f} % at 1.5",
+    },
+    "orbits": {
+        "least energy of a narrow one": "takes {:.0f} µJ at least",
+        "largest multiplier at 547 µJ": "the largest is {:.2f} a period",
+        "residual of the breather": "return to {:.0e} after",
+    },
+    "scattering": {
+        "transparent at, diameter × 1.1": "{:.4f} and 0.4122 of its band edge",
+        "packets in native, largest distance from theory": "to {:.0e} in the native",
+        "packets in lammps, largest distance from theory": "to {:.0e} in LAMMPS",
+    },
+    "bands": {"gap from": "gap is from {:.1f} to", "gap to": "to {:.1f} kHz"},
+    "disorder": {
+        "largest distance from Dyson's spectrum, m = 1": "spectrum to {:.0e} with",
+        "power of the second moment after a strike": "with the power {:.2f} ±",
+        "participation after a displacement": "at 20 and {:.0f} grains",
+    },
+    "asymmetry": {
+        "exponent of the rise": "({:.3f} here)",
+        "fall / rise of the displacement at grain 10": "{:.0f} and 63 times",
+        "fall, theory off by": "to {:.2f} %; the rise",
+        "fall / rise of the velocity at grain 300": "({:.2f} of the time",
     },
 }
 PAGE = " ".join((ANALYSIS / "README.md").read_text(encoding="utf-8").split())
