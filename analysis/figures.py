@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import re
 import subprocess
 import sys
@@ -109,7 +110,7 @@ def commit() -> str:
 def command() -> str:
     """Return the command that draws, from the folder above this one, without where the picture goes."""
     options = [word for word in sys.argv[1:] if word.startswith("--") or not re.search(r"[/.]|^-o$", word)]
-    return " ".join(["python", f"analysis/{Path(sys.argv[0]).name}", *options])
+    return " ".join(["python", os.path.relpath(sys.argv[0], HERE.parent), *options])
 
 
 def say(label: str, value: float, unit: str = "") -> None:

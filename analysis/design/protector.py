@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.patches import Circle
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from figures import arguments, say
+from figures import arguments, finish, say
 
 from lmpchain import Chain, Impulse, InputError, Scene
 from lmpchain.design import PeakForce, optimise
@@ -22,7 +22,7 @@ from lmpchain.design.changes import changed
 from lmpchain.design.gradients import looks_of
 from lmpchain.integrators.adjoint import DifferentiableRun
 from lmpchain.integrators.splittings import SPLITTINGS
-from lmpchain.util.plotting import figure, save
+from lmpchain.util.plotting import figure
 
 BEADS, SIZE = 20, 1e-2
 CHAIN = Chain(grains=BEADS, diameter=np.full(BEADS, SIZE), material="steel", gravity=0.0, bottom="wall")
@@ -100,7 +100,7 @@ def main() -> None:
     below[1].set(xlim=(-2, 1e3 * centre[-1] + 12), ylim=(-30, 30), xlabel="mm", yticks=[])
     below[1].axvline(1e3 * found.scene.chain.diameters.sum(), color="0.3", lw=3)
     below[1].set_title("optimised, struck from the left", fontsize=9)
-    save(picture, given.output)
+    finish(picture, given.output)
 
 
 if __name__ == "__main__":

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from figures import arguments, say
+from figures import arguments, finish, say
 
 from lmpchain import Chain, Packet, Profile, Scene
 from lmpchain.design import KineticEnergy, optimise
 from lmpchain.theory import scattering
-from lmpchain.util.plotting import figure, save
+from lmpchain.util.plotting import figure
 
 GRAINS, PAIR, FACTOR, START = 400, [200, 201], 1.5, 2.2
 
@@ -70,7 +70,7 @@ def main() -> None:
     left.legend(frameon=False)
     right.semilogy(np.arange(1, found.runs + 1), found.history[0] / whole, ".-", color="#0072B2")
     right.set(xlabel="run", ylabel="share of the energy that comes back")
-    save(picture, given.output)
+    finish(picture, given.output)
 
 
 if __name__ == "__main__":
