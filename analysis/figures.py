@@ -102,7 +102,7 @@ def commit() -> str:
     """Return the commit that draws, with a mark if files differ from it; empty outside a repository."""
     said = [
         subprocess.run(["git", *words.split()], cwd=HERE, capture_output=True, text=True, check=False).stdout.strip()
-        for words in ("rev-parse HEAD", "status --porcelain --untracked-files=no -- ../lmpchain . :!*.png")
+        for words in ("rev-parse HEAD", "status --porcelain --untracked-files=no -- ../lmpchain . :!*pictures/*")
     ]
     return f"{said[0]}{' and changes' if said[1] else ''}"
 
