@@ -24,7 +24,8 @@ from .flow import Flow
 from .orbit import Orbit, orbit_of
 from .shooting import Constraint, Equations, Point, Solution, discretisation, fixed, solve, solved
 
-FIRST, LARGEST, SMALLEST = 0.05, 0.4, 1e-7  # steps along the family, over the size of the orbit
+FIRST, SMALLEST = 0.2, 1e-7  # steps along the family, over the size of the orbit
+LARGEST = {True: 0.4, False: 0.7}  # the longest where events are sought, and where not; 1 goes down to rest
 STRAIGHT, BENT = 0.98, 0.9  # cosine of the angle between two tangents: a longer step, and a shorter one
 EASY = 10  # iterations
 ELEMENT = re.compile(r"(\w+)\[(\d+)\]")
@@ -38,9 +39,9 @@ class Curve:
     held: tuple[Constraint, ...]
     of: str
 
-    def solved(self, guess: Point, constraint: Constraint) -> Solution | None:
-        """Return the orbit of the family near a guess that a constraint selects."""
-        return solve(self.equations, guess, [*self.held, constraint])
+    def solved(self, guess: Point, constraint: Constraint, near: Place | None = None) -> Solution | None:
+        """Return the orbit of the family near a guess that a constraint selects; a place nearby saves work."""
+        return solve(self.equations, guess, [*self.held, constraint], near=near and near.solution)
 
     def place(self, solution: Solution, constraint: Constraint, before: Array | None = None) -> Place:
         """Return a solved orbit with the direction of the family, turned as that of the place before."""
@@ -52,21 +53,21 @@ class Curve:
             direction = svd(solution.slopes[:-1])[2][-1]
         if before is not None and direction @ before < 0:
             direction = -direction
-        error = discretisation(self.equations, solution, [*self.held, constraint])
+        error, _ = discretisation(self.equations, solution, [*self.held, constraint])
         orbit = orbit_of(self.equations, solution, error)
 
         def rate(what: str) -> float:
             return float(fixed(self.equations, what, 1.0).of(unknown, point)[1] @ direction)
 
         turning = rate(self.of) if orbit.drive else np.nan if self.of == "value" else rate("energy")
-        return Place(orbit, unknown, direction, rate(self.of), turning)
+        return Place(orbit, unknown, direction, rate(self.of), turning, solution)
 
     def along(self, place: Place, length: float) -> Place | None:
         """Return the place at this distance along the family, or None where none is found."""
         ahead = place.unknown + length * place.direction
         arc = Constraint(lambda unknown, _: (float(place.direction @ (unknown - ahead)), place.direction))
         try:
-            solution = self.solved(self.equations.unpack(ahead), arc)
+            solution = self.solved(self.equations.unpack(ahead), arc, place)
         except InputError:  # of a chain that there is not, beyond the end of what the parameter may be
             return None
         return None if solution is None else self.place(solution, arc, place.direction)
@@ -138,7 +139,7 @@ def follow(
     found: list[Event] = []
     with ProgressBar(1.0, "orbits", layout="{desc}: {percentage:3.0f}% |{bar}| {elapsed}", shown=progress) as bar:
         while not reached and len(places) < points:
-            here, step = places[-1], _step(curve, places[-1], length)
+            here, step = places[-1], _step(curve, places[-1], length, LARGEST[events])
             if step is None:
                 raise RunFailed(f"the family cannot be followed beyond {_where(curve, here)}")
             there, length = step
@@ -147,7 +148,7 @@ def follow(
             if reached := bool(now * left <= 0):
                 part = abs(left) / (abs(left) + abs(now)) if now else 1.0
                 guess = curve.equations.unpack(here.unknown + part * (there.unknown - here.unknown))
-                ended = curve.solved(guess, target)
+                ended = curve.solved(guess, target, there)
                 if ended is None:
                     raise RunFailed(f"no orbit of the family is found at {until:g}")
                 there = curve.place(ended, target, here.direction)
@@ -174,15 +175,15 @@ def _size(curve: Curve, place: Place) -> float:
     return float(np.linalg.norm(place.unknown[: curve.equations.period_at(place.unknown)]))
 
 
-def _step(curve: Curve, here: Place, length: float) -> tuple[Place, float] | None:
-    """Return the next place and how long the step after it may be."""
+def _step(curve: Curve, here: Place, length: float, largest: float) -> tuple[Place, float] | None:
+    """Return the next place and how long the step after it may be; `largest` is over the size of the orbit."""
     size = _size(curve, here)
-    length = min(length, LARGEST * size)
+    length = min(length, largest * size)
     while length > SMALLEST * size:
         there = curve.along(here, length)
         if there is not None and (turn := float(there.direction @ here.direction)) > BENT:
             easy = there.orbit.iterations <= EASY and turn > STRAIGHT
-            return there, length * (1.5 if easy else 0.8 if turn < STRAIGHT else 1.0)
+            return there, length * (2.0 if easy else 0.8 if turn < STRAIGHT else 1.0)
         length /= 2
     return None
 

@@ -10,6 +10,7 @@ import numpy as np
 from ..util.arrays import Array
 from .floquet import Complex
 from .orbit import Orbit
+from .shooting import Solution
 
 EVENTS = ("fold", "period doubling", "Neimark-Sacker", "branch point")
 SPLIT = 1e-6  # of two means: less is what round-off makes of a double one
@@ -28,6 +29,7 @@ class Place(NamedTuple):
     direction: Array
     rate: float
     turning: float
+    solution: Solution
 
 
 def between(kind: str, here: Place, there: Place, at: Callable[[float], Place | None]) -> Place | None:

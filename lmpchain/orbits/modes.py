@@ -21,7 +21,7 @@ HEAVIER = 1.001  # ratio of masses
 ALONE = (1e-4, 1e2)  # amplitudes of a grain between two that stand still, over the overlap
 
 
-def normal_mode(chain: Chain, mode: int, energy: float) -> Orbit:
+def normal_mode(chain: Chain, mode: int, energy: float, *, progress: bool = False) -> Orbit:
     """Return the nonlinear normal mode that a linear one grows into at this energy.
 
     A. F. Vakakis et al., Normal Modes and Localization in Nonlinear Systems (1996). That at the edge of a band which
@@ -34,6 +34,8 @@ def normal_mode(chain: Chain, mode: int, energy: float) -> Orbit:
         From 1, in the order of frequencies, as in `lmpchain.theory.modes`.
     energy : float
         Above rest, J.
+    progress : bool
+        Whether to show a progress bar; low modes of long chains take the longest.
 
     Returns
     -------
@@ -53,7 +55,7 @@ def normal_mode(chain: Chain, mode: int, energy: float) -> Orbit:
     >>> orbit.residual < 1e-12, orbit.error < 1e-11
     (True, True)
     """
-    family = mode_family(chain, mode, energy, events=False)
+    family = mode_family(chain, mode, energy, events=False, progress=progress)
     if not family.reached:
         raise RunFailed(f"the family of mode {mode} does not come to {energy:g} J: follow it with orbits.mode_family")
     return find(chain, family[-1], energy=energy)

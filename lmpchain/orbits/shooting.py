@@ -15,16 +15,17 @@ from scipy.linalg import solve as solve_linear
 from ..errors import InputError, RunFailed
 from ..util.arrays import EPSILON, Array
 from . import mesh as meshes
-from .flow import Flow
+from .flow import Flow, Passage
 
 CLOSED = 1e-12  # residual over the size of the orbit
 ITERATIONS = 25
-LONG = 8  # iterations after which round-off is taken to be what is left
 USEFUL = 0.1  # factor on the residual by which old derivatives must still bring it down
+SAME = 1e-6  # relative distance over which derivatives are taken as the same
 TUNED = 4  # times that steps are laid anew around openings
 NUDGE = 1e-6  # of a parameter, for the derivative by it
 SHORTER = 0.6  # factor on the steps until their error is below CLOSED
 ROUNDS = 3
+ROUNDED = 4  # residual of half the steps over that of the steps, up to which both are round-off
 SAFETY = 2.0  # on the error that half the steps show
 
 
@@ -118,25 +119,27 @@ class Equations:
     def _closure(
         self, flow: Flow, point: Point, mesh: Array, columns: Array | None = None, stretch: int = 0
     ) -> tuple[Array, Array]:
-        steps = mesh[: mesh.size // 2] if self.reversible else mesh
-        passage = flow.run(point.state, point.period, steps, columns, stretch)
+        passage = flow.run(point.state, point.period, self._steps(mesh), columns, stretch)
         end = flow.canonical(passage.displacement[-1], passage.velocity[-1])
         residual = end[1] if self.reversible else (end - point.state).ravel()
         return residual / self.unit, passage.deviation.reshape(2 * flow.size, -1)
 
     def mesh(self, point: Point, reach: float, before: Array | None = None) -> tuple[Array, bool]:
-        """Return steps for a point, and whether they differ from those before around openings."""
+        """Return steps for a point, and whether they were laid around openings."""
         flow = self.flow_at(point.value)
-        guess = meshes.uniform(flow, point.period, flow.physical(point.state)[0]) if before is None else before
-        passage = flow.run(point.state, point.period, guess)
         if before is None:
-            guess = meshes.uniform(flow, point.period, passage.displacement)
-            passage = flow.run(point.state, point.period, guess)
-        times = meshes.openings(flow, passage, point.period, guess)
-        laid = meshes.graded(flow, point.period, passage.displacement, times, reach)
-        if before is not None and not times.size:
-            return before, False
-        return laid, bool(times.size)
+            before = meshes.uniform(flow, point.period, flow.physical(point.state)[0])
+            before = meshes.uniform(flow, point.period, self._passed(flow, point, before).displacement)
+        passage = self._passed(flow, point, before)
+        times = meshes.openings(flow, passage, point.period, self._steps(before))
+        return meshes.graded(flow, point.period, passage.displacement, times, reach), bool(times.size)
+
+    def _passed(self, flow: Flow, point: Point, mesh: Array) -> Passage:
+        """Return the motion over a period, or over half of one that is symmetric in time."""
+        return flow.run(point.state, point.period, self._steps(mesh))
+
+    def _steps(self, mesh: Array) -> Array:
+        return mesh[: mesh.size // 2] if self.reversible else mesh
 
 
 class Constraint(NamedTuple):
@@ -146,11 +149,12 @@ class Constraint(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """A solved point: its steps, and the derivatives of all equations."""
+    """A solved point: its steps, the derivatives of all equations, and what round-off leaves of their residual."""
 
     point: Point
     mesh: Array
     slopes: Array
+    residual: float
     iterations: int
 
 
@@ -180,59 +184,83 @@ def fixed(equations: Equations, what: str, value: float) -> Constraint:
 
 
 def solve(
-    equations: Equations, guess: Point, constraints: Sequence[Constraint], reach: float = meshes.REACH
+    equations: Equations,
+    guess: Point,
+    constraints: Sequence[Constraint],
+    reach: float = meshes.REACH,
+    near: Solution | None = None,
 ) -> Solution | None:
     """Return the orbit near a guess, or None where Newton's method does not find one.
 
-    Steps are laid anew around the openings of what was found until these stay where they are.
+    Steps are laid anew around the openings of what was found until these stay where they are. A solution nearby saves
+    work: its derivatives may serve, and its steps show where contacts open.
     """
-    mesh, _ = equations.mesh(guess, reach)
+    mesh, _ = equations.mesh(guess, reach, near and near.mesh)
+    slopes = near and near.slopes
     found, point, iterations = None, guess, 0
     for _ in range(TUNED):
-        found = _newton(equations, point, constraints, mesh)
+        found = _newton(equations, point, constraints, mesh, slopes)
         if found is None:
             return None
-        point, iterations = found.point, iterations + found.iterations
-        mesh, moved = equations.mesh(point, reach, mesh)
-        if not moved or found.iterations <= 1:
+        point, slopes, iterations = found.point, found.slopes, iterations + found.iterations
+        if found.iterations <= 1:
             break
+        again, open_ = equations.mesh(point, reach, mesh)
+        if not open_:
+            break
+        mesh = again
     return found and found._replace(iterations=iterations)
 
 
-def _newton(equations: Equations, guess: Point, constraints: Sequence[Constraint], mesh: Array) -> Solution | None:
-    """Return the solution at given steps; derivatives are taken anew only where old ones no longer serve."""
-    unknown, last, best = equations.pack(guess), np.inf, np.inf
+def _newton(
+    equations: Equations, guess: Point, constraints: Sequence[Constraint], mesh: Array, slopes: Array | None = None
+) -> Solution | None:
+    """Return the solution at given steps; derivatives are taken anew only where old ones no longer serve.
+
+    Old ones cost nothing, new ones as much as M motions, so those of an orbit nearby, `slopes`, are tried first.
+    """
+    unknown, last = equations.pack(guess), np.inf
+    best, least = unknown, np.inf  # where the residual was the least
     size, period_at, steps = np.abs(unknown).max(), equations.period_at(unknown), 0
-    slopes: Array | None = None
+    before, taken = unknown, np.full(unknown.size, np.inf)  # where the last step began, and where slopes are exact
     while steps < ITERATIONS:
         point = equations.unpack(unknown)
         more = [constraint.of(unknown, point) for constraint in constraints]
-        fresh = slopes is None
-        if slopes is None:
+        rows = [row[None] for _, row in more]
+        if fresh := slopes is None:
             residual, slopes = equations.linearised(point, mesh)
-            slopes = np.vstack((slopes, *(row[None] for _, row in more)))
+            slopes, taken = np.vstack((slopes, *rows)), unknown
         else:
             residual = equations.closure(point, mesh)
+            slopes = np.vstack((slopes[: len(slopes) - len(rows)], *rows))
         residual = np.concatenate((residual, np.zeros(len(slopes) - residual.size - len(more)), [r for r, _ in more]))
         here = float(np.abs(residual).max() / np.abs(unknown[:period_at]).max())
-        if not np.isfinite(here) or here > 1e3 * max(last, 1.0):
-            return None
-        done = here > last / 4 and here < (CLOSED / 4 if steps < LONG else CLOSED)
-        if not fresh and (done or here > USEFUL * last):
-            slopes = None
+        exact = np.abs(unknown - taken).max() < SAME * np.abs(unknown).max()
+        lost = not np.isfinite(here) or here > 1e3 * max(last, 1.0)
+        if here < least:
+            best, least = unknown, here
+        done = here > last / 4 and least < CLOSED  # round-off is what is left
+        if exact and done:
+            return Solution(equations.unpack(best), mesh, slopes, least, steps)
+        if not fresh and (lost or done or here > USEFUL * last):
+            worse = (lost or here > last) and before is not taken  # old derivatives led astray
+            slopes, unknown, last = None, before if worse else unknown, np.inf
             continue
-        if done:
-            return Solution(point, mesh, slopes, steps)
-        last, best = here, min(best, here)
+        if lost:
+            return None
+        last = here
         change = solved(slopes, residual)
-        if np.abs(change[period_at]) > 1 or not np.isfinite(change).all():
+        wild = np.abs(change[period_at]) > 1 or not np.isfinite(change).all()
+        if not wild:
+            before, unknown, steps = unknown, unknown - change, steps + 1
+            wild = bool(np.abs(unknown).max() > 1e3 * size)
+        if wild and fresh:
             return None
-        unknown, steps = unknown - change, steps + 1
-        if np.abs(unknown).max() > 1e3 * size:
-            return None
-        if fresh and np.abs(change).max() < 4 * EPSILON * np.abs(unknown).max():
-            return Solution(point, mesh, slopes, steps)
-    return Solution(point, mesh, slopes, ITERATIONS) if best < CLOSED and slopes is not None else None
+        if wild:
+            slopes = None
+        elif fresh and np.abs(change).max() < 4 * EPSILON * np.abs(unknown).max():
+            return Solution(point, mesh, slopes, least, steps)
+    return None
 
 
 def solved(slopes: Array, residual: Array) -> Array:
@@ -243,15 +271,20 @@ def solved(slopes: Array, residual: Array) -> Array:
     return np.asarray(lstsq(slopes, residual, cond=1e-13, lapack_driver="gelsy")[0])
 
 
-def discretisation(equations: Equations, solution: Solution, constraints: Sequence[Constraint]) -> float:
-    """Return how far, in relative terms, the orbit and its period move if all steps are halved."""
+def discretisation(equations: Equations, solution: Solution, constraints: Sequence[Constraint]) -> tuple[float, bool]:
+    """Return how far, in relative terms, the orbit and its period move if all steps are halved.
+
+    And whether that is no more than round-off moves them.
+    """
     point, unknown = solution.point, equations.pack(solution.point)
     half = np.repeat(solution.mesh, 2) / 2
     residual = equations.closure(point, half)
     rows = len(solution.slopes) - residual.size
     change = solved(solution.slopes, np.append(residual, np.zeros(rows)))
     end = equations.period_at(unknown)
-    return SAFETY * float(max(np.abs(change[:end]).max() / np.abs(unknown[:end]).max(), *np.abs(change[end:])))
+    size = np.abs(unknown[:end]).max()
+    error = SAFETY * float(max(np.abs(change[:end]).max() / size, *np.abs(change[end:])))
+    return error, float(np.abs(residual).max() / size) < ROUNDED * solution.residual
 
 
 def accurate(
@@ -270,10 +303,10 @@ def accurate(
         if solution is None:
             break
         iterations += solution.iterations
-        left = discretisation(equations, solution, constraints)
+        left, rounded = discretisation(equations, solution, constraints)
         if best is None or left < error:
             best, error = solution, left
-        if error < CLOSED / 4:
+        if rounded or error < CLOSED / 4:
             break
         guess, reach = solution.point, reach * SHORTER
     if best is None:

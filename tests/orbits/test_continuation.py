@@ -9,6 +9,7 @@ from scipy.optimize import brentq
 
 from lmpchain import Chain, Drive, orbits
 from lmpchain.orbits import Family
+from lmpchain.orbits.shooting import Equations
 
 CHAIN = Chain(grains=3, diameter=1e-3, gravity=0.0, top_load=1.0)  # one grain that moves, below the driven one
 OMEGA = float(np.sqrt(2 * CHAIN.linear_stiffness[0] / CHAIN.masses[0]))
@@ -98,6 +99,23 @@ def test_an_energy_family_returns_to_where_it_began():
     assert back[-1].period == pytest.approx(first.period, rel=1e-10)
     assert back[-1].displacement == pytest.approx(first.displacement, abs=1e-9 * first.amplitude)
     assert (np.diff(there.energy) > 0).all()
+
+
+def test_an_orbit_of_a_family_takes_one_tangent_map(monkeypatch: pytest.MonkeyPatch):
+    """Also where round-off is far above the last digit, as in the slow modes of a long column."""
+    taken = []
+    linearised = Equations.linearised
+
+    def counted(self, *arguments):
+        taken.append(1)
+        return linearised(self, *arguments)
+
+    monkeypatch.setattr(Equations, "linearised", counted)
+    chain = Chain(grains=40, diameter=1e-3)
+    family = orbits.mode_family(chain, 1, chain.length_scale * chain.masses[0] * 9.81, events=False)
+    assert family.reached
+    assert max(orbit.residual for orbit in family.orbits) < 1e-12
+    assert len(taken) < 1.5 * len(family)
 
 
 @pytest.mark.parametrize(("parameter", "factor"), [("masses[2]", 1.3), ("gravity", 2.0), ("exponent", 1.1)])
