@@ -38,7 +38,7 @@ class Orbit(Shown):
     displacement, velocity : (N,) arrays
         At t = 0, m and m/s.
     drive : Drive or None
-        What moves grain 1, at this period.
+        What moves grain 1 or the top wall, at this period.
     reversible : bool
         Whether all grains rest at t = 0, so that the motion is the same backwards.
     residual : float
@@ -144,7 +144,7 @@ class Orbit(Shown):
         u, v = self.flow.physical(vector.real.reshape(2, -1))
         return u / np.abs(u).max(), v / np.abs(u).max()
 
-    def perturbed(self, size: float, number: int = 1) -> Profile:
+    def perturbed(self, size: float, number: int = 1) -> Profile | Drive:
         """Return the orbit with an unstable direction added, as initial data to run.
 
         Parameters
@@ -156,20 +156,19 @@ class Orbit(Shown):
         """
         u, v = self.direction(number)
         scale = size * self.amplitude
-        return Profile(displacement=self.displacement + scale * u, velocity=self.velocity + scale * v)
+        return self._begun(self.displacement + scale * u, self.velocity + scale * v)
+
+    def _begun(self, u: Array, v: Array) -> Profile | Drive:
+        """Return the excitation that begins with this state, (N,) m and m/s, and drives on if the orbit is driven."""
+        if self.drive is None:
+            return Profile(displacement=u, velocity=v)
+        own = np.arange(u.size) >= self.flow.held
+        return self.drive.replace(start=Profile(displacement=u * own, velocity=v * own))
 
     def scene(self, periods: float = 1, samples: int = 101) -> Scene:
-        """Return the scene that runs the orbit for so many periods, in any engine.
-
-        Raises
-        ------
-        InputError
-            If the orbit is driven: a scene begins with the other grains at rest.
-        """
-        if self.drive is not None:
-            raise InputError([("orbit", "is driven, and no scene has both a drive and grains in motion at t = 0")])
-        profile = Profile(displacement=self.displacement, velocity=self.velocity)
-        return Scene(chain=self.chain, excitation=profile, duration=periods * self.period, samples=samples)
+        """Return the scene that runs the orbit for so many periods, in any engine."""
+        excitation = self._begun(self.displacement, self.velocity)
+        return Scene(chain=self.chain, excitation=excitation, duration=periods * self.period, samples=samples)
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the displacements of the grains at five moments of half a period; returns the axes."""

@@ -45,7 +45,7 @@ def find(
     energy : float, optional
         J; the period then follows.
     drive : Drive, optional
-        A harmonic motion of grain 1.
+        A harmonic motion of grain 1 or of the top wall; its `start` is the guess unless one is given.
 
     Returns
     -------
@@ -68,6 +68,8 @@ def find(
     """
     if isinstance(guess, Orbit):
         period, guess = period or guess.period, (guess.displacement, guess.velocity)
+    if drive is not None and drive.start is not None:
+        guess, drive = drive.start if guess is None else guess, drive.replace(start=None)
     if period is None and drive is not None and drive.frequency is not None:
         period = 1 / drive.frequency
     period = check_positive("period", period)

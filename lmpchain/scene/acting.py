@@ -13,6 +13,7 @@ from ..chain.chain import Chain
 from ..util.arrays import Array
 from ..util.validation import NOT_GIVEN, Positive, Real, Vector, Whole
 from .base import Excitation, Number, OneGrain, Push
+from .profile import Profile
 from .waveform import Waveform
 
 SAMPLED = 1e-12  # least distance of two times, of the last one
@@ -37,7 +38,7 @@ class _Acting(Excitation):
         return Waveform.sine(self.amplitude, self.frequency, self.cycles)
 
     def _faults(self) -> Iterator[tuple[str, str]]:
-        values, given = self.strength[1], {key for key, value in self if value is not None} - {"grain"}
+        values, given = self.strength[1], {key for key, value in self if value is not None} - {"grain", "start"}
         ways = self._ways(values)
         if given not in ways:
             yield "amplitude", f"give {self._words(values)} (or a file with both)"
@@ -99,6 +100,8 @@ class Drive(_Acting):
         s and m: the cubic spline (not-a-knot) through these points; two of them make a piston of constant speed.
     grain : 0 or 1
         0 moves the top wall, of a chain with ``top = "wall"``.
+    start : Profile, optional
+        Displacement and velocity at t = 0 of the grains that it does not move; at rest unless given.
 
     Examples
     --------
@@ -119,6 +122,7 @@ class Drive(_Acting):
     displacement: Vector = NOT_GIVEN
     cycles: Positive = NOT_GIVEN
     grain: Annotated[Whole, Field(ge=0, le=1)] = 1
+    start: Profile = NOT_GIVEN
 
     def _samples(self, key: str, values: Array) -> Iterator[tuple[str, str]]:
         yield from super()._samples(key, values)
@@ -132,6 +136,15 @@ class Drive(_Acting):
         if self.grain == 1 and chain.movable < 2:
             yield "kind", "with grain 1 driven nothing is left to move: use more grains"
         yield from self._too_short(duration)
+        if self.start is not None:
+            yield from self._start_faults(chain, duration)
+
+    def _start_faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
+        faults = list(self.start.faults(chain, duration))
+        yield from ((f"start.{key}", message) for key, message in faults)
+        for key, values in self.start.given().items():
+            if not faults and self.grain and values[0]:
+                yield f"start.{key}", "must be 0 for grain 1, which moves as the drive says"
 
     @property
     def driven(self) -> int:
@@ -145,25 +158,34 @@ class Drive(_Acting):
 
     def initial(self, chain: Chain) -> tuple[Array, Array]:
         """Return displacement and velocity of every grain at t = 0."""
-        return np.zeros(chain.grains), self._at_top(chain, self.motion(0.0)[1] if self.grain else 0.0)
+        u, v = self._others(chain)
+        if self.grain:
+            v[0] = self.motion(0.0)[1]
+        return u, v
 
     def largest(self, chain: Chain) -> tuple[Array, Array]:
-        """Return the largest displacement and speed of grain 1 or the wall, as if of grain 1, (N,)."""
-        return self._at_top(chain, self.waveform.largest()), self._at_top(chain, self.waveform.largest(1))
+        """Return those of the start, and the largest of grain 1 or the wall, as if of grain 1, (N,)."""
+        fields = self._others(chain)
+        for order, values in enumerate(fields):
+            values[0] = max(abs(values[0]), self.waveform.largest(order))
+        return fields
+
+    def _others(self, chain: Chain) -> tuple[Array, Array]:
+        """Return displacement and velocity at t = 0 of the grains that it does not move, and 0 for grain 1 else."""
+        return (np.zeros(chain.grains), np.zeros(chain.grains)) if self.start is None else self.start.initial(chain)
 
     def reach(self, chain: Chain) -> tuple[int, int]:
-        """Return grain 1, as the first and the last."""
-        return 1, 1
+        """Return grain 1, as the first, and the last that moves at t = 0."""
+        return 1, 1 if self.start is None else self.start.reach(chain)[1]
 
     def part(self, first: int, last: int) -> Drive:
-        """Return the same: it moves grain 1, which must be among the grains."""
-        return self
+        """Return the same for these grains: it moves grain 1, which must be among them."""
+        return self if self.start is None else self.replace(start=self.start.part(first, last))
 
-    @staticmethod
-    def _at_top(chain: Chain, value: float | Array) -> Array:
-        array = np.zeros(chain.grains)
-        array[0] = value
-        return array
+    def scaled(self, factor: float) -> Drive:
+        """Return the same motion, so many times as strong."""
+        bolder = super().scaled(factor)
+        return bolder if self.start is None else bolder.replace(start=self.start.scaled(factor))
 
     def motion(self, t: float | Array) -> tuple[Array, Array]:
         """Return displacement, m, and velocity, m/s, of what is driven at these times, s."""
@@ -174,8 +196,10 @@ class Drive(_Acting):
         return self.waveform.at(t, 2)
 
     def energy_norm(self, chain: Chain, duration: float) -> float:
-        """Bound sqrt(2 E) by the path: ``d sqrt(2 E) / dt <= sqrt(k) |v|`` with the contact below."""
-        return float(np.sqrt(chain.contacts.stiffness[self.grain]) * self.waveform.path(duration))
+        """Bound sqrt(2 E) by the path, after that at t = 0: ``d sqrt(2 E) / dt <= sqrt(k) |v|``, the contact below."""
+        (u, v), k = self._others(chain), chain.contacts.stiffness
+        begun = np.sqrt((chain.masses * v**2).sum() + (k * chain.contacts.closer(u) ** 2).sum())
+        return float(begun + np.sqrt(k[self.grain]) * self.waveform.path(duration))
 
     def push(self, chain: Chain, time: Array, force: Array, rate: Array, velocity: Array) -> Push:
         """Return what keeps it on its path: the forces of its contacts, besides the inertia of a grain."""

@@ -24,15 +24,15 @@ def first_overlaps(chain: Chain, excitation: Excitation) -> Array:
 
 def overlaps_of(chain: Chain, excitation: Excitation, contacts: Contacts, masses: Array) -> Array:
     """Return the same, (..., N+1) m, for contacts and masses (..., N) kg of chains like this."""
-    (u, _), (_, v) = excitation.initial(chain), excitation.largest(chain)
+    (u, begun), (_, v) = excitation.initial(chain), excitation.largest(chain)
     inverse_mass = 1 / masses
     inverse_mass[..., : excitation.driven] = 0.0  # what is driven does not give way,
     inverse_mass[..., chain.movable :] = 0.0  # nor does what is held, or a wall
     edge = np.zeros((*masses.shape[:-1], 1))
     inverse_mass = np.concatenate((edge, inverse_mass, edge), axis=-1)
     approach = np.maximum(contacts.closer(v), 0.0)
-    if excitation.wall:  # grain 1 rests when the wall comes
-        approach[..., 0] = excitation.wall.largest(1)
+    if excitation.wall:  # grain 1 rests when the wall comes, or meets it
+        approach[..., 0] = excitation.wall.largest(1) + max(-begun[0], 0.0)
     collision = contacts.collision_overlap(approach, inverse_mass[..., :-1] + inverse_mass[..., 1:])
     return np.maximum(contacts.overlap + contacts.exists * contacts.closer(u), collision)
 

@@ -18,7 +18,7 @@ from ..errors import InputError, short, shown
 from ..util.files import check_readable
 from ..util.suggestions import did_you_mean, not_among
 from .base import Excitation
-from .excitation import EXCITATIONS
+from .excitation import EXCITATIONS, Profile
 from .recording import Recording
 from .strike import squeezed, strike_faults, surroundings
 
@@ -138,10 +138,21 @@ def _excitation(keys: dict[str, Any], folder: Path | None) -> Excitation:
         missing = f"is missing; {' | '.join(EXCITATIONS)}{meant}"
         raise InputError([("kind", missing if kind is None else not_among(kind, EXCITATIONS))])
     made = EXCITATIONS[kind]
+    _fill(keys, made, folder)
+    if isinstance(start := keys.get("start"), dict):
+        try:
+            keys["start"] = Profile(**_fill(dict(start), Profile, folder))
+        except InputError as error:
+            raise InputError(error.under("start")) from None
+    return made(**keys)
+
+
+def _fill(keys: dict[str, Any], made: type[Excitation], folder: Path | None) -> dict[str, Any]:
+    """Put the columns of a CSV file in the place of its name."""
     if made.columns and "file" in keys:
         columns = _csv(folder, keys.pop("file"), tuple(made.columns))
         keys |= {made.columns[name]: column for name, column in columns.items()}
-    return made(**keys)
+    return keys
 
 
 def _csv(folder: Path | None, name: Any, known: Sequence[str]) -> dict[str, Any]:
@@ -185,7 +196,7 @@ def _toml(value: Any) -> Any:
     if isinstance(value, Material):
         standard = MATERIALS.get(value.name)
         return value.name if standard == value else {k: v for k, v in value.given().items() if v != ""}
-    if isinstance(value, Impurity):
+    if isinstance(value, Impurity | Profile):
         return {k: _toml(v) for k, v in value.given().items() if v is not None}
     if isinstance(value, np.ndarray | tuple):
         return [_toml(item) for item in value]

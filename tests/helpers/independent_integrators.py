@@ -47,7 +47,7 @@ class Motion:
         overlap = np.where(pressed, force / np.where(pressed, stiffness, 1), 0) ** (1 / self.delta)
         self.acting, self.body = _acting(scene, kind)
         self.driven = self.acting if self.body == 1 and scene.excitation.kind == "drive" else None
-        u, v = (np.asarray(a, dtype=kind) for a in ((0 * mass, 0 * mass) if self.acting else scene.initial()))
+        u, v = (np.asarray(a, dtype=kind) for a in scene.initial())
         farthest, fastest = self.acting.largest() if self.acting else (np.abs(u).max(), np.abs(v).max())
         self.pushes = scene.excitation.kind == "force"
         if self.pushes:  # what a free grain would do in a period or so

@@ -192,6 +192,32 @@ def test_an_orbit_runs_in_lammps():
     assert np.abs(run.displacement - orbit.displacement).max() < 1e-6 * orbit.amplitude
 
 
+@pytest.mark.parametrize(("top", "grain"), [("free", 1), ("wall", 1), ("wall", 0)])
+def test_a_driven_orbit_runs_in_an_engine(top: str, grain: int):
+    """Back where it began after each of three periods, as the drive goes on."""
+    chain = Chain(grains=12, diameter=1e-3, gravity=0.0, top_load=1.0, top=top, bottom="wall")
+    sine = {"frequency": 0.3 * chain.band_edge / (2 * np.pi), "grain": grain}
+    orbit = orbits.find(chain, drive=Drive(amplitude=0.02 * chain.length_scale, **sine))
+    assert orbit.residual < 1e-12
+    run = simulate(orbit.scene(3, samples=4), "native", 1e-10)
+    assert np.abs(run.displacement - orbit.displacement).max() < 1e-11 * orbit.amplitude
+    again = orbits.find(chain, drive=orbit.scene().excitation)
+    assert again.velocity == pytest.approx(orbit.velocity, rel=1e-10)
+    linear = orbits.find(chain, drive=Drive(amplitude=1e-9 * chain.length_scale, **sine))
+    for engine in ("modes", "chebyshev"):
+        run = simulate(linear.scene(3, samples=4), engine, 1e-7)
+        assert np.abs(run.displacement - linear.displacement).max() < 1e-8 * linear.amplitude
+
+
+@pytest.mark.slow
+def test_a_driven_orbit_runs_in_lammps():
+    chain = Chain(grains=12, diameter=1e-3, gravity=0.0, top_load=1.0, bottom="wall")
+    drive = Drive(amplitude=0.02 * chain.length_scale, frequency=0.3 * chain.band_edge / (2 * np.pi))
+    orbit = orbits.find(chain, drive=drive)
+    run = simulate(orbit.scene(3, samples=4), "lammps", 1e-6)
+    assert np.abs(run.displacement - orbit.displacement).max() < 1e-7 * orbit.amplitude
+
+
 def test_an_unstable_orbit_is_left_at_the_rate_of_its_multiplier():
     masses = np.where(np.arange(11) % 2 == 0, 3e-3, 1e-3)
     chain = Chain(grains=11, diameter=1e-2, gravity=0.0, top_load=20.0, top="wall", bottom="wall", masses=masses)

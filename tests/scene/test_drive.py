@@ -1,6 +1,7 @@
 """A driven grain goes where it must, and the others follow Eq. (1) to the order of the integrator."""
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import mpmath
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.integrate import simpson
 from scipy.interpolate import make_interp_spline
 
-from lmpchain import Chain, Drive, Impulse, Scene, engines, simulate
+from lmpchain import Chain, Drive, Impulse, InputError, Profile, Scene, engines, simulate
 from lmpchain.engines import error_estimate
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.splittings import SPLITTINGS
@@ -371,3 +372,40 @@ def test_knots_and_touching_walls_count_as_not_smooth() -> None:
         for _ in run.blocks():
             pass
         assert run.errors()[0].smooth is smooth
+
+
+@pytest.mark.parametrize(("top", "grain"), [("free", 1), ("wall", 0)])
+def test_a_drive_may_begin_with_grains_in_motion(top: str, grain: int, tmp_path: Path):
+    """Against an independent integrator, from a scene file and from its CSV table too."""
+    chain = loaded(top=top)
+    rng = np.random.default_rng(3)
+    u, v = rng.normal(size=(2, 8)) * 0.05 * chain.length_scale * np.array([[1.0], [1 / chain.time_scale]])
+    u[-1] = v[-1] = 0.0
+    u[:grain] = v[:grain] = 0.0
+    start = Profile(displacement=u, velocity=v)
+    scene = scene_of(chain, sine(chain, 0.05).replace(start=start, grain=grain), samples=9)
+    t = simulate(scene, "native", 1e-10)
+    x, y, _ = scipy_reference(scene)
+    assert relative_error(t.displacement, t.velocity, x, y) < 1e-9
+    scene.to_toml(tmp_path / "scene.toml")
+    assert Scene.from_toml(tmp_path / "scene.toml") == scene
+    rows = "".join(f"{a!r},{b!r}\n" for a, b in zip(u.tolist(), v.tolist(), strict=True))
+    (tmp_path / "start.csv").write_text("displacement,velocity\n" + rows)
+    tables = scene.to_dict()
+    tables["excitation"]["start"] = {"file": "start.csv"}
+    assert Scene.from_dict(tables, tmp_path) == scene
+    assert scene.excitation.scaled(2.0).start.velocity == pytest.approx(2 * v)
+
+
+def test_a_start_that_does_not_fit():
+    chain = loaded()
+    for start, said in (
+        (Profile(velocity=np.ones(5)), "excitation.start.velocity: must have one entry a grain"),
+        (Profile(velocity=np.eye(8)[0]), "excitation.start.velocity: must be 0 for grain 1, which moves as the drive"),
+        (Profile(displacement=np.eye(8)[7]), "excitation.start.displacement: must be 0 for grain 8, which is held"),
+    ):
+        tables = scene_of(chain, sine(chain)).to_dict()
+        tables["excitation"]["start"] = {key: value.tolist() for key, value in start.given().items()}
+        with pytest.raises(InputError) as caught:
+            Scene.from_dict(tables)
+        assert str(caught.value).startswith(said)

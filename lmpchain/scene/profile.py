@@ -1,0 +1,55 @@
+"""Displacement and velocity of every grain at t = 0."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import ClassVar
+
+import numpy as np
+
+from ..chain.chain import Chain
+from ..util.arrays import Array
+from ..util.validation import NOT_GIVEN, Vector
+from .base import Excitation
+
+
+class Profile(Excitation):
+    """Displacement (N,) m and velocity (N,) m/s of every grain at t = 0; what is left out is zero."""
+
+    kind: ClassVar[str] = "profile"
+    strength: ClassVar[tuple[str, ...]] = ("velocity", "displacement")
+    columns: ClassVar[dict[str, str]] = {"displacement": "displacement", "velocity": "velocity"}
+    displacement: Vector = NOT_GIVEN
+    velocity: Vector = NOT_GIVEN
+
+    def _faults(self) -> Iterator[tuple[str, str]]:
+        if self.displacement is None and self.velocity is None:
+            yield "displacement", "give displacement or velocity of every grain, or a file with both"
+
+    def faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
+        """Yield what this chain does not allow."""
+        for key in ("displacement", "velocity"):
+            value = getattr(self, key)
+            if value is None:
+                continue
+            if len(value) != chain.grains:
+                yield key, f"must have one entry a grain, {chain.grains}, not {len(value)}"
+            elif chain.bottom == "fixed" and value[-1] != 0:
+                yield key, f"must be 0 for grain {chain.grains}, which is held"
+
+    def initial(self, chain: Chain) -> tuple[Array, Array]:
+        """Return displacement and velocity of every grain at t = 0."""
+        rest = np.zeros(chain.grains)
+        return (
+            rest.copy() if self.displacement is None else self.displacement.copy(),
+            rest.copy() if self.velocity is None else self.velocity.copy(),
+        )
+
+    def reach(self, chain: Chain) -> tuple[int, int]:
+        """Return the first and the last grain that it moves; grain 1 if there is none."""
+        moved = np.flatnonzero(np.any(self.initial(chain), axis=0))
+        return (int(moved[0]) + 1, int(moved[-1]) + 1) if moved.size else (1, 1)
+
+    def part(self, first: int, last: int) -> Profile:
+        """Return the entries of grains first ... last."""
+        return Profile(**{key: values[first - 1 : last] for key, values in self.given().items()})
