@@ -83,7 +83,7 @@ def floor(cases: list[Case], name: str, method: str, reach: float, factors: tupl
 
 def main(quick: bool = False) -> list[Row]:
     """Return a row for each constant."""
-    count = 8 if quick else 60
+    count = 5 if quick else 60
     hard = drawn(
         count,
         61,

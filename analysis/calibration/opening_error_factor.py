@@ -94,7 +94,7 @@ def _interval(part: float, count: int) -> tuple[float, float]:
 
 def main(quick: bool = False) -> list[Row]:
     """Return a row for each constant."""
-    count = 10 if quick else 70
+    count = 5 if quick else 70
     strong = [c for c in map(Case, drawn(count, 11, lambda s: s.largest_strain > 0.3)) if c.known]
     gentle = [
         c for c in map(Case, drawn(count // 2, 12, lambda s: s.largest_strain <= 0.3, strength=(-4, -0.3))) if c.known

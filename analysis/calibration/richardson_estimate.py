@@ -105,7 +105,7 @@ def row_of_factor(name: str, shipped: float, found: list[Look], order: float, sm
 
 def main(quick: bool = False) -> list[Row]:
     """Return a row for each constant."""
-    count = 12 if quick else 100
+    count = 8 if quick else 100
     calm = [
         case for case in map(Case, drawn(count, 2, lambda s: s.largest_strain < 0.3, strength=(-4, 0.0))) if case.known
     ]
