@@ -1,7 +1,8 @@
 """Error estimate by Richardson extrapolation: an answer beside companion runs at other step sizes.
 
 The answer runs at the step h. Beside it run native companions at about 2h and 4h (where those are unstable, or the run
-has too few steps for them, one at h/2): the rate at which their differences shrink gives the truncation error. Where a
+has too few steps for them, one at h/2): the rate at which their differences shrink gives the truncation error. Where
+contacts open again and again, errors scatter, and two may agree by chance: there runs one more, at about 1.5h. Where a
 companion's step is longer than the time between two samples, it passes over some. An engine that rounds in another way
 than the native one also has a native twin at the same step. Twin and answer are the same map in exact arithmetic: what
 they differ by is round-off, measured.
@@ -44,12 +45,14 @@ SAFETY = 2.0  # factor on the Richardson estimate
 GROWN, STEADY = 300.0, 3.0
 # rounding that all runs share (of the parameters, say), where contacts open, as a multiple of what becomes of a last
 # digit; looked for below that estimate, if it can grow so far: from so much, by less than that exponent a radian
-SHARED, NEAR_ROUNDOFF, SHORT, GROWTH = 1.0, 1e-6, 1e-13, 0.05
-SCATTER = 10.0  # multiple of that by which two runs may differ for rounding alone
+SHARED, NEAR_ROUNDOFF, SHORT, GROWTH = 1.0, 0.1, 1e-13, 0.05
+SCATTER = 100.0  # multiple of that by which two runs may differ for rounding alone
 # analysis/calibration/richardson_estimate.py
 CLOSE_TO_OPENING = -0.5  # r / eps below which a contact's force is no longer a smooth function of time
 # order assumed in the Richardson estimate after adaptive steps through an opening, where differences scatter
 ORDER_AT_OPENINGS = 4
+# radians a grain from which on waves come back to where contacts opened, and the step of one more companion then
+COMES_BACK, NEARBY = 10.0, 1.5
 KINKED_BELOW, ORDER_AT_KINKS = 1.25, 2  # the same for exponents below that, whose force has a kink at an opening
 
 
@@ -93,9 +96,12 @@ class CompanionRun(Run):
         reach = candidate.step * max(scene.chain.band_edge for scene in scenes)
         final = self.scene.samples - 1
         steps = candidate.steps_per_sample * final
-        longer = [ratio for ratio in (2, 4) if ratio * reach <= method.stability_limit and steps >= FEWEST]
+        longer: list[float] = [ratio for ratio in (2, 4) if ratio * reach <= method.stability_limit and steps >= FEWEST]
         self._finer = not longer
         stretched = candidate.adaptive and method.adaptive == "error"
+        self._scatters = [bool(longer) and candidate.adaptive and _comes_back(scene) for scene in scenes]
+        if any(self._scatters):
+            longer.append(NEARBY)
         schedules = [StepSchedule.of(*own, ratio, stretched) for ratio in longer] or [StepSchedule.of(*own).halved]
         self._ratios = [steps / schedule.total(final) for schedule in schedules]
         if twin:
@@ -106,6 +112,9 @@ class CompanionRun(Run):
             NativeStepper(chains, method, schedule, old, threads)
             for schedule, old in zip(schedules, kept[1:], strict=False)
         ]
+        self._against = np.arange(len(schedules))  # each differs from the next longer step, one nearby from the answer
+        if any(self._scatters):
+            self._against[-1] = 0
         self._native = [*([shared] if shared else []), *companions]
         self._steppers += companions
         self.realisations = len(scenes)
@@ -121,7 +130,8 @@ class CompanionRun(Run):
         bounds = [s.chain.contacts.overlap_bound(e).max() for s, e in zip(scenes, self._most_energy, strict=True)]
         self._deepest = np.minimum(bounds, [1e6 * scene.chain.diameters.sum() for scene in scenes])
         samples, grains = self.scene.samples, self.scene.chain.grains
-        self._most = _block(len(self._steppers), self.realisations, grains, samples)
+        self._together = math.lcm(4, *(stepper.stride for stepper in self._steppers))
+        self._most = _block(len(self._steppers), self.realisations, grains, samples, self._together)
         self._sample_s = candidate.cost_s * self.realisations / samples  # a guess to begin with
         shape = (len(self._steppers), self.realisations, self._most + 1, grains)  # with sample 0 in the first block
         self._u, self._v = np.zeros(shape), np.zeros(shape)
@@ -142,7 +152,8 @@ class CompanionRun(Run):
         final = self.scene.samples - 1
         while self._sample < final:
             first, spent = self._sample + 1, self._integration_s + self._estimate_s
-            count = max(4, min(self._most, int(BLOCK_S / self._sample_s)) // 4 * 4)
+            fit, together = min(self._most, int(BLOCK_S / self._sample_s)), self._together
+            count = max(1, fit // together) * together
             until = min(max(self._sample, 0) + count, final)
             for index in range(len(self._steppers)):
                 yield from self._fill(index, first, until)
@@ -184,7 +195,7 @@ class CompanionRun(Run):
         began = clock()
         count, samples = stop - first, np.arange(first, stop)
         u, v = self._u[0, :, :count], self._v[0, :, :count]
-        peaks, energy, differences = compared(self._u, self._v, self._masses, count)
+        peaks, energy, differences = compared(self._u, self._v, self._against, self._masses, count)
         self.peaks = np.maximum(np.maximum(self.peaks, peaks), self._native[0].largest())
         if not np.isfinite(energy).all():
             raise RunFailed(self._broke_down(first, "positions or velocities are no longer numbers"))
@@ -231,13 +242,15 @@ class CompanionRun(Run):
         plain = np.isin(self._native[0].chains.forms, ROOTS) & self.scene.chain.compressed
         at_openings = min(order, ORDER_AT_KINKS if kinked else ORDER_AT_OPENINGS)
         for real, opens in enumerate((lowest <= CLOSE_TO_OPENING).tolist()):
-            fine, coarse = steps[0, real], steps[1, real] if len(steps) > 1 else None
+            fine, coarse = steps[0, real], steps[1, real] if len(steps) - any(self._scatters) > 1 else None
             smooth = adaptive or order == 2 or not (opens or self._kinked[real])
             trusted = at_openings if adaptive and opens else order
             most = float(fine.max())
             truncation = 2 * most
             if not self._finer:
-                truncation = float(extrapolate(trusted, smooth, coarse, fine, self._ratios).max())
+                truncation = float(extrapolate(trusted, smooth, coarse, fine, self._ratios[:2]).max())
+            if opens and self._scatters[real]:
+                truncation = max(truncation, float(steps[-1, real].max()))
             radians, (farthest, fastest) = self._radians[real], peaks[real].tolist()
             displaced = radians / self.scene.duration * farthest / fastest if self.peaks[real, 1] > 0 else 0.0
             roundoff = native_floor(taken[real] * self.method.evaluations, radians, displaced)
@@ -314,10 +327,16 @@ def extrapolate(
     return SAFETY * np.maximum(fine / (gain - 1), coarse / (second**order - first**order))
 
 
-def _block(steppers: int, realisations: int, grains: int, samples: int) -> int:
-    """Return the number of samples in a block, a multiple of four: every companion stops at its end."""
+def _comes_back(scene: Scene) -> bool:
+    """Whether contacts may open again and again: by reflections, or under what acts all the time."""
+    crossed = 1 if scene.excitation.does_work else scene.chain.grains
+    return scene.largest_strain > 1 and scene.highest_frequency * scene.duration > COMES_BACK * crossed
+
+
+def _block(steppers: int, realisations: int, grains: int, samples: int, together: int) -> int:
+    """Return the number of samples in a block, a multiple of those after which all steppers stop together."""
     fit = BLOCK_BYTES // (16 * steppers * realisations * grains)
-    return max(4, min(fit, samples) // 4 * 4)
+    return max(1, min(fit, samples) // together) * together
 
 
 def _unpack(state: Mapping[str, Array] | None) -> list[dict[str, Array]]:

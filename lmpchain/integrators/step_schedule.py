@@ -34,7 +34,7 @@ class StepSchedule:
 
     @classmethod
     def of(
-        cls, steps_per_sample: int, step: float, adaptive: bool, ratio: int = 1, stretched: bool = False
+        cls, steps_per_sample: int, step: float, adaptive: bool, ratio: float = 1, stretched: bool = False
     ) -> StepSchedule:
         """Return the schedule with so many steps between two samples, or one with steps longer by this ratio.
 
@@ -44,8 +44,9 @@ class StepSchedule:
         if steps_per_sample >= (EVERY_STRETCHED if stretched else EVERY):
             fewer = math.ceil(steps_per_sample / ratio)
             return cls(fewer, 1, step * steps_per_sample / fewer, adaptive, ratio)
-        common = 1 if stretched else math.gcd(steps_per_sample, ratio)
-        return cls(steps_per_sample // common, ratio // common, step * ratio, adaptive, ratio)
+        stride, parts = ratio.as_integer_ratio()
+        common = 1 if stretched else math.gcd(parts * steps_per_sample, stride)
+        return cls(parts * steps_per_sample // common, stride // common, step * ratio, adaptive, ratio)
 
     def total(self, samples: int) -> int:
         """Return the steps from sample 0 to the sample of this number, if all are equal."""

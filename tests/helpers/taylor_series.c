@@ -228,7 +228,7 @@ int integrate(int N, const REAL *delta_, const REAL *K, const REAL *F, const REA
     REAL h = end - t;
     if (kind && knot_end - t < h) h = knot_end - t;
     for (int k = p - 2; k <= p; k++) {
-      REAL most_x = 0;
+      REAL most_x = grain < 0 ? fabs(wall[k]) : 0; /* also while it moves alone */
       for (int n = first; n < last; n++) {
         REAL y = fabs(X[(size_t)k * N + n]);
         if (y > most_x) most_x = y;

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from ...util.arrays import Array
 from ...util.compilation import compiled_once
@@ -39,13 +40,15 @@ def _kinetic(v, masses):
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
-def compared(u: Array, v: Array, masses: Array, count: int) -> tuple[Array, Array, Array]:
-    """Measure the first samples of an answer and how far others are from it, each from the one before.
+def compared(u: Array, v: Array, against: NDArray[np.int64], masses: Array, count: int) -> tuple[Array, Array, Array]:
+    """Measure the first samples of an answer and how far others are from it or from each other.
 
     Parameters
     ----------
     u, v : (S, R, B, N) arrays
         Fields of S answers of R chains; the first is that in question.
+    against : (S-1,) array
+        From which of them each of the others is measured.
     masses : (R, N) array
     count : int
         Of the B samples.
@@ -72,6 +75,6 @@ def compared(u: Array, v: Array, masses: Array, count: int) -> tuple[Array, Arra
             energy[real] = max(energy[real], now) if np.isfinite(now) else np.inf
             for other in range(others):
                 for kind, field in enumerate((u, v)):
-                    a, b = field[other, real, sample], field[other + 1, real, sample]
+                    a, b = field[against[other], real, sample], field[other + 1, real, sample]
                     differences[other, sample, real, kind] = _farthest(a, b) + 0.0 * _sum(a, b)
     return peaks, energy, differences
