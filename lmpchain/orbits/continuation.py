@@ -176,7 +176,7 @@ def _size(curve: Curve, place: Place) -> float:
 
 
 def _step(curve: Curve, here: Place, length: float, largest: float) -> tuple[Place, float] | None:
-    """Return the next place and how long the step after it may be; `largest` is over the size of the orbit."""
+    """Return the next place and how long the step after it may be, up to `largest` sizes of the orbit."""
     size = _size(curve, here)
     length = min(length, largest * size)
     while length > SMALLEST * size:

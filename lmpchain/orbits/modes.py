@@ -17,6 +17,7 @@ from .search import check_positive, find, linear_mode
 STRAIN = 1e-2  # of the small orbit that a family begins with
 SLOW = 0.2  # of the band edge: below it harmonics are nearly resonant, and a family begins with smaller orbits
 HEAVY = 1e3  # factor on masses at which grains stand almost still
+POINTS = 200  # orbits after which a breather is given up
 HEAVIER = 1.001  # ratio of masses
 ALONE = (1e-4, 1e2)  # amplitudes of a grain between two that stand still, over the overlap
 
@@ -138,14 +139,24 @@ def breather(chain: Chain, grain: int, period: float, *, progress: bool = False)
     def eased(part: float) -> Chain:
         return chain.replace(masses=np.where(heavier, HEAVY ** (1 - part), 1.0) * chain.masses)
 
-    u = np.zeros(chain.grains)
-    u[grain - 1] = _alone(chain, grain, period)
-    limit = find(eased(0.0), (u, np.zeros(chain.grains)), period)
-    family = follow(limit, eased, 1.0, start=0.0, events=False, progress=progress)
+    u, rest = np.zeros((2, chain.grains))
+    slowest = float(
+        2 * np.pi / np.sqrt(chain.contacts.stiffness[grain - 1 : grain + 1].sum() / chain.masses[grain - 1])
+    )
+    if linear := period < slowest:  # a gentle motion alone is too slow, but quickens as its neighbours come to give way
+        u[grain - 1] = STRAIN * chain.contacts.overlap[grain]
+        energy = float(chain.excess_energy(u, rest))
+        limit = find(eased(0.0), (u, rest), slowest, energy=energy)
+    else:
+        u[grain - 1] = _alone(chain, grain, period)
+        limit = find(eased(0.0), (u, rest), period)
+    way = {"events": False, "progress": progress, "points": POINTS}
+    family = follow(limit, eased, 1.0, start=0.0, hold="energy" if linear else "period", **way)
+    if linear and family.reached:
+        family = follow(family[-1], "period", period, **way)
     if not family.reached:
         raise RunFailed(f"the breather of {period:g} s does not go on to the masses of the chain: is it in a gap?")
-    orbit = family[-1]
-    return find(chain, orbit)
+    return find(chain, family[-1], period)
 
 
 def _alone(chain: Chain, grain: int, period: float) -> float:

@@ -159,7 +159,7 @@ class Orbit(Shown):
         return self._begun(self.displacement + scale * u, self.velocity + scale * v)
 
     def _begun(self, u: Array, v: Array) -> Profile | Drive:
-        """Return the excitation that begins with this state, (N,) m and m/s, and drives on if the orbit is driven."""
+        """Return the excitation that begins with this state, (N,) m and m/s, and drives on if driven."""
         if self.drive is None:
             return Profile(displacement=u, velocity=v)
         own = np.arange(u.size) >= self.flow.held

@@ -149,7 +149,7 @@ class Constraint(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """A solved point: its steps, the derivatives of all equations, and what round-off leaves of their residual."""
+    """A solved point, its steps, the derivatives of all equations, and what round-off leaves of them."""
 
     point: Point
     mesh: Array

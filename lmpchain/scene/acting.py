@@ -171,7 +171,7 @@ class Drive(_Acting):
         return fields
 
     def _others(self, chain: Chain) -> tuple[Array, Array]:
-        """Return displacement and velocity at t = 0 of the grains that it does not move, and 0 for grain 1 else."""
+        """Return displacement and velocity (N,) at t = 0 of the grains that it does not move."""
         return (np.zeros(chain.grains), np.zeros(chain.grains)) if self.start is None else self.start.initial(chain)
 
     def reach(self, chain: Chain) -> tuple[int, int]:
@@ -196,7 +196,7 @@ class Drive(_Acting):
         return self.waveform.at(t, 2)
 
     def energy_norm(self, chain: Chain, duration: float) -> float:
-        """Bound sqrt(2 E) by the path, after that at t = 0: ``d sqrt(2 E) / dt <= sqrt(k) |v|``, the contact below."""
+        """Bound sqrt(2 E) by that at t = 0 and the path: ``d sqrt(2 E) / dt <= sqrt(k) |v|``."""
         (u, v), k = self._others(chain), chain.contacts.stiffness
         begun = np.sqrt((chain.masses * v**2).sum() + (k * chain.contacts.closer(u) ** 2).sum())
         return float(begun + np.sqrt(k[self.grain]) * self.waveform.path(duration))

@@ -10,6 +10,7 @@ are the units, as in `lmpchain.theory.soliton`.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
@@ -26,6 +27,7 @@ from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, legend, titled
+from ..util.progress import ProgressBar
 from .domain import real, require
 
 if TYPE_CHECKING:
@@ -33,6 +35,7 @@ if TYPE_CHECKING:
 
 __dir__ = listed(__name__)
 
+LIGHTEST, APART = 0.03, 0.35  # the least mass ratio of a scan, and how far apart its searches begin in 1 / sqrt(ratio)
 PERIOD, POINTS = 12.0, 256  # grains, and points in them
 GRAINS, CONTACT, UNTIL = 50, 28, 60.0  # of the chain that is struck for an approximation
 ALIKE = 1e-9  # relative differences of masses and constants that count as none
@@ -126,6 +129,51 @@ class DimerSoliton(Shown):
         return np.where(behind, self._series(-at, derivative) * (-1) ** derivative, self._series(at, derivative)).sum(
             -1
         )
+
+
+def antiresonances(least: float = 0.1, delta: float = 1.5, *, progress: bool = False) -> tuple[float, ...]:
+    """Return the mass ratios at which a dimer chain carries a solitary wave, from 1 downward.
+
+    A light grain that a pulse passes oscillates at a rate that goes as ``s = 1 / sqrt(ratio)``, and from one of them to
+    the next it does so once more, so that they are evenly spread in s, some 0.8 apart. Searches begin half of that
+    apart, and every one is found from several beginnings.
+
+    Parameters
+    ----------
+    least : float
+        The least mass ratio, of light to heavy grains, 0.03 or more.
+    delta : float
+        As for `solve`.
+    progress : bool
+        Whether to show a progress bar.
+
+    Returns
+    -------
+    tuple of float
+        In falling order, all below 1, where all grains are alike.
+
+    Raises
+    ------
+    InputError
+        If these are out of range.
+
+    Examples
+    --------
+    >>> [round(ratio, 9) for ratio in antiresonances(0.3)]
+    [0.342845781]
+    """
+    require(
+        ("least", LIGHTEST <= least < 1, f"must be from {LIGHTEST:g} to 1 (got {least!r})"),
+        ("delta", 1 < delta <= 3, f"must be above 1, and 3 or less (got {delta!r})"),
+    )
+    beginnings = 1 / np.arange(1 + APART, 1 / np.sqrt(least) + 2 * APART, APART) ** 2
+    found: set[float] = set()
+    with ProgressBar(beginnings.size, "antiresonances", shown=progress) as bar:
+        for near in beginnings.tolist():
+            with suppress(InputError):  # which says that none is near
+                found.add(round(_solved(near, float(delta))[0], 10))
+            bar.advance()
+    return tuple(sorted((ratio for ratio in found if least <= ratio < 1), reverse=True))
 
 
 def solve(near: float, delta: float = 1.5, velocity: float = 1.0) -> DimerSoliton:

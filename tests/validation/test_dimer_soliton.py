@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import lmpchain
-from lmpchain.theory.dimer_soliton import solve
+from lmpchain.theory.dimer_soliton import antiresonances, solve
 
 
 @pytest.mark.parametrize(
@@ -22,6 +22,12 @@ def test_antiresonances(near: float, ratio: float, published: float | None):
     assert found == pytest.approx(ratio, abs=1e-10 if near > 0.1 else 5e-5)
     if published:
         assert found == pytest.approx(published, abs=5.1e-5)
+
+
+@pytest.mark.slow
+def test_a_scan_finds_the_published_mass_ratios_by_itself():
+    """Those of Jayaprakash et al. from 1 down to 0.06, in order and none besides, from no guess of theirs."""
+    assert antiresonances(0.06) == pytest.approx((0.3428, 0.1548, 0.0901, 0.0615), abs=5.1e-5)
 
 
 @pytest.mark.parametrize("near", [0.36, 0.16])

@@ -1,0 +1,121 @@
+"""Breathers of every kind: back after a period by an independent integrator, and where theory has them."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from helpers.independent_integrators import extended_reference
+from scipy.integrate import quad
+
+from lmpchain import Chain, Material, orbits
+from lmpchain.orbits import Orbit
+
+LOADED = {"diameter": 1e-2, "gravity": 0.0, "top_load": 20.0}
+WALLS = {"top": "wall", "bottom": "wall"}
+RIGID = Material(density=1e3, youngs_modulus=1e30, poissons_ratio=0.0)
+LIGHT, HEAVY = 1e-3, 3e-3
+
+
+@cache
+def gap() -> Orbit:
+    """Bright, in the gap of a dimer: N. Boechler et al., Phys. Rev. Lett. 104, 244302 (2010)."""
+    masses = np.resize([HEAVY, LIGHT], 21)
+    chain = Chain(grains=21, masses=masses, **LOADED, **WALLS)
+    edge = np.sqrt(2 * stiffness(chain) / LIGHT)
+    return orbits.breather(chain, 10, period=2 * np.pi / (0.985 * edge))
+
+
+@cache
+def surface() -> Orbit:
+    """At a light free end of a dimer: G. Theocharis et al., Phys. Rev. E 82, 056604 (2010)."""
+    chain = Chain(grains=20, masses=np.resize([LIGHT, HEAVY], 20), bottom="wall", **LOADED)
+    return orbits.normal_mode(chain, 11, energy=2e-6)
+
+
+@cache
+def defect() -> Orbit:
+    """At a light grain among heavier ones, above their band: Theocharis et al., Phys. Rev. E 80, 066601 (2009)."""
+    masses = np.where(np.arange(21) == 10, LIGHT / 2, LIGHT)
+    return orbits.normal_mode(Chain(grains=21, masses=masses, **LOADED, **WALLS), 21, energy=4e-6)
+
+
+@cache
+def dark() -> Orbit:
+    """A dip in neighbours that swing against each other: C. Chong et al., Phys. Rev. E 87, 042202 (2013).
+
+    Rigid walls are mirrors, so the chain is the half of a ring.
+    """
+    rigid = {"top_material": RIGID, "bottom_material": RIGID}
+    chain = Chain(grains=100, masses=np.full(100, LIGHT), **LOADED, **WALLS, **rigid)
+    return orbits.normal_mode(chain, 99, energy=6.7e-4)
+
+
+def stiffness(chain: Chain) -> float:
+    return float(chain.linear_stiffness[chain.grains // 2])
+
+
+def share(orbit: Orbit) -> np.ndarray:
+    """Return the part of every grain in the kinetic energy, over a period."""
+    held = orbit.chain.masses * orbit.motion()[2].std(0) ** 2
+    return held / held.sum()
+
+
+@pytest.mark.parametrize("kind", [gap, surface, defect, dark])
+def test_a_breather_returns_after_a_period(kind):
+    """Source: Taylor series in extended precision."""
+    orbit = kind()
+    u, v, error = extended_reference(orbit.scene(1, samples=9))
+    assert error < 1e-14
+    assert np.abs(u[-1] - orbit.displacement).max() < 1e-12 * orbit.amplitude
+    fastest = np.abs(orbit.motion()[2]).max()
+    assert np.abs(v[-1] - orbit.velocity).max() < 1e-12 * fastest
+
+
+@pytest.mark.parametrize(
+    ("kind", "low", "high", "limit", "grain"),
+    [
+        (gap, np.sqrt(2 / 3), np.sqrt(2), np.sqrt(2), 10),
+        (surface, np.sqrt(2 / 3), np.sqrt(2), np.sqrt(4 / 3), 1),
+        (defect, 2.0, np.inf, np.sqrt(4 / (0.5 * (2 - 0.5))), 11),
+    ],
+)
+def test_bright_breathers_lie_in_gaps_and_soften(kind, low: float, high: float, limit: float, grain: int):
+    """Above one band edge, and below the other or the linear mode at a surface or a defect, for contacts soften.
+
+    Bands of the dimer end at w^2 = 2K/M and 2K/m; that of the uniform chain at 4K/m. Linear modes at a light end have
+    w^2 = K/m + K/M, at a grain of mass d among others of mass m w^2 = 4 K / (d (2 - d/m)). Units of sqrt(K/m).
+    """
+    orbit = kind()
+    w = 2 * np.pi / orbit.period / np.sqrt(stiffness(orbit.chain) / LIGHT)
+    assert low < w < min(high, limit)
+    assert share(orbit).argmax() + 1 == grain
+    assert 1 / (share(orbit) ** 2).sum() < 4
+
+
+@pytest.mark.parametrize("kind", [surface, defect])
+def test_the_anticontinuous_limit_leads_to_the_same_breather(kind):
+    orbit = kind()
+    other = orbits.breather(orbit.chain, int(share(orbit).argmax()) + 1, orbit.period)
+    assert other.energy == pytest.approx(orbit.energy, rel=1e-9)
+
+
+def test_a_dark_breather_swings_with_its_background():
+    """Far from the dip, with the period of a pi-mode of that amplitude by quadrature; the frequency lies in the band."""
+    orbit = dark()
+    chain, swing = orbit.chain, np.ptp(orbit.motion()[1], axis=0) / 2
+    overlap = chain.contacts.overlap + chain.contacts.closer(orbit.displacement)
+    eps, k = overlap[10:12].mean(), chain.contact_constants[0]  # less than at rest: grains at the dip take more room
+
+    def period(amplitude: float) -> float:
+        def potential(x: float) -> float:
+            return k / 5 * (max(eps + 2 * x, 0.0) ** 2.5 + max(eps - 2 * x, 0.0) ** 2.5)
+
+        def slowness(angle: float) -> float:
+            x = amplitude * np.sin(angle)
+            return amplitude * np.cos(angle) / np.sqrt(2 * (potential(amplitude) - potential(x)) / LIGHT)
+
+        return 4 * quad(slowness, 0, np.pi / 2, epsabs=0, epsrel=1e-11, limit=200)[0]
+
+    assert 2 * np.pi / orbit.period < chain.band_edge
+    assert period(swing[0]) == pytest.approx(orbit.period, rel=1e-6)
+    assert swing[49] < 0.1 * swing[0]
