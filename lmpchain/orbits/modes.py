@@ -140,9 +140,8 @@ def breather(chain: Chain, grain: int, period: float, *, progress: bool = False)
         return chain.replace(masses=np.where(heavier, HEAVY ** (1 - part), 1.0) * chain.masses)
 
     u, rest = np.zeros((2, chain.grains))
-    slowest = float(
-        2 * np.pi / np.sqrt(chain.contacts.stiffness[grain - 1 : grain + 1].sum() / chain.masses[grain - 1])
-    )
+    stiffness = float(chain.contacts.stiffness[grain - 1 : grain + 1].sum())
+    slowest = float(2 * np.pi / np.sqrt(stiffness / chain.masses[grain - 1]))
     if linear := period < slowest:  # a gentle motion alone is too slow, but quickens as its neighbours come to give way
         u[grain - 1] = STRAIN * chain.contacts.overlap[grain]
         energy = float(chain.excess_energy(u, rest))
@@ -150,10 +149,10 @@ def breather(chain: Chain, grain: int, period: float, *, progress: bool = False)
     else:
         u[grain - 1] = _alone(chain, grain, period)
         limit = find(eased(0.0), (u, rest), period)
-    way = {"events": False, "progress": progress, "points": POINTS}
-    family = follow(limit, eased, 1.0, start=0.0, hold="energy" if linear else "period", **way)
+    hold = "energy" if linear else "period"
+    family = follow(limit, eased, 1.0, start=0.0, hold=hold, points=POINTS, events=False, progress=progress)
     if linear and family.reached:
-        family = follow(family[-1], "period", period, **way)
+        family = follow(family[-1], "period", period, points=POINTS, events=False, progress=progress)
     if not family.reached:
         raise RunFailed(f"the breather of {period:g} s does not go on to the masses of the chain: is it in a gap?")
     return find(chain, family[-1], period)

@@ -100,7 +100,7 @@ def test_the_anticontinuous_limit_leads_to_the_same_breather(kind):
 
 
 def test_a_dark_breather_swings_with_its_background():
-    """Far from the dip, with the period of a pi-mode of that amplitude by quadrature; the frequency lies in the band."""
+    """Far from the dip as a pi-mode of that amplitude, by quadrature; its frequency lies in the band."""
     orbit = dark()
     chain, swing = orbit.chain, np.ptp(orbit.motion()[1], axis=0) / 2
     overlap = chain.contacts.overlap + chain.contacts.closer(orbit.displacement)
