@@ -17,7 +17,8 @@ def add(verbs: Any) -> None:
     parser.add_argument("run", metavar="RUN.nc", help="saved run, or a scene file")
     parser.add_argument(
         "--of", metavar="ANSWER", required=True,
-        help="peak_force:CONTACT, momentum:GRAINS, kinetic_energy:GRAINS (such as 3-9) or arrival_time:GRAIN@VELOCITY",
+        help="peak_force:CONTACT, momentum:GRAINS, energy:GRAINS, kinetic_energy:GRAINS (such as 3-9) or "
+        "arrival_time:GRAIN@VELOCITY",
     )  # fmt: skip
     for name in UNCERTAIN:
         parser.add_argument(

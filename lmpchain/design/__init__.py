@@ -9,7 +9,7 @@ _MODULES = {
     "seen": "Seen Slopes",
     "traces": "Traces",
     "sensitivities": "sensitivity Sensitivity",
-    "objectives": "ArrivalTime DriveWork Function KineticEnergy Misfit Momentum PeakForce",
+    "objectives": "ArrivalTime DriveWork Energy Function KineticEnergy Misfit Momentum PeakForce",
 }
 __all__ = " ".join(_MODULES.values()).split()
 __getattr__ = attributes(__name__, (), _MODULES)

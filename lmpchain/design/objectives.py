@@ -40,6 +40,12 @@ def _known(scene: Scene, grains: Sequence[int]) -> Sequence[int]:
     return grains
 
 
+def _still(scene: Scene, contact: int) -> None:
+    """Raise `InputError` if this contact is with a wall that moves."""
+    if contact == 0 and scene.drive is not None and scene.drive.grain == 0:
+        raise InputError([("objective", "cannot look at the contact with a wall that moves: use other grains")])
+
+
 @dataclass(frozen=True)
 class PeakForce:
     """The peak force at a contact, N, that at rest included: a smooth maximum over time.
@@ -64,6 +70,7 @@ class PeakForce:
         if not (0 <= self.contact < exists.size and exists[self.contact]):
             numbers = np.flatnonzero(exists)
             raise InputError([("contact", f"must be one of {numbers[0]} to {numbers[-1]} (got {shown(self.contact)})")])
+        _still(scene, self.contact)
         if not self.sharpness > 0:
             raise InputError([("sharpness", f"must be above 0 (got {shown(self.sharpness)})")])
         return [grain for grain in (self.contact, self.contact + 1) if 1 <= grain <= scene.chain.grains]
@@ -122,6 +129,44 @@ class KineticEnergy(_AtATime):
         v = seen.velocity[look]
         slopes = seen.slopes(float(m @ v**2 / 2))
         slopes.velocity[look], slopes.masses[seen.grains - 1] = m * v, v**2 / 2
+        return slopes
+
+
+class Energy(_AtATime):
+    """The energy of a group of grains above rest at one of the samples, J.
+
+    As `measure.energy.shares` parts it: kinetic energy, half of what contacts with other grains hold, less the work
+    that load and weight do as they give way, and all of what those with walls do.
+    """
+
+    def grains(self, scene: Scene) -> Sequence[int]:
+        """Return the group and its neighbours."""
+        group = super().grains(scene)
+        _still(scene, 0 if 1 in group else 1)
+        near = {other for grain in group for other in (grain - 1, grain, grain + 1)}
+        return sorted(near & set(range(1, scene.chain.grains + 1)))
+
+    def __call__(self, seen: Seen) -> Slopes:
+        """Return the energy and its derivatives."""
+        look, chain, at = self._look(seen), seen.scene.chain, seen.grains - 1
+        inside = np.isin(seen.grains, self.group)
+        m, v = np.where(inside, chain.masses[at], 0.0), seen.velocity[look]
+        u, share = np.zeros(chain.grains), np.zeros(chain.grains + 1)
+        u[at], half = seen.displacement[look], inside / 2
+        np.add.at(share, at, half)
+        np.add.at(share, at + 1, half)
+        share[[0, -1]] *= 2
+        contacts = chain.contacts
+        r = contacts.closer(u)
+        held, change = share * contacts.energy(r), share * contacts.force_change(r)
+        more = np.where(contacts.pressed, (held - r * change) / contacts.exponent, -held)
+        slopes = seen.slopes(float(m @ v**2 / 2 + held.sum()))
+        slopes.displacement[look], slopes.velocity[look] = np.diff(change)[at], m * v
+        slopes.masses[at] = inside * v**2 / 2
+        slopes.constants[:] = -more / np.where(contacts.exists, contacts.constant, 1.0)
+        slopes.forces[:] = np.where(contacts.pressed, held + more, 0.0) / np.where(
+            contacts.pressed, contacts.force, 1.0
+        )
         return slopes
 
 
@@ -232,8 +277,8 @@ class DriveWork:
 
     def grains(self, scene: Scene) -> Sequence[int]:
         """Return grains 1 and 2."""
-        if scene.drive is None:
-            raise InputError([("objective", "DriveWork needs a scene with a drive")])
+        if scene.drive is None or scene.drive.grain != 1:
+            raise InputError([("objective", "DriveWork needs a scene in which grain 1 is driven")])
         return [1, 2]
 
     def __call__(self, seen: Seen) -> Slopes:

@@ -14,7 +14,7 @@ from ..util.arrays import Array
 from ..util.suggestions import not_among
 from . import parameters as params
 from .gradients import Gradient, gradient
-from .objectives import ArrivalTime, KineticEnergy, Momentum, Objective, PeakForce
+from .objectives import ArrivalTime, Energy, KineticEnergy, Momentum, Objective, PeakForce
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,7 +25,12 @@ CANDIDATES = (
     "displacement", "drive", "force", "amplitude", "frequency",
 )  # fmt: skip
 OVERRIDES = ("masses", "contact_constants", "wall_constants")  # looked at where they are given
-UNITS = {"peak_force": "N", "kinetic_energy": "J", "momentum": "kg m/s", "arrival_time": "s"}
+UNITS = {"peak_force": "N", "energy": "J", "kinetic_energy": "J", "momentum": "kg m/s", "arrival_time": "s"}
+GROUPS: dict[str, type[Energy | KineticEnergy | Momentum]] = {
+    "energy": Energy,
+    "kinetic_energy": KineticEnergy,
+    "momentum": Momentum,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +151,7 @@ def objective(of: str) -> tuple[Objective, str]:
         raise wrong from error
     if not group:
         raise wrong
-    return (KineticEnergy if kind == "kinetic_energy" else Momentum)(group), UNITS[kind]
+    return GROUPS[kind](group), UNITS[kind]
 
 
 def _depends_on(scene: Scene) -> list[str]:
@@ -175,7 +180,8 @@ def sensitivity(
     ----------
     scene : Scene
     of : str or Objective
-        "peak_force:CONTACT", "kinetic_energy:FIRST-LAST", "momentum:GRAIN", "arrival_time:GRAIN@VELOCITY".
+        "peak_force:CONTACT", "energy:FIRST-LAST", "kinetic_energy:FIRST-LAST", "momentum:GRAIN",
+        "arrival_time:GRAIN@VELOCITY".
     uncertain : mapping, optional
         By name of a parameter, such as "diameters", the relative standard deviation of every entry.
     tolerance : float

@@ -7,10 +7,11 @@ import pytest
 from helpers import extended_splitting as extended
 from scipy.linalg import expm, expm_frechet
 
-from lmpchain import Chain, Drive, Force, Impulse, InputError, Profile, Scene
+from lmpchain import Chain, Drive, Force, Impulse, InputError, Profile, Scene, simulate
 from lmpchain.design import (
     ArrivalTime,
     DriveWork,
+    Energy,
     Function,
     KineticEnergy,
     Misfit,
@@ -20,8 +21,10 @@ from lmpchain.design import (
     parameters,
 )
 from lmpchain.design.gradients import at_step
+from lmpchain.engines import Native
 from lmpchain.integrators.adjoint import DifferentiableRun
 from lmpchain.integrators.splittings import SPLITTINGS
+from lmpchain.measure.energy import shares
 
 LOOKS, STEPS = 6, 4
 DIFFERENCE = np.longdouble(1e-7)  # relative, of central differences in extended precision
@@ -249,7 +252,9 @@ DRIVEN = STRUCK.replace(
 OBJECTIVES = {
     "peak force": (STRUCK, PeakForce(3)),
     "peak force at a wall": (STRUCK, PeakForce(8, sharpness=30)),
-    "energy": (STRUCK, KineticEnergy([2, 3, 4], time=1e-5)),
+    "energy": (STRUCK, Energy([2, 3, 4], time=1e-5)),
+    "energy with a wall": (STRUCK.replace(chain=STRUCK.chain.replace(top="wall")), Energy([1, 2, 7, 8])),
+    "kinetic energy": (STRUCK, KineticEnergy([2, 3, 4], time=1e-5)),
     "momentum": (STRUCK, Momentum([2, 5])),
     "arrival": (STRUCK, ArrivalTime(4, 1e-3)),
     "misfit": (STRUCK, Misfit([3, 6], np.full((9, 2), 1e-3), scale=1e-4)),
@@ -284,6 +289,35 @@ def test_objectives_have_the_derivatives_that_differences_show(case: str):
             values.append(at_step(other, objective, [name], method, 2e-7)[0])
         slope = (8 * (values[2] - values[1]) - (values[3] - values[0])) / (12 * step)
         assert gradients[name] @ along == pytest.approx(slope, rel=1e-7, abs=1e-9 * abs(values[0])), name
+
+
+@pytest.mark.parametrize("group", [[2, 3, 4], [1, 2, 3, 4, 5, 6, 7, 8]])
+def test_energy_is_what_measure_gives_a_part_of_the_chain(group: list[int]):
+    run = simulate(STRUCK, engine=Native(integrator="dop853"), tolerance=1e-10)
+    found = gradient(STRUCK, Energy(group), ["masses"], 1e-7)
+    assert found.value == pytest.approx(shares(run).part(group[0], group[-1])[-1], rel=1e-8)
+
+
+def test_weak_waves_lose_no_digits_of_the_energy():
+    """Of a strike weaker by 1e10 all energies and derivatives are 1e-20 of those of linear waves."""
+    names = ["masses", "contact_constants", "top_load"]
+    values = [
+        at_step(STRUCK.replace(excitation=Impulse(velocity=v)), Energy([2, 3]), names, SPLITTINGS["rkn6"], 1e-7)
+        for v in (1e-9, 1e-19)
+    ]
+    assert values[1][0] == pytest.approx(1e-20 * values[0][0], rel=1e-6)
+    for name in names:
+        np.testing.assert_allclose(values[1][1][name], 1e-20 * values[0][1][name], rtol=1e-5)
+
+
+def test_a_wall_that_moves_is_not_looked_at():
+    scene = acted("sine of the wall")
+    for objective in (PeakForce(0), Energy([1, 2])):
+        with pytest.raises(InputError, match="wall that moves"):
+            gradient(scene, objective, ["masses"])
+    with pytest.raises(InputError, match="grain 1 is driven"):
+        gradient(scene, DriveWork(), ["masses"])
+    assert gradient(scene, Energy([2, 3]), ["masses"], 1e-3).value > 0
 
 
 @pytest.mark.parametrize("case", ["peak force", "energy", "arrival", "work"])

@@ -49,10 +49,10 @@ def test_an_uncertainty_is_the_scatter_of_random_chains():
 def test_the_command_ranks_and_draws(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     simulate(VACUUM, tolerance=1e-6).save(tmp_path / "run.nc")
     picture, numbers = tmp_path / "along.png", tmp_path / "numbers.json"
-    wanted = ["sensitivity", str(tmp_path / "run.nc"), "--of", "momentum:3-9", "--diameter", "0.01"]
+    wanted = ["sensitivity", str(tmp_path / "run.nc"), "--of", "energy:3-9", "--diameter", "0.01"]
     assert main([*wanted, "-o", str(picture), "--json", str(numbers)]) == 0
     said = capsys.readouterr().out
-    assert "momentum:3-9" in said
+    assert "energy:3-9" in said
     assert "by the uncertainty of diameters" in said
     assert picture.stat().st_size > 1000
     kept = json.loads(numbers.read_text())

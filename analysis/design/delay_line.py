@@ -1,0 +1,145 @@
+"""A delay line: bead diameters in a piece of chain that let a pulse arrive later by a given time, and hardly weaker.
+
+A soft push travels down steel beads under a load. Of 20 beads in the middle each may have 0.8 to 1.8 times the diameter
+of the others; the delay wanted is 10 times what a pulse takes from bead to bead. Long waves take sqrt(m / k) for each
+bead, which says how large equal beads would have to be: these delay, but reflect. Random search has as many seconds of
+the processor, and only tries pieces that delay long waves by the time wanted.
+"""
+
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import brentq
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from figures import arguments, finish, say
+
+from lmpchain import Chain, Force, InputError, Scene
+from lmpchain.design import ArrivalTime, PeakForce, Seen, Slopes, optimise
+from lmpchain.design.changes import changed
+from lmpchain.design.gradients import looks_of
+from lmpchain.integrators.adjoint import DifferentiableRun
+from lmpchain.integrators.splittings import SPLITTINGS
+from lmpchain.util.plotting import figure
+
+BEADS, PIECE, END = 100, slice(25, 45), 60
+SIZE, LOAD, DELAY = 1e-2, 100.0, 10.0
+CHAIN = Chain(grains=BEADS, diameter=np.full(BEADS, SIZE), material="steel", gravity=0.0, top_load=LOAD, bottom="wall")
+UNIT = float(np.sqrt(CHAIN.masses[0] / CHAIN.linear_stiffness[0]))  # of a long wave from bead to bead, s
+SCENE = Scene(
+    chain=CHAIN,
+    excitation=Force(grain=1, shape="half-sine", amplitude=2.0, duration=20 * UNIT),
+    duration=105 * UNIT,
+    samples=106,
+)
+LOW, HIGH = np.full(BEADS, SIZE), np.full(BEADS, SIZE)
+LOW[PIECE], HIGH[PIECE] = 0.8 * SIZE, 1.8 * SIZE
+PRECISION = 0.1  # of the delay, in UNIT: what matters as much as all of the peak
+
+
+class Late:
+    """The squared error of the delay, over its precision, and the squared loss of the peak, of it at first."""
+
+    dense = True
+
+    def __init__(self, arrival: ArrivalTime, peak: PeakForce, at: float, rise: float):
+        self.arrival, self.peak, self.at, self.rise = arrival, peak, at, rise
+
+    def grains(self, scene: Scene) -> list[int]:
+        """Return the beads of both."""
+        return sorted({*self.arrival.grains(scene), *self.peak.grains(scene)})
+
+    def __call__(self, seen: Seen) -> Slopes:
+        """Return the sum and its derivatives."""
+        late, peak = self.arrival(seen), self.peak(seen)
+        off, lost = (late.value - self.at) / (PRECISION * UNIT), 1 - (peak.value - LOAD) / self.rise
+        by_late, by_peak = 2 * off / (PRECISION * UNIT), -2 * lost / self.rise
+        parts = (by_late * a + by_peak * b for a, b in zip(late[1:], peak[1:], strict=True))
+        return Slopes(off**2 + lost**2, *parts)
+
+
+def seen_at_the_end(scene: Scene) -> Seen:
+    """Return how the beads at the end move."""
+    looks = looks_of(scene, PeakForce(END))
+    run = DifferentiableRun(scene, SPLITTINGS["rkn4"], 1.0 / scene.highest_frequency, looks, np.array([END, END + 1]))
+    return Seen(scene, run.time, run.grains, run.displacement, run.velocity)
+
+
+def delay_of_long_waves(diameters: np.ndarray) -> float:
+    """Return by how much longer long waves take than in equal beads, in UNIT."""
+    made = CHAIN.replace(diameter=diameters)
+    stiffness = 2 / (1 / made.linear_stiffness[:-1] + 1 / made.linear_stiffness[1:])  # of half a contact on either side
+    return float((np.sqrt(made.masses[1:-1] / stiffness) / UNIT - 1).sum())
+
+
+def of_delay(shape: np.ndarray) -> np.ndarray:
+    """Return diameters as much larger, by a factor, as the delay of long waves wants; raises where none is enough."""
+
+    def with_factor(factor: float) -> np.ndarray:
+        diameters = np.full(BEADS, SIZE)
+        diameters[PIECE] = np.clip(factor * shape, 0.8, 1.8) * SIZE
+        return diameters
+
+    return with_factor(brentq(lambda factor: delay_of_long_waves(with_factor(factor)) - DELAY, 0.5, 3.0))
+
+
+def main() -> None:
+    """Search both ways and draw the pulses, the beads and the search."""
+    given = arguments(__file__, __doc__)
+    starts, runs = (1, 40) if given.quick else (6, 200)
+    plain = seen_at_the_end(SCENE)
+    threshold = ArrivalTime(END, 0.5 * float(plain.velocity[:, 0].max()))
+    peak = PeakForce(END, sharpness=1e4)  # of a pulse of 2 N beside the load
+    begin, rise = threshold(plain).value, peak(plain).value - LOAD
+    wanted = Late(threshold, peak, begin + DELAY * UNIT, rise)
+    equal = changed(SCENE, {"diameters": of_delay(np.ones(20))})
+    began = time.process_time()
+    found = optimise(equal, wanted, ["diameters"], {"diameters": (LOW, HIGH)}, starts=starts, runs=runs, tolerance=1e-3)
+    took = time.process_time() - began
+    rng, best, tried = np.random.default_rng(2), (np.inf, SCENE), 0
+    end = time.process_time() + took
+    while time.process_time() < end:
+        scene = changed(SCENE, {"diameters": of_delay(rng.uniform(0.8, 1.8, 20))})
+        try:
+            best = min(best, (wanted(seen_at_the_end(scene)).value, scene), key=lambda one: one[0])
+        except InputError:  # the pulse does not arrive
+            continue
+        finally:
+            tried += 1
+    cases = {
+        "equal": SCENE,
+        "larger piece": equal,
+        f"random, best of {tried}": best[1],
+        f"optimised, {found.runs} runs": found.scene,
+    }
+    picture = figure(12.0, 3.8)
+    pulses, beads, search = picture.subplots(1, 3)
+    for (name, scene), colour in zip(cases.items(), ("0.5", "#009E73", "#E69F00", "#0072B2"), strict=True):
+        seen = seen_at_the_end(scene)
+        late, left = (threshold(seen).value - begin) / UNIT, (peak(seen).value - LOAD) / rise
+        kind = name.split(",")[0]
+        if scene is not SCENE:
+            say(f"delay over that wanted, {kind}", late / DELAY)
+            say(f"peak over that of equal beads, {kind}", left)
+        pulses.plot(seen.time / UNIT, 1e3 * seen.velocity[:, 0], color=colour, label=f"{name}: {100 * left:.1f} %")
+        beads.plot(np.arange(1, BEADS + 1), 1e3 * scene.chain.diameters, ".-", color=colour)
+    pulses.axvline(begin / UNIT + DELAY, color="0.8", zorder=0)
+    pulses.set(xlabel="time over that of a long wave from bead to bead", ylabel=f"velocity of bead {END}, mm/s")
+    pulses.set_xlim(begin / UNIT - 10, SCENE.duration / UNIT)
+    pulses.set_ylim(top=10)
+    pulses.legend(frameon=False, fontsize="small", title="peak force above the load", loc="upper left")
+    beads.set(xlabel="bead", ylabel="diameter, mm", xlim=(PIECE.start - 5, PIECE.stop + 6))
+    found.plot(search)
+    search.axhline(best[0], color="#E69F00", ls="--")
+    search.set(yscale="log", xlabel="runs of each start", ylabel="least objective so far")
+    say("delay by the speed of long waves over that wanted", delay_of_long_waves(found.values["diameters"]) / DELAY)
+    say("runs with gradients", found.runs)
+    say("random pieces tried", tried)
+    say("time of each", took, "s")
+    finish(picture, given.output)
+
+
+if __name__ == "__main__":
+    main()
