@@ -51,9 +51,9 @@ def changed(scene: Scene, values: Mapping[str, Array]) -> Scene:
         elif name == "youngs_moduli":
             made = scene.chain.material
             each = made if isinstance(made, tuple) else (made,) * scene.chain.grains
-            chain["material"] = tuple(
-                material.replace(youngs_modulus=float(modulus)) for material, modulus in zip(each, given, strict=True)
-            )
+            kinds = {pair: None for pair in zip(each, given.tolist(), strict=True)}  # few, as a rule
+            kinds = {(material, modulus): material.replace(youngs_modulus=modulus) for material, modulus in kinds}
+            chain["material"] = tuple(kinds[pair] for pair in zip(each, given.tolist(), strict=True))
         else:
             chain["diameter" if name == "diameters" else name] = value
     if scene.chain.impurity and {"diameter", "masses", "material"} & chain.keys():
