@@ -44,7 +44,7 @@ CLEAR = 30.0  # times round-off
 
 @dataclass(frozen=True)
 class Look:
-    """One run: the differences from its companions (NaN if there is none at 4h), and the true error."""
+    """One run: the differences from its companions at 2h and 4h, and the true error."""
 
     scene: int
     exponent: float
@@ -82,7 +82,7 @@ def looks(cases: list[Case], name: str, adaptive: bool) -> list[Look]:
             if not CLEAR * run.error.roundoff + 10 * case.reference.error < error < KNOWN:
                 continue
             exponent = case.scene.chain.exponent
-            found.append(Look(number, exponent, method.order, adaptive, reach, run.lowest, *run.differences, error))
+            found.append(Look(number, exponent, method.order, adaptive, reach, run.lowest, *run.differences[:2], error))
     return found
 
 

@@ -96,6 +96,7 @@ def sweep(
             every = (first for firsts in missing.values() for first in sorted(firsts))
             tasks = (Task(results, plan.folder, made, grains, first) for first in every)
             trouble = work.do(chosen, tasks, bar, WAITING if executor or workers > 1 else 1)
+        clean(results, made)  # of workers that died on the way
     if trouble:
         warnings.warn(f"some scenes could not be done this time; of the first: {trouble[0]}", stacklevel=2)
     return load_sweep(folder)

@@ -29,7 +29,7 @@ from lmpchain.measure.contact import wall_force
 from lmpchain.measure.front import track
 from lmpchain.measure.motion import peaks
 from lmpchain.sweeps import tasks
-from lmpchain.sweeps.executors import Processes
+from lmpchain.sweeps.executors import Here, Processes
 
 SCENES = Path(__file__).parents[2] / "analysis" / "scenes"
 SHORT: dict[str, Any] = {
@@ -649,6 +649,19 @@ def test_one_sweep_at_a_time_in_a_folder(tmp_path):
     with FileLock(tmp_path / ".lock"), pytest.raises(InputError, match="another process"):
         sweep(chains(2), tmp_path)
     assert (sweep(chains(2), tmp_path).reason == "").all()
+
+
+def test_what_a_worker_was_writing_as_it_was_killed_is_removed(tmp_path):
+    class Deadly(Here):
+        def submit(self, function, /, *values, **named):
+            for task in values:
+                if isinstance(task, tasks.Task):
+                    (task.folder / "parts" / f".{task.first:07d}.12345678.partial").touch()
+            return super().submit(function, *values, **named)
+
+    for folder, executor in ((tmp_path / "alone", Here()), (tmp_path / "killed", Deadly())):
+        sweep(chains(2), folder, executor=executor)
+    assert contents(tmp_path / "killed") == contents(tmp_path / "alone")
 
 
 @pytest.mark.slow
