@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -166,3 +167,12 @@ class Contacts:
         hard = (power * np.where(self.exists, energy, 0.0) / np.where(self.exists, self.constant, 1.0)) ** (1 / power)
         weak = np.sqrt(2 * energy / np.where(self.pressed, self.stiffness, np.nan))
         return self.overlap + np.fmin(hard, weak)
+
+
+def together(contacts: Sequence[Contacts]) -> Contacts:
+    """Return the contacts of R chains of one length as those of all, (R, N+1)."""
+    rows = {name: np.array([getattr(each, name) for each in contacts]) for name in ("overlap", "stiffness")}
+    constant, force = (np.array([getattr(each, name) for each in contacts]) for name in ("constant", "force"))
+    made = Contacts(constant, force, contacts[0].exponent)
+    made.__dict__.update(rows)
+    return made

@@ -10,6 +10,7 @@ they differ by is round-off, measured.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import cast
@@ -99,8 +100,9 @@ class CompanionRun(Run):
         longer: list[float] = [ratio for ratio in (2, 4) if ratio * reach <= method.stability_limit and steps >= FEWEST]
         self._finer = not longer
         stretched = candidate.adaptive and method.adaptive == "error"
-        self._scatters = [bool(longer) and candidate.adaptive and _comes_back(scene) for scene in scenes]
-        if any(self._scatters):
+        scatters = [bool(longer) and candidate.adaptive and _comes_back(scene) for scene in scenes]
+        self._scatters = np.array(scatters)
+        if any(scatters):
             longer.append(NEARBY)
         schedules = [StepSchedule.of(*own, ratio, stretched) for ratio in longer] or [StepSchedule.of(*own).halved]
         self._ratios = [steps / schedule.total(final) for schedule in schedules]
@@ -113,29 +115,28 @@ class CompanionRun(Run):
             for schedule, old in zip(schedules, kept[1:], strict=False)
         ]
         self._against = np.arange(len(schedules))  # each differs from the next longer step, one nearby from the answer
-        if any(self._scatters):
+        if any(scatters):
             self._against[-1] = 0
         self._native = [*([shared] if shared else []), *companions]
         self._steppers += companions
         self.realisations = len(scenes)
         self._radians = [scene.highest_frequency * scene.duration for scene in scenes]
-        self._energy = np.array([scene.energy for scene in scenes])
-        self._at_rest = [scene.at_rest for scene in scenes]
-        self._kinked = [not scene.excitation.smooth for scene in scenes]
-        self._masses = np.array([scene.chain.masses for scene in scenes])
+        self._at_rest = chains.scale[:, 1] == 0
+        self._kinked = np.array([not scene.excitation.smooth for scene in scenes])
+        self._masses, self._scale = chains.masses, chains.units
         # the energy of the contacts is never below that at rest, so the kinetic energy cannot exceed what was put in
-        self._scale = np.array([(c.length_scale, c.length_scale / c.time_scale) for c in (s.chain for s in scenes)])
-        self._most_energy = 3 * self._energy + self._masses.sum(1) * (1e-3 * self._scale[:, 1]) ** 2
+        energy = 3 * np.array([scene.energy for scene in scenes])
+        self._most_energy = energy + self._masses.sum(1) * (1e-3 * self._scale[:, 1]) ** 2
         # m; nothing bounds what is driven, but if it is a million times as close as it is long, it has broken down
-        bounds = [s.chain.contacts.overlap_bound(e).max() for s, e in zip(scenes, self._most_energy, strict=True)]
+        bounds = chains.contacts.overlap_bound(self._most_energy[:, None]).max(1)
         self._deepest = np.minimum(bounds, [1e6 * scene.chain.diameters.sum() for scene in scenes])
         samples, grains = self.scene.samples, self.scene.chain.grains
         self._together = math.lcm(4, *(stepper.stride for stepper in self._steppers))
         self._most = _block(len(self._steppers), self.realisations, grains, samples, self._together)
         self._sample_s = candidate.cost_s * self.realisations / samples  # a guess to begin with
-        shape = (len(self._steppers), self.realisations, self._most + 1, grains)  # with sample 0 in the first block
-        self._u, self._v = np.zeros(shape), np.zeros(shape)
-        self._u[:, :, 0], self._v[:, :, 0] = chains.initial
+        self._begin = chains.initial
+        shape = (len(self._steppers) - 1, self.realisations, self._most + 1, grains)  # with sample 0 in the first block
+        self._beside = np.zeros(shape), np.zeros(shape)  # the fields of the companions
         shape = (len(self._steppers) - 1, samples, self.realisations, 2)
         self._differences = np.zeros(shape) if state is None else state["differences"].copy()
         self.peaks = np.zeros((self.realisations, 2)) if state is None else state["peaks"].copy()
@@ -155,15 +156,21 @@ class CompanionRun(Run):
             fit, together = min(self._most, int(BLOCK_S / self._sample_s)), self._together
             count = max(1, fit // together) * together
             until = min(max(self._sample, 0) + count, final)
+            shape = (self.realisations, until + 1 - first, self.scene.chain.grains)
+            own = np.zeros(shape), np.zeros(shape)  # what no wave has reached stays so
+            if first == 0:
+                for field, begin in zip((*own, *self._beside), (*self._begin, *self._begin), strict=True):
+                    field[..., 0, :] = begin
             for index in range(len(self._steppers)):
-                yield from self._fill(index, first, until)
-            yield self._keep(first, until + 1)
+                u, v = own if index == 0 else (field[index - 1] for field in self._beside)
+                yield from self._fill(index, u, v, first, until)
+            yield self._keep(*own, first, until + 1)
             self._sample_s = (self._integration_s + self._estimate_s - spent) / (until + 1 - first)
 
-    def _fill(self, index: int, first: int, until: int) -> Iterator[Block]:
+    def _fill(self, index: int, u: Array, v: Array, first: int, until: int) -> Iterator[Block]:
         """Move one stepper through a block of samples, in pieces short enough to be interrupted."""
         nothing = np.empty((self.realisations, 0, self.scene.recorded.size))
-        stepper, u, v = self._steppers[index], self._u[index], self._v[index]
+        stepper = self._steppers[index]
         while True:
             max_steps = max(1, int(self._rate[index] * PIECE_S))
             began = clock()
@@ -190,12 +197,11 @@ class CompanionRun(Run):
             return np.zeros(self.realisations, bool)
         return stepper.closest() > self._deepest
 
-    def _keep(self, first: int, stop: int) -> Block:
+    def _keep(self, u: Array, v: Array, first: int, stop: int) -> Block:
         """Check the samples first ... stop - 1 of the answer, and keep its differences from the companions."""
         began = clock()
-        count, samples = stop - first, np.arange(first, stop)
-        u, v = self._u[0, :, :count], self._v[0, :, :count]
-        peaks, energy, differences = compared(self._u, self._v, self._against, self._masses, count)
+        samples = np.arange(first, stop)
+        peaks, energy, differences = compared(u, v, *self._beside, self._against, self._masses)
         self.peaks = np.maximum(np.maximum(self.peaks, peaks), self._native[0].largest())
         if not np.isfinite(energy).all():
             raise RunFailed(self._broke_down(first, "positions or velocities are no longer numbers"))
@@ -207,7 +213,9 @@ class CompanionRun(Run):
             self._differences[index, :, self._broken(index + 1)] = np.inf
         self._sample = stop - 1
         self._estimate_s += clock() - began
-        return Block(slice(first, stop), np.array(u[:, :, self._rows]), np.array(v[:, :, self._rows]))
+        if self.scene.grains != "all":
+            u, v = (np.array(field[:, :, self._rows]) for field in (u, v))
+        return Block(slice(first, stop), u, v)
 
     def _broke_down(self, sample: int, what: str) -> str:
         t = sample * self.scene.duration / (self.scene.samples - 1)
@@ -229,33 +237,26 @@ class CompanionRun(Run):
     def errors(self) -> list[ErrorBudget]:
         """Return the estimate for every realisation."""
         # nothing is put in: there is no motion to be relative to, but that of a strike number of 1
-        peaks = np.where(np.array(self._at_rest)[:, None], self._scale, self.peaks)
+        peaks = np.where(self._at_rest[:, None], self._scale, self.peaks)
         peaks = np.where(peaks > 0, peaks, 1.0)
         relative = self._differences / peaks
         relative[np.isnan(relative)] = np.inf
         lowest = np.min([stepper.lowest() for stepper in self._steppers], axis=0)
         steps = relative[int(self._twin) :].max(1)  # largest differences between steps h, 2h (and 4h), or h and h/2
         rounding, every = relative[0].max((0, 2)).tolist(), np.ascontiguousarray(relative.max((0, 3)).T)
-        taken, time = self._answer.steps.tolist(), self.scene.time
-        order, adaptive, found = self.method.order, self.candidate.adaptive, []
-        kinked = self.scene.chain.exponent < KINKED_BELOW
+        time, opening = self.scene.time, lowest <= CLOSE_TO_OPENING
+        even = (self.candidate.adaptive or self.method.order == 2) | ~(opening | self._kinked)
         plain = np.isin(self._native[0].chains.forms, ROOTS) & self.scene.chain.compressed
-        at_openings = min(order, ORDER_AT_KINKS if kinked else ORDER_AT_OPENINGS)
-        for real, opens in enumerate((lowest <= CLOSE_TO_OPENING).tolist()):
-            fine, coarse = steps[0, real], steps[1, real] if len(steps) - any(self._scatters) > 1 else None
-            smooth = adaptive or order == 2 or not (opens or self._kinked[real])
-            trusted = at_openings if adaptive and opens else order
-            most = float(fine.max())
-            truncation = 2 * most
-            if not self._finer:
-                truncation = float(extrapolate(trusted, smooth, coarse, fine, self._ratios[:2]).max())
-            if opens and self._scatters[real]:
-                truncation = max(truncation, float(steps[-1, real].max()))
-            radians, (farthest, fastest) = self._radians[real], peaks[real].tolist()
-            displaced = radians / self.scene.duration * farthest / fastest if self.peaks[real, 1] > 0 else 0.0
-            roundoff = native_floor(taken[real] * self.method.evaluations, radians, displaced)
-            if plain[real] and taken[real]:
-                roundoff += self.method.spread * plain_loss(self._scenes[real], taken[real]) / fastest
+        truncations, moving = self._truncations(steps, opening, even), self.peaks[:, 1] > 0
+        of_each = opening, even, plain, moving, self._answer.steps, truncations, steps[0].max(1), *peaks.T
+        found = []
+        for real, row in enumerate(zip(*(x.tolist() for x in of_each), strict=True)):
+            opens, smooth, rounded, moves, taken, truncation, most, farthest, fastest = row
+            radians = self._radians[real]
+            displaced = radians / self.scene.duration * farthest / fastest if moves else 0.0
+            roundoff = native_floor(taken * self.method.evaluations, radians, displaced)
+            if rounded and taken:
+                roundoff += self.method.spread * plain_loss(self._scenes[real], taken) / fastest
             truncation = max(truncation, min(most, (GROWN if opens else STEADY) * roundoff))
             if self._twin:
                 roundoff += rounding[real]
@@ -265,6 +266,24 @@ class CompanionRun(Run):
                 roundoff += grown
             found.append(ErrorBudget(truncation, roundoff, smooth, every[real], time))
         return found
+
+    def _truncations(self, steps: Array, opening: NDArray[np.bool_], even: NDArray[np.bool_]) -> Array:
+        """Return the truncation errors, (R,), from the differences between steps h, 2h (and 4h), or h and h/2.
+
+        Where errors scatter, the last differences are those between h and 1.5h.
+        """
+        if self._finer:
+            return 2 * steps[0].max(1)
+        order, kinked = self.method.order, self.scene.chain.exponent < KINKED_BELOW
+        at_openings = min(order, ORDER_AT_KINKS if kinked else ORDER_AT_OPENINGS) if self.candidate.adaptive else order
+        found = np.empty(self.realisations)
+        for opens, smooth in itertools.product((True, False), repeat=2):
+            these = (opening == opens) & (even == smooth)
+            if these.any():
+                coarse = steps[1, these] if len(steps) - self._scatters.any() > 1 else None
+                trusted = at_openings if opens else order
+                found[these] = extrapolate(trusted, smooth, coarse, steps[0, these], self._ratios[:2]).max(1)
+        return np.where(opening & self._scatters, np.maximum(found, steps[-1].max(1)), found)
 
     def _grown(self, real: int, peaks: Array) -> float:
         """Return what becomes of a last digit in the whole run; 0 before its end, and where nothing meets."""

@@ -78,7 +78,7 @@ class Native(TimeSteppingEngine):
 
     def choose_step(self, scene: Scene, tolerance: float, method: Method) -> Candidate:
         """Propose the step size of a method, unless round-off alone exceeds the tolerance."""
-        candidate, adaptive = super().choose_step(scene, tolerance, method), False
+        candidate = super().choose_step(scene, tolerance, method)
         if not candidate.fixed:
             evaluations = candidate.steps_per_sample * (scene.samples - 1) * method.evaluations
             floor = native_floor(evaluations, scene.highest_frequency * scene.duration)
@@ -87,9 +87,14 @@ class Native(TimeSteppingEngine):
                     f"round-off alone makes an error of about {floor:.1g}, above the tolerance; "
                     'use a higher order (integrator "rkn6") or less accuracy'
                 )
-            opens = method.adaptive == "openings" and scene.largest_strain > SAFE_STRAIN
-            adaptive = self.adaptive and (opens or method.adaptive == "error")
-        return replace(candidate, adaptive=adaptive, choices={"force": name_of(force_form(scene, self.force))})
+        return candidate
+
+    def candidate(self, scene: Scene, tolerance: float) -> Candidate:
+        """Propose a step size, whether it adapts to contacts that open, and a form of the force."""
+        chosen = super().candidate(scene, tolerance)
+        how = "no" if chosen.fixed else METHODS[chosen.integrator].adaptive
+        adaptive = self.adaptive and (how == "error" or (how == "openings" and scene.largest_strain > SAFE_STRAIN))
+        return replace(chosen, adaptive=adaptive, choices={"force": name_of(force_form(scene, self.force))})
 
     def typical_round_off(self, scene: Scene, steps: int, speed: float) -> float:
         """Predict round-off: a random walk of one ulp a force evaluation, and what the plain force loses.

@@ -122,12 +122,12 @@ def first_attempt(engine: Engine, scene: Scene, tolerance: float, best_effort: b
     ToleranceNotMet
         If the engine knows beforehand that it cannot meet the tolerance.
     """
-    began, compiled = clock(), compiled_s()
+    began, compiled, propose, refusal = clock(), compiled_s(), partial(engine.candidate, scene), ""
     if best_effort:
-        attempt = Attempt(engine.name, *loosened(partial(engine.candidate, scene), tolerance))
+        candidate, tolerance, refusal = loosened(propose, tolerance)
     else:
-        attempt = Attempt(engine.name, engine.candidate(scene, tolerance), tolerance)
-    return replace(attempt, planned_s=clock() - began, compiled_s=compiled_s() - compiled)
+        candidate = propose(tolerance)
+    return Attempt(engine.name, candidate, tolerance, refusal, clock() - began, 0.0, compiled_s() - compiled)
 
 
 def run_to_tolerance(engine: Engine, scene: Scene, tolerance: float, collect: Callable[[Run], T]) -> Outcome[T]:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 from functools import cache, cached_property
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ..chain.contacts import together
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from .kernels.contact_forces import CORRECTED, FORMS, POLYNOMIAL, POWER, ROOTS, SPRING, UNCOMPRESSED_POWER
@@ -15,6 +19,8 @@ from .kernels.layout import KNOTS, PAD, Chains
 # analysis/calibration/roundoff.py
 STRONG = 1.0  # strike number from which the fastest form of the force loses nothing
 FORCES = ("auto", "exact", "plain")
+# bodies: shorter chains are computed as a whole, for less than it costs to follow the wave
+WINDOW_MIN = 14 * PAD  # analysis/calibration/light_cone.py
 
 
 class ChainBatch:
@@ -29,6 +35,10 @@ class ChainBatch:
 
     Attributes
     ----------
+    masses : (R, N) array
+        kg.
+    contacts : Contacts
+        Of all chains, (R, N+1) arrays.
     table : (R, 3, W) array
         1 / length and strength of the contact below every body, and its inverse mass.
     uncompressed : (R,) array
@@ -48,40 +58,69 @@ class ChainBatch:
     """
 
     def __init__(self, scenes: Sequence[Scene], force: str = "auto"):
-        chains = [scene.chain for scene in scenes]
-        self.scenes, self.grains = scenes, chains[0].grains
-        self.imposed, self.driven = scenes[0].excitation.does_work, scenes[0].excitation.driven
-        contacts = [chain.contacts for chain in chains]
-        overlap, carried, constant = (
-            np.array([getattr(c, k) for c in contacts]) for k in ("overlap", "force", "constant")
-        )
-        self.precompressed = float(chains[0].compressed)
+        self.scenes, chain, excitation = scenes, scenes[0].chain, scenes[0].excitation
+        self.grains, self.imposed, self.driven = chain.grains, excitation.does_work, excitation.driven
+        self.masses = np.array([scene.chain.masses for scene in scenes])
+        self.contacts = together([scene.chain.contacts for scene in scenes])
+        overlap, carried, constant = self.contacts.overlap, self.contacts.force, self.contacts.constant
+        self.precompressed = float(chain.compressed)
         self.table = self._rows(3)
-        held = slice(PAD - 1, PAD + self.grains)
-        if chains[0].compressed:
-            self.table[:, 0, held] = np.divide(1.0, overlap, out=np.zeros_like(overlap), where=overlap > 0)
+        held, moving = slice(PAD - 1, PAD + self.grains), slice(PAD, PAD + chain.movable)
+        if chain.compressed:
+            np.divide(1.0, overlap, out=self.table[:, 0, held], where=overlap > 0)
             self.table[:, 1, held] = carried
             self.uncompressed = np.where(carried[:, 0] > 0, 0.0, constant[:, 0])
         else:
             self.table[:, 0, held], self.table[:, 1, held] = 1.0, constant
             self.uncompressed = np.zeros(len(scenes))
-        self.table[:, 2, PAD : PAD + chains[0].movable] = [1 / chain.masses[: chain.movable] for chain in chains]
+        np.divide(1.0, self.masses[:, : chain.movable], out=self.table[:, 2, moving])
         self.table[:, 2, PAD : PAD + self.driven] = 0.0
         self.forms = np.array([force_form(scene, force) for scene in scenes])
-        self.coefficients, self.opening_power = series(chains[0].exponent), chains[0].exponent
+        self.coefficients, self.opening_power = series(chain.exponent), chain.exponent
+        one = not excitation.of_chain and all(scene.excitation is excitation for scene in scenes)
+        self._struck = scenes[:1] if one else scenes  # each in a way of its own
         self.drive, self.knots, self.pieces = self._imposed()
-        reach = [scene.excitation.reach(scene.chain) if self.imposed else (self.grains, 1) for scene in scenes]
-        self.acted = np.array(reach) + (PAD - 1)
         self.omega = np.array([scene.highest_frequency for scene in scenes])
-        imposed = np.array([[np.abs(x).max() for x in scene.excitation.largest(scene.chain)] for scene in scenes])
-        speed = np.maximum(imposed[:, 1], imposed[:, 0] * self.omega)
+        imposed = self._of_each(scene.excitation.largest(scene.chain) for scene in self._struck)
+        farthest, fastest = np.abs(imposed).max(2).T
+        speed = np.maximum(fastest, farthest * self.omega)
         self.scale = np.stack([speed / self.omega, speed], axis=1)
+
+    def _of_each(self, values: Iterable[Any]) -> Array:
+        """Return an array with a row for each of the R scenes."""
+        found = np.array(list(values))
+        return np.repeat(found, len(self.scenes), axis=0) if len(found) < len(self.scenes) else found
+
+    @cached_property
+    def acted(self) -> NDArray[np.intp]:
+        """The first and the last body that is acted on after t = 0, (R, 2); if none is, the last before the first."""
+        reach = (scene.excitation.reach(scene.chain) if self.imposed else (self.grains, 1) for scene in self._struck)
+        return self._of_each(reach) + (PAD - 1)
 
     @cached_property
     def initial(self) -> tuple[Array, Array]:
         """Displacement, m, and velocity, m/s, of every grain at t = 0, (R, N) each."""
-        u, v = zip(*(scene.initial() for scene in self.scenes), strict=True)
-        return np.array(u), np.array(v)
+        u, v = self._of_each(scene.initial() for scene in self._struck).swapaxes(0, 1)
+        return u, v
+
+    @cached_property
+    def window(self) -> tuple[Array, Array]:
+        """Where the window of each chain begins and ends at t = 0, (R,) each: at the lines that hold what moves.
+
+        A short chain is computed as a whole.
+        """
+        width, size = self.table.shape[2], len(self.scenes)
+        if width <= WINDOW_MIN:
+            return np.full(size, PAD), np.full(size, width - PAD)
+        moves = np.zeros((size, width), dtype=bool)
+        u, v = self.initial
+        moves[:, PAD : PAD + self.grains] = u != 0
+        moves[:, PAD + self.driven : PAD + self.grains] |= v[:, self.driven :] != 0  # driven ones are put in place
+        for row, (first, last) in zip(moves, self.acted, strict=True):
+            row[first : last + 1] = True
+        begin = np.where(moves.any(1), moves.argmax(1), PAD)
+        end = width - np.where(moves.any(1), moves[:, ::-1].argmax(1), width - PAD)
+        return begin // PAD * PAD, np.minimum(-(-np.maximum(end, begin + 1) // PAD) * PAD, width - PAD)
 
     def arrays(self, share: slice, x: Array, v: Array, history: Array, state: Array) -> Chains:
         """Return some of the chains, and where and how fast their bodies are, for the compiled loops."""
@@ -95,9 +134,10 @@ class ChainBatch:
         """Return (R, count, W) zeros, or (R, W) for none, of which every row begins at a cache line."""
         width = -(-(2 * PAD + self.grains) // PAD) * PAD
         shape = (len(self.scenes), *([count] if count else []), width)
-        memory = np.zeros(int(np.prod(shape)) + PAD)
-        skip = -memory.ctypes.data // memory.itemsize % PAD
-        return memory[skip : skip + memory.size - PAD].reshape(shape)
+        size = math.prod(shape)
+        memory = np.zeros(size + PAD)
+        skip = -memory.__array_interface__["data"][0] // memory.itemsize % PAD
+        return memory[skip : skip + size].reshape(shape)
 
     def bodies(self, grains: Array | None = None) -> Array:
         """Return rows (R, W) of bodies, at rest or with these values (R, N) of the grains."""
@@ -108,7 +148,10 @@ class ChainBatch:
 
     def _imposed(self) -> tuple[Array, Array, Array]:
         """Return what is imposed after t = 0, as (R, 6), (R, P) and (R, 4, P-1) arrays."""
-        waves, size = [scene.excitation.waveform for scene in self.scenes], len(self.scenes)
+        size = len(self.scenes)
+        if not self.imposed:
+            return np.zeros((size, 6)), np.zeros((size, 0)), np.zeros((size, 4, 0))
+        waves = [scene.excitation.waveform for scene in self.scenes]
         splines = [wave.spline if wave else None for wave in waves]
         knots_max = max(0 if spline is None else len(spline.x) for spline in splines)
         table, knots = np.zeros((size, 6)), np.zeros((size, knots_max))
@@ -125,6 +168,14 @@ class ChainBatch:
                 knots[real, :count], pieces[real, :, : count - 1] = spline.x, spline.c
         return table, knots, pieces
 
+    @property
+    def units(self) -> Array:
+        """Overlap of the contact below grain 1, and the speed of that in the unit of time, (R, 2) m and m/s."""
+        first = int(self.contacts.exists[0, 1])  # that above it if there is none below
+        length, stiffness = self.contacts.overlap[:, first], self.contacts.stiffness[:, first]
+        with np.errstate(divide="ignore"):  # of the sonic vacuum, which has no unit of time
+            return np.stack([length, length / np.sqrt(self.masses[:, 0] / stiffness)], axis=1)
+
     @cached_property
     def opening_weight(self) -> Array:
         """The square of how much each contact that opens or closes changes the motion, (R, W)."""
@@ -137,6 +188,7 @@ class ChainBatch:
         return np.minimum(change, 1e150) ** 2
 
 
+@cache
 def series(exponent: float) -> Array:
     """Return the first seven binomial coefficients of (1 + s)^delta - 1, and delta, (8,)."""
     k = np.arange(7)

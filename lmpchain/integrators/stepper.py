@@ -15,8 +15,6 @@ from .kernels.layout import CLOSEST, DONE, FARTHEST, FASTEST, FIRST, LAST, LOWES
 from .method import Method
 from .step_schedule import StepSchedule
 
-# bodies: shorter chains are computed as a whole, for less than it costs to follow the wave
-WINDOW_MIN = 14 * PAD  # analysis/calibration/light_cone.py
 
 
 class Stepper(Protocol):
@@ -87,7 +85,7 @@ class NativeStepper:
             self._check_state()
         else:
             self._state = np.zeros((len(scenes), STEP + 1))
-            self._state[:, FIRST], self._state[:, LAST] = self._window()
+            self._state[:, FIRST], self._state[:, LAST] = chains.window
         self.stride, final = schedule.stride, scenes[0].samples - 1
         clock = Clock(scenes[0].duration / final, schedule.steps, schedule.step, schedule.stride, final)
         march = method.march(chains, schedule)
@@ -118,20 +116,6 @@ class NativeStepper:
             fits = bool(inside.all() and counted.all() and not (kept[:, [FIRST, LAST]] % 1).any())
         if not fits:
             raise ValueError("the state that was kept does not fit")
-
-    def _window(self) -> tuple[Array, Array]:
-        """Return where the window of each chain begins and ends: at the lines that hold what moves at t = 0.
-
-        A short chain is computed as a whole.
-        """
-        if self._x.shape[1] <= WINDOW_MIN:
-            return np.array([PAD]), np.array([self._x.shape[1] - PAD])
-        moves = (self._x != 0) | (self._v != 0)
-        for row, (first, last) in zip(moves, self.chains.acted, strict=True):
-            row[first : last + 1] = True
-        first = np.where(moves.any(1), moves.argmax(1), PAD)
-        last = moves.shape[1] - np.where(moves.any(1), moves[:, ::-1].argmax(1), moves.shape[1] - PAD)
-        return first // PAD * PAD, np.minimum(-(-np.maximum(last, first + 1) // PAD) * PAD, moves.shape[1] - PAD)
 
     def fill(self, u: Array, v: Array, offset: int, until: int, max_steps: int) -> int:
         """Step on to the sample `until`, or by `max_steps` a thread; samples from `offset` on go into u, v."""

@@ -13,6 +13,7 @@ NEWS = "the measures", 20  # what is compiled, and about how long that takes, s
 STILL, UNKNOWN = -1, -2  # columns of bodies that stand still, or were not recorded
 KINK = 0.25  # of the jump of the jerk times an interval, by which accelerations may be off
 compiled = numba.njit(error_model="numpy")
+_total = numba.njit(error_model="numpy", fastmath={"nnan", "nsz", "reassoc"})
 
 
 @compiled
@@ -81,7 +82,7 @@ def _largest(y):
 
 
 @compiled
-def _derivatives(u, v, sides, table, inverse_mass, exponent, linear, h, known, error, out, quiet):
+def _derivatives(u, v, grains, sides, contacts, inverse_mass, exponent, linear, h, known, error, out, quiet):
     """Fill out, (5, G, T), and quiet, (G,); see `derivatives`."""
     still = np.zeros(u.shape[0])
     columns_u, columns_v = np.ascontiguousarray(u.T), np.ascontiguousarray(v.T)
@@ -98,11 +99,16 @@ def _derivatives(u, v, sides, table, inverse_mass, exponent, linear, h, known, e
             continue
         a[:], j[:], off[:] = 0.0, 0.0, 0.0
         for side in (0, 2):
-            length, strength, pressed = table[g, side // 2]
+            constant, strength, overlap = contacts[:, grains[g] + side // 2 - 1]
+            pressed, length = 1.0, 1.0
+            if strength > 0.0:
+                length = 1.0 / overlap
+            else:
+                pressed, strength = 0.0, 0.0 if linear and exponent > 1.0 else constant
             if strength == 0.0:
                 continue
             column, up = sides[g, side], 1.0 - side
-            share = up * inverse_mass[g]
+            share = up * inverse_mass[grains[g] - 1]
             ux = still if column == STILL else columns_u[column]
             vx = still if column == STILL else columns_v[column]
             if exponent == 1.5 and not linear:
@@ -121,8 +127,25 @@ def _derivatives(u, v, sides, table, inverse_mass, exponent, linear, h, known, e
                 before, last = closed, rate
 
 
+@_total
+def _sizes(u, v):
+    one = other = total = 0.0
+    for i in range(u.size):
+        one = max(one, abs(u[i]))
+        other = max(other, abs(v[i]))
+        total += u[i] + v[i]
+    return one, other, total
+
+
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
-def derivatives(u, v, sides, table, inverse_mass, exponent, linear, h, known, error):
+def largest(u, v):
+    """Return the largest size of two (T, C) fields; no number if any of theirs is none."""
+    one, other, total = _sizes(u.ravel(), v.ravel())
+    return one + 0.0 * total, other + 0.0 * total
+
+
+@compiled_once(*NEWS, nogil=True, error_model="numpy")
+def derivatives(u, v, grains, sides, contacts, inverse_mass, exponent, linear, h, known, error):
     """Return displacement, velocity, acceleration, jerk and error of acceleration, (5, G, T).
 
     Also which of them are quiet, (G,).
@@ -131,12 +154,14 @@ def derivatives(u, v, sides, table, inverse_mass, exponent, linear, h, known, er
     ----------
     u, v : (T, C) arrays
         Displacement and velocity of what was recorded.
+    grains : (G,) array
+        Their numbers.
     sides : (G, 3) array
         Columns of the body above, the grain and the body below, or a mark.
-    table : (G, 2, 3) array
-        1 / overlap at rest, force at rest, and 1 of the contacts above and below; 1, constant and 0 where they are not
-        pressed at rest.
-    inverse_mass : (G,) array
+    contacts : (3, N+1) array
+        Constant, and force and overlap at rest, of all contacts of the chain.
+    inverse_mass : (N,) array
+        Of all grains; 0 of one that is held.
     exponent, linear, h : float, bool and float
         Of the force; whether it is linearised; time between two samples.
     known : (G,) array
@@ -145,5 +170,5 @@ def derivatives(u, v, sides, table, inverse_mass, exponent, linear, h, known, er
         Displacement and velocity up to which a grain is quiet, so that nothing more is asked of it.
     """
     out, quiet = np.empty((5, sides.shape[0], u.shape[0])), np.zeros(sides.shape[0], dtype=np.bool_)
-    _derivatives(u, v, sides, table, inverse_mass, exponent, linear, h, known, error, out, quiet)
+    _derivatives(u, v, grains, sides, contacts, inverse_mass, exponent, linear, h, known, error, out, quiet)
     return out, quiet

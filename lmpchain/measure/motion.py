@@ -15,7 +15,7 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.lazy import listed
 from . import extremes
-from .derivatives import STILL, UNKNOWN, derivatives
+from .derivatives import STILL, UNKNOWN, derivatives, largest
 from .hermite import DISPLACEMENT, RAISED, VELOCITY
 from .recorded import around
 from .spectrum import Field
@@ -67,8 +67,6 @@ class Motion:
     ----------
     scene, grains, displacement, velocity
         As given.
-    time : (T,) array
-        s.
     step : float
         Time between two samples, s.
     """
@@ -77,13 +75,23 @@ class Motion:
         self, scene: Scene, equation: int, grains: np.ndarray, displacement: Array, velocity: Array, error: float
     ):
         self.scene, self._equation, self._error = scene, equation, error if math.isfinite(error) else 0.0
-        self.displacement, self.velocity, self.grains, self.time = displacement, velocity, grains, scene.time
+        self.displacement, self.velocity, self.grains = displacement, velocity, grains
         self.step = scene.duration / (scene.samples - 1)
-        chain = scene.chain
-        ends = chain.contacts.exists[[0, -1]]
-        self._around = around(chain.grains, chain.movable, *ends.tolist(), np.asarray(grains, dtype=int).tobytes())
+        chain, constant = scene.chain, scene.chain.contacts.constant
+        ends = bool(constant[0] > 0), bool(constant[-1] > 0)
+        self._around = around(chain.grains, chain.movable, *ends, np.asarray(grains, dtype=int).tobytes())
         self._column = self._around.column
         self._tops: dict[str, Array] = {}  # what `fronts` has found of peaks on the way
+
+    @property
+    def time(self) -> Array:
+        """Sampled times, (T,) s."""
+        return self.scene.time
+
+    @cached_property
+    def _fields(self) -> tuple[Array, Array]:
+        """Displacement and velocity as the compiled loops take them, (T, G) each."""
+        return np.ascontiguousarray(self.displacement, float), np.ascontiguousarray(self.velocity, float)
 
     @cached_property
     def _known(self) -> NDArray[np.bool_]:
@@ -101,20 +109,14 @@ class Motion:
     def _values(self) -> tuple[Array, NDArray[np.bool_]]:
         """What `derivatives.derivatives` returns of the motion."""
         chain, linear = self.scene.chain, self._equation == 3
-        grains, contacts = self.grains, chain.contacts
-        pressed, constant = contacts.pressed, contacts.constant
-        table = np.empty((constant.size, 3))
-        table[:, 0] = 1.0
-        np.divide(1.0, contacts.overlap, out=table[:, 0], where=pressed)
-        table[:, 1] = np.where(pressed, contacts.force, 0.0 if linear and chain.exponent > 1 else constant)
-        table[:, 2] = pressed
-        inverse_mass = np.where(grains <= chain.movable, 1 / chain.masses[grains - 1], 0.0)
-        u, v = (np.ascontiguousarray(x, dtype=float) for x in (self.displacement, self.velocity))
+        own, inverse_mass = chain.contacts, 1 / chain.masses
+        inverse_mass[chain.movable :] = 0.0
+        contacts = np.array([own.constant, own.force, own.overlap])
         error = np.zeros(2) if self.ceiling.size else np.array(self._known_errors)
-        sides, beside = self._around.sides, table[self._around.contacts]
         found: tuple[Array, NDArray[np.bool_]] = derivatives(
-            u, v, sides, beside, inverse_mass, chain.exponent, linear, self.step, self._known, error
-        )
+            *self._fields, np.asarray(self.grains, dtype=int), self._around.sides, contacts, inverse_mass,
+            chain.exponent, linear, self.step, self._known, error,
+        )  # fmt: skip
         return found
 
     def peaks(self, field: Field) -> Peaks:
@@ -181,7 +183,7 @@ class Motion:
 
     @cached_property
     def _known_errors(self) -> tuple[float, ...]:
-        return tuple(self._error * largest for largest in self._largest)
+        return tuple(self._error * most for most in self._largest)
 
     @property
     def _largest(self) -> tuple[float, float]:
@@ -191,11 +193,7 @@ class Motion:
         Where that does not hold, or not all grains are recorded, it follows from the energy if that is known.
         """
         scene, chain = self.scene, self.scene.chain
-        imposed = scene.excitation.largest(chain)
-        u, v = (
-            max(float(x.max()), -float(x.min()), float(np.abs(y).max()))
-            for x, y in zip((self.displacement, self.velocity), imposed, strict=True)
-        )
+        u, v = (max(most, at_first) for most, at_first in zip(largest(*self._fields), scene.imposed, strict=True))
         swift, whole = scene.highest_frequency * self.step, self._around.whole
         if (whole and swift <= RESOLVED) or scene.excitation.does_work or self._equation not in (1, 3):
             more = 1 / math.cos(min(swift, RESOLVED) / 2)
@@ -268,7 +266,7 @@ def motion_of(trajectory: Trajectory) -> Motion:
     """
     error = trajectory.error_estimate
     equation = trajectory.equation if math.isfinite(error.solver) else 0
-    u, v = (np.asarray(x) for x in (trajectory.displacement, trajectory.velocity))
+    u, v = np.asarray(trajectory.displacement), np.asarray(trajectory.velocity)
     return Motion(trajectory.scene, equation, trajectory.grains, u, v, error.total)
 
 

@@ -233,6 +233,7 @@ class Force(OneGrain, _Acting):
     """
 
     kind: ClassVar[str] = "force"
+    of_chain: ClassVar[bool] = True
     strength: ClassVar[tuple[str, ...]] = ("amplitude", "force")
     columns: ClassVar[dict[str, str]] = {"time": "times", "force": "force"}
     grain: Number = 1

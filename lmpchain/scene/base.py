@@ -55,12 +55,15 @@ class Excitation(Checked):
         Columns of its CSV file, and the fields that they fill; empty if it has no file.
     does_work : bool
         Whether it acts after t = 0, so that the energy of the chain is not known beforehand.
+    of_chain : bool
+        Whether the motion that it imposes follows from masses and contacts of the chain, too.
     """
 
     kind: ClassVar[str]
     strength: ClassVar[tuple[str, ...]]
     columns: ClassVar[dict[str, str]] = {}
     does_work: ClassVar[bool] = False
+    of_chain: ClassVar[bool] = False
 
     @property
     def driven(self) -> int:

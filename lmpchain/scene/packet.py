@@ -47,6 +47,7 @@ class Packet(Excitation):
     """
 
     kind: ClassVar[str] = "packet"
+    of_chain: ClassVar[bool] = True
     strength: ClassVar[tuple[str, ...]] = ("amplitude",)
     frequency: Positive
     width: Positive

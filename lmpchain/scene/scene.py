@@ -23,7 +23,16 @@ from .base import Excitation
 from .excitation import Drive
 from .light_cone import reached
 from .recording import Recording
-from .strike import first_overlaps, pair_frequency, squeezed, strike_faults, strike_remarks, surroundings
+from .strike import (
+    first_overlaps,
+    largest_strain,
+    pair_frequency,
+    squeezed,
+    strike_faults,
+    strike_number,
+    strike_remarks,
+    surroundings,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -133,11 +142,17 @@ class Scene(Recording):
     def _surroundings(self) -> tuple[int, Chain, Excitation]:
         return surroundings(self.chain, self.excitation)
 
+    @cached_property
+    def imposed(self) -> tuple[float, float]:
+        """The largest displacement and speed that the excitation imposes on any grain, m and m/s."""
+        _, chain, excitation = self._surroundings
+        u, v = (float(np.abs(x).max()) for x in excitation.largest(chain))
+        return u, v
+
     @property
     def at_rest(self) -> bool:
         """Whether the excitation is none at all."""
-        _, chain, excitation = self._surroundings
-        return not np.any(excitation.largest(chain))
+        return not any(self.imposed)
 
     @cached_property
     def energy(self) -> float:
@@ -152,13 +167,7 @@ class Scene(Recording):
         Linear theory needs it to be far below 1; it is infinite in the sonic vacuum.
         """
         _, chain, excitation = self._surroundings
-        moving = slice(0, chain.movable)
-        u, v = (np.abs(x[moving]) for x in excitation.largest(chain))
-        if not chain.compressed:
-            return 0.0 if self.at_rest else float(np.inf)
-        eps, stiffness = (x[1:][moving] for x in (chain.contacts.overlap, chain.contacts.stiffness))
-        omega = np.sqrt(stiffness / chain.masses[moving])
-        return float(max((u / eps).max(), (v / (eps * omega)).max()))
+        return float(strike_number(chain, excitation, chain.contacts, chain.masses))
 
     @cached_property
     def highest_frequency(self) -> float:
@@ -177,12 +186,7 @@ class Scene(Recording):
     @cached_property
     def largest_strain(self) -> float:
         """A bound on ``|r / eps|`` of every contact, rigorous while it is small; infinite where there is none."""
-        contacts = self.chain.contacts
-        if not (contacts.pressed == contacts.exists).all():
-            return np.inf
-        pressed = contacts.overlap[contacts.pressed]
-        closer = contacts.overlap_bound(self.energy)[contacts.pressed] - pressed
-        return float((closer / pressed).max()) * 1.05  # an opening contact is a little softer
+        return float(largest_strain(self.chain.contacts, np.asarray(self.energy)))
 
     @cached_property
     def linear_strain(self) -> float:

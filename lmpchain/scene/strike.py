@@ -42,6 +42,27 @@ def pair_frequency(contacts: Contacts, masses: Array, overlaps: Array) -> Array:
     return np.asarray(np.sqrt(2 * contacts.stiffness_at(overlaps).max(-1) / masses.min(-1)))
 
 
+def strike_number(chain: Chain, excitation: Excitation, contacts: Contacts, masses: Array) -> Array:
+    """Return `Scene.strike_number`, (...), for contacts and masses (..., N) kg of chains like this."""
+    moving = slice(0, chain.movable)
+    u, v = (np.abs(x[moving]) for x in excitation.largest(chain))
+    if not chain.compressed:
+        return np.full(masses.shape[:-1], np.inf if u.any() or v.any() else 0.0)
+    eps, stiffness = (x[..., 1:][..., moving] for x in (contacts.overlap, contacts.stiffness))
+    omega = np.sqrt(stiffness / masses[..., moving])
+    return np.asarray(np.maximum((u / eps).max(-1), (v / (eps * omega)).max(-1)))
+
+
+def largest_strain(contacts: Contacts, energy: Array) -> Array:
+    """Return `Scene.largest_strain`, (...), of chains with these contacts, which hold this energy, (...) J."""
+    energy = np.asarray(energy)
+    if not (contacts.pressed == contacts.exists).all():
+        return np.full(energy.shape, np.inf)
+    closer = contacts.overlap_bound(energy[..., None]) - contacts.overlap
+    strain = np.divide(closer, contacts.overlap, out=np.full(closer.shape, -np.inf), where=contacts.pressed)
+    return np.asarray(strain.max(-1) * 1.05)  # an opening contact is a little softer
+
+
 def surroundings(chain: Chain, excitation: Excitation) -> tuple[int, Chain, Excitation]:
     """Cut out the grains that an excitation moves and their neighbours, all that it acts on at first.
 

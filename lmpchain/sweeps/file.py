@@ -74,10 +74,15 @@ class Sweep:
     axes: list[Axis]
     source: dict[str, Any]
 
-    @property
+    @cached_property
     def shape(self) -> Place:
         """How long the axes are."""
         return tuple(map(len, self.axes))
+
+    @cached_property
+    def recorded(self) -> dict[tuple[Place, int], np.ndarray]:
+        """What `labels.recorded` has found so far: grains, by place along the axes that shape them and length."""
+        return {}
 
     @property
     def count(self) -> int:
@@ -96,7 +101,11 @@ class Sweep:
 
     def place(self, number: int) -> Place:
         """Return the place of a scene; the last axis is the fastest."""
-        return tuple(int(index) for index in np.unravel_index(number, self.shape))
+        place = []
+        for length in reversed(self.shape):
+            number, index = divmod(number, length)
+            place.append(index)
+        return tuple(reversed(place))
 
     def key(self, number: int) -> bytes:
         """Return a hash of all that shapes the answer to one scene, and of what is kept of it."""

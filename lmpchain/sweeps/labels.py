@@ -68,7 +68,10 @@ def labels(plan: Sweep) -> Labels:
 
 def recorded(plan: Sweep, place: Place, size: int) -> np.ndarray:
     """Return the grains that a scene records, (G,); `size` is how many it has."""
-    return _recorded(json.dumps(plan.asked(place).get("recording")), size)[1]
+    shaping = tuple(index if _shapes(axis) else 0 for axis, index in zip(plan.axes, place, strict=True))
+    if (shaping, size) not in plan.recorded:
+        plan.recorded[shaping, size] = _recorded(json.dumps(plan.asked(place).get("recording")), size)[1]
+    return plan.recorded[shaping, size]
 
 
 def _shapes(axis: Axis) -> bool:

@@ -13,7 +13,7 @@ from ..chain.impurities import with_impurities
 from ..disorder.draws import OF_CONTACTS, drawn_constants
 from ..errors import InputError
 from ..scene.scene import LightCone, Scene
-from ..scene.strike import overlaps_of, pair_frequency
+from ..scene.strike import largest_strain, overlaps_of, pair_frequency, strike_number
 from ..util.arrays import Array, read_only
 from .axes import INDEX
 from .file import Sweep
@@ -68,11 +68,11 @@ def _together(plan: Sweep, first: int, count: int) -> list[Made]:
     try:
         common, disorder = _wider(plan.ordered(places[0]), plan.keep), plan.disorder(places[0])
         chain = common.chain
-        if common.light_cone.scene.chain.grains < chain.grains or chain.grains == 1:  # each is cut to its own
+        apart = common.light_cone.scene.chain.grains < chain.grains or chain.grains == 1  # each is cut to its own
+        apart |= common.excitation.of_chain or (disorder is not None and disorder.of not in OF_CONTACTS)
+        if apart:
             return [_alone(plan, number) for number in numbers]
         change = np.ones((1, 1))
-        if disorder and disorder.of not in OF_CONTACTS:
-            return [_alone(plan, number) for number in numbers]
         if disorder:
             given = disorder.given()
             change = np.array([drawn_constants(chain, **given | {"index": place[-1]}) for place in places])
@@ -84,8 +84,8 @@ def _together(plan: Sweep, first: int, count: int) -> list[Made]:
         parts = _chains(chain, columns, change, count)
         parts["first"] = overlaps_of(chain, common.excitation, parts["contacts"], parts["masses"])
         sound = _sound(parts, bool(columns))
-        known = _known(common, parts)
-        parts |= _pattern(chain, parts)
+        known = {key: values.tolist() for key, values in _known(common, parts).items()}
+        parts |= _pattern(chain, parts) | {"rows": np.arange(common.recorded.size)}
     return [_scene(common, parts, known, row) if sound[row] else _alone(plan, n) for row, n in enumerate(numbers)]
 
 
@@ -157,46 +157,48 @@ def _sound(parts: Mapping[str, Any], drawn: bool) -> np.ndarray:
 
 
 def _pattern(chain: Chain, parts: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a chain that has what all have in common, and the names of its fields."""
+    """Return the fields that all chains have in common, those of which are given, and what all scenes share."""
     fields = {key: value for key, value in chain.given().items() if key != "impurity"}
     fields |= {"masses": parts["masses"][0], "contact_constants": parts["between"][0]}
     if chain.impurity or "diameter" in parts["given"]:
         fields["diameter"] = parts["diameter"][0]
     own = [name for name in Chain.model_fields if name not in ("masses", "contact_constants", "wall_constants")]
-    return {"pattern": Chain._unchecked(**fields), "names": own}
+    pattern = Chain._unchecked(**fields)
+    return {"common": {name: getattr(pattern, name) for name in own}, "fields": frozenset(pattern.model_fields_set)}
 
 
 def _known(common: Scene, parts: Mapping[str, Any]) -> dict[str, Array]:
     """Return what `Scene` derives from contacts and masses, of all scenes at once, (R,) each, by name."""
-    contacts, masses = parts["contacts"], parts["masses"]
-    pair = pair_frequency(contacts, masses, parts["first"])
-    if common.excitation.does_work:
-        return {"_pair_frequency": pair}
-    u, v = common.initial()
-    first, last = common.excitation.reach(common.chain)
-    near, above = slice(max(first - 2, 0), last + 2), slice(max(first - 2, 0), last + 3)
-    held = Contacts(contacts.constant[:, above], contacts.force[:, above], contacts.exponent).energy
-    energy = 0.5 * (masses[:, near] * v[near] ** 2).sum(-1) + held(contacts.closer(u)[above]).sum(-1)
-    return {"energy": energy, "_pair_frequency": pair}
+    contacts, masses, chain, excitation = parts["contacts"], parts["masses"], common.chain, common.excitation
+    known: dict[str, Any] = {"_pair_frequency": pair_frequency(contacts, masses, parts["first"])}
+    if not excitation.does_work:
+        u, v = common.initial()
+        first, last = excitation.reach(chain)
+        near, above = slice(max(first - 2, 0), last + 2), slice(max(first - 2, 0), last + 3)
+        held = Contacts(contacts.constant[:, above], contacts.force[:, above], contacts.exponent).energy
+        known["energy"] = 0.5 * (masses[:, near] * v[near] ** 2).sum(-1) + held(contacts.closer(u)[above]).sum(-1)
+    known["strike_number"] = strike_number(chain, excitation, contacts, masses)
+    known["largest_strain"] = largest_strain(contacts, known.get("energy", np.full(len(masses), np.inf)))
+    return known
 
 
-def _scene(common: Scene, parts: Mapping[str, Any], known: Mapping[str, Array], row: int) -> Scene:
+def _scene(common: Scene, parts: Mapping[str, Any], known: Mapping[str, list[float]], row: int) -> Scene:
     """Return one of the scenes, with what is known of all of them filled in."""
     contacts = parts["contacts"]
     own = Contacts(contacts.constant[row], contacts.force[row], contacts.exponent)
-    own.__dict__.update(overlap=contacts.overlap[row], stiffness=contacts.stiffness[row])
-    pattern = parts["pattern"]
-    fields = {name: getattr(pattern, name) for name in parts["names"]} | {
+    derived = {name: getattr(contacts, name)[row] for name in ("exists", "pressed", "overlap", "stiffness")}
+    own.__dict__.update(derived)
+    fields = parts["common"] | {
         "masses": parts["masses"][row],
         "contact_constants": parts["between"][row],
         "diameters": parts["diameter"][row],
         "contacts": own,
         "wall_constants": parts["walls"][row],
     }
-    chain = Chain._filled(fields, set(pattern.model_fields_set))
-    fields = {name: getattr(common, name) for name in Scene.model_fields} | {"chain": chain}
-    scene = Scene._filled(fields, set(common.model_fields_set))
-    filled = {key: float(values[row]) for key, values in known.items()}
-    cone = LightCone(scene, np.arange(scene.recorded.size), slice(None))
-    scene.__dict__.update(filled, light_cone=cone, _surroundings=(1, chain, scene.excitation))
+    chain = Chain._filled(fields, set(parts["fields"]))
+    recorded = {name: getattr(common, name) for name in ("excitation", "duration", "samples", "grains")}
+    scene = Scene._filled({"chain": chain} | recorded, set(common.model_fields_set))
+    cone, around = LightCone(scene, parts["rows"], slice(None)), (1, chain, scene.excitation)
+    shared = {"imposed": common.imposed, "light_cone": cone, "_surroundings": around}
+    scene.__dict__.update(shared, **{key: values[row] for key, values in known.items()})
     return scene

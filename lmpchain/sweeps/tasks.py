@@ -116,10 +116,7 @@ def _put(columns: Mapping[str, Any], row: int, found: Trajectory | LmpchainError
     place = plan.place(task.first + row)
     motion = motion_of(found)
     wanted = recorded(plan, place, found.scene.chain.grains)
-    spots: Any = slice(None)
-    if not np.array_equal(wanted, task.grains):
-        order = np.argsort(task.grains)
-        spots = order[np.searchsorted(task.grains, wanted, sorter=order)]
+    spots = _spots(wanted.tobytes(), task.grains.tobytes())
     for name, values in measured(motion, plan.keep, wanted).items():
         into = columns[name][row]
         if values.ndim == 2:
@@ -133,6 +130,16 @@ def _put(columns: Mapping[str, Any], row: int, found: Trajectory | LmpchainError
         columns["time"][row, : found.scene.samples] = found.scene.time
     for key, values in plan.drawn(place, found.scene.chain.grains).items():
         columns[key][row, : len(values)] = values
+
+
+@lru_cache(maxsize=64)
+def _spots(wanted: bytes, grains: bytes) -> Any:
+    """Return where these grains stand among those that the arrays have places for."""
+    if wanted == grains:
+        return slice(None)
+    numbers, every = np.frombuffer(wanted, int), np.frombuffer(grains, int)
+    order = np.argsort(every)
+    return order[np.searchsorted(every, numbers, sorter=order)]
 
 
 def _alone(scene: Scene | InputError, engine: Engine, tolerance: float) -> Trajectory | LmpchainError:

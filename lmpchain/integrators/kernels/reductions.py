@@ -40,18 +40,20 @@ def _kinetic(v, masses):
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
-def compared(u: Array, v: Array, against: NDArray[np.int64], masses: Array, count: int) -> tuple[Array, Array, Array]:
-    """Measure the first samples of an answer and how far others are from it or from each other.
+def compared(
+    u: Array, v: Array, others_u: Array, others_v: Array, against: NDArray[np.int64], masses: Array
+) -> tuple[Array, Array, Array]:
+    """Measure an answer and how far others are from it or from each other.
 
     Parameters
     ----------
-    u, v : (S, R, B, N) arrays
-        Fields of S answers of R chains; the first is that in question.
-    against : (S-1,) array
-        From which of them each of the others is measured.
+    u, v : (R, T, N) arrays
+        Fields of R chains.
+    others_u, others_v : (S, R, B, N) arrays
+        The same of others; their first samples are those of the answer.
+    against : (S,) array
+        From which each of the others is measured: 0 is the answer, 1 the first of the others.
     masses : (R, N) array
-    count : int
-        Of the B samples.
 
     Returns
     -------
@@ -59,22 +61,25 @@ def compared(u: Array, v: Array, against: NDArray[np.int64], masses: Array, coun
         Largest displacement and speed.
     energy : (R,) array
         Twice the largest kinetic energy of any sample; infinite if any displacement or velocity is no number.
-    differences : (S-1, count, R, 2) array
+    differences : (S, T, R, 2) array
         Largest differences over the grains; no number where that is none.
     """
-    others, batch = u.shape[0] - 1, u.shape[1]
+    others, batch = others_u.shape[0], u.shape[0]
     peaks, energy = np.zeros((batch, 2)), np.zeros(batch)
-    differences = np.empty((others, count, batch, 2))
-    nothing = np.zeros(u.shape[3])
+    differences = np.empty((others, u.shape[1], batch, 2))
+    nothing = np.zeros(u.shape[2])
     for real in range(batch):
-        for sample in range(count):
-            x, w = u[0, real, sample], v[0, real, sample]
+        for sample in range(u.shape[1]):
+            x, w = u[real, sample], v[real, sample]
             peaks[real, 0] = max(peaks[real, 0], _farthest(x, nothing))
             peaks[real, 1] = max(peaks[real, 1], _farthest(w, nothing))
             now = _kinetic(w, masses[real]) + 0.0 * _sum(x, nothing)
             energy[real] = max(energy[real], now) if np.isfinite(now) else np.inf
             for other in range(others):
-                for kind, field in enumerate((u, v)):
-                    a, b = field[against[other], real, sample], field[other + 1, real, sample]
-                    differences[other, sample, real, kind] = _farthest(a, b) + 0.0 * _sum(a, b)
+                a, b, one = x, w, against[other] - 1
+                if one >= 0:
+                    a, b = others_u[one, real, sample], others_v[one, real, sample]
+                y, s = others_u[other, real, sample], others_v[other, real, sample]
+                differences[other, sample, real, 0] = _farthest(a, y) + 0.0 * _sum(a, y)
+                differences[other, sample, real, 1] = _farthest(b, s) + 0.0 * _sum(b, s)
     return peaks, energy, differences
