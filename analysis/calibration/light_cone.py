@@ -23,7 +23,7 @@ from lmpchain.engines.base import Candidate, Engine
 from lmpchain.engines.lammps.engine import Lammps
 from lmpchain.engines.linear.engine import Chebyshev, Modes
 from lmpchain.engines.native import Native
-from lmpchain.integrators import stepper
+from lmpchain.integrators import batch
 from lmpchain.integrators.kernels.splitting import PAD
 from lmpchain.scene import light_cone
 from lmpchain.scene.light_cone import WORTH as WORTH_OF_CUT
@@ -113,7 +113,7 @@ def _short(quick: bool) -> Row:
         candidate = Native().candidate(scene, 1e-6)
         times = []
         for short in (0, 10**6):
-            with mock.patch.object(stepper, "WINDOW_MIN", short):
+            with mock.patch.object(batch, "WINDOW_MIN", short):
                 times.append(
                     best(lambda scene=scene, candidate=candidate: through(Native(), scene, candidate), repeats)
                 )  # type: ignore[misc]
@@ -123,7 +123,7 @@ def _short(quick: bool) -> Row:
     harmless = [bodies for bodies, ratio in ratios.items() if ratio > 1 / 1.1]
     return Row(
         "WINDOW_MIN",
-        stepper.WINDOW_MIN,
+        batch.WINDOW_MIN,
         max(good, default=0),
         4 * PAD,
         max(harmless, default=0),

@@ -157,7 +157,7 @@ class Contacts:
         """Return by what factor stiffnesses at rest change if the forces at rest change by this one."""
         return factor ** (1 - 1 / self.exponent)
 
-    def overlap_bound(self, energy: float) -> Array:
+    def overlap_bound(self, energy: float | Array) -> Array:
         """Return an upper bound of each overlap for this energy above rest, (N+1,) m.
 
         The bound is rigorous: no contact can hold more than the whole conserved energy, and the energy of

@@ -23,14 +23,13 @@ from numpy.typing import NDArray
 from ..scene.acting import Drive, Force
 from ..scene.scene import Scene
 from ..util.arrays import Array
-from .batch import ChainBatch
+from .batch import WINDOW_MIN, ChainBatch
 from .imposed import ImposedCourse
 from .kernels import adjoint as kernels
 from .kernels.adjoint_tangent import tangent
 from .kernels.contact_forces import ROOTS
 from .kernels.layout import FIRST, LAST, PAD, STEP, Chain
 from .splittings import Splitting
-from .stepper import WINDOW_MIN
 
 ROOM = 2**19  # bytes for what is kept between two checkpoints, about what stays in the cache
 LEAST = 32  # rows between two checkpoints

@@ -86,13 +86,13 @@ class ChainBatch:
         speed = np.maximum(fastest, farthest * self.omega)
         self.scale = np.stack([speed / self.omega, speed], axis=1)
 
-    def _of_each(self, values: Iterable[Any]) -> Array:
+    def _of_each(self, values: Iterable[Any]) -> NDArray[Any]:
         """Return an array with a row for each of the R scenes."""
         found = np.array(list(values))
         return np.repeat(found, len(self.scenes), axis=0) if len(found) < len(self.scenes) else found
 
     @cached_property
-    def acted(self) -> NDArray[np.intp]:
+    def acted(self) -> NDArray[Any]:
         """The first and the last body that is acted on after t = 0, (R, 2); if none is, the last before the first."""
         reach = (scene.excitation.reach(scene.chain) if self.imposed else (self.grains, 1) for scene in self._struck)
         return self._of_each(reach) + (PAD - 1)

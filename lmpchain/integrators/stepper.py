@@ -16,7 +16,6 @@ from .method import Method
 from .step_schedule import StepSchedule
 
 
-
 class Stepper(Protocol):
     """A batch of chains that can be moved forward in time."""
 

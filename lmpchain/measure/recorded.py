@@ -14,13 +14,12 @@ from .derivatives import STILL, UNKNOWN
 class Around(NamedTuple):
     """What lies beside G grains of a chain of N.
 
-    Columns of all bodies, (N+2,), and of those at and beside each grain, (G, 3); its contacts, (G, 2); whether all
-    forces on it follow from what was recorded, (G,); whether all grains that move were.
+    Columns of all bodies, (N+2,), and of those at and beside each grain, (G, 3); whether all forces on it follow from
+    what was recorded, (G,); whether all grains that move were.
     """
 
     column: NDArray[np.intp]
     sides: NDArray[np.intp]
-    contacts: NDArray[np.intp]
     known: NDArray[np.bool_]
     whole: bool
 
@@ -33,7 +32,7 @@ def around(size: int, movable: int, above: bool, below: bool, recorded: bytes) -
     sides = column[grains[:, None] + np.array([-1, 0, 1])]
     nothing = (not above) & (contacts == 0) | (not below) & (contacts == size)
     known = ((sides[:, ::2] != UNKNOWN) | nothing).all(1) | (grains > movable)
-    return Around(column, sides, contacts, known, not (column[1 : movable + 1] == UNKNOWN).any())
+    return Around(column, sides, known, not (column[1 : movable + 1] == UNKNOWN).any())
 
 
 def columns(size: int, movable: int, grains: np.ndarray) -> NDArray[np.intp]:

@@ -22,7 +22,7 @@ from helpers.child_processes import PATIENCE, until
 from helpers.example_sweeps import contents, done, long_sweep
 
 import lmpchain.sweeps.run as run
-from lmpchain import Chain, Impulse, InputError, Scene, load_sweep, simulate, sweep
+from lmpchain import Chain, Impulse, InputError, Packet, Scene, load_sweep, simulate, sweep
 from lmpchain.cli.command_line import main
 from lmpchain.disorder.averages import realisation
 from lmpchain.measure.contact import wall_force
@@ -30,6 +30,8 @@ from lmpchain.measure.front import track
 from lmpchain.measure.motion import peaks
 from lmpchain.sweeps import tasks
 from lmpchain.sweeps.executors import Here, Processes
+from lmpchain.sweeps.file import read
+from lmpchain.sweeps.realisations import scenes
 
 SCENES = Path(__file__).parents[2] / "analysis" / "scenes"
 SHORT: dict[str, Any] = {
@@ -149,6 +151,16 @@ def test_numbers_of_every_grain_are_drawn(tmp_path, keys, bottom):
     alone = simulate(Scene.from_dict(tables), "native")
     assert np.array_equal(found.velocity[3], alone.velocity)
     assert found.solver_error[3] == alone.error_estimate.solver
+
+
+def test_a_packet_is_that_of_each_chain():
+    """It follows from masses and stiffnesses, so that its energy is not that of the ordered chain."""
+    chain = Chain(grains=60, diameter=1e-3, gravity=0, top_load=1, top="wall", bottom="wall")
+    packet = Packet(frequency=2e4, width=2, grain=30, amplitude=1e-9)
+    scene = Scene(chain=chain, excitation=packet, duration=2e-5)
+    plan = read({"scene": scene, "disorder": {"m": 20, "seed": 1, "realisations": 3}})
+    made = scenes(plan, 0, 3, together=True)
+    assert [each.energy for each in made] == [plan.scene((number,)).energy for number in range(3)]
 
 
 def test_laws_that_differ_in_a_late_digit_are_not_the_same(tmp_path):
