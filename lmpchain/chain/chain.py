@@ -170,19 +170,25 @@ class Chain(AtRest, Checked):
 
     def plainly_below(self, limit: float) -> bool:
         """Sufficient O(1) check that no contact is squeezed to more of the diameter at rest."""
+        return self._squeezed_at_most <= limit
+
+    @cached_property
+    def _squeezed_at_most(self) -> float:
+        """A bound on overlap over diameter of every contact at rest; infinite where only arrays can tell."""
         if not self._alike or "wall_constants" in self.model_fields_set:
-            return False
+            return np.inf
         modulus, d, mass = self._kinds
         both: list[Any] = [self.top_material, self.bottom_material]
-        modulus = np.append(modulus, [wall.plane_strain_modulus for wall in both if wall])
+        if any(both):
+            modulus = np.append(modulus, [wall.plane_strain_modulus for wall in both if wall])
         length = d ** (1.5 - self.exponent)
         with np.errstate(all="ignore"):  # what is not finite here is looked at more closely
             softest = 4 / 3 * modulus.min() / 2 * np.sqrt(d.min() / 4) * length.min()
             hardest = 4 / 3 * modulus.max() / 2 * np.sqrt(d.max() / 2) * length.max()
             load = self.top_load + self.gravity * (self.grains * mass[0] + mass[1:].sum())
-            overlap = Contacts(softest, load, self.exponent).overlap
-            largest = Contacts(hardest, load, self.exponent).stiffness_at(overlap) / mass.min()
-            return bool(softest > 0 and overlap <= limit * d.min() and 2 * largest < HARDEST)
+            overlap = (load / softest) ** (1 / self.exponent)
+            largest = self.exponent * hardest * overlap ** (self.exponent - 1) / mass.min()
+            return float(overlap / d.min()) if softest > 0 and 2 * largest < HARDEST else np.inf
 
     def by_grain(self, prop: str) -> Array:
         """Return a property of the material of every grain, (N,)."""

@@ -170,7 +170,7 @@ class OneGrain(Excitation):
 
     def part(self, first: int, last: int) -> Excitation:
         """Return the same with the grain as it is numbered among grains first ... last."""
-        return self.replace(grain=self.grain - first + 1)
+        return self if first == 1 else self.replace(grain=self.grain - first + 1)
 
     def at_grain(self, chain: Chain, value: float) -> Array:
         """Return an (N,) array with this value for the grain, and 0 for the others."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 
 from ..chain.chain import Chain
+from ..chain.contacts import FEW
+from ..util.arrays import Array
 from .base import Excitation
 
 UNSEEN = math.log(1e-22)  # motion, over that of the grain that is struck, which no answer holds
@@ -33,17 +35,26 @@ def reached(chain: Chain, excitation: Excitation, energy: float, duration: float
     if not math.isfinite(energy) or grains < SHORT:
         return 1, grains
     top, bottom = excitation.reach(chain)
+    known = _hardest(chain, energy) if grains <= FEW else None  # of many only some are looked at
     away = 32
     while True:
         first, last = max(1, top - away), min(grains, bottom + away)
         if last - first + 1 > WORTH * grains:
             return 1, grains
-        part = chain.part(first, last)
-        stiffness = part.contacts.stiffness_at(part.contacts.overlap_bound(energy))
-        needed = _distance(2 * math.sqrt(float(stiffness.max()) / part.masses.min()) * duration)
+        if known is None:
+            part = chain.part(first, last)
+            stiffness, masses = _hardest(part, energy), part.masses
+        else:
+            stiffness, masses = known[first - (first == 1) : last + (last == grains)], chain.masses[first - 1 : last]
+        needed = _distance(2 * math.sqrt(float(stiffness.max()) / masses.min()) * duration)
         if needed <= away:
             return max(1, top - needed), min(grains, bottom + needed)
         away = max(needed, 2 * away)
+
+
+def _hardest(chain: Chain, energy: float) -> Array:
+    """Return a bound on the stiffness of every contact, (N+1,) N/m, for this energy above rest."""
+    return chain.contacts.stiffness_at(chain.contacts.overlap_bound(energy))
 
 
 def _distance(x: float) -> int:

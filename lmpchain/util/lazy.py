@@ -35,7 +35,9 @@ def attributes(
             return import_module(f".{name}", package)
         if name not in where:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        return getattr(import_module(f".{where[name]}", package), name)
+        value = getattr(import_module(f".{where[name]}", package), name)
+        setattr(sys.modules[package], name, value)  # found at once from now on
+        return value
 
     return find
 

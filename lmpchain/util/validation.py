@@ -7,7 +7,7 @@ import sys
 import warnings
 from collections.abc import Iterator, Mapping
 from inspect import Parameter, Signature
-from typing import Annotated, Any, NoReturn, Self
+from typing import Annotated, Any, ClassVar, NoReturn, Self
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
@@ -30,9 +30,12 @@ class Checked(Shown, BaseModel):
         frozen=True, extra="forbid", strict=True, allow_inf_nan=False, arbitrary_types_allowed=True
     )
 
+    _names: ClassVar[tuple[str, ...]] = ()
+
     @classmethod
     def __pydantic_init_subclass__(cls, **_: Any) -> None:
-        """Let `help` begin with the names and defaults of the fields."""
+        """Note the names of the fields, and let `help` begin with them and their defaults."""
+        cls._names = tuple(cls.model_fields)
         cls.__signature__ = Signature(
             [
                 Parameter(name, Parameter.KEYWORD_ONLY, default=Parameter.empty if own.is_required() else own.default)
@@ -49,13 +52,16 @@ class Checked(Shown, BaseModel):
     __str__ = __repr__
 
     def __init__(self, *values: Any, **data: Any):
-        names = list(type(self).model_fields)
-        if len(values) > len(names):
-            raise InputError([("", f"takes {', '.join(names)}: {len(values)} values are too many")])
-        data = dict(zip(names, values, strict=False)) | data
+        names = self._names
+        if values:
+            if len(values) > len(names):
+                raise InputError([("", f"takes {', '.join(names)}: {len(values)} values are too many")])
+            data = dict(zip(names, values, strict=False)) | data
         known = {key: value for key, value in data.items() if key in names}
-        there = f"the keys here are {', '.join(names)}"
-        faults = [(key, f"unknown key{did_you_mean(key, names)}; {there}") for key in data if key not in known]
+        faults = []
+        if len(known) < len(data):
+            there = f"the keys here are {', '.join(names)}"
+            faults = [(key, f"unknown key{did_you_mean(key, names)}; {there}") for key in data if key not in known]
         try:
             super().__init__(**known)
             faults += self._faults()
@@ -146,7 +152,7 @@ class Checked(Shown, BaseModel):
 
     def given(self) -> dict[str, Any]:
         """Return the fields that the user gave, by name."""
-        return {name: getattr(self, name) for name in type(self).model_fields if name in self.model_fields_set}
+        return {name: getattr(self, name) for name in self._names if name in self.model_fields_set}
 
     def __eq__(self, other: object) -> bool:
         return type(self) is type(other) and all(
