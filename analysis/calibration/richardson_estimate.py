@@ -28,10 +28,9 @@ from lmpchain.engines.error_estimate import (
     KINKED_BELOW,
     ORDER_AT_KINKS,
     ORDER_AT_OPENINGS,
-    SAFETY,
-    extrapolate,
 )
 from lmpchain.engines.native import Native
+from lmpchain.engines.richardson import SAFETY, extrapolate
 from lmpchain.engines.time_stepping import REFINEMENT
 from lmpchain.integrators.methods import METHODS
 

@@ -31,6 +31,7 @@ from ..util.arrays import Array
 from ..util.compilation import clock
 from .amplification import amplified_digit
 from .base import Candidate, ErrorBudget, Run
+from .richardson import extrapolate
 from .round_off import native_floor, plain_loss
 
 PIECE_S = 0.1  # longest stretch of work between two opportunities to stop
@@ -39,7 +40,6 @@ BLOCK_BYTES = 2**25  # of the samples that are compared at a time,
 BLOCK_S = 0.5  # and how long they may take: what is stopped or killed loses no more
 # analysis/calibration/richardson_estimate.py measures the constants of the estimate
 FEWEST = 8  # steps of a run from which on companions have longer steps; of these there are then no two alike
-SAFETY = 2.0  # factor on the Richardson estimate
 # analysis/calibration/amplified_rounding.py measures the next ones
 # over round-off: what two runs may differ by for that reason alone, which no law of the step divides, where contacts
 # open or not; reflections through opening contacts make much of a little
@@ -321,29 +321,6 @@ class CompanionRun(Run):
         """Release every stepper."""
         for stepper in self._steppers:
             stepper.close()
-
-
-def extrapolate(
-    order: int, smooth: bool, coarse: Array | None, fine: Array, ratios: Sequence[float] = (2.0, 4.0)
-) -> Array:
-    """Return the Richardson estimate of the error at step h from runs at 4h, 2h and h, or from h and 2h.
-
-    `ratios` are those of the steps, where they are not 2 and 4 because steps must end at the last sample.
-
-    Where contacts open or nearly so, a high order falls to about 2.5, unless steps are adaptive, with a coefficient
-    that depends on where in a step the opening falls: the error at h can then be as large as the difference.
-    On random chains the estimate is between 1 and 5 times the true error while
-    the order holds and rarely below it elsewhere.
-    """
-    if coarse is None:
-        return fine
-    if not smooth:
-        return 1.5 * np.maximum(fine, coarse / 4)
-    first, second = ratios
-    doublings = math.log2(second / first)
-    ratio = np.clip(coarse / np.maximum(fine, 1e-300), 1.5**doublings, (second / first) ** order)
-    gain = ratio ** (math.log2(first) / doublings)  # error at the longer step over that at h
-    return SAFETY * np.maximum(fine / (gain - 1), coarse / (second**order - first**order))
 
 
 def _comes_back(scene: Scene) -> bool:

@@ -17,7 +17,8 @@ from ..util.arrays import Array
 from ..util.suggestions import not_among
 from .base import Candidate, Engine, ErrorBudget
 from .cost_model import seconds
-from .error_estimate import ORDER_AT_OPENINGS, SAFETY, CompanionRun
+from .error_estimate import ORDER_AT_OPENINGS, CompanionRun
+from .richardson import SAFETY
 
 PERIODS = 60.0  # omega T of the scene for which `Method.error_constant` is given
 CHOICE = ("rkn4", "rkn6")  # of which the cheaper one is taken, if none is asked for

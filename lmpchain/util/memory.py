@@ -11,7 +11,7 @@ HEAP, FREE = (-3, 2**25), (-1, 2**27)
 
 @cache
 def keep_freed() -> None:
-    """Have this process keep what is freed, up to 128 MB, for arrays to come; where the C library is not glibc, nothing.
+    """Have this process keep what is freed, up to 128 MB, for arrays to come, if its C library is glibc.
 
     A fresh page from the system costs more time than the numbers that go into it.
     """
