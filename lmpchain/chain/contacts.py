@@ -122,8 +122,7 @@ class Contacts:
         y = np.log1p(np.where(s > -1, s, 0.0))
         exact = np.where(s > -1, np.expm1(power * y), -1.0) / power - s
         # the two terms cancel for small s: sum the binomial series instead
-        term = np.ones_like(s)
-        series = np.zeros_like(s)
+        term, series = 1.0, np.zeros_like(s)
         for k in range(2, 12):
             term = (power - k + 1) * term / k
             series += term * s**k

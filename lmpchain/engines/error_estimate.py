@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from ..errors import RunFailed
 from ..integrators.batch import ChainBatch
-from ..integrators.kernels.contact_forces import ROOTS
 from ..integrators.kernels.reductions import compared
 from ..integrators.methods import Method
 from ..integrators.step_schedule import StepSchedule
@@ -246,7 +245,7 @@ class CompanionRun(Run):
         rounding, every = relative[0].max((0, 2)).tolist(), np.ascontiguousarray(relative.max((0, 3)).T)
         time, opening = self.scene.time, lowest <= CLOSE_TO_OPENING
         even = (self.candidate.adaptive or self.method.order == 2) | ~(opening | self._kinked)
-        plain = np.isin(self._native[0].chains.forms, ROOTS) & self.scene.chain.compressed
+        plain = self._native[0].chains.plain
         truncations, moving = self._truncations(steps, opening, even), self.peaks[:, 1] > 0
         of_each = opening, even, plain, moving, self._answer.steps, truncations, steps[0].max(1), *peaks.T
         found = []

@@ -45,8 +45,8 @@ class ChainBatch:
         Constant of a first contact that touches without pressing in a chain that is pressed otherwise, else 0.
     precompressed : float
         1 if the chains are pressed, else 0.
-    forms, coefficients : (R,) and (8,) arrays
-        The form of the force of each, and the coefficients of the force.
+    forms, plain, coefficients : (R,), (R,) and (8,) arrays
+        The form of the force of each, whether that loses the last digit of the force at rest, and its coefficients.
     opening_power : float
         The force of a contact that opens goes as the overlap to this power.
     drive, knots, pieces : arrays
@@ -76,6 +76,7 @@ class ChainBatch:
         np.divide(1.0, self.masses[:, : chain.movable], out=self.table[:, 2, moving])
         self.table[:, 2, PAD : PAD + self.driven] = 0.0
         self.forms = np.array([force_form(scene, force) for scene in scenes])
+        self.plain = np.array([form in ROOTS and chain.compressed for form in self.forms.tolist()])
         self.coefficients, self.opening_power = series(chain.exponent), chain.exponent
         one = not excitation.of_chain and all(scene.excitation is excitation for scene in scenes)
         self._struck = scenes[:1] if one else scenes  # each in a way of its own

