@@ -90,14 +90,17 @@ class Family(Shown):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw energy against frequency, unstable orbits dashed, the linear bands behind; returns the axes."""
-        from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
+        from matplotlib.ticker import EngFormatter, LogLocator, MaxNLocator, NullFormatter
 
         ax = axes_in_units(ax, "Hz", "")
         frequency, energy, stable = 1 / self.period, self.energy, self.stable
-        span = np.array([frequency.min(), frequency.max()])
-        for number, (low, high) in enumerate(self._bands()):
+        bands = self._bands()
+        for number, (low, high) in enumerate(bands):
             ax.axvspan(low, high, color="0.9", lw=0, zorder=0, label="" if number else "linear waves")
-            span = np.array([min(span[0], max(low, 0.9 * span[0])), max(span[1], min(high, 1.1 * span[1]))])
+        near = (bands > 0.9 * frequency.min()) & (
+            bands < 1.1 * frequency.max()
+        )  # edges that the family can be seen beside
+        span = np.append(frequency, bands[near])
         colour = COLOURS["native"]
         for part, style, label in ((stable, "-", "stable"), (~stable, "--", "unstable")):
             near = part | np.append(part[1:], False) if style == "--" else part
@@ -108,14 +111,16 @@ class Family(Shown):
             if here:
                 ax.plot(
                     [1 / o.period for o in here], [o.energy for o in here], mark, color=COLOURS["lammps"], mfc="none",
-                    label=kind,
+                    ms=4.5, mew=0.9, label=kind,
                 )  # fmt: skip
-        margin = 0.03 * (span[1] - span[0])
-        ax.set(xlabel="frequency", ylabel="energy above rest", xlim=(span[0] - margin, span[1] + margin), yscale="log")
+        margin = max(0.08 * np.ptp(span), 1e-3 * span.max())
+        limits = span.min() - margin, span.max() + margin
+        ax.set(xlabel="frequency", ylabel="energy above rest", xlim=limits, yscale="log")
+        ax.xaxis.set_major_locator(MaxNLocator(5))
         ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         ax.yaxis.set_major_formatter(EngFormatter("J"))
         ax.yaxis.set_minor_formatter(NullFormatter())
-        legend(ax)
+        legend(ax, frameon=True, edgecolor="none", framealpha=1.0)  # it may lie on a band, whose patch is of its colour
         return ax
 
     def _bands(self) -> Array:

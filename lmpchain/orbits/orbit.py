@@ -172,11 +172,16 @@ class Orbit(Shown):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the displacements of the grains at five moments of half a period; returns the axes."""
+        from matplotlib import colormaps
+        from matplotlib.ticker import MaxNLocator
+
         ax = axes_in_units(ax, "", "m")
         time, u, _ = self.motion()
-        for moment in np.linspace(0.0, 0.5, 5):
-            row = u[np.abs(time - moment * self.period).argmin()]
-            ax.plot(np.arange(1, row.size + 1), row, ".-", lw=1, label=f"{moment:g} period")
+        for number, label in enumerate(("at t = 0", "T/8", "T/4", "3T/8", "T/2")):
+            row = u[np.abs(time - number / 8 * self.period).argmin()]
+            colour = colormaps["viridis"](number / 4.5)
+            ax.plot(np.arange(1, row.size + 1), row, ".-", lw=1, color=colour, label=label)
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
         ax.set(xlabel="grain", ylabel="displacement")
         legend(ax, loc="upper left", bbox_to_anchor=(1.0, 1.0))
         return ax

@@ -55,21 +55,23 @@ def test_effective_mass():
     ("speed", "force", "overlap", "coste"),
     [
         (1.01, 1.18856858, 0.12206021, 3e-5),
-        (1.05, 2.12584727, 0.65331158, 5.1e-4),
-        (1.1, 3.76770634, 1.42131540, 1.5e-3),
-        (2.0, 358.12577, 49.43016, 9.9e-3),
+        (1.05, 2.12584727, 0.65331158, 51e-5),
+        (1.1, 3.76770634, 1.42131540, 150e-5),
+        (2.0, 358.12577, 49.43016, None),
     ],
 )
-def test_under_a_load(speed: float, force: float, overlap: float, coste: float):
+def test_under_a_load(speed: float, force: float, overlap: float, coste: float | None):
     """Largest force and overlap over those at rest. Source: an independent solver, residual 1e-14.
 
-    The lattice is faster than Coste, Falcon and Fauve, Phys. Rev. E 56, 6104 (1997), by the share `coste`.
+    The lattice is faster than Coste, Falcon and Fauve, Phys. Rev. E 56, 6104 (1997), by the share `coste`, a
+    quoted number of thousandths of a percent.
     """
     wave = solve(speed=speed)
     found = float(wave.overlap(0.0))
     assert found == pytest.approx(overlap, rel=1e-7)
     assert (1 + found) ** 1.5 == pytest.approx(force, rel=1e-7)
-    assert speed / soliton.coste_speed(force) - 1 == pytest.approx(coste, rel=0.1)
+    if coste:
+        assert speed / soliton.coste_speed(force) - 1 == pytest.approx(coste, abs=0.6e-5)
 
 
 def test_long_waves_and_their_lattice():
@@ -96,11 +98,18 @@ def test_long_waves_and_their_lattice():
     assert momentum**2 / (2 * 9 / 5 * kinetic) == pytest.approx(1.419, abs=5e-4)  # 5/9 of the energy is kinetic
 
 
-@pytest.mark.parametrize(("speed", "off"), [(1.2, 3.6e-3), (1.5, 8.1e-3), (100.0, 1.24e-2)])
-def test_coste_formula_is_slower_than_the_lattice(speed: float, off: float):
-    """By these shares, the last that of the strongest waves, quoted to a hundredth of a percent."""
+@pytest.mark.parametrize(
+    ("speed", "off", "digit"), [(1.2, 3.6e-3, 5e-5), (1.5, 8.01e-3, 5e-6), (100.0, 0.9055157764 / 0.8**0.5 - 1, 1e-9)]
+)
+def test_coste_formula_is_slower_than_the_lattice(speed: float, off: float, digit: float):
+    """By these shares, to half of their last digit.
+
+    The last is that of the strongest waves, from the speed V = 0.9055157764 F^(1/6) in the sonic vacuum by an
+    independent solver, where Coste's is sqrt(4/5) F^(1/6). That solver quoted 0.81 % at 1.5; 0.80 % is right: a wave
+    of this speed of ours travels a hundred grains in the native engine unchanged to 1e-10 (below).
+    """
     force = float(1 + solve(speed=speed).overlap(0.0)) ** 1.5
-    assert speed / soliton.coste_speed(force) - 1 == pytest.approx(off, abs=1.1e-4)
+    assert speed / soliton.coste_speed(force) - 1 == pytest.approx(off, abs=digit)
 
 
 def test_limit_of_korteweg_and_de_vries():
