@@ -11,6 +11,7 @@ import numpy as np
 from ..engines.round_off import native_floor
 from ..errors import InputError, RunFailed, ToleranceNotMet, check_tolerance
 from ..integrators.adjoint import DifferentiableRun, Inputs
+from ..integrators.held_steps import adaptive_steps
 from ..integrators.splittings import SPLITTINGS, Splitting
 from ..scene.scene import Scene
 from ..util.arrays import Array
@@ -77,9 +78,15 @@ def looks_of(scene: Scene, objective: Objective, finer: int = 1) -> int:
 
 
 def at_step(
-    scene: Scene, objective: Objective, names: Iterable[str], method: Splitting, step: float, finer: int = 1
+    scene: Scene,
+    objective: Objective,
+    names: Iterable[str],
+    method: Splitting,
+    step: float,
+    finer: int = 1,
+    adaptive: bool = False,
 ) -> tuple[float, dict[str, Array], DifferentiableRun]:
-    """Return value and gradients of a run by steps of one length, and the run.
+    """Return value and gradients of a run by steps of one length, or of this length at most, and the run.
 
     Raises
     ------
@@ -87,7 +94,9 @@ def at_step(
         If the motion breaks down.
     """
     grains = np.unique(objective.grains(scene))
-    run = DifferentiableRun(scene, method, step, looks_of(scene, objective, finer), grains)
+    looks = looks_of(scene, objective, finer)
+    held = adaptive_steps(scene, method, step, looks) if adaptive else step
+    run = DifferentiableRun(scene, method, held, looks, grains)
     if not np.isfinite(run.velocity).all():
         raise RunFailed(f"the motion breaks down with steps of {run.step:.3g} s: use shorter ones")
     slopes = objective(Seen(scene, run.time, grains, run.displacement, run.velocity))
@@ -106,6 +115,7 @@ def gradient(
     tolerance: float = 1e-6,
     integrator: str | None = None,
     step: float | None = None,
+    adaptive: bool = False,
 ) -> Gradient:
     """Return an objective and its exact derivatives with respect to what a scene is made of.
 
@@ -127,6 +137,9 @@ def gradient(
         By default rkn6, or rkn4 where the objective looks between samples.
     step : float, optional
         s; no tolerance is enforced then.
+    adaptive : bool
+        Whether steps are shorter where contacts open or close, which keeps the order of the method; in the derivatives
+        they are held. Not of verlet.
 
     Returns
     -------
@@ -156,11 +169,13 @@ def gradient(
     if chosen not in SPLITTINGS:
         raise InputError([("integrator", not_among(chosen, tuple(SPLITTINGS)))])
     method = SPLITTINGS[chosen]
+    if adaptive and method.adaptive == "no":
+        raise InputError([("adaptive", f"{chosen} has no adaptive steps: use rkn4 or rkn6")])
     first = step or min(1.5, method.stability_limit / 4) / scene.highest_frequency
-    value, gradients, run = at_step(scene, objective, names, method, 2 * first)
+    value, gradients, run = at_step(scene, objective, names, method, 2 * first, 1, adaptive)
     for halving in range(1, 2 if step else HALVINGS + 1):
         coarse, before, longer = value, gradients, run.step
-        value, gradients, run = at_step(scene, objective, names, method, min(first, longer / 2), 2**halving)
+        value, gradients, run = at_step(scene, objective, names, method, min(first, longer / 2), 2**halving, adaptive)
         floor = 10 * native_floor(run.steps * method.evaluations, scene.highest_frequency * scene.duration)
         errors = {
             name: SAFETY * float(np.abs(now - before[name]).max()) + floor * float(np.abs(now).max())

@@ -8,18 +8,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import InputError, shown
+from ..errors import InputError, RunFailed, shown
+from ..integrators.splittings import SPLITTINGS
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.suggestions import not_among
 from . import parameters as params
-from .gradients import Gradient, gradient
+from .changes import changed
+from .gradients import Gradient, at_step, gradient
 from .objectives import ArrivalTime, Energy, KineticEnergy, Momentum, Objective, PeakForce
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 ROWS = 12  # of a table
+PAIRS = 16  # of drawn chains: by some 5 % off where an answer is well beyond first order
 CANDIDATES = (
     "diameters", "youngs_moduli", "masses", "contact_constants", "wall_constants", "top_load", "gravity", "velocity",
     "displacement", "drive", "force", "amplitude", "frequency",
@@ -46,7 +49,12 @@ class Sensitivity:
     relative : dict
         By name, the change of the answer for a relative change of each entry, in the unit of the answer.
     uncertainty : dict
-        By name, the standard deviation that the given uncertainties of its entries make, each on its own.
+        By name, the standard deviation to first order that the given uncertainties of its entries make on their own.
+    deviation : float
+        Standard deviation of the answer by all of them, to first order.
+    scatter, shift : float
+        Standard deviation and mean change of the answer beyond first order, by `PAIRS` pairs of drawn chains that
+        differ from the scene by as much to either side; NaN where one of them has no such answer.
     """
 
     of: str
@@ -54,6 +62,8 @@ class Sensitivity:
     gradient: Gradient
     relative: dict[str, Array]
     uncertainty: dict[str, float]
+    scatter: float
+    shift: float
 
     @property
     def value(self) -> float:
@@ -91,7 +101,14 @@ class Sensitivity:
         for name, part in self.uncertainty.items():
             lines.append(f"by the uncertainty of {name}: {part:.3g} {self.unit}")
         if self.uncertainty:
-            lines.append(f"uncertainty: {self.deviation:.3g} {self.unit} ({100 * self.deviation / size:.2g} %)")
+            lines.append(
+                f"uncertainty to first order: {self.deviation:.3g} {self.unit} ({100 * self.deviation / size:.2g} %)"
+            )
+            lines.append(
+                f"by {2 * PAIRS} drawn chains: {self.scatter:.3g} {self.unit}, the mean shifted by {self.shift:+.2g}"
+                if np.isfinite(self.scatter)
+                else "beyond first order: unknown, as not every drawn chain has an answer"
+            )
         return "\n".join(lines)
 
     def to_json(self) -> dict[str, Any]:
@@ -102,6 +119,7 @@ class Sensitivity:
             "derivative_errors": dict(self.gradient.errors),
             "per_relative_change": {name: part.tolist() for name, part in self.relative.items()},
             "uncertainty": self.uncertainty | {"all": self.deviation},
+            "scatter": self.scatter, "shift": self.shift,
         }  # fmt: skip
 
     def plot(self, ax: Axes | None = None) -> Axes:
@@ -219,4 +237,35 @@ def sensitivity(
     found = gradient(scene, wanted, names, tolerance)
     relative = {name: found[name] * params.values(scene, name) for name in names}
     deviations = {name: float(share * np.sqrt((relative[name] ** 2).sum())) for name, share in uncertain.items()}
-    return Sensitivity(of if isinstance(of, str) else repr(of), unit, found, relative, deviations)
+    beyond = _beyond_first_order(scene, wanted, found, relative, uncertain)
+    return Sensitivity(of if isinstance(of, str) else repr(of), unit, found, relative, deviations, *beyond)
+
+
+def _beyond_first_order(
+    scene: Scene, wanted: Objective, found: Gradient, relative: Mapping[str, Array], uncertain: Mapping[str, float]
+) -> tuple[float, float]:
+    """Return standard deviation and mean change of the answer, by pairs of chains that differ to either side.
+
+    What is odd in the changes, over what is linear in them, corrects the first order; what is even adds to it.
+    """
+    first = float(sum((share * relative[name]) @ (share * relative[name]) for name, share in uncertain.items()))
+    if first == 0:
+        return 0.0, 0.0
+    rng, method = np.random.default_rng(0), SPLITTINGS[found.integrator]
+    linear, odd, even = np.zeros((3, PAIRS))
+    try:
+        for pair in range(PAIRS):
+            changes = {name: share * rng.standard_normal(relative[name].size) for name, share in uncertain.items()}
+            up, down = (
+                at_step(
+                    changed(scene, {name: params.values(scene, name) * (1 + side * change)
+                                    for name, change in changes.items()}),
+                    wanted, (), method, found.step_s,
+                )[0]
+                for side in (1, -1)
+            )  # fmt: skip
+            linear[pair] = sum(relative[name] @ change for name, change in changes.items())
+            odd[pair], even[pair] = (up - down) / 2, (up + down) / 2 - found.value
+    except (InputError, RunFailed):
+        return float("nan"), float("nan")
+    return float(np.sqrt(first * (odd @ odd) / (linear @ linear) + even.var(ddof=1))), float(even.mean())

@@ -37,7 +37,7 @@ def test_what_made_a_trace_is_found_again():
         ["youngs_moduli", "top_load", "velocity"],
     )
     truth = [193e9, 0.5, 0.02, late, *offsets]
-    np.testing.assert_allclose(found.estimate, truth, rtol=1e-5)  # load and modulus all but trade off
+    np.testing.assert_allclose(found.estimate, truth, rtol=1e-8)
     assert (np.abs(found.estimate - truth) <= 5 * found.error + found.bias).all()
     assert found.names == ["youngs_moduli", "top_load", "velocity", "trigger", "offset 4", "offset 7"]
     assert found.scene.chain.top_load == pytest.approx(found.estimate[1], rel=1e-12)

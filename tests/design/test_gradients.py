@@ -264,6 +264,30 @@ OBJECTIVES = {
 }
 
 
+@pytest.mark.parametrize("seed", [0, 3])  # delta 1.5 and 1.8
+def test_adaptive_steps_keep_the_order_where_contacts_open(seed: int):
+    """Against very many steps of one length, of which four times as many are at least fifty times as far off."""
+    scene, objective, names = drawn(seed), Momentum([2]), ["masses", "contact_constants"]
+    step = 1 / scene.highest_frequency
+    true = at_step(scene, objective, names, SPLITTINGS["rkn6"], step / 16384)[1]
+
+    def off(length: float, adaptive: bool) -> float:
+        found = at_step(scene, objective, names, SPLITTINGS["rkn6"], length, 1, adaptive)[1]
+        return max(np.abs(found[name] - true[name]).max() / np.abs(true[name]).max() for name in names)
+
+    assert off(step / 8, True) < 5e-9
+    assert off(step / 8, True) < 0.02 * off(step / 32, False)
+
+
+def test_adaptive_steps_reach_a_tolerance_and_are_refused_where_they_gain_nothing():
+    scene, names = drawn(3), ["masses"]
+    found = gradient(scene, Momentum([2]), names, 1e-6, adaptive=True)
+    true = at_step(scene, Momentum([2]), names, SPLITTINGS["rkn6"], 1e-4 / scene.highest_frequency)[1]
+    assert np.abs(found["masses"] - true["masses"]).max() <= found.errors["masses"]
+    with pytest.raises(InputError, match="adaptive"):
+        gradient(scene, Momentum([2]), names, integrator="verlet", adaptive=True)
+
+
 @pytest.mark.parametrize("case", OBJECTIVES)
 def test_objectives_have_the_derivatives_that_differences_show(case: str):
     scene, objective = OBJECTIVES[case]

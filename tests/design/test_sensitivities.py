@@ -10,7 +10,9 @@ from lmpchain import Chain, Impulse, InputError, Profile, Scene, simulate
 from lmpchain.cli import main
 from lmpchain.design import KineticEnergy, PeakForce, gradient, sensitivity
 from lmpchain.design.changes import changed
+from lmpchain.design.gradients import at_step
 from lmpchain.design.parameters import values
+from lmpchain.integrators.splittings import SPLITTINGS
 
 VACUUM = Scene(
     chain=Chain(grains=12, diameter=1e-3, gravity=0.0, bottom="wall"),
@@ -46,6 +48,20 @@ def test_an_uncertainty_is_the_scatter_of_random_chains():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("share", [1e-3, 3e-3])
+def test_drawn_chains_tell_what_the_first_order_leaves_out(share: float):
+    found, rng = sensitivity(VACUUM, "peak_force:6", {"diameters": share}), np.random.default_rng(4)
+    diameters, answers = values(VACUUM, "diameters"), []
+    for _ in range(600):
+        other = changed(VACUUM, {"diameters": diameters * (1 + share * rng.standard_normal(12))})
+        answers.append(at_step(other, PeakForce(6), (), SPLITTINGS["rkn4"], found.gradient.step_s)[0])
+    true = np.std(answers)
+    assert found.deviation < 0.95 * true
+    assert found.scatter == pytest.approx(true, rel=0.1)
+    assert found.shift == pytest.approx(np.mean(answers) - found.value, abs=0.25 * true)
+
+
+@pytest.mark.slow
 def test_the_command_ranks_and_draws(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     simulate(VACUUM, tolerance=1e-6).save(tmp_path / "run.nc")
     picture, numbers = tmp_path / "along.png", tmp_path / "numbers.json"
@@ -54,6 +70,8 @@ def test_the_command_ranks_and_draws(tmp_path: Path, capsys: pytest.CaptureFixtu
     said = capsys.readouterr().out
     assert "energy:3-9" in said
     assert "by the uncertainty of diameters" in said
+    assert "to first order" in said
+    assert "by 32 drawn chains" in said
     assert picture.stat().st_size > 1000
     kept = json.loads(numbers.read_text())
     assert len(kept["derivatives"]["diameters"]) == 12

@@ -1,0 +1,52 @@
+"""The adaptive steps that a run takes, to be held while derivatives are taken."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..scene.scene import Scene
+from ..util.arrays import Array
+from .batch import ChainBatch
+from .kernels.layout import DONE
+from .splittings import Splitting
+from .step_schedule import StepSchedule
+from .stepper import NativeStepper
+
+
+def adaptive_steps(scene: Scene, method: Splitting, step: float, looks: int) -> list[Array]:
+    """Return the steps of a run that shortens them where contacts open or close.
+
+    Parameters
+    ----------
+    scene : Scene
+    method : Splitting
+        Of an order above 2.
+    step : float
+        The longest one, s.
+    looks : int
+        Equal parts of the duration, at whose ends a step ends.
+
+    Returns
+    -------
+    list of `looks` arrays
+        s; those of each part add up to it.
+    """
+    scene = scene.replace(samples=looks + 1)
+    interval = scene.duration / looks
+    each = max(1, math.ceil(interval / step * (1 - 1e-12)))
+    run = NativeStepper(ChainBatch([scene]), method, StepSchedule.of(each, interval / each, True), {})
+    u, v = np.empty((2, 1, 2, scene.chain.grains))
+    made, begun, steps = 0.0, 0, []
+    parts: list[Array] = []
+    while begun < looks:
+        run.fill(u, v, begun, begun + 1, 1)
+        landed = run.sample > begun
+        done = interval if landed else float(run.state()["state"][0, DONE])
+        steps.append(done - made)
+        made = done
+        if landed:
+            parts.append(np.array(steps))
+            made, begun, steps = 0.0, begun + 1, []
+    return parts
