@@ -137,14 +137,14 @@ def _dependence(scene: Scene, name: str) -> dict[str, sparse.csr_array]:
         follow = ~np.isin(np.arange(chain.grains) + 1, [odd.grain for odd in chain.impurity if odd.mass])
         follow &= "masses" not in chain.model_fields_set
         return {
-            "masses": sparse.diags_array(follow * 3 * chain.masses / chain.diameters, format="csr"),
+            "masses": _diagonal(follow * 3 * chain.masses / chain.diameters),
             "constants": _by_diameter(chain),
         }
     if name in ("amplitude", "frequency"):
         return {"drive": sparse.csr_array(np.eye(2)[:, [int(name == "frequency")]])}
     if name == "force":
-        return {"drive": sparse.eye_array(values(scene, name).size, format="csr")}
-    return {name: sparse.eye_array(values(scene, name).size, format="csr")}
+        return {"drive": _diagonal(np.ones(values(scene, name).size))}
+    return {name: _diagonal(np.ones(values(scene, name).size))}
 
 
 def _between(chain: Chain) -> sparse.csr_array:
@@ -157,22 +157,26 @@ def _between(chain: Chain) -> sparse.csr_array:
     return sparse.csr_array((entry, (row, column)), shape=(grains + 1, grains - 1))
 
 
-def _following(chain: Chain) -> sparse.csr_array:
-    """Return d(log K)/d(log of Hertz's constant), (N+1, N+1), by what is given and what follows."""
-    last = chain.grains
+def _by_body(chain: Chain, above: Array, below: Array) -> sparse.csr_array:
+    """Return dK/d(of a grain), (N+1, N), from d(log of Hertz's constant) by the grains above and below.
+
+    What is given does not follow, and a wall's constant that does has the share of its neighbour that does not.
+    """
+    last, constant, own = chain.grains, chain.contacts.constant, np.arange(chain.grains + 1)
     follow = np.full(last + 1, float("contact_constants" not in chain.model_fields_set))
     walls, near = [0, last], [1, last - 1]
     follow[walls] = float("wall_constants" not in chain.model_fields_set)
-    own = np.arange(last + 1)
-    row, column = np.append(own, walls), np.append(own, near)
-    return sparse.csr_array((np.append(follow, follow[walls] * (follow[near] - 1)), (row, column)))
+    row, of = np.append(own, walls), np.append(own, near)
+    rate = constant[row] * np.append(follow, follow[walls] * (follow[near] - 1))
+    upper, lower = of > 0, of < last
+    entries = np.concatenate(((rate * above[of])[upper], (rate * below[of])[lower]))
+    places = np.concatenate((row[upper], row[lower])), np.concatenate((of[upper] - 1, of[lower]))
+    return sparse.csr_array((entries, places), shape=(last + 1, last))
 
 
-def _by_body(chain: Chain, above: Array, below: Array) -> sparse.csr_array:
-    """Return dK/d(of a grain), (N+1, N), from d(log of Hertz's constant) by the grains above and below."""
-    grains = chain.grains
-    matrix = sparse.diags_array([above[1:], below[:-1]], offsets=[-1, 0], shape=(grains + 1, grains))
-    return sparse.diags_array(chain.contacts.constant) @ (_following(chain) @ matrix.tocsr())
+def _diagonal(entries: Array) -> sparse.csr_array:
+    """Return a diagonal matrix."""
+    return sparse.csr_array((entries, np.arange(entries.size), np.arange(entries.size + 1)))
 
 
 def _by_modulus(chain: Chain) -> sparse.csr_array:
