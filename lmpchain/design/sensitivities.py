@@ -244,8 +244,9 @@ def sensitivity(
 def _beyond_first_order(
     scene: Scene, wanted: Objective, found: Gradient, relative: Mapping[str, Array], uncertain: Mapping[str, float]
 ) -> tuple[float, float]:
-    """Return standard deviation and mean change of the answer, by pairs of chains that differ to either side.
+    """Return standard deviation and mean change of the answer, by pairs of drawn chains.
 
+    The two differ from the scene by as much, to either side.
     What is odd in the changes, over what is linear in them, corrects the first order; what is even adds to it.
     """
     first = float(sum((share * relative[name]) @ (share * relative[name]) for name, share in uncertain.items()))

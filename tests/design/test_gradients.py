@@ -7,24 +7,17 @@ import pytest
 from helpers import extended_splitting as extended
 from scipy.linalg import expm, expm_frechet
 
-from lmpchain import Chain, Drive, Force, Impulse, InputError, Profile, Scene, simulate
+from lmpchain import Chain, Drive, Force, Impulse, InputError, Profile, Scene
 from lmpchain.design import (
-    ArrivalTime,
-    DriveWork,
-    Energy,
-    Function,
     KineticEnergy,
-    Misfit,
     Momentum,
     PeakForce,
     gradient,
     parameters,
 )
 from lmpchain.design.gradients import at_step
-from lmpchain.engines import Native
 from lmpchain.integrators.adjoint import DifferentiableRun
 from lmpchain.integrators.splittings import SPLITTINGS
-from lmpchain.measure.energy import shares
 
 LOOKS, STEPS = 6, 4
 DIFFERENCE = np.longdouble(1e-7)  # relative, of central differences in extended precision
@@ -236,34 +229,6 @@ def test_weak_waves_have_the_derivatives_of_the_linear_propagator():
     np.testing.assert_allclose(gradients["velocity"], by_velocity, rtol=0, atol=1e-12 * np.abs(by_velocity).max())
 
 
-def square(time, u, v):
-    return float((u**2).sum() + (time[:, None] * v).sum()), 2 * u, np.broadcast_to(time[:, None], v.shape)
-
-
-STRUCK = Scene(
-    chain=Chain(grains=8, diameter=1e-3, top_load=0.02, bottom="wall", exponent=1.7),
-    excitation=Impulse(velocity=5e-3),
-    duration=2e-5,
-    samples=9,
-)
-DRIVEN = STRUCK.replace(
-    excitation=Drive(times=np.linspace(0, 2e-5, 6), displacement=2e-8 * np.sin(np.arange(6)) ** 2),
-)
-OBJECTIVES = {
-    "peak force": (STRUCK, PeakForce(3)),
-    "peak force at a wall": (STRUCK, PeakForce(8, sharpness=30)),
-    "energy": (STRUCK, Energy([2, 3, 4], time=1e-5)),
-    "energy with a wall": (STRUCK.replace(chain=STRUCK.chain.replace(top="wall")), Energy([1, 2, 7, 8])),
-    "kinetic energy": (STRUCK, KineticEnergy([2, 3, 4], time=1e-5)),
-    "momentum": (STRUCK, Momentum([2, 5])),
-    "arrival": (STRUCK, ArrivalTime(4, 1e-3)),
-    "misfit": (STRUCK, Misfit([3, 6], np.full((9, 2), 1e-3), scale=1e-4)),
-    "misfit of displacements": (STRUCK, Misfit([3], np.full((9, 1), 1e-9), "displacement", 1e-9)),
-    "work": (DRIVEN, DriveWork()),
-    "function": (DRIVEN, Function(square, [1, 4])),
-}
-
-
 @pytest.mark.parametrize("seed", [0, 3])  # delta 1.5 and 1.8
 def test_adaptive_steps_keep_the_order_where_contacts_open(seed: int):
     """Against very many steps of one length, of which four times as many are at least fifty times as far off."""
@@ -288,76 +253,6 @@ def test_adaptive_steps_reach_a_tolerance_and_are_refused_where_they_gain_nothin
         gradient(scene, Momentum([2]), names, integrator="verlet", adaptive=True)
 
 
-@pytest.mark.parametrize("case", OBJECTIVES)
-def test_objectives_have_the_derivatives_that_differences_show(case: str):
-    scene, objective = OBJECTIVES[case]
-    names = ["masses", "contact_constants", "top_load"] + ["drive"] * (scene is DRIVEN)
-    method, chain = SPLITTINGS["rkn4"], scene.chain
-    _, gradients, _ = at_step(scene, objective, names, method, 2e-7)
-    step = 1e-5
-    rng = np.random.default_rng(5)
-    for name in names:
-        base = parameters.values(scene, name)
-        along = rng.uniform(-1, 1, base.size) * np.abs(base).max()
-        if name == "drive":
-            along[0] = 0  # begins with 0
-        values = []
-        for sign in (-2, -1, 1, 2):
-            changed: Any = base + sign * step * along
-            if name == "drive":
-                other = scene.replace(excitation=Drive(times=scene.excitation.times, displacement=changed))
-            else:
-                other = scene.replace(
-                    chain=chain.replace(**{name: float(changed[0]) if name == "top_load" else changed})
-                )
-            values.append(at_step(other, objective, [name], method, 2e-7)[0])
-        slope = (8 * (values[2] - values[1]) - (values[3] - values[0])) / (12 * step)
-        assert gradients[name] @ along == pytest.approx(slope, rel=1e-7, abs=1e-9 * abs(values[0])), name
-
-
-@pytest.mark.parametrize("group", [[2, 3, 4], [1, 2, 3, 4, 5, 6, 7, 8]])
-def test_energy_is_what_measure_gives_a_part_of_the_chain(group: list[int]):
-    run = simulate(STRUCK, engine=Native(integrator="dop853"), tolerance=1e-10)
-    found = gradient(STRUCK, Energy(group), ["masses"], 1e-7)
-    assert found.value == pytest.approx(shares(run).part(group[0], group[-1])[-1], rel=1e-8)
-
-
-def test_weak_waves_lose_no_digits_of_the_energy():
-    """Of a strike weaker by 1e10 all energies and derivatives are 1e-20 of those of linear waves."""
-    names = ["masses", "contact_constants", "top_load"]
-    values = [
-        at_step(STRUCK.replace(excitation=Impulse(velocity=v)), Energy([2, 3]), names, SPLITTINGS["rkn6"], 1e-7)
-        for v in (1e-9, 1e-19)
-    ]
-    assert values[1][0] == pytest.approx(1e-20 * values[0][0], rel=1e-6)
-    for name in names:
-        np.testing.assert_allclose(values[1][1][name], 1e-20 * values[0][1][name], rtol=1e-5)
-
-
-def test_a_wall_that_moves_is_not_looked_at():
-    scene = acted("sine of the wall")
-    for objective in (PeakForce(0), Energy([1, 2])):
-        with pytest.raises(InputError, match="wall that moves"):
-            gradient(scene, objective, ["masses"])
-    with pytest.raises(InputError, match="grain 1 is driven"):
-        gradient(scene, DriveWork(), ["masses"])
-    assert gradient(scene, Energy([2, 3]), ["masses"], 1e-3).value > 0
-
-
-@pytest.mark.parametrize("case", ["peak force", "energy", "arrival", "work"])
-def test_error_estimates_cover_the_errors(case: str):
-    scene, objective = OBJECTIVES[case]
-    names = ["masses", "contact_constants", "diameters"]
-    true = gradient(scene, objective, names, 1e-10, integrator="rkn6")
-    for tolerance in (1e-3, 1e-5, 1e-7):
-        found = gradient(scene, objective, names, tolerance)
-        assert found.error <= tolerance
-        for name in names:
-            off = np.abs(found[name] - true[name]).max()
-            assert off <= found.errors[name] + true.errors[name]
-        assert abs(found.value - true.value) <= found.value_error + true.value_error
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(40))
 def test_error_estimates_cover_the_errors_of_random_scenes(seed: int):
@@ -373,40 +268,3 @@ def test_error_estimates_cover_the_errors_of_random_scenes(seed: int):
     for name in names:
         assert np.abs(found[name] - true[name]).max() <= found.errors[name] + true.errors[name], name
     assert abs(found.value - true.value) <= found.value_error + true.value_error
-
-
-def test_a_peak_is_a_peak():
-    found = gradient(STRUCK, PeakForce(3, sharpness=1000), ["top_load"], 1e-4)
-    dense = STRUCK.replace(samples=4001)
-    run = DifferentiableRun(dense, SPLITTINGS["rkn6"], 1e-8, 4000, np.arange(1, 9))
-    contacts = dense.chain.contacts
-    force = contacts.force_at(contacts.overlap + contacts.closer(run.displacement))[:, 3]
-    assert found.value == pytest.approx(force.max(), rel=1e-3)
-    assert found.value < force.max()
-
-
-def test_checkpoints_change_nothing(monkeypatch: pytest.MonkeyPatch):
-    method, names = SPLITTINGS["rkn4"], ["masses", "contact_constants"]
-    _, whole, run = at_step(STRUCK, PeakForce(3), names, method, 2e-8)
-    monkeypatch.setattr("lmpchain.integrators.adjoint.ROOM", 0)
-    _, parts, again = at_step(STRUCK, PeakForce(3), names, method, 2e-8)
-    assert len(again._pieces[0]) > len(run._pieces[0])
-    for name in names:
-        np.testing.assert_allclose(parts[name], whole[name], rtol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("name", "change"),
-    [
-        ("mass", {}),
-        ("top_load", {"top_load": 0.0, "gravity": 0.0}),
-        ("wall_constants", {"bottom": "fixed"}),
-        ("amplitude", {}),
-        ("drive", {}),
-    ],
-)
-def test_what_has_no_derivative_is_refused_by_name(name: str, change: dict[str, Any]):
-    with pytest.raises(InputError) as error:
-        gradient(STRUCK.replace(chain=STRUCK.chain.replace(**change)), PeakForce(3), [name])
-    assert name in str(error.value)
-    assert "\n" not in str(error.value)
