@@ -137,8 +137,8 @@ def optimise(
     """Return the scene that makes an objective least, or largest.
 
     SciPy's L-BFGS-B, or SLSQP where there are constraints, goes down from the scene itself and from points of a Latin
-    hypercube, by exact gradients of runs with rkn4. One start comes after another: of a run with gradients of 100 grains
-    the compiled loops take a quarter, so that a batch of starts, or a thread for each, would gain little.
+    hypercube, by exact gradients of runs with rkn4. One start comes after another: the compiled loops take a quarter of
+    a run with gradients of 100 grains, so that a batch of starts, or a thread for each, would gain little.
 
     Parameters
     ----------
