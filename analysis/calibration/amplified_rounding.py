@@ -6,7 +6,7 @@ they are held against the Taylor series in extended precision. GROWN, STEADY and
 what all of them need if the other parts were nothing. NEAR_ROUNDOFF, SHORT and GROWTH say which runs need no SHARED:
 they are supported from the least that leaves out none, or one in a hundred, of the runs that do. COARSE and LONGER: the
 growth of a small change in the coarse runs against that in two Taylor series; a value is supported if nine in ten are
-above a third of it.
+above a third of it, as is how many DRAWS there are. SCATTER: the true error of such runs over a last digit grown.
 
     python analysis/calibration/amplified_rounding.py           # three minutes
     python analysis/calibration/amplified_rounding.py --quick   # seconds
@@ -26,9 +26,18 @@ from scenes import drawn
 from lmpchain import Scene
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines import amplification, error_estimate
-from lmpchain.engines.amplification import COARSE, LAST_DIGIT, LONGER, amplified_digit, perturbed
+from lmpchain.engines.amplification import COARSE, DRAWS, LAST_DIGIT, LONGER, amplified_digit, perturbed
 from lmpchain.engines.base import Candidate
-from lmpchain.engines.error_estimate import CLOSE_TO_OPENING, GROWN, GROWTH, NEAR_ROUNDOFF, SHARED, SHORT, STEADY
+from lmpchain.engines.error_estimate import (
+    CLOSE_TO_OPENING,
+    GROWN,
+    GROWTH,
+    NEAR_ROUNDOFF,
+    SCATTER,
+    SHARED,
+    SHORT,
+    STEADY,
+)
 from lmpchain.engines.native import Native
 from lmpchain.errors import RunFailed
 from lmpchain.util.arrays import Array
@@ -206,6 +215,28 @@ def coarse(known: list[tuple[Case, float, int]]) -> list[Row]:
     return rows
 
 
+def draws(known: list[tuple[Case, float, int]]) -> Row:
+    """Return the row of how many changes are tried."""
+    every, parts = (*DRAWS, -0.5, 2.0, -2.0), {}
+    for count in range(1, 1 + len(every)):
+        with mock.patch.object(amplification, "DRAWS", every[:count]):
+            ratios = [amplified_digit(case.scene, size(case), steps) / grown for case, grown, steps in known]
+        parts[count] = float(np.mean([ratio > ENOUGH for ratio in ratios]))
+    good = [count for count, part in parts.items() if part >= NINE_IN_TEN] or [len(every)]
+    listed = ", ".join(f"{count}: {100 * part:.0f} %" for count, part in parts.items())
+    says = f"growths above a third of the true one, {len(known)} scenes, by how many changes are tried: {listed}"
+    return Row("DRAWS (how many)", len(DRAWS), min(good), min(good), math.inf, says)
+
+
+def scatter(open_ones: list[Look]) -> Row:
+    """Return the row of SCATTER: the error where steps no longer help, over the grown last digit."""
+    over = [x.shares(0.0) for x in open_ones if x.grown]
+    low, most = quantile(over, ALL_BUT_ONE), max(over, default=math.nan)
+    says = f"error less the law of round-off, over a last digit grown: half {quantile(over, 0.5):.2g}, 99 % {low:.2g}"
+    says += f", all {most:.2g} of {len(over)} runs; bounded by what two runs differ by"
+    return Row("SCATTER", SCATTER, low, low, math.inf, says)
+
+
 def amplifies(scene: Scene) -> bool:
     """Whether grains between walls make much of a last digit, but not all: those ask most of an estimate."""
     if not scene.chain.top == scene.chain.bottom == "wall":
@@ -227,7 +258,8 @@ def main(quick: bool = False) -> list[Row]:
     found = [x for case in cases for x in looks(case)]
     opens, smooth = [x for x in found if x.opens], [x for x in found if not x.opens]
     open_cases = [case for case in cases if case.scene.largest_strain > 1]
-    return [*estimates(opens, smooth), *coarse(growths(open_cases))]
+    known = growths(open_cases)
+    return [*estimates(opens, smooth), scatter(opens), *coarse(known), draws(known)]
 
 
 if __name__ == "__main__":

@@ -147,7 +147,8 @@ def _bursts(count: int) -> Row:
         assert run
         wave = case.scene.excitation.waveform
         assert wave
-        law = EPSILON * (1 + chain.grains * wave.fastest / chain.band_edge)
+        begun = min(1.0, wave.envelope * duration)
+        law = EPSILON / begun**2 * (1 + chain.grains * wave.fastest / chain.band_edge)
         losses.append(max(0.0, case.error(run.motion) - Modes().round_off(case.scene) + CANCELS * law) / law)
     middle, low = quantile(losses, 0.5), quantile(losses, 0.9)
     says = f"bursts on springs, less the rest: half {middle:.2g}, 9 in 10 {low:.2g}, most {max(losses):.2g}"

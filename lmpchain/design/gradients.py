@@ -21,7 +21,8 @@ from .objectives import Objective, Seen
 
 TURN = 0.25  # of the fastest motion between two looks of a dense objective, rad
 HALVINGS = 12
-SAFETY = 3.0  # on the difference of two gradients, where the order of the method may be lost
+# on the difference of two gradients, where the order of the method may be lost
+SAFETY = 3.0  # analysis/calibration/halved_steps.py
 
 
 @dataclass(frozen=True, eq=False)

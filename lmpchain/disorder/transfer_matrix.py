@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 PIECE = 2**16  # grains drawn at a time
-WARM_UP = 0.1  # share of each chain that is passed before counting, where the ratios still know of its top
+# share of each chain that is passed before counting, where the ratios still know of its top
+WARM_UP = 0.1  # analysis/calibration/transfer_matrices.py
 
 
 class Distribution(Protocol):

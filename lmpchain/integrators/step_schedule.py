@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-EVERY, EVERY_STRETCHED = 32, 128  # steps between two samples from which on companions land on each, too
+# steps between two samples from which on companions land on each, too; analysis/calibration/richardson_estimate.py
+EVERY, EVERY_STRETCHED = 32, 128
 
 
 @dataclass(frozen=True)

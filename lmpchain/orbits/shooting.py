@@ -26,7 +26,7 @@ NUDGE = 1e-6  # of a parameter, for the derivative by it
 SHORTER = 0.6  # factor on the steps until their error is below CLOSED
 ROUNDS = 3
 ROUNDED = 4  # residual of half the steps over that of the steps, up to which both are round-off
-SAFETY = 2.0  # on the error that half the steps show
+SAFETY = 2.0  # on the error that half the steps show; analysis/calibration/halved_steps.py
 
 
 class Point(NamedTuple):

@@ -18,6 +18,8 @@ SHOWN = {
     "between_samples": ["RESOLVED", "RESOLVED_BY_DIFFERENCES", "SAFETY (samples)"],
     "chaos_test": ["STALLS", "ATTEMPTS", "ERRATIC", "CHAOS_ERROR"],
     "error_constants": ["rkn4.error_constant", "kahan-li8.error_constant", "dop853.error_constant"],
+    "fit_thresholds": ["STEADY", "NEAR", "WEAK"],
+    "halved_steps": ["SAFETY (orbits)"],
     "linear_model_error": [
         "COLUMN, LINEAR[package][0]",
         "LINEAR[velocity][0]",
@@ -27,7 +29,7 @@ SHOWN = {
         "DOUBT",
     ],
     "linear_openings": ["GRAZES", "FEW (waves)"],
-    "opening_error_factor": ["SAFE_STRAIN", "LONGEST_STEP"],
+    "opening_error_factor": ["SAFE_STRAIN", "LONGEST_STEP"],  # of OPENING_ERROR and the rest quick runs say nothing
     "predictability": ["OPENING", "FLYING", "FEW", "reflection_time: 0.907470, 0.681632"],
     "richardson_estimate": ["SAFETY", "ORDER_AT_OPENINGS", "ORDER_AT_KINKS", "CLOSE_TO_OPENING", "FEWEST"],
     "roundoff": [
@@ -35,6 +37,7 @@ SHOWN = {
         *("ROUNDING", "HEADROOM", "modes.round_off", "chebyshev.round_off"),
     ],
     "stability_limits": ["TRUSTED", "SAFE_STRAIN (pre_run)", "limit: verlet"],
+    "transfer_matrices": ["WARM_UP"],
     "step_refinement": ["refine: 0.7 (aim)", "refine: 16 (most)", "refine: 1.3 (least)", "refine: 2 (least, erratic)"],
 }
 

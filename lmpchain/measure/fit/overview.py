@@ -29,7 +29,8 @@ from .waves import ModeFit as ModeFit
 from .waves import fit_bessel as fit_bessel
 from .waves import fit_modes as fit_modes
 
-WEAK = 0.3  # strike number up to which linear theory is right to about 1 % in peak velocities
+# strike number up to which linear theory is right to about 1 % in peak velocities
+WEAK = 0.3  # analysis/calibration/fit_thresholds.py
 MOST_MODES = 3000  # grains up to which all eigenmodes take seconds only
 
 

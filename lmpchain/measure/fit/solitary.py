@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 EVEN = 1e-9  # relative differences of masses and contacts up to which a chain counts as uniform
 END = 5  # grains at an end, where a wave that comes back meets itself
+# analysis/calibration/fit_thresholds.py
 STEADY = 0.02  # relative scatter of the peak velocities of a wave that does not change
 NEAR = 0.02  # relative differences of speed and width from the exact ones
 
