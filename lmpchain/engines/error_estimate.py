@@ -26,9 +26,9 @@ from ..integrators.step_schedule import StepSchedule
 from ..integrators.stepper import NativeStepper, Stepper
 from ..scene.scene import Scene
 from ..trajectory.record import Block, Cost
-from ..util.arrays import Array
+from ..util.arrays import EPSILON, Array
 from ..util.compilation import clock
-from .amplification import amplified_digit
+from .amplification import LAST_DIGIT, amplified_digit
 from .base import Candidate, ErrorBudget, Run
 from .richardson import extrapolate
 from .round_off import native_floor, plain_loss
@@ -46,7 +46,7 @@ GROWN, STEADY = 300.0, 3.0
 # rounding that all runs share (of the parameters, say), where contacts open, as a multiple of what becomes of a last
 # digit; looked for below that estimate, if it can grow so far: from so much, by less than that exponent a radian
 SHARED, NEAR_ROUNDOFF, SHORT, GROWTH = 1.0, 0.1, 1e-13, 0.05
-SCATTER = 100.0  # multiple of that by which two runs may differ for rounding alone
+SCATTER = 10.0  # multiple of that, and of the walk of rounding, by which two runs may differ for rounding alone
 # analysis/calibration/richardson_estimate.py
 CLOSE_TO_OPENING = -0.5  # r / eps below which a contact's force is no longer a smooth function of time
 # order assumed in the Richardson estimate after adaptive steps through an opening, where differences scatter
@@ -98,7 +98,7 @@ class CompanionRun(Run):
         steps = candidate.steps_per_sample * final
         longer: list[float] = [ratio for ratio in (2, 4) if ratio * reach <= method.stability_limit and steps >= FEWEST]
         self._finer = not longer
-        stretched = candidate.adaptive and method.adaptive == "error"
+        self._stretched = stretched = candidate.adaptive and method.adaptive == "error"  # samples cut some of its steps
         scatters = [bool(longer) and candidate.adaptive and _comes_back(scene) for scene in scenes]
         self._scatters = np.array(scatters)
         if any(scatters):
@@ -261,7 +261,8 @@ class CompanionRun(Run):
                 roundoff += rounding[real]
             elif opens and truncation + roundoff < min(NEAR_ROUNDOFF, SHORT * math.exp(min(GROWTH * radians, 99))):
                 grown = SHARED * self._grown(real, peaks[real])
-                truncation = max(truncation, min(most, SCATTER * grown))
+                walk = max(1.0, EPSILON / LAST_DIGIT * math.sqrt(taken * self.method.evaluations))
+                truncation = max(truncation, min(most, SCATTER * walk * grown))
                 roundoff += grown
             found.append(ErrorBudget(truncation, roundoff, smooth, every[real], time))
         return found
@@ -280,7 +281,7 @@ class CompanionRun(Run):
             these = (opening == opens) & (even == smooth)
             if these.any():
                 coarse = steps[1, these] if len(steps) - self._scatters.any() > 1 else None
-                trusted = at_openings if opens else order
+                trusted = at_openings if opens else order - self._stretched
                 found[these] = extrapolate(trusted, smooth, coarse, steps[0, these], self._ratios[:2]).max(1)
         return np.where(opening & self._scatters, np.maximum(found, steps[-1].max(1)), found)
 
@@ -325,7 +326,8 @@ class CompanionRun(Run):
 def _comes_back(scene: Scene) -> bool:
     """Whether contacts may open again and again: by reflections, or under what acts all the time."""
     crossed = 1 if scene.excitation.does_work else scene.chain.grains
-    return scene.largest_strain > 1 and scene.highest_frequency * scene.duration > COMES_BACK * crossed
+    near = min(scene.largest_strain, scene.linear_strain) > -CLOSE_TO_OPENING
+    return near and scene.highest_frequency * scene.duration > COMES_BACK * crossed
 
 
 def _block(steppers: int, realisations: int, grains: int, samples: int, together: int) -> int:

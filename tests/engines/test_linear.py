@@ -298,3 +298,17 @@ def test_a_solution_that_does_not_fit_into_memory_at_once(engine, monkeypatch):
     pieces = simulate(scene, engine, 0.9)
     assert relative_error(pieces.displacement, pieces.velocity, whole.displacement, whole.velocity) < 1e-13
     assert pieces.error_estimate.model == pytest.approx(whole.error_estimate.model, rel=1e-9, abs=0)
+
+
+@pytest.mark.parametrize("grains", [2, 3, 5])
+@pytest.mark.parametrize("frequency", [0.3, 3.0])
+def test_a_wall_that_moves_drives_the_first_grain_too(grains, frequency):
+    """What is left out is known to a factor of three, also where one grain alone is free."""
+    chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-3, top="wall")
+    drive = Drive(
+        amplitude=1e-6 * chain.length_scale, frequency=frequency * chain.band_edge / (2 * np.pi), cycles=5, grain=0
+    )
+    scene = Scene(chain=chain, excitation=drive, duration=200 * chain.time_scale, samples=1001)
+    answer, exact = simulate(scene, "modes"), simulate(scene, "native", 1e-11, integrator="dop853")
+    left_out = relative_error(answer.displacement, answer.velocity, exact.displacement, exact.velocity)
+    assert left_out < 3 * answer.error_estimate.total

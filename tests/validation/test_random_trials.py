@@ -107,6 +107,9 @@ def test_a_few_trials(family):
         ("native", 2000441),  # rounding makes 1e-5: what a last digit becomes was looked for below 1e-6 only
         ("auto", 2001443),  # runs at h and 2h agree to 1e-4 by chance, both are off by 0.014
         ("acted", 2000404),  # 58 openings under a motion by points: errors scatter
+        ("acted", 2000790),  # a wall that moves drives all grains, the first one, too
+        ("native", 2000109),  # samples cut steps of dop853: runs at 2h are worse by less than 2^8
+        ("native", 3000080),  # 2e7 steps of verlet: their rounding makes 1e-6
         ("native", 101540),  # here the reference was wrong: two solutions left out the same opening
     ],
 )

@@ -42,7 +42,8 @@ class Resonance:
         (2,) array
             m and m/s.
         """
-        if self._scene.chain.grains > FEW or self._scene.chain.exponent == 1 or time <= 0:
+        chain, driven = self._scene.chain, self._scene.excitation.driven
+        if not driven < chain.movable <= chain.grains <= FEW or chain.exponent == 1 or time <= 0:
             return np.zeros(2)
         shape, frequency, force, missed = self._answers
         grown = (force * np.minimum(time, 2 / np.maximum(missed, 1 / time)) / (2 * frequency)) ** 2  # (P, M)
@@ -54,7 +55,7 @@ class Resonance:
         from ...theory.modes import between
 
         chain, drive = self._scene.chain, self._scene.drive
-        first, last = (1 if drive else 0), chain.movable
+        first, last = self._scene.excitation.driven, chain.movable  # a wall that moves leaves all grains free
         here, contacts = slice(first, last + 1), chain.contacts
         modes = between(contacts.stiffness[here], chain.masses[first:last])
         squeezed = -np.diff(modes.shape, axis=0, prepend=0.0, append=0.0)  # contacts by modes
