@@ -6,7 +6,8 @@ they are held against the Taylor series in extended precision. GROWN, STEADY and
 what all of them need if the other parts were nothing. NEAR_ROUNDOFF, SHORT and GROWTH say which runs need no SHARED:
 they are supported from the least that leaves out none, or one in a hundred, of the runs that do. COARSE and LONGER: the
 growth of a small change in the coarse runs against that in two Taylor series; a value is supported if nine in ten are
-above a third of it, as is how many DRAWS there are. SCATTER: the true error of such runs over a last digit grown.
+above a third of it, as is how many DRAWS there are. SCATTER: the true error of such runs over a last digit grown, times
+the last digits that rounding walks.
 
     python analysis/calibration/amplified_rounding.py           # three minutes
     python analysis/calibration/amplified_rounding.py --quick   # seconds
@@ -26,7 +27,7 @@ from scenes import drawn
 from lmpchain import Scene
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines import amplification, error_estimate
-from lmpchain.engines.amplification import COARSE, DRAWS, LAST_DIGIT, LONGER, amplified_digit, perturbed
+from lmpchain.engines.amplification import COARSE, DRAWS, LAST_DIGIT, LONGER, amplified_digit, perturbed, walked
 from lmpchain.engines.base import Candidate
 from lmpchain.engines.error_estimate import (
     CLOSE_TO_OPENING,
@@ -62,12 +63,15 @@ class Look:
         Largest from the companion at 2h.
     floor : float
         The law of round-off, without SHARED.
+    walk : float
+        Last digits that rounding walks.
     """
 
     true: float
     extrapolated: float
     difference: float
     floor: float
+    walk: float
     grown: float
     radians: float
     opens: bool
@@ -123,7 +127,16 @@ def look(case: Case, engine: Native, candidate: Candidate) -> Look | None:
     opens, radians = run.lowest <= CLOSE_TO_OPENING, case.scene.highest_frequency * case.scene.duration
     true = float((np.abs(run.motion - case.motion).max((1, 2)) / size(case)).max())
     grown = amplified_digit(case.scene, size(case), run.steps) if opens else 0.0
-    return Look(true, run.error.truncation, run.differences[0], run.error.roundoff, grown, radians, opens)
+    return Look(
+        true,
+        run.error.truncation,
+        run.differences[0],
+        run.error.roundoff,
+        walked(run.evaluations),
+        grown,
+        radians,
+        opens,
+    )
 
 
 def _factor(name: str, shipped: float, needs: list[tuple[float, float]], made: list[float], what: str) -> Row:
@@ -229,11 +242,11 @@ def draws(known: list[tuple[Case, float, int]]) -> Row:
 
 
 def scatter(open_ones: list[Look]) -> Row:
-    """Return the row of SCATTER: the error where steps no longer help, over the grown last digit."""
-    over = [x.shares(0.0) for x in open_ones if x.grown]
+    """Return the row of SCATTER: the error where steps no longer help, over the grown last digits of the walk."""
+    over = [x.shares(0.0) / x.walk for x in open_ones if x.grown]
     low, most = quantile(over, ALL_BUT_ONE), max(over, default=math.nan)
-    says = f"error less the law of round-off, over a last digit grown: half {quantile(over, 0.5):.2g}, 99 % {low:.2g}"
-    says += f", all {most:.2g} of {len(over)} runs; bounded by what two runs differ by"
+    says = f"error less the law of round-off, over the grown last digits of a walk: half {quantile(over, 0.5):.2g}"
+    says += f", 99 % {low:.2g}, all {most:.2g} of {len(over)} runs; bounded by what two runs differ by"
     return Row("SCATTER", SCATTER, low, low, math.inf, says)
 
 

@@ -13,7 +13,7 @@ from ..integrators.stepper import NativeStepper
 from ..scene.base import Excitation
 from ..scene.excitation import Profile
 from ..scene.scene import Scene
-from ..util.arrays import Array
+from ..util.arrays import EPSILON, Array
 
 LAST_DIGIT = 1e-15  # of the largest velocity: a few units in the last place of a double
 # analysis/calibration/amplified_rounding.py
@@ -40,6 +40,11 @@ def perturbed(scene: Scene, change: float) -> Scene:
         moved += change * np.abs(moved).max() * turns
         excitation = Profile(displacement=u, velocity=v)
     return scene.replace(excitation=excitation)
+
+
+def walked(evaluations: float) -> float:
+    """Return how many last digits the rounding of so many evaluations of the force walks, at least one."""
+    return max(1.0, EPSILON / LAST_DIGIT * math.sqrt(evaluations))
 
 
 def amplified_digit(scene: Scene, largest: Array, steps_made: float) -> float:

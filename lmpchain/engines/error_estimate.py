@@ -26,9 +26,9 @@ from ..integrators.step_schedule import StepSchedule
 from ..integrators.stepper import NativeStepper, Stepper
 from ..scene.scene import Scene
 from ..trajectory.record import Block, Cost
-from ..util.arrays import EPSILON, Array
+from ..util.arrays import Array
 from ..util.compilation import clock
-from .amplification import LAST_DIGIT, amplified_digit
+from .amplification import amplified_digit, walked
 from .base import Candidate, ErrorBudget, Run
 from .richardson import extrapolate
 from .round_off import native_floor, plain_loss
@@ -261,8 +261,7 @@ class CompanionRun(Run):
                 roundoff += rounding[real]
             elif opens and truncation + roundoff < min(NEAR_ROUNDOFF, SHORT * math.exp(min(GROWTH * radians, 99))):
                 grown = SHARED * self._grown(real, peaks[real])
-                walk = max(1.0, EPSILON / LAST_DIGIT * math.sqrt(taken * self.method.evaluations))
-                truncation = max(truncation, min(most, SCATTER * walk * grown))
+                truncation = max(truncation, min(most, SCATTER * walked(taken * self.method.evaluations) * grown))
                 roundoff += grown
             found.append(ErrorBudget(truncation, roundoff, smooth, every[real], time))
         return found

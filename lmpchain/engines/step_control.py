@@ -19,9 +19,9 @@ from ..errors import RunFailed, ToleranceNotMet
 from ..integrators.methods import METHODS
 from ..scene.scene import Scene
 from ..trajectory.record import Cost
-from ..util.arrays import EPSILON, Array
+from ..util.arrays import Array
 from ..util.compilation import clock, compiled_s
-from .amplification import COARSE, LAST_DIGIT
+from .amplification import COARSE, LAST_DIGIT, walked
 from .base import Candidate, Engine, ErrorBudget, Run
 from .perturbation import divergence
 
@@ -270,7 +270,7 @@ def _ulps(scene: Scene, attempt: Attempt) -> float:
     candidate = attempt.candidate
     steps = candidate.steps_per_sample * (scene.samples - 1)
     evaluations = METHODS[candidate.integrator].evaluations if candidate.integrator else 0
-    return max(ROUNDING_ULPS, EPSILON / LAST_DIGIT * math.sqrt(steps * evaluations))
+    return max(ROUNDING_ULPS, walked(steps * evaluations))
 
 
 def _chaotic(scene: Scene, error: ErrorBudget, attempt: Attempt) -> str:
