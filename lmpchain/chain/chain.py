@@ -96,7 +96,7 @@ class Chain(AtRest, Checked):
             yield "bottom", 'must be "fixed" or "wall" under gravity or a top load: a free chain would fall'
         for key in (small := [key for key in LEAST if 0 < getattr(self, key) < LEAST[key]]):
             yield key, f"must be 0, or at least {LEAST[key]:g} in SI units: below, squares of overlaps underflow"
-        if wrong or small or self._leave_open().plainly_below(LARGEST_OVERLAP):
+        if wrong or small or self._leave_open().squeezed_at_most <= LARGEST_OVERLAP:
             return
         weights = self.grains, self.top_load, self.gravity, self.exponent
         if self._alike and (least := least_squeezed(self._kinds, *weights)) > LARGEST_OVERLAP:
@@ -112,7 +112,7 @@ class Chain(AtRest, Checked):
             yield "diameter", too_squeezed(f"contact {worst} is compressed by {relative[worst]:.2g}")
 
     def _remarks(self) -> Iterator[str]:
-        plain = self.exponent != 1.5 or self.plainly_below(HERTZ_OVERLAP)
+        plain = self.exponent != 1.5 or self.squeezed_at_most <= HERTZ_OVERLAP
         yield from remarks(self.diameter, 0.0 if plain else (self.contacts.overlap / self.contact_lengths).max())
 
     def _misfits(self) -> Iterator[tuple[str, str]]:
@@ -168,26 +168,21 @@ class Chain(AtRest, Checked):
         """Plane-strain modulus, diameter and mass of a common grain and of every impurity, (3, I+1)."""
         return kinds(self.material, self.diameter, self.impurity)
 
-    def plainly_below(self, limit: float) -> bool:
-        """Sufficient O(1) check that no contact is squeezed to more of the diameter at rest."""
-        return self._squeezed_at_most <= limit
-
     @cached_property
-    def _squeezed_at_most(self) -> float:
-        """A bound on overlap over diameter of every contact at rest; infinite where only arrays can tell."""
+    def squeezed_at_most(self) -> float:
+        """Bound on overlap over diameter at rest of every contact; infinite where only arrays can tell."""
         if not self._alike or "wall_constants" in self.model_fields_set:
             return np.inf
         modulus, d, mass = self._kinds
-        both: list[Any] = [self.top_material, self.bottom_material]
-        if any(both):
-            modulus = np.append(modulus, [wall.plane_strain_modulus for wall in both if wall])
+        both: list[Any] = [wall for wall in (self.top_material, self.bottom_material) if wall]
+        modulus = np.append(modulus, [wall.plane_strain_modulus for wall in both]) if both else modulus
         length = d ** (1.5 - self.exponent)
         with np.errstate(all="ignore"):  # what is not finite here is looked at more closely
             softest = 4 / 3 * modulus.min() / 2 * np.sqrt(d.min() / 4) * length.min()
             hardest = 4 / 3 * modulus.max() / 2 * np.sqrt(d.max() / 2) * length.max()
             load = self.top_load + self.gravity * (self.grains * mass[0] + mass[1:].sum())
-            overlap = (load / softest) ** (1 / self.exponent)
-            largest = self.exponent * hardest * overlap ** (self.exponent - 1) / mass.min()
+            overlap = Contacts(softest, load, self.exponent).overlap
+            largest = Contacts(hardest, load, self.exponent).stiffness_at(overlap) / mass.min()
             return float(overlap / d.min()) if softest > 0 and 2 * largest < HARDEST else np.inf
 
     def by_grain(self, prop: str) -> Array:

@@ -94,7 +94,7 @@ class ChainBatch:
 
     @cached_property
     def acted(self) -> NDArray[Any]:
-        """The first and the last body that is acted on after t = 0, (R, 2); if none is, the last before the first."""
+        """First and last body that is acted on after t = 0, (R, 2), the other way round if none is."""
         reach = (scene.excitation.reach(scene.chain) if self.imposed else (self.grains, 1) for scene in self._struck)
         return self._of_each(reach) + (PAD - 1)
 
@@ -106,7 +106,7 @@ class ChainBatch:
 
     @cached_property
     def window(self) -> tuple[Array, Array]:
-        """Where the window of each chain begins and ends at t = 0, (R,) each: at the lines that hold what moves.
+        """Where the window of each chain begins and ends at t = 0, (R,) each: around what moves.
 
         A short chain is computed as a whole.
         """

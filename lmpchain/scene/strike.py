@@ -54,7 +54,7 @@ def strike_number(chain: Chain, excitation: Excitation, contacts: Contacts, mass
 
 
 def largest_strain(contacts: Contacts, energy: Array) -> Array:
-    """Return `Scene.largest_strain`, (...), of chains with these contacts, which hold this energy, (...) J."""
+    """Return `Scene.largest_strain`, (...), of chains with these contacts and energies, (...) J."""
     energy = np.asarray(energy)
     if not (contacts.pressed == contacts.exists).all():
         return np.full(energy.shape, np.inf)

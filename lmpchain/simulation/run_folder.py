@@ -146,7 +146,8 @@ class RunFolder:
                 self.task = tasks.read(self.path, self._ranks)
                 self._find()
                 with suppress(InputError, LookupError):  # what the sessions before did after their last checkpoint
-                    self._before["wall_s"] = max(self._before["wall_s"], float(status(self.path)["wall_s"]))
+                    wall_s = float(status(self.path)["wall_s"])
+                    self._before["wall_s"] = max(self._before["wall_s"], wall_s if math.isfinite(wall_s) else 0.0)
                 self._say("running")
         except BaseException:
             self._lock.release()
@@ -304,6 +305,8 @@ def _attempt(notes: Mapping[str, Any], spent: Mapping[str, float]) -> Attempt:
             raise ValueError("it has no steps")
         if known.keys() != spent.keys() or attempt.engine not in engines.names():
             raise ValueError("it is not of this version")
+        if not all(0 <= value < math.inf for value in known.values()):
+            raise ValueError("it took no time that there is")
     except (ValidationError, TypeError, ValueError, LookupError):
         cure = "go on with that one, or run the scene anew"
         raise InputError(

@@ -101,11 +101,7 @@ class Sweep:
 
     def place(self, number: int) -> Place:
         """Return the place of a scene; the last axis is the fastest."""
-        place = []
-        for length in reversed(self.shape):
-            number, index = divmod(number, length)
-            place.append(index)
-        return tuple(reversed(place))
+        return tuple(int(index) for index in np.unravel_index(number, self.shape))
 
     def key(self, number: int) -> bytes:
         """Return a hash of all that shapes the answer to one scene, and of what is kept of it."""
@@ -212,13 +208,13 @@ def _scene(text: str, folder: Path) -> Scene:
 
 def _digests(tables: Mapping[str, Any], swept: Sequence[Axis], folder: Path) -> dict[str, str]:
     """Return the hashes of the CSV files; one that cannot be read is reported with its scene."""
-    names = {table.get("file") for table in tables.values() if isinstance(table, dict)}
+    names = [table.get("file") for table in tables.values() if isinstance(table, dict)]
     for axis in swept:
         for key, values in axis.columns.items():
             if key.endswith(".file"):
-                names.update(value for value in values if isinstance(value, str))
+                names.extend(values)
     found = {}
-    for name in sorted(name for name in names if isinstance(name, str)):
+    for name in sorted({name for name in names if isinstance(name, str)}):
         try:
             check_readable(folder / name, LARGEST_TABLE)
             with open(folder / name, "rb") as opened:

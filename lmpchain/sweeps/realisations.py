@@ -157,7 +157,7 @@ def _sound(parts: Mapping[str, Any], drawn: bool) -> np.ndarray:
 
 
 def _pattern(chain: Chain, parts: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fields that all chains have in common, those of which are given, and what all scenes share."""
+    """Return the fields that all chains share, those of them that are given, and what all scenes share."""
     fields = {key: value for key, value in chain.given().items() if key != "impurity"}
     fields |= {"masses": parts["masses"][0], "contact_constants": parts["between"][0]}
     if chain.impurity or "diameter" in parts["given"]:

@@ -227,7 +227,10 @@ def read_frames(
         with _open(path) as opened:
             for body in _whole_frames(opened, grains):
                 frames.pop(int(body[0]), None)
-                frames[int(body[0])] = _sorted(np.loadtxt(body[HEADER - 1 :], usecols=places, ndmin=2, comments=None))
+                atoms = np.loadtxt(body[HEADER - 1 :], usecols=places, ndmin=2, comments=None)
+                if len(atoms) != grains:
+                    raise ValueError(f"an atom has no line at step {int(body[0])}")
+                frames[int(body[0])] = _sorted(atoms)
                 if len(frames) > most:
                     raise ValueError(f"it has more than {most} frames")
     except (ValueError, OverflowError, OSError, EOFError, zlib.error) as error:

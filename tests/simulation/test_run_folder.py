@@ -306,6 +306,19 @@ def test_one_process_at_a_time(tmp_path: Path):
     assert resume(folder).velocity.shape == (301, 3)
 
 
+@pytest.mark.parametrize("said", ["Infinity", "NaN", "-1e999"])
+def test_a_time_that_there_is_not(said: str, tmp_path: Path):
+    """What a status says has been spent, if it is no time, is not counted, and does not end the run."""
+    with pytest.raises(Stopped):
+        simulate(SCENE, "native", folder=tmp_path, max_wall=1e-9)
+    path = tmp_path / "status.json"
+    path.write_text(
+        json.dumps(json.loads(path.read_text()) | {"wall_s": 0}).replace('"wall_s": 0', f'"wall_s": {said}')
+    )
+    assert resume(tmp_path).velocity.shape == (301, 3)
+    assert status(tmp_path)["wall_s"] > 0
+
+
 def test_in_another_thread(tmp_path: Path):
     """Where no signals can be waited for, as in a worker."""
     worker = threading.Thread(target=lambda: simulate(SCENE, "native", folder=tmp_path / "run"))

@@ -434,6 +434,12 @@ def test_scenes_that_fail_are_recorded_and_the_rest_goes_on(tmp_path, capfd):
     assert contents(tmp_path / "out") == before
 
 
+def test_a_file_that_is_no_name():
+    tables = {"scene": {"chain": {"grains": 5, "diameter": 1e-3}, "excitation": {"kind": "profile", "file": ["a.csv"]}}}
+    with pytest.raises(InputError, match="file"):
+        list(read(tables | {"keep": ["peak_velocity"], "grid": {"chain.gravity": [1.0, 2.0]}}).trials())
+
+
 def test_folders_that_are_no_sweeps(tmp_path):
     with pytest.raises(InputError, match="holds no sweep"):
         load_sweep(tmp_path)

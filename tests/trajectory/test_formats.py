@@ -318,6 +318,10 @@ def test_dumps_of_runs_that_were_started_again(upright: Path, tmp_path: Path):
         path.write_text("".join([*frames[:kept], frames[kept].replace("\n12\n", "\n11\n", 1), *frames[kept + 1 :]]))
         with pytest.raises(InputError, match="number of atoms changes"):
             Trajectory.from_dump(path, OWN)
+        lines = frames[kept].splitlines(keepends=True)
+        path.write_text("".join([*frames[:kept], *lines[:-1], "\n", *frames[kept + 1 :]]))
+        with pytest.raises(InputError, match="an atom has no line at step"):
+            Trajectory.from_dump(path, OWN)
     path.write_text("".join(frames[:5] + frames[6:]))
     with pytest.raises(InputError, match="has 10 whole frames"):
         Trajectory.from_dump(path, OWN)

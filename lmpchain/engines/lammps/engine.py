@@ -265,7 +265,7 @@ class Lammps(TimeSteppingEngine):
         diameter = "physical" if driven else candidate.choices["diameter"]
         try:
             alone = Lammps(self.integrator if same else "verlet", step, diameter, self.pair_style)
-            alone.write_deck(scene, tolerance, make_folder(folder / DECK))
+            alone.write_deck(scene, tolerance, folder / DECK)
         except LmpchainError as error:
             warnings.warn(f"{folder}: there is no deck: {error}", stacklevel=2)
 
@@ -277,6 +277,7 @@ class Lammps(TimeSteppingEngine):
         candidate, _, refusal = loosened(partial(self.candidate, self.part(scene)), tolerance)
         remark = f"the tolerance of {tolerance:.1g} is out of reach: {refusal}" if refusal else ""
         column = self.column(scene, candidate, remark)
+        make_folder(folder)
         deck.write_data(column, folder / "column.data")
         return deck.write_deck(column, folder, candidate.step, self.splitting)
 

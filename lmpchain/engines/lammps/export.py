@@ -7,7 +7,6 @@ from pathlib import Path
 
 from ...errors import InputError, check_tolerance
 from ...scene.scene import Scene
-from ...util.files import make_folder
 from . import deck
 from .engine import Lammps
 
@@ -53,4 +52,4 @@ def write_deck(
     deck.check_carried(engine.splitting, "integrator")
     if reasons := engine.refuses(scene):
         raise InputError(reasons)
-    return engine.write_deck(scene, tolerance, make_folder(folder))
+    return engine.write_deck(scene, tolerance, Path(folder))

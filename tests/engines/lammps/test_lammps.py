@@ -107,6 +107,9 @@ def test_deck_says_what_was_chosen_and_why(tmp_path):
     assert "physical diameter:" in text
     with pytest.raises(InputError, match="cannot carry the kicks"):
         write_deck(small(), tmp_path, integrator="rkn6")
+    with pytest.raises(InputError, match=r"duration: would take some .* years"):
+        write_deck(small().replace(duration=1e8), tmp_path / "refused", step=1e-7)
+    assert not (tmp_path / "refused").exists()
 
 
 def test_pair_styles_agree():
