@@ -60,14 +60,7 @@ def test_a_signal_stops_at_the_next_block(case: str, number: int, code: int, tmp
     until(lambda: not processes(mark))  # no rank is left behind
     code, said = finish("resume", folder, "--max-wall", "0.01", ranks=ranks)
     assert code == 75, said
-    done = status(folder)["samples_done"]
-    assert done >= kept["samples_done"]
-    process = start("resume", folder, ranks=ranks)
-    try:
-        at_work(folder, process, done + 1)
-    finally:
-        process.terminate()
-        assert ended(process)[0] == 143
+    assert status(folder)["samples_done"] > kept["samples_done"]
 
 
 @pytest.mark.slow
