@@ -8,6 +8,8 @@ import sys
 import pytest
 
 os.environ["MPLBACKEND"] = "agg"  # no test opens a window
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # some hundred processes load what is tested
+sys.dont_write_bytecode = False
 
 
 @pytest.fixture(autouse=True)

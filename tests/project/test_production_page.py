@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from helpers.child_processes import PATIENCE, at_work, same, until
 
-from lmpchain import Chain, Impulse, Scene, Trajectory, load_sweep, simulate
+from lmpchain import Chain, Impulse, Profile, Scene, Trajectory, load_sweep, simulate
 from lmpchain.simulation.run_folder import status
 from lmpchain.util import mpi
 
@@ -26,13 +26,16 @@ COMMANDS = "".join(re.findall(r"^```sh\n(.*?)^```$", PAGE, re.DOTALL | re.MULTIL
 CORES = sorted(os.sched_getaffinity(0))[:2]  # no more, so that what is to be stopped lasts
 PROGRAMS = "lmpchain|mpiexec|mpirun|srun|sbatch|dask"
 
-CHAIN = Chain(grains=200, diameter=1e-3)
 STRIKE = Impulse(velocity=1e-5)
+STIRRED = Profile(velocity=np.append(1e-5 * np.random.default_rng(1).normal(size=3999), 0.0))
 SHORT = Scene(chain=Chain(grains=30, diameter=1e-3), excitation=STRIKE, duration=4e-5, samples=101)
-# where the page stops something, it must last
+# where the page stops something, it must last: by long steps, for ranks wait for each other at every one
+MOVING = Scene(
+    chain=Chain(grains=4000, diameter=1e-3), excitation=STIRRED, duration=2e-4, samples=901, grains=range(1, 101)
+)
 LASTING = {
-    "-o run/": Scene(chain=CHAIN, excitation=STRIKE, duration=1.2e-3, samples=10001),
-    "job/": Scene(chain=CHAIN, excitation=STRIKE, duration=1.2e-3, samples=4001),
+    "-o run/": MOVING,
+    "job/": MOVING,
     "sweep.toml": Scene(chain=Chain(grains=60, diameter=1e-3), excitation=STRIKE, duration=1e-4, samples=3001),
 }
 
@@ -40,9 +43,9 @@ STANDING_IN = {
     "mpiexec": f'exec {mpi.launcher()} "$@"',
     "srun": '[ "$1" != -n ] || { SLURM_NTASKS=$2; shift 2; }; exec mpiexec -n "$SLURM_NTASKS" "$@"',
     "date": "echo 1000000",  # so that it is certain how much is left of the time of a job
-    # the first job has two seconds beyond those that the job script spares, the others have enough
+    # the first job has a second beyond those that the job script spares, the others have enough
     "sbatch": """
-export SLURM_NTASKS=2 SLURM_JOB_END_TIME=$([ -e jobs ] && echo 1000900 || echo 1000302)
+export SLURM_NTASKS=2 SLURM_JOB_END_TIME=$([ -e jobs ] && echo 1000900 || echo 1000301)
 for option; do case $option in --*) shift;; *) break;; esac; done
 code=0; bash "$@" || code=$?
 echo $code >> jobs""",
