@@ -56,8 +56,9 @@ class Front(Shown):
 
     @property
     def speed(self) -> Array:
-        """Local speed, (P,) m/s, negative upward, from neighbouring grains; undefined beside a source."""
-        return 1 / self._slowness(self.depth)
+        """Local speed, (P,) m/s, from neighbouring grains: negative upward, infinite where they peak at once."""
+        with np.errstate(divide="ignore"):
+            return 1 / self._slowness(self.depth)
 
     @property
     def grains_per_second(self) -> Array:

@@ -287,6 +287,14 @@ def test_excess_energy_between_walls(chain: Chain):
                 assert single[0] == 0
 
 
+def test_excess_energy_of_contacts_that_rest():
+    """Of many samples, columns that never move are left out, and the others are what each sample alone gives."""
+    contacts = Chain(grains=9, diameter=1e-3, bottom="wall").contacts
+    r = np.random.default_rng(1).normal(size=(5, 10)) * contacts.overlap[-1]
+    r[:, [0, 4, 8, 9]] = 0.0
+    assert np.array_equal(contacts.energy(r), [contacts.energy(row) for row in r])
+
+
 def test_excess_energy_in_the_vacuum():
     chain = Chain(grains=3, diameter=1e-3, gravity=0.0)
     k = chain.contact_constants[0]

@@ -319,6 +319,15 @@ def test_speed_of_the_front_between_two_grains():
     assert front.grains_per_second == pytest.approx(1)
 
 
+@pytest.mark.filterwarnings("error")
+def test_grains_that_peak_at_once_are_passed_at_no_finite_speed():
+    """As where the motion is round-off: said by the value, not by a warning that names nothing."""
+    one = np.ones(4)
+    at_once = Front("velocity", np.arange(1, 5), np.arange(4.0), np.array([1.0, 1.0, 1.0, 2.0]), *(one,) * 5)
+    assert np.isinf(at_once.speed[:2]).all()
+    assert at_once.against_depth("speed")[0].tolist() == [2.5, 3.5]
+
+
 def test_pictures():
     front = power_law()
     for picture, label, scale in (
