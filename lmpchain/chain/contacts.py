@@ -116,10 +116,9 @@ class Contacts:
 
         It is the integral of K [eps + r]^delta - K eps^delta over r, accurate in relative terms for the weakest waves.
         """
-        moves = r.any(axis=tuple(range(r.ndim - 1))) if r.ndim > 1 else np.ones(r.shape[-1], dtype=bool)
-        if not moves.all():  # most of a long chain is at rest, and powers cost time
+        if np.ndim(r) == 2 and not (moves := r.any(axis=0)).all():  # most of a long chain rests; powers cost time
             held = np.zeros(r.shape)
-            held[..., moves] = self.of(np.flatnonzero(moves)).energy(r[..., moves])
+            held[:, moves] = self.of(np.flatnonzero(moves)).energy(r[:, moves])
             return held
         power = self.exponent + 1
         loose = self.constant / power * np.maximum(r, 0.0) ** power
