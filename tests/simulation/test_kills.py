@@ -99,8 +99,8 @@ def test_a_kill_at_any_change_of_the_disk(
     assert len(begun) > most / 2
     for folder in begun:
         if status(folder)["state"] == "killed" and rng.random() < 0.5:  # the next session is killed, too
-            again = kill_moments(folder, lambda at=folder: resume(at), 1, rng, tmp_path / f"again {folder.name}")
-            folder = again[0]
+            again = kill_moments(folder, lambda at=folder: resume(at), 3, rng, tmp_path / f"again {folder.name}")
+            folder = rng.choice(again)  # there is no copy of a moment at which another thread moved a file
         answer = resume(folder)
         assert same(answer, right), folder
         assert answer.cost.steps == right.cost.steps
