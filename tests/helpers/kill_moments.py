@@ -21,6 +21,7 @@ class Watch:
 
     def __init__(self, folder: Path, wanted: Container[int], into: Path):
         self.count, self.copies, self._folder, self._wanted, self._into = 0, [], folder, wanted, into
+        self._again = False
 
     def __enter__(self) -> Self:
         if not _hooked:
@@ -35,9 +36,11 @@ class Watch:
     def look(self, words: list[str]) -> None:
         """Take note of a change to what these words name."""
         if self._folder.exists() and any(str(self._folder) in word for word in words):
-            if self.count in self._wanted:
-                with suppress(shutil.Error):  # a file that another thread has moved meanwhile
+            if self.count in self._wanted or self._again:
+                self._again = True  # at the next change, if another thread moves a file meanwhile
+                with suppress(shutil.Error):
                     self.copies.append(shutil.copytree(self._folder, self._into / str(self.count)))
+                    self._again = False
             self.count += 1
 
 
