@@ -96,8 +96,9 @@ def _draw_alone(ax: Axes, points: Sequence[tuple[float, float, str]]) -> None:
         errors, costs, names = zip(*same, strict=True)
         for error, cost, name in zip(errors, costs, names, strict=True):
             ax.plot(cost, error, MARKERS.get(name, "x"), color="0.8", mec="k", ms=8, zorder=5)
-        ax.annotate(textwrap.fill(", ".join(names), 20), (max(costs), errors[0]), (8, 0), textcoords="offset points", va="center",
-                    fontsize="small", zorder=6, bbox={"facecolor": "w", "lw": 0, "pad": 1, "alpha": 0.8})  # fmt: skip
+        label = textwrap.fill(", ".join(names), 20)
+        ax.annotate(label, (max(costs), errors[0]), (8, 0), textcoords="offset points", va="center", fontsize="small",
+                    zorder=6, bbox={"facecolor": "w", "lw": 0, "pad": 1, "alpha": 0.8})  # fmt: skip
 
 
 def _draw_bars(ax: Axes, times: Mapping[str, float], styles: Mapping[str, dict[str, Any]]) -> None:
