@@ -90,7 +90,7 @@ class Chain(AtRest, Checked):
     def _faults(self) -> Iterator[tuple[str, str]]:
         wrong = list(self._misfits())
         yield from wrong
-        if self.grains == 1 and "wall" not in (self.top, self.bottom):
+        if self.grains == 1 and (self.bottom == "fixed" or "wall" not in (self.top, self.bottom)):
             yield "grains", 'a single grain that is held, or touches nothing: use bottom = "wall", or more grains'
         if self.bottom == "free" and (self.gravity > 0 or self.top_load > 0):
             yield "bottom", 'must be "fixed" or "wall" under gravity or a top load: a free chain would fall'

@@ -50,6 +50,8 @@ def check(scene: Scene, names: Iterable[str]) -> tuple[str, ...]:
             faults.append((name, "has no derivative in a chain that nothing presses: give it a load or gravity"))
         elif name == "top_load" and chain.top == "wall" and chain.top_load == 0:
             faults.append((name, "has no derivative at 0, where the top wall only touches: give it a load"))
+        elif name == "contact_constants" and chain.grains == 1:
+            faults.append((name, "there is no contact between grains: use wall_constants"))
         elif name == "wall_constants" and not chain.wall_constants.any():
             faults.append((name, 'there is no wall: use top or bottom = "wall"'))
         elif name in ("amplitude", "frequency") and getattr(course, name, None) is None:

@@ -286,7 +286,7 @@ def travel_time(chain: Chain, source: int = 1) -> Array:
         raise InputError([("source", f"grains are numbered 1 to {chain.grains} (got {source})")])
     apart = np.sqrt((chain.masses[1:] + chain.masses[:-1]) / 2 / chain.linear_stiffness)
     time = np.concatenate(([0.0], np.cumsum(apart)))
-    return np.abs(time - time[source - 1]) + (apart[0] / 2 if source == 1 and chain.top == "free" else 0.0)
+    return np.abs(time - time[source - 1]) + (apart[:1].sum() / 2 if source == 1 and chain.top == "free" else 0.0)
 
 
 def space_time(trajectory: Trajectory, field: Field = "velocity", ax: Axes | None = None, law: bool = False) -> Axes:

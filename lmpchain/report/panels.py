@@ -151,7 +151,8 @@ def _decay(run: Trajectory) -> tuple[float | None, str]:
     """Return the power with which the peak velocity of a front falls with depth, and of which wave."""
     chain, given = run.scene.chain, run.scene.excitation
     alike = (
-        np.ptp(chain.masses) < 1e-9 * chain.masses[0]
+        chain.grains > 1
+        and np.ptp(chain.masses) < 1e-9 * chain.masses[0]
         and np.ptp(chain.contact_constants) < 1e-9 * chain.contact_constants[0]
     )
     if not alike or not given.strike_velocity:

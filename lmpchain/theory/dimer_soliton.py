@@ -85,6 +85,7 @@ class DimerSoliton(Shown):
         InputError
             If the chain is no such dimer in a sonic vacuum, or too short.
         """
+        require(("grains", chain.grains > 1, "must be two or more, heavy and light in turn"))
         mass, constant = chain.masses, chain.contact_constants
         heavy = np.arange(chain.grains) % 2 == int(mass[0] < mass[1])
         own = np.where(heavy, mass[heavy][0], self.mass_ratio * mass[heavy][0])

@@ -97,7 +97,10 @@ def transmission(chain: Chain, frequency: ArrayLike) -> Transmission:
     >>> f"{transmission(odd, w).transmitted:.6f}"
     '0.071997'
     """
-    require(("chain", chain.compressed, "carries no force at rest: nothing linear travels without gravity or a load"))
+    require(
+        ("chain", chain.compressed, "carries no force at rest: nothing linear travels without gravity or a load"),
+        ("grains", chain.grains > 1, "must be two or more: the first and the last contact are those of the leads"),
+    )
     return _scatter(chain.masses, chain.linear_stiffness, real(frequency))
 
 

@@ -1,5 +1,6 @@
 """Walls by their constants, chains of one grain, and the wall that mirrors a chain."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -7,7 +8,10 @@ import pytest
 from helpers.independent_integrators import extended_reference, relative_error
 from scipy.integrate import quad
 
-from lmpchain import Chain, Impulse, Profile, Scene, engines, simulate
+from lmpchain import Chain, Impulse, InputError, Profile, Scene, design, engines, simulate
+from lmpchain.measure import fit
+from lmpchain.report.document import write
+from lmpchain.theory import scattering
 
 
 @pytest.mark.parametrize("delta", [1.0, 1.5, 2.2])
@@ -74,6 +78,41 @@ def test_one_grain(name: str, strike: float):
         assert true < 1e-6
         assert t.error_estimate.total > (true - own) / 3
     assert Scene.from_text(scene.to_text()) == scene
+
+
+@pytest.mark.parametrize("end", [{"bottom": "fixed"}, {"bottom": "free", "top": "free"}])
+def test_one_grain_that_cannot_move_or_touches_nothing(end: dict[str, str]):
+    with pytest.raises(InputError, match="grains: a single grain that is held, or touches nothing"):
+        Chain(grains=1, diameter=1e-3, gravity=0.0, **{"top": "wall"} | end)
+
+
+@pytest.mark.parametrize("name", ["under gravity on a wall", "between walls"])
+def test_what_is_measured_of_one_grain(name: str, tmp_path: Path):
+    """The report tells what there is; what takes a wave or two grains is refused in a line."""
+    chain = Chain(grains=1, diameter=1e-3, **LONE[name])
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-5), duration=20 * chain.time_scale, samples=101)
+    run = simulate(scene, "native", 1e-8)
+    write(run, tmp_path / "report.html")
+    assert isinstance(fit.summary(run).rows, tuple | list)
+    refused = {
+        "contact_constants: there is no contact": lambda: design.gradient(
+            scene, design.PeakForce(1), ["contact_constants"]
+        ),
+        "grains: must be two or more": lambda: scattering.transmission(chain, 1e3),
+        "grains: takes a chain of several": lambda: fit.fit_bessel(run),
+    }
+    for message, call in refused.items():
+        with pytest.raises(InputError, match=message):
+            call()
+    found = design.gradient(scene, design.Momentum([1]), ["wall_constants"], tolerance=1e-7)["wall_constants"]
+    walls = np.where(found != 0, chain.wall_constants * 1e-4, 0.0)
+
+    def momentum(sign: int) -> float:
+        k = chain.wall_constants + sign * walls
+        moved = scene.replace(chain=chain.replace(wall_constants=k))
+        return float(chain.masses[0] * simulate(moved, "native", 1e-12).velocity[-1, 0])
+
+    assert found @ walls == pytest.approx((momentum(1) - momentum(-1)) / 2, rel=1e-4)
 
 
 def test_the_bounce_of_one_grain():

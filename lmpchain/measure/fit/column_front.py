@@ -42,7 +42,9 @@ def struck_at_the_top(trajectory: Trajectory) -> float:
         faults.append(("top", "takes a free top, not a wall"))
     if chain.exponent >= 3:
         faults.append(("exponent", "takes one below 3: from there on waves are dispersed at the top"))
-    if any(np.ptp(x) > 1e-9 * x.max() for x in (chain.masses, chain.contact_constants)):
+    if chain.grains == 1:
+        faults.append(("grains", "takes several: a single one has no wave"))
+    elif any(np.ptp(x) > 1e-9 * x.max() for x in (chain.masses, chain.contact_constants)):
         faults.append(("material", "takes equal grains, as the column of the paper has"))
     if not given.strikes_top or not given.strike_velocity:
         faults.append(("excitation", "takes a strike on grain 1: an impulse other than 0"))

@@ -156,6 +156,8 @@ def _fits(chain: Chain) -> None:
         raise InputError([("gravity", "must be 0: contacts that stiffen with depth change a wave")])
     if chain.exponent == 1:
         raise InputError([("exponent", "must be above 1: springs have no solitary wave")])
+    if chain.grains == 1:
+        raise InputError([("grains", "must be several: a single one has no wave")])
     if any(np.ptp(x) > EVEN * x[0] for x in (chain.masses, chain.contact_constants)):
         raise InputError([("chain", "must be uniform")])
 

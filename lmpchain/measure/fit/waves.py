@@ -295,6 +295,8 @@ def _window(
 ) -> np.ndarray:
     """Return which samples of which grains the uniform solution can describe, (T, G) bool."""
     chain, n, time = trajectory.scene.chain, trajectory.grains, trajectory.time[:, None]
+    if chain.grains == 1:
+        raise InputError([("grains", "takes a chain of several: a single one has no wave")])
     first, last = _uniform(chain, p)
     if grains is not None:
         first, last = grains
