@@ -136,8 +136,8 @@ class Sweep:
         tables = self.asked(place)
         chain = tables.get("chain")
         count = chain.get("grains") if isinstance(chain, dict) else None
-        if not isinstance(count, int) or isinstance(count, bool) or not 2 <= count <= MOST_GRAINS:
-            raise InputError([("chain.grains", "must be a whole number from 2 where values of every grain are drawn")])
+        if not isinstance(count, int) or isinstance(count, bool) or not 1 <= count <= MOST_GRAINS:
+            raise InputError([("chain.grains", "must be a whole number from 1 where values of every grain are drawn")])
         return count
 
     def ordered(self, place: Place) -> Scene:

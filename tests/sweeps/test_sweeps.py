@@ -73,6 +73,18 @@ def test_a_grid_is_every_combination(tmp_path):
             assert np.array_equal(here.displacement, alone.displacement)
             assert here.solver_error == alone.error_estimate.solver
     assert np.array_equal(found.time, alone.time)
+
+
+def test_chains_of_one_grain(tmp_path):
+    """Walls are swept by their constants; small motions between them go with their stiffness at rest."""
+    chain = {"grains": 1, "diameter": 1e-3, "gravity": 0.0, "top_load": 1.0, "top": "wall", "bottom": "wall"}
+    constants = [[1e9, 1e9], [1e9, 4e9]]
+    found = sweep({"scene": SHORT | {"chain": chain}, "grid": {"chain.wall_constants": constants}}, tmp_path)
+    made = Chain(**chain)
+    for place, k in enumerate(constants):
+        stiffness = 1.5 * np.power(k, 2 / 3).sum()  # F = 1 N
+        exact = 1e-4 * np.cos(np.sqrt(stiffness / made.masses[0]) * found.time)
+        assert found.velocity[place, :, 0].values == pytest.approx(exact, abs=1e-7)
     assert (found.reason == "").all()
     found.load()  # before the next sweep takes its folder over
     turned = sweep({"scene": SHORT, "grid": dict(reversed(grid.items()))}, tmp_path)
