@@ -73,6 +73,11 @@ def test_a_grid_is_every_combination(tmp_path):
             assert np.array_equal(here.displacement, alone.displacement)
             assert here.solver_error == alone.error_estimate.solver
     assert np.array_equal(found.time, alone.time)
+    assert (found.reason == "").all()
+    found.load()  # before the next sweep takes its folder over
+    turned = sweep({"scene": SHORT, "grid": dict(reversed(grid.items()))}, tmp_path)
+    assert turned.velocity.dims == ("excitation.velocity", "chain.gravity", "time", "grain"), "as they are named"
+    assert turned.velocity.transpose(*found.velocity.dims).equals(found.velocity)
 
 
 def test_chains_of_one_grain(tmp_path):
@@ -85,11 +90,6 @@ def test_chains_of_one_grain(tmp_path):
         stiffness = 1.5 * np.power(k, 2 / 3).sum()  # F = 1 N
         exact = 1e-4 * np.cos(np.sqrt(stiffness / made.masses[0]) * found.time)
         assert found.velocity[place, :, 0].values == pytest.approx(exact, abs=1e-7)
-    assert (found.reason == "").all()
-    found.load()  # before the next sweep takes its folder over
-    turned = sweep({"scene": SHORT, "grid": dict(reversed(grid.items()))}, tmp_path)
-    assert turned.velocity.dims == ("excitation.velocity", "chain.gravity", "time", "grain"), "as they are named"
-    assert turned.velocity.transpose(*found.velocity.dims).equals(found.velocity)
 
 
 def test_a_list_goes_case_by_case(tmp_path):
