@@ -6,7 +6,7 @@ against the true error. COMES_BACK is supported up to the least number of radian
 that companion is below the truth. NEARBY is supported where as many estimates are bounds as with the best ratio, to one
 in 50.
 
-    python analysis/calibration/returning_waves.py           # ten minutes
+    python analysis/calibration/returning_waves.py           # twenty minutes
     python analysis/calibration/returning_waves.py --quick   # seconds
 """
 

@@ -64,15 +64,16 @@ class Optimum:
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the best value so far over the runs, a line a start; returns the axes."""
-        from ..util.plotting import axes_in_units
+        from ..util.plotting import axes_in_units, legend
 
         ax = axes_in_units(ax, "", "")
         less = self.value <= min(part.min() for part in self.history) + HARDLY * abs(self.value)
-        for part in self.history:
+        for number, part in enumerate(self.history, 1):
             best = (np.minimum if less else np.maximum).accumulate(part)
-            ax.plot(np.arange(1, best.size + 1), best, lw=1)
+            ax.plot(np.arange(1, best.size + 1), best, lw=1, label=f"start {number}")
         ax.set_xlabel("runs")
         ax.set_ylabel("best value")
+        legend(ax)
         return ax
 
 

@@ -16,6 +16,7 @@ from lmpchain.simulation.run_folder import status
 ENDLESS = Scene(
     chain=Chain(grains=500, diameter=1e-3), excitation=Impulse(velocity=8.57e-3), duration=1.0, samples=20001
 )
+OFTEN = ENDLESS.replace(samples=200_001)  # so that a stop need not wait for a sample, however busy the machine
 VERLET = ["--engine", "lammps", "--integrator", "verlet", "--step", "1e-7", "--diameter", "physical"]
 CASES = {
     "native": (["--engine", "native", "--step", "1e-6"], 1),
@@ -42,7 +43,7 @@ def test_a_signal_stops_at_the_next_block(case: str, number: int, code: int, tmp
     folder, mark = tmp_path / "run", f"MARK={tmp_path}"
     options, ranks = CASES[case]
     environment = os.environ | {"MARK": str(tmp_path)}
-    process = start("run", write(ENDLESS, tmp_path), "-o", f"{folder}/", *options, ranks=ranks, env=environment)
+    process = start("run", write(OFTEN, tmp_path), "-o", f"{folder}/", *options, ranks=ranks, env=environment)
     try:
         at_work(folder, process)
         began = status(folder)["samples_done"]
