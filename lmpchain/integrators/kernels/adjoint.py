@@ -53,6 +53,13 @@ def _rows(course, look):
 
 
 @_loop
+def _contacts(chain):
+    """Return where the contacts of the window begin and end, those with what is held at its end left out."""
+    first, last = int(chain.state[FIRST]), int(chain.state[LAST])
+    return first, last + PAD if chain.inverse_mass[last - 1] > 0.0 else last
+
+
+@_loop
 def _tiles(first, last, rows):
     """Return the bodies of a tile and how many rows are done together."""
     whole = last - first <= 2 * TILE
@@ -115,7 +122,7 @@ def _keep(law, less, chain, table, course, room, path, look, q, count, powers, f
     inverse masses, (3, W + PAD), each body one place further on, where what a contact moves begins a cache line.
     """
     x, v, im, il, st, c = bodies[0], bodies[1], bodies[2], table[0], table[1], chain.precompressed
-    first, last = int(chain.state[FIRST]), int(chain.state[LAST]) + PAD
+    first, last = _contacts(chain)
     body = int(chain.drive[BODY]) if path.size > 0 else 0
     done = 0
     while done < count:
@@ -171,7 +178,7 @@ def _backward(
     columns, looks = seen
     st, stiff, im, c = table[1], table[2], chain.inverse_mass, chain.precompressed
     x, v, sums_p, sums_f, sums_m = adjoint[0], adjoint[1], adjoint[2], adjoint[3], adjoint[4]
-    first, last = int(chain.state[FIRST]), int(chain.state[LAST]) + PAD
+    first, last = _contacts(chain)
     body = int(chain.drive[BODY]) if path.size > 0 else 0
     done = count
     while done > 0:
