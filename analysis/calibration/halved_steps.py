@@ -1,11 +1,11 @@
-"""Measure the factor SAFETY on what half the steps show: of gradients (`design`), and of periodic orbits.
+"""Measure the factor SAFETY on what other steps show: of gradients (`design`), and of periodic orbits.
 
 Gradients of a last velocity by the masses and the velocities at t = 0, at some lengths of the steps, are held against
 differences of Taylor series in extended precision; orbits with long steps against those of steps as short as round-off
 lets them be. A factor is supported from what 99 in 100 claimed errors need on, up to half again that or ten times what
 half need.
 
-    python analysis/calibration/halved_steps.py           # four minutes
+    python analysis/calibration/halved_steps.py           # two minutes
     python analysis/calibration/halved_steps.py --quick   # seconds
 """
 

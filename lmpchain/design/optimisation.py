@@ -21,7 +21,7 @@ from ..util.files import replacing
 from ..util.progress import ProgressBar
 from . import parameters as params
 from .changes import changed
-from .gradients import HALVINGS, SAFETY, at_step
+from .gradients import HALVINGS, SAFETY, at_step, nearby
 from .objectives import Objective
 
 if TYPE_CHECKING:
@@ -213,12 +213,15 @@ def optimise(
 
 
 def _value(scene: Scene, objective: Objective, tolerance: float) -> tuple[float, float, float]:
-    """Return an objective, its error from two steps, and the turn of the longer one that is enough."""
+    """Return an objective, its error from other steps, and the turn of the longest one that is enough."""
     step, method = TURN / scene.highest_frequency, SPLITTINGS["rkn4"]
     value = at_step(scene, objective, (), method, 2 * step)[0]
     for halving in range(HALVINGS):
-        before, value = value, at_step(scene, objective, (), method, step / 2**halving)[0]
+        before = value
+        value, _, run = at_step(scene, objective, (), method, step / 2**halving)
         error = SAFETY * abs(value - before)
+        if error <= tolerance * abs(value):
+            error += SAFETY * abs(value - at_step(scene, objective, (), method, nearby(run))[0])
         if error <= tolerance * abs(value):
             break
     return value, error, 2 * TURN / 2**halving

@@ -253,6 +253,19 @@ def test_adaptive_steps_reach_a_tolerance_and_are_refused_where_they_gain_nothin
         gradient(scene, Momentum([2]), names, integrator="verlet", adaptive=True)
 
 
+def test_two_steps_that_agree_by_chance_are_no_bound():
+    """A contact opens: gradients at the steps h and 2h are ten times nearer to each other than to the true one."""
+    chain = Chain(grains=2, material="steel", diameter=[0.00071311, 0.0009818], gravity=64.1506, bottom="wall")
+    scene = Scene(chain=chain, excitation=Impulse(velocity=5.12645e-3), duration=7.837051229587563e-6, samples=3)
+    step, names, method = 0.4 / scene.highest_frequency, ["masses"], SPLITTINGS["rkn6"]
+    found = gradient(scene, Momentum([1]), names, integrator="rkn6", step=step)
+    twice = at_step(scene, Momentum([1]), names, method, 2 * found.step_s)[1]["masses"]
+    true = at_step(scene, Momentum([1]), names, method, step / 1024)[1]["masses"]
+    off = np.abs(found["masses"] - true).max()
+    assert np.abs(found["masses"] - twice).max() < off / 10
+    assert off <= found.errors["masses"] < 0.03 * np.abs(true).max()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(40))
 def test_error_estimates_cover_the_errors_of_random_scenes(seed: int):
