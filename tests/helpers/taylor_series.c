@@ -68,8 +68,9 @@ static REAL slope(const REAL *a, int p, REAL t) {
   return y;
 }
 
-/* First time in (0, h] at which o passes from not above 0 to above 0 (sign = 1), or below (sign = -1); or -1. */
-static REAL crossing(const REAL *a, int p, REAL h, int sign, int from_start) {
+/* First time in (0, h] at which o passes from not above 0 to above 0 (sign = 1), or below (sign = -1); or -1.
+   After it, until `*beyond`, it stays there. */
+static REAL crossing(const REAL *a, int p, REAL h, int sign, int from_start, REAL *beyond) {
   REAL before = 0, at = 0;
   REAL slope_before = sign * a[1];
   for (int i = 1; i <= SCAN; i++) {
@@ -85,6 +86,7 @@ static REAL crossing(const REAL *a, int p, REAL h, int sign, int from_start) {
       if (sign * value(a, p, left) > 0) found = left;
     }
     if (found >= 0) {
+      *beyond = found;
       REAL left = before, right = found;
       if (i == 1 && from_start) return 0;
       for (int b = 0; b < 70; b++) {
@@ -250,16 +252,16 @@ int integrate(int N, const REAL *delta_, const REAL *K, const REAL *F, const REA
       if (spread == 0 || (shut[c] ? O[c] - spread >= 0 : O[c] + spread <= 0)) continue;
       for (int k = 0; k <= p; k++) a[k] = O[(size_t)k * (N + 1) + c];
       if (shut[c]) {
-        REAL when = crossing(a, p, h, -1, 0);
+        REAL beyond, when = crossing(a, p, h, -1, 0, &beyond);
         if (when >= 0 && when < h) { h = when; flip = c; }
         continue;
       }
-      REAL when = crossing(a, p, h, 1, O[c] >= 0);
+      REAL beyond, when = crossing(a, p, h, 1, O[c] >= 0, &beyond);
       if (when < 0) { root[c] = INFINITY; continue; }
       if (!(O[c] >= 0 && root[c] <= t)) root[c] = t + when;
       REAL mob = fmax(c > 0 ? mobility[c - 1] : 0, c < N ? mobility[c] : 0), good = when, bad = -1;
-      for (int i = 0; i <= SCAN; i++) {
-        REAL at = when + (h - when) * i / SCAN, o = value(a, p, at);
+      for (int i = 0; i <= 2 * SCAN; i++) { /* a touch may be shorter than what the scan resolves after it */
+        REAL at = i <= SCAN ? when + (beyond - when) * i / SCAN : beyond + (h - beyond) * (i - SCAN) / SCAN, o = value(a, p, at);
         if (o > 0 && K[c] * pow(o, delta) * (t + at - root[c]) * mob > tol * V_peak) { bad = at; break; }
         good = at;
       }
