@@ -26,7 +26,7 @@ from ..integrators.step_schedule import StepSchedule
 from ..integrators.stepper import NativeStepper, Stepper
 from ..scene.scene import Scene
 from ..trajectory.record import Block, Cost
-from ..util.arrays import Array
+from ..util.arrays import Array, as_slice
 from ..util.compilation import clock
 from .amplification import amplified_digit, walked
 from .base import Candidate, ErrorBudget, Run
@@ -85,9 +85,7 @@ class CompanionRun(Run):
         began = clock()
         self.method, self.scene, self.candidate, self._scenes = method, scenes[0], candidate, scenes
         self._amplified: dict[int, float] = {}
-        rows = scenes[0].recorded - 1
-        together = np.array_equal(rows, np.arange(rows[0], rows[0] + rows.size))
-        self._rows: slice | NDArray[np.intp] = slice(int(rows[0]), int(rows[-1]) + 1) if together else rows
+        self._rows = as_slice(scenes[0].recorded - 1)
         kept = _unpack(state)
         own = candidate.steps_per_sample, candidate.step, candidate.adaptive
         self._answer = make(StepSchedule.of(*own), kept[0])

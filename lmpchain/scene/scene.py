@@ -15,7 +15,7 @@ from pydantic import InstanceOf
 
 from ..chain.chain import Chain
 from ..chain.picture import DRAWN, MOST
-from ..util.arrays import Array
+from ..util.arrays import Array, as_slice
 from ..util.files import write_aside
 from ..util.plotting import axes_in_units, legend
 from . import toml_file
@@ -217,9 +217,7 @@ class Scene(Recording):
         if last - first + 1 == self.chain.grains:
             return LightCone(self, np.arange(recorded.size), slice(None))
         columns = np.flatnonzero((recorded >= first) & (recorded <= last))
-        together = columns.size and columns[-1] - columns[0] + 1 == columns.size
-        chosen = slice(int(columns[0]), int(columns[-1]) + 1) if together else columns
-        return LightCone(self.part(first, last), recorded[columns] - first, chosen)
+        return LightCone(self.part(first, last), recorded[columns] - first, as_slice(columns))
 
     def part(self, first: int, last: int) -> Scene:
         """Return grains first ... last, all recorded, as a scene: right until a wave meets their ends."""

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from ..util.arrays import Array
+from ..util.arrays import Array, as_slice
 from ..util.plotting import axes_in_units, colour_bar, edges, thinned
 from .record import Record
 
@@ -23,7 +23,7 @@ def space_time(trajectory: Record, field: Literal["velocity", "displacement"], a
     from matplotlib.ticker import EngFormatter, MaxNLocator
 
     ax = axes_in_units(ax, "s", "")
-    order = np.argsort(trajectory.grains)
+    order = as_slice(np.argsort(trajectory.grains))
     every = -(-trajectory.time.size // WIDEST)
     time = trajectory.time[::every]
     motion = np.asarray(getattr(trajectory, field)[::every])[:, order]

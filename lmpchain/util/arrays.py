@@ -21,3 +21,16 @@ def read_only(array: AnyArray) -> AnyArray:
     if isinstance(array, np.ndarray):
         array.flags.writeable = False
     return array
+
+
+def as_slice(indices: NDArray[np.intp]) -> slice | NDArray[np.intp]:
+    """Return indices that follow one another as a slice, of which numpy makes a view and no copy; others as they are.
+
+    Examples
+    --------
+    >>> as_slice(np.array([1, 2])), as_slice(np.array([2, 1]))
+    (slice(1, 3, None), array([2, 1]))
+    """
+    if indices.size and np.array_equal(indices, np.arange(indices[0], indices[0] + indices.size)):
+        return slice(int(indices[0]), int(indices[-1]) + 1)
+    return indices
