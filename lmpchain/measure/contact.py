@@ -16,9 +16,7 @@ from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, colour_bar, edges, legend, thinned
-from .derivatives import STILL, UNKNOWN
-from .motion import Motion
-from .recorded import columns
+from .recorded import known_contacts, motion
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -74,6 +72,8 @@ class ContactHistory(Shown):
         o, v, gap = self.overlap, self.closing, self.overlap < 0
         changed = gap[1:] != gap[:-1]
         turned = (o[:-1] * v[:-1] < 0) & (o[1:] * v[1:] > 0) & ~changed  # approaches closing or opening, then recedes
+        third = np.diff(self.time)[:, None] / 3  # a cubic lies between the least and the largest of its control points
+        turned &= (o[:-1] * (o[:-1] + third * v[:-1]) <= 0) | (o[1:] * (o[1:] - third * v[1:]) <= 0)
         for i, c in np.argwhere(changed | turned):
             pair = slice(i, i + 2)
             roots = CubicHermiteSpline(self.time[pair], o[pair, c], v[pair, c]).roots(extrapolate=False)
@@ -188,29 +188,6 @@ def contacts(trajectory: Trajectory, numbers: Sequence[int] | None = None) -> Co
     return ContactHistory(trajectory.time, chosen, overlap, closing, these.force_at(overlap), these.force_change(r))
 
 
-def known_contacts(trajectory: Trajectory | Motion) -> np.ndarray:
-    """Return the numbers of contacts whose two bodies were recorded or stand still, if there are any.
-
-    Parameters
-    ----------
-    trajectory : Trajectory or Motion
-
-    Returns
-    -------
-    (C,) array of int
-
-    Raises
-    ------
-    InputError
-        If no two neighbours were recorded.
-    """
-    known = columns(trajectory.scene.chain.grains, trajectory.scene.chain.movable, trajectory.grains) != UNKNOWN
-    chosen = np.flatnonzero(known[:-1] & known[1:] & trajectory.scene.chain.contacts.exists)
-    if not chosen.size:
-        raise InputError([("grains", "no two neighbours were recorded, so no contact is known: record both")])
-    return chosen
-
-
 def wall_force(trajectory: Trajectory, end: Literal["top", "bottom"] = "bottom") -> Array:
     """Return the force between the chain and the wall or held grain at one end, (T,) N, at least 0.
 
@@ -317,33 +294,3 @@ def sensor(trajectory: Trajectory, grain: int) -> Signal:
         raise InputError([("grain", f"grain {grain} has no contacts on both sides, or there is none: choose another")])
     both = contacts(trajectory, [grain - 1, grain])
     return Signal(grain, both.time, both.force.mean(1), both.change.mean(1))
-
-
-def motion(trajectory: Trajectory | Motion, bodies: np.ndarray) -> tuple[Array, Array]:
-    """Return displacement, m, and velocity, m/s, of grains or walls (0 and N + 1), (T, ...) each.
-
-    Parameters
-    ----------
-    trajectory : Trajectory or Motion
-    bodies : (B,) array of int
-        Grains, or walls: 0 and N + 1.
-
-    Returns
-    -------
-    two (T, B) arrays
-
-    Raises
-    ------
-    InputError
-        If one of them was not recorded and is not held.
-    """
-    column = columns(trajectory.scene.chain.grains, trajectory.scene.chain.movable, trajectory.grains)[bodies]
-    missing = np.unique(bodies[column == UNKNOWN])
-    if missing.size:
-        some = ", ".join(map(str, missing[:8])) + ", ..." * (missing.size > 8)
-        raise InputError([("grains", f"this takes grains that were not recorded; record these too: {some}")])
-    u, v = trajectory.displacement[:, column], trajectory.velocity[:, column]
-    u[:, column == STILL] = v[:, column == STILL] = 0.0
-    if wall := trajectory.scene.excitation.wall:
-        u[:, bodies == 0], v[:, bodies == 0] = (wall.at(trajectory.time, order)[:, None] for order in (0, 1))
-    return u, v

@@ -16,8 +16,8 @@ from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, legend, titled
-from .contact import known_contacts, motion
 from .motion import Motion, motion_of
+from .recorded import known_contacts, motion, motion_of_all
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -225,10 +225,8 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
     >>> bool(abs(energy.drift).max() < 1e-8 * energy.total[0])
     True
     """
-    scene = trajectory.scene
-    chain = scene.chain
-    u, v = motion(trajectory, np.arange(1, chain.grains + 1))
-    time, wall = trajectory.time, trajectory.scene.excitation.wall
+    scene, u, v = motion_of_all(trajectory)
+    chain, time, wall = scene.chain, trajectory.time, scene.excitation.wall
     top, top_speed = (None if wall is None else wall.at(time, order) for order in (0, 1))
     closer = chain.contacts.closer(u, top)
     force, rate = _contact_forces(chain.contacts, closer, chain.contacts.closer(v, top_speed))
@@ -246,16 +244,17 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
         if push.on_grain:
             impulse = impulse + given + push.inertia * (speed - speed[0])
             impulse_error += error
-    if chain.bottom != "free":
+    if trajectory.scene.chain.bottom != "free":
         given, error = _integral(time, force[:, chain.movable], rate[:, chain.movable])
         impulse, impulse_error = impulse - given, impulse_error + error
+    held = chain.contacts.energy(closer).sum(1)
     return EnergyLedger(
         time=time,
         kinetic=v**2 @ chain.masses / 2,
-        contact=chain.contacts.energy(closer).sum(1) + closer @ chain.contacts.force,
+        contact=held + closer @ chain.contacts.force,
         gravity=-chain.gravity * (u @ chain.masses),
         load=-chain.top_load * (u[:, 0] * (chain.top == "free") if top is None else top),
-        total=chain.excess_energy(u, v, top),
+        total=(chain.masses * v**2).sum(1) / 2 + held,  # as Chain.excess_energy
         drive=drive,
         momentum=momentum,
         impulse=impulse,

@@ -15,7 +15,7 @@ from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, legend
 from .motion import motion_of
-from .spectrum import UNITS, Field, recorded
+from .spectrum import UNITS, Field, check
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -185,10 +185,10 @@ def track(trajectory: Trajectory, field: Field = "velocity", fraction: float = 0
     >>> front.grain[:3].tolist(), [f"{c:.0f} m/s" for c in front.speed[[5, 10, 15]]]
     ([2, 3, 4], ['190 m/s', '212 m/s', '227 m/s'])
     """
-    grains, values = recorded(trajectory, field)
-    error = trajectory.error_estimate.solver
-    certain = (error if np.isfinite(error) else 0.0) * float(np.abs(values).max())
-    rows = motion_of(trajectory).fronts(field, fraction, certain)[np.argsort(trajectory.grains)]
+    check(trajectory, field)
+    error, motion, order = trajectory.error_estimate.solver, motion_of(trajectory), np.argsort(trajectory.grains)
+    certain = (error if np.isfinite(error) else 0.0) * motion.sampled[field == "velocity"]
+    grains, rows = trajectory.grains[order], motion.fronts(field, fraction, certain)[order]
     passed = np.isfinite(rows[:, 0])
     if not passed.any():
         raise InputError([("duration", f"no grain shows the {field} of a front that passes: record for longer")])

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from ..errors import InputError, shown
 from ..scene.scene import Scene
 from ..trajectory.trajectory import Trajectory
-from ..util.arrays import Array
+from ..util.arrays import Array, as_slice
 from ..util.lazy import listed
 from . import extremes
 from .derivatives import STILL, UNKNOWN, derivatives, largest
 from .hermite import DISPLACEMENT, RAISED, VELOCITY
-from .recorded import around
+from .recorded import around, leaves_rest
 from .spectrum import Field
 
 __dir__ = listed(__name__)
@@ -77,10 +77,11 @@ class Motion:
         self.scene, self._equation, self._error = scene, equation, error if math.isfinite(error) else 0.0
         self.displacement, self.velocity, self.grains = displacement, velocity, grains
         self.step = scene.duration / (scene.samples - 1)
-        chain, constant = scene.chain, scene.chain.contacts.constant
-        ends = bool(constant[0] > 0), bool(constant[-1] > 0)
-        self._around = around(chain.grains, chain.movable, *ends, np.asarray(grains, dtype=int).tobytes())
-        self._column = self._around.column
+        chain, moves = scene.chain, leaves_rest(displacement, velocity)
+        ends = (bool(there) for there in chain.contacts.exists[[0, -1]])
+        recorded = np.asarray(grains, dtype=int)
+        self._around = around(chain.grains, chain.movable, *ends, recorded.tobytes(), moves.tobytes())
+        self._moves, self._moving = as_slice(np.flatnonzero(moves)), recorded[moves]
         self._tops: dict[str, Array] = {}  # what `fronts` has found of peaks on the way
 
     @property
@@ -90,8 +91,9 @@ class Motion:
 
     @cached_property
     def _fields(self) -> tuple[Array, Array]:
-        """Displacement and velocity as the compiled loops take them, (T, G) each."""
-        return np.ascontiguousarray(self.displacement, float), np.ascontiguousarray(self.velocity, float)
+        """Displacement and velocity of the M grains that move, as the compiled loops take them, (T, M) each."""
+        u, v = (np.ascontiguousarray(x[:, self._moves], float) for x in (self.displacement, self.velocity))
+        return u, v
 
     @cached_property
     def _known(self) -> NDArray[np.bool_]:
@@ -107,15 +109,15 @@ class Motion:
 
     @cached_property
     def _values(self) -> tuple[Array, NDArray[np.bool_]]:
-        """What `derivatives.derivatives` returns of the motion."""
+        """What `derivatives.derivatives` returns of the grains that move."""
         chain, linear = self.scene.chain, self._equation == 3
         own, inverse_mass = chain.contacts, 1 / chain.masses
         inverse_mass[chain.movable :] = 0.0
         contacts = np.array([own.constant, own.force, own.overlap])
         error = np.zeros(2) if self.ceiling.size else np.array(self._known_errors)
         found: tuple[Array, NDArray[np.bool_]] = derivatives(
-            *self._fields, np.asarray(self.grains, dtype=int), self._around.sides, contacts, inverse_mass,
-            chain.exponent, linear, self.step, self._known, error,
+            *self._fields, self._moving, self._around.sides, contacts, inverse_mass,
+            chain.exponent, linear, self.step, self._known[self._moves], error,
         )  # fmt: skip
         return found
 
@@ -124,7 +126,7 @@ class Motion:
         found = self._tops.get(field)
         if found is None:
             found = extremes.peaks(*self._values, self.step, KINDS[field], self.ceiling)
-        return Peaks(self.grains, *_within(found, self.known_error(field)))
+        return Peaks(self.grains, *_within(self._of_all(found, 0.0), self.known_error(field)))
 
     def largest_wall_force(self) -> tuple[float, float]:
         """Return the largest force at any time on what holds the bottom, N, and how far that may be off.
@@ -148,7 +150,7 @@ class Motion:
         """Return by how much a contact is closer than at rest at most, m, and the error of that."""
         values = np.zeros((5, 1, self.displacement.shape[0]))
         hidden = np.zeros(self.displacement.shape[0] - 1) if self.ceiling.size else np.zeros(0)
-        for column, sign in zip(self._column[[contact, contact + 1]], (1, -1), strict=True):
+        for column, sign in zip(self._around.place[[contact, contact + 1]], (1, -1), strict=True):
             if column == UNKNOWN:
                 raise InputError([("grains", f"the grains of contact {contact} must be recorded")])
             if column != STILL:
@@ -171,11 +173,17 @@ class Motion:
         found, self._tops[field] = extremes.fronts(
             *self._values, self.step, KINDS[field], self.ceiling, fraction, known, fall, frequency, width
         )
-        return found
+        return self._of_all(found, np.nan)
+
+    def _of_all(self, found: Array, at_rest: float) -> Array:
+        """Return what is found of the grains that move, (M, ...), as that of all, (G, ...)."""
+        every = np.full((self.grains.size, *found.shape[1:]), at_rest)
+        every[self._moves] = found
+        return every
 
     def rows(self, grains: np.ndarray) -> NDArray[np.intp]:
         """Return where in the results these grains stand."""
-        return self._column[grains]
+        return self._around.column[grains]
 
     def known_error(self, field: Field) -> float:
         """Return how far any value may be off by the error of the trajectory."""
@@ -185,6 +193,12 @@ class Motion:
     def _known_errors(self) -> tuple[float, ...]:
         return tuple(self._error * most for most in self._largest)
 
+    @cached_property
+    def sampled(self) -> tuple[float, float]:
+        """The largest displacement, m, and speed, m/s, of any grain at any sample."""
+        u, v = largest(*self._fields)
+        return u, v
+
     @property
     def _largest(self) -> tuple[float, float]:
         """What displacement, m, and velocity, m/s, no grain exceeds at any time: what errors are relative to.
@@ -193,7 +207,7 @@ class Motion:
         Where that does not hold, or not all grains are recorded, it follows from the energy if that is known.
         """
         scene, chain = self.scene, self.scene.chain
-        u, v = (max(most, at_first) for most, at_first in zip(largest(*self._fields), scene.imposed, strict=True))
+        u, v = (max(most, at_first) for most, at_first in zip(self.sampled, scene.imposed, strict=True))
         swift, whole = scene.highest_frequency * self.step, self._around.whole
         if (whole and swift <= RESOLVED) or scene.excitation.does_work or self._equation not in (1, 3):
             more = 1 / math.cos(min(swift, RESOLVED) / 2)
@@ -209,48 +223,53 @@ class Motion:
 
     @cached_property
     def ceiling(self) -> Array:
-        """Bounds on the speed of each grain between samples, (G, T-1) m/s; -1 where nothing hides; or (1, 0)."""
-        swift = self.scene.highest_frequency * self.step
+        """Bounds on the speed between samples of each grain that moves, m/s, (M, T-1) or, if nothing hides, (1, 0).
+
+        Where nothing hides they are -1.
+        """
+        swift, known = self.scene.highest_frequency * self.step, self._known[self._moves]
         if swift <= RESOLVED_BY_DIFFERENCES or (swift <= RESOLVED and self._known.all()):
             return np.zeros((1, 0))
         if swift <= RESOLVED:
-            limits = np.full((self.grains.size, self.displacement.shape[0] - 1), -1.0)
-            limits[~self._known] = self._speed_limit()[0][~self._known]
+            limits = np.full((known.size, self.displacement.shape[0] - 1), -1.0)
+            limits[~known] = self._speed_limit()[0][~known]
             return limits
         limits, frequency = self._speed_limit()
-        allowed = np.where(self._known, RESOLVED, RESOLVED_BY_DIFFERENCES)
+        allowed = np.where(known, RESOLVED, RESOLVED_BY_DIFFERENCES)
         return np.where(frequency * self.step <= allowed[:, None], -1.0, limits)
 
     def _speed_limit(self) -> tuple[Array, Array]:
-        """Return bounds on speed and frequency of every grain between samples, (G, T-1) m/s and rad/s.
+        """Return bounds on speed and frequency of M grains between samples, (M, T-1) m/s and rad/s.
 
         No grain can have more than the energy that was within reach of it at the sample before.
         """
-        scene, chain = self.scene, self.scene.chain
-        contacts, count = chain.contacts, self.displacement.shape[0] - 1
-        if scene.excitation.does_work or self._equation not in (1, 3):
-            return tuple(np.full((2, self.grains.size, count), np.inf))
+        scene, chain, count = self.scene, self.scene.chain, self.displacement.shape[0] - 1
+        if scene.excitation.does_work or self._equation not in (1, 3) or not self._moving.size:
+            return tuple(np.full((2, self._moving.size, count), np.inf))
         near = math.ceil(scene.highest_frequency * self.step / 2) + 2
-        if not self._around.whole:
-            within = np.full((count, chain.grains), scene.energy)
-        else:
-            u, v = (np.zeros((count + 1, chain.grains)) for _ in range(2))
-            u[:, self.grains - 1], v[:, self.grains - 1] = self.displacement, self.velocity
-            r = contacts.closer(u)
-            held = contacts.stiffness * r**2 / 2 if self._equation == 3 else contacts.energy(r)
-            energy = chain.masses * v**2 / 2 + held[:, 1:] + held[:, :-1]  # each contact twice: a bound
-            total = np.concatenate((np.zeros((count + 1, 1)), np.cumsum(energy, axis=1)), axis=1)
-            n = np.arange(chain.grains)
-            around = total[:, np.minimum(n + near + 1, chain.grains)] - total[:, np.maximum(n - near, 0)]
-            within = np.maximum(around[:-1], 0.0)
-        speed = np.sqrt(2 * within / chain.masses)
-        shared = np.maximum(np.pad(within, ((0, 0), (1, 0))), np.pad(within, ((0, 0), (0, 1))))
+        first, last = max(self._moving.min() - 2, 1), min(self._moving.max() + 2, chain.grains)
+        size, here = last - first + 1, self._moving - first
+        masses, contacts = chain.masses[first - 1 : last], chain.contacts.of(slice(first - 1, last + 1))
         linear = self._equation == 3
+        if not self._around.whole:
+            within = np.full((count, size), scene.energy)
+        else:
+            u, v = (np.zeros((count + 1, size)) for _ in range(2))
+            u[:, here], v[:, here] = self._fields
+            r = contacts.closer(u)
+            held = contacts.stiffness * r**2 / 2 if linear else contacts.energy(r)
+            energy = masses * v**2 / 2 + held[:, 1:] + held[:, :-1]  # each contact twice: a bound
+            total = np.concatenate((np.zeros((count + 1, 1)), np.cumsum(energy, axis=1)), axis=1)
+            n = np.arange(size)
+            around = total[:, np.minimum(n + near + 1, size)] - total[:, np.maximum(n - near, 0)]
+            within = np.maximum(around[:-1], 0.0)
+        speed = np.sqrt(2 * within / masses)
+        shared = np.maximum(np.pad(within, ((0, 0), (1, 0))), np.pad(within, ((0, 0), (0, 1))))
         stiffness = contacts.stiffness if linear else contacts.stiffness_at(contacts.overlap_bound(shared))
-        square = np.broadcast_to((stiffness[..., 1:] + stiffness[..., :-1]) / chain.masses, within.shape)
+        square = np.broadcast_to((stiffness[..., 1:] + stiffness[..., :-1]) / masses, within.shape)
         edged = np.pad(square, ((0, 0), (1, 1)))
         square = np.maximum(np.maximum(edged[:, :-2], edged[:, 2:]), square)
-        return speed[:, self.grains - 1].T, np.sqrt(square[:, self.grains - 1]).T
+        return speed[:, here].T, np.sqrt(square[:, here]).T
 
 
 def motion_of(trajectory: Trajectory) -> Motion:

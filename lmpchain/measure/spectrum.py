@@ -14,7 +14,7 @@ from ..theory.bands import Cell, branches, repeating
 from ..theory.local_bands import local_bands
 from ..trajectory.picture import UNITS as UNITS
 from ..trajectory.trajectory import Trajectory
-from ..util.arrays import Array
+from ..util.arrays import Array, as_slice
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, colour_bar, edges, legend
@@ -124,28 +124,18 @@ class Dispersion(Shown):
         return ax
 
 
-def recorded(trajectory: Trajectory, field: Field) -> tuple[np.ndarray, Array]:
-    """Return the recorded grains from the top downward, (G,), and their motion, (T, G) m/s or m.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-    field : "velocity" or "displacement"
-
-    Returns
-    -------
-    (G,) and (T, G) arrays
-
-    Raises
-    ------
-    InputError
-        If samples are too few or there is no such field.
-    """
+def check(trajectory: Trajectory, field: Field) -> None:
+    """Raise `InputError` if samples are too few for fronts and spectra, or if there is no such field."""
     if field not in get_args(Field):
         raise InputError([("field", f'must be "velocity" or "displacement" (got {shown(field)})')])
     if trajectory.time.size < FEWEST_SAMPLES:
         raise InputError([("samples", f"must be {FEWEST_SAMPLES} or more: record more often or for longer")])
-    order = np.argsort(trajectory.grains)
+
+
+def _sorted(trajectory: Trajectory, field: Field) -> tuple[np.ndarray, Array]:
+    """Return the recorded grains from the top downward, (G,), and their motion, (T, G) m/s or m."""
+    check(trajectory, field)
+    order = as_slice(np.argsort(trajectory.grains))
     return trajectory.grains[order], getattr(trajectory, field)[:, order]
 
 
@@ -180,7 +170,7 @@ def spectrum(trajectory: Trajectory, field: Field = "velocity", window: str = "b
     >>> spectra.amplitude.shape, f"{spectra.frequency[-1]:.0f} Hz", f"{spectra.cut_off[0]:.0f} Hz"
     ((501, 30), '499500 Hz', '46332 Hz')
     """
-    grain, motion = recorded(trajectory, field)
+    grain, motion = _sorted(trajectory, field)
     step, samples = trajectory.time[1], trajectory.time.size
     amplitude = step * np.abs(np.fft.rfft(_window(window, samples)[:, None] * motion, axis=0))
     bands = local_bands(trajectory.scene.chain)[grain - 1] / (2 * np.pi)
@@ -210,7 +200,7 @@ def dispersion(
     InputError
         If grains are too few or were not recorded, samples too few, or there is no such field or window.
     """
-    grains, motion = recorded(trajectory, field)
+    grains, motion = _sorted(trajectory, field)
     chosen = np.arange(first, last + 1)
     if chosen.size < FEWEST_GRAINS:
         raise InputError([("last", f"wavenumbers take {FEWEST_GRAINS} grains or more (got {first} to {last})")])
@@ -307,7 +297,7 @@ def space_time(trajectory: Trajectory, field: Field = "velocity", ax: Axes | Non
     -------
     Axes
     """
-    recorded(trajectory, field)
+    check(trajectory, field)
     ax = trajectory.plot(ax, field)
     if law:
         chain, source = trajectory.scene.chain, getattr(trajectory.scene.excitation, "grain", 1)

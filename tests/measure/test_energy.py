@@ -247,3 +247,16 @@ def test_the_picture(tmp_path: Path) -> None:
         save(picture, tmp_path / "energy.png")
     mine = figure().subplots()
     assert ledger(record(COLUMN, Impulse(velocity=1e-2), 4e-5, 5)).plot(mine) is mine
+
+
+@pytest.mark.parametrize("bottom", ["fixed", "free"])
+def test_grains_that_never_move_change_nothing(bottom: str) -> None:
+    """The balance of a long chain, of which only the first grains are reached, is that of these alone."""
+    found = []
+    for grains in (200, 2000):
+        load = {"gravity": 0.0} if bottom == "free" else {}
+        chain = Chain(grains=grains, diameter=1e-3, bottom=bottom, **load)
+        found.append(ledger(record(chain, Impulse(velocity=1e-3), 2e-5, 41, 1e-10)))
+    short, long = (vars(each) for each in found)
+    for name, value in short.items():
+        assert long[name] == pytest.approx(value, rel=1e-12, abs=1e-15 * np.abs(value).max()), name

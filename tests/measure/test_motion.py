@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lmpchain import Chain, Drive, Impulse, InputError, Scene, simulate
+from lmpchain import Chain, Drive, Impulse, InputError, Scene, engines, simulate
 from lmpchain.measure.front import track
 from lmpchain.measure.motion import Motion, motion_of, peaks
 
@@ -80,6 +80,26 @@ def test_what_hides_between_two_samples_is_bounded():
     true = peaks(simulate(Scene(**scene.given() | {"samples": 801}), "native", 1e-8))
     assert (np.abs(sparse.value - true.value) <= sparse.error + true.error).all()
     assert (sparse.value + sparse.error <= 0.1 * (1 + 1e-6) * 1.5).all()
+
+
+@pytest.mark.parametrize("samples", [41, 5])
+def test_grains_that_never_move_change_nothing(samples):
+    """Peaks and fronts of the first grains are the same where ten times as many are at rest below them."""
+    found = []
+    for grains in (200, 2000):
+        chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=0.1)
+        scene = Scene(chain=chain, excitation=Impulse(velocity=1e-2, grain=9), duration=2e-5, samples=samples)
+        between = motion_of(simulate(scene, engines.Native(step=1e-8)))
+        known = [between.known_error(field) for field in ("velocity", "displacement")]
+        values = [
+            *(between.peaks(field)[1:] for field in ("velocity", "displacement")),
+            between.fronts("velocity", 0.5).T,
+        ]
+        found.append((known, [np.array(each)[:, :60] for each in values]))
+        assert (between.peaks("velocity").value[100:] == 0).all()
+    assert found[0][0] == pytest.approx(found[1][0], rel=0.1)
+    for one, other in zip(found[0][1], found[1][1], strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=10 * max(found[0][0]))
 
 
 def test_recorded_grains_alone():
