@@ -3,19 +3,34 @@
 from __future__ import annotations
 
 import base64
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from ..measure.recorded import leaves_rest
 from ..measure.spectrum import travel_time
 from ..trajectory.picture import MOVING, scale
 from ..trajectory.trajectory import Trajectory
-from ..util.arrays import Array
+from ..util.arrays import Array, as_slice
 from ..util.plotting import thinned
 
 MOST_TIMES, MOST_GRAINS = 240, 160  # shown; of more, every so many
 MARGIN = 4  # grains at rest on either side of those that move
 FULL = 2**15 - 1
+
+
+def moving_part(trajectory: Trajectory) -> Trajectory:
+    """Return the motion of the grains that ever leave rest, and of a few beside them: pictures show no others."""
+    u, v = np.asarray(trajectory.displacement), np.asarray(trajectory.velocity)
+    there = trajectory.grains[leaves_rest(u, v)]
+    if not there.size:
+        return trajectory
+    near = (trajectory.grains >= there.min() - MARGIN) & (trajectory.grains <= there.max() + MARGIN)
+    columns = as_slice(np.flatnonzero(near))
+    grains = trajectory.grains[columns]
+    scene = trajectory.scene.replace(grains=grains.tolist())
+    return replace(trajectory, scene=scene, grains=grains, displacement=u[:, columns], velocity=v[:, columns])
 
 
 def moving(trajectory: Trajectory) -> tuple[int, int]:
@@ -30,6 +45,7 @@ def moving(trajectory: Trajectory) -> tuple[int, int]:
 
 def numbers(trajectory: Trajectory) -> dict[str, Any]:
     """Return what the script of the page draws, in plain numbers and text."""
+    trajectory = moving_part(trajectory)
     first, last = moving(trajectory)
     order = np.argsort(trajectory.grains)
     grains = trajectory.grains[order]

@@ -17,7 +17,7 @@ from ..theory.front import decay
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.plotting import COLOURS, axes_in_units, figure, legend
-from .live import moving
+from .live import moving, moving_part
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 MOMENTS = (0.25, 0.5, 1.0)  # of the duration, for the waveforms
 SHADES = ("#56B4E9", "#0072B2", "#009E73")
 WIDTH, HEIGHT = 4.7, 3.5  # inches: letters are readable on a phone, and two pictures fit side by side
+MOST_MARKERS = 2000  # drawn one by one; of more a picture is smaller as pixels
 ONWARD = 0.9  # part of the grains that a front passes later than those before them
 
 
@@ -60,6 +61,7 @@ def _axes() -> Axes:
 
 def wave(run: Trajectory) -> Panel:
     """Draw the space-time picture, for readers without the live view."""
+    run = moving_part(run)
     first, last = moving(run)
     ax = run.plot(_axes())
     ax.set_ylim(last + 0.5, first - 0.5)
@@ -68,14 +70,15 @@ def wave(run: Trajectory) -> Panel:
 
 def waveforms(run: Trajectory) -> Panel:
     """Draw velocity against grain number at some times, with linear theory where it applies."""
-    picture = figure(WIDTH, 4.4)
+    run, picture = moving_part(run), figure(WIDTH, 4.4)
     above, apart = (axes_in_units(ax, "", "") for ax in picture.subplots(2, 1, sharex=True, height_ratios=(3, 1)))
     linear = _linear(run)
     largest = np.abs(run.velocity).max() or 1.0
     for part, shade in zip(MOMENTS, SHADES, strict=True):
         row = round(part * (run.time.size - 1))
         label = f"{run.time[row] * 1e6:.4g} µs"
-        above.plot(run.grains, run.velocity[row], "o", mfc="none", ms=4, color=shade, label=label)
+        dense = run.grains.size > MOST_MARKERS
+        above.plot(run.grains, run.velocity[row], "o", mfc="none", ms=4, color=shade, label=label, rasterized=dense)
         if linear is not None:
             above.plot(run.grains, linear[row], color=shade, lw=1)
             apart.plot(run.grains, (run.velocity[row] - linear[row]) / largest, color=shade, lw=1)
@@ -168,6 +171,7 @@ def _decay(run: Trajectory) -> tuple[float | None, str]:
 
 def spectra(run: Trajectory) -> Panel:
     """Draw the velocity spectra."""
+    run = moving_part(run)
     found = spectrum.spectrum(run)
     ax = found.plot(_axes())
     first, last = moving(run)
@@ -179,6 +183,7 @@ def spectra(run: Trajectory) -> Panel:
 
 def forces(run: Trajectory) -> Panel:
     """Draw the contact forces above those at rest."""
+    run = moving_part(run)
     history = contact.contacts(run)
     ax = history.plot(_axes(), above_rest=True)
     first, last = moving(run)
