@@ -16,7 +16,7 @@ from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, colour_bar, edges, legend, thinned
-from .recorded import known_contacts, motion
+from .bodies import known_contacts, motion
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

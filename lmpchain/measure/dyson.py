@@ -17,7 +17,7 @@ from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.tables import aligned, number
-from .recorded import motion
+from .bodies import motion
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -16,8 +16,8 @@ from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, legend, titled
+from .bodies import known_contacts, motion, motion_of_all
 from .motion import Motion, motion_of
-from .recorded import known_contacts, motion, motion_of_all
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -223,9 +223,9 @@ class Motion:
 
     @cached_property
     def ceiling(self) -> Array:
-        """Bounds on the speed between samples of each grain that moves, m/s, (M, T-1) or, if nothing hides, (1, 0).
+        """Bounds on the speed between samples of each grain that moves, (M, T-1) m/s.
 
-        Where nothing hides they are -1.
+        They are -1 where nothing hides; the shape is (1, 0) if nothing hides anywhere.
         """
         swift, known = self.scene.highest_frequency * self.step, self._known[self._moves]
         if swift <= RESOLVED_BY_DIFFERENCES or (swift <= RESOLVED and self._known.all()):

@@ -21,7 +21,7 @@ FULL = 2**15 - 1
 
 
 def moving_part(trajectory: Trajectory) -> Trajectory:
-    """Return the motion of the grains that ever leave rest, and of a few beside them: pictures show no others."""
+    """Return the grains that ever leave rest and a few beside them; pictures show no others."""
     u, v = np.asarray(trajectory.displacement), np.asarray(trajectory.velocity)
     there = trajectory.grains[leaves_rest(u, v)]
     if not there.size:

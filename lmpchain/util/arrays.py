@@ -24,7 +24,9 @@ def read_only(array: AnyArray) -> AnyArray:
 
 
 def as_slice(indices: NDArray[np.intp]) -> slice | NDArray[np.intp]:
-    """Return indices that follow one another as a slice, of which numpy makes a view and no copy; others as they are.
+    """Return indices that follow one another as a slice, others as they are.
+
+    Of a slice numpy makes a view and no copy.
 
     Examples
     --------

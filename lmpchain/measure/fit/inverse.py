@@ -18,8 +18,8 @@ from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array
 from ...util.notebook import Shown
 from ...util.plotting import axes_in_units, legend, titled
+from ..bodies import motion
 from ..contact import sensor
-from ..recorded import motion
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

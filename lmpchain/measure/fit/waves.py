@@ -17,7 +17,7 @@ from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array
 from ...util.notebook import Shown
 from ...util.plotting import axes_in_units, legend, titled
-from ..recorded import motion
+from ..bodies import motion
 from ..spectrum import UNITS, Field
 
 if TYPE_CHECKING:

@@ -1,0 +1,101 @@
+"""The motion of any bodies of a chain: grains that were recorded, held ones, and walls."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..scene.scene import Scene
+from ..trajectory.trajectory import Trajectory
+from ..util.arrays import Array
+from ..util.lazy import listed
+from .derivatives import STILL, UNKNOWN
+from .motion import Motion
+from .recorded import columns, leaves_rest
+
+__dir__ = listed(__name__)
+
+
+def known_contacts(trajectory: Trajectory | Motion) -> np.ndarray:
+    """Return the numbers of contacts whose two bodies were recorded or stand still, if there are any.
+
+    Parameters
+    ----------
+    trajectory : Trajectory or Motion
+
+    Returns
+    -------
+    (C,) array of int
+
+    Raises
+    ------
+    InputError
+        If no two neighbours were recorded.
+    """
+    known = columns(trajectory.scene.chain.grains, trajectory.scene.chain.movable, trajectory.grains) != UNKNOWN
+    chosen = np.flatnonzero(known[:-1] & known[1:] & trajectory.scene.chain.contacts.exists)
+    if not chosen.size:
+        raise InputError([("grains", "no two neighbours were recorded, so no contact is known: record both")])
+    return chosen
+
+
+def motion(trajectory: Trajectory | Motion, bodies: np.ndarray) -> tuple[Array, Array]:
+    """Return displacement, m, and velocity, m/s, of grains or walls (0 and N + 1), (T, ...) each.
+
+    Parameters
+    ----------
+    trajectory : Trajectory or Motion
+    bodies : (B,) array of int
+        Grains, or walls: 0 and N + 1.
+
+    Returns
+    -------
+    two (T, B) arrays
+
+    Raises
+    ------
+    InputError
+        If one of them was not recorded and is not held.
+    """
+    column = _found(trajectory, bodies)
+    u, v = trajectory.displacement[:, column], trajectory.velocity[:, column]
+    u[:, column == STILL] = v[:, column == STILL] = 0.0
+    if wall := trajectory.scene.excitation.wall:
+        u[:, bodies == 0], v[:, bodies == 0] = (wall.at(trajectory.time, order)[:, None] for order in (0, 1))
+    return u, v
+
+
+def motion_of_all(trajectory: Trajectory) -> tuple[Scene, Array, Array]:
+    """Return scene and motion, m and m/s, of the grains down to the last that ever moves.
+
+    Two grains at rest below that one belong to it, too, if there are any: the last of them is held for good.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+
+    Returns
+    -------
+    Scene and two (T, N) arrays
+
+    Raises
+    ------
+    InputError
+        If a grain that can move was not recorded.
+    """
+    scene, u, v = trajectory.scene, np.asarray(trajectory.displacement), np.asarray(trajectory.velocity)
+    _found(trajectory, np.arange(1, scene.chain.grains + 1))
+    last = 2 + max(scene.excitation.reach(scene.chain)[1], int(trajectory.grains[leaves_rest(u, v)].max(initial=1)))
+    scene = scene.part(1, last) if last < scene.chain.grains else scene
+    return scene, *motion(trajectory, np.arange(1, scene.chain.grains + 1))
+
+
+def _found(trajectory: Trajectory | Motion, bodies: np.ndarray) -> NDArray[np.intp]:
+    """Return the columns of bodies, or marks; raise InputError if one is unknown."""
+    column = columns(trajectory.scene.chain.grains, trajectory.scene.chain.movable, trajectory.grains)[bodies]
+    missing = np.unique(bodies[column == UNKNOWN])
+    if missing.size:
+        some = ", ".join(map(str, missing[:8])) + ", ..." * (missing.size > 8)
+        raise InputError([("grains", f"this takes grains that were not recorded; record these too: {some}")])
+    return column
