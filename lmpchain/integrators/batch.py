@@ -14,7 +14,7 @@ from ..chain.contacts import together
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from .kernels.contact_forces import CORRECTED, FORMS, POLYNOMIAL, POWER, ROOTS, SPRING, UNCOMPRESSED_POWER
-from .kernels.layout import KNOTS, PAD, Chains
+from .kernels.layout import ALONE, KNOTS, PAD, Chains, Team
 
 # analysis/calibration/roundoff.py
 STRONG = 1.0  # strike number from which the fastest form of the force loses nothing
@@ -123,12 +123,13 @@ class ChainBatch:
         end = width - np.where(moves.any(1), moves[:, ::-1].argmax(1), width - PAD)
         return begin // PAD * PAD, np.minimum(-(-np.maximum(end, begin + 1) // PAD) * PAD, width - PAD)
 
-    def arrays(self, share: slice, x: Array, v: Array, history: Array, state: Array) -> Chains:
-        """Return some of the chains, and where and how fast their bodies are, for the compiled loops."""
+    def arrays(self, share: slice, x: Array, v: Array, history: Array, state: Array, team: Team = ALONE) -> Chains:
+        """Return some of the chains, and where and how fast their bodies are, for the compiled loops of a thread."""
         return Chains(
             x[share], v[share], history[share], state[share], self.table[share], self.uncompressed[share],
             self.scale[share], self.forms[share], self.precompressed, self.coefficients,
             self.imposed, self.acted[share], self.drive[share], self.knots[share], self.pieces[share],
+            team,
         )  # fmt: skip
 
     def _rows(self, count: int) -> Array:

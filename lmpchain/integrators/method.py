@@ -29,12 +29,15 @@ class March(NamedTuple):
         What it takes beside the chains: what all share, and arrays with a row for each of the R chains.
     history : int
         Values a grain that it keeps of earlier steps.
+    shared : bool
+        Whether threads can share a chain.
     """
 
     run: Callable[..., int]
     common: tuple[Any, ...]
     each: tuple[Array, ...] = ()
     history: int = 0
+    shared: bool = False
 
 
 class Method(Protocol):

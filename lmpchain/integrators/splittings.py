@@ -90,13 +90,15 @@ class Splitting:
         if not schedule.adaptive:
             missing = kicks[-1] * schedule.step * batch.omega.max()  # of a speed, without the last kick of a step
             complete = 1 / (1 + missing**2 / 2)
-            return March(splitting.march, (kicks, drifts, steps_between_looks(schedule, batch), complete))
+            common = kicks, drifts, steps_between_looks(schedule, batch), complete
+            return March(splitting.march, common, shared=True)
         reach = schedule.step * batch.omega
         crossing = CROSSING_STEP * reach ** ((self.order + 1) / (batch.opening_power + 1))
         crossing = np.maximum(crossing, schedule.ratio * LEAST_CROSSING * EPSILON ** (1 / (batch.opening_power + 1)))
         nearest = (ADAPTIVE_STEP * reach / crossing) ** (14 / 9)
-        common = kicks, drifts, ADAPTIVE_STEP, steps_between_looks(schedule, batch)
-        return March(adaptive_splitting.march, common, (batch.omega, nearest, batch.opening_weight))
+        of_each = batch.omega, nearest, batch.opening_weight
+        looks = steps_between_looks(schedule, batch)
+        return March(adaptive_splitting.march, (kicks, drifts, ADAPTIVE_STEP, looks), of_each, shared=True)
 
     def _half_trace(self, frequency: Array) -> Array:
         """Half the trace of the one-step matrix of x'' = -omega^2 x at h = 1."""

@@ -11,7 +11,26 @@ from numpy.typing import NDArray
 
 from ..util.arrays import Array
 from .batch import ChainBatch
-from .kernels.layout import CLOSEST, DONE, FARTHEST, FASTEST, FIRST, LAST, LOWEST, NEXT, PAD, SAMPLE, STEP, STEPS, Clock
+from .kernels.layout import (
+    ALONE,
+    CLOSEST,
+    DONE,
+    FARTHEST,
+    FASTEST,
+    FIRST,
+    GIVEN_UP,
+    LAST,
+    LEAST_SHARE,
+    LOWEST,
+    NEXT,
+    PAD,
+    SAMPLE,
+    STEP,
+    STEPS,
+    Clock,
+    Team,
+    team,
+)
 from .method import Method
 from .step_schedule import StepSchedule
 
@@ -52,6 +71,8 @@ class Stepper(Protocol):
 class NativeStepper:
     """A batch of chains in displacements from equilibrium, shared out over threads.
 
+    If there are fewer chains than threads, and they are long, the threads share each of them.
+
     Parameters
     ----------
     chains : ChainBatch
@@ -73,9 +94,6 @@ class NativeStepper:
         threads: int = 1,
     ):
         self.chains, self.threads, scenes = chains, threads, chains.scenes
-        shares = min(threads, len(scenes))
-        self._shares = [slice(i * len(scenes) // shares, (i + 1) * len(scenes) // shares) for i in range(shares)]
-        self._pool = ThreadPoolExecutor(shares) if shares > 1 else None
         u, v = chains.initial
         self._x, self._v = chains.bodies(state.get("u", u)), chains.bodies(state.get("v", v))
         self._v[:, PAD : PAD + chains.driven] = 0.0  # it is put where its motion says
@@ -89,20 +107,31 @@ class NativeStepper:
         clock = Clock(scenes[0].duration / final, schedule.steps, schedule.step, schedule.stride, final)
         march = method.march(chains, schedule)
         self._march = march.run
+        parts = min(threads, chains.grains // LEAST_SHARE) if march.shared and len(scenes) < threads else 1
+        shares = min(threads, len(scenes)) if parts < 2 else 1
+        self._shares = [slice(i * len(scenes) // shares, (i + 1) * len(scenes) // shares) for i in range(shares)]
+        self._teams = team(parts) if parts > 1 else [ALONE]
+        # each thread that shares a chain has a state of its own, in which only extremes differ
+        self._states = [self._state, *(self._state.copy() for _ in self._teams[1:])]
+        others = len(self._shares) * len(self._teams) - 1
+        self._pool = ThreadPoolExecutor(others) if others else None
         self._history = np.zeros((len(scenes), march.history, self._x.shape[1]))
         if "history" in state:
             if state["history"].shape != self._history.shape:
                 raise ValueError("the state that was kept does not fit")
             self._history[:] = state["history"]
-        bodies = self._x, self._v, self._history, self._state
+        bodies = self._x, self._v, self._history
 
-        def arguments(share: slice) -> tuple[Any, ...]:
+        def arguments(share: slice, state: Array, member: Team) -> tuple[Any, ...]:
             """Return what the compiled march takes of some of the chains."""
-            return chains.arrays(share, *bodies), (*march.common, *(rows[share] for rows in march.each)), clock
+            method = *march.common, *(rows[share] for rows in march.each)
+            return chains.arrays(share, *bodies, state, member), method, clock
 
-        self._arguments = [arguments(share) for share in self._shares]
+        whose = [(share, *each) for share in self._shares for each in zip(self._states, self._teams, strict=True)]
+        self._work = [(share, arguments(share, *each)) for share, *each in whose]
         if not self._march.overloads:  # type: ignore[attr-defined]
-            self._march(*arguments(slice(0)), np.empty((0, 1, 1)), np.empty((0, 1, 1)), 0, 0, 0)  # only compiles
+            nothing = arguments(slice(0), self._state, ALONE)
+            self._march(*nothing, np.empty((0, 1, 1)), np.empty((0, 1, 1)), 0, 0, 0)  # only compiles
 
     def _check_state(self) -> None:
         """Raise `ValueError` if a kept state does not fit these chains: the compiled loops trust its window."""
@@ -118,12 +147,31 @@ class NativeStepper:
 
     def fill(self, u: Array, v: Array, offset: int, until: int, max_steps: int) -> int:
         """Step on to the sample `until`, or by `max_steps` a thread; samples from `offset` on go into u, v."""
+        gate = self._teams[0].gate
 
         def move(share: slice, arguments: tuple[Any, ...]) -> int:
-            return self._march(*arguments, u[share], v[share], offset, until, max_steps)
+            try:
+                return self._march(*arguments, u[share], v[share], offset, until, max_steps)
+            except BaseException:
+                gate[GIVEN_UP] = 1
+                raise
 
-        over = self._pool.map if self._pool else map
-        return sum(over(move, self._shares, self._arguments))
+        if not self._pool:
+            return move(*self._work[0])
+        for state in self._states[1:]:
+            state[:] = self._state
+        try:
+            beside = [self._pool.submit(move, *work) for work in self._work[1:]]
+            done = [move(*self._work[0]), *(other.result() for other in beside)]
+        except BaseException:  # Ctrl-C between two of them, too: nobody is to wait for one who does not come
+            gate[GIVEN_UP] = 1
+            raise
+        if len(self._teams) == 1:
+            return sum(done)
+        self._state[:, LOWEST] = np.min([state[:, LOWEST] for state in self._states], axis=0)
+        most = [CLOSEST, FARTHEST, FASTEST]
+        self._state[:, most] = np.max([state[:, most] for state in self._states], axis=0)
+        return done[0]
 
     @property
     def sample(self) -> int:

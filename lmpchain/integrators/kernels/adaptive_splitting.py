@@ -15,6 +15,7 @@ from .contact_forces import NEWS, STRICT, bits, fma, inlined, number
 from .layout import DONE, FIRST, LAST, PAD, PENDING, RESOLUTION, STEPS
 from .right_hand_side import accelerate, ahead, hold, impose, impose_velocity, imposed, recall, sweep
 from .sample_loop import end_of_step, sample_loop
+from .team import largest, meet, mine
 from .window import look, watch, widen
 
 
@@ -62,12 +63,15 @@ def _finish_kick(chain, margin, force, pull):
     """Complete the kick of the step before with the acceleration (W,), which is left in pull."""
     state = chain.state
     widen(chain, margin)
-    first, last = int(state[FIRST]), int(state[LAST])
-    accelerate(chain, chain.x, first, last, force, pull)
+    meet(chain.team)
+    first, last = mine(chain)
+    # one grain further on either side: how near contacts are to opening depends on it, too
+    accelerate(chain, chain.x, max(first - 1, int(state[FIRST])), min(last + 1, int(state[LAST])), force, pull)
     speeds, a = chain.v[first:last], pull[first:last]
     for n in range(speeds.size):
         speeds[n] = fma(state[PENDING], a[n], speeds[n])
     state[PENDING] = 0.0
+    meet(chain.team)
 
 
 @inlined
@@ -82,13 +86,14 @@ def _advance(chain, method, work, clock, span):
     _finish_kick(chain, stages + 1, force, pull)
     watch(chain)
     look(chain, every, int(state[STEPS]), t, 1.0)
-    first, last = int(state[FIRST]), int(state[LAST])
+    first, last = mine(chain)
     bodies, near, grains, speeds = slice(first - 1, last + 1), slice(first - 1, last), y[first:last], w[first:last]
     left = min(span.length - state[DONE], ahead(chain, t, span.begin + span.length, RESOLUTION * clock.step))
     nearness = _nearness(
         y[bodies], w[bodies], pull[bodies], chain.inverse_length[near], weight[chain.number, near],
         chain.precompressed, chain.uncompressed if first == PAD else 0.0, omega[chain.number], nearest[chain.number],
     )  # fmt: skip
+    nearness = largest(chain.team, nearness)
     h = clock.step * min(1.0, shortened * nearness ** (-1 / 14)) if nearness > 0.0 else clock.step
     done = end_of_step(chain, span, left, h)
     h = done - state[DONE]

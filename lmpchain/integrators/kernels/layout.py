@@ -8,6 +8,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ...util.arrays import Array
 
 PAD = 8  # doubles in a cache line
@@ -22,6 +25,30 @@ AMPLITUDE, OMEGA, ENVELOPE, END, KNOTS, BODY = range(6)
 # still due, the active window, extremes of the contacts, the largest displacement and speed of any grain, steps made,
 # and the step size of a method that changes it
 SAMPLE, DONE, PENDING, FIRST, LAST, LOWEST, CLOSEST, FARTHEST, FASTEST, NEXT, STEPS, STEP = range(12)
+
+# where threads that share a chain wait for each other, and what they tell each other: in a `gate`, how many times one has
+# come to wait, and on a cache line of its own whether one has given up; in its row of a `board` each the nearest opening
+# of a contact, and where its first grain was in every row of a `sweep`, fewer than EDGES
+GIVEN_UP, NEARNESS, EDGE, EDGES = PAD, 0, PAD, 128
+LEAST_SHARE = 4096  # grains of a thread; of this many, what it waits for others is a tenth of the time
+
+
+class Team(NamedTuple):
+    """Which of how many threads one is that share a chain, and where they wait and tell each other."""
+
+    part: int
+    parts: int
+    gate: NDArray[np.int64]
+    board: Array
+
+
+def team(parts: int) -> list[Team]:
+    """Return what each of so many threads knows of the others."""
+    gate, board = np.zeros(2 * PAD, dtype=np.int64), np.zeros((parts, EDGE + EDGES))
+    return [Team(part, parts, gate, board) for part in range(parts)]
+
+
+ALONE = team(1)[0]
 
 
 class Chains(NamedTuple):
@@ -49,6 +76,8 @@ class Chains(NamedTuple):
         on the bodies from the first to the last of these; else none, the last before the first.
     drive, knots, pieces : (R, 6), (R, P) and (R, 4, P-1) arrays
         How: see AMPLITUDE ... BODY; times and coefficients of a spline.
+    team : Team
+        Which threads share each chain.
     """
 
     x: Array
@@ -66,6 +95,7 @@ class Chains(NamedTuple):
     drive: Array
     knots: Array
     pieces: Array
+    team: Team
 
 
 class Chain(NamedTuple):
@@ -88,6 +118,7 @@ class Chain(NamedTuple):
     drive: Array
     knots: Array
     pieces: Array
+    team: Team
     number: int
 
 

@@ -11,7 +11,8 @@ import math
 import numpy as np
 
 from .contact_forces import compiled, contact_forces, inlined, kick_and_drift, touching
-from .layout import AMPLITUDE, BODY, END, ENVELOPE, FIRST, KNOTS, LAST, OMEGA, PAD, RESOLUTION
+from .layout import AMPLITUDE, BODY, EDGE, END, ENVELOPE, FIRST, KNOTS, LAST, OMEGA, PAD, RESOLUTION
+from .team import meet, mine
 
 ROWS = 64  # evaluations of the force between two updates of the window, for long chains and for methods of one stage
 TILE = 8192  # grains that stay in the cache while ROWS evaluations pass over them
@@ -79,7 +80,7 @@ def imposed(chain, t):
 @inlined
 def impose(chain, x, t, inside):
     """Put what is driven where it is at time t in x (W,), or note the force, by the law of `inside`."""
-    if chain.imposed:
+    if chain.imposed and chain.team.part == 0:
         x[max(int(chain.drive[BODY]), 0)] = _course(chain, t, 0, inside)
 
 
@@ -93,7 +94,7 @@ def recall(chain, t):
 @inlined
 def impose_velocity(chain, v, grain_1, t):
     """Give what is driven its velocity at time t, if v, with grain 1 at that index, has a place."""
-    if chain.imposed and int(chain.drive[BODY]) + grain_1 >= PAD:
+    if chain.imposed and chain.team.part == 0 and int(chain.drive[BODY]) + grain_1 >= PAD:
         v[int(chain.drive[BODY]) + grain_1 - PAD] = _course(chain, t, 1, t)
 
 
@@ -106,7 +107,7 @@ def imposed_speed(chain, t):
 @inlined
 def hold(chain, v):
     """Take the velocity of grain 1 out of v if it is driven: a drift must not move it."""
-    if chain.imposed and chain.drive[BODY] == PAD:
+    if chain.imposed and chain.team.part == 0 and chain.drive[BODY] == PAD:
         v[PAD] = 0.0
 
 
@@ -129,30 +130,68 @@ def accelerate(chain, y, first, last, force, pull):
 
 
 @inlined
+def _rows(chain, a, b, some, top, kicks, drifts, carried, path):
+    """Kick and drift the grains a ... b-1 once for each of some rows; `top` says that no grain of the window is above."""
+    il, st, im, forced = chain.inverse_length, chain.strength, chain.inverse_mass, _forced(chain)
+    body = forced if forced > 0 else int(chain.drive[BODY])
+    kick_and_drift(
+        chain.form, chain.x[a - 1 : b + 1], chain.v[a:b], il[a - 1 : b], st[a - 1 : b], im[a:b],
+        kicks[some], drifts[some], carried[some],
+        top, chain.uncompressed if top and a == PAD else 0.0, chain.precompressed, chain.coefficients,
+        path[some], body - (a - 1), forced > 0,
+    )  # fmt: skip
+
+
+@compiled
+def _lean(chain, a, row, carried):
+    """Leave to the thread above where grain a is before a row, and find the force on it from above."""
+    team, x = chain.team, chain.x
+    team.board[team.part, EDGE + row] = x[a]
+    contact_forces(
+        chain.form, carried[row : row + 1], x[a - 1 : a + 1], chain.inverse_length[a - 1 : a],
+        chain.strength[a - 1 : a], chain.precompressed, chain.coefficients,
+    )  # fmt: skip
+
+
+@compiled
+def _close(chain, end, kicks, drifts, carried, path):
+    """Kick and drift what this thread and the one below have left out around the border between them."""
+    x, edges = chain.x, chain.team.board[chain.team.part + 1, EDGE:]
+    for row in range(kicks.size):
+        b = end + PAD * (row + 1)
+        now, x[b] = x[b], edges[row]
+        _rows(chain, end - PAD * row, b, slice(row, row + 1), False, kicks, drifts, carried, path)
+        x[b] = now
+
+
+@inlined
 def sweep(chain, kicks, drifts, carried, path):
     """Kick and drift the window once a row; long chains in tiles that stay in the cache.
 
-    Every row of a tile ends a cache line before the one above it, so that it needs nothing of the tile to come.
+    Every row of a tile ends a cache line before the one above it, so that it needs nothing of the tile to come. Of a
+    chain that threads share, the rows of each begin a line after the one above, too, the first one a line into its part,
+    so that it needs nothing of what others do meanwhile; what is left out between them follows.
     """
-    x, v, il, st, im = chain.x, chain.v, chain.inverse_length, chain.strength, chain.inverse_mass
     first, last = int(chain.state[FIRST]), int(chain.state[LAST])
-    rows, tile = kicks.size, TILE if last - first > 2 * TILE else last - first
-    forced = _forced(chain)
-    body = forced if forced > 0 else int(chain.drive[BODY])
-    for begin in range(first, last, tile):
-        end = begin + tile if begin + 2 * tile <= last else last
-        together = rows if tile == last - first else 1
+    begins, ends = mine(chain)
+    meet(chain.team)
+    rows, tile = kicks.size, TILE if ends - begins > 2 * TILE else max(1, ends - begins)
+    together = rows if tile == last - first else 1
+    for begin in range(begins, ends, tile):
+        end = begin + tile if begin + 2 * tile <= ends else ends
         for row in range(0, rows, together):
             a, b = begin, end
             if together == 1:
-                a = max(first, begin - PAD * row)
                 b = end - PAD * row if end < last else last
-            some = slice(row, row + together)
-            kick_and_drift(
-                chain.form, x[a - 1 : b + 1], v[a:b], il[a - 1 : b], st[a - 1 : b], im[a:b],
-                kicks[some], drifts[some], carried[some],
-                a == first, chain.uncompressed if a == PAD else 0.0, chain.precompressed, chain.coefficients,
-                path[some], body - (a - 1), forced > 0,
-            )  # fmt: skip
-        if end == last:
+                if begin > begins:
+                    a = begin - PAD * row
+                elif begin > first:
+                    a = begin + PAD * (row + 1)
+                    _lean(chain, a, row, carried)
+            _rows(chain, a, b, slice(row, row + together), a == first, kicks, drifts, carried, path)
+        if end == ends:
             break
+    meet(chain.team)
+    if begins < ends < last:
+        _close(chain, ends, kicks, drifts, carried, path)
+    meet(chain.team)

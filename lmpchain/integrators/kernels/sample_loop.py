@@ -20,7 +20,8 @@ def _chain(chains, real):
     return Chain(
         chains.x[real], chains.v[real], chains.history[real], chains.state[real], table[0], table[1], table[2],
         chains.uncompressed[real], chains.scale[real], chains.forms[real], chains.precompressed, chains.coefficients,
-        chains.imposed, chains.acted[real], chains.drive[real], chains.knots[real], chains.pieces[real], real,
+        chains.imposed, chains.acted[real], chains.drive[real], chains.knots[real], chains.pieces[real],
+        chains.team, real,
     )  # fmt: skip
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from .contact_forces import bits, inlined, number
 from .layout import CLOSEST, FARTHEST, FASTEST, FIRST, LAST, LOWEST, NEXT, PAD
 from .right_hand_side import impose_velocity, imposed_speed
+from .team import mine
 
 TINY = 1e-19  # of the largest speed and displacement: what has moved less lies outside of the light cone
 MAGNITUDE = (1 << 63) - 1  # the bits of a number without its sign
@@ -41,7 +42,7 @@ def watch(chain):
     Positive numbers compare like their bits: the largest of whole numbers is found many at a time.
     """
     state = chain.state
-    first, last = int(state[FIRST]), int(state[LAST])
+    first, last = mine(chain)
     x = chain.x[first - 1 : last + 1]
     inverse_length, strength = chain.inverse_length[first - 1 : last], chain.strength[first - 1 : last]
     opened, closest = bits(max(-state[LOWEST], 0.0)), bits(state[CLOSEST])
@@ -65,7 +66,7 @@ def look(chain, every, made, t, complete):
     if made < state[NEXT]:
         return
     state[NEXT] = made + every[chain.number] + made // SETTLED
-    first, last = int(state[FIRST]), int(state[LAST])
+    first, last = mine(chain)
     x, v = chain.x[first:last], chain.v[first:last]
     farthest, fastest = bits(state[FARTHEST]), 0
     for n in range(v.size):
@@ -77,10 +78,11 @@ def look(chain, every, made, t, complete):
 
 @inlined
 def record(chain, t, u_out, v_out):
-    """Copy the grains of the window at time t to where they are recorded, (N,) m and m/s."""
-    last = int(chain.state[LAST])
-    x, v = chain.x[PAD:last], chain.v[PAD:last]
-    for n in range(min(u_out.size, x.size)):
-        u_out[n] = x[n]
-        v_out[n] = v[n]
+    """Copy the grains up to the end of the window at time t to where they are recorded, (N,) m and m/s."""
+    first, last = mine(chain)
+    first = PAD if chain.team.part == 0 else first  # before the window, too
+    x, v, u_some, v_some = chain.x[first:last], chain.v[first:last], u_out[first - PAD :], v_out[first - PAD :]
+    for n in range(min(u_some.size, x.size)):
+        u_some[n] = x[n]
+        v_some[n] = v[n]
     impose_velocity(chain, v_out, 0, t)

@@ -1,0 +1,192 @@
+"""Threads that share a chain: the answer of one thread, to the last bit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lmpchain import Chain, Drive, Force, Profile, Scene, engines, simulate
+from lmpchain.integrators.batch import ChainBatch
+from lmpchain.integrators.kernels.layout import FIRST, LAST, LEAST_SHARE
+from lmpchain.integrators.methods import METHODS
+from lmpchain.integrators.splittings import SPLITTINGS
+from lmpchain.integrators.step_schedule import StepSchedule
+from lmpchain.integrators.stepper import NativeStepper
+
+GRAINS = 5 * LEAST_SHARE + 21
+SEVERAL = (2, 3, 5)
+
+
+def noisy(
+    grains: int = GRAINS, first: int = 0, last: int | None = None, seed: int = 1, strikes: float = 0.0, **chain: Any
+) -> Scene:
+    """Return a chain whose grains fly about, so that contacts open and close all over it."""
+    made = Chain(grains=grains, diameter=1e-3, **{"gravity": 0.0, "top_load": 1e-3} | chain)
+    speed = strikes or 2 * made.equilibrium_overlap[0] * made.band_edge
+    velocity = np.zeros(grains)
+    velocity[first:last] = np.random.default_rng(seed).normal(size=velocity[first:last].size) * speed
+    velocity[-1] = 0
+    duration = 1e-4 if strikes else 4 / made.band_edge
+    return Scene(chain=made, excitation=Profile(velocity=velocity), duration=duration, samples=3)
+
+
+def acted(grains: int = GRAINS, **excitation: Any) -> Scene:
+    """Return a chain that is driven or pushed until the wave has filled a good part of it."""
+    pushed = excitation.pop("pushed", False)
+    chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-3, top="free" if pushed else "wall")
+    moved = Force if pushed else Drive
+    duration = 2 * 2.2 * LEAST_SHARE / chain.band_edge
+    return Scene(chain=chain, excitation=moved(**excitation), duration=duration, samples=3)
+
+
+def answer(scene: Scene, threads: int, method: str, adaptive: bool, steps: int = 4, force: str = "auto") -> list[Any]:
+    """Return the samples and the state at the end, in pieces of three steps."""
+    schedule = StepSchedule(steps, 1, scene.duration / (scene.samples - 1) / steps, adaptive)
+    stepper = NativeStepper(ChainBatch([scene], force), METHODS[method], schedule, {}, threads)
+    u, v = np.zeros((2, 1, scene.samples, scene.chain.grains))
+    while stepper.sample < scene.samples - 1:
+        stepper.fill(u, v, 0, scene.samples - 1, 3 if steps < 50 else 777)
+    kept = stepper.state()
+    stepper.close()
+    assert len(stepper._teams) == threads
+    return [u, v, kept["u"], kept["v"], kept["state"]]
+
+
+def check_alike(scene: Scene, *how: Any, several: Sequence[int] = SEVERAL, **more: Any) -> list[Any]:
+    """Return the answer of one thread, if it is that of several."""
+    one = answer(scene, 1, *how, **more)
+    for threads in several:
+        for a, b in zip(one, answer(scene, threads, *how, **more), strict=True):
+            assert np.array_equal(a, b)
+    return one
+
+
+@pytest.mark.parametrize("adaptive", [False, True])
+def test_contacts_that_open_and_close(adaptive: bool):
+    scene = noisy()
+    u = check_alike(scene, "rkn4", adaptive, several=(3,) if adaptive else SEVERAL)[0][0, -1]
+    assert (scene.chain.equilibrium_overlap + u[:-1] - u[1:] < 0).mean() > 0.05
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("force", ["exact", "plain"])
+@pytest.mark.parametrize("method", SPLITTINGS)
+def test_every_splitting(method: str, force: str):
+    for adaptive in {False, METHODS[method].adaptive != "no"}:
+        check_alike(noisy(seed=2), method, adaptive, force=force)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "chain",
+    [
+        {"exponent": 1.0},
+        {"exponent": 1.3},
+        {"exponent": 2.5, "top": "wall"},
+        {"top_load": 0.0, "gravity": 9.81, "top": "wall"},
+        {"top_load": 0.0, "bottom": "free", "strikes": 1e-3},
+    ],
+)
+def test_every_form_of_the_force(chain: dict[str, Any]):
+    scene = noisy(**chain)
+    check_alike(scene, "verlet", False)
+    check_alike(scene, "rkn6", False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["verlet", "rkn4"])
+def test_a_window_that_grows_takes_in_threads(method: str):
+    for first, last in ((0, 2 * LEAST_SHARE - 40), (5000, 5000 + 2 * LEAST_SHARE - 40)):
+        scene = noisy(3 * LEAST_SHARE, first, last).replace(duration=1e-3, samples=3)
+        for adaptive in {False, METHODS[method].adaptive != "no"}:
+            how = {"steps": 300}
+            one = answer(scene, 1, method, adaptive, **how)
+            assert one[4][0, LAST] - one[4][0, FIRST] > 2 * LEAST_SHARE + 200
+            for threads in (2, 3):
+                for a, b in zip(one, answer(scene, threads, method, adaptive, **how), strict=True):
+                    assert np.array_equal(a, b)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "excitation",
+    [
+        {"amplitude": 1e-8, "frequency": 3000.0},
+        {"amplitude": 1e-8, "frequency": 3000.0, "grain": 0},
+        {"times": [0.0, 2e-3, 4e-3], "displacement": [0.0, 2e-8, 1e-8]},
+        {"amplitude": 1e-8, "frequency": 3000.0, "cycles": 5, "grain": 0},
+        {"amplitude": 1e-3, "frequency": 3000.0, "grain": GRAINS // 2, "pushed": True},
+        {"amplitude": 1e-3, "duration": 3e-4, "shape": "half-sine", "grain": GRAINS // 2, "pushed": True},
+    ],
+)
+def test_what_acts_all_the_time(excitation: dict[str, Any]):
+    for method, adaptive in (("verlet", False), ("rkn4", True)):
+        scene = acted(**excitation)
+        steps = int(np.ceil(scene.chain.band_edge * scene.duration / 2))
+        one = check_alike(scene, method, adaptive, steps=steps)
+        assert one[4][0, LAST] > 2 * LEAST_SHARE
+
+
+@pytest.mark.slow
+def test_whole_answers_and_runs_that_go_on():
+    """The answer, its error estimate and what it goes on from know nothing of the threads."""
+    scene = noisy(2 * LEAST_SHARE + 5, bottom="wall")
+    one, two = (simulate(scene, "native", 1e-4, threads=threads) for threads in (1, 2))
+    for field in ("displacement", "velocity"):
+        assert np.array_equal(getattr(one, field), getattr(two, field))
+    assert one.error_estimate == two.error_estimate
+    assert one.cost.steps == two.cost.steps
+
+    def run(threads: int, kept: Any = None, stop: int = 10) -> tuple[Any, Any]:
+        engine = engines.Native("rkn4", threads=threads)
+        started = engine.start([scene], engine.candidate(scene, 1e-3), kept)
+        blocks = []
+        for block in started.blocks():
+            blocks += [block.velocity[0]]
+            if block.samples.stop >= stop:
+                break
+        kept = started.state()
+        started.close()
+        return np.concatenate(blocks), kept
+
+    whole, end = run(1)
+    for threads, others in product((1, 2), (1, 2)):
+        kept = run(threads, stop=1)[1]
+        rest, ended = run(others, kept)
+        assert np.array_equal(whole[len(whole) - len(rest) :], rest)
+        assert all(np.array_equal(end[name], ended[name]) for name in end)
+
+
+def test_short_chains_and_batches_are_not_split():
+    scene = noisy(2 * LEAST_SHARE - 1)
+    schedule = StepSchedule(2, 1, scene.duration / 6, False)
+    for scenes, method in (([scene], "verlet"), ([noisy()] * 2, "verlet"), ([noisy()], "dop853")):
+        stepper = NativeStepper(ChainBatch(scenes), METHODS[method], schedule, {}, 2)
+        assert len(stepper._teams) == 1
+        stepper.close()
+
+
+def test_nobody_waits_for_a_thread_that_does_not_come(monkeypatch: pytest.MonkeyPatch):
+    """Ctrl-C may come when some threads have begun and others have not."""
+    scene = noisy()
+    stepper = NativeStepper(
+        ChainBatch([scene]), METHODS["verlet"], StepSchedule(2, 1, scene.duration / 6, False), {}, 3
+    )
+    submit, begun = stepper._pool.submit, []
+
+    def interrupted(*work: Any) -> Any:
+        if begun:
+            raise KeyboardInterrupt
+        begun.append(submit(*work))
+        return begun[0]
+
+    monkeypatch.setattr(stepper._pool, "submit", interrupted)
+    u, v = np.zeros((2, 1, scene.samples, GRAINS))
+    with pytest.raises(KeyboardInterrupt):
+        stepper.fill(u, v, 0, scene.samples - 1, 2**30)
+    stepper.close()  # waits for those that have begun
+    assert begun[0].done()
