@@ -1,7 +1,8 @@
 """One long chain on several threads: how many times as fast as on one, with the same bits.
 
-All grains move: gently, at steps of one length, and so that contacts open all over the chain and steps shorten. Times are
-those of the integration alone, interleaved; the least of several runs counts. More threads than free cores gain nothing.
+All grains move: gently, at steps of one length, and so that contacts open all over the chain and steps shorten. Times
+are those of the integration alone, interleaved; the least of several runs counts. More threads than free cores gain
+nothing.
 """
 
 import argparse

@@ -200,9 +200,7 @@ def _parser() -> argparse.ArgumentParser:
         choices=["auto", "physical", "gauge"],
         help="LAMMPS only: positions from the real diameters, or from a far smaller one, which reduces round-off",
     )
-    run.add_argument(
-        "--threads", metavar="P", type=int, help="native only: threads that share a long chain (default: 1)"
-    )
+    run.add_argument("--threads", metavar="P", type=int, help="native only: threads that share a long chain")
     _ranks(run)
     _own(run)
     _max_wall(run)

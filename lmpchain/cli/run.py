@@ -27,10 +27,8 @@ def _policy(arguments: argparse.Namespace) -> Policy:
     """Return which engine answers, with the options given for it."""
     from ..simulation.policy import policy_for
 
-    given = {
-        key: getattr(arguments, key)
-        for key in ("integrator", "step", "threads", "diameter", "ranks", "template", "include")
-    }
+    names = "integrator", "step", "threads", "diameter", "ranks", "template", "include"
+    given = {key: getattr(arguments, key) for key in names}
     return policy_for(arguments.engine, **{key: value for key, value in given.items() if value is not None})
 
 

@@ -35,8 +35,8 @@ class Native(TimeSteppingEngine):
         s; the largest step up to it that divides the sample interval is used, and no tolerance is
         enforced.
     threads : int
-        Over which a batch of chains is shared out, or one long chain, of which each takes at least 4096 grains in motion;
-        not with dop853 and gear4. The bits are those of one thread.
+        Over which a batch of chains is shared out, or one long chain, of which each takes at least 4096 grains in
+        motion; not with dop853 and gear4. The bits are those of one thread.
     force : "auto", "exact" or "plain"
         The form of the force: exact keeps the digits of the weakest wave, plain is faster and wrong by the last digit
         of the force at rest, auto takes what loses nothing.

@@ -28,7 +28,7 @@ from .imposed import ImposedCourse
 from .kernels import adjoint as kernels
 from .kernels.adjoint_tangent import tangent
 from .kernels.contact_forces import ROOTS
-from .kernels.layout import FIRST, LAST, PAD, STEP, Chain
+from .kernels.layout import ALONE, FIRST, LAST, PAD, STEP, Chain
 from .splittings import Splitting
 
 ROOM = 2**19  # bytes for what is kept between two checkpoints, about what stays in the cache
@@ -139,7 +139,7 @@ class DifferentiableRun:
         self._chain = Chain(
             x, v, history, self._state, length, strength, mobility, batch.uncompressed[0], batch.scale[0],
             batch.forms[0], batch.precompressed, batch.coefficients, batch.imposed, batch.acted[0], batch.drive[0],
-            batch.knots[0], batch.pieces[0], 0,
+            batch.knots[0], batch.pieces[0], ALONE, 0,
         )  # fmt: skip
         self._table = aligned(3, self._x.shape[1])  # of the contact above each body
         self._table[:2, 1:] = batch.table[0, :2, :-1]

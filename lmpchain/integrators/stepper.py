@@ -127,8 +127,8 @@ class NativeStepper:
             method = *march.common, *(rows[share] for rows in march.each)
             return chains.arrays(share, *bodies, state, member), method, clock
 
-        whose = [(share, *each) for share in self._shares for each in zip(self._states, self._teams, strict=True)]
-        self._work = [(share, arguments(share, *each)) for share, *each in whose]
+        members = list(zip(self._states, self._teams, strict=True))
+        self._work = [(share, arguments(share, *member)) for share in self._shares for member in members]
         if not self._march.overloads:  # type: ignore[attr-defined]
             nothing = arguments(slice(0), self._state, ALONE)
             self._march(*nothing, np.empty((0, 1, 1)), np.empty((0, 1, 1)), 0, 0, 0)  # only compiles

@@ -131,7 +131,7 @@ def accelerate(chain, y, first, last, force, pull):
 
 @inlined
 def _rows(chain, a, b, some, top, kicks, drifts, carried, path):
-    """Kick and drift the grains a ... b-1 once for each of some rows; `top` says that no grain of the window is above."""
+    """Kick and drift the grains a ... b-1 once for each of some rows; `top`: none of the window is above."""
     il, st, im, forced = chain.inverse_length, chain.strength, chain.inverse_mass, _forced(chain)
     body = forced if forced > 0 else int(chain.drive[BODY])
     kick_and_drift(
@@ -169,8 +169,8 @@ def sweep(chain, kicks, drifts, carried, path):
     """Kick and drift the window once a row; long chains in tiles that stay in the cache.
 
     Every row of a tile ends a cache line before the one above it, so that it needs nothing of the tile to come. Of a
-    chain that threads share, the rows of each begin a line after the one above, too, the first one a line into its part,
-    so that it needs nothing of what others do meanwhile; what is left out between them follows.
+    chain that threads share, the rows of each begin a line after the one above, too, the first a line into its part, so
+    that it needs nothing of what others do meanwhile; what is left out between them follows.
     """
     first, last = int(chain.state[FIRST]), int(chain.state[LAST])
     begins, ends = mine(chain)
