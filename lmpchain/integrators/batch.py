@@ -124,7 +124,7 @@ class ChainBatch:
         return begin // PAD * PAD, np.minimum(-(-np.maximum(end, begin + 1) // PAD) * PAD, width - PAD)
 
     def arrays(self, share: slice, x: Array, v: Array, history: Array, state: Array, team: Team = ALONE) -> Chains:
-        """Return some of the chains, and where and how fast their bodies are, for the compiled loops of a thread."""
+        """Return some chains, and where and how fast their bodies are, for the loops of a thread."""
         return Chains(
             x[share], v[share], history[share], state[share], self.table[share], self.uncompressed[share],
             self.scale[share], self.forms[share], self.precompressed, self.coefficients,

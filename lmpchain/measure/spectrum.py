@@ -125,7 +125,18 @@ class Dispersion(Shown):
 
 
 def check(trajectory: Trajectory, field: Field) -> None:
-    """Raise `InputError` if samples are too few for fronts and spectra, or if there is no such field."""
+    """Check that a trajectory has samples enough for fronts and spectra, and such a field.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    field : {"velocity", "displacement"}
+
+    Raises
+    ------
+    InputError
+        If it has not.
+    """
     if field not in get_args(Field):
         raise InputError([("field", f'must be "velocity" or "displacement" (got {shown(field)})')])
     if trajectory.time.size < FEWEST_SAMPLES:

@@ -15,6 +15,7 @@ from ..errors import LmpchainError
 from ..measure.fit.overview import summary
 from ..trajectory.trajectory import Trajectory
 from ..util.files import write_aside
+from ..util.plotting import si
 from ..util.progress import ProgressBar
 from ..util.templates import render
 from . import live, panels
@@ -106,7 +107,7 @@ def title(trajectory: Trajectory) -> str:
     chain = scene.chain
     weight = f"g = {chain.gravity:g} m/s²" if chain.gravity else "no gravity"
     load = f", load {chain.top_load:g} N" if chain.top_load else ""
-    how = f"{scene.excitation.label}, {scene.duration * 1e6:g} µs, {trajectory.engine}"
+    how = f"{scene.excitation.label}, {si(scene.duration, 's')}, {trajectory.engine}"
     return f"{chain.grains} grains, {weight}{load}, {how}"
 
 

@@ -16,7 +16,7 @@ from ..simulation.api import simulate
 from ..theory.front import decay
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
-from ..util.plotting import COLOURS, axes_in_units, figure, legend
+from ..util.plotting import COLOURS, axes_in_units, figure, legend, si
 from .live import moving, moving_part
 
 if TYPE_CHECKING:
@@ -49,12 +49,6 @@ def _panel(ax: Axes, caption: str, alt: str = "", map: bool = False) -> Panel:
     return Panel(caption, alt or caption, base64.b64encode(buffer.getvalue()).decode("ascii"), map)
 
 
-def _si(value: float, unit: str) -> str:
-    from matplotlib.ticker import EngFormatter
-
-    return EngFormatter(unit, places=1)(value)
-
-
 def _axes() -> Axes:
     return axes_in_units(figure(WIDTH, HEIGHT).subplots(), "", "")
 
@@ -76,7 +70,7 @@ def waveforms(run: Trajectory) -> Panel:
     largest = np.abs(run.velocity).max() or 1.0
     for part, shade in zip(MOMENTS, SHADES, strict=True):
         row = round(part * (run.time.size - 1))
-        label = f"{run.time[row] * 1e6:.4g} µs"
+        label = si(run.time[row], "s")
         dense = run.grains.size > MOST_MARKERS
         above.plot(run.grains, run.velocity[row], "o", mfc="none", ms=4, color=shade, label=label, rasterized=dense)
         if linear is not None:
@@ -89,7 +83,7 @@ def waveforms(run: Trajectory) -> Panel:
     apart.axhline(0, color=COLOURS["lammps"], lw=0.8)
     apart.set(xlabel="grain, from the top", ylabel="difference\n/ largest")
     peak = int(run.grains[np.abs(run.velocity[-1]).argmax()])
-    said = f"At the end the motion is largest at grain {peak}, {_si(np.abs(run.velocity[-1]).max(), 'm/s')}. "
+    said = f"At the end the motion is largest at grain {peak}, {si(np.abs(run.velocity[-1]).max(), 'm/s', 1)}. "
     if linear is None:
         apart.text(0.5, 0.5, "no linear theory of this scene", transform=apart.transAxes, ha="center", va="center")
         return _panel(above, f"{said}There is no linear theory of this scene.")
@@ -132,8 +126,8 @@ def arrival(run: Trajectory) -> Panel:
     time.set(xlabel="grain, from the top", ylabel="arrival (µs)")
     legend(time)
     said = (
-        f"The front passes {found.grain.size} grains; its peak goes from {_si(values[0], 'm/s')} at grain "
-        f"{found.grain[0]} to {_si(values[-1], 'm/s')} at grain {found.grain[-1]}."
+        f"The front passes {found.grain.size} grains; its peak goes from {si(values[0], 'm/s', 1)} at grain "
+        f"{found.grain[0]} to {si(values[-1], 'm/s', 1)} at grain {found.grain[-1]}."
     )
     return _panel(height, said + (f" Dashed: {name}." if power is not None else " No law is known for this chain."))
 
@@ -177,7 +171,7 @@ def spectra(run: Trajectory) -> Panel:
     first, last = moving(run)
     ax.set_ylim(last + 0.5, first - 0.5)
     where = np.unravel_index(found.amplitude.argmax(), found.amplitude.shape)
-    said = f"Velocity spectrum of every grain, strongest at {_si(found.frequency[where[0]], 'Hz')}."
+    said = f"Velocity spectrum of every grain, strongest at {si(found.frequency[where[0]], 'Hz', 1)}."
     return _panel(ax, f"{said} The line is the local cut-off frequency." if found.cut_off.any() else said, map=True)
 
 
@@ -192,7 +186,7 @@ def forces(run: Trajectory) -> Panel:
         ax.set_ylim(last + 0.5, first - 0.5)
     openings = sum(event.opens for event in history.events())
     c = np.abs(history.change).max(0)
-    most = f"at most {_si(c.max(), 'N')}, in contact {history.contact[c.argmax()]}"
+    most = f"at most {si(c.max(), 'N', 1)}, in contact {history.contact[c.argmax()]}"
     said = f"Force of every contact above that at rest, {most}."
     opened = "No contact opens." if not openings else f"Contacts open {openings} time{'s' if openings > 1 else ''}."
     return _panel(ax, f"{said} {opened}", map=many)
@@ -204,6 +198,6 @@ def balance(run: Trajectory) -> Panel:
     largest = np.abs(ledger.total).max() or 1.0
     said = (
         "Energy relative to rest. Drift: change not explained by work done on the chain, at most "
-        f"{np.abs(ledger.drift).max() / largest:.1e} of the largest energy, {_si(largest, 'J')}."
+        f"{np.abs(ledger.drift).max() / largest:.1e} of the largest energy, {si(largest, 'J', 1)}."
     )
     return _panel(ledger.plot(_axes()), said)

@@ -75,6 +75,13 @@ def figure(width: float = 8.0, height: float = 7.0) -> Figure:
     return new
 
 
+def si(value: float, unit: str, places: int | None = None) -> str:
+    """Return a number with its unit and an SI prefix, to so many places."""
+    from matplotlib.ticker import EngFormatter
+
+    return EngFormatter(unit, places=places)(value)
+
+
 def window(width: float = 6.4, height: float = 4.2) -> Figure:
     """Return an empty figure of this size in inches that `pyplot.show` and notebooks show."""
     from matplotlib import pyplot
@@ -92,6 +99,8 @@ def axes_in_units(ax: Axes | None, x: str, y: str) -> Axes:
     for axis, unit in ((ax.xaxis, x), (ax.yaxis, y)):
         if unit:
             axis.set_major_formatter(EngFormatter(unit))
+    if x and ax.get_xscale() == "linear":
+        ax.locator_params(axis="x", nbins=6)
     if _inches(ax) < NARROW:
         ax.locator_params(nbins=5)
         ax.tick_params(labelsize=8.0)

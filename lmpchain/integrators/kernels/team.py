@@ -93,9 +93,9 @@ def largest(team, value):
 
 @inlined
 def mine(chain):
-    """Return the first grain of the window that is this thread's, and the one behind its last: none if they agree.
+    """Return the first grain of the window that is this thread's, and the one behind its last.
 
-    A short window is left to the first thread.
+    There is none if they agree. A short window is left to the first thread.
     """
     first, last, team = int(chain.state[FIRST]), int(chain.state[LAST]), chain.team
     if team.parts == 1:
