@@ -64,7 +64,7 @@ class Optimum:
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the best value so far over the runs, a line a start; returns the axes."""
-        from ..util.plotting import axes_in_units, legend
+        from ..util.plotting import COLOURS, axes_in_units, legend
 
         ax = axes_in_units(ax, "", "")
         less = self.value <= min(part.min() for part in self.history) + HARDLY * abs(self.value)
@@ -73,7 +73,8 @@ class Optimum:
             ax.plot(np.arange(1, best.size + 1), best, lw=1, label=f"start {number}")
         ax.set_xlabel("runs")
         ax.set_ylabel("best value")
-        legend(ax)
+        if len(self.history) <= len(COLOURS):
+            legend(ax)
         return ax
 
 

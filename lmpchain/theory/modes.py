@@ -148,8 +148,9 @@ def _rayleigh(shape: Array, stiffness: Array) -> Array:
 def _separated(shape: Array, stiffness: Array, mass: Array) -> Array:
     """Return low modes without what the diagonalisation mixes into each of the others.
 
-    That is ``eps omega_max^2 / gap``. Sums over contacts of squeezes know the part j of mode i to ``eps omega_i omega_j / gap``; first order, again while
-    it is large (Ogita and Aishima, Jpn. J. Ind. Appl. Math. 35, 1007 (2018)).
+    That is ``eps omega_max^2 / gap``. Sums over contacts of squeezes know the part j of mode i to
+    ``eps omega_i omega_j / gap``; first order, again while it is large (Ogita and Aishima, Jpn. J. Ind. Appl. Math. 35,
+    1007 (2018)).
     """
     for _ in range(PASSES):
         squeezed = np.sqrt(stiffness)[:, None] * _squeezed(shape)
