@@ -148,14 +148,14 @@ def trial(family: str, seed: int, longest: float = 0.0) -> dict[str, Any]:
 def judge(
     scene: Scene, engine: str, tolerance: float, answer: Trajectory | None, missed: bool = False, fixed: bool = False
 ) -> dict[str, Any]:
-    """Hold an answer to references of rising accuracy until the verdict is clear."""
+    """Hold an answer to references of rising accuracy until the verdict is clear; one against it takes two of them."""
     row: dict[str, Any] = {"ending": "missed" if missed else "unresolved"}
     if answer is not None:
         estimate = answer.error_estimate.total
         row |= {"estimate": estimate, "solver": answer.error_estimate.solver, "method": answer.cost.integrator,
                 "answered": answer.engine, "steps": answer.cost.steps}  # fmt: skip
     finest = FINEST["long double"]
-    tried = max(finest, 1e-4 * tolerance)
+    tried, against = max(finest, 1e-4 * tolerance), False
     while True:
         try:
             true, doubt = reference(scene, tried)
@@ -172,7 +172,8 @@ def judge(
                 abs(off - LOW * estimate - ROUND) > SAFE * doubt or off < ROUND,
             ]
             clear |= all(sure[fixed:]) or doubt < ROUND
-        if clear or tried <= finest:
+        confirmed, against = against, clear and bool(row.get("above") or row.get("low"))
+        if clear and (confirmed or not against) or tried <= finest:
             break
         tried = max(finest, 1e-4 * tried)
     if not clear:
