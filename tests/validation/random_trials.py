@@ -173,7 +173,7 @@ def judge(
             ]
             clear |= all(sure[fixed:]) or doubt < ROUND
         confirmed, against = against, clear and bool(row.get("above") or row.get("low"))
-        if clear and (confirmed or not against) or tried <= finest:
+        if (clear and (confirmed or not against)) or tried <= finest:
             break
         tried = max(finest, 1e-4 * tried)
     if not clear:
