@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -18,6 +18,7 @@ from ..chain.chain import Chain
 from ..errors import InputError, RunFailed, shown
 from ..util.arrays import Array
 from ..util.progress import ProgressBar
+from .closing import aspects, returns
 from .events import EVENTS, Place, between
 from .family import Event, Family
 from .flow import Flow
@@ -28,20 +29,26 @@ FIRST, SMALLEST = 0.2, 1e-7  # steps along the family, over the size of the orbi
 LARGEST = {True: 0.4, False: 0.7}  # the longest where events are sought, and where not; 1 goes down to rest
 STRAIGHT, BENT = 0.98, 0.9  # cosine of the angle between two tangents: a longer step, and a shorter one
 EASY = 10  # iterations
+STILL, PATIENCE = 0.05, 60  # a family must go so many sizes of its orbit in so many tries, or is given up
+HALVINGS = 12  # of the last step, to come to the orbit asked for
 ELEMENT = re.compile(r"(\w+)\[(\d+)\]")
 
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """The family that an orbit belongs to: its equations, what is held, and what its parameter is."""
+    """The family that an orbit belongs to: its equations, what is held, and what its parameter is.
+
+    With `exact` its directions are good enough to locate events by.
+    """
 
     equations: Equations
     held: tuple[Constraint, ...]
     of: str
+    exact: bool = False
 
     def solved(self, guess: Point, constraint: Constraint, near: Place | None = None) -> Solution | None:
         """Return the orbit of the family near a guess that a constraint selects; a place nearby saves work."""
-        return solve(self.equations, guess, [*self.held, constraint], near=near and near.solution)
+        return solve(self.equations, guess, [*self.held, constraint], near=near and near.solution, exact=self.exact)
 
     def place(self, solution: Solution, constraint: Constraint, before: Array | None = None) -> Place:
         """Return a solved orbit with the direction of the family, turned as that of the place before."""
@@ -71,6 +78,24 @@ class Curve:
         except InputError:  # of a chain that there is not, beyond the end of what the parameter may be
             return None
         return None if solution is None else self.place(solution, arc, place.direction)
+
+    def missed(self, place: Place, target: Constraint) -> float:
+        """Return by how much a place misses a target, with its sign."""
+        return target.of(place.unknown, self.equations.unpack(place.unknown))[0]
+
+    def meeting(self, here: Place, there: Place, target: Constraint) -> Place | None:
+        """Return the place between two where a target is met; what lies between is halved until it is found."""
+        for _ in range(HALVINGS):
+            before, after, apart = self.missed(here, target), self.missed(there, target), there.unknown - here.unknown
+            guess = here.unknown + (before / (before - after) if after else 1.0) * apart
+            found = self.solved(self.equations.unpack(guess), target, there)
+            if found and np.linalg.norm(self.equations.pack(found.point) - guess) < np.linalg.norm(apart):
+                return self.place(found, target, here.direction)
+            middle = self.along(here, float(here.direction @ apart) / 2)
+            if middle is None:
+                break
+            here, there = (here, middle) if self.missed(middle, target) * before <= 0 else (middle, there)
+        return None
 
 
 def follow(
@@ -107,16 +132,17 @@ def follow(
     Returns
     -------
     Family
-        With `reached` false if the family never came to `until`.
+        With `reached` false if the family never came to `until`; why is said by `ended`.
 
     Raises
     ------
     InputError
         If the parameter is none of this orbit, or a value is wrong.
     RunFailed
-        If the family cannot be followed further.
+        If the orbit is not one of the family at `start`.
     """
     curve, first = _curve(orbit, parameter, start, until, hold)
+    curve = replace(curve, exact=events)
     target = fixed(curve.equations, curve.of, until)
     # at a given period the amplitude of a small orbit is next to free
     anchor = fixed(
@@ -131,36 +157,43 @@ def follow(
     if begun is None:
         raise RunFailed("the orbit to begin with does not solve these equations: is it that of `start`?")
     here = curve.place(begun, anchor)
-    left = target.of(here.unknown, begun.point)[0]
+    left = curve.missed(here, target)
     if here.rate * left > 0:
         here = here._replace(direction=-here.direction, rate=-here.rate, turning=-here.turning)
     length = FIRST * _size(curve, here)
-    places, whole, reached = [here], max(abs(left), 1e-300), left == 0
+    places, whole, reached, ended = [here], max(abs(left), 1e-300), left == 0, ""
+    earlier, tried, gone = aspects(curve.equations, here), 0, 0.0
     found: list[Event] = []
     with ProgressBar(1.0, "orbits", layout="{desc}: {percentage:3.0f}% |{bar}| {elapsed}", shown=progress) as bar:
-        while not reached and len(places) < points:
-            here, step = places[-1], _step(curve, places[-1], length, LARGEST[events])
-            if step is None:
-                raise RunFailed(f"the family cannot be followed beyond {_where(curve, here)}")
-            there, length = step
-            point = curve.equations.unpack(there.unknown)
-            now = target.of(there.unknown, point)[0]
-            if reached := bool(now * left <= 0):
-                part = abs(left) / (abs(left) + abs(now)) if now else 1.0
-                guess = curve.equations.unpack(here.unknown + part * (there.unknown - here.unknown))
-                ended = curve.solved(guess, target, there)
-                if ended is None:
-                    raise RunFailed(f"no orbit of the family is found at {until:g}")
-                there = curve.place(ended, target, here.direction)
+        while not reached and not ended:
+            here = places[-1]
+            if len(places) >= points:
+                ended = f"its first {points} orbits end at {_where(curve, here)}"
+                break
+            there, length, tries = _step(curve, here, length, LARGEST[events], PATIENCE - tried)
+            if there is None:
+                stuck = "hardly moves on from" if tries == PATIENCE - tried else "cannot be followed beyond"
+                ended = f"it {stuck} {_where(curve, here)}"
+            elif curve.missed(there, target) * left <= 0:
+                there = curve.meeting(here, there, target)
+                reached = there is not None
+                ended = "" if reached else f"no orbit of it is found at {until:g}"
+            if there is None:
+                break
             if events:
                 found += _events(curve, here, there)
             places.append(there)
-            left = now
-            bar.reach(max(0.0, 1 - abs(now) / whole))
+            left = curve.missed(there, target)
+            bar.reach(max(0.0, 1 - abs(left) / whole))
+            gone += float(np.linalg.norm(there.unknown - here.unknown)) / _size(curve, there)
+            tried, gone = (0, 0.0) if gone > STILL else (tried + tries, gone)
+            if not reached and returns(curve.solved, curve.equations, earlier, here, there):
+                ended = f"it comes back to orbits that it has been through, from {_where(curve, there)} on"
+            earlier += aspects(curve.equations, there)
     return Family(
         tuple(place.orbit for place in places),
         np.array([_value(curve, curve.equations.unpack(place.unknown)) for place in places]),
-        parameter if isinstance(parameter, str) else "parameter", tuple(found), bool(reached),
+        parameter if isinstance(parameter, str) else "parameter", tuple(found), reached, ended,
     )  # fmt: skip
 
 
@@ -175,17 +208,17 @@ def _size(curve: Curve, place: Place) -> float:
     return float(np.linalg.norm(place.unknown[: curve.equations.period_at(place.unknown)]))
 
 
-def _step(curve: Curve, here: Place, length: float, largest: float) -> tuple[Place, float] | None:
-    """Return the next place and how long the step after it may be, up to `largest` sizes of the orbit."""
+def _step(curve: Curve, here: Place, length: float, largest: float, most: int) -> tuple[Place | None, float, int]:
+    """Return the next place, how long the step after it may be, up to `largest` sizes of the orbit, and tries made."""
     size = _size(curve, here)
-    length = min(length, largest * size)
-    while length > SMALLEST * size:
-        there = curve.along(here, length)
+    length, tries = min(length, largest * size), 0
+    while length > SMALLEST * size and tries < most:
+        there, tries = curve.along(here, length), tries + 1
         if there is not None and (turn := float(there.direction @ here.direction)) > BENT:
-            easy = there.orbit.iterations <= EASY and turn > STRAIGHT
-            return there, length * (2.0 if easy else 0.8 if turn < STRAIGHT else 1.0)
-        length /= 2
-    return None
+            easy = there.solution.iterations - there.solution.relaid <= EASY and turn > STRAIGHT
+            return there, length * (2.0 if easy else 0.8 if turn < STRAIGHT else 1.0), tries
+        length /= 4 if there is None else 2
+    return None, length, tries
 
 
 def _events(curve: Curve, here: Place, there: Place) -> list[Event]:

@@ -54,6 +54,8 @@ class Family(Shown):
         In their order.
     reached : bool
         Whether the family came to the value asked for.
+    ended : str
+        Why it did not; empty if it did.
     """
 
     orbits: tuple[Orbit, ...]
@@ -61,6 +63,7 @@ class Family(Shown):
     parameter: str
     events: tuple[Event, ...]
     reached: bool
+    ended: str = ""
 
     def __len__(self) -> int:
         return len(self.orbits)

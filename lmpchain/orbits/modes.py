@@ -58,7 +58,7 @@ def normal_mode(chain: Chain, mode: int, energy: float, *, progress: bool = Fals
     """
     family = mode_family(chain, mode, energy, events=False, progress=progress)
     if not family.reached:
-        raise RunFailed(f"the family of mode {mode} does not come to {energy:g} J: follow it with orbits.mode_family")
+        raise RunFailed(f"the family of mode {mode} does not come to {energy:g} J: {family.ended}")
     return find(chain, family[-1], energy=energy)
 
 
@@ -154,7 +154,7 @@ def breather(chain: Chain, grain: int, period: float, *, progress: bool = False)
     if linear and family.reached:
         family = follow(family[-1], "period", period, points=POINTS, events=False, progress=progress)
     if not family.reached:
-        raise RunFailed(f"the breather of {period:g} s does not go on to the masses of the chain: is it in a gap?")
+        raise RunFailed(f"the breather of {period:g} s does not come to the masses of the chain: {family.ended}")
     return find(chain, family[-1], period)
 
 

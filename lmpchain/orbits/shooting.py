@@ -19,6 +19,7 @@ from .flow import Flow, Passage
 
 CLOSED = 1e-12  # residual over the size of the orbit
 ITERATIONS = 25
+STALLS = 0  # steps with exact derivatives that may leave half of the residual, near an orbit that is known
 USEFUL = 0.1  # factor on the residual by which old derivatives must still bring it down
 SAME = 1e-6  # relative distance over which derivatives are taken as the same
 TUNED = 4  # times that steps are laid anew around openings
@@ -149,13 +150,17 @@ class Constraint(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """A solved point, its steps, the derivatives of all equations, and what round-off leaves of them."""
+    """A solved point, its steps, the derivatives of all equations, and what round-off leaves of them.
+
+    And Newton's iterations, of them those after steps were laid anew.
+    """
 
     point: Point
     mesh: Array
     slopes: Array
     residual: float
     iterations: int
+    relaid: int = 0
 
 
 def fixed(equations: Equations, what: str, value: float) -> Constraint:
@@ -189,40 +194,54 @@ def solve(
     constraints: Sequence[Constraint],
     reach: float = meshes.REACH,
     near: Solution | None = None,
+    exact: bool = False,
 ) -> Solution | None:
     """Return the orbit near a guess, or None where Newton's method does not find one.
 
-    Steps are laid anew around the openings of what was found until these stay where they are. A solution nearby saves
-    work: its derivatives may serve, and its steps show where contacts open.
+    Steps are laid anew around the openings of what was found until these stay where they are; with `exact` derivatives
+    these are taken at the last ones, else they may be off by the error of the steps. A solution nearby saves work: its
+    derivatives may serve, and its steps show where contacts open.
     """
     mesh, _ = equations.mesh(guess, reach, near and near.mesh)
-    slopes = near and near.slopes
-    found, point, iterations = None, guess, 0
-    for _ in range(TUNED):
-        found = _newton(equations, point, constraints, mesh, slopes)
+    slopes, taken, stalls = near and near.slopes, None, STALLS if near else ITERATIONS
+    found, point, iterations, relaid = None, guess, 0, 0
+    for again in range(TUNED):
+        found = _newton(equations, point, constraints, mesh, slopes, taken, stalls)
         if found is None:
             return None
         point, slopes, iterations = found.point, found.slopes, iterations + found.iterations
+        taken, relaid = equations.pack(point), relaid + (found.iterations if again else 0)
         if found.iterations <= 1:
             break
-        again, open_ = equations.mesh(point, reach, mesh)
+        tuned, open_ = equations.mesh(point, reach, mesh)
         if not open_:
             break
-        mesh = again
-    return found and found._replace(iterations=iterations)
+        mesh = tuned
+    if exact and found and again:
+        rows = [constraint.of(equations.pack(point), point)[1][None] for constraint in constraints]
+        found = found._replace(slopes=np.vstack((equations.linearised(point, found.mesh)[1], *rows)))
+    return found and found._replace(iterations=iterations, relaid=relaid)
 
 
 def _newton(
-    equations: Equations, guess: Point, constraints: Sequence[Constraint], mesh: Array, slopes: Array | None = None
+    equations: Equations,
+    guess: Point,
+    constraints: Sequence[Constraint],
+    mesh: Array,
+    slopes: Array | None,
+    taken: Array | None,
+    stalls: int,
 ) -> Solution | None:
     """Return the solution at given steps; derivatives are taken anew only where old ones no longer serve.
 
-    Old ones cost nothing, new ones as much as M motions, so those of an orbit nearby, `slopes`, are tried first.
+    Old ones cost nothing, new ones as much as M motions, so those of an orbit nearby, `slopes`, are tried first; they
+    are exact where they were `taken`. After so many `stalls` of exact ones it is given up.
     """
     unknown, last = equations.pack(guess), np.inf
     best, least = unknown, np.inf  # where the residual was the least
     size, period_at, steps = np.abs(unknown).max(), equations.period_at(unknown), 0
-    before, taken = unknown, np.full(unknown.size, np.inf)  # where the last step began, and where slopes are exact
+    before, exactly = unknown, np.inf  # where the last step began, and the last residual with exact slopes
+    taken = np.full(unknown.size, np.inf) if taken is None else taken
     while steps < ITERATIONS:
         point = equations.unpack(unknown)
         more = [constraint.of(unknown, point) for constraint in constraints]
@@ -246,7 +265,9 @@ def _newton(
             worse = (lost or here > last) and before is not taken  # old derivatives led astray
             slopes, unknown, last = None, before if worse else unknown, np.inf
             continue
-        if lost:
+        if fresh:
+            stalls, exactly = stalls - (here > max(exactly / 2, CLOSED)), here
+        if lost or stalls < 0:
             return None
         last = here
         change = solved(slopes, residual)
