@@ -27,6 +27,7 @@ from .shooting import Constraint, Equations, Point, Solution, discretisation, fi
 
 FIRST, SMALLEST = 0.2, 1e-7  # steps along the family, over the size of the orbit
 LARGEST = {True: 0.4, False: 0.7}  # the longest where events are sought, and where not; 1 goes down to rest
+REGROWN = {True: 0.02, False: 1.0}  # up to which steps laid anew make no step a hard one: long ones jump over events
 STRAIGHT, BENT = 0.98, 0.9  # cosine of the angle between two tangents: a longer step, and a shorter one
 EASY = 10  # iterations
 STILL, PATIENCE = 0.05, 60  # a family must go so many sizes of its orbit in so many tries, or is given up
@@ -170,7 +171,7 @@ def follow(
             if len(places) >= points:
                 ended = f"its first {points} orbits end at {_where(curve, here)}"
                 break
-            there, length, tries = _step(curve, here, length, LARGEST[events], PATIENCE - tried)
+            there, length, tries = _step(curve, here, length, events, PATIENCE - tried)
             if there is None:
                 stuck = "hardly moves on from" if tries == PATIENCE - tried else "cannot be followed beyond"
                 ended = f"it {stuck} {_where(curve, here)}"
@@ -208,14 +209,15 @@ def _size(curve: Curve, place: Place) -> float:
     return float(np.linalg.norm(place.unknown[: curve.equations.period_at(place.unknown)]))
 
 
-def _step(curve: Curve, here: Place, length: float, largest: float, most: int) -> tuple[Place | None, float, int]:
-    """Return the next place, how long the step after it may be, up to `largest` sizes of the orbit, and tries made."""
+def _step(curve: Curve, here: Place, length: float, events: bool, most: int) -> tuple[Place | None, float, int]:
+    """Return the next place, how long the step after it may be, and how many were tried, `most` at the most."""
     size = _size(curve, here)
-    length, tries = min(length, largest * size), 0
+    length, tries = min(length, LARGEST[events] * size), 0
     while length > SMALLEST * size and tries < most:
         there, tries = curve.along(here, length), tries + 1
         if there is not None and (turn := float(there.direction @ here.direction)) > BENT:
-            easy = there.solution.iterations - there.solution.relaid <= EASY and turn > STRAIGHT
+            relaid = there.solution.relaid if length < REGROWN[events] * size else 0
+            easy = there.solution.iterations - relaid <= EASY and turn > STRAIGHT
             return there, length * (2.0 if easy else 0.8 if turn < STRAIGHT else 1.0), tries
         length /= 4 if there is None else 2
     return None, length, tries

@@ -1,4 +1,4 @@
-"""Folds and bifurcations along a family of orbits, located by regula falsi."""
+"""Folds and bifurcations along a family of orbits, located by regula falsi, halving where it does not."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .shooting import Solution
 
 EVENTS = ("fold", "period doubling", "Neimark-Sacker", "branch point")
 SPLIT = 1e-6  # of two means: less is what round-off makes of a double one
-TRIES = 12
+TRIES = 24
 NEAR = 1e-6  # of a step: where an event is located
 
 
@@ -45,9 +45,12 @@ def between(kind: str, here: Place, there: Place, at: Callable[[float], Place | 
         return None
     low, high, found = 0.0, 1.0, there
     f_low, f_high = _distance(kind, here, before, after), _distance(kind, there, before, after)
-    side = 0
-    for _ in range(TRIES):
-        part = (low * f_high + high * f_low) / (f_high + f_low) if f_low + f_high > 0 else (low + high) / 2
+    side, width = 0, 1.0
+    for number in range(TRIES):
+        slow = number % 3 == 2 and high - low > width / 4  # as where another pair is nearer than the one that meets
+        falsi = f_low + f_high > 0 and not slow
+        part = (low * f_high + high * f_low) / (f_high + f_low) if falsi else (low + high) / 2
+        width = width if number % 3 else high - low
         part = min(max(part, low + 0.02 * (high - low)), high - 0.02 * (high - low))
         middle = at(part)
         if middle is None:

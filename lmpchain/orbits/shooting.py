@@ -242,6 +242,7 @@ def _newton(
     size, period_at, steps = np.abs(unknown).max(), equations.period_at(unknown), 0
     before, exactly = unknown, np.inf  # where the last step began, and the last residual with exact slopes
     taken = np.full(unknown.size, np.inf) if taken is None else taken
+    closed, settled = False, None  # whether old derivatives led to round-off, and that orbit with exact ones
     while steps < ITERATIONS:
         point = equations.unpack(unknown)
         more = [constraint.of(unknown, point) for constraint in constraints]
@@ -261,9 +262,13 @@ def _newton(
         done = here > last / 4 and least < CLOSED  # round-off is what is left
         if exact and done:
             return Solution(equations.unpack(best), mesh, slopes, least, steps)
+        if settled and not here <= settled.residual:  # where derivatives are all but singular a step more leads away
+            return settled
+        if fresh and closed:
+            settled = Solution(point, mesh, slopes, here, steps)
         if not fresh and (lost or done or here > USEFUL * last):
             worse = (lost or here > last) and before is not taken  # old derivatives led astray
-            slopes, unknown, last = None, before if worse else unknown, np.inf
+            slopes, unknown, last, closed = None, best if done else before if worse else unknown, np.inf, done
             continue
         if fresh:
             stalls, exactly = stalls - (here > max(exactly / 2, CLOSED)), here
@@ -276,12 +281,12 @@ def _newton(
             before, unknown, steps = unknown, unknown - change, steps + 1
             wild = bool(np.abs(unknown).max() > 1e3 * size)
         if wild and fresh:
-            return None
+            break
         if wild:
             slopes = None
         elif fresh and np.abs(change).max() < 4 * EPSILON * np.abs(unknown).max():
             return Solution(point, mesh, slopes, least, steps)
-    return None
+    return settled
 
 
 def solved(slopes: Array, residual: Array) -> Array:
