@@ -59,13 +59,14 @@ def returns(
         nearest = int(distance.argmin())
         if distance[nearest] > BESIDE * length:
             continue
-        plane = Constraint(
-            lambda unknown, _, at=known.unknown: (float(apart @ (unknown - at)) / length, apart / length)
-        )
-        found = solved(equations.unpack(way[nearest]), plane, there)
+        found = solved(equations.unpack(way[nearest]), _plane(known.unknown, apart / length), there)
         if found and _same(equations.pack(found.point), known.unknown, there.orbit.error + known.error):
             return True
     return False
+
+
+def _plane(through: Array, normal: Array) -> Constraint:
+    return Constraint(lambda unknown, _: (float(normal @ (unknown - through)), normal))
 
 
 def _way(here: Place, there: Place, length: float) -> Array:

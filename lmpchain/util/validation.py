@@ -169,7 +169,7 @@ def _plain(value: Any) -> Any:
 def _vector(value: Any) -> Any:
     """Turn numbers into a read-only (n,) array of float64."""
     if value is None:
-        return value
+        raise ValueError("must be a list of numbers: leave it out if it is not given")
     if isinstance(value, list | tuple) and any(isinstance(item, bool | str) for item in value):
         raise ValueError("must be numbers")
     try:
@@ -185,7 +185,7 @@ def _vector(value: Any) -> Any:
 
 def _positive_vector(value: Any) -> Any:
     array = _vector(value)
-    if array is not None and not (array > 0).all():
+    if not (array > 0).all():
         where = int(np.argmin(array > 0))
         raise ValueError(f"must be above 0, but entry {where + 1} is {array[where]:g}")
     return array

@@ -40,14 +40,19 @@ def defect() -> Orbit:
 
 
 @cache
-def dark() -> Orbit:
+def dark(energy: float = 6.7e-4) -> Orbit:
     """A dip in neighbours that swing against each other: C. Chong et al., Phys. Rev. E 87, 042202 (2013).
 
     Rigid walls are mirrors, so the chain is the half of a ring.
     """
     rigid = {"top_material": RIGID, "bottom_material": RIGID}
     chain = Chain(grains=100, masses=np.full(100, LIGHT), **LOADED, **WALLS, **rigid)
-    return orbits.normal_mode(chain, 99, energy=6.7e-4)
+    return orbits.normal_mode(chain, 99, energy=energy)
+
+
+def strong() -> Orbit:
+    """Dark, where the dip is all but free to move, so that derivatives are all but singular."""
+    return dark(5e-3)
 
 
 def stiffness(chain: Chain) -> float:
@@ -60,7 +65,7 @@ def share(orbit: Orbit) -> np.ndarray:
     return held / held.sum()
 
 
-@pytest.mark.parametrize("kind", [gap, surface, defect, dark])
+@pytest.mark.parametrize("kind", [gap, surface, defect, dark, pytest.param(strong, marks=pytest.mark.slow)])
 def test_a_breather_returns_after_a_period(kind):
     """Source: Taylor series in extended precision."""
     orbit = kind()

@@ -8,7 +8,8 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from lmpchain import Chain, Drive, orbits
-from lmpchain.orbits import Family
+from lmpchain.orbits import Family, continuation
+from lmpchain.orbits.closing import Aspect, aspects
 from lmpchain.orbits.shooting import Equations
 
 CHAIN = Chain(grains=3, diameter=1e-3, gravity=0.0, top_load=1.0)  # one grain that moves, below the driven one
@@ -168,3 +169,59 @@ def test_a_breather_loses_its_stability_and_comes_back_where_pairs_of_multiplier
         near = [orbits.find(chain, event.orbit, event.value * (1 + side * 2e-4)) for side in (-inside, inside)]
         assert growth(near[0]) == pytest.approx(1, abs=1e-4)
         assert growth(near[1]) > 1.001
+
+
+def column() -> tuple[Chain, orbits.Orbit, float]:
+    """Return a column, an orbit of its third mode, and a larger energy."""
+    chain = Chain(grains=6, diameter=1e-3)
+    energy = chain.length_scale * chain.masses[0] * 9.81
+    return chain, orbits.normal_mode(chain, 3, 0.1 * energy), 0.3 * energy
+
+
+def test_a_family_that_comes_back_to_its_orbits_half_a_period_later_ends(monkeypatch: pytest.MonkeyPatch):
+    """Beyond a point where it meets itself a family is what it was before, begun half a period later."""
+    chain, first, until = column()
+    seen: list = []
+
+    def recorded(equations, place):
+        seen.append([equations.unpack(aspect.unknown) for aspect in aspects(equations, place)])
+        return []
+
+    monkeypatch.setattr(continuation, "aspects", recorded)
+    assert orbits.follow(first, "energy", until, events=False).reached
+    half = first.motion()[1][first.mesh.size // 2]
+    later = orbits.find(chain, (half, np.zeros(6)), first.period, energy=first.energy)
+    for aspect, ended in ((0, ""), (1, "it comes back to orbits that it has been through")):
+        points = [points[aspect] for points in seen[1:]]
+        monkeypatch.setattr(continuation, "aspects", lambda eq, _, of=points: [Aspect(eq.pack(p), 0.0) for p in of])
+        family = orbits.follow(later, "energy", until, events=False)
+        assert family.ended.startswith(ended)
+        assert family.reached == (not ended)
+
+
+def test_a_family_that_gives_up_keeps_its_orbits_and_says_why(monkeypatch: pytest.MonkeyPatch):
+    _, first, until = column()
+    family = orbits.follow(first, "energy", until, points=3, events=False)
+    assert (len(family), family.reached) == (3, False)
+    assert family.ended.startswith("its first 3 orbits end at energy")
+    assert "ended='its first 3 orbits" in repr(family)
+    monkeypatch.setattr(continuation, "STILL", np.inf)
+    monkeypatch.setattr(continuation, "PATIENCE", 2)
+    family = orbits.follow(first, "energy", until, events=False)
+    assert (len(family), family.ended[:31]) == (3, "it hardly moves on from energy ")
+    monkeypatch.setattr(continuation.Curve, "along", lambda *_: None)
+    monkeypatch.setattr(continuation, "PATIENCE", 60)
+    family = orbits.follow(first, "energy", until, events=False)
+    assert (len(family), family.ended[:34]) == (1, "it cannot be followed beyond energ")
+
+
+@pytest.mark.soak
+def test_a_long_column_in_a_resonance_is_given_up_soon(monkeypatch: pytest.MonkeyPatch):
+    taken = []
+    linearised = Equations.linearised
+    monkeypatch.setattr(Equations, "linearised", lambda *given: taken.append(1) or linearised(*given))
+    chain = Chain(grains=100, diameter=1e-3)
+    family = orbits.mode_family(chain, 2, 1e4 * chain.length_scale * chain.masses[0] * 9.81, events=False)
+    assert family.ended.startswith("it hardly moves on from energy")
+    assert len(taken) < 200
+    assert max(orbit.residual for orbit in family.orbits) < 1e-12
