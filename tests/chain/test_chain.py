@@ -450,6 +450,7 @@ FAULTY = {  # what is given, the key that must be named and some of what must be
     "crushed by the wall above": (
         {"top": "wall", "top_load": 1e-3, "top_material": SOFT}, "diameter", "contact 0 is compressed by"
     ),
+    "no wall constants": ({"wall_constants": None}, "wall_constants", "leave it out if it is not given"),
 }  # fmt: skip
 
 
