@@ -103,7 +103,7 @@ class PhaseError:
 
     @property
     def estimate(self) -> float:
-        """What is left out, as the lead of the wave, as waves in resonance or as strains that add up at random."""
+        """What is left out: the lead of the wave, waves in resonance, strains that add up at random."""
         if not self._looked:
             return 1.0
         slows = SLOWS * self._excess * self._typical * self.state[kernel.SQUARED_STRAIN]
