@@ -34,7 +34,7 @@ def main() -> None:
     far = orbits.follow(breather, "period", most * period)
     both = orbits.Family(
         (*near.orbits[::-1], *far.orbits[1:]), np.append(near.value[::-1], far.value[1:]), "period",
-        (*near.events, *far.events), True,
+        (*near.events, *far.events), near.reached and far.reached,
     )  # fmt: skip
     say("orbits followed", len(both))
     inside = np.flatnonzero(both.period > breather.period)
