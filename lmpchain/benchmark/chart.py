@@ -33,7 +33,7 @@ def draw(result: Any, ax: Axes | Sequence[Axes] | None = None, others: Sequence[
     codes = {code: [row for row in others if row["code"] == code] for code in dict.fromkeys(r["code"] for r in others)}
     curves = {curve.name: [vars(point) for point in curve.points] for curve in result.curves} | codes
     times = {name: time_to(TARGET, _known(points, "seconds")) for name, points in curves.items()}
-    stepped = [curve for curve in result.curves if len(curve.points) > 1]
+    stepped = [curve for curve in result.curves if len(curve.points) > 1 or curve.to_tolerance]
     soonest = sorted(stepped, key=lambda curve: (not curve.to_tolerance, _or_never(times[curve.name])))[:LABELLED]
     styles = {curve.name: _style(place, curve) for place, curve in enumerate(soonest)}
     _draw_errors(over_time, "seconds", result, curves, styles)
