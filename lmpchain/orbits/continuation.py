@@ -210,7 +210,7 @@ def _size(curve: Curve, place: Place) -> float:
 
 
 def _step(curve: Curve, here: Place, length: float, events: bool, most: int) -> tuple[Place | None, float, int]:
-    """Return the next place, how long the step after it may be, and how many were tried, `most` at the most."""
+    """Return the next place, how long a step from it may be, and how many of at most `most` were tried."""
     size = _size(curve, here)
     length, tries = min(length, LARGEST[events] * size), 0
     while length > SMALLEST * size and tries < most:
