@@ -7,7 +7,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from helpers.child_processes import COMMAND, at_work, ended, finish, on_a_terminal, processes, start, until, write
+from helpers.child_processes import COMMAND, at_work, ended, on_a_terminal, processes, start, until, write
 
 from lmpchain import Chain, Impulse, Scene, Stopped, Trajectory, simulate
 from lmpchain.cli.command_line import main
@@ -59,8 +59,13 @@ def test_a_signal_stops_at_the_next_block(case: str, number: int, code: int, tmp
     assert ("Ctrl-C" if number == signal.SIGINT else "SIGTERM") in kept["reason"]
     assert Trajectory.load(folder).time.size == kept["samples_done"] >= began > 0
     until(lambda: not processes(mark))  # no rank is left behind
-    code, said = finish("resume", folder, "--max-wall", "0.01", ranks=ranks)
-    assert code == 75, said
+    again = start("resume", folder, ranks=ranks, env=environment)
+    try:
+        until(lambda: again.poll() is not None or status(folder)["samples_done"] > kept["samples_done"])
+        again.send_signal(number)
+        assert ended(again)[0] == code
+    finally:
+        again.kill()
     assert status(folder)["samples_done"] > kept["samples_done"]
 
 
