@@ -96,7 +96,7 @@ class PhaseError:
         """Estimated relative error, as defined for a trajectory; 1 says no more than that it is large.
 
         Below `SMALL_ERROR` it is the bound where something acts all the time or a packet runs: what their few
-        frequencies do to each other may add up in phase, and random trials found estimates up to 12 times too low.
+        frequencies do to each other may add up in phase, and random trials found estimates up to 8 times too low.
         """
         bound = min(self.at_most, SMALL_ERROR) if self._in_phase and self._looked else 0.0
         return max(self.estimate, bound)
