@@ -119,7 +119,11 @@ def test_random_scenes(seed):
 
 
 @pytest.mark.parametrize(
-    "seed", [pytest.param(n, marks=() if n in (102, 103) else pytest.mark.slow) for n in range(100, 120)]
+    "seed",
+    [
+        pytest.param(n, marks=() if n in (102, 103) else pytest.mark.soak if n % 2 else pytest.mark.slow)
+        for n in range(100, 120)
+    ],
 )
 def test_random_scenes_in_lammps(seed):
     scene, reference = SCENES[f"random for LAMMPS {seed}"], stored_reference(f"random for LAMMPS {seed}")

@@ -147,7 +147,7 @@ def untiled() -> Any:
     return made
 
 
-@pytest.mark.slow
+@pytest.mark.soak  # half a minute of compilation
 def test_tiled_loops_give_the_bits_of_untiled_ones(untiled: Any, monkeypatch: pytest.MonkeyPatch):
     """A wave all over a chain of three tiles, with contacts that open and a wall that only touches."""
     chain = Chain(grains=3 * kernels.TILE + 5, diameter=1e-3, top="wall")
@@ -210,7 +210,7 @@ def test_other_loops_do_several_at_a_time():
 
 
 @x86
-@pytest.mark.slow
+@pytest.mark.soak  # half a minute of compilation
 def test_steps_do_several_grains_at_a_time(untiled: Any):
     """What is kept for later processes cannot be read; the same compiled anew can."""
     assembly = next(iter(untiled.inspect_asm().values()))

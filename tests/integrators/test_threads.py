@@ -73,8 +73,9 @@ def test_contacts_that_open_and_close(adaptive: bool):
     assert (scene.chain.equilibrium_overlap + u[:-1] - u[1:] < 0).mean() > 0.05
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("force", ["exact", "plain"])
+@pytest.mark.parametrize(
+    "force", [pytest.param("exact", marks=pytest.mark.slow), pytest.param("plain", marks=pytest.mark.soak)]
+)
 @pytest.mark.parametrize("method", SPLITTINGS)
 def test_every_splitting(method: str, force: str):
     for adaptive in {False, METHODS[method].adaptive != "no"}:

@@ -11,6 +11,8 @@ ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "analysis" / "calibration"
 SHARED = ("common", "scenes")
 SCRIPTS = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem not in SHARED)
+# ten to twenty seconds each
+LONG = ("adaptive_steps", "halved_steps", "opening_error_factor", "richardson_estimate", "roundoff")
 # what few scenes already show; the README has what many do, and what none does
 SHOWN = {
     "adaptive_steps": ["CROSSING_STEP", "LEAST_CROSSING", "STEP_ERROR", "STEP_ERROR_MIN"],
@@ -51,8 +53,9 @@ def claimed(script: str) -> list[str]:
     return [row.strip("`") for row in rows]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("script", SCRIPTS)
+@pytest.mark.parametrize(
+    "script", [pytest.param(name, marks=pytest.mark.soak if name in LONG else pytest.mark.slow) for name in SCRIPTS]
+)
 def test_script_prints_what_it_claims(script, monkeypatch):
     monkeypatch.syspath_prepend(str(FOLDER))
     module = importlib.import_module(script)

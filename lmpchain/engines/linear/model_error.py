@@ -27,10 +27,10 @@ RESOLVED, MOST_TIMES, MOST_VALUES = 2.0, 2**18, 2**22
 # analysis/calibration/linear_openings.py measures the next two
 OPEN = -0.99  # strain, known to 1e-2 from evaluations so close, at which a contact counts as open
 GRAZES = 1e-3  # of the largest velocity, which a contact that opens so little may take
+SMALL_ERROR = 0.01  # of the largest motion, chosen: below it what acts is held to a bound, above to a factor of DOUBT
 # analysis/calibration/linear_model_error.py measures the next ones
 AT_ONCE = 0.25  # of (delta - 1) s: the distortion that no phase accounts for
 DOUBT = 3.0  # true error over the estimate
-SMALL_ERROR = 0.01  # of the largest motion: what is more is looked at, and held to a factor of DOUBT
 LARGE = 0.6  # bound from which on it says no more than that the error is large
 STRAYS, WANDER = 0.15, 0.6  # true error over strains that add up as a random walk: an estimate, and a bound
 SLOWS = 0.05  # true error over (delta - 1) strain^2 periods: an oscillation is slower the stronger it is
