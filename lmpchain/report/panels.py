@@ -26,6 +26,7 @@ MOMENTS = (0.25, 0.5, 1.0)  # of the duration, for the waveforms
 SHADES = ("#56B4E9", "#0072B2", "#009E73")
 WIDTH, HEIGHT = 4.7, 3.5  # inches: letters are readable on a phone, and two pictures fit side by side
 MOST_MARKERS = 2000  # drawn one by one; of more a picture is smaller as pixels
+REFLECTED = 3  # last grains, whose peak is made together with what comes back from the end
 ONWARD = 0.9  # part of the grains that a front passes later than those before them
 
 
@@ -137,7 +138,7 @@ def _front(run: Trajectory) -> front.Front:
     source = getattr(run.scene.excitation, "grain", None)
     if source is None or getattr(run.scene.excitation, "frequency", None):
         raise InputError([("excitation", "sends no single front: there is one after a strike or a push on a grain")])
-    found = front.track(run).between(source + 1, run.scene.chain.grains)
+    found = front.track(run).between(source + 1, run.scene.chain.grains - REFLECTED)
     onward = np.mean(np.diff(found.time) > 0) if found.grain.size >= front.FEWEST else 0.0
     if onward < ONWARD:
         raise InputError([("front", f"none travels downward from grain {source} past {front.FEWEST} grains or more")])
