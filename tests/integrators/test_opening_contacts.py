@@ -7,7 +7,7 @@ import pytest
 from helpers.example_scenes import paper
 from helpers.independent_integrators import extended_reference, relative_error
 
-from lmpchain import engines, simulate
+from lmpchain import Chain, Impulse, Scene, engines, simulate
 from lmpchain.engines import error_estimate
 
 
@@ -47,3 +47,27 @@ def test_a_restart_goes_on_with_the_same_bits(integrator: str, monkeypatch: pyte
     assert len(pieces) == 5
     assert np.array_equal(np.concatenate([block.velocity for block in pieces], axis=1), truth)
     assert run.errors()[0].total == whole.errors()[0].total
+
+
+@pytest.mark.parametrize("exponent", [1.0, 1.5, 3.0])
+@pytest.mark.parametrize("integrator", engines.Native.integrators[1:])
+def test_a_grain_that_another_leaves_stays_at_rest(integrator: str, exponent: float):
+    """Whatever the method knows of the time before the strike, grains that only touch part without a force."""
+    chain = Chain(grains=4, material="steel", diameter=5e-3, gravity=0.0, bottom="free", exponent=exponent)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=0.1, grain=2), duration=1e-6, samples=11)
+    duration = 1 / scene.highest_frequency
+    t = simulate(scene.replace(duration=duration), engines.Native(integrator=integrator, step=duration / 10))
+    assert not t.displacement[:, 0].any()
+    assert not t.velocity[:, 0].any()
+    assert t.velocity[-1, 2] > 0
+
+
+def test_a_wall_that_a_grain_only_touches_leaves_no_trace_as_they_part():
+    """Gear's start looks a step back or ahead: behind lies an overlap that never was."""
+    chain = Chain(grains=4, material="steel", diameter=5e-3, gravity=9.81, top="wall")
+    ends = []
+    for top in ("wall", "free"):
+        scene = Scene(chain=chain.replace(top=top), excitation=Impulse(velocity=0.1), duration=2e-6, samples=11)
+        ends.append(simulate(scene, engines.Native(integrator="gear4", step=2e-7)))
+    assert np.array_equal(*(t.displacement for t in ends))
+    assert np.array_equal(*(t.velocity for t in ends))

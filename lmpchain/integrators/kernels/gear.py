@@ -13,10 +13,35 @@ from .window import look, watch, widen
 
 
 @compiled
+def _touch_alike(chain, y, z, first, last):
+    """Return whether the contacts around bodies first ... last-1 are open in y where they are in z."""
+    il, least = chain.inverse_length, -chain.precompressed
+    for n in range(first - 1, last):
+        shut = (y[n] - y[n + 1]) * il[n] > least, (z[n] - z[n + 1]) * il[n] > least
+        if chain.strength[n] > 0.0 and shut[0] != shut[1]:
+            return False
+    above = y[PAD - 1] > y[PAD], z[PAD - 1] > z[PAD]
+    return not (first == PAD and chain.uncompressed > 0.0 and above[0] != above[1])
+
+
+@inlined
+def _move(chain, y, z, first, last, now, side, h, inside, accelerations):
+    """Put in z where the bodies of y are `side` steps h from now, by their accelerations and what is imposed."""
+    z[first - 1], z[last] = y[first - 1], y[last]
+    for n in range(first, last):
+        z[n] = y[n] + side * h * chain.v[n] + 0.5 * (side * h) * (side * h) * accelerations[n]
+    impose(chain, z, now + side * h, inside)
+
+
+@compiled
 def _begin(chain, work, now, h):
-    """Find the derivatives at the start by the law that holds now, a moment before and after."""
+    """Find the derivatives at the start by the law that holds now, from a step before to a step after.
+
+    Where contacts have just opened or closed, as a strike parts grains that touch, the step before is no part of the
+    motion: half a step after stands for it.
+    """
     force, pull, z = work
-    y, w, more, state = chain.x, chain.v, chain.history, chain.state
+    y, more, state = chain.x, chain.history, chain.state
     first, last = int(state[FIRST]), int(state[LAST])
     state[STEP] = h
     inside = now + RESOLUTION * h
@@ -24,17 +49,22 @@ def _begin(chain, work, now, h):
     accelerate(chain, y, first, last, force, pull)
     for n in range(first, last):
         more[0, n] = pull[n]
-    for side in (1.0, -1.0):
-        z[first - 1], z[last] = y[first - 1], y[last]
-        for n in range(first, last):
-            z[n] = y[n] + side * h * w[n] + 0.5 * h * h * more[0, n]
-        impose(chain, z, now + side * h, inside)
+    _move(chain, y, z, first, last, now, -1.0, h, inside, more[0])
+    smooth = _touch_alike(chain, y, z, first, last)
+    for side in (1.0, -1.0 if smooth else 0.5):
+        _move(chain, y, z, first, last, now, side, h, inside, more[0])
         accelerate(chain, z, first, last, force, pull)
         for n in range(first, last):
-            more[1, n] = pull[n] if side > 0 else (more[1, n] - pull[n]) * h * h / 12
-            more[2, n] = pull[n] + (more[2, n] if side < 0 else 0.0)
+            if side == 1.0:
+                more[1, n] = pull[n]
+            elif smooth:
+                more[1, n], more[2, n] = (more[1, n] - pull[n]) * h * h / 12, pull[n] + more[1, n] - 2.0 * more[0, n]
+            else:
+                slope = 4.0 * pull[n] - more[1, n] - 3.0 * more[0, n]
+                bend = 4.0 * (more[1, n] - 2.0 * pull[n] + more[0, n])
+                more[1, n], more[2, n] = slope * h * h / 6, bend
     for n in range(first, last):
-        more[2, n] = (more[2, n] - 2.0 * more[0, n]) * h * h / 24
+        more[2, n] = more[2, n] * h * h / 24
         more[0, n] *= 0.5 * h * h
 
 
