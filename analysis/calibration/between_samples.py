@@ -24,8 +24,8 @@ from scenes import draw
 
 from lmpchain import LmpchainError, Scene, Trajectory, simulate
 from lmpchain.measure import motion
-from lmpchain.measure.hermite import SAFETY
 from lmpchain.measure.motion import Motion
+from lmpchain.trajectory.between.hermite import SAFETY
 
 DENSE = 0.12  # omega h of the truth
 TOLERANCE = 1e-9

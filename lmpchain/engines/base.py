@@ -254,4 +254,12 @@ class Engine(ABC):
 
     def part(self, scene: Scene) -> Scene:
         """Return what it computes of a scene: the light cone, or the whole."""
-        return scene if self.whole else scene.light_cone.scene
+        return scene.fine if self.whole else scene.fine.light_cone.scene
+
+    def objects(self, scene: Scene) -> list[tuple[str, str]]:
+        """Return why it cannot answer a scene, or gather what is asked of it, as (key, reason)."""
+        reasons = self.refuses(self.part(scene))
+        if scene.quantities and self.equation not in (1, 3):
+            why = f"{self.name} solves no equation of motion of the grains, which gathering needs"
+            reasons = [*reasons, ("quantities", f"{why}; use native, lammps, modes or chebyshev")]
+        return reasons

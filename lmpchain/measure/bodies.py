@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..scene.scene import Scene
+from ..trajectory.between.derivatives import STILL, UNKNOWN
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.lazy import listed
-from .derivatives import STILL, UNKNOWN
 from .motion import Motion
 from .recorded import columns, leaves_rest
 

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from ..errors import InputError, shown
 from ..scene.scene import Scene
+from ..trajectory.between import extremes
+from ..trajectory.between.derivatives import STILL, UNKNOWN, derivatives, largest
+from ..trajectory.between.hermite import DISPLACEMENT, RAISED, VELOCITY
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, as_slice
 from ..util.lazy import listed
-from . import extremes
-from .derivatives import STILL, UNKNOWN, derivatives, largest
-from .hermite import DISPLACEMENT, RAISED, VELOCITY
 from .recorded import around, leaves_rest
 from .spectrum import Field
 

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..trajectory.between.derivatives import STILL, UNKNOWN
 from ..util.arrays import Array
-from .derivatives import STILL, UNKNOWN
 
 
 class Around(NamedTuple):

@@ -11,6 +11,7 @@ from pydantic import BeforeValidator, Field
 
 from ..chain.chain import Chain
 from ..errors import shown
+from ..util.suggestions import not_among
 from ..util.validation import Checked, Positive, Whole
 
 
@@ -30,12 +31,36 @@ def _selection(value: Any) -> Any:
     return tuple(numbers)
 
 
+OF_GRAINS = ("peak_displacement", "peak_velocity", "arrival_time")  # what is gathered of every recorded grain
+OF_CONTACTS = ("peak_force", "force")  # and of a contact, as in "force:40"
+
+
+def _asked(value: Any) -> Any:
+    """Quantities to gather: names, those of a contact with its number."""
+    names = tuple(value) if isinstance(value, list | tuple) else ()
+    if not names:
+        raise ValueError(f'must be a list of names, as ["peak_velocity", "force:40"] (got {shown(value)})')
+    for name in names:
+        kind, _, number = name.partition(":") if isinstance(name, str) else (name, "", "")
+        if kind in OF_CONTACTS and not (number.isascii() and number.isdigit() and str(int(number[:18])) == number):
+            raise ValueError(f'needs the number of a contact, as in "{kind}:40" (got {shown(name)})')
+        if kind not in OF_CONTACTS and name not in OF_GRAINS:
+            raise ValueError(not_among(name, (*OF_GRAINS, *(f"{kind}:40" for kind in OF_CONTACTS))))
+    if len(set(names)) < len(names):
+        raise ValueError("names a quantity twice")
+    return names
+
+
 class Recording(Checked):
-    """When and which grains are recorded: `samples` times from 0 to `duration`, both included."""
+    """When and which grains are recorded: `samples` times from 0 to `duration`, both included.
+
+    Besides, `quantities` are gathered all along the run, between the samples too.
+    """
 
     duration: Annotated[Positive, Field(le=1e12)]
     samples: Annotated[Whole, Field(ge=2, le=10**8)] = 101
     grains: Annotated[str | tuple[int, ...], BeforeValidator(_selection)] = "all"
+    quantities: Annotated[tuple[str, ...], BeforeValidator(_asked)] = ()
 
     def faults(self, chain: Chain) -> Iterator[tuple[str, str]]:
         """Yield what this chain does not allow."""
@@ -47,6 +72,14 @@ class Recording(Checked):
             yield "grains", f"grains are numbered 1 to {chain.grains} (got {shown(first)} to {shown(last)})"
         elif isinstance(self.grains, tuple) and len(set(self.grains)) < len(self.grains):
             yield "grains", "names a grain twice"
+        there = np.flatnonzero(chain.contacts.exists)
+        if missing := [number for number in self.contacts.values() if number not in there]:
+            yield "quantities", f"the contacts are numbered {there[0]} to {there[-1]} (got {missing[0]})"
+
+    @property
+    def contacts(self) -> dict[str, int]:
+        """The contact of each of the quantities that are gathered of one."""
+        return {name: int(name.partition(":")[2]) for name in self.quantities if ":" in name}
 
     def _ends(self, chain: Chain) -> tuple[int, int]:
         if self.grains == "all":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from collections.abc import Iterator, Sequence
 from functools import cached_property
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
 
 MARGIN = 10  # grains at rest drawn on either side of those that are moved
 LONGEST = 3600.0  # s: of a duration that may be meant
+# omega h of the times at which a motion is looked at to gather quantities of it
+FINE = 0.25
 
 
 class Scene(Recording):
@@ -54,6 +57,11 @@ class Scene(Recording):
         Number of recorded times, t = 0 and t = duration included.
     grains : "all", "first:last" or list of int
         Recorded grains.
+    quantities : list of str, optional
+        What is gathered all along the run, also between the samples, without keeping more of these; the answer has it
+        as `Trajectory.gathered`, each with its error: "peak_displacement", "peak_velocity" and "arrival_time" of every
+        recorded grain, "peak_force:40" and "force:40" of contact 40, the latter at times so close that no motion hides
+        between them.
 
     Raises
     ------
@@ -123,6 +131,26 @@ class Scene(Recording):
     def time(self) -> Array:
         """Recorded times, (T,) s."""
         return np.linspace(0.0, self.duration, self.samples)
+
+    @cached_property
+    def finer(self) -> int:
+        """How many times closer than samples the times are at which quantities are gathered: 1, 2, 3, 4, 6, 8, 12 ...
+
+        They are few, so that scenes of a sweep have the same.
+        """
+        needed = self.highest_frequency * self.duration / (self.samples - 1) / FINE if self.quantities else 1.0
+        power = 2 ** max(0, math.ceil(math.log2(needed)))
+        return 3 * power // 4 if power >= 4 and 3 * power // 4 >= needed else power
+
+    @cached_property
+    def fine(self) -> Scene:
+        """The scene that engines answer: this one, or with the times and grains that gathering quantities takes."""
+        if not self.quantities:
+            return self
+        samples = (self.samples - 1) * self.finer + 1
+        return Scene._unchecked(
+            chain=self.chain, excitation=self.excitation, duration=self.duration, samples=samples, grains="all"
+        )
 
     @property
     def recorded(self) -> np.ndarray:

@@ -56,18 +56,20 @@ class Waveform:
         return cls(end=float(times[-1]), spline=CubicSpline(times, values))
 
     def at(self, t: float | Array, order: int = 0) -> Array:
-        """Return its values at these times, s, or its derivatives of order 1 or 2."""
+        """Return its values at these times, s, or its derivatives of order 1 to 3."""
         t = np.asarray(t, dtype=float)
         if self.spline is not None:
             return self.spline(t, order)
         a, w, e = self.amplitude, self.omega, self.envelope
         if not e:
-            value = (a * np.sin(w * t), a * w * np.cos(w * t), -(w**2) * (a * np.sin(w * t)))[order]
+            sine, slope = a * np.sin(w * t), a * w * np.cos(w * t)
+            value = (sine, slope, -(w**2) * sine, -(w**2) * slope)[order]
         else:
             sin, cos, part, slope = np.sin(w * t), np.cos(w * t), np.sin(e * t) ** 2, e * np.sin(2 * e * t)
             bend = 2 * e**2 * np.cos(2 * e * t)
             terms = sin * part, w * cos * part + sin * slope, -(w**2) * sin * part + 2 * w * cos * slope + sin * bend
-            value = a * terms[order]
+            turn = (-(w**2) * cos * part - 3 * w * sin * slope + 3 * cos * bend) * w - 4 * e**2 * sin * slope
+            value = a * (*terms, turn)[order]
         return value if np.isinf(self.end) else np.where(t < self.end, value, 0.0)
 
     @property

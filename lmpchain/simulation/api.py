@@ -23,6 +23,7 @@ from ..util.arrays import Array
 from ..util.compilation import clock
 from ..util.progress import RATE, ProgressBar
 from ..util.provenance import versions
+from .gathering import GatheringRun, of_engine
 from .policy import policy_for, record
 from .task import Task
 
@@ -159,7 +160,7 @@ def _answer(task: Task, output: _Memory | RunFolder, progress: bool) -> tuple[Tr
     attempt = output.attempt or policy.first(scene, task.tolerance, task.best_effort)
     with output.requests:
         while True:
-            outcome = _solve(task, output.prepare(policy.engine(attempt)), attempt, output, progress)
+            outcome, gathered = _solve(task, output.prepare(policy.engine(attempt)), attempt, output, progress)
             began, cost = clock(), outcome.cost
             try:
                 following = policy.fallback(scene, outcome.attempt, outcome.error)
@@ -173,19 +174,46 @@ def _answer(task: Task, output: _Memory | RunFolder, progress: bool) -> tuple[Tr
             attempt = replace(
                 following, refusal=attempt.refusal, planned_s=planned_s, spent_s=spent_s, compiled_s=cost.compile_s
             )
-    return output.finish(outcome), outcome
+    return output.finish(outcome, gathered), outcome
 
 
-def _solve(task: Task, engine: Engine, attempt: Attempt, output: _Memory | RunFolder, progress: bool) -> Outcome[Any]:
+def _solve(
+    task: Task, engine: Engine, attempt: Attempt, output: _Memory | RunFolder, progress: bool
+) -> tuple[Outcome[Any], dict[str, Array]]:
     """Solve the part of the scene that the engine computes, and put it where it belongs in the whole."""
-    samples, part = task.scene.samples, engine.part(task.scene)
-    cone = None if part is task.scene else task.scene.light_cone
+    scene, samples, part = task.scene, task.scene.samples, engine.part(task.scene)
+    if scene.quantities:
+        return _gathered(task, engine, attempt, output, progress)
+    cone = None if part is scene else scene.light_cone
 
     def collect(run: Run) -> Any:
         with closing(_with_progress(run, engine.name, samples, output.samples, progress)) as blocks:
             return output.collect(run, (_in_whole(block, cone) for block in blocks) if cone else blocks)
 
-    return solve_to_tolerance(engine, [part], attempt, collect, output.begin, task.best_effort)
+    return solve_to_tolerance(engine, [part], attempt, collect, output.begin, task.best_effort), {}
+
+
+def _gathered(
+    task: Task, engine: Engine, attempt: Attempt, output: _Memory | RunFolder, progress: bool
+) -> tuple[Outcome[Any], dict[str, Array]]:
+    """Do the same, and gather quantities on the way."""
+    scene, part = task.scene, engine.part(task.scene)
+    state: Mapping[str, Array] = {}
+    at_work: GatheringRun
+
+    def begin(attempt: Attempt) -> Mapping[str, Array] | None:
+        nonlocal state
+        state = output.begin(attempt) or {}
+        return of_engine(state) or None
+
+    def collect(run: Run) -> Any:
+        nonlocal at_work
+        at_work = GatheringRun(run, engine, [scene], [part], state)
+        with closing(_with_progress(at_work, engine.name, scene.samples, output.samples, progress)) as blocks:
+            return output.collect(at_work, blocks)
+
+    outcome = solve_to_tolerance(engine, [part], attempt, collect, begin, task.best_effort)
+    return outcome, at_work.found([outcome.error.total])[0]
 
 
 def _in_whole(block: Block, cone: LightCone) -> Block:
@@ -245,7 +273,7 @@ class _Memory:
             v[block.samples, block.columns] = block.velocity[0]
         return u, v
 
-    def finish(self, outcome: Outcome[tuple[Array, Array]]) -> Trajectory:
+    def finish(self, outcome: Outcome[tuple[Array, Array]], gathered: dict[str, Array]) -> Trajectory:
         """Return the answer."""
         scene, engine = self._task.scene, self._engine
         displacement, velocity = outcome.collected
@@ -260,6 +288,7 @@ class _Memory:
             error_estimate=outcome.error.estimate,
             cost=outcome.cost,
             provenance=versions() | record(engine, scene, outcome.attempt.candidate, self._task.tolerance),
+            gathered=gathered,
         )
 
 

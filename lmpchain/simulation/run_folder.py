@@ -211,7 +211,7 @@ class RunFolder:
             engine, scene = self._engine, self.task.scene
             choices = versions() | record(engine, scene, attempt.candidate, self.task.tolerance)
             store.create(self.path, scene, subject(scene, engine.name, engine.equation, choices))
-            engine.write_inputs(scene, attempt.candidate, self.task.tolerance, self.path)
+            engine.write_inputs(scene.fine, attempt.candidate, self.task.tolerance, self.path)
         self._writer = store.Writer(self.path, self.task.scene, self.samples)
         self._next = time.monotonic() + OFTEN_S
         return state or None
@@ -226,7 +226,7 @@ class RunFolder:
         """
         asked = math.inf
         for block in blocks:
-            fresh = block.samples.stop - block.samples.start
+            fresh = block.samples.stop > block.samples.start or block.resumable
             if fresh:
                 self._writer.put(block)
                 self.samples = block.samples.stop
@@ -259,13 +259,14 @@ class RunFolder:
         now = asdict(cost) | {"wall_s": time.monotonic() - self._began}
         return {key: value + now[key] for key, value in self._before.items()}
 
-    def finish(self, outcome: Outcome[None]) -> Trajectory:
+    def finish(self, outcome: Outcome[None], gathered: Mapping[str, Array]) -> Trajectory:
         """Note how the run ended; return the answer, which stays on the disk."""
         spent: Any = self._spent(outcome.cost)
         self._estimate = outcome.error.total
         self._writer.conclude(
             outcome.error.estimate,
             replace(outcome.cost, **{key: spent[key] for key in SPENT}),
+            gathered,
         )
         with replacing(self.path / SUMS) as aside:
             aside.write_text(checksums(self.path, {STATUS, SUMS, *checkpoints.NAMES}), encoding="utf-8")

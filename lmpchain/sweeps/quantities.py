@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..measure.derivatives import UNKNOWN
 from ..measure.motion import Motion
 from ..measure.recorded import columns
+from ..trajectory.between.derivatives import UNKNOWN
 from ..util.arrays import Array
 
 FRACTION = 0.5  # of the largest speed of a grain that the front has at least, as in measure.front.track

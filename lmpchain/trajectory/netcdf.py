@@ -14,6 +14,7 @@ from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.files import check_readable, check_seal, seal, write_aside
 from ..util.provenance import command, now
+from .gathered import TIME
 from .record import DIMENSIONS, KINDS, TOLD, Record, scene_of, shapes
 
 if TYPE_CHECKING:
@@ -26,7 +27,8 @@ def write(record: Record, path: str | PathLike[str]) -> None:
 
     memory = BytesIO()  # HDF5 crashes the process when a disk is full
     with h5netcdf.File(memory, "w") as file:
-        file.dimensions = dict(zip(DIMENSIONS, record.displacement.shape, strict=True))
+        fine = {TIME: record.gathered[TIME].size} if TIME in record.gathered else {}
+        file.dimensions = dict(zip(DIMENSIONS, record.displacement.shape, strict=True)) | fine
         file.attrs.update(record.attributes() | {"history": f"{now()} {command()}"})
         for name, (dimensions, values, attributes) in record.variables().items():
             file.create_variable(name, dimensions, data=values).attrs.update(attributes)
@@ -68,8 +70,8 @@ def _array(file: h5py.File, name: str, shape: tuple[int, ...]) -> Array:
     if not isinstance(file.get(name, getlink=True), h5py.HardLink):
         raise ValueError(f"its {name} is not in the file, or a link")
     found = file[name]
-    if not isinstance(found, h5py.Dataset) or found.dtype != KINDS[name]:
-        raise ValueError(f"its {name} are not numbers of the kind {KINDS[name]}")
+    if not isinstance(found, h5py.Dataset) or found.dtype != (kind := KINDS.get(name, "float64")):
+        raise ValueError(f"its {name} are not numbers of the kind {kind}")
     layout = found.id.get_create_plist().get_layout()
     if layout not in (h5py.h5d.COMPACT, h5py.h5d.CONTIGUOUS) or found.external:
         raise ValueError(f"its {name} does not lie in the file in one piece, as lmpchain writes it")

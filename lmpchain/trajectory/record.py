@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..scene.scene import Scene
 from ..util.arrays import Array
+from . import gathered
 
 FORMAT = 1
 DIMENSIONS = ("time", "grain")
@@ -78,13 +79,14 @@ class Block(NamedTuple):
     """A block of the solution: realisations x samples x recorded grains.
 
     `columns` are the recorded grains that it holds; the others are still at equilibrium. A block without samples lets
-    the caller show progress or stop while the engine is at work.
+    the caller show progress or stop while the engine is at work, and if it is `resumable`, keep the state of the run.
     """
 
     samples: slice
     displacement: Array
     velocity: Array
     columns: slice | NDArray[np.intp] = slice(None)
+    resumable: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,14 +103,20 @@ class Record:
     error_estimate: ErrorEstimate
     cost: Cost
     provenance: dict[str, str] = field(default_factory=dict)
+    gathered: dict[str, Array] = field(default_factory=dict)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Record):
             return NotImplemented
-        mine, theirs = self.__dict__, other.__dict__
+        mine, theirs = ({**each.__dict__, "gathered": each.gathered.keys(), **each.gathered} for each in (self, other))
+        if mine["gathered"] != theirs["gathered"]:
+            return False
         arrays = (*FIELDS, "time", "grains")
         return all(
-            np.array_equal(mine[key], theirs[key]) if key in arrays else mine[key] == theirs[key] for key in mine
+            np.array_equal(mine[key], theirs[key], equal_nan=key in self.gathered)
+            if key in arrays or key in self.gathered
+            else mine[key] == theirs[key]
+            for key in mine
         )
 
     __hash__ = None  # type: ignore[assignment]
@@ -125,6 +133,7 @@ class Record:
             "time": (("time",), self.time, LABELS["time"]),
             "grain": (("grain",), self.grains, LABELS["grain"]),
             **fields,
+            **gathered.variables(self.scene, self.gathered),
         }
 
 
@@ -161,7 +170,14 @@ def scene_of(about: Mapping[str, Any]) -> Scene:
 def shapes(scene: Scene) -> dict[str, tuple[int, ...]]:
     """Return the shapes of the arrays of a scene, by name, without making one of them."""
     samples, grains = scene.samples, scene.count(scene.chain)
-    return {"time": (samples,), "grain": (grains,), **dict.fromkeys(FIELDS, (samples, grains))}
+    return {"time": (samples,), "grain": (grains,), **dict.fromkeys(FIELDS, (samples, grains))} | {
+        gathered.stored(name): kind.shape for name, kind in gathered.arrays(scene).items()
+    }
+
+
+def kept_of(scene: Scene, arrays: Mapping[str, Any]) -> dict[str, Array]:
+    """Return what was gathered, by name, from the arrays of a file."""
+    return {name: arrays[gathered.stored(name)] for name in gathered.arrays(scene) if gathered.stored(name) in arrays}
 
 
 def told(about: Mapping[str, Any]) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from ..errors import InputError, short
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.notebook import Shown
-from .record import Record, told
+from .record import Record, kept_of, told
 
 if TYPE_CHECKING:
     import xarray
@@ -43,6 +43,9 @@ class Trajectory(Shown, Record):
     cost : Cost
     provenance : dict
         Choices that shaped the solution, and versions.
+    gathered : dict
+        The `quantities` of the scene by name, and how far off each may be, by name with "_error": (G,) arrays of
+        grains, numbers of contacts, and forces over "fine_time", (D,).
     """
 
     def __repr__(self) -> str:
@@ -196,6 +199,7 @@ class Trajectory(Shown, Record):
                 grains=arrays["grain"],
                 displacement=arrays["displacement"],
                 velocity=arrays["velocity"],
+                gathered=kept_of(scene, arrays),
                 **told(about),
             )
         except Exception as error:  # whatever a damaged file makes the readers raise

@@ -41,6 +41,11 @@ def pieces(samples: int, grains: int) -> dict[str, Piece]:
     return {"time": (min(times, samples),), "grain": (grains,), **dict.fromkeys(FIELDS, shard), "chunk": (rows, width)}
 
 
+def stores(scene: Scene) -> dict[str, Piece]:
+    """Return the shapes of the files of each array of a scene; see `pieces`."""
+    return shapes(scene) | pieces(scene.samples, scene.count(scene.chain))
+
+
 def metadata(node: Path) -> dict[str, Any]:
     """Return the metadata of an array or a group in Zarr format 3; raises `ValueError` or `OSError`."""
     path = node / "zarr.json"
@@ -55,15 +60,15 @@ def metadata(node: Path) -> dict[str, Any]:
 
 def check(store: Path, scene: Scene) -> None:
     """Raise unless the arrays are those of this scene, laid out as lmpchain does it."""
-    if metadata(store).get("node_type") != "group" or {p.name for p in store.iterdir() if p.is_dir()} - KINDS.keys():
+    every, sizes = shapes(scene), stores(scene)
+    if metadata(store).get("node_type") != "group" or {p.name for p in store.iterdir() if p.is_dir()} - every.keys():
         raise ValueError("it is no store of lmpchain, or holds more than that")
-    sizes = pieces(scene.samples, scene.count(scene.chain))
-    for name, shape in shapes(scene).items():
+    for name, shape in every.items():
         about = metadata(store / name)
         wanted = {
             "node_type": "array",
             "shape": list(shape),
-            "data_type": KINDS[name],
+            "data_type": KINDS.get(name, "float64"),
             "chunk_grid": _named("regular", chunk_shape=list(sizes[name])),
             "chunk_key_encoding": _named("default", separator="/"),
             "fill_value": 0 if name == "grain" else "NaN",
@@ -78,7 +83,7 @@ def check(store: Path, scene: Scene) -> None:
         if codecs not in ([SHRUNK, SHRUNK_ONCE] if name == "grain" else [SHRUNK]):
             raise ValueError(f"{name} is stored with codecs that lmpchain does not use")
         if name not in FIELDS:
-            _check_claims(store / name / "c", sizes[name][0], blosc=codecs == SHRUNK)
+            _check_claims(store / name / "c", math.prod(sizes[name]), blosc=codecs == SHRUNK)
 
 
 def _check_claims(chunks: Path, length: int, blosc: bool) -> None:

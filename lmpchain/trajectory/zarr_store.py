@@ -22,6 +22,7 @@ from ..errors import InputError
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.files import check_tree
+from . import gathered
 from .record import FIELDS, LABELS, Block, Cost, ErrorEstimate, scene_of, verdict
 from .zarr_layout import check, metadata, pieces
 
@@ -69,6 +70,16 @@ def create(folder: Path, scene: Scene, attributes: Mapping[str, Any]) -> None:
         dimension_names=("grain",),
         attributes=LABELS["grain"],
     )
+    for name, kind in gathered.arrays(scene).items():
+        group.create_array(
+            gathered.stored(name),
+            shape=kind.shape,
+            chunks=kind.shape,
+            compressors=[BloscCodec(cname="zstd", clevel=1, shuffle="shuffle"), Crc32cCodec()],
+            dimension_names=kind.dimensions,
+            attributes=kind.labels,
+            **unknown,
+        )
     with warnings.catch_warnings(action="ignore"):  # consolidated metadata, which xarray reads first
         zarr.consolidate_metadata(folder / NAME)
 
@@ -128,8 +139,10 @@ class Writer:
         if math.isfinite(error.total):
             self._group.attrs[SO_FAR] = {"samples": self._end} | asdict(error)
 
-    def conclude(self, error: ErrorEstimate, cost: Cost) -> None:
-        """Store the error estimate and the cost."""
+    def conclude(self, error: ErrorEstimate, cost: Cost, found: Mapping[str, Array]) -> None:
+        """Store the error estimate, the cost, and what was gathered."""
+        for name, values in found.items():
+            self._group[gathered.stored(name)][...] = values
         self._group.attrs.update(verdict(error, cost) | {SO_FAR: None})
 
 
@@ -175,6 +188,8 @@ def read(folder: Path) -> tuple[dict[str, Any], Scene, dict[str, Any]]:
     error = (noted["model"], noted["solver"]) if noted["samples"] >= complete else (0.0, math.inf)
     arrays = {name: data[name].to_numpy() for name in ("time", "grain")}
     fields = {name: OnDisk(data[name].variable) for name in FIELDS}
+    if "solver_error" in about:
+        arrays |= {name: data[name].to_numpy() for name in map(gathered.stored, gathered.arrays(scene))}
     return verdict(ErrorEstimate(*error), nothing) | about, scene, arrays | fields
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numba
 
-from ..util.arrays import Array
+from ...util.arrays import Array
 
 VELOCITY, DISPLACEMENT, RAISED = range(3)  # what is looked at: |v|, |u|, or u with its sign
 # factor on the misfit of the way; analysis/calibration/between_samples.py measures that it suffices

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..util.compilation import compiled_once
-from ..util.lazy import listed
+from ...util.compilation import compiled_once
+from ...util.lazy import listed
 from .derivatives import NEWS
 from .hermite import (
     BUMP,

@@ -7,7 +7,7 @@ import math
 import numba
 import numpy as np
 
-from ..util.compilation import compiled_once
+from ...util.compilation import compiled_once
 
 NEWS = "the measures", 20  # what is compiled, and about how long that takes, s
 STILL, UNKNOWN = -1, -2  # columns of bodies that stand still, or were not recorded

@@ -1,0 +1,92 @@
+"""Quantities gathered all along a run, whose engine answers at finer times than samples are kept of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from ..engines.base import Engine, ErrorBudget, Run
+from ..scene.scene import Scene
+from ..trajectory.record import Block, Cost
+from ..util.arrays import Array, as_slice
+from .gatherer import Gatherer
+
+STATE = "gathered."  # before the names of what is kept, so that they never meet those of a run
+
+
+class GatheringRun(Run):
+    """A run at fine times, of which samples are handed on and quantities gathered.
+
+    Parameters
+    ----------
+    run : Run
+        Of `Scene.fine` of the scenes, or of the part of them that the engine computes.
+    engine : Engine
+    scenes : sequence of Scene
+        As they were asked for.
+    parts : sequence of Scene
+        What the run computes of each.
+    state : mapping
+        Empty, or what `state` returned.
+    """
+
+    def __init__(
+        self, run: Run, engine: Engine, scenes: Sequence[Scene], parts: Sequence[Scene], state: Mapping[str, Array]
+    ):
+        self._run, scene, part = run, scenes[0], parts[0]
+        cone = scene.fine.light_cone.columns if part is not scene.fine else slice(None)
+        first = (cone.start or 0) if isinstance(cone, slice) else int(cone[0])
+        kept: list[dict[str, Array]] = [{} for _ in scenes]
+        for key, values in state.items():
+            if key.startswith(STATE):
+                _, real, name = key.split(".")
+                kept[int(real)][name] = values
+        linear = engine.equation == 3
+        self.gatherers = [Gatherer(*each, first, linear, old) for *each, old in zip(scenes, parts, kept, strict=True)]
+        inside = np.flatnonzero((scene.recorded > first) & (scene.recorded <= first + part.chain.grains))
+        self._rows, self._columns = as_slice(scene.recorded[inside] - 1 - first), as_slice(inside)
+        self._every = scene.finer
+
+    def blocks(self) -> Iterator[Block]:
+        """Yield the samples of the answer."""
+        for block in self._run.blocks():
+            for gatherer, u, v in zip(self.gatherers, block.displacement, block.velocity, strict=True):
+                gatherer.take(block.samples.start, u, v)
+            first, stop = (-(-sample // self._every) for sample in (block.samples.start, block.samples.stop))
+            kept = slice(first * self._every - block.samples.start, None, self._every)
+            fields = (field[:, kept, self._rows] for field in (block.displacement, block.velocity))
+            resumable = block.samples.stop > block.samples.start
+            yield Block(slice(first, stop), *fields, self._columns, resumable)
+
+    @property
+    def progress(self) -> float:
+        """Part of the work done, 0 to 1."""
+        return self._run.progress
+
+    def errors(self) -> list[ErrorBudget]:
+        """Return the estimate for every realisation."""
+        return self._run.errors()
+
+    def cost(self) -> Cost:
+        """Return what it has cost so far."""
+        return self._run.cost()
+
+    def state(self) -> dict[str, Array]:
+        """Return what is needed to go on with the same bits."""
+        kept = dict(self._run.state())
+        for real, gatherer in enumerate(self.gatherers):
+            kept |= {f"{STATE}{real}.{name}": values for name, values in gatherer.state().items()}
+        return kept
+
+    def found(self, errors: Sequence[float]) -> list[dict[str, Array]]:
+        """Return what was gathered of every realisation, and its errors, for relative errors of the answers."""
+        return [gatherer.found(error) for gatherer, error in zip(self.gatherers, errors, strict=True)]
+
+    def close(self) -> None:
+        """Leave the run to whoever started it."""
+
+
+def of_engine(state: Mapping[str, Array] | None) -> Mapping[str, Array] | None:
+    """Return what of a kept state belongs to the run of the engine."""
+    return state and {key: values for key, values in state.items() if not key.startswith(STATE)}

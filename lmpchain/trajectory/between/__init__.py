@@ -1,0 +1,1 @@
+"""The motion between samples: compiled, from what is known at these."""
