@@ -72,9 +72,15 @@ class Recording(Checked):
             yield "grains", f"grains are numbered 1 to {chain.grains} (got {shown(first)} to {shown(last)})"
         elif isinstance(self.grains, tuple) and len(set(self.grains)) < len(self.grains):
             yield "grains", "names a grain twice"
+        if self.quantities:
+            yield from self._strangers(chain)
+
+    def _strangers(self, chain: Chain) -> Iterator[tuple[str, str]]:
+        """Yield the first contact that is asked for and not there."""
         there = np.flatnonzero(chain.contacts.exists)
         if missing := [number for number in self.contacts.values() if number not in there]:
-            yield "quantities", f"the contacts are numbered {there[0]} to {there[-1]} (got {missing[0]})"
+            known = f"the contacts are numbered {there[0]} to {there[-1]}" if there.size else "there is no contact"
+            yield "quantities", f"{known} (got {missing[0]})"
 
     @property
     def contacts(self) -> dict[str, int]:

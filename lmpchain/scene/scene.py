@@ -42,6 +42,8 @@ MARGIN = 10  # grains at rest drawn on either side of those that are moved
 LONGEST = 3600.0  # s: of a duration that may be meant
 # omega h of the times at which a motion is looked at to gather quantities of it
 FINE = 0.25
+# what is known of a scene, whatever is recorded
+SAME = ("imposed", "energy", "strike_number", "largest_strain", "highest_frequency", "_pair_frequency", "_surroundings")
 
 
 class Scene(Recording):
@@ -134,9 +136,9 @@ class Scene(Recording):
 
     @cached_property
     def finer(self) -> int:
-        """How many times closer than samples the times are at which quantities are gathered: 1, 2, 3, 4, 6, 8, 12 ...
+        """How many times closer than samples those times are at which quantities are gathered.
 
-        They are few, so that scenes of a sweep have the same.
+        It is 1, 2, 3, 4, 6, 8, 12 ..., so that scenes of a sweep have the same.
         """
         needed = self.highest_frequency * self.duration / (self.samples - 1) / FINE if self.quantities else 1.0
         power = 2 ** max(0, math.ceil(math.log2(needed)))
@@ -144,13 +146,13 @@ class Scene(Recording):
 
     @cached_property
     def fine(self) -> Scene:
-        """The scene that engines answer: this one, or with the times and grains that gathering quantities takes."""
+        """The scene that engines answer: with the times and grains that gathering quantities takes."""
         if not self.quantities:
             return self
         samples = (self.samples - 1) * self.finer + 1
-        return Scene._unchecked(
-            chain=self.chain, excitation=self.excitation, duration=self.duration, samples=samples, grains="all"
-        )
+        made = Scene._unchecked(chain=self.chain, excitation=self.excitation, duration=self.duration, samples=samples)
+        made.__dict__.update({name: self.__dict__[name] for name in SAME if name in self.__dict__})
+        return made
 
     @property
     def recorded(self) -> np.ndarray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,7 +62,7 @@ class Gatherer:
             "interval": np.zeros((), dtype=np.int64),
             "start": np.zeros(size if fronts else 0),
         }
-        self._kept = {name: np.array(kept.get(name, values)) for name, values in new.items()}
+        self._kept: dict[str, Any] = {name: np.array(kept.get(name, values)) for name, values in new.items()}
         if any(self._kept[name].shape != new[name].shape for name in KEPT if name not in ("log", "before")):
             raise ValueError("the state that was kept does not fit")
         contacts, inverse_mass = chain.contacts, 1 / chain.masses
@@ -124,7 +125,7 @@ class Gatherer:
         excitation, chain = self._part.excitation, self._part.chain
         wall, given, pushed, driven = np.zeros((2, count)), np.zeros((3, count)), -1, False
         if wave := excitation.waveform:
-            time = self._step * (base + np.arange(count))
+            time: Array = self._step * np.arange(base, base + count, dtype=float)
             if excitation.wall:
                 wall[:] = wave.at(time), wave.at(time, 1)
             else:

@@ -43,7 +43,9 @@ class GatheringRun(Run):
                 _, real, name = key.split(".")
                 kept[int(real)][name] = values
         linear = engine.equation == 3
-        self.gatherers = [Gatherer(*each, first, linear, old) for *each, old in zip(scenes, parts, kept, strict=True)]
+        self.gatherers = [
+            Gatherer(asked, part, first, linear, old) for asked, part, old in zip(scenes, parts, kept, strict=True)
+        ]
         inside = np.flatnonzero((scene.recorded > first) & (scene.recorded <= first + part.chain.grains))
         self._rows, self._columns = as_slice(scene.recorded[inside] - 1 - first), as_slice(inside)
         self._every = scene.finer
@@ -55,9 +57,9 @@ class GatheringRun(Run):
                 gatherer.take(block.samples.start, u, v)
             first, stop = (-(-sample // self._every) for sample in (block.samples.start, block.samples.stop))
             kept = slice(first * self._every - block.samples.start, None, self._every)
-            fields = (field[:, kept, self._rows] for field in (block.displacement, block.velocity))
+            u, v = (field[:, kept, self._rows] for field in (block.displacement, block.velocity))
             resumable = block.samples.stop > block.samples.start
-            yield Block(slice(first, stop), *fields, self._columns, resumable)
+            yield Block(slice(first, stop), u, v, self._columns, resumable)
 
     @property
     def progress(self) -> float:
@@ -84,7 +86,8 @@ class GatheringRun(Run):
         return [gatherer.found(error) for gatherer, error in zip(self.gatherers, errors, strict=True)]
 
     def close(self) -> None:
-        """Leave the run to whoever started it."""
+        """Release everything."""
+        self._run.close()
 
 
 def of_engine(state: Mapping[str, Array] | None) -> Mapping[str, Array] | None:

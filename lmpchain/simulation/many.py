@@ -17,6 +17,7 @@ from ..scene.scene import Scene
 from ..trajectory.trajectory import Trajectory
 from ..util.provenance import versions
 from .api import check_on_miss, simulate
+from .gathering import GatheringRun
 from .policy import policy_for, record
 
 BATCH_NUMBERS = 2**19  # samples x grains of the scenes of a batch, which then stay in the cache of a processor
@@ -114,7 +115,8 @@ def in_batches(
         for name, attempt in attempts.items():
             chosen = attempt.candidate
             steps = chosen.integrator, chosen.steps_per_sample, chosen.step, chosen.adaptive
-            groups.setdefault((*kind(made[name]), *steps, *chosen.choices.items()), []).append(name)
+            alike = *kind(made[name].fine), made[name].quantities
+            groups.setdefault((*alike, *steps, *chosen.choices.items()), []).append(name)
         before, attempts = attempts, {}
         for names in _pieces(made, groups.values()):
             try:
@@ -132,7 +134,7 @@ def _pieces(made: Mapping[int, Scene], groups: Iterable[list[int]]) -> Iterator[
     """Yield groups of scenes in pieces that are no larger than a batch."""
     for names in groups:
         scene = made[names[0]]
-        size = max(1, BATCH_NUMBERS // (scene.samples * scene.chain.grains))
+        size = max(1, BATCH_NUMBERS // (scene.fine.samples * scene.chain.grains))
         yield from (names[first : first + size] for first in range(0, len(names), size))
 
 
@@ -141,19 +143,24 @@ def _together(
 ) -> list[tuple[Trajectory, Attempt | None, str]]:
     """Run scenes together; return of each the answer, the next attempt, and why it missed the tolerance."""
     first, candidate, size = scenes[0], attempts[0].candidate, len(scenes)
-    run = engine.start(scenes, candidate)
+    parts = [scene.fine for scene in scenes]
+    run = engine.start(parts, candidate)
     try:
+        run = GatheringRun(run, engine, scenes, parts, {}) if first.quantities else run
         blocks = [block for block in run.blocks() if block.displacement.size]
         errors, whole = run.errors(), run.cost()
     finally:
         run.close()
     fields = [block.displacement for block in blocks], [block.velocity for block in blocks]
     u, v = (parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1) for parts in fields)
+    found = run.found([error.total for error in errors]) if isinstance(run, GatheringRun) else [{} for _ in scenes]
     spent = {name: getattr(whole, name) / size for name in ("integration_s", "estimate_s", "setup_s")}
     share, about = replace(whole, **spent), versions() | record(engine, first, candidate, tolerance)
     time, grains, told = first.time, first.recorded, []
-    for scene, attempt, error, displacement, velocity in zip(scenes, attempts, errors, u, v, strict=True):
-        following, missed = next_attempt(engine, scene, attempt, error)
+    for scene, attempt, error, displacement, velocity, gathered in zip(
+        scenes, attempts, errors, u, v, found, strict=True
+    ):
+        following, missed = next_attempt(engine, scene.fine, attempt, error)
         cost = share
         if attempt.planned_s or attempt.spent_s:
             setup_s, estimate_s = share.setup_s + attempt.planned_s, share.estimate_s + attempt.spent_s
@@ -161,7 +168,8 @@ def _together(
         if following:
             following = replace(following, spent_s=attempt.spent_s + share.integration_s + share.estimate_s)
         answer = Trajectory(
-            scene, engine.name, engine.equation, time, grains, displacement, velocity, error.estimate, cost, about
-        )
+            scene, engine.name, engine.equation, time, grains, displacement, velocity, error.estimate, cost, about,
+            gathered,
+        )  # fmt: skip
         told.append((answer, following, missed))
     return told

@@ -27,7 +27,7 @@ from ..util.files import check_readable
 from ..util.suggestions import did_you_mean
 from ..util.validation import Checked, Positive, Whole
 from .axes import MAKERS, Axis, Seed, axes
-from .quantities import QUANTITIES
+from .quantities import QUANTITIES, of_contact
 
 FORMAT = 2
 KEYS = ("scene", "engine", "tolerance", "keep", *MAKERS)
@@ -306,10 +306,10 @@ def _engine(name: Any) -> str:
 
 
 def _keep(names: Any) -> list[str]:
-    known = ", ".join(QUANTITIES)
+    known = ", ".join((*QUANTITIES, "peak_force:40"))
     if not isinstance(names, list) or not names:
         raise InputError([("keep", f"must be a list of some of {known}")])
-    if wrong := [name for name in names if not isinstance(name, str) or name not in QUANTITIES]:
+    if wrong := [name for name in names if not isinstance(name, str) or not (name in QUANTITIES or of_contact(name))]:
         meant = [(name, did_you_mean(name, QUANTITIES)) for name in wrong]
         raise InputError([("keep", f"there is no {shown(name)}{other}; use {known}") for name, other in meant])
     return sorted(set(names))

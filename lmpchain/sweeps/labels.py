@@ -89,7 +89,8 @@ def _kind(plan: Sweep, place: Place) -> tuple[int, float, tuple[int, ...], int]:
 @lru_cache(maxsize=64)
 def _recorded(table: str, size: int) -> tuple[Recording, np.ndarray]:
     """Return what a table asks to record, and the numbers of the grains of a chain of this size."""
-    what, chain = Recording(**json.loads(table)), Chain(grains=size, diameter=1e-3, gravity=0.0, bottom="wall")
+    what = Recording(**{key: value for key, value in json.loads(table).items() if key != "quantities"})
+    chain = Chain(grains=size, diameter=1e-3, gravity=0.0, bottom="wall")
     if faults := list(what.faults(chain)):
         raise InputError(faults)
     return what, what.numbers(chain)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from ..measure.motion import Motion
 from ..measure.recorded import columns
+from ..simulation.gatherer import FRACTION, PEAK
+from ..trajectory import gathered
 from ..trajectory.between.derivatives import UNKNOWN
 from ..util.arrays import Array
-
-FRACTION = 0.5  # of the largest speed of a grain that the front has at least, as in measure.front.track
 
 
 class Quantity(NamedTuple):
@@ -100,12 +100,32 @@ QUANTITIES = {
 }
 
 
-def measured(motion: Motion, keep: Iterable[str], grains: NDArray[np.intp]) -> dict[str, Array]:
-    """Return what is kept of a motion, by name, at these of its grains; errors under the name with _error."""
+def of_contact(name: str) -> bool:
+    """Say whether a quantity is the largest force of a contact, as "peak_force:40", which is gathered in the run."""
+    kind, _, number = name.partition(":")
+    return kind == PEAK and number.isascii() and number.isdigit() and str(int(number[:18])) == number
+
+
+def quantity(name: str) -> Quantity:
+    """Return one of the quantities, or the largest force of a contact."""
+    if name in QUANTITIES:
+        return QUANTITIES[name]
+    _, units, about = gathered.KINDS[PEAK]
+    return Quantity((), units, f"{about} {name.partition(':')[2]}", lambda m, _: ())
+
+
+def measured(
+    motion: Motion, keep: Iterable[str], grains: NDArray[np.intp], known: Mapping[str, Array]
+) -> dict[str, Array]:
+    """Return what is kept of a motion, by name, at these of its grains; errors under the name with _error.
+
+    What was gathered all along the run is `known`.
+    """
     rows = motion.rows(grains)
     found: dict[str, Array] = {}
     for name in keep:
-        quantity = QUANTITIES[name]
-        for key, each in zip((name, f"{name}_error"), quantity.measure(motion, grains), strict=False):
-            found[key] = each[..., rows] if "grain" in quantity.dimensions else each
+        kept, names = quantity(name), (name, f"{name}_error")
+        values = [known[key] for key in names] if name in known else kept.measure(motion, grains)
+        for key, each in zip(names, values, strict=False):
+            found[gathered.stored(key)] = each[..., rows] if "grain" in kept.dimensions else each
     return found

@@ -17,7 +17,7 @@ from ..scene.strike import largest_strain, overlaps_of, pair_frequency, strike_n
 from ..util.arrays import Array, read_only
 from .axes import INDEX
 from .file import Sweep
-from .quantities import QUANTITIES
+from .quantities import of_contact, quantity
 
 Made = Scene | InputError
 
@@ -51,8 +51,11 @@ def _alone(plan: Sweep, number: int) -> Made:
 
 
 def _wider(scene: Scene, keep: Sequence[str]) -> Scene:
-    """Return the scene with those grains recorded, too, that measuring what is kept takes."""
-    if scene.grains == "all" or all(QUANTITIES[name].whole for name in keep):
+    """Return the scene with those grains and forces recorded, too, that measuring what is kept takes."""
+    forces = tuple(name for name in keep if of_contact(name) and name not in scene.quantities)
+    if forces:
+        scene = scene.replace(quantities=(*scene.quantities, *forces))
+    if scene.grains == "all" or all(quantity(name).whole or name in scene.quantities for name in keep):
         return scene
     last = scene.chain.grains
     more = {n for grain in scene.recorded.tolist() for n in (grain - 1, grain, grain + 1)}
@@ -196,7 +199,7 @@ def _scene(common: Scene, parts: Mapping[str, Any], known: Mapping[str, list[flo
         "wall_constants": parts["walls"][row],
     }
     chain = Chain._filled(fields, set(parts["fields"]))
-    recorded = {name: getattr(common, name) for name in ("excitation", "duration", "samples", "grains")}
+    recorded = {name: getattr(common, name) for name in ("excitation", "duration", "samples", "grains", "quantities")}
     scene = Scene._filled({"chain": chain} | recorded, set(common.model_fields_set))
     cone, around = LightCone(scene, parts["rows"], slice(None)), (1, chain, scene.excitation)
     shared = {"imposed": common.imposed, "light_cone": cone, "_surroundings": around}

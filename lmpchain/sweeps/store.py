@@ -28,10 +28,11 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError, short
+from ..trajectory.gathered import stored
 from ..util.arrays import Array
 from ..util.files import unpack_one
 from .file import Sweep
-from .quantities import QUANTITIES
+from .quantities import quantity
 from .store_check import CHUNK_BYTES, described
 
 NAME, PARTS, RESULTS = "sweep.json", "parts", "results.zarr"
@@ -98,7 +99,7 @@ def layout(
     lengths = {"time": samples, "grain": grains}
     columns = dict(extra)
     for name in keep:
-        kept = QUANTITIES[name]
+        kept, name = quantity(name), stored(name)
         shape = tuple(lengths[key] for key in kept.dimensions)
         columns[name] = Column(kept.dimensions, shape, kept.units, kept.long_name)
         if not kept.whole:

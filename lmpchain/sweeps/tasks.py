@@ -59,7 +59,7 @@ def together(engine: str, scene: Scene) -> int:
     """Return how many scenes like this one make a task: one, unless it is small."""
     if not engines.get(engine).batches:
         return 1
-    return max(1, min(MOST, MOST_NUMBERS // (scene.samples * scene.chain.grains)))
+    return max(1, min(MOST, MOST_NUMBERS // (scene.fine.samples * scene.chain.grains)))
 
 
 def answer(task: Task) -> None:
@@ -119,7 +119,7 @@ def _put(columns: Mapping[str, Any], row: int, found: Trajectory | LmpchainError
     motion = motion_of(found)
     wanted = recorded(plan, place, found.scene.chain.grains)
     spots = _spots(wanted.tobytes(), task.grains.tobytes())
-    for name, values in measured(motion, plan.keep, wanted).items():
+    for name, values in measured(motion, plan.keep, wanted, found.gathered).items():
         into = columns[name][row]
         if values.ndim == 2:
             into[: len(values), spots] = values

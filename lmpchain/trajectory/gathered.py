@@ -22,7 +22,7 @@ class Kind(NamedTuple):
 
     dimensions: tuple[str, ...]
     shape: tuple[int, ...]
-    labels: dict[str, str]
+    labels: dict[str, Any]
 
 
 def stored(name: str) -> str:

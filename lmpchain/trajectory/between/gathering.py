@@ -72,7 +72,10 @@ class Forces(NamedTuple):
 
 @compiled
 def _motion(u, v, first, count, n, h, forces, out):
-    """Fill out, (5, AROUND), with displacement, velocity, acceleration, jerk and its error of a body, from 0, or -1."""
+    """Fill out, (5, AROUND), with the motion of a body, counted from 0, or -1 of the top wall.
+
+    That is displacement, velocity, acceleration, jerk and how far off the acceleration is.
+    """
     x, w, a, j, off = out[0], out[1], out[2], out[3], out[4]
     last = u.shape[1] - 1
     off[:] = 0.0
@@ -111,7 +114,7 @@ def _motion(u, v, first, count, n, h, forces, out):
 
 @compiled
 def _near(f, k, first, last, low, marks):
-    """Raise what each value reaches at least to that of sample k + 1; mark where it may turn above, return how often.
+    """Raise what values reach at least to sample k + 1; mark where they may turn above that; count these.
 
     Rows of f, (R, N), are known from first to last. Four samples that go one way, and evenly, have no turn between.
     """
@@ -144,7 +147,7 @@ def _raise(p, i, tops, n):
 
 @compiled
 def _rise(p, i, t, record, n, log, logged):
-    """Let the front of grain n know of the interval i, which begins at time t; return how many maxima are logged."""
+    """Let the front of grain n know of the interval i from time t on; return how many maxima are logged."""
     h = p.h
     count = turns(p)
     for k in range(count + 1):  # the end counts where a turn falls on it
