@@ -40,8 +40,8 @@ if TYPE_CHECKING:
 
 MARGIN = 10  # grains at rest drawn on either side of those that are moved
 LONGEST = 3600.0  # s: of a duration that may be meant
-# omega h of the times at which a motion is looked at to gather quantities of it
-FINE = 0.25
+# omega h at most of the times at which quantities are gathered: then 1e-6 of the fastest motion is known between them
+FINE = 0.5
 # what is known of a scene, whatever is recorded
 SAME = ("imposed", "energy", "strike_number", "largest_strain", "highest_frequency", "_pair_frequency", "_surroundings")
 

@@ -14,10 +14,11 @@ from ..scene.recording import OF_CONTACTS
 from ..scene.scene import Scene
 from ..trajectory.between import gathering as kernel
 from ..trajectory.between.derivatives import KINK
-from ..util.arrays import Array
+from ..util.arrays import EPSILON, Array
 
 FRACTION = 0.5  # of the largest speed of a grain that the front has at least, as in measure.front.track
 DROPPED = 0.8  # of that: a maximum that is below this is no front, whatever the error of a useful answer
+ROUNDED = 4  # last digits of a force that its power may cost
 PEAK, TRACE = OF_CONTACTS
 KEPT = ("fast", "far", "record", "log", "closest", "trace", "largest", "before", "interval", "start")
 
@@ -123,18 +124,20 @@ class Gatherer:
     def _forces(self, base: int, count: int) -> kernel.Forces:
         """Return what acts at so many samples."""
         excitation, chain = self._part.excitation, self._part.chain
-        wall, given, pushed, driven = np.zeros((2, count)), np.zeros((3, count)), -1, False
+        wall, given, pushed, driven = np.zeros((4, count)), np.zeros((3, count)), -1, False
         if wave := excitation.waveform:
             time: Array = self._step * np.arange(base, base + count, dtype=float)
             if excitation.wall:
-                wall[:] = wave.at(time), wave.at(time, 1)
+                wall[:] = [wave.at(time, order) for order in range(4)]
+                imposed = wall[2:]
             else:
                 driven, pushed = bool(excitation.driven), excitation.reach(chain)[0] - 1
                 order, share = (2, 1.0) if driven else (0, 1 / chain.masses[pushed])
                 given[:2] = share * wave.at(time, order), share * wave.at(time, order + 1)
-                corner = np.diff(np.searchsorted(wave.corners, time, side="right")) > 0
-                jump, kink = np.abs(np.diff(given[:2]))
-                given[2, :-1] = np.where(corner, KINK * self._step * kink + (0.0 if wave.spline else jump), 0.0)
+                imposed = given[:2]
+            corner = np.diff(np.searchsorted(wave.corners, time, side="right")) > 0
+            jump, kink = np.abs(np.diff(imposed))
+            given[2, :-1] = np.where(corner, KINK * self._step * kink + (0.0 if wave.spline else jump), 0.0)
         return kernel.Forces(*self._law, *self._force, wall, given, pushed, driven)
 
     def _fronts(self, log: Array) -> Array:
@@ -176,10 +179,10 @@ class Gatherer:
         return every[:, self._scene.recorded - 1]
 
     def _pushes(self, number: int, closer: Array, off: Array | float) -> tuple[Array, Array]:
-        """Return the forces of a contact that is closer than at rest by this, m, and how far off they may be, N."""
+        """Return forces of a contact that is closer than at rest by this, m, and their errors, N."""
         contact = self._scene.chain.contacts.of(np.array([number]))
         less, force, most = (contact.force_at(contact.overlap + r) for r in (closer - off, closer, closer + off))
-        return force, np.maximum(most - force, force - less)
+        return force, np.maximum(most - force, force - less) + ROUNDED * EPSILON * force
 
     def _arrivals(self, known: float) -> tuple[Array, Array]:
         """Return when the front passes each grain of the part, (N,) s, and how far off that may be."""
@@ -193,23 +196,23 @@ class Gatherer:
 
         def first(level: Array, fall: Array | float) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
             """Return of every grain whether there is a maximum of this size, and which is the first."""
-            there = np.flatnonzero((top >= level[of]) & (top - since > np.broadcast_to(fall, size)[of]))
+            there = np.flatnonzero((top >= level[of]) & (top - since > fall))
             grains, place = np.unique(of[there], return_index=True)
             some, which = np.zeros(size, dtype=bool), np.zeros(size, dtype=int)
             some[grains], which[grains] = True, there[place]
             return some, which
 
-        seen, which = first(FRACTION * value, known)
+        seen, which = first(FRACTION * value, known + off)  # else a polynomial may turn where nothing does
         seen &= (value > known) & (value >= sys.float_info.min) & (kept["start"] < FRACTION * value)
         time, about = when[which], off[which] + known
         with np.errstate(divide="ignore", invalid="ignore"):
-            bent = (tilt[which] + self._part.highest_frequency * known) / bend[which]
-        late = np.where(bend[which] > 0.0, bent, self._step)
+            spread = np.where(bend > 0.0, (tilt + self._part.highest_frequency * known) / bend, self._step)
         # which other maxima it may be, if values are off by their errors
         sooner, one = first(FRACTION * (low - known) - about, 0.0)
-        surely, other = first(FRACTION * (high + known) + about, known + 2 * about)
-        late = np.maximum(late, np.where(sooner, np.abs(when[one] - time), 0.0))
-        late = np.maximum(late, np.where(surely, np.abs(when[other] - time), self._part.duration - time))
+        surely, other = first(FRACTION * (high + known) + about, known + 2 * about[of])
+        early, late = (np.abs(when[each] - time) + spread[each] for each in (one, other))
+        late = np.where(surely, late, self._part.duration - time)
+        late = np.maximum(np.maximum(spread[which], late), np.where(sooner, early, 0.0))
         return np.where(seen, time, np.nan), np.where(seen, late, np.nan)
 
 

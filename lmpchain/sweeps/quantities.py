@@ -101,7 +101,7 @@ QUANTITIES = {
 
 
 def of_contact(name: str) -> bool:
-    """Say whether a quantity is the largest force of a contact, as "peak_force:40", which is gathered in the run."""
+    """Say whether a quantity is the largest force of a contact, as "peak_force:40"."""
     kind, _, number = name.partition(":")
     return kind == PEAK and number.isascii() and number.isdigit() and str(int(number[:18])) == number
 

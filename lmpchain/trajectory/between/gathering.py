@@ -1,4 +1,4 @@
-"""Largest values and wave fronts of grains and contacts, gathered interval by interval as a run goes on, compiled.
+"""Largest values and wave fronts, gathered interval by interval as a run goes on, compiled.
 
 An interval is looked at once the sample behind the next one is known: with four samples around it, as in `hermite`.
 """
@@ -50,10 +50,10 @@ class Forces(NamedTuple):
         1/kg; 0 of what is held.
     exponent, linear : float and bool
         Of the force, and whether it is linearised.
-    wall : (2, R) array
-        Displacement and velocity of the top wall.
+    wall : (4, R) array
+        Displacement, velocity, acceleration and jerk of the top wall.
     given : (3, R) array
-        Acceleration and jerk of a grain from outside, and how far off the acceleration may be behind each sample.
+        Acceleration and jerk of a grain from outside; how far off that, or of the wall, may be behind each sample.
     pushed : int
         Which grain, from 0, or -1.
     driven : bool
@@ -83,8 +83,13 @@ def _motion(u, v, first, count, n, h, forces, out):
     for i in range(count):
         row = first + i
         a[i], j[i] = 0.0, 0.0
-        if n < 0 or n > last:
-            x[i], w[i] = (forces.wall[0, row], forces.wall[1, row]) if n < 0 else (0.0, 0.0)
+        if n > last:
+            x[i], w[i] = 0.0, 0.0
+            continue
+        if n < 0:
+            x[i], w[i], a[i], j[i] = forces.wall[:, row]
+            if i + 1 < count:
+                off[i], off[i + 1] = max(off[i], forces.given[2, row]), forces.given[2, row]
             continue
         x[i], w[i] = u[row, n], v[row, n]
         if n == forces.pushed:
