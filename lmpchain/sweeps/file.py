@@ -27,7 +27,7 @@ from ..util.files import check_readable
 from ..util.suggestions import did_you_mean
 from ..util.validation import Checked, Positive, Whole
 from .axes import MAKERS, Axis, Seed, axes
-from .quantities import QUANTITIES, of_contact
+from .quantities import QUANTITIES, of_contact, with_forces
 
 FORMAT = 2
 KEYS = ("scene", "engine", "tolerance", "keep", *MAKERS)
@@ -188,7 +188,7 @@ class Sweep:
             if values <= good:
                 continue
             try:
-                scene = self.scene(place)
+                scene = with_forces(self.scene(place), self.keep)
                 if reasons := engine.refuses(scene):
                     raise InputError(reasons)
             except InputError as error:

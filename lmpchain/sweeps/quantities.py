@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..measure.motion import Motion
 from ..measure.recorded import columns
+from ..scene.scene import Scene
 from ..simulation.gatherer import FRACTION, PEAK
 from ..trajectory import gathered
 from ..trajectory.between.derivatives import UNKNOWN
@@ -112,6 +113,12 @@ def quantity(name: str) -> Quantity:
         return QUANTITIES[name]
     _, units, about = gathered.KINDS[PEAK]
     return Quantity((), units, f"{about} {name.partition(':')[2]}", lambda m, _: ())
+
+
+def with_forces(scene: Scene, keep: Iterable[str]) -> Scene:
+    """Return the scene with the forces of contacts gathered that are kept; raises `InputError`."""
+    forces = tuple(name for name in keep if of_contact(name) and name not in scene.quantities)
+    return scene.replace(quantities=(*scene.quantities, *forces)) if forces else scene
 
 
 def measured(

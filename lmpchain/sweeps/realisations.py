@@ -17,7 +17,7 @@ from ..scene.strike import largest_strain, overlaps_of, pair_frequency, strike_n
 from ..util.arrays import Array, read_only
 from .axes import INDEX
 from .file import Sweep
-from .quantities import of_contact, quantity
+from .quantities import quantity, with_forces
 
 Made = Scene | InputError
 
@@ -52,9 +52,7 @@ def _alone(plan: Sweep, number: int) -> Made:
 
 def _wider(scene: Scene, keep: Sequence[str]) -> Scene:
     """Return the scene with those grains and forces recorded, too, that measuring what is kept takes."""
-    forces = tuple(name for name in keep if of_contact(name) and name not in scene.quantities)
-    if forces:
-        scene = scene.replace(quantities=(*scene.quantities, *forces))
+    scene = with_forces(scene, keep)
     if scene.grains == "all" or all(quantity(name).whole or name in scene.quantities for name in keep):
         return scene
     last = scene.chain.grains

@@ -17,6 +17,7 @@ from lmpchain import Chain, Drive, Impulse, InputError, Profile, Scene, engines,
 from lmpchain.engines import error_estimate
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.splittings import SPLITTINGS
+from lmpchain.scene.waveform import Waveform
 
 Array = NDArray[np.float64]
 every = pytest.mark.parametrize("integrator", sorted(METHODS))
@@ -409,3 +410,11 @@ def test_a_start_that_does_not_fit():
         with pytest.raises(InputError) as caught:
             Scene.from_dict(tables)
         assert str(caught.value).startswith(said)
+
+
+@pytest.mark.parametrize("cycles", [None, 2.3])
+def test_derivatives_of_a_waveform_are_limits_of_differences(cycles):
+    wave, t, h = Waveform.sine(2.0, 3.0, cycles), np.linspace(0.01, 0.7, 30), 1e-5
+    for order in range(3):
+        difference = (wave.at(t + h, order) - wave.at(t - h, order)) / (2 * h)
+        assert wave.at(t, order + 1) == pytest.approx(difference, abs=1e-6 * wave.largest(order + 1))

@@ -25,7 +25,7 @@ import lmpchain.sweeps.run as run
 from lmpchain import Chain, Impulse, InputError, Packet, Scene, load_sweep, simulate, sweep
 from lmpchain.cli.command_line import main
 from lmpchain.disorder.averages import realisation
-from lmpchain.measure.contact import wall_force
+from lmpchain.measure.contact import contacts, wall_force
 from lmpchain.measure.front import track
 from lmpchain.measure.motion import peaks
 from lmpchain.sweeps import tasks
@@ -293,6 +293,31 @@ def test_kept_quantities_are_those_of_measure(tmp_path):
         assert np.array_equal(found[f"peak_{field}"][0], peaks(alone, field).value)
         assert np.array_equal(found[f"peak_{field}_error"][0], peaks(alone, field).error)
     assert not list(tmp_path.rglob("velocity"))
+
+
+def test_what_is_gathered_is_kept(tmp_path):
+    """In a batch and alone: in place of what samples show, and forces of contacts, which no sample is needed for."""
+    tables = {
+        "chain": {"grains": 30, "diameter": 1e-3},
+        "excitation": {"kind": "impulse", "velocity": 1e-3},
+        "recording": {"duration": 5e-5, "samples": 2, "grains": [7, 3], "quantities": ["peak_velocity"]},
+    }
+    keep = ["peak_velocity", "peak_force:5", "peak_displacement"]
+    asked = {"scene": tables, "keep": keep, "disorder": {"m": 5, "seed": 1, "realisations": 3}}
+    found = sweep(asked, tmp_path)
+    plan = read(asked)
+    for index in range(3):
+        one = simulate(plan.scene((index,)).replace(samples=2001, grains="all", quantities=None), "native")
+        most = peaks(one)
+        own = found.isel(realisation=index)
+        error = own["peak_velocity_error"] + most.error[[6, 2]]
+        assert (abs(own["peak_velocity"] - most.value[[6, 2]]) <= error).all()
+        assert (own["peak_velocity_error"] < 1e-5 * most.value.max()).all()
+        assert (own["peak_displacement_error"] > 1e-2 * own["peak_displacement"]).all()  # of two samples
+        force = contacts(one, [5]).force
+        assert abs(own["peak_force_5"] - force.max()) <= own["peak_force_5_error"] + 1e-5 * np.ptp(force)
+    with pytest.raises(InputError, match=r"quantities: the contacts are numbered 1 to 29 \(got 30\)"):
+        sweep(asked | {"keep": ["peak_force:30"]}, tmp_path / "other")
 
 
 def test_the_example(tmp_path, capsys):

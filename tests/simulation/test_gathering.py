@@ -1,0 +1,288 @@
+"""Quantities gathered all along a run: two samples are enough for peaks, arrivals and forces at full resolution."""
+
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.independent_integrators import extended_reference
+from helpers.interpolated_peak import find_peak
+from scipy.optimize import brentq
+
+from lmpchain import (
+    Chain,
+    Displacement,
+    Drive,
+    Force,
+    Impulse,
+    InputError,
+    Profile,
+    Scene,
+    Stopped,
+    Trajectory,
+    engines,
+    resume,
+    simulate,
+    simulate_many,
+)
+from lmpchain.engines import error_estimate
+from lmpchain.engines.linear import engine as linear
+from lmpchain.measure.contact import contacts
+from lmpchain.measure.motion import motion_of
+from lmpchain.simulation.run_folder import status
+
+OF_GRAINS = ["peak_velocity", "peak_displacement", "arrival_time"]
+ALL = [*OF_GRAINS, "peak_force:4", "force:4"]
+PAIR = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0)  # grain 2 is fixed: an oscillator
+OMEGA = PAIR.band_edge
+COLUMN = Chain(grains=30, diameter=1e-3)
+STRUCK = Scene(chain=COLUMN, excitation=Impulse(velocity=8.57e-3), duration=6e-5, samples=2, quantities=ALL)
+WEAK = STRUCK.replace(excitation=Impulse(velocity=1e-8))
+
+
+def off(gathered: dict, name: str, truth: np.ndarray | float) -> np.ndarray:
+    """Return the true error of what was gathered over the one that is claimed."""
+    return np.abs(gathered[name] - truth) / gathered[f"{name}_error"]
+
+
+@pytest.mark.parametrize("engine", ["native", "modes", "chebyshev", "lammps"])
+def test_an_oscillator_whose_samples_are_nodes(engine: str):
+    """All is known exactly, and no sample shows it."""
+    length = 1e-9
+    scene = Scene(
+        chain=PAIR, excitation=Displacement(displacement=length), duration=7.25 * 2 * np.pi / OMEGA, samples=2,
+        quantities=[*OF_GRAINS, "peak_force:1", "force:1"],
+    )  # fmt: skip
+    found = simulate(scene, engine, 1e-6).gathered
+    rest, stiffness = 10.0, float(PAIR.linear_stiffness[0])
+    assert off(found, "peak_velocity", np.array([length * OMEGA, 0.0]))[0] < 1
+    assert off(found, "peak_displacement", np.array([length, 0.0]))[0] < 1
+    assert off(found, "arrival_time", np.pi / 2 / OMEGA)[0] < 1
+    assert np.isnan(found["arrival_time"][1])
+    assert off(found, "peak_force:1", rest + stiffness * length) < 1
+    assert (off(found, "force:1", rest + stiffness * length * np.cos(OMEGA * found["fine_time"])) < 1).all()
+    assert found["peak_velocity_error"][0] < 3e-6 * length * OMEGA
+    assert found["arrival_time_error"][0] < 1e-5 / OMEGA
+    assert found["peak_force:1_error"] < 3e-6 * stiffness * length
+
+
+@pytest.mark.parametrize("exponent", [1.0, 1.25, 1.5, 2.0, 3.0])
+def test_a_grain_that_bounces_off_a_wall(exponent: float):
+    """All of its energy is in the contact once: F = K x^delta, K x^(delta + 1) / (delta + 1) = m v^2 / 2."""
+    chain = Chain(grains=1, diameter=1e-3, gravity=0.0, bottom="wall", exponent=exponent)
+    mass, constant, speed = chain.masses[0], chain.wall_constants[1], 0.1
+    deepest = ((exponent + 1) * mass * speed**2 / 2 / constant) ** (1 / (exponent + 1))
+    scene = Scene(
+        chain=chain, excitation=Impulse(velocity=speed), duration=5 * deepest / speed, samples=2,
+        quantities=["peak_force:1", "peak_velocity"],
+    )  # fmt: skip
+    found = simulate(scene, "native", 1e-9).gathered
+    assert off(found, "peak_force:1", constant * deepest**exponent) < 1
+    assert found["peak_force:1_error"] < 2e-3 * constant * deepest**exponent
+    assert off(found, "peak_velocity", speed)[0] < 1
+
+
+@pytest.mark.parametrize("engine", ["native", "modes"])
+def test_a_resonance_has_many_fronts_until_the_last_is_known(engine: str):
+    """v = F/2m t sin(omega t): the first maximum that is half of the largest is one of some hundred."""
+    force, end = 1e-6, 100.3 * np.pi
+    scene = Scene(
+        chain=PAIR, excitation=Force(grain=1, amplitude=force, frequency=OMEGA / (2 * np.pi)), duration=end / OMEGA,
+        samples=2, quantities=["peak_velocity", "arrival_time"],
+    )  # fmt: skip
+    tops = np.array([brentq(lambda x: np.sin(x) + x * np.cos(x), k * np.pi + 1.5, (k + 1) * np.pi) for k in range(100)])
+    sizes = np.abs(tops * np.sin(tops)) * force / (2 * PAIR.masses[0] * OMEGA)
+    found = simulate(scene, engine, 1e-7).gathered
+    assert off(found, "peak_velocity", sizes.max())[0] < 1
+    assert off(found, "arrival_time", tops[np.argmax(sizes >= sizes.max() / 2)] / OMEGA)[0] < 1
+    assert found["arrival_time_error"][0] < 1e-4 / OMEGA
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["native", "lammps"])
+def test_a_struck_column_as_in_an_independent_integration(engine: str):
+    """Contacts open behind the front."""
+    found = simulate(STRUCK, engine, 1e-7).gathered
+    fine = STRUCK.replace(samples=601, quantities=None)
+    u, v, own = extended_reference(fine)
+    own *= v.max()
+    for grain in range(3, 9):
+        arrival, top = find_peak(fine.time, v[:, grain - 1])
+        assert abs(found["peak_velocity"][grain - 1] - top) < found["peak_velocity_error"][grain - 1] + own
+        assert abs(found["arrival_time"][grain - 1] - arrival) < found["arrival_time_error"][grain - 1] + 1e-12
+    contact = COLUMN.contacts.of(np.array([4]))
+    pushed = contact.force_at(contact.overlap + u[:, 3] - u[:, 4])
+    assert abs(found["peak_force:4"] - find_peak(fine.time, pushed)[1]) < found["peak_force:4_error"] + 1e-9
+
+
+@pytest.mark.filterwarnings("ignore:Eq. ")
+@pytest.mark.parametrize(("engine", "scene"), [("native", STRUCK), ("modes", WEAK), ("chebyshev", WEAK)])
+def test_two_samples_tell_as_much_as_20001(engine: str, scene: Scene):
+    few = simulate(scene, engine, 1e-9).gathered
+    many = simulate(scene.replace(samples=20001, quantities=None), engine, 1e-9)
+    motion = motion_of(many)
+    for field in ("velocity", "displacement"):
+        peaks = motion.peaks(field)
+        assert (np.abs(few[f"peak_{field}"] - peaks.value) <= few[f"peak_{field}_error"] + peaks.error).all()
+    fronts = motion.fronts("velocity", 0.5, width=False)
+    assert np.array_equal(np.isnan(few["arrival_time"]), np.isnan(fronts[:, 0]))
+    apart = np.abs(few["arrival_time"] - fronts[:, 0])
+    assert np.nanmax(apart / (few["arrival_time_error"] + fronts[:, 3])) <= 1
+    assert np.nanmax(few["arrival_time_error"]) < 1e-4 * scene.duration
+    history = contacts(many, [4])
+    assert abs(few["peak_force:4"] - history.force.max()) < few["peak_force:4_error"] + 1e-7 * np.ptp(history.force)
+    trace = np.interp(few["fine_time"], history.time, history.change[:, 0])
+    change = few["force:4"] - float(COLUMN.contacts.force[4])
+    assert np.abs(change - trace).max() < 1e-6 * np.ptp(trace) + few["force:4_error"].max()
+
+
+ACTING = {
+    "force": Force(grain=3, shape="half-sine", amplitude=1e-4, duration=1.03e-5),
+    "burst": Drive(amplitude=1e-9, frequency=1e5, cycles=1.3),
+    "points": Drive(times=np.linspace(0, 2e-5, 4), displacement=[0, 1e-9, -1e-9, 2e-9]),
+    "wall": Drive(amplitude=1e-9, frequency=1e5, cycles=1.3, grain=0),
+}
+
+
+@pytest.mark.parametrize(
+    "what", [pytest.param(what, marks=pytest.mark.slow if what in ("burst", "wall") else ()) for what in ACTING]
+)
+def test_what_acts_on_a_chain_has_its_part(what: str):
+    """Grain 1 or a wall that is moved, a grain that is pushed: their contacts and neighbours, too."""
+    chain = Chain(grains=6, diameter=1e-3)
+    chain = chain.replace(top="wall", top_load=0.01) if what == "wall" else chain
+    near = 0 if what == "wall" else 1
+    asked = ["peak_velocity", "peak_displacement", f"peak_force:{near}", f"force:{near}"]
+    scene = Scene(chain=chain, excitation=ACTING[what], duration=2e-5, samples=2, quantities=asked)
+    found = simulate(scene, "native", 1e-9).gathered
+    u, v, own = extended_reference(Scene(**scene.given() | {"samples": 20 * (scene.fine.samples - 1) + 1}))
+    missed = 8e-5  # of a peak between two of these samples
+    for name, x in (("peak_velocity", v), ("peak_displacement", u)):
+        most, error = np.abs(x).max(axis=0), found[f"{name}_error"] + own * np.abs(x).max()
+        assert (most <= found[name] + error).all()
+        assert (found[name] <= most * (1 + missed) + error).all()
+    above = ACTING[what].waveform.at(np.linspace(0, 2e-5, len(u))) if what == "wall" else u[:, 0]
+    contact = chain.contacts.of(np.array([near]))
+    force = contact.force_at(contact.overlap + above - u[:, near])
+    assert (np.abs(found[f"force:{near}"] - force[::20]) <= found[f"force:{near}_error"] + 1e-9 * force.max()).all()
+    error = found[f"peak_force:{near}_error"]
+    assert -error <= found[f"peak_force:{near}"] - force.max() <= error + missed * np.ptp(force)
+
+
+@pytest.mark.parametrize("engine", ["native", "modes", "chebyshev", pytest.param("lammps", marks=pytest.mark.slow)])
+@pytest.mark.filterwarnings("ignore:Eq. ")
+def test_stopped_after_every_block_it_gathers_the_same_bits(engine: str, tmp_path: Path, monkeypatch):
+    scene = WEAK if engine in ("modes", "chebyshev") else STRUCK
+    monkeypatch.setattr(linear, "BLOCK", 4)
+    monkeypatch.setattr(linear, "SMALL", 1)
+    whole = simulate(scene, engine, 1e-6)
+    monkeypatch.setattr(error_estimate, "BLOCK_S", 1e-9)
+    stops = 0
+    while True:
+        limit = 1e-9 if stops < 2 else None
+        try:
+            if not stops:
+                found = simulate(scene, engine, 1e-6, folder=tmp_path / "run", max_wall=limit)
+            else:
+                found = resume(tmp_path / "run", max_wall=limit)
+            break
+        except Stopped:
+            stops += 1
+            assert status(tmp_path / "run")["samples_done"] == 1  # it stands between two samples
+    assert stops == 2
+    assert found.gathered.keys() == whole.gathered.keys()
+    for name, values in whole.gathered.items():
+        assert np.array_equal(found.gathered[name], values, equal_nan=True), name
+    assert np.array_equal(np.asarray(found.velocity), whole.velocity)
+
+
+def test_it_is_kept_in_files(tmp_path: Path):
+    t = simulate(STRUCK, "native", folder=tmp_path / "run")
+    t.save(tmp_path / "run.nc")
+    again = Trajectory.load(tmp_path / "run.nc")
+    assert again == t
+    assert again.gathered.keys() == t.gathered.keys() > set(ALL)
+    data = again.to_xarray()
+    assert data["peak_velocity"].dims == ("grain",)
+    assert data["force_4"].dims == data["force_4_error"].dims == ("fine_time",)
+    assert data["peak_force_4"].attrs == {"units": "N", "long_name": "largest force at any time of contact 4"}
+    STRUCK.to_toml(tmp_path / "scene.toml")
+    assert Scene.from_toml(tmp_path / "scene.toml") == STRUCK
+    other = simulate(STRUCK.replace(quantities=["peak_velocity"]), "native")
+    assert other != t
+
+
+def test_recorded_grains_and_the_light_cone():
+    """Of a long chain only what the wave can reach is computed; the rest is at rest."""
+    chain = COLUMN.replace(grains=400)
+    whole = STRUCK.replace(chain=chain)
+    some = STRUCK.replace(chain=chain, grains=[7, 3, 350], quantities=[*ALL, "peak_force:399", "force:399"])
+    every, few = simulate(whole, "native"), simulate(some, "native")
+    assert every.cost.active_grains < 400
+    for name in OF_GRAINS:
+        assert np.array_equal(few.gathered[name], every.gathered[name][[6, 2, 349]], equal_nan=True)
+    assert few.displacement.shape == (2, 3)
+    assert few.gathered["peak_velocity"][2] == 0.0
+    assert few.gathered["force:399"] == pytest.approx(chain.contacts.force[399], rel=1e-12)
+    assert few.gathered["peak_force:4"] == every.gathered["peak_force:4"]
+
+
+def test_a_batch_gathers_what_each_of_its_scenes_does():
+    scenes = [STRUCK.replace(excitation=Impulse(velocity=v)) for v in (1e-6, 8e-6, 9e-6)]
+    for one, scene in zip(simulate_many(scenes, 1e-8), scenes, strict=True):
+        alone = simulate(scene, "native", 1e-8).gathered
+        for name in ALL:
+            apart = np.abs(one.gathered[name] - alone[name])
+            assert np.nanmax(apart - alone[f"{name}_error"] - one.gathered[f"{name}_error"]) <= 0
+
+
+def test_it_is_refused_in_one_line():
+    chain = Chain(grains=200, diameter=1e-3)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-8), duration=3e-5, quantities=["peak_velocity"])
+    for name in ("bessel", "continuum"):
+        with pytest.raises(InputError, match=f"quantities: {name} solves no equation of motion .* use native"):
+            simulate(scene, name)
+
+
+def test_auto_gathers_too():
+    t = simulate(WEAK, tolerance=1e-3)
+    assert t.equation == 3
+    assert t.gathered["peak_velocity"][0] == pytest.approx(1e-8, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("asked", "says"),
+    [
+        (["peak"], "must be peak_displacement"),
+        (["force"], 'needs the number of a contact, as in "force:40"'),
+        (["force:04"], "needs the number of a contact"),
+        (["peak_force:30"], "the contacts are numbered 1 to 29"),
+        (["peak_velocity"] * 2, "names a quantity twice"),
+        ([], "must be a list of names"),
+        ("peak_velocity", "must be a list of names"),
+    ],
+)
+def test_what_cannot_be_gathered(asked, says: str):
+    with pytest.raises(InputError, match=f"quantities: {says}"):
+        STRUCK.replace(quantities=asked)
+
+
+@pytest.mark.slow
+def test_it_takes_the_memory_of_its_results():
+    """All samples would take a gigabyte."""
+    size = 50_000
+    chain = Chain(grains=size, diameter=1e-3, gravity=0.0, top_load=1.0)
+    velocity = np.append(1e-3 * np.random.default_rng(1).normal(size=size - 1), 0.0)
+    scene = Scene(
+        chain=chain, excitation=Profile(velocity=velocity), duration=1.6e-4, samples=2, quantities=["peak_velocity"]
+    )
+    assert 16 * size * scene.fine.samples > 4e8
+    simulate(STRUCK, "native")
+    tracemalloc.start()
+    try:
+        t = simulate(scene, engines.Native("rkn4", step=2e-7))
+        assert tracemalloc.get_traced_memory()[1] < 1.5e8
+    finally:
+        tracemalloc.stop()
+    assert t.displacement.nbytes + t.velocity.nbytes == 32 * size
+    assert (t.gathered["peak_velocity"] >= np.abs(velocity)).all()
