@@ -39,8 +39,8 @@ LOOSE = {"verlet": 1e-7, "gear4": 1e-8, "rkn4": 1e-11, "kahan-li6": 1e-12}  # le
 ENDINGS = ("right", "above", "missed", "refused", "failed", "slow", "unresolved")
 
 
-class TooLong(Exception):
-    """A minute is over."""
+class TooLong(BaseException):
+    """A minute is over, which nothing that catches exceptions of LAMMPS, say, may take for a failure of a run."""
 
 
 @contextmanager

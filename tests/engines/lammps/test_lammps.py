@@ -28,6 +28,7 @@ from lmpchain.engines.lammps.column import Column
 from lmpchain.engines.lammps.export import write_deck
 from lmpchain.engines.lammps.launch import gather
 from lmpchain.engines.lammps.stepper import LammpsStepper
+from lmpchain.engines.lammps.worker import Worker
 from lmpchain.integrators.splittings import VERLET
 
 DECKS = {
@@ -206,6 +207,20 @@ def test_grains_lost_while_reading_are_noticed(monkeypatch):
     monkeypatch.setattr(Column, "box", (-1e-3, 1e-3, -0.01, 0.2))
     with pytest.raises(RunFailed, match=r"LAMMPS stopped|lost grains"):
         stepper(small())
+
+
+def test_a_deadline_of_the_user_ends_a_run(monkeypatch):
+    """What the handler of a signal raises is no failure of LAMMPS, after which shorter steps are tried."""
+    tries = []
+
+    def late(*_):
+        tries.append(1)
+        raise TimeoutError("a minute is over")
+
+    monkeypatch.setattr(Worker, "advance", late)
+    with pytest.raises(TimeoutError, match="a minute is over"):
+        simulate(small(), "lammps", 1e-4)
+    assert len(tries) == 1
 
 
 def test_library_faults_name_the_cure(monkeypatch):
