@@ -11,7 +11,7 @@ from ..theory.bands import Cell, branches, repeating
 from ..theory.modes import eigenmodes
 from ..util.arrays import Array
 from ..util.notebook import Shown
-from ..util.plotting import COLOURS, axes_in_units, legend
+from ..util.plotting import COLOURS, axes_in_units, legend, titled
 from .floquet import Complex
 from .orbit import Orbit
 
@@ -92,7 +92,10 @@ class Family(Shown):
         return np.array([orbit.stable for orbit in self.orbits])
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw energy against frequency, unstable orbits dashed, the linear bands behind; returns the axes."""
+        """Draw energy against frequency, unstable orbits dashed, linear bands behind; returns the axes.
+
+        Above them stands why the family ended, if it did before the value asked for.
+        """
         from matplotlib.ticker import EngFormatter, LogLocator, MaxNLocator, NullFormatter
 
         ax = axes_in_units(ax, "Hz", "")
@@ -123,6 +126,8 @@ class Family(Shown):
         ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         ax.yaxis.set_major_formatter(EngFormatter("J"))
         ax.yaxis.set_minor_formatter(NullFormatter())
+        if self.ended:
+            titled(ax, self.ended[0].upper() + self.ended[1:])
         legend(ax, frameon=True, edgecolor="none", framealpha=1.0)  # it may lie on a band, whose patch is of its colour
         return ax
 

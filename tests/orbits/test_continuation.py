@@ -205,6 +205,7 @@ def test_a_family_that_gives_up_keeps_its_orbits_and_says_why(monkeypatch: pytes
     assert (len(family), family.reached) == (3, False)
     assert family.ended.startswith("its first 3 orbits end at energy")
     assert "ended='its first 3 orbits" in repr(family)
+    assert family.plot().get_title("left").startswith("Its first 3 orbits end at energy")
     monkeypatch.setattr(continuation, "STILL", np.inf)
     monkeypatch.setattr(continuation, "PATIENCE", 2)
     family = orbits.follow(first, "energy", until, events=False)
