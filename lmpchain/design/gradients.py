@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -38,7 +39,8 @@ class Gradient(Mapping[str, Array]):
     errors : dict
         Estimated largest error of each gradient, in the same units.
     error : float
-        The largest error relative to the largest derivative with respect to the same kind of parameter.
+        The largest error relative to the largest derivative with respect to the same kind of parameter; where these are
+        nothing but round-off, whose size is then their error, relative to the terms that they are the sum of.
     value_error : float
         Of the value, in its unit.
     step_s : float
@@ -48,14 +50,10 @@ class Gradient(Mapping[str, Array]):
     value: float
     gradients: Mapping[str, Array]
     errors: Mapping[str, float]
+    error: float
     value_error: float
     step_s: float
     integrator: str
-
-    @property
-    def error(self) -> float:
-        """The largest error relative to the largest derivative with respect to the same kind of parameter."""
-        return max(_relative(self.errors[name], self.gradients[name]) for name in self.gradients)
 
     def __getitem__(self, name: str) -> Array:
         return self.gradients[name]
@@ -67,16 +65,32 @@ class Gradient(Mapping[str, Array]):
         return len(self.gradients)
 
 
-def _relative(error: float, gradient: Array) -> float:
-    largest = float(np.abs(gradient).max())
-    return error / largest if largest > 0 else (0.0 if error == 0 else math.inf)
-
-
 def looks_of(scene: Scene, objective: Objective, finer: int = 1) -> int:
     """Return how often an objective looks at a scene after t = 0: at the samples, or a multiple of that."""
     interval = scene.duration / (scene.samples - 1)
     more = finer * max(1, math.ceil(interval * scene.highest_frequency / TURN)) if objective.dense else 1
     return (scene.samples - 1) * more
+
+
+Judged = TypeVar("Judged")
+Answer = tuple[float, Any, DifferentiableRun]  # with derivatives by all inputs, or by name
+
+
+def _answer(
+    scene: Scene, objective: Objective, names: Iterable[str], method: Splitting, step: float, finer: int, adaptive: bool
+) -> Answer:
+    """Return value, its derivatives by all inputs, and the run, of `at_step`."""
+    grains = np.unique(objective.grains(scene))
+    looks = looks_of(scene, objective, finer)
+    held = adaptive_steps(scene, method, step, looks) if adaptive else step
+    run = DifferentiableRun(scene, method, held, looks, grains)
+    if not np.isfinite(run.velocity).all():
+        raise RunFailed(f"the motion breaks down with steps of {run.step:.3g} s: use shorter ones")
+    slopes = objective(Seen(scene, run.time, grains, run.displacement, run.velocity))
+    everywhere = not {"displacement", "velocity"}.isdisjoint(names)
+    inputs = run.pull(slopes.displacement, slopes.velocity, everywhere)
+    nothing = np.zeros(scene.chain.grains), np.zeros(scene.chain.grains), np.zeros(inputs.drive.size)
+    return slopes.value, inputs + Inputs(slopes.masses, slopes.constants, slopes.forces, *nothing), run
 
 
 def at_step(
@@ -85,52 +99,86 @@ def at_step(
     names: Iterable[str],
     method: Splitting,
     step: float,
-    finer: int = 1,
     adaptive: bool = False,
 ) -> tuple[float, dict[str, Array], DifferentiableRun]:
-    """Return value and gradients of a run by steps of one length, or of this length at most, and the run.
+    """Return value and gradients of a run by steps of this length at most, and the run.
 
     Raises
     ------
     RunFailed
         If the motion breaks down.
     """
-    grains = np.unique(objective.grains(scene))
-    looks = looks_of(scene, objective, finer)
-    held = adaptive_steps(scene, method, step, looks) if adaptive else step
-    run = DifferentiableRun(scene, method, held, looks, grains)
-    if not np.isfinite(run.velocity).all():
-        raise RunFailed(f"the motion breaks down with steps of {run.step:.3g} s: use shorter ones")
-    slopes = objective(Seen(scene, run.time, grains, run.displacement, run.velocity))
     names = tuple(names)
-    everywhere = not {"displacement", "velocity"}.isdisjoint(names)
-    inputs = run.pull(slopes.displacement, slopes.velocity, everywhere)
-    nothing = np.zeros(scene.chain.grains), np.zeros(scene.chain.grains), np.zeros(inputs.drive.size)
-    inputs += Inputs(slopes.masses, slopes.constants, slopes.forces, *nothing)
-    return slopes.value, {name: params.pull(scene, inputs, name) for name in names}, run
+    value, inputs, run = _answer(scene, objective, names, method, step, 1, adaptive)
+    return value, {name: params.pull(scene, inputs, name) for name in names}, run
 
 
-def nearby(run: DifferentiableRun) -> float:
-    """Return a step half again as long as that of a run, or as much shorter where there is no such step."""
-    return run.step * NEARBY if run.steps > 2 * (run.time.size - 1) else run.step / NEARBY
+def halved(
+    answer: Callable[[float, int], Answer],
+    first: float,
+    most: int,
+    judged: Callable[[Answer, Sequence[Answer]], Judged],
+    enough: Callable[[Judged], bool],
+) -> Judged:
+    """Halve steps until what others than the last one show of it is enough, or `most` times.
+
+    Parameters
+    ----------
+    answer : function
+        Of the longest step and of how much finer than at first an objective is to look.
+    first : float
+        The longest step of an answer, s; it is judged by one twice as long.
+    judged : function
+        Of the answer and of those at other steps: one twice as long, and if that is enough one half again as long or
+        shorter, too, as where contacts open two may agree by chance.
+    """
+    now = answer(2 * first, 1)
+    for halving in range(1, most + 1):
+        before, step, finer = now, min(first, now[2].step / 2), 2**halving
+        now = answer(step, finer)
+        found = judged(now, [before])
+        if enough(found):
+            run = now[2]
+            near = run.step * NEARBY if run.steps > 2 * (run.time.size - 1) else run.step / NEARBY
+            found = judged(now, [before, answer(near, finer)])
+            if enough(found):
+                break
+        first = now[2].step / 2
+    return found
 
 
 def _with_errors(
-    value: float,
-    gradients: dict[str, Array],
-    others: Sequence[tuple[float, dict[str, Array]]],
-    floor: float,
-    method: str,
-    step: float,
+    scene: Scene, names: Iterable[str], method: Splitting, now: Answer, others: Sequence[Answer]
 ) -> Gradient:
-    """Return a gradient with its errors, from those at other steps and from relative round-off."""
-    errors = {
-        name: SAFETY * sum(float(np.abs(now - other[name]).max()) for _, other in others)
-        + floor * float(np.abs(now).max())
-        for name, now in gradients.items()
-    }
-    off = SAFETY * sum(abs(value - other) for other, _ in others) + floor * abs(value)
-    return Gradient(value, gradients, errors, off, step, method)
+    """Return a gradient with its errors, from those at other steps and from round-off."""
+    value, inputs, run = now
+    floor = 10 * native_floor(run.steps * method.evaluations, scene.highest_frequency * scene.duration)
+    terms, gradients, errors, relative = _terms(scene, value, inputs), {}, {}, {}
+    for name in names:
+        mine = gradients[name] = params.pull(scene, inputs, name)
+        off = SAFETY * sum(float(np.abs(mine - params.pull(scene, other, name)).max()) for _, other, _ in others)
+        size, whole = float(np.abs(mine).max()), float(np.abs(params.pull(scene, terms, name)).max())
+        if size <= floor * whole:
+            size = whole
+        errors[name] = off + floor * size
+        relative[name] = errors[name] / size if size > 0 else 0.0
+    off = SAFETY * sum(abs(value - other) for other, _, _ in others) + floor * abs(value)
+    return Gradient(value, gradients, errors, max(relative.values()), off, run.step, method.name)
+
+
+def _terms(scene: Scene, value: float, inputs: Inputs) -> Inputs:
+    """Return how large the terms are whose sums are the derivatives of a value by all inputs.
+
+    Such as that value over an input, or, as it may be 0 itself, what an initial motion or a drive adds to it.
+    """
+    own = params.inputs(scene)
+    whole = abs(value) + sum(float(np.abs(slope) @ np.abs(x)) for slope, x in list(zip(inputs, own, strict=True))[3:])
+    return Inputs(
+        *(
+            np.abs(slope) + np.divide(whole, np.abs(x), out=np.zeros(x.size), where=x != 0)
+            for slope, x in zip(inputs, own, strict=True)
+        )
+    )
 
 
 def gradient(
@@ -198,16 +246,13 @@ def gradient(
     if adaptive and method.adaptive == "no":
         raise InputError([("adaptive", f"{chosen} has no adaptive steps: use rkn4 or rkn6")])
     first = step or min(1.5, method.stability_limit / 4) / scene.highest_frequency
-    value, gradients, run = at_step(scene, objective, names, method, 2 * first, 1, adaptive)
-    for halving in range(1, 2 if step else HALVINGS + 1):
-        others, longer, finer = [(value, gradients)], run.step, 2**halving
-        value, gradients, run = at_step(scene, objective, names, method, min(first, longer / 2), finer, adaptive)
-        floor = 10 * native_floor(run.steps * method.evaluations, scene.highest_frequency * scene.duration)
-        found = _with_errors(value, gradients, others, floor, method.name, run.step)
-        if step or found.error <= tolerance:
-            others.append(at_step(scene, objective, names, method, nearby(run), finer, adaptive)[:2])
-            found = _with_errors(value, gradients, others, floor, method.name, run.step)
-        if step or found.error <= tolerance:
-            return found
-        first = run.step / 2
+    found = halved(
+        lambda length, finer: _answer(scene, objective, names, method, length, finer, adaptive),
+        first,
+        1 if step else HALVINGS,
+        lambda now, others: _with_errors(scene, names, method, now, others),
+        lambda found: bool(step) or found.error <= tolerance,
+    )
+    if step or found.error <= tolerance:
+        return found
     raise ToleranceNotMet(f"the gradient is known to {found.error:.2g} only; use a shorter time or less accuracy")

@@ -21,7 +21,7 @@ from ..util.files import replacing
 from ..util.progress import ProgressBar
 from . import parameters as params
 from .changes import changed
-from .gradients import HALVINGS, SAFETY, at_step, nearby
+from .gradients import HALVINGS, SAFETY, at_step, halved
 from .objectives import Objective
 
 if TYPE_CHECKING:
@@ -215,17 +215,15 @@ def optimise(
 
 def _value(scene: Scene, objective: Objective, tolerance: float) -> tuple[float, float, float]:
     """Return an objective, its error from other steps, and the turn of the longest one that is enough."""
-    step, method = TURN / scene.highest_frequency, SPLITTINGS["rkn4"]
-    value = at_step(scene, objective, (), method, 2 * step)[0]
-    for halving in range(HALVINGS):
-        before = value
-        value, _, run = at_step(scene, objective, (), method, step / 2**halving)
-        error = SAFETY * abs(value - before)
-        if error <= tolerance * abs(value):
-            error += SAFETY * abs(value - at_step(scene, objective, (), method, nearby(run))[0])
-        if error <= tolerance * abs(value):
-            break
-    return value, error, 2 * TURN / 2**halving
+    method, fastest = SPLITTINGS["rkn4"], scene.highest_frequency
+    value, error, step = halved(
+        lambda step, _: at_step(scene, objective, (), method, step),
+        TURN / fastest,
+        HALVINGS,
+        lambda now, others: (now[0], SAFETY * sum(abs(now[0] - other[0]) for other in others), now[2].step),
+        lambda found: found[1] <= tolerance * abs(found[0]),
+    )
+    return value, error, 2 * step * fastest
 
 
 def _descend(

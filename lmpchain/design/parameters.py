@@ -78,6 +78,18 @@ def values(scene: Scene, name: str) -> Array:
     return np.atleast_1d(getattr(owner, name))
 
 
+def inputs(scene: Scene) -> Inputs:
+    """Return what the motion depends on, as it is in the scene."""
+    chain, course = scene.chain, _course(scene)
+    if course is None:
+        drive = np.zeros(0)
+    elif course.times is None:
+        drive = np.array([course.amplitude, course.frequency or 0.0])
+    else:
+        drive = values(scene, course.kind)
+    return Inputs(chain.masses, chain.contacts.constant, chain.contacts.force, *scene.initial(), drive)
+
+
 def pull(scene: Scene, gradient: Inputs, name: str) -> Array:
     """Return derivatives by the parameters of this name, (P,), from those by all inputs."""
     chain = scene.chain
