@@ -207,6 +207,7 @@ def work_precision(scene: Scene, budget_s: float = BUDGET_S, *, progress: bool =
         raise InputError([("budget", f"must be a time above 0 s (got {budget_s:g})")])
     if (needed := expected_seconds(scene)) > LONGEST_S:
         raise InputError([("duration", f"the reference alone would take about {needed:.2g} s: shorten it")])
+    scene = scene.ungathered
     solution = reference(scene)
     bench, curves = Bench(scene, solution), []
     ways, left_out = _ways(scene, budget_s)

@@ -32,7 +32,7 @@ class Draw(NamedTuple):
 
     def number(self, index: int) -> Scene:
         """Return the scene with this chain."""
-        return realisation(self.scene, self.m, self.seed, index, self.law, self.of)
+        return realisation(self.scene.ungathered, self.m, self.seed, index, self.law, self.of)
 
 
 @dataclass(eq=False)

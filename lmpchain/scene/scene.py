@@ -155,6 +155,11 @@ class Scene(Recording):
         return made
 
     @property
+    def ungathered(self) -> Scene:
+        """The same scene with samples alone, for what studies the methods and not the answer."""
+        return self.replace(quantities=None) if self.quantities else self
+
+    @property
     def recorded(self) -> np.ndarray:
         """Recorded grains, (G,) numbers from 1."""
         return self.numbers(self.chain)

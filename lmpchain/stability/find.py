@@ -49,7 +49,7 @@ def stability(scene: Scene, *, progress: bool = False) -> Stability:
     boundaries: list[Boundary] = []
     curves: list[Curve] = []
     left_out: list[str] = []
-    parts = list(_parts(scene))
+    parts = list(_parts(scene.ungathered))
     with ProgressBar(len(parts), shown=progress) as bar:
         for place, (name, part) in enumerate(parts):
             bar.reach(place)

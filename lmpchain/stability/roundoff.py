@@ -104,7 +104,7 @@ def measured_floor(
     """
     if scene.excitation.does_work:
         raise InputError([("kind", "the floor of round-off is not measured for a driven chain")])
-    part = scene.light_cone.scene
+    part = scene.ungathered.light_cone.scene
     steps = _steps(part)
     h = part.duration / steps * (1 + 1e-9)
     run = simulate(part, _engine(engine, diameter, force, h))

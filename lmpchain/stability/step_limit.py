@@ -168,7 +168,7 @@ def blow_up(scene: Scene, integrator: str, engine: str = "native") -> float:
     InputError
         If the engine cannot do the scene.
     """
-    expected = limit(scene, integrator)
+    scene, expected = scene.ungathered, limit(scene, integrator)
     solver = engines.get(engine, integrator=integrator, step=expected / 4)
     proposed = solver.candidate(solver.part(scene), 0.5)
     edge = scene.light_cone.scene.chain.band_edge
@@ -272,7 +272,7 @@ def energy_error(scene: Scene, integrator: str, step: float, periods: float, sam
     from ..simulation.api import simulate  # which may ask this module for a warning
 
     duration = periods * 2 * math.pi / scene.chain.band_edge
-    longer = scene.replace(duration=duration, samples=samples, grains="all")
+    longer = scene.replace(duration=duration, samples=samples, grains="all", quantities=None)
     run = simulate(longer, engines.Native(integrator=integrator, step=step))
     energy = scene.chain.excess_energy(run.displacement, run.velocity)
     return EnergyError(run.time, energy / energy[0] - 1, run.cost.step_s)

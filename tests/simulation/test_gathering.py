@@ -25,11 +25,14 @@ from lmpchain import (
     simulate,
     simulate_many,
 )
+from lmpchain.disorder.averages import ensemble
 from lmpchain.engines import error_estimate
 from lmpchain.engines.linear import engine as linear
 from lmpchain.measure.contact import contacts
 from lmpchain.measure.motion import motion_of
 from lmpchain.simulation.run_folder import status
+from lmpchain.stability.roundoff import measured_floor
+from lmpchain.stability.step_limit import blow_up
 
 OF_GRAINS = ["peak_velocity", "peak_displacement", "arrival_time"]
 ALL = [*OF_GRAINS, "peak_force:4", "force:4"]
@@ -242,6 +245,17 @@ def test_it_is_refused_in_one_line():
     for name in ("bessel", "continuum"):
         with pytest.raises(InputError, match=f"quantities: {name} solves no equation of motion .* use native"):
             simulate(scene, name)
+
+
+def test_studies_of_methods_gather_nothing():
+    """Their steps are between samples."""
+    plain = WEAK.ungathered
+    assert plain.quantities == ()
+    assert WEAK.fine.samples > plain.fine.samples == 2
+    assert measured_floor(WEAK) == measured_floor(plain)
+    assert blow_up(WEAK, "rkn4") == blow_up(plain, "rkn4")
+    one, other = (ensemble(scene, 5, 3, 1, "native") for scene in (WEAK, plain))
+    assert np.array_equal(one.velocity, other.velocity)
 
 
 def test_auto_gathers_too():
