@@ -144,11 +144,13 @@ class Scene(Recording):
         power = 2 ** max(0, math.ceil(math.log2(needed)))
         return 3 * power // 4 if power >= 4 and 3 * power // 4 >= needed else power
 
-    @cached_property
+    @property
     def fine(self) -> Scene:
         """The scene that engines answer: with the times and grains that gathering quantities takes."""
-        if not self.quantities:
-            return self
+        return self._fine if self.quantities else self
+
+    @cached_property
+    def _fine(self) -> Scene:
         samples = (self.samples - 1) * self.finer + 1
         made = Scene._unchecked(chain=self.chain, excitation=self.excitation, duration=self.duration, samples=samples)
         made.__dict__.update({name: self.__dict__[name] for name in SAME if name in self.__dict__})
