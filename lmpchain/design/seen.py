@@ -66,19 +66,18 @@ class Slopes(NamedTuple):
 def contact_force(seen: Seen, contact: int) -> tuple[Array, Array, Array, Array, list[int]]:
     """Return the force of a contact, (T,) N, its derivatives by r, F and K, and the grains it joins."""
     chain = seen.scene.chain
-    constant, carried, delta = chain.contacts.constant[contact], chain.contacts.force[contact], chain.exponent
+    law = chain.contacts.of(contact)
     ends = [grain for grain in (contact, contact + 1) if 1 <= grain <= chain.grains]
     closer = np.zeros(seen.time.size)
     for grain in ends:
         closer += seen.displacement[:, seen.column(grain)] * (1 if grain == contact else -1)
-    overlap = np.maximum(chain.contacts.overlap[contact] + closer, 0.0)
-    stiffness = delta * constant * overlap ** (delta - 1) * (overlap > 0)
-    by_force, by_constant = np.zeros(closer.shape), overlap**delta
-    if carried > 0:  # eps = (F / K)^(1/delta)
-        rest = chain.contacts.overlap[contact]
-        by_force = stiffness * rest / (delta * carried)
-        by_constant = by_constant - stiffness * rest / (delta * constant)
-    return constant * overlap**delta, stiffness, by_force, by_constant, ends
+    overlap = np.maximum(law.overlap + closer, 0.0)
+    stiffness = law.stiffness_at(overlap) * (overlap > 0)
+    by_force, by_constant = np.zeros(closer.shape), overlap**law.exponent
+    if law.force > 0:  # eps = (F / K)^(1/delta)
+        by_force = stiffness * law.overlap / (law.exponent * law.force)
+        by_constant = by_constant - stiffness * law.overlap / (law.exponent * law.constant)
+    return law.force_at(overlap), stiffness, by_force, by_constant, ends
 
 
 def quadrature(size: int) -> Array:
