@@ -44,7 +44,9 @@ class Orbit(Shown):
     residual : float
         Largest displacement or speed that is left after a period, over the largest of the orbit.
     error : float
-        Of the orbit and its period, relative, by steps of half the size: what the integrator leaves.
+        Of the orbit and its period, relative, by steps of half the size: what the integrator leaves. Where an orbit can
+        all but slide along its neighbours, as the dip of a strong dark breather can, round-off leaves most of it along
+        that direction, in which the period does not change.
     iterations : int
         Steps of Newton's method.
     """
