@@ -8,7 +8,8 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Iterable
+import time
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -88,6 +89,22 @@ def legends(picture: Figure, **keys: object) -> None:
     for axes in picture.axes:
         if axes.get_legend_handles_labels()[0]:
             axes.legend(**{"frameon": False, "fontsize": "small", **keys})
+
+
+def random_search(
+    drawn: Callable[[np.random.Generator], lmpchain.Scene], value: Callable[[lmpchain.Scene], float], seconds: float
+) -> tuple[float, lmpchain.Scene | None, int]:
+    """Return the least value, its scene, and how many were drawn in so many seconds of the processor."""
+    rng, best, tried = np.random.default_rng(2), (np.inf, None), 0
+    end = time.process_time() + seconds
+    while time.process_time() < end:
+        tried += 1
+        try:
+            scene = drawn(rng)
+            best = min(best, (value(scene), scene), key=lambda one: one[0])
+        except lmpchain.InputError:  # a scene that there is not, or without such a value
+            continue
+    return *best, tried
 
 
 def finish(picture: Figure, path: Path) -> None:

@@ -21,9 +21,9 @@ from matplotlib.patches import Circle
 from scipy.optimize import differential_evolution
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from figures import arguments, finish, say
+from figures import arguments, finish, random_search, say
 
-from lmpchain import Chain, Impulse, InputError, Scene
+from lmpchain import Chain, Impulse, Scene
 from lmpchain.design import PeakForce, optimise
 from lmpchain.design.changes import changed
 from lmpchain.design.gradients import looks_of
@@ -51,21 +51,13 @@ def wall_force(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     return run.time, scene.chain.contacts.constant[BEADS] * np.maximum(run.displacement[:, 0], 0.0) ** 1.5
 
 
-def random_search(seconds: float) -> tuple[float, Scene, int]:
-    """Return the least peak of random beads that fit, in so many seconds of the processor, and how many were tried."""
-    rng, best, tried = np.random.default_rng(2), (np.inf, SCENE), 0
-    end = time.process_time() + seconds
-    while time.process_time() < end:
-        diameters = np.clip(rng.uniform(LOW, HIGH), LOW, HIGH)
-        if diameters.sum() > BEADS * SIZE:
-            diameters[1:] *= (BEADS * SIZE - SIZE) / diameters[1:].sum()
-            diameters = np.clip(diameters, LOW, HIGH)
-        try:
-            scene = changed(SCENE, {"diameters": diameters})
-        except InputError:
-            continue
-        best, tried = min(best, (wall_force(scene)[1].max(), scene), key=lambda one: one[0]), tried + 1
-    return *best, tried
+def random_beads(rng: np.random.Generator) -> Scene:
+    """Return the scene of random beads that fit."""
+    diameters = np.clip(rng.uniform(LOW, HIGH), LOW, HIGH)
+    if diameters.sum() > BEADS * SIZE:
+        diameters[1:] *= (BEADS * SIZE - SIZE) / diameters[1:].sum()
+        diameters = np.clip(diameters, LOW, HIGH)
+    return changed(SCENE, {"diameters": diameters})
 
 
 def composite(materials: list[str], diameters: np.ndarray, duration: float = 4e-3) -> Scene:
@@ -117,7 +109,7 @@ def main() -> None:
         SCENE, PEAK, ["diameters"], {"diameters": (LOW, HIGH)}, [spare_length], starts=starts, runs=runs, tolerance=1e-3
     )
     took = time.process_time() - began
-    random_peak, random_scene, tried = random_search(took)
+    random_peak, random_scene, tried = random_search(random_beads, lambda scene: wall_force(scene)[1].max(), took)
     equal = wall_force(SCENE)[1].max()
     least = wall_force(found.scene)[1].max()
     say("equal beads", equal, "N")
