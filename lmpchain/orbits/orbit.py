@@ -46,7 +46,7 @@ class Orbit(Shown):
     error : float
         Of the orbit and its period, relative, by steps of half the size: what the integrator leaves. Where an orbit can
         all but slide along its neighbours, as the dip of a strong dark breather can, round-off leaves most of it along
-        that direction, in which the period does not change.
+        that direction, along which the period hardly changes.
     iterations : int
         Steps of Newton's method.
     """
