@@ -26,7 +26,7 @@ def _touch_alike(chain, y, z, first, last):
 
 @inlined
 def _move(chain, y, z, first, last, now, side, h, inside, accelerations):
-    """Put in z where the bodies of y are `side` steps h from now, by their accelerations and what is imposed."""
+    """Put in z where the bodies of y, and what is imposed, are `side` steps h from now."""
     z[first - 1], z[last] = y[first - 1], y[last]
     for n in range(first, last):
         z[n] = y[n] + side * h * chain.v[n] + 0.5 * (side * h) * (side * h) * accelerations[n]
