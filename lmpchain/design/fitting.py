@@ -143,6 +143,12 @@ class Fit:
         return ax
 
 
+def _check_reach(scene: Scene, latest: float) -> None:
+    """Raise `InputError` if the scene ends before the last value of a trace."""
+    if latest > scene.duration * (1 + 1e-6):
+        raise InputError([("duration", f"of the scene must reach to the last value, {latest:.6g} s or more")])
+
+
 def fit(traces: Traces | Sequence[Traces], scene: Scene, parameters: Mapping[str, Any] | Sequence[str]) -> Fit:
     """Return the scene that fits measured traces best, with the covariance of what was fitted.
 
@@ -181,8 +187,12 @@ def fit(traces: Traces | Sequence[Traces], scene: Scene, parameters: Mapping[str
     >>> round(float(fit(measured, guess, ["velocity"]).estimate[0]), 9)
     0.001
     """
-    given = [traces] if isinstance(traces, Traces) else list(traces)
-    wanted = dict(parameters) if isinstance(parameters, Mapping) else dict.fromkeys(parameters, "common")
+    given: list[Any] = list(traces) if isinstance(traces, list | tuple) else [traces]
+    if not given or not all(isinstance(one, Traces) for one in given):
+        raise InputError([("traces", f"must be Traces, or several (got {shown(traces)})")])
+    names = [parameters] if isinstance(parameters, str) else parameters
+    wanted = dict(names) if isinstance(names, Mapping) else dict.fromkeys(names, "common")
+    _check_reach(scene, max((one.time[-1] for one in given if not one.trigger), default=0.0))
     problem = Problem(scene, given, wanted)
     theta = np.zeros(len(problem.names))
     for _ in range(HALVINGS):
@@ -207,9 +217,7 @@ def fit(traces: Traces | Sequence[Traces], scene: Scene, parameters: Mapping[str
     else:
         raise ToleranceNotMet("the steps change the estimates however short they are: use a shorter time")
     for one, name in ((one, name) for name in problem.names for one in given if name.startswith("trigger")):
-        latest = one.time[-1] - problem.estimates(theta)[problem.names.index(name)]
-        if latest > scene.duration * (1 + 1e-6):
-            raise InputError([("duration", f"of the scene must reach to the last value, {latest:.6g} s or more")])
+        _check_reach(scene, one.time[-1] - problem.estimates(theta)[problem.names.index(name)])
     units = np.array(problem.units)
     values = problem.by_name(theta)
     return Fit(

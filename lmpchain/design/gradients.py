@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ..engines.round_off import native_floor
-from ..errors import InputError, RunFailed, ToleranceNotMet, check_tolerance
+from ..errors import InputError, RunFailed, ToleranceNotMet, check_tolerance, shown
 from ..integrators.adjoint import DifferentiableRun, Inputs
 from ..integrators.held_steps import adaptive_steps
 from ..integrators.splittings import SPLITTINGS, Splitting
@@ -239,6 +239,8 @@ def gradient(
     """
     names = params.check(scene, parameters)
     check_tolerance(tolerance)
+    if step is not None and not 0 < step < math.inf:
+        raise InputError([("step", f"must be above 0, in s (got {shown(step)})")])
     chosen = integrator or ("rkn4" if objective.dense else "rkn6")
     if chosen not in SPLITTINGS:
         raise InputError([("integrator", not_among(chosen, tuple(SPLITTINGS)))])

@@ -62,9 +62,13 @@ class Traces:
         faults = []
         if time.ndim != 1 or time.size < 2 or not np.isfinite(time).all() or not (np.diff(time) > 0).all():
             faults.append(("time", "must be two or more increasing numbers"))
-        if values.shape != (time.size, places.size) or not np.isfinite(values).all():
+        if values.shape != (time.size, places.size):
             wanted = time.size, places.size
-            faults.append(("values", f"must be finite and of shape {wanted}, times and places, not {values.shape}"))
+            faults.append(("values", f"must be of shape {wanted}, times and places, not {values.shape}"))
+        elif not np.isfinite(values).all():
+            faults.append(
+                ("values", f"must be finite: leave out the times of {(~np.isfinite(values)).sum()} that are not")
+            )
         if self.field not in get_args(Field):
             faults.append(("field", f"must be one of {', '.join(get_args(Field))} (got {shown(self.field)})"))
         if self.noise is not None and not (np.asarray(self.noise) > 0).all():

@@ -92,6 +92,23 @@ def test_what_traces_do_not_tell_is_refused():
         fit(Traces(SCENE.time, [11], np.zeros(201)), guess(), ["top_load"])
     with pytest.raises(InputError, match="increasing"):
         Traces([0.0, 0.0], [1], np.zeros(2))
+    with pytest.raises(InputError, match="leave out the times of 1"):
+        Traces([0.0, 1.0], [1], [0.0, np.nan])
+    for no_traces in ([], None, measured()):
+        with pytest.raises(InputError, match="must be Traces"):
+            fit(no_traces, guess(), ["top_load"])  # type: ignore[arg-type]
+
+
+def test_traces_beyond_the_end_of_a_scene_are_refused():
+    """They were compared with its end for ever after, and the estimate was a wrong one."""
+    with pytest.raises(InputError, match="must reach to the last value"):
+        fit(Traces(SCENE.time + 1e-5, LOOKED_AT, measured()), guess(), ["youngs_moduli"])
+
+
+def test_one_parameter_is_fitted_by_its_name_alone():
+    traces = Traces(SCENE.time, LOOKED_AT, measured())
+    found, listed = (fit(traces, guess(), names) for names in ("youngs_moduli", ["youngs_moduli"]))
+    assert found.estimate == listed.estimate
 
 
 @pytest.mark.soak

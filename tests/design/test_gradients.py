@@ -274,6 +274,13 @@ def test_derivatives_that_are_zero_are_known_to_round_off(grains: int, name: str
     assert found.error <= 1e-9
 
 
+@pytest.mark.parametrize("step", [-1e-7, 0.0, float("nan"), float("inf")])
+def test_steps_that_are_none_are_refused(step: float):
+    """One below 0 was taken for the longest there is, with no word."""
+    with pytest.raises(InputError, match="step: must be above 0"):
+        gradient(drawn(3), Momentum([2]), ["masses"], step=step)
+
+
 def test_two_steps_that_agree_by_chance_are_no_bound():
     """A contact opens: gradients at the steps h and 2h are ten times nearer to each other than to the true one."""
     chain = Chain(grains=2, material="steel", diameter=[0.00071311, 0.0009818], gravity=64.1506, bottom="wall")
