@@ -8,8 +8,7 @@ open or closed where the run found it so, which is that of the run unless an eva
 converges to that of the solution with the step, at first order only.
 
 The run itself is made by the loops of the native engine, and leaves a checkpoint now and then. The way back makes each
-piece between two checkpoints once more, and keeps of it one number a contact and evaluation, within the cache. To undo
-kicks and drifts instead, from the end of a piece, is no faster: each root then waits for the one loop that does it all.
+piece between two checkpoints once more, and keeps of it one number a contact and evaluation, within the cache.
 """
 
 from __future__ import annotations
