@@ -2,7 +2,8 @@
 
 The answer runs at the step h. Beside it run native companions at about 2h and 4h (where those are unstable, or the run
 has too few steps for them, one at h/2): the rate at which their differences shrink gives the truncation error. Where
-contacts open again and again, errors scatter, and two may agree by chance: there runs one more, at about 1.5h. Where a
+contacts open again and again, errors scatter, and two may agree by chance: there runs one more, at about 1.5h (1.75h
+and from the first opening on for springs, whose force has a kink there). Where a
 companion's step is longer than the time between two samples, it passes over some. An engine that rounds in another way
 than the native one also has a native twin at the same step. Twin and answer are the same map in exact arithmetic: what
 they differ by is round-off, measured.
@@ -53,7 +54,8 @@ CLOSE_TO_OPENING = -0.5  # r / eps below which a contact's force is no longer a 
 ORDER_AT_OPENINGS = 4
 # radians a grain from which on waves come back to where contacts opened, and the step of one more companion then
 COMES_BACK, NEARBY = 10.0, 1.5
-KINKED_BELOW, ORDER_AT_KINKS = 1.25, 2  # the same for exponents below that, whose force has a kink at an opening
+# the same for exponents below that, whose force has a kink at an opening: errors scatter from the first one on
+KINKED_BELOW, ORDER_AT_KINKS, NEARBY_AT_KINKS = 1.25, 2, 1.75
 
 
 class CompanionRun(Run):
@@ -97,10 +99,11 @@ class CompanionRun(Run):
         longer: list[float] = [ratio for ratio in (2, 4) if ratio * reach <= method.stability_limit and steps >= FEWEST]
         self._finer = not longer
         self._stretched = stretched = candidate.adaptive and method.adaptive == "error"  # samples cut some of its steps
-        scatters = [bool(longer) and candidate.adaptive and _comes_back(scene) for scene in scenes]
+        self._kinks = self.scene.chain.exponent < KINKED_BELOW
+        scatters = [bool(longer) and candidate.adaptive and _scatters(scene, self._kinks) for scene in scenes]
         self._scatters = np.array(scatters)
         if any(scatters):
-            longer.append(NEARBY)
+            longer.append(NEARBY_AT_KINKS if self._kinks else NEARBY)
         schedules = [StepSchedule.of(*own, ratio, stretched) for ratio in longer] or [StepSchedule.of(*own).halved]
         self._ratios = [steps / schedule.total(final) for schedule in schedules]
         if twin:
@@ -267,12 +270,12 @@ class CompanionRun(Run):
     def _truncations(self, steps: Array, opening: NDArray[np.bool_], even: NDArray[np.bool_]) -> Array:
         """Return the truncation errors, (R,), from the differences between steps h, 2h (and 4h), or h and h/2.
 
-        Where errors scatter, the last differences are those between h and 1.5h.
+        Where errors scatter, the last differences are those from one more companion.
         """
         if self._finer:
             return 2 * steps[0].max(1)
-        order, kinked = self.method.order, self.scene.chain.exponent < KINKED_BELOW
-        at_openings = min(order, ORDER_AT_KINKS if kinked else ORDER_AT_OPENINGS) if self.candidate.adaptive else order
+        order, falls_to = self.method.order, ORDER_AT_KINKS if self._kinks else ORDER_AT_OPENINGS
+        at_openings = min(order, falls_to) if self.candidate.adaptive else order
         found = np.empty(self.realisations)
         for opens, smooth in itertools.product((True, False), repeat=2):
             these = (opening == opens) & (even == smooth)
@@ -320,11 +323,11 @@ class CompanionRun(Run):
             stepper.close()
 
 
-def _comes_back(scene: Scene) -> bool:
-    """Whether contacts may open again and again: by reflections, or under what acts all the time."""
+def _scatters(scene: Scene, kinks: bool) -> bool:
+    """Whether contacts may open again and again, by reflections or under what acts all the time; or once, at a kink."""
     crossed = 1 if scene.excitation.does_work else scene.chain.grains
     near = min(scene.largest_strain, scene.linear_strain) > -CLOSE_TO_OPENING
-    return near and scene.highest_frequency * scene.duration > COMES_BACK * crossed
+    return near and (kinks or scene.highest_frequency * scene.duration > COMES_BACK * crossed)
 
 
 def _block(steppers: int, realisations: int, grains: int, samples: int, together: int) -> int:
