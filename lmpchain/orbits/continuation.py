@@ -31,6 +31,7 @@ REGROWN = {True: 0.02, False: 1.0}  # up to which steps laid anew make no step a
 STRAIGHT, BENT = 0.98, 0.9  # cosine of the angle between two tangents: a longer step, and a shorter one
 EASY = 10  # iterations
 STILL, PATIENCE = 0.05, 60  # a family must go so many sizes of its orbit in so many tries, or is given up
+CROWDED = 150  # orbits solved for to locate events, after which a family is given up: in resonances they crowd
 HALVINGS = 12  # of the last step, to come to the orbit asked for
 ELEMENT = re.compile(r"(\w+)\[(\d+)\]")
 
@@ -133,7 +134,8 @@ def follow(
     Returns
     -------
     Family
-        With `reached` false if the family never came to `until`; why is said by `ended`.
+        With `reached` false if the family never came to `until`; why is said by `ended`. Where events crowd, as in
+        resonances, it ends too, and goes on with `events=False`.
 
     Raises
     ------
@@ -163,7 +165,7 @@ def follow(
         here = here._replace(direction=-here.direction, rate=-here.rate, turning=-here.turning)
     length = FIRST * _size(curve, here)
     places, whole, reached, ended = [here], max(abs(left), 1e-300), left == 0, ""
-    earlier, tried, gone = aspects(curve.equations, here), 0, 0.0
+    earlier, tried, gone, sought = aspects(curve.equations, here), 0, 0.0, 0
     found: list[Event] = []
     with ProgressBar(1.0, "orbits", layout="{desc}: {percentage:3.0f}% |{bar}| {elapsed}", shown=progress) as bar:
         while not reached and not ended:
@@ -182,7 +184,10 @@ def follow(
             if there is None:
                 break
             if events:
-                found += _events(curve, here, there)
+                located, solves = _events(curve, here, there)
+                found, sought = found + located, sought + solves
+                if sought > CROWDED and not reached:
+                    ended = f"its events crowd, {len(found)} up to {_where(curve, there)}: events=False leaves them out"
             places.append(there)
             left = curve.missed(there, target)
             bar.reach(max(0.0, 1 - abs(left) / whole))
@@ -223,16 +228,21 @@ def _step(curve: Curve, here: Place, length: float, events: bool, most: int) -> 
     return None, length, tries
 
 
-def _events(curve: Curve, here: Place, there: Place) -> list[Event]:
-    """Return what happens between two places, located along the family."""
+def _events(curve: Curve, here: Place, there: Place) -> tuple[list[Event], int]:
+    """Return what happens between two places, located along the family, and how many orbits that took."""
     length = float(here.direction @ (there.unknown - here.unknown))
-    found = []
+    found, parts = [], []
+
+    def at(part: float) -> Place | None:
+        parts.append(part)
+        return curve.along(here, part * length)
+
     for kind in EVENTS:
-        where = between(kind, here, there, lambda part: curve.along(here, part * length))
+        where = between(kind, here, there, at)
         if where is not None:
             value = _value(curve, curve.equations.unpack(where.unknown))
             found.append((float(here.direction @ where.unknown), Event(kind, value, where.orbit)))
-    return [event for _, event in sorted(found, key=lambda pair: pair[0])]
+    return [event for _, event in sorted(found, key=lambda pair: pair[0])], len(parts)
 
 
 def _value(curve: Curve, point: Point) -> float:

@@ -216,6 +216,16 @@ def test_a_family_that_gives_up_keeps_its_orbits_and_says_why(monkeypatch: pytes
     assert (len(family), family.ended[:34]) == (1, "it cannot be followed beyond energ")
 
 
+def test_a_family_whose_events_crowd_ends_with_those_that_were_located(monkeypatch: pytest.MonkeyPatch):
+    whole = resonance()
+    monkeypatch.setattr(continuation, "CROWDED", 3)
+    family = orbits.follow(orbits.find(CHAIN, drive=whole[0].drive), "period", 2 * np.pi / OMEGA)
+    assert (len(family.events), family.reached) == (1, False)
+    assert family.events[0].value == pytest.approx(whole.events[0].value, rel=1e-12)
+    assert family.ended.startswith("its events crowd, 1 up to period")
+    assert len(family) < len(whole)
+
+
 @pytest.mark.soak
 def test_a_long_column_in_a_resonance_is_given_up_soon(monkeypatch: pytest.MonkeyPatch):
     taken = []
