@@ -324,7 +324,7 @@ class CompanionRun(Run):
 
 
 def _scatters(scene: Scene, kinks: bool) -> bool:
-    """Whether contacts may open again and again, by reflections or under what acts all the time; or once, at a kink."""
+    """Whether contacts may open again and again, by reflections or a drive; or once, at a kink."""
     crossed = 1 if scene.excitation.does_work else scene.chain.grains
     near = min(scene.largest_strain, scene.linear_strain) > -CLOSE_TO_OPENING
     return near and (kinks or scene.highest_frequency * scene.duration > COMES_BACK * crossed)
