@@ -192,7 +192,7 @@ def possible(scene: Scene, true: Reference, tolerance: float, engine: str) -> bo
         try:
             with warnings.catch_warnings(action="ignore"), within(LONGEST):
                 answer = simulate(scene, engine, tolerance, on_miss="warn")
-        except (ToleranceNotMet, TooLong):
+        except (ToleranceNotMet, RunFailed, TooLong):
             return False
         return true.error(answer.displacement, answer.velocity) < tolerance / 3
     try:
