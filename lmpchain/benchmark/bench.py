@@ -234,7 +234,7 @@ def _ways(scene: Scene, budget_s: float) -> tuple[list[Scan], list[str]]:
     refusals = []
     for name in (*engines.automatic(), *engines.ON_REQUEST):
         engine = engines.get(name)
-        if reasons := engine.objects(scene):
+        if reasons := engine.obstacles(scene):
             refusals.append(f"{name}: {reasons[0][1]}")
         elif engine.integrators:
             kinds = [kind for kind in METHODS if kind in engine.integrators]

@@ -131,6 +131,12 @@ def halved(
     judged : function
         Of the answer and of those at other steps: one twice as long, and if that is enough one half again as long or
         shorter, too, as where contacts open two may agree by chance.
+    enough : function
+        Of a judgement.
+
+    Returns
+    -------
+    the last judgement
     """
     now = answer(2 * first, 1)
     for halving in range(1, most + 1):

@@ -256,7 +256,7 @@ class Engine(ABC):
         """Return what it computes of a scene: the light cone, or the whole."""
         return scene.fine if self.whole else scene.fine.light_cone.scene
 
-    def objects(self, scene: Scene) -> list[tuple[str, str]]:
+    def obstacles(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why it cannot answer a scene, or gather what is asked of it, as (key, reason)."""
         reasons = self.refuses(self.part(scene))
         if scene.quantities and self.equation not in (1, 3):

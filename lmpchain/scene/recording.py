@@ -35,14 +35,21 @@ OF_GRAINS = ("peak_displacement", "peak_velocity", "arrival_time")  # what is ga
 OF_CONTACTS = ("peak_force", "force")  # and of a contact, as in "force:40"
 
 
+def contact_of(name: str) -> int | None:
+    """Return the contact that a quantity names, 40 of "force:40"; None if that is no plain number."""
+    number = name.partition(":")[2]
+    plain = number.isascii() and number.isdigit() and str(int(number[:18])) == number
+    return int(number) if plain else None
+
+
 def _asked(value: Any) -> Any:
     """Quantities to gather: names, those of a contact with its number."""
     names = tuple(value) if isinstance(value, list | tuple) else ()
     if not names:
         raise ValueError(f'must be a list of names, as ["peak_velocity", "force:40"] (got {shown(value)})')
     for name in names:
-        kind, _, number = name.partition(":") if isinstance(name, str) else (name, "", "")
-        if kind in OF_CONTACTS and not (number.isascii() and number.isdigit() and str(int(number[:18])) == number):
+        kind = name.partition(":")[0] if isinstance(name, str) else name
+        if kind in OF_CONTACTS and contact_of(name) is None:
             raise ValueError(f'needs the number of a contact, as in "{kind}:40" (got {shown(name)})')
         if kind not in OF_CONTACTS and name not in OF_GRAINS:
             raise ValueError(not_among(name, (*OF_GRAINS, *(f"{kind}:40" for kind in OF_CONTACTS))))
@@ -85,7 +92,7 @@ class Recording(Checked):
     @property
     def contacts(self) -> dict[str, int]:
         """The contact of each of the quantities that are gathered of one."""
-        return {name: int(name.partition(":")[2]) for name in self.quantities if ":" in name}
+        return {name: number for name in self.quantities if (number := contact_of(name)) is not None}
 
     def _ends(self, chain: Chain) -> tuple[int, int]:
         if self.grains == "all":

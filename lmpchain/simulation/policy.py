@@ -68,7 +68,7 @@ class Named:
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why the engine cannot do this scene."""
-        return self.chosen.objects(scene)
+        return self.chosen.obstacles(scene)
 
     def first(self, scene: Scene, tolerance: float, best_effort: bool) -> Attempt:
         """Return the first attempt of the engine."""
@@ -97,7 +97,7 @@ class Auto:
         """Return why no engine can do this scene."""
         faults = []
         for engine in map(engines.get, (*engines.automatic(), *engines.ON_REQUEST)):
-            reasons = engine.objects(scene)
+            reasons = engine.obstacles(scene)
             if not reasons:
                 return []
             faults += reasons

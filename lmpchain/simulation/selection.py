@@ -135,7 +135,7 @@ def propose_all(scene: Scene, tolerance: float) -> list[Proposal]:
 
 def _ask(engine: Engine, scene: Scene, tolerance: float) -> Proposal:
     part, name = engine.part(scene), engine.name
-    if reasons := engine.objects(scene):
+    if reasons := engine.obstacles(scene):
         why = "cannot do it: " + "; ".join(dict.fromkeys(reason for _, reason in reasons))
         return Proposal(name, engine.equation, why=why)
     try:

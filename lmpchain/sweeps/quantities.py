@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..measure.motion import Motion
 from ..measure.recorded import columns
+from ..scene.recording import contact_of
 from ..scene.scene import Scene
 from ..simulation.gatherer import FRACTION, PEAK
 from ..trajectory import gathered
@@ -103,8 +104,7 @@ QUANTITIES = {
 
 def of_contact(name: str) -> bool:
     """Say whether a quantity is the largest force of a contact, as "peak_force:40"."""
-    kind, _, number = name.partition(":")
-    return kind == PEAK and number.isascii() and number.isdigit() and str(int(number[:18])) == number
+    return name.partition(":")[0] == PEAK and contact_of(name) is not None
 
 
 def quantity(name: str) -> Quantity:

@@ -41,14 +41,14 @@ def create(folder: Path, scene: Scene, attributes: Mapping[str, Any]) -> None:
     group = zarr.open_group(folder / NAME, mode="w", zarr_format=3, attributes=dict(attributes))
     samples, grains = scene.samples, scene.recorded.size
     sizes = pieces(samples, grains)
-    unknown: Any = {"dtype": "f8", "fill_value": math.nan}
+    shrunk: Any = {"compressors": [BloscCodec(cname="zstd", clevel=1, shuffle="shuffle"), Crc32cCodec()]}
+    unknown: Any = {"dtype": "f8", "fill_value": math.nan} | shrunk
     for name in FIELDS:
         group.create_array(
             name,
             shape=(samples, grains),
             chunks=sizes["chunk"],
             shards=sizes[name],
-            compressors=[BloscCodec(cname="zstd", clevel=1, shuffle="shuffle"), Crc32cCodec()],
             dimension_names=("time", "grain"),
             attributes=LABELS[name],
             **unknown,
@@ -57,7 +57,6 @@ def create(folder: Path, scene: Scene, attributes: Mapping[str, Any]) -> None:
         "time",
         shape=(samples,),
         chunks=sizes["time"],
-        compressors=[BloscCodec(cname="zstd", clevel=1, shuffle="shuffle"), Crc32cCodec()],
         dimension_names=("time",),
         attributes=LABELS["time"],
         **unknown,
@@ -66,16 +65,15 @@ def create(folder: Path, scene: Scene, attributes: Mapping[str, Any]) -> None:
         "grain",
         data=scene.recorded,
         chunks=sizes["grain"],
-        compressors=[BloscCodec(cname="zstd", clevel=1, shuffle="shuffle"), Crc32cCodec()],
         dimension_names=("grain",),
         attributes=LABELS["grain"],
+        **shrunk,
     )
     for name, kind in gathered.arrays(scene).items():
         group.create_array(
             gathered.stored(name),
             shape=kind.shape,
             chunks=kind.shape,
-            compressors=[BloscCodec(cname="zstd", clevel=1, shuffle="shuffle"), Crc32cCodec()],
             dimension_names=kind.dimensions,
             attributes=kind.labels,
             **unknown,
