@@ -31,7 +31,7 @@ REGROWN = {True: 0.02, False: 1.0}  # up to which steps laid anew make no step a
 STRAIGHT, BENT = 0.98, 0.9  # cosine of the angle between two tangents: a longer step, and a shorter one
 EASY = 10  # iterations
 STILL, PATIENCE = 0.05, 60  # a family must go so many sizes of its orbit in so many tries, or is given up
-CROWDED = 150  # orbits solved for to locate events, after which a family is given up: in resonances they crowd
+CROWDED = 600  # orbits solved for to locate events, after which a family is given up: in resonances they crowd
 HALVINGS = 12  # of the last step, to come to the orbit asked for
 ELEMENT = re.compile(r"(\w+)\[(\d+)\]")
 
