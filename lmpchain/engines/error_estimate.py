@@ -54,8 +54,9 @@ CLOSE_TO_OPENING = -0.5  # r / eps below which a contact's force is no longer a 
 ORDER_AT_OPENINGS = 4
 # radians a grain from which on waves come back to where contacts opened, and the step of one more companion then
 COMES_BACK, NEARBY = 10.0, 1.5
-# the same for exponents below that, whose force has a kink at an opening: errors scatter from the first one on
-KINKED_BELOW, ORDER_AT_KINKS, NEARBY_AT_KINKS = 1.25, 2, 1.75
+# the same for exponents below that, whose force has a kink at an opening: errors scatter from the first one on, so far
+# that all runs may agree by chance on less than the error; a factor on the estimate makes up for it
+KINKED_BELOW, ORDER_AT_KINKS, NEARBY_AT_KINKS, SAFETY_AT_KINKS = 1.25, 2, 1.75, 2.0
 
 
 class CompanionRun(Run):
@@ -283,7 +284,8 @@ class CompanionRun(Run):
                 coarse = steps[1, these] if len(steps) - self._scatters.any() > 1 else None
                 trusted = at_openings if opens else order - self._stretched
                 found[these] = extrapolate(trusted, smooth, coarse, steps[0, these], self._ratios[:2]).max(1)
-        return np.where(opening & self._scatters, np.maximum(found, steps[-1].max(1)), found)
+        found = np.where(opening & self._scatters, np.maximum(found, steps[-1].max(1)), found)
+        return np.where(opening & self._kinks, SAFETY_AT_KINKS * found, found)
 
     def _grown(self, real: int, peaks: Array) -> float:
         """Return what becomes of a last digit in the whole run; 0 before its end, and where nothing meets."""
