@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
-import threading
+import sys
 import time
 from collections.abc import Iterable
 from contextlib import suppress
@@ -13,7 +14,7 @@ from pathlib import Path
 
 SHARED, NAMES = Path("/dev/shm"), "mpich_shm_"
 OLD_S = 60.0  # by then every process of a run has attached to its shared memory
-WATCH_S = 0.2
+PR_SET_PDEATHSIG = 1  # of linux/prctl.h
 
 
 def unname_shared_memory() -> None:
@@ -53,16 +54,6 @@ def _used(processes: Iterable[Path]) -> set[str]:
 
 
 def end_with_parent() -> None:
-    """Have this process end as soon as the one that started it is gone, whatever it does."""
-    parent = os.getppid()
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(WATCH_S)
-        os._exit(1)
-
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())  # they are for the main thread
-    try:
-        threading.Thread(target=watch, daemon=True).start()
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    """Have the kernel end this process as soon as the one that started it is gone, whatever it waits for."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(ctypes.c_int(PR_SET_PDEATHSIG), ctypes.c_ulong(signal.SIGKILL))

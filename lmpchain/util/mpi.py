@@ -44,10 +44,9 @@ def join() -> Any:
 
 
 def settle(world: Any) -> None:
-    """Make sure that a kill leaves nothing of these ranks behind."""
-    world.Barrier()  # all have attached to the shared memory
+    """Make sure that a kill leaves no shared memory of these ranks behind."""
+    world.Barrier()  # all have attached to it
     unname_shared_memory()
-    end_with_parent()
 
 
 def joined() -> Any:
@@ -62,6 +61,8 @@ def alone() -> Any:
 
 def library() -> Any:
     """Return mpi4py's MPI; raises `EngineUnavailable` with the cure if it cannot be loaded."""
+    if launched() > 1:
+        end_with_parent()  # MPI waits for ever where launcher and peers are killed while it starts or ends
     try:
         from mpi4py import MPI
     except (ImportError, RuntimeError) as error:

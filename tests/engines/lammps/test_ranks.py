@@ -2,6 +2,7 @@
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -175,6 +176,23 @@ def test_a_killed_rank_ends_the_run_with_a_message(monkeypatch):
     with pytest.raises(EngineUnavailable, match=r"a rank of LAMMPS died.*EXIT CODE: 9"):
         simulate(ENDLESS, engine=Lammps(integrator="verlet", step=1e-7, diameter="physical", ranks=2))
     assert not Path(f"/proc/{started[0].pids[0]}").exists()
+
+
+@pytest.mark.slow
+def test_a_rank_whose_peer_never_comes_ends_with_its_launcher(tmp_path):
+    """It waits in MPI's start, where no Python runs; the line to the launcher stays open here."""
+    ours, theirs = socket.socketpair()
+    rank = [sys.executable, "-m", "lmpchain.engines.lammps.subprocess_ranks", "nowhere"]
+    launcher = f"import subprocess; subprocess.run({rank}, pass_fds=[{theirs.fileno()}])"
+    mark = f"MARK={os.getpid()}-{tmp_path.name}"
+    of_mpi = {"PMI_SIZE": "2", "PMI_RANK": "0", "PMI_FD": str(theirs.fileno())}
+    environment = os.environ | of_mpi | dict([mark.split("=")])
+    started = subprocess.Popen([sys.executable, "-c", launcher], env=environment, pass_fds=[theirs.fileno()])
+    with ours, theirs:
+        assert ours.recv(8) == b"cmd=init"
+        started.kill()
+        started.wait()
+        until(lambda: not processes(mark))
 
 
 def endless(tmp_path: Path) -> tuple[subprocess.Popen[str], dict[int, int]]:
