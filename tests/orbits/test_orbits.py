@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from helpers.extended_precision import tangent_map
 from scipy.integrate import quad
+from scipy.optimize import brentq
 
 from lmpchain import Chain, Drive, Impulse, InputError, Material, Profile, Scene, orbits, simulate
 from lmpchain.engines import Native
@@ -95,6 +96,24 @@ def test_pi_modes_match_quadrature_with_contacts_that_open(load: float, relative
     assert orbit.residual < 1e-13
     assert orbit.error < 1e-11
     assert orbit.displacement[:-1] == pytest.approx(-orbit.displacement[1:], rel=1e-12)
+
+
+def test_a_grain_that_flies_far_between_short_contacts():
+    """By quadrature; in flight for 30 times as long as it touches, it loses digits unless sums are compensated."""
+    chain = Chain(grains=1, diameter=1e-3, bottom="wall")
+    m, k, eps, g = chain.masses[0], chain.wall_constants[1], chain.contacts.overlap[1], chain.gravity
+    orbit = orbits.normal_mode(chain, 1, 3e3 * m * g * eps)
+    touching = orbit.energy - 0.6 * m * g * eps  # kinetic, where it begins to
+    deepest = brentq(lambda o: touching + m * g * o - 0.4 * k * o**2.5, eps, 1e3 * eps, xtol=1e-16 * eps, rtol=1e-15)
+
+    def slowness(s: float) -> float:
+        o = deepest * (1 - s**2)
+        work = 0.4 * k * deepest**2.5 * -np.expm1(2.5 * np.log1p(-(s**2))) - m * g * deepest * s**2
+        return 2 * deepest * s / np.sqrt(2 * work / m) if o else 2 * deepest * s / np.sqrt(2 * touching / m)
+
+    contact, _ = quad(slowness, 1e-300, 1, epsabs=0, epsrel=1e-13, limit=200)
+    assert orbit.period == pytest.approx(2 * (np.sqrt(2 * touching / m) / g + contact), rel=1e-11)
+    assert orbit.residual < 1e-12
 
 
 def test_a_gap_breather_returns_and_has_the_multipliers_of_extended_precision():
