@@ -31,7 +31,7 @@ REGROWN = {True: 0.02, False: 1.0}  # up to which steps laid anew make no step a
 STRAIGHT, BENT = 0.98, 0.9  # cosine of the angle between two tangents: a longer step, and a shorter one
 EASY = 10  # iterations
 STILL, PATIENCE = 0.05, 60  # a family must go so many sizes of its orbit in so many tries, or is given up
-CROWDED = 600  # orbits solved for to locate events, after which a family is given up: in resonances they crowd
+CROWDED = 8e6  # unknowns times steps, some 30 s, to locate events, then it is given up: in resonances they crowd
 HALVINGS = 12  # of the last step, to come to the orbit asked for
 ELEMENT = re.compile(r"(\w+)\[(\d+)\]")
 
@@ -128,7 +128,8 @@ def follow(
     points : int
         Most orbits of the family.
     events : bool
-        Whether folds and bifurcations are located.
+        Whether folds and bifurcations are located. Two that undo each other within one step are not seen; follow
+        the family in shorter pieces to see them.
     progress : bool
 
     Returns
@@ -165,7 +166,7 @@ def follow(
         here = here._replace(direction=-here.direction, rate=-here.rate, turning=-here.turning)
     length = FIRST * _size(curve, here)
     places, whole, reached, ended = [here], max(abs(left), 1e-300), left == 0, ""
-    earlier, tried, gone, sought = aspects(curve.equations, here), 0, 0.0, 0
+    earlier, tried, gone, sought = aspects(curve.equations, here), 0, 0.0, 0.0
     found: list[Event] = []
     with ProgressBar(1.0, "orbits", layout="{desc}: {percentage:3.0f}% |{bar}| {elapsed}", shown=progress) as bar:
         while not reached and not ended:
@@ -184,8 +185,8 @@ def follow(
             if there is None:
                 break
             if events:
-                located, solves = _events(curve, here, there)
-                found, sought = found + located, sought + solves
+                located, work = _events(curve, here, there)
+                found, sought = found + located, sought + work
                 if sought > CROWDED and not reached:
                     ended = f"its events crowd, {len(found)} up to {_where(curve, there)}: events=False leaves them out"
             places.append(there)
@@ -228,21 +229,22 @@ def _step(curve: Curve, here: Place, length: float, events: bool, most: int) -> 
     return None, length, tries
 
 
-def _events(curve: Curve, here: Place, there: Place) -> tuple[list[Event], int]:
-    """Return what happens between two places, located along the family, and how many orbits that took."""
+def _events(curve: Curve, here: Place, there: Place) -> tuple[list[Event], float]:
+    """Return what happens between two places, located along the family, and the work that took."""
     length = float(here.direction @ (there.unknown - here.unknown))
-    found, parts = [], []
+    found, meshes = [], []
 
     def at(part: float) -> Place | None:
-        parts.append(part)
-        return curve.along(here, part * length)
+        place = curve.along(here, part * length)
+        meshes.append((place or there).solution.mesh.size)
+        return place
 
     for kind in EVENTS:
         where = between(kind, here, there, at)
         if where is not None:
             value = _value(curve, curve.equations.unpack(where.unknown))
             found.append((float(here.direction @ where.unknown), Event(kind, value, where.orbit)))
-    return [event for _, event in sorted(found, key=lambda pair: pair[0])], len(parts)
+    return [event for _, event in sorted(found, key=lambda pair: pair[0])], float(there.unknown.size * sum(meshes))
 
 
 def _value(curve: Curve, point: Point) -> float:

@@ -42,7 +42,8 @@ class Orbit(Shown):
     reversible : bool
         Whether all grains rest at t = 0, so that the motion is the same backwards.
     residual : float
-        Largest displacement or speed that is left after a period, over the largest of the orbit.
+        Largest displacement or speed that is left after a period, over the largest of the orbit; below 1e-12 but where
+        the motion amplifies rounding more than that.
     error : float
         Of the orbit and its period, relative, by steps of half the size: what the integrator leaves. Where an orbit can
         all but slide along its neighbours, as the dip of a strong dark breather can, round-off leaves most of it along

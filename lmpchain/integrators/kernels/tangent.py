@@ -45,7 +45,7 @@ def _stiffness(overlap, strength, delta):
 
 
 @inlined
-def _evaluate(links, x, grains, force, stiffness):
+def _evaluate(links, x, shorter, grains, force, stiffness):
     """Fill force and stiffness (N+1,) of all contacts."""
     first, last = PAD - 1, PAD + grains
     il, st = links.inverse_length[first:last], links.strength[first:last]
@@ -58,6 +58,8 @@ def _evaluate(links, x, grains, force, stiffness):
         r = x[first] - x[PAD]
         force[0] += touching(r, links.uncompressed, links.coefficients)
         stiffness[0] += _stiffness(r, links.uncompressed, delta)
+    for n in range(grains + 1):
+        force[n] += stiffness[n] * (shorter[first + n] - shorter[PAD + n])
 
 
 @inlined
@@ -122,7 +124,7 @@ def march(links, x, v, dx, dv, stretch, kicks, drifts, steps, body, path, xs, vs
         if k == 0 and path.size > 0:
             x[body] = path[0]
         if k == 0:
-            _evaluate(links, x, grains, force, stiffness)
+            _evaluate(links, x, shorter, grains, force, stiffness)
         xs[k], vs[k] = x[PAD : PAD + grains], v[PAD : PAD + grains]
         if k == steps.size:
             break
@@ -138,5 +140,5 @@ def march(links, x, v, dx, dv, stretch, kicks, drifts, steps, body, path, xs, vs
                     here[c] += fma(drift, faster[c], whole * stretch[c])
             if path.size > 0:
                 x[body] = path[k * stages + stage + 1]
-            _evaluate(links, x, grains, force, stiffness)
+            _evaluate(links, x, shorter, grains, force, stiffness)
             _kick(links, kicks[stage + 1] * h, v, slower, dx, dv, stretch, force, stiffness)
