@@ -14,6 +14,7 @@ from ..errors import InputError
 from ..util.arrays import Array, read_only
 from ..util.validation import NOT_GIVEN, Checked, OneOrMany, PositiveVector, Real, Vector, Whole
 from . import walls
+from .bounds import HARDEST, Bounds, bounds
 from .contacts import FEW, Contacts, hertz_constant
 from .impurities import Impurities, kinds, misfits, with_impurities
 from .materials import GLASS, Material, OneMaterial, OneOrManyMaterials
@@ -21,7 +22,6 @@ from .picture import AtRest
 from .plausible import HERTZ_OVERLAP, least_squeezed, remarks, too_squeezed
 from .plausible import LARGEST_OVERLAP as LARGEST_OVERLAP
 
-HARDEST = 1e150  # 1/s2, of a stiffness over a mass: squares are finite
 LEAST = {"gravity": 1e-100, "top_load": 1e-100}  # m/s2 and N
 
 
@@ -96,7 +96,7 @@ class Chain(AtRest, Checked):
             yield "bottom", 'must be "fixed" or "wall" under gravity or a top load: a free chain would fall'
         for key in (small := [key for key in LEAST if 0 < getattr(self, key) < LEAST[key]]):
             yield key, f"must be 0, or at least {LEAST[key]:g} in SI units: below, squares of overlaps underflow"
-        if wrong or small or self._leave_open().squeezed_at_most <= LARGEST_OVERLAP:
+        if wrong or small or ((known := self._leave_open().bounds) and known.squeezed <= LARGEST_OVERLAP):
             return
         weights = self.grains, self.top_load, self.gravity, self.exponent
         if self._alike and (least := least_squeezed(self._kinds, *weights)) > LARGEST_OVERLAP:
@@ -112,7 +112,7 @@ class Chain(AtRest, Checked):
             yield "diameter", too_squeezed(f"contact {worst} is compressed by {relative[worst]:.2g}")
 
     def _remarks(self) -> Iterator[str]:
-        plain = self.exponent != 1.5 or self.squeezed_at_most <= HERTZ_OVERLAP
+        plain = self.exponent != 1.5 or (self.bounds and self.bounds.squeezed <= HERTZ_OVERLAP)
         yield from remarks(self.diameter, 0.0 if plain else (self.contacts.overlap / self.contact_lengths).max())
 
     def _misfits(self) -> Iterator[tuple[str, str]]:
@@ -148,10 +148,9 @@ class Chain(AtRest, Checked):
             elif name == "contact_constants":
                 value = self._hertz_constants[1:-1]
             elif name == "wall_constants":
-                value = np.array([end == "wall" for end in (self.top, self.bottom)], dtype=float)
-                if value.any():
-                    value *= walls.constants(self._hertz_constants, self.contact_constants)
-                read_only(value)
+                built = [self.top == "wall", self.bottom == "wall"]
+                natural = walls.constants(self._hertz_constants, self.contact_constants) if any(built) else 0.0
+                value = read_only(np.multiply(built, natural))
             else:
                 return super().__getattr__(name)
             self.__dict__[name] = value
@@ -169,26 +168,19 @@ class Chain(AtRest, Checked):
         return kinds(self.material, self.diameter, self.impurity)
 
     @cached_property
-    def squeezed_at_most(self) -> float:
-        """Bound on overlap over diameter at rest of every contact; infinite where only arrays can tell."""
+    def bounds(self) -> Bounds | None:
+        """Bounds on all grains and contacts; None where only arrays can tell."""
         if not self._alike or "wall_constants" in self.model_fields_set:
-            return np.inf
-        modulus, d, mass = self._kinds
-        both: list[Any] = [wall for wall in (self.top_material, self.bottom_material) if wall]
-        modulus = np.append(modulus, [wall.plane_strain_modulus for wall in both]) if both else modulus
-        length = d ** (1.5 - self.exponent)
-        with np.errstate(all="ignore"):  # what is not finite here is looked at more closely
-            softest = 4 / 3 * modulus.min() / 2 * np.sqrt(d.min() / 4) * length.min()
-            hardest = 4 / 3 * modulus.max() / 2 * np.sqrt(d.max() / 2) * length.max()
-            load = self.top_load + self.gravity * (self.grains * mass[0] + mass[1:].sum())
-            overlap = Contacts(softest, load, self.exponent).overlap
-            largest = Contacts(hardest, load, self.exponent).stiffness_at(overlap) / mass.min()
-            return float(overlap / d.min()) if softest > 0 and 2 * largest < HARDEST else np.inf
+            return None
+        built = [wall for wall in (self.top_material, self.bottom_material) if wall]
+        kind, weights = (self.material, self.diameter), (self.top_load, self.gravity, self.exponent)
+        return bounds(kind, self.grains, self.impurity, built, weights)  # type: ignore[arg-type]
 
     def by_grain(self, prop: str) -> Array:
         """Return a property of the material of every grain, (N,)."""
-        materials = self.material if isinstance(self.material, tuple) else [self.material]
-        values = np.array(np.broadcast_to([getattr(m, prop) for m in materials], (self.grains,)))
+        values = np.empty(self.grains)
+        alike = isinstance(self.material, Material)
+        values[:] = getattr(self.material, prop) if alike else [getattr(m, prop) for m in self.material]
         for impurity in self.impurity:
             if impurity.material is not None:
                 values[impurity.grain - 1] = getattr(impurity.material, prop)
@@ -197,28 +189,29 @@ class Chain(AtRest, Checked):
     @cached_property
     def _hertz_constants(self) -> Array:
         """Hertz constants of all contacts, with a wall at either end, (N+1,) N/m^delta."""
-        modulus = self.by_grain("plane_strain_modulus")
-        above, below = (
-            here if wall is None else wall.plane_strain_modulus  # type: ignore[union-attr]
-            for wall, here in ((self.top_material, modulus[0]), (self.bottom_material, modulus[-1]))
-        )
-        modulus = np.concatenate(([above], modulus, [below]))
-        curvature = np.concatenate(([0.0], 2 / self.diameters, [0.0]))  # a wall is flat
-        return read_only(hertz_constant(modulus, curvature, self.contact_lengths, self.exponent))
+        modulus, curvature = np.zeros((2, self.grains + 2))  # a wall is flat
+        modulus[1:-1], curvature[1:-1] = self.by_grain("plane_strain_modulus"), 2 / self.diameters
+        for at, here, wall in ((0, 1, self.top_material), (-1, -2, self.bottom_material)):
+            modulus[at] = wall.plane_strain_modulus if wall else modulus[here]  # type: ignore[union-attr]
+        length = 1.0 if self.exponent == 1.5 else self.contact_lengths
+        return read_only(hertz_constant(modulus, curvature, length, self.exponent))
 
     @cached_property
     def contacts(self) -> Contacts:
         """All contacts, those with walls included."""
-        above, below = self.wall_constants
-        constants = np.concatenate(([above], self.contact_constants, [below]))
-        weight = self.gravity * np.cumsum(self.masses.astype(np.longdouble))
-        force = np.concatenate(([self.top_load], (self.top_load + weight).astype(float)))
+        constants, force = np.empty((2, self.grains + 1))
+        constants[0], constants[1:-1], constants[-1] = (
+            self.wall_constants[0],
+            self.contact_constants,
+            self.wall_constants[1],
+        )
+        force[0], force[1:] = self.top_load, self.top_load + self.gravity * self.masses.cumsum(dtype=np.longdouble)
         return Contacts(read_only(constants), read_only(np.where(constants > 0, force, 0.0)), self.exponent)
 
     @cached_property
     def diameters(self) -> Array:
         """Diameter of every grain, (N,) m."""
-        return read_only(with_impurities(np.broadcast_to(self.diameter, (self.grains,)), self.impurity, "diameter"))
+        return read_only(with_impurities(np.full(self.grains, self.diameter), self.impurity, "diameter"))
 
     @cached_property
     def contact_lengths(self) -> Array:
@@ -343,5 +336,5 @@ class Chain(AtRest, Checked):
         wall : (...) array, optional
             Displacement of the top wall, m; by default 0.
         """
-        closer = self.contacts.closer(displacement, wall)
-        return 0.5 * (self.masses * velocity**2).sum(-1) + self.contacts.energy(closer).sum(-1)
+        closer, kinetic = Contacts.closer(displacement, wall), 0.5 * (self.masses * velocity**2).sum(-1)
+        return kinetic + self.contacts.energy(closer).sum(-1) if closer.any() else kinetic

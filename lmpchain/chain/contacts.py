@@ -14,7 +14,7 @@ from ..util.arrays import Array, read_only
 FEW = 10**4  # grains of a chain, of which all contacts are known sooner than those of some parts
 
 
-def hertz_constant(modulus: Array, curvature: Array, length: Array, exponent: float) -> Array:
+def hertz_constant(modulus: Array, curvature: Array, length: Array | float, exponent: float) -> Array:
     """Return K = (4/3) E* sqrt(R*) length^(1.5 - delta) of neighbours in a row of B bodies.
 
     Parameters
@@ -99,8 +99,11 @@ class Contacts:
     def closer(displacement: Array, wall: Array | None = None) -> Array:
         """Return how much every overlap exceeds that at rest, (..., N+1) m; the top wall is at (...) m."""
         u = np.asarray(displacement)
-        still = np.zeros((*u.shape[:-1], 1))
-        return -np.diff(u, axis=-1, prepend=still if wall is None else wall[..., None], append=still)
+        closer = np.empty((*u.shape[:-1], u.shape[-1] + 1))
+        closer[..., 0], closer[..., -1] = 0.0 if wall is None else wall, u[..., -1]
+        closer[..., 0] -= u[..., 0]
+        np.subtract(u[..., :-1], u[..., 1:], out=closer[..., 1:-1])
+        return closer
 
     def force_change(self, r: Array) -> Array:
         """Return the change of force for a change r of the overlap, (..., N+1) N.
@@ -166,10 +169,10 @@ class Contacts:
         The bound is rigorous: no contact can hold more than the whole conserved energy, and the energy of
         one is at least ``K r^(delta+1) / (delta+1)`` and at least ``k_n r^2 / 2``.
         """
-        power = self.exponent + 1
-        hard = (power * np.where(self.exists, energy, 0.0) / np.where(self.exists, self.constant, 1.0)) ** (1 / power)
-        weak = np.sqrt(2 * energy / np.where(self.pressed, self.stiffness, np.nan))
-        return self.overlap + np.fmin(hard, weak)
+        power, shape = self.exponent + 1, np.broadcast(energy, self.constant).shape
+        hard = np.divide(power * energy, self.constant, out=np.zeros(shape), where=self.exists) ** (1 / power)
+        weak = np.divide(2 * energy, self.stiffness, out=np.full(shape, np.inf), where=self.pressed)
+        return self.overlap + np.minimum(hard, np.sqrt(weak))
 
 
 def together(contacts: Sequence[Contacts]) -> Contacts:

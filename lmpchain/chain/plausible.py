@@ -24,7 +24,7 @@ def beyond_hertz(relative: float) -> str:
 
 def remarks(diameter: float | Array, relative: float) -> Iterator[str]:
     """Yield what is hardly meant of these diameters, m, and this overlap at rest over the diameter."""
-    widest = np.max(diameter)
+    widest = diameter if isinstance(diameter, float) else diameter.max()
     if widest > LARGEST_DIAMETER:
         yield f"diameter: {widest:g} m is wide for a grain; diameters are in metres (1 mm is 1e-3)"
     if relative > HERTZ_OVERLAP:

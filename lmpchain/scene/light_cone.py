@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 from ..chain.chain import Chain
-from ..chain.contacts import FEW
 from ..util.arrays import Array
 from .base import Excitation
 
@@ -14,7 +13,9 @@ WORTH = 0.7  # of the grains: where more than that are reached, all are computed
 SHORT = 64  # grains: a shorter chain is computed as a whole
 
 
-def reached(chain: Chain, excitation: Excitation, energy: float, duration: float) -> tuple[int, int]:
+def reached(
+    chain: Chain, excitation: Excitation, energy: float, duration: float, bound: Array | None = None
+) -> tuple[int, int]:
     """Return the first and the last grain that can have moved by 1e-22 of the strike when the scene ends.
 
     Springs no stiffer than k_max pass on a displacement of 1 by at most the modified Bessel function I_2d(W t) over d
@@ -30,12 +31,14 @@ def reached(chain: Chain, excitation: Excitation, energy: float, duration: float
         Above rest, J; infinite where it is not known beforehand.
     duration : float
         s.
+    bound : (N+1,) array, optional
+        On the overlaps of all contacts, m, if that is known; of many only some are looked at.
     """
     grains = chain.grains
     if not math.isfinite(energy) or grains < SHORT:
         return 1, grains
     top, bottom = excitation.reach(chain)
-    known = _hardest(chain, energy) if grains <= FEW else None  # of many only some are looked at
+    known = None if bound is None else chain.contacts.stiffness_at(bound)
     away = 32
     while True:
         first, last = max(1, top - away), min(grains, bottom + away)
@@ -43,18 +46,14 @@ def reached(chain: Chain, excitation: Excitation, energy: float, duration: float
             return 1, grains
         if known is None:
             part = chain.part(first, last)
-            stiffness, masses = _hardest(part, energy), part.masses
+            contacts, masses = part.contacts, part.masses
+            stiffness = contacts.stiffness_at(contacts.overlap_bound(energy))
         else:
             stiffness, masses = known[first - (first == 1) : last + (last == grains)], chain.masses[first - 1 : last]
         needed = _distance(2 * math.sqrt(float(stiffness.max()) / masses.min()) * duration)
         if needed <= away:
             return max(1, top - needed), min(grains, bottom + needed)
         away = max(needed, 2 * away)
-
-
-def _hardest(chain: Chain, energy: float) -> Array:
-    """Return a bound on the stiffness of every contact, (N+1,) N/m, for this energy above rest."""
-    return chain.contacts.stiffness_at(chain.contacts.overlap_bound(energy))
 
 
 def _distance(x: float) -> int:

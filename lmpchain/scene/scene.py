@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 from pydantic import InstanceOf
 
 from ..chain.chain import Chain
+from ..chain.contacts import FEW
 from ..chain.picture import DRAWN, MOST
+from ..chain.plausible import HERTZ_OVERLAP
 from ..util.arrays import Array, as_slice
 from ..util.files import write_aside
 from ..util.plotting import axes_in_units, legend
@@ -87,13 +89,30 @@ class Scene(Recording):
 
     def _faults(self) -> Iterator[tuple[str, str]]:
         misfits = list(self.excitation.faults(self.chain, self.duration))
-        yield from misfits or strike_faults(self.excitation, *self._squeezed)
+        yield from misfits
+        if not misfits and not self._gentle:
+            yield from strike_faults(self.excitation, *self._squeezed)
         yield from self.faults(self.chain)
 
     def _remarks(self) -> Iterator[str]:
         if self.duration > LONGEST:
             yield f"duration: {self.duration:g} s is long for a wave in a chain; times are in seconds (100 us is 1e-4)"
-        yield from strike_remarks(self.chain, self.excitation, self._surroundings, self._squeezed[1])
+        if not self._gentle:
+            yield from strike_remarks(self.chain, self.excitation, self._surroundings, self._squeezed[1])
+
+    @cached_property
+    def _overlap_at_most(self) -> float:
+        """Bound on overlaps at rest and in the first collision, m; infinite where only arrays can tell."""
+        bounds, speed = self.chain.bounds, self.excitation.strike_velocity
+        return bounds.struck(speed) if bounds and speed else np.inf
+
+    @property
+    def _gentle(self) -> bool:
+        """Whether bounds show that Hertz's law holds, and that no grain is faster than sound."""
+        bounds, speed = self.chain.bounds, abs(self.excitation.strike_velocity)
+        return (
+            bounds is not None and self._overlap_at_most <= HERTZ_OVERLAP * bounds.narrowest and speed <= bounds.slowest
+        )
 
     @cached_property
     def _squeezed(self) -> tuple[int, float]:
@@ -212,7 +231,10 @@ class Scene(Recording):
 
         The band edge of the chain at rest, that of two grains pressed together by the strike, or that of a drive.
         """
-        return max(self.chain.band_edge, self._pair_frequency, self.excitation.fastest) or 1 / self.duration
+        fastest, bounds = max(self.chain.band_edge, self.excitation.fastest), self.chain.bounds
+        if not (bounds and bounds.frequency(self._overlap_at_most) <= fastest):
+            fastest = max(fastest, self._pair_frequency)
+        return fastest or 1 / self.duration
 
     @cached_property
     def _pair_frequency(self) -> float:
@@ -221,9 +243,14 @@ class Scene(Recording):
         return float(pair_frequency(chain.contacts, chain.masses, first_overlaps(chain, self.excitation)))
 
     @cached_property
+    def overlap_bound(self) -> Array:
+        """A bound on every overlap at any time, (N+1,) m; see `Contacts.overlap_bound`."""
+        return self.chain.contacts.overlap_bound(self.energy)
+
+    @cached_property
     def largest_strain(self) -> float:
         """A bound on ``|r / eps|`` of every contact, rigorous while it is small; infinite where there is none."""
-        return float(largest_strain(self.chain.contacts, np.asarray(self.energy)))
+        return float(largest_strain(self.chain.contacts, self.overlap_bound))
 
     @cached_property
     def linear_strain(self) -> float:
@@ -249,7 +276,8 @@ class Scene(Recording):
     @cached_property
     def light_cone(self) -> LightCone:
         """The grains that the wave can have reached when the scene ends, as a scene of their own."""
-        first, last = reached(self.chain, self.excitation, self.energy, self.duration)
+        bound = self.overlap_bound if self.chain.grains <= FEW else None
+        first, last = reached(self.chain, self.excitation, self.energy, self.duration, bound)
         recorded = self.recorded
         if last - first + 1 == self.chain.grains:
             return LightCone(self, np.arange(recorded.size), slice(None))

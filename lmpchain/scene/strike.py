@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..chain.chain import LARGEST_OVERLAP, Chain
-from ..chain.contacts import Contacts
+from ..chain.contacts import FEW, Contacts
 from ..chain.plausible import HERTZ_OVERLAP, beyond_hertz
 from ..util.arrays import Array
 from .base import Excitation
@@ -53,12 +53,11 @@ def strike_number(chain: Chain, excitation: Excitation, contacts: Contacts, mass
     return np.asarray(np.maximum((u / eps).max(-1), (v / (eps * omega)).max(-1)))
 
 
-def largest_strain(contacts: Contacts, energy: Array) -> Array:
-    """Return `Scene.largest_strain`, (...), of chains with these contacts and energies, (...) J."""
-    energy = np.asarray(energy)
+def largest_strain(contacts: Contacts, bound: Array) -> Array:
+    """Return `Scene.largest_strain`, (...), from contacts and a bound on their overlaps, (..., N+1) m."""
     if not (contacts.pressed == contacts.exists).all():
-        return np.full(energy.shape, np.inf)
-    closer = contacts.overlap_bound(energy[..., None]) - contacts.overlap
+        return np.full(bound.shape[:-1], np.inf)
+    closer = bound - contacts.overlap
     strain = np.divide(closer, contacts.overlap, out=np.full(closer.shape, -np.inf), where=contacts.pressed)
     return np.asarray(strain.max(-1) * 1.05)  # an opening contact is a little softer
 
@@ -68,8 +67,11 @@ def surroundings(chain: Chain, excitation: Excitation) -> tuple[int, Chain, Exci
 
     Returns
     -------
-    the number of the first of these grains, these grains as a chain, and the excitation of that chain
+    the number of the first of these grains, these grains as a chain, and the excitation of that chain; a chain of few
+    grains, of which all contacts are known as soon, as a whole
     """
+    if chain.grains <= FEW:
+        return 1, chain, excitation
     first, last = excitation.reach(chain)
     first, last = max(1, first - 1), min(chain.grains, last + 2)
     return first, chain.part(first, last), excitation.part(first, last)

@@ -179,7 +179,8 @@ def _known(common: Scene, parts: Mapping[str, Any]) -> dict[str, Array]:
         held = Contacts(contacts.constant[:, above], contacts.force[:, above], contacts.exponent).energy
         known["energy"] = 0.5 * (masses[:, near] * v[near] ** 2).sum(-1) + held(contacts.closer(u)[above]).sum(-1)
     known["strike_number"] = strike_number(chain, excitation, contacts, masses)
-    known["largest_strain"] = largest_strain(contacts, known.get("energy", np.full(len(masses), np.inf)))
+    energy = known.get("energy", np.full(len(masses), np.inf))
+    known["largest_strain"] = largest_strain(contacts, contacts.overlap_bound(energy[:, None]))
     return known
 
 

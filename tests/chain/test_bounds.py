@@ -1,0 +1,72 @@
+"""Bounds that are known without arrays: never crossed by what the arrays say, and close for the paper's column."""
+
+import numpy as np
+import pytest
+
+from lmpchain import Chain, Impulse, Impurity, Scene
+from lmpchain.chain.materials import MATERIALS
+from lmpchain.scene.strike import first_overlaps
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_arrays_stay_within_them(seed: int):
+    random = np.random.default_rng(seed)
+    materials, top, bottom = list(MATERIALS), random.choice(["free", "wall"]), random.choice(["fixed", "wall"])
+    grains = int(random.integers(2, 60))
+    odd = [
+        Impurity(
+            grain=n,
+            **{key: value for key, value in (
+                ("diameter", random.uniform(5e-4, 3e-3)),
+                ("material", str(random.choice(materials))),
+                ("mass", 10 ** random.uniform(-7, -4)),
+            ) if key == "diameter" or random.random() < 0.5},
+        )
+        for n in random.permutation(grains)[: random.integers(0, 3)] + 1
+    ]  # fmt: skip
+    chain = Chain(
+        grains=grains,
+        material=str(random.choice(materials)),
+        diameter=random.uniform(5e-4, 3e-3),
+        gravity=random.choice([0.0, 9.81, 500.0]),
+        top_load=random.choice([0.0, 1e-3, 1.0]),
+        exponent=random.choice([1.0, 1.5, 2.0, 3.0]),
+        top=top,
+        bottom=bottom,
+        impurity=odd,
+        **({"top_material": "steel"} if top == "wall" and random.random() < 0.5 else {}),
+    )
+    known, contacts, masses = chain.bounds, chain.contacts, chain.masses
+    constants = contacts.constant[contacts.exists]
+    assert known.softest <= constants.min() * (1 + 1e-12)
+    assert constants.max() <= known.hardest * (1 + 1e-12)
+    assert (known.lightest, known.heaviest) == pytest.approx((masses.min(), masses.max()), rel=1e-14, abs=0)
+    assert known.narrowest == chain.diameters.min()
+    assert known.slowest == chain.by_grain("sound_speed").min()
+    assert contacts.overlap.max() <= known.overlap * (1 + 1e-12)
+    speed = 10 ** random.uniform(-6, 0)
+    strike = Impulse(velocity=speed, grain=int(random.integers(1, chain.movable + 1)))
+    overlaps = first_overlaps(chain, strike)
+    assert overlaps.max() <= known.struck(speed)
+    fastest = np.sqrt(2 * contacts.stiffness_at(overlaps).max() / masses.min())
+    assert fastest <= known.frequency(known.struck(speed))
+
+
+@pytest.mark.parametrize("velocity", [1e-6, 8.57e-4, 0.05, -0.05])
+@pytest.mark.parametrize("gravity", [0.0, 9.81])
+def test_frequency_of_a_scene_is_that_of_its_arrays(velocity: float, gravity: float):
+    chain = Chain(grains=40, diameter=1e-3, gravity=gravity)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=1e-4)
+    pair = np.sqrt(2 * chain.contacts.stiffness_at(first_overlaps(chain, scene.excitation)).max() / chain.masses.min())
+    assert scene.highest_frequency == (max(chain.band_edge, pair) or 1e4)
+
+
+def test_they_are_close_for_the_column_of_the_paper():
+    chain = Chain(grains=120, diameter=1e-3)
+    assert chain.bounds.overlap == pytest.approx(chain.contacts.overlap.max(), rel=0.01)
+    assert chain.bounds.hardest == pytest.approx(np.sqrt(2) * chain.contact_constants.max(), rel=1e-12)
+
+
+@pytest.mark.parametrize("fields", [{"diameter": [1e-3] * 5}, {"masses": [1e-6] * 5}, {"contact_constants": [1e9] * 4}])
+def test_arrays_have_none(fields: dict[str, list[float]]):
+    assert Chain(**{"grains": 5, "diameter": 1e-3} | fields).bounds is None
