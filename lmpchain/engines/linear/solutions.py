@@ -7,6 +7,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import spherical_jn
 
 from ...integrators.kernels.chebyshev import Propagator
 from ...scene.scene import Scene
@@ -110,13 +111,13 @@ class ModalSolution:
         return q * np.cos(free) + p / w * np.sin(free), p * np.cos(free) - q * w * np.sin(free)
 
     def _by_sine(self, t: Array, amplitude: float, omega: float) -> tuple[Array, Array]:
-        """Return ``q'' + w^2 q = f sin(W t)`` from rest, (T, M), in a form that holds where w = W."""
+        """Return ``q'' + w^2 q = f sin(W t)`` from rest, (T, M), in a form for w = W and short t."""
         w, drive = self._modes.frequency, abs(omega)
-        mean, half = (w + drive) / 2, (w - drive) / 2
-        beat = t * np.sinc(half * t / np.pi)  # sin(half t) / half
-        f = self._pull * np.copysign(amplitude, amplitude * omega) / (2 * mean)
-        q = f / w * (np.sin(mean * t) * np.cos(half * t) - mean * np.cos(mean * t) * beat)
-        return q, f * drive * np.sin(mean * t) * beat
+        m, h = (w + drive) / 2 * t, (w - drive) / 2 * t
+        f = self._pull * np.copysign(amplitude, amplitude * omega) / (w + drive)
+        # sin(m) cos(h) - m cos(m) sin(h) / h is all but nothing for short t; the spherical Bessel function j_1 is exact
+        q = f / w * m * (m * spherical_jn(1, m) * np.cos(h) - h * spherical_jn(1, h) * np.cos(m))
+        return q, f * drive * np.sin(m) * t * np.sinc(h / np.pi)
 
     def state(self) -> dict[str, Array]:
         """Any time follows from the modes."""
