@@ -28,7 +28,7 @@ from .util import mpi
 MPIEXEC_S = 20.0  # longest time for two ranks to answer
 TOLERANCE = 1e-6  # for the wave
 SCARCE = 1.0  # GB of memory below which a warning is due
-SIZES_SEEN = "from mpi4py.MPI import COMM_WORLD as w; s = w.gather(w.size); w.rank or print(s)"
+SIZES_SEEN = "from lmpchain.util import mpi; w = mpi.library().COMM_WORLD; s = w.gather(w.size); w.rank or print(s)"
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,18 @@ import numpy as np
 import pytest
 from helpers.child_processes import busy, ended, processes, until
 
-from lmpchain import Chain, Drive, EngineUnavailable, Impulse, InputError, RunFailed, Scene, Trajectory, simulate
+from lmpchain import (
+    Chain,
+    Drive,
+    EngineUnavailable,
+    Impulse,
+    InputError,
+    RunFailed,
+    Scene,
+    Trajectory,
+    doctor,
+    simulate,
+)
 from lmpchain.engines import Lammps
 from lmpchain.engines.lammps import engine as lammps_engine
 from lmpchain.engines.lammps.subprocess_ranks import SubprocessRanks
@@ -179,11 +190,13 @@ def test_a_killed_rank_ends_the_run_with_a_message(monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_rank_whose_peer_never_comes_ends_with_its_launcher(tmp_path):
+@pytest.mark.parametrize(
+    "words", [("-m", "lmpchain.engines.lammps.subprocess_ranks", "nowhere"), ("-c", doctor.SIZES_SEEN)]
+)
+def test_a_rank_whose_peer_never_comes_ends_with_its_launcher(words, tmp_path):
     """It waits in MPI's start, where no Python runs; the line to the launcher stays open here."""
     ours, theirs = socket.socketpair()
-    rank = [sys.executable, "-m", "lmpchain.engines.lammps.subprocess_ranks", "nowhere"]
-    launcher = f"import subprocess; subprocess.run({rank}, pass_fds=[{theirs.fileno()}])"
+    launcher = f"import subprocess; subprocess.run({[sys.executable, *words]}, pass_fds=[{theirs.fileno()}])"
     mark = f"MARK={os.getpid()}-{tmp_path.name}"
     of_mpi = {"PMI_SIZE": "2", "PMI_RANK": "0", "PMI_FD": str(theirs.fileno())}
     environment = os.environ | of_mpi | dict([mark.split("=")])
