@@ -200,11 +200,7 @@ class Chain(AtRest, Checked):
     def contacts(self) -> Contacts:
         """All contacts, those with walls included."""
         constants, force = np.empty((2, self.grains + 1))
-        constants[0], constants[1:-1], constants[-1] = (
-            self.wall_constants[0],
-            self.contact_constants,
-            self.wall_constants[1],
-        )
+        constants[[0, -1]], constants[1:-1] = self.wall_constants, self.contact_constants
         force[0], force[1:] = self.top_load, self.top_load + self.gravity * self.masses.cumsum(dtype=np.longdouble)
         return Contacts(read_only(constants), read_only(np.where(constants > 0, force, 0.0)), self.exponent)
 

@@ -133,9 +133,9 @@ def march(links, x, v, dx, dv, stretch, kicks, drifts, steps, body, path, xs, vs
         for stage in range(stages):
             drift = drifts[stage] * h
             for n in range(grains):
-                speed = v[PAD + n]
-                _add(x, shorter, PAD + n, drift * speed)
-                here, faster, whole = dx[n], dv[n], drift * speed
+                whole = drift * v[PAD + n]
+                _add(x, shorter, PAD + n, whole)
+                here, faster = dx[n], dv[n]
                 for c in range(here.size):
                     here[c] += fma(drift, faster[c], whole * stretch[c])
             if path.size > 0:
