@@ -32,7 +32,7 @@ from ..util.compilation import clock
 from .amplification import amplified_digit, walked
 from .base import Candidate, ErrorBudget, Run
 from .richardson import extrapolate
-from .round_off import native_floor, plain_loss
+from .round_off import native_floor, plain_loss, rounded_energy
 
 PIECE_S = 0.1  # longest stretch of work between two opportunities to stop
 GUESSED_RATE = 1e7  # grain-steps a second, a low guess to begin with
@@ -93,12 +93,11 @@ class CompanionRun(Run):
         own = candidate.steps_per_sample, candidate.step, candidate.adaptive
         self._answer = make(StepSchedule.of(*own), kept[0])
         self._steppers: list[Stepper] = [self._answer]
-        self._twin = twin
         reach = candidate.step * max(scene.chain.band_edge for scene in scenes)
         final = self.scene.samples - 1
         steps = candidate.steps_per_sample * final
         longer: list[float] = [ratio for ratio in (2, 4) if ratio * reach <= method.stability_limit and steps >= FEWEST]
-        self._finer = not longer
+        self._twin, self._finer = twin, not longer
         self._stretched = stretched = candidate.adaptive and method.adaptive == "error"  # samples cut some of its steps
         self._kinks = self.scene.chain.exponent < KINKED_BELOW
         scatters = [bool(longer) and candidate.adaptive and _scatters(scene, self._kinks) for scene in scenes]
@@ -120,13 +119,13 @@ class CompanionRun(Run):
             self._against[-1] = 0
         self._native = [*([shared] if shared else []), *companions]
         self._steppers += companions
-        self.realisations = len(scenes)
+        self.realisations, self._at_rest = len(scenes), chains.scale[:, 1] == 0
         self._radians = [scene.highest_frequency * scene.duration for scene in scenes]
-        self._at_rest = chains.scale[:, 1] == 0
         self._kinked = np.array([not scene.excitation.smooth for scene in scenes])
         self._masses, self._scale = chains.masses, chains.units
-        # the energy of the contacts is never below that at rest, so the kinetic energy cannot exceed what was put in
-        energy = 3 * np.array([scene.energy for scene in scenes])
+        # contacts never hold less energy than at rest: the kinetic one cannot exceed what is put in, or rounded
+        pressed = rounded_energy(self.scene, steps * method.evaluations) if twin else 0.0
+        energy = 3 * np.array([scene.energy + pressed for scene in scenes])
         self._most_energy = energy + self._masses.sum(1) * (1e-3 * self._scale[:, 1]) ** 2
         # m; nothing bounds what is driven, but if it is a million times as close as it is long, it has broken down
         bounds = chains.contacts.overlap_bound(self._most_energy[:, None]).max(1)
@@ -239,6 +238,8 @@ class CompanionRun(Run):
         """Return the estimate for every realisation."""
         # nothing is put in: there is no motion to be relative to, but that of a strike number of 1
         peaks = np.where(self._at_rest[:, None], self._scale, self.peaks)
+        if self._twin and not (self._at_rest[0] or self._native[0].largest()[0, 1]):  # only what rounding presses moves
+            peaks[0, 1] = max(peaks[0, 1], self.scene.highest_frequency * peaks[0, 0])
         peaks = np.where(peaks > 0, peaks, 1.0)
         relative = self._differences / peaks
         relative[np.isnan(relative)] = np.inf

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from ..scene.scene import Scene
 from ..util.arrays import EPSILON
 
@@ -30,3 +32,10 @@ def plain_loss(scene: Scene, steps: float) -> float:
     """
     lost = PLAIN * EPSILON * float((scene.chain.contacts.force[:-1] / scene.chain.masses).max())
     return lost * scene.duration / math.sqrt(steps)
+
+
+def rounded_energy(scene: Scene, evaluations: float) -> float:
+    """Return the energy that contacts gain by rounding where heights are held, J: their last digit walks."""
+    height = scene.chain.diameters.sum() + np.abs(scene.initial()[0]).max()
+    closer = np.full(scene.chain.grains + 1, EPSILON * math.sqrt(evaluations) * height)
+    return float(scene.chain.contacts.energy(closer).sum())

@@ -183,6 +183,17 @@ def test_blow_up_is_noticed():
             simulate(scene, engine=Lammps(integrator="verlet", step=step, diameter=diameter))
 
 
+@pytest.mark.parametrize("exponent", [1.0, 1.5])
+def test_what_rounding_presses_in_a_vacuum_is_no_breakdown(exponent):
+    """A grain is pulled away: there is no energy and nothing moves but the rest, by the last digits of heights."""
+    chain = Chain(grains=9, diameter=np.linspace(1e-3, 2e-3, 9), exponent=exponent, gravity=0.0, bottom="free")
+    scene = Scene(chain=chain, excitation=Displacement(displacement=-1e-9), duration=1e-5, samples=5)
+    answer = simulate(scene, "lammps", 1e-6)
+    np.testing.assert_allclose(answer.displacement[:, 0], -1e-9, rtol=1e-14)
+    assert 0 < np.abs(answer.velocity).max() < 1e-6 * scene.highest_frequency * 1e-9
+    assert answer.error_estimate.total >= np.abs(answer.displacement[:, 1:]).max() / 1e-9
+
+
 def stepper(scene: Scene) -> LammpsStepper:
     return LammpsStepper(Column(scene, gauge=0.0), VERLET, 1e-7, {}, gather(1, "none"), every=1)
 
