@@ -7,8 +7,10 @@ and stiffness are continuous. For delta = 1 the stiffness jumps: what is returne
 open or closed where the run found it so, which is that of the run unless an evaluation falls on the very opening, and
 converges to that of the solution with the step, at first order only.
 
-The run itself is made by the loops of the native engine, and leaves a checkpoint now and then. The way back makes each
-piece between two checkpoints once more, and keeps of it one number a contact and evaluation, within the cache.
+The run itself is made by the loops of the native engine, and leaves a checkpoint now and then. In strong waves where
+all contacts are pressed at rest, the way back undoes each piece between two checkpoints in the same pass in which it
+takes adjoints back. Else it makes the piece once more, and keeps of it one number a contact and evaluation, within the
+cache: it would cost as much to undo weak waves, and round-off would open or close contacts that only touch.
 """
 
 from __future__ import annotations
@@ -33,7 +35,10 @@ from .splittings import Splitting
 
 ROOM = 2**19  # bytes for what is kept between two checkpoints, about what stays in the cache
 LEAST = 32  # rows between two checkpoints
+FEW = 128  # rows that are undone from a checkpoint: more lose more to round-off
 CHECKPOINTS = 2**29  # bytes of all checkpoints
+PAGE = 512  # numbers; a load waits for a store to the same place of another page
+STRIDE = 360  # from a row of the way back to the next, modulo that
 CALL = 2**16  # rows in a call of the compiled loops where something is imposed in each
 
 
@@ -117,10 +122,12 @@ class DifferentiableRun:
         self._driven = scene.excitation.driven if self.imposed else 0
         self._read(scene)
         width, rows = self._table.shape[1], int(self._offsets[-1])
-        most = max(LEAST, ROOM // (8 * width), math.ceil(rows * 16 * width / CHECKPOINTS))
+        most = FEW if self._law == kernels.UNDONE else max(LEAST, ROOM // (8 * width))
+        most = max(most, math.ceil(rows * 16 * width / CHECKPOINTS))
         starts = np.append(np.arange(0, rows, most), rows)
         before = np.searchsorted(self._offsets, starts, side="right") - 1
-        states = np.empty((starts.size - 1, 2, width))
+        states = np.empty((starts.size, 2, width))
+        states[0] = self._x[0], self._v[0]
         self._pieces = starts, before, starts - self._offsets[before], states, np.empty((starts.size - 1, 2))
         self._most = min(most, rows)
         self._looks = np.zeros((2, looks + 1, self.grains.size))
@@ -144,10 +151,11 @@ class DifferentiableRun:
         self._table = aligned(3, self._x.shape[1])  # of the contact above each body
         self._table[:2, 1:] = batch.table[0, :2, :-1]
         self._table[2] = chain.exponent * self._table[1] * self._table[0]
-        by_root = kernels.PLAIN if batch.forms[0] in ROOTS else kernels.HERTZ
+        pressed = batch.precompressed > 0 and batch.uncompressed[0] == 0
+        by_root = (kernels.UNDONE if pressed else kernels.PLAIN) if batch.forms[0] in ROOTS else kernels.HERTZ
         self._law = by_root if chain.exponent == 1.5 else kernels.OTHER
         self._less = chain.exponent - 1.0
-        self._room = np.zeros((5, kernels.BURST))
+        self._room = np.zeros((6, kernels.BURST))
 
     def _window(self) -> tuple[int, int]:
         """Return where the window of the run begins and ends: at the lines that hold what moves at t = 0."""
@@ -222,12 +230,13 @@ class DifferentiableRun:
             by_course += self.imposed.pull(self.time, own[1], 1) + self.imposed.pull(self.time[:1], own[0, :1], 0)
             looks[1][:, self.grains == 1] = 0.0
         width, columns = self._x.shape[1], self.grains + (PAD - 1)
-        adjoint, bodies = aligned(5, width + PAD), aligned(3, width + PAD)
-        bodies[2, 1 : width + 1] = self._chain.inverse_mass
-        powers, tops = aligned(self._most, width), np.empty((2, self._most))
+        adjoint, bodies, table = np.split(aligned(11, width + PAD + (STRIDE - width - PAD) % PAGE), (5, 8))
+        bodies[2, 1 : width + 1], table[:, :width] = self._chain.inverse_mass, self._table
+        powers = aligned(1 if self._law == kernels.UNDONE else self._most, width)
+        tops = np.empty((2, self._most))
         forces = aligned(self._most if self._law == kernels.OTHER else 1, width)
         state = self._state.copy()
-        common = self._law, self._less, self._chain._replace(state=state), self._table, self._course, self._room
+        common = self._law, self._less, self._chain._replace(state=state), table, self._course, self._room
         kept = powers, forces, tops
         for some, row, count in reversed(self._calls()):
             path = self._path(row, count)
@@ -237,12 +246,12 @@ class DifferentiableRun:
             )
             if self.imposed:
                 by_course += self.imposed.pull(self._times(row, count), on_path, 0)
-        np.add.at(adjoint[0], columns + 1, looks[0, 0])
-        np.add.at(adjoint[1], columns, looks[1, 0])
-        contacts, inside = chain.contacts, slice(PAD, PAD + grains)
-        x, v, by_mass = adjoint[0, PAD + 1 :][:grains], adjoint[1, inside], adjoint[4, PAD + 1 :][:grains]
+        contacts, (x, pull, _, _, by_mass) = chain.contacts, adjoint[:, PAD + 1 :][:, :grains]
+        v = pull * chain.masses
+        np.add.at(x, self.grains - 1, looks[0, 0])
+        np.add.at(v, self.grains - 1, looks[1, 0])
         by_power, by_force = adjoint[2:4, PAD : PAD + grains + 1]
-        held = self._chain.inverse_mass[inside] == 0
+        held = self._chain.inverse_mass[PAD : PAD + grains] == 0
         constant = np.where(contacts.exists, contacts.constant, 1.0)
         return Inputs(
             -by_mass / chain.masses, np.where(contacts.exists, by_force - contacts.force * by_power, 0.0) / constant,

@@ -229,6 +229,27 @@ def test_weak_waves_have_the_derivatives_of_the_linear_propagator():
     np.testing.assert_allclose(gradients["velocity"], by_velocity, rtol=0, atol=1e-12 * np.abs(by_velocity).max())
 
 
+@pytest.mark.parametrize(("velocity", "struck"), [(1e-2, 1), (1e-9, 1), (1e-2, 899)])
+def test_adjoints_of_long_chains_agree_with_tangents(velocity: float, struck: int):
+    """Through windows that grow or tiles, and several pieces; strong waves are undone, weak ones made again."""
+    rng, start = np.random.default_rng(1), np.zeros(900)
+    start[:struck] = velocity * rng.uniform(0.5, 1, struck)
+    scene = Scene(chain=Chain(grains=900, diameter=1e-3), excitation=Profile(velocity=start), duration=2e-4)
+    run = DifferentiableRun(
+        scene, SPLITTINGS["rkn4"], 0.3 / scene.highest_frequency, 20, np.array([1, 2, 150, 400, 800])
+    )
+    weights = rng.standard_normal((2, *run.velocity.shape))
+    weights[0] *= scene.highest_frequency
+    inputs = run.pull(*weights)
+    for name in ("masses", "contact_constants", "velocity"):
+        back = parameters.pull(scene, inputs, name)
+        change = np.zeros((1, back.size))
+        change[0, :-1] = rng.standard_normal(back.size - 1)
+        u, v = run.push(parameters.push(scene, name, change))
+        terms = np.array([weights[0] * u[0], weights[1] * v[0]])
+        assert abs(terms.sum() - change[0] @ back) <= 1e-12 * np.abs(terms).sum(), name
+
+
 @pytest.mark.parametrize("seed", [0, 3])  # delta 1.5 and 1.8
 def test_adaptive_steps_keep_the_order_where_contacts_open(seed: int):
     """Against very many steps of one length, of which four times as many are at least fifty times as far off."""

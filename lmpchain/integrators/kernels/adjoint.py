@@ -17,12 +17,22 @@ from __future__ import annotations
 import math
 
 from ...util.compilation import compiled_once
-from .adjoint_rows import _OPTIONS, _back_hertz, _back_other, _loop, _there_hertz, _there_other, _there_plain
+from .adjoint_rows import (
+    _OPTIONS,
+    _back_hertz,
+    _back_other,
+    _back_undone,
+    _loop,
+    _there_hertz,
+    _there_other,
+    _there_plain,
+)
 from .layout import BODY, FIRST, LAST, PAD
 from .right_hand_side import sweep
 from .window import widen
 
-PLAIN, HERTZ, OTHER = range(3)  # delta = 3/2 in strong waves, or in any; any delta
+# delta = 3/2 in strong waves where all contacts are pressed at rest, or not all, or in any waves; any delta
+UNDONE, PLAIN, HERTZ, OTHER = range(4)
 NEWS = "gradients of the native engine", 30
 BURST = 32  # rows between two updates of the window
 TILE = 384  # bodies that stay in the nearest cache while the rows of a burst pass over them
@@ -44,6 +54,13 @@ def _fill(course, look, q, kick, drift):
         stage += 1
         if stage == stages:
             at, stage = at + 1, 0
+
+
+@_loop
+def _drift(course, look, q):
+    """Return the drift, s, of the row before that of number q after a look; before a look there is none."""
+    _, drifts, lengths, begun = course
+    return drifts[(q - 1) % drifts.size] * lengths[begun[look] + (q - 1) // drifts.size] if q > 0 else 0.0
 
 
 @_loop
@@ -91,15 +108,15 @@ def forward(chain, course, room, path, pieces, some, seen):
 
     `course` is kicks (S+1,) and drifts (S,) as parts of a step, the lengths (K,) of all steps, s, and how many are
     made before each look. `seen` is the indices (G,) of bodies and room for their x and v at all looks. `path` is what
-    is imposed in each row, if anything is, and `room` is (5, BURST). `pieces` is their first rows (P+1,), the looks
-    before these and the rows in between, and where states (P, 2, W) and windows (P, 2) are kept.
+    is imposed in each row, if anything is, and `room` is (6, BURST). `pieces` is their first rows (P+1,), the looks
+    before these and the rows in between, and where states (P+1, 2, W) and windows (P, 2) are kept.
     """
     starts, looks, rows, states, windows = pieces
     for piece in range(some[0], some[1]):
         begin, count = starts[piece] - starts[some[0]], starts[piece + 1] - starts[piece]
-        for n in range(chain.x.size):
-            states[piece, 0, n], states[piece, 1, n] = chain.x[n], chain.v[n]
         _forward(chain, course, room, path[begin : begin + count], looks[piece], rows[piece], count, seen)
+        for n in range(chain.x.size):
+            states[piece + 1, 0, n], states[piece + 1, 1, n] = chain.x[n], chain.v[n]
         windows[piece, 0], windows[piece, 1] = chain.state[FIRST], chain.state[LAST]
 
 
@@ -167,30 +184,33 @@ def _keep(law, less, chain, table, course, room, path, look, q, count, powers, f
 
 @_loop
 def _backward(
-    law, less, chain, table, course, room, path, look, q, count, powers, forces, tops, seen, adjoint, on_path
+    law, less, chain, table, course, room, path, look, q, count, powers, forces, tops, bodies, seen, adjoint, on_path
 ):
     """Take adjoints back by `count` rows, from that of number q after a look.
 
-    `seen` has derivatives by what was seen. `adjoint` is (5, W + PAD): those of x and v, sums of y p and y f over all
-    rows, y being the adjoint of the force of a contact, and what kicks do by the mass; the first and the last are one
-    place further on. `on_path` gathers derivatives by what is imposed in each row.
+    A row is the drift before a kick, and the kick, here. `adjoint` is (5, W + PAD): that of x, that of v over the mass,
+    sums of y p and y f over all rows, y being the adjoint of the force of a contact, and what kicks do by the mass; all
+    but those two sums are one place further on. `seen` has derivatives by what was seen, `on_path` gathers those
+    by what is imposed in each row.
     """
     columns, looks = seen
-    st, stiff, im, c = table[1], table[2], chain.inverse_mass, chain.precompressed
-    x, v, sums_p, sums_f, sums_m = adjoint[0], adjoint[1], adjoint[2], adjoint[3], adjoint[4]
+    il, st, stiff, x, v, im, c = table[0], table[1], table[2], bodies[0], bodies[1], bodies[2], chain.precompressed
+    adjoint_x, pull, sums_p, sums_f, sums_m = adjoint[0], adjoint[1], adjoint[2], adjoint[3], adjoint[4]
     first, last = _contacts(chain)
     body = int(chain.drive[BODY]) if path.size > 0 else 0
     done = count
     while done > 0:
         if q == 0:
             for column in range(columns.size):
-                x[columns[column] + 1] += looks[0, look, column]
-                v[columns[column]] += looks[1, look, column]
+                here = columns[column] + 1
+                adjoint_x[here] += looks[0, look, column]
+                pull[here] += im[here] * looks[1, look, column]
             look -= 1
             q = _rows(course, look)
         some = min(BURST, done, q)
-        kick, drift, carried = room[0, :some], room[1, :some], room[2:5, :some]
+        kick, drift, carried = room[0, :some], room[1, :some], room[2:6, :some]
         _fill(course, look, q - some, kick, drift)
+        earlier = _drift(course, look, q - some)
         tile, together = _tiles(first, last, some)
         for begin in range(first, last, tile):
             final = begin + 2 * tile > last
@@ -200,36 +220,40 @@ def _backward(
                 place = done - some + row
                 a = begin if begin == first or together > 1 else begin - PAD * turn
                 b = end if final else end - PAD * turn
-                before = carried[0, row], carried[1, row], carried[2, row]
-                if begin == first:
-                    before = 0.0, 0.0, 0.0
-                if body < 0 and a <= -body < b:
-                    w = kick[row] * im[-body] * (v[-body] + drift[row] * x[1 - body])
+                before = carried[0, row], carried[1, row], carried[2, row], carried[3, row]
+                if body < 0 and a <= 1 - body < b:
+                    w = kick[row] * pull[1 - body]
                     on_path[place] = w
                     sums_m[1 - body] += w * path[place]
-                p = powers[place, a:b]
-                if law <= HERTZ:
-                    before = _back_hertz(
-                        x[a : b + 1], v[a:b], stiff[a:b], st[a:b], im[a:b], kick[row], drift[row], before, c, p,
-                        forces[0], sums_p[a:b], sums_f[a:b], sums_m[a:b],
-                    )  # fmt: skip
+                    v[1 - body] -= kick[row] * im[1 - body] * path[place]
+                if begin == first:
+                    if body > 0:
+                        x[body + 1] = path[place]
+                    before = x[first], 0.0, 0.0, 0.0
+                    if chain.uncompressed > 0.0 and first == PAD:
+                        y, p0, f0 = kick[row] * pull[PAD + 1], tops[0, place], tops[1, place]
+                        g = (less + 1.0) * chain.uncompressed * p0 * y
+                        adjoint_x[PAD + 1] -= g
+                        adjoint_x[PAD] += g
+                        sums_p[PAD] += y * p0
+                        sums_f[PAD] += y * f0
+                        sums_m[PAD + 1] += y * f0
+                arguments = (
+                    x[a : b + 1], v[a:b], adjoint_x[a:b], pull[a : b + 1], stiff[a:b], st[a:b], il[a:b], im[a:b],
+                    kick[row], drift[row - 1] if row > 0 else earlier, before, c,
+                    powers[place if law > UNDONE else 0, a:b], forces[place if law == OTHER else 0, a:b],
+                    sums_p[a:b], sums_f[a:b], sums_m[a:b],
+                )  # fmt: skip
+                if law == UNDONE:
+                    before = _back_undone(*arguments)
+                elif law <= HERTZ:
+                    before = _back_hertz(*arguments)
                 else:
-                    before = _back_other(
-                        x[a : b + 1], v[a:b], stiff[a:b], st[a:b], im[a:b], kick[row], drift[row], before, c, p,
-                        forces[place, a:b], sums_p[a:b], sums_f[a:b], sums_m[a:b],
-                    )  # fmt: skip
-                carried[0, row], carried[1, row], carried[2, row] = before
-                if begin == first and chain.uncompressed > 0.0 and first == PAD:
-                    y, p0, f0 = kick[row] * im[PAD] * v[PAD], tops[0, place], tops[1, place]
-                    g = (less + 1.0) * chain.uncompressed * p0 * y
-                    x[PAD + 1] -= g
-                    x[PAD] += g
-                    sums_p[PAD] += y * p0
-                    sums_f[PAD] += y * f0
-                    sums_m[PAD + 1] += y * f0
+                    before = _back_other(*arguments)
+                carried[0, row], carried[1, row], carried[2, row], carried[3, row] = before
                 if begin == first and body > 0:
-                    on_path[place] = x[body + 1]
-                    x[body + 1] = 0.0
+                    on_path[place] = adjoint_x[body + 1]
+                    adjoint_x[body + 1] = 0.0
             if final:
                 break
         q, done = q - some, done - some
@@ -239,26 +263,32 @@ def _backward(
 def backward(
     law, less, chain, table, course, room, path, pieces, some, kept, bodies, seen, adjoint, on_path, everywhere
 ):
-    """Make some pieces of a run again, the last one first, and take adjoints back through them.
+    """Take adjoints back through some pieces of a run, the last one first.
 
-    `kept` is room for p and, if it does not follow from p, f of the contacts in a piece, and for those of a first one
-    that only touches. The rest is as in `forward`, `_keep` and `_backward`; `everywhere` makes windows no narrower.
+    A piece is undone from its end, or made once more from its begin: `kept` is room for p and, if it does not follow
+    from p, f of the contacts in it, and for those of a first one that only touches. The rest is as in `forward`,
+    `_keep` and `_backward`; `everywhere` makes windows no narrower.
     """
     starts, looks, rows, states, windows = pieces
     powers, forces, tops = kept
     width = chain.x.size
     for piece in range(some[1] - 1, some[0] - 1, -1):
         begin, count = starts[piece] - starts[some[0]], starts[piece + 1] - starts[piece]
+        known, drift = piece, 0.0
+        if law == UNDONE:
+            known, drift = piece + 1, _drift(course, looks[piece + 1], rows[piece + 1])
         for n in range(width):
-            bodies[0, n + 1], bodies[1, n + 1] = states[piece, 0, n], states[piece, 1, n]
+            bodies[1, n + 1] = states[known, 1, n]
+            bodies[0, n + 1] = states[known, 0, n] - drift * states[known, 1, n]
         chain.state[FIRST] = PAD if everywhere else windows[piece, 0]
         chain.state[LAST] = width - PAD if everywhere else windows[piece, 1]
         part = slice(begin, begin + count)
-        _keep(
-            law, less, chain, table, course, room, path[part], looks[piece], rows[piece], count,
-            powers, forces, tops, bodies,
-        )  # fmt: skip
+        if law != UNDONE:
+            _keep(
+                law, less, chain, table, course, room, path[part], looks[piece], rows[piece], count,
+                powers, forces, tops, bodies,
+            )  # fmt: skip
         _backward(
             law, less, chain, table, course, room, path[part], looks[piece + 1], rows[piece + 1], count,
-            powers, forces, tops, seen, adjoint, on_path[part],
+            powers, forces, tops, bodies, seen, adjoint, on_path[part],
         )  # fmt: skip

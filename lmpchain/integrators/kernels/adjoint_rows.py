@@ -90,33 +90,51 @@ def _there_other(x, v, inverse_length, strength, inverse_mass, kick, drift, abov
     return above
 
 
-def _back(kept: bool) -> Any:
-    """Make the loop of the way back, with forces that were kept or follow from p."""
+def _back(undone: bool, kept: bool = False) -> Any:
+    """Make the loop of the way back, with p found by undoing rows or kept, and f kept or following from p."""
 
     @_loop
-    def back(x, v, stiff, strength, inverse_mass, kick, drift, before, c, power, force, sums_p, sums_f, sums_m):
-        """Take adjoints of bodies v (C,) and x (C+1,), from the one above on, back through a drift and a kick.
+    def back(
+        x, v, adjoint_x, pull, stiff, strength, inverse_length, inverse_mass, kick, drift, before, c, power, force,
+        sums_p, sums_f, sums_m,
+    ):  # fmt: skip
+        """Take adjoints of bodies back through a kick and the drift before it, and undo both.
 
-        `before` and what is returned are w, the adjoint of the momentum gained, stiffness and force at either end.
+        Contacts are (C,); v, adjoint_x and inverse masses those of the bodies above them, x and pull (C+1,), the
+        adjoint of v over the mass, also of the one below. `before` and what is returned are x, f, pull and stiffness at
+        either end.
         """
         apart()
-        w_before, g_before, f_before = before
-        for n in range(v.size):
-            faster = v[n] + drift * x[n + 1]
-            v[n] = faster
-            w = kick * inverse_mass[n] * faster
-            y = w - w_before  # the adjoint of the force
-            p = power[n]
-            f = force[n] if kept else strength[n] * p * (3.0 * c + p * (3.0 * c + p))
-            g = stiff[n] * (c + p) * y
+        x_before, f_before, pull_before, g_before = before
+        for n in range(adjoint_x.size):
+            x_here, pull_here = x[n + 1] if undone else x_before, pull[n + 1]
+            if undone:
+                s = (x_before - x_here) * inverse_length[n]
+                s = s if s > -c else -c
+                root = math.sqrt(c + s)
+                p = root - c
+                f = strength[n] * (c + s) * root - strength[n] * c
+            else:
+                p = power[n]
+                root = c + p
+                f = force[n] if kept else strength[n] * p * (3.0 * c + p * (3.0 * c + p))
+            push = kick * (f_before - f)
+            if undone:
+                slower = v[n] - inverse_mass[n] * push
+                v[n] = slower
+                x[n] = x_before - drift * slower
+            y = kick * (pull_here - pull_before)  # the adjoint of the force
+            g = stiff[n] * root * y
             sums_p[n] += y * p
             sums_f[n] += y * f
-            sums_m[n] += w_before * (f_before - f)
-            x[n] += g - g_before
-            w_before, g_before, f_before = w, g, f
-        return w_before, g_before, f_before
+            sums_m[n] += pull_before * push
+            by_x = adjoint_x[n] + (g - g_before)
+            adjoint_x[n] = by_x
+            pull[n] = pull_before + drift * inverse_mass[n] * by_x
+            x_before, f_before, pull_before, g_before = x_here, f, pull_here, g
+        return x_before, f_before, pull_before, g_before
 
     return back
 
 
-_back_hertz, _back_other = _back(False), _back(True)
+_back_undone, _back_hertz, _back_other = _back(True), _back(False), _back(False, kept=True)
