@@ -31,7 +31,7 @@ REGROWN = {True: 0.02, False: 1.0}  # up to which steps laid anew make no step a
 STRAIGHT, BENT = 0.98, 0.9  # cosine of the angle between two tangents: a longer step, and a shorter one
 EASY = 10  # iterations
 STILL, PATIENCE = 0.05, 60  # a family must go so many sizes of its orbit in so many tries, or is given up
-CROWDED = 8e6  # unknowns times steps, some 30 s, to locate events, then it is given up: in resonances they crowd
+CROWDED = 5e6  # unknowns times steps, some 15 s, to locate events, then it is given up: in resonances they crowd
 HALVINGS = 12  # of the last step, to come to the orbit asked for
 ELEMENT = re.compile(r"(\w+)\[(\d+)\]")
 
@@ -71,12 +71,15 @@ class Curve:
         turning = rate(self.of) if orbit.drive else np.nan if self.of == "value" else rate("energy")
         return Place(orbit, unknown, direction, rate(self.of), turning, solution)
 
-    def along(self, place: Place, length: float) -> Place | None:
-        """Return the place at this distance along the family, or None where none is found."""
+    def along(self, place: Place, length: float, guess: Array | None = None, near: Place | None = None) -> Place | None:
+        """Return the place at this distance along the family, or None where none is found.
+
+        A guess and a place nearer to it than the one to begin with save work.
+        """
         ahead = place.unknown + length * place.direction
         arc = Constraint(lambda unknown, _: (float(place.direction @ (unknown - ahead)), place.direction))
         try:
-            solution = self.solved(self.equations.unpack(ahead), arc, place)
+            solution = self.solved(self.equations.unpack(ahead if guess is None else guess), arc, near or place)
         except InputError:  # of a chain that there is not, beyond the end of what the parameter may be
             return None
         return None if solution is None else self.place(solution, arc, place.direction)
@@ -232,11 +235,16 @@ def _step(curve: Curve, here: Place, length: float, events: bool, most: int) -> 
 def _events(curve: Curve, here: Place, there: Place) -> tuple[list[Event], float]:
     """Return what happens between two places, located along the family, and the work that took."""
     length = float(here.direction @ (there.unknown - here.unknown))
-    found, meshes = [], []
+    found, meshes, known = [], [], {0.0: here, 1.0: there}
 
     def at(part: float) -> Place | None:
-        place = curve.along(here, part * length)
+        low, high = max(p for p in known if p < part), min(p for p in known if p > part)
+        share = (part - low) / (high - low)
+        guess = (1 - share) * known[low].unknown + share * known[high].unknown
+        place = curve.along(here, part * length, guess, known[high if share > 0.5 else low])
         meshes.append((place or there).solution.mesh.size)
+        if place:
+            known[part] = place
         return place
 
     for kind in EVENTS:

@@ -44,7 +44,9 @@ def between(kind: str, here: Place, there: Place, at: Callable[[float], Place | 
     if before == after or (kind == "branch point" and here.turning * there.turning < 0):
         return None
     low, high, found = 0.0, 1.0, there
-    f_low, f_high = _distance(kind, here, before, after), _distance(kind, there, before, after)
+    more, pairs_meet = max(before, after), kind == "Neimark-Sacker"
+    centre = _centre(here if before == more else there) if pairs_meet else 0.0
+    f_low, f_high = _distance(kind, here, centre, before == more), _distance(kind, there, centre, after == more)
     side, width = 0, 1.0
     for number in range(TRIES):
         slow = number % 3 == 2 and high - low > width / 4  # as where another pair is nearer than the one that meets
@@ -55,8 +57,10 @@ def between(kind: str, here: Place, there: Place, at: Callable[[float], Place | 
         middle = at(part)
         if middle is None:
             break
-        f = _distance(kind, middle, before, after)
-        if _count(kind, middle) == before:
+        count = _count(kind, middle)
+        centre = _centre(middle) if pairs_meet and count == more else centre
+        f = _distance(kind, middle, centre, count == more)
+        if count == before:
             low, f_low = part, f
             f_high, side = (f_high / 2 if side < 0 else f_high), -1
         else:
@@ -78,17 +82,28 @@ def _count(kind: str, place: Place) -> int:
     return int((real > 1).sum() if kind == "branch point" else (real < -1).sum())
 
 
-def _distance(kind: str, place: Place, before: int, after: int) -> float:
-    """Return a number that goes through zero, but for its sign, where something of this kind happens."""
+def _centre(place: Place) -> float:
+    """Return around which mean two pairs of multipliers have met: those that are least apart."""
+    mean = place.orbit.means
+    apart = mean[np.abs(mean.imag) > SPLIT]
+    return float(apart.real[np.abs(apart.imag).argmin()]) if apart.size else 0.0
+
+
+def _distance(kind: str, place: Place, centre: float, met: bool) -> float:
+    """Return a number that goes through zero, but for its sign, where something of this kind happens.
+
+    Of two pairs of multipliers that meet around a mean, it is the discriminant, before and after.
+    """
     if kind == "fold":
         return abs(place.rate)
     mean = place.orbit.means
     real = np.sort(_real(mean))
     if kind == "Neimark-Sacker":
-        if _count(kind, place) == max(before, after):
+        if met:
             apart = mean.imag[np.abs(mean.imag) > SPLIT]
             return float((4 * apart**2).min()) if apart.size else 0.0
-        return float((np.diff(real) ** 2).min()) if real.size > 1 else 0.0
+        nearest = np.abs(real[1:] + real[:-1] - 2 * centre).argmin() if real.size > 1 else 0
+        return float((np.diff(real) ** 2)[nearest]) if real.size > 1 else 0.0
     return float(np.abs(real - (1 if kind == "branch point" else -1)).min()) if real.size else 0.0
 
 
