@@ -13,7 +13,8 @@ import pytest
 from helpers.example_scenes import random_scene
 from helpers.interpolated_peak import find_peak
 from numpy.typing import NDArray
-from scipy.special import jv
+from scipy.integrate import quad
+from scipy.special import ai_zeros, airy, jv
 
 import lmpchain
 from lmpchain.chain.patterns import tapered
@@ -170,6 +171,20 @@ def test_piston_at_springs(engine: str, tolerance: float) -> None:
     above = np.cumsum(even[:, ::-1], axis=1)[:, ::-1]  # column j holds J_2j + J_(2j+2) + ...
     assert np.abs(t.velocity - above[:, :60] - above[:, 1:61]).max() < max(tolerance, 1e-9)
     assert t.velocity.max() == pytest.approx(1.25, abs=0.02)
+
+
+def test_overshoot_before_a_piston_at_springs() -> None:
+    """Peak velocity over that of the piston: 1.2714 at grain 600, 1.2744 at infinity, for delta = 1.
+
+    Source: another integration; at infinity the integral of Ai from its first zero on, approached as n^(-2/3).
+    """
+    piston = lmpchain.Drive(times=[0.0, 620.0], displacement=[0.0, 620.0])
+    t = _run(_chain(660, exponent=1.0), piston, 620.0, 6201, 1e-7, grains=[300, 600])
+    half, whole = (find_peak(t.time, v)[1] for v in t.velocity.T)
+    assert whole == pytest.approx(1.2714, abs=5e-5)
+    limit, _ = quad(lambda x: airy(x)[0], ai_zeros(1)[0][0], 20.0)
+    assert limit == pytest.approx(1.2744, abs=5e-5)
+    assert whole + (whole - half) / (2 ** (2 / 3) - 1) == pytest.approx(limit, abs=5e-5)
 
 
 @pytest.mark.parametrize(
