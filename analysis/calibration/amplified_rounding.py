@@ -7,7 +7,7 @@ what all of them need if the other parts were nothing. NEAR_ROUNDOFF, SHORT and 
 they are supported from the least that leaves out none, or one in a hundred, of the runs that do. COARSE and LONGER: the
 growth of a small change in the coarse runs against that in two Taylor series; a value is supported if nine in ten are
 above a third of it, as is how many DRAWS there are. SCATTER: the true error of such runs over a last digit grown, times
-the last digits that rounding walks.
+the last digits that rounding walks. BY_CHANCE: what is left of that error over what two runs differ by.
 
     python analysis/calibration/amplified_rounding.py           # three minutes
     python analysis/calibration/amplified_rounding.py --quick   # seconds
@@ -30,6 +30,7 @@ from lmpchain.engines import amplification, error_estimate
 from lmpchain.engines.amplification import COARSE, DRAWS, LAST_DIGIT, LONGER, amplified_digit, perturbed, walked
 from lmpchain.engines.base import Candidate
 from lmpchain.engines.error_estimate import (
+    BY_CHANCE,
     CLOSE_TO_OPENING,
     GROWN,
     GROWTH,
@@ -79,7 +80,12 @@ class Look:
     @property
     def truncation(self) -> float:
         """The estimate of what the step makes."""
-        return max(self.extrapolated, min(self.difference, (GROWN if self.opens else STEADY) * self.floor))
+        return max(self.extrapolated, min(self.most, (GROWN if self.opens else STEADY) * self.floor))
+
+    @property
+    def most(self) -> float:
+        """The most that rounding is taken to make."""
+        return self.difference * (BY_CHANCE if self.opens else 1.0)
 
     @property
     def raised(self) -> float:
@@ -94,7 +100,7 @@ class Look:
 
     def differs(self, others: float) -> float:
         """Return the factor on round-off that this run needs, beside other parts; 0 if it needs none or none helps."""
-        if self.true <= self.extrapolated + self.floor + others or self.true > self.difference + self.floor + others:
+        if self.true <= self.extrapolated + self.floor + others or self.true > self.most + self.floor + others:
             return 0.0
         return (self.true - self.floor - others) / self.floor
 
@@ -250,6 +256,14 @@ def scatter(open_ones: list[Look]) -> Row:
     return Row("SCATTER", SCATTER, low, low, math.inf, says)
 
 
+def chance(open_ones: list[Look]) -> Row:
+    """Return the row of BY_CHANCE: the error where steps no longer help, over what two runs differ by."""
+    over = [max(0.0, x.true - x.floor - x.shared) / x.difference for x in open_ones if x.difference]
+    low, most = quantile(over, ALL_BUT_ONE), max(over, default=math.nan)
+    says = f"error less round-off, over what two runs differ by: half {quantile(over, 0.5):.2g}, 99 % {low:.2g}"
+    return Row("BY_CHANCE", BY_CHANCE, low, low, math.inf, f"{says}, all {most:.2g} of {len(over)} runs")
+
+
 def amplifies(scene: Scene) -> bool:
     """Whether grains between walls make much of a last digit, but not all: those ask most of an estimate."""
     if not scene.chain.top == scene.chain.bottom == "wall":
@@ -272,7 +286,7 @@ def main(quick: bool = False) -> list[Row]:
     opens, smooth = [x for x in found if x.opens], [x for x in found if not x.opens]
     open_cases = [case for case in cases if case.scene.largest_strain > 1]
     known = growths(open_cases)
-    return [*estimates(opens, smooth), scatter(opens), *coarse(known), draws(known)]
+    return [*estimates(opens, smooth), scatter(opens), chance(opens), *coarse(known), draws(known)]
 
 
 if __name__ == "__main__":

@@ -16,11 +16,11 @@ import numpy as np
 from common import Case, Row, answer, command, quantile
 from scenes import drawn
 
-from lmpchain import Chain, Drive, Scene
+from lmpchain import Chain, Drive, Impulse, Scene
 from lmpchain.engines.lammps.engine import HEADROOM, ROUNDING, TYPICAL, Lammps, gauge_diameter
 from lmpchain.engines.linear.engine import CANCELS, Chebyshev, LinearEngine, Modes
 from lmpchain.engines.native import Native
-from lmpchain.engines.round_off import DISPLACED, EPSILON, PHASE_ULPS, PLAIN, native_floor, plain_loss
+from lmpchain.engines.round_off import DISPLACED, DRIFTED, EPSILON, PHASE_ULPS, PLAIN, native_floor, plain_loss
 from lmpchain.errors import InputError, ToleranceNotMet
 from lmpchain.integrators.batch import STRONG, force_form
 from lmpchain.integrators.kernels.contact_forces import ROOTS
@@ -102,6 +102,23 @@ def _stiff(count: int) -> Row:
     middle, high = quantile(walks, 0.5), quantile(walks, 0.9)
     says = f"walk over omega x / v, from {1 / DISPLACED:.0f} on: half {middle:.2g}, 9 in 10 {high:.2g} of {len(walks)}"
     return Row("DISPLACED", DISPLACED, high, high, 10 * high, says)
+
+
+def _flight(count: int) -> Row:
+    """Return the row of DRIFTED: two equal grains fly apart; the sum of their displacements is that of one at t = 0."""
+    lost, rng = [], np.random.default_rng(61)
+    chain, steps = Chain(grains=2, diameter=1e-3, gravity=0.0, bottom="free"), 10**5
+    for name in ("verlet", "gear4", "rkn4", "rkn6"):
+        for speed in 10 ** rng.uniform(-3, 0, count):
+            stiff = chain.contact_constants[0] / (chain.masses[0] * speed**2)
+            duration = 40 / (speed * stiff**0.4)
+            scene = Scene(chain=chain, excitation=Impulse(velocity=speed), duration=duration, samples=2)
+            run = simulate(scene, Native(name, duration / steps, adaptive=False))
+            off = abs(run.displacement[-1].sum() / (speed * duration) - 1)
+            lost.append(off / (EPSILON * run.cost.force_evaluations))
+    middle, low, most = quantile(lost, 0.5), quantile(lost, 0.99), max(lost)
+    says = f"last digits an evaluation in free flight: half {middle:.2g}, 99 % {low:.2g}, all {most:.2g} of {len(lost)}"
+    return Row("DRIFTED", DRIFTED, low, low, 3 * low, says)
 
 
 def _with_light_grain(scene: Scene, rng: np.random.Generator) -> Scene:
@@ -286,7 +303,7 @@ def main(quick: bool = False) -> list[Row]:
     """Return a row for each constant."""
     count = 8 if quick else 60
     return [
-        *(_native(count), _phases(count // 2), _stiff(2 * count), *_plain(count), *_spread(count // 2)),
+        *(_native(count), _phases(count // 2), _stiff(2 * count), _flight(count), *_plain(count), *_spread(count // 2)),
         *(*_lammps(count // 2), _headroom(count), *_linear(count), _bursts(count // 2)),
     ]
 

@@ -3,10 +3,9 @@
 The answer runs at the step h. Beside it run native companions at about 2h and 4h (where those are unstable, or the run
 has too few steps for them, one at h/2): the rate at which their differences shrink gives the truncation error. Where
 contacts open again and again, errors scatter, and two may agree by chance: there runs one more, at about 1.5h (1.75h
-and from the first opening on for springs, whose force has a kink there). Where a
-companion's step is longer than the time between two samples, it passes over some. An engine that rounds in another way
-than the native one also has a native twin at the same step. Twin and answer are the same map in exact arithmetic: what
-they differ by is round-off, measured.
+and from the first opening on for springs, whose force has a kink there). Where a companion's step is longer than the
+time between two samples, it passes over some. An engine that rounds in another way than the native one also has a
+native twin at the same step. Twin and answer are the same map in exact arithmetic: what they differ by is round-off.
 """
 
 from __future__ import annotations
@@ -48,6 +47,7 @@ GROWN, STEADY = 300.0, 3.0
 # digit; looked for below that estimate, if it can grow so far: from so much, by less than that exponent a radian
 SHARED, NEAR_ROUNDOFF, SHORT, GROWTH = 1.0, 0.1, 1e-13, 0.05
 SCATTER = 10.0  # multiple of that, and of the walk of rounding, by which two runs may differ for rounding alone
+BY_CHANCE = 3.0  # factor on what they do differ by then, for roundings may agree by chance
 # analysis/calibration/richardson_estimate.py
 CLOSE_TO_OPENING = -0.5  # r / eps below which a contact's force is no longer a smooth function of time
 # order assumed in the Richardson estimate after adaptive steps through an opening, where differences scatter
@@ -94,8 +94,7 @@ class CompanionRun(Run):
         self._answer = make(StepSchedule.of(*own), kept[0])
         self._steppers: list[Stepper] = [self._answer]
         reach = candidate.step * max(scene.chain.band_edge for scene in scenes)
-        final = self.scene.samples - 1
-        steps = candidate.steps_per_sample * final
+        steps = candidate.steps_per_sample * (final := self.scene.samples - 1)
         longer: list[float] = [ratio for ratio in (2, 4) if ratio * reach <= method.stability_limit and steps >= FEWEST]
         self._twin, self._finer = twin, not longer
         self._stretched = stretched = candidate.adaptive and method.adaptive == "error"  # samples cut some of its steps
@@ -246,17 +245,18 @@ class CompanionRun(Run):
         lowest = np.min([stepper.lowest() for stepper in self._steppers], axis=0)
         steps = relative[int(self._twin) :].max(1)  # largest differences between steps h, 2h (and 4h), or h and h/2
         rounding, every = relative[0].max((0, 2)).tolist(), np.ascontiguousarray(relative.max((0, 3)).T)
-        time, opening = self.scene.time, lowest <= CLOSE_TO_OPENING
+        time, opening, plain = self.scene.time, lowest <= CLOSE_TO_OPENING, self._native[0].chains.plain
         even = (self.candidate.adaptive or self.method.order == 2) | ~(opening | self._kinked)
-        plain = self._native[0].chains.plain
+        straight = opening & (not self.candidate.adaptive)  # roundings of steps of one length are alike at h and 2h
+        apart = np.where(straight, steps.max((0, 2)), steps[0].max(1)) * np.where(opening, BY_CHANCE, 1.0)
         truncations, moving = self._truncations(steps, opening, even), self.peaks[:, 1] > 0
-        of_each = opening, even, plain, moving, self._answer.steps, truncations, steps[0].max(1), *peaks.T
+        of_each = opening, even, plain, moving, self._answer.steps, truncations, apart, straight, *peaks.T
         found = []
         for real, row in enumerate(zip(*(x.tolist() for x in of_each), strict=True)):
-            opens, smooth, rounded, moves, taken, truncation, most, farthest, fastest = row
+            opens, smooth, rounded, moves, taken, truncation, most, flies, farthest, fastest = row
             radians = self._radians[real]
             displaced = radians / self.scene.duration * farthest / fastest if moves else 0.0
-            roundoff = native_floor(taken * self.method.evaluations, radians, displaced)
+            roundoff = native_floor(taken * self.method.evaluations, radians, displaced, flies)
             if rounded and taken:
                 roundoff += self.method.spread * plain_loss(self._scenes[real], taken) / fastest
             truncation = max(truncation, min(most, (GROWN if opens else STEADY) * roundoff))

@@ -11,17 +11,23 @@ from ..util.arrays import EPSILON
 
 PHASE_ULPS = 1.5  # of the phase of the fastest motion, by which rounding shifts it
 DISPLACED = 0.05  # part of omega x_max / v_max by which the rounding of displacements exceeds that of velocities
+DRIFTED = 0.125  # last digits of a displacement that an evaluation loses in free flight at steps of one length
 PLAIN = 0.9  # last digits of the force at rest that the plain form loses in a step
 
 
-def native_floor(evaluations: float, radians: float, displaced: float = 0.0) -> float:
+def native_floor(evaluations: float, radians: float, displaced: float = 0.0, straight: bool = False) -> float:
     """Return the round-off of the native integration, relative to the largest motion.
 
     A random walk of half-ulps, more where displacements are large against v / omega (`displaced` times), for a stiff
     contact makes a velocity of their last digit; and the phase (in `radians` of the fastest motion), which the rounding
     of masses, stiffnesses and fractions of a step shifts in proportion to the time: by 0.1 to 4 ulps of it.
+    `straight` says that grains may fly freely at steps of one length: these round to the same side then, which adds up
+    for as long as the flight to the largest displacement takes.
     """
-    return EPSILON * (2 + math.sqrt(evaluations) * max(1.0, DISPLACED * displaced) + PHASE_ULPS * radians)
+    walk = math.sqrt(evaluations) * max(1.0, DISPLACED * displaced)
+    if straight:
+        walk = max(walk, DRIFTED * evaluations * min(displaced / radians, 1.0))
+    return EPSILON * (2 + walk + PHASE_ULPS * radians)
 
 
 def plain_loss(scene: Scene, steps: float) -> float:
