@@ -1,4 +1,4 @@
-"""What a kill would leave behind on the machine: shared memory, and ranks without a launcher."""
+"""What a kill would leave behind on the machine: files of MPI, and ranks without a launcher."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from functools import cache
 from pathlib import Path
 
 SHARED, NAMES = Path("/dev/shm"), "mpich_shm_"
-OLD_S = 60.0  # by then every process of a run has attached to its shared memory
+TEMPORARY = Path("/tmp")  # MPICH does not look at TMPDIR
+OLD_S = 60.0  # by then every rank of a run has started
 PR_SET_PDEATHSIG = 1  # of linux/prctl.h
 
 
@@ -24,18 +25,23 @@ def unname_shared_memory() -> None:
     away.
     """
     for name in _used([Path("/proc/self")]):
-        (SHARED / name).unlink(missing_ok=True)
+        if name.startswith(NAMES):
+            (SHARED / name).unlink(missing_ok=True)
 
 
 @cache
-def sweep_shared_memory() -> None:
-    """Remove the shared memory that runs of this user have left which were killed as MPI started."""
+def sweep() -> None:
+    """Remove what killed runs of this user have left: shared memory of MPI's start, and files of its launcher.
+
+    A rank that starts later than `OLD_S` after its launcher finds out by itself what that file says.
+    """
     left = []
-    for path in SHARED.glob(f"{NAMES}*"):
-        with suppress(OSError):  # gone by now
-            about = path.stat()
-            if about.st_uid == os.getuid() and about.st_mtime < time.time() - OLD_S:
-                left.append(path)
+    for names in (SHARED / NAMES, SHARED / "ucx_shm_posix_", TEMPORARY / "hydra_hwloc_xmlfile_"):
+        for path in names.parent.glob(f"{names.name}*"):
+            with suppress(OSError):  # gone by now
+                about = path.lstat()
+                if about.st_uid == os.getuid() and about.st_mtime < time.time() - OLD_S:
+                    left.append(path)
     if left:
         used = _used(path for path in Path("/proc").iterdir() if path.name.isdigit())
         for path in left:
@@ -49,7 +55,7 @@ def _used(processes: Iterable[Path]) -> set[str]:
     for process in processes:
         with suppress(OSError):  # ended by now, or that of another user
             lines = (process / "maps").read_text().splitlines()
-            names |= {Path(line.split(maxsplit=5)[-1]).name for line in lines if f"{SHARED / NAMES}" in line}
+            names |= {Path(line.split(maxsplit=5)[-1]).name for line in lines if f"{SHARED}/" in line}
     return names
 
 

@@ -9,7 +9,7 @@ import signal
 import subprocess
 import time
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -184,19 +184,24 @@ def test_ranks_hold_no_name_of_shared_memory_and_end_with_their_launcher(tmp_pat
     until(lambda: not processes(f"MARK={tmp_path}"))
 
 
-def test_shared_memory_of_killed_runs_is_swept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """That of ranks which were killed as they attached to it; not what is in use, new, or of another program."""
+def test_files_of_killed_runs_are_swept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Those of ranks which were killed as they started, and of launchers; not what is in use, new, or of others."""
     monkeypatch.setattr(leftovers, "SHARED", tmp_path)
-    names = ("mpich_shm_old_0", "mpich_shm_used_0", "other_old")
-    for name in (*names, "mpich_shm_new_0"):
-        (tmp_path / name).write_bytes(bytes(4096))
-    for name in names:
-        os.utime(tmp_path / name, (1, 1))
-    with open(tmp_path / names[1], "rb") as held, mmap.mmap(held.fileno(), 0, prot=mmap.PROT_READ):
-        leftovers.sweep_shared_memory.__wrapped__()
-        assert sorted(os.listdir(tmp_path)) == ["mpich_shm_new_0", "mpich_shm_used_0", "other_old"]
+    monkeypatch.setattr(leftovers, "TEMPORARY", tmp_path)
+    begins = ("hydra_hwloc_xmlfile_", "mpich_shm_", "other_", "ucx_shm_posix_")
+    old, used, new = ([tmp_path / f"{each}{state}" for each in begins] for state in ("old", "used", "new"))
+    for path in (*old, *used, *new):
+        path.write_bytes(bytes(4096))
+    for path in (*old, *used):
+        os.utime(path, (1, 1))
+    with ExitStack() as held:
+        for path in used[1:]:
+            file = held.enter_context(open(path, "rb"))
+            held.enter_context(mmap.mmap(file.fileno(), 0, prot=mmap.PROT_READ))
+        leftovers.sweep.__wrapped__()
+        assert set(tmp_path.iterdir()) == {*new, *used[1:], old[2]}
         leftovers.unname_shared_memory()
-        assert sorted(os.listdir(tmp_path)) == ["mpich_shm_new_0", "other_old"]
+        assert set(tmp_path.iterdir()) == {*new, *used[2:], old[2]}
 
 
 # --- kills at random moments

