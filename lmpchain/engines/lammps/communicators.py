@@ -12,15 +12,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, Protocol
 
-from ...errors import EngineUnavailable, RunFailed
+from ...errors import EngineUnavailable, LmpchainError, RunFailed
 from ...util import mpi
 from .worker import Worker
 
 PATIENCE_S = 2e-3  # how long a follower waits at full speed before it dozes
 DOZE_S = 5e-4
 SIGNALS = {signal.SIGINT, signal.SIGTERM}
-# by LAMMPS, and where its version cannot be used; what else is raised, by the handler of a signal say, ends a run
-RAISED = ("Exception", "MPIAbortException", "RuntimeError")
 
 
 class Communicator(Protocol):
@@ -48,7 +46,7 @@ class Serial:
         try:
             return [getattr(self._rank, name)(*values)]
         except Exception as error:
-            if type(error).__name__ not in RAISED:
+            if not _by_lammps(error):
                 raise
             raise RunFailed(f"LAMMPS stopped: {error}") from None
 
@@ -72,7 +70,7 @@ class MpiRanks:
                 self._world.send((name, values), rank)
             answers = self._world.gather(_obey(self._world, self._held, name, values))
         if failed := next((answer for answer in answers if isinstance(answer, Exception)), None):
-            if isinstance(failed, EngineUnavailable):
+            if isinstance(failed, LmpchainError):
                 raise failed
             raise RunFailed(f"LAMMPS stopped: {failed}") from None
         return answers
@@ -114,9 +112,15 @@ def _obey(world: Any, held: list[Worker], name: str, values: tuple[Any, ...]) ->
             return held.pop().close() if held else None
         return getattr(held[0], name)(*values)
     except Exception as error:
-        if type(error) is Exception or isinstance(error, EngineUnavailable):
-            return error  # LAMMPS raises a plain Exception where all ranks fail alike
+        alike = type(error) is Exception and _by_lammps(error)  # another class where one rank fails
+        if alike or isinstance(error, RunFailed) or (name == "open" and isinstance(error, EngineUnavailable)):
+            return error
         mpi.abort(world, f"rank {world.rank}: {error or type(error).__name__}")
+
+
+def _by_lammps(error: Exception) -> bool:
+    """Say whether LAMMPS raised it, whose messages begin so: the handler of a signal may raise any class."""
+    return str(*error.args[:1]).startswith("ERROR")
 
 
 @contextmanager

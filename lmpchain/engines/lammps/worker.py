@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...errors import EngineUnavailable, RunFailed
 from ...integrators.kernels.layout import RESOLUTION
 from ...integrators.splittings import Splitting
 from ...scene.waveform import Waveform
@@ -97,12 +98,12 @@ class Worker:
         """Put kept heights and velocities in place, compute the first forces, and keep views of the arrays."""
         self._plan, self._done, self._piece = plan, plan.done, 0
         arrays, here = self._lammps.numpy, self._lammps.extract_global("nlocal")
-        if self._lammps.get_natoms() != plan.grains:  # all ranks see this: an error as LAMMPS itself raises them
-            raise Exception(f"LAMMPS has lost grains: {self._lammps.get_natoms():.0f} of {plan.grains} are left")
+        if self._lammps.get_natoms() != plan.grains:  # all ranks see this
+            raise RunFailed(f"LAMMPS has lost grains: {self._lammps.get_natoms():.0f} of {plan.grains} are left")
         ids = arrays.extract_atom("id")[:here] if here else np.empty(0, int)
         self._start = start = int(ids[0]) - 1 if here else 0
         if not np.array_equal(ids, np.arange(start + 1, start + here + 1)):
-            raise RuntimeError("LAMMPS does not keep the grains in order; this version cannot be used")
+            raise EngineUnavailable("LAMMPS does not keep the grains in order: use another version")
         if kept and here:
             for name, values in zip("xv", kept, strict=True):
                 arrays.extract_atom(name)[:here, 2] = values[start : start + here]
