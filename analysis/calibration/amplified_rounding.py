@@ -29,9 +29,9 @@ from lmpchain.benchmark.reference import reference
 from lmpchain.engines import amplification, error_estimate
 from lmpchain.engines.amplification import COARSE, DRAWS, LAST_DIGIT, LONGER, amplified_digit, perturbed, walked
 from lmpchain.engines.base import Candidate
+from lmpchain.engines.companions import CLOSE_TO_OPENING
 from lmpchain.engines.error_estimate import (
     BY_CHANCE,
-    CLOSE_TO_OPENING,
     GROWN,
     GROWTH,
     NEAR_ROUNDOFF,

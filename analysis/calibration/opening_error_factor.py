@@ -21,7 +21,7 @@ import numpy as np
 from common import NINE_IN_TEN, Case, Row, answer, command, proposal, quantile, with_reach
 from scenes import drawn
 
-from lmpchain.engines.error_estimate import ORDER_AT_OPENINGS
+from lmpchain.engines.companions import ORDER_AT_OPENINGS
 from lmpchain.engines.native import Native
 from lmpchain.engines.richardson import SAFETY
 from lmpchain.engines.time_stepping import (

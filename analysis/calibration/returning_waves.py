@@ -22,8 +22,8 @@ from common import Case, Row, answer, command, proposal, with_reach
 from scenes import drawn
 
 from lmpchain import Scene
-from lmpchain.engines import error_estimate
-from lmpchain.engines.error_estimate import COMES_BACK, KINKED_BELOW, NEARBY, NEARBY_AT_KINKS, SAFETY_AT_KINKS
+from lmpchain.engines import companions
+from lmpchain.engines.companions import COMES_BACK, KINKED_BELOW, NEARBY, NEARBY_AT_KINKS, SAFETY_AT_KINKS
 from lmpchain.engines.native import Native
 
 RATIOS = (1.25, 1.5, 1.75, 3.0)
@@ -49,9 +49,9 @@ def estimates(case: Case, name: str, reach: float) -> tuple[float, dict[float, f
     for ratio in (math.inf, *RATIOS):
         one_more = mock.Mock(return_value=math.isfinite(ratio))
         bare = {"NEARBY": ratio, "NEARBY_AT_KINKS": ratio, "SAFETY_AT_KINKS": 1.0}
-        with mock.patch.multiple(error_estimate, _scatters=one_more, **bare):
+        with mock.patch.multiple(companions, _scatters=one_more, **bare):
             run = answer(engine, case.scene, candidate)
-        if run is None or run.lowest > error_estimate.CLOSE_TO_OPENING:
+        if run is None or run.lowest > companions.CLOSE_TO_OPENING:
             return None
         found[ratio], error = run.error.total, case.error(run.motion)
     return (error, found) if 10 * case.reference.error < error < KNOWN else None

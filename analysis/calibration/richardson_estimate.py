@@ -22,8 +22,8 @@ from common import ALL_BUT_ONE, Case, Row, answer, command, proposal, quantile, 
 from scenes import drawn
 
 from lmpchain import Scene
-from lmpchain.engines import error_estimate
-from lmpchain.engines.error_estimate import (
+from lmpchain.engines import companions
+from lmpchain.engines.companions import (
     CLOSE_TO_OPENING,
     FEWEST,
     KINKED_BELOW,
@@ -228,7 +228,7 @@ def _fewest(count: int) -> Row:
             if proposed is None:
                 continue
             try:
-                with mock.patch.object(error_estimate, "FEWEST", 1):
+                with mock.patch.object(companions, "FEWEST", 1):
                     run = answer(engine, case.scene, with_steps(proposed, steps))
             except ZeroDivisionError:  # the companions are alike
                 bounds.append(False)

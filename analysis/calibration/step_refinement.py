@@ -70,7 +70,7 @@ def shipped() -> Rule:
     )
 
     def factor(truncation: float, roundoff: float = 0.0, smooth: bool = True) -> float:
-        refined = engine.refine(base, ErrorBudget(truncation, roundoff, smooth, np.zeros(1), np.zeros(1)), 1e-9)
+        refined = engine.refine(base, ErrorBudget(truncation, roundoff, smooth, np.zeros(1)), 1e-9)
         return refined.steps_per_sample / base.steps_per_sample if refined else 0.0
 
     def threshold(low: float, high: float, above: object) -> float:

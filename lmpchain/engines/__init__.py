@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from importlib import import_module
 from inspect import signature
 from typing import TYPE_CHECKING, Any
@@ -76,6 +77,7 @@ def get(engine: str | Engine, **options: Any) -> Engine:
     return made(**options)
 
 
+@cache
 def _load(module: str, name: str) -> type[Engine]:
     return getattr(import_module(f".{module}", __name__), name)
 

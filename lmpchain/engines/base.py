@@ -84,8 +84,6 @@ class ErrorBudget:
         Whether no contact came near to opening, so that the method kept its order.
     differences : (T,) array
         Largest relative difference between runs at two steps, sample by sample.
-    time : (T,) array
-        s.
     model : float
         Estimated error of the equation itself, where it is not Eq. (1).
     remark : str
@@ -98,7 +96,6 @@ class ErrorBudget:
     roundoff: float
     smooth: bool
     differences: Array
-    time: Array
     model: float = 0.0
     remark: str = ""
     model_bound: float = 0.0
@@ -123,10 +120,10 @@ class ErrorBudget:
         """What a trajectory says of it."""
         return ErrorEstimate(self.model, self.solver)
 
-    def first_beyond(self, tolerance: float) -> float:
-        """Return the first time at which two runs differ by more than the tolerance, s, or infinity."""
+    def first_beyond(self, tolerance: float, time: Array) -> float:
+        """Return the first of these times, (T,) s, at which two runs differ by more than the tolerance, or infinity."""
         beyond = np.flatnonzero(~(self.differences <= tolerance))
-        return float(self.time[beyond[0]]) if beyond.size else float("inf")
+        return float(time[beyond[0]]) if beyond.size else float("inf")
 
 
 class Run(ABC):

@@ -30,6 +30,7 @@ def extrapolate(
         return 1.5 * np.maximum(fine, coarse / 4)
     first, second = ratios
     doublings = math.log2(second / first)
-    ratio = np.clip(coarse / np.maximum(fine, 1e-300), 1.5**doublings, (second / first) ** order)
+    ratio = coarse / np.maximum(fine, 1e-300)
+    ratio = np.minimum(np.maximum(ratio, 1.5**doublings), (second / first) ** order)
     gain = ratio ** (math.log2(first) / doublings)  # error at the longer step over that at h
     return SAFETY * np.maximum(fine / (gain - 1), coarse / (second**order - first**order))

@@ -260,7 +260,7 @@ def _why_not(scene: Scene, error: ErrorBudget, attempt: Attempt, better: Candida
     )
     if better is None:
         reason += f", for round-off alone makes {error.roundoff:.2g}"
-    time_s = error.first_beyond(tolerance)
+    time_s = error.first_beyond(tolerance, scene.time)
     known = rounding and time_s < float("inf")
     return f"{reason}: {_amplifies(time_s)}" if known else f"{reason}: ask for less"
 

@@ -16,8 +16,9 @@ from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.suggestions import not_among
 from .base import Candidate, Engine, ErrorBudget
+from .companions import ORDER_AT_OPENINGS
 from .cost_model import seconds
-from .error_estimate import ORDER_AT_OPENINGS, CompanionRun
+from .error_estimate import CompanionRun
 from .richardson import SAFETY
 
 PERIODS = 60.0  # omega T of the scene for which `Method.error_constant` is given

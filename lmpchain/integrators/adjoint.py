@@ -136,8 +136,7 @@ class DifferentiableRun:
     def _read(self, scene: Scene) -> None:
         """Lay out the chain for the compiled loops."""
         batch, chain = ChainBatch([scene]), scene.chain
-        u, v = scene.initial()
-        self._x, self._v = batch.bodies(np.array([u])), batch.bodies(np.array([v]))
+        self._x, self._v = batch.bodies(*batch.initial)
         self._v[:, PAD : PAD + self._driven] = 0.0
         state = np.zeros((1, STEP + 1))
         arrays = batch.arrays(slice(0, 1), self._x, self._v, np.zeros((1, 0, self._x.shape[1])), state)

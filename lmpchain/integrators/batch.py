@@ -15,6 +15,7 @@ from ..scene.scene import Scene
 from ..util.arrays import Array
 from .kernels.contact_forces import CORRECTED, FORMS, POLYNOMIAL, POWER, ROOTS, SPRING, UNCOMPRESSED_POWER
 from .kernels.layout import ALONE, KNOTS, PAD, Chains, Team
+from .kernels.table import fill_table, windows
 
 # analysis/calibration/roundoff.py
 STRONG = 1.0  # strike number from which the fastest form of the force loses nothing
@@ -62,19 +63,11 @@ class ChainBatch:
         self.grains, self.imposed, self.driven = chain.grains, excitation.does_work, excitation.driven
         self.masses = np.array([scene.chain.masses for scene in scenes])
         self.contacts = together([scene.chain.contacts for scene in scenes])
-        overlap, carried, constant = self.contacts.overlap, self.contacts.force, self.contacts.constant
         self.precompressed = float(chain.compressed)
-        self.table = self._rows(3)
-        held, moving = slice(PAD - 1, PAD + self.grains), slice(PAD, PAD + chain.movable)
-        if chain.compressed:
-            np.divide(1.0, overlap, out=self.table[:, 0, held], where=overlap > 0)
-            self.table[:, 1, held] = carried
-            self.uncompressed = np.where(carried[:, 0] > 0, 0.0, constant[:, 0])
-        else:
-            self.table[:, 0, held], self.table[:, 1, held] = 1.0, constant
-            self.uncompressed = np.zeros(len(scenes))
-        np.divide(1.0, self.masses[:, : chain.movable], out=self.table[:, 2, moving])
-        self.table[:, 2, PAD : PAD + self.driven] = 0.0
+        self.table = self._rows(len(scenes), 3)
+        rest = self.contacts.overlap, self.contacts.force, self.contacts.constant
+        moving = self.driven, chain.movable
+        self.uncompressed = fill_table(self.table, *rest, self.masses, *moving, chain.compressed)
         self.forms = np.array([force_form(scene, force) for scene in scenes])
         self.plain = np.array([form in ROOTS and chain.compressed for form in self.forms.tolist()])
         self.coefficients, self.opening_power = series(chain.exponent), chain.exponent
@@ -82,10 +75,9 @@ class ChainBatch:
         self._struck = scenes[:1] if one else scenes  # each in a way of its own
         self.drive, self.knots, self.pieces = self._imposed()
         self.omega = np.array([scene.highest_frequency for scene in scenes])
-        imposed = self._of_each(scene.excitation.largest(scene.chain) for scene in self._struck)
-        farthest, fastest = np.abs(imposed).max(2).T
+        farthest, fastest = self._of_each(scene.imposed for scene in self._struck).T
         speed = np.maximum(fastest, farthest * self.omega)
-        self.scale = np.stack([speed / self.omega, speed], axis=1)
+        self.scale = np.array([speed / self.omega, speed]).T.copy()
 
     def _of_each(self, values: Iterable[Any]) -> NDArray[Any]:
         """Return an array with a row for each of the R scenes."""
@@ -105,23 +97,15 @@ class ChainBatch:
         return u, v
 
     @cached_property
-    def window(self) -> tuple[Array, Array]:
-        """Where the window of each chain begins and ends at t = 0, (R,) each: around what moves.
+    def window(self) -> Array:
+        """Where the window of each chain begins and ends at t = 0, (R, 2): around what moves.
 
         A short chain is computed as a whole.
         """
-        width, size = self.table.shape[2], len(self.scenes)
+        width = self.table.shape[2]
         if width <= WINDOW_MIN:
-            return np.full(size, PAD), np.full(size, width - PAD)
-        moves = np.zeros((size, width), dtype=bool)
-        u, v = self.initial
-        moves[:, PAD : PAD + self.grains] = u != 0
-        moves[:, PAD + self.driven : PAD + self.grains] |= v[:, self.driven :] != 0  # driven ones are put in place
-        for row, (first, last) in zip(moves, self.acted, strict=True):
-            row[first : last + 1] = True
-        begin = np.where(moves.any(1), moves.argmax(1), PAD)
-        end = width - np.where(moves.any(1), moves[:, ::-1].argmax(1), width - PAD)
-        return begin // PAD * PAD, np.minimum(-(-np.maximum(end, begin + 1) // PAD) * PAD, width - PAD)
+            return np.tile([PAD, width - PAD], (len(self.scenes), 1))
+        return windows(*self.initial, self.driven, self.acted, width)
 
     def arrays(self, share: slice, x: Array, v: Array, history: Array, state: Array, team: Team = ALONE) -> Chains:
         """Return some chains, and where and how fast their bodies are, for the loops of a thread."""
@@ -132,20 +116,19 @@ class ChainBatch:
             team,
         )  # fmt: skip
 
-    def _rows(self, count: int) -> Array:
-        """Return (R, count, W) zeros, or (R, W) for none, of which every row begins at a cache line."""
-        width = -(-(2 * PAD + self.grains) // PAD) * PAD
-        shape = (len(self.scenes), *([count] if count else []), width)
+    def _rows(self, *shape: int) -> Array:
+        """Return (..., W) zeros of which every row begins at a cache line."""
+        shape = *shape, -(-(2 * PAD + self.grains) // PAD) * PAD
         size = math.prod(shape)
         memory = np.zeros(size + PAD)
         skip = -memory.__array_interface__["data"][0] // memory.itemsize % PAD
         return memory[skip : skip + size].reshape(shape)
 
-    def bodies(self, grains: Array | None = None) -> Array:
-        """Return rows (R, W) of bodies, at rest or with these values (R, N) of the grains."""
-        rows = self._rows(0)
-        if grains is not None:
-            rows[:, PAD : PAD + self.grains] = grains
+    def bodies(self, *grains: Array) -> Array:
+        """Return rows (F, R, W) of bodies with these values (R, N) of the grains, in F fields."""
+        rows = self._rows(len(grains), len(self.scenes))
+        for field, values in zip(rows, grains, strict=True):
+            field[:, PAD : PAD + self.grains] = values
         return rows
 
     def _imposed(self) -> tuple[Array, Array, Array]:
@@ -170,13 +153,17 @@ class ChainBatch:
                 knots[real, :count], pieces[real, :, : count - 1] = spline.x, spline.c
         return table, knots, pieces
 
+    @cached_property
+    def open(self) -> NDArray[np.bool_]:
+        """Which of the chains have contacts that are open at rest, (R,)."""
+        return np.asarray((self.uncompressed > 0) | (self.precompressed == 0))
+
     @property
     def units(self) -> Array:
         """Overlap of the contact below grain 1, and the speed of that in the unit of time, (R, 2) m and m/s."""
         first = int(self.contacts.exists[0, 1])  # that above it if there is none below
         length, stiffness = self.contacts.overlap[:, first], self.contacts.stiffness[:, first]
-        with np.errstate(divide="ignore"):  # of the sonic vacuum, which has no unit of time
-            return np.stack([length, length / np.sqrt(self.masses[:, 0] / stiffness)], axis=1)
+        return np.array([length, length * np.sqrt(stiffness / self.masses[:, 0])]).T  # no speed in the sonic vacuum
 
     @cached_property
     def opening_weight(self) -> Array:

@@ -61,6 +61,10 @@ class Splitting:
         return len(self.drifts)
 
     @cached_property
+    def _coefficients(self) -> tuple[Array, Array]:
+        return np.array(self.kicks), np.array(self.drifts)
+
+    @cached_property
     def reach(self) -> tuple[float, ...]:
         """Where in a step each drift ends, as fractions of it."""
         return (*np.cumsum(self.drifts[:-1]).tolist(), 1.0)
@@ -86,7 +90,7 @@ class Splitting:
         """Return what moves a batch of chains by steps of this schedule."""
         from .kernels import adaptive_splitting, splitting
 
-        kicks, drifts = np.array(self.kicks), np.array(self.drifts)
+        kicks, drifts = self._coefficients
         if not schedule.adaptive:
             missing = kicks[-1] * schedule.step * batch.omega.max()  # of a speed, without the last kick of a step
             complete = 1 / (1 + missing**2 / 2)

@@ -95,14 +95,14 @@ class NativeStepper:
     ):
         self.chains, self.threads, scenes = chains, threads, chains.scenes
         u, v = chains.initial
-        self._x, self._v = chains.bodies(state.get("u", u)), chains.bodies(state.get("v", v))
+        self._x, self._v = chains.bodies(state.get("u", u), state.get("v", v))
         self._v[:, PAD : PAD + chains.driven] = 0.0  # it is put where its motion says
         if "state" in state:
             self._state = state["state"].copy()
             self._check_state()
         else:
             self._state = np.zeros((len(scenes), STEP + 1))
-            self._state[:, FIRST], self._state[:, LAST] = chains.window
+            self._state[:, FIRST : LAST + 1] = chains.window
         self.stride, final = schedule.stride, scenes[0].samples - 1
         clock = Clock(scenes[0].duration / final, schedule.steps, schedule.step, schedule.stride, final)
         march = method.march(chains, schedule)
@@ -185,8 +185,7 @@ class NativeStepper:
 
     def lowest(self) -> Array:
         """Return the smallest r / eps that any contact of each chain has had, (R,); -1 is an opening."""
-        opens = (self.chains.uncompressed > 0) | (self.chains.precompressed == 0)
-        return np.where(opens, -1.0, self._state[:, LOWEST])
+        return np.where(self.chains.open, -1.0, self._state[:, LOWEST])
 
     def closest(self) -> Array:
         """Return by how much two grains have come closer than at rest at most, (R,) m; seen after whole steps."""

@@ -71,4 +71,7 @@ def leaves_rest(displacement: Array, velocity: Array) -> NDArray[np.bool_]:
     ----------
     displacement, velocity : (T, G) arrays
     """
-    return np.logical_or(displacement.any(axis=0), velocity.any(axis=0), dtype=bool)
+    moves = np.asarray(displacement[-1:].any(axis=0) | velocity[-1:].any(axis=0))
+    if (still := np.flatnonzero(~moves)).size:  # in the end: what has moved is seldom at rest
+        moves[still] = displacement[:, still].any(axis=0) | velocity[:, still].any(axis=0)
+    return moves

@@ -58,7 +58,7 @@ def reached(
 
 def _distance(x: float) -> int:
     """Return d from which I_2d(x) <= (x/2)^2d / (2d)! exp(x^2 / (8d + 4)) is too small to be seen."""
-    d = max(8, int(x / 2))
-    while 2 * d * math.log(x / 2 + 1e-300) - math.lgamma(2 * d + 1) + x**2 / (8 * d + 4) > UNSEEN:
+    d, log, square = max(8, int(x / 2)), math.log(x / 2 + 1e-300), x**2
+    while 2 * d * log - math.lgamma(2 * d + 1) + square / (8 * d + 4) > UNSEEN:
         d += max(1, d // 16)
     return d + 2

@@ -278,9 +278,9 @@ class Scene(Recording):
         """The grains that the wave can have reached when the scene ends, as a scene of their own."""
         bound = self.overlap_bound if self.chain.grains <= FEW else None
         first, last = reached(self.chain, self.excitation, self.energy, self.duration, bound)
-        recorded = self.recorded
         if last - first + 1 == self.chain.grains:
-            return LightCone(self, np.arange(recorded.size), slice(None))
+            return LightCone(self, slice(None), slice(None))
+        recorded = self.recorded
         columns = np.flatnonzero((recorded >= first) & (recorded <= last))
         return LightCone(self.part(first, last), recorded[columns] - first, as_slice(columns))
 
@@ -337,12 +337,12 @@ class LightCone(NamedTuple):
     ----------
     scene : Scene
         That part with all of its grains recorded, or the whole scene.
-    rows : (C,) array
+    rows : slice or (C,) array
         Indices, among the recorded grains of that part, of those that the whole scene records.
     columns : slice or (C,) array
         Their places among the recorded grains of the whole scene.
     """
 
     scene: Scene
-    rows: NDArray[np.intp]
+    rows: slice | NDArray[np.intp]
     columns: slice | NDArray[np.intp]

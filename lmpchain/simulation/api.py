@@ -259,9 +259,13 @@ class _Memory:
 
     def collect(self, _: Run, blocks: Iterable[Block]) -> tuple[Array, Array]:
         """Return displacement and velocity, (T, G) m and m/s."""
-        shape = (self._task.scene.samples, self._task.scene.recorded.size)
+        scene = self._task.scene
+        shape = (scene.samples, scene.count(scene.chain))
         u = v = np.empty(0)
         for block in blocks:
+            if block.displacement.shape[1:] == shape and block.columns == slice(None):  # all at once
+                u, v = block.displacement[0], block.velocity[0]
+                continue
             if not u.size:
                 try:
                     u, v = (_zeros(shape, block.displacement.shape[2]) for _ in range(2))
@@ -308,7 +312,9 @@ def _with_progress(run: Run, name: str, samples: int, done: int, progress: bool)
     with ProgressBar(samples, name, " samples", done=done, layout=RATE, shown=progress) as bar:
         for block in run.blocks():
             yield block
+            if not progress:
+                continue
             bar.reach(max(block.samples.stop, run.progress * samples))
-            if progress and time.monotonic() > estimated + ESTIMATE_S:
+            if time.monotonic() > estimated + ESTIMATE_S:
                 bar.remark(f"error {run.errors()[0].total:.1g}")
                 estimated = time.monotonic()

@@ -86,7 +86,7 @@ def _together(plan: Sweep, first: int, count: int) -> list[Made]:
         parts["first"] = overlaps_of(chain, common.excitation, parts["contacts"], parts["masses"])
         sound = _sound(parts, bool(columns))
         known = {key: values.tolist() for key, values in _known(common, parts).items()}
-        parts |= _pattern(chain, parts) | {"rows": np.arange(common.recorded.size)}
+        parts |= _pattern(chain, parts)
     return [_scene(common, parts, known, row) if sound[row] else _alone(plan, n) for row, n in enumerate(numbers)]
 
 
@@ -200,7 +200,7 @@ def _scene(common: Scene, parts: Mapping[str, Any], known: Mapping[str, list[flo
     chain = Chain._filled(fields, set(parts["fields"]))
     recorded = {name: getattr(common, name) for name in ("excitation", "duration", "samples", "grains", "quantities")}
     scene = Scene._filled({"chain": chain} | recorded, set(common.model_fields_set))
-    cone, around = LightCone(scene, parts["rows"], slice(None)), (1, chain, scene.excitation)
+    cone, around = LightCone(scene, slice(None), slice(None)), (1, chain, scene.excitation)
     shared = {"imposed": common.imposed, "light_cone": cone, "_surroundings": around}
     scene.__dict__.update(shared, **{key: values[row] for key, values in known.items()})
     return scene

@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 import sys
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from functools import wraps
 from inspect import Parameter, Signature
-from typing import Annotated, Any, ClassVar, NoReturn, Self
+from typing import Annotated, Any, ClassVar, NoReturn, Self, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
@@ -17,6 +18,7 @@ from .arrays import Array, read_only
 from .notebook import Shown
 from .suggestions import did_you_mean
 
+T = TypeVar("T")
 NOT_GIVEN: Any = None  # default of array fields that are filled in when they are not given
 
 
@@ -160,6 +162,20 @@ class Checked(Shown, BaseModel):
         )
 
     __hash__ = None  # type: ignore[assignment]  # arrays inside: compare, do not hash
+
+
+def once(function: Callable[[Any], T]) -> Callable[[Any], T]:
+    """Return a function of one `Checked` value, which never changes, that is computed once and kept with the value."""
+    key = f"{function.__module__}.{function.__qualname__}"
+
+    @wraps(function)
+    def kept(value: Any) -> T:
+        known = value.__dict__
+        if key not in known:
+            known[key] = function(value)
+        return known[key]
+
+    return kept
 
 
 def _plain(value: Any) -> Any:

@@ -71,7 +71,7 @@ class Swing(Run):
 
     def errors(self):
         """Return the rounding."""
-        return [ErrorBudget(0.0, ROUNDING, True, np.zeros(self.scene.samples), self.scene.time)]
+        return [ErrorBudget(0.0, ROUNDING, True, np.zeros(self.scene.samples))]
 
     def cost(self):
         """Return that it costs next to nothing."""

@@ -16,6 +16,7 @@ from ...util.arrays import Array
 from ...util.compilation import clock
 from ..base import Candidate, ErrorBudget, Run
 from .engine import Chebyshev, LinearEngine, LinearRun
+from .model_error import unlike
 from .solutions import Solution
 
 UNIFORM = 1e-12  # relative difference of masses and constants that still counts as none
@@ -35,8 +36,8 @@ class ClosedForm(LinearEngine):
         """Return why the formula does not hold for this scene."""
         reached = scene.light_cone.scene
         chain, reasons = reached.chain, super().refuses(reached)
-        for key, values in (("masses", chain.masses), ("contact_constants", chain.contact_constants)):
-            if values.size and np.ptp(values) > UNIFORM * values.max():
+        for key, difference in unlike(chain).items():
+            if difference > UNIFORM:
                 reasons.append((key, f"{self.name} knows grains that are all alike only; use modes or chebyshev"))
         if not scene.excitation.strikes_top:
             reasons.append(("excitation", f"{self.name} knows an impulse on grain 1 only; use modes or chebyshev"))

@@ -13,11 +13,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ...chain.chain import Chain
 from ...integrators.kernels import phase_error as kernel
 from ...integrators.kernels.phase_error import accumulate, start
 from ...scene.packet import Packet
 from ...scene.scene import Scene
 from ...util.arrays import Array
+from ...util.validation import once
 from .resonance import Resonance
 
 EARLIEST, GROWTH, EVENLY = 0.5, 1.25, 64  # extra evaluation times: geometric (ratio 1.25) and 64 all over the run
@@ -173,6 +175,7 @@ def may_open(scene: Scene) -> bool:
     return scene.linear_strain >= 1
 
 
+@once
 def bounds(scene: Scene) -> tuple[float, float]:
     """Return a lower and an upper bound on the model error of Eq. (3), from the strike alone.
 
@@ -191,15 +194,23 @@ def bounds(scene: Scene) -> tuple[float, float]:
     return min(1.0, AT_ONCE * excess * scene.strike_number), most
 
 
+@once
 def struck_column(scene: Scene) -> bool:
     """Whether it is a uniform column under gravity alone, struck at its top, for at most ten passages."""
     chain, strike = scene.chain, scene.excitation
     if chain.grains == 1 or not (strike.strikes_top and chain.gravity > 0 and chain.top_load == 0):
         return False
-    if chain.top != "free" or chain.exponent > STEEPEST or np.ptp(chain.masses) or np.ptp(chain.contact_constants):
+    if chain.top != "free" or chain.exponent > STEEPEST or any(unlike(chain).values()):
         return False
     passage = np.sqrt(chain.masses[0] / chain.linear_stiffness).sum()
     return bool(scene.duration <= 10 * passage)
+
+
+@once
+def unlike(chain: Chain) -> dict[str, float]:
+    """Return by what part of the largest one masses and constants of contacts between grains differ, by name."""
+    arrays = {"masses": chain.masses, "contact_constants": chain.contact_constants}
+    return {name: float(np.ptp(x) / x.max()) for name, x in arrays.items() if x.size}
 
 
 def evaluation_times(scene: Scene) -> Array:
@@ -228,6 +239,7 @@ def evaluations(scene: Scene) -> int:
     return _between(scene)[0] + 24
 
 
+@once
 def _between(scene: Scene) -> tuple[int, bool]:
     """Return how many evaluations there are all over the run, and whether they resolve every oscillation."""
     grains, needed = scene.chain.grains, RESOLVED * scene.duration * fastest(scene) + 1

@@ -41,8 +41,16 @@ def _kinetic(v, masses):
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
 def compared(
-    u: Array, v: Array, others_u: Array, others_v: Array, against: NDArray[np.int64], masses: Array
-) -> tuple[Array, Array, Array]:
+    u: Array,
+    v: Array,
+    others_u: Array,
+    others_v: Array,
+    against: NDArray[np.int64],
+    strides: NDArray[np.int64],
+    masses: Array,
+    begin: int,
+    differences: Array,
+) -> tuple[Array, Array]:
     """Measure an answer and how far others are from it or from each other.
 
     Parameters
@@ -51,9 +59,14 @@ def compared(
         Fields of R chains.
     others_u, others_v : (S, R, B, N) arrays
         The same of others; their first samples are those of the answer.
-    against : (S,) array
-        From which each of the others is measured: 0 is the answer, 1 the first of the others.
+    against, strides : (S,) arrays
+        From which each of the others is measured: 0 is the answer, 1 the first of the others; and after how many
+        samples each stops, besides the last one.
     masses : (R, N) array
+    begin : int
+        Number of the first sample.
+    differences : (S, samples, R, 2) array
+        Takes the largest differences over the grains where the others stop; no number where that is none.
 
     Returns
     -------
@@ -61,25 +74,55 @@ def compared(
         Largest displacement and speed.
     energy : (R,) array
         Twice the largest kinetic energy of any sample; infinite if any displacement or velocity is no number.
-    differences : (S, T, R, 2) array
-        Largest differences over the grains; no number where that is none.
     """
-    others, batch = others_u.shape[0], u.shape[0]
+    others, final, batch = others_u.shape[0], differences.shape[1] - 1, u.shape[0]
     peaks, energy = np.zeros((batch, 2)), np.zeros(batch)
-    differences = np.empty((others, u.shape[1], batch, 2))
     nothing = np.zeros(u.shape[2])
     for real in range(batch):
         for sample in range(u.shape[1]):
-            x, w = u[real, sample], v[real, sample]
+            x, w, number = u[real, sample], v[real, sample], begin + sample
             peaks[real, 0] = max(peaks[real, 0], _farthest(x, nothing))
             peaks[real, 1] = max(peaks[real, 1], _farthest(w, nothing))
             now = _kinetic(w, masses[real]) + 0.0 * _sum(x, nothing)
             energy[real] = max(energy[real], now) if np.isfinite(now) else np.inf
             for other in range(others):
+                if number % strides[other] and number < final:
+                    continue
                 a, b, one = x, w, against[other] - 1
                 if one >= 0:
                     a, b = others_u[one, real, sample], others_v[one, real, sample]
                 y, s = others_u[other, real, sample], others_v[other, real, sample]
-                differences[other, sample, real, 0] = _farthest(a, y) + 0.0 * _sum(a, y)
-                differences[other, sample, real, 1] = _farthest(b, s) + 0.0 * _sum(b, s)
-    return peaks, energy, differences
+                differences[other, number, real, 0] = _farthest(a, y) + 0.0 * _sum(a, y)
+                differences[other, number, real, 1] = _farthest(b, s) + 0.0 * _sum(b, s)
+    return peaks, energy
+
+
+@compiled_once(*NEWS, nogil=True, error_model="numpy")
+def in_parts(differences: Array, peaks: Array) -> tuple[Array, Array]:
+    """Express differences as parts of the largest motion; what is no number is infinite.
+
+    Parameters
+    ----------
+    differences : (S, T, R, 2) array
+        Of S others, in displacements and velocities.
+    peaks : (R, 2) array
+        Above 0.
+
+    Returns
+    -------
+    largest : (S, R, 2) array
+        Of all samples.
+    every : (R, T) array
+        Of all others and both fields.
+    """
+    others, samples, batch, fields = differences.shape
+    largest, every = np.zeros((others, batch, fields)), np.zeros((batch, samples))
+    for other in range(others):
+        for sample in range(samples):
+            for real in range(batch):
+                for field in range(fields):
+                    part = differences[other, sample, real, field] / peaks[real, field]
+                    part = np.inf if np.isnan(part) else part
+                    largest[other, real, field] = max(largest[other, real, field], part)
+                    every[real, sample] = max(every[real, sample], part)
+    return largest, every

@@ -1,0 +1,96 @@
+"""At which steps companions run beside an answer, and what their differences say of its truncation error.
+
+They run at about 2h and 4h (where those are unstable, or the run has too few steps for them, one at h/2): the rate at
+which their differences shrink gives the truncation error. Where contacts open again and again, errors scatter, and two
+may agree by chance: there runs one more, at about 1.5h (1.75h and from the first opening on for springs, whose force
+has a kink there).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..integrators.methods import Method
+from ..integrators.step_schedule import StepSchedule
+from ..scene.scene import Scene
+from ..util.arrays import Array
+from .base import Candidate
+from .richardson import extrapolate
+
+# analysis/calibration/richardson_estimate.py measures these
+FEWEST = 8  # steps of a run from which on companions have longer steps; of these there are then no two alike
+CLOSE_TO_OPENING = -0.5  # r / eps below which a contact's force is no longer a smooth function of time
+# order assumed in the Richardson estimate after adaptive steps through an opening, where differences scatter
+ORDER_AT_OPENINGS = 4
+# radians a grain from which on waves come back to where contacts opened, and the step of one more companion then
+COMES_BACK, NEARBY = 10.0, 1.5
+# the same for exponents below that, whose force has a kink at an opening: errors scatter from the first one on, so far
+# that all runs may agree by chance on less than the error; a factor on the estimate makes up for it
+KINKED_BELOW, ORDER_AT_KINKS, NEARBY_AT_KINKS, SAFETY_AT_KINKS = 1.25, 2, 1.75, 2.0
+
+
+class Companions:
+    """The companions of an answer to a scene, or to R like ones.
+
+    Parameters
+    ----------
+    method : Method
+    scenes : sequence of R scenes
+    candidate : Candidate
+
+    Attributes
+    ----------
+    schedules : list of StepSchedule
+    scatters : (R,) array
+        Whether errors may scatter, so that the last companion is one more.
+    """
+
+    def __init__(self, method: Method, scenes: Sequence[Scene], candidate: Candidate):
+        first, adaptive, per_sample = scenes[0], candidate.adaptive, candidate.steps_per_sample
+        self._order, self._adaptive, self._kinks = method.order, adaptive, first.chain.exponent < KINKED_BELOW
+        self._stretched = adaptive and method.adaptive == "error"  # samples cut some of its steps
+        reach = candidate.step * max(scene.chain.band_edge for scene in scenes)
+        steps = per_sample * (first.samples - 1)
+        longer: list[float] = [ratio for ratio in (2, 4) if ratio * reach <= method.stability_limit and steps >= FEWEST]
+        self._finer = not longer
+        self.scatters = np.array([bool(longer) and adaptive and _scatters(scene, self._kinks) for scene in scenes])
+        if self.scatters.any():
+            longer.append(NEARBY_AT_KINKS if self._kinks else NEARBY)
+        own = per_sample, candidate.step, adaptive
+        schedules = [StepSchedule.of(*own, ratio, self._stretched) for ratio in longer]
+        self.schedules = schedules or [StepSchedule.of(*own).halved]
+        self._ratios = [steps / schedule.total(first.samples - 1) for schedule in self.schedules]
+
+    def truncations(self, steps: Array, opening: NDArray[np.bool_], even: NDArray[np.bool_]) -> Array:
+        """Return the truncation errors, (R,), from the differences between steps h, 2h (and 4h), or h and h/2.
+
+        Parameters
+        ----------
+        steps : (S, R, 2) array
+            Largest differences, relative to the motion; where errors scatter, the last are those from one more.
+        opening, even : (R,) arrays
+            Whether contacts come near to opening, and whether the method keeps an order there.
+        """
+        if self._finer:
+            return 2 * steps[0].max(1)
+        falls_to, scatters = ORDER_AT_KINKS if self._kinks else ORDER_AT_OPENINGS, self.scatters.any()
+        at_openings = min(self._order, falls_to) if self._adaptive else self._order
+        found = np.empty(opening.size)
+        for opens, smooth in set(zip(opening.tolist(), even.tolist(), strict=True)):
+            these = (opening == opens) & (even == smooth)
+            coarse = steps[1, these] if len(steps) - scatters > 1 else None
+            trusted = at_openings if opens else self._order - self._stretched
+            found[these] = extrapolate(trusted, smooth, coarse, steps[0, these], self._ratios[:2]).max(1)
+        if scatters:
+            found = np.where(opening & self.scatters, np.maximum(found, steps[-1].max(1)), found)
+        return np.where(opening, SAFETY_AT_KINKS * found, found) if self._kinks else found
+
+
+def _scatters(scene: Scene, kinks: bool) -> bool:
+    """Whether contacts may open again and again, by reflections or a drive; or once, at a kink."""
+    crossed = 1 if scene.excitation.does_work else scene.chain.grains
+    again = kinks or scene.highest_frequency * scene.duration > COMES_BACK * crossed
+    return again and min(scene.largest_strain, scene.linear_strain) > -CLOSE_TO_OPENING
