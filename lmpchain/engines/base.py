@@ -121,7 +121,7 @@ class ErrorBudget:
         return ErrorEstimate(self.model, self.solver)
 
     def first_beyond(self, tolerance: float, time: Array) -> float:
-        """Return the first of these times, (T,) s, at which two runs differ by more than the tolerance, or infinity."""
+        """Return the first of these times, (T,) s, at which two runs differ by more, or infinity."""
         beyond = np.flatnonzero(~(self.differences <= tolerance))
         return float(time[beyond[0]]) if beyond.size else float("inf")
 
