@@ -1,4 +1,4 @@
-"""At which steps companions run beside an answer, and what their differences say of its truncation error.
+"""Steps of the companions of an answer, and what their differences say of its truncation error.
 
 They run at about 2h and 4h (where those are unstable, or the run has too few steps for them, one at h/2): the rate at
 which their differences shrink gives the truncation error. Where contacts open again and again, errors scatter, and two

@@ -165,7 +165,7 @@ class Checked(Shown, BaseModel):
 
 
 def once(function: Callable[[Any], T]) -> Callable[[Any], T]:
-    """Return a function of one `Checked` value, which never changes, that is computed once and kept with the value."""
+    """Return this function of a `Checked` value, which never changes, computed once and kept with it."""
     key = f"{function.__module__}.{function.__qualname__}"
 
     @wraps(function)

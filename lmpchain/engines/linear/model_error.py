@@ -208,7 +208,7 @@ def struck_column(scene: Scene) -> bool:
 
 @once
 def unlike(chain: Chain) -> dict[str, float]:
-    """Return by what part of the largest one masses and constants of contacts between grains differ, by name."""
+    """Return by what part of the largest one masses and contact constants differ, by name."""
     arrays = {"masses": chain.masses, "contact_constants": chain.contact_constants}
     return {name: float(np.ptp(x) / x.max()) for name, x in arrays.items() if x.size}
 
