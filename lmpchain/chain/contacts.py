@@ -129,11 +129,10 @@ class Contacts:
         y = np.log1p(np.where(s > -1, s, 0.0))
         exact = np.where(s > -1, np.expm1(power * y), -1.0) / power - s
         # the two terms cancel for small s: sum the binomial series instead
-        term, series = 1.0, np.zeros_like(s)
-        for k in range(2, 12):
-            term = (power - k + 1) * term / k
-            series += term * s**k
-        scaled = np.where(np.abs(s) < 0.02, series, exact)
+        series = np.zeros_like(s)
+        for k in range(11, 1, -1):
+            series = (power - k + 1) / k * s * (1 + series)
+        scaled = np.where(np.abs(s) < 0.02, s * series, exact)
         return np.where(self.pressed, self.force * self.overlap * scaled, loose)
 
     def collision_overlap(self, speed: Array, inverse_mass: Array) -> Array:
