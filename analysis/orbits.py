@@ -31,11 +31,17 @@ def main() -> None:
     say("residual of the breather", breather.residual)
     most = 1.1 if given.quick else 1.35
     near = orbits.follow(breather, "period", (1.01 if given.quick else 1.0005) * period)
-    far = orbits.follow(breather, "period", most * period)
+    far, here = [], breather
+    # short pieces, so that two events that undo each other seldom lie within one step
+    for longer in np.geomspace(breather.period, most * period, 2 if given.quick else 41)[1:]:
+        far.append(orbits.follow(here, "period", longer))
+        here = far[-1][-1]
     both = orbits.Family(
-        (*near.orbits[::-1], *far.orbits[1:]), np.append(near.value[::-1], far.value[1:]), "period",
-        (*near.events, *far.events), near.reached and far.reached,
+        (*near.orbits[::-1], *(orbit for piece in far for orbit in piece.orbits[1:])),
+        np.concatenate((near.value[::-1], *(piece.value[1:] for piece in far))), "period",
+        tuple(event for piece in (near, *far) for event in piece.events), all(piece.reached for piece in (near, *far)),
     )  # fmt: skip
+    say("events", len(both.events))
     say("orbits followed", len(both))
     inside = np.flatnonzero(both.period > breather.period)
     least = int(inside[both.energy[inside].argmin()])
