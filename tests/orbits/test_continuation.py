@@ -151,7 +151,7 @@ def growth(orbit: orbits.Orbit) -> float:
 
     state = np.concatenate((orbit.displacement / unit, orbit.velocity * clock / unit))
     start = np.concatenate((state[:, None], np.eye(2 * n)), axis=1).ravel()
-    end = solve_ivp(rate, (0, 2 * np.pi), start, "DOP853", rtol=1e-11, atol=1e-12).y[:, -1].reshape(2 * n, -1)
+    end = solve_ivp(rate, (0, 2 * np.pi), start, "DOP853", rtol=3e-14, atol=1e-15).y[:, -1].reshape(2 * n, -1)
     assert np.abs(end[:, 0] - state).max() < 1e-8 * np.abs(state).max()
     return float(np.abs(np.linalg.eigvals(end[:, 1:])).max())
 
