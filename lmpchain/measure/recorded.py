@@ -71,7 +71,8 @@ def leaves_rest(displacement: Array, velocity: Array) -> NDArray[np.bool_]:
     ----------
     displacement, velocity : (T, G) arrays
     """
-    moves = np.asarray(displacement[-1:].any(axis=0) | velocity[-1:].any(axis=0))
-    if (still := np.flatnonzero(~moves)).size:  # in the end: what has moved is seldom at rest
-        moves[still] = displacement[:, still].any(axis=0) | velocity[:, still].any(axis=0)
+    for sampled in (slice(-1, None), slice(None)):  # in the end: what has moved is seldom at rest
+        moves = np.logical_or(displacement[sampled].any(axis=0), velocity[sampled].any(axis=0), dtype=bool)
+        if moves.all():
+            break
     return moves
