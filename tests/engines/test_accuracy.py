@@ -165,14 +165,15 @@ def test_estimate_at_a_given_step(divisor):
     assert true / 3 < t.error_estimate.solver < 5 * true
 
 
-@pytest.mark.parametrize(("integrator", "speed"), [("verlet", 0.7), ("gear4", 1e-3)])
+@pytest.mark.parametrize(("integrator", "speed"), [("verlet", 0.7), ("gear4", 1e-3), ("rkn4", 0.1)])
 def test_free_flight_at_a_million_equal_steps(integrator, speed):
     """Two equal grains fly apart: their displacements add up to speed times t, and all steps round to the same side."""
     chain = Chain(grains=2, diameter=1e-3, gravity=0.0, bottom="free")
     duration = 40 / speed / (chain.contact_constants[0] / (chain.masses[0] * speed**2)) ** 0.4
     scene = Scene(chain=chain, excitation=Impulse(velocity=speed), duration=duration, samples=2)
     run = simulate(scene, "native", 1e-3, integrator=integrator, step=duration / 10**6)
-    assert 1e-12 < abs(run.displacement[-1].sum() / (speed * duration) - 1) < run.error_estimate.total < 1e-9
+    off = abs(run.displacement[-1].sum() / (speed * duration) - 1)
+    assert 1e-12 < off < run.error_estimate.total / 2 < 1e-9  # without DRIFTED less than twice the truth is said
 
 
 @pytest.mark.slow
