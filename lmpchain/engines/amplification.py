@@ -14,6 +14,7 @@ from ..scene.base import Excitation
 from ..scene.excitation import Profile
 from ..scene.scene import Scene
 from ..util.arrays import EPSILON, Array
+from .round_off import DRIFTED
 
 LAST_DIGIT = 1e-15  # of the largest velocity: a few units in the last place of a double
 # analysis/calibration/amplified_rounding.py
@@ -42,9 +43,13 @@ def perturbed(scene: Scene, change: float) -> Scene:
     return scene.replace(excitation=excitation)
 
 
-def walked(evaluations: float) -> float:
-    """Return how many last digits the rounding of so many evaluations of the force walks, at least one."""
-    return max(1.0, EPSILON / LAST_DIGIT * math.sqrt(evaluations))
+def walked(evaluations: float, alike: bool = False) -> float:
+    """Return how many last digits the rounding of so many evaluations of the force makes, at least one.
+
+    It walks; where `alike`, at steps of one length, it may go to one side.
+    """
+    digits = math.sqrt(evaluations)
+    return max(1.0, EPSILON / LAST_DIGIT * (max(digits, DRIFTED * evaluations) if alike else digits))
 
 
 def amplified_digit(scene: Scene, largest: Array, steps_made: float) -> float:

@@ -230,7 +230,7 @@ class CompanionRun(Run):
         opening = np.minimum.reduce([stepper.lowest() for stepper in self._steppers]) <= CLOSE_TO_OPENING
         even = (self.candidate.adaptive or self.method.order == 2) | ~(opening | self._kinked)
         straight = opening & (not self.candidate.adaptive)  # roundings of steps of one length are alike at h and 2h
-        apart = np.where(straight, steps.max((0, 2)), steps[0].max(1)) * np.where(opening, BY_CHANCE, 1.0)
+        apart = steps[0].max(1) * np.where(opening, BY_CHANCE, 1.0)
         plain = self._native[0].chains.plain
         truncations, moving = self._companions.truncations(steps, opening, even), self.peaks[:, 1] > 0
         of_each = opening, even, plain, moving, self._answer.steps, truncations, apart, straight, *peaks.T

@@ -266,11 +266,11 @@ def _why_not(scene: Scene, error: ErrorBudget, attempt: Attempt, better: Candida
 
 
 def _ulps(scene: Scene, attempt: Attempt) -> float:
-    """Return how many last digits at t = 0 do as much as rounding all along a run: it walks, or adds up."""
+    """Return how many last digits at t = 0 do as much as rounding all along a run."""
     candidate = attempt.candidate
     steps = candidate.steps_per_sample * (scene.samples - 1)
     evaluations = METHODS[candidate.integrator].evaluations if candidate.integrator else 0
-    return max(ROUNDING_ULPS, walked(steps * evaluations))
+    return max(ROUNDING_ULPS, walked(steps * evaluations, alike=not candidate.adaptive))
 
 
 def _chaotic(scene: Scene, error: ErrorBudget, attempt: Attempt) -> str:
