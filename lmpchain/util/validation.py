@@ -5,10 +5,9 @@ from __future__ import annotations
 import re
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping
-from functools import wraps
+from collections.abc import Iterator, Mapping
 from inspect import Parameter, Signature
-from typing import Annotated, Any, ClassVar, NoReturn, Self, TypeVar
+from typing import Annotated, Any, ClassVar, NoReturn, Self
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
@@ -18,7 +17,6 @@ from .arrays import Array, read_only
 from .notebook import Shown
 from .suggestions import did_you_mean
 
-T = TypeVar("T")
 NOT_GIVEN: Any = None  # default of array fields that are filled in when they are not given
 
 
@@ -162,20 +160,6 @@ class Checked(Shown, BaseModel):
         )
 
     __hash__ = None  # type: ignore[assignment]  # arrays inside: compare, do not hash
-
-
-def once(function: Callable[[Any], T]) -> Callable[[Any], T]:
-    """Return this function of a `Checked` value, which never changes, computed once and kept with it."""
-    key = f"{function.__module__}.{function.__qualname__}"
-
-    @wraps(function)
-    def kept(value: Any) -> T:
-        known = value.__dict__
-        if key not in known:
-            known[key] = function(value)
-        return known[key]
-
-    return kept
 
 
 def _plain(value: Any) -> Any:

@@ -19,7 +19,6 @@ from ...integrators.kernels.phase_error import accumulate, start
 from ...scene.packet import Packet
 from ...scene.scene import Scene
 from ...util.arrays import Array
-from ...util.validation import once
 from .resonance import Resonance
 
 EARLIEST, GROWTH, EVENLY = 0.5, 1.25, 64  # extra evaluation times: geometric (ratio 1.25) and 64 all over the run
@@ -175,7 +174,6 @@ def may_open(scene: Scene) -> bool:
     return scene.linear_strain >= 1
 
 
-@once
 def bounds(scene: Scene) -> tuple[float, float]:
     """Return a lower and an upper bound on the model error of Eq. (3), from the strike alone.
 
@@ -194,7 +192,6 @@ def bounds(scene: Scene) -> tuple[float, float]:
     return min(1.0, AT_ONCE * excess * scene.strike_number), most
 
 
-@once
 def struck_column(scene: Scene) -> bool:
     """Whether it is a uniform column under gravity alone, struck at its top, for at most ten passages."""
     chain, strike = scene.chain, scene.excitation
@@ -206,7 +203,6 @@ def struck_column(scene: Scene) -> bool:
     return bool(scene.duration <= 10 * passage)
 
 
-@once
 def unlike(chain: Chain) -> dict[str, float]:
     """Return by what part of the largest one masses and contact constants differ, by name."""
     arrays = {"masses": chain.masses, "contact_constants": chain.contact_constants}
@@ -239,7 +235,6 @@ def evaluations(scene: Scene) -> int:
     return _between(scene)[0] + 24
 
 
-@once
 def _between(scene: Scene) -> tuple[int, bool]:
     """Return how many evaluations there are all over the run, and whether they resolve every oscillation."""
     grains, needed = scene.chain.grains, RESOLVED * scene.duration * fastest(scene) + 1
