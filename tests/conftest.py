@@ -8,6 +8,7 @@ import sys
 import pytest
 
 os.environ["MPLBACKEND"] = "agg"  # no test opens a window
+os.environ["OPENBLAS_NUM_THREADS"] = "1"  # one core for a test: threads of two would wait for each other
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # some hundred processes load what is tested
 sys.dont_write_bytecode = False
 
@@ -35,17 +36,28 @@ def pytest_configure(config: pytest.Config) -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     if hasattr(config, "workerinput") or config.option.collectonly:
         return
-    beside = multiprocessing.get_context("fork").Process(target=_run, args=("weak", "chebyshev"))
+    beside = multiprocessing.get_context("fork").Process(target=_compile_methods_and_measures)
     beside.start()
-    for integrator in ("dop853", "gear4", "auto"):
-        _run("weak", "native", integrator=integrator)
-    _run("fig1", "native")
+    _compile_splittings_and_gradients()
     beside.join()
 
 
-def _run(name: str, engine: str, **options: str) -> None:
+def _compile_methods_and_measures() -> None:
     from helpers.example_scenes import paper
 
-    from lmpchain import simulate
+    from lmpchain import measure, simulate
 
-    simulate(paper(name, 5), engine, 1e-2, **options)
+    simulate(paper("weak", 5), "chebyshev", 1e-2)
+    for integrator in ("dop853", "gear4"):
+        simulate(paper("weak", 5), "native", 1e-2, integrator=integrator)
+    measure.front.track(simulate(paper("weak", 5), "modes", 1e-2))
+
+
+def _compile_splittings_and_gradients() -> None:
+    from helpers.example_scenes import paper
+
+    from lmpchain import design, simulate
+
+    simulate(paper("weak", 5), "native", 1e-2)
+    simulate(paper("fig1", 5).replace(quantities=["peak_velocity", "arrival_time", "peak_force:2"]), "native", 1e-2)
+    design.gradient(paper("fig1", 5), design.Momentum([1]), ["masses"], tolerance=1e-2)

@@ -17,6 +17,7 @@ from scipy.linalg import svd
 from ..chain.chain import Chain
 from ..errors import InputError, RunFailed, shown
 from ..util.arrays import Array
+from ..util.linear_algebra import in_one_thread
 from ..util.progress import ProgressBar
 from .closing import aspects, returns
 from .events import EVENTS, Place, between
@@ -103,6 +104,7 @@ class Curve:
         return None
 
 
+@in_one_thread
 def follow(
     orbit: Orbit,
     parameter: str | Callable[[float], Chain],

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eigvals
 
 from ..util.arrays import Array
+from ..util.linear_algebra import in_one_thread
 
 Complex = NDArray[np.complex128]
 
@@ -33,11 +34,13 @@ def there_and_back(half: Array) -> Array:
     return sign[:, None] * inverse(half) * sign @ half
 
 
+@in_one_thread
 def means(matrix: Array) -> Complex:
     """Return the mean of every pair of multipliers of a symplectic matrix (2M, 2M), (M,)."""
     return eigvals(_once((matrix + inverse(matrix)) / 2)).astype(complex)
 
 
+@in_one_thread
 def reversible_means(half: Array) -> Complex:
     """Return the same for an orbit at rest at t = 0 from the tangent map of half its period.
 

@@ -12,6 +12,7 @@ from ..errors import InputError, RunFailed, shown
 from ..scene.excitation import Drive, Profile
 from ..theory.modes import eigenmodes
 from ..util.arrays import Array
+from ..util.linear_algebra import in_one_thread
 from ..util.validation import Checked
 from .flow import Flow
 from .orbit import Orbit, orbit_of
@@ -21,6 +22,7 @@ REST = 1e-3  # of the guess: an orbit so much smaller is the chain at rest
 RESTING = 1e-12  # of the largest speed of a linear wave with these displacements: a guess at rest
 
 
+@in_one_thread
 def find(
     chain: Chain,
     guess: Profile | Orbit | tuple[Array, Array] | None = None,
