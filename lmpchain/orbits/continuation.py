@@ -134,7 +134,8 @@ def follow(
         Most orbits of the family.
     events : bool
         Whether folds and bifurcations are located. Two that undo each other within one step are not seen; follow
-        the family in shorter pieces to see them.
+        the family in shorter pieces to see them. Without events steps are longer, and may jump over a narrow
+        resonance to where the family goes on beyond its folds.
     progress : bool
 
     Returns

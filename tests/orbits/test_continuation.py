@@ -11,6 +11,7 @@ from lmpchain import Chain, Drive, orbits
 from lmpchain.orbits import Family, continuation
 from lmpchain.orbits.closing import Aspect, aspects
 from lmpchain.orbits.shooting import Equations
+from lmpchain.theory import modes
 
 CHAIN = Chain(grains=3, diameter=1e-3, gravity=0.0, top_load=1.0)  # one grain that moves, below the driven one
 OMEGA = float(np.sqrt(2 * CHAIN.linear_stiffness[0] / CHAIN.masses[0]))
@@ -100,6 +101,22 @@ def test_an_energy_family_returns_to_where_it_began():
     assert back[-1].period == pytest.approx(first.period, rel=1e-10)
     assert back[-1].displacement == pytest.approx(first.displacement, abs=1e-9 * first.amplitude)
     assert (np.diff(there.energy) > 0).all()
+
+
+def test_from_a_linear_mode_through_two_folds_and_back():
+    """The slowest mode of a column meets a resonance, where its energy turns twice."""
+    chain = Chain(grains=5, diameter=1e-3)
+    there = orbits.mode_family(chain, 1, 4e-14)
+    back = orbits.follow(there[-1], "energy", there[0].energy)
+    for way in (there, back):
+        assert way.reached
+        turns = np.sign(np.diff(way.energy))
+        assert np.sum(turns[1:] != turns[:-1]) == 2
+    folds = [sorted(event.value for event in way.events if event.kind == "fold") for way in (there, back)]
+    assert folds[0] == pytest.approx(folds[1], rel=1e-6)
+    assert there[0].period == pytest.approx(2 * np.pi / modes.eigenmodes(chain).frequency[0], rel=1e-3)
+    assert back[-1].period == pytest.approx(there[0].period, rel=1e-10)
+    assert back[-1].displacement == pytest.approx(there[0].displacement, abs=1e-9 * there[0].amplitude)
 
 
 def test_an_orbit_of_a_family_takes_one_tangent_map(monkeypatch: pytest.MonkeyPatch):
