@@ -40,6 +40,7 @@ def pytest_configure(config: pytest.Config) -> None:
     beside.start()
     _compile_splittings_and_gradients()
     beside.join()
+    assert beside.exitcode == 0, "what tests need could not be compiled: the error is above"
 
 
 def _compile_methods_and_measures() -> None:
@@ -50,7 +51,7 @@ def _compile_methods_and_measures() -> None:
     simulate(paper("weak", 5), "chebyshev", 1e-2)
     for integrator in ("dop853", "gear4"):
         simulate(paper("weak", 5), "native", 1e-2, integrator=integrator)
-    measure.front.track(simulate(paper("weak", 5), "modes", 1e-2))
+    measure.front.track(simulate(paper("weak", 33), "modes", 1e-2))
 
 
 def _compile_splittings_and_gradients() -> None:
