@@ -8,7 +8,8 @@ the other half of the scenes needs in the same way, where it has not been fitted
 of it alone, the other parts being nothing: more than that is never needed. A bound has to hold always: DOUBT and WANDER
 are supported from the most that any scene needs, of these and of families that ask for more (`columns`: struck columns
 of few grains up to ten passages, where `bounds` has nothing but DOUBT; `pushed`: drives of many grains), up to half as
-much again as any needs alone. COLUMN, STEEPEST and LINEAR come from struck columns.
+much again as any needs alone. STEEPENS is supported likewise from `trains`: packets and driven waves that travel
+through long chains, as no other scene asks for it. COLUMN, STEEPEST and LINEAR come from struck columns.
 
     python analysis/calibration/linear_model_error.py           # two minutes
     python analysis/calibration/linear_model_error.py --quick   # seconds
@@ -24,7 +25,7 @@ from unittest import mock
 
 import numpy as np
 from common import Row, answer, command, distance, quantile
-from scenes import drawn
+from scenes import drawn, trains
 
 from lmpchain import Chain, Impulse, Scene
 from lmpchain.engines.linear import model_error
@@ -35,6 +36,7 @@ from lmpchain.engines.linear.model_error import (
     DOUBT,
     EVENLY,
     SLOWS,
+    STEEPENS,
     STEEPEST,
     STRAYS,
     WANDER,
@@ -161,6 +163,15 @@ def _factor(name: str, shipped: float, needs: list[Need]) -> Row:
     )
 
 
+def _steepens(found: list[Held]) -> Row:
+    """Return the row of the factor of waves that steepen, which has to hold always."""
+    others = [max(DOUBT * x.found._scattered, WANDER * wandered(x.found)) for x in found]
+    parts = [_part(x.true, x.found._steepens / STEEPENS, other) for x, other in zip(found, others, strict=True)]
+    beside, alone = (max(part[k] for part in parts) for k in (0, 1))
+    says = f"most that any of {len(found)} trains needs: beside the others {beside:.3g}, alone {alone:.3g}"
+    return Row("STEEPENS", STEEPENS, beside, beside, MARGIN * max(alone, beside), says)
+
+
 def _bounds(found: list[Held]) -> list[Row]:
     """Return the rows of the factors of bounds, which have to hold always."""
     rows = []
@@ -202,6 +213,7 @@ def main(quick: bool = False) -> list[Row]:
     asking = drawn(3 * count // 4, 920, strength=(-3.0, -0.3), spans=(5.0, 100.0), driven=1.0, **pushed)
     rows = [
         *_bounds(found + [x for x in held(asking + columns(quick)) if x.true < SMALL]),
+        _steepens([x for x in held(trains(count // 3, 44)) if x.true < SMALL]),
         _factor("STRAYS", STRAYS, [_strays(x) for x in found]),
         _factor("SLOWS", SLOWS, [_slows(x) for x in found]),
     ]

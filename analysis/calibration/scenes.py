@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Profile, Scene
+from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Packet, Profile, Scene
 
 EXPONENTS = (1.0, 1.1, 1.25, 1.5, 1.5, 1.5, 1.5, 2.0, 2.5, 3.0)
 KINDS = ("gravity", "gravity", "load", "both", "vacuum")
@@ -49,6 +49,34 @@ def drawn(count: int, seed: int, keep: Callable[[Scene], bool] = lambda scene: T
         if keep(scene):
             found.append(scene)
     return found
+
+
+def trains(count: int, seed: int) -> list[Scene]:
+    """Return long uniform chains in which a packet or a driven wave travels for at most two passages."""
+    rng, found = np.random.default_rng(seed), list[Scene]()
+    while len(found) < count:
+        try:
+            found.append(_train(rng, packet=len(found) % 2 == 0))
+        except InputError:
+            continue
+    return found
+
+
+def _train(rng: np.random.Generator, packet: bool) -> Scene:
+    chain = Chain(
+        grains=int(10 ** rng.uniform(2, 3.3)),
+        diameter=10 ** rng.uniform(-3.5, -2),
+        gravity=rng.choice((0.0, 9.81)),
+        top_load=10 ** rng.uniform(-2, 1),
+        exponent=rng.choice((1.1, 1.5, 2.0, 3.0)),
+    )
+    hop, ratio = np.sqrt(chain.linear_stiffness[0] / chain.masses[0]), 10 ** rng.uniform(-1.5, -0.1)
+    height = 10 ** rng.uniform(-5, -2.5) * chain.equilibrium_overlap[0] / (2 * ratio)
+    wave: dict[str, float] = {"frequency": ratio * hop / np.pi, "amplitude": height}
+    width = rng.uniform(0.3, 1.0) * chain.grains / 13
+    excitation = Packet(**wave, grain=chain.grains // 2, width=width) if packet else Drive(**wave)
+    duration = chain.grains * 10 ** rng.uniform(-1.5, 0.3) / hop
+    return Scene(chain=chain, excitation=excitation, duration=duration, samples=41)
 
 
 def _chain(rng: np.random.Generator, exponent: float, kind: str, grains: int) -> Chain:

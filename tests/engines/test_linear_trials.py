@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lmpchain
-from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Profile, Scene, ToleranceNotMet, simulate
+from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Packet, Profile, Scene, ToleranceNotMet, simulate
 from lmpchain.engines import Modes
 from lmpchain.errors import RunFailed
 from lmpchain.simulation.selection import percent
@@ -247,6 +247,27 @@ def test_waves_in_resonance_add_up(engine, length):
     assert known
     assert known.error(t) / 1.3 < Modes().look(scene).estimate < 1.3 * known.error(t)
     assert known.error(t) < t.error_estimate.model < 6 * known.error(t)  # of what acts all the time, the bound
+
+
+@pytest.mark.filterwarnings("ignore:Eq. ", "ignore:about .* passages")
+@pytest.mark.parametrize("kind", ["packet", "drive"])
+def test_waves_that_travel_far_grow_steeper(kind):
+    """A crest is faster than a trough all the way, which signs that change at each grain do not tell."""
+    grains = 1500
+    chain = Chain(grains=grains, diameter=1e-3, gravity=0, top_load=1.0, exponent=2.0)
+    hop, amplitude = np.sqrt(chain.linear_stiffness[0] / chain.masses[0]), 2e-4 * chain.equilibrium_overlap[0]
+    if kind == "drive":
+        excitation, grains_passed = Drive(frequency=0.6 * hop / np.pi, amplitude=amplitude), 1400
+    else:
+        wave = {"frequency": 0.25 * hop / np.pi, "amplitude": amplitude}
+        excitation, grains_passed = Packet(**wave, grain=grains // 2, width=grains // 14), 600
+    scene = Scene(chain=chain, excitation=excitation, duration=grains_passed / hop, samples=41)
+    t, nonlinear = simulate(scene, "chebyshev", 0.9), simulate(scene, "native", 1e-6)
+    true = max(
+        np.abs(a - b).max() / np.abs(b).max()
+        for a, b in ((t.displacement, nonlinear.displacement), (t.velocity, nonlinear.velocity))
+    )
+    assert 1e-3 < true < t.error_estimate.model < 5 * true
 
 
 def _linear(scene: Scene) -> tuple[np.ndarray, np.ndarray]:

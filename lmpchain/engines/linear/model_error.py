@@ -19,7 +19,7 @@ from ...integrators.kernels.phase_error import accumulate, start
 from ...scene.packet import Packet
 from ...scene.scene import Scene
 from ...util.arrays import Array
-from .resonance import Resonance
+from .resonance import FEW, Resonance
 
 EARLIEST, GROWTH, EVENLY = 0.5, 1.25, 64  # extra evaluation times: geometric (ratio 1.25) and 64 all over the run
 SMALL = 1024  # values of one chain for which more of them cost next to nothing
@@ -35,6 +35,7 @@ DOUBT = 3.0  # true error over the estimate
 LARGE = 0.6  # bound from which on it says no more than that the error is large
 STRAYS, WANDER = 0.15, 0.6  # true error over strains that add up as a random walk: an estimate, and a bound
 SLOWS = 0.05  # true error over (delta - 1) strain^2 periods: an oscillation is slower the stronger it is
+STEEPENS = 0.35  # true error over (delta - 1) s omega t of a wave train, whose crests gain on its troughs; theory: 1/4
 COLUMN, STEEPEST = 0.272, 2.2  # the error over (delta - 1) v0* of a column struck at the top; up to this delta
 
 # of displacement and velocity
@@ -65,6 +66,7 @@ class PhaseError:
         self._looked = decidable(scene)
         self._resonance = Resonance(scene)
         self._in_phase = scene.excitation.does_work or isinstance(scene.excitation, Packet)
+        self._travels = travel(scene) if self._in_phase and chain.grains > FEW else 0.0
         self._spreads = struck_column(scene)  # where the lead is won at the first grains, and stays
         self.state = start() if state is None else state.copy()
 
@@ -104,9 +106,12 @@ class PhaseError:
 
     @property
     def estimate(self) -> float:
-        """What is left out: the lead of the wave, waves in resonance, strains that add up at random."""
-        if not self._looked:
-            return 1.0
+        """What is left out: the lead of the wave, waves in resonance, strains at random, steeper crests."""
+        return max(self._scattered, self._steepens) if self._looked else 1.0
+
+    @property
+    def _scattered(self) -> float:
+        """That of waves that are no long train."""
         slows = SLOWS * self._excess * self._typical * self.state[kernel.SQUARED_STRAIN]
         resonant = float((self._resonance.motion(self.state[kernel.TIME]) / self.scale).max())
         strayed = 0.0 if self._spreads else max(resonant, STRAYS * self._strays(self._typical)) + slows
@@ -120,7 +125,7 @@ class PhaseError:
         """
         if self.remark:
             return 1.0
-        bound = max(DOUBT * self.estimate, WANDER * self._strays(self._fastest))
+        bound = max(DOUBT * self._scattered, WANDER * self._strays(self._fastest), self._steepens)
         return float(min(self._most, bound if bound < LARGE else 1.0))
 
     @property
@@ -138,6 +143,23 @@ class PhaseError:
         """Return the strains added up as if the phases that they shift went at random."""
         steps = self.state[kernel.MOST_STRAIN] + np.sqrt(frequency * self.state[kernel.SQUARED_STRAIN])
         return float(self._excess * steps * self._begun)
+
+    @property
+    def _steepens(self) -> float:
+        """What a train of waves gains where it is compressed, and loses where it is stretched.
+
+        It does so as long as it travels, a packet until it is apart from its second harmonic and its mean strain.
+        """
+        if not self._travels:
+            return 0.0
+        frequency, time, squared = self._typical, self.state[kernel.TIME], self.state[kernel.SQUARED_STRAIN]
+        travels, most = min(time, self._travels), self.state[kernel.MOST_STRAIN]
+        if isinstance(self._excitation, Packet) and frequency > 0:
+            ratio = min(1.0, frequency / self._fastest)
+            apart = frequency * ratio**2 / (1 + np.sqrt(1 - ratio**2))
+            travels = min(travels, (1 + 2 * ratio * self._excitation.width) / apart)
+        grown = frequency * min(most * travels, np.sqrt(squared * time))
+        return float(min(1.0, STEEPENS * self._excess * (most * self._begun + grown)))
 
     @property
     def _typical(self) -> float:
@@ -167,6 +189,32 @@ class PhaseError:
 def fastest(scene: Scene) -> float:
     """Return the highest frequency in the linear solution, rad/s."""
     return max(scene.chain.band_edge, scene.excitation.fastest)
+
+
+def passage(scene: Scene) -> Array:
+    """Return how long a weak wave takes from grain to grain, (N-1,) s."""
+    chain = scene.chain
+    return np.asarray(np.sqrt(chain.masses[:-1] / chain.linear_stiffness))
+
+
+def travel(scene: Scene) -> float:
+    """Return how long a wave train travels at its largest strain, s.
+
+    A packet travels to an end. What acts makes the same strain all the time, which falls on the way as the flow of energy is kept (WKB): like
+    1 / (overlap sqrt(stiffness speed)).
+    """
+    if isinstance(scene.excitation, Packet):
+        return float(passage(scene).sum())
+    chain, place = scene.chain, max(0, scene.excitation.reach(scene.chain)[0] - 1)
+    times = passage(scene)
+    strain = np.sqrt(times / chain.linear_stiffness) / chain.equilibrium_overlap
+    longest = 0.0
+    for way in (slice(place, None), slice(place - 1, None, -1) if place else slice(0)):
+        if times[way].size:
+            longest = max(
+                longest, float((np.cumsum(times[way] * strain[way]) / np.maximum.accumulate(strain[way])).max())
+            )
+    return longest
 
 
 def may_open(scene: Scene) -> bool:
@@ -199,8 +247,7 @@ def struck_column(scene: Scene) -> bool:
         return False
     if chain.top != "free" or chain.exponent > STEEPEST or any(unlike(chain).values()):
         return False
-    passage = np.sqrt(chain.masses[0] / chain.linear_stiffness).sum()
-    return bool(scene.duration <= 10 * passage)
+    return bool(scene.duration <= 10 * passage(scene).sum())
 
 
 def unlike(chain: Chain) -> dict[str, float]:
