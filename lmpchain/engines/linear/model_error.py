@@ -200,8 +200,8 @@ def passage(scene: Scene) -> Array:
 def travel(scene: Scene) -> float:
     """Return how long a wave train travels at its largest strain, s.
 
-    A packet travels to an end. What acts makes the same strain all the time, which falls on the way as the flow of energy is kept (WKB): like
-    1 / (overlap sqrt(stiffness speed)).
+    A packet travels to an end. What acts makes the same strain all the time, which falls on the way as the flow of
+    energy is kept (WKB): like 1 / (overlap sqrt(stiffness speed)).
     """
     if isinstance(scene.excitation, Packet):
         return float(passage(scene).sum())
