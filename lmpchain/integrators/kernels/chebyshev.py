@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from ...util.arrays import Array
 from ...util.compilation import compiled_once
+from .contact_forces import compiled
 
 NEWS = "the Chebyshev series", 5
 NEGLIGIBLE = 1e-25  # of the largest: grains that move less are not yet reached
@@ -28,6 +29,15 @@ LEAST = 1e-18  # a polynomial with a smaller weight changes nothing
 CHUNK = 64  # polynomials that are held at a time
 SPAN = 10.0  # w t for which one series serves all times in between
 TINY = 1e-20  # J_0 of less is 1, and all others make no difference
+
+
+@compiled
+def _largest(x):
+    """Return the largest |x| of an array in one dimension."""
+    largest = 0.0
+    for n in range(x.size):
+        largest = max(largest, abs(x[n]))
+    return largest
 
 
 @compiled_once(*NEWS)
@@ -42,16 +52,19 @@ def bessel(z, orders):
 
     More orders than the largest z.
     """
-    start = orders + int(20 + 10 * z.max() ** (1 / 3))
+    start = orders + int(20 + 10 * _largest(z) ** (1 / 3))
     start += start % 2
     values = np.zeros((orders, z.size))
-    above, here, total = np.zeros(z.size), np.full(z.size, 1e-300), np.zeros(z.size)
-    place = np.maximum(z, TINY)
+    above, here, total, place = np.zeros(z.size), np.full(z.size, 1e-300), np.zeros(z.size), np.empty(z.size)
+    for i in range(z.size):
+        place[i] = max(z[i], TINY)
     for n in range(start, 0, -1):
         if n < orders:
-            values[n] = here
+            for i in range(z.size):
+                values[n, i] = here[i]
         if n % 2 == 0:
-            total += 2 * here
+            for i in range(z.size):
+                total[i] += 2 * here[i]
         largest = 0.0
         for i in range(z.size):
             below = 2 * n / place[i] * here[i] - above[i]
@@ -61,9 +74,14 @@ def bessel(z, orders):
             for i in range(z.size):
                 if abs(here[i]) > 1e200:
                     above[i], here[i], total[i] = above[i] * 1e-250, here[i] * 1e-250, total[i] * 1e-250
-                    values[n:, i] *= 1e-250
-    values[0] = here
-    return values / (total + here)
+                    for order in range(n, orders):
+                        values[order, i] *= 1e-250
+    for i in range(z.size):
+        values[0, i], total[i] = here[i], total[i] + here[i]
+    for n in range(orders):
+        for i in range(z.size):
+            values[n, i] /= total[i]
+    return values
 
 
 @compiled_once(*NEWS, error_model="numpy", fastmath={"nnan", "ninf", "nsz"})
@@ -79,14 +97,14 @@ def series(x, stiffness, mobility, oscillator, scale, of_t, of_w, reach):
     """
     grains, orders = x.size, of_t.shape[1]
     first, last = reach
-    tiny = NEGLIGIBLE * np.abs(x).max()
-    double, total = 2 * x, np.zeros(grains + 2)  # 2 T_k x, and W_k x between two grains that stand still
-    total[1:-1] = x
-    most = min(orders, CHUNK)
+    tiny = NEGLIGIBLE * _largest(x)
+    double, total = np.empty(grains), np.zeros(grains + 2)  # 2 T_k x, and W_k x between two grains that stand still
+    most, pull = min(orders, CHUNK), np.empty(grains)
     ts, ws = np.zeros((most, grains)), np.zeros((most, grains))
-    ts[0], ws[0] = x, x
+    for n in range(grains):
+        double[n], total[n + 1], ts[0, n], ws[0, n] = 2 * x[n], x[n], x[n], x[n]
+        pull[n] = 4 / (scale * scale) * mobility[n]
     sum_t, sum_w = np.zeros((of_t.shape[0], grains)), np.zeros((of_w.shape[0], grains))
-    pull = 4 / (scale * scale) * mobility
     for k in range(orders):
         here = k % most
         if k > 0:  # one grain further, but not beyond all motion, where numbers are so small that they are slow
@@ -118,7 +136,7 @@ def series(x, stiffness, mobility, oscillator, scale, of_t, of_w, reach):
 @compiled_once(*NEWS)
 def moving(u, v):
     """Return the first and the one after the last grain that moves, and put those beyond to rest."""
-    least_u, least_v = NEGLIGIBLE * np.abs(u).max(), NEGLIGIBLE * np.abs(v).max()
+    least_u, least_v = NEGLIGIBLE * _largest(u), NEGLIGIBLE * _largest(v)
     first, last = 0, u.size
     while first < last and abs(u[first]) <= least_u and abs(v[first]) <= least_v:
         first += 1
@@ -132,17 +150,24 @@ def moving(u, v):
 
 
 @compiled_once(*NEWS, error_model="numpy")
-def _weights(scale, times):
-    """Return weights of ``T_k phi`` and ``W_k v`` in phi, of ``T_k phi`` in v at these times, (3, T, K+1)."""
-    table = bessel(scale * times, 2 * terms(scale * times[-1]) + 2)
+def _weights(scale, times, now):
+    """Return weights of ``T_k phi`` in phi and, below these, in v, (2 T, K+1), and of ``W_k v`` in phi, (T, K+1)."""
+    z = np.empty(times.size)
+    for i in range(times.size):
+        z[i] = scale * (times[i] - now)
+    table = bessel(z, 2 * terms(z[-1]) + 2)
     orders = table.shape[0]
-    while orders > 4 and np.abs(table[orders - 2 : orders]).max() < LEAST:
+    while orders > 4 and max(_largest(table[orders - 2]), _largest(table[orders - 1])) < LEAST:
         orders -= 2
-    even, odd = table[0:orders:2], 2 / scale * table[1:orders:2]
-    rate = np.empty(even.shape)
-    rate[0] = -scale * table[1]
-    rate[1:] = scale / 2 * (table[1 : orders - 2 : 2] - table[3:orders:2])
-    return np.ascontiguousarray(even.T), np.ascontiguousarray(odd.T), np.ascontiguousarray(rate.T)
+    many, of_t, of_w = times.size, np.empty((2 * times.size, orders // 2)), np.empty((times.size, orders // 2))
+    for k in range(orders // 2):
+        for i in range(many):
+            of_t[i, k], of_w[i, k] = table[2 * k, i], 2 / scale * table[2 * k + 1, i]
+            if k == 0:
+                of_t[many + i, k] = -scale * table[1, i]
+            else:
+                of_t[many + i, k] = scale / 2 * (table[2 * k - 1, i] - table[2 * k + 1, i])
+    return of_t, of_w
 
 
 @compiled_once(*NEWS, error_model="numpy")
@@ -153,25 +178,32 @@ def _march(u, v, stiffness, mobility, oscillator, squares, reach, times, us, vs,
     while begin < times.size:
         a, b, end, scale = first, last, begin, -1.0
         while b > a:  # a wider reach may hold stiffer contacts, which take more terms
-            needed = max(math.sqrt(squares[a:b].max()), 1e-300)
+            needed = max(math.sqrt(_largest(squares[a:b])), 1e-300)
             if needed <= scale:
                 break
             scale, end = needed, begin + 1
             while end < times.size and scale * (times[end] - now) < SPAN:
                 end += 1
-            even, odd, rate = _weights(scale, times[begin:end] - now)
-            count = even.shape[1] - 1
+            of_t, of_w = _weights(scale, times[begin:end], now)
+            count = of_w.shape[1] - 1
             a, b = max(first - count, 0), min(last + count, u.size)
         if b == a:
             return spent
         chain = stiffness[a : b + 1], mobility[a:b], (oscillator if a == 0 else 0.0), scale
-        new_v, new_u = series(v[a:b], *chain, even, odd, (first - a, last - a))
-        if u[first:last].any():
-            more, _ = series(u[a:b], *chain, np.vstack((even, rate)), odd[:0], (first - a, last - a))
-            new_u, new_v = new_u + more[: end - begin], new_v + more[end - begin :]
-        us[begin:end, a:b], vs[begin:end, a:b] = new_u, new_v
-        reached[begin:end, 0], reached[begin:end, 1] = a, b
-        u[a:b], v[a:b], now, begin = new_u[-1], new_v[-1], times[end - 1], end
+        new_v, new_u = series(v[a:b], *chain, of_t[: end - begin], of_w, (first - a, last - a))
+        if _largest(u[first:last]) > 0.0:
+            more, _ = series(u[a:b], *chain, of_t, of_w[:0], (first - a, last - a))
+            for i in range(end - begin):
+                for n in range(b - a):
+                    new_u[i, n] += more[i, n]
+                    new_v[i, n] += more[end - begin + i, n]
+        for i in range(end - begin):
+            for n in range(b - a):
+                us[begin + i, a + n], vs[begin + i, a + n] = new_u[i, n], new_v[i, n]
+            reached[begin + i, 0], reached[begin + i, 1] = a, b
+        for n in range(a, b):
+            u[n], v[n] = us[end - 1, n], vs[end - 1, n]
+        now, begin = times[end - 1], end
         first, last = moving(u[a:b], v[a:b])
         first, last = first + a, last + a
         spent += count

@@ -130,9 +130,10 @@ def accelerate(chain, y, first, last, force, pull):
 
 
 @inlined
-def _rows(chain, a, b, some, top, kicks, drifts, carried, path):
-    """Kick and drift the grains a ... b-1 once for each of some rows; `top`: none of the window is above."""
+def _rows(chain, a, b, some, kicks, drifts, carried, path):
+    """Kick and drift the grains a ... b-1 once for each of some rows."""
     il, st, im, forced = chain.inverse_length, chain.strength, chain.inverse_mass, _forced(chain)
+    top = a == int(chain.state[FIRST])  # none of the window is above
     body = forced if forced > 0 else int(chain.drive[BODY])
     kick_and_drift(
         chain.form, chain.x[a - 1 : b + 1], chain.v[a:b], il[a - 1 : b], st[a - 1 : b], im[a:b],
@@ -160,7 +161,7 @@ def _close(chain, end, kicks, drifts, carried, path):
     for row in range(kicks.size):
         b = end + PAD * (row + 1)
         now, x[b] = x[b], edges[row]
-        _rows(chain, end - PAD * row, b, slice(row, row + 1), False, kicks, drifts, carried, path)
+        _rows(chain, end - PAD * row, b, slice(row, row + 1), kicks, drifts, carried, path)
         x[b] = now
 
 
@@ -188,7 +189,7 @@ def sweep(chain, kicks, drifts, carried, path):
                 elif begin > first:
                     a = begin + PAD * (row + 1)
                     _lean(chain, a, row, carried)
-            _rows(chain, a, b, slice(row, row + together), a == first, kicks, drifts, carried, path)
+            _rows(chain, a, b, slice(row, row + together), kicks, drifts, carried, path)
         if end == ends:
             break
     meet(chain.team)

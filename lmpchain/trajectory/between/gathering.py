@@ -163,7 +163,8 @@ def _rise(p, i, t, record, n, log, logged):
             continue
         if record[SINCE, n] < (1.0 - FELL) * record[TOP, n]:
             log[logged, 0] = n
-            log[logged, 1:] = record[:, n]
+            for m in range(record.shape[0]):
+                log[logged, 1 + m] = record[m, n]
             logged += 1
         bend = 0.0
         if k < count:
@@ -233,8 +234,9 @@ def gather(u, v, base, begin, end, final, h, forces, far, fast, record, log, log
         for m in range(numbers.size):
             _motion(u, v, first, count, numbers[m] - 1, h, forces, part[:, 0])
             _motion(u, v, first, count, numbers[m], h, forces, beside[:, :count])
-            part[:4, 0] -= beside[:4, :count]
-            part[4, 0] += beside[4, :count]
+            for q in range(5):
+                for r in range(count):
+                    part[q, 0, r] += beside[q, r] if q == 4 else -beside[q, r]
             p = path(part, 0, h, RAISED, nothing, reach[: count - 1], error[: count - 1], c, d, places)
             polynomial(p, i)
             _raise(p, i, closest, m)
