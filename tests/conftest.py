@@ -36,29 +36,28 @@ def pytest_configure(config: pytest.Config) -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     if hasattr(config, "workerinput") or config.option.collectonly:
         return
-    beside = multiprocessing.get_context("fork").Process(target=_compile_methods_and_measures)
+    beside = multiprocessing.get_context("fork").Process(target=_compile_steps_of_one_length_and_measures)
     beside.start()
-    _compile_splittings_and_gradients()
+    _compile_adaptive_steps_and_gradients()
     beside.join()
     assert beside.exitcode == 0, "what tests need could not be compiled: the error is above"
 
 
-def _compile_methods_and_measures() -> None:
+def _compile_steps_of_one_length_and_measures() -> None:
     from helpers.example_scenes import paper
 
     from lmpchain import measure, simulate
 
-    simulate(paper("weak", 5), "chebyshev", 1e-2)
-    for integrator in ("dop853", "gear4"):
+    for integrator in ("rkn4", "dop853", "gear4"):
         simulate(paper("weak", 5), "native", 1e-2, integrator=integrator)
+    simulate(paper("weak", 5), "chebyshev", 1e-2)
     measure.front.track(simulate(paper("weak", 33), "modes", 1e-2))
 
 
-def _compile_splittings_and_gradients() -> None:
+def _compile_adaptive_steps_and_gradients() -> None:
     from helpers.example_scenes import paper
 
     from lmpchain import design, simulate
 
-    simulate(paper("weak", 5), "native", 1e-2)
     simulate(paper("fig1", 5).replace(quantities=["peak_velocity", "arrival_time", "peak_force:2"]), "native", 1e-2)
     design.gradient(paper("fig1", 5), design.Momentum([1]), ["masses"], tolerance=1e-2)

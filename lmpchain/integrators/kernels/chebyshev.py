@@ -151,7 +151,10 @@ def moving(u, v):
 
 @compiled_once(*NEWS, error_model="numpy")
 def _weights(scale, times, now):
-    """Return weights of ``T_k phi`` in phi and, below these, in v, (2 T, K+1), and of ``W_k v`` in phi, (T, K+1)."""
+    """Return weights of ``T_k phi``, (2 T, K+1), and of ``W_k v``, (T, K+1).
+
+    The first are those in phi and, below these, those in v; the second are in phi.
+    """
     z = np.empty(times.size)
     for i in range(times.size):
         z[i] = scale * (times[i] - now)
