@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -102,15 +101,14 @@ def test_every_form_of_the_force(chain: dict[str, Any]):
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["verlet", "rkn4"])
 def test_a_window_that_grows_takes_in_threads(method: str):
-    for first, last in ((0, 2 * LEAST_SHARE - 40), (3000, 3000 + 2 * LEAST_SHARE - 40)):
-        scene = noisy(3 * LEAST_SHARE, first, last).replace(duration=1e-3, samples=3)
+    for first, threads in ((0, 2), (3000, 3)):
+        scene = noisy(3 * LEAST_SHARE, first, first + 2 * LEAST_SHARE - 40).replace(duration=1e-3, samples=3)
         for adaptive in {False, METHODS[method].adaptive != "no"}:
             how = {"steps": 300}
             one = answer(scene, 1, method, adaptive, **how)
             assert one[4][0, LAST] - one[4][0, FIRST] > 2 * LEAST_SHARE + 200
-            for threads in (2, 3):
-                for a, b in zip(one, answer(scene, threads, method, adaptive, **how), strict=True):
-                    assert np.array_equal(a, b)
+            for a, b in zip(one, answer(scene, threads, method, adaptive, **how), strict=True):
+                assert np.array_equal(a, b)
 
 
 @pytest.mark.parametrize(
@@ -159,7 +157,7 @@ def test_whole_answers_and_runs_that_go_on():
         return np.concatenate(blocks), kept
 
     whole, end = run(1)
-    for threads, others in product((1, 2), (1, 2)):
+    for threads, others in ((1, 2), (2, 1), (2, 2)):
         kept = run(threads, stop=1)[1]
         rest, ended = run(others, kept)
         assert np.array_equal(whole[len(whole) - len(rest) :], rest)

@@ -82,7 +82,7 @@ def busy_disk(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(run_folder, "SHARE", 1e9)
 
 
-MARKS = {4: (), 20: pytest.mark.slow, 60: pytest.mark.soak}
+MARKS = {4: (), 60: pytest.mark.soak}
 EVERY = [(case, most) for case in (native, lammps, breakdown, fallback) for most in MARKS]
 
 
