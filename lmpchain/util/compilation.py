@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import re
+import secrets
 import sys
 import threading
 import time
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core.bytecode import FunctionIdentity
 from numba.core.event import Event, Listener, register
 
 BESIDE = re.compile(r"^from \.(\w+) import", re.MULTILINE)
+# numba counts from 1 what each process compiles, to tell functions of one name apart. What two processes have kept may
+# then have the same names, and one that loads both calls one for the other: a force of another exponent, or a step of
+# another method (https://github.com/numba/numba/issues/10486). Random numbers differ in forks, too.
+FunctionIdentity._unique_ids = iter(partial(secrets.randbits, 64), -1)  # type: ignore[assignment]
+
 _news: dict[Callable, str] = {}  # message for the compilation of each function
 _said: set[str] = set()  # messages that were given
 
@@ -67,8 +74,8 @@ def clock() -> float:
 
 @cache
 def _sources(module: Path) -> str:
-    """Return a hash of a module and of the modules in its folder that it imports, at any depth."""
-    known, waiting = {}, [module]
+    """Return a hash of a module, of the modules in its folder that it imports, at any depth, and of this one."""
+    known, waiting = {}, [module, Path(__file__)]
     while waiting:
         path = waiting.pop()
         if path not in known and path.exists():

@@ -95,3 +95,38 @@ def test_no_compilation_is_counted_as_cost_on_a_new_machine(engine, tmp_path):
         assert (second["numba:compiler_lock"], second["compile_s"]) == (0, 0)
         for cost in first, second:
             assert 0 < cost["integration_s"] + cost["estimate_s"] + cost["setup_s"] < 1
+
+
+TWINS = """
+import numba
+from lmpchain.util.compilation import compiled_once
+
+def made(step):
+    @numba.njit
+    def climb(x, n):
+        return x if n == 0 else climb(x + step, n - 1)
+    return climb
+
+_by_one, _by_two = made(1.0), made(2.0)
+
+@compiled_once("one", 1)
+def by_one(n):
+    return _by_one(0.0, n)
+
+@compiled_once("two", 1)
+def by_two(n):
+    return _by_two(0.0, n)
+"""
+
+
+@pytest.mark.slow
+def test_what_two_processes_have_compiled_is_told_apart_by_a_third(tmp_path):
+    """Functions that are made in one place have one name: numba tells them apart by a number that starts anew."""
+    (tmp_path / "twins.py").write_text(TWINS)
+    said = [
+        subprocess.run(
+            [sys.executable, "-c", f"from twins import *; print({call})"], cwd=tmp_path, capture_output=True, text=True
+        ).stdout
+        for call in ("by_one(7)", "by_two(7)", "by_one(7), by_two(7)")
+    ]
+    assert said == ["7.0\n", "14.0\n", "7.0 14.0\n"]
