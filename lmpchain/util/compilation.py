@@ -74,7 +74,7 @@ def clock() -> float:
 
 @cache
 def _sources(module: Path) -> str:
-    """Return a hash of a module, of the modules in its folder that it imports, at any depth, and of this one."""
+    """Return a hash of a module, of what it imports from its folder, at any depth, and of this module."""
     known, waiting = {}, [module, Path(__file__)]
     while waiting:
         path = waiting.pop()
