@@ -96,6 +96,6 @@ def test_versions_agree():
     assert f"\n## {version} " in (ROOT / "CHANGELOG.md").read_text()
 
 
-@pytest.mark.parametrize("tool", ["ruff check", "ruff format --check", "mypy"])
+@pytest.mark.parametrize("tool", ["ruff check", "ruff format --check", pytest.param("mypy", marks=pytest.mark.slow)])
 def test_code_is_clean(tool):
     python("-m", *tool.split(), cwd=ROOT)

@@ -680,8 +680,14 @@ def test_a_killed_worker_loses_nothing(tmp_path, serial):
     assert contents(tmp_path) == expected
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize(
+    "how",
+    [
+        pytest.param(signal.SIGINT, marks=pytest.mark.slow),
+        pytest.param(signal.SIGTERM, marks=pytest.mark.soak),
+        pytest.param(signal.SIGKILL, marks=pytest.mark.slow),
+    ],
+)
 def test_a_stopped_sweep_goes_on(tmp_path, serial, how):
     """Ctrl-C reaches all processes of a terminal; what is done is kept, and no process is left."""
     path, expected = serial
@@ -758,7 +764,10 @@ def cluster(folder: Path, workers: int = 2) -> Iterator[tuple[str, list[psutil.P
                 process.kill()
 
 
-@pytest.mark.slow
+# --- soak
+
+
+@pytest.mark.soak
 def test_dask_with_a_killed_worker(tmp_path, serial):
     path, expected = serial
     with (
@@ -770,9 +779,6 @@ def test_dask_with_a_killed_worker(tmp_path, serial):
         out, _ = process.communicate(timeout=PATIENCE)
     assert (process.returncode, ALL_DONE in out) == (0, True)
     assert contents(tmp_path / "out") == expected
-
-
-# --- soak
 
 
 @pytest.mark.soak
