@@ -11,7 +11,7 @@ of few grains up to ten passages, where `bounds` has nothing but DOUBT; `pushed`
 much again as any needs alone. STEEPENS is supported likewise from `trains`: packets and driven waves that travel
 through long chains, as no other scene asks for it. COLUMN, STEEPEST and LINEAR come from struck columns.
 
-    python analysis/calibration/linear_model_error.py           # two minutes
+    python analysis/calibration/linear_model_error.py           # half a minute
     python analysis/calibration/linear_model_error.py --quick   # seconds
 """
 
@@ -80,6 +80,11 @@ def strayed(found: PhaseError) -> float:
 def slowed(found: PhaseError) -> float:
     """Return (delta - 1) strain^2 periods, of which SLOWS is the factor."""
     return float(found._excess * found._typical * found.state[kernel.SQUARED_STRAIN])
+
+
+def steepened(found: PhaseError) -> float:
+    """Return (delta - 1) s omega t of a wave train, of which STEEPENS is the factor."""
+    return found._steepens / STEEPENS
 
 
 def at_once(found: PhaseError) -> float:
@@ -163,28 +168,21 @@ def _factor(name: str, shipped: float, needs: list[Need]) -> Row:
     )
 
 
-def _steepens(found: list[Held]) -> Row:
-    """Return the row of the factor of waves that steepen, which has to hold always."""
-    others = [max(DOUBT * x.found._scattered, WANDER * wandered(x.found)) for x in found]
-    parts = [_part(x.true, x.found._steepens / STEEPENS, other) for x, other in zip(found, others, strict=True)]
-    beside, alone = (max(part[k] for part in parts) for k in (0, 1))
-    says = f"most that any of {len(found)} trains needs: beside the others {beside:.3g}, alone {alone:.3g}"
-    return Row("STEEPENS", STEEPENS, beside, beside, MARGIN * max(alone, beside), says)
-
-
-def _bounds(found: list[Held]) -> list[Row]:
-    """Return the rows of the factors of bounds, which have to hold always."""
-    rows = []
-    for name, shipped, parts in (
-        ("DOUBT", DOUBT, [_part(x.true, x.found.error, WANDER * wandered(x.found)) for x in found]),
-        ("WANDER", WANDER, [_part(x.true, wandered(x.found), DOUBT * x.found.error) for x in found]),
-    ):
+def _bounds(found: list[Held], trains: list[Held]) -> list[Row]:
+    """Return the rows of the factors of bounds, of which the largest has to hold always."""
+    rows, shipped = [], {"DOUBT": DOUBT, "WANDER": WANDER, "STEEPENS": STEEPENS}
+    for name, factor in shipped.items():
+        asking, parts = trains if name == "STEEPENS" else found, []
+        for x in asking:
+            units = {"DOUBT": x.found._scattered, "WANDER": wandered(x.found), "STEEPENS": steepened(x.found)}
+            others = max(shipped[other] * unit for other, unit in units.items() if other != name)
+            parts.append(_part(x.true, units[name], others))
         beside, alone = (max(part[k] for part in parts) for k in (0, 1))
-        says = f"most that any of {len(found)} scenes needs: beside the other {beside:.3g}, alone {alone:.3g}"
+        says = f"most that any of {len(parts)} scenes needs: beside the others {beside:.3g}, alone {alone:.3g}"
         if name == "DOUBT":
             column = max((x.true / x.column for x in found), default=0.0)
             beside, says = max(beside, column), f"{says}, over COLUMN {column:.3g}"
-        rows.append(Row(name, shipped, beside, beside, MARGIN * max(alone, beside), says))
+        rows.append(Row(name, factor, beside, beside, MARGIN * max(alone, beside), says))
     return rows
 
 
@@ -211,9 +209,10 @@ def main(quick: bool = False) -> list[Row]:
     found = [x for x in held(scenes) if x.true < SMALL]
     pushed = {"kinds": ranges["kinds"], "exponents": (2.0, 2.5, 3.0), "samples": 101, "grains": (13, 16, 20, 30)}
     asking = drawn(3 * count // 4, 920, strength=(-3.0, -0.3), spans=(5.0, 100.0), driven=1.0, **pushed)
+    bounded = [x for x in found + held(asking + columns(quick)) if x.true < SMALL]
+    travelling = [x for x in held(trains(count // 3, 44)) if x.true < SMALL]
     rows = [
-        *_bounds(found + [x for x in held(asking + columns(quick)) if x.true < SMALL]),
-        _steepens([x for x in held(trains(count // 3, 44)) if x.true < SMALL]),
+        *_bounds(bounded, travelling),
         _factor("STRAYS", STRAYS, [_strays(x) for x in found]),
         _factor("SLOWS", SLOWS, [_slows(x) for x in found]),
     ]

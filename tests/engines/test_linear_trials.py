@@ -249,7 +249,7 @@ def test_waves_in_resonance_add_up(engine, length):
     assert known.error(t) < t.error_estimate.model < 6 * known.error(t)  # of what acts all the time, the bound
 
 
-@pytest.mark.filterwarnings("ignore:Eq. ", "ignore:about .* passages")
+@pytest.mark.filterwarnings("ignore:Eq. ")
 @pytest.mark.parametrize("kind", ["packet", "drive"])
 def test_waves_that_travel_far_grow_steeper(kind):
     """A crest is faster than a trough all the way, which signs that change at each grain do not tell."""
