@@ -23,7 +23,7 @@ from ...util.arrays import Array
 from ...util.compilation import compiled_once
 from .contact_forces import compiled
 
-NEWS = "the Chebyshev series", 5
+NEWS = "the Chebyshev series", 8
 NEGLIGIBLE = 1e-25  # of the largest: grains that move less are not yet reached
 LEAST = 1e-18  # a polynomial with a smaller weight changes nothing
 CHUNK = 64  # polynomials that are held at a time

@@ -28,7 +28,7 @@ from .hermite import (
     value,
 )
 
-NEWS = "what gathers", 15
+NEWS = "what gathers", 8
 AROUND = 4  # samples around an interval
 # of the second differences at both ends of an interval: above what a value may exceed those at its ends by, an eighth
 SLACK = 0.25
