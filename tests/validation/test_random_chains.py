@@ -28,15 +28,24 @@ def test_dysons_spectrum_to_three_in_ten_thousand():
     assert found.integrated == pytest.approx(dyson.integrated(np.sqrt(square), 1), abs=3e-4)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("m", "omega"), [(5, 0.05), (5, 0.1), (20, 0.2)])
-def test_weak_localisation_by_random_springs(m, omega):
-    """gamma = omega^2 Var(1/k) / (8 <1/k>), here with <1/k> = 1 and Var(1/k) = 1/(m-1): Eq. (23) as printed."""
+@pytest.mark.parametrize(
+    ("m", "omega", "chains"),
+    [
+        pytest.param(20, 0.2, 100, marks=pytest.mark.slow),
+        pytest.param(5, 0.1, 100, marks=pytest.mark.soak),
+        pytest.param(5, 0.05, 300, marks=pytest.mark.soak),
+    ],
+)
+def test_weak_localisation_by_random_springs(m, omega, chains):
+    """gamma = omega^2 Var(1/k) / (8 <1/k>), here with <1/k> = 1 and Var(1/k) = 1/(m-1): Eq. (23) as printed.
+
+    So many chains that the standard error is a third of what the law is held to, 2 %.
+    """
     springs = gamma(m + 1, scale=1 / m)
-    found = lyapunov(omega, springs, grains=1_000_000, chains=20, seed=2)
+    found = lyapunov(omega, springs, grains=1_000_000, chains=chains, seed=2)
     law = omega**2 / 8 / (m - 1)
-    assert abs(found.exponent[0] - law) < 0.02 * law + 3 * found.error[0]
-    assert found.error[0] < 0.03 * law
+    assert found.exponent[0] == pytest.approx(law, rel=0.02)
+    assert found.error[0] < 0.0075 * law
     share = density_of_states(omega, springs, grains=1_000_000, chains=20, seed=2)
     assert share.integrated[0] == pytest.approx(omega / np.pi, rel=2e-3)
 
