@@ -52,7 +52,7 @@ def test_stored_references_can_be_made_again(name):
     u, v, own = extended_reference(SCENES[name])
     stored = stored_reference(name)
     assert relative_error(u, v, *stored[:2]) <= 2e-16 + own
-    assert own == pytest.approx(stored[2], rel=0.5, abs=1e-17)
+    assert own == pytest.approx(stored[2], rel=0.5, abs=3e-16)  # some roundings of what is stored
 
 
 @each_kind

@@ -137,14 +137,14 @@ def test_what_acts_all_the_time(excitation: dict[str, Any]):
 def test_whole_answers_and_runs_that_go_on():
     """The answer, its error estimate and what it goes on from know nothing of the threads."""
     scene = noisy(2 * LEAST_SHARE + 5, bottom="wall")
-    scene = scene.replace(samples=51, duration=scene.duration / 4)
+    scene = scene.replace(samples=11, duration=scene.duration / 16)
     one, two = (simulate(scene, "native", 1e-4, threads=threads) for threads in (1, 2))
     for field in ("displacement", "velocity"):
         assert np.array_equal(getattr(one, field), getattr(two, field))
     assert one.error_estimate == two.error_estimate
     assert one.cost.steps == two.cost.steps
 
-    def run(threads: int, kept: Any = None, stop: int = 51) -> tuple[Any, Any]:
+    def run(threads: int, kept: Any = None, stop: int = 11) -> tuple[Any, Any]:
         engine = engines.Native("rkn4", threads=threads)
         started = engine.start([scene], engine.candidate(scene, 1e-3), kept)
         blocks = []

@@ -11,8 +11,11 @@ ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "analysis" / "calibration"
 SHARED = ("common", "scenes")
 SCRIPTS = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem not in SHARED)
-# ten to twenty seconds each
-LONG = ("adaptive_steps", "halved_steps", "opening_error_factor", "richardson_estimate", "roundoff")
+# five to twenty seconds each
+LONG = (
+    *("adaptive_steps", "chaos_test", "halved_steps", "linear_model_error", "opening_error_factor"),
+    *("returning_waves", "richardson_estimate", "roundoff"),
+)
 # what few scenes already show; the README has what many do, and what none does
 SHOWN = {
     "adaptive_steps": ["CROSSING_STEP", "LEAST_CROSSING", "STEP_ERROR", "STEP_ERROR_MIN"],

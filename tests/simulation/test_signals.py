@@ -31,12 +31,12 @@ CASES = {
     [
         pytest.param("native", signal.SIGINT, 130, marks=pytest.mark.slow),
         pytest.param("two ranks", signal.SIGINT, 130, marks=pytest.mark.slow),
-        pytest.param("mpirun", signal.SIGTERM, 143, marks=pytest.mark.slow),
         pytest.param("native", signal.SIGTERM, 143, marks=pytest.mark.soak),
         pytest.param("lammps", signal.SIGINT, 130, marks=pytest.mark.soak),
         pytest.param("lammps", signal.SIGTERM, 143, marks=pytest.mark.soak),
         pytest.param("two ranks", signal.SIGTERM, 143, marks=pytest.mark.soak),
         pytest.param("mpirun", signal.SIGINT, 130, marks=pytest.mark.soak),
+        pytest.param("mpirun", signal.SIGTERM, 143, marks=pytest.mark.soak),
     ],
 )
 def test_a_signal_stops_at_the_next_block(case: str, number: int, code: int, tmp_path: Path):
