@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 from contextlib import suppress
+from itertools import cycle, product
 from pathlib import Path
 
 import numpy as np
@@ -72,12 +73,17 @@ def same(one: Trajectory, other: Trajectory) -> bool:
     return np.array_equal(one.displacement, other.displacement) and np.array_equal(one.velocity, other.velocity)
 
 
-EVERY = [(name, integrator) for name in SCENES for integrator in ("verlet", "kahan-li6", "rkn6")]
+INTEGRATORS = ("verlet", "kahan-li6", "rkn6")
 FIRST = ("strike in the middle", "rkn6")
+SLOW = list(zip(SCENES, cycle(INTEGRATORS)))  # each once
 
 
 @pytest.mark.parametrize(
-    ("name", "integrator"), [pytest.param(*each, marks=() if each == FIRST else pytest.mark.slow) for each in EVERY]
+    ("name", "integrator"),
+    [
+        pytest.param(*each, marks=() if each == FIRST else pytest.mark.slow if each in SLOW else pytest.mark.soak)
+        for each in product(SCENES, INTEGRATORS)
+    ],
 )
 def test_ranks_give_the_bytes_of_one(name, integrator):
     scene, options = SCENES[name], {"integrator": integrator, "step": 2e-7, "diameter": "physical"}
