@@ -229,7 +229,7 @@ class CompanionRun(Run):
         rounding = largest[0].max(1).tolist()
         opening = np.minimum.reduce([stepper.lowest() for stepper in self._steppers]) <= CLOSE_TO_OPENING
         even = (self.candidate.adaptive or self.method.order == 2) | ~(opening | self._kinked)
-        straight = opening & (not self.candidate.adaptive)  # roundings of steps of one length are alike at h and 2h
+        straight = opening & (not self.candidate.adaptive)  # in flight steps of one length round to one side
         apart = steps[0].max(1) * np.where(opening, BY_CHANCE, 1.0)
         plain = self._native[0].chains.plain
         truncations, moving = self._companions.truncations(steps, opening, even), self.peaks[:, 1] > 0

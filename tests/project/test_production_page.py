@@ -36,7 +36,7 @@ MOVING = Scene(
 LASTING = {
     "-o run/": MOVING,
     "job/": MOVING,
-    "sweep.toml": Scene(chain=Chain(grains=60, diameter=1e-3), excitation=STRIKE, duration=1e-4, samples=1001),
+    "sweep.toml": Scene(chain=Chain(grains=60, diameter=1e-3), excitation=STRIKE, duration=1e-4, samples=3001),
 }
 
 STANDING_IN = {
