@@ -49,7 +49,7 @@ class _Acting(Excitation):
         yield from wrong
         if not wrong and not self.waveform.fastest < FASTEST:
             swift = 2 * np.pi * (self.frequency or 0.0) >= FASTEST
-            key = "frequency" if swift else next(key for key in ("times", "cycles", "duration") if key in given)
+            key = "frequency" if swift else next(key for key in ("cycles", "duration") if key in given)
             yield key, f"makes for {self.waveform.fastest:.2g} rad/s, too fast to compute with: use SI units"
 
     def _huge(self, values: str) -> bool:
@@ -66,6 +66,8 @@ class _Acting(Excitation):
             yield key, f"must have one entry for each of two or more times, not {len(values)}"
         if self.times[0] != 0 or not (np.diff(self.times) > SAMPLED * self.times[-1]).all():
             yield "times", f"must begin with 0 and increase, each by more than {SAMPLED:g} of the last"
+        elif (np.diff(self.times) < 1 / FASTEST).any():
+            yield "times", f"are {np.diff(self.times).min():.2g} s apart, too little to compute with: use SI units"
 
     def _too_short(self, duration: float) -> Iterator[tuple[str, str]]:
         if self.times is not None and self.times[-1] < duration:

@@ -370,6 +370,8 @@ FAULTS = {
     "shape: must be": lambda: Force(amplitude=1.0, shape="square", duration=1.0),
     "force: must have one entry": lambda: Force(times=[0.0, 1.0], force=[1.0]),
     "times: must begin with 0": lambda: Force(times=[0.5, 1.0], force=[1.0, 2.0]),
+    "times: are 4.9e-324 s apart": lambda: Drive(times=[0.0, 5e-324], displacement=[0.0, 1e-10]),
+    "times: are 1e-21 s apart": lambda: Force(times=[0.0, 1e-21, 1e-10], force=[1.0, 2.0, 1.0]),
     "displacement: must begin with 0, where the wall": lambda: Drive(times=[0, 1.0], displacement=[1, 2.0], grain=0),
     "grain: must be": lambda: Drive(amplitude=1.0, frequency=1.0, grain=2),
     "grain: 0 moves the top wall": lambda: scene_of(LOADED, drives(1.0)["sine"]),
