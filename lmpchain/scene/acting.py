@@ -43,17 +43,12 @@ class _Acting(Excitation):
         if given not in ways:
             yield "amplitude", f"give {self._words(values)} (or a file with both)"
             return
-        wrong = [(values, f"must be at most {LARGEST:g} in size")] if self._huge(values) else []
-        if self.times is not None and not wrong:
-            wrong = list(self._samples(values, getattr(self, values)))
-        yield from wrong
-        if not wrong and not self.waveform.fastest < FASTEST:
+        if self.times is not None:
+            yield from self._samples(values, getattr(self, values))
+        elif not self.waveform.fastest < FASTEST:
             swift = 2 * np.pi * (self.frequency or 0.0) >= FASTEST
             key = "frequency" if swift else next(key for key in ("cycles", "duration") if key in given)
             yield key, f"makes for {self.waveform.fastest:.2g} rad/s, too fast to compute with: use SI units"
-
-    def _huge(self, values: str) -> bool:
-        return self.times is not None and bool((np.abs(getattr(self, values)) > LARGEST).any())
 
     def _ways(self, values: str) -> list[set[str]]:
         return [{"amplitude", "frequency"}, {"amplitude", "frequency", "cycles"}, {"times", values}]
@@ -62,6 +57,8 @@ class _Acting(Excitation):
         return f"amplitude and frequency, with or without cycles, or times and {values}"
 
     def _samples(self, key: str, values: Array) -> Iterator[tuple[str, str]]:
+        if (np.abs(values) > LARGEST).any():
+            yield key, f"must be at most {LARGEST:g} in size"
         if len(self.times) != len(values) or len(self.times) < 2:
             yield key, f"must have one entry for each of two or more times, not {len(values)}"
         if self.times[0] != 0 or not (np.diff(self.times) > SAMPLED * self.times[-1]).all():

@@ -44,6 +44,7 @@ class Motion:
         force = kind(chain.top_load) + kind(chain.gravity) * np.append(0, np.cumsum(mass))
         pressed = (stiffness > 0) & (force > 0)
         self.compressed, self.loose = bool(pressed.any()), np.flatnonzero((stiffness > 0) & ~pressed)
+        self.opens = np.where(pressed, -1, 0)  # closeness at which each contact does
         overlap = np.where(pressed, force / np.where(pressed, stiffness, 1), 0) ** (1 / self.delta)
         self.acting, self.body = _acting(scene, kind)
         self.driven = self.acting if self.body == 1 and scene.excitation.kind == "drive" else None
@@ -95,9 +96,7 @@ class Motion:
 
     def changes(self, t: np.floating[Any], state: Array, step: np.floating[Any], later: Array) -> bool:
         """Return whether a contact that presses at time t, in a state (2, N), is open a step later, or the reverse."""
-        rest = np.full(self.strength.size, -1 if self.compressed else 0)
-        rest[self.loose] = 0
-        before, after = (self.closeness(*at) > rest for at in ((t, state[0]), (t + step, later[0])))
+        before, after = (self.closeness(*at) > self.opens for at in ((t, state[0]), (t + step, later[0])))
         return bool(((before != after) & (self.strength > 0)).any())
 
     def acceleration(self, t: np.floating[Any], x: Array) -> Array:

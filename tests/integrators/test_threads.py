@@ -144,7 +144,7 @@ def test_whole_answers_and_runs_that_go_on():
     assert one.error_estimate == two.error_estimate
     assert one.cost.steps == two.cost.steps
 
-    def run(threads: int, kept: Any = None, stop: int = 11) -> tuple[Any, Any]:
+    def run(threads: int, kept: Any = None, stop: int = scene.samples) -> tuple[Any, Any]:
         engine = engines.Native("rkn4", threads=threads)
         started = engine.start([scene], engine.candidate(scene, 1e-3), kept)
         blocks = []

@@ -11,7 +11,7 @@ ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "analysis" / "calibration"
 SHARED = ("common", "scenes")
 SCRIPTS = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem not in SHARED)
-# five to twenty seconds each
+# the longest
 LONG = (
     *("adaptive_steps", "chaos_test", "halved_steps", "linear_model_error", "opening_error_factor"),
     *("returning_waves", "richardson_estimate", "roundoff"),

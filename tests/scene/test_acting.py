@@ -393,6 +393,10 @@ FAULTS = {
 }
 
 
+def test_points_as_close_as_one_can_compute_with():
+    assert Drive(times=[0.0, 1e-20], displacement=[0.0, 1e-30]).fastest == pytest.approx(1e20)
+
+
 @pytest.mark.parametrize("said", FAULTS)
 def test_faults_in_words(said: str):
     with pytest.raises(InputError) as fault:

@@ -118,7 +118,7 @@ FOUND = [
     ("acted", 8000043),  # springs in a vacuum: all four runs agree by chance on less than their error
     ("acted", 9000167),  # a burst has just begun: modes of low frequency took one sine off another like it
     ("acted", 10000061),  # crests of a wide packet gain on its troughs, which linear theory did not say
-    ("native", 4000638),  # and here: they passed over a touch shorter than an eighth of a step
+    ("native", 4000638),  # companions passed over a touch shorter than an eighth of a step
     ("native", 9003082),  # roundings of runs at h, 1.5h and 2h agree by chance on a third of what they make
     ("native", 101540),  # here the reference was wrong: two solutions left out the same opening
 ]
