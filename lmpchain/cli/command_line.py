@@ -15,13 +15,13 @@ import threading
 import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import Any, NoReturn
+from typing import Any
 
-from ..errors import LONGEST, InputError, LmpchainError, short, shown
+from ..errors import InputError, LmpchainError, shown
 from ..util import mpi
-from ..util.suggestions import did_you_mean
 from . import commands, sensitivity
 from .common import complain
+from .parser import Parser, ShowVersion
 
 NO_READER = 128 + signal.SIGPIPE  # what a shell says of tools that SIGPIPE ends
 
@@ -139,46 +139,15 @@ def _show_warning(message: Warning | str, *_: Any) -> None:
     complain(str(message), "warning")
 
 
-class _Parser(argparse.ArgumentParser):
-    """Argument parser that reports faults like all others, without the usage message."""
-
-    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Complain of unknown arguments here, where the options of the verb are known."""
-        known, unknown = super().parse_known_args(args, namespace)
-        if unknown:
-            names = (name.partition("=")[0] for name in unknown)
-            meant = next(filter(None, (did_you_mean(name, self._option_string_actions) for name in names)), "")
-            self.error(f"unrecognized arguments: {' '.join(unknown)}{meant}")
-        return known, unknown
-
-    def error(self, message: str) -> NoReturn:
-        if choice := re.search(r"invalid choice: '(.*)' \(choose from (.*)\)", message):
-            message += did_you_mean(choice[1], re.findall(r"[\w/-]+", choice[2]))
-        brief = re.sub(rf"\S{{{LONGEST},}}", lambda match: short(match[0]), message)
-        named = brief.removeprefix("argument ")
-        complain(f"{'arguments: ' if named == brief else ''}{named}; see {self.prog} --help")
-        sys.exit(2)
-
-
-class _ShowVersion(argparse.Action):
-    """Show the version, which is looked up only on demand."""
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
-        from importlib.metadata import version
-
-        print(f"lmpchain {version('lmpchain')}")
-        parser.exit()
-
-
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(
+    parser = Parser(
         prog="lmpchain",
         description="Waves in columns of Hertzian grains: LAMMPS and a native integrator, side by side, each with an "
         "estimate of its own error. All quantities are in SI units.",
         epilog="Exit codes: 0 done, 1 the run failed or missed its tolerance, 2 the input is wrong, 75 the time of "
         "--max-wall was over before the run was, 130 after Ctrl-C, 143 after SIGTERM.",
     )
-    parser.add_argument("--version", action=_ShowVersion, nargs=0, help="show the version and exit")
+    parser.add_argument("--version", action=ShowVersion, nargs=0, help="show the version and exit")
     verbs = parser.add_subparsers(metavar="COMMAND", required=True)
 
     run = verbs.add_parser("run", help="solve a scene and save the trajectory, in a file or a run folder")

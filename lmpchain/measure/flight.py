@@ -7,7 +7,6 @@ from typing import Literal
 
 import numpy as np
 from scipy.interpolate import PPoly, make_interp_spline
-from scipy.signal import correlate
 
 from ..errors import InputError
 from ..trajectory.trajectory import Trajectory
@@ -130,6 +129,8 @@ def time_of_flight(
         begin, end = (arrival(s.time, s.change, f"force in grain {s.grain}") for s in (one, two))
         seconds, error = end.time - begin.time, begin.error + end.error
     else:
+        from scipy.signal import correlate
+
         shifts = np.concatenate((-one.time[:0:-1], one.time))
         best = arrival(shifts, correlate(two.change, one.change), "correlation of the two forces")
         seconds, error = best.time, best.error

@@ -9,13 +9,14 @@ import numpy as np
 from scipy import optimize, stats
 
 from ..errors import InputError, shown
+from ..trajectory.picture import UNITS
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, legend
 from .motion import motion_of
-from .spectrum import UNITS, Field, check
+from .recorded import Field, check
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -17,8 +17,7 @@ from ..trajectory.between.hermite import DISPLACEMENT, RAISED, VELOCITY
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, as_slice
 from ..util.lazy import listed
-from .recorded import around, leaves_rest
-from .spectrum import Field
+from .recorded import Field, around, leaves_rest
 
 __dir__ = listed(__name__)
 

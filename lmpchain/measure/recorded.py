@@ -1,15 +1,20 @@
-"""Which bodies beside each recorded grain are known, and which grains ever leave rest."""
+"""What was recorded: of which grains, whether enough, and which bodies beside each of them are known."""
 
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import InputError, shown
 from ..trajectory.between.derivatives import STILL, UNKNOWN
+from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
+
+Field = Literal["velocity", "displacement"]
+FEWEST_SAMPLES = 16  # least for tracking a front or a spectrum
 
 
 class Around(NamedTuple):
@@ -76,3 +81,22 @@ def leaves_rest(displacement: Array, velocity: Array) -> NDArray[np.bool_]:
         if moves.all():
             break
     return moves
+
+
+def check(trajectory: Trajectory, field: Field) -> None:
+    """Check that a trajectory has samples enough for fronts and spectra, and such a field.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    field : {"velocity", "displacement"}
+
+    Raises
+    ------
+    InputError
+        If it has not.
+    """
+    if field not in get_args(Field):
+        raise InputError([("field", f'must be "velocity" or "displacement" (got {shown(field)})')])
+    if trajectory.time.size < FEWEST_SAMPLES:
+        raise InputError([("samples", f"must be {FEWEST_SAMPLES} or more: record more often or for longer")])

@@ -3,29 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.signal import get_window
 
 from ..chain.chain import Chain
 from ..errors import InputError, shown
 from ..theory.bands import Cell, branches, repeating
 from ..theory.local_bands import local_bands
-from ..trajectory.picture import UNITS as UNITS
+from ..trajectory.picture import UNITS
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, as_slice
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, colour_bar, edges, legend
+from .recorded import Field, check
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 __dir__ = listed(__name__)
 
-Field = Literal["velocity", "displacement"]
-FEWEST_SAMPLES, FEWEST_GRAINS = 16, 8  # least for tracking a front or a spectrum; least to resolve wavenumbers
+FEWEST_GRAINS = 8  # least to resolve wavenumbers
 DECADES = 3  # spanned by the colours of a spectrum
 LINE = "#D55E00"  # vermilion of Okabe and Ito: seen on every colour of cividis, whatever the colour vision
 
@@ -122,25 +121,6 @@ class Dispersion(Shown):
         ax.set(xlabel="wavenumber, downward (radians a grain)", ylabel="frequency")
         ax.set_ylim(0, min(self.frequency[-1], 1.5 * self.relation.max() or np.inf))
         return ax
-
-
-def check(trajectory: Trajectory, field: Field) -> None:
-    """Check that a trajectory has samples enough for fronts and spectra, and such a field.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-    field : {"velocity", "displacement"}
-
-    Raises
-    ------
-    InputError
-        If it has not.
-    """
-    if field not in get_args(Field):
-        raise InputError([("field", f'must be "velocity" or "displacement" (got {shown(field)})')])
-    if trajectory.time.size < FEWEST_SAMPLES:
-        raise InputError([("samples", f"must be {FEWEST_SAMPLES} or more: record more often or for longer")])
 
 
 def _sorted(trajectory: Trajectory, field: Field) -> tuple[np.ndarray, Array]:
@@ -318,8 +298,11 @@ def space_time(trajectory: Trajectory, field: Field = "velocity", ax: Axes | Non
 
 
 def _window(name: str, size: int) -> Array:
+    from scipy.signal import get_window
+
     try:
-        return get_window(name, size)
+        window: Array = get_window(name, size)
+        return window
     except ValueError:
         raise InputError([("window", f"must be a name for scipy.signal.get_window (got {shown(name)})")]) from None
 

@@ -10,7 +10,7 @@ from ...errors import InputError
 from ...theory.domain import chi
 from ...trajectory.trajectory import Trajectory
 from ..front import Front, track
-from ..spectrum import Field
+from ..recorded import Field
 
 QUIET = 1e-6  # least drop behind a front, over the largest motion, if the error of a trajectory is unknown
 

@@ -13,12 +13,13 @@ from ...chain.chain import Chain
 from ...errors import InputError
 from ...scene.excitation import Displacement, Impulse
 from ...theory.modes import eigenmodes
+from ...trajectory.picture import UNITS
 from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array
 from ...util.notebook import Shown
 from ...util.plotting import axes_in_units, legend, titled
 from ..bodies import motion
-from ..spectrum import UNITS, Field
+from ..recorded import Field
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -101,6 +101,13 @@ def _crossing(p, sign, level, i, s, step):
     return np.nan, np.nan
 
 
+@inlined
+def _as_large(p, s, sign, away, level):
+    """Say whether sign times the polynomial exceeds a level so far away from a place, in its interval."""
+    before, after = s - away, s + away
+    return (before >= 0.0 and sign * value(p.c, before) > level) or (after <= 1.0 and sign * value(p.c, after) > level)
+
+
 class Found(NamedTuple):
     """The first maximum of some size: interval (-1 for none), place in it, and size.
 
@@ -161,13 +168,15 @@ def _front(p, fraction, known_error, certain, frequency, width, largest, low, hi
     for k in range(7):
         p.d[k] = (k + 1) * p.c[k + 1]
     bend = abs(slope(p.d, s)) / p.h**2
-    # for how long the value is as large as that, within its error; or what the errors of the slope make of it
-    spread = 0.0
-    for step in (-1, 1):
-        edge, _ = _crossing(p, sign, top - 2 * off, at, s, step)
-        spread = max(spread, abs(edge - when) if math.isfinite(edge) else (when if step < 0 else end - when))
     tilt = STEEPEST / BUMP * (off - known_error) / p.h + frequency * known_error
-    late = min(tilt / bend, spread) if bend > 0.0 else spread
+    late = tilt / bend if bend > 0.0 else end
+    if not _as_large(p, s, sign, late / p.h, top - 2 * off):
+        # what the errors of the slope make of it; at most, for how long the value is as large within its error
+        spread = 0.0
+        for step in (-1, 1):
+            edge, _ = _crossing(p, sign, top - 2 * off, at, s, step)
+            spread = max(spread, abs(edge - when) if math.isfinite(edge) else (when if step < 0 else end - when))
+        late = min(late, spread)
     # which other maxima it may be, if values are off by their errors, and how far apart these are
     apart = 0.0
     least, most = fraction * (low - known_error) - off, fraction * (high + known_error) + off

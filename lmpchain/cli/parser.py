@@ -1,0 +1,49 @@
+"""An argument parser that reports faults as all commands do."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from typing import Any, NoReturn
+
+from ..errors import LONGEST, short
+from ..util.suggestions import did_you_mean
+from .common import complain
+
+
+class Parser(argparse.ArgumentParser):
+    """Argument parser that reports faults like all others, without the usage message."""
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Complain of unknown arguments here, where the options of the verb are known."""
+        known, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            names = (name.partition("=")[0] for name in unknown)
+            meant = next(filter(None, (did_you_mean(name, self._option_string_actions) for name in names)), "")
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{meant}")
+        return known, unknown
+
+    def print_help(self, file: Any = None) -> None:
+        """Print the help; that nobody reads it is no secret, as some versions of argparse make it."""
+        print(self.format_help(), end="", file=file)
+
+    def error(self, message: str) -> NoReturn:
+        """Report what is wrong with the arguments in one line, and end with exit code 2."""
+        if choice := re.search(r"invalid choice: '(.*)' \(choose from (.*)\)", message):
+            message += did_you_mean(choice[1], re.findall(r"[\w/-]+", choice[2]))
+        brief = re.sub(rf"\S{{{LONGEST},}}", lambda match: short(match[0]), message)
+        named = brief.removeprefix("argument ")
+        complain(f"{'arguments: ' if named == brief else ''}{named}; see {self.prog} --help")
+        sys.exit(2)
+
+
+class ShowVersion(argparse.Action):
+    """Show the version, which is looked up only on demand."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        """Print it and end."""
+        from importlib.metadata import version
+
+        print(f"lmpchain {version('lmpchain')}")
+        parser.exit()
