@@ -137,6 +137,8 @@ def _told(answer: Callable[[], Trajectory], tolerance: float, path: Path, save: 
 
 def _summary(trajectory: Trajectory, tolerance: float, path: Path) -> str:
     """Return a summary of the run: engine, steps, error and cost."""
+    from ..trajectory.gathered import in_words
+
     cost, error, scene = trajectory.cost, trajectory.error_estimate, trajectory.scene
     ranks = f", on {cost.ranks} ranks" if cost.ranks > 1 else ""
     parts = f" = {error.model:.2g} (equation) + {error.solver:.2g} (solver)" if error.model else ""
@@ -147,6 +149,7 @@ def _summary(trajectory: Trajectory, tolerance: float, path: Path) -> str:
         "estimated error": f"{error.total:.2g}{parts} (tolerance {tolerance:g})",
         "time spent": f"{cost.integration_s:.3g} s integration, {cost.estimate_s:.3g} s error estimate, "
         f"{cost.setup_s:.3g} s set-up, {cost.compile_s:.3g} s compilation",
+        **in_words(scene, trajectory.gathered),
         "folder" if path.is_dir() else "file": str(path),
     }
     return "\n".join(aligned(lines.items()))

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from ..scene.scene import Scene
 
@@ -56,3 +59,20 @@ def variables(scene: Scene, values: dict[str, Any]) -> dict[str, tuple[tuple[str
     """Return dimensions, values and metadata of what was gathered, by its name in files."""
     every = arrays(scene)
     return {stored(name): (every[name].dimensions, each, every[name].labels) for name, each in values.items()}
+
+
+def in_words(scene: Scene, values: Mapping[str, Any]) -> dict[str, str]:
+    """Return a line for each quantity: between what its values lie, and how far off they are at most."""
+    lines = {}
+    for name in scene.quantities:
+        value, error = (np.ravel(values[key]) for key in (name, f"{name}_error"))
+        there = np.isfinite(value)
+        if not there.any():
+            lines[name] = "nothing: no front has passed"
+            continue
+        low, high = (f"{extreme(value[there]):.6g}" for extreme in (np.min, np.max))
+        units = KINDS[name.partition(":")[0]][1].replace(" s-1", "/s")
+        some = "" if there.all() else f" in {there.sum()} of {there.size} grains"
+        span = low if low == high else f"{low} to {high}"
+        lines[name] = f"{span} {units}{some}, off by {error[there].max():.2g} at most"
+    return lines

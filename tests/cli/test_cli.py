@@ -431,6 +431,30 @@ def test_from_another_thread(scene: Path):
     assert codes == [0]
 
 
+def test_what_was_gathered_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    path = tmp_path / "scene.toml"
+    text = tomli_w.dumps(tomllib.loads(SCENE) | {
+        "chain": {"grains": 20, "diameter": 1e-3},
+        "recording": {"duration": 2e-5, "samples": 3, "quantities": ["peak_velocity", "arrival_time", "peak_force:3"]},
+    })  # fmt: skip
+    path.write_text(text)
+    assert main(["run", str(path)]) == 0
+    said = dict(re.split(r"  +", line, maxsplit=1) for line in capsys.readouterr().out.splitlines())
+    found = Trajectory.load(path.with_suffix(".nc")).gathered
+    force, error = found["peak_force:3"], found["peak_force:3_error"]
+    assert said["peak_force:3"] == f"{force:.6g} N, off by {error:.2g} at most"
+    arrived = np.isfinite(found["arrival_time"])
+    assert 0 < arrived.sum() < 20
+    assert f"s in {arrived.sum()} of 20 grains, off by" in said["arrival_time"]
+    first, last = found["arrival_time"][arrived][[0, -1]]
+    assert said["arrival_time"].startswith(f"{first:.6g} to {last:.6g} s")
+    assert re.match(r"0 to \S+ m/s, off by", said["peak_velocity"])
+
+    path.write_text(text.replace("2e-05", "1e-07").replace("peak_velocity", "peak_displacement"))
+    assert main(["run", str(path), "--force"]) == 0
+    assert re.search(r"arrival_time +nothing: no front has passed\n", capsys.readouterr().out)
+
+
 # --- ends of pipes, and values in error lines
 
 
