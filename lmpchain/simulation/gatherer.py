@@ -54,8 +54,8 @@ class Gatherer:
         new = {
             "fast": np.zeros((3, size if fronts or "peak_velocity" in asked else 0)),
             "far": np.zeros((3, size if "peak_displacement" in asked else 0)),
-            "record": np.zeros((6, size if fronts else 0)),
-            "log": np.zeros((0, 7)),
+            "record": np.zeros((7, size if fronts else 0)),
+            "log": np.zeros((0, 8)),
             "closest": np.zeros((3, self._numbers.size)),
             "trace": np.zeros((self._traced.size, part.samples if self._traced.size else 0)),
             "largest": np.zeros(2),
@@ -86,7 +86,7 @@ class Gatherer:
         rows_u, rows_v = (np.concatenate(both) for both in zip(before, (u, v), strict=True))
         begin, end = int(kept["interval"]), self._final if last == self._final else max(last - 1, 0)
         forces = self._forces(base, len(rows_u))
-        log = np.concatenate([kept["log"], np.empty((64, 7))])
+        log = np.concatenate([kept["log"], np.empty((64, 8))])
         logged = len(kept["log"])
         while begin < end:
             made, logged = kernel.gather(
@@ -97,7 +97,7 @@ class Gatherer:
             if begin < end:
                 left = self._fronts(log[:logged])
                 logged = len(left)
-                log = np.concatenate([left, np.empty((logged + (kernel.PARTS + 1) * u.shape[1], 7))])
+                log = np.concatenate([left, np.empty((logged + (kernel.PARTS + 1) * u.shape[1], 8))])
         kept["log"], kept["interval"] = log[:logged].copy(), np.array(begin)
         kept["before"] = np.array([rows_u[-3:], rows_v[-3:]])
         kept["largest"] = np.maximum(kept["largest"], [np.abs(u).max(), np.abs(v).max()])
@@ -191,7 +191,7 @@ class Gatherer:
         last = np.column_stack([np.arange(size), kept["record"].T])
         every = np.concatenate([self._fronts(kept["log"]), last])
         every = every[np.lexsort((every[:, 1 + kernel.WHEN], every[:, 0]))]
-        grain, when, top, off, tilt, bend, since = every.T
+        grain, when, top, off, tilt, bend, since, until = every.T
         of = grain.astype(int)
 
         def first(level: Array, fall: Array | float) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
@@ -205,8 +205,11 @@ class Gatherer:
         seen, which = first(FRACTION * value, known + off)  # else a polynomial may turn where nothing does
         seen &= (value > known) & (value >= sys.float_info.min) & (kept["start"] < FRACTION * value)
         time, about = when[which], off[which] + known
+        swift, step = self._part.highest_frequency * known, self._step
         with np.errstate(divide="ignore", invalid="ignore"):
-            spread = np.where(bend > 0.0, (tilt + self._part.highest_frequency * known) / bend, self._step)
+            # where a grain flies freely, or nearly so, it is of that size for long
+            flat = np.maximum(until - when, step) + swift * step**2 / (kernel.ROUNDED * top)
+            spread = np.where(bend > 0.0, (tilt + swift) / bend, np.minimum(flat, self._part.duration))
         # which other maxima it may be, if values are off by their errors
         sooner, one = first(FRACTION * (low - known) - about, 0.0)
         surely, other = first(FRACTION * (high + known) + about, known + 2 * about[of])

@@ -12,8 +12,10 @@ from ...util.compilation import compiled_once
 from ...util.lazy import listed
 from .derivatives import NEWS
 from .hermite import (
+    BENT,
     BUMP,
     PARTS,
+    ROUNDED,
     STEEPEST,
     VELOCITY,
     compiled,
@@ -167,7 +169,9 @@ def _front(p, fraction, known_error, certain, frequency, width, largest, low, hi
     sign, top, when = math.copysign(1.0, height), abs(height), (at + s) * p.h
     for k in range(7):
         p.d[k] = (k + 1) * p.c[k + 1]
-    bend = abs(slope(p.d, s)) / p.h**2
+    # no more than is sure: while a grain flies freely, rounding alone bends its velocity
+    unsure = BENT / BUMP * (off - known_error) + (frequency * p.h) ** 2 * known_error + ROUNDED * top
+    bend = (abs(slope(p.d, s)) - unsure) / p.h**2
     tilt = STEEPEST / BUMP * (off - known_error) / p.h + frequency * known_error
     late = tilt / bend if bend > 0.0 else end
     if not _as_large(p, s, sign, late / p.h, top - 2 * off):

@@ -13,9 +13,11 @@ from ...util.arrays import Array
 from ...util.compilation import compiled_once
 from .derivatives import KINK, _pull
 from .hermite import (
+    BENT,
     BUMP,
     PARTS,
     RAISED,
+    ROUNDED,
     STEEPEST,
     VELOCITY,
     compiled,
@@ -34,8 +36,9 @@ AROUND = 4  # samples around an interval
 SLACK = 0.25
 EVEN = 8.0  # times the middle of three differences is at least the sum of the others where nothing turns; 26 for cubics
 BEST, LOW, HIGH = range(3)  # rows of `tops`: the largest value at any time, and between what it lies
-# of the largest value so far of a grain: when, that, how far off, slope of that error, curvature, least value since
-WHEN, TOP, OFF, TILT, BEND, SINCE = range(6)
+# of the largest value so far of a grain: when, that, how far off, slope of that error, curvature (0 if that is unsure),
+# least value since, and until when it is of that size within its error
+WHEN, TOP, OFF, TILT, BEND, SINCE, UNTIL = range(7)
 FELL = 1e-12  # of a largest value, by which a later value must be less before it is a maximum and no rounding
 
 
@@ -153,7 +156,7 @@ def _raise(p, i, tops, n):
 @compiled
 def _rise(p, i, t, record, n, log, logged):
     """Let the front of grain n know of the interval i from time t on; return how many maxima are logged."""
-    h = p.h
+    h, begins = p.h, abs(value(p.c, 0.0))
     count = turns(p)
     for k in range(count + 1):  # the end counts where a turn falls on it
         s = p.places[k] if k < count else 1.0
@@ -170,9 +173,15 @@ def _rise(p, i, t, record, n, log, logged):
         if k < count:
             for m in range(7):
                 p.d[m] = (m + 1) * p.c[m + 1]
-            bend = abs(slope(p.d, s)) / h**2
+            bend = larger(abs(slope(p.d, s)) - BENT / BUMP * p.error[i] - ROUNDED * now, 0.0) / h**2
+        if bend == 0.0 and now > 0.0:  # in free flight, maybe: the maximum is where that began
+            same = record[SINCE, n] >= (1.0 - FELL) * record[TOP, n] and begins <= (1.0 + FELL) * record[TOP, n]
+            if same and now <= begins + p.error[i]:
+                continue
+            s = 0.0 if begins >= (1.0 - FELL) * now else s
         record[WHEN, n], record[TOP, n], record[OFF, n] = t + s * h, now, p.error[i]
         record[TILT, n], record[BEND, n], record[SINCE, n] = STEEPEST / BUMP * p.error[i] / h, bend, now
+        record[UNTIL, n] = record[WHEN, n]
     return logged
 
 
@@ -194,9 +203,9 @@ def gather(u, v, base, begin, end, final, h, forces, far, fast, record, log, log
     forces : Forces
     far, fast : (3, N) or (3, 0) arrays
         See BEST ... HIGH: of displacements and speeds, if they are asked for. LOW begins with those at t = 0.
-    record : (6, N) or (6, 0) array
-        See WHEN ... SINCE: of speeds, if the front is asked for; with `fast`.
-    log : (L, 7) array
+    record : (7, N) or (7, 0) array
+        See WHEN ... UNTIL: of speeds, if the front is asked for; with `fast`.
+    log : (L, 8) array
         Maxima that others have followed: grain, and what `record` said of them.
     logged : int
         How many these are.
@@ -231,6 +240,8 @@ def gather(u, v, base, begin, end, final, h, forces, far, fast, record, log, log
                 row, least = v[k + 1 - base], record[SINCE]
                 for n in range(marks.size):
                     least[n] = abs(row[n]) if abs(row[n]) < least[n] else least[n]
+                    if least[n] >= record[TOP, n] - 2.0 * record[OFF, n]:
+                        record[UNTIL, n] = (k + 1) * h
         for m in range(numbers.size):
             _motion(u, v, first, count, numbers[m] - 1, h, forces, part[:, 0])
             _motion(u, v, first, count, numbers[m], h, forces, beside[:, :count])
