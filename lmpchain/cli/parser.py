@@ -25,7 +25,7 @@ class Parser(argparse.ArgumentParser):
         return known, unknown
 
     def print_help(self, file: Any = None) -> None:
-        """Print the help; that nobody reads it is no secret, as some versions of argparse make it."""
+        """Print the help; a closed pipe is an error here, which newer versions of argparse ignore."""
         print(self.format_help(), end="", file=file)
 
     def error(self, message: str) -> NoReturn:

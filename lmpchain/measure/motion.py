@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
-from typing import NamedTuple, get_args
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, shown
+from ..errors import InputError
 from ..scene.scene import Scene
 from ..trajectory.between import extremes
 from ..trajectory.between.derivatives import STILL, UNKNOWN, derivatives, largest
@@ -17,7 +17,7 @@ from ..trajectory.between.hermite import DISPLACEMENT, RAISED, VELOCITY
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, as_slice
 from ..util.lazy import listed
-from .recorded import Field, around, leaves_rest
+from .recorded import Field, around, check_field, leaves_rest
 
 __dir__ = listed(__name__)
 
@@ -315,8 +315,7 @@ def peaks(trajectory: Trajectory, field: Field = "velocity") -> Peaks:
     >>> bool((abs(sparse.value - dense.value) <= sparse.error + dense.error).all())
     True
     """
-    if field not in get_args(Field):
-        raise InputError([("field", f'must be "velocity" or "displacement" (got {shown(field)})')])
+    check_field(field)
     return motion_of(trajectory).peaks(field)
 
 

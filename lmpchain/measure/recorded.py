@@ -83,6 +83,22 @@ def leaves_rest(displacement: Array, velocity: Array) -> NDArray[np.bool_]:
     return moves
 
 
+def check_field(field: Field) -> None:
+    """Check that there is such a field.
+
+    Parameters
+    ----------
+    field : {"velocity", "displacement"}
+
+    Raises
+    ------
+    InputError
+        If there is not.
+    """
+    if field not in get_args(Field):
+        raise InputError([("field", f'must be "velocity" or "displacement" (got {shown(field)})')])
+
+
 def check(trajectory: Trajectory, field: Field) -> None:
     """Check that a trajectory has samples enough for fronts and spectra, and such a field.
 
@@ -96,7 +112,6 @@ def check(trajectory: Trajectory, field: Field) -> None:
     InputError
         If it has not.
     """
-    if field not in get_args(Field):
-        raise InputError([("field", f'must be "velocity" or "displacement" (got {shown(field)})')])
+    check_field(field)
     if trajectory.time.size < FEWEST_SAMPLES:
         raise InputError([("samples", f"must be {FEWEST_SAMPLES} or more: record more often or for longer")])

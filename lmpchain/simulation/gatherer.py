@@ -14,6 +14,7 @@ from ..scene.recording import OF_CONTACTS
 from ..scene.scene import Scene
 from ..trajectory.between import gathering as kernel
 from ..trajectory.between.derivatives import KINK
+from ..trajectory.between.hermite import FLAT
 from ..util.arrays import EPSILON, Array
 
 FRACTION = 0.5  # of the largest speed of a grain that the front has at least, as in measure.front.track
@@ -54,8 +55,8 @@ class Gatherer:
         new = {
             "fast": np.zeros((3, size if fronts or "peak_velocity" in asked else 0)),
             "far": np.zeros((3, size if "peak_displacement" in asked else 0)),
-            "record": np.zeros((7, size if fronts else 0)),
-            "log": np.zeros((0, 8)),
+            "record": np.zeros((kernel.ROWS, size if fronts else 0)),
+            "log": np.zeros((0, 1 + kernel.ROWS)),
             "closest": np.zeros((3, self._numbers.size)),
             "trace": np.zeros((self._traced.size, part.samples if self._traced.size else 0)),
             "largest": np.zeros(2),
@@ -86,7 +87,7 @@ class Gatherer:
         rows_u, rows_v = (np.concatenate(both) for both in zip(before, (u, v), strict=True))
         begin, end = int(kept["interval"]), self._final if last == self._final else max(last - 1, 0)
         forces = self._forces(base, len(rows_u))
-        log = np.concatenate([kept["log"], np.empty((64, 8))])
+        log = np.concatenate([kept["log"], np.empty((64, 1 + kernel.ROWS))])
         logged = len(kept["log"])
         while begin < end:
             made, logged = kernel.gather(
@@ -97,7 +98,7 @@ class Gatherer:
             if begin < end:
                 left = self._fronts(log[:logged])
                 logged = len(left)
-                log = np.concatenate([left, np.empty((logged + (kernel.PARTS + 1) * u.shape[1], 8))])
+                log = np.concatenate([left, np.empty((logged + (kernel.PARTS + 1) * u.shape[1], 1 + kernel.ROWS))])
         kept["log"], kept["interval"] = log[:logged].copy(), np.array(begin)
         kept["before"] = np.array([rows_u[-3:], rows_v[-3:]])
         kept["largest"] = np.maximum(kept["largest"], [np.abs(u).max(), np.abs(v).max()])
@@ -208,7 +209,7 @@ class Gatherer:
         swift, step = self._part.highest_frequency * known, self._step
         with np.errstate(divide="ignore", invalid="ignore"):
             # where a grain flies freely, or nearly so, it is of that size for long
-            flat = np.maximum(until - when, step) + swift * step**2 / (kernel.ROUNDED * top)
+            flat = np.maximum(until - when, step) + swift * step**2 / (FLAT * top)
             spread = np.where(bend > 0.0, (tilt + swift) / bend, np.minimum(flat, self._part.duration))
         # which other maxima it may be, if values are off by their errors
         sooner, one = first(FRACTION * (low - known) - about, 0.0)

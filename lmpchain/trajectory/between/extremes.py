@@ -12,10 +12,8 @@ from ...util.compilation import compiled_once
 from ...util.lazy import listed
 from .derivatives import NEWS
 from .hermite import (
-    BENT,
     BUMP,
     PARTS,
-    ROUNDED,
     STEEPEST,
     VELOCITY,
     compiled,
@@ -25,7 +23,7 @@ from .hermite import (
     root,
     sampled,
     size,
-    slope,
+    sure_bend,
     turns,
     value,
 )
@@ -167,15 +165,11 @@ def _front(p, fraction, known_error, certain, frequency, width, largest, low, hi
     polynomial(p, at)
     height = y[at + 1] if s == 1.0 else value(p.c, s)
     sign, top, when = math.copysign(1.0, height), abs(height), (at + s) * p.h
-    for k in range(7):
-        p.d[k] = (k + 1) * p.c[k + 1]
-    # no more than is sure: while a grain flies freely, rounding alone bends its velocity
-    unsure = BENT / BUMP * (off - known_error) + (frequency * p.h) ** 2 * known_error + ROUNDED * top
-    bend = (abs(slope(p.d, s)) - unsure) / p.h**2
+    bend = sure_bend(p, s, top, off - known_error) / p.h**2 - frequency**2 * known_error
+    # what the errors of the slope make of it, but at most for how long the value is as large as that within its error
     tilt = STEEPEST / BUMP * (off - known_error) / p.h + frequency * known_error
     late = tilt / bend if bend > 0.0 else end
     if not _as_large(p, s, sign, late / p.h, top - 2 * off):
-        # what the errors of the slope make of it; at most, for how long the value is as large within its error
         spread = 0.0
         for step in (-1, 1):
             edge, _ = _crossing(p, sign, top - 2 * off, at, s, step)

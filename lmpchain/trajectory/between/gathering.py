@@ -13,11 +13,9 @@ from ...util.arrays import Array
 from ...util.compilation import compiled_once
 from .derivatives import KINK, _pull
 from .hermite import (
-    BENT,
     BUMP,
     PARTS,
     RAISED,
-    ROUNDED,
     STEEPEST,
     VELOCITY,
     compiled,
@@ -25,7 +23,7 @@ from .hermite import (
     path,
     polynomial,
     size,
-    slope,
+    sure_bend,
     turns,
     value,
 )
@@ -39,6 +37,7 @@ BEST, LOW, HIGH = range(3)  # rows of `tops`: the largest value at any time, and
 # of the largest value so far of a grain: when, that, how far off, slope of that error, curvature (0 if that is unsure),
 # least value since, and until when it is of that size within its error
 WHEN, TOP, OFF, TILT, BEND, SINCE, UNTIL = range(7)
+ROWS = UNTIL + 1
 FELL = 1e-12  # of a largest value, by which a later value must be less before it is a maximum and no rounding
 
 
@@ -171,9 +170,7 @@ def _rise(p, i, t, record, n, log, logged):
             logged += 1
         bend = 0.0
         if k < count:
-            for m in range(7):
-                p.d[m] = (m + 1) * p.c[m + 1]
-            bend = larger(abs(slope(p.d, s)) - BENT / BUMP * p.error[i] - ROUNDED * now, 0.0) / h**2
+            bend = larger(sure_bend(p, s, now, p.error[i]), 0.0) / h**2
         if bend == 0.0 and now > 0.0:  # in free flight, maybe: the maximum is where that began
             same = record[SINCE, n] >= (1.0 - FELL) * record[TOP, n] and begins <= (1.0 + FELL) * record[TOP, n]
             if same and now <= begins + p.error[i]:

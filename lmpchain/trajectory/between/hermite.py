@@ -20,8 +20,8 @@ SAFETY = 4.0
 BUMP = 2.1875  # largest value of 140 s^3 (1-s)^3, the shape of the misfit
 SWING = 0.3125  # by which an acceleration at both ends changes the velocity between them, in intervals
 STEEPEST = 7.52  # and of its slope
-BENT = 52.5  # and of its curvature
-ROUNDED = 1e-9  # of a value: what an interval bends it by less is rounding, or no matter
+CURVED = 52.5  # and of its curvature
+FLAT = 1e-9  # of a value: what bends it by less in an interval is rounding, as in free flight, or no matter
 PARTS = 4  # of an interval, in which roots are looked for
 inlined = numba.njit(inline="always", error_model="numpy")
 compiled = numba.njit(error_model="numpy")
@@ -148,6 +148,20 @@ def slope(c, s):
 
 
 @compiled
+def derive(p):
+    """Fill p.d with the derivative of the polynomial."""
+    for k in range(7):
+        p.d[k] = (k + 1) * p.c[k + 1]
+
+
+@compiled
+def sure_bend(p, s, top, error):
+    """Return h^2 times the least curvature at a place, given value and error there; below 0 if unsure."""
+    derive(p)
+    return abs(slope(p.d, s)) - CURVED / BUMP * error - FLAT * top
+
+
+@compiled
 def root(c, level, low, high):
     """Return where the polynomial is at a level, between two places on either side of it."""
     first, last = value(c, low) - level, value(c, high) - level
@@ -173,8 +187,7 @@ def root(c, level, low, high):
 def turns(p):
     """Fill p.places with those where the polynomial turns, in order; return how many."""
     d, count = p.d, 0
-    for k in range(7):
-        d[k] = (k + 1) * p.c[k + 1]
+    derive(p)
     before = d[0]
     for part in range(1, PARTS + 1):
         s = part / PARTS
