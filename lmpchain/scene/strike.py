@@ -30,11 +30,14 @@ def overlaps_of(chain: Chain, excitation: Excitation, contacts: Contacts, masses
     inverse_mass[..., chain.movable :] = 0.0  # nor does what is held, or a wall
     edge = np.zeros((*masses.shape[:-1], 1))
     inverse_mass = np.concatenate((edge, inverse_mass, edge), axis=-1)
-    approach = np.maximum(contacts.closer(v), 0.0)
+    closer, approach = contacts.closer(u), contacts.closer(v)
+    if excitation.does_work:  # either way
+        closer, approach = np.abs(closer), np.abs(approach)
+    approach = np.maximum(approach, 0.0)
     if excitation.wall:  # grain 1 rests when the wall comes, or meets it
         approach[..., 0] = excitation.wall.largest(1) + max(-begun[0], 0.0)
     collision = contacts.collision_overlap(approach, inverse_mass[..., :-1] + inverse_mass[..., 1:])
-    return np.maximum(contacts.overlap + contacts.exists * contacts.closer(u), collision)
+    return np.maximum(contacts.overlap + contacts.exists * closer, collision)
 
 
 def pair_frequency(contacts: Contacts, masses: Array, overlaps: Array) -> Array:

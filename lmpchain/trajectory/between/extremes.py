@@ -17,12 +17,14 @@ from .hermite import (
     STEEPEST,
     VELOCITY,
     compiled,
+    derive,
     inlined,
     path,
     polynomial,
     root,
     sampled,
     size,
+    slope,
     sure_bend,
     turns,
     value,
@@ -151,6 +153,34 @@ def _find(p, enough, fall):
 
 
 @compiled
+def _flat(p, least, at, place, tilt):
+    """Return when the value may have turned before a maximum, for it hardly rises, and its size.
+
+    Looked at is what exceeds a size; `tilt` is the error of the slope, besides that of the polynomials. The time is
+    that at which the part of an interval begins where it may turn.
+    """
+    for i in range(at + 1):
+        if p.reach[i] + p.error[i] < least:
+            continue
+        polynomial(p, i)
+        derive(p)
+        slack = STEEPEST / BUMP * p.error[i] + tilt * p.h
+        sign, end = math.copysign(1.0, value(p.c, 0.5)), place if i == at else 1.0
+        rise, bend = sign * value(p.d, 0.0), sign * slope(p.d, 0.0)
+        for part in range(PARTS):
+            s, width = end * part / PARTS, end / PARTS
+            rise_next, bend_next = sign * value(p.d, s + width), sign * slope(p.d, s + width)
+            dip = 0.0
+            if bend < 0.0 < bend_next and rise > slack:  # the least rise is above the meeting point of its tangents
+                dip = min(max((rise_next - rise - bend_next * width) / (bend - bend_next), 0.0), width)
+            now = abs(value(p.c, s + dip))
+            if now >= least and rise + bend * dip <= slack:
+                return max(i + s - (width if dip == 0.0 else 0.0), 0.0) * p.h, now
+            rise, bend = rise_next, bend_next
+    return (at + place) * p.h, 0.0
+
+
+@compiled
 def _front(p, fraction, known_error, certain, frequency, width, largest, low, high, out):
     """Fill out, (6,), with time, height and width of the front and their errors, or NaN."""
     y, end = sampled(p), p.h * p.error.size
@@ -178,10 +208,14 @@ def _front(p, fraction, known_error, certain, frequency, width, largest, low, hi
     # which other maxima it may be, if values are off by their errors, and how far apart these are
     apart = 0.0
     least, most = fraction * (low - known_error) - off, fraction * (high + known_error) + off
+    begin, low_top = _flat(p, least, at, s, frequency * known_error)
+    if when - begin > late:
+        late, apart = when - begin, abs(top - low_top)
     if found.missed >= least:
         other = _find(p, least, 0.0)
         if other.at >= 0:
-            late, apart = max(late, abs((other.at + other.place) * p.h - when)), abs(other.top - top)
+            late = max(late, abs((other.at + other.place) * p.h - when))
+            apart = max(apart, abs(other.top - top))
     if top < most or found.fell <= certain + 2 * off:
         other = _find(p, most, certain + 2 * off)
         late = max(late, abs((other.at + other.place) * p.h - when) if other.at >= 0 else end - when)

@@ -20,7 +20,7 @@ SAFETY = 4.0
 BUMP = 2.1875  # largest value of 140 s^3 (1-s)^3, the shape of the misfit
 SWING = 0.3125  # by which an acceleration at both ends changes the velocity between them, in intervals
 STEEPEST = 7.52  # and of its slope
-CURVED = 52.5  # and of its curvature
+CURVED = 105.0  # and, twice, of its curvature: a kink bends more than it moves
 FLAT = 1e-9  # of a value: what bends it by less in an interval is rounding, as in free flight, or no matter
 PARTS = 4  # of an interval, in which roots are looked for
 inlined = numba.njit(inline="always", error_model="numpy")
