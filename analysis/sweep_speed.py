@@ -16,7 +16,7 @@ from pathlib import Path
 from unittest import mock
 
 import lmpchain
-from lmpchain.engines.base import Run
+from lmpchain.engines.base import ErrorBudget, Run
 from lmpchain.engines.error_estimate import CompanionRun
 from lmpchain.trajectory.record import Block
 
@@ -40,7 +40,7 @@ def asked(realisations: int, seed: int = 1) -> dict[str, object]:
 def share(realisations: int) -> tuple[float, float]:
     """Return CPU time of a sweep in this process, s, and the part of it that is integration and its estimate."""
     inside = [0.0]
-    blocks = CompanionRun.blocks
+    blocks, errors = CompanionRun.blocks, CompanionRun.errors
 
     def timed(run: Run) -> Iterator[Block]:
         parts = blocks(run)  # type: ignore[arg-type]
@@ -52,7 +52,15 @@ def share(realisations: int) -> tuple[float, float]:
                 return
             yield block
 
-    with mock.patch.object(CompanionRun, "blocks", timed), tempfile.TemporaryDirectory() as folder:
+    def estimated(run: Run) -> list[ErrorBudget]:
+        began = time.process_time()
+        try:
+            return errors(run)  # type: ignore[arg-type]
+        finally:
+            inside[0] += time.process_time() - began
+
+    patches = {"blocks": timed, "errors": estimated}
+    with mock.patch.multiple(CompanionRun, **patches), tempfile.TemporaryDirectory() as folder:
         began = time.process_time()
         lmpchain.sweep(asked(realisations), folder)
         spent = time.process_time() - began

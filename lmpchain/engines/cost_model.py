@@ -28,8 +28,8 @@ def seconds(engine: str, start_up_s: float, work_s: float) -> float:
 def speed(engine: str, start_up_s: float) -> tuple[float, float]:
     """Return start-up time, s, and slowness relative to the reference machine, measured or as shipped."""
     shipped = start_up_s, 1.0
-    kept = measured().get(engine, shipped)
-    return kept if all(map(_plausible, kept, shipped)) else shipped
+    kept = measured().get(engine)
+    return kept if kept and all(map(_plausible, kept, shipped)) else shipped
 
 
 def _plausible(value: float, shipped: float) -> bool:

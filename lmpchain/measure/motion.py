@@ -17,7 +17,7 @@ from ..trajectory.between.hermite import DISPLACEMENT, RAISED, VELOCITY
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, as_slice
 from ..util.lazy import listed
-from .recorded import Field, around, check_field, leaves_rest
+from .recorded import Field, around, check_field
 
 __dir__ = listed(__name__)
 
@@ -76,7 +76,8 @@ class Motion:
         self.scene, self._equation, self._error = scene, equation, error if math.isfinite(error) else 0.0
         self.displacement, self.velocity, self.grains = displacement, velocity, grains
         self.step = scene.duration / (scene.samples - 1)
-        chain, moves = scene.chain, leaves_rest(displacement, velocity)
+        self._sizes = largest(*(np.ascontiguousarray(x, float) for x in (displacement, velocity)))
+        chain, moves = scene.chain, (self._sizes != 0).any(0)
         ends = (bool(there) for there in chain.contacts.exists[[0, -1]])
         recorded = np.asarray(grains, dtype=int)
         self._around = around(chain.grains, chain.movable, *ends, recorded.tobytes(), moves.tobytes())
@@ -108,17 +109,18 @@ class Motion:
 
     @cached_property
     def _values(self) -> tuple[Array, NDArray[np.bool_]]:
-        """What `derivatives.derivatives` returns of the grains that move."""
+        """What `derivatives.derivatives` returns of the grains that move, and which are quiet, (M,)."""
         chain, linear = self.scene.chain, self._equation == 3
         own, inverse_mass = chain.contacts, 1 / chain.masses
         inverse_mass[chain.movable :] = 0.0
         contacts = np.array([own.constant, own.force, own.overlap])
-        error = np.zeros(2) if self.ceiling.size else np.array(self._known_errors)
-        found: tuple[Array, NDArray[np.bool_]] = derivatives(
+        error = np.zeros((2, 1)) if self.ceiling.size else np.array(self._known_errors)[:, None]
+        quiet = np.asarray((self._sizes[:, self._moves] <= error).all(0))
+        found: Array = derivatives(
             *self._fields, self._moving, self._around.sides, contacts, inverse_mass,
-            chain.exponent, linear, self.step, self._known[self._moves], error,
+            chain.exponent, linear, self.step, self._known[self._moves], quiet,
         )  # fmt: skip
-        return found
+        return found, quiet
 
     def peaks(self, field: Field) -> Peaks:
         """Return the largest displacement or speed of every grain."""
@@ -195,7 +197,7 @@ class Motion:
     @cached_property
     def sampled(self) -> tuple[float, float]:
         """The largest displacement, m, and speed, m/s, of any grain at any sample."""
-        u, v = largest(*self._fields)
+        u, v = self._sizes.max(1, initial=0.0).tolist()
         return u, v
 
     @property

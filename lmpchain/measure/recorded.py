@@ -32,7 +32,7 @@ class Around(NamedTuple):
     whole: bool
 
 
-@lru_cache(maxsize=4)  # scenes of a sweep are alike
+@lru_cache(maxsize=8)  # scenes of a sweep are alike
 def around(size: int, movable: int, above: bool, below: bool, recorded: bytes, moves: bytes) -> Around:
     """Return what lies around these grains of a chain of this size, with or without contacts at its ends."""
     grains, moving = np.frombuffer(recorded, dtype=int), np.frombuffer(moves, dtype=bool)

@@ -16,7 +16,6 @@ STILL, UNKNOWN = -1, -2  # columns of bodies that stand still, or were not recor
 KINK = 0.12
 HIDDEN = 2.0  # and of the change of velocity in a collision between two samples, over the interval
 compiled = numba.njit(error_model="numpy")
-_total = numba.njit(error_model="numpy", fastmath={"nnan", "nsz", "reassoc"})
 
 
 @compiled
@@ -33,23 +32,23 @@ def _pull(r, rate, length, strength, pressed, exponent, linear):
 
 
 @compiled
-def _add_hertz(x, w, ux, vx, up, length, strength, pressed, share, h, a, j):
-    """Add what a contact of exponent 3/2 gives to acceleration and jerk, (T,) each.
+def _hertz(r, closing, length, strength, pressed, h, force, rate):
+    """Fill in what `_pull` returns for exponent 3/2, (T,) each.
 
     Return at how many samples it is so near to opening, or open, that it may have done so in an interval beside.
     """
     near = 0
-    for i in range(x.size):
-        s = up * (ux[i] - x[i]) * length
+    for i in range(r.size):
+        s = r[i] * length
         y = pressed + s
-        near += y <= h * length * abs(vx[i] - w[i])
+        near += y <= h * length * abs(closing[i])
         y = y if y > 0.0 else 0.0
         root = math.sqrt(y)
         full = y * root
         closed = s * (3.0 + 3.0 * s + s * s) / (1.0 + full)  # no digit of a weak wave is lost
         change = closed if (pressed > 0.0) & (y > 0.0) else full - pressed
-        a[i] += share * strength * change
-        j[i] += share * strength * 1.5 * length * root * up * (vx[i] - w[i])
+        force[i] = strength * change
+        rate[i] = strength * 1.5 * length * root * closing[i]
     return near
 
 
@@ -63,18 +62,16 @@ def _visits(one, other, rise, climb):
 
 
 @compiled
-def _kinks(x, w, ux, vx, up, length, strength, pressed, exponent, share, h, off):
-    """Raise how far off the acceleration is, (T,), where a contact opens or closes between two samples."""
+def _kinks(r, closing, length, pressed, rate, mass, h, unsure):
+    """Raise how far off a force is, (T,), where a contact opens or closes between two samples."""
     before, rose = 0.0, 0.0  # overlap and its rate, in `length`
-    for i in range(x.size):
-        y, rise = pressed + up * (ux[i] - x[i]) * length, up * (vx[i] - w[i]) * length
+    for i in range(r.size):
+        y, rise = pressed + r[i] * length, closing[i] * length
         if i > 0 and ((y > 0.0) != (before > 0.0) or _visits(before, y, h * rose, h * rise)):
-            _, rate = _pull(y - pressed, rise, 1.0, strength, pressed, exponent, False)
-            _, other = _pull(before - pressed, rose, 1.0, strength, pressed, exponent, False)
-            jump = KINK * h * abs(share * (rate - other))
+            jump = KINK * h * abs(rate[i] - rate[i - 1])
             if y <= 0.0 and before <= 0.0:
-                jump = HIDDEN * abs(rise - rose) / (length * h)
-            off[i - 1], off[i] = max(off[i - 1], jump), max(off[i], jump)
+                jump = HIDDEN * mass * abs(closing[i] - closing[i - 1]) / h
+            unsure[i - 1], unsure[i] = max(unsure[i - 1], jump), max(unsure[i], jump)
         before, rose = y, rise
 
 
@@ -108,23 +105,16 @@ def _differences(u, v, h, a, j, off):
 
 
 @compiled
-def _largest(y):
-    most = 0.0
-    for value in y:
-        most = max(most, abs(value))
-    return most
-
-
-@compiled
-def _derivatives(u, v, grains, sides, contacts, inverse_mass, exponent, linear, h, known, error, out, quiet):
-    """Fill out, (5, G, T), and quiet, (G,); see `derivatives`."""
+def _derivatives(u, v, grains, sides, contacts, inverse_mass, exponent, linear, h, known, quiet, out):
+    """Fill out, (5, G, T); see `derivatives`."""
     still = np.zeros(u.shape[0])
+    r, closing, force, rate, unsure = np.empty((5, u.shape[0]))
+    there, near = -1, 0  # of the contact that these are of, which the next grain shares
     columns_u, columns_v = np.ascontiguousarray(u.T), np.ascontiguousarray(v.T)
     for g in range(sides.shape[0]):
         own = sides[g, 1]
         x, w, a, j, off = out[0, g], out[1, g], out[2, g], out[3, g], out[4, g]
         x[:], w[:] = columns_u[own], columns_v[own]
-        quiet[g] = _largest(w) <= error[1] and _largest(x) <= error[0]
         if quiet[g]:
             a[:], j[:], off[:] = 0.0, 0.0, 0.0
             continue
@@ -133,53 +123,54 @@ def _derivatives(u, v, grains, sides, contacts, inverse_mass, exponent, linear, 
             continue
         a[:], j[:], off[:] = 0.0, 0.0, 0.0
         for side in (0, 2):
-            constant, strength, overlap = contacts[:, grains[g] + side // 2 - 1]
-            pressed, length = 1.0, 1.0
-            if strength > 0.0:
-                length = 1.0 / overlap
-            else:
-                pressed, strength = 0.0, 0.0 if linear and exponent > 1.0 else constant
-            if strength == 0.0:
+            contact, column, up = grains[g] + side // 2 - 1, sides[g, side], 1.0 - side
+            constant, strength, overlap = contacts[:, contact]
+            if strength == 0.0 and (constant == 0.0 or (linear and exponent > 1.0)):
                 continue
-            column, up = sides[g, side], 1.0 - side
+            if contact != there:
+                ux = still if column == STILL else columns_u[column]
+                vx = still if column == STILL else columns_v[column]
+                for i in range(r.size):
+                    r[i], closing[i] = up * (ux[i] - x[i]), up * (vx[i] - w[i])
+                length, pressed = (1.0 / overlap, 1.0) if strength > 0.0 else (1.0, 0.0)
+                strength = strength if strength > 0.0 else constant
+                if exponent == 1.5 and not linear:
+                    near = _hertz(r, closing, length, strength, pressed, h, force, rate)
+                else:
+                    near = 0 if linear else r.size
+                    for i in range(r.size):
+                        force[i], rate[i] = _pull(r[i], closing[i], length, strength, pressed, exponent, linear)
+                there = contact
+                if near > 0:
+                    above = inverse_mass[contact - 1] if contact > 0 else 0.0
+                    below = inverse_mass[contact] if contact < inverse_mass.size else 0.0
+                    unsure[:] = 0.0
+                    _kinks(r, closing, length, pressed, rate, 1.0 / (above + below), h, unsure)
             share = up * inverse_mass[grains[g] - 1]
-            ux = still if column == STILL else columns_u[column]
-            vx = still if column == STILL else columns_v[column]
-            if exponent == 1.5 and not linear:
-                near = _add_hertz(x, w, ux, vx, up, length, strength, pressed, share, h, a, j)
-            else:
-                near = 0 if linear else x.size
-                for i in range(x.size):
-                    r, closing = up * (ux[i] - x[i]), up * (vx[i] - w[i])
-                    force, rate = _pull(r, closing, length, strength, pressed, exponent, linear)
-                    a[i] += share * force
-                    j[i] += share * rate
+            for i in range(r.size):
+                a[i] += share * force[i]
+                j[i] += share * rate[i]
             if near > 0:
-                _kinks(x, w, ux, vx, up, length, strength, pressed, exponent, share, h, off)
-
-
-@_total
-def _sizes(u, v):
-    one = other = total = 0.0
-    for i in range(u.size):
-        one = max(one, abs(u[i]))
-        other = max(other, abs(v[i]))
-        total += u[i] + v[i]
-    return one, other, total
+                for i in range(r.size):
+                    off[i] = max(off[i], abs(share) * unsure[i])
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
 def largest(u, v):
-    """Return the largest size of two (T, C) fields; no number if any of theirs is none."""
-    one, other, total = _sizes(u.ravel(), v.ravel())
-    return one + 0.0 * total, other + 0.0 * total
+    """Return the largest size in each column of two (T, C) fields, (2, C); NaN where any is no number."""
+    out, none = np.zeros((2, u.shape[1])), np.zeros((2, u.shape[1]))
+    for k, field in enumerate((u, v)):
+        for i in range(field.shape[0]):
+            for n in range(field.shape[1]):
+                size = abs(field[i, n])
+                out[k, n] = size if size > out[k, n] else out[k, n]
+                none[k, n] += 0.0 * size
+    return out + none
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
-def derivatives(u, v, grains, sides, contacts, inverse_mass, exponent, linear, h, known, error):
+def derivatives(u, v, grains, sides, contacts, inverse_mass, exponent, linear, h, known, quiet):
     """Return displacement, velocity, acceleration, jerk and error of acceleration, (5, G, T).
-
-    Also which of them are quiet, (G,).
 
     Parameters
     ----------
@@ -197,9 +188,9 @@ def derivatives(u, v, grains, sides, contacts, inverse_mass, exponent, linear, h
         Of the force; whether it is linearised; time between two samples.
     known : (G,) array
         Whether these forces are all that act; if not, acceleration and jerk follow from the samples.
-    error : (2,) array
-        Displacement and velocity up to which a grain is quiet, so that nothing more is asked of it.
+    quiet : (G,) array
+        Whether nothing more is asked of it, as its motion is within the error.
     """
-    out, quiet = np.empty((5, sides.shape[0], u.shape[0])), np.zeros(sides.shape[0], dtype=np.bool_)
-    _derivatives(u, v, grains, sides, contacts, inverse_mass, exponent, linear, h, known, error, out, quiet)
-    return out, quiet
+    out = np.empty((5, sides.shape[0], u.shape[0]))
+    _derivatives(u, v, grains, sides, contacts, inverse_mass, exponent, linear, h, known, quiet, out)
+    return out

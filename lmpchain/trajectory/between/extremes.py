@@ -18,6 +18,7 @@ from .hermite import (
     VELOCITY,
     compiled,
     derive,
+    highest,
     inlined,
     path,
     polynomial,
@@ -46,27 +47,28 @@ def _hidden(p, i):
 
 
 @inlined
-def _steady(p, i):
-    """Say whether a velocity surely rises or falls all the way from sample i to the next."""
-    one, other = p.a[i], p.a[i + 1]
-    bend = p.h * max(abs(p.j[i]), abs(p.j[i + 1])) + STEEPEST / BUMP * p.error[i] / p.h
-    return p.kind == VELOCITY and one * other > 0.0 and min(abs(one), abs(other)) > bend
+def _steady(p, i, tilt):
+    """Say whether a velocity surely rises or falls by more than so much from sample i to the next."""
+    one, other, h = p.a[i], p.a[i + 1], p.h
+    if p.kind != VELOCITY or one * other <= 0.0:
+        return False
+    # the acceleration: the cubic through a and j at both ends, and what the change of velocity and errors add to it
+    missed = p.v[i + 1] - p.v[i] - h * ((one + other) / 2 + h * (1 / 12) * (p.j[i] - p.j[i + 1]))
+    bend = h * h * (4 / 27) * (abs(p.j[i]) + abs(p.j[i + 1])) + 1.875 * abs(missed)
+    return h * min(abs(one), abs(other)) > bend + STEEPEST / BUMP * p.error[i] + h * tilt
 
 
 @compiled
 def _peak(p):
     """Return the largest value at any time, and between what it lies."""
     y, kind = sampled(p), p.kind
-    best = size(y[0], kind)
-    for i in range(1, y.size):
-        best = max(best, size(y[i], kind))
-    low = high = best
+    low = high = best = highest(y, kind)
     for i in range(y.size - 1):
         limit = _hidden(p, i)
         if limit >= 0.0:
             high = max(high, limit)
         elif p.reach[i] + p.error[i] > high and not (
-            _steady(p, i) and max(size(y[i], kind), size(y[i + 1], kind)) + p.error[i] <= high
+            _steady(p, i, 0.0) and max(size(y[i], kind), size(y[i + 1], kind)) + p.error[i] <= high
         ):
             polynomial(p, i)
             top = max(size(y[i], kind), size(y[i + 1], kind))
@@ -137,7 +139,7 @@ def _find(p, enough, fall):
         count, limit = 0, _hidden(p, i)
         if limit >= 0.0:
             hidden = i if hidden < 0 and limit >= enough else hidden
-        elif (p.reach[i] + p.error[i] >= enough or top >= enough) and not _steady(p, i):
+        elif (p.reach[i] + p.error[i] >= enough or top >= enough) and not _steady(p, i, 0.0):
             polynomial(p, i)
             count = turns(p)
         for k in range(count + 1):
@@ -160,7 +162,7 @@ def _flat(p, least, at, place, tilt):
     that at which the part of an interval begins where it may turn.
     """
     for i in range(at + 1):
-        if p.reach[i] + p.error[i] < least:
+        if p.reach[i] + p.error[i] < least or (_steady(p, i, tilt) and p.v[i] * p.a[i] > 0.0):
             continue
         polynomial(p, i)
         derive(p)
@@ -245,7 +247,7 @@ def _front(p, fraction, known_error, certain, frequency, width, largest, low, hi
 @compiled
 def _quiet_peak(motion, g, kind):
     """Return the largest value of a quiet grain at the samples, which is within the error, and bounds."""
-    most = np.abs(motion[1, g] if kind == VELOCITY else motion[0, g]).max()
+    most = highest(motion[1, g] if kind == VELOCITY else motion[0, g], kind)
     return most, most, 2.0 * most
 
 

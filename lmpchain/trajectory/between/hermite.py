@@ -25,6 +25,7 @@ FLAT = 1e-9  # of a value: what bends it by less in an interval is rounding, as 
 PARTS = 4  # of an interval, in which roots are looked for
 inlined = numba.njit(inline="always", error_model="numpy")
 compiled = numba.njit(error_model="numpy")
+reduced = numba.njit(error_model="numpy", fastmath={"nnan", "nsz"})  # a maximum of several at a time
 
 
 class Path(NamedTuple):
@@ -67,23 +68,31 @@ def size(y, kind):
 
 
 @inlined
+def larger(one, other):
+    """Return the larger of two numbers, in one instruction."""
+    return one if one > other else other
+
+
+@reduced
+def highest(y, kind):
+    """Return the largest size of values."""
+    most = size(y[0], kind)
+    for i in range(1, y.size):
+        most = larger(size(y[i], kind), most)
+    return most
+
+
+@inlined
 def sampled(p):
     """Return what is looked at at the samples, (T,)."""
     return p.v if p.kind == VELOCITY else p.u
 
 
 @inlined
-def larger(one, other):
-    """Return the larger of two numbers, in one instruction."""
-    return one if one > other else other
-
-
-@inlined
 def misfit(u, v, a, j, i, h):
     """Return by how much the quintic through v, a and j misses the way from sample i to the next, over h."""
-    return (u[i + 1] - u[i]) / h - (
-        (v[i] + v[i + 1]) / 2 + h * (a[i] - a[i + 1]) / 10 + h * h * (j[i] + j[i + 1]) / 120
-    )
+    way = (v[i] + v[i + 1]) / 2 + h * (1 / 10) * (a[i] - a[i + 1]) + h * h * (1 / 120) * (j[i] + j[i + 1])
+    return (u[i + 1] - u[i]) * (1 / h) - way
 
 
 @compiled
