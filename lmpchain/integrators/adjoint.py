@@ -7,10 +7,10 @@ and stiffness are continuous. For delta = 1 the stiffness jumps: what is returne
 open or closed where the run found it so, which is that of the run unless an evaluation falls on the very opening, and
 converges to that of the solution with the step, at first order only.
 
-The run itself is made by the loops of the native engine, and leaves a checkpoint now and then. In strong waves where
-all contacts are pressed at rest, the way back undoes each piece between two checkpoints in the same pass in which it
-takes adjoints back. Else it makes the piece once more, and keeps of it one number a contact and evaluation, within the
-cache: it would cost as much to undo weak waves, and round-off would open or close contacts that only touch.
+The run itself is made by the loops of the native engine, and leaves a checkpoint now and then. Where all contacts are
+pressed at rest, and delta is 3/2 or the wave so weak that a series does, the way back undoes each piece between two
+checkpoints in the same pass in which it takes adjoints back. Else it makes the piece once more, and keeps of it one
+number a contact and evaluation, within the cache: undone, round-off would open or close contacts that only touch.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from .batch import WINDOW_MIN, ChainBatch
 from .imposed import ImposedCourse
 from .kernels import adjoint as kernels
 from .kernels.adjoint_tangent import tangent
-from .kernels.contact_forces import ROOTS
+from .kernels.contact_forces import POLYNOMIAL, ROOTS
 from .kernels.layout import ALONE, FIRST, LAST, PAD, STEP, Chain
 from .splittings import Splitting
 
@@ -122,7 +122,7 @@ class DifferentiableRun:
         self._driven = scene.excitation.driven if self.imposed else 0
         self._read(scene)
         width, rows = self._table.shape[1], int(self._offsets[-1])
-        most = FEW if self._law == kernels.UNDONE else max(LEAST, ROOM // (8 * width))
+        most = FEW if self._law <= kernels.UNDONE_SERIES else max(LEAST, ROOM // (8 * width))
         most = max(most, math.ceil(rows * 16 * width / CHECKPOINTS))
         starts = np.append(np.arange(0, rows, most), rows)
         before = np.searchsorted(self._offsets, starts, side="right") - 1
@@ -151,10 +151,17 @@ class DifferentiableRun:
         self._table[:2, 1:] = batch.table[0, :2, :-1]
         self._table[2] = chain.exponent * self._table[1] * self._table[0]
         pressed = batch.precompressed > 0 and batch.uncompressed[0] == 0
-        by_root = (kernels.UNDONE if pressed else kernels.PLAIN) if batch.forms[0] in ROOTS else kernels.HERTZ
-        self._law = by_root if chain.exponent == 1.5 else kernels.OTHER
+        weakest, strong, hertz = batch.forms[0] == POLYNOMIAL, batch.forms[0] in ROOTS, chain.exponent == 1.5
+        if pressed and weakest:
+            self._law = kernels.UNDONE_SERIES
+        elif pressed and hertz:
+            self._law = kernels.UNDONE_PLAIN if strong else kernels.UNDONE_EXACT
+        elif hertz and not batch.precompressed:
+            self._law = kernels.VACUUM
+        else:
+            self._law = (kernels.PLAIN if strong else kernels.HERTZ) if hertz else kernels.OTHER
         self._less = chain.exponent - 1.0
-        self._room = np.zeros((6, kernels.BURST))
+        self._room = np.zeros((4, kernels.BURST))
 
     def _window(self) -> tuple[int, int]:
         """Return where the window of the run begins and ends: at the lines that hold what moves at t = 0."""
@@ -231,7 +238,7 @@ class DifferentiableRun:
         width, columns = self._x.shape[1], self.grains + (PAD - 1)
         adjoint, bodies, table = np.split(aligned(11, width + PAD + (STRIDE - width - PAD) % PAGE), (5, 8))
         bodies[2, 1 : width + 1], table[:, :width] = self._chain.inverse_mass, self._table
-        powers = aligned(1 if self._law == kernels.UNDONE else self._most, width)
+        powers = aligned(1 if self._law <= kernels.UNDONE_SERIES else self._most, width)
         tops = np.empty((2, self._most))
         forces = aligned(self._most if self._law == kernels.OTHER else 1, width)
         state = self._state.copy()
@@ -283,7 +290,7 @@ class DifferentiableRun:
             if self.imposed:
                 by_path = self.imposed.push(self._times(row, count), change.drive, 0)
             tangent(
-                self._law, self._less, again, self._table, self._course, self._room, self._path(row, count),
+                self._less, again, self._table, self._course, self._room, self._path(row, count),
                 before[piece], rows[piece], count, near, np.empty((2, 1)), (*fixed, by_path), dx, dv, (columns, looks),
             )  # fmt: skip
         if self.imposed and self._driven:

@@ -229,12 +229,26 @@ def test_weak_waves_have_the_derivatives_of_the_linear_propagator():
     np.testing.assert_allclose(gradients["velocity"], by_velocity, rtol=0, atol=1e-12 * np.abs(by_velocity).max())
 
 
-@pytest.mark.parametrize(("velocity", "struck"), [(1e-2, 1), (1e-9, 1), (1e-2, 899)])
-def test_adjoints_of_long_chains_agree_with_tangents(velocity: float, struck: int):
-    """Through windows that grow or tiles, and several pieces; strong waves are undone, weak ones made again."""
+@pytest.mark.parametrize(
+    ("velocity", "struck", "options"),
+    [
+        (1e-2, 1, {}),
+        (1e-2, 899, {}),
+        (1e-2, 899, {"top_load": 1.0}),
+        (1e-9, 1, {}),
+        (1e-9, 899, {"exponent": 1.05}),
+        (1e-8, 1, {"exponent": 2.5}),
+        (1e-6, 899, {"exponent": 2.5}),
+        (1e-2, 1, {"gravity": 0}),
+        (1e-2, 10, {"gravity": 0}),
+        (1e-2, 1, {"gravity": 0, "exponent": 2.5}),
+    ],
+)
+def test_adjoints_of_long_chains_agree_with_tangents(velocity: float, struck: int, options: dict[str, float]):
+    """Through windows that grow or tiles, and several pieces, for every law by which these are undone or made again."""
     rng, start = np.random.default_rng(1), np.zeros(900)
     start[:struck] = velocity * rng.uniform(0.5, 1, struck)
-    scene = Scene(chain=Chain(grains=900, diameter=1e-3), excitation=Profile(velocity=start), duration=2e-4)
+    scene = Scene(chain=Chain(grains=900, diameter=1e-3, **options), excitation=Profile(velocity=start), duration=2e-4)
     run = DifferentiableRun(
         scene, SPLITTINGS["rkn4"], 0.3 / scene.highest_frequency, 20, np.array([1, 2, 150, 400, 800])
     )

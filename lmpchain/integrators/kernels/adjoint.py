@@ -19,20 +19,25 @@ import math
 from ...util.compilation import compiled_once
 from .adjoint_rows import (
     _OPTIONS,
+    _back_exact,
     _back_hertz,
     _back_other,
-    _back_undone,
+    _back_plain,
+    _back_series,
+    _back_vacuum,
     _loop,
     _there_hertz,
     _there_other,
     _there_plain,
+    _there_vacuum,
 )
 from .layout import BODY, FIRST, LAST, PAD
 from .right_hand_side import sweep
 from .window import widen
 
-# delta = 3/2 in strong waves where all contacts are pressed at rest, or not all, or in any waves; any delta
-UNDONE, PLAIN, HERTZ, OTHER = range(4)
+# where all contacts are pressed at rest: delta = 3/2 in strong and in any waves, any delta in the weakest; elsewhere,
+# delta = 3/2 where nothing is pressed, in strong and in any waves, and any delta
+UNDONE_PLAIN, UNDONE_EXACT, UNDONE_SERIES, VACUUM, PLAIN, HERTZ, OTHER = range(7)
 NEWS = "gradients of the native engine", 30
 BURST = 32  # rows between two updates of the window
 TILE = 384  # bodies that stay in the nearest cache while the rows of a burst pass over them
@@ -108,7 +113,7 @@ def forward(chain, course, room, path, pieces, some, seen):
 
     `course` is kicks (S+1,) and drifts (S,) as parts of a step, the lengths (K,) of all steps, s, and how many are
     made before each look. `seen` is the indices (G,) of bodies and room for their x and v at all looks. `path` is what
-    is imposed in each row, if anything is, and `room` is (6, BURST). `pieces` is their first rows (P+1,), the looks
+    is imposed in each row, if anything is, and `room` is (4, BURST). `pieces` is their first rows (P+1,), the looks
     before these and the rows in between, and where states (P+1, 2, W) and windows (P, 2) are kept.
     """
     starts, looks, rows, states, windows = pieces
@@ -121,10 +126,10 @@ def forward(chain, course, room, path, pieces, some, seen):
 
 
 @_loop
-def _touch(law, r, constant, less, row, tops):
+def _touch(r, constant, less, row, tops):
     """Keep p and f of a first contact that only touches, and return f."""
     if r > 0.0:
-        tops[0, row] = math.sqrt(r) if law <= HERTZ else r**less
+        tops[0, row] = math.sqrt(r) if less == 0.5 else r**less
     else:
         tops[0, row] = 0.0
     tops[1, row] = constant * r * tops[0, row]
@@ -162,11 +167,15 @@ def _keep(law, less, chain, table, course, room, path, look, q, count, powers, f
                 if body < 0 and a <= 1 - body < b:
                     v[1 - body] += kick[row] * im[1 - body] * path[place]
                 if begin == first and chain.uncompressed > 0.0 and first == PAD:
-                    f0 = _touch(law, x[PAD] - x[PAD + 1], chain.uncompressed, less, place, tops)
+                    f0 = _touch(x[PAD] - x[PAD + 1], chain.uncompressed, less, place, tops)
                     v[PAD + 1] += kick[row] * im[PAD + 1] * f0
                 some_x, some_v, m = x[a : b + 1], v[a:b], im[a:b]
                 p = powers[place, a:b]
-                if law == PLAIN:
+                if law == VACUUM:
+                    carried[row] = _there_vacuum(
+                        some_x, some_v, il[a:b], st[a:b], m, kick[row], drift[row], above, c, p
+                    )
+                elif law == PLAIN:
                     carried[row] = _there_plain(some_x, some_v, il[a:b], st[a:b], m, kick[row], drift[row], above, c, p)
                 elif law == HERTZ:
                     carried[row] = _there_hertz(some_x, some_v, il[a:b], st[a:b], m, kick[row], drift[row], above, c, p)
@@ -208,7 +217,7 @@ def _backward(
             look -= 1
             q = _rows(course, look)
         some = min(BURST, done, q)
-        kick, drift, carried = room[0, :some], room[1, :some], room[2:6, :some]
+        kick, drift, carried = room[0, :some], room[1, :some], room[2:4, :some]
         _fill(course, look, q - some, kick, drift)
         earlier = _drift(course, look, q - some)
         tile, together = _tiles(first, last, some)
@@ -220,7 +229,7 @@ def _backward(
                 place = done - some + row
                 a = begin if begin == first or together > 1 else begin - PAD * turn
                 b = end if final else end - PAD * turn
-                before = carried[0, row], carried[1, row], carried[2, row], carried[3, row]
+                before = carried[0, row], carried[1, row]
                 if body < 0 and a <= 1 - body < b:
                     w = kick[row] * pull[1 - body]
                     on_path[place] = w
@@ -229,7 +238,7 @@ def _backward(
                 if begin == first:
                     if body > 0:
                         x[body + 1] = path[place]
-                    before = x[first], 0.0, 0.0, 0.0
+                    before, pull[first] = (0.0, 0.0), 0.0  # nothing moves what is outside
                     if chain.uncompressed > 0.0 and first == PAD:
                         y, p0, f0 = kick[row] * pull[PAD + 1], tops[0, place], tops[1, place]
                         g = (less + 1.0) * chain.uncompressed * p0 * y
@@ -240,17 +249,23 @@ def _backward(
                         sums_m[PAD + 1] += y * f0
                 arguments = (
                     x[a : b + 1], v[a:b], adjoint_x[a:b], pull[a : b + 1], stiff[a:b], st[a:b], il[a:b], im[a:b],
-                    kick[row], drift[row - 1] if row > 0 else earlier, before, c,
-                    powers[place if law > UNDONE else 0, a:b], forces[place if law == OTHER else 0, a:b],
+                    kick[row], drift[row - 1] if row > 0 else earlier, before, c, chain.coefficients,
+                    powers[place if law > UNDONE_SERIES else 0, a:b], forces[place if law == OTHER else 0, a:b],
                     sums_p[a:b], sums_f[a:b], sums_m[a:b],
                 )  # fmt: skip
-                if law == UNDONE:
-                    before = _back_undone(*arguments)
+                if law == UNDONE_PLAIN:
+                    before = _back_plain(*arguments)
+                elif law == UNDONE_EXACT:
+                    before = _back_exact(*arguments)
+                elif law == UNDONE_SERIES:
+                    before = _back_series(*arguments)
+                elif law == VACUUM:
+                    before = _back_vacuum(*arguments)
                 elif law <= HERTZ:
                     before = _back_hertz(*arguments)
                 else:
                     before = _back_other(*arguments)
-                carried[0, row], carried[1, row], carried[2, row], carried[3, row] = before
+                carried[0, row], carried[1, row] = before
                 if begin == first and body > 0:
                     on_path[place] = adjoint_x[body + 1]
                     adjoint_x[body + 1] = 0.0
@@ -275,7 +290,7 @@ def backward(
     for piece in range(some[1] - 1, some[0] - 1, -1):
         begin, count = starts[piece] - starts[some[0]], starts[piece + 1] - starts[piece]
         known, drift = piece, 0.0
-        if law == UNDONE:
+        if law <= UNDONE_SERIES:
             known, drift = piece + 1, _drift(course, looks[piece + 1], rows[piece + 1])
         for n in range(width):
             bodies[1, n + 1] = states[known, 1, n]
@@ -283,7 +298,7 @@ def backward(
         chain.state[FIRST] = PAD if everywhere else windows[piece, 0]
         chain.state[LAST] = width - PAD if everywhere else windows[piece, 1]
         part = slice(begin, begin + count)
-        if law != UNDONE:
+        if law > UNDONE_SERIES:
             _keep(
                 law, less, chain, table, course, room, path[part], looks[piece], rows[piece], count,
                 powers, forces, tops, bodies,

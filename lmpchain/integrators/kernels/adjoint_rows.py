@@ -47,19 +47,25 @@ def _other(s, c, less):
     return p if shut else -c
 
 
-def _there_by_root(exact: bool) -> Any:
-    """Make the loop that kicks and drifts for delta = 3/2, with the digits of weak waves or without."""
+def _there_by_root(exact: bool, vacuum: bool = False) -> Any:
+    """Make the loop that kicks and drifts for delta = 3/2: with the digits of weak waves or without, or c = 0."""
 
     @_loop
     def there(x, v, inverse_length, strength, inverse_mass, kick, drift, above, c, power):
         """Kick and drift the bodies x (C+1,) but the last, as fast as v (C,), and keep p."""
         apart()
         for n in range(v.size):
-            s = (x[n] - x[n + 1]) * inverse_length[n]
-            s = s if s > -c else -c
-            p = _hertz(s, c) if exact else math.sqrt(c + s) - c
+            s = x[n] - x[n + 1]
+            if vacuum:
+                s = s if s > 0.0 else 0.0
+                p = math.sqrt(s)
+                below = strength[n] * s * p
+            else:
+                s *= inverse_length[n]
+                s = s if s > -c else -c
+                p = _hertz(s, c) if exact else math.sqrt(c + s) - c
+                below = strength[n] * p * (3.0 * c + p * (3.0 * c + p))
             power[n] = p
-            below = strength[n] * p * (3.0 * c + p * (3.0 * c + p))
             faster = v[n] + kick * inverse_mass[n] * (above - below)
             v[n] = faster
             x[n] += drift * faster
@@ -70,6 +76,7 @@ def _there_by_root(exact: bool) -> Any:
 
 
 _there_plain, _there_hertz = _there_by_root(False), _there_by_root(True)
+_there_vacuum = _there_by_root(False, True)
 
 
 @_loop
@@ -90,51 +97,71 @@ def _there_other(x, v, inverse_length, strength, inverse_mass, kick, drift, abov
     return above
 
 
-def _back(undone: bool, kept: bool = False) -> Any:
+PLAINLY, EXACTLY, BY_SERIES, KEPT_VACUUM, KEPT, BOTH_KEPT = range(6)  # how p and f are found on the way back
+
+
+def _back(how: int) -> Any:
     """Make the loop of the way back, with p found by undoing rows or kept, and f kept or following from p."""
+    undone = how <= BY_SERIES
 
     @_loop
     def back(
-        x, v, adjoint_x, pull, stiff, strength, inverse_length, inverse_mass, kick, drift, before, c, power, force,
-        sums_p, sums_f, sums_m,
+        x, v, adjoint_x, pull, stiff, strength, inverse_length, inverse_mass, kick, drift, before, c, terms, power,
+        force, sums_p, sums_f, sums_m,
     ):  # fmt: skip
         """Take adjoints of bodies back through a kick and the drift before it, and undo both.
 
         Contacts are (C,); v, adjoint_x and inverse masses those of the bodies above them, x and pull (C+1,), the
-        adjoint of v over the mass, also of the one below. `before` and what is returned are x, f, pull and stiffness at
-        either end.
+        adjoint of v over the mass, also of the one below. `before` and what is returned are f and what its adjoint
+        does to x, at either end.
         """
         apart()
-        x_before, f_before, pull_before, g_before = before
+        f_before, g_before = before
+        t0, t1, t2, t3, t4, t5, t6 = terms[0], terms[1], terms[2], terms[3], terms[4], terms[5], terms[6]
         for n in range(adjoint_x.size):
-            x_here, pull_here = x[n + 1] if undone else x_before, pull[n + 1]
             if undone:
-                s = (x_before - x_here) * inverse_length[n]
+                s = (x[n] - x[n + 1]) * inverse_length[n]
+            if how == BY_SERIES:
+                g = s * (t0 + s * (t1 + s * (t2 + s * (t3 + s * (t4 + s * (t5 + s * t6))))))
+                p = (g - s) / (1.0 + s)
+                root = 1.0 + p
+                f = strength[n] * g
+            elif how == PLAINLY:
                 s = s if s > -c else -c
                 root = math.sqrt(c + s)
                 p = root - c
                 f = strength[n] * (c + s) * root - strength[n] * c
+            elif how == EXACTLY:
+                s = s if s > -c else -c
+                p = _hertz(s, c)
+                root = c + p
+                f = strength[n] * p * (3.0 * c + p * (3.0 * c + p))
+            elif how == KEPT_VACUUM:
+                p = root = power[n]
+                f = strength[n] * p * p * p
             else:
                 p = power[n]
                 root = c + p
-                f = force[n] if kept else strength[n] * p * (3.0 * c + p * (3.0 * c + p))
+                f = force[n] if how == BOTH_KEPT else strength[n] * p * (3.0 * c + p * (3.0 * c + p))
             push = kick * (f_before - f)
             if undone:
                 slower = v[n] - inverse_mass[n] * push
                 v[n] = slower
-                x[n] = x_before - drift * slower
-            y = kick * (pull_here - pull_before)  # the adjoint of the force
+                x[n] -= drift * slower
+            y = kick * (pull[n + 1] - pull[n])  # the adjoint of the force
             g = stiff[n] * root * y
-            sums_p[n] += y * p
+            if how != KEPT_VACUUM:  # there, no force at rest asks for it
+                sums_p[n] += y * p
             sums_f[n] += y * f
-            sums_m[n] += pull_before * push
+            sums_m[n] += pull[n] * push
             by_x = adjoint_x[n] + (g - g_before)
             adjoint_x[n] = by_x
-            pull[n] = pull_before + drift * inverse_mass[n] * by_x
-            x_before, f_before, pull_before, g_before = x_here, f, pull_here, g
-        return x_before, f_before, pull_before, g_before
+            pull[n] += drift * inverse_mass[n] * by_x
+            f_before, g_before = f, g
+        return f_before, g_before
 
     return back
 
 
-_back_undone, _back_hertz, _back_other = _back(True), _back(False), _back(False, kept=True)
+_back_plain, _back_exact, _back_series = _back(PLAINLY), _back(EXACTLY), _back(BY_SERIES)
+_back_vacuum, _back_hertz, _back_other = _back(KEPT_VACUUM), _back(KEPT), _back(BOTH_KEPT)

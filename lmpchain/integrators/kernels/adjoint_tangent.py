@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 from ...util.compilation import compiled_once
-from .adjoint import BURST, HERTZ, NEWS, _fill, _rows, _touch
+from .adjoint import BURST, NEWS, _fill, _rows, _touch
 from .adjoint_rows import _OPTIONS, _hertz, _loop, _other, apart
 from .layout import BODY, PAD
 
 
 @_loop
-def _evaluate(law, less, chain, table, row, first, last, tops, near):
+def _evaluate(less, chain, table, row, first, last, tops, near):
     """Fill slope, p, f of the contacts, and what the constant does; `near` is as in `tangent`."""
     c, power, force, slope, soften = chain.precompressed, near[0], near[1], near[2], near[3]
     for n in range(first, last):
         s = (chain.x[n - 1] - chain.x[n]) * table[0, n]
         s = s if s > -c else -c
-        p = _hertz(s, c) if law <= HERTZ else _other(s, c, less)
+        p = _hertz(s, c) if less == 0.5 else _other(s, c, less)
         power[n], slope[n] = p, table[2, n] * (c + p)
         force[n] = table[1, n] * (c * (s + p) + s * p)
     if chain.uncompressed > 0.0 and first == PAD:
-        force[PAD] = _touch(law, chain.x[PAD - 1] - chain.x[PAD], chain.uncompressed, less, 0, tops)
+        force[PAD] = _touch(chain.x[PAD - 1] - chain.x[PAD], chain.uncompressed, less, 0, tops)
         power[PAD] = tops[0, 0]
         slope[PAD] = (less + 1.0) * chain.uncompressed * power[PAD]
     for n in range(first, last):
@@ -50,7 +50,7 @@ def _change(x, v, inverse_mass, slope, power, force, soften, by_force, by_consta
 
 
 @compiled_once(*NEWS, nogil=True, **_OPTIONS)
-def tangent(law, less, chain, table, course, room, path, look, q, count, near, tops, change, dx, dv, seen):
+def tangent(less, chain, table, course, room, path, look, q, count, near, tops, change, dx, dv, seen):
     """Move a chain, and D small changes dx and dv (D, W) of it, by some rows as `forward` does.
 
     `near` is (6, W): room for four, the inverse of the constant of every contact and what it carries at rest. `change`
@@ -69,7 +69,7 @@ def tangent(law, less, chain, table, course, room, path, look, q, count, near, t
             place = done + row
             if body > 0:
                 chain.x[body] = path[place]
-            _evaluate(law, less, chain, table, 0, first, last, tops, near)
+            _evaluate(less, chain, table, 0, first, last, tops, near)
             for d in range(dx.shape[0]):
                 if body > 0:
                     dx[d, body] = by_path[d, place]
