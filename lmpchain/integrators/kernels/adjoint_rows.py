@@ -48,7 +48,7 @@ def _other(s, c, less):
 
 
 def _there_by_root(exact: bool, vacuum: bool = False) -> Any:
-    """Make the loop that kicks and drifts for delta = 3/2: with the digits of weak waves or without, or c = 0."""
+    """Make the loop of kick and drift for delta = 3/2: with the digits of weak waves, or c = 0."""
 
     @_loop
     def there(x, v, inverse_length, strength, inverse_mass, kick, drift, above, c, power):
