@@ -47,9 +47,7 @@ def fields(data: dict[str, Any], folder: Path | None = Path()) -> dict[str, Any]
             faults.extend(error.under(section))
             return None
 
-    for key in data.keys() - set(SECTIONS):
-        known = ", ".join(SECTIONS)
-        faults.append((key, f"unknown section{did_you_mean(key, SECTIONS)}; the sections are {known}"))
+    faults += [(key, _misplaced(key)) for key in data if key not in SECTIONS]
     given: dict[str, dict[str, Any]] = {}
     for section in SECTIONS:
         table = data.get(section)
@@ -77,6 +75,16 @@ def fields(data: dict[str, Any], folder: Path | None = Path()) -> dict[str, Any]
     assert excitation
     assert recording
     return {"chain": chain, "excitation": excitation, **recording.given()}
+
+
+def _misplaced(key: str) -> str:
+    """Return what to do about something that is no section."""
+    of_excitations = [key for kind in EXCITATIONS.values() for key in kind.model_fields]
+    fields = {"recording": Recording.model_fields, "chain": Chain.model_fields, "excitation": ["kind", *of_excitations]}
+    homes = " or ".join(f"[{section}]" for section, keys in fields.items() if key in keys)
+    if homes:
+        return f"belongs to a section: put it below the line {homes}"
+    return f"unknown section{did_you_mean(key, SECTIONS)}; the sections are {', '.join(SECTIONS)}"
 
 
 def _of_this_length(table: dict[str, Any]) -> Chain | None:

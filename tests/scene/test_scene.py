@@ -226,6 +226,21 @@ def file(tmp_path: Path) -> Path:
     return tmp_path / "scene.toml"
 
 
+def test_keys_outside_of_their_sections_are_sent_there(tmp_path: Path):
+    path = tmp_path / "scene.toml"
+    path.write_text("samples = 3\nduration = 1e-5\nkind = 'impulse'\ngravity = 0\nchian = 1\n" + GOOD)
+    with pytest.raises(InputError) as caught:
+        Scene.from_toml(path)
+    ends = {key: message.partition("below the line ")[2] for key, message in caught.value.faults}
+    assert ends == {
+        "samples": "[recording]",
+        "duration": "[recording] or [excitation]",
+        "kind": "[excitation]",
+        "gravity": "[chain]",
+        "chian": "",
+    }
+
+
 @pytest.mark.parametrize(("old", "new", "key"), FAULTS.values(), ids=FAULTS)
 def test_a_fault_is_named_by_its_key(old: str, new: str, key: str, file: Path, capsys: pytest.CaptureFixture[str]):
     assert GOOD.count(old) == 1
