@@ -6,8 +6,8 @@ every grain, arrival, height and width of the front, the largest force on the bo
 samples show. The true error over the claimed one must be below 3 always, and below 1 in all but one of a hundred
 scenes; each constant is varied, and the interval is that in which it is so.
 
-    python analysis/calibration/between_samples.py           # ten minutes
-    python analysis/calibration/between_samples.py --quick   # a minute
+    python analysis/calibration/between_samples.py           # ten seconds
+    python analysis/calibration/between_samples.py --quick   # a few seconds
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from ...util.compilation import compiled_once
 NEWS = "the measures", 20  # what is compiled, and about how long that takes, s
 STILL, UNKNOWN = -1, -2  # columns of bodies that stand still, or were not recorded
 # of the jump of the jerk times an interval, by which accelerations may be off where a contact opens or closes; with it
-# and CURVED, values, slopes and curvatures are off by less than is said for all exponents from 1 to 3
+# and CURVED, errors of values, slopes and curvatures are bounds for all exponents: tests/trajectory/test_between.py
 KINK = 0.12
 HIDDEN = 2.0  # and of the change of velocity in a collision between two samples, over the interval
 compiled = numba.njit(error_model="numpy")
@@ -67,10 +67,12 @@ def _kinks(r, closing, length, pressed, rate, mass, h, unsure):
     before, rose = 0.0, 0.0  # overlap and its rate, in `length`
     for i in range(r.size):
         y, rise = pressed + r[i] * length, closing[i] * length
-        if i > 0 and ((y > 0.0) != (before > 0.0) or _visits(before, y, h * rose, h * rise)):
+        changed = (y > 0.0) != (before > 0.0)
+        if i > 0 and (changed or _visits(before, y, h * rose, h * rise)):
             jump = KINK * h * abs(rate[i] - rate[i - 1])
-            if y <= 0.0 and before <= 0.0:
-                jump = HIDDEN * mass * abs(closing[i] - closing[i - 1]) / h
+            turned = (y > 0.0 and rise < 0.0) or (before > 0.0 and rose > 0.0)  # it was closer in between
+            if turned if changed else y <= 0.0:
+                jump = max(jump, HIDDEN * mass * abs(closing[i] - closing[i - 1]) / h)
             unsure[i - 1], unsure[i] = max(unsure[i - 1], jump), max(unsure[i], jump)
         before, rose = y, rise
 

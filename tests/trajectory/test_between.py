@@ -1,0 +1,75 @@
+"""Polynomials between samples, where a contact opens, closes or does both: against quadrature of a prescribed force."""
+
+import numpy as np
+import pytest
+
+from lmpchain.trajectory.between import hermite
+from lmpchain.trajectory.between.derivatives import derivatives
+
+SAMPLES, FINE = 8, 2000  # and times of the quadrature in an interval between two of them
+KNOTS, WEIGHTS = np.polynomial.legendre.leggauss(4)
+
+
+def integral(values: np.ndarray, first: float) -> np.ndarray:
+    """Return the integral of values (K, 4) at Gauss points of K intervals of 1/FINE, at their ends, (K+1,)."""
+    return np.concatenate(([0.0], np.cumsum(values @ WEIGHTS) / 2 / FINE)) + first
+
+
+def motion(overlap: np.polynomial.Polynomial, exponent: float) -> tuple[np.ndarray, ...]:
+    """Return time, displacement, velocity, acceleration of a grain of 1 kg pushed by a contact of 1 N/m^exponent."""
+    ends = np.arange((SAMPLES - 1) * FINE + 1) / FINE
+    inside = (ends[:-1, None] + ends[1:, None] + KNOTS / FINE) / 2
+
+    def force(t: np.ndarray) -> np.ndarray:
+        y = overlap(t)
+        return np.where(y > 0, np.abs(y) ** exponent, 0.0)
+
+    v = integral(force(inside), 0.0)
+    middle = v[:-1, None] + (inside - ends[:-1, None]) * (force(ends[:-1])[:, None] + force(inside)) / 2
+    return ends, integral(middle, 0.0), v, force(ends)
+
+
+def worst(overlap: np.polynomial.Polynomial, exponent: float) -> np.ndarray:
+    """Return the largest errors of velocity, slope and curvature over what is claimed, of the inner intervals, (3,)."""
+    t, u, v, a = motion(overlap, exponent)
+    at = slice(None, None, FINE)
+    fields = [np.stack([x[at], x[at] + sign * other(t[at])], axis=1)
+              for x, sign, other in ((u, 1, overlap), (v, 1, overlap.deriv()))]  # fmt: skip
+    fields = [np.ascontiguousarray(x[:, ::-1]) for x in fields]  # the other body is above
+    contacts = np.array([[0.0, 1.0, 0.0], np.zeros(3), np.zeros(3)])
+    found = derivatives(
+        *fields, np.array([2]), np.array([[0, 1, -1]]), contacts, np.ones(2), exponent, False, 1.0,
+        np.ones(1, bool), np.zeros(1, bool),
+    )  # fmt: skip
+    reach, error = np.empty((2, SAMPLES - 1))
+    path = hermite.path(
+        found, 0, 1.0, hermite.VELOCITY, np.zeros((1, 0)), reach, error, np.zeros(8), np.zeros(8), np.zeros(4)
+    )
+    np.testing.assert_allclose(found[2, 0], a[at], rtol=1e-9, atol=1e-9 * a.max(initial=1e-300))
+    ratios = np.zeros(3)
+    for i in range(1, SAMPLES - 2):
+        hermite.polynomial(path, i)
+        part, here = np.polynomial.Polynomial(path.c), slice(i * FINE, (i + 1) * FINE + 1)
+        s = t[here] - i
+        rate = np.gradient(a[here], 1 / FINE)
+        allowed = error[i] * np.array([1, hermite.STEEPEST / hermite.BUMP, hermite.CURVED / hermite.BUMP])
+        off = [np.abs(part.deriv(k)(s) - true)[2:-2].max() if k else np.abs(part(s) - true).max()
+               for k, true in enumerate((v[here], a[here], rate))]  # fmt: skip
+        ratios = np.maximum(ratios, np.array(off) / (allowed + 1e-6 * np.abs(a).max(initial=1e-300)))
+    return ratios
+
+
+@pytest.mark.parametrize("exponent", [1.0, 1.2, 1.5, 2.0, 3.0])
+@pytest.mark.parametrize("kind", ["crosses", "leaves for a moment", "touches for a moment"])
+def test_errors_cover_kinks(kind: str, exponent: float):
+    rng = np.random.default_rng(round(100 * exponent))
+    t, found = np.polynomial.Polynomial([0.0, 1.0]), []
+    for _ in range(40):
+        place = SAMPLES // 2 - 1 + rng.uniform()
+        if kind == "crosses":
+            overlap = (t - place) * rng.choice([-1, 1]) + rng.uniform(-0.6, 0.6) * (t - place) ** 2
+        else:
+            width = 10 ** rng.uniform(-1.5, 0) / 2
+            overlap = ((t - place) ** 2 - width**2) * (1 if kind == "leaves for a moment" else -1)
+        found.append(worst(overlap, exponent))
+    assert np.max(found) <= 1
