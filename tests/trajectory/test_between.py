@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
-from lmpchain.trajectory.between import hermite
+from lmpchain.trajectory.between import extremes, hermite
 from lmpchain.trajectory.between.derivatives import derivatives
 
 SAMPLES, FINE = 8, 2000  # and times of the quadrature in an interval between two of them
@@ -73,3 +74,39 @@ def test_errors_cover_kinks(kind: str, exponent: float):
             overlap = ((t - place) ** 2 - width**2) * (1 if kind == "leaves for a moment" else -1)
         found.append(worst(overlap, exponent))
     assert np.max(found) <= 1
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.3, 0.7])
+def test_a_width_ends_at_a_dip_that_no_quarter_of_an_interval_shows(shift: float):
+    """Between two bumps the motion falls to half of the first one by a millionth, or just not."""
+    t = np.polynomial.Polynomial([0.0, 1.0])
+
+    def bumps(second: float, time: np.ndarray) -> np.ndarray:
+        """Return u, v, a, j (4, ...) of two Gaussian bumps."""
+        found = np.zeros((4, *np.shape(time)))
+        for size, middle, width in ((1.0, 20 + shift, 4.0), (second, 29.5 + shift, 4.0)):
+            s, factor = (time - middle) / width, np.polynomial.Polynomial([size])
+            for order in range(4):
+                found[order] += factor(s) * np.exp(-(s**2)) / width**order
+                factor = factor.deriv() - 2 * t * factor
+        return found
+
+    def depth(second: float) -> float:
+        """Return how far the dip is below half of the first bump, in parts of that."""
+        u = bumps(second, np.linspace(18, 28, 20001) + shift)[0]
+        return float(1 - 2 * u[8000:].min() / u[:8000].max())
+
+    for sign in (1, -1):
+        second = brentq(lambda size, sign=sign: depth(size) - sign * 1e-6, 0.5, 1.2, xtol=1e-14)
+        values = np.zeros((5, 1, 60))
+        values[:4, 0] = bumps(second, np.arange(60.0))
+        found, _ = extremes.fronts(
+            values, np.zeros(1, bool), 1.0, hermite.DISPLACEMENT, np.zeros((1, 0)), 0.5, 0.0, 0.0, 0.5, True
+        )
+        time, height, width, _, _, error = found[0]
+        assert abs(time - 20 - shift) < 0.1
+        dense = np.linspace(10, 40, 300_001) + shift
+        low = dense[bumps(second, dense)[0] < height / 2]
+        end = low[low > time][0]
+        assert (end - time < 6) == (sign > 0)
+        assert abs(end - low[low < time][-1] - width) <= error + 3e-4

@@ -32,15 +32,34 @@ def draw(seed: int) -> tuple[Scene, int, float, str]:
     return scene, contact, tolerance, engine
 
 
-def maxima(y: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return when the first maximum at least half as large as the largest begins and ends, and of nearly such ones."""
+def maxima(y: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return begin, end and size of the first maximum at least half as large as the largest, and of near ones."""
     last = np.append(np.flatnonzero(np.abs(np.diff(y)) > SAME * y.max()), y.size - 1)  # of values that are the same
     first, level = np.append(0, last[:-1] + 1), np.append(y[last], 0.0)
     tops = 1 + np.flatnonzero((level[1:-1] > level[:-2]) & (level[1:-1] > level[2:]))
     tops = tops[level[tops] >= (1 - NEAR_HALF) * y.max() / 2]
     sure = np.flatnonzero(level[tops] >= (1 + NEAR_HALF) * y.max() / 2)
     tops = tops[: sure[0] + 1] if sure.size else tops
-    return time[first[tops]], time[last[tops]]
+    return time[first[tops]], time[last[tops]], level[tops]
+
+
+def wrong_fronts(name: str, sizes: np.ndarray, time: np.ndarray, rows: np.ndarray, doubt: float) -> list[Any]:
+    """Return which fronts (G, 6) are not those of sizes (T, G): their times, and heights and widths where given."""
+    bad: list[Any] = []
+    for grain in np.flatnonzero(np.isfinite(rows[:, 0])):
+        y, (when, height, width, late, off, wide) = sizes[:, grain], rows[grain]
+        begin, end, level = maxima(y, time)
+        there = (begin - when <= late + time[1]) & (when - end <= late + time[1])
+        if not there.any():
+            bad.append((f"time of {name}", int(grain) + 1, when, late, begin, end))
+        elif (np.abs(np.abs(height) - level[there]) > off + np.abs(np.diff(y, 2)).max() + doubt).all():
+            bad.append((f"height of {name}", int(grain) + 1, height, off, level[there]))
+        elif there.sum() == 1 and late < BETWEEN * time[1]:
+            below, top = np.flatnonzero(y < level[there] / 2), np.searchsorted(time, begin[there][0])
+            before, after = below[below < top], below[below > top]
+            if before.size and after.size and abs(time[after[0] - before[-1]] - width) > wide + 2 * time[1]:
+                bad.append((f"width of {name}", int(grain) + 1, width, wide, time[after[0] - before[-1]]))
+    return bad
 
 
 def faults(seed: int) -> list[Any] | None:
@@ -89,12 +108,12 @@ def faults(seed: int) -> list[Any] | None:
         value, error = gathered(f"force:{contact}")
         if (np.abs(value - force[::BETWEEN]) > error + slack[::BETWEEN]).any():
             bad.append(f"force:{contact}")
-    speed, step, fronts = np.abs(best.velocity), true.time[1], motion.fronts("velocity", 0.5, width=False)
-    for name, when, error in (("arrival_time", *gathered("arrival_time")), ("front", fronts[:, 0], fronts[:, 3])):
-        for grain in np.flatnonzero(np.isfinite(when)):
-            begin, end = maxima(speed[:, grain], true.time)
-            if not ((begin - when[grain] <= error[grain] + step) & (when[grain] - end <= error[grain] + step)).any():
-                bad.append((name, int(grain) + 1, when[grain], error[grain], begin, end))
+    arrivals = np.full((scene.chain.grains, 6), np.nan)
+    arrivals[:, 0], arrivals[:, 3] = gathered("arrival_time")
+    bad += wrong_fronts("arrival", np.abs(best.velocity), true.time, arrivals, 0.0)
+    for name, values in (("displacement", best.displacement), ("velocity", best.velocity)):
+        unsure = (LEAST - 1) * motion.known_error(name)
+        bad += wrong_fronts(name, np.abs(values), true.time, motion.fronts(name, 0.5), unsure)
     return bad
 
 

@@ -82,9 +82,9 @@ def _peak(p):
 def _crossing(p, sign, level, i, s, step):
     """Return when sign times the value first falls to a level, from the place s in an interval on.
 
-    `step` is 1 for later, -1 for earlier. Also the error of the polynomial there.
+    `step` is 1 for later, -1 for earlier. Also the largest error of the polynomials looked at.
     """
-    goal = 1.0 if step > 0 else 0.0
+    goal, error = 1.0 if step > 0 else 0.0, 0.0
     here, y = s, sampled(p)
     while 0 <= i < p.error.size:
         swing = p.reach[i] - max(size(y[i], p.kind), size(y[i + 1], p.kind))
@@ -93,13 +93,17 @@ def _crossing(p, sign, level, i, s, step):
         i, here = i + step, 1.0 - goal
     while 0 <= i < p.error.size:
         polynomial(p, i)
+        count, error = turns(p), max(error, p.error[i])
         p.c[:] *= sign
         begin = here
         for part in range(1, PARTS + 1):
             there = begin + (goal - begin) * part / PARTS
+            for k in range(count):  # it may have dipped below the level in between
+                place = p.places[k]
+                if (place - here) * (there - place) > 0.0 and value(p.c, place) < level:
+                    there = place
             if value(p.c, there) < level:
-                at = root(p.c, level, min(here, there), max(here, there))
-                return (i + at) * p.h, p.error[i]
+                return (i + root(p.c, level, min(here, there), max(here, there))) * p.h, error
             here = there
         i, here = i + step, 1.0 - goal
     return np.nan, np.nan
