@@ -11,9 +11,9 @@ SAMPLES, FINE = 8, 2000  # and times of the quadrature in an interval between tw
 KNOTS, WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
-def integral(values: np.ndarray, first: float) -> np.ndarray:
+def integral(values: np.ndarray) -> np.ndarray:
     """Return the integral of values (K, 4) at Gauss points of K intervals of 1/FINE, at their ends, (K+1,)."""
-    return np.concatenate(([0.0], np.cumsum(values @ WEIGHTS) / 2 / FINE)) + first
+    return np.concatenate(([0.0], np.cumsum(values @ WEIGHTS) / 2 / FINE))
 
 
 def motion(overlap: np.polynomial.Polynomial, exponent: float) -> tuple[np.ndarray, ...]:
@@ -25,18 +25,17 @@ def motion(overlap: np.polynomial.Polynomial, exponent: float) -> tuple[np.ndarr
         y = overlap(t)
         return np.where(y > 0, np.abs(y) ** exponent, 0.0)
 
-    v = integral(force(inside), 0.0)
+    v = integral(force(inside))
     middle = v[:-1, None] + (inside - ends[:-1, None]) * (force(ends[:-1])[:, None] + force(inside)) / 2
-    return ends, integral(middle, 0.0), v, force(ends)
+    return ends, integral(middle), v, force(ends)
 
 
 def worst(overlap: np.polynomial.Polynomial, exponent: float) -> np.ndarray:
     """Return the largest errors of velocity, slope and curvature over what is claimed, of the inner intervals, (3,)."""
     t, u, v, a = motion(overlap, exponent)
     at = slice(None, None, FINE)
-    fields = [np.stack([x[at], x[at] + sign * other(t[at])], axis=1)
-              for x, sign, other in ((u, 1, overlap), (v, 1, overlap.deriv()))]  # fmt: skip
-    fields = [np.ascontiguousarray(x[:, ::-1]) for x in fields]  # the other body is above
+    above = u[at] + overlap(t[at]), v[at] + overlap.deriv()(t[at])  # where the other body is, and how fast
+    fields = [np.stack(pair, axis=1) for pair in zip(above, (u[at], v[at]), strict=True)]
     contacts = np.array([[0.0, 1.0, 0.0], np.zeros(3), np.zeros(3)])
     found = derivatives(
         *fields, np.array([2]), np.array([[0, 1, -1]]), contacts, np.ones(2), exponent, False, 1.0,

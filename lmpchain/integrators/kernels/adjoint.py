@@ -169,21 +169,16 @@ def _keep(law, less, chain, table, course, room, path, look, q, count, powers, f
                 if begin == first and chain.uncompressed > 0.0 and first == PAD:
                     f0 = _touch(x[PAD] - x[PAD + 1], chain.uncompressed, less, place, tops)
                     v[PAD + 1] += kick[row] * im[PAD + 1] * f0
-                some_x, some_v, m = x[a : b + 1], v[a:b], im[a:b]
                 p = powers[place, a:b]
+                arguments = x[a : b + 1], v[a:b], il[a:b], st[a:b], im[a:b], kick[row], drift[row], above, c
                 if law == VACUUM:
-                    carried[row] = _there_vacuum(
-                        some_x, some_v, il[a:b], st[a:b], m, kick[row], drift[row], above, c, p
-                    )
+                    carried[row] = _there_vacuum(*arguments, p)
                 elif law == PLAIN:
-                    carried[row] = _there_plain(some_x, some_v, il[a:b], st[a:b], m, kick[row], drift[row], above, c, p)
+                    carried[row] = _there_plain(*arguments, p)
                 elif law == HERTZ:
-                    carried[row] = _there_hertz(some_x, some_v, il[a:b], st[a:b], m, kick[row], drift[row], above, c, p)
+                    carried[row] = _there_hertz(*arguments, p)
                 else:
-                    carried[row] = _there_other(
-                        some_x, some_v, il[a:b], st[a:b], m, kick[row], drift[row], above, c, less,
-                        p, forces[place, a:b],
-                    )  # fmt: skip
+                    carried[row] = _there_other(*arguments, less, p, forces[place, a:b])
             if final:
                 break
         q, done = q + some, done + some
