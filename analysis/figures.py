@@ -34,8 +34,8 @@ PRINTED_NUMBERS: dict[str, float] = {}  # what `say` has said
 PRINTED = {"color": COLOURS["modes"], "lw": 1.4, "ls": "--"}  # the paper's formula where it is wrong
 
 
-def arguments(script: str, doc: str) -> argparse.Namespace:
-    """Read --quick and -o.
+def arguments(script: str, doc: str, **flags: str) -> argparse.Namespace:
+    """Read --quick, -o and further flags, given with their help.
 
     The picture goes into `pictures/` beside the script, with --quick into this folder.
     """
@@ -43,6 +43,8 @@ def arguments(script: str, doc: str) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="smaller and faster, for tests; draws ./" + name)
     parser.add_argument("-o", "--output", type=Path, help="the picture; by default pictures/" + name)
+    for flag, what in flags.items():
+        parser.add_argument("--" + flag.replace("_", "-"), action="store_true", help=what)
     given = parser.parse_args()
     given.output = given.output or (Path(name) if given.quick else Path(script).resolve().parent / "pictures" / name)
     return given

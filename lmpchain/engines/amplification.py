@@ -10,7 +10,6 @@ from ..integrators.batch import ChainBatch
 from ..integrators.methods import METHODS
 from ..integrators.step_schedule import StepSchedule
 from ..integrators.stepper import NativeStepper
-from ..scene.base import Excitation
 from ..scene.excitation import Profile
 from ..scene.scene import Scene
 from ..util.arrays import EPSILON, Array
@@ -31,16 +30,28 @@ def perturbed(scene: Scene, change: float) -> Scene:
 
     Of the largest displacement where nothing is struck; what does work becomes so much stronger.
     """
-    excitation: Excitation
     if scene.excitation.does_work:
-        excitation = scene.excitation.scaled(1 + change)
-    else:
-        u, v = (x.copy() for x in scene.initial())
-        turns = np.where(np.arange(u.size) % 2, -1.0, 1.0) * (np.arange(u.size) < scene.chain.movable)
-        moved = v if v.any() else u
-        moved += change * np.abs(moved).max() * turns
-        excitation = Profile(displacement=u, velocity=v)
-    return scene.replace(excitation=excitation)
+        return scene.replace(excitation=scene.excitation.scaled(1 + change))
+    u, v = _nearby(scene, change)
+    return scene.replace(excitation=Profile(displacement=u, velocity=v))
+
+
+def _nearby(scene: Scene, change: float) -> tuple[Array, Array]:
+    """Return displacement and velocity (N,) at t = 0 of that scene, where nothing does work."""
+    u, v = (x.copy() for x in scene.initial())
+    turns = np.where(np.arange(u.size) % 2, -1.0, 1.0) * (np.arange(u.size) < scene.chain.movable)
+    moved = v if v.any() else u
+    moved += change * np.abs(moved).max() * turns
+    return u, v
+
+
+def _all(scene: Scene) -> ChainBatch:
+    """Return the chain of a scene and those that begin some last digits apart."""
+    changes = [draw * LAST_DIGIT for draw in DRAWS]
+    if scene.excitation.does_work:
+        return ChainBatch([scene, *(perturbed(scene, change) for change in changes)])
+    u, v = np.array([scene.initial(), *(_nearby(scene, change) for change in changes)]).swapaxes(0, 1)
+    return ChainBatch([scene] * (1 + len(changes)), initial=(u, v))
 
 
 def walked(evaluations: float, alike: bool = False) -> float:
@@ -59,8 +70,7 @@ def amplified_digit(scene: Scene, largest: Array, steps_made: float) -> float:
     """
     interval = scene.duration / (scene.samples - 1)
     steps = math.ceil(max(interval * scene.highest_frequency / COARSE, steps_made / (scene.samples - 1) / LONGER))
-    chains = ChainBatch([scene, *(perturbed(scene, draw * LAST_DIGIT) for draw in DRAWS)])
-    stepper = NativeStepper(chains, METHODS["verlet"], StepSchedule(steps, 1, interval / steps, False), {})
+    stepper = NativeStepper(_all(scene), METHODS["verlet"], StepSchedule(steps, 1, interval / steps, False), {})
     count = max(1, min(scene.samples, BLOCK_BYTES // (64 * scene.chain.grains)))
     u, v = np.zeros((2, 1 + len(DRAWS), count, scene.chain.grains))
     most = np.zeros(len(DRAWS))

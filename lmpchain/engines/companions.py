@@ -23,13 +23,13 @@ from .richardson import extrapolate
 # analysis/calibration/richardson_estimate.py measures these
 FEWEST = 8  # steps of a run from which on companions have longer steps; of these there are then no two alike
 CLOSE_TO_OPENING = -0.5  # r / eps below which a contact's force is no longer a smooth function of time
-# order assumed in the Richardson estimate after adaptive steps through an opening, where differences scatter
-ORDER_AT_OPENINGS = 4
+# order trusted after adaptive steps through openings: they keep it; not those of a method that follows its own error
+ORDER_AT_OPENINGS, ORDER_WHERE_STRETCHED = 6, 4
 # radians a grain from which on waves come back to where contacts opened, and the step of one more companion then
 COMES_BACK, NEARBY = 10.0, 1.5
 # the same for exponents below that, whose force has a kink at an opening: errors scatter from the first one on, so far
 # that all runs may agree by chance on less than the error; a factor on the estimate makes up for it
-KINKED_BELOW, ORDER_AT_KINKS, NEARBY_AT_KINKS, SAFETY_AT_KINKS = 1.25, 2, 1.75, 2.0
+KINKED_BELOW, ORDER_AT_KINKS, NEARBY_AT_KINKS, SAFETY_AT_KINKS = 1.25, 3, 1.75, 2.0
 
 
 class Companions:
@@ -76,8 +76,9 @@ class Companions:
         """
         if self._finer:
             return 2 * steps[0].max(1)
-        falls_to, scatters = ORDER_AT_KINKS if self._kinks else ORDER_AT_OPENINGS, self.scatters.any()
-        at_openings = min(self._order, falls_to) if self._adaptive else self._order
+        falls_to = ORDER_WHERE_STRETCHED if self._stretched else ORDER_AT_OPENINGS
+        at_openings = min(self._order, ORDER_AT_KINKS if self._kinks else falls_to) if self._adaptive else self._order
+        scatters = self.scatters.any()
         found = np.empty(opening.size)
         for opens, smooth in set(zip(opening.tolist(), even.tolist(), strict=True)):
             these = (opening == opens) & (even == smooth)

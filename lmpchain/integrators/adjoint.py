@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from ..scene.acting import Drive, Force
 from ..scene.scene import Scene
 from ..util.arrays import Array
-from .batch import WINDOW_MIN, ChainBatch
+from .batch import WINDOW_MIN, ChainBatch, series
 from .imposed import ImposedCourse
 from .kernels import adjoint as kernels
 from .kernels.adjoint_tangent import tangent
@@ -242,7 +242,8 @@ class DifferentiableRun:
         tops = np.empty((2, self._most))
         forces = aligned(self._most if self._law == kernels.OTHER else 1, width)
         state = self._state.copy()
-        common = self._law, self._less, self._chain._replace(state=state), table, self._course, self._room
+        chain_back = self._chain._replace(state=state, coefficients=series(self._less))
+        common = self._law, self._less, chain_back, table, self._course, self._room
         kept = powers, forces, tops
         for some, row, count in reversed(self._calls()):
             path = self._path(row, count)

@@ -33,6 +33,8 @@ class ChainBatch:
         Of one kind and length.
     force : "auto", "exact" or "plain"
         Which form of the force.
+    initial : pair of (R, N) arrays, optional
+        Displacement, m, and velocity, m/s, of every grain at t = 0, in place of those of the scenes.
 
     Attributes
     ----------
@@ -58,7 +60,7 @@ class ChainBatch:
         Largest displacement and speed of the excitation, m and m/s.
     """
 
-    def __init__(self, scenes: Sequence[Scene], force: str = "auto"):
+    def __init__(self, scenes: Sequence[Scene], force: str = "auto", initial: tuple[Array, Array] | None = None):
         self.scenes, chain, excitation = scenes, scenes[0].chain, scenes[0].excitation
         self.grains, self.imposed, self.driven = chain.grains, excitation.does_work, excitation.driven
         self.masses = np.array([scene.chain.masses for scene in scenes])
@@ -73,6 +75,7 @@ class ChainBatch:
         self.coefficients, self.opening_power = series(chain.exponent), chain.exponent
         one = not excitation.of_chain and all(scene.excitation is excitation for scene in scenes)
         self._struck = scenes[:1] if one else scenes  # each in a way of its own
+        self._given = initial
         self.drive, self.knots, self.pieces = self._imposed()
         self.omega = np.array([scene.highest_frequency for scene in scenes])
         farthest, fastest = self._of_each(scene.imposed for scene in self._struck).T
@@ -93,6 +96,8 @@ class ChainBatch:
     @cached_property
     def initial(self) -> tuple[Array, Array]:
         """Displacement, m, and velocity, m/s, of every grain at t = 0, (R, N) each."""
+        if self._given:
+            return self._given
         u, v = self._of_each(scene.initial() for scene in self._struck).swapaxes(0, 1)
         return u, v
 

@@ -112,8 +112,8 @@ def _back(how: int) -> Any:
         """Take adjoints of bodies back through a kick and the drift before it, and undo both.
 
         Contacts are (C,); v, adjoint_x and inverse masses those of the bodies above them, x and pull (C+1,), the
-        adjoint of v over the mass, also of the one below. `before` and what is returned are f and what its adjoint
-        does to x, at either end.
+        adjoint of v over the mass, also of the one below. `terms` are those of the binomial series of p. `before` and
+        what is returned are f and what its adjoint does to x, at either end.
         """
         apart()
         f_before, g_before = before
@@ -122,10 +122,9 @@ def _back(how: int) -> Any:
             if undone:
                 s = (x[n] - x[n + 1]) * inverse_length[n]
             if how == BY_SERIES:
-                g = s * (t0 + s * (t1 + s * (t2 + s * (t3 + s * (t4 + s * (t5 + s * t6))))))
-                p = (g - s) / (1.0 + s)
+                p = s * (t0 + s * (t1 + s * (t2 + s * (t3 + s * (t4 + s * (t5 + s * t6))))))
                 root = 1.0 + p
-                f = strength[n] * g
+                f = strength[n] * (s + p * (1.0 + s))
             elif how == PLAINLY:
                 s = s if s > -c else -c
                 root = math.sqrt(c + s)
