@@ -21,6 +21,7 @@ from .materials import GLASS, Material, OneMaterial, OneOrManyMaterials
 from .picture import AtRest
 from .plausible import HERTZ_OVERLAP, least_squeezed, remarks, too_squeezed
 from .plausible import LARGEST_OVERLAP as LARGEST_OVERLAP
+from .recent import made_before
 
 LEAST = {"gravity": 1e-100, "top_load": 1e-100}  # m/s2 and N
 
@@ -142,7 +143,9 @@ class Chain(AtRest, Checked):
 
         def __getattr__(self, name: str) -> Any:
             """Compute masses and constants from grains and walls on first use."""
-            if name == "masses":
+            if name in ("masses", "contact_constants", "wall_constants") and self._twin is not self:
+                value = getattr(self._twin, name)
+            elif name == "masses":
                 alike = self.by_grain("density") * np.pi / 6 * self.diameters**3
                 value = read_only(with_impurities(alike, self.impurity, "mass"))
             elif name == "contact_constants":
@@ -161,6 +164,12 @@ class Chain(AtRest, Checked):
         """Whether all grains are alike but for the impurities, so that no arrays are needed."""
         one = isinstance(self.diameter, float) and isinstance(self.material, Material)
         return one and not self.model_fields_set & {"masses", "contact_constants"}
+
+    @cached_property
+    def _twin(self) -> Chain:
+        """A chain made before with the same fields, whose arrays are those of this one; itself if there is none."""
+        odd = self.impurity or self.top_material or self.bottom_material or "wall_constants" in self.model_fields_set
+        return self if odd or self.grains > FEW or not self._alike else made_before(self)
 
     @property
     def _kinds(self) -> Array:
@@ -199,6 +208,8 @@ class Chain(AtRest, Checked):
     @cached_property
     def contacts(self) -> Contacts:
         """All contacts, those with walls included."""
+        if self._twin is not self:
+            return self._twin.contacts
         constants, force = np.empty((2, self.grains + 1))
         constants[[0, -1]], constants[1:-1] = self.wall_constants, self.contact_constants
         force[0], force[1:] = self.top_load, self.top_load + self.gravity * self.masses.cumsum(dtype=np.longdouble)
@@ -298,6 +309,8 @@ class Chain(AtRest, Checked):
     @cached_property
     def band_edge(self) -> float:
         """Highest eigenfrequency of the linearised chain, rad/s (0 in the sonic vacuum)."""
+        if self._twin is not self:
+            return self._twin.band_edge
         from scipy.linalg.lapack import dstebz
 
         (diagonal, coupling), last, by_number = self.dynamical_matrix(), self.movable, 2

@@ -52,9 +52,8 @@ class Companions:
         first, adaptive, per_sample = scenes[0], candidate.adaptive, candidate.steps_per_sample
         self._order, self._adaptive, self._kinks = method.order, adaptive, first.chain.exponent < KINKED_BELOW
         self._stretched = adaptive and method.adaptive == "error"  # samples cut some of its steps
-        reach = candidate.step * max(scene.chain.band_edge for scene in scenes)
         steps = per_sample * (first.samples - 1)
-        longer: list[float] = [ratio for ratio in (2, 4) if ratio * reach <= method.stability_limit and steps >= FEWEST]
+        longer = longer_steps(method, max(scene.chain.band_edge for scene in scenes), candidate, steps)
         self._finer = not longer
         self.scatters = np.array([bool(longer) and adaptive and _scatters(scene, self._kinks) for scene in scenes])
         if self.scatters.any():
@@ -88,6 +87,15 @@ class Companions:
         if scatters:
             found = np.where(opening & self.scatters, np.maximum(found, steps[-1].max(1)), found)
         return np.where(opening, SAFETY_AT_KINKS * found, found) if self._kinks else found
+
+
+def longer_steps(method: Method, band_edge: float, candidate: Candidate, steps: int) -> list[float]:
+    """Return how many times as long the steps of companions may be in a run of so many steps; none if all are unstable.
+
+    `band_edge` is that of the chain, rad/s.
+    """
+    reach = candidate.step * band_edge
+    return [ratio for ratio in (2, 4) if ratio * reach <= method.stability_limit and steps >= FEWEST]
 
 
 def _scatters(scene: Scene, kinks: bool) -> bool:

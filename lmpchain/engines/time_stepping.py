@@ -16,6 +16,7 @@ from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.suggestions import not_among
 from .base import Candidate, Engine, ErrorBudget
+from .companions import longer_steps
 from .cost_model import seconds
 from .error_estimate import CompanionRun
 from .richardson import SAFETY
@@ -196,3 +197,11 @@ def kind(scene: Scene) -> tuple:
     chain, excitation = scene.chain, scene.excitation
     made = chain.grains, chain.top, chain.bottom, chain.exponent, chain.compressed
     return *made, excitation.driven, excitation.does_work, scene.samples, scene.duration, scene.grains
+
+
+def alike(scene: Scene, candidate: Candidate) -> tuple:
+    """Return what scenes have in common of which a batch gives each the answer and the error that it has alone."""
+    steps, method = candidate.steps_per_sample * (scene.samples - 1), METHODS[candidate.integrator]
+    longer = longer_steps(method, scene.chain.band_edge, candidate, steps)
+    own = candidate.integrator, candidate.steps_per_sample, candidate.step, candidate.adaptive
+    return *kind(scene), *own, *longer, *candidate.choices.items()

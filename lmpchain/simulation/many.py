@@ -11,7 +11,7 @@ import numpy as np
 
 from ..engines.base import Engine
 from ..engines.step_control import Attempt, first_attempt, next_attempt
-from ..engines.time_stepping import kind
+from ..engines.time_stepping import alike
 from ..errors import InputError, LmpchainError, RunFailed, ToleranceNotMet, check_tolerance, shown
 from ..scene.scene import Scene
 from ..trajectory.trajectory import Trajectory
@@ -113,10 +113,8 @@ def in_batches(
     while attempts:
         groups: dict[Any, list[int]] = {}
         for name, attempt in attempts.items():
-            chosen = attempt.candidate
-            steps = chosen.integrator, chosen.steps_per_sample, chosen.step, chosen.adaptive
-            alike = *kind(made[name].fine), made[name].quantities
-            groups.setdefault((*alike, *steps, *chosen.choices.items()), []).append(name)
+            same = made[name].quantities, *alike(made[name].fine, attempt.candidate)
+            groups.setdefault(same, []).append(name)
         before, attempts = attempts, {}
         for names in _pieces(made, groups.values()):
             try:

@@ -238,7 +238,7 @@ def test_a_missed_tolerance_names_the_predictability_time(scene: Path, capsys: p
     scene.write_text(
         SCENE.replace("grains = 20", "grains = 4")
         .replace("8.57e-4", "0.3")
-        .replace("20e-6", "1e-3")
+        .replace("20e-6", "2e-3")
         .replace("samples = 11", "samples = 31")
     )
     assert main(["run", str(scene), "--tolerance", "1e-11"]) == 1

@@ -132,10 +132,13 @@ def test_one_grain_on_a_spring(kind: str, where: str):
         strength = 20.0 / 2e-6
     scene = Scene(chain=chain, excitation=given, duration=5e-3, samples=9)
     corners = [*given.waveform.corners]
-    x, v = duhamel(given, strength, scene.time[1:], corners)
+    between = np.linspace(0.0, scene.duration, 8 * 8 + 1)[1:]  # at resonance samples see little of the motion
+    fields = duhamel(given, strength, between, corners)
+    (x, v), largest = (field[7::8] for field in fields), [np.abs(field).max() for field in fields]
 
     def error(u: Array, w: Array) -> float:
-        return relative_error(u[1:, 0], w[1:, 0], x, v)
+        pairs = zip((u, w), (x, v), largest, strict=True)
+        return max(float(np.abs(found[1:, 0] - true).max() / size) for found, true, size in pairs)
 
     truth = reference(scene)
     assert error(truth.displacement, truth.velocity) < 1e-13

@@ -248,9 +248,9 @@ def test_steps_of_one_length_fall_to_the_order_of_the_opening(integrator: str, e
 @pytest.mark.parametrize("integrator", ["rkn4", "kahan-li6"])
 def test_adaptive_steps_keep_the_order(integrator: str) -> None:
     scene, truth, own = opening(1.5)
-    counts = np.array([100, 140, 200, 280, 400, 560, 800])
+    counts = np.array([70, 100, 140, 200, 280, 400, 560])
     errors = errors_through_openings(scene, integrator, counts, truth, adaptive=True, runs=1)
-    assert errors.min() > 3 * own
+    assert errors.min() > 20 * own  # and above round-off
     assert slope(counts, errors) == pytest.approx(METHODS[integrator].order, abs=0.05)
 
 
