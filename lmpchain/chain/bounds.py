@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from .impurities import Impurity
 from .materials import Material
 
+LEAST = {"gravity": 1e-100, "top_load": 1e-100}  # m/s2 and N, if not 0
 HARDEST = 1e150  # 1/s2, of a stiffness over a mass: squares are finite
 ROUNDING = 1 + 1e-9  # of bounds, which may be reached
 

@@ -14,16 +14,13 @@ from ..errors import InputError
 from ..util.arrays import Array, read_only
 from ..util.validation import NOT_GIVEN, Checked, OneOrMany, PositiveVector, Real, Vector, Whole
 from . import walls
-from .bounds import HARDEST, Bounds, bounds
+from .bounds import HARDEST, LEAST, Bounds, bounds
 from .contacts import FEW, Contacts, hertz_constant
 from .impurities import Impurities, kinds, misfits, with_impurities
 from .materials import GLASS, Material, OneMaterial, OneOrManyMaterials
 from .picture import AtRest
-from .plausible import HERTZ_OVERLAP, least_squeezed, remarks, too_squeezed
-from .plausible import LARGEST_OVERLAP as LARGEST_OVERLAP
+from .plausible import HERTZ_OVERLAP, LARGEST_OVERLAP, least_squeezed, remarks, too_squeezed
 from .recent import made_before
-
-LEAST = {"gravity": 1e-100, "top_load": 1e-100}  # m/s2 and N
 
 
 class Chain(AtRest, Checked):
@@ -167,9 +164,11 @@ class Chain(AtRest, Checked):
 
     @cached_property
     def _twin(self) -> Chain:
-        """A chain made before with the same fields, whose arrays are those of this one; itself if there is none."""
-        odd = self.impurity or self.top_material or self.bottom_material or "wall_constants" in self.model_fields_set
-        return self if odd or self.grains > FEW or not self._alike else made_before(self)
+        """A chain made before with the same fields, for its arrays; this one if there is none."""
+        if not self.bounds or self.impurity or self.top_material or self.bottom_material or self.grains > FEW:
+            return self
+        kind, weights = self.material.elastic, (self.gravity, self.top_load, self.exponent)  # type: ignore[union-attr]
+        return made_before((self.grains, *kind, self.diameter, *weights, self.top, self.bottom), self)
 
     @property
     def _kinds(self) -> Array:

@@ -51,6 +51,11 @@ class Material(Checked):
         return math.sqrt(self.youngs_modulus / self.density)
 
     @property
+    def elastic(self) -> tuple[float, float, float]:
+        """Density, Young's modulus and Poisson's ratio: all that a chain takes of it."""
+        return self.density, self.youngs_modulus, self.poissons_ratio
+
+    @property
     def plane_strain_modulus(self) -> float:
         """Plane-strain modulus E / (1 - nu^2), Pa."""
         return self.youngs_modulus / (1 - self.poissons_ratio**2)

@@ -1,26 +1,21 @@
-"""Chains of equal grains that were made lately: loops that make one again for every strike derive its arrays once."""
+"""What was made lately, by its fields: a loop that makes one chain anew derives its arrays once."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeVar
 
-if TYPE_CHECKING:
-    from .chain import Chain
+KEPT = 16
+Made = TypeVar("Made")
 
-KEPT = 16  # chains
-OF_GRAINS = "density", "youngs_modulus", "poissons_ratio"
-OF_CHAIN = "grains", "diameter", "gravity", "exponent", "top_load", "top", "bottom"
-
-_recent: dict[tuple[Any, ...], Chain] = {}  # the latest one last
+_recent: dict[tuple[Any, ...], Any] = {}  # the latest one last
 
 
-def made_before(chain: Chain) -> Chain:
-    """Return the first chain made lately with the fields of this one, of equal grains and with walls like them.
+def made_before(fields: tuple[Any, ...], made: Made) -> Made:
+    """Return what was made first, lately, with these fields: `made` itself if nothing was.
 
-    Chains never change, and neither do their arrays. That is this chain itself if there is no other.
+    It must be all that follows from the fields, and never change.
     """
-    key = *(getattr(chain.material, name) for name in OF_GRAINS), *(getattr(chain, name) for name in OF_CHAIN)
-    first = _recent[key] = _recent.pop(key, chain)
+    first = _recent[fields] = _recent.pop(fields, made)
     if len(_recent) > KEPT:
         _recent.pop(next(iter(_recent)), None)
     return first

@@ -90,9 +90,9 @@ class Companions:
 
 
 def longer_steps(method: Method, band_edge: float, candidate: Candidate, steps: int) -> list[float]:
-    """Return how many times as long the steps of companions may be in a run of so many steps; none if all are unstable.
+    """Return how many times as long the steps of companions may be; none where all are unstable.
 
-    `band_edge` is that of the chain, rad/s.
+    `band_edge` is that of the chain, rad/s, and `steps` those of the run.
     """
     reach = candidate.step * band_edge
     return [ratio for ratio in (2, 4) if ratio * reach <= method.stability_limit and steps >= FEWEST]

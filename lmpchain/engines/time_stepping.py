@@ -200,7 +200,7 @@ def kind(scene: Scene) -> tuple:
 
 
 def alike(scene: Scene, candidate: Candidate) -> tuple:
-    """Return what scenes have in common of which a batch gives each the answer and the error that it has alone."""
+    """Return what scenes have in common that have the answer and error in a batch that they have alone."""
     steps, method = candidate.steps_per_sample * (scene.samples - 1), METHODS[candidate.integrator]
     longer = longer_steps(method, scene.chain.band_edge, candidate, steps)
     own = candidate.integrator, candidate.steps_per_sample, candidate.step, candidate.adaptive

@@ -46,5 +46,5 @@ def test_only_the_latest_are_kept():
     made = [Chain(grains=40 + n, diameter=1e-3) for n in range(recent.KEPT + 3)]
     assert all(chain.contacts.force.size == chain.grains + 1 for chain in made)
     assert len(recent._recent) == recent.KEPT
-    last = [key[3] for key in recent._recent]
+    last = [key[0] for key in recent._recent]
     assert last == [chain.grains for chain in made[-recent.KEPT :]]
