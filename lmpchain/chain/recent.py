@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any, TypeVar
 
 KEPT = 16
 Made = TypeVar("Made")
 
-_recent: dict[tuple[Any, ...], Any] = {}  # the latest one last
+
+@lru_cache(maxsize=KEPT)
+def _place(fields: tuple[Any, ...]) -> list[Any]:
+    """Return where what has these fields is kept."""
+    return []
 
 
 def made_before(fields: tuple[Any, ...], made: Made) -> Made:
@@ -15,7 +20,7 @@ def made_before(fields: tuple[Any, ...], made: Made) -> Made:
 
     It must be all that follows from the fields, and never change.
     """
-    first = _recent[fields] = _recent.pop(fields, made)
-    if len(_recent) > KEPT:
-        _recent.pop(next(iter(_recent)), None)
-    return first
+    place: list[Made] = _place(fields)
+    if not place:
+        place.append(made)
+    return place[0]

@@ -33,18 +33,19 @@ def test_one_made_again_has_the_arrays_of_the_first():
 
 
 @pytest.mark.parametrize("other", OTHERS, ids=lambda other: " ".join(other))
-def test_any_other_field_makes_arrays_of_its_own(other, monkeypatch):
+def test_any_other_field_makes_arrays_of_its_own(other):
     one = arrays(Chain(**FIELDS))
     beside = arrays(Chain(**FIELDS | other))
-    monkeypatch.setattr(recent, "_recent", {})
+    recent._place.cache_clear()
     alone = arrays(Chain(**FIELDS | other))
     assert all(np.array_equal(x, y) for x, y in zip(beside, alone, strict=True))
     assert not all(np.array_equal(x, y) for x, y in zip(beside, one, strict=True))
 
 
 def test_only_the_latest_are_kept():
-    made = [Chain(grains=40 + n, diameter=1e-3) for n in range(recent.KEPT + 3)]
+    made = [Chain(grains=40 + n, diameter=1e-3) for n in range(recent.KEPT + 1)]
     assert all(chain.contacts.force.size == chain.grains + 1 for chain in made)
-    assert len(recent._recent) == recent.KEPT
-    last = [key[0] for key in recent._recent]
-    assert last == [chain.grains for chain in made[-recent.KEPT :]]
+    last, first = (Chain(grains=made[n].grains, diameter=1e-3) for n in (-1, 0))
+    assert last.contacts is made[-1].contacts
+    assert first.contacts is not made[0].contacts
+    assert np.array_equal(first.contacts.overlap, made[0].contacts.overlap)
