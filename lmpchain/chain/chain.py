@@ -140,7 +140,7 @@ class Chain(AtRest, Checked):
 
         def __getattr__(self, name: str) -> Any:
             """Compute masses and constants from grains and walls on first use."""
-            if name in ("masses", "contact_constants", "wall_constants") and self._twin is not self:
+            if name in ("masses", "contact_constants", "wall_constants") and self._twin:
                 value = getattr(self._twin, name)
             elif name == "masses":
                 alike = self.by_grain("density") * np.pi / 6 * self.diameters**3
@@ -163,12 +163,13 @@ class Chain(AtRest, Checked):
         return one and not self.model_fields_set & {"masses", "contact_constants"}
 
     @cached_property
-    def _twin(self) -> Chain:
-        """A chain made before with the same fields, for its arrays; this one if there is none."""
+    def _twin(self) -> Chain | None:
+        """A chain made before with the same fields, for its arrays; None, not itself, if there is none."""
         if not self.bounds or self.impurity or self.top_material or self.bottom_material or self.grains > FEW:
-            return self
+            return None
         kind, weights = self.material.elastic, (self.gravity, self.top_load, self.exponent)  # type: ignore[union-attr]
-        return made_before((self.grains, *kind, self.diameter, *weights, self.top, self.bottom), self)
+        first = made_before((self.grains, *kind, self.diameter, *weights, self.top, self.bottom), self)
+        return None if first is self else first
 
     @property
     def _kinds(self) -> Array:
@@ -207,7 +208,7 @@ class Chain(AtRest, Checked):
     @cached_property
     def contacts(self) -> Contacts:
         """All contacts, those with walls included."""
-        if self._twin is not self:
+        if self._twin:
             return self._twin.contacts
         constants, force = np.empty((2, self.grains + 1))
         constants[[0, -1]], constants[1:-1] = self.wall_constants, self.contact_constants
@@ -308,7 +309,7 @@ class Chain(AtRest, Checked):
     @cached_property
     def band_edge(self) -> float:
         """Highest eigenfrequency of the linearised chain, rad/s (0 in the sonic vacuum)."""
-        if self._twin is not self:
+        if self._twin:
             return self._twin.band_edge
         from scipy.linalg.lapack import dstebz
 
