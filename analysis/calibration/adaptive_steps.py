@@ -26,7 +26,7 @@ from lmpchain.integrators import dop853, splittings
 from lmpchain.integrators.methods import METHODS
 
 REACHES = {"rkn4": (0.8, 0.4, 0.2), "rkn6": (1.6, 0.8, 0.4), "kahan-li8": (0.8, 0.4), "dop853": (1.0, 0.5)}
-RARELY = 1 / 400
+RARELY = 1 / 400  # runs whose estimate may be below half of the error
 CLEAR, KNOWN = 30.0, 1e-2  # times round-off, and largest error, between which errors count
 
 
