@@ -118,9 +118,9 @@ def _companions(run: Run) -> tuple[tuple[float, ...], float]:
 
 
 def with_steps(candidate: Candidate, steps_per_sample: int) -> Candidate:
-    """Return the candidate with another number of steps between two samples."""
+    """Return the candidate with another number of steps between two samples, short ones at openings."""
     step = candidate.step * candidate.steps_per_sample / steps_per_sample
-    return replace(candidate, steps_per_sample=steps_per_sample, step=step)
+    return replace(candidate, steps_per_sample=steps_per_sample, step=step, coarse_openings=False)
 
 
 def with_reach(scene: Scene, candidate: Candidate, reach: float) -> Candidate:

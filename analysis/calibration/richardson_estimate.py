@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from unittest import mock
 
 import numpy as np
@@ -29,6 +29,7 @@ from lmpchain.engines.companions import (
     KINKED_BELOW,
     ORDER_AT_KINKS,
     ORDER_AT_OPENINGS,
+    ORDER_WHERE_COARSE,
 )
 from lmpchain.engines.native import Native
 from lmpchain.engines.richardson import SAFETY, extrapolate
@@ -67,7 +68,7 @@ class Look:
         return float(extrapolate(order, smooth, np.array([self.coarse]), np.array([self.fine]))[0])
 
 
-def looks(cases: list[Case], name: str, adaptive: bool) -> list[Look]:
+def looks(cases: list[Case], name: str, adaptive: bool, coarse: bool = False) -> list[Look]:
     """Run the scenes at some steps; keep the runs whose errors are neither round-off nor out of all order."""
     found, method = [], METHODS[name]
     engine = Native(name, adaptive=adaptive)
@@ -77,7 +78,8 @@ def looks(cases: list[Case], name: str, adaptive: bool) -> list[Look]:
         for reach in REACHES:
             if 4 * reach > method.stability_limit:
                 continue
-            if (run := answer(engine, case.scene, with_reach(case.scene, proposed, reach))) is None:
+            candidate = replace(with_reach(case.scene, proposed, reach), coarse_openings=coarse)
+            if (run := answer(engine, case.scene, candidate)) is None:
                 continue
             error = case.error(run.motion)
             if not CLEAR * run.error.roundoff + 10 * case.reference.error < error < KNOWN:
@@ -130,6 +132,8 @@ def main(quick: bool = False) -> list[Row]:
     steered = [look for name in ("rkn4", "rkn6", "kahan-li8") for look in looks(hard, name, True) if look.opens]
     sprung = [look for name in ("rkn4", "rkn6", "kahan-li8") for look in looks(springy, name, True) if look.opens]
     hertz = [look for look in steered if look.exponent >= KINKED_BELOW]
+    coarse = [look for name in ("rkn4", "rkn6", "kahan-li8") for look in looks(hard, name, True, coarse=True)]
+    coarse = [look for look in coarse if look.opens and look.exponent >= KINKED_BELOW]
     rows = [row_of_factor("SAFETY", SAFETY, smooth, 0, True, "smooth runs")]
 
     factor = float(extrapolate(4, False, np.zeros(1), np.ones(1))[0])
@@ -162,6 +166,7 @@ def main(quick: bool = False) -> list[Row]:
     )
     for name, shipped, found, what in (
         ("ORDER_AT_OPENINGS", ORDER_AT_OPENINGS, hertz, f"adaptive runs, exponents from {KINKED_BELOW}"),
+        ("ORDER_WHERE_COARSE", ORDER_WHERE_COARSE, coarse, "the same where steps at openings are coarse"),
         ("ORDER_AT_KINKS", ORDER_AT_KINKS, sprung, f"adaptive runs, exponents below {KINKED_BELOW}"),
     ):
         parts = {order: covered(found, order) for order in (1, 2, 3, 4, 5, 6, 8)}

@@ -42,7 +42,7 @@ def errors_through_openings(
 ) -> Array:
     """Return relative errors at the end of a scene at about these numbers of native steps.
 
-    Steps are of one length, or adaptive.
+    Steps are of one length, or adaptive, with short ones at openings.
     Each is the root of the mean square over so many `runs` of up to a fifth more steps, for the error of a step that
     crosses an opening depends on where in the step that falls. One error is the largest difference from the reference
     over the largest value in any of its samples, the larger one of displacement and velocity.
@@ -53,8 +53,8 @@ def errors_through_openings(
     true = reference.displacement, reference.velocity
 
     def error(count: int) -> float:
-        candidate = replace(proposed, steps_per_sample=count, step=scene.duration / count, adaptive=adaptive)
-        run = engine.start([scene], candidate)
+        steps = replace(proposed, steps_per_sample=count, step=scene.duration / count)
+        run = engine.start([scene], replace(steps, adaptive=adaptive, coarse_openings=False))
         try:
             *_, last = run.blocks()
         finally:

@@ -18,6 +18,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from ..integrators.methods import Method
+from ..integrators.step_schedule import StepSchedule
 from ..scene.scene import Scene
 from ..trajectory.record import Block, Cost, ErrorEstimate
 from ..util.arrays import Array
@@ -51,6 +52,8 @@ class Candidate:
         Whether the user gave the step, so that no tolerance is enforced.
     adaptive : bool
         Whether steps shorten where a contact is about to open or close.
+    coarse_openings : bool
+        Whether those are longer than what keeps the order of the method there asks for.
     integrator : str
         The method that steps through time, if one does.
     choices : mapping
@@ -67,9 +70,15 @@ class Candidate:
     steps_per_sample: int = 1
     fixed: bool = False
     adaptive: bool = False
+    coarse_openings: bool = False
     integrator: str = ""
     choices: Mapping[str, str] = field(default_factory=dict)
     sharper: SharperBound | None = None
+
+    def schedule(self, ratio: float = 1, stretched: bool = False) -> StepSchedule:
+        """Return where its steps land, or those of a companion with steps longer by this ratio."""
+        own = self.steps_per_sample, self.step, self.adaptive
+        return StepSchedule.of(*own, ratio, stretched, self.coarse_openings)
 
 
 @dataclass(frozen=True)

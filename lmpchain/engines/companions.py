@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..integrators.methods import Method
-from ..integrators.step_schedule import StepSchedule
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from .base import Candidate
@@ -23,8 +22,9 @@ from .richardson import extrapolate
 # analysis/calibration/richardson_estimate.py measures these
 FEWEST = 8  # steps of a run from which on companions have longer steps; of these there are then no two alike
 CLOSE_TO_OPENING = -0.5  # r / eps below which a contact's force is no longer a smooth function of time
-# order trusted after adaptive steps through openings: they keep it; not those of a method that follows its own error
-ORDER_AT_OPENINGS, ORDER_WHERE_STRETCHED = 6, 4
+# order trusted after adaptive steps through openings: short ones keep it; not coarse ones, nor those of a method that
+# follows its own error
+ORDER_AT_OPENINGS, ORDER_WHERE_COARSE = 6, 4
 # radians a grain from which on waves come back to where contacts opened, and the step of one more companion then
 COMES_BACK, NEARBY = 10.0, 1.5
 # the same for exponents below that, whose force has a kink at an opening: errors scatter from the first one on, so far
@@ -49,18 +49,18 @@ class Companions:
     """
 
     def __init__(self, method: Method, scenes: Sequence[Scene], candidate: Candidate):
-        first, adaptive, per_sample = scenes[0], candidate.adaptive, candidate.steps_per_sample
+        first, adaptive = scenes[0], candidate.adaptive
         self._order, self._adaptive, self._kinks = method.order, adaptive, first.chain.exponent < KINKED_BELOW
         self._stretched = adaptive and method.adaptive == "error"  # samples cut some of its steps
-        steps = per_sample * (first.samples - 1)
+        self._coarse = self._stretched or candidate.coarse_openings
+        steps = candidate.steps_per_sample * (first.samples - 1)
         longer = longer_steps(method, max(scene.chain.band_edge for scene in scenes), candidate, steps)
         self._finer = not longer
         self.scatters = np.array([bool(longer) and adaptive and _scatters(scene, self._kinks) for scene in scenes])
         if self.scatters.any():
             longer.append(NEARBY_AT_KINKS if self._kinks else NEARBY)
-        own = per_sample, candidate.step, adaptive
-        schedules = [StepSchedule.of(*own, ratio, self._stretched) for ratio in longer]
-        self.schedules = schedules or [StepSchedule.of(*own).halved]
+        schedules = [candidate.schedule(ratio, self._stretched) for ratio in longer]
+        self.schedules = schedules or [candidate.schedule().halved]
         self._ratios = [steps / schedule.total(first.samples - 1) for schedule in self.schedules]
 
     def truncations(self, steps: Array, opening: NDArray[np.bool_], even: NDArray[np.bool_]) -> Array:
@@ -75,7 +75,7 @@ class Companions:
         """
         if self._finer:
             return 2 * steps[0].max(1)
-        falls_to = ORDER_WHERE_STRETCHED if self._stretched else ORDER_AT_OPENINGS
+        falls_to = ORDER_WHERE_COARSE if self._coarse else ORDER_AT_OPENINGS
         at_openings = min(self._order, ORDER_AT_KINKS if self._kinks else falls_to) if self._adaptive else self._order
         scatters = self.scatters.any()
         found = np.empty(opening.size)

@@ -77,12 +77,11 @@ class CompanionRun(Run):
         self._amplified: dict[int, float] = {}
         self._lost: dict[int, NDArray[np.bool_]] = {}  # realisations that a companion has lost, (R,)
         kept = _unpack(state)
-        own = candidate.steps_per_sample, candidate.step, candidate.adaptive
-        self._answer = make(StepSchedule.of(*own), kept[0])
+        self._answer = make(candidate.schedule(), kept[0])
         self._steppers: list[Stepper] = [self._answer]
         self._twin = twin
         self._companions = chosen = Companions(method, scenes, candidate)
-        schedules = [StepSchedule.of(*own), *chosen.schedules] if twin else chosen.schedules
+        schedules = [candidate.schedule(), *chosen.schedules] if twin else chosen.schedules
         shared = None if twin else cast(NativeStepper, self._answer)
         chains, threads = (shared.chains, shared.threads) if shared else (ChainBatch(scenes), 1)
         companions = [

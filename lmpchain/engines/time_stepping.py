@@ -16,7 +16,7 @@ from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.suggestions import not_among
 from .base import Candidate, Engine, ErrorBudget
-from .companions import longer_steps
+from .companions import KINKED_BELOW, longer_steps
 from .cost_model import seconds
 from .error_estimate import CompanionRun
 from .richardson import SAFETY
@@ -29,6 +29,7 @@ SAFE_STRAIN = 0.3  # strain below which no contact comes near to opening
 OPENING_ERROR = 30.0  # factor on the error where contacts may open within steps of one length
 # of `opening_error_factor`, the same where steps adapt
 ADAPTIVE_ERROR, LEAST_STRAIN, MOST_STRAIN, GROWS = 8.0, 3.0, 99.0, 0.5
+COARSE_ERROR = 16.0  # factor on that where steps near openings are coarse
 LONGEST_RUN_S = 3e8  # ten years
 EVALUATION_OVERHEAD = 40  # of a force evaluation, in grain-steps; analysis/calibration/cost_model.py
 
@@ -131,11 +132,18 @@ class TimeSteppingEngine(Engine):
             return self._at(scene, method, math.ceil(interval / self.step * (1 - 1e-12)), tolerance, fixed=True)
         omega = scene.highest_frequency
         expected = method.error_constant * max(1.0, omega * scene.duration / PERIODS)  # phases drift apart with time
-        if scene.largest_strain > SAFE_STRAIN:
-            adapts = self.adaptive and method.order > 2
+        opens = scene.largest_strain > SAFE_STRAIN
+        adapts = opens and self.adaptive and method.order > 2
+        if opens:
             expected *= opening_error_factor(scene.largest_strain) if adapts else OPENING_ERROR
         reach = (tolerance / SAFETY / expected) ** (1 / method.order)
-        return self._at(scene, method, math.ceil(interval * omega / min(reach, LONGEST_STEP * limit)), tolerance)
+        steps, more = (
+            math.ceil(interval * omega / min(reach / less, LONGEST_STEP * limit))
+            for less in (1.0, COARSE_ERROR ** (1 / method.order))
+        )
+        # where samples hold steps short, shorter ones near openings would only cost
+        coarse = adapts and method.adaptive == "openings" and steps == more and scene.chain.exponent >= KINKED_BELOW
+        return replace(self._at(scene, method, steps, tolerance), coarse_openings=coarse)
 
     def _at(self, scene: Scene, method: Method, steps_per_sample: int, error: float, fixed: bool = False) -> Candidate:
         cost = self.cost(scene, method, steps_per_sample * (scene.samples - 1))
@@ -168,11 +176,15 @@ class TimeSteppingEngine(Engine):
 
     def refine(self, candidate: Candidate, error: ErrorBudget | None, tolerance: float) -> Candidate | None:
         """Shorten the step by what the observed error asks for."""
-        ratio = REFINEMENT.ratio(error, METHODS[candidate.integrator].order, tolerance)
+        order = METHODS[candidate.integrator].order
+        ratio = REFINEMENT.ratio(error, order, tolerance)
         if ratio is None:
             return None
+        if candidate.coarse_openings:
+            ratio = max(1.0, ratio / COARSE_ERROR ** (1 / order))
         steps = math.ceil(candidate.steps_per_sample * ratio)
-        return replace(candidate, steps_per_sample=steps, step=candidate.step * candidate.steps_per_sample / steps)
+        step = candidate.step * candidate.steps_per_sample / steps
+        return replace(candidate, steps_per_sample=steps, step=step, coarse_openings=False)
 
     def start(
         self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array] | None = None
@@ -203,8 +215,7 @@ def alike(scene: Scene, candidate: Candidate) -> tuple:
     """Return what scenes have in common that have the answer and error in a batch that they have alone."""
     steps, method = candidate.steps_per_sample * (scene.samples - 1), METHODS[candidate.integrator]
     longer = longer_steps(method, scene.chain.band_edge, candidate, steps)
-    own = candidate.integrator, candidate.steps_per_sample, candidate.step, candidate.adaptive
-    return *kind(scene), *own, *longer, *candidate.choices.items()
+    return *kind(scene), candidate.integrator, candidate.schedule(), *longer, *candidate.choices.items()
 
 
 def opening_error_factor(strain: float) -> float:

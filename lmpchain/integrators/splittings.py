@@ -21,9 +21,10 @@ from .step_schedule import StepSchedule
 if TYPE_CHECKING:
     from .batch import ChainBatch
 
-# of the adaptive step size h' near an opening, small enough that these steps leave as little error as the others;
-# analysis/calibration/adaptive_steps.py
-ADAPTIVE_STEP = 0.2  # h' / h at the time 1 / omega from the opening of a contact that matters most
+# of the adaptive step size h' near an opening; analysis/calibration/adaptive_steps.py
+# h' / h at the time 1 / omega from the opening of a contact that matters most, small enough that these steps leave as
+# little error as the others; and where that does not matter
+ADAPTIVE_STEP, COARSE_STEP = 0.2, 0.4
 CROSSING_STEP = 0.03  # omega h' / (omega h)^((order + 1) / (delta + 1)) of the step that crosses the opening
 LEAST_CROSSING = 0.1  # the same over the (delta + 1)th root of EPSILON: what a shorter step would gain is round-off
 
@@ -99,10 +100,11 @@ class Splitting:
         reach = schedule.step * batch.omega
         crossing = CROSSING_STEP * reach ** ((self.order + 1) / (batch.opening_power + 1))
         crossing = np.maximum(crossing, schedule.ratio * LEAST_CROSSING * EPSILON ** (1 / (batch.opening_power + 1)))
-        nearest = (ADAPTIVE_STEP * reach / crossing) ** (14 / 9)
+        near = COARSE_STEP if schedule.coarse_openings else ADAPTIVE_STEP
+        nearest = (near * reach / crossing) ** (14 / 9)
         of_each = batch.omega, nearest, batch.opening_weight
         looks = steps_between_looks(schedule, batch)
-        return March(adaptive_splitting.march, (kicks, drifts, ADAPTIVE_STEP, looks), of_each, shared=True)
+        return March(adaptive_splitting.march, (kicks, drifts, near, looks), of_each, shared=True)
 
     def _half_trace(self, frequency: Array) -> Array:
         """Half the trace of the one-step matrix of x'' = -omega^2 x at h = 1."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 # steps between two samples from which on companions land on each, too; analysis/calibration/richardson_estimate.py
 EVERY, EVERY_STRETCHED = 32, 128
@@ -25,6 +25,8 @@ class StepSchedule:
         Whether the step size adapts, shorter where a contact is about to open or close.
     ratio : float
         Step over that of the answer.
+    coarse_openings : bool
+        Whether adaptive steps near openings are longer than what keeps the order of the method there asks for.
     """
 
     steps: int
@@ -32,22 +34,30 @@ class StepSchedule:
     step: float
     adaptive: bool
     ratio: float = 1.0
+    coarse_openings: bool = False
 
     @classmethod
     def of(
-        cls, steps_per_sample: int, step: float, adaptive: bool, ratio: float = 1, stretched: bool = False
+        cls,
+        steps_per_sample: int,
+        step: float,
+        adaptive: bool,
+        ratio: float = 1,
+        stretched: bool = False,
+        coarse_openings: bool = False,
     ) -> StepSchedule:
         """Return the schedule with so many steps between two samples, or one with steps longer by this ratio.
 
         Where a sample more or less matters little, it lands on every one: a collision may be seen in a single one.
         `stretched` says that steps may grow until samples cut them: the time between landings is then longer, too.
         """
+        how = adaptive, ratio, coarse_openings
         if steps_per_sample >= (EVERY_STRETCHED if stretched else EVERY):
             fewer = math.ceil(steps_per_sample / ratio)
-            return cls(fewer, 1, step * steps_per_sample / fewer, adaptive, ratio)
+            return cls(fewer, 1, step * steps_per_sample / fewer, *how)
         stride, parts = ratio.as_integer_ratio()
         common = 1 if stretched else math.gcd(parts * steps_per_sample, stride)
-        return cls(parts * steps_per_sample // common, stride // common, step * ratio, adaptive, ratio)
+        return cls(parts * steps_per_sample // common, stride // common, step * ratio, *how)
 
     def total(self, samples: int) -> int:
         """Return the steps from sample 0 to the sample of this number, if all are equal."""
@@ -57,4 +67,4 @@ class StepSchedule:
     @property
     def halved(self) -> StepSchedule:
         """The schedule of a companion at half the step."""
-        return StepSchedule(2 * self.steps, self.stride, self.step / 2, self.adaptive, self.ratio / 2)
+        return replace(self, steps=2 * self.steps, step=self.step / 2, ratio=self.ratio / 2)
