@@ -37,6 +37,7 @@ UNITS = {
     "amplitude": "m or N",
     "frequency": "Hz",
 }
+DIRECT = ("masses", "top_load", "gravity", "displacement", "velocity", "drive", "force")  # inputs as they are
 
 
 def check(scene: Scene, names: Iterable[str]) -> tuple[str, ...]:
@@ -92,21 +93,23 @@ def inputs(scene: Scene) -> Inputs:
 
 def pull(scene: Scene, gradient: Inputs, name: str) -> Array:
     """Return derivatives by the parameters of this name, (P,), from those by all inputs."""
-    chain = scene.chain
-    below = np.cumsum(gradient.forces[:0:-1])[::-1]  # of all contacts from that below a grain on, (N,)
-    whole = {
-        "masses": gradient.masses + chain.gravity * below,
-        "constants": gradient.constants,
-        "top_load": np.array([gradient.forces.sum()]),
-        "gravity": np.array([gradient.forces[1:] @ np.cumsum(chain.masses)]),
-        "displacement": gradient.displacement,
-        "velocity": gradient.velocity,
-        "drive": gradient.drive,
-        "force": gradient.drive,
-    }
-    return (
-        whole[name] if name in whole else sum(matrix.T @ whole[key] for key, matrix in _dependence(scene, name).items())
-    )
+    if name in DIRECT:
+        return _whole(scene.chain, gradient, name)
+    return sum(matrix.T @ _whole(scene.chain, gradient, key) for key, matrix in _dependence(scene, name).items())
+
+
+def _whole(chain: Chain, gradient: Inputs, key: str) -> Array:
+    """Return derivatives by inputs of this name, (P,), with what they do to the forces at rest."""
+    match key:
+        case "masses":  # by their inertia, and by their weight on all contacts below, (N,)
+            return gradient.masses + chain.gravity * np.cumsum(gradient.forces[:0:-1])[::-1]
+        case "top_load":
+            return np.array([gradient.forces.sum()])
+        case "gravity":
+            return np.array([gradient.forces[1:] @ np.cumsum(chain.masses)])
+        case "force":
+            return gradient.drive
+    return getattr(gradient, key)  # type: ignore[no-any-return]
 
 
 def push(scene: Scene, name: str, change: Array) -> Inputs:

@@ -23,13 +23,13 @@ from .richardson import SAFETY
 
 PERIODS = 60.0  # omega T of the scene for which `Method.error_constant` is given
 CHOICE = ("rkn4", "rkn6")  # of which the cheaper one is taken, if none is asked for
-# analysis/calibration/opening_error_factor.py measures the next four
+# analysis/calibration/opening_error_factor.py measures the next ones
 LONGEST_STEP = 0.45  # longest step that is proposed, over the stability limit
 SAFE_STRAIN = 0.3  # strain below which no contact comes near to opening
-OPENING_ERROR = 30.0  # factor on the error where contacts may open within steps of one length
-# of `opening_error_factor`, the same where steps adapt
-ADAPTIVE_ERROR, LEAST_STRAIN, MOST_STRAIN, GROWS = 8.0, 3.0, 99.0, 0.5
-COARSE_ERROR = 16.0  # factor on that where steps near openings are coarse
+# factors on the error where contacts may open: within steps of one length, where nine in ten scenes need no more; where
+# steps adapt, so that all attempts cost least, for what they need scatters; and on that where those at openings are
+# coarse
+OPENING_ERROR, ADAPTIVE_ERROR, COARSE_ERROR = 30.0, 4.0, 16.0
 LONGEST_RUN_S = 3e8  # ten years
 EVALUATION_OVERHEAD = 40  # of a force evaluation, in grain-steps; analysis/calibration/cost_model.py
 
@@ -135,7 +135,7 @@ class TimeSteppingEngine(Engine):
         opens = scene.largest_strain > SAFE_STRAIN
         adapts = opens and self.adaptive and method.order > 2
         if opens:
-            expected *= opening_error_factor(scene.largest_strain) if adapts else OPENING_ERROR
+            expected *= ADAPTIVE_ERROR if adapts else OPENING_ERROR
         reach = (tolerance / SAFETY / expected) ** (1 / method.order)
         steps, more = (
             math.ceil(interval * omega / min(reach / less, LONGEST_STEP * limit))
@@ -216,12 +216,3 @@ def alike(scene: Scene, candidate: Candidate) -> tuple:
     steps, method = candidate.steps_per_sample * (scene.samples - 1), METHODS[candidate.integrator]
     longer = longer_steps(method, scene.chain.band_edge, candidate, steps)
     return *kind(scene), candidate.integrator, candidate.schedule(), *longer, *candidate.choices.items()
-
-
-def opening_error_factor(strain: float) -> float:
-    """Return how many times larger the estimated error is where contacts may open and steps are adaptive.
-
-    What scenes need scatters over decades. With this three in four meet their tolerance at the first attempt, and
-    what all attempts cost in the mean is near its least.
-    """
-    return ADAPTIVE_ERROR * (min(max(strain, LEAST_STRAIN), MOST_STRAIN) / LEAST_STRAIN) ** GROWS

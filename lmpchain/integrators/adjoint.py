@@ -25,20 +25,21 @@ from numpy.typing import NDArray
 from ..scene.acting import Drive, Force
 from ..scene.scene import Scene
 from ..util.arrays import Array
-from .batch import WINDOW_MIN, ChainBatch, series
+from .batch import WINDOW_MIN, ChainBatch, series, weakest
 from .imposed import ImposedCourse
 from .kernels import adjoint as kernels
 from .kernels.adjoint_tangent import tangent
 from .kernels.contact_forces import POLYNOMIAL, ROOTS
-from .kernels.layout import ALONE, FIRST, LAST, PAD, STEP, Chain
+from .kernels.layout import ALONE, CLOSEST, FIRST, LAST, LOWEST, PAD, STEP, Chain
 from .splittings import Splitting
 
 ROOM = 2**19  # bytes for what is kept between two checkpoints, about what stays in the cache
 LEAST = 32  # rows between two checkpoints
-FEW = 128  # rows that are undone from a checkpoint: more lose more to round-off
+FEW = 256  # rows that are undone from a checkpoint: more lose more to round-off
 CHECKPOINTS = 2**29  # bytes of all checkpoints
 PAGE = 512  # numbers; a load waits for a store to the same place of another page
 STRIDE = 360  # from a row of the way back to the next, modulo that
+UNSEEN = 2.0  # strain between two checkpoints over the largest at any
 CALL = 2**16  # rows in a call of the compiled loops where something is imposed in each
 
 
@@ -122,7 +123,7 @@ class DifferentiableRun:
         self._driven = scene.excitation.driven if self.imposed else 0
         self._read(scene)
         width, rows = self._table.shape[1], int(self._offsets[-1])
-        most = FEW if self._law <= kernels.UNDONE_SERIES else max(LEAST, ROOM // (8 * width))
+        most = FEW if self._law <= kernels.UNDONE_SHORT else max(LEAST, ROOM // (8 * width))
         most = max(most, math.ceil(rows * 16 * width / CHECKPOINTS))
         starts = np.append(np.arange(0, rows, most), rows)
         before = np.searchsorted(self._offsets, starts, side="right") - 1
@@ -161,7 +162,7 @@ class DifferentiableRun:
         else:
             self._law = (kernels.PLAIN if strong else kernels.HERTZ) if hertz else kernels.OTHER
         self._less = chain.exponent - 1.0
-        self._room = np.zeros((4, kernels.BURST))
+        self._room = np.zeros((4, 2 * kernels.BURST))
 
     def _window(self) -> tuple[int, int]:
         """Return where the window of the run begins and ends: at the lines that hold what moves at t = 0."""
@@ -203,6 +204,9 @@ class DifferentiableRun:
         common = self._chain, self._course, self._room
         for some, row, count in self._calls():
             kernels.forward(*common, self._path(row, count), self._pieces, some, (columns, self._looks))
+        strain = max(-self._state[LOWEST], self._state[CLOSEST] * self._table[0].max())
+        if self._law == kernels.UNDONE_SERIES and UNSEEN * strain < weakest(self._less, 4):
+            self._law = kernels.UNDONE_SHORT
         if self.imposed and self._driven:
             for order in (0, 1):
                 self._looks[order][:, self.grains == 1] = self.imposed.waveform.at(self.time, order)[:, None]
@@ -238,7 +242,7 @@ class DifferentiableRun:
         width, columns = self._x.shape[1], self.grains + (PAD - 1)
         adjoint, bodies, table = np.split(aligned(11, width + PAD + (STRIDE - width - PAD) % PAGE), (5, 8))
         bodies[2, 1 : width + 1], table[:, :width] = self._chain.inverse_mass, self._table
-        powers = aligned(1 if self._law <= kernels.UNDONE_SERIES else self._most, width)
+        powers = aligned(1 if self._law <= kernels.UNDONE_SHORT else self._most, width)
         tops = np.empty((2, self._most))
         forces = aligned(self._most if self._law == kernels.OTHER else 1, width)
         state = self._state.copy()
@@ -258,6 +262,8 @@ class DifferentiableRun:
         np.add.at(x, self.grains - 1, looks[0, 0])
         np.add.at(v, self.grains - 1, looks[1, 0])
         by_power, by_force = adjoint[2:4, PAD : PAD + grains + 1]
+        stiffness = table[2, PAD : PAD + grains + 1]
+        by_power = np.divide(by_power, stiffness, out=np.zeros(grains + 1), where=stiffness > 0)
         held = self._chain.inverse_mass[PAD : PAD + grains] == 0
         constant = np.where(contacts.exists, contacts.constant, 1.0)
         return Inputs(

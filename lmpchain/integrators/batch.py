@@ -190,11 +190,11 @@ def series(exponent: float) -> Array:
 
 
 @cache
-def weakest(exponent: float) -> float:
-    """Return |r / length| up to which seven terms of the binomial series give every digit."""
-    k = np.arange(8)
-    eighth = abs(np.prod((exponent - k) / (k + 1)))
-    return min(0.02, float(1e-16 * exponent / max(float(eighth), 1e-16)) ** (1 / 7))
+def weakest(exponent: float, terms: int = 7) -> float:
+    """Return |r / length| up to which so many terms of the binomial series give every digit."""
+    k = np.arange(terms + 1)
+    left_out = abs(np.prod((exponent - k) / (k + 1)))
+    return min(0.02, float(1e-16 * exponent / max(float(left_out), 1e-16)) ** (1 / terms))
 
 
 def force_form(scene: Scene, force: str = "auto") -> int:

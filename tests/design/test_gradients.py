@@ -235,6 +235,8 @@ def test_weak_waves_have_the_derivatives_of_the_linear_propagator():
         (1e-2, 1, {}),
         (1e-2, 899, {}),
         (1e-2, 899, {"top_load": 1.0}),
+        (3e-4, 899, {"top_load": 1.0}),
+        (1e-4, 899, {"top_load": 1.0}),
         (1e-9, 1, {}),
         (1e-9, 899, {"exponent": 1.05}),
         (1e-8, 1, {"exponent": 2.5}),

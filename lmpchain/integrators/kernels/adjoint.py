@@ -24,20 +24,22 @@ from .adjoint_rows import (
     _back_other,
     _back_plain,
     _back_series,
+    _back_short_series,
     _back_vacuum,
     _loop,
     _there_hertz,
     _there_other,
     _there_plain,
     _there_vacuum,
+    at,
 )
 from .layout import BODY, FIRST, LAST, PAD
 from .right_hand_side import sweep
-from .window import widen
+from .window import watch, widen
 
-# where all contacts are pressed at rest: delta = 3/2 in strong and in any waves, any delta in the weakest; elsewhere,
-# delta = 3/2 where nothing is pressed, in strong and in any waves, and any delta
-UNDONE_PLAIN, UNDONE_EXACT, UNDONE_SERIES, VACUUM, PLAIN, HERTZ, OTHER = range(7)
+# where all contacts are pressed at rest: delta = 3/2 in strong and in any waves, any delta in weak waves and in the
+# weakest; elsewhere, delta = 3/2 where nothing is pressed, in strong and in any waves, and any delta
+UNDONE_PLAIN, UNDONE_EXACT, UNDONE_SERIES, UNDONE_SHORT, VACUUM, PLAIN, HERTZ, OTHER = range(8)
 NEWS = "gradients of the native engine", 30
 BURST = 32  # rows between two updates of the window
 TILE = 384  # bodies that stay in the nearest cache while the rows of a burst pass over them
@@ -94,7 +96,7 @@ def _forward(chain, course, room, path, look, q, count, seen):
     columns, looks = seen
     done = 0
     while done < count:
-        some = min(BURST, count - done, _rows(course, look) - q)
+        some = min(room.shape[1], count - done, _rows(course, look) - q)
         kick, drift, carried = room[0, :some], room[1, :some], room[2, :some]
         _fill(course, look, q, kick, drift)
         widen(chain, some + 1)
@@ -117,12 +119,17 @@ def forward(chain, course, room, path, pieces, some, seen):
     before these and the rows in between, and where states (P+1, 2, W) and windows (P, 2) are kept.
     """
     starts, looks, rows, states, windows = pieces
+    watch(chain)
     for piece in range(some[0], some[1]):
         begin, count = starts[piece] - starts[some[0]], starts[piece + 1] - starts[piece]
         _forward(chain, course, room, path[begin : begin + count], looks[piece], rows[piece], count, seen)
+        kept_x, kept_v = states[piece + 1, 0], states[piece + 1, 1]
         for n in range(chain.x.size):
-            states[piece + 1, 0, n], states[piece + 1, 1, n] = chain.x[n], chain.v[n]
+            kept_x[n] = chain.x[n]
+        for n in range(chain.v.size):
+            kept_v[n] = chain.v[n]
         windows[piece, 0], windows[piece, 1] = chain.state[FIRST], chain.state[LAST]
+        watch(chain)
 
 
 @_loop
@@ -169,8 +176,9 @@ def _keep(law, less, chain, table, course, room, path, look, q, count, powers, f
                 if begin == first and chain.uncompressed > 0.0 and first == PAD:
                     f0 = _touch(x[PAD] - x[PAD + 1], chain.uncompressed, less, place, tops)
                     v[PAD + 1] += kick[row] * im[PAD + 1] * f0
-                p = powers[place, a:b]
-                arguments = x[a : b + 1], v[a:b], il[a:b], st[a:b], im[a:b], kick[row], drift[row], above, c
+                p = at(powers[place], a)
+                moved = at(x, a), at(v, a), at(il, a), at(st, a), at(im, a)
+                arguments = b - a, *moved, kick[row], drift[row], above, c
                 if law == VACUUM:
                     carried[row] = _there_vacuum(*arguments, p)
                 elif law == PLAIN:
@@ -178,7 +186,7 @@ def _keep(law, less, chain, table, course, room, path, look, q, count, powers, f
                 elif law == HERTZ:
                     carried[row] = _there_hertz(*arguments, p)
                 else:
-                    carried[row] = _there_other(*arguments, less, p, forces[place, a:b])
+                    carried[row] = _there_other(*arguments, less, p, at(forces[place], a))
             if final:
                 break
         q, done = q + some, done + some
@@ -193,9 +201,9 @@ def _backward(
     """Take adjoints back by `count` rows, from that of number q after a look.
 
     A row is the drift before a kick, and the kick, here. `adjoint` is (5, W + PAD): that of x, that of v over the mass,
-    sums of y p and y f over all rows, y being the adjoint of the force of a contact, and what kicks do by the mass; all
-    but those two sums are one place further on. `seen` has derivatives by what was seen, `on_path` gathers those
-    by what is imposed in each row.
+    sums over all rows of y p, times the stiffness (not in VACUUM), and of y f, y being the adjoint of the force of a
+    contact, and what kicks do by the mass; all but those two sums are one place further on. `seen` has derivatives by
+    what was seen, `on_path` gathers those by what is imposed in each row.
     """
     columns, looks = seen
     il, st, stiff, x, v, im, c = table[0], table[1], table[2], bodies[0], bodies[1], bodies[2], chain.precompressed
@@ -243,10 +251,10 @@ def _backward(
                         sums_f[PAD] += y * f0
                         sums_m[PAD + 1] += y * f0
                 arguments = (
-                    x[a : b + 1], v[a:b], adjoint_x[a:b], pull[a : b + 1], stiff[a:b], st[a:b], il[a:b], im[a:b],
-                    kick[row], drift[row - 1] if row > 0 else earlier, before, c, chain.coefficients,
-                    powers[place if law > UNDONE_SERIES else 0, a:b], forces[place if law == OTHER else 0, a:b],
-                    sums_p[a:b], sums_f[a:b], sums_m[a:b],
+                    b - a, at(x, a), at(v, a), at(adjoint_x, a), at(pull, a), at(stiff, a), at(st, a), at(il, a),
+                    at(im, a), kick[row], drift[row - 1] if row > 0 else earlier, before, c, chain.coefficients,
+                    at(powers[place if law > UNDONE_SHORT else 0], a), at(forces[place if law == OTHER else 0], a),
+                    at(sums_p, a), at(sums_f, a), at(sums_m, a),
                 )  # fmt: skip
                 if law == UNDONE_PLAIN:
                     before = _back_plain(*arguments)
@@ -254,6 +262,8 @@ def _backward(
                     before = _back_exact(*arguments)
                 elif law == UNDONE_SERIES:
                     before = _back_series(*arguments)
+                elif law == UNDONE_SHORT:
+                    before = _back_short_series(*arguments)
                 elif law == VACUUM:
                     before = _back_vacuum(*arguments)
                 elif law <= HERTZ:
@@ -285,15 +295,17 @@ def backward(
     for piece in range(some[1] - 1, some[0] - 1, -1):
         begin, count = starts[piece] - starts[some[0]], starts[piece + 1] - starts[piece]
         known, drift = piece, 0.0
-        if law <= UNDONE_SERIES:
+        if law <= UNDONE_SHORT:
             known, drift = piece + 1, _drift(course, looks[piece + 1], rows[piece + 1])
+        x, v, kept_x, kept_v = bodies[0], bodies[1], states[known, 0], states[known, 1]
         for n in range(width):
-            bodies[1, n + 1] = states[known, 1, n]
-            bodies[0, n + 1] = states[known, 0, n] - drift * states[known, 1, n]
+            v[n + 1] = kept_v[n]
+        for n in range(width):
+            x[n + 1] = kept_x[n] - drift * kept_v[n]
         chain.state[FIRST] = PAD if everywhere else windows[piece, 0]
         chain.state[LAST] = width - PAD if everywhere else windows[piece, 1]
         part = slice(begin, begin + count)
-        if law > UNDONE_SERIES:
+        if law > UNDONE_SHORT:
             _keep(
                 law, less, chain, table, course, room, path[part], looks[piece], rows[piece], count,
                 powers, forces, tops, bodies,
