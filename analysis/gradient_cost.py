@@ -22,6 +22,7 @@ REPEATS = 9
 WAVES: dict[str, tuple[float, dict[str, float]]] = {  # velocities, m/s, and what else makes the chain
     "strong": (1e-3, {}),
     "in a loaded chain": (1e-2, {"top_load": 1.0}),
+    "between weak and strong": (4e-4, {"top_load": 1.0}),
     "weak": (1e-9, {}),
     "weak, exponent 1.75": (1e-9, {"exponent": 1.75}),
     "strong, exponent 2": (1e-3, {"exponent": 2.0}),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import ClassVar
 
 import numba
@@ -21,7 +20,7 @@ from ..util.arrays import Array
 from ..util.suggestions import not_among
 from .base import Candidate
 from .round_off import native_floor, plain_loss
-from .time_stepping import SAFE_STRAIN, TimeSteppingEngine
+from .time_stepping import TimeSteppingEngine
 
 
 class Native(TimeSteppingEngine):
@@ -90,12 +89,9 @@ class Native(TimeSteppingEngine):
                 )
         return candidate
 
-    def candidate(self, scene: Scene, tolerance: float) -> Candidate:
-        """Propose a step size, whether it adapts to contacts that open, and a form of the force."""
-        chosen = super().candidate(scene, tolerance)
-        how = "no" if chosen.fixed else METHODS[chosen.integrator].adaptive
-        adaptive = self.adaptive and (how == "error" or (how == "openings" and scene.largest_strain > SAFE_STRAIN))
-        return replace(chosen, adaptive=adaptive, choices={"force": name_of(force_form(scene, self.force))})
+    def choices(self, scene: Scene) -> dict[str, str]:
+        """Return the form of the force."""
+        return {"force": name_of(force_form(scene, self.force))}
 
     def typical_round_off(self, scene: Scene, steps: int, speed: float) -> float:
         """Predict round-off: a random walk of one ulp a force evaluation, and what the plain force loses.

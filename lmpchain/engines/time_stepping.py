@@ -29,7 +29,7 @@ SAFE_STRAIN = 0.3  # strain below which no contact comes near to opening
 # factors on the error where contacts may open: within steps of one length, where nine in ten scenes need no more; where
 # steps adapt, so that all attempts cost least, for what they need scatters; and on that where those at openings are
 # coarse
-OPENING_ERROR, ADAPTIVE_ERROR, COARSE_ERROR = 30.0, 4.0, 16.0
+OPENING_ERROR, ADAPTIVE_ERROR, COARSE_ERROR = 30.0, 8.0, 16.0
 LONGEST_RUN_S = 3e8  # ten years
 EVALUATION_OVERHEAD = 40  # of a force evaluation, in grain-steps; analysis/calibration/cost_model.py
 
@@ -132,9 +132,8 @@ class TimeSteppingEngine(Engine):
             return self._at(scene, method, math.ceil(interval / self.step * (1 - 1e-12)), tolerance, fixed=True)
         omega = scene.highest_frequency
         expected = method.error_constant * max(1.0, omega * scene.duration / PERIODS)  # phases drift apart with time
-        opens = scene.largest_strain > SAFE_STRAIN
-        adapts = opens and self.adaptive and method.order > 2
-        if opens:
+        adapts = self.adapts(scene, method)
+        if scene.largest_strain > SAFE_STRAIN:
             expected *= ADAPTIVE_ERROR if adapts else OPENING_ERROR
         reach = (tolerance / SAFETY / expected) ** (1 / method.order)
         steps, more = (
@@ -143,9 +142,27 @@ class TimeSteppingEngine(Engine):
         )
         # where samples hold steps short, shorter ones near openings would only cost
         coarse = adapts and method.adaptive == "openings" and steps == more and scene.chain.exponent >= KINKED_BELOW
-        return replace(self._at(scene, method, steps, tolerance), coarse_openings=coarse)
+        return self._at(scene, method, steps, tolerance, adapts, coarse)
 
-    def _at(self, scene: Scene, method: Method, steps_per_sample: int, error: float, fixed: bool = False) -> Candidate:
+    def adapts(self, scene: Scene, method: Method) -> bool:
+        """Say whether steps of this method shorten where contacts open or close, or follow its own error."""
+        how = method.adaptive
+        return self.adaptive and (how == "error" or (how == "openings" and scene.largest_strain > SAFE_STRAIN))
+
+    def choices(self, scene: Scene) -> Mapping[str, str]:
+        """Return what it chooses on behalf of the user."""
+        return {}
+
+    def _at(
+        self,
+        scene: Scene,
+        method: Method,
+        steps_per_sample: int,
+        error: float,
+        adaptive: bool = False,
+        coarse: bool = False,
+        fixed: bool = False,
+    ) -> Candidate:
         cost = self.cost(scene, method, steps_per_sample * (scene.samples - 1))
         if cost > LONGEST_RUN_S:
             years = cost / 3.15e7
@@ -158,7 +175,10 @@ class TimeSteppingEngine(Engine):
             cost_s=cost,
             steps_per_sample=steps_per_sample,
             fixed=fixed,
+            adaptive=adaptive,
+            coarse_openings=coarse,
             integrator=method.name,
+            choices=self.choices(scene),
         )
 
     def cost(self, scene: Scene, method: Method, steps: int) -> float:
