@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from ..scene.acting import Drive, Force
 from ..scene.scene import Scene
 from ..util.arrays import Array
-from .batch import WINDOW_MIN, ChainBatch, series, weakest
+from .batch import WINDOW_MIN, ChainBatch, economised
 from .imposed import ImposedCourse
 from .kernels import adjoint as kernels
 from .kernels.adjoint_tangent import tangent
@@ -123,7 +123,7 @@ class DifferentiableRun:
         self._driven = scene.excitation.driven if self.imposed else 0
         self._read(scene)
         width, rows = self._table.shape[1], int(self._offsets[-1])
-        most = FEW if self._law <= kernels.UNDONE_SHORT else max(LEAST, ROOM // (8 * width))
+        most = FEW if self._law <= kernels.UNDONE_SERIES else max(LEAST, ROOM // (8 * width))
         most = max(most, math.ceil(rows * 16 * width / CHECKPOINTS))
         starts = np.append(np.arange(0, rows, most), rows)
         before = np.searchsorted(self._offsets, starts, side="right") - 1
@@ -204,9 +204,6 @@ class DifferentiableRun:
         common = self._chain, self._course, self._room
         for some, row, count in self._calls():
             kernels.forward(*common, self._path(row, count), self._pieces, some, (columns, self._looks))
-        strain = max(-self._state[LOWEST], self._state[CLOSEST] * self._table[0].max())
-        if self._law == kernels.UNDONE_SERIES and UNSEEN * strain < weakest(self._less, 4):
-            self._law = kernels.UNDONE_SHORT
         if self.imposed and self._driven:
             for order in (0, 1):
                 self._looks[order][:, self.grains == 1] = self.imposed.waveform.at(self.time, order)[:, None]
@@ -242,11 +239,13 @@ class DifferentiableRun:
         width, columns = self._x.shape[1], self.grains + (PAD - 1)
         adjoint, bodies, table = np.split(aligned(11, width + PAD + (STRIDE - width - PAD) % PAGE), (5, 8))
         bodies[2, 1 : width + 1], table[:, :width] = self._chain.inverse_mass, self._table
-        powers = aligned(1 if self._law <= kernels.UNDONE_SHORT else self._most, width)
+        powers = aligned(1 if self._law <= kernels.UNDONE_SERIES else self._most, width)
         tops = np.empty((2, self._most))
         forces = aligned(self._most if self._law == kernels.OTHER else 1, width)
         state = self._state.copy()
-        chain_back = self._chain._replace(state=state, coefficients=series(self._less))
+        strain = max(-state[LOWEST], state[CLOSEST] * self._table[0].max())
+        polynomial = economised(self._less, min(UNSEEN * float(strain), self.scene.largest_strain))
+        chain_back = self._chain._replace(state=state, coefficients=polynomial)
         common = self._law, self._less, chain_back, table, self._course, self._room
         kept = powers, forces, tops
         for some, row, count in reversed(self._calls()):

