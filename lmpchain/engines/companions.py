@@ -8,6 +8,7 @@ has a kink there).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -54,7 +55,7 @@ class Companions:
         self._stretched = adaptive and method.adaptive == "error"  # samples cut some of its steps
         self._coarse = self._stretched or candidate.coarse_openings
         steps = candidate.steps_per_sample * (first.samples - 1)
-        longer = longer_steps(method, max(scene.chain.band_edge for scene in scenes), candidate, steps)
+        longer = longer_steps(method, scenes, candidate)
         self._finer = not longer
         self.scatters = np.array([bool(longer) and adaptive and _scatters(scene, self._kinks) for scene in scenes])
         if self.scatters.any():
@@ -89,13 +90,16 @@ class Companions:
         return np.where(opening, SAFETY_AT_KINKS * found, found) if self._kinks else found
 
 
-def longer_steps(method: Method, band_edge: float, candidate: Candidate, steps: int) -> list[float]:
-    """Return how many times as long the steps of companions may be; none where all are unstable.
+def longer_steps(method: Method, scenes: Sequence[Scene], candidate: Candidate) -> list[float]:
+    """Return how many times as long the steps of companions may be.
 
-    `band_edge` is that of the chain, rad/s, and `steps` those of the run.
+    None where all are unstable, too few, or would be cut by the knots of a drive like those of the answer.
     """
-    reach = candidate.step * band_edge
-    return [ratio for ratio in (2, 4) if ratio * reach <= method.stability_limit and steps >= FEWEST]
+    if candidate.steps_per_sample * (scenes[0].samples - 1) < FEWEST:
+        return []
+    reach = candidate.step * max(scene.chain.band_edge for scene in scenes)
+    knots = min(scene.excitation.knot_spacing for scene in scenes) if candidate.adaptive else math.inf
+    return [ratio for ratio in (2, 4) if ratio * reach <= method.stability_limit and ratio * candidate.step <= knots]
 
 
 def _scatters(scene: Scene, kinks: bool) -> bool:

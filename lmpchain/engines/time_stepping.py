@@ -136,8 +136,11 @@ class TimeSteppingEngine(Engine):
         if scene.largest_strain > SAFE_STRAIN:
             expected *= ADAPTIVE_ERROR if adapts else OPENING_ERROR
         reach = (tolerance / SAFETY / expected) ** (1 / method.order)
+        longest = LONGEST_STEP * limit
+        if adapts:
+            longest = min(longest, omega * scene.excitation.knot_spacing)  # knots cut longer steps
         steps, more = (
-            math.ceil(interval * omega / min(reach / less, LONGEST_STEP * limit))
+            math.ceil(interval * omega / min(reach / less, longest))
             for less in (1.0, COARSE_ERROR ** (1 / method.order))
         )
         # where samples hold steps short, shorter ones near openings would only cost
@@ -233,6 +236,5 @@ def kind(scene: Scene) -> tuple:
 
 def alike(scene: Scene, candidate: Candidate) -> tuple:
     """Return what scenes have in common that have the answer and error in a batch that they have alone."""
-    steps, method = candidate.steps_per_sample * (scene.samples - 1), METHODS[candidate.integrator]
-    longer = longer_steps(method, scene.chain.band_edge, candidate, steps)
+    longer = longer_steps(METHODS[candidate.integrator], [scene], candidate)
     return *kind(scene), candidate.integrator, candidate.schedule(), *longer, *candidate.choices.items()

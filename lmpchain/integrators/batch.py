@@ -199,9 +199,9 @@ def weakest(exponent: float) -> float:
 
 
 def economised(exponent: float, reach: float) -> Array:
-    """Return six coefficients of a polynomial for ((1 + s)^exponent - 1) / s, |s| <= reach: the series in Chebyshev's.
+    """Return the coefficients of a polynomial for ((1 + s)^exponent - 1) / s, |s| <= reach, (6,).
 
-    It is as accurate there as a longer one: for delta = 3/2 to every digit up to 0.007, and 4e-15 at 0.0126.
+    The binomial series in Chebyshev polynomials: for delta = 3/2 right to every digit up to 0.007, to 4e-15 at 0.0126.
     """
     k, reach = np.arange(12), min(max(reach, 1e-6), 0.02)
     in_parts = np.cumprod((exponent - k) / (k + 1)) * reach**k

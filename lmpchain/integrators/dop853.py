@@ -67,5 +67,5 @@ class DormandPrince:
             reach = schedule.step / schedule.ratio * batch.omega.max()
             allowed = float(max(STEP_ERROR_MIN, STEP_ERROR * reach**self.order) * schedule.ratio**self.order)
         total = schedule.ratio * schedule.total(batch.scenes[0].samples - 1)
-        most = min(LONGER, max(1.0, total / FEWEST))
+        most = 1.0 if batch.knots.size else min(LONGER, max(1.0, total / FEWEST))  # knots would cut all alike
         return March(march, (*self.tables, allowed, most, steps_between_looks(schedule, batch)))

@@ -76,6 +76,11 @@ class _Acting(Excitation):
         return self.waveform.smooth
 
     @property
+    def knot_spacing(self) -> float:
+        """Least time between two knots of a spline, at which adaptive steps end, s; infinite for a sine."""
+        return np.inf if self.times is None else float(np.diff(self.times).min())
+
+    @property
     def fastest(self) -> float:
         """Highest frequency that a step must resolve, rad/s."""
         return self.waveform.fastest

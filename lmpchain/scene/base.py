@@ -86,6 +86,11 @@ class Excitation(Checked):
         return True
 
     @property
+    def knot_spacing(self) -> float:
+        """Least time between two knots of a spline that acts, at which adaptive steps end, s; else infinite."""
+        return np.inf
+
+    @property
     def fastest(self) -> float:
         """Highest frequency in it that a step must resolve, rad/s."""
         return 0.0

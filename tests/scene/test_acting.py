@@ -465,3 +465,20 @@ def test_random_scenes(seed: int):
         true, estimate = err(t, truth), t.error_estimate.total
         assert (true - truth.error) / 3 <= estimate
         assert true <= tolerance or estimate > tolerance or engine not in ("native", "auto")
+
+
+@pytest.mark.parametrize("uneven", [False, True])
+@pytest.mark.parametrize("integrator", ["dop853", "rkn6", "rkn4", "kahan-li8"])
+def test_knots_that_cut_the_steps_of_all_companions_hide_no_error(integrator: str, uneven: bool):
+    """At 1e-2 steps would be as long as from knot to knot, of the answer and of every companion alike."""
+    chain = Chain(grains=5, diameter=1e-3, top_load=0.1)
+    times = np.linspace(0, 1, 101)
+    times += uneven * 0.3 * np.sin(np.arange(101)) * times[1] * (np.arange(101) % 100 > 0)
+    shape = 0.2 * chain.length_scale * np.sin(np.linspace(0, 6, 101)) * (1 + 0.02 * np.sin(37 * np.arange(101)))
+    duration = 20 / chain.band_edge
+    drive = Drive(times=1.05 * duration * times, displacement=shape)
+    scene = Scene(chain=chain, excitation=drive, duration=duration, samples=2)
+    found, truth = simulate(scene, engines.Native(integrator), 1e-2), reference(scene)
+    pairs = (found.displacement, truth.displacement), (found.velocity, truth.velocity)
+    error = max(float(np.abs(a - b).max()) / size for (a, b), size in zip(pairs, truth.scale, strict=True))
+    assert error < found.error_estimate.total < 1e-2
