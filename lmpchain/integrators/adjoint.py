@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from ..scene.acting import Drive, Force
 from ..scene.scene import Scene
 from ..util.arrays import Array
-from .batch import WINDOW_MIN, ChainBatch, economised
+from .batch import SHORT, WINDOW_MIN, ChainBatch, economised
 from .imposed import ImposedCourse
 from .kernels import adjoint as kernels
 from .kernels.adjoint_tangent import tangent
@@ -123,7 +123,7 @@ class DifferentiableRun:
         self._driven = scene.excitation.driven if self.imposed else 0
         self._read(scene)
         width, rows = self._table.shape[1], int(self._offsets[-1])
-        most = FEW if self._law <= kernels.UNDONE_SERIES else max(LEAST, ROOM // (8 * width))
+        most = FEW if self._law <= kernels.UNDONE_SHORT else max(LEAST, ROOM // (8 * width))
         most = max(most, math.ceil(rows * 16 * width / CHECKPOINTS))
         starts = np.append(np.arange(0, rows, most), rows)
         before = np.searchsorted(self._offsets, starts, side="right") - 1
@@ -239,14 +239,16 @@ class DifferentiableRun:
         width, columns = self._x.shape[1], self.grains + (PAD - 1)
         adjoint, bodies, table = np.split(aligned(11, width + PAD + (STRIDE - width - PAD) % PAGE), (5, 8))
         bodies[2, 1 : width + 1], table[:, :width] = self._chain.inverse_mass, self._table
-        powers = aligned(1 if self._law <= kernels.UNDONE_SERIES else self._most, width)
+        powers = aligned(1 if self._law <= kernels.UNDONE_SHORT else self._most, width)
         tops = np.empty((2, self._most))
         forces = aligned(self._most if self._law == kernels.OTHER else 1, width)
         state = self._state.copy()
         strain = max(-state[LOWEST], state[CLOSEST] * self._table[0].max())
         polynomial = economised(self._less, min(UNSEEN * float(strain), self.scene.largest_strain))
         chain_back = self._chain._replace(state=state, coefficients=polynomial)
-        common = self._law, self._less, chain_back, table, self._course, self._room
+        short = self._law == kernels.UNDONE_SERIES and polynomial.size == SHORT
+        law = kernels.UNDONE_SHORT if short else self._law
+        common = law, self._less, chain_back, table, self._course, self._room
         kept = powers, forces, tops
         for some, row, count in reversed(self._calls()):
             path = self._path(row, count)

@@ -24,6 +24,7 @@ from .adjoint_rows import (
     _back_other,
     _back_plain,
     _back_series,
+    _back_short_series,
     _back_vacuum,
     _loop,
     _there_hertz,
@@ -36,9 +37,9 @@ from .layout import BODY, FIRST, LAST, PAD
 from .right_hand_side import sweep
 from .window import watch, widen
 
-# where all contacts are pressed at rest: delta = 3/2 in strong and in any waves, any delta in the weakest; elsewhere,
-# delta = 3/2 where nothing is pressed, in strong and in any waves, and any delta
-UNDONE_PLAIN, UNDONE_EXACT, UNDONE_SERIES, VACUUM, PLAIN, HERTZ, OTHER = range(7)
+# where all contacts are pressed at rest: delta = 3/2 in strong and in any waves, any delta in weak waves and in the
+# weakest; elsewhere, delta = 3/2 where nothing is pressed, in strong and in any waves, and any delta
+UNDONE_PLAIN, UNDONE_EXACT, UNDONE_SERIES, UNDONE_SHORT, VACUUM, PLAIN, HERTZ, OTHER = range(8)
 NEWS = "gradients of the native engine", 30
 BURST = 32  # rows between two updates of the window
 TILE = 384  # bodies that stay in the nearest cache while the rows of a burst pass over them
@@ -254,7 +255,7 @@ def _backward(
                 arguments = (
                     b - a, at(x, a), at(momentum, a), at(adjoint_x, a), at(pull, a), at(stiff, a), at(st, a), at(il, a),
                     at(im, a), kick[row], drift[row - 1] if row > 0 else earlier, before, c, chain.coefficients,
-                    at(powers[place if law > UNDONE_SERIES else 0], a), at(forces[place if law == OTHER else 0], a),
+                    at(powers[place if law > UNDONE_SHORT else 0], a), at(forces[place if law == OTHER else 0], a),
                     at(sums_p, a), at(sums_f, a), at(sums_m, a),
                 )  # fmt: skip
                 if law == UNDONE_PLAIN:
@@ -263,6 +264,8 @@ def _backward(
                     before = _back_exact(*arguments)
                 elif law == UNDONE_SERIES:
                     before = _back_series(*arguments)
+                elif law == UNDONE_SHORT:
+                    before = _back_short_series(*arguments)
                 elif law == VACUUM:
                     before = _back_vacuum(*arguments)
                 elif law <= HERTZ:
@@ -294,19 +297,19 @@ def backward(
     for piece in range(some[1] - 1, some[0] - 1, -1):
         begin, count = starts[piece] - starts[some[0]], starts[piece + 1] - starts[piece]
         known, drift = piece, 0.0
-        if law <= UNDONE_SERIES:
+        if law <= UNDONE_SHORT:
             known, drift = piece + 1, _drift(course, looks[piece + 1], rows[piece + 1])
         x, v, im, kept_x, kept_v = bodies[0], bodies[1], bodies[2], states[known, 0], states[known, 1]
         for n in range(width):
             v[n + 1] = kept_v[n]
-            if law <= UNDONE_SERIES:
+            if law <= UNDONE_SHORT:
                 v[n + 1] = kept_v[n] / im[n + 1] if im[n + 1] > 0.0 else 0.0
         for n in range(width):
             x[n + 1] = kept_x[n] - drift * kept_v[n]
         chain.state[FIRST] = PAD if everywhere else windows[piece, 0]
         chain.state[LAST] = width - PAD if everywhere else windows[piece, 1]
         part = slice(begin, begin + count)
-        if law > UNDONE_SERIES:
+        if law > UNDONE_SHORT:
             _keep(
                 law, less, chain, table, course, room, path[part], looks[piece], rows[piece], count,
                 powers, forces, tops, bodies,

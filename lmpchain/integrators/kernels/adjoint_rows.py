@@ -107,12 +107,13 @@ def _there_other(count, x, v, inverse_length, strength, inverse_mass, kick, drif
     return above
 
 
-PLAINLY, EXACTLY, BY_SERIES, KEPT_VACUUM, KEPT, BOTH_KEPT = range(6)  # how p and f are found on the way back
+# how p and f are found on the way back
+PLAINLY, EXACTLY, BY_SERIES, BY_SHORT_SERIES, KEPT_VACUUM, KEPT, BOTH_KEPT = range(7)
 
 
 def _back(how: int) -> Any:
     """Make the loop of the way back, with p found by undoing rows or kept, and f kept or following from p."""
-    undone = how <= BY_SERIES
+    undone = how <= BY_SHORT_SERIES
 
     @_loop
     def back(
@@ -127,14 +128,18 @@ def _back(how: int) -> Any:
         """
         apart()
         f_before, g_before = before
-        t0, t1, t2, t3, t4, t5 = terms[0], terms[1], terms[2], terms[3], terms[4], terms[5]
+        t0, t1, t2, t3 = terms[0], terms[1], terms[2], terms[3]
+        t4, t5 = (terms[4], terms[5]) if how == BY_SERIES else (0.0, 0.0)
         for n in range(count):
             closer = pull[n + 1] - pull[n]
-            at_rest = stiff[n] * (kick * closer)
             impulse = kick * strength[n]
+            if how != KEPT_VACUUM:
+                at_rest = stiff[n] * (kick * closer)
             if undone:
                 s = (x[n] - x[n + 1]) * inverse_length[n]
-                if how == BY_SERIES:
+                if how == BY_SHORT_SERIES:
+                    p = s * (t0 + s * (t1 + s * (t2 + s * t3)))
+                elif how == BY_SERIES:
                     square = s * s
                     p = s * ((t0 + s * t1) + square * ((t2 + s * t3) + square * (t4 + s * t5)))
                 else:
@@ -156,11 +161,14 @@ def _back(how: int) -> Any:
                 p = power[n]
                 if how == BOTH_KEPT:
                     f = kick * force[n]
+                elif how == KEPT:
+                    f = impulse * p * (3.0 * c + p * (3.0 * c + p))
                 else:
-                    f = impulse * p * (p * p if how == KEPT_VACUUM else 3.0 * c + p * (3.0 * c + p))
+                    weight = impulse * p
+                    f = weight * (p * p)
                 push = f_before - f
-            if how == KEPT_VACUUM:  # there, no force at rest asks for a sum over p
-                g = at_rest * p
+            if how == KEPT_VACUUM:  # there, no force at rest asks for a sum over p, and lengths are 1 m
+                g = (1.5 * closer) * weight
             else:
                 sums_p[n] += at_rest * p
                 weight = at_rest if undone else c * at_rest
@@ -176,5 +184,6 @@ def _back(how: int) -> Any:
     return back
 
 
-_back_plain, _back_exact, _back_series = _back(PLAINLY), _back(EXACTLY), _back(BY_SERIES)
+_back_plain, _back_exact = _back(PLAINLY), _back(EXACTLY)
+_back_series, _back_short_series = _back(BY_SERIES), _back(BY_SHORT_SERIES)
 _back_vacuum, _back_hertz, _back_other = _back(KEPT_VACUUM), _back(KEPT), _back(BOTH_KEPT)
