@@ -162,7 +162,7 @@ class DifferentiableRun:
         else:
             self._law = (kernels.PLAIN if strong else kernels.HERTZ) if hertz else kernels.OTHER
         self._less = chain.exponent - 1.0
-        self._room = np.zeros((4, 2 * kernels.BURST))
+        self._room = np.zeros((5, 2 * kernels.BURST))
 
     def _window(self) -> tuple[int, int]:
         """Return where the window of the run begins and ends: at the lines that hold what moves at t = 0."""

@@ -115,7 +115,7 @@ def forward(chain, course, room, path, pieces, some, seen):
 
     `course` is kicks (S+1,) and drifts (S,) as parts of a step, the lengths (K,) of all steps, s, and how many are
     made before each look. `seen` is the indices (G,) of bodies and room for their x and v at all looks. `path` is what
-    is imposed in each row, if anything is, and `room` is (4, BURST). `pieces` is their first rows (P+1,), the looks
+    is imposed in each row, if anything is, and `room` is (5, BURST). `pieces` is their first rows (P+1,), the looks
     before these and the rows in between, and where states (P+1, 2, W) and windows (P, 2) are kept.
     """
     starts, looks, rows, states, windows = pieces
@@ -212,6 +212,7 @@ def _backward(
     adjoint_x, pull, sums_p, sums_f, sums_m = adjoint[0], adjoint[1], adjoint[2], adjoint[3], adjoint[4]
     first, last = _contacts(chain)
     body = int(chain.drive[BODY]) if path.size > 0 else 0
+    touches = chain.uncompressed > 0.0 and first == PAD
     done = count
     while done > 0:
         if q == 0:
@@ -222,29 +223,31 @@ def _backward(
             look -= 1
             q = _rows(course, look)
         some = min(BURST, done, q)
-        kick, drift, carried = room[0, :some], room[1, :some], room[2:4, :some]
-        _fill(course, look, q - some, kick, drift)
-        earlier = _drift(course, look, q - some)
+        each = 1 if body != 0 or touches else some  # rows between which nothing else is done
+        kick, drift, fs, gs, before = room[0], room[1], room[2], room[3], room[4]
+        _fill(course, look, q - some, kick[:some], drift[:some])
+        before[0] = _drift(course, look, q - some)
+        for row in range(1, some):
+            before[row] = drift[row - 1]
         tile, together = _tiles(first, last, some)
         for begin in range(first, last, tile):
             final = begin + 2 * tile > last
             end = last if final else begin + tile
-            for turn in range(some):
+            sooner, shorter = 0 if begin == first or together > 1 else PAD, 0 if final else PAD
+            for turn in range(0, some, each):
                 row = some - 1 - turn
                 place = done - some + row
-                a = begin if begin == first or together > 1 else begin - PAD * turn
-                b = end if final else end - PAD * turn
-                before = carried[0, row], carried[1, row]
+                a, b = begin - sooner * turn, end - shorter * turn
                 if body < 0 and a <= 1 - body < b:
                     w = kick[row] * pull[1 - body]
                     on_path[place] = w
                     sums_m[1 - body] += w * path[place]
                     momentum[1 - body] -= kick[row] * path[place]
-                if begin == first:
+                if begin == first and each == 1:
                     if body > 0:
                         x[body + 1] = path[place]
-                    before, pull[first] = (0.0, 0.0), 0.0  # nothing moves what is outside
-                    if chain.uncompressed > 0.0 and first == PAD:
+                    pull[first] = 0.0
+                    if touches:
                         y, p0, f0 = kick[row] * pull[PAD + 1], tops[0, place], tops[1, place]
                         g = (less + 1.0) * chain.uncompressed * p0 * y
                         adjoint_x[PAD + 1] -= g
@@ -252,27 +255,28 @@ def _backward(
                         sums_p[PAD] += y * p0
                         sums_f[PAD] += y * f0
                         sums_m[PAD + 1] += y * f0
+                span = row, each, a, b, sooner, shorter, begin == first
+                kept = place * powers.shape[1] if law > UNDONE_SHORT else 0
                 arguments = (
-                    b - a, at(x, a), at(momentum, a), at(adjoint_x, a), at(pull, a), at(stiff, a), at(st, a), at(il, a),
-                    at(im, a), kick[row], drift[row - 1] if row > 0 else earlier, before, c, chain.coefficients,
-                    at(powers[place if law > UNDONE_SHORT else 0], a), at(forces[place if law == OTHER else 0], a),
-                    at(sums_p, a), at(sums_f, a), at(sums_m, a),
+                    span, at(x, 0), at(momentum, 0), at(adjoint_x, 0), at(pull, 0), at(stiff, 0), at(st, 0), at(il, 0),
+                    at(im, 0), at(kick, 0), at(before, 0), at(fs, 0), at(gs, 0), c, chain.coefficients,
+                    at(powers[0], 0), at(forces[0], 0), kept, powers.shape[1], at(sums_p, 0), at(sums_f, 0),
+                    at(sums_m, 0),
                 )  # fmt: skip
                 if law == UNDONE_PLAIN:
-                    before = _back_plain(*arguments)
+                    _back_plain(*arguments)
                 elif law == UNDONE_EXACT:
-                    before = _back_exact(*arguments)
+                    _back_exact(*arguments)
                 elif law == UNDONE_SERIES:
-                    before = _back_series(*arguments)
+                    _back_series(*arguments)
                 elif law == UNDONE_SHORT:
-                    before = _back_short_series(*arguments)
+                    _back_short_series(*arguments)
                 elif law == VACUUM:
-                    before = _back_vacuum(*arguments)
+                    _back_vacuum(*arguments)
                 elif law <= HERTZ:
-                    before = _back_hertz(*arguments)
+                    _back_hertz(*arguments)
                 else:
-                    before = _back_other(*arguments)
-                carried[0, row], carried[1, row] = before
+                    _back_other(*arguments)
                 if begin == first and body > 0:
                     on_path[place] = adjoint_x[body + 1]
                     adjoint_x[body + 1] = 0.0

@@ -117,69 +117,76 @@ def _back(how: int) -> Any:
 
     @_loop
     def back(
-        count, x, momentum, adjoint_x, pull, stiff, strength, inverse_length, inverse_mass, kick, drift, before, c,
-        terms, power, force, sums_p, sums_f, sums_m,
+        span, x, momentum, adjoint_x, pull, stiff, strength, inverse_length, inverse_mass, kicks, drifts, fs, gs, c,
+        terms, powers, forces, kept, width, sums_p, sums_f, sums_m,
     ):  # fmt: skip
-        """Take adjoints of bodies back through a kick and the drift before it, and undo both.
+        """Take adjoints of bodies back through some rows, each a kick and the drift before it, and undo these.
 
-        Contacts are C = `count`; momenta, adjoint_x and inverse masses those of the bodies above them, x and pull
-        (C+1,), the adjoint of v over the mass, also of the one below. `terms` are those of a polynomial, p over s.
-        `before` and what is returned are the impulse of f and what its adjoint does to x, at either end.
+        A contact has the place of the body above it in x, momenta, adjoint_x, pull, the adjoint of v over the mass, and
+        inverse masses. `span` is the last row and how many, from which contact to which it goes, by how many places
+        each row before begins and ends earlier, and whether it begins at the top. `kicks`, `drifts` before them and, at
+        the begin and then the end of a span, the impulse of f and what its adjoint does to x are by row; what is kept
+        is (rows, width) from `kept` on. `terms` are those of a polynomial, p over s.
         """
         apart()
-        f_before, g_before = before
+        last, rows, first, stop, sooner, shorter, top = span
         t0, t1, t2, t3 = terms[0], terms[1], terms[2], terms[3]
         t4, t5 = (terms[4], terms[5]) if how == BY_SERIES else (0.0, 0.0)
-        for n in range(count):
-            closer = pull[n + 1] - pull[n]
-            impulse = kick * strength[n]
-            if how != KEPT_VACUUM:
-                at_rest = stiff[n] * (kick * closer)
-            if undone:
-                s = (x[n] - x[n + 1]) * inverse_length[n]
-                if how == BY_SHORT_SERIES:
-                    p = s * (t0 + s * (t1 + s * (t2 + s * t3)))
-                elif how == BY_SERIES:
-                    square = s * s
-                    p = s * ((t0 + s * t1) + square * ((t2 + s * t3) + square * (t4 + s * t5)))
+        for row in range(last, last - rows, -1):
+            kick, drift, f_before, g_before = kicks[row], drifts[row], fs[row], gs[row]
+            if top:  # nothing moves what is outside
+                pull[first], f_before, g_before = 0.0, 0.0, 0.0
+            for n in range(first, stop):
+                closer = pull[n + 1] - pull[n]
+                impulse = kick * strength[n]
+                if how != KEPT_VACUUM:
+                    at_rest = stiff[n] * (kick * closer)
+                if undone:
+                    s = (x[n] - x[n + 1]) * inverse_length[n]
+                    if how == BY_SHORT_SERIES:
+                        p = s * (t0 + s * (t1 + s * (t2 + s * t3)))
+                    elif how == BY_SERIES:
+                        square = s * s
+                        p = s * ((t0 + s * t1) + square * ((t2 + s * t3) + square * (t4 + s * t5)))
+                    else:
+                        s = s if s > -1.0 else -1.0
+                    linear = impulse * s
+                    if how == PLAINLY:
+                        root = math.sqrt(1.0 + s)
+                        p = root - 1.0
+                        f = (impulse + linear) * root - impulse
+                    else:
+                        if how == EXACTLY:
+                            p = _hertz(s, 1.0)
+                        f = linear + (impulse + linear) * p
+                    push = f_before - f
+                    slower = momentum[n] - push
+                    momentum[n] = slower
+                    x[n] -= drift * inverse_mass[n] * slower
                 else:
-                    s = s if s > -1.0 else -1.0
-                linear = impulse * s
-                if how == PLAINLY:
-                    root = math.sqrt(1.0 + s)
-                    p = root - 1.0
-                    f = (impulse + linear) * root - impulse
+                    p = powers[kept + n]
+                    if how == BOTH_KEPT:
+                        f = kick * forces[kept + n]
+                    elif how == KEPT:
+                        f = impulse * p * (3.0 * c + p * (3.0 * c + p))
+                    else:
+                        weight = impulse * p
+                        f = weight * (p * p)
+                    push = f_before - f
+                if how == KEPT_VACUUM:  # there, no force at rest asks for a sum over p, and lengths are 1 m
+                    g = (1.5 * closer) * weight
                 else:
-                    if how == EXACTLY:
-                        p = _hertz(s, 1.0)
-                    f = linear + (impulse + linear) * p
-                push = f_before - f
-                slower = momentum[n] - push
-                momentum[n] = slower
-                x[n] -= drift * inverse_mass[n] * slower
-            else:
-                p = power[n]
-                if how == BOTH_KEPT:
-                    f = kick * force[n]
-                elif how == KEPT:
-                    f = impulse * p * (3.0 * c + p * (3.0 * c + p))
-                else:
-                    weight = impulse * p
-                    f = weight * (p * p)
-                push = f_before - f
-            if how == KEPT_VACUUM:  # there, no force at rest asks for a sum over p, and lengths are 1 m
-                g = (1.5 * closer) * weight
-            else:
-                sums_p[n] += at_rest * p
-                weight = at_rest if undone else c * at_rest
-                g = at_rest * root if how == PLAINLY else weight + at_rest * p
-            sums_f[n] += closer * f
-            sums_m[n] += pull[n] * push
-            by_x = (adjoint_x[n] + g) - g_before
-            adjoint_x[n] = by_x
-            pull[n] += drift * inverse_mass[n] * by_x
-            f_before, g_before = f, g
-        return f_before, g_before
+                    sums_p[n] += at_rest * p
+                    weight = at_rest if undone else c * at_rest
+                    g = at_rest * root if how == PLAINLY else weight + at_rest * p
+                sums_f[n] += closer * f
+                sums_m[n] += pull[n] * push
+                by_x = (adjoint_x[n] + g) - g_before
+                adjoint_x[n] = by_x
+                pull[n] += drift * inverse_mass[n] * by_x
+                f_before, g_before = f, g
+            fs[row], gs[row] = f_before, g_before
+            first, stop, kept = first - sooner, stop - shorter, kept - width
 
     return back
 
