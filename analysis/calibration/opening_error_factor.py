@@ -2,9 +2,9 @@
 
 Random scenes are run at the step that the engine proposes. The error estimate of the run over the one expected
 without openings, SAFETY error_constant (omega T / 60) (omega h)^order, is the factor that the scene needed. It scatters
-over decades, so that ADAPTIVE_ERROR is chosen by what all attempts at a tolerance cost in the mean, and supported where
-that is within 10 % of the best. COARSE_ERROR and COARSE_STEP are chosen in the same way in scenes with 101 samples,
-which hold steps short.
+over decades, so that the constants of `opening_error_factor` are chosen by what all attempts at a tolerance cost in the
+mean, and supported where that is within 10 % of the best. COARSE_ERROR and COARSE_STEP are chosen in the same way in
+scenes with 101 samples, which hold steps short.
 OPENING_ERROR is the same factor for steps of one length, enough for nine scenes in ten. LONGEST_STEP, the
 longest step over the stability limit: companions at twice the step must be stable and runs must not break. A true
 error above the tolerance in a run that says it is met (by the Taylor series in extended precision) is counted too.
@@ -41,6 +41,12 @@ from lmpchain.integrators import splittings
 from lmpchain.integrators.methods import METHODS
 
 TOLERANCES = (1e-3, 1e-6, 1e-9)
+TRIED = {
+    "ADAPTIVE_ERROR": (0.5, 2.0, 4.0, 16.0, 32.0, 128.0),
+    "LEAST_STRAIN": (0.3, 1.0, 10.0, 30.0),
+    "MOST_STRAIN": (10.0, 30.0, 300.0, 1000.0),
+    "GROWS": (0.0, 0.25, 0.75, 1.0, 1.5),
+}
 
 
 @dataclass(frozen=True)
@@ -124,7 +130,7 @@ def main(quick: bool = False) -> list[Row]:
     every = tries(engine, strong)
     dense = list(map(Case, drawn(count, 14, lambda s: s.largest_strain > 0.3, samples=101)))
     rows = [
-        _first(strong, time_stepping, "ADAPTIVE_ERROR", (0.25, 64.0) if quick else (0.25, 1.0, 4.0, 16.0, 64.0, 256.0)),
+        *(_first(strong, time_stepping, name, values[:: 3 if quick else 1]) for name, values in TRIED.items()),
         _first(dense, time_stepping, "COARSE_ERROR", (4.0, 256.0) if quick else (1.0, 4.0, 64.0, 256.0, 1024.0, 1e9)),
         _first(dense, splittings, "COARSE_STEP", (0.3, 0.6) if quick else (0.2, 0.3, 0.5, 0.6, 0.8)),
     ]
@@ -132,7 +138,7 @@ def main(quick: bool = False) -> list[Row]:
     rows.append(
         Row(
             "part met at first try",
-            0.64,
+            0.73,
             part,
             *_interval(part, len(every)),
             f"of {len(every)} tries with openings; {wrong} met ones are truly above their tolerance",

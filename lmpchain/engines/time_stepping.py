@@ -27,9 +27,9 @@ CHOICE = ("rkn4", "rkn6")  # of which the cheaper one is taken, if none is asked
 LONGEST_STEP = 0.45  # longest step that is proposed, over the stability limit
 SAFE_STRAIN = 0.3  # strain below which no contact comes near to opening
 # factors on the error where contacts may open: within steps of one length, where nine in ten scenes need no more; where
-# steps adapt, so that all attempts cost least, for what they need scatters; and on that where those at openings are
-# coarse
-OPENING_ERROR, ADAPTIVE_ERROR, COARSE_ERROR = 30.0, 8.0, 16.0
+# those near openings are coarse, on that of `opening_error_factor`; and its own, where steps adapt
+OPENING_ERROR, COARSE_ERROR = 30.0, 16.0
+ADAPTIVE_ERROR, LEAST_STRAIN, MOST_STRAIN, GROWS = 8.0, 3.0, 99.0, 0.5
 LONGEST_RUN_S = 3e8  # ten years
 EVALUATION_OVERHEAD = 40  # of a force evaluation, in grain-steps; analysis/calibration/cost_model.py
 
@@ -134,7 +134,7 @@ class TimeSteppingEngine(Engine):
         expected = method.error_constant * max(1.0, omega * scene.duration / PERIODS)  # phases drift apart with time
         adapts = self.adapts(scene, method)
         if scene.largest_strain > SAFE_STRAIN:
-            expected *= ADAPTIVE_ERROR if adapts else OPENING_ERROR
+            expected *= opening_error_factor(scene.largest_strain) if adapts else OPENING_ERROR
         reach = (tolerance / SAFETY / expected) ** (1 / method.order)
         longest = LONGEST_STEP * limit
         if adapts:
@@ -238,3 +238,12 @@ def alike(scene: Scene, candidate: Candidate) -> tuple:
     """Return what scenes have in common that have the answer and error in a batch that they have alone."""
     longer = longer_steps(METHODS[candidate.integrator], [scene], candidate)
     return *kind(scene), candidate.integrator, candidate.schedule(), *longer, *candidate.choices.items()
+
+
+def opening_error_factor(strain: float) -> float:
+    """Return how many times larger the estimated error is where contacts may open and steps are adaptive.
+
+    What scenes need scatters over decades; with this all attempts cost least in struck columns, few of them two, and
+    next to least in random scenes.
+    """
+    return ADAPTIVE_ERROR * (min(max(strain, LEAST_STRAIN), MOST_STRAIN) / LEAST_STRAIN) ** GROWS
