@@ -26,8 +26,8 @@ CHOICE = ("rkn4", "rkn6")  # of which the cheaper one is taken, if none is asked
 # analysis/calibration/opening_error_factor.py measures the next ones
 LONGEST_STEP = 0.45  # longest step that is proposed, over the stability limit
 SAFE_STRAIN = 0.3  # strain below which no contact comes near to opening
-# factors on the error where contacts may open: within steps of one length, where nine in ten scenes need no more; where
-# those near openings are coarse, on that of `opening_error_factor`; and its own, where steps adapt
+# factors on the error where contacts may open: with steps of one length, of which nine in ten scenes need no more; with
+# coarse ones near openings, on that of adaptive steps; and what that, `opening_error_factor`, is made of
 OPENING_ERROR, COARSE_ERROR = 30.0, 16.0
 ADAPTIVE_ERROR, LEAST_STRAIN, MOST_STRAIN, GROWS = 8.0, 3.0, 99.0, 0.5
 LONGEST_RUN_S = 3e8  # ten years
@@ -237,13 +237,14 @@ def kind(scene: Scene) -> tuple:
 def alike(scene: Scene, candidate: Candidate) -> tuple:
     """Return what scenes have in common that have the answer and error in a batch that they have alone."""
     longer = longer_steps(METHODS[candidate.integrator], [scene], candidate)
-    return *kind(scene), candidate.integrator, candidate.schedule(), *longer, *candidate.choices.items()
+    own = candidate.integrator, candidate.schedule(), scene.excitation.knot_spacing < math.inf  # which DOP853 asks
+    return *kind(scene), *own, *longer, *candidate.choices.items()
 
 
 def opening_error_factor(strain: float) -> float:
     """Return how many times larger the estimated error is where contacts may open and steps are adaptive.
 
-    What scenes need scatters over decades; with this all attempts cost least in struck columns, few of them two, and
-    next to least in random scenes.
+    What scenes need scatters over decades. With this all attempts together cost least in struck columns, one in ten of
+    which takes a second one, and 5 % more than the least in random scenes.
     """
     return ADAPTIVE_ERROR * (min(max(strain, LEAST_STRAIN), MOST_STRAIN) / LEAST_STRAIN) ** GROWS

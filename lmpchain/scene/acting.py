@@ -78,7 +78,7 @@ class _Acting(Excitation):
     @property
     def knot_spacing(self) -> float:
         """Least time between two knots of a spline, at which adaptive steps end, s; infinite for a sine."""
-        return np.inf if self.times is None else float(np.diff(self.times).min())
+        return self.waveform.knot_spacing
 
     @property
     def fastest(self) -> float:

@@ -93,9 +93,12 @@ class Waveform:
     @property
     def fastest(self) -> float:
         """Highest frequency that a step must resolve, rad/s."""
-        if self.spline is not None:
-            return float(1 / np.diff(self.spline.x).min())
-        return float(self.omega + 2 * self.envelope)
+        return 1 / self.knot_spacing if self.spline is not None else float(self.omega + 2 * self.envelope)
+
+    @property
+    def knot_spacing(self) -> float:
+        """Least time between two knots of a spline, at which adaptive steps end, s; infinite for a sine."""
+        return np.inf if self.spline is None else float(np.diff(self.spline.x).min())
 
     def largest(self, order: int = 0) -> float:
         """Return the largest size of its values or derivative: of a burst a bound, of a spline nearly."""

@@ -5,7 +5,7 @@ import pytest
 from helpers.example_scenes import smooth
 from helpers.independent_integrators import relative_error, scipy_reference
 
-from lmpchain import Chain, Impulse, InputError, Scene, ToleranceNotMet, simulate, simulate_many
+from lmpchain import Chain, Drive, Impulse, InputError, Scene, ToleranceNotMet, simulate, simulate_many
 from lmpchain.engines import Native
 
 
@@ -29,6 +29,21 @@ def test_answers_come_in_order_with_the_bits_of_each_alone():
         assert t.provenance == alone.provenance
         assert (t.cost.integrator, t.cost.step_s) == (alone.cost.integrator, alone.cost.step_s)
         assert t.error_estimate.total <= 1e-8
+
+
+def test_a_sine_beside_points_is_as_it_is_alone():
+    """DOP853 lengthens its steps where no knots cut them: those of a scene, not those of another in its batch."""
+    chain = Chain(grains=6, diameter=1e-3, top_load=0.1)
+    duration, height = 30 / chain.band_edge, 0.1 * chain.length_scale
+    times = np.linspace(0, 1.01 * duration, 5)
+    points = Drive(times=times, displacement=height * np.sin(times * chain.band_edge / 5))
+    drives = points, Drive(amplitude=height, frequency=points.fastest / (20 * np.pi))
+    scenes = [Scene(chain=chain, excitation=drive, duration=duration, samples=3) for drive in drives]
+    engine = Native("dop853")
+    candidates = [engine.candidate(scene, 1e-6).schedule() for scene in scenes]
+    assert candidates[0] == candidates[1]
+    for t, scene in zip(simulate_many(scenes, 1e-6, engine), scenes, strict=True):
+        assert np.array_equal(t.velocity, simulate(scene, engine, 1e-6).velocity)
 
 
 def test_the_error_covers_the_truth():
