@@ -16,7 +16,7 @@ from lmpchain.design import (
     parameters,
 )
 from lmpchain.design.gradients import at_step
-from lmpchain.integrators.adjoint import DifferentiableRun
+from lmpchain.integrators.adjoint import DifferentiableRun, economised
 from lmpchain.integrators.splittings import SPLITTINGS
 
 LOOKS, STEPS = 6, 4
@@ -235,6 +235,7 @@ def test_weak_waves_have_the_derivatives_of_the_linear_propagator():
         (1e-2, 1, {}),
         (1e-2, 899, {}),
         (1e-2, 899, {"top_load": 1.0}),
+        (1.8e-2, 1, {"top_load": 1.0}),
         (3e-4, 899, {"top_load": 1.0}),
         (1e-4, 899, {"top_load": 1.0}),
         (1e-9, 1, {}),
@@ -264,6 +265,15 @@ def test_adjoints_of_long_chains_agree_with_tangents(velocity: float, struck: in
         u, v = run.push(parameters.push(scene, name, change))
         terms = np.array([weights[0] * u[0], weights[1] * v[0]])
         assert abs(terms.sum() - change[0] @ back) <= 1e-12 * np.abs(terms).sum(), name
+
+
+@pytest.mark.parametrize("exponent", [0.05, 0.5, 0.75, 1.0, 1.5, 2.0])
+@pytest.mark.parametrize(("reach", "terms"), [(0.0, 4), (1e-5, 4), (1e-4, 4), (1e-3, 6), (5e-3, 6)])
+def test_few_terms_give_every_digit_of_weak_waves(exponent: float, reach: float, terms: int):
+    found, s = economised(exponent, reach), np.linspace(-1, 1, 42, dtype=np.longdouble) * max(reach, 1e-15)
+    true = np.expm1(exponent * np.log1p(s)) / s
+    assert found.size == terms or exponent in (1.0, 2.0)  # which fewer make exactly
+    assert np.abs(np.polynomial.polynomial.polyval(s, found) - true).max() < 3e-16 * exponent
 
 
 @pytest.mark.parametrize("seed", [0, 3])  # delta 1.5 and 1.8
