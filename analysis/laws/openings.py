@@ -53,8 +53,10 @@ def errors_through_openings(
     true = reference.displacement, reference.velocity
 
     def error(count: int) -> float:
-        steps = replace(proposed, steps_per_sample=count, step=scene.duration / count)
-        run = engine.start([scene], replace(steps, adaptive=adaptive, coarse_openings=False))
+        candidate = replace(
+            proposed, steps_per_sample=count, step=scene.duration / count, adaptive=adaptive, coarse_openings=False
+        )
+        run = engine.start([scene], candidate)
         try:
             *_, last = run.blocks()
         finally:

@@ -8,7 +8,6 @@ from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
-from numpy.polynomial.chebyshev import cheb2poly, poly2cheb
 from numpy.typing import NDArray
 
 from ..chain.contacts import together
@@ -21,7 +20,6 @@ from .kernels.table import fill_table, windows
 # analysis/calibration/roundoff.py
 STRONG = 1.0  # strike number from which the fastest form of the force loses nothing
 FORCES = ("auto", "exact", "plain")
-SHORT, LONG = 4, 6  # coefficients of `economised`
 # bodies: shorter chains are computed as a whole, for less than it costs to follow the wave
 WINDOW_MIN = 14 * PAD  # analysis/calibration/light_cone.py
 
@@ -197,19 +195,6 @@ def weakest(exponent: float) -> float:
     k = np.arange(8)
     eighth = abs(np.prod((exponent - k) / (k + 1)))
     return min(0.02, float(1e-16 * exponent / max(float(eighth), 1e-16)) ** (1 / 7))
-
-
-def economised(exponent: float, reach: float) -> Array:
-    """Return the coefficients of a polynomial for ((1 + s)^exponent - 1) / s, |s| <= reach, (4,) or (6,).
-
-    The binomial series in Chebyshev polynomials. For delta = 3/2 four are right to every digit up to 3e-4, six up to
-    0.007 and to 4e-15 at 0.0126.
-    """
-    k, reach = np.arange(12), min(max(reach, 1e-6), 0.02)
-    parts = poly2cheb(np.cumprod((exponent - k) / (k + 1)) * reach**k)
-    terms = SHORT if np.abs(parts[SHORT:]).sum() <= 1e-16 * abs(parts[0]) else LONG
-    found = cheb2poly(parts[:terms])  # without zeros at its end
-    return np.pad(found, (0, terms - found.size)) / reach ** np.arange(terms)
 
 
 def force_form(scene: Scene, force: str = "auto") -> int:

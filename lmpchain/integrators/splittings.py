@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 # of the adaptive step size h' near an opening; analysis/calibration/adaptive_steps.py
 # h' / h at the time 1 / omega from the opening of a contact that matters most, small enough that these steps leave as
-# little error as the others; and where that does not matter
+# little error as the others; and of coarse ones, where that does not matter
 ADAPTIVE_STEP, COARSE_STEP = 0.2, 0.4
 CROSSING_STEP = 0.03  # omega h' / (omega h)^((order + 1) / (delta + 1)) of the step that crosses the opening
 LEAST_CROSSING = 0.1  # the same over the (delta + 1)th root of EPSILON: what a shorter step would gain is round-off

@@ -41,7 +41,7 @@ from .window import watch, widen
 # weakest; elsewhere, delta = 3/2 where nothing is pressed, in strong and in any waves, and any delta
 UNDONE_PLAIN, UNDONE_EXACT, UNDONE_SERIES, UNDONE_SHORT, VACUUM, PLAIN, HERTZ, OTHER = range(8)
 NEWS = "gradients of the native engine", 30
-BURST = 32  # rows between two updates of the window
+BURST = 32  # rows between two updates of the window, but on the way forth as many as there is room for
 TILE = 384  # bodies that stay in the nearest cache while the rows of a burst pass over them
 
 
@@ -115,8 +115,8 @@ def forward(chain, course, room, path, pieces, some, seen):
 
     `course` is kicks (S+1,) and drifts (S,) as parts of a step, the lengths (K,) of all steps, s, and how many are
     made before each look. `seen` is the indices (G,) of bodies and room for their x and v at all looks. `path` is what
-    is imposed in each row, if anything is, and `room` is (5, BURST). `pieces` is their first rows (P+1,), the looks
-    before these and the rows in between, and where states (P+1, 2, W) and windows (P, 2) are kept.
+    is imposed in each row, if anything is, and `room` is (5, BURST) or longer. `pieces` is their first rows (P+1,), the
+    looks before these and the rows in between, and where states (P+1, 2, W) and windows (P, 2) are kept.
     """
     starts, looks, rows, states, windows = pieces
     watch(chain)
@@ -243,18 +243,16 @@ def _backward(
                     on_path[place] = w
                     sums_m[1 - body] += w * path[place]
                     momentum[1 - body] -= kick[row] * path[place]
-                if begin == first and each == 1:
-                    if body > 0:
-                        x[body + 1] = path[place]
-                    pull[first] = 0.0
-                    if touches:
-                        y, p0, f0 = kick[row] * pull[PAD + 1], tops[0, place], tops[1, place]
-                        g = (less + 1.0) * chain.uncompressed * p0 * y
-                        adjoint_x[PAD + 1] -= g
-                        adjoint_x[PAD] += g
-                        sums_p[PAD] += y * p0
-                        sums_f[PAD] += y * f0
-                        sums_m[PAD + 1] += y * f0
+                if begin == first and body > 0:
+                    x[body + 1] = path[place]
+                if begin == first and touches:
+                    y, p0, f0 = kick[row] * pull[PAD + 1], tops[0, place], tops[1, place]
+                    g = (less + 1.0) * chain.uncompressed * p0 * y
+                    adjoint_x[PAD + 1] -= g
+                    adjoint_x[PAD] += g
+                    sums_p[PAD] += y * p0
+                    sums_f[PAD] += y * f0
+                    sums_m[PAD + 1] += y * f0
                 span = row, each, a, b, sooner, shorter, begin == first
                 kept = place * powers.shape[1] if law > UNDONE_SHORT else 0
                 arguments = (
