@@ -181,6 +181,11 @@ class ChainBatch:
         change = strength * mobility / (self.omega[:, None] ** 2.5 * self.scale[:, 1:] + 1e-300)
         return np.minimum(change, 1e150) ** 2
 
+    @cached_property
+    def opening_reach(self) -> Array:
+        """How near to opening contacts may come before steps shorten, (R, W); see `adaptive_splitting._may_matter`."""
+        return np.cbrt(self.opening_weight) / (math.sqrt(2) * (2 * self.omega[:, None]) ** 3)
+
 
 @cache
 def series(exponent: float) -> Array:

@@ -102,7 +102,7 @@ class Splitting:
         crossing = np.maximum(crossing, schedule.ratio * LEAST_CROSSING * EPSILON ** (1 / (batch.opening_power + 1)))
         near = COARSE_STEP if schedule.coarse_openings else ADAPTIVE_STEP
         nearest = (near * reach / crossing) ** (14 / 9)
-        of_each = batch.omega, nearest, batch.opening_weight
+        of_each = batch.omega, nearest, batch.opening_weight, batch.opening_reach
         looks = steps_between_looks(schedule, batch)
         return March(adaptive_splitting.march, (kicks, drifts, near, looks), of_each, shared=True)
 

@@ -200,13 +200,30 @@ def test_other_loops_do_several_at_a_time():
     (bodies,) = batch.bodies(batch.initial[0])
     chains = batch.arrays(slice(None), bodies, bodies, bodies[:, None], np.zeros((1, 9)))
     for loop, takes, operation in (
-        (_nearness, (row,) * 5 + (float64,) * 4, "sqrt"),
+        (_nearness, (row,) * 6 + (float64,) * 5, "sqrt"),
         (window.watch, (numba.typeof(sample_loop._chain.py_func(chains, 0)),), "mul"),
     ):
         loop.compile(takes)
         assert packed(loop.inspect_asm(takes), operation) > 0
     force(CORRECTED, 1.5, np.ones(4))
     assert packed(next(iter(forces.contact_forces.inspect_asm().values())), "sqrt") > 0
+
+
+def test_no_contact_that_shortens_a_step_is_passed_over():
+    rng, size, shortened = np.random.default_rng(3), 100, 0.2
+    close, passed, shortens = shortened ** (-14 / 3), 0, 0
+    for _ in range(2000):
+        y, rates, bends = 10 ** rng.uniform(-3, 3, (3, 1)) * rng.normal(size=(3, size + 1))
+        omega, weight = 10 ** rng.uniform(-3, 3), 10 ** rng.uniform(-30, 10, size)
+        reach = np.cbrt(weight) / (2**0.5 * (2 * omega) ** 3)
+        length, pressed = 10 ** rng.uniform(-2, 2, size), float(rng.integers(2))
+        others = pressed, 0.0, omega, 1e6
+        every = _nearness(y, rates, bends, length, weight, np.full(size, np.inf), close, *others)
+        found = _nearness(y, rates, bends, length, weight, reach, close, *others)
+        assert found == every or every < shortened**14
+        passed, shortens = passed + (found < every), shortens + (every > shortened**14)
+    assert passed > 100
+    assert shortens > 100
 
 
 @x86

@@ -18,6 +18,8 @@ from .sample_loop import end_of_step, sample_loop
 from .team import largest, meet, mine
 from .window import look, watch, widen
 
+TILE = 16  # contacts that are looked at together
+
 
 @inlined
 def _score(gap, rate, bend, weight, omega, nearest):
@@ -43,14 +45,37 @@ def _score(gap, rate, bend, weight, omega, nearest):
 
 
 @inlined
-def _nearness(y, rates, bends, inverse_length, weight, precompressed, uncompressed, omega, nearest):
-    """Return the largest score of all contacts between the bodies y."""
-    largest = 0  # as bits, see `window.watch`
+def _may_matter(y, rates, bends, inverse_length, reach, close, precompressed):
+    """Say whether any of these contacts may be near enough to opening or closing to shorten the step.
+
+    That is so from a score of shortened^14 on. In `_score` fast^2 is at most q and `size` at most q / 2, so that no
+    root and no quotient is needed: with reach = weight^(1/3) / (sqrt(2) (2 omega)^3) and close = shortened^(-14/3) no
+    score is as large while q^2 reach close < |gap|^3.
+    """
+    most = -1  # as bits, see `window.watch`
     for n in range(inverse_length.size):
         il = inverse_length[n]
-        gap = precompressed + (y[n] - y[n + 1]) * il
-        rate, bend = (rates[n] - rates[n + 1]) * il, (bends[n] - bends[n + 1]) * il
-        largest = max(bits(_score(gap, rate, bend, weight[n], omega, nearest)), largest)
+        gap = abs(precompressed + (y[n] - y[n + 1]) * il)
+        rate, bend = (rates[n] - rates[n + 1]) * il, abs((bends[n] - bends[n + 1]) * il)
+        q = 4.0 * (rate * rate + gap * bend)
+        most = max(bits(q * q * (close * reach[n]) - gap * gap * gap), most)
+    return most >= 0
+
+
+@inlined
+def _nearness(y, rates, bends, inverse_length, weight, reach, close, precompressed, uncompressed, omega, nearest):
+    """Return the largest score of all contacts between the bodies y; 0 if none is near."""
+    largest, size = 0, inverse_length.size
+    for begin in range(0, size, TILE):
+        end = min(begin + TILE, size)
+        these, ends = slice(begin, end), slice(begin, end + 1)
+        yt, rt, bt, il, wt = y[ends], rates[ends], bends[ends], inverse_length[these], weight[these]
+        if not _may_matter(yt, rt, bt, il, reach[these], close, precompressed):
+            continue
+        for n in range(il.size):
+            gap = precompressed + (yt[n] - yt[n + 1]) * il[n]
+            rate, bend = (rt[n] - rt[n + 1]) * il[n], (bt[n] - bt[n + 1]) * il[n]
+            largest = max(bits(_score(gap, rate, bend, wt[n], omega, nearest)), largest)
     most = number(largest)
     if uncompressed > 0.0:
         score = _score(y[0] - y[1], rates[0] - rates[1], bends[0] - bends[1], weight[0], omega, nearest)
@@ -77,8 +102,8 @@ def _finish_kick(chain, margin, force, pull):
 @inlined
 def _advance(chain, method, work, clock, span):
     """Take one step."""
-    kicks, drifts, shortened, every, omega, nearest, weight = method
-    kick, drift, carried, path, reach, force, pull = work
+    kicks, drifts, shortened, every, omega, nearest, weight, near_enough = method
+    kick, drift, carried, path, reach, force, pull, close = work
     y, w, state, stages = chain.x, chain.v, chain.state, drifts.size
     t = span.begin + state[DONE]
     recall(chain, t)
@@ -91,7 +116,8 @@ def _advance(chain, method, work, clock, span):
     left = min(span.length - state[DONE], ahead(chain, t, span.begin + span.length, RESOLUTION * clock.step))
     nearness = _nearness(
         y[bodies], w[bodies], pull[bodies], chain.inverse_length[near], weight[chain.number, near],
-        chain.precompressed, chain.uncompressed if first == PAD else 0.0, omega[chain.number], nearest[chain.number],
+        near_enough[chain.number, near], close, chain.precompressed, chain.uncompressed if first == PAD else 0.0,
+        omega[chain.number], nearest[chain.number],
     )  # fmt: skip
     nearness = largest(chain.team, nearness)
     h = clock.step * min(1.0, shortened * nearness ** (-1 / 14)) if nearness > 0.0 else clock.step
@@ -131,10 +157,12 @@ def march(chains, method, clock, u_out, v_out, offset, until, max_steps):
     ----------
     method : kicks (S+1,) and drifts (S,) as parts of a step, length of the shortened steps, steps from one look for
         the largest motion to the next, and of R chains
-        the highest frequency (R,) in rad/s, the largest 1 / (distance x frequency) that is told apart (R,), and
-        for each contact the square of the acceleration that it gives over what changes the motion (R, W)
+        the highest frequency (R,) in rad/s, the largest 1 / (distance x frequency) that is told apart (R,), and for
+        each contact the square of the acceleration that it gives over what changes the motion and the reach of
+        `_may_matter` (R, W)
     """
     rows, width = method[1].size - 1, chains.x.shape[1]
     kick, drift, carried, path = np.zeros(rows), np.zeros(rows), np.zeros(rows), np.zeros(rows if chains.imposed else 0)
-    work = kick, drift, carried, path, np.cumsum(method[1]), np.zeros(width), np.zeros(width)
+    close = method[2] ** (-14 / 3)
+    work = kick, drift, carried, path, np.cumsum(method[1]), np.zeros(width), np.zeros(width), close
     return _march(chains, method, work, clock, u_out, v_out, offset, until, max_steps)
