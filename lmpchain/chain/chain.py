@@ -15,7 +15,7 @@ from ..util.arrays import Array, read_only
 from ..util.validation import NOT_GIVEN, Checked, OneOrMany, PositiveVector, Real, Vector, Whole
 from . import walls
 from .bounds import HARDEST, LEAST, Bounds, bounds
-from .contacts import FEW, Contacts, hertz_constant
+from .contacts import FEW, Contacts, dynamical_matrix, hertz_constant
 from .impurities import Impurities, kinds, misfits, with_impurities
 from .materials import GLASS, Material, OneMaterial, OneOrManyMaterials
 from .picture import AtRest
@@ -302,20 +302,16 @@ class Chain(AtRest, Checked):
 
         Its diagonal (M,) and off-diagonal (M-1,), with sqrt(m) phi'' = -D sqrt(m) phi.
         """
-        k, m = self.contacts.stiffness, self.masses[: self.movable]
-        diagonal = (k[:-1] + k[1:])[: self.movable] / m
-        return diagonal, -k[1 : self.movable] / np.sqrt(m[:-1] * m[1:])
+        return dynamical_matrix(self.contacts.stiffness, self.masses[: self.movable])
 
     @cached_property
     def band_edge(self) -> float:
         """Highest eigenfrequency of the linearised chain, rad/s (0 in the sonic vacuum)."""
         if self._twin:
             return self._twin.band_edge
-        from scipy.linalg.lapack import dstebz
+        from .band_edge import band_edges
 
-        (diagonal, coupling), last, by_number = self.dynamical_matrix(), self.movable, 2
-        top = dstebz(diagonal, coupling, by_number, 0.0, 1.0, last, last, 0.0, "E")[1][0] if last > 1 else diagonal[0]
-        return float(np.sqrt(max(top, 0.0)))
+        return float(band_edges(*(elements[None] for elements in self.dynamical_matrix()))[0])
 
     @property
     def _first(self) -> int:

@@ -37,6 +37,18 @@ def hertz_constant(modulus: Array, curvature: Array, length: Array | float, expo
     return 4 / 3 * together * np.sqrt(radius) * length ** (1.5 - exponent)
 
 
+def dynamical_matrix(stiffness: Array, masses: Array) -> tuple[Array, Array]:
+    """Return `Chain.dynamical_matrix` of chains with these stiffnesses (..., N+1) and masses of M moving grains.
+
+    Returns
+    -------
+    (..., M) and (..., M-1) arrays
+    """
+    moving = masses.shape[-1]
+    diagonal = (stiffness[..., :-1] + stiffness[..., 1:])[..., :moving] / masses
+    return diagonal, -stiffness[..., 1:moving] / np.sqrt(masses[..., :-1] * masses[..., 1:])
+
+
 @dataclass(frozen=True, eq=False)
 class Contacts:
     """All contacts of a chain of N grains, walls included.

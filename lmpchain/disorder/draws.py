@@ -56,7 +56,11 @@ def factors(m: float, size: int, rng: np.random.Generator, law: Law = "dyson") -
     >>> bool(abs(zeta.mean() - 1) < 0.01), bool(abs(zeta.var() - 1 / 4) < 0.01)
     (True, True)
     """
-    check(_fault_of_m(m), _fault_of_choice("law", law, ("dyson", "paper")))
+    _check_law(m, law)
+    return _zeta(m, size, rng, law)
+
+
+def _zeta(m: float, size: int, rng: np.random.Generator, law: Law) -> Array:
     return np.maximum(rng.standard_gamma(m + (law == "paper"), size) / m, SOFTEST)
 
 
@@ -131,22 +135,31 @@ def realisation(scene: Scene, m: float, seed: int, index: int = 0, law: Law = "d
     >>> realisation(scene, 1, seed=7, index=3) == realisation(scene, 1, seed=7, index=3)
     True
     """
+    _check_drawn(scene.chain, m, seed, index, law, of)
     zeta = _drawn(scene.chain, m, seed, index, law, of)
     chain = Chain._unchecked(**_redrawn(scene.chain, zeta, of))._leave_open()
     return Scene._unchecked(**(scene.given() | {"chain": chain}))
 
 
-def drawn_constants(chain: Chain, m: float, seed: int, index: int, law: Law = "dyson", of: Of = "stiffness") -> Array:
-    """Return the factors on the contact constants of a `realisation` whose contacts are drawn, (N-1,)."""
-    return _change(chain, _drawn(chain, m, seed, index, law, of), of)
+def drawn_constants(
+    chain: Chain, m: float, seed: int, indices: Sequence[int], law: Law = "dyson", of: Of = "stiffness"
+) -> Array:
+    """Return the factors on the contact constants of R realisations whose contacts are drawn, (R, N-1)."""
+    _check_drawn(chain, m, seed, min(indices), law, of)
+    return _change(chain, np.array([_drawn(chain, m, seed, index, law, of) for index in indices]), of)
+
+
+def _check_drawn(chain: Chain, m: float, seed: int, index: int, law: Law, of: Of) -> None:
+    """Raise `InputError` unless this realisation can be drawn."""
+    check(fault_of_whole("seed", seed, 0), fault_of_whole("index", index, 0))
+    _check_of(chain, of)
+    _check_law(m, law)
 
 
 def _drawn(chain: Chain, m: float, seed: int, index: int, law: Law, of: Of) -> Array:
     """Return the random factors of a realisation, one a contact or one a grain."""
-    check(fault_of_whole("seed", seed, 0), fault_of_whole("index", index, 0))
-    _check_of(chain, of)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
-    return factors(m, _count(chain, of), rng, law)
+    return _zeta(m, _count(chain, of), rng, law)
 
 
 def _count(chain: Chain, of: Of) -> int:
@@ -196,9 +209,11 @@ def check(*faults: Fault) -> None:
         raise InputError(present)
 
 
-def _fault_of_m(m: object) -> Fault:
+def _check_law(m: object, law: str) -> None:
+    """Raise `InputError` unless m is a number above 0 and the law one of the two."""
     right = isinstance(m, int | float | np.number) and not isinstance(m, bool) and 0 < m < math.inf
-    return None if right else ("m", f"must be a number above 0 (got {shown(m)})")
+    wrong = None if right else ("m", f"must be a number above 0 (got {shown(m)})")
+    check(wrong, _fault_of_choice("law", law, ("dyson", "paper")))
 
 
 def fault_of_whole(key: str, value: object, least: int) -> Fault:

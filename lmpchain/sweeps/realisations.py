@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from ..chain.band_edge import band_edges
 from ..chain.chain import LARGEST_OVERLAP, Chain
-from ..chain.contacts import Contacts, hertz_constant
+from ..chain.contacts import Contacts, dynamical_matrix, hertz_constant
 from ..chain.impurities import with_impurities
 from ..disorder.draws import OF_CONTACTS, drawn_constants
 from ..errors import InputError
@@ -75,8 +76,8 @@ def _together(plan: Sweep, first: int, count: int) -> list[Made]:
             return [_alone(plan, number) for number in numbers]
         change = np.ones((1, 1))
         if disorder:
-            given = disorder.given()
-            change = np.array([drawn_constants(chain, **given | {"index": place[-1]}) for place in places])
+            given = {key: value for key, value in disorder.given().items() if key != "index"}
+            change = drawn_constants(chain, indices=[place[-1] for place in places], **given)
     except InputError:
         return [_alone(plan, number) for number in numbers]
     drawn = [plan.drawn(place, chain.grains) for place in places]
@@ -142,8 +143,10 @@ def _chains(chain: Chain, columns: Mapping[str, Array], change: Array, count: in
     contacts = Contacts(constant, np.where(constant > 0, force, 0.0), chain.exponent)
     for each in (diameter, masses, between, walls, contacts.constant, contacts.force):
         read_only(each)  # as are the rows that chains get
+    matrices = dynamical_matrix(contacts.stiffness, masses[:, : chain.movable])
+    edges = band_edges(*map(np.ascontiguousarray, matrices)).tolist()
     return {"diameter": diameter, "masses": masses, "between": between, "walls": walls, "length": length,
-            "contacts": contacts, "given": {key.split(".")[1] for key in columns}}  # fmt: skip
+            "contacts": contacts, "band_edge": edges, "given": {key.split(".")[1] for key in columns}}  # fmt: skip
 
 
 def _sound(parts: Mapping[str, Any], drawn: bool) -> np.ndarray:
@@ -196,6 +199,7 @@ def _scene(common: Scene, parts: Mapping[str, Any], known: Mapping[str, list[flo
         "diameters": parts["diameter"][row],
         "contacts": own,
         "wall_constants": parts["walls"][row],
+        "band_edge": parts["band_edge"][row],
     }
     chain = Chain._filled(fields, set(parts["fields"]))
     recorded = {name: getattr(common, name) for name in ("excitation", "duration", "samples", "grains", "quantities")}
