@@ -65,7 +65,7 @@ class Look:
 
     def estimate(self, order: float, smooth: bool) -> float:
         """Return what `extrapolate` makes of it."""
-        return float(extrapolate(order, smooth, np.array([self.coarse]), np.array([self.fine]))[0])
+        return extrapolate(order, smooth, self.coarse, self.fine)
 
 
 def looks(cases: list[Case], name: str, adaptive: bool, coarse: bool = False) -> list[Look]:
@@ -136,8 +136,8 @@ def main(quick: bool = False) -> list[Row]:
     coarse = [look for look in coarse if look.opens and look.exponent >= KINKED_BELOW]
     rows = [row_of_factor("SAFETY", SAFETY, smooth, 0, True, "smooth runs")]
 
-    factor = float(extrapolate(4, False, np.zeros(1), np.ones(1))[0])
-    divisor = factor / float(extrapolate(4, False, np.ones(1), np.zeros(1))[0])
+    factor = extrapolate(4, False, 0.0, 1.0)
+    divisor = factor / extrapolate(4, False, 1.0, 0.0)
     rows.append(row_of_factor("extrapolate: 1.5", factor, fixed, 0, False, "runs of fixed steps through openings"))
     alone = [look.error / (factor * look.fine) for look in fixed if look.error > factor * look.fine]
     caught = {

@@ -11,12 +11,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ..integrators.methods import Method
 from ..scene.scene import Scene
-from ..util.arrays import Array
 from .base import Candidate
 from .richardson import extrapolate
 
@@ -45,8 +41,10 @@ class Companions:
     Attributes
     ----------
     schedules : list of StepSchedule
-    scatters : (R,) array
-        Whether errors may scatter, so that the last companion is one more.
+    scatters : list of R bool
+        Whether errors may scatter.
+    nearby : bool
+        Whether the last companion is one more for these.
     """
 
     def __init__(self, method: Method, scenes: Sequence[Scene], candidate: Candidate):
@@ -57,37 +55,39 @@ class Companions:
         steps = candidate.steps_per_sample * (first.samples - 1)
         longer = longer_steps(method, scenes, candidate)
         self._finer = not longer
-        self.scatters = np.array([bool(longer) and adaptive and _scatters(scene, self._kinks) for scene in scenes])
-        if self.scatters.any():
+        self.scatters = [bool(longer) and adaptive and _scatters(scene, self._kinks) for scene in scenes]
+        self.nearby = any(self.scatters)
+        if self.nearby:
             longer.append(NEARBY_AT_KINKS if self._kinks else NEARBY)
         schedules = [candidate.schedule(ratio, self._stretched) for ratio in longer]
         self.schedules = schedules or [candidate.schedule().halved]
         self._ratios = [steps / schedule.total(first.samples - 1) for schedule in self.schedules]
 
-    def truncations(self, steps: Array, opening: NDArray[np.bool_], even: NDArray[np.bool_]) -> Array:
-        """Return the truncation errors, (R,), from the differences between steps h, 2h (and 4h), or h and h/2.
+    def truncation(self, real: int, steps: Sequence[Sequence[float]], opens: bool, smooth: bool) -> float:
+        """Return the truncation error of a realisation from the differences between steps h, 2h (and 4h), or h and h/2.
 
         Parameters
         ----------
-        steps : (S, R, 2) array
-            Largest differences, relative to the motion; where errors scatter, the last are those from one more.
-        opening, even : (R,) arrays
+        real : int
+            Its number, from 0.
+        steps : S pairs
+            Largest differences of displacements and velocities, relative to the motion; the last one `nearby`.
+        opens, smooth : bool
             Whether contacts come near to opening, and whether the method keeps an order there.
         """
         if self._finer:
-            return 2 * steps[0].max(1)
-        falls_to = ORDER_WHERE_COARSE if self._coarse else ORDER_AT_OPENINGS
-        at_openings = min(self._order, ORDER_AT_KINKS if self._kinks else falls_to) if self._adaptive else self._order
-        scatters = self.scatters.any()
-        found = np.empty(opening.size)
-        for opens, smooth in set(zip(opening.tolist(), even.tolist(), strict=True)):
-            these = (opening == opens) & (even == smooth)
-            coarse = steps[1, these] if len(steps) - scatters > 1 else None
-            trusted = at_openings if opens else self._order - self._stretched
-            found[these] = extrapolate(trusted, smooth, coarse, steps[0, these], self._ratios[:2]).max(1)
-        if scatters:
-            found = np.where(opening & self.scatters, np.maximum(found, steps[-1].max(1)), found)
-        return np.where(opening, SAFETY_AT_KINKS * found, found) if self._kinks else found
+            return 2 * max(steps[0])
+        trusted = self._order - self._stretched
+        if opens:
+            falls_to = ORDER_WHERE_COARSE if self._coarse else ORDER_AT_OPENINGS
+            falls_to = ORDER_AT_KINKS if self._kinks else falls_to
+            trusted = min(self._order, falls_to) if self._adaptive else self._order
+        coarse = steps[1] if len(steps) - self.nearby > 1 else (None, None)
+        ratios = self._ratios[:2]
+        found = max(extrapolate(trusted, smooth, *pair, ratios) for pair in zip(coarse, steps[0], strict=True))
+        if opens and self.scatters[real]:
+            found = max(found, *steps[-1])
+        return SAFETY_AT_KINKS * found if opens and self._kinks else found
 
 
 def longer_steps(method: Method, scenes: Sequence[Scene], candidate: Candidate) -> list[float]:

@@ -103,7 +103,7 @@ class CompanionRun(Run):
         self._most_energy = np.minimum(energy + slow, MOST)
         samples, grains = self.scene.samples, self.scene.chain.grains
         self._against = np.arange(len(companions))  # each differs from the next longer step, one more from the answer
-        self._against[len(companions) - chosen.scatters.any() :] = 0
+        self._against[len(companions) - chosen.nearby :] = 0
         self._strides = np.array([companion.stride for companion in companions])
         self._together = math.lcm(4, *self._strides.tolist(), self._answer.stride)
         self._most = _block(len(self._steppers), self.realisations, grains, samples, self._together)
@@ -231,11 +231,12 @@ class CompanionRun(Run):
         straight = opening & (not self.candidate.adaptive)  # in flight steps of one length round to one side
         apart = steps[0].max(1) * np.where(opening, BY_CHANCE, 1.0)
         plain = self._native[0].chains.plain
-        truncations, moving = self._companions.truncations(steps, opening, even), self.peaks[:, 1] > 0
-        of_each = opening, even, plain, moving, self._answer.steps, truncations, apart, straight, *peaks.T
+        moving, beside = self.peaks[:, 1] > 0, steps.swapaxes(0, 1)
+        of_each = opening, even, plain, moving, self._answer.steps, beside, apart, straight, *peaks.T
         found = []
         for real, row in enumerate(zip(*(x.tolist() for x in of_each), strict=True)):
-            opens, smooth, rounded, moves, taken, truncation, most, flies, farthest, fastest = row
+            opens, smooth, rounded, moves, taken, differences, most, flies, farthest, fastest = row
+            truncation = self._companions.truncation(real, differences, opens, smooth)
             radians = self._radians[real]
             displaced = radians / self.scene.duration * farthest / fastest if moves else 0.0
             roundoff = native_floor(taken * self.method.evaluations, radians, displaced, flies)

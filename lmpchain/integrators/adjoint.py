@@ -160,8 +160,8 @@ class DifferentiableRun:
         x, v, history, self._state = (rows[0] for rows in arrays[:4])
         self._chain = Chain(
             x, v, history, self._state, length, strength, mobility, batch.uncompressed[0], batch.scale[0],
-            batch.forms[0], batch.precompressed, batch.coefficients, batch.imposed, batch.acted[0], batch.drive[0],
-            batch.knots[0], batch.pieces[0], ALONE, 0,
+            batch.omega[0], batch.forms[0], batch.precompressed, batch.coefficients, batch.imposed, batch.acted[0],
+            batch.drive[0], batch.knots[0], batch.pieces[0], ALONE, 0,
         )  # fmt: skip
         self._table = aligned(3, self._x.shape[1])  # of the contact above each body
         self._table[:2, 1:] = batch.table[0, :2, :-1]

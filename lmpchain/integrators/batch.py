@@ -116,7 +116,7 @@ class ChainBatch:
         """Return some chains, and where and how fast their bodies are, for the loops of a thread."""
         return Chains(
             x[share], v[share], history[share], state[share], self.table[share], self.uncompressed[share],
-            self.scale[share], self.forms[share], self.precompressed, self.coefficients,
+            self.scale[share], self.omega[share], self.forms[share], self.precompressed, self.coefficients,
             self.imposed, self.acted[share], self.drive[share], self.knots[share], self.pieces[share],
             team,
         )  # fmt: skip

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from ..util.arrays import Array
-from .method import March, first_growth, steps_between_looks
+from .method import March, first_growth
 from .step_schedule import StepSchedule
 
 if TYPE_CHECKING:
@@ -68,4 +68,4 @@ class DormandPrince:
             allowed = float(max(STEP_ERROR_MIN, STEP_ERROR * reach**self.order) * schedule.ratio**self.order)
         total = schedule.ratio * schedule.total(batch.scenes[0].samples - 1)
         most = 1.0 if batch.knots.size else min(LONGER, max(1.0, total / FEWEST))  # knots would cut all alike
-        return March(march, (*self.tables, allowed, most, steps_between_looks(schedule, batch)))
+        return March(march, (*self.tables, allowed, most))

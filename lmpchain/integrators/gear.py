@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from .method import March, first_growth, steps_between_looks
+from .method import March, first_growth
 from .step_schedule import StepSchedule
 
 if TYPE_CHECKING:
@@ -43,4 +43,4 @@ class Gear:
         """Return what moves a batch of chains by steps of this schedule."""
         from .kernels.gear import march
 
-        return March(march, (np.array(self.corrections), steps_between_looks(schedule, batch)), history=3)
+        return March(march, (np.array(self.corrections),), history=3)

@@ -6,16 +6,12 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..util.arrays import Array
 from .step_schedule import StepSchedule
 
 if TYPE_CHECKING:  # numba, which it imports, is not needed to know a method
     from .batch import ChainBatch
-
-# omega t between the first looks for the largest motion: of one period of the fastest at most 12 % is missed
-LOOK, SELDOM = 1.0, 2**30
 
 
 class March(NamedTuple):
@@ -83,16 +79,6 @@ class Method(Protocol):
 
     def march(self, batch: ChainBatch, schedule: StepSchedule) -> March:
         """Return what moves a batch of chains by steps of this schedule."""
-
-
-def steps_between_looks(schedule: StepSchedule, batch: ChainBatch) -> NDArray[np.int64]:
-    """Return after how many equal steps the largest motion of each chain is looked for at first, (R,).
-
-    Companions do not look.
-    """
-    if schedule.ratio != 1:
-        return np.full(batch.omega.shape, SELDOM)
-    return np.minimum(np.maximum(LOOK / (schedule.step * batch.omega), 1), SELDOM).astype(np.int64)
 
 
 def first_growth(growth: Callable[[float], float], more: float) -> float:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 
 from ..util.arrays import EPSILON, Array
-from .method import March, steps_between_looks
+from .method import March
 from .step_schedule import StepSchedule
 
 if TYPE_CHECKING:
@@ -93,18 +93,11 @@ class Splitting:
 
         kicks, drifts = self._coefficients
         if not schedule.adaptive:
-            missing = kicks[-1] * schedule.step * batch.omega.max()  # of a speed, without the last kick of a step
-            complete = 1 / (1 + missing**2 / 2)
-            common = kicks, drifts, steps_between_looks(schedule, batch), complete
-            return March(splitting.march, common, shared=True)
-        reach = schedule.step * batch.omega
-        crossing = CROSSING_STEP * reach ** ((self.order + 1) / (batch.opening_power + 1))
-        crossing = np.maximum(crossing, schedule.ratio * LEAST_CROSSING * EPSILON ** (1 / (batch.opening_power + 1)))
-        near = COARSE_STEP if schedule.coarse_openings else ADAPTIVE_STEP
-        nearest = (near * reach / crossing) ** (14 / 9)
-        of_each = batch.omega, nearest, batch.opening_weight, batch.opening_reach
-        looks = steps_between_looks(schedule, batch)
-        return March(adaptive_splitting.march, (kicks, drifts, near, looks), of_each, shared=True)
+            return March(splitting.march, (kicks, drifts), shared=True)
+        near, falls = COARSE_STEP if schedule.coarse_openings else ADAPTIVE_STEP, 1 / (batch.opening_power + 1)
+        crossing = CROSSING_STEP, (self.order + 1) * falls, schedule.ratio * LEAST_CROSSING * EPSILON**falls
+        of_each = batch.opening_weight, batch.opening_reach
+        return March(adaptive_splitting.march, (kicks, drifts, near, crossing), of_each, shared=True)
 
     def _half_trace(self, frequency: Array) -> Array:
         """Half the trace of the one-step matrix of x'' = -omega^2 x at h = 1."""

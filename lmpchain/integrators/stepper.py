@@ -104,7 +104,9 @@ class NativeStepper:
             self._state = np.zeros((len(scenes), STEP + 1))
             self._state[:, FIRST : LAST + 1] = chains.window
         self.stride, final = schedule.stride, scenes[0].samples - 1
-        clock = Clock(scenes[0].duration / final, schedule.steps, schedule.step, schedule.stride, final)
+        clock = Clock(
+            scenes[0].duration / final, schedule.steps, schedule.step, schedule.stride, final, schedule.ratio == 1
+        )
         march = method.march(chains, schedule)
         self._march = march.run
         parts = min(threads, chains.grains // LEAST_SHARE) if march.shared and len(scenes) < threads else 1

@@ -102,22 +102,22 @@ def _finish_kick(chain, margin, force, pull):
 @inlined
 def _advance(chain, method, work, clock, span):
     """Take one step."""
-    kicks, drifts, shortened, every, omega, nearest, weight, near_enough = method
-    kick, drift, carried, path, reach, force, pull, close = work
+    kicks, drifts, shortened, _, weight, near_enough = method
+    kick, drift, carried, path, reach, force, pull, close, nearest = work
     y, w, state, stages = chain.x, chain.v, chain.state, drifts.size
     t = span.begin + state[DONE]
     recall(chain, t)
     impose_velocity(chain, w, PAD, t)  # before the forces, like all that is imposed
     _finish_kick(chain, stages + 1, force, pull)
     watch(chain)
-    look(chain, every, int(state[STEPS]), t, 1.0)
+    look(chain, clock, int(state[STEPS]), t, 1.0)
     first, last = mine(chain)
     bodies, near, grains, speeds = slice(first - 1, last + 1), slice(first - 1, last), y[first:last], w[first:last]
     left = min(span.length - state[DONE], ahead(chain, t, span.begin + span.length, RESOLUTION * clock.step))
     nearness = _nearness(
         y[bodies], w[bodies], pull[bodies], chain.inverse_length[near], weight[chain.number, near],
         near_enough[chain.number, near], close, chain.precompressed, chain.uncompressed if first == PAD else 0.0,
-        omega[chain.number], nearest[chain.number],
+        chain.omega, nearest[chain.number],
     )  # fmt: skip
     nearness = largest(chain.team, nearness)
     h = clock.step * min(1.0, shortened * nearness ** (-1 / 14)) if nearness > 0.0 else clock.step
@@ -155,14 +155,16 @@ def march(chains, method, clock, u_out, v_out, offset, until, max_steps):
 
     Parameters
     ----------
-    method : kicks (S+1,) and drifts (S,) as parts of a step, length of the shortened steps, steps from one look for
-        the largest motion to the next, and of R chains
-        the highest frequency (R,) in rad/s, the largest 1 / (distance x frequency) that is told apart (R,), and for
-        each contact the square of the acceleration that it gives over what changes the motion and the reach of
-        `_may_matter` (R, W)
+    method : kicks (S+1,) and drifts (S,) as parts of a step; h' / h of the shortened steps; c, p and b of the one that
+        crosses an opening, omega h' = max(c (omega h)^p, b); of R chains and each contact the square of the
+        acceleration that it gives over what changes the motion, and the reach of `_may_matter`, (R, W)
     """
     rows, width = method[1].size - 1, chains.x.shape[1]
     kick, drift, carried, path = np.zeros(rows), np.zeros(rows), np.zeros(rows), np.zeros(rows if chains.imposed else 0)
-    close = method[2] ** (-14 / 3)
-    work = kick, drift, carried, path, np.cumsum(method[1]), np.zeros(width), np.zeros(width), close
+    shortened, (factor, power, least) = method[2:4]
+    close, nearest = shortened ** (-14 / 3), np.empty(chains.omega.size)
+    for real in range(nearest.size):
+        reach = clock.step * chains.omega[real]
+        nearest[real] = (shortened * reach / max(factor * reach**power, least)) ** (14 / 9)
+    work = kick, drift, carried, path, np.cumsum(method[1]), np.zeros(width), np.zeros(width), close, nearest
     return _march(chains, method, work, clock, u_out, v_out, offset, until, max_steps)

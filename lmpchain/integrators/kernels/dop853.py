@@ -38,7 +38,7 @@ def _error(chain, weights, slopes, h):
 @inlined
 def _advance(chain, method, work, clock, span):
     """Take one step of the Runge-Kutta-Nystrom form, or none if its error is too large."""
-    nodes, inner, weights, allowed, most, every = method
+    nodes, inner, weights, allowed, most = method
     force, z, slopes = work
     y, w, state, stages = chain.x, chain.v, chain.state, nodes.size
     widen(chain, stages + 2)
@@ -79,7 +79,7 @@ def _advance(chain, method, work, clock, span):
     state[DONE] = done
     impose(chain, y, span.begin + state[DONE], span.begin + state[DONE])
     watch(chain)
-    look(chain, every, int(state[STEPS]) + 1, span.begin + done, 1.0)
+    look(chain, clock, int(state[STEPS]) + 1, span.begin + done, 1.0)
     return 1
 
 
@@ -94,7 +94,7 @@ def march(chains, method, clock, u_out, v_out, offset, until, max_steps):
     ----------
     method : nodes c (12,) and inner weights A^2 (12, 12); weights (6, 12) for displacement and velocity, of the step,
         of the error of order 5 and of that of order 3; largest error of a step, 0 for steps of one size; the longest
-        step over that of the schedule; steps from one look for the largest motion to the next
+        step over that of the schedule
     """
     width = chains.x.shape[1]
     force, stage, accelerations = np.zeros(width), np.zeros(width), np.zeros((method[0].size, width))

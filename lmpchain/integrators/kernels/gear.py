@@ -99,7 +99,7 @@ def _step(chain, corrections, work, now, then, h):
 @inlined
 def _advance(chain, method, work, clock, span):
     """Take one step, or two where what is imposed ends within it, and begin anew there."""
-    corrections, every = method
+    (corrections,) = method
     state, h = chain.state, span.step
     widen(chain, 4)
     now, then = span.begin + state[DONE] * h, span.begin + (state[DONE] + 1) * h
@@ -111,7 +111,7 @@ def _advance(chain, method, work, clock, span):
     if first > 0.0:
         state[STEP] = 0.0
     watch(chain)
-    look(chain, every, int(state[STEPS]) + 1, then, 1.0)
+    look(chain, clock, int(state[STEPS]) + 1, then, 1.0)
     state[DONE] += 1.0
     return 1
 
@@ -123,7 +123,7 @@ _march = sample_loop(_advance, True)
 def march(chains, method, clock, u_out, v_out, offset, until, max_steps):
     """Advance as `sample_loop` says by Gear's method of five values.
 
-    `method` is its coefficients (5,), and the steps from one look for the largest motion to the next. `chains.history`
+    `method` is its coefficients (5,). `chains.history`
     holds the second, third and fourth derivatives of the displacements, times h^k / k!.
     """
     width = chains.x.shape[1]

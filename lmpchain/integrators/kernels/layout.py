@@ -68,6 +68,8 @@ class Chains(NamedTuple):
         N/m^delta: the constant of a first contact that touches without pressing in a compressed chain, else 0.
     scale : (R, 2) array
         Largest displacement and speed of the excitation, m and m/s.
+    omega : (R,) array
+        Highest frequency, rad/s.
     forms, precompressed, coefficients : (R,) array, number and (8,) array
         See `contact_forces`.
     imposed : bool
@@ -87,6 +89,7 @@ class Chains(NamedTuple):
     table: Array
     uncompressed: Array
     scale: Array
+    omega: Array
     forms: Array
     precompressed: float
     coefficients: Array
@@ -110,6 +113,7 @@ class Chain(NamedTuple):
     inverse_mass: Array
     uncompressed: float
     scale: Array
+    omega: float
     form: int
     precompressed: float
     coefficients: Array
@@ -123,13 +127,17 @@ class Chain(NamedTuple):
 
 
 class Clock(NamedTuple):
-    """Sample interval (s), steps and longest step (s) to a landing, samples between, last sample."""
+    """Sample interval (s), steps and longest step (s) to a landing, samples between, last sample.
+
+    `looks` says whether the largest motion is looked for.
+    """
 
     interval: float
     steps: int
     step: float
     stride: int
     final: int
+    looks: bool
 
 
 class Span(NamedTuple):

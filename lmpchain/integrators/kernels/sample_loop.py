@@ -19,9 +19,9 @@ def _chain(chains, real):
     table = chains.table[real]
     return Chain(
         chains.x[real], chains.v[real], chains.history[real], chains.state[real], table[0], table[1], table[2],
-        chains.uncompressed[real], chains.scale[real], chains.forms[real], chains.precompressed, chains.coefficients,
-        chains.imposed, chains.acted[real], chains.drive[real], chains.knots[real], chains.pieces[real],
-        chains.team, real,
+        chains.uncompressed[real], chains.scale[real], chains.omega[real], chains.forms[real], chains.precompressed,
+        chains.coefficients, chains.imposed, chains.acted[real], chains.drive[real], chains.knots[real],
+        chains.pieces[real], chains.team, real,
     )  # fmt: skip
 
 

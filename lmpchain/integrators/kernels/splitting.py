@@ -18,11 +18,13 @@ def _advance(chain, method, work, clock, span):
 
     A step in which what is imposed ends is made as two, so that the order is kept.
     """
-    kicks, drifts, every, complete = method
+    kicks, drifts = method
     kick, drift, carried, path, reach = work
     state, stages, h = chain.state, drifts.size, span.step
     full = state[FIRST] == PAD and state[LAST] == chain.x.size - PAD
     wide = stages == 1 or full or state[LAST] - state[FIRST] > TILE
+    missing = kicks[stages] * clock.step * chain.omega  # of a speed, without the last kick of a step
+    complete = 1.0 / (1.0 + 0.5 * missing * missing)
     burst = min(span.steps - int(state[DONE]), max(1, ROWS // stages) if wide else 1)
     begun, rows, halved = span.begin + state[DONE] * h, 0, burst
     for step in range(burst):
@@ -47,7 +49,7 @@ def _advance(chain, method, work, clock, span):
         end = min(burst, max(step + 1, int(state[NEXT]) - made))
         some = slice((step + (step > halved)) * stages, (end + (end > halved)) * stages)
         sweep(chain, kick[some], drift[some], carried[some], path[some])
-        look(chain, every, made + end, begun + end * h, complete)
+        look(chain, clock, made + end, begun + end * h, complete)
         step = end
     watch(chain)
     state[DONE] += burst
@@ -70,11 +72,7 @@ _march = sample_loop(_advance, True, _land)
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy", fastmath=STRICT)
 def march(chains, method, clock, u_out, v_out, offset, until, max_steps):
-    """Advance by a splitting.
-
-    `method` is its kicks (S+1,) and drifts (S,) as fractions of a step, the steps from one look to the next, and what
-    `look` takes.
-    """
+    """Advance by a splitting; `method` is its kicks (S+1,) and drifts (S,) as fractions of a step."""
     rows = ROWS + 2 * method[1].size
     kick, drift, carried, path = np.zeros(rows), np.zeros(rows), np.zeros(rows), np.zeros(rows if chains.imposed else 0)
     work = kick, drift, carried, path, np.cumsum(method[1])

@@ -12,8 +12,9 @@ from .team import mine
 
 TINY = 1e-19  # of the largest speed and displacement: what has moved less lies outside of the light cone
 MAGNITUDE = (1 << 63) - 1  # the bits of a number without its sign
-# looks for the largest motion are at least a 32nd of the steps so far apart: later, what is new is rare
-SETTLED = 32
+# omega t between the first looks for the largest motion: of one period of the fastest at most 12 % is missed; they are
+# at least a 32nd of the steps so far apart: later, what is new is rare
+LOOK, SETTLED, SELDOM = 1.0, 32, 2.0**30
 
 
 @inlined
@@ -56,16 +57,16 @@ def watch(chain):
 
 
 @inlined
-def look(chain, every, made, t, complete):
-    """Note the largest displacement and speed of all grains at time t, if a look is due.
+def look(chain, clock, made, t, complete):
+    """Note the largest displacement and speed of all grains at time t, if a look is due after the steps `made`.
 
-    It is due after `every` steps of this chain at first, later more rarely; `made` have been made. `complete` is the
-    least part of its largest value to which a speed without the last kick may have grown.
+    `complete` is the least part of its largest value to which a speed without the last kick may have grown.
     """
     state = chain.state
-    if made < state[NEXT]:
+    if made < state[NEXT] or not clock.looks:
         return
-    state[NEXT] = made + every[chain.number] + made // SETTLED
+    every = int(min(max(LOOK / (clock.step * chain.omega), 1.0), SELDOM))
+    state[NEXT] = made + every + made // SETTLED
     first, last = mine(chain)
     x, v = chain.x[first:last], chain.v[first:last]
     farthest, fastest = bits(state[FARTHEST]), 0
