@@ -26,7 +26,7 @@ from .errors import LmpchainError  # all else is imported by the check that need
 from .util import mpi
 
 MPIEXEC_S = 20.0  # longest time for two ranks to answer
-TOLERANCE = 1e-6  # for the wave
+TOLERANCE, ROUNDED = 1e-6, 1e-12  # for the wave, and for frequencies
 SCARCE = 1.0  # GB of memory below which a warning is due
 SIZES_SEEN = "from lmpchain.util import mpi; w = mpi.library().COMM_WORLD; s = w.gather(w.size); w.rank or print(s)"
 
@@ -230,6 +230,19 @@ def _temporary_folder() -> Iterator[Finding]:
     with tempfile.TemporaryFile() as opened:
         opened.write(bytes(2**20))
     yield Finding("temporary folder", "ok", tempfile.gettempdir())
+
+
+@_check("eigenmodes", "pip install --force-reinstall scipy")
+def _eigenmodes() -> Iterator[Finding]:
+    from .chain.chain import Chain
+    from .theory.modes import eigenmodes
+
+    chain = Chain(grains=20, diameter=1e-3)
+    apart = abs(float(eigenmodes(chain).frequency[-1]) / chain.band_edge - 1)
+    said = f"the highest is {apart:.0e} from the band edge (must be {ROUNDED:.0e} or less)"
+    if not apart <= ROUNDED:
+        raise LmpchainError(said)
+    yield Finding("eigenmodes", "ok", said)
 
 
 def _engine(name: str) -> Iterator[Finding]:

@@ -341,5 +341,7 @@ class Chain(AtRest, Checked):
         wall : (...) array, optional
             Displacement of the top wall, m; by default 0.
         """
-        closer, kinetic = Contacts.closer(displacement, wall), 0.5 * (self.masses * velocity**2).sum(-1)
-        return kinetic + self.contacts.energy(closer).sum(-1) if closer.any() else kinetic
+        kinetic = 0.5 * (self.masses * velocity**2).sum(-1)
+        if wall is None and not np.any(displacement):
+            return kinetic
+        return kinetic + self.contacts.energy(Contacts.closer(displacement, wall)).sum(-1)

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..util.arrays import Array, read_only
+from ..util.arrays import Array, read_only, stacked
 
 FEW = 10**4  # grains of a chain, of which all contacts are known sooner than those of some parts
 
@@ -38,11 +38,14 @@ def hertz_constant(modulus: Array, curvature: Array, length: Array | float, expo
 
 
 def dynamical_matrix(stiffness: Array, masses: Array) -> tuple[Array, Array]:
-    """Return `Chain.dynamical_matrix` of chains with these stiffnesses (..., N+1) and masses of M moving grains.
+    """Return `Chain.dynamical_matrix` of chains, (..., M) and (..., M-1) arrays.
 
-    Returns
-    -------
-    (..., M) and (..., M-1) arrays
+    Parameters
+    ----------
+    stiffness : (..., N+1) array
+        Of the contacts at rest, N/m.
+    masses : (..., M) array
+        Of the grains that move, kg.
     """
     moving = masses.shape[-1]
     diagonal = (stiffness[..., :-1] + stiffness[..., 1:])[..., :moving] / masses
@@ -188,8 +191,8 @@ class Contacts:
 
 def together(contacts: Sequence[Contacts]) -> Contacts:
     """Return the contacts of R chains of one length as those of all, (R, N+1)."""
-    rows = {name: np.array([getattr(each, name) for each in contacts]) for name in ("overlap", "stiffness")}
-    constant, force = (np.array([getattr(each, name) for each in contacts]) for name in ("constant", "force"))
-    made = Contacts(constant, force, contacts[0].exponent)
+    names = "constant", "force", "overlap", "stiffness"
+    rows = {name: stacked([getattr(each, name) for each in contacts]) for name in names}
+    made = Contacts(rows["constant"], rows["force"], contacts[0].exponent)
     made.__dict__.update(rows)
     return made

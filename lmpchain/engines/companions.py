@@ -64,14 +64,15 @@ class Companions:
         self._ratios = [steps / schedule.total(first.samples - 1) for schedule in self.schedules]
 
     def truncation(self, real: int, steps: Sequence[Sequence[float]], opens: bool, smooth: bool) -> float:
-        """Return the truncation error of a realisation from the differences between steps h, 2h (and 4h), or h and h/2.
+        """Return the truncation error of a realisation from the differences between its runs.
 
         Parameters
         ----------
         real : int
             Its number, from 0.
         steps : S pairs
-            Largest differences of displacements and velocities, relative to the motion; the last one `nearby`.
+            Largest differences of displacements and velocities, relative to the motion, between steps h, 2h (and 4h),
+            or h and h/2; the last one `nearby`.
         opens, smooth : bool
             Whether contacts come near to opening, and whether the method keeps an order there.
         """

@@ -226,7 +226,7 @@ class CompanionRun(Run):
         largest, every = in_parts(self._differences, peaks)
         steps = largest[int(self._twin) :]  # between steps h, 2h (and 4h), or h and h/2
         rounding = largest[0].max(1).tolist()
-        opening = np.minimum.reduce([stepper.lowest() for stepper in self._steppers]) <= CLOSE_TO_OPENING
+        opening = np.min([stepper.lowest() for stepper in self._native], axis=0) <= CLOSE_TO_OPENING
         even = (self.candidate.adaptive or self.method.order == 2) | ~(opening | self._kinked)
         straight = opening & (not self.candidate.adaptive)  # in flight steps of one length round to one side
         apart = steps[0].max(1) * np.where(opening, BY_CHANCE, 1.0)

@@ -117,10 +117,34 @@ class TimeSteppingEngine(Engine):
 
     def candidate(self, scene: Scene, tolerance: float) -> Candidate:
         """Propose a step size: the one given, or the longest that should meet the tolerance."""
-        return min((self.choose_step(scene, tolerance, method) for method in self.methods), key=lambda c: c.cost_s)
+        methods = self.methods
+        if len(methods) > 1:
+            methods.sort(key=lambda method: method.evaluations * self._steps(scene, tolerance, method)[0])
+        return self.choose_step(scene, tolerance, methods[0])
 
     def choose_step(self, scene: Scene, tolerance: float, method: Method) -> Candidate:
         """Propose the step size of a method."""
+        steps, adapts, coarse = self._steps(scene, tolerance, method)
+        cost = self.cost(scene, method, steps * (scene.samples - 1))
+        if cost > LONGEST_RUN_S:
+            years = cost / 3.15e7
+            raise InputError([("duration", f"would take some {years:.1g} years: shorten it, or ask for less accuracy")])
+        return Candidate(
+            step=scene.duration / (scene.samples - 1) / steps,
+            active_grains=scene.chain.grains,
+            model_error=0.0,
+            solver_error=tolerance,
+            cost_s=cost,
+            steps_per_sample=steps,
+            fixed=self.step is not None,
+            adaptive=adapts,
+            coarse_openings=coarse,
+            integrator=method.name,
+            choices=self.choices(scene),
+        )
+
+    def _steps(self, scene: Scene, tolerance: float, method: Method) -> tuple[int, bool, bool]:
+        """Return the steps of a method from sample to sample, whether they adapt, and whether coarsely."""
         interval = scene.duration / (scene.samples - 1)
         limit = method.stability_limit
         if self.step is not None:
@@ -129,7 +153,7 @@ class TimeSteppingEngine(Engine):
                     [("step", f"must be below {limit / scene.chain.band_edge:.3g} s, where {method.name} "
                       f"stops being stable on this chain (got {self.step:g})")]
                 )  # fmt: skip
-            return self._at(scene, method, math.ceil(interval / self.step * (1 - 1e-12)), tolerance, fixed=True)
+            return math.ceil(interval / self.step * (1 - 1e-12)), False, False
         omega = scene.highest_frequency
         expected = method.error_constant * max(1.0, omega * scene.duration / PERIODS)  # phases drift apart with time
         adapts = self.adapts(scene, method)
@@ -145,7 +169,7 @@ class TimeSteppingEngine(Engine):
         )
         # where samples hold steps short, shorter ones near openings would only cost
         coarse = adapts and method.adaptive == "openings" and steps == more and scene.chain.exponent >= KINKED_BELOW
-        return self._at(scene, method, steps, tolerance, adapts, coarse)
+        return steps, adapts, coarse
 
     def adapts(self, scene: Scene, method: Method) -> bool:
         """Say whether steps of this method shorten where contacts open or close, or follow its own error."""
@@ -155,34 +179,6 @@ class TimeSteppingEngine(Engine):
     def choices(self, scene: Scene) -> Mapping[str, str]:
         """Return what it chooses on behalf of the user."""
         return {}
-
-    def _at(
-        self,
-        scene: Scene,
-        method: Method,
-        steps_per_sample: int,
-        error: float,
-        adaptive: bool = False,
-        coarse: bool = False,
-        fixed: bool = False,
-    ) -> Candidate:
-        cost = self.cost(scene, method, steps_per_sample * (scene.samples - 1))
-        if cost > LONGEST_RUN_S:
-            years = cost / 3.15e7
-            raise InputError([("duration", f"would take some {years:.1g} years: shorten it, or ask for less accuracy")])
-        return Candidate(
-            step=scene.duration / (scene.samples - 1) / steps_per_sample,
-            active_grains=scene.chain.grains,
-            model_error=0.0,
-            solver_error=error,
-            cost_s=cost,
-            steps_per_sample=steps_per_sample,
-            fixed=fixed,
-            adaptive=adaptive,
-            coarse_openings=coarse,
-            integrator=method.name,
-            choices=self.choices(scene),
-        )
 
     def cost(self, scene: Scene, method: Method, steps: int) -> float:
         """Return about how long so many steps take, s."""

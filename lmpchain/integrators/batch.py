@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from ..chain.contacts import together
 from ..scene.scene import Scene
-from ..util.arrays import Array
+from ..util.arrays import Array, stacked
 from .kernels.contact_forces import CORRECTED, FORMS, POLYNOMIAL, POWER, ROOTS, SPRING, UNCOMPRESSED_POWER
 from .kernels.layout import ALONE, KNOTS, PAD, Chains, Team
-from .kernels.table import fill_table, windows
+from .kernels.table import fill_table, opening_weights, windows
 
 # analysis/calibration/roundoff.py
 STRONG = 1.0  # strike number from which the fastest form of the force loses nothing
@@ -63,7 +63,7 @@ class ChainBatch:
     def __init__(self, scenes: Sequence[Scene], force: str = "auto", initial: tuple[Array, Array] | None = None):
         self.scenes, chain, excitation = scenes, scenes[0].chain, scenes[0].excitation
         self.grains, self.imposed, self.driven = chain.grains, excitation.does_work, excitation.driven
-        self.masses = np.array([scene.chain.masses for scene in scenes])
+        self.masses = stacked([scene.chain.masses for scene in scenes])
         self.contacts = together([scene.chain.contacts for scene in scenes])
         self.precompressed = float(chain.compressed)
         self.table = self._rows(len(scenes), 3)
@@ -159,32 +159,21 @@ class ChainBatch:
         return table, knots, pieces
 
     @cached_property
-    def open(self) -> NDArray[np.bool_]:
-        """Which of the chains have contacts that are open at rest, (R,)."""
-        return np.asarray((self.uncompressed > 0) | (self.precompressed == 0))
+    def lowest(self) -> Array:
+        """The smallest r / eps of any contact of each chain at rest, (R,): -1 where one is open, else 0."""
+        return -1.0 * ((self.uncompressed > 0) | (self.precompressed == 0))
 
     @property
     def units(self) -> Array:
         """Overlap of the contact below grain 1, and the speed of that in the unit of time, (R, 2) m and m/s."""
-        first = int(self.contacts.exists[0, 1])  # that above it if there is none below
+        first = int(self.contacts.constant[0, 1] > 0)  # that above it if there is none below
         length, stiffness = self.contacts.overlap[:, first], self.contacts.stiffness[:, first]
         return np.array([length, length * np.sqrt(stiffness / self.masses[:, 0])]).T  # no speed in the sonic vacuum
 
     @cached_property
-    def opening_weight(self) -> Array:
-        """The square of how much each contact that opens or closes changes the motion, (R, W)."""
-        inverse_mass = self.table[:, 2]
-        mobility = inverse_mass.copy()  # beyond the last body nothing moves
-        np.maximum(mobility[:, :-1], inverse_mass[:, 1:], out=mobility[:, :-1])
-        strength = self.table[:, 1].copy()
-        strength[:, PAD - 1] += self.uncompressed
-        change = strength * mobility / (self.omega[:, None] ** 2.5 * self.scale[:, 1:] + 1e-300)
-        return np.minimum(change, 1e150) ** 2
-
-    @cached_property
-    def opening_reach(self) -> Array:
-        """How near to opening contacts may come before steps shorten, (R, W); see `adaptive_splitting._may_matter`."""
-        return np.cbrt(self.opening_weight) / (math.sqrt(2) * (2 * self.omega[:, None]) ** 3)
+    def openings(self) -> tuple[Array, Array]:
+        """What `kernels.adaptive_splitting` takes of each contact, (R, W): its weight, and its reach."""
+        return opening_weights(self.table, self.uncompressed, self.omega, self.scale)
 
 
 @cache

@@ -7,8 +7,9 @@ symmetric, so explicit, time-reversible and symplectic.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, ClassVar, Literal
 
@@ -89,15 +90,12 @@ class Splitting:
 
     def march(self, batch: ChainBatch, schedule: StepSchedule) -> March:
         """Return what moves a batch of chains by steps of this schedule."""
-        from .kernels import adaptive_splitting, splitting
-
         kicks, drifts = self._coefficients
         if not schedule.adaptive:
-            return March(splitting.march, (kicks, drifts), shared=True)
+            return March(_marches()[0], (kicks, drifts), shared=True)
         near, falls = COARSE_STEP if schedule.coarse_openings else ADAPTIVE_STEP, 1 / (batch.opening_power + 1)
         crossing = CROSSING_STEP, (self.order + 1) * falls, schedule.ratio * LEAST_CROSSING * EPSILON**falls
-        of_each = batch.opening_weight, batch.opening_reach
-        return March(adaptive_splitting.march, (kicks, drifts, near, crossing), of_each, shared=True)
+        return March(_marches()[1], (kicks, drifts, near, crossing), batch.openings, shared=True)
 
     def _half_trace(self, frequency: Array) -> Array:
         """Half the trace of the one-step matrix of x'' = -omega^2 x at h = 1."""
@@ -108,6 +106,14 @@ class Splitting:
             v = v - b * square * x
             x = x + a * v
         return (x[0] + v[1]) / 2
+
+
+@cache  # an import costs more than a short run takes between two samples
+def _marches() -> tuple[Callable[..., int], Callable[..., int]]:
+    """Return the compiled marches by steps of one length, and by adaptive ones."""
+    from .kernels import adaptive_splitting, splitting
+
+    return splitting.march, adaptive_splitting.march
 
 
 def _symmetric(half: list[float], count: int) -> tuple[float, ...]:

@@ -103,6 +103,7 @@ class NativeStepper:
         else:
             self._state = np.zeros((len(scenes), STEP + 1))
             self._state[:, FIRST : LAST + 1] = chains.window
+            self._state[:, LOWEST] = chains.lowest
         self.stride, final = schedule.stride, scenes[0].samples - 1
         clock = Clock(
             scenes[0].duration / final, schedule.steps, schedule.step, schedule.stride, final, schedule.ratio == 1
@@ -187,7 +188,7 @@ class NativeStepper:
 
     def lowest(self) -> Array:
         """Return the smallest r / eps that any contact of each chain has had, (R,); -1 is an opening."""
-        return np.where(self.chains.open, -1.0, self._state[:, LOWEST])
+        return self._state[:, LOWEST]
 
     def closest(self) -> Array:
         """Return by how much two grains have come closer than at rest at most, (R,) m; seen after whole steps."""

@@ -18,7 +18,7 @@ from ..chain.chain import Chain
 from ..chain.contacts import FEW
 from ..chain.picture import DRAWN, MOST
 from ..chain.plausible import HERTZ_OVERLAP
-from ..util.arrays import Array, as_slice
+from ..util.arrays import Array, as_slice, evenly
 from ..util.files import write_aside
 from ..util.plotting import axes_in_units, legend
 from . import toml_file
@@ -151,7 +151,7 @@ class Scene(Recording):
     @property
     def time(self) -> Array:
         """Recorded times, (T,) s."""
-        return np.linspace(0.0, self.duration, self.samples)
+        return evenly(self.duration, self.samples)
 
     @cached_property
     def finer(self) -> int:

