@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import cast
 
 import numpy as np
@@ -92,7 +92,7 @@ class CompanionRun(Run):
         self._steppers += companions
         self.realisations, self._at_rest = len(scenes), chains.scale[:, 1] == 0
         self._radians = [scene.highest_frequency * scene.duration for scene in scenes]
-        self._kinked = np.array([not scene.excitation.smooth for scene in scenes])
+        self._kinked = [not scene.excitation.smooth for scene in scenes]
         self._masses, self._scale, self._chains = chains.masses, chains.units, chains
         self._rest = chains.contacts.overlap.max(1)
         # contacts never hold less energy than at rest: the kinetic one cannot exceed what is put in, or rounded
@@ -119,7 +119,7 @@ class CompanionRun(Run):
             apart = any(stepper.sample != max(self._sample, 0) for stepper in self._steppers)
             if self._differences.shape != shape or self.peaks.shape != (self.realisations, 2) or apart:
                 raise ValueError("the state that was kept does not fit")
-        self._rate = np.full(len(self._steppers), GUESSED_RATE / (self.realisations * grains * method.evaluations))
+        self._rate = [GUESSED_RATE / (self.realisations * grains * method.evaluations)] * len(self._steppers)
         self._integration_s = self._estimate_s = 0.0
         self._setup_s = clock() - began
 
@@ -155,23 +155,22 @@ class CompanionRun(Run):
                 self._integration_s += took
             else:
                 self._estimate_s += took
-            broken = self._broken(index)
-            if index == 0 and broken.any():
-                raise RunFailed(self._broke_down(first, "grains overlap more than all the energy there is allows"))
-            if broken.any():  # adaptive steps would be ever shorter
-                cast(NativeStepper, stepper).leave(broken, until)
+            if (broken := self._broken(stepper)).any():
+                if index == 0:
+                    raise RunFailed(self._broke_down(first, "grains overlap more than all the energy there is allows"))
+                cast(NativeStepper, stepper).leave(broken, until)  # adaptive steps would be ever shorter
                 self._lost[index] = broken
             if stepper.sample >= until:
                 return
             nothing = np.empty((self.realisations, 0, self.scene.count(self.scene.chain)))
             yield Block(slice(first, first), nothing, nothing)
 
-    def _broken(self, index: int) -> NDArray[np.bool_]:
+    def _broken(self, stepper: Stepper) -> NDArray[np.bool_]:
         """Return which realisations of a native stepper have broken down, (R,); their error is infinite."""
-        stepper = self._steppers[index]
-        if not isinstance(stepper, NativeStepper) or not ((closest := stepper.closest()) > self._rest).any():
+        if not isinstance(stepper, NativeStepper):
             return np.zeros(self.realisations, bool)
-        return closest > self._deepest
+        closer = (closest := stepper.closest()) > self._rest
+        return closest > self._deepest if closer.any() else closer
 
     @cached_property
     def _deepest(self) -> Array:
@@ -225,26 +224,24 @@ class CompanionRun(Run):
         peaks = np.where(peaks > 0, peaks, 1.0)
         largest, every = in_parts(self._differences, peaks)
         steps = largest[int(self._twin) :]  # between steps h, 2h (and 4h), or h and h/2
-        rounding = largest[0].max(1).tolist()
-        opening = np.min([stepper.lowest() for stepper in self._native], axis=0) <= CLOSE_TO_OPENING
-        even = (self.candidate.adaptive or self.method.order == 2) | ~(opening | self._kinked)
-        straight = opening & (not self.candidate.adaptive)  # in flight steps of one length round to one side
-        apart = steps[0].max(1) * np.where(opening, BY_CHANCE, 1.0)
-        plain = self._native[0].chains.plain
-        moving, beside = self.peaks[:, 1] > 0, steps.swapaxes(0, 1)
-        of_each = opening, even, plain, moving, self._answer.steps, beside, apart, straight, *peaks.T
+        opening = reduce(np.minimum, [stepper.lowest() for stepper in self._native]) <= CLOSE_TO_OPENING
+        plain, adaptive = self._native[0].chains.plain, self.candidate.adaptive
+        of_each = opening, plain, self._answer.steps, steps.swapaxes(0, 1), peaks, self.peaks
         found = []
         for real, row in enumerate(zip(*(x.tolist() for x in of_each), strict=True)):
-            opens, smooth, rounded, moves, taken, differences, most, flies, farthest, fastest = row
+            opens, rounded, taken, differences, (farthest, fastest), (_, moves) = row
+            smooth = adaptive or self.method.order == 2 or not (opens or self._kinked[real])
             truncation = self._companions.truncation(real, differences, opens, smooth)
+            most = max(differences[0]) * (BY_CHANCE if opens else 1.0)
             radians = self._radians[real]
-            displaced = radians / self.scene.duration * farthest / fastest if moves else 0.0
+            displaced = radians / self.scene.duration * farthest / fastest if moves > 0 else 0.0
+            flies = opens and not adaptive  # in flight steps of one length round to one side
             roundoff = native_floor(taken * self.method.evaluations, radians, displaced, flies)
             if rounded and taken:
                 roundoff += self.method.spread * plain_loss(self._scenes[real], taken) / fastest
             truncation = max(truncation, min(most, (GROWN if opens else STEADY) * roundoff))
             if self._twin:
-                roundoff += rounding[real]
+                roundoff += float(largest[0, real].max())
             elif opens and truncation + roundoff < min(NEAR_ROUNDOFF, SHORT * math.exp(min(GROWTH * radians, 99))):
                 grown = SHARED * self._grown(real, peaks[real])
                 truncation = max(truncation, min(most, SCATTER * walked(taken * self.method.evaluations) * grown))

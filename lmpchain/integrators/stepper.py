@@ -200,7 +200,7 @@ class NativeStepper:
         They are seen after steps, at first a radian of the fastest motion apart (or one step, if that is longer), later
         more rarely.
         """
-        return self._state[:, [FARTHEST, FASTEST]]
+        return self._state[:, FARTHEST : FASTEST + 1]
 
     def state(self) -> dict[str, Array]:
         """Return what is needed to go on with the same bits."""

@@ -8,27 +8,20 @@ from numpy.typing import NDArray
 
 from ...util.arrays import Array
 from ...util.compilation import compiled_once
-from .contact_forces import NEWS
+from .contact_forces import NEWS, bits, number
+from .window import MAGNITUDE
 
-_maximum = numba.njit(error_model="numpy", fastmath={"nnan", "nsz"})
+_exact = numba.njit(error_model="numpy")
 _total = numba.njit(error_model="numpy", fastmath={"nsz", "reassoc"})
 
 
-@_maximum
+@_exact
 def _farthest(a, b):
-    most = 0.0
+    """Return the largest distance of a and b; no number if any is none, whose bits are above those of all numbers."""
+    most = 0
     for n in range(a.size):
-        difference = abs(a[n] - b[n])
-        most = difference if difference > most else most
-    return most
-
-
-@_total
-def _sum(a, b):
-    total = 0.0
-    for n in range(a.size):
-        total += a[n] - b[n]
-    return total
+        most = max(bits(a[n] - b[n]) & MAGNITUDE, most)
+    return number(most)
 
 
 @_total
@@ -80,20 +73,22 @@ def compared(
     nothing = np.zeros(u.shape[2])
     for real in range(batch):
         for sample in range(u.shape[1]):
-            x, w, number = u[real, sample], v[real, sample], begin + sample
-            peaks[real, 0] = max(peaks[real, 0], _farthest(x, nothing))
-            peaks[real, 1] = max(peaks[real, 1], _farthest(w, nothing))
-            now = _kinetic(w, masses[real]) + 0.0 * _sum(x, nothing)
-            energy[real] = max(energy[real], now) if np.isfinite(now) else np.inf
+            x, w, at = u[real, sample], v[real, sample], begin + sample
+            now, far = _kinetic(w, masses[real]), _farthest(x, nothing)
+            if not (np.isfinite(now) and np.isfinite(far)):
+                energy[real] = np.inf
+                continue
+            energy[real] = max(energy[real], now)
+            peaks[real, 0], peaks[real, 1] = max(peaks[real, 0], far), max(peaks[real, 1], _farthest(w, nothing))
             for other in range(others):
-                if number % strides[other] and number < final:
+                if at % strides[other] and at < final:
                     continue
                 a, b, one = x, w, against[other] - 1
                 if one >= 0:
                     a, b = others_u[one, real, sample], others_v[one, real, sample]
                 y, s = others_u[other, real, sample], others_v[other, real, sample]
-                differences[other, number, real, 0] = _farthest(a, y) + 0.0 * _sum(a, y)
-                differences[other, number, real, 1] = _farthest(b, s) + 0.0 * _sum(b, s)
+                differences[other, at, real, 0] = _farthest(a, y)
+                differences[other, at, real, 1] = _farthest(b, s)
     return peaks, energy
 
 
