@@ -15,7 +15,7 @@ from ..trajectory.between import extremes
 from ..trajectory.between.derivatives import STILL, UNKNOWN, derivatives, largest
 from ..trajectory.between.hermite import DISPLACEMENT, RAISED, VELOCITY
 from ..trajectory.trajectory import Trajectory
-from ..util.arrays import Array, as_slice
+from ..util.arrays import Array
 from ..util.lazy import listed
 from .recorded import Field, around, check_field
 
@@ -81,7 +81,6 @@ class Motion:
         ends = (bool(there) for there in chain.contacts.exists[[0, -1]])
         recorded = np.asarray(grains, dtype=int)
         self._around = around(chain.grains, chain.movable, *ends, recorded.tobytes(), moves.tobytes())
-        self._moves, self._moving = as_slice(np.flatnonzero(moves)), recorded[moves]
         self._tops: dict[str, Array] = {}  # what `fronts` has found of peaks on the way
 
     @property
@@ -92,7 +91,7 @@ class Motion:
     @cached_property
     def _fields(self) -> tuple[Array, Array]:
         """Displacement and velocity of the M grains that move, as the compiled loops take them, (T, M) each."""
-        u, v = (np.ascontiguousarray(x[:, self._moves], float) for x in (self.displacement, self.velocity))
+        u, v = (np.ascontiguousarray(x[:, self._around.moves], float) for x in (self.displacement, self.velocity))
         return u, v
 
     @cached_property
@@ -115,10 +114,10 @@ class Motion:
         inverse_mass[chain.movable :] = 0.0
         contacts = np.array([own.constant, own.force, own.overlap])
         error = np.zeros((2, 1)) if self.ceiling.size else np.array(self._known_errors)[:, None]
-        quiet = np.asarray((self._sizes[:, self._moves] <= error).all(0))
+        quiet = np.asarray((self._sizes[:, self._around.moves] <= error).all(0))
         found: Array = derivatives(
-            *self._fields, self._moving, self._around.sides, contacts, inverse_mass,
-            chain.exponent, linear, self.step, self._known[self._moves], quiet,
+            *self._fields, self._around.moving, self._around.sides, contacts, inverse_mass,
+            chain.exponent, linear, self.step, self._known[self._around.moves], quiet,
         )  # fmt: skip
         return found, quiet
 
@@ -178,8 +177,10 @@ class Motion:
 
     def _of_all(self, found: Array, at_rest: float) -> Array:
         """Return what is found of the grains that move, (M, ...), as that of all, (G, ...)."""
+        if len(found) == self.grains.size:
+            return found
         every = np.full((self.grains.size, *found.shape[1:]), at_rest)
-        every[self._moves] = found
+        every[self._around.moves] = found
         return every
 
     def rows(self, grains: np.ndarray) -> NDArray[np.intp]:
@@ -228,7 +229,7 @@ class Motion:
 
         They are -1 where nothing hides; the shape is (1, 0) if nothing hides anywhere.
         """
-        swift, known = self.scene.highest_frequency * self.step, self._known[self._moves]
+        swift, known = self.scene.highest_frequency * self.step, self._known[self._around.moves]
         if swift <= RESOLVED_BY_DIFFERENCES or (swift <= RESOLVED and self._known.all()):
             return np.zeros((1, 0))
         if swift <= RESOLVED:
@@ -245,11 +246,11 @@ class Motion:
         No grain can have more than the energy that was within reach of it at the sample before.
         """
         scene, chain, count = self.scene, self.scene.chain, self.displacement.shape[0] - 1
-        if scene.excitation.does_work or self._equation not in (1, 3) or not self._moving.size:
-            return tuple(np.full((2, self._moving.size, count), np.inf))
+        if scene.excitation.does_work or self._equation not in (1, 3) or not self._around.moving.size:
+            return tuple(np.full((2, self._around.moving.size, count), np.inf))
         near = math.ceil(scene.highest_frequency * self.step / 2) + 2
-        first, last = max(self._moving.min() - 2, 1), min(self._moving.max() + 2, chain.grains)
-        size, here = last - first + 1, self._moving - first
+        first, last = max(self._around.moving.min() - 2, 1), min(self._around.moving.max() + 2, chain.grains)
+        size, here = last - first + 1, self._around.moving - first
         masses, contacts = chain.masses[first - 1 : last], chain.contacts.of(slice(first - 1, last + 1))
         linear = self._equation == 3
         if not self._around.whole:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..errors import InputError, shown
 from ..trajectory.between.derivatives import STILL, UNKNOWN
 from ..trajectory.trajectory import Trajectory
-from ..util.arrays import Array
+from ..util.arrays import Array, as_slice
 
 Field = Literal["velocity", "displacement"]
 FEWEST_SAMPLES = 16  # least for tracking a front or a spectrum
@@ -20,11 +20,13 @@ FEWEST_SAMPLES = 16  # least for tracking a front or a spectrum
 class Around(NamedTuple):
     """What lies beside G recorded grains of a chain of N, of which M ever move.
 
-    Recorded columns of all bodies, (N+2,); where these stand among the columns of grains that move, (N+2,), and so of
-    the bodies at and beside each of these, (M, 3); whether all forces on a recorded grain follow from what was
-    recorded, (G,); whether all grains that can move were.
+    Columns and numbers of the grains that move, (M,); recorded columns of all bodies, (N+2,); where these stand among
+    the columns of grains that move, (N+2,), and so of the bodies at and beside each of these, (M, 3); whether all
+    forces on a recorded grain follow from what was recorded, (G,); whether all grains that can move were.
     """
 
+    moves: slice | NDArray[np.intp]
+    moving: NDArray[np.intp]
     column: NDArray[np.intp]
     place: NDArray[np.intp]
     sides: NDArray[np.intp]
@@ -43,7 +45,8 @@ def around(size: int, movable: int, above: bool, below: bool, recorded: bytes, m
     place = column.copy()
     place[grains] = np.where(moving, np.cumsum(moving) - 1, STILL)
     sides = place[grains[moving][:, None] + np.array([-1, 0, 1])]
-    return Around(column, place, sides, known, not (column[1 : movable + 1] == UNKNOWN).any())
+    whole = not (column[1 : movable + 1] == UNKNOWN).any()
+    return Around(as_slice(np.flatnonzero(moving)), grains[moving], column, place, sides, known, whole)
 
 
 def columns(size: int, movable: int, grains: np.ndarray) -> NDArray[np.intp]:

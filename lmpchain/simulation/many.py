@@ -152,21 +152,21 @@ def _together(
     fields = [block.displacement for block in blocks], [block.velocity for block in blocks]
     u, v = (parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1) for parts in fields)
     found = run.found([error.total for error in errors]) if isinstance(run, GatheringRun) else [{} for _ in scenes]
-    spent = {name: getattr(whole, name) / size for name in ("integration_s", "estimate_s", "setup_s")}
-    share, about = replace(whole, **spent), versions() | record(engine, first, candidate, tolerance)
+    estimate_s = whole.estimate_s + sum(attempt.spent_s for attempt in attempts)
+    setup_s = whole.setup_s + sum(attempt.planned_s for attempt in attempts)
+    share = replace(
+        whole, integration_s=whole.integration_s / size, estimate_s=estimate_s / size, setup_s=setup_s / size
+    )
+    about = versions() | record(engine, first, candidate, tolerance)
     time, grains, told = first.time, first.recorded, []
     for scene, attempt, error, displacement, velocity, gathered in zip(
         scenes, attempts, errors, u, v, found, strict=True
     ):
         following, missed = next_attempt(engine, scene.fine, attempt, error)
-        cost = share
-        if attempt.planned_s or attempt.spent_s:
-            setup_s, estimate_s = share.setup_s + attempt.planned_s, share.estimate_s + attempt.spent_s
-            cost = replace(share, setup_s=setup_s, estimate_s=estimate_s)
         if following:
-            following = replace(following, spent_s=attempt.spent_s + share.integration_s + share.estimate_s)
+            following = replace(following, spent_s=share.integration_s + share.estimate_s)
         answer = Trajectory(
-            scene, engine.name, engine.equation, time, grains, displacement, velocity, error.estimate, cost, about,
+            scene, engine.name, engine.equation, time, grains, displacement, velocity, error.estimate, share, about,
             gathered,
         )  # fmt: skip
         told.append((answer, following, missed))

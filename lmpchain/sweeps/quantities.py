@@ -128,7 +128,7 @@ def measured(
 
     What was gathered all along the run is `known`.
     """
-    rows = slice(None) if np.array_equal(grains, motion.grains) else motion.rows(grains)
+    rows = slice(None) if grains.tobytes() == motion.grains.tobytes() else motion.rows(grains)
     found: dict[str, Array] = {}
     for name in keep:
         kept, names = quantity(name), (name, f"{name}_error")

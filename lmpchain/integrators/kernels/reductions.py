@@ -17,7 +17,10 @@ _total = numba.njit(error_model="numpy", fastmath={"nsz", "reassoc"})
 
 @_exact
 def _farthest(a, b):
-    """Return the largest distance of a and b; no number if any is none, whose bits are above those of all numbers."""
+    """Return the largest distance of a and b; it is no number if any is none.
+
+    Positive numbers compare like their bits, and those of what is no number are above all.
+    """
     most = 0
     for n in range(a.size):
         most = max(bits(a[n] - b[n]) & MAGNITUDE, most)
