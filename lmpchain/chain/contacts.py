@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..util.arrays import Array, read_only, stacked
+from ..util.arrays import Array, read_only
 
 FEW = 10**4  # grains of a chain, of which all contacts are known sooner than those of some parts
 
@@ -192,7 +192,7 @@ class Contacts:
 def together(contacts: Sequence[Contacts]) -> Contacts:
     """Return the contacts of R chains of one length as those of all, (R, N+1)."""
     names = "constant", "force", "overlap", "stiffness"
-    rows = {name: stacked([getattr(each, name) for each in contacts]) for name in names}
+    rows = {name: np.array([getattr(each, name) for each in contacts]) for name in names}
     made = Contacts(rows["constant"], rows["force"], contacts[0].exponent)
     made.__dict__.update(rows)
     return made

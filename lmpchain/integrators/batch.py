@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..chain.contacts import together
 from ..scene.scene import Scene
-from ..util.arrays import Array, stacked
+from ..util.arrays import Array
 from .kernels.contact_forces import CORRECTED, FORMS, POLYNOMIAL, POWER, ROOTS, SPRING, UNCOMPRESSED_POWER
 from .kernels.layout import ALONE, KNOTS, PAD, Chains, Team
 from .kernels.table import fill_table, opening_weights, windows
@@ -63,7 +63,7 @@ class ChainBatch:
     def __init__(self, scenes: Sequence[Scene], force: str = "auto", initial: tuple[Array, Array] | None = None):
         self.scenes, chain, excitation = scenes, scenes[0].chain, scenes[0].excitation
         self.grains, self.imposed, self.driven = chain.grains, excitation.does_work, excitation.driven
-        self.masses = stacked([scene.chain.masses for scene in scenes])
+        self.masses = np.array([scene.chain.masses for scene in scenes])
         self.contacts = together([scene.chain.contacts for scene in scenes])
         self.precompressed = float(chain.compressed)
         self.table = self._rows(len(scenes), 3)

@@ -1,7 +1,6 @@
 """The type of arrays that hold physical quantities, and the precision of their numbers."""
 
-from collections.abc import Sequence
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,17 +34,6 @@ def evenly(end: float, count: int) -> Array:
     values = np.arange(float(count)) * (end / (count - 1))
     values[-1] = end
     return values
-
-
-def stacked(rows: Sequence[AnyArray]) -> AnyArray:
-    """Return arrays of one shape as one; a single one without a copy.
-
-    Examples
-    --------
-    >>> stacked([np.zeros(3)]).shape
-    (1, 3)
-    """
-    return cast(AnyArray, rows[0][None] if len(rows) == 1 else np.array(rows))
 
 
 def as_slice(indices: NDArray[np.intp]) -> slice | NDArray[np.intp]:
