@@ -1,9 +1,10 @@
 """Steps of the companions of an answer, and what their differences say of its truncation error.
 
-They run at about 2h and 4h (where those are unstable, or the run has too few steps for them, one at h/2): the rate at
-which their differences shrink gives the truncation error. Where contacts open again and again, errors scatter, and two
-may agree by chance: there runs one more, at about 1.5h (1.75h and from the first opening on for springs, whose force
-has a kink there).
+They run at about 2h and 4h: the rate at which their differences shrink gives the truncation error. Where those are
+unstable there is one at 1.5h, and where that is, too, or the run has too few steps, one at h/2; of one alone, what the
+answer differs by counts as if there were no order. Where contacts open again and again, errors scatter, and two may
+agree by chance: there runs one more, at about 1.5h (1.75h and from the first opening on for springs, whose force has a
+kink there).
 """
 
 from __future__ import annotations
@@ -55,7 +56,8 @@ class Companions:
         steps = candidate.steps_per_sample * (first.samples - 1)
         longer = longer_steps(method, scenes, candidate)
         self._finer = not longer
-        self.scatters = [bool(longer) and adaptive and _scatters(scene, self._kinks) for scene in scenes]
+        far = bool(longer) and longer[0] > NEARBY
+        self.scatters = [far and adaptive and _scatters(scene, self._kinks) for scene in scenes]
         self.nearby = any(self.scatters)
         if self.nearby:
             longer.append(NEARBY_AT_KINKS if self._kinks else NEARBY)
@@ -94,13 +96,16 @@ class Companions:
 def longer_steps(method: Method, scenes: Sequence[Scene], candidate: Candidate) -> list[float]:
     """Return how many times as long the steps of companions may be.
 
-    None where all are unstable, too few, or would be cut by the knots of a drive like those of the answer.
+    None where all are unstable, too few, or would be cut by the knots of a drive like those of the answer; one and a
+    half times where twice is, but for springs that open, whose errors scatter.
     """
     if candidate.steps_per_sample * (scenes[0].samples - 1) < FEWEST:
         return []
     reach = candidate.step * max(scene.chain.band_edge for scene in scenes)
     knots = min(scene.excitation.knot_spacing for scene in scenes) if candidate.adaptive else math.inf
-    return [ratio for ratio in (2, 4) if ratio * reach <= method.stability_limit and ratio * candidate.step <= knots]
+    limit = min(method.stability_limit / reach if reach > 0 else math.inf, knots / candidate.step)
+    longer: list[float] = [ratio for ratio in (2, 4) if ratio <= limit]
+    return longer or [NEARBY] * (limit >= NEARBY and scenes[0].chain.exponent >= KINKED_BELOW)
 
 
 def _scatters(scene: Scene, kinks: bool) -> bool:

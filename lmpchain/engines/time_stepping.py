@@ -24,7 +24,7 @@ from .richardson import SAFETY
 PERIODS = 60.0  # omega T of the scene for which `Method.error_constant` is given
 CHOICE = ("rkn4", "rkn6")  # of which the cheaper one is taken, if none is asked for
 # analysis/calibration/opening_error_factor.py measures the next ones
-LONGEST_STEP = 0.45  # longest step that is proposed, over the stability limit
+LONGEST_STEP = 0.6  # longest step that is proposed, over the stability limit
 SAFE_STRAIN = 0.3  # strain below which no contact comes near to opening
 # factors on the error where contacts may open: with steps of one length, of which nine in ten scenes need no more; with
 # coarse ones near openings, on that of adaptive steps; and what that, `opening_error_factor`, is made of

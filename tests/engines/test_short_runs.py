@@ -13,6 +13,7 @@ from helpers.whole_runs import blocks_of
 from lmpchain import Chain, Displacement, Impulse, RunFailed, Scene, simulate
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines import Native
+from lmpchain.engines.companions import Companions
 from lmpchain.integrators.methods import METHODS
 
 
@@ -120,3 +121,18 @@ def test_adaptive_steps_end_where_a_run_breaks_down(steps):
     with suppress(RunFailed):
         (u,), (v,) = blocks_of(run)
         assert run.errors()[0].total > relative_error(u, v, true.displacement, true.velocity) > 0
+
+
+@pytest.mark.parametrize(("integrator", "velocity"), [("rkn4", 1e-6), ("rkn4", 1e-3), ("rkn6", 1e-3), ("rkn6", 1e-2)])
+def test_where_twice_the_step_is_unstable_one_and_a_half_times_shows_the_error(integrator: str, velocity: float):
+    engine, method = Native(integrator), METHODS[integrator]
+    scene = Scene(
+        chain=Chain(grains=60, diameter=1e-3), excitation=Impulse(velocity=velocity), duration=4e-5, samples=2
+    )
+    loose = engine.candidate(scene, 0.3)
+    assert 1.5 < method.stability_limit / (loose.step * scene.chain.band_edge) < 2
+    (beside,) = Companions(method, [scene], loose).schedules
+    assert beside.step == 1.5 * loose.step
+    t = simulate(scene, Native(integrator), 0.3)
+    true, own = true_error(t, scene)
+    assert own < 0.01 * true < 0.01 * t.error_estimate.total < 0.003
