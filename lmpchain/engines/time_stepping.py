@@ -25,6 +25,8 @@ PERIODS = 60.0  # omega T of the scene for which `Method.error_constant` is give
 CHOICE = ("rkn4", "rkn6")  # of which the cheaper one is taken, if none is asked for
 # analysis/calibration/opening_error_factor.py measures the next ones
 LONGEST_STEP = 0.6  # longest step that is proposed, over the stability limit
+# the same where the bound on the strain is finite but above that: longer steps are often too long there at first
+LONGEST_AT_OPENINGS, STRONG_STRAIN = 0.45, 10.0
 SAFE_STRAIN = 0.3  # strain below which no contact comes near to opening
 # factors on the error where contacts may open: with steps of one length, of which nine in ten scenes need no more; with
 # coarse ones near openings, on that of adaptive steps; and what that, `opening_error_factor`, is made of
@@ -160,7 +162,8 @@ class TimeSteppingEngine(Engine):
         if scene.largest_strain > SAFE_STRAIN:
             expected *= opening_error_factor(scene.largest_strain) if adapts else OPENING_ERROR
         reach = (tolerance / SAFETY / expected) ** (1 / method.order)
-        longest = LONGEST_STEP * limit
+        strong = STRONG_STRAIN < scene.largest_strain < math.inf
+        longest = (LONGEST_AT_OPENINGS if strong else LONGEST_STEP) * limit
         if adapts:
             longest = min(longest, omega * scene.excitation.knot_spacing)  # knots cut longer steps
         steps, more = (
