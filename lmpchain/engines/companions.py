@@ -105,7 +105,9 @@ def longer_steps(method: Method, scenes: Sequence[Scene], candidate: Candidate) 
     knots = min(scene.excitation.knot_spacing for scene in scenes) if candidate.adaptive else math.inf
     limit = min(method.stability_limit / reach if reach > 0 else math.inf, knots / candidate.step)
     longer: list[float] = [ratio for ratio in (2, 4) if ratio <= limit]
-    return longer or [NEARBY] * (limit >= NEARBY and scenes[0].chain.exponent >= KINKED_BELOW)
+    if not longer and limit >= NEARBY and scenes[0].chain.exponent >= KINKED_BELOW:
+        return [NEARBY]
+    return longer
 
 
 def _scatters(scene: Scene, kinks: bool) -> bool:

@@ -119,10 +119,11 @@ class TimeSteppingEngine(Engine):
 
     def candidate(self, scene: Scene, tolerance: float) -> Candidate:
         """Propose a step size: the one given, or the longest that should meet the tolerance."""
-        methods = self.methods
-        if len(methods) > 1:
-            methods.sort(key=lambda method: method.evaluations * self._steps(scene, tolerance, method)[0])
-        return self.choose_step(scene, tolerance, methods[0])
+
+        def work(method: Method) -> int:
+            return method.evaluations * self._steps(scene, tolerance, method)[0]
+
+        return self.choose_step(scene, tolerance, min(self.methods, key=work))
 
     def choose_step(self, scene: Scene, tolerance: float, method: Method) -> Candidate:
         """Propose the step size of a method."""

@@ -91,11 +91,12 @@ class Splitting:
     def march(self, batch: ChainBatch, schedule: StepSchedule) -> March:
         """Return what moves a batch of chains by steps of this schedule."""
         kicks, drifts = self._coefficients
+        run = _march(schedule.adaptive)
         if not schedule.adaptive:
-            return March(_marches()[0], (kicks, drifts), shared=True)
+            return March(run, (kicks, drifts), shared=True)
         near, falls = COARSE_STEP if schedule.coarse_openings else ADAPTIVE_STEP, 1 / (batch.opening_power + 1)
         crossing = CROSSING_STEP, (self.order + 1) * falls, schedule.ratio * LEAST_CROSSING * EPSILON**falls
-        return March(_marches()[1], (kicks, drifts, near, crossing), batch.openings, shared=True)
+        return March(run, (kicks, drifts, near, crossing), batch.openings, shared=True)
 
     def _half_trace(self, frequency: Array) -> Array:
         """Half the trace of the one-step matrix of x'' = -omega^2 x at h = 1."""
@@ -109,11 +110,11 @@ class Splitting:
 
 
 @cache  # an import costs more than a short run takes between two samples
-def _marches() -> tuple[Callable[..., int], Callable[..., int]]:
-    """Return the compiled marches by steps of one length, and by adaptive ones."""
+def _march(adaptive: bool) -> Callable[..., int]:
+    """Return the compiled march by adaptive steps, or by those of one length."""
     from .kernels import adaptive_splitting, splitting
 
-    return splitting.march, adaptive_splitting.march
+    return adaptive_splitting.march if adaptive else splitting.march
 
 
 def _symmetric(half: list[float], count: int) -> tuple[float, ...]:

@@ -58,9 +58,6 @@ class Stepper(Protocol):
         Samples from `offset` on are put into u and v, (R, B, N) m and m/s. Returns the steps made.
         """
 
-    def lowest(self) -> Array:
-        """Return the smallest r / eps that any contact of each chain has had, (R,); -1 is an opening."""
-
     def state(self) -> dict[str, Array]:
         """Return what is needed to go on with the same bits."""
 

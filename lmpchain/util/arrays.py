@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 AnyArray = TypeVar("AnyArray", bound=NDArray[Any])
 EPSILON = float(np.finfo(float).eps)  # spacing of the doubles at 1
+MAGNITUDE = (1 << 63) - 1  # the bits of a double without its sign; those of positive ones compare like the numbers
 
 
 def read_only(array: AnyArray) -> AnyArray:

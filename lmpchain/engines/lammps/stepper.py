@@ -113,10 +113,6 @@ class LammpsStepper:
         """How many processes share the column."""
         return self._communicator.ranks
 
-    def lowest(self) -> Array:
-        """Leave the watch for openings to the native twin."""
-        return np.array([np.inf])
-
     def state(self) -> dict[str, Array]:
         """Return what is needed to go on with the same bits: heights as LAMMPS holds them."""
         return {"z": self._z.copy(), "vz": self._vz.copy(), "done": np.array(self._done)}

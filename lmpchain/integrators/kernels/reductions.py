@@ -6,10 +6,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from ...util.arrays import Array
+from ...util.arrays import MAGNITUDE, Array
 from ...util.compilation import compiled_once
 from .contact_forces import NEWS, bits, number
-from .window import MAGNITUDE
 
 _exact = numba.njit(error_model="numpy")
 _total = numba.njit(error_model="numpy", fastmath={"nsz", "reassoc"})
@@ -17,10 +16,7 @@ _total = numba.njit(error_model="numpy", fastmath={"nsz", "reassoc"})
 
 @_exact
 def _farthest(a, b):
-    """Return the largest distance of a and b; it is no number if any is none.
-
-    Positive numbers compare like their bits, and those of what is no number are above all.
-    """
+    """Return the largest distance of a and b; no number, whose bits are above all others, if any is none."""
     most = 0
     for n in range(a.size):
         most = max(bits(a[n] - b[n]) & MAGNITUDE, most)

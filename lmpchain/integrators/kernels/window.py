@@ -5,13 +5,13 @@ Only the window is computed: what lies outside, beyond the light cone, has not m
 
 from __future__ import annotations
 
+from ...util.arrays import MAGNITUDE
 from .contact_forces import bits, inlined, number
 from .layout import CLOSEST, FARTHEST, FASTEST, FIRST, LAST, LOWEST, NEXT, PAD
 from .right_hand_side import impose_velocity, imposed_speed
 from .team import mine
 
 TINY = 1e-19  # of the largest speed and displacement: what has moved less lies outside of the light cone
-MAGNITUDE = (1 << 63) - 1  # the bits of a number without its sign
 # omega t between the first looks for the largest motion: of one period of the fastest at most 12 % is missed; they are
 # at least a 32nd of the steps so far apart: later, what is new is rare
 LOOK, SETTLED, SELDOM = 1.0, 32, 2.0**30

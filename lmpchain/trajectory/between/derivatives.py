@@ -7,6 +7,7 @@ import math
 import numba
 import numpy as np
 
+from ...util.arrays import MAGNITUDE
 from ...util.compilation import compiled_once
 
 NEWS = "the measures", 20  # what is compiled, and about how long that takes, s
@@ -15,7 +16,6 @@ STILL, UNKNOWN = -1, -2  # columns of bodies that stand still, or were not recor
 # and CURVED, errors of values, slopes and curvatures are bounds for all exponents: tests/trajectory/test_between.py
 KINK = 0.12
 HIDDEN = 2.0  # and of the change of velocity in a collision between two samples, over the interval
-MAGNITUDE = (1 << 63) - 1  # the bits of a number without its sign
 compiled = numba.njit(error_model="numpy")
 
 
@@ -162,7 +162,7 @@ def _derivatives(u, v, grains, sides, contacts, inverse_mass, exponent, linear, 
 def largest(u, v):
     """Return the largest size in each column of two (T, C) fields, (2, C); NaN where any is no number."""
     out = np.zeros((2, u.shape[1]), dtype=np.int64)
-    # positive numbers compare like their bits, and what is no number is above all: many are done at a time
+    # the bits of what is no number are above all others; many are done at a time
     for k, field in enumerate((u.view(np.int64), v.view(np.int64))):
         for i in range(field.shape[0]):
             for n in range(field.shape[1]):
