@@ -18,7 +18,7 @@ import itertools
 import math
 from dataclasses import dataclass, replace
 
-from common import NATIVE, Answer, Row, answer, command, distance, proposal, quantile, with_reach, with_steps
+from common import NATIVE, Answer, Row, answer, command, distance, proposal, quantile, with_reach
 from scenes import drawn
 
 from lmpchain import Scene
@@ -70,7 +70,7 @@ def story(scene: Scene, tolerance: float) -> Story | None:
     if candidate is None:
         return None
     first, run = candidate, None
-    while candidate and len(errors) < PATIENT and candidate.steps_per_sample * (scene.samples - 1) < MOST_STEPS:
+    while candidate and len(errors) < PATIENT and candidate.steps(scene.samples) < MOST_STEPS:
         run = answer(engine, scene, candidate)
         if run is not None:
             errors.append(run.error.truncation)
@@ -93,7 +93,8 @@ def _agrees(scene: Scene, run: Answer, tolerance: float) -> bool:
     other = proposal(Native("kahan-li8"), scene, tolerance)
     if other is None:
         return True
-    finer = with_steps(other, max(other.steps_per_sample, run.candidate.steps_per_sample))
+    other = other.sampled
+    finer = other.with_steps(max(other.steps_per_landing, run.candidate.sampled.steps_per_landing))
     second = answer(Native("kahan-li8"), scene, finer)
     return second is None or distance(second.motion, run.motion) < 3 * (tolerance + second.error.total)
 

@@ -6,7 +6,7 @@ import argparse
 import math
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -117,16 +117,10 @@ def _companions(run: Run) -> tuple[tuple[float, ...], float]:
     return tuple(relative.max((1, 2)).tolist()), min(float(stepper.lowest()[0]) for stepper in run._native)
 
 
-def with_steps(candidate: Candidate, steps_per_sample: int) -> Candidate:
-    """Return the candidate with another number of steps between two samples, short ones at openings."""
-    step = candidate.step * candidate.steps_per_sample / steps_per_sample
-    return replace(candidate, steps_per_sample=steps_per_sample, step=step, coarse_openings=False)
-
-
 def with_reach(scene: Scene, candidate: Candidate, reach: float) -> Candidate:
     """Return the candidate with the longest step up to omega h = reach that divides the sample interval."""
     interval = scene.duration / (scene.samples - 1)
-    return with_steps(candidate, max(1, math.ceil(interval * scene.highest_frequency / reach * (1 - 1e-12))))
+    return candidate.sampled.with_steps(max(1, math.ceil(interval * scene.highest_frequency / reach * (1 - 1e-12))))
 
 
 def proposal(engine: Engine, scene: Scene, tolerance: float) -> Candidate | None:

@@ -70,7 +70,7 @@ def first_try(engine: Native, case: Case, tolerance: float) -> Try | None:
         return None
     method = METHODS[candidate.integrator]
     reach = candidate.step * scene.highest_frequency
-    chosen = reach < 0.4 * method.stability_limit and candidate.steps_per_sample > 2
+    chosen = reach < 0.4 * method.stability_limit and candidate.steps_per_landing > 2
     if (run := answer(engine, scene, candidate)) is None or run.error.roundoff > 0.03 * tolerance:
         return None
     periods = max(1.0, scene.highest_frequency * scene.duration / 60)

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from unittest import mock
 
 import numpy as np
-from common import ALL_BUT_ONE, Case, Row, answer, command, proposal, quantile, with_reach, with_steps
+from common import ALL_BUT_ONE, Case, Row, answer, command, proposal, quantile, with_reach
 from scenes import drawn
 
 from lmpchain import Scene
@@ -208,7 +208,7 @@ def _landings(cases: list[Case], name: str, constant: str) -> Row:
                 engine = Native(name)
                 if (proposed := proposal(engine, case.scene, 1e-3)) is None:
                     continue
-                if (run := answer(engine, case.scene, with_steps(proposed, steps))) is None:
+                if (run := answer(engine, case.scene, proposed.sampled.with_steps(steps))) is None:
                     continue
                 error = case.error(run.motion)
                 if CLEAR * run.error.roundoff + 10 * case.reference.error < error < KNOWN:
@@ -234,7 +234,7 @@ def _fewest(count: int) -> Row:
                 continue
             try:
                 with mock.patch.object(companions, "FEWEST", 1):
-                    run = answer(engine, case.scene, with_steps(proposed, steps))
+                    run = answer(engine, case.scene, proposed.sampled.with_steps(steps))
             except ZeroDivisionError:  # the companions are alike
                 bounds.append(False)
                 continue

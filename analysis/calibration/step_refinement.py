@@ -16,7 +16,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from common import Row, answer, command, near_best, proposal, with_steps
+from common import Row, answer, command, near_best, proposal
 from scenes import drawn
 
 from lmpchain import Scene
@@ -65,13 +65,13 @@ def shipped() -> Rule:
         model_error=0.0,
         solver_error=0.0,
         cost_s=0.0,
-        steps_per_sample=10**6,
+        steps_per_landing=10**6,
         integrator="rkn6",
     )
 
     def factor(truncation: float, roundoff: float = 0.0, smooth: bool = True) -> float:
         refined = engine.refine(base, ErrorBudget(truncation, roundoff, smooth, np.zeros(1)), 1e-9)
-        return refined.steps_per_sample / base.steps_per_sample if refined else 0.0
+        return refined.steps_per_landing / base.steps_per_landing if refined else 0.0
 
     def threshold(low: float, high: float, above: object) -> float:
         for _ in range(60):
@@ -90,7 +90,7 @@ def shipped() -> Rule:
         far=threshold(0.0, 1.0, lambda error: factor(error) < 0.5 * factor(0.0999999)),
         least=factor(0.0),
         least_erratic=factor(0.0, smooth=False),
-        broken=broken.steps_per_sample / base.steps_per_sample,
+        broken=broken.steps_per_landing / base.steps_per_landing,
         hopeless=threshold(0.5, 1.5, lambda part: factor(aimed, part * 1e-9) == 0.0),
         room=aimed / aim / factor(aimed, 0.89e-9) ** 6 / 1e-9,
     )
@@ -102,7 +102,7 @@ class Walk:
     def __init__(self, engine: Native, scene: Scene, tolerance: float, begin: float):
         self.engine, self.scene, self.tolerance = engine, scene, tolerance
         proposed = proposal(engine, scene, tolerance)
-        self.first = with_steps(proposed, max(1, round(proposed.steps_per_sample / begin))) if proposed else None
+        self.first = proposed.with_steps(max(1, round(proposed.steps_per_landing / begin))) if proposed else None
         self.seen: dict[int, ErrorBudget | None] = {}
         self.order = METHODS[engine.methods[0].name].order
 
@@ -110,19 +110,19 @@ class Walk:
         """Return the error of a run."""
         if steps not in self.seen:
             assert self.first
-            run = answer(self.engine, self.scene, with_steps(self.first, steps))
+            run = answer(self.engine, self.scene, self.first.with_steps(steps))
             self.seen[steps] = run.error if run else None
         return self.seen[steps]
 
     def cost(self, rule: Rule) -> float:
         """Return the steps of all tries over those of the first; infinite if the tolerance is not met."""
         assert self.first
-        steps, spent = self.first.steps_per_sample, 0
+        steps, spent = self.first.steps_per_landing, 0
         for _ in range(MOST_TRIES):
             spent += steps
             error = self.error(steps)
             if error and error.total <= self.tolerance:
-                return spent / self.first.steps_per_sample
+                return spent / self.first.steps_per_landing
             factor = rule.factor(self.order, error, self.tolerance)
             if factor is None or steps * factor > FINEST:
                 return math.inf
@@ -135,7 +135,7 @@ def walks(scenes: list[Scene], name: str, adaptive: bool, tolerances: tuple[floa
     engine, rule, found = Native(name, adaptive=adaptive), shipped(), []
     for place, scene in enumerate(scenes):
         walk = Walk(engine, scene, tolerances[place % len(tolerances)], begin)
-        if walk.first and walk.first.steps_per_sample * begin < FINEST and 1 < walk.cost(rule) < math.inf:
+        if walk.first and walk.first.steps_per_landing * begin < FINEST and 1 < walk.cost(rule) < math.inf:
             found.append(walk)
     return found
 

@@ -54,7 +54,7 @@ def errors_through_openings(
 
     def error(count: int) -> float:
         candidate = replace(
-            proposed, steps_per_sample=count, step=scene.duration / count, adaptive=adaptive, coarse_openings=False
+            proposed, steps_per_landing=count, step=scene.duration / count, adaptive=adaptive, coarse_openings=False
         )
         run = engine.start([scene], candidate)
         try:

@@ -7,10 +7,11 @@ progress, Ctrl-C and where the output goes are not its business: `lmpchain.simul
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from inspect import signature
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -46,8 +47,10 @@ class Candidate:
         Expected relative errors: of the equation, and of its numerical solution (NaN if not estimated).
     cost_s : float
         Expected time, s.
-    steps_per_sample : int
-        Time steps between two recorded times.
+    steps_per_landing : int
+        Time steps from one recorded time on which one ends to the next.
+    stride : int
+        Recorded times from one of these to the next; what lies between is interpolated.
     fixed : bool
         Whether the user gave the step, so that no tolerance is enforced.
     adaptive : bool
@@ -67,7 +70,8 @@ class Candidate:
     model_error: float
     solver_error: float
     cost_s: float
-    steps_per_sample: int = 1
+    steps_per_landing: int = 1
+    stride: int = 1
     fixed: bool = False
     adaptive: bool = False
     coarse_openings: bool = False
@@ -77,8 +81,24 @@ class Candidate:
 
     def schedule(self, ratio: float = 1, stretched: bool = False) -> StepSchedule:
         """Return where its steps land, or those of a companion with steps longer by this ratio."""
-        own = self.steps_per_sample, self.step, self.adaptive
-        return StepSchedule.of(*own, ratio, stretched, self.coarse_openings)
+        own = self.steps_per_landing, self.step, self.adaptive
+        return StepSchedule.of(*own, ratio, stretched, self.coarse_openings, self.stride)
+
+    def steps(self, samples: int) -> int:
+        """Return how many steps it takes from the first of so many samples to the last, if all are equal."""
+        return -(-self.steps_per_landing * (samples - 1) // self.stride)
+
+    def with_steps(self, steps_per_landing: int) -> Candidate:
+        """Return the same with so many steps from landing to landing, of full length near openings."""
+        step = self.step * self.steps_per_landing / steps_per_landing
+        return replace(self, steps_per_landing=steps_per_landing, step=step, coarse_openings=False)
+
+    @property
+    def sampled(self) -> Candidate:
+        """The same with steps that end on every sample."""
+        steps = math.ceil(self.steps_per_landing / self.stride)
+        step = self.step * self.steps_per_landing / (self.stride * steps)
+        return replace(self, steps_per_landing=steps, stride=1, step=step)
 
 
 @dataclass(frozen=True)
@@ -216,6 +236,10 @@ class Engine(ABC):
         ToleranceNotMet
             If it knows beforehand that it cannot.
         """
+
+    def pilot(self, scene: Scene, candidate: Candidate, tolerance: float) -> Candidate:
+        """Return what to run first: the candidate, or one at longer steps that shows how its error goes."""
+        return candidate
 
     @abstractmethod
     def refine(self, candidate: Candidate, error: ErrorBudget | None, tolerance: float) -> Candidate | None:

@@ -1,10 +1,11 @@
 """Steps of the companions of an answer, and what their differences say of its truncation error.
 
-They run at about 2h and 4h: the rate at which their differences shrink gives the truncation error. Where those are
-unstable there is one at 1.5h, and where that is, too, or the run has too few steps, one at h/2; of one alone, what the
-answer differs by counts as if there were no order. Where contacts open again and again, errors scatter, and two may
-agree by chance: there runs one more, at about 1.5h (1.75h and from the first opening on for springs, whose force has a
-kink there).
+They run at about 2h and 4h, where no contact comes near to opening at up to 4h and 8h: the rate at which their
+differences shrink gives the truncation error. Where 4h is unstable there is one at 2h, or at 1.5h, and where that is
+unstable, too, or the run has too few steps, one at h/2; of one alone the order is trusted where nothing opens, else
+what the answer differs by counts as if there were none. Where contacts open again and again, errors scatter, and two
+may agree by chance: there runs one more, at about 1.5h (1.75h and from the first opening on for springs, whose force
+has a kink there).
 """
 
 from __future__ import annotations
@@ -16,18 +17,21 @@ from ..integrators.methods import Method
 from ..scene.scene import Scene
 from .base import Candidate
 from .richardson import extrapolate
+from .round_off import native_floor
 
 # analysis/calibration/richardson_estimate.py measures these
 FEWEST = 8  # steps of a run from which on companions have longer steps; of these there are then no two alike
 CLOSE_TO_OPENING = -0.5  # r / eps below which a contact's force is no longer a smooth function of time
+SAFE_STRAIN = 0.3  # strain below which no contact comes near to opening: the order of a method is sure there,
+# and the first of two companions may have steps so many times as long, if round-off is so far below the tolerance
+FAR, FLOOR = (4, 3), 0.1
 # order trusted after adaptive steps through openings: short ones keep it; not coarse ones, nor those of a method that
 # follows its own error
 ORDER_AT_OPENINGS, ORDER_WHERE_COARSE = 6, 4
 # radians a grain from which on waves come back to where contacts opened, and the step of one more companion then
-COMES_BACK, NEARBY = 10.0, 1.5
-# the same for exponents below that, whose force has a kink at an opening: errors scatter from the first one on, so far
-# that all runs may agree by chance on less than the error; a factor on the estimate makes up for it
-KINKED_BELOW, ORDER_AT_KINKS, NEARBY_AT_KINKS, SAFETY_AT_KINKS = 1.25, 3, 1.75, 2.0
+COMES_BACK, NEARBY, NEAR_OVER = 10.0, 1.5, 2.0
+# the same for exponents below that, whose force has a kink at an opening: errors scatter from the first one on
+KINKED_BELOW, ORDER_AT_KINKS, NEARBY_AT_KINKS = 1.25, 3, 1.75
 
 
 class Companions:
@@ -46,21 +50,23 @@ class Companions:
         Whether errors may scatter.
     nearby : bool
         Whether the last companion is one more for these.
+    kinks : bool
+        Whether the force has kinks where contacts open.
     """
 
     def __init__(self, method: Method, scenes: Sequence[Scene], candidate: Candidate):
         first, adaptive = scenes[0], candidate.adaptive
-        self._order, self._adaptive, self._kinks = method.order, adaptive, first.chain.exponent < KINKED_BELOW
+        self._order, self._adaptive, self.kinks = method.order, adaptive, first.chain.exponent < KINKED_BELOW
         self._stretched = adaptive and method.adaptive == "error"  # samples cut some of its steps
         self._coarse = self._stretched or candidate.coarse_openings
-        steps = candidate.steps_per_sample * (first.samples - 1)
+        steps = candidate.steps(first.samples)
         longer = longer_steps(method, scenes, candidate)
         self._finer = not longer
         far = bool(longer) and longer[0] > NEARBY
-        self.scatters = [far and adaptive and _scatters(scene, self._kinks) for scene in scenes]
+        self.scatters = [far and adaptive and _scatters(scene, self.kinks) for scene in scenes]
         self.nearby = any(self.scatters)
         if self.nearby:
-            longer.append(NEARBY_AT_KINKS if self._kinks else NEARBY)
+            longer.append(NEARBY_AT_KINKS if self.kinks else NEARBY)
         schedules = [candidate.schedule(ratio, self._stretched) for ratio in longer]
         self.schedules = schedules or [candidate.schedule().halved]
         self._ratios = [steps / schedule.total(first.samples - 1) for schedule in self.schedules]
@@ -83,14 +89,14 @@ class Companions:
         trusted = self._order - self._stretched
         if opens:
             falls_to = ORDER_WHERE_COARSE if self._coarse else ORDER_AT_OPENINGS
-            falls_to = ORDER_AT_KINKS if self._kinks else falls_to
+            falls_to = ORDER_AT_KINKS if self.kinks else falls_to
             trusted = min(self._order, falls_to) if self._adaptive else self._order
         coarse = steps[1] if len(steps) - self.nearby > 1 else (None, None)
-        ratios = self._ratios[:2]
-        found = max(extrapolate(trusted, smooth, *pair, ratios) for pair in zip(coarse, steps[0], strict=True))
+        ratios, settled = self._ratios[:2], smooth and not opens
+        found = max(extrapolate(trusted, smooth, *pair, ratios, settled) for pair in zip(coarse, steps[0], strict=True))
         if opens and self.scatters[real]:
-            found = max(found, *steps[-1])
-        return SAFETY_AT_KINKS * found if opens and self._kinks else found
+            found = max(found, max(steps[-1]) / (1.0 if self.kinks else NEAR_OVER))
+        return found
 
 
 def longer_steps(method: Method, scenes: Sequence[Scene], candidate: Candidate) -> list[float]:
@@ -99,15 +105,28 @@ def longer_steps(method: Method, scenes: Sequence[Scene], candidate: Candidate) 
     None where all are unstable, too few, or would be cut by the knots of a drive like those of the answer; one and a
     half times where twice is, but for springs that open, whose errors scatter.
     """
-    if candidate.steps_per_sample * (scenes[0].samples - 1) < FEWEST:
+    steps = candidate.steps(scenes[0].samples)
+    if steps < FEWEST:
         return []
     reach = candidate.step * max(scene.chain.band_edge for scene in scenes)
     knots = min(scene.excitation.knot_spacing for scene in scenes) if candidate.adaptive else math.inf
     limit = min(method.stability_limit / reach if reach > 0 else math.inf, knots / candidate.step)
+    if not candidate.adaptive and all(_sure(scene, steps * method.evaluations, candidate) for scene in scenes):
+        for ratio in FAR:
+            if 2 * ratio <= limit and steps >= FEWEST * ratio:
+                return [ratio, 2 * ratio]
     longer: list[float] = [ratio for ratio in (2, 4) if ratio <= limit]
     if not longer and limit >= NEARBY and scenes[0].chain.exponent >= KINKED_BELOW:
         return [NEARBY]
     return longer
+
+
+def _sure(scene: Scene, evaluations: int, candidate: Candidate) -> bool:
+    """Whether the order of the method is sure, and round-off, which far runs do not show, is small."""
+    smooth = scene.largest_strain <= SAFE_STRAIN and scene.excitation.smooth
+    return (
+        smooth and native_floor(evaluations, scene.highest_frequency * scene.duration) < FLOOR * candidate.solver_error
+    )
 
 
 def _scatters(scene: Scene, kinks: bool) -> bool:

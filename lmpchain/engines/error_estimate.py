@@ -37,7 +37,7 @@ BLOCK_S = 0.5  # and how long they may take: what is stopped or killed loses no 
 MOST = 1e300  # J, where nothing bounds the energy
 # analysis/calibration/amplified_rounding.py measures the next ones
 # over round-off: what two runs may differ by for that reason alone, which no law of the step divides, where contacts
-# open or not; reflections through opening contacts make much of a little
+# open and waves may come back, or not: reflections through opening contacts make much of a little
 GROWN, STEADY = 300.0, 3.0
 # rounding that all runs share (of the parameters, say), where contacts open, as a multiple of what becomes of a last
 # digit; looked for below that estimate, if it can grow so far: from so much, by less than that exponent a radian
@@ -96,7 +96,7 @@ class CompanionRun(Run):
         self._masses, self._scale, self._chains = chains.masses, chains.units, chains
         self._rest = chains.contacts.overlap.max(1)
         # contacts never hold less energy than at rest: the kinetic one cannot exceed what is put in, or rounded
-        steps = candidate.steps_per_sample * (self.scene.samples - 1)
+        steps = candidate.steps(self.scene.samples)
         pressed = rounded_energy(self.scene, steps * method.evaluations) if twin else 0.0
         energy = 3 * np.array([scene.energy + pressed for scene in scenes])
         slow = self._masses.sum(1) * (1e-3 * self._scale[:, 1]) ** 2
@@ -104,8 +104,9 @@ class CompanionRun(Run):
         samples, grains = self.scene.samples, self.scene.chain.grains
         self._against = np.arange(len(companions))  # each differs from the next longer step, one more from the answer
         self._against[len(companions) - chosen.nearby :] = 0
-        self._strides = np.array([companion.stride for companion in companions])
-        self._together = math.lcm(4, *self._strides.tolist(), self._answer.stride)
+        strides = [schedule.stride for schedule in schedules]
+        self._strides = np.array([schedule.dense or schedule.stride for schedule in schedules])
+        self._together = math.lcm(4, *strides, self._answer.stride)
         self._most = _block(len(self._steppers), self.realisations, grains, samples, self._together)
         self._sample_s = candidate.cost_s * self.realisations / samples  # a guess to begin with
         self._begin = chains.initial
@@ -239,14 +240,16 @@ class CompanionRun(Run):
             roundoff = native_floor(taken * self.method.evaluations, radians, displaced, flies)
             if rounded and taken:
                 roundoff += self.method.spread * plain_loss(self._scenes[real], taken) / fastest
-            truncation = max(truncation, min(most, (GROWN if opens else STEADY) * roundoff))
+            returns = opens and (self._companions.scatters[real] or not adaptive)
+            truncation = max(truncation, min(most, (GROWN if returns else STEADY) * roundoff))
             if self._twin:
                 roundoff += float(largest[0, real].max())
             elif opens and truncation + roundoff < min(NEAR_ROUNDOFF, SHORT * math.exp(min(GROWTH * radians, 99))):
                 grown = SHARED * self._grown(real, peaks[real])
                 truncation = max(truncation, min(most, SCATTER * walked(taken * self.method.evaluations) * grown))
                 roundoff += grown
-            found.append(ErrorBudget(truncation, roundoff, smooth, every[real]))
+            ordered = smooth and not (opens and self._companions.kinks)
+            found.append(ErrorBudget(truncation, roundoff, ordered, every[real]))
         return found
 
     def _grown(self, real: int, peaks: Array) -> float:

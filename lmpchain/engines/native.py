@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
@@ -19,8 +20,13 @@ from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.suggestions import not_among
 from .base import Candidate
+from .companions import SAFE_STRAIN
 from .round_off import native_floor, plain_loss
-from .time_stepping import TimeSteppingEngine
+from .time_stepping import LONGEST_STEP, TimeSteppingEngine
+
+# how much longer the steps of a first run may be that shows how the error goes with them, and are at least, or there is
+# none; up to which error it may be expected to be off, and the cost of an answer from which on there is one, s
+PILOT, LEAST_PILOT, PILOT_ERROR, PILOT_S = 4.0, 2.0, 1e-2, 2e-3
 
 
 class Native(TimeSteppingEngine):
@@ -54,6 +60,7 @@ class Native(TimeSteppingEngine):
     integrators: ClassVar[tuple[str, ...]] = ("auto", *METHODS)
     batches: ClassVar[bool] = True
     twin: ClassVar[bool] = False
+    dense: ClassVar[bool] = True
     start_up_s: ClassVar[float] = 8e-4
     seconds_per_grain_step: ClassVar[float] = 1.2e-9  # with the companions that show the error
 
@@ -80,7 +87,7 @@ class Native(TimeSteppingEngine):
         """Propose the step size of a method, unless round-off alone exceeds the tolerance."""
         candidate = super().choose_step(scene, tolerance, method)
         if not candidate.fixed:
-            evaluations = candidate.steps_per_sample * (scene.samples - 1) * method.evaluations
+            evaluations = candidate.steps(scene.samples) * method.evaluations
             floor = native_floor(evaluations, scene.highest_frequency * scene.duration)
             if floor > tolerance:
                 raise ToleranceNotMet(
@@ -88,6 +95,23 @@ class Native(TimeSteppingEngine):
                     'use a higher order (integrator "rkn6") or less accuracy'
                 )
         return candidate
+
+    def pilot(self, scene: Scene, candidate: Candidate, tolerance: float) -> Candidate:
+        """Return a run at longer steps where nothing bounds the motion, or where the answer takes long.
+
+        Its error says how long steps may be, for a fraction of the cost of an answer at steps that are too short. Where
+        contacts may open within known bounds, and else, the candidate is run at once.
+        """
+        strain = scene.largest_strain
+        if candidate.fixed or not (strain == math.inf or (strain <= SAFE_STRAIN and candidate.cost_s > PILOT_S)):
+            return candidate
+        method = METHODS[candidate.integrator]
+        longer = min(PILOT, (PILOT_ERROR / tolerance) ** (1 / method.order))
+        reach = candidate.step * scene.highest_frequency / (LONGEST_STEP * method.stability_limit)
+        steps = math.ceil(candidate.steps_per_landing * max(1 / longer, reach))
+        if steps * LEAST_PILOT > candidate.steps_per_landing:
+            return candidate
+        return candidate.with_steps(steps)
 
     def choices(self, scene: Scene) -> dict[str, str]:
         """Return the form of the force."""

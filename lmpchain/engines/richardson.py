@@ -6,15 +6,22 @@ import math
 from collections.abc import Sequence
 
 SAFETY = 2.0  # factor on the Richardson estimate; analysis/calibration/richardson_estimate.py
+SMALL = 0.01  # difference up to which the order is trusted of two runs alone: phases that are far off lose it
 
 
 def extrapolate(
-    order: int, smooth: bool, coarse: float | None, fine: float, ratios: Sequence[float] = (2.0, 4.0)
+    order: int,
+    smooth: bool,
+    coarse: float | None,
+    fine: float,
+    ratios: Sequence[float] = (2.0, 4.0),
+    settled: bool = False,
 ) -> float:
     """Return the Richardson estimate of the error at step h from runs at 4h, 2h and h, or from 2h and h.
 
     `fine` is how far the last two are apart, `coarse` how far the first two are, if there are three. `ratios` are those
-    of the steps, where they are not 2 and 4 because steps must end at the last sample.
+    of the steps, where they are not 2 and 4. Where the force is `settled` as a smooth function of time, two runs alone
+    show the error, for longer steps are further off than by the order, up to those that are unstable.
 
     Where contacts open or nearly so, a high order falls to about 2.5, unless steps are adaptive, with a coefficient
     that depends on where in a step the opening falls: the error at h can then be as large as the difference.
@@ -22,11 +29,11 @@ def extrapolate(
     the order holds and rarely below it elsewhere.
     """
     if coarse is None or fine == math.inf:
-        return fine
+        return SAFETY * fine / (ratios[0] ** order - 1) if settled and fine <= SMALL else fine
     if not smooth:
         return 1.5 * max(fine, coarse / 4)
     first, second = ratios
     doublings = math.log2(second / first)
     ratio = min(max(coarse / max(fine, 1e-300), 1.5**doublings), (second / first) ** order)
     gain = ratio ** (math.log2(first) / doublings)  # error at the longer step over that at h
-    return SAFETY * max(fine / (gain - 1), coarse / (second**order - first**order))
+    return max(SAFETY * fine / (gain - 1), coarse / (second**order - first**order))

@@ -30,9 +30,9 @@ ATTEMPTS = 12
 STALLS = 2  # attempts in a row that do not help: round-off or chaos, not the step, is the limit
 STALLED = 0.7  # truncation error over that of the attempt before, from which on it is no help
 WORSE = 2.0  # the same from which on shorter steps may have made it worse, by rounding
-# test for chaos if the first attempt misses by so many tolerances or so much: two runs one ulp apart at t = 0 must
-# diverge by so many tolerances; of 290 random scenes, 250 of which can be answered, none of these did
-CHAOS_MISS, CHAOS_ERROR, CHAOS_DIVERGENCE = 1e4, 0.3, 10.0
+# test for chaos if one of the first attempts misses by so many tolerances or so much: two runs one ulp apart at t = 0
+# must diverge by so many tolerances; of 290 random scenes, 250 of which can be answered, none of these did
+CHAOS_MISS, CHAOS_ERROR, CHAOS_DIVERGENCE, SUSPECT = 1e4, 0.3, 10.0, 2
 ERRATIC = 1e5  # truncation over round-off: an estimate that stalls above that is erratic, or the scene is chaotic
 ROUNDING_ULPS = 30.0  # rounding all along a run does as much as a change of up to so many ulps at t = 0
 ENOUGH = 3e5  # steps that show what a scene makes of a last digit
@@ -62,6 +62,10 @@ class Attempt:
         Truncation errors of the attempts before it that ran through.
     breakdowns : int
         How many did not.
+    pilot : bool
+        Whether it is one at longer steps that shows which steps the next one needs.
+    pilots : int
+        How many of these came before.
     """
 
     engine: str
@@ -73,11 +77,13 @@ class Attempt:
     compiled_s: float = 0.0
     truncations: tuple[float, ...] = ()
     breakdowns: int = 0
+    pilot: bool = False
+    pilots: int = 0
 
     @property
     def number(self) -> int:
         """Which attempt it is, from 1."""
-        return len(self.truncations) + self.breakdowns + 1
+        return len(self.truncations) + self.breakdowns + self.pilots + 1
 
 
 @dataclass(frozen=True)
@@ -127,7 +133,15 @@ def first_attempt(engine: Engine, scene: Scene, tolerance: float, best_effort: b
         candidate, tolerance, refusal = loosened(propose, tolerance)
     else:
         candidate = propose(tolerance)
-    return Attempt(engine.name, candidate, tolerance, refusal, clock() - began, 0.0, compiled_s() - compiled)
+    attempt = to_begin_with(engine, scene, candidate, tolerance)
+    planned_s = clock() - began
+    return replace(attempt, refusal=refusal, planned_s=planned_s, compiled_s=compiled_s() - compiled)
+
+
+def to_begin_with(engine: Engine, scene: Scene, candidate: Candidate, tolerance: float) -> Attempt:
+    """Return the attempt to begin with where a candidate was chosen: that, or a pilot."""
+    first = engine.pilot(scene, candidate, tolerance)
+    return Attempt(engine.name, first, tolerance, pilot=first is not candidate)
 
 
 def run_to_tolerance(engine: Engine, scene: Scene, tolerance: float, collect: Callable[[Run], T]) -> Outcome[T]:
@@ -205,6 +219,8 @@ def next_attempt(
     if error and (candidate.fixed or error.solver <= attempt.tolerance):
         return None, ""
     better = engine.refine(candidate, error, attempt.tolerance)
+    if attempt.pilot and better:
+        return replace(attempt, candidate=better, pilot=False, pilots=1), ""
     if error is None:
         assert better
         return replace(attempt, candidate=better, breakdowns=attempt.breakdowns + 1), ""
@@ -268,16 +284,16 @@ def _why_not(scene: Scene, error: ErrorBudget, attempt: Attempt, better: Candida
 def _ulps(scene: Scene, attempt: Attempt) -> float:
     """Return how many last digits at t = 0 do as much as rounding all along a run."""
     candidate = attempt.candidate
-    steps = candidate.steps_per_sample * (scene.samples - 1)
+    steps = candidate.steps(scene.samples)
     evaluations = METHODS[candidate.integrator].evaluations if candidate.integrator else 0
     return max(ROUNDING_ULPS, walked(steps * evaluations, alike=not candidate.adaptive))
 
 
 def _chaotic(scene: Scene, error: ErrorBudget, attempt: Attempt) -> str:
-    """Return why no step will help, if the first attempt shows chaos, or nothing."""
+    """Return why no step will help, if one of the first attempts shows chaos, or nothing."""
     tolerance = attempt.tolerance
     suspect = error.truncation > min(CHAOS_MISS * tolerance, CHAOS_ERROR)
-    if len(attempt.truncations) > 1 or not suspect:
+    if len(attempt.truncations) > SUSPECT or not suspect:
         return ""
     time_s = _divergence_time(scene, attempt.candidate, tolerance, CHAOS_DIVERGENCE)
     if time_s is None:
@@ -293,14 +309,13 @@ def _divergence_time(scene: Scene, candidate: Candidate, distance: float, times:
     """
     if not candidate.integrator:
         return None
-    intervals, steps = scene.samples - 1, candidate.steps_per_sample
-    enough = math.ceil(max(ENOUGH, scene.duration * scene.highest_frequency / COARSE) / intervals)
-    if steps > enough:
-        candidate = replace(candidate, steps_per_sample=enough, step=candidate.step * steps / enough)
+    enough = max(ENOUGH, scene.duration * scene.highest_frequency / COARSE) / candidate.steps(scene.samples)
+    if enough < 1:
+        candidate = candidate.with_steps(math.ceil(candidate.steps_per_landing * enough))
     time_s = scene.duration
     for adaptive in {candidate.adaptive, False}:
         try:
-            apart = divergence(scene, replace(candidate, adaptive=adaptive), LAST_DIGIT)
+            apart = divergence(scene, replace(candidate.sampled, adaptive=adaptive), LAST_DIGIT)
         except RunFailed:
             return None
         if apart.max() < times * distance:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 from ..errors import InputError, shown
@@ -16,7 +16,7 @@ from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.suggestions import not_among
 from .base import Candidate, Engine, ErrorBudget
-from .companions import KINKED_BELOW, longer_steps
+from .companions import KINKED_BELOW, SAFE_STRAIN, longer_steps
 from .cost_model import seconds
 from .error_estimate import CompanionRun
 from .richardson import SAFETY
@@ -27,11 +27,14 @@ CHOICE = ("rkn4", "rkn6")  # of which the cheaper one is taken, if none is asked
 LONGEST_STEP = 0.6  # longest step that is proposed, over the stability limit
 # the same where the bound on the strain is finite but above that: longer steps are often too long there at first
 LONGEST_AT_OPENINGS, STRONG_STRAIN = 0.45, 10.0
-SAFE_STRAIN = 0.3  # strain below which no contact comes near to opening
 # factors on the error where contacts may open: with steps of one length, of which nine in ten scenes need no more; with
 # coarse ones near openings, on that of adaptive steps; and what that, `opening_error_factor`, is made of
 OPENING_ERROR, COARSE_ERROR = 30.0, 16.0
-ADAPTIVE_ERROR, LEAST_STRAIN, MOST_STRAIN, GROWS = 8.0, 3.0, 99.0, 0.5
+ADAPTIVE_ERROR, LEAST_STRAIN, MOST_STRAIN, GROWS = 5.0, 3.0, 99.0, 0.5
+# of samples that are interpolated: their error at omega h = 1 and its order; what rounding adds a step of the run, for
+# they take differences of displacements over a step; what one costs in evaluations of the force; steps from landing to
+# landing, and the most numbers of a field between; and steps a sample from which on none is interpolated after all
+BETWEEN, ORDER_BETWEEN, LOST_BETWEEN, COST_BETWEEN, FEW_STEPS, FIELD, MANY = 1e-8, 7, 5e-15, 5.0, 8, 2**19, 3
 LONGEST_RUN_S = 3e8  # ten years
 EVALUATION_OVERHEAD = 40  # of a force evaluation, in grain-steps; analysis/calibration/cost_model.py
 
@@ -46,8 +49,11 @@ class StepRefinement:
     ----------
     order_at_openings : float
         Order to which every method with steps of one length falls where contacts open.
-    target : float
-        Part of the tolerance that is left for the truncation error at which the next attempt aims.
+    order_at_kinks : float
+        The same with adaptive steps where the force has kinks.
+    target, target_at_openings : float
+        Part of the tolerance that is left for the truncation error at which the next attempt aims, where steps are of
+        one length or adaptive.
     roundoff : float
         Part of the tolerance beyond which round-off cannot be made up for.
     least, least_erratic : float
@@ -59,7 +65,9 @@ class StepRefinement:
     """
 
     order_at_openings: float = 2.5
+    order_at_kinks: float = 4.0
     target: float = 0.7
+    target_at_openings: float = 0.5
     roundoff: float = 0.9
     least: float = 1.3
     least_erratic: float = 2.0
@@ -68,7 +76,7 @@ class StepRefinement:
     far: float = 0.1
     breakdown: float = 4.0
 
-    def ratio(self, error: ErrorBudget | None, order: float, tolerance: float) -> float | None:
+    def ratio(self, error: ErrorBudget | None, order: float, tolerance: float, adaptive: bool = False) -> float | None:
         """Return the ratio of the old step to the next one; None where round-off alone is too much."""
         if error is None:
             return self.breakdown
@@ -77,10 +85,11 @@ class StepRefinement:
         if not math.isfinite(error.truncation):
             return self.breakdown
         room = max(tolerance - error.roundoff, tolerance / 4)
-        order = order if error.smooth else min(order, self.order_at_openings)
+        order = order if error.smooth else min(order, self.order_at_kinks if adaptive else self.order_at_openings)
         most = self.most if error.truncation < self.far else self.most_far
         least = self.least if error.smooth else self.least_erratic
-        return min(max((error.truncation / (self.target * room)) ** (1 / order), least), most)
+        target = self.target_at_openings if adaptive else self.target
+        return min(max((error.truncation / (target * room)) ** (1 / order), least), most)
 
 
 REFINEMENT = StepRefinement()
@@ -94,10 +103,13 @@ class TimeSteppingEngine(Engine):
     twin : bool
         Whether a native twin measures its round-off. Its steps must then be those of the native engine in exact
         arithmetic.
+    dense : bool
+        Whether it interpolates samples that adaptive steps pass over.
     """
 
     adaptive: bool = False  # whether steps shorten where contacts open, if the method allows
     twin: ClassVar[bool] = True
+    dense: ClassVar[bool] = False
 
     def __init__(self, integrator: str, step: float | None):
         if integrator not in self.integrators:
@@ -120,25 +132,27 @@ class TimeSteppingEngine(Engine):
     def candidate(self, scene: Scene, tolerance: float) -> Candidate:
         """Propose a step size: the one given, or the longest that should meet the tolerance."""
 
-        def work(method: Method) -> int:
-            return method.evaluations * self._steps(scene, tolerance, method)[0]
+        def work(method: Method) -> float:
+            steps, stride, *_ = self._steps(scene, tolerance, method)
+            return method.evaluations * steps / stride + (COST_BETWEEN if stride > 1 else 0.0)
 
         return self.choose_step(scene, tolerance, min(self.methods, key=work))
 
     def choose_step(self, scene: Scene, tolerance: float, method: Method) -> Candidate:
         """Propose the step size of a method."""
-        steps, adapts, coarse = self._steps(scene, tolerance, method)
-        cost = self.cost(scene, method, steps * (scene.samples - 1))
+        steps, stride, adapts, coarse = self._steps(scene, tolerance, method)
+        cost = self.cost(scene, method, -(-steps * (scene.samples - 1) // stride))
         if cost > LONGEST_RUN_S:
             years = cost / 3.15e7
             raise InputError([("duration", f"would take some {years:.1g} years: shorten it, or ask for less accuracy")])
         return Candidate(
-            step=scene.duration / (scene.samples - 1) / steps,
+            step=scene.duration / (scene.samples - 1) * stride / steps,
             active_grains=scene.chain.grains,
             model_error=0.0,
             solver_error=tolerance,
             cost_s=cost,
-            steps_per_sample=steps,
+            steps_per_landing=steps,
+            stride=stride,
             fixed=self.step is not None,
             adaptive=adapts,
             coarse_openings=coarse,
@@ -146,8 +160,11 @@ class TimeSteppingEngine(Engine):
             choices=self.choices(scene),
         )
 
-    def _steps(self, scene: Scene, tolerance: float, method: Method) -> tuple[int, bool, bool]:
-        """Return the steps of a method from sample to sample, whether they adapt, and whether coarsely."""
+    def _steps(self, scene: Scene, tolerance: float, method: Method) -> tuple[int, int, bool, bool]:
+        """Return the steps of a method from landing to landing, how many samples that is, and how they adapt.
+
+        That is whether they do, and whether coarsely.
+        """
         interval = scene.duration / (scene.samples - 1)
         limit = method.stability_limit
         if self.step is not None:
@@ -156,7 +173,7 @@ class TimeSteppingEngine(Engine):
                     [("step", f"must be below {limit / scene.chain.band_edge:.3g} s, where {method.name} "
                       f"stops being stable on this chain (got {self.step:g})")]
                 )  # fmt: skip
-            return math.ceil(interval / self.step * (1 - 1e-12)), False, False
+            return math.ceil(interval / self.step * (1 - 1e-12)), 1, False, False
         omega = scene.highest_frequency
         expected = method.error_constant * max(1.0, omega * scene.duration / PERIODS)  # phases drift apart with time
         adapts = self.adapts(scene, method)
@@ -171,9 +188,18 @@ class TimeSteppingEngine(Engine):
             math.ceil(interval * omega / min(reach / less, longest))
             for less in (1.0, COARSE_ERROR ** (1 / method.order))
         )
+        # in the vacuum a front grows so steeply that what lies between steps may get a wrong sign
+        if self.dense and self.adaptive and method.adaptive == "openings" and scene.chain.compressed:
+            smooth = (tolerance / SAFETY / BETWEEN) ** (1 / ORDER_BETWEEN)
+            few = interval * omega / min(reach, longest, smooth)  # steps a sample
+            stride = min(scene.samples - 1, 4 * math.ceil(FEW_STEPS / few / 4))  # like blocks
+            cheaper = few * method.evaluations + COST_BETWEEN < steps * method.evaluations
+            exact = few * (scene.samples - 1) * LOST_BETWEEN < tolerance
+            if cheaper and exact and 1 < stride <= FIELD // scene.chain.grains:
+                return math.ceil(few * stride), stride, adapts, False
         # where samples hold steps short, shorter ones near openings would only cost
         coarse = adapts and method.adaptive == "openings" and steps == more and scene.chain.exponent >= KINKED_BELOW
-        return steps, adapts, coarse
+        return steps, 1, adapts, coarse
 
     def adapts(self, scene: Scene, method: Method) -> bool:
         """Say whether steps of this method shorten where contacts open or close, or follow its own error."""
@@ -200,14 +226,15 @@ class TimeSteppingEngine(Engine):
     def refine(self, candidate: Candidate, error: ErrorBudget | None, tolerance: float) -> Candidate | None:
         """Shorten the step by what the observed error asks for."""
         order = METHODS[candidate.integrator].order
-        ratio = REFINEMENT.ratio(error, order, tolerance)
+        ratio = REFINEMENT.ratio(error, order, tolerance, candidate.adaptive)
         if ratio is None:
             return None
         if candidate.coarse_openings:
             ratio = max(1.0, ratio / COARSE_ERROR ** (1 / order))
-        steps = math.ceil(candidate.steps_per_sample * ratio)
-        step = candidate.step * candidate.steps_per_sample / steps
-        return replace(candidate, steps_per_sample=steps, step=step, coarse_openings=False)
+        shorter = candidate.with_steps(math.ceil(candidate.steps_per_landing * ratio))
+        if shorter.steps_per_landing > MANY * shorter.stride or error is None:
+            return shorter.sampled
+        return shorter if shorter.steps(error.differences.size) * LOST_BETWEEN < tolerance else shorter.sampled
 
     def start(
         self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array] | None = None

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 # h' / h at the time 1 / omega from the opening of a contact that matters most, small enough that these steps leave as
 # little error as the others; and of coarse ones, where that does not matter
 ADAPTIVE_STEP, COARSE_STEP = 0.2, 0.4
+DENSE_ROWS = 4  # what `kernels.dense_output` keeps of the beginning of a step: u, v, a and j
 CROSSING_STEP = 0.03  # omega h' / (omega h)^((order + 1) / (delta + 1)) of the step that crosses the opening
 LEAST_CROSSING = 0.1  # the same over the (delta + 1)th root of EPSILON: what a shorter step would gain is round-off
 
@@ -91,12 +92,14 @@ class Splitting:
     def march(self, batch: ChainBatch, schedule: StepSchedule) -> March:
         """Return what moves a batch of chains by steps of this schedule."""
         kicks, drifts = self._coefficients
-        run = _march(schedule.adaptive)
-        if not schedule.adaptive:
+        adaptive = schedule.adaptive or schedule.dense > 0
+        run = _march(adaptive)
+        if not adaptive:
             return March(run, (kicks, drifts), shared=True)
         near, falls = COARSE_STEP if schedule.coarse_openings else ADAPTIVE_STEP, 1 / (batch.opening_power + 1)
         crossing = CROSSING_STEP, (self.order + 1) * falls, schedule.ratio * LEAST_CROSSING * EPSILON**falls
-        return March(run, (kicks, drifts, near, crossing), batch.openings, shared=True)
+        kept = DENSE_ROWS if schedule.dense else 0
+        return March(run, (kicks, drifts, near, crossing), batch.openings, kept, shared=True)
 
     def _half_trace(self, frequency: Array) -> Array:
         """Half the trace of the one-step matrix of x'' = -omega^2 x at h = 1."""

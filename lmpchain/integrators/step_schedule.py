@@ -19,6 +19,8 @@ class StepSchedule:
         Steps from one landing to the next, if all are equal.
     stride : int
         Samples from one landing to the next.
+    dense : int
+        Every how manieth sample between landings is interpolated; 0 where they are left out.
     step : float
         Largest step size, s.
     adaptive : bool
@@ -35,29 +37,37 @@ class StepSchedule:
     adaptive: bool
     ratio: float = 1.0
     coarse_openings: bool = False
+    dense: int = 0
 
     @classmethod
     def of(
         cls,
-        steps_per_sample: int,
+        steps_per_landing: int,
         step: float,
         adaptive: bool,
         ratio: float = 1,
         stretched: bool = False,
         coarse_openings: bool = False,
+        landing: int = 1,
     ) -> StepSchedule:
         """Return the schedule with so many steps between two samples, or one with steps longer by this ratio.
 
-        Where a sample more or less matters little, it lands on every one: a collision may be seen in a single one.
+        If it lands on every so manieth sample only, those between are interpolated; of a companion, which is only
+        compared, not all. Else, where a sample more or less matters little, it lands on every one: a collision may be
+        seen in a single one.
         `stretched` says that steps may grow until samples cut them: the time between landings is then longer, too.
         """
         how = adaptive, ratio, coarse_openings
-        if steps_per_sample >= (EVERY_STRETCHED if stretched else EVERY):
-            fewer = math.ceil(steps_per_sample / ratio)
-            return cls(fewer, 1, step * steps_per_sample / fewer, *how)
+        if landing > 1:
+            fewer = math.ceil(steps_per_landing / ratio)
+            some = next(n for n in (4, 2, 1) if n == 1 or ratio * landing >= n * steps_per_landing) if ratio > 1 else 1
+            return cls(fewer, landing, step * steps_per_landing / fewer, *how, dense=some)
+        if steps_per_landing >= (EVERY_STRETCHED if stretched else EVERY):
+            fewer = math.ceil(steps_per_landing / ratio)
+            return cls(fewer, 1, step * steps_per_landing / fewer, *how)
         stride, parts = ratio.as_integer_ratio()
-        common = 1 if stretched else math.gcd(parts * steps_per_sample, stride)
-        return cls(parts * steps_per_sample // common, stride // common, step * ratio, *how)
+        common = 1 if stretched else math.gcd(parts * steps_per_landing, stride)
+        return cls(parts * steps_per_landing // common, stride // common, step * ratio, *how)
 
     def total(self, samples: int) -> int:
         """Return the steps from sample 0 to the sample of this number, if all are equal."""

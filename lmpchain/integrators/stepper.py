@@ -102,9 +102,8 @@ class NativeStepper:
             self._state[:, FIRST : LAST + 1] = chains.window
             self._state[:, LOWEST] = chains.lowest
         self.stride, final = schedule.stride, scenes[0].samples - 1
-        clock = Clock(
-            scenes[0].duration / final, schedule.steps, schedule.step, schedule.stride, final, schedule.ratio == 1
-        )
+        interval, looks = scenes[0].duration / final, schedule.ratio == 1
+        clock = Clock(interval, schedule.steps, schedule.step, schedule.stride, final, looks, schedule.dense)
         march = method.march(chains, schedule)
         self._march = march.run
         parts = min(threads, chains.grains // LEAST_SHARE) if march.shared and len(scenes) < threads else 1

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 from .. import engines
 from ..engines.base import Candidate, Engine, ErrorBudget
-from ..engines.step_control import Attempt, first_attempt, loosened
+from ..engines.step_control import Attempt, first_attempt, loosened, to_begin_with
 from ..errors import InputError, ToleranceNotMet
 from ..scene.scene import Scene
 from ..util.compilation import clock, compiled_s
@@ -131,21 +131,22 @@ class Auto:
         best = cheapest(exact)
         planned = f"the bound before the run was {attempt.candidate.model_error:.1g}"
         told = f"{left_out} along the run of {before.name}, {planned}: run again with {best.engine}, Eq. (1)"
-        return _attempt(best, tolerance, plan=f"{best.engine}: {told}", redone=told)
+        return _attempt(scene, best, tolerance, plan=f"{best.engine}: {told}", redone=told)
 
 
 def _cheapest(scene: Scene, tolerance: float) -> Attempt:
     """Return the first attempt of the cheapest engine; raises `ToleranceNotMet` if none is good enough."""
     proposals = propose_all(scene, tolerance)
     best = cheapest(proposals)
-    return _attempt(best, tolerance, plan=f"{best.engine}: {reason(proposals)}")
+    return _attempt(scene, best, tolerance, plan=f"{best.engine}: {reason(proposals)}")
 
 
-def _attempt(proposal: Proposal, tolerance: float, **why: str) -> Attempt:
+def _attempt(scene: Scene, proposal: Proposal, tolerance: float, **why: str) -> Attempt:
     """Return the first attempt of a proposal, which keeps on record why it was chosen."""
     assert proposal.candidate
     choices = {**proposal.candidate.choices, **why}
-    return Attempt(proposal.engine, replace(proposal.candidate, choices=choices), tolerance)
+    candidate, engine = replace(proposal.candidate, choices=choices), engines.get(proposal.engine)
+    return to_begin_with(engine, engine.part(scene), candidate, tolerance)
 
 
 def policy_for(engine: str | Engine, **options: Any) -> Policy:

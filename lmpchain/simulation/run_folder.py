@@ -302,9 +302,10 @@ def _attempt(notes: Mapping[str, Any], spent: Mapping[str, float]) -> Attempt:
     try:
         attempt = TypeAdapter(Attempt).validate_json(json.dumps(notes["attempt"]))
         candidate, known = attempt.candidate, dict(TypeAdapter(dict[str, float]).validate_python(notes["spent"]))
-        if not (0 < candidate.step < math.inf and candidate.steps_per_sample > 0 and 0 < attempt.tolerance < 1):
+        if not (0 < candidate.step < math.inf and candidate.steps_per_landing > 0 and 0 < attempt.tolerance < 1):
             raise ValueError("it has no steps")
-        if known.keys() != spent.keys() or attempt.engine not in engines.names():
+        same = asdict(candidate).keys() == notes["attempt"]["candidate"].keys()
+        if not same or known.keys() != spent.keys() or attempt.engine not in engines.names():
             raise ValueError("it is not of this version")
         if not all(0 <= value < math.inf for value in known.values()):
             raise ValueError("it took no time that there is")

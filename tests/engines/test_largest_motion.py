@@ -74,6 +74,6 @@ def test_the_largest_motion_of_a_lammps_run_is_that_of_its_twin():
     try:
         for _ in run.blocks():
             pass
-        assert run.peaks[0] == pytest.approx([LENGTH, SPEED], rel=0.04)
+        assert run.peaks[0] == pytest.approx([LENGTH, SPEED], rel=0.12)
     finally:
         run.close()

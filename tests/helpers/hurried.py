@@ -6,7 +6,6 @@ So a run of a second has as many attempts and checkpoints to be killed at as one
 """
 
 import sys
-from dataclasses import replace
 
 from lmpchain.cli import command_line
 from lmpchain.engines import error_estimate, time_stepping
@@ -23,8 +22,8 @@ def main(words: list[str]) -> int:
 
     def candidate(engine, *arguments):
         right = honest(engine, *arguments)
-        steps = right.steps_per_sample if engine.step else max(1, right.steps_per_sample // LONGER)
-        return replace(right, steps_per_sample=steps, step=right.step * right.steps_per_sample / steps)
+        steps = right.steps_per_landing if engine.step else max(1, right.steps_per_landing // LONGER)
+        return right.with_steps(steps)
 
     time_stepping.TimeSteppingEngine.candidate = candidate
     return command_line.main(words)

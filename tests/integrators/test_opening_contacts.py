@@ -101,7 +101,7 @@ def test_short_steps_at_openings_let_the_order_be_trusted(scene: Scene, steps: i
     """With steps of twice the length there, estimates of full order were 0.24 and 0.88 of the error."""
     engine, truth = Native("rkn6"), reference(scene)
     step = scene.duration / (scene.samples - 1) / steps
-    candidate = replace(engine.candidate(scene, 1e-3), step=step, steps_per_sample=steps, coarse_openings=False)
+    candidate = replace(engine.candidate(scene, 1e-3), step=step, steps_per_landing=steps, coarse_openings=False)
     run = engine.start([scene], candidate)
     (u,), (v,) = blocks_of(run)
     error = relative_error(u, v, truth.displacement, truth.velocity)
@@ -112,6 +112,7 @@ def test_short_steps_at_openings_let_the_order_be_trusted(scene: Scene, steps: i
 def test_steps_that_samples_hold_short_are_not_shortened_more_than_that_at_openings(name: str):
     """They cost a quarter less or better, with an estimate of a lower order; after a miss they are short."""
     scene, engine = paper(name, samples=301), Native("rkn6")
+    engine.dense = False  # nor are samples interpolated
     candidate, truth, costs = engine.candidate(scene, 1e-4), reference(scene), []
     assert candidate.coarse_openings
     for proposed in (candidate, replace(candidate, coarse_openings=False)):
@@ -122,13 +123,15 @@ def test_steps_that_samples_hold_short_are_not_shortened_more_than_that_at_openi
     assert costs[0] < 0.75 * costs[1]
     refined = engine.refine(candidate, replace(run.errors()[0], truncation=2e-4), 1e-4)
     assert refined is not None
-    assert (refined.coarse_openings, refined.steps_per_sample) == (False, candidate.steps_per_sample)
+    assert (refined.coarse_openings, refined.steps_per_landing) == (False, candidate.steps_per_landing)
 
 
 def test_where_the_tolerance_holds_steps_short_those_at_openings_are_short_too():
     scene = paper("fig5 g", samples=101)
     springs = scene.replace(chain=scene.chain.replace(exponent=1.0))
-    assert Native("rkn6").candidate(scene, 1e-2).coarse_openings
+    engine = Native("rkn6")
+    engine.dense = False
+    assert engine.candidate(scene, 1e-2).coarse_openings
     assert not Native("rkn6").candidate(scene, 1e-12).coarse_openings
     assert not Native("rkn6").candidate(springs, 1e-2).coarse_openings
     assert not Native("verlet").candidate(scene, 1e-2).coarse_openings

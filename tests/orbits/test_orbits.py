@@ -218,7 +218,7 @@ def test_a_driven_orbit_runs_in_an_engine(top: str, grain: int):
     sine = {"frequency": 0.3 * chain.band_edge / (2 * np.pi), "grain": grain}
     orbit = orbits.find(chain, drive=Drive(amplitude=0.02 * chain.length_scale, **sine))
     assert orbit.residual < 1e-12
-    run = simulate(orbit.scene(3, samples=4), "native", 1e-10)
+    run = simulate(orbit.scene(3, samples=4), "native", 1e-11)
     assert np.abs(run.displacement - orbit.displacement).max() < 1e-11 * orbit.amplitude
     again = orbits.find(chain, drive=orbit.scene().excitation)
     assert again.velocity == pytest.approx(orbit.velocity, rel=1e-10)

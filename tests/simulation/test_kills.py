@@ -55,8 +55,8 @@ def breakdown(monkeypatch: pytest.MonkeyPatch):
 
     def choose(*arguments):
         candidate = honest(*arguments)
-        longer = candidate.steps_per_sample * candidate.step
-        return replace(candidate, step=longer, steps_per_sample=1)
+        longer = candidate.steps_per_landing * candidate.step
+        return replace(candidate, step=longer, steps_per_landing=1)
 
     monkeypatch.setattr(time_stepping.TimeSteppingEngine, "choose_step", choose)
     scene = Scene(chain=SMALL.chain, excitation=SMALL.excitation, duration=1.5e-4, samples=13)

@@ -137,7 +137,7 @@ def changed(wave: Soliton, engine: str, tolerance: float) -> float:
     "wave", [solve(speed=1.05), solve(speed=1.5), solve(velocity=0.1)], ids=lambda w: f"{w.speed:.2g}"
 )
 def test_travels_a_hundred_grains_unchanged(wave: Soliton):
-    assert changed(wave, "native", 1e-9) < 1e-10
+    assert changed(wave, "native", 1e-10) < 1e-10
 
 
 @pytest.mark.slow

@@ -151,7 +151,7 @@ class Lammps(TimeSteppingEngine):
         if trial.missed:
             raise ToleranceNotMet(f"even without round-off in heights, {trial.missed}")
         peaks, closest = trial.collected
-        steps = trial.attempt.candidate.steps_per_sample * (scene.samples - 1)
+        steps = trial.attempt.candidate.steps(scene.samples)
         small = gauge_diameter(scene, closest)
         physical, gauge = (self.round_off(scene, drawn, steps, peaks) for drawn in (0.0, small))
         wants_gauge = self.diameter == "gauge" or (self.diameter == "auto" and physical > tolerance / 2)

@@ -12,8 +12,9 @@ import numpy as np
 
 from ...util.compilation import compiled_once
 from .contact_forces import NEWS, STRICT, bits, fma, inlined, number
-from .layout import DONE, FIRST, LAST, PAD, PENDING, RESOLUTION, STEPS
-from .right_hand_side import accelerate, ahead, hold, impose, impose_velocity, imposed, recall, sweep
+from .dense_output import fill_jerk, fill_samples, keep, passes
+from .layout import DONE, FIRST, LAST, PAD, PENDING, RESOLUTION, STEP, STEPS
+from .right_hand_side import accelerate, ahead, hold, impose, impose_velocity, imposed, imposed_rate, recall, sweep
 from .sample_loop import end_of_step, sample_loop
 from .team import largest, meet, mine
 from .window import look, watch, widen
@@ -85,30 +86,49 @@ def _nearness(y, rates, bends, inverse_length, weight, reach, close, precompress
 
 @inlined
 def _finish_kick(chain, margin, force, pull):
-    """Complete the kick of the step before with the acceleration (W,), which is left in pull."""
+    """Complete the kick of the step before with the acceleration (W,), which is left in pull.
+
+    Returns what `fill_jerk` asks for of the forces, which are left in `force`.
+    """
     state = chain.state
     widen(chain, margin)
     meet(chain.team)
     first, last = mine(chain)
     # one grain further on either side: how near contacts are to opening depends on it, too
-    accelerate(chain, chain.x, max(first - 1, int(state[FIRST])), min(last + 1, int(state[LAST])), force, pull)
+    above = max(first - 1, int(state[FIRST]))
+    accelerate(chain, chain.x, above, min(last + 1, int(state[LAST])), force, pull)
     speeds, a = chain.v[first:last], pull[first:last]
     for n in range(speeds.size):
         speeds[n] = fma(state[PENDING], a[n], speeds[n])
     state[PENDING] = 0.0
     meet(chain.team)
+    return above - 1
+
+
+@inlined
+def _fill_passed(chain, work, clock, span, beyond):
+    """Fill the samples that the step before has passed; return whether it took jerks (W,)."""
+    _, _, _, _, _, force, pull, _, _, rate, jerk, u_out, v_out, offset = work
+    state, (first, last) = chain.state, mine(chain)
+    if clock.dense == 0 or passes(chain, clock, span, state[STEP], state[DONE]) == 0:
+        return False
+    changes = imposed_rate(chain, span.begin + state[DONE], span.begin + state[STEP])  # as before a corner
+    fill_jerk(chain, first, last, force, beyond, rate, jerk, changes)
+    fill_samples(chain, clock, span, first, last, pull, jerk, u_out, v_out, offset)
+    return True
 
 
 @inlined
 def _advance(chain, method, work, clock, span):
     """Take one step."""
     kicks, drifts, shortened, _, weight, near_enough = method
-    kick, drift, carried, path, reach, force, pull, close, nearest = work
+    kick, drift, carried, path, reach, force, pull, close, nearest, rate, jerk = work[:11]
     y, w, state, stages = chain.x, chain.v, chain.state, drifts.size
     t = span.begin + state[DONE]
     recall(chain, t)
     impose_velocity(chain, w, PAD, t)  # before the forces, like all that is imposed
-    _finish_kick(chain, stages + 1, force, pull)
+    beyond = _finish_kick(chain, stages + 1, force, pull)
+    known = _fill_passed(chain, work, clock, span, beyond)
     watch(chain)
     look(chain, clock, int(state[STEPS]), t, 1.0)
     first, last = mine(chain)
@@ -123,6 +143,12 @@ def _advance(chain, method, work, clock, span):
     h = clock.step * min(1.0, shortened * nearness ** (-1 / 14)) if nearness > 0.0 else clock.step
     done = end_of_step(chain, span, left, h)
     h = done - state[DONE]
+    if clock.dense > 0:
+        if passes(chain, clock, span, state[DONE], done) > 0:
+            if chain.imposed or not known:
+                fill_jerk(chain, first, last, force, beyond, rate, jerk, imposed_rate(chain, t, t))
+            keep(chain, first, last, pull, jerk)
+        state[STEP] = state[DONE]
     hold(chain, w)
     if chain.imposed:
         for stage in range(stages - 1):
@@ -141,9 +167,11 @@ def _advance(chain, method, work, clock, span):
 
 
 @inlined
-def _land(chain, method, work, span):
+def _land(chain, method, work, clock, span):
     """Complete the last kick."""
-    _finish_kick(chain, method[1].size + 1, work[5], work[6])
+    beyond = _finish_kick(chain, method[1].size + 1, work[5], work[6])
+    _fill_passed(chain, work, clock, span, beyond)
+    hold(chain, chain.v)
 
 
 _march = sample_loop(_advance, False, _land)
@@ -166,5 +194,21 @@ def march(chains, method, clock, u_out, v_out, offset, until, max_steps):
     for real in range(nearest.size):
         reach = clock.step * chains.omega[real]
         nearest[real] = (shortened * reach / max(factor * reach**power, least)) ** (14 / 9)
-    work = kick, drift, carried, path, np.cumsum(method[1]), np.zeros(width), np.zeros(width), close, nearest
+    room, ahead_of = np.zeros((4, width)), np.cumsum(method[1])
+    work = (
+        kick,
+        drift,
+        carried,
+        path,
+        ahead_of,
+        room[0],
+        room[1],
+        close,
+        nearest,
+        room[2],
+        room[3],
+        u_out,
+        v_out,
+        offset,
+    )
     return _march(chains, method, work, clock, u_out, v_out, offset, until, max_steps)

@@ -23,7 +23,7 @@ AMPLITUDE, OMEGA, ENVELOPE, END, KNOTS, BODY = range(6)
 
 # the state of a chain between two calls: the last sample, how far beyond it (in steps or s), the part of a kick that is
 # still due, the active window, extremes of the contacts, the largest displacement and speed of any grain, steps made,
-# and the step size of a method that changes it
+# and the step size of a method that changes it, or where its last step began
 SAMPLE, DONE, PENDING, FIRST, LAST, LOWEST, CLOSEST, FARTHEST, FASTEST, NEXT, STEPS, STEP = range(12)
 
 # where threads that share a chain wait for each other, and what they tell each other: in a `gate`, how many times one
@@ -129,7 +129,8 @@ class Chain(NamedTuple):
 class Clock(NamedTuple):
     """Sample interval (s), steps and longest step (s) to a landing, samples between, last sample.
 
-    `looks` says whether the largest motion is looked for.
+    `looks` says whether the largest motion is looked for, `dense` which samples between are interpolated: every so
+    manieth, none if it is 0.
     """
 
     interval: float
@@ -138,6 +139,7 @@ class Clock(NamedTuple):
     stride: int
     final: int
     looks: bool
+    dense: int
 
 
 class Span(NamedTuple):

@@ -66,7 +66,7 @@ def cut(chain, t, h):
 
 
 @inlined
-def _forced(chain):
+def forced(chain):
     """Return the body that is pushed, 0 if there is none."""
     return int(-chain.drive[BODY]) if chain.imposed and chain.drive[BODY] < 0.0 else 0
 
@@ -99,6 +99,19 @@ def impose_velocity(chain, v, grain_1, t):
 
 
 @inlined
+def imposed_rate(chain, t, inside):
+    """Return how fast what is imposed changes at time t, by the law of `inside`; 0 if nothing is."""
+    return _course(chain, t, 1, inside) if chain.imposed else 0.0
+
+
+@inlined
+def place(chain, t, u_row, v_row):
+    """Put grain 1, if it is driven, into a row of samples (N,) where it is at time t."""
+    if chain.imposed and chain.team.part == 0 and chain.drive[BODY] == PAD:
+        u_row[0], v_row[0] = _course(chain, t, 0, t), _course(chain, t, 1, t)
+
+
+@inlined
 def imposed_speed(chain, t):
     """Return how fast grain 1 is at time t if it is driven, else 0."""
     return abs(_course(chain, t, 1, t)) if chain.imposed and chain.drive[BODY] == PAD else 0.0
@@ -124,7 +137,7 @@ def accelerate(chain, y, first, last, force, pull):
         f[0] += touching(y[PAD - 1] - y[PAD], chain.uncompressed, chain.coefficients)
     for n in range(a.size):
         a[n] = im[n] * (f[n] - f[n + 1])
-    pushed = _forced(chain)
+    pushed = forced(chain)
     if first <= pushed < last:
         pull[pushed] += chain.inverse_mass[pushed] * y[0]
 
@@ -132,14 +145,14 @@ def accelerate(chain, y, first, last, force, pull):
 @inlined
 def _rows(chain, a, b, some, kicks, drifts, carried, path):
     """Kick and drift the grains a ... b-1 once for each of some rows."""
-    il, st, im, forced = chain.inverse_length, chain.strength, chain.inverse_mass, _forced(chain)
+    il, st, im, pushed = chain.inverse_length, chain.strength, chain.inverse_mass, forced(chain)
     top = a == int(chain.state[FIRST])  # none of the window is above
-    body = forced if forced > 0 else int(chain.drive[BODY])
+    body = pushed if pushed > 0 else int(chain.drive[BODY])
     kick_and_drift(
         chain.form, chain.x[a - 1 : b + 1], chain.v[a:b], il[a - 1 : b], st[a - 1 : b], im[a:b],
         kicks[some], drifts[some], carried[some],
         top, chain.uncompressed if top and a == PAD else 0.0, chain.precompressed, chain.coefficients,
-        path[some], body - (a - 1), forced > 0,
+        path[some], body - (a - 1), pushed > 0,
     )  # fmt: skip
 
 

@@ -26,7 +26,7 @@ def _chain(chains, real):
 
 
 @inlined
-def _as_it_is(chain, method, work, span):
+def _as_it_is(chain, method, work, clock, span):
     """At a landing nothing is left to do."""
 
 
@@ -55,7 +55,7 @@ def sample_loop(
         Takes one step or a burst of them, updates `state[DONE]` and returns how many.
     counted : bool
         Whether `state[DONE]` counts steps, else seconds since the last landing.
-    land : function of (chain, method, work, span)
+    land : function of (chain, method, work, clock, span)
         Completes positions and velocities at a landing.
 
     Returns
@@ -84,7 +84,7 @@ def sample_loop(
                     state[STEPS] += made
                     done += made
                 if state[DONE] == goal:
-                    land(chain, method, work, span)
+                    land(chain, method, work, clock, span)
                     record(chain, span.end, u_out[real, landing - offset], v_out[real, landing - offset])
                     state[SAMPLE], state[DONE] = landing, 0.0
         return done

@@ -57,7 +57,7 @@ def _advance(chain, method, work, clock, span):
 
 
 @inlined
-def _land(chain, method, work, span):
+def _land(chain, method, work, clock, span):
     """Complete the last kick, where a sample lies between it and the first of the next step."""
     kick, drift, carried, path, _ = work
     kick[0], drift[0] = chain.state[PENDING], 0.0

@@ -1,0 +1,103 @@
+"""Runs that come first: pilots that show which steps an answer needs, and companions at longer steps."""
+
+import numpy as np
+import pytest
+from helpers.example_scenes import paper
+from helpers.independent_integrators import relative_error
+
+from lmpchain import Chain, Impulse, Scene, ToleranceNotMet, resume, simulate, simulate_many
+from lmpchain.benchmark.reference import reference
+from lmpchain.engines import Native, step_control
+from lmpchain.engines.companions import Companions
+from lmpchain.engines.richardson import SAFETY, SMALL, extrapolate
+from lmpchain.engines.step_control import first_attempt
+from lmpchain.integrators.methods import METHODS
+
+VACUUM = Scene(
+    chain=Chain(grains=20, diameter=1e-3, gravity=0.0, bottom="wall"), excitation=Impulse(velocity=0.1),
+    duration=1e-4, samples=6,
+)  # fmt: skip
+
+
+def test_a_pilot_comes_first_where_nothing_bounds_the_motion_or_the_answer_takes_long():
+    engine, long = Native(), paper("weak", samples=3).replace(duration=5e-3)
+    for scene in (VACUUM, long):
+        candidate, attempt = engine.candidate(scene, 1e-9), first_attempt(engine, scene, 1e-9)
+        assert attempt.pilot
+        assert attempt.candidate.step == pytest.approx(4 * candidate.step, rel=0.1)
+        assert attempt.candidate.steps_per_landing * attempt.candidate.step == pytest.approx(
+            candidate.steps_per_landing * candidate.step, rel=1e-12
+        )
+    for other, scene in ((engine, paper("fig1")), (engine, paper("weak")), (Native(step=1e-8), VACUUM)):
+        assert not first_attempt(other, scene, 1e-9).pilot
+    assert not first_attempt(engine, VACUUM, 5e-3).pilot  # steps are as long as they may be
+
+
+def test_what_a_pilot_shows_brings_the_error_near_the_tolerance(tmp_path):
+    """In memory, in a batch and in a run folder alike; the truth is within the tolerance, and not far below."""
+    truth = reference(VACUUM)
+    for tolerance in (1e-6, 1e-8, 1e-10):
+        answer = simulate(VACUUM, "native", tolerance)
+        error = relative_error(answer.displacement, answer.velocity, truth.displacement, truth.velocity)
+        assert tolerance / 100 < error <= tolerance
+        assert error / 3 < answer.error_estimate.total <= tolerance
+        others = (
+            *simulate_many([VACUUM, VACUUM], tolerance),
+            simulate(VACUUM, "native", tolerance, folder=tmp_path / f"{tolerance}"),
+        )
+        for other in others:
+            assert np.array_equal(other.velocity, answer.velocity)
+            assert other.error_estimate == answer.error_estimate
+    assert np.array_equal(resume(tmp_path / f"{tolerance}").velocity, answer.velocity)
+
+
+def test_a_pilot_is_no_attempt_by_which_an_answer_is_refused(monkeypatch):
+    """Three attempts that do not help are enough; the pilot is none of them, and only numbers them."""
+    said = []
+    judge = step_control.next_attempt
+
+    def told(engine, scene, attempt, error, patient=False):
+        found = judge(engine, scene, attempt, error, patient)
+        said.append((attempt.number, attempt.pilot, len(attempt.truncations)))
+        return found
+
+    monkeypatch.setattr(step_control, "next_attempt", told)
+    simulate(VACUUM, "native", 1e-8)
+    assert said[:2] == [(1, True, 0), (2, False, 0)]
+
+
+def test_companions_of_a_calm_answer_have_steps_four_and_eight_times_as_long():
+    """Where the order is sure and steps are short enough; their estimate is near the truth, and above it."""
+    scene = Scene(chain=Chain(grains=20, diameter=1e-3), excitation=Impulse(velocity=1e-6), duration=1e-4, samples=11)
+    truth, engine = reference(scene), Native("rkn6")
+
+    def ratios(tolerance: float, of: Scene = scene, **how) -> list[float]:
+        candidate = Native("rkn6", **how).candidate(of, tolerance)
+        return [schedule.ratio for schedule in Companions(METHODS["rkn6"], [of], candidate).schedules]
+
+    assert ratios(1e-10) == [4, 8]
+    assert ratios(1e-6) == [2]  # 4h is unstable
+    assert ratios(1e-13) == [2, 4]  # round-off would not show
+    strong = scene.replace(excitation=Impulse(velocity=1e-2))
+    assert ratios(1e-10, strong) == [2, 4]
+    assert ratios(1e-10, strong, adaptive=False) == [2, 4]
+    for tolerance in (1e-6, 1e-8, 1e-10):
+        answer = simulate(scene, engine, tolerance)
+        error = relative_error(answer.displacement, answer.velocity, truth.displacement, truth.velocity)
+        assert error < answer.error_estimate.total < 4 * error
+
+
+def test_two_runs_show_the_error_where_the_force_is_smooth_and_they_are_near():
+    assert extrapolate(6, True, None, SMALL, (2,), settled=True) == SAFETY * SMALL / 63
+    assert extrapolate(6, True, None, 2 * SMALL, (2,), settled=True) == 2 * SMALL
+    assert extrapolate(6, True, None, SMALL, (2,)) == SMALL
+
+
+def test_chaos_that_one_attempt_does_not_show_is_looked_for_in_the_next():
+    """Without that this scene took 60 times as long to be refused: at one step a pair of runs happens to stay near."""
+    rng = np.random.default_rng(2)
+    chain = Chain(grains=6, diameter=1e-3 * rng.uniform(0.7, 1.3, 6), gravity=9.81, top="wall")
+    scene = Scene(chain=chain, excitation=Impulse(velocity=0.3), duration=0.1, samples=11)
+    with pytest.raises(ToleranceNotMet, match="amplifies round-off") as refusal:
+        simulate(scene, "native", 1e-7)
+    assert refusal.value.trajectory.cost.step_s > Native().candidate(scene, 1e-7).step / 20

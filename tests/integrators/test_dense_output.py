@@ -1,0 +1,137 @@
+"""Samples that steps pass over are interpolated, as well as the steps are taken."""
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from helpers.independent_integrators import relative_error
+from numba import njit
+
+from lmpchain import Chain, Drive, Force, Impulse, Scene, simulate
+from lmpchain.benchmark.reference import reference
+from lmpchain.engines.companions import Companions
+from lmpchain.engines.native import Native
+from lmpchain.integrators.batch import ChainBatch
+from lmpchain.integrators.kernels.dense_output import fill_samples
+from lmpchain.integrators.kernels.layout import ALONE, DONE, LEAST_SHARE, PAD, STEP, Clock, Span, Team
+from lmpchain.integrators.methods import METHODS
+from lmpchain.integrators.step_schedule import StepSchedule
+from lmpchain.integrators.stepper import NativeStepper
+
+SPRING = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0)  # grain 2 is fixed
+OMEGA = np.sqrt(SPRING.contact_constants[0] / SPRING.masses[0])
+SPEED = 1e-3
+
+
+def samples_of(scene: Scene, schedule: StepSchedule, name: str = "rkn6", threads: int = 1, most: int = 2**62):
+    """Return displacements and velocities, (T, N) each, made in pieces of at most so many steps."""
+    stepper = NativeStepper(ChainBatch([scene]), METHODS[name], schedule, {}, threads)
+    u, v = np.zeros((2, 1, scene.samples, scene.chain.grains))
+    u[:, 0], v[:, 0] = scene.initial()
+    while stepper.sample < scene.samples - 1:
+        stepper.fill(u, v, 0, scene.samples - 1, most)
+    stepper.close()
+    return u[0], v[0]
+
+
+class Ends(NamedTuple):
+    """What `fill_samples` takes of a chain: how it is at both ends of a step, and that nothing drives it."""
+
+    history: np.ndarray
+    x: np.ndarray
+    v: np.ndarray
+    state: np.ndarray
+    number: int
+    imposed: bool
+    drive: np.ndarray
+    knots: np.ndarray
+    pieces: np.ndarray
+    team: Team
+
+
+@njit
+def fill(ends, clock, span, pull, jerk, u, v):
+    fill_samples(ends, clock, span, PAD, PAD + 1, pull, jerk, u, v, 0)
+
+
+def test_the_error_falls_with_the_eighth_and_seventh_power_of_the_step():
+    """Those of displacement and velocity of a sine, where it is exact at both ends of a step."""
+    steps, errors = np.array([0.4, 0.6, 0.8, 1.2]), []
+    for h in steps:
+        begin, end = ([np.sin(t + k * np.pi / 2) for k in range(4)] for t in (0.8 - h / 2, 0.8 + h / 2))
+        history, state = np.zeros((4, 2 * PAD)), np.zeros(STEP + 1)
+        history[:, PAD], state[DONE] = begin, h
+        rows = np.repeat(np.array(end)[:, None], 2 * PAD, 1)
+        ends = Ends(history, rows[0], rows[1], state, 0, False, np.zeros(6), np.zeros(2), np.zeros((4, 1)), ALONE)
+        clock, span = Clock(h / 24, 1, h, 24, 24, True, 1), Span(0.0, h, h, 1, h)
+        u, v = np.zeros((2, 1, 25, 1))
+        fill(ends, clock, span, rows[2], rows[3], u, v)
+        time = 0.8 - h / 2 + np.arange(1, 24) * h / 24
+        errors.append([np.abs(u[0, 1:24, 0] - np.sin(time)).max(), np.abs(v[0, 1:24, 0] - np.cos(time)).max()])
+    slopes = np.polyfit(np.log(steps), np.log(errors), 1)[0]
+    assert slopes == pytest.approx([8, 7], abs=0.05)
+
+
+@pytest.mark.parametrize(
+    "excitation",
+    [
+        Impulse(velocity=3e-3),
+        Drive(amplitude=2e-10, frequency=3e4, cycles=1.5),
+        Drive(times=np.linspace(0, 9e-5, 12), displacement=2e-10 * np.sin(np.arange(12) ** 1.3)),
+        Force(amplitude=1e-6, frequency=3e4, grain=3, cycles=1.5),
+    ],
+    ids=["strike", "sine that ends", "spline", "force that ends"],
+)
+@pytest.mark.parametrize("top", ["free", "wall"])
+def test_samples_between_steps_are_as_good_as_the_steps(excitation, top):
+    if isinstance(excitation, Drive) and top == "wall":
+        excitation = excitation.model_copy(update={"grain": 0})
+    chain = Chain(grains=12, diameter=1e-3, gravity=0.0, top_load=1e-3, top=top)
+    scene = Scene(chain=chain, excitation=excitation, duration=8e-5, samples=801)
+    engine, truth = Native("rkn6"), reference(scene)
+    for tolerance in (1e-4, 1e-9):
+        candidate = engine.candidate(scene, tolerance)
+        assert candidate.stride > 1
+        answer = simulate(scene, engine, tolerance)
+        error = relative_error(answer.displacement, answer.velocity, truth.displacement, truth.velocity)
+        assert error / 3 < answer.error_estimate.total <= tolerance
+        assert answer.cost.steps < scene.samples
+
+
+def test_pieces_and_threads_change_no_bit():
+    chain = Chain(grains=2 * LEAST_SHARE + 100, diameter=1e-3, gravity=0.0, top_load=1e-3)
+    strike = Impulse(velocity=1e-2, grain=LEAST_SHARE)
+    scene = Scene(chain=chain, excitation=strike, duration=40 / chain.band_edge, samples=25)
+    schedule = StepSchedule(9, 12, scene.duration / 18, True, dense=1)
+    once, pieces, shared = (samples_of(scene, schedule, "rkn6", *how) for how in ((1,), (1, 1), (2, 3)))
+    for field, piece, part in zip(once, pieces, shared, strict=True):
+        assert field[1:].any(1).all()
+        assert np.array_equal(field, piece)
+        assert np.array_equal(field, part)
+
+
+def test_companions_are_compared_in_every_step():
+    scene = Scene(chain=SPRING, excitation=Impulse(velocity=SPEED), duration=20 / OMEGA, samples=1001)
+    candidate = Native("rkn6").candidate(scene, 1e-6)
+    for schedule in Companions(METHODS["rkn6"], [scene], candidate).schedules:
+        assert schedule.dense <= schedule.stride / schedule.steps
+        u, _ = samples_of(scene, schedule, "rkn6")
+        assert u[schedule.dense : schedule.stride : schedule.dense].any(1).all()
+
+
+def test_samples_lie_on_steps_where_that_costs_less_or_is_surer():
+    scene = Scene(chain=Chain(grains=30, diameter=1e-3), excitation=Impulse(velocity=1e-3), duration=6e-5, samples=1201)
+    few, vacuum = scene.replace(samples=21), scene.replace(chain=scene.chain.replace(gravity=0.0))
+    assert Native().candidate(scene, 1e-6).stride > 1
+    for engine, other, tolerance in (
+        (Native(), few, 1e-9),
+        (Native(), scene, 1e-13),  # displacements over a step are rounded
+        (Native(), vacuum, 1e-6),  # a front grows too steeply
+        (Native("verlet"), scene, 1e-3),
+        (Native(adaptive=False), scene, 1e-6),
+        (Native(step=1e-8), scene, 1e-6),
+    ):
+        assert engine.candidate(other, tolerance).stride == 1
+    dense_one = Native().candidate(scene, 1e-6)
+    sampled = dense_one.sampled
+    assert (sampled.stride, sampled.step * sampled.steps_per_landing) == (1, pytest.approx(scene.time[1], rel=1e-14))
