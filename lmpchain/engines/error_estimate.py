@@ -244,7 +244,7 @@ class CompanionRun(Run):
             truncation = max(truncation, min(most, (GROWN if returns else STEADY) * roundoff))
             if self._twin:
                 roundoff += float(largest[0, real].max())
-            elif opens and truncation + roundoff < min(NEAR_ROUNDOFF, SHORT * math.exp(min(GROWTH * radians, 99))):
+            elif returns and truncation + roundoff < min(NEAR_ROUNDOFF, SHORT * math.exp(min(GROWTH * radians, 99))):
                 grown = SHARED * self._grown(real, peaks[real])
                 truncation = max(truncation, min(most, SCATTER * walked(taken * self.method.evaluations) * grown))
                 roundoff += grown

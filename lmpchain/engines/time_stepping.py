@@ -180,6 +180,8 @@ class TimeSteppingEngine(Engine):
         if scene.largest_strain > SAFE_STRAIN:
             expected *= opening_error_factor(scene.largest_strain) if adapts else OPENING_ERROR
         reach = (tolerance / SAFETY / expected) ** (1 / method.order)
+        if adapts and limit / 4 < reach <= limit / 2:  # one companion alone shows no order where contacts open
+            reach = max(limit / 4, reach * (SAFETY * ADAPTIVE_ERROR / 2**method.order) ** (1 / method.order))
         strong = STRONG_STRAIN < scene.largest_strain < math.inf
         longest = (LONGEST_AT_OPENINGS if strong else LONGEST_STEP) * limit
         if adapts:
