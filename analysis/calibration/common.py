@@ -6,7 +6,7 @@ import argparse
 import math
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -118,9 +118,13 @@ def _companions(run: Run) -> tuple[tuple[float, ...], float]:
 
 
 def with_reach(scene: Scene, candidate: Candidate, reach: float) -> Candidate:
-    """Return the candidate with the longest step up to omega h = reach that divides the sample interval."""
+    """Return the candidate with the longest step up to omega h = reach that divides the sample interval.
+
+    Its companions are at 2h and 4h, for it asks for no accuracy.
+    """
     interval = scene.duration / (scene.samples - 1)
-    return candidate.sampled.with_steps(max(1, math.ceil(interval * scene.highest_frequency / reach * (1 - 1e-12))))
+    candidate = replace(candidate.sampled, solver_error=0.0)
+    return candidate.with_steps(max(1, math.ceil(interval * scene.highest_frequency / reach * (1 - 1e-12))))
 
 
 def proposal(engine: Engine, scene: Scene, tolerance: float) -> Candidate | None:

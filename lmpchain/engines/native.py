@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import ClassVar
 
 import numba
@@ -22,11 +23,11 @@ from ..util.suggestions import not_among
 from .base import Candidate
 from .companions import SAFE_STRAIN
 from .round_off import native_floor, plain_loss
-from .time_stepping import LONGEST_STEP, TimeSteppingEngine
+from .time_stepping import LONGEST_STEP, TimeSteppingEngine, landing
 
 # how much longer the steps of a first run may be that shows how the error goes with them, and are at least, or there is
 # none; up to which error it may be expected to be off, and the cost of an answer from which on there is one, s
-PILOT, LEAST_PILOT, PILOT_ERROR, PILOT_S = 4.0, 2.0, 1e-2, 2e-3
+PILOT, LEAST_PILOT, PILOT_ERROR, PILOT_S = 6.0, 2.0, 1e-2, 2e-3
 
 
 class Native(TimeSteppingEngine):
@@ -108,10 +109,14 @@ class Native(TimeSteppingEngine):
         method = METHODS[candidate.integrator]
         longer = min(PILOT, (PILOT_ERROR / tolerance) ** (1 / method.order))
         reach = candidate.step * scene.highest_frequency / (LONGEST_STEP * method.stability_limit)
-        steps = math.ceil(candidate.steps_per_landing * max(1 / longer, reach))
-        if steps * LEAST_PILOT > candidate.steps_per_landing:
+        longer = min(longer, 1 / reach)
+        if longer < LEAST_PILOT:
             return candidate
-        return candidate.with_steps(steps)
+        if candidate.stride == 1:
+            return candidate.with_steps(math.ceil(candidate.steps_per_landing / longer))
+        steps, stride = landing(scene, candidate.steps_per_landing / candidate.stride / longer)
+        step = scene.duration / (scene.samples - 1) * stride / steps
+        return replace(candidate, steps_per_landing=steps, stride=stride, step=step)
 
     def choices(self, scene: Scene) -> dict[str, str]:
         """Return the form of the force."""

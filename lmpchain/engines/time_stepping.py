@@ -34,7 +34,7 @@ ADAPTIVE_ERROR, LEAST_STRAIN, MOST_STRAIN, GROWS = 5.0, 3.0, 99.0, 0.5
 # of samples that are interpolated: their error at omega h = 1 and its order; what rounding adds a step of the run, for
 # they take differences of displacements over a step; what one costs in evaluations of the force; steps from landing to
 # landing, and the most numbers of a field between; and steps a sample from which on none is interpolated after all
-BETWEEN, ORDER_BETWEEN, LOST_BETWEEN, COST_BETWEEN, FEW_STEPS, FIELD, MANY = 1e-8, 7, 5e-15, 5.0, 8, 2**19, 3
+BETWEEN, ORDER_BETWEEN, LOST_BETWEEN, COST_BETWEEN, FEW_STEPS, FIELD, MANY = 3e-8, 7, 5e-15, 5.0, 8, 2**19, 3
 LONGEST_RUN_S = 3e8  # ten years
 EVALUATION_OVERHEAD = 40  # of a force evaluation, in grain-steps; analysis/calibration/cost_model.py
 
@@ -194,11 +194,11 @@ class TimeSteppingEngine(Engine):
         if self.dense and self.adaptive and method.adaptive == "openings" and scene.chain.compressed:
             smooth = (tolerance / SAFETY / BETWEEN) ** (1 / ORDER_BETWEEN)
             few = interval * omega / min(reach, longest, smooth)  # steps a sample
-            stride = min(scene.samples - 1, 4 * math.ceil(FEW_STEPS / few / 4))  # like blocks
+            landed, stride = landing(scene, few)
             cheaper = few * method.evaluations + COST_BETWEEN < steps * method.evaluations
             exact = few * (scene.samples - 1) * LOST_BETWEEN < tolerance
             if cheaper and exact and 1 < stride <= FIELD // scene.chain.grains:
-                return math.ceil(few * stride), stride, adapts, False
+                return landed, stride, adapts, False
         # where samples hold steps short, shorter ones near openings would only cost
         coarse = adapts and method.adaptive == "openings" and steps == more and scene.chain.exponent >= KINKED_BELOW
         return steps, 1, adapts, coarse
@@ -254,6 +254,15 @@ class TimeSteppingEngine(Engine):
             if state is None or isinstance(error, InputError):
                 raise
             raise InputError([("checkpoint", "does not fit its run, or was changed: run the scene anew")]) from error
+
+
+def landing(scene: Scene, few: float) -> tuple[int, int]:
+    """Return the steps from a sample on which one ends to the next, and how many samples that is.
+
+    There are about so few steps a sample.
+    """
+    stride = min(scene.samples - 1, 4 * math.ceil(FEW_STEPS / few / 4))  # like blocks
+    return math.ceil(few * stride), stride
 
 
 def kind(scene: Scene) -> tuple:

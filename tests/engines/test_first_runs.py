@@ -9,6 +9,7 @@ from lmpchain import Chain, Impulse, Scene, ToleranceNotMet, resume, simulate, s
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines import Native, step_control
 from lmpchain.engines.companions import Companions
+from lmpchain.engines.native import PILOT
 from lmpchain.engines.richardson import SAFETY, SMALL, extrapolate
 from lmpchain.engines.step_control import first_attempt
 from lmpchain.integrators.methods import METHODS
@@ -24,7 +25,7 @@ def test_a_pilot_comes_first_where_nothing_bounds_the_motion_or_the_answer_takes
     for scene in (VACUUM, long):
         candidate, attempt = engine.candidate(scene, 1e-9), first_attempt(engine, scene, 1e-9)
         assert attempt.pilot
-        assert attempt.candidate.step == pytest.approx(4 * candidate.step, rel=0.1)
+        assert 2 < attempt.candidate.step / candidate.step <= PILOT
         assert attempt.candidate.steps_per_landing * attempt.candidate.step == pytest.approx(
             candidate.steps_per_landing * candidate.step, rel=1e-12
         )
