@@ -116,7 +116,8 @@ def longer_steps(method: Method, scenes: Sequence[Scene], candidate: Candidate) 
             if 2 * ratio <= limit and steps >= FEWEST * ratio:
                 return [ratio, 2 * ratio]
     longer: list[float] = [ratio for ratio in (2, 4) if ratio <= limit]
-    if not longer and limit >= NEARBY and scenes[0].chain.exponent >= KINKED_BELOW:
+    # knots may cut steps of one and a half times the length like those of the answer
+    if not longer and limit >= NEARBY and scenes[0].chain.exponent >= KINKED_BELOW and knots == math.inf:
         return [NEARBY]
     return longer
 

@@ -103,8 +103,8 @@ class Native(TimeSteppingEngine):
         Its error says how long steps may be, for a fraction of the cost of an answer at steps that are too short. Where
         contacts may open within known bounds, and else, the candidate is run at once.
         """
-        strain = scene.largest_strain
-        if candidate.fixed or not (strain == math.inf or (strain <= SAFE_STRAIN and candidate.cost_s > PILOT_S)):
+        strain, cut = scene.largest_strain, scene.excitation.knot_spacing < math.inf  # then the order does not show
+        if candidate.fixed or cut or not (strain == math.inf or (strain <= SAFE_STRAIN and candidate.cost_s > PILOT_S)):
             return candidate
         method = METHODS[candidate.integrator]
         longer = min(PILOT, (PILOT_ERROR / tolerance) ** (1 / method.order))
