@@ -5,7 +5,7 @@ import pytest
 from helpers.example_scenes import paper
 from helpers.independent_integrators import relative_error
 
-from lmpchain import Chain, Impulse, Scene, ToleranceNotMet, resume, simulate, simulate_many
+from lmpchain import Chain, Force, Impulse, Scene, ToleranceNotMet, resume, simulate, simulate_many
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines import Native, step_control
 from lmpchain.engines.companions import Companions
@@ -92,6 +92,23 @@ def test_two_runs_show_the_error_where_the_force_is_smooth_and_they_are_near():
     assert extrapolate(6, True, None, SMALL, (2,), settled=True) == SAFETY * SMALL / 63
     assert extrapolate(6, True, None, 2 * SMALL, (2,), settled=True) == 2 * SMALL
     assert extrapolate(6, True, None, SMALL, (2,)) == SMALL
+
+
+def test_no_companion_alone_has_the_steps_of_the_answer_where_knots_cut_them():
+    """From 1.5 to 2 steps a knot, steps of 1.5 times the length are cut into the same two, and hid an error of 1e-10."""
+    times = np.linspace(0, 7e-5, 15)
+    push = Force(times=times, force=-2e-3 * np.cos(np.arange(15) ** 1.2), grain=1)
+    scene = Scene(chain=VACUUM.chain, excitation=push, duration=6e-5, samples=2)
+    engine = Native("rkn6")
+    candidate, knots = engine.candidate(scene, 1e-9), scene.excitation.knot_spacing
+    assert not first_attempt(engine, scene, 1e-9).pilot
+    for parts in (1.6, 1.9, 2.1, 4.1):
+        steps = round(parts * scene.duration / knots)
+        schedules = Companions(METHODS["rkn6"], [scene], candidate.with_steps(steps)).schedules
+        assert [schedule.ratio for schedule in schedules if schedule.ratio != 1.5] == (
+            [0.5] if parts < 2 else [2] if parts < 4 else [2, 4]
+        )
+        assert parts > 2 or len(schedules) == 1
 
 
 def test_chaos_that_one_attempt_does_not_show_is_looked_for_in_the_next():
