@@ -103,13 +103,15 @@ class Native(TimeSteppingEngine):
         Its error says how long steps may be, for a fraction of the cost of an answer at steps that are too short. Where
         contacts may open within known bounds, and else, the candidate is run at once.
         """
-        strain, cut = scene.largest_strain, scene.excitation.knot_spacing < math.inf  # then the order does not show
-        if candidate.fixed or cut or not (strain == math.inf or (strain <= SAFE_STRAIN and candidate.cost_s > PILOT_S)):
+        strain = scene.largest_strain
+        if candidate.fixed or not (strain == math.inf or (strain <= SAFE_STRAIN and candidate.cost_s > PILOT_S)):
             return candidate
         method = METHODS[candidate.integrator]
         longer = min(PILOT, (PILOT_ERROR / tolerance) ** (1 / method.order))
-        reach = candidate.step * scene.highest_frequency / (LONGEST_STEP * method.stability_limit)
-        longer = min(longer, 1 / reach)
+        # where contacts may open, only two companions show the order: neither unstable, nor cut by knots like the pilot
+        part = 1 / 4 if candidate.adaptive else LONGEST_STEP
+        longest = min(part * method.stability_limit / scene.highest_frequency, scene.excitation.knot_spacing / 4)
+        longer = min(longer, longest / candidate.step)
         if longer < LEAST_PILOT:
             return candidate
         if candidate.stride == 1:

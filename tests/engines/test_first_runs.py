@@ -25,7 +25,7 @@ def test_a_pilot_comes_first_where_nothing_bounds_the_motion_or_the_answer_takes
     for scene in (VACUUM, long):
         candidate, attempt = engine.candidate(scene, 1e-9), first_attempt(engine, scene, 1e-9)
         assert attempt.pilot
-        assert 2 < attempt.candidate.step / candidate.step <= PILOT
+        assert 2 <= attempt.candidate.step / candidate.step <= PILOT
         assert attempt.candidate.steps_per_landing * attempt.candidate.step == pytest.approx(
             candidate.steps_per_landing * candidate.step, rel=1e-12
         )
@@ -63,7 +63,7 @@ def test_a_pilot_is_no_attempt_by_which_an_answer_is_refused(monkeypatch):
         return found
 
     monkeypatch.setattr(step_control, "next_attempt", told)
-    simulate(VACUUM, "native", 1e-8)
+    simulate(VACUUM, "native", 1e-10)
     assert said[:2] == [(1, True, 0), (2, False, 0)]
 
 
@@ -95,13 +95,12 @@ def test_two_runs_show_the_error_where_the_force_is_smooth_and_they_are_near():
 
 
 def test_no_companion_alone_has_the_steps_of_the_answer_where_knots_cut_them():
-    """From 1.5 to 2 steps a knot, steps of 1.5 times the length are cut into the same two, and hid an error of 1e-10."""
+    """From 1.5 to 2 steps a knot, those of 1.5 times the length are cut into the same two; 1e-10 was hidden."""
     times = np.linspace(0, 7e-5, 15)
     push = Force(times=times, force=-2e-3 * np.cos(np.arange(15) ** 1.2), grain=1)
     scene = Scene(chain=VACUUM.chain, excitation=push, duration=6e-5, samples=2)
     engine = Native("rkn6")
     candidate, knots = engine.candidate(scene, 1e-9), scene.excitation.knot_spacing
-    assert not first_attempt(engine, scene, 1e-9).pilot
     for parts in (1.6, 1.9, 2.1, 4.1):
         steps = round(parts * scene.duration / knots)
         schedules = Companions(METHODS["rkn6"], [scene], candidate.with_steps(steps)).schedules
