@@ -23,7 +23,7 @@ from ..util.suggestions import not_among
 from .base import Candidate
 from .companions import SAFE_STRAIN
 from .round_off import native_floor, plain_loss
-from .time_stepping import LONGEST_STEP, TimeSteppingEngine, landing
+from .time_stepping import LONGEST_STEP, Steps, TimeSteppingEngine, landing
 
 # how much longer the steps of a first run may be that shows how the error goes with them, and are at least, or there is
 # none; up to which error it may be expected to be off, and the cost of an answer from which on there is one, s
@@ -84,9 +84,9 @@ class Native(TimeSteppingEngine):
         """Every chain that can be described can be done."""
         return []
 
-    def choose_step(self, scene: Scene, tolerance: float, method: Method) -> Candidate:
+    def choose_step(self, scene: Scene, tolerance: float, method: Method, made: Steps) -> Candidate:
         """Propose the step size of a method, unless round-off alone exceeds the tolerance."""
-        candidate = super().choose_step(scene, tolerance, method)
+        candidate = super().choose_step(scene, tolerance, method, made)
         if not candidate.fixed:
             evaluations = candidate.steps(scene.samples) * method.evaluations
             floor = native_floor(evaluations, scene.highest_frequency * scene.duration)

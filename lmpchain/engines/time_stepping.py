@@ -39,6 +39,9 @@ LONGEST_RUN_S = 3e8  # ten years
 EVALUATION_OVERHEAD = 40  # of a force evaluation, in grain-steps; analysis/calibration/cost_model.py
 
 
+Steps = tuple[int, int, bool, bool]  # as `TimeSteppingEngine._steps` returns them
+
+
 @dataclass(frozen=True)
 class StepRefinement:
     """How a step is shortened after an attempt that missed its tolerance.
@@ -132,15 +135,16 @@ class TimeSteppingEngine(Engine):
     def candidate(self, scene: Scene, tolerance: float) -> Candidate:
         """Propose a step size: the one given, or the longest that should meet the tolerance."""
 
-        def work(method: Method) -> float:
-            steps, stride, *_ = self._steps(scene, tolerance, method)
+        def work(made: tuple[Method, Steps]) -> float:
+            method, (steps, stride, *_) = made
             return method.evaluations * steps / stride + (COST_BETWEEN if stride > 1 else 0.0)
 
-        return self.choose_step(scene, tolerance, min(self.methods, key=work))
+        made = ((method, self._steps(scene, tolerance, method)) for method in self.methods)
+        return self.choose_step(scene, tolerance, *min(made, key=work))
 
-    def choose_step(self, scene: Scene, tolerance: float, method: Method) -> Candidate:
+    def choose_step(self, scene: Scene, tolerance: float, method: Method, made: Steps) -> Candidate:
         """Propose the step size of a method."""
-        steps, stride, adapts, coarse = self._steps(scene, tolerance, method)
+        steps, stride, adapts, coarse = made
         cost = self.cost(scene, method, -(-steps * (scene.samples - 1) // stride))
         if cost > LONGEST_RUN_S:
             years = cost / 3.15e7
@@ -160,7 +164,7 @@ class TimeSteppingEngine(Engine):
             choices=self.choices(scene),
         )
 
-    def _steps(self, scene: Scene, tolerance: float, method: Method) -> tuple[int, int, bool, bool]:
+    def _steps(self, scene: Scene, tolerance: float, method: Method) -> Steps:
         """Return the steps of a method from landing to landing, how many samples that is, and how they adapt.
 
         That is whether they do, and whether coarsely.

@@ -138,11 +138,11 @@ class Lammps(TimeSteppingEngine):
             return error.faults
         return []
 
-    def choose_step(self, scene: Scene, tolerance: float, method: Method) -> Candidate:
+    def choose_step(self, scene: Scene, tolerance: float, method: Method, made: Steps) -> Candidate:
         """Find the step with native trials of the same map, then the diameter from the round-off law."""
         fixed = self.step is not None
         if fixed:
-            given = super().choose_step(scene, tolerance, method)
+            given = super().choose_step(scene, tolerance, method, made)
             known = not scene.excitation.does_work  # else a trial shows the gauge diameter
             if self.diameter == "physical" or (self.diameter == "gauge" and known):
                 drawn = gauge_diameter(scene) if self.diameter == "gauge" else 0.0
