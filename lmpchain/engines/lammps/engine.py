@@ -25,7 +25,7 @@ from ..base import Candidate, ErrorBudget, Run
 from ..error_estimate import CompanionRun
 from ..native import Native
 from ..step_control import loosened, run_to_tolerance
-from ..time_stepping import TimeSteppingEngine
+from ..time_stepping import Steps, TimeSteppingEngine
 from . import deck
 from .column import PAIR_STYLES, Column
 from .launch import gather
