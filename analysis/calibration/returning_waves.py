@@ -1,12 +1,11 @@
-"""Measure COMES_BACK, NEARBY and NEAR_OVER: when waves come back to contacts that opened, and the run that shows it.
+"""Measure COMES_BACK and NEARBY: when waves come back to contacts that opened, and the run that shows it.
 
 Runs at h, 2h and 4h may agree by chance where contacts open again and again. Random chains of few grains, most of which
 rattle for a long time, are run with adaptive steps, without and with one more companion, and the estimates are held
 against the true error. COMES_BACK is supported up to the least number of radians a grain at which an estimate without
 that companion is below the truth. NEARBY is supported where as many estimates are bounds as with the best ratio, to one
-in 50; NEAR_OVER, by which its difference is divided, up to where one in 200 is below a third of the truth. Springs,
-whose force has a kink at an opening, are run for a shorter time than COMES_BACK: NEARBY_AT_KINKS is supported where as
-many estimates are bounds as with the best ratio, to one in 1000.
+in 50. Springs, whose force has a kink at an opening, are run for a shorter time than COMES_BACK: NEARBY_AT_KINKS is
+supported where as many estimates are bounds as with the best ratio, to one in 1000.
 
     python analysis/calibration/returning_waves.py           # twenty minutes
     python analysis/calibration/returning_waves.py --quick   # seconds
@@ -23,16 +22,14 @@ from scenes import drawn
 
 from lmpchain import Scene
 from lmpchain.engines import companions
-from lmpchain.engines.companions import COMES_BACK, KINKED_BELOW, NEAR_OVER, NEARBY, NEARBY_AT_KINKS
+from lmpchain.engines.companions import COMES_BACK, KINKED_BELOW, NEARBY, NEARBY_AT_KINKS
 from lmpchain.engines.native import Native
 
-RATIOS, OVERS = (1.25, 1.5, 1.75, 3.0), (1.0, 2.0, 3.0, 4.0)
+RATIOS = (1.25, 1.5, 1.75, 3.0)
 REACHES = (0.8, 0.4, 0.2)  # omega h
 KNOWN = 0.1  # errors above it obey no order
 MISSED, MISSED_AT_KINKS = 1 / 50, 1 / 1000  # of the estimates, by which two ratios may differ
-LOW = 1 / 200  # of the estimates, that may be below a third of the truth
-# radians a grain, true errors, and estimates by ratio and divisor
-Found = list[tuple[float, float, dict[tuple[float, float], float]]]
+Found = list[tuple[float, float, dict[float, float]]]  # radians a grain, true errors, estimates by ratio
 
 
 def crossings(scene: Scene) -> float:
@@ -41,24 +38,21 @@ def crossings(scene: Scene) -> float:
     return radians if scene.excitation.does_work else radians / scene.chain.grains
 
 
-def estimates(case: Case, name: str, reach: float) -> tuple[float, dict[tuple[float, float], float]] | None:
-    """Return the true error of a run and its estimates, by the ratio of one more companion, infinite for none.
-
-    And by what its difference is divided by.
-    """
+def estimates(case: Case, name: str, reach: float) -> tuple[float, dict[float, float]] | None:
+    """Return the true error of a run and its estimates, by the ratio of one more companion; infinite for none."""
     engine = Native(name, adaptive=True)
     proposed = proposal(engine, case.scene, 1e-3)
     if proposed is None or not proposed.adaptive:
         return None
     candidate, found, error = with_reach(case.scene, proposed, reach), {}, 0.0
-    for ratio, over in ((math.inf, 1.0), *((ratio, 1.0) for ratio in RATIOS), *((NEARBY, over) for over in OVERS[1:])):
+    for ratio in (math.inf, *RATIOS):
         one_more = mock.Mock(return_value=math.isfinite(ratio))
-        bare = {"NEARBY": ratio, "NEARBY_AT_KINKS": ratio, "NEAR_OVER": over}
+        bare = {"NEARBY": ratio, "NEARBY_AT_KINKS": ratio}
         with mock.patch.multiple(companions, _scatters=one_more, **bare):
             run = answer(engine, case.scene, candidate)
         if run is None or run.lowest > companions.CLOSE_TO_OPENING:
             return None
-        found[ratio, over], error = run.error.total, case.error(run.motion)
+        found[ratio], error = run.error.total, case.error(run.motion)
     return (error, found) if 10 * case.reference.error < error < KNOWN else None
 
 
@@ -76,8 +70,8 @@ def compared(scenes: list[Scene], names: tuple[str, ...]) -> Found:
 
 def nearby(name: str, shipped: float, found: Found, apart: float) -> Row:
     """Return the row of a ratio."""
-    missed = {ratio: np.mean([said[ratio, 1] < error for _, error, said in found]) for ratio in (math.inf, *RATIOS)}
-    low = {ratio: np.mean([said[ratio, 1] < error / 3 for _, error, said in found]) for ratio in (math.inf, *RATIOS)}
+    missed = {ratio: np.mean([said[ratio] < error for _, error, said in found]) for ratio in (math.inf, *RATIOS)}
+    low = {ratio: np.mean([said[ratio] < error / 3 for _, error, said in found]) for ratio in (math.inf, *RATIOS)}
     good = [ratio for ratio in RATIOS if missed[ratio] <= min(missed.values()) + apart]
     with_it = "; ".join(
         f"{100 * missed[ratio]:.2f} and {100 * low[ratio]:.2f} % {'without' if math.isinf(ratio) else ratio}"
@@ -114,16 +108,11 @@ def main(quick: bool = False) -> list[Row]:
     )
     hertz = [scene for scene in scenes if scene.chain.exponent >= KINKED_BELOW]
     found = compared(hertz, ("rkn4", "rkn6", "kahan-li8"))
-    first = min((radians for radians, error, said in found if said[math.inf, 1] < error), default=math.inf)
-    wave = [(said[(NEARBY, NEAR_OVER) if back > COMES_BACK else (math.inf, 1)], error) for back, error, said in found]
-    missed = np.mean([said < error for said, error in wave])
-    low = {over: np.mean([said[NEARBY, over] < error / 3 for _, error, said in found]) for over in OVERS}
-    most = max(over for over in OVERS if low[over] <= max(LOW, low[1.0]))
-    listed = ", ".join(f"{over:g}: {100 * part:.2f} %" for over, part in low.items())
+    first = min((radians for radians, error, said in found if said[math.inf] < error), default=math.inf)
+    missed = np.mean([said[NEARBY if radians > COMES_BACK else math.inf] < error for radians, error, said in found])
     return [
         Row("COMES_BACK", COMES_BACK, first, 0.0, first, f"as shipped {100 * missed:.1f} % of estimates are too low"),
         nearby("NEARBY", NEARBY, found, MISSED),
-        Row("NEAR_OVER", NEAR_OVER, most, 1.0, most, f"estimates below a third of the truth: {listed}"),
         *springs(quick),
     ]
 

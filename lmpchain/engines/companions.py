@@ -29,7 +29,7 @@ FAR, FLOOR = (4, 3), 0.1
 # follows its own error
 ORDER_AT_OPENINGS, ORDER_WHERE_COARSE = 6, 4
 # radians a grain from which on waves come back to where contacts opened, and the step of one more companion then
-COMES_BACK, NEARBY, NEAR_OVER = 10.0, 1.5, 2.0
+COMES_BACK, NEARBY = 10.0, 1.5
 # the same for exponents below that, whose force has a kink at an opening: errors scatter from the first one on
 KINKED_BELOW, ORDER_AT_KINKS, NEARBY_AT_KINKS = 1.25, 3, 1.75
 
@@ -95,7 +95,7 @@ class Companions:
         ratios, settled = self._ratios[:2], smooth and not opens
         found = max(extrapolate(trusted, smooth, *pair, ratios, settled) for pair in zip(coarse, steps[0], strict=True))
         if opens and self.scatters[real]:
-            found = max(found, max(steps[-1]) / (1.0 if self.kinks else NEAR_OVER))
+            found = max(found, *steps[-1])
         return found
 
 

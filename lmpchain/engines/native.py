@@ -23,7 +23,7 @@ from ..util.suggestions import not_among
 from .base import Candidate
 from .companions import SAFE_STRAIN
 from .round_off import native_floor, plain_loss
-from .time_stepping import LONGEST_STEP, Steps, TimeSteppingEngine, landing
+from .time_stepping import LONGEST_STEP, LONGEST_UNBOUNDED, Steps, TimeSteppingEngine, landing
 
 # how much longer the steps of a first run may be that shows how the error goes with them, and are at least, or there is
 # none; up to which error it may be expected to be off, and the cost of an answer from which on there is one, s
@@ -109,7 +109,7 @@ class Native(TimeSteppingEngine):
         method = METHODS[candidate.integrator]
         longer = min(PILOT, (PILOT_ERROR / tolerance) ** (1 / method.order))
         # where contacts may open, only two companions show the order: neither unstable, nor cut by knots like the pilot
-        part = 1 / 4 if candidate.adaptive else LONGEST_STEP
+        part = LONGEST_UNBOUNDED if candidate.adaptive else LONGEST_STEP
         longest = min(part * method.stability_limit / scene.highest_frequency, scene.excitation.knot_spacing / 4)
         longer = min(longer, longest / candidate.step)
         if longer < LEAST_PILOT:

@@ -27,14 +27,17 @@ CHOICE = ("rkn4", "rkn6")  # of which the cheaper one is taken, if none is asked
 LONGEST_STEP = 0.6  # longest step that is proposed, over the stability limit
 # the same where the bound on the strain is finite but above that: longer steps are often too long there at first
 LONGEST_AT_OPENINGS, STRONG_STRAIN = 0.45, 10.0
+LONGEST_UNBOUNDED = 0.25  # and where there is no bound, for errors of longer ones scatter, and runs may agree by chance
 # factors on the error where contacts may open: with steps of one length, of which nine in ten scenes need no more; with
 # coarse ones near openings, on that of adaptive steps; and what that, `opening_error_factor`, is made of
 OPENING_ERROR, COARSE_ERROR = 30.0, 16.0
 ADAPTIVE_ERROR, LEAST_STRAIN, MOST_STRAIN, GROWS = 5.0, 3.0, 99.0, 0.5
 # of samples that are interpolated: their error at omega h = 1 and its order; what rounding adds a step of the run, for
-# they take differences of displacements over a step; what one costs in evaluations of the force; steps from landing to
-# landing, and the most numbers of a field between; and steps a sample from which on none is interpolated after all
-BETWEEN, ORDER_BETWEEN, LOST_BETWEEN, COST_BETWEEN, FEW_STEPS, FIELD, MANY = 3e-8, 7, 5e-15, 5.0, 8, 2**19, 3
+# they take differences of displacements over a step; what one costs in evaluations of the force, and a step over one of
+# equal ones; steps from landing to landing, and the most numbers of a field between; and steps a sample from which on
+# none is interpolated after all
+BETWEEN, ORDER_BETWEEN, LOST_BETWEEN, COST_BETWEEN, UNEVEN = 3e-8, 7, 5e-15, 5.0, 2.0
+FEW_STEPS, FIELD, MANY = 8, 2**19, 3
 LONGEST_RUN_S = 3e8  # ten years
 EVALUATION_OVERHEAD = 40  # of a force evaluation, in grain-steps; analysis/calibration/cost_model.py
 
@@ -54,9 +57,8 @@ class StepRefinement:
         Order to which every method with steps of one length falls where contacts open.
     order_at_kinks : float
         The same with adaptive steps where the force has kinks.
-    target, target_at_openings : float
-        Part of the tolerance that is left for the truncation error at which the next attempt aims, where steps are of
-        one length or adaptive.
+    target : float
+        Part of the tolerance that is left for the truncation error at which the next attempt aims.
     roundoff : float
         Part of the tolerance beyond which round-off cannot be made up for.
     least, least_erratic : float
@@ -70,7 +72,6 @@ class StepRefinement:
     order_at_openings: float = 2.5
     order_at_kinks: float = 4.0
     target: float = 0.7
-    target_at_openings: float = 0.5
     roundoff: float = 0.9
     least: float = 1.3
     least_erratic: float = 2.0
@@ -91,8 +92,7 @@ class StepRefinement:
         order = order if error.smooth else min(order, self.order_at_kinks if adaptive else self.order_at_openings)
         most = self.most if error.truncation < self.far else self.most_far
         least = self.least if error.smooth else self.least_erratic
-        target = self.target_at_openings if adaptive else self.target
-        return min(max((error.truncation / (target * room)) ** (1 / order), least), most)
+        return min(max((error.truncation / (self.target * room)) ** (1 / order), least), most)
 
 
 REFINEMENT = StepRefinement()
@@ -136,8 +136,8 @@ class TimeSteppingEngine(Engine):
         """Propose a step size: the one given, or the longest that should meet the tolerance."""
 
         def work(made: tuple[Method, Steps]) -> float:
-            method, (steps, stride, *_) = made
-            return method.evaluations * steps / stride + (COST_BETWEEN if stride > 1 else 0.0)
+            method, (steps, stride, adapts, _) = made
+            return _work(method, steps / stride, stride, adapts)
 
         made = ((method, self._steps(scene, tolerance, method)) for method in self.methods)
         return self.choose_step(scene, tolerance, *min(made, key=work))
@@ -184,10 +184,14 @@ class TimeSteppingEngine(Engine):
         if scene.largest_strain > SAFE_STRAIN:
             expected *= opening_error_factor(scene.largest_strain) if adapts else OPENING_ERROR
         reach = (tolerance / SAFETY / expected) ** (1 / method.order)
-        if adapts and limit / 4 < reach <= limit / 2:  # one companion alone shows no order where contacts open
+        # one companion alone shows no order where contacts open, unless samples make steps shorter
+        if adapts and limit / 4 < min(reach, interval * omega) and reach <= limit / 2:
             reach = max(limit / 4, reach * (SAFETY * ADAPTIVE_ERROR / 2**method.order) ** (1 / method.order))
-        strong = STRONG_STRAIN < scene.largest_strain < math.inf
-        longest = (LONGEST_AT_OPENINGS if strong else LONGEST_STEP) * limit
+        longest = LONGEST_STEP * limit
+        if STRONG_STRAIN < scene.largest_strain < math.inf:
+            longest = LONGEST_AT_OPENINGS * limit
+        elif adapts and method.adaptive == "openings" and scene.largest_strain == math.inf:
+            longest = LONGEST_UNBOUNDED * limit
         if adapts:
             longest = min(longest, omega * scene.excitation.knot_spacing)  # knots cut longer steps
         steps, more = (
@@ -199,7 +203,7 @@ class TimeSteppingEngine(Engine):
             smooth = (tolerance / SAFETY / BETWEEN) ** (1 / ORDER_BETWEEN)
             few = interval * omega / min(reach, longest, smooth)  # steps a sample
             landed, stride = landing(scene, few)
-            cheaper = few * method.evaluations + COST_BETWEEN < steps * method.evaluations
+            cheaper = _work(method, few, 2, adapts) < _work(method, steps, 1, adapts)
             exact = few * (scene.samples - 1) * LOST_BETWEEN < tolerance
             if cheaper and exact and 1 < stride <= FIELD // scene.chain.grains:
                 return landed, stride, adapts, False
@@ -258,6 +262,13 @@ class TimeSteppingEngine(Engine):
             if state is None or isinstance(error, InputError):
                 raise
             raise InputError([("checkpoint", "does not fit its run, or was changed: run the scene anew")]) from error
+
+
+def _work(method: Method, steps: float, stride: int, adapts: bool) -> float:
+    """Return what a sample costs, in evaluations of the force, at so many steps a sample."""
+    if stride == 1:
+        return method.evaluations * steps
+    return method.evaluations * steps * (1.0 if adapts else UNEVEN) + COST_BETWEEN
 
 
 def landing(scene: Scene, few: float) -> tuple[int, int]:

@@ -33,11 +33,12 @@ SHOWN = {
         "STEEPEST",
         "DOUBT",
     ],
+    "long_steps": ["FAR", "SMALL", "LOST_BETWEEN"],
     "linear_openings": ["GRAZES", "FEW (waves)"],
     "opening_error_factor": ["SAFE_STRAIN", "LONGEST_STEP"],  # of OPENING_ERROR and the rest quick runs say nothing
     "predictability": ["OPENING", "FLYING", "FEW", "reflection_time: 0.907470, 0.681632"],
     "richardson_estimate": ["SAFETY", "ORDER_AT_OPENINGS", "ORDER_AT_KINKS", "CLOSE_TO_OPENING", "FEWEST"],
-    "returning_waves": ["COMES_BACK", "NEARBY", "NEARBY_AT_KINKS", "SAFETY_AT_KINKS"],
+    "returning_waves": ["COMES_BACK", "NEARBY", "NEARBY_AT_KINKS"],
     "roundoff": [
         *("native_floor", "DISPLACED", "PLAIN", "STRONG", "dop853.spread"),
         *("ROUNDING", "HEADROOM", "modes.round_off", "chebyshev.round_off"),
