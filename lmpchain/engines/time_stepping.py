@@ -180,17 +180,17 @@ class TimeSteppingEngine(Engine):
             return math.ceil(interval / self.step * (1 - 1e-12)), 1, False, False
         omega = scene.highest_frequency
         expected = method.error_constant * max(1.0, omega * scene.duration / PERIODS)  # phases drift apart with time
-        adapts = self.adapts(scene, method)
+        adapts, shortens = self.adapts(scene, method), method.adaptive == "openings"
         if scene.largest_strain > SAFE_STRAIN:
             expected *= opening_error_factor(scene.largest_strain) if adapts else OPENING_ERROR
         reach = (tolerance / SAFETY / expected) ** (1 / method.order)
         # one companion alone shows no order where contacts open, unless samples make steps shorter
-        if adapts and limit / 4 < min(reach, interval * omega) and reach <= limit / 2:
+        if adapts and shortens and limit / 4 < min(reach, interval * omega) and reach <= limit / 2:
             reach = max(limit / 4, reach * (SAFETY * ADAPTIVE_ERROR / 2**method.order) ** (1 / method.order))
         longest = LONGEST_STEP * limit
         if STRONG_STRAIN < scene.largest_strain < math.inf:
             longest = LONGEST_AT_OPENINGS * limit
-        elif adapts and method.adaptive == "openings" and scene.largest_strain == math.inf:
+        elif adapts and shortens and scene.largest_strain == math.inf:
             longest = LONGEST_UNBOUNDED * limit
         if adapts:
             longest = min(longest, omega * scene.excitation.knot_spacing)  # knots cut longer steps
@@ -199,7 +199,7 @@ class TimeSteppingEngine(Engine):
             for less in (1.0, COARSE_ERROR ** (1 / method.order))
         )
         # in the vacuum a front grows so steeply that what lies between steps may get a wrong sign
-        if self.dense and self.adaptive and method.adaptive == "openings" and scene.chain.compressed:
+        if self.dense and self.adaptive and shortens and scene.chain.compressed:
             smooth = (tolerance / SAFETY / BETWEEN) ** (1 / ORDER_BETWEEN)
             few = interval * omega / min(reach, longest, smooth)  # steps a sample
             landed, stride = landing(scene, few)
@@ -208,7 +208,7 @@ class TimeSteppingEngine(Engine):
             if cheaper and exact and 1 < stride <= FIELD // scene.chain.grains:
                 return landed, stride, adapts, False
         # where samples hold steps short, shorter ones near openings would only cost
-        coarse = adapts and method.adaptive == "openings" and steps == more and scene.chain.exponent >= KINKED_BELOW
+        coarse = adapts and shortens and steps == more and scene.chain.exponent >= KINKED_BELOW
         return steps, 1, adapts, coarse
 
     def adapts(self, scene: Scene, method: Method) -> bool:
