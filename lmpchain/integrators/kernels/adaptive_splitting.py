@@ -148,6 +148,7 @@ def _advance(chain, method, work, clock, span):
             if chain.imposed or not known:
                 fill_jerk(chain, first, last, force, beyond, rate, jerk, imposed_rate(chain, t, t))
             keep(chain, first, last, pull, jerk)
+            meet(chain.team)  # before the grains next to these move
         state[STEP] = state[DONE]
     hold(chain, w)
     if chain.imposed:
