@@ -101,7 +101,7 @@ class Native(TimeSteppingEngine):
         """Return a run at longer steps where nothing bounds the motion, or where the answer takes long.
 
         Its error says how long steps may be, for a fraction of the cost of an answer at steps that are too short. Where
-        contacts may open within known bounds, and else, the candidate is run at once.
+        contacts may open, but a bound on the strain is known, the candidate is run at once.
         """
         strain = scene.largest_strain
         if candidate.fixed or not (strain == math.inf or (strain <= SAFE_STRAIN and candidate.cost_s > PILOT_S)):

@@ -70,10 +70,10 @@ def test_the_largest_motion_is_found(integrator, scene):
 def test_the_largest_motion_of_a_lammps_run_is_that_of_its_twin():
     scene = oscillator(Impulse(velocity=SPEED), 2, 3)
     engine = Lammps()
-    run = engine.start([scene], engine.candidate(scene, 1e-4))
+    run = engine.start([scene], engine.candidate(scene, 1e-7))
     try:
         for _ in run.blocks():
             pass
-        assert run.peaks[0] == pytest.approx([LENGTH, SPEED], rel=0.12)
+        assert run.peaks[0] == pytest.approx([LENGTH, SPEED], rel=0.04)
     finally:
         run.close()
