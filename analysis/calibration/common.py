@@ -114,7 +114,7 @@ def _companions(run: Run) -> tuple[tuple[float, ...], float]:
         return (), 0.0
     peaks = np.where(run.peaks[0] > 0, run.peaks[0], 1.0)
     relative = np.asarray(run.state()["differences"])[:, :, 0] / peaks
-    return tuple(relative.max((1, 2)).tolist()), min(float(stepper.lowest()[0]) for stepper in run._native)
+    return tuple(relative.max((1, 2)).tolist()), float(run.native.lowest()[0])
 
 
 def with_reach(scene: Scene, candidate: Candidate, reach: float) -> Candidate:

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import cached_property, reduce
-from typing import cast
+from functools import cached_property
+from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import RunFailed
 from ..integrators.batch import ChainBatch
@@ -31,7 +30,7 @@ from .companions import CLOSE_TO_OPENING, Companions
 from .round_off import native_floor, plain_loss, rounded_energy
 
 PIECE_S = 0.1  # longest stretch of work between two opportunities to stop
-GUESSED_RATE = 1e7  # grain-steps a second, a low guess to begin with
+GUESSED_RATE = 1e8  # grain-steps a second, a low guess to begin with
 BLOCK_BYTES = 2**25  # of the samples that are compared at a time,
 BLOCK_S = 0.5  # and how long they may take: what is stopped or killed loses no more
 MOST = 1e300  # J, where nothing bounds the energy
@@ -52,7 +51,7 @@ class CompanionRun(Run):
     Parameters
     ----------
     make : callable
-        Makes the stepper of the answer from its schedule and its kept state.
+        Makes the stepper of the answer from its schedule and its kept state, with its companions if it is native.
     method : Method
     scenes : sequence of Scene
         One, or a batch of like ones.
@@ -65,7 +64,7 @@ class CompanionRun(Run):
 
     def __init__(
         self,
-        make: Callable[[StepSchedule, Mapping[str, Array]], Stepper],
+        make: Callable[[Sequence[StepSchedule], Mapping[str, Array]], Stepper],
         method: Method,
         scenes: Sequence[Scene],
         candidate: Candidate,
@@ -75,21 +74,19 @@ class CompanionRun(Run):
         began = clock()
         self.method, self.scene, self.candidate, self._scenes = method, scenes[0], candidate, scenes
         self._amplified: dict[int, float] = {}
-        self._lost: dict[int, NDArray[np.bool_]] = {}  # realisations that a companion has lost, (R,)
-        kept = _unpack(state)
-        self._answer = make(candidate.schedule(), kept[0])
-        self._steppers: list[Stepper] = [self._answer]
-        self._twin = twin
         self._companions = chosen = Companions(method, scenes, candidate)
-        schedules = [candidate.schedule(), *chosen.schedules] if twin else chosen.schedules
-        shared = None if twin else cast(NativeStepper, self._answer)
-        chains, threads = (shared.chains, shared.threads) if shared else (ChainBatch(scenes), 1)
-        companions = [
-            NativeStepper(chains, method, schedule, old, threads)
-            for schedule, old in zip(schedules, kept[1:], strict=False)
-        ]
-        self._native = [*([shared] if shared else []), *companions]
-        self._steppers += companions
+        self._twin, own = int(twin), candidate.schedule()
+        if twin:
+            self.native = NativeStepper(
+                ChainBatch(scenes), method, own, _of("native", state), companions=chosen.schedules
+            )
+            self._answer = make([own], _of("answer", state))
+            self._steppers, schedules = [self._answer, self.native], [own, *chosen.schedules]
+        else:
+            self._answer = make([own, *chosen.schedules], _of("native", state))
+            self.native = cast(NativeStepper, self._answer)
+            self._steppers, schedules = [self._answer], chosen.schedules
+        chains = self.native.chains
         self.realisations, self._at_rest = len(scenes), chains.scale[:, 1] == 0
         self._radians = [scene.highest_frequency * scene.duration for scene in scenes]
         self._kinked = [not scene.excitation.smooth for scene in scenes]
@@ -102,17 +99,19 @@ class CompanionRun(Run):
         slow = self._masses.sum(1) * (1e-3 * self._scale[:, 1]) ** 2
         self._most_energy = np.minimum(energy + slow, MOST)
         samples, grains = self.scene.samples, self.scene.chain.grains
-        self._against = np.arange(len(companions))  # each differs from the next longer step, one more from the answer
-        self._against[len(companions) - chosen.nearby :] = 0
+        others = len(schedules)
+        self._against = np.arange(others)  # each differs from the next longer step, one more from the answer
+        self._against[others - chosen.nearby :] = 0
         strides = [schedule.stride for schedule in schedules]
         self._strides = np.array([schedule.dense or schedule.stride for schedule in schedules])
         self._together = math.lcm(4, *strides, self._answer.stride)
-        self._most = _block(len(self._steppers), self.realisations, grains, samples, self._together)
+        self._most = _block(others + 1, self.realisations, grains, samples, self._together)
         self._sample_s = candidate.cost_s * self.realisations / samples  # a guess to begin with
         self._begin = chains.initial
-        shape = (len(self._steppers) - 1, self.realisations, self._most + 1, grains)  # with sample 0 in the first block
+        shape = (others, self.realisations, self._most + 1, grains)  # with sample 0 in the first block
         self._beside = np.zeros(shape), np.zeros(shape)  # the fields of the companions
-        shape = (len(self._steppers) - 1, samples, self.realisations, 2)
+        self._lost = np.zeros((others, self.realisations), bool)  # that a companion has lost
+        shape = (others, samples, self.realisations, 2)
         self._differences, self.peaks, self._sample = np.zeros(shape), np.zeros((self.realisations, 2)), -1
         if state is not None:
             self._differences, self.peaks = state["differences"].copy(), state["peaks"].copy()
@@ -121,57 +120,53 @@ class CompanionRun(Run):
             if self._differences.shape != shape or self.peaks.shape != (self.realisations, 2) or apart:
                 raise ValueError("the state that was kept does not fit")
         self._rate = [GUESSED_RATE / (self.realisations * grains * method.evaluations)] * len(self._steppers)
-        self._integration_s = self._estimate_s = 0.0
+        self._seconds, self._compared_s = [0.0] * len(self._steppers), 0.0
         self._setup_s = clock() - began
 
     def blocks(self) -> Iterator[Block]:
         """Yield the answer; samples that a restored state already had are not repeated."""
         final = self.scene.samples - 1
         while self._sample < final:
-            first, spent = self._sample + 1, self._integration_s + self._estimate_s
+            first, spent = self._sample + 1, sum(self._seconds) + self._compared_s
             fit, together = min(self._most, int(BLOCK_S / self._sample_s)), self._together
-            count = max(1, fit // together) * together
-            until = min(max(self._sample, 0) + count, final)
+            begun, count = max(self._sample, 0), max(1, fit // together) * together
+            until = final if begun + fit >= final else min(begun + count, final)
             shape = (self.realisations, until + 1 - first, self.scene.chain.grains)
             own = np.zeros(shape), np.zeros(shape)  # what no wave has reached stays so
             if first == 0:
                 for field, begin in zip((*own, *self._beside), (*self._begin, *self._begin), strict=True):
                     field[..., 0, :] = begin
-            for index in range(len(self._steppers)):
-                u, v = own if index == 0 else (field[index - 1] for field in self._beside)
-                yield from self._fill(index, u, v, first, until)
+            if self._twin:
+                yield from self._fill(0, own, (), first, until)
+                twin, beside = ([field[part] for field in self._beside] for part in (0, slice(1, None)))
+                yield from self._fill(1, twin, (tuple(beside),), first, until)
+            else:
+                yield from self._fill(0, own, (self._beside,), first, until)
             yield self._keep(*own, first, until + 1)
-            self._sample_s = (self._integration_s + self._estimate_s - spent) / (until + 1 - first)
+            self._sample_s = (sum(self._seconds) + self._compared_s - spent) / (until + 1 - first)
 
-    def _fill(self, index: int, u: Array, v: Array, first: int, until: int) -> Iterator[Block]:
+    def _fill(
+        self, index: int, fields: Sequence[Array], beside: tuple[Any, ...], first: int, until: int
+    ) -> Iterator[Block]:
         """Move one stepper through a block of samples, in pieces short enough to be interrupted."""
         stepper = self._steppers[index]
         while True:
             max_steps = max(1, int(self._rate[index] * PIECE_S))
             began = clock()
-            done = stepper.fill(u, v, first, until, max_steps)
+            done = stepper.fill(*fields, first, until, max_steps, *beside)
             took = clock() - began
             self._rate[index] = done / max(took, 1e-9)
-            if index == 0:
-                self._integration_s += took
-            else:
-                self._estimate_s += took
-            if (broken := self._broken(stepper)).any():
-                if index == 0:
+            self._seconds[index] += took
+            if stepper is self.native and ((closest := self.native.closest()) > self._rest).any():
+                broken = closest > self._deepest
+                if not self._twin and broken[0].any():
                     raise RunFailed(self._broke_down(first, "grains overlap more than all the energy there is allows"))
-                cast(NativeStepper, stepper).leave(broken, until)  # adaptive steps would be ever shorter
-                self._lost[index] = broken
+                self.native.leave(broken, until)  # adaptive steps would be ever shorter
+                self._lost = broken[1 - self._twin :]  # their error is infinite
             if stepper.sample >= until:
                 return
             nothing = np.empty((self.realisations, 0, self.scene.count(self.scene.chain)))
             yield Block(slice(first, first), nothing, nothing)
-
-    def _broken(self, stepper: Stepper) -> NDArray[np.bool_]:
-        """Return which realisations of a native stepper have broken down, (R,); their error is infinite."""
-        if not isinstance(stepper, NativeStepper):
-            return np.zeros(self.realisations, bool)
-        closer = (closest := stepper.closest()) > self._rest
-        return closest > self._deepest if closer.any() else closer
 
     @cached_property
     def _deepest(self) -> Array:
@@ -185,15 +180,15 @@ class CompanionRun(Run):
         began = clock()
         of_others = *self._beside, self._against, self._strides
         peaks, energy = compared(u, v, *of_others, self._masses, first, self._differences)
-        self.peaks = np.maximum(np.maximum(self.peaks, peaks), self._native[0].largest())
+        self.peaks = np.maximum(np.maximum(self.peaks, peaks), self.native.largest())
         if not (energy <= self._most_energy).all():
             unknown = "positions or velocities are no longer numbers"
             more = "the kinetic energy exceeds all the energy there is"
             raise RunFailed(self._broke_down(first, more if np.isfinite(energy).all() else unknown))
-        for index, broken in self._lost.items():
-            self._differences[index - 1, :, broken] = np.inf
+        if self._lost.any():
+            self._differences.swapaxes(1, 2)[self._lost] = np.inf
         self._sample = stop - 1
-        self._estimate_s += clock() - began
+        self._compared_s += clock() - began
         if self.scene.grains != "all":
             rows = as_slice(self.scene.recorded - 1)
             u, v = (np.array(field[:, :, rows]) for field in (u, v))
@@ -208,25 +203,26 @@ class CompanionRun(Run):
     @property
     def closest(self) -> Array:
         """Largest approach of two grains beyond that at rest, (R,) m, in the native companions."""
-        return np.max([stepper.closest() for stepper in self._native], axis=0)
+        return self.native.closest().max(0)
 
     @property
     def progress(self) -> float:
         """Part of the samples done."""
-        reached = sum(stepper.sample / stepper.stride for stepper in self._steppers)
-        return reached / sum((self.scene.samples - 1) / stepper.stride for stepper in self._steppers)
+        if not self._twin:
+            return self.native.progress
+        return (self._answer.sample / (self.scene.samples - 1) + self.native.progress) / 2
 
     def errors(self) -> list[ErrorBudget]:
         """Return the estimate for every realisation."""
         # nothing is put in: there is no motion to be relative to, but that of a strike number of 1
         peaks = np.where(self._at_rest[:, None], self._scale, self.peaks)
-        if self._twin and not (self._at_rest[0] or self._native[0].largest()[0, 1]):  # only what rounding presses moves
+        if self._twin and not (self._at_rest[0] or self.native.largest()[0, 1]):  # only what rounding presses moves
             peaks[0, 1] = max(peaks[0, 1], self.scene.highest_frequency * peaks[0, 0])
         peaks = np.where(peaks > 0, peaks, 1.0)
         largest, every = in_parts(self._differences, peaks)
-        steps = largest[int(self._twin) :]  # between steps h, 2h (and 4h), or h and h/2
-        opening = reduce(np.minimum, [stepper.lowest() for stepper in self._native]) <= CLOSE_TO_OPENING
-        plain, adaptive = self._native[0].chains.plain, self.candidate.adaptive
+        steps = largest[self._twin :]  # between steps h, 2h (and 4h), or h and h/2
+        opening = self.native.lowest() <= CLOSE_TO_OPENING
+        plain, adaptive = self._chains.plain, self.candidate.adaptive
         of_each = opening, plain, self._answer.steps, steps.swapaxes(0, 1), peaks, self.peaks
         found = []
         for real, row in enumerate(zip(*(x.tolist() for x in of_each), strict=True)):
@@ -259,15 +255,16 @@ class CompanionRun(Run):
         if real not in self._amplified:
             began = clock()
             self._amplified[real] = amplified_digit(self._scenes[real], peaks, self._answer.steps[real])
-            self._estimate_s += clock() - began
+            self._compared_s += clock() - began
         return self._amplified[real]
 
     def cost(self) -> Cost:
         """Return what it has cost so far; steps and evaluations are those of the realisation that took most."""
-        steps = int(self._answer.steps.max())
+        steps, part = int(self._answer.steps.max()), 1.0 if self._twin else self.native.own_part
+        integration_s = part * self._seconds[0]
         return Cost(
-            integration_s=self._integration_s,
-            estimate_s=self._estimate_s,
+            integration_s=integration_s,
+            estimate_s=sum(self._seconds) - integration_s + self._compared_s,
             setup_s=self._setup_s,
             steps=steps,
             force_evaluations=steps * self.method.evaluations,
@@ -280,8 +277,9 @@ class CompanionRun(Run):
     def state(self) -> dict[str, Array]:
         """Return what `start` needs to go on from the last sample with the same bits."""
         kept = {"sample": np.array(self._sample), "differences": self._differences, "peaks": self.peaks}
-        for index, stepper in enumerate(self._steppers):
-            kept |= {f"{index}.{name}": array for name, array in stepper.state().items()}
+        for stepper in self._steppers:
+            who = "native" if stepper is self.native else "answer"
+            kept |= {f"{who}.{name}": array for name, array in stepper.state().items()}
         return kept
 
     def close(self) -> None:
@@ -291,16 +289,11 @@ class CompanionRun(Run):
 
 
 def _block(steppers: int, realisations: int, grains: int, samples: int, together: int) -> int:
-    """Return the number of samples in a block, a multiple of those after which all steppers stop together."""
+    """Return the number of samples in a block: all, or a multiple of those after which all steppers stop together."""
     fit = BLOCK_BYTES // (16 * steppers * realisations * grains)
-    return max(1, min(fit, samples) // together) * together
+    return samples - 1 if fit >= samples else max(1, fit // together) * together
 
 
-def _unpack(state: Mapping[str, Array] | None) -> list[dict[str, Array]]:
-    """Split a kept state into those of the steppers."""
-    kept: list[dict[str, Array]] = [{}, {}, {}, {}]
-    for key, value in (state or {}).items():
-        if "." in key:
-            index, name = key.split(".", 1)
-            kept[int(index)][name] = value
-    return kept
+def _of(who: str, state: Mapping[str, Array] | None) -> dict[str, Array]:
+    """Return what is kept of a stepper."""
+    return {key.removeprefix(f"{who}."): array for key, array in (state or {}).items() if key.startswith(f"{who}.")}

@@ -141,12 +141,15 @@ class Native(TimeSteppingEngine):
         return min(scene.chain.grains, reached)
 
     def stepper(
-        self, scenes: Sequence[Scene], candidate: Candidate, schedule: StepSchedule, state: Mapping[str, Array]
+        self,
+        scenes: Sequence[Scene],
+        candidate: Candidate,
+        schedules: Sequence[StepSchedule],
+        state: Mapping[str, Array],
     ) -> NativeStepper:
-        """Make the stepper of the answer."""
-        return NativeStepper(
-            ChainBatch(scenes, self.force), METHODS[candidate.integrator], schedule, state, self.threads
-        )
+        """Make the stepper of the answer and its companions."""
+        chains, (own, *companions) = ChainBatch(scenes, self.force), schedules
+        return NativeStepper(chains, METHODS[candidate.integrator], own, state, self.threads, companions)
 
     def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
         """Return the form of the force and the version of the compiler."""

@@ -128,9 +128,13 @@ class TimeSteppingEngine(Engine):
 
     @abstractmethod
     def stepper(
-        self, scenes: Sequence[Scene], candidate: Candidate, schedule: StepSchedule, state: Mapping[str, Array]
+        self,
+        scenes: Sequence[Scene],
+        candidate: Candidate,
+        schedules: Sequence[StepSchedule],
+        state: Mapping[str, Array],
     ) -> Stepper:
-        """Make the stepper of the answer, from the start or from a kept state."""
+        """Make the stepper of the answer, with its companions if it is native, from the start or a kept state."""
 
     def candidate(self, scene: Scene, tolerance: float) -> Candidate:
         """Propose a step size: the one given, or the longest that should meet the tolerance."""
@@ -253,8 +257,8 @@ class TimeSteppingEngine(Engine):
         if len({kind(scene) for scene in scenes}) != 1:
             raise ValueError("a batch needs chains of one kind and length, recorded alike")
 
-        def make(schedule: StepSchedule, kept: Mapping[str, Array]) -> Stepper:
-            return self.stepper(scenes, candidate, schedule, kept)
+        def make(schedules: Sequence[StepSchedule], kept: Mapping[str, Array]) -> Stepper:
+            return self.stepper(scenes, candidate, schedules, kept)
 
         try:
             return CompanionRun(make, METHODS[candidate.integrator], scenes, candidate, state, self.twin)

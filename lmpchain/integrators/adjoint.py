@@ -155,13 +155,13 @@ class DifferentiableRun:
         self._x, self._v = batch.bodies(*batch.initial)
         self._v[:, PAD : PAD + self._driven] = 0.0
         state = np.zeros((1, STEP + 1))
-        arrays = batch.arrays(slice(0, 1), self._x, self._v, np.zeros((1, 0, self._x.shape[1])), state)
+        arrays = batch.arrays(self._x, self._v, np.zeros((1, 0, self._x.shape[1])), state)
         length, strength, mobility = batch.table[0]
         x, v, history, self._state = (rows[0] for rows in arrays[:4])
         self._chain = Chain(
             x, v, history, self._state, length, strength, mobility, batch.uncompressed[0], batch.scale[0],
             batch.omega[0], batch.forms[0], batch.precompressed, batch.coefficients, batch.imposed, batch.acted[0],
-            batch.drive[0], batch.knots[0], batch.pieces[0], ALONE, 0,
+            batch.drive[0], batch.knots[0], batch.pieces[0], ALONE, 0, 0,
         )  # fmt: skip
         self._table = aligned(3, self._x.shape[1])  # of the contact above each body
         self._table[:2, 1:] = batch.table[0, :2, :-1]

@@ -112,13 +112,11 @@ class ChainBatch:
             return np.tile([PAD, width - PAD], (len(self.scenes), 1))
         return windows(*self.initial, self.driven, self.acted, width)
 
-    def arrays(self, share: slice, x: Array, v: Array, history: Array, state: Array, team: Team = ALONE) -> Chains:
-        """Return some chains, and where and how fast their bodies are, for the loops of a thread."""
+    def arrays(self, x: Array, v: Array, history: Array, state: Array, team: Team = ALONE) -> Chains:
+        """Return the chains, and where and how fast their bodies are, for the loops of a thread."""
         return Chains(
-            x[share], v[share], history[share], state[share], self.table[share], self.uncompressed[share],
-            self.scale[share], self.omega[share], self.forms[share], self.precompressed, self.coefficients,
-            self.imposed, self.acted[share], self.drive[share], self.knots[share], self.pieces[share],
-            team,
+            x, v, history, state, self.table, self.uncompressed, self.scale, self.omega, self.forms,
+            self.precompressed, self.coefficients, self.imposed, self.acted, self.drive, self.knots, self.pieces, team,
         )  # fmt: skip
 
     def _rows(self, *shape: int) -> Array:
@@ -129,12 +127,12 @@ class ChainBatch:
         skip = -memory.__array_interface__["data"][0] // memory.itemsize % PAD
         return memory[skip : skip + size].reshape(shape)
 
-    def bodies(self, *grains: Array) -> Array:
-        """Return rows (F, R, W) of bodies with these values (R, N) of the grains, in F fields."""
-        rows = self._rows(len(grains), len(self.scenes))
+    def bodies(self, *grains: Array, copies: int = 1) -> Array:
+        """Return rows (fields, copies R, W) of bodies with these values (R, N) of the grains, or (copies, R, N)."""
+        rows = self._rows(len(grains), copies, len(self.scenes))
         for field, values in zip(rows, grains, strict=True):
-            field[:, PAD : PAD + self.grains] = values
-        return rows
+            field[..., PAD : PAD + self.grains] = values
+        return rows.reshape(len(grains), -1, rows.shape[-1])
 
     def _imposed(self) -> tuple[Array, Array, Array]:
         """Return what is imposed after t = 0, as (R, 6), (R, P) and (R, 4, P-1) arrays."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
@@ -58,14 +59,16 @@ class DormandPrince:
         a, b = DOP853.A[:12, :12], DOP853.B
         return float(abs(1 + 1j * reach * b @ np.linalg.solve(np.eye(12) - 1j * reach * a, np.ones(12))))
 
-    def march(self, batch: ChainBatch, schedule: StepSchedule) -> March:
-        """Return what moves a batch of chains by steps of this schedule."""
+    def march(self, batch: ChainBatch, schedules: Sequence[StepSchedule]) -> March:
+        """Return what moves a batch of chains by steps of these schedules."""
         from .kernels.dop853 import march
 
-        allowed = 0.0
-        if schedule.adaptive:
-            reach = schedule.step / schedule.ratio * batch.omega.max()
-            allowed = float(max(STEP_ERROR_MIN, STEP_ERROR * reach**self.order) * schedule.ratio**self.order)
-        total = schedule.ratio * schedule.total(batch.scenes[0].samples - 1)
-        most = 1.0 if batch.knots.size else min(LONGER, max(1.0, total / FEWEST))  # knots would cut all alike
+        allowed, most = np.zeros(len(schedules)), np.ones(len(schedules))
+        for index, schedule in enumerate(schedules):
+            if schedule.adaptive:
+                reach = schedule.step / schedule.ratio * batch.omega.max()
+                allowed[index] = max(STEP_ERROR_MIN, STEP_ERROR * reach**self.order) * schedule.ratio**self.order
+            if not batch.knots.size:  # which would cut all alike
+                total = schedule.ratio * schedule.total(batch.scenes[0].samples - 1)
+                most[index] = min(LONGER, max(1.0, total / FEWEST))
         return March(march, (*self.tables, allowed, most))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
@@ -39,8 +40,8 @@ class Gear:
         off = -0.5 * reach**2 * predict[0] - predict[2]
         return float(np.abs(np.linalg.eigvals(predict + np.outer(self.corrections, off))).max())
 
-    def march(self, batch: ChainBatch, schedule: StepSchedule) -> March:
-        """Return what moves a batch of chains by steps of this schedule."""
+    def march(self, batch: ChainBatch, schedules: Sequence[StepSchedule]) -> March:
+        """Return what moves a batch of chains by steps of these schedules."""
         from .kernels.gear import march
 
         return March(march, (np.array(self.corrections),), history=3)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 import numpy as np
@@ -22,7 +22,8 @@ class March(NamedTuple):
     run : function
         See `kernels.sample_loop`.
     common, each : tuples
-        What it takes beside the chains: what all share, and arrays with a row for each of the R chains.
+        What it takes beside the chains: what all share, or F schedules have each, and arrays with a row for each of R
+        chains.
     history : int
         Values a grain that it keeps of earlier steps.
     shared : bool
@@ -77,8 +78,8 @@ class Method(Protocol):
     def growth(self, reach: float) -> float:
         """Return by what factor a harmonic oscillator with omega h = reach grows a step, or shrinks."""
 
-    def march(self, batch: ChainBatch, schedule: StepSchedule) -> March:
-        """Return what moves a batch of chains by steps of this schedule."""
+    def march(self, batch: ChainBatch, schedules: Sequence[StepSchedule]) -> March:
+        """Return what moves a batch of chains by steps of these schedules, of one kind."""
 
 
 def first_growth(growth: Callable[[float], float], more: float) -> float:

@@ -7,7 +7,7 @@ symmetric, so explicit, time-reversible and symplectic.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import pairwise
@@ -89,15 +89,16 @@ class Splitting:
         half = abs(float(self._half_trace(np.array(reach))))
         return half + float(np.sqrt(half**2 - 1)) if half > 1 else 1.0
 
-    def march(self, batch: ChainBatch, schedule: StepSchedule) -> March:
-        """Return what moves a batch of chains by steps of this schedule."""
-        kicks, drifts = self._coefficients
+    def march(self, batch: ChainBatch, schedules: Sequence[StepSchedule]) -> March:
+        """Return what moves a batch of chains by steps of these schedules."""
+        (kicks, drifts), schedule = self._coefficients, schedules[0]
         adaptive = schedule.adaptive or schedule.dense > 0
         run = _march(adaptive)
         if not adaptive:
             return March(run, (kicks, drifts), shared=True)
         near, falls = COARSE_STEP if schedule.coarse_openings else ADAPTIVE_STEP, 1 / (batch.opening_power + 1)
-        crossing = CROSSING_STEP, (self.order + 1) * falls, schedule.ratio * LEAST_CROSSING * EPSILON**falls
+        least = LEAST_CROSSING * EPSILON**falls * np.array([schedule.ratio for schedule in schedules])
+        crossing = CROSSING_STEP, (self.order + 1) * falls, least
         kept = DENSE_ROWS if schedule.dense else 0
         return March(run, (kicks, drifts, near, crossing), batch.openings, kept, shared=True)
 

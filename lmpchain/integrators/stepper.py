@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Protocol
 
@@ -27,12 +27,15 @@ from .kernels.layout import (
     SAMPLE,
     STEP,
     STEPS,
-    Clock,
-    Team,
+    Chains,
+    Clocks,
+    Fields,
     team,
 )
 from .method import Method
 from .step_schedule import StepSchedule
+
+NOTHING = np.empty((0, 0, 0, 0))
 
 
 class Stepper(Protocol):
@@ -68,7 +71,8 @@ class Stepper(Protocol):
 class NativeStepper:
     """A batch of chains in displacements from equilibrium, shared out over threads.
 
-    If there are fewer chains than threads, and they are long, the threads share each of them.
+    If there are fewer chains than threads, and they are long, the threads share each of them. Companions of the same
+    chains, by other schedules of the same method, are moved in the same compiled call.
 
     Parameters
     ----------
@@ -78,6 +82,7 @@ class NativeStepper:
     state : mapping
         Empty, or what `state` returned.
     threads : int
+    companions : sequence of S StepSchedule
     """
 
     ranks = 1
@@ -89,48 +94,47 @@ class NativeStepper:
         schedule: StepSchedule,
         state: Mapping[str, Array],
         threads: int = 1,
+        companions: Sequence[StepSchedule] = (),
     ):
         self.chains, self.threads, scenes = chains, threads, chains.scenes
-        u, v = chains.initial
-        self._x, self._v = chains.bodies(state.get("u", u), state.get("v", v))
+        self._schedules, self._size = [schedule, *companions], len(scenes)
+        count, (u, v) = len(self._schedules), chains.initial
+        self._x, self._v = chains.bodies(state.get("u", u), state.get("v", v), copies=count)
         self._v[:, PAD : PAD + chains.driven] = 0.0  # it is put where its motion says
         if "state" in state:
             self._state = state["state"].copy()
             self._check_state()
         else:
-            self._state = np.zeros((len(scenes), STEP + 1))
-            self._state[:, FIRST : LAST + 1] = chains.window
-            self._state[:, LOWEST] = chains.lowest
+            self._state = np.zeros((count * self._size, STEP + 1))
+            begin = self._state.reshape(count, self._size, STEP + 1)
+            begin[:, :, FIRST : LAST + 1] = chains.window
+            begin[:, :, LOWEST] = chains.lowest
         self.stride, final = schedule.stride, scenes[0].samples - 1
-        interval, looks = scenes[0].duration / final, schedule.ratio == 1
-        clock = Clock(interval, schedule.steps, schedule.step, schedule.stride, final, looks, schedule.dense)
-        march = method.march(chains, schedule)
+        each = [(own.steps, own.step, own.stride, own.ratio == 1, own.dense) for own in self._schedules]
+        clocks = Clocks(scenes[0].duration / final, final, np.array(each, dtype=float))
+        march = method.march(chains, self._schedules)
         self._march = march.run
-        parts = min(threads, chains.grains // LEAST_SHARE) if march.shared and len(scenes) < threads else 1
-        shares = min(threads, len(scenes)) if parts < 2 else 1
-        self._shares = [slice(i * len(scenes) // shares, (i + 1) * len(scenes) // shares) for i in range(shares)]
+        parts = min(threads, chains.grains // LEAST_SHARE) if march.shared and self._size < threads else 1
+        shares = min(threads, self._size) if parts < 2 else 1
         self._teams = team(parts) if parts > 1 else [ALONE]
         # each thread that shares a chain has a state of its own, in which only extremes differ
         self._states = [self._state, *(self._state.copy() for _ in self._teams[1:])]
-        others = len(self._shares) * len(self._teams) - 1
+        others = shares * len(self._teams) - 1
         self._pool = ThreadPoolExecutor(others) if others else None
-        self._history = np.zeros((len(scenes), march.history, self._x.shape[1]))
+        self._history = np.zeros((count * self._size, march.history, self._x.shape[1]))
         if "history" in state:
             if state["history"].shape != self._history.shape:
                 raise ValueError("the state that was kept does not fit")
             self._history[:] = state["history"]
-        bodies = self._x, self._v, self._history
-
-        def arguments(share: slice, state: Array, member: Team) -> tuple[Any, ...]:
-            """Return what the compiled march takes of some of the chains."""
-            method = *march.common, *(rows[share] for rows in march.each)
-            return chains.arrays(share, *bodies, state, member), method, clock
-
-        members = list(zip(self._states, self._teams, strict=True))
-        self._work = [(share, arguments(share, *member)) for share in self._shares for member in members]
+        bodies, method_s = (self._x, self._v, self._history), (*march.common, *march.each)
+        self._work = [
+            (chains.arrays(*bodies, own, member), method_s, clocks, share * self._size // shares,
+             (share + 1) * self._size // shares)
+            for share in range(shares) for own, member in zip(self._states, self._teams, strict=True)
+        ]  # fmt: skip
         if not self._march.overloads:  # type: ignore[attr-defined]
-            nothing = arguments(slice(0), self._state, ALONE)
-            self._march(*nothing, np.empty((0, 1, 1)), np.empty((0, 1, 1)), 0, 0, 0)  # only compiles
+            none = np.empty((0, 1, 1))
+            self._march(*self._work[0][:3], Fields(none, none, NOTHING, NOTHING, 0), 0, 0, 0, 0)  # only compiles
 
     def _check_state(self) -> None:
         """Raise `ValueError` if a kept state does not fit these chains: the compiled loops trust its window."""
@@ -144,13 +148,24 @@ class NativeStepper:
         if not fits:
             raise ValueError("the state that was kept does not fit")
 
-    def fill(self, u: Array, v: Array, offset: int, until: int, max_steps: int) -> int:
-        """Step on to the sample `until`, or by `max_steps` a thread; samples from `offset` on go into u, v."""
-        gate = self._teams[0].gate
+    def fill(
+        self,
+        u: Array,
+        v: Array,
+        offset: int,
+        until: int,
+        max_steps: int,
+        beside: tuple[Array, Array] = (NOTHING, NOTHING),
+    ) -> int:
+        """Step on to the sample `until`, or by `max_steps` a thread.
 
-        def move(share: slice, arguments: tuple[Any, ...]) -> int:
+        Samples from `offset` on go into u, v, those of the companions into the arrays beside, (S, R, B, N).
+        """
+        gate, fields = self._teams[0].gate, Fields(u, v, *beside, offset)
+
+        def move(chains: Chains, method: tuple[Any, ...], clocks: Clocks, begin: int, end: int) -> int:
             try:
-                return self._march(*arguments, u[share], v[share], offset, until, max_steps)
+                return self._march(chains, method, clocks, fields, begin, end, until, max_steps)
             except BaseException:
                 gate[GIVEN_UP] = 1
                 raise
@@ -160,8 +175,8 @@ class NativeStepper:
         for state in self._states[1:]:
             state[:] = self._state
         try:
-            beside = [self._pool.submit(move, *work) for work in self._work[1:]]
-            done = [move(*self._work[0]), *(other.result() for other in beside)]
+            others = [self._pool.submit(move, *work) for work in self._work[1:]]
+            done = [move(*self._work[0]), *(other.result() for other in others)]
         except BaseException:  # Ctrl-C between two of them, too: nobody is to wait for one who does not come
             gate[GIVEN_UP] = 1
             raise
@@ -179,33 +194,48 @@ class NativeStepper:
 
     @property
     def steps(self) -> Array:
-        """Steps that each chain has made, (R,)."""
-        return self._state[:, STEPS]
+        """Steps that each chain has made by the first schedule, (R,)."""
+        return self._state[: self._size, STEPS]
+
+    @property
+    def own_part(self) -> float:
+        """Part of all steps that the first schedule has made."""
+        made = self._state[:, STEPS]
+        return float(made[: self._size].sum() / max(made.sum(), 1.0))
+
+    @property
+    def progress(self) -> float:
+        """Part of all landings that are done."""
+        of_each = self._state[:, SAMPLE].reshape(-1, self._size).mean(1)
+        rates = [1 / own.stride for own in self._schedules]
+        return float(of_each @ rates) / (sum(rates) * (self.chains.scenes[0].samples - 1))
 
     def lowest(self) -> Array:
         """Return the smallest r / eps that any contact of each chain has had, (R,); -1 is an opening."""
-        return self._state[:, LOWEST]
+        return self._state[:, LOWEST].reshape(-1, self._size).min(0)
 
     def closest(self) -> Array:
-        """Return by how much two grains have come closer than at rest at most, (R,) m; seen after whole steps."""
-        return self._state[:, CLOSEST]
+        """Return by how much two grains have come closer than at rest at most, (S + 1, R) m; seen after whole steps."""
+        return self._state[:, CLOSEST].reshape(-1, self._size)
 
     def largest(self) -> Array:
-        """Return the largest displacement and speed that any grain of each chain has had, (R, 2) m and m/s.
+        """Return the largest displacement and speed of any grain of each chain by the first schedule, (R, 2) m and m/s.
 
         They are seen after steps, at first a radian of the fastest motion apart (or one step, if that is longer), later
         more rarely.
         """
-        return self._state[:, FARTHEST : FASTEST + 1]
+        return self._state[: self._size, FARTHEST : FASTEST + 1]
 
     def state(self) -> dict[str, Array]:
         """Return what is needed to go on with the same bits."""
         inside = slice(PAD, PAD + self.chains.grains)
-        kept = {"u": self._x[:, inside], "v": self._v[:, inside], "state": self._state, "history": self._history}
+        u, v = (bodies[:, inside].reshape(-1, self._size, inside.stop - PAD) for bodies in (self._x, self._v))
+        kept = {"u": u, "v": v, "state": self._state, "history": self._history}
         return {name: array.copy() for name, array in kept.items()}
 
     def leave(self, broken: NDArray[np.bool_], until: int) -> None:
-        """Let those chains (R,) be at the sample `until` as they are."""
+        """Let those chains, (S + 1, R), be at the sample `until` as they are."""
+        broken = broken.ravel()
         self._state[broken, SAMPLE], self._state[broken, DONE] = until, 0.0
 
     def close(self) -> None:

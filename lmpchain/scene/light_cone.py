@@ -57,8 +57,13 @@ def reached(
 
 
 def _distance(x: float) -> int:
-    """Return d from which I_2d(x) <= (x/2)^2d / (2d)! exp(x^2 / (8d + 4)) is too small to be seen."""
-    d, log, square = max(8, int(x / 2)), math.log(x / 2 + 1e-300), x**2
-    while 2 * d * log - math.lgamma(2 * d + 1) + square / (8 * d + 4) > UNSEEN:
-        d += max(1, d // 16)
-    return d + 2
+    """Return d from which I_2d(x) <= (x/2)^2d / (2d)! exp(x^2 / (8d + 4)) is too small to be seen.
+
+    The logarithm of that is concave where it falls: Newton's method ends beyond its root, never before.
+    """
+    d, log, square, further = max(8.0, x / 2), math.log(x / 2 + 1e-300), x * x, 1.0
+    while abs(further) > 0.5 and d >= 8:
+        seen = 2 * d * log - math.lgamma(2 * d + 1) + square / (8 * d + 4) - UNSEEN
+        further = seen / (2 * (math.log(2 * d + 0.5) - log) + 8 * square / (8 * d + 4) ** 2)
+        d += further
+    return max(8, math.ceil(d)) + 2

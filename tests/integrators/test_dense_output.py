@@ -13,7 +13,7 @@ from lmpchain.engines.companions import Companions
 from lmpchain.engines.native import Native
 from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.kernels.dense_output import fill_samples
-from lmpchain.integrators.kernels.layout import ALONE, DONE, LEAST_SHARE, PAD, STEP, Clock, Span, Team
+from lmpchain.integrators.kernels.layout import ALONE, DONE, LEAST_SHARE, PAD, STEP, Clock, Row, Span, Team
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.step_schedule import StepSchedule
 from lmpchain.integrators.stepper import NativeStepper
@@ -41,7 +41,6 @@ class Ends(NamedTuple):
     x: np.ndarray
     v: np.ndarray
     state: np.ndarray
-    number: int
     imposed: bool
     drive: np.ndarray
     knots: np.ndarray
@@ -50,8 +49,8 @@ class Ends(NamedTuple):
 
 
 @njit
-def fill(ends, clock, span, pull, jerk, u, v):
-    fill_samples(ends, clock, span, PAD, PAD + 1, pull, jerk, u, v, 0)
+def fill(ends, clock, span, pull, jerk, out):
+    fill_samples(ends, clock, span, PAD, PAD + 1, pull, jerk, out)
 
 
 def test_the_error_falls_with_the_eighth_and_seventh_power_of_the_step():
@@ -62,12 +61,12 @@ def test_the_error_falls_with_the_eighth_and_seventh_power_of_the_step():
         history, state = np.zeros((4, 2 * PAD)), np.zeros(STEP + 1)
         history[:, PAD], state[DONE] = begin, h
         rows = np.repeat(np.array(end)[:, None], 2 * PAD, 1)
-        ends = Ends(history, rows[0], rows[1], state, 0, False, np.zeros(6), np.zeros(2), np.zeros((4, 1)), ALONE)
-        clock, span = Clock(h / 24, 1, h, 24, 24, True, 1), Span(0.0, h, h, 1, h)
-        u, v = np.zeros((2, 1, 25, 1))
-        fill(ends, clock, span, rows[2], rows[3], u, v)
+        ends = Ends(history, rows[0], rows[1], state, False, np.zeros(6), np.zeros(2), np.zeros((4, 1)), ALONE)
+        clock, span = Clock(h / 24, 24, 1, h, 24, True, 1), Span(0.0, h, h, 1, h)
+        u, v = np.zeros((2, 25, 1))
+        fill(ends, clock, span, rows[2], rows[3], Row(u, v, 0))
         time = 0.8 - h / 2 + np.arange(1, 24) * h / 24
-        errors.append([np.abs(u[0, 1:24, 0] - np.sin(time)).max(), np.abs(v[0, 1:24, 0] - np.cos(time)).max()])
+        errors.append([np.abs(u[1:24, 0] - np.sin(time)).max(), np.abs(v[1:24, 0] - np.cos(time)).max()])
     slopes = np.polyfit(np.log(steps), np.log(errors), 1)[0]
     assert slopes == pytest.approx([8, 7], abs=0.05)
 

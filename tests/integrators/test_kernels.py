@@ -198,10 +198,10 @@ def test_loops_over_grains_do_several_at_a_time(form: int, operation: str):
 def test_other_loops_do_several_at_a_time():
     row, batch = types.Array(float64, 1, "C"), ChainBatch([smooth()])
     (bodies,) = batch.bodies(batch.initial[0])
-    chains = batch.arrays(slice(None), bodies, bodies, bodies[:, None], np.zeros((1, 9)))
+    chains = batch.arrays(bodies, bodies, bodies[:, None], np.zeros((1, 9)))
     for loop, takes, operation in (
         (_nearness, (row,) * 6 + (float64,) * 5, "sqrt"),
-        (window.watch, (numba.typeof(sample_loop._chain.py_func(chains, 0)),), "mul"),
+        (window.watch, (numba.typeof(sample_loop._chain.py_func(chains, 0, 0)),), "mul"),
     ):
         loop.compile(takes)
         assert packed(loop.inspect_asm(takes), operation) > 0

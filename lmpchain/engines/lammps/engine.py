@@ -204,10 +204,14 @@ class Lammps(TimeSteppingEngine):
         return super().refine(candidate, error, tolerance)
 
     def stepper(
-        self, scenes: Sequence[Scene], candidate: Candidate, schedule: StepSchedule, state: Mapping[str, Array]
+        self,
+        scenes: Sequence[Scene],
+        candidate: Candidate,
+        schedules: Sequence[StepSchedule],
+        state: Mapping[str, Array],
     ) -> LammpsStepper:
         """Make the stepper of the answer."""
-        (scene,) = scenes  # one instance, one chain
+        (scene,), own = scenes, schedules[0]  # one instance, one chain
         column, log = self.column(scene, candidate), "none"
         if self.keep is not None:
             log = word(self.keep / "log.lammps")
@@ -215,9 +219,7 @@ class Lammps(TimeSteppingEngine):
         communicator = gather(self.ranks, log)
         if self.log:
             communicator.ask("commands", f'log "{word(self.log)}" append')
-        stepper = LammpsStepper(
-            column, self.splitting, schedule.step, state, communicator, every=schedule.steps, keep=self.keep
-        )
+        stepper = LammpsStepper(column, self.splitting, own.step, state, communicator, every=own.steps, keep=self.keep)
         if self.log and self.splitting.order > 2:
             communicator.ask("commands", "log none")
         return stepper

@@ -15,7 +15,7 @@ from .contact_forces import NEWS, STRICT, bits, fma, inlined, number
 from .dense_output import fill_jerk, fill_samples, keep, passes
 from .layout import DONE, FIRST, LAST, PAD, PENDING, RESOLUTION, STEP, STEPS
 from .right_hand_side import accelerate, ahead, hold, impose, impose_velocity, imposed, imposed_rate, recall, sweep
-from .sample_loop import end_of_step, sample_loop
+from .sample_loop import clock_of, end_of_step, sample_loop
 from .team import largest, meet, mine
 from .window import look, watch, widen
 
@@ -106,29 +106,29 @@ def _finish_kick(chain, margin, force, pull):
 
 
 @inlined
-def _fill_passed(chain, work, clock, span, beyond):
+def _fill_passed(chain, work, clock, span, out, beyond):
     """Fill the samples that the step before has passed; return whether it took jerks (W,)."""
-    _, _, _, _, _, force, pull, _, _, rate, jerk, u_out, v_out, offset = work
+    force, pull, rate, jerk = work[5:9]
     state, (first, last) = chain.state, mine(chain)
     if clock.dense == 0 or passes(chain, clock, span, state[STEP], state[DONE]) == 0:
         return False
     changes = imposed_rate(chain, span.begin + state[DONE], span.begin + state[STEP])  # as before a corner
     fill_jerk(chain, first, last, force, beyond, rate, jerk, changes)
-    fill_samples(chain, clock, span, first, last, pull, jerk, u_out, v_out, offset)
+    fill_samples(chain, clock, span, first, last, pull, jerk, out)
     return True
 
 
 @inlined
-def _advance(chain, method, work, clock, span):
+def _advance(chain, method, work, clock, span, out):
     """Take one step."""
     kicks, drifts, shortened, _, weight, near_enough = method
-    kick, drift, carried, path, reach, force, pull, close, nearest, rate, jerk = work[:11]
+    kick, drift, carried, path, reach, force, pull, rate, jerk, close, nearest = work
     y, w, state, stages = chain.x, chain.v, chain.state, drifts.size
     t = span.begin + state[DONE]
     recall(chain, t)
     impose_velocity(chain, w, PAD, t)  # before the forces, like all that is imposed
     beyond = _finish_kick(chain, stages + 1, force, pull)
-    known = _fill_passed(chain, work, clock, span, beyond)
+    known = _fill_passed(chain, work, clock, span, out, beyond)
     watch(chain)
     look(chain, clock, int(state[STEPS]), t, 1.0)
     first, last = mine(chain)
@@ -137,7 +137,7 @@ def _advance(chain, method, work, clock, span):
     nearness = _nearness(
         y[bodies], w[bodies], pull[bodies], chain.inverse_length[near], weight[chain.number, near],
         near_enough[chain.number, near], close, chain.precompressed, chain.uncompressed if first == PAD else 0.0,
-        chain.omega, nearest[chain.number],
+        chain.omega, nearest[chain.schedule, chain.number],
     )  # fmt: skip
     nearness = largest(chain.team, nearness)
     h = clock.step * min(1.0, shortened * nearness ** (-1 / 14)) if nearness > 0.0 else clock.step
@@ -168,10 +168,10 @@ def _advance(chain, method, work, clock, span):
 
 
 @inlined
-def _land(chain, method, work, clock, span):
+def _land(chain, method, work, clock, span, out):
     """Complete the last kick."""
     beyond = _finish_kick(chain, method[1].size + 1, work[5], work[6])
-    _fill_passed(chain, work, clock, span, beyond)
+    _fill_passed(chain, work, clock, span, out, beyond)
     hold(chain, chain.v)
 
 
@@ -179,37 +179,24 @@ _march = sample_loop(_advance, False, _land)
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy", fastmath=STRICT)
-def march(chains, method, clock, u_out, v_out, offset, until, max_steps):
+def march(chains, method, clocks, fields, begin, end, until, max_steps):
     """Advance as `sample_loop` says by a splitting with an adaptive step size.
 
     Parameters
     ----------
-    method : kicks (S+1,) and drifts (S,) as parts of a step; h' / h of the shortened steps; c, p and b of the one that
-        crosses an opening, omega h' = max(c (omega h)^p, b); of R chains and each contact the square of the
-        acceleration that it gives over what changes the motion, and the reach of `_may_matter`, (R, W)
+    method : kicks (S+1,) and drifts (S,) as parts of a step; h' / h of the shortened steps; c, p and, of F schedules,
+        b (F,) of the one that crosses an opening, omega h' = max(c (omega h)^p, b); of R chains and each contact the
+        square of the acceleration that it gives over what changes the motion, and the reach of `_may_matter`, (R, W)
     """
     rows, width = method[1].size - 1, chains.x.shape[1]
     kick, drift, carried, path = np.zeros(rows), np.zeros(rows), np.zeros(rows), np.zeros(rows if chains.imposed else 0)
     shortened, (factor, power, least) = method[2:4]
-    close, nearest = shortened ** (-14 / 3), np.empty(chains.omega.size)
-    for real in range(nearest.size):
-        reach = clock.step * chains.omega[real]
-        nearest[real] = (shortened * reach / max(factor * reach**power, least)) ** (14 / 9)
+    close, nearest = shortened ** (-14 / 3), np.empty((least.size, chains.omega.size))
+    for schedule in range(least.size):
+        for real in range(chains.omega.size):
+            reach = clock_of(clocks, schedule).step * chains.omega[real]
+            crosses = max(factor * reach**power, least[schedule])
+            nearest[schedule, real] = (shortened * reach / crosses) ** (14 / 9)
     room, ahead_of = np.zeros((4, width)), np.cumsum(method[1])
-    work = (
-        kick,
-        drift,
-        carried,
-        path,
-        ahead_of,
-        room[0],
-        room[1],
-        close,
-        nearest,
-        room[2],
-        room[3],
-        u_out,
-        v_out,
-        offset,
-    )
-    return _march(chains, method, work, clock, u_out, v_out, offset, until, max_steps)
+    work = kick, drift, carried, path, ahead_of, room[0], room[1], room[2], room[3], close, nearest
+    return _march(chains, method, work, clocks, fields, begin, end, until, max_steps)

@@ -57,7 +57,7 @@ def keep(chain, first, last, pull, jerk):
 
 
 @inlined
-def fill_samples(chain, clock, span, first, last, pull, jerk, u_out, v_out, offset):
+def fill_samples(chain, clock, span, first, last, pull, jerk, out):
     """Put the bodies first ... last-1 into all samples that the step that ends here has passed."""
     kept, begin, end = chain.history, chain.state[STEP], chain.state[DONE]
     u_0, v_0, a_0, j_0 = kept[0, first:last], kept[1, first:last], kept[2, first:last], kept[3, first:last]
@@ -76,8 +76,8 @@ def fill_samples(chain, clock, span, first, last, pull, jerk, u_out, v_out, offs
         b0, b1 = h * q3 * s * (1.0 + s * (3.0 - 14.0 * s)), -h * s3 * q * (1.0 + q * (3.0 - 14.0 * q))
         k0, k1 = h * h * q3 * s * s * (0.5 - 7.0 / 6.0 * s), h * h * s3 * q * q * (0.5 - 7.0 / 6.0 * q)
         number = int(chain.state[SAMPLE]) + sample
-        u_row = u_out[chain.number, number - offset, first - PAD :]
-        v_row = v_out[chain.number, number - offset, first - PAD :]
+        u_row = out.u[number - out.first, first - PAD :]
+        v_row = out.v[number - out.first, first - PAD :]
         grains = min(last - first, u_row.size)
         for n in range(grains):  # one row at a time, for then the compiler makes vectors of it
             u = fma(along, u_0[n] - u_1[n], u_1[n])

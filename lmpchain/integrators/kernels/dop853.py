@@ -36,9 +36,10 @@ def _error(chain, weights, slopes, h):
 
 
 @inlined
-def _advance(chain, method, work, clock, span):
+def _advance(chain, method, work, clock, span, out):
     """Take one step of the Runge-Kutta-Nystrom form, or none if its error is too large."""
-    nodes, inner, weights, allowed, most = method
+    nodes, inner, weights, errors, longest = method
+    allowed, most = errors[chain.schedule], longest[chain.schedule]
     force, z, slopes = work
     y, w, state, stages = chain.x, chain.v, chain.state, nodes.size
     widen(chain, stages + 2)
@@ -87,16 +88,16 @@ _march = sample_loop(_advance, False)
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy", fastmath=STRICT)
-def march(chains, method, clock, u_out, v_out, offset, until, max_steps):
+def march(chains, method, clocks, fields, begin, end, until, max_steps):
     """Advance as `sample_loop` says by DOP853.
 
     Parameters
     ----------
     method : nodes c (12,) and inner weights A^2 (12, 12); weights (6, 12) for displacement and velocity, of the step,
-        of the error of order 5 and of that of order 3; largest error of a step, 0 for steps of one size; the longest
-        step over that of the schedule
+        of the error of order 5 and of that of order 3; of F schedules the largest error of a step, 0 for steps of one
+        size, and the longest step over that of the schedule, (F,)
     """
     width = chains.x.shape[1]
     force, stage, accelerations = np.zeros(width), np.zeros(width), np.zeros((method[0].size, width))
     work = force, stage, accelerations
-    return _march(chains, method, work, clock, u_out, v_out, offset, until, max_steps)
+    return _march(chains, method, work, clocks, fields, begin, end, until, max_steps)

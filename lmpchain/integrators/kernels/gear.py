@@ -97,7 +97,7 @@ def _step(chain, corrections, work, now, then, h):
 
 
 @inlined
-def _advance(chain, method, work, clock, span):
+def _advance(chain, method, work, clock, span, out):
     """Take one step, or two where what is imposed ends within it, and begin anew there."""
     (corrections,) = method
     state, h = chain.state, span.step
@@ -120,7 +120,7 @@ _march = sample_loop(_advance, True)
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy", fastmath=STRICT)
-def march(chains, method, clock, u_out, v_out, offset, until, max_steps):
+def march(chains, method, clocks, fields, begin, end, until, max_steps):
     """Advance as `sample_loop` says by Gear's method of five values.
 
     `method` is its coefficients (5,). `chains.history`
@@ -129,4 +129,4 @@ def march(chains, method, clock, u_out, v_out, offset, until, max_steps):
     width = chains.x.shape[1]
     force, pull, moved = np.zeros(width), np.zeros(width), np.zeros(width)
     work = force, pull, moved
-    return _march(chains, method, work, clock, u_out, v_out, offset, until, max_steps)
+    return _march(chains, method, work, clocks, fields, begin, end, until, max_steps)

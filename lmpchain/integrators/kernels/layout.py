@@ -52,15 +52,15 @@ ALONE = team(1)[0]
 
 
 class Chains(NamedTuple):
-    """A batch of R chains in rows of W bodies.
+    """A batch of R chains in rows of W bodies, once for each of F schedules of steps: one batch after the other.
 
     Attributes
     ----------
-    x, v : (R, W) arrays
+    x, v : (F R, W) arrays
         Displacements from equilibrium and velocities, m and m/s.
-    history : (R, H, W) array
+    history : (F R, H, W) array
         What the method keeps of earlier steps.
-    state : (R, 11) array
+    state : (F R, 12) array
         See SAMPLE ... STEP.
     table : (R, 3, W) array
         1 / length and strength of the contact below each body, and its inverse mass.
@@ -102,7 +102,7 @@ class Chains(NamedTuple):
 
 
 class Chain(NamedTuple):
-    """One chain of a batch, and its number in it."""
+    """One chain of a batch, its number in it, and that of its schedule."""
 
     x: Array
     v: Array
@@ -124,22 +124,52 @@ class Chain(NamedTuple):
     pieces: Array
     team: Team
     number: int
+    schedule: int
 
 
 class Clock(NamedTuple):
-    """Sample interval (s), steps and longest step (s) to a landing, samples between, last sample.
+    """Sample interval (s), last sample, steps and longest step (s) to a landing, samples between.
 
     `looks` says whether the largest motion is looked for, `dense` which samples between are interpolated: every so
     manieth, none if it is 0.
     """
 
     interval: float
+    final: int
     steps: int
     step: float
     stride: int
-    final: int
     looks: bool
     dense: int
+
+
+class Clocks(NamedTuple):
+    """Sample interval (s), last sample, and of each of F schedules the other five of a `Clock`, (F, 5)."""
+
+    interval: float
+    final: int
+    others: Array
+
+
+class Fields(NamedTuple):
+    """Where samples go, from the one with the number `first` on: displacements and velocities.
+
+    (R, B, N) arrays for the first schedule, (F - 1, R, B, N) for the others.
+    """
+
+    u: Array
+    v: Array
+    others_u: Array
+    others_v: Array
+    first: int
+
+
+class Row(NamedTuple):
+    """The same of one chain: (B, N) arrays."""
+
+    u: Array
+    v: Array
+    first: int
 
 
 class Span(NamedTuple):

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 
 from .contact_forces import compiled, inlined
-from .layout import DONE, SAMPLE, STEPS, Chain, Span
+from .layout import DONE, SAMPLE, STEPS, Chain, Clock, Row, Span
 from .window import record
 
 # of the time between two landings: shorter steps would not move the clock, and there would be too many to be counted
@@ -14,19 +14,34 @@ SHORTEST = 2.0**-50
 
 
 @inlined
-def _chain(chains, real):
-    """Return one chain of a batch."""
-    table = chains.table[real]
+def _chain(chains, real, schedule):
+    """Return one chain of a batch, as a schedule moves it."""
+    table, row = chains.table[real], schedule * chains.omega.size + real
     return Chain(
-        chains.x[real], chains.v[real], chains.history[real], chains.state[real], table[0], table[1], table[2],
+        chains.x[row], chains.v[row], chains.history[row], chains.state[row], table[0], table[1], table[2],
         chains.uncompressed[real], chains.scale[real], chains.omega[real], chains.forms[real], chains.precompressed,
         chains.coefficients, chains.imposed, chains.acted[real], chains.drive[real], chains.knots[real],
-        chains.pieces[real], chains.team, real,
+        chains.pieces[real], chains.team, real, schedule,
     )  # fmt: skip
 
 
 @inlined
-def _as_it_is(chain, method, work, clock, span):
+def clock_of(clocks, schedule):
+    """Return the clock of a schedule."""
+    own = clocks.others[schedule]
+    return Clock(clocks.interval, clocks.final, int(own[0]), own[1], int(own[2]), own[3] > 0, int(own[4]))
+
+
+@inlined
+def _row(fields, real, schedule):
+    """Return where the samples of a chain go."""
+    if schedule == 0:
+        return Row(fields.u[real], fields.v[real], fields.first)
+    return Row(fields.others_u[schedule - 1, real], fields.others_v[schedule - 1, real], fields.first)
+
+
+@inlined
+def _as_it_is(chain, method, work, clock, span, out):
     """At a landing nothing is left to do."""
 
 
@@ -46,31 +61,32 @@ def sample_loop(
 ) -> Callable[..., int]:
     """Make the march of a method from its steps.
 
-    The march moves every chain to the sample `until`, or stops when some `max_steps` steps are made altogether: how
-    the steps are shared out over calls makes no difference to the last bit.
+    The march moves chains by every schedule to the sample `until`, or stops when some `max_steps` steps are made
+    altogether: how the steps are shared out over calls makes no difference to the last bit.
 
     Parameters
     ----------
-    advance : function of (chain, method, work, clock, span)
+    advance : function of (chain, method, work, clock, span, out)
         Takes one step or a burst of them, updates `state[DONE]` and returns how many.
     counted : bool
         Whether `state[DONE]` counts steps, else seconds since the last landing.
-    land : function of (chain, method, work, clock, span)
+    land : function of (chain, method, work, clock, span, out)
         Completes positions and velocities at a landing.
 
     Returns
     -------
-    function of (chains, method, work, clock, u_out, v_out, offset, until, max_steps)
-        Of `Chains`, what the method needs beside them, arrays to work in, a `Clock`, and (R, B, N) arrays for the
-        samples from `offset` on; returns the steps made. The `march` of a method's module, which is kept for later
+    function of (chains, method, work, clocks, fields, begin, end, until, max_steps)
+        Of `Chains`, what the method needs beside them, arrays to work in, `Clocks` and `Fields`; moves the chains from
+        begin to end - 1 and returns the steps made. The `march` of a method's module, which is kept for later
         processes, makes the arrays to work in and calls it.
     """
 
     @compiled
-    def march(chains, method, work, clock, u_out, v_out, offset, until, max_steps):
-        done = 0
-        for real in range(chains.x.shape[0]):
-            chain = _chain(chains, real)
+    def march(chains, method, work, clocks, fields, begin, end, until, max_steps):
+        done, size = 0, end - begin
+        for each in range(size * clocks.others.shape[0]):
+            schedule, real = each // size, begin + each % size
+            chain, clock, out = _chain(chains, real, schedule), clock_of(clocks, schedule), _row(fields, real, schedule)
             state = chain.state
             while state[SAMPLE] < until and done < max_steps:
                 sample = int(state[SAMPLE])
@@ -80,12 +96,12 @@ def sample_loop(
                 span = Span(sample * clock.interval, landing * clock.interval, length, steps, length / steps)
                 goal = float(steps) if counted else length
                 while state[DONE] < goal and done < max_steps:
-                    made = advance(chain, method, work, clock, span)
+                    made = advance(chain, method, work, clock, span, out)
                     state[STEPS] += made
                     done += made
                 if state[DONE] == goal:
-                    land(chain, method, work, clock, span)
-                    record(chain, span.end, u_out[real, landing - offset], v_out[real, landing - offset])
+                    land(chain, method, work, clock, span, out)
+                    record(chain, span.end, out.u[landing - out.first], out.v[landing - out.first])
                     state[SAMPLE], state[DONE] = landing, 0.0
         return done
 

@@ -13,7 +13,7 @@ from .window import look, watch, widen
 
 
 @inlined
-def _advance(chain, method, work, clock, span):
+def _advance(chain, method, work, clock, span, out):
     """Take a burst of steps; the last kick of a step and the first of the next are one.
 
     A step in which what is imposed ends is made as two, so that the order is kept.
@@ -57,7 +57,7 @@ def _advance(chain, method, work, clock, span):
 
 
 @inlined
-def _land(chain, method, work, clock, span):
+def _land(chain, method, work, clock, span, out):
     """Complete the last kick, where a sample lies between it and the first of the next step."""
     kick, drift, carried, path, _ = work
     kick[0], drift[0] = chain.state[PENDING], 0.0
@@ -71,9 +71,9 @@ _march = sample_loop(_advance, True, _land)
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy", fastmath=STRICT)
-def march(chains, method, clock, u_out, v_out, offset, until, max_steps):
+def march(chains, method, clocks, fields, begin, end, until, max_steps):
     """Advance by a splitting; `method` is its kicks (S+1,) and drifts (S,) as fractions of a step."""
     rows = ROWS + 2 * method[1].size
     kick, drift, carried, path = np.zeros(rows), np.zeros(rows), np.zeros(rows), np.zeros(rows if chains.imposed else 0)
     work = kick, drift, carried, path, np.cumsum(method[1])
-    return _march(chains, method, work, clock, u_out, v_out, offset, until, max_steps)
+    return _march(chains, method, work, clocks, fields, begin, end, until, max_steps)

@@ -71,7 +71,7 @@ def test_the_clock_of_lammps_goes_on_after_a_stop(integrator: str):
     schedule = StepSchedule.of(candidate.steps_per_landing, candidate.step, False)
     state: dict[str, Any] = {}
     for _ in range(2):
-        stepper = engine.stepper([small()], candidate, schedule, state)
+        stepper = engine.stepper([small()], candidate, [schedule], state)
         u, v = np.zeros((2, 1, small().samples, small().chain.grains))
         stepper.fill(u, v, 0, small().samples - 1, 7)
         state = stepper.state()
