@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from ..errors import InputError, shown
@@ -32,6 +32,10 @@ LONGEST_UNBOUNDED = 0.25  # and where there is no bound, for errors of longer on
 # coarse ones near openings, on that of adaptive steps; and what that, `opening_error_factor`, is made of
 OPENING_ERROR, COARSE_ERROR = 30.0, 16.0
 ADAPTIVE_ERROR, LEAST_STRAIN, MOST_STRAIN, GROWS = 5.0, 3.0, 99.0, 0.5
+# of a column that is struck on its top so gently that most have an answer at steps of one length: a bound on the strain,
+# and a larger one for tolerances from so much on; radians a grain before the wave is back; the factor on the error at
+# the first of these bounds, least and most
+GENTLE, LESS_GENTLE, LOOSE, NOT_BACK, GENTLE_ERROR = 4.5, 7.5, 1e-6, 4.0, (10.0, 1.5, 12.0)
 # of samples that are interpolated: their error at omega h = 1 and its order; what rounding adds a step of the run, for
 # they take differences of displacements over a step; what one costs in evaluations of the force, and a step over one of
 # equal ones; steps from landing to landing, and the most numbers of a field between; and steps a sample from which on
@@ -184,9 +188,11 @@ class TimeSteppingEngine(Engine):
             return math.ceil(interval / self.step * (1 - 1e-12)), 1, False, False
         omega = scene.highest_frequency
         expected = method.error_constant * max(1.0, omega * scene.duration / PERIODS)  # phases drift apart with time
-        adapts, shortens = self.adapts(scene, method), method.adaptive == "openings"
+        shortens, gentle = method.adaptive == "openings", self.adaptive and _gently_struck(scene, tolerance)
+        adapts = self.adapts(scene, method) and not (shortens and gentle)
         if scene.largest_strain > SAFE_STRAIN:
-            expected *= opening_error_factor(scene.largest_strain) if adapts else OPENING_ERROR
+            factor = gentle_error_factor if gentle else opening_error_factor
+            expected *= factor(scene.largest_strain) if adapts or gentle else OPENING_ERROR
         reach = (tolerance / SAFETY / expected) ** (1 / method.order)
         # one companion alone shows no order where contacts open, unless samples make steps shorter
         if adapts and shortens and limit / 4 < min(reach, interval * omega) and reach <= limit / 2:
@@ -238,8 +244,10 @@ class TimeSteppingEngine(Engine):
         return scene.chain.grains
 
     def refine(self, candidate: Candidate, error: ErrorBudget | None, tolerance: float) -> Candidate | None:
-        """Shorten the step by what the observed error asks for."""
-        order = METHODS[candidate.integrator].order
+        """Shorten the step by what the observed error asks for; where contacts open after all, let steps adapt."""
+        method = METHODS[candidate.integrator]
+        order, opens = method.order, not (error and error.smooth) and self.adaptive and method.adaptive == "openings"
+        candidate = replace(candidate, adaptive=candidate.adaptive or opens)
         ratio = REFINEMENT.ratio(error, order, tolerance, candidate.adaptive)
         if ratio is None:
             return None
@@ -266,6 +274,15 @@ class TimeSteppingEngine(Engine):
             if state is None or isinstance(error, InputError):
                 raise
             raise InputError([("checkpoint", "does not fit its run, or was changed: run the scene anew")]) from error
+
+
+def _gently_struck(scene: Scene, tolerance: float) -> bool:
+    """Say whether contacts are pressed by a strike from above, so weak that they hardly open before it comes back."""
+    chain, strike = scene.chain, scene.excitation
+    weak = scene.largest_strain <= (LESS_GENTLE if tolerance >= LOOSE else GENTLE)
+    downward = strike.strikes_top and strike.strike_velocity > 0 and chain.top == "free"
+    soon = scene.highest_frequency * scene.duration <= NOT_BACK * chain.grains
+    return weak and downward and soon and chain.exponent >= KINKED_BELOW
 
 
 def _work(method: Method, steps: float, stride: int, adapts: bool) -> float:
@@ -296,6 +313,12 @@ def alike(scene: Scene, candidate: Candidate) -> tuple:
     longer = longer_steps(METHODS[candidate.integrator], [scene], candidate)
     own = candidate.integrator, candidate.schedule(), scene.excitation.knot_spacing < math.inf  # which DOP853 asks
     return *kind(scene), *own, *longer, *candidate.choices.items()
+
+
+def gentle_error_factor(strain: float) -> float:
+    """Return how many times larger the estimated error is where a strike on the top is gentle."""
+    factor, least, most = GENTLE_ERROR
+    return min(max(factor * (strain / GENTLE) ** 2, least), most)
 
 
 def opening_error_factor(strain: float) -> float:

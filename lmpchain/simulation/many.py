@@ -20,7 +20,7 @@ from .api import check_on_miss, simulate
 from .gathering import GatheringRun
 from .policy import policy_for, record
 
-BATCH_NUMBERS = 2**19  # samples x grains of the scenes of a batch, which then stay in the cache of a processor
+BATCH_NUMBERS = 2**18  # samples x grains of the scenes of a batch, which then stay in the cache of a processor
 
 
 def simulate_many(
