@@ -1,6 +1,7 @@
 """Steps of the companions of an answer, and what their differences say of its truncation error.
 
-They run at about 2h and 4h, where no contact comes near to opening at up to 4h and 8h: the rate at which their
+They run at about 2h and 4h, at up to 4h and 8h where no contact comes near to opening, at 3h and 6h where no wave comes
+back to where one opened: the rate at which their
 differences shrink gives the truncation error. Where 4h is unstable there is one at 2h, or at 1.5h, and where that is
 unstable, too, or the run has too few steps, one at h/2; of one alone the order is trusted where nothing opens, else
 what the answer differs by counts as if there were none. Where contacts open again and again, errors scatter, and two
@@ -23,8 +24,9 @@ from .round_off import native_floor
 FEWEST = 8  # steps of a run from which on companions have longer steps; of these there are then no two alike
 CLOSE_TO_OPENING = -0.5  # r / eps below which a contact's force is no longer a smooth function of time
 SAFE_STRAIN = 0.3  # strain below which no contact comes near to opening: the order of a method is sure there,
-# and the first of two companions may have steps so many times as long, if round-off is so far below the tolerance
-FAR, FLOOR = (4, 3), 0.1
+# and the first of two companions may have steps so many times as long, if round-off is so far below the tolerance; and
+# where contacts open, but no wave comes back
+FAR, FLOOR, FAR_AT_OPENINGS = (4, 3), 0.1, (3,)
 # order trusted after adaptive steps through openings: short ones keep it; not coarse ones, nor those of a method that
 # follows its own error
 ORDER_AT_OPENINGS, ORDER_WHERE_COARSE = 6, 4
@@ -111,13 +113,17 @@ def longer_steps(method: Method, scenes: Sequence[Scene], candidate: Candidate) 
     reach = candidate.step * max(scene.chain.band_edge for scene in scenes)
     knots = min(scene.excitation.knot_spacing for scene in scenes) if candidate.adaptive else math.inf
     limit = min(method.stability_limit / reach if reach > 0 else math.inf, knots / candidate.step)
-    if not candidate.adaptive and all(_sure(scene, steps * method.evaluations, candidate) for scene in scenes):
-        for ratio in FAR:
-            if 2 * ratio <= limit and steps >= FEWEST * ratio:
-                return [ratio, 2 * ratio]
+    far, kinks = (), scenes[0].chain.exponent < KINKED_BELOW
+    if candidate.adaptive and not kinks and not any(_scatters(scene, kinks) for scene in scenes):
+        far = FAR_AT_OPENINGS
+    elif not candidate.adaptive and all(_sure(scene, steps * method.evaluations, candidate) for scene in scenes):
+        far = FAR
+    for ratio in far:
+        if 2 * ratio <= limit and steps >= FEWEST * ratio:
+            return [ratio, 2 * ratio]
     longer: list[float] = [ratio for ratio in (2, 4) if ratio <= limit]
     # knots may cut steps of one and a half times the length like those of the answer
-    if not longer and limit >= NEARBY and scenes[0].chain.exponent >= KINKED_BELOW and knots == math.inf:
+    if not longer and limit >= NEARBY and not kinks and knots == math.inf:
         return [NEARBY]
     return longer
 

@@ -13,10 +13,11 @@ from functools import cached_property
 from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import RunFailed
 from ..integrators.batch import ChainBatch
-from ..integrators.kernels.reductions import compared, in_parts
+from ..integrators.kernels.reductions import NO_NUMBERS, SOUND, TOO_FAST, compared, in_parts
 from ..integrators.methods import Method
 from ..integrators.step_schedule import StepSchedule
 from ..integrators.stepper import NativeStepper, Stepper
@@ -34,6 +35,10 @@ GUESSED_RATE = 1e8  # grain-steps a second, a low guess to begin with
 BLOCK_BYTES = 2**25  # of the samples that are compared at a time,
 BLOCK_S = 0.5  # and how long they may take: what is stopped or killed loses no more
 MOST = 1e300  # J, where nothing bounds the energy
+WRONG = {
+    TOO_FAST: "the kinetic energy exceeds all the energy there is",
+    NO_NUMBERS: "positions or velocities are no longer numbers",
+}
 # analysis/calibration/amplified_rounding.py measures the next ones
 # over round-off: what two runs may differ by for that reason alone, which no law of the step divides, where contacts
 # open and waves may come back, or not: reflections through opening contacts make much of a little
@@ -110,14 +115,14 @@ class CompanionRun(Run):
         self._begin = chains.initial
         shape = (others, self.realisations, self._most + 1, grains)  # with sample 0 in the first block
         self._beside = np.zeros(shape), np.zeros(shape)  # the fields of the companions
-        self._lost = np.zeros((others, self.realisations), bool)  # that a companion has lost
+        self._lost: NDArray[np.bool_] | None = None  # realisations that companions have lost
         shape = (others, samples, self.realisations, 2)
-        self._differences, self.peaks, self._sample = np.zeros(shape), np.zeros((self.realisations, 2)), -1
+        self._differences, self._peaks, self._sample = np.zeros(shape), np.zeros((self.realisations, 2)), -1
         if state is not None:
-            self._differences, self.peaks = state["differences"].copy(), state["peaks"].copy()
+            self._differences, self._peaks = state["differences"].copy(), state["peaks"].copy()
             self._sample = int(state["sample"])
             apart = any(stepper.sample != max(self._sample, 0) for stepper in self._steppers)
-            if self._differences.shape != shape or self.peaks.shape != (self.realisations, 2) or apart:
+            if self._differences.shape != shape or self._peaks.shape != (self.realisations, 2) or apart:
                 raise ValueError("the state that was kept does not fit")
         self._rate = [GUESSED_RATE / (self.realisations * grains * method.evaluations)] * len(self._steppers)
         self._seconds, self._compared_s = [0.0] * len(self._steppers), 0.0
@@ -178,14 +183,11 @@ class CompanionRun(Run):
     def _keep(self, u: Array, v: Array, first: int, stop: int) -> Block:
         """Check the samples first ... stop - 1 of the answer, and keep its differences from the companions."""
         began = clock()
-        of_others = *self._beside, self._against, self._strides
-        peaks, energy = compared(u, v, *of_others, self._masses, first, self._differences)
-        self.peaks = np.maximum(np.maximum(self.peaks, peaks), self.native.largest())
-        if not (energy <= self._most_energy).all():
-            unknown = "positions or velocities are no longer numbers"
-            more = "the kinetic energy exceeds all the energy there is"
-            raise RunFailed(self._broke_down(first, more if np.isfinite(energy).all() else unknown))
-        if self._lost.any():
+        of_others, kept = (*self._beside, self._against, self._strides), (self._differences, self._peaks)
+        verdict = compared(u, v, *of_others, self._masses, first, *kept, self._most_energy)
+        if verdict != SOUND:
+            raise RunFailed(self._broke_down(first, WRONG[verdict]))
+        if self._lost is not None:
             self._differences.swapaxes(1, 2)[self._lost] = np.inf
         self._sample = stop - 1
         self._compared_s += clock() - began
@@ -199,6 +201,11 @@ class CompanionRun(Run):
         return (
             f"{what} after t = {t:.4g} s with steps of {self.candidate.step:.3g} s: use a shorter step or a tolerance"
         )
+
+    @property
+    def peaks(self) -> Array:
+        """Largest displacement and speed so far, (R, 2) m and m/s."""
+        return np.maximum(self._peaks, self.native.largest())
 
     @property
     def closest(self) -> Array:
@@ -215,7 +222,8 @@ class CompanionRun(Run):
     def errors(self) -> list[ErrorBudget]:
         """Return the estimate for every realisation."""
         # nothing is put in: there is no motion to be relative to, but that of a strike number of 1
-        peaks = np.where(self._at_rest[:, None], self._scale, self.peaks)
+        moved = self.peaks
+        peaks = np.where(self._at_rest[:, None], self._scale, moved)
         if self._twin and not (self._at_rest[0] or self.native.largest()[0, 1]):  # only what rounding presses moves
             peaks[0, 1] = max(peaks[0, 1], self.scene.highest_frequency * peaks[0, 0])
         peaks = np.where(peaks > 0, peaks, 1.0)
@@ -223,7 +231,7 @@ class CompanionRun(Run):
         steps = largest[self._twin :]  # between steps h, 2h (and 4h), or h and h/2
         opening = self.native.lowest() <= CLOSE_TO_OPENING
         plain, adaptive = self._chains.plain, self.candidate.adaptive
-        of_each = opening, plain, self._answer.steps, steps.swapaxes(0, 1), peaks, self.peaks
+        of_each = opening, plain, self._answer.steps, steps.swapaxes(0, 1), peaks, moved
         found = []
         for real, row in enumerate(zip(*(x.tolist() for x in of_each), strict=True)):
             opens, rounded, taken, differences, (farthest, fastest), (_, moves) = row

@@ -32,9 +32,9 @@ LONGEST_UNBOUNDED = 0.25  # and where there is no bound, for errors of longer on
 # coarse ones near openings, on that of adaptive steps; and what that, `opening_error_factor`, is made of
 OPENING_ERROR, COARSE_ERROR = 30.0, 16.0
 ADAPTIVE_ERROR, LEAST_STRAIN, MOST_STRAIN, GROWS = 5.0, 3.0, 99.0, 0.5
-# of a column that is struck on its top so gently that most have an answer at steps of one length: a bound on the strain,
-# and a larger one for tolerances from so much on; radians a grain before the wave is back; the factor on the error at
-# the first of these bounds, least and most
+# of a column that is struck on its top so gently that most have an answer at steps of one length: a bound on the
+# strain, and a larger one for tolerances from so much on; radians a grain before the wave is back; the factor on the
+# error at the first of these bounds, least and most
 GENTLE, LESS_GENTLE, LOOSE, NOT_BACK, GENTLE_ERROR = 4.5, 7.5, 1e-6, 4.0, (10.0, 1.5, 12.0)
 # of samples that are interpolated: their error at omega h = 1 and its order; what rounding adds a step of the run, for
 # they take differences of displacements over a step; what one costs in evaluations of the force, and a step over one of

@@ -10,6 +10,7 @@ from ...util.arrays import MAGNITUDE, Array
 from ...util.compilation import compiled_once
 from .contact_forces import NEWS, bits, number
 
+SOUND, TOO_FAST, NO_NUMBERS = range(3)
 _exact = numba.njit(error_model="numpy")
 _total = numba.njit(error_model="numpy", fastmath={"nsz", "reassoc"})
 
@@ -42,7 +43,9 @@ def compared(
     masses: Array,
     begin: int,
     differences: Array,
-) -> tuple[Array, Array]:
+    peaks: Array,
+    allowed: Array,
+) -> int:
     """Measure an answer and how far others are from it or from each other.
 
     Parameters
@@ -59,25 +62,27 @@ def compared(
         Number of the first sample.
     differences : (S, samples, R, 2) array
         Takes the largest differences over the grains where the others stop; no number where that is none.
+    peaks : (R, 2) array
+        Takes the largest displacement and speed, where they are larger than what it holds.
+    allowed : (R,) array
+        What twice the kinetic energy cannot exceed, J.
 
     Returns
     -------
-    peaks : (R, 2) array
-        Largest displacement and speed.
-    energy : (R,) array
-        Twice the largest kinetic energy of any sample; infinite if any displacement or velocity is no number.
+    int
+        `SOUND`, `TOO_FAST` if any sample has more energy, `NO_NUMBERS` if a displacement or velocity is none.
     """
     others, final, batch = others_u.shape[0], differences.shape[1] - 1, u.shape[0]
-    peaks, energy = np.zeros((batch, 2)), np.zeros(batch)
-    nothing = np.zeros(u.shape[2])
+    nothing, verdict = np.zeros(u.shape[2]), SOUND
     for real in range(batch):
         for sample in range(u.shape[1]):
             x, w, at = u[real, sample], v[real, sample], begin + sample
             now, far = _kinetic(w, masses[real]), _farthest(x, nothing)
             if not (np.isfinite(now) and np.isfinite(far)):
-                energy[real] = np.inf
+                verdict = NO_NUMBERS
                 continue
-            energy[real] = max(energy[real], now)
+            if now > allowed[real]:
+                verdict = max(verdict, TOO_FAST)
             peaks[real, 0], peaks[real, 1] = max(peaks[real, 0], far), max(peaks[real, 1], _farthest(w, nothing))
             for other in range(others):
                 if at % strides[other] and at < final:
@@ -88,7 +93,7 @@ def compared(
                 y, s = others_u[other, real, sample], others_v[other, real, sample]
                 differences[other, at, real, 0] = _farthest(a, y)
                 differences[other, at, real, 1] = _farthest(b, s)
-    return peaks, energy
+    return verdict
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
