@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..util.arrays import Array, read_only
 
+NO_FORCE = 1e200  # m/N, of a contact without stiffness at rest, which bounds nothing
 FEW = 10**4  # grains of a chain, of which all contacts are known sooner than those of some parts
 
 
@@ -183,10 +184,18 @@ class Contacts:
         The bound is rigorous: no contact can hold more than the whole conserved energy, and the energy of
         one is at least ``K r^(delta+1) / (delta+1)`` and at least ``k_n r^2 / 2``.
         """
-        power, shape = self.exponent + 1, np.broadcast(energy, self.constant).shape
-        hard = np.divide(power * energy, self.constant, out=np.zeros(shape), where=self.exists) ** (1 / power)
-        weak = np.divide(2 * energy, self.stiffness, out=np.full(shape, np.inf), where=self.pressed)
-        return self.overlap + np.minimum(hard, np.sqrt(weak))
+        if np.equal(energy, np.inf).any():
+            known = np.isfinite(energy)
+            return np.where(known, self.overlap_bound(np.where(known, energy, 0.0)), np.where(self.exists, np.inf, 0.0))
+        power, (soft, compliance) = self.exponent + 1, self._softness
+        hard = (power * energy * soft) ** (1 / power)
+        return self.overlap + np.minimum(hard, np.sqrt(2 * energy * compliance))
+
+    @cached_property
+    def _softness(self) -> tuple[Array, Array]:
+        """1 / constant, 0 where there is no contact, and 1 / stiffness, `NO_FORCE` where none is pressed, (N+1,)."""
+        soft = np.divide(1.0, self.constant, out=np.zeros(self.constant.shape), where=self.exists)
+        return soft, np.divide(1.0, self.stiffness, out=np.full(soft.shape, NO_FORCE), where=self.pressed)
 
 
 def together(contacts: Sequence[Contacts]) -> Contacts:

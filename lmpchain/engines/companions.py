@@ -113,7 +113,8 @@ def longer_steps(method: Method, scenes: Sequence[Scene], candidate: Candidate) 
     reach = candidate.step * max(scene.chain.band_edge for scene in scenes)
     knots = min(scene.excitation.knot_spacing for scene in scenes) if candidate.adaptive else math.inf
     limit = min(method.stability_limit / reach if reach > 0 else math.inf, knots / candidate.step)
-    far, kinks = (), scenes[0].chain.exponent < KINKED_BELOW
+    kinks = scenes[0].chain.exponent < KINKED_BELOW
+    far: tuple[int, ...] = ()
     if candidate.adaptive and not kinks and not any(_scatters(scene, kinks) for scene in scenes):
         far = FAR_AT_OPENINGS
     elif not candidate.adaptive and all(_sure(scene, steps * method.evaluations, candidate) for scene in scenes):

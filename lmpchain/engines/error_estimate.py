@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import cached_property
-from typing import Any, cast
+from functools import cached_property, partial
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,24 +141,22 @@ class CompanionRun(Run):
             if first == 0:
                 for field, begin in zip((*own, *self._beside), (*self._begin, *self._begin), strict=True):
                     field[..., 0, :] = begin
+            native, beside = own, self._beside
             if self._twin:
-                yield from self._fill(0, own, (), first, until)
-                twin, beside = ([field[part] for field in self._beside] for part in (0, slice(1, None)))
-                yield from self._fill(1, twin, (tuple(beside),), first, until)
-            else:
-                yield from self._fill(0, own, (self._beside,), first, until)
+                native, beside = ((u[part], v[part]) for part in (0, slice(1, None)) for u, v in [self._beside])
+                yield from self._fill(0, partial(self._answer.fill, *own, first, until), first, until)
+            move = partial(self.native.fill, *native, first, until, beside=beside)
+            yield from self._fill(self._twin, move, first, until)
             yield self._keep(*own, first, until + 1)
             self._sample_s = (sum(self._seconds) + self._compared_s - spent) / (until + 1 - first)
 
-    def _fill(
-        self, index: int, fields: Sequence[Array], beside: tuple[Any, ...], first: int, until: int
-    ) -> Iterator[Block]:
+    def _fill(self, index: int, move: Callable[[int], int], first: int, until: int) -> Iterator[Block]:
         """Move one stepper through a block of samples, in pieces short enough to be interrupted."""
         stepper = self._steppers[index]
         while True:
             max_steps = max(1, int(self._rate[index] * PIECE_S))
             began = clock()
-            done = stepper.fill(*fields, first, until, max_steps, *beside)
+            done = move(max_steps)
             took = clock() - began
             self._rate[index] = done / max(took, 1e-9)
             self._seconds[index] += took

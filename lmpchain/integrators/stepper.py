@@ -107,8 +107,8 @@ class NativeStepper:
         else:
             self._state = np.zeros((count * self._size, STEP + 1))
             begin = self._state.reshape(count, self._size, STEP + 1)
-            begin[:, :, FIRST : LAST + 1] = chains.window
-            begin[:, :, LOWEST] = chains.lowest
+            begin[..., FIRST : LAST + 1] = chains.window
+            begin[..., LOWEST] = chains.lowest
         self.stride, final = schedule.stride, scenes[0].samples - 1
         each = [(own.steps, own.step, own.stride, own.ratio == 1, own.dense) for own in self._schedules]
         clocks = Clocks(scenes[0].duration / final, final, np.array(each, dtype=float))

@@ -127,6 +127,15 @@ class Excitation(Checked):
         """Return the displacement (N,) m and velocity (N,) m/s that it imposes, at their largest."""
         return self.initial(chain)
 
+    def strongest(self, chain: Chain) -> tuple[float, float]:
+        """Return the largest displacement and speed that it imposes on any grain, m and m/s."""
+        u, v = (float(np.abs(x).max()) for x in self.largest(chain))
+        return u, v
+
+    def energy(self, chain: Chain) -> float:
+        """Return the energy above rest, J: that at t = 0, or infinite if it does work later."""
+        return np.inf if self.does_work else float(chain.excess_energy(*self.initial(chain)))
+
     @abstractmethod
     def reach(self, chain: Chain) -> tuple[int, int]:
         """Return the first and the last grain that it moves."""

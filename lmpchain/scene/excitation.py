@@ -34,6 +34,14 @@ class Impulse(OneGrain):
         """Return displacement and velocity of every grain at t = 0."""
         return np.zeros(chain.grains), self.at_grain(chain, self.velocity)
 
+    def strongest(self, chain: Chain) -> tuple[float, float]:
+        """Return the largest displacement and speed, m and m/s: those of the grain that is struck."""
+        return 0.0, abs(self.velocity)
+
+    def energy(self, chain: Chain) -> float:
+        """Return the energy of the grain that is struck, J."""
+        return 0.5 * float(chain.masses[self.grain - 1]) * self.velocity**2
+
     @property
     def strike_velocity(self) -> float:
         """Velocity of the grain that is struck, m/s."""

@@ -202,8 +202,7 @@ class Scene(Recording):
     def imposed(self) -> tuple[float, float]:
         """The largest displacement and speed that the excitation imposes on any grain, m and m/s."""
         _, chain, excitation = self._surroundings
-        u, v = (float(np.abs(x).max()) for x in excitation.largest(chain))
-        return u, v
+        return excitation.strongest(chain)
 
     @property
     def at_rest(self) -> bool:
@@ -214,7 +213,7 @@ class Scene(Recording):
     def energy(self) -> float:
         """Energy above rest, J: that at t = 0, or infinite if the excitation does work later."""
         _, chain, excitation = self._surroundings
-        return np.inf if excitation.does_work else float(chain.excess_energy(*excitation.initial(chain)))
+        return excitation.energy(chain)
 
     @cached_property
     def strike_number(self) -> float:
