@@ -30,8 +30,9 @@ FAR, FLOOR, FAR_AT_OPENINGS = (4, 3), 0.1, (3,)
 # order trusted after adaptive steps through openings: short ones keep it; not coarse ones, nor those of a method that
 # follows its own error
 ORDER_AT_OPENINGS, ORDER_WHERE_COARSE = 6, 4
-# radians a grain from which on waves come back to where contacts opened, and the step of one more companion then
-COMES_BACK, NEARBY = 10.0, 1.5
+# radians a grain from which on waves come back to where contacts opened; the step of one more companion then, and the
+# part of what it differs by that the error is at least
+COMES_BACK, NEARBY, LEAST_PART = 10.0, 1.5, 0.7
 # the same for exponents below that, whose force has a kink at an opening: errors scatter from the first one on
 KINKED_BELOW, ORDER_AT_KINKS, NEARBY_AT_KINKS = 1.25, 3, 1.75
 
@@ -97,7 +98,7 @@ class Companions:
         ratios, settled = self._ratios[:2], smooth and not opens
         found = max(extrapolate(trusted, smooth, *pair, ratios, settled) for pair in zip(coarse, steps[0], strict=True))
         if opens and self.scatters[real]:
-            found = max(found, *steps[-1])
+            found = max(found, LEAST_PART * max(steps[-1]))
         return found
 
 
