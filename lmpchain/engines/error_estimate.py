@@ -28,7 +28,7 @@ from ..util.compilation import clock
 from .amplification import amplified_digit, walked
 from .base import Candidate, ErrorBudget, Run
 from .companions import CLOSE_TO_OPENING, Companions
-from .round_off import native_floor, plain_loss, rounded_energy
+from .round_off import between_loss, native_floor, plain_loss, rounded_energy
 
 PIECE_S = 0.1  # longest stretch of work between two opportunities to stop
 GUESSED_RATE = 1e8  # grain-steps a second, a low guess to begin with
@@ -250,6 +250,8 @@ class CompanionRun(Run):
                 grown = SHARED * self._grown(real, peaks[real])
                 truncation = max(truncation, min(most, SCATTER * walked(taken * self.method.evaluations) * grown))
                 roundoff += grown
+            if self.candidate.stride > 1:
+                roundoff += between_loss(taken, displaced / radians)
             ordered = smooth and not (opens and self._companions.kinks)
             found.append(ErrorBudget(truncation, roundoff, ordered, every[real]))
         return found
