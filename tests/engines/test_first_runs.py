@@ -1,5 +1,7 @@
 """Runs that come first: pilots that show which steps an answer needs, and companions at longer steps."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers.example_scenes import paper
@@ -8,10 +10,12 @@ from helpers.independent_integrators import relative_error
 from lmpchain import Chain, Force, Impulse, Scene, ToleranceNotMet, resume, simulate, simulate_many
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines import Native, step_control
-from lmpchain.engines.companions import Companions
+from lmpchain.engines.base import ErrorBudget
+from lmpchain.engines.companions import SAFE_STRAIN, Companions
 from lmpchain.engines.native import PILOT
 from lmpchain.engines.richardson import SAFETY, SMALL, extrapolate
 from lmpchain.engines.step_control import first_attempt
+from lmpchain.engines.time_stepping import LESS_GENTLE
 from lmpchain.integrators.methods import METHODS
 
 VACUUM = Scene(
@@ -80,7 +84,8 @@ def test_companions_of_a_calm_answer_have_steps_four_and_eight_times_as_long():
     assert ratios(1e-6) == [2]  # 4h is unstable
     assert ratios(1e-13) == [2, 4]  # round-off would not show
     strong = scene.replace(excitation=Impulse(velocity=1e-2))
-    assert ratios(1e-10, strong) == [2, 4]
+    assert ratios(1e-10, strong) == [3, 6]  # no wave comes back
+    assert ratios(1e-10, strong.replace(duration=2e-3)) == [2, 4, 1.5]
     assert ratios(1e-10, strong, adaptive=False) == [2, 4]
     for tolerance in (1e-6, 1e-8, 1e-10):
         answer = simulate(scene, engine, tolerance)
@@ -118,3 +123,34 @@ def test_chaos_that_one_attempt_does_not_show_is_looked_for_in_the_next():
     with pytest.raises(ToleranceNotMet, match="amplifies round-off") as refusal:
         simulate(scene, "native", 1e-7)
     assert refusal.value.trajectory.cost.step_s > Native().candidate(scene, 1e-7).step / 20
+
+
+def test_a_gentle_strike_on_the_top_is_first_answered_at_steps_of_one_length():
+    """It presses contacts; they hardly open before the wave is back, and if they do, a miss lets the steps adapt."""
+    chain = Chain(grains=120, diameter=1e-3)
+    gentle = Scene(chain=chain, excitation=Impulse(velocity=8.57e-4), duration=1e-4, samples=21)
+    assert SAFE_STRAIN < gentle.largest_strain < LESS_GENTLE
+    assert not Native().candidate(gentle, 1e-6).adaptive
+    for tolerance in (1e-3, 1e-6):
+        answer, truth = simulate(gentle, "native", tolerance), reference(gentle)
+        error = relative_error(answer.displacement, answer.velocity, truth.displacement, truth.velocity)
+        assert error / 3 < answer.error_estimate.total <= tolerance
+    for other, tolerance in (
+        (gentle, 1e-9),
+        (gentle.replace(excitation=Impulse(velocity=2e-3)), 1e-6),
+        (gentle.replace(excitation=Impulse(velocity=-8.57e-4)), 1e-6),
+        (gentle.replace(excitation=Impulse(velocity=1e-3, grain=2)), 1e-6),
+        (gentle.replace(duration=1e-3), 1e-6),
+        (gentle.replace(chain=chain.replace(top="wall")), 1e-6),
+        (gentle.replace(chain=chain.replace(exponent=1.0)), 1e-6),
+    ):
+        assert Native().candidate(other, tolerance).adaptive
+    candidate = Native().candidate(gentle, 1e-6)
+    missed = ErrorBudget(1e-5, 1e-15, False, np.zeros(21))
+    refined = Native().refine(candidate, missed, 1e-6)
+    assert refined is not None
+    assert refined.adaptive
+    assert refined.step < candidate.step
+    regular = Native().refine(candidate, replace(missed, smooth=True), 1e-6)
+    assert regular is not None
+    assert not regular.adaptive

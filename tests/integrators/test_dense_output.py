@@ -7,7 +7,7 @@ import pytest
 from helpers.independent_integrators import relative_error
 from numba import njit
 
-from lmpchain import Chain, Drive, Force, Impulse, Scene, simulate
+from lmpchain import Chain, Displacement, Drive, Force, Impulse, Scene, simulate
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines.companions import Companions
 from lmpchain.engines.native import Native
@@ -134,3 +134,20 @@ def test_samples_lie_on_steps_where_that_costs_less_or_is_surer():
     dense_one = Native().candidate(scene, 1e-6)
     sampled = dense_one.sampled
     assert (sampled.stride, sampled.step * sampled.steps_per_landing) == (1, pytest.approx(scene.time[1], rel=1e-14))
+
+
+def test_rounding_of_samples_between_short_steps_is_known():
+    """A velocity is a difference of displacements over a step: large displacements and short steps make much of it."""
+    chain = Chain(grains=12, diameter=1e-3, gravity=0.0, top_load=1e-3)
+    strike = Displacement(displacement=chain.equilibrium_overlap[0], grain=3)
+    scene = Scene(chain=chain, excitation=strike, duration=12 / chain.band_edge, samples=241)
+    engine, truth = Native("rkn6"), reference(scene)
+    candidate = engine.candidate(scene, 1e-6)
+    assert candidate.stride > 1
+    run = engine.start([scene], candidate.with_steps(50 * candidate.steps_per_landing))
+    blocks = list(run.blocks())
+    u, v = (
+        np.concatenate(fields, 1)[0] for fields in zip(*((b.displacement, b.velocity) for b in blocks), strict=True)
+    )
+    error, found = relative_error(u, v, truth.displacement, truth.velocity), run.errors()[0]
+    assert 1e-13 < error < 3 * found.roundoff

@@ -34,13 +34,13 @@ def test_the_last_digits_are_reached(name: str):
 @pytest.mark.parametrize("integrator", ["rkn6", "dop853"])
 def test_a_restart_goes_on_with_the_same_bits(integrator: str, monkeypatch: pytest.MonkeyPatch):
     """Where the length of steps follows from the motion, too."""
-    scene = paper("fig1", samples=21)
+    scene = paper("fig1", samples=61)
     engine = engines.Native(integrator=integrator)
     candidate = engine.candidate(scene, 1e-9)
     assert candidate.adaptive
     whole = engine.start([scene], candidate)
     truth = np.concatenate([block.velocity for block in whole.blocks()], axis=1)
-    monkeypatch.setattr(error_estimate, "BLOCK_BYTES", 1)  # four samples a block
+    monkeypatch.setattr(error_estimate, "BLOCK_BYTES", 1)  # few samples a block
     monkeypatch.setattr(error_estimate, "PIECE_S", 1e-5)
     pieces, state = [], None
     while not pieces or pieces[-1].samples.stop < scene.samples:
@@ -48,7 +48,7 @@ def test_a_restart_goes_on_with_the_same_bits(integrator: str, monkeypatch: pyte
         pieces.append(next(block for block in run.blocks() if block.velocity.size))
         state = run.state()
         run.close()
-    assert len(pieces) == 5
+    assert len(pieces) >= 5
     assert np.array_equal(np.concatenate([block.velocity for block in pieces], axis=1), truth)
     assert run.errors()[0].total == whole.errors()[0].total
 
@@ -112,6 +112,7 @@ def test_short_steps_at_openings_let_the_order_be_trusted(scene: Scene, steps: i
 def test_steps_that_samples_hold_short_are_not_shortened_more_than_that_at_openings(name: str):
     """They cost a quarter less or better, with an estimate of a lower order; after a miss they are short."""
     scene, engine = paper(name, samples=301), Native("rkn6")
+    scene = scene.replace(excitation=scene.excitation.scaled(2.0))  # or steps need not adapt at all
     engine.dense = False  # nor are samples interpolated
     candidate, truth, costs = engine.candidate(scene, 1e-4), reference(scene), []
     assert candidate.coarse_openings
@@ -128,6 +129,7 @@ def test_steps_that_samples_hold_short_are_not_shortened_more_than_that_at_openi
 
 def test_where_the_tolerance_holds_steps_short_those_at_openings_are_short_too():
     scene = paper("fig5 g", samples=101)
+    scene = scene.replace(excitation=scene.excitation.scaled(2.0))
     springs = scene.replace(chain=scene.chain.replace(exponent=1.0))
     engine = Native("rkn6")
     engine.dense = False
