@@ -28,8 +28,8 @@ SAFE_STRAIN = 0.3  # strain below which no contact comes near to opening: the or
 # where contacts open, but no wave comes back
 FAR, FLOOR, FAR_AT_OPENINGS = (4, 3), 0.1, (3,)
 # order trusted after adaptive steps through openings: short ones keep it; not coarse ones, nor those of a method that
-# follows its own error
-ORDER_AT_OPENINGS, ORDER_WHERE_COARSE = 6, 4
+# follows its own error; less if companions have steps three times as long
+ORDER_AT_OPENINGS, ORDER_WHERE_COARSE, ORDER_FROM_FAR = 6, 4, 5.5
 # radians a grain from which on waves come back to where contacts opened; the step of one more companion then, and the
 # part of what it differs by that the error is at least
 COMES_BACK, NEARBY, LEAST_PART = 10.0, 1.5, 0.7
@@ -65,8 +65,8 @@ class Companions:
         steps = candidate.steps(first.samples)
         longer = longer_steps(method, scenes, candidate)
         self._finer = not longer
-        far = bool(longer) and longer[0] > NEARBY
-        self.scatters = [far and adaptive and _scatters(scene, self.kinks) for scene in scenes]
+        apart, self._far = bool(longer) and longer[0] > NEARBY, bool(longer) and longer[0] in FAR_AT_OPENINGS
+        self.scatters = [apart and adaptive and _scatters(scene, self.kinks) for scene in scenes]
         self.nearby = any(self.scatters)
         if self.nearby:
             longer.append(NEARBY_AT_KINKS if self.kinks else NEARBY)
@@ -91,7 +91,8 @@ class Companions:
             return 2 * max(steps[0])
         trusted = self._order - self._stretched
         if opens:
-            falls_to = ORDER_WHERE_COARSE if self._coarse else ORDER_AT_OPENINGS
+            falls_to: float = ORDER_WHERE_COARSE if self._coarse else ORDER_AT_OPENINGS
+            falls_to = ORDER_FROM_FAR if self._far and not self._coarse else falls_to
             falls_to = ORDER_AT_KINKS if self.kinks else falls_to
             trusted = min(self._order, falls_to) if self._adaptive else self._order
         coarse = steps[1] if len(steps) - self.nearby > 1 else (None, None)

@@ -235,7 +235,10 @@ class CompanionRun(Run):
             opens, rounded, taken, differences, (farthest, fastest), (_, moves) = row
             smooth = adaptive or self.method.order == 2 or not (opens or self._kinked[real])
             truncation = self._companions.truncation(real, differences, opens, smooth)
-            most = max(differences[0]) * (BY_CHANCE if opens else 1.0)
+            most = max(differences[0])
+            if self._companions.scatters[real]:
+                most = min(most, max(differences[-1]))  # rounding makes all of these differ
+            most *= BY_CHANCE if opens else 1.0
             radians = self._radians[real]
             displaced = radians / self.scene.duration * farthest / fastest if moves > 0 else 0.0
             flies = opens and not adaptive  # in flight steps of one length round to one side

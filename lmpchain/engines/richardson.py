@@ -10,7 +10,7 @@ SMALL = 0.01  # difference up to which the order is trusted of two runs alone: p
 
 
 def extrapolate(
-    order: int,
+    order: float,
     smooth: bool,
     coarse: float | None,
     fine: float,

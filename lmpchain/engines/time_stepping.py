@@ -31,7 +31,7 @@ LONGEST_UNBOUNDED = 0.25  # and where there is no bound, for errors of longer on
 # factors on the error where contacts may open: with steps of one length, of which nine in ten scenes need no more; with
 # coarse ones near openings, on that of adaptive steps; and what that, `opening_error_factor`, is made of
 OPENING_ERROR, COARSE_ERROR = 30.0, 16.0
-ADAPTIVE_ERROR, LEAST_STRAIN, MOST_STRAIN, GROWS = 5.0, 3.0, 99.0, 0.5
+ADAPTIVE_ERROR, LEAST_STRAIN, MOST_STRAIN, GROWS = 3.0, 3.0, 99.0, 0.5
 # of a column that is struck on its top so gently that most have an answer at steps of one length: a bound on the
 # strain, and a larger one for tolerances from so much on; radians a grain before the wave is back; the factor on the
 # error at the first of these bounds, least and most
