@@ -89,7 +89,7 @@ class Companions:
         """
         if self._finer:
             return 2 * max(steps[0])
-        trusted = self._order - self._stretched
+        trusted: float = self._order - self._stretched
         if opens:
             falls_to: float = ORDER_WHERE_COARSE if self._coarse else ORDER_AT_OPENINGS
             falls_to = ORDER_FROM_FAR if self._far and not self._coarse else falls_to
