@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..util.arrays import Array, read_only
 
-NO_FORCE = 1e200  # m/N, of a contact without stiffness at rest, which bounds nothing
+LOOSE = 1e100  # (m/N)^(1/2), of a contact without stiffness at rest, which bounds nothing
 FEW = 10**4  # grains of a chain, of which all contacts are known sooner than those of some parts
 
 
@@ -187,15 +187,14 @@ class Contacts:
         if np.equal(energy, np.inf).any():
             known = np.isfinite(energy)
             return np.where(known, self.overlap_bound(np.where(known, energy, 0.0)), np.where(self.exists, np.inf, 0.0))
-        power, (soft, compliance) = self.exponent + 1, self._softness
-        hard = (power * energy * soft) ** (1 / power)
-        return self.overlap + np.minimum(hard, np.sqrt(2 * energy * compliance))
+        power, (soft, give) = self.exponent + 1, self._softness
+        return self.overlap + np.minimum((power * energy * soft) ** (1 / power), np.sqrt(2 * energy) * give)
 
     @cached_property
     def _softness(self) -> tuple[Array, Array]:
-        """1 / constant, 0 where there is no contact, and 1 / stiffness, `NO_FORCE` where none is pressed, (N+1,)."""
+        """1 / constant (0 if there is no contact) and stiffness^(-1/2) (`LOOSE` if none is pressed), (N+1,)."""
         soft = np.divide(1.0, self.constant, out=np.zeros(self.constant.shape), where=self.exists)
-        return soft, np.divide(1.0, self.stiffness, out=np.full(soft.shape, NO_FORCE), where=self.pressed)
+        return soft, np.divide(1.0, np.sqrt(self.stiffness), out=np.full(soft.shape, LOOSE), where=self.pressed)
 
 
 def together(contacts: Sequence[Contacts]) -> Contacts:

@@ -1,7 +1,7 @@
 """Steps of the companions of an answer, and what their differences say of its truncation error.
 
-They run at about 2h and 4h, at up to 4h and 8h where no contact comes near to opening, at 3h and 6h where no wave comes
-back to where one opened: the rate at which their
+They run at about 2h and 4h, at up to 4h and 8h where no contact comes near to opening, at 3h and 6h in columns that are
+struck on their top: the rate at which their
 differences shrink gives the truncation error. Where 4h is unstable there is one at 2h, or at 1.5h, and where that is
 unstable, too, or the run has too few steps, one at h/2; of one alone the order is trusted where nothing opens, else
 what the answer differs by counts as if there were none. Where contacts open again and again, errors scatter, and two
@@ -25,11 +25,11 @@ FEWEST = 8  # steps of a run from which on companions have longer steps; of thes
 CLOSE_TO_OPENING = -0.5  # r / eps below which a contact's force is no longer a smooth function of time
 SAFE_STRAIN = 0.3  # strain below which no contact comes near to opening: the order of a method is sure there,
 # and the first of two companions may have steps so many times as long, if round-off is so far below the tolerance; and
-# where contacts open, but no wave comes back
-FAR, FLOOR, FAR_AT_OPENINGS = (4, 3), 0.1, (3,)
+# in columns that are struck on their top, for so many radians a grain before the wave is back
+FAR, FLOOR, FAR_IN_COLUMNS, NOT_BACK = (4, 3), 0.1, (3,), 4.0
 # order trusted after adaptive steps through openings: short ones keep it; not coarse ones, nor those of a method that
-# follows its own error; less if companions have steps three times as long
-ORDER_AT_OPENINGS, ORDER_WHERE_COARSE, ORDER_FROM_FAR = 6, 4, 5.5
+# follows its own error
+ORDER_AT_OPENINGS, ORDER_WHERE_COARSE = 6, 4
 # radians a grain from which on waves come back to where contacts opened; the step of one more companion then, and the
 # part of what it differs by that the error is at least
 COMES_BACK, NEARBY, LEAST_PART = 10.0, 1.5, 0.7
@@ -65,8 +65,8 @@ class Companions:
         steps = candidate.steps(first.samples)
         longer = longer_steps(method, scenes, candidate)
         self._finer = not longer
-        apart, self._far = bool(longer) and longer[0] > NEARBY, bool(longer) and longer[0] in FAR_AT_OPENINGS
-        self.scatters = [apart and adaptive and _scatters(scene, self.kinks) for scene in scenes]
+        far = bool(longer) and longer[0] > NEARBY
+        self.scatters = [far and adaptive and _scatters(scene, self.kinks) for scene in scenes]
         self.nearby = any(self.scatters)
         if self.nearby:
             longer.append(NEARBY_AT_KINKS if self.kinks else NEARBY)
@@ -89,18 +89,17 @@ class Companions:
         """
         if self._finer:
             return 2 * max(steps[0])
-        trusted: float = self._order - self._stretched
+        trusted = self._order - self._stretched
         if opens:
-            falls_to: float = ORDER_WHERE_COARSE if self._coarse else ORDER_AT_OPENINGS
-            falls_to = ORDER_FROM_FAR if self._far and not self._coarse else falls_to
+            falls_to = ORDER_WHERE_COARSE if self._coarse else ORDER_AT_OPENINGS
             falls_to = ORDER_AT_KINKS if self.kinks else falls_to
             trusted = min(self._order, falls_to) if self._adaptive else self._order
         coarse = steps[1] if len(steps) - self.nearby > 1 else (None, None)
         ratios, settled = self._ratios[:2], smooth and not opens
-        found = max(extrapolate(trusted, smooth, *pair, ratios, settled) for pair in zip(coarse, steps[0], strict=True))
-        if opens and self.scatters[real]:
-            found = max(found, LEAST_PART * max(steps[-1]))
-        return found
+        again = opens and self.scatters[real]
+        pairs = zip(coarse, steps[0], strict=True)
+        found = max(extrapolate(trusted, smooth, *pair, ratios, settled, again) for pair in pairs)
+        return max(found, LEAST_PART * max(steps[-1])) if again else found
 
 
 def longer_steps(method: Method, scenes: Sequence[Scene], candidate: Candidate) -> list[float]:
@@ -117,8 +116,8 @@ def longer_steps(method: Method, scenes: Sequence[Scene], candidate: Candidate) 
     limit = min(method.stability_limit / reach if reach > 0 else math.inf, knots / candidate.step)
     kinks = scenes[0].chain.exponent < KINKED_BELOW
     far: tuple[int, ...] = ()
-    if candidate.adaptive and not kinks and not any(_scatters(scene, kinks) for scene in scenes):
-        far = FAR_AT_OPENINGS
+    if candidate.adaptive and all(struck_from_above(scene) for scene in scenes):
+        far = FAR_IN_COLUMNS
     elif not candidate.adaptive and all(_sure(scene, steps * method.evaluations, candidate) for scene in scenes):
         far = FAR
     for ratio in far:
@@ -129,6 +128,14 @@ def longer_steps(method: Method, scenes: Sequence[Scene], candidate: Candidate) 
     if not longer and limit >= NEARBY and not kinks and knots == math.inf:
         return [NEARBY]
     return longer
+
+
+def struck_from_above(scene: Scene) -> bool:
+    """Say whether a free top is struck downward, and the wave is not back before the end."""
+    chain, strike = scene.chain, scene.excitation
+    downward = strike.strikes_top and strike.strike_velocity > 0 and chain.top == "free"
+    soon = scene.highest_frequency * scene.duration <= NOT_BACK * chain.grains
+    return downward and soon and chain.exponent >= KINKED_BELOW
 
 
 def _sure(scene: Scene, evaluations: int, candidate: Candidate) -> bool:

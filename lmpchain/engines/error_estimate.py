@@ -300,7 +300,7 @@ class CompanionRun(Run):
 
 
 def _block(steppers: int, realisations: int, grains: int, samples: int, together: int) -> int:
-    """Return the number of samples in a block: all, or a multiple of those after which all steppers stop together."""
+    """Return the samples of a block: all, or a multiple of those after which all steppers stop together."""
     fit = BLOCK_BYTES // (16 * steppers * realisations * grains)
     return samples - 1 if fit >= samples else max(1, fit // together) * together
 

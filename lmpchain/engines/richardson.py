@@ -10,18 +10,20 @@ SMALL = 0.01  # difference up to which the order is trusted of two runs alone: p
 
 
 def extrapolate(
-    order: float,
+    order: int,
     smooth: bool,
     coarse: float | None,
     fine: float,
     ratios: Sequence[float] = (2.0, 4.0),
     settled: bool = False,
+    confirmed: bool = False,
 ) -> float:
     """Return the Richardson estimate of the error at step h from runs at 4h, 2h and h, or from 2h and h.
 
     `fine` is how far the last two are apart, `coarse` how far the first two are, if there are three. `ratios` are those
     of the steps, where they are not 2 and 4. Where the force is `settled` as a smooth function of time, two runs alone
-    show the error, for longer steps are further off than by the order, up to those that are unstable.
+    show the error, for longer steps are further off than by the order, up to those that are unstable. The coarse
+    difference alone bounds the error, too, unless that is `confirmed` by one more run.
 
     Where contacts open or nearly so, a high order falls to about 2.5, unless steps are adaptive, with a coefficient
     that depends on where in a step the opening falls: the error at h can then be as large as the difference.
@@ -36,4 +38,4 @@ def extrapolate(
     doublings = math.log2(second / first)
     ratio = min(max(coarse / max(fine, 1e-300), 1.5**doublings), (second / first) ** order)
     gain = ratio ** (math.log2(first) / doublings)  # error at the longer step over that at h
-    return max(SAFETY * fine / (gain - 1), coarse / (second**order - first**order))
+    return max(SAFETY * fine / (gain - 1), 0.0 if confirmed else coarse / (second**order - first**order))

@@ -42,7 +42,7 @@ def plain_loss(scene: Scene, steps: float) -> float:
 
 
 def between_loss(steps: float, travelled: float) -> float:
-    """Return what the velocities of interpolated samples lose in a run of so many steps, over the largest one.
+    """Return what the velocities of interpolated samples lose in so many steps, over the largest one.
 
     They follow from differences of displacements over a step. `travelled` is the largest displacement over how far the
     fastest grain would come in the whole run; near contacts that open steps are shorter than the mean.

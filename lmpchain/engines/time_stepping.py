@@ -16,7 +16,7 @@ from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.suggestions import not_among
 from .base import Candidate, Engine, ErrorBudget
-from .companions import KINKED_BELOW, SAFE_STRAIN, longer_steps
+from .companions import KINKED_BELOW, SAFE_STRAIN, longer_steps, struck_from_above
 from .cost_model import seconds
 from .error_estimate import CompanionRun
 from .richardson import SAFETY
@@ -33,9 +33,8 @@ LONGEST_UNBOUNDED = 0.25  # and where there is no bound, for errors of longer on
 OPENING_ERROR, COARSE_ERROR = 30.0, 16.0
 ADAPTIVE_ERROR, LEAST_STRAIN, MOST_STRAIN, GROWS = 3.0, 3.0, 99.0, 0.5
 # of a column that is struck on its top so gently that most have an answer at steps of one length: a bound on the
-# strain, and a larger one for tolerances from so much on; radians a grain before the wave is back; the factor on the
-# error at the first of these bounds, least and most
-GENTLE, LESS_GENTLE, LOOSE, NOT_BACK, GENTLE_ERROR = 4.5, 7.5, 1e-6, 4.0, (10.0, 1.5, 12.0)
+# strain, and a larger one for tolerances from so much on; the factor on the error at the first, least and most
+GENTLE, LESS_GENTLE, LOOSE, GENTLE_ERROR = 4.5, 7.5, 1e-6, (10.0, 1.5, 12.0)
 # of samples that are interpolated: their error at omega h = 1 and its order; what rounding adds a step of the run, for
 # they take differences of displacements over a step; what one costs in evaluations of the force, and a step over one of
 # equal ones; steps from landing to landing, and the most numbers of a field between; and steps a sample from which on
@@ -138,7 +137,7 @@ class TimeSteppingEngine(Engine):
         schedules: Sequence[StepSchedule],
         state: Mapping[str, Array],
     ) -> Stepper:
-        """Make the stepper of the answer, with its companions if it is native, from the start or a kept state."""
+        """Make the stepper of the answer, with its companions if native, from the start or a kept state."""
 
     def candidate(self, scene: Scene, tolerance: float) -> Candidate:
         """Propose a step size: the one given, or the longest that should meet the tolerance."""
@@ -244,7 +243,7 @@ class TimeSteppingEngine(Engine):
         return scene.chain.grains
 
     def refine(self, candidate: Candidate, error: ErrorBudget | None, tolerance: float) -> Candidate | None:
-        """Shorten the step by what the observed error asks for; where contacts open after all, let steps adapt."""
+        """Shorten the step by what the error asks for; where contacts open after all, let steps adapt."""
         method = METHODS[candidate.integrator]
         order, opens = method.order, not (error and error.smooth) and self.adaptive and method.adaptive == "openings"
         candidate = replace(candidate, adaptive=candidate.adaptive or opens)
@@ -277,12 +276,8 @@ class TimeSteppingEngine(Engine):
 
 
 def _gently_struck(scene: Scene, tolerance: float) -> bool:
-    """Say whether contacts are pressed by a strike from above, so weak that they hardly open before it comes back."""
-    chain, strike = scene.chain, scene.excitation
-    weak = scene.largest_strain <= (LESS_GENTLE if tolerance >= LOOSE else GENTLE)
-    downward = strike.strikes_top and strike.strike_velocity > 0 and chain.top == "free"
-    soon = scene.highest_frequency * scene.duration <= NOT_BACK * chain.grains
-    return weak and downward and soon and chain.exponent >= KINKED_BELOW
+    """Say whether a strike from above is so weak that contacts hardly open before the wave is back."""
+    return scene.largest_strain <= (LESS_GENTLE if tolerance >= LOOSE else GENTLE) and struck_from_above(scene)
 
 
 def _work(method: Method, steps: float, stride: int, adapts: bool) -> float:

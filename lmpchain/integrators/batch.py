@@ -128,7 +128,7 @@ class ChainBatch:
         return memory[skip : skip + size].reshape(shape)
 
     def bodies(self, *grains: Array, copies: int = 1) -> Array:
-        """Return rows (fields, copies R, W) of bodies with these values (R, N) of the grains, or (copies, R, N)."""
+        """Return rows (fields, copies R, W) of bodies from values (R, N) of the grains, or (copies, R, N)."""
         rows = self._rows(len(grains), copies, len(self.scenes))
         for field, values in zip(rows, grains, strict=True):
             field[..., PAD : PAD + self.grains] = values

@@ -215,11 +215,11 @@ class NativeStepper:
         return self._state[:, LOWEST].reshape(-1, self._size).min(0)
 
     def closest(self) -> Array:
-        """Return by how much two grains have come closer than at rest at most, (S + 1, R) m; seen after whole steps."""
+        """Return by how much two grains have come closer than at rest at most, (S + 1, R) m, after steps."""
         return self._state[:, CLOSEST].reshape(-1, self._size)
 
     def largest(self) -> Array:
-        """Return the largest displacement and speed of any grain of each chain by the first schedule, (R, 2) m and m/s.
+        """Return the largest displacement and speed of any grain by the first schedule, (R, 2) m and m/s.
 
         They are seen after steps, at first a radian of the fastest motion apart (or one step, if that is longer), later
         more rarely.

@@ -56,7 +56,8 @@ class Cost:
     """Computing time, steps and force evaluations of a trajectory.
 
     What is compiled, once on a machine, or loaded from what was compiled there before, is counted as `compile_s` alone.
-    The native engine moves an answer together with the runs that show its error; that time is shared out by their steps.
+    The native engine moves an answer together with the runs that show its error; that time is shared out
+    by steps.
     """
 
     integration_s: float

@@ -52,7 +52,7 @@ ALONE = team(1)[0]
 
 
 class Chains(NamedTuple):
-    """A batch of R chains in rows of W bodies, once for each of F schedules of steps: one batch after the other.
+    """A batch of R chains in rows of W bodies, once for each of F schedules, one batch after the other.
 
     Attributes
     ----------
