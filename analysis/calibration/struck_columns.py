@@ -35,16 +35,16 @@ HALF = 0.5  # of an error, that estimates are to be at least
 def columns(count: int, strongest: float) -> list[tuple[Scene, float]]:
     """Return columns in which contacts may open, and tolerances."""
     found: list[tuple[Scene, float]] = []
-    for seed in forever():
-        rng = np.random.default_rng([41, seed])
+    seeds = forever()
+    while len(found) < count:
+        rng = np.random.default_rng([41, next(seeds)])
         chain = Chain(grains=int(rng.integers(20, 200)), diameter=1e-3, gravity=10 ** rng.uniform(-1, 2))
         strike, tolerance = Impulse(velocity=10 ** rng.uniform(-4.5, -1)), 10 ** rng.uniform(-9, -2)
         samples = int(rng.choice((2, 11, 101)))
         scene = Scene(chain=chain, excitation=strike, duration=10 ** rng.uniform(-4.5, -3.5), samples=samples)
         if companions.SAFE_STRAIN < scene.light_cone.scene.largest_strain < strongest:
             found.append((scene, tolerance))
-        if len(found) == count:
-            return found
+    return found
 
 
 def taken(scene: Scene, tolerance: float) -> float:
