@@ -126,9 +126,9 @@ class NativeStepper:
             if state["history"].shape != self._history.shape:
                 raise ValueError("the state that was kept does not fit")
             self._history[:] = state["history"]
-        bodies, method_s = (self._x, self._v, self._history), (*march.common, *march.each)
+        bodies, needs = (self._x, self._v, self._history), (*march.common, *march.each)
         self._work = [
-            (chains.arrays(*bodies, own, member), method_s, clocks, share * self._size // shares,
+            (chains.arrays(*bodies, own, member), needs, clocks, share * self._size // shares,
              (share + 1) * self._size // shares)
             for share in range(shares) for own, member in zip(self._states, self._teams, strict=True)
         ]  # fmt: skip

@@ -1,0 +1,54 @@
+"""Companions are moved in the compiled call of their answer."""
+
+import numpy as np
+import pytest
+
+from lmpchain import Chain, Impulse, Scene
+from lmpchain.integrators.batch import ChainBatch
+from lmpchain.integrators.methods import METHODS
+from lmpchain.integrators.step_schedule import StepSchedule
+from lmpchain.integrators.stepper import NativeStepper
+
+CHAIN = Chain(grains=30, diameter=1e-3, top="wall")
+SCENES = [
+    Scene(chain=CHAIN, excitation=Impulse(velocity=speed), duration=6e-5, samples=25) for speed in (1e-3, 2e-2, 0.1)
+]
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize(
+    ("name", "adaptive", "landing"),
+    [("rkn6", True, 1), ("rkn6", True, 12), ("rkn4", False, 1), ("verlet", False, 1), ("dop853", True, 1),
+     ("gear4", False, 1)],
+)  # fmt: skip
+def test_they_have_the_bits_of_runs_of_their_own(name: str, adaptive: bool, landing: int, threads: int):
+    """In pieces of a few steps, in a batch and by threads, too."""
+    method, steps = METHODS[name], 9 * landing if method_of_one_stage(name) else 3 * landing
+    step = landing * SCENES[0].duration / 24 / steps
+    schedules = [StepSchedule.of(steps, step, adaptive, ratio, landing=landing) for ratio in (1, 2, 4)]
+    shape = len(SCENES), 25, CHAIN.grains
+    alone = []
+    for schedule in schedules:
+        stepper = NativeStepper(ChainBatch(SCENES), method, schedule, {})
+        fields = np.zeros(shape), np.zeros(shape)
+        stepper.fill(*fields, 0, 24, 2**62)
+        alone.append((*fields, stepper.state()))
+    together = NativeStepper(ChainBatch(SCENES), method, schedules[0], {}, threads, schedules[1:])
+    own, beside = (np.zeros(shape), np.zeros(shape)), (np.zeros((2, *shape)), np.zeros((2, *shape)))
+    while together.sample < 24:
+        together.fill(*own, 0, 24, 7, beside)
+    together.close()
+    kept = together.state()
+    assert together.progress == 1
+    assert 0.4 < together.own_part < 0.7
+    for number, (u, v, state) in enumerate(alone):
+        found = own if number == 0 else (beside[0][number - 1], beside[1][number - 1])
+        assert np.array_equal(found[0], u)
+        assert np.array_equal(found[1], v)
+        assert u.any()
+        for key in ("u", "v"):
+            assert np.array_equal(kept[key][number], state[key][0])
+
+
+def method_of_one_stage(name: str) -> bool:
+    return METHODS[name].evaluations == 1
