@@ -98,10 +98,11 @@ class NativeStepper:
     ):
         self.chains, self.threads, scenes = chains, threads, chains.scenes
         self._schedules, self._size = [schedule, *companions], len(scenes)
-        count, (u, v) = len(self._schedules), chains.initial
-        self._x, self._v = chains.bodies(state.get("u", u), state.get("v", v), copies=count)
+        count = len(self._schedules)
+        u, v = (state["u"], state["v"]) if state else chains.initial
+        self._x, self._v = chains.bodies(u, v, copies=count)
         self._v[:, PAD : PAD + chains.driven] = 0.0  # it is put where its motion says
-        if "state" in state:
+        if state:
             self._state = state["state"].copy()
             self._check_state()
         else:
@@ -122,7 +123,7 @@ class NativeStepper:
         others = shares * len(self._teams) - 1
         self._pool = ThreadPoolExecutor(others) if others else None
         self._history = np.zeros((count * self._size, march.history, self._x.shape[1]))
-        if "history" in state:
+        if state:
             if state["history"].shape != self._history.shape:
                 raise ValueError("the state that was kept does not fit")
             self._history[:] = state["history"]
