@@ -131,8 +131,10 @@ def longer_steps(method: Method, scenes: Sequence[Scene], candidate: Candidate) 
 
 
 def struck_from_above(scene: Scene) -> bool:
-    """Say whether a free top is struck downward, and the wave is not back before the end."""
+    """Say whether a free top is struck downward, and no wave is back before the end."""
     chain, strike = scene.chain, scene.excitation
+    if chain.bounds is None or chain.impurity:  # where grains differ, some is reflected
+        return False
     downward = strike.strikes_top and strike.strike_velocity > 0 and chain.top == "free"
     soon = scene.highest_frequency * scene.duration <= NOT_BACK * chain.grains
     return downward and soon and chain.exponent >= KINKED_BELOW

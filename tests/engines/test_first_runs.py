@@ -144,6 +144,7 @@ def test_a_gentle_strike_on_the_top_is_first_answered_at_steps_of_one_length():
         (gentle.replace(duration=1e-3), 1e-6),
         (gentle.replace(chain=chain.replace(top="wall")), 1e-6),
         (gentle.replace(chain=chain.replace(exponent=1.0)), 1e-6),
+        (gentle.replace(chain=chain.replace(masses=chain.masses * np.linspace(1, 1.1, 120))), 1e-6),  # reflects
     ):
         assert Native().candidate(other, tolerance).adaptive
     candidate = Native().candidate(gentle, 1e-6)
