@@ -31,7 +31,7 @@ LONGEST_UNBOUNDED = 0.25  # and where there is no bound, for errors of longer on
 # factors on the error where contacts may open: with steps of one length, of which nine in ten scenes need no more; with
 # coarse ones near openings, on that of adaptive steps; and what that, `opening_error_factor`, is made of
 OPENING_ERROR, COARSE_ERROR = 30.0, 16.0
-ADAPTIVE_ERROR, LEAST_STRAIN, MOST_STRAIN, GROWS = 3.0, 3.0, 99.0, 0.5
+ADAPTIVE_ERROR, LEAST_STRAIN, MOST_STRAIN, GROWS = 4.0, 3.0, 99.0, 0.5
 # of a column that is struck on its top so gently that most have an answer at steps of one length: a bound on the
 # strain, and a larger one for tolerances from so much on; the factor on the error at the first, least and most
 GENTLE, LESS_GENTLE, LOOSE, GENTLE_ERROR = 4.5, 7.5, 1e-6, (10.0, 1.5, 12.0)
