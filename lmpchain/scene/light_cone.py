@@ -10,7 +10,7 @@ from .base import Excitation
 
 UNSEEN = math.log(1e-22)  # motion, over that of the grain that is struck, which no answer holds
 WORTH = 0.7  # of the grains: where more than that are reached, all are computed; analysis/calibration/light_cone.py
-SHORT = 64  # grains: a shorter chain is computed as a whole
+SHORT = 128  # grains: a shorter chain is computed as a whole, for less than it takes to cut it
 
 
 def reached(
