@@ -187,8 +187,9 @@ class TimeSteppingEngine(Engine):
             return math.ceil(interval / self.step * (1 - 1e-12)), 1, False, False
         omega = scene.highest_frequency
         expected = method.error_constant * max(1.0, omega * scene.duration / PERIODS)  # phases drift apart with time
-        shortens, gentle = method.adaptive == "openings", self.adaptive and _gently_struck(scene, tolerance)
-        adapts = self.adapts(scene, method) and not (shortens and gentle)
+        shortens = method.adaptive == "openings"
+        gentle = shortens and self.adaptive and _gently_struck(scene, tolerance)
+        adapts = self.adapts(scene, method) and not gentle
         if scene.largest_strain > SAFE_STRAIN:
             factor = gentle_error_factor if gentle else opening_error_factor
             expected *= factor(scene.largest_strain) if adapts or gentle else OPENING_ERROR
