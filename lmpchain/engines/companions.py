@@ -1,11 +1,11 @@
 """Steps of the companions of an answer, and what their differences say of its truncation error.
 
-They run at about 2h and 4h, at up to 4h and 8h where no contact comes near to opening, at 3h and 6h in uniform columns
-that are struck on their top: the rate at which their differences shrink gives the truncation error. Where 4h is unstable
-there is one at 2h, or at 1.5h, and where that is unstable, too, or the run has too few steps, one at h/2; of one alone
-the order is trusted where nothing opens, else what the answer differs by counts as if there were none. Where contacts
-open again and again, errors scatter, and two may agree by chance: there runs one more, at about 1.5h (1.75h and from the
-first opening on for springs, whose force has a kink there).
+They run at about 2h and 4h, at up to 4h and 8h where no contact comes near to opening, at 3h and 6h in uniform
+columns that are struck on their top: the rate at which their differences shrink gives the truncation error. Where 4h
+is unstable there is one at 2h, or at 1.5h, and where that is unstable, too, or the run has too few steps, one at h/2;
+of one alone the order is trusted where nothing opens, else what the answer differs by counts as if there were none.
+Where contacts open again and again, errors scatter, and two may agree by chance: there runs one more, at about 1.5h
+(1.75h and from the first opening on for springs, whose force has a kink there).
 """
 
 from __future__ import annotations
