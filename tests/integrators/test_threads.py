@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from lmpchain import Chain, Drive, Force, Profile, Scene, engines, simulate
+from lmpchain.engines import error_estimate
 from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.kernels.layout import FIRST, LAST, LEAST_SHARE
 from lmpchain.integrators.methods import METHODS
@@ -134,7 +135,7 @@ def test_what_acts_all_the_time(excitation: dict[str, Any]):
 
 
 @pytest.mark.slow
-def test_whole_answers_and_runs_that_go_on():
+def test_whole_answers_and_runs_that_go_on(monkeypatch: pytest.MonkeyPatch):
     """The answer, its error estimate and what it goes on from know nothing of the threads."""
     scene = noisy(2 * LEAST_SHARE + 5, bottom="wall")
     scene = scene.replace(samples=11, duration=scene.duration / 16)
@@ -143,6 +144,8 @@ def test_whole_answers_and_runs_that_go_on():
         assert np.array_equal(getattr(one, field), getattr(two, field))
     assert one.error_estimate == two.error_estimate
     assert one.cost.steps == two.cost.steps
+
+    monkeypatch.setattr(error_estimate, "BLOCK_BYTES", 1)  # few samples a block
 
     def run(threads: int, kept: Any = None, stop: int = scene.samples) -> tuple[Any, Any]:
         engine = engines.Native("rkn4", threads=threads)
