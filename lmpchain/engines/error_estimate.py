@@ -143,7 +143,8 @@ class CompanionRun(Run):
                     field[..., 0, :] = begin
             native, beside = own, self._beside
             if self._twin:
-                native, beside = ((u[part], v[part]) for part in (0, slice(1, None)) for u, v in [self._beside])
+                u, v = self._beside
+                native, beside = (u[0], v[0]), (u[1:], v[1:])
                 yield from self._fill(0, partial(self._answer.fill, *own, first, until), first, until)
             move = partial(self.native.fill, *native, first, until, beside=beside)
             yield from self._fill(self._twin, move, first, until)

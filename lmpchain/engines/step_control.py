@@ -21,6 +21,7 @@ from ..scene.scene import Scene
 from ..trajectory.record import Cost
 from ..util.arrays import Array
 from ..util.compilation import clock, compiled_s
+from ..util.records import renewed
 from .amplification import COARSE, LAST_DIGIT, walked
 from .base import Candidate, Engine, ErrorBudget, Run
 from .perturbation import divergence
@@ -133,9 +134,8 @@ def first_attempt(engine: Engine, scene: Scene, tolerance: float, best_effort: b
         candidate, tolerance, refusal = loosened(propose, tolerance)
     else:
         candidate = propose(tolerance)
-    first = engine.pilot(scene, candidate, tolerance)
-    spent = clock() - began, 0.0, compiled_s() - compiled
-    return Attempt(engine.name, first, tolerance, refusal, *spent, pilot=first is not candidate)
+    attempt = to_begin_with(engine, scene, candidate, tolerance)
+    return renewed(attempt, refusal=refusal, planned_s=clock() - began, compiled_s=compiled_s() - compiled)
 
 
 def to_begin_with(engine: Engine, scene: Scene, candidate: Candidate, tolerance: float) -> Attempt:
@@ -197,7 +197,8 @@ def solve_to_tolerance(
         following, missed = next_attempt(engine, scenes[place], attempt, errors[place] if errors else None, patient)
         judging_s = clock() - judged  # an integration, where chaos is tested for
         if not following:
-            cost = cost.after(attempt.planned_s, attempt.spent_s + judging_s, compiled_s() - compiled)
+            setup_s, estimate_s = cost.setup_s + attempt.planned_s, cost.estimate_s + attempt.spent_s + judging_s
+            cost = renewed(cost, setup_s=setup_s, estimate_s=estimate_s, compile_s=compiled_s() - compiled)
             return Outcome(collected, attempt, errors, cost, attempt.refusal or missed)
         run_s = cost.integration_s + cost.estimate_s + judging_s
         planned_s = clock() - began - run_s

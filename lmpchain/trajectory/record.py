@@ -76,11 +76,6 @@ class Cost:
         """All of the time but that of compilation, s."""
         return self.integration_s + self.estimate_s + self.setup_s
 
-    def after(self, setup_s: float, estimate_s: float, compile_s: float) -> Cost:
-        """Return the cost with what else was spent on setting up and on estimates, and with the compilation."""
-        more = {"setup_s": self.setup_s + setup_s, "estimate_s": self.estimate_s + estimate_s, "compile_s": compile_s}
-        return Cost(**{**vars(self), **more})
-
 
 class Block(NamedTuple):
     """A block of the solution: realisations x samples x recorded grains.
