@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from ..util.arrays import Array, read_only
 
-LOOSE = 1e100  # (m/N)^(1/2), of a contact without stiffness at rest, which bounds nothing
+# how far contacts give way: without stiffness at rest, which bounds nothing, in m/J^(1/2); and where none counts
+LOOSE, STIFF = 1e100, 1e-300
 FEW = 10**4  # grains of a chain, of which all contacts are known sooner than those of some parts
 
 
@@ -187,14 +188,35 @@ class Contacts:
         if np.equal(energy, np.inf).any():
             known = np.isfinite(energy)
             return np.where(known, self.overlap_bound(np.where(known, energy, 0.0)), np.where(self.exists, np.inf, 0.0))
-        power, (soft, give) = self.exponent + 1, self._softness
-        return self.overlap + np.minimum((power * energy * soft) ** (1 / power), np.sqrt(2 * energy) * give)
+        return self.overlap + self._given_way(energy, *self._softness)
+
+    def largest_strain(self, energy: float | Array) -> Array:
+        """Return `Scene.largest_strain`, (...), for this energy above rest; (..., 1) J of many chains."""
+        if not (self.pressed == self.exists).all():
+            return np.full(self.constant.shape[:-1], np.inf)
+        strain = self._given_way(energy, *self._relative_softness)
+        return np.asarray(strain.max(-1) * 1.05)  # an opening contact is a little softer
+
+    def _given_way(self, energy: float | Array, loose: Array, pressed: Array) -> Array:
+        """Return by how much contacts of these softnesses give way at most, (..., N+1)."""
+        return np.minimum(energy ** (1 / (self.exponent + 1)) * loose, np.sqrt(energy) * pressed)
 
     @cached_property
     def _softness(self) -> tuple[Array, Array]:
-        """1 / constant (0 if there is no contact) and stiffness^(-1/2) (`LOOSE` if none is pressed), (N+1,)."""
-        soft = np.divide(1.0, self.constant, out=np.zeros(self.constant.shape), where=self.exists)
-        return soft, np.divide(1.0, np.sqrt(self.stiffness), out=np.full(soft.shape, LOOSE), where=self.pressed)
+        """How far contacts give way for 1 J, bounds that go as its root of delta + 1, and its square root, (N+1,) each.
+
+        The first is 0 if there is no contact, the second `LOOSE` if it is not pressed.
+        """
+        power, shape = self.exponent + 1, self.constant.shape
+        loose = np.divide(power, self.constant, out=np.zeros(shape), where=self.exists) ** (1 / power)
+        return loose, np.sqrt(np.divide(2.0, self.stiffness, out=np.full(shape, LOOSE**2), where=self.pressed))
+
+    @cached_property
+    def _relative_softness(self) -> tuple[Array, Array]:
+        """The same over the overlap at rest; `STIFF` if it is not pressed."""
+        rest = np.where(self.pressed, self.overlap, 1 / STIFF)
+        loose, pressed = (np.maximum(softness / rest, STIFF) for softness in self._softness)
+        return loose, pressed
 
 
 def together(contacts: Sequence[Contacts]) -> Contacts:

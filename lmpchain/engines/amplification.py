@@ -50,7 +50,8 @@ def _all(scene: Scene) -> ChainBatch:
     changes = [draw * LAST_DIGIT for draw in DRAWS]
     if scene.excitation.does_work:
         return ChainBatch([scene, *(perturbed(scene, change) for change in changes)])
-    u, v = np.array([scene.initial(), *(_nearby(scene, change) for change in changes)]).swapaxes(0, 1)
+    near = (_nearby(scene, change) for change in changes)
+    u, v = (np.array(fields) for fields in zip(scene.initial(), *near, strict=True))
     return ChainBatch([scene] * (1 + len(changes)), initial=(u, v))
 
 

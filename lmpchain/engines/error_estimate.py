@@ -96,7 +96,7 @@ class CompanionRun(Run):
         self._radians = [scene.highest_frequency * scene.duration for scene in scenes]
         self._kinked = [not scene.excitation.smooth for scene in scenes]
         self._masses, self._scale, self._chains = chains.masses, chains.units, chains
-        self._rest = chains.contacts.overlap.max(1)
+        self._rest = chains.deepest
         # contacts never hold less energy than at rest: the kinetic one cannot exceed what is put in, or rounded
         steps = candidate.steps(self.scene.samples)
         pressed = rounded_energy(self.scene, steps * method.evaluations) if twin else 0.0

@@ -26,12 +26,12 @@ from numpy.typing import NDArray
 from ..scene.acting import Drive, Force
 from ..scene.scene import Scene
 from ..util.arrays import Array
-from .batch import WINDOW_MIN, ChainBatch
+from .batch import ChainBatch
 from .imposed import ImposedCourse
 from .kernels import adjoint as kernels
 from .kernels.adjoint_tangent import tangent
 from .kernels.contact_forces import POLYNOMIAL, ROOTS
-from .kernels.layout import ALONE, CLOSEST, FIRST, LAST, LOWEST, PAD, STEP, Chain
+from .kernels.layout import ALONE, CLOSEST, FIRST, LAST, LOWEST, PAD, Chain
 from .splittings import Splitting
 
 ROOM = 2**19  # bytes for what is kept between two checkpoints, about what stays in the cache
@@ -152,9 +152,9 @@ class DifferentiableRun:
     def _read(self, scene: Scene) -> None:
         """Lay out the chain for the compiled loops."""
         batch, chain = ChainBatch([scene]), scene.chain
-        self._x, self._v = batch.bodies(*batch.initial)
-        self._v[:, PAD : PAD + self._driven] = 0.0
-        state = np.zeros((1, STEP + 1))
+        u, v = batch.initial
+        self._x, self._v, state = batch.placed(u[None], v[None])
+        self._window = state[0, [FIRST, LAST]]  # where it begins and ends at t = 0
         arrays = batch.arrays(self._x, self._v, np.zeros((1, 0, self._x.shape[1])), state)
         length, strength, mobility = batch.table[0]
         x, v, history, self._state = (rows[0] for rows in arrays[:4])
@@ -178,17 +178,6 @@ class DifferentiableRun:
             self._law = (kernels.PLAIN if strong else kernels.HERTZ) if hertz else kernels.OTHER
         self._less = chain.exponent - 1.0
         self._room = np.zeros((5, 2 * kernels.BURST))
-
-    def _window(self) -> tuple[int, int]:
-        """Return where the window of the run begins and ends: at the lines that hold what moves at t = 0."""
-        width = self._x.shape[1]
-        if width <= WINDOW_MIN:
-            return PAD, width - PAD
-        moves = (self._x[0] != 0) | (self._v[0] != 0)
-        moves[int(self._chain.acted[0]) : int(self._chain.acted[1]) + 1] = True
-        where = np.flatnonzero(moves)
-        first, last = (where[0], where[-1] + 1) if where.size else (PAD, PAD + 1)
-        return first // PAD * PAD, min(-(-last // PAD) * PAD, width - PAD)
 
     def _times(self, row: int, count: int) -> Array:
         """Return the times of some rows, s."""
@@ -215,7 +204,7 @@ class DifferentiableRun:
         """Move on to the end, with checkpoints at the begin of every piece."""
         columns = self.grains + (PAD - 1)
         self._looks[:, 0] = self._x[0, columns], self._v[0, columns]
-        self._state[FIRST], self._state[LAST] = self._window()
+        self._state[FIRST], self._state[LAST] = self._window
         common = self._chain, self._course, self._room
         for some, row, count in self._calls():
             kernels.forward(*common, self._path(row, count), self._pieces, some, (columns, self._looks))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from functools import cache, cached_property
 from typing import Any
@@ -15,7 +14,7 @@ from ..scene.scene import Scene
 from ..util.arrays import Array
 from .kernels.contact_forces import CORRECTED, FORMS, POLYNOMIAL, POWER, ROOTS, SPRING, UNCOMPRESSED_POWER
 from .kernels.layout import ALONE, KNOTS, PAD, Chains, Team
-from .kernels.table import fill_table, opening_weights, windows
+from .kernels.table import laid_out, opening_weights, placed
 
 # analysis/calibration/roundoff.py
 STRONG = 1.0  # strike number from which the fastest form of the force loses nothing
@@ -58,29 +57,30 @@ class ChainBatch:
         Highest frequency, rad/s.
     scale : (R, 2) array
         Largest displacement and speed of the excitation, m and m/s.
+    units : (R, 2) array
+        Overlap of the contact below grain 1 (that above it if there is none below), and the speed of that in the unit
+        of time, m and m/s; no speed in the sonic vacuum.
+    deepest : (R,) array
+        Largest overlap at rest, m.
     """
 
     def __init__(self, scenes: Sequence[Scene], force: str = "auto", initial: tuple[Array, Array] | None = None):
         self.scenes, chain, excitation = scenes, scenes[0].chain, scenes[0].excitation
         self.grains, self.imposed, self.driven = chain.grains, excitation.does_work, excitation.driven
+        one = not excitation.of_chain and all(scene.excitation is excitation for scene in scenes)
+        self._struck = scenes[:1] if one else scenes  # each in a way of its own
+        self._given, self._compressed, self.precompressed = initial, chain.compressed, float(chain.compressed)
         self.masses = np.array([scene.chain.masses for scene in scenes])
-        self.contacts = together([scene.chain.contacts for scene in scenes])
-        self.precompressed = float(chain.compressed)
-        self.table = self._rows(len(scenes), 3)
-        rest = self.contacts.overlap, self.contacts.force, self.contacts.constant
-        moving = self.driven, chain.movable
-        self.uncompressed = fill_table(self.table, *rest, self.masses, *moving, chain.compressed)
+        self.contacts = own = together([scene.chain.contacts for scene in scenes])
+        strikes = np.array([(scene.highest_frequency, *scene.imposed) for scene in scenes])
+        self.table, self.uncompressed, self.omega, self.scale, self.units, self.deepest = laid_out(
+            own.overlap, own.force, own.constant, own.stiffness, self.masses, strikes, self.driven, chain.movable,
+            chain.compressed,
+        )  # fmt: skip
         self.forms = np.array([force_form(scene, force) for scene in scenes])
         self.plain = np.array([form in ROOTS and chain.compressed for form in self.forms.tolist()])
         self.coefficients, self.opening_power = series(chain.exponent), chain.exponent
-        one = not excitation.of_chain and all(scene.excitation is excitation for scene in scenes)
-        self._struck = scenes[:1] if one else scenes  # each in a way of its own
-        self._given = initial
         self.drive, self.knots, self.pieces = self._imposed()
-        self.omega = np.array([scene.highest_frequency for scene in scenes])
-        farthest, fastest = self._of_each(scene.imposed for scene in self._struck).T
-        speed = np.maximum(fastest, farthest * self.omega)
-        self.scale = np.array([speed / self.omega, speed]).T.copy()
 
     def _of_each(self, values: Iterable[Any]) -> NDArray[Any]:
         """Return an array with a row for each of the R scenes."""
@@ -98,19 +98,18 @@ class ChainBatch:
         """Displacement, m, and velocity, m/s, of every grain at t = 0, (R, N) each."""
         if self._given:
             return self._given
-        u, v = self._of_each(scene.initial() for scene in self._struck).swapaxes(0, 1)
-        return u, v
+        u, v = zip(*(scene.initial() for scene in self._struck), strict=True)
+        return self._of_each(u), self._of_each(v)
 
-    @cached_property
-    def window(self) -> Array:
-        """Where the window of each chain begins and ends at t = 0, (R, 2): around what moves.
+    def placed(self, u: Array, v: Array, copies: int = 1) -> tuple[Array, Array, Array]:
+        """Return rows of bodies, (copies R, W) m and m/s, and their state at sample 0, (copies R, 12).
 
-        A short chain is computed as a whole.
+        Grains are at u and move with v, (copies, R, N) or (1, R, N) for all. Around what moves there is a window; a
+        short chain is computed as a whole.
         """
-        width = self.table.shape[2]
-        if width <= WINDOW_MIN:
-            return np.tile([PAD, width - PAD], (len(self.scenes), 1))
-        return windows(*self.initial, self.driven, self.acted, width)
+        about = self.driven, self.acted, self.uncompressed, self._compressed
+        x, w, state = placed(u, v, copies, *about, WINDOW_MIN)
+        return x, w, state
 
     def arrays(self, x: Array, v: Array, history: Array, state: Array, team: Team = ALONE) -> Chains:
         """Return the chains, and where and how fast their bodies are, for the loops of a thread."""
@@ -118,21 +117,6 @@ class ChainBatch:
             x, v, history, state, self.table, self.uncompressed, self.scale, self.omega, self.forms,
             self.precompressed, self.coefficients, self.imposed, self.acted, self.drive, self.knots, self.pieces, team,
         )  # fmt: skip
-
-    def _rows(self, *shape: int) -> Array:
-        """Return (..., W) zeros of which every row begins at a cache line."""
-        shape = *shape, -(-(2 * PAD + self.grains) // PAD) * PAD
-        size = math.prod(shape)
-        memory = np.zeros(size + PAD)
-        skip = -memory.__array_interface__["data"][0] // memory.itemsize % PAD
-        return memory[skip : skip + size].reshape(shape)
-
-    def bodies(self, *grains: Array, copies: int = 1) -> Array:
-        """Return rows (fields, copies R, W) of bodies from values (R, N) of the grains, or (copies, R, N)."""
-        rows = self._rows(len(grains), copies, len(self.scenes))
-        for field, values in zip(rows, grains, strict=True):
-            field[..., PAD : PAD + self.grains] = values
-        return rows.reshape(len(grains), -1, rows.shape[-1])
 
     def _imposed(self) -> tuple[Array, Array, Array]:
         """Return what is imposed after t = 0, as (R, 6), (R, P) and (R, 4, P-1) arrays."""
@@ -155,18 +139,6 @@ class ChainBatch:
                 table[real, KNOTS] = count = len(spline.x)
                 knots[real, :count], pieces[real, :, : count - 1] = spline.x, spline.c
         return table, knots, pieces
-
-    @cached_property
-    def lowest(self) -> Array:
-        """The smallest r / eps of any contact of each chain at rest, (R,): -1 where one is open, else 0."""
-        return -1.0 * ((self.uncompressed > 0) | (self.precompressed == 0))
-
-    @property
-    def units(self) -> Array:
-        """Overlap of the contact below grain 1, and the speed of that in the unit of time, (R, 2) m and m/s."""
-        first = int(self.contacts.constant[0, 1] > 0)  # that above it if there is none below
-        length, stiffness = self.contacts.overlap[:, first], self.contacts.stiffness[:, first]
-        return np.array([length, length * np.sqrt(stiffness / self.masses[:, 0])]).T  # no speed in the sonic vacuum
 
     @cached_property
     def openings(self) -> tuple[Array, Array]:

@@ -99,17 +99,13 @@ class NativeStepper:
         self.chains, self.threads, scenes = chains, threads, chains.scenes
         self._schedules, self._size = [schedule, *companions], len(scenes)
         count = len(self._schedules)
-        u, v = (state["u"], state["v"]) if state else chains.initial
-        self._x, self._v = chains.bodies(u, v, copies=count)
-        self._v[:, PAD : PAD + chains.driven] = 0.0  # it is put where its motion says
+        u, v = (field[None] for field in chains.initial)
+        if state:
+            u, v = (np.array(state[name], dtype=float).reshape(count, self._size, chains.grains) for name in "uv")
+        self._x, self._v, self._state = chains.placed(u, v, count)
         if state:
             self._state = state["state"].copy()
             self._check_state()
-        else:
-            self._state = np.zeros((count * self._size, STEP + 1))
-            begin = self._state.reshape(count, self._size, STEP + 1)
-            begin[..., FIRST : LAST + 1] = chains.window
-            begin[..., LOWEST] = chains.lowest
         self.stride, final = schedule.stride, scenes[0].samples - 1
         each = [(own.steps, own.step, own.stride, own.ratio == 1, own.dense) for own in self._schedules]
         clocks = Clocks(scenes[0].duration / final, final, np.array(each, dtype=float))

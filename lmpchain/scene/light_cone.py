@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from ..chain.chain import Chain
-from ..util.arrays import Array
+from ..chain.contacts import FEW
 from .base import Excitation
 
 UNSEEN = math.log(1e-22)  # motion, over that of the grain that is struck, which no answer holds
@@ -13,9 +13,7 @@ WORTH = 0.7  # of the grains: where more than that are reached, all are computed
 SHORT = 128  # grains: a shorter chain is computed as a whole, for less than it takes to cut it
 
 
-def reached(
-    chain: Chain, excitation: Excitation, energy: float, duration: float, bound: Array | None = None
-) -> tuple[int, int]:
+def reached(chain: Chain, excitation: Excitation, energy: float, duration: float) -> tuple[int, int]:
     """Return the first and the last grain that can have moved by 1e-22 of the strike when the scene ends.
 
     Springs no stiffer than k_max pass on a displacement of 1 by at most the modified Bessel function I_2d(W t) over d
@@ -31,14 +29,13 @@ def reached(
         Above rest, J; infinite where it is not known beforehand.
     duration : float
         s.
-    bound : (N+1,) array, optional
-        On the overlaps of all contacts, m, if that is known; of many only some are looked at.
     """
     grains = chain.grains
     if not math.isfinite(energy) or grains < SHORT:
         return 1, grains
     top, bottom = excitation.reach(chain)
-    known = None if bound is None else chain.contacts.stiffness_at(bound)
+    few = chain.contacts if grains <= FEW else None  # of many only some are looked at
+    known = None if few is None else few.stiffness_at(few.overlap_bound(energy))
     away = 32
     while True:
         first, last = max(1, top - away), min(grains, bottom + away)

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from pydantic import InstanceOf
 
 from ..chain.chain import Chain
-from ..chain.contacts import FEW
 from ..chain.picture import DRAWN, MOST
 from ..chain.plausible import HERTZ_OVERLAP
 from ..util.arrays import Array, as_slice, evenly
@@ -28,7 +27,6 @@ from .light_cone import reached
 from .recording import Recording
 from .strike import (
     first_overlaps,
-    largest_strain,
     pair_frequency,
     squeezed,
     strike_faults,
@@ -242,14 +240,9 @@ class Scene(Recording):
         return float(pair_frequency(chain.contacts, chain.masses, first_overlaps(chain, self.excitation)))
 
     @cached_property
-    def overlap_bound(self) -> Array:
-        """A bound on every overlap at any time, (N+1,) m; see `Contacts.overlap_bound`."""
-        return self.chain.contacts.overlap_bound(self.energy)
-
-    @cached_property
     def largest_strain(self) -> float:
         """A bound on ``|r / eps|`` of every contact, rigorous while it is small; infinite where there is none."""
-        return float(largest_strain(self.chain.contacts, self.overlap_bound))
+        return float(self.chain.contacts.largest_strain(self.energy))
 
     @cached_property
     def linear_strain(self) -> float:
@@ -275,8 +268,7 @@ class Scene(Recording):
     @cached_property
     def light_cone(self) -> LightCone:
         """The grains that the wave can have reached when the scene ends, as a scene of their own."""
-        bound = self.overlap_bound if self.chain.grains <= FEW else None
-        first, last = reached(self.chain, self.excitation, self.energy, self.duration, bound)
+        first, last = reached(self.chain, self.excitation, self.energy, self.duration)
         if last - first + 1 == self.chain.grains:
             return LightCone(self, slice(None), slice(None))
         recorded = self.recorded

@@ -56,15 +56,6 @@ def strike_number(chain: Chain, excitation: Excitation, contacts: Contacts, mass
     return np.asarray(np.maximum((u / eps).max(-1), (v / (eps * omega)).max(-1)))
 
 
-def largest_strain(contacts: Contacts, bound: Array) -> Array:
-    """Return `Scene.largest_strain`, (...), from contacts and a bound on their overlaps, (..., N+1) m."""
-    if not (contacts.pressed == contacts.exists).all():
-        return np.full(bound.shape[:-1], np.inf)
-    closer = bound - contacts.overlap
-    strain = np.divide(closer, contacts.overlap, out=np.full(closer.shape, -np.inf), where=contacts.pressed)
-    return np.asarray(strain.max(-1) * 1.05)  # an opening contact is a little softer
-
-
 def surroundings(chain: Chain, excitation: Excitation) -> tuple[int, Chain, Excitation]:
     """Cut out the grains that an excitation moves and their neighbours, all that it acts on at first.
 

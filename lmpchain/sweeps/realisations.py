@@ -14,7 +14,7 @@ from ..chain.impurities import with_impurities
 from ..disorder.draws import OF_CONTACTS, drawn_constants
 from ..errors import InputError
 from ..scene.scene import LightCone, Scene
-from ..scene.strike import largest_strain, overlaps_of, pair_frequency, strike_number
+from ..scene.strike import overlaps_of, pair_frequency, strike_number
 from ..util.arrays import Array, read_only
 from .axes import INDEX
 from .file import Sweep
@@ -183,7 +183,7 @@ def _known(common: Scene, parts: Mapping[str, Any]) -> dict[str, Array]:
         known["energy"] = 0.5 * (masses[:, near] * v[near] ** 2).sum(-1) + held(contacts.closer(u)[above]).sum(-1)
     known["strike_number"] = strike_number(chain, excitation, contacts, masses)
     energy = known.get("energy", np.full(len(masses), np.inf))
-    known["largest_strain"] = largest_strain(contacts, contacts.overlap_bound(energy[:, None]))
+    known["largest_strain"] = contacts.largest_strain(energy[:, None])
     return known
 
 

@@ -197,7 +197,7 @@ def test_loops_over_grains_do_several_at_a_time(form: int, operation: str):
 @x86
 def test_other_loops_do_several_at_a_time():
     row, batch = types.Array(float64, 1, "C"), ChainBatch([smooth()])
-    (bodies,) = batch.bodies(batch.initial[0])
+    bodies, *_ = batch.placed(*(field[None] for field in batch.initial))
     chains = batch.arrays(bodies, bodies, bodies[:, None], np.zeros((1, 9)))
     for loop, takes, operation in (
         (_nearness, (row,) * 6 + (float64,) * 5, "sqrt"),

@@ -4,29 +4,49 @@ from __future__ import annotations
 
 import math
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from ...util.arrays import Array
 from ...util.compilation import compiled_once
 from .contact_forces import NEWS
-from .layout import PAD
+from .layout import FIRST, LAST, LOWEST, PAD, STEP
+
+_compiled = numba.njit(error_model="numpy")
+
+
+@_compiled
+def _rows(count: int, grains: int) -> Array:
+    """Return (count, W) zeros of which every row begins at a cache line."""
+    width = (2 * PAD + grains + PAD - 1) // PAD * PAD
+    memory = np.zeros(count * width + PAD)
+    skip = -(memory.ctypes.data // memory.itemsize) % PAD
+    return memory[skip : skip + count * width].reshape((count, width))
 
 
 @compiled_once(*NEWS, error_model="numpy")
-def fill_table(
-    table: Array, overlap: Array, force: Array, constant: Array, masses: Array, first: int, stop: int, compressed: bool
-) -> Array:
-    """Fill the table of R chains, zeros so far.
+def laid_out(
+    overlap: Array,
+    force: Array,
+    constant: Array,
+    stiffness: Array,
+    masses: Array,
+    strikes: Array,
+    first: int,
+    stop: int,
+    compressed: bool,
+) -> tuple[Array, ...]:
+    """Lay R chains out.
 
     Parameters
     ----------
-    table : (R, 3, W) array
-        See `layout.Chains`.
-    overlap, force, constant : (R, N+1) arrays
+    overlap, force, constant, stiffness : (R, N+1) arrays
         Of the contacts at rest.
     masses : (R, N) array
         kg.
+    strikes : (R, 3) array
+        Highest frequency, rad/s, and largest displacement and speed that the excitation imposes, m and m/s.
     first, stop : int
         Of the grains, from 0, those whose motion is not prescribed.
     compressed : bool
@@ -34,20 +54,97 @@ def fill_table(
 
     Returns
     -------
-    (R,) array
-        `layout.Chains.uncompressed`.
+    table, uncompressed, omega, scale : (R, 3, W), (R,), (R,) and (R, 2) arrays
+        See `layout.Chains`.
+    units, deepest : (R, 2) and (R,) arrays
+        See `ChainBatch`.
     """
-    uncompressed = np.zeros(len(table))
-    for real in range(len(table)):
-        for n in range(overlap.shape[1]):
+    batch, grains = masses.shape
+    rows, uncompressed, omega = _rows(3 * batch, grains), np.zeros(batch), np.empty(batch)
+    table, scale, units, deepest = (
+        rows.reshape((batch, 3, -1)),
+        np.empty((batch, 2)),
+        np.empty((batch, 2)),
+        np.zeros(batch),
+    )
+    for real in range(batch):
+        for n in range(grains + 1):
             length, strength = (overlap[real, n], force[real, n]) if compressed else (1.0, constant[real, n])
             if length > 0.0:
                 table[real, 0, PAD - 1 + n], table[real, 1, PAD - 1 + n] = 1.0 / length, strength
+            deepest[real] = max(deepest[real], overlap[real, n])
         for n in range(first, stop):
             table[real, 2, PAD + n] = 1.0 / masses[real, n]
         if compressed and force[real, 0] == 0.0:
             uncompressed[real] = constant[real, 0]
-    return uncompressed
+        fastest, farthest, speed = strikes[real]
+        speed = max(speed, farthest * fastest)
+        omega[real], scale[real, 0], scale[real, 1] = fastest, speed / fastest, speed
+        below = 1 if constant[0, 1] > 0.0 else 0
+        length = overlap[real, below]
+        units[real, 0], units[real, 1] = length, length * math.sqrt(stiffness[real, below] / masses[real, 0])
+    return table, uncompressed, omega, scale, units, deepest
+
+
+@compiled_once(*NEWS, error_model="numpy")
+def placed(
+    u: Array,
+    v: Array,
+    copies: int,
+    driven: int,
+    acted: NDArray[np.int64],
+    uncompressed: Array,
+    compressed: bool,
+    whole: int,
+) -> tuple[Array, Array, Array]:
+    """Put grains in their rows, and begin to watch them.
+
+    Parameters
+    ----------
+    u, v : (C, R, N) arrays
+        Displacement, m, and velocity, m/s, in R chains: of one copy for all, or of every one of C copies.
+    copies : int
+        How many there are to be.
+    driven : int
+        Number of grains, from the top, that are put where their motion says: their velocity is 0.
+    acted : (R, 2) array
+        First and last body that is acted on, the other way round if none is.
+    uncompressed, compressed : (R,) array and bool
+        See `laid_out`.
+    whole : int
+        Longest row, in bodies, that is computed as a whole from the beginning; else the window begins around what
+        moves.
+
+    Returns
+    -------
+    x, v : (copies R, W) arrays
+        See `layout.Chains`.
+    state : (copies R, 12) array
+        At sample 0.
+    """
+    given, batch, grains = u.shape
+    x, w, state = _rows(copies * batch, grains), _rows(copies * batch, grains), np.zeros((copies * batch, STEP + 1))
+    width = x.shape[1]
+    for row in range(len(x)):
+        copy, real = row // batch % given, row % batch
+        first, last = acted[real]
+        if first > last:
+            first, last = width, 0
+        for n in range(grains):
+            x[row, PAD + n] = u[copy, real, n]
+            if n >= driven:
+                w[row, PAD + n] = v[copy, real, n]
+            if x[row, PAD + n] != 0.0 or w[row, PAD + n] != 0.0:
+                first, last = min(first, PAD + n), max(last, PAD + n)
+        if first > last:
+            first, last = PAD, PAD
+        if width <= whole:
+            first, last = PAD, width - PAD - 1
+        state[row, FIRST] = first // PAD * PAD
+        state[row, LAST] = min((last // PAD + 1) * PAD, width - PAD)
+        # the smallest r / eps at rest: -1 where a contact is open
+        state[row, LOWEST] = 0.0 if compressed and uncompressed[real] == 0.0 else -1.0
+    return x, w, state
 
 
 @compiled_once(*NEWS, error_model="numpy")
@@ -75,33 +172,3 @@ def opening_weights(table: Array, uncompressed: Array, omega: Array, scale: Arra
             weight[real, n] = min(pull * mobility / changes, 1e150) ** 2
             reach[real, n] = weight[real, n] ** (1 / 3) / slow
     return weight, reach
-
-
-@compiled_once(*NEWS, error_model="numpy")
-def windows(u: Array, v: Array, driven: int, acted: NDArray[np.int64], width: int) -> Array:
-    """Return between which bodies each of R chains moves at first, in whole cache lines, (R, 2).
-
-    Parameters
-    ----------
-    u, v : (R, N) arrays
-        At t = 0.
-    driven : int
-        Number of grains, from the top, whose velocity does not count: they are put in place.
-    acted : (R, 2) array
-        First and last body that is acted on, the other way round if none is.
-    width : int
-        Of a row of bodies.
-    """
-    found = np.empty((len(u), 2))
-    for real in range(len(u)):
-        first, last = acted[real]
-        if first > last:
-            first, last = width, 0
-        for n in range(u.shape[1]):
-            if u[real, n] != 0.0 or (n >= driven and v[real, n] != 0.0):
-                first, last = min(first, PAD + n), max(last, PAD + n)
-        if first > last:
-            first, last = PAD, PAD
-        found[real, 0] = first // PAD * PAD
-        found[real, 1] = min((last // PAD + 1) * PAD, width - PAD)
-    return found
