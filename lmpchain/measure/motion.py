@@ -76,9 +76,11 @@ class Motion:
         self.scene, self._equation, self._error = scene, equation, error if math.isfinite(error) else 0.0
         self.displacement, self.velocity, self.grains = displacement, velocity, grains
         self.step = scene.duration / (scene.samples - 1)
-        self._sizes = largest(*(np.ascontiguousarray(x, float) for x in (displacement, velocity)))
-        chain, moves = scene.chain, (self._sizes != 0).any(0)
-        ends = (bool(there) for there in chain.contacts.exists[[0, -1]])
+        # as the compiled loops take them
+        self._fields = [np.ascontiguousarray(x, float) for x in (displacement, velocity)]
+        self._sizes = largest(*self._fields)
+        chain, moves = scene.chain, self._sizes.any(0)
+        ends = bool(chain.contacts.exists[0]), bool(chain.contacts.exists[-1])
         recorded = np.asarray(grains, dtype=int)
         self._around = around(chain.grains, chain.movable, *ends, recorded.tobytes(), moves.tobytes())
         self._tops: dict[str, Array] = {}  # what `fronts` has found of peaks on the way
@@ -87,12 +89,6 @@ class Motion:
     def time(self) -> Array:
         """Sampled times, (T,) s."""
         return self.scene.time
-
-    @cached_property
-    def _fields(self) -> tuple[Array, Array]:
-        """Displacement and velocity of the M grains that move, as the compiled loops take them, (T, M) each."""
-        u, v = (np.ascontiguousarray(x[:, self._around.moves], float) for x in (self.displacement, self.velocity))
-        return u, v
 
     @cached_property
     def _known(self) -> NDArray[np.bool_]:
@@ -109,24 +105,24 @@ class Motion:
     @cached_property
     def _values(self) -> tuple[Array, NDArray[np.bool_]]:
         """What `derivatives.derivatives` returns of the grains that move, and which are quiet, (M,)."""
-        chain, linear = self.scene.chain, self._equation == 3
+        chain, around = self.scene.chain, self._around
         own, inverse_mass = chain.contacts, 1 / chain.masses
         inverse_mass[chain.movable :] = 0.0
         contacts = np.array([own.constant, own.force, own.overlap])
-        error = np.zeros((2, 1)) if self.ceiling.size else np.array(self._known_errors)[:, None]
-        quiet = np.asarray((self._sizes[:, self._around.moves] <= error).all(0))
-        found: Array = derivatives(
-            *self._fields, self._around.moving, self._around.sides, contacts, inverse_mass,
-            chain.exponent, linear, self.step, self._known[self._around.moves], quiet,
+        errors = (0.0, 0.0) if self.ceiling.size else self._known_errors
+        found: tuple[Array, NDArray[np.bool_]] = derivatives(
+            *self._fields, around.moves, self._sizes, errors, around.moving, around.sides, contacts, inverse_mass,
+            chain.exponent, self._equation == 3, self.step, self._known,
         )  # fmt: skip
-        return found, quiet
+        return found
 
     def peaks(self, field: Field) -> Peaks:
         """Return the largest displacement or speed of every grain."""
         found = self._tops.get(field)
         if found is None:
-            found = extremes.peaks(*self._values, self.step, KINDS[field], self.ceiling)
-        return Peaks(self.grains, *_within(self._of_all(found, 0.0), self.known_error(field)))
+            about = self.step, KINDS[field], self.ceiling, self.known_error(field)
+            found = extremes.peaks(*self._values, self._around.moves, self.grains.size, *about)
+        return Peaks(self.grains, found[:, 0], found[:, 1])
 
     def largest_wall_force(self) -> tuple[float, float]:
         """Return the largest force at any time on what holds the bottom, N, and how far that may be off.
@@ -161,9 +157,9 @@ class Motion:
                     hidden += np.where(limits < 0, 0.0, limits)
         if hidden.size:
             hidden[hidden == 0] = -1.0
-        found = extremes.peaks(values, np.zeros(1, dtype=bool), self.step, RAISED, hidden[None])
-        value, error = _within(found, 2 * self.known_error("displacement"))
-        return float(value[0]), float(error[0])
+        one, known = (np.zeros(1, dtype=bool), np.zeros(1, dtype=int), 1), 2 * self.known_error("displacement")
+        value, error = extremes.peaks(values, *one, self.step, RAISED, hidden[None], known)[0].tolist()
+        return value, error
 
     def fronts(self, field: Field, fraction: float, certain: float | None = None, width: bool = True) -> Array:
         """Return time, height and width of the front, and their errors, (G, 6); see `front.track`."""
@@ -171,17 +167,10 @@ class Motion:
         fall = known if certain is None else certain
         found: Array
         found, self._tops[field] = extremes.fronts(
-            *self._values, self.step, KINDS[field], self.ceiling, fraction, known, fall, frequency, width
-        )
-        return self._of_all(found, np.nan)
-
-    def _of_all(self, found: Array, at_rest: float) -> Array:
-        """Return what is found of the grains that move, (M, ...), as that of all, (G, ...)."""
-        if len(found) == self.grains.size:
-            return found
-        every = np.full((self.grains.size, *found.shape[1:]), at_rest)
-        every[self._around.moves] = found
-        return every
+            *self._values, self._around.moves, self.grains.size, self.step, KINDS[field], self.ceiling, fraction, known,
+            fall, frequency, width,
+        )  # fmt: skip
+        return found
 
     def rows(self, grains: np.ndarray) -> NDArray[np.intp]:
         """Return where in the results these grains stand."""
@@ -257,7 +246,7 @@ class Motion:
             within = np.full((count, size), scene.energy)
         else:
             u, v = (np.zeros((count + 1, size)) for _ in range(2))
-            u[:, here], v[:, here] = self._fields
+            u[:, here], v[:, here] = (field[:, self._around.moves] for field in self._fields)
             r = contacts.closer(u)
             held = contacts.stiffness * r**2 / 2 if linear else contacts.energy(r)
             energy = masses * v**2 / 2 + held[:, 1:] + held[:, :-1]  # each contact twice: a bound

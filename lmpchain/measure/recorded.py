@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..errors import InputError, shown
 from ..trajectory.between.derivatives import STILL, UNKNOWN
 from ..trajectory.trajectory import Trajectory
-from ..util.arrays import Array, as_slice
+from ..util.arrays import Array
 
 Field = Literal["velocity", "displacement"]
 FEWEST_SAMPLES = 16  # least for tracking a front or a spectrum
@@ -25,7 +25,7 @@ class Around(NamedTuple):
     forces on a recorded grain follow from what was recorded, (G,); whether all grains that can move were.
     """
 
-    moves: slice | NDArray[np.intp]
+    moves: NDArray[np.intp]
     moving: NDArray[np.intp]
     column: NDArray[np.intp]
     place: NDArray[np.intp]
@@ -46,7 +46,7 @@ def around(size: int, movable: int, above: bool, below: bool, recorded: bytes, m
     place[grains] = np.where(moving, np.cumsum(moving) - 1, STILL)
     sides = place[grains[moving][:, None] + np.array([-1, 0, 1])]
     whole = not (column[1 : movable + 1] == UNKNOWN).any()
-    return Around(as_slice(np.flatnonzero(moving)), grains[moving], column, place, sides, known, whole)
+    return Around(np.flatnonzero(moving), grains[moving], column, place, sides, known, whole)
 
 
 def columns(size: int, movable: int, grains: np.ndarray) -> NDArray[np.intp]:

@@ -101,7 +101,11 @@ class Sweep:
 
     def place(self, number: int) -> Place:
         """Return the place of a scene; the last axis is the fastest."""
-        return tuple(int(index) for index in np.unravel_index(number, self.shape))
+        indices = []
+        for size in reversed(self.shape):
+            number, index = divmod(number, size)
+            indices.append(index)
+        return tuple(reversed(indices))
 
     def key(self, number: int) -> bytes:
         """Return a hash of all that shapes the answer to one scene, and of what is kept of it."""

@@ -37,15 +37,15 @@ def worst(overlap: np.polynomial.Polynomial, exponent: float) -> np.ndarray:
     above = u[at] + overlap(t[at]), v[at] + overlap.deriv()(t[at])  # where the other body is, and how fast
     fields = [np.stack(pair, axis=1) for pair in zip(above, (u[at], v[at]), strict=True)]
     contacts = np.array([[0.0, 1.0, 0.0], np.zeros(3), np.zeros(3)])
-    found = derivatives(
-        *fields, np.array([2]), np.array([[0, 1, -1]]), contacts, np.ones(2), exponent, False, 1.0,
-        np.ones(1, bool), np.zeros(1, bool),
+    found, _ = derivatives(
+        *fields, np.arange(2), np.ones((2, 2)), (0.0, 0.0), np.array([1, 2]), np.array([[-1, 0, 1], [0, 1, -1]]),
+        contacts, np.ones(2), exponent, False, 1.0, np.array([False, True]),
     )  # fmt: skip
     reach, error = np.empty((2, SAMPLES - 1))
     path = hermite.path(
-        found, 0, 1.0, hermite.VELOCITY, np.zeros((1, 0)), reach, error, np.zeros(8), np.zeros(8), np.zeros(4)
+        found, 1, 1.0, hermite.VELOCITY, np.zeros((1, 0)), reach, error, np.zeros(8), np.zeros(8), np.zeros(4)
     )
-    np.testing.assert_allclose(found[2, 0], a[at], rtol=1e-9, atol=1e-9 * a.max(initial=1e-300))
+    np.testing.assert_allclose(found[2, 1], a[at], rtol=1e-9, atol=1e-9 * a.max(initial=1e-300))
     ratios = np.zeros(3)
     for i in range(1, SAMPLES - 2):
         hermite.polynomial(path, i)
@@ -100,7 +100,18 @@ def test_a_width_ends_at_a_dip_that_no_quarter_of_an_interval_shows(shift: float
         values = np.zeros((5, 1, 60))
         values[:4, 0] = bumps(second, np.arange(60.0))
         found, _ = extremes.fronts(
-            values, np.zeros(1, bool), 1.0, hermite.DISPLACEMENT, np.zeros((1, 0)), 0.5, 0.0, 0.0, 0.5, True
+            values,
+            np.zeros(1, bool),
+            np.zeros(1, int),
+            1,
+            1.0,
+            hermite.DISPLACEMENT,
+            np.zeros((1, 0)),
+            0.5,
+            0.0,
+            0.0,
+            0.5,
+            True,
         )
         time, height, width, _, _, error = found[0]
         assert abs(time - 20 - shift) < 0.1

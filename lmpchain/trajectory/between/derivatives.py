@@ -16,6 +16,7 @@ STILL, UNKNOWN = -1, -2  # columns of bodies that stand still, or were not recor
 # and CURVED, errors of values, slopes and curvatures are bounds for all exponents: tests/trajectory/test_between.py
 KINK = 0.12
 HIDDEN = 2.0  # and of the change of velocity in a collision between two samples, over the interval
+SIDE_BY_SIDE = 8  # columns that are read together: a cache line
 compiled = numba.njit(error_model="numpy")
 
 
@@ -108,16 +109,23 @@ def _differences(u, v, h, a, j, off):
 
 
 @compiled
-def _derivatives(u, v, grains, sides, contacts, inverse_mass, exponent, linear, h, known, quiet, out):
-    """Fill out, (5, G, T); see `derivatives`."""
-    still = np.zeros(u.shape[0])
-    r, closing, force, rate, unsure = np.empty((5, u.shape[0]))
+def _transposed(field, columns, out):
+    """Fill out, (G, T), with these columns of a field, (T, C); some at a time, for the sake of the cache."""
+    for first in range(0, columns.size, SIDE_BY_SIDE):
+        some = columns[first : first + SIDE_BY_SIDE]
+        for i in range(field.shape[0]):
+            for g in range(some.size):
+                out[first + g, i] = field[i, some[g]]
+
+
+@compiled
+def _derivatives(grains, sides, contacts, inverse_mass, exponent, linear, h, known, quiet, out):
+    """Fill out, (5, G, T), whose first two are given; see `derivatives`."""
+    still = np.zeros(out.shape[2])
+    r, closing, force, rate, unsure = np.empty((5, out.shape[2]))
     there, near = -1, 0  # of the contact that these are of, which the next grain shares
-    columns_u, columns_v = np.ascontiguousarray(u.T), np.ascontiguousarray(v.T)
     for g in range(sides.shape[0]):
-        own = sides[g, 1]
         x, w, a, j, off = out[0, g], out[1, g], out[2, g], out[3, g], out[4, g]
-        x[:], w[:] = columns_u[own], columns_v[own]
         if quiet[g]:
             a[:], j[:], off[:] = 0.0, 0.0, 0.0
             continue
@@ -131,8 +139,8 @@ def _derivatives(u, v, grains, sides, contacts, inverse_mass, exponent, linear, 
             if strength == 0.0 and (constant == 0.0 or (linear and exponent > 1.0)):
                 continue
             if contact != there:
-                ux = still if column == STILL else columns_u[column]
-                vx = still if column == STILL else columns_v[column]
+                ux = still if column == STILL else out[0, column]
+                vx = still if column == STILL else out[1, column]
                 for i in range(r.size):
                     r[i], closing[i] = up * (ux[i] - x[i]), up * (vx[i] - w[i])
                 length, pressed = (1.0 / overlap, 1.0) if strength > 0.0 else (1.0, 0.0)
@@ -172,28 +180,40 @@ def largest(u, v):
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
-def derivatives(u, v, grains, sides, contacts, inverse_mass, exponent, linear, h, known, quiet):
-    """Return displacement, velocity, acceleration, jerk and error of acceleration, (5, G, T).
+def derivatives(u, v, columns, sizes, errors, grains, sides, contacts, inverse_mass, exponent, linear, h, known):
+    """Return displacement, velocity, acceleration, jerk and error of acceleration of G grains, and which are quiet.
 
     Parameters
     ----------
     u, v : (T, C) arrays
         Displacement and velocity of what was recorded.
+    columns : (G,) array
+        Which of these are of the G grains.
+    sizes : (2, C) array
+        Largest displacement and speed in each column.
+    errors : pair of float
+        Up to which nothing more is asked of a grain: it is quiet.
     grains : (G,) array
         Their numbers.
     sides : (G, 3) array
-        Columns of the body above, the grain and the body below, or a mark.
+        Place among the G grains of the body above, the grain and the body below, or a mark.
     contacts : (3, N+1) array
         Constant, and force and overlap at rest, of all contacts of the chain.
     inverse_mass : (N,) array
         Of all grains; 0 of one that is held.
     exponent, linear, h : float, bool and float
         Of the force; whether it is linearised; time between two samples.
-    known : (G,) array
+    known : (C,) array
         Whether these forces are all that act; if not, acceleration and jerk follow from the samples.
-    quiet : (G,) array
-        Whether nothing more is asked of it, as its motion is within the error.
+
+    Returns
+    -------
+    (5, G, T) array, (G,) bool
     """
-    out = np.empty((5, sides.shape[0], u.shape[0]))
-    _derivatives(u, v, grains, sides, contacts, inverse_mass, exponent, linear, h, known, quiet, out)
-    return out
+    out, quiet = np.empty((5, columns.size, u.shape[0])), np.empty(columns.size, dtype=np.bool_)
+    _transposed(u, columns, out[0])
+    _transposed(v, columns, out[1])
+    for g in range(columns.size):
+        quiet[g] = sizes[0, columns[g]] <= errors[0] and sizes[1, columns[g]] <= errors[1]
+    _derivatives(grains, sides, contacts, inverse_mass, exponent, linear, h, known[columns], quiet, out)
+    return out, quiet

@@ -187,9 +187,9 @@ def _flat(p, least, at, place, tilt):
 
 
 @compiled
-def _front(p, fraction, known_error, certain, frequency, width, largest, low, high, out):
+def _front(p, fraction, known_error, certain, frequency, width, peak, out):
     """Fill out, (6,), with time, height and width of the front and their errors, or NaN."""
-    y, end = sampled(p), p.h * p.error.size
+    (largest, low, high), y, end = peak, sampled(p), p.h * p.error.size
     enough = fraction * largest
     if largest <= known_error or largest < SMALLEST or abs(y[0]) >= enough:
         return
@@ -255,31 +255,43 @@ def _quiet_peak(motion, g, kind):
     return most, most, 2.0 * most
 
 
+@inlined
+def _uncertain(peak, known_error):
+    """Return the largest value, and how far off it may be, of one and its bounds."""
+    most, low, high = peak
+    return most, max(high - most, most - low) + known_error
+
+
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
-def peaks(motion, quiet, h, kind, ceiling):
-    """Return the largest values of G grains at any time and bounds from below and above, (G, 3)."""
-    out, count = np.empty((motion.shape[1], 3)), motion.shape[2] - 1
-    reach, error, c, d, places = np.empty(count), np.empty(count), np.zeros(8), np.zeros(8), np.zeros(PARTS)
-    for g in range(motion.shape[1]):
+def peaks(motion, quiet, columns, count, h, kind, ceiling, known_error):
+    """Return the largest values of G grains at any time and their errors, in these of so many columns, (C, 2).
+
+    In the others nothing moves.
+    """
+    out, intervals = np.zeros((count, 2)), motion.shape[2] - 1
+    reach, error, c, d, places = np.empty(intervals), np.empty(intervals), np.zeros(8), np.zeros(8), np.zeros(PARTS)
+    out[:, 1] = known_error
+    for g in range(columns.size):
         if quiet[g]:
-            out[g, 0], out[g, 1], out[g, 2] = _quiet_peak(motion, g, kind)
-            continue
-        out[g, 0], out[g, 1], out[g, 2] = _peak(path(motion, g, h, kind, ceiling, reach, error, c, d, places))
+            peak = _quiet_peak(motion, g, kind)
+        else:
+            peak = _peak(path(motion, g, h, kind, ceiling, reach, error, c, d, places))
+        out[columns[g]] = _uncertain(peak, known_error)
     return out
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
-def fronts(motion, quiet, h, kind, ceiling, fraction, known_error, certain, frequency, width):
-    """Return what `_front` finds at G grains, (G, 6), and their `peaks`; widths only if asked for."""
-    out, tops, count = np.empty((motion.shape[1], 6)), np.empty((motion.shape[1], 3)), motion.shape[2] - 1
-    reach, error, c, d, places = np.empty(count), np.empty(count), np.zeros(8), np.zeros(8), np.zeros(PARTS)
-    out[:] = np.nan
-    for g in range(motion.shape[1]):
+def fronts(motion, quiet, columns, count, h, kind, ceiling, fraction, known_error, certain, frequency, width):
+    """Return what `_front` finds at G grains, (C, 6), and their `peaks`; widths only if asked for."""
+    out, tops, intervals = np.full((count, 6), np.nan), np.zeros((count, 2)), motion.shape[2] - 1
+    reach, error, c, d, places = np.empty(intervals), np.empty(intervals), np.zeros(8), np.zeros(8), np.zeros(PARTS)
+    tops[:, 1] = known_error
+    for g in range(columns.size):
         if quiet[g]:
-            tops[g, 0], tops[g, 1], tops[g, 2] = _quiet_peak(motion, g, kind)
+            tops[columns[g]] = _uncertain(_quiet_peak(motion, g, kind), known_error)
             continue
         grain = path(motion, g, h, kind, ceiling, reach, error, c, d, places)
-        largest, low, high = _peak(grain)
-        tops[g, 0], tops[g, 1], tops[g, 2] = largest, low, high
-        _front(grain, fraction, known_error, certain, frequency, width, largest, low, high, out[g])
+        peak = _peak(grain)
+        tops[columns[g]] = _uncertain(peak, known_error)
+        _front(grain, fraction, known_error, certain, frequency, width, peak, out[columns[g]])
     return out, tops
