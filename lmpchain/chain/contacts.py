@@ -95,6 +95,10 @@ class Contacts:
         """Linear stiffness delta K_n eps_n^(delta-1) at rest, (N+1,) N/m."""
         return read_only(self.stiffness_at(self.overlap))
 
+    @cached_property
+    def _as_row(self) -> Contacts:
+        return _rows([self])
+
     def of(self, numbers: int | np.integer | slice | NDArray[np.intp]) -> Contacts:
         """Return these contacts alone."""
         return Contacts(self.constant[numbers], self.force[numbers], self.exponent)
@@ -220,7 +224,11 @@ class Contacts:
 
 
 def together(contacts: Sequence[Contacts]) -> Contacts:
-    """Return the contacts of R chains of one length as those of all, (R, N+1)."""
+    """Return the contacts of R chains of one length as those of all, (R, N+1), as compiled loops take them."""
+    return contacts[0]._as_row if len(contacts) == 1 else _rows(contacts)
+
+
+def _rows(contacts: Sequence[Contacts]) -> Contacts:
     names = "constant", "force", "overlap", "stiffness"
     rows = {name: np.array([getattr(each, name) for each in contacts]) for name in names}
     made = Contacts(rows["constant"], rows["force"], contacts[0].exponent)

@@ -11,10 +11,10 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from inspect import signature
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from ..integrators.step_schedule import StepSchedule
 from ..scene.scene import Scene
 from ..trajectory.record import Block, Cost, ErrorEstimate
 from ..util.arrays import Array
+from ..util.records import renewed
 
 
 @dataclass(frozen=True)
@@ -91,18 +92,17 @@ class Candidate:
     def with_steps(self, steps_per_landing: int) -> Candidate:
         """Return the same with so many steps from landing to landing, of full length near openings."""
         step = self.step * self.steps_per_landing / steps_per_landing
-        return replace(self, steps_per_landing=steps_per_landing, step=step, coarse_openings=False)
+        return renewed(self, steps_per_landing=steps_per_landing, step=step, coarse_openings=False)
 
     @property
     def sampled(self) -> Candidate:
         """The same with steps that end on every sample."""
         steps = math.ceil(self.steps_per_landing / self.stride)
         step = self.step * self.steps_per_landing / (self.stride * steps)
-        return replace(self, steps_per_landing=steps, stride=1, step=step)
+        return renewed(self, steps_per_landing=steps, stride=1, step=step)
 
 
-@dataclass(frozen=True)
-class ErrorBudget:
+class ErrorBudget(NamedTuple):
     """Estimated error of a run and its parts, as defined for `ErrorEstimate`.
 
     Attributes

@@ -101,8 +101,7 @@ class CompanionRun(Run):
         steps = candidate.steps(self.scene.samples)
         pressed = rounded_energy(self.scene, steps * method.evaluations) if twin else 0.0
         energy = 3 * np.array([scene.energy + pressed for scene in scenes])
-        slow = self._masses.sum(1) * (1e-3 * self._scale[:, 1]) ** 2
-        self._most_energy = np.minimum(energy + slow, MOST)
+        self._most_energy = np.minimum(energy + chains.weight * (1e-3 * self._scale[:, 1]) ** 2, MOST)
         samples, grains = self.scene.samples, self.scene.chain.grains
         others = len(schedules)
         self._against = np.arange(others)  # each differs from the next longer step, one more from the answer
@@ -167,7 +166,7 @@ class CompanionRun(Run):
                     raise RunFailed(self._broke_down(first, "grains overlap more than all the energy there is allows"))
                 self.native.leave(broken, until)  # adaptive steps would be ever shorter
                 self._lost = broken[1 - self._twin :]  # their error is infinite
-            if stepper.sample >= until:
+            if done < max_steps or stepper.sample >= until:
                 return
             nothing = np.empty((self.realisations, 0, self.scene.count(self.scene.chain)))
             yield Block(slice(first, first), nothing, nothing)
@@ -220,6 +219,7 @@ class CompanionRun(Run):
 
     def errors(self) -> list[ErrorBudget]:
         """Return the estimate for every realisation."""
+        began = clock()
         # nothing is put in: there is no motion to be relative to, but that of a strike number of 1
         moved = self.peaks
         peaks = np.where(self._at_rest[:, None], self._scale, moved)
@@ -258,6 +258,7 @@ class CompanionRun(Run):
                 roundoff += between_loss(taken, displaced / radians)
             ordered = smooth and not (opens and self._companions.kinks)
             found.append(ErrorBudget(truncation, roundoff, ordered, every[real]))
+        self._compared_s += clock() - began
         return found
 
     def _grown(self, real: int, peaks: Array) -> float:
@@ -265,9 +266,7 @@ class CompanionRun(Run):
         if self._at_rest[real] or self._sample < self.scene.samples - 1 or not self.closest[real] > 0:
             return 0.0
         if real not in self._amplified:
-            began = clock()
             self._amplified[real] = amplified_digit(self._scenes[real], peaks, self._answer.steps[real])
-            self._compared_s += clock() - began
         return self._amplified[real]
 
     def cost(self) -> Cost:

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
-from typing import Generic, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -87,8 +87,7 @@ class Attempt:
         return len(self.truncations) + self.breakdowns + self.pilots + 1
 
 
-@dataclass(frozen=True)
-class Outcome(Generic[T]):
+class Outcome(NamedTuple, Generic[T]):
     """The last attempt: what was collected from it, and why it missed the tolerance, if it did.
 
     Attributes
@@ -134,14 +133,14 @@ def first_attempt(engine: Engine, scene: Scene, tolerance: float, best_effort: b
         candidate, tolerance, refusal = loosened(propose, tolerance)
     else:
         candidate = propose(tolerance)
-    attempt = to_begin_with(engine, scene, candidate, tolerance)
-    return renewed(attempt, refusal=refusal, planned_s=clock() - began, compiled_s=compiled_s() - compiled)
+    spent = {"planned_s": clock() - began, "compiled_s": compiled_s() - compiled}
+    return to_begin_with(engine, scene, candidate, tolerance, refusal=refusal, **spent)
 
 
-def to_begin_with(engine: Engine, scene: Scene, candidate: Candidate, tolerance: float) -> Attempt:
+def to_begin_with(engine: Engine, scene: Scene, candidate: Candidate, tolerance: float, **more: Any) -> Attempt:
     """Return the attempt to begin with where a candidate was chosen: that, or a pilot."""
     first = engine.pilot(scene, candidate, tolerance)
-    return Attempt(engine.name, first, tolerance, pilot=first is not candidate)
+    return Attempt(engine.name, first, tolerance, pilot=first is not candidate, **more)
 
 
 def run_to_tolerance(engine: Engine, scene: Scene, tolerance: float, collect: Callable[[Run], T]) -> Outcome[T]:
@@ -203,7 +202,7 @@ def solve_to_tolerance(
         run_s = cost.integration_s + cost.estimate_s + judging_s
         planned_s = clock() - began - run_s
         spent_s = attempt.spent_s + run_s
-        attempt = replace(following, planned_s=attempt.planned_s + planned_s, spent_s=spent_s)
+        attempt = renewed(following, planned_s=attempt.planned_s + planned_s, spent_s=spent_s)
 
 
 def next_attempt(
@@ -220,16 +219,16 @@ def next_attempt(
         return None, ""
     better = engine.refine(candidate, error, attempt.tolerance)
     if attempt.pilot and better:
-        return replace(attempt, candidate=better, pilot=False, pilots=1), ""
+        return renewed(attempt, candidate=better, pilot=False, pilots=1), ""
     if error is None:
         assert better
-        return replace(attempt, candidate=better, breakdowns=attempt.breakdowns + 1), ""
-    made = replace(attempt, truncations=(*attempt.truncations, error.truncation))
+        return renewed(attempt, candidate=better, breakdowns=attempt.breakdowns + 1), ""
+    made = renewed(attempt, truncations=(*attempt.truncations, error.truncation))
     missed = _why_not(scene, error, made, better) or ("" if patient else _chaotic(scene, error, made))
     if missed:
         return None, missed
     assert better
-    return replace(made, candidate=better), ""
+    return renewed(made, candidate=better), ""
 
 
 def loosened(propose: Callable[[float], T], tolerance: float) -> tuple[T, float, str]:
@@ -315,7 +314,7 @@ def _divergence_time(scene: Scene, candidate: Candidate, distance: float, times:
     time_s = scene.duration
     for adaptive in {candidate.adaptive, False}:
         try:
-            apart = divergence(scene, replace(candidate.sampled, adaptive=adaptive), LAST_DIGIT)
+            apart = divergence(scene, renewed(candidate.sampled, adaptive=adaptive), LAST_DIGIT)
         except RunFailed:
             return None
         if apart.max() < times * distance:

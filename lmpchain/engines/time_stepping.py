@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 from ..errors import InputError, shown
@@ -14,6 +14,7 @@ from ..integrators.step_schedule import StepSchedule
 from ..integrators.stepper import Stepper
 from ..scene.scene import Scene
 from ..util.arrays import Array
+from ..util.records import renewed
 from ..util.suggestions import not_among
 from .base import Candidate, Engine, ErrorBudget
 from .companions import KINKED_BELOW, SAFE_STRAIN, longer_steps, struck_from_above
@@ -247,7 +248,8 @@ class TimeSteppingEngine(Engine):
         """Shorten the step by what the error asks for; where contacts open after all, let steps adapt."""
         method = METHODS[candidate.integrator]
         order, opens = method.order, not (error and error.smooth) and self.adaptive and method.adaptive == "openings"
-        candidate = replace(candidate, adaptive=candidate.adaptive or opens)
+        if opens and not candidate.adaptive:
+            candidate = renewed(candidate, adaptive=True)
         ratio = REFINEMENT.ratio(error, order, tolerance, candidate.adaptive)
         if ratio is None:
             return None
@@ -307,8 +309,9 @@ def kind(scene: Scene) -> tuple:
 def alike(scene: Scene, candidate: Candidate) -> tuple:
     """Return what scenes have in common that have the answer and error in a batch that they have alone."""
     longer = longer_steps(METHODS[candidate.integrator], [scene], candidate)
-    own = candidate.integrator, candidate.schedule(), scene.excitation.knot_spacing < math.inf  # which DOP853 asks
-    return *kind(scene), *own, *longer, *candidate.choices.items()
+    steps = candidate.steps_per_landing, candidate.stride, candidate.step, candidate.adaptive, candidate.coarse_openings
+    own = candidate.integrator, scene.excitation.knot_spacing < math.inf  # which DOP853 asks
+    return *kind(scene), *own, *steps, *longer, *candidate.choices.items()
 
 
 def gentle_error_factor(strain: float) -> float:

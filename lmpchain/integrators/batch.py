@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -60,8 +60,8 @@ class ChainBatch:
     units : (R, 2) array
         Overlap of the contact below grain 1 (that above it if there is none below), and the speed of that in the unit
         of time, m and m/s; no speed in the sonic vacuum.
-    deepest : (R,) array
-        Largest overlap at rest, m.
+    deepest, weight : (R,) arrays
+        Largest overlap at rest, m, and mass of all grains, kg.
     """
 
     def __init__(self, scenes: Sequence[Scene], force: str = "auto", initial: tuple[Array, Array] | None = None):
@@ -73,12 +73,12 @@ class ChainBatch:
         self.masses = np.array([scene.chain.masses for scene in scenes])
         self.contacts = own = together([scene.chain.contacts for scene in scenes])
         strikes = np.array([(scene.highest_frequency, *scene.imposed) for scene in scenes])
-        self.table, self.uncompressed, self.omega, self.scale, self.units, self.deepest = laid_out(
+        self.table, self.uncompressed, self.omega, self.scale, self.units, self.deepest, self.weight = laid_out(
             own.overlap, own.force, own.constant, own.stiffness, self.masses, strikes, self.driven, chain.movable,
             chain.compressed,
         )  # fmt: skip
-        self.forms = np.array([force_form(scene, force) for scene in scenes])
-        self.plain = np.array([form in ROOTS and chain.compressed for form in self.forms.tolist()])
+        forms = [force_form(scene, force) for scene in scenes]
+        self.forms, self.plain = np.array(forms), np.array([form in ROOTS and chain.compressed for form in forms])
         self.coefficients, self.opening_power = series(chain.exponent), chain.exponent
         self.drive, self.knots, self.pieces = self._imposed()
 
@@ -122,7 +122,7 @@ class ChainBatch:
         """Return what is imposed after t = 0, as (R, 6), (R, P) and (R, 4, P-1) arrays."""
         size = len(self.scenes)
         if not self.imposed:
-            return np.zeros((size, 6)), np.zeros((size, 0)), np.zeros((size, 4, 0))
+            return _nothing(size)
         waves = [scene.excitation.waveform for scene in self.scenes]
         splines = [wave.spline if wave else None for wave in waves]
         knots_max = max(0 if spline is None else len(spline.x) for spline in splines)
@@ -144,6 +144,11 @@ class ChainBatch:
     def openings(self) -> tuple[Array, Array]:
         """What `kernels.adaptive_splitting` takes of each contact, (R, W): its weight, and its reach."""
         return opening_weights(self.table, self.uncompressed, self.omega, self.scale)
+
+
+@lru_cache(maxsize=64)
+def _nothing(size: int) -> tuple[Array, Array, Array]:
+    return np.zeros((size, 6)), np.zeros((size, 0)), np.zeros((size, 4, 0))
 
 
 @cache

@@ -58,7 +58,7 @@ class Splitting:
     substeps: tuple[float, ...] = ()
     spread: ClassVar[float] = 1.0
 
-    @property
+    @cached_property
     def evaluations(self) -> int:
         """Force evaluations a step (the last kick of a step and the first of the next share one)."""
         return len(self.drifts)
@@ -79,7 +79,7 @@ class Splitting:
         stable = np.abs(self._half_trace(grid)) <= 1 + 1e-12
         return float(grid[np.argmin(stable) - 1]) if not stable.all() else float(grid[-1])
 
-    @property
+    @cached_property
     def adaptive(self) -> Literal["no", "openings"]:
         """Whether the step size can adapt to openings, which leave an order of 2 as it is."""
         return "openings" if self.order > 2 else "no"

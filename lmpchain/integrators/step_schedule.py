@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 # steps between two samples from which on companions land on each, too; analysis/calibration/richardson_estimate.py
 EVERY, EVERY_STRETCHED = 32, 128
 
 
-@dataclass(frozen=True)
-class StepSchedule:
+class StepSchedule(NamedTuple):
     """Step schedule between two recorded samples on which the run lands.
 
     Attributes
@@ -77,4 +76,4 @@ class StepSchedule:
     @property
     def halved(self) -> StepSchedule:
         """The schedule of a companion at half the step."""
-        return replace(self, steps=2 * self.steps, step=self.step / 2, ratio=self.ratio / 2)
+        return self._replace(steps=2 * self.steps, step=self.step / 2, ratio=self.ratio / 2)

@@ -197,8 +197,8 @@ class NativeStepper:
     @property
     def own_part(self) -> float:
         """Part of all steps that the first schedule has made."""
-        made = self._state[:, STEPS]
-        return float(made[: self._size].sum() / max(made.sum(), 1.0))
+        made = self._state[:, STEPS].tolist()
+        return sum(made[: self._size]) / max(sum(made), 1.0)
 
     @property
     def progress(self) -> float:

@@ -218,9 +218,10 @@ class Motion:
 
         They are -1 where nothing hides; the shape is (1, 0) if nothing hides anywhere.
         """
-        swift, known = self.scene.highest_frequency * self.step, self._known[self._around.moves]
+        swift = self.scene.highest_frequency * self.step
         if swift <= RESOLVED_BY_DIFFERENCES or (swift <= RESOLVED and self._known.all()):
             return np.zeros((1, 0))
+        known = self._known[self._around.moves]
         if swift <= RESOLVED:
             limits = np.full((known.size, self.displacement.shape[0] - 1), -1.0)
             limits[~known] = self._speed_limit()[0][~known]

@@ -7,7 +7,6 @@ import time
 import warnings
 from collections.abc import Generator, Iterable, Mapping
 from contextlib import AbstractContextManager, closing, nullcontext
-from dataclasses import replace
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -23,6 +22,7 @@ from ..util.arrays import Array
 from ..util.compilation import clock
 from ..util.progress import RATE, ProgressBar
 from ..util.provenance import versions
+from ..util.records import renewed
 from .gathering import GatheringRun, of_engine
 from .policy import policy_for, record
 from .task import Task
@@ -165,13 +165,13 @@ def _answer(task: Task, output: _Memory | RunFolder, progress: bool) -> tuple[Tr
             try:
                 following = policy.fallback(scene, outcome.attempt, outcome.error)
             except ToleranceNotMet as refusal:
-                outcome = replace(outcome, missed=attempt.refusal or refusal.reason)
+                outcome = outcome._replace(missed=attempt.refusal or refusal.reason)
                 break
             if not following:
                 break
             planned_s = cost.setup_s + clock() - began
             spent_s = cost.integration_s + cost.estimate_s
-            attempt = replace(
+            attempt = renewed(
                 following, refusal=attempt.refusal, planned_s=planned_s, spent_s=spent_s, compiled_s=cost.compile_s
             )
     return output.finish(outcome, gathered), outcome
@@ -308,12 +308,13 @@ def _zeros(shape: tuple[int, int], moving: int) -> Array:
 
 def _with_progress(run: Run, name: str, samples: int, done: int, progress: bool) -> Generator[Block, None, None]:
     """Yield the blocks of a run, showing how far it is, how fast, and how good it is so far."""
+    if not progress:
+        yield from run.blocks()
+        return
     estimated = time.monotonic()
-    with ProgressBar(samples, name, " samples", done=done, layout=RATE, shown=progress) as bar:
+    with ProgressBar(samples, name, " samples", done=done, layout=RATE) as bar:
         for block in run.blocks():
             yield block
-            if not progress:
-                continue
             bar.reach(max(block.samples.stop, run.progress * samples))
             if time.monotonic() > estimated + ESTIMATE_S:
                 bar.remark(f"error {run.errors()[0].total:.1g}")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -16,6 +15,7 @@ from ..errors import InputError, LmpchainError, RunFailed, ToleranceNotMet, chec
 from ..scene.scene import Scene
 from ..trajectory.trajectory import Trajectory
 from ..util.provenance import versions
+from ..util.records import renewed
 from .api import check_on_miss, simulate
 from .gathering import GatheringRun
 from .policy import policy_for, record
@@ -154,7 +154,7 @@ def _together(
     found = run.found([error.total for error in errors]) if isinstance(run, GatheringRun) else [{} for _ in scenes]
     estimate_s = whole.estimate_s + sum(attempt.spent_s for attempt in attempts)
     setup_s = whole.setup_s + sum(attempt.planned_s for attempt in attempts)
-    share = replace(
+    share = renewed(
         whole, integration_s=whole.integration_s / size, estimate_s=estimate_s / size, setup_s=setup_s / size
     )
     about = versions() | record(engine, first, candidate, tolerance)
@@ -164,7 +164,7 @@ def _together(
     ):
         following, missed = next_attempt(engine, scene.fine, attempt, error)
         if following:
-            following = replace(following, spent_s=share.integration_s + share.estimate_s)
+            following = renewed(following, spent_s=share.integration_s + share.estimate_s)
         answer = Trajectory(
             scene, engine.name, engine.equation, time, grains, displacement, velocity, error.estimate, share, about,
             gathered,

@@ -1,6 +1,5 @@
 """Runs that come first: pilots that show which steps an answer needs, and companions at longer steps."""
 
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -153,6 +152,6 @@ def test_a_gentle_strike_on_the_top_is_first_answered_at_steps_of_one_length():
     assert refined is not None
     assert refined.adaptive
     assert refined.step < candidate.step
-    regular = Native().refine(candidate, replace(missed, smooth=True), 1e-6)
+    regular = Native().refine(candidate, missed._replace(smooth=True), 1e-6)
     assert regular is not None
     assert not regular.adaptive

@@ -156,7 +156,7 @@ class ClosedFormRun(Run):
         """Return what the formula leaves out besides what linearising does."""
         left_out = (self._apart / self._exact.scale).max(0)
         return [
-            replace(error, model=error.model + float(more), model_bound=error.model_bound + float(more))
+            error._replace(model=error.model + float(more), model_bound=error.model_bound + float(more))
             for error, more in zip(self._exact.errors(), left_out, strict=True)
         ]
 
