@@ -75,11 +75,9 @@ def main() -> None:
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         lmpchain.sweep(asked(64, seed=2), folder)  # compiles
-    count = min(arguments.scenes, 2000)
-    spent, part = share(count)
-    print(
-        f"one process: {1e3 * spent / count:.2f} ms of CPU a scene, {100 * part:.0f} % of it integration and estimate"
-    )
+    spent, part = share(arguments.scenes)
+    each = f"{1e3 * spent / arguments.scenes:.3f} ms of CPU a scene"
+    print(f"one process: {each}, {100 * part:.1f} % of it integration and estimate")
     with tempfile.TemporaryDirectory() as folder:
         before, began = cpu(), time.perf_counter()
         lmpchain.sweep(asked(arguments.scenes), folder, workers=arguments.workers)

@@ -78,8 +78,8 @@ class Motion:
         self.step = scene.duration / (scene.samples - 1)
         # as the compiled loops take them
         self._fields = [np.ascontiguousarray(x, float) for x in (displacement, velocity)]
-        self._sizes = largest(*self._fields)
-        chain, moves = scene.chain, self._sizes.any(0)
+        self._sizes, moves, self.sampled = largest(*self._fields)
+        chain = scene.chain
         ends = bool(chain.contacts.exists[0]), bool(chain.contacts.exists[-1])
         recorded = np.asarray(grains, dtype=int)
         self._around = around(chain.grains, chain.movable, *ends, recorded.tobytes(), moves.tobytes())
@@ -183,12 +183,6 @@ class Motion:
     @cached_property
     def _known_errors(self) -> tuple[float, ...]:
         return tuple(self._error * most for most in self._largest)
-
-    @cached_property
-    def sampled(self) -> tuple[float, float]:
-        """The largest displacement, m, and speed, m/s, of any grain at any sample."""
-        u, v = self._sizes.max(1, initial=0.0).tolist()
-        return u, v
 
     @property
     def _largest(self) -> tuple[float, float]:

@@ -34,6 +34,15 @@ def _pull(r, rate, length, strength, pressed, exponent, linear):
 
 
 @compiled
+def _at_rest(r, closing):
+    """Return how many samples go by before a contact feels anything."""
+    count = 0
+    while count < r.size and r[count] == 0.0 and closing[count] == 0.0:
+        count += 1
+    return count
+
+
+@compiled
 def _hertz(r, closing, length, strength, pressed, h, force, rate):
     """Fill in what `_pull` returns for exponent 3/2, (T,) each.
 
@@ -146,7 +155,10 @@ def _derivatives(grains, sides, contacts, inverse_mass, exponent, linear, h, kno
                 length, pressed = (1.0 / overlap, 1.0) if strength > 0.0 else (1.0, 0.0)
                 strength = strength if strength > 0.0 else constant
                 if exponent == 1.5 and not linear:
-                    near = _hertz(r, closing, length, strength, pressed, h, force, rate)
+                    rests = _at_rest(r, closing) if pressed > 0.0 else 0
+                    force[:rests], rate[:rests] = 0.0, 0.0
+                    felt = r[rests:], closing[rests:]
+                    near = _hertz(*felt, length, strength, pressed, h, force[rests:], rate[rests:])
                 else:
                     near = 0 if linear else r.size
                     for i in range(r.size):
@@ -168,15 +180,28 @@ def _derivatives(grains, sides, contacts, inverse_mass, exponent, linear, h, kno
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
 def largest(u, v):
-    """Return the largest size in each column of two (T, C) fields, (2, C); NaN where any is no number."""
-    out = np.zeros((2, u.shape[1]), dtype=np.int64)
+    """Return the largest sizes in two (T, C) fields; NaN where any is no number.
+
+    Returns
+    -------
+    sizes, moves : (2, C) array, (C,) bool
+        In each column, and whether that is not 0 in both.
+    most : pair of float
+        In each field.
+    """
+    out, moves = np.zeros((2, u.shape[1]), dtype=np.int64), np.zeros(u.shape[1], dtype=np.bool_)
     # the bits of what is no number are above all others; many are done at a time
     for k, field in enumerate((u.view(np.int64), v.view(np.int64))):
         for i in range(field.shape[0]):
             for n in range(field.shape[1]):
                 size = field[i, n] & MAGNITUDE
                 out[k, n] = size if size > out[k, n] else out[k, n]
-    return out.view(np.float64)
+    most = np.zeros(2, dtype=np.int64)
+    for n in range(moves.size):
+        moves[n] = out[0, n] | out[1, n] != 0
+        most[0], most[1] = max(most[0], out[0, n]), max(most[1], out[1, n])
+    farthest, fastest = most.view(np.float64)
+    return out.view(np.float64), moves, (farthest, fastest)
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
