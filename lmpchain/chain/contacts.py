@@ -196,14 +196,18 @@ class Contacts:
 
     def largest_strain(self, energy: float | Array) -> Array:
         """Return `Scene.largest_strain`, (...), for this energy above rest; (..., 1) J of many chains."""
-        if not (self.pressed == self.exists).all():
+        if not self._all_pressed:
             return np.full(self.constant.shape[:-1], np.inf)
         strain = self._given_way(energy, *self._relative_softness)
         return np.asarray(strain.max(-1) * 1.05)  # an opening contact is a little softer
 
     def _given_way(self, energy: float | Array, loose: Array, pressed: Array) -> Array:
         """Return by how much contacts of these softnesses give way at most, (..., N+1)."""
-        return np.minimum(energy ** (1 / (self.exponent + 1)) * loose, np.sqrt(energy) * pressed)
+        return np.minimum(energy ** (1 / (self.exponent + 1)) * loose, energy**0.5 * pressed)
+
+    @cached_property
+    def _all_pressed(self) -> bool:
+        return bool((self.pressed == self.exists).all())
 
     @cached_property
     def _softness(self) -> tuple[Array, Array]:

@@ -104,8 +104,8 @@ class CompanionRun(Run):
         self._most_energy = np.minimum(energy + chains.weight * (1e-3 * self._scale[:, 1]) ** 2, MOST)
         samples, grains = self.scene.samples, self.scene.chain.grains
         others = len(schedules)
-        self._against = np.arange(others)  # each differs from the next longer step, one more from the answer
-        self._against[others - chosen.nearby :] = 0
+        # each differs from the next longer step, one more from the answer
+        self._against = np.array([*range(others - chosen.nearby), *[0] * chosen.nearby])
         strides = [schedule.stride for schedule in schedules]
         self._strides = np.array([schedule.dense or schedule.stride for schedule in schedules])
         self._together = math.lcm(4, *strides, self._answer.stride)
@@ -271,7 +271,7 @@ class CompanionRun(Run):
 
     def cost(self) -> Cost:
         """Return what it has cost so far; steps and evaluations are those of the realisation that took most."""
-        steps, part = int(self._answer.steps.max()), 1.0 if self._twin else self.native.own_part
+        steps, part = int(max(self._answer.steps.tolist())), 1.0 if self._twin else self.native.own_part
         integration_s = part * self._seconds[0]
         return Cost(
             integration_s=integration_s,

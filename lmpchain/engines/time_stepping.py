@@ -186,29 +186,26 @@ class TimeSteppingEngine(Engine):
                       f"stops being stable on this chain (got {self.step:g})")]
                 )  # fmt: skip
             return math.ceil(interval / self.step * (1 - 1e-12)), 1, False, False
-        omega = scene.highest_frequency
+        omega, strain = scene.highest_frequency, scene.largest_strain
         expected = method.error_constant * max(1.0, omega * scene.duration / PERIODS)  # phases drift apart with time
         shortens = method.adaptive == "openings"
         gentle = shortens and self.adaptive and _gently_struck(scene, tolerance)
         adapts = self.adapts(scene, method) and not gentle
-        if scene.largest_strain > SAFE_STRAIN:
+        if strain > SAFE_STRAIN:
             factor = gentle_error_factor if gentle else opening_error_factor
-            expected *= factor(scene.largest_strain) if adapts or gentle else OPENING_ERROR
+            expected *= factor(strain) if adapts or gentle else OPENING_ERROR
         reach = (tolerance / SAFETY / expected) ** (1 / method.order)
         # one companion alone shows no order where contacts open, unless samples make steps shorter
         if adapts and shortens and limit / 4 < min(reach, interval * omega) and reach <= limit / 2:
             reach = max(limit / 4, reach * (SAFETY * ADAPTIVE_ERROR / 2**method.order) ** (1 / method.order))
         longest = LONGEST_STEP * limit
-        if STRONG_STRAIN < scene.largest_strain < math.inf:
+        if STRONG_STRAIN < strain < math.inf:
             longest = LONGEST_AT_OPENINGS * limit
-        elif adapts and shortens and scene.largest_strain == math.inf:
+        elif adapts and shortens and strain == math.inf:
             longest = LONGEST_UNBOUNDED * limit
         if adapts:
             longest = min(longest, omega * scene.excitation.knot_spacing)  # knots cut longer steps
-        steps, more = (
-            math.ceil(interval * omega / min(reach / less, longest))
-            for less in (1.0, COARSE_ERROR ** (1 / method.order))
-        )
+        steps = math.ceil(interval * omega / min(reach, longest))
         # in the vacuum a front grows so steeply that what lies between steps may get a wrong sign
         if self.dense and self.adaptive and shortens and scene.chain.compressed:
             smooth = (tolerance / SAFETY / BETWEEN) ** (1 / ORDER_BETWEEN)
@@ -219,7 +216,9 @@ class TimeSteppingEngine(Engine):
             if cheaper and exact and 1 < stride <= FIELD // scene.chain.grains:
                 return landed, stride, adapts, False
         # where samples hold steps short, shorter ones near openings would only cost
-        coarse = adapts and shortens and steps == more and scene.chain.exponent >= KINKED_BELOW
+        coarse = adapts and shortens and scene.chain.exponent >= KINKED_BELOW
+        if coarse:
+            coarse = steps == math.ceil(interval * omega / min(reach / COARSE_ERROR ** (1 / method.order), longest))
         return steps, 1, adapts, coarse
 
     def adapts(self, scene: Scene, method: Method) -> bool:
@@ -264,7 +263,7 @@ class TimeSteppingEngine(Engine):
         self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array] | None = None
     ) -> CompanionRun:
         """Start one scene, or a batch of scenes that differ in numbers only."""
-        if len({kind(scene) for scene in scenes}) != 1:
+        if len(scenes) > 1 and len({kind(scene) for scene in scenes}) > 1:
             raise ValueError("a batch needs chains of one kind and length, recorded alike")
 
         def make(schedules: Sequence[StepSchedule], kept: Mapping[str, Array]) -> Stepper:

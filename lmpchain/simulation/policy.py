@@ -159,8 +159,8 @@ def policy_for(engine: str | Engine, **options: Any) -> Policy:
     """
     if engine == AUTO and not options:
         return Auto()
-    if isinstance(engine, str) and engine not in (AUTO, *engines.names()):
-        raise InputError([("engine", not_among(engine, (AUTO, *engines.names())))])
+    if isinstance(engine, str) and engine not in (names := (AUTO, *engines.names())):
+        raise InputError([("engine", not_among(engine, names))])
     return Named(engines.get("native" if engine == AUTO else engine, **options))
 
 
