@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import cached_property, partial
+from functools import partial
 from typing import cast
 
 import numpy as np
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..errors import RunFailed
 from ..integrators.batch import ChainBatch
-from ..integrators.kernels.reductions import NO_NUMBERS, SOUND, TOO_FAST, compared, in_parts
+from ..integrators.kernels.reductions import NO_NUMBERS, SOUND, TOO_CLOSE, TOO_FAST, compared, deepest, in_parts
 from ..integrators.methods import Method
 from ..integrators.step_schedule import StepSchedule
 from ..integrators.stepper import NativeStepper, Stepper
@@ -36,6 +36,7 @@ BLOCK_BYTES = 2**25  # of the samples that are compared at a time,
 BLOCK_S = 0.5  # and how long they may take: what is stopped or killed loses no more
 MOST = 1e300  # J, where nothing bounds the energy
 WRONG = {
+    TOO_CLOSE: "grains overlap more than all the energy there is allows",
     TOO_FAST: "the kinetic energy exceeds all the energy there is",
     NO_NUMBERS: "positions or velocities are no longer numbers",
 }
@@ -96,12 +97,15 @@ class CompanionRun(Run):
         self._radians = [scene.highest_frequency * scene.duration for scene in scenes]
         self._kinked = [not scene.excitation.smooth for scene in scenes]
         self._masses, self._scale, self._chains = chains.masses, chains.units, chains
-        self._rest = chains.deepest
         # contacts never hold less energy than at rest: the kinetic one cannot exceed what is put in, or rounded
         steps = candidate.steps(self.scene.samples)
         pressed = rounded_energy(self.scene, steps * method.evaluations) if twin else 0.0
-        energy = 3 * np.array([scene.energy + pressed for scene in scenes])
-        self._most_energy = np.minimum(energy + chains.weight * (1e-3 * self._scale[:, 1]) ** 2, MOST)
+        energies = 3 * np.array([scene.energy + pressed for scene in scenes])
+        self._most_energy = np.minimum(energies + chains.weight * (1e-3 * self._scale[:, 1]) ** 2, MOST)
+        at_rest = chains.contacts.overlap, chains.contacts.stiffness, chains.contacts.constant
+        self._room = deepest(self._most_energy, *at_rest, self.scene.chain.exponent)
+        if chains.imposed:  # nothing bounds what is driven, but a million times as close as long, it has broken down
+            self._room = np.minimum(self._room, [1e6 * scene.chain.diameters.sum() for scene in scenes])
         samples, grains = self.scene.samples, self.scene.chain.grains
         others = len(schedules)
         # each differs from the next longer step, one more from the answer
@@ -160,31 +164,31 @@ class CompanionRun(Run):
             took = clock() - began
             self._rate[index] = done / max(took, 1e-9)
             self._seconds[index] += took
-            if stepper is self.native and ((closest := self.native.closest()) > self._rest).any():
-                broken = closest > self._deepest
-                if not self._twin and broken[0].any():
-                    raise RunFailed(self._broke_down(first, "grains overlap more than all the energy there is allows"))
-                self.native.leave(broken, until)  # adaptive steps would be ever shorter
-                self._lost = broken[1 - self._twin :]  # their error is infinite
             if done < max_steps or stepper.sample >= until:
                 return
+            self._leave_broken(first, until)  # adaptive steps would be ever shorter
             nothing = np.empty((self.realisations, 0, self.scene.count(self.scene.chain)))
             yield Block(slice(first, first), nothing, nothing)
 
-    @cached_property
-    def _deepest(self) -> Array:
-        """What no overlap can exceed, (R,) m; it is more than any overlap at rest."""
-        bounds = self._chains.contacts.overlap_bound(self._most_energy[:, None]).max(1)
-        # nothing bounds what is driven, but if it is a million times as close as it is long, it has broken down
-        return np.minimum(bounds, [1e6 * scene.chain.diameters.sum() for scene in self._scenes])
+    def _leave_broken(self, first: int, until: int) -> None:
+        """Leave native chains whose grains are too close; their error is infinite. Raise if it is the answer."""
+        broken = self.native.closest() > self._room
+        if broken.any():
+            if not self._twin and broken[0].any():
+                raise RunFailed(self._broke_down(first, WRONG[TOO_CLOSE]))
+            self.native.leave(broken, until)
+            self._lost = broken[1 - self._twin :]
 
     def _keep(self, u: Array, v: Array, first: int, stop: int) -> Block:
         """Check the samples first ... stop - 1 of the answer, and keep its differences from the companions."""
         began = clock()
         of_others, kept = (*self._beside, self._against, self._strides), (self._differences, self._peaks)
-        verdict = compared(u, v, *of_others, self._masses, first, *kept, self._most_energy)
+        allowed = self._most_energy, self.native.closest(), self._room
+        verdict = compared(u, v, *of_others, self._masses, first, *kept, *allowed)
         if verdict != SOUND:
-            raise RunFailed(self._broke_down(first, WRONG[verdict]))
+            self._leave_broken(first, stop - 1)
+            if verdict != TOO_CLOSE:
+                raise RunFailed(self._broke_down(first, WRONG[verdict]))
         if self._lost is not None:
             self._differences.swapaxes(1, 2)[self._lost] = np.inf
         self._sample = stop - 1

@@ -51,6 +51,8 @@ class ChainBatch:
         The form of the force of each, whether that loses the last digit of the force at rest, and its coefficients.
     opening_power : float
         The force of a contact that opens goes as the overlap to this power.
+    acted : (R, 2) array
+        First and last body that is acted on after t = 0, the other way round if none is.
     drive, knots, pieces : arrays
         How grain 1 or the top wall is moved, or a grain is pushed.
     omega : (R,) array
@@ -60,8 +62,8 @@ class ChainBatch:
     units : (R, 2) array
         Overlap of the contact below grain 1 (that above it if there is none below), and the speed of that in the unit
         of time, m and m/s; no speed in the sonic vacuum.
-    deepest, weight : (R,) arrays
-        Largest overlap at rest, m, and mass of all grains, kg.
+    weight : (R,) array
+        Mass of all grains, kg.
     """
 
     def __init__(self, scenes: Sequence[Scene], force: str = "auto", initial: tuple[Array, Array] | None = None):
@@ -73,25 +75,19 @@ class ChainBatch:
         self.masses = np.array([scene.chain.masses for scene in scenes])
         self.contacts = own = together([scene.chain.contacts for scene in scenes])
         strikes = np.array([(scene.highest_frequency, *scene.imposed) for scene in scenes])
-        self.table, self.uncompressed, self.omega, self.scale, self.units, self.deepest, self.weight = laid_out(
+        self.table, self.uncompressed, self.omega, self.scale, self.units, self.weight = laid_out(
             own.overlap, own.force, own.constant, own.stiffness, self.masses, strikes, self.driven, chain.movable,
             chain.compressed,
         )  # fmt: skip
         forms = [force_form(scene, force) for scene in scenes]
         self.forms, self.plain = np.array(forms), np.array([form in ROOTS and chain.compressed for form in forms])
         self.coefficients, self.opening_power = series(chain.exponent), chain.exponent
-        self.drive, self.knots, self.pieces = self._imposed()
+        self.acted, self.drive, self.knots, self.pieces = self._imposed()
 
     def _of_each(self, values: Iterable[Any]) -> NDArray[Any]:
         """Return an array with a row for each of the R scenes."""
         found = np.array(list(values))
         return np.repeat(found, len(self.scenes), axis=0) if len(found) < len(self.scenes) else found
-
-    @cached_property
-    def acted(self) -> NDArray[Any]:
-        """First and last body that is acted on after t = 0, (R, 2), the other way round if none is."""
-        reach = (scene.excitation.reach(scene.chain) if self.imposed else (self.grains, 1) for scene in self._struck)
-        return self._of_each(reach) + (PAD - 1)
 
     @cached_property
     def initial(self) -> tuple[Array, Array]:
@@ -118,11 +114,12 @@ class ChainBatch:
             self.precompressed, self.coefficients, self.imposed, self.acted, self.drive, self.knots, self.pieces, team,
         )  # fmt: skip
 
-    def _imposed(self) -> tuple[Array, Array, Array]:
-        """Return what is imposed after t = 0, as (R, 6), (R, P) and (R, 4, P-1) arrays."""
+    def _imposed(self) -> tuple[NDArray[Any], Array, Array, Array]:
+        """Return on which bodies something acts after t = 0, (R, 2), and what, (R, 6), (R, P) and (R, 4, P-1)."""
         size = len(self.scenes)
         if not self.imposed:
-            return _nothing(size)
+            return _nothing(size, self.grains)
+        acted = self._of_each(scene.excitation.reach(scene.chain) for scene in self._struck) + (PAD - 1)
         waves = [scene.excitation.waveform for scene in self.scenes]
         splines = [wave.spline if wave else None for wave in waves]
         knots_max = max(0 if spline is None else len(spline.x) for spline in splines)
@@ -138,7 +135,7 @@ class ChainBatch:
             if spline is not None:
                 table[real, KNOTS] = count = len(spline.x)
                 knots[real, :count], pieces[real, :, : count - 1] = spline.x, spline.c
-        return table, knots, pieces
+        return acted, table, knots, pieces
 
     @cached_property
     def openings(self) -> tuple[Array, Array]:
@@ -147,8 +144,9 @@ class ChainBatch:
 
 
 @lru_cache(maxsize=64)
-def _nothing(size: int) -> tuple[Array, Array, Array]:
-    return np.zeros((size, 6)), np.zeros((size, 0)), np.zeros((size, 4, 0))
+def _nothing(size: int, grains: int) -> tuple[NDArray[Any], Array, Array, Array]:
+    acted = np.tile([PAD - 1 + grains, PAD], (size, 1))  # the last before the first
+    return acted, np.zeros((size, 6)), np.zeros((size, 0)), np.zeros((size, 4, 0))
 
 
 @cache

@@ -213,7 +213,7 @@ class NativeStepper:
 
     def closest(self) -> Array:
         """Return by how much two grains have come closer than at rest at most, (S + 1, R) m, after steps."""
-        return self._state[:, CLOSEST].reshape(-1, self._size)
+        return self._state[:, CLOSEST].copy().reshape(-1, self._size)
 
     def largest(self) -> Array:
         """Return the largest displacement and speed of any grain by the first schedule, (R, 2) m and m/s.

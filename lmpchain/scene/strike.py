@@ -47,6 +47,10 @@ def pair_frequency(contacts: Contacts, masses: Array, overlaps: Array) -> Array:
 
 def strike_number(chain: Chain, excitation: Excitation, contacts: Contacts, masses: Array) -> Array:
     """Return `Scene.strike_number`, (...), for contacts and masses (..., N) kg of chains like this."""
+    if excitation.strike_velocity and chain.compressed:  # of one grain
+        n = excitation.grain  # type: ignore[attr-defined]
+        omega = np.sqrt(contacts.stiffness[..., n] / masses[..., n - 1])
+        return np.asarray(abs(excitation.strike_velocity) / (contacts.overlap[..., n] * omega))
     moving = slice(0, chain.movable)
     u, v = (np.abs(x[moving]) for x in excitation.largest(chain))
     if not chain.compressed:

@@ -10,7 +10,7 @@ from ...util.arrays import MAGNITUDE, Array
 from ...util.compilation import compiled_once
 from .contact_forces import NEWS, bits, number
 
-SOUND, TOO_FAST, NO_NUMBERS = range(3)
+SOUND, TOO_CLOSE, TOO_FAST, NO_NUMBERS = range(4)
 _exact = numba.njit(error_model="numpy")
 _total = numba.njit(error_model="numpy", fastmath={"nsz", "reassoc"})
 
@@ -32,6 +32,29 @@ def _kinetic(v, masses):
     return total
 
 
+@compiled_once(*NEWS, error_model="numpy")
+def deepest(energy: Array, overlap: Array, stiffness: Array, constant: Array, exponent: float) -> Array:
+    """Return what no overlap can exceed, (R,) m; see `Contacts.overlap_bound`.
+
+    Parameters
+    ----------
+    energy : (R,) array
+        Above rest, J.
+    overlap, stiffness, constant : (R, N+1) arrays
+        Of the contacts at rest.
+    exponent : float
+    """
+    found, power = np.zeros(len(energy)), exponent + 1.0
+    for real in range(len(energy)):
+        for n in range(overlap.shape[1]):
+            if constant[real, n] > 0.0:
+                gives = (power * energy[real] / constant[real, n]) ** (1.0 / power)
+                if stiffness[real, n] > 0.0:
+                    gives = min(gives, np.sqrt(2.0 * energy[real] / stiffness[real, n]))
+                found[real] = max(found[real], overlap[real, n] + gives)
+    return found
+
+
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
 def compared(
     u: Array,
@@ -45,6 +68,8 @@ def compared(
     differences: Array,
     peaks: Array,
     allowed: Array,
+    closest: Array,
+    room: Array,
 ) -> int:
     """Measure an answer and how far others are from it or from each other.
 
@@ -66,15 +91,20 @@ def compared(
         Takes the largest displacement and speed, where they are larger than what it holds.
     allowed : (R,) array
         What twice the kinetic energy cannot exceed, J.
+    closest, room : (S + 1, R) and (R,) arrays
+        By how much grains have come closer than at rest, and what that cannot exceed, m.
 
     Returns
     -------
     int
-        `SOUND`, `TOO_FAST` if any sample has more energy, `NO_NUMBERS` if a displacement or velocity is none.
+        `SOUND`, `TOO_CLOSE` if grains have come closer, `TOO_FAST` if any sample has more energy, `NO_NUMBERS` if a
+        displacement or velocity is none; the last of these.
     """
     others, final, batch = others_u.shape[0], differences.shape[1] - 1, u.shape[0]
     nothing, verdict = np.zeros(u.shape[2]), SOUND
     for real in range(batch):
+        for row in range(len(closest)):
+            verdict = max(verdict, TOO_CLOSE if closest[row, real] > room[real] else SOUND)
         for sample in range(u.shape[1]):
             x, w, at = u[real, sample], v[real, sample], begin + sample
             now, far = _kinetic(w, masses[real]), _farthest(x, nothing)

@@ -56,18 +56,17 @@ def laid_out(
     -------
     table, uncompressed, omega, scale : (R, 3, W), (R,), (R,) and (R, 2) arrays
         See `layout.Chains`.
-    units, deepest, weight : (R, 2), (R,) and (R,) arrays
+    units, weight : (R, 2) and (R,) arrays
         See `ChainBatch`.
     """
     batch, grains = masses.shape
     table, uncompressed, omega = _rows(3 * batch, grains).reshape((batch, 3, -1)), np.zeros(batch), np.empty(batch)
-    scale, units, deepest, weight = np.empty((batch, 2)), np.empty((batch, 2)), np.zeros(batch), np.zeros(batch)
+    scale, units, weight = np.empty((batch, 2)), np.empty((batch, 2)), np.zeros(batch)
     for real in range(batch):
         for n in range(grains + 1):
             length, strength = (overlap[real, n], force[real, n]) if compressed else (1.0, constant[real, n])
             if length > 0.0:
                 table[real, 0, PAD - 1 + n], table[real, 1, PAD - 1 + n] = 1.0 / length, strength
-            deepest[real] = max(deepest[real], overlap[real, n])
         for n in range(grains):
             weight[real] += masses[real, n]
             if first <= n < stop:
@@ -80,7 +79,7 @@ def laid_out(
         below = 1 if constant[0, 1] > 0.0 else 0
         length = overlap[real, below]
         units[real, 0], units[real, 1] = length, length * math.sqrt(stiffness[real, below] / masses[real, 0])
-    return table, uncompressed, omega, scale, units, deepest, weight
+    return table, uncompressed, omega, scale, units, weight
 
 
 @compiled_once(*NEWS, error_model="numpy")
