@@ -211,9 +211,10 @@ class Contacts:
 
     @cached_property
     def _softness(self) -> tuple[Array, Array]:
-        """How far contacts give way for 1 J, bounds that go as its root of delta + 1, and its square root, (N+1,) each.
+        """How far contacts give way for 1 J, two bounds, (N+1,) each.
 
-        The first is 0 if there is no contact, the second `LOOSE` if it is not pressed.
+        The first goes as the energy to the power 1 / (delta + 1) and is 0 if there is no contact, the second as its
+        root, and is `LOOSE` if the contact is not pressed.
         """
         power, shape = self.exponent + 1, self.constant.shape
         loose = np.divide(power, self.constant, out=np.zeros(shape), where=self.exists) ** (1 / power)
@@ -228,7 +229,7 @@ class Contacts:
 
 
 def together(contacts: Sequence[Contacts]) -> Contacts:
-    """Return the contacts of R chains of one length as those of all, (R, N+1), as compiled loops take them."""
+    """Return the contacts of R chains of one length as those of all, (R, N+1), for compiled loops."""
     return contacts[0]._as_row if len(contacts) == 1 else _rows(contacts)
 
 

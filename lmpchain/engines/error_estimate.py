@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..errors import RunFailed
 from ..integrators.batch import ChainBatch
-from ..integrators.kernels.reductions import NO_NUMBERS, SOUND, TOO_CLOSE, TOO_FAST, compared, deepest, in_parts
+from ..integrators.kernels.reductions import NO_NUMBERS, SOUND, TOO_CLOSE, TOO_FAST, compared, in_parts, limits
 from ..integrators.methods import Method
 from ..integrators.step_schedule import StepSchedule
 from ..integrators.stepper import NativeStepper, Stepper
@@ -34,7 +34,6 @@ PIECE_S = 0.1  # longest stretch of work between two opportunities to stop
 GUESSED_RATE = 1e8  # grain-steps a second, a low guess to begin with
 BLOCK_BYTES = 2**25  # of the samples that are compared at a time,
 BLOCK_S = 0.5  # and how long they may take: what is stopped or killed loses no more
-MOST = 1e300  # J, where nothing bounds the energy
 WRONG = {
     TOO_CLOSE: "grains overlap more than all the energy there is allows",
     TOO_FAST: "the kinetic energy exceeds all the energy there is",
@@ -93,17 +92,15 @@ class CompanionRun(Run):
             self.native = cast(NativeStepper, self._answer)
             self._steppers, schedules = [self._answer], chosen.schedules
         chains = self.native.chains
-        self.realisations, self._at_rest = len(scenes), chains.scale[:, 1] == 0
+        self.realisations, self._at_rest = len(scenes), [scene.at_rest for scene in scenes]
         self._radians = [scene.highest_frequency * scene.duration for scene in scenes]
         self._kinked = [not scene.excitation.smooth for scene in scenes]
         self._masses, self._scale, self._chains = chains.masses, chains.units, chains
-        # contacts never hold less energy than at rest: the kinetic one cannot exceed what is put in, or rounded
-        steps = candidate.steps(self.scene.samples)
+        steps, contacts = candidate.steps(self.scene.samples), chains.contacts
         pressed = rounded_energy(self.scene, steps * method.evaluations) if twin else 0.0
-        energies = 3 * np.array([scene.energy + pressed for scene in scenes])
-        self._most_energy = np.minimum(energies + chains.weight * (1e-3 * self._scale[:, 1]) ** 2, MOST)
-        at_rest = chains.contacts.overlap, chains.contacts.stiffness, chains.contacts.constant
-        self._room = deepest(self._most_energy, *at_rest, self.scene.chain.exponent)
+        energies = np.array([scene.energy + pressed for scene in scenes])
+        at_rest = contacts.overlap, contacts.stiffness, contacts.constant, contacts.exponent
+        self._most_energy, self._room = limits(energies, chains.weight, self._scale, *at_rest)
         if chains.imposed:  # nothing bounds what is driven, but a million times as close as long, it has broken down
             self._room = np.minimum(self._room, [1e6 * scene.chain.diameters.sum() for scene in scenes])
         samples, grains = self.scene.samples, self.scene.chain.grains
@@ -142,8 +139,8 @@ class CompanionRun(Run):
             shape = (self.realisations, until + 1 - first, self.scene.chain.grains)
             own = np.zeros(shape), np.zeros(shape)  # what no wave has reached stays so
             if first == 0:
-                for field, begin in zip((*own, *self._beside), (*self._begin, *self._begin), strict=True):
-                    field[..., 0, :] = begin
+                for field, begin in zip(own, self._begin, strict=True):
+                    field[:, 0] = begin
             native, beside = own, self._beside
             if self._twin:
                 u, v = self._beside
@@ -226,7 +223,7 @@ class CompanionRun(Run):
         began = clock()
         # nothing is put in: there is no motion to be relative to, but that of a strike number of 1
         moved = self.peaks
-        peaks = np.where(self._at_rest[:, None], self._scale, moved)
+        peaks = np.where(np.array(self._at_rest)[:, None], self._scale, moved)
         if self._twin and not (self._at_rest[0] or self.native.largest()[0, 1]):  # only what rounding presses moves
             peaks[0, 1] = max(peaks[0, 1], self.scene.highest_frequency * peaks[0, 0])
         peaks = np.where(peaks > 0, peaks, 1.0)

@@ -14,6 +14,7 @@ from ..engines.time_stepping import alike
 from ..errors import InputError, LmpchainError, RunFailed, ToleranceNotMet, check_tolerance, shown
 from ..scene.scene import Scene
 from ..trajectory.trajectory import Trajectory
+from ..util.memory import keep_freed
 from ..util.provenance import versions
 from ..util.records import renewed
 from .api import check_on_miss, simulate
@@ -105,6 +106,7 @@ def in_batches(
     attempts: dict[int, Attempt] = {}
     if not engine.batches or engine.equation != 1:
         return  # linear engines take one scene after the other anyway
+    keep_freed()
     for name, scene in made.items():
         with suppress(LmpchainError):
             attempt = first_attempt(engine, engine.part(scene), tolerance)

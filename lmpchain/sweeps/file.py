@@ -101,11 +101,7 @@ class Sweep:
 
     def place(self, number: int) -> Place:
         """Return the place of a scene; the last axis is the fastest."""
-        indices = []
-        for size in reversed(self.shape):
-            number, index = divmod(number, size)
-            indices.append(index)
-        return tuple(reversed(indices))
+        return tuple(number // math.prod(self.shape[axis + 1 :]) % size for axis, size in enumerate(self.shape))
 
     def key(self, number: int) -> bytes:
         """Return a hash of all that shapes the answer to one scene, and of what is kept of it."""

@@ -19,7 +19,6 @@ from ..scene.scene import Scene
 from ..simulation.api import simulate
 from ..simulation.many import in_batches
 from ..trajectory.trajectory import Trajectory
-from ..util.memory import keep_freed
 from .file import Sweep, again
 from .labels import recorded
 from .quantities import measured
@@ -66,7 +65,6 @@ def answer(task: Task) -> None:
     """Answer the scenes of a task, unless that was done before, and write down what is kept of them."""
     if part_of(task.folder, task.first).exists() or complete(task.folder, task.first // task.layout.shard):
         return
-    keep_freed()
     plan = again(_text(task.folder / NAME), task.files)
     engine = engines.get(plan.engine)
     alike = engine.batches and engine.equation == 1

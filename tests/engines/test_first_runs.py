@@ -1,6 +1,5 @@
 """Runs that come first: pilots that show which steps an answer needs, and companions at longer steps."""
 
-
 import numpy as np
 import pytest
 from helpers.example_scenes import paper

@@ -11,6 +11,7 @@ from ...util.compilation import compiled_once
 from .contact_forces import NEWS, bits, number
 
 SOUND, TOO_CLOSE, TOO_FAST, NO_NUMBERS = range(4)
+MOST = 1e300  # J, where nothing bounds the energy
 _exact = numba.njit(error_model="numpy")
 _total = numba.njit(error_model="numpy", fastmath={"nsz", "reassoc"})
 
@@ -33,26 +34,38 @@ def _kinetic(v, masses):
 
 
 @compiled_once(*NEWS, error_model="numpy")
-def deepest(energy: Array, overlap: Array, stiffness: Array, constant: Array, exponent: float) -> Array:
-    """Return what no overlap can exceed, (R,) m; see `Contacts.overlap_bound`.
+def limits(
+    energy: Array, weight: Array, units: Array, overlap: Array, stiffness: Array, constant: Array, exponent: float
+) -> tuple[Array, Array]:
+    """Return what an answer that has not broken down cannot exceed.
 
     Parameters
     ----------
     energy : (R,) array
-        Above rest, J.
+        Put into R chains, J.
+    weight, units : (R,) and (R, 2) arrays
+        See `ChainBatch`.
     overlap, stiffness, constant : (R, N+1) arrays
         Of the contacts at rest.
     exponent : float
+
+    Returns
+    -------
+    most, room : (R,) arrays
+        Twice the kinetic energy, J: contacts never hold less energy than at rest. An overlap, m; see
+        `Contacts.overlap_bound`.
     """
-    found, power = np.zeros(len(energy)), exponent + 1.0
+    most, room, power = np.empty(len(energy)), np.zeros(len(energy)), exponent + 1.0
     for real in range(len(energy)):
+        # half as much again may be rounded, and slow motion that nothing puts in
+        most[real] = min(3.0 * energy[real] + weight[real] * (1e-3 * units[real, 1]) ** 2, MOST)
         for n in range(overlap.shape[1]):
             if constant[real, n] > 0.0:
-                gives = (power * energy[real] / constant[real, n]) ** (1.0 / power)
+                gives = (power * most[real] / constant[real, n]) ** (1.0 / power)
                 if stiffness[real, n] > 0.0:
-                    gives = min(gives, np.sqrt(2.0 * energy[real] / stiffness[real, n]))
-                found[real] = max(found[real], overlap[real, n] + gives)
-    return found
+                    gives = min(gives, np.sqrt(2.0 * most[real] / stiffness[real, n]))
+                room[real] = max(room[real], overlap[real, n] + gives)
+    return most, room
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
@@ -115,7 +128,7 @@ def compared(
                 verdict = max(verdict, TOO_FAST)
             peaks[real, 0], peaks[real, 1] = max(peaks[real, 0], far), max(peaks[real, 1], _farthest(w, nothing))
             for other in range(others):
-                if at % strides[other] and at < final:
+                if at == 0 or (at % strides[other] and at < final):  # all begin alike
                     continue
                 a, b, one = x, w, against[other] - 1
                 if one >= 0:

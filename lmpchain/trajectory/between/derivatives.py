@@ -206,7 +206,7 @@ def largest(u, v):
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
 def derivatives(u, v, columns, sizes, errors, grains, sides, contacts, inverse_mass, exponent, linear, h, known):
-    """Return displacement, velocity, acceleration, jerk and error of acceleration of G grains, and which are quiet.
+    """Return the motion of G grains with accelerations and jerks, and which of them are quiet.
 
     Parameters
     ----------
@@ -233,7 +233,9 @@ def derivatives(u, v, columns, sizes, errors, grains, sides, contacts, inverse_m
 
     Returns
     -------
-    (5, G, T) array, (G,) bool
+    motion : (5, G, T) array
+        Displacement, velocity, acceleration, jerk, and error of the acceleration.
+    quiet : (G,) bool
     """
     out, quiet = np.empty((5, columns.size, u.shape[0])), np.empty(columns.size, dtype=np.bool_)
     _transposed(u, columns, out[0])

@@ -264,9 +264,9 @@ def _uncertain(peak, known_error):
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
 def peaks(motion, quiet, columns, count, h, kind, ceiling, known_error):
-    """Return the largest values of G grains at any time and their errors, in these of so many columns, (C, 2).
+    """Return the largest values of grains at any time and their errors, (C, 2).
 
-    In the others nothing moves.
+    Of so many columns these are those of the G grains that move.
     """
     out, intervals = np.zeros((count, 2)), motion.shape[2] - 1
     reach, error, c, d, places = np.empty(intervals), np.empty(intervals), np.zeros(8), np.zeros(8), np.zeros(PARTS)
