@@ -199,7 +199,7 @@ class Contacts:
         if not self._all_pressed:
             return np.full(self.constant.shape[:-1], np.inf)
         strain = self._given_way(energy, *self._relative_softness)
-        return np.asarray(strain.max(-1) * 1.05)  # an opening contact is a little softer
+        return np.asarray(np.maximum.reduce(strain, axis=-1) * 1.05)  # an opening contact is a little softer
 
     def _given_way(self, energy: float | Array, loose: Array, pressed: Array) -> Array:
         """Return by how much contacts of these softnesses give way at most, (..., N+1)."""

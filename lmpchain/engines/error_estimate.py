@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
-from typing import cast
+from functools import lru_cache, partial
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,11 +105,8 @@ class CompanionRun(Run):
             self._room = np.minimum(self._room, [1e6 * scene.chain.diameters.sum() for scene in scenes])
         samples, grains = self.scene.samples, self.scene.chain.grains
         others = len(schedules)
-        # each differs from the next longer step, one more from the answer
-        self._against = np.array([*range(others - chosen.nearby), *[0] * chosen.nearby])
-        strides = [schedule.stride for schedule in schedules]
-        self._strides = np.array([schedule.dense or schedule.stride for schedule in schedules])
-        self._together = math.lcm(4, *strides, self._answer.stride)
+        self._against, self._strides, together = _arranged(tuple(schedules), chosen.nearby)
+        self._together = math.lcm(together, self._answer.stride)
         self._most = _block(others + 1, self.realisations, grains, samples, self._together)
         self._sample_s = candidate.cost_s * self.realisations / samples  # a guess to begin with
         self._begin = chains.initial
@@ -298,6 +295,17 @@ class CompanionRun(Run):
         """Release every stepper."""
         for stepper in self._steppers:
             stepper.close()
+
+
+@lru_cache(maxsize=256)
+def _arranged(schedules: tuple[StepSchedule, ...], nearby: bool) -> tuple[NDArray[Any], NDArray[Any], int]:
+    """Return what companions are compared with, after how many samples each, and after how many all stop together.
+
+    Each is compared with the next longer step, one `nearby` with the answer.
+    """
+    against = np.array([*range(len(schedules) - nearby), *[0] * nearby])
+    strides = np.array([schedule.dense or schedule.stride for schedule in schedules])
+    return against, strides, math.lcm(4, *(schedule.stride for schedule in schedules))
 
 
 def _block(steppers: int, realisations: int, grains: int, samples: int, together: int) -> int:

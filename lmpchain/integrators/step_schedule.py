@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 # steps between two samples from which on companions land on each, too; analysis/calibration/richardson_estimate.py
@@ -39,6 +40,7 @@ class StepSchedule(NamedTuple):
     dense: int = 0
 
     @classmethod
+    @lru_cache(maxsize=256)  # like scenes have like schedules
     def of(
         cls,
         steps_per_landing: int,

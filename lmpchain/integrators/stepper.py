@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
 from typing import Any, Protocol
 
 import numpy as np
@@ -36,6 +37,12 @@ from .method import Method
 from .step_schedule import StepSchedule
 
 NOTHING = np.empty((0, 0, 0, 0))
+
+
+@lru_cache(maxsize=256)
+def _clocks(schedules: tuple[StepSchedule, ...], interval: float, final: int) -> Clocks:
+    each = [(own.steps, own.step, own.stride, own.ratio == 1, own.dense) for own in schedules]
+    return Clocks(interval, final, np.array(each, dtype=float))
 
 
 class Stepper(Protocol):
@@ -97,7 +104,7 @@ class NativeStepper:
         companions: Sequence[StepSchedule] = (),
     ):
         self.chains, self.threads, scenes = chains, threads, chains.scenes
-        self._schedules, self._size = [schedule, *companions], len(scenes)
+        self._schedules, self._size = (schedule, *companions), len(scenes)
         count = len(self._schedules)
         u, v = (field[None] for field in chains.initial)
         if state:
@@ -107,8 +114,7 @@ class NativeStepper:
             self._state = state["state"].copy()
             self._check_state()
         self.stride, final = schedule.stride, scenes[0].samples - 1
-        each = [(own.steps, own.step, own.stride, own.ratio == 1, own.dense) for own in self._schedules]
-        clocks = Clocks(scenes[0].duration / final, final, np.array(each, dtype=float))
+        clocks = _clocks(self._schedules, scenes[0].duration / final, final)
         march = method.march(chains, self._schedules)
         self._march = march.run
         parts = min(threads, chains.grains // LEAST_SHARE) if march.shared and self._size < threads else 1
@@ -209,7 +215,7 @@ class NativeStepper:
 
     def lowest(self) -> Array:
         """Return the smallest r / eps that any contact of each chain has had, (R,); -1 is an opening."""
-        return self._state[:, LOWEST].reshape(-1, self._size).min(0)
+        return np.minimum.reduce(self._state[:, LOWEST].reshape(-1, self._size))
 
     def closest(self) -> Array:
         """Return by how much two grains have come closer than at rest at most, (S + 1, R) m, after steps."""
