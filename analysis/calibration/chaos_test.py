@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from common import NATIVE, Answer, Row, answer, command, distance, proposal, quantile, with_reach
 from scenes import drawn
@@ -105,7 +105,7 @@ def rounding(scene: Scene) -> tuple[float, float] | None:
     The run is held against the same steps in extended precision, so that only rounding is left.
     """
     floor, law = measured_floor(scene), predicted_floor(scene)
-    candidate = replace(NATIVE.candidate(scene, 0.1).sampled, integrator="rkn6", adaptive=False)
+    candidate = NATIVE.candidate(scene, 0.1).sampled._replace(integrator="rkn6", adaptive=False)
     try:
         grown = float(divergence(scene, with_reach(scene, candidate, STEP), LAST_DIGIT).max())
     except RunFailed:

@@ -6,7 +6,7 @@ import argparse
 import math
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -123,7 +123,7 @@ def with_reach(scene: Scene, candidate: Candidate, reach: float) -> Candidate:
     Its companions are at 2h and 4h, for it asks for no accuracy.
     """
     interval = scene.duration / (scene.samples - 1)
-    candidate = replace(candidate.sampled, solver_error=0.0)
+    candidate = candidate.sampled._replace(solver_error=0.0)
     return candidate.with_steps(max(1, math.ceil(interval * scene.highest_frequency / reach * (1 - 1e-12))))
 
 

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
 from unittest import mock
 
 import numpy as np
@@ -45,7 +44,7 @@ def far(calm: list[Case]) -> Iterator[Row]:
             if (proposed := proposal(Native(name), case.scene, 1e-3)) is None:
                 continue
             for reach in (0.1, 0.2, 0.35, 0.9, 1.4):
-                candidate = replace(with_reach(case.scene, proposed, reach), solver_error=1.0)
+                candidate = with_reach(case.scene, proposed, reach)._replace(solver_error=1.0)
                 for ratio in RATIOS if reach < 0.5 else (2,):
                     with mock.patch.object(companions, "FAR", (ratio,)):
                         run = answer(Native(name), case.scene, candidate)
@@ -110,7 +109,7 @@ def between(cases: list[Case]) -> Iterator[Row]:
             reach, stride = step * scene.highest_frequency, STEPS * passed
             if not reach < 1.5:
                 continue
-            candidate = replace(proposed.sampled, steps_per_landing=STEPS, stride=stride, step=step)
+            candidate = proposed.sampled._replace(steps_per_landing=STEPS, stride=stride, step=step)
             if (run := answer(Native("rkn6"), scene, candidate)) is None:
                 continue
             error = case.error(run.motion)

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from unittest import mock
 
 import numpy as np
@@ -78,7 +78,7 @@ def looks(cases: list[Case], name: str, adaptive: bool, coarse: bool = False) ->
         for reach in REACHES:
             if 4 * reach > method.stability_limit:
                 continue
-            candidate = replace(with_reach(case.scene, proposed, reach), coarse_openings=coarse)
+            candidate = with_reach(case.scene, proposed, reach)._replace(coarse_openings=coarse)
             if (run := answer(engine, case.scene, candidate)) is None:
                 continue
             error = case.error(run.motion)

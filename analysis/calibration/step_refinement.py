@@ -72,7 +72,7 @@ def shipped() -> Rule:
     )
 
     def factor(truncation: float, roundoff: float = 0.0, smooth: bool = True, adaptive: bool = False) -> float:
-        own = replace(base, adaptive=adaptive)
+        own = base._replace(adaptive=adaptive)
         refined = engine.refine(own, ErrorBudget(truncation, roundoff, smooth, np.zeros(1)), 1e-9)
         return refined.steps_per_landing / base.steps_per_landing if refined else 0.0
 

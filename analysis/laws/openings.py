@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import replace
 
 import numpy as np
 
@@ -53,8 +52,8 @@ def errors_through_openings(
     true = reference.displacement, reference.velocity
 
     def error(count: int) -> float:
-        candidate = replace(
-            proposed, steps_per_landing=count, step=scene.duration / count, adaptive=adaptive, coarse_openings=False
+        candidate = proposed._replace(
+            steps_per_landing=count, step=scene.duration / count, adaptive=adaptive, coarse_openings=False
         )
         run = engine.start([scene], candidate)
         try:

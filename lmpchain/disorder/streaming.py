@@ -118,7 +118,7 @@ def _answer(engine: Engine, scenes: Sequence[Scene], wanted: int, tolerance: flo
     """Return the average with the first `wanted` scenes of a batch, at steps short enough for all."""
     proposed = [engine.candidate(engine.part(scene), tolerance) for scene in scenes]
     hardest = max(proposed, key=lambda candidate: candidate.cost_s)
-    candidate = replace(hardest, adaptive=any(each.adaptive for each in proposed))
+    candidate = hardest._replace(adaptive=any(each.adaptive for each in proposed))
 
     def collect(run: Run) -> A:
         average = before.copy()

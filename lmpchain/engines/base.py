@@ -11,7 +11,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from inspect import signature
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Self
@@ -23,7 +23,6 @@ from ..integrators.step_schedule import StepSchedule
 from ..scene.scene import Scene
 from ..trajectory.record import Block, Cost, ErrorEstimate
 from ..util.arrays import Array
-from ..util.records import renewed
 
 
 @dataclass(frozen=True)
@@ -34,8 +33,7 @@ class SharperBound:
     cost_s: float
 
 
-@dataclass(frozen=True)
-class Candidate:
+class Candidate(NamedTuple):
     """What an engine proposes for a scene.
 
     Attributes
@@ -77,7 +75,7 @@ class Candidate:
     adaptive: bool = False
     coarse_openings: bool = False
     integrator: str = ""
-    choices: Mapping[str, str] = field(default_factory=dict)
+    choices: Mapping[str, str] = {}
     sharper: SharperBound | None = None
 
     def schedule(self, ratio: float = 1, stretched: bool = False) -> StepSchedule:
@@ -92,14 +90,14 @@ class Candidate:
     def with_steps(self, steps_per_landing: int) -> Candidate:
         """Return the same with so many steps from landing to landing, of full length near openings."""
         step = self.step * self.steps_per_landing / steps_per_landing
-        return renewed(self, steps_per_landing=steps_per_landing, step=step, coarse_openings=False)
+        return self._replace(steps_per_landing=steps_per_landing, step=step, coarse_openings=False)
 
     @property
     def sampled(self) -> Candidate:
         """The same with steps that end on every sample."""
         steps = math.ceil(self.steps_per_landing / self.stride)
         step = self.step * self.steps_per_landing / (self.stride * steps)
-        return renewed(self, steps_per_landing=steps, stride=1, step=step)
+        return self._replace(steps_per_landing=steps, stride=1, step=step)
 
 
 class ErrorBudget(NamedTuple):

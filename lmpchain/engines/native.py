@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import ClassVar
 
 import numba
@@ -118,7 +117,7 @@ class Native(TimeSteppingEngine):
             return candidate.with_steps(math.ceil(candidate.steps_per_landing / longer))
         steps, stride = landing(scene, candidate.steps_per_landing / candidate.stride / longer)
         step = scene.duration / (scene.samples - 1) * stride / steps
-        return replace(candidate, steps_per_landing=steps, stride=stride, step=step)
+        return candidate._replace(steps_per_landing=steps, stride=stride, step=step)
 
     def choices(self, scene: Scene) -> dict[str, str]:
         """Return the form of the force."""

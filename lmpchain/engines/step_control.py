@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from typing import Any, Generic, NamedTuple, TypeVar
@@ -40,8 +39,7 @@ ENOUGH = 3e5  # steps that show what a scene makes of a last digit
 T = TypeVar("T")
 
 
-@dataclass(frozen=True)
-class Attempt:
+class Attempt(NamedTuple):
     """One attempt of several, with what the decision about the next one rests on.
 
     Attributes
@@ -97,6 +95,8 @@ class Outcome(NamedTuple, Generic[T]):
     attempt : Attempt
     errors : list of ErrorBudget
         Of every scene.
+    error : ErrorBudget
+        The largest of these.
     cost : Cost
         With the planning and the attempts before.
     missed : str
@@ -106,18 +106,9 @@ class Outcome(NamedTuple, Generic[T]):
     collected: T
     attempt: Attempt
     errors: list[ErrorBudget]
+    error: ErrorBudget
     cost: Cost
     missed: str
-
-    @property
-    def error(self) -> ErrorBudget:
-        """The largest error of any scene."""
-        return worst(self.errors)
-
-
-def worst(errors: Sequence[ErrorBudget]) -> ErrorBudget:
-    """Return the estimate with the largest solver error."""
-    return max(errors, key=lambda error: error.solver)
 
 
 def first_attempt(engine: Engine, scene: Scene, tolerance: float, best_effort: bool = False) -> Attempt:
@@ -192,17 +183,18 @@ def solve_to_tolerance(
             cost = run.cost()
             run.close()
         place = max(range(len(errors)), key=lambda i: errors[i].solver, default=0)
-        judged = clock()
-        following, missed = next_attempt(engine, scenes[place], attempt, errors[place] if errors else None, patient)
+        error, judged = errors[place] if errors else None, clock()
+        following, missed = next_attempt(engine, scenes[place], attempt, error, patient)
         judging_s = clock() - judged  # an integration, where chaos is tested for
         if not following:
+            assert error
             setup_s, estimate_s = cost.setup_s + attempt.planned_s, cost.estimate_s + attempt.spent_s + judging_s
             cost = renewed(cost, setup_s=setup_s, estimate_s=estimate_s, compile_s=compiled_s() - compiled)
-            return Outcome(collected, attempt, errors, cost, attempt.refusal or missed)
+            return Outcome(collected, attempt, errors, error, cost, attempt.refusal or missed)
         run_s = cost.integration_s + cost.estimate_s + judging_s
         planned_s = clock() - began - run_s
         spent_s = attempt.spent_s + run_s
-        attempt = renewed(following, planned_s=attempt.planned_s + planned_s, spent_s=spent_s)
+        attempt = following._replace(planned_s=attempt.planned_s + planned_s, spent_s=spent_s)
 
 
 def next_attempt(
@@ -219,16 +211,16 @@ def next_attempt(
         return None, ""
     better = engine.refine(candidate, error, attempt.tolerance)
     if attempt.pilot and better:
-        return renewed(attempt, candidate=better, pilot=False, pilots=1), ""
+        return attempt._replace(candidate=better, pilot=False, pilots=1), ""
     if error is None:
         assert better
-        return renewed(attempt, candidate=better, breakdowns=attempt.breakdowns + 1), ""
-    made = renewed(attempt, truncations=(*attempt.truncations, error.truncation))
+        return attempt._replace(candidate=better, breakdowns=attempt.breakdowns + 1), ""
+    made = attempt._replace(truncations=(*attempt.truncations, error.truncation))
     missed = _why_not(scene, error, made, better) or ("" if patient else _chaotic(scene, error, made))
     if missed:
         return None, missed
     assert better
-    return renewed(made, candidate=better), ""
+    return made._replace(candidate=better), ""
 
 
 def loosened(propose: Callable[[float], T], tolerance: float) -> tuple[T, float, str]:
@@ -314,7 +306,7 @@ def _divergence_time(scene: Scene, candidate: Candidate, distance: float, times:
     time_s = scene.duration
     for adaptive in {candidate.adaptive, False}:
         try:
-            apart = divergence(scene, renewed(candidate.sampled, adaptive=adaptive), LAST_DIGIT)
+            apart = divergence(scene, candidate.sampled._replace(adaptive=adaptive), LAST_DIGIT)
         except RunFailed:
             return None
         if apart.max() < times * distance:

@@ -14,7 +14,6 @@ from ..integrators.step_schedule import StepSchedule
 from ..integrators.stepper import Stepper
 from ..scene.scene import Scene
 from ..util.arrays import Array
-from ..util.records import renewed
 from ..util.suggestions import not_among
 from .base import Candidate, Engine, ErrorBudget
 from .companions import KINKED_BELOW, SAFE_STRAIN, longer_steps, struck_from_above
@@ -248,7 +247,7 @@ class TimeSteppingEngine(Engine):
         method = METHODS[candidate.integrator]
         order, opens = method.order, not (error and error.smooth) and self.adaptive and method.adaptive == "openings"
         if opens and not candidate.adaptive:
-            candidate = renewed(candidate, adaptive=True)
+            candidate = candidate._replace(adaptive=True)
         ratio = REFINEMENT.ratio(error, order, tolerance, candidate.adaptive)
         if ratio is None:
             return None

@@ -22,7 +22,6 @@ from ..util.arrays import Array
 from ..util.compilation import clock
 from ..util.progress import RATE, ProgressBar
 from ..util.provenance import versions
-from ..util.records import renewed
 from .gathering import GatheringRun, of_engine
 from .policy import policy_for, record
 from .task import Task
@@ -171,8 +170,8 @@ def _answer(task: Task, output: _Memory | RunFolder, progress: bool) -> tuple[Tr
                 break
             planned_s = cost.setup_s + clock() - began
             spent_s = cost.integration_s + cost.estimate_s
-            attempt = renewed(
-                following, refusal=attempt.refusal, planned_s=planned_s, spent_s=spent_s, compiled_s=cost.compile_s
+            attempt = following._replace(
+                refusal=attempt.refusal, planned_s=planned_s, spent_s=spent_s, compiled_s=cost.compile_s
             )
     return output.finish(outcome, gathered), outcome
 

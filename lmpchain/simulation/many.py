@@ -166,7 +166,7 @@ def _together(
     ):
         following, missed = next_attempt(engine, scene.fine, attempt, error)
         if following:
-            following = renewed(following, spent_s=share.integration_s + share.estimate_s)
+            following = following._replace(spent_s=share.integration_s + share.estimate_s)
         answer = Trajectory(
             scene, engine.name, engine.equation, time, grains, displacement, velocity, error.estimate, share, about,
             gathered,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Protocol
 
@@ -111,7 +111,7 @@ class Auto:
             attempt, _, refusal = loosened(choose, tolerance)
         else:
             attempt = choose(tolerance)
-        return replace(attempt, refusal=refusal, planned_s=clock() - began, compiled_s=compiled_s() - compiled)
+        return attempt._replace(refusal=refusal, planned_s=clock() - began, compiled_s=compiled_s() - compiled)
 
     def engine(self, attempt: Attempt) -> Engine:
         """Return the engine that was chosen."""
@@ -145,7 +145,7 @@ def _attempt(scene: Scene, proposal: Proposal, tolerance: float, **why: str) -> 
     """Return the first attempt of a proposal, which keeps on record why it was chosen."""
     assert proposal.candidate
     choices = {**proposal.candidate.choices, **why}
-    candidate, engine = replace(proposal.candidate, choices=choices), engines.get(proposal.engine)
+    candidate, engine = proposal.candidate._replace(choices=choices), engines.get(proposal.engine)
     return to_begin_with(engine, engine.part(scene), candidate, tolerance)
 
 

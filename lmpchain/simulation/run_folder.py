@@ -252,7 +252,10 @@ class RunFolder:
 
     def _notes(self, spent: Mapping[str, float]) -> dict[str, Any]:
         assert self.attempt
-        return {"attempt": asdict(self.attempt), "samples": self.samples, "spent": spent}
+        attempt, candidate = self.attempt._asdict(), self.attempt.candidate._asdict()
+        if sharper := self.attempt.candidate.sharper:
+            candidate["sharper"] = asdict(sharper)
+        return {"attempt": attempt | {"candidate": candidate}, "samples": self.samples, "spent": spent}
 
     def _spent(self, cost: Cost) -> dict[str, float]:
         """Return what all sessions have spent on this attempt, s; on the wall, on all of them."""
@@ -304,7 +307,7 @@ def _attempt(notes: Mapping[str, Any], spent: Mapping[str, float]) -> Attempt:
         candidate, known = attempt.candidate, dict(TypeAdapter(dict[str, float]).validate_python(notes["spent"]))
         if not (0 < candidate.step < math.inf and candidate.steps_per_landing > 0 and 0 < attempt.tolerance < 1):
             raise ValueError("it has no steps")
-        same = asdict(candidate).keys() == notes["attempt"]["candidate"].keys()
+        same = candidate._asdict().keys() == notes["attempt"]["candidate"].keys()
         if not same or known.keys() != spent.keys() or attempt.engine not in engines.names():
             raise ValueError("it is not of this version")
         if not all(0 <= value < math.inf for value in known.values()):

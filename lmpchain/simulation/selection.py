@@ -126,7 +126,7 @@ def propose_all(scene: Scene, tolerance: float) -> list[Proposal]:
         engine = every[first.engine]
         bound = engine.bound_model_error(engine.part(scene), first.candidate)
         proposals = [
-            replace(proposal, candidate=replace(proposal.candidate, model_error=bound), bounded=True)
+            replace(proposal, candidate=proposal.candidate._replace(model_error=bound), bounded=True)
             if proposal.candidate and proposal.equation == first.equation  # whoever solves it
             else proposal
             for proposal in proposals

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -179,7 +179,7 @@ def blow_up(scene: Scene, integrator: str, engine: str = "native") -> float:
         samples = max(1, int(scene.duration / step / steps))
         tried = scene.replace(duration=samples * steps * step, samples=samples + 1)
         try:
-            run = solver.start([tried], replace(proposed, steps_per_landing=steps, step=step))
+            run = solver.start([tried], proposed._replace(steps_per_landing=steps, step=step))
         except RunFailed:
             return False
         try:

@@ -2,7 +2,6 @@
 
 import warnings
 from contextlib import suppress
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -116,7 +115,7 @@ def test_adaptive_steps_end_where_a_run_breaks_down(steps):
     )
     engine = Native("rkn4")
     step = scene.duration / (scene.samples - 1) / steps
-    candidate = replace(engine.candidate(scene, 1e-5), step=step, steps_per_landing=steps)
+    candidate = engine.candidate(scene, 1e-5)._replace(step=step, steps_per_landing=steps)
     true, run = reference(scene), engine.start([scene], candidate)
     with suppress(RunFailed):
         (u,), (v,) = blocks_of(run)

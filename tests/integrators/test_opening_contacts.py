@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from helpers.example_scenes import paper
@@ -101,7 +99,7 @@ def test_short_steps_at_openings_let_the_order_be_trusted(scene: Scene, steps: i
     """With steps of twice the length there, estimates of full order were 0.24 and 0.88 of the error."""
     engine, truth = Native("rkn6"), reference(scene)
     step = scene.duration / (scene.samples - 1) / steps
-    candidate = replace(engine.candidate(scene, 1e-3), step=step, steps_per_landing=steps, coarse_openings=False)
+    candidate = engine.candidate(scene, 1e-3)._replace(step=step, steps_per_landing=steps, coarse_openings=False)
     run = engine.start([scene], candidate)
     (u,), (v,) = blocks_of(run)
     error = relative_error(u, v, truth.displacement, truth.velocity)
@@ -116,7 +114,7 @@ def test_steps_that_samples_hold_short_are_not_shortened_more_than_that_at_openi
     engine.dense = False  # nor are samples interpolated
     candidate, truth, costs = engine.candidate(scene, 1e-4), reference(scene), []
     assert candidate.coarse_openings
-    for proposed in (candidate, replace(candidate, coarse_openings=False)):
+    for proposed in (candidate, candidate._replace(coarse_openings=False)):
         run = engine.start([scene], proposed)
         (u,), (v,) = blocks_of(run)
         assert relative_error(u, v, truth.displacement, truth.velocity) < run.errors()[0].total < 1e-4

@@ -10,7 +10,6 @@ import subprocess
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -56,7 +55,7 @@ def breakdown(monkeypatch: pytest.MonkeyPatch):
     def choose(*arguments):
         candidate = honest(*arguments)
         longer = candidate.steps_per_landing * candidate.step
-        return replace(candidate, step=longer, steps_per_landing=1)
+        return candidate._replace(step=longer, steps_per_landing=1)
 
     monkeypatch.setattr(time_stepping.TimeSteppingEngine, "choose_step", choose)
     scene = Scene(chain=SMALL.chain, excitation=SMALL.excitation, duration=1.5e-4, samples=13)

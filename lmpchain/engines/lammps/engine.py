@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from os import PathLike
 from pathlib import Path
@@ -146,7 +145,7 @@ class Lammps(TimeSteppingEngine):
             known = not scene.excitation.does_work  # else a trial shows the gauge diameter
             if self.diameter == "physical" or (self.diameter == "gauge" and known):
                 drawn = gauge_diameter(scene) if self.diameter == "gauge" else 0.0
-                return replace(given, solver_error=math.nan, choices=_choices(drawn, "as asked"))
+                return given._replace(solver_error=math.nan, choices=_choices(drawn, "as asked"))
         trial = run_to_tolerance(Native(self.splitting.name, self.step, adaptive=False), scene, tolerance / 2, _reached)
         if trial.missed:
             raise ToleranceNotMet(f"even without round-off in heights, {trial.missed}")
@@ -172,8 +171,8 @@ class Lammps(TimeSteppingEngine):
         )
         choices = _choices(small if wants_gauge else 0.0, why) | {"gauge_m": repr(small)}
         error = trial.error.truncation + floor
-        return replace(
-            trial.attempt.candidate, solver_error=error, cost_s=self.cost(scene, method, steps), choices=choices
+        return trial.attempt.candidate._replace(
+            solver_error=error, cost_s=self.cost(scene, method, steps), choices=choices
         )
 
     def round_off(self, scene: Scene, gauge: float, steps: int, peaks: Array) -> float:
@@ -200,7 +199,7 @@ class Lammps(TimeSteppingEngine):
         """Shorten the step; or, if round-off was the limit, take the gauge diameter."""
         small = float(candidate.choices.get("gauge_m", 0.0))
         if error and error.roundoff > 0.5 * tolerance and self.diameter == "auto" and small and not _drawn(candidate):
-            return replace(candidate, choices=_choices(small, f"the physical diameter left {error.roundoff:.1g}"))
+            return candidate._replace(choices=_choices(small, f"the physical diameter left {error.roundoff:.1g}"))
         return super().refine(candidate, error, tolerance)
 
     def stepper(

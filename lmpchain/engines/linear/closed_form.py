@@ -48,8 +48,8 @@ class ClosedForm(LinearEngine):
     def candidate(self, scene: Scene, tolerance: float) -> Candidate:
         """Propose the formula; only where it is the exact solution is its error known before the run."""
         candidate = super().candidate(scene.light_cone.scene, tolerance)
-        candidate = replace(candidate, active_grains=scene.chain.grains)
-        return candidate if self.exact(scene) else replace(candidate, model_error=math.nan, sharper=None)
+        candidate = candidate._replace(active_grains=scene.chain.grains)
+        return candidate if self.exact(scene) else candidate._replace(model_error=math.nan, sharper=None)
 
     def estimate_model_error(self, scene: Scene) -> float:
         """Say that it is not known, unless the formula is exact."""
