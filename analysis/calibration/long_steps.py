@@ -1,4 +1,4 @@
-"""Measure how long steps may be that show an error or pass over samples: FAR, SMALL, PILOT, BETWEEN and LOST_BETWEEN.
+"""Measure how long steps may be that show an error or pass over samples: FAR, SMALL, PILOT, BETWEEN, INTERPOLATED.
 
 In random scenes where no contact comes near to opening, companions run at steps so many times as long: FAR is supported
 as far as 99 estimates in 100 are bounds. SMALL, up to which one companion alone is trusted, is supported up to the
@@ -6,6 +6,7 @@ smallest difference of which that does not hold. In scenes whose motion nothing 
 whose steps are so many times as long: PILOT is supported where all attempts together cost within 10 % of the least, in
 evaluations of the force for the answer. BETWEEN and LOST_BETWEEN are held against what samples between steps are
 further off than those on which steps end, where the polynomial or rounding makes it: within the middle nine tenths.
+INTERPOLATED, a bound on what rounding makes, is supported from where nine in ten runs stay below it to ten times that.
 
     python analysis/calibration/long_steps.py           # three minutes
     python analysis/calibration/long_steps.py --quick   # seconds
@@ -26,6 +27,7 @@ from lmpchain.engines import companions, native
 from lmpchain.engines.base import Run
 from lmpchain.engines.native import Native
 from lmpchain.engines.richardson import SMALL
+from lmpchain.engines.round_off import INTERPOLATED, between_loss
 from lmpchain.engines.step_control import run_to_tolerance
 from lmpchain.engines.time_stepping import BETWEEN, LOST_BETWEEN, ORDER_BETWEEN
 
@@ -99,7 +101,7 @@ def pilots(unbounded: list[Scene]) -> Row:
 
 def between(cases: list[Case]) -> Iterator[Row]:
     """Yield the rows of samples between steps."""
-    steep, lost = [], []
+    steep, lost, digits = [], [], []
     for case in cases:
         scene = case.scene
         if (proposed := proposal(Native("rkn6"), scene, 1e-6)) is None:
@@ -119,6 +121,8 @@ def between(cases: list[Case]) -> Iterator[Row]:
                     steep.append(error / reach**ORDER_BETWEEN)
                 elif reach < 0.03:
                     lost.append(error / candidate.steps(scene.samples))
+                    farthest, fastest = np.abs(case.motion).max((1, 2))
+                    digits.append(INTERPOLATED * error / between_loss(run.steps, farthest / (fastest * scene.duration)))
     for name, shipped, found, what in (
         ("BETWEEN", BETWEEN, steep, "error at omega h = 1"),
         ("LOST_BETWEEN", LOST_BETWEEN, lost, "error a step"),
@@ -126,6 +130,8 @@ def between(cases: list[Case]) -> Iterator[Row]:
         low, middle, high = (quantile(found, part) for part in (0.05, 0.5, 0.95))
         most = max(high, middle) if name == "BETWEEN" else math.inf  # rounding is to be excluded
         yield Row(name, shipped, middle, low, most, f"{what} of {len(found)} runs: {low:.2g} ... {high:.2g}")
+    nine = quantile(digits, 0.9)
+    yield Row("INTERPOLATED", INTERPOLATED, nine, nine, 10 * nine, f"last digits of {len(digits)} runs, nine in ten")
 
 
 def main(quick: bool = False) -> list[Row]:

@@ -217,14 +217,12 @@ class CompanionRun(Run):
 
     def errors(self) -> list[ErrorBudget]:
         """Return the estimate for every realisation."""
-        began = clock()
-        # nothing is put in: there is no motion to be relative to, but that of a strike number of 1
-        moved = self.peaks
-        peaks = np.where(np.array(self._at_rest)[:, None], self._scale, moved)
-        if self._twin and not (self._at_rest[0] or self.native.largest()[0, 1]):  # only what rounding presses moves
-            peaks[0, 1] = max(peaks[0, 1], self.scene.highest_frequency * peaks[0, 0])
-        peaks = np.where(peaks > 0, peaks, 1.0)
-        largest, every = in_parts(self._differences, peaks)
+        moved = peaks = self.peaks
+        if any(self._at_rest):  # there is no motion to be relative to, but that of a strike number of 1
+            peaks = np.where(np.array(self._at_rest)[:, None], self._scale, moved)
+        elif self._twin and not self.native.largest()[0, 1]:  # only what rounding presses moves
+            peaks = np.array([[moved[0, 0], max(moved[0, 1], self.scene.highest_frequency * moved[0, 0])]])
+        largest, every, peaks = in_parts(self._differences, peaks)
         steps = largest[self._twin :]  # between steps h, 2h (and 4h), or h and h/2
         opening = self.native.lowest() <= CLOSE_TO_OPENING
         plain, adaptive = self._chains.plain, self.candidate.adaptive
@@ -256,7 +254,6 @@ class CompanionRun(Run):
                 roundoff += between_loss(taken, displaced / radians)
             ordered = smooth and not (opens and self._companions.kinks)
             found.append(ErrorBudget(truncation, roundoff, ordered, every[real]))
-        self._compared_s += clock() - began
         return found
 
     def _grown(self, real: int, peaks: Array) -> float:
@@ -264,7 +261,9 @@ class CompanionRun(Run):
         if self._at_rest[real] or self._sample < self.scene.samples - 1 or not self.closest[real] > 0:
             return 0.0
         if real not in self._amplified:
+            began = clock()
             self._amplified[real] = amplified_digit(self._scenes[real], peaks, self._answer.steps[real])
+            self._compared_s += clock() - began
         return self._amplified[real]
 
     def cost(self) -> Cost:
@@ -299,7 +298,7 @@ class CompanionRun(Run):
 
 @lru_cache(maxsize=256)
 def _arranged(schedules: tuple[StepSchedule, ...], nearby: bool) -> tuple[NDArray[Any], NDArray[Any], int]:
-    """Return what companions are compared with, after how many samples each, and after how many all stop together.
+    """Return with what companions are compared, every how many samples, and when all stop at one.
 
     Each is compared with the next longer step, one `nearby` with the answer.
     """

@@ -13,7 +13,9 @@ PHASE_ULPS = 1.5  # of the phase of the fastest motion, by which rounding shifts
 DISPLACED = 0.05  # part of omega x_max / v_max by which the rounding of displacements exceeds that of velocities
 DRIFTED = 0.125  # last digits of a displacement that an evaluation loses in free flight at steps of one length
 PLAIN = 0.9  # last digits of the force at rest that the plain form loses in a step
-BETWEEN = 8.0  # last digits of a displacement, over a mean step, that the velocity of an interpolated sample loses
+# last digits of a displacement, over a mean step, that the velocity of an interpolated sample loses;
+# analysis/calibration/long_steps.py
+INTERPOLATED = 8.0
 
 
 def native_floor(evaluations: float, radians: float, displaced: float = 0.0, straight: bool = False) -> float:
@@ -37,8 +39,8 @@ def plain_loss(scene: Scene, steps: float) -> float:
     That is the last digit of what the contacts carry at rest, at every step: an acceleration of 0.9 EPSILON F_n/m,
     which walks to that times sqrt(duration h) in the velocity.
     """
-    lost = PLAIN * EPSILON * float((scene.chain.contacts.force[:-1] / scene.chain.masses).max())
-    return lost * scene.duration / math.sqrt(steps)
+    pull = float(np.maximum.reduce(scene.chain.contacts.force[:-1] / scene.chain.masses))
+    return PLAIN * EPSILON * pull * scene.duration / math.sqrt(steps)
 
 
 def between_loss(steps: float, travelled: float) -> float:
@@ -47,7 +49,7 @@ def between_loss(steps: float, travelled: float) -> float:
     They follow from differences of displacements over a step. `travelled` is the largest displacement over how far the
     fastest grain would come in the whole run; near contacts that open steps are shorter than the mean.
     """
-    return BETWEEN * EPSILON * steps * travelled
+    return INTERPOLATED * EPSILON * steps * travelled
 
 
 def rounded_energy(scene: Scene, evaluations: float) -> float:

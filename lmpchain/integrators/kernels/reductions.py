@@ -140,7 +140,7 @@ def compared(
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
-def in_parts(differences: Array, peaks: Array) -> tuple[Array, Array]:
+def in_parts(differences: Array, peaks: Array) -> tuple[Array, Array, Array]:
     """Express differences as parts of the largest motion; what is no number is infinite.
 
     Parameters
@@ -148,7 +148,7 @@ def in_parts(differences: Array, peaks: Array) -> tuple[Array, Array]:
     differences : (S, T, R, 2) array
         Of S others, in displacements and velocities.
     peaks : (R, 2) array
-        Above 0.
+        That is, or 0 if nothing moves.
 
     Returns
     -------
@@ -156,15 +156,20 @@ def in_parts(differences: Array, peaks: Array) -> tuple[Array, Array]:
         Of all samples.
     every : (R, T) array
         Of all others and both fields.
+    over : (R, 2) array
+        What they are parts of: `peaks`, or 1.
     """
     others, samples, batch, fields = differences.shape
-    largest, every = np.zeros((others, batch, fields)), np.zeros((batch, samples))
+    largest, every, over = np.zeros((others, batch, fields)), np.zeros((batch, samples)), np.ones((batch, fields))
+    for real in range(batch):
+        for field in range(fields):
+            over[real, field] = peaks[real, field] if peaks[real, field] > 0.0 else 1.0
     for other in range(others):
         for sample in range(samples):
             for real in range(batch):
                 for field in range(fields):
-                    part = differences[other, sample, real, field] / peaks[real, field]
+                    part = differences[other, sample, real, field] / over[real, field]
                     part = np.inf if np.isnan(part) else part
                     largest[other, real, field] = max(largest[other, real, field], part)
                     every[real, sample] = max(every[real, sample], part)
-    return largest, every
+    return largest, every, over
