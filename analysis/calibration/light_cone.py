@@ -12,7 +12,6 @@ scenes of ten. WINDOW_MIN: chains up to which computing all grains is no slower 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from unittest import mock
 
 import numpy as np
@@ -89,7 +88,7 @@ def _look(quick: bool) -> Row:
         ours, theirs = linear.candidate(scene, 1.0), native.candidate(scene, 10 ** rng.uniform(-9, -3))
         expected = (ours.sharper.cost_s + ours.cost_s) / theirs.cost_s
         looked = best(lambda scene=scene, ours=ours: linear.bound_model_error(scene, ours), repeats)  # type: ignore[misc]
-        took = best(lambda scene=scene, ours=ours: through(linear, scene, replace(ours)), repeats)  # type: ignore[misc]
+        took = best(lambda scene=scene, ours=ours: through(linear, scene, ours._replace()), repeats)  # type: ignore[misc]
         other = best(lambda scene=scene, theirs=theirs: through(native, scene, theirs), repeats)  # type: ignore[misc]
         off.append((looked + took) / other / expected)
     low, middle, high = (quantile(off, part) for part in (0.1, 0.5, 0.9))
