@@ -217,19 +217,16 @@ class CompanionRun(Run):
 
     def errors(self) -> list[ErrorBudget]:
         """Return the estimate for every realisation."""
-        moved = peaks = self.peaks
+        moved, instead = self.peaks, np.zeros((self.realisations, 2))
         if any(self._at_rest):  # there is no motion to be relative to, but that of a strike number of 1
-            peaks = np.where(np.array(self._at_rest)[:, None], self._scale, moved)
+            instead[self._at_rest] = np.where(self._scale > 0, self._scale, 1.0)[self._at_rest]
         elif self._twin and not self.native.largest()[0, 1]:  # only what rounding presses moves
-            peaks = np.array([[moved[0, 0], max(moved[0, 1], self.scene.highest_frequency * moved[0, 0])]])
-        largest, every, peaks = in_parts(self._differences, peaks)
-        steps = largest[self._twin :]  # between steps h, 2h (and 4h), or h and h/2
-        opening = self.native.lowest() <= CLOSE_TO_OPENING
-        plain, adaptive = self._chains.plain, self.candidate.adaptive
-        of_each = opening, plain, self._answer.steps, steps.swapaxes(0, 1), peaks, moved
-        found = []
-        for real, row in enumerate(zip(*(x.tolist() for x in of_each), strict=True)):
-            opens, rounded, taken, differences, (farthest, fastest), (_, moves) = row
+            instead[0] = moved[0, 0], max(moved[0, 1], self.scene.highest_frequency * moved[0, 0])
+        told, every = in_parts(self._differences, moved, instead, self.native.watched)
+        plain, adaptive, found = self._chains.plain, self.candidate.adaptive, []
+        for real, (lowest, taken, farthest, fastest, *parts) in enumerate(told.tolist()):
+            opens, pairs = lowest <= CLOSE_TO_OPENING, [*zip(parts[::2], parts[1::2], strict=True)]
+            differences = pairs[self._twin :]  # between steps h, 2h (and 4h), or h and h/2
             smooth = adaptive or self.method.order == 2 or not (opens or self._kinked[real])
             truncation = self._companions.truncation(real, differences, opens, smooth)
             most = max(differences[0])
@@ -237,17 +234,17 @@ class CompanionRun(Run):
                 most = min(most, max(differences[-1]))  # rounding makes all of these differ
             most *= BY_CHANCE if opens else 1.0
             radians = self._radians[real]
-            displaced = radians / self.scene.duration * farthest / fastest if moves > 0 else 0.0
+            displaced = radians / self.scene.duration * farthest / fastest if moved[real, 1] > 0 else 0.0
             flies = opens and not adaptive  # in flight steps of one length round to one side
             roundoff = native_floor(taken * self.method.evaluations, radians, displaced, flies)
-            if rounded and taken:
+            if plain[real] and taken:
                 roundoff += self.method.spread * plain_loss(self._scenes[real], taken) / fastest
             returns = opens and (self._companions.scatters[real] or not adaptive)
             truncation = max(truncation, min(most, (GROWN if returns else STEADY) * roundoff))
             if self._twin:
-                roundoff += float(largest[0, real].max())
+                roundoff += max(pairs[0])
             elif returns and truncation + roundoff < min(NEAR_ROUNDOFF, SHORT * math.exp(min(GROWTH * radians, 99))):
-                grown = SHARED * self._grown(real, peaks[real])
+                grown = SHARED * self._grown(real, np.array([farthest, fastest]))
                 truncation = max(truncation, min(most, SCATTER * walked(taken * self.method.evaluations) * grown))
                 roundoff += grown
             if self.candidate.stride > 1:

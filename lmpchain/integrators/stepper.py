@@ -213,9 +213,10 @@ class NativeStepper:
         rates = [1 / own.stride for own in self._schedules]
         return float(of_each @ rates) / (sum(rates) * (self.chains.scenes[0].samples - 1))
 
-    def lowest(self) -> Array:
-        """Return the smallest r / eps that any contact of each chain has had, (R,); -1 is an opening."""
-        return np.minimum.reduce(self._state[:, LOWEST].reshape(-1, self._size))
+    @property
+    def watched(self) -> Array:
+        """The state of every chain by every schedule, see `layout.SAMPLE`."""
+        return self._state
 
     def closest(self) -> Array:
         """Return by how much two grains have come closer than at rest at most, (S + 1, R) m, after steps."""

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from ...util.arrays import MAGNITUDE, Array
 from ...util.compilation import compiled_once
 from .contact_forces import NEWS, bits, number
+from .layout import LOWEST, STEPS
 
 SOUND, TOO_CLOSE, TOO_FAST, NO_NUMBERS = range(4)
 MOST = 1e300  # J, where nothing bounds the energy
@@ -140,36 +141,40 @@ def compared(
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
-def in_parts(differences: Array, peaks: Array) -> tuple[Array, Array, Array]:
+def in_parts(differences: Array, moved: Array, instead: Array, state: Array) -> tuple[Array, Array]:
     """Express differences as parts of the largest motion; what is no number is infinite.
 
     Parameters
     ----------
     differences : (S, T, R, 2) array
         Of S others, in displacements and velocities.
-    peaks : (R, 2) array
-        That is, or 0 if nothing moves.
+    moved, instead : (R, 2) arrays
+        That is, and what is to take its place where that is not 0.
+    state : (F R, 12) array
+        See `layout.SAMPLE`: that of R chains by F schedules.
 
     Returns
     -------
-    largest : (S, R, 2) array
-        Of all samples.
+    told : (R, 4 + 2 S) array
+        Smallest r / eps of any contact by any schedule, steps by the first one, what parts are of (1 if nothing moves),
+        and the largest parts of all samples.
     every : (R, T) array
-        Of all others and both fields.
-    over : (R, 2) array
-        What they are parts of: `peaks`, or 1.
+        Largest parts of all others and both fields.
     """
     others, samples, batch, fields = differences.shape
-    largest, every, over = np.zeros((others, batch, fields)), np.zeros((batch, samples)), np.ones((batch, fields))
+    told, every = np.zeros((batch, 4 + fields * others)), np.zeros((batch, samples))
+    for row in range(len(state)):
+        told[row % batch, 0] = min(told[row % batch, 0], state[row, LOWEST])
     for real in range(batch):
+        told[real, 1], over, largest = state[real, STEPS], told[real, 2:4], told[real, 4:]
         for field in range(fields):
-            over[real, field] = peaks[real, field] if peaks[real, field] > 0.0 else 1.0
-    for other in range(others):
-        for sample in range(samples):
-            for real in range(batch):
+            size = instead[real, field] if instead[real, field] > 0.0 else moved[real, field]
+            over[field] = size if size > 0.0 else 1.0
+        for other in range(others):
+            for sample in range(samples):
                 for field in range(fields):
-                    part = differences[other, sample, real, field] / over[real, field]
+                    part = differences[other, sample, real, field] / over[field]
                     part = np.inf if np.isnan(part) else part
-                    largest[other, real, field] = max(largest[other, real, field], part)
+                    largest[fields * other + field] = max(largest[fields * other + field], part)
                     every[real, sample] = max(every[real, sample], part)
-    return largest, every, over
+    return told, every
