@@ -100,19 +100,9 @@ def test_a_width_ends_at_a_dip_that_no_quarter_of_an_interval_shows(shift: float
         values = np.zeros((5, 1, 60))
         values[:4, 0] = bumps(second, np.arange(60.0))
         found, _ = extremes.fronts(
-            values,
-            np.zeros(1, bool),
-            np.zeros(1, int),
-            1,
-            1.0,
-            hermite.DISPLACEMENT,
-            np.zeros((1, 0)),
-            0.5,
-            0.0,
-            0.0,
-            0.5,
-            True,
-        )
+            values, np.zeros(1, bool), np.zeros(1, int), 1, 1.0, hermite.DISPLACEMENT, np.zeros((1, 0)), 0.5, 0.0, 0.0,
+            0.5, True,
+        )  # fmt: skip
         time, height, width, _, _, error = found[0]
         assert abs(time - 20 - shift) < 0.1
         dense = np.linspace(10, 40, 300_001) + shift
