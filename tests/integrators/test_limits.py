@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from helpers.example_chains import CHAINS
 
-from lmpchain import Chain
+from lmpchain import Chain, Impulse, RunFailed, Scene
 from lmpchain.chain.contacts import together
+from lmpchain.engines.native import Native
 from lmpchain.integrators.kernels.reductions import MOST, limits
 
 
@@ -40,3 +41,19 @@ def test_the_largest_strain_is_that_of_the_bound_on_overlaps(name: str):
         there = contacts.pressed
         closer = (contacts.overlap_bound(energy) - contacts.overlap)[there] / contacts.overlap[there]
         assert strain == pytest.approx(1.05 * closer.max(), rel=1e-9, abs=1e-12)
+
+
+@pytest.mark.parametrize(("steps", "lost"), [(1, "answer"), (12, "companion"), (64, "nothing")])
+def test_grains_that_come_too_close_are_told_where_answers_are_compared(steps: int, lost: str):
+    """Steps that are far too long let grains through each other; if those of a companion do, the error is infinite."""
+    chain = Chain(grains=9, diameter=1e-3, gravity=0.0, bottom="wall")
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1.862e-3), duration=4.5e-4, samples=9)
+    engine = Native("rkn4", adaptive=False)
+    step = scene.duration / 8 / steps
+    run = engine.start([scene], engine.candidate(scene, 1e-3).sampled._replace(step=step, steps_per_landing=steps))
+    if lost == "answer":
+        with pytest.raises(RunFailed, match="grains overlap more than all the energy there is allows"):
+            list(run.blocks())
+        return
+    list(run.blocks())
+    assert (run.errors()[0].truncation == np.inf) == (lost == "companion")
