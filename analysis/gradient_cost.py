@@ -43,7 +43,7 @@ def costs(wave: str, grains: int, steps: int, integrator: str) -> tuple[float, f
     bare, gradient = [], []
     for _ in range(REPEATS):
         began = time.process_time()
-        run = NativeStepper(ChainBatch([scene]), method, StepSchedule.of(per, step, False), {})
+        run = NativeStepper(ChainBatch([scene]), method, StepSchedule(per, 1, step, False), {})
         u, v = np.zeros((2, 1, SAMPLES, grains))
         run.fill(u, v, 0, SAMPLES - 1, 10**9)
         bare.append(time.process_time() - began)

@@ -78,10 +78,10 @@ class Candidate(NamedTuple):
     choices: Mapping[str, str] = {}
     sharper: SharperBound | None = None
 
-    def schedule(self, ratio: float = 1, stretched: bool = False) -> StepSchedule:
-        """Return where its steps land, or those of a companion with steps longer by this ratio."""
-        own = self.steps_per_landing, self.step, self.adaptive
-        return StepSchedule.of(*own, ratio, stretched, self.coarse_openings, self.stride)
+    def schedule(self) -> StepSchedule:
+        """Return where its steps land; samples between are interpolated."""
+        steps, stride, dense = self.steps_per_landing, self.stride, int(self.stride > 1)
+        return StepSchedule(steps, stride, self.step, self.adaptive, 1, self.coarse_openings, dense)
 
     def steps(self, samples: int) -> int:
         """Return how many steps it takes from the first of so many samples to the last, if all are equal."""

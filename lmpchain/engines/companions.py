@@ -12,8 +12,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ..integrators.methods import Method
+from ..integrators.step_schedule import StepSchedule
 from ..scene.scene import Scene
 from .base import Candidate
 from .richardson import extrapolate
@@ -44,10 +49,18 @@ class Companions:
     method : Method
     scenes : sequence of R scenes
     candidate : Candidate
+    twin : bool
+        Whether a twin at the same steps runs beside the answer, too.
 
     Attributes
     ----------
-    schedules : list of StepSchedule
+    schedules : tuple of StepSchedule
+        Those of the companions proper.
+    against, strides : (S,) arrays
+        With which of the answer, 0, and all S that run beside it, from 1, each of these is compared, and every how many
+        samples: with the one of the next shorter steps, or the answer if it is `nearby`.
+    together : int
+        After so many samples all of these stop.
     scatters : list of R bool
         Whether errors may scatter.
     nearby : bool
@@ -56,12 +69,11 @@ class Companions:
         Whether the force has kinks where contacts open.
     """
 
-    def __init__(self, method: Method, scenes: Sequence[Scene], candidate: Candidate):
+    def __init__(self, method: Method, scenes: Sequence[Scene], candidate: Candidate, twin: bool = False):
         first, adaptive = scenes[0], candidate.adaptive
         self._order, self._adaptive, self.kinks = method.order, adaptive, first.chain.exponent < KINKED_BELOW
         self._stretched = adaptive and method.adaptive == "error"  # samples cut some of its steps
         self._coarse = self._stretched or candidate.coarse_openings
-        steps = candidate.steps(first.samples)
         longer = longer_steps(method, scenes, candidate)
         self._finer = not longer
         far = bool(longer) and longer[0] > NEARBY
@@ -69,9 +81,10 @@ class Companions:
         self.nearby = any(self.scatters)
         if self.nearby:
             longer.append(NEARBY_AT_KINKS if self.kinks else NEARBY)
-        schedules = [candidate.schedule(ratio, self._stretched) for ratio in longer]
-        self.schedules = schedules or [candidate.schedule().halved]
-        self._ratios = [steps / schedule.total(first.samples - 1) for schedule in self.schedules]
+        how = self._stretched, self.nearby, twin, first.samples - 1
+        self.schedules, self._ratios, self.against, self.strides, self.together = _arranged(
+            candidate.schedule(), tuple(longer), *how
+        )
 
     def truncation(self, real: int, steps: Sequence[Sequence[float]], opens: bool, smooth: bool) -> float:
         """Return the truncation error of a realisation from the differences between its runs.
@@ -99,6 +112,22 @@ class Companions:
         pairs = zip(coarse, steps[0], strict=True)
         found = max(extrapolate(trusted, smooth, *pair, ratios, settled, again) for pair in pairs)
         return max(found, LEAST_PART * max(steps[-1])) if again else found
+
+
+@lru_cache(maxsize=256)  # like scenes have like companions
+def _arranged(
+    own: StepSchedule, longer: tuple[float, ...], stretched: bool, nearby: bool, twin: bool, final: int
+) -> tuple[tuple[StepSchedule, ...], tuple[float, ...], NDArray[np.int64], NDArray[np.int64], int]:
+    """Return what `Companions` says of those with steps so many times as long, or half as long if there are none.
+
+    The second is by how much longer their mean steps are.
+    """
+    schedules = tuple(own.longer(ratio, stretched) for ratio in longer) or (own.halved,)
+    ratios = tuple(own.total(final) / schedule.total(final) for schedule in schedules)
+    beside = (*[own] * twin, *schedules)
+    against = np.array([*range(len(beside) - nearby), *[0] * nearby])
+    strides = np.array([schedule.dense or schedule.stride for schedule in beside])
+    return schedules, ratios, against, strides, math.lcm(4, *(schedule.stride for schedule in beside))
 
 
 def longer_steps(method: Method, scenes: Sequence[Scene], candidate: Candidate) -> list[float]:

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import lru_cache, partial
-from typing import Any, cast
+from functools import partial
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from ..integrators.batch import ChainBatch
 from ..integrators.kernels.reductions import NO_NUMBERS, SOUND, TOO_CLOSE, TOO_FAST, compared, in_parts, limits
 from ..integrators.methods import Method
 from ..integrators.step_schedule import StepSchedule
-from ..integrators.stepper import NativeStepper, Stepper
+from ..integrators.stepper import NativeStepper, Stepper, room_for
 from ..scene.scene import Scene
 from ..trajectory.record import Block, Cost
 from ..util.arrays import Array, as_slice
@@ -48,6 +48,7 @@ GROWN, STEADY = 300.0, 3.0
 SHARED, NEAR_ROUNDOFF, SHORT, GROWTH = 1.0, 0.1, 1e-13, 0.05
 SCATTER = 10.0  # multiple of that, and of the walk of rounding, by which two runs may differ for rounding alone
 BY_CHANCE = 3.0  # factor on what they do differ by then, for roundings may agree by chance
+MOTION = np.zeros((0, 2))  # errors are relative to the motion of each realisation
 
 
 class CompanionRun(Run):
@@ -79,39 +80,31 @@ class CompanionRun(Run):
         began = clock()
         self.method, self.scene, self.candidate, self._scenes = method, scenes[0], candidate, scenes
         self._amplified: dict[int, float] = {}
-        self._companions = chosen = Companions(method, scenes, candidate)
-        self._twin, own = int(twin), candidate.schedule()
+        self._companions = chosen = Companions(method, scenes, candidate, twin)
+        own, pressed, self._twin = candidate.schedule(), 0.0, int(twin)
         if twin:
-            self.native = NativeStepper(
-                ChainBatch(scenes), method, own, _of("native", state), companions=chosen.schedules
-            )
-            self._answer = make([own], _of("answer", state))
-            self._steppers, schedules = [self._answer, self.native], [own, *chosen.schedules]
+            batch, kept = ChainBatch(scenes), _of("native", state)
+            self.native = NativeStepper(batch, method, own, kept, companions=chosen.schedules)
+            self._answer = make((own,), _of("answer", state))
+            self._steppers: tuple[Stepper, ...] = self._answer, self.native
+            pressed = rounded_energy(self.scene, candidate.steps(self.scene.samples) * method.evaluations)
         else:
-            self._answer = make([own, *chosen.schedules], _of("native", state))
+            self._answer = make((own, *chosen.schedules), _of("native", state))
             self.native = cast(NativeStepper, self._answer)
-            self._steppers, schedules = [self._answer], chosen.schedules
-        chains = self.native.chains
-        self.realisations, self._at_rest = len(scenes), [scene.at_rest for scene in scenes]
-        self._radians = [scene.highest_frequency * scene.duration for scene in scenes]
-        self._kinked = [not scene.excitation.smooth for scene in scenes]
-        self._masses, self._scale, self._chains = chains.masses, chains.units, chains
-        steps, contacts = candidate.steps(self.scene.samples), chains.contacts
-        pressed = rounded_energy(self.scene, steps * method.evaluations) if twin else 0.0
+            self._steppers = (self._answer,)
+        self._chains = chains = self.native.chains
+        self.realisations, others, contacts = len(scenes), len(chosen.against), chains.contacts
+        samples, grains = self.scene.samples, self.scene.chain.grains
         energies = np.array([scene.energy + pressed for scene in scenes])
         at_rest = contacts.overlap, contacts.stiffness, contacts.constant, contacts.exponent
-        self._most_energy, self._room = limits(energies, chains.weight, self._scale, *at_rest)
+        self._most_energy, self._room = limits(energies, chains.weight, chains.units, *at_rest)
         if chains.imposed:  # nothing bounds what is driven, but a million times as close as long, it has broken down
             self._room = np.minimum(self._room, [1e6 * scene.chain.diameters.sum() for scene in scenes])
-        samples, grains = self.scene.samples, self.scene.chain.grains
-        others = len(schedules)
-        self._against, self._strides, together = _arranged(tuple(schedules), chosen.nearby)
-        self._together = math.lcm(together, self._answer.stride)
+        self._together = math.lcm(chosen.together, self._answer.stride)
         self._most = _block(others + 1, self.realisations, grains, samples, self._together)
         self._sample_s = candidate.cost_s * self.realisations / samples  # a guess to begin with
-        self._begin = chains.initial
-        shape = (others, self.realisations, self._most + 1, grains)  # with sample 0 in the first block
-        self._beside = np.zeros(shape), np.zeros(shape)  # the fields of the companions
+        # the fields of the companions, with sample 0 in the first block
+        self._beside = room_for(others, self.realisations, self._most + 1, grains)
         self._lost: NDArray[np.bool_] | None = None  # realisations that companions have lost
         shape = (others, samples, self.realisations, 2)
         self._differences, self._peaks, self._sample = np.zeros(shape), np.zeros((self.realisations, 2)), -1
@@ -133,36 +126,32 @@ class CompanionRun(Run):
             fit, together = min(self._most, int(BLOCK_S / self._sample_s)), self._together
             begun, count = max(self._sample, 0), max(1, fit // together) * together
             until = final if begun + fit >= final else min(begun + count, final)
-            shape = (self.realisations, until + 1 - first, self.scene.chain.grains)
-            own = np.zeros(shape), np.zeros(shape)  # what no wave has reached stays so
+            own = room_for(self.realisations, until + 1 - first, self.scene.chain.grains)
             if first == 0:
-                for field, begin in zip(own, self._begin, strict=True):
+                for field, begin in zip(own, self._chains.initial, strict=True):
                     field[:, 0] = begin
-            native, beside = own, self._beside
+            native, beside, fills = own, self._beside, []
             if self._twin:
                 u, v = self._beside
                 native, beside = (u[0], v[0]), (u[1:], v[1:])
-                yield from self._fill(0, partial(self._answer.fill, *own, first, until), first, until)
-            move = partial(self.native.fill, *native, first, until, beside=beside)
-            yield from self._fill(self._twin, move, first, until)
+                fills = [partial(self._answer.fill, *own, first)]
+            for index, fill in enumerate([*fills, partial(self.native.fill, *native, first, beside=beside)]):
+                while not self._moved(index, fill, until):
+                    self._leave_broken(first, until)  # adaptive steps would be ever shorter
+                    nothing = np.empty((self.realisations, 0, self.scene.count(self.scene.chain)))
+                    yield Block(slice(first, first), nothing, nothing)
             yield self._keep(*own, first, until + 1)
             self._sample_s = (sum(self._seconds) + self._compared_s - spent) / (until + 1 - first)
 
-    def _fill(self, index: int, move: Callable[[int], int], first: int, until: int) -> Iterator[Block]:
-        """Move one stepper through a block of samples, in pieces short enough to be interrupted."""
-        stepper = self._steppers[index]
-        while True:
-            max_steps = max(1, int(self._rate[index] * PIECE_S))
-            began = clock()
-            done = move(max_steps)
-            took = clock() - began
-            self._rate[index] = done / max(took, 1e-9)
-            self._seconds[index] += took
-            if done < max_steps or stepper.sample >= until:
-                return
-            self._leave_broken(first, until)  # adaptive steps would be ever shorter
-            nothing = np.empty((self.realisations, 0, self.scene.count(self.scene.chain)))
-            yield Block(slice(first, first), nothing, nothing)
+    def _moved(self, index: int, fill: Callable[[int, int], int], until: int) -> bool:
+        """Move one stepper on, for as long as nothing may interrupt; say whether it is at the end of the block."""
+        max_steps = max(1, int(self._rate[index] * PIECE_S))
+        began = clock()
+        done = fill(until, max_steps)
+        took = clock() - began
+        self._rate[index] = done / max(took, 1e-9)
+        self._seconds[index] += took
+        return done < max_steps or self._steppers[index].sample >= until
 
     def _leave_broken(self, first: int, until: int) -> None:
         """Leave native chains whose grains are too close; their error is infinite. Raise if it is the answer."""
@@ -176,9 +165,10 @@ class CompanionRun(Run):
     def _keep(self, u: Array, v: Array, first: int, stop: int) -> Block:
         """Check the samples first ... stop - 1 of the answer, and keep its differences from the companions."""
         began = clock()
-        of_others, kept = (*self._beside, self._against, self._strides), (self._differences, self._peaks)
-        allowed = self._most_energy, self.native.closest(), self._room
-        verdict = compared(u, v, *of_others, self._masses, first, *kept, *allowed)
+        of_others, kept = self._companions, (self._differences, self._peaks)
+        beside = *self._beside, of_others.against, of_others.strides
+        allowed = self._most_energy, self.native.watched, self._room
+        verdict = compared(u, v, *beside, self._chains.masses, first, *kept, *allowed)
         if verdict != SOUND:
             self._leave_broken(first, stop - 1)
             if verdict != TOO_CLOSE:
@@ -217,28 +207,23 @@ class CompanionRun(Run):
 
     def errors(self) -> list[ErrorBudget]:
         """Return the estimate for every realisation."""
-        moved, instead = self.peaks, np.zeros((self.realisations, 2))
-        if any(self._at_rest):  # there is no motion to be relative to, but that of a strike number of 1
-            instead[self._at_rest] = np.where(self._scale > 0, self._scale, 1.0)[self._at_rest]
-        elif self._twin and not self.native.largest()[0, 1]:  # only what rounding presses moves
-            instead[0] = moved[0, 0], max(moved[0, 1], self.scene.highest_frequency * moved[0, 0])
-        told, every = in_parts(self._differences, moved, instead, self.native.watched)
+        told, every = in_parts(self._differences, self._peaks, self._instead(), self.native.watched)
         plain, adaptive, found = self._chains.plain, self.candidate.adaptive, []
-        for real, (lowest, taken, farthest, fastest, *parts) in enumerate(told.tolist()):
-            opens, pairs = lowest <= CLOSE_TO_OPENING, [*zip(parts[::2], parts[1::2], strict=True)]
+        for real, (lowest, taken, farthest, fastest, span, *parts) in enumerate(told.tolist()):
+            scene, opens = self._scenes[real], lowest <= CLOSE_TO_OPENING
+            pairs = [*zip(parts[::2], parts[1::2], strict=True)]
             differences = pairs[self._twin :]  # between steps h, 2h (and 4h), or h and h/2
-            smooth = adaptive or self.method.order == 2 or not (opens or self._kinked[real])
+            smooth = adaptive or self.method.order == 2 or (scene.excitation.smooth and not opens)
             truncation = self._companions.truncation(real, differences, opens, smooth)
             most = max(differences[0])
             if self._companions.scatters[real]:
                 most = min(most, max(differences[-1]))  # rounding makes all of these differ
             most *= BY_CHANCE if opens else 1.0
-            radians = self._radians[real]
-            displaced = radians / self.scene.duration * farthest / fastest if moved[real, 1] > 0 else 0.0
+            radians, displaced = scene.highest_frequency * scene.duration, scene.highest_frequency * span
             flies = opens and not adaptive  # in flight steps of one length round to one side
             roundoff = native_floor(taken * self.method.evaluations, radians, displaced, flies)
             if plain[real] and taken:
-                roundoff += self.method.spread * plain_loss(self._scenes[real], taken) / fastest
+                roundoff += self.method.spread * plain_loss(scene, taken) / fastest
             returns = opens and (self._companions.scatters[real] or not adaptive)
             truncation = max(truncation, min(most, (GROWN if returns else STEADY) * roundoff))
             if self._twin:
@@ -253,9 +238,20 @@ class CompanionRun(Run):
             found.append(ErrorBudget(truncation, roundoff, ordered, every[real]))
         return found
 
+    def _instead(self) -> Array:
+        """Return what errors are relative to, (R, 2) m and m/s, where not to the motion: no rows if nowhere."""
+        resting = [scene.at_rest for scene in self._scenes]
+        if any(resting):  # there is no motion, but that of a strike number of 1
+            units = self._chains.units
+            return np.where(np.array(resting)[:, None], np.where(units > 0, units, 1.0), 0.0)
+        if self._twin and not self.native.largest()[0, 1]:  # only what rounding presses moves
+            farthest, fastest = self.peaks[0]
+            return np.array([[farthest, max(fastest, self.scene.highest_frequency * farthest)]])
+        return MOTION
+
     def _grown(self, real: int, peaks: Array) -> float:
         """Return what becomes of a last digit in the whole run; 0 before its end, and where nothing meets."""
-        if self._at_rest[real] or self._sample < self.scene.samples - 1 or not self.closest[real] > 0:
+        if self._scenes[real].at_rest or self._sample < self.scene.samples - 1 or not self.closest[real] > 0:
             return 0.0
         if real not in self._amplified:
             began = clock()
@@ -291,17 +287,6 @@ class CompanionRun(Run):
         """Release every stepper."""
         for stepper in self._steppers:
             stepper.close()
-
-
-@lru_cache(maxsize=256)
-def _arranged(schedules: tuple[StepSchedule, ...], nearby: bool) -> tuple[NDArray[Any], NDArray[Any], int]:
-    """Return with what companions are compared, every how many samples, and when all stop at one.
-
-    Each is compared with the next longer step, one `nearby` with the answer.
-    """
-    against = np.array([*range(len(schedules) - nearby), *[0] * nearby])
-    strides = np.array([schedule.dense or schedule.stride for schedule in schedules])
-    return against, strides, math.lcm(4, *(schedule.stride for schedule in schedules))
 
 
 def _block(steppers: int, realisations: int, grains: int, samples: int, together: int) -> int:

@@ -182,7 +182,7 @@ def solve_to_tolerance(
         finally:
             cost = run.cost()
             run.close()
-        place = max(range(len(errors)), key=lambda i: errors[i].solver, default=0)
+        place = max(range(len(errors)), key=lambda i: errors[i].solver) if len(errors) > 1 else 0
         error, judged = errors[place] if errors else None, clock()
         following, missed = next_attempt(engine, scenes[place], attempt, error, patient)
         judging_s = clock() - judged  # an integration, where chaos is tested for

@@ -45,7 +45,7 @@ LONGEST_RUN_S = 3e8  # ten years
 EVALUATION_OVERHEAD = 40  # of a force evaluation, in grain-steps; analysis/calibration/cost_model.py
 
 
-Steps = tuple[int, int, bool, bool]  # as `TimeSteppingEngine._steps` returns them
+Steps = tuple[float, int, int, bool, bool]  # as `TimeSteppingEngine._steps` returns them
 
 
 @dataclass(frozen=True)
@@ -141,17 +141,12 @@ class TimeSteppingEngine(Engine):
 
     def candidate(self, scene: Scene, tolerance: float) -> Candidate:
         """Propose a step size: the one given, or the longest that should meet the tolerance."""
-
-        def work(made: tuple[Method, Steps]) -> float:
-            method, (steps, stride, adapts, _) = made
-            return _work(method, steps / stride, stride, adapts)
-
-        made = ((method, self._steps(scene, tolerance, method)) for method in self.methods)
-        return self.choose_step(scene, tolerance, *min(made, key=work))
+        made = [(method, self._steps(scene, tolerance, method)) for method in self.methods]
+        return self.choose_step(scene, tolerance, *min(made, key=_work_of))
 
     def choose_step(self, scene: Scene, tolerance: float, method: Method, made: Steps) -> Candidate:
         """Propose the step size of a method."""
-        steps, stride, adapts, coarse = made
+        _, steps, stride, adapts, coarse = made
         cost = self.cost(scene, method, -(-steps * (scene.samples - 1) // stride))
         if cost > LONGEST_RUN_S:
             years = cost / 3.15e7
@@ -172,9 +167,9 @@ class TimeSteppingEngine(Engine):
         )
 
     def _steps(self, scene: Scene, tolerance: float, method: Method) -> Steps:
-        """Return the steps of a method from landing to landing, how many samples that is, and how they adapt.
+        """Return the steps of a method, with what a sample costs, in evaluations of the force.
 
-        That is whether they do, and whether coarsely.
+        These are the steps from landing to landing, how many samples that is, whether they adapt, and whether coarsely.
         """
         interval = scene.duration / (scene.samples - 1)
         limit = method.stability_limit
@@ -184,7 +179,8 @@ class TimeSteppingEngine(Engine):
                     [("step", f"must be below {limit / scene.chain.band_edge:.3g} s, where {method.name} "
                       f"stops being stable on this chain (got {self.step:g})")]
                 )  # fmt: skip
-            return math.ceil(interval / self.step * (1 - 1e-12)), 1, False, False
+            steps = math.ceil(interval / self.step * (1 - 1e-12))
+            return method.evaluations * steps, steps, 1, False, False
         omega, strain = scene.highest_frequency, scene.largest_strain
         expected = method.error_constant * max(1.0, omega * scene.duration / PERIODS)  # phases drift apart with time
         shortens = method.adaptive == "openings"
@@ -205,20 +201,21 @@ class TimeSteppingEngine(Engine):
         if adapts:
             longest = min(longest, omega * scene.excitation.knot_spacing)  # knots cut longer steps
         steps = math.ceil(interval * omega / min(reach, longest))
+        work = method.evaluations * steps
         # in the vacuum a front grows so steeply that what lies between steps may get a wrong sign
         if self.dense and self.adaptive and shortens and scene.chain.compressed:
             smooth = (tolerance / SAFETY / BETWEEN) ** (1 / ORDER_BETWEEN)
             few = interval * omega / min(reach, longest, smooth)  # steps a sample
             landed, stride = landing(scene, few)
-            cheaper = _work(method, few, 2, adapts) < _work(method, steps, 1, adapts)
+            cheaper = _work_between(method, few, adapts) < work
             exact = few * (scene.samples - 1) * LOST_BETWEEN < tolerance
             if cheaper and exact and 1 < stride <= FIELD // scene.chain.grains:
-                return landed, stride, adapts, False
+                return _work_between(method, landed / stride, adapts), landed, stride, adapts, False
         # where samples hold steps short, shorter ones near openings would only cost
         coarse = adapts and shortens and scene.chain.exponent >= KINKED_BELOW
         if coarse:
             coarse = steps == math.ceil(interval * omega / min(reach / COARSE_ERROR ** (1 / method.order), longest))
-        return steps, 1, adapts, coarse
+        return work, steps, 1, adapts, coarse
 
     def adapts(self, scene: Scene, method: Method) -> bool:
         """Say whether steps of this method shorten where contacts open or close, or follow its own error."""
@@ -281,11 +278,13 @@ def _gently_struck(scene: Scene, tolerance: float) -> bool:
     return scene.largest_strain <= (LESS_GENTLE if tolerance >= LOOSE else GENTLE) and struck_from_above(scene)
 
 
-def _work(method: Method, steps: float, stride: int, adapts: bool) -> float:
-    """Return what a sample costs, in evaluations of the force, at so many steps a sample."""
-    if stride == 1:
-        return method.evaluations * steps
+def _work_between(method: Method, steps: float, adapts: bool) -> float:
+    """Return what a sample costs, in evaluations of the force, if it is interpolated at so many steps a sample."""
     return method.evaluations * steps * (1.0 if adapts else UNEVEN) + COST_BETWEEN
+
+
+def _work_of(made: tuple[Method, Steps]) -> float:
+    return made[1][0]
 
 
 def landing(scene: Scene, few: float) -> tuple[int, int]:

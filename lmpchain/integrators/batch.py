@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import cache, cached_property, lru_cache
 from typing import Any
 
@@ -47,8 +47,12 @@ class ChainBatch:
         Constant of a first contact that touches without pressing in a chain that is pressed otherwise, else 0.
     precompressed : float
         1 if the chains are pressed, else 0.
-    forms, plain, coefficients : (R,), (R,) and (8,) arrays
-        The form of the force of each, whether that loses the last digit of the force at rest, and its coefficients.
+    initial : pair of (R, N) arrays
+        Displacement, m, and velocity, m/s, of every grain at t = 0.
+    forms, coefficients : (R,) and (8,) arrays
+        The form of the force of each, and its coefficients.
+    plain : list of R bool
+        Whether that form loses the last digit of the force at rest.
     opening_power : float
         The force of a contact that opens goes as the overlap to this power.
     acted : (R, 2) array
@@ -71,7 +75,8 @@ class ChainBatch:
         self.grains, self.imposed, self.driven = chain.grains, excitation.does_work, excitation.driven
         one = not excitation.of_chain and all(scene.excitation is excitation for scene in scenes)
         self._struck = scenes[:1] if one else scenes  # each in a way of its own
-        self._given, self._compressed, self.precompressed = initial, chain.compressed, float(chain.compressed)
+        self.initial = initial or self._initial()
+        self._compressed, self.precompressed = chain.compressed, float(chain.compressed)
         self.masses = np.array([scene.chain.masses for scene in scenes])
         self.contacts = own = together([scene.chain.contacts for scene in scenes])
         strikes = np.array([(scene.highest_frequency, *scene.imposed) for scene in scenes])
@@ -80,21 +85,16 @@ class ChainBatch:
             chain.compressed,
         )  # fmt: skip
         forms = [force_form(scene, force) for scene in scenes]
-        self.forms, self.plain = np.array(forms), np.array([form in ROOTS and chain.compressed for form in forms])
+        self.forms, self.plain = np.array(forms), [form in ROOTS and self._compressed for form in forms]
         self.coefficients, self.opening_power = series(chain.exponent), chain.exponent
         self.acted, self.drive, self.knots, self.pieces = self._imposed()
 
-    def _of_each(self, values: Iterable[Any]) -> NDArray[Any]:
-        """Return an array with a row for each of the R scenes."""
-        found = np.array(list(values))
+    def _of_each(self, found: NDArray[Any]) -> NDArray[Any]:
+        """Return an array with a row for each of the R scenes, from one for all or one for each."""
         return np.repeat(found, len(self.scenes), axis=0) if len(found) < len(self.scenes) else found
 
-    @cached_property
-    def initial(self) -> tuple[Array, Array]:
-        """Displacement, m, and velocity, m/s, of every grain at t = 0, (R, N) each."""
-        if self._given:
-            return self._given
-        u, v = zip(*(scene.initial() for scene in self._struck), strict=True)
+    def _initial(self) -> tuple[Array, Array]:
+        u, v = np.array([*zip(*[scene.initial() for scene in self._struck], strict=True)])
         return self._of_each(u), self._of_each(v)
 
     def placed(self, u: Array, v: Array, copies: int = 1) -> tuple[Array, Array, Array]:
@@ -119,7 +119,7 @@ class ChainBatch:
         size = len(self.scenes)
         if not self.imposed:
             return _nothing(size, self.grains)
-        acted = self._of_each(scene.excitation.reach(scene.chain) for scene in self._struck) + (PAD - 1)
+        acted = self._of_each(np.array([s.excitation.reach(s.chain) for s in self._struck])) + (PAD - 1)
         waves = [scene.excitation.waveform for scene in self.scenes]
         splines = [wave.spline if wave else None for wave in waves]
         knots_max = max(0 if spline is None else len(spline.x) for spline in splines)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from typing import NamedTuple
 
 # steps between two samples from which on companions land on each, too; analysis/calibration/richardson_estimate.py
@@ -39,36 +38,24 @@ class StepSchedule(NamedTuple):
     coarse_openings: bool = False
     dense: int = 0
 
-    @classmethod
-    @lru_cache(maxsize=256)  # like scenes have like schedules
-    def of(
-        cls,
-        steps_per_landing: int,
-        step: float,
-        adaptive: bool,
-        ratio: float = 1,
-        stretched: bool = False,
-        coarse_openings: bool = False,
-        landing: int = 1,
-    ) -> StepSchedule:
-        """Return the schedule with so many steps between two samples, or one with steps longer by this ratio.
+    def longer(self, ratio: float, stretched: bool = False) -> StepSchedule:
+        """Return the schedule of a companion of this one, with steps longer by this ratio.
 
-        If it lands on every so manieth sample only, those between are interpolated; of a companion, which is only
-        compared, not all. Else, where a sample more or less matters little, it lands on every one: a collision may be
-        seen in a single one.
+        If this lands on every so manieth sample only, between which it interpolates, so does a companion, which is only
+        compared, but not all of them. Else, where a sample more or less matters little, it lands on every one: a
+        collision may be seen in a single one.
         `stretched` says that steps may grow until samples cut them: the time between landings is then longer, too.
         """
-        how = adaptive, ratio, coarse_openings
-        if landing > 1:
-            fewer = math.ceil(steps_per_landing / ratio)
-            some = next(n for n in (4, 2, 1) if n == 1 or ratio * landing >= n * steps_per_landing) if ratio > 1 else 1
-            return cls(fewer, landing, step * steps_per_landing / fewer, *how, dense=some)
-        if steps_per_landing >= (EVERY_STRETCHED if stretched else EVERY):
-            fewer = math.ceil(steps_per_landing / ratio)
-            return cls(fewer, 1, step * steps_per_landing / fewer, *how)
+        fewer = math.ceil(self.steps / ratio)
+        same = self._replace(steps=fewer, step=self.step * self.steps / fewer, ratio=ratio)
+        if self.stride > 1:
+            some = next(n for n in (4, 2, 1) if n == 1 or ratio * self.stride >= n * self.steps)
+            return same._replace(dense=some)
+        if self.steps >= (EVERY_STRETCHED if stretched else EVERY):
+            return same
         stride, parts = ratio.as_integer_ratio()
-        common = 1 if stretched else math.gcd(parts * steps_per_landing, stride)
-        return cls(parts * steps_per_landing // common, stride // common, step * ratio, *how)
+        common = 1 if stretched else math.gcd(parts * self.steps, stride)
+        return same._replace(steps=parts * self.steps // common, stride=stride // common, step=self.step * ratio)
 
     def total(self, samples: int) -> int:
         """Return the steps from sample 0 to the sample of this number, if all are equal."""

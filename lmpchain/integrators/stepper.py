@@ -28,6 +28,7 @@ from .kernels.layout import (
     SAMPLE,
     STEP,
     STEPS,
+    WHOLE_ROWS,
     Chains,
     Clocks,
     Fields,
@@ -37,12 +38,19 @@ from .method import Method
 from .step_schedule import StepSchedule
 
 NOTHING = np.empty((0, 0, 0, 0))
+Work = tuple[Chains, tuple[Any, ...], Clocks, int, int]  # of a thread: chains, from the first to the last, and how
 
 
 @lru_cache(maxsize=256)
 def _clocks(schedules: tuple[StepSchedule, ...], interval: float, final: int) -> Clocks:
     each = [(own.steps, own.step, own.stride, own.ratio == 1, own.dense) for own in schedules]
     return Clocks(interval, final, np.array(each, dtype=float))
+
+
+def room_for(*shape: int) -> tuple[Array, Array]:
+    """Return where a stepper can put displacements and velocities of grains, (..., N) each."""
+    make = np.empty if shape[-1] <= WHOLE_ROWS else np.zeros  # what no wave has reached stays zero
+    return make(shape), make(shape)
 
 
 class Stepper(Protocol):
@@ -65,7 +73,7 @@ class Stepper(Protocol):
     def fill(self, u: Array, v: Array, offset: int, until: int, max_steps: int) -> int:
         """Move on to the sample `until`, or by some `max_steps` steps.
 
-        Samples from `offset` on are put into u and v, (R, B, N) m and m/s. Returns the steps made.
+        Samples from `offset` on are put into u and v, (R, B, N) m and m/s, made by `room_for`. Returns the steps made.
         """
 
     def state(self) -> dict[str, Array]:
@@ -106,7 +114,7 @@ class NativeStepper:
         self.chains, self.threads, scenes = chains, threads, chains.scenes
         self._schedules, self._size = (schedule, *companions), len(scenes)
         count = len(self._schedules)
-        u, v = (field[None] for field in chains.initial)
+        u, v = chains.initial[0][None], chains.initial[1][None]
         if state:
             u, v = (np.array(state[name], dtype=float).reshape(count, self._size, chains.grains) for name in "uv")
         self._x, self._v, self._state = chains.placed(u, v, count)
@@ -164,24 +172,16 @@ class NativeStepper:
 
         Samples from `offset` on go into u, v, those of the companions into the arrays beside, (S, R, B, N).
         """
-        gate, fields = self._teams[0].gate, Fields(u, v, *beside, offset)
-
-        def move(chains: Chains, method: tuple[Any, ...], clocks: Clocks, begin: int, end: int) -> int:
-            try:
-                return self._march(chains, method, clocks, fields, begin, end, until, max_steps)
-            except BaseException:
-                gate[GIVEN_UP] = 1
-                raise
-
+        fields = Fields(u, v, *beside, offset)
         if not self._pool:
-            return move(*self._work[0])
+            return self._move(self._work[0], fields, until, max_steps)
         for state in self._states[1:]:
             state[:] = self._state
         try:
-            others = [self._pool.submit(move, *work) for work in self._work[1:]]
-            done = [move(*self._work[0]), *(other.result() for other in others)]
+            others = [self._pool.submit(self._move, work, fields, until, max_steps) for work in self._work[1:]]
+            done = [self._move(self._work[0], fields, until, max_steps), *(other.result() for other in others)]
         except BaseException:  # Ctrl-C between two of them, too: nobody is to wait for one who does not come
-            gate[GIVEN_UP] = 1
+            self._teams[0].gate[GIVEN_UP] = 1
             raise
         if len(self._teams) == 1:
             return sum(done)
@@ -189,6 +189,15 @@ class NativeStepper:
         most = [CLOSEST, FARTHEST, FASTEST]
         self._state[:, most] = np.max([state[:, most] for state in self._states], axis=0)
         return done[0]
+
+    def _move(self, work: Work, fields: Fields, until: int, max_steps: int) -> int:
+        """Do what one thread has to."""
+        chains, method, clocks, begin, end = work
+        try:
+            return self._march(chains, method, clocks, fields, begin, end, until, max_steps)
+        except BaseException:
+            self._teams[0].gate[GIVEN_UP] = 1
+            raise
 
     @property
     def sample(self) -> int:

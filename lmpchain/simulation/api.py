@@ -5,7 +5,7 @@ from __future__ import annotations
 import mmap
 import time
 import warnings
-from collections.abc import Generator, Iterable, Mapping
+from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, closing, nullcontext
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Literal
@@ -19,9 +19,7 @@ from ..scene.scene import LightCone, Scene
 from ..trajectory.record import Block
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
-from ..util.compilation import clock
 from ..util.progress import RATE, ProgressBar
-from ..util.provenance import versions
 from .gathering import GatheringRun, of_engine
 from .policy import policy_for, record
 from .task import Task
@@ -160,7 +158,6 @@ def _answer(task: Task, output: _Memory | RunFolder, progress: bool) -> tuple[Tr
     with output.requests:
         while True:
             outcome, gathered = _solve(task, output.prepare(policy.engine(attempt)), attempt, output, progress)
-            began, cost = clock(), outcome.cost
             try:
                 following = policy.fallback(scene, outcome.attempt, outcome.error)
             except ToleranceNotMet as refusal:
@@ -168,10 +165,12 @@ def _answer(task: Task, output: _Memory | RunFolder, progress: bool) -> tuple[Tr
                 break
             if not following:
                 break
-            planned_s = cost.setup_s + clock() - began
-            spent_s = cost.integration_s + cost.estimate_s
+            cost = outcome.cost
             attempt = following._replace(
-                refusal=attempt.refusal, planned_s=planned_s, spent_s=spent_s, compiled_s=cost.compile_s
+                refusal=attempt.refusal,
+                planned_s=cost.setup_s + following.planned_s,
+                spent_s=cost.integration_s + cost.estimate_s,
+                compiled_s=cost.compile_s,
             )
     return output.finish(outcome, gathered), outcome
 
@@ -186,8 +185,7 @@ def _solve(
     cone = None if part is scene else scene.light_cone
 
     def collect(run: Run) -> Any:
-        with closing(_with_progress(run, engine.name, samples, output.samples, progress)) as blocks:
-            return output.collect(run, (_in_whole(block, cone) for block in blocks) if cone else blocks)
+        return _collected(run, engine, output, samples, progress, cone)
 
     return solve_to_tolerance(engine, [part], attempt, collect, output.begin, task.best_effort), {}
 
@@ -208,17 +206,33 @@ def _gathered(
     def collect(run: Run) -> Any:
         nonlocal at_work
         at_work = GatheringRun(run, engine, [scene], [part], state)
-        with closing(_with_progress(at_work, engine.name, scene.samples, output.samples, progress)) as blocks:
-            return output.collect(at_work, blocks)
+        return _collected(at_work, engine, output, scene.samples, progress)
 
     outcome = solve_to_tolerance(engine, [part], attempt, collect, begin, task.best_effort)
     return outcome, at_work.found([outcome.error.total])[0]
 
 
-def _in_whole(block: Block, cone: LightCone) -> Block:
-    """Return a block of the light cone as one of the whole scene."""
-    displacement, velocity = (x[:, :, cone.rows] for x in (block.displacement, block.velocity))
-    return Block(block.samples, displacement, velocity, cone.columns)
+def _collected(
+    run: Run,
+    engine: Engine,
+    output: _Memory | RunFolder,
+    samples: int,
+    progress: bool,
+    cone: LightCone | None = None,
+) -> Any:
+    """Put the blocks of a run, of the whole scene or of its light cone, where they belong."""
+    if not progress:
+        return output.collect(run, _in_whole(run.blocks(), cone))
+    with closing(_shown(run, engine.name, samples, output.samples)) as blocks:
+        return output.collect(run, _in_whole(blocks, cone))
+
+
+def _in_whole(blocks: Iterator[Block], cone: LightCone | None) -> Iterator[Block]:
+    """Return blocks of the light cone as those of the whole scene."""
+    if cone is None:
+        return blocks
+    rows, columns = cone.rows, cone.columns
+    return (Block(each.samples, each.displacement[:, :, rows], each.velocity[:, :, rows], columns) for each in blocks)
 
 
 def _judged(task: Task, trajectory: Trajectory, outcome: Outcome[Any]) -> Trajectory:
@@ -290,7 +304,7 @@ class _Memory:
             velocity=velocity,
             error_estimate=outcome.error.estimate,
             cost=outcome.cost,
-            provenance=versions() | record(engine, scene, outcome.attempt.candidate, self._task.tolerance),
+            provenance=record(engine, scene, outcome.attempt.candidate, self._task.tolerance),
             gathered=gathered,
         )
 
@@ -305,11 +319,8 @@ def _zeros(shape: tuple[int, int], moving: int) -> Array:
     return np.frombuffer(pages).reshape(shape)
 
 
-def _with_progress(run: Run, name: str, samples: int, done: int, progress: bool) -> Generator[Block, None, None]:
-    """Yield the blocks of a run, showing how far it is, how fast, and how good it is so far."""
-    if not progress:
-        yield from run.blocks()
-        return
+def _shown(run: Run, name: str, samples: int, done: int) -> Generator[Block, None, None]:
+    """Yield the blocks of a run, and show how far it is, how fast, and how good it is so far."""
     estimated = time.monotonic()
     with ProgressBar(samples, name, " samples", done=done, layout=RATE) as bar:
         for block in run.blocks():

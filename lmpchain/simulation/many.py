@@ -15,7 +15,6 @@ from ..errors import InputError, LmpchainError, RunFailed, ToleranceNotMet, chec
 from ..scene.scene import Scene
 from ..trajectory.trajectory import Trajectory
 from ..util.memory import keep_freed
-from ..util.provenance import versions
 from ..util.records import renewed
 from .api import check_on_miss, simulate
 from .gathering import GatheringRun
@@ -159,7 +158,7 @@ def _together(
     share = renewed(
         whole, integration_s=whole.integration_s / size, estimate_s=estimate_s / size, setup_s=setup_s / size
     )
-    about = versions() | record(engine, first, candidate, tolerance)
+    about = record(engine, first, candidate, tolerance)
     time, grains, told = first.time, first.recorded, []
     for scene, attempt, error, displacement, velocity, gathered in zip(
         scenes, attempts, errors, u, v, found, strict=True

@@ -12,6 +12,7 @@ from ..engines.step_control import Attempt, first_attempt, loosened, to_begin_wi
 from ..errors import InputError, ToleranceNotMet
 from ..scene.scene import Scene
 from ..util.compilation import clock, compiled_s
+from ..util.provenance import versions
 from ..util.suggestions import not_among
 from .selection import Proposal, cheapest, propose_all, reason
 
@@ -122,6 +123,7 @@ class Auto:
         before, tolerance = self.engine(attempt), attempt.tolerance
         if before.equation == 1 or (error.bound <= tolerance and not error.remark):
             return None
+        began = clock()
         left_out = f"Eq. ({before.equation}) leaves out up to {max(error.model, error.model_bound):.1g} of the answer"
         left_out = f"{left_out}, {error.remark}" if error.remark else left_out
         exact = [proposal for proposal in propose_all(scene, tolerance) if proposal.equation in (1, None)]
@@ -131,7 +133,8 @@ class Auto:
         best = cheapest(exact)
         planned = f"the bound before the run was {attempt.candidate.model_error:.1g}"
         told = f"{left_out} along the run of {before.name}, {planned}: run again with {best.engine}, Eq. (1)"
-        return _attempt(scene, best, tolerance, plan=f"{best.engine}: {told}", redone=told)
+        attempt = _attempt(scene, best, tolerance, plan=f"{best.engine}: {told}", redone=told)
+        return attempt._replace(planned_s=clock() - began)
 
 
 def _cheapest(scene: Scene, tolerance: float) -> Attempt:
@@ -165,7 +168,7 @@ def policy_for(engine: str | Engine, **options: Any) -> Policy:
 
 
 def record(engine: Engine, scene: Scene, candidate: Candidate, tolerance: float) -> dict[str, str]:
-    """Return what shaped an answer, for the record: what the engine says, and why it was chosen."""
-    asked = "none, for a step was given" if getattr(engine, "step", None) else f"{tolerance:g}"
-    why = {key: candidate.choices[key] for key in ("plan", "redone") if key in candidate.choices}
-    return {"tolerance": asked} | engine.describe(engine.part(scene), candidate) | why
+    """Return what shaped an answer, for the record: versions, choices, and what the engine says."""
+    asked = "none, for a step was given" if engine.step else f"{tolerance:g}"
+    said = engine.describe(engine.part(scene), candidate)
+    return {**versions(), "tolerance": asked, **candidate.choices, **said}

@@ -39,7 +39,7 @@ from ..trajectory.record import Block, Cost, subject
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.files import make_folder, replacing
-from ..util.provenance import checksums, now, versions
+from ..util.provenance import checksums, now
 from . import checkpoints
 from . import task as tasks
 from .policy import record
@@ -209,7 +209,7 @@ class RunFolder:
             for _ in checkpoints.NAMES:  # both: none may tell of the attempt before, whose samples go
                 checkpoints.save(self.path, self._notes(self._before), {})
             engine, scene = self._engine, self.task.scene
-            choices = versions() | record(engine, scene, attempt.candidate, self.task.tolerance)
+            choices = record(engine, scene, attempt.candidate, self.task.tolerance)
             store.create(self.path, scene, subject(scene, engine.name, engine.equation, choices))
             engine.write_inputs(scene.fine, attempt.candidate, self.task.tolerance, self.path)
         self._writer = store.Writer(self.path, self.task.scene, self.samples)

@@ -32,7 +32,7 @@ def phase_error(periods: float, integrator: str, reach: float, adaptive: bool, s
     scene, omega = oscillator(periods, samples)
     interval = scene.duration / (samples - 1)
     steps = int(np.ceil(interval * float(omega) / reach))
-    schedule = StepSchedule.of(steps, interval / steps, adaptive)
+    schedule = StepSchedule(steps, 1, interval / steps, adaptive)
     stepper = NativeStepper(ChainBatch([scene]), METHODS[integrator], schedule, {})
     u, v = np.zeros((2, 1, samples, 2))
     stepper.fill(u, v, 0, samples - 1, 2**62)
@@ -93,8 +93,8 @@ def test_steps_add_up_to_the_span_exactly():
 @pytest.mark.parametrize("steps", [32, 33, 141, 1000])
 @pytest.mark.parametrize("ratio", [2, 4])
 def test_companions_of_many_steps_land_on_every_sample(steps: int, ratio: int):
-    schedule = StepSchedule.of(steps, 1e-9, True, ratio)
+    schedule = StepSchedule(steps, 1, 1e-9, True).longer(ratio)
     assert schedule.stride == 1
     assert schedule.step * schedule.steps == pytest.approx(steps * 1e-9, rel=1e-14)
     assert schedule.step / 1e-9 == pytest.approx(ratio, rel=0.1)
-    assert StepSchedule.of(3, 1e-9, True, ratio).stride == ratio
+    assert StepSchedule(3, 1, 1e-9, True).longer(ratio).stride == ratio

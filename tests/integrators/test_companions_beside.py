@@ -25,7 +25,8 @@ def test_they_have_the_bits_of_runs_of_their_own(name: str, adaptive: bool, land
     """In pieces of a few steps, in a batch and by threads, too."""
     method, steps = METHODS[name], 9 * landing if method_of_one_stage(name) else 3 * landing
     step = landing * SCENES[0].duration / 24 / steps
-    schedules = [StepSchedule.of(steps, step, adaptive, ratio, landing=landing) for ratio in (1, 2, 4)]
+    own = StepSchedule(steps, landing, step, adaptive, dense=int(landing > 1))
+    schedules = [own, own.longer(2), own.longer(4)]
     shape = len(SCENES), 25, CHAIN.grains
     alone = []
     for schedule in schedules:

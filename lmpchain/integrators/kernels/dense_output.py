@@ -7,7 +7,7 @@ ends of a step; its error falls like h^8, that of its rate like h^7, faster than
 from __future__ import annotations
 
 from .contact_forces import fma, inlined
-from .layout import BODY, DONE, PAD, SAMPLE, STEP
+from .layout import BODY, DONE, PAD, SAMPLE, STEP, WHOLE_ROWS
 from .right_hand_side import forced, place
 
 
@@ -86,6 +86,10 @@ def fill_samples(chain, clock, span, first, last, pull, jerk, out):
         for n in range(grains):
             v = fma(w0, v_0[n], fma(w1, v_1[n], rise * (u_1[n] - u_0[n])))
             v_row[n] = fma(k0, j_0[n], fma(k1, j_1[n], fma(b0, a_0[n], fma(b1, a_1[n], v))))
+        if out.u.shape[1] <= WHOLE_ROWS:
+            u_rest, v_rest = out.u[number - out.first], out.v[number - out.first]
+            u_rest[: first - PAD], v_rest[: first - PAD] = 0.0, 0.0
+            u_rest[last - PAD :], v_rest[last - PAD :] = 0.0, 0.0
         if first == PAD:
             place(chain, number * interval, u_row, v_row)
         sample += clock.dense

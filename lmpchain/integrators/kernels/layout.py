@@ -31,6 +31,7 @@ SAMPLE, DONE, PENDING, FIRST, LAST, LOWEST, CLOSEST, FARTHEST, FASTEST, NEXT, ST
 # opening of a contact, and where its first grain was in every row of a `sweep`, fewer than EDGES
 GIVEN_UP, NEARNESS, EDGE, EDGES = PAD, 0, PAD, 128
 LEAST_SHARE = 4096  # grains of a thread; of this many, what it waits for others is a tenth of the time
+WHOLE_ROWS = 512  # grains: of no more, samples are written whole; of more, only as far as the wave has come
 
 
 class Team(NamedTuple):
@@ -154,7 +155,7 @@ class Clocks(NamedTuple):
 class Fields(NamedTuple):
     """Where samples go, from the one with the number `first` on: displacements and velocities.
 
-    (R, B, N) arrays for the first schedule, (F - 1, R, B, N) for the others.
+    (R, B, N) arrays for the first schedule, (F - 1, R, B, N) for the others; zeros if N is larger than `WHOLE_ROWS`.
     """
 
     u: Array

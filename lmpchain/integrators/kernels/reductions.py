@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ...util.arrays import MAGNITUDE, Array
 from ...util.compilation import compiled_once
 from .contact_forces import NEWS, bits, number
-from .layout import LOWEST, STEPS
+from .layout import CLOSEST, FARTHEST, FASTEST, LOWEST, STEPS
 
 SOUND, TOO_CLOSE, TOO_FAST, NO_NUMBERS = range(4)
 MOST = 1e300  # J, where nothing bounds the energy
@@ -82,7 +82,7 @@ def compared(
     differences: Array,
     peaks: Array,
     allowed: Array,
-    closest: Array,
+    state: Array,
     room: Array,
 ) -> int:
     """Measure an answer and how far others are from it or from each other.
@@ -105,8 +105,10 @@ def compared(
         Takes the largest displacement and speed, where they are larger than what it holds.
     allowed : (R,) array
         What twice the kinetic energy cannot exceed, J.
-    closest, room : (S + 1, R) and (R,) arrays
-        By how much grains have come closer than at rest, and what that cannot exceed, m.
+    state : (F R, 12) array
+        See `layout.SAMPLE`: that of R chains by F schedules.
+    room : (R,) array
+        By how much grains cannot come closer than at rest, m.
 
     Returns
     -------
@@ -116,9 +118,9 @@ def compared(
     """
     others, final, batch = others_u.shape[0], differences.shape[1] - 1, u.shape[0]
     nothing, verdict = np.zeros(u.shape[2]), SOUND
+    for row in range(len(state)):
+        verdict = max(verdict, TOO_CLOSE if state[row, CLOSEST] > room[row % batch] else SOUND)
     for real in range(batch):
-        for row in range(len(closest)):
-            verdict = max(verdict, TOO_CLOSE if closest[row, real] > room[real] else SOUND)
         for sample in range(u.shape[1]):
             x, w, at = u[real, sample], v[real, sample], begin + sample
             now, far = _kinetic(w, masses[real]), _farthest(x, nothing)
@@ -141,35 +143,39 @@ def compared(
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
-def in_parts(differences: Array, moved: Array, instead: Array, state: Array) -> tuple[Array, Array]:
+def in_parts(differences: Array, peaks: Array, instead: Array, state: Array) -> tuple[Array, Array]:
     """Express differences as parts of the largest motion; what is no number is infinite.
 
     Parameters
     ----------
     differences : (S, T, R, 2) array
         Of S others, in displacements and velocities.
-    moved, instead : (R, 2) arrays
-        That is, and what is to take its place where that is not 0.
+    peaks, instead : (R, 2) arrays
+        That of the samples, and what is to take its place where that is not 0; no rows if nothing is.
     state : (F R, 12) array
-        See `layout.SAMPLE`: that of R chains by F schedules.
+        See `layout.SAMPLE`: that of R chains by F schedules, the motion of the first of which counts.
 
     Returns
     -------
-    told : (R, 4 + 2 S) array
+    told : (R, 5 + 2 S) array
         Smallest r / eps of any contact by any schedule, steps by the first one, what parts are of (1 if nothing moves),
-        and the largest parts of all samples.
+        the first over the second of these (0 if nothing moves), and the largest parts of all samples.
     every : (R, T) array
         Largest parts of all others and both fields.
     """
     others, samples, batch, fields = differences.shape
-    told, every = np.zeros((batch, 4 + fields * others)), np.zeros((batch, samples))
+    told, every = np.zeros((batch, 5 + fields * others)), np.zeros((batch, samples))
     for row in range(len(state)):
         told[row % batch, 0] = min(told[row % batch, 0], state[row, LOWEST])
     for real in range(batch):
-        told[real, 1], over, largest = state[real, STEPS], told[real, 2:4], told[real, 4:]
+        told[real, 1], over, largest = state[real, STEPS], told[real, 2:4], told[real, 5:]
         for field in range(fields):
-            size = instead[real, field] if instead[real, field] > 0.0 else moved[real, field]
+            size = max(peaks[real, field], state[real, FARTHEST + field])
+            if real < len(instead) and instead[real, field] > 0.0:
+                size = instead[real, field]
             over[field] = size if size > 0.0 else 1.0
+        if max(peaks[real, 1], state[real, FASTEST]) > 0.0:
+            told[real, 4] = over[0] / over[1]
         for other in range(others):
             for sample in range(samples):
                 for field in range(fields):

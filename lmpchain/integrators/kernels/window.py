@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from ...util.arrays import MAGNITUDE
 from .contact_forces import bits, inlined, number
-from .layout import CLOSEST, FARTHEST, FASTEST, FIRST, LAST, LOWEST, NEXT, PAD
+from .layout import CLOSEST, FARTHEST, FASTEST, FIRST, LAST, LOWEST, NEXT, PAD, WHOLE_ROWS
 from .right_hand_side import impose_velocity, imposed_speed
 from .team import mine
 
@@ -83,6 +83,7 @@ def record(chain, t, u_out, v_out):
     """Copy the grains up to the end of the window at time t to where they are recorded, (N,) m and m/s."""
     first, last = mine(chain)
     first = PAD if chain.team.part == 0 else first  # before the window, too
+    last = chain.x.size if v_out.size <= WHOLE_ROWS else last
     x, v, u_some, v_some = chain.x[first:last], chain.v[first:last], u_out[first - PAD :], v_out[first - PAD :]
     for n in range(min(u_some.size, x.size)):
         u_some[n] = x[n]

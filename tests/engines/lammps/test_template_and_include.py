@@ -68,7 +68,7 @@ def test_the_clock_of_lammps_goes_on_after_a_stop(integrator: str):
     Path("clock.include").write_text("print           $(time:%.17g) append clock.txt screen no\n")
     engine = Lammps(integrator=integrator, step=1e-7, include="clock.include")
     candidate = engine.candidate(small(), 1.0)
-    schedule = StepSchedule.of(candidate.steps_per_landing, candidate.step, False)
+    schedule = StepSchedule(candidate.steps_per_landing, 1, candidate.step, False)
     state: dict[str, Any] = {}
     for _ in range(2):
         stepper = engine.stepper([small()], candidate, [schedule], state)
