@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import cached_property
 from operator import index
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -12,6 +11,7 @@ from pydantic import Field
 
 from ..errors import InputError
 from ..util.arrays import Array, read_only
+from ..util.records import cached_property
 from ..util.validation import NOT_GIVEN, Checked, OneOrMany, PositiveVector, Real, Vector, Whole
 from . import walls
 from .bounds import HARDEST, LEAST, Bounds, bounds

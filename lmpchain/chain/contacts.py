@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..util.arrays import Array, read_only
+from ..util.records import cached_property
 
 # how far contacts give way: without stiffness at rest, which bounds nothing, in m/J^(1/2); and where none counts
 LOOSE, STIFF = 1e100, 1e-300
@@ -198,10 +198,12 @@ class Contacts:
         """Return `Scene.largest_strain`, (...), for this energy above rest; (..., 1) J of many chains."""
         if not self._all_pressed:
             return np.full(self.constant.shape[:-1], np.inf)
-        strain = self._given_way(energy, *self._relative_softness)
-        return np.asarray(np.maximum.reduce(strain, axis=-1) * 1.05)  # an opening contact is a little softer
+        softer = 1.05  # a contact that opens
+        if self._softest:
+            return softer * self._given_way(energy, *self._softest)
+        return softer * np.maximum.reduce(self._given_way(energy, *self._relative_softness), axis=-1)
 
-    def _given_way(self, energy: float | Array, loose: Array, pressed: Array) -> Array:
+    def _given_way(self, energy: float | Array, loose: float | Array, pressed: float | Array) -> Array:
         """Return by how much contacts of these softnesses give way at most, (..., N+1)."""
         return np.minimum(energy ** (1 / (self.exponent + 1)) * loose, energy**0.5 * pressed)
 
@@ -226,6 +228,13 @@ class Contacts:
         rest = np.where(self.pressed, self.overlap, 1 / STIFF)
         loose, pressed = (np.maximum(softness / rest, STIFF) for softness in self._softness)
         return loose, pressed
+
+    @cached_property
+    def _softest(self) -> tuple[float, float] | None:
+        """These two of the contact of one chain that gives way most whatever the energy is, if there is one."""
+        loose, pressed = self._relative_softness
+        n = loose.argmax()
+        return (float(loose[n]), float(pressed[n])) if loose.ndim == 1 and pressed[n] == pressed.max() else None
 
 
 def together(contacts: Sequence[Contacts]) -> Contacts:

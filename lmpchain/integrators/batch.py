@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache, cached_property, lru_cache
+from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..chain.contacts import together
 from ..scene.scene import Scene
 from ..util.arrays import Array
+from ..util.records import cached_property
 from .kernels.contact_forces import CORRECTED, FORMS, POLYNOMIAL, POWER, ROOTS, SPRING, UNCOMPRESSED_POWER
 from .kernels.layout import ALONE, KNOTS, PAD, Chains, Team
 from .kernels.table import laid_out, opening_weights, placed
@@ -94,8 +95,8 @@ class ChainBatch:
         return np.repeat(found, len(self.scenes), axis=0) if len(found) < len(self.scenes) else found
 
     def _initial(self) -> tuple[Array, Array]:
-        u, v = np.array([*zip(*[scene.initial() for scene in self._struck], strict=True)])
-        return self._of_each(u), self._of_each(v)
+        each = [scene.initial() for scene in self._struck]
+        return self._of_each(np.array([u for u, _ in each])), self._of_each(np.array([v for _, v in each]))
 
     def placed(self, u: Array, v: Array, copies: int = 1) -> tuple[Array, Array, Array]:
         """Return rows of bodies, (copies R, W) m and m/s, and their state at sample 0, (copies R, 12).

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..scene.acting import Drive, Force
 from ..util.arrays import Array
+from ..util.records import cached_property
 
 
 class ImposedCourse:

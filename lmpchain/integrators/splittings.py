@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
 from ..util.arrays import EPSILON, Array
+from ..util.records import cached_property
 from .method import March
 from .step_schedule import StepSchedule
 

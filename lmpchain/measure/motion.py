@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +16,7 @@ from ..trajectory.between.hermite import DISPLACEMENT, RAISED, VELOCITY
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.lazy import listed
+from ..util.records import cached_property
 from .recorded import Field, around, check_field
 
 __dir__ = listed(__name__)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from ..scene.scene import Scene
 from ..util.arrays import Array, read_only
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, legend
+from ..util.records import cached_property
 from . import floquet
 from .flow import Flow
 from .shooting import Equations, Point, Solution

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Iterator, Sequence
-from functools import cached_property
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
@@ -20,6 +19,7 @@ from ..chain.plausible import HERTZ_OVERLAP
 from ..util.arrays import Array, as_slice, evenly
 from ..util.files import write_aside
 from ..util.plotting import axes_in_units, legend
+from ..util.records import cached_property
 from . import toml_file
 from .base import Excitation
 from .excitation import Drive

@@ -20,7 +20,6 @@ import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from secrets import token_hex
 from typing import Any
@@ -31,6 +30,7 @@ from ..errors import InputError, short
 from ..trajectory.gathered import stored
 from ..util.arrays import Array
 from ..util.files import unpack_one
+from ..util.records import cached_property
 from .file import Sweep
 from .quantities import quantity
 from .store_check import CHUNK_BYTES, described

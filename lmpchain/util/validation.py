@@ -15,6 +15,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from ..errors import InputError, shown
 from .arrays import Array, read_only
 from .notebook import Shown
+from .records import cached_property
 from .suggestions import did_you_mean
 
 NOT_GIVEN: Any = None  # default of array fields that are filled in when they are not given
@@ -27,7 +28,12 @@ class Checked(Shown, BaseModel):
     """
 
     model_config = ConfigDict(
-        frozen=True, extra="forbid", strict=True, allow_inf_nan=False, arbitrary_types_allowed=True
+        frozen=True,
+        extra="forbid",
+        strict=True,
+        allow_inf_nan=False,
+        arbitrary_types_allowed=True,
+        ignored_types=(cached_property,),
     )
 
     _names: ClassVar[tuple[str, ...]] = ()

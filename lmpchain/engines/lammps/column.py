@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from ...errors import InputError
 from ...scene.excitation import Impulse
 from ...scene.scene import Scene
 from ...util.arrays import Array
+from ...util.records import cached_property
 
 PAIR_STYLES = ("granular", "gran/hertz/history")
 MOST_TYPES = 128

@@ -8,12 +8,11 @@ by chance, and then the answer grows for as long as they do.
 
 from __future__ import annotations
 
-from functools import cached_property
-
 import numpy as np
 
 from ...scene.scene import Scene
 from ...util.arrays import Array
+from ...util.records import cached_property
 
 FEW = 12  # grains up to which all pairs of waves are gone through; analysis/calibration/linear_openings.py
 
