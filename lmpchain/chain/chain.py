@@ -313,6 +313,11 @@ class Chain(AtRest, Checked):
 
         return float(band_edges(*(elements[None] for elements in self.dynamical_matrix()))[0])
 
+    @cached_property
+    def load_over_mass(self) -> float:
+        """Largest force at rest of the contact above a grain over the mass of the grain, m/s2."""
+        return self._twin.load_over_mass if self._twin else float((self.contacts.force[:-1] / self.masses).max())
+
     @property
     def _first(self) -> int:
         """Number of the contact below grain 1, or of that above it if there is none below."""

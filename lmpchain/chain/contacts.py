@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -200,12 +201,12 @@ class Contacts:
             return np.full(self.constant.shape[:-1], np.inf)
         softer = 1.05  # a contact that opens
         if self._softest:
-            return softer * self._given_way(energy, *self._softest)
+            return softer * self._given_way(energy, *self._softest, least=min)
         return softer * np.maximum.reduce(self._given_way(energy, *self._relative_softness), axis=-1)
 
-    def _given_way(self, energy: float | Array, loose: float | Array, pressed: float | Array) -> Array:
+    def _given_way(self, energy: Any, loose: Any, pressed: Any, least: Callable[..., Any] = np.minimum) -> Any:
         """Return by how much contacts of these softnesses give way at most, (..., N+1)."""
-        return np.minimum(energy ** (1 / (self.exponent + 1)) * loose, energy**0.5 * pressed)
+        return least(energy ** (1 / (self.exponent + 1)) * loose, energy**0.5 * pressed)
 
     @cached_property
     def _all_pressed(self) -> bool:

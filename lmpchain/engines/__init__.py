@@ -62,7 +62,7 @@ def get(engine: str | Engine, **options: Any) -> Engine:
     InputError
         If there is no such engine or an option is wrong.
     """
-    if isinstance(engine, Engine):
+    if not isinstance(engine, str) and isinstance(engine, Engine):
         if options:
             raise InputError([(key, "belongs to the engine: give it to its constructor") for key in options])
         return engine

@@ -54,6 +54,8 @@ class Companions:
 
     Attributes
     ----------
+    own : StepSchedule
+        That of the answer.
     schedules : tuple of StepSchedule
         Those of the companions proper.
     against, strides : (S,) arrays
@@ -82,8 +84,9 @@ class Companions:
         if self.nearby:
             longer.append(NEARBY_AT_KINKS if self.kinks else NEARBY)
         how = self._stretched, self.nearby, twin, first.samples - 1
+        self.own = candidate.schedule()
         self.schedules, self._ratios, self.against, self.strides, self.together = _arranged(
-            candidate.schedule(), tuple(longer), *how
+            self.own, tuple(longer), *how
         )
 
     def truncation(self, real: int, steps: Sequence[Sequence[float]], opens: bool, smooth: bool) -> float:

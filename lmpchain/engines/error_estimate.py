@@ -81,7 +81,7 @@ class CompanionRun(Run):
         self.method, self.scene, self.candidate, self._scenes = method, scenes[0], candidate, scenes
         self._amplified: dict[int, float] = {}
         self._companions = chosen = Companions(method, scenes, candidate, twin)
-        own, pressed, self._twin = candidate.schedule(), 0.0, int(twin)
+        own, pressed, self._twin = chosen.own, 0.0, int(twin)
         if twin:
             batch, kept = ChainBatch(scenes), _of("native", state)
             self.native = NativeStepper(batch, method, own, kept, companions=chosen.schedules)
@@ -240,10 +240,9 @@ class CompanionRun(Run):
 
     def _instead(self) -> Array:
         """Return what errors are relative to, (R, 2) m and m/s, where not to the motion: no rows if nowhere."""
-        resting = [scene.at_rest for scene in self._scenes]
-        if any(resting):  # there is no motion, but that of a strike number of 1
-            units = self._chains.units
-            return np.where(np.array(resting)[:, None], np.where(units > 0, units, 1.0), 0.0)
+        if any(scene.at_rest for scene in self._scenes):  # there is no motion, but that of a strike number of 1
+            units, resting = self._chains.units, np.array([[scene.at_rest] for scene in self._scenes])
+            return np.where(resting, np.where(units > 0, units, 1.0), 0.0)
         if self._twin and not self.native.largest()[0, 1]:  # only what rounding presses moves
             farthest, fastest = self.peaks[0]
             return np.array([[farthest, max(fastest, self.scene.highest_frequency * farthest)]])

@@ -39,8 +39,7 @@ def plain_loss(scene: Scene, steps: float) -> float:
     That is the last digit of what the contacts carry at rest, at every step: an acceleration of 0.9 EPSILON F_n/m,
     which walks to that times sqrt(duration h) in the velocity.
     """
-    pull = float(np.maximum.reduce(scene.chain.contacts.force[:-1] / scene.chain.masses))
-    return PLAIN * EPSILON * pull * scene.duration / math.sqrt(steps)
+    return PLAIN * EPSILON * scene.chain.load_over_mass * scene.duration / math.sqrt(steps)
 
 
 def between_loss(steps: float, travelled: float) -> float:

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import pairwise
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -119,19 +119,27 @@ def first_attempt(engine: Engine, scene: Scene, tolerance: float, best_effort: b
     ToleranceNotMet
         If the engine knows beforehand that it cannot meet the tolerance.
     """
-    began, compiled, propose, refusal = clock(), compiled_s(), partial(engine.candidate, scene), ""
+    began, compiled, refusal = clock(), compiled_s(), ""
     if best_effort:
-        candidate, tolerance, refusal = loosened(propose, tolerance)
+        candidate, tolerance, refusal = loosened(partial(engine.candidate, scene), tolerance)
     else:
-        candidate = propose(tolerance)
-    spent = {"planned_s": clock() - began, "compiled_s": compiled_s() - compiled}
-    return to_begin_with(engine, scene, candidate, tolerance, refusal=refusal, **spent)
+        candidate = engine.candidate(scene, tolerance)
+    return to_begin_with(engine, scene, candidate, tolerance, refusal, clock() - began, compiled_s() - compiled)
 
 
-def to_begin_with(engine: Engine, scene: Scene, candidate: Candidate, tolerance: float, **more: Any) -> Attempt:
-    """Return the attempt to begin with where a candidate was chosen: that, or a pilot."""
-    first = engine.pilot(scene, candidate, tolerance)
-    return Attempt(engine.name, first, tolerance, pilot=first is not candidate, **more)
+def to_begin_with(
+    engine: Engine,
+    scene: Scene,
+    candidate: Candidate,
+    tolerance: float,
+    refusal: str = "",
+    planned_s: float = 0.0,
+    compiled_s: float = 0.0,
+) -> Attempt:
+    """Return the attempt to begin with where a candidate was chosen: that, or a pilot; see `Attempt`."""
+    first, spent_s = engine.pilot(scene, candidate, tolerance), 0.0
+    pilot = first is not candidate
+    return Attempt(engine.name, first, tolerance, refusal, planned_s, spent_s, compiled_s, pilot=pilot)
 
 
 def run_to_tolerance(engine: Engine, scene: Scene, tolerance: float, collect: Callable[[Run], T]) -> Outcome[T]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, ClassVar, Literal
 
@@ -97,9 +97,8 @@ class Splitting:
         run = _march(adaptive)
         if not adaptive:
             return March(run, (kicks, drifts), shared=True)
-        near, falls = COARSE_STEP if schedule.coarse_openings else ADAPTIVE_STEP, 1 / (batch.opening_power + 1)
-        least = LEAST_CROSSING * EPSILON**falls * np.array([schedule.ratio for schedule in schedules])
-        crossing = CROSSING_STEP, (self.order + 1) * falls, least
+        near = COARSE_STEP if schedule.coarse_openings else ADAPTIVE_STEP
+        crossing = _crossing(self.order, batch.opening_power, tuple(schedule.ratio for schedule in schedules))
         kept = DENSE_ROWS if schedule.dense else 0
         return March(run, (kicks, drifts, near, crossing), batch.openings, kept, shared=True)
 
@@ -120,6 +119,13 @@ def _march(adaptive: bool) -> Callable[..., int]:
     from .kernels import adaptive_splitting, splitting
 
     return adaptive_splitting.march if adaptive else splitting.march
+
+
+@lru_cache
+def _crossing(order: int, power: float, ratios: tuple[float, ...]) -> tuple[float, float, Array]:
+    """Return what `kernels.adaptive_splitting` takes of the step that crosses an opening, for companions, too."""
+    falls = 1 / (power + 1)
+    return CROSSING_STEP, (order + 1) * falls, LEAST_CROSSING * EPSILON**falls * np.array(ratios)
 
 
 def _symmetric(half: list[float], count: int) -> tuple[float, ...]:

