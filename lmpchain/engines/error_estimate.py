@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..errors import RunFailed
 from ..integrators.batch import ChainBatch
-from ..integrators.kernels.reductions import NO_NUMBERS, SOUND, TOO_CLOSE, TOO_FAST, compared, in_parts, limits
+from ..integrators.kernels.reductions import CLOSE, NO_NUMBERS, SOUND, TOO_FAST, compared, in_parts
 from ..integrators.methods import Method
 from ..integrators.step_schedule import StepSchedule
 from ..integrators.stepper import NativeStepper, Stepper, room_for
@@ -25,6 +25,7 @@ from ..scene.scene import Scene
 from ..trajectory.record import Block, Cost
 from ..util.arrays import Array, as_slice
 from ..util.compilation import clock
+from ..util.records import cached_property
 from .amplification import amplified_digit, walked
 from .base import Candidate, ErrorBudget, Run
 from .companions import CLOSE_TO_OPENING, Companions
@@ -35,7 +36,7 @@ GUESSED_RATE = 1e8  # grain-steps a second, a low guess to begin with
 BLOCK_BYTES = 2**25  # of the samples that are compared at a time,
 BLOCK_S = 0.5  # and how long they may take: what is stopped or killed loses no more
 WRONG = {
-    TOO_CLOSE: "grains overlap more than all the energy there is allows",
+    CLOSE: "grains overlap more than all the energy there is allows",
     TOO_FAST: "the kinetic energy exceeds all the energy there is",
     NO_NUMBERS: "positions or velocities are no longer numbers",
 }
@@ -81,25 +82,20 @@ class CompanionRun(Run):
         self.method, self.scene, self.candidate, self._scenes = method, scenes[0], candidate, scenes
         self._amplified: dict[int, float] = {}
         self._companions = chosen = Companions(method, scenes, candidate, twin)
-        own, pressed, self._twin = chosen.own, 0.0, int(twin)
+        own, self._twin = chosen.own, int(twin)
         if twin:
             batch, kept = ChainBatch(scenes), _of("native", state)
             self.native = NativeStepper(batch, method, own, kept, companions=chosen.schedules)
             self._answer = make((own,), _of("answer", state))
             self._steppers: tuple[Stepper, ...] = self._answer, self.native
             pressed = rounded_energy(self.scene, candidate.steps(self.scene.samples) * method.evaluations)
+            self._allowed = batch.allowed + 3 * pressed
         else:
             self._answer = make((own, *chosen.schedules), _of("native", state))
             self.native = cast(NativeStepper, self._answer)
-            self._steppers = (self._answer,)
-        self._chains = chains = self.native.chains
-        self.realisations, others, contacts = len(scenes), len(chosen.against), chains.contacts
+            self._steppers, self._allowed = (self._answer,), self.native.chains.allowed
+        self._chains, self.realisations, others = self.native.chains, len(scenes), len(chosen.against)
         samples, grains = self.scene.samples, self.scene.chain.grains
-        energies = np.array([scene.energy + pressed for scene in scenes])
-        at_rest = contacts.overlap, contacts.stiffness, contacts.constant, contacts.exponent
-        self._most_energy, self._room = limits(energies, chains.weight, chains.units, *at_rest)
-        if chains.imposed:  # nothing bounds what is driven, but a million times as close as long, it has broken down
-            self._room = np.minimum(self._room, [1e6 * scene.chain.diameters.sum() for scene in scenes])
         self._together = math.lcm(chosen.together, self._answer.stride)
         self._most = _block(others + 1, self.realisations, grains, samples, self._together)
         self._sample_s = candidate.cost_s * self.realisations / samples  # a guess to begin with
@@ -153,12 +149,21 @@ class CompanionRun(Run):
         self._seconds[index] += took
         return done < max_steps or self._steppers[index].sample >= until
 
+    @cached_property
+    def _room(self) -> Array:
+        """By how much grains cannot come closer than at rest, (R,) m."""
+        most = self._chains.contacts.overlap_bound(self._allowed[:, None]).max(1)
+        if not self._chains.imposed:
+            return most
+        # nothing bounds what is driven, but a million times as close as long, it has broken down
+        return np.minimum(most, [1e6 * scene.chain.diameters.sum() for scene in self._scenes])
+
     def _leave_broken(self, first: int, until: int) -> None:
         """Leave native chains whose grains are too close; their error is infinite. Raise if it is the answer."""
         broken = self.native.closest() > self._room
         if broken.any():
             if not self._twin and broken[0].any():
-                raise RunFailed(self._broke_down(first, WRONG[TOO_CLOSE]))
+                raise RunFailed(self._broke_down(first, WRONG[CLOSE]))
             self.native.leave(broken, until)
             self._lost = broken[1 - self._twin :]
 
@@ -167,11 +172,11 @@ class CompanionRun(Run):
         began = clock()
         of_others, kept = self._companions, (self._differences, self._peaks)
         beside = *self._beside, of_others.against, of_others.strides
-        allowed = self._most_energy, self.native.watched, self._room
-        verdict = compared(u, v, *beside, self._chains.masses, first, *kept, *allowed)
+        seen = self._allowed, self.native.watched, self._chains.contacts.overlap
+        verdict = compared(u, v, *beside, self._chains.masses, first, *kept, *seen)
         if verdict != SOUND:
             self._leave_broken(first, stop - 1)
-            if verdict != TOO_CLOSE:
+            if verdict != CLOSE:
                 raise RunFailed(self._broke_down(first, WRONG[verdict]))
         if self._lost is not None:
             self._differences.swapaxes(1, 2)[self._lost] = np.inf

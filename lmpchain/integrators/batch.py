@@ -67,8 +67,8 @@ class ChainBatch:
     units : (R, 2) array
         Overlap of the contact below grain 1 (that above it if there is none below), and the speed of that in the unit
         of time, m and m/s; no speed in the sonic vacuum.
-    weight : (R,) array
-        Mass of all grains, kg.
+    allowed : (R,) array
+        What twice the kinetic energy cannot exceed, J: contacts never hold less energy than at rest.
     """
 
     def __init__(self, scenes: Sequence[Scene], force: str = "auto", initial: tuple[Array, Array] | None = None):
@@ -80,8 +80,8 @@ class ChainBatch:
         self._compressed, self.precompressed = chain.compressed, float(chain.compressed)
         self.masses = np.array([scene.chain.masses for scene in scenes])
         self.contacts = own = together([scene.chain.contacts for scene in scenes])
-        strikes = np.array([(scene.highest_frequency, *scene.imposed) for scene in scenes])
-        self.table, self.uncompressed, self.omega, self.scale, self.units, self.weight = laid_out(
+        strikes = np.array([(scene.highest_frequency, scene.energy, *scene.imposed) for scene in scenes])
+        self.table, self.uncompressed, self.omega, self.scale, self.units, self.allowed = laid_out(
             own.overlap, own.force, own.constant, own.stiffness, self.masses, strikes, self.driven, chain.movable,
             chain.compressed,
         )  # fmt: skip
@@ -95,8 +95,11 @@ class ChainBatch:
         return np.repeat(found, len(self.scenes), axis=0) if len(found) < len(self.scenes) else found
 
     def _initial(self) -> tuple[Array, Array]:
-        each = [scene.initial() for scene in self._struck]
-        return self._of_each(np.array([u for u, _ in each])), self._of_each(np.array([v for _, v in each]))
+        if len(self.scenes) == 1:
+            u, v = self.scenes[0].initial()
+            return u[None], v[None]
+        u, v = np.array([scene.initial() for scene in self._struck]).swapaxes(0, 1)
+        return self._of_each(np.ascontiguousarray(u)), self._of_each(np.ascontiguousarray(v))
 
     def placed(self, u: Array, v: Array, copies: int = 1) -> tuple[Array, Array, Array]:
         """Return rows of bodies, (copies R, W) m and m/s, and their state at sample 0, (copies R, 12).

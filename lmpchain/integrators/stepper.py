@@ -138,11 +138,11 @@ class NativeStepper:
                 raise ValueError("the state that was kept does not fit")
             self._history[:] = state["history"]
         bodies, needs = (self._x, self._v, self._history), (*march.common, *march.each)
-        self._work = [
-            (chains.arrays(*bodies, own, member), needs, clocks, share * self._size // shares,
-             (share + 1) * self._size // shares)
-            for share in range(shares) for own, member in zip(self._states, self._teams, strict=True)
-        ]  # fmt: skip
+        self._work: list[Work] = []
+        for own, member in zip(self._states, self._teams, strict=True):
+            work = chains.arrays(*bodies, own, member), needs, clocks
+            for share in range(shares):
+                self._work.append((*work, share * self._size // shares, (share + 1) * self._size // shares))
         if not self._march.overloads:  # type: ignore[attr-defined]
             none = np.empty((0, 1, 1))
             self._march(*self._work[0][:3], Fields(none, none, NOTHING, NOTHING, 0), 0, 0, 0, 0)  # only compiles

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from .run_folder import RunFolder
 
 ESTIMATE_S = 2.0  # between two error estimates for the progress bar
+NOTHING = np.empty(0)
 
 
 def simulate(
@@ -274,7 +275,7 @@ class _Memory:
         """Return displacement and velocity, (T, G) m and m/s."""
         scene = self._task.scene
         shape = (scene.samples, scene.count(scene.chain))
-        u = v = np.empty(0)
+        u, v = NOTHING, NOTHING
         for block in blocks:
             if block.displacement.shape[1:] == shape and block.columns == slice(None):  # all at once
                 u, v = block.displacement[0], block.velocity[0]

@@ -1,33 +1,24 @@
-"""What an answer cannot exceed, in compiled loops, is what the contacts say of the chain."""
+"""What an answer that has not broken down cannot exceed."""
 
 import numpy as np
 import pytest
 from helpers.example_chains import CHAINS
 
-from lmpchain import Chain, Impulse, RunFailed, Scene
-from lmpchain.chain.contacts import together
+from lmpchain import Chain, Drive, Impulse, RunFailed, Scene
 from lmpchain.engines.native import Native
-from lmpchain.integrators.kernels.reductions import MOST, limits
+from lmpchain.integrators.batch import ChainBatch
+from lmpchain.integrators.kernels.table import MOST
 
 
-@pytest.mark.parametrize("name", CHAINS)
-def test_no_overlap_exceeds_the_bound_of_the_contacts(name: str):
-    chains, energies = [CHAINS[name], CHAINS[name]], np.array([1e-12, np.inf])
-    own = together([chain.contacts for chain in chains])
-    weight, units = np.array([chain.masses.sum() for chain in chains]), np.array([[1e-9, 0.0], [1e-9, 2.0]])
-    most, room = limits(energies, weight, units, own.overlap, own.stiffness, own.constant, own.exponent)
-    assert most.tolist() == [3e-12, MOST]
-    expected = [chain.contacts.overlap_bound(energy).max() for chain, energy in zip(chains, most, strict=True)]
-    np.testing.assert_allclose(room, expected, rtol=1e-12)
-
-
-def test_slow_motion_that_nothing_puts_in_is_allowed():
+def test_what_twice_the_kinetic_energy_cannot_exceed():
+    """Half as much again as what is put in, and slow motion that nothing puts in; nothing bounds a drive."""
     chain = Chain(grains=5, diameter=1e-3)
-    own, speed = together([chain.contacts]), 3.0
-    most, _ = limits(
-        np.zeros(1), np.ones(1), np.array([[1e-9, speed]]), own.overlap, own.stiffness, own.constant, own.exponent
-    )
-    assert most[0] == pytest.approx((1e-3 * speed) ** 2, rel=1e-14)
+    struck = [Scene(chain=chain, excitation=Impulse(velocity=v), duration=1e-4) for v in (1e-9, 1e-2)]
+    slow = chain.masses.sum() * (1e-3 * chain.length_scale / chain.time_scale) ** 2
+    expected = [1.5 * chain.masses[0] * v**2 + slow for v in (1e-9, 1e-2)]
+    assert ChainBatch(struck).allowed == pytest.approx(expected, rel=1e-13)
+    driven = Scene(chain=chain, excitation=Drive(amplitude=1e-9, frequency=1e4), duration=1e-4)
+    assert ChainBatch([driven]).allowed.tolist() == [MOST]
 
 
 @pytest.mark.parametrize("name", CHAINS)

@@ -11,8 +11,7 @@ from ...util.compilation import compiled_once
 from .contact_forces import NEWS, bits, number
 from .layout import CLOSEST, FARTHEST, FASTEST, LOWEST, STEPS
 
-SOUND, TOO_CLOSE, TOO_FAST, NO_NUMBERS = range(4)
-MOST = 1e300  # J, where nothing bounds the energy
+SOUND, CLOSE, TOO_FAST, NO_NUMBERS = range(4)
 _exact = numba.njit(error_model="numpy")
 _total = numba.njit(error_model="numpy", fastmath={"nsz", "reassoc"})
 
@@ -34,41 +33,6 @@ def _kinetic(v, masses):
     return total
 
 
-@compiled_once(*NEWS, error_model="numpy")
-def limits(
-    energy: Array, weight: Array, units: Array, overlap: Array, stiffness: Array, constant: Array, exponent: float
-) -> tuple[Array, Array]:
-    """Return what an answer that has not broken down cannot exceed.
-
-    Parameters
-    ----------
-    energy : (R,) array
-        Put into R chains, J.
-    weight, units : (R,) and (R, 2) arrays
-        See `ChainBatch`.
-    overlap, stiffness, constant : (R, N+1) arrays
-        Of the contacts at rest.
-    exponent : float
-
-    Returns
-    -------
-    most, room : (R,) arrays
-        Twice the kinetic energy, J: contacts never hold less energy than at rest. An overlap, m; see
-        `Contacts.overlap_bound`.
-    """
-    most, room, power = np.empty(len(energy)), np.zeros(len(energy)), exponent + 1.0
-    for real in range(len(energy)):
-        # half as much again may be rounded, and slow motion that nothing puts in
-        most[real] = min(3.0 * energy[real] + weight[real] * (1e-3 * units[real, 1]) ** 2, MOST)
-        for n in range(overlap.shape[1]):
-            if constant[real, n] > 0.0:
-                gives = (power * most[real] / constant[real, n]) ** (1.0 / power)
-                if stiffness[real, n] > 0.0:
-                    gives = min(gives, np.sqrt(2.0 * most[real] / stiffness[real, n]))
-                room[real] = max(room[real], overlap[real, n] + gives)
-    return most, room
-
-
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
 def compared(
     u: Array,
@@ -83,7 +47,7 @@ def compared(
     peaks: Array,
     allowed: Array,
     state: Array,
-    room: Array,
+    overlap: Array,
 ) -> int:
     """Measure an answer and how far others are from it or from each other.
 
@@ -107,19 +71,19 @@ def compared(
         What twice the kinetic energy cannot exceed, J.
     state : (F R, 12) array
         See `layout.SAMPLE`: that of R chains by F schedules.
-    room : (R,) array
-        By how much grains cannot come closer than at rest, m.
+    overlap : (R, N+1) array
+        Of the contacts at rest, m.
 
     Returns
     -------
     int
-        `SOUND`, `TOO_CLOSE` if grains have come closer, `TOO_FAST` if any sample has more energy, `NO_NUMBERS` if a
-        displacement or velocity is none; the last of these.
+        `SOUND`, `CLOSE` if grains have come closer by more than any overlap at rest, which they may, `TOO_FAST` if any
+        sample has more energy, `NO_NUMBERS` if a displacement or velocity is none; the last of these.
     """
     others, final, batch = others_u.shape[0], differences.shape[1] - 1, u.shape[0]
     nothing, verdict = np.zeros(u.shape[2]), SOUND
     for row in range(len(state)):
-        verdict = max(verdict, TOO_CLOSE if state[row, CLOSEST] > room[row % batch] else SOUND)
+        verdict = max(verdict, CLOSE if state[row, CLOSEST] > overlap[row % batch].max() else SOUND)
     for real in range(batch):
         for sample in range(u.shape[1]):
             x, w, at = u[real, sample], v[real, sample], begin + sample

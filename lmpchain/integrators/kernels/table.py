@@ -13,6 +13,7 @@ from ...util.compilation import compiled_once
 from .contact_forces import NEWS
 from .layout import FIRST, LAST, LOWEST, PAD, STEP
 
+MOST = 1e300  # J, where nothing bounds the energy
 _compiled = numba.njit(error_model="numpy")
 
 
@@ -45,8 +46,8 @@ def laid_out(
         Of the contacts at rest.
     masses : (R, N) array
         kg.
-    strikes : (R, 3) array
-        Highest frequency, rad/s, and largest displacement and speed that the excitation imposes, m and m/s.
+    strikes : (R, 4) array
+        Highest frequency, rad/s, energy, J, and largest displacement and speed that the excitation imposes, m and m/s.
     first, stop : int
         Of the grains, from 0, those whose motion is not prescribed.
     compressed : bool
@@ -56,30 +57,34 @@ def laid_out(
     -------
     table, uncompressed, omega, scale : (R, 3, W), (R,), (R,) and (R, 2) arrays
         See `layout.Chains`.
-    units, weight : (R, 2) and (R,) arrays
+    units, allowed : (R, 2) and (R,) arrays
         See `ChainBatch`.
     """
     batch, grains = masses.shape
     table, uncompressed, omega = _rows(3 * batch, grains).reshape((batch, 3, -1)), np.zeros(batch), np.empty(batch)
-    scale, units, weight = np.empty((batch, 2)), np.empty((batch, 2)), np.zeros(batch)
+    scale, units, allowed = np.empty((batch, 2)), np.empty((batch, 2)), np.zeros(batch)
     for real in range(batch):
         for n in range(grains + 1):
             length, strength = (overlap[real, n], force[real, n]) if compressed else (1.0, constant[real, n])
             if length > 0.0:
                 table[real, 0, PAD - 1 + n], table[real, 1, PAD - 1 + n] = 1.0 / length, strength
+        weight = 0.0
         for n in range(grains):
-            weight[real] += masses[real, n]
+            weight += masses[real, n]
             if first <= n < stop:
                 table[real, 2, PAD + n] = 1.0 / masses[real, n]
         if compressed and force[real, 0] == 0.0:
             uncompressed[real] = constant[real, 0]
-        fastest, farthest, speed = strikes[real]
+        fastest, energy, farthest, speed = strikes[real]
         speed = max(speed, farthest * fastest)
         omega[real], scale[real, 0], scale[real, 1] = fastest, speed / fastest, speed
         below = 1 if constant[0, 1] > 0.0 else 0
         length = overlap[real, below]
-        units[real, 0], units[real, 1] = length, length * math.sqrt(stiffness[real, below] / masses[real, 0])
-    return table, uncompressed, omega, scale, units, weight
+        unit = length * math.sqrt(stiffness[real, below] / masses[real, 0])
+        units[real, 0], units[real, 1] = length, unit
+        # half as much again may be rounded, and slow motion that nothing puts in
+        allowed[real] = min(3.0 * energy + weight * (1e-3 * unit) ** 2, MOST)
+    return table, uncompressed, omega, scale, units, allowed
 
 
 @compiled_once(*NEWS, error_model="numpy")
