@@ -11,7 +11,7 @@ from pydantic import Field
 
 from ..errors import InputError
 from ..util.arrays import Array, read_only
-from ..util.records import cached_property
+from ..util.cached import cached_property
 from ..util.validation import NOT_GIVEN, Checked, OneOrMany, PositiveVector, Real, Vector, Whole
 from . import walls
 from .bounds import HARDEST, LEAST, Bounds, bounds
@@ -86,8 +86,7 @@ class Chain(AtRest, Checked):
     wall_constants: Vector = NOT_GIVEN
 
     def _faults(self) -> Iterator[tuple[str, str]]:
-        wrong = list(self._misfits())
-        yield from wrong
+        yield from (wrong := list(self._misfits()))
         if self.grains == 1 and (self.bottom == "fixed" or "wall" not in (self.top, self.bottom)):
             yield "grains", 'a single grain that is held, or touches nothing: use bottom = "wall", or more grains'
         if self.bottom == "free" and (self.gravity > 0 or self.top_load > 0):
@@ -119,13 +118,11 @@ class Chain(AtRest, Checked):
         if isinstance(self.material, tuple) and len(self.material) != self.grains:
             yield "material", f"must be one or {self.grains} (one a grain), not {len(self.material)}"
         for key, length in lengths.items():
-            value = getattr(self, key)
-            if isinstance(value, np.ndarray) and len(value) != length:
+            if isinstance(value := getattr(self, key), np.ndarray) and len(value) != length:
                 yield key, f"must have {length} entries for {self.grains} grains, not {len(value)}"
         yield from misfits(self.impurity, self.grains, self.contact_constants is not None)
-        yield from walls.misfits(
-            (self.top, self.bottom), (self.top_material, self.bottom_material), self.__dict__["wall_constants"]
-        )
+        ends, made = (self.top, self.bottom), (self.top_material, self.bottom_material)
+        yield from walls.misfits(ends, made, self.__dict__["wall_constants"])
 
     def _leave_open(self) -> Chain:
         """Leave masses and constants that were not given to be computed on first use."""

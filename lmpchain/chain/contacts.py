@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..util.arrays import Array, read_only
-from ..util.records import cached_property
+from ..util.cached import cached_property
 
 # how far contacts give way: without stiffness at rest, which bounds nothing, in m/J^(1/2); and where none counts
 LOOSE, STIFF = 1e100, 1e-300

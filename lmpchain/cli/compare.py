@@ -89,7 +89,7 @@ def _answers(scene: Scene, names: list[str], tolerance: float) -> tuple[list[Tra
                 if answer.cost.total_s < SHORT_S:
                     again = repeated(lambda name=name: simulate(scene, name, tolerance).cost)  # type: ignore[misc]
                     quickest = min(cost.integration_s for cost in again)
-                    answer = replace(answer, cost=replace(answer.cost, integration_s=quickest))
+                    answer = replace(answer, cost=answer.cost._replace(integration_s=quickest))
                 trajectories.append(answer)
         except ToleranceNotMet as error:
             failures.append(f"{name}: {error.reason}")

@@ -121,9 +121,9 @@ class Companions:
 def _arranged(
     own: StepSchedule, longer: tuple[float, ...], stretched: bool, nearby: bool, twin: bool, final: int
 ) -> tuple[tuple[StepSchedule, ...], tuple[float, ...], NDArray[np.int64], NDArray[np.int64], int]:
-    """Return what `Companions` says of those with steps so many times as long, or half as long if there are none.
+    """Return schedules, mean steps over those of the answer, `against`, `strides` and `together`.
 
-    The second is by how much longer their mean steps are.
+    Steps are so many times as long, or half as long if no longer ones are given.
     """
     schedules = tuple(own.longer(ratio, stretched) for ratio in longer) or (own.halved,)
     ratios = tuple(own.total(final) / schedule.total(final) for schedule in schedules)

@@ -24,8 +24,8 @@ from ..integrators.stepper import NativeStepper, Stepper, room_for
 from ..scene.scene import Scene
 from ..trajectory.record import Block, Cost
 from ..util.arrays import Array, as_slice
+from ..util.cached import cached_property
 from ..util.compilation import clock
-from ..util.records import cached_property
 from .amplification import amplified_digit, walked
 from .base import Candidate, ErrorBudget, Run
 from .companions import CLOSE_TO_OPENING, Companions
@@ -140,7 +140,7 @@ class CompanionRun(Run):
             self._sample_s = (sum(self._seconds) + self._compared_s - spent) / (until + 1 - first)
 
     def _moved(self, index: int, fill: Callable[[int, int], int], until: int) -> bool:
-        """Move one stepper on, for as long as nothing may interrupt; say whether it is at the end of the block."""
+        """Move one stepper on for as long as nothing may interrupt; say whether it is there."""
         max_steps = max(1, int(self._rate[index] * PIECE_S))
         began = clock()
         done = fill(until, max_steps)

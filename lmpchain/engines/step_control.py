@@ -20,7 +20,6 @@ from ..scene.scene import Scene
 from ..trajectory.record import Cost
 from ..util.arrays import Array
 from ..util.compilation import clock, compiled_s
-from ..util.records import renewed
 from .amplification import COARSE, LAST_DIGIT, walked
 from .base import Candidate, Engine, ErrorBudget, Run
 from .perturbation import divergence
@@ -197,7 +196,7 @@ def solve_to_tolerance(
         if not following:
             assert error
             setup_s, estimate_s = cost.setup_s + attempt.planned_s, cost.estimate_s + attempt.spent_s + judging_s
-            cost = renewed(cost, setup_s=setup_s, estimate_s=estimate_s, compile_s=compiled_s() - compiled)
+            cost = cost._replace(setup_s=setup_s, estimate_s=estimate_s, compile_s=compiled_s() - compiled)
             return Outcome(collected, attempt, errors, error, cost, attempt.refusal or missed)
         run_s = cost.integration_s + cost.estimate_s + judging_s
         planned_s = clock() - began - run_s

@@ -279,7 +279,7 @@ def _gently_struck(scene: Scene, tolerance: float) -> bool:
 
 
 def _work_between(method: Method, steps: float, adapts: bool) -> float:
-    """Return what a sample costs, in evaluations of the force, if it is interpolated at so many steps a sample."""
+    """Return what an interpolated sample costs, in evaluations of the force, at so many steps."""
     return method.evaluations * steps * (1.0 if adapts else UNEVEN) + COST_BETWEEN
 
 

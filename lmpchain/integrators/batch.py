@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..chain.contacts import together
 from ..scene.scene import Scene
 from ..util.arrays import Array
-from ..util.records import cached_property
+from ..util.cached import cached_property
 from .kernels.contact_forces import CORRECTED, FORMS, POLYNOMIAL, POWER, ROOTS, SPRING, UNCOMPRESSED_POWER
 from .kernels.layout import ALONE, KNOTS, PAD, Chains, Team
 from .kernels.table import laid_out, opening_weights, placed

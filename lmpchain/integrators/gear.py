@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from ..util.records import cached_property
+from ..util.cached import cached_property
 from .method import March, first_growth
 from .step_schedule import StepSchedule
 

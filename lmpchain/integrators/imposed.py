@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..scene.acting import Drive, Force
 from ..util.arrays import Array
-from ..util.records import cached_property
+from ..util.cached import cached_property
 
 
 class ImposedCourse:

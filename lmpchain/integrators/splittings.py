@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 
 from ..util.arrays import EPSILON, Array
-from ..util.records import cached_property
+from ..util.cached import cached_property
 from .method import March
 from .step_schedule import StepSchedule
 
@@ -123,7 +123,7 @@ def _march(adaptive: bool) -> Callable[..., int]:
 
 @lru_cache
 def _crossing(order: int, power: float, ratios: tuple[float, ...]) -> tuple[float, float, Array]:
-    """Return what `kernels.adaptive_splitting` takes of the step that crosses an opening, for companions, too."""
+    """Return what `kernels.adaptive_splitting` takes of the step that crosses an opening."""
     falls = 1 / (power + 1)
     return CROSSING_STEP, (order + 1) * falls, LEAST_CROSSING * EPSILON**falls * np.array(ratios)
 

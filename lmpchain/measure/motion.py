@@ -15,8 +15,8 @@ from ..trajectory.between.derivatives import STILL, UNKNOWN, derivatives, larges
 from ..trajectory.between.hermite import DISPLACEMENT, RAISED, VELOCITY
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
+from ..util.cached import cached_property
 from ..util.lazy import listed
-from ..util.records import cached_property
 from .recorded import Field, around, check_field
 
 __dir__ = listed(__name__)

@@ -13,9 +13,9 @@ from ..errors import InputError, shown
 from ..scene.excitation import Drive, Profile
 from ..scene.scene import Scene
 from ..util.arrays import Array, read_only
+from ..util.cached import cached_property
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, legend
-from ..util.records import cached_property
 from . import floquet
 from .flow import Flow
 from .shooting import Equations, Point, Solution

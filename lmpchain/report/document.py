@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from os import PathLike
 
 import numpy as np
@@ -155,6 +155,6 @@ def _facts(trajectory: Trajectory) -> Iterator[tuple[str, str]]:
     yield "recorded", f"{trajectory.grains.size} grains at {trajectory.time.size} times up to {scene.duration:g} s"
     yield "largest velocity", f"{np.abs(trajectory.velocity).max():.6g} m/s"
     yield "largest displacement", f"{np.abs(trajectory.displacement).max():.6g} m"
-    for key, value in asdict(cost).items():
+    for key, value in cost._asdict().items():
         name = f"{key.removesuffix('_s')} (s)" if key.endswith("_s") else key
         yield name.replace("_", " "), f"{value:.4g}" if isinstance(value, float) else str(value)

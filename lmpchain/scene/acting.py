@@ -10,7 +10,7 @@ from pydantic import Field
 
 from ..chain.chain import Chain
 from ..util.arrays import Array
-from ..util.records import cached_property
+from ..util.cached import cached_property
 from ..util.validation import NOT_GIVEN, Positive, Real, Vector, Whole
 from .base import Excitation, Number, OneGrain, Push
 from .profile import Profile

@@ -17,9 +17,9 @@ from ..chain.chain import Chain
 from ..chain.picture import DRAWN, MOST
 from ..chain.plausible import HERTZ_OVERLAP
 from ..util.arrays import Array, as_slice, evenly
+from ..util.cached import cached_property
 from ..util.files import write_aside
 from ..util.plotting import axes_in_units, legend
-from ..util.records import cached_property
 from . import toml_file
 from .base import Excitation
 from .excitation import Drive

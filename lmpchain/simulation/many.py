@@ -15,7 +15,6 @@ from ..errors import InputError, LmpchainError, RunFailed, ToleranceNotMet, chec
 from ..scene.scene import Scene
 from ..trajectory.trajectory import Trajectory
 from ..util.memory import keep_freed
-from ..util.records import renewed
 from .api import check_on_miss, simulate
 from .gathering import GatheringRun
 from .policy import policy_for, record
@@ -155,8 +154,8 @@ def _together(
     found = run.found([error.total for error in errors]) if isinstance(run, GatheringRun) else [{} for _ in scenes]
     estimate_s = whole.estimate_s + sum(attempt.spent_s for attempt in attempts)
     setup_s = whole.setup_s + sum(attempt.planned_s for attempt in attempts)
-    share = renewed(
-        whole, integration_s=whole.integration_s / size, estimate_s=estimate_s / size, setup_s=setup_s / size
+    share = whole._replace(
+        integration_s=whole.integration_s / size, estimate_s=estimate_s / size, setup_s=setup_s / size
     )
     about = record(engine, first, candidate, tolerance)
     time, grains, told = first.time, first.recorded, []

@@ -25,7 +25,7 @@ import time
 import warnings
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -259,7 +259,7 @@ class RunFolder:
 
     def _spent(self, cost: Cost) -> dict[str, float]:
         """Return what all sessions have spent on this attempt, s; on the wall, on all of them."""
-        now = asdict(cost) | {"wall_s": time.monotonic() - self._began}
+        now = cost._asdict() | {"wall_s": time.monotonic() - self._began}
         return {key: value + now[key] for key, value in self._before.items()}
 
     def finish(self, outcome: Outcome[None], gathered: Mapping[str, Array]) -> Trajectory:
@@ -268,7 +268,7 @@ class RunFolder:
         self._estimate = outcome.error.total
         self._writer.conclude(
             outcome.error.estimate,
-            replace(outcome.cost, **{key: spent[key] for key in SPENT}),
+            outcome.cost._replace(**{key: spent[key] for key in SPENT}),
             gathered,
         )
         with replacing(self.path / SUMS) as aside:

@@ -23,8 +23,8 @@ from ..errors import InputError, check_tolerance, shown
 from ..scene.scene import Scene
 from ..scene.toml_file import LARGEST_TABLE, SECTIONS, parse
 from ..util.arrays import Array
+from ..util.cached import cached_property
 from ..util.files import check_readable
-from ..util.records import cached_property
 from ..util.suggestions import did_you_mean
 from ..util.validation import Checked, Positive, Whole
 from .axes import MAKERS, Axis, Seed, axes
@@ -210,10 +210,8 @@ def _scene(text: str, folder: Path) -> Scene:
 def _digests(tables: Mapping[str, Any], swept: Sequence[Axis], folder: Path) -> dict[str, str]:
     """Return the hashes of the CSV files; one that cannot be read is reported with its scene."""
     names = [table.get("file") for table in tables.values() if isinstance(table, dict)]
-    for axis in swept:
-        for key, values in axis.columns.items():
-            if key.endswith(".file"):
-                names.extend(values)
+    columns = [column for axis in swept for column in axis.columns.items()]
+    names += [name for key, values in columns if key.endswith(".file") for name in values]
     found = {}
     for name in sorted({name for name in names if isinstance(name, str)}):
         try:

@@ -29,8 +29,8 @@ import numpy as np
 from ..errors import InputError, short
 from ..trajectory.gathered import stored
 from ..util.arrays import Array
+from ..util.cached import cached_property
 from ..util.files import unpack_one
-from ..util.records import cached_property
 from .file import Sweep
 from .quantities import quantity
 from .store_check import CHUNK_BYTES, described

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,8 +51,7 @@ class ErrorEstimate:
         return self.model + self.solver
 
 
-@dataclass(frozen=True)
-class Cost:
+class Cost(NamedTuple):
     """Computing time, steps and force evaluations of a trajectory.
 
     What is compiled, once on a machine, or loaded from what was compiled there before, is counted as `compile_s` alone.
@@ -158,7 +157,7 @@ def verdict(error: ErrorEstimate, cost: Cost) -> dict[str, Any]:
         "solver_error": error.solver,
         "error_definition": "max|x - x_true| over all samples and grains / max|x_true| of any grain at any time of the "
         "run, the larger of displacement and velocity, x_true the solution of Eq. (1)",
-        "cost": json.dumps(asdict(cost)),
+        "cost": json.dumps(cost._asdict()),
     }
 
 
@@ -186,10 +185,10 @@ def told(about: Mapping[str, Any]) -> dict[str, Any]:
     """Return engine, equation, error, cost and provenance from the metadata; raises if they are odd."""
     error = ErrorEstimate(float(about["model_error"]), float(about["solver_error"]))
     cost, provenance = json.loads(about["cost"]), json.loads(about["provenance"])
-    kinds: dict[Any, Any] = {"float": int | float, "int": int, "str": str}
+    kinds: dict[Any, Any] = {float: int | float, int: int, str: str}
     if not (error.model >= 0 and error.solver >= 0):
         raise ValueError("its error estimate is no number from 0")
-    if not all(isinstance(cost[item.name], kinds[item.type]) for item in fields(Cost)):
+    if not all(isinstance(cost[name], kinds[kind]) for name, kind in get_type_hints(Cost).items()):
         raise ValueError("its cost is not in numbers")
     if not isinstance(about["engine"], str) or not isinstance(about["equation"], int | float):
         raise ValueError("its engine or equation is none")

@@ -14,8 +14,8 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from ..errors import InputError, shown
 from .arrays import Array, read_only
+from .cached import cached_property
 from .notebook import Shown
-from .records import cached_property
 from .suggestions import did_you_mean
 
 NOT_GIVEN: Any = None  # default of array fields that are filled in when they are not given

@@ -41,7 +41,7 @@ rows = []
 for _ in range(2):
     began, before = now[0], dict(events)
     cost = simulate(scene, sys.argv[1], 0.5).cost
-    rows.append(vars(cost) | {"spent": now[0] - began} | {kind: events[kind] - before[kind] for kind in events})
+    rows.append(cost._asdict() | {"spent": now[0] - began} | {kind: events[kind] - before[kind] for kind in events})
 print(json.dumps(rows))
 """
 
@@ -71,7 +71,7 @@ def test_the_clock_stands_still_while_something_is_compiled(monkeypatch):
 
 def test_costs_of_old_files_have_no_compilation():
     cost = simulate(paper("weak", 5), "native", 1e-2).cost
-    old = {key: value for key, value in vars(cost).items() if key != "compile_s"}
+    old = {key: value for key, value in cost._asdict().items() if key != "compile_s"}
     assert Cost(**json.loads(json.dumps(old))).compile_s == 0
 
 

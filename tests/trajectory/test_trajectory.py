@@ -61,7 +61,7 @@ def test_equality(trajectory: Trajectory):
     assert trajectory != replace(trajectory, velocity=other[:-1])
     assert trajectory != replace(trajectory, engine="lammps")
     assert trajectory != replace(trajectory, provenance={})
-    assert trajectory != replace(trajectory, cost=replace(trajectory.cost, steps=1))
+    assert trajectory != replace(trajectory, cost=trajectory.cost._replace(steps=1))
     assert trajectory != 3
     with pytest.raises(TypeError):
         hash(trajectory)

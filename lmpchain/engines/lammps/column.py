@@ -11,7 +11,7 @@ from ...errors import InputError
 from ...scene.excitation import Impulse
 from ...scene.scene import Scene
 from ...util.arrays import Array
-from ...util.records import cached_property
+from ...util.cached import cached_property
 
 PAIR_STYLES = ("granular", "gran/hertz/history")
 MOST_TYPES = 128

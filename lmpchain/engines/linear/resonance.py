@@ -12,7 +12,7 @@ import numpy as np
 
 from ...scene.scene import Scene
 from ...util.arrays import Array
-from ...util.records import cached_property
+from ...util.cached import cached_property
 
 FEW = 12  # grains up to which all pairs of waves are gone through; analysis/calibration/linear_openings.py
 

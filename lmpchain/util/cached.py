@@ -1,19 +1,9 @@
-"""Records: copies that differ in some fields, and what is computed of one once. Whole calls wait for both."""
+"""What is computed of a record once, at the first use."""
 
 from __future__ import annotations
 
 import functools
-from typing import TYPE_CHECKING, Any, TypeVar
-
-T = TypeVar("T")
-
-
-def renewed(record: T, **fields: Any) -> T:
-    """Return what `dataclasses.replace` does, for a fifth of the time."""
-    made = object.__new__(type(record))
-    vars(made).update(vars(record), **fields)
-    return made
-
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from functools import cached_property as cached_property
