@@ -49,7 +49,7 @@ GROWN, STEADY = 300.0, 3.0
 SHARED, NEAR_ROUNDOFF, SHORT, GROWTH = 1.0, 0.1, 1e-13, 0.05
 SCATTER = 10.0  # multiple of that, and of the walk of rounding, by which two runs may differ for rounding alone
 BY_CHANCE = 3.0  # factor on what they do differ by then, for roundings may agree by chance
-MOTION = np.zeros((0, 2))  # errors are relative to the motion of each realisation
+MOTION = np.zeros((0, 2))  # errors are relative to that, and to nothing instead
 
 
 class CompanionRun(Run):
@@ -124,8 +124,7 @@ class CompanionRun(Run):
             until = final if begun + fit >= final else min(begun + count, final)
             own = room_for(self.realisations, until + 1 - first, self.scene.chain.grains)
             if first == 0:
-                for field, begin in zip(own, self._chains.initial, strict=True):
-                    field[:, 0] = begin
+                own[0][:, 0], own[1][:, 0] = self._chains.initial
             native, beside, fills = own, self._beside, []
             if self._twin:
                 u, v = self._beside
@@ -212,8 +211,12 @@ class CompanionRun(Run):
 
     def errors(self) -> list[ErrorBudget]:
         """Return the estimate for every realisation."""
-        told, every = in_parts(self._differences, self._peaks, self._instead(), self.native.watched)
-        plain, adaptive, found = self._chains.plain, self.candidate.adaptive, []
+        chains, instead = self._chains, MOTION
+        if self._twin and not self.native.largest()[0, 1]:  # only what rounding presses moves
+            farthest, fastest = self.peaks[0]
+            instead = np.array([[farthest, max(fastest, self.scene.highest_frequency * farthest)]])
+        told, every = in_parts(self._differences, self._peaks, instead, chains.scale, chains.units, self.native.watched)
+        plain, adaptive, found = chains.plain, self.candidate.adaptive, []
         for real, (lowest, taken, farthest, fastest, span, *parts) in enumerate(told.tolist()):
             scene, opens = self._scenes[real], lowest <= CLOSE_TO_OPENING
             pairs = [*zip(parts[::2], parts[1::2], strict=True)]
@@ -242,16 +245,6 @@ class CompanionRun(Run):
             ordered = smooth and not (opens and self._companions.kinks)
             found.append(ErrorBudget(truncation, roundoff, ordered, every[real]))
         return found
-
-    def _instead(self) -> Array:
-        """Return what errors are relative to, (R, 2) m and m/s, where not to the motion: no rows if nowhere."""
-        if any(scene.at_rest for scene in self._scenes):  # there is no motion, but that of a strike number of 1
-            units, resting = self._chains.units, np.array([[scene.at_rest] for scene in self._scenes])
-            return np.where(resting, np.where(units > 0, units, 1.0), 0.0)
-        if self._twin and not self.native.largest()[0, 1]:  # only what rounding presses moves
-            farthest, fastest = self.peaks[0]
-            return np.array([[farthest, max(fastest, self.scene.highest_frequency * farthest)]])
-        return MOTION
 
     def _grown(self, real: int, peaks: Array) -> float:
         """Return what becomes of a last digit in the whole run; 0 before its end, and where nothing meets."""

@@ -49,7 +49,7 @@ def strike_number(chain: Chain, excitation: Excitation, contacts: Contacts, mass
     """Return `Scene.strike_number`, (...), for contacts and masses (..., N) kg of chains like this."""
     if excitation.strike_velocity and chain.compressed:  # of one grain
         n = excitation.grain  # type: ignore[attr-defined]
-        omega = np.sqrt(contacts.stiffness.T[n] / masses.T[n - 1])
+        omega = (contacts.stiffness.T[n] / masses.T[n - 1]) ** 0.5
         return abs(excitation.strike_velocity) / (contacts.overlap.T[n] * omega)
     moving = slice(0, chain.movable)
     u, v = (np.abs(x[moving]) for x in excitation.largest(chain))

@@ -170,5 +170,4 @@ def policy_for(engine: str | Engine, **options: Any) -> Policy:
 def record(engine: Engine, scene: Scene, candidate: Candidate, tolerance: float) -> dict[str, str]:
     """Return what shaped an answer, for the record: versions, choices, and what the engine says."""
     asked = "none, for a step was given" if engine.step else f"{tolerance:g}"
-    said = engine.describe(engine.part(scene), candidate)
-    return {**versions(), "tolerance": asked, **candidate.choices, **said}
+    return {**versions(), "tolerance": asked, **candidate.choices, **engine.describe(scene, candidate)}

@@ -107,7 +107,9 @@ def compared(
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
-def in_parts(differences: Array, peaks: Array, instead: Array, state: Array) -> tuple[Array, Array]:
+def in_parts(
+    differences: Array, peaks: Array, instead: Array, scale: Array, units: Array, state: Array
+) -> tuple[Array, Array]:
     """Express differences as parts of the largest motion; what is no number is infinite.
 
     Parameters
@@ -115,7 +117,9 @@ def in_parts(differences: Array, peaks: Array, instead: Array, state: Array) -> 
     differences : (S, T, R, 2) array
         Of S others, in displacements and velocities.
     peaks, instead : (R, 2) arrays
-        That of the samples, and what is to take its place where that is not 0; no rows if nothing is.
+        That of the samples, and what is to take its place; no rows if nothing is.
+    scale, units : (R, 2) arrays
+        See `ChainBatch`: where nothing is set in motion, errors are relative to the units.
     state : (F R, 12) array
         See `layout.SAMPLE`: that of R chains by F schedules, the motion of the first of which counts.
 
@@ -135,7 +139,9 @@ def in_parts(differences: Array, peaks: Array, instead: Array, state: Array) -> 
         told[real, 1], over, largest = state[real, STEPS], told[real, 2:4], told[real, 5:]
         for field in range(fields):
             size = max(peaks[real, field], state[real, FARTHEST + field])
-            if real < len(instead) and instead[real, field] > 0.0:
+            if scale[real, 1] == 0.0:
+                size = units[real, field]
+            elif real < len(instead):
                 size = instead[real, field]
             over[field] = size if size > 0.0 else 1.0
         if max(peaks[real, 1], state[real, FASTEST]) > 0.0:
