@@ -48,7 +48,7 @@ def through(engine: Engine, scene: Scene, candidate: Candidate) -> None:
 def _cut(engine: Engine, quick: bool) -> Row:
     """Return the row of WORTH of the light cone for one engine."""
     repeats, ratios, periods = (3 if quick else 9), {}, 20.0
-    needed = struck(3000, periods).light_cone.scene.chain.grains
+    needed = struck(3000, periods).reached.chain.grains
     for part in (0.3, 0.7, 0.97) if quick else (0.3, 0.5, 0.6, 0.7, 0.8, 0.9, 0.97):
         scene, times = struck(math.ceil(needed / part), periods), []
         for worth in (1.1, 0.0):  # always, and never
@@ -84,7 +84,7 @@ def _look(quick: bool) -> Row:
         scene = struck(
             int(10 ** rng.uniform(1.5, 3)), 10 ** rng.uniform(0.7, 2), samples=int(10 ** rng.uniform(1, 2.5))
         )
-        scene = scene.light_cone.scene
+        scene = scene.reached
         ours, theirs = linear.candidate(scene, 1.0), native.candidate(scene, 10 ** rng.uniform(-9, -3))
         expected = (ours.sharper.cost_s + ours.cost_s) / theirs.cost_s
         looked = best(lambda scene=scene, ours=ours: linear.bound_model_error(scene, ours), repeats)  # type: ignore[misc]

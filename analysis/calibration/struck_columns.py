@@ -42,7 +42,7 @@ def columns(count: int, strongest: float) -> list[tuple[Scene, float]]:
         strike, tolerance = Impulse(velocity=10 ** rng.uniform(-4.5, -1)), 10 ** rng.uniform(-9, -2)
         samples = int(rng.choice((2, 11, 101)))
         scene = Scene(chain=chain, excitation=strike, duration=10 ** rng.uniform(-4.5, -3.5), samples=samples)
-        if companions.SAFE_STRAIN < scene.light_cone.scene.largest_strain < strongest:
+        if companions.SAFE_STRAIN < scene.reached.largest_strain < strongest:
             found.append((scene, tolerance))
     return found
 
@@ -112,7 +112,7 @@ def main(quick: bool = False) -> list[Row]:
     tolerances = 10 ** np.random.default_rng(42).uniform(-9, -2, count)
     random = drawn(count, 43, lambda s: s.largest_strain > companions.SAFE_STRAIN)
     cases = [*strong, *zip(map(Case, random), tolerances, strict=True)]
-    weak = [(s, t) for s, t in gentle if s.light_cone.scene.largest_strain <= time_stepping.GENTLE]
+    weak = [(s, t) for s, t in gentle if s.reached.largest_strain <= time_stepping.GENTLE]
     best(lambda: taken(*gentle[0]), 1)  # compiles
     return [
         cheapest(strict, "GENTLE", STRAINS, time_stepping.GENTLE),

@@ -282,7 +282,7 @@ class Engine(ABC):
 
     def part(self, scene: Scene) -> Scene:
         """Return what it computes of a scene: the light cone, or the whole."""
-        return scene.fine if self.whole else scene.fine.light_cone.scene
+        return scene.fine if self.whole else scene.fine.reached
 
     def obstacles(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why it cannot answer a scene, or gather what is asked of it, as (key, reason)."""

@@ -136,7 +136,8 @@ class CompanionRun(Run):
                     nothing = np.empty((self.realisations, 0, self.scene.count(self.scene.chain)))
                     yield Block(slice(first, first), nothing, nothing)
             yield self._keep(*own, first, until + 1)
-            self._sample_s = (sum(self._seconds) + self._compared_s - spent) / (until + 1 - first)
+            if until < final:
+                self._sample_s = (sum(self._seconds) + self._compared_s - spent) / (until + 1 - first)
 
     def _moved(self, index: int, fill: Callable[[int, int], int], until: int) -> bool:
         """Move one stepper on for as long as nothing may interrupt; say whether it is there."""

@@ -22,7 +22,7 @@ def divergence(scene: Scene, candidate: Candidate, change: float) -> Array:
     RunFailed
         If a run breaks down.
     """
-    part = scene.light_cone.scene.replace(grains="all")
+    part = scene.reached.replace(grains="all")
     run = Native().start([part, perturbed(part, change)], candidate)
     apart = np.zeros((2, scene.samples))
     try:

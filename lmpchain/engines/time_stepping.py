@@ -6,6 +6,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 from ..errors import InputError, shown
@@ -261,10 +262,7 @@ class TimeSteppingEngine(Engine):
         """Start one scene, or a batch of scenes that differ in numbers only."""
         if len(scenes) > 1 and len({kind(scene) for scene in scenes}) > 1:
             raise ValueError("a batch needs chains of one kind and length, recorded alike")
-
-        def make(schedules: Sequence[StepSchedule], kept: Mapping[str, Array]) -> Stepper:
-            return self.stepper(scenes, candidate, schedules, kept)
-
+        make = partial(self.stepper, scenes, candidate)
         try:
             return CompanionRun(make, METHODS[candidate.integrator], scenes, candidate, state, self.twin)
         except (LookupError, TypeError, ValueError) as error:

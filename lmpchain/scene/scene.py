@@ -266,14 +266,19 @@ class Scene(Recording):
         return float(norm * (np.sqrt(compliance[pressed]) / contacts.overlap[pressed]).max())
 
     @cached_property
-    def light_cone(self) -> LightCone:
-        """The grains that the wave can have reached when the scene ends, as a scene of their own."""
+    def light_cone(self) -> LightCone | None:
+        """The grains that the wave can have reached when the scene ends; None if that is all of them."""
         first, last = reached(self.chain, self.excitation, self.energy, self.duration)
         if last - first + 1 == self.chain.grains:
-            return LightCone(self, slice(None), slice(None))
+            return None
         recorded = self.recorded
         columns = np.flatnonzero((recorded >= first) & (recorded <= last))
         return LightCone(self.part(first, last), recorded[columns] - first, as_slice(columns))
+
+    @property
+    def reached(self) -> Scene:
+        """The scene of the grains that the wave can have reached, all of them recorded if they are not all."""
+        return self.light_cone.scene if self.light_cone else self
 
     def part(self, first: int, last: int) -> Scene:
         """Return grains first ... last, all recorded, as a scene: right until a wave meets their ends."""
@@ -327,7 +332,7 @@ class LightCone(NamedTuple):
     Attributes
     ----------
     scene : Scene
-        That part with all of its grains recorded, or the whole scene.
+        That part with all of its grains recorded.
     rows : slice or (C,) array
         Indices, among the recorded grains of that part, of those that the whole scene records.
     columns : slice or (C,) array

@@ -183,7 +183,7 @@ def _solve(
     scene, samples, part = task.scene, task.scene.samples, engine.part(task.scene)
     if scene.quantities:
         return _gathered(task, engine, attempt, output, progress)
-    cone = None if part is scene else scene.light_cone
+    cone = None if engine.whole else scene.light_cone
 
     def collect(run: Run) -> Any:
         return _collected(run, engine, output, samples, progress, cone)

@@ -35,8 +35,9 @@ class GatheringRun(Run):
         self, run: Run, engine: Engine, scenes: Sequence[Scene], parts: Sequence[Scene], state: Mapping[str, Array]
     ):
         self._run, scene, part = run, scenes[0], parts[0]
-        cone = scene.fine.light_cone.columns if part is not scene.fine else slice(None)
-        first = (cone.start or 0) if isinstance(cone, slice) else int(cone[0])
+        cone = None if engine.whole else scene.fine.light_cone
+        columns = cone.columns if cone else slice(0, None)
+        first = columns.start if isinstance(columns, slice) else int(columns[0])
         kept: list[dict[str, Array]] = [{} for _ in scenes]
         for key, values in state.items():
             if key.startswith(STATE):

@@ -139,7 +139,7 @@ def _predictability(scene: Scene) -> Iterator[Boundary | Curve]:
 def _linear(scene: Scene) -> Iterator[Boundary]:
     from .linear_theory import strike_number_where
 
-    if reasons := engines.Chebyshev().refuses(scene.light_cone.scene):
+    if reasons := engines.Chebyshev().refuses(scene.reached):
         raise InputError(reasons)
     for error in (0.01, 0.1):
         bound, number = strike_number_where(error, scene), scene.strike_number
@@ -160,8 +160,8 @@ def _strength(scene: Scene) -> Iterator[Curve]:
     from .roundoff import floor
 
     linear, weaker = engines.Chebyshev(), [_times(scene, factor) for factor in STRENGTHS]
-    if not linear.refuses(scene.light_cone.scene):
-        parts = (weak.light_cone.scene for weak in weaker)
+    if not linear.refuses(scene.reached):
+        parts = (weak.reached for weak in weaker)
         looks = [linear.look(part) for part in parts]
         yield Curve("strength", "Eq. (3), estimate", STRENGTHS, np.array([look.error for look in looks]))
         yield Curve("strength", "Eq. (3), at most", STRENGTHS, np.array([look.at_most for look in looks]))

@@ -106,7 +106,7 @@ def strike_number_where(error: float, scene: Scene) -> float:
     number = min(WEAK, scene.strike_number)
     for _ in range(SEARCH):
         given = scene.given() | {"excitation": scene.excitation.scaled(number / (scene.strike_number or 1.0))}
-        estimate = Chebyshev().estimate_model_error(Scene(**given).light_cone.scene)
+        estimate = Chebyshev().estimate_model_error(Scene(**given).reached)
         if not estimate:
             return np.inf
         number *= error / estimate  # which grows with the strike, or with its square

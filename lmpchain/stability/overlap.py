@@ -15,7 +15,7 @@ def deepest(scene: Scene) -> float:
     No contact can hold more than the energy of the strike, `Contacts.overlap_bound`. `Scene` refuses strikes that
     squeeze a contact to more than a tenth at once; lighter grains below, or a floor, may be squeezed further.
     """
-    part = scene.light_cone.scene
+    part = scene.reached
     return float((part.chain.contacts.overlap_bound(scene.energy) / part.chain.contact_lengths).max())
 
 

@@ -24,7 +24,7 @@ def pre_run_warnings(scene: Scene, engine: Engine | None, tolerance: float) -> I
         excess = f"Hertz's law is {100 * hertz_excess(min(deep, 0.5)):.2g} % off there by the shape of spheres alone"
         yield f"contacts may be squeezed to {100 * deep:.2g} % of the diameter: {excess}"
     if engine and engine.step is not None:
-        method, edge = engine.methods[0], scene.light_cone.scene.chain.band_edge
+        method, edge = engine.methods[0], scene.reached.chain.band_edge
         longest = limit(scene, method.name) * (TRUSTED if scene.largest_strain > SAFE_STRAIN else 1.0)
         if longest < engine.step and engine.step * edge <= method.stability_limit:  # beyond, the engine refuses it
             yield (

@@ -126,7 +126,7 @@ def growth(scene: Scene, perturbation: float = CHANGE, accuracy: float = ACCURAC
     ToleranceNotMet
         If round-off alone is above `accuracy`, the error that the runs would have were there no growth.
     """
-    return scene.time, divergence(scene, Native("rkn6").candidate(scene.light_cone.scene, accuracy), perturbation)
+    return scene.time, divergence(scene, Native("rkn6").candidate(scene.reached, accuracy), perturbation)
 
 
 def predictability_time(scene: Scene, tolerance: float) -> float:

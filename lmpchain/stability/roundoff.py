@@ -51,7 +51,7 @@ def floor(scene: Scene, engine: str = "native", diameter: str = "physical", forc
     InputError
         If the engine is neither, or an option is none of its own.
     """
-    part = scene.light_cone.scene
+    part = scene.reached
     steps = _steps(part)
     speed = _speed(part)
     return _engine(engine, diameter, force).typical_round_off(part, steps, speed)
@@ -69,7 +69,7 @@ def long_double(scene: Scene) -> tuple[Array, Array]:
     two (T, N) arrays
         m, m/s.
     """
-    part = scene.light_cone.scene
+    part = scene.reached
     return _same_steps(part, RKN6, _steps(part))
 
 
@@ -104,7 +104,7 @@ def measured_floor(
     """
     if scene.excitation.does_work:
         raise InputError([("kind", "the floor of round-off is not measured for a driven chain")])
-    part = scene.ungathered.light_cone.scene
+    part = scene.ungathered.reached
     steps = _steps(part)
     h = part.duration / steps * (1 + 1e-9)
     run = simulate(part, _engine(engine, diameter, force, h))

@@ -49,7 +49,7 @@ def struck_frequency(scene: Scene) -> float:
     float
         rad/s.
     """
-    part = scene.light_cone.scene
+    part = scene.reached
     chain, contacts = part.chain, part.chain.contacts
     if part.excitation.does_work:
         return part.highest_frequency
@@ -102,7 +102,7 @@ def limit(scene: Scene, integrator: str) -> float:
     """
     from scipy.optimize import brentq
 
-    method, edge = METHODS[integrator], scene.light_cone.scene.chain.band_edge
+    method, edge = METHODS[integrator], scene.reached.chain.band_edge
     highest = struck_frequency(scene)
     longest = method.stability_limit / highest if highest else math.inf  # nothing moves, and nothing is pressed
 
@@ -171,7 +171,7 @@ def blow_up(scene: Scene, integrator: str, engine: str = "native") -> float:
     scene, expected = scene.ungathered, limit(scene, integrator)
     solver = engines.get(engine, integrator=integrator, step=expected / 4)
     proposed = solver.candidate(solver.part(scene), 0.5)
-    edge = scene.light_cone.scene.chain.band_edge
+    edge = scene.reached.chain.band_edge
     suspected = suspect(integrator) / edge if edge else math.inf
 
     def survives(step: float) -> bool:

@@ -13,7 +13,7 @@ from ..chain.contacts import Contacts, dynamical_matrix, hertz_constant
 from ..chain.impurities import with_impurities
 from ..disorder.draws import OF_CONTACTS, drawn_constants
 from ..errors import InputError
-from ..scene.scene import LightCone, Scene
+from ..scene.scene import Scene
 from ..scene.strike import overlaps_of, pair_frequency, strike_number
 from ..util.arrays import Array, read_only
 from .axes import INDEX
@@ -70,7 +70,7 @@ def _together(plan: Sweep, first: int, count: int) -> list[Made]:
     try:
         common, disorder = _wider(plan.ordered(places[0]), plan.keep), plan.disorder(places[0])
         chain = common.chain
-        apart = common.light_cone.scene.chain.grains < chain.grains or chain.grains == 1  # each is cut to its own
+        apart = common.reached.chain.grains < chain.grains or chain.grains == 1  # each is cut to its own
         apart |= common.excitation.of_chain or (disorder is not None and disorder.of not in OF_CONTACTS)
         if apart:
             return [_alone(plan, number) for number in numbers]
@@ -204,7 +204,6 @@ def _scene(common: Scene, parts: Mapping[str, Any], known: Mapping[str, list[flo
     chain = Chain._filled(fields, set(parts["fields"]))
     recorded = {name: getattr(common, name) for name in ("excitation", "duration", "samples", "grains", "quantities")}
     scene = Scene._filled({"chain": chain} | recorded, set(common.model_fields_set))
-    cone, around = LightCone(scene, slice(None), slice(None)), (1, chain, scene.excitation)
-    shared = {"imposed": common.imposed, "light_cone": cone, "_surroundings": around}
+    shared = {"imposed": common.imposed, "light_cone": None, "_surroundings": (1, chain, scene.excitation)}
     scene.__dict__.update(shared, **{key: values[row] for key, values in known.items()})
     return scene

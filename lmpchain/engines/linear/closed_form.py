@@ -33,7 +33,7 @@ class ClosedForm(LinearEngine):
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why the formula does not hold for this scene."""
-        reached = scene.light_cone.scene
+        reached = scene.reached
         chain, reasons = reached.chain, super().refuses(reached)
         for key, difference in unlike(chain).items():
             if difference > UNIFORM:
@@ -46,7 +46,7 @@ class ClosedForm(LinearEngine):
 
     def candidate(self, scene: Scene, tolerance: float) -> Candidate:
         """Propose the formula; only where it is the exact solution is its error known before the run."""
-        candidate = super().candidate(scene.light_cone.scene, tolerance)
+        candidate = super().candidate(scene.reached, tolerance)
         candidate = candidate._replace(active_grains=scene.chain.grains)
         return candidate if self.exact(scene) else candidate._replace(model_error=math.nan, sharper=None)
 
@@ -90,7 +90,7 @@ class Bessel(ClosedForm):
     def exact(self, scene: Scene) -> bool:
         """Say whether all contacts are equally stiff and the bottom is out of reach."""
         uniform = scene.chain.gravity == 0 and scene.chain.compressed
-        return uniform and scene.light_cone.scene is not scene
+        return uniform and scene.reached is not scene
 
     def wave(self, scene: Scene, times: Array) -> tuple[Array, Array]:
         """Return displacement and velocity of the recorded grains, (T, G) m and m/s."""
