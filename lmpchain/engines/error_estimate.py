@@ -17,14 +17,13 @@ from numpy.typing import NDArray
 
 from ..errors import RunFailed
 from ..integrators.batch import ChainBatch
-from ..integrators.kernels.reductions import CLOSE, NO_NUMBERS, SOUND, TOO_FAST, compared, in_parts
+from ..integrators.kernels.reductions import NO_NUMBERS, SOUND, TOO_CLOSE, TOO_FAST, compared, in_parts
 from ..integrators.methods import Method
 from ..integrators.step_schedule import StepSchedule
 from ..integrators.stepper import NativeStepper, Stepper, room_for
 from ..scene.scene import Scene
 from ..trajectory.record import Block, Cost
 from ..util.arrays import Array, as_slice
-from ..util.cached import cached_property
 from ..util.compilation import clock
 from .amplification import amplified_digit, walked
 from .base import Candidate, ErrorBudget, Run
@@ -36,7 +35,7 @@ GUESSED_RATE = 1e8  # grain-steps a second, a low guess to begin with
 BLOCK_BYTES = 2**25  # of the samples that are compared at a time,
 BLOCK_S = 0.5  # and how long they may take: what is stopped or killed loses no more
 WRONG = {
-    CLOSE: "grains overlap more than all the energy there is allows",
+    TOO_CLOSE: "grains overlap more than all the energy there is allows",
     TOO_FAST: "the kinetic energy exceeds all the energy there is",
     NO_NUMBERS: "positions or velocities are no longer numbers",
 }
@@ -95,6 +94,9 @@ class CompanionRun(Run):
             self.native = cast(NativeStepper, self._answer)
             self._steppers, self._allowed = (self._answer,), self.native.chains.allowed
         self._chains, self.realisations, others = self.native.chains, len(scenes), len(chosen.against)
+        self._furthest = math.inf
+        if self._chains.imposed:  # no energy bounds what is driven, but a million times as close as long, it is broken
+            self._furthest = 1e6 * min(scene.chain.diameters.sum() for scene in scenes)
         samples, grains = self.scene.samples, self.scene.chain.grains
         self._together = math.lcm(chosen.together, self._answer.stride)
         self._most = _block(others + 1, self.realisations, grains, samples, self._together)
@@ -149,21 +151,13 @@ class CompanionRun(Run):
         self._seconds[index] += took
         return done < max_steps or self._steppers[index].sample >= until
 
-    @cached_property
-    def _room(self) -> Array:
-        """By how much grains cannot come closer than at rest, (R,) m."""
-        most = self._chains.contacts.overlap_bound(self._allowed[:, None]).max(1)
-        if not self._chains.imposed:
-            return most
-        # nothing bounds what is driven, but a million times as close as long, it has broken down
-        return np.minimum(most, [1e6 * scene.chain.diameters.sum() for scene in self._scenes])
-
     def _leave_broken(self, first: int, until: int) -> None:
         """Leave native chains whose grains are too close; their error is infinite. Raise if it is the answer."""
-        broken = self.native.closest() > self._room
+        most = self._chains.contacts.overlap_bound(self._allowed[:, None]).max(1)
+        broken = self.native.closest() > np.minimum(most, self._furthest)
         if broken.any():
             if not self._twin and broken[0].any():
-                raise RunFailed(self._broke_down(first, WRONG[CLOSE]))
+                raise RunFailed(self._broke_down(first, WRONG[TOO_CLOSE]))
             self.native.leave(broken, until)
             self._lost = broken[1 - self._twin :]
 
@@ -172,11 +166,13 @@ class CompanionRun(Run):
         began = clock()
         of_others, kept = self._companions, (self._differences, self._peaks)
         beside = *self._beside, of_others.against, of_others.strides
-        seen = self._allowed, self.native.watched, self._chains.contacts.overlap
+        own = self._chains.contacts
+        at_rest = own.overlap, own.stiffness, own.constant, own.exponent
+        seen = self._allowed, self.native.watched, *at_rest, self._furthest
         verdict = compared(u, v, *beside, self._chains.masses, first, *kept, *seen)
         if verdict != SOUND:
             self._leave_broken(first, stop - 1)
-            if verdict != CLOSE:
+            if verdict != TOO_CLOSE:
                 raise RunFailed(self._broke_down(first, WRONG[verdict]))
         if self._lost is not None:
             self._differences.swapaxes(1, 2)[self._lost] = np.inf

@@ -11,7 +11,7 @@ from ...util.compilation import compiled_once
 from .contact_forces import NEWS, bits, number
 from .layout import CLOSEST, FARTHEST, FASTEST, LOWEST, STEPS
 
-SOUND, CLOSE, TOO_FAST, NO_NUMBERS = range(4)
+SOUND, TOO_CLOSE, TOO_FAST, NO_NUMBERS = range(4)
 _exact = numba.njit(error_model="numpy")
 _total = numba.njit(error_model="numpy", fastmath={"nsz", "reassoc"})
 
@@ -33,6 +33,23 @@ def _kinetic(v, masses):
     return total
 
 
+@_exact
+def may_give_way(closer, most, overlap, stiffness, constant, exponent):
+    """Say whether grains may be so much closer than at rest where there is twice this energy at most, J.
+
+    Of contacts at rest, (N+1,); it is said by the first that may: see `Contacts.overlap_bound`.
+    """
+    power = exponent + 1.0
+    for n in range(overlap.size):
+        if constant[n] > 0.0:
+            gives = (power * most / constant[n]) ** (1.0 / power)
+            if stiffness[n] > 0.0:
+                gives = min(gives, np.sqrt(2.0 * most / stiffness[n]))
+            if closer <= overlap[n] + gives:
+                return True
+    return closer <= 0.0
+
+
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
 def compared(
     u: Array,
@@ -48,6 +65,10 @@ def compared(
     allowed: Array,
     state: Array,
     overlap: Array,
+    stiffness: Array,
+    constant: Array,
+    exponent: float,
+    furthest: float,
 ) -> int:
     """Measure an answer and how far others are from it or from each other.
 
@@ -71,19 +92,24 @@ def compared(
         What twice the kinetic energy cannot exceed, J.
     state : (F R, 12) array
         See `layout.SAMPLE`: that of R chains by F schedules.
-    overlap : (R, N+1) array
-        Of the contacts at rest, m.
+    overlap, stiffness, constant, exponent : (R, N+1) arrays and float
+        Of the contacts at rest.
+    furthest : float
+        How close grains may come whatever energy there is, m.
 
     Returns
     -------
     int
-        `SOUND`, `CLOSE` if grains have come closer by more than any overlap at rest, which they may, `TOO_FAST` if any
-        sample has more energy, `NO_NUMBERS` if a displacement or velocity is none; the last of these.
+        `SOUND`, `TOO_CLOSE` if grains have come closer than the energy allows, `TOO_FAST` if any sample has more of it,
+        `NO_NUMBERS` if a displacement or velocity is none; the last of these.
     """
     others, final, batch = others_u.shape[0], differences.shape[1] - 1, u.shape[0]
     nothing, verdict = np.zeros(u.shape[2]), SOUND
     for row in range(len(state)):
-        verdict = max(verdict, CLOSE if state[row, CLOSEST] > overlap[row % batch].max() else SOUND)
+        real, closer = row % batch, state[row, CLOSEST]
+        contacts = overlap[real], stiffness[real], constant[real], exponent
+        if not (closer <= furthest and may_give_way(closer, allowed[real], *contacts)):
+            verdict = TOO_CLOSE
     for real in range(batch):
         for sample in range(u.shape[1]):
             x, w, at = u[real, sample], v[real, sample], begin + sample
