@@ -252,7 +252,7 @@ class Engine(ABC):
 
     @abstractmethod
     def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
-        """Return the choices that shape the answer and the versions behind it, for the record."""
+        """Return what shapes the answer besides the choices of a candidate, such as versions, for the record."""
 
     def bound_model_error(self, scene: Scene, candidate: Candidate) -> float:
         """Return a sharper bound on what the equation leaves out of this scene; see `Candidate.sharper`."""

@@ -151,5 +151,5 @@ class Native(TimeSteppingEngine):
         return NativeStepper(chains, METHODS[candidate.integrator], own, state, self.threads, companions)
 
     def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
-        """Return the form of the force and the version of the compiler."""
-        return {**candidate.choices, "numba": numba.__version__}
+        """Return the version of the compiler."""
+        return {"numba": numba.__version__}

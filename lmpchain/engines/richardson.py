@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 
 SAFETY = 2.0  # factor on the Richardson estimate; analysis/calibration/richardson_estimate.py
 SMALL = 0.01  # difference up to which the order is trusted of two runs alone: phases that are far off lose it
@@ -34,8 +35,13 @@ def extrapolate(
         return SAFETY * fine / (ratios[0] ** order - 1) if settled and fine <= SMALL else fine
     if not smooth:
         return 1.5 * max(fine, coarse / 4)
-    first, second = ratios
+    least, most, power, spread = _law(order, *ratios)
+    gain = min(max(coarse / max(fine, 1e-300), least), most) ** power  # error at the longer step over that at h
+    return max(SAFETY * fine / (gain - 1), 0.0 if confirmed else coarse / spread)
+
+
+@lru_cache
+def _law(order: int, first: float, second: float) -> tuple[float, float, float, float]:
+    """Return least and most of coarse over fine, the power of it that is the gain, and coarse over the error."""
     doublings = math.log2(second / first)
-    ratio = min(max(coarse / max(fine, 1e-300), 1.5**doublings), (second / first) ** order)
-    gain = ratio ** (math.log2(first) / doublings)  # error at the longer step over that at h
-    return max(SAFETY * fine / (gain - 1), 0.0 if confirmed else coarse / (second**order - first**order))
+    return 1.5**doublings, (second / first) ** order, math.log2(first) / doublings, second**order - first**order

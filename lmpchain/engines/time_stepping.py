@@ -142,8 +142,12 @@ class TimeSteppingEngine(Engine):
 
     def candidate(self, scene: Scene, tolerance: float) -> Candidate:
         """Propose a step size: the one given, or the longest that should meet the tolerance."""
-        made = [(method, self._steps(scene, tolerance, method)) for method in self.methods]
-        return self.choose_step(scene, tolerance, *min(made, key=_work_of))
+        best, work = None, math.inf
+        for method in reversed(self.methods):  # in most scenes the last one is the best
+            if made := self._steps(scene, tolerance, method, work):
+                best, work = (method, made), made[0]
+        assert best
+        return self.choose_step(scene, tolerance, *best)
 
     def choose_step(self, scene: Scene, tolerance: float, method: Method, made: Steps) -> Candidate:
         """Propose the step size of a method."""
@@ -167,8 +171,8 @@ class TimeSteppingEngine(Engine):
             choices=self.choices(scene),
         )
 
-    def _steps(self, scene: Scene, tolerance: float, method: Method) -> Steps:
-        """Return the steps of a method, with what a sample costs, in evaluations of the force.
+    def _steps(self, scene: Scene, tolerance: float, method: Method, most: float) -> Steps | None:
+        """Return the steps of a method, with what a sample costs, in evaluations of the force; None if that is more.
 
         These are the steps from landing to landing, how many samples that is, whether they adapt, and whether coarsely.
         """
@@ -201,7 +205,10 @@ class TimeSteppingEngine(Engine):
             longest = LONGEST_UNBOUNDED * limit
         if adapts:
             longest = min(longest, omega * scene.excitation.knot_spacing)  # knots cut longer steps
-        steps = math.ceil(interval * omega / min(reach, longest))
+        needed = interval * omega / min(reach, longest)
+        if method.evaluations * needed > most:
+            return None
+        steps = math.ceil(needed)
         work = method.evaluations * steps
         # in the vacuum a front grows so steeply that what lies between steps may get a wrong sign
         if self.dense and self.adaptive and shortens and scene.chain.compressed:
@@ -211,12 +218,13 @@ class TimeSteppingEngine(Engine):
             cheaper = _work_between(method, few, adapts) < work
             exact = few * (scene.samples - 1) * LOST_BETWEEN < tolerance
             if cheaper and exact and 1 < stride <= FIELD // scene.chain.grains:
-                return _work_between(method, landed / stride, adapts), landed, stride, adapts, False
+                work = _work_between(method, landed / stride, adapts)
+                return (work, landed, stride, adapts, False) if work <= most else None
         # where samples hold steps short, shorter ones near openings would only cost
         coarse = adapts and shortens and scene.chain.exponent >= KINKED_BELOW
         if coarse:
             coarse = steps == math.ceil(interval * omega / min(reach / COARSE_ERROR ** (1 / method.order), longest))
-        return work, steps, 1, adapts, coarse
+        return (work, steps, 1, adapts, coarse) if work <= most else None
 
     def adapts(self, scene: Scene, method: Method) -> bool:
         """Say whether steps of this method shorten where contacts open or close, or follow its own error."""
@@ -279,10 +287,6 @@ def _gently_struck(scene: Scene, tolerance: float) -> bool:
 def _work_between(method: Method, steps: float, adapts: bool) -> float:
     """Return what an interpolated sample costs, in evaluations of the force, at so many steps."""
     return method.evaluations * steps * (1.0 if adapts else UNEVEN) + COST_BETWEEN
-
-
-def _work_of(made: tuple[Method, Steps]) -> float:
-    return made[1][0]
 
 
 def landing(scene: Scene, few: float) -> tuple[int, int]:

