@@ -109,11 +109,11 @@ class Companions:
             falls_to = ORDER_WHERE_COARSE if self._coarse else ORDER_AT_OPENINGS
             falls_to = ORDER_AT_KINKS if self.kinks else falls_to
             trusted = min(self._order, falls_to) if self._adaptive else self._order
-        coarse = steps[1] if len(steps) - self.nearby > 1 else (None, None)
-        ratios, settled = self._ratios[:2], smooth and not opens
+        fine, coarse = steps[0], steps[1] if len(steps) - self.nearby > 1 else (None, None)
         again = opens and self.scatters[real]
-        pairs = zip(coarse, steps[0], strict=True)
-        found = max(extrapolate(trusted, smooth, *pair, ratios, settled, again) for pair in pairs)
+        how = self._ratios[:2], smooth and not opens, again
+        displaced = extrapolate(trusted, smooth, coarse[0], fine[0], *how)
+        found = max(displaced, extrapolate(trusted, smooth, coarse[1], fine[1], *how))
         return max(found, LEAST_PART * max(steps[-1])) if again else found
 
 

@@ -214,9 +214,8 @@ class CompanionRun(Run):
             instead = np.array([[farthest, max(fastest, self.scene.highest_frequency * farthest)]])
         told, every = in_parts(self._differences, self._peaks, instead, chains.scale, chains.units, self.native.watched)
         plain, adaptive, found = chains.plain, self.candidate.adaptive, []
-        for real, (lowest, taken, farthest, fastest, span, *parts) in enumerate(told.tolist()):
+        for real, ((lowest, taken), (farthest, fastest), (span, _), *pairs) in enumerate(told.tolist()):
             scene, opens = self._scenes[real], lowest <= CLOSE_TO_OPENING
-            pairs = [*zip(parts[::2], parts[1::2], strict=True)]
             differences = pairs[self._twin :]  # between steps h, 2h (and 4h), or h and h/2
             smooth = adaptive or self.method.order == 2 or (scene.excitation.smooth and not opens)
             truncation = self._companions.truncation(real, differences, opens, smooth)

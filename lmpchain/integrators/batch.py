@@ -78,7 +78,8 @@ class ChainBatch:
         self._struck = scenes[:1] if one else scenes  # each in a way of its own
         self.initial = initial or self._initial()
         self._compressed, self.precompressed = chain.compressed, float(chain.compressed)
-        self.masses = np.array([scene.chain.masses for scene in scenes])
+        masses = [scene.chain.masses for scene in scenes]
+        self.masses = np.array(masses) if len(masses) > 1 else masses[0].copy()[None]
         self.contacts = own = together([scene.chain.contacts for scene in scenes])
         strikes = np.array([(scene.highest_frequency, scene.energy, *scene.imposed) for scene in scenes])
         self.table, self.uncompressed, self.omega, self.scale, self.units, self.allowed = laid_out(

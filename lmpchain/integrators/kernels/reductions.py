@@ -151,18 +151,18 @@ def in_parts(
 
     Returns
     -------
-    told : (R, 5 + 2 S) array
-        Smallest r / eps of any contact by any schedule, steps by the first one, what parts are of (1 if nothing moves),
-        the first over the second of these (0 if nothing moves), and the largest parts of all samples.
+    told : (R, 3 + S, 2) array
+        Smallest r / eps of any contact by any schedule, and steps by the first one; what parts are of (1 if nothing
+        moves); the first over the second of these (0 if nothing moves), and nothing; the largest parts of all samples.
     every : (R, T) array
         Largest parts of all others and both fields.
     """
     others, samples, batch, fields = differences.shape
-    told, every = np.zeros((batch, 5 + fields * others)), np.zeros((batch, samples))
+    told, every = np.zeros((batch, 3 + others, fields)), np.zeros((batch, samples))
     for row in range(len(state)):
-        told[row % batch, 0] = min(told[row % batch, 0], state[row, LOWEST])
+        told[row % batch, 0, 0] = min(told[row % batch, 0, 0], state[row, LOWEST])
     for real in range(batch):
-        told[real, 1], over, largest = state[real, STEPS], told[real, 2:4], told[real, 5:]
+        told[real, 0, 1], over, largest = state[real, STEPS], told[real, 1], told[real, 3:]
         for field in range(fields):
             size = max(peaks[real, field], state[real, FARTHEST + field])
             if scale[real, 1] == 0.0:
@@ -171,12 +171,16 @@ def in_parts(
                 size = instead[real, field]
             over[field] = size if size > 0.0 else 1.0
         if max(peaks[real, 1], state[real, FASTEST]) > 0.0:
-            told[real, 4] = over[0] / over[1]
+            told[real, 2, 0] = over[0] / over[1]
+        for sample in range(samples):
+            for field in range(fields):
+                most = 0.0
+                for other in range(others):
+                    apart = differences[other, sample, real, field]
+                    apart = np.inf if np.isnan(apart) else apart
+                    most, largest[other, field] = max(most, apart), max(largest[other, field], apart)
+                every[real, sample] = max(every[real, sample], most / over[field])
         for other in range(others):
-            for sample in range(samples):
-                for field in range(fields):
-                    part = differences[other, sample, real, field] / over[field]
-                    part = np.inf if np.isnan(part) else part
-                    largest[fields * other + field] = max(largest[fields * other + field], part)
-                    every[real, sample] = max(every[real, sample], part)
+            for field in range(fields):
+                largest[other, field] /= over[field]
     return told, every

@@ -171,5 +171,5 @@ def opening_weights(table: Array, uncompressed: Array, omega: Array, scale: Arra
             mobility = max(inverse_mass[n], inverse_mass[n + 1] if n + 1 < width else 0.0)
             pull = strength[n] + (uncompressed[real] if n == PAD - 1 else 0.0)
             weight[real, n] = min(pull * mobility / changes, 1e150) ** 2
-            reach[real, n] = weight[real, n] ** (1 / 3) / slow
+            reach[real, n] = np.cbrt(weight[real, n]) / slow
     return weight, reach
