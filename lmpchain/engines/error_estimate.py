@@ -290,4 +290,6 @@ def _block(steppers: int, realisations: int, grains: int, samples: int, together
 
 def _of(who: str, state: Mapping[str, Array] | None) -> dict[str, Array]:
     """Return what is kept of a stepper."""
-    return {key.removeprefix(f"{who}."): array for key, array in (state or {}).items() if key.startswith(f"{who}.")}
+    if not state:
+        return {}
+    return {key.removeprefix(f"{who}."): array for key, array in state.items() if key.startswith(f"{who}.")}

@@ -74,8 +74,8 @@ class ChainBatch:
     def __init__(self, scenes: Sequence[Scene], force: str = "auto", initial: tuple[Array, Array] | None = None):
         self.scenes, chain, excitation = scenes, scenes[0].chain, scenes[0].excitation
         self.grains, self.imposed, self.driven = chain.grains, excitation.does_work, excitation.driven
-        one = not excitation.of_chain and all(scene.excitation is excitation for scene in scenes)
-        self._struck = scenes[:1] if one else scenes  # each in a way of its own
+        each = len(scenes) > 1 and (excitation.of_chain or any(scene.excitation is not excitation for scene in scenes))
+        self._struck = scenes if each else scenes[:1]  # that are set in motion in a way of their own
         self.initial = initial or self._initial()
         self._compressed, self.precompressed = chain.compressed, float(chain.compressed)
         masses = [scene.chain.masses for scene in scenes]
