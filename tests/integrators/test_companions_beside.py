@@ -5,6 +5,7 @@ import pytest
 
 from lmpchain import Chain, Impulse, Scene
 from lmpchain.integrators.batch import ChainBatch
+from lmpchain.integrators.kernels.layout import FIRST, LAST, PAD
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.step_schedule import StepSchedule
 from lmpchain.integrators.stepper import NativeStepper
@@ -53,3 +54,27 @@ def test_they_have_the_bits_of_runs_of_their_own(name: str, adaptive: bool, land
 
 def method_of_one_stage(name: str) -> bool:
     return METHODS[name].evaluations == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "adaptive", "landing"),
+    [("rkn6", True, 1), ("rkn6", True, 12), ("rkn6", False, 12), ("verlet", False, 1), ("dop853", True, 1),
+     ("gear4", False, 1)],
+)  # fmt: skip
+def test_samples_of_short_chains_are_written_whole(name: str, adaptive: bool, landing: int):
+    """They need no zeros where no wave has come; nor do those of companions where these stop."""
+    chain = Chain(grains=300, diameter=1e-3)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3, grain=150), duration=4e-6, samples=25)
+    steps = 9 * landing if method_of_one_stage(name) else 3 * landing
+    own = StepSchedule(steps, landing, landing * scene.duration / 24 / steps, adaptive, dense=int(landing > 1))
+    stepper = NativeStepper(ChainBatch([scene]), METHODS[name], own, {}, 1, [own.longer(2)])
+    fields, beside = np.full((2, 1, 25, 300), np.nan), np.full((2, 1, 1, 25, 300), np.nan)
+    stepper.fill(*fields, 0, 24, 2**62, tuple(beside))
+    first, last = stepper.state()["state"][0, [FIRST, LAST]] - PAD
+    assert 0 < first < 149 < last < 300
+    every = own.longer(2).dense or own.longer(2).stride
+    for found in (fields[:, :, 1:], beside[:, 0, :, every::every]):
+        assert found[..., 149].all()
+        assert not found[..., : int(first)].any()
+        assert not found[..., int(last) :].any()
+        assert not np.isnan(found).any()
