@@ -42,6 +42,6 @@ def extrapolate(
 
 @lru_cache
 def _law(order: int, first: float, second: float) -> tuple[float, float, float, float]:
-    """Return least and most of coarse over fine, the power of it that is the gain, and coarse over the error."""
+    """Return least and most of coarse / fine, the power of it that is the gain, and coarse / error."""
     doublings = math.log2(second / first)
     return 1.5**doublings, (second / first) ** order, math.log2(first) / doublings, second**order - first**order

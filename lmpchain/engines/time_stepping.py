@@ -172,7 +172,7 @@ class TimeSteppingEngine(Engine):
         )
 
     def _steps(self, scene: Scene, tolerance: float, method: Method, most: float) -> Steps | None:
-        """Return the steps of a method, with what a sample costs, in evaluations of the force; None if that is more.
+        """Return what a sample costs, in evaluations of the force, and the steps; None if it is more.
 
         These are the steps from landing to landing, how many samples that is, whether they adapt, and whether coarsely.
         """
