@@ -254,6 +254,10 @@ class Engine(ABC):
     def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
         """Return what shapes the answer besides the choices of a candidate, such as versions, for the record."""
 
+    def least_model_error(self, scene: Scene) -> float:
+        """Return a bound below `Candidate.model_error`, known at once; infinite where that will not be known."""
+        return 0.0
+
     def bound_model_error(self, scene: Scene, candidate: Candidate) -> float:
         """Return a sharper bound on what the equation leaves out of this scene; see `Candidate.sharper`."""
         return candidate.model_error

@@ -14,7 +14,7 @@ from ..scene.scene import Scene
 from ..util.compilation import clock, compiled_s
 from ..util.provenance import versions
 from ..util.suggestions import not_among
-from .selection import Proposal, cheapest, propose_all, reason
+from .selection import Proposal, cheapest, propose_all, propose_hopeful, reason
 
 AUTO = "auto"
 
@@ -139,7 +139,7 @@ class Auto:
 
 def _cheapest(scene: Scene, tolerance: float) -> Attempt:
     """Return the first attempt of the cheapest engine; raises `ToleranceNotMet` if none is good enough."""
-    proposals = propose_all(scene, tolerance)
+    proposals = propose_hopeful(scene, tolerance)
     best = cheapest(proposals)
     return _attempt(scene, best, tolerance, plan=f"{best.engine}: {reason(proposals)}")
 

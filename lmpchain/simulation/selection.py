@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from .. import engines
 from ..engines.base import Candidate, Engine
@@ -24,8 +23,7 @@ AT_ONCE_S = 0.05  # what an estimate that decides nothing may take
 ROUNDING = 1 + 1e-9  # of a sum of errors that is equal to the tolerance
 
 
-@dataclass(frozen=True)
-class Proposal:
+class Proposal(NamedTuple):
     """An engine's candidate and the verdict on it.
 
     Attributes
@@ -43,6 +41,8 @@ class Proposal:
         Whether its model error was bounded from the linear solution.
     estimate : float
         Estimate of its model error where it is not kept for the bound on it; NaN if none was made.
+    hopeless : bool
+        Whether it was not asked, for its equation leaves out more than the tolerance anyway.
     """
 
     engine: str
@@ -52,6 +52,7 @@ class Proposal:
     why: str = ""
     bounded: bool = False
     estimate: float = math.nan
+    hopeless: bool = False
 
     @property
     def integrator(self) -> str:
@@ -106,10 +107,16 @@ class Proposal:
         return self.candidate.cost_s if self.candidate and self.kept else math.inf
 
 
-def propose_all(scene: Scene, tolerance: float) -> list[Proposal]:
+def propose_hopeful(scene: Scene, tolerance: float) -> list[Proposal]:
+    """Do the same as `propose_all` as far as the choice goes: engines that cannot be kept are not asked."""
+    proposals = propose_all(scene, tolerance, hopeless=False)
+    return proposals if any(proposal.kept for proposal in proposals) else propose_all(scene, tolerance)
+
+
+def propose_all(scene: Scene, tolerance: float, hopeless: bool = True) -> list[Proposal]:
     """Ask every engine, bound model errors more sharply where that pays, and judge every candidate."""
     every = {name: engines.get(name) for name in engines.automatic()}
-    proposals = [_ask(engine, scene, tolerance) for engine in every.values()]
+    proposals = [_ask(engine, scene, tolerance, hopeless) for engine in every.values()]
     if any(proposal.candidate for proposal in proposals):
         why = "only if asked for by name, or if no other engine can do the scene"
         proposals += [Proposal(name, why=why) for name in engines.ON_REQUEST]
@@ -126,15 +133,17 @@ def propose_all(scene: Scene, tolerance: float) -> list[Proposal]:
         engine = every[first.engine]
         bound = engine.bound_model_error(engine.part(scene), first.candidate)
         proposals = [
-            replace(proposal, candidate=proposal.candidate._replace(model_error=bound), bounded=True)
+            proposal._replace(candidate=proposal.candidate._replace(model_error=bound), bounded=True)
             if proposal.candidate and proposal.equation == first.equation  # whoever solves it
             else proposal
             for proposal in proposals
         ]
 
 
-def _ask(engine: Engine, scene: Scene, tolerance: float) -> Proposal:
+def _ask(engine: Engine, scene: Scene, tolerance: float, hopeless: bool = True) -> Proposal:
     part, name = engine.part(scene), engine.name
+    if not hopeless and (least := engine.least_model_error(part)) > tolerance * ROUNDING:
+        return Proposal(name, engine.equation, why=_too_much(engine.equation, scene, least), hopeless=True)
     if reasons := engine.obstacles(scene):
         why = "cannot do it: " + "; ".join(dict.fromkeys(reason for _, reason in reasons))
         return Proposal(name, engine.equation, why=why)
@@ -151,14 +160,14 @@ def _judge(proposal: Proposal, scene: Scene, tolerance: float) -> Proposal:
     candidate = proposal.candidate
     if not candidate:
         return proposal
-    theory = THEORY.get(proposal.equation or 1, f"Eq. ({proposal.equation})")
+    theory = _theory(proposal.equation)
     kept = candidate.model_error + candidate.solver_error <= tolerance * ROUNDING
     if kept:
         why = "within the tolerance"
     elif candidate.solver_error > tolerance:
         why = f"its solver leaves about {candidate.solver_error:.1g}, above the tolerance"
     elif math.isnan(candidate.model_error):
-        why = f"how far off {theory} is here is not known before the run"
+        why = _unknown(theory)
     elif proposal.bounded:
         error = percent(candidate.model_error)
         why = f"strike number {scene.strike_number:.2g}: {theory} is up to {error} off"
@@ -166,7 +175,23 @@ def _judge(proposal: Proposal, scene: Scene, tolerance: float) -> Proposal:
         reaches = "reaches" if candidate.model_error >= 1 else "is"
         error = percent(candidate.model_error)
         why = f"strike number {scene.strike_number:.2g}: {theory}, a priori bound {reaches} {error}"
-    return replace(proposal, kept=kept, why=why)
+    return proposal._replace(kept=kept, why=why)
+
+
+def _theory(equation: int | None) -> str:
+    return THEORY.get(equation or 1, f"Eq. ({equation})")
+
+
+def _unknown(theory: str) -> str:
+    return f"how far off {theory} is here is not known before the run"
+
+
+def _too_much(equation: int, scene: Scene, least: float) -> str:
+    """Say why an engine is not even asked."""
+    theory = _theory(equation)
+    if least == math.inf:
+        return _unknown(theory)
+    return f"strike number {scene.strike_number:.2g}: {theory} leaves out at least {percent(least)}"
 
 
 def estimated(proposals: Sequence[Proposal], scene: Scene) -> list[Proposal]:
@@ -181,7 +206,7 @@ def estimated(proposals: Sequence[Proposal], scene: Scene) -> list[Proposal]:
                 known[proposal.equation] = engine.estimate_model_error(engine.part(scene))
             estimate = known[proposal.equation]
             why = f"{proposal.why}; the linear wave itself tells about {percent(estimate)}"
-            proposal = replace(proposal, estimate=estimate, why=why)
+            proposal = proposal._replace(estimate=estimate, why=why)
         told.append(proposal)
     return told
 
@@ -229,5 +254,6 @@ def reason(proposals: Sequence[Proposal]) -> str:
     others = [proposal for proposal in proposals if proposal.kept and proposal is not best]
     if others:
         return f"solves Eq. ({best.equation}), the cheapest of {len(others) + 1} within the tolerance"
-    simpler = next((proposal.why for proposal in proposals if proposal.candidate and not proposal.kept), "")
+    dropped = (proposal for proposal in proposals if proposal.hopeless or (proposal.candidate and not proposal.kept))
+    simpler = next((proposal.why for proposal in dropped), "")
     return f"solves Eq. ({best.equation}), the only one within the tolerance{'; ' if simpler else ''}{simpler}"

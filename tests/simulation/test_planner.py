@@ -4,13 +4,13 @@ import json
 import platform
 import time
 import warnings
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers.example_scenes import paper, random_scene, wide_scene
 from helpers.independent_integrators import extended_reference, relative_error
+from helpers.trial_scenes import trial_scene
 
 import lmpchain
 from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Profile, Scene, ToleranceNotMet, simulate
@@ -238,6 +238,7 @@ def test_a_sharper_bound_is_computed_only_where_it_may_pay(monkeypatch: pytest.M
 def hopeful(monkeypatch: pytest.MonkeyPatch) -> Scene:
     """Let linear engines think that they leave out nothing, and return a scene where they leave out much."""
     monkeypatch.setattr(linear, "bounds", lambda _: (0.0, 0.0))
+    monkeypatch.setattr(linear, "least_error", lambda _: 0.0)
     monkeypatch.setattr(time_stepping, "seconds", lambda *_: 1.0)
     monkeypatch.setattr(linear, "seconds", lambda *_: 1e-6)
     return periodic(0.1, duration=30.0)
@@ -413,6 +414,21 @@ def test_a_run_folder_goes_on_as_planned(tmp_path: Path):
 def test_the_cheapest_is_taken_of_equal_ones():
     proposals = selection.propose_all(periodic(duration=2e5), 1e-6)
     best = selection.cheapest(proposals)
-    worse = [replace(proposal, kept=False) if proposal is best else proposal for proposal in proposals]
+    worse = [proposal._replace(kept=False) if proposal is best else proposal for proposal in proposals]
     assert selection.cheapest(worse).cost_s >= best.cost_s
     assert nonlinearity.bounds(periodic())[0] < nonlinearity.bounds(periodic())[1]
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_engines_that_are_not_even_asked_would_not_be_taken(seed: int):
+    """Nor does what was asked of the others change."""
+    rng = np.random.default_rng(33_000_000 + seed)
+    scene, tolerance = trial_scene(rng), 10 ** rng.uniform(-9, -0.1)
+    every = {proposal.engine: proposal for proposal in selection.propose_all(scene, tolerance)}
+    hopeful = {proposal.engine: proposal for proposal in selection.propose_hopeful(scene, tolerance)}
+    for name, proposal in hopeful.items():
+        asked = every[name]
+        assert (not asked.kept and proposal.why) if proposal.hopeless else proposal.kept == asked.kept
+    if any(proposal.kept for proposal in every.values()):
+        best, hoped = selection.cheapest([*every.values()]), selection.cheapest([*hopeful.values()])
+        assert (best.engine, best.candidate) == (hoped.engine, hoped.candidate)

@@ -50,6 +50,10 @@ class ClosedForm(LinearEngine):
         candidate = candidate._replace(active_grains=scene.chain.grains)
         return candidate if self.exact(scene) else candidate._replace(model_error=math.nan, sharper=None)
 
+    def least_model_error(self, scene: Scene) -> float:
+        """Say that it will not be known, unless the formula is exact."""
+        return super().least_model_error(scene) if self.exact(scene) else math.inf
+
     def estimate_model_error(self, scene: Scene) -> float:
         """Say that it is not known, unless the formula is exact."""
         return super().estimate_model_error(scene) if self.exact(scene) else math.nan
@@ -82,10 +86,6 @@ class Bessel(ClosedForm):
 
     name: ClassVar[str] = "bessel"
     equation: ClassVar[int] = 4
-
-    def estimate_model_error(self, scene: Scene) -> float:
-        """Say that it is not known, unless the formula is exact."""
-        return super().estimate_model_error(scene) if self.exact(scene) else math.nan
 
     def exact(self, scene: Scene) -> bool:
         """Say whether all contacts are equally stiff and the bottom is out of reach."""

@@ -16,7 +16,7 @@ from ...util.arrays import EPSILON, Array
 from ...util.compilation import clock
 from ..base import Candidate, Engine, ErrorBudget, Run, SharperBound
 from ..cost_model import seconds
-from .model_error import PhaseError, bounds, decidable, dense, evaluation_times, evaluations
+from .model_error import PhaseError, bounds, decidable, dense, evaluation_times, evaluations, least_error
 from .solutions import ChebyshevSolution, ModalSolution, Solution
 
 BLOCK = 16  # samples a block, if so many fit
@@ -60,6 +60,10 @@ class LinearEngine(Engine):
 
     def _seconds(self, work_s: float) -> float:
         return seconds(self.name, self.start_up_s, work_s)
+
+    def least_model_error(self, scene: Scene) -> float:
+        """Return a bound below the model error, from the strike alone."""
+        return least_error(scene)
 
     def bound_model_error(self, scene: Scene, candidate: Candidate) -> float:
         """Bound the model error from the linear solution, evaluated between the samples too."""

@@ -237,7 +237,12 @@ def bounds(scene: Scene) -> tuple[float, float]:
         most = min(1.0, AT_ONCE * excess * strain * (1 + periods))
         if struck_column(scene):
             most = min(most, DOUBT * COLUMN * excess * scene.strike_number)
-    return min(1.0, AT_ONCE * excess * scene.strike_number), most
+    return least_error(scene), max(most, least_error(scene))
+
+
+def least_error(scene: Scene) -> float:
+    """Return the lower one of these bounds."""
+    return min(1.0, AT_ONCE * (scene.chain.exponent - 1) * scene.strike_number)
 
 
 def struck_column(scene: Scene) -> bool:
