@@ -1,6 +1,7 @@
 """What a whole call takes: making a scene, `simulate`, `simulate_many`, and a peer's whole call on the same scene.
 
-The paper's column is struck with 1e-6 (weak) and 8.57e-4 m/s (strong). Calls are interleaved, each with a scene of its
+The paper's column is struck with 1e-6 (weak) and 8.57e-4 m/s (strong). `adds` is what the native engine takes besides the
+integration and its estimate, `auto` the same where it is chosen by the call. Calls are interleaved, each with a scene of its
 own, and the least of many counts; kernels are compiled beforehand. The peer is numbalsoda's DOP853 if it is installed,
 else SciPy's: its whole call makes the arrays of the chain, the right-hand side and the solution at the samples, without
 an estimate of its error, in microseconds and in the speed of the strike, so that one absolute tolerance fits both
@@ -12,6 +13,7 @@ import argparse
 import importlib.util
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 
 import numba
 import numpy as np
@@ -162,32 +164,33 @@ def main() -> None:
     made, name = (numbalsoda_calls, "numbalsoda") if there else (scipy_calls, "scipy")
     peers = [made(law) for law in (plain, exact)]
     print(f"least of {repeats} calls, ms; over: {name}'s whole call over making the scene and simulate together")
-    print(f"{'':8}{'tolerance':>10}{'scene':>8}{'simulate':>10}{'adds':>8}{'many':>8}{name:>12}{'over':>7}")
+    print(f"{'':8}{'tolerance':>10}{'scene':>8}{'simulate':>10}{'adds':>8}{'auto':>8}{'many':>8}{name:>12}{'over':>7}")
     for strike, velocity in SPEEDS.items():
         for tolerance in TOLERANCES:
             able = ((peer, loosest(peer, velocity, tolerance)) for peer in peers)
             peer, asked = next(pair for pair in able if pair[1] > 0)  # the plain one if it can
-            inside: list[float] = []
+            inside: dict[str, list[float]] = {"native": [], "auto": []}
 
-            def answer(turn: int, velocity: float = velocity, tolerance: float = tolerance) -> None:
-                cost = lmpchain.simulate(paper(velocity, turn), "native", tolerance).cost
-                inside.append(1e3 * (cost.integration_s + cost.estimate_s))  # noqa: B023
+            def answer(engine: str, turn: int, velocity: float = velocity, tolerance: float = tolerance) -> None:
+                cost = lmpchain.simulate(paper(velocity, turn), engine, tolerance).cost
+                inside[engine].append(1e3 * (cost.integration_s + cost.estimate_s))  # noqa: B023
 
             calls: dict[str, Callable[[int], object]] = {
                 "scene": lambda turn, velocity=velocity: paper(velocity, turn),
-                "both": answer,
+                "native": partial(answer, "native"),
+                "auto": partial(answer, "auto"),
                 "peer": lambda _, velocity=velocity, asked=asked, peer=peer: peer(velocity, asked),
             }
             for call in calls.values():
                 call(0)
-            inside.clear()
             took = least(calls, repeats)
             several = [paper(velocity, turn) for turn in range(TOGETHER)]
             many = least({"many": lambda _: lmpchain.simulate_many(several, tolerance)}, 5)["many"] / TOGETHER  # noqa: B023
-            alone = took["both"] - took["scene"]
+            alone, auto = (took[engine] - took["scene"] for engine in inside)
+            adds = alone - min(inside["native"]), auto - min(inside["auto"])
             print(
-                f"{strike:8}{tolerance:10.0e}{took['scene']:8.3f}{alone:10.3f}{alone - min(inside):8.3f}{many:8.3f}"
-                f"{took['peer']:12.3f}{took['peer'] / took['both']:7.2f}",
+                f"{strike:8}{tolerance:10.0e}{took['scene']:8.3f}{alone:10.3f}{adds[0]:8.3f}{adds[1]:8.3f}{many:8.3f}"
+                f"{took['peer']:12.3f}{took['peer'] / took['native']:7.2f}",
                 flush=True,
             )
 

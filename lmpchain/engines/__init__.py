@@ -78,6 +78,12 @@ def get(engine: str | Engine, **options: Any) -> Engine:
 
 
 @cache
+def plain(name: str) -> Engine:
+    """Return the engine of this name without options, the same one every time."""
+    return get(name)
+
+
+@cache
 def _load(module: str, name: str) -> type[Engine]:
     return getattr(import_module(f".{module}", __name__), name)
 

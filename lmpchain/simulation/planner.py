@@ -133,7 +133,7 @@ def plan(scene: Scene, tolerance: float = 1e-6) -> Plan:
         step=best.step,
         expected_error=best.model_error + best.solver_error,
         expected_cost_s=best.cost_s,
-        why=reason(proposals),
+        why=reason(best, proposals),
         candidates=tuple(proposals),
         tolerance=tolerance,
     )

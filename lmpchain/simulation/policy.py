@@ -97,7 +97,7 @@ class Auto:
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why no engine can do this scene."""
         faults = []
-        for engine in map(engines.get, (*engines.automatic(), *engines.ON_REQUEST)):
+        for engine in map(engines.plain, (*engines.automatic(), *engines.ON_REQUEST)):
             reasons = engine.obstacles(scene)
             if not reasons:
                 return []
@@ -116,7 +116,7 @@ class Auto:
 
     def engine(self, attempt: Attempt) -> Engine:
         """Return the engine that was chosen."""
-        return engines.get(attempt.engine)
+        return engines.plain(attempt.engine)
 
     def fallback(self, scene: Scene, attempt: Attempt, error: ErrorBudget) -> Attempt | None:
         """Return an attempt with the cheapest engine for Eq. (1) if another equation takes the answer too far."""
@@ -141,14 +141,14 @@ def _cheapest(scene: Scene, tolerance: float) -> Attempt:
     """Return the first attempt of the cheapest engine; raises `ToleranceNotMet` if none is good enough."""
     proposals = propose_hopeful(scene, tolerance)
     best = cheapest(proposals)
-    return _attempt(scene, best, tolerance, plan=f"{best.engine}: {reason(proposals)}")
+    return _attempt(scene, best, tolerance, plan=f"{best.engine}: {reason(best, proposals)}")
 
 
 def _attempt(scene: Scene, proposal: Proposal, tolerance: float, **why: str) -> Attempt:
     """Return the first attempt of a proposal, which keeps on record why it was chosen."""
     assert proposal.candidate
     choices = {**proposal.candidate.choices, **why}
-    candidate, engine = proposal.candidate._replace(choices=choices), engines.get(proposal.engine)
+    candidate, engine = proposal.candidate._replace(choices=choices), engines.plain(proposal.engine)
     return to_begin_with(engine, engine.part(scene), candidate, tolerance)
 
 

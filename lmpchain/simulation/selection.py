@@ -7,7 +7,7 @@ expect to be off.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from .. import engines
@@ -108,20 +108,38 @@ class Proposal(NamedTuple):
 
 
 def propose_hopeful(scene: Scene, tolerance: float) -> list[Proposal]:
-    """Do the same as `propose_all` as far as the choice goes: engines that cannot be kept are not asked."""
-    proposals = propose_all(scene, tolerance, hopeless=False)
-    return proposals if any(proposal.kept for proposal in proposals) else propose_all(scene, tolerance)
+    """Do the same as `propose_all` as far as the choice goes: engines that cannot be kept are not asked.
+
+    Of these there is the first one, with why it was not.
+    """
+    asked: dict[str, Engine] = {}
+    dropped: list[Proposal] = []
+    for name in engines.automatic():
+        engine = engines.plain(name)
+        least = engine.least_model_error(engine.part(scene))
+        if least <= tolerance * ROUNDING:
+            asked[name] = engine
+        elif not dropped:
+            dropped = [Proposal(name, engine.equation, why=_too_much(engine.equation, scene, least), hopeless=True)]
+    proposals = _weighed(asked, [_ask(engine, scene, tolerance) for engine in asked.values()], scene, tolerance)
+    kept = any(proposal.kept for proposal in proposals)
+    return [*proposals, *dropped] if kept else propose_all(scene, tolerance)
 
 
-def propose_all(scene: Scene, tolerance: float, hopeless: bool = True) -> list[Proposal]:
+def propose_all(scene: Scene, tolerance: float) -> list[Proposal]:
     """Ask every engine, bound model errors more sharply where that pays, and judge every candidate."""
-    every = {name: engines.get(name) for name in engines.automatic()}
-    proposals = [_ask(engine, scene, tolerance, hopeless) for engine in every.values()]
+    every = {name: engines.plain(name) for name in engines.automatic()}
+    proposals = [_ask(engine, scene, tolerance) for engine in every.values()]
     if any(proposal.candidate for proposal in proposals):
         why = "only if asked for by name, or if no other engine can do the scene"
         proposals += [Proposal(name, why=why) for name in engines.ON_REQUEST]
     else:
-        proposals += [_ask(engines.get(name), scene, tolerance) for name in engines.ON_REQUEST]
+        proposals += [_ask(engines.plain(name), scene, tolerance) for name in engines.ON_REQUEST]
+    return _weighed(every, proposals, scene, tolerance)
+
+
+def _weighed(every: Mapping[str, Engine], proposals: list[Proposal], scene: Scene, tolerance: float) -> list[Proposal]:
+    """Return proposals of these engines with the verdicts on them, after bounds that are sharper where that pays."""
     while True:
         proposals = [_judge(proposal, scene, tolerance) for proposal in proposals]
         cheapest_s = min(proposal.price_s for proposal in proposals)
@@ -140,10 +158,8 @@ def propose_all(scene: Scene, tolerance: float, hopeless: bool = True) -> list[P
         ]
 
 
-def _ask(engine: Engine, scene: Scene, tolerance: float, hopeless: bool = True) -> Proposal:
+def _ask(engine: Engine, scene: Scene, tolerance: float) -> Proposal:
     part, name = engine.part(scene), engine.name
-    if not hopeless and (least := engine.least_model_error(part)) > tolerance * ROUNDING:
-        return Proposal(name, engine.equation, why=_too_much(engine.equation, scene, least), hopeless=True)
     if reasons := engine.obstacles(scene):
         why = "cannot do it: " + "; ".join(dict.fromkeys(reason for _, reason in reasons))
         return Proposal(name, engine.equation, why=why)
@@ -202,7 +218,7 @@ def estimated(proposals: Sequence[Proposal], scene: Scene) -> list[Proposal]:
         look = proposal.candidate.sharper if proposal.candidate and not proposal.kept else None
         if look and look.cost_s < AT_ONCE_S and proposal.solver_error < proposal.model_error:
             if proposal.equation not in known:
-                engine = engines.get(proposal.engine)
+                engine = engines.plain(proposal.engine)
                 known[proposal.equation] = engine.estimate_model_error(engine.part(scene))
             estimate = known[proposal.equation]
             why = f"{proposal.why}; the linear wave itself tells about {percent(estimate)}"
@@ -248,9 +264,8 @@ def cheapest(proposals: Sequence[Proposal]) -> Proposal:
     return best
 
 
-def reason(proposals: Sequence[Proposal]) -> str:
+def reason(best: Proposal, proposals: Sequence[Proposal]) -> str:
     """Return why the cheapest proposal is taken."""
-    best = cheapest(proposals)
     others = [proposal for proposal in proposals if proposal.kept and proposal is not best]
     if others:
         return f"solves Eq. ({best.equation}), the cheapest of {len(others) + 1} within the tolerance"
