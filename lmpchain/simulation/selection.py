@@ -116,7 +116,7 @@ def propose_hopeful(scene: Scene, tolerance: float) -> list[Proposal]:
     dropped: list[Proposal] = []
     for name in engines.automatic():
         engine = engines.plain(name)
-        least = engine.least_model_error(engine.part(scene))
+        least = engine.least_model_error(scene)
         if least <= tolerance * ROUNDING:
             asked[name] = engine
         elif not dropped:
