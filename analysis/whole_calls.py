@@ -1,8 +1,8 @@
 """What a whole call takes: making a scene, `simulate`, `simulate_many`, and a peer's whole call on the same scene.
 
-The paper's column is struck with 1e-6 (weak) and 8.57e-4 m/s (strong). `adds` is what the native engine takes besides the
-integration and its estimate, `auto` the same where it is chosen by the call. Calls are interleaved, each with a scene of its
-own, and the least of many counts; kernels are compiled beforehand. The peer is numbalsoda's DOP853 if it is installed,
+The paper's column is struck with 1e-6 (weak) and 8.57e-4 m/s (strong). `adds` is what the native engine takes besides
+the integration and its estimate, `auto` the same where it is chosen by the call. Calls are interleaved, each with a
+scene of its own, and the least of many counts; kernels are compiled beforehand. The peer is numbalsoda's DOP853 if it is installed,
 else SciPy's: its whole call makes the arrays of the chain, the right-hand side and the solution at the samples, without
 an estimate of its error, in microseconds and in the speed of the strike, so that one absolute tolerance fits both
 displacements and velocities; its tolerance is the loosest whose true error is within ours. Its force is the plain one,

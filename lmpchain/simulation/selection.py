@@ -139,7 +139,7 @@ def propose_all(scene: Scene, tolerance: float) -> list[Proposal]:
 
 
 def _weighed(every: Mapping[str, Engine], proposals: list[Proposal], scene: Scene, tolerance: float) -> list[Proposal]:
-    """Return proposals of these engines with the verdicts on them, after bounds that are sharper where that pays."""
+    """Return proposals with the verdicts on them, after sharper bounds where these pay."""
     while True:
         proposals = [_judge(proposal, scene, tolerance) for proposal in proposals]
         cheapest_s = min(proposal.price_s for proposal in proposals)
