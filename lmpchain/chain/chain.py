@@ -243,7 +243,7 @@ class Chain(AtRest, Checked):
         """Stiffness delta K_n eps_n^(delta-1) of every contact between grains at rest, (N-1,) N/m."""
         return self.contacts.stiffness[1:-1]
 
-    @cached_property
+    @property
     def compressed(self) -> bool:
         """Whether contacts carry a force at rest; if not, the chain is a sonic vacuum."""
         return self.gravity > 0 or self.top_load > 0

@@ -142,8 +142,8 @@ def longer_steps(method: Method, scenes: Sequence[Scene], candidate: Candidate) 
     steps = candidate.steps(scenes[0].samples)
     if steps < FEWEST:
         return []
-    reach = candidate.step * max([scene.chain.band_edge for scene in scenes])
-    knots = min([scene.excitation.knot_spacing for scene in scenes]) if candidate.adaptive else math.inf
+    reach = candidate.step * max(scene.chain.band_edge for scene in scenes)
+    knots = min(scene.excitation.knot_spacing for scene in scenes) if candidate.adaptive else math.inf
     limit = min(method.stability_limit / reach if reach > 0 else math.inf, knots / candidate.step)
     kinks = scenes[0].chain.exponent < KINKED_BELOW
     far: tuple[int, ...] = ()

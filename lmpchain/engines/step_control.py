@@ -136,9 +136,9 @@ def to_begin_with(
     compiled_s: float = 0.0,
 ) -> Attempt:
     """Return the attempt to begin with where a candidate was chosen: that, or a pilot; see `Attempt`."""
-    first, spent_s = engine.pilot(scene, candidate, tolerance), 0.0
+    first = engine.pilot(scene, candidate, tolerance)
     pilot = first is not candidate
-    return Attempt(engine.name, first, tolerance, refusal, planned_s, spent_s, compiled_s, pilot=pilot)
+    return Attempt(engine.name, first, tolerance, refusal, planned_s, compiled_s=compiled_s, pilot=pilot)
 
 
 def run_to_tolerance(engine: Engine, scene: Scene, tolerance: float, collect: Callable[[Run], T]) -> Outcome[T]:

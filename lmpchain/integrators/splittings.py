@@ -98,7 +98,7 @@ class Splitting:
         if not adaptive:
             return March(run, (kicks, drifts), shared=True)
         near = COARSE_STEP if schedule.coarse_openings else ADAPTIVE_STEP
-        crossing = _crossing(self.order, batch.opening_power, tuple([schedule.ratio for schedule in schedules]))
+        crossing = _crossing(self.order, batch.opening_power, tuple(schedule.ratio for schedule in schedules))
         kept = DENSE_ROWS if schedule.dense else 0
         return March(run, (kicks, drifts, near, crossing), batch.openings, kept, shared=True)
 

@@ -129,7 +129,7 @@ class NativeStepper:
         shares = min(threads, self._size) if parts < 2 else 1
         self._teams = team(parts) if parts > 1 else [ALONE]
         # each thread that shares a chain has a state of its own, in which only extremes differ
-        self._states = [self._state, *[self._state.copy() for _ in self._teams[1:]]]
+        self._states = [self._state, *(self._state.copy() for _ in self._teams[1:])]
         others = shares * len(self._teams) - 1
         self._pool = ThreadPoolExecutor(others) if others else None
         self._history = np.zeros((count * self._size, march.history, self._x.shape[1]))

@@ -35,7 +35,7 @@ class GatheringRun(Run):
         self, run: Run, engine: Engine, scenes: Sequence[Scene], parts: Sequence[Scene], state: Mapping[str, Array]
     ):
         self._run, scene, part = run, scenes[0], parts[0]
-        cone = None if engine.whole else scene.fine.light_cone
+        cone = scene.fine.light_cone if part is not scene.fine else None  # a batch computes the whole
         columns = cone.columns if cone else slice(0, None)
         first = columns.start if isinstance(columns, slice) else int(columns[0])
         kept: list[dict[str, Array]] = [{} for _ in scenes]

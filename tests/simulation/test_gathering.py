@@ -239,6 +239,19 @@ def test_a_batch_gathers_what_each_of_its_scenes_does():
             assert np.nanmax(apart - alone[f"{name}_error"] - one.gathered[f"{name}_error"]) <= 0
 
 
+def test_a_batch_gathers_in_the_whole_where_a_run_alone_is_cut_to_the_light_cone():
+    """Of 200 grains the wave reaches 111 around the one that is struck."""
+    chain = Chain(grains=200, diameter=1e-3, gravity=0.0, top_load=0.05, top="wall", bottom="wall")
+    struck = [Impulse(velocity=velocity, grain=100) for velocity in (1e-5, 2e-5)]
+    asked = {"duration": 4e-5, "samples": 41, "quantities": ["peak_velocity"]}
+    scenes = [Scene(chain=chain, excitation=strike, **asked) for strike in struck]
+    assert 100 < scenes[0].reached.chain.grains < 140
+    for scene, t in zip(scenes, simulate_many(scenes, 1e-6), strict=True):
+        alone, within = simulate(scene, "native"), scene.excitation.velocity * 1e-6
+        np.testing.assert_allclose(t.velocity, alone.velocity, rtol=0, atol=within)
+        np.testing.assert_allclose(t.gathered["peak_velocity"], alone.gathered["peak_velocity"], rtol=0, atol=within)
+
+
 def test_it_is_refused_in_one_line():
     chain = Chain(grains=200, diameter=1e-3)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-8), duration=3e-5, quantities=["peak_velocity"])

@@ -426,6 +426,7 @@ def test_engines_that_are_not_even_asked_would_not_be_taken(seed: int):
     scene, tolerance = trial_scene(rng), 10 ** rng.uniform(-9, -0.1)
     every = {proposal.engine: proposal for proposal in selection.propose_all(scene, tolerance)}
     hopeful = {proposal.engine: proposal for proposal in selection.propose_hopeful(scene, tolerance)}
+    assert not any(proposal.kept for name, proposal in every.items() if name not in hopeful)
     for name, proposal in hopeful.items():
         asked = every[name]
         assert (not asked.kept and proposal.why) if proposal.hopeless else proposal.kept == asked.kept

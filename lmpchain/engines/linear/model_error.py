@@ -231,13 +231,13 @@ def bounds(scene: Scene) -> tuple[float, float]:
     column the strain falls faster than 1/h, and `stability.linear_theory.linear_law` is right within a factor of
     `DOUBT`.
     """
-    excess, strain, most = scene.chain.exponent - 1, scene.linear_strain, 1.0
+    excess, strain, least, most = scene.chain.exponent - 1, scene.linear_strain, least_error(scene), 1.0
     if strain < 1:
         periods = scene.chain.band_edge * scene.duration
         most = min(1.0, AT_ONCE * excess * strain * (1 + periods))
         if struck_column(scene):
             most = min(most, DOUBT * COLUMN * excess * scene.strike_number)
-    return least_error(scene), max(most, least_error(scene))
+    return least, max(most, least)
 
 
 def least_error(scene: Scene) -> float:

@@ -31,7 +31,7 @@ SAMPLE, DONE, PENDING, FIRST, LAST, LOWEST, CLOSEST, FARTHEST, FASTEST, NEXT, ST
 # opening of a contact, and where its first grain was in every row of a `sweep`, fewer than EDGES
 GIVEN_UP, NEARNESS, EDGE, EDGES = PAD, 0, PAD, 128
 LEAST_SHARE = 4096  # grains of a thread; of this many, what it waits for others is a tenth of the time
-WHOLE_ROWS = 512  # grains: of no more, samples are written whole; of more, only as far as the wave has come
+WHOLE_ROWS = 512  # grains, a page: of no more, samples are written whole; of more, only as far as the wave has come
 
 
 class Team(NamedTuple):
