@@ -1,0 +1,194 @@
+"""Mutation testing: change the code at random places and see whether the tests of the room notice.
+
+    python tests/mutants.py theory measure --number 20 --seed 7
+    python tests/mutants.py lmpchain/theory/scattering.py:226:12 --tests tests/theory/test_scattering.py
+
+A mutant turns a comparison round, swaps an operator, changes a number by one or by a fifth, or drops
+a statement. Each is tried in a copy of the project by the default tests of its room, `tests/ROOM` and
+the doctests of `lmpchain/ROOM`, which must pass without it. Compiled kernels are compiled anew. The
+rate by room comes last. A survivor may be equivalent: it changes nothing that anybody can see.
+"""
+
+import argparse
+import ast
+import os
+import random
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+PROJECT = Path(__file__).parents[1]
+NOT_COPIED = shutil.ignore_patterns(".git", ".venv", "*_cache", "*.egg-info", "build", "dist")
+CPU_LIMIT_S = 600  # of a process, for a mutant may never end; a busy machine changes nothing about it
+WALL_LIMIT_S = 900  # for a mutant that waits without end
+OPPOSITES = {
+    **{ast.Lt: ast.GtE, ast.GtE: ast.Lt, ast.Gt: ast.LtE, ast.LtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq},
+    **{ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In, ast.And: ast.Or, ast.Or: ast.And},
+    **{ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.FloorDiv: ast.Mult},
+    **{ast.Mod: ast.Mult, ast.Pow: ast.Mult, ast.BitAnd: ast.BitOr, ast.BitOr: ast.BitAnd},
+}
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A node of a program, where it begins and ends (line, byte of the line), and what replaces it."""
+
+    path: str
+    begin: tuple[int, int]
+    end: tuple[int, int]
+    before: str
+    after: str
+
+    def __str__(self) -> str:
+        return f"{self.path}:{self.begin[0]}:{self.begin[1]} {self.before} -> {self.after}"
+
+    @property
+    def room(self) -> str:
+        return Path(self.path).parts[1].removesuffix(".py")
+
+    def write(self, project: Path) -> None:
+        file = project / self.path
+        lines = file.read_bytes().splitlines(keepends=True)
+        head = [*lines[: self.begin[0] - 1], lines[self.begin[0] - 1][: self.begin[1]]]
+        tail = [lines[self.end[0] - 1][self.end[1] :], *lines[self.end[0] :]]
+        file.write_bytes(b"".join([*head, self.after.encode(), *tail]))
+
+
+def mutate(node: ast.AST) -> str | None:
+    """Return the source of a changed node, or None if nothing of it is changed."""
+    match node:
+        case ast.Compare(left=left, ops=[op, *ops], comparators=right) if type(op) in OPPOSITES:
+            changed: ast.AST = ast.Compare(left, [OPPOSITES[type(op)](), *ops], right)
+        case ast.BoolOp(op=op, values=values):
+            changed = ast.BoolOp(OPPOSITES[type(op)](), values)
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in OPPOSITES:
+            changed = ast.BinOp(left, OPPOSITES[type(op)](), right)
+        case ast.UnaryOp(op=ast.USub() | ast.Not(), operand=operand):
+            changed = operand
+        case ast.Constant(value=bool(value)):
+            changed = ast.Constant(not value)
+        case ast.Constant(value=int(value)):
+            changed = ast.Constant(value + 1)
+        case ast.Constant(value=float(value)):
+            changed = ast.Constant(1.2 * value if value else 1.0)
+        case ast.Expr(value=ast.Constant()):  # a docstring
+            return None
+        case ast.Expr() | ast.AugAssign() | ast.Raise() | ast.Continue() | ast.Break() | ast.Delete():
+            return "pass"
+        case ast.Assign(targets=[ast.Attribute() | ast.Subscript()]):
+            return "pass"
+        case _:
+            return None
+    return f"({ast.unparse(changed)})"
+
+
+def walk(node: ast.AST) -> Iterator[ast.AST]:
+    """Yield the nodes that run: no annotations, and nothing in an f-string, whose places Python 3.11 does not know."""
+    yield node
+    for name, value in ast.iter_fields(node):
+        if name not in ("annotation", "returns", "decorator_list") and not isinstance(node, ast.JoinedStr):
+            for child in value if isinstance(value, list) else [value]:
+                if isinstance(child, ast.AST):
+                    yield from walk(child)
+
+
+def mutants_of(path: Path) -> list[Mutant]:
+    """Return all mutants of a module."""
+    name = str(path.relative_to(PROJECT))
+    nodes = walk(ast.parse(path.read_text(encoding="utf-8")))
+    return [
+        Mutant(name, (n.lineno, n.col_offset), (n.end_lineno, n.end_col_offset), ast.unparse(n), changed)
+        for n in nodes
+        if (changed := mutate(n)) is not None
+    ]
+
+
+def draw(places: list[str], number: int, seed: int) -> list[Mutant]:
+    """Draw mutants of rooms (`theory`), modules, or places of a module (`FILE:LINE:COLUMN`)."""
+    mutants = []
+    for place in places:
+        name, *position = place.split(":")
+        source = PROJECT / name if name.startswith("lmpchain") else PROJECT / "lmpchain" / name
+        modules = [source] if source.suffix else sorted(source.rglob("*.py"))
+        candidates = [mutant for module in modules for mutant in mutants_of(module)]
+        mutants += [m for m in candidates if [str(number) for number in m.begin[: len(position)]] == position]
+    return random.Random(seed).sample(mutants, min(number, len(mutants)))
+
+
+def run_tests(mutant: Mutant | None, tests: list[str]) -> tuple[bool, str]:
+    """Run tests in a copy of the project with a mutant; return whether they pass, and the line that says why not."""
+    with tempfile.TemporaryDirectory(prefix="mutant-") as folder:
+        copy = Path(folder, "lmpchain")
+        shutil.copytree(PROJECT, copy, ignore=NOT_COPIED)  # with the times of files: compiled code stays valid
+        if mutant is not None:
+            mutant.write(copy)
+        process = subprocess.Popen(
+            [sys.executable, "-m", "pytest", "-x", "-p", "no:cacheprovider", *tests],
+            cwd=copy,
+            env=os.environ | {"PYTHONPATH": str(copy), "TMPDIR": folder},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, (CPU_LIMIT_S, CPU_LIMIT_S)),
+        )
+        output = "it does not end"
+        with suppress(subprocess.TimeoutExpired):
+            output = process.communicate(timeout=WALL_LIMIT_S)[0]
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+    lines = [line for line in output.splitlines() if line.startswith(("FAILED", "ERROR", "E  "))]
+    return process.returncode == 0, (lines or output.splitlines() or ["no output"])[-1]
+
+
+def tests_of(room: str) -> list[str]:
+    """Return the default tests of a room: its folder of tests, and its doctests."""
+    names = f"tests/{room}", f"lmpchain/{room}", f"lmpchain/{room}.py"
+    return [name for name in names if (PROJECT / name).exists()]
+
+
+def main() -> None:
+    """Draw mutants, run the tests of their rooms, and print what survived."""
+    rooms = sorted(path.name for path in (PROJECT / "lmpchain").iterdir() if path.name[0] not in "._")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("places", nargs="*", default=rooms, help="rooms, modules or FILE:LINE:COLUMN (default: all)")
+    parser.add_argument("--number", type=int, default=30, help="how many mutants to draw (default: 30)")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)), help="how many run at a time")
+    parser.add_argument("--tests", nargs="+", help="tests to run in place of those of the room")
+    parser.add_argument("--unchanged", action="store_true", help="trust that the tests pass without a mutant")
+    options = parser.parse_args()
+
+    mutants = draw(options.places, options.number, options.seed)
+    number = Counter(mutant.room for mutant in mutants)
+    noticed: Counter = Counter()
+    tests = {room: options.tests or tests_of(room) for room in number}
+    print(f"{len(mutants)} mutants, seed {options.seed}", flush=True)
+    with ThreadPoolExecutor(options.jobs) as executor:
+        if not options.unchanged:
+            for room, (passed, line) in zip(
+                tests, executor.map(lambda room: run_tests(None, tests[room]), tests), strict=True
+            ):
+                if not passed:
+                    sys.exit(f"the tests of {room} fail without a mutant: {line}")
+        results = executor.map(lambda mutant: run_tests(mutant, tests[mutant.room]), mutants)
+        for mutant, (passed, line) in zip(mutants, results, strict=True):
+            noticed[mutant.room] += not passed
+            print(f"SURVIVED {mutant}" if passed else f"noticed  {mutant}\n         by {line}", flush=True)
+    for room in sorted(number):
+        print(f"{room}: {noticed[room]} of {number[room]}")
+    print(f"{noticed.total()} of {len(mutants)} noticed")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,49 @@
+"""Mutants are changes of what runs, and of nothing else."""
+
+import ast
+from pathlib import Path
+
+import mutants
+import pytest
+
+MODULES = sorted((mutants.PROJECT / "lmpchain").rglob("*.py"))
+
+
+@pytest.mark.parametrize("module", MODULES[::16], ids=lambda path: path.stem)
+def test_every_mutant_is_another_program(module: Path, tmp_path: Path):
+    program = ast.dump(ast.parse(module.read_text(encoding="utf-8")))
+    copy = tmp_path / module.relative_to(mutants.PROJECT)
+    copy.parent.mkdir(parents=True, exist_ok=True)
+    for mutant in mutants.mutants_of(module)[::7]:
+        copy.write_bytes(module.read_bytes())
+        mutant.write(tmp_path)
+        assert ast.dump(ast.parse(copy.read_text(encoding="utf-8"))) != program, mutant
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("a < b", "(a >= b)"),
+        ("a - b", "(a + b)"),
+        ("a / b", "(a * b)"),
+        ("a and b", "(a or b)"),
+        ("-a", "(a)"),
+        ("2", "(3)"),
+        ("0.5", "(0.6)"),
+        ("True", "(False)"),
+        ("'m/s'", None),
+        ("a", None),
+    ],
+)
+def test_expressions(before: str, after: str | None):
+    assert mutants.mutate(ast.parse(before).body[0].value) == after
+
+
+@pytest.mark.parametrize("statement", ["a += 1", "raise a", "f(a)", "a[0] = b", "a.b = c", "del a"])
+def test_statements_are_dropped(statement: str):
+    assert mutants.mutate(ast.parse(statement).body[0]) == "pass"
+
+
+@pytest.mark.parametrize("statement", ["'''What it does.'''", "def f(a: 3) -> 4: pass", "a = f'{1}'", "a = b"])
+def test_nothing_else_is_changed(statement: str):
+    assert not [node for node in mutants.walk(ast.parse(statement)) if mutants.mutate(node) is not None]
