@@ -46,17 +46,30 @@ def test_sparse_samples_say_how_far_off_they_are(dense, samples):
             assert (off <= getattr(seen, f"{name}_error") + getattr(true, f"{name}_error"))[np.isfinite(off)].all()
 
 
-def test_two_grains_against_the_exact_oscillation():
-    """One spring between held ends: phi = (v/omega) sin(omega t), and three samples in a period suffice."""
+@pytest.mark.parametrize("samples", [7, 10, 13])
+def test_two_grains_against_the_exact_oscillation(samples: int):
+    """One spring between held ends: phi = (v/omega) sin(omega t).
+
+    Its frequency is known to be at most 2^(1/2) omega. From 4.5 samples in a period on, no motion hides between two of
+    them, and a peak is found wherever it is. Of three in a period none is near the largest displacement: the value is
+    13.4 % low, for it is that of the largest sample, and its error says that more than that may hide.
+    """
     chain = Chain(grains=2, diameter=1e-3, exponent=1.0, top_load=1.0, gravity=0.0)
     omega = float(np.sqrt(chain.linear_stiffness[0] / chain.masses[0]))
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=4 * np.pi / omega, samples=7)
-    found = motion_of(simulate(scene, "native", 1e-12))
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=4 * np.pi / omega, samples=samples)
+    between = motion_of(simulate(scene, "native", 1e-12))
+    sampled = np.sin(omega * scene.time)
+    largest = {"displacement": np.abs(sampled).max(), "velocity": 1.0}
     for field, size in (("displacement", 1e-6 / omega), ("velocity", 1e-6)):
-        value, error = found.peaks(field)[1:]
+        value, error = between.peaks(field)[1:]
         assert abs(value[0] - size) <= error[0]
-        assert value[0] == pytest.approx(size, rel=2e-3)
         assert value[1] == 0
+        if samples > 7:
+            assert value[0] == pytest.approx(size, rel=1e-6)
+            assert error[0] < 7e-4 * size
+        else:
+            assert value[0] == pytest.approx(largest[field] * size, rel=1e-9)
+            assert error[0] > 0.3 * size
 
 
 @pytest.mark.parametrize("equation", [1, 0])
