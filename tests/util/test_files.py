@@ -1,0 +1,267 @@
+"""Files appear whole or not at all, and what is read is what was written."""
+
+import errno
+import hashlib
+import os
+import platform
+import re
+import sys
+from io import BytesIO
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lmpchain import InputError
+from lmpchain.util import files
+from lmpchain.util.files import (
+    check_readable,
+    check_seal,
+    check_tree,
+    make_folder,
+    replacing,
+    seal,
+    unpack,
+    unpack_one,
+    write_aside,
+)
+
+NO_PROCESS = 2**22 + 1  # above the largest number of a process, PID_MAX_LIMIT of Linux
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def in_a_fork(work: Any) -> None:
+    """Do something in another process, which has not written to any folder before."""
+
+    def child() -> None:
+        files._sweep.cache_clear()
+        work()
+
+    process = get_context("fork").Process(target=child)
+    process.start()
+    process.join()
+    assert process.exitcode == 0
+
+
+# --- atomic writing
+
+
+def test_a_file_appears_under_its_name_when_it_is_whole(tmp_path: Path):
+    path = tmp_path / "run.nc"
+    path.write_text("before")
+    with replacing(path) as aside:
+        aside.write_text("after")
+        assert path.read_text() == "before"
+        assert aside.parent == tmp_path
+        assert aside.name.startswith(".")
+        assert aside.suffix == ".nc"
+    assert path.read_text() == "after"
+    assert names(tmp_path) == ["run.nc"]
+
+
+def test_a_file_that_fails_leaves_the_one_before(tmp_path: Path):
+    path = tmp_path / "run.nc"
+    path.write_text("before")
+    with pytest.raises(KeyError), replacing(path) as aside:
+        aside.write_text("half")
+        raise KeyError
+    assert path.read_text() == "before"
+    assert names(tmp_path) == ["run.nc"]
+
+
+def test_file_and_name_are_on_the_disk_in_this_order(tmp_path: Path, monkeypatch: Any):
+    path = tmp_path / "run.nc"
+    flushed = []
+
+    def flush(descriptor: int) -> None:
+        flushed.append((os.fstat(descriptor).st_ino, path.exists()))
+
+    monkeypatch.setattr(os, "fsync", flush)
+    opened = len(os.listdir("/proc/self/fd"))
+    with replacing(path) as aside:
+        aside.touch()
+    assert flushed == [(path.stat().st_ino, False), (tmp_path.stat().st_ino, True)]
+    assert len(os.listdir("/proc/self/fd")) == opened
+
+
+def test_a_file_that_another_process_is_writing_is_left_alone(tmp_path: Path):
+    def write() -> None:
+        with replacing(tmp_path / "b.nc") as aside:
+            aside.write_text("of the other")
+
+    with replacing(tmp_path / "a.nc") as aside:
+        aside.write_text("of this one")
+        in_a_fork(write)
+    assert (tmp_path / "a.nc").read_text() == "of this one"
+    assert names(tmp_path) == ["a.nc", "b.nc"]
+
+
+def test_what_a_killed_process_was_writing_is_removed_by_the_next(tmp_path: Path):
+    here = platform.node()
+    dead = f".run.{here}-{NO_PROCESS}-0123abcd.partial.nc"
+    kept = [
+        f".run.elsewhere-{NO_PROCESS}-0123abcd.partial.nc",
+        f".run.{here}-{os.getpid()}-0123abcd.partial.nc",
+        f".run.{here}-{NO_PROCESS}-0123abc.partial.nc",
+        f".run.{here}-{NO_PROCESS}-0123abcd.nc",
+    ]
+    for name in (dead, *kept):
+        (tmp_path / name).touch()
+    with replacing(tmp_path / "new") as aside:
+        aside.touch()
+    assert names(tmp_path) == sorted([*kept, "new"])
+
+
+def test_the_partial_file_bears_the_name_of_its_process(tmp_path: Path):
+    with replacing(tmp_path / "run.nc") as first, replacing(tmp_path / "run.nc") as second:
+        assert first != second
+        for aside in (first, second):
+            aside.touch()
+            pattern = rf"\.run\.{re.escape(platform.node())}-{os.getpid()}-[0-9a-f]{{8}}\.partial\.nc"
+            assert re.fullmatch(pattern, aside.name)
+
+
+@pytest.mark.parametrize("failure", [OSError(errno.ENOSPC, "No space left"), RuntimeError("No space left")])
+def test_a_user_reads_why_a_file_cannot_be_written(tmp_path: Path, failure: Exception):
+    path = tmp_path / "run.nc"
+    with pytest.raises(InputError) as caught, write_aside(str(path)):
+        raise failure
+    assert caught.value.faults == [(str(path), "cannot be written: No space left")]
+
+
+def test_only_files_are_written_over(tmp_path: Path):
+    with pytest.raises(InputError) as caught, write_aside(tmp_path):
+        pass
+    assert caught.value.faults == [(str(tmp_path), "is a folder or a device; name a file")]
+    path = tmp_path / "none" / "run.nc"
+    with pytest.raises(InputError) as caught, write_aside(path):
+        pass
+    assert caught.value.faults == [(str(path), "cannot be written: No such file or directory")]
+    with pytest.raises(KeyError), write_aside(tmp_path / "run.nc"):
+        raise KeyError
+    for text in ("first", "second"):
+        with write_aside(tmp_path / "run.nc") as aside:
+            aside.write_text(text)
+        assert (tmp_path / "run.nc").read_text() == text
+
+
+def test_a_folder_is_made_with_those_above_it(tmp_path: Path):
+    folder = tmp_path / "a" / "b"
+    for _ in range(2):
+        assert make_folder(str(folder)) == folder
+        assert folder.is_dir()
+    (folder / "file").touch()
+    with pytest.raises(InputError) as caught:
+        make_folder(folder / "file")
+    fault = "is no folder and cannot be made one: File exists"
+    assert caught.value.faults == [(str(folder / "file"), fault)]
+
+
+# --- what may be read
+
+
+def test_files_are_read_up_to_the_largest_size(tmp_path: Path):
+    path = tmp_path / "data"
+    path.write_bytes(bytes(3 * 2**20))
+    check_readable(path, 3 * 2**20)
+    with pytest.raises(OSError, match=r"^\[Errno 27\] is larger than 3 MB$") as caught:
+        check_readable(path, 3 * 2**20 - 1)
+    assert caught.value.errno == errno.EFBIG
+    os.mkfifo(tmp_path / "pipe")
+    for odd in (tmp_path, tmp_path / "pipe", Path("/dev/null")):
+        with pytest.raises(OSError, match="is no file, but a folder, a device or a pipe") as caught:
+            check_readable(odd, 2**20)
+        assert caught.value.errno == errno.EINVAL
+
+
+def test_a_tree_of_folders_and_files_holds_no_links(tmp_path: Path, monkeypatch: Any):
+    tree = tmp_path / "tree"
+    (tree / "inner").mkdir(parents=True)
+    (tree / "inner" / "file").touch()
+    check_tree(tree)
+    (tmp_path / "link").symlink_to(tree)
+    with pytest.raises(OSError, match="link is a link; name what it points to"):
+        check_tree(tmp_path / "link")
+    for odd in ("file link", "folder link", "pipe"):
+        path = tree / "inner" / odd
+        if odd == "pipe":
+            os.mkfifo(path)
+        else:
+            path.symlink_to(tmp_path if odd == "folder link" else tree / "inner" / "file")
+        with pytest.raises(OSError, match=f"{odd} there is a link, a device or a pipe"):
+            check_tree(tree)
+        path.unlink()
+    # a file that a run renames meanwhile is passed over, what comes behind it is not
+    os.mkfifo(tree / "pipe")
+    monkeypatch.setattr(os, "walk", lambda at: [(at, [], ["gone"])])
+    check_tree(tree)
+    monkeypatch.setattr(os, "walk", lambda at: [(at, [], ["gone", "pipe"])])
+    with pytest.raises(OSError, match="pipe there is"):
+        check_tree(tree)
+
+
+def test_a_seal_is_the_hash_of_the_content(tmp_path: Path):
+    content = bytes(range(256)) * 3
+    path = tmp_path / "run.nc"
+    assert seal(content)[-32:] == hashlib.sha256(content).digest()
+    whole = content + seal(content)
+    for sound in (whole, content, b"", b"short"):  # files of other programs bear no seal
+        path.write_bytes(sound)
+        check_seal(path)
+    for place in (0, len(content) - 1, len(whole) - 1, len(whole) - 32):
+        damaged = bytearray(whole)
+        damaged[place] ^= 1
+        path.write_bytes(damaged)
+        with pytest.raises(ValueError, match="not as it was written"):
+            check_seal(path)
+
+
+ARRAYS = {
+    "table": np.arange(12.0).reshape(3, 4),
+    "number": np.array(-2.5),
+    "names": np.array(["a", "grain"]),
+    "none": np.zeros((0, 3), dtype=int),
+}
+
+
+def test_arrays_come_back_as_they_were(tmp_path: Path):
+    packed = BytesIO()
+    np.savez(packed, **ARRAYS)
+    (tmp_path / "part.npz").write_bytes(packed.getvalue())
+    arrays = unpack(packed.getvalue())
+    assert list(arrays) == list(ARRAYS)
+    for name, values in ARRAYS.items():
+        for array in (arrays[name], unpack_one(tmp_path / "part.npz", name)):
+            assert array.dtype == values.dtype
+            assert np.array_equal(array, values)
+            assert array.shape == values.shape
+            assert array.flags.writeable
+
+
+@pytest.mark.parametrize("how", ["compressed", "objects", "columns first"])
+def test_arrays_that_are_not_plain_are_refused(tmp_path: Path, how: str):
+    values = {
+        "compressed": np.zeros((2, 3)),
+        "objects": np.array([print, None]),
+        "columns first": np.asfortranarray(ARRAYS["table"]),
+    }[how]
+    packed = BytesIO()
+    (np.savez_compressed if how == "compressed" else np.savez)(packed, values=values)
+    (tmp_path / "part.npz").write_bytes(packed.getvalue())
+    reason = "compressed arrays" if how == "compressed" else "arrays that are not plain"
+    with pytest.raises(ValueError, match=reason):
+        unpack(packed.getvalue())
+    with pytest.raises(ValueError, match=reason):
+        unpack_one(tmp_path / "part.npz", "values")
+
+
+def test_one_array_is_read_of_a_file_only(tmp_path: Path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(OSError, match="is no file"):
+        unpack_one(tmp_path / "pipe", "values")
+    assert sys.maxsize > 2**40
