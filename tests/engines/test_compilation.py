@@ -6,7 +6,6 @@ import subprocess
 import sys
 
 import numba
-import numpy as np
 import pytest
 from helpers.example_scenes import paper
 from numba.core.event import Listener, install_listener
@@ -58,14 +57,14 @@ def test_the_clock_stands_still_while_something_is_compiled(monkeypatch):
         def on_end(self, event):
             pass
 
-    made = numba.njit(lambda x: np.sort(x)[::-1] + np.cumsum(x))
+    made = numba.njit(lambda x: 2 * x)
     before, compiled = clock(), compiled_s()
     with install_listener("numba:compile", Slow()):
-        made(np.ones(3))
+        made(1.5)
         spent = now[0]
         assert spent >= 1000
         assert (clock() - before, compiled_s() - compiled) == pytest.approx((0, spent), abs=1e-9)
-        made(np.ones(3))
+        made(1.5)
     assert now[0] == spent == pytest.approx(compiled_s() - compiled, abs=1e-9)
 
 

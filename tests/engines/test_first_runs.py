@@ -39,7 +39,7 @@ def test_a_pilot_comes_first_where_nothing_bounds_the_motion_or_the_answer_takes
 def test_what_a_pilot_shows_brings_the_error_near_the_tolerance(tmp_path):
     """In memory, in a batch and in a run folder alike; the truth is within the tolerance, and not far below."""
     truth = reference(VACUUM)
-    for tolerance in (1e-6, 1e-8, 1e-10):
+    for tolerance in (1e-6, 1e-9):
         answer = simulate(VACUUM, "native", tolerance)
         error = relative_error(answer.displacement, answer.velocity, truth.displacement, truth.velocity)
         assert tolerance / 100 < error <= tolerance
@@ -114,13 +114,22 @@ def test_no_companion_alone_has_the_steps_of_the_answer_where_knots_cut_them():
         assert parts > 2 or len(schedules) == 1
 
 
-def test_chaos_that_one_attempt_does_not_show_is_looked_for_in_the_next():
-    """Without that this scene took 60 times as long to be refused: at one step a pair of runs happens to stay near."""
+def test_chaos_that_one_attempt_does_not_show_is_looked_for_in_the_next(monkeypatch):
+    """At one step a pair of runs may happen to stay near; shorter and shorter steps would be tried instead."""
     rng = np.random.default_rng(2)
     chain = Chain(grains=6, diameter=1e-3 * rng.uniform(0.7, 1.3, 6), gravity=9.81, top="wall")
-    scene = Scene(chain=chain, excitation=Impulse(velocity=0.3), duration=0.1, samples=11)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=0.3), duration=2e-3, samples=11)
+    pairs = []
+    honest = step_control.divergence
+
+    def near_at_first(scene, candidate, change):
+        pairs.append(candidate.step)
+        return np.zeros(scene.samples) if len(pairs) == 1 else honest(scene, candidate, change)
+
+    monkeypatch.setattr(step_control, "divergence", near_at_first)
     with pytest.raises(ToleranceNotMet, match="amplifies round-off") as refusal:
         simulate(scene, "native", 1e-7)
+    assert pairs[1] < pairs[0]
     assert refusal.value.trajectory.cost.step_s > Native().candidate(scene, 1e-7).step / 20
 
 
