@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from lmpchain.errors import InputError, LmpchainError, ToleranceNotMet, check_tolerance, short, shown
+from lmpchain.errors import (
+    InputError,
+    LmpchainError,
+    ToleranceNotMet,
+    check_tolerance,
+    short,
+    shown,
+)
 
 WIDEST = 80  # letters of a value in an error line: that of a terminal
 
@@ -50,7 +57,11 @@ def test_keys_are_cut_short_unless_they_are_paths():
 
 def test_a_missed_tolerance_carries_the_answer():
     error = ToleranceNotMet("too chaotic", "the trajectory")
-    assert (str(error), error.reason, error.trajectory) == ("too chaotic", "too chaotic", "the trajectory")
+    assert (str(error), error.reason, error.trajectory) == (
+        "too chaotic",
+        "too chaotic",
+        "the trajectory",
+    )
     assert ToleranceNotMet("no").trajectory is None
 
 

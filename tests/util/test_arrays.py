@@ -48,8 +48,8 @@ def test_magnitudes_of_doubles_compare_like_their_bits():
     bits = numbers.view(np.int64) & MAGNITUDE
     assert np.array_equal(bits.view(float), np.abs(numbers))
     assert np.array_equal(np.argsort(bits, kind="stable"), np.argsort(abs(numbers), kind="stable"))
-    assert 1.0 < 1.0 + EPSILON
-    assert 1.0 == 1.0 + EPSILON / 2
+    assert 1.0 + EPSILON > 1.0
+    assert 1.0 + EPSILON / 2 == 1.0
 
 
 def test_only_arrays_are_made_read_only():

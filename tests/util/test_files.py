@@ -5,7 +5,6 @@ import hashlib
 import os
 import platform
 import re
-import sys
 from io import BytesIO
 from multiprocessing import get_context
 from pathlib import Path
@@ -67,9 +66,13 @@ def test_a_file_appears_under_its_name_when_it_is_whole(tmp_path: Path):
 def test_a_file_that_fails_leaves_the_one_before(tmp_path: Path):
     path = tmp_path / "run.nc"
     path.write_text("before")
-    with pytest.raises(KeyError), replacing(path) as aside:
+
+    def fail(aside: Path) -> None:
         aside.write_text("half")
         raise KeyError
+
+    with pytest.raises(KeyError), replacing(path) as aside:
+        fail(aside)
     assert path.read_text() == "before"
     assert names(tmp_path) == ["run.nc"]
 
@@ -261,7 +264,5 @@ def test_arrays_that_are_not_plain_are_refused(tmp_path: Path, how: str):
 
 
 def test_one_array_is_read_of_a_file_only(tmp_path: Path):
-    os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(OSError, match="is no file"):
-        unpack_one(tmp_path / "pipe", "values")
-    assert sys.maxsize > 2**40
+    with pytest.raises(OSError, match="is no file, but a folder"):
+        unpack_one(tmp_path, "values")

@@ -1,0 +1,269 @@
+"""Charts: numbers with units, sizes in inches, letters and lines that fit, colours that differ."""
+
+import struct
+from itertools import combinations, pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib import colors, pyplot, rcParams
+
+from lmpchain.util import plotting
+from lmpchain.util.plotting import (
+    COLOURS,
+    MARKERS,
+    SHADES,
+    SHAPES,
+    axes_in_units,
+    colour_bar,
+    edges,
+    figure,
+    legend,
+    panels,
+    save,
+    si,
+    thinned,
+    titled,
+    window,
+)
+
+NARROW, PANEL, WIDE = 3.2, 4.7, 6.4  # inches: half a page, a picture of a report, a window
+
+
+def axes(width: float, height: float = 3.0):
+    return axes_in_units(figure(width, height).subplots(), "s", "m")
+
+
+# --- numbers
+
+
+@pytest.mark.parametrize(("rows", "most"), [(6, 2), (7, 3), (100, 7), (9, 9), (8, 9), (1, 1), (5, 4)])
+def test_a_map_with_fewer_rows_keeps_the_loudest_of_each_few(rows: int, most: int):
+    rng = np.random.default_rng(rows)
+    values = rng.normal(size=(rows, 4))
+    numbers = np.arange(1.0, rows + 1)
+    few = int(np.ceil(rows / most))
+    kept, drawn = thinned(numbers, values, most)
+    assert len(kept) <= most
+    assert kept.tolist() == numbers[::few].tolist()
+    for place, row in enumerate(drawn):
+        group = values[place * few : (place + 1) * few]
+        change = [np.abs(each - each[0]).max() for each in group]
+        assert np.array_equal(row, group[np.argmax(change)])
+
+
+def test_a_map_has_2000_rows_at_most_unless_asked():
+    for rows in (2000, 2001, 3999):
+        kept, drawn = thinned(np.arange(float(rows)), np.zeros((rows, 2)))
+        assert len(kept) == len(drawn) == (2000 if rows == 2000 else (rows + 1) // 2)
+
+
+def test_edges_lie_half_way_between_centres():
+    assert edges(np.array([3.0])).tolist() == [2.5, 3.5]
+    centres = np.array([1.0, 2.0, 5.0, 5.5])
+    inner = [(a + b) / 2 for a, b in pairwise(centres)]
+    assert edges(centres).tolist() == [0.5, *inner, 5.75]
+
+
+def test_numbers_with_their_prefix():
+    assert si(1.5e-6, "s") == "1.5 µs"
+    assert si(6e4, "Hz", 1) == "60.0 kHz"
+    assert si(2.346e-3, "m/s", 2) == "2.35 mm/s"
+    assert si(0.0, "N") == "0 N"
+
+
+# --- figures
+
+
+def test_figures_have_the_size_asked_for():
+    assert figure().get_size_inches().tolist() == [8.0, 7.0]
+    assert figure(3.0, 2.0).get_size_inches().tolist() == [3.0, 2.0]
+    assert pyplot.get_fignums() == []
+    shown = window()
+    assert shown.get_size_inches().tolist() == [6.4, 4.2]
+    assert window(3.0, 2.0).get_size_inches().tolist() == [3.0, 2.0]
+    assert shown.number in pyplot.get_fignums()
+    ax = axes_in_units(None, "s", "m")
+    assert ax.figure.get_size_inches().tolist() == [6.4, 4.2]
+    assert ax.figure.number in pyplot.get_fignums()
+
+
+def test_a_picture_is_saved_with_so_many_dots_an_inch(tmp_path: Path):
+    picture = figure(4.0, 2.0)
+    for what, dpi in ((picture, 150), (picture.subplots(), 150), (picture, 50)):
+        path = tmp_path / "picture.png"
+        save(what, path) if dpi == 150 else save(what, path, dpi)
+        width, height = struct.unpack(">II", path.read_bytes()[16:24])
+        assert (width, height) == (4 * dpi, 2 * dpi)
+    assert [one.name for one in tmp_path.iterdir()] == ["picture.png"]
+
+
+# --- axes
+
+
+def test_ticks_bear_units_with_prefixes():
+    ax = axes_in_units(figure(WIDE, 3.0).subplots(), "s", "m/s")
+    assert ax.xaxis.get_major_formatter()(2.5e-5) == "25 µs"
+    assert ax.yaxis.get_major_formatter()(1e-3) == "1 mm/s"
+    plain = axes_in_units(figure(WIDE, 3.0).subplots(), "", "")
+    ticks = [plain.xaxis.get_major_formatter(), plain.yaxis.get_major_formatter()]
+    assert [tick.format_ticks([2500.0]) for tick in ticks] == [["2500"], ["2500"]]
+
+
+def most_intervals(ax, which: str) -> int:
+    """Return the largest number of intervals that ticks make along an axis."""
+    most = 0
+    for longest in range(1, 100):
+        getattr(ax, f"set_{which}lim")(0, longest)
+        ticks = getattr(ax, f"get_{which}ticks")()
+        most = max(most, int(((ticks >= 0) & (ticks <= longest)).sum()) - 1)
+    return most
+
+
+def test_ticks_leave_room_for_their_labels():
+    """An inch or so for each of a time axis."""
+    assert most_intervals(axes(WIDE), "x") == 6
+    assert most_intervals(axes(WIDE), "y") > 6
+    assert most_intervals(axes(NARROW), "x") == most_intervals(axes(NARROW), "y") == 5
+    logarithmic = figure(WIDE, 3.0).subplots()
+    logarithmic.set_xscale("log")
+    axes_in_units(logarithmic, "s", "m")
+    assert logarithmic.get_xscale() == "log"
+    free = axes_in_units(figure(WIDE, 3.0).subplots(), "", "m")
+    assert most_intervals(free, "x") > 6
+
+
+def letters(ax) -> set[float]:
+    """Return the sizes of the letters of ticks and labels, in points."""
+    ticks = [tick.label1.get_fontsize() for axis in (ax.xaxis, ax.yaxis) for tick in axis.get_major_ticks()]
+    return {*ticks, ax.xaxis.label.get_fontsize(), ax.yaxis.label.get_fontsize()}
+
+
+def test_letters_are_smaller_on_narrow_axes_and_all_alike():
+    size = rcParams["font.size"]
+    assert letters(axes(WIDE)) == letters(axes(PANEL)) == {size}
+    (small,) = letters(axes(NARROW))
+    assert size * 0.75 < small < size
+    for width, expected in ((NARROW, small), (PANEL, size)):
+        ax = axes(width)
+        assert letters(ax) == {expected}
+        shown = ax.imshow(np.eye(2), aspect="auto")
+        colour_bar(ax, shown, "velocity (m/s)", ticks=[0.0, 1.0])
+        bar = ax.figure.axes[-1]
+        assert bar.get_ylabel() == "velocity (m/s)"
+        assert bar.yaxis.label.get_fontsize() == expected
+        assert {tick.label2.get_fontsize() for tick in bar.yaxis.get_major_ticks()} == {expected}
+        assert bar.get_yticks().tolist() == [0.0, 1.0]
+
+
+def test_lines_take_our_colours_in_turn_unless_there_are_lines_already():
+    ax = axes(WIDE)
+    for _ in COLOURS:
+        ax.plot([0, 1], [0, 1])
+    assert [line.get_color() for line in ax.lines] == list(COLOURS.values())
+    axes_in_units(ax, "s", "m")
+    (line,) = ax.plot([0, 1], [1, 0])
+    assert line.get_color() == next(iter(COLOURS.values()))
+    (begun,) = figure(WIDE, 3.0).subplots().plot([0, 1], [0, 1])
+    other = begun.axes
+    axes_in_units(other, "s", "m")
+    (second,) = other.plot([0, 1], [0, 1])
+    assert second.get_color() not in COLOURS.values()
+
+
+def test_engines_and_integrators_are_told_apart_by_colour_and_marker():
+    assert COLOURS.keys() == MARKERS.keys()
+    assert len(set(MARKERS.values())) == len(MARKERS)
+    assert len(SHADES) == len(SHAPES) == len(set(SHAPES))
+    for palette in (list(COLOURS.values()), list(SHADES)):
+        for one, other in combinations(palette, 2):
+            distance = np.subtract(colors.to_rgb(one), colors.to_rgb(other))
+            assert np.linalg.norm(distance) > 0.15
+
+
+def test_axes_are_taken_one_or_several():
+    both = figure(8.0, 3.0).subplots(1, 2)
+    assert panels(both) == panels(list(both)) == list(both)
+    assert panels(both[0]) == [both[0]]
+
+
+# --- words
+
+
+WORDS = "energy of the grains and of the contacts between them relative to that at rest " * 2
+
+
+def drawn_width(text) -> float:
+    """Return how wide a text is drawn, in inches."""
+    picture = text.figure.figure
+    picture.draw_without_rendering()
+    return text.get_window_extent().width / picture.dpi
+
+
+@pytest.mark.parametrize("width", [2.0, NARROW, PANEL, WIDE, 10.0])
+def test_titles_are_as_wide_as_their_axes(width: float):
+    """And no narrower than they need be: a letter is about half as wide as high."""
+    ax = axes(width)
+    titled(ax, WORDS)
+    assert ax.get_title("left")
+    title = ax._left_title
+    assert title.get_fontsize() == rcParams["font.size"]
+    inches = ax.get_position().width * width
+    room = int(inches * 72 / (0.52 * title.get_fontsize()))
+    lines = title.get_text().splitlines()
+    assert " ".join(lines) == WORDS.strip()
+    assert max(map(len, lines)) <= room
+    firsts = [line.split()[0] for line in lines[1:]]
+    assert all(len(a) + 1 + len(b) > room for a, b in zip(lines, firsts, strict=False))
+    assert drawn_width(title) < 1.05 * inches
+
+
+def test_the_narrowest_axes_hold_a_word():
+    ax = axes(0.8)
+    titled(ax, "displacement downward")
+    assert ax.get_title("left") == "displacement\ndownward"
+
+
+@pytest.mark.parametrize("width", [NARROW, PANEL, WIDE])
+def test_a_legend_fits_its_axes(width: float):
+    ax = axes(width)
+    assert ax.get_legend() is None
+    legend(ax)
+    assert ax.get_legend() is None
+    ax.plot([0, 1], [0, 1], label=WORDS)
+    ax.plot([0, 1], [1, 0], label="short")
+    legend(ax)
+    shown = ax.get_legend()
+    long, short = shown.get_texts()
+    assert short.get_text() == "short"
+    assert " ".join(long.get_text().split()) == WORDS.strip()
+    inches = ax.get_position().width * width
+    # letters with their line and its gap, which takes what two points a letter make
+    size = long.get_fontsize()
+    room = int(inches * 72 / (0.52 * (size + 2)))
+    lines = long.get_text().splitlines()
+    assert max(map(len, lines)) <= room
+    firsts = [line.split()[0] for line in lines[1:]]
+    assert all(len(a) + 1 + len(b) > room for a, b in zip(lines, firsts, strict=False))
+    ax.figure.draw_without_rendering()
+    assert shown.get_window_extent().width / ax.figure.dpi < 1.05 * inches
+    smallest = min(letters(ax))
+    assert 0.8 * smallest < size < smallest
+    assert not shown.get_frame_on()
+
+
+def test_a_legend_of_given_handles():
+    ax = axes(WIDE)
+    lines = [ax.plot([0, 1], [0, 1])[0] for _ in range(2)]
+    legend(ax, lines, ["one", "two"], loc="lower left", frameon=True)
+    shown = ax.get_legend()
+    assert [text.get_text() for text in shown.get_texts()] == ["one", "two"]
+    assert shown.get_frame_on()
+    assert shown._loc == 3
+    (first, _) = shown.get_lines()
+    size = shown.get_texts()[0].get_fontsize()
+    assert np.ptp(first.get_xdata()) == pytest.approx(1.5 * size)  # shorter than matplotlib's
+
+
+def test_what_is_nothing_is_drawn_below_all_round_off():
+    assert 0 < plotting.LOWEST < 1e-16
