@@ -1,0 +1,231 @@
+"""The methods of time integration in plain NumPy and 80-bit numbers, from Eq. (1) and their publications alone.
+
+All arrays may have axes before that of the grains, of chains that differ: differences of their answers are derivatives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import DOP853
+from scipy.interpolate import CubicSpline
+
+from lmpchain import Scene
+from lmpchain.integrators.splittings import Splitting
+
+WIDE = np.longdouble
+Array = NDArray[np.longdouble]
+# of a time, s, an order and a time by whose law: the value that is imposed, or its rate
+Course = Callable[..., Any]
+
+
+class Column(NamedTuple):
+    """What Eq. (1) takes: of N grains masses (..., N), constants and forces at rest of all contacts (..., N+1) ..."""
+
+    masses: Array
+    constants: Array
+    forces: Array
+    displacement: Array
+    velocity: Array
+    drive: Array  # amplitude and frequency of what is imposed, or its samples (..., P)
+    scene: Scene
+
+
+def column(scene: Scene) -> Column:
+    """Return what a scene is made of, in 80-bit numbers."""
+    chain, excitation = scene.chain, scene.excitation
+    above, below = chain.wall_constants
+    constants = np.array([above, *chain.contact_constants, below], dtype=WIDE)
+    carried = WIDE(chain.top_load) + WIDE(chain.gravity) * np.append(WIDE(0), np.cumsum(chain.masses.astype(WIDE)))
+    u, v = (field.astype(WIDE) for field in scene.initial())
+    drive: Any = []
+    if excitation.does_work and excitation.times is not None:
+        drive = getattr(excitation, excitation.strength[1])
+    elif excitation.does_work:
+        half = excitation.frequency is None
+        drive = [excitation.amplitude, 0.5 / excitation.duration if half else excitation.frequency]
+    masses = chain.masses.astype(WIDE)
+    return Column(masses, constants, np.where(constants > 0, carried, 0), u, v, np.array(drive, dtype=WIDE), scene)
+
+
+def course_of(excitation: Any, drive: Array) -> Course | None:
+    """Return what is imposed as a function of time."""
+    if not excitation.does_work:
+        return None
+    if excitation.times is not None:
+        basis = CubicSpline(excitation.times, np.eye(len(excitation.times)))
+        knots, pieces = basis.x.astype(WIDE), np.tensordot(drive, basis.c.astype(WIDE), (-1, 2))
+
+        def spline(t: Any, order: int, inside: Any = None) -> Any:
+            piece = min(max(int(np.searchsorted(knots, t, side="right")) - 1, 0), knots.size - 2)
+            s, (a, b, c, d) = t - knots[piece], np.moveaxis(pieces[..., piece], -1, 0)
+            return (3 * a * s + 2 * b) * s + c if order else ((a * s + b) * s + c) * s + d
+
+        return spline
+    turn = 8 * np.arctan(WIDE(1))
+    size, omega, cycles = drive[..., 0], turn * drive[..., 1], excitation.cycles
+    end = WIDE(np.inf) if cycles is None else WIDE(cycles) / WIDE(excitation.frequency)
+    if excitation.frequency is None:
+        end = WIDE(excitation.duration)
+
+    def sine(t: Any, order: int, inside: Any = None) -> Any:
+        if (t if inside is None else inside) >= end:
+            return 0 * size
+        wave, rate = size * np.sin(omega * t), size * omega * np.cos(omega * t)
+        if cycles is None:
+            return rate if order else wave
+        slow = omega / (2 * WIDE(cycles))
+        hann, slope = np.sin(slow * t) ** 2, slow * np.sin(2 * slow * t)
+        return rate * hann + wave * slope if order else wave * hann
+
+    return sine
+
+
+class Motion:
+    """Eq. (1) of a column: x'' at any time, and what is driven where its course says."""
+
+    def __init__(self, made: Column):
+        excitation, chain = made.scene.excitation, made.scene.chain
+        self.x, self.v, self.masses, self.constants = made.displacement, made.velocity, made.masses, made.constants
+        self.carried, self.delta = made.forces, WIDE(chain.exponent)
+        self.pressed = made.scene.chain.contacts.pressed
+        positive = np.where(made.constants > 0, made.constants, 1)
+        overlap = np.where(self.pressed, made.forces / positive, 1) ** (1 / self.delta)
+        self.length = np.where(self.pressed, overlap, 1)
+        self.course = course_of(excitation, made.drive)
+        self.wall = self.course is not None and excitation.kind == "drive" and excitation.grain == 0
+        self.driven = self.course is not None and excitation.kind == "drive" and excitation.grain == 1
+        self.pushed = excitation.grain if self.course is not None and excitation.kind == "force" else 0
+        self.inside: Any = None  # the time by whose law the course holds, if it is another one
+        self.mobile = np.ones(chain.grains, dtype=WIDE)
+        self.mobile[chain.movable :] = 0
+        if self.driven:
+            self.mobile[0] = 0
+            self.v = self.v.copy()
+            self.v[..., 0] = 0
+
+    def closer(self, x: Array, t: Any) -> Array:
+        """Return by how much bodies are closer than at rest, (..., N+1) m."""
+        bodies = np.zeros((*x.shape[:-1], x.shape[-1] + 2), dtype=WIDE)
+        bodies[..., 1:-1] = x
+        if self.wall or self.driven:
+            bodies[..., int(self.driven)] = self.course(t, 0, self.inside)
+        return bodies[..., :-1] - bodies[..., 1:]
+
+    def contact_forces(self, x: Array, t: Any) -> Array:
+        """Return what contacts carry beyond that at rest, (..., N+1) N."""
+        r = self.closer(x, t)
+        s = r / self.length
+        shut = s > -1
+        held = np.where(shut, np.expm1(self.delta * np.log1p(np.where(shut, s, 0))), -1)
+        loose = self.constants * np.maximum(r, 0) ** self.delta
+        return np.where(self.pressed, self.carried * held, loose)
+
+    def acceleration(self, x: Array, t: Any) -> Array:
+        """Return x'' (..., N), 0 for what is held or driven."""
+        force = self.contact_forces(x, t)
+        pull = force[..., :-1] - force[..., 1:]
+        if self.pushed:
+            pull[..., self.pushed - 1] += self.course(t, 0, self.inside)
+        return self.mobile * pull / self.masses
+
+    def seen(self, x: Array, v: Array, t: Any) -> Array:
+        """Return displacements and velocities (2, ..., N) of all grains."""
+        state = np.array([x, v])
+        if self.driven:
+            state[0, ..., 0], state[1, ..., 0] = self.course(t, 0), self.course(t, 1)
+        return state
+
+
+def by_splitting(motion: Motion, method: Splitting, steps: Iterable[Any]) -> Array:
+    """Return the states (K+1, 2, ..., N) after steps of these lengths, s."""
+    x, v, t = motion.x, motion.v, WIDE(0)
+    states = [motion.seen(x, v, t)]
+    for h in steps:
+        reach = WIDE(0)
+        for kick, drift in zip(method.kicks, (*method.drifts, 0.0), strict=True):
+            v = v + WIDE(kick) * h * motion.acceleration(x, t + reach * h)
+            x = x + WIDE(drift) * h * v
+            reach = reach + WIDE(drift)
+        t = t + h
+        states.append(motion.seen(x, v, t))
+    return np.array(states)
+
+
+class DormandPrinceStep(NamedTuple):
+    """Changes of displacement and velocity (N,) in a step, and estimates of their errors by orders 5 and 3."""
+
+    x: Array
+    v: Array
+    errors: Array  # (2, 2, N): of either order, displacement and velocity
+
+
+def dormand_prince_step(motion: Motion, x: Array, v: Array, t: Any, h: Any) -> DormandPrinceStep:
+    """Return a step of DOP853 for y' = f(t, y) with y = (x, v)."""
+    slopes_x, slopes_v = np.zeros((2, 12, x.size), dtype=WIDE)
+    for stage in range(12):
+        inner = DOP853.A[stage, :stage].astype(WIDE)
+        slopes_x[stage] = motion.mobile * (v + h * inner @ slopes_v[:stage])
+        slopes_v[stage] = motion.acceleration(x + h * inner @ slopes_x[:stage], t + DOP853.C[stage] * h)
+    weights = DOP853.B.astype(WIDE)
+    errors = [[h * e[:12] @ slopes_x, h * e[:12] @ slopes_v] for e in (DOP853.E5, DOP853.E3)]
+    return DormandPrinceStep(h * weights @ slopes_x, h * weights @ slopes_v, np.array(errors))
+
+
+def by_dormand_prince(motion: Motion, steps: Iterable[Any]) -> Array:
+    """Return the states (K+1, 2, N) after steps of these lengths, s."""
+    x, v, t = motion.x, motion.v, WIDE(0)
+    states = [motion.seen(x, v, t)]
+    for h in steps:
+        step = dormand_prince_step(motion, x, v, t, h)
+        x, v, t = x + step.x, v + step.v, t + h
+        states.append(motion.seen(x, v, t))
+    return np.array(states)
+
+
+PASCAL = np.array([[1, 1, 1, 1, 1], [0, 1, 2, 3, 4], [0, 0, 1, 3, 6], [0, 0, 0, 1, 4], [0, 0, 0, 0, 1]], dtype=WIDE)
+CORRECTIONS = np.array([WIDE(19) / 120, WIDE(3) / 4, 1, WIDE(1) / 2, WIDE(1) / 12])  # Gear's, for x'' = a(x)
+
+
+def _gear_start(motion: Motion, x: Array, v: Array, t: Any, h: Any) -> Array:
+    """Return x^(k) h^k / k!, (5, N), by differences of accelerations a step before and after, by the law of now.
+
+    Half a step after stands for that before if contacts are open then that are not now.
+    """
+    motion.inside = t + WIDE(1e-9) * h
+    now = motion.acceleration(x, t)
+
+    def moved(side: Any) -> tuple[Array, Any]:
+        return x + side * h * v + (side * h) ** 2 / 2 * now, t + side * h
+
+    open_now, open_before = (motion.closer(*at) <= -motion.length * motion.pressed for at in ((x, t), moved(-1)))
+    after = motion.acceleration(*moved(1))
+    if ((open_now == open_before) | (motion.constants == 0)).all():
+        before = motion.acceleration(*moved(-1))
+        slope, bend = (after - before) / 2, before - 2 * now + after
+    else:
+        half = motion.acceleration(*moved(WIDE(0.5)))
+        slope, bend = 4 * half - after - 3 * now, 4 * (after - 2 * half + now)
+    motion.inside = None
+    return np.array([x, h * v, h**2 * now / 2, h**2 * slope / 6, h**2 * bend / 24])
+
+
+def by_gear(motion: Motion, steps: Iterable[Any]) -> Array:
+    """Return the states (K+1, 2, N); where the length of the step changes, the method begins anew."""
+    x, v, t, before = motion.x, motion.v, WIDE(0), None
+    states = [motion.seen(x, v, t)]
+    for h in steps:
+        if before is None or abs(h - before) > 1e-9 * h:
+            table = _gear_start(motion, x, v, t, h)
+        table = PASCAL @ table
+        off = h**2 / 2 * motion.acceleration(table[0], t + h) - table[2]
+        table = table + np.multiply.outer(CORRECTIONS, off)
+        if motion.driven:  # it is where its course says
+            table[:, 0] = 0
+            table[0, 0] = motion.course(t + h, 0)
+        x, v, t, before = table[0], table[1] / h, t + h, h
+        states.append(motion.seen(x, v, t))
+    return np.array(states)

@@ -1,0 +1,192 @@
+"""Every compiled method against the same in plain NumPy, for every law, end and excitation, step by step."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import plain_methods as plain
+from helpers.plain_methods import WIDE, Motion
+
+from lmpchain import Chain, Displacement, Drive, Force, Impulse, Profile, Scene
+from lmpchain.integrators.batch import ChainBatch, name_of
+from lmpchain.integrators.kernels.layout import STEPS
+from lmpchain.integrators.methods import METHODS
+from lmpchain.integrators.splittings import SPLITTINGS
+from lmpchain.integrators.step_schedule import StepSchedule
+from lmpchain.integrators.stepper import NativeStepper
+
+GRAINS = 7
+UNLIKE = np.random.default_rng(2).uniform(0.7, 1.3, GRAINS) * 2e-3  # m, diameters
+SPEEDS = np.random.default_rng(3).uniform(-1, 1, (2, GRAINS))
+
+
+def pressed(**options: Any) -> Chain:
+    return Chain(**{"grains": GRAINS, "diameter": UNLIKE, "gravity": 30.0, "top_load": 0.02} | options)
+
+
+def flying(chain: Chain, strains: float, samples: int = 5) -> Scene:
+    """Return a scene in which all grains fly about, contacts by so many overlaps closer or apart."""
+    scale = chain.contacts.overlap.max() or 1e-7
+    edge = chain.band_edge or np.sqrt(
+        chain.contacts.stiffness_at(np.full(GRAINS + 1, scale)).max() / chain.masses.min()
+    )
+    u, v = SPEEDS * [[strains * scale / 2], [strains * scale * edge]]
+    u, v = u.copy(), v.copy()
+    u[chain.movable :] = v[chain.movable :] = 0
+    profile = Profile(displacement=u, velocity=v)
+    return Scene(chain=chain, excitation=profile, duration=6 / edge, samples=samples)
+
+
+BETWEEN = {"top": "wall", "bottom": "wall", "top_material": "brass"}
+LAWS = {
+    "corrected": (flying(pressed(), 1.0), "exact", "corrected square root"),
+    "corrected, weak": (flying(pressed(**BETWEEN), 0.03), "exact", "corrected square root"),
+    "polynomial": (flying(pressed(exponent=1.5), 1e-4), "auto", "polynomial"),
+    "polynomial, 2.3": (flying(pressed(exponent=2.3, **BETWEEN), 1e-3), "auto", "polynomial"),
+    "springs": (flying(pressed(exponent=1.0, **BETWEEN), 2.0), "auto", "spring"),
+    "5/4": (flying(pressed(exponent=1.25, **BETWEEN), 4.0), "plain", "plain square roots"),
+    "3/2": (flying(pressed(**BETWEEN), 4.0), "auto", "plain square roots"),
+    "7/4": (flying(pressed(exponent=1.75), 4.0), "plain", "plain square roots"),
+    "2": (flying(pressed(exponent=2.0, bottom="wall"), 4.0), "plain", "plain square roots"),
+    "2.3": (flying(pressed(exponent=2.3, bottom="wall"), 1.0), "auto", "vectorised power"),
+    "vacuum": (flying(pressed(gravity=0.0, top_load=0.0, **BETWEEN), 1.0), "auto", "plain square roots"),
+    "vacuum, free": (flying(pressed(gravity=0.0, top_load=0.0, bottom="free"), 1.0), "auto", "plain square roots"),
+    "vacuum, springs": (flying(pressed(gravity=0.0, top_load=0.0, exponent=1.0), 1.0), "auto", "spring"),
+    "vacuum, 3": (
+        flying(pressed(gravity=0.0, top_load=0.0, exponent=3.0, top="wall"), 1.0), "auto", "vectorised power",
+    ),
+    "touching wall": (flying(pressed(top_load=0.0, **BETWEEN), 1.0), "exact", "corrected square root"),
+    "touching wall, 2": (flying(pressed(top_load=0.0, exponent=2.0, **BETWEEN), 3.0), "plain", "plain square roots"),
+    "touching wall, 2.3": (flying(pressed(top_load=0.0, exponent=2.3, **BETWEEN), 3.0), "auto", "vectorised power"),
+    "touching wall, 1": (flying(pressed(top_load=0.0, exponent=1.0, **BETWEEN), 3.0), "auto", "spring"),
+}  # fmt: skip
+
+ACTED = pressed(**BETWEEN)
+DURATION = 12 / ACTED.band_edge
+FREQUENCY = 0.4 * ACTED.band_edge / (2 * np.pi)
+KNOTS = np.array([0.0, 0.21, 0.44, 0.76, 1.1]) * DURATION
+BUMP = np.array([0.0, 1.0, -0.5, 0.8, 0.3])
+HELD = float(ACTED.contacts.force.max())
+OVERLAP = float(ACTED.contacts.overlap.max())
+BURST = 0.4 * FREQUENCY * DURATION  # cycles of one that ends within a step
+ACTS = {
+    "sine of grain 1": Drive(amplitude=OVERLAP, frequency=FREQUENCY),
+    "burst of grain 1": Drive(amplitude=OVERLAP, frequency=FREQUENCY, cycles=BURST),
+    "samples of grain 1": Drive(times=KNOTS, displacement=OVERLAP * BUMP),
+    "sine of the wall": Drive(amplitude=OVERLAP, frequency=FREQUENCY, grain=0),
+    "burst of the wall": Drive(amplitude=OVERLAP, frequency=FREQUENCY, cycles=BURST, grain=0),
+    "samples of the wall": Drive(times=KNOTS, displacement=OVERLAP * BUMP, grain=0),
+    "sine on grain 3": Force(amplitude=HELD, frequency=FREQUENCY, grain=3),
+    "burst on grain 1": Force(amplitude=HELD, frequency=FREQUENCY, cycles=BURST, grain=1),
+    "half-sine on grain 7": Force(shape="half-sine", amplitude=HELD, duration=0.43 * DURATION, grain=7),
+    "samples on grain 2": Force(times=KNOTS, force=HELD * BUMP, grain=2),
+}
+STEPS_EACH = 12  # from a sample to the next
+
+
+def acted(name: str) -> Scene:
+    return Scene(chain=ACTED, excitation=ACTS[name], duration=DURATION, samples=5)
+
+
+def answer(scene: Scene, method: str, schedule: StepSchedule, force: str = "auto") -> tuple[np.ndarray, NativeStepper]:
+    """Return displacements and velocities (2, T, N), in pieces of a few steps."""
+    stepper = NativeStepper(ChainBatch([scene], force), METHODS[method], schedule, {})
+    fields = np.zeros((2, 1, scene.samples, scene.chain.grains))
+    fields[:, 0, 0] = scene.initial()
+    while stepper.sample < scene.samples - 1:
+        stepper.fill(*fields, 0, scene.samples - 1, 5)
+    return fields[:, 0], stepper
+
+
+def corners(scene: Scene, method: str) -> list[float]:
+    """Return the times at which a method ends a step because another law holds then, s."""
+    waveform = scene.excitation.waveform if scene.excitation.does_work else None
+    if waveform is None or method == "verlet":
+        return []
+    if waveform.spline is not None:
+        return KNOTS.tolist() if method == "dop853" else []
+    return [waveform.end]
+
+
+def steps_of(scene: Scene, method: str, steps: int) -> tuple[list[Any], list[int]]:
+    """Return the lengths of all steps, and how many are made before each sample."""
+    lengths: list[Any] = []
+    made = [0]
+    time = np.linspace(WIDE(0), WIDE(scene.duration), scene.samples)
+    for begin, end in pairwise(time):
+        h = (end - begin) / steps
+        grid = begin + h * np.arange(steps + 1)
+        cuts = [t for t in corners(scene, method) if begin + 1e-6 * h < t < end - 1e-6 * h]
+        if method == "dop853":  # in equal parts between corners
+            for left, right in pairwise([begin, *cuts, end]):
+                count = int(np.ceil((right - left) / h - 1e-9))
+                lengths += [(right - left) / count] * count
+        else:
+            lengths += list(np.diff(np.sort(np.concatenate((grid, np.array(cuts, dtype=WIDE))))))
+        made.append(len(lengths))
+    return lengths, made
+
+
+def plainly(scene: Scene, method: str, steps: int) -> np.ndarray:
+    """Return the same by plain NumPy, (2, T, N)."""
+    motion, (lengths, made) = Motion(plain.column(scene)), steps_of(scene, method, steps)
+    if method == "dop853":
+        states = plain.by_dormand_prince(motion, lengths)
+    elif method == "gear4":
+        states = plain.by_gear(motion, lengths)
+    else:
+        states = plain.by_splitting(motion, SPLITTINGS[method], lengths)
+    return states[made].swapaxes(0, 1)
+
+
+def distance(fields: np.ndarray, others: np.ndarray) -> float:
+    """Return the largest distance of two answers over the largest displacement and velocity."""
+    return float((np.abs(fields - others).max((1, 2)) / np.abs(others).max((1, 2))).max())
+
+
+@pytest.mark.parametrize("method", ["verlet", "rkn6", "dop853", "gear4"])
+@pytest.mark.parametrize("law", LAWS)
+def test_grains_that_fly_about_move_as_in_plain_numpy(law: str, method: str):
+    scene, force, name = LAWS[law]
+    assert name_of(ChainBatch([scene], force).forms[0]) == name
+    schedule = StepSchedule(STEPS_EACH, 1, scene.duration / 4 / STEPS_EACH, False)
+    fields, stepper = answer(scene, method, schedule, force)
+    assert stepper.steps == 4 * STEPS_EACH
+    assert distance(fields, plainly(scene, method, STEPS_EACH)) < 1e-13
+
+
+@pytest.mark.parametrize("method", ["verlet", "rkn4", "rkn6", "dop853", "gear4"])
+@pytest.mark.parametrize("name", ACTS)
+def test_what_acts_moves_grains_as_in_plain_numpy(name: str, method: str):
+    """Between steps, too, where a burst ends: there a step is made as two, but of order 2."""
+    scene = acted(name)
+    schedule = StepSchedule(STEPS_EACH, 1, scene.duration / 4 / STEPS_EACH, False)
+    fields, _ = answer(scene, method, schedule)
+    assert distance(fields, plainly(scene, method, STEPS_EACH)) < 2e-13
+
+
+@pytest.mark.parametrize("method", ["rkn4", "kahan-li6", "kahan-li8"])
+def test_other_splittings_move_grains_as_in_plain_numpy(method: str):
+    scene, force, _ = LAWS["touching wall, 2"]
+    fields, _ = answer(scene, method, StepSchedule(6, 1, scene.duration / 24, False), force)
+    assert distance(fields, plainly(scene, method, 6)) < 1e-13
+
+
+@pytest.mark.parametrize("method", ["verlet", "rkn6", "dop853", "gear4"])
+def test_a_run_lands_on_every_third_sample_and_on_the_last(method: str):
+    """On the last after as many steps as are no longer than the others."""
+    scene, force, _ = LAWS["corrected"]
+    scene = scene.replace(samples=9)
+    schedule = StepSchedule(10, 3, 3 * scene.duration / 80, False)
+    fields, stepper = answer(scene, method, schedule, force)
+    interval = WIDE(scene.duration) / 8
+    lengths = [3 * interval / 10] * 20 + [2 * interval / 7] * 7
+    motion = Motion(plain.column(scene))
+    run = {"dop853": plain.by_dormand_prince, "gear4": plain.by_gear}.get(method)
+    states = run(motion, lengths) if run else plain.by_splitting(motion, SPLITTINGS[method], lengths)
+    assert stepper.steps == 27 == schedule.total(8)
+    assert distance(fields[:, [0, 3, 6, 8]], states[[0, 10, 20, 27]].swapaxes(0, 1)) < 1e-13
+    assert not fields[:, [1, 2, 4, 5, 7]].any()
