@@ -4,8 +4,8 @@
     python tests/data/make_bits.py --check [EVERY]         # prints what differs from it; of every 10th scene, say
 
 The last bits of an answer also rest on the versions of NumPy, SciPy and the compiler and on the processor. The table
-names these; where they are others, `--check` and `tests/simulation/test_bits.py` compare engines, steps and error
-estimates instead of bits.
+names these; where they are others, `--check` and the tests, `test_bits.py` in `tests/engines/` and `tests/simulation/`,
+compare engines, steps and error estimates instead of bits.
 """
 
 import argparse
@@ -81,14 +81,18 @@ def answer(scene: Scene, engine: str, tolerance: float, folder: Path | None = No
     ]
 
 
-def cases(number: int) -> Iterator[tuple[str, Row]]:
-    """Yield the name and the answer of every case of one scene."""
+def drawn(number: int) -> tuple[Scene, float]:
+    """Return one of the scenes and its tolerance."""
     rng = np.random.default_rng([20261122, number])
-    scene = random_scene(rng)
-    tolerance = float(rng.choice([1e-3, 1e-4, 1e-6, 1e-8]))
+    return random_scene(rng), float(rng.choice([1e-3, 1e-4, 1e-6, 1e-8]))
+
+
+def engine_cases(number: int) -> Iterator[tuple[str, Row]]:
+    """Yield the name of every case of an engine that is asked for by name, and its answer to one scene."""
+    scene, tolerance = drawn(number)
     loose = max(tolerance, 1e-4)
-    yield "scene", [hashlib.sha256(repr(sorted(scene.initial()[1])).encode()).hexdigest()[:16], scene.chain.grains]
-    yield "auto", answer(scene, "auto", tolerance)
+    velocities = repr(sorted(scene.initial()[1])).encode()
+    yield "scene", [hashlib.sha256(velocities).hexdigest()[:16], scene.chain.grains]
     for integrator in NATIVE:
         low = integrator in ("verlet", "gear4")
         yield f"native {integrator}", answer(scene, "native", loose if low else tolerance, integrator=integrator)
@@ -102,12 +106,24 @@ def cases(number: int) -> Iterator[tuple[str, Row]]:
             case = f"lammps {integrator} {diameter}"
             yield case, answer(scene, "lammps", 1e-3, integrator=integrator, diameter=diameter)
         yield f"lammps {integrator} step", answer(scene, "lammps", 1e-6, integrator=integrator, step=step)
+
+
+def choice_cases(number: int) -> Iterator[tuple[str, Row]]:
+    """Yield the cases of one scene in which an engine is chosen, or a run goes on after a stop."""
+    scene, tolerance = drawn(number)
+    yield "auto", answer(scene, "auto", tolerance)
     if number % 5 == 0:
         with tempfile.TemporaryDirectory() as scratch:
             for name in ("auto", "native", "modes", "chebyshev", "lammps"):
                 yield f"{name} resumed", answer(scene, name, max(tolerance, 1e-6), Path(scratch) / name)
     if number % 10 == 0:
         yield "plan", planned(scene, tolerance)
+
+
+def cases(number: int) -> Iterator[tuple[str, Row]]:
+    """Yield the name and the answer of every case of one scene."""
+    yield from engine_cases(number)
+    yield from choice_cases(number)
 
 
 def planned(scene: Scene, tolerance: float) -> Row:
@@ -157,15 +173,19 @@ def alike(one: Row, other: Row) -> bool:
     return len(one) == len(other) and all(map(close, one, other))
 
 
-def differences(key: str, found: Iterable[tuple[str, Row]]) -> Iterator[str]:
-    """Yield a line for every case of a scene, or of the batches, that is not as in the table."""
+def differences(key: str, found: Iterable[tuple[str, Row]], some: bool = False) -> Iterator[str]:
+    """Yield a line for every case of a scene, or of the batches, that is not as in the table.
+
+    `some` says that these are not all of its cases.
+    """
     table = json.loads(TABLE.read_text(encoding="utf-8"))
     left, bits = table[key], table["made with"] == fingerprint()
     for name, row in found:
         stored = left.pop(name, [])
         if row != stored and (bits or not alike(row, stored)):
             yield f"{key}, {name}: {row}, stored {stored}"
-    yield from (f"{key}, {name}: not found, stored {stored}" for name, stored in left.items())
+    if not some:
+        yield from (f"{key}, {name}: not found, stored {stored}" for name, stored in left.items())
 
 
 def main() -> None:

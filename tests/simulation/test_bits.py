@@ -1,4 +1,4 @@
-"""Answers keep their last bit: 200 random scenes by every engine, integrator and end against a stored table.
+"""Answers keep their last bit: 200 random scenes by "auto", after a stop and in batches against a stored table.
 
 Where the table was made with other versions or on another kind of processor, engines, steps and error estimates are
 compared. `tests/data/make_bits.py` made it.
@@ -30,7 +30,7 @@ def _shipped_speeds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     ],
 )
 def test_answers_to_a_random_scene(number: int):
-    assert not list(make_bits.differences(str(number), make_bits.cases(number)))
+    assert not list(make_bits.differences(str(number), make_bits.choice_cases(number), some=True))
 
 
 def test_answers_in_batches():
