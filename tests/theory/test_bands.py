@@ -5,6 +5,7 @@ import pytest
 
 from lmpchain import Chain, InputError
 from lmpchain.theory.bands import Cell, branches, gap_modes, gaps, repeating
+from lmpchain.theory.local_bands import local_bands
 from lmpchain.theory.modes import eigenmodes
 
 LOADED = {"gravity": 0.0, "top_load": 3.0, "diameter": 1e-3}
@@ -115,16 +116,122 @@ def test_a_chain_as_a_cell():
     assert given.stiffness == pytest.approx(cell.stiffness * 2 ** (2 / 3), rel=1e-12)
 
 
+@pytest.mark.parametrize("exponent", [1.5, 2.5])
+def test_a_chain_of_one_grain_as_a_cell(exponent: float):
+    one, two = (Chain(grains=n, bottom="wall", exponent=exponent, **LOADED) for n in (1, 2))
+    cell = Cell.of(one)
+    assert cell.masses.tolist() == one.masses.tolist()
+    assert cell.stiffness == pytest.approx(two.linear_stiffness, rel=1e-13)
+
+
+def period_of(masses, constants, first: int, last: int, most: int) -> int:
+    """Return the period by comparing one grain after the other."""
+    grains = range(first, last + 1)
+    for period in range(1, most + 1):
+        same = all(masses[n - 1] == masses[n - 1 + period] for n in grains if n + period <= last)
+        same &= all(constants[n - 1] == constants[n - 1 + period] for n in grains if n + period < last)
+        if same and 2 * period <= len(grains):
+            return period
+    return 1
+
+
 def test_what_repeats():
-    masses = np.resize([1.0, 2.0, 2.0], 30)
-    assert repeating(Chain(grains=30, diameter=1e4, masses=masses, contact_constants=np.ones(29))) == 3
-    assert repeating(Chain(grains=30, diameter=1e-3)) == 1
-    broken = Chain(
-        grains=30, diameter=1e-3, material=["steel", "glass"] * 15, impurity=[{"grain": 20, "diameter": 2e-3}]
-    )
-    assert repeating(broken) == 1
-    assert repeating(broken, 1, 18) == 2
-    assert repeating(broken, 22, 30) == 2
+    """Random patterns with up to two faults, between random grains."""
+    rng, periods = np.random.default_rng(3), []
+    for _ in range(150):
+        grains, length = rng.integers(4, 24), rng.integers(1, 7)
+        masses = np.resize(rng.integers(1, 3, length), grains).astype(float)
+        constants = np.resize(rng.integers(1, 3, length), grains - 1).astype(float)
+        masses[rng.integers(grains, size=rng.integers(3))] = 3.0
+        constants[rng.integers(grains - 1, size=rng.integers(2))] = 4.0
+        chain = Chain(grains=grains, diameter=1e4, masses=masses, contact_constants=constants)
+        first, last = np.sort(rng.choice(np.arange(1, grains + 1), 2, replace=False)).tolist()
+        most = int(rng.integers(1, 8))
+        assert repeating(chain, first, last, most) == period_of(masses, constants, first, last, most)
+        periods.append(repeating(chain))
+        assert periods[-1] == period_of(masses, constants, 1, grains, 8)
+    assert len(set(periods)) > 4
+
+
+def test_how_alike_what_repeats_must_be_and_how_long_it_may_be():
+    for odd, period in ((0.9e-9, 1), (1.1e-9, 2)):
+        masses = np.resize([1.0, 1 + odd], 8)
+        assert repeating(Chain(grains=8, diameter=1e4, masses=masses, contact_constants=np.ones(7))) == period
+    for length, period in ((8, 8), (9, 1)):
+        masses = np.resize(np.arange(1.0, length + 1), 30)
+        assert repeating(Chain(grains=30, diameter=1e5, masses=masses, contact_constants=np.ones(29))) == period
+
+
+@each
+def test_long_waves_and_edges(cell: Cell):
+    """Sound has the mean mass and compliance of a cell; all other branches are flat at 0 and at pi."""
+    inside = 0.0 if cell.resonators is None else np.sum(cell.resonators, axis=0)[0]
+    sound = 1 / np.sqrt((np.sum(cell.masses) + inside) * np.sum(1 / np.array(cell.stiffness)))
+    velocity = branches(cell, [0.0, 1e-5, -1e-5, np.pi]).group_velocity
+    assert velocity[0, :3] == pytest.approx([sound, sound, -sound], rel=1e-8)
+    assert velocity[1:, 0] == pytest.approx(0, abs=1e-7)
+    assert velocity[:, 3] == pytest.approx(0, abs=1e-7)
+
+
+def test_density_of_states_at_edges_and_of_any_shape():
+    """Of the uniform chain 2 / (pi sqrt(4 - w^2)), which is infinite at its edge."""
+    bands = branches(Cell([1.0], [1.0]), 0.3)
+    w = np.array([[0.1, 1.0], [1.9, 1.99]])
+    assert bands.density_of_states(w) == pytest.approx(2 / np.pi / np.sqrt(4 - w**2), rel=1e-7)
+    assert bands.density_of_states(1.0).shape == ()
+    assert bands.density_of_states(2.0) > 1e9
+    assert bands.density_of_states([2.0001, 5.0]).tolist() == [0.0, 0.0]
+
+
+def test_narrow_gaps_are_none():
+    for odd, count in ((2.7e-9, 0), (2.95e-9, 1)):  # in 1e-9 of the highest frequency: 0.95, 1.04
+        assert len(gaps(Cell([1.0, 1 + odd], [1.0, 1.0]))) == count
+
+
+def edges_around(chain: Chain, period: int) -> np.ndarray:
+    """Return frequencies at the wavenumbers 0 and pi of the cells around grains, by dense matrices."""
+    m, k = chain.masses, chain.linear_stiffness
+    edges = np.zeros((chain.grains, period, 2))
+    for grain in range(chain.grains):
+        begin = min(grain, chain.grains - 1 - period)
+        cell = begin + np.arange(period)
+        mass = m[cell] if period > 1 else m[[grain]]
+        for at, turn in enumerate((1.0, -1.0)):
+            matrix = np.zeros((period, period))
+            for i in range(period):
+                after, sign = (i + 1) % period, turn if i == period - 1 else 1.0
+                matrix[i, i] += k[cell[i]]
+                matrix[after, after] += k[cell[i]]
+                matrix[i, after] -= sign * k[cell[i]]
+                matrix[after, i] -= sign * k[cell[i]]
+            square = np.linalg.eigvalsh(matrix / np.sqrt(np.outer(mass, mass)))
+            edges[grain, :, at] = np.sqrt(np.maximum(square, 0))
+    return np.sort(edges, axis=2)
+
+
+@pytest.mark.parametrize(
+    ("period", "keys"),
+    [
+        (1, {"material": "glass", "top_load": 2.0}),
+        (1, {"diameter": np.geomspace(1e-3, 3e-3, 12)}),
+        (2, {"material": ["steel", "ptfe"] * 6}),
+        (3, {"material": ["steel", "glass", "ptfe"] * 4, "gravity": 0.0, "top_load": 2.0}),
+    ],
+)
+def test_bands_around_every_grain(period: int, keys):
+    chain = Chain(**{"grains": 12, "diameter": 1e-3} | keys)
+    bands = local_bands(chain)
+    assert bands.shape == (12, period, 2)
+    exact = edges_around(chain, period)
+    assert bands == pytest.approx(exact, rel=1e-10, abs=1e-7 * exact.max())
+
+
+def test_bands_around_a_single_grain_and_in_a_vacuum():
+    one = Chain(grains=1, diameter=1e-3, bottom="wall", top="wall", top_load=1.0)
+    above, below = one.contacts.stiffness
+    assert local_bands(one).shape == (1, 1, 2)
+    assert local_bands(one).ravel() == pytest.approx([np.sqrt((above + below) / one.masses[0])] * 2, rel=1e-14)
+    assert not local_bands(Chain(grains=5, diameter=1e-3, gravity=0.0)).any()
 
 
 def test_a_light_impurity_has_a_mode_above_the_band():
@@ -157,13 +264,38 @@ def test_a_surface_mode_at_a_light_free_end():
     assert (np.isin(found.frequency, eigenmodes(chain).frequency)).all()
 
 
-def test_pictures():
-    found = branches(Cell([1.0, 3.0], [1.0, 1.0]), Q)
-    axes = found.plot().figure.axes[0]
-    assert (len(axes.lines), len(axes.patches)) == (2, 1)
+def test_picture_of_bands():
+    """Branches in Hz in the order of wavenumbers, gaps as spans."""
+    q = np.array([2.0, 0.5, 3.0])
+    bands = branches(Cell([1.0, 3.0], [1e8, 1e8]), q)
+    (axes,) = bands.plot().figure.axes
+    for number, line in enumerate(axes.lines):
+        assert line.get_label() == f"branch {number + 1}"
+        assert line.get_xdata().tolist() == [0.5, 2.0, 3.0]
+        assert line.get_ydata() == pytest.approx(bands.frequency[number, [1, 0, 2]] / (2 * np.pi), rel=1e-14)
+    assert len(axes.lines) == 2
+    (gap,) = axes.patches
+    span = gap.get_y(), gap.get_y() + gap.get_height()
+    assert span == pytest.approx(np.sqrt([2e8 / 3, 2e8]) / (2 * np.pi), rel=1e-12)
+    assert axes.get_xlabel() == "wavenumber (radians a cell)"
+    assert axes.get_ylabel() == "frequency"
+    assert axes.yaxis.get_major_formatter()(2e3) == "2 kHz"
+    assert axes.get_ylim()[0] == 0
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["branch 1", "branch 2"]
+
+
+def test_picture_of_gap_modes():
     chain = Chain(grains=20, **LOADED, impurity=[{"grain": 9, "diameter": 0.5e-3}])
     modes = gap_modes(chain, Chain(grains=2, **LOADED))
-    assert len(modes.plot().figure.axes[0].lines) == modes.frequency.size == 1
+    (axes,) = modes.plot().figure.axes
+    (line,) = axes.lines
+    largest = modes.shape[0, np.abs(modes.shape[0]).argmax()]
+    assert line.get_xdata().tolist() == list(range(1, modes.shape.shape[1] + 1))
+    assert line.get_ydata() == pytest.approx(modes.shape[0] / abs(largest), rel=1e-14)
+    hertz = modes.frequency[0] / (2 * np.pi)
+    assert line.get_label() == f"{hertz:.4g} Hz, {modes.participation[0]:.1f} grains"
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("grain", "displacement over the largest")
+    assert axes.get_legend() is not None
 
 
 @pytest.mark.parametrize(
@@ -172,10 +304,17 @@ def test_pictures():
         (lambda: branches(Cell([1.0, -1.0], [1.0, 1.0]), 0.1), "masses"),
         (lambda: branches(Cell([1.0, 1.0], [1.0]), 0.1), "stiffness"),
         (lambda: branches(Cell([1.0], [1.0], [[1.0]]), 0.1), "resonators"),
+        (lambda: branches(Cell([1.0], [1.0], [[1.0, -1.0]]), 0.1), "resonators"),
+        (lambda: branches(Cell([], []), 0.1), "masses"),
+        (lambda: branches(Cell([[1.0]], [[1.0]]), 0.1), "masses"),
+        (lambda: branches(Cell([0.0], [1.0]), 0.1), "masses"),
+        (lambda: branches(Cell([np.inf], [1.0]), 0.1), "masses"),
+        (lambda: branches(Cell([1.0], [0.0]), 0.1), "stiffness"),
+        (lambda: branches(Cell([1.0], [np.inf]), 0.1), "stiffness"),
         (lambda: branches(Chain(grains=2, diameter=1e-3), 0.1), "gravity"),
         (lambda: branches(Chain(grains=2, diameter=1e-3, gravity=0.0), 0.1), "top_load"),
     ],
 )
 def test_refusals(call, key: str):
-    with pytest.raises(InputError, match=f"{key}: "):
+    with pytest.raises(InputError, match=f"^{key}: must be "):
         call()
