@@ -10,9 +10,8 @@ import pytest
 from helpers import plain_methods as plain
 from helpers.plain_methods import WIDE, Motion
 
-from lmpchain import Chain, Displacement, Drive, Force, Impulse, Profile, Scene
+from lmpchain import Chain, Drive, Force, Profile, Scene
 from lmpchain.integrators.batch import ChainBatch, name_of
-from lmpchain.integrators.kernels.layout import STEPS
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.splittings import SPLITTINGS
 from lmpchain.integrators.step_schedule import StepSchedule

@@ -1,0 +1,246 @@
+"""Derivatives of a run, back and forth, against differences of plain NumPy in 80-bit numbers, for every law and end."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import plain_methods as plain
+from helpers.plain_methods import WIDE, Column, Motion
+
+from lmpchain import Chain, Drive, Force, Profile, Scene
+from lmpchain.integrators import adjoint
+from lmpchain.integrators.adjoint import DifferentiableRun, Inputs
+from lmpchain.integrators.kernels import adjoint as kernels
+from lmpchain.integrators.splittings import SPLITTINGS
+
+GRAINS, LOOKS = 6, 3
+UNLIKE = np.random.default_rng(2).uniform(0.7, 1.3, GRAINS) * 2e-3  # m, diameters
+SPEEDS = np.random.default_rng(5).uniform(-1, 1, (2, GRAINS))
+BETWEEN = {"top": "wall", "bottom": "wall", "top_material": "brass"}
+DIFFERENCE = WIDE(1e-7)  # of what is changed
+
+
+def pressed(**options: Any) -> Chain:
+    return Chain(**{"grains": GRAINS, "diameter": UNLIKE, "gravity": 30.0, "top_load": 0.02} | options)
+
+
+def flying(strains: float, **options: Any) -> Scene:
+    """Return a scene in which all grains fly about, contacts by so many overlaps closer or apart."""
+    chain = pressed(**options)
+    scale = chain.contacts.overlap.max() or 1e-7
+    stiff = chain.contacts.stiffness_at(np.full(GRAINS + 1, scale))
+    edge = chain.band_edge or np.sqrt(stiff.max() / chain.masses.min())
+    u, v = SPEEDS * [[strains * scale / 2], [strains * scale * edge]]
+    u, v = u.copy(), v.copy()
+    u[chain.movable :] = v[chain.movable :] = 0
+    profile = Profile(displacement=u, velocity=v)
+    return Scene(chain=chain, excitation=profile, duration=8 / edge, samples=LOOKS + 1)
+
+
+VACUUM: dict[str, Any] = {"gravity": 0.0, "top_load": 0.0}
+LAWS = {
+    "undone, plain": (flying(3.0), kernels.UNDONE_PLAIN),
+    "undone, plain, walls": (flying(3.0, **BETWEEN), kernels.UNDONE_PLAIN),
+    "undone, exact": (flying(0.05, bottom="wall"), kernels.UNDONE_EXACT),
+    "undone by a series": (flying(1e-4, exponent=1.8, **BETWEEN), kernels.UNDONE_SERIES),
+    "undone by a short series": (flying(1e-6), kernels.UNDONE_SERIES),
+    "vacuum": (flying(1.0, **VACUUM, **BETWEEN), kernels.VACUUM),
+    "free vacuum": (flying(1.0, **VACUUM, bottom="free"), kernels.VACUUM),
+    "touching wall, strong": (flying(3.0, top_load=0.0, **BETWEEN), kernels.PLAIN),
+    "touching wall": (flying(0.05, top_load=0.0, **BETWEEN), kernels.HERTZ),
+    "touching wall, 2": (flying(2.0, top_load=0.0, exponent=2.0, **BETWEEN), kernels.OTHER),
+    "springs": (flying(2.0, exponent=1.0, **BETWEEN), kernels.OTHER),
+    "5/4": (flying(2.0, exponent=1.25), kernels.OTHER),
+    "2": (flying(2.0, exponent=2.0, bottom="wall"), kernels.OTHER),
+    "3": (flying(2.0, exponent=3.0, **BETWEEN), kernels.OTHER),
+    "vacuum, 2.3": (flying(1.0, **VACUUM, exponent=2.3, bottom="free"), kernels.OTHER),
+}
+
+ACTED = pressed(**BETWEEN)
+DURATION = 8 / ACTED.band_edge
+FREQUENCY = 0.4 * ACTED.band_edge / (2 * np.pi)
+KNOTS = np.array([0.0, 0.21, 0.44, 0.76, 1.1]) * DURATION
+BUMP = np.array([0.0, 1.0, -0.5, 0.8, 0.3])
+HELD, OVERLAP = float(ACTED.contacts.force.max()), float(ACTED.contacts.overlap.max())
+CYCLES = 0.6 * FREQUENCY * DURATION
+ACTS = {
+    "sine of grain 1": Drive(amplitude=OVERLAP, frequency=FREQUENCY),
+    "samples of grain 1": Drive(times=KNOTS, displacement=OVERLAP * BUMP),
+    "burst of the wall": Drive(amplitude=OVERLAP, frequency=FREQUENCY, cycles=CYCLES, grain=0),
+    "samples of the wall": Drive(times=KNOTS, displacement=OVERLAP * BUMP, grain=0),
+    "sine on grain 3": Force(amplitude=HELD, frequency=FREQUENCY, grain=3),
+    "half-sine on grain 1": Force(shape="half-sine", amplitude=HELD, duration=0.43 * DURATION),
+    "samples on grain 6": Force(times=KNOTS, force=HELD * BUMP, grain=6),
+}
+
+
+def acted(name: str, **options: Any) -> Scene:
+    chain = pressed(**BETWEEN, **options)
+    return Scene(chain=chain, excitation=ACTS[name], duration=DURATION, samples=LOOKS + 1)
+
+
+def sizes(scene: Scene, states: np.ndarray) -> Inputs:
+    """Return by what one may change each of the inputs, those that cannot change by 0."""
+    chain, contacts = scene.chain, scene.chain.contacts
+    u, v = (np.abs(states[:, order]).max() for order in (0, 1))
+    moving = np.arange(chain.grains) < chain.movable
+    moving[: scene.excitation.driven] = False
+    drive = plain.column(scene).drive.astype(float)
+    return Inputs(
+        chain.masses, contacts.constant, np.where(contacts.pressed, contacts.force, 0.0), u * moving, v * moving,
+        np.full(drive.size, np.abs(drive).max(initial=0.0)) if drive.size != 2 else drive,
+    )  # fmt: skip
+
+
+def differences(scene: Scene, method: str, steps: list[Any], looks: list[int]) -> tuple[np.ndarray, Inputs, Inputs]:
+    """Return states at looks (looks+1, 2, N), directions, one for each number that may change, and the slopes there.
+
+    Directions are rows of `Inputs`, and slopes (D, looks+1, 2, N), by the relative size of a change.
+    """
+    base = plain.column(scene)
+    true = plain.by_splitting(Motion(base), SPLITTINGS[method], steps)[looks]
+    size = sizes(scene, true)
+    lengths = [field.size for field in size]
+    total, begins = sum(lengths), np.cumsum([0, *lengths])
+    directions = []
+    for field, begin in zip(size, begins[:-1], strict=True):
+        rows = np.zeros((total, field.size))
+        rows[begin + np.arange(field.size), np.arange(field.size)] = field
+        directions.append(rows)
+    if scene.excitation.does_work and scene.excitation.frequency is None and scene.excitation.times is None:
+        directions[-1][:, 1] = 0  # what lasts a given time has no frequency
+    states = []
+    for sign in (1, -1):
+        changed = [value + sign * DIFFERENCE * rows for value, rows in zip(base[:6], directions, strict=True)]
+        states.append(plain.by_splitting(Motion(Column(*changed, scene)), SPLITTINGS[method], steps)[looks])
+    slopes = (states[0] - states[1]) / (2 * DIFFERENCE)  # (looks+1, 2, D, N)
+    return true, Inputs(*directions), np.moveaxis(slopes, 2, 0)
+
+
+def check(scene: Scene, method: str, law: int, grains: list[int], accuracy: float = 1e-8, each: int = 5) -> None:
+    """Compare a run, its derivatives back and forth, with plain NumPy."""
+    step = scene.duration / LOOKS / each
+    run = DifferentiableRun(scene, SPLITTINGS[method], step * (1 + 0.5 / each), LOOKS, np.array(grains))
+    assert run._law == law
+    assert run.steps == LOOKS * each
+    assert run.step == pytest.approx(step, rel=1e-14)
+    lengths = [WIDE(scene.duration) / (LOOKS * each)] * (LOOKS * each)
+    check_run(scene, method, run, lengths, each * np.arange(LOOKS + 1), accuracy)
+
+
+def check_run(scene: Scene, method: str, run: DifferentiableRun, lengths: list[Any], looks: Any, accuracy: float):
+    columns = run.grains - 1
+    true, directions, slopes = differences(scene, method, lengths, looks)
+    scale = np.abs(true).max((0, 2))
+    for order, field in enumerate((run.displacement, run.velocity)):
+        assert np.abs(field - true[:, order, columns]).max() < 1e-12 * scale[order]
+    forth = np.array(run.push(directions))  # (2, D, looks+1, G)
+    slopes = slopes[..., columns]
+    largest = np.abs(slopes).max((1, 3)) + 1e-300
+    for order in (0, 1):
+        error = np.abs(forth[order] - slopes[:, :, order]).max((1, 2))
+        # what hardly changes anything is known to the digits of what does
+        assert (error <= accuracy * np.maximum(largest[:, order], 1e-3 * largest[:, order].max())).all()
+    weights = np.random.default_rng(1).normal(size=(2, *run.displacement.shape)) / scale.astype(float)[:, None, None]
+    back = run.pull(*weights)
+    along = sum(rows @ field for rows, field in zip(directions, back, strict=True))
+    expected = np.einsum("otg,dtog->d", weights, slopes)
+    terms = np.einsum("otg,dtog->d", np.abs(weights), np.abs(slopes))
+    assert (np.abs(along - expected) <= accuracy * np.maximum(terms, 1e-3 * terms.max())).all()
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("method", ["verlet", "rkn4"])
+def test_derivatives_of_flying_grains_are_differences(law: str, method: str):
+    scene, kind = LAWS[law]
+    check(scene, method, kind, [1, 2, 3, 6] if method == "verlet" else [5, 2])
+
+
+@pytest.mark.parametrize("exponent", [1.5, 1.7])
+@pytest.mark.parametrize("name", ACTS)
+def test_derivatives_of_what_acts_are_differences(name: str, exponent: float):
+    scene = acted(name, exponent=exponent)
+    law = kernels.OTHER if exponent != 1.5 else DifferentiableRun(scene, SPLITTINGS["verlet"], 1, 1, [1])._law
+    check(scene, "rkn4", law, [1, 2, 4, 6])
+
+
+@pytest.mark.parametrize("law", ["undone, plain, walls", "undone by a series", "touching wall", "3"])
+def test_derivatives_of_many_steps_are_differences(law: str, monkeypatch: pytest.MonkeyPatch):
+    """Through checkpoints, between which steps are undone or made again."""
+    monkeypatch.setattr(adjoint, "ROOM", 1)
+    scene, kind = LAWS[law]
+    check(scene, "verlet", kind, [1, 2, 5, 6], accuracy=1e-7, each=90)
+
+
+@pytest.mark.parametrize("name", ["sine of grain 1", "samples of the wall", "half-sine on grain 1"])
+def test_derivatives_of_what_acts_in_many_calls_are_differences(name: str, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(adjoint, "ROOM", 1)
+    monkeypatch.setattr(adjoint, "CALL", 1)
+    check(acted(name, exponent=1.7), "verlet", kernels.OTHER, [1, 2, 5, 6], each=30)
+
+
+def test_derivatives_with_steps_of_any_length_are_differences():
+    scene, _ = LAWS["touching wall, 2"]
+    rng = np.random.default_rng(4)
+    parts = [rng.uniform(0.5, 1.5, count) for count in (4, 7, 3)]
+    steps = [part / part.sum() * scene.duration / LOOKS for part in parts]
+    run = DifferentiableRun(scene, SPLITTINGS["rkn4"], steps, LOOKS, np.array([1, 4, 6]))
+    assert run.steps == 14
+    assert run.step == pytest.approx(max(part.max() for part in steps), rel=1e-15)
+    assert run.time == pytest.approx(scene.duration * np.arange(LOOKS + 1) / LOOKS, rel=1e-15)
+    lengths = [WIDE(h) for h in np.concatenate(steps)]
+    check_run(scene, "rkn4", run, lengths, np.array([0, 4, 11, 14]), 1e-8)
+
+
+LONG = {
+    "undone, plain": (1e-2, 1, {}, kernels.UNDONE_PLAIN),
+    "undone, exact": (2e-3, 899, {"top_load": 1.0}, kernels.UNDONE_EXACT),
+    "undone by a series": (1e-7, 899, {"exponent": 2.5}, kernels.UNDONE_SERIES),
+    "vacuum": (1e-2, 899, {"gravity": 0.0}, kernels.VACUUM),
+    "vacuum, struck above": (1e-2, 5, {"gravity": 0.0}, kernels.VACUUM),
+    "touching wall": (1e-2, 899, {"top": "wall"}, kernels.PLAIN),
+    "2.5": (1e-2, 899, {"exponent": 2.5}, kernels.OTHER),
+}
+
+
+@pytest.mark.parametrize("law", LONG)
+def test_long_chains_have_the_same_derivatives_back_and_forth(law: str):
+    """Through windows that grow, or tiles, within the light cone or everywhere."""
+    speed, struck, options, kind = LONG[law]
+    rng, velocity = np.random.default_rng(1), np.zeros(900)
+    velocity[:struck] = speed * rng.uniform(-1, 1, struck)
+    chain = Chain(grains=900, diameter=1e-3, **options)
+    scene = Scene(chain=chain, excitation=Profile(velocity=velocity), duration=1e-4)
+    step = 0.5 / scene.highest_frequency
+    run = DifferentiableRun(scene, SPLITTINGS["rkn4"], step, 4, np.array([1, 2, 60, 390, 800]))
+    if kind != kernels.UNDONE_SERIES:
+        assert run._law == kind
+    weights = rng.normal(size=(2, *run.velocity.shape))
+    weights[0] *= scene.highest_frequency
+    changes = Inputs(
+        chain.masses * rng.normal(size=(1, 900)), chain.contacts.constant * rng.normal(size=(1, 901)),
+        chain.contacts.force * rng.normal(size=(1, 901)), np.zeros((1, 900)), np.zeros((1, 900)),
+        np.zeros((1, 0)),
+    )  # fmt: skip
+    everywhere = changes._replace(
+        velocity=speed * rng.normal(size=(1, 900)), displacement=1e-9 * rng.normal(size=(1, 900))
+    )
+    for change, whole in ((changes, False), (changes, True), (everywhere, True)):
+        back = run.pull(*weights, everywhere=whole)
+        u, v = run.push(change)
+        terms = np.array([weights[0] * u[0], weights[1] * v[0]])
+        along = sum(float(rows[0] @ field) for rows, field in zip(change, back, strict=True))
+        assert abs(terms.sum() - along) <= 1e-11 * np.abs(terms).sum()
+
+
+def test_few_terms_give_every_digit_of_weak_waves():
+    for exponent in (0.05, 0.5, 1.25, 2.5):
+        for reach, terms in ((0.0, 4), (1e-4, 4), (1e-3, 6), (5e-3, 6)):
+            coefficients = adjoint.economised(exponent, reach)
+            s = np.linspace(-1, 1, 42, dtype=WIDE) * max(reach, 1e-15)
+            true = np.expm1(exponent * np.log1p(s)) / s
+            series = np.polynomial.polynomial.polyval(s, coefficients)
+            assert coefficients.size == terms
+            assert np.abs(series - true).max() < 3e-16 * exponent
