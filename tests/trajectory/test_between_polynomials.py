@@ -134,7 +134,7 @@ def test_the_quick_bound_is_one_and_close_for_each_term():
 
 
 def test_factors_of_errors_are_those_of_the_shape_of_a_misfit():
-    assert hermite.BUMP == SHAPE(0.5)
+    assert SHAPE(0.5) == hermite.BUMP
     assert np.abs(SHAPE.deriv()(DENSE)).max() == pytest.approx(hermite.STEEPEST, rel=2e-3)
     assert 2 * np.abs(SHAPE.deriv(2)(DENSE)).max() == pytest.approx(hermite.CURVED, rel=1e-6)
     pushed = _power((np.array([0, 1.0, 0]), np.array([0, -1.0, 0])))
@@ -299,7 +299,7 @@ def test_a_weak_wave_keeps_its_digits(exponent: float):
         u, v, np.arange(2), largest(u, v)[0], (0.0, 0.0), np.array([1, 2]),
         np.array([[STILL, 0, 1], [0, 1, STILL]]), contacts, np.ones(2), exponent, False, H, np.ones(2, bool),
     )  # fmt: skip
-    constant, force, overlap = contacts
+    _, force, overlap = contacts
     s = -np.diff(u, axis=1, prepend=0, append=0) / overlap
     change = force * exponent * s * (1 + (exponent - 1) / 2 * s)
     np.testing.assert_allclose(motion[2].T, -np.diff(change, axis=1), rtol=0, atol=1e-15 * np.abs(change).max())
@@ -340,7 +340,7 @@ def test_three_samples_say_nothing_of_an_acceleration():
 def test_what_moves_less_than_the_errors_is_quiet():
     u = np.array([[0.0, 0.0, 0.0, 0.0], [1.0, 1.0, 0.5, 2.0], [-1.0, 0.3, 0.5, 0.0]])
     v = np.array([[0.0, 0.0, 0.0, 0.0], [3.0, 3.5, 3.0, 0.1], [1.0, 2.0, -3.0, 0.0]])
-    sizes, moves, most = largest(u, v)
+    sizes, _, most = largest(u, v)
     sides = np.array([[STILL, 0, 1], [0, 1, 2], [1, 2, 3], [2, 3, STILL]])
     motion, quiet = derivatives(
         u, v, np.arange(4), sizes, (1.0, 3.0), np.arange(1, 5), sides, np.ones((3, 5)), np.ones(4), 1.5, False, H,

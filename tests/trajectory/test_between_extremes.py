@@ -1,0 +1,413 @@
+"""Largest values and wave fronts of polynomials, and how far off they are said to be, by roots and dense evaluation."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.polynomial import Polynomial
+from scipy.optimize import brentq
+
+from lmpchain.trajectory.between import extremes, hermite
+
+RNG = np.random.default_rng(12)
+KINDS = hermite.VELOCITY, hermite.DISPLACEMENT, hermite.RAISED
+H, SAMPLES = 0.125, 9
+END = H * (SAMPLES - 1)
+PUSHED = 5 / 16  # by which an error of the acceleration changes a velocity between samples, in intervals
+STEEP, BENT = 7.514 / 2.1875, 2 * 52.5 / 2.1875  # slope and curvature of what a value is off by
+TILT_S = 0.3  # rad/s by which errors of values may go up and down
+
+
+def motion_of(position: Polynomial, off: float = 0.0) -> np.ndarray:
+    """Return u, v, a, j and error of the acceleration, (5, 1, SAMPLES)."""
+    t = H * np.arange(SAMPLES)
+    rows = [*(position.deriv(k)(t) if k else position(t) for k in range(4)), np.full(SAMPLES, off)]
+    return np.array(rows)[:, None]
+
+
+def tops(position: Polynomial, kind: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the largest of all values in each interval, and at samples."""
+    curve = position.deriv() if kind == hermite.VELOCITY else position
+    flat = curve.deriv().roots()
+    flat = flat[np.abs(flat.imag) < 1e-9].real
+    t, size = H * np.arange(SAMPLES), (lambda y: y) if kind == hermite.RAISED else np.abs
+    ends = size(curve(t))
+    most = np.maximum(ends[:-1], ends[1:])
+    for place in flat[(flat > 0) & (flat < END)]:
+        i = int(place / H)
+        most[i] = max(most[i], size(curve(place)))
+    return most, ends
+
+
+def peak(motion: np.ndarray, kind: int, known: float = 0.0, ceiling: np.ndarray | None = None) -> np.ndarray:
+    limits = np.zeros((1, 0)) if ceiling is None else ceiling
+    one = np.zeros(1, bool), np.zeros(1, int), 1
+    return extremes.peaks(motion, *one, H, kind, limits, known)[0]
+
+
+def wavy() -> Polynomial:
+    """Return a polynomial of degree 6 that turns several times from t = 0 to 1."""
+    return Polynomial.fit(np.linspace(0, 1, 7), RNG.normal(size=7), 6).convert()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_largest_value_of_a_polynomial_is_exact(kind: int):
+    for _ in range(10):
+        position = wavy()
+        most, ends = tops(position, kind)
+        value, error = peak(motion_of(position), kind, known=0.125)
+        assert value == pytest.approx(most.max(), rel=1e-12)
+        assert error == pytest.approx(0.125, rel=1e-6)
+        off = 0.5
+        allowed = PUSHED * H * off * (1 if kind == hermite.VELOCITY else H / 2.1875)
+        value, error = peak(motion_of(position, off), kind)
+        assert value == pytest.approx(most.max(), rel=1e-12)
+        low = max(ends.max(), most.max() - allowed)  # samples have no such error
+        assert error == pytest.approx(max(allowed, value - low), rel=1e-6)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_may_hide_between_samples_bounds_the_largest_value(kind: int):
+    for _ in range(5):
+        position = wavy()
+        most, ends = tops(position, kind)
+        speed = np.where(np.arange(SAMPLES - 1) % 3 == 1, 4.0 * np.abs(ends).max(), -1.0)
+        seen = max(most[speed < 0].max(), ends.max())
+        limit = speed
+        if kind != hermite.VELOCITY:
+            limit = (ends[:-1] + ends[1:] + H * speed) / 2
+        high = max(seen, limit[speed >= 0].max())
+        value, error = peak(motion_of(position), kind, 0.01, speed[None])
+        assert value == pytest.approx(seen, rel=1e-12)
+        assert error == pytest.approx(high - seen + 0.01, rel=1e-9)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_steep_and_steady_intervals_hide_no_larger_value(kind: int):
+    """Slopes of one sign at both ends say nothing where the curve bends, or misses the way, between these."""
+    for step in range(60):
+        values = np.zeros((5, 1, 3))
+        values[1] = 3 + RNG.normal(size=3) * 0.3
+        values[2] = np.abs(RNG.normal(size=3)) * RNG.choice([1, 10]) * RNG.choice([-1, 1])
+        values[3] = RNG.normal(size=3) * 5.0 ** (step % 4)
+        shift = 0.0 if step % 2 else 0.05
+        largest, allowed = 0.0, []
+        curves = []
+        for i in range(2):
+            d, m, w = (values[k, 0, i : i + 2] for k in (1, 2, 3))
+            m, w = H * m, H * H * w
+            rise = d[1] - d[0]
+            quintic = Polynomial([
+                d[0], m[0], w[0] / 2, 10 * rise - 6 * m[0] - 4 * m[1] - 1.5 * w[0] + 0.5 * w[1],
+                -15 * rise + 8 * m[0] + 7 * m[1] + 1.5 * w[0] - w[1],
+                6 * rise - 3 * m[0] - 3 * m[1] - 0.5 * w[0] + 0.5 * w[1],
+            ])  # fmt: skip
+            missed = shift * RNG.normal()
+            curves.append(quintic + missed * Polynomial([0, 0, 0, 140, -420, 420, -140]))
+            values[0, 0, i + 1] = values[0, 0, i] + H * curves[-1].integ()(1.0)
+            allowed.append(hermite.SAFETY * 2.1875 * abs(missed))
+        off = max(allowed)
+        start = values[0, 0]
+        for i, curve in enumerate(curves):
+            way = start[i] + H * curve.integ() if kind != hermite.VELOCITY else curve
+            largest = max(largest, np.abs(way(np.linspace(0, 1, 2001))).max())
+        off *= 1 if kind == hermite.VELOCITY else H / 2.1875
+        value, error = peak(values, kind)
+        assert value <= largest * (1 + 1e-5) + 1e-12
+        assert value + error >= largest * (1 - 1e-5)
+        if not shift:
+            assert value == pytest.approx(largest, rel=1e-5)
+        assert error <= 2 * off * (1 + 1e-9) + 1e-12
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_quiet_grain_is_off_by_as_much_as_it_moves(kind: int):
+    motion = np.concatenate([motion_of(wavy()) for _ in range(3)], axis=1)
+    motion[0, 1], motion[1, 1] = np.linspace(-3, 2, SAMPLES), np.linspace(-2, 1, SAMPLES)
+    quiet = np.array([False, True, False])
+    found = extremes.peaks(motion, quiet, np.array([4, 0, 2]), 5, H, kind, np.zeros((1, 0)), 0.5)
+    most = {hermite.VELOCITY: 2.0, hermite.DISPLACEMENT: 3.0, hermite.RAISED: 2.0}[kind]
+    assert found[0].tolist() == [most, most + 0.5]
+    assert found[[1, 3]].tolist() == [[0.0, 0.5]] * 2
+    for g, column in ((0, 4), (2, 2)):
+        assert found[column, 0] == peak(motion[:, [g]], kind)[0]
+    fronts, again = extremes.fronts(
+        motion, quiet, np.array([4, 0, 2]), 5, H, kind, np.zeros((1, 0)), 0.5, 0.5, 0.0, 0.0, True
+    )
+    assert np.array_equal(again, found)
+    assert np.isnan(fronts[[0, 1, 3]]).all()
+
+
+# --- fronts
+
+
+def front(
+    position: Polynomial | np.ndarray, kind: int, fraction: float = 0.5, known: float = 0.0, certain: float = 0.0,
+    off: float = 0.0, ceiling: np.ndarray | None = None, width: bool = True, frequency: float = TILT_S,
+) -> np.ndarray:  # fmt: skip
+    """Return time, height and width of a front and their errors, (6,)."""
+    motion = position if isinstance(position, np.ndarray) else motion_of(position, off)
+    limits = np.zeros((1, 0)) if ceiling is None else ceiling
+    one = np.zeros(1, bool), np.zeros(1, int), 1
+    found, _ = extremes.fronts(motion, *one, H, kind, limits, fraction, known, certain, frequency, width)
+    return found[0]
+
+
+def position_of(curve: Polynomial, kind: int) -> Polynomial:
+    """Return the displacement whose speed, or itself, is this curve."""
+    return curve.integ() if kind == hermite.VELOCITY else curve
+
+
+def places(curve: Polynomial, level: float) -> np.ndarray:
+    """Return when the curve is at a level, from 0 to the end."""
+    roots = (curve - level).roots()
+    roots = roots[np.abs(roots.imag) < 1e-7].real
+    return np.sort(roots[(roots >= 0) & (roots <= END)])
+
+
+def span(curve: Polynomial, level: float, top: float) -> float:
+    """Return for how long the curve is above a level around a time."""
+    at = places(curve, level)
+    return at[at > top].min() - at[at < top].max()
+
+
+SINGLE = Polynomial([0, 0, 1]) * Polynomial([1, -1]) ** 3  # it is largest at 0.4
+MOTIONS = [(hermite.VELOCITY, 1.0), (hermite.DISPLACEMENT, -1.0), (hermite.RAISED, 1.0)]
+
+
+@pytest.mark.parametrize(("kind", "sign"), MOTIONS)
+@pytest.mark.parametrize(("known", "off"), [(0.0, 0.0), (1e-5, 0.0), (0.0, 1e-3), (2e-5, 5e-4)])
+def test_one_bump_is_the_front_to_the_last_digit(kind: int, sign: float, known: float, off: float):
+    """Errors: what those of value and slope make of the place where the slope is 0, and of the ends of the width."""
+    allowed = PUSHED * H * off * (1 if kind == hermite.VELOCITY else H / 2.1875)
+    time, height, width, late, higher, wider = front(
+        position_of(sign * SINGLE, kind), kind, known=known, off=off, certain=known
+    )
+    top = SINGLE(0.4)
+    assert time == pytest.approx(0.4, rel=1e-10)
+    assert height == pytest.approx(sign * top, rel=1e-12)
+    assert width == pytest.approx(span(SINGLE, top / 2, 0.4), rel=1e-11)
+    assert higher == pytest.approx(allowed + known, rel=1e-6, abs=1e-14)
+    bend = abs(SINGLE.deriv(2)(0.4)) - BENT * allowed / H**2 - TILT_S**2 * known
+    tilt = STEEP * allowed / H + TILT_S * known
+    assert late == pytest.approx(tilt / bend, rel=1e-3, abs=1e-12)
+    level = known + (known + allowed) / 2 + allowed
+    ends = [abs(span(SINGLE, top / 2 + change, 0.4) - width) for change in (-level, level)]
+    assert wider == pytest.approx(max(ends), rel=1e-6, abs=1e-12)
+    without = front(position_of(sign * SINGLE, kind), kind, known=known, off=off, width=False)
+    assert np.array_equal(np.isnan(without), [False, False, True, False, False, True])
+    assert np.array_equal(without[[0, 1, 3, 4]], [time, height, late, higher])
+
+
+@pytest.mark.parametrize(("kind", "sign"), MOTIONS)
+@pytest.mark.parametrize("frequency", [40.0, 400.0])
+def test_a_front_is_no_later_than_its_value_lasts(kind: int, sign: float, frequency: float):
+    """An error that goes up and down fast says nothing of the slope: the value itself is that large for so long."""
+    known, top = 1e-6, SINGLE(0.4)
+    late = front(position_of(sign * SINGLE, kind), kind, known=known, certain=known, frequency=frequency)[3]
+    around = places(SINGLE, top - 2 * known)
+    bend = abs(SINGLE.deriv(2)(0.4)) - frequency**2 * known
+    slopes = frequency * known / bend if bend > 0 else math.inf
+    lasts = np.abs(around - 0.4).max()
+    assert late == pytest.approx(min(slopes, lasts), rel=1e-5)
+
+
+def two(first: float, second: float, ratio: float) -> tuple[Polynomial, float]:
+    """Return a curve that begins at 0 and has tops of `ratio` and 1 at two times, and when it is lowest between."""
+
+    def curve(dip: float) -> Polynomial:
+        shape = (Polynomial.fromroots([first, dip, second]) * Polynomial([-1.0, -1.0])).integ()
+        return shape / shape(second)
+
+    dip = brentq(lambda place: curve(place)(first) - ratio, first + 0.01, first + 0.6 * (second - first))
+    return curve(dip), dip
+
+
+@pytest.mark.parametrize(("kind", "sign"), MOTIONS)
+def test_two_tops_that_errors_may_exchange(kind: int, sign: float):
+    """The first is half as large as the second, within the errors or not; so which of them the front is, is unsure."""
+    first, second = 0.15, 0.83
+    known = 1e-4
+    for ratio in (0.497, 0.4999, 0.5001, 0.503):
+        curve, _ = two(first, second, ratio)
+        height, more = curve(first), curve(second)
+        values = position_of(sign * curve, kind)
+        time, value, _, late, higher, wider = front(values, kind, known=known, certain=known)
+        place = first if ratio > 0.5 else second
+        assert time == pytest.approx(place, rel=1e-9)
+        assert value == pytest.approx(sign * curve(place), rel=1e-9)
+        near = abs(ratio - 0.5) < 1e-3
+        assert (late > 0.1) == near
+        if near:
+            assert late == pytest.approx(abs(first - second), rel=1e-9)
+            assert higher == pytest.approx(abs(height - more), rel=1e-9)
+            assert wider == END
+        else:
+            assert higher == pytest.approx(known, rel=1e-6)
+
+
+@pytest.mark.parametrize(("kind", "sign"), MOTIONS)
+def test_a_first_top_that_nothing_follows_may_be_none(kind: int, sign: float):
+    """If it were less than the fraction of the largest value, which comes at the end, there would be no front."""
+    first = 0.3
+
+    def curve(dip: float) -> Polynomial:
+        shape = Polynomial.fromroots([first, dip, -1.0]).integ()
+        return shape / shape(END)
+
+    dip = brentq(lambda place: curve(place)(first) - 0.50005, 0.31, 0.75)
+    known = 1e-4
+    time, _, _, late, higher, _ = front(position_of(sign * curve(dip), kind), kind, known=known, certain=known)
+    assert time == pytest.approx(first, rel=1e-9)
+    assert late == pytest.approx(END - first, rel=1e-9)
+    assert higher == pytest.approx(1.0, rel=1e-9)
+
+
+@pytest.mark.parametrize(("kind", "sign"), MOTIONS)
+@pytest.mark.parametrize("deeper", [-1.0, 1.0])
+def test_a_fall_within_what_is_certain_makes_no_front(kind: int, sign: float, deeper: float):
+    """What falls by less than is certain is no maximum; a little more, and which of two it is, is unsure."""
+    first, second = 0.3, 0.8
+    curve, dip = two(first, second, 0.9)
+    fall = curve(first) - curve(dip)
+    known, values = 1e-5, position_of(sign * curve, kind)
+    certain = fall * (1 + deeper * 1e-3)
+    time, _, _, late, _, _ = front(values, kind, 0.5, known, certain)
+    assert time == pytest.approx(second if deeper > 0 else first, rel=1e-9)
+    if deeper < 0:  # 2 errors more, and it is none
+        assert (late > 0.1) == (certain + 2 * known >= fall)
+    far = front(values, kind, 0.5, known, fall - 2 * known * (1 + deeper * 1e-3))
+    assert far[0] == pytest.approx(first, rel=1e-9)
+    assert (far[3] > 0.1) == (deeper < 0)
+    if deeper < 0:
+        assert far[3] == pytest.approx(second - first, rel=1e-9)
+        assert far[4] == pytest.approx(abs(curve(second) - curve(first)), rel=1e-9)
+
+
+@pytest.mark.parametrize(("kind", "sign"), MOTIONS)
+def test_where_there_is_no_front(kind: int, sign: float):
+    rising = position_of(sign * Polynomial([0, 1.0, 0.5]), kind)
+    assert np.isnan(front(rising, kind)).all()
+    late = position_of(sign * (SINGLE + 0.51 * SINGLE(0.4)), kind)
+    early = position_of(sign * (SINGLE + 0.49 * SINGLE(0.4)), kind)
+    top = SINGLE(0.4)
+    assert front(early, kind, 0.49 / 1.49 * 1.001)[0] == pytest.approx(0.4, rel=1e-9)
+    assert np.isnan(front(early, kind, 0.49 / 1.49 * 0.999)).all()
+    assert np.isfinite(front(late, kind, 0.51 / 1.51 * 1.001)[:2]).all()
+    values = position_of(sign * SINGLE, kind)
+    assert np.isnan(front(values, kind, known=1.001 * top)).all()
+    assert np.isfinite(front(values, kind, known=0.999 * top)[0])
+    tiny = position_of(sign * SINGLE * (2.0**-1010 / top), kind)
+    assert np.isfinite(front(tiny, kind)[0])
+    less = position_of(sign * SINGLE * (2.0**-1024 / top), kind)
+    assert np.isnan(front(less, kind)).all()
+
+
+def test_a_width_whose_ends_are_not_recorded_is_unknown():
+    curve = (Polynomial([0, 0, 1]) * Polynomial([3, -2]))(Polynomial([0, 1.5]))  # 0 again at the end
+    found = front(position_of(curve, hermite.VELOCITY), hermite.VELOCITY)
+    assert found[0] == pytest.approx(2 / 3, rel=1e-9)
+    assert found[2] == pytest.approx(span(curve, 0.5, 2 / 3), rel=1e-9)
+    slow = SINGLE(Polynomial([0.15, 0.5]))  # it has not fallen to half by the end
+    found = front(position_of(slow, hermite.VELOCITY), hermite.VELOCITY, 0.99)
+    assert found[0] == pytest.approx(0.5, rel=1e-9)
+    assert np.isnan(found[[2, 5]]).all()
+
+
+@pytest.mark.parametrize(("kind", "sign"), MOTIONS)
+def test_what_may_hide_makes_a_front_unsure(kind: int, sign: float):
+    values = position_of(sign * SINGLE, kind)
+    t = H * np.arange(SAMPLES)
+    size = np.abs(SINGLE(t))
+    for hidden in (1, 3, 6):
+        for strong in (False, True):
+            ceiling = np.full((1, SAMPLES - 1), -1.0)
+            bound = 2.0 * SINGLE(0.4) if strong else max(0.4 * SINGLE(0.4), 0.51 * size[hidden : hidden + 2].sum())
+            ceiling[0, hidden] = bound
+            if kind != hermite.VELOCITY:
+                ceiling[0, hidden] = (2 * bound - size[hidden] - size[hidden + 1]) / H
+            time, height, _, late, higher, wider = front(values, kind, ceiling=ceiling, width=True)
+            inside = hidden == 3  # where the largest value is
+            high = max(bound, SINGLE(0.4) if not inside else size[3:5].max())
+            assert time == pytest.approx(t[3] if inside and size[3] > size[4] else 0.4, rel=1e-9)
+            assert height == pytest.approx(sign * SINGLE(time), rel=1e-9)
+            if not strong or hidden == 6:
+                continue
+            assert higher == pytest.approx(high, rel=1e-9)
+            assert late >= time - hidden * H
+            assert wider == END
+
+
+def test_a_bump_that_hardly_rises_may_have_turned_before():
+    """Where the slope is within its error, the maximum may be there: from the quarter of an interval before on."""
+    turning = Polynomial.fromroots([0.35, 0.35, 0.8]) * -1.0
+    curve = (turning + 1e-3 * Polynomial([0.8, -1])).integ()
+    low, top = curve(0.35), curve(brentq(turning + 1e-3 * Polynomial([0.8, -1]), 0.7, 0.9))
+    for frequency, sure in ((1.0, True), (1000.0, False)):
+        known = 1e-6
+        values = position_of(curve, hermite.VELOCITY)
+        time, _, _, late, higher, _ = front(values, hermite.VELOCITY, 0.3, known, known, frequency=frequency)
+        assert time == pytest.approx(0.8, rel=1e-9)
+        if sure:
+            assert late < 0.05
+            assert higher == pytest.approx(known, rel=1e-6)
+        else:
+            assert time - late == pytest.approx(0.35, abs=H / 2)
+            assert time - late <= 0.35
+            assert higher == pytest.approx(top - low, rel=0.05)
+
+
+def bumps(rng: np.random.Generator) -> Callable[[np.ndarray], np.ndarray]:
+    """Return u, v, a and j over time, (4, ...), of three pulses of a velocity."""
+    sizes = rng.uniform(0.3, 1, 3) * rng.choice([-1, 1], 3)
+    middles = np.cumsum(rng.uniform(1.5, 4, 3)) + 4
+    widths = rng.uniform(1.4, 2.5, 3)
+
+    def motion(time: np.ndarray) -> np.ndarray:
+        out = np.zeros((4, *np.shape(time)))
+        for size, middle, width in zip(sizes, middles, widths, strict=True):
+            s, factor = (time - middle) / width, Polynomial([size])
+            for order in range(4):
+                out[order] += factor(s) * np.exp(-(s**2)) / width**order
+                factor = factor.deriv() - Polynomial([0, 2.0]) * factor
+        return out
+
+    return motion
+
+
+@pytest.mark.parametrize("kind", [hermite.VELOCITY, hermite.DISPLACEMENT])
+def test_stated_errors_cover_those_of_noisy_samples(kind: int):
+    """A smooth error of the samples, in size and slope as stated: no front is off by more, and some by as much."""
+    rng = np.random.default_rng(3)
+    samples, known, ratios, clear = 24, 1e-3, [], 0
+    for _ in range(25):
+        signal, phase = bumps(rng), rng.uniform(0, 2 * np.pi, 4)
+        t = np.arange(float(samples))
+        motion = np.zeros((5, 1, samples))
+        motion[:4, 0] = signal(t)
+        omega = 0.8
+        scale = known / omega ** (kind == hermite.VELOCITY)
+        for order in range(4):
+            motion[order, 0] += scale * omega**order * np.cos(omega * t + phase[0] + order * np.pi / 2)
+        found = extremes.fronts(
+            motion, np.zeros(1, bool), np.zeros(1, int), 1, 1.0, kind, np.zeros((1, 0)), 0.5, known, known, omega,
+            True,
+        )[0][0]  # fmt: skip
+        dense = np.linspace(0, samples - 1, 9_201)
+        y = signal(dense)[1 if kind == hermite.VELOCITY else 0]
+        size = np.abs(y)
+        turns = 1 + np.flatnonzero((size[1:-1] > size[:-2]) & (size[1:-1] >= size[2:]))
+        first = turns[size[turns] >= 0.5 * size.max()][0]
+        when, top = dense[first], size[first]
+        before = dense[:first][size[:first] * np.sign(y[first]) * np.sign(y[:first]) < top / 2]
+        after = dense[first:][(np.sign(y[first]) * y[first:]) < top / 2]
+        truth = np.array([when, y[first], after[0] - before[-1]])
+        off = np.abs(found[:3] - truth)
+        grid = np.array([3e-3, 2e-6, 6e-3])
+        assert (off <= found[3:] + grid).all()
+        if found[3] < 1.0:
+            clear += 1
+            ratios.append(off / (found[3:] + grid))
+    assert clear > 15
+    assert (np.max(ratios, axis=0) > [0.3, 0.9, 0.25]).all()

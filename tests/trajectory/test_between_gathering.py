@@ -1,0 +1,189 @@
+"""Largest values and maxima that are gathered interval by interval, of polynomials: by their roots."""
+
+import numpy as np
+import pytest
+from numpy.polynomial import Polynomial
+from scipy.optimize import brentq
+
+from lmpchain.trajectory.between import gathering
+
+RNG = np.random.default_rng(21)
+H, SAMPLES = 0.125, 9
+FINAL = SAMPLES - 1
+PUSHED = 5 / 16  # by which an error of the acceleration changes a velocity between samples, in intervals
+STEEP, BENT = 7.514 / 2.1875, 2 * 52.5 / 2.1875  # slope and curvature of what a value is off by
+
+
+class Gathered:
+    """What is gathered of two bodies: a wall that moves, and a grain whose acceleration is given."""
+
+    def __init__(self, position: np.ndarray, wall: np.ndarray, off: float = 0.0, low: float | None = None):
+        """Take samples of u, v, a, j (4, T) of both."""
+        self.position, self.wall, self.off = position, wall, off
+        self.far, self.fast = np.zeros((2, 3, 1))
+        self.closest = np.zeros((3, 1))
+        self.far[gathering.LOW] = abs(position[0, 0]) if low is None else low
+        self.fast[gathering.LOW] = abs(position[1, 0]) if low is None else low
+        self.closest[:] = -np.inf
+        self.record = np.zeros((gathering.ROWS, 1))
+        self.record[[gathering.TOP, gathering.SINCE]] = abs(position[1, 0])
+        self.log, self.logged = np.zeros((40, 1 + gathering.ROWS)), 0
+
+    def take(self, begin: int, end: int, rows: int | None = None) -> int:
+        """Take in some intervals, with no more samples than these need; return how many."""
+        base, stop = max(begin - 1, 0), min(end + 2, SAMPLES)
+        u, v, a, j = self.position[:, base:stop]
+        given = np.array([a, j, np.full(u.size, self.off)])
+        wall = np.ascontiguousarray(self.wall[:, base:stop])
+        forces = gathering.Forces(np.zeros((3, 2)), np.ones(1), 1.5, False, wall, given, 0, True)
+        log = self.log if rows is None else self.log[:rows]
+        count, self.logged = gathering.gather(
+            u[:, None].copy(), v[:, None].copy(), base, begin, end, FINAL, H, forces, self.far, self.fast,
+            self.record, log, self.logged, np.zeros(1, int), self.closest,
+        )  # fmt: skip
+        return count
+
+
+def samples_of(curve: Polynomial) -> np.ndarray:
+    t = H * np.arange(SAMPLES)
+    return np.array([curve.deriv(k)(t) if k else curve(t) for k in range(4)])
+
+
+def wavy() -> Polynomial:
+    """Return a polynomial of degree 6 that turns several times from t = 0 to 1."""
+    return Polynomial.fit(np.linspace(0, 1, 7), RNG.normal(size=7), 6).convert()
+
+
+def largest(curve: Polynomial, signed: bool = False) -> float:
+    flat = curve.deriv().roots()
+    flat = flat[np.abs(flat.imag) < 1e-9].real
+    values = curve(np.concatenate(([0, 1], flat[(flat > 0) & (flat < 1)])))
+    return float((values if signed else np.abs(values)).max())
+
+
+@pytest.mark.parametrize("parts", [(FINAL,), (1, 3, 4, FINAL), tuple(range(1, SAMPLES))])
+@pytest.mark.parametrize("off", [0.0, 0.5])
+def test_largest_values_are_exact_however_the_intervals_come(parts: tuple[int, ...], off: float):
+    """The wall's approach to the grain counts with its sign, and its errors add to those of the grain."""
+    for _ in range(8):
+        position, wall = wavy(), wavy()
+        kept, begin = Gathered(samples_of(position), samples_of(wall), off), 0
+        kept.closest[gathering.LOW] = wall(0) - position(0)
+        for end in parts:
+            assert kept.take(begin, end) == end - begin
+            begin = end
+        allowed = PUSHED * H * off
+        relative = largest(wall - position, signed=True)
+        for tops, top, error, at_samples in (
+            (kept.fast, largest(position.deriv()), allowed, np.abs(samples_of(position)[1])),
+            (kept.far, largest(position), allowed * H / 2.1875, np.abs(samples_of(position)[0])),
+        ):
+            best, low, high = tops[:, 0]
+            assert max(best, low) == pytest.approx(top, rel=1e-11)
+            assert low == pytest.approx(max(at_samples.max(), top - error), rel=1e-11)
+            assert max(high, best, low) == pytest.approx(top + error if high > low else top, rel=1e-11)
+            assert high > 0 or not off
+    best, low, high = kept.closest[:, 0]
+    ends = (samples_of(wall) - samples_of(position))[0].max()
+    allowed = 2 * PUSHED * H * off * H / 2.1875  # the wall is as unsure as the grain, which is where it is given
+    assert best == pytest.approx(relative, rel=1e-10)
+    assert high == pytest.approx(relative + allowed, rel=1e-6)
+    assert low == pytest.approx(max(ends, relative - allowed), rel=1e-6)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("middle", [0.437, 0.48, 0.5, 0.55])
+def test_a_peak_just_above_what_was_is_not_passed_over(middle: float, sign: int):
+    """A parabola exceeds its samples by an eighth of a second difference at most; here just what was largest."""
+    curve = sign * (1 - 3 * (Polynomial([-middle, 1])) ** 2)
+    for low, seen in ((1 - 1e-9, True), (1 + 1e-9, False)):
+        kept = Gathered(samples_of(curve.integ()), np.zeros((4, SAMPLES)), low=low)
+        kept.take(0, FINAL)
+        assert (max(kept.fast[gathering.BEST, 0], kept.fast[gathering.HIGH, 0]) > low) == seen
+        assert kept.fast[gathering.BEST, 0] <= 1 + 1e-12
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("outer", [4.1, 10.0])
+def test_a_peak_between_samples_that_rise_unevenly_is_found(outer: float, sign: int):
+    """Four samples of a speed rise, but the middle two so little that it may turn between them, as it does."""
+    v = np.zeros(SAMPLES)
+    v[2:6] = np.cumsum([1, outer, 1, outer])
+    v[6:] = v[5]
+    a = np.zeros(SAMPLES)
+    a[3], a[4] = 30 / H, 30 / H
+    u = np.zeros(SAMPLES)
+    for i in range(FINAL):
+        u[i + 1] = u[i] + H * ((v[i] + v[i + 1]) / 2 + H / 10 * (a[i] - a[i + 1]))
+    kept = Gathered(sign * np.array([u, v, a, 0 * a]), np.zeros((4, SAMPLES)))
+    kept.take(3, 4)
+    powers = [v[3], 30, 0, 10 - 10 * 30, -15 + 15 * 30, 6 - 6 * 30]  # of the quintic in the middle interval
+    top = Polynomial(powers)(np.linspace(0, 1, 10_001)).max()
+    assert kept.fast[gathering.BEST, 0] == pytest.approx(top, rel=1e-6)
+
+
+def two(first: float, second: float, ratio: float) -> tuple[Polynomial, float]:
+    """Return a curve that begins at 0 and has tops of `ratio` and 1 at two times, and when it is lowest between."""
+
+    def curve(dip: float) -> Polynomial:
+        shape = (Polynomial.fromroots([first, dip, second]) * Polynomial([-1.0, -1.0])).integ()
+        return shape / shape(second)
+
+    dip = brentq(lambda place: curve(place)(first) - ratio, first + 0.01, first + 0.6 * (second - first))
+    return curve(dip), dip
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("off", [0.0, 1e-3])
+@pytest.mark.parametrize("parts", [(FINAL,), (1, 3, 4, 6, FINAL)])
+def test_maxima_that_larger_ones_follow_are_logged(sign: int, off: float, parts: tuple[int, ...]):
+    first, second = 0.22, 0.83
+    speed, dip = two(first, second, 0.6)
+    kept, begin = Gathered(samples_of(sign * speed.integ()), np.zeros((4, SAMPLES)), off), 0
+    for end in parts:
+        kept.take(begin, end)
+        begin = end
+    allowed = PUSHED * H * off
+    t = H * np.arange(SAMPLES)
+    assert kept.logged == 1
+    assert kept.log[0, 0] == 0
+    for record, when, end, least in (
+        (kept.log[0, 1:], first, second, speed(dip)),
+        (kept.record[:, 0], second, 1.01, speed(1.0)),
+    ):
+        named = dict(zip(("when", "top", "off", "tilt", "bend", "since", "until"), record, strict=True))
+        assert named["when"] == pytest.approx(when, rel=1e-9)
+        assert named["top"] == pytest.approx(speed(when), rel=1e-11)
+        assert named["off"] == pytest.approx(allowed, rel=1e-6, abs=1e-13)
+        assert named["tilt"] == pytest.approx(STEEP * allowed / H, rel=2e-3, abs=1e-11)
+        bend = abs(speed.deriv(2)(when)) - BENT * allowed / H**2
+        assert named["bend"] == pytest.approx(bend, rel=1e-6)
+        since = speed(t[(t > when) & (t < end)]).min()
+        assert least * (1 - 1e-9) <= named["since"] <= since * (1 + 1e-9)
+        later = t[(t > when) & (speed(t) >= speed(when) - 2 * allowed) & (t < when + 0.3)]
+        assert named["until"] == pytest.approx(later.max() if later.size else when, rel=1e-9)
+
+
+def test_a_full_log_stops_before_it_overflows():
+    speed, _ = two(0.22, 0.83, 0.6)
+    kept = Gathered(samples_of(speed.integ()), np.zeros((4, SAMPLES)))
+    for rows, all_of_them in ((4, False), (5, True)):
+        again = Gathered(kept.position, kept.wall)
+        count = again.take(0, FINAL, rows)
+        assert (count == FINAL) == all_of_them or count < FINAL
+        assert (count > 0) == all_of_them or rows == 5
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_constant_speed_is_reached_where_it_began(sign: int):
+    """In free flight the largest speed is that at its beginning: it rises to 1 and stays."""
+    v = np.array([0, 0.3, 0.9, 1, 1, 1, 1, 1, 1.0])
+    u = np.append(0, np.cumsum(H * (v[1:] + v[:-1]) / 2))
+    kept = Gathered(sign * np.array([u, v, 0 * v, 0 * v]), np.zeros((4, SAMPLES)))
+    kept.take(0, FINAL)
+    assert kept.logged == 0
+    assert kept.record[gathering.TOP, 0] == pytest.approx(1, rel=1e-12)
+    assert kept.record[gathering.WHEN, 0] == pytest.approx(3 * H, rel=1e-9)
+    assert kept.record[gathering.BEND, 0] == 0
+    assert kept.record[gathering.UNTIL, 0] == pytest.approx(1.0, rel=1e-12)
+    assert kept.record[gathering.SINCE, 0] == pytest.approx(1.0, rel=1e-12)
