@@ -36,7 +36,8 @@ class Packet(Excitation):
     grain : int
         Its middle.
     amplitude : float
-        Largest displacement, about, m; linear theory holds if it is small.
+        Height of the envelope of displacements in its middle, m, where the wave itself is 0 and velocities have their
+        crest: no grain need be displaced as far. Linear theory holds if it is small.
 
     Examples
     --------

@@ -1,7 +1,7 @@
 """Pieces of a chain, and what long chains cost, against the whole and against chains written out grain by grain."""
 
 import tracemalloc
-from itertools import combinations, product
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -105,59 +105,6 @@ def test_a_part_moves_as_the_whole(strike, first: int, last: int):
 def test_a_piece_must_lie_within_the_chain(first: int, last: int):
     with pytest.raises(InputError, match=r"part: must be two or more of grains 1 to 5 \(got"):
         Chain(grains=5, diameter=1e-3).part(first, last)
-
-
-STRIKES = {
-    "grain 1": Impulse(velocity=2e-3),
-    "grain 2": Impulse(velocity=-2e-3, grain=2),
-    "inside": Displacement(displacement=-1e-8, grain=5),
-    "last that moves": Impulse(velocity=2e-3, grain=8),
-    "driven": Drive(amplitude=1e-8, frequency=1e5),
-    "profile": Profile(displacement=[0, 0, 1e-8, 0, -2e-8, 0, 0, 0, 0], velocity=[0, 0, 0, 0, 0, 1e-3, 0, 0, 0]),
-    "nothing": Profile(velocity=np.zeros(9)),
-}
-ENDS = {
-    "held": {},
-    "walls": {"top": "wall", "bottom": "wall", "top_load": 1e-4},
-    "wall that touches": {"top": "wall"},
-    "vacuum": {"gravity": 0.0, "bottom": "free"},
-    "various": {"diameter": np.linspace(1e-3, 2e-3, 9), "bottom": "wall"},
-}
-
-
-@pytest.mark.parametrize(
-    ("strike", "ends"),
-    [
-        pytest.param(STRIKES[strike], ENDS[ends], id=f"{strike}, {ends}")
-        for strike, ends in product(STRIKES, ENDS)
-        if strike != "driven" or "top" not in ENDS[ends]  # grain 1 cannot be driven behind a wall
-    ],
-)
-def test_what_a_scene_says_of_its_strike_follows_from_the_whole_chain(strike, ends: dict):
-    chain = Chain(**{"grains": 9, "diameter": 1e-3, "impurity": [Impurity(grain=4, mass=1e-5)]} | ends)
-    scene = Scene(chain=chain, excitation=strike, duration=1e-5)
-    energy = np.inf if scene.drive else chain.excess_energy(*scene.initial())
-    assert scene.energy == pytest.approx(energy, rel=1e-14, abs=0)
-    u, v = (np.abs(x[: chain.movable]) for x in strike.largest(chain))
-    assert scene.at_rest == (not u.any() and not v.any())
-    if chain.compressed:
-        below = np.append(chain.equilibrium_overlap, chain.contacts.overlap[-1])[: chain.movable]
-        stiffness = np.append(chain.linear_stiffness, chain.contacts.stiffness[-1])[: chain.movable]
-        number = max((u / below).max(), (v / (below * np.sqrt(stiffness / chain.masses[: chain.movable]))).max())
-    else:
-        number = 0.0 if scene.at_rest else np.inf
-    assert scene.strike_number == pytest.approx(number, rel=1e-14, abs=0)
-
-
-@pytest.mark.parametrize("grain", [1, 2, 5, 7, 8])
-def test_too_hard_a_strike_names_the_contact_and_how_deep_two_grains_go(grain: int):
-    """Half of v^2 times the reduced mass against (2/5) K depth^(5/2); grain 9 is held and does not give way."""
-    rubber = Material(density=1000, youngs_modulus=1e5, poissons_ratio=0.49)
-    chain = Chain(grains=9, material=rubber, diameter=1e-3, gravity=0.0)
-    inertia = chain.masses[0] * (1 if grain == 8 else 0.5)
-    depth = (1.25 * inertia * 3.0**2 / chain.contact_constants[0]) ** 0.4
-    with pytest.raises(InputError, match=f"squeezes contact {grain} to {depth / 1e-3:.2g} of the diameter"):
-        Scene(chain=chain, excitation=Impulse(velocity=3.0, grain=grain), duration=1e-5)
 
 
 def test_no_grain_of_a_long_chain_is_laid_out_before_it_is_asked_for():

@@ -1,0 +1,260 @@
+"""Contacts one by one: force, energy, bounds and what follows from them, in 40 digits or in closed form."""
+
+import mpmath as mp
+import numpy as np
+import pytest
+
+from lmpchain import Chain, Impurity, InputError
+from lmpchain.chain.bounds import bounds
+from lmpchain.chain.contacts import Contacts, dynamical_matrix, together
+from lmpchain.chain.materials import GLASS, PTFE, STEEL
+from lmpchain.chain.plausible import LONG, least_squeezed
+
+EXPONENTS = (1.0, 1.3, 1.5, 2.0, 3.0)
+STRAINS = np.array([-3.0, -1.5, -1.0, -0.99, -0.5, -0.03, -0.019, -1e-5, -1e-12, 0.0])
+STRAINS = np.append(STRAINS, [1e-14, 1e-7, 0.0199, 0.0201, 0.3, 1.0, 50.0])
+
+
+@pytest.mark.parametrize("exponent", EXPONENTS)
+def test_force_and_energy_of_one_contact_to_the_last_digits(exponent: float) -> None:
+    """Pressed, open and torn apart: K [eps + r]^delta - F, and its integral over r."""
+    size = STRAINS.size
+    contacts = Contacts(np.full(size, 3e9), np.full(size, 2e-4), exponent)
+    r = STRAINS * contacts.overlap
+    with mp.workdps(40):
+        k, f, delta = mp.mpf(3e9), mp.mpf(2e-4), mp.mpf(exponent)
+        eps = (f / k) ** (1 / delta)
+        closed = [max(eps + mp.mpf(x), 0) for x in r.tolist()]
+        force = [float(k * o**delta - f) for o in closed]
+        held = [(k * o ** (delta + 1) - k * eps ** (delta + 1)) / (delta + 1) for o in closed]
+        energy = [float(e - f * mp.mpf(x)) for e, x in zip(held, r.tolist(), strict=True)]
+    assert contacts.force_change(r) == pytest.approx(force, rel=2e-14, abs=1e-40)
+    assert contacts.energy(r) == pytest.approx(energy, rel=1e-12, abs=1e-55)
+    rows = np.stack((r, 0 * r, 2 * r))
+    rows[:, 3] = 0.0
+    each = np.stack([contacts.energy(row) for row in rows])
+    assert contacts.energy(rows) == pytest.approx(each, rel=1e-15, abs=0)
+
+
+@pytest.mark.parametrize("exponent", EXPONENTS)
+def test_a_loose_contact_only_pushes(exponent: float) -> None:
+    contacts = Contacts(np.array([3e9, 0.0, 3e9]), np.zeros(3), exponent)
+    r = np.array([2e-8, 1e-8, -1e-8])
+    force = [3e9 * 2e-8**exponent, 0.0, 0.0]
+    assert contacts.force_change(r) == pytest.approx(force, rel=1e-14)
+    assert contacts.force_at(r) == pytest.approx(force, rel=1e-14)
+    energy = 3e9 * 2e-8 ** (exponent + 1) / (exponent + 1)
+    assert contacts.energy(r) == pytest.approx([energy, 0.0, 0.0], rel=1e-14)
+    assert contacts.elastic_share == pytest.approx(1 / (1 + (exponent + 1) / 2), rel=1e-15)  # virial theorem
+
+
+@pytest.mark.parametrize("exponent", EXPONENTS)
+def test_a_force_more_squeezes_a_contact_as_far_as_it_takes(exponent: float) -> None:
+    pressed = Contacts(np.array([3e9]), np.array([2e-4]), exponent).of(0)
+    loose = Contacts(np.array([3e9]), np.array([0.0]), exponent).of(0)
+    for force in (1e-12, 1e-4, 0.3):
+        with mp.workdps(40):
+            k, f = mp.mpf(3e9), mp.mpf(2e-4)
+            power = 1 / mp.mpf(exponent)
+            closer = float(((f + mp.mpf(force)) / k) ** power - (f / k) ** power)
+        assert pressed.squeezed_by(force) == pytest.approx(closer, rel=1e-13)
+        assert loose.squeezed_by(force) == pytest.approx((force / 3e9) ** (1 / exponent), rel=1e-14)
+
+
+def test_energy_bounds_overlaps_and_strains() -> None:
+    """No contact holds more than all: K r^(delta+1) / (delta+1) and k r^2 / 2; the lesser of the two counts."""
+    constant, force = np.array([1e9, 2e9, 5e8]), np.array([1e-4, 3e-4, 2e-4])
+    contacts = Contacts(constant, force, 1.5)
+    for energy in (1e-25, 1e-14, 1e-11, 1e-6):
+        loose = (2.5 * energy / constant) ** 0.4
+        pressed = np.sqrt(2 * energy / contacts.stiffness)
+        further = np.minimum(loose, pressed)
+        assert contacts.overlap_bound(energy) == pytest.approx(contacts.overlap + further, rel=1e-13)
+        strain = (further / contacts.overlap).max()
+        assert contacts.largest_strain(energy) == pytest.approx(1.05 * strain, rel=1e-13)
+    alike = Contacts(np.full(3, 1e9), np.array([1e-4, 2e-4, 3e-4]), 1.5)
+    strain = min((2.5 * 1e-12 / 1e9) ** 0.4, np.sqrt(2e-12 / alike.stiffness[0])) / alike.overlap[0]
+    assert alike.largest_strain(1e-12) == pytest.approx(1.05 * strain, rel=1e-13)
+    mixed = Contacts(np.array([1e9, 0.0, 1e9]), np.array([0.0, 0.0, 1e-4]), 1.5)
+    assert mixed.largest_strain(1e-12) == np.inf
+    bound = mixed.overlap_bound(1e-12)
+    assert bound[:2] == pytest.approx([(2.5e-12 / 1e9) ** 0.4, 0.0], rel=1e-13)
+    assert mixed.overlap_bound(np.inf).tolist() == [np.inf, 0.0, np.inf]
+    rows = together([contacts, alike])
+    energies = np.array([[1e-12], [np.inf]])
+    both = rows.overlap_bound(energies)
+    assert both[0] == pytest.approx(contacts.overlap_bound(1e-12), rel=1e-15)
+    assert both[1].tolist() == [np.inf] * 3
+    strains = rows.largest_strain(np.array([[1e-12], [1e-13]]))
+    expected = [contacts.largest_strain(1e-12), alike.largest_strain(1e-13)]
+    assert strains == pytest.approx(expected, rel=1e-14)
+
+
+def test_contacts_of_many_chains_are_rows() -> None:
+    one, other = (Chain(grains=4, diameter=1e-3, gravity=g).contacts for g in (1.0, 9.81))
+    rows, alone = together([one, other]), together([one])
+    for name in ("constant", "force", "overlap", "stiffness"):
+        assert np.array_equal(getattr(rows, name), [getattr(one, name), getattr(other, name)])
+        assert np.array_equal(getattr(alone, name), [getattr(one, name)])
+    assert rows.exponent == 1.5
+
+
+def test_contacts_above_a_held_grain() -> None:
+    whole = Chain(grains=6, diameter=1e-3, top="wall", top_load=1e-3, bottom="wall").contacts
+    above = whole.above(3)
+    assert above.constant.tolist() == [*whole.constant[:3], 0.0]
+    assert above.force.tolist() == [*whole.force[:3], 0.0]
+
+
+def test_the_dynamical_matrix_is_that_of_masses_and_springs() -> None:
+    """Of grains that move, M^(-1/2) K M^(-1/2), written out as the energy of springs has it."""
+    stiffness, masses = np.array([2.0, 3.0, 5.0, 7.0, 11.0]), np.array([1.0, 4.0, 9.0, 16.0])
+    for moving in (3, 4):
+        diagonal, beside = dynamical_matrix(stiffness, masses[:moving])
+        matrix = np.zeros((moving, moving))
+        for n, k in enumerate(stiffness[: moving + 1]):
+            stretch = np.zeros(moving)
+            stretch[n - 1 : n] = 1
+            stretch[n : n + 1] = -1
+            matrix += k * np.outer(stretch, stretch)
+        matrix /= np.sqrt(np.outer(masses[:moving], masses[:moving]))
+        assert diagonal == pytest.approx(np.diag(matrix), rel=1e-15)
+        assert beside == pytest.approx(np.diag(matrix, 1), rel=1e-15)
+
+
+def test_bounds_are_reached_where_grains_are_alike() -> None:
+    """Masses, sizes and sound exactly; constants between two grains and at a wall; the lowest overlap."""
+    chain = Chain(grains=2, diameter=2e-3, material=STEEL, gravity=3.0, top_load=0.5, exponent=2.0, bottom="wall")
+    known, mass = chain.bounds, 8000 * np.pi / 6 * 8e-9
+    modulus = 193e9 / (1 - 0.09)
+    between = 2 / 3 * modulus * np.sqrt(0.5e-3) * 2e-3**-0.5
+    assert known.softest == pytest.approx(between, rel=1e-14)
+    assert known.hardest == pytest.approx(np.sqrt(2) * between, rel=1e-14)
+    assert (known.lightest, known.heaviest) == pytest.approx((mass, mass), rel=1e-14)
+    assert known.narrowest == 2e-3
+    assert known.slowest == pytest.approx(np.sqrt(193e9 / 8000), rel=1e-14)
+    overlap = np.sqrt((0.5 + 3.0 * 3 * mass) / between)  # as if there were a grain more
+    assert 0.9 * overlap < known.overlap <= overlap
+    assert known.squeezed == known.overlap / 2e-3
+    collision = (1.5 * mass * 0.04 / between) ** (1 / 3)
+    assert known.struck(0.2) == pytest.approx(max(known.overlap, collision), rel=1e-8)
+    assert known.struck(1e-9) == pytest.approx(known.overlap, rel=1e-8)
+    assert known.struck(0.2) > collision
+    pair = np.sqrt(2 * 2 * known.hardest * 1e-6 / mass)
+    assert known.frequency(1e-6) == pytest.approx(pair, rel=1e-8)
+    assert known.frequency(1e-6) > pair
+    odd = (Impurity(grain=1, diameter=1e-3, material=PTFE), Impurity(grain=2, mass=1.0))
+    mixed = bounds((GLASS, 2e-3), 5, odd, [STEEL], (0.0, 9.81, 1.5))
+    assert (mixed.lightest, mixed.heaviest) == pytest.approx((2200 * np.pi / 6 * 1e-9, 1.0), rel=1e-14)
+    soft = 2 / 3 * 1.46e9 / (1 - 0.46**2) * np.sqrt(0.25e-3)
+    hard = 2 / 3 * 193e9 / 0.91 * np.sqrt(1e-3)
+    assert (mixed.softest, mixed.hardest) == pytest.approx((soft, hard), rel=1e-14)
+    assert (mixed.narrowest, mixed.slowest) == pytest.approx((1e-3, PTFE.sound_speed), rel=1e-14)
+    weight = 9.81 * (5 * 2426 * np.pi / 6 * 8e-9 + 1.0)
+    assert mixed.overlap == pytest.approx((weight / soft) ** (2 / 3), rel=1e-4)
+
+
+def test_what_overflows_has_no_bounds() -> None:
+    for diameter, density in ((1e-300, 1.0), (1e150, 1.0), (1e-120, 1e-10)):
+        material = GLASS.replace(density=density)
+        assert bounds((material, diameter), 5, (), (), (0.0, 9.81, 3.0)) is None
+
+
+def test_depths_and_loads_from_grain_to_grain() -> None:
+    d = np.array([1e-3, 2e-3, 3e-3, 1e-3])
+    chain = Chain(grains=4, diameter=d, top_load=1.0, bottom="wall", top="wall")
+    centres = np.cumsum([0.0, *((d[1:] + d[:-1]) / 2 - chain.equilibrium_overlap)])
+    assert chain.depths == pytest.approx(centres, rel=1e-14)
+    assert chain.contact_lengths == pytest.approx([1e-3, 1.5e-3, 2.5e-3, 2e-3, 1e-3], rel=1e-15)
+    masses = 2426 * np.pi / 6 * d**3
+    carried = 1.0 + 9.81 * np.append(0, np.cumsum(masses))
+    assert chain.load_over_mass == pytest.approx((carried[:-1] / masses).max(), rel=1e-13)
+    assert chain.equilibrium_force == pytest.approx(carried[1:-1], rel=1e-14)
+
+
+def test_energy_that_a_moved_wall_puts_in() -> None:
+    chain = Chain(grains=3, diameter=1e-3, top="wall", top_load=1e-3)
+    still, wall = np.zeros(3), np.array(2e-9)
+    r = chain.contacts.overlap[0]
+    k = chain.contacts.constant[0]
+    energy = k / 2.5 * ((r + 2e-9) ** 2.5 - r**2.5) - 1e-3 * 2e-9
+    assert chain.excess_energy(still, still, wall) == pytest.approx(energy, rel=1e-9)
+    assert chain.excess_energy(still, still) == 0.0
+    moving = np.array([1e-3, 0.0, 0.0])
+    assert chain.excess_energy(still, moving) == pytest.approx(0.5e-6 * chain.masses[0], rel=1e-15)
+
+
+def test_a_long_chain_is_judged_by_its_common_grains() -> None:
+    """From a million grains on, at least what the grains well above the lowest ones weigh is carried."""
+    kinds = np.array([[6e10, 6e10], [1e-3, 2e-3], [1e-6, 1e-5]])
+    assert least_squeezed(kinds, LONG - 1, 0.0, 9.81, 1.5) == 0.0
+    constant = 2 / 3 * 6e10 * np.sqrt(1e-3 / 4)
+    force = 0.3 + 9.81 * (LONG - 6) * 1e-6
+    expected = (force / constant) ** (2 / 3) / 1e-3
+    assert least_squeezed(kinds, LONG, 0.3, 9.81, 1.5) == pytest.approx(expected, rel=1e-12)
+    constant *= 1e-3**-0.5
+    expected = (force / constant) ** 0.5 / 1e-3
+    assert least_squeezed(kinds, LONG, 0.3, 9.81, 2.0) == pytest.approx(expected, rel=1e-12)
+
+
+def faults(**fields: object) -> list[tuple[str, str]]:
+    try:
+        Chain(**{"grains": 4, "diameter": 1e-3} | fields)  # type: ignore[arg-type]
+    except InputError as error:
+        return error.faults
+    return []
+
+
+@pytest.mark.parametrize("alike", [True, False])
+def test_a_tenth_of_the_diameter_is_the_most_that_a_load_may_squeeze(alike: bool) -> None:
+    constant = 2 / 3 * 62e9 / 0.96 * np.sqrt(0.25e-3)
+    most = constant * 1e-4**1.5
+    rest = {"gravity": 0.0} | ({} if alike else {"diameter": [1e-3] * 4})
+    assert not faults(top_load=0.9999 * most, **rest)
+    ((key, text),) = faults(top_load=1.0001 * most, **rest)
+    assert key == "diameter"
+    said = "contact 1 is compressed by 0.1 of the diameter, more than 0.1: use fewer grains, less gravity or load"
+    assert text.startswith(said)
+    ((_, text),) = faults(top_load=4 * most, impurity=[Impurity(grain=3, material=PTFE)], **({"gravity": 0.0}))
+    soft = (1 / (1 / (62e9 / 0.96) + (1 - 0.46**2) / 1.46e9)) / (62e9 / 0.96 / 2)
+    assert text.startswith(f"contact 2 is compressed by {0.1 * (4 / soft) ** (2 / 3):.2g} of the diameter")
+
+
+def test_forces_too_small_to_compute_with_are_refused() -> None:
+    assert not faults(gravity=1e-100)
+    assert not faults(gravity=0.0)
+    ((key, text),) = faults(gravity=0.99e-100)
+    assert (key, text[:30]) == ("gravity", "must be 0, or at least 1e-100 ")
+    assert [key for key, _ in faults(gravity=1e-101, top_load=1e-101)] == ["gravity", "top_load"]
+    assert not faults(gravity=0.0, top_load=1e-100)
+    loaded = {"gravity": 0.0, "top_load": 1.0}  # springs of some 1e7 N/m
+    assert not faults(masses=[1e-140] * 4, **loaded)
+    assert [key for key, _ in faults(masses=[1e-145] * 4, **loaded)] == ["masses"]
+
+
+def test_what_does_not_fit_to_the_ends_is_refused() -> None:
+    for fields, key in (
+        ({"wall_constants": [-1.0, 1e9], "bottom": "wall"}, "wall_constants"),
+        ({"wall_constants": [0.0, 0.0], "bottom": "wall"}, "wall_constants"),
+        ({"wall_constants": [1e9, 1e9], "bottom": "wall"}, "wall_constants"),
+        ({"wall_constants": [1e9], "bottom": "wall"}, "wall_constants"),
+        ({"wall_constants": [0.0, 1e9], "bottom": "wall", "bottom_material": STEEL}, "wall_constants"),
+        ({"top_material": STEEL}, "top_material"),
+        ({"bottom_material": STEEL, "top": "wall"}, "bottom_material"),
+        ({"bottom": "free", "gravity": 0.0, "top_load": 1.0}, "bottom"),
+        ({"bottom": "free"}, "bottom"),
+        ({"material": [STEEL] * 3}, "material"),
+        ({"masses": [1e-6] * 5}, "masses"),
+        ({"contact_constants": [1e9] * 4}, "contact_constants"),
+    ):
+        assert [key for key, _ in faults(**fields)] == [key], fields
+    assert not faults(wall_constants=[0.0, 1e9], bottom="wall")
+    assert not faults(bottom="free", gravity=0.0)
+    given = Chain(grains=4, diameter=1e-3, top="wall", bottom="wall", wall_constants=[1e9, 3e9])
+    assert given.contacts.constant[[0, -1]].tolist() == [1e9, 3e9]
+    ((_, text),) = faults(masses=[1e-6] * 5)
+    assert text == "must have 4 entries for 4 grains, not 5"
+    ((_, text),) = faults(contact_constants=[1e9] * 4)
+    assert text == "must have 3 entries for 4 grains, not 4"
+    ((_, text),) = faults(material=[STEEL] * 3)
+    assert text == "must be one or 4 (one a grain), not 3"

@@ -1,0 +1,124 @@
+"""Waveforms against their definitions in 30 digits, and what bounds them against quadrature."""
+
+from collections.abc import Callable
+from typing import Any
+
+import mpmath as mp
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.interpolate import CubicSpline
+
+from lmpchain.scene.waveform import Waveform
+
+AMPLITUDE, FREQUENCY = -2.5, 3.0
+CYCLES = [None, 0.5, 0.9, 2.3, 7.0]
+KNOTS = np.array([0.0, 0.3, 0.4, 0.9, 1.5, 1.7])
+VALUES = np.array([0.5, -1.0, 2.0, 0.3, -0.7, 0.1])
+
+
+def definition(cycles: float | None) -> Callable[[Any], Any]:
+    def value(t: Any) -> Any:
+        hann = 1 if cycles is None else mp.sin(mp.pi * FREQUENCY * t / mp.mpf(cycles)) ** 2
+        return AMPLITUDE * mp.sin(2 * mp.pi * FREQUENCY * t) * hann
+
+    return value
+
+
+@pytest.mark.parametrize("cycles", CYCLES)
+def test_values_and_derivatives_are_those_of_the_definition(cycles: float | None) -> None:
+    wave = Waveform.sine(AMPLITUDE, FREQUENCY, cycles)
+    times = np.linspace(0.003, 0.99 * min(wave.end, 1.0), 9)
+    for order in range(4):
+        with mp.workdps(30):
+            exact = [float(mp.diff(definition(cycles), mp.mpf(t), order)) for t in times.tolist()]
+        assert wave.at(times, order) == pytest.approx(exact, rel=1e-11, abs=1e-12 * np.abs(exact).max())
+        if cycles is not None:
+            assert not wave.at(np.array([wave.end, 2 * wave.end]), order).any()
+    assert wave.end == (np.inf if cycles is None else cycles / FREQUENCY)
+    assert wave.corners == (() if cycles is None else (wave.end,))
+    assert wave.smooth
+    assert wave.knot_spacing == np.inf
+    sum_of_sines = sum(a * np.sin(w * times) for a, w in wave.sines)
+    assert sum_of_sines == pytest.approx(wave.at(times), rel=0, abs=1e-14 * abs(AMPLITUDE))
+    assert wave.fastest == pytest.approx(max(w for _, w in wave.sines), rel=1e-14)
+
+
+def test_a_half_sine_ends_where_it_is_0_again() -> None:
+    wave = Waveform.half_sine(AMPLITUDE, 0.4)
+    times = np.array([0.1, 0.2, 0.3999, 0.4, 0.5])
+    expected = AMPLITUDE * np.sin(np.pi * times / 0.4) * (times < 0.4)
+    assert wave.at(times) == pytest.approx(expected, rel=1e-12, abs=0)
+    slope = AMPLITUDE * np.pi / 0.4 * np.cos(np.pi * times / 0.4) * (times < 0.4)
+    assert wave.at(times, 1) == pytest.approx(slope, rel=1e-12, abs=1e-12)
+    assert (wave.end, wave.corners, wave.smooth) == (0.4, (0.4,), True)
+    assert wave.fastest == pytest.approx(np.pi / 0.4, rel=1e-15)
+    assert wave.gained == pytest.approx(-AMPLITUDE * 0.8 / np.pi, rel=1e-15)
+    assert wave.area(1.0) == pytest.approx(-AMPLITUDE * 0.8 / np.pi, rel=1e-14)
+
+
+def test_a_spline_is_that_through_its_points() -> None:
+    wave, spline = Waveform.through(KNOTS, VALUES), CubicSpline(KNOTS, VALUES)
+    times = np.linspace(0, 1.7, 1001)
+    for order in range(4):
+        assert np.array_equal(wave.at(times, order), spline(times, order))
+        assert wave.largest(order) == pytest.approx(np.abs(spline(times, order)).max(), rel=0.02)
+    assert wave.corners == tuple(KNOTS)
+    assert wave.end == 1.7
+    assert wave.knot_spacing == pytest.approx(0.1, rel=1e-12)
+    assert wave.fastest == pytest.approx(10.0, rel=1e-12)
+    assert [Waveform.through(KNOTS[:n], VALUES[:n]).smooth for n in (2, 4, 5)] == [True, True, False]
+    integral = [quad(spline, 0, t, points=[k for k in KNOTS if k < t], limit=200)[0] for t in np.linspace(0, 1.7, 171)]
+    assert wave.gained == pytest.approx(np.abs(integral).max(), rel=0.02)
+    assert wave.area(1.0) == np.inf
+    assert wave.path(1.0) == np.inf
+
+
+@pytest.mark.parametrize("cycles", CYCLES)
+def test_no_value_or_derivative_is_beyond_the_largest(cycles: float | None) -> None:
+    wave = Waveform.sine(AMPLITUDE, FREQUENCY, cycles)
+    times = np.linspace(0, min(wave.end, 1.0) * (1 - 1e-12), 4001)
+    for order in range(4):
+        size = np.abs(wave.at(times, order)).max()
+        assert size <= wave.largest(order) * (1 + 1e-12)
+        close = 1e-5 if cycles is None else {0.5: 9.0, 0.9: 1.1, 2.3: 0.45, 7.0: 0.3}[cycles]
+        assert wave.largest(order) < (1 + close) * size
+
+
+@pytest.mark.parametrize("cycles", CYCLES)
+@pytest.mark.parametrize("share", [0.1, 0.25, 0.5, 0.75, 1.0, 1.5])
+def test_areas_and_paths_are_bounded(cycles: float | None, share: float) -> None:
+    """By quadrature of the size of the wave and of its slope, also where the time ends before a burst does."""
+    wave = Waveform.sine(AMPLITUDE, FREQUENCY, cycles)
+    duration = share * (4 / FREQUENCY if cycles is None else wave.end)
+    until = min(duration, wave.end) * (1 - 1e-14)
+    turns = np.arange(1, 60) / (4 * FREQUENCY)
+    size = np.linspace(0, until, 20001)
+    area, path = (np.trapezoid(np.abs(wave.at(size, order)), size) for order in (0, 1))
+    slack = 1e-6 * abs(AMPLITUDE)
+    assert area <= wave.area(duration) + slack
+    assert path <= wave.path(duration) + slack
+    assert wave.area(duration) <= abs(AMPLITUDE) * until * (1 + 1e-12)
+    whole = quad(
+        lambda t: abs(wave.at(t)), 0, until, points=turns[turns < until] if cycles is None else None, limit=500
+    )
+    if cycles is None:  # at whole arches it is the area itself; at quarter periods the path is 1 more
+        assert wave.area(duration) <= whole[0] + 2 * abs(AMPLITUDE) / wave.omega
+        whole_arches = (2 * FREQUENCY * duration) % 1 == 0
+        assert not whole_arches or wave.area(duration) == pytest.approx(whole[0], rel=1e-9)
+        if (4 * FREQUENCY * duration) % 1 == 0:
+            assert wave.path(duration) == pytest.approx(path + abs(AMPLITUDE), rel=1e-5)
+    else:
+        assert wave.path(duration) == pytest.approx(abs(AMPLITUDE) * (3 + 4 * FREQUENCY * until), rel=1e-9)
+        if share >= 1:
+            assert wave.area(duration) == pytest.approx(abs(AMPLITUDE) * wave.end / 2, rel=1e-12)
+
+
+@pytest.mark.parametrize("cycles", CYCLES)
+def test_no_integral_is_beyond_what_is_gained(cycles: float | None) -> None:
+    wave = Waveform.sine(AMPLITUDE, FREQUENCY, cycles)
+    times = np.linspace(0, min(wave.end, 1.0), 20001)
+    integral = np.abs(np.cumsum(wave.at(times)) * times[1]).max()
+    assert integral <= wave.gained * (1 + 1e-3)
+    if cycles is None:
+        assert wave.gained == pytest.approx(integral, rel=1e-3)
