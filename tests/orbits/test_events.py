@@ -1,5 +1,6 @@
 """Where events are located, of pairs of multipliers whose means are given in closed form."""
 
+from collections.abc import Callable
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,24 +9,129 @@ import pytest
 from lmpchain.orbits.events import between
 
 
-def place(means: list[complex]) -> SimpleNamespace:
+def place(means: list[complex], rate: float = 1.0, turning: float = 1.0) -> SimpleNamespace:
     """Return what `between` reads of a place."""
-    return SimpleNamespace(orbit=SimpleNamespace(means=np.array(means, complex)), turning=1.0)
+    return SimpleNamespace(orbit=SimpleNamespace(means=np.array(means, complex)), rate=rate, turning=turning)
+
+
+def located(kind: str, at: Callable[[float], SimpleNamespace | None], most: int = 25) -> SimpleNamespace | None:
+    """Return what is located between 0 and 1, in so many orbits at most."""
+    taken = []
+
+    def counted(way: float) -> SimpleNamespace | None:
+        assert 0 < way < 1
+        taken.append(way)
+        return at(way)
+
+    here, there = at(0.0), at(1.0)
+    assert here is not None
+    assert there is not None
+    event = between(kind, here, there, counted)
+    assert len(taken) <= most
+    return event
 
 
 @pytest.mark.parametrize("meets", [0.0123, 0.4, 0.77, 0.999])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_pairs_that_meet_among_others_are_located(meets: float, sign: int):
     """c = 0.3 +- (root of a distance), while two others pass one another as near as 1e-6, in few orbits."""
-    taken = []
 
-    def at(part: float) -> SimpleNamespace:
-        taken.append(part)
-        root = np.sqrt(complex(sign * 0.01 * (meets - part) * (1 + part)))
-        drift = 1e-4 * part
-        return place([0.3 + drift + root, 0.3 + drift - root, -0.5, -0.5 + 2e-6 + 1e-4 * part, 0.8, -0.9])
+    def at(way: float) -> SimpleNamespace:
+        root = np.sqrt(complex(sign * 0.01 * (meets - way) * (1 + way)))
+        drift = 1e-4 * way
+        return place([0.3 + drift + root, 0.3 + drift - root, -0.5, -0.5 + 2e-6 + 1e-4 * way, 0.8, -0.9])
 
-    found = between("Neimark-Sacker", at(0.0), at(1.0), at)
-    assert found is not None
-    assert found.orbit.means.real[:2].mean() - 0.3 == pytest.approx(1e-4 * meets, abs=2e-10)
-    assert len(taken) < 16
+    event = located("Neimark-Sacker", at, 13)
+    assert event is not None
+    assert event.orbit.means.real[:2].mean() - 0.3 == pytest.approx(1e-4 * meets, abs=2e-10)
+
+
+@pytest.mark.parametrize("where", [0.013, 0.35, 0.9, 0.9995])
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(("kind", "value"), [("period doubling", -1.0), ("branch point", 1.0)])
+def test_a_pair_that_passes_one_is_located(kind: str, value: float, sign: int, where: float):
+    """A mean that bends as it passes, others beside it and a complex pair."""
+
+    def at(way: float) -> SimpleNamespace:
+        passing = value + sign * (way - where) * (0.1 + 0.2 * way)
+        return place([passing, 0.2, -value * 0.5, 0.5 + 0.1j, 0.5 - 0.1j])
+
+    event = located(kind, at, 13)
+    assert event is not None
+    assert event.orbit.means[0].real == pytest.approx(value, abs=4e-6)
+    assert np.sign(event.orbit.means[0].real - value) == sign  # it has happened there
+    for other in {"fold", "period doubling", "branch point", "Neimark-Sacker"} - {kind}:
+        assert located(other, at) is None
+
+
+@pytest.mark.parametrize("where", [0.02, 0.6, 0.98])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_fold_is_where_the_rate_of_the_parameter_passes_0(sign: int, where: float):
+    def at(way: float) -> SimpleNamespace:
+        return place([0.2, 0.4], rate=sign * (np.exp(3 * where) - np.exp(3 * way)))
+
+    event = located("fold", at, 13)
+    assert event is not None
+    assert event.rate == pytest.approx(0, abs=1e-4)
+    assert sign * event.rate <= 0
+
+
+def test_a_pair_that_passes_1_at_a_turn_is_no_branch_point():
+    """It does so at every fold; without a turn, or where none is known, it is one."""
+    for turning, passes in (
+        ((1.0, -1.0), False),
+        ((1.0, 1.0), True),
+        ((-1.0, -2.0), True),
+        ((np.nan,) * 2, True),
+    ):
+
+        def at(way: float, turning: tuple[float, ...] = turning) -> SimpleNamespace:
+            return place([0.7 + way, 0.1], turning=turning[int(way > 0.3)])
+
+        assert (located("branch point", at) is not None) == passes
+        crossing = place([0.7, 0.1], turning=turning[0]), place([-1.7, 0.1], turning=turning[1])
+        assert between("period doubling", *crossing, lambda _: None) is crossing[1]
+
+
+def test_what_does_not_happen_is_not_located():
+    same = place([0.3, 0.5 + 0.1j, 0.5 - 0.1j])
+    for kind in ("fold", "period doubling", "branch point", "Neimark-Sacker"):
+        assert located(kind, lambda _: same) is None
+    split = place([0.3, 0.5 + 0.9e-6j, 0.5 - 0.9e-6j]), place([0.3, 0.5, 0.5])
+    assert between("Neimark-Sacker", *split, lambda _: None) is None  # round-off of a double mean
+    split = place([0.3, 0.5 + 1.1e-6j, 0.5 - 1.1e-6j]), place([0.3, 0.5, 0.5])
+    assert between("Neimark-Sacker", *split, lambda _: None) is split[1]
+
+
+def test_where_no_orbit_is_found_the_last_one_known_is_given():
+    """Only orbits before 0.9 are found: of them, and the end, the one that is nearest behind the event."""
+    end = place([1.5, 0.1])
+
+    def at(way: float) -> SimpleNamespace | None:
+        return end if way == 1 else place([0.5 + way, 0.1]) if way < 0.45 else None
+
+    assert located("branch point", at) is end
+
+
+def test_an_event_by_a_jump_is_halved_to_its_place():
+    """A mean that jumps has no root between: the way is halved, in no more than 24 orbits."""
+
+    def at(way: float) -> SimpleNamespace:
+        return place([0.2 if way < 0.7183 else 1.3, way])
+
+    event = located("branch point", at, 24)
+    assert event is not None
+    assert event.orbit.means[1].real - 0.7183 == pytest.approx(0, abs=2e-6)
+    assert event.orbit.means[0] == 1.3
+
+
+def test_pairs_that_meet_and_are_alone_are_located():
+    """Two pairs only, or after which none is real, and one that is left over."""
+
+    def at(way: float) -> SimpleNamespace:
+        root = np.sqrt(complex(0.02 * (0.37 - way)))
+        return place([way / 100 + root, way / 100 - root])
+
+    event = located("Neimark-Sacker", at, 13)
+    assert event is not None
+    assert event.orbit.means.real.mean() == pytest.approx(0.0037, rel=1e-5)

@@ -1,0 +1,171 @@
+"""The picture and the numbers of a family of orbits: what is drawn, where, and in which units."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lmpchain import Chain
+from lmpchain.orbits.family import Event, Family
+from lmpchain.util.plotting import COLOURS
+
+LOADED = {"diameter": 1e-2, "gravity": 0.0, "top_load": 20.0}
+DIMER = Chain(grains=8, masses=np.resize([3e-3, 1e-3], 8), **LOADED)
+FREQUENCY = 1 / (1 / np.array([2000.0, 1900.0, 1800.0, 1850.0, 1700.0]))  # as 1 / period gives them
+ENERGY = np.array([1e-6, 2e-6, 4e-6, 6e-6, 8e-6])
+STABLE = np.array([True, True, False, False, True])
+
+
+def family(chain: Chain, ended: str = "", events: tuple[Event, ...] = (), scale: float = 1.0) -> Family:
+    """Return a family of given numbers."""
+    orbits = [
+        SimpleNamespace(
+            chain=chain, period=1 / (scale * f), energy=e, stable=bool(s), multipliers=np.array([f + 1j, 1 / f]),
+            to_json=lambda f=f: {"frequency": f},
+        )
+        for f, e, s in zip(FREQUENCY, ENERGY, STABLE, strict=True)
+    ]  # fmt: skip
+    return Family(tuple(orbits), 3 * ENERGY, "energy", events, not ended, ended)  # type: ignore[arg-type]
+
+
+def event(kind: str, place: int) -> Event:
+    orbit: Any = SimpleNamespace(period=1 / FREQUENCY[place], energy=ENERGY[place])
+    return Event(kind, 3 * ENERGY[place], orbit)
+
+
+def bands(ax: Any) -> np.ndarray:
+    """Return lower and upper edges of what is shaded, (B, 2)."""
+    return np.array([[patch.get_x(), patch.get_x() + patch.get_width()] for patch in ax.patches])
+
+
+def test_a_family_is_an_array_of_its_orbits():
+    whole = family(DIMER)
+    np.testing.assert_array_equal(whole.period, 1 / FREQUENCY)
+    np.testing.assert_array_equal(whole.energy, ENERGY)
+    np.testing.assert_array_equal(whole.stable, STABLE)
+    np.testing.assert_array_equal(whole.multipliers, np.stack((FREQUENCY + 1j, 1 / FREQUENCY), 1))
+    assert (len(whole), whole[1].period) == (5, 1 / 1900.0)
+
+
+def test_a_picture_has_energies_over_frequencies_the_unstable_part_dashed():
+    kinds = ("fold", 1), ("period doubling", 2), ("branch point", 3), ("fold", 4)
+    events = tuple(event(kind, place) for kind, place in kinds)
+    ax = family(DIMER, "it stops here", events).plot()
+    lines = {line.get_label(): line for line in ax.lines}
+    assert list(lines) == ["stable", "unstable", "fold", "period doubling", "branch point"]
+    assert [line.get_linestyle() for line in ax.lines] == ["-", "--", "None", "None", "None"]
+    assert [line.get_marker() for line in ax.lines] == [".", ".", "o", "s", "D"]
+    for line in (lines["stable"], lines["unstable"]):
+        np.testing.assert_array_equal(line.get_xdata(), FREQUENCY)
+        assert line.get_color() == COLOURS["native"]
+    np.testing.assert_array_equal(lines["stable"].get_ydata(), np.where(STABLE, ENERGY, np.nan))
+    # the dashed line begins at the last stable orbit before it
+    dashed = np.array([False, True, True, True, False])
+    np.testing.assert_array_equal(lines["unstable"].get_ydata(), np.where(dashed, ENERGY, np.nan))
+    np.testing.assert_array_equal(lines["fold"].get_xydata(), np.stack((FREQUENCY, ENERGY), 1)[[1, 4]])
+    np.testing.assert_array_equal(lines["branch point"].get_xydata(), [[FREQUENCY[3], ENERGY[3]]])
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("frequency", "energy above rest")
+    assert ax.get_yscale() == "log"
+    assert ax.get_title("left") == "It stops here"
+    assert ax.xaxis.get_major_formatter()(2000.0) == "2 kHz"
+    assert ax.yaxis.get_major_formatter()(2e-6).endswith("J")
+    ticks = np.round(1e6 * ax.yaxis.get_majorticklocs(), 9)
+    assert {1.0, 2.0, 5.0} <= set(ticks) <= {0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0}
+    assert ax.yaxis.get_minor_formatter()(2e-6) == ""
+    texts = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert texts == ["linear waves", *lines]
+    assert ax.get_legend().get_frame_on()
+    assert ax.get_legend().get_frame().get_alpha() == 1.0
+
+
+def test_a_family_that_is_stable_throughout_has_one_line_and_no_title():
+    whole = family(DIMER)
+    for orbit in whole.orbits:
+        orbit.stable = True
+    ax = whole.plot()
+    assert [line.get_label() for line in ax.lines] == ["stable"]
+    assert ax.get_title("left") == ""
+
+
+def test_bands_of_a_dimer_are_those_of_two_masses_on_springs():
+    """w^2 = 0 to 2K/M and 2K/m to 2K (1/m + 1/M)."""
+    k, light, heavy = DIMER.linear_stiffness[0], 1e-3, 3e-3
+    squares = [[0, 2 * k / heavy], [2 * k / light, 2 * k * (1 / light + 1 / heavy)]]
+    edges = bands(family(DIMER).plot())
+    np.testing.assert_allclose(edges, np.sqrt(squares) / (2 * np.pi), rtol=1e-12, atol=1e-9)
+
+
+def test_the_band_of_a_uniform_chain_ends_at_twice_its_root_of_stiffness_over_mass():
+    chain = Chain(grains=8, masses=np.full(8, 1e-3), **LOADED)
+    edges = bands(family(chain).plot())
+    exact = 2 * np.sqrt(chain.linear_stiffness[0] / 1e-3) / (2 * np.pi)
+    np.testing.assert_allclose(edges, [[0, exact]], rtol=1e-12, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["weights", "one grain heavier", "one contact stiffer"])
+def test_of_a_chain_that_does_not_repeat_the_span_of_its_modes_is_drawn(kind: str):
+    """By the eigenvalues of the matrix of masses and springs."""
+    chain = Chain(grains=5, masses=np.full(5, 1e-3), **LOADED)
+    if kind == "weights":
+        chain = Chain(grains=5, diameter=1e-3)
+    elif kind == "one grain heavier":
+        chain = chain.replace(masses=[1e-3, 1e-3, 1e-3, 2e-3, 1e-3])
+    else:
+        chain = chain.replace(contact_constants=chain.contact_constants * [1, 1, 2, 1])
+    k, m = chain.linear_stiffness, chain.masses[:4]
+    matrix = np.diag(np.append(0, k[:3]) + k) - np.diag(k[:3], 1) - np.diag(k[:3], -1)
+    frequency = np.sqrt(np.sort(np.linalg.eigvals(matrix / m[:, None]).real)) / (2 * np.pi)
+    edges = bands(family(chain).plot())
+    np.testing.assert_allclose(edges, [[frequency[0], frequency[-1]]], rtol=1e-10)
+
+
+def test_a_chain_that_nothing_presses_has_no_bands():
+    chain = Chain(grains=5, diameter=1e-3, gravity=0.0, top="wall", bottom="wall")
+    assert not family(chain).plot().patches
+
+
+def test_edges_of_bands_are_seen_where_they_are_near_the_family():
+    """Within 10 %; the axis then spans them, and 8 % more to either side."""
+    edge = 2 * np.sqrt(DIMER.linear_stiffness[0] / (2 * 3e-3)) / (2 * np.pi)
+    for ratio, inside in ((1.05, True), (1.15, False)):
+        scale = ratio * edge / FREQUENCY.min()
+        frequency = scale * FREQUENCY
+        low = edge if inside else frequency.min()
+        margin = 0.08 * (frequency.max() - low)
+        limits = family(DIMER, scale=scale).plot().get_xlim()
+        assert limits == pytest.approx((low - margin, frequency.max() + margin), rel=1e-12)
+    for ratio, inside in ((0.95, True), (0.85, False)):
+        scale = ratio * edge / FREQUENCY.max()
+        frequency = scale * FREQUENCY
+        high = edge if inside else frequency.max()
+        margin = 0.08 * (high - frequency.min())
+        limits = family(DIMER, scale=scale).plot().get_xlim()
+        assert limits == pytest.approx((frequency.min() - margin, high + margin), rel=1e-12)
+
+
+def test_a_family_of_one_frequency_has_room_beside_it():
+    whole = family(Chain(grains=5, diameter=1e-3, gravity=0.0, top="wall", bottom="wall"))
+    for orbit in whole.orbits:
+        orbit.period = 1e-3
+    assert whole.plot().get_xlim() == pytest.approx((999, 1001), rel=1e-12)
+
+
+def test_the_numbers_of_a_family_are_written_with_its_last_orbit():
+    json = family(DIMER, events=(event("fold", 2),)).to_json()
+    assert json == {
+        "parameter": "energy",
+        "value": (3 * ENERGY).tolist(),
+        "period_s": (1 / FREQUENCY).tolist(),
+        "energy_J": ENERGY.tolist(),
+        "stable": STABLE.tolist(),
+        "events": [
+            {
+                "kind": "fold",
+                "value": 3 * ENERGY[2],
+                "period_s": 1 / FREQUENCY[2],
+                "energy_J": ENERGY[2],
+            }
+        ],
+        "orbit": {"frequency": FREQUENCY[-1]},
+    }

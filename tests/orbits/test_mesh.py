@@ -1,0 +1,124 @@
+"""Steps of an orbit: how many, how long, and where, against a brute-force search for openings."""
+
+import numpy as np
+import pytest
+
+from lmpchain import Chain, Drive
+from lmpchain.orbits import mesh
+from lmpchain.orbits.flow import Flow, Passage
+
+CHAIN = Chain(grains=5, diameter=1e-3, gravity=0.0, top_load=1.0, top="wall", bottom="wall")
+FLOW = Flow(CHAIN, 1e6)
+EPS = CHAIN.contacts.overlap
+
+
+def test_the_highest_frequency_bounds_those_of_the_chain_at_its_stiffest():
+    """By Gershgorin's circles: twice the sum of the stiffnesses at a grain over its mass, at the largest overlaps."""
+    rng = np.random.default_rng(1)
+    masses = rng.uniform(1, 3, 5) * 1e-6
+    chain = CHAIN.replace(masses=masses)
+    u = rng.normal(size=(7, 5)) * EPS[1]
+    overlap = chain.contacts.overlap - np.diff(u, axis=1, prepend=0.0, append=0.0)
+    stiffness = 1.5 * chain.contacts.constant * np.sqrt(np.maximum(overlap, 0.0)).max(0)
+    bound = 2 * (stiffness[:-1] + stiffness[1:]) / masses
+    assert mesh.highest_frequency(Flow(chain, 1e6), u) == pytest.approx(np.sqrt(bound.max()), rel=1e-12)
+    driven = Flow(chain, 1e6, Drive(amplitude=1e-9, frequency=1e5))
+    assert mesh.highest_frequency(driven, u) == pytest.approx(np.sqrt(bound[1:].max()), rel=1e-12)
+
+
+@pytest.mark.parametrize("turns", [0.5, 10.0, 37.0])
+@pytest.mark.parametrize("reach", [0.3, 0.1])
+def test_uniform_steps_turn_the_fastest_motion_by_no_more_than_they_may(turns: float, reach: float):
+    rest = np.zeros((1, 5))
+    period = turns / mesh.highest_frequency(FLOW, rest)
+    steps = mesh.uniform(FLOW, period, rest, reach)
+    assert steps.size % 2 == 0
+    np.testing.assert_allclose(steps, 1 / steps.size, rtol=1e-14)
+    fewest = max(24.0, turns / reach)
+    assert fewest <= steps.size <= fewest + 3
+    if reach == 0.3:
+        assert mesh.uniform(FLOW, period, rest).size == steps.size
+
+
+def test_very_long_periods_have_no_more_steps_than_fit_in_memory():
+    rest = np.zeros((1, 5))
+    steps = mesh.uniform(FLOW, 1e9 / mesh.highest_frequency(FLOW, rest), rest)
+    assert 20_000 <= steps.size <= 20_003
+
+
+def moving(time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return displacement and velocity (K, 5) of a motion in which some contacts open; period 1."""
+    turn, n = 2 * np.pi * time[:, None], np.arange(5)
+    u = EPS[1] * (1.3 * np.sin(turn + n) * (n > 1) + 0.3 * np.sin(2 * turn) * (n == 0))
+    v = EPS[1] * 2 * np.pi * (1.3 * np.cos(turn + n) * (n > 1) + 0.6 * np.cos(2 * turn) * (n == 0))
+    return u, v
+
+
+def test_openings_are_where_overlaps_pass_0():
+    """Of a motion given in closed form, by a search along many times."""
+    steps = np.random.default_rng(2).uniform(0.5, 1.5, 400)
+    steps /= steps.sum()
+    u, v = moving(np.concatenate(([0.0], np.cumsum(steps))))
+    period = 3e-5
+    times = mesh.openings(FLOW, Passage(u, v / period, np.zeros(0)), period, steps)
+    dense = np.linspace(0, 1, 100_001)
+    overlap = EPS - np.diff(moving(dense)[0], axis=1, prepend=0.0, append=0.0)
+    passed = np.flatnonzero(np.diff(overlap > 0, axis=0).any(1))
+    assert len(passed) > 2
+    np.testing.assert_allclose(times, dense[passed], rtol=0, atol=1.2e-5)
+    closed = mesh.openings(FLOW, Passage(0.2 * u, 0.2 * v / period, np.zeros(0)), period, steps)
+    assert closed.size == 0
+
+
+def test_a_contact_that_never_closes_does_not_open():
+    """Nor one that touches by round-off; in a chain without load."""
+    chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top="wall", bottom="wall")
+    flow, steps, size = Flow(chain, 1e6), np.full(4, 0.25), 1e-7
+    u = size * np.array([[1.0, -0.5], [0.9, -0.4], [0.8, -0.3], [0.9, -0.4], [1.0, -0.5]])
+    passage = Passage(u, np.zeros((5, 2)), np.zeros(0))
+    assert mesh.openings(flow, passage, 1.0, steps).size == 0
+    for touch, many in ((1e-10, 0), (1e-8, 2)):
+        touching = u.copy()
+        touching[2, 0] = -touch * size  # the contact with the top wall closes for a moment
+        times = mesh.openings(flow, Passage(touching, np.zeros((5, 2)), np.zeros(0)), 1.0, steps)
+        assert times.size == many
+
+
+@pytest.mark.parametrize("turns", [20.0, 200.0])
+@pytest.mark.parametrize("reach", [0.3, 0.18])
+def test_graded_steps_are_symmetric_and_shrink_towards_openings(turns: float, reach: float):
+    """About 0.35 of the time to the nearest opening, which counts mirrored and a period later too."""
+    rest, times = np.zeros((1, 5)), np.array([0.13, 0.31, 0.62])
+    highest = mesh.highest_frequency(FLOW, rest)
+    period = turns / highest
+    steps = mesh.graded(FLOW, period, rest, times, reach)
+    even = mesh.uniform(FLOW, period, rest, reach)
+    assert steps.size % 2 == 0
+    assert steps.sum() == pytest.approx(1, rel=1e-12)
+    np.testing.assert_allclose(steps, steps[::-1], rtol=1e-12)
+    every = np.array([0.13, 0.31, 0.38, 0.62, 0.69, 0.87])
+    ends = np.concatenate(([0.0], np.cumsum(steps)))
+    distance = np.abs((ends[1:] + ends[:-1])[:, None] / 2 - every).min(1)
+    least, grading = 1e-4 / turns, 0.35 * reach / 0.3
+    wanted = np.clip(grading * distance, least, even[0])
+    smooth = (np.abs(grading * distance - least) > 0.5 * least) & (distance > steps)
+    assert (steps <= even[0] * (1 + 1e-9)).all()
+    # a step may be as long as where its farther end is allows
+    slack = np.clip(grading * (distance + steps / 2), least, even[0])
+    assert (steps <= 1.05 * slack).all()
+    away = smooth & (grading * distance > 1.5 * even[0])
+    np.testing.assert_allclose(steps[away], even[0], rtol=0.01 + 2 / steps.size)
+    graded = smooth & (grading * distance < 0.8 * even[0]) & (grading * distance > 3 * least)
+    np.testing.assert_allclose(steps[graded], wanted[graded], rtol=0.05)
+    for time in every:
+        near = np.abs(ends[1:-1] - time).argmin()
+        shortest = steps[max(near - 2, 0) : near + 3].min()
+        assert shortest == pytest.approx(least, rel=0.1)
+
+
+def test_without_openings_steps_are_uniform():
+    rest = np.zeros((1, 5))
+    period = 100 / mesh.highest_frequency(FLOW, rest)
+    for reach in (0.3, 0.1):
+        steps = mesh.graded(FLOW, period, rest, np.zeros(0), reach)
+        np.testing.assert_array_equal(steps, mesh.uniform(FLOW, period, rest, reach))
