@@ -1,0 +1,338 @@
+"""The laws of an error: what differences of runs say of it, what rounding makes of it, and how steps follow it."""
+
+import math
+
+import mpmath
+import numpy as np
+import pytest
+from helpers.example_scenes import paper, smooth
+
+from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Scene, engines, simulate
+from lmpchain.engines import Native
+from lmpchain.engines.amplification import amplified_digit, perturbed, walked
+from lmpchain.engines.base import Candidate, ErrorBudget
+from lmpchain.engines.perturbation import divergence
+from lmpchain.engines.richardson import extrapolate
+from lmpchain.engines.round_off import between_loss, native_floor, plain_loss, rounded_energy
+from lmpchain.engines.time_stepping import REFINEMENT
+from lmpchain.trajectory.record import ErrorEstimate
+from lmpchain.util.arrays import EPSILON
+
+CANDIDATE = Candidate(
+    step=2e-7, active_grains=9, model_error=0.0, solver_error=1e-6, cost_s=1e-3, steps_per_landing=7,
+    stride=3, adaptive=True, coarse_openings=True, integrator="rkn6",
+)  # fmt: skip
+
+
+def differences(order: float, error: float, ratios: tuple[float, float]) -> tuple[float, float]:
+    """Return how far runs at steps h and r1 h, and at r1 h and r2 h, are apart for an error that goes like h^order."""
+    first, second = (error * ratio**order for ratio in ratios)
+    return second - first, first - error
+
+
+@pytest.mark.parametrize("order", [2, 4, 6, 8])
+@pytest.mark.parametrize("ratios", [(2.0, 4.0), (4.0, 8.0), (3.0, 6.0)])
+def test_three_runs_give_twice_the_error_where_the_order_holds(order, ratios):
+    coarse, fine = differences(order, 1e-7, ratios)
+    within = 1e-9 if ratios == (2.0, 4.0) else {2: 0.65, 4: 0.15, 6: 0.05, 8: 0.05}[order]
+    estimate = extrapolate(order, True, coarse, fine, ratios)
+    assert estimate == pytest.approx(2e-7, rel=within)
+    assert estimate >= 2e-7 * (1 - 1e-9)
+
+
+@pytest.mark.parametrize("seen", [1.0, 2.5, 5.0])
+def test_three_runs_give_twice_the_error_of_the_order_that_they_show(seen):
+    coarse, fine = differences(seen, 1e-7, (2.0, 4.0))
+    assert extrapolate(6, True, coarse, fine) == pytest.approx(2e-7, rel=1e-9)
+
+
+def test_the_rate_that_three_runs_show_is_trusted_within_limits():
+    """No more than the order, for they may agree by chance; never less than one and a half times a doubling."""
+    coarse, fine = differences(4, 1e-7, (2.0, 4.0))
+    assert extrapolate(4, True, 1.001 * coarse, fine) == pytest.approx(2e-7, rel=1e-9)
+    assert extrapolate(4, True, coarse, fine / 100) == pytest.approx(1e-7, rel=1e-9)  # the coarse one alone
+    assert extrapolate(4, True, coarse, 0.0) == pytest.approx(1e-7, rel=1e-9)
+    assert extrapolate(4, True, coarse, 0.0, confirmed=True) == 0.0
+    assert extrapolate(4, True, coarse, fine / 100, confirmed=True) == pytest.approx(2e-9, rel=1e-9)
+    for flat in (0.0, 1e-3, 1.5e-3):
+        assert extrapolate(4, True, flat, 1e-3) == pytest.approx(4e-3, rel=1e-9)
+        assert extrapolate(4, True, flat, 1e-3, (4.0, 8.0)) == pytest.approx(2e-3 / 1.25, rel=1e-9)
+    assert extrapolate(4, True, 1.6e-3, 1e-3) == pytest.approx(2e-3 / 0.6, rel=1e-9)
+
+
+def test_where_the_order_is_lost_the_error_is_as_large_as_a_difference():
+    """Or as the coarse one by the order 2 that is left; if a run was lost, nothing is known."""
+    assert extrapolate(6, False, 1e-4, 1e-3) == pytest.approx(1.5e-3, rel=1e-12)
+    assert extrapolate(6, False, 8e-3, 1e-3) == pytest.approx(3e-3, rel=1e-12)
+    assert extrapolate(6, True, 1e-3, math.inf) == math.inf
+    assert extrapolate(6, True, None, 1e-3) == 1e-3
+
+
+# --- rounding
+
+
+def oscillator(stiffness: float, mass: float, periods: float, samples: int = 2) -> Scene:
+    """Return a grain on a spring: grain 2 is held."""
+    chain = Chain(
+        grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0, masses=[mass, mass],
+        contact_constants=[stiffness],
+    )  # fmt: skip
+    duration = periods * 2 * np.pi / chain.band_edge
+    return Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=duration, samples=samples)
+
+
+def swing_error(scene: Scene, velocity: float, displacement: float) -> float:
+    """Return how far the end of a swing is off, relative to its amplitudes, to forty digits."""
+    stiffness, mass = (mpmath.mpf(float(x[0])) for x in (scene.chain.contact_constants, scene.chain.masses))
+    with mpmath.workdps(40):
+        omega = mpmath.sqrt(stiffness / mass)
+        phase, speed = omega * mpmath.mpf(scene.duration), mpmath.mpf(scene.excitation.velocity)
+        off = velocity / speed - mpmath.cos(phase), displacement * omega / speed - mpmath.sin(phase)
+        return float(max(map(abs, off)))
+
+
+def test_thousands_of_periods_shift_the_phase_by_rounding():
+    """A last digit of mass, stiffness or step shifts it by that part of itself: more than a walk of roundings makes."""
+    rng = np.random.default_rng(4)
+    for _ in range(2):
+        stiffness, mass = (float(10 ** rng.uniform(low, high)) for low, high in ((6, 8), (-7, -4)))
+        scene = oscillator(stiffness, mass, 4e3 + rng.random())
+        t = simulate(scene, Native("rkn6", step=scene.duration / 1.2e6))
+        shift = EPSILON * scene.chain.band_edge * scene.duration
+        assert shift > 5 * EPSILON * math.sqrt(t.cost.force_evaluations)
+        assert swing_error(scene, t.velocity[-1, 0], t.displacement[-1, 0]) <= t.error_estimate.solver
+        assert shift < t.error_estimate.solver < 20 * shift
+
+
+def test_rounding_of_no_step_is_a_few_last_digits_and_grows_with_steps_and_phase():
+    least = native_floor(0.0, 0.0)
+    assert EPSILON <= least <= 4 * EPSILON
+    assert native_floor(1e6, 0.0) - least == pytest.approx(10 * (native_floor(1e4, 0.0) - least), rel=1e-9)
+    assert native_floor(1e4, 0.0) - least == pytest.approx(100 * EPSILON, rel=1e-9)  # a walk of half-ulps, as stated
+    phase = native_floor(1e4, 1e3) - native_floor(1e4, 0.0)
+    assert 1e3 * EPSILON <= phase <= 4e3 * EPSILON  # up to four last digits of it
+    assert native_floor(1e4, 1e5) - native_floor(1e4, 0.0) == pytest.approx(100 * phase, rel=1e-9)
+    stiff = native_floor(1e4, 0.0, displaced=1e3) - least
+    assert native_floor(1e4, 0.0, displaced=2e3) - least == pytest.approx(2 * stiff, rel=1e-9)
+    assert native_floor(1e4, 0.0, displaced=1.0) == native_floor(1e4, 0.0)
+    flight = native_floor(1e8, 1.0, 0.5, straight=True) - native_floor(0.0, 1.0)
+    assert native_floor(1e8, 1.0, 1.0, straight=True) - native_floor(0.0, 1.0) == pytest.approx(2 * flight, rel=1e-6)
+    assert native_floor(1e8, 1.0, 2.0, straight=True) == native_floor(1e8, 1.0, 1.0, straight=True)
+    assert native_floor(4, 1.0, 1.0, straight=True) == native_floor(4, 1.0, 1.0)  # a walk exceeds a short drift
+
+
+def test_what_the_plain_force_loses_is_in_the_estimate():
+    """A weak wave under a heavy load: the last digit of the load at every step walks into the velocity."""
+    ratios = []
+    for grains in range(3, 9):
+        chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1.0)
+        strike = Impulse(velocity=1e-10 * chain.length_scale / chain.time_scale)
+        scene = Scene(chain=chain, excitation=strike, duration=60 * chain.time_scale, samples=21)
+        plain, exact = (
+            simulate(scene, Native("rkn6", scene.duration / 2000, force=force)) for force in ("plain", "exact")
+        )
+        lost = np.abs(plain.velocity - exact.velocity).max() / np.abs(exact.velocity).max()
+        assert exact.error_estimate.solver < lost / 10
+        ratios.append(lost / plain.error_estimate.solver)
+    assert 0.3 < np.median(ratios) < 1.5
+    assert max(ratios) < 3
+    loss = plain_loss(scene, 100.0)
+    assert plain_loss(scene, 400.0) == pytest.approx(loss / 2, rel=1e-12)
+    assert plain_loss(scene.replace(duration=2 * scene.duration), 100.0) == pytest.approx(2 * loss, rel=1e-12)
+
+
+def test_rounding_presses_the_contacts_of_a_column_by_its_height():
+    """Of heights: half the stiffness times the squared last digit of ten grains, walked; and of springs, exactly."""
+    chain = Chain(grains=10, diameter=1e-3, gravity=0.0, top_load=1.0, exponent=1.0)
+    scene = Scene(chain=chain, excitation=Displacement(displacement=2e-5), duration=1e-5)
+    digit = EPSILON * math.sqrt(1e4) * (10e-3 + 2e-5)
+    expected = 0.5 * chain.contact_constants.sum() * digit**2
+    assert rounded_energy(scene, 1e4) == pytest.approx(expected, rel=1e-9)
+
+
+def test_what_interpolated_samples_lose_grows_with_steps_and_distance():
+    assert between_loss(2e3, 0.5) == pytest.approx(between_loss(1e3, 1.0), rel=1e-12)
+    assert 1e3 * EPSILON < between_loss(1e3, 1.0) < 1e5 * EPSILON
+    assert between_loss(2e3, 1.0) == pytest.approx(2 * between_loss(1e3, 1.0), rel=1e-12)
+
+
+def test_steps_of_one_length_may_round_to_one_side():
+    """A walk of n digits is sqrt(n) long, a drift n; a last digit is at least what there is."""
+    assert walked(0.0) == walked(1.0) == 1.0
+    assert walked(1e8) == pytest.approx(1e4 * EPSILON / 1e-15, rel=1e-12)
+    assert walked(4e8) == pytest.approx(2 * walked(1e8), rel=1e-12)
+    assert walked(1e8, alike=True) == pytest.approx(walked(1e6, alike=True) * 100, rel=1e-12)
+    assert walked(1e8, alike=True) > 10 * walked(1e8)
+    assert walked(25.0, alike=True) == walked(25.0)
+
+
+# --- runs that begin nearby
+
+
+@pytest.mark.parametrize("kind", ["struck", "released", "driven"])
+def test_a_nearby_scene_differs_by_a_fraction_of_the_largest_motion(kind):
+    chain = Chain(grains=5, diameter=1e-3)
+    excitation = {
+        "struck": Impulse(velocity=-2e-4, grain=2),
+        "released": Displacement(displacement=-3e-9, grain=2),
+        "driven": Drive(amplitude=1e-9, frequency=1e4),
+    }[kind]
+    scene = Scene(chain=chain, excitation=excitation, duration=1e-5, samples=5)
+    near = perturbed(scene, 1e-3)
+    (u, v), (near_u, near_v) = scene.initial(), near.initial()
+    turns = np.array([1.0, -1.0, 1.0, -1.0, 0.0])  # the last grain is held
+    if kind == "driven":
+        assert near.excitation.amplitude == pytest.approx(1.001e-9, rel=1e-12)
+        return
+    np.testing.assert_allclose(near_v - v, 2e-7 * turns * (kind == "struck"), rtol=1e-9, atol=0)
+    np.testing.assert_allclose(near_u - u, 3e-12 * turns * (kind == "released"), rtol=1e-9, atol=0)
+
+
+def test_the_divergence_of_two_runs_is_that_of_two_answers():
+    """At all samples, of grains that are not recorded too, over the largest motion between samples."""
+    scene = smooth(samples=6).replace(grains=[2])
+    candidate = Native("rkn6").candidate(scene.replace(grains="all"), 1e-10)
+    apart = divergence(scene, candidate, 1e-4)
+    whole = scene.replace(grains="all")
+    dense = simulate(whole.replace(samples=501), "native", 1e-12)
+    one, other = (simulate(each, "native", 1e-12) for each in (whole, perturbed(whole, 1e-4)))
+    expected = [
+        np.abs(getattr(other, name) - getattr(one, name)).max(axis=1) / np.abs(getattr(dense, name)).max()
+        for name in ("displacement", "velocity")
+    ]
+    np.testing.assert_allclose(apart, np.max(expected, axis=0), rtol=0.02, atol=0)
+    assert apart[0] == pytest.approx(1e-4, rel=0.02)
+
+
+def test_what_becomes_of_a_last_digit_is_what_becomes_of_a_small_change():
+    """In a chain whose contacts open again and again; of a change that is a million times as large, a millionth."""
+    chain = Chain(grains=6, diameter=1e-3 * np.random.default_rng(2).uniform(0.7, 1.3, 6), top="wall")
+    scene = Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=4e-4, samples=9)
+    candidate = Native("rkn6").candidate(scene, 1e-9)
+    run = Native("rkn6").start([scene], candidate)
+    for _ in run.blocks():
+        pass
+    steps = candidate.steps(scene.samples)
+    grown = amplified_digit(scene, run.peaks[0], steps) / 1e-15
+    near = [divergence(scene, candidate, change).max() / 1e-9 for change in (1e-9, -1e-9, 0.5e-9)]
+    assert max(near) > 20
+    assert max(near) / 10 < grown < 30 * max(near)
+    doubled = amplified_digit(scene, 2 * run.peaks[0], steps) / 1e-15
+    assert doubled == pytest.approx(grown / 2, rel=1e-12)
+
+
+# --- candidates, budgets and the next step
+
+
+def test_steps_of_a_candidate():
+    """Seven steps from a landing to the next, three samples later."""
+    assert CANDIDATE.steps(11) == 24
+    assert CANDIDATE.steps(10) == 21
+    schedule = CANDIDATE.schedule()
+    assert (schedule.steps, schedule.stride, schedule.step) == (7, 3, 2e-7)
+    assert (schedule.adaptive, schedule.dense) == (True, 1)
+    finer = CANDIDATE.with_steps(14)
+    assert (finer.steps_per_landing, finer.stride, finer.coarse_openings) == (14, 3, False)
+    assert finer.step == pytest.approx(1e-7, rel=1e-15)
+    every = CANDIDATE.sampled
+    assert (every.steps_per_landing, every.stride) == (3, 1)
+    assert every.step == pytest.approx(2e-7 * 7 / 9, rel=1e-15)
+    assert every.schedule().dense == 0
+
+
+def test_the_parts_of_an_error_budget():
+    apart = np.array([0.0, 1e-7, 3e-7, np.nan])
+    budget = ErrorBudget(1e-6, 2e-7, True, apart, model=1e-5, model_bound=4e-5)
+    assert budget.solver == pytest.approx(1.2e-6, rel=1e-12)
+    assert budget.total == pytest.approx(1.12e-5, rel=1e-12)
+    assert budget.bound == pytest.approx(4.12e-5, rel=1e-12)
+    assert budget._replace(model_bound=0.0).bound == pytest.approx(1.12e-5, rel=1e-12)
+    assert budget.estimate == ErrorEstimate(1e-5, budget.solver)
+    time = np.arange(4.0)
+    assert budget.first_beyond(2e-7, time) == 2.0
+    assert budget.first_beyond(3e-7, time) == 3.0  # what is no number is beyond
+    assert budget._replace(differences=apart[:3]).first_beyond(3e-7, time) == math.inf
+
+
+@pytest.mark.parametrize("order", [2, 4, 6])
+def test_the_next_step_aims_at_seven_tenths_of_what_rounding_leaves(order):
+    missed = ErrorBudget(3e-5, 2e-7, True, np.zeros(2))
+    ratio = REFINEMENT.ratio(missed, order, 1e-6)
+    assert ratio is not None
+    assert 3e-5 / ratio**order == pytest.approx(0.7 * 0.8e-6, rel=1e-9)
+    half = REFINEMENT.ratio(missed._replace(roundoff=0.89e-6), order, 1e-6)
+    assert half == pytest.approx(min(16.0, (3e-5 / (0.7 * 0.25e-6)) ** (1 / order)), rel=1e-9)
+
+
+def test_the_next_step_is_neither_much_shorter_nor_hardly_so():
+    """An erratic error goes by the order that is left; far off, a law does not hold yet."""
+    budget = ErrorBudget(1.01e-6, 0.0, True, np.zeros(2))
+    assert REFINEMENT.ratio(budget, 6, 1e-6) == 1.3
+    assert REFINEMENT.ratio(budget._replace(smooth=False), 6, 1e-6) == 2.0
+    erratic = budget._replace(truncation=1e-4, smooth=False)
+    assert 1e-4 / REFINEMENT.ratio(erratic, 6, 1e-6) ** 2.5 == pytest.approx(0.7e-6, rel=1e-9)
+    assert 1e-4 / REFINEMENT.ratio(erratic, 6, 1e-6, adaptive=True) ** 4 == pytest.approx(0.7e-6, rel=1e-9)
+    assert REFINEMENT.ratio(erratic, 2, 1e-6, adaptive=True) == pytest.approx((1e-4 / 0.7e-6) ** 0.5, rel=1e-9)
+    assert REFINEMENT.ratio(budget._replace(truncation=0.09), 2, 1e-6) == 16.0
+    assert REFINEMENT.ratio(budget._replace(truncation=0.1), 2, 1e-6) == 4.0
+    assert REFINEMENT.ratio(budget._replace(truncation=math.inf), 2, 1e-6) == 4.0
+    assert REFINEMENT.ratio(None, 2, 1e-6) == 4.0
+    assert REFINEMENT.ratio(budget._replace(roundoff=0.91e-6), 2, 1e-6) is None
+    assert REFINEMENT.ratio(budget._replace(roundoff=0.9e-6), 2, 1e-6) is not None
+
+
+def test_a_candidate_is_refined_to_the_steps_that_its_error_asks_for():
+    engine, scene = Native("rkn6"), smooth(samples=6)
+    candidate = engine.candidate(scene, 1e-9)
+    missed = ErrorBudget(64 * 0.7e-9, 0.0, True, np.zeros(6))
+    better = engine.refine(candidate, missed, 1e-9)
+    assert better.steps_per_landing == math.ceil(2 * candidate.steps_per_landing - 1e-9)
+    total = better.step * better.steps_per_landing / better.stride
+    assert total == pytest.approx(scene.duration / 5, rel=1e-12)
+    assert not better.adaptive
+    assert engine.refine(candidate, missed._replace(smooth=False), 1e-9).adaptive
+    assert not Native("rkn6", adaptive=False).refine(candidate, missed._replace(smooth=False), 1e-9).adaptive
+    assert engine.refine(candidate, missed._replace(roundoff=1e-9), 1e-9) is None
+    broken = engine.refine(candidate, None, 1e-9)
+    assert broken.stride == 1
+    assert broken.step <= candidate.step / 4
+
+
+# --- options
+
+
+def test_options_of_the_native_engine_are_refused_with_what_is_known():
+    for threads in (0, -1, 1.0, True, "two"):
+        with pytest.raises(InputError, match="threads: must be a whole number from 1"):
+            Native(threads=threads)
+    with pytest.raises(InputError, match=r"force: must be auto \| exact \| plain \(got 'rough'\)"):
+        Native(force="rough")
+    for step in (0.0, -1e-9, math.inf, math.nan, "1"):
+        with pytest.raises(InputError, match="step: must be a time above 0 s"):
+            Native(step=step)
+    assert Native(threads=1, step=1).options() == {
+        "integrator": "auto", "step": 1, "threads": 1, "force": "auto", "adaptive": True,
+    }  # fmt: skip
+    with pytest.raises(InputError, match=r"colour: the engine native has no such option; it has integrator, step"):
+        engines.get("native", colour=1)
+    with pytest.raises(InputError, match="step: belongs to the engine"):
+        engines.get(Native(), step=1e-7)
+    with pytest.raises(InputError, match="engine: must be"):
+        engines.get("nativ")
+
+
+def test_a_step_that_is_given_may_be_up_to_the_stability_limit():
+    """2 / omega of velocity Verlet, and the highest frequency of the chain."""
+    scene = paper("weak", samples=3)
+    limit = 2 / scene.chain.band_edge
+    with pytest.raises(InputError, match=f"step: must be below {limit:.3g} s, where verlet stops being stable"):
+        simulate(scene, Native("verlet", step=1.001 * limit))
+    run = simulate(scene, Native("verlet", step=0.999 * limit))
+    assert run.cost.step_s <= limit
+    assert run.cost.steps == 2 * math.ceil(5e-5 / (0.999 * limit))
+
+
+def test_runs_of_more_than_ten_years_are_refused():
+    scene = paper("weak", samples=3).replace(duration=1e12)
+    with pytest.raises(InputError, match=r"duration: would take some \d.* years: shorten it"):
+        Native().candidate(scene, 1e-6)
