@@ -1,0 +1,314 @@
+"""The words and numbers of a page: title, cards, facts, live view, and where a run came from."""
+
+import base64
+import json
+import os
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from lmpchain import Chain, Drive, Impulse, Profile, Scene, Trajectory, simulate
+from lmpchain.report import document, origin, page, write
+from lmpchain.report import live as live_view
+from lmpchain.report.document import title
+from lmpchain.report.live import moving, moving_part, numbers
+from lmpchain.trajectory.record import ErrorEstimate
+
+CHAIN = Chain(grains=40, diameter=1e-3)
+STRIKE = Impulse(velocity=1e-3)
+
+
+@pytest.fixture(scope="module")
+def run() -> Trajectory:
+    scene = Scene(chain=CHAIN, excitation=STRIKE, duration=60e-6, samples=121)
+    answer = simulate(scene, "native", 1e-6)
+    cost = answer.cost._replace(integration_s=1.25, estimate_s=0.5, setup_s=0.125, compile_s=9.0)
+    cost = cost._replace(steps=1234, force_evaluations=5678, active_grains=37, ranks=3, step_s=2e-8)
+    return replace(answer, error_estimate=ErrorEstimate(3e-3, 2e-5), cost=cost)
+
+
+class Rows(HTMLParser):
+    """Cards and table rows of a page, cell by cell."""
+
+    def __init__(self, text: str):
+        super().__init__()
+        self.cards: list[list[str]] = []
+        self.rows: list[list[str]] = []
+        self.cell = False
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: Any) -> None:
+        if tag in ("dt", "tr"):
+            (self.cards if tag == "dt" else self.rows).append([])
+        self.cell = tag in ("dt", "dd", "th", "td")
+        if self.cell:
+            (self.cards if tag in ("dt", "dd") else self.rows)[-1].append("")
+            self.into = (self.cards if tag in ("dt", "dd") else self.rows)[-1]
+
+    def handle_endtag(self, tag: str) -> None:
+        self.cell = False
+
+    def handle_data(self, data: str) -> None:
+        if self.cell:
+            self.into[-1] += data
+
+
+@pytest.fixture
+def rows(monkeypatch: pytest.MonkeyPatch) -> Any:
+    monkeypatch.setattr(document, "DRAWN", {})
+    origin = {"date": "yesterday", "command": "lmpchain run"}
+    return lambda run: Rows(page(run, origin=origin))
+
+
+def test_cards_say_what_was_asked_and_what_it_took(run: Trajectory, rows: Any):
+    cards = {name: texts for name, *texts in rows(run).cards}
+    assert list(cards) == ["Scene", "Engine", "Tolerance", "Error", "Cost", "Date", "Command"]
+    name, remark = cards["Scene"]
+    assert name == f"40 grains, {STRIKE.label}"
+    number = re.fullmatch(r"strike number (\S+); linear theory needs far below 1", remark)[1]
+    assert float(number) == pytest.approx(run.scene.strike_number, rel=5e-3)
+    assert cards["Engine"] == ["native", f"solves Eq. (1) {run.cost.integrator}"]
+    assert cards["Tolerance"] == ["1e-06", "largest relative error asked for"]
+    assert cards["Error"] == ["0.003", "estimated: 0.003 (equation) + 2e-05 (solver)"]
+    assert cards["Cost"] == ["1.88 s", "1234 steps, 37 grains computed"]
+    assert cards["Date"] == ["yesterday"]
+    assert cards["Command"] == ["lmpchain run"]
+
+
+def test_facts_are_those_of_the_run(run: Trajectory, rows: Any):
+    facts = {key: value for key, value in (row for row in rows(run).rows if len(row) == 2)}
+    assert facts["chain"] == "40 grains, top free, bottom fixed, exponent 1.5"
+    assert facts["gravity and load"] == "9.81 m/s², 0 N"
+    assert facts["excitation"] == "impulse: velocity 0.001"
+    assert facts["recorded"] == "40 grains at 121 times up to 6e-05 s"
+    fastest, farthest = (max(abs(x) for x in a.flat) for a in (run.velocity, run.displacement))
+    assert facts["largest velocity"] == f"{fastest:.6g} m/s"
+    assert facts["largest displacement"] == f"{farthest:.6g} m"
+    cost = {
+        "integration (s)": "1.25",
+        "estimate (s)": "0.5",
+        "setup (s)": "0.125",
+        "steps": "1234",
+        "force evaluations": "5678",
+        "active grains": "37",
+        "step (s)": "2e-08",
+        "ranks": "3",
+        "compile (s)": "9",
+    }
+    assert cost.items() <= facts.items()
+    profile = Profile(velocity=[1e-3, *[0.0] * 39])
+    other = replace(run, scene=run.scene.replace(excitation=profile))
+    facts = {key: value for key, value in (row for row in rows(other).rows if len(row) == 2)}
+    assert facts["excitation"] == "profile: velocity of 40 values"
+
+
+def test_a_title_says_chain_excitation_duration_and_engine(run: Trajectory):
+    label = STRIKE.label
+    assert title(run) == f"40 grains, g = 9.81 m/s², {label}, 60 µs, native"
+    loaded = CHAIN.replace(gravity=0.0, top_load=2.0)
+    other = replace(run, scene=run.scene.replace(chain=loaded, duration=1e-3))
+    assert title(other) == f"40 grains, no gravity, load 2 N, {label}, 1 ms, native"
+
+
+def test_the_bar_counts_every_part(run: Trajectory, monkeypatch: pytest.MonkeyPatch):
+    steps: list[Any] = []
+
+    class Bar:
+        def __init__(self, total: float, text: str, unit: str, *, shown: bool):
+            steps.append((total, text, unit, shown))
+
+        def __enter__(self) -> "Bar":
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            steps.append("over")
+
+        def describe(self, text: str) -> None:
+            steps.append(text)
+
+        def advance(self) -> None:
+            steps.append(1)
+
+    empty = {name: (lambda t, name=name: document.Panel(name, name, "")) for name in document.DRAWN}
+    monkeypatch.setattr(document, "DRAWN", empty)
+    monkeypatch.setattr(document, "ProgressBar", Bar)
+    page(run, progress=True)
+    names = ["The wave in space and time", *empty, "Fits"]
+    expected = [each for name in names for each in (name, 1)]
+    assert steps == [(len(names), "report", " parts", True), *expected, "over"]
+    steps.clear()
+    page(run)
+    assert not steps[0][3]
+
+
+def test_a_page_is_written_whole(run: Trajectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(document, "DRAWN", {})
+    write(run, tmp_path / "page.html", origin={"date": "yesterday", "command": "é"})
+    text = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert text == page(run, origin={"date": "yesterday", "command": "é"})
+    assert os.listdir(tmp_path) == ["page.html"]
+
+
+# --- the live view
+
+
+def moved(first: int, last: int, samples: int = 11, grains: int = 400) -> Trajectory:
+    """Return a run in which these grains move and no others."""
+    chain = Chain(grains=grains, diameter=1e-3)
+    scene = Scene(chain=chain, excitation=STRIKE, duration=1e-4, samples=samples)
+    velocity = np.zeros((samples, grains))
+    rng = np.random.default_rng(first)
+    velocity[1:, first - 1 : last] = rng.uniform(-1e-3, 1e-3, (samples - 1, last - first + 1))
+    few = Scene(chain=CHAIN, excitation=STRIKE, duration=1e-6, samples=2)
+    fields = {"time": scene.time, "grains": scene.recorded, "displacement": velocity * 1e-6}
+    return replace(simulate(few, "native", 1e-3), scene=scene, velocity=velocity, **fields)
+
+
+def test_grains_at_rest_are_left_out_but_for_four_on_either_side():
+    for first, last, shown in ((20, 30, (16, 34)), (3, 5, (1, 9)), (390, 399, (386, 400))):
+        t = moved(first, last)
+        part = moving_part(t)
+        assert (part.grains[0], part.grains[-1]) == shown
+        assert moving(t) == moving(part) == shown
+        columns = slice(shown[0] - 1, shown[1])
+        assert np.array_equal(part.velocity, t.velocity[:, columns])
+        assert np.array_equal(part.displacement, t.displacement[:, columns])
+        assert part.scene.recorded.tolist() == part.grains.tolist()
+        assert numbers(t)["grains"] == list(range(shown[0], shown[1] + 1))
+    still = replace(moved(3, 5), velocity=np.zeros((11, 400)), displacement=np.zeros((11, 400)))
+    assert moving_part(still) is still
+    assert moving(still) == (1, 400)
+    data = numbers(still)
+    assert data["largest"] == 1.0
+    assert not any(base64.b64decode(data["data"]))
+
+
+def test_grains_that_hardly_move_are_left_out_of_the_range():
+    """Those that move less than a thousandth of the fastest."""
+    t = moved(20, 30)
+    velocity = np.array(t.velocity)
+    largest = np.abs(velocity).max()
+    velocity[5, 39], velocity[5, 49] = 1.01e-3 * largest, 0.99e-3 * largest
+    assert moving(replace(t, velocity=velocity)) == (16, 44)
+
+
+@pytest.mark.parametrize("order", ["as they stand", "turned round"])
+def test_the_live_view_holds_velocities_in_16_bits(order: str):
+    t = moved(20, 60, samples=31)
+    if order == "turned round":
+        grains = t.grains[::-1]
+        scene = t.scene.replace(grains=grains.tolist())
+        t = replace(t, scene=scene, grains=grains, velocity=t.velocity[:, ::-1], displacement=t.displacement[:, ::-1])
+    data = numbers(t)
+    shape = len(data["time"]), len(data["grains"])
+    drawn = np.frombuffer(base64.b64decode(data["data"]), "<i2").reshape(shape)
+    columns = [int(np.flatnonzero(t.grains == n)[0]) for n in data["grains"]]
+    velocity = t.velocity[:, columns]
+    largest = np.abs(velocity).max()
+    assert data["time"] == t.time.tolist()
+    assert data["grains"] == list(range(16, 65))
+    assert data["largest"] == largest
+    assert np.abs(drawn).max() == 32767
+    assert drawn * (largest / 32767) == pytest.approx(velocity, abs=largest / 32767 / 1.99)
+    peaks = np.abs(velocity).max(0)
+    assert data["limit"] == np.median(peaks[peaks > 0])
+
+
+def test_of_many_times_and_grains_the_live_view_takes_some():
+    t = moved(1, 400, samples=701)
+    data = numbers(t)
+    assert len(data["time"]) == 240
+    rows = np.searchsorted(t.time, data["time"])
+    assert rows[0] == 0
+    assert rows[-1] == 700
+    assert set(np.diff(rows)) == {2, 3}
+    assert len(data["grains"]) == 134  # every third of 400, of which 160 are shown at most
+    assert data["grains"][:3] == [1, 4, 7]
+    drawn = np.frombuffer(base64.b64decode(data["data"]), "<i2").reshape(240, 134)
+    velocity = t.velocity[rows]
+    group = velocity[:, 3:6]
+    loudest = np.abs(group - group[:1]).max(0).argmax()
+    assert drawn[:, 1] == pytest.approx(group[:, loudest] / data["largest"] * 32767, abs=0.51)
+    assert len(data["law"]) == 134
+    assert len(numbers(moved(1, 160, samples=240))["time"]) == 240
+    assert len(numbers(moved(5, 156, samples=5))["grains"]) == 160
+    assert len(numbers(moved(5, 157, samples=5))["grains"]) == 81
+
+
+def test_what_is_not_a_number_is_at_rest_in_the_live_view():
+    t = moved(20, 30)
+    velocity = np.array(t.velocity)
+    velocity[4, 24] = np.nan
+    data = numbers(replace(t, velocity=velocity))
+    drawn = np.frombuffer(base64.b64decode(data["data"]), "<i2").reshape(11, -1)
+    assert drawn[4, data["grains"].index(25)] == 0
+
+
+def test_the_live_view_draws_when_a_weak_wave_arrives(run: Trajectory):
+    """sqrt(m / k) a contact, from the grain that is struck; nowhere where no weak wave travels."""
+
+    def arrival(scene: Scene) -> list[float]:
+        return live_view._law(replace(run, scene=scene), np.arange(1, 41))
+
+    chain = run.scene.chain
+    stiffness = 1.5 * chain.contact_constants * np.sqrt(chain.equilibrium_overlap)
+    slow = np.sqrt(chain.masses[0] / stiffness)
+    third = arrival(run.scene.replace(excitation=Impulse(velocity=1e-3, grain=3)))
+    assert len(third) == 40
+    assert third[2] == 0.0
+    assert third[9] == pytest.approx(slow[2:9].sum(), rel=1e-9)
+    assert third[0] == pytest.approx(slow[:2].sum(), rel=1e-9)
+    first = arrival(run.scene)
+    assert np.diff(first)[1:] == pytest.approx(slow[1:], rel=1e-9)
+    walled = chain.replace(top="wall")
+    wall = Scene(chain=walled, excitation=Drive(amplitude=1e-9, frequency=1e4, grain=0), duration=1e-5)
+    assert np.diff(arrival(wall))[1:].shape == (38,)
+    assert arrival(wall)[0] == 0.0
+    profile = run.scene.replace(excitation=Profile(velocity=[1e-3, *[0.0] * 39]))
+    assert arrival(profile) == []
+    empty = run.scene.replace(chain=chain.replace(gravity=0.0, bottom="free"))
+    assert arrival(empty) == []
+
+
+# --- where a run came from
+
+
+def test_a_folder_says_when_its_first_session_began(tmp_path: Path):
+    sessions = [
+        {"began": "2024-05-06T23:08:09+02:00", "command": "lmpchain run s.toml"},
+        {"began": "2024-05-07T00:00:00+00:00", "command": "lmpchain resume"},
+    ]
+    (tmp_path / "run.json").write_text(json.dumps({"sessions": sessions}))
+    expected = {"date": "2024-05-06 21:08 UTC", "command": "lmpchain run s.toml"}
+    assert origin.origin(tmp_path) == expected
+    os.utime(tmp_path, (1.7e9, 1.7e9))
+    by_file = {"date": "2023-11-14 22:13 UTC (file)", "command": "not recorded"}
+    for text in ("{}", '{"sessions": []}', '{"sessions": [{"began": "today", "command": ""}]}', "["):
+        (tmp_path / "run.json").write_text(text)
+        assert origin.origin(tmp_path) == by_file
+
+
+def test_records_of_sessions_are_read_up_to_16_MB(tmp_path: Path):
+    session = json.dumps({"sessions": [{"began": "2024-05-06T00:00:00+00:00", "command": "run"}]})
+    for size, command in ((2**24, "run"), (2**24 + 1, "not recorded")):
+        (tmp_path / "run.json").write_text(session.ljust(size))
+        assert origin.origin(tmp_path)["command"] == command
+
+
+def test_a_file_says_it_in_its_history(tmp_path: Path):
+    path = tmp_path / "run.nc"
+    with h5py.File(path, "w") as file:
+        file.attrs["history"] = "2024-05-06T07:08:09+00:00 lmpchain run s.toml -o run.nc"
+    expected = {"date": "2024-05-06 07:08 UTC", "command": "lmpchain run s.toml -o run.nc"}
+    assert origin.origin(path) == expected
+    path.write_bytes(b"no such file")
+    os.utime(path, (1.7e9, 1.7e9))
+    assert origin.origin(str(path)) == {"date": "2023-11-14 22:13 UTC (file)", "command": "not recorded"}
+    unknown = {"date": "not recorded", "command": "not recorded"}
+    assert origin.origin(None) == origin.origin(tmp_path / "none") == unknown

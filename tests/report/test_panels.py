@@ -1,0 +1,432 @@
+"""The pictures of a page: every line, axis and sentence against numbers that follow from the run."""
+
+import base64
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from lmpchain import Chain, Displacement, Force, Impulse, InputError, Scene, Trajectory, simulate
+from lmpchain.measure.contact import LINES
+from lmpchain.report import panels
+from lmpchain.util.plotting import COLOURS, si
+
+MARGIN = 4  # grains at rest that a picture shows beside those that move
+PREFIXES = {"": 1.0, "m": 1e-3, "µ": 1e-6, "n": 1e-9, "p": 1e-12, "f": 1e-15, "k": 1e3, "M": 1e6}
+LOADED = {"diameter": 1e-3, "gravity": 0.0, "top_load": 1.0}
+
+
+class Drawn(NamedTuple):
+    """A picture before it is written: its axes, what is said below it, and whether it is a map."""
+
+    axes: list[Any]
+    caption: str
+    map: bool
+
+
+@pytest.fixture
+def draw(monkeypatch: pytest.MonkeyPatch) -> Callable[[str, Trajectory], Drawn]:
+    """Return what draws a panel and keeps its axes."""
+
+    def keep(ax: Any, caption: str, alt: str = "", map: bool = False) -> Drawn:
+        return Drawn(ax.figure.axes, caption, map)
+
+    monkeypatch.setattr(panels, "_panel", keep)
+    return lambda name, run: getattr(panels, name)(run)
+
+
+def strike(grains: int, velocity: float, duration: float, samples: int, **chain: Any) -> Scene:
+    column = Chain(**{"grains": grains, "diameter": 1e-3} | chain)
+    struck = Impulse(velocity=velocity)
+    return Scene(chain=column, excitation=struck, duration=duration, samples=samples)
+
+
+@pytest.fixture(scope="module")
+def run() -> Trajectory:
+    """A weak wave in a column, which it has not passed through."""
+    return simulate(strike(40, 1e-3, 60e-6, 121), "native", 1e-9)
+
+
+@pytest.fixture(scope="module")
+def hard() -> Trajectory:
+    """A strike that opens contacts of a short column."""
+    return simulate(strike(8, 0.3, 60e-6, 601), "native", 1e-9)
+
+
+@pytest.fixture(scope="module")
+def vacuum() -> Trajectory:
+    """A solitary wave without gravity and load."""
+    scene = strike(24, 0.1, 120e-6, 241, gravity=0.0, bottom="wall")
+    return simulate(scene, "native", 1e-8)
+
+
+def reached(run: Trajectory) -> tuple[int, int]:
+    """Return the first and the last grain that a picture shows."""
+    largest = np.abs(run.velocity).max(0)
+    there = run.grains[largest > 1e-3 * largest.max()]
+    return max(there.min() - MARGIN, 1), min(there.max() + MARGIN, run.grains.max())
+
+
+def amount(text: str) -> float:
+    """Return a number with its SI prefix as a number."""
+    number, prefix = re.fullmatch(r"([\d.]+) (\D?)(?:m/s|s|Hz|N|J)", text).groups()
+    return float(number) * PREFIXES[prefix]
+
+
+def curve(ax: Any, place: int) -> np.ndarray:
+    return np.array(ax.lines[place].get_xydata())
+
+
+def force(run: Trajectory) -> np.ndarray:
+    """Return the forces of all contacts above those at rest, (T, N-1) N, from Hertz's law."""
+    chain = run.scene.chain
+    overlap = chain.equilibrium_overlap - np.diff(run.displacement)
+    at_rest = chain.equilibrium_overlap**1.5
+    return chain.contact_constants * (np.maximum(overlap, 0.0) ** 1.5 - at_rest)
+
+
+# --- the picture as a file
+
+
+def test_a_picture_is_an_svg_of_its_size_without_a_date():
+    ax = panels._axes()
+    ax.plot([0, 1], [0, 1])
+    panel = panels._panel(ax, "what is seen")
+    again = panels._panel(ax, "what is seen", alt="in words", map=True)
+    assert (panel.caption, panel.alt, panel.map) == ("what is seen", "what is seen", False)
+    assert (again.caption, again.alt, again.map) == ("what is seen", "in words", True)
+    assert again.svg == panel.svg
+    text = base64.b64decode(panel.svg).decode()
+    width, height = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', text).groups()
+    assert (float(width), float(height)) == pytest.approx((4.7 * 72, 3.5 * 72))
+    assert "<dc:date>" not in text
+    assert "Matplotlib" not in text
+    (background,) = re.findall(r'id="patch_1">\s*<path[^>]*style="([^"]*)"', text)
+    assert "opacity: 0" in background or "fill: none" in background
+
+
+def test_points_that_are_many_become_pixels(draw: Any, run: Trajectory, monkeypatch: Any):
+    """At 200 dots an inch they stay sharp."""
+    shown = np.flatnonzero(np.any(run.displacement != 0, 0)).size
+    size = min(shown + MARGIN, 40)
+    for limit, pixels in ((size, False), (size - 1, True)):
+        monkeypatch.setattr(panels, "MOST_MARKERS", limit)
+        axes = draw("waveforms", run).axes
+        assert axes[0].lines[0].get_rasterized() == pixels
+        assert not axes[0].lines[1].get_rasterized()
+
+
+# --- the wave
+
+
+def test_the_wave_is_shown_where_it_is(draw: Any, run: Trajectory):
+    picture = draw("wave", run)
+    first, last = reached(run)
+    assert 10 < last < 40
+    assert picture.axes[0].get_ylim() == (last + 0.5, first - 0.5)
+    text = f"Velocity of grains {first} to {last} over time: downward red, upward blue."
+    assert picture.caption == text
+    assert picture.map
+
+
+def test_waveforms_are_velocities_at_three_times(draw: Any, run: Trajectory):
+    picture = draw("waveforms", run)
+    above, apart = picture.axes
+    linear = simulate(run.scene, "chebyshev").velocity
+    largest = np.abs(run.velocity).max()
+    difference = (run.velocity - linear) / largest
+    shades = set()
+    for place, (row, time) in enumerate(((30, "15 µs"), (60, "30 µs"), (120, "60 µs"))):
+        grain, velocity = curve(above, 2 * place).T
+        columns = grain.astype(int) - 1
+        assert np.array_equal(velocity, run.velocity[row, columns])
+        assert above.lines[2 * place].get_label() == time
+        assert above.lines[2 * place].get_linestyle() == "None"
+        theory = curve(above, 2 * place + 1)
+        assert np.array_equal(theory[:, 0], grain)
+        assert theory[:, 1] == pytest.approx(linear[row, columns], rel=1e-9, abs=1e-12 * largest)
+        below = curve(apart, place)
+        assert np.array_equal(below[:, 0], grain)
+        assert below[:, 1] == pytest.approx(difference[row, columns], rel=1e-9, abs=1e-12)
+        same = {line.get_color() for line in above.lines[2 * place : 2 * place + 2]}
+        assert same == {apart.lines[place].get_color()}
+        assert all(line.get_linewidth() == 1 for line in above.lines[2 * place + 1 : 2 * place + 2])
+        shades |= same
+    assert len(shades) == 3
+    first, last = reached(run)
+    assert above.get_xlim() == (first - 0.5, last + 0.5)
+    assert apart.get_xlim() == above.get_xlim()
+    assert above.get_ylabel() == "velocity downward (m/s)"
+    assert apart.get_xlabel() == "grain, from the top"
+    assert apart.get_ylabel() == "difference\n/ largest"
+    assert curve(apart, 3)[:, 1].tolist() == [0.0, 0.0]
+    assert [text.get_text() for text in above.get_legend().get_texts()] == ["15 µs", "30 µs", "60 µs"]
+    peak = np.abs(run.velocity[-1])
+    head = f"At the end the motion is largest at grain {peak.argmax() + 1}, {si(peak.max(), 'm/s', 1)}. "
+    assert picture.caption.startswith(head)
+    assert amount(si(peak.max(), "m/s", 1)) == pytest.approx(peak.max(), rel=2e-3)
+    off = float(re.search(r"at most (\S+) of the largest velocity away", picture.caption)[1])
+    assert off == pytest.approx(np.abs(difference).max(), rel=0.05)
+    assert not picture.map
+
+
+def test_waveforms_without_linear_theory_say_so(draw: Any, vacuum: Trajectory):
+    picture = draw("waveforms", vacuum)
+    above, apart = picture.axes
+    assert len(above.lines) == 3
+    assert len(apart.lines) == 1
+    (note,) = apart.texts
+    assert note.get_text() == "no linear theory of this scene"
+    assert (note.get_position(), note.get_ha(), note.get_va()) == ((0.5, 0.5), "center", "center")
+    assert note.get_transform() == apart.transAxes
+    assert picture.caption.endswith("There is no linear theory of this scene.")
+
+
+# --- the front
+
+
+def travel(chain: Chain, source: int) -> np.ndarray:
+    """Return when a long weak wave reaches each grain below, s: sqrt(m / k) a contact."""
+    stiffness = 1.5 * chain.contact_constants * np.sqrt(chain.equilibrium_overlap)
+    mass = (chain.masses[:-1] + chain.masses[1:]) / 2
+    passed = np.append(0.0, np.cumsum(np.sqrt(mass / stiffness)))
+    return passed - passed[source - 1]
+
+
+def test_the_front_is_drawn_against_depth_and_time(draw: Any, run: Trajectory):
+    picture = draw("arrival", run)
+    height, time = picture.axes
+    depth, peak = curve(height, 0).T
+    grains = (depth + 0.5).astype(int)
+    largest = np.abs(run.velocity).max(0)
+    assert grains.tolist() == list(range(2, grains[-1] + 1))
+    assert len(grains) > 10
+    assert depth.tolist() == (grains - 0.5).tolist()
+    assert peak == pytest.approx(largest[grains - 1], rel=5e-3)
+    at_depth, law = curve(height, 1).T
+    assert np.array_equal(at_depth, depth)
+    assert law == pytest.approx(peak[-1] * (depth / depth[-1]) ** (-4 / 15), rel=1e-12)
+    labels = [text.get_text() for text in height.get_legend().get_texts()]
+    assert " ".join(labels).split() == [
+        "this",
+        "run",
+        "weak",
+        "wave",
+        "deep",
+        "in",
+        "the",
+        "column:",
+        "power",
+        "-0.267",
+    ]
+    assert (height.get_xscale(), height.get_yscale()) == ("log", "log")
+    assert height.get_xlabel() == "depth h = n − 1/2 (grains)"
+    assert height.get_ylabel() == "peak (m/s)"
+    assert height.yaxis.get_major_formatter()(2e-4) == "200 µ"
+    for axis in (height.xaxis, height.yaxis):
+        ticks = axis.get_major_locator().tick_values(1.0, 99.0)
+        assert {1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 30.0, 50.0} <= set(np.round(ticks, 9))
+        assert axis.get_minor_formatter()(2.0) == ""
+
+    grain, arrival = curve(time, 0).T
+    assert grain.tolist() == grains.tolist()
+    later = [np.abs(run.velocity[:, n - 1]).argmax() for n in grains]
+    assert arrival == pytest.approx(1e6 * run.time[later], abs=0.6)  # samples are 0.5 µs apart
+    there, expected = curve(time, 1).T
+    assert there.tolist() == grains.tolist()
+    assert np.diff(expected) == pytest.approx(1e6 * np.diff(travel(run.scene.chain, 1)[grains - 1]), rel=0.02)
+    assert expected[0] == pytest.approx(1e6 * travel(run.scene.chain, 1)[1], rel=0.6)  # half a contact more
+    assert time.get_xlabel() == "grain, from the top"
+    assert time.get_ylabel() == "arrival (µs)"
+    said = [text.get_text() for text in time.get_legend().get_texts()]
+    assert said == ["this run", "long weak wave"]
+    pattern = (
+        r"The front passes (\d+) grains; its peak goes from (.+) at grain (\d+) to (.+) at grain (\d+)\. "
+        r"Dashed: weak wave deep in the column\."
+    )
+    count, first, top, last, bottom = re.fullmatch(pattern, picture.caption).groups()
+    assert (int(count), int(top), int(bottom)) == (len(grains), grains[0], grains[-1])
+    assert amount(first) == pytest.approx(peak[0], rel=1e-3)
+    assert amount(last) == pytest.approx(peak[-1], rel=1e-3)
+    assert {line.get_linestyle() for line in (height.lines[1], time.lines[1])} == {"--"}
+    assert {line.get_linewidth() for line in (height.lines[1], time.lines[1])} == {1}
+    assert {line.get_markersize() for line in (height.lines[0], time.lines[0])} == {4}
+
+
+def test_a_front_in_the_vacuum_has_a_constant_peak_and_no_weak_wave(draw: Any, vacuum: Trajectory):
+    picture = draw("arrival", vacuum)
+    height, time = picture.axes
+    depth, law = curve(height, 1).T
+    assert (law == law[-1]).all()
+    assert height.lines[1].get_label().endswith("sonic vacuum: constant")
+    assert len(time.lines) == 1
+    assert picture.caption.endswith("Dashed: solitary wave of the sonic vacuum.")
+    assert depth[-1] <= vacuum.scene.chain.grains - 3 - 0.5  # the last three reflect it
+
+
+def test_a_front_through_grains_that_differ_has_no_law(draw: Any):
+    diameter = np.linspace(1e-3, 1.02e-3, 40)
+    unlike = simulate(strike(40, 1e-3, 60e-6, 121, diameter=diameter), "native")
+    picture = draw("arrival", unlike)
+    assert len(picture.axes[0].lines) == 1
+    assert picture.caption.endswith("No law is known for this chain.")
+
+
+def law(scene: Scene) -> tuple[float | None, str]:
+    return panels._decay(SimpleNamespace(scene=scene))
+
+
+def test_the_law_of_decay_is_that_of_the_wave():
+    """1/3 is that of the front of Bessel's functions J_2n, 4/15 that of a column under gravity."""
+    column = strike(9, 1e-3, 1e-5, 3)
+    assert law(column)[0] == pytest.approx(4 / 15, rel=1e-12)
+    loaded = strike(9, 1e-3, 1e-5, 3, **LOADED)
+    assert law(loaded) == (pytest.approx(1 / 3, rel=1e-15), "weak wave far from the strike")
+    empty = strike(9, 1e-3, 1e-5, 3, gravity=0.0, bottom="wall")
+    assert law(empty) == (0.0, "solitary wave of the sonic vacuum")
+    none = (None, "")
+    assert law(strike(9, 1e-3, 1e-5, 3, top_load=1.0)) == none
+    assert law(strike(9, 1e-3, 1e-5, 3, top="wall")) == none
+    assert law(column.replace(excitation=Impulse(velocity=1e-3, grain=3))) == none
+    assert law(column.replace(excitation=Displacement(displacement=1e-9))) == none
+    lone = {"grains": 1, "top": "wall", "bottom": "wall"}
+    assert law(strike(velocity=1e-3, duration=1e-5, samples=3, **lone)) == none
+
+
+@pytest.mark.parametrize("key", ["masses", "contact_constants"])
+def test_grains_are_alike_to_nine_digits(key: str):
+    alike = Chain(grains=9, diameter=1e-3)
+    for off, known in ((9e-10, True), (1.1e-9, False), (1.0, False)):
+        values = np.array(getattr(alike, key))
+        values[2] *= 1 + off
+        assert (law(strike(9, 1e-3, 1e-5, 3, **{key: values}))[0] is not None) == known
+
+
+def test_a_front_is_one_that_travels_downward(run: Trajectory):
+    """Past nine grains in ten, and past six of them at least."""
+    from lmpchain.measure import front
+
+    sine = run.scene.replace(excitation=Force(amplitude=1e-3, frequency=1e4))
+    with pytest.raises(InputError, match="excitation: sends no single front"):
+        panels._front(replace(run, scene=sine))
+    whole = front.track(run)
+    below = whole.between(2, 37)
+    assert np.array_equal(panels._front(run).time, below.time)
+
+    def passing(times: np.ndarray, grains: np.ndarray) -> Any:
+        part = SimpleNamespace(time=times, grain=grains)
+        return SimpleNamespace(between=lambda first, last: part)
+
+    def front_of(times: np.ndarray) -> Any:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(front, "track", lambda run: passing(times, np.arange(2, 2 + times.size)))
+            return panels._front(run)
+
+    onward = np.arange(21.0)
+    for back, ok in ((2, True), (3, False)):  # of twenty steps
+        times = onward.copy()
+        times[2 : 2 + 2 * back : 2] -= 1.5
+        assert (np.diff(times) < 0).sum() == back
+        if ok:
+            assert front_of(times).time is times
+        else:
+            with pytest.raises(InputError, match="none travels downward from grain 1 past 6"):
+                front_of(times)
+    assert front_of(np.arange(6.0)).time.size == 6
+    with pytest.raises(InputError, match="or more"):
+        front_of(np.arange(5.0))
+    with pytest.raises(InputError, match="none travels"):
+        front_of(np.zeros(8))
+
+
+# --- spectra, contacts, energy
+
+
+def test_the_spectrum_says_where_it_is_strongest(draw: Any, run: Trajectory, vacuum: Trajectory):
+    picture = draw("spectra", run)
+    first, last = reached(run)
+    assert picture.axes[0].get_ylim() == (last + 0.5, first - 0.5)
+    assert picture.map
+    text = r"Velocity spectrum of every grain, strongest at (.+)\. The line is the local cut-off frequency\."
+    strongest = amount(re.fullmatch(text, picture.caption)[1])
+    size = np.abs(np.fft.rfft(run.velocity, axis=0))
+    step = run.time[1]
+    frequency = np.fft.rfftfreq(run.time.size, step)
+    expected = frequency[np.unravel_index(size.argmax(), size.shape)[0]]
+    assert strongest == pytest.approx(expected, abs=1 / run.time[-1])
+    empty = draw("spectra", vacuum).caption
+    assert re.fullmatch(r"Velocity spectrum of every grain, strongest at \S+ \S*Hz\.", empty)
+
+
+def test_contacts_say_their_largest_force_and_how_often_they_open(draw: Any, run: Trajectory, hard: Trajectory):
+    for t in (run, hard):
+        picture = draw("forces", t)
+        change = np.abs(force(t)).max(0)
+        pattern = (
+            r"Force of every contact above that at rest, at most (.+), in contact (\d+)\. "
+            r"(?:No contact opens|Contacts open (\d+) times?)\."
+        )
+        largest, contact, openings = re.fullmatch(pattern, picture.caption).groups()
+        assert int(contact) == change.argmax() + 1
+        assert amount(largest) == pytest.approx(change.max(), rel=5e-3)
+        overlap = t.scene.chain.equilibrium_overlap - np.diff(t.displacement)
+        opened = (np.diff((overlap > 0).astype(int), axis=0) < 0).sum()
+        assert int(openings or 0) == opened
+        assert picture.map
+        first, last = reached(t)
+        assert picture.axes[0].get_ylim() == (last + 0.5, first - 0.5)
+    assert opened > 1
+
+
+def test_a_few_contacts_are_lines(draw: Any, hard: Trajectory):
+    columns = slice(1, LINES + 1)  # the lowest is held, so that the contact below is known
+    grains = hard.grains[columns]
+    u, v = hard.displacement[:, columns], hard.velocity[:, columns]
+    scene = hard.scene.replace(grains=grains.tolist())
+    few = replace(hard, scene=scene, grains=grains, displacement=u, velocity=v)
+    picture = draw("forces", few)
+    assert not picture.map
+    change = force(hard)[:, columns]
+    low, high = picture.axes[0].get_ylim()
+    assert low < change.min() < change.max() < high
+    for place, line in enumerate(picture.axes[0].lines[:LINES]):
+        values = np.interp(hard.time, *line.get_xydata().T)
+        assert values == pytest.approx(change[:, place], rel=1e-6, abs=1e-9 * high)
+
+
+def test_one_opening_is_one_time(draw: Any, hard: Trajectory):
+    overlap = hard.scene.chain.equilibrium_overlap - np.diff(hard.displacement)
+    opened = np.diff((overlap > 0).astype(int), axis=0) < 0
+    first = int(np.flatnonzero(opened.any(1))[0]) + 2
+    rows = slice(0, first)
+    scene = hard.scene.replace(duration=float(hard.time[first - 1]), samples=first)
+    u, v = hard.displacement[rows], hard.velocity[rows]
+    short = replace(hard, scene=scene, time=hard.time[rows], displacement=u, velocity=v)
+    assert draw("forces", short).caption.endswith("Contacts open 1 time.")
+
+
+def test_the_energy_is_that_of_the_strike_and_drifts_little(draw: Any, run: Trajectory):
+    picture = draw("balance", run)
+    pattern = (
+        r"Energy relative to rest\. Drift: change not explained by work done on the chain, at most (\S+) of the "
+        r"largest energy, (.+)\."
+    )
+    drift, largest = re.fullmatch(pattern, picture.caption).groups()
+    given = run.scene.chain.masses[0] * 1e-3**2 / 2
+    assert amount(largest) == pytest.approx(given, rel=1e-3)
+    assert float(drift) < 1e-8
+    assert not picture.map
+    worse = replace(run, velocity=run.velocity * np.linspace(1.0, 1.5, run.time.size)[:, None])
+    said = re.fullmatch(pattern, draw("balance", worse).caption)
+    kinetic = 0.5 * (run.scene.chain.masses[:-1] * run.velocity[:, :-1] ** 2).sum(1)
+    more = kinetic * (np.linspace(1.0, 1.5, run.time.size) ** 2 - 1)
+    assert float(said[1]) == pytest.approx(more.max() / (given + more).max(), rel=0.05)
+    assert amount(said[2]) == pytest.approx((given + more).max(), rel=0.05)
+
+
+def test_lines_are_told_apart_from_zero(draw: Any, run: Trajectory):
+    assert draw("waveforms", run).axes[1].lines[3].get_color() == COLOURS["lammps"]
