@@ -1,0 +1,201 @@
+"""Dumps that are written here, frame by frame: what is read from them, and both sides of every refusal."""
+
+import gzip
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lmpchain import Chain, Displacement, Impulse, InputError, Scene, Trajectory
+from lmpchain.trajectory.lammps_dump import is_dump
+
+CHAIN = Chain(grains=5, material="glass", diameter=[1e-3, 1.2e-3, 1e-3, 0.8e-3, 1e-3])
+SAMPLES = 4
+SCENE = Scene(chain=CHAIN, excitation=Impulse(velocity=2e-3, grain=2), duration=3e-6, samples=SAMPLES)
+TIMES = np.arange(SAMPLES)[:, None]
+U = 1e-9 * TIMES * np.array([0.5, 2.0, 0.7, 0.2, 0.0])
+V = 2e-3 * np.array([[0, 1, 0, 0, 0], [0.1, 0.9, 0.1, 0, 0], [0.2, 0.7, 0.2, 0.1, 0], [0.3, 0.5, 0.3, 0.1, 0]])
+NUMBERS = np.array([4, 1, 3, 2, 5])  # of the atoms, from the top
+REST = 0.01 - np.append(0, np.cumsum(CHAIN.contact_lengths[1:-1] - CHAIN.equilibrium_overlap))
+
+
+def dump(
+    path: Path, u: np.ndarray = U, v: np.ndarray = V, rest: np.ndarray = REST, columns: str = "id x y z vz v_phi",
+    steps: Any = (100, 150, 200, 250), form: str = "%.17g", up: int = 1, numbers: np.ndarray = NUMBERS,
+) -> Path:  # fmt: skip
+    """Write a dump: atoms in an order that changes from frame to frame."""
+    text = ""
+    for sample, step in enumerate(steps):
+        z = up * (rest - u[sample])
+        fields = {"z": z, "zu": z, "zs": z, "vz": -up * v[sample], "v_phi": u[sample]}
+        text += f"ITEM: TIMESTEP\n{step}\nITEM: NUMBER OF ATOMS\n{z.size}\nITEM: BOX BOUNDS ff ff ff\n"
+        text += "-1 1\n-1 1\n-1 1\n" + f"ITEM: ATOMS {columns}\n"
+        for n in np.roll(np.arange(z.size), sample):
+            words = [str(numbers[n]) if key == "id" else form % fields[key][n] if key in fields else "0"
+                     for key in columns.split()]  # fmt: skip
+            text += " ".join(words) + "\n"
+    path.write_text(text)
+    return path
+
+
+def fault(path: Path, scene: Scene = SCENE, *more: Any) -> str:
+    """Return with what words a dump is refused."""
+    with pytest.raises(InputError) as caught:
+        Trajectory.from_dump(path, scene, *more)
+    ((key, why),) = caught.value.faults
+    assert key in (str(path), "axis")
+    return why
+
+
+@pytest.mark.parametrize("packed", [False, True])
+@pytest.mark.parametrize("columns", ["id x y z vz v_phi", "v_phi vz z y x id", "id zu yu xu v_phi vx vy vz"])
+def test_everything_of_a_dump_is_read(tmp_path: Path, columns: str, packed: bool):
+    path = dump(tmp_path / "run.dump", columns=columns)
+    if packed:
+        content = path.read_bytes()
+        path = tmp_path / "run.dump.gz"
+        path.write_bytes(gzip.compress(content))
+    assert is_dump(path)
+    t = Trajectory.from_dump(path, SCENE)
+    assert np.array_equal(t.displacement, U)
+    assert np.array_equal(t.velocity, V)
+    assert np.array_equal(t.time, SCENE.time)
+    assert t.grains.tolist() == [1, 2, 3, 4, 5]
+    assert (t.engine, t.equation, t.error_estimate.model, t.error_estimate.solver) == ("lammps", 1, 0.0, math.inf)
+    assert t.cost[:3] == (0.0, 0.0, 0.0)
+    assert (t.cost.steps, t.cost.force_evaluations, t.cost.active_grains, t.cost.ranks) == (150, 150, 5, 1)
+    assert t.cost.integrator == "unknown"
+    assert t.cost.step_s == pytest.approx(2e-8, rel=1e-12)
+    assert t.provenance["dump"] == str(path)
+    assert t.provenance["displacement"] == "v_phi"
+    assert t.provenance["column"] == "along z, z points up"
+
+
+@pytest.mark.parametrize("up", [1, -1])
+def test_displacements_follow_from_heights(tmp_path: Path, up: int):
+    path = dump(tmp_path / "run.dump", columns="id x y z vz", up=up)
+    t = Trajectory.from_dump(path, Scene(**SCENE.given() | {"grains": [4, 2]}))
+    assert t.grains.tolist() == [4, 2]
+    np.testing.assert_allclose(t.displacement, U[:, [3, 1]], rtol=0, atol=4e-18)
+    assert np.array_equal(t.velocity, V[:, [3, 1]])
+    assert t.provenance["displacement"] == "heights less those at first"
+    assert t.provenance["column"] == f"along z, z points {'up' if up > 0 else 'down'}"
+    other = Trajectory.from_dump(path, SCENE, up * REST)
+    np.testing.assert_allclose(other.displacement, U, rtol=0, atol=4e-18)
+    assert other.provenance["displacement"] == "heights less those given"
+
+
+def test_what_the_scene_begins_with_is_added_to_heights(tmp_path: Path):
+    scene = Scene(**SCENE.given() | {"excitation": Displacement(displacement=3e-9, grain=3)})
+    u = 3e-9 * np.array([0, 0, 1, 0, 0]) + U
+    path = dump(tmp_path / "run.dump", u=u, v=V - V[0], columns="id x y z vz")
+    np.testing.assert_allclose(Trajectory.from_dump(path, scene).displacement, u, rtol=0, atol=4e-18)
+
+
+@pytest.mark.parametrize(("off", "good"), [(0.9e-6, True), (1.1e-6, False), (1e-3, False)])
+def test_a_dump_of_a_scene_with_another_strike_is_refused(tmp_path: Path, off: float, good: bool):
+    """Beyond a millionth of the largest value in the dump."""
+    scene = Scene(**SCENE.given() | {"excitation": Impulse(velocity=2e-3 * (1 - off), grain=2)})
+    path = dump(tmp_path / "run.dump")
+    if good:
+        assert np.array_equal(Trajectory.from_dump(path, scene).velocity, V)
+        return
+    why = fault(path, scene)
+    assert why.startswith("grain 2 begins with a velocity of 0.002 m/s, in the scene 0.00")
+    assert why.endswith("give the scene that the dump was made for")
+
+
+@pytest.mark.parametrize(("off", "good"), [(0.9e-6, True), (1.1e-6, False)])
+def test_a_dump_that_begins_elsewhere_is_refused(tmp_path: Path, off: float, good: bool):
+    u = U.copy()
+    u[0, 3] = off * U.max()
+    path = dump(tmp_path / "run.dump", u=u, rest=REST)
+    if good:
+        assert np.array_equal(Trajectory.from_dump(path, SCENE).displacement, u)
+    else:
+        assert fault(path).startswith("grain 4 begins with a displacement of 6.6e-15 m, in the scene 0:")
+
+
+def test_frames_are_those_of_the_samples(tmp_path: Path):
+    path = dump(tmp_path / "run.dump", steps=(0, 50, 100))
+    assert fault(path).startswith("has 3 whole frames, the scene 4 samples: set the samples of the scene so")
+    for steps in ((0, 50, 100, 151), (0, 51, 100, 150)):
+        assert fault(dump(path, steps=steps)).startswith("its frames are not equally far apart")
+    again = np.concatenate([U, U, U]), np.concatenate([V, V, V])
+    dump(path, *again, steps=range(8))
+    assert fault(path).startswith("has 8 whole frames")
+    dump(path, *again, steps=range(9))
+    assert "it has more than 8 frames; write it anew" in fault(path)
+    assert not is_dump(tmp_path / "none")
+    assert fault(tmp_path / "none") == "there is no such file"
+    assert fault(tmp_path) == "is a folder; name the dump in it"
+
+
+def test_numbers_that_are_none(tmp_path: Path):
+    for field in (U, V):
+        broken = field.copy()
+        broken[2, 1] = np.nan
+        path = dump(tmp_path / "run.dump", **{"u" if field is U else "v": broken})
+        assert fault(path) == "holds numbers that are not finite: the run broke down; use a shorter step"
+    twice = dump(tmp_path / "run.dump", numbers=np.array([4, 1, 3, 3, 5]))
+    assert "cannot be read as a dump: two atoms have the same number; write it anew" in fault(twice)
+    fewer = Scene(**SCENE.given() | {"chain": Chain(grains=4, diameter=1e-3)})
+    assert fault(twice, fewer) == "has 5 atoms, the scene 4 grains: give the scene it was made for"
+
+
+def test_columns_that_are_not_there(tmp_path: Path):
+    path = tmp_path / "run.dump"
+    assert fault(dump(path, columns="id x y z")).startswith("has no column vz: dump custom ... id x y z vz v_phi")
+    assert fault(dump(path, columns="x y vz")).startswith("has no column id, z: ")
+    assert fault(dump(path, columns="id xu yu vz")).startswith("has no column x, y, z: ")
+    assert fault(dump(path, columns="id x y z vx")).startswith("has no column vz, though the column stands along z: ")
+    text = dump(path).read_text()
+    path.write_text(text.replace("\n5\nITEM: BOX", "\nfive\nITEM: BOX"))
+    assert "is cut short, or has lines that a plain dump custom has not" in fault(path)
+    path.write_text(text[:-1])
+    assert fault(path) == "is cut short within a line: run LAMMPS to its end"
+    path.write_text("\n" + text)
+    assert "is no LAMMPS dump in text" in fault(path)
+
+
+@pytest.mark.parametrize(("share", "good"), [(0.49, True), (0.51, False)])
+def test_the_axis_of_a_column_is_twice_as_long_as_any_other(tmp_path: Path, share: float, good: bool):
+    path = dump(tmp_path / "run.dump", columns="id x y z vx vy vz v_phi")
+    span = float(np.ptp(REST))
+    lines = path.read_text().splitlines()
+    lines[9] = lines[9].replace(" 0 0 ", f" {share * span!r} 0 ", 1)
+    path.write_text("\n".join(lines) + "\n")
+    if good:
+        assert np.array_equal(Trajectory.from_dump(path, SCENE).displacement, U)
+        return
+    assert fault(path).endswith("its grains stand along none of x, y and z: name the axis of the column")
+    assert np.array_equal(Trajectory.from_dump(path, SCENE, axis="z").displacement, U)
+
+
+@pytest.mark.parametrize(("levels", "good"), [(101, True), (99, False)])
+def test_heights_need_digits_for_the_motion(tmp_path: Path, levels: int, good: bool):
+    """Heights to 1e-10 m, and a motion of so many of these."""
+    rest = np.round(REST, 10)
+    u = np.zeros((SAMPLES, 5))
+    u[:, 1] = np.array([0, 0.3, 0.7, 1.0]) * levels * 1e-10
+    u = np.round(u, 10)
+    path = dump(tmp_path / "run.dump", u=u, rest=rest, columns="id x y z vz", form="%.10f")
+    path.write_text(path.read_text().replace("-0.0020000000", "-0.002"))
+    scene = SCENE
+    if good:
+        t = Trajectory.from_dump(path, scene)
+        np.testing.assert_allclose(t.displacement, u, rtol=0, atol=1e-17)
+        shares = "displacement within 5e-11 m, 0.005 of the largest; velocity within 5e-05 m/s, 0.03 of the largest"
+        assert t.provenance["precision"] == shares
+        return
+    why = fault(path, scene)
+    assert why.startswith("its heights have 8 digits, too few for displacements of 1e-08 m: write them with")
+
+
+def test_all_digits_are_known_to_the_last_bit(tmp_path: Path):
+    t = Trajectory.from_dump(dump(tmp_path / "run.dump", u=U * math.pi, v=V), SCENE)
+    digit = np.spacing(U.max() * math.pi)
+    within = t.provenance["precision"].split(";")[0]
+    assert within == f"displacement within {digit / 2:.2g} m, {digit / 2 / (U.max() * math.pi):.1g} of the largest"
