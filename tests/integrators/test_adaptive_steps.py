@@ -1,0 +1,235 @@
+"""Steps that adapt: their lengths and what they lead to, against plain NumPy; samples between them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import plain_methods as plain
+from helpers.plain_methods import WIDE, Motion
+
+from lmpchain import Chain, Drive, Force, Profile, Scene
+from lmpchain.integrators import dop853, splittings
+from lmpchain.integrators.batch import ChainBatch
+from lmpchain.integrators.held_steps import adaptive_steps
+from lmpchain.integrators.methods import METHODS
+from lmpchain.integrators.splittings import RKN4, RKN6, Splitting
+from lmpchain.integrators.step_schedule import StepSchedule
+from lmpchain.integrators.stepper import NativeStepper
+
+GRAINS, LOOKS = 7, 4
+UNLIKE = np.random.default_rng(2).uniform(0.7, 1.3, GRAINS) * 2e-3  # m, diameters
+SPEEDS = np.random.default_rng(3).uniform(-1, 1, (2, GRAINS))
+BETWEEN = {"top": "wall", "bottom": "wall", "top_material": "brass"}
+EPSILON = np.finfo(float).eps
+
+
+def scene_of(acts: str = "", **options: Any) -> Scene:
+    """Return a chain whose grains fly about, or that something acts on."""
+    chain = Chain(**{"grains": GRAINS, "diameter": UNLIKE, "gravity": 30.0, "top_load": 0.02} | options)
+    scale = chain.contacts.overlap.max() or 1e-7
+    stiff = chain.contacts.stiffness_at(np.full(GRAINS + 1, scale))
+    edge = chain.band_edge or float(np.sqrt(stiff.max() / chain.masses.min()))
+    u, v = SPEEDS * [[scale / 2], [1.5 * scale * edge]]
+    u, v = u.copy(), v.copy()
+    u[chain.movable :] = v[chain.movable :] = 0
+    duration, frequency, held = 10 / edge, 0.4 * edge / (2 * np.pi), chain.contacts.force.max()
+    knots = np.array([0.0, 0.21, 0.44, 0.76, 1.1]) * duration
+    bump = np.array([0.0, 1.0, -0.5, 0.8, 0.3])
+    excitation = {
+        "": lambda: Profile(displacement=u, velocity=v),
+        "burst on grain 3": lambda: Force(amplitude=5 * held, frequency=frequency, cycles=0.3, grain=3),
+        "samples of the wall": lambda: Drive(times=knots, displacement=4 * scale * bump, grain=0),
+        "sine of grain 1": lambda: Drive(amplitude=3 * scale, frequency=frequency),
+    }[acts]()
+    return Scene(chain=chain, excitation=excitation, duration=duration, samples=LOOKS + 1)
+
+
+SCENES = {
+    "3/2": scene_of(),
+    "2.3 between walls": scene_of(exponent=2.3, **BETWEEN),
+    "springs": scene_of(exponent=1.0, **BETWEEN),
+    "touching wall": scene_of(top_load=0.0, **BETWEEN),
+    "vacuum": scene_of(top_load=0.0, gravity=0.0, **BETWEEN),
+    "burst on grain 3": scene_of("burst on grain 3", **BETWEEN),
+    "samples of the wall": scene_of("samples of the wall", **BETWEEN),
+    "sine of grain 1": scene_of("sine of grain 1"),
+}
+
+
+def corners(scene: Scene) -> np.ndarray:
+    """Return the times at which steps end because another law holds then, s."""
+    if not scene.excitation.does_work:
+        return np.empty(0)
+    return np.array(scene.excitation.waveform.corners)
+
+
+def time_to_opening(gap: float, rate: float, bend: float) -> float:
+    """Return how far the nearest root of a quadratic is, in the complex plane; of an open contact one to come."""
+    roots = np.roots([bend / 2, rate, gap]) if bend else np.roots([rate, gap]) if rate else np.empty(0)
+    if gap <= 0:
+        roots = roots[(np.abs(roots.imag) < 1e-9 * np.abs(roots)) & (roots.real > 0)]
+    return float(np.abs(roots).min()) if roots.size else np.inf
+
+
+def nearness(scene: Scene, motion: Motion, x: Any, v: Any, t: Any, cap: float) -> float:
+    """Return the largest of all contacts: (weight)^2 |rate^2 - 2 gap bend|^(3/2) / (omega distance)^9."""
+    chain, batch = scene.chain, ChainBatch([scene])
+    omega, speed = scene.highest_frequency, batch.scale[0, 1]
+    bodies = np.zeros((3, GRAINS + 2))
+    bodies[0, 1:-1], bodies[1, 1:-1], bodies[2, 1:-1] = x, v, motion.acceleration(x, t)
+    if motion.driven:
+        bodies[0, 1], bodies[1, 1] = motion.course(t, 0), motion.course(t, 1)
+    elif motion.wall:
+        bodies[0, 0], bodies[1, 0] = motion.course(t, 0), motion.course(t, 1)
+    r, rates, bends = bodies[:, :-1] - bodies[:, 1:]
+    compressed = chain.compressed
+    free = np.concatenate(([0], motion.mobile.astype(float) / chain.masses, [0]))
+    mobility = np.maximum(free[:-1], free[1:])
+    largest = 0.0
+    for n in range(GRAINS + 1):
+        constant, force = chain.contacts.constant[n], chain.contacts.force[n]
+        if constant == 0:
+            continue
+        pressed = compressed and force > 0
+        length = chain.contacts.overlap[n] if pressed else 1.0
+        gap, rate, bend = float(r[n] / length) + pressed, float(rates[n] / length), float(bends[n] / length)
+        weight = ((force if pressed else constant) * mobility[n] / (omega**2.5 * speed)) ** 2
+        size = abs(rate**2 - 2 * gap * bend)
+        distance = time_to_opening(gap, rate, bend)
+        near = min(cap, 1 / (omega * distance) if distance else np.inf)
+        largest = max(largest, weight * size**1.5 * near**9)
+    return largest
+
+
+def adapted(scene: Scene, method: Splitting, each: int) -> tuple[list[Any], np.ndarray, list[int]]:
+    """Return all steps, the states between them and how many there are before each sample."""
+    motion, x, v = Motion(plain.column(scene)), None, None
+    x, v, t = motion.x, motion.v, WIDE(0)
+    longest, omega = scene.duration / LOOKS / each, scene.highest_frequency
+    falls = 1 / (scene.chain.exponent + 1)
+    crosses = splittings.CROSSING_STEP * (omega * longest) ** ((method.order + 1) * falls)
+    crosses = max(crosses, splittings.LEAST_CROSSING * EPSILON**falls)
+    shortened = splittings.ADAPTIVE_STEP
+    cap = (shortened * omega * longest / crosses) ** (14 / 9)
+    steps: list[Any] = []
+    states, made = [motion.seen(x, v, t)], [0]
+    for look in range(LOOKS):
+        end = (look + 1) * WIDE(scene.duration) / LOOKS
+        ends = [c for c in corners(scene) if t + 1e-6 * longest < c < end - 1e-6 * longest]
+        for until in [*ends, end]:
+            while until - t > 1e-9 * longest:
+                near = nearness(scene, motion, x, v, t, cap)
+                h = longest * min(1.0, shortened * near ** (-1 / 14)) if near > 0 else longest
+                step = (until - t) / max(1, np.ceil(float((until - t) / h) - 1e-9))
+                one = Motion(plain.column(scene))
+                one.x, one.v = x, v
+                one.course = motion.course and (lambda time, *how, begun=t: motion.course(begun + time, *how))
+                x, v = plain.by_splitting(one, method, [step])[1]
+                if motion.driven:
+                    v[0] = 0
+                t = t + step
+                steps.append(step)
+                states.append(motion.seen(x, v, t))
+        made.append(len(steps))
+    return steps, np.array(states), made
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_steps_shorten_where_contacts_open_as_in_plain_numpy(name: str):
+    scene, method = SCENES[name], RKN4 if name == "springs" else RKN6
+    steps, states, made = adapted(scene, method, 6)
+    schedule = StepSchedule(6, 1, scene.duration / LOOKS / 6, True)
+    stepper = NativeStepper(ChainBatch([scene]), method, schedule, {})
+    fields = np.zeros((2, 1, LOOKS + 1, GRAINS))
+    fields[:, 0, 0] = scene.initial()
+    while stepper.sample < LOOKS:
+        stepper.fill(*fields, 0, LOOKS, 3)
+    assert stepper.steps[0] == len(steps)
+    assert len(steps) > 6 * LOOKS + (name != "sine of grain 1")
+    true = states[made].swapaxes(0, 1)
+    off = np.abs(fields[:, 0] - true).max((1, 2)) / np.abs(true).max((1, 2))
+    assert off.max() < 1e-11
+    parts = adaptive_steps(scene, method, schedule.step * 1.01, LOOKS)
+    assert [part.size for part in parts] == np.diff(made).tolist()
+    assert np.concatenate(parts).astype(float) == pytest.approx(np.array(steps, dtype=float), rel=1e-9)
+    for part in parts:
+        assert part.sum() == pytest.approx(scene.duration / LOOKS, rel=1e-14)
+
+
+def by_error(scene: Scene, longest: float, ratio: float) -> tuple[int, np.ndarray]:
+    """Return how many steps DOP853 takes, those that it rejects too, and its states at samples."""
+    motion = Motion(plain.column(scene))
+    batch = ChainBatch([scene])
+    omega, scale = scene.highest_frequency, batch.scale[0]
+    tries, x, v, t = 0, motion.x, motion.v, WIDE(0)
+    allowed = max(dop853.STEP_ERROR_MIN, dop853.STEP_ERROR * (omega * longest / ratio) ** 8) * ratio**8
+    most = 1.0
+    if scene.excitation.waveform is None or scene.excitation.waveform.spline is None:
+        total = ratio * (scene.duration / longest)
+        most = min(dop853.LONGER, max(1.0, total / dop853.FEWEST))
+    h, states = longest, [motion.seen(x, v, t)]
+    for look in range(LOOKS):
+        end = (look + 1) * WIDE(scene.duration) / LOOKS
+        ends = [c for c in corners(scene) if t + 1e-6 * longest < c < end - 1e-6 * longest]
+        for until in [*ends, end]:
+            while until - t > 1e-9 * longest:
+                step = (until - t) / max(1, np.ceil(float((until - t) / h) - 1e-9))
+                trial = plain.dormand_prince_step(motion, x, v, t, step)
+                tries += 1
+                five, three = np.abs(trial.errors.astype(float)) / scale[:, None]
+                norm = np.sqrt(five**2 + 0.01 * three**2)
+                error = (five**2 / np.where(norm > 0, norm, 1)).max()
+                factor = 0.9 * (allowed / error) ** 0.125 if error > 0 else 4.0
+                h = min(most * longest, float(step) * min(4.0, max(0.2, factor)))
+                if error > allowed:
+                    continue
+                x, v, t = x + trial.x, v + trial.v, t + step
+        states.append(motion.seen(x, v, t))
+    return tries, np.array(states)
+
+
+@pytest.mark.parametrize("ratio", [1.0, 2.0])
+@pytest.mark.parametrize("name", ["3/2", "vacuum", "burst on grain 3", "samples of the wall", "sine of grain 1"])
+def test_dop853_takes_the_steps_that_its_error_allows_as_in_plain_numpy(name: str, ratio: float):
+    scene = SCENES[name]
+    longest = scene.duration / LOOKS / 3
+    schedule = StepSchedule(3, 1, longest, True, ratio)
+    stepper = NativeStepper(ChainBatch([scene]), METHODS["dop853"], schedule, {})
+    fields = np.zeros((2, 1, LOOKS + 1, GRAINS))
+    fields[:, 0, 0] = scene.initial()
+    while stepper.sample < LOOKS:
+        stepper.fill(*fields, 0, LOOKS, 2)
+    tries, states = by_error(scene, longest, ratio)
+    true = states.swapaxes(0, 1)
+    assert stepper.steps[0] == tries
+    assert np.abs(fields[:, 0] - true).max() / np.abs(true).max() < 1e-8
+    off = np.abs(fields[:, 0] - true).max((1, 2)) / np.abs(true).max((1, 2))
+    assert off.max() < 1e-9
+
+
+@pytest.mark.parametrize("stride", [4, 3])
+@pytest.mark.parametrize("name", SCENES)
+def test_samples_between_steps_lie_on_a_polynomial_of_degree_7(name: str, stride: int):
+    """Through displacement, velocity, acceleration and jerk at both ends of a step, in every second sample."""
+    scene = SCENES[name].replace(samples=4 * LOOKS + 1)
+    steps, dense = 10, 2 if stride == 4 else 1
+    interval = scene.duration / (4 * LOOKS)
+    schedule = StepSchedule(steps, stride, stride * interval / steps, True, dense=dense)
+    stepper = NativeStepper(ChainBatch([scene]), RKN6, schedule, {})
+    fields = np.full((2, 1, 4 * LOOKS + 1, GRAINS), np.nan)
+    stepper.fill(*fields, 0, 4 * LOOKS, 2**62)
+    fine = scene.replace(samples=4 * LOOKS + 1)
+    each = NativeStepper(ChainBatch([fine]), RKN6, StepSchedule(40, 1, interval / 40, True), {})
+    true = np.zeros((2, 1, 4 * LOOKS + 1, GRAINS))
+    each.fill(*true, 0, 4 * LOOKS, 2**62)
+    samples = np.arange(1, 4 * LOOKS + 1)
+    landed = [n for n in samples if n % stride == 0 or n == 4 * LOOKS or (n % stride) % dense == 0]
+    known = ~np.isnan(fields[0, 0]).any(1)
+    assert np.flatnonzero(known).tolist() == landed
+    between = [n for n in landed if n % stride and n != 4 * LOOKS]
+    scale = np.abs(true).max((1, 2, 3))
+    for order in (0, 1):
+        error = np.abs(fields[order, 0] - true[order, 0])[between].max() / scale[order]
+        assert error < (2e-5 if name != "springs" else 1e-2)

@@ -1,0 +1,359 @@
+"""How chains are laid out, where they move at first, and what a contact that opens changes, against plain NumPy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lmpchain import Chain, Displacement, Drive, Force, Impulse, Profile, Scene
+from lmpchain.integrators.batch import WINDOW_MIN, ChainBatch, force_form, name_of, series, weakest
+from lmpchain.integrators.kernels.contact_forces import CORRECTED, POLYNOMIAL, POWER, SPRING, UNCOMPRESSED_POWER
+from lmpchain.integrators.kernels.layout import (
+    ALONE,
+    AMPLITUDE,
+    BODY,
+    CLOSEST,
+    END,
+    ENVELOPE,
+    FARTHEST,
+    FASTEST,
+    FIRST,
+    KNOTS,
+    LAST,
+    LOWEST,
+    OMEGA,
+    PAD,
+    team,
+)
+from lmpchain.integrators.methods import METHODS
+from lmpchain.integrators.step_schedule import StepSchedule
+from lmpchain.integrators.stepper import NativeStepper
+
+BETWEEN = {"top": "wall", "bottom": "wall", "top_material": "brass"}
+N = 5
+
+
+def chains(**options) -> list[Chain]:
+    """Return two chains that differ in their grains."""
+    rng = np.random.default_rng(4)
+    return [
+        Chain(**{"grains": N, "diameter": rng.uniform(1e-3, 2e-3, N), "gravity": 20.0, "top_load": 0.01} | options)
+        for _ in range(2)
+    ]
+
+
+def batch(*made: Chain, excitation=None, duration: float = 1e-5) -> ChainBatch:
+    excitation = excitation or Impulse(velocity=1e-3, grain=2)
+    return ChainBatch([Scene(chain=chain, excitation=excitation, duration=duration, samples=3) for chain in made])
+
+
+ENDS = {
+    "walls": BETWEEN,
+    "held below": {},
+    "touching": {"top_load": 0.0, **BETWEEN},
+    "vacuum": {"gravity": 0.0, "top_load": 0.0, **BETWEEN},
+    "free vacuum": {"gravity": 0.0, "top_load": 0.0, "bottom": "free"},
+}
+
+
+@pytest.mark.parametrize("ends", ENDS)
+def test_tables_hold_lengths_strengths_and_masses(ends: str):
+    made = chains(**ENDS[ends])
+    laid = batch(*made)
+    assert laid.precompressed == (0.0 if "vacuum" in ends else 1.0)
+    for chain, (length, strength, mobility), touching in zip(made, laid.table, laid.uncompressed, strict=True):
+        contacts = chain.contacts
+        pressed = contacts.force > 0
+        vacuum = "vacuum" in ends
+        some = slice(PAD - 1, PAD + N)
+        lengths = np.where(pressed, 1 / np.where(pressed, contacts.overlap, 1), float(vacuum))
+        assert length[some] == pytest.approx(lengths, rel=1e-15)
+        assert strength[some] == pytest.approx(contacts.constant if vacuum else contacts.force, rel=1e-15)
+        moving = np.arange(N) < chain.movable
+        assert mobility[PAD : PAD + N] == pytest.approx(moving / chain.masses, rel=1e-15)
+        assert touching == (contacts.constant[0] if ends == "touching" else 0.0)
+        for row in (length, strength, mobility):
+            assert not row[: PAD - 1].any()
+            assert not row[PAD + N :].any()
+        assert not mobility[PAD - 1]
+
+
+def test_a_driven_grain_has_no_inverse_mass_in_the_table():
+    chain = chains()[0]
+    laid = batch(chain, excitation=Drive(amplitude=1e-9, frequency=1e4))
+    assert laid.table[0, 2, PAD : PAD + N] == pytest.approx([0, *1 / chain.masses[1:-1], 0], rel=1e-15)
+
+
+@pytest.mark.parametrize("ends", ENDS)
+def test_units_are_those_of_the_contact_below_grain_1(ends: str):
+    made = chains(**ENDS[ends])
+    laid = batch(*made)
+    for chain, (length, speed), allowed, scene in zip(made, laid.units, laid.allowed, laid.scenes, strict=True):
+        contacts = chain.contacts
+        overlap = 1.0 if "vacuum" in ends else contacts.overlap[1]
+        rate = np.sqrt(contacts.stiffness[1] / chain.masses[0])
+        if "vacuum" not in ends:
+            assert length == pytest.approx(overlap, rel=1e-15)
+        assert speed == pytest.approx(length * rate, rel=1e-14)
+        slow = chain.masses.sum() * (1e-3 * speed) ** 2
+        assert allowed == pytest.approx(3 * scene.energy + slow, rel=1e-13)
+
+
+def test_units_of_a_single_grain_are_those_of_the_contact_above():
+    chain = Chain(grains=1, diameter=1e-3, gravity=0.0, top_load=1.0, top="wall", bottom="wall")
+    laid = batch(chain, excitation=Impulse(velocity=1e-3))
+    assert laid.units[0, 0] in (chain.contacts.overlap[0], chain.contacts.overlap[1])
+
+
+@pytest.mark.parametrize(
+    "excitation",
+    [
+        Impulse(velocity=3e-3, grain=2),
+        Displacement(displacement=-2e-8, grain=2),
+        Drive(amplitude=2e-8, frequency=2e4),
+        Drive(amplitude=2e-8, frequency=2e6),
+    ],
+)
+def test_scales_are_the_largest_speed_and_displacement_that_it_makes(excitation):
+    chain = chains()[0]
+    laid = batch(chain, excitation=excitation)
+    scene = laid.scenes[0]
+    farthest, fastest = scene.imposed
+    speed = max(fastest, farthest * scene.highest_frequency)
+    assert laid.omega[0] == scene.highest_frequency
+    assert laid.scale[0] == pytest.approx([speed / scene.highest_frequency, speed], rel=1e-14)
+
+
+def test_rows_begin_at_cache_lines_and_have_a_body_more_at_either_end():
+    for grains in (7, 8, 9, 15, 16, 17):
+        laid = batch(Chain(grains=grains, diameter=1e-3))
+        x, v, _ = laid.placed(*(field[None] for field in laid.initial))
+        width = -(-(grains + 2 * PAD) // PAD) * PAD
+        for rows in (x, v, laid.table[0]):
+            assert rows.shape[1] == width
+            assert rows.ctypes.data % (8 * PAD) == 0
+
+
+PLACES = {
+    "grain 1": (Impulse(velocity=1e-3), 1, 1),
+    "grain 100": (Impulse(velocity=1e-3, grain=100), 100, 100),
+    "the last": (Impulse(velocity=1e-3, grain=299), 299, 299),
+    "a force": (Force(amplitude=1e-3, frequency=1e4, grain=77), 77, 77),
+    "the wall": (Drive(amplitude=1e-9, frequency=1e4, grain=0), 1, 1),
+}
+
+
+@pytest.mark.parametrize("what", PLACES)
+def test_the_window_begins_around_what_moves(what: str):
+    """At whole cache lines; what is acted on counts, too."""
+    excitation, low, high = PLACES[what]
+    laid = batch(Chain(grains=300, diameter=1e-3, top="wall", top_load=1e-3), excitation=excitation)
+    _, _, state = laid.placed(*(field[None] for field in laid.initial))
+    first, last = state[0, [FIRST, LAST]].astype(int)
+    assert first % PAD == last % PAD == 0
+    assert PAD <= first <= PAD - 1 + low < first + 2 * PAD
+    assert last - 2 * PAD <= PAD - 1 + high < last
+
+
+def test_what_moves_sets_the_window_and_speeds_of_driven_grains_are_left_out():
+    chain = Chain(grains=300, diameter=1e-3)
+    u, v = np.zeros((2, 300))
+    u[120], v[170] = 1e-9, 1e-3
+    laid = batch(chain, excitation=Profile(displacement=u, velocity=v))
+    x, w, state = laid.placed(*(field[None] for field in laid.initial), 3)
+    assert x.shape[0] == 3
+    assert np.array_equal(x[:, PAD : PAD + 300], np.tile(u, (3, 1)))
+    assert np.array_equal(w[:, PAD : PAD + 300], np.tile(v, (3, 1)))
+    assert (state[:, [FIRST, LAST]] == [128, 184]).all()
+    driven = batch(chain, excitation=Drive(amplitude=1e-9, frequency=1e4))
+    _, w, _ = driven.placed(*(field[None] for field in driven.initial))
+    assert driven.initial[1][0, 0] > 0
+    assert not w.any()
+
+
+def test_copies_go_on_from_where_each_of_them_is():
+    laid = batch(*chains())
+    u, v = np.random.default_rng(1).normal(size=(2, 3, 2, N))
+    x, w, _ = laid.placed(u, v, 3)
+    assert np.array_equal(x[:, PAD : PAD + N], u.reshape(6, N))
+    assert np.array_equal(w[:, PAD : PAD + N], v.reshape(6, N))
+
+
+def test_short_chains_are_computed_whole():
+    for grains in (WINDOW_MIN - 2 * PAD, WINDOW_MIN - 2 * PAD + 1):
+        laid = batch(Chain(grains=grains, diameter=1e-3))
+        x, _, state = laid.placed(*(field[None] for field in laid.initial))
+        whole = [PAD, x.shape[1] - PAD]
+        assert (state[0, [FIRST, LAST]].tolist() == whole) == (grains == WINDOW_MIN - 2 * PAD)
+
+
+@pytest.mark.parametrize("ends", ENDS)
+def test_contacts_that_are_open_at_rest_are_known(ends: str):
+    laid = batch(*chains(**ENDS[ends]))
+    _, _, state = laid.placed(*(field[None] for field in laid.initial))
+    assert (state[:, LOWEST] == (0.0 if ends in ("walls", "held below") else -1.0)).all()
+
+
+@pytest.mark.parametrize("ends", ENDS)
+def test_weights_of_openings_are_the_acceleration_over_what_changes_the_motion(ends: str):
+    made = chains(**ENDS[ends])
+    laid = batch(*made)
+    weight, reach = laid.openings
+    for real, chain in enumerate(made):
+        contacts, omega = chain.contacts, laid.omega[real]
+        lightest = np.append(0, np.append(1 / chain.masses[: chain.movable], np.zeros(N + 1 - chain.movable)))
+        mobility = np.maximum(lightest[:-1], lightest[1:])
+        pull = (contacts.constant if "vacuum" in ends else contacts.force).copy()
+        pull[0] = contacts.constant[0] if ends == "touching" else pull[0]
+        expected = (pull * mobility / (omega**2.5 * laid.scale[real, 1])) ** 2
+        assert weight[real, PAD - 1 : PAD + N] == pytest.approx(expected, rel=1e-13)
+        assert not np.delete(weight[real], np.arange(PAD - 1, PAD + N)).any()
+        slow = np.sqrt(2) * (2 * omega) ** 3
+        assert reach[real] == pytest.approx(np.cbrt(weight[real]) / slow, rel=1e-13)
+
+
+ACTS = {
+    "sine of grain 1": (Drive(amplitude=2e-9, frequency=3e4), PAD),
+    "burst of the wall": (Drive(amplitude=2e-9, frequency=3e4, cycles=4, grain=0), PAD - 1),
+    "half-sine on grain 3": (Force(shape="half-sine", amplitude=0.2, duration=2e-5, grain=3), -(PAD + 2)),
+    "samples on grain 4": (Force(times=[0, 1e-5, 3e-5, 5e-5], force=[0, 1, 3, 2], grain=4), -(PAD + 3)),
+}
+
+
+@pytest.mark.parametrize("what", ACTS)
+def test_what_is_imposed_is_in_a_row_of_its_own(what: str):
+    excitation, body = ACTS[what]
+    laid = batch(*chains(**BETWEEN), excitation=excitation)
+    wave = excitation.waveform
+    for drive, knots, pieces, acted in zip(laid.drive, laid.knots, laid.pieces, laid.acted, strict=True):
+        assert drive[BODY] == body
+        sine = [wave.amplitude, wave.omega, wave.envelope, wave.end]
+        assert drive[[AMPLITUDE, OMEGA, ENVELOPE, END]].tolist() == sine
+        count = 0 if wave.spline is None else 4
+        assert drive[KNOTS] == count
+        assert knots.tolist() == ([] if wave.spline is None else wave.spline.x.tolist())
+        if wave.spline is not None:
+            assert np.array_equal(pieces, wave.spline.c)
+        place = max(abs(body), PAD)
+        assert acted.tolist() == [place, place]
+    assert laid.imposed
+    assert laid.driven == (what == "sine of grain 1")
+
+
+def test_where_nothing_acts_the_last_body_comes_before_the_first():
+    laid = batch(*chains())
+    assert not laid.imposed
+    assert (laid.acted[:, 0] > laid.acted[:, 1]).all()
+    assert not laid.drive.any()
+
+
+def test_batches_of_splines_of_any_length_move_as_each_alone():
+    """Knots of the longest; and forces on unlike grains."""
+    chain = chains(**BETWEEN)[0]
+    rng, scenes = np.random.default_rng(6), []
+    for grain, count in ((2, 4), (5, 9), (1, 6)):
+        force = Force(times=np.linspace(0, 4e-5, count), force=0.1 * rng.normal(size=count), grain=grain)
+        scenes.append(Scene(chain=chain, excitation=force, duration=4e-5, samples=5))
+    together = np.zeros((2, 3, 5, N))
+    for name in ("rkn4", "dop853", "gear4"):
+        schedule = StepSchedule(9, 1, 1e-5 / 9, False)
+        NativeStepper(ChainBatch(scenes), METHODS[name], schedule, {}).fill(*together, 0, 4, 2**62)
+        for number, scene in enumerate(scenes):
+            alone = np.zeros((2, 1, 5, N))
+            NativeStepper(ChainBatch([scene]), METHODS[name], schedule, {}).fill(*alone, 0, 4, 2**62)
+            assert np.array_equal(together[:, number, 1:], alone[:, 0, 1:])
+            assert alone[:, 0, 1:].any()
+
+
+def form_of(force: str = "auto", strikes: float = 1.0, **options) -> int:
+    chain = Chain(**{"grains": N, "diameter": 1e-3} | options)
+    speed = strikes * chain.length_scale / chain.time_scale if chain.compressed else strikes
+    return force_form(Scene(chain=chain, excitation=Impulse(velocity=speed), duration=1e-5), force)
+
+
+def test_the_fastest_form_that_loses_nothing_is_chosen():
+    """Both sides of a strike number of 1, and of strains where a series gives every digit."""
+    assert form_of(strikes=1.01) == 6
+    assert form_of(strikes=0.99) == CORRECTED
+    assert form_of("exact", strikes=1.01) == CORRECTED
+    assert form_of("plain", strikes=0.99) == 6
+    assert form_of("plain", strikes=1e-9) == 6
+    assert form_of(strikes=1e-4) == POLYNOMIAL
+    assert form_of("exact", strikes=1e-4) == CORRECTED
+    for delta, form in ((1.25, 5), (1.75, 7), (2.0, 8)):
+        assert form_of(strikes=1.01, exponent=delta) == form
+        assert form_of(strikes=0.99, exponent=delta) == POWER
+        assert form_of(gravity=0.0, exponent=delta) == form
+    assert form_of(strikes=9.0, exponent=2.25) == form_of("plain", exponent=2.25) == POWER
+    assert form_of(gravity=0.0, exponent=2.25) == form_of("exact", gravity=0.0, exponent=1.3) == UNCOMPRESSED_POWER
+    assert form_of(exponent=1.0) == form_of(exponent=1.0, gravity=0.0) == SPRING
+    assert [name_of(form) for form in (CORRECTED, POLYNOMIAL, SPRING, POWER, UNCOMPRESSED_POWER, 6)] == [
+        "corrected square root", "polynomial", "spring", "vectorised power", "vectorised power",
+        "plain square roots",
+    ]  # fmt: skip
+
+
+def test_a_series_is_chosen_up_to_the_strain_at_which_it_loses_a_digit():
+    chain = Chain(grains=N, diameter=1e-3)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=1e-5)
+    limit = 1e-6 * weakest(1.5) / scene.largest_strain  # strains go as the speed
+    for factor, form in ((0.99, POLYNOMIAL), (1.01, CORRECTED)):
+        assert force_form(scene.replace(excitation=Impulse(velocity=factor * limit))) == form
+
+
+def test_binomial_coefficients():
+    for delta in (1.25, 1.5, 2.0, 2.7):
+        expected, term = [], 1.0
+        for k in range(7):
+            term *= (delta - k) / (k + 1)
+            expected.append(term)
+        assert series(delta).tolist() == pytest.approx([*expected, delta], rel=1e-14)
+        eighth = abs(term * (delta - 7) / 8)
+        most = weakest(delta)
+        assert most == 0.02 or eighth * most**7 == pytest.approx(1e-16 * delta, rel=1e-10)
+        assert eighth * most**7 <= 1.0001e-16 * delta
+    assert weakest(2.0) == 0.02
+    assert weakest(1.5) > 0.01
+
+
+def test_the_plain_form_is_known_to_lose_a_digit_only_where_contacts_are_pressed():
+    pressed = Scene(chain=Chain(grains=N, diameter=1e-3), excitation=Impulse(velocity=0.1), duration=1e-5)
+    vacuum = pressed.replace(chain=pressed.chain.replace(gravity=0.0))
+    weak = pressed.replace(excitation=Impulse(velocity=1e-6))
+    assert ChainBatch([pressed, weak]).plain == [True, False]
+    assert ChainBatch([vacuum]).plain == [False]
+    assert ChainBatch([pressed]).opening_power == 1.5
+
+
+def test_threads_know_of_each_other():
+    three = team(3)
+    assert [member.part for member in three] == [0, 1, 2]
+    assert {member.parts for member in three} == {3}
+    assert all(member.gate is three[0].gate and member.board is three[0].board for member in three)
+    assert len(three[0].board) == 3
+    assert (ALONE.part, ALONE.parts) == (0, 1)
+
+
+@pytest.mark.parametrize("name", ["verlet", "rkn6", "dop853", "gear4"])
+def test_extremes_are_those_of_all_steps(name: str):
+    """The smallest overlap, the nearest approach and the largest motion, seen in samples at every step."""
+    chain = chains(**BETWEEN)[0]
+    u, v = np.random.default_rng(9).uniform(-1, 1, (2, N))
+    scale, edge = chain.contacts.overlap.max(), chain.band_edge
+    start = Profile(displacement=scale * u, velocity=scale * edge * v)
+    scene = Scene(chain=chain, excitation=start, duration=20 / edge, samples=201)
+    stepper = NativeStepper(ChainBatch([scene]), METHODS[name], StepSchedule(1, 1, 0.1 / edge, False), {})
+    fields = np.zeros((2, 1, 201, N))
+    stepper.fill(*fields, 0, 200, 2**62)
+    fields[:, 0, 0] = scene.initial()
+    closer = chain.contacts.closer(fields[0, 0])
+    skipped = 0 if name in ("rkn6", "verlet") else 1
+    state = stepper.watched[0]
+    late = slice(skipped, None)
+    assert state[LOWEST] == pytest.approx((closer[late] / chain.contacts.overlap).min(), rel=0.01)
+    assert state[CLOSEST] == pytest.approx(closer[late].max(), rel=0.01)
+    assert stepper.closest()[0, 0] == state[CLOSEST]
+    farthest, fastest = (np.abs(field).max() for field in fields)
+    assert 0.9 * farthest < state[FARTHEST] <= farthest * (1 + 1e-12)
+    assert 0.85 * fastest < state[FASTEST] < 1.01 * fastest
+    assert stepper.largest()[0].tolist() == state[[FARTHEST, FASTEST]].tolist()

@@ -1,0 +1,123 @@
+"""The tangent map against differences of the same steps in plain NumPy, for every law and what moves."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import plain_methods as plain
+from helpers.plain_methods import WIDE, Motion
+
+from lmpchain import Chain, Drive, Profile, Scene
+from lmpchain.integrators.batch import ChainBatch
+from lmpchain.integrators.kernels.layout import PAD
+from lmpchain.integrators.kernels.tangent import Links, march
+from lmpchain.integrators.splittings import RKN4
+
+GRAINS = 5
+UNLIKE = np.random.default_rng(2).uniform(0.7, 1.3, GRAINS) * 2e-3  # m, diameters
+SPEEDS = np.random.default_rng(5).uniform(-1, 1, (2, GRAINS))
+BETWEEN = {"top": "wall", "bottom": "wall", "top_material": "brass"}
+FRACTIONS = np.array([0.05, 0.1, 0.07, 0.13, 0.06, 0.11, 0.08, 0.1, 0.12, 0.18])
+CHANGE = WIDE(1e-7)
+LAWS: dict[str, dict[str, Any]] = {
+    "3/2": {},
+    "2.3": {"exponent": 2.3, **BETWEEN},
+    "springs": {"exponent": 1.0, **BETWEEN},
+    "touching wall": {"top_load": 0.0, **BETWEEN},
+    "touching wall, 2": {"top_load": 0.0, "exponent": 2.0, **BETWEEN},
+    "vacuum": {"top_load": 0.0, "gravity": 0.0, **BETWEEN},
+    "vacuum, 3": {"top_load": 0.0, "gravity": 0.0, "exponent": 3.0, **BETWEEN},
+    "driven": {"drive": 1},
+    "driven wall": {"drive": 0, **BETWEEN},
+}
+
+
+def scene_of(law: str) -> Scene:
+    """Return a chain whose grains fly about, or that is driven."""
+    options = LAWS[law] | {}
+    place = options.pop("drive", None)
+    chain = Chain(**{"grains": GRAINS, "diameter": UNLIKE, "gravity": 30.0, "top_load": 0.02} | options)
+    scale = chain.contacts.overlap.max() or 1e-7
+    stiff = chain.contacts.stiffness_at(np.full(GRAINS + 1, scale))
+    edge = chain.band_edge or float(np.sqrt(stiff.max() / chain.masses.min()))
+    u, v = SPEEDS * [[scale], [2 * scale * edge]]
+    u, v = u.copy(), v.copy()
+    u[chain.movable :] = v[chain.movable :] = 0
+    if place is not None:
+        u[0] = v[0] = 0
+        start = Profile(displacement=u, velocity=v)
+        drive = Drive(amplitude=scale, frequency=0.05 * edge, grain=place, start=start)
+        return Scene(chain=chain, excitation=drive, duration=4 / edge, samples=2)
+    return Scene(chain=chain, excitation=Profile(displacement=u, velocity=v), duration=4 / edge, samples=2)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_deviations_grow_as_differences_of_two_runs(law: str):
+    scene = scene_of(law)
+    motion = Motion(plain.column(scene))
+    moving = np.flatnonzero(motion.mobile)
+    steps = FRACTIONS * scene.duration
+    batch = ChainBatch([scene], "exact")
+    length, strength, inverse_mass = batch.table[0]
+    assert inverse_mass[PAD + moving] == pytest.approx(1 / scene.chain.masses[moving], rel=1e-15)
+    links = Links(
+        length, strength, inverse_mass, float(batch.uncompressed[0]), int(batch.forms[0]), batch.precompressed,
+        batch.coefficients,
+    )  # fmt: skip
+    columns = 2 * moving.size + 1  # a displacement or a velocity that differs, and longer steps
+    dx, dv = np.zeros((2, GRAINS, columns))
+    unit = float(np.abs(motion.x).max()), float(np.abs(motion.v).max())
+    for column, grain in enumerate(moving):
+        dx[grain, column], dv[grain, moving.size + column] = unit
+    stretch = np.zeros(columns)
+    driven = motion.wall or motion.driven
+    stretch[-1] = not driven  # of what is imposed, time goes on as it was
+    x, v = np.zeros((2, length.size))
+    x[PAD : PAD + GRAINS], v[PAD : PAD + GRAINS] = motion.x, motion.v
+    path, body = np.empty(0), PAD
+    if driven:
+        offsets = np.array([*np.cumsum(RKN4.drifts[:-1]), 1.0])
+        begins = np.cumsum(steps) - steps
+        times = np.append(0.0, (begins[:, None] + steps[:, None] * offsets).ravel())
+        path, body = scene.excitation.waveform.at(times), PAD - 1 + scene.excitation.grain
+    xs, vs = np.zeros((2, steps.size + 1, GRAINS))
+    states = []
+    for sign in (0, 1, -1):
+        many = [np.repeat(field[None], columns, 0) for field in (motion.x, motion.v)]
+        each = np.array([WIDE(h) * (1 + sign * CHANGE * stretch)[:, None] for h in steps])
+        for column, grain in enumerate(moving):
+            many[0][column, grain] += sign * CHANGE * WIDE(unit[0])
+            many[1][moving.size + column, grain] += sign * CHANGE * WIDE(unit[1])
+        other = Motion(plain.column(scene)._replace(displacement=many[0], velocity=many[1]))
+        if driven:
+            each = [WIDE(h) for h in steps]
+        states.append(plain.by_splitting(other, RKN4, each))
+    march(links, x, v, dx, dv, stretch, np.array(RKN4.kicks), np.array(RKN4.drifts), steps, body, path, xs, vs)
+    for order, field in enumerate((xs, vs)):
+        true = states[0][:, order, 0].astype(float)
+        columns_seen = moving if driven else slice(None)
+        scale = np.abs(true).max()
+        assert np.abs(field - true)[:, columns_seen].max() < 1e-13 * scale
+    slopes = (states[1][-1] - states[2][-1]) / (2 * CHANGE)  # (2, columns, N)
+    for order, field in enumerate((dx, dv)):
+        true = slopes[order].T
+        assert np.abs(field - true)[moving].max() < 1e-9 * np.abs(true).max()
+        assert np.abs(true[moving][:, -1]).max() > 0.1 * np.abs(true).max() or driven
+    assert x[PAD : PAD + GRAINS][moving] == pytest.approx(xs[-1][moving], rel=1e-15)
+
+
+def test_a_flight_of_many_steps_adds_no_rounding():
+    """A grain that flies alone through 10^5 steps ends where it ought to the last digit."""
+    scene = scene_of("vacuum")
+    batch = ChainBatch([scene], "exact")
+    length, strength, inverse_mass = batch.table[0]
+    links = Links(length, 0 * strength, inverse_mass, 0.0, int(batch.forms[0]), batch.precompressed, batch.coefficients)
+    x, v = np.zeros((2, length.size))
+    v[PAD + 2] = 0.1
+    steps = np.full(100_000, 1e-7)
+    none, xs, vs = np.zeros((GRAINS, 0)), *np.zeros((2, steps.size + 1, GRAINS))
+    march(
+        links, x, v, none, none.copy(), np.zeros(0), np.array([0.5, 0.5]), np.array([1.0]), steps, 0, np.empty(0),
+        xs, vs,
+    )  # fmt: skip
+    assert x[PAD + 2] == pytest.approx(0.1 * 1e-7 * 100_000, rel=3e-16)
