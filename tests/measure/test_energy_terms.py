@@ -1,0 +1,225 @@
+"""Every term of the ledger, and every energy of a grain or contact, from the motion by its own formula."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from lmpchain import Chain, Drive, Force, Impulse, InputError, Scene, Trajectory, engines, simulate
+from lmpchain.measure import energy
+from lmpchain.measure.energy import EnergyLedger
+from lmpchain.measure.motion import motion_of
+from lmpchain.util.plotting import figure
+
+Array = NDArray[np.float64]
+UNEVEN = {"grains": 9, "diameter": np.linspace(1e-3, 1.4e-3, 9), "top_load": 2e-3}
+GIVEN = {
+    "a sine on grain 3": (Chain(**UNEVEN), Force(grain=3, amplitude=1e-3, frequency=1e5)),
+    "half a sine on grain 1": (
+        Chain(**UNEVEN, bottom="wall", exponent=2.0),
+        Force(grain=1, shape="half-sine", amplitude=1e-3, duration=6e-5),
+    ),
+    "under a wall": (
+        Chain(**UNEVEN, top="wall", bottom="wall"),
+        Force(grain=2, amplitude=5e-4, frequency=8e4),
+    ),
+    "a wall that moves": (
+        Chain(**UNEVEN, top="wall"),
+        Drive(times=[0, 1e-5, 2e-5, 3e-5, 4e-5], displacement=[0, 3e-9, 9e-9, 4e-9, 8e-9], grain=0),
+    ),
+    "grain 1 that moves": (
+        Chain(**UNEVEN, bottom="wall"),
+        Drive(times=[0, 1e-5, 2e-5, 3e-5, 4e-5], displacement=[0, 3e-9, 9e-9, 4e-9, 8e-9]),
+    ),
+}
+
+
+def run(name: str, samples: int = 401) -> Trajectory:
+    chain, excitation = GIVEN[name]
+    scene = Scene(chain=chain, excitation=excitation, duration=4e-5, samples=samples)
+    return simulate(scene, engines.Native(step=1e-8))
+
+
+def overlaps(t: Trajectory) -> Array:
+    """Return the overlaps of all contacts, with the walls too, (T, N+1); 0 where there is none."""
+    chain, wall = t.scene.chain, t.scene.excitation.wall
+    top = wall.at(t.time, 0) if wall else np.zeros(t.time.size)
+    edged = np.column_stack((top, t.displacement, np.zeros(t.time.size)))
+    return np.where(chain.contacts.exists, chain.contacts.overlap + edged[:, :-1] - edged[:, 1:], 0.0)
+
+
+@pytest.mark.parametrize("name", GIVEN)
+def test_every_term_and_what_was_given(name: str):
+    """The terms from the motion; they add up to what force, driver and walls have given, to the quadrature's error."""
+    t = run(name)
+    chain, seen = t.scene.chain, energy.ledger(t)
+    u, v, power = t.displacement, t.velocity, chain.exponent + 1
+    elastic = chain.contacts.constant * np.maximum(overlaps(t), 0.0) ** power / power
+    at_rest = chain.contacts.constant * chain.contacts.overlap**power / power
+    contact = (elastic - np.where(chain.contacts.exists, at_rest, 0.0)).sum(1)
+    wall = t.scene.excitation.wall
+    moved = wall.at(t.time, 0) if wall else u[:, 0] * (chain.top == "free")
+    assert np.array_equal(seen.time, t.time)
+    assert seen.kinetic == pytest.approx(v**2 @ chain.masses / 2, rel=1e-13)
+    assert seen.contact == pytest.approx(contact, rel=1e-9, abs=1e-12 * np.abs(contact).max())
+    weight = 9.81 * (u @ chain.masses)
+    assert seen.gravity == pytest.approx(-weight, rel=1e-9, abs=1e-13 * np.abs(weight).max())
+    assert seen.load == pytest.approx(-2e-3 * moved, rel=1e-13)
+    terms = seen.kinetic + seen.contact + seen.gravity + seen.load
+    assert seen.total == pytest.approx(terms, rel=1e-9, abs=1e-9 * np.abs(seen.total).max())
+    momentum = v @ chain.masses
+    assert seen.momentum == pytest.approx(momentum, rel=1e-9, abs=1e-13 * np.abs(momentum).max())
+    assert seen.drive[0] == seen.impulse[0] == 0
+    change = seen.total - seen.total[0]
+    assert np.abs(change).max() > 0.9 * np.abs(seen.total).max() > 0
+    assert np.abs(seen.drive - change).max() < 1e-6 * np.abs(change).max()
+    gained = seen.momentum - seen.momentum[0]
+    assert np.abs(seen.impulse - gained).max() < 1e-6 * np.abs(gained).max()
+    assert seen.drift == pytest.approx(change - seen.drive, abs=1e-12 * np.abs(change).max())
+    assert seen.momentum_drift == pytest.approx(gained - seen.impulse, abs=1e-12 * np.abs(gained).max())
+    assert np.abs(seen.drift).max() <= 0.2 * seen.drive_error < 1e-4 * np.abs(change).max()
+    assert np.abs(seen.momentum_drift).max() <= 0.2 * seen.impulse_error < 1e-4 * np.abs(gained).max()
+
+
+def corrected_trapezoid(step: float, value: Array, slope: Array) -> Array:
+    """Return the integral up to each sample: the trapezoid with its first correction, that of a cubic."""
+    parts = step * (value[1:] + value[:-1]) / 2 + step**2 / 12 * (slope[:-1] - slope[1:])
+    return np.append(0.0, np.cumsum(parts))
+
+
+def test_the_errors_are_the_shift_when_every_second_sample_is_used():
+    """A force on grain 3 of a chain on a floor: its work, and the impulses of both, from 41 samples and from 21."""
+    t = run("a sine on grain 3", 41)
+    chain, seen, omega = t.scene.chain, energy.ledger(t), 2 * np.pi * 1e5
+    force = 1e-3 * np.sin(omega * t.time)
+    rate = 1e-3 * omega * np.cos(omega * t.time)
+    inner = overlaps(t)[:, 1:-1]
+    constant, rest = chain.contact_constants, chain.equilibrium_overlap
+    pull = constant * (np.maximum(inner, 0) ** 1.5 - rest**1.5)
+    closing = t.velocity[:, :-1] - t.velocity[:, 1:]
+    pull_rate = 1.5 * constant * np.sqrt(np.maximum(inner, 0)) * closing
+    acceleration = (force + pull[:, 1] - pull[:, 2]) / chain.masses[2]
+    power = force * t.velocity[:, 2]
+    power_rate = rate * t.velocity[:, 2] + force * acceleration
+    errors = []
+    for value, slope in ((power, power_rate), (force, rate), (pull[:, -1], pull_rate[:, -1])):
+        fine = corrected_trapezoid(t.time[1], value, slope)
+        coarse = corrected_trapezoid(2 * t.time[1], value[::2], slope[::2])
+        errors.append((fine, np.abs(fine[::2] - coarse).max()))
+    (work, work_error), (pushed, push_error), (held, hold_error) = errors
+    assert seen.drive == pytest.approx(work, rel=1e-9, abs=1e-12 * np.abs(work).max())
+    assert seen.drive_error == pytest.approx(work_error, rel=1e-6)
+    given = pushed - held
+    assert seen.impulse == pytest.approx(given, rel=1e-9, abs=1e-9 * np.abs(given).max())
+    assert seen.impulse_error == pytest.approx(push_error + hold_error, rel=1e-6)
+
+
+def swinging(**more: Any) -> EnergyLedger:
+    """Return the ledger of 2 J that swing between motion and a spring: K = 2 cos(t)^2."""
+    time = np.linspace(0, 10, 2001)
+    zero, total = np.zeros(time.size), np.full(time.size, 2.0)
+    terms = {"time": time, "kinetic": 2 * np.cos(time) ** 2, "contact": zero, "gravity": zero, "load": zero}
+    rest = {"momentum": zero, "impulse": zero, "drive_error": 0.0, "impulse_error": 0.0}
+    return EnergyLedger(**terms | {"total": total, "drive": zero} | rest | more)
+
+
+def test_the_virial_ratio_of_a_part_of_the_time():
+    """The mean of cos(t)^2 from a to b is 1/2 + [sin(2b) - sin(2a)] / (4 (b - a))."""
+    for start, end in ((0.0, None), (1.3, None), (2.0, 3.1), (0.0, 0.4)):
+        last = 10.0 if end is None else end
+        exact = 0.5 + (np.sin(2 * last) - np.sin(2 * start)) / 4 / (last - start)
+        assert swinging().virial_ratio(start, end) == pytest.approx(exact, rel=1e-9)
+    assert np.isnan(swinging(total=np.zeros(2001)).virial_ratio())
+
+
+def test_the_lines_of_the_picture():
+    quiet = swinging()
+    axes = quiet.plot()
+    lines = [line.get_ydata() for line in axes.lines]
+    assert len(lines) == 3
+    assert np.array_equal(lines[0], quiet.total)
+    assert np.array_equal(lines[1], quiet.kinetic)
+    assert lines[2] == pytest.approx(2 * np.sin(quiet.time) ** 2, abs=1e-14)
+    assert all(np.array_equal(line.get_xdata(), quiet.time) for line in axes.lines)
+    assert axes.get_title("left") == "Drift: at most 0.0e+00 of the largest total"
+    driven = swinging(total=1.0 + 0.3 * quiet.time, drive=0.25 * quiet.time)
+    axes = driven.plot(figure().subplots())
+    assert axes.lines[3].get_ydata() == pytest.approx(1 + 0.25 * quiet.time, rel=1e-14)
+    assert axes.get_title("left") == "Drift: at most 1.2e-01 of the largest total"
+    assert axes.xaxis.get_major_formatter()(3e-6) == "3 µs"
+    still = swinging(total=np.zeros(2001), kinetic=np.zeros(2001)).plot(figure().subplots())
+    assert still.get_title("left").startswith("Drift: at most 0.0e+00")
+
+
+@pytest.mark.parametrize("ends", [{}, {"bottom": "wall"}, {"top": "wall", "bottom": "wall"}])
+def test_energies_of_grains_and_contacts_by_their_formulas(ends: dict[str, str]):
+    """E = K [o^(d+1) - eps^(d+1)] / (d+1) - F (o - eps): what is stored less the work of what pressed it at rest."""
+    chain = Chain(**UNEVEN, **ends)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=3e-3, grain=4), duration=2e-5, samples=7)
+    t = simulate(scene, engines.Native(step=1e-8))
+    seen, rest = energy.shares(t), chain.contacts.overlap
+    squeezed = overlaps(t)
+    stored = chain.contacts.constant * (np.maximum(squeezed, 0) ** 2.5 - rest**2.5) / 2.5
+    elastic = np.where(chain.contacts.exists, stored - chain.contacts.force * (squeezed - rest), 0.0)
+    kinetic = chain.masses * t.velocity**2 / 2
+    share = elastic.copy()
+    share[:, 1:-1] /= 2
+    scale = 1e-12 * scene.energy
+    assert seen.contact.tolist() == np.flatnonzero(chain.contacts.exists).tolist()
+    assert seen.grain.tolist() == list(range(1, 10))
+    assert np.array_equal(seen.time, t.time)
+    assert seen.kinetic == pytest.approx(kinetic, rel=1e-14)
+    assert seen.elastic == pytest.approx(elastic[:, seen.contact], rel=1e-7, abs=1e4 * scale)
+    of_grain = kinetic + share[:, :-1] + share[:, 1:]
+    assert seen.of_grain == pytest.approx(of_grain, rel=1e-7, abs=1e4 * scale)
+    for first, last in ((1, 9), (3, 3), (4, 9)):
+        assert seen.part(first, last) == pytest.approx(seen.of_grain[:, first - 1 : last].sum(1), rel=1e-13)
+    for first, last in ((5, 4), (0, 3), (8, 10)):
+        with pytest.raises(InputError, match=f"from the first to the last .got {first} to {last}"):
+            seen.part(first, last)
+
+
+def test_grains_in_the_order_in_which_they_were_recorded():
+    chain = Chain(**UNEVEN)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=3e-3, grain=4), duration=2e-5, samples=7)
+    whole = energy.shares(simulate(scene, engines.Native(step=1e-8)))
+    some = energy.shares(simulate(scene.replace(grains=[6, 3, 5, 4]), engines.Native(step=1e-8)))
+    assert some.grain.tolist() == [6, 3, 5, 4]
+    assert some.contact.tolist() == [3, 4, 5]
+    assert np.array_equal(some.elastic, whole.elastic[:, 2:5])
+    assert np.isnan(some.of_grain[:, :2]).all()
+    assert some.of_grain[:, 2:] == pytest.approx(whole.of_grain[:, [4, 3]], rel=1e-13)
+    assert some.part(4, 5) == pytest.approx(whole.part(4, 5), rel=1e-13)
+    with pytest.raises(InputError, match="part: takes recorded grains"):
+        some.part(5, 7)
+
+
+def test_errors_are_what_errors_of_the_motion_make_of_an_energy():
+    """Speeds off by dv: m [(v + dv)^2 - v^2] / 2; two displacements off by du: the contact's energy at 2 du more."""
+    chain = Chain(**UNEVEN, bottom="wall")
+    scene = Scene(chain=chain, excitation=Impulse(velocity=3e-3, grain=4), duration=2e-5, samples=41)
+    t = simulate(scene, engines.Native(step=1e-8))
+    t = replace(t, error_estimate=replace(t.error_estimate, solver=1e-4, model=0.0))
+    seen, between = energy.shares(t), motion_of(t)
+    fast, off = between.known_error("velocity"), between.known_error("displacement")
+    assert fast > 1e-4 * np.abs(t.velocity).max()
+    kinetic = chain.masses * ((np.abs(t.velocity) + fast) ** 2 - t.velocity**2) / 2
+    assert seen.kinetic_error == pytest.approx(kinetic, rel=1e-9)
+    closer = overlaps(t)[:, seen.contact] - chain.contacts.overlap[seen.contact]
+    these = chain.contacts.of(seen.contact)
+    change = np.abs([these.force_change(closer + side * 2 * off) for side in (-1, 1)]).max(0)
+    assert seen.elastic_error == pytest.approx(2 * off * change, rel=1e-9)
+    worst = np.abs([these.energy(closer + side * 2 * off) - these.energy(closer) for side in (-1, 1)]).max(0)
+    assert (worst <= seen.elastic_error * (1 + 1e-9)).all()
+    large = np.abs(closer) > 100 * off
+    assert (seen.elastic_error[large] < 1.1 * worst[large]).all()
+    beside = np.zeros((41, 10))
+    beside[:, seen.contact] = seen.elastic_error
+    beside[:, 1:-1] /= 2
+    assert seen.of_grain_error == pytest.approx(seen.kinetic_error + beside[:, :-1] + beside[:, 1:], rel=1e-12)
+    again = energy.shares(between)
+    assert np.array_equal(again.of_grain_error, seen.of_grain_error)
