@@ -1,0 +1,473 @@
+"""Parts of the linear engines: forced motion, waves in resonance, bounds before a run, costs, what closed forms say."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from helpers.independent_integrators import relative_error
+from scipy.integrate import solve_ivp
+
+from lmpchain import Chain, Displacement, Drive, Force, Impulse, Packet, Profile, Scene, simulate
+from lmpchain.engines import Bessel, Chebyshev, Continuum, Modes
+from lmpchain.engines.linear import engine as linear
+from lmpchain.engines.linear import model_error
+from lmpchain.engines.linear.resonance import Resonance
+from lmpchain.theory.modes import eigenmodes
+from lmpchain.util.arrays import EPSILON
+
+pytestmark = pytest.mark.filterwarnings("ignore:Eq. ")
+LOADED = Chain(grains=7, diameter=1e-3, gravity=0.0, top_load=1e-2, masses=np.linspace(1, 2, 7) * 1e-6)
+WALLED = Chain(grains=5, diameter=1e-3, gravity=9.81, top_load=1e-3, top="wall", bottom="wall")
+EDGE = LOADED.band_edge
+HZ = EDGE / (2 * np.pi)
+
+
+# --- the solution
+
+
+def integrated(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Return displacement and velocity (T, N) of the linear chain by a general integrator, right to some 1e-11."""
+    chain, wave = scene.chain, scene.excitation.waveform
+    grains, stiffness = chain.grains, chain.contacts.stiffness
+    driven, wall = scene.excitation.driven, scene.excitation.wall is not None
+    place = None if driven or wall or wave is None else scene.excitation.grain - 1
+
+    def rate(t: float, y: np.ndarray) -> np.ndarray:
+        u, v = y[:grains].copy(), y[grains:].copy()
+        above = wave.at(t) if wall else 0.0
+        if driven:
+            u[0], v[0] = wave.at(t), wave.at(t, 1)
+        force = stiffness * -np.diff(np.concatenate(([above], u, [0.0])))
+        push = force[:-1] - force[1:]
+        if place is not None:
+            push[place] += wave.at(t)
+        acceleration = push / chain.masses
+        acceleration[chain.movable :] = 0.0
+        acceleration[:driven] = 0.0
+        v[:driven] = 0.0
+        return np.concatenate((v, acceleration))
+
+    u, v = scene.initial()
+    y = np.concatenate((np.where(np.arange(grains) < driven, 0.0, u), v))
+    size = scene_size(scene)
+    ends = sorted(
+        {
+            0.0,
+            scene.duration,
+            *(x for x in scene.excitation.waveform.corners if 0 < x < scene.duration),
+        }
+    )
+    rows = [y]
+    for begin, end in pairwise(ends):
+        inside = scene.time[(scene.time > begin) & (scene.time <= end)]
+        times = np.union1d(inside, [end])
+        done = solve_ivp(rate, (begin, end), y, "DOP853", times, rtol=1e-12, atol=1e-13 * size)
+        y = done.y[:, -1]
+        rows += list(done.y.T[np.isin(times, inside)])
+    u, v = np.array(rows)[:, :grains], np.array(rows)[:, grains:]
+    if driven:
+        u[:, 0], v[:, 0] = wave.at(scene.time), wave.at(scene.time, 1)
+    return u, v
+
+
+def scene_size(scene: Scene) -> float:
+    """Return about how far grains come, m."""
+    return float(np.abs(simulate(scene, "modes", 0.9).displacement).max())
+
+
+FORCED = {
+    "sine on a grain within": (LOADED, Force(grain=3, amplitude=1e-8, frequency=0.31 * HZ)),
+    "sine at a frequency of the chain": (
+        LOADED, Force(grain=2, amplitude=-1e-8, frequency=float(eigenmodes(LOADED).frequency[3]) / (2 * np.pi)),
+    ),
+    "burst on the first grain": (LOADED, Force(grain=1, amplitude=1e-8, frequency=0.4 * HZ, cycles=2.6)),
+    "half-sine": (LOADED, Force(grain=4, shape="half-sine", amplitude=1e-8, duration=11.3 / EDGE)),
+    "moved grain": (LOADED, Drive(amplitude=1e-12, frequency=0.2 * HZ)),
+    "moved grain, a burst": (LOADED, Drive(amplitude=1e-12, frequency=0.2 * HZ, cycles=1.7)),
+    "moved wall": (WALLED, Drive(amplitude=1e-12, frequency=0.15 * WALLED.band_edge / 6, grain=0)),
+    "moved wall, a burst": (WALLED, Drive(amplitude=1e-12, frequency=1e4, cycles=3, grain=0)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FORCED)
+def test_forced_motion_is_that_of_a_general_integrator(name):
+    """By modes, and by the Chebyshev series where a sine has no end."""
+    chain, excitation = FORCED[name]
+    scene = Scene(chain=chain, excitation=excitation, duration=40 / chain.band_edge, samples=23)
+    u, v = integrated(scene)
+    assert np.abs(v).max() > 0
+    engines = ["modes"] if excitation.waveform.corners or isinstance(excitation, Force) else ["modes", "chebyshev"]
+    for engine in engines:
+        t = simulate(scene, engine, 0.9)
+        assert relative_error(t.displacement, t.velocity, u, v) < 1e-9
+        assert t.error_estimate.solver < 1e-11
+
+
+@pytest.mark.parametrize("engine", ["modes", "chebyshev"])
+def test_what_a_linear_answer_has_cost(engine):
+    scene = Scene(chain=LOADED, excitation=Impulse(velocity=1e-9, grain=2), duration=20 / EDGE, samples=9)
+    t = simulate(scene, engine)
+    cost = t.cost
+    assert (cost.steps, cost.active_grains, cost.ranks, cost.integrator) == (8, 7, 1, engine)
+    assert cost.step_s == pytest.approx(scene.duration / 8, rel=1e-12)
+    assert cost.integration_s > 0
+    assert cost.estimate_s > 0
+    assert cost.setup_s > 0
+    modes_that_move = 6
+    terms_of_a_radian_each = 20
+    if engine == "modes":
+        assert cost.force_evaluations == modes_that_move
+    else:
+        assert cost.force_evaluations > terms_of_a_radian_each / 2  # of half a radian, as the matrix goes from 0 to 4
+
+
+@pytest.mark.parametrize("made", [Modes(), Chebyshev()])
+def test_a_batch_needs_scenes_that_are_recorded_alike(made):
+    scene = Scene(chain=LOADED, excitation=Impulse(velocity=1e-9), duration=1e-5, samples=9)
+    candidate = made.candidate(scene, 1e-6)
+    with pytest.raises(ValueError, match="a batch needs chains of one length"):
+        made.start([scene, scene.replace(samples=8)], candidate)
+    run = made.start([scene, scene], candidate)
+    assert run.progress == 0
+    blocks = list(run.blocks())
+    assert run.progress == 1
+    assert run.scale.shape == (2, 2)
+    assert sum(block.displacement.shape[1] for block in blocks) == 9
+    assert (
+        run.cost().force_evaluations == 2 * made.start([scene], candidate).cost().force_evaluations
+        or made.name != "modes"
+    )
+
+
+def test_rounding_of_linear_answers():
+    """Of frequencies, times the phase; of eigenvectors, by their number; of a burst that hardly began, far more."""
+    scene = Scene(chain=LOADED, excitation=Impulse(velocity=1e-9), duration=1e4 / EDGE, samples=2)
+    series, modes = Chebyshev().round_off(scene), Modes().round_off(scene)
+    assert 1e4 * EPSILON < series < 1.1e4 * EPSILON
+    assert modes - series == pytest.approx(28 * EPSILON, rel=0.01)
+    burst = Force(grain=1, amplitude=1e-8, frequency=0.4 * HZ, cycles=2.6)
+    long = scene.replace(excitation=burst)
+    early = long.replace(duration=long.duration / 1e4)
+    assert Modes().round_off(long) > modes
+    extra = Modes().round_off(early) - Chebyshev().round_off(early) - 28 * EPSILON
+    still = Modes().round_off(early.replace(duration=early.duration / 2))
+    still -= Chebyshev().round_off(early.replace(duration=early.duration / 2)) + 28 * EPSILON
+    begun = 0.4 * EDGE / 2 / 2.6 * early.duration
+    assert begun < 1
+    assert still == pytest.approx(4 * extra, rel=0.01)
+
+
+def test_costs_of_linear_answers_grow_with_their_work():
+    """Modes: with the cube of many grains, and with samples; the series: with the time, and the grains it reaches."""
+
+    def seconds(engine, grains, samples=11, duration=1e-4):
+        chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-3)
+        profile = Profile(velocity=np.append(np.full(grains - 1, 1e-9), 0.0))
+        scene = Scene(chain=chain, excitation=profile, duration=duration, samples=samples)
+        return engine.candidate(scene, 1e-6).cost_s
+
+    modes, series = Modes(), Chebyshev()
+    assert seconds(modes, 8000) / seconds(modes, 4000) == pytest.approx(8, rel=0.35)
+    more, most = (seconds(modes, 50, samples=n) for n in (100_001, 200_001))
+    assert most / more == pytest.approx(2, rel=0.05)
+    for engine in (modes, series):
+        assert seconds(engine, 50, samples=2001) > seconds(engine, 50, samples=1001)
+        assert seconds(engine, 100, samples=2001) > seconds(engine, 50, samples=2001)
+    assert seconds(series, 4000, duration=2e-1) / seconds(series, 4000, duration=1e-1) == pytest.approx(2, rel=0.2)
+    assert seconds(series, 4000, duration=1e-1) > seconds(series, 2000, duration=1e-1)
+
+
+# --- waves in resonance
+
+
+def resonance(scene: Scene, time: float) -> np.ndarray:
+    """Return what pairs of waves drive in every mode, by loops over pairs, modes and contacts.
+
+    A contact of stiffness k and overlap D has the force k s + k (delta - 1) s^2 / (2 D), s how much closer it is.
+    """
+    chain, first = scene.chain, scene.excitation.driven
+    modes = eigenmodes(chain)
+    assert first == 0
+    omega, shape = modes.frequency, modes.shape
+    u, v = scene.initial()
+    moving, grains = chain.movable, chain.grains
+    squeeze = np.zeros((grains + 1, omega.size))  # of contact c, from 0 above the top, by a unit of a mode
+    for contact in range(grains + 1):
+        above = shape[contact - 1] if 1 <= contact <= moving else 0.0
+        below = shape[contact] if contact < moving else 0.0
+        squeeze[contact] = above - below
+    amplitude = [
+        np.hypot(
+            shape[:, p] @ (chain.masses * u)[:moving],
+            shape[:, p] @ (chain.masses * v)[:moving] / omega[p],
+        )
+        for p in range(omega.size)
+    ]
+    contacts = chain.contacts
+    most = np.zeros(2)
+    squares = np.zeros((2, moving))
+    for m in range(omega.size):
+        for p in range(omega.size):
+            for q in range(omega.size):
+                force = (
+                    sum(
+                        contacts.stiffness[c]
+                        * (chain.exponent - 1)
+                        / (2 * contacts.overlap[c])
+                        * squeeze[c, p]
+                        * squeeze[c, q]
+                        * squeeze[c, m]
+                        for c in range(grains + 1)
+                        if contacts.pressed[c]
+                    )
+                    * amplitude[p]
+                    * amplitude[q]
+                )
+                for beat in (omega[p] + omega[q], abs(omega[p] - omega[q])):
+                    off = abs(beat - omega[m])
+                    lasts = min(time, 2 / off) if off > 0 else time
+                    # the product of two cosines is half of each of these; (p, q) and (q, p) are one pair
+                    grown = abs(force) / 2 * lasts / (2 * omega[m]) * np.sqrt(2)
+                    squares[0] += (shape[:, m] * grown) ** 2
+                    squares[1] += (shape[:, m] * grown * omega[m]) ** 2
+    most[:] = np.sqrt(squares.max(axis=1))
+    return most
+
+
+@pytest.mark.parametrize("exponent", [1.5, 2.3])
+@pytest.mark.parametrize("top", ["free", "wall"])
+def test_waves_in_resonance_by_loops_over_pairs(exponent, top):
+    chain = Chain(
+        grains=4, diameter=1e-3, gravity=5.0, top_load=1e-3, exponent=exponent, top=top, bottom="wall",
+        masses=np.array([1.0, 2.0, 1.5, 3.0]) * 1e-6,
+    )  # fmt: skip
+    rng = np.random.default_rng(1)
+    profile = Profile(velocity=1e-7 * rng.normal(size=4), displacement=1e-12 * rng.normal(size=4))
+    scene = Scene(chain=chain, excitation=profile, duration=1e-3)
+    for time in (1e-6, 1e-4, 1e-2):
+        np.testing.assert_allclose(Resonance(scene).motion(time), resonance(scene, time), rtol=1e-9, atol=0)
+
+
+def test_waves_in_resonance_are_those_of_few_grains_whose_force_is_curved():
+    strike = Impulse(velocity=1e-7)
+    for chain in (LOADED.replace(exponent=1.0), Chain(grains=13, diameter=1e-3)):
+        scene = Scene(chain=chain, excitation=strike, duration=1e-3)
+        assert not Resonance(scene).motion(1e-3).any()
+    twelve = Scene(chain=Chain(grains=12, diameter=1e-3), excitation=strike, duration=1e-3)
+    assert Resonance(twelve).motion(1e-3).all()
+    assert not Resonance(twelve).motion(0.0).any()
+
+
+def test_a_drive_is_one_of_the_waves_in_resonance():
+    """The steady motion that a slow drive makes beats with the free waves: four times as much for twice the drive."""
+    chain = LOADED.replace(grains=5, masses=LOADED.masses[:5])
+    scenes = [
+        Scene(chain=chain, excitation=Drive(amplitude=a, frequency=0.123 * HZ), duration=1e-3) for a in (1e-12, 2e-12)
+    ]
+    one, two = (Resonance(scene).motion(5e-4) for scene in scenes)
+    np.testing.assert_allclose(two, 4 * one, rtol=1e-9, atol=0)
+
+
+# --- what is known before a run
+
+
+def struck(velocity: float = 1e-6, **chain) -> Scene:
+    made = Chain(**{"grains": 40, "diameter": 1e-3} | chain)
+    return Scene(chain=made, excitation=Impulse(velocity=velocity), duration=5e-5, samples=11)
+
+
+def test_the_bounds_of_linear_theory_go_like_the_strike_and_the_curvature():
+    """Of a chain under load: in proportion to the strike, to the exponent less one, and above to the time."""
+    scene = struck(1e-7, gravity=0.0, top_load=1e-2)
+    least, most = model_error.bounds(scene)
+    assert least < most < 1
+    twice = model_error.bounds(scene.replace(excitation=Impulse(velocity=2e-7)))
+    np.testing.assert_allclose(twice, (2 * least, 2 * most), rtol=1e-9, atol=0)
+    later = scene.replace(duration=3 * scene.duration)
+    periods = scene.chain.band_edge * scene.duration
+    assert model_error.bounds(later)[0] == least
+    assert model_error.bounds(later)[1] / most == pytest.approx((1 + 3 * periods) / (1 + periods), rel=1e-9)
+    assert most / least == pytest.approx((1 + periods) * scene.linear_strain / scene.strike_number, rel=1e-9)
+    springs = struck(1e-7, gravity=0.0, top_load=1e-2, exponent=1.0)
+    assert model_error.bounds(springs) == (0.0, 0.0)
+    assert model_error.bounds(scene.replace(excitation=Impulse(velocity=10.0)))[1] == 1.0
+    assert model_error.least_error(scene.replace(excitation=Impulse(velocity=1.0))) == 1.0
+    assert model_error.may_open(scene.replace(excitation=Impulse(velocity=1e-7 / scene.linear_strain * 1.001)))
+    assert not model_error.may_open(scene.replace(excitation=Impulse(velocity=1e-7 / scene.linear_strain * 0.999)))
+
+
+def test_the_least_that_linear_theory_leaves_out_is_what_one_swing_does():
+    """A grain that is struck turns after a quarter of a period: the truth there is no less, and not far above."""
+    chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=1e-2)
+    strike = Impulse(velocity=1e-3 * chain.length_scale / chain.time_scale)
+    scene = Scene(chain=chain, excitation=strike, duration=np.pi / 2 / chain.band_edge, samples=51)
+    one, other = simulate(scene, "modes", 0.9), simulate(scene, "native", 1e-11)
+    left_out = relative_error(one.displacement, one.velocity, other.displacement, other.velocity)
+    assert 0.5 < model_error.least_error(scene) / left_out < 1.6
+
+
+def test_the_bound_of_a_struck_column_is_three_times_its_law():
+    """A uniform column under gravity, struck at its top; the law is the error over (delta - 1) times the strike."""
+    scene = struck(1e-6)
+    law = model_error.bounds(scene)[1] / ((scene.chain.exponent - 1) * scene.strike_number) / 3
+    for speed in (1e-7, 1e-6):
+        scene = Scene(
+            chain=Chain(grains=120, diameter=1e-3),
+            excitation=Impulse(velocity=speed),
+            duration=1e-4,
+            samples=101,
+        )
+        one, other = simulate(scene, "chebyshev", 0.9), simulate(scene, "native", 1e-10)
+        left_out = relative_error(one.displacement, one.velocity, other.displacement, other.velocity)
+        assert left_out / (0.5 * scene.strike_number) == pytest.approx(law, rel=0.12)
+
+
+def test_what_is_a_struck_column():
+    scene = struck()
+    passage = float(model_error.passage(scene).sum())
+    chain = scene.chain
+    assert passage == pytest.approx(np.sqrt(chain.masses[:-1] / chain.linear_stiffness).sum(), rel=1e-12)
+    assert model_error.struck_column(scene)
+    assert model_error.struck_column(scene.replace(duration=9.99 * passage))
+    assert model_error.struck_column(struck(exponent=2.2))
+    for other in (
+        scene.replace(duration=10.01 * passage),
+        scene.replace(excitation=Impulse(velocity=1e-6, grain=2)),
+        scene.replace(excitation=Displacement(displacement=1e-12)),
+        struck(exponent=2.21),
+        struck(gravity=0.0, top_load=1e-3),
+        struck(top_load=1e-6),
+        struck(top="wall", top_load=1e-6),
+        struck(masses=chain.masses * np.linspace(1, 1.1, 40)),
+        struck(contact_constants=chain.contact_constants * np.linspace(1, 1.1, 39)),
+        struck(grains=1, bottom="wall"),
+    ):
+        assert not model_error.struck_column(other)
+
+
+def test_how_much_grains_differ():
+    chain = Chain(grains=3, diameter=1e-3, masses=[1e-6, 4e-6, 2e-6], contact_constants=[1e9, 1e9])
+    assert model_error.unlike(chain) == pytest.approx({"masses": 0.75, "contact_constants": 0.0}, rel=1e-12)
+    assert model_error.unlike(Chain(grains=1, diameter=1e-3, bottom="wall")) == {"masses": 0.0}
+
+
+def test_how_far_a_train_of_waves_travels_at_its_largest_strain():
+    """In a uniform chain all the way to the farther end; in a column as far as its strain, less and less, counts."""
+    chain = Chain(grains=30, diameter=1e-3, gravity=0.0, top_load=1e-2)
+    hop = float(np.sqrt(chain.masses[0] / chain.linear_stiffness[0]))
+    for grain, hops in ((1, 29), (10, 20), (25, 24)):
+        force = Force(grain=grain, amplitude=1e-8, frequency=1e4)
+        scene = Scene(chain=chain, excitation=force, duration=1e-4)
+        assert model_error.travel(scene) == pytest.approx(hops * hop, rel=1e-9)
+    packet = Packet(frequency=0.1 / hop, width=2, grain=15, amplitude=1e-12)
+    assert model_error.travel(Scene(chain=chain, excitation=packet, duration=1e-4)) == pytest.approx(29 * hop, rel=1e-9)
+    column = Chain(grains=30, diameter=1e-3)
+    scene = Scene(chain=column, excitation=Drive(amplitude=1e-12, frequency=1e4), duration=1e-4)
+    times = np.sqrt(column.masses[:-1] / column.linear_stiffness)
+    strain = 1 / (column.equilibrium_overlap * np.sqrt(column.linear_stiffness / times))  # as energy flows evenly
+    assert np.all(np.diff(strain) < 0)
+    assert model_error.travel(scene) == pytest.approx(float((times * strain).sum() / strain[0]), rel=1e-9)
+
+
+def test_the_fastest_of_chain_and_excitation():
+    scene = Scene(chain=LOADED, excitation=Drive(amplitude=1e-12, frequency=5 * HZ), duration=1e-4)
+    assert model_error.fastest(scene) == pytest.approx(5 * EDGE, rel=1e-12)
+    slow = scene.replace(excitation=Drive(amplitude=1e-12, frequency=0.1 * HZ))
+    assert model_error.fastest(slow) == EDGE
+
+
+def test_where_a_solution_is_looked_at_between_its_samples():
+    """All over the run but never evenly, and from half a radian on; every half radian where contacts may open."""
+    calm = struck(1e-8, gravity=0.0, top_load=1e-2).replace(
+        duration=1e3 / struck(gravity=0.0, top_load=1e-2).chain.band_edge
+    )
+    times = model_error.evaluation_times(calm)
+    fastest = model_error.fastest(calm)
+    assert np.all(np.diff(times) > 0)
+    assert times[0] == 0.0
+    assert calm.duration * 0.97 < times[-1] < calm.duration
+    early = times[(times > 0) & (times < 10 / fastest)]
+    assert early[0] == pytest.approx(0.5 / fastest, rel=1e-9)
+    assert np.all(early[1:] / early[:-1] < 1.26)
+    gaps = np.diff(times[times > calm.duration / 10])
+    assert gaps.max() < 2 * calm.duration / 64
+    assert gaps.std() > 0.2 * gaps.mean()
+    assert abs(times.size - model_error.evaluations(calm)) <= 24
+    open_ = calm.replace(excitation=Impulse(velocity=1e-8 / calm.linear_strain * 1.5))
+    close = model_error.evaluation_times(open_)
+    np.testing.assert_allclose(np.diff(close), close[1], rtol=1e-9)
+    assert 0.49 / fastest < close[1] <= 0.5 / fastest
+    assert close[-1] + close[1] == pytest.approx(open_.duration, rel=1e-9)
+
+
+def test_samples_may_be_close_enough_to_need_no_other_look():
+    """One a radian where nothing can open; two where something may, and then every opening is seen."""
+    scene = struck(1e-8, gravity=0.0, top_load=1e-2)
+    scene = scene.replace(duration=200.5 / scene.chain.band_edge)
+    wild = scene.replace(excitation=Impulse(velocity=1e-8 / scene.linear_strain * 1.5))
+    for samples, enough in ((202, True), (201, False)):
+        assert model_error.dense(scene.replace(samples=samples)) == enough
+        assert not model_error.dense(wild.replace(samples=samples))
+    for samples, enough in ((402, True), (401, False)):
+        assert model_error.dense(wild.replace(samples=samples)) == enough
+    assert model_error.decidable(scene.replace(samples=2))
+    assert model_error.decidable(wild.replace(samples=2))
+    long = wild.replace(duration=1e7 / scene.chain.band_edge, samples=2)
+    assert not model_error.decidable(long)
+    assert model_error.decidable(scene.replace(duration=1e7 / scene.chain.band_edge, samples=2))
+    assert Modes().candidate(long, 0.9).sharper is None
+
+
+# --- closed forms
+
+
+@pytest.mark.parametrize("made", [Bessel(), Continuum()])
+def test_the_model_error_of_a_closed_form_is_that_of_the_linear_chain_and_its_own(made):
+    chain = Chain(grains=60, diameter=1e-3)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-7), duration=3e-5, samples=401)
+    formula, exact = simulate(scene, made, 0.999, on_miss="warn"), simulate(scene, "chebyshev", 0.9)
+    own = relative_error(formula.displacement, formula.velocity, exact.displacement, exact.velocity)
+    assert formula.error_estimate.model - exact.error_estimate.model == pytest.approx(own, rel=1e-3)
+    cost = formula.cost
+    assert (cost.force_evaluations, cost.integrator, cost.active_grains) == (0, made.name, 60)
+    assert cost.integration_s > 0
+    assert cost.estimate_s > 0
+
+
+def test_what_closed_forms_know_beforehand():
+    """Nothing, unless all contacts are equally stiff and the end is out of reach."""
+    column = struck(1e-7)
+    for made in (Bessel(), Continuum()):
+        candidate = made.candidate(column, 0.9)
+        assert np.isnan(candidate.model_error)
+        assert candidate.sharper is None
+        assert candidate.active_grains == 40
+        assert made.least_model_error(column) == np.inf
+        assert np.isnan(made.estimate_model_error(column))
+        assert made.part(column) is column.fine  # the whole, not the light cone
+        assert not made.batches
+    loaded = struck(1e-9, grains=400, gravity=0.0, top_load=1e-2).replace(duration=2e-5)
+    series = Chebyshev().candidate(loaded.reached, 0.9)
+    candidate = Bessel().candidate(loaded, 0.9)
+    assert (candidate.model_error, candidate.active_grains) == (series.model_error, 400)
+    assert Bessel().least_model_error(loaded) == model_error.least_error(loaded)
+    assert Bessel().estimate_model_error(loaded) == pytest.approx(Chebyshev().estimate_model_error(loaded), rel=0.3)
+    back = loaded.replace(duration=5e-3)
+    assert np.isnan(Bessel().candidate(back, 0.9).model_error)
+
+
+def test_the_sharper_bound_of_a_look_lies_between_the_two_before_it():
+    scene = struck(1e-8, gravity=0.0, top_load=1e-2)
+    for made in (Modes(), Chebyshev()):
+        candidate = made.candidate(scene, 1e-6)
+        least, most = model_error.bounds(scene)
+        assert candidate.model_error == most
+        assert candidate.sharper.least == least
+        assert candidate.sharper.cost_s > 0
+        assert candidate.step == pytest.approx(scene.duration / 10, rel=1e-12)
+        assert candidate.active_grains == 40
+        assert candidate.solver_error == made.round_off(scene)
+        estimate, bound = made.estimate_model_error(scene), made.bound_model_error(scene, candidate)
+        assert least <= estimate <= bound <= most
+        assert made.refine(candidate, None, 1e-6) is None
+    assert linear.Modes().look(scene).remark == ""
