@@ -411,3 +411,15 @@ def test_stated_errors_cover_those_of_noisy_samples(kind: int):
             ratios.append(off / (found[3:] + grid))
     assert clear > 15
     assert (np.max(ratios, axis=0) > [0.3, 0.9, 0.25]).all()
+
+
+@pytest.mark.parametrize(("kind", "sign"), MOTIONS)
+def test_widths_of_bumps_with_a_flat_top(kind: int, sign: float):
+    """Many intervals lie above half of them, wherever that falls between the samples."""
+    for middle in (0.45, 0.5, 0.53):
+        for steep in np.linspace(1.85, 2.1, 6):
+            scaled = Polynomial([-middle * steep, steep])
+            curve = 1 - 0.8 * scaled**4 - 0.2 * scaled**2
+            found = front(position_of(sign * curve, kind), kind, 0.9)
+            assert found[:2] == pytest.approx([middle, sign], rel=1e-7)
+            assert found[2] == pytest.approx(span(curve, 0.5, middle), rel=1e-9)

@@ -1,0 +1,141 @@
+"""What a trajectory shows of itself: the picture's data, its line in a notebook, and words on what was gathered."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lmpchain import Chain, Impulse, Scene, Trajectory
+from lmpchain.trajectory import gathered, trajectory
+from lmpchain.trajectory.picture import scale
+from lmpchain.trajectory.record import Cost, ErrorEstimate
+from lmpchain.util.plotting import figure
+
+SCENE = Scene(
+    chain=Chain(grains=6, diameter=1e-3), excitation=Impulse(velocity=1e-3), duration=4e-6, samples=5,
+    grains=[4, 1, 2],
+)  # fmt: skip
+COST = Cost(1.0, 0.25, 0.5, 80, 240, 6, "rkn4", 5e-8, 1, 3.0)
+
+
+def made(scene: Scene = SCENE) -> Trajectory:
+    rng = np.random.default_rng(4)
+    shape = scene.samples, scene.recorded.size
+    fields = {"displacement": 1e-9 * rng.normal(size=shape), "velocity": 1e-3 * rng.normal(size=shape)}
+    return Trajectory(scene, "native", 1, scene.time, scene.recorded, **fields,
+                      error_estimate=ErrorEstimate(2e-3, 1e-4), cost=COST)  # fmt: skip
+
+
+@pytest.mark.parametrize(("field", "unit"), [("velocity", "m/s"), ("displacement", "m")])
+def test_the_picture_is_time_across_and_depth_down(field: str, unit: str):
+    t, axes = made(), figure().subplots()
+    assert t.plot(axes, field) is axes
+    (image,) = [*axes.images, *axes.collections]
+    values = getattr(t, field)[:, [1, 2, 0]].T  # grains 1, 2 and 4
+    assert np.array_equal(np.asarray(image.get_array()).reshape(values.shape), values)
+    limit = np.median(np.abs(values).max(axis=1))
+    assert image.get_clim() == (-limit, limit)
+    assert image.get_cmap().name == "RdBu_r"  # large values red
+    assert axes.get_xlabel() == "time"
+    assert axes.get_ylabel() == "grain, from the top"
+    assert axes.get_xlim() == (0.0, 4e-6)
+    bottom, top = axes.get_ylim()
+    assert (top, bottom) == (0.5, 5.0)
+    (bar,) = (other for other in axes.figure.axes if other is not axes)
+    assert bar.get_ylabel() == f"{field}, downward"
+    assert bar.yaxis.get_major_formatter()(1e-3) == f"1 m{unit}"
+    assert axes.xaxis.get_major_formatter()(1e-6) == "1 µs"
+    assert image.colorbar.extend == "both"
+    assert all(tick == round(tick) for tick in axes.get_yticks())
+
+
+def test_by_default_the_picture_is_of_velocities_in_a_figure_of_its_own():
+    t = made()
+    axes = t.plot()
+    image = [*axes.images, *axes.collections][0]
+    assert np.asarray(image.get_array()).ravel()[0] == t.velocity[0, 1]
+
+
+def test_of_many_samples_no_more_are_drawn_than_a_picture_has_columns():
+    for samples, every in ((4000, 1), (4001, 2), (9000, 3)):
+        scene = Scene(**SCENE.given() | {"samples": samples})
+        t, axes = made(scene), figure().subplots()
+        t.plot(axes)
+        image = [*axes.images, *axes.collections][0]
+        columns = np.asarray(image.get_array()).reshape(3, -1)
+        assert np.array_equal(columns[0], t.velocity[::every, 1])
+        assert axes.get_xlim() == (0.0, t.time[::every][-1])
+
+
+def test_colours_saturate_at_the_median_of_what_moves():
+    largest = np.array([1.0, 0.5, 0.2, 1.1e-3, 0.9e-3, 0.0])
+    motion = np.array([0.3, -1.0])[:, None] * largest
+    assert scale(motion) == pytest.approx((0.5 + 0.2) / 2, rel=1e-12)
+    assert scale(np.zeros((2, 3))) == 1.0
+
+
+def test_a_trajectory_says_what_it_is():
+    t = made()
+    assert repr(t) == "Trajectory(native, Eq. (1), 5 samples x 3 grains, error 0.0021)"
+    rows = dict(t._summary())
+    assert rows["scene"] == f"6 grains, {SCENE.excitation.label}"
+    assert rows["engine"] == "native, which solves Eq. (1)"
+    assert rows["recorded"] == "5 times to 4e-06 s, 3 grains"
+    assert rows["error estimate"] == "0.0021 = 0.002 (model) + 0.0001 (solver)"
+    assert rows["cost"] == "1.75 s, 80 steps of 5e-08 s by rkn4, 6 grains computed"
+    stepless = replace(t, cost=COST._replace(integrator="", steps=1))
+    assert dict(stepless._summary())["cost"] == "1.75 s, 1 steps, 6 grains computed"
+    assert t.cost.total_s == 1.75
+    assert t.error_estimate.total == pytest.approx(2.1e-3, rel=1e-15)
+
+
+def test_a_notebook_draws_what_is_not_too_much(monkeypatch: pytest.MonkeyPatch):
+    t = made()
+    for most, drawn in ((15, True), (14, False)):
+        monkeypatch.setattr(trajectory, "MOST_DRAWN", most)
+        assert bool(t._picture()) == drawn
+
+
+QUANTITIES = ["peak_velocity", "peak_displacement", "arrival_time", "peak_force:3", "force:2"]
+
+
+def test_what_is_gathered_has_labels_units_and_shapes():
+    scene = Scene(**SCENE.given() | {"quantities": QUANTITIES})
+    fine = scene.fine.samples
+    arrays = gathered.arrays(scene)
+    table = {
+        "peak_velocity": (("grain",), (3,), "m s-1", "largest size of the velocity at any time"),
+        "peak_displacement": (("grain",), (3,), "m", "largest size of the displacement at any time"),
+        "arrival_time": (("grain",), (3,), "s", "when the front passes, by the velocity (measure.front.track)"),
+        "peak_force:3": ((), (), "N", "largest force at any time of contact 3"),
+        "force:2": (("fine_time",), (fine,), "N", "force of contact 2"),
+    }
+    assert set(arrays) == {*table, *(f"{name}_error" for name in table), "fine_time"}
+    for name, (dimensions, shape, units, about) in table.items():
+        assert arrays[name] == (dimensions, shape, {"units": units, "long_name": about})
+        assert arrays[f"{name}_error"] == (dimensions, shape, {"units": units, "long_name": f"error of the {about}"})
+    labels = {"units": "s", "long_name": "time since the strike"}
+    assert arrays["fine_time"] == (("fine_time",), (fine,), labels)
+    assert gathered.arrays(SCENE) == {}
+    values = {name: np.arange(float(np.prod(kind.shape))).reshape(kind.shape) for name, kind in arrays.items()}
+    stored = gathered.variables(scene, values)
+    assert set(stored) == {name.replace(":", "_") for name in arrays}
+    dimensions, kept, labels = stored["force_2_error"]
+    assert (dimensions, labels["units"]) == (("fine_time",), "N")
+    assert kept is values["force:2_error"]
+
+
+def test_what_is_gathered_in_words():
+    scene = Scene(**SCENE.given() | {"quantities": QUANTITIES[:4]})
+    values = {
+        "peak_velocity": np.array([1.25e-3, 3e-4, 5e-4]), "peak_velocity_error": np.array([1e-6, 2.5e-6, 0]),
+        "peak_displacement": np.full(3, np.nan), "peak_displacement_error": np.full(3, np.nan),
+        "arrival_time": np.array([np.nan, 2e-6, 1e-6]), "arrival_time_error": np.array([np.nan, 1e-9, 3e-9]),
+        "peak_force:3": np.array(1.5), "peak_force:3_error": np.array(0.02),
+    }  # fmt: skip
+    assert gathered.in_words(scene, values) == {
+        "peak_velocity": "0.0003 to 0.00125 m/s, off by 2.5e-06 at most",
+        "peak_displacement": "nothing: no front has passed",
+        "arrival_time": "1e-06 to 2e-06 s in 2 of 3 grains, off by 3e-09 at most",
+        "peak_force:3": "1.5 N, off by 0.02 at most",
+    }
