@@ -6,6 +6,9 @@ import signal
 import sys
 
 import pytest
+from helpers.relative import approx
+
+pytest.approx = approx  # its absolute tolerance of 1e-12 is more than most joules and metres of a chain
 
 os.environ["MPLBACKEND"] = "agg"  # no test opens a window
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # one core for a test: threads of two would wait for each other
