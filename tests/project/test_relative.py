@@ -13,5 +13,5 @@ def test_approx_compares_small_numbers_as_it_does_large_ones(value: float, rel: 
 
 
 def test_an_absolute_tolerance_is_what_a_test_asks_for():
-    assert 1e-13 == pytest.approx(0.0, abs=1e-12)
-    assert 1.1e-12 != pytest.approx(0.0, abs=1e-12)
+    assert pytest.approx(0.0, abs=1e-12) == 1e-13
+    assert pytest.approx(0.0, abs=1e-12) != 1.1e-12
