@@ -1,0 +1,308 @@
+"""What methods say of themselves, schedules of steps, and what acts as a function of its numbers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from scipy.integrate import DOP853
+from scipy.interpolate import CubicSpline
+
+from lmpchain import Chain, Drive, Force, Impulse, Scene
+from lmpchain.integrators.batch import ChainBatch
+from lmpchain.integrators.imposed import ImposedCourse
+from lmpchain.integrators.kernels.layout import LEAST_SHARE, SAMPLE
+from lmpchain.integrators.method import first_growth
+from lmpchain.integrators.methods import METHODS
+from lmpchain.integrators.splittings import SPLITTINGS, Splitting
+from lmpchain.integrators.step_schedule import EVERY, EVERY_STRETCHED, StepSchedule
+from lmpchain.integrators.stepper import NativeStepper, room_for
+
+# --- what methods say
+
+
+def test_methods_are_known_by_name_order_and_evaluations():
+    known = {name: (m.order, m.evaluations, m.adaptive) for name, m in METHODS.items()}
+    assert known == {
+        "verlet": (2, 1, "no"), "rkn4": (4, 6, "openings"), "rkn6": (6, 11, "openings"),
+        "kahan-li6": (6, 9, "openings"), "kahan-li8": (8, 17, "openings"), "dop853": (8, 12, "error"),
+        "gear4": (4, 1, "no"),
+    }  # fmt: skip
+    assert all(method.name == name for name, method in METHODS.items())
+    assert [METHODS[name].spread for name in ("verlet", "gear4")] == [1.0, 1.0]
+    assert METHODS["dop853"].spread == pytest.approx(np.linalg.norm(DOP853.B), rel=1e-15)
+
+
+@pytest.mark.parametrize("name", SPLITTINGS)
+def test_splittings_are_symmetric_and_consistent(name: str):
+    splitting = SPLITTINGS[name]
+    assert sum(splitting.kicks) == pytest.approx(1, rel=1e-14)
+    assert sum(splitting.drifts) == pytest.approx(1, rel=1e-14)
+    assert splitting.kicks == splitting.kicks[::-1]
+    assert splitting.drifts == splitting.drifts[::-1]
+    assert len(splitting.kicks) == len(splitting.drifts) + 1
+    assert splitting.reach == pytest.approx(np.cumsum(splitting.drifts), rel=1e-14)
+    assert splitting.reach[-1] == 1.0
+    if splitting.substeps:
+        padded = np.array([0.0, *splitting.substeps, 0.0])
+        assert splitting.drifts == splitting.substeps
+        assert splitting.kicks == pytest.approx((padded[1:] + padded[:-1]) / 2, rel=1e-15)
+
+
+def oscillator_step(splitting: Splitting, reach: float) -> np.ndarray:
+    """Return one step of x'' = -x of this length."""
+    step = np.eye(2)
+    for b, a in zip(splitting.kicks, (*splitting.drifts, 0.0), strict=True):
+        step = np.array([[1.0, a * reach], [0.0, 1.0]]) @ np.array([[1.0, 0.0], [-b * reach, 1.0]]) @ step
+    return step
+
+
+@pytest.mark.parametrize("name", SPLITTINGS)
+def test_a_splitting_grows_as_its_matrix_does(name: str):
+    splitting = SPLITTINGS[name]
+    limit = splitting.stability_limit
+    for factor in (0.3, 0.999, 1.01, 1.05):
+        largest = np.abs(np.linalg.eigvals(oscillator_step(splitting, factor * limit))).max()
+        assert splitting.growth(factor * limit) == pytest.approx(largest, rel=1e-7)
+    assert splitting.growth(0.5 * limit) == 1.0
+
+
+def test_velocity_verlet_grows_from_2_on():
+    verlet = SPLITTINGS["verlet"]
+    assert verlet.stability_limit == pytest.approx(2.0, abs=2e-4)
+    for reach in (2.1, 2.5, 3.0):
+        assert verlet.growth(reach) == pytest.approx(np.exp(2 * np.arccosh(reach / 2)), rel=1e-12)
+    exactly = Splitting("exactly stable", 1, (0.0, 0.0), (1.0,), 1.0, "a drift alone")
+    assert exactly.stability_limit == 8.0
+
+
+def test_dop853_grows_as_its_stability_function_does():
+    """R(z) = 1 + z b (1 - z A)^-1 1, at z = i omega h; it equals e^z up to order 8."""
+    method = METHODS["dop853"]
+    for reach in (0.5, 1.0, 3.0, 6.0):
+        y = np.array([1.0 + 0j])
+        z, slopes = 1j * reach, []
+        for row in DOP853.A[:12, :12]:
+            slopes.append(z * (y + sum((a * k for a, k in zip(row, slopes, strict=False)), 0)))
+        true = abs(y + sum(b * k for b, k in zip(DOP853.B, slopes, strict=True)))[0]
+        assert method.growth(reach) == pytest.approx(true, rel=1e-10)
+    limit = method.stability_limit
+    assert method.growth(limit - 1e-3) <= 1 + 1e-12 < method.growth(limit)
+    assert limit == pytest.approx(np.round(limit, 3), rel=1e-15)
+
+
+def gear_growth(reach: float) -> float:
+    """Return the largest factor by which five values of x'' = -x grow a step."""
+    pascal = np.array([[1, 1, 1, 1, 1], [0, 1, 2, 3, 4], [0, 0, 1, 3, 6], [0, 0, 0, 1, 4], [0, 0, 0, 0, 1.0]])
+    corrections = np.array([19 / 120, 3 / 4, 1, 1 / 2, 1 / 12])
+    columns = []
+    for values in np.eye(5):
+        predicted = pascal @ values
+        off = -(reach**2) / 2 * predicted[0] - predicted[2]
+        columns.append(predicted + corrections * off)
+    return float(np.abs(np.linalg.eigvals(np.array(columns).T)).max())
+
+
+def test_gear_grows_by_a_hundredth_at_its_limit():
+    method = METHODS["gear4"]
+    for reach in (0.1, 0.5, 1.0, 2.0):
+        assert method.growth(reach) == pytest.approx(gear_growth(reach), rel=1e-10)
+    limit = method.stability_limit
+    assert gear_growth(limit - 1e-3) <= 1.01 < gear_growth(limit)
+
+
+def test_the_first_growth_is_found_on_a_grid_of_thousandths():
+    assert first_growth(lambda reach: 1 + reach - 0.0015, 0.0) == 0.002
+    assert first_growth(lambda reach: 1 + (reach > 2) * 0.5, 0.4) == 2.001
+    assert first_growth(lambda reach: 1 + reach, 9.99) == pytest.approx(9.991, rel=1e-15)
+
+
+# --- schedules
+
+
+@pytest.mark.parametrize("stride", [1, 3, 4])
+@pytest.mark.parametrize("steps", [1, 2, 7, 10])
+def test_the_total_counts_steps_no_longer_than_those_between_landings(stride: int, steps: int):
+    schedule = StepSchedule(steps, stride, 1.0, False)
+    for samples in range(1, 20):
+        whole, rest = divmod(samples, stride)
+        expected = whole * steps + int(np.ceil(Fraction(rest * steps, stride)))
+        assert schedule.total(samples) == expected
+
+
+def test_a_companion_of_twice_the_step_lands_on_every_second_sample():
+    own = StepSchedule(3, 1, 1e-9, True, coarse_openings=True)
+    longer = own.longer(2)
+    assert longer == StepSchedule(3, 2, 2e-9, True, 2, True)
+    shorter = own.longer(1.5)
+    assert shorter.step == pytest.approx(1.5e-9, rel=1e-15)
+    assert shorter == StepSchedule(2, 1, shorter.step, True, 1.5, True)
+    assert StepSchedule(4, 1, 1e-9, True).longer(2) == StepSchedule(2, 1, 2e-9, True, 2)
+    assert StepSchedule(4, 1, 1e-9, True).longer(2, stretched=True) == StepSchedule(4, 2, 2e-9, True, 2)
+    assert StepSchedule(2, 1, 1e-9, True).longer(1.25) == StepSchedule(8, 5, 1.25e-9, True, 1.25)
+
+
+def test_a_companion_of_many_steps_lands_on_all_samples():
+    for stretched, least in ((False, EVERY), (True, EVERY_STRETCHED)):
+        many, few = StepSchedule(least, 1, 1e-9, True), StepSchedule(least - 1, 1, 1e-9, True)
+        longer = many.longer(2, stretched)
+        assert (longer.stride, longer.steps, longer.ratio) == (1, least // 2, 2)
+        assert longer.step == pytest.approx(2e-9, rel=1e-15)
+        assert few.longer(2, stretched).stride == 2
+    odd = StepSchedule(33, 1, 1e-9, True).longer(2)
+    assert (odd.steps, odd.stride) == (17, 1)
+    assert odd.step == pytest.approx(33e-9 / 17, rel=1e-15)
+
+
+def test_a_companion_of_a_dense_run_is_compared_in_one_sample_a_step_or_more():
+    """Every fourth, second or each sample, as its steps pass over so many."""
+    for steps, stride, ratio, dense in (
+        (3, 6, 2, 4), (3, 5, 2, 2), (4, 8, 2, 4), (5, 8, 2, 2), (9, 8, 2, 1), (8, 8, 2, 2), (16, 8, 4, 2),
+        (3, 2, 2, 1), (3, 3, 2, 2),
+    ):  # fmt: skip
+        longer = StepSchedule(steps, stride, 1e-9, True, dense=1).longer(ratio)
+        fewer = -(-steps // ratio)
+        assert (longer.steps, longer.stride, longer.dense) == (fewer, stride, dense)
+        assert longer.step == pytest.approx(1e-9 * steps / fewer, rel=1e-15)
+        assert longer.ratio == ratio
+
+
+def test_half_the_step_is_twice_the_steps():
+    halved = StepSchedule(3, 2, 1e-9, True, 1.0, True, 1).halved
+    assert halved == StepSchedule(6, 2, 5e-10, True, 0.5, True, 1)
+
+
+# --- what acts, as a function of amplitude and frequency or of samples
+
+TIMES = np.array([0.0, 1.0, 2.5, 4.0, 6.0]) * 1e-5
+ACTS = {
+    "sine": Drive(amplitude=2e-8, frequency=3e4),
+    "burst": Force(amplitude=0.2, frequency=6e4, cycles=1.7),
+    "half-sine": Force(shape="half-sine", amplitude=0.2, duration=3e-5),
+    "samples": Drive(times=TIMES, displacement=np.array([0, 1, -2, 3, 1]) * 1e-8),
+}
+
+
+def changed(excitation: Drive | Force, place: int, value: float) -> Drive | Force:
+    if excitation.times is None:
+        return excitation.replace(**{("amplitude", "frequency")[place]: value})
+    samples = np.array(excitation.displacement)
+    samples[place] = value
+    return excitation.replace(displacement=samples)
+
+
+@pytest.mark.parametrize("order", [0, 1])
+@pytest.mark.parametrize("what", ACTS)
+def test_what_acts_changes_as_differences_say(what: str, order: int):
+    """Back and forth; samples before, between and behind those given, one of which lies on a knot."""
+    excitation = ACTS[what]
+    course, times = ImposedCourse(excitation), np.array([0.0, 0.3, 1.0, 1.7, 2.4, 4.4, 5.9]) * 1e-5
+    samples = excitation.times is not None
+    base = np.array(excitation.displacement if samples else [excitation.amplitude, excitation.frequency or 0.0])
+    assert course.size == base.size
+    slopes = np.zeros((base.size, times.size))
+    for place in range(base.size):
+        if samples:  # a spline is linear in its samples
+            slopes[place] = CubicSpline(TIMES, np.eye(5)[place])(times, order)
+        elif place == 0:
+            slopes[place] = excitation.waveform.at(times, order) / excitation.amplitude
+        elif excitation.frequency:
+            h = 1e-4 * excitation.frequency
+            end = excitation.waveform.end
+            values = []
+            for sign in (1, -1, 2, -2):
+                wave = changed(excitation, place, excitation.frequency + sign * h).waveform
+                wave = replace(wave, end=end if np.isinf(end) else 1.0)  # what ends later is as it was
+                values.append(wave.at(times, order) * (times < end))
+            slopes[place] = (8 * (values[0] - values[1]) - (values[2] - values[3])) / (12 * h)
+    scale = np.abs(slopes).max(1, keepdims=True) + 1e-300
+    assert np.abs(course.push(times, np.eye(base.size), order) / scale - slopes / scale).max() < 1e-9
+    weights = np.random.default_rng(1).normal(size=times.size)
+    assert course.pull(times, weights, order) / scale[:, 0] == pytest.approx(slopes @ weights / scale[:, 0], abs=1e-9)
+    grid = times.reshape(1, -1)
+    assert course.push(grid, np.ones((3, base.size)), order).shape == (3, 1, times.size)
+
+
+# --- steppers
+
+SCENES = [
+    Scene(chain=Chain(grains=6, diameter=1e-3), excitation=Impulse(velocity=v), duration=2e-5, samples=9)
+    for v in (1e-3, 2e-3)
+]
+
+
+def stepper(companions: int = 0, state=None, **options) -> NativeStepper:
+    own = StepSchedule(3, 1, SCENES[0].duration / 24, False)
+    beside = [own.longer(2), own.longer(4)][:companions]
+    return NativeStepper(ChainBatch(SCENES), METHODS["verlet"], own, state or {}, companions=beside, **options)
+
+
+def test_progress_is_the_share_of_landings_that_are_done():
+    """A companion that lands half as often has half as many of them."""
+    run = stepper(1)
+    assert run.progress == 0
+    assert run.own_part == 0
+    fields, beside = np.zeros((2, 2, 9, 6)), np.zeros((2, 1, 2, 9, 6))
+    run.fill(*fields, 0, 4, 2**62, tuple(beside))
+    assert run.sample == 4
+    assert run.steps.tolist() == [12, 12]
+    assert run.progress == pytest.approx(0.5, rel=1e-15)
+    assert run.own_part == pytest.approx(2 / 3, rel=1e-15)
+    run.fill(*fields, 0, 5, 3, tuple(beside))  # a sample more of the first chain
+    assert run.sample == 4
+    assert run.progress == pytest.approx((4.5 + 2) / 12, rel=1e-15)
+    assert run.stride == 1
+
+
+def test_chains_that_are_left_stay_at_the_sample_as_they_are():
+    run = stepper()
+    fields = np.zeros((2, 2, 9, 6))
+    run.fill(*fields, 0, 3, 2**62)
+    before = run.state()
+    run.leave(np.array([[False, True]]), 8)
+    assert run.sample == 3
+    assert run.state()["state"][:, SAMPLE].tolist() == [3, 8]
+    run.fill(*fields, 0, 8, 2**62)
+    after = run.state()
+    assert np.array_equal(before["u"][0, 1], after["u"][0, 1])
+    assert not np.array_equal(before["u"][0, 0], after["u"][0, 0])
+    assert not fields[:, 1, 4:].any()
+
+
+def test_states_that_do_not_fit_are_refused():
+    kept = stepper().state()
+    assert stepper(state=kept).sample == 0
+    narrow = kept | {"state": kept["state"][:, :-1]}
+    fewer = kept | {"state": kept["state"][:1]}
+    whole = kept | {"state": kept["state"].astype(int)}
+    history = kept | {"history": np.zeros((2, 1, kept["history"].shape[2]))}
+    for wrong in (narrow, fewer, whole, history):
+        with pytest.raises(ValueError, match="does not fit"):
+            stepper(state=wrong)
+    for place, value in ((3, 4), (3, 8.5), (3, 16), (4, 24), (4, 17.5), (4, 8), (0, 1), (9, np.inf), (10, np.nan)):
+        moved = kept | {"state": kept["state"].copy()}
+        moved["state"][1, place] = value
+        with pytest.raises(ValueError, match="does not fit"):
+            stepper(state=moved)
+
+
+def test_room_for_long_chains_is_zero():
+    u, v = room_for(2, 3, 600)
+    assert u.shape == v.shape == (2, 3, 600)
+    assert not u.any()
+    assert not v.any()
+    assert [field.shape for field in room_for(4, 5)] == [(4, 5)] * 2
+
+
+def test_threads_share_a_long_chain_or_a_batch():
+    long = Scene(chain=Chain(grains=2 * LEAST_SHARE, diameter=1e-3), excitation=Impulse(velocity=1e-3), duration=1e-6)
+    own = StepSchedule(2, 1, 1e-8, False)
+    for scenes, threads, teams, works in (([long], 2, 2, 2), ([long], 3, 2, 2), (SCENES, 3, 1, 2), (SCENES, 1, 1, 1)):
+        run = NativeStepper(ChainBatch(scenes), METHODS["verlet"], own, {}, threads)
+        assert len(run._teams) == teams
+        assert len(run._work) == works
+        ranges = [work[3:] for work in run._work]
+        assert ranges == [(0, 1), (1, 2)] if works == 2 and teams == 1 else all(r[0] == 0 for r in ranges)
+        run.close()
