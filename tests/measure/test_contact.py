@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,6 @@ from lmpchain import Chain, Drive, Impulse, InputError, Scene, Trajectory, engin
 from lmpchain.measure.contact import ContactHistory, contacts, drive_force, sensor, wall_force
 from lmpchain.measure.flight import arrival, time_of_flight
 from lmpchain.scene.excitation import Excitation
-from lmpchain.util.plotting import figure, save
 
 REST = Impulse(velocity=0.0)
 
@@ -329,30 +327,3 @@ def test_what_is_not_there_is_named(column: Trajectory) -> None:
         with pytest.raises(InputError) as error:
             wrong()
         assert fault in str(error.value)
-
-
-# --- pictures
-
-
-def test_pictures_bear_units(column: Trajectory, tmp_path: Path) -> None:
-    drawn = {
-        "few": contacts(column, [1, 5, 11]).plot(),
-        "many": contacts(column).plot(),
-        "sensor": sensor(column, 5).plot(),
-    }
-    for name, picture in drawn.items():
-        axes = picture.figure.axes[0]
-        assert axes.get_xlabel()
-        assert axes.get_ylabel()
-        save(picture, tmp_path / f"{name}.png")
-        assert (tmp_path / f"{name}.png").stat().st_size > 5000
-    assert [text.get_text() for text in drawn["few"].get_legend().get_texts()] == [
-        "contact 1",
-        "contact 5",
-        "contact 11",
-    ]
-    assert drawn["few"].xaxis.get_major_formatter()(2e-5) == "20 µs"
-    mine = figure()
-    axes = mine.subplots()
-    assert sensor(column, 5).plot(axes) is axes
-    assert axes.lines

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,6 @@ from lmpchain.measure.contact import contacts, drive_force
 from lmpchain.measure.energy import ledger
 from lmpchain.measure.flight import arrival
 from lmpchain.scene.excitation import Excitation
-from lmpchain.util.plotting import figure, save
 
 
 def vacuum(grains: int, **ends: Any) -> Chain:
@@ -228,25 +226,6 @@ def test_two_samples_say_nothing_about_the_error() -> None:
     energy = ledger(record(COLUMN, DRIVES["piston"], 1e-6, 2))
     assert energy.drive_error == energy.impulse_error == np.inf
     assert np.isfinite(energy.drive).all()
-
-
-# --- the picture
-
-
-def test_the_picture(tmp_path: Path) -> None:
-    quiet = ledger(record(COLUMN, Impulse(velocity=1e-2), 4e-5, 201)).plot()
-    driven = ledger(record(COLUMN, DRIVES["harmonic"], 4e-5, 401)).plot()
-    for picture, labels in [
-        (quiet, ["total", "kinetic", "potential"]),
-        (driven, ["total", "kinetic", "potential", "given by strike and driver"]),
-    ]:
-        (axes,) = picture.figure.axes
-        assert [text.get_text() for text in axes.get_legend().get_texts()] == labels
-        assert (axes.get_xlabel(), axes.get_ylabel()) == ("time", "energy above rest")
-        assert axes.yaxis.get_major_formatter()(2e-12) == "2 pJ"
-        save(picture, tmp_path / "energy.png")
-    mine = figure().subplots()
-    assert ledger(record(COLUMN, Impulse(velocity=1e-2), 4e-5, 5)).plot(mine) is mine
 
 
 @pytest.mark.parametrize("bottom", ["fixed", "free"])

@@ -151,6 +151,10 @@ def test_the_lines_of_the_picture():
     assert axes.lines[3].get_ydata() == pytest.approx(1 + 0.25 * quiet.time, rel=1e-14)
     assert axes.get_title("left") == "Drift: at most 1.2e-01 of the largest total"
     assert axes.xaxis.get_major_formatter()(3e-6) == "3 µs"
+    assert axes.yaxis.get_major_formatter()(2e-12) == "2 pJ"
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("time", "energy above rest")
+    labels = ["total", "kinetic", "potential", "given by strike and driver"]
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == labels
     still = swinging(total=np.zeros(2001), kinetic=np.zeros(2001)).plot(figure().subplots())
     assert still.get_title("left").startswith("Drift: at most 0.0e+00")
 

@@ -31,7 +31,6 @@ from lmpchain.measure.fit.overview import (
     fit_parameter,
     summary,
 )
-from lmpchain.util.plotting import save
 
 C = 1.155137236596699  # 2 (6/5)^(1/5) / B(3/5, 9/10)
 
@@ -449,27 +448,6 @@ def test_summary_of_a_chain_at_rest():
     found = summary(simulate(scene, "native", 1e-6))
     assert isinstance(found, Summary)
     assert not found.rows
-
-
-def test_pictures(column: Trajectory, uniform: Trajectory, fit: ExponentFit, tmp_path: Path):
-    continuum, modes, bessel = fit_continuum(column), fit_modes(uniform), fit_bessel(uniform)
-    assert continuum.front is not None
-    inverse = fit_parameter(Trace.of(uniform, [5]), uniform.scene, "velocity", NATIVE, span=1.0)
-    units = {
-        "share of the energy at t = 0 (%)": modes.plot(),
-        "linear motion from t = 0, relative residual": modes.plot(what="residual"),
-        "velocity, downward": bessel.plot(),
-        "displacement / v0 · (tau² − chi²)^0.1": continuum.plot(),
-        "arrival (units of tau)": continuum.front.plot(),
-    }
-    for label, axes in [*units.items(), ("velocity, downward", inverse.plot())]:
-        assert axes.figure.axes == [axes]
-        assert axes.get_ylabel().replace("\n", " ") == label
-        axes.figure.draw_without_rendering()
-    assert [label.get_text().split("\n")[0] for label in fit.plot().get_yticklabels()] == list(fit.laws)
-    save(bessel.plot(), tmp_path / "bessel.png")
-    (axes,) = bessel.plot().figure.axes
-    assert bessel.plot(axes) is axes
 
 
 # --- dumps of LAMMPS

@@ -329,22 +329,6 @@ def test_grains_that_peak_at_once_are_passed_at_no_finite_speed():
     assert at_once.against_depth("speed")[0].tolist() == [2.5, 3.5]
 
 
-def test_pictures():
-    front = power_law()
-    for picture, label, scale in (
-        (front.plot(), "amplitude of the front (m/s)", "log"),
-        (front.plot(quantity="width"), "width of the front (s)", "log"),
-        (exponent(front).plot(), "local exponent of the amplitude", "linear"),
-        (asymptotic(front, "amplitude", 1.5).plot(), "amplitude of the front (m/s)", "log"),
-    ):
-        axes, picture = picture, picture.figure
-        assert picture.axes == [axes]
-        assert axes.get_xlabel() == "depth h = n − 1/2 (grains)"
-        assert (axes.get_ylabel(), axes.get_xscale(), axes.get_yscale()) == (label, "log", scale)
-        picture.draw_without_rendering()
-        assert axes is front.plot(axes)
-
-
 def test_grains_without_motion_are_passed_over():
     """A long chain at rest behind the wave changes nothing of the front."""
     chain = Chain(grains=60, diameter=1e-3, gravity=0.0, top_load=1.0)

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import find_peaks, get_window
 
-from lmpchain import Chain, Impulse, InputError, Profile, Scene, Trajectory, simulate
+from lmpchain import Chain, Impulse, InputError, Scene, Trajectory, simulate
 from lmpchain.measure.front import track
 from lmpchain.measure.spectrum import cut_off, dispersion, space_time, spectrum, travel_time
 
@@ -271,54 +271,7 @@ def test_an_unrecorded_grain_is_named_with_the_remedy():
         dispersion(gap, 1, 16)
 
 
-def ringing(grains: Any = "all", **given: Any) -> Trajectory:
+def ringing(**given: Any) -> Trajectory:
     chain = Chain(grains=12, diameter=1e-3, **given)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6, grain=3), duration=1e-4, samples=201, grains=grains)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6, grain=3), duration=1e-4, samples=201)
     return simulate(scene, engine="native", tolerance=1e-6)
-
-
-@pytest.mark.parametrize("grains", ["all", [2, 9, 7], [4]], ids=["all", "some", "one"])
-def test_pictures_of_spectrum_and_motion(grains: Any):
-    t = ringing(grains)
-    picture = spectrum(t).plot().figure
-    axes, bar = picture.axes
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("frequency", "grain, from the top")
-    assert bar.get_ylabel() == "velocity (m/s per Hz)"
-    assert axes.get_ylim()[0] > axes.get_ylim()[1], "the top is at the top"
-    assert axes.lines[0].get_xdata() == pytest.approx(cut_off(t.scene.chain)[np.sort(t.grains) - 1])
-    assert axes.get_xlim()[1] <= 1.5 * cut_off(t.scene.chain).max()
-    picture.draw_without_rendering()
-
-    picture = space_time(t, "displacement", law=True).figure
-    axes, bar = picture.axes
-    assert (axes.get_xlabel(), axes.get_ylabel(), bar.get_ylabel()) == (
-        "time", "grain, from the top", "displacement, downward",
-    )  # fmt: skip
-    assert axes.get_ylim()[0] > axes.get_ylim()[1]
-    shown = axes.images[0] if axes.images else axes.collections[0]
-    assert shown.norm.vmin == -shown.norm.vmax
-    assert shown.get_array().shape == (t.grains.size, 201)
-    assert axes.lines[0].get_xdata() == pytest.approx(travel_time(t.scene.chain, 3))
-    picture.draw_without_rendering()
-    assert not space_time(t).figure.axes[0].lines
-
-
-def test_picture_of_dispersion():
-    found = dispersion(ringing(), 2, 11)
-    picture = found.plot().figure
-    axes, bar = picture.axes
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("wavenumber, downward (radians a grain)", "frequency")
-    assert bar.get_ylabel() == "velocity (m/s per Hz)"
-    assert [line.get_label() for line in axes.lines] == ["grain 2", "grain 6", "grain 11"]
-    picture.draw_without_rendering()
-    assert found.plot(axes) is axes
-
-
-def test_pictures_where_nothing_is_linear_and_where_nothing_moves():
-    t = ringing(gravity=0.0, bottom="free")
-    assert not spectrum(t).plot().figure.axes[0].lines
-    assert not dispersion(t, 1, 12).plot().figure.axes[0].lines
-    scene = Scene(chain=Chain(grains=12, diameter=1e-3), excitation=Profile(velocity=np.zeros(12)), duration=1e-4)
-    still = simulate(scene, engine="native", tolerance=1e-6)
-    for picture in (spectrum(still).plot(), dispersion(still, 1, 12).plot(), space_time(still)):
-        picture.figure.draw_without_rendering()
