@@ -232,4 +232,4 @@ def test_samples_between_steps_lie_on_a_polynomial_of_degree_7(name: str, stride
     scale = np.abs(true).max((1, 2, 3))
     for order in (0, 1):
         error = np.abs(fields[order, 0] - true[order, 0])[between].max() / scale[order]
-        assert error < (2e-5 if name != "springs" else 1e-2)
+        assert error < 1e-9

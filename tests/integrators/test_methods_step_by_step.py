@@ -12,6 +12,8 @@ from helpers.plain_methods import WIDE, Motion
 
 from lmpchain import Chain, Drive, Force, Profile, Scene
 from lmpchain.integrators.batch import ChainBatch, name_of
+from lmpchain.integrators.kernels.layout import FIRST, LAST, PAD
+from lmpchain.integrators.kernels.right_hand_side import TILE
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.splittings import SPLITTINGS
 from lmpchain.integrators.step_schedule import StepSchedule
@@ -189,3 +191,53 @@ def test_a_run_lands_on_every_third_sample_and_on_the_last(method: str):
     assert stepper.steps == 27 == schedule.total(8)
     assert distance(fields[:, [0, 3, 6, 8]], states[[0, 10, 20, 27]].swapaxes(0, 1)) < 1e-13
     assert not fields[:, [1, 2, 4, 5, 7]].any()
+
+
+FOLLOWED = [("verlet", False, 40), ("rkn6", False, 16), ("rkn6", True, 16), ("dop853", False, 12), ("gear4", False, 40)]
+
+
+@pytest.mark.parametrize(("method", "adaptive", "steps"), FOLLOWED)
+def test_a_wave_in_a_long_chain_is_followed_by_a_window(method: str, adaptive: bool, steps: int):
+    """It moves as in plain NumPy, and what lies outside is exactly at rest."""
+    chain = Chain(grains=240, diameter=1e-3, gravity=0.0, top_load=1e-2)
+    u, v = np.zeros((2, 240))
+    scale = 5e-3 * chain.equilibrium_overlap[0] * chain.band_edge
+    v[119:123] = scale * np.array([1, -0.7, 0.4, 1])
+    profile = Profile(displacement=u, velocity=v)
+    scene = Scene(chain=chain, excitation=profile, duration=8 / chain.band_edge, samples=3)
+    fields, stepper = answer(scene, method, StepSchedule(steps, 1, scene.duration / 2 / steps, adaptive))
+    assert stepper.steps == 2 * steps
+    assert distance(fields, plainly(scene, method, steps)) < 1e-13
+    first, last = stepper.watched[0, [FIRST, LAST]].astype(int) - PAD
+    assert 0 < first < 110
+    assert 130 < last < 240
+    assert not fields[:, :, :first].any()
+    assert not fields[:, :, last:].any()
+    assert fields[:, -1, 115:127].all()
+
+
+@pytest.mark.parametrize(("method", "acts"), [("verlet", "fly about"), ("rkn4", "force"), ("rkn4", "wall")])
+def test_a_chain_of_several_tiles_moves_as_in_plain_numpy(method: str, acts: str):
+    """Grains fly about all over it, and a force or a wall acts on one part of it."""
+    grains = 3 * TILE + 5
+    chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-2, top="wall", exponent=2.0)
+    edge, overlap = chain.band_edge, chain.equilibrium_overlap[0]
+    v = np.random.default_rng(1).normal(size=grains) * overlap * edge
+    v[-1] = 0
+    start = Profile(velocity=v)
+    frequency, duration = 0.1 * edge, 3 / edge
+    excitation = {
+        "fly about": lambda: start,
+        "force": lambda: Force(amplitude=0.1, frequency=frequency, grain=2 * TILE - 3),
+        "wall": lambda: Drive(amplitude=10 * overlap, frequency=frequency, grain=0, start=start),
+    }[acts]()
+    scene, steps = Scene(chain=chain, excitation=excitation, duration=duration, samples=2), 6
+    if method == "rkn4":
+        steps = 2
+    fields, stepper = answer(scene, method, StepSchedule(steps, 1, duration / steps, False), "plain")
+    true = plainly(scene, method, steps)
+    assert distance(fields, true) < 1e-13
+    assert stepper.steps == steps
+    if acts == "fly about":
+        closer = chain.contacts.closer(true[0, -1].astype(float))
+        assert (closer < -overlap).sum() > 100
