@@ -129,9 +129,11 @@ def test_two_samples_tell_as_much_as_20001(engine: str, scene: Scene):
         assert (np.abs(few[f"peak_{field}"] - peaks.value) <= few[f"peak_{field}_error"] + peaks.error).all()
     fronts = motion.fronts("velocity", 0.5, width=False)
     assert np.array_equal(np.isnan(few["arrival_time"]), np.isnan(fronts[:, 0]))
-    apart = np.abs(few["arrival_time"] - fronts[:, 0])
-    assert np.nanmax(apart / (few["arrival_time_error"] + fronts[:, 3])) <= 1
-    assert np.nanmax(few["arrival_time_error"]) < 1e-4 * scene.duration
+    passed = np.isfinite(fronts[:, 0])
+    assert passed.sum() > 3
+    apart = np.abs(few["arrival_time"] - fronts[:, 0])[passed]
+    assert (apart <= few["arrival_time_error"][passed] + fronts[passed, 3]).all()
+    assert (few["arrival_time_error"][passed] < 1e-4 * scene.duration).all()
     history = contacts(many, [4])
     assert abs(few["peak_force:4"] - history.force.max()) < few["peak_force:4_error"] + 1e-7 * np.ptp(history.force)
     trace = np.interp(few["fine_time"], history.time, history.change[:, 0])
@@ -235,8 +237,12 @@ def test_a_batch_gathers_what_each_of_its_scenes_does():
     for one, scene in zip(simulate_many(scenes, 1e-8), scenes, strict=True):
         alone = simulate(scene, "native", 1e-8).gathered
         for name in ALL:
-            apart = np.abs(one.gathered[name] - alone[name])
-            assert np.nanmax(apart - alone[f"{name}_error"] - one.gathered[f"{name}_error"]) <= 0
+            known = np.isfinite(alone[name])
+            assert known.any()
+            assert np.array_equal(np.isfinite(one.gathered[name]), known)
+            apart = np.abs(one.gathered[name] - alone[name])[known]
+            errors = alone[f"{name}_error"] + one.gathered[f"{name}_error"]
+            assert (apart <= errors[known]).all()
 
 
 def test_a_batch_gathers_in_the_whole_where_a_run_alone_is_cut_to_the_light_cone():

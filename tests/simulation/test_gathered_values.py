@@ -1,0 +1,236 @@
+"""Gathered peaks, arrivals and forces of chains of springs, whose motion is known, and their errors."""
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq, minimize_scalar
+
+from lmpchain import Chain, Displacement, Impulse, Profile, Scene, engines, simulate
+from lmpchain.engines import Native
+from lmpchain.simulation.gathering import GatheringRun, of_engine
+from lmpchain.theory.modes import eigenmodes
+
+ASKED = ["peak_velocity", "peak_displacement", "arrival_time", "peak_force:1", "force:1", "peak_force:3", "force:0"]
+pytestmark = pytest.mark.filterwarnings("ignore:Eq. ")
+
+
+def springs(seed: int, samples: int = 3) -> Scene:
+    """Return three unlike grains on springs between two walls, moved in any way, that never let go."""
+    rng = np.random.default_rng(seed)
+    chain = Chain(
+        grains=3, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0, top="wall", bottom="wall",
+        masses=rng.uniform(1, 3, 3) * 1e-6, contact_constants=rng.uniform(1, 3, 2) * 1e7,
+        wall_constants=rng.uniform(1, 3, 2) * 1e7,
+    )  # fmt: skip
+    profile = Profile(velocity=1e-3 * rng.normal(size=3), displacement=1e-3 / chain.band_edge * rng.normal(size=3))
+    duration = rng.uniform(20, 40) / chain.band_edge
+    return Scene(chain=chain, excitation=profile, duration=duration, samples=samples, quantities=ASKED)
+
+
+def motion(scene: Scene, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return eigenmodes(scene.chain).response(times, *scene.initial())
+
+
+def tops(scene: Scene, kind: int, grain: int) -> list[tuple[float, float]]:
+    """Return when the displacement (0) or velocity (1) of a grain is largest in size for a while, and how large."""
+
+    def values(t):
+        return np.abs(motion(scene, np.atleast_1d(t))[kind][:, grain])
+
+    grid = np.linspace(0, scene.duration, 4001)
+    sizes, step = values(grid), grid[1]
+    found = []
+    for i in np.flatnonzero((sizes[1:-1] > sizes[:-2]) & (sizes[1:-1] >= sizes[2:])) + 1:
+        best = minimize_scalar(
+            lambda t: -float(values(t)[0]), bounds=(grid[i] - step, grid[i] + step), method="bounded",
+            options={"xatol": 1e-6 * step},
+        )  # fmt: skip
+        found.append((float(best.x), -float(best.fun)))
+    return [(0.0, float(sizes[0])), *found, (float(grid[-1]), float(sizes[-1]))]
+
+
+def forces(scene: Scene, contact: int, times: np.ndarray) -> np.ndarray:
+    u = np.column_stack([np.zeros(times.size), motion(scene, times)[0], np.zeros(times.size)])
+    rest, stiffness = scene.chain.contacts.force[contact], scene.chain.contacts.stiffness[contact]
+    return rest + stiffness * (u[:, contact] - u[:, contact + 1])
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("engine", ["native", "modes"])
+def test_what_is_gathered_is_the_truth_within_its_error(engine, seed):
+    scene = springs(seed)
+    gathered = simulate(scene, engine, 1e-9).gathered
+    speed, length = 1e-3, 1e-3 / scene.chain.band_edge
+    for name, kind, unit in (("peak_velocity", 1, speed), ("peak_displacement", 0, length)):
+        for grain in range(3):
+            top = max(size for _, size in tops(scene, kind, grain))
+            off = abs(gathered[name][grain] - top)
+            assert off <= gathered[f"{name}_error"][grain] + 1e-9 * top
+            assert gathered[f"{name}_error"][grain] < 1e-4 * unit
+    for grain in range(3):
+        maxima = tops(scene, 1, grain)
+        largest = max(size for _, size in maxima)
+        turns = [(when, size) for when, size in maxima if 0 < when < scene.duration]
+        start = abs(scene.initial()[1][grain])
+        arrival, error = gathered["arrival_time"][grain], gathered["arrival_time_error"][grain]
+        if start >= largest / 2:
+            assert np.isnan(arrival)
+            continue
+        front = next(when for when, size in turns if size >= largest / 2)
+        assert abs(arrival - front) <= error + 1e-6 / scene.chain.band_edge
+        assert error < 1e-2 / scene.chain.band_edge
+    fine = gathered["fine_time"]
+    assert fine[-1] == scene.duration
+    assert fine.size == scene.fine.samples
+    for contact in (0, 1):
+        true = forces(scene, contact, fine)
+        assert (np.abs(gathered[f"force:{contact}"] - true) <= gathered[f"force:{contact}_error"]).all()
+        assert gathered[f"force:{contact}_error"].max() < 1e-6 * np.ptp(true)
+    for contact in (1, 3):
+        dense = forces(scene, contact, np.linspace(0, scene.duration, 40_001)).max()
+        found, error = gathered[f"peak_force:{contact}"], gathered[f"peak_force:{contact}_error"]
+        assert abs(found - dense) <= error + 1e-7 * dense
+        assert error < 1e-3 * (dense - scene.chain.contacts.force[contact])
+
+
+@pytest.mark.parametrize("steps", [24, 40])
+def test_errors_of_what_is_gathered_hold_those_of_the_run(steps):
+    """Of an answer at long steps: of each motion its own, of a force that of the two grains whose distance makes it."""
+    scene = springs(3, samples=2)
+    t = simulate(scene, Native("verlet", step=2 * np.pi / scene.chain.band_edge / steps))
+    error, gathered = t.error_estimate.total, t.gathered
+    assert error > 1e-3
+    largest = [max(size for grain in range(3) for _, size in tops(scene, kind, grain)) for kind in (0, 1)]
+    for name, scale in (("peak_displacement", largest[0]), ("peak_velocity", largest[1])):
+        ratio = gathered[f"{name}_error"] / (error * scale)
+        assert (ratio > 0.9).all()
+        assert (ratio < 1.8).all()
+        for grain in range(3):
+            top = max(size for _, size in tops(scene, int("velocity" in name), grain))
+            assert abs(gathered[name][grain] - top) <= gathered[f"{name}_error"][grain]
+    for contact in (1, 3):
+        stiffness = scene.chain.contacts.stiffness[contact]
+        ratio = gathered[f"peak_force:{contact}_error"] / (2 * stiffness * error * largest[0])
+        assert 0.9 < ratio < 1.8
+        dense = forces(scene, contact, np.linspace(0, scene.duration, 4001)).max()
+        assert abs(gathered[f"peak_force:{contact}"] - dense) <= gathered[f"peak_force:{contact}_error"]
+    for contact in (0, 1):
+        stiffness = scene.chain.contacts.stiffness[contact]
+        ratio = gathered[f"force:{contact}_error"] / (2 * stiffness * error * largest[0])
+        assert (ratio > 0.9).all()
+        assert (ratio < 1.8).all()
+        true = forces(scene, contact, gathered["fine_time"])
+        assert (np.abs(gathered[f"force:{contact}"] - true) <= gathered[f"force:{contact}_error"]).all()
+    for grain in range(3):
+        turns = [(when, size) for when, size in tops(scene, 1, grain) if 0 < when < scene.duration]
+        fronts = [when for when, size in turns if size >= max(size for _, size in turns) / 2]
+        if not np.isnan(gathered["arrival_time"][grain]):
+            off = abs(gathered["arrival_time"][grain] - fronts[0])
+            assert off <= gathered["arrival_time_error"][grain]
+
+
+def test_a_front_that_may_be_another_one_says_so():
+    """Two maxima, the first all but half of the second: its time is off by their distance, if values are off."""
+    chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0, top="wall", bottom="wall")
+    modes = eigenmodes(chain)
+    slow, fast = modes.shape[:, 0], modes.shape[:, 1]
+
+    def first_over_largest(mix: float) -> float:
+        velocity = np.array(fast * np.sign(fast[0]) * mix - slow * np.sign(slow[0])) * 1e-3 / abs(slow[0])
+        scene = Scene(chain=chain, excitation=Profile(velocity=velocity), duration=12 / chain.band_edge, samples=2)
+        maxima = [size for when, size in tops(scene, 1, 0) if 0 < when < scene.duration]
+        largest = max(size for _, size in tops(scene, 1, 0))
+        return maxima[0] / largest - 0.5
+
+    grid = np.linspace(0.2, 3.0, 57)
+    values = [first_over_largest(mix) for mix in grid]
+    crossing = next((i for i in range(56) if values[i] * values[i + 1] < 0 and abs(values[i]) < 0.2), None)
+    assert crossing is not None
+    mix = brentq(first_over_largest, grid[crossing], grid[crossing + 1], xtol=1e-9)
+    velocity = np.array(fast * np.sign(fast[0]) * mix - slow * np.sign(slow[0])) * 1e-3 / abs(slow[0])
+    scene = Scene(
+        chain=chain, excitation=Profile(velocity=velocity), duration=12 / chain.band_edge, samples=2,
+        quantities=["arrival_time"],
+    )  # fmt: skip
+    t = simulate(scene, Native("verlet", step=2 * np.pi / chain.band_edge / 40))
+    turns = [when for when, _ in tops(scene, 1, 0) if 0 < when < scene.duration]
+    if not np.isnan(t.gathered["arrival_time"][0]):
+        assert t.gathered["arrival_time_error"][0] > 0.5 * (turns[1] - turns[0])
+
+
+def test_grains_that_start_fastest_or_never_move_have_no_arrival():
+    chain = Chain(grains=30, diameter=1e-3)
+    scene = Scene(
+        chain=chain, excitation=Impulse(velocity=1e-4), duration=3e-5, samples=2,
+        quantities=["arrival_time", "peak_velocity"],
+    )  # fmt: skip
+    gathered = simulate(scene, "native", 1e-8).gathered
+    assert np.isnan(gathered["arrival_time"][0])  # it is struck
+    assert np.isnan(gathered["arrival_time"][-1])
+    assert gathered["arrival_time"][1] > 0
+    assert gathered["peak_velocity"][0] == pytest.approx(1e-4, rel=1e-7)
+    assert gathered["peak_velocity_error"][0] < 2e-8 * 1e-4 * 2
+    assert gathered["peak_velocity"][-1] == 0
+
+
+def test_only_what_is_asked_for_is_gathered():
+    scene = springs(1)
+    for name in ASKED:
+        gathered = simulate(scene.replace(quantities=[name]), "modes", 0.9).gathered
+        assert set(gathered) - {"fine_time"} == {name, f"{name}_error"}
+        assert ("fine_time" in gathered) == name.startswith("force")
+
+
+def test_a_hertzian_contact_of_a_weak_wave_has_the_force_of_its_law():
+    """Linear engines gather the linear force, the native one Hertz's; they agree where the wave is weak."""
+    chain = Chain(grains=20, diameter=1e-3, gravity=0.0, top_load=1e-2)
+    strike = Impulse(velocity=1e-5 * chain.length_scale / chain.time_scale)
+    scene = Scene(chain=chain, excitation=strike, duration=8 * chain.time_scale, samples=2, quantities=["force:2"])
+    native, modes = (
+        simulate(scene, engine, 1e-9 if engine == "native" else 0.9).gathered for engine in ("native", "modes")
+    )
+    change = native["force:2"] - 1e-2
+    assert np.abs(change).max() > 0
+    np.testing.assert_allclose(
+        np.interp(native["fine_time"], modes["fine_time"], modes["force:2"]) - 1e-2,
+        change,
+        rtol=0,
+        atol=2e-3 * np.abs(change).max(),
+    )
+
+
+def test_a_run_that_gathers_hands_on_the_samples_and_keeps_its_state():
+    scene = springs(2, samples=4)
+    engine = engines.plain("modes")
+    part = engine.part(scene)
+    run = GatheringRun(engine.start([part], engine.candidate(part, 0.9)), engine, [scene], [part], {})
+    blocks = list(run.blocks())
+    assert run.progress == 1
+    assert blocks[0].samples.start == 0
+    u = np.concatenate([block.displacement[0] for block in blocks])
+    np.testing.assert_allclose(u, motion(scene, scene.time)[0], rtol=0, atol=1e-12 * np.abs(u).max())
+    state = run.state()
+    own = of_engine(state)
+    assert set(own) == {key for key in state if not key.startswith("gathered.")}
+    assert len(state) > len(own)
+    again = GatheringRun(engine.start([part], engine.candidate(part, 0.9), own), engine, [scene], [part], state)
+    one, other = run.found([1e-9])[0], again.found([1e-9])[0]
+    assert one.keys() == other.keys()
+    for name, values in one.items():
+        assert np.array_equal(values, other[name], equal_nan=True)
+    wrong = state | {"gathered.0.fast": np.zeros((3, 2))}
+    with pytest.raises(ValueError, match="the state that was kept does not fit"):
+        GatheringRun(engine.start([part], engine.candidate(part, 0.9), own), engine, [scene], [part], wrong)
+    assert run.cost().steps == part.samples - 1
+    assert run.errors()[0].roundoff > 0
+
+
+def test_a_released_grain_is_nearest_at_the_start():
+    """The largest force may be that at t = 0: of a grain that is pushed into its contact and let go."""
+    chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=10.0)
+    scene = Scene(
+        chain=chain, excitation=Displacement(displacement=1e-2 * chain.length_scale), duration=1 / chain.band_edge,
+        samples=2, quantities=["peak_force:1", "peak_displacement"],
+    )  # fmt: skip
+    gathered = simulate(scene, "native", 1e-9).gathered
+    assert gathered["peak_force:1"] == pytest.approx(10.0 * 1.01**1.5, rel=1e-9)
+    assert gathered["peak_displacement"][0] == pytest.approx(1e-2 * chain.length_scale, rel=1e-9)
