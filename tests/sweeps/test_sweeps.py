@@ -414,7 +414,8 @@ def test_bad_sweeps_are_refused_before_anything_runs(tmp_path, wrong, keys):
     assert not (tmp_path / "out").exists()
 
 
-def test_a_bad_sweep_file_is_one_line_a_fault(tmp_path, capfd):
+def test_a_bad_sweep_file_is_one_line_a_fault(tmp_path, capfd, monkeypatch):
+    monkeypatch.setattr(run, "CONNECT_S", 0.2)  # where nobody listens
     path = tmp_path / "sweep.toml"
     path.write_text("[grid\n")
     assert main(["sweep", str(path), "-o", str(tmp_path / "out")]) == 2

@@ -1,0 +1,165 @@
+"""What is kept of each scene: its unit, and its numbers against those of Hertz's law."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lmpchain import Chain, Impulse, InputError, Scene, simulate, sweep
+from lmpchain.sweeps.quantities import QUANTITIES, of_contact, quantity, with_forces
+
+UNITS = {
+    "displacement": "m",
+    "velocity": "m s-1",
+    "peak_displacement": "m",
+    "peak_velocity": "m s-1",
+    "arrival_time": "s",
+    "energy": "J",
+    "grain_energy": "J",
+    "contact_energy": "J",
+    "wall_force": "N",
+}
+DIMENSIONS = {
+    "displacement": ("time", "grain"),
+    "velocity": ("time", "grain"),
+    "peak_displacement": ("grain",),
+    "peak_velocity": ("grain",),
+    "arrival_time": ("grain",),
+    "energy": ("time",),
+    "grain_energy": ("time", "grain"),
+    "contact_energy": ("time", "grain"),
+    "wall_force": (),
+}
+GRAINS = [3, 4, 7]
+CHAIN = Chain(grains=12, diameter=1e-3)
+SCENE = Scene(chain=CHAIN, excitation=Impulse(velocity=2e-3), duration=4e-5, samples=41)
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    keep = [*QUANTITIES, "peak_force:4"]
+    scene = SCENE.replace(grains=GRAINS).to_dict()
+    folder = tmp_path_factory.mktemp("quantities")
+    return sweep({"scene": scene, "keep": keep, "grid": {"chain.gravity": [9.81]}}, folder).load()
+
+
+@pytest.fixture(scope="module")
+def whole() -> Any:
+    """The same scene, of all grains and at many times."""
+    return simulate(SCENE.replace(samples=4001), "native", 1e-10)
+
+
+def test_every_quantity_has_its_unit_and_dimensions(swept: Any):
+    assert UNITS.keys() == QUANTITIES.keys()
+    for name, unit in UNITS.items():
+        array = swept[name]
+        assert array.attrs["units"] == unit
+        assert array.dims == ("chain.gravity", *DIMENSIONS[name])
+        whole = name in ("displacement", "velocity")
+        assert (f"{name}_error" in swept) != whole
+        if not whole:
+            error = swept[f"{name}_error"]
+            assert (error.attrs["units"], error.dims) == (unit, array.dims)
+            text = f"how far {name} may be off, by sampling and by the error of the solution"
+            assert error.attrs["long_name"] == text
+    force = swept["peak_force_4"]
+    assert (force.attrs["units"], force.dims) == ("N", ("chain.gravity",))
+    assert force.attrs["long_name"].endswith("contact 4")
+    for name, what in (("model_error", "the equation that was solved"), ("solver_error", "its solution")):
+        assert swept[name].attrs == {"units": "1", "long_name": f"estimated relative error of {what}"}
+    assert swept.reason.attrs == {"units": "1", "long_name": "why there is no answer"}
+    assert swept.time.attrs == {"units": "s", "long_name": "time since the strike"}
+    assert swept.grain.attrs == {"units": "1", "long_name": "number of the grain, from the top"}
+    assert swept.attrs == {"engine": "native", "tolerance": 1e-6}
+    assert swept.grain.values.tolist() == GRAINS
+    assert "downward" in swept.velocity.attrs["long_name"]
+    assert "positive downward" in swept.displacement.attrs["long_name"]
+
+
+def energies(run: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Return kinetic energy of grains and energy of contacts above rest, (T, N) and (T, N-1) J."""
+    chain = run.scene.chain
+    kinetic = chain.masses * run.velocity**2 / 2
+    rest = chain.equilibrium_overlap
+    overlap = np.maximum(rest - np.diff(run.displacement), 0.0)
+    force = chain.contact_constants * rest**1.5
+    held = chain.contact_constants * (overlap**2.5 - rest**2.5) / 2.5 - force * (overlap - rest)
+    return kinetic, held
+
+
+def test_the_energy_is_that_of_recorded_grains_and_contacts_between_them(swept: Any, whole: Any):
+    """Of 3, 4 and 7 the contact between 3 and 4 alone."""
+    kinetic, held = energies(whole)
+    rows = slice(None, None, 100)
+    of_grains = kinetic[rows][:, [2, 3, 6]].sum(1)
+    expected = of_grains + held[rows, 2]
+    size = expected.max()
+    assert swept.energy[0].values == pytest.approx(expected, abs=2e-5 * size)
+    assert held[rows, 3].max() > 0.01 * size
+    error = swept.energy_error[0].values
+    assert (np.abs(swept.energy[0].values - expected) <= error + 1e-9 * size).all()
+    assert error.max() < 1e-3 * size
+
+
+def test_energies_of_grains_and_contacts(swept: Any, whole: Any):
+    kinetic, held = energies(whole)
+    rows = slice(None, None, 100)
+    size = kinetic.max()
+    for place, grain in enumerate(GRAINS):
+        below = held[rows, grain - 1]
+        assert swept.contact_energy[0, :, place].values == pytest.approx(below, abs=1e-4 * size)
+        share = kinetic[rows, grain - 1] + (held[rows, grain - 1] + held[rows, grain - 2]) / 2
+        assert swept.grain_energy[0, :, place].values == pytest.approx(share, abs=1e-4 * size)
+
+
+def test_peaks_are_those_between_samples(swept: Any, whole: Any):
+    for name, motion in (("displacement", whole.displacement), ("velocity", whole.velocity)):
+        peak = np.abs(motion[:, [2, 3, 6]]).max(0)
+        found = swept[f"peak_{name}"][0].values
+        assert found == pytest.approx(peak, rel=2e-4)
+        assert (np.abs(found - peak) <= swept[f"peak_{name}_error"][0].values + 1e-6 * peak).all()
+    overlap = CHAIN.equilibrium_overlap - np.diff(whole.displacement)
+    force = CHAIN.contact_constants * np.maximum(overlap, 0.0) ** 1.5
+    assert swept.peak_force_4.item() == pytest.approx(force[:, 3].max(), rel=1e-6)
+    held = force[:, -1].max() + 9.81 * CHAIN.masses[-1]  # with the weight of the grain that is held
+    assert swept.wall_force.item() == pytest.approx(held, rel=1e-3)
+    assert swept.wall_force_error.item() < 0.01 * swept.wall_force.item()
+
+
+def test_the_front_arrives_when_half_of_the_peak_has(swept: Any):
+    from lmpchain.measure.front import track
+
+    alone = track(simulate(SCENE, "native", 1e-9))
+    for place, grain in enumerate(GRAINS):
+        (row,) = np.flatnonzero(alone.grain == grain)
+        assert swept.arrival_time[0, place].item() == pytest.approx(alone.time[row], rel=1e-5)
+        error = swept.arrival_time_error[0, place].item()
+        assert 0 <= error < 1e-6
+
+
+def test_names_of_forces_of_contacts():
+    assert of_contact("peak_force:4")
+    for other in ("peak_force", "peak_force:", "peak_force:x", "peak_force:0.5", "wall_force", "force:4"):
+        assert not of_contact(other)
+    assert quantity("velocity") is QUANTITIES["velocity"]
+    assert quantity("peak_force:12").long_name.endswith(" 12")
+    gathered = SCENE.replace(quantities=["peak_force:3", "peak_velocity"])
+    wider = with_forces(gathered, ["velocity", "peak_force:3", "peak_force:5"])
+    assert wider.quantities == ("peak_force:3", "peak_velocity", "peak_force:5")
+    assert with_forces(gathered, ["velocity", "peak_force:3"]) is gathered
+    with pytest.raises(InputError, match="numbered 1 to 11"):
+        with_forces(SCENE, ["peak_force:12"])
+
+
+def test_laws_and_times_are_labelled(tmp_path: Path):
+    disorder = {"seed": 1, "realisations": 2, "chain.masses": {"low": 1e-6, "high": 2e-6}}
+    disorder |= {"chain.contact_constants": {"low": 1e8, "high": 2e8}}
+    found = sweep({"scene": SCENE.to_dict(), "keep": ["wall_force"], "disorder": disorder}, tmp_path)
+    masses, constants = found["chain.masses"], found["chain.contact_constants"]
+    assert masses.shape == (2, 12)
+    assert constants.shape == (2, 11)
+    assert masses.attrs == {"units": "1", "long_name": "drawn for every grain"}
+    assert constants.attrs == {"units": "1", "long_name": "drawn for every contact"}
+    assert masses.dims == ("realisation", "chain.masses.entry")
+    assert found.realisation.values.tolist() == [0, 1]

@@ -1,0 +1,320 @@
+"""How results lie on the disk: shards and parts, and what is read back of any mixture of them."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zarr
+
+from lmpchain import InputError, load_sweep, sweep
+from lmpchain.sweeps import store, store_check
+from lmpchain.sweeps.file import again, is_name, read
+from lmpchain.sweeps.store import Column, Layout, layout, part_of, parts_of, whole_parts, write_part
+
+SCENE: dict[str, Any] = {
+    "chain": {"grains": 6, "material": "glass", "diameter": 1e-3},
+    "excitation": {"kind": "impulse", "velocity": 1e-4},
+    "recording": {"duration": 5e-6, "samples": 3},
+}
+
+
+def laid(count: int, batch: int, **shapes: tuple[int, ...]) -> Layout:
+    columns = {name: Column(tuple("ab"[: len(shape)]), shape, "m", "") for name, shape in shapes.items()}
+    return Layout(count, batch, columns | {"reason": Column((), (), "1", "", store.NOT_DONE, str)})
+
+
+def test_a_shard_holds_so_many_scenes_that_a_hundred_files_hold_ten_thousand():
+    made = laid(10**4, 64, velocity=(3,), peak=())
+    assert made.shards * len(made.columns) <= 100
+    assert made.shard % made.batch == 0
+    assert made.shard == 64 * math.ceil(160 * 3 / 64)
+    assert made.shards == math.ceil(10**4 / made.shard)
+    firsts = [first for shard in range(made.shards) for first in made.batches(shard)]
+    assert firsts == list(range(0, 10**4, 64))
+    few = laid(5, 2, velocity=(3,))
+    assert (few.shard, few.shards) == (6, 1)
+    assert list(few.batches(0)) == [0, 2, 4]
+
+
+def test_a_shard_is_no_larger_than_128_MB():
+    wide = laid(10**6, 1, velocity=(2**10, 2**10))  # 8 MB a scene
+    assert wide.shard == 16
+    huge = laid(10, 1, velocity=(2**14, 2**14))  # 2 GB
+    assert huge.shard == 1
+    assert laid(10**6, 5, velocity=(2**10, 2**10)).shard == 20
+
+
+def test_the_layout_has_an_error_beside_each_number_read_off():
+    extra = {"time": Column(("sample",), (7,), "s", "")}
+    made = layout(["velocity", "energy", "wall_force", "peak_force:3"], 9, 2, 7, 4, extra)
+    shapes = {name: column.shape for name, column in made.columns.items()}
+    assert shapes == {
+        "time": (7,),
+        "velocity": (7, 4),
+        "energy": (7,),
+        "energy_error": (7,),
+        "wall_force": (),
+        "wall_force_error": (),
+        "peak_force_3": (),
+        "peak_force_3_error": (),
+        "model_error": (),
+        "solver_error": (),
+        "reason": (),
+    }
+    assert list(made.columns)[-1] == "reason"
+    assert math.isnan(made.columns["velocity"].fill)
+    assert (made.columns["reason"].fill, made.columns["reason"].dtype) == ("not done", str)
+
+
+def test_chunks_are_read_a_quarter_of_a_megabyte_at_a_time(tmp_path: Path):
+    made = Layout(4000, 4, laid(1, 1, velocity=(128, 64), peak=()).columns)
+    store.create(tmp_path, made, {}, {"case": 4000})
+    group = zarr.open_group(tmp_path / "results.zarr", mode="r")
+    velocity, peak = group["velocity"], group["peak"]
+    assert dict(group.attrs) == {"batch": 4, "swept": {"case": 4000}}
+    assert velocity.chunks == (4, 128, 64)  # 64 kB a scene
+    assert velocity.shards == (made.shard, 128, 64)
+    assert peak.chunks == (made.shard,)
+    assert velocity.metadata.dimension_names == ("scene", "a", "b")
+    assert dict(peak.attrs) == {"units": "m", "long_name": ""}
+    assert np.isnan(velocity.fill_value)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["results.zarr"]
+    assert len(list((tmp_path / "results.zarr").iterdir())) == 4
+    batch, arrays = store_check.described(tmp_path / "results.zarr")
+    assert (batch, sorted(arrays)) == (4, ["peak", "reason", "velocity"])
+
+
+@pytest.fixture
+def split(tmp_path: Path, monkeypatch: Any) -> tuple[Path, Layout, dict[str, np.ndarray]]:
+    """Two shards of six scenes, the first gathered, of the second a part and some of another."""
+    monkeypatch.setattr(store, "SCENES_A_FILE", 2)
+    made = laid(11, 3, velocity=(2, 4), peak=())
+    assert (made.shard, made.shards) == (6, 2)
+    (tmp_path / "parts").mkdir()
+    store.create(tmp_path, made, {}, {"case": 11})
+    rng = np.random.default_rng(1)
+    values: dict[str, Any] = {"velocity": rng.normal(size=(11, 2, 4)), "peak": rng.normal(size=11)}
+    values["reason"] = np.array([""] * 11)
+    for first in (0, 3, 6):
+        write_part(tmp_path, first, {name: array[first : first + 3] for name, array in values.items()})
+    lacking = {name: array[9:11].copy() for name, array in values.items()}
+    lacking["reason"] = np.array(["", "not done"])
+    lacking["velocity"][1] = lacking["peak"][1] = np.nan
+    write_part(tmp_path, 9, lacking, whole=False)
+    store.gather(tmp_path, made, 0)
+    values["reason"] = np.array([*[""] * 10, "not done"])
+    values["velocity"][10] = values["peak"][10] = np.nan
+    return tmp_path, made, values
+
+
+def test_parts_become_a_shard(split: Any):
+    folder, _, _ = split
+    names = sorted(path.name for path in (folder / "parts").iterdir())
+    assert names == ["0000006.npz", "0000009.some.npz"]
+    assert (store.complete(folder, 0), store.complete(folder, 1)) == (True, False)
+    assert list(whole_parts(folder)) == [6]
+    assert sorted(parts_of(folder)) == [6, 9]
+    assert part_of(folder, 6) == whole_parts(folder)[6]
+    write_part(folder, 9, {"peak": np.zeros(2)})
+    assert list(whole_parts(folder)) == [6, 9], "what is whole takes the place of some"
+    assert not part_of(folder, 9, whole=False).exists()
+    (folder / "parts" / "12.npz").touch()
+    assert list(whole_parts(folder)) == [6, 9]
+
+
+NUMBERS = [[0], [5, 6], range(11), [10], [9, 2, 7], [1, 3, 5], [6, 7, 8], [], [4, 4, 0], [3, 5]]
+
+
+@pytest.mark.parametrize("numbers", NUMBERS)
+def test_any_scenes_are_read_from_shards_and_parts(split: Any, numbers: Any):
+    folder, made, values = split
+    rows = np.array(list(numbers), dtype=int)
+    for name, array in values.items():
+        found = store.read(folder, made, name, rows)
+        assert np.array_equal(found.astype(array.dtype), array[rows], equal_nan=name != "reason")
+    inner = np.array([1, 0]), np.array([3])
+    found = store.read(folder, made, "velocity", rows, inner)
+    expected = values["velocity"][rows][:, inner[0]][:, :, inner[1]]
+    assert np.array_equal(found, expected, equal_nan=True)
+
+
+def test_what_is_not_done_is_no_number(tmp_path: Path):
+    made = laid(3, 1, peak=())
+    store.create(tmp_path, made, {}, {"case": 3})
+    assert np.isnan(store.read(tmp_path, made, "peak", np.arange(3))).all()
+    assert store.read(tmp_path, made, "reason", np.arange(3)).tolist() == ["not done"] * 3
+
+
+def test_what_killed_processes_leave_is_cleaned_away(split: Any):
+    folder, made, _ = split
+    store.gather(folder, made, 0)  # once more: another process was faster
+    left = [folder / "parts" / ".0000006.1.partial", folder / "results.zarr" / "peak" / "c" / "0.partial1"]
+    for path in left:
+        path.touch()
+    (folder / ".results.zarr.12.partial").mkdir()
+    np.savez(part_of(folder, 3), peak=np.zeros(3))  # of a shard that is there
+    store.clean(folder, made)
+    assert not any(path.exists() for path in left)
+    assert sorted(path.name for path in folder.iterdir()) == ["parts", "results.zarr"]
+    assert sorted(parts_of(folder)) == [6, 9]
+    with pytest.raises(FileNotFoundError):
+        store.gather(folder, made, 1)
+
+
+def test_a_part_has_the_shape_of_its_column(tmp_path: Path):
+    (tmp_path / "parts").mkdir()
+    number = Column((), (), "m", "")
+    write_part(tmp_path, 0, {"peak": np.zeros((2, 3)), "words": np.array(["a"]), "ok": np.ones(2)})
+    path = part_of(tmp_path, 0)
+    assert store.read_part(path, "ok", number).tolist() == [1.0, 1.0]
+    for name in ("peak", "words"):
+        with pytest.raises(InputError, match="an array has another shape"):
+            store.read_part(path, name, number)
+    word = Column((), (), "1", "", "", str)
+    assert store.read_part(path, "words", word).tolist() == ["a"]
+    with pytest.raises(InputError, match="another shape"):
+        store.read_part(path, "ok", word)
+    with pytest.raises(FileNotFoundError):
+        store.read_part(path.with_name("none.npz"), "ok", number)
+
+
+# --- the check before anything is opened
+
+
+def plain(folder: Path, length: int, *, held: int, shape: Any = None) -> None:
+    """Write an array as lmpchain does, and files of so many bytes as what it holds."""
+    store.create(folder, laid(2, 1, peak=()), {"grain": (("grain",), np.arange(length), {})}, {"case": 2})
+    node = folder / "results.zarr" / "grain"
+    about = json.loads((node / "zarr.json").read_text())
+    about["shape"] = about["chunk_grid"]["configuration"]["chunk_shape"] = shape or [length]
+    (node / "zarr.json").write_text(json.dumps(about))
+    (node / "c" / "0").write_bytes(bytes(held))
+
+
+def test_an_array_claims_no_more_than_its_file_can_hold(tmp_path: Path):
+    """64 MB, or a thousand times what is there."""
+    cases = [(2**23, 0, True), (2**23 + 1, 0, False), (125 * 10**6, 10**6, True), (125 * 10**6 + 1, 10**6, False)]
+    for place, (length, held, sound) in enumerate(cases):
+        folder = tmp_path / str(place)
+        folder.mkdir()
+        plain(folder, 5, held=held, shape=[length])
+        if sound:
+            assert store_check.described(folder / "results.zarr")[0] == 1
+        else:
+            with pytest.raises(ValueError, match="claims to hold more than it does"):
+                store_check.described(folder / "results.zarr")
+
+
+def test_the_inner_chunks_of_a_shard_are_small_and_whole(tmp_path: Path):
+    made = Layout(4000, 4, laid(1, 1, velocity=(128, 32)).columns)  # 32 kB a scene: eight a chunk
+    store.create(tmp_path, made, {}, {"case": 4000})
+    file = tmp_path / "results.zarr" / "velocity" / "zarr.json"
+    about = json.loads(file.read_text())
+    inner = about["codecs"][0]["configuration"]
+    assert inner["chunk_shape"] == [8, 128, 32]
+    for rows, sound in ((8, True), (4, True), (16, False), (3, False), (0, False), (-4, False)):
+        inner["chunk_shape"] = [rows, 128, 32]
+        file.write_text(json.dumps(about))
+        if sound:
+            store_check.described(tmp_path / "results.zarr")
+        else:
+            with pytest.raises((ValueError, ZeroDivisionError)):
+                store_check.described(tmp_path / "results.zarr")
+    inner["chunk_shape"] = [8, 128, 16]
+    file.write_text(json.dumps(about))
+    with pytest.raises(ValueError, match="is in pieces"):
+        store_check.described(tmp_path / "results.zarr")
+
+
+@pytest.mark.parametrize("batch", [0, -1, True, 1.0, "1", None])
+def test_a_batch_is_a_whole_number_from_1(tmp_path: Path, batch: Any):
+    store.create(tmp_path, laid(2, 1, peak=()), {}, {"case": 2})
+    file = tmp_path / "results.zarr" / "zarr.json"
+    about = json.loads(file.read_text())
+    file.write_text(json.dumps(about | {"attributes": {"batch": batch}}))
+    with pytest.raises(ValueError, match="no store of lmpchain"):
+        store_check.described(tmp_path / "results.zarr")
+
+
+# --- places, keys and names
+
+
+def test_places_follow_the_last_axis_first():
+    grid = {"chain.gravity": [1.0, 2.0, 3.0], "excitation.velocity": [1e-4, 2e-4]}
+    plan = read({"scene": SCENE, "grid": grid, "disorder": {"m": 2, "seed": 1, "realisations": 4}})
+    assert (plan.shape, plan.count) == ((3, 2, 4), 24)
+    places = [plan.place(number) for number in range(24)]
+    assert places == [tuple(map(int, np.unravel_index(n, plan.shape))) for n in range(24)]
+    assert len({plan.key(number) for number in range(24)}) == 24
+    assert {len(plan.key(number)) for number in range(24)} == {16}
+    assert is_name(plan.name)
+    for other in ("", "0" * 15, "0" * 17, "g" * 16, "../" + "0" * 13, None, "A" * 16):
+        assert not is_name(other)
+
+
+def test_a_name_and_a_key_follow_from_all_that_shapes_the_answer():
+    base = {"scene": SCENE, "grid": {"chain.gravity": [1.0, 2.0]}}
+    other_scene = SCENE | {"excitation": {"kind": "impulse", "velocity": 2e-4}}
+    names, keys = set(), set()
+    changes: list[dict[str, Any]] = [{}, {"tolerance": 1e-5}, {"engine": "chebyshev"}, {"keep": ["velocity"]}]
+    for change in (*changes, {"scene": other_scene}):
+        plan = read(base | change)
+        names.add(plan.name)
+        keys |= {plan.key(0), plan.key(1)}
+        assert again(plan.text, plan.folder).name == plan.name
+        assert again(plan.text, plan.folder).key(1) == plan.key(1)
+    assert (len(names), len(keys)) == (5, 10)
+    assert read(base).key(0) == read(base | {"grid": {"chain.gravity": [1.0]}}).key(0)
+    plan = read(base)
+    assert (plan.tolerance, plan.engine, plan.keep) == (1e-6, "native", ["displacement", "velocity"])
+    with pytest.raises(InputError, match="must be tables: a sweep that is kept names no other file"):
+        again(json.dumps({"scene": "scene.toml", "files": {}}), plan.folder)
+
+
+def test_one_scene_for_each_value_is_tried_before_all_are_run():
+    grid = {"chain.gravity": [1.0, 2.0, 3.0], "excitation.velocity": [1e-4, 2e-4]}
+    plan = read({"scene": SCENE, "grid": grid, "disorder": {"m": 2, "seed": 1, "realisations": 4}})
+    tried = [(scene.chain.gravity, scene.excitation.velocity) for scene in plan.trials()]
+    assert tried == [(1.0, 1e-4), (1.0, 2e-4), (2.0, 1e-4), (3.0, 1e-4)]
+
+
+def test_of_draws_32_are_tried(monkeypatch: Any):
+    """A sweep is refused if none of them makes a scene."""
+    law = {"low": -40.0, "high": 1.0}
+    plan = read({"scene": SCENE, "keep": ["wall_force"], "random": {"draws": 400, "seed": 1, "chain.gravity": law}})
+    gravities = plan.axes[0].columns["chain.gravity"]
+    first = int(np.flatnonzero(np.array(gravities) >= 0)[0])
+    for sign, ok in ((gravities[:first] + gravities[first:], first < 32), ([-1.0] * 32 + [1.0] * 368, False)):
+        plan.axes[0].columns["chain.gravity"] = sign
+        if ok:
+            assert next(plan.trials()).chain.gravity == gravities[first]
+        else:
+            with pytest.raises(InputError, match="gravity"):
+                list(plan.trials())
+    plan.axes[0].columns["chain.gravity"] = [-1.0] * 31 + [1.0] * 369
+    assert next(plan.trials()).chain.gravity == 1.0
+
+
+@pytest.mark.parametrize("grains", [0, -1, True, 2.0, "6", None, 10**8 + 1])
+def test_drawn_numbers_need_a_chain_of_so_many_grains(grains: Any):
+    chain = {key: value for key, value in (SCENE["chain"] | {"grains": grains}).items() if value is not None}
+    masses = {"chain.masses": {"low": 1e-6, "high": 2e-6}}
+    plan = read({"scene": SCENE | {"chain": chain}, "disorder": {"seed": 1, "realisations": 2} | masses})
+    with pytest.raises(InputError, match=r"chain\.grains: must be a whole number from 1"):
+        plan.grains((0,))
+
+
+def test_a_sweep_of_several_shards(tmp_path: Path, monkeypatch: Any):
+    from lmpchain.sweeps import tasks
+
+    monkeypatch.setattr(tasks, "MOST", 2)
+    whole = sweep({"scene": SCENE, "grid": {"chain.gravity": np.arange(1.0, 8.0)}}, tmp_path / "one").load()
+    monkeypatch.setattr(store, "SCENES_A_FILE", 1)
+    found = sweep({"scene": SCENE, "grid": {"chain.gravity": np.arange(1.0, 8.0)}}, tmp_path / "many")
+    assert found.identical(whole)
+    assert len(list((tmp_path / "many").glob("*/results.zarr/reason/c/*"))) == 2
+    assert not list((tmp_path / "many").glob("*/parts/*"))
+    assert load_sweep(tmp_path / "many").velocity[5].equals(whole.velocity[5])
