@@ -147,8 +147,10 @@ class Problem:
         positive = [name not in SIGNED for name, _ in self.along]
         lowest = np.full(len(self.names), -np.inf)
         lowest[: len(positive)][positive] = -LEAST
+        known = any(one.noise is not None for one in self.traces)
+        size = 1.0 if known else max(float(np.abs(one.values).max()) for one in self.traces) or 1.0  # gtol has a unit
         return least_squares(
-            lambda rest: self.residuals(whole(rest))[0], start,
-            lambda rest: self.residuals(whole(rest), True)[1][:, free],
+            lambda rest: self.residuals(whole(rest))[0] / size, start,
+            lambda rest: self.residuals(whole(rest), True)[1][:, free] / size,
             x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-12, max_nfev=100, bounds=(lowest[free], np.inf),
         ).x  # fmt: skip

@@ -1,0 +1,349 @@
+"""What sensitivities, optima and boxes say and draw: numbers in text, JSON and pictures; draws against closed forms."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.special import roots_hermitenorm
+
+from lmpchain import Chain, Drive, Impulse, InputError, Profile, Scene
+from lmpchain.design import ArrivalTime, Energy, Function, KineticEnergy, Momentum, PeakForce, optimise
+from lmpchain.design import optimisation as optima
+from lmpchain.design.gradients import Gradient, halved
+from lmpchain.design.optimisation import Optimum, _Box
+from lmpchain.design.sensitivities import Sensitivity, objective, sensitivity
+from lmpchain.errors import RunFailed, ToleranceNotMet
+from lmpchain.util.plotting import COLOURS
+
+FLYING = Scene(  # one grain in free flight: its velocity is that at t = 0
+    chain=Chain(grains=2, diameter=1e-3, gravity=0.0, bottom="free"),
+    excitation=Profile(displacement=[0.0, 1e-3], velocity=[-2.0, 0.0]),
+    duration=1e-5,
+    samples=3,
+)
+
+
+def cubed(_: np.ndarray, u: np.ndarray, v: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    slope = np.zeros(v.shape)
+    slope[-1, 0] = 3 * v[-1, 0] ** 2
+    return float(v[-1, 0] ** 3), np.zeros(u.shape), slope
+
+
+@pytest.mark.parametrize("share", [0.02, 0.2])
+def test_scatter_and_shift_are_those_of_a_cubic_answer(share: float):
+    """-8 (1 + s z)^3 of a normal z: what 16 pairs of draws can tell, and exactly that of these draws."""
+    answer = sensitivity(FLYING, Function(cubed, [1]), {"velocity": share})
+    assert answer.value == pytest.approx(-8, rel=1e-12)
+    assert answer.relative["velocity"] == pytest.approx([-24.0, 0.0], rel=1e-9, abs=1e-12)
+    assert answer.deviation == pytest.approx(24 * share, rel=1e-9)
+    assert answer.uncertainty == pytest.approx({"velocity": 24 * share}, rel=1e-9)
+    z, weight = roots_hermitenorm(20)
+    cubic = -8 * (1 + share * z) ** 3
+    weight /= weight.sum()
+    spread = np.sqrt(weight @ cubic**2 - (weight @ cubic) ** 2)
+    assert answer.scatter == pytest.approx(spread, rel=0.2)
+    assert answer.shift == pytest.approx(weight @ cubic + 8, rel=0.5)
+    draws = np.random.default_rng(0).standard_normal((16, 2))[:, 0]
+    up, down = (-8 * (1 + side * share * draws) ** 3 for side in (1, -1))
+    odd, even = (up - down) / 2, (up + down) / 2 + 8
+    slope = (24 * share) ** 2 * (odd**2).sum() / ((24 * share * draws) ** 2).sum()
+    assert answer.scatter == pytest.approx(np.sqrt(slope + even.var(ddof=1)), rel=1e-6)
+    assert answer.shift == pytest.approx(even.mean(), rel=1e-6)
+
+
+def test_without_uncertainty_nothing_scatters_and_beyond_what_may_be_nothing_is_known():
+    exact = sensitivity(FLYING, Function(cubed, [1]))
+    assert (exact.scatter, exact.shift, exact.deviation) == (0.0, 0.0, 0.0)
+    with pytest.raises(InputError, match=r"^velocity: must be from 0 to 1, a part of each entry \(got 1\)"):
+        sensitivity(FLYING, Function(cubed, [1]), {"velocity": 1})
+    with pytest.raises(InputError, match=r"^velocity: must be from 0"):
+        sensitivity(FLYING, Function(cubed, [1]), {"velocity": -0.1})
+    assert sensitivity(FLYING, Function(cubed, [1]), {"velocity": 0.0}).scatter == 0
+    # with half of the velocity a grain is never so fast
+    column = Scene(
+        chain=Chain(grains=3, diameter=1e-3), excitation=Impulse(velocity=1e-4, grain=1), duration=2e-5, samples=9
+    )
+    often = sensitivity(column, ArrivalTime(2, 3e-5), {"velocity": 0.9})
+    assert np.isnan([often.scatter, often.shift]).all()
+    assert "beyond first order: unknown" in often.table()
+
+
+def shown(scatter: float = 0.25, **uncertainty: float) -> Sensitivity:
+    """Return a sensitivity of given numbers."""
+    relative = {
+        "diameters": np.array([0.5, -2.0, 1e-4, 0.0]),
+        "contact_constants": np.array([0.1, 0.2, 0.3]),
+        "gravity": np.array([0.7]),
+    }
+    gradient = Gradient(2.0, {"masses": np.array([3.0])}, {"masses": 1e-9}, 2e-5, 3e-6, 1e-7, "rkn4")
+    return Sensitivity("peak_force:3", "N", gradient, relative, uncertainty, scatter, -0.0125)
+
+
+def test_a_table_ranks_what_matters():
+    table = shown(diameters=0.3, gravity=0.4)
+    ranks = table.ranked()
+    names = [
+        "diameters 2", "gravity", "diameters 1", "contact_constants 3", "contact_constants 2", "contact_constants 1",
+        "diameters 3", "diameters 4",
+    ]  # fmt: skip
+    assert [name for name, _ in ranks] == names
+    assert [part for _, part in ranks][:3] == pytest.approx([-0.02, 0.007, 0.005], rel=1e-12)
+    lines = [" ".join(line.split()) for line in table.table().splitlines()]
+    assert lines == [
+        "peak_force:3: 2 N (error 3.0e-06)",
+        "",
+        "for 1 % more N %",
+        "diameters 2 -0.02 -1.0000",
+        "gravity +0.007 +0.3500",
+        "diameters 1 +0.005 +0.2500",
+        "contact_constants 3 +0.003 +0.1500",
+        "contact_constants 2 +0.002 +0.1000",
+        "contact_constants 1 +0.001 +0.0500",
+        "diameters 3 +1e-06 +0.0000",
+        "diameters 4 +0 +0.0000",
+        "all diameters -0.015 -0.7500",
+        "all contact_constants +0.006 +0.3000",
+        "derivatives known to 2.0e-05",
+        "by the uncertainty of diameters: 0.3 N",
+        "by the uncertainty of gravity: 0.4 N",
+        "uncertainty to first order: 0.5 N (25 %)",
+        "by 32 drawn chains: 0.25 N, the mean shifted by -0.013",
+    ]
+    assert shown().table().splitlines()[-1] == "derivatives known to 2.0e-05"
+    unknown = shown(float("nan"), gravity=0.4).table().splitlines()[-1]
+    assert unknown == "beyond first order: unknown, as not every drawn chain has an answer"
+    many = shown()
+    many.relative["diameters"] = np.arange(20.0)
+    assert sum(line.startswith("diameters") for line in many.table().splitlines()) == 12
+
+
+def test_all_numbers_are_written():
+    assert json.loads(json.dumps(shown(diameters=0.3, gravity=0.4).to_json())) == {
+        "of": "peak_force:3",
+        "unit": "N",
+        "value": 2.0,
+        "value_error": 3e-6,
+        "derivatives": {"masses": [3.0]},
+        "derivative_errors": {"masses": 1e-9},
+        "per_relative_change": {
+            "diameters": [0.5, -2.0, 1e-4, 0.0],
+            "contact_constants": [0.1, 0.2, 0.3],
+            "gravity": [0.7],
+        },
+        "uncertainty": {"diameters": 0.3, "gravity": 0.4, "all": 0.5},
+        "scatter": 0.25,
+        "shift": -0.0125,
+    }
+
+
+def test_a_picture_has_the_change_in_percent_along_the_chain():
+    """Contacts between grains; to where anything matters by a thousandth."""
+    ax = shown().plot()
+    drawn = {line.get_label(): line for line in ax.lines[:-1]}
+    assert list(drawn) == ["diameters", "contact constants"]
+    np.testing.assert_array_equal(drawn["diameters"].get_xdata(), [1, 2, 3, 4])
+    np.testing.assert_array_equal(drawn["contact constants"].get_xdata(), [1.5, 2.5, 3.5])
+    np.testing.assert_allclose(drawn["diameters"].get_ydata(), [0.25, -1.0, 5e-5, 0.0], rtol=1e-12)
+    np.testing.assert_allclose(drawn["contact constants"].get_ydata(), [0.05, 0.1, 0.15], rtol=1e-12)
+    assert [line.get_color() for line in ax.lines[:2]] == list(COLOURS.values())[:2]
+    np.testing.assert_array_equal(ax.lines[-1].get_ydata(), [0, 0])
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("grain", "change for 1 % more, %")
+    assert ax.get_xlim() == (0.5, 4.5)
+    assert ax.get_title("left") == "peak force:3: 2 N"
+    assert ax.get_legend() is not None
+    far = shown()
+    far.relative["diameters"] = np.array([1.0, 0.0, 0.9e-3, 0.0, 1.1e-3, 0.9e-3])
+    assert far.plot().get_xlim() == (0.5, 4 + 2.5)
+
+
+@pytest.mark.parametrize(
+    ("of", "exact", "unit"),
+    [
+        ("peak_force:0", PeakForce(0), "N"),
+        ("energy:2-4", Energy([2, 3, 4]), "J"),
+        ("energy:3", Energy([3]), "J"),
+        ("kinetic_energy:1-2", KineticEnergy([1, 2]), "J"),
+        ("momentum:5", Momentum([5]), "kg m/s"),
+        ("arrival_time:4@-1e-3", ArrivalTime(4, -1e-3), "s"),
+    ],
+)
+def test_answers_are_named_in_one_word(of: str, exact: Any, unit: str):
+    assert objective(of) == (exact, unit)
+
+
+@pytest.mark.parametrize(
+    ("of", "form"),
+    [
+        ("peak_force:x", "peak_force:CONTACT"), ("arrival_time:4", "arrival_time:GRAIN@VELOCITY"),
+        ("energy:3-", "energy:GRAIN or energy:FIRST-LAST"), ("momentum:3-2", "momentum:GRAIN or momentum:FIRST-LAST"),
+    ],
+)  # fmt: skip
+def test_the_form_of_an_answer_is_said(of: str, form: str):
+    with pytest.raises(InputError) as error:
+        objective(of)
+    assert str(error.value) == f"of: must be {form} (got '{of}')"
+
+
+def test_what_an_answer_depends_on_is_what_is_given_and_not_0():
+    drive = Drive(amplitude=1e-9, frequency=1e5)
+    plain = Chain(grains=3, diameter=1e-3, bottom="wall")
+    for chain, excitation, names in (
+        (plain, Impulse(velocity=1e-6), {"diameters", "youngs_moduli", "gravity", "velocity"}),
+        (plain, drive, {"diameters", "youngs_moduli", "gravity", "velocity", "amplitude", "frequency"}),
+        (
+            plain.replace(masses=np.full(3, 1e-6), wall_constants=(0.0, 1e9), gravity=0.0, top_load=0.1),
+            Profile(displacement=[1e-12, 0, 0]),
+            {"diameters", "youngs_moduli", "masses", "wall_constants", "top_load", "displacement"},
+        ),
+    ):
+        scene = Scene(chain=chain, excitation=excitation, duration=1e-6, samples=3)
+        assert set(sensitivity(scene, "momentum:2").relative) == names
+
+
+def test_steps_are_halved_until_two_comparisons_are_enough():
+    """First against twice the step; if that is enough, against half again the step, or shorter if these are few."""
+    asked: list[tuple[float, int]] = []
+
+    class Run:
+        def __init__(self, step: float, steps: int):
+            self.step, self.steps, self.time = step, steps, np.zeros(5)
+
+    def answer(step: float, finer: int) -> Any:
+        asked.append((round(step, 12), finer))
+        return 1 + step**2, None, Run(step, round(8 / step))
+
+    def judged(now: Any, others: Any) -> float:
+        return sum(abs(now[0] - other[0]) for other in others)
+
+    error = halved(answer, 1.0, 12, judged, lambda off: off < 0.05)
+    # 3 h^2 is enough at 1/8, with 1.25 h^2 more no longer; at 1/16 both are
+    last = [(0.125, 16), (0.1875, 16), (0.0625, 32), (0.09375, 32)]
+    assert asked == [(2.0, 1), (1.0, 2), (0.5, 4), (0.25, 8), *last]
+    assert error == pytest.approx(4.25 / 256, rel=1e-12)
+    asked.clear()
+    halved(answer, 1.0, 1, judged, lambda _: True)
+    assert asked == [(2.0, 1), (1.0, 2), (round(1 / 1.5, 12), 2)]  # 8 steps between 4 looks: a shorter one
+    asked.clear()
+    halved(answer, 1.0, 3, judged, lambda _: False)
+    assert asked == [(2.0, 1), (1.0, 2), (0.5, 4), (0.25, 8)]
+
+
+def test_a_box_takes_parameters_to_numbers_from_0_to_1():
+    chain = Chain(grains=3, diameter=1e-3, masses=[1e-3, 2e-3, 9e-3], top_load=0.2)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1e-5)
+    bounds = {"masses": ([1e-3, 1e-3, 10e-3], [1e-3, 6e-3, 12e-3]), "top_load": (0.1, 0.5)}
+    box = _Box(scene, ("masses", "top_load"), bounds)
+    np.testing.assert_allclose(box.start, [0.2, 0.0, 0.25], rtol=1e-12)
+    values = box.values(np.array([0.5, 1.0, 0.75]))
+    np.testing.assert_allclose(values["masses"], [1e-3, 3.5e-3, 12e-3], rtol=1e-12)
+    np.testing.assert_allclose(values["top_load"], [0.4], rtol=1e-12)
+    slopes = box.gathered({"masses": np.array([7.0, 2.0, 3.0])})
+    np.testing.assert_allclose(slopes, [2.0 * 5e-3, 3.0 * 2e-3, 0.0], rtol=1e-12)
+    slopes = box.gathered({"top_load": np.array([3.0])})
+    np.testing.assert_allclose(slopes, [0.0, 0.0, 1.2], rtol=1e-12)
+    for wrong, message in (
+        ({"masses": (0, 1)}, "^bounds: give a lower and an upper one of top_load"),
+        (bounds | {"gravity": (1, 2)}, "^bounds: 'gravity' is none of the parameters"),
+        (bounds | {"top_load": (0.5, 0.1)}, "^bounds: must be finite, the lower one not above"),
+        (bounds | {"top_load": (0.1, np.inf)}, "^bounds: must be finite"),
+        (bounds | {"top_load": (-np.inf, 0.1)}, "^bounds: must be finite"),
+    ):
+        with pytest.raises(InputError, match=message):
+            _Box(scene, ("masses", "top_load"), wrong)
+
+
+@pytest.mark.parametrize("maximise", [True, False])
+def test_a_picture_has_the_best_value_so_far_of_every_start(maximise: bool):
+    history = [np.array([3.0, 1.0, 4.0, 2.0]), np.array([2.0, 5.0])]
+    best = Optimum(FLYING, 5.0 if maximise else 1.0, 1e-9, {}, history)
+    assert best.runs == 6
+    ax = best.plot()
+    expected = [[3, 3, 4, 4], [2, 5]] if maximise else [[3, 1, 1, 1], [2, 2]]
+    assert [line.get_ydata().tolist() for line in ax.lines] == expected
+    assert [line.get_xdata().tolist() for line in ax.lines] == [[1, 2, 3, 4], [1, 2]]
+    assert [line.get_label() for line in ax.lines] == ["start 1", "start 2"]
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("runs", "best value")
+    assert ax.get_legend() is not None
+    many = Optimum(FLYING, 5.0, 1e-9, {}, history * 4)
+    assert many.plot().get_legend() is None
+    assert Optimum(FLYING, 5.0, 1e-9, {}, history * 3).plot().get_legend() is not None
+
+
+def pulled(target: float) -> Function:
+    """Return the square of the distance of the velocity of a flying grain from a target."""
+
+    def square(_: np.ndarray, u: np.ndarray, v: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        slope = np.zeros(v.shape)
+        slope[-1, 0] = 2 * (v[-1, 0] - target)
+        return float((v[-1, 0] - target) ** 2 + 1), np.zeros(u.shape), slope
+
+    return Function(square, [1])
+
+
+VELOCITY = {"velocity": ([-4.0, 0.0], [-1.0, 0.0])}
+
+
+def test_starts_go_down_to_the_least_value_and_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """(v - t)^2 + 1 in a box; what is finished is not done again, and another task is refused."""
+    task: Any = dict(scene=FLYING, objective=pulled(-3.0), parameters=["velocity"], bounds=VELOCITY, starts=3)
+    best = optimise(**task, folder=tmp_path / "new" / "folder")
+    assert best.value == pytest.approx(1, rel=1e-9)
+    assert best.values["velocity"] == pytest.approx([-3.0, 0.0], rel=1e-4)
+    assert best.scene.excitation.velocity.tolist() == best.values["velocity"].tolist()
+    assert best.error < 1e-12
+    assert len(best.history) == 3
+    assert best.history[0][0] == pytest.approx(2.0, rel=1e-12)  # begins with the scene
+    begins = {round(float(part[0]), 9) for part in best.history}
+    assert len(begins) == 3
+    assert all(part.min() == pytest.approx(1, rel=1e-6) for part in best.history)
+    assert [part.tolist() for part in optimise(**task).history] == [part.tolist() for part in best.history]
+    other = optimise(**task, seed=1)
+    assert other.history[1][0] != best.history[1][0]
+
+    def never(*_: Any) -> Any:
+        raise AssertionError
+
+    monkeypatch.setattr(optima, "_descend", never)
+    again = optimise(**task, folder=tmp_path / "new" / "folder")
+    assert again.value == best.value
+    assert [part.tolist() for part in again.history] == [part.tolist() for part in best.history]
+    for change in ({"starts": 4}, {"seed": 3}, {"runs": 100}, {"maximise": True}, {"bounds": {"velocity": (-9, 9)}}):
+        with pytest.raises(InputError, match=r"^folder: .*starts.json is of another task"):
+            optimise(**(task | change), folder=tmp_path / "new" / "folder")
+    (tmp_path / "new" / "folder" / "starts.json").write_text("[]")
+    with pytest.raises(InputError, match=r"^folder: .*starts.json is damaged: remove it"):
+        optimise(**task, folder=tmp_path / "new" / "folder")
+
+
+def test_the_most_is_at_the_far_bound_and_runs_are_counted():
+    far = optimise(FLYING, pulled(-3.0), ["velocity"], VELOCITY, maximise=True, starts=2)
+    assert far.value == pytest.approx(5, rel=1e-9)
+    assert far.values["velocity"][0] == -1.0
+    few = optimise(FLYING, pulled(-3.0), ["velocity"], VELOCITY, starts=2, runs=2)
+    assert [len(part) for part in few.history] == [2, 2]
+    assert few.runs == 4
+
+
+def test_limits_are_kept_and_starts_without_an_answer_are_said():
+    def slow(by_name: dict[str, np.ndarray]) -> tuple[float, dict[str, np.ndarray]]:
+        return 2.5 + by_name["velocity"][0], {"velocity": np.array([1.0, 0.0])}
+
+    bound = optimise(FLYING, pulled(-3.0), ["velocity"], VELOCITY, [slow], starts=2)
+    assert bound.values["velocity"][0] == pytest.approx(-2.5, rel=1e-5)
+    assert bound.value == pytest.approx(1.25, rel=1e-5)
+
+    def never(by_name: dict[str, np.ndarray]) -> tuple[float, dict[str, np.ndarray]]:
+        return -1.0, {"velocity": np.zeros(2)}
+
+    with pytest.raises(RunFailed, match=r"^no start came to an answer"):
+        optimise(FLYING, pulled(-3.0), ["velocity"], VELOCITY, [never], starts=1, runs=3)
+
+
+def test_a_tolerance_that_cannot_be_met_is_said_with_what_is_known():
+    from lmpchain.design import gradient
+
+    scene = FLYING.replace(chain=Chain(grains=2, diameter=1e-3), excitation=Impulse(velocity=1e-3))
+    with pytest.raises(ToleranceNotMet, match=r"^the gradient is known to [0-9.e-]+ only; use a shorter time"):
+        gradient(scene, Momentum([1]), ["masses"], 1e-16)
