@@ -1,0 +1,301 @@
+"""Which engine is chosen, at what price and why: verdicts, words and numbers of a plan, the picture, calibration."""
+
+import json
+import math
+import platform
+
+import numpy as np
+import pytest
+from helpers.example_scenes import paper
+
+import lmpchain
+from lmpchain import Chain, Impulse, InputError, Scene, ToleranceNotMet, engines, simulate
+from lmpchain.engines import Modes, Native, cost_model
+from lmpchain.engines.base import Candidate, ErrorBudget, SharperBound
+from lmpchain.engines.step_control import Attempt
+from lmpchain.simulation import calibration, planner, policy, selection
+from lmpchain.simulation.selection import Proposal, cheapest, percent, reason
+
+SCENE = paper("fig5 g", 6)
+NUMBER = f"{SCENE.strike_number:.2g}"
+
+
+@pytest.fixture(autouse=True)
+def shipped(tmp_path, monkeypatch):
+    """Let costs be those of the package."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    cost_model.measured.cache_clear()
+    yield
+    cost_model.measured.cache_clear()
+
+
+def candidate(model: float = 0.0, solver: float = 1e-9, cost: float = 1.0, **more) -> Candidate:
+    return Candidate(1e-7, 10, model, solver, cost, **more)
+
+
+def judged(equation: int = 3, bounded: bool = False, tolerance: float = 1e-6, **errors) -> tuple[bool, str]:
+    proposal = Proposal("modes", equation, candidate(**errors), bounded=bounded)
+    verdict = selection._judge(proposal, SCENE, tolerance)
+    return verdict.kept, verdict.why
+
+
+def test_equation_and_solver_together_must_keep_to_the_tolerance():
+    assert judged(model=4e-7, solver=6e-7) == (True, "within the tolerance")
+    kept, why = judged(model=5e-7, solver=6e-7)
+    assert not kept
+    assert why == f"strike number {NUMBER}: linear theory, a priori bound is 5e-07 of the answer"
+    assert judged(model=0.0, solver=2e-6) == (False, "its solver leaves about 2e-06, above the tolerance")
+    assert judged(model=0.25)[1] == f"strike number {NUMBER}: linear theory, a priori bound is 25 %"
+    assert judged(model=1.0)[1] == f"strike number {NUMBER}: linear theory, a priori bound reaches 100 %"
+    assert judged(model=0.02, bounded=True)[1] == f"strike number {NUMBER}: linear theory is up to 2 % off"
+    unknown = "how far off the homogeneous chain is here is not known before the run"
+    assert judged(4, model=math.nan) == (False, unknown)
+    assert "the continuum, a priori bound is 50 %" in judged(27, model=0.5)[1]
+    assert "Eq. (12), a priori bound" in judged(12, model=0.5)[1]
+    refused = Proposal("modes", 3, why="cannot do it")
+    assert selection._judge(refused, SCENE, 1e-6) is refused
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [(9.9e-5, "0.0001 of the answer"), (3e-7, "3e-07 of the answer"), (1e-4, "0.01 %"), (0.0123, "1.2 %"),
+     (0.099, "9.9 %"), (0.1, "10 %"), (0.234, "23 %"), (1.0, "100 %")],
+)  # fmt: skip
+def test_errors_are_said_in_per_cent(error, words):
+    assert percent(error) == words
+
+
+def test_numbers_of_a_proposal():
+    made = candidate(1e-3, 1e-9, 2.5, integrator="rkn6")
+    proposal = Proposal("native", 1, made, kept=True)
+    assert proposal.price_s == proposal.cost_s == 2.5
+    assert proposal._replace(kept=False).price_s == math.inf
+    nothing = Proposal("modes", 3)
+    assert (nothing.integrator, nothing.active_grains, nothing.price_s) == ("", None, math.inf)
+    assert all(math.isnan(x) for x in (nothing.model_error, nothing.solver_error, nothing.step, nothing.cost_s))
+    row = proposal.to_json()
+    assert row == {
+        "engine": "native", "equation": 1, "integrator": "rkn6", "model_error": 1e-3, "estimate": None,
+        "solver_error": 1e-9, "active_grains": 10, "step": 1e-7, "cost_s": 2.5, "kept": True, "why": "",
+    }  # fmt: skip
+
+
+def test_why_the_cheapest_is_taken():
+    kept = [Proposal(name, eq, candidate(cost=c), kept=True) for name, eq, c in (("native", 1, 3.0), ("modes", 3, 1.0))]
+    assert cheapest(kept).engine == "modes"
+    assert reason(kept[1], kept) == "solves Eq. (3), the cheapest of 2 within the tolerance"
+    dropped = Proposal("modes", 3, candidate(0.5), why="too far off")
+    assert reason(kept[0], [kept[0], dropped]) == "solves Eq. (1), the only one within the tolerance; too far off"
+    refused = Proposal("bessel", 4, why="cannot do it")
+    assert reason(kept[0], [kept[0], refused]) == "solves Eq. (1), the only one within the tolerance"
+    hopeless = Proposal("modes", 3, why="leaves out much", hopeless=True)
+    assert reason(kept[0], [kept[0], hopeless]).endswith("; leaves out much")
+    with pytest.raises(ToleranceNotMet, match=r"^modes: too far off; native: too many digits$"):
+        cheapest([dropped, refused, Proposal("native", 1, why="too many digits")])
+
+
+def test_a_sharper_bound_must_pay():
+    """It and the answer after it must cost less than four fifths of the cheapest, and may find the answer good."""
+    look = SharperBound(1e-7, 0.1)
+    made = candidate(0.5, 1e-9, 0.6, sharper=look)
+    hopeful = Proposal("modes", 3, made)
+    assert selection._promises(hopeful, 1e-6, 1.0)
+    assert selection._promises(hopeful, 1e-6, 0.88)
+    assert not selection._promises(hopeful, 1e-6, 0.87)
+    assert not selection._promises(hopeful, 1e-8, 1.0)
+    assert not selection._promises(hopeful._replace(kept=True), 1e-6, 1.0)
+    assert not selection._promises(hopeful._replace(bounded=True), 1e-6, 1.0)
+    assert not selection._promises(hopeful._replace(candidate=made._replace(sharper=None)), 1e-6, 1.0)
+    assert not selection._promises(hopeful._replace(candidate=None), 1e-6, 1.0)
+    assert not selection._promises(hopeful._replace(candidate=made._replace(solver_error=1e-6)), 1e-6, 1.0)
+
+
+def test_an_engine_that_leaves_out_too_much_is_not_asked():
+    proposals = selection.propose_hopeful(SCENE, 1e-6)
+    hopeless = [proposal for proposal in proposals if proposal.hopeless]
+    assert [proposal.engine for proposal in hopeless] == ["modes"]
+    least = Modes().least_model_error(SCENE)
+    assert hopeless[0].why == f"strike number {NUMBER}: linear theory leaves out at least {percent(least)}"
+    assert not hopeless[0].kept
+    assert [proposal.engine for proposal in proposals if proposal.kept] == ["native"]
+
+
+def test_what_is_about_left_out_is_said_where_it_is_cheap(monkeypatch):
+    weak = paper("weak", 6)
+    proposals = {each.engine: each for each in selection.estimated(selection.propose_all(weak, 1e-6), weak)}
+    for name in ("modes", "chebyshev"):
+        estimate = engines.plain("modes").estimate_model_error(weak.reached)
+        assert proposals[name].estimate == pytest.approx(estimate, rel=1e-9)
+        assert proposals[name].why.endswith(f"; the linear wave itself tells about {percent(estimate)}")
+    assert math.isnan(proposals["native"].estimate)
+    monkeypatch.setattr(selection, "AT_ONCE_S", 0.0)
+    silent = selection.estimated(selection.propose_all(weak, 1e-6), weak)
+    assert all(math.isnan(each.estimate) for each in silent)
+
+
+# --- the plan
+
+
+def test_a_plan_as_a_table():
+    plan = lmpchain.plan(SCENE, 1e-3)
+    lines = plan.table().splitlines()
+    assert "model error, at most" in lines[0]
+    native = next(each for each in plan.candidates if each.engine == "native")
+    assert plan.integrator == native.integrator
+    for word in (
+        f"native {native.integrator}", "(1)", f"{native.solver_error:.1g}", str(native.active_grains),
+        f"{1e3 * native.cost_s:.3g}", "kept: within the tolerance",
+    ):  # fmt: skip
+        assert word in lines[1]
+    assert lines[1].startswith("*")
+    assert not any(line.startswith("*") for line in lines[2:])
+    assert lines[-1] == f"native {plan.why}"
+    modes = next(line for line in lines if " modes " in line)
+    assert "dropped: " in modes
+    assert plan.expected_error == pytest.approx(1e-3, rel=1e-9)
+    assert (plan.step, plan.active_grains) == (native.step, native.active_grains)
+    assert plan.tolerance == 1e-3
+    assert plan.to_json()["candidates"][0] == plan.candidates[0].to_json()
+    assert plan.to_json()["expected_cost_s"] == native.cost_s
+
+
+def test_the_picture_of_a_plan():
+    """Expected error over cost, on scales of powers of ten; the tolerance is a line, the choice has a ring."""
+    plan = lmpchain.plan(paper("weak", 6), 1e-2)
+    ax = plan.plot()
+    assert (ax.get_xscale(), ax.get_yscale()) == ("log", "log")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("expected cost", "expected error, at most")
+    lines = {line.get_label(): line for line in ax.get_lines()}
+    assert set(lines["tolerance 0.01"].get_ydata()) == {1e-2}
+    for proposal in plan.candidates:
+        error = proposal.model_error + proposal.solver_error
+        labels = [label for label in lines if label.split(",")[0] == proposal.engine]
+        if not np.isfinite([error, proposal.cost_s]).all():
+            assert labels == []
+            continue
+        (label,) = labels
+        assert label.endswith("dropped") != proposal.kept
+        assert lines[label].get_xdata()[0] == pytest.approx(proposal.cost_s, rel=1e-12)
+        assert lines[label].get_ydata()[0] == pytest.approx(error, rel=1e-12)
+        assert (lines[label].get_markerfacecolor() == "none") != proposal.kept
+    ring = lines["taken"]
+    assert ring.get_xdata()[0] == plan.expected_cost_s
+    assert ring.get_ydata()[0] == pytest.approx(plan.expected_error, rel=1e-12)
+    assert ring.get_markerfacecolor() == "none"
+    assert ax.xaxis.get_major_formatter()(1e-3) == "1 ms"
+
+
+# --- policies
+
+
+def test_policies_by_name():
+    assert policy.policy_for("auto").name == "auto"
+    assert policy.policy_for("auto").options() == {}
+    named = policy.policy_for("auto", step=1e-7)
+    assert (named.name, named.chosen.step) == ("native", 1e-7)
+    assert policy.policy_for("modes").options() == {}
+    given = Native("rkn4")
+    assert policy.policy_for(given).chosen is given
+    with pytest.raises(InputError, match=r"engine: must be auto \| lammps \| native"):
+        policy.policy_for("natve")
+
+
+def test_a_record_says_what_was_asked():
+    made = Native().candidate(SCENE, 1e-6)
+    assert policy.record(Native(), SCENE, made, 1e-6)["tolerance"] == "1e-06"
+    assert policy.record(Native(step=1e-7), SCENE, made, 1e-6)["tolerance"] == "none, for a step was given"
+    record = policy.record(Native(), SCENE, made, 1e-6)
+    assert record["force"] == made.choices["force"]
+    assert {"numba", "numpy", "lmpchain"} <= set(record)
+
+
+def test_linear_theory_that_left_out_too_much_gives_way_to_eq_1():
+    """Its own words: what it leaves out, what was expected, which engine does it again."""
+    auto = policy.policy_for("auto")
+    attempt = Attempt("modes", candidate(3e-7), 1e-6)
+    good = ErrorBudget(0.0, 1e-12, True, np.zeros(6), model=5e-7, model_bound=9e-7)
+    assert auto.fallback(SCENE, attempt, good) is None
+    assert auto.fallback(SCENE, attempt._replace(engine="native"), good._replace(model=1.0)) is None
+    for error in (good._replace(model_bound=2e-6), good._replace(remark="contact 3 opens")):
+        following = auto.fallback(SCENE, attempt, error)
+        assert following.engine == "native"
+        assert following.tolerance == 1e-6
+        most = max(error.model, error.model_bound)
+        remark = ", contact 3 opens" if error.remark else ""
+        assert following.candidate.choices["redone"] == (
+            f"Eq. (3) leaves out up to {most:.1g} of the answer{remark} along the run of modes, "
+            "the bound before the run was 3e-07: run again with native, Eq. (1)"
+        )
+        assert following.candidate.choices["plan"] == f"native: {following.candidate.choices['redone']}"
+    with pytest.raises(ToleranceNotMet, match=r"with the tolerance of 1e-16 exceeded; native: round-off alone"):
+        auto.fallback(SCENE, attempt._replace(tolerance=1e-16), good)
+
+
+def test_best_effort_loosens_what_no_engine_can():
+    attempt = policy.policy_for("auto").first(SCENE, 1e-16, True)
+    assert 1e-16 < attempt.tolerance < 1e-12
+    assert "round-off alone" in attempt.refusal
+    assert attempt.planned_s >= 0
+    assert attempt.candidate.choices["plan"].startswith("native: solves Eq. (1), the only one")
+
+
+# --- calibration
+
+
+class Answers:
+    """Answers that take so long: a start, and a slowness times their work on the reference machine."""
+
+    def __init__(self, monkeypatch, start: float, slowness: float):
+        self.now, self.start, self.slowness, self.count = 0.0, start, slowness, 0
+        monkeypatch.setattr(calibration.time, "perf_counter", lambda: self.now)
+        monkeypatch.setattr(calibration, "simulate", self.simulate)
+
+    def simulate(self, scene, engine, tolerance):
+        """Spend the time; the first answers of a row take longer."""
+        self.count += 1
+        start, slowness = cost_model.speed(engine.name, engine.start_up_s)
+        work = (engine.candidate(engine.part(scene), tolerance).cost_s - start) / slowness
+        late = 0.1 if self.count % calibration.REPEATS else 0.0
+        self.now += self.start + self.slowness * work + late
+
+
+def test_a_calibration_finds_start_and_slowness_of_every_engine(monkeypatch):
+    """From the shortest times of a small and a large answer; it is written with the name of the machine."""
+    Answers(monkeypatch, 3e-3, 2.5)
+    path, took = calibration.calibrate()
+    assert took > 0
+    kept = json.loads(path.read_text())
+    assert kept["host"] == platform.node()
+    assert set(kept["engines"]) >= {"native", "modes", "chebyshev"}
+    for start, slowness in kept["engines"].values():
+        assert start == pytest.approx(3e-3, rel=1e-6)
+        assert slowness == pytest.approx(2.5, rel=1e-6)
+    assert cost_model.speed("native", Native.start_up_s) == pytest.approx((3e-3, 2.5), rel=1e-6)
+    assert cost_model.seconds("native", Native.start_up_s, 0.2) == pytest.approx(3e-3 + 0.5, rel=1e-6)
+    assert cost_model.speed("no such engine", 1e-3) == (1e-3, 1.0)
+    again = calibration.calibrate()[0]
+    assert json.loads(again.read_text())["engines"]["native"] == pytest.approx([3e-3, 2.5], rel=1e-3)
+
+
+def test_a_clock_that_stands_still_calibrates_nothing_absurd(monkeypatch):
+    Answers(monkeypatch, 0.0, 0.0)
+    calibration.calibrate()
+    start, slowness = cost_model.speed("native", Native.start_up_s)
+    assert 0 < start < Native.start_up_s / 1000
+    assert 0 < slowness < 1e-3
+
+
+def test_a_plan_costs_what_this_machine_takes():
+    scene = Scene(chain=Chain(grains=30, diameter=1e-3), excitation=Impulse(velocity=1e-4), duration=1e-4)
+    shipped_s = lmpchain.plan(scene).expected_cost_s
+    path = cost_model.cache_file()
+    path.parent.mkdir(parents=True)
+    path.write_text(json.dumps({"host": platform.node(), "engines": {"native": [0.5, 3.0]}}))
+    cost_model.measured.cache_clear()
+    native = next(each for each in planner.plan(scene).candidates if each.engine == "native")
+    assert native.cost_s == pytest.approx(0.5 + 3 * (shipped_s - Native.start_up_s), rel=1e-9)
+
+
+def test_auto_gives_its_reason_in_the_record():
+    t = simulate(SCENE, tolerance=1e-3)
+    assert t.provenance["plan"].startswith("native: solves Eq. (1), the only one within the tolerance; strike number")
