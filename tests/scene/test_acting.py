@@ -1,6 +1,7 @@
 """Forces and prescribed motions, of a grain or of the top wall, against exact solutions and other integrators."""
 
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -195,12 +196,18 @@ ACTING = {f"force, {kind}": (LOADED, forces(1e-3, 3, period)[kind]) for kind, pe
 }
 
 
+@cache
+def gentle(kind: str) -> tuple[Array, Array, float]:
+    """Return the motion in extended precision, and its error."""
+    return extended_reference(scene_of(*ACTING[kind]))
+
+
 @every
 @pytest.mark.parametrize("kind", ACTING)
 def test_order_of_convergence(integrator: str, kind: str):
     """Half-sines and bursts end within a step: it is made as two, or the order would fall to 2 or 4."""
     scene = scene_of(*ACTING[kind])
-    u, v, own = extended_reference(scene)
+    u, v, own = gentle(kind)
     errors, counts = [], COUNTS[integrator]
     for count in counts:
         t = simulate(scene, engine=engines.Native(integrator=integrator, step=scene.duration / count))
@@ -237,11 +244,17 @@ STRONG = {
 }
 
 
+@cache
+def strong(kind: str) -> Any:
+    """Return the reference solution, for all tests of it."""
+    return reference(scene_of(*STRONG[kind], samples=5))
+
+
 @pytest.mark.parametrize("kind", STRONG)
 def test_accuracy_is_as_asked_for_and_known(kind: str):
     """Where contacts open and close, too; the two references agree."""
     scene = scene_of(*STRONG[kind], samples=5)
-    truth = reference(scene)
+    truth = strong(kind)
     u, v, own = extended_reference(scene)
     assert relative_error(truth.displacement, truth.velocity, u, v) < truth.error + 2 * own + 1e-13
     for integrator, tolerance in (
@@ -262,7 +275,7 @@ def test_accuracy_is_as_asked_for_and_known(kind: str):
 def test_lammps(kind: str, integrator: str):
     """LAMMPS takes forces and a wall that moves at the times of the method, to the round-off of its heights."""
     scene = scene_of(*STRONG[kind], samples=5)
-    truth = reference(scene)
+    truth = strong(kind)
     t = simulate(scene, "lammps", 1e-3 if integrator == "verlet" else 1e-6, integrator=integrator)
     assert (err(t, truth) - truth.error) / 3 <= t.error_estimate.total
     step = scene.duration / 200  # in steps of any length it is the native map: formulas are right to the last digits

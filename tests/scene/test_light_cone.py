@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import tracemalloc
+from math import lgamma
 
 import numpy as np
 import pytest
 from helpers.example_scenes import random_scene
+from scipy.special import ive
 
-from lmpchain import GLASS, Chain, Displacement, Drive, Impulse, Impurity, Scene, engines, simulate
+from lmpchain import GLASS, Chain, Displacement, Drive, Impulse, Impurity, Profile, Scene, engines, simulate
 from lmpchain.scene.light_cone import reached as grains_reached
 
 BEADS = {"material": GLASS, "diameter": 1e-3}
@@ -76,6 +78,78 @@ def test_random_scenes(seed: int):
     for one, other in ((alone.displacement, whole.displacement), (alone.velocity, whole.velocity)):
         assert np.abs(one - other).max() <= 1e-12 * np.abs(other).max()
         assert np.abs(other[:, outside]).max(initial=0.0) <= 1e-12 * np.abs(other).max()
+
+
+def farthest(x: float) -> int:
+    """Return two more than the least d >= 8 with (x/2)^2d / (2d)! exp(x^2 / (8d + 4)), a bound of I_2d, below 1e-22."""
+    d = 8
+    while d * np.log(x / 2) * 2 - lgamma(2 * d + 1) + x**2 / (8 * d + 4) > np.log(1e-22):
+        d += 1
+    return d + 2
+
+
+@pytest.mark.parametrize("x", [1e-3, 0.5, 2.0, 7.0, 30.0, 100.0, 333.0])
+def test_the_cone_is_as_wide_as_the_exact_solution_of_springs_needs(x: float):
+    """Their motion d grains away is at most I_2d(W t), which is beyond 22 digits there, and hardly sooner."""
+    chain = Chain(grains=20_000, gravity=0.0, top_load=1e-3, exponent=1.0, top="wall", bottom="wall", **BEADS)
+    springs = Chain(**chain.given() | {"wall_constants": [chain.contact_constants[0]] * 2})
+    edge = 2 * np.sqrt(springs.contact_constants[0] / springs.masses[0])
+    few = springs.part(1, 2000)
+    for long, grain in ((springs, 10_000), (few, 1000)):
+        scene = Scene(chain=long, excitation=Impulse(velocity=1e-6, grain=grain), duration=x / edge)
+        first, last = reached(scene)
+        away = farthest(x)
+        assert grain - first == last - grain
+        assert away <= last - grain <= away + 1
+        assert ive(2 * (last - grain), x) * np.exp(x) < 1e-22
+    wide = np.zeros(2000)
+    wide[[899, 1099]] = 1e-6
+    first, last = reached(Scene(chain=few, excitation=Profile(velocity=wide), duration=x / edge))
+    assert away <= 900 - first == last - 1100 <= away + 1
+
+
+def test_short_chains_and_wide_cones_are_not_cut():
+    """From 128 grains on, and where seven grains in ten or fewer are reached."""
+    for grains, cut in ((127, False), (128, True)):
+        scene = Scene(chain=Chain(grains=grains, **BEADS), excitation=Impulse(velocity=1e-6), duration=1e-6)
+        assert (scene.light_cone is not None) is cut
+    springs = Chain(grains=600, gravity=0.0, top_load=1e-3, exponent=1.0, top="wall", bottom="wall", **BEADS)
+    edge = 2 * np.sqrt(springs.contact_constants[0] / springs.masses[0])
+    for away, cut in ((205, True), (212, False)):
+        x = next(x for x in np.arange(1.0, 500.0) if farthest(x) >= away)
+        scene = Scene(chain=springs, excitation=Impulse(velocity=1e-6, grain=300), duration=x / edge)
+        assert (scene.light_cone is not None) is cut
+
+
+@pytest.mark.parametrize("end", ["top", "bottom"])
+def test_a_stiff_wall_widens_the_cone(end: str):
+    beads = Chain(grains=600, gravity=0.0, top_load=1e-3, exponent=1.0, top="wall", bottom="wall", **BEADS)
+    stiff = 9 * beads.contact_constants[0]
+    walls = [stiff, stiff / 9] if end == "top" else [stiff / 9, stiff]
+    chain = Chain(**beads.given() | {"wall_constants": walls})
+    edge = 2 * np.sqrt(stiff / chain.masses[0])
+    grain = 1 if end == "top" else 600
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6, grain=grain), duration=60 / edge)
+    first, last = reached(scene)
+    assert farthest(60.0) <= last - first <= farthest(60.0) + 1
+    inner = Scene(chain=chain, excitation=Impulse(velocity=1e-6, grain=300), duration=60 / edge)
+    first, last = reached(inner)
+    assert farthest(20.0) <= last - 300 <= farthest(20.0) + 1
+
+
+def test_what_is_recorded_of_a_cone_is_where_it_was():
+    """Rows among the grains that are computed, columns among those that are recorded."""
+    chain = Chain(grains=600, **BEADS)
+    for grains in ("all", "20:400", [3, 500, 30, 1], [599, 600]):
+        scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=60e-6, samples=7, grains=grains)
+        cone = scene.light_cone
+        _, last = reached(scene)
+        assert cone.scene.chain == chain.part(1, last)
+        assert cone.scene.samples == 7
+        numbers = scene.recorded
+        assert numbers[cone.columns].tolist() == [n for n in numbers if n <= last]
+        assert (np.arange(1, last + 1)[cone.rows]).tolist() == numbers[cone.columns].tolist()
+        assert scene.reached is cone.scene
 
 
 def test_a_drive_is_not_cut():

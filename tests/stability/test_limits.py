@@ -87,7 +87,7 @@ def test_three_free_grains_part_in_closed_form():
     assert end.velocity[-1] == pytest.approx([-v, 0, v], rel=1e-9, abs=1e-12)
 
 
-@pytest.mark.parametrize("strain", [1e-5, 1e-3, 0.0999])
+@pytest.mark.parametrize("strain", [1e-5, 0.0999])
 def test_overlaps_are_bounded_and_both_engines_agree(strain: float):
     scene = limits.squeezing(strain)
     found, apart = limits.squeezed(scene)

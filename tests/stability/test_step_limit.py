@@ -46,7 +46,8 @@ def fastest_mode(periods: float) -> Scene:
 @pytest.mark.parametrize(
     ("engine", "integrator"),
     [("native", name) for name in METHODS]
-    + [("lammps", "verlet"), *(pytest.param("lammps", name, marks=soak) for name in ("kahan-li6", "rkn6"))],
+    + [pytest.param("lammps", "verlet", marks=pytest.mark.slow)]
+    + [pytest.param("lammps", name, marks=soak) for name in ("kahan-li6", "rkn6")],
 )
 def test_every_method_breaks_at_its_own_limit_on_the_band_edge(engine: str, integrator: str) -> None:
     scene = fastest_mode(LONG.get(integrator, 60))
@@ -233,7 +234,8 @@ def slope(counts: np.ndarray, errors: np.ndarray) -> float:
 
 @pytest.mark.parametrize(
     ("integrator", "exponent"),
-    [("verlet", 1.5), ("rkn4", 1.5), ("rkn6", 1.5), ("kahan-li6", 1.5), ("kahan-li8", 1.5), ("rkn6", 1.25)]
+    [("verlet", 1.5), ("rkn4", 1.5), ("rkn6", 1.5)]
+    + [pytest.param(*pair, marks=pytest.mark.slow) for pair in (("kahan-li6", 1.5), ("kahan-li8", 1.5), ("rkn6", 1.25))]
     + [pytest.param(*pair, marks=soak) for pair in (("dop853", 1.5), ("gear4", 1.5), ("rkn6", 2.0))],
 )
 def test_steps_of_one_length_fall_to_the_order_of_the_opening(integrator: str, exponent: float) -> None:

@@ -1,0 +1,426 @@
+"""Numbers, remarks, tables and pictures of a scene, against what they are defined to be."""
+
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from scipy.linalg import eigh
+
+from lmpchain import Chain, Displacement, Drive, Force, Impulse, InputError, Packet, Profile, Scene
+from lmpchain.scene.excitation import EXCITATIONS
+
+COLUMN = Chain(grains=9, diameter=1e-3)
+LOADED = Chain(grains=9, diameter=1e-3, gravity=0.0, top_load=1e-3, top="wall", bottom="wall")
+WAVE = {"amplitude": 1e-12, "frequency": 3e4}
+
+
+def scene_of(excitation: Any, chain: Chain = COLUMN, **keys: Any) -> Scene:
+    return Scene(**{"chain": chain, "excitation": excitation, "duration": 1e-4, "samples": 11} | keys)
+
+
+# --- times at which quantities are gathered
+
+
+@pytest.mark.parametrize("needed", [0.3, 0.99, 1.01, 1.99, 2.01, 2.99, 3.01, 3.99, 4.01, 5.9, 6.1, 8.1, 12.1, 90.0])
+def test_quantities_are_gathered_at_the_least_of_1_2_3_4_6_8_12_that_misses_no_motion(needed: float) -> None:
+    """At half a radian of the highest frequency, here that of a drive."""
+    drive = Drive(amplitude=1e-15, frequency=1e7)
+    samples = 11
+    duration = 0.5 * needed * (samples - 1) / (2 * np.pi * 1e7)
+    scene = scene_of(drive, duration=duration, quantities=["peak_velocity"])
+    assert scene.highest_frequency == pytest.approx(2e7 * np.pi, rel=1e-14)
+    allowed = sorted([2**n for n in range(12)] + [3 * 2**n for n in range(12)])
+    assert scene.finer == next(count for count in allowed if count >= needed)
+    assert scene.fine.samples == 10 * scene.finer + 1
+    assert scene.fine.duration == duration
+    assert not scene.fine.quantities
+    plain = scene_of(drive, duration=duration)
+    assert plain.finer == 1
+    assert plain.fine is plain
+    assert plain.ungathered is plain
+    assert scene.ungathered == plain
+
+
+def test_quantities_are_checked_by_name_and_contact() -> None:
+    for asked, said in (
+        ([], "must be a list of names"),
+        ("peak_velocity", "must be a list of names"),
+        (["peak_force"], 'needs the number of a contact, as in "peak_force:40"'),
+        (["force:x"], 'needs the number of a contact, as in "force:40"'),
+        (["force:01"], "needs the number"),
+        (["force:-1"], "needs the number"),
+        (["peak_velocty"], "peak_velocity"),
+        ([3], "peak_displacement"),
+        (["force:2", "force:2"], "names a quantity twice"),
+        (["force:9"], "the contacts are numbered 1 to 8 (got 9)"),
+        (["peak_velocity", "force:0"], "the contacts are numbered 1 to 8 (got 0)"),
+    ):
+        with pytest.raises(InputError) as caught:
+            scene_of(Impulse(velocity=1e-6), quantities=asked)
+        ((key, text),) = caught.value.faults
+        assert key == "quantities"
+        assert said in text
+    scene = scene_of(Impulse(velocity=1e-6), LOADED, quantities=["force:0", "peak_force:9", "arrival_time"])
+    assert scene.contacts == {"force:0": 0, "peak_force:9": 9}
+
+
+def test_recorded_grains_are_numbered_and_counted() -> None:
+    for grains, numbers in (("all", range(1, 10)), ("2:5", range(2, 6)), ([7, 3], [7, 3]), ("9:9", [9]), ([1], [1])):
+        scene = scene_of(Impulse(velocity=1e-6), grains=grains)
+        assert scene.recorded.tolist() == list(numbers)
+        assert scene.count(COLUMN) == len(numbers)
+    for grains, said in (
+        ("0:3", "grains are numbered 1 to 9 (got 0 to 3)"),
+        ("3:10", "grains are numbered 1 to 9 (got 3 to 10)"),
+        ("5:4", "grains are numbered 1 to 9 (got 5 to 4)"),
+        ([3, 12], "grains are numbered 1 to 9 (got 3 to 12)"),
+        ([3, 1, 3], "names a grain twice"),
+        ([], 'must be "all", a range such as "1:200", or a list of grains'),
+        ([True], 'must be "all", a range such as "1:200", or a list of grains'),
+        ([1.0], 'must be "all", a range such as "1:200", or a list of grains'),
+        (3, 'must be "all", a range such as "1:200", or a list of grains'),
+        ("1:2:3", 'must be "all", a range such as "1:200", or a list of grains (got '),
+        ("1:" + "9" * 19, 'must be "all", a range such as "1:200", or a list of grains (got '),
+    ):
+        with pytest.raises(InputError) as caught:
+            scene_of(Impulse(velocity=1e-6), grains=grains)
+        assert caught.value.faults[0][0] == "grains"
+        assert caught.value.faults[0][1].startswith(said), grains
+    assert scene_of(Impulse(velocity=1e-6), grains=np.array([2, 4])).recorded.tolist() == [2, 4]
+    assert scene_of(Impulse(velocity=1e-6), grains="1:" + "0" * 17 + "9").count(COLUMN) == 9
+
+
+def test_samples_and_durations_have_limits() -> None:
+    for keys, key in (
+        ({"samples": 1}, "samples"),
+        ({"samples": 10**8 + 1}, "samples"),
+        ({"duration": 1.1e12}, "duration"),
+        ({"duration": 0.0}, "duration"),
+    ):
+        with pytest.raises(InputError) as caught:
+            scene_of(Impulse(velocity=1e-6), **keys)
+        assert [name for name, _ in caught.value.faults] == [key]
+    least = np.finfo(float).tiny
+    assert scene_of(Impulse(velocity=1e-6), duration=10.001 * least).samples == 11
+    with pytest.raises(InputError, match=r"11 samples in .* s are too close for numbers of full precision"):
+        scene_of(Impulse(velocity=1e-6), duration=9.99 * least)
+    assert Scene(chain=COLUMN, excitation=Impulse(velocity=1e-6), duration=1e-5).samples == 101
+
+
+def test_a_long_duration_is_remarked_on() -> None:
+    keys = {"chain": COLUMN, "excitation": Impulse(velocity=1e-6), "samples": 11}
+    assert not list(Scene._unchecked(duration=3600.0, **keys)._remarks())
+    (text,) = Scene._unchecked(duration=3601.0, **keys)._remarks()
+    assert text == "duration: 3601 s is long for a wave in a chain; times are in seconds (100 us is 1e-4)"
+
+
+# --- the linear chain
+
+
+def springs_strain(chain: Chain, excitation: Any, duration: float) -> float:
+    """Return the bound on strains, from each spring in series with all others where both ends stand still."""
+    contacts = chain.contacts
+    there = contacts.exists
+    k = contacts.stiffness[there]
+    if excitation.does_work:
+        root = excitation.energy_norm(chain, duration)
+    else:
+        u, v = excitation.initial(chain)
+        stretch = -np.diff(np.concatenate(([0.0], u, [0.0])))
+        root = np.sqrt((chain.masses * v**2).sum() + (contacts.stiffness * stretch**2).sum())
+    if there[0] and not excitation.does_work:
+        others = [(1 / np.delete(k, n)).sum() for n in range(k.size)]
+        k = k + 1 / np.array(others)
+    return float((root / np.sqrt(k) / contacts.overlap[there]).max())
+
+
+HELD = {"chain between walls": LOADED, "column": COLUMN, "column on a wall": COLUMN.replace(bottom="wall")}
+AT_START = {
+    "impulse": Impulse(velocity=-1e-6, grain=3),
+    "moved": Displacement(displacement=1e-12, grain=2),
+    "both": Profile(displacement=1e-12 * np.sin(np.arange(9.0)) * (np.arange(9) < 8), velocity=1e-6 * np.eye(9)[2]),
+}
+
+
+@pytest.mark.parametrize("chain", HELD.values(), ids=HELD)
+@pytest.mark.parametrize("excitation", AT_START.values(), ids=AT_START)
+def test_strains_of_the_linear_chain_are_bounded_by_its_energy(chain: Chain, excitation: Any) -> None:
+    """The bound in other words; and no superposition of modes exceeds it."""
+    scene = scene_of(excitation, chain)
+    bound = springs_strain(chain, excitation, scene.duration)
+    assert scene.linear_strain == pytest.approx(bound, rel=1e-12)
+    diagonal, beside = chain.dynamical_matrix()
+    squares, shapes = eigh(np.diag(diagonal) + np.diag(beside, 1) + np.diag(beside, -1))
+    root = np.sqrt(chain.masses[: chain.movable])
+    u, v = (shapes.T @ (root * x[: chain.movable]) for x in excitation.initial(chain))
+    omega = np.sqrt(squares)
+    for t in np.linspace(0, 1e-4, 400):
+        motion = shapes @ (u * np.cos(omega * t) + v / omega * np.sin(omega * t)) / root
+        closer = chain.contacts.closer(np.append(motion, np.zeros(9 - chain.movable)))
+        pressed = chain.contacts.pressed
+        assert np.abs(closer[pressed] / chain.contacts.overlap[pressed]).max() <= bound
+
+
+def test_strains_of_a_driven_linear_chain() -> None:
+    start = Profile(velocity=1e-6 * np.eye(9)[3], displacement=1e-12 * np.eye(9)[4])
+    for excitation in (
+        Force(grain=4, **WAVE | {"amplitude": -1e-9}),
+        Drive(**WAVE, grain=0),
+        Drive(**WAVE, grain=0, start=start),
+    ):
+        scene = scene_of(excitation, LOADED)
+        assert scene.linear_strain == pytest.approx(springs_strain(LOADED, excitation, 1e-4), rel=1e-12)
+    push = Force(grain=4, **WAVE | {"amplitude": -1e-9})
+    impulse = 1e-9 * 2 / (2 * np.pi * 3e4) * 6  # six arches in 100 us
+    assert push.energy_norm(LOADED, 1e-4) == pytest.approx(impulse / np.sqrt(LOADED.masses[3]), rel=1e-12)
+    k = LOADED.contacts.stiffness
+    for grain in (0, 1):
+        drive = Drive(**WAVE, grain=grain)
+        path = 1e-12 * (1 + 12)
+        assert drive.energy_norm(LOADED, 1e-4) == pytest.approx(np.sqrt(k[grain]) * path, rel=1e-12)
+        begun = np.sqrt(LOADED.masses[3] * 1e-12 + (k[4] + k[5]) * 1e-24)
+        moving = drive.replace(start=start)
+        assert moving.energy_norm(LOADED, 1e-4) == pytest.approx(begun + np.sqrt(k[grain]) * path, rel=1e-12)
+    touching = COLUMN.replace(top="wall")
+    assert scene_of(Impulse(velocity=1e-9), touching).linear_strain == np.inf
+    assert scene_of(Impulse(velocity=1e-9), COLUMN.replace(gravity=0.0)).linear_strain == np.inf
+
+
+# --- what acts
+
+
+def test_a_short_blow_moves_its_grain_as_a_blow_moves_an_oscillator() -> None:
+    """By its impulse over the mass, and that over the frequency; a slow force by all its work over the way it takes."""
+    spring = {"grains": 1, "diameter": 1e-3, "exponent": 1.0, "bottom": "wall", "masses": [2e-6]}
+    chain = Chain(**spring, wall_constants=[0.0, 50.0])
+    blow = Force(shape="half-sine", amplitude=-1e-3, duration=1e-7)
+    (u,), (v,) = blow.largest(chain)
+    speed = 1e-3 * 2e-7 / np.pi / 2e-6
+    assert (u, v) == pytest.approx((speed / 5000.0, speed), rel=1e-12)
+    assert blow.strongest(chain) == pytest.approx((u, v), rel=1e-15)
+    slow = Force(amplitude=1e-4, frequency=1.0)
+    (u,), (v,) = slow.largest(chain)
+    assert v == pytest.approx(np.sqrt(2 * 1e-4 * (1e-4 / 50.0) / 2e-6), rel=1e-12)
+    assert u == pytest.approx(np.sqrt(2) * 1e-4 / 50.0, rel=1e-12)
+    two = Chain(**spring | {"top": "wall", "top_load": 1e-3}, wall_constants=[20.0, 50.0])
+    (u,), (v,) = slow.largest(two)  # the softer of its contacts says how far
+    assert v == pytest.approx(np.sqrt(2 * 1e-4 * (1e-4 / 20.0) / 2e-6), rel=1e-12)
+    assert not np.any(Force(amplitude=0.0, frequency=1.0).largest(chain))
+    assert not np.any(slow.initial(chain))
+
+
+def test_what_a_push_is_made_of() -> None:
+    """Of a driven grain, a driven wall and a force: what the outside world adds, and how the body moves."""
+    time = np.array([0.0, 1e-5, 3e-5])
+    rng = np.random.default_rng(1)
+    force, rate = rng.normal(size=(2, 3, 10))
+    velocity = rng.normal(size=(3, 9))
+    w, a = 2 * np.pi * 3e4, 1e-12
+    speed, bend = a * w * np.cos(w * time), -a * w**2 * np.sin(w * time)
+    wall = Drive(**WAVE, grain=0).push(LOADED, time, force, rate, velocity)
+    for field, expected in zip(wall[:4], (force[:, 0], rate[:, 0], speed, bend), strict=True):
+        assert field == pytest.approx(expected, rel=1e-12)
+    assert (wall.inertia, wall.on_grain) == (0.0, False)
+    grain = Drive(**WAVE).push(LOADED, time, force, rate, velocity)
+    held = force[:, 1] - force[:, 0], rate[:, 1] - rate[:, 0]
+    for field, expected in zip(grain[:4], (*held, speed, bend), strict=True):
+        assert field == pytest.approx(expected, rel=1e-12)
+    assert (grain.inertia, grain.on_grain) == (LOADED.masses[0], True)
+    push = Force(grain=4, **WAVE).push(LOADED, time, force, rate, velocity)
+    given = a * np.sin(w * time)
+    hurried = (given + force[:, 3] - force[:, 4]) / LOADED.masses[3]
+    for field, expected in zip(push[:4], (given, speed, velocity[:, 3], hurried), strict=True):
+        assert field == pytest.approx(expected, rel=1e-12)
+    assert (push.inertia, push.on_grain) == (0.0, True)
+    assert Impulse(velocity=1.0).push(LOADED, time, force, rate, velocity) is None
+
+
+POINTS = {"times": [0.0, 1e-4], "displacement": [0.0, 1e-12]}
+REFUSED = {
+    "too swift": (
+        {"kind": "drive", "amplitude": 1e-12, "frequency": 1.6e19},
+        ("frequency", "makes for 1e+20 rad/s, too fast to compute with: use SI units"),
+    ),
+    "too short a burst": (
+        {"kind": "drive", "amplitude": 1e-12, "frequency": 1e19, "cycles": 0.1},
+        ("cycles", "makes for 6.9e+20 rad/s, too fast to compute with: use SI units"),
+    ),
+    "too short a blow": (
+        {"kind": "force", "amplitude": 1e-12, "shape": "half-sine", "duration": 3e-20},
+        ("duration", "makes for 1e+20 rad/s, too fast to compute with: use SI units"),
+    ),
+    "nothing": (
+        {"kind": "drive", "amplitude": 1e-12},
+        (
+            "amplitude",
+            "give amplitude and frequency, with or without cycles, or times and displacement (or a file with both)",
+        ),
+    ),
+    "no shape": (
+        {"kind": "force", "amplitude": 1e-12, "duration": 1e-5},
+        (
+            "amplitude",
+            "give amplitude and frequency, with or without cycles, or times and force, or shape, amplitude and "
+            "duration (or a file with both)",
+        ),
+    ),
+    "too large": (
+        {"kind": "drive", "times": [0.0, 1e-4], "displacement": [0.0, -1.1e100]},
+        ("displacement", "must be at most 1e+100 in size"),
+    ),
+    "too few": (
+        {"kind": "drive", "times": [0.0, 1e-4], "displacement": [0.0]},
+        ("displacement", "must have one entry for each of two or more times, not 1"),
+    ),
+    "late": (
+        {"kind": "drive", "times": [1e-9, 1e-4], "displacement": [0.0, 0.0]},
+        ("times", "must begin with 0 and increase, each by more than 1e-12 of the last"),
+    ),
+    "too close": (
+        {"kind": "drive", "times": [0.0, 0.99e-16, 1e-4], "displacement": [0.0, 0.0, 0.0]},
+        ("times", "must begin with 0 and increase, each by more than 1e-12 of the last"),
+    ),
+    "in other units": (
+        {"kind": "drive", "times": [0.0, 0.9e-20], "displacement": [0.0, 0.0]},
+        ("times", "are 9e-21 s apart, too little to compute with: use SI units"),
+    ),
+    "begins elsewhere": (
+        {"kind": "drive", "times": [0.0, 1e-4], "displacement": [1e-12, 0.0]},
+        ("displacement", "must begin with 0, where grain 1 rests"),
+    ),
+    "wall elsewhere": (
+        {"kind": "drive", "times": [0.0, 1e-4], "displacement": [1e-12, 0.0], "grain": 0},
+        ("displacement", "must begin with 0, where the wall rests"),
+    ),
+}
+
+
+@pytest.mark.parametrize(("keys", "fault"), REFUSED.values(), ids=REFUSED)
+def test_what_cannot_act_is_refused_with_its_number(keys: dict[str, Any], fault: tuple[str, str]) -> None:
+    given = dict(keys)
+    with pytest.raises(InputError) as caught:
+        EXCITATIONS[given.pop("kind")](**given)
+    assert caught.value.faults == [fault]
+
+
+def test_what_is_just_within_the_limits_acts() -> None:
+    Drive(amplitude=1e-12, frequency=1.59e19)
+    Drive(times=[0.0, 1e-4], displacement=[0.0, -1e100])
+    Drive(times=[0.0, 1.01e-16, 1e-4], displacement=[0.0, 0.0, 0.0])
+    Drive(times=[0.0, 1.1e-20], displacement=[0.0, 0.0])
+    Force(times=[0.0, 1e-4], force=[1.0, 0.0])
+
+
+def test_what_does_not_fit_the_chain_or_the_duration_is_refused() -> None:
+    one = Chain(grains=2, diameter=1e-3)
+    for excitation, chain, fault in (
+        (Drive(**WAVE, grain=0), COLUMN, ("grain", '0 moves the top wall, and there is none: use top = "wall", or')),
+        (Drive(**WAVE), one, ("kind", "with grain 1 driven nothing is left to move: use more grains")),
+        (Drive(**POINTS), COLUMN, ("times", "end at 0.0001 s, before the recording does at 0.00011 s")),
+        (Force(times=[0.0, 1e-4], force=[0.0, 1e-9]), COLUMN, ("times", "end at 0.0001 s, before the recording does")),
+        (Impulse(velocity=1e-6, grain=10), COLUMN, ("grain", "there is no grain 10: the chain has 9")),
+        (Impulse(velocity=1e-6, grain=9), COLUMN, ("grain", "grain 9 is held; choose one of 1 to 8")),
+        (Force(grain=9, **WAVE), COLUMN, ("grain", "grain 9 is held; choose one of 1 to 8")),
+        (Profile(velocity=np.zeros(8)), COLUMN, ("velocity", "must have one entry a grain, 9, not 8")),
+        (Profile(velocity=np.ones(9)), COLUMN, ("velocity", "must be 0 for grain 9, which is held")),
+    ):
+        ((key, text),) = excitation.faults(chain, 1.1e-4)
+        assert (key, text[: len(fault[1])]) == fault
+    for excitation, chain in (
+        (Drive(**POINTS), COLUMN),
+        (Drive(**WAVE), one.replace(bottom="wall")),
+        (Drive(**WAVE, grain=0), LOADED),
+        (Impulse(velocity=1e-6, grain=8), COLUMN),
+        (Impulse(velocity=1e-6, grain=9), LOADED),
+        (Profile(velocity=np.ones(9)), LOADED),
+    ):
+        assert not list(excitation.faults(chain, 1e-4))
+
+
+def test_every_kind_says_what_it_is() -> None:
+    packet = Packet(frequency=1e3, width=0.5, grain=5, amplitude=1e-13)
+    impulse, moved = Impulse(velocity=-2e-3, grain=2), Displacement(displacement=1e-9)
+    profile, drive, force = Profile(velocity=np.zeros(9)), Drive(**WAVE), Force(**WAVE)
+    kinds = (impulse, moved, profile, packet, drive, force)
+    assert tuple(EXCITATIONS) == ("impulse", "displacement", "profile", "packet", "drive", "force")
+    assert [kind.label for kind in kinds] == ["an impulse of -2 mm/s", *(f"a {kind.kind}" for kind in kinds[1:])]
+    assert [kind.does_work for kind in kinds] == [False] * 4 + [True] * 2
+    assert [kind.linear for kind in kinds] == [True] * 6
+    assert [kind.of_chain for kind in kinds] == [False, False, False, True, False, True]
+    assert [kind.driven for kind in kinds] == [0, 0, 0, 0, 1, 0]
+    assert Drive(**WAVE, grain=0).driven == 0
+    assert [kind.strike_velocity for kind in kinds] == [-2e-3, 0, 0, 0, 0, 0]
+    assert [kind.strikes_top for kind in kinds] == [False] * 6
+    assert [kind.wall is not None for kind in kinds] == [False] * 6
+    assert Drive(**WAVE, grain=0).wall.amplitude == 1e-12
+    assert [kind.fastest for kind in kinds] == pytest.approx([0, 0, 0, 0, 6e4 * np.pi, 6e4 * np.pi], rel=1e-14)
+    assert [kind.knot_spacing for kind in kinds] == [np.inf] * 6
+    assert Drive(**POINTS).knot_spacing == 1e-4
+    assert not Drive(**POINTS).linear
+    assert [kind.smooth for kind in kinds] == [True] * 6
+    assert impulse.energy(COLUMN) == pytest.approx(2e-6 * COLUMN.masses[1], rel=1e-15)
+    assert impulse.strongest(COLUMN) == (0.0, 2e-3)
+    assert moved.strongest(COLUMN) == (1e-9, 0.0)
+    assert [kind.energy(COLUMN) for kind in (drive, force)] == [np.inf] * 2
+    ends = Profile(displacement=[0, 0, 1e-12, 0, 0, 0, 1e-12, 0, 0], velocity=[0, 1e-6, 0, 0, 0, 0, 0, 0, 0])
+    assert [e.reach(COLUMN) for e in (impulse, profile, ends, drive)] == [(2, 2), (1, 1), (2, 7), (1, 1)]
+    assert Drive(**WAVE, start=ends).reach(COLUMN) == (1, 7)
+    assert impulse.energy_norm(COLUMN, 1.0) == np.inf
+    assert drive.acceleration(np.array([1e-5])) == pytest.approx(
+        -1e-12 * (6e4 * np.pi) ** 2 * np.sin(6e4 * np.pi * 1e-5), rel=1e-12
+    )
+
+
+# --- pictures and tables
+
+
+def picture(scene: Scene) -> Any:
+    return scene.plot(Figure().subplots())
+
+
+def test_the_picture_of_what_acts_is_its_course_over_time() -> None:
+    for excitation, name, unit in ((Drive(**WAVE), "displacement", "m"), (Force(**WAVE), "force", "N")):
+        axes = picture(scene_of(excitation))
+        (line,) = axes.get_lines()
+        time = line.get_xdata()
+        assert (time[0], time[-1]) == (0.0, 1e-4)
+        assert time.size > 500
+        assert line.get_ydata() == pytest.approx(1e-12 * np.sin(6e4 * np.pi * time), rel=1e-9, abs=1e-24)
+        assert (axes.get_xlabel(), axes.get_ylabel()) == ("time", f"{name}, downward")
+        axes.figure.canvas.draw()
+        assert axes.xaxis.get_major_formatter()(1e-4).endswith("µs")
+        assert axes.yaxis.get_major_formatter()(1e-12).endswith(f"p{unit}")
+
+
+def test_the_picture_of_a_start_is_that_of_the_grains_around_it() -> None:
+    chain = Chain(grains=60, diameter=1e-3)
+    axes = picture(scene_of(Impulse(velocity=1e-4, grain=30), chain))
+    (line,) = axes.get_lines()
+    assert line.get_xdata().tolist() == list(range(20, 41))
+    assert line.get_ydata().tolist() == [1e-4 * (n == 30) for n in range(20, 41)]
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["velocity (m/s)"]
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("grain, from the top", "at t = 0, downward")
+    both = Profile(displacement=1e-12 * np.eye(60)[2], velocity=1e-6 * np.eye(60)[57])
+    axes = picture(scene_of(both, chain))
+    labels = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert labels == ["displacement (m)", "velocity (m/s)"]
+    assert [line.get_xdata().tolist() for line in axes.get_lines()] == [list(range(1, 61))] * 2
+    assert np.flatnonzero(axes.get_lines()[0].get_ydata()).tolist() == [2]
+
+
+def test_a_notebook_shows_what_a_scene_is() -> None:
+    scene = scene_of(Impulse(velocity=1e-4), grains="2:5")
+    html = scene._repr_html_()
+    cells = re.findall(r"<td[^>]*>(.*?)</td>", html)
+    rows = {cells[n]: cells[n + 1 : n + 3] for n in range(0, len(cells) - 2, 3)}
+    assert rows["recorded"] == ["11 times to 0.0001 s, 4 grains", ""]
+    assert rows["strike number"] == [f"{scene.strike_number:.4g}", "linear theory needs it to be far below 1"]
+    assert rows["excitation"][0].startswith("Impulse(")
+    assert rows["chain"][0].startswith("Chain(")
+    assert "data:image/png" in html
+    long = Scene(chain=Chain(grains=10**6 + 1, diameter=1e-3, gravity=0.01), excitation=Impulse(velocity=1e-9),
+                 duration=1e-6)  # fmt: skip
+    assert "data:image/png" not in long._repr_html_()
+    assert "strike number" not in long._repr_html_()

@@ -1,0 +1,436 @@
+"""The laws of stability in numbers: trends, predictability, overlaps, warnings, and the boundaries that are shown."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import mpmath as mp
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from scipy import stats
+
+from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Scene, simulate
+from lmpchain.engines import Lammps, Native
+from lmpchain.engines.linear.engine import Chebyshev
+from lmpchain.integrators.methods import METHODS
+from lmpchain.stability import find
+from lmpchain.stability.linear_theory import linear_law, strike_number_at, strike_number_where
+from lmpchain.stability.overlap import deepest, hertz_excess
+from lmpchain.stability.pre_run import pre_run_warnings
+from lmpchain.stability.predictability import (
+    amplifies,
+    growth_rate,
+    predictability_time_of,
+    predicted_time,
+    reflection_time,
+)
+from lmpchain.stability.result import Boundary, Curve, Stability
+from lmpchain.stability.roundoff import floor
+from lmpchain.stability.step_limit import EnergyError, limit, struck_frequency, suspect
+
+STEEL = Chain(grains=12, material="steel", diameter=3e-3)
+STRUCK = Scene(chain=STEEL, excitation=Impulse(velocity=0.05), duration=1e-3, samples=101)
+WEAK = Scene(chain=STEEL, excitation=Impulse(velocity=1e-6), duration=1e-3, samples=101)
+
+
+# --- trends of the energy
+
+
+def trend(error: Any, duration: float = 2.0) -> tuple[float, float]:
+    return EnergyError(np.linspace(0.0, duration, len(error)), np.asarray(error), 1.0).trend()
+
+
+def test_the_interval_of_a_trend_holds_it_in_99_of_100_draws() -> None:
+    """Of white noise, whose slope has the standard deviation sqrt(12 / n) / T; t of 48 degrees is 2.68 at 99 %."""
+    rng, size = np.random.default_rng(4), 250
+    draws = np.array([trend(0.3 * np.linspace(0, 2, size) + rng.normal(size=size)) for _ in range(300)])
+    rates, widths = draws.T
+    assert 0.97 <= np.mean(np.abs(rates - 0.3) < widths) < 1
+    deviation = np.sqrt(12 / size) / 2.0
+    assert np.std(rates) == pytest.approx(deviation, rel=0.1)
+    assert np.mean(widths) == pytest.approx(stats.t.ppf(0.995, 48) * deviation, rel=0.04)
+
+
+def test_the_interval_of_a_trend_is_wider_where_each_stretch_resembles_the_one_before() -> None:
+    """An autoregressive draw with r = 0.6: as many as a quarter of the stretches count."""
+    rng, hits, plain = np.random.default_rng(5), 0, 0
+    for _ in range(200):
+        values = rng.normal(size=150)
+        for n in range(1, 150):
+            values[n] += 0.6 * values[n - 1]
+        time = np.linspace(0.0, 2.0, 50)
+        rate, width = trend(values[100:])
+        hits += abs(rate) < width
+        plain += abs(rate) < 2.68 * stats.linregress(time, values[100:]).stderr
+    assert plain < 0.9 * 200  # without the correction
+    assert hits > 0.94 * 200
+
+
+def test_a_drift_that_slows_down_is_no_resemblance() -> None:
+    """The straight line through a parabola: its slope, and the standard error of what it leaves."""
+    time = np.linspace(0.0, 2.0, 50)
+    noise = 1e-3 * np.random.default_rng(6).normal(size=50)
+    rate, width = trend(time - 0.2 * time**2 + noise)
+    line = stats.linregress(time, time - 0.2 * time**2 + noise)
+    assert rate == pytest.approx(0.6, abs=1e-3)
+    assert width == pytest.approx(2.68 * line.stderr, rel=0.15)
+
+
+def test_the_last_samples_make_fifty_stretches() -> None:
+    """Those before, that fill none, are left out."""
+    error = np.append(1e6 * np.ones(7), np.linspace(0, 1, 100))
+    rate, _ = trend(error, duration=106.0)
+    assert rate == pytest.approx(1 / 99, rel=1e-9)
+
+
+# --- steps
+
+
+def test_the_longest_step_is_the_stability_limit_over_the_frequency_that_the_strike_brings() -> None:
+    for name in ("verlet", "rkn6", "kahan-li6"):
+        method = METHODS[name]
+        assert limit(STRUCK, name) == pytest.approx(method.stability_limit / struck_frequency(STRUCK), rel=1e-14)
+    grown = WEAK.replace(duration=0.1)
+    step, edge = limit(grown, "gear4"), STEEL.band_edge
+    factor = METHODS["gear4"].growth(step * edge)
+    assert 2 * math.log(factor) * grown.duration / step == pytest.approx(math.log(1.5), rel=1e-9)
+    assert step < METHODS["gear4"].stability_limit / edge
+
+
+def test_the_most_suspect_step_is_that_of_the_fastest_growth() -> None:
+    for name in ("rkn4",):
+        method = METHODS[name]
+        reaches = np.linspace(1.0, 1.02, 701) * method.stability_limit
+        most = max(method.growth(reach) for reach in reaches)
+        assert method.stability_limit <= suspect(name) <= 1.02 * method.stability_limit
+        assert math.log(method.growth(suspect(name))) == pytest.approx(math.log(most), rel=0.05)
+
+
+# --- predictability
+
+
+def column(grains: int, number: float, **keys: Any) -> Scene:
+    chain = Chain(**{"grains": grains, "diameter": 1e-3} | keys)
+    speed = number * chain.length_scale / chain.time_scale
+    return Scene(chain=chain, excitation=Impulse(velocity=speed), duration=1e-3, samples=101)
+
+
+def test_a_reflection_takes_as_long_as_the_pulse_in_a_chain_without_load() -> None:
+    """Between grains 20 and 40 of a vacuum, where the largest velocity is 0.6816 of the strike."""
+    chain = Chain(grains=50, diameter=1e-3, gravity=0.0)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=1.4e-4, samples=1401)
+    t = simulate(scene, "native", 1e-7)
+    arrival = []
+    for grain in (20, 40):
+        speed = t.velocity[:, grain - 1]
+        top = int(speed.argmax())
+        a, b, c = speed[top - 1 : top + 2]
+        arrival.append(t.time[top] + t.time[1] * (a - c) / (a - 2 * b + c) / 2)
+        assert speed.max() == pytest.approx(0.0681632, rel=1e-3)
+    pace = 20 / (arrival[1] - arrival[0])
+    assert reflection_time(scene) == pytest.approx(2 * 50 / pace, rel=2e-4)
+    upward = scene.replace(excitation=Impulse(velocity=-0.1))
+    assert reflection_time(upward) == reflection_time(scene)
+    with pytest.raises(InputError, match=r"^excitation: a reflection time is known for a strike on a chain of"):
+        reflection_time(scene.replace(excitation=Displacement(displacement=1e-9)))
+
+
+def test_it_amplifies_within_the_limits_that_were_measured() -> None:
+    """6 to 40 grains; strike numbers from 30 to 50 N; at the top, of Hertz's exponent."""
+    for grains, number, known in (
+        (5, 100, False),
+        (6, 100, True),
+        (40, 100, True),
+        (41, 100, False),
+        (10, 29.9, False),
+        (10, 30.1, True),
+        (10, 499, True),
+        (10, 501, False),
+    ):
+        assert amplifies(column(grains, number)) is known, (grains, number)
+    inner = column(10, 100)
+    assert not amplifies(inner.replace(excitation=Impulse(velocity=inner.excitation.velocity, grain=2)))
+    assert not amplifies(column(10, 100, exponent=1.6))
+
+
+def test_predicted_times_count_decades_from_the_rounding_of_a_run() -> None:
+    scene = column(10, 100)
+    assert predicted_time(scene, 1e-14) == pytest.approx(0.0, abs=1e-18)
+    assert predicted_time(scene, 1e-4) == pytest.approx(10 / growth_rate(scene), rel=1e-12)
+    longer = column(10, 100, gravity=1.0)
+    shorter = reflection_time(scene) / reflection_time(longer)
+    assert growth_rate(longer) / growth_rate(scene) == pytest.approx(shorter, rel=1e-12)
+    rise = [growth_rate(s) * reflection_time(s) for s in (column(10, 100), column(20, 100), column(40, 100))]
+    assert (rise[1] / rise[0] - 1) ** 2 == pytest.approx((rise[2] / rise[1] - 1), rel=1e-9)  # 1 - exp(-N / const)
+
+
+def test_a_tolerance_is_passed_where_the_change_that_was_made_has_grown_beyond_ten_times_it() -> None:
+    """The change of 1e-13 is ten times what rounding does."""
+    times = np.linspace(0.0, 1.0, 11)
+    apart = 1e-13 * 10.0 ** np.arange(11)
+    assert predictability_time_of(times, apart, 0.99e-9) == pytest.approx(0.5, rel=1e-12)
+    assert predictability_time_of(times, apart, 1.01e-9) == pytest.approx(0.6, rel=1e-12)
+    assert predictability_time_of(times, apart, 1e-3) == math.inf
+
+
+# --- overlaps
+
+
+@pytest.mark.parametrize("strain", [1e-7, 0.9e-4, 1.1e-4, 1e-3, 0.01, 0.1, 0.5])
+def test_the_excess_of_hertz_over_spheres(strain: float) -> None:
+    """Sneddon's solution in 40 digits."""
+    with mp.workdps(40):
+        x = mp.findroot(lambda a: a * mp.atanh(a) - mp.mpf(strain), mp.sqrt(strain) * (1 - mp.mpf(strain) / 6))
+        exact = float(1 - ((x * x + 1) * mp.atanh(x) - x) / (mp.mpf(4) / 3 * mp.mpf(strain) ** mp.mpf(1.5)))
+    assert float(hertz_excess(strain)) == pytest.approx(exact, rel=5e-4)
+
+
+def test_the_deepest_overlap_holds_all_energy_in_one_contact() -> None:
+    chain = Chain(grains=3, diameter=1e-3, gravity=0.0)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=0.5), duration=1e-5)
+    energy = chain.masses[0] * 0.125
+    assert deepest(scene) == pytest.approx((2.5 * energy / chain.contact_constants[0]) ** 0.4 / 1e-3, rel=1e-12)
+    driven = Scene(chain=chain, excitation=Drive(amplitude=1e-9, frequency=1e4), duration=1e-5)
+    assert deepest(driven) == np.inf
+
+
+# --- linear theory
+
+
+def test_strike_numbers_at_which_linear_theory_fails_in_any_scene() -> None:
+    scene = column(20, 0.01).replace(duration=5e-5)
+    assert strike_number_where(0.03, scene) == pytest.approx(strike_number_at(0.03, "package"), rel=1e-14)
+    assert strike_number_at(0.69, "package") == np.inf
+    assert strike_number_at(0.689, "package") < np.inf
+    chain = Chain(grains=20, diameter=1e-3, gravity=0.0, top_load=1e-3)
+    loaded = Scene(chain=chain, excitation=Impulse(velocity=1e-6, grain=4), duration=1e-4, samples=21)
+    for error in (1e-3, 0.01):
+        number = strike_number_where(error, loaded)
+        stronger = loaded.excitation.scaled(number / loaded.strike_number)
+        there = Chebyshev().estimate_model_error(loaded.replace(excitation=stronger).reached)
+        assert there == pytest.approx(error, rel=0.02)
+    still = loaded.replace(excitation=Impulse(velocity=0.0))
+    assert strike_number_where(0.01, still) == np.inf
+    with pytest.raises(InputError, match=r"norm: must be one of velocity, displacement, package, peak \(got "):
+        linear_law(0.1, "energy")
+    at_20, at_80 = (linear_law(1e-6, "peak", grain=grain) for grain in (20, 80))
+    assert linear_law(1e-6, "peak") == at_20
+    assert at_80 / at_20 == pytest.approx(4**-0.25, rel=1e-6)
+
+
+# --- round-off
+
+
+@pytest.mark.parametrize("number", [1e-4, 30.0])
+def test_floors_are_those_of_engines_at_steps_of_three_tenths(number: float) -> None:
+    scene = column(12, number)
+    steps = 100 * math.ceil(1e-5 * scene.highest_frequency / 0.3)
+    speed = abs(scene.excitation.velocity)
+    for options, engine in (
+        ({}, Native("rkn6")),
+        ({"force": "plain"}, Native("rkn6", force="plain")),
+        ({"engine": "lammps"}, Lammps("rkn6")),
+        ({"engine": "lammps", "diameter": "gauge"}, Lammps("rkn6", None, "gauge")),
+    ):
+        expected = engine.typical_round_off(scene, steps, speed)
+        assert floor(scene, **options) == pytest.approx(expected, rel=1e-12)
+    moved = scene.replace(excitation=Displacement(displacement=1e-3 * scene.chain.length_scale))
+    speed = 1e-3 * scene.chain.length_scale * moved.highest_frequency
+    steps = 100 * math.ceil(1e-5 * moved.highest_frequency / 0.3)
+    assert floor(moved) == pytest.approx(Native("rkn6").typical_round_off(moved, steps, speed), rel=1e-12)
+    still = scene.replace(excitation=Impulse(velocity=0.0))
+    speed = scene.chain.length_scale / scene.chain.time_scale
+    steps = 100 * math.ceil(1e-5 * still.highest_frequency / 0.3)
+    assert floor(still) == pytest.approx(Native("rkn6").typical_round_off(still, steps, speed), rel=1e-12)
+
+
+# --- warnings before a run
+
+
+def test_warnings_say_their_numbers() -> None:
+    longest = 0.7 * limit(STRUCK, "verlet")
+    assert not list(pre_run_warnings(STRUCK, Native("verlet", 0.999 * longest), 0.5))
+    (text,) = pre_run_warnings(STRUCK, Native("verlet", 1.01 * longest), 0.5)
+    assert text == (
+        f"step: {1.01 * longest:.3g} s is stable at rest, but while the strike squeezes the contacts only steps "
+        f"below {longest:.3g} s are known to be"
+    )
+    refused = Native("verlet", 2.01 / STEEL.band_edge)
+    assert not list(pre_run_warnings(STRUCK, refused, 0.5))
+    assert not list(pre_run_warnings(WEAK, Native("verlet", 1.99 / STEEL.band_edge), 0.5))
+    bouncing = STRUCK.replace(duration=0.02)
+    end = predicted_time(bouncing, 1e-6)
+    (text,) = pre_run_warnings(bouncing, None, 1e-6)
+    assert text == (
+        f"duration: contacts that open amplify round-off beyond 1e-06 at about {end:.2g} s; what comes later cannot "
+        "be computed"
+    )
+    assert not list(pre_run_warnings(bouncing.replace(duration=0.99 * end), None, 1e-6))
+    assert len(list(pre_run_warnings(bouncing.replace(duration=1.01 * end), None, 1e-6))) == 1
+
+
+def test_deep_overlaps_are_warned_of_with_how_far_hertz_is_off() -> None:
+    chain = Chain(grains=8, material="ptfe", diameter=5e-3 * 0.7 ** np.arange(8), gravity=0.0)
+    texts = {}
+    for speed in (0.1, 3.0):
+        scene = Scene(chain=chain, excitation=Impulse(velocity=speed), duration=1e-4, samples=11)
+        texts[speed] = list(pre_run_warnings(scene, None, 1e-6))
+        deep = deepest(scene)
+    assert not texts[0.1]
+    excess = 100 * float(hertz_excess(min(deep, 0.5)))
+    assert texts[3.0] == [
+        f"contacts may be squeezed to {100 * deep:.2g} % of the diameter: Hertz's law is {excess:.2g} % off there by "
+        "the shape of spheres alone"
+    ]
+
+
+# --- what is shown
+
+
+def shown() -> Stability:
+    rows = (
+        Boundary("longest step", "native verlet", "s", 2e-6, 1.9e-6),
+        Boundary("longest step", "native rkn6", "s", 5e-6, math.inf),
+        Boundary("smallest error", "native", "", 1e-15),
+        Boundary("predictable to 1e-6 until", "any", "s", 4e-4, 5e-4, 1e-3, True),
+    )
+    x = np.array([0.0, 1e-4, 1e-3])
+    curves = (
+        Curve("energy", "verlet", x, np.array([0.0, 1e-5, 0.0])),
+        Curve("growth", "", x, np.array([1e-13, 1e-9, np.inf])),
+        Curve("strength", "Eq. (3), estimate", x, np.array([1e-3, 1e-2, 1e-1])),
+        Curve("strength", "lammps, physical diameter, round-off", x, np.array([1e-9, 1e-10, 0.0])),
+        Curve("strength", "lammps, gauge diameter, round-off", x, np.array([1e-10, 1e-11, 1e-12])),
+    )
+    return Stability(STRUCK, rows, curves, ("overlap: too long",))
+
+
+def test_the_table_marks_what_lies_beyond() -> None:
+    lines = shown().table().splitlines()
+    assert lines[0].split() == ["predicted", "measured", "this", "scene"]
+    assert [line.startswith("!") for line in lines[1:]] == [False, False, False, True]
+    assert lines[1].split() == ["longest", "step", "native", "verlet", "2e-06", "s", "1.9e-06", "s"]
+    assert lines[2].split()[-3:] == ["5e-06", "s", "none"]
+    assert lines[4].split()[-6:] == ["0.0004", "s", "0.0005", "s", "0.001", "s"]
+    written = shown().to_json()
+    assert written["rows"][1]["measured"] is None
+    assert written["rows"][0] == {
+        "what": "longest step",
+        "method": "native verlet",
+        "unit": "s",
+        "predicted": 2e-6,
+        "measured": 1.9e-6,
+        "here": None,
+        "beyond": False,
+    }
+    assert written["curves"][1]["y"] == [1e-13, 1e-9, None]
+    assert written["curves"][0] == {"panel": "energy", "name": "verlet", "x": [0.0, 1e-4, 1e-3], "y": [0.0, 1e-5, 0.0]}
+    assert written["left_out"] == ["overlap: too long"]
+
+
+def lines_of(axes: Any) -> dict[str, Any]:
+    return {line.get_label(): line for line in axes.get_lines()}
+
+
+def test_the_four_panels_hold_the_numbers() -> None:
+    panels = Figure().subplots(2, 2).ravel()
+    assert shown().plot(panels) is panels[0]
+    steps, energy, growth, strength = panels
+    marks = lines_of(steps)
+    assert list(marks["predicted"].get_xdata()) == [5e-6, 2e-6]
+    assert list(marks["measured"].get_xdata()) == [math.inf, 1.9e-6]
+    assert list(marks["measured"].get_ydata()) == [0, 1]
+    assert [label.get_text() for label in steps.get_yticklabels()] == ["native rkn6", "native verlet"]
+    assert steps.get_xlabel() == "longest step before a run of this duration breaks down"
+    drawn = lines_of(energy)["verlet"]
+    assert drawn.get_xdata().tolist() == [1e-4, 1e-3]
+    assert drawn.get_ydata().tolist() == [1e-5, 1e-17]
+    assert (energy.get_xlabel(), energy.get_ylabel()) == ("time", "relative error of the energy")
+    assert growth.get_lines()[0].get_ydata().tolist() == [1e-13, 1e-9, np.inf]
+    levels = [line.get_ydata()[0] for line in growth.get_lines()[1:4]]
+    assert levels == [1e-3, 1e-6, 1e-9]
+    assert [text.get_text() for text in growth.texts] == ["0.001", "1e-06", "1e-09"]
+    ends = lines_of(growth)
+    assert list(ends["predictable to 1e-06, predicted"].get_xdata()) == [4e-4, 4e-4]
+    assert list(ends["predictable to 1e-06, measured"].get_xdata()) == [5e-4, 5e-4]
+    assert growth.get_ylabel() == "distance of two runs, over the largest value"
+    curves = lines_of(strength)
+    assert curves["Eq. (3), estimate"].get_linestyle() == "-"
+    assert curves["lammps, physical diameter, round-off"].get_linestyle() == "--"
+    assert curves["lammps, gauge diameter, round-off"].get_linestyle() == ":"
+    assert curves["lammps, physical diameter, round-off"].get_ydata().tolist() == [1e-9, 1e-10, 1e-17]
+    assert list(strength.get_lines()[-1].get_xdata()) == [1.0, 1.0]
+    assert strength.get_xlabel() == "strength of the strike, over that of the scene"
+    assert strength.get_ylabel() == "relative error"
+    for axes, scales in ((steps, ("log", "linear")), (energy, ("log", "log")), (growth, ("linear", "log")),
+                         (strength, ("log", "log"))):  # fmt: skip
+        assert (axes.get_xscale(), axes.get_yscale()) == scales
+        assert axes.get_legend() is not None
+    alone = Figure().subplots()
+    assert shown().plot(alone) is alone
+    assert len(shown().plot().figure.axes) == 4
+
+
+def test_times_far_beyond_the_end_are_not_drawn() -> None:
+    for late, count in ((1.19e-3, 1), (1.21e-3, 0)):
+        row = Boundary("predictable to 1e-6 until", "any", "s", late, math.inf, 1e-3)
+        axes = Figure().subplots(2, 2).ravel()
+        Stability(STRUCK, (row,), (), ()).plot(axes)
+        assert len(axes[2].get_lines()) == 3 + count
+        assert all(each.get_legend() is None for each in axes[[1, 3]])
+
+
+# --- all of it, predicted only
+
+
+def test_what_would_take_long_is_predicted_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(find, "LONGEST_S", 0.0)
+    result = find.stability(STRUCK)
+    steps = {row.method: row for row in result.boundaries if row.what == "longest step"}
+    assert list(steps) == [*(f"native {name}" for name in METHODS), "lammps verlet"]
+    for name in METHODS:
+        assert steps[f"native {name}"].predicted == limit(STRUCK, name)
+    assert all(math.isnan(row.measured) for row in result.boundaries)
+    assert all(row.unit == "s" for row in steps.values())
+    floors = {row.method: row.predicted for row in result.boundaries if row.what == "smallest error"}
+    assert floors == {
+        "native": floor(STRUCK),
+        "lammps, physical diameter": floor(STRUCK, "lammps"),
+        "lammps, gauge diameter": floor(STRUCK, "lammps", "gauge"),
+    }
+    (until,) = (row for row in result.boundaries if row.what == "predictable to 1e-6 until")
+    assert until.predicted == predicted_time(STRUCK, 1e-6)
+    assert (until.here, until.beyond, until.unit) == (1e-3, False, "s")
+    linear = {row.what: row for row in result.boundaries if row.what.startswith("linear theory")}
+    assert list(linear) == ["linear theory 1 % off at v0*", "linear theory 10 % off at v0*"]
+    for row, error in zip(linear.values(), (0.01, 0.1), strict=True):
+        assert row.predicted == strike_number_where(error, STRUCK)
+        assert (row.here, row.beyond, row.method) == (STRUCK.strike_number, True, "Eq. (3)")
+    (deep,) = (row for row in result.boundaries if row.what == "Hertz's law: overlap over diameter")
+    assert (deep.predicted, deep.here, deep.beyond) == (0.1, deepest(STRUCK), False)
+    said = "too many to follow the energy for a thousand periods"
+    assert list(result.left_out) == [f"energy, {name}: {said}" for name in METHODS]
+    curves = {curve.name: curve for curve in result.curves}
+    strengths = 10.0 ** np.arange(-8, 3)
+    assert curves["native, round-off"].x == pytest.approx(strengths, rel=1e-12)
+    weaker = [STRUCK.replace(excitation=STRUCK.excitation.scaled(factor)) for factor in strengths]
+    assert curves["native, round-off"].y == pytest.approx([floor(scene) for scene in weaker], rel=1e-9)
+    looks = [Chebyshev().look(scene.reached) for scene in weaker]
+    assert curves["Eq. (3), estimate"].y == pytest.approx([look.error for look in looks], rel=1e-9)
+    assert curves["Eq. (3), at most"].y == pytest.approx([look.at_most for look in looks], rel=1e-9)
+    assert {curve.panel for curve in result.curves} == {"strength"}
+
+
+def test_what_cannot_be_predicted_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(find, "LONGEST_S", 0.0)
+    vacuum = Scene(chain=Chain(grains=5, diameter=1e-3, gravity=0.0), excitation=Impulse(velocity=0.1), duration=1e-4)
+    texts = find.stability(vacuum).left_out
+    assert "energy, verlet: without gravity and load there is no period to count by" in texts
+    assert any(line.startswith("linear theory: without gravity and load") for line in texts)
+    driven = Scene(chain=STEEL, excitation=Drive(amplitude=1e-9, frequency=1e4), duration=2e-4, samples=11)
+    result = find.stability(driven)
+    assert "energy, verlet: a drive does work: the energy is not that of the start" in result.left_out
+    (deep,) = (row for row in result.boundaries if row.what.startswith("Hertz"))
+    assert (deep.here, deep.beyond) == (math.inf, False)
