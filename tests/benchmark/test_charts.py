@@ -1,0 +1,369 @@
+"""Data, labels and colours of the charts, of points and answers that are given by hand."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lmpchain import Chain, Displacement, Impulse, Scene, Trajectory
+from lmpchain.benchmark.chart import FRONT
+from lmpchain.benchmark.comparison import Comparison, compare
+from lmpchain.benchmark.curves import Curve, Point, WorkPrecision, machine
+from lmpchain.benchmark.pareto import front, time_to
+from lmpchain.benchmark.reference import Reference
+from lmpchain.trajectory.record import Cost, ErrorEstimate
+from lmpchain.util.plotting import COLOURS, MARKERS, SHADES, SHAPES, figure
+from lmpchain.util.provenance import processor
+
+CHAIN = Chain(grains=8, diameter=1e-3)
+SCENE = Scene(chain=CHAIN, excitation=Impulse(velocity=2e-3), duration=4e-6, samples=5)
+TRUTH = Reference(SCENE.time, np.zeros((5, 8)), np.zeros((5, 8)), 2e-15, "a series")
+
+
+def point(engine: str, integrator: str, seconds: float, error: float, count: int, **more: Any) -> Point:
+    whole = {"tolerance": None, "setup_s": 0.5, "estimate_s": 0.25, "seconds": seconds, "step_s": 1e-8,
+             "grain_steps_per_s": 1e6}  # fmt: skip
+    row = {"engine": engine, "equation": 1, "integrator": integrator, "error": error, "error_displacement": error,
+           "error_velocity": error / 2, "expected_error": 2 * error, "integration_s": seconds, "steps": count,
+           "force_evaluations": 2 * count, "compile_s": 0.0}  # fmt: skip
+    return Point(**row | whole | more)
+
+
+def curve(engine: str, integrator: str, rows: list[tuple[float, float, int]], **more: Any) -> Curve:
+    points = [point(engine, integrator, *row, longest=number == 0 and not more, **more)
+              for number, row in enumerate(rows)]  # fmt: skip
+    return Curve(engine, "" if more else integrator, tuple(points))
+
+
+CURVES = (
+    curve("native", "rkn4", [(0.1, 1e-3, 40), (0.4, 1e-5, 80), (0.8, 1e-7, 160)], tolerance=1e-6),
+    curve("native", "verlet", [(0.02, 1e-2, 10), (0.5, 1e-6, 500)]),
+    curve("native", "rkn6", [(0.05, 1e-2, 20), (0.2, 1e-8, 60)]),
+    curve("native", "dop853", [(0.06, 1e-2, 30), (0.3, 1e-9, 70)]),
+    curve("lammps", "verlet", [(1.0, 1e-2, 50), (9.0, 1e-5, 600)]),
+    curve("lammps", "rkn4", [(2.0, 1e-2, 50), (4.0, 1e-7, 900)]),
+    curve("native", "gear4", [(0.9, 1e-2, 15), (5.0, 1e-7, 300)]),
+    curve("modes", "", [(0.01, 1e-4, 0)]),
+    curve("bessel", "", [(0.003, 1.05e-4, 0)]),
+)
+OTHERS = [{"code": "other", "error": 1e-5, "seconds": 0.05, "force_evaluations": 900},
+          {"code": "other", "error": 1e-7, "seconds": 0.15, "force_evaluations": None}]  # fmt: skip
+RESULT = WorkPrecision(SCENE, TRUTH, CURVES, 3, ("continuum: too short",), {"numpy": "2.0", "lammps": "7"}, "a box")
+LEADING = ["native, to a tolerance", "native, rkn6", "native, dop853", "native, verlet", "lammps, rkn4"]
+
+
+@pytest.fixture(scope="module")
+def panels() -> Any:
+    return RESULT.plot(others=OTHERS).figure.axes
+
+
+def lines_of(ax: Any) -> dict[str, Any]:
+    return {line.get_label(): line for line in ax.lines if not line.get_label().startswith("_")}
+
+
+def test_curves_that_reach_an_error_soonest_are_in_colour(panels: Any):
+    for ax, cost in zip(panels, ("seconds", "force_evaluations"), strict=False):
+        lines = lines_of(ax)
+        for place, name in enumerate(LEADING):
+            line = lines[name]
+            (source,) = (each for each in CURVES if each.name == name)
+            data = [(getattr(p, cost), p.error) for p in source.points]
+            assert [tuple(row) for row in line.get_xydata()] == data
+            first = place == 0
+            assert line.get_color() == ("black" if first else SHADES[place])
+            assert line.get_marker() == ("*" if first else SHAPES[place])
+            assert (line.get_markersize(), line.get_linewidth()) == (8 if first else 5.5, 1.8)
+            assert line.get_zorder() == (4 if first else 3)
+        assert set(lines) - set(LEADING) == {"Pareto front", "others"}
+        grey = [line for line in ax.lines if line.get_color() == "0.75"]
+        names = ["lammps, verlet", "native, gear4"] + ["other"] * (cost == "seconds")
+        assert len(grey) == len(names)
+        assert [line.get_label() for line in grey] == ["others", *["_others"] * (len(names) - 1)]
+        assert all(line.get_marker() == "." and line.get_zorder() == 1 for line in grey)
+
+
+def test_the_front_is_drawn_through_the_points_that_lead(panels: Any):
+    for ax, cost in zip(panels, ("seconds", "force_evaluations"), strict=False):
+        points = [(getattr(p, cost), p.error) for p in RESULT.points] + [(r[cost], r["error"]) for r in OTHERS]
+        points = [p for p in points if p[0]]
+        lead = sorted(p for p in points if not any(q != p and q[0] <= p[0] and q[1] <= p[1] for q in points))
+        line = lines_of(ax)["Pareto front"]
+        assert [tuple(row) for row in line.get_xydata()] == lead
+        assert line.get_color() == FRONT
+        assert line.get_zorder() < 1
+
+
+def test_rings_mark_the_longest_stable_steps_of_leading_curves(panels: Any):
+    for ax, cost in zip(panels, ("seconds", "force_evaluations"), strict=False):
+        rings = [line for line in ax.lines if line.get_markersize() == 14]
+        firsts = [each.points[0] for each in CURVES if each.name in LEADING[1:]]
+        places = [tuple(line.get_xydata()[0]) for line in rings]
+        assert places == [(getattr(p, cost), p.error) for p in firsts]
+        names = [each.name for each in CURVES if each.name in LEADING[1:]]
+        assert [r.get_markeredgecolor() for r in rings] == [SHADES[LEADING.index(name)] for name in names]
+
+
+def test_engines_of_one_point_stand_alone_and_are_named_together(panels: Any):
+    over_time, over_evaluations, _ = panels
+    alone = [line for line in over_time.lines if line.get_markersize() == 8 and line.get_marker() != "*"]
+    data = {line.get_marker(): tuple(line.get_xydata()[0]) for line in alone}
+    assert data == {MARKERS["modes"]: (0.01, 1e-4), MARKERS["bessel"]: (0.003, 1.05e-4)}
+    (label,) = (text for text in over_time.texts if "modes" in text.get_text())
+    assert label.get_text() == "modes, bessel"
+    assert label.xy == (0.01, 1e-4)  # right of the slowest
+    assert not any("modes" in text.get_text() for text in over_evaluations.texts)  # they take none
+
+
+def test_axes_of_errors(panels: Any):
+    over_time, over_evaluations, _ = panels
+    assert (over_time.get_xlabel(), over_time.get_ylabel()) == ("time (s)", "relative error")
+    assert over_evaluations.get_xlabel() == "force evaluations (each of all grains)"
+    for ax in (over_time, over_evaluations):
+        assert (ax.get_xscale(), ax.get_yscale()) == ("log", "log")
+        floor = 10 * TRUTH.error
+        assert ax.get_ylim()[0] == pytest.approx(floor / 4, rel=1e-12)
+        assert 1e-2 < ax.get_ylim()[1] <= 5
+        (level,) = (line for line in ax.lines if len(set(line.get_ydata())) == 1 and line.get_color() == "0.6")
+        assert level.get_ydata()[0] == pytest.approx(floor, rel=1e-12)
+        (words,) = (text for text in ax.texts if "error of the reference" in text.get_text())
+        assert words.get_text() == "10 × error of the reference"
+        assert words.xy == (0.01, floor)
+        (better,) = (text for text in ax.texts if text.get_text() == "better")
+        assert better.xy[0] < better.xyann[0]
+        assert better.xy[1] < better.xyann[1]  # the arrow goes to the lower left
+    assert over_evaluations.get_ylim() == over_time.get_ylim()
+
+
+def test_slopes_of_orders_are_theirs(panels: Any):
+    ax = panels[1]
+    slopes = [line for line in ax.lines if line.get_color() == "0.5"]
+    labels = [text.get_text() for text in ax.texts if text.get_text() in "2468"]
+    assert labels == ["2", "4", "6", "8"]
+    for line, order in zip(slopes, (2, 4, 6, 8), strict=True):
+        (x, end), (y, low) = line.get_data()
+        assert math.log(y / low) / math.log(end / x) == pytest.approx(order, rel=1e-9)
+        assert end <= 10 * x * (1 + 1e-12)
+        assert low >= 30 * ax.get_ylim()[0] * (1 - 1e-9)
+        assert (end == pytest.approx(10 * x, rel=1e-9)) or (low == pytest.approx(30 * ax.get_ylim()[0], rel=1e-9))
+        assert y == pytest.approx(1e6 * ax.get_ylim()[0], rel=1e-9)
+
+
+def test_bars_are_times_to_one_error(panels: Any):
+    bars = panels[2]
+    times = {each.name: time_to(1e-6, [(p.seconds, p.error) for p in each.points]) for each in CURVES}
+    times["other"] = time_to(1e-6, [(r["seconds"], r["error"]) for r in OTHERS])
+    reached = sorted((name for name in times if math.isfinite(times[name])), key=times.__getitem__)
+    assert [label.get_text() for label in bars.get_yticklabels()] == reached
+    assert [bar.get_width() for bar in bars.patches] == pytest.approx([1e3 * times[name] for name in reached])
+    colours = {name: "black" if k == 0 else SHADES[k] for k, name in enumerate(LEADING)}
+    from matplotlib.colors import to_rgba
+
+    assert [bar.get_facecolor() for bar in bars.patches] == [to_rgba(colours.get(name, "0.75")) for name in reached]
+    assert [text.get_text() for text in bars.texts] == [f"{1e3 * times[name]:.3g}" for name in reached]
+    assert bars.get_title(loc="left") == "Time to an error of 1e-06"
+    assert bars.get_xscale() == "log"
+    assert " ".join(bars.get_xlabel().split()) == "ms never: lammps, verlet, modes, bessel"
+    low, high = bars.get_ylim()
+    assert low > len(reached) - 1 + 0.4  # the fastest on top
+    assert high < -0.4
+
+
+def test_title_and_footer_say_what_was_measured():
+    picture = RESULT.plot(others=OTHERS).figure
+    label, number = SCENE.excitation.label, f"{SCENE.strike_number:.2g}"
+    title = f"8 grains, g = 9.81 m/s², {label} (strike number {number}), at t = 4 µs"
+    assert picture._suptitle.get_text() == title
+    footer = " ".join(picture._supxlabel.get_text().split())
+    for words in ("Reference: a series; its error is 2e-15, and 3 points within 10 times of that are left out",
+                  "on a box; numpy 2.0, lammps 7."):  # fmt: skip
+        assert words in footer
+    vacuum = Scene(chain=Chain(grains=8, diameter=1e-3, gravity=0.0), excitation=Impulse(velocity=2e-3), duration=4e-6)
+    title = replace(RESULT, scene=vacuum).plot().figure._suptitle.get_text()
+    assert title == f"8 grains, no gravity, {vacuum.excitation.label} (sonic vacuum), at t = 4 µs"
+
+
+def test_the_front_of_points_by_brute_force():
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        points = [tuple(row) for row in rng.integers(1, 7, (12, 2)).astype(float).tolist()]
+        lead = {p for p in points if not any(q != p and q[0] <= p[0] and q[1] <= p[1] for q in points)}
+        places = front(points)
+        assert [points[place] for place in places] == sorted(lead)
+        assert len(places) == len(lead)  # of equal points one
+
+
+def test_the_time_to_an_error_is_a_power_law_between_points():
+    points = [(4.0, 1e-6), (1.0, 1e-2), (2.0, 5e-2)]
+    assert time_to(1e-2, points) == 1.0
+    exponent = math.log(1e-2 / 5e-2) / math.log(1.0 / 2.0)
+    assert exponent > 0  # the slower one in between is worse, and the law goes on from it
+    steep = math.log(5e-2 / 1e-6) / math.log(4.0 / 2.0)
+    assert time_to(1e-4, points) == pytest.approx(2.0 * (5e-2 / 1e-4) ** (1 / steep), rel=1e-12)
+    assert math.isnan(time_to(1e-7, points))
+
+
+def test_rows_and_tables_of_given_points():
+    data = RESULT.to_json()
+    assert data["reference"] == {"method": "a series", "error": 2e-15}
+    assert (data["machine"], data["dropped"], data["versions"]) == ("a box", 3, RESULT.versions)
+    assert [row["error"] for row in data["rows"]] == [p.error for p in RESULT.points]
+    first = data["rows"][0]
+    assert (first["tolerance"], first["seconds"], first["setup_s"], first["estimate_s"]) == (1e-6, 0.1, 0.5, 0.25)
+    assert [row["longest"] for row in data["rows"][:5]] == [False, False, False, True, False]
+    assert not any(row["pareto"] for row in data["rows"])
+    lines = RESULT.table({"other": [(0.05, 1e-5), (0.15, 1e-7)]}).splitlines()
+    words = [line.split("  ") for line in lines]
+    cells = {line[0]: [cell.strip() for cell in line[1:] if cell.strip()] for line in words}
+    assert cells["time to an error of"] == ["1e-03", "1e-06", "1e-09", "1e-12"]
+    assert cells["native, verlet"] == ["44.7 ms", "500 ms", "-", "-"]  # 20 ms 25^(1/4)
+    assert cells["native, to a tolerance"][0] == "100 ms"
+    assert cells["native, to a tolerance, without the estimate"] == cells["native, to a tolerance"]
+    assert cells["modes"] == ["10 ms", "-", "-", "-"]
+    assert cells["other"][1] == "86.6 ms"
+    assert machine().startswith(f"{processor()}, ")
+
+
+# --- the comparison of answers
+
+
+def answer(engine: str, scene: Scene, off: float, **cost: Any) -> Trajectory:
+    """Return an answer whose velocities are off by a share of the largest of the wave below, and nothing else."""
+    u, v = wave(scene)
+    counts = {"integrator": "rkn4", "steps": 40, "integration_s": 0.3} | cost
+    paid = Cost(0.3, 0.1, 0.2, 40, 160, 8, "rkn4", 1e-8, 1, 2.0)._replace(**counts)
+    columns = scene.recorded - 1
+    speeds = v[:, columns] + off * np.abs(v).max()
+    estimate = ErrorEstimate(1e-4, 2e-4)
+    return Trajectory(scene, engine, 1, scene.time, scene.recorded, u[:, columns], speeds, estimate, paid)
+
+
+def wave(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    n, t = np.arange(scene.chain.grains), np.linspace(0, 1, scene.samples)[:, None]
+    bump = np.exp(-((n - 10 - 20 * t) ** 2) / 4)
+    return 1e-9 * bump, 1e-3 * bump
+
+
+def compared(scene: Scene, off: tuple[float, ...] = (1e-3, -0.5), names: tuple[str, ...] = ("native", "lammps")) -> Any:
+    u, v = wave(scene)
+    truth = Reference(scene.time, u, v, 1e-12, "made up")
+    answers = [answer(name, scene, share) for name, share in zip(names, off, strict=True)]
+    comparison: Comparison = compare(answers, truth)
+    return comparison, comparison.plot().figure.axes
+
+
+LONG = Scene(chain=Chain(grains=200, diameter=1e-3), excitation=Impulse(velocity=2e-3), duration=5e-6, samples=6)
+
+
+def test_the_wave_is_drawn_in_units_of_the_strike():
+    comparison, (ax, _, _) = compared(LONG)
+    _, v = wave(LONG)
+    moving = 1 + np.flatnonzero(v[-1] > 1e-3 * v[-1].max())
+    first, last = moving[0] - 4, moving[-1] + 4
+    assert ax.get_xlim() == (first - 0.5, last + 0.5)
+    assert ax.get_title(loc="left") == f"Grains {first} to {last} of 200 at t = 5 µs"
+    assert ax.get_xlabel() == "grain number, from the top"
+    assert ax.get_ylabel() == r"velocity / strike velocity $v_0$"
+    lines = lines_of(ax)
+    assert np.array_equal(lines["reference"].get_xdata(), np.arange(1, 201))
+    assert lines["reference"].get_ydata() == pytest.approx(v[-1] / 2e-3, rel=1e-12)
+    for place, (name, t) in enumerate(zip(("native", "lammps"), comparison.trajectories, strict=True)):
+        assert np.array_equal(lines[name].get_xdata(), np.arange(first, last + 1))
+        assert lines[name].get_ydata() == pytest.approx(t.velocity[-1, first - 1 : last] / 2e-3, rel=1e-12)
+        assert (lines[name].get_color(), lines[name].get_marker()) == (COLOURS[name], MARKERS[name])
+        assert lines[name].get_linestyle() == "None"
+        assert lines[name].get_markersize() == 7.5 - 3.5 * place
+    span = v[-1].max() - v[-1].min()
+    low, high = v[-1].min() - span / 4, v[-1].max() + span / 4
+    assert ax.get_ylim() == pytest.approx((low / 2e-3, high / 2e-3), rel=1e-9)
+    assert [text.get_text() for text in ax.texts] == ["partly beyond the scale: lammps"]
+    assert not compared(LONG, (1e-3, -0.2))[1][0].texts
+
+
+def test_without_a_strike_velocities_are_in_m_per_s():
+    scene = Scene(**LONG.given() | {"excitation": Displacement(displacement=1e-9)})
+    _, (ax, _, _) = compared(scene)
+    assert ax.get_ylabel() == "velocity downward (m/s)"
+    assert lines_of(ax)["reference"].get_ydata() == pytest.approx(wave(scene)[1][-1], rel=1e-12)
+
+
+def test_a_wide_wave_is_shown_around_its_fastest_grain():
+    """At most 60 grains: from 30 above the fastest, or as near to an end as there are."""
+    from lmpchain.benchmark.comparison import _window
+
+    velocity = np.ones(200)
+    for fastest, shown in ((99, (70, 129)), (3, (1, 60)), (198, (141, 200)), (29, (1, 60)), (31, (2, 61))):
+        velocity[:] = 1.0
+        velocity[fastest] = -2.0
+        assert _window(velocity) == shown
+    for grains, shown in ((60, (1, 60)), (61, (1, 60)), (59, (1, 59))):
+        assert _window(np.append(2.0, np.ones(grains - 1))) == shown
+    assert _window(np.zeros(200)) == (1, 60)
+    assert _window(np.zeros(20)) == (1, 20)
+    still = np.zeros(200)
+    still[100], still[90], still[80] = 1.0, 1.1e-3, 0.9e-3
+    assert _window(still) == (87, 105)
+
+
+def test_errors_over_time_and_cost_are_drawn_to_scale():
+    comparison, (_, ax, cost) = compared(LONG)
+    assert (ax.get_xlabel(), ax.get_ylabel(), ax.get_yscale()) == ("time (µs)", "relative error", "log")
+    curves = lines_of(ax)
+    for name, row, off in zip(("native", "lammps"), comparison.rows, (1e-3, 0.5), strict=True):
+        v = wave(LONG)[1]
+        errors = np.full(6, off) * np.abs(v).max() / np.abs(v).max()
+        assert curves[name].get_xdata() == pytest.approx([1, 2, 3, 4, 5], rel=1e-9)
+        assert curves[name].get_ydata() == pytest.approx(errors[1:], rel=1e-9)
+        assert curves[name].get_color() == COLOURS[name]
+        assert row.error == pytest.approx(off, rel=1e-9)
+    levels = [(line.get_ydata()[0], line.get_color(), line.get_linestyle()) for line in ax.lines
+              if len(line.get_ydata()) == 2]  # fmt: skip
+    assert [level[0] for level in levels] == pytest.approx([3e-4, 3e-4, 1e-12], rel=1e-12)
+    assert [level[1:] for level in levels] == [(COLOURS["native"], "--"), (COLOURS["lammps"], "--"), ("0.55", ":")]
+    assert "dashed: expected by the engine, dotted: of the reference" in " ".join(ax.get_title(loc="left").split())
+    assert (cost.get_xlabel(), cost.get_ylabel()) == ("integration time (s)", "relative error")
+    assert (cost.get_xscale(), cost.get_yscale()) == ("log", "log")
+    named = lines_of(cost)
+    assert set(named) == {"native, rkn4", "lammps, rkn4"}
+    for name, off in (("native, rkn4", 1e-3), ("lammps, rkn4", 0.5)):
+        assert named[name].get_xydata()[0] == pytest.approx([0.3, off], rel=1e-9)
+        assert named[name].get_marker() == MARKERS[name.split(",")[0]]
+    bars = [line for line in cost.lines if line.get_linestyle() == "--"]
+    assert [list(line.get_ydata()) for line in bars] == [pytest.approx([1e-3, 3e-4]), pytest.approx([0.5, 3e-4])]
+    ends = [line.get_xydata()[0] for line in cost.lines if line.get_marker() == "_"]
+    assert ends == [pytest.approx([0.3, 3e-4])] * 2
+
+
+def test_no_error_and_no_time_are_drawn_at_the_end_of_the_scale():
+    scene = LONG
+    u, v = wave(scene)
+    exact = replace(answer("modes", scene, 0.0, integrator="modes", integration_s=0.0),
+                    error_estimate=ErrorEstimate(0.0, 0.0))  # fmt: skip
+    _, ax, cost = compare([exact], Reference(scene.time, u, v, 0.0, "exact")).plot().figure.axes
+    assert set(lines_of(ax)["modes"].get_ydata()) == {1e-17}
+    assert [line.get_ydata()[0] for line in ax.lines if len(line.get_ydata()) == 2] == [1e-17, 1e-17]
+    assert lines_of(cost)["modes"].get_xydata()[0].tolist() == [1e-9, 1e-17]
+
+
+def test_the_table_of_a_comparison_in_numbers():
+    comparison, _ = compared(LONG)
+    lines = comparison.table().splitlines()
+    cells = [" ".join(line.split()) for line in lines]
+    assert cells[0] == "engine equation integrator error expected integration steps force evaluations"
+    assert cells[1] == "native (1) rkn4 1.00e-03 3.00e-04 0.3 s 40 160"
+    assert cells[2] == "lammps (1) rkn4 5.00e-01 3.00e-04 0.3 s 40 160"
+    assert cells[3] == "reference: made up; its own error is about 1.0e-12"
+    assert cells[4].startswith("error: max|x - x_true| over samples and grains over max|x_true| at any time")
+    assert comparison.rows[0].compile_s == 2.0
+    assert comparison.to_json()["rows"][1]["compile_s"] == 2.0
+
+
+def test_in_one_set_of_axes_only_the_first_panel_is_drawn():
+    comparison, _ = compared(LONG)
+    ax = figure().subplots()
+    assert comparison.plot(ax) is ax
+    assert set(lines_of(ax)) == {"reference", "native", "lammps"}
+    axes = RESULT.plot(figure().subplots())
+    labels = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert "native, rkn6" in labels
