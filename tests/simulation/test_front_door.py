@@ -1,0 +1,462 @@
+"""What `simulate`, `resume` and `simulate_many` say and keep: warnings, files of a folder, costs of a batch."""
+
+import json
+import signal
+import time
+import warnings
+
+import numpy as np
+import pytest
+from filelock import FileLock
+
+import lmpchain
+from lmpchain import Chain, Impulse, InputError, Scene, Stopped, ToleranceNotMet, engines, resume, simulate
+from lmpchain.engines import Native, error_estimate
+from lmpchain.engines.step_control import first_attempt
+from lmpchain.simulation import api, checkpoints, many, run_folder
+from lmpchain.simulation import task as tasks
+from lmpchain.simulation.policy import policy_for
+from lmpchain.simulation.run_folder import status
+from lmpchain.simulation.signals import Requests
+from lmpchain.util import progress
+
+CHAIN = Chain(grains=12, diameter=1e-3)
+SCENE = Scene(chain=CHAIN, excitation=Impulse(velocity=1e-4), duration=6e-5, samples=61)
+
+
+@pytest.fixture
+def small_blocks(monkeypatch):
+    """Have four samples in a block."""
+    monkeypatch.setattr(error_estimate, "BLOCK_S", 1e-9)
+
+
+def stopped(folder, scene=SCENE, engine="native", tolerance=1e-6):
+    with pytest.raises(Stopped) as stop:
+        simulate(scene, engine, tolerance, folder=folder, max_wall=1e-9)
+    return str(stop.value)
+
+
+# --- what is said
+
+
+@pytest.mark.parametrize("velocity", [3e-5, 1e-2])
+def test_a_warning_says_how_much_the_equation_leaves_out(velocity):
+    scene = SCENE.replace(excitation=Impulse(velocity=velocity))
+    with pytest.warns(UserWarning, match=r"^Eq\. \(3\)") as said:
+        t = simulate(scene, "chebyshev", 1e-3)
+    model = t.error_estimate.model
+    words = str(said[0].message)
+    assert words.startswith(f"Eq. (3) leaves out about {model:.2g} of the answer")
+    assert ", more than 0.001" in words
+    assert said[0].filename == __file__
+    if model < 1:
+        most = float(words.split("(at most ")[1].split(")")[0])
+        assert model < most <= 1
+    else:
+        assert words.endswith("opens")
+
+
+def test_no_warning_where_the_equation_is_within_the_tolerance():
+    with warnings.catch_warnings(action="error"):
+        t = simulate(SCENE.replace(excitation=Impulse(velocity=1e-9)), "chebyshev", 1e-3)
+    assert 0 < t.error_estimate.model < 1e-3
+
+
+def test_a_missed_tolerance_comes_with_the_trajectory():
+    chain = Chain(grains=12, diameter=1e-3)
+    chaotic = Scene(chain=chain, excitation=Impulse(velocity=0.05), duration=3e-3, samples=5)
+    with pytest.raises(ToleranceNotMet, match="amplifies round-off") as missed:
+        simulate(chaotic, "native", 1e-6)
+    assert missed.value.trajectory.error_estimate.total > 1e-6
+    with pytest.raises(ToleranceNotMet) as early:
+        simulate(SCENE, "native", 1e-16)
+    assert early.value.trajectory is None
+    with pytest.warns(UserWarning, match="round-off alone makes") as said:
+        best = simulate(SCENE, "native", 1e-16, on_miss="warn")
+    assert said[0].filename == __file__
+    assert best.error_estimate.total < 1e-11
+
+
+def test_options_that_are_refused():
+    for wrong in ("ignore", None, 3):
+        with pytest.raises(InputError, match='on_miss: must be "raise" or "warn"'):
+            simulate(SCENE, on_miss=wrong)
+    with pytest.raises(InputError, match="max_wall: goes with a run folder"):
+        simulate(SCENE, max_wall=1.0)
+    for wall in (0, -1.0, "1"):
+        with pytest.raises(InputError, match="max_wall: must be a time above 0 s"):
+            Requests(wall)
+    assert Requests(None).reason == ""
+    assert Requests(1e6).reason == ""
+    with pytest.raises(InputError, match="tolerance"):
+        simulate(SCENE, tolerance=1.0)
+
+
+def test_an_answer_that_does_not_fit_into_memory_says_how_large_it_is(monkeypatch):
+    def full(*_):
+        raise MemoryError
+
+    monkeypatch.setattr(api, "_zeros", full)
+    scene = SCENE.replace(grains=[1, 2, 3], chain=CHAIN.replace(grains=400))
+    with pytest.raises(InputError, match=r"samples: 2\.93e-06 GB do not fit: record fewer samples"):
+        simulate(scene, "native")
+
+
+def test_columns_out_of_reach_are_zeros_that_take_no_memory():
+    """Where fewer than half of many columns are written, in pages that are made when they are."""
+    wide, narrow = api._zeros((5, 10_000), 100), api._zeros((5, 100), 10)
+    assert wide.shape == (5, 10_000)
+    assert narrow.shape == (5, 100)
+    assert not wide.any()
+    assert not wide.flags.owndata
+    assert narrow.flags.owndata
+    assert api._zeros((5, 10_000), 5_001).flags.owndata
+    wide[:, 7] = 1.0
+    assert wide.sum() == 5
+
+
+def test_the_progress_bar_says_how_far_it_is_and_how_good(monkeypatch, small_blocks):
+    class Bar(progress.ProgressBar):
+        reached, remarks, made = [], [], []
+
+        def __init__(self, total, text="", unit="", **how):
+            self.made.append((total, text, unit, how["done"]))
+            super().__init__(total, text, unit, shown=False)
+
+        def reach(self, done):
+            self.reached.append(done)
+
+        def remark(self, words):
+            self.remarks.append(words)
+
+    monkeypatch.setattr(api, "ProgressBar", Bar)
+    monkeypatch.setattr(api, "ESTIMATE_S", 0.0)
+    t = simulate(SCENE, "native", 1e-6, progress=True)
+    assert Bar.made == [(61, "native", " samples", 0)]
+    assert Bar.reached == sorted(Bar.reached)
+    assert Bar.reached[-1] == 61
+    assert 4 <= Bar.reached[0] < 20
+    assert Bar.remarks[-1] == f"error {t.error_estimate.total:.1g}"
+    Bar.remarks.clear()
+    monkeypatch.setattr(api, "ESTIMATE_S", 1e9)
+    simulate(SCENE, "native", 1e-6, progress=True)
+    assert Bar.remarks == []
+
+
+# --- run folders
+
+
+def test_the_status_of_a_run_that_was_stopped(tmp_path, small_blocks):
+    folder = tmp_path / "run"
+    words = stopped(folder)
+    kept = status(folder)
+    done = kept["samples_done"]
+    assert 0 < done < 61
+    assert words == (f"stopped at the end of its time after {done} of 61 samples; lmpchain resume {folder} goes on")
+    assert kept["reason"] == words
+    assert (kept["state"], kept["samples"], kept["attempt"], kept["tolerance"]) == ("stopped", 61, 1, 1e-6)
+    assert kept["best_effort"] is False
+    assert kept["step_s"] == Native().candidate(SCENE, 1e-6).step
+    assert kept["error_estimate"] == lmpchain.Trajectory.load(folder).error_estimate.total
+    assert kept["pid"] > 0
+    first_s = kept["wall_s"]
+    assert 0 < first_s < 100
+    t = resume(folder)
+    assert status(folder)["wall_s"] > first_s
+    assert (status(folder)["state"], status(folder)["reason"], status(folder)["samples_done"]) == ("finished", "", 61)
+    assert t.cost.steps == simulate(SCENE, "native", 1e-6).cost.steps
+
+
+def test_both_checkpoints_of_a_new_attempt_are_of_it(tmp_path, small_blocks):
+    """None tells of the attempt before, whose samples are gone: after a second fault the right one goes on."""
+    folder, engine = tmp_path / "run", Native(adaptive=False)
+    scene = SCENE.replace(excitation=Impulse(velocity=8.57e-3), samples=21)
+    stopped(folder, scene, engine, 1e-5)
+    while status(folder)["attempt"] < 2:
+        with pytest.raises(Stopped):
+            resume(folder, max_wall=1e-9)
+    kept = list(checkpoints.load(folder))
+    assert [len(each.notes["attempt"]["truncations"]) for each in kept] == [1, 1]
+    assert [each.notes["samples"] for each in kept] == [status(folder)["samples_done"], 0]
+    assert kept[1].state == {}
+    (folder / "checkpoint").write_bytes(b"nothing")
+    with pytest.warns(UserWarning, match="damaged; going on from the one before, at sample 0"):
+        t = resume(folder)
+    assert np.array_equal(t.velocity, simulate(scene, engine, 1e-5).velocity)
+    assert t.cost.steps == simulate(scene, engine, 1e-5).cost.steps
+
+
+def test_checkpoints_come_and_go(tmp_path):
+    assert list(checkpoints.load(tmp_path)) == []
+    for number in range(3):
+        checkpoints.save(tmp_path, {"number": number}, {"x": np.arange(number)})
+    newest, before = checkpoints.load(tmp_path)
+    assert (newest.notes, before.notes) == ({"number": 2}, {"number": 1})
+    assert np.array_equal(newest.state["x"], [0, 1])
+    whole = (tmp_path / "checkpoint").read_bytes()
+    (tmp_path / "checkpoint").write_bytes(whole[:-1])
+    newest, before = checkpoints.load(tmp_path)
+    assert newest is None
+    assert before.notes == {"number": 1}
+    assert not (tmp_path / "checkpoint").exists()  # a damaged one is removed
+
+
+def test_how_often_checkpoints_are_made(tmp_path, monkeypatch, small_blocks):
+    """At most one a second, and so that they take a hundredth of the time: by a clock that this test sets."""
+    now, saved = [0.0], []
+    honest = checkpoints.save
+
+    def save(folder, notes, state):
+        now[0] += 0.05
+        if state:
+            saved.append((now[0], notes["samples"]))
+        honest(folder, notes, state)
+
+    class Clock:
+        @staticmethod
+        def monotonic():
+            return now[0]
+
+    monkeypatch.setattr(run_folder, "time", Clock)
+    monkeypatch.setattr(checkpoints, "save", save)
+    honest_put = run_folder.store.Writer.put
+
+    def put(self, block):
+        now[0] += 0.5
+        return honest_put(self, block)
+
+    monkeypatch.setattr(run_folder.store.Writer, "put", put)
+    simulate(SCENE, "native", 1e-6, folder=tmp_path / "run")
+    moments = [moment for moment, _ in saved]
+    assert moments[0] == pytest.approx(2 * 0.05 + 2 * 0.5 + 0.05, rel=1e-9)  # two at the beginning, then a second
+    # saving took 0.05 s, so that the next one is 5 s later
+    assert moments[1] - moments[0] == pytest.approx(5.05, abs=0.51)
+    assert status(tmp_path / "run")["wall_s"] == pytest.approx(now[0], rel=1e-9)
+
+
+def test_a_folder_that_another_process_uses_is_left_alone(tmp_path, small_blocks, monkeypatch):
+    folder = tmp_path / "run"
+    stopped(folder)
+    monkeypatch.setattr(run_folder, "LOOK_S", 0.0)
+    with FileLock(folder / ".lock"):
+        with pytest.raises(InputError, match="another process is at work here"):
+            resume(folder)
+        with pytest.raises(InputError, match="another process is at work here"):
+            tasks.remove(folder)
+    tasks.remove(folder)
+    assert not folder.exists()
+
+
+def test_a_run_that_was_killed_says_so(tmp_path, small_blocks):
+    """Its status says "running", but nobody holds the lock."""
+    folder = tmp_path / "run"
+    stopped(folder)
+    file = folder / "status.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"state": "running", "reason": ""}))
+    assert (status(folder)["state"], status(folder)["reason"]) == (
+        "killed", "the process that was at work was killed",
+    )  # fmt: skip
+    with FileLock(folder / ".lock"):
+        assert status(folder)["state"] == "running"
+    for wrong in ({"state": "asleep"}, {"tolerance": 0}, {"tolerance": 1}, {"reason": 3}):
+        file.write_text(json.dumps({"state": "stopped", "tolerance": 1e-6, "reason": "", "best_effort": 0} | wrong))
+        with pytest.raises(InputError, match="was changed and cannot be read"):
+            status(folder)
+
+
+def test_a_failure_is_noted_with_its_reason(tmp_path, monkeypatch, small_blocks):
+    honest = run_folder.store.Writer.put
+    puts = []
+
+    def full(self, block):
+        puts.append(block.samples)
+        if len(puts) == 3:
+            raise OSError(28, "No space left on device", str(tmp_path / "run" / "x"))
+        honest(self, block)
+
+    monkeypatch.setattr(run_folder.store.Writer, "put", full)
+    with pytest.raises(lmpchain.LmpchainError) as failed:
+        simulate(SCENE, "native", 1e-6, folder=tmp_path / "run")
+    done = puts[1].stop
+    assert str(failed.value) == (
+        f"{tmp_path}/run/x: cannot be written: No space left on device; {done} of 61 samples were done and most are "
+        f"kept; when that is put right, lmpchain resume {tmp_path}/run goes on"
+    )
+    assert status(tmp_path / "run")["state"] == "failed"
+    assert "No space left" in status(tmp_path / "run")["reason"]
+    monkeypatch.undo()
+    assert np.array_equal(resume(tmp_path / "run").velocity, simulate(SCENE, "native", 1e-6).velocity)
+
+
+def test_a_checkpoint_of_another_version_is_refused(tmp_path, small_blocks):
+    folder = tmp_path / "run"
+    stopped(folder)
+    checkpoint = next(checkpoints.load(folder))
+    whole = checkpoint.notes["attempt"]
+
+    def noted(**changed):
+        notes = checkpoint.notes | changed
+        for _ in range(2):
+            checkpoints.save(folder, notes, checkpoint.state)
+        with pytest.raises(InputError, match="checkpoint: was written by a version of lmpchain that this one does"):
+            resume(folder)
+
+    noted(attempt=whole | {"candidate": whole["candidate"] | {"step": 0.0}})
+    noted(attempt=whole | {"candidate": whole["candidate"] | {"steps_per_landing": 0}})
+    noted(attempt=whole | {"tolerance": 1.0})
+    noted(attempt=whole | {"tolerance": 0.0})
+    noted(attempt=whole | {"engine": "fast"})
+    noted(attempt=whole | {"candidate": whole["candidate"] | {"colour": 1}})
+    noted(spent=checkpoint.notes["spent"] | {"wall_s": -1.0})
+    noted(spent=checkpoint.notes["spent"] | {"more_s": 1.0})
+    checkpoints.save(folder, checkpoint.notes, checkpoint.state)
+    assert resume(folder).time.size == 61
+
+
+def test_a_finished_run_that_missed_tells_it_again(tmp_path):
+    with pytest.warns(UserWarning, match="round-off alone"):
+        simulate(SCENE, "native", 1e-16, folder=tmp_path / "run", on_miss="warn")
+    kept = status(tmp_path / "run")
+    assert kept["best_effort"] is True
+    assert "round-off alone" in kept["reason"]
+    assert resume(tmp_path / "run").time.size == 61  # it was asked for as well as can be
+
+
+def test_names_of_folders():
+    assert tasks.resume_command("a b") == "lmpchain resume 'a b'"
+    assert tasks.resume_command("run") == "lmpchain resume run"
+
+
+def test_what_a_new_folder_may_hold(tmp_path):
+    """What a run leaves that was killed as it began, and nothing else."""
+    for name in ("status.json", "run.json", ".lock", ".run.json.partial-1"):
+        (tmp_path / name).touch()
+    (tmp_path / ".run.json.partial-1").rename(tmp_path / "run.partial.json")
+    assert tasks.check_new(tmp_path) == tmp_path
+    (tmp_path / "notes.txt").touch()
+    with pytest.raises(InputError, match="is neither empty nor a run folder"):
+        tasks.check_new(tmp_path)
+    with pytest.raises(InputError, match="is a file"):
+        tasks.check_new(tmp_path / "notes.txt")
+    assert tasks.check_new(tmp_path / "new") == tmp_path / "new"
+
+
+def test_a_task_that_was_changed_is_noticed(tmp_path, small_blocks):
+    folder = tmp_path / "run"
+    stopped(folder)
+    file = folder / "run.json"
+    asked = json.loads(file.read_text())
+    assert (asked["engine"], asked["tolerance"], asked["best_effort"]) == ("native", 1e-6, False)
+    assert len(asked["sessions"]) == 1
+    for changed in (
+        {"tolerance": 1e-5}, {"engine": "modes"}, {"best_effort": True}, {"options": asked["options"] | {"threads": 2}},
+    ):  # fmt: skip
+        file.write_text(json.dumps(asked | changed))
+        with pytest.raises(InputError, match="they are not those that the run began with"):
+            resume(folder)
+    scene = (folder / "scene.toml").read_text()
+    file.write_text(json.dumps(asked))
+    (folder / "scene.toml").write_text(scene.replace("samples = 61", "samples = 62"))
+    with pytest.raises(InputError, match="they are not those that the run began with"):
+        resume(folder)
+    (folder / "scene.toml").write_text(scene)
+    assert resume(folder).time.size == 61
+    assert len(json.loads(file.read_text())["sessions"]) == 2
+
+
+def test_engines_of_the_user_have_no_run_folder(tmp_path):
+    class Mine(Native):
+        name = "mine"
+
+    for engine in (Mine(), type("Native", (Native,), {})()):
+        with pytest.raises(InputError, match="a run folder knows engines by name only"):
+            simulate(SCENE, engine, folder=tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+# --- signals
+
+
+def test_a_signal_is_noted_and_passed_on():
+    heard = []
+    before = signal.signal(signal.SIGTERM, lambda number, _: heard.append(number))
+    try:
+        with Requests(None) as requests:
+            assert requests.reason == ""
+            signal.raise_signal(signal.SIGTERM)
+            assert requests.reason == "stopped by SIGTERM"
+            assert heard == []
+        requests.pass_on()
+        assert heard == [signal.SIGTERM]
+        with Requests(1e-9) as late:
+            time.sleep(1e-6)
+            assert late.reason == "stopped at the end of its time"
+        late.pass_on()
+        assert heard == [signal.SIGTERM]
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+# --- many
+
+
+def test_the_costs_of_a_batch_are_shared_out(monkeypatch):
+    """Times of the runs of a batch by its size, with those of attempts before; counts are of the batch."""
+    scenes = [SCENE.replace(excitation=Impulse(velocity=v)) for v in (1.0e-4, 1.1e-4, 1.2e-4)]
+    engine = Native()
+    attempts = [first_attempt(engine, scene, 1e-6)._replace(planned_s=0.3, spent_s=0.6) for scene in scenes]
+    honest = engine.start
+    costs = []
+
+    def start(parts, candidate):
+        run = honest(parts, candidate)
+        cost = run.cost
+
+        def timed():
+            costs.append(cost()._replace(integration_s=3.0, estimate_s=1.5, setup_s=0.9))
+            return costs[-1]
+
+        monkeypatch.setattr(run, "cost", timed)
+        return run
+
+    monkeypatch.setattr(engine, "start", start)
+    for t, following, missed in many._together(engine, scenes, attempts, 1e-6):
+        assert (following, missed) == (None, "")
+        assert t.cost.integration_s == pytest.approx(1.0, rel=1e-12)
+        assert t.cost.estimate_s == pytest.approx((1.5 + 3 * 0.6) / 3, rel=1e-12)
+        assert t.cost.setup_s == pytest.approx((0.9 + 3 * 0.3) / 3, rel=1e-12)
+        assert t.cost.steps == costs[0].steps
+    hurried = [attempt._replace(tolerance=1e-12) for attempt in attempts]
+    for _, following, missed in many._together(engine, scenes, hurried, 1e-12):
+        assert missed == ""
+        assert following.spent_s == pytest.approx(1.0 + (1.5 + 3 * 0.6) / 3, rel=1e-12)
+        assert following.number == 2
+
+
+def test_batches_are_no_larger_than_a_cache():
+    wide = SCENE.replace(samples=2**11 // 12 * 8)
+    size = many.BATCH_NUMBERS // (wide.samples * 12)
+    scenes = dict(enumerate([wide] * (2 * size + 1)))
+    pieces = list(many._pieces(scenes, [list(scenes)]))
+    assert [len(piece) for piece in pieces] == [size, size, 1]
+    assert [place for piece in pieces for place in piece] == list(scenes)
+    assert size * wide.samples * 12 <= many.BATCH_NUMBERS < (size + 1) * wide.samples * 12
+    huge = SCENE.replace(samples=2**18)
+    assert list(many._pieces({0: huge, 1: huge}, [[0, 1]])) == [[0], [1]]
+
+
+def test_scenes_that_are_cut_to_the_light_cone_go_alone():
+    """Where fewer than half of the grains are reached, a batch would compute more than each alone."""
+    long = SCENE.replace(chain=CHAIN.replace(grains=400), duration=1e-5)
+    reached = long.reached.chain.grains
+    assert 2 * reached < 400
+    assert dict(many.in_batches(Native(), {0: long, 1: long}, 1e-6)) == {}
+    short = SCENE.replace(chain=CHAIN.replace(grains=2 * reached), duration=1e-5)
+    assert set(dict(many.in_batches(Native(), {3: short, 7: short}, 1e-6))) == {3, 7}
+    assert dict(many.in_batches(engines.Modes(), {0: SCENE}, 1e-6)) == {}
+
+
+def test_a_policy_is_made_again_from_its_options():
+    for engine in ("auto", "native", "modes"):
+        one = policy_for(engine)
+        assert policy_for(one.name, **one.options()).options() == one.options()
