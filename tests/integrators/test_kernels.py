@@ -111,7 +111,8 @@ def test_force_is_the_derivative_of_the_energy(exponent: float):
     eps = chain.equilibrium_overlap
     u = np.append(0.0, np.cumsum([-0.5, 0.3, 2.0, -1.4, 0.1] * eps))
     found = np.zeros(7)
-    forces.contact_forces(form, found[1:-1], u, 1 / eps, chain.equilibrium_force, 1.0, series(exponent))
+    at_rest = chain.equilibrium_force.copy()  # which may be written to, as in loops that are compiled
+    forces.contact_forces(form, found[1:-1], u, 1 / eps, at_rest, 1.0, series(exponent))
     moved = 1e-5 * eps[0] * np.eye(6)
     rest = np.zeros(6)
     slope = [(chain.excess_energy(u + d, rest) - chain.excess_energy(u - d, rest)) / (2e-5 * eps[0]) for d in moved]
