@@ -1,0 +1,187 @@
+"""Bounds on the motion between samples: closed forms of one spring, and the energy within reach grain by grain."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lmpchain import Chain, Impulse, InputError, Scene, engines, simulate
+from lmpchain.measure.motion import Motion, motion_of
+
+SPRING = Chain(grains=2, diameter=1e-3, exponent=1.0, top_load=1.0, gravity=3.0)
+OMEGA = float(np.sqrt(SPRING.linear_stiffness[0] / SPRING.masses[0]))
+SPEED = 1e-6
+
+
+def swing(samples: int, angle: float, error: float = 1e-4, equation: int = 1, grains: Any = "all") -> Motion:
+    """Return grain 1 on its spring, v cos(omega t), sampled so often within this angle."""
+    scene = Scene(chain=SPRING, excitation=Impulse(velocity=SPEED), duration=angle / OMEGA, samples=samples,
+                  grains=grains)  # fmt: skip
+    phase = OMEGA * scene.time
+    u, v = SPEED / OMEGA * np.sin(phase), SPEED * np.cos(phase)
+    recorded = np.arange(1, 3) if grains == "all" else np.array(grains)
+    still = np.zeros(samples)
+    columns = {1: (u, v), 2: (still, still)}
+    return Motion(scene, equation, recorded, *(np.stack([columns[n][k] for n in recorded], 1) for k in (0, 1)), error)
+
+
+def test_what_an_error_is_relative_to():
+    """No motion below omega exceeds its samples by more than 1 / cos(omega h / 2); else energy limits it exactly."""
+    angle = 2.5  # the frequency is known to be at most 2^(1/2) omega
+    fine = swing(6, angle)
+    more = 1 / math.cos(math.sqrt(2) * angle / 5 / 2)
+    phase = np.linspace(0, angle, 6)
+    assert fine.known_error("velocity") == pytest.approx(1e-4 * more * SPEED, rel=1e-12)
+    largest = np.abs(np.sin(phase)).max() * SPEED / OMEGA
+    assert fine.known_error("displacement") == pytest.approx(1e-4 * more * largest, rel=1e-12)
+    coarse = swing(2, 2.0)
+    assert coarse.known_error("velocity") == pytest.approx(1e-4 * SPEED, rel=1e-12)
+    assert coarse.known_error("displacement") == pytest.approx(1e-4 * SPEED / OMEGA, rel=1e-9)
+    unknown = swing(2, 2.0, equation=0)
+    assert unknown.known_error("velocity") == pytest.approx(1e-4 * SPEED / math.cos(1.0), rel=1e-12)
+    assert swing(6, angle, math.inf).known_error("velocity") == 0
+    near = swing(2, 1.5)  # within half an interval no grain goes farther than its speed takes it
+    assert near.known_error("displacement") == pytest.approx(1e-4 * SPEED / OMEGA, rel=1e-9)
+
+
+def test_what_a_chain_that_may_open_can_reach():
+    """The fastest is a grain with all of the energy; the farthest goes at that speed for half an interval more."""
+    masses = np.linspace(2e-6, 1e-6, 12)
+    chain = Chain(grains=12, diameter=1e-3, gravity=0.0, bottom="free", masses=masses)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=1e-4, samples=3)
+    for grains, time in (("all", scene.time[1] / 2), ("1:9", scene.duration)):
+        t = simulate(scene.replace(grains=grains), engines.Native(step=2e-8))
+        between = Motion(t.scene, 1, t.grains, t.displacement, t.velocity, 1e-3)
+        fastest = math.sqrt(2 * scene.energy / masses[-1])
+        u = np.abs(t.displacement).max()
+        assert between.known_error("velocity") == pytest.approx(1e-3 * fastest, rel=1e-12)
+        assert between.known_error("displacement") == pytest.approx(1e-3 * (u + fastest * time), rel=1e-12)
+
+
+def test_what_a_pressed_chain_can_reach():
+    """Where no contact opens, the contacts hold the energy: (sum of r)^2 <= (delta + 1) E sum of 1 / k."""
+    chain = Chain(grains=12, diameter=1e-3, gravity=0.0, top_load=1.0)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-5), duration=4e-4, samples=3)
+    t = simulate(scene, engines.Native(step=2e-8))
+    between = Motion(scene, 1, t.grains, t.displacement, t.velocity, 1e-3)
+    farthest = math.sqrt(2.5 * scene.energy * (1 / chain.linear_stiffness).sum())
+    assert np.abs(t.displacement).max() < farthest
+    assert between.known_error("displacement") == pytest.approx(1e-3 * farthest, rel=1e-12)
+
+
+def test_what_hides_between_samples_of_one_spring():
+    """v^2 + 2 (omega u)^2: the energy of the sample before, the contact counted with either grain."""
+    fine = swing(6, 5.0)
+    assert fine.ceiling.shape == (1, 0)
+    coarse = swing(4, 7.5)
+    phase = np.linspace(0, 7.5, 4)[:-1]
+    limit = SPEED * np.sqrt(np.cos(phase) ** 2 + 2 * np.sin(phase) ** 2)
+    assert coarse.ceiling.shape == (1, 3)
+    assert coarse.ceiling[0] == pytest.approx(limit, rel=1e-9)
+    value, error = coarse.peaks("velocity")[1:]
+    assert value[0] == pytest.approx(np.abs(np.cos(np.linspace(0, 7.5, 4))).max() * SPEED, rel=1e-12)
+    assert value[0] + error[0] == pytest.approx(limit.max() + coarse.known_error("velocity"), rel=1e-9)
+    value, error = coarse.peaks("displacement")[1:]
+    sampled = SPEED / OMEGA * np.abs(np.sin(np.linspace(0, 7.5, 4)))
+    high = ((sampled[1:] + sampled[:-1] + coarse.step * limit) / 2).max()
+    assert value[0] + error[0] == pytest.approx(high + coarse.known_error("displacement"), rel=1e-9)
+    unknown = swing(6, 5.0, equation=0)  # above 0.7, and nothing is known of its energy
+    assert np.isinf(unknown.ceiling).all()
+    assert swing(20, 5.0, equation=0).ceiling.shape == (1, 0)
+
+
+@pytest.mark.parametrize("linear", [False, True])
+@pytest.mark.parametrize("recorded", ["all", "1:10"])
+def test_the_energy_within_reach_of_every_grain(linear: bool, recorded: str):
+    """Grain by grain: all that the wave can bring within an interval, and the frequency of contacts so pressed."""
+    chain = Chain(grains=14, diameter=np.linspace(1e-3, 1.5e-3, 14), top_load=1e-3)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=2e-2, grain=3), duration=5e-5, samples=6, grains=recorded)
+    t = simulate(scene, engines.Native(step=2e-8))
+    between = Motion(scene, 3 if linear else 1, t.grains, t.displacement, t.velocity, 0.0)
+    h, fast = scene.duration / 5, scene.highest_frequency
+    assert fast * h > 2
+    contacts, masses = chain.contacts, chain.masses
+    moves = [int(n) for n in t.grains if n <= 13]
+    near = math.ceil(fast * h / 2) + 2
+    edge = min(max(moves) + 2, 14)
+    speeds, frequencies = np.zeros((2, len(moves), 5))
+    for i in range(5):
+        u = np.zeros(16)
+        u[t.grains] = t.displacement[i]
+        v = np.zeros(16)
+        v[t.grains] = t.velocity[i]
+        closer = u[:-1] - u[1:]
+        held = contacts.stiffness * closer**2 / 2 if linear else contacts.energy(closer[None])[0]
+        own = [masses[n - 1] * v[n] ** 2 / 2 + held[n - 1] + held[n] for n in range(1, edge + 1)]
+        if recorded == "all":
+            within = np.array([sum(own[max(n - 1 - near, 0) : n + near]) for n in range(1, edge + 1)])
+        else:
+            within = np.full(edge, scene.energy)
+        stiff = np.zeros(edge + 1)
+        for c in range(edge + 1):
+            shared = max(within[c - 1] if c > 0 else 0.0, within[c] if c < edge else 0.0)
+            one = contacts.of(np.array([c]))
+            bound = one.stiffness if linear else one.stiffness_at(one.overlap_bound(np.array([shared])))
+            stiff[c] = float(bound[0])
+        square = [(stiff[n - 1] + stiff[n]) / masses[n - 1] for n in range(1, edge + 1)]
+        for row, n in enumerate(moves):
+            speeds[row, i] = math.sqrt(2 * within[n - 1] / masses[n - 1])
+            beside = square[max(n - 2, 0) : min(n + 1, edge)]
+            frequencies[row, i] = math.sqrt(max(beside))
+    known = np.array([recorded == "all" or n < 10 for n in moves])
+    allowed = np.where(known, 2.0, 0.7)[:, None]
+    expected = np.where(frequencies * h <= allowed, -1.0, speeds)
+    assert (expected > 0).any()
+    assert between.ceiling == pytest.approx(expected, rel=1e-9)
+
+
+# --- the largest force at the bottom
+
+
+@pytest.mark.parametrize("bottom", ["fixed", "wall"])
+def test_the_largest_force_on_what_holds_the_bottom(bottom: str):
+    """F at rest and k v / omega; below a held grain its weight too. Off by k times what the overlap may be off by."""
+    if bottom == "fixed":
+        chain, stiffness, rest = SPRING, SPRING.linear_stiffness[0], 1.0 + 2 * 3.0 * SPRING.masses[0]
+    else:
+        chain = Chain(grains=1, diameter=1e-3, exponent=1.0, top_load=1.0, gravity=3.0, bottom="wall")
+        stiffness, rest = float(chain.contacts.stiffness[1]), 1.0 + 3.0 * chain.masses[0]
+    omega = math.sqrt(stiffness / chain.masses[0])
+    speed = 0.1
+    scene = Scene(chain=chain, excitation=Impulse(velocity=speed), duration=5 / omega, samples=13)
+    between = motion_of(simulate(scene, "native", 1e-10))
+    contact = chain.grains - (bottom == "fixed")
+    closer, off = between.closest(contact)
+    force, error = between.largest_wall_force()
+    assert closer == pytest.approx(speed / omega, rel=1e-6)
+    assert 2 * between.known_error("displacement") <= off < 1e-3 * closer
+    assert force == pytest.approx(rest + stiffness * speed / omega, rel=1e-6)
+    assert force == pytest.approx(rest + stiffness * closer, rel=1e-12)
+    assert error == pytest.approx(stiffness * off, rel=1e-5)
+
+
+def test_the_bottom_of_samples_too_far_apart():
+    """(u_i + u_(i+1) + h times the limit of the speed) / 2 may be reached between two samples."""
+    coarse = swing(4, 7.5, error=0.0)
+    phase = np.linspace(0, 7.5, 4)
+    u = SPEED / OMEGA * np.sin(phase)
+    limit = SPEED * np.sqrt(np.cos(phase[:-1]) ** 2 + 2 * np.sin(phase[:-1]) ** 2)
+    closer, off = coarse.closest(1)
+    assert closer == pytest.approx(u.max(), rel=1e-12)
+    assert closer + off == pytest.approx(((u[1:] + u[:-1] + coarse.step * limit) / 2).max(), rel=1e-9)
+
+
+def test_no_force_where_nothing_stands_or_nothing_was_recorded():
+    chain = Chain(grains=5, diameter=1e-3, gravity=0.0, bottom="free")
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-2), duration=1e-6, samples=21)
+    with pytest.raises(InputError, match="end: there is no wall at the end 'bottom'"):
+        motion_of(simulate(scene, engines.Native(step=1e-8))).largest_wall_force()
+    scene = Scene(chain=Chain(grains=5, diameter=1e-3), excitation=Impulse(velocity=1e-4), duration=1e-6, samples=21,
+                  grains=[1, 2, 3])  # fmt: skip
+    between = motion_of(simulate(scene, engines.Native(step=1e-8)))
+    with pytest.raises(InputError, match="grains: the grains of contact 4 must be recorded"):
+        between.largest_wall_force()
+    assert between.closest(2)[0] >= 0
