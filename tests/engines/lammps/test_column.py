@@ -1,0 +1,426 @@
+"""What LAMMPS is told: heights, walls, constants, formulas of what acts; and what the engine chooses and refuses."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from helpers.example_scenes import paper
+from helpers.standalone_lammps import small
+
+from lmpchain import (
+    Chain,
+    Displacement,
+    Drive,
+    EngineUnavailable,
+    Force,
+    Impulse,
+    InputError,
+    RunFailed,
+    Scene,
+    ToleranceNotMet,
+    simulate,
+)
+from lmpchain.engines import Lammps
+from lmpchain.engines.base import ErrorBudget
+from lmpchain.engines.lammps import communicators, deck, drive, launch, library
+from lmpchain.engines.lammps.column import Column
+from lmpchain.engines.lammps.engine import gauge_diameter
+from lmpchain.engines.lammps.stepper import _together, word
+from lmpchain.engines.lammps.subprocess_ranks import SubprocessRanks
+from lmpchain.engines.lammps.worker import LocalState, StepPlan, deck_steps
+from lmpchain.integrators.splittings import SPLITTINGS
+from lmpchain.util import mpi
+
+UNLIKE = Chain(
+    grains=5, diameter=[1e-3, 2e-3, 1.5e-3, 1e-3, 3e-3], top="wall", bottom="wall", top_load=0.3, gravity=9.81
+)
+
+
+def column(excitation=None, gauge: float = 0.0, style: str = "granular", **chain) -> Column:
+    made = UNLIKE.replace(**chain)
+    excitation = excitation or Impulse(velocity=1e-3, grain=2)
+    return Column(Scene(chain=made, excitation=excitation, duration=1e-5, samples=3), gauge, style)
+
+
+def test_grains_stand_on_each_other():
+    """From the centre of grain 1 downward: radii less overlaps; with every grain its mass, however it is drawn."""
+    for gauge in (0.0, 1e-5):
+        made = column(gauge=gauge)
+        d = np.full(5, gauge) if gauge else UNLIKE.diameters
+        apart = (d[:-1] + d[1:]) / 2 - UNLIKE.equilibrium_overlap
+        np.testing.assert_allclose(made.heights, -np.append(0.0, np.cumsum(apart)), rtol=1e-15, atol=0)
+        np.testing.assert_allclose(made.densities * np.pi / 6 * d**3, UNLIKE.masses, rtol=1e-14, atol=0)
+    heights, speeds = column(Displacement(displacement=1e-8, grain=3)).start
+    assert heights[2] == pytest.approx(column().heights[2] - 1e-8, rel=1e-15)
+    assert not speeds.any()
+    assert column().start[1][1] == -1e-3
+
+
+def test_planes_of_the_walls_press_the_outer_grains_as_at_rest():
+    """A wall of constant K presses with K overlap^1.5: LAMMPS multiplies by the root of the radius itself."""
+    made = column()
+    top, bottom = made.walls
+    overlaps, radii = UNLIKE.contacts.overlap[[0, -1]], UNLIKE.diameters[[0, -1]] / 2
+    assert (top.name, top.grain, bottom.name, bottom.grain) == ("top", 1, "bottom", 5)
+    assert float(top.hi) == pytest.approx(radii[0] - overlaps[0], rel=1e-14)
+    assert float(bottom.lo) == pytest.approx(made.heights[-1] - radii[1] + overlaps[1], rel=1e-14)
+    assert (top.lo, bottom.hi) == ("NULL", "NULL")
+    for wall, radius, constant in zip(made.walls, radii, UNLIKE.wall_constants, strict=True):
+        assert wall.constant * math.sqrt(radius) == pytest.approx(constant, rel=1e-14)
+        assert wall.contact.split()[0] == repr(wall.constant)
+    springs = column(exponent=1.0)
+    assert [wall.constant for wall in springs.walls] == springs.chain.wall_constants.tolist()
+    assert [wall.name for wall in column(top="free").walls] == ["bottom"]
+    assert column(top="free", bottom="fixed").walls == []
+
+
+def test_what_moves_and_what_presses_on_grain_1():
+    assert column().mobile == (1, 5)
+    assert column(bottom="fixed").mobile == (1, 4)
+    assert column(Drive(amplitude=1e-9, frequency=1e4), top="free").mobile == (2, 5)
+    assert column().load == 0.0  # the wall presses
+    assert column(top="free").load == 0.3
+    assert column(Drive(amplitude=1e-9, frequency=1e4), top="free").load == 0.0
+    assert column().strike.velocity == 1e-3
+    assert column(Displacement(displacement=1e-9)).strike is None
+    assert (column().model, column(exponent=1.0).model) == ("hertz", "hooke")
+
+
+def test_every_gap_lies_within_the_skin_and_every_grain_within_the_box():
+    for excitation in (None, Displacement(displacement=-1e-3), Displacement(displacement=2e-6)):
+        made = column(excitation, gravity=0.0, top_load=0.0, top="free", bottom="free")
+        z, _ = made.start
+        gaps = z[:-1] - z[1:] - (made.diameters[:-1] + made.diameters[1:]) / 2
+        assert made.skin >= max(gaps.max(), 0) + 0.2 * made.diameters.max()
+        assert made.skin <= max(gaps.max(), 0) + 0.5 * made.diameters.max()
+        left, right, low, high = made.box
+        assert left == -right
+        assert right == pytest.approx(made.diameters.max() + made.skin, rel=1e-12)
+        assert z.min() - low == pytest.approx(right, rel=1e-9)
+        assert high - z.max() == pytest.approx(right, rel=1e-9)
+
+
+@pytest.mark.parametrize("gauge", [0.0, 1e-5])
+def test_the_constants_of_pairs_of_types_are_those_of_contacts(gauge):
+    made = column(gauge=gauge)
+    constants = {}
+    first = float(made.coefficients[0].split()[3])
+    for line in made.coefficients[1:]:
+        i, j, model, value, *rest = line.split()
+        assert model == "hertz"
+        assert rest[0] == "0.0"
+        constants[int(i), int(j)] = float(value)
+    d = made.diameters
+    for n, constant in enumerate(UNLIKE.contact_constants):
+        pair = tuple(sorted(made.types[n : n + 2]))
+        radius = d[n] * d[n + 1] / (d[n] + d[n + 1]) / 2
+        assert constants.get(pair, first) * math.sqrt(radius) == pytest.approx(constant, rel=1e-13)
+    assert made.style == "granular"
+
+
+def test_a_uniform_chain_has_one_type():
+    alike = Column(paper("weak", 3), 0.0, "gran/hertz/history")
+    assert set(alike.types) == {1}
+    assert alike.coefficients == ["* *"]
+    word_, constant, *rest = alike.style.split()
+    assert word_ == "gran/hertz/history"
+    assert rest == ["0.0", "0.0", "0.0", "0.0", "0"]
+    chain = alike.chain
+    assert float(constant) * math.sqrt(chain.diameters[0] / 4) == pytest.approx(chain.contact_constants[0], rel=1e-14)
+    assert len(Column(paper("weak", 3), 0.0).coefficients) == 1
+
+
+# --- formulas
+
+ACTS = {
+    "sine": Drive(amplitude=1e-9, frequency=3e4),
+    "burst": Drive(amplitude=1e-9, frequency=1e5, cycles=1.3),
+    "points": Drive(times=np.linspace(0, 2.3e-5, 6), displacement=1e-9 * np.array([0, 1.0, -1, 2, 0, 1])),
+    "half-sine": Force(grain=2, shape="half-sine", amplitude=1e-3, duration=7e-6),
+    "force": Force(grain=2, amplitude=1e-3, frequency=3e4),
+}
+
+
+@pytest.mark.parametrize("name", ACTS)
+def test_formulas_of_lammps_give_the_motion_and_the_force(name):
+    """Evaluated in Python with the variables of the deck; upward, where ours are downward."""
+    act = ACTS[name]
+    wave, said = act.waveform, drive.placeholders(act, 2e-5)
+    for t in np.linspace(0.1e-6, 1.99e-5, 41):
+        values = {"v_now": float(t), "sin": math.sin, "cos": math.cos}
+        if wave.spline is None:
+            (amplitude, omega) = (act.amplitude, wave.omega)
+            values |= {"v_amplitude": amplitude, "v_omega": omega, "v_envelope": wave.envelope, "v_end": wave.end}
+        else:
+            lines = next(lines for end, lines in said["pieces"] if t <= end)
+            values |= {line.split()[0 + 1]: float(line.split()[3]) for line in lines}
+            values = {
+                key if key.startswith("v_") or key in ("sin", "cos") else f"v_{key}": x for key, x in values.items()
+            }
+        value, slope = (eval(said[key].replace("^", "**"), {}, values) for key in ("value", "slope"))
+        scale = np.abs(wave.at(np.linspace(0, 2e-5, 99))).max()
+        assert value == pytest.approx(-float(wave.at(t)), rel=1e-12, abs=1e-13 * scale)
+        if name != "half-sine":
+            rate = np.abs(wave.at(np.linspace(0, 2e-5, 99), 1)).max()
+            assert slope == pytest.approx(-float(wave.at(t, 1)), rel=1e-12, abs=1e-12 * rate)
+    assert said["wave_unit"] == ("N" if isinstance(act, Force) else "m")
+    assert said["pushed"] == (2 if isinstance(act, Force) else 0)
+    assert said["driven"] == (0 if isinstance(act, Force) else 1)
+    if name == "burst":
+        assert said["cycles"] == pytest.approx(1.3, rel=1e-12)
+        assert said["frequency"] == pytest.approx(1e5, rel=1e-12)
+
+
+def test_only_pieces_that_begin_in_the_run_are_told():
+    points = ACTS["points"]
+    assert [end for end, _ in drive.pieces(points, 2e-5)] == pytest.approx(points.times[1:], rel=1e-15)
+    assert len(drive.pieces(points, 1e-5)) == 3
+    assert drive.pieces(ACTS["sine"], 1e-5) == []
+    nothing = drive.placeholders(Impulse(velocity=1.0), 1e-5)
+    assert (nothing["value"], nothing["slope"], nothing["frequency"], nothing["pushed"]) == ("", "", 0.0, 0)
+
+
+def plan(wave, **more) -> StepPlan:
+    given = {
+        "grains": 5, "first": 0, "last": 5, "splitting": SPLITTINGS["kahan-li6"], "step": 1e-6, "done": 0, "pieces": (),
+        "rest": 0.0, "wave": wave, "driven": False, "pushed": None,
+    }  # fmt: skip
+    return StepPlan(**given | more)
+
+
+def test_a_step_is_cut_where_what_acts_ends():
+    """At 7 us, in the eighth step of 1 us and a half; not at one of its ends."""
+    wave, reach = ACTS["half-sine"].waveform, np.array([0.0, *SPLITTINGS["kahan-li6"].reach])
+    made = plan(wave, step=1.5e-6, pushed=1)
+    ((h, times),) = made.parts(3)
+    assert h == 1.5e-6
+    np.testing.assert_allclose(times, (3 + reach) * 1.5e-6, rtol=1e-12, atol=0)
+    (first, early), (second, late) = made.parts(4)
+    assert first == pytest.approx(1e-6, rel=1e-9)
+    assert second == pytest.approx(0.5e-6, rel=1e-9)
+    np.testing.assert_allclose(early, 6e-6 + reach * 1e-6, rtol=1e-9, atol=0)
+    np.testing.assert_allclose(late, 7e-6 + reach * 0.5e-6, rtol=1e-9, atol=0)
+    assert len(plan(wave, step=1e-6, pushed=1).parts(6)) == len(plan(wave, step=1e-6, pushed=1).parts(7)) == 1
+    assert len(plan(None).parts(3)) == 1
+    assert len(plan(ACTS["points"].waveform, driven=True).parts(3)) == 1
+    assert plan(ACTS["burst"].waveform).walled
+    assert not plan(ACTS["burst"].waveform, driven=True).walled
+    assert not plan(ACTS["burst"].waveform, pushed=2).walled
+    assert not plan(ACTS["burst"].waveform, splitting=SPLITTINGS["verlet"]).walled
+    assert not plan(None).walled
+
+
+def test_which_splittings_a_deck_carries():
+    kahan, rkn, verlet = (SPLITTINGS[name] for name in ("kahan-li6", "rkn6", "verlet"))
+    assert (deck_steps(verlet), deck_steps(kahan)) == (1, len(kahan.drifts))
+    assert deck.carries(verlet)
+    assert deck.carries(kahan)
+    assert not deck.carries(rkn)
+    force, moved = small(ACTS["force"]), small(ACTS["sine"])
+    assert deck.kicked_by_force(force, kahan)
+    assert not deck.kicked_by_force(force, verlet)
+    assert not deck.kicked_by_force(moved, kahan)
+    assert not deck.kicked_by_force(small(), kahan)
+
+
+def test_shares_of_ranks_are_put_together_from_the_top():
+    shares = [
+        LocalState(3, np.array([-3.0, -4.0]), np.array([3.0, 4.0]), True),
+        LocalState(0, np.empty(0), np.empty(0), True),
+        LocalState(0, np.array([0.0, -1.0, -2.0]), np.array([0.0, 1.0, 2.0]), True),
+    ]
+    z, v = _together(shares)
+    assert z.tolist() == [0.0, -1.0, -2.0, -3.0, -4.0]
+    assert v.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
+
+
+# --- choices
+
+
+def test_the_gauge_diameter_holds_three_of_the_largest_overlap():
+    scene = paper("fig5 g", 3)
+    contacts = scene.chain.contacts
+    deepest = contacts.overlap_bound(scene.energy).max()
+    assert gauge_diameter(scene) == pytest.approx(3 * deepest, rel=1e-12)
+    driven = small(ACTS["sine"])
+    seen = 2e-9
+    expected = 3 * (driven.chain.contacts.overlap.max() + seen)
+    assert gauge_diameter(driven, seen) == pytest.approx(expected, rel=1e-12)
+    hard = small(Impulse(velocity=1.0), grains=3)
+    deep = 3 * hard.chain.contacts.overlap_bound(hard.energy).max()
+    assert gauge_diameter(hard) == (deep if deep < 1e-3 else 0.0)
+
+
+def test_round_off_in_heights_is_predicted_from_their_last_digit():
+    """It walks with the evaluations; in the velocity it counts times the highest frequency."""
+    scene, engine = paper("fig5 g", 3), Lammps("verlet")
+    height = np.abs(Column(scene, 0.0).heights).max()
+    digit = np.spacing(height)
+    alone = engine.round_off(scene, 0.0, 10_000, np.array([1e-9, 0.0]))
+    assert 0.3 < alone / (100 * digit / 1e-9) < 1.0
+    assert engine.round_off(scene, 0.0, 40_000, np.array([1e-9, 0.0])) == pytest.approx(2 * alone, rel=1e-12)
+    speed = engine.round_off(scene, 0.0, 10_000, np.array([0.0, 1e-3]))
+    assert speed == pytest.approx(alone * 1e-9 * scene.highest_frequency / 1e-3, rel=1e-12)
+    gauged = engine.round_off(scene, 1e-6, 10_000, np.array([1e-9, 0.0]))
+    shrunk = np.spacing(np.abs(Column(scene, 1e-6).heights).max()) / digit
+    assert gauged == pytest.approx(alone * shrunk, rel=1e-12)
+    assert Lammps("rkn6").round_off(scene, 0.0, 10_000, np.array([1e-9, 0.0])) == pytest.approx(
+        alone * math.sqrt(SPLITTINGS["rkn6"].evaluations / SPLITTINGS["verlet"].evaluations), rel=1e-12
+    )
+    typical = engine.typical_round_off(scene, 10_000, 1e-3)
+    assert typical == pytest.approx(0.16 * 100 * digit * scene.highest_frequency / 1e-3, rel=0.02)  # as it says
+    gauge = Lammps("verlet", diameter="gauge").typical_round_off(scene, 10_000, 1e-3)
+    assert gauge < typical / 10
+
+
+def test_the_gauge_diameter_is_taken_where_the_physical_one_is_too_coarse():
+    scene = paper("weak", 3)
+    loose, tight = (Lammps().candidate(scene, tolerance) for tolerance in (1e-2, 1e-6))
+    assert loose.choices["diameter"] == "physical"
+    assert loose.choices["drawn_m"] == "0.0"
+    assert tight.choices["diameter"] == "gauge"
+    assert float(tight.choices["drawn_m"]) == float(tight.choices["gauge_m"]) == gauge_diameter(scene)
+    assert "1e-06 is asked for" in tight.choices["why"]
+    assert "round-off in heights leaves about" in tight.choices["why"]
+    assert tight.solver_error <= 1e-6
+    with pytest.raises(ToleranceNotMet, match=r"above the tolerance of 1e-06: the gauge diameter leaves .*, and the"):
+        Lammps(diameter="physical").candidate(scene, 1e-6)
+    with pytest.raises(ToleranceNotMet, match=r'integrator "rkn6" needs far fewer steps'):
+        Lammps("verlet").candidate(scene.replace(duration=1e-5), 1e-10)
+
+
+def test_a_run_whose_heights_were_too_coarse_is_drawn_with_the_gauge():
+    engine, scene = Lammps(), paper("weak", 3)
+    candidate = engine.candidate(scene, 1e-2)
+    missed = ErrorBudget(1e-9, 0.6e-2, True, np.zeros(3))
+    better = engine.refine(candidate, missed, 1e-2)
+    assert better.choices["diameter"] == "gauge"
+    assert better.choices["why"] == "the physical diameter left 0.006"
+    assert better.steps_per_landing == candidate.steps_per_landing
+    assert engine.refine(candidate, missed._replace(roundoff=0.4e-2, truncation=0.1), 1e-2).step < candidate.step
+    assert Lammps(diameter="physical").refine(candidate, missed._replace(roundoff=1.0), 1e-2) is None
+
+
+def test_remarks_at_the_head_of_a_deck():
+    engine, scene = Lammps("verlet", step=1e-7, diameter="physical"), paper("weak", 3)
+    made = engine.column(scene, engine.candidate(scene, 1e-6), "one more")
+    assert made.remarks == (
+        "physical diameter: as asked", "verlet, expected error not estimated beforehand", "one more",
+    )  # fmt: skip
+    estimated = Lammps().candidate(scene, 1e-6)
+    assert Lammps().column(scene, estimated).remarks[1] == f"rkn6, expected error {estimated.solver_error:.1g}"
+
+
+def test_options_that_are_refused():
+    with pytest.raises(InputError, match="diameter: must be auto"):
+        Lammps(diameter="small")
+    with pytest.raises(InputError, match="ranks: must be at most one a grain, 25 "):
+        simulate(small(), "lammps", ranks=26)
+    for options in ({"keep": "x"}, {"keep": "x", "include": __file__}):
+        kept = Lammps("verlet", **options)
+        assert kept.whole
+        with pytest.raises(InputError, match="LAMMPS cannot go on after a stop") as refused:
+            kept.options()
+        assert [key for key, _ in refused.value.faults] == list(options)
+    assert not Lammps().whole
+    assert Lammps(include=__file__).integrator == "verlet"
+    assert Lammps(step=1e-7).options() == {
+        "integrator": "rkn6", "step": 1e-7, "diameter": "auto", "pair_style": "granular", "ranks": None,
+    }  # fmt: skip
+
+
+def test_words_of_commands(tmp_path):
+    assert word(tmp_path) == str(tmp_path)
+    for character in "\"'$&#{}*%\n\té":
+        with pytest.raises(InputError, match="plainer folder name"):
+            word(tmp_path / f"a{character}b")
+
+
+# --- ranks and the library
+
+
+def test_who_runs_a_column(monkeypatch):
+    monkeypatch.setattr(launch, "Serial", lambda log: ("serial", log))
+    monkeypatch.setattr(launch, "SubprocessRanks", lambda ranks, log: ("started", ranks, log))
+    monkeypatch.setattr(launch, "MpiRanks", lambda world, log: ("world", world.size, log))
+    assert launch.gather(None, "none") == launch.gather(1, "none") == ("serial", "none")
+    assert launch.gather(2, "none") == ("started", 2, "none")
+    monkeypatch.setattr(mpi, "launched", lambda: 3)
+    monkeypatch.setattr(mpi, "joined", lambda: SimpleNamespace(size=3))
+    assert launch.gather(None, "none") == launch.gather(3, "none") == ("world", 3, "none")
+    with pytest.raises(InputError, match="ranks: mpirun has started 3 processes; leave the number of ranks out"):
+        launch.gather(2, "none")
+    monkeypatch.setattr(mpi, "joined", lambda: None)
+    assert launch.gather(1, "none") == ("serial", "none")
+    with pytest.raises(InputError, match="mpirun has started 3"):
+        launch.gather(3, "none")
+
+
+@pytest.mark.parametrize(
+    ("lines", "reason"),
+    [
+        ("", "no reason is known"),
+        ("first\nlast |\n", "last"),
+        ("error: no such host\nmore", "no such host"),
+        ("== BAD TERMINATION ==\n= EXIT CODE: 9 =\nlast", "EXIT CODE: 9"),
+        ("one\nValueError: two\nOSError: three", "ValueError: two"),
+    ],
+)
+def test_the_last_words_of_ranks(tmp_path, lines, reason):
+    ranks = SubprocessRanks.__new__(SubprocessRanks)
+    with open(tmp_path / "said", "w+b") as said:
+        ranks._said = said
+        said.write(lines.encode())
+        assert ranks._last_words() == reason
+
+
+def test_errors_of_lammps_are_told_from_others(monkeypatch):
+    class Failing:
+        def __init__(self, *_):
+            self.closed = False
+
+        def commands(self, text):
+            raise Exception(text)
+
+        def close(self):
+            self.closed = True
+
+    monkeypatch.setattr(communicators, "Worker", Failing)
+    monkeypatch.setattr(mpi, "alone", lambda: None)
+    serial = communicators.Serial("none")
+    assert serial.ranks == 1
+    with pytest.raises(RunFailed, match=r"^LAMMPS stopped: ERROR: Lost atoms$"):
+        serial.ask("commands", "ERROR: Lost atoms")
+    with pytest.raises(Exception, match=r"^a minute is over$"):
+        serial.ask("commands", "a minute is over")
+    serial.close()
+    assert serial._rank.closed
+
+
+def test_what_the_library_must_be(monkeypatch):
+    class Old:
+        version_, packages, closed = library.TESTED, True, 0
+
+        def __init__(self, cmdargs, comm):
+            assert cmdargs == ["-log", "none", "-screen", "none", "-nocite"]
+
+        def has_package(self, name):
+            assert name == "GRANULAR"
+            return self.packages
+
+        def version(self):
+            return self.version_
+
+        def close(self):
+            Old.closed += 1
+
+    monkeypatch.setitem(__import__("sys").modules, "lammps", SimpleNamespace(lammps=Old))
+    assert isinstance(library.open_lammps(), Old)
+    Old.version_ = library.TESTED - 1
+    with pytest.warns(UserWarning, match=f"LAMMPS {library.TESTED - 1} is older than the tested {library.TESTED}"):
+        library.open_lammps()
+    Old.packages = False
+    with pytest.raises(EngineUnavailable, match="has no GRANULAR package"):
+        library.open_lammps()
+    assert Old.closed == 1
