@@ -195,7 +195,10 @@ def test_grains_that_hardly_move_are_left_out_of_the_range():
     velocity = np.array(t.velocity)
     largest = np.abs(velocity).max()
     velocity[5, 39], velocity[5, 49] = 1.01e-3 * largest, 0.99e-3 * largest
-    assert moving(replace(t, velocity=velocity)) == (16, 44)
+    slow = replace(t, velocity=velocity)
+    assert moving(slow) == (16, 44)
+    assert moving_part(slow).grains[-1] == 54
+    assert numbers(slow)["grains"] == list(range(16, 45))
 
 
 @pytest.mark.parametrize("order", ["as they stand", "turned round"])

@@ -1,0 +1,583 @@
+"""What commands print, number by number, their defaults, exit codes and refusals."""
+
+import argparse
+import json
+import os
+import re
+import signal
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.command_output import SCENE, keys, names
+
+from lmpchain import (
+    Chain,
+    EngineUnavailable,
+    Impulse,
+    InputError,
+    LmpchainError,
+    Scene,
+    ToleranceNotMet,
+    Trajectory,
+    orbits,
+    simulate,
+)
+from lmpchain.cli import command_line, common, compare, orbit, pages
+from lmpchain.cli.command_line import main
+from lmpchain.simulation.signals import Stopped
+from lmpchain.trajectory.record import ErrorEstimate
+from lmpchain.util import mpi
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    path = tmp_path / "scene.toml"
+    path.write_text(SCENE)
+    return path
+
+
+@pytest.fixture(scope="module")
+def answer() -> Trajectory:
+    """A run whose numbers are all different."""
+    chain = Chain(grains=20, diameter=1e-3)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=8.57e-4), duration=20e-6, samples=11)
+    run = simulate(scene, "native", 1e-6)
+    cost = run.cost._replace(integration_s=1.25, estimate_s=0.5, setup_s=0.125, compile_s=9.0)
+    cost = cost._replace(steps=1234, step_s=2.5e-8, ranks=3)
+    return replace(run, error_estimate=ErrorEstimate(3e-3, 2e-5), cost=cost)
+
+
+def lines(text: str) -> dict[str, str]:
+    return dict(re.split(r"  +", line, maxsplit=1) for line in text.splitlines())
+
+
+# --- run
+
+
+def test_the_summary_of_a_run_number_by_number(
+    scene: Path, answer: Trajectory, monkeypatch: Any, capsys: pytest.CaptureFixture[str]
+):
+    asked: dict[str, Any] = {}
+
+    def simulated(what: Scene, engine: Any, tolerance: float, **options: Any) -> Trajectory:
+        asked.update(options, scene=what, engine=engine, tolerance=tolerance)
+        return answer
+
+    monkeypatch.setattr("lmpchain.simulation.api.simulate", simulated)
+    assert main(["run", str(scene), "--tolerance", "1e-4"]) == 0
+    said = lines(capsys.readouterr().out)
+    assert said == {
+        "engine": "native, which solves Eq. (1), on 3 ranks",
+        "scene": "20 grains, 11 samples over 2e-05 s",
+        "integrator": f"{answer.cost.integrator}, 1234 steps of 2.5e-08 s",
+        "estimated error": "0.003 = 0.003 (equation) + 2e-05 (solver) (tolerance 0.0001)",
+        "time spent": "1.25 s integration, 0.5 s error estimate, 0.125 s set-up, 9 s compilation",
+        "file": str(scene.with_suffix(".nc")),
+    }
+    assert asked["tolerance"] == 1e-4
+    assert (asked["folder"], asked["max_wall"], asked["progress"]) == (None, None, False)
+    assert asked["scene"] == Scene.from_toml(scene)
+    exact = replace(answer, error_estimate=ErrorEstimate(0.0, 2e-5), cost=answer.cost._replace(ranks=1))
+    monkeypatch.setattr("lmpchain.simulation.api.simulate", lambda *_, **__: exact)
+    assert main(["run", str(scene), "--force"]) == 0
+    said = lines(capsys.readouterr().out)
+    assert said["estimated error"] == "2e-05 (tolerance 1e-06)"
+    assert said["engine"] == "native, which solves Eq. (1)"
+
+
+def test_a_run_that_max_wall_stops_is_to_be_resumed(scene: Path, monkeypatch: Any, capsys: Any):
+    asked: dict[str, Any] = {}
+
+    def stops(*_: Any, **options: Any) -> None:
+        asked.update(options)
+        raise Stopped("out of time")
+
+    monkeypatch.setattr("lmpchain.simulation.api.simulate", stops)
+    folder = scene.parent / "run"
+    assert main(["run", str(scene), "-o", f"{folder}/", "--max-wall", "0:01:30"]) == 75
+    assert "out of time" in capsys.readouterr().err
+    assert (asked["max_wall"], Path(asked["folder"])) == (90.0, folder)
+
+
+def test_a_missed_tolerance_without_an_answer_is_told(scene: Path, monkeypatch: Any, capsys: Any):
+    def misses(*_: Any, **__: Any) -> None:
+        raise ToleranceNotMet("out of reach", None)
+
+    monkeypatch.setattr("lmpchain.simulation.api.simulate", misses)
+    assert main(["run", str(scene)]) == 1
+    said = capsys.readouterr()
+    assert (said.out, said.err) == ("", "error: out of reach\n")
+    assert names(scene.parent) == ["scene.toml"]
+
+
+def interrupt(*_: Any, **__: Any) -> None:
+    raise KeyboardInterrupt
+
+
+def terminate(*_: Any, **__: Any) -> None:
+    os.kill(os.getpid(), signal.SIGTERM)
+    signal.pause()
+
+
+@pytest.mark.parametrize(("stop", "code", "name"), [(interrupt, 130, "Ctrl-C"), (terminate, 143, "SIGTERM")])
+def test_a_stopped_command_says_what_is_kept(
+    stop: Any, code: int, name: str, scene: Path, monkeypatch: Any, capsys: Any
+):
+    monkeypatch.setattr("lmpchain.simulation.api.simulate", stop)
+    monkeypatch.setattr("lmpchain.simulation.planner.plan", stop)
+    monkeypatch.setattr("lmpchain.sweeps.run.sweep", stop)
+    before = signal.getsignal(signal.SIGTERM)
+    nothing = "nothing unfinished was kept"
+    hint = "with -o FOLDER/ what is done is kept and can be resumed"
+    folder = scene.parent / "run"
+    for words, kept in (
+        (["run", str(scene)], f"{nothing}; {hint}"),
+        (["run", str(scene), "-o", f"{folder}/"], f"{nothing}; {hint}"),
+        (["plan", str(scene)], nothing),
+        (
+            ["sweep", str(scene), "-o", str(folder)],
+            f"what is done is kept in {folder}; the same command continues from there",
+        ),
+    ):
+        assert main(words) == code
+        assert capsys.readouterr().err.splitlines()[-1] == f"stopped by {name}; {kept}"
+        assert signal.getsignal(signal.SIGTERM) == before
+
+
+def test_a_stopped_run_folder_names_the_command_that_goes_on(scene: Path, monkeypatch: Any, capsys: Any):
+    folder = scene.parent / "run"
+    assert main(["run", str(scene), "-o", f"{folder}/", "--engine", "native"]) == 0
+    monkeypatch.setattr("lmpchain.simulation.api.resume", interrupt)
+    capsys.readouterr()
+    assert main(["resume", str(folder)]) == 130
+    said = capsys.readouterr()
+    assert said.out == f"{folder}: this run is finished; there is nothing left to do\n"
+    assert said.err == f"stopped by Ctrl-C; to go on: lmpchain resume {folder}\n"
+
+
+def test_a_killed_run_says_where_it_goes_on(tmp_path: Path, answer: Trajectory, monkeypatch: Any, capsys: Any):
+    about = {"state": "killed", "samples_done": 7, "samples": 11, "reason": "Killed.", "tolerance": 1e-4}
+    monkeypatch.setattr("lmpchain.simulation.run_folder.status", lambda folder: about)
+    monkeypatch.setattr("lmpchain.simulation.api.resume", lambda folder, **options: answer)
+    assert main(["resume", str(tmp_path)]) == 0
+    first, *rest = capsys.readouterr().out.splitlines()
+    assert first == f"{tmp_path}: Killed. at sample 7 of 11 or later; going on from its last checkpoint"
+    said = lines("\n".join(rest))
+    assert said["folder"] == str(tmp_path)
+    assert said["estimated error"].endswith("(tolerance 0.0001)")
+
+
+def test_a_sweep_tells_how_many_scenes_have_an_answer(tmp_path: Path, monkeypatch: Any, capsys: Any):
+    asked: dict[str, Any] = {}
+    reasons = np.array([["", "too fast"], ["", "too slow"]], dtype=object)
+
+    def sweep(source: str, folder: str, **options: Any) -> dict[str, Any]:
+        asked.update(options)
+        return {"reason": SimpleNamespace(to_numpy=lambda: reasons, size=reasons.size)}
+
+    monkeypatch.setattr("lmpchain.sweeps.run.sweep", sweep)
+    words = ["sweep", "s.toml", "-o", str(tmp_path)]
+    assert main(words) == 1
+    said = capsys.readouterr()
+    assert said.out == f"2 of 4 scenes are answered in {tmp_path}\n"
+    assert said.err == "error: 2 scenes have no answer, the first because: too fast\n"
+    assert (asked["workers"], asked["executor"], asked["progress"]) == (len(os.sched_getaffinity(0)), None, False)
+    reasons[:] = ""
+    assert main([*words, "--workers", "3"]) == 0
+    assert asked["workers"] == 3
+    assert capsys.readouterr().out == f"4 of 4 scenes are answered in {tmp_path}\n"
+    monkeypatch.setattr(mpi, "_joined", [object()])
+    assert main(words) == 2
+    assert keys(capsys.readouterr()) == ["sweep"]
+
+
+# --- under mpirun
+
+
+def test_under_mpirun_rank_0_runs_the_command_and_ends_the_others(monkeypatch: Any, capsys: Any):
+    calls: list[Any] = []
+    monkeypatch.setattr(mpi, "launched", lambda: 2)
+    loops = "lmpchain.engines.lammps.communicators"
+    monkeypatch.setattr(f"{loops}.worker_loop", lambda world: calls.append(("work", world.rank)))
+    monkeypatch.setattr(f"{loops}.shutdown_workers", lambda world: calls.append(("end", world.rank)))
+    for rank, expected in ((0, "end"), (1, "work")):
+        monkeypatch.setattr(mpi, "join", lambda rank=rank: SimpleNamespace(rank=rank))
+        assert main(["--version"]) == 0
+        assert calls == [(expected, rank)]
+        assert capsys.readouterr().out.startswith("lmpchain") == (rank == 0)
+        calls.clear()
+
+    def fails() -> None:
+        raise EngineUnavailable("of another MPI")
+
+    monkeypatch.setattr(mpi, "join", fails)
+    assert main(["--version"]) == 1
+    assert capsys.readouterr().err == "error: of another MPI\n"
+
+
+# --- options
+
+
+def verbs() -> dict[str, argparse.ArgumentParser]:
+    (choices,) = [action.choices for action in command_line._parser()._actions if isinstance(action.choices, dict)]
+    return choices
+
+
+@pytest.mark.parametrize("verb", list(verbs()))
+def test_help_states_the_defaults(verb: str):
+    """A number that the help of an option calls its default is the one it has."""
+    for action in verbs()[verb]._actions:
+        if action.dest == "help":
+            continue
+        told = re.search(r"\(default: ([\d.e-]+)\)", action.help or "")
+        if told:
+            assert float(told[1]) == action.default, action.dest
+        elif action.option_strings and action.dest not in ("engine", "diameter", "integrator", "pair_style"):
+            assert action.default in (None, False), action.dest
+
+
+WORDS = {
+    "run": ["s.toml"],
+    "resume": ["run/"],
+    "compare": ["s.toml"],
+    "plan": [],
+    "orbit": ["s.toml", "--mode", "2", "--energy", "1e-9"],
+    "sensitivity": ["r.nc", "--of", "momentum:3"],
+    "deck": ["s.toml", "-o", "deck"],
+    "dyson": ["r.nc", "--m", "1,2"],
+    "fit": ["r.nc"],
+    "report": ["r.nc"],
+    "workprec": ["s.toml"],
+    "stability": ["s.toml"],
+    "sweep": ["w.toml", "-o", "out"],
+    "doctor": [],
+    "docs": [],
+}
+
+
+def test_what_a_command_must_be_given(capsys: pytest.CaptureFixture[str]):
+    parser = command_line._parser()
+    assert WORDS.keys() == verbs().keys()
+    for verb, words in WORDS.items():
+        arguments = parser.parse_args([verb, *words])
+        assert arguments.command.__name__ == verb
+        pairs = [words[:1], *(words[n : n + 2] for n in range(1, len(words), 2))]
+        for left_out in [pair for pair in pairs if pair]:
+            fewer = [word for word in words if word not in left_out]
+            with pytest.raises(SystemExit):
+                parser.parse_args([verb, *fewer])
+    capsys.readouterr()
+    run = parser.parse_args(["run", "s.toml", "--step", "1e-8", "--threads", "2", "--ranks", "3"])
+    assert (run.step, run.threads, run.ranks, run.engine) == (1e-8, 2, 3, "auto")
+    deck = parser.parse_args(["deck", *WORDS["deck"]])
+    assert (deck.diameter, deck.integrator, deck.pair_style) == ("physical", "verlet", "granular")
+    with pytest.raises(SystemExit):
+        parser.parse_args(["sweep", *WORDS["sweep"], "--workers", "2", "--scheduler", "x"])
+
+
+DURATIONS = {"1:02:03": 3723, "0:00:01": 1, "90": 90, "0.5": 0.5, "100:59:59.5": 363599.5, "0:01:00": 60, "75": 75}
+
+
+@pytest.mark.parametrize("text", DURATIONS)
+def test_times_as_hours_minutes_and_seconds(text: str):
+    arguments = command_line._parser().parse_args(["resume", "run", "--max-wall", text])
+    assert arguments.max_wall == DURATIONS[text]
+
+
+@pytest.mark.parametrize("text", ["0", "0:00:00", "1:60:00", "1:00:60", "1:00", "-5", "1h", "", "٣", "1:0:5"])
+def test_times_that_are_none(text: str, capsys: pytest.CaptureFixture[str]):
+    assert main(["resume", "run", f"--max-wall={text}"]) == 2
+    assert "must be a time above 0, as H:MM:SS or in seconds" in capsys.readouterr().err
+
+
+# --- compare
+
+
+def test_short_runs_are_timed_again(answer: Trajectory, monkeypatch: Any):
+    """By the quickest of some; long ones are not."""
+    times = iter([3.0, 0.75, 1.5, 0.5, 9.0, 9.0, 9.0])
+    cost = answer.cost._replace(integration_s=0.4, estimate_s=0.5, setup_s=0.6)
+
+    def simulated(scene: Scene, engine: str, tolerance: float, progress: bool = False) -> Trajectory:
+        assert (engine, tolerance) == ("native", 1e-5)
+        return replace(answer, cost=cost._replace(integration_s=next(times)))
+
+    monkeypatch.setattr("lmpchain.simulation.api.simulate", simulated)
+    trajectories, failures = compare._answers(answer.scene, ["native"], 1e-5)
+    assert trajectories[0].cost.integration_s == 3.0
+    assert next(times) == 0.75
+    monkeypatch.setattr("lmpchain.benchmark.bench.repeated", lambda run: [run(), run()])
+    times = iter([0.7, 0.75, 0.5])
+    trajectories, failures = compare._answers(answer.scene, ["native"], 1e-5)
+    assert trajectories[0].cost.integration_s == 0.5
+    assert failures == []
+    times = iter([0.95])  # with the rest above 2 s
+    trajectories, _ = compare._answers(answer.scene, ["native"], 1e-5)
+    assert trajectories[0].cost.integration_s == 0.95
+
+
+def test_the_reference_of_a_long_scene_is_a_hundred_times_tighter(answer: Trajectory, monkeypatch: Any):
+    asked: list[float] = []
+
+    def simulated(scene: Scene, engine: str, tolerance: float, progress: bool = False) -> Trajectory:
+        asked.append(tolerance)
+        assert scene.grains == "all"
+        return answer
+
+    monkeypatch.setattr("lmpchain.simulation.api.simulate", simulated)
+    monkeypatch.setattr("lmpchain.benchmark.reference.reference", lambda scene: "Taylor")
+    for seconds, tolerance, tight in ((59.0, 1e-6, None), (60.0, 1e-6, None), (61.0, 1e-6, 1e-8), (61.0, 1e-10, 1e-11)):
+        monkeypatch.setattr("lmpchain.benchmark.reference.expected_seconds", lambda scene, s=seconds: s)
+        truth = compare._reference(answer.scene.replace(grains=[1, 2]), tolerance)
+        if tight is None:
+            assert truth == "Taylor"
+        else:
+            assert asked.pop() == pytest.approx(tight, rel=1e-12)
+            assert truth.displacement is answer.displacement
+            assert truth.velocity is answer.velocity
+            assert truth.method.startswith(f"the native engine at a tolerance of {tight:g} ")
+            assert truth.error == answer.error_estimate.total
+
+    def misses(*_: Any, **__: Any) -> None:
+        raise ToleranceNotMet("missed", kept)
+
+    monkeypatch.setattr("lmpchain.simulation.api.simulate", misses)
+    kept = answer
+    assert compare._reference(answer.scene, 1e-6).velocity is answer.velocity
+    kept = None
+    with pytest.raises(ToleranceNotMet):
+        compare._reference(answer.scene, 1e-6)
+
+
+@pytest.mark.parametrize("verb", ["workprec", "stability"])
+def test_charts_say_what_they_leave_out_and_where_they_are(
+    verb: str, scene: Path, monkeypatch: Any, capsys: pytest.CaptureFixture[str]
+):
+    asked: list[Any] = []
+    from lmpchain.util.plotting import figure
+
+    result = SimpleNamespace(
+        table=lambda: "the table",
+        left_out=["lammps: not here"],
+        to_json=lambda: {"answer": 42},
+        plot=lambda: figure(2.0, 1.0).subplots(),
+    )
+
+    def work(scene: Scene, *values: Any, progress: bool) -> Any:
+        asked.extend([*values, progress])
+        return result
+
+    monkeypatch.setattr("lmpchain.benchmark.bench.work_precision", work)
+    monkeypatch.setattr("lmpchain.stability.find.stability", work)
+    picture, numbers = scene.parent / "c.png", scene.parent / "c.json"
+    words = [verb, str(scene), "-o", str(picture)]
+    assert main(words if verb == "workprec" else [*words, "--json", str(numbers)]) == 0
+    printed = capsys.readouterr().out.splitlines()
+    told = ["the table", "left out: lammps: not here", f"numbers: {numbers}", f"picture: {picture}"]
+    assert printed == told
+    assert json.loads(numbers.read_text()) == {"answer": 42}
+    assert numbers.read_text() == '{\n  "answer": 42\n}\n'
+    assert asked == ([60.0, False] if verb == "workprec" else [False])
+
+
+# --- plan, docs, orbit
+
+
+def test_a_calibration_says_what_it_found(tmp_path: Path, monkeypatch: Any, capsys: pytest.CaptureFixture[str]):
+    monkeypatch.setattr("lmpchain.simulation.calibration.calibrate", lambda: (tmp_path / "speeds", 12.345))
+    speeds = {"native": (0.0123, 1.5), "lammps": (0.5, 0.75)}
+    monkeypatch.setattr("lmpchain.engines.cost_model.measured", lambda: speeds)
+    assert main(["plan", "--calibrate"]) == 0
+    first, *table = capsys.readouterr().out.splitlines()
+    assert first == f"measured in 12 s how fast the engines are here: {tmp_path / 'speeds'}"
+    rows = [re.split(r"  +", line) for line in table]
+    assert rows == [
+        ["engine", "overhead of a run", "cost over the shipped one"],
+        ["native", "12.3 ms", "1.5"],
+        ["lammps", "500 ms", "0.75"],
+    ]
+
+    def fails() -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("lmpchain.simulation.calibration.calibrate", fails)
+    assert main(["plan", "--calibrate"]) == 1
+    assert capsys.readouterr().err.endswith(": cannot be written: No space left on device\n")
+
+
+def test_a_plan_needs_a_scene_or_a_calibration(scene: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(["plan"]) == 2
+    assert keys(capsys.readouterr()) == ["scene"]
+    assert main(["plan", "--calibrate", "--json", "x.json"]) == 2
+    assert keys(capsys.readouterr()) == ["json"]
+    numbers = scene.parent / "plan.json"
+    assert main(["plan", str(scene), "--json", str(numbers)]) == 0
+    printed = capsys.readouterr().out
+    assert printed.endswith(f"numbers: {numbers}\n")
+    assert json.loads(numbers.read_text())["engine"] in printed
+
+
+def test_pages_are_opened_where_they_are_built(tmp_path: Path, monkeypatch: Any, capsys: Any):
+    opened: list[str] = []
+    monkeypatch.setattr(pages.webbrowser, "open", opened.append)
+    assert (pages.SOURCES / "index.md").exists()
+    monkeypatch.setattr(pages, "SOURCES", tmp_path / "docs")
+    assert main(["docs"]) == 1
+    assert "this installation has no pages" in capsys.readouterr().err
+    (tmp_path / "docs").mkdir()
+    assert main(["docs"]) == 1
+    said = capsys.readouterr().err
+    assert f"sphinx-build {tmp_path}/docs {tmp_path}/docs/build" in said
+    assert f"or read {tmp_path}/docs/index.md" in said
+    (tmp_path / "docs" / "build").mkdir()
+    page = tmp_path / "docs" / "build" / "index.html"
+    page.touch()
+    assert main(["docs"]) == 0
+    assert capsys.readouterr().out == f"{page.as_uri()}\n"
+    assert opened == [page.as_uri()]
+
+
+def test_an_orbit_is_told_in_numbers():
+    chain = Chain(grains=3, diameter=1e-3)
+    family = orbits.follow(orbits.normal_mode(chain, 1, 1e-14), "energy", 2e-14)
+    last, first = family[-1], family[0]
+    told = orbit._told(family)
+    number = r"([\d.e+-]+)"
+    period, hertz, linear = re.fullmatch(rf"period: {number} s \({number} Hz; linear: {number} Hz\)", told[0]).groups()
+    assert float(period) == pytest.approx(last.period, rel=1e-11)
+    assert float(hertz) == pytest.approx(1 / last.period, rel=1e-5)
+    assert float(linear) == pytest.approx(1 / first.period, rel=1e-5)
+    assert float(re.fullmatch(rf"energy: {number} J", told[1])[1]) == pytest.approx(2e-14, rel=1e-5)
+    farthest = float(re.fullmatch(rf"largest displacement: {number} m", told[2])[1])
+    assert farthest == pytest.approx(last.amplitude, rel=1e-5)
+    residual, error = re.fullmatch(
+        rf"residual after a period: {number}; error of the steps: {number}", told[3]
+    ).groups()
+    assert (float(residual), float(error)) == pytest.approx((last.residual, last.error), rel=0.06)
+    assert told[4] == "Floquet multipliers: stable"
+    assert len(told) == 5 + len(family.events)
+    loose = SimpleNamespace(
+        **{name: getattr(last, name) for name in ("period", "energy", "amplitude", "residual", "error")}
+    )
+    loose.stable, loose.unstable = False, np.array([1.5 + 2j, 1.0])
+    event = SimpleNamespace(kind="period doubling", value=1.5e-14, orbit=SimpleNamespace(period=5e-6))
+
+    class Family(list):
+        events = (event,)
+        reached = False
+        ended = "it turns back"
+
+    told = orbit._told(Family([first, loose]))
+    assert told[4] == "Floquet multipliers: unstable, largest multiplier 2.5"
+    assert told[5] == "period doubling: at 1.5e-14 J, 200000 Hz"
+    assert told[6] == "the family does not come to the energy asked for: it turns back"
+
+
+# --- files and words
+
+
+def test_outputs_that_are_refused(tmp_path: Path):
+    scene = tmp_path / "scene.toml"
+    scene.touch()
+    (tmp_path / "folder").mkdir()
+    os.mkfifo(tmp_path / "pipe")
+
+    def fault(name: str, suffixes: tuple[str, ...] = ()) -> str:
+        with pytest.raises(InputError) as caught:
+            common.output(name, str(scene), suffixes)
+        ((key, message),) = caught.value.faults
+        assert key == name
+        return message
+
+    folder = str(tmp_path / "folder")
+    assert fault(folder) == f"is a folder; name a file, such as {folder}/run.nc"
+    assert fault(f"{tmp_path}/new/") == f"is a folder; name a file, such as {tmp_path}/new/run.nc"
+    assert fault(folder, (".png",)).endswith(f"such as {folder}")
+    assert fault(f"{tmp_path}/pipe") == "is a device or a pipe, not a file; name a file"
+    assert fault(f"{tmp_path}/a.txt", (".png", ".pdf", ".svg")) == "must end in .png, .pdf or .svg"
+    assert fault(str(scene)) == "is the file that is read; name another file"
+    assert fault(f"{tmp_path}/no/a.nc") == f"there is no folder {tmp_path}/no; make it first"
+    assert common.output(f"{tmp_path}/a.PNG", str(scene), (".png",)) == tmp_path / "a.PNG"
+    (tmp_path / "there.nc").touch()
+    assert common.output(f"{tmp_path}/there.nc", f"{tmp_path}/none.toml") == tmp_path / "there.nc"
+    assert common.beside("a/run.v2.nc", ".html") == "a/run.v2.html"
+
+
+def test_a_place_where_one_may_not_write(tmp_path: Path, monkeypatch: Any):
+    (tmp_path / "there.nc").touch()
+    for locked in (tmp_path, tmp_path / "there.nc"):
+        monkeypatch.setattr(os, "access", lambda path, mode, locked=locked: Path(path) != locked)
+        with pytest.raises(InputError, match="you may not write there"):
+            common.output(f"{tmp_path}/there.nc", "")
+    monkeypatch.setattr(os, "access", lambda path, mode: mode in (os.W_OK | os.X_OK, os.W_OK))
+    assert common.output(f"{tmp_path}/there.nc", "")
+    assert common.output(f"{tmp_path}/new.nc", "")
+
+
+def test_complaints_are_one_printable_line(capsys: pytest.CaptureFixture[str]):
+    common.complain("one\n  two\x1b[31m é", "warning")
+    assert capsys.readouterr().err == "warning: one two\\x1b[31m é\n"
+    common.complain("bad")
+    assert capsys.readouterr().err == "error: bad\n"
+
+
+def test_progress_is_shown_on_a_terminal_only(monkeypatch: Any):
+    for stream, shown in (
+        (None, False),
+        (SimpleNamespace(isatty=lambda: True), True),
+        (SimpleNamespace(isatty=lambda: False), False),
+    ):
+        monkeypatch.setattr(sys, "stderr", stream)
+        assert common.on_terminal() is shown
+
+
+def test_faults_of_all_checks_come_at_once():
+    def fails(key: str) -> None:
+        raise InputError([(key, "wrong")])
+
+    assert common.gather(lambda: 1, lambda: None) == [1, None]
+    with pytest.raises(InputError) as caught:
+        common.gather(lambda: fails("a"), lambda: 1, lambda: fails("b"))
+    assert caught.value.faults == [("a", "wrong"), ("b", "wrong")]
+    assert issubclass(InputError, LmpchainError)
+
+
+def test_numbers_that_are_none_are_no_json(tmp_path: Path):
+    with pytest.raises(ValueError, match="JSON"):
+        common.write_json({"a": float("nan")}, tmp_path / "a.json")
+    assert names(tmp_path) == []
+
+
+# --- saved runs
+
+
+def test_saved_runs_and_dumps_are_told_apart(scene: Path, answer: Trajectory, capsys: pytest.CaptureFixture[str]):
+    file = scene.parent / "run.nc"
+    answer.save(file)
+    dump = scene.parent / "column.lammpstrj"
+    dump.write_text("ITEM: TIMESTEP\n0\n")
+    for words, key in (
+        (["fit", str(file), "--scene", str(scene)], "scene"),
+        (["fit", str(file), "--axis", "z"], "axis"),
+        (["fit", str(dump)], str(dump)),
+        (["report", str(scene.parent / "none.nc"), "--scene", str(scene)], str(scene.parent / "none.nc")),
+        (["sensitivity", str(dump), "--of", "momentum:3"], str(dump)),
+        (["fit", str(file), "--json", str(file)], str(file)),
+    ):
+        assert main(words) == 2
+        assert keys(capsys.readouterr()) == [key]
+
+
+def test_a_sensitivity_asks_for_what_it_was_given(scene: Path, monkeypatch: Any, capsys: Any):
+    asked: list[Any] = []
+    result = SimpleNamespace(table=lambda: "the table")
+    monkeypatch.setattr("lmpchain.design.sensitivities.sensitivity", lambda *values: asked.extend(values) or result)
+    words = ["sensitivity", str(scene), "--of", "momentum:3", "--mass", "0.02", "--constant", "0"]
+    assert main(words) == 0
+    assert capsys.readouterr().out == "the table\n"
+    assert asked == [Scene.from_toml(scene), "momentum:3", {"masses": 0.02, "contact_constants": 0.0}, 1e-4]
