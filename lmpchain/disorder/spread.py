@@ -100,13 +100,15 @@ class Spreading(Shown):
         """Draw second moment and participation over time, with bands of two standard errors; returns the axes."""
         from ..util.plotting import axes_in_units, legend
 
-        ax = axes_in_units(ax, "s", "")
+        ax = axes_in_units(ax, "", "")
         for name, label in (("second_moment", "second moment, grains²"), ("participation", "participation, grains")):
             mean, band = getattr(self, name)[1:], 2 * getattr(self, f"{name}_error")[1:]
             (line,) = ax.plot(self.time[1:], mean, label=label)
             if self.realisations > 1:
                 ax.fill_between(self.time[1:], mean - band, mean + band, color=line.get_color(), alpha=0.25, lw=0)
-        ax.set(xscale="log", yscale="log", xlabel="time", ylabel=f"mean of {self.realisations} chains, m = {self.m:g}")
+        ax.set(
+            xscale="log", yscale="log", xlabel="time, s", ylabel=f"mean of {self.realisations} chains, m = {self.m:g}"
+        )
         legend(ax)
         return ax
 

@@ -155,7 +155,9 @@ def integrated(frequency: ArrayLike, shape: float, rate: float = 1.0) -> Array:
         size = np.exp(scale * t + shape * (log - np.log1p(t)) - peak) * speed
         whole[:] += size, size * np.log1p(t)
 
-    last = far / shape + np.log(np.abs(saddle) / np.minimum(np.abs(top), 1)), np.log1p(far / np.sqrt(shape * scale))
+    # further where the peak at the saddle is sharp, for a large shape: it falls as a Gauss function at first
+    toward = far / shape + 0.5 + np.log(np.abs(saddle) / np.minimum(np.abs(top), 1))
+    last = toward, np.log1p((far + 0.4 * shape) / np.sqrt(shape * scale))
     for node, weight in zip(*_panels(), strict=True):
         y, w = node * last[0], node * last[1]
         add(saddle * np.exp(-y), np.log(saddle) - y, weight * last[0])

@@ -54,6 +54,15 @@ def test_an_ordered_chain_that_is_displaced():
     assert np.isnan(found.growth(case.time[1])[1])
 
 
+def power(time: np.ndarray, moment: np.ndarray, begin: float, end: float) -> float:
+    """Return the slope of log moment over log time from the normal equations, all octaves alike."""
+    within = (time >= begin) & (time <= end)
+    x, y = np.log(time[within]), np.log(moment[within])
+    weight = np.gradient(x)
+    mean = (weight * x).sum() / weight.sum()
+    return float((weight * (x - mean) * y).sum() / (weight * (x - mean) ** 2).sum())
+
+
 @pytest.mark.parametrize("of", ["stiffness", "constant", "mass", "diameter", "modulus"])
 def test_means_and_errors(of):
     """Against the energies of every chain, each answered by itself by the nonlinear engine."""
@@ -73,6 +82,17 @@ def test_means_and_errors(of):
         assert getattr(found, f"{name}_error") == pytest.approx(
             each.std(0, ddof=1) / np.sqrt(count), rel=1e-5, abs=1e-7
         )
+    groups = np.array([moment[first::16].sum(0) for first in range(16)])
+    begin, end = case.time[1], case.time[4]
+    left_out = [power(case.time, groups.sum(0) - group, begin, end) for group in groups]
+    error = np.sqrt(15 / 16 * np.square(left_out - np.mean(left_out)).sum())
+    exact = power(case.time, moment.mean(0), begin, end), error
+    assert found.growth(begin, end) == pytest.approx(exact, rel=1e-4)
+    assert found.growth() == found.growth(case.time[1], case.time[-1])
+    assert found.growth(begin, end)[0] != pytest.approx(found.growth()[0], rel=1e-3)
+    with pytest.raises(InputError, match=r"^start: must leave three samples or more up to the end"):
+        found.growth(begin, case.time[2])
+    assert found.growth(begin, case.time[3])[1] > 0
 
 
 @pytest.mark.slow
@@ -134,6 +154,38 @@ def test_what_is_wrong_is_named(call, key):
 
 
 def test_picture_of_spreading():
-    axes = spreading(scene(), 3, 5, 1).plot()
+    found = spreading(scene(), 3, 5, 1)
+    axes = found.plot()
+    names = ("second_moment", "participation")
+    for line, band, name in zip(axes.lines, axes.collections, names, strict=True):
+        mean, error = getattr(found, name)[1:], getattr(found, f"{name}_error")[1:]
+        assert line.get_xdata().tolist() == found.time[1:].tolist()
+        assert line.get_ydata().tolist() == mean.tolist()
+        (path,) = band.get_paths()
+        last = path.vertices[path.vertices[:, 0] == found.time[-1], 1]
+        assert [last.min(), last.max()] == pytest.approx([mean[-1] - 2 * error[-1], mean[-1] + 2 * error[-1]])
     assert [line.get_label() for line in axes.lines] == ["second moment, grains²", "participation, grains"]
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("time", "mean of 5 chains, m = 3")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("time, s", "mean of 5 chains, m = 3")
+    assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
+    assert len(axes.get_legend().get_texts()) == 2
+    assert len(spreading(scene(), 3, 1, 1).plot().collections) == 0
+
+
+def test_what_is_kept_with_the_means():
+    case = scene(grains=21, tau=3.0)
+    found = spreading(case.replace(grains=[1, 2]), 3, 4, 7, of="constant", law="paper")
+    assert (found.m, found.seed, found.law, found.of) == (3, 7, "paper", "constant")
+    assert (found.engine, found.equation, found.realisations) == ("chebyshev", 3, 4)
+    assert found.scene == case.replace(grains="all")
+    assert found.transmitted.shape == (6, 21)
+    alone = [simulate(realisation(case, 3, 7, i, "paper", "constant"), "chebyshev") for i in range(4)]
+    assert found.model_error == max(t.error_estimate.model for t in alone)
+    largest = max(t.error_estimate.solver for t in alone)
+    assert found.solver_error == pytest.approx(largest, rel=0.3)  # of rounding
+    assert found.squeezed == 0
+    assert spreading(column_of_soft_contacts(), 0.05, 20, 1).squeezed == 20
+
+
+def column_of_soft_contacts() -> Scene:
+    chain = Chain(grains=40, diameter=1e-3)
+    return Scene(chain=chain, excitation=Impulse(velocity=1e-12), duration=2 * chain.time_scale, samples=3)

@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from scipy.special import polygamma
 from scipy.stats import expon, gamma, norm
 
 from lmpchain import InputError
-from lmpchain.disorder import density_of_states, lyapunov
+from lmpchain.disorder import density_of_states, lyapunov, transfer_matrix
 from lmpchain.theory import dyson
 
 
@@ -21,33 +20,98 @@ def test_an_ordered_chain():
     assert (np.abs(lyapunov(below, k, m, grains=200_000, chains=2).exponent) < 1e-4).all()
 
 
-@pytest.mark.parametrize("shape", [0.05, 0.5, 1, 7.3, 100])
-def test_dysons_chain_at_its_ends(shape):
-    """All modes lie below a high frequency; few below a low one, by the singularity psi'(shape) / log^2."""
-    mean = np.sqrt(shape)
-    assert dyson.integrated(mean * 40, shape) == pytest.approx(1, abs=1e-8)
-    low = dyson.integrated(np.array([1e-20, 1e-40]), shape)
-    law = polygamma(1, shape) / np.log(np.array([1e-20, 1e-40]) ** 2) ** 2
-    assert np.all(np.diff(np.abs(low / law - 1)) < 0)
-    assert low[1] / law[1] == pytest.approx(1, abs=0.25)
-    steps = dyson.integrated(mean * np.geomspace(1e-3, 40, 400), shape)
-    assert (np.diff(steps) > -1e-7).all()
-
-
-def test_narrow_ratios_are_an_ordered_chain():
-    """Corrections to order 1/shape remain."""
-    frequency = 2 * np.array([0.1, 0.5, 0.9])
-    off = [dyson.integrated(frequency, shape, shape) - 2 / np.pi * np.arcsin(frequency / 2) for shape in (50, 100)]
-    assert np.abs(off[1]).max() < 4e-3
-    assert off[0] / off[1] == pytest.approx(2, rel=0.15)
-
-
 @pytest.mark.parametrize("shape", [1.0, 3.0])
 def test_transfer_matrices_find_dysons_spectrum(shape):
     square = np.array([0.1, 0.5, 1, 2, 4, 6])
     found = density_of_states(np.sqrt(square), ratios=gamma(shape), grains=30_000, chains=20, seed=3)
     assert (np.abs(found.integrated - dyson.integrated(np.sqrt(square), shape)) < 4 * found.error).all()
     assert (found.error < 2e-3).all()
+
+
+class Given:
+    """A distribution that gives these values, one after the other, and notes with which generators."""
+
+    def __init__(self, values: np.ndarray):
+        self.values = values
+        self.states: list[str] = []
+
+    def rvs(self, *, size: int, random_state: np.random.Generator) -> np.ndarray:
+        self.states.append(str(random_state.bit_generator.seed_seq.entropy))
+        head, self.values = self.values[:size], self.values[size:]
+        return head
+
+
+def growth_and_nodes(k: np.ndarray, above: np.ndarray, below: np.ndarray, w: float, passed: int) -> tuple[float, float]:
+    """Return both a grain, after so many grains, of u_n from a free top by the equation of motion.
+
+    The ratios k_n / m_n and k_n / m_(n+1) are `above` and `below`; the force is kept over the mass.
+    """
+    u, force, logarithm, nodes = 1.0, w**2, 0.0, 0
+    for n in range(k.size):
+        ahead = u - force / above[n]
+        force = force * below[n] / above[n] + w**2 * ahead
+        if n >= passed:
+            logarithm += np.log(abs(ahead / u))
+            nodes += ahead / u < 0
+        u, force = ahead / abs(ahead), force / abs(ahead)
+    return logarithm / (k.size - passed), nodes / (k.size - passed)
+
+
+@pytest.mark.parametrize("kind", ["masses", "ratios"])
+@pytest.mark.parametrize("piece", [2**16, 37])
+def test_every_grain_by_its_equation_of_motion(kind: str, piece: int, monkeypatch):
+    """Three chains of given grains: the mean after a tenth, its standard error, the order of the draws."""
+    monkeypatch.setattr(transfer_matrix, "PIECE", piece)
+    rng, chains, grains = np.random.default_rng(4), 3, 150
+    w = np.array([0.0, 0.3, 1.1, 2.5, 40.0])
+    k, m = rng.uniform(0.5, 2, (chains, grains)), rng.uniform(0.5, 2, (chains, grains + 1))
+    above, below = k / m[:, :-1], k / m[:, 1:]
+    if kind == "ratios":
+        below = rng.uniform(0.5, 2, (chains, grains))
+        rows = []
+        for a, b in zip(above, below, strict=True):
+            starts = range(0, grains, piece)
+            rows += [x[first : first + piece] for first in starts for x in (a, b)]
+        given = {"ratios": np.concatenate(rows)}
+    else:
+        given = {"stiffness": k.ravel(), "masses": m.ravel()}
+    exact = np.array([[growth_and_nodes(k[i], above[i], below[i], x, 15) for x in w] for i in range(chains)])
+    options = {"grains": grains, "chains": chains, "seed": 6}
+    laws = {key: Given(values) for key, values in given.items()}
+    grown = lyapunov(w, **laws, **options)
+    share = density_of_states(w, **{key: Given(values) for key, values in given.items()}, **options)
+    assert grown.exponent == pytest.approx(exact[..., 0].mean(0), rel=1e-9, abs=1e-15)
+    assert grown.error == pytest.approx(exact[..., 0].std(0, ddof=1) / np.sqrt(3), rel=1e-8, abs=1e-15)
+    assert share.integrated == pytest.approx(exact[..., 1].mean(0), rel=1e-14, abs=0)
+    assert share.error == pytest.approx(exact[..., 1].std(0, ddof=1) / np.sqrt(3), rel=1e-12, abs=1e-16)
+    assert share.density == pytest.approx(np.diff(share.integrated) / np.diff(w), rel=1e-14)
+    with np.errstate(divide="ignore"):
+        assert grown.length == pytest.approx(1 / grown.exponent, rel=1e-14)
+    seeds = list(dict.fromkeys(next(iter(laws.values())).states))
+    assert seeds == ["[6, 0]", "[6, 1]", "[6, 2]"]
+
+
+def test_a_node_on_a_grain():
+    """At w = 1 of equal grains every third ratio is 0 or infinite: nothing grows, a third of the modes is below."""
+    options = {"grains": 6000, "chains": 2}
+    assert density_of_states(1.0, **options).integrated == pytest.approx(1 / 3, abs=2e-4)
+    assert abs(lyapunov(1.0, **options).exponent[0]) < 0.01
+    assert lyapunov(1.0, grains=100, chains=2).error == pytest.approx(0, abs=1e-15)
+
+
+def test_defaults():
+    """Sixteen chains of a hundred thousand equal grains, here of 1 kg and 1 N/m."""
+    counted = []
+
+    class Unit:
+        def rvs(self, *, size, random_state):
+            counted.append(size)
+            return np.ones(size)
+
+    found = density_of_states(0.5, masses=Unit())
+    assert sum(counted) == 16 * 100_001
+    assert found.integrated == pytest.approx(2 / np.pi * np.arcsin(0.25), abs=2e-5)
+    assert lyapunov(2.5, grains=100).exponent == pytest.approx(2 * np.arccosh(1.25), rel=1e-9)
 
 
 def test_the_error_is_that_of_the_mean():
@@ -63,12 +127,24 @@ def test_the_same_seed_gives_the_same_bits():
     assert first.length == 1 / first.exponent
 
 
-def test_pictures_have_labels():
+def test_pictures_have_labels_and_bars():
     frequency = np.geomspace(0.1, 2, 5)
-    for found in (lyapunov(frequency, expon(0.1), grains=1000), density_of_states(frequency, expon(0.1), grains=1000)):
+    grown = lyapunov(frequency, expon(0.1), grains=1000)
+    share = density_of_states(frequency, expon(0.1), grains=1000)
+    for found, values, label, scale in (
+        (grown, grown.exponent, "Lyapunov exponent per grain", "log"),
+        (share, share.integrated, "share of the modes below", "linear"),
+    ):
         (ax,) = found.plot().figure.axes
-        assert ax.get_xlabel() == "frequency, rad/s"
-        assert ax.get_ylabel()
+        assert (ax.get_xlabel(), ax.get_ylabel()) == ("frequency, rad/s", label)
+        assert (ax.get_xscale(), ax.get_yscale()) == (scale, scale)
+        (container,) = ax.containers
+        line, caps, (bars,) = container.lines
+        assert line.get_xdata().tolist() == frequency.tolist()
+        assert line.get_ydata().tolist() == values.tolist()
+        ends = np.array(bars.get_segments())[:, :, 1]
+        assert np.diff(ends, axis=1)[:, 0] == pytest.approx(4 * found.error, rel=1e-9)
+        assert len(caps) == 2
 
 
 @pytest.mark.parametrize(
@@ -77,6 +153,11 @@ def test_pictures_have_labels():
         ({"frequency": [-1.0]}, "frequency"),
         ({"frequency": []}, "frequency"),
         ({"frequency": [np.nan]}, "frequency"),
+        ({"frequency": [[0.5]]}, "frequency"),
+        ({"frequency": [np.inf]}, "frequency"),
+        ({"stiffness": 0.0}, "stiffness"),
+        ({"masses": np.inf}, "masses"),
+        ({"grains": 99}, "grains"),
         ({"stiffness": norm()}, "stiffness"),
         ({"stiffness": "soft"}, "stiffness"),
         ({"masses": -1.0}, "masses"),
@@ -89,9 +170,3 @@ def test_pictures_have_labels():
 def test_what_is_wrong_is_named(what, key):
     with pytest.raises(InputError, match=f"^{key}:"):
         lyapunov(**({"frequency": [0.5], "grains": 1000, "chains": 2} | what))
-
-
-@pytest.mark.parametrize(("key", "values"), [("frequency", (0.0, 1)), ("shape", (1.0, 0)), ("rate", (1.0, 1, -1))])
-def test_what_is_wrong_with_dysons_chain_is_named(key, values):
-    with pytest.raises(InputError, match=f"^{key}:"):
-        dyson.integrated(*values)

@@ -4,6 +4,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from scipy.special import polygamma
 
 from lmpchain import InputError
 from lmpchain.theory import bessel, dyson
@@ -85,6 +86,73 @@ def test_sum_broadcasts(column):
     assert table[0, 0] == pytest.approx(by_hand, rel=1e-13)
 
 
+# ---------------------------------------------------------------------------------------- his exact spectrum
+
+
+@pytest.mark.parametrize(
+    ("shape", "rate", "frequency"),
+    [(1, 1.0, 1.0), (0.3, 0.5, 0.7), (2.5, 2.0, 1.9), (7.3, 7.3, 0.5), (7.3, 7.3, 1.99)],
+)
+def test_spectrum_by_mpmath(shape: float, rate: float, frequency: float):
+    """The integral for Tricomi's function and its derivative, along a straight ray from 0."""
+    with mp.workdps(16):
+        x, ray = mp.mpf(rate) * mp.mpf(frequency) ** 2, mp.expj(3 * mp.pi / 4)
+
+        def integrand(y: mp.mpf) -> mp.mpf:  # t = ray y^(1/shape) takes the singularity at 0 away
+            t = ray * y ** (1 / mp.mpf(shape))
+            return mp.exp(x * t - shape * mp.log(1 + t))
+
+        def with_logarithm(y: mp.mpf) -> mp.mpf:
+            return integrand(y) * mp.log(1 + ray * y ** (1 / mp.mpf(shape)))
+
+        places = [mp.mpf(s) ** shape for s in (0, 0.1, 0.5, 1, 2, 4, 10, 40 / x + 20)]
+        ratio = mp.quad(with_logarithm, places) / mp.quad(integrand, places)
+        exact = float(1 - 2 / mp.pi * ratio.imag)
+    assert dyson.integrated(frequency, shape, rate) == pytest.approx(exact, abs=1e-13)
+    if rate == 1:
+        assert dyson.integrated(frequency, shape) == pytest.approx(exact, abs=1e-13)
+
+
+@pytest.mark.parametrize("shape", [60, 100])
+def test_spectrum_of_nearly_ordered_chains(shape: float):
+    """By quadrature with many more nodes and further beyond the saddle, from low to high frequencies."""
+    w = np.sqrt(shape) * np.array([0.5, 1.5, 1.9, 2.5, 8.0])
+    s, weight = np.polynomial.legendre.leggauss(40)
+    s, weight = ((2 * np.arange(50)[:, None] + 1 + s) / 50 - 1).ravel(), np.tile(weight / 50, 50)
+    exact = []
+    for x in w**2:
+        saddle = -0.5 + 1j * np.sqrt(max(shape / x - 0.25, 0.04))
+        t = saddle * (s + 1) / 2  # up to the saddle, and beyond
+        beyond = saddle + np.abs(saddle) * np.exp(0.75j * np.pi) * 3 * (s + 1) / 2
+        path = np.concatenate((t, beyond))
+        step = np.concatenate((weight * saddle / 2, weight * np.abs(saddle) * np.exp(0.75j * np.pi) * 1.5))
+        log = x * path + shape * (np.log(path) - np.log1p(path))
+        value = np.exp(log - log.real.max()) * step / path
+        exact.append(1 - 2 / np.pi * ((value * np.log1p(path)).sum() / value.sum()).imag)
+    assert dyson.integrated(w, shape) == pytest.approx(exact, abs=1e-12)
+
+
+@pytest.mark.parametrize("shape", [0.05, 1, 100])
+def test_dysons_chain_at_its_ends(shape):
+    """All modes lie below a high frequency; few below a low one, by the singularity psi'(shape) / log^2."""
+    mean = np.sqrt(shape)
+    assert dyson.integrated(mean * 40, shape) == pytest.approx(1, abs=1e-8)
+    low = dyson.integrated(np.array([1e-20, 1e-40]), shape)
+    law = polygamma(1, shape) / np.log(np.array([1e-20, 1e-40]) ** 2) ** 2
+    assert np.all(np.diff(np.abs(low / law - 1)) < 0)
+    assert low[1] / law[1] == pytest.approx(1, abs=0.25)
+    steps = dyson.integrated(mean * np.geomspace(1e-3, 40, 60), shape)
+    assert (np.diff(steps) > -1e-7).all()
+
+
+def test_narrow_ratios_are_an_ordered_chain():
+    """Corrections to order 1/shape remain."""
+    frequency = 2 * np.array([0.1, 0.5, 0.9])
+    off = [dyson.integrated(frequency, shape, shape) - 2 / np.pi * np.arcsin(frequency / 2) for shape in (50, 100)]
+    assert np.abs(off[1]).max() < 4e-3
+    assert off[0] / off[1] == pytest.approx(2, rel=0.15)
+
+
 @pytest.mark.parametrize(
     ("call", "key"),
     [
@@ -98,3 +166,20 @@ def test_sum_broadcasts(column):
 def test_refusals(call, key: str):
     with pytest.raises(InputError, match=f"^{key}: must"):
         call()
+
+
+@pytest.mark.parametrize(
+    ("key", "values"),
+    [
+        ("frequency", (0.0, 1)),
+        ("shape", (1.0, 0)),
+        ("rate", (1.0, 1, -1)),
+        ("shape", (1.0, 0.049)),
+        ("shape", (1.0, 100.1)),
+        ("rate", (1.0, 1, np.inf)),
+        ("frequency", (np.inf, 1)),
+    ],
+)
+def test_what_is_wrong_with_dysons_chain_is_named(key, values):
+    with pytest.raises(InputError, match=f"^{key}:"):
+        dyson.integrated(*values)
