@@ -135,3 +135,16 @@ def test_pairs_that_meet_and_are_alone_are_located():
     event = located("Neimark-Sacker", at, 13)
     assert event is not None
     assert event.orbit.means.real.mean() == pytest.approx(0.0037, rel=1e-5)
+
+
+def test_the_discriminant_is_that_of_the_pair_that_meets():
+    """Of three means on a line the two that become complex are the lower ones, though the upper two are nearer."""
+
+    def at(way: float) -> SimpleNamespace:
+        root = np.sqrt(complex(0.04 * (0.62 - way)))
+        return place([-0.4 + root, -0.4 - root, 0.7, 0.7 + 1e-3 * (1 + way)])
+
+    event = located("Neimark-Sacker", at, 9)
+    assert event is not None
+    assert event.orbit.means.real[:2].mean() == pytest.approx(-0.4, rel=1e-9)
+    assert abs(event.orbit.means.imag[0]) < 1e-3

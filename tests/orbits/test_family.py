@@ -74,7 +74,8 @@ def test_a_picture_has_energies_over_frequencies_the_unstable_part_dashed():
     assert {1.0, 2.0, 5.0} <= set(ticks) <= {0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0}
     assert ax.yaxis.get_minor_formatter()(2e-6) == ""
     texts = [text.get_text() for text in ax.get_legend().get_texts()]
-    assert texts == ["linear waves", *lines]
+    assert texts == ["linear waves", *lines]  # once, of two bands
+    assert len(ax.patches) == 2
     assert ax.get_legend().get_frame_on()
     assert ax.get_legend().get_frame().get_alpha() == 1.0
 

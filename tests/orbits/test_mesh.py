@@ -122,3 +122,29 @@ def test_without_openings_steps_are_uniform():
     for reach in (0.3, 0.1):
         steps = mesh.graded(FLOW, period, rest, np.zeros(0), reach)
         np.testing.assert_array_equal(steps, mesh.uniform(FLOW, period, rest, reach))
+
+
+def test_very_many_openings_have_no_more_steps_than_fit_in_memory():
+    rest, times = np.zeros((1, 5)), np.linspace(0.01, 0.49, 400)
+    period = 4e3 / mesh.highest_frequency(FLOW, rest)
+    steps = mesh.graded(FLOW, period, rest, times)
+    assert steps.size == 20_000
+    assert steps.sum() == pytest.approx(1, rel=1e-12)
+
+
+@pytest.mark.parametrize("time", [0.004, 0.996, 0.5, 0.0])
+def test_an_opening_near_the_begin_or_the_middle_counts_from_both_sides(time: float):
+    """Steps on either side of t = 0 and of half a period, where the motion is mirrored."""
+    rest = np.zeros((1, 5))
+    turns = 50.0
+    period = turns / mesh.highest_frequency(FLOW, rest)
+    steps = mesh.graded(FLOW, period, rest, np.array([time]))
+    ends = np.concatenate(([0.0], np.cumsum(steps)))
+    middles = (ends[1:] + ends[:-1]) / 2
+    near = min(time, 1 - time)
+    every = np.array([near, 1 - near, -near, 1 + near])
+    distance = np.abs(middles[:, None] - every).min(1)
+    even = mesh.uniform(FLOW, period, rest)[0]
+    close = (distance > 2 * steps) & (0.35 * distance < 0.8 * even) & (0.35 * distance > 3e-4 / turns)
+    assert close.sum() > 20
+    np.testing.assert_allclose(steps[close], 0.35 * distance[close], rtol=0.05)
