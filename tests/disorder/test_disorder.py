@@ -24,7 +24,7 @@ from lmpchain import (
     simulate,
 )
 from lmpchain.cli.command_line import main
-from lmpchain.disorder.averages import disordered, ensemble, factors, realisation
+from lmpchain.disorder.averages import at_the_end, disordered, ensemble, factors, realisation
 from lmpchain.measure.dyson import relative_stiffness, sums
 
 
@@ -318,11 +318,62 @@ def test_everything_is_released_when_it_is_stopped(monkeypatch):
 
 def test_picture_of_a_mean():
     found = ensemble(column(), 2, 10, seed=1)
-    (axes,) = found.plot().figure.axes
-    (line,) = axes.lines
-    assert np.array_equal(line.get_ydata(), found.velocity[-1])
-    assert len(axes.collections) == 1
+    for sample in (-1, 0):
+        (axes,) = found.plot(sample=sample).figure.axes
+        (line,) = axes.lines
+        assert np.array_equal(line.get_xdata(), found.grains)
+        assert np.array_equal(line.get_ydata(), found.velocity[sample])
+        assert line.get_label() == "m = 2: mean of 10 chains"
+        (band,) = axes.collections
+        assert band.get_label() == "± 2 st. errors"
+        (path,) = band.get_paths()
+        at_top = path.vertices[path.vertices[:, 0] == 1, 1]
+        error = found.velocity_error[sample, 0]
+        assert np.ptp(at_top) == pytest.approx(4 * error, rel=1e-9)
+        assert axes.get_title("left") == f"t = {found.time[sample]:.4g} s"
+        assert len(axes.get_legend().get_texts()) == 2
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("grain number, from the top", "mean velocity, downward")
+    assert axes.yaxis.get_major_formatter()(2e-6) == "2 µm/s"
+    assert len(ensemble(column(), 2, 1, seed=1).plot().collections) == 0
+
+
+def test_averages_at_the_end():
+    """The ordered chain and each average of all grains, at the start and at the end."""
+    scene = column(samples=7, grains=12)
+    ordered, averages = at_the_end(scene.replace(grains=[3]), [2, 5], 4, seed=3)
+    end = column(samples=2, grains=12)
+    assert np.array_equal(ordered, simulate(end, "chebyshev").velocity[-1])
+    for m, found in zip((2, 5), averages, strict=True):
+        assert_same(found, ensemble(end, m, 4, seed=3))
+        assert found.m == m
+    for count, seed, key in ((1, 3, "realisations"), (2, -1, "seed")):
+        with pytest.raises(InputError, match=f"^{key}: must be a whole number from"):
+            at_the_end(scene, [2], count, seed)
+    assert len(at_the_end(scene, [2], 2, 0)[1]) == 1
+
+
+def test_what_is_kept_with_the_averages():
+    found = ensemble(column(grains=12), 3, 4, 7, law="paper", of="constant")
+    assert (found.m, found.seed, found.law, found.of) == (3, 7, "paper", "constant")
+    alone = [simulate(realisation(column(grains=12), 3, 7, i, "paper", "constant"), "chebyshev") for i in range(4)]
+    mean = np.mean([t.velocity for t in alone], axis=0)
+    assert found.velocity == pytest.approx(mean, rel=0, abs=1e-15 * np.abs(mean).max())
+    with pytest.raises(ToleranceNotMet, match=r"^in chains 1 to 5 "):
+        ensemble(column(), 5, 5, seed=1, tolerance=1e-17)
+    with pytest.raises(InputError, match=r"^engine: random chains are for native, modes, chebyshev \(got 'bessel'\)"):
+        ensemble(column(), 5, 5, seed=1, engine="bessel")
+
+
+def test_materials_of_grains_whose_modulus_is_drawn():
+    """Density and Poisson's ratio stay, Young's modulus has the factors, of a list of materials too."""
+    chain = Chain(grains=6, diameter=1e-3, material=["steel", "glass", "ptfe"] * 2)
+    zeta = factors(9, 6, generator())
+    drawn = disordered(chain, 9, generator(), of="modulus")
+    for before, after, factor in zip(chain.material, drawn.material, zeta, strict=True):
+        assert after.youngs_modulus == pytest.approx(before.youngs_modulus * factor, rel=1e-14)
+        assert (after.density, after.poissons_ratio) == (before.density, before.poissons_ratio)
+    with pytest.raises(InputError, match=r"^contact_constants: contact constants are given .* from the diameter; use"):
+        disordered(Chain(grains=3, diameter=1e-3, contact_constants=[1e9, 1e9]), 9, generator(), of="diameter")
 
 
 # --- Eq. (22) and the command
