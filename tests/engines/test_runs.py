@@ -1,0 +1,223 @@
+"""Runs of the engines: what they have cost, how far they are, where they go on, how they end, and in which company."""
+
+import numpy as np
+import pytest
+from helpers.example_scenes import paper, smooth
+from helpers.independent_integrators import extended_reference, relative_error
+
+from lmpchain import Chain, Displacement, Drive, Impulse, InputError, RunFailed, Scene, simulate
+from lmpchain.engines import Bessel, Chebyshev, Continuum, Lammps, Modes, Native, error_estimate
+from lmpchain.engines.time_stepping import alike, kind, landing
+from lmpchain.integrators.methods import METHODS
+
+CHAIN = Chain(grains=10, diameter=1e-3)
+SCENE = Scene(chain=CHAIN, excitation=Impulse(velocity=1e-3), duration=4e-5, samples=21)
+
+
+@pytest.fixture
+def small_blocks(monkeypatch):
+    """Have four samples in a block."""
+    monkeypatch.setattr(error_estimate, "BLOCK_S", 1e-9)
+
+
+def test_what_engines_are():
+    """The number of their equation in the paper, and what they share, need or take together."""
+    engines = {
+        engine.name: (engine.equation, engine.batches, engine.whole, engine.ranks_of_mpi)
+        for engine in (Native(), Lammps(), Modes(), Chebyshev(), Bessel(), Continuum())
+    }
+    assert engines == {
+        "native": (1, True, False, False), "lammps": (1, False, False, True), "modes": (3, True, False, False),
+        "chebyshev": (3, True, False, False), "bessel": (4, False, True, False), "continuum": (27, False, True, False),
+    }  # fmt: skip
+    assert Modes().methods == ()
+    assert [method.name for method in Native().methods] == ["rkn4", "rkn6"]
+    assert [method.name for method in Native("verlet").methods] == ["verlet"]
+
+
+@pytest.mark.parametrize("integrator", METHODS)
+def test_what_a_run_has_cost(integrator):
+    """Steps that divide the time between samples, and the evaluations of the force that the method makes in each."""
+    interval = SCENE.duration / 20
+    t = simulate(SCENE, Native(integrator, step=interval / 7.5))
+    cost = t.cost
+    assert (cost.integrator, cost.active_grains, cost.ranks) == (integrator, 10, 1)
+    assert cost.steps == 20 * 8
+    assert cost.step_s == pytest.approx(interval / 8, rel=1e-12)
+    assert cost.force_evaluations == 160 * METHODS[integrator].evaluations
+    assert cost.integration_s > 0
+    assert cost.estimate_s > 0
+    assert cost.setup_s > 0
+    exact = simulate(SCENE, Native(integrator, step=interval / 8))
+    assert exact.cost.steps == 160
+
+
+def test_what_a_run_in_lammps_has_cost():
+    t = simulate(SCENE, Lammps("rkn6", step=SCENE.duration / 160))
+    assert (t.cost.steps, t.cost.force_evaluations) == (160, 160 * METHODS["rkn6"].evaluations)
+    assert (t.cost.integrator, t.cost.active_grains) == ("rkn6", 10)
+
+
+@pytest.mark.parametrize("engine", [Native(step=2e-8), Lammps("rkn6", step=1e-7)])
+def test_a_run_goes_on_from_any_block_with_the_same_bits(engine, small_blocks):
+    candidate = engine.candidate(SCENE, 1e-6)
+    run = engine.start([SCENE], candidate)
+    blocks, states, progress = [], [], [run.progress]
+    for block in run.blocks():
+        if block.samples.stop == block.samples.start:
+            continue  # an opportunity to stop
+        blocks.append(block)
+        states.append(run.state())
+        progress.append(run.progress)
+    errors = run.errors()[0]
+    run.close()
+    stops = [block.samples.stop for block in blocks]
+    assert stops[-1] == 21
+    assert [block.samples.start for block in blocks] == [0, *stops[:-1]]
+    assert len(blocks) > 3
+    assert (progress[0], progress[-1]) == (0, 1)
+    assert progress == sorted(progress)
+    assert progress[1] == pytest.approx((stops[0] - 1) / 20, rel=1e-9)
+    again = engine.start([SCENE], candidate, states[1])
+    rest = np.concatenate([block.velocity for block in again.blocks()], axis=1)
+    other = again.errors()[0]
+    peaks = again.peaks
+    again.close()
+    assert np.array_equal(rest, np.concatenate([block.velocity for block in blocks[2:]], axis=1))
+    assert (other.truncation, other.roundoff) == (errors.truncation, errors.roundoff)
+    assert np.array_equal(other.differences, errors.differences)
+    assert peaks[0, 1] == pytest.approx(1e-3, rel=0.05)
+    for key in ("differences", "peaks", "sample"):
+        spoilt = states[1] | {key: states[1][key][:1] if states[1][key].ndim else np.array(3)}
+        if key == "sample":
+            spoilt = spoilt | {"sample": np.array(int(states[1]["sample"]) + 1)}
+        if key == "peaks":
+            spoilt = spoilt | {"peaks": np.zeros((2, 2))}
+        with pytest.raises(InputError, match="checkpoint: does not fit its run, or was changed: run the scene anew"):
+            engine.start([SCENE], candidate, spoilt)
+
+
+def test_differences_of_runs_tell_from_which_sample_on_they_are_apart():
+    """They are those of the two companions, at steps two and four times as long, which are farther apart."""
+    step = SCENE.duration / 160
+    engine = Native("verlet", step=step)
+    run = engine.start([SCENE], engine.candidate(SCENE, 1e-6))
+    for _ in run.blocks():
+        pass
+    apart = run.errors()[0].differences
+    one, other = (simulate(SCENE, Native("verlet", step=length)) for length in (2 * step, 4 * step))
+    largest = run.peaks[0]
+    expected = np.maximum(
+        np.abs(one.displacement - other.displacement).max(1) / largest[0],
+        np.abs(one.velocity - other.velocity).max(1) / largest[1],
+    )
+    np.testing.assert_allclose(apart, expected, rtol=1e-6, atol=1e-12)
+    assert run.closest[0] > 0
+
+
+def test_a_run_that_breaks_down_says_when_and_with_which_steps():
+    """Steps are stable at rest, and not where a strike makes a contact stiffer."""
+    step = 1.9 / CHAIN.band_edge
+    scene = SCENE.replace(excitation=Impulse(velocity=1.0), duration=1e-3, samples=501)
+    with pytest.raises(RunFailed) as failed:
+        simulate(scene, Native("verlet", step=step))
+    words = str(failed.value)
+    exact = scene.duration / 500 / np.ceil(scene.duration / 500 / step)
+    assert words.endswith(f"with steps of {exact:.3g} s: use a shorter step or a tolerance")
+    assert words.split(" after t = ")[0] in error_estimate.WRONG.values()
+    assert 0 <= float(words.split(" after t = ")[1].split(" s ")[0]) < 1e-3
+
+
+def test_recorded_grains_are_columns_of_all():
+    whole = simulate(SCENE, Native(step=2e-8))
+    some = simulate(SCENE.replace(grains=[7, 2, 9]), Native(step=2e-8))
+    assert np.array_equal(some.displacement, whole.displacement[:, [6, 1, 8]])
+    assert np.array_equal(some.velocity, whole.velocity[:, [6, 1, 8]])
+    assert some.error_estimate == whole.error_estimate
+
+
+def test_samples_that_are_interpolated_are_as_exact_as_the_others():
+    """Of a thousand samples of a calm motion few are the end of a step."""
+    scene = smooth(samples=1001)
+    candidate = Native("rkn6").candidate(scene, 1e-6)
+    assert candidate.stride > 1
+    assert candidate.steps(1001) < 500
+    t = simulate(scene, Native("rkn6"), 1e-6)
+    assert t.cost.steps < 500
+    u, v, own = extended_reference(scene)
+    error = relative_error(t.displacement, t.velocity, u, v)
+    assert own < error / 10
+    assert error / 3 < t.error_estimate.total <= 1e-6
+    assert Native("rkn6", adaptive=False).candidate(scene, 1e-6).stride == 1
+    vacuum = Scene(
+        chain=CHAIN.replace(gravity=0.0), excitation=Impulse(velocity=1e-2), duration=scene.duration, samples=1001
+    )
+    assert Native("rkn6").candidate(vacuum, 1e-6).stride == 1
+
+
+def test_a_landing_is_at_least_eight_steps_later():
+    """On a multiple of four samples, as blocks end on these, or on the last one."""
+    for few in (0.03, 0.1, 0.34, 0.7, 1.9):
+        steps, stride = landing(SCENE.replace(samples=2001), few)
+        assert stride % 4 == 0
+        assert few * stride <= steps < few * stride + 1
+        assert steps >= 8
+        assert (stride - 4) * few < 8
+    assert landing(SCENE.replace(samples=6), 0.1) == (1, 5)
+
+
+def test_scenes_of_a_batch_are_of_one_kind():
+    """They may differ in numbers, not in what is computed or recorded."""
+    engine = Native()
+    candidate = engine.candidate(SCENE, 1e-6)
+    alike_ones = (
+        SCENE.replace(excitation=Impulse(velocity=2e-3)), SCENE.replace(excitation=Impulse(velocity=1e-3, grain=4)),
+        SCENE.replace(chain=CHAIN.replace(gravity=5.0)), SCENE.replace(excitation=Displacement(displacement=1e-9)),
+    )  # fmt: skip
+    for other in alike_ones:
+        assert kind(other) == kind(SCENE)
+    unlike_ones = (
+        SCENE.replace(chain=CHAIN.replace(grains=11)), SCENE.replace(chain=CHAIN.replace(exponent=2.0)),
+        SCENE.replace(chain=CHAIN.replace(bottom="wall")), SCENE.replace(chain=CHAIN.replace(top="wall")),
+        SCENE.replace(chain=CHAIN.replace(gravity=0.0)), SCENE.replace(samples=22), SCENE.replace(duration=4.1e-5),
+        SCENE.replace(grains=[1]), SCENE.replace(excitation=Drive(amplitude=1e-9, frequency=1e4)),
+    )  # fmt: skip
+    for other in unlike_ones:
+        assert kind(other) != kind(SCENE)
+        with pytest.raises(ValueError, match="a batch needs chains of one kind and length, recorded alike"):
+            engine.start([SCENE, other], candidate)
+    for changed in (
+        {"steps_per_landing": 3}, {"stride": 2}, {"step": 1e-8}, {"adaptive": not candidate.adaptive},
+        {"coarse_openings": not candidate.coarse_openings}, {"integrator": "verlet"}, {"choices": {"force": "plain"}},
+    ):  # fmt: skip
+        assert alike(SCENE, candidate._replace(**changed)) != alike(SCENE, candidate)
+
+
+def test_a_batch_has_the_answers_and_errors_of_its_scenes(small_blocks):
+    """Weak and strong ones at the steps of the strong; one of them is at rest."""
+    velocities = (1e-3, 1e-5, 8e-4)
+    scenes = [SCENE.replace(excitation=Impulse(velocity=v)) for v in velocities]
+    engine = Native(step=2e-8)
+    candidate = engine.candidate(SCENE, 1e-6)
+    run = engine.start(scenes, candidate)
+    velocity = np.concatenate([block.velocity for block in run.blocks()], axis=1)
+    for place, scene in enumerate(scenes):
+        alone = simulate(scene, engine)
+        assert np.array_equal(velocity[place], alone.velocity)
+        assert run.errors()[place].solver == pytest.approx(alone.error_estimate.solver, rel=1e-9)
+    np.testing.assert_allclose(run.peaks[:, 1], velocities, rtol=0.05, atol=0)
+
+
+def test_longer_runs_are_expected_to_cost_more():
+    """In proportion to steps and grains, from a start-up on; a wave reaches few of many grains."""
+    engine, method = Native("rkn6"), METHODS["rkn6"]
+    scene = paper("weak", 3)
+    one, two, four = (engine.cost(scene, method, steps) - engine.start_up_s for steps in (1000, 2000, 4000))
+    assert two == pytest.approx(2 * one, rel=1e-9)
+    assert four == pytest.approx(4 * one, rel=1e-9)
+    assert engine.computed(scene.replace(duration=1e-2)) == 120
+    first, last = scene.excitation.reach(scene.chain)
+    reached = engine.computed(scene.replace(duration=1e-6)) - engine.computed(scene.replace(duration=5e-7))
+    assert reached == pytest.approx(scene.highest_frequency * 5e-7 / 4, rel=1e-9)
+    assert engine.computed(scene.replace(duration=1e-9)) > last - first + 1
+    assert Lammps().computed(scene) == 120
