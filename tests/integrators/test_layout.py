@@ -131,7 +131,7 @@ def test_rows_begin_at_cache_lines_and_have_a_body_more_at_either_end():
         width = -(-(grains + 2 * PAD) // PAD) * PAD
         for rows in (x, v, laid.table[0]):
             assert rows.shape[1] == width
-            assert rows.ctypes.data % (8 * PAD) == 0
+            assert rows.ctypes.data % 64 == 0
 
 
 PLACES = {

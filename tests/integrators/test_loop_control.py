@@ -1,0 +1,157 @@
+"""What decides where compiled loops begin and end, as plain Python."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lmpchain import Chain, Impulse, Scene
+from lmpchain.integrators.batch import ChainBatch
+from lmpchain.integrators.kernels import dense_output, right_hand_side, sample_loop, team, window
+from lmpchain.integrators.kernels.layout import DONE, FIRST, LAST, LEAST_SHARE, NEXT, PAD, SAMPLE, STEP, Team
+from lmpchain.integrators.methods import METHODS
+from lmpchain.integrators.step_schedule import StepSchedule
+from lmpchain.integrators.stepper import NativeStepper
+
+mine, widen = team.mine.py_func, window.widen.py_func
+ahead, cut = right_hand_side.ahead.py_func, right_hand_side.cut.py_func
+passes, end_of_step = dense_output.passes.py_func, sample_loop.end_of_step.py_func
+
+
+def windowed(first: int, last: int, **fields: Any) -> Any:
+    state = np.zeros(STEP + 1)
+    state[FIRST], state[LAST] = first, last
+    return SimpleNamespace(state=state, **fields)
+
+
+@pytest.mark.parametrize("parts", [1, 2, 3, 5])
+@pytest.mark.parametrize("lines", [1, 511, 512, 1023, 1024, 1535, 1536, 2560, 4001])
+def test_a_window_is_shared_out_in_whole_lines_of_like_length(parts: int, lines: int):
+    """To as many threads as get their least share; the others have none of it."""
+    first = 3 * PAD
+    last = first + lines * PAD
+    shares = []
+    for part in range(parts):
+        chain = windowed(first, last, team=Team(part, parts, np.zeros(1, int), np.zeros((1, 1))))
+        shares.append(mine(chain))
+    busy = [share for share in shares if share[0] < share[1]]
+    assert len(busy) == max(1, min(parts, lines * PAD // LEAST_SHARE))
+    assert busy == shares[: len(busy)]
+    assert busy[0][0] == first
+    assert busy[-1][1] == last
+    assert [end for _, end in busy[:-1]] == [begin for begin, _ in busy[1:]]
+    sizes = [end - begin for begin, end in busy]
+    assert all(size % PAD == 0 for size in sizes)
+    assert max(sizes) - min(sizes) <= PAD
+    assert all(share == (last, last) for share in shares[len(busy) :])
+
+
+@pytest.mark.parametrize("field", ["x", "v"])
+@pytest.mark.parametrize("margin", [1, 4, 12])
+@pytest.mark.parametrize("place", range(100, 116))
+def test_a_window_grows_by_whole_lines_so_that_a_margin_is_at_rest(field: str, margin: int, place: int):
+    """What moves by less than 1e-19 of the strike is at rest; what is acted on is not."""
+    width = 240
+    for moving, acted in ((1.1e-19, False), (0.9e-19, False), (0.0, True)):
+        bodies = {"x": np.zeros(width), "v": np.zeros(width)}
+        bodies[field][place] = -2.0 * moving if field == "x" else 3.0 * moving
+        reach = (place, place) if acted else (width, 0)
+        chain = windowed(96, 120, acted=reach, scale=np.array([2.0, 3.0]), **bodies)
+        widen(chain, margin)
+        first, last = chain.state[[FIRST, LAST]].astype(int)
+        assert first % PAD == last % PAD == 0
+        if moving == 0.9e-19:
+            assert 104 - margin >= first or first == 96
+            assert (first, last) == (96, 120) or margin > 4
+            continue
+        assert first <= min(96, place - margin) < first + PAD or first == 96
+        assert last >= max(120, place + 1 + margin) > last - PAD or last == 120
+
+
+def test_a_window_ends_where_the_chain_does():
+    width = 64
+    x = np.ones(width)
+    chain = windowed(16, 40, x=x, v=0 * x, acted=(width, 0), scale=np.ones(2))
+    widen(chain, 50)
+    assert chain.state[[FIRST, LAST]].tolist() == [PAD, width - PAD]
+
+
+def acting(end: float = np.inf, knots: Any = ()) -> Any:
+    drive = np.array([1.0, 2.0, 0.0, end, len(knots), PAD])
+    return SimpleNamespace(imposed=True, drive=drive, knots=np.array(knots, dtype=float))
+
+
+def test_the_next_corner_is_the_end_of_a_burst_or_a_knot():
+    burst, spline = acting(3.0), acting(knots=(0.0, 1.0, 2.0, 4.0))
+    assert ahead(burst, 1.0, 5.0, 1e-9) == 2.0
+    assert ahead(burst, 3.0 - 2e-9, 5.0, 1e-9) == pytest.approx(2e-9, rel=1e-6)
+    for t, end in ((3.0, 5.0), (4.0, 5.0), (3.0 - 0.5e-9, 5.0), (1.0, 3.0), (1.0, 2.0), (1.0, 3.0 + 0.5e-9)):
+        assert ahead(burst, t, end, 1e-9) > 1e200
+    assert ahead(spline, 0.0, 9.0, 1e-9) == 1.0
+    assert ahead(spline, 1.0, 9.0, 1e-9) == 1.0
+    assert ahead(spline, 1.0 - 0.5e-9, 9.0, 1e-9) == pytest.approx(1.0, rel=1e-8)
+    assert ahead(spline, 2.5, 9.0, 1e-9) == 1.5
+    for t, end in ((2.5, 4.0), (4.0, 9.0), (0.2, 0.9), (5.0, 9.0)):
+        assert ahead(spline, t, end, 1e-9) > 1e200
+    still = acting(3.0)
+    still.imposed = False
+    assert ahead(still, 1.0, 5.0, 1e-9) > 1e200
+    assert cut(still, 2.5, 1.0) == 0
+
+
+def test_a_step_is_cut_where_a_burst_ends_within_it():
+    burst = acting(3.0)
+    assert cut(burst, 2.5, 1.0) == 0.5
+    assert cut(burst, 2.001, 1.0) == pytest.approx(0.999, rel=1e-12)
+    for t in (2.0, 3.0, 3.5, 1.0, 2.0 + 0.5e-9, 3.0 - 0.5e-9):
+        assert cut(burst, t, 1.0) == 0
+    assert cut(burst, 2.0 + 2e-9, 1.0) > 0
+    assert cut(burst, 3.0 - 2e-9, 1.0) > 0
+    assert cut(acting(3.0, (0.0, 5.0)), 2.5, 1.0) == 0
+
+
+@pytest.mark.parametrize("every", [1, 2, 4])
+@pytest.mark.parametrize("sample", [0, 5, 8])
+def test_a_step_passes_the_samples_that_are_interpolated(every: int, sample: int):
+    """Those whose number is a multiple, after its begin and up to its end, but not where a step lands."""
+    chain = windowed(PAD, 2 * PAD)
+    chain.state[SAMPLE] = sample
+    clock, span = SimpleNamespace(dense=every, interval=0.5), SimpleNamespace(length=4.0)
+    for begin in np.arange(0, 4, 0.25):
+        for end in np.arange(begin + 0.25, 4.01, 0.25):
+            numbers = [n for n in range(1, 8) if begin < n * 0.5 <= end and (sample + n) % every == 0]
+            assert passes(chain, clock, span, begin, end) == (numbers[0] if numbers else 0)
+
+
+def test_steps_are_equal_parts_of_the_time_that_is_left():
+    chain, span = windowed(PAD, 2 * PAD), SimpleNamespace(length=3.0)
+    chain.state[DONE] = 1.0
+    assert end_of_step(chain, span, 2.0, 0.7) == pytest.approx(1 + 2 / 3, rel=1e-15)
+    assert end_of_step(chain, span, 2.0, 1.0) == 2.0
+    assert end_of_step(chain, span, 2.0, 1.0 - 1e-12) == 2.0
+    assert end_of_step(chain, span, 2.0, 5.0) == 3.0
+    assert end_of_step(chain, span, 0.5, 5.0) == 1.5
+
+
+@pytest.mark.parametrize("reach", [0.1, 0.3, 2.0])
+@pytest.mark.parametrize("name", ["verlet", "dop853", "gear4"])
+def test_the_largest_motion_is_looked_for_a_radian_apart_at_first_and_then_more_rarely(name: str, reach: float):
+    """Or a step, if that is longer; at a 32nd of the steps made, which costs next to nothing."""
+    chain = Chain(grains=5, diameter=1e-3)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-9), duration=1e-5, samples=2)
+    step = reach / scene.highest_frequency * (0.2 if name != "dop853" else 1.0)
+    steps = 500
+    scene = scene.replace(duration=steps * step)
+    run = NativeStepper(ChainBatch([scene]), METHODS[name], StepSchedule(steps, 1, step, False), {})
+    fields = np.zeros((2, 1, 2, 5))
+    due, each = 0, max(1, int(1 / (step * scene.highest_frequency)))
+    bursts = 64 if name == "verlet" else 1  # steps that are made at a time
+    for made in range(1, steps + 1):
+        if made >= due:
+            due = made + each + made // 32
+        if made % bursts == 0 or made == steps:
+            run.fill(*fields, 0, 1, made - int(run.steps[0]))
+            assert run.watched[0, NEXT] == due
