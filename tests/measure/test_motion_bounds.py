@@ -185,3 +185,20 @@ def test_no_force_where_nothing_stands_or_nothing_was_recorded():
     with pytest.raises(InputError, match="grains: the grains of contact 4 must be recorded"):
         between.largest_wall_force()
     assert between.closest(2)[0] >= 0
+
+
+@pytest.mark.parametrize("equation", [0, 1])
+def test_the_closest_approach_of_two_grains_is_no_further_off_than_it_says(equation: int):
+    """Of every contact of a chain that opens, from few samples against many; each grain's acceleration counts."""
+    chain = Chain(grains=6, diameter=1e-3)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=6e-5, samples=1441)
+    t = simulate(scene, engines.Native(step=1e-8))
+    dense = Motion(scene, 1, t.grains, t.displacement, t.velocity, 0.0)
+    true = np.array([dense.closest(contact) for contact in range(1, 6)])
+    for every in (10, 9, 6, 5):
+        samples = 1440 // every + 1
+        u, v = t.displacement[::every], t.velocity[::every]
+        few = Motion(scene.replace(samples=samples), equation, t.grains, u, v, 0.0)
+        value, error = np.array([few.closest(contact) for contact in range(1, 6)]).T
+        assert (np.abs(value - true[:, 0]) <= error + true[:, 1]).all()
+        assert (error < (3e-2 if equation == 0 else 1e-3) * value).all()

@@ -1,0 +1,373 @@
+"""Fits of laws and parameters, number by number, against a least-squares fit written another way."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import optimize, stats
+
+from lmpchain import Chain, Displacement, Impulse, InputError, Profile, Scene, Trajectory, simulate
+from lmpchain.measure.fit.column import fit_continuum, fit_exponents
+from lmpchain.measure.fit.column_front import bottom, front_before_echo, struck_at_the_top
+from lmpchain.measure.fit.inverse import Trace, fit_parameter
+from lmpchain.measure.fit.overview import Row, Summary, summary
+from lmpchain.measure.front import Front, asymptotic, exponent, track
+
+Array = NDArray[np.float64]
+
+
+def least_squares(h: Array, y: Array, orders: list[float], power: float | None = None) -> tuple[Array, Array]:
+    """Fit y = f h^p (1 + sum of c h^-order) in logarithms; return p, ln f, c ... and their standard errors."""
+
+    def off(x: Array) -> Array:
+        p, scale, *terms = x if power is None else np.append(power, x)
+        bent = 1 + sum(c * h**-order for c, order in zip(terms, orders, strict=True))
+        return np.log(y) - scale - p * np.log(h) - np.log(np.abs(bent))
+
+    begin = np.append(np.polyfit(np.log(h), np.log(y), 1), np.zeros(len(orders)))
+    begin = begin if power is None else begin[1:]
+    solution = optimize.least_squares(off, begin, jac="3-point", xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale="jac")
+    freedom = h.size - begin.size
+    covariance = 2 * solution.cost / freedom * np.linalg.inv(solution.jac.T @ solution.jac)
+    return solution.x, np.sqrt(np.diag(covariance))
+
+
+def noisy_front(seed: int = 5, noise: float = 1e-3) -> Front:
+    grain = np.arange(10, 120)
+    h = grain - 0.5
+    amplitude = 1e-9 * h**-0.3 * (1 - 0.4 * h ** (-1 / 3) + 0.1 * h ** (-2 / 3))
+    amplitude *= 1 + noise * np.random.default_rng(seed).normal(size=h.size)
+    zero = np.zeros(h.size)
+    return Front("velocity", grain, h * 1e-3, h**0.8, -amplitude, h**2, zero, zero, zero)
+
+
+@pytest.mark.parametrize("power", [None, -0.28])
+@pytest.mark.parametrize("delta", [1.0, 1.5, 2.0])
+def test_an_asymptotic_law_and_its_errors(delta: float, power: float | None):
+    """Half the 95 % interval, and the shift when a term of twice the order is fitted too."""
+    front, order = noisy_front(), 1 / delta - 1 / 3
+    law, h = asymptotic(front, "amplitude", delta, power), front.grain - 0.5
+    fitted, error = least_squares(h, -front.amplitude, [order], power)
+    further, _ = least_squares(h, -front.amplitude, [order, 2 * order], power)
+    interval = stats.t.ppf(0.975, h.size - fitted.size) * error + np.abs(further[:-1] - fitted)
+    if power is not None:
+        fitted, interval = np.append(power, fitted), np.append(0.0, interval)
+    factor = np.exp(fitted[1])
+    assert law.order == pytest.approx(order, rel=1e-14)
+    assert (law.exponent, law.factor, law.correction) == pytest.approx((fitted[0], factor, fitted[2]), rel=1e-4)
+    assert law.error == pytest.approx(interval * [1, factor, 1], rel=2e-2)
+    assert law.residual == pytest.approx(law.values / (law.factor * h**law.exponent * (1 + law.correction / h**order))
+                                         - 1, abs=1e-12)  # fmt: skip
+
+
+def test_six_grains_are_enough_for_a_law_and_five_are_not():
+    front = noisy_front(noise=0.0)
+    assert asymptotic(front.between(10, 15), "amplitude", 1.5, -0.3).depth.size == 6
+    with pytest.raises(InputError, match=r"front: a fit needs it at 6 or more grains \(got 5\)"):
+        asymptotic(front.between(10, 14), "amplitude", 1.5, -0.3)
+    for delta in (0.99, 2.01):
+        with pytest.raises(InputError, match="for 1 <= delta <= 2 only"):
+            asymptotic(front, "amplitude", delta)
+    for window in (2, 111):
+        with pytest.raises(InputError, match=rf"window: must be 3 to 110.*\(got {window}\)"):
+            exponent(front, window=window)
+
+
+@pytest.mark.parametrize("window", [3, 11, 110])
+def test_local_exponents_and_their_intervals(window: int):
+    front = noisy_front()
+    seen, x, y = exponent(front, window=window), np.log(front.grain - 0.5), np.log(-front.amplitude)
+    assert seen.exponent.size == 110 - window + 1
+    for k in (0, seen.exponent.size // 2, seen.exponent.size - 1):
+        a, b = x[k : k + window], y[k : k + window]
+        slope, start = np.polyfit(a, b, 1)
+        left = b - start - slope * a
+        error = np.sqrt(left @ left / (window - 2) / ((a - a.mean()) ** 2).sum())
+        assert seen.exponent[k] == pytest.approx(slope, rel=1e-9)
+        assert seen.error[k] == pytest.approx(stats.t.ppf(0.975, window - 2) * error, rel=1e-6)
+        assert seen.residual[k] == pytest.approx(np.sqrt(np.mean(left**2)), rel=1e-6)
+        assert seen.depth[k] == pytest.approx(np.exp(a.mean()), rel=1e-12)
+    assert exponent(front).exponent.size == 100, "eleven grains by default"
+
+
+def test_local_intervals_hold_the_truth_in_95_of_100_draws():
+    inside = []
+    for seed in range(100):
+        h = np.arange(10, 40) - 0.5
+        values = h**-0.3 * np.exp(1e-2 * np.random.default_rng(seed).normal(size=h.size))
+        zero = np.zeros(h.size)
+        front = Front("velocity", np.arange(10, 40), h, h, values, h, zero, zero, zero)
+        local = exponent(front, window=None)
+        inside.append(abs(local.exponent[0] + 0.3) / local.error[0])
+    assert np.mean(np.array(inside) < 1) == pytest.approx(0.95, abs=0.06)
+    assert np.mean(np.array(inside) < 0.5) == pytest.approx(0.683, abs=0.13)
+
+
+# --- a column struck at its top
+
+
+def column(grains: int = 120, units: float = 90.0, samples: int = 361, **more: Any) -> Trajectory:
+    chain = Chain(grains=grains, diameter=1e-3)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=-1e-9), duration=units * chain.time_scale,
+                  samples=samples, **more)  # fmt: skip
+    return simulate(scene, "chebyshev", 1e-8)
+
+
+@pytest.fixture(scope="module")
+def struck() -> Trajectory:
+    return column()
+
+
+def chi(h: Any, delta: float = 1.5) -> Any:
+    eta = 1 + 1 / delta
+    return 2 / eta * np.asarray(h) ** (eta / 2)
+
+
+@pytest.mark.parametrize("inside", [0.5, 0.3])
+def test_the_amplitude_of_eq_35(struck: Trajectory, inside: float):
+    """Made up with C = 1.3 and scatter: which samples are fitted, the regression, its interval and its residual."""
+    unit, chain = struck.scene.chain.time_scale, struck.scene.chain
+    tau, travel = struck.time[:, None] / unit, chi(struck.grains - 0.5)
+    cone = np.maximum(tau**2 - travel**2, 1e-9)
+    scatter = 1 + 1e-3 * np.random.default_rng(3).normal(size=cone.shape)
+    made = replace(struck, displacement=-1e-9 * unit * 1.3 * cone**-0.1 * scatter)
+    fit = fit_continuum(made, inside=inside)
+    width = np.cbrt((chain.grains - 0.5) ** 0.5 / 4)
+    known = tau <= 2 * chi(chain.grains - 0.5) - travel - 10 * width
+    behind = known & (travel <= inside * tau)
+    since = min(50.0, tau[behind.any(1)].max() / 2)
+    behind &= tau >= since
+    rows, columns = np.nonzero(behind)
+    assert fit.grain.tolist() == struck.grains[columns].tolist()
+    values = made.displacement[rows, columns] / (-1e-9 * unit)
+    shape = cone[rows, columns] ** -0.1
+    assert fit.values == pytest.approx(values, rel=1e-12)
+    assert fit.cone == pytest.approx(cone[rows, columns], rel=1e-11)
+    slope = shape @ values / (shape @ shape)
+    left = values - slope * shape
+    error = np.sqrt(left @ left / (values.size - 1) / (shape @ shape))
+    late = tau[rows, 0] >= (since + tau[rows].max()) / 2
+    later = shape[late] @ values[late] / (shape[late] @ shape[late])
+    interval = stats.t.ppf(0.975, values.size - 1) * error + 3 * abs(later - slope)
+    assert fit.amplitude == pytest.approx(slope, rel=1e-11)
+    assert fit.error == pytest.approx(interval, rel=1e-6)
+    assert fit.model == pytest.approx(slope * shape, rel=1e-10)
+    assert fit.residual == pytest.approx(np.sqrt((left @ left) / (values @ values)), rel=1e-9)
+    assert fit.power == pytest.approx(0.1, rel=1e-12)
+    assert abs(fit.amplitude - 1.3) < fit.error
+
+
+def test_the_law_of_the_front_and_its_errors(struck: Trajectory):
+    law = fit_continuum(struck).front
+    assert law is not None
+    front = front_before_echo(struck, "velocity", 10)
+    unit = struck.scene.chain.time_scale
+    assert front.grain[[0, -1]].tolist() == [10, int(120 - 3 - 2.5 * 120 ** (1 / 3))]
+    assert law.depth.tolist() == (front.grain - 0.5).tolist()
+    assert law.time == pytest.approx(front.time / unit, rel=1e-13)
+    less = law.time - law.shift
+    fitted, error = least_squares(law.depth, less, [1.0])
+    further, _ = least_squares(law.depth, less, [1.0, 4 / 3])
+    interval = stats.t.ppf(0.975, less.size - 3) * error + 2 * np.abs(further[:3] - fitted)
+    factor = np.exp(fitted[1])
+    assert law.order == pytest.approx(1.0, rel=1e-14)
+    assert (law.exponent, law.factor) == pytest.approx((fitted[0], factor), rel=1e-6)
+    assert law.correction == pytest.approx(fitted[2], rel=1e-3, abs=1e-4)
+    assert law.error == pytest.approx(interval * [1, factor, 1], rel=2e-2)
+    assert law.expected == pytest.approx([5 / 6, 6 / 5], rel=1e-14)
+
+
+def test_which_laws_are_fitted_to_which_front(struck: Trajectory):
+    seen = fit_exponents(struck, 15, 70)
+    velocity, displacement = (track(struck, field).between(15, 70) for field in ("velocity", "displacement"))
+    fronts = {"velocity": (velocity, "amplitude"), "displacement": (displacement, "amplitude"),
+              "time": (velocity, "time"), "speed": (velocity, "speed"), "width": (velocity, "width")}  # fmt: skip
+    assert list(seen.laws) == list(fronts)
+    for name, (front, quantity) in fronts.items():
+        same = asymptotic(front, quantity, 1.5)  # type: ignore[arg-type]
+        assert (seen.laws[name].exponent, seen.laws[name].factor) == (same.exponent, same.factor)
+    with pytest.raises(InputError, match="at 6 or more grains from grain 60 on; this run shows 5: record longer"):
+        fit_exponents(struck, 60, 64)
+    assert set(fit_exponents(struck, 60, 65).laws) >= {"time"}
+
+
+@pytest.mark.parametrize("delta", [1.2, 1.5, 2.0])
+def test_when_the_front_comes_to_the_bottom(delta: float):
+    power = 1.5 / delta - 0.5
+    width = (79.5**power / (8 * power)) ** (1 / 3)
+    assert bottom(80, delta) == pytest.approx((float(chi(79.5, delta)), width), rel=1e-12)
+
+
+def test_which_scenes_are_columns_struck_at_their_top():
+    strike = Impulse(velocity=-2e-9)
+
+    def keys(excitation: Any = strike, **more: Any) -> list[str]:
+        chain = Chain(**{"grains": 8, "diameter": 1e-3} | more)
+        scene = Scene(chain=chain, excitation=excitation, duration=1e-6, samples=2)
+        trajectory: Any = SimpleNamespace(scene=scene)
+        try:
+            assert struck_at_the_top(trajectory) == -2e-9
+        except InputError as error:
+            return [key for key, _ in error.faults]
+        return []
+
+    assert keys() == []
+    assert keys(masses=1e-6 * (1 + 0.9e-9 * (np.arange(8) == 3))) == []
+    assert keys(masses=1e-6 * (1 + 1.2e-9 * (np.arange(8) == 3))) == ["material"]
+    assert keys(contact_constants=1e9 * (1 + 1.2e-9 * (np.arange(7) == 3))) == ["material"]
+    assert keys(top_load=1e-3) == ["gravity"]
+    assert keys(gravity=0.0, top_load=1e-3) == ["gravity"]
+    assert keys(top="wall", exponent=3.0) == ["top", "exponent"]
+    assert keys(exponent=2.99) == []
+    assert keys(grains=1, bottom="wall") == ["grains"]
+    assert keys(Impulse(velocity=-2e-9, grain=2)) == ["excitation"]
+    assert keys(Impulse(velocity=0.0)) == ["excitation"]
+    assert keys(Displacement(displacement=1e-12), top_load=1.0) == ["gravity", "excitation"]
+
+
+# --- parameters of a scene
+
+
+def guessed(velocity: float) -> Scene:
+    chain = Chain(grains=8, diameter=1e-3)
+    return Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=1e-5, samples=3)
+
+
+def waving(asked: list[Scene]) -> Any:
+    """Return a solver whose velocities are those of the strike times sin(2e5 t + n); scenes that it is asked for."""
+
+    def solve(scene: Scene) -> Any:
+        asked.append(scene)
+        grains = np.arange(1, 9)[np.asarray(scene.grains) - 1]
+        velocity = scene.excitation.velocity * np.sin(2e5 * scene.time[:, None] + grains)
+        return SimpleNamespace(scene=scene, time=scene.time, grains=grains, velocity=velocity, displacement=velocity)
+
+    return solve
+
+
+@pytest.mark.parametrize("even", [True, False])
+def test_a_parameter_on_which_all_depends_linearly(even: bool):
+    """The value is sum(x y) / sum(x^2), off by sqrt(s^2 / sum(x^2)) with s^2 from n - 1 residuals."""
+    time = np.linspace(0, 4e-5, 30) if even else 4e-5 * np.linspace(0.1, 1, 30) ** 1.5
+    shape = np.sin(2e5 * time[:, None] + np.array([3, 5]))
+    values = 2e-3 * (shape + 0.1 * np.random.default_rng(1).normal(size=shape.shape))
+    asked: list[Scene] = []
+    fit = fit_parameter(Trace(time, [3, 5], values), guessed(1.5e-3), "velocity", waving(asked))
+    slope = (shape * values).sum() / (shape**2).sum()
+    left = values - slope * shape
+    assert fit.value == pytest.approx(slope, rel=1e-7)
+    assert fit.error == pytest.approx(np.sqrt((left**2).sum() / 59 / (shape**2).sum()), rel=1e-5)
+    assert fit.model == pytest.approx(slope * shape, abs=1e-7 * 2e-3)
+    assert fit.residual == pytest.approx(np.sqrt((left**2).sum() / (values**2).sum()), rel=1e-6)
+    assert fit.scene.excitation.velocity == fit.value
+    tried = [scene.excitation.velocity for scene in asked[:9]]
+    assert tried == pytest.approx(1.5e-3 * np.geomspace(0.5, 2, 9), rel=1e-12)
+    assert fit.runs == len(asked) < 40
+    first = asked[0]
+    assert list(first.grains) == [2, 3, 4, 5, 6], "the neighbours too, for forces"
+    assert first.duration == pytest.approx(4e-5, rel=1e-14)
+    apart = min(0.1 / first.chain.band_edge, 4e-5 / 200)
+    assert first.samples == (30 if even else int(np.ceil(4e-5 / apart)) + 1)
+
+
+def test_how_far_a_fit_looks_for_its_parameter():
+    """Up to 2 span from the best of nine values, no farther; a span of 1 begins with the value of the scene."""
+    time = np.linspace(0, 4e-5, 30)
+    shape = np.sin(2e5 * time + 3)
+    asked: list[Scene] = []
+    fit = fit_parameter(Trace(time, 3, 1.9e-3 * shape), guessed(1e-3), "velocity", waving(asked), 1.0)
+    assert fit.value == pytest.approx(1.9e-3, rel=1e-9)
+    assert asked[0].excitation.velocity == pytest.approx(1e-3, rel=1e-15)
+    with pytest.raises(InputError, match=r"velocity: no value between 0.0005 and 0.002 fits"):
+        fit_parameter(Trace(time, 3, 2.3e-3 * shape), guessed(1e-3), "velocity", waving([]), 1.0)
+    fit = fit_parameter(Trace(time, 3, 11e-3 * shape), guessed(1e-3), "velocity", waving([]), 3.0)
+    assert fit.value == pytest.approx(11e-3, rel=1e-9)
+    with pytest.raises(InputError, match=r"velocity: no value between 0.0005 and 0.018 fits"):
+        fit_parameter(Trace(time, 3, 19e-3 * shape), guessed(1e-3), "velocity", waving([]), 3.0)
+    for span in (0.99, np.inf):
+        with pytest.raises(InputError, match="span: must be 1 or more"):
+            fit_parameter(Trace(time, 3, shape), guessed(1e-3), "velocity", waving([]), span)
+    for grain in (0, 8):
+        with pytest.raises(InputError, match=f"grain: the trace is of grain {grain}, but 1 to 7 move"):
+            fit_parameter(Trace(time, grain, shape), guessed(1e-3), "velocity", waving([]))
+
+
+def test_trials_that_cannot_be_answered():
+    """Values at which there is no such scene are passed over; if there is none at all, that is said."""
+    time = np.linspace(0, 4e-5, 30)
+    shape = np.sin(2e5 * time + 3)
+
+    def limited(most: float) -> Any:
+        solve = waving([])
+
+        def answer(scene: Scene) -> Any:
+            if scene.excitation.velocity > most:
+                raise InputError([("velocity", "crushes the grains")])
+            return solve(scene)
+
+        return answer
+
+    fit = fit_parameter(Trace(time, 3, 0.9e-3 * shape), guessed(1e-3), "velocity", limited(1.3e-3))
+    assert fit.value == pytest.approx(0.9e-3, rel=1e-9)
+    with pytest.raises(InputError, match="velocity: crushes the grains"):
+        fit_parameter(Trace(time, 3, shape), guessed(1e-3), "velocity", limited(0.0))
+
+
+# --- the summary
+
+
+def test_the_table_of_a_summary():
+    """Values to the digits that their errors leave; the name of a fit once."""
+    rows = (
+        Row("one", "a", 1.23456789, 0.00234, 1.25, "m/s"),
+        Row("one", "b", -123456.789, np.nan, np.nan),
+        Row("two", "c", 0.0, 0.1, 0.0),
+        Row("two", "d", 1.0000004, 1e-20, 1.0),
+        Row("two", "e", 5.4321, 60.0, np.nan),
+    )
+    text = Summary(0.31, rows, (("three", "why: not"),)).table().splitlines()
+    assert [line.split() for line in text[:6]] == [
+        ["fit", "quantity", "value", "error", "expected", "unit"],
+        ["one", "a", "1.2346", "0.002", "1.25", "m/s"],
+        ["b", "-123457"],
+        ["two", "c", "0", "0.1", "0"],
+        ["d", "1.0000004", "1e-20", "1"],
+        ["e", "5.4", "6e+01"],
+    ]
+    assert text[6] == "left out: three (why: not)"
+    assert text[7] == "strike number 0.31, so linear theory is not expected to hold"
+    assert Summary(0.3, (), ()).table() == "strike number 0.3"
+
+
+def test_the_rows_of_a_summary():
+    chain = Chain(grains=20, diameter=1e-3, gravity=0.0, top_load=0.1)
+    scene = Scene(chain=chain, excitation=Displacement(displacement=1e-14, grain=9), duration=12 * chain.time_scale)
+    t = simulate(scene, "chebyshev", 1e-7)
+    seen = summary(t)
+    rows = {(row.fit, row.quantity): row for row in seen.rows}
+    whole = rows["modes", "energy of all modes"]
+    assert (whole.value, whole.expected, whole.unit) == (
+        pytest.approx(scene.energy, rel=1e-6), scene.energy, "J"
+    )  # fmt: skip
+    diagonal, coupling = chain.dynamical_matrix()
+    squares, vectors = np.linalg.eigh(np.diag(diagonal) + np.diag(coupling, 1) + np.diag(coupling, -1))
+    energies = squares * vectors[8] ** 2
+    most = int(energies.argmax())
+    strongest = rows["modes", f"share of mode {most + 1}, the strongest"]
+    assert strongest.value == pytest.approx(energies[most] / energies.sum(), rel=1e-6)
+    assert rows["modes", "its frequency"].value == pytest.approx(np.sqrt(squares[most]) / (2 * np.pi), rel=1e-9)
+    assert rows["modes", "its frequency"].unit == "Hz"
+    assert rows["modes", "residual of the linear motion"].expected == 0
+    amplitude, speed = rows["bessel", "amplitude"], rows["bessel", "wave speed"]
+    assert (amplitude.unit, speed.unit, rows["bessel", "delay"].unit) == ("m", "grains/s", "s")
+    assert amplitude.value == pytest.approx(1e-14, rel=1e-5)
+    assert speed.value == pytest.approx(1 / chain.time_scale, rel=1e-5)
+    assert seen.strike_number == float(scene.strike_number)
+    still = scene.replace(excitation=Profile(velocity=np.zeros(20)))
+    reasons = dict(summary(simulate(still, "chebyshev", 1e-7)).left_out)
+    assert reasons["modes"] == "excitation: nothing moves"
