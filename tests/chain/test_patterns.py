@@ -139,3 +139,30 @@ def test_faults_of_the_chain_and_of_what_the_pattern_decides():
     assert faults(tapered, 5, 1e-3, 0.1, gravity=-1.0, colour="red") == ["colour", "gravity"]
     assert faults(periodic, 5, 1e-3, material="steel", diameter=1e-3) == ["diameter", "material"]
     assert faults(decorated, 100, 1e-3, 0.01, material="ptfe", gravity=1e7) == ["diameter"]  # squashed at rest
+
+
+def test_faults_of_patterns_say_their_numbers():
+    for make, fault in (
+        (lambda: periodic(5, 1e-3, material="steel"), ("material", "follows from the pattern: leave it out")),
+        (lambda: tapered(1000, 1e-3, 0.9), ("taper", "grain 1000 would be 0 m wide: nearer to 0, or fewer grains")),
+        (lambda: tapered(200, 1e-3, -9.0), ("taper", "grain 200 would be 1e+196 m wide: nearer to 0, or fewer grains")),
+        (
+            lambda: periodic(5, [1e-3, 2e-3, 3e-3], ["steel", "ptfe"]),
+            ("materials", "must be one or 3 (one a kind), not 2"),
+        ),
+        (
+            lambda: periodic(5, 1e-3, "steel", 0),
+            ("counts", "must be a whole number above 0, or a list of them (got 0)"),
+        ),
+    ):
+        with pytest.raises(InputError) as caught:
+            make()
+        assert caught.value.faults == [fault]
+    with pytest.raises(InputError):
+        tapered(1, 1e-3, 0.1)
+    assert tapered(2, 1e-3, 0.999).diameters == pytest.approx([1e-3, 1e-6], rel=1e-9)
+    assert decorated(4, 1e-3, 1.0, taper=-1.0).diameters == pytest.approx([1e-3, 1e-3, 2e-3, 2e-3], rel=1e-12)
+    many = periodic(5, 1e-3, ["steel", "ptfe"], counts=10**9)
+    assert [material.name for material in many.material] == ["steel"] * 5
+    each = periodic(6, [1e-3, 2e-3], counts=[1, 2]).diameters
+    assert each == pytest.approx([1e-3, 2e-3, 2e-3, 1e-3, 2e-3, 2e-3], rel=1e-15)

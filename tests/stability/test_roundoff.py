@@ -173,15 +173,19 @@ def test_a_gentle_wave_does_not_amplify():
     assert predictability_time(scene, 1e-9) == math.inf
 
 
-@pytest.mark.parametrize(
-    ("grains", "strike", "gravity"), [(8, 100.0, 9.81), (10, 30.0, 98.1), (10, 300.0, 0.981), (20, 100.0, 9.81)]
-)
-def test_decades_a_reflection(grains, strike, gravity):
-    """The rate depends on the length of the column alone: measured between 1e-11 and 1e-4."""
-    scene = agitated(grains, strike, 15 / (1 - math.exp(-grains / 20)), gravity=gravity)
-    times, apart = growth(scene, accuracy=1e-9)
-    begin, end = (crossing(times, apart, value) for value in (1e-11, 1e-4))
-    assert 7 / (end - begin) == pytest.approx(growth_rate(scene), rel=0.5, abs=0)
+def test_decades_a_reflection():
+    """The rate depends on the length of the column alone: measured between 1e-11 and 1e-4.
+
+    Each is within the factor of 1.5 that is claimed, and their mean within 10 %.
+    """
+    ratios = []
+    for grains, strike, gravity in ((8, 100, 9.81), (10, 30, 98.1), (10, 300, 0.981), (20, 100, 9.81)):
+        scene = agitated(grains, strike, 15 / (1 - math.exp(-grains / 20)), gravity=gravity)
+        times, apart = growth(scene, accuracy=1e-9)
+        begin, end = (crossing(times, apart, value) for value in (1e-11, 1e-4))
+        ratios.append(7 / (end - begin) / growth_rate(scene))
+    assert 1 / 1.5 < min(ratios) < max(ratios) < 1.5
+    assert np.exp(np.mean(np.log(ratios))) == pytest.approx(1, abs=0.1)
 
 
 def test_the_predicted_predictability_time():
