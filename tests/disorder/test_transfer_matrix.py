@@ -99,6 +99,30 @@ def test_a_node_on_a_grain():
     assert lyapunov(1.0, grains=100, chains=2).error == pytest.approx(0, abs=1e-15)
 
 
+def test_progress_in_grains(monkeypatch):
+    monkeypatch.setattr(transfer_matrix, "PIECE", 60)
+    bars = []
+
+    class Bar:
+        def __init__(self, *arguments, shown):
+            bars.append((arguments, shown, []))
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            return False
+
+        def reach(self, done):
+            bars[-1][2].append(done)
+
+    monkeypatch.setattr(transfer_matrix, "ProgressBar", Bar)
+    lyapunov(0.5, grains=100, chains=2, progress=True)
+    density_of_states(0.5, grains=100, chains=2)
+    total = (200, "transfer matrices", " grains")
+    assert bars == [(total, True, [60, 100, 160, 200]), (total, False, [60, 100, 160, 200])]
+
+
 def test_defaults():
     """Sixteen chains of a hundred thousand equal grains, here of 1 kg and 1 N/m."""
     counted = []

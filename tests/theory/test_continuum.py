@@ -364,6 +364,39 @@ def test_impulse_of_a_grain_is_the_mean_over_its_place(delta):
     assert phi.sum() == pytest.approx(tau, rel=1e-13) if front < 11 else phi.sum() < tau
 
 
+def test_defaults_of_the_solver():
+    """Three cells a grain, Hertz: the same field as by name."""
+    field = continuum.solve([0.0, 3.0], 8, velocity=lambda h: h < 1)
+    named = continuum.solve([0.0, 3.0], 8, velocity=lambda h: h < 1, delta=1.5, cells=3)
+    assert field.displacement.tolist() == named.displacement.tolist()
+    for other in ({"cells": 5}, {"delta": 1.6}):
+        changed = continuum.solve([0.0, 3.0], 8, velocity=lambda h: h < 1, **other)
+        assert changed.displacement.tolist() != named.displacement.tolist()
+
+
+def test_steps_of_the_solver(monkeypatch):
+    """Velocity Verlet at 0.9 of the stable step 2 / w_max: so many evaluations from a sample to the next."""
+    times = []
+
+    def drive(now):
+        times.append(now)
+        return 0.0, 0.0
+
+    continuum.solve([0.0, 2.0, 7.0], 10, drive=drive, delta=1.0, cells=1)
+    steps = [int(np.ceil(time / (0.9 * 1.0))) for time in (2.0, 5.0)]  # w_max = 2 of unit springs
+    expected = [0.0, 0.0]
+    for begin, end, count in ((0.0, 2.0, steps[0]), (2.0, 7.0, steps[1])):
+        expected += [begin + (end - begin) * (i + 1) / count for i in range(count)] + [end]
+    assert times == pytest.approx(expected, rel=1e-14)
+
+
+def test_depth_and_travel_time_written_out():
+    assert continuum.chi(10.0) == pytest.approx(1.2 * 10 ** (5 / 6), rel=1e-14)
+    assert continuum.depth(10.0) == pytest.approx((50 / 6) ** 1.2, rel=1e-14)
+    assert continuum.chi(10.0, 3.0) == pytest.approx(1.5 * 10 ** (2 / 3), rel=1e-14)
+    assert (float(continuum.chi(0.0)), float(continuum.depth(0.0))) == (0.0, 0.0)
+
+
 def test_impulse_of_a_grain_begins_at_the_top():
     phi, speed = continuum.impulse_of_grain([1, 2], 0.0)
     assert phi.tolist() == [0.0, 0.0]
