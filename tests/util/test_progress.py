@@ -1,0 +1,267 @@
+"""Progress bars, values in few letters, and the announcements and clock of compilation."""
+
+import base64
+import importlib.util
+import struct
+import sys
+import threading
+import time
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from numba.core.bytecode import FunctionIdentity
+from numba.core.event import end_event, start_event
+
+from lmpchain.util import compilation, notebook
+from lmpchain.util.notebook import Shown, brief, described
+from lmpchain.util.progress import COUNT, RATE, ProgressBar
+
+
+class Tqdm:
+    """What the bar of tqdm is asked."""
+
+    def __init__(self, **options: Any):
+        self.options = options
+        self.n = options["initial"]
+        self.total = options["total"]
+        self.calls: list[Any] = []
+
+    def update(self, amount: float) -> None:
+        self.n += amount
+        self.calls.append(amount)
+
+    def refresh(self) -> None:
+        self.calls.append(("shown", self.n))
+
+    def close(self) -> None:
+        self.calls.append("closed")
+
+    def set_description(self, text: str) -> None:
+        self.calls.append(text)
+
+    def set_postfix_str(self, text: str, refresh: bool) -> None:
+        self.calls.append((text, refresh))
+
+
+def test_a_bar_counts_what_is_done(monkeypatch: pytest.MonkeyPatch):
+    bars: list[Tqdm] = []
+    monkeypatch.setattr("tqdm.auto.tqdm", lambda **options: bars.append(Tqdm(**options)) or bars[-1])
+    with ProgressBar(7, "engines", " samples", done=2, layout=RATE) as bar:
+        bar.advance()
+        bar.advance(0.5)
+        bar.reach(6.0)
+        bar.describe("native")
+        bar.remark("slow")
+    (shown,) = bars
+    assert shown.options == {
+        "total": 7,
+        "desc": "engines",
+        "unit": " samples",
+        "initial": 2,
+        "leave": False,
+        "bar_format": RATE,
+    }
+    assert shown.calls == [1, 0.5, 2.5, "native", ("slow", False), ("shown", 7), "closed"]
+    with ProgressBar(3):
+        pass
+    assert bars[1].options == {"total": 3, "desc": "", "unit": "", "initial": 0, "leave": False, "bar_format": COUNT}
+    with ProgressBar(3, shown=False) as bar:
+        bar.advance()
+        bar.reach(2)
+        bar.describe("a")
+        bar.remark("b")
+    assert len(bars) == 2
+
+
+# --- values in few letters
+
+
+class Few(Shown):
+    """What is seen.
+
+    Attributes
+    ----------
+    size, width : float
+        In metres,
+        on two lines.
+    name : str
+        Of it.
+    """
+
+    def __init__(self, count: int):
+        self.size = 1 / 3
+        self.name = "n" * 88
+        self.longer = "n" * 89
+        self._hidden = 1
+        for number in range(count):
+            setattr(self, f"more{number}", number)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (1 / 3, "0.333333"),
+        (np.float32(0.5), "0.5"),
+        (np.arange(4), "[0 1 2 3]"),
+        (np.arange(5), "(5,) from 0 to 4"),
+        (np.array([1 / 3, 1.0]), "[0.33333 1.     ]"),
+        (np.array([[1.5, np.nan], [-2.0, np.inf]]), "(2, 2) from -2 to 1.5"),
+        (np.array([3 + 4j] * 5), "(5,) from 5 to 5"),
+        ([1, 2, 3, 4], "[1, 2, 3, 4]"),
+        ([1] * 5, "5 values"),
+        ({"a": 1}, "{'a': 1}"),
+        (dict.fromkeys(range(5)), "5 values"),
+        ((1 / 3, "a"), "(0.333333, 'a')"),
+        ((Few(0),), "1 values"),
+        ("x" * 58, repr("x" * 58)),
+        ("x" * 59, "'" + "x" * 55 + " ..."),
+    ],
+)
+def test_a_value_in_few_letters(value: Any, text: str):
+    assert brief(value) == text
+
+
+def test_a_value_shows_eight_of_its_fields_in_a_line():
+    text = repr(Few(20))
+    assert text.startswith("Few(size=0.333333, name='nnn")
+    assert text.count("=") == 8
+    assert "more4=4" in text
+    assert "_hidden" not in text
+
+
+def test_a_table_has_names_values_and_meanings():
+    rows = list(Few(1)._summary())
+    assert rows[0] == ("size", "0.333333", "In metres, on two lines.")
+    assert rows[1] == ("name", repr("n" * 88), "Of it.")
+    assert rows[2] == ("longer", "'" + "n" * 85 + " ...", "")
+    assert rows[3] == ("more0", "0", "")
+    assert described(Few.__doc__.replace("\n    ", "\n"))["width"] == "In metres, on two lines."
+    html = Few(0)._repr_html_()
+    assert html.startswith("<div><b>Few</b><table><tr><td style=")
+    assert html.endswith("</table></div>")
+    assert html.count("<td") == 9
+
+
+def test_a_small_picture_is_720_by_450_pixels():
+    class Drawn(Few):
+        def plot(self, ax: Any) -> None:
+            ax.plot([0, 1], [0, 1])
+
+    content = base64.b64decode(Drawn(0)._picture())
+    assert struct.unpack(">II", content[16:24]) == (720, 450)
+    assert '<img alt="Drawn"' in Drawn(0)._repr_html_()
+    assert Few(0)._picture() == ""
+    assert notebook.LINE < notebook.CELL
+
+
+# --- compilation
+
+
+def module(folder: Path, name: str, text: str) -> ModuleType:
+    (folder / f"{name}.py").write_text(text)
+    spec = importlib.util.spec_from_file_location(name, folder / f"{name}.py")
+    assert spec
+    assert spec.loader
+    made = importlib.util.module_from_spec(spec)
+    sys.modules[name] = made
+    spec.loader.exec_module(made)
+    return made
+
+
+TOY = """
+from lmpchain.util.compilation import compiled_once
+
+@compiled_once("the toys of {name}", 3, error_model="numpy")
+def half(x):
+    return x / 0.0
+
+@compiled_once("the toys of {name}", 3)
+def twice(x):
+    return 2 * x
+"""
+
+
+def test_a_compilation_is_announced_once_and_its_time_is_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    toy = module(tmp_path, "toy_announced", TOY.format(name="one"))
+    before = compilation.compiled_s()
+    assert toy.half(1.0) == np.inf, "options are those of numba"
+    assert compilation.compiled_s() > before
+    message = "compiling the toys of one, once for this machine: about 3 s\n"
+    assert capsys.readouterr().err == message
+    assert toy.twice(2.0) == 4.0
+    assert capsys.readouterr().err == ""
+    begun = time.perf_counter()
+    now = compilation.clock() + compilation.compiled_s()
+    assert begun <= now <= time.perf_counter()
+    assert list((tmp_path / "__pycache__").glob("toy_announced.half-*.nbc"))
+    del sys.modules["toy_announced"]
+
+
+def test_what_cannot_be_kept_is_compiled_in_every_process(capsys: pytest.CaptureFixture[str]):
+    names: dict[str, Any] = {}
+    exec(compile("def third(x):\n    return x / 3", "<no file>", "exec"), names)
+    third = compilation.compiled_once("what has no file", 2)(names["third"])
+    assert third(3.0) == 1.0
+    said = capsys.readouterr().err
+    assert said.startswith("compiling what has no file, in every process, for there is no folder to keep it in")
+    assert said.endswith(": about 2 s\n")
+
+
+def test_the_stopwatch_counts_nested_compilations_once(monkeypatch: pytest.MonkeyPatch):
+    now = SimpleNamespace(s=10.0)
+    monkeypatch.setattr(compilation, "time", SimpleNamespace(perf_counter=lambda: now.s))
+    before = compilation.compiled_s()
+
+    def at(second: float, change: Any) -> None:
+        now.s = second
+        change("numba:compiler_lock")
+
+    for second, change in ((11.0, start_event), (12.0, start_event), (14.0, end_event), (17.0, end_event)):
+        at(second, change)
+    assert compilation.compiled_s() - before == pytest.approx(6.0)
+    at(20.0, start_event)
+    at(20.5, end_event)
+    assert compilation.compiled_s() - before == pytest.approx(6.5)
+    assert compilation.clock() == pytest.approx(20.5 - compilation.compiled_s())
+    elsewhere: list[float] = []
+    thread = threading.Thread(target=lambda: elsewhere.append(compilation.compiled_s()))
+    thread.start()
+    thread.join()
+    assert elsewhere == [0.0]
+
+
+def test_what_is_kept_follows_from_a_module_and_those_it_imports_beside_it(tmp_path: Path):
+    texts = {
+        "toy": "from .beside import called\nfrom .none import nothing",
+        "beside": "from .deep import called",
+        "deep": "called = 1\nfrom .toy import x",
+        "other": "called = 1",
+    }
+
+    def stamp(folder: str, **changed: str) -> str:
+        (tmp_path / folder).mkdir()
+        for name, text in (texts | changed).items():
+            (tmp_path / folder / f"{name}.py").write_text(text)
+        return compilation._sources(tmp_path / folder / "toy.py")
+
+    first = stamp("a")
+    assert first == compilation._sources(tmp_path / "a" / "toy.py")
+    assert stamp("b", other="called = 2") == compilation._sources(tmp_path / "b" / "toy.py")
+    for name in ("toy", "beside", "deep"):
+        texts_of = {name: f"{texts[name]}\n# changed"}
+        assert len({stamp(f"{name} changed", **texts_of), first}) == 2
+    toy = module(tmp_path, "toy_stamped", TOY.format(name="two"))
+    stamps = toy.half._cache._cache_file._source_stamp
+    assert stamps[1] == compilation._sources(tmp_path / "toy_stamped.py")
+    del sys.modules["toy_stamped"]
+
+
+def test_compiled_functions_of_two_processes_have_different_names():
+    """numba alone counts them from 1 in each."""
+    numbers = [next(FunctionIdentity._unique_ids) for _ in range(4)]
+    assert len(set(numbers)) == 4
+    assert max(numbers) > 2**56
+    assert min(numbers) >= 0

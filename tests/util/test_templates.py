@@ -1,0 +1,196 @@
+"""Text of templates: what is filled in, what is refused and why; tables; names and modules."""
+
+import hashlib
+import os
+import platform
+import re
+import subprocess
+import sys
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lmpchain import InputError
+from lmpchain.util import provenance
+from lmpchain.util.lazy import attributes, listed
+from lmpchain.util.suggestions import did_you_mean, not_among
+from lmpchain.util.tables import aligned, finite, number
+from lmpchain.util.templates import render, render_text
+
+
+def fault(text: str, **values: Any) -> str:
+    with pytest.raises(InputError) as caught:
+        render_text(text, "template", **values)
+    ((key, message),) = caught.value.faults
+    assert key == "template"
+    return message
+
+
+def test_values_are_filled_in_with_every_digit():
+    third = np.float64(1 / 3)
+    assert render_text("{{ x|exact }} {{ n }}\n", "template", x=third, n=2) == f"{1 / 3!r} 2\n"
+    assert render_text("{{ version }}", "template") == version("lmpchain")
+    assert render_text("<{{ x }}>", "template", x="<&") == "<<&>"
+
+
+def test_tags_leave_no_lines_behind():
+    text = "a\n  {% for n in range(2) %}\n  {{ n }}\n  {% endfor %}\nb\n\n"
+    assert render_text(text, "template") == "a\n  0\n  1\nb\n\n"
+    macro = "{% macro twice(x) %}{{ 2 * x }}{% endmacro %}{{ twice(3) }}"
+    assert render_text(macro, "template") == "6"
+
+
+def test_a_template_names_what_there_is():
+    message = fault("{{ b }} {{ c }}", b=1, a=2)
+    assert message == "there is no placeholder 'c'; there are a, b, version"
+    with pytest.raises(InputError) as caught:
+        render_text("{{ z }} {{ c }}", "template")
+    assert [each for _, each in caught.value.faults] == [
+        f"there is no placeholder {name!r}; there are version" for name in "cz"
+    ]
+    assert fault("a\n{% if %}").startswith("line 2 is not in the form of Jinja2: ")
+    message = fault('{% include "nowhere" %}')
+    assert message.startswith("can include no 'nowhere'; there are ")
+    assert "in.column" in message
+    assert fault("{{ 1 / 0 }}") == "cannot be filled in: division by zero"
+
+
+class Secret:
+    word = "swordfish"
+
+
+def test_a_template_reads_its_values_and_nothing_else():
+    closed = "asks for something that is closed to it"
+    named = SimpleNamespace(word="open")
+    assert render_text("{{ value.word }}", "template", value=named) == "open"
+    assert render_text("{{ value.word }}", "template", value=Secret()) == "swordfish"
+    with pytest.raises(InputError, match="template: "):
+        render_text("{{ value.word }}", "template", (Secret,), value=Secret())
+    for text in ("{{ value.__class__.__name__ }}", "{{ value.word.upper() }}", "{{ value() }}"):
+        message = fault(text, value=Secret())
+        assert message.startswith((closed, "cannot be filled in"))
+    assert fault("{{ value() }}", value=print).startswith(closed)
+
+
+def test_a_page_of_the_package_escapes_and_a_deck_does_not():
+    with pytest.raises(Exception, match="undefined"):
+        render("report.html")
+    still = SimpleNamespace(caption="<b>", alt="a", svg="")
+    values = {
+        "title": "<i>",
+        "cards": [],
+        "still": still,
+        "live": {"law": []},
+        "sections": [],
+        "fits": [],
+        "left_out": [],
+    }
+    values |= {"facts": [], "provenance": [], "scene": "", "script": "", "digest": ""}
+    page = render("report.html", **values)
+    assert "&lt;i&gt;" in page
+    assert "<i>" not in page
+    assert version("lmpchain") in page
+
+
+# --- tables and names
+
+
+def test_columns_of_a_table_are_aligned():
+    rows = [("engine", "step", "why"), ("a", "12 s", ""), ("native", "", "x")]
+    assert aligned(iter(rows)) == ["engine  step  why", "a       12 s", "native        x"]
+    with pytest.raises(ValueError, match="argument"):
+        aligned([("a", "b"), ("c",)])
+
+
+def test_numbers_of_a_table():
+    assert number(1234.5) == "1.23e+03"
+    assert number(0.5, ".2f", "m") == "0.50 m"
+    assert (number(np.inf), number(-np.inf, infinite="none"), number(np.nan, missing="-")) == ("inf", "none", "-")
+    row = {"a": 1.5, "b": np.inf, "c": float("nan"), "d": "text", "e": 3, "f": None}
+    assert finite(row) == {"a": 1.5, "b": None, "c": None, "d": "text", "e": 3, "f": None}
+
+
+def test_misspelt_names():
+    known = ["glass", "steel", "PTFE"]
+    for name, meant in (("glas", "glass"), ("STEEL", "steel"), ("ptf", "PTFE"), ("stel", "steel")):
+        assert did_you_mean(name, known) == f" (did you mean {meant!r}?)"
+    for name in ("wood", 5, None, ""):
+        assert did_you_mean(name, known) == ""
+    assert not_among(5, iter(known)) == "must be glass | steel | PTFE (got 5)"
+    assert not_among("glas", iter(known)).endswith("(got 'glas') (did you mean 'glass'?)")
+
+
+def test_names_of_a_package_are_imported_when_they_are_used(monkeypatch: pytest.MonkeyPatch):
+    package = ModuleType("lmpchain.made_up")
+    monkeypatch.setitem(sys.modules, package.__name__, package)
+    find = attributes("lmpchain", ["theory"], {"util.tables": "aligned number", "errors": "InputError"})
+    assert find("theory").__name__ == "lmpchain.theory"
+    import lmpchain
+
+    vars(lmpchain).pop("number", None)
+    monkeypatch.setattr(lmpchain, "number", None, raising=False)
+    assert find("number") is number
+    assert vars(lmpchain)["number"] is number, "found at once from now on"
+    with pytest.raises(AttributeError, match="module 'lmpchain' has no attribute 'other'"):
+        find("other")
+    with pytest.raises(AttributeError):
+        attributes("lmpchain")("aligned")
+
+
+def test_a_module_lists_its_own_functions_and_classes(monkeypatch: pytest.MonkeyPatch):
+    module = ModuleType("made_up")
+    exec("def work(): pass\ndef _hidden(): pass\nclass Kind: pass\nnumber = 5\nfrom math import sin", vars(module))
+    for name in ("work", "_hidden", "Kind"):
+        vars(module)[name].__module__ = "made_up"
+    monkeypatch.setitem(sys.modules, "made_up", module)
+    assert listed("made_up")() == ["Kind", "work"]
+    vars(module)["__all__"] = ["work", "number"]
+    assert listed("made_up")() == ["number", "work"]
+
+
+# --- provenance
+
+
+def test_checksums_are_those_of_sha256sum(tmp_path: Path):
+    (tmp_path / "inner").mkdir()
+    for name, content in {"b": b"2", "a": b"1", "inner/c": b"3", ".hidden": b"4", "out": b"5"}.items():
+        (tmp_path / name).write_bytes(content)
+    lines = provenance.checksums(tmp_path, {"out"})
+    assert re.findall(r"  (.*)\n", lines) == ["a", "b", "inner/c"]
+    assert lines.startswith(f"{hashlib.sha256(b'1').hexdigest()}  a\n")
+    done = subprocess.run(["sha256sum", "--check"], input=lines, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0
+
+
+def test_a_command_is_kept_up_to_2000_letters(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(sys, "argv", ["lmpchain", "run", "a scene.toml"])
+    assert provenance.command() == "lmpchain run 'a scene.toml'"
+    for letters, whole in ((2000, True), (2001, False)):
+        monkeypatch.setattr(sys, "argv", ["x" * letters])
+        assert provenance.command() == ("x" * letters if whole else "x" * 2000 + " ...")
+
+
+def test_a_session_says_where_and_with_what():
+    before = datetime.now(UTC).replace(microsecond=0)
+    session = provenance.session()
+    assert before <= datetime.fromisoformat(session["began"]) <= datetime.now(UTC)
+    assert session["began"].endswith("+00:00")
+    assert len(session["began"]) == len("2024-05-06T07:08:09+00:00")
+    assert session["packages"]["numpy"] == np.__version__ == provenance.versions()["numpy"]
+    assert session["packages"]["lmpchain"] == version("lmpchain") == provenance.versions()["lmpchain"]
+    assert (session["cores"], session["host"]) == (os.cpu_count(), platform.node())
+    assert session["command"] == provenance.command()
+    assert session["working_folder"] == os.getcwd()
+
+
+def test_a_processor_is_named_or_its_kind(monkeypatch: pytest.MonkeyPatch):
+    text = "processor\t: 0\nmodel\t: 7\nmodel name\t: Fast: One\nmodel name\t: Two\n"
+    monkeypatch.setattr(Path, "read_text", lambda self, **_: text)
+    assert provenance.processor() == "Fast: One"
+    monkeypatch.setattr(Path, "read_text", lambda self, **_: "processor: 0")
+    assert provenance.processor() == platform.machine()
