@@ -134,7 +134,7 @@ def check_scene(seed: int, scene: Scene, left_out: str = "") -> None:
         assert np.abs(along - back).max() <= 1e-11 * scale, (seed, name)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", [pytest.param(n, marks=[pytest.mark.slow] * (n in (2, 4))) for n in range(6)])
 def test_gradients_agree_with_differences_in_extended_precision(seed: int):
     check_scene(seed, drawn(seed))
 
@@ -239,7 +239,7 @@ def test_weak_waves_have_the_derivatives_of_the_linear_propagator():
         (3e-4, 899, {"top_load": 1.0}),
         (1e-4, 899, {"top_load": 1.0}),
         (1e-9, 1, {}),
-        (1e-9, 899, {"exponent": 1.05}),
+        pytest.param(1e-9, 899, {"exponent": 1.05}, marks=pytest.mark.slow),
         (1e-8, 1, {"exponent": 2.5}),
         (1e-6, 899, {"exponent": 2.5}),
         (1e-2, 1, {"gravity": 0}),

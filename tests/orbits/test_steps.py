@@ -1,0 +1,97 @@
+"""Steps along a family in the linear limit, where it is a straight line, and what changes in a chain."""
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lmpchain import Chain, Drive, orbits
+from lmpchain.orbits import Family, Orbit
+
+CHAIN = Chain(grains=4, diameter=1e-3, gravity=0.0, top_load=1.0)
+
+
+@cache
+def small() -> Orbit:
+    u, period = orbits.linear_mode(CHAIN, 2, 1e-7)
+    rest = np.zeros(4)
+    return orbits.find(CHAIN, (u, rest), period, energy=float(CHAIN.excess_energy(u, rest)))
+
+
+def amplitudes(until: float, **given: Any) -> tuple[Family, np.ndarray]:
+    """Return the family to so many times the amplitude, and its amplitudes over the first."""
+    family = orbits.follow(small(), "energy", until**2 * small().energy, **given)
+    return family, np.sqrt(family.energy / small().energy)
+
+
+@pytest.mark.parametrize(("events", "largest"), [(True, 0.4), (False, 0.7)])
+def test_steps_grow_with_the_orbit_to_a_share_of_it(events: bool, largest: float):
+    """The first is a fifth of its size; easy ones double, to 0.4 of it, or 0.7 where no events are sought."""
+    family, sizes = amplitudes(12.0, events=events)
+    expected, length = [1.0], 0.2
+    while True:
+        length = min(length, largest * expected[-1])
+        if expected[-1] + length > 12.0:
+            break
+        expected.append(expected[-1] + length)
+        length *= 2
+    assert sizes == pytest.approx([*expected, 12.0], rel=1e-4)
+    assert family.reached
+    assert (family.ended, family.parameter, family.events) == ("", "energy", ())
+    assert family.value == pytest.approx(family.energy, rel=1e-12)
+    assert family.value[-1] == pytest.approx(144 * small().energy, rel=1e-10)
+    assert family.period == pytest.approx(np.full(len(family), small().period), rel=1e-6)
+
+
+def test_steps_go_down_as_well():
+    _, sizes = amplitudes(0.3, events=False)
+    assert sizes == pytest.approx([1.0, 0.8, 0.4, 0.3], rel=1e-3)
+
+
+def test_a_family_that_is_cut_short_says_where():
+    family, sizes = amplitudes(12.0, points=3)
+    assert sizes == pytest.approx([1.0, 1.2, 1.6], rel=1e-4)
+    energy, period = family.energy[-1], family.period[-1]
+    assert family.ended == f"its first 3 orbits end at energy {energy:.6g} (period {period:.6g} s)"
+    heavier = orbits.follow(small(), lambda m: CHAIN.replace(masses=m * CHAIN.masses), 2.0, start=1.0, points=1)
+    assert heavier.ended == f"its first 1 orbits end at the parameter 1 (period {small().period:.6g} s)"
+    assert heavier.parameter == "parameter"
+
+
+@pytest.mark.parametrize("name", ["masses[2]", "diameter[3]", "contact_constants[1]", "top_load", "gravity"])
+def test_the_linear_mode_follows_what_changes(name: str):
+    """At the energy that is held; the period is that of the eigenvalue of masses and springs."""
+    key = name.partition("[")[0]
+    given = {"diameter": np.full(4, 1e-3)} if key == "diameter" else {}
+    if key in ("masses", "contact_constants"):
+        given[key] = getattr(CHAIN, key)
+    if key == "gravity":
+        given[key] = 1.0
+    chain = CHAIN.replace(**given)
+    u, period = orbits.linear_mode(chain, 2, 1e-6)
+    orbit = orbits.find(chain, (u, 0 * u), period, energy=float(chain.excess_energy(u, 0 * u)))
+    values = {"masses": chain.masses, "diameter": chain.diameters, "contact_constants": chain.contact_constants}
+    place = int(name[-2]) - 1 if "[" in name else 0
+    start = float(values[key][place]) if key in values else float(getattr(chain, key))
+    family = orbits.follow(orbit, name, 1.3 * start, hold="energy", events=False)
+    assert family.reached
+    assert (family.value[0], family.value[-1]) == pytest.approx((start, 1.3 * start), rel=1e-10)
+    assert family.energy == pytest.approx(np.full(len(family), orbit.energy), rel=1e-9)
+    end = family[-1].chain
+    k, m = end.linear_stiffness, end.masses[:3]
+    matrix = (np.diag(np.append(0, k[:2]) + k) - np.diag(k[:2], 1) - np.diag(k[:2], -1)) / np.sqrt(np.outer(m, m))
+    assert 2 * np.pi / family[-1].period == pytest.approx(np.sqrt(np.linalg.eigvalsh(matrix)[1]), rel=1e-8)
+    changed = {"diameter": end.diameters}.get(key, getattr(end, key))
+    assert np.atleast_1d(changed)[place] == pytest.approx(1.3 * start, rel=1e-10)
+
+
+def test_a_drive_grows_in_proportion_in_the_linear_limit():
+    sine = Drive(amplitude=1e-7 * CHAIN.length_scale, frequency=2e4)
+    orbit = orbits.find(CHAIN, drive=sine)
+    family = orbits.follow(orbit, "amplitude", 3 * sine.amplitude)
+    assert family.reached
+    assert family[-1].drive is not None
+    assert family[-1].drive.amplitude == pytest.approx(3 * sine.amplitude, rel=1e-10)
+    assert family[-1].velocity[1:] == pytest.approx(3 * orbit.velocity[1:], rel=1e-5)
+    assert family.period == pytest.approx(np.full(len(family), 5e-5), rel=1e-12)
