@@ -6,43 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.example_scenes import paper, smooth
-from helpers.independent_integrators import extended_reference, relative_error
-from matplotlib.figure import Figure
+from helpers.example_scenes import smooth
 
-from lmpchain import Chain, Displacement, Impulse, InputError, Profile, Scene, Trajectory, simulate
-from lmpchain.benchmark.comparison import WIDEST, compare, draw_comparison, error, error_over_time, errors
+from lmpchain import Chain, Impulse, InputError, Profile, Scene, Trajectory, simulate
+from lmpchain.benchmark.comparison import compare, draw_comparison, error, error_over_time, errors
 from lmpchain.benchmark.reference import Reference, expected_seconds, reference
 from lmpchain.util.plotting import figure, save
-
-
-def strong_and_open() -> Scene:
-    chain = Chain(grains=10, diameter=1e-3)
-    return Scene(chain=chain, excitation=Impulse(velocity=1e-2), duration=3e-5, samples=7)
-
-
-def pulled() -> Scene:
-    chain = Chain(grains=6, diameter=1e-3, exponent=1.3, top_load=1e-4)
-    excitation = Displacement(displacement=-0.5 * chain.length_scale, grain=2)
-    return Scene(chain=chain, excitation=excitation, duration=2e-5, samples=5)
-
-
-def vacuum() -> Scene:
-    chain = Chain(grains=5, diameter=1e-3, gravity=0.0, bottom="free")
-    return Scene(chain=chain, excitation=Impulse(velocity=0.1, grain=2), duration=2e-5, samples=5)
-
-
-SCENES = {"weak": smooth(), "mixed": pulled(), "opening": strong_and_open(), "vacuum": vacuum()}
-
-
-@pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
-def test_the_error_of_the_reference_is_what_it_says(scene: Scene):
-    truth = reference(scene)
-    u, v, itself = extended_reference(scene, 1e-16)
-    assert truth.displacement.shape == truth.velocity.shape == (scene.samples, scene.chain.grains)
-    assert np.array_equal(truth.time, scene.time)
-    assert relative_error(truth.displacement, truth.velocity, u, v) <= truth.error + itself
-    assert truth.error < 1e-8
 
 
 def test_the_reference_starts_where_the_scene_does():
@@ -184,28 +153,6 @@ def test_json_has_the_agreed_shape_and_no_nan():
 
 
 # --- the picture
-
-
-def test_the_picture_shows_every_engine_with_units(tmp_path: Any):
-    scene = paper("fig5 g", samples=6)
-    answer = simulate(scene, "native", 1e-6)
-    comparison = compare([answer, replace(answer, engine="lammps")], reference(scene))
-    picture = comparison.plot().figure
-    assert isinstance(picture, Figure)
-    wave, over_time, cost = picture.axes
-    assert [text.get_text() for text in wave.get_legend().get_texts()] == ["reference", "native", "lammps"]
-    assert over_time.get_xlabel() == "time (µs)"
-    assert cost.get_xlabel() == "integration time (s)"
-    assert all(axes.get_xlabel() and axes.get_ylabel() for axes in picture.axes)
-    assert over_time.get_yscale() == cost.get_xscale() == cost.get_yscale() == "log"
-    first, last = wave.get_xlim()
-    assert last - first <= WIDEST
-    peak = 1 + np.abs(answer.velocity[-1]).argmax()
-    assert first < peak < last
-    for suffix in ("png", "pdf", "svg"):
-        save(picture, tmp_path / f"picture.{suffix}")
-        assert (tmp_path / f"picture.{suffix}").stat().st_size > 1000
-    assert len(list(tmp_path.iterdir())) == 3
 
 
 def test_a_picture_in_axes_of_ones_own():

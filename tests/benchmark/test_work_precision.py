@@ -36,7 +36,7 @@ PEERS = [
 
 @pytest.fixture(scope="module")
 def found():
-    return work_precision(SCENE, 4.0)
+    return work_precision(SCENE, 2.5)
 
 
 def stepped(found):

@@ -1,0 +1,182 @@
+"""Which steps and tolerances are measured, of runs whose errors and times are given."""
+
+import math
+from collections.abc import Callable
+from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.example_scenes import smooth
+
+from lmpchain import RunFailed, ToleranceNotMet
+from lmpchain.benchmark import bench
+from lmpchain.benchmark.bench import Bench, repeated
+from lmpchain.benchmark.comparison import Row
+from lmpchain.benchmark.reference import Reference
+from lmpchain.trajectory.record import Cost
+
+SCENE = smooth(samples=5)
+INTERVAL = SCENE.duration / 4
+TRUTH = Reference(SCENE.time, np.zeros((5, 8)), np.zeros((5, 8)), 1e-16, "none")
+
+
+class Given(Bench):
+    """A bench whose runs have errors and times by their steps in an interval, on a clock that only they move."""
+
+    def __init__(self, error: Callable[[int], float], seconds: Callable[[int], float] = lambda _: 0.01):
+        self.clock, self.error, self.seconds = 0.0, error, seconds
+        self.tried: list[int] = []
+        self.tolerances: list[float] = []
+        super().__init__(SCENE, TRUTH)
+
+    def _run(self, engine: Any, tolerance: float | None = None) -> Any:
+        if tolerance is None:
+            steps = round(INTERVAL / engine.step)
+            assert engine.step == pytest.approx(INTERVAL / steps, rel=1e-12)
+        else:
+            steps = math.ceil(tolerance**-0.25)
+            self.tolerances.append(tolerance)
+        self.tried.append(steps)
+        self.clock += self.seconds(steps)
+        error = self.error(steps)
+        if not math.isfinite(error):
+            raise RunFailed("it broke down")
+        count = len(self.tried)
+        cost = Cost(2.0 + 0.1 / count, 1.0 - 0.1 / count, 0.5 + 0.1 / count, steps, 4 * steps, 8, "rkn4", 1e-9, 1)
+        return SimpleNamespace(cost=cost, error=error, provenance={})
+
+    def _row(self, answer: Any) -> Row:
+        cost = answer.cost
+        return Row("native", 1, "rkn4", answer.error, answer.error, 0.0, 0.0, cost.integration_s, cost.steps,
+                   cost.force_evaluations, 0.0)  # fmt: skip
+
+
+def timed(monkeypatch: pytest.MonkeyPatch, made: Given) -> Given:
+    monkeypatch.setattr(bench.time, "perf_counter", lambda: made.clock)
+    made._begun = 0.0
+    return made
+
+
+def fourth_order(stable: int, floor: float = 0.0) -> Callable[[int], float]:
+    return lambda steps: max((stable / steps) ** 4 / 2, floor) if steps >= stable else math.inf
+
+
+@pytest.mark.parametrize("stable", [1, 2, 7, 37, 700])
+def test_steps_shorten_by_the_root_of_2_from_the_longest_that_holds(monkeypatch: pytest.MonkeyPatch, stable: int):
+    made = timed(monkeypatch, Given(fourth_order(stable, 1e-9)))
+    points = list(made.over_steps("native", "rkn4"))
+    steps = [point.steps for point in points]
+    assert stable <= steps[0] <= max(1.1 * (stable - 1), stable)
+    assert all(after == math.ceil(before * math.sqrt(2)) for before, after in pairwise(steps))
+    assert [point.longest for point in points] == [True, *[False] * (len(points) - 1)]
+    errors = [point.error for point in points]
+    at_floor = errors.count(1e-9)
+    assert at_floor == (5 if 0.8 * errors[-at_floor - 1] > 1e-9 else 4)  # four in a row do no better
+
+
+def test_an_error_of_1_does_not_hold(monkeypatch: pytest.MonkeyPatch):
+    made = timed(monkeypatch, Given(lambda steps: 1.0 if steps < 16 else 0.999 * (16 / steps) ** 4))
+    assert next(made.over_steps("native", "rkn4")).steps == 16
+
+
+def test_what_improves_by_a_fifth_goes_on(monkeypatch: pytest.MonkeyPatch):
+    """An error that falls by less than that with each step, four times in a row, is at its end."""
+    for factor, ends in ((0.75, False), (0.85, True)):
+        made = timed(monkeypatch, Given(lambda steps, f=factor: 0.5 * f ** (2 * math.log2(steps))))
+        points = list(zip(range(16), made.over_steps("native", "rkn4"), strict=False))
+        assert (len(points) < 16) == ends
+
+
+@pytest.mark.parametrize("share", [1.0, 3.0, 100.0])
+def test_no_point_begins_that_would_take_longer_than_there_is_time(monkeypatch: pytest.MonkeyPatch, share: float):
+    made = timed(monkeypatch, Given(lambda steps: 0.5 / steps, lambda steps: 1e-3 * steps))
+    made.share_s = share
+    spent, before = [], 0.0
+    for _ in made.over_steps("native", "rkn4"):
+        spent.append((made.spent_s, before))
+        before = made.spent_s
+    for number, (after, begun) in enumerate(spent):
+        late = after + math.sqrt(2) * (after - begun) > share
+        assert late == (number == len(spent) - 1)
+
+
+def test_the_search_takes_a_quarter_of_the_time(monkeypatch: pytest.MonkeyPatch):
+    """Doubling finds a step that holds; what follows to sharpen it is cut short."""
+    for share, steps in ((math.inf, 544), (0.12, 640), (0.06, 768)):  # halves of 512 to 1024
+        made = timed(monkeypatch, Given(fourth_order(520), lambda _: 0.02))
+        made.share_s = share
+        assert next(made.over_steps("native", "rkn4")).steps == steps
+
+
+def test_nothing_is_measured_where_no_step_holds(monkeypatch: pytest.MonkeyPatch):
+    made = timed(monkeypatch, Given(lambda _: math.inf))
+    assert list(made.over_steps("native", "rkn4")) == []
+    assert made.tried == [2**k for k in range(20)]
+
+
+def test_tolerances_tighten_by_the_root_of_10_until_one_is_not_met(monkeypatch: pytest.MonkeyPatch):
+    made = timed(monkeypatch, Given(lambda steps: steps**-4.0))
+    run = made._run
+
+    def limited(engine: Any, tolerance: float | None = None) -> Any:
+        if tolerance is not None and tolerance < 1e-9:
+            raise ToleranceNotMet("no", None)
+        return run(engine, tolerance)
+
+    made._run = limited  # type: ignore[method-assign]
+    points = list(made.over_tolerances("native"))
+    asked = [point.tolerance for point in points]
+    counts = {}
+    for k in range(17):
+        tolerance = 10.0 ** (-1 - k / 2)
+        counts.setdefault(math.ceil(tolerance**-0.25), tolerance)
+    assert asked == pytest.approx(list(counts.values()), rel=1e-12)  # one of those with the same steps
+    assert [point.steps for point in points] == list(counts)
+
+
+def test_the_tightest_tolerance_is_of_round_off(monkeypatch: pytest.MonkeyPatch):
+    made = timed(monkeypatch, Given(lambda steps: steps**-4.0))
+    list(made.over_tolerances("native"))
+    assert sorted(set(made.tolerances)) == pytest.approx([10.0**-k for k in np.arange(14.5, 0.9, -0.5)], rel=1e-9)
+    made.share_s, made.tolerances = 0.5, []
+    made.seconds = lambda _: 0.1
+    list(made.over_tolerances("native"))
+    assert len(set(made.tolerances)) == 2
+
+
+@pytest.mark.parametrize(("seconds", "runs"), [(0.1, 3), (0.02, 3), (0.0101, 5), (0.004, 13), (1e-6, 15)])
+def test_short_runs_are_repeated_more_often(monkeypatch: pytest.MonkeyPatch, seconds: float, runs: int):
+    """Three times at least, until they have taken 50 ms, 15 times at most."""
+    clock = [0.0]
+    monkeypatch.setattr(bench.time, "perf_counter", lambda: clock[0])
+
+    def run() -> int:
+        clock[0] += seconds
+        return len(clock)
+
+    assert len(repeated(run)) == runs  # type: ignore[arg-type]
+
+
+def test_a_point_has_the_least_of_each_time(monkeypatch: pytest.MonkeyPatch):
+    made = timed(monkeypatch, Given(lambda steps: 0.5 * steps**-4.0, lambda _: 0.02))
+    point = next(made.over_steps("native", "rkn4"))
+    last = len(made.tried)
+    assert last == 1 + 1 + 3  # the search, a run to warm up, and three
+    assert point.integration_s == point.seconds == pytest.approx(2.0 + 0.1 / last, rel=1e-12)
+    assert point.setup_s == pytest.approx(0.5 + 0.1 / last, rel=1e-12)
+    assert point.estimate_s == pytest.approx(1.0 - 0.1 / 3, rel=1e-12)  # of the first that was timed
+    assert point.grain_steps_per_s == pytest.approx(4 * point.steps * 8 / point.integration_s, rel=1e-12)
+    assert (point.step_s, point.tolerance, point.force_evaluations) == (1e-9, None, 4 * point.steps)
+    assert made.dropped == 0
+    tight = next(made.over_tolerances("native"))
+    assert tight.tolerance == 0.1
+    assert tight.seconds == pytest.approx(3.0, rel=1e-12)  # with the estimate
+
+
+def test_errors_that_the_reference_cannot_tell_are_dropped(monkeypatch: pytest.MonkeyPatch):
+    for error, dropped in ((1.01e-15, 0), (0.99e-15, 1)):
+        made = timed(monkeypatch, Given(lambda _, e=error: e))
+        points = list(made._points(SimpleNamespace(step=INTERVAL)))
+        assert (len(points), made.dropped) == (1 - dropped, dropped)

@@ -1,0 +1,211 @@
+"""Stores as zarr reads them while they grow, and the metadata of files."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zarr
+
+from lmpchain import Chain, Impulse, InputError, Scene
+from lmpchain.trajectory import zarr_store
+from lmpchain.trajectory.record import Block, Cost, ErrorEstimate, Record, scene_of, told, verdict
+from lmpchain.trajectory.zarr_layout import pieces
+from lmpchain.trajectory.zarr_store import Writer, usable
+
+SCENE = Scene(
+    chain=Chain(grains=1000, diameter=1e-3), excitation=Impulse(velocity=1e-3), duration=4e-6, samples=500,
+    grains=list(range(1, 1001)),
+)  # fmt: skip
+ROWS = 208  # samples of a thousand grains that fill a chunk of 100 KB and more, in sixteens
+RNG = np.random.default_rng(5)
+U, V = RNG.normal(size=(2, 1, 500, 1000))
+NAME = "trajectory.zarr"
+
+
+def block(first: int, last: int, columns: slice = slice(None)) -> Block:
+    return Block(slice(first, last), U[:, first:last, columns], V[:, first:last, columns], columns)
+
+
+def stored(folder: Path) -> Any:
+    return zarr.open_group(folder / NAME, mode="r")
+
+
+@pytest.fixture
+def empty(tmp_path: Path) -> Path:
+    zarr_store.create(tmp_path, SCENE, {"title": "none", "solver": 3})
+    return tmp_path
+
+
+def test_a_store_that_is_empty(empty: Path):
+    group = stored(empty)
+    assert dict(group.attrs) == {"title": "none", "solver": 3}
+    labels = {
+        "time": ("s", "time since the strike", ("time",)),
+        "grain": ("1", "number of the grain, from the top", ("grain",)),
+        "displacement": ("m", "displacement from equilibrium, positive downward", ("time", "grain")),
+        "velocity": ("m s-1", "velocity, downward", ("time", "grain")),
+    }
+    assert set(group) == set(labels)
+    for name, (units, about, dimensions) in labels.items():
+        array = group[name]
+        assert dict(array.attrs) == {"units": units, "long_name": about}
+        assert array.metadata.dimension_names == dimensions
+        if name != "grain":
+            assert np.isnan(array[:]).all()
+    assert np.array_equal(group["grain"][:], SCENE.recorded)
+    assert group["grain"].dtype == np.int64
+    assert group["velocity"].shards == (ROWS, 1000)
+
+
+def test_samples_are_there_once_their_shard_is_full(empty: Path):
+    writer = Writer(empty, SCENE)
+    writer.put(block(0, 100))
+    assert np.isnan(stored(empty)["time"][:]).all()
+    writer.put(block(100, 450))  # two shards end in it
+    for until in (2 * ROWS, 450):
+        group = stored(empty)
+        assert np.array_equal(group["time"][:until], SCENE.time[:until])
+        assert np.isnan(group["time"][until:]).all()
+        for name, field in (("displacement", U), ("velocity", V)):
+            assert np.array_equal(group[name][:until], field[0, :until])
+            assert np.isnan(group[name][until:]).all()
+        writer.flush()
+    writer.note(ErrorEstimate(1e-3, 2e-3))
+    assert stored(empty).attrs["error_so_far"] == {"samples": 450, "model": 1e-3, "solver": 2e-3}
+    writer.note(ErrorEstimate(1e-3, math.inf))  # says nothing
+    assert stored(empty).attrs["error_so_far"]["solver"] == 2e-3
+    writer.put(block(450, 500))
+    writer.flush()
+    assert np.array_equal(stored(empty)["time"][:], SCENE.time)
+    assert np.array_equal(stored(empty)["velocity"][:], V[0])
+
+
+def test_grains_that_a_block_leaves_out_rest(empty: Path):
+    writer = Writer(empty, SCENE)
+    writer.put(block(0, 10, slice(3, 8)))
+    writer.flush()
+    velocity = stored(empty)["velocity"][:10]
+    assert np.array_equal(velocity[:, 3:8], V[0, :10, 3:8])
+    assert not velocity[:, :3].any()
+    assert not velocity[:, 8:].any()
+
+
+@pytest.mark.parametrize("again", [ROWS, ROWS + 30, ROWS + 90])
+def test_a_run_goes_on_within_a_shard(empty: Path, again: int):
+    """What is there stays until it is written anew, so that no reader sees it vanish."""
+    writer = Writer(empty, SCENE)
+    writer.put(block(0, ROWS + 90))
+    writer.flush()
+    assert usable(empty, SCENE, again)
+    other = Writer(empty, SCENE, again)
+    other.put(Block(slice(again, again + 20), -U[:, again : again + 20], -V[:, again : again + 20]))
+    other.flush()
+    sign = np.ones((ROWS + 90 + 20, 1))
+    sign[again : again + 20] = -1
+    last = max(again + 20, ROWS + 90)
+    assert np.array_equal(stored(empty)["velocity"][:last], (sign * V[0, : len(sign)])[:last])
+    times = stored(empty)["time"][:]
+    assert np.array_equal(np.flatnonzero(np.isfinite(times)), np.arange(last))
+
+
+def test_samples_that_can_be_built_upon(empty: Path):
+    writer = Writer(empty, SCENE)
+    writer.put(block(0, ROWS + 10))
+    writer.flush()
+    counts = {0: True, 1: True, ROWS: True, ROWS + 10: True, ROWS + 11: False, 500: False, 501: False, -1: False}
+    for count, good in counts.items():
+        assert usable(empty, SCENE, count) == good, count
+    for odd in (True, 3.0, "3", None):
+        assert not usable(empty, SCENE, odd)
+    assert not usable(empty, Scene(**SCENE.given() | {"samples": 400}), ROWS)
+    (empty / NAME / "velocity" / "c" / "1" / "0").write_bytes(b"none")
+    assert not usable(empty, SCENE, ROWS + 10)
+    assert usable(empty, SCENE, ROWS - 1)  # of the shard before
+
+
+def test_arrays_on_the_disk_are_indexed_as_in_memory(empty: Path):
+    writer = Writer(empty, SCENE)
+    writer.put(block(0, 500))
+    writer.flush()
+    verdict_of = verdict(ErrorEstimate(0.0, 1e-9), Cost(1.0, 0.0, 0.0, 5, 5, 1000, "rkn4", 1e-9, 1))
+    text = {"lmpchain_format": 1, "scene": SCENE.to_text(), "provenance": "{}", "engine": "native", "equation": 1}
+    zarr.open_group(empty / NAME, mode="r+").attrs.update(text | verdict_of)
+    about, scene, arrays = zarr_store.read(empty)
+    assert (scene, about["solver_error"]) == (SCENE, 1e-9)
+    field, truth = arrays["velocity"], V[0]
+    assert (field.shape, field.dtype, field.ndim, field.size, len(field)) == ((500, 1000), float, 2, 500_000, 500)
+    odd = np.array([5, 3, 3])
+    for key in (7, slice(3, 90, 7), (slice(None), 3), (..., -1), odd, (odd, slice(4)), (odd, odd), (slice(2), [1, 0]),
+                (np.array([[1, 2], [3, 4]]), 0), truth[:, 0] > 0, (-1, -1)):  # fmt: skip
+        assert np.array_equal(field[key], truth[key])
+    assert np.array_equal(np.asarray(field), truth)
+    assert np.array_equal(2 * field - truth, truth)
+    assert np.array_equal(np.abs(field), np.abs(truth))
+    assert field.max() == truth.max()
+    assert np.asarray(field, dtype=np.float32).dtype == np.float32
+    (empty / NAME / "velocity" / "c" / "0" / "0").unlink()
+    with pytest.raises(InputError, match="was damaged and cannot be read: samples are not there; run the scene anew"):
+        field[3]
+    assert np.array_equal(field[ROWS], truth[ROWS])
+
+
+@pytest.mark.parametrize(
+    ("samples", "grains", "shard", "chunk", "times"),
+    [
+        (41, 12, (48, 12), (48, 12), 41),
+        (10**6, 10, (20_000, 10), (20_000, 10), 80_000),  # whole shards in a chunk of times
+        (500, 1000, (208, 1000), (208, 1000), 500),
+        (100, 12_500, (16, 12_500), (16, 12_500), 100),
+        (100, 12_501, (16, 12_502), (16, 6251), 100),
+        (10**6, 30_000, (16, 30_000), (16, 10_000), 65_536),
+    ],
+)
+def test_how_a_store_is_laid_out(samples: int, grains: int, shard: Any, chunk: Any, times: int):
+    """As stores are that were written before, which stay readable."""
+    expected = {"time": (times,), "grain": (grains,), "displacement": shard, "velocity": shard, "chunk": chunk}
+    assert pieces(samples, grains) == expected
+
+
+# --- metadata
+
+RECORD = Record(
+    SCENE, "native", 3, SCENE.time, SCENE.recorded, U[0], V[0], ErrorEstimate(1e-3, 2e-4),
+    Cost(1.0, 2.0, 3.0, 4, 5, 6, "rkn4", 1e-9, 7, 8.0), {"choice": "of ours"},
+)  # fmt: skip
+
+
+def test_what_a_file_says_of_a_run_is_read_again():
+    about = RECORD.attributes()
+    assert told(about) == {
+        "engine": "native", "equation": 3, "error_estimate": RECORD.error_estimate, "cost": RECORD.cost,
+        "provenance": {"choice": "of ours"},
+    }  # fmt: skip
+    assert (about["model_error"], about["solver_error"], about["lmpchain_format"]) == (1e-3, 2e-4, 1)
+    assert about["title"] == "Displacement and velocity of the grains of a chain"
+    assert json.loads(about["cost"])["active_grains"] == 6
+    assert scene_of(about) == SCENE
+    with pytest.raises(ValueError, match="another version"):
+        scene_of(about | {"lmpchain_format": 2})
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"model_error": -1e-9}, "error estimate"),
+        ({"solver_error": math.nan}, "error estimate"),
+        ({"cost": json.dumps(RECORD.cost._asdict() | {"steps": 1.5})}, "cost"),
+        ({"cost": json.dumps(RECORD.cost._asdict() | {"integrator": 3})}, "cost"),
+        ({"cost": json.dumps(RECORD.cost._asdict() | {"step_s": "1"})}, "cost"),
+        ({"engine": 3}, "engine or equation"),
+        ({"equation": "1"}, "engine or equation"),
+        ({"provenance": json.dumps({"choice": 3})}, "provenance"),
+    ],
+)
+def test_metadata_that_make_no_sense_are_refused(change: dict[str, Any], why: str):
+    with pytest.raises(ValueError, match=f"its {why}"):
+        told(RECORD.attributes() | change)
+    told(RECORD.attributes() | {"model_error": 0.0, "solver_error": math.inf})
+    told(RECORD.attributes() | {"cost": json.dumps(RECORD.cost._asdict() | {"step_s": 1})})
