@@ -58,7 +58,7 @@ def test_the_measured_floor_is_the_error_of_the_answer(options):
     ("options", "weakest", "strongest"), [(HEIGHTS[0], -5, 1), (HEIGHTS[1], -8, 1), ({"force": "plain"}, -9, -3)]
 )
 def test_round_off_floors_fall_as_the_strike_grows(options, weakest, strongest):
-    strikes = np.logspace(weakest, strongest, 4)
+    strikes = np.logspace(weakest, strongest, 7)
     found = [measured_floor(column(8, s, 6), **options) for s in strikes]
     law = [floor(column(8, s, 6), **options) for s in strikes]
     assert slope(strikes, found) == pytest.approx(-1, abs=0.05)
