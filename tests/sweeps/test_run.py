@@ -1,0 +1,256 @@
+"""Who does the tasks of a sweep: how many at a time, what is tried again, what is given up, what is told."""
+
+import sys
+import warnings
+from concurrent.futures import BrokenExecutor, Future
+from pathlib import Path
+from types import ModuleType
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+from lmpchain import Chain, Impulse, InputError, Scene, sweep
+from lmpchain.sweeps import run, store, tasks
+from lmpchain.sweeps.executors import Here
+from lmpchain.sweeps.file import read
+from lmpchain.sweeps.labels import labels, recorded
+from lmpchain.sweeps.tasks import together
+
+SCENE: dict[str, Any] = {
+    "chain": {"grains": 6, "material": "glass", "diameter": 1e-3},
+    "excitation": {"kind": "impulse", "velocity": 1e-4},
+    "recording": {"duration": 5e-6, "samples": 3},
+}
+GRAVITIES = [float(n) for n in range(1, 8)]
+ASKED = {"scene": SCENE, "grid": {"chain.gravity": GRAVITIES}, "keep": ["wall_force"]}
+
+
+@pytest.fixture
+def in_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two scenes a task."""
+    monkeypatch.setattr(tasks, "MOST", 2)
+
+
+class Bar:
+    """What a progress bar is asked."""
+
+    bars: ClassVar[list["Bar"]] = []
+
+    def __init__(self, total: float, **options: Any):
+        self.total, self.options, self.steps = total, options, []
+        Bar.bars.append(self)
+
+    def __enter__(self) -> "Bar":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def advance(self, amount: int) -> None:
+        self.steps.append(amount)
+
+
+class Faulty(Here):
+    """Fails at each task so many times."""
+
+    def __init__(self, failure: Exception, times: int):
+        self.failure, self.times, self.tried = failure, times, []
+
+    def submit(self, function: Any, /, *values: Any, **named: Any) -> Future:
+        what = values[0].first if isinstance(values[0], tasks.Task) else "gather"
+        self.tried.append(what)
+        if what != 2 or self.tried.count(2) > self.times:
+            return super().submit(function, *values, **named)
+        future: Future = Future()
+        future.set_exception(self.failure)
+        return future
+
+
+@pytest.mark.usefixtures("in_pairs")
+def test_a_task_is_tried_three_times_if_its_process_dies(tmp_path: Path):
+    executor = Faulty(BrokenExecutor("dead"), 2)
+    found = sweep(ASKED, tmp_path / "a", executor=executor)
+    assert (found.reason == "").all()
+    assert executor.tried.count(2) == 3
+    assert executor.tried[-1] == "gather"
+    executor = Faulty(BrokenExecutor("dead"), 3)
+    with pytest.warns(UserWarning, match="some scenes could not be done") as warned:
+        found = sweep(ASKED, tmp_path / "b", executor=executor)
+    text = "some scenes could not be done this time; of the first: the process that was at it died 3 times"
+    assert [str(each.message) for each in warned] == [text]
+    assert executor.tried.count(2) == 3
+    assert "gather" not in executor.tried
+    assert found.reason.values.tolist() == ["", "", "not done", "not done", "", "", ""]
+
+
+@pytest.mark.usefixtures("in_pairs")
+def test_what_a_machine_prevents_is_told_and_done_the_next_time(tmp_path: Path, monkeypatch: Any):
+    monkeypatch.setattr(run, "ProgressBar", Bar)
+    Bar.bars.clear()
+    with pytest.warns(UserWarning, match="of the first: OSError full$"):
+        sweep(ASKED, tmp_path, executor=Faulty(OSError("full"), 9), progress=True)
+    (bar,) = Bar.bars
+    assert (bar.total, bar.options) == (7, {"unit": " scenes", "done": 0, "shown": True})
+    assert sorted(bar.steps) == [1, 2, 2, 2]
+    executor = Faulty(OSError("full"), 0)
+    assert (sweep(ASKED, tmp_path, executor=executor).reason == "").all()
+    assert executor.tried == [2, "gather"]
+    assert (Bar.bars[1].options, Bar.bars[1].steps) == ({"unit": " scenes", "done": 5, "shown": False}, [2])
+    sweep(ASKED, tmp_path)
+    assert Bar.bars[2].options["done"] == 7
+    with pytest.warns(UserWarning, match="of the first: KeyError$"):
+        sweep(ASKED, tmp_path / "b", executor=Faulty(KeyError(), 9))
+
+
+@pytest.mark.usefixtures("in_pairs")
+@pytest.mark.parametrize(("most", "workers"), [(1, 1), (3, 1), (256, 1)])
+def test_an_executor_has_so_many_tasks_at_a_time(most: int, workers: int, tmp_path: Path, monkeypatch: Any):
+    counts: list[int] = []
+    wait = run.wait
+
+    def counted(pending: dict[Future, Any], **options: Any) -> Any:
+        counts.append(len(pending))
+        return wait(pending, **options)
+
+    monkeypatch.setattr(run, "wait", counted)
+    monkeypatch.setattr(run, "WAITING", most)
+    sweep(ASKED, tmp_path, executor=Here())
+    assert max(counts) == min(most, 4)
+    counts.clear()
+    sweep(ASKED, tmp_path / "here")
+    assert max(counts) == 1, "in this process one after the other, so that Ctrl-C loses one at most"
+
+
+@pytest.mark.parametrize("workers", [0, -1, True, 1.0, "2", None])
+def test_workers_are_counted_from_1(workers: Any, tmp_path: Path):
+    with pytest.raises(InputError) as caught:
+        sweep(ASKED, tmp_path, workers=workers)
+    assert caught.value.faults == [("workers", f"must be a whole number from 1 (got {workers!r})")]
+
+
+def test_what_is_hardly_meant_is_said_once_for_all_scenes(tmp_path: Path):
+    chain = SCENE["chain"] | {"diameter": 1.0}
+    grid = {"excitation.velocity": [1e-4, 2e-4], "chain.diameter": [1.0, 2.0]}
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        sweep(ASKED | {"scene": SCENE | {"chain": chain}, "grid": grid}, tmp_path)
+    remarks = [str(each.message) for each in warned if "wide for a grain" in str(each.message)]
+    assert len(remarks) == 1
+    assert remarks[0].startswith("diameter: 1 m is wide")
+    assert remarks[0].endswith("; perhaps in other scenes, too")
+
+
+def test_small_scenes_make_a_task_together():
+    """256 at most, with 4 million numbers."""
+
+    def scene(grains: int, samples: int) -> Scene:
+        chain = Chain(grains=grains, diameter=1e-3)
+        struck = Impulse(velocity=1e-9)
+        return Scene(chain=chain, excitation=struck, duration=1e-9 * samples, samples=samples)
+
+    assert together("native", scene(10, 11)) == 256
+    for grains, samples in ((128, 256), (1000, 128), (1024, 4096), (1025, 4097), (2000, 5000)):
+        one = scene(grains, samples)
+        numbers = one.fine.samples * grains
+        assert together("native", one) == max(1, min(256, 2**22 // numbers))
+    assert together("lammps", scene(10, 11)) == 1
+
+
+def test_dask_is_asked_for_by_its_address(monkeypatch: pytest.MonkeyPatch):
+    asked: list[Any] = []
+
+    class Client:
+        threads: ClassVar[dict[str, int]] = {"a": 1}
+
+        def __init__(self, address: str, timeout: float):
+            asked.append(address)
+            assert timeout > 0
+
+        def __enter__(self) -> "Client":
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            asked.append("closed")
+
+        def nthreads(self) -> dict[str, int]:
+            return self.threads
+
+        def get_executor(self, pure: bool) -> str:
+            return f"executor, pure {pure}"
+
+    made = ModuleType("distributed")
+    vars(made)["Client"] = Client
+    monkeypatch.setitem(sys.modules, "distributed", made)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with run.dask("tcp://a:1") as executor:
+            assert executor == "executor, pure False"
+    assert asked == ["tcp://a:1", "closed"]
+    monkeypatch.setattr(Client, "threads", {})
+    missing = "no workers are there yet; start some: dask worker tcp://a:1 --nthreads 1"
+    with pytest.warns(UserWarning, match=missing), run.dask("tcp://a:1"):
+        pass
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    cure = r'scheduler: needs Dask: pip install "lmpchain\[cluster\]"'
+    with pytest.raises(InputError, match=cure), run.dask("tcp://a:1"):
+        pass
+
+
+# --- labels
+
+
+def test_labels_are_those_of_all_scenes():
+    recording = {"recording.samples": [3, 5], "recording.grains": [[5, 2], [2, 3]], "chain.grains": [6, 9]}
+    masses = {"disorder": {"seed": 1, "realisations": 2, "chain.masses": {"low": 1e-6, "high": 2e-6}}}
+    plan = read({"scene": SCENE, "list": recording, **masses})
+    found = labels(plan)
+    assert (found.samples, found.time, found.grains.tolist()) == (5, None, [2, 3, 5])
+    assert found.extra["time"].shape == (5,)
+    assert (found.extra["time"].units, found.extra["time"].long_name) == ("s", "time since the strike")
+    assert found.extra["chain.masses"].shape == (9,)
+    assert recorded(plan, (0, 1), 6).tolist() == [5, 2]
+    assert recorded(plan, (1, 0), 9).tolist() == [2, 3]
+    alike = labels(read(ASKED))
+    assert (alike.samples, alike.grains.tolist()) == (3, [1, 2, 3, 4, 5, 6])
+    assert alike.time is not None
+    assert alike.time.tolist() == [0.0, 2.5e-6, 5e-6]
+    assert not alike.extra
+    later = labels(read(ASKED | {"grid": {"recording.duration": [5e-6, 6e-6]}}))
+    assert later.extra["time"].shape == (3,)
+
+
+def test_grains_find_their_places():
+    wanted, grains = np.array([7, 2]), np.array([9, 2, 4, 7])
+    assert tasks._spots(wanted.tobytes(), grains.tobytes()).tolist() == [3, 1]
+    assert tasks._spots(grains.tobytes(), grains.tobytes()) == slice(None)
+
+
+# --- what an earlier sweep has found
+
+
+@pytest.mark.usefixtures("in_pairs")
+def test_what_is_known_is_taken_over_whatever_its_place(tmp_path: Path, monkeypatch: Any):
+    """Also where it lies in several shards, and in parts of others."""
+    monkeypatch.setattr(store, "SCENES_A_FILE", 1)
+    few = ASKED | {"grid": {"chain.gravity": [3.0, 6.0, 1.0, 9.0, 2.0]}}
+    first = sweep(few, tmp_path).load()
+    solved: list[int] = []
+    right = run.answer
+
+    def answer(task: Any) -> None:
+        solved.append(task.first)
+        right(task)
+
+    monkeypatch.setattr(run, "answer", answer)
+    found = sweep(ASKED, tmp_path)
+    anew = sweep(ASKED, tmp_path / "anew")
+    assert found.load().identical(anew.load())
+    assert solved == [2, 4, 6, 0, 2, 4, 6], "1 and 2 m/s² were known, the rest in halves at most"
+    for gravity in (1.0, 2.0, 3.0, 6.0):
+        assert found.sel({"chain.gravity": gravity}).equals(first.sel({"chain.gravity": gravity}))
+    assert len(list(tmp_path.glob("*/results.zarr"))) == 2, "9 m/s² is in the first alone"
+    other = ASKED | {"keep": ["peak_velocity"]}
+    solved.clear()
+    sweep(other, tmp_path)
+    assert solved == [0, 2, 4, 6], "what was not kept is not known"
