@@ -298,7 +298,7 @@ def peaks(trajectory: Trajectory, field: Field = "velocity") -> Peaks:
     >>> import lmpchain
     >>> chain = lmpchain.Chain(grains=20, diameter=1e-3)
     >>> scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-3), duration=2e-5, samples=9)
-    >>> sparse, dense = (peaks(lmpchain.simulate(scene.part(1, 20), "native")) for _ in range(2))
+    >>> sparse, dense = (peaks(lmpchain.simulate(scene.replace(samples=n), "native")) for n in (9, 129))
     >>> bool((abs(sparse.value - dense.value) <= sparse.error + dense.error).all())
     True
     """

@@ -43,7 +43,9 @@ def test_sparse_samples_say_how_far_off_they_are(dense, samples):
         assert seen.grain.tolist() == true.grain.tolist()
         for name in ("time", "amplitude", "width"):
             off = np.abs(getattr(seen, name) - getattr(true, name))
-            assert (off <= getattr(seen, f"{name}_error") + getattr(true, f"{name}_error"))[np.isfinite(off)].all()
+            error = getattr(seen, f"{name}_error") + getattr(true, f"{name}_error")
+            known = np.isfinite(true.width) if name == "width" else np.ones(off.size, dtype=bool)
+            assert (off <= error)[known].all(), "none is lost: with NaN this fails"
 
 
 @pytest.mark.parametrize("samples", [7, 10, 13])

@@ -1,0 +1,249 @@
+"""Forces, arrivals and spectra of motions given by a formula, number by number."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
+from scipy.optimize import minimize_scalar
+from scipy.signal import get_window
+
+from lmpchain import Chain, Drive, Force, Impulse, InputError, Scene, Trajectory, engines, simulate
+from lmpchain.measure.contact import contacts, drive_force, drive_motion, sensor, wall_force
+from lmpchain.measure.flight import Flight, arrival, summit, time_of_flight
+from lmpchain.measure.motion import peaks
+from lmpchain.measure.recorded import check, check_field, columns, leaves_rest
+from lmpchain.measure.spectrum import cut_off, dispersion, spectrum, travel_time
+
+Array = NDArray[np.float64]
+RNG = np.random.default_rng(8)
+
+
+def noise(grains: Any = "all", samples: int = 21, **chain: Any) -> Trajectory:
+    """Return displacements as large as overlaps, and any velocities, of an uneven chain."""
+    given = {"grains": 9, "diameter": np.linspace(1e-3, 1.5e-3, 9), "top_load": 1e-3} | chain
+    scene = Scene(chain=Chain(**given), excitation=Impulse(velocity=1e-6), duration=2e-5, samples=samples,
+                  grains=grains)  # fmt: skip
+    t = simulate(scene, engines.Native(step=1e-7))
+    u, v = RNG.normal(size=(2, *t.displacement.shape))
+    still = t.grains > scene.chain.movable
+    u[:, still], v[:, still] = 0.0, 0.0
+    return replace(t, displacement=scene.chain.contacts.overlap.max() * u, velocity=1e-3 * v)
+
+
+@pytest.mark.parametrize("ends", [{}, {"bottom": "wall"}, {"top": "wall", "bottom": "wall", "exponent": 2.0}])
+def test_overlaps_and_forces_of_any_motion(ends: dict[str, Any]):
+    """o = eps + phi_n - phi_(n+1), its rate, and K o^delta above 0; a gap has no force."""
+    t = noise(**ends)
+    chain, seen = t.scene.chain, contacts(t)
+    zero = np.zeros((21, 1))
+    u, v = (np.hstack((zero, x, zero)) for x in (t.displacement, t.velocity))
+    n = seen.contact
+    overlap = chain.contacts.overlap[n] + u[:, n] - u[:, n + 1]
+    force = chain.contacts.constant[n] * np.maximum(overlap, 0) ** chain.exponent
+    rest = chain.contacts.constant[n] * chain.contacts.overlap[n] ** chain.exponent
+    assert n.tolist() == np.flatnonzero(chain.contacts.exists).tolist()
+    assert (overlap < 0).any()
+    assert seen.overlap == pytest.approx(overlap, rel=1e-9, abs=1e-22)
+    assert seen.closing == pytest.approx(v[:, n] - v[:, n + 1], rel=1e-12)
+    assert seen.force == pytest.approx(force, rel=1e-9, abs=1e-18)
+    assert seen.change == pytest.approx(force - rest, rel=1e-9, abs=1e-15)
+    assert np.array_equal(seen.time, t.time)
+    last = force[:, -1] + (chain.masses[-1] * 9.81 if "bottom" not in ends else 0.0)
+    assert wall_force(t) == pytest.approx(last, rel=1e-9, abs=1e-18)
+    assert np.array_equal(wall_force(t), wall_force(t, "bottom"))
+    if "top" in ends:
+        assert wall_force(t, "top") == pytest.approx(force[:, 0], rel=1e-9, abs=1e-18)
+    signal = sensor(t, 5)
+    place = n.tolist().index(4)
+    assert signal.force == pytest.approx(force[:, [place, place + 1]].mean(1), rel=1e-9, abs=1e-18)
+    assert signal.change == pytest.approx((force - rest)[:, [place, place + 1]].mean(1), rel=1e-9, abs=1e-15)
+    assert signal.grain == 5
+
+
+@pytest.mark.parametrize("top", ["free", "wall"])
+def test_what_a_driver_pushes_with(top: str):
+    """On grain 1: m a + F_1 - m g, less the force of a wall above, or with the load; on a wall: that of its contact."""
+    chain = Chain(grains=7, diameter=1e-3, top_load=1e-3, top=top)
+    drive = Drive(amplitude=2e-9, frequency=1e5, grain=0 if top == "wall" else 1)
+    t = simulate(Scene(chain=chain, excitation=drive, duration=2e-5, samples=41), engines.Native(step=1e-8))
+    omega = 2 * np.pi * 1e5
+    given = [2e-9 * np.sin(omega * t.time), 2e-9 * omega * np.cos(omega * t.time)]
+    given.append(-(omega**2) * given[0])
+    for seen, exact in zip(drive_motion(t), given, strict=True):
+        assert seen == pytest.approx(exact, abs=1e-12 * np.abs(exact).max())
+    constant, overlap = chain.contacts.constant, chain.contacts.overlap
+    u = t.displacement
+    if top == "wall":
+        force = constant[0] * np.maximum(overlap[0] + given[0] - u[:, 0], 0) ** 1.5
+    else:
+        below = constant[1] * np.maximum(overlap[1] + u[:, 0] - u[:, 1], 0) ** 1.5
+        force = chain.masses[0] * given[2] + below - 9.81 * chain.masses[0]
+    assert drive_force(t) == pytest.approx(force, rel=1e-7, abs=1e-9 * np.abs(force).max())
+    pushed = Scene(chain=chain, excitation=Force(grain=2, amplitude=1e-4, frequency=1e5), duration=1e-6, samples=3)
+    with pytest.raises(InputError, match="excitation: nothing is driven"):
+        drive_motion(simulate(pushed, engines.Native(step=1e-8)))
+
+
+def test_a_grain_is_a_sensor_between_two_contacts():
+    t = noise()
+    for grain in (2, 7, 8):
+        assert sensor(t, grain).grain == grain
+    for grain in (0, 1, 9, 10):
+        with pytest.raises(InputError, match=f"grain: grain {grain} has no contacts on both sides"):
+            sensor(t, grain)
+    walled = noise(top="wall", bottom="wall")
+    for grain in (1, 9):
+        assert sensor(walled, grain).grain == grain
+
+
+# --- arrivals
+
+
+@pytest.mark.parametrize("stride", [1, 2])
+@pytest.mark.parametrize("top", [1, 5, 20, 38])
+def test_the_summit_of_a_quintic_spline(stride: int, top: int):
+    """Through every such sample within six of the largest: its maximum by a search."""
+    time = np.linspace(0, 4, 41)
+    values = np.exp(-3 * (time - time[top] - 0.013) ** 2)
+    places = np.arange(top - 6 * stride, top + 6 * stride + 1, stride)
+    places = places[(places >= 0) & (places <= 40)]
+    spline = make_interp_spline(time[places], values[places], k=5)
+    found = minimize_scalar(
+        lambda s: -spline(s), bounds=(time[top] - 0.05, min(time[top] + 0.08, 4.0)), method="bounded",
+        options={"xatol": 1e-12},
+    )  # fmt: skip
+    when, height = summit(time, values, top, stride)
+    assert when == pytest.approx(found.x, abs=3e-8)
+    assert height == pytest.approx(-found.fun, rel=1e-10)
+
+
+def test_the_error_of_an_arrival():
+    """The shift when every second sample is used, or one interval where there are too few beside the largest."""
+    time = np.linspace(0, 4, 41)
+    for top, near in ((1, False), (2, True), (20, True), (38, True), (39, False)):
+        values = np.exp(-3 * (time - time[top] - 0.013) ** 2)
+        peak = arrival(time, values)
+        when, _ = summit(time, values, top, 1)
+        other, _ = summit(time, values, top, 2)
+        assert peak.time == when
+        assert peak.error == pytest.approx(abs(when - other) if near else 0.1, rel=1e-9)
+    for values, words in (
+        (np.arange(41.0), "the signal is largest in the last sample: record for longer"),
+        (-np.arange(41.0), "the signal is largest in the first sample: there is no maximum to wait for"),
+    ):
+        with pytest.raises(InputError, match=f"duration: {words}"):
+            arrival(time, values)
+    with pytest.raises(InputError, match="the force is largest"):
+        arrival(time, time, "force")
+
+
+def test_a_flight_in_metres_and_grains():
+    flight = Flight(4, 5e-3, 2e-5, 1e-9)
+    assert flight.speed == pytest.approx(250.0, rel=1e-14)
+    assert flight.grains_per_second == pytest.approx(2e5, rel=1e-14)
+
+
+@pytest.mark.parametrize("method", ["peak", "correlation"])
+def test_the_flight_of_a_bump(method: Any):
+    """A bump of displacement that passes at one grain in 1.013 us, so that all forces are the same but later."""
+    chain = Chain(grains=30, diameter=1e-3, gravity=0.0, top_load=1.0, exponent=1.0)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=4e-5, samples=401)
+    t = simulate(scene, engines.Native(step=1e-7))
+    late = t.time[:, None] - 8e-6 - 1.013e-6 * t.grains
+    made = replace(t, displacement=1e-9 * np.tanh(late / 2e-6) * (t.grains < 30))
+    apart = 8 * (1e-3 - chain.equilibrium_overlap[0])
+    for first, second, seconds in ((5, 13, 8.104e-6), (13, 5, -8.104e-6)):
+        flight = time_of_flight(made, first, second, method)
+        assert flight.seconds == pytest.approx(seconds, rel=1e-6)
+        assert flight.distance == pytest.approx(apart, rel=1e-12)
+        assert flight.grains == 8
+        assert 0 < flight.error < 1e-9
+        assert flight.speed == pytest.approx(apart / seconds, rel=1e-6)
+    for first, second, way in ((5, 5, "peak"), (5, 6, "phase")):
+        with pytest.raises(InputError, match="second: choose two grains"):
+            time_of_flight(made, first, second, way)  # type: ignore[arg-type]
+
+
+# --- spectra
+
+
+@pytest.mark.parametrize("window", ["boxcar", "hann"])
+@pytest.mark.parametrize("field", ["velocity", "displacement"])
+def test_spectra_are_sums_over_samples_and_grains(field: Any, window: str):
+    """Every number by its sum; the window over time, and over the grains, too."""
+    t = noise([5, 2, 3, 4, 9, 6, 7, 8, 1], samples=24)
+    motion = getattr(t, field)[:, np.argsort(t.grains)]
+    over_time, step = get_window(window, 24), 2e-5 / 23
+    seen = spectrum(t, field, window)
+    wave = np.exp(-2j * np.pi * np.arange(13)[:, None] * np.arange(24) / 24)
+    assert seen.grain.tolist() == list(range(1, 10))
+    assert seen.frequency == pytest.approx(np.arange(13) / (24 * step), rel=1e-12)
+    assert seen.amplitude == pytest.approx(np.abs(step * wave @ (over_time[:, None] * motion)), rel=1e-9)
+    both = dispersion(t, 2, 9, field, window)
+    over_grains = get_window(window, 8)
+    wavenumber = 2 * np.pi * np.arange(-4, 4) / 8
+    phase = np.exp(1j * np.arange(8)[:, None] * wavenumber)
+    windowed = over_time[:, None] * motion[:, 1:] * over_grains
+    assert both.wavenumber == pytest.approx(wavenumber, abs=1e-14)
+    scale = 1e-9 * both.amplitude.max()
+    assert both.amplitude == pytest.approx(np.abs(step * wave @ windowed @ phase), rel=1e-9, abs=scale)
+    assert both.frequency == pytest.approx(seen.frequency, rel=1e-14)
+    assert both.grain.tolist() == [2, 5, 9]
+    expected = cut_off(t.scene.chain)[[1, 4, 8]][:, None] * np.abs(np.sin(wavenumber / 2))
+    assert both.relation[:, 0] == pytest.approx(expected, rel=1e-9)
+    assert np.array_equal(spectrum(t).amplitude, spectrum(t, "velocity", "boxcar").amplitude)
+    assert np.array_equal(dispersion(t, 2, 9).amplitude, dispersion(t, 2, 9, "velocity", "hann").amplitude)
+    assert both.field == seen.field == field
+
+
+def test_travel_times_and_their_refusals():
+    """The sum of sqrt(m / k), m the mean of two grains; half a contact more from a free top."""
+    chain = Chain(grains=7, diameter=np.linspace(1e-3, 1.6e-3, 7), top_load=1e-3)
+    apart = np.sqrt((chain.masses[1:] + chain.masses[:-1]) / 2 / chain.linear_stiffness)
+    reached = np.append(0.0, np.cumsum(apart))
+    assert travel_time(chain) == pytest.approx(reached + apart[0] / 2, rel=1e-12)
+    assert travel_time(chain, 4) == pytest.approx(np.abs(reached - reached[3]), rel=1e-12)
+    for source in (1, 7):
+        assert travel_time(chain, source).shape == (7,)
+    for source in (0, 8):
+        with pytest.raises(InputError, match=rf"source: grains are numbered 1 to 7 \(got {source}\)"):
+            travel_time(chain, source)
+
+
+# --- what was recorded
+
+
+def test_sixteen_samples_are_enough_and_there_are_two_fields():
+    check(noise(samples=16), "velocity")
+    with pytest.raises(InputError, match="samples: must be 16 or more"):
+        check(noise(samples=15), "velocity")
+    for wrong in ("energy", ""):
+        with pytest.raises(InputError, match="field: must be"):
+            check_field(wrong)  # type: ignore[arg-type]
+
+
+def test_where_each_body_was_recorded():
+    """-1 for a wall or what is held, -2 for what is not known; else the column."""
+    assert columns(6, 4, np.array([4, 1, 5])).tolist() == [-1, 1, -2, -2, 0, 2, -1, -1]
+    u, v = np.zeros((2, 3, 4))
+    u[1, 1], v[2, 2] = 1e-9, -1e-9
+    assert leaves_rest(u, v).tolist() == [False, True, True, False]
+    assert leaves_rest(np.ones((2, 2)), np.zeros((2, 2))).tolist() == [True, True]
+
+
+def test_largest_values_bear_the_numbers_of_their_grains():
+    scene = Scene(chain=Chain(grains=6, diameter=1e-3), excitation=Impulse(velocity=1e-6, grain=2), duration=2e-5,
+                  samples=101, grains=[4, 2, 3, 1, 5])  # fmt: skip
+    t = simulate(scene, "native", 1e-9)
+    for field in ("velocity", "displacement"):
+        seen = peaks(t, field)  # type: ignore[arg-type]
+        assert seen.grain.tolist() == [4, 2, 3, 1, 5]
+        sampled = np.abs(getattr(t, field)).max(0)
+        assert seen.value == pytest.approx(sampled, rel=2e-2)
+        assert (seen.value >= sampled * (1 - 1e-12)).all()
+    assert np.array_equal(peaks(t).value, peaks(t, "velocity").value)
