@@ -90,6 +90,21 @@ def test_the_summary_of_a_run_number_by_number(
     assert said["engine"] == "native, which solves Eq. (1)"
 
 
+def test_what_is_doubtful_is_said_before_the_run(
+    scene: Path, answer: Trajectory, monkeypatch: Any, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setattr("lmpchain.stability.pre_run.pre_run_warnings", lambda *_: ["it is rough", "it is long"])
+    monkeypatch.setattr("lmpchain.simulation.api.simulate", lambda *_, **__: answer)
+    assert main(["run", str(scene)]) == 0
+    assert capsys.readouterr().err == "warning: it is rough\nwarning: it is long\n"
+    monkeypatch.setattr("lmpchain.stability.pre_run.pre_run_warnings", lambda *_: [])
+    monkeypatch.setattr(mpi, "_joined", [object()])
+    for engine, alone in (("auto", True), ("native", True), ("lammps", False)):
+        assert main(["run", str(scene), "--force", "--engine", engine]) == 0
+        one = f"warning: the engine {engine} runs on one rank; --engine lammps would use them all\n"
+        assert capsys.readouterr().err == (one if alone else "")
+
+
 def test_a_run_that_max_wall_stops_is_to_be_resumed(scene: Path, monkeypatch: Any, capsys: Any):
     asked: dict[str, Any] = {}
 
