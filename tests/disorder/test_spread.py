@@ -168,7 +168,8 @@ def test_picture_of_spreading():
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("time, s", "mean of 5 chains, m = 3")
     assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
     assert len(axes.get_legend().get_texts()) == 2
-    assert len(spreading(scene(), 3, 1, 1).plot().collections) == 0
+    for count, bands in ((1, 0), (2, 2)):
+        assert len(spreading(scene(), 3, count, 1).plot().collections) == bands
 
 
 def test_what_is_kept_with_the_means():
