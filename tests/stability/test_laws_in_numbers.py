@@ -28,7 +28,7 @@ from lmpchain.stability.predictability import (
 )
 from lmpchain.stability.result import Boundary, Curve, Stability
 from lmpchain.stability.roundoff import floor
-from lmpchain.stability.step_limit import EnergyError, limit, struck_frequency, suspect
+from lmpchain.stability.step_limit import EnergyError, energy_error, limit, struck_frequency, suspect
 
 STEEL = Chain(grains=12, material="steel", diameter=3e-3)
 STRUCK = Scene(chain=STEEL, excitation=Impulse(velocity=0.05), duration=1e-3, samples=101)
@@ -106,6 +106,20 @@ def test_the_most_suspect_step_is_that_of_the_fastest_growth() -> None:
         most = max(method.growth(reach) for reach in reaches)
         assert method.stability_limit <= suspect(name) <= 1.02 * method.stability_limit
         assert math.log(method.growth(suspect(name))) == pytest.approx(math.log(most), rel=0.05)
+
+
+def test_energies_are_followed_for_so_many_periods_of_the_band_edge() -> None:
+    """With steps of Verlet, whose error of the energy is below (w h)^2 / 4 of the energy, and from 0 at the start."""
+    chain = Chain(grains=4, diameter=1e-3, gravity=0.0, top_load=1e-2)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-7), duration=1.0, samples=3, grains=[2])
+    step = 0.1 / chain.band_edge
+    run = energy_error(scene, "verlet", step, 10, samples=41)
+    assert run.time.size == 41
+    assert run.time[-1] == pytest.approx(20 * np.pi / chain.band_edge, rel=1e-12)
+    assert 0.9 * step < run.step <= step * (1 + 1e-9)
+    assert run.error[0] == 0.0
+    assert 1e-4 < np.abs(run.error).max() < 0.01 / 4
+    assert energy_error(scene, "verlet", step, 1).time.size == 2001
 
 
 # --- predictability
