@@ -91,18 +91,18 @@ def test_bessel_functions_of_all_orders(z):
     assert abs(values[-1]) < 1e-16
 
 
-@both
-@pytest.mark.parametrize("seed", range(8))
-def test_against_forty_digits(engine, seed):
-    scene = random_linear(seed, 14)
-    t = simulate(scene, engine)
+@pytest.mark.parametrize("seed", range(6))
+def test_against_forty_digits(seed):
+    scene = random_linear(seed, 12)
     u, v = longdouble_modes(scene)
-    true = relative_error(t.displacement[-1], t.velocity[-1], u, v)
-    assert true < 2e-13
-    assert true < 3 * t.error_estimate.solver
+    for engine in ENGINES:
+        t = simulate(scene, engine)
+        true = relative_error(t.displacement[-1], t.velocity[-1], u, v)
+        assert true < 2e-13
+        assert true < 3 * t.error_estimate.solver
 
 
-@pytest.mark.parametrize(("seed", "grains"), [(seed, grains) for seed in range(6) for grains in (2, 3, 40, 500)])
+@pytest.mark.parametrize(("seed", "grains"), [(seed, grains) for seed in range(4) for grains in (3, 40, 300)])
 def test_modes_and_the_chebyshev_series_agree(seed, grains):
     """Modes and Chebyshev share no line of arithmetic; to 1e-11 on random chains."""
     scene = random_linear(seed + 100, max(grains, 3))
@@ -112,7 +112,7 @@ def test_modes_and_the_chebyshev_series_agree(seed, grains):
 
 
 @both
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(4))
 def test_limit_of_weak_motion_of_the_nonlinear_engine(engine, seed):
     scene = random_linear(seed + 200, 30, strike=1e-13)
     linear, full = simulate(scene, engine), simulate(scene, "native", 5e-12)

@@ -77,8 +77,8 @@ def test_one_step():
     assert 1e-6 < true < 3 * t.error_estimate.total < 0.03
 
 
-@pytest.mark.parametrize("steps", range(1, 25))
-@pytest.mark.parametrize("samples", [2, 3, 4, 12])
+@pytest.mark.parametrize("steps", [*range(1, 11), 15, 16, 17, 24])
+@pytest.mark.parametrize("samples", [2, 3, 12])
 def test_companions_differ_from_the_answer_and_from_each_other(steps, samples):
     """Whether or not the number of steps divides, and the estimate is within three of the truth."""
     chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=0.1, exponent=1.0)

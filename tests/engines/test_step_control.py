@@ -10,7 +10,13 @@ from helpers.example_scenes import smooth
 from lmpchain import RunFailed, ToleranceNotMet
 from lmpchain.engines import Native, step_control
 from lmpchain.engines.base import Candidate, Engine, ErrorBudget, Run
-from lmpchain.engines.step_control import Attempt, first_attempt, loosened, next_attempt, solve_to_tolerance
+from lmpchain.engines.step_control import (
+    Attempt,
+    first_attempt,
+    loosened,
+    next_attempt,
+    solve_to_tolerance,
+)
 from lmpchain.trajectory.record import Cost
 
 SCENE = smooth(samples=5)
@@ -151,7 +157,10 @@ def test_a_run_that_breaks_down_is_tried_three_times(now, pairs):
     engine = Scripted([None, budget(1e-9)], now)
     with pytest.raises(RunFailed):
         solve_to_tolerance(
-            engine, [SCENE], Attempt("native", CANDIDATE._replace(fixed=True), 1e-6), lambda run: list(run.blocks())
+            engine,
+            [SCENE],
+            Attempt("native", CANDIDATE._replace(fixed=True), 1e-6),
+            lambda run: list(run.blocks()),
         )
     assert len(engine.steps) == 1
 
@@ -165,7 +174,12 @@ def test_a_pilot_is_followed_by_the_answer_that_it_asks_for(now, pairs):
     pilot = Attempt("native", CANDIDATE, 1e-6, pilot=True)
     following, missed = next_attempt(Scripted([], now), SCENE, pilot, budget(0.5))
     assert missed == ""
-    assert (following.pilot, following.pilots, following.number, following.truncations) == (False, 1, 2, ())
+    assert (following.pilot, following.pilots, following.number, following.truncations) == (
+        False,
+        1,
+        2,
+        (),
+    )
     assert following.candidate.step == pytest.approx(STEP / 2, rel=1e-12)
     after, _ = next_attempt(Scripted([], now), SCENE, pilot, None)
     assert (after.pilots, after.breakdowns) == (1, 0)

@@ -19,7 +19,6 @@ from lmpchain.cli.command_line import main
 from lmpchain.engines import Modes, Native, time_stepping
 from lmpchain.engines import cost_model as speed
 from lmpchain.engines.linear import engine as linear
-from lmpchain.engines.linear import model_error as nonlinearity
 from lmpchain.simulation import selection
 from lmpchain.trajectory.trajectory import Trajectory
 
@@ -174,7 +173,7 @@ def test_what_a_driven_chain_costs_does_not_depend_on_grains_out_of_reach():
 
 
 @pytest.mark.filterwarnings("ignore:Eq. ")
-@pytest.mark.parametrize("seed", range(1, 61, 2))
+@pytest.mark.parametrize("seed", range(1, 61, 4))
 def test_what_linear_theory_leaves_out_is_bounded_before_and_after(seed: int):
     """Beforehand from the strike, closer from the linear wave, afterwards from the run: never below half the truth."""
     scene, modes = struck(seed), Modes()
@@ -411,15 +410,7 @@ def test_a_run_folder_goes_on_as_planned(tmp_path: Path):
     assert again.provenance["plan"] == plain.provenance["plan"]
 
 
-def test_the_cheapest_is_taken_of_equal_ones():
-    proposals = selection.propose_all(periodic(duration=2e5), 1e-6)
-    best = selection.cheapest(proposals)
-    worse = [proposal._replace(kept=False) if proposal is best else proposal for proposal in proposals]
-    assert selection.cheapest(worse).cost_s >= best.cost_s
-    assert nonlinearity.bounds(periodic())[0] < nonlinearity.bounds(periodic())[1]
-
-
-@pytest.mark.parametrize("seed", range(60))
+@pytest.mark.parametrize("seed", range(30))
 def test_engines_that_are_not_even_asked_would_not_be_taken(seed: int):
     """Nor does what was asked of the others change."""
     rng = np.random.default_rng(33_000_000 + seed)

@@ -52,9 +52,17 @@ DECKS = {
 }
 
 
-@pytest.mark.parametrize("name", DECKS)
+WAYS = [("verlet", "physical"), ("verlet", "gauge"), ("kahan-li6", "gauge")]
+
+
 @pytest.mark.parametrize(
-    ("integrator", "diameter"), [("verlet", "physical"), ("verlet", "gauge"), ("kahan-li6", "gauge")]
+    ("name", "integrator", "diameter"),
+    [
+        # each deck as it is by default, and in one of the other ways
+        pytest.param(name, *way, marks=pytest.mark.slow if place == 1 + number % 2 else ())
+        for number, name in enumerate(DECKS)
+        for place, way in enumerate(WAYS)
+    ],
 )
 def test_stand_alone_deck_gives_the_bytes_of_the_library(tmp_path, name, integrator, diameter):
     scene, step = DECKS[name], 1e-7
