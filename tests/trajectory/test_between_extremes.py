@@ -19,6 +19,11 @@ STEEP, BENT = 7.514 / 2.1875, 2 * 52.5 / 2.1875  # slope and curvature of what a
 TILT_S = 0.3  # rad/s by which errors of values may go up and down
 
 
+@pytest.fixture(autouse=True)
+def _same_draws_in_any_order():
+    RNG.bit_generator.state = np.random.default_rng(12).bit_generator.state
+
+
 def motion_of(position: Polynomial, off: float = 0.0) -> np.ndarray:
     """Return u, v, a, j and error of the acceleration, (5, 1, SAMPLES)."""
     t = H * np.arange(SAMPLES)
@@ -423,3 +428,80 @@ def test_widths_of_bumps_with_a_flat_top(kind: int, sign: float):
             found = front(position_of(sign * curve, kind), kind, 0.9)
             assert found[:2] == pytest.approx([middle, sign], rel=1e-7)
             assert found[2] == pytest.approx(span(curve, 0.5, middle), rel=1e-9)
+
+
+@pytest.mark.parametrize("kind", [hermite.VELOCITY, hermite.DISPLACEMENT])
+def test_fronts_of_random_signals_are_those_of_dense_samples(kind: int):
+    """The first maximum of a share of the largest, and where it falls to half, over many intervals."""
+    rng = np.random.default_rng(17)
+    clear = 0
+    for number in range(60):
+        signal, step = bumps(rng), (0.25, 0.5, 1.0)[number % 3]
+        fraction = rng.uniform(0.2, 0.95)
+        samples = int(24 / step)
+        motion = np.zeros((5, 1, samples))
+        motion[:4, 0] = signal(step * np.arange(samples))
+        found = extremes.fronts(
+            motion, np.zeros(1, bool), np.zeros(1, int), 1, step, kind, np.zeros((1, 0)), fraction, 0.0, 0.0, 1.0,
+            True,
+        )[0][0]  # fmt: skip
+        dense = np.arange(0, step * (samples - 1), 1e-3)
+        y = signal(dense)[1 if kind == hermite.VELOCITY else 0]
+        size = np.abs(y)
+        turns = 1 + np.flatnonzero((size[1:-1] > size[:-2]) & (size[1:-1] >= size[2:]))
+        first = turns[size[turns] >= fraction * size.max()][0]
+        sign, top = np.sign(y[first]), size[first]
+        before = np.flatnonzero(sign * y[:first] < top / 2)[-1]
+        after = first + np.flatnonzero(sign * y[first:] < top / 2)[0]
+        truth = np.array([dense[first], y[first], dense[after] - dense[before]])
+        off = np.abs(found[:3] - truth)
+        assert (off <= found[3:] + np.array([1.1e-3, 1e-6, 2.2e-3])).all()
+        if step < 1 and found[3] < 0.05:
+            clear += 1
+            assert (off <= [0.01, 1e-3, 0.02]).all()
+            assert (found[3:] <= [0.05, 2e-3, 0.05]).all()
+    assert clear > 30
+
+
+def test_where_a_rise_is_flat_is_told_quarter_by_quarter():
+    """The slope counts as flat within its error; between curvatures of two signs it is that where tangents meet."""
+    kind, none = hermite.VELOCITY, np.zeros((1, 0))
+    met = set()
+    for number in range(120):
+        off, tilt = RNG.choice([0, 0.05]), RNG.choice([1e-3, 0.5, 3.0])
+        curve = wavy() + 3 * RNG.choice([0, 1])
+        if number % 2:  # hardly rising at some time
+            turning = Polynomial([-RNG.uniform(0.1, 0.9), 1]) ** 2 + RNG.uniform(1e-4, 6e-4)
+            curve, off, tilt = turning.integ() + 0.2, 0.0, RNG.choice([5e-5, 2e-4])
+        curve = RNG.choice([-1, 1]) * curve
+        motion = motion_of(curve.integ(), off)
+        reach, error = np.empty((2, SAMPLES - 1))
+        p = hermite.path(motion, 0, H, kind, none, reach, error, np.zeros(8), np.zeros(8), np.zeros(4))
+        at, place = int(RNG.integers(0, SAMPLES - 1)), float(RNG.choice([0.3, 1.0]))
+        least = float(RNG.uniform(0.1, 0.9) * np.abs(curve(np.linspace(0, 1, 200))).max())
+        when, low = extremes._flat(p, least, at, place, tilt)
+        expected = (at + place) * H, 0.0
+        for i in range(at + 1):
+            here = curve(Polynomial([i * H, H]))
+            sign, end = math.copysign(1.0, here(0.5)), place if i == at else 1.0
+            slack = STEEP * error[i] + tilt * H
+            w = end / 4
+            rising = sign * here.deriv()
+            flat = None
+            for quarter in range(4):
+                s = quarter * w
+                r0, r1, b0, b1 = rising(s), rising(s + w), rising.deriv()(s), rising.deriv()(s + w)
+                dip = 0.0
+                if b0 < 0 < b1 and r0 > slack:
+                    dip = min(max((r1 - r0 - b1 * w) / (b0 - b1), 0.0), w)
+                size = abs(here(s + dip))
+                if size >= least and r0 + b0 * dip <= slack:
+                    flat = max(i + s - (0.0 if dip else w), 0.0) * H, size
+                    met.add(dip > 0)
+                    break
+            if flat:
+                expected = flat
+                break
+        assert when == pytest.approx(expected[0], rel=1e-9, abs=1e-12)
+        assert low == pytest.approx(expected[1], rel=1e-7, abs=1e-12)
+    assert met == {True, False}

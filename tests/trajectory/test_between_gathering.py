@@ -14,6 +14,11 @@ PUSHED = 5 / 16  # by which an error of the acceleration changes a velocity betw
 STEEP, BENT = 7.514 / 2.1875, 2 * 52.5 / 2.1875  # slope and curvature of what a value is off by
 
 
+@pytest.fixture(autouse=True)
+def _same_draws_in_any_order():
+    RNG.bit_generator.state = np.random.default_rng(21).bit_generator.state
+
+
 class Gathered:
     """What is gathered of two bodies: a wall that moves, and a grain whose acceleration is given."""
 
@@ -187,3 +192,32 @@ def test_a_constant_speed_is_reached_where_it_began(sign: int):
     assert kept.record[gathering.BEND, 0] == 0
     assert kept.record[gathering.UNTIL, 0] == pytest.approx(1.0, rel=1e-12)
     assert kept.record[gathering.SINCE, 0] == pytest.approx(1.0, rel=1e-12)
+
+
+def test_maxima_are_logged_in_the_order_in_which_they_exceed_all_before():
+    """Of random polynomials: the turns of the speed that are above all that was, from that at t = 0 on."""
+    counts, t = set(), H * np.arange(SAMPLES)
+    for _ in range(40):
+        position = wavy()
+        speed = position.deriv()
+        kept = Gathered(samples_of(position), np.zeros((4, SAMPLES)))
+        kept.take(0, 4)
+        kept.take(4, FINAL)
+        flat = speed.deriv().roots()
+        flat = np.sort(flat[np.abs(flat.imag) < 1e-9].real)
+        places = np.array([0.0, *flat[(flat > 0) & (flat < 1)], 1.0])
+        sizes = np.abs(speed(places))
+        rises = (sizes[1:] >= sizes[:-1]) & (speed(places[1:]) * speed(places[:-1]) > 0)
+        tops = [k for k in range(places.size) if k + 1 == places.size or not rises[k]]
+        tops = [k for k in tops if sizes[k] > sizes[[q for q in tops if q < k]].max(initial=0.0)]
+        known = np.sort(np.concatenate([places, t]))  # within an interval a speed may pass 0 unseen
+        records = []
+        for k, following in zip(tops, [*tops[1:], None], strict=True):
+            between = known[(known > places[k]) & (known < places[following])] if following else known
+            if following is None or np.abs(speed(between)).min(initial=np.inf) < sizes[k]:
+                records.append((places[k], sizes[k]))
+        counts.add(len(records))
+        entries = [(row[1 + gathering.WHEN], row[1 + gathering.TOP]) for row in kept.log[: kept.logged]]
+        entries.append((kept.record[gathering.WHEN, 0], kept.record[gathering.TOP, 0]))
+        np.testing.assert_allclose(entries, records, rtol=1e-7, atol=1e-9)
+    assert len(counts) > 2
