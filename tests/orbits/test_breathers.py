@@ -97,7 +97,7 @@ def test_bright_breathers_lie_in_gaps_and_soften(kind, low: float, high: float, 
     assert 1 / (share(orbit) ** 2).sum() < 4
 
 
-@pytest.mark.parametrize("kind", [surface, defect])
+@pytest.mark.parametrize("kind", [pytest.param(surface, marks=pytest.mark.slow), defect])
 def test_the_anticontinuous_limit_leads_to_the_same_breather(kind):
     orbit = kind()
     other = orbits.breather(orbit.chain, int(share(orbit).argmax()) + 1, orbit.period)

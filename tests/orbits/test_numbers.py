@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from lmpchain import Chain, Drive, InputError, Profile, orbits
+from lmpchain import Chain, Drive, InputError, Profile, orbits, simulate
 from lmpchain.errors import RunFailed
 from lmpchain.orbits import Orbit, closing, floquet
 from lmpchain.orbits.closing import Aspect
@@ -111,6 +111,10 @@ def test_an_unstable_direction_grows_by_its_multiplier():
     # x, M x and M^2 x of the real part of an eigenvector
     expected = 2 * growth.real * turned - np.abs(growth) ** 2 * x
     assert np.abs(one.monodromy @ turned - expected).max() < 1e-6 * np.abs(x).max()
+    away = simulate(one.scene(2, 3).replace(excitation=one.perturbed(1e-5)), "native", 1e-11).displacement
+    away = away - one.displacement
+    expected = 2 * growth.real * away[1] - np.abs(growth) ** 2 * away[0]
+    assert away[2] == pytest.approx(expected, abs=1e-3 * np.abs(away).max())
     begun = one.perturbed(1e-3)
     np.testing.assert_allclose(begun.displacement - one.displacement, 1e-3 * one.amplitude * u, rtol=1e-6)
     speed = np.abs(v).max() * 1e-3 * one.amplitude

@@ -131,19 +131,6 @@ def test_a_gap_breather_returns_and_has_the_multipliers_of_extended_precision():
     assert np.sum(np.abs(eigenvalues - 1) < 1e-5) == 2  # along the orbit, and to its neighbours
 
 
-def test_the_anticontinuous_limit_leads_to_the_same_breather_as_the_linear_mode():
-    chain = dimer(11)
-    u, period = orbits.linear_mode(chain, 7, 1e-2)
-    first = at_rest(chain, u, period, energy=float(chain.excess_energy(u, 0 * u)))
-    target = 5.45e-5
-    one = orbits.find(chain, orbits.follow(first, "period", target, events=False)[-1])
-    other = orbits.breather(chain, 6, target)
-    nearest = min(
-        (one.displacement, one.motion()[1][one.mesh.size // 2]), key=lambda x: abs(x[5] - other.displacement[5])
-    )
-    assert nearest == pytest.approx(other.displacement, abs=1e-10 * other.amplitude)
-
-
 def test_small_orbits_have_the_multipliers_of_the_linear_chain():
     chain = Chain(grains=9, diameter=1e-3)
     u, period = orbits.linear_mode(chain, 3, 1e-6)
@@ -235,18 +222,6 @@ def test_a_driven_orbit_runs_in_lammps():
     orbit = orbits.find(chain, drive=drive)
     run = simulate(orbit.scene(3, samples=4), "lammps", 1e-6)
     assert np.abs(run.displacement - orbit.displacement).max() < 1e-7 * orbit.amplitude
-
-
-def test_an_unstable_orbit_is_left_at_the_rate_of_its_multiplier():
-    masses = np.where(np.arange(11) % 2 == 0, 3e-3, 1e-3)
-    chain = Chain(grains=11, diameter=1e-2, gravity=0.0, top_load=20.0, top="wall", bottom="wall", masses=masses)
-    orbit = orbits.breather(chain, 6, 5.5e-5)
-    growth = orbit.unstable[0]
-    scene = Scene(chain=chain, excitation=orbit.perturbed(1e-5), duration=2 * orbit.period, samples=3)
-    away = simulate(scene, "native", 1e-11).displacement - orbit.displacement
-    # in the plane of a complex pair l, l*, and for a real l too
-    expected = 2 * growth.real * away[1] - np.abs(growth) ** 2 * away[0]
-    assert away[2] == pytest.approx(expected, abs=1e-3 * np.abs(away).max())
 
 
 def test_what_cannot_be_is_said_in_one_line():
