@@ -596,3 +596,24 @@ def test_a_sensitivity_asks_for_what_it_was_given(scene: Path, monkeypatch: Any,
     assert main(words) == 0
     assert capsys.readouterr().out == "the table\n"
     assert asked == [Scene.from_toml(scene), "momentum:3", {"masses": 0.02, "contact_constants": 0.0}, 1e-4]
+
+
+def test_a_saved_run_is_evaluated_as_asked(scene: Path, answer: Trajectory, monkeypatch: Any, capsys: Any):
+    file, numbers = scene.parent / "run.nc", scene.parent / "n.json"
+    answer.save(file)
+    asked: list[Any] = []
+    result = SimpleNamespace(
+        table=lambda *chains: f"the table of {len(chains)} chains", to_json=lambda *chains: {"chains": len(chains)}
+    )
+    monkeypatch.setattr("lmpchain.measure.dyson.sums", lambda run, m: asked.append((run.engine, list(m))) or result)
+    chains = lambda *values, progress: asked.append((*values[1:], progress)) or ("mean", "error")  # noqa: E731
+    monkeypatch.setattr("lmpchain.disorder.averages.at_the_end", chains)
+    words = ["dyson", str(file), "--m", "1,5", "--json", str(numbers)]
+    assert main([*words, "--realisations", "7", "--seed", "3"]) == 0
+    assert capsys.readouterr().out == f"the table of 2 chains\nnumbers: {numbers}\n"
+    assert json.loads(numbers.read_text()) == {"chains": 2}
+    assert asked == [("native", [1, 5]), ([1, 5], 7, 3, False)]
+    monkeypatch.setattr("lmpchain.measure.fit.overview.summary", lambda run: result)
+    assert main(["fit", str(file), "--json", str(numbers)]) == 0
+    assert capsys.readouterr().out == f"the table of 0 chains\nnumbers: {numbers}\n"
+    assert json.loads(numbers.read_text()) == {"chains": 0}
