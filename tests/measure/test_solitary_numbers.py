@@ -1,0 +1,122 @@
+"""A solitary wave, number by number: its mean height, the line through its arrivals, its width and their errors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from lmpchain import Chain, Impulse, InputError, Scene, Trajectory, simulate
+from lmpchain.measure.fit import fit_soliton, solitary
+from lmpchain.measure.front import Front, track
+
+CHAIN = Chain(grains=44, diameter=1e-3, gravity=0.0, material="steel")
+
+
+@pytest.fixture(scope="module")
+def struck() -> Trajectory:
+    unit = (CHAIN.masses[0] / CHAIN.contact_constants[0]) ** 0.4
+    duration = 46 * unit / 0.1**0.2
+    scene = Scene(chain=CHAIN, excitation=Impulse(velocity=0.1), duration=duration, samples=461)
+    return simulate(scene, "native", 1e-8)
+
+
+@pytest.fixture(scope="module")
+def front(struck: Trajectory) -> Front:
+    return track(struck)
+
+
+@pytest.mark.parametrize(("first", "last"), [(20, 30), (25, None), (None, None)])
+def test_height_speed_and_width(struck: Trajectory, front: Front, first: int | None, last: int | None):
+    """By default of the later half of grains 6 to 39; errors of half a 95 % interval and of sampling."""
+    fit = fit_soliton(struck, first, last)
+    if first is None and last is None:
+        inner = front.between(6, 39)
+        later = inner.grain[np.argsort(inner.time)[inner.grain.size // 2 :]]
+        used = front.between(later.min(), later.max())
+    else:
+        used = front.between(first or 1, last or 44)
+    assert fit.grain.tolist() == used.grain.tolist()
+    assert np.array_equal(fit.time, used.time)
+    assert np.array_equal(fit.velocity, np.abs(used.amplitude))
+    slope, _ = np.polyfit(used.grain, used.time, 1)
+    speed, whole = 1 / slope, np.isfinite(used.width)
+    count = whole.sum()
+    assert fit.amplitude == pytest.approx(used.amplitude.mean(), rel=1e-13)
+    assert fit.speed == pytest.approx(speed, rel=1e-9)
+    assert fit.width == pytest.approx(used.width[whole].mean() * speed, rel=1e-9)
+    n = used.grain - used.grain.mean()
+    left = used.time - used.time.mean() - slope * n
+    line = np.sqrt(left @ left / (n.size - 2) / (n @ n)) * speed**2
+    scatter = used.amplitude.std(ddof=1) / np.sqrt(n.size)
+    width = used.width[whole].std(ddof=1) / np.sqrt(count) * speed
+    sampled = np.array([used.amplitude_error.max(), 3 * used.time_error.max() / np.ptp(used.grain) * speed**2,
+                        used.width_error[whole].max() * speed])  # fmt: skip
+    sure = stats.t.ppf(0.975, count - 2)
+    assert fit.error == pytest.approx(sure * np.array([scatter, line, width]) + sampled, rel=1e-6)
+    unit = (CHAIN.masses[0] / CHAIN.contact_constants[0]) ** 0.4
+    exact = 0.9074700784 / unit * fit.amplitude**0.2
+    assert fit.expected == pytest.approx([fit.amplitude, exact, 1.5791], rel=1e-4)
+    assert fit.expected[1] == pytest.approx(exact, rel=1e-9)
+    assert 1.003 < fit.formula / exact < 1.05
+
+
+def test_the_first_grains_still_change(struck: Trajectory):
+    """The wave is not yet itself there: they are taken only if asked for."""
+    with pytest.raises(InputError, match="no solitary wave") as error:
+        fit_soliton(struck, None, 30)
+    assert "from grain 2 to 30" in str(error.value)
+
+
+def moved(front: Front, **changes: Any) -> Any:
+    """Return a tracker that gives this front, changed."""
+    changed = replace(front, **changes)
+    return lambda trajectory, field: changed
+
+
+def test_what_is_steady_enough(struck: Trajectory, front: Front, monkeypatch: pytest.MonkeyPatch):
+    """Heights may scatter by 2 %, and speed and width be 2 % off; all grains go with the wave."""
+    grain, amplitude = front.grain, np.full(front.grain.size, front.amplitude[20])
+    clean = {"amplitude": amplitude, "time": 1e-6 + (grain - 1) / fit_soliton(struck).speed}
+
+    def given(**changes: Any) -> Any:
+        monkeypatch.setattr(solitary, "track", moved(front, **clean | changes))
+        return fit_soliton(struck, 15, 34)
+
+    assert given().speed == pytest.approx(fit_soliton(struck).expected[1], rel=1e-5)
+    bump = np.where(grain == 20, 1.0, 0.0)
+    assert given(amplitude=amplitude * (1 + 0.0195 * bump)).velocity.max() > amplitude[0]
+    with pytest.raises(InputError, match=r"front: its height changes by 2.1% from grain 15 to 34"):
+        given(amplitude=amplitude * (1 + 0.021 * bump))
+    for factor in (0.983, 1.017):
+        given(time=clean["time"] * factor, width=front.width * factor)
+    for factor in (0.977, 1.023):
+        with pytest.raises(InputError, match=r"times the speed and .* the width of a solitary wave"):
+            given(time=clean["time"] * factor, width=front.width * factor)
+    for factor in (0.975, 1.025):
+        with pytest.raises(InputError, match="the width of a solitary wave"):
+            given(width=front.width * factor)
+    with pytest.raises(InputError, match="grains move against it"):
+        given(amplitude=-amplitude)
+    six, five = (np.where((grain > 14) & (grain < 15 + k), front.width, np.nan) for k in (6, 5))
+    assert given(width=six).width > 1.5
+    with pytest.raises(InputError, match="must pass 6 or more recorded grains as a whole, not 5"):
+        given(width=five)
+
+
+def test_chains_in_which_no_wave_stays_as_it_is():
+    for more, key in (
+        ({"gravity": 1e-9}, "gravity"),
+        ({"exponent": 1.0, "top_load": 1.0}, "exponent"),
+        ({"grains": 1, "bottom": "wall"}, "grains"),
+        ({"masses": 1e-6 * (1 + 1.2e-9 * (np.arange(8) == 3))}, "chain"),
+        ({"contact_constants": 1e9 * (1 + 1.2e-9 * (np.arange(7) == 3))}, "chain"),
+    ):
+        chain = Chain(**{"grains": 8, "diameter": 1e-3, "gravity": 0.0} | more)
+        with pytest.raises(InputError) as error:
+            solitary._fits(chain)
+        assert [name for name, _ in error.value.faults] == [key]
+    solitary._fits(Chain(grains=8, diameter=1e-3, gravity=0.0, masses=1e-6 * (1 + 0.9e-9 * (np.arange(8) == 3))))
