@@ -176,7 +176,7 @@ def test_first_moments_of_a_motion_just_begun():
 
 # largest mean velocity over 400 chains with kappa_n = n^(1/3) zeta_n of 60 grains at tau = 15, by another code with
 # other random numbers
-PUBLISHED = {1: 0.0995, 2: 0.150, 5: 0.234, 20: 0.317, 100: 0.356, 1000: 0.363}
+PUBLISHED = {1: 0.0995, 5: 0.234, 100: 0.356}
 
 
 def test_largest_mean_velocity():
