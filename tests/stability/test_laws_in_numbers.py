@@ -227,6 +227,8 @@ def test_strike_numbers_at_which_linear_theory_fails_in_any_scene() -> None:
         assert there == pytest.approx(error, rel=0.02)
     still = loaded.replace(excitation=Impulse(velocity=0.0))
     assert strike_number_where(0.01, still) == np.inf
+    alien = linear_law(1e9, "velocity")  # two fields of one energy that have nothing in common
+    assert alien == pytest.approx(np.sqrt(2), rel=1e-6)
     with pytest.raises(InputError, match=r"norm: must be one of velocity, displacement, package, peak \(got "):
         linear_law(0.1, "energy")
     at_20, at_80 = (linear_law(1e-6, "peak", grain=grain) for grain in (20, 80))
