@@ -164,3 +164,13 @@ def test_random_scenes_soak(equation, monkeypatch):
     assert (found > 1).mean() < 0.01
     assert found.max() < 3
     assert "between_samples" in sys.modules
+
+
+def test_what_hides_of_a_driven_grain_alone():
+    """Its acceleration comes from the samples, which are too few; those of all below it follow from their contacts."""
+    drive = Drive(amplitude=1e-9, frequency=20e3)
+    scene = Scene(chain=Chain(grains=12, diameter=1e-3), excitation=drive, duration=1e-4, samples=11)
+    samples = int(scene.highest_frequency * scene.duration / 1.5) + 2
+    seen = peaks(simulate(scene.replace(samples=samples), "native", 1e-9))
+    assert np.isinf(seen.error[0])
+    assert np.isfinite(seen.error[1:]).all()
