@@ -247,3 +247,16 @@ def test_largest_values_bear_the_numbers_of_their_grains():
         assert seen.value == pytest.approx(sampled, rel=2e-2)
         assert (seen.value >= sampled * (1 - 1e-12)).all()
     assert np.array_equal(peaks(t).value, peaks(t, "velocity").value)
+
+
+def test_what_pushes_grain_1_below_a_wall():
+    """m a + F_1 - F_0 - m g, 0 at rest: the wall above pushes, too."""
+    chain = Chain(grains=7, diameter=1e-3, top_load=1e-3, top="wall")
+    drive = Drive(amplitude=2e-9, frequency=1e5)
+    t = simulate(Scene(chain=chain, excitation=drive, duration=2e-5, samples=41), engines.Native(step=1e-8))
+    omega, u = 2 * np.pi * 1e5, t.displacement
+    constant, overlap = chain.contacts.constant, chain.contacts.overlap
+    above = constant[0] * np.maximum(overlap[0] - u[:, 0], 0) ** 1.5
+    below = constant[1] * np.maximum(overlap[1] + u[:, 0] - u[:, 1], 0) ** 1.5
+    force = chain.masses[0] * (-(omega**2) * u[:, 0] - 9.81) + below - above
+    assert drive_force(t) == pytest.approx(force, rel=1e-7, abs=1e-9 * np.abs(force).max())
