@@ -29,7 +29,7 @@ from pathlib import Path
 PROJECT = Path(__file__).parents[1]
 NOT_COPIED = shutil.ignore_patterns(".git", ".venv", "*_cache", "*.egg-info", "build", "dist")
 CPU_LIMIT_S = 240  # of a process, for a mutant may never end; a busy machine changes nothing about it
-WALL_LIMIT_S = 600  # for a mutant that waits without end
+WALL_LIMIT_S = 1800  # for a mutant that waits without end
 OPPOSITES = {
     **{ast.Lt: ast.GtE, ast.GtE: ast.Lt, ast.Gt: ast.LtE, ast.LtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq},
     **{ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In, ast.And: ast.Or, ast.Or: ast.And},
