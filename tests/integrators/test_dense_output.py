@@ -1,15 +1,19 @@
 """Samples that steps pass over are interpolated, as well as the steps are taken."""
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 from helpers.independent_integrators import relative_error
+from numba import njit
 
 from lmpchain import Chain, Displacement, Drive, Force, Impulse, Scene, simulate
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines.companions import Companions
 from lmpchain.engines.native import Native
 from lmpchain.integrators.batch import ChainBatch
-from lmpchain.integrators.kernels.layout import LEAST_SHARE
+from lmpchain.integrators.kernels.dense_output import fill_samples
+from lmpchain.integrators.kernels.layout import ALONE, DONE, LEAST_SHARE, PAD, STEP, Clock, Row, Span, Team
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.step_schedule import StepSchedule
 from lmpchain.integrators.stepper import NativeStepper
@@ -28,6 +32,43 @@ def samples_of(scene: Scene, schedule: StepSchedule, name: str = "rkn6", threads
         stepper.fill(u, v, 0, scene.samples - 1, most)
     stepper.close()
     return u[0], v[0]
+
+
+class Ends(NamedTuple):
+    """What `fill_samples` takes of a chain: how it is at both ends of a step, and that nothing drives it."""
+
+    history: np.ndarray
+    x: np.ndarray
+    v: np.ndarray
+    state: np.ndarray
+    imposed: bool
+    drive: np.ndarray
+    knots: np.ndarray
+    pieces: np.ndarray
+    team: Team
+
+
+@njit
+def fill(ends, clock, span, pull, jerk, out):
+    fill_samples(ends, clock, span, PAD, PAD + 1, pull, jerk, out)
+
+
+def test_the_error_falls_with_the_eighth_and_seventh_power_of_the_step():
+    """Those of displacement and velocity of a sine, where it is exact at both ends of a step."""
+    steps, errors = np.array([0.4, 0.6, 0.8, 1.2]), []
+    for h in steps:
+        begin, end = ([np.sin(t + k * np.pi / 2) for k in range(4)] for t in (0.8 - h / 2, 0.8 + h / 2))
+        history, state = np.zeros((4, 2 * PAD)), np.zeros(STEP + 1)
+        history[:, PAD], state[DONE] = begin, h
+        rows = np.repeat(np.array(end)[:, None], 2 * PAD, 1)
+        ends = Ends(history, rows[0], rows[1], state, False, np.zeros(6), np.zeros(2), np.zeros((4, 1)), ALONE)
+        clock, span = Clock(h / 24, 24, 1, h, 24, True, 1), Span(0.0, h, h, 1, h)
+        u, v = np.zeros((2, 25, 1))
+        fill(ends, clock, span, rows[2], rows[3], Row(u, v, 0))
+        time = 0.8 - h / 2 + np.arange(1, 24) * h / 24
+        errors.append([np.abs(u[1:24, 0] - np.sin(time)).max(), np.abs(v[1:24, 0] - np.cos(time)).max()])
+    slopes = np.polyfit(np.log(steps), np.log(errors), 1)[0]
+    assert slopes == pytest.approx([8, 7], abs=0.05)
 
 
 @pytest.mark.parametrize(
