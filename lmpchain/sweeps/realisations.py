@@ -201,6 +201,8 @@ def _scene(common: Scene, parts: Mapping[str, Any], known: Mapping[str, list[flo
         "wall_constants": parts["walls"][row],
         "band_edge": parts["band_edge"][row],
     }
+    if "diameter" in parts["given"]:
+        fields["diameter"] = parts["diameter"][row]
     chain = Chain._filled(fields, set(parts["fields"]))
     recorded = {name: getattr(common, name) for name in ("excitation", "duration", "samples", "grains", "quantities")}
     scene = Scene._filled({"chain": chain} | recorded, set(common.model_fields_set))

@@ -1,5 +1,6 @@
 """Scenes made as arrays are those that are made one by one, in all that they hold and derive."""
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -111,6 +112,38 @@ def test_scenes_made_together_are_those_made_alone(chain: str, excitation: str, 
         ours, theirs = numbers(scene), numbers(alone)
         assert [name for name in ours if not alike(ours[name], theirs[name])] == []
         assert np.array_equal(scene.time, alone.time)
+
+
+@pytest.mark.parametrize("chain", ["column", "walls", "impurities"])
+@pytest.mark.parametrize("key", ["chain.diameter", "chain.masses"])
+def test_a_copy_of_a_chain_made_together_has_its_grains(chain: str, key: str):
+    plan = read(asked(chain, "first", {key: LAWS[key]}))
+    for number, scene in enumerate(scenes(plan, 0, 5, together=True)):
+        alone = plan.scene((number,)).chain
+        copy = scene.chain.replace(top_load=0.7)
+        assert copy.diameters == pytest.approx(alone.diameters, rel=1e-15)
+        assert copy.masses == pytest.approx(alone.masses, rel=1e-15)
+        assert copy.wall_constants == pytest.approx(alone.wall_constants, rel=1e-12)
+
+
+@pytest.mark.parametrize("spoilt", ["stiffness", "masses"])
+def test_a_chain_that_is_not_finite_is_made_alone(spoilt: str):
+    """One by one, a chain is checked, and says what is wrong with it."""
+    contacts = SimpleNamespace(stiffness=np.ones((3, 4)), overlap=np.zeros((3, 4)))
+    parts: dict[str, Any] = {
+        "contacts": contacts,
+        "masses": np.ones((3, 3)),
+        "length": np.ones((3, 4)),
+        "first": np.zeros((3, 4)),
+        "diameter": np.ones((3, 3)),
+        "between": np.ones((3, 2)),
+    }
+    assert realisations._sound(parts, drawn=True).all()
+    if spoilt == "stiffness":
+        contacts.stiffness[1, 0] = np.inf
+    else:
+        parts["masses"][1, 0] = -1.0
+    assert realisations._sound(parts, drawn=False).tolist() == [True, False, True]
 
 
 TOGETHER = [("column", "first", ["chain.masses"]), ("floor", "inner", MATERIAL), ("walls", "last", ORDER)]
