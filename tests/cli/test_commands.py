@@ -24,6 +24,7 @@ from lmpchain import (
     Scene,
     ToleranceNotMet,
     Trajectory,
+    doctor,
     orbits,
     simulate,
 )
@@ -491,6 +492,27 @@ def test_an_orbit_is_told_in_numbers():
     assert told[4] == "Floquet multipliers: unstable, largest multiplier 2.5"
     assert told[5] == "period doubling: at 1.5e-14 J, 200000 Hz"
     assert told[6] == "the family does not come to the energy asked for: it turns back"
+
+
+@pytest.mark.parametrize(("state", "code"), [("ok", 0), ("warning", 0), ("fault", 1)])
+def test_the_doctor_says_each_finding_and_how_many_are_bad(
+    state: Any, code: int, tmp_path: Path, monkeypatch: Any, capsys: pytest.CaptureFixture[str]
+):
+    findings = (doctor.Finding("Python", "ok", "3.13"), doctor.Finding("memory", state, "8 GB"))
+
+    def diagnose(tell: Any) -> doctor.Diagnosis:
+        for finding in findings:
+            tell(finding)
+        return doctor.Diagnosis(findings)
+
+    monkeypatch.setattr(doctor, "diagnose", diagnose)
+    file = tmp_path / "findings.json"
+    assert main(["doctor", "--json", str(file)]) == code
+    *lines, summary, written = capsys.readouterr().out.splitlines()
+    assert lines == [str(finding) for finding in findings]
+    assert summary == ("all is well" if state == "ok" else f"1 {state}")
+    assert written == f"findings: {file}"
+    assert json.loads(file.read_text())["summary"] == summary
 
 
 # --- files and words
