@@ -471,3 +471,26 @@ def test_the_sharper_bound_of_a_look_lies_between_the_two_before_it():
         assert least <= estimate <= bound <= most
         assert made.refine(candidate, None, 1e-6) is None
     assert linear.Modes().look(scene).remark == ""
+
+
+ACTING = {
+    "half a sine": Force(grain=4, shape="half-sine", amplitude=0.05, duration=5e-5),
+    "sine": Force(grain=4, amplitude=0.1, frequency=1e4),
+    "drive": Drive(amplitude=2e-9, frequency=2e4, cycles=2),
+    "wall": Drive(grain=0, amplitude=2e-9, frequency=2e4, cycles=2),
+}
+
+
+@pytest.mark.parametrize("kind", ACTING)
+def test_what_linear_theory_leaves_out_of_a_motion_that_is_forced(kind: str):
+    top = "wall" if kind == "wall" else "free"
+    chain = Chain(grains=20, material="steel", diameter=5e-3, gravity=0, top_load=5.0, top=top, bottom="wall")
+    scene = Scene(chain=chain, excitation=ACTING[kind], duration=2e-4, samples=41)
+    answer = simulate(scene, "modes", 1e-2, on_miss="warn")
+    exact = simulate(scene, "native", 1e-9)
+    fields = ("displacement", "velocity")
+    differences = [np.abs(getattr(answer, name) - getattr(exact, name)).max() for name in fields]
+    sizes = [np.abs(getattr(exact, name)).max() for name in fields]
+    error = max(np.divide(differences, sizes))
+    assert 1e-4 < error < 0.05
+    assert error <= answer.error_estimate.model < 6 * error

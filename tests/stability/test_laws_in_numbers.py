@@ -15,7 +15,7 @@ from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Scene, sim
 from lmpchain.engines import Lammps, Native
 from lmpchain.engines.linear.engine import Chebyshev
 from lmpchain.integrators.methods import METHODS
-from lmpchain.stability import find
+from lmpchain.stability import find, predictability
 from lmpchain.stability.linear_theory import linear_law, strike_number_at, strike_number_where
 from lmpchain.stability.overlap import deepest, hertz_excess
 from lmpchain.stability.pre_run import pre_run_warnings
@@ -450,3 +450,19 @@ def test_what_cannot_be_predicted_says_why(monkeypatch: pytest.MonkeyPatch) -> N
     assert "energy, verlet: a drive does work: the energy is not that of the start" in result.left_out
     (deep,) = (row for row in result.boundaries if row.what.startswith("Hertz"))
     assert (deep.here, deep.beyond) == (math.inf, False)
+
+
+@pytest.mark.parametrize(("level", "beyond"), [(1e-3, True), (1e-9, False)])
+def test_a_scene_lies_beyond_the_predictability_time_if_its_runs_part(
+    level: float, beyond: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    times = np.linspace(0, WEAK.duration, 11)
+    apart = np.where(times < 0.45e-3, 1e-12, level)
+    monkeypatch.setattr(predictability, "growth", lambda scene: (times, apart))
+    boundary = next(item for item in find._predictability(WEAK) if isinstance(item, Boundary))
+    assert boundary.beyond == beyond
+    assert boundary.here == WEAK.duration
+    if beyond:
+        assert boundary.measured == pytest.approx(0.5e-3, rel=1e-12)
+    else:
+        assert boundary.measured == math.inf
