@@ -130,7 +130,8 @@ def told(differences=None, peaks=None, instead=None, scale=None, seen=None):
     rng = np.random.default_rng(3)
     differences = rng.uniform(0, 1, (OTHERS, 6, CHAINS, 2)) if differences is None else differences
     state = np.zeros((2 * CHAINS, STEP + 1))
-    state[:, LOWEST], state[:, STEPS] = -np.arange(1, 7) / 10, 100 + np.arange(6)
+    state[:, LOWEST] = [-0.4, -0.1, -0.6, -0.2, -0.5, -0.3]  # now by one schedule lower, now by the other
+    state[:, STEPS] = 100 + np.arange(6)
     state[:, FARTHEST], state[:, FASTEST] = 0.2 + np.arange(6), 0.7 + np.arange(6)
     if seen is not None:
         state[:, [FARTHEST, FASTEST]] = seen
