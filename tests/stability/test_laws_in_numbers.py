@@ -15,7 +15,7 @@ from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Scene, sim
 from lmpchain.engines import Lammps, Native
 from lmpchain.engines.linear.engine import Chebyshev
 from lmpchain.integrators.methods import METHODS
-from lmpchain.stability import find, predictability
+from lmpchain.stability import find, predictability, step_limit
 from lmpchain.stability.linear_theory import linear_law, strike_number_at, strike_number_where
 from lmpchain.stability.overlap import deepest, hertz_excess
 from lmpchain.stability.pre_run import pre_run_warnings
@@ -466,3 +466,14 @@ def test_a_scene_lies_beyond_the_predictability_time_if_its_runs_part(
         assert boundary.measured == pytest.approx(0.5e-3, rel=1e-12)
     else:
         assert boundary.measured == math.inf
+
+
+@pytest.mark.parametrize(("duration", "measured"), [(1e-3, 2e-6), (1e3, math.nan)])
+def test_the_longest_step_is_measured_where_that_takes_seconds(
+    duration: float, measured: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(step_limit, "blow_up", lambda *_: 2e-6)
+    scene = WEAK.replace(duration=duration)
+    (boundary,) = find._step(scene, "native", "verlet")
+    assert boundary.measured == pytest.approx(measured, nan_ok=True)
+    assert boundary.predicted == pytest.approx(limit(scene, "verlet"), rel=1e-12)
