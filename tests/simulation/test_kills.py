@@ -82,12 +82,15 @@ def busy_disk(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(run_folder, "SHARE", 1e9)
 
 
-MARKS = {4: (), 60: pytest.mark.soak}
-EVERY = [(case, most) for case in (native, lammps, breakdown, fallback) for most in MARKS]
+CASES = native, lammps, breakdown, fallback
+EVERY = [
+    *(pytest.param(case, 4, marks=() if case is native else pytest.mark.slow) for case in CASES),
+    *(pytest.param(case, 60, marks=pytest.mark.soak) for case in CASES),
+]
 
 
 @pytest.mark.filterwarnings("ignore:Eq. ")
-@pytest.mark.parametrize(("case", "most"), [pytest.param(*each, marks=MARKS[each[1]]) for each in EVERY])
+@pytest.mark.parametrize(("case", "most"), EVERY)
 def test_a_kill_at_any_change_of_the_disk(
     case: Callable, most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, busy_disk: None
 ):

@@ -46,7 +46,7 @@ STOPPED = {
     "continuum": (paper("weak", 301), engines.Continuum(), 0.99),
 }
 
-LONGEST = "lammps, pushed", "lammps, wall moved"
+LONGEST = "lammps, pushed", "lammps, wall moved", "lammps, driven", "modes, pushed"
 
 
 @pytest.fixture(autouse=True)

@@ -32,7 +32,7 @@ def test_a_scan_finds_the_published_mass_ratios_by_itself(least: float, count: i
     assert antiresonances(least) == pytest.approx((0.3428, 0.1548, 0.0901, 0.0615)[:count], abs=5.1e-5)
 
 
-@pytest.mark.parametrize("near", [0.36, 0.16])
+@pytest.mark.parametrize("near", [0.36, pytest.param(0.16, marks=pytest.mark.slow)])
 def test_travels_unchanged(near: float):
     """Sixty grains, and no more than 1e-9 is left behind or changed."""
     wave = solve(near, velocity=0.1)
