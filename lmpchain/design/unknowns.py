@@ -147,8 +147,10 @@ class Problem:
         positive = [name not in SIGNED for name, _ in self.along]
         lowest = np.full(len(self.names), -np.inf)
         lowest[: len(positive)][positive] = -LEAST
-        known = any(one.noise is not None for one in self.traces)
-        size = 1.0 if known else max(float(np.abs(one.values).max()) for one in self.traces) or 1.0  # gtol has a unit
+        # without a noise, residuals are in m or m/s, in which SciPy's absolute limit on the gradient means nothing
+        size = 1.0
+        if all(trace.noise is None for trace in self.traces):
+            size = max(float(np.abs(trace.values).max()) for trace in self.traces) or 1.0
         return least_squares(
             lambda rest: self.residuals(whole(rest))[0] / size, start,
             lambda rest: self.residuals(whole(rest), True)[1][:, free] / size,

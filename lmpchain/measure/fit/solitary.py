@@ -136,10 +136,10 @@ def fit_soliton(trajectory: Trajectory, first: int | None = None, last: int | No
     sampled = np.array([front.amplitude_error.max(), 3 * front.time_error.max() / np.ptp(front.grain) * speed**2,
                         front.width_error[whole].max() * speed])  # fmt: skip
     # from the residuals themselves: linregress takes them from 1 - r^2, of which rounding leaves no digit here
-    apart = front.grain - front.grain.mean()
-    left = front.time - front.time.mean() - line.slope * apart
-    steep = float(np.sqrt(left @ left / (left.size - 2) / (apart @ apart)))
-    spread = np.array([stats.sem(front.amplitude), steep * speed**2, stats.sem(front.width[whole]) * speed])
+    distance = front.grain - front.grain.mean()
+    residual = front.time - front.time.mean() - line.slope * distance
+    slope_error = float(np.sqrt(residual @ residual / (residual.size - 2) / (distance @ distance)))
+    spread = np.array([stats.sem(front.amplitude), slope_error * speed**2, stats.sem(front.width[whole]) * speed])
     return SolitonFit(
         grain=front.grain,
         time=front.time,
