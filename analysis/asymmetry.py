@@ -45,17 +45,23 @@ def main() -> None:
     given = arguments(__file__, __doc__)
     deepest, grains = (50, 260) if given.quick else (DEEPEST, GRAINS)
     shown = (10, deepest)
-    tau_end = 2 * float(continuum.chi(grains - 0.5)) - float(continuum.chi(deepest - 0.5)) - 20  # the reflection
+    tau_end = (
+        2 * float(continuum.chi(grains - 0.5)) - float(continuum.chi(deepest - 0.5)) - 20
+    )  # the reflection
     depths = np.unique([*np.geomspace(2, deepest, 16).astype(int), *shown])
     scene = weak_scene(grains, tau_end, int(10 * tau_end), 1e-8, recorded=depths.tolist())
     run = lmpchain.simulate(scene, "native", tolerance=1e-8)
     tau = run.time / scene.chain.time_scale
-    phi = dict(zip(depths, run.displacement.T / scene.excitation.velocity / scene.chain.time_scale, strict=True))
+    phi = dict(
+        zip(
+            depths,
+            run.displacement.T / scene.excitation.velocity / scene.chain.time_scale,
+            strict=True,
+        )
+    )
     v = dict(zip(depths, run.velocity.T / scene.excitation.velocity, strict=True))
 
-    title = (
-        "Asymmetry of the peaked mode: steep in front, a long tail behind.  Corrected: Eq. (35) within the cone only"
-    )
+    title = "Asymmetry of the peaked mode: steep in front, a long tail behind.  Corrected: Eq. (35) within the cone only"
     picture, ((pulse, below), (width, off)) = page(title, 2, width=12)
     for n, shade in zip(shown, SHADES, strict=False):
         chi, w = float(continuum.chi(n - 0.5)), (n - 0.5) ** (1 / 6) / 4 ** (1 / 3)
@@ -66,7 +72,9 @@ def main() -> None:
         airy = front.displacement(n, tau[near]) / height
         shape = phi[n] / height
         every = np.unique(
-            np.concatenate((np.flatnonzero(near)[:: int(4 * w)], np.flatnonzero(s >= 12)[:: int(20 * w)]))
+            np.concatenate(
+                (np.flatnonzero(near)[:: int(4 * w)], np.flatnonzero(s >= 12)[:: int(20 * w)])
+            )
         )
         pulse.plot(s[every], shape[every], **NATIVE | {"color": shade}, label=f"native, grain {n}")
         pulse.plot(s[near], airy, color=shade, lw=1)
@@ -77,7 +85,11 @@ def main() -> None:
     pulse.plot([], [], **THEORY | {"ls": "--"}, label="causal Eq. (35)")
     pulse.axhline(0.5, color="0.6", ls=":", lw=1)
     pulse.set(ylabel="displacement / its largest", xlim=(-6, 40), ylim=(-0.05, 1.5))
-    below.set(xlabel="time since the light cone / width w of the front", ylabel="|theory − native|", ylim=(1e-7, 2))
+    below.set(
+        xlabel="time since the light cone / width w of the front",
+        ylabel="|theory − native|",
+        ylim=(1e-7, 2),
+    )
 
     _, rise, fall = np.array([halves(tau, phi[n]) for n in depths]).T
     theory_rise, theory_fall = np.array([predicted(n, phi[n].max()) for n in depths]).T
@@ -89,7 +101,9 @@ def main() -> None:
     ):
         style = {"color": shade, "marker": mark, "ms": 5, "mfc": "none"}
         error = 100 * abs(measured[-1] / theory[-1] - 1)
-        width.loglog(depths, measured, ls="none", **style, label=f"{name}: {error:.1g} % off at n = {last}")
+        width.loglog(
+            depths, measured, ls="none", **style, label=f"{name}: {error:.1g} % off at n = {last}"
+        )
         width.loglog(depths, theory, color=shade, lw=1.2)
         apart(off, depths, theory / measured, np.ones(depths.size), 1.0, lw=0.7, **style)
     width.loglog(depths, down, "v", ms=3, color=SHADES[2], label="fall of the velocity")

@@ -18,7 +18,9 @@ KILO = 1e3 * 2 * np.pi
 
 def dimer(grains: int, **rest: str) -> lmpchain.Chain:
     """Return a chain of steel beads, every second hollow and a third as heavy, all contacts alike."""
-    heavy = lmpchain.Chain(grains=2, diameter=1e-2, material="steel", gravity=0.0, top_load=20.0).masses[0]
+    heavy = lmpchain.Chain(
+        grains=2, diameter=1e-2, material="steel", gravity=0.0, top_load=20.0
+    ).masses[0]
     masses = np.resize([heavy / 3, heavy], grains)
     return periodic(grains, 1e-2, "steel", gravity=0.0, top_load=20.0, masses=masses, **rest)
 
@@ -39,11 +41,20 @@ def main() -> None:
     scene = lmpchain.Scene(chain=chain, excitation=strike, duration=tau * unit, samples=4 * tau + 1)
     found = dispersion(lmpchain.simulate(scene, "modes"), 1, grains)
     level = 20 * np.log10(np.maximum(found.amplitude / found.amplitude.max(), 1e-4))
-    image = waves.pcolormesh(found.wavenumber / np.pi, found.frequency / 1e3, level, cmap="Greys", vmin=-50, vmax=0)
+    image = waves.pcolormesh(
+        found.wavenumber / np.pi, found.frequency / 1e3, level, cmap="Greys", vmin=-50, vmax=0
+    )
     image.set_rasterized(True)
     picture.colorbar(image, ax=waves, label="velocity (dB)", location="left", shrink=0.8)
     for number, (name, colour) in enumerate((("acoustic", SHADES[0]), ("optical", SHADES[5]))):
-        waves.plot(found.wavenumber / np.pi, found.relation[1, number] / 1e3, "--", lw=1.2, color=colour, label=name)
+        waves.plot(
+            found.wavenumber / np.pi,
+            found.relation[1, number] / 1e3,
+            "--",
+            lw=1.2,
+            color=colour,
+            label=name,
+        )
         side = (found.frequency > found.relation[1, 0].max() * 1.05) == bool(number)
         ridge = found.frequency[side][found.amplitude[side].argmax(0)]
         near = (np.abs(found.wavenumber) > 0.3) & (np.abs(found.wavenumber) < 1.3)
@@ -51,17 +62,35 @@ def main() -> None:
         say(f"ridge off the {name} branch", off, "lines of frequency")
     waves.set(xlabel="wavenumber × grain spacing / π", ylabel="frequency (kHz)", xlim=(-1, 1))
     waves.set_ylim(0, 1.15 * bands.frequency.max() / KILO)
-    waves.legend(frameon=True, loc="upper center", ncols=2, fontsize="small", title="a strike excites both branches")
+    waves.legend(
+        frameon=True,
+        loc="upper center",
+        ncols=2,
+        fontsize="small",
+        title="a strike excites both branches",
+    )
 
     frequency = np.linspace(1e-3, 1.15, 1500) * bands.frequency.max()
-    states.plot(bands.density_of_states(frequency) * 1e3 * 2 * np.pi / 2, frequency / KILO, color="0.2", lw=1.2)
-    states.set(xlabel="modes a grain and a kHz", ylabel="frequency (kHz)", xlim=(0, None), ylim=waves.get_ylim())
+    states.plot(
+        bands.density_of_states(frequency) * 1e3 * 2 * np.pi / 2,
+        frequency / KILO,
+        color="0.2",
+        lw=1.2,
+    )
+    states.set(
+        xlabel="modes a grain and a kHz",
+        ylabel="frequency (kHz)",
+        xlim=(0, None),
+        ylim=waves.get_ylim(),
+    )
     states.set_xlim(0, 8 * 1e3 * 2 * np.pi / bands.frequency.max())
     states.set_title("density of states", loc="left", fontsize="medium")
     low, high = bands.gaps[0] / KILO
     for axes in (waves, states):
         axes.axhspan(low, high, color=SHADES[1], alpha=0.15, lw=0)
-    states.annotate("gap", (0.9, (low + high) / 2), xycoords=("axes fraction", "data"), ha="right", va="center")
+    states.annotate(
+        "gap", (0.9, (low + high) / 2), xycoords=("axes fraction", "data"), ha="right", va="center"
+    )
     say("gap from", low, "kHz")
     say("gap to", high, "kHz")
 
@@ -74,9 +103,16 @@ def main() -> None:
     say("surface mode, frequency over exact", w / exact)
     say("participation of the surface mode", modes.participation[place], "grains")
     envelope = (end.masses[0] / end.masses[1]) ** ((n - 1) // 2)
-    surface.semilogy(n, np.abs(shape), "o", ms=4, mfc="none", color=SHADES[0], label="mode of 41 beads")
+    surface.semilogy(
+        n, np.abs(shape), "o", ms=4, mfc="none", color=SHADES[0], label="mode of 41 beads"
+    )
     surface.semilogy(n[::2], envelope[::2], "--", lw=1, color="0.3", label="m / M a cell, exact")
-    surface.set(xlim=(0, 24), ylim=(1e-6, 2), xlabel="grain from the light end", ylabel="|displacement| / largest")
+    surface.set(
+        xlim=(0, 24),
+        ylim=(1e-6, 2),
+        xlabel="grain from the light end",
+        ylabel="|displacement| / largest",
+    )
     surface.set_title(f"surface mode in the gap, {w / KILO:.1f} kHz", loc="left", fontsize="medium")
     surface.legend(frameon=False, fontsize="small")
     finish(picture, given.output)

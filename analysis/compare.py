@@ -13,9 +13,11 @@ def main() -> None:
     scene = lmpchain.Scene.from_toml(HERE / "scenes" / "fig5_1g.toml")
     if given.quick:
         scene = shorter(scene, 60)
-    found = [lmpchain.simulate(scene, name, on_miss="warn") for name in lmpchain.engines.names() for _ in range(2)][
-        1::2
-    ]
+    found = [
+        lmpchain.simulate(scene, name, on_miss="warn")
+        for name in lmpchain.engines.names()
+        for _ in range(2)
+    ][1::2]
     comparison = compare(found, reference(scene))
     for row in comparison.rows:
         say(f"error of {row.engine}", row.error)

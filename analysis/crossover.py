@@ -14,14 +14,21 @@ from lmpchain.theory import continuum, front
 from lmpchain.util.plotting import figure
 
 STRIKES = (1e-2, 1.0, 1e1, 1e2, 1e3, 1e4)
-PAPER = {"Fig. 5, 10 g": 1.24, "Fig. 5, g": 8.48, "Fig. 5, 0.1 g": 57.8, "Fig. 1": 84.8}  # strike numbers
+PAPER = {
+    "Fig. 5, 10 g": 1.24,
+    "Fig. 5, g": 8.48,
+    "Fig. 5, 0.1 g": 57.8,
+    "Fig. 1": 84.8,
+}  # strike numbers
 DEEPEST, PER_TAU, WINDOW = 1000, 40, 5
 
 
 def strike(strength: float, depths: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return depths, local exponents of the peak velocity, and local strengths, after a strike of this number."""
     tau = 1.05 * float(front.peak_time(int(depths[-1]))) + 5
-    grains = int(continuum.depth(tau)) + int(depths[-1]) // 2  # strong pulses are ahead: the floor is far
+    grains = (
+        int(continuum.depth(tau)) + int(depths[-1]) // 2
+    )  # strong pulses are ahead: the floor is far
     scene = weak_scene(grains, tau, int(PER_TAU * tau) + 1, strength, recorded=depths.tolist())
     engine = lmpchain.engines.Native(
         step=0.3 / scene.highest_frequency
@@ -29,7 +36,9 @@ def strike(strength: float, depths: np.ndarray) -> tuple[np.ndarray, np.ndarray,
     passed = measured.track(lmpchain.simulate(scene, engine))
     fits = measured.exponent(passed, "amplitude", WINDOW)
     own = scene.chain.length_scale / scene.chain.time_scale * fits.depth ** (5 / 6)
-    height = np.exp(np.interp(np.log(fits.depth), np.log(passed.grain - 0.5), np.log(np.abs(passed.amplitude))))
+    height = np.exp(
+        np.interp(np.log(fits.depth), np.log(passed.grain - 0.5), np.log(np.abs(passed.amplitude)))
+    )
     return fits.depth, fits.exponent, height / own
 
 
@@ -40,8 +49,12 @@ def main() -> None:
     depths = np.unique(np.geomspace(4, deepest, 48).astype(int))
     picture = figure(12, 5.2)
     over_depth, over_strength = picture.subplots(1, 2, sharey=True)
-    picture.suptitle("Local exponent of the peak velocity, Eq. (1) by the native engine", fontsize="medium")
-    every = [(f"$v_0^*$ = {x:g}", x, {"lw": 1.3, "color": SHADES[i]}) for i, x in enumerate(strikes)]
+    picture.suptitle(
+        "Local exponent of the peak velocity, Eq. (1) by the native engine", fontsize="medium"
+    )
+    every = [
+        (f"$v_0^*$ = {x:g}", x, {"lw": 1.3, "color": SHADES[i]}) for i, x in enumerate(strikes)
+    ]
     every += [(name, x, {"lw": 1.0, "color": "0.35", "ls": style})
               for (name, x), style in zip(PAPER.items(), (":", "-.", "--", (0, (6, 1))), strict=True)]  # fmt: skip
     for label, strength, style in every:
@@ -56,7 +69,11 @@ def main() -> None:
     for text, level in (("solitary wave: 0", 0), ("−4/15, great depth", -4 / 15)):
         above = {"xytext": (0, 2), "textcoords": "offset points", "ha": "right", "va": "bottom"}
         over_strength.annotate(text, (0.98, level), xycoords=("axes fraction", "data"), **above)
-    over_depth.set(xlabel="depth h = n − 1/2 (grains)", ylabel="p, as the peak velocity $h^p$", ylim=(-0.285, 0.02))
+    over_depth.set(
+        xlabel="depth h = n − 1/2 (grains)",
+        ylabel="p, as the peak velocity $h^p$",
+        ylim=(-0.285, 0.02),
+    )
     over_strength.set(xlabel="local strength: peak velocity / $\\epsilon_n \\omega_n$")
     legends(picture, loc="upper left")
     finish(picture, given.output)

@@ -26,16 +26,22 @@ def main() -> None:
 
     fine, points = np.geomspace(0.02, 4.5, 150), np.geomspace(0.03, 4, 15)
     for (m, mark), colour in zip(MARKS.items(), SHADES, strict=False):
-        found = density_of_states(points, ratios=gamma(m, scale=1 / m), grains=length, chains=8, seed=1)
+        found = density_of_states(
+            points, ratios=gamma(m, scale=1 / m), grains=length, chains=8, seed=1
+        )
         states.plot(fine, dyson.integrated(fine, m, m), color=colour, lw=1.2)
-        states.plot(points, found.integrated, mark, ms=5, mfc="none", color=colour, label=f"m = {m}")
+        states.plot(
+            points, found.integrated, mark, ms=5, mfc="none", color=colour, label=f"m = {m}"
+        )
         say(
             f"largest distance from Dyson's spectrum, m = {m}",
             np.abs(found.integrated - dyson.integrated(points, m, m)).max(),
         )
     states.set(xscale="log", yscale="log", xlabel=r"frequency $\omega / \langle k/m \rangle^{1/2}$")
     states.set(ylabel="share of the modes below", ylim=(2e-3, 1.5))
-    states.set_title("Spectrum: exact (lines), transfer matrices (points)", loc="left", fontsize="medium")
+    states.set_title(
+        "Spectrum: exact (lines), transfer matrices (points)", loc="left", fontsize="medium"
+    )
     states.legend(frameon=False, title="Dyson's chain")
 
     omega = np.geomspace(0.1, 2.0, 11)
@@ -44,14 +50,27 @@ def main() -> None:
         law = omega**2 / 8 / (m - 1)
         localised.plot(omega, law, color=colour, lw=1.2)
         style = {"ms": 5, "mfc": "none", "capsize": 2, "color": colour}
-        localised.errorbar(omega, found.exponent, 2 * found.error, fmt=mark, **style, label=f"m = {m}")
+        localised.errorbar(
+            omega, found.exponent, 2 * found.error, fmt=mark, **style, label=f"m = {m}"
+        )
         say(f"Lyapunov exponent over its law, m = {m}", found.exponent[3] / law[3])
-    localised.set(xscale="log", yscale="log", xlabel=r"frequency $\omega / (1/m\langle 1/k \rangle)^{1/2}$")
+    localised.set(
+        xscale="log", yscale="log", xlabel=r"frequency $\omega / (1/m\langle 1/k \rangle)^{1/2}$"
+    )
     localised.set_ylabel("1 / localisation length (1 / grains)")
-    localised.set_title(r"Localisation: $\omega^2\,\mathrm{Var}(1/k)/8$ (lines)", loc="left", fontsize="medium")
+    localised.set_title(
+        r"Localisation: $\omega^2\,\mathrm{Var}(1/k)/8$ (lines)", loc="left", fontsize="medium"
+    )
     localised.legend(frameon=False, title="random springs")
 
-    line = {"grains": grains, "diameter": 1e-3, "gravity": 0.0, "top_load": 1.0, "top": "wall", "bottom": "wall"}
+    line = {
+        "grains": grains,
+        "diameter": 1e-3,
+        "gravity": 0.0,
+        "top_load": 1.0,
+        "top": "wall",
+        "bottom": "wall",
+    }
     chain, middle = lmpchain.Chain(**line, exponent=1.0), {"grain": grains // 2}
     ways = {
         "strike": (lmpchain.Impulse(velocity=1e-9, **middle), 1.5, SHADES[0]),
@@ -59,7 +78,10 @@ def main() -> None:
     }
     for name, (excitation, power, colour) in ways.items():
         scene = lmpchain.Scene(
-            chain=chain, excitation=excitation, duration=0.47 * grains * chain.time_scale, samples=91
+            chain=chain,
+            excitation=excitation,
+            duration=0.47 * grains * chain.time_scale,
+            samples=91,
         )
         found = spreading(scene, 3, chains, seed=3, law="paper")
         tau, moment = scene.time[1:] / chain.time_scale, found.second_moment[1:]
@@ -73,7 +95,13 @@ def main() -> None:
         late = tau > 0.1 * tau[-1]
         spread.plot(tau[late], 1.7 * moment[-1] * (tau[late] / tau[-1]) ** power, "k--", lw=0.9)
         end = 1.7 * moment[-1] * (tau[late][0] / tau[-1]) ** power
-        spread.annotate(f"$\\tau^{{{power:g}}}$", (tau[late][0], end), (0, 5), textcoords="offset points", ha="center")
+        spread.annotate(
+            f"$\\tau^{{{power:g}}}$",
+            (tau[late][0], end),
+            (0, 5),
+            textcoords="offset points",
+            ha="center",
+        )
     spread.plot([], [], ":", color="0.3", label="participation, grains")
     spread.set(xscale="log", yscale="log", xlabel=r"time $\tau$", ylabel="second moment (grains²)")
     spread.set_title("Energy spreads: power over the last octave", loc="left", fontsize="medium")

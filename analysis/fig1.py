@@ -7,11 +7,28 @@ units of its overlap at rest. "10 times" more than linear theory allows holds ne
 """
 
 import numpy as np
-from figures import HERE, LAMMPS, SHADES, THEORY, apart, arguments, finish, legends, page, say, shorter, summit
+from figures import (
+    HERE,
+    LAMMPS,
+    SHADES,
+    THEORY,
+    apart,
+    arguments,
+    finish,
+    legends,
+    page,
+    say,
+    shorter,
+    summit,
+)
 
 import lmpchain
 
-MOMENTS = (88.4e-6, 89.8e-6, 91.8e-6)  # s; the ends of the paper's interval, in the middle the highest peak
+MOMENTS = (
+    88.4e-6,
+    89.8e-6,
+    91.8e-6,
+)  # s; the ends of the paper's interval, in the middle the highest peak
 
 
 def main() -> None:
@@ -29,18 +46,34 @@ def main() -> None:
     for moment, shade in zip(MOMENTS, SHADES, strict=False):
         row = int(np.abs(native.time - moment).argmin())
         v, label = native.velocity[row], f"{native.time[row] * 1e6:.1f} µs"
-        wave.plot(native.grains, v * unit, color=shade, lw=1.2, label=f"native, {label}: peak at {summit(v):.2f}")
+        wave.plot(
+            native.grains,
+            v * unit,
+            color=shade,
+            lw=1.2,
+            label=f"native, {label}: peak at {summit(v):.2f}",
+        )
         wave.plot(lammps.grains, lammps.velocity[row] * unit, **LAMMPS | {"color": shade})
-        apart(below, lammps.grains, lammps.velocity[row], v, strike, color=shade, marker="o", lw=0.8)
+        apart(
+            below, lammps.grains, lammps.velocity[row], v, strike, color=shade, marker="o", lw=0.8
+        )
         say(f"pulse at {label}", summit(v), f"grains, highest {v.max() * unit:.3g} mm/s")
         if moment == MOMENTS[1]:
             angle = np.linspace(-np.pi / 2, np.pi / 2, 101)
             x, shape = angle / np.sqrt(0.4), v.max() * np.cos(angle) ** 4
-            wave.plot(summit(v) + x, shape * unit, ls=":", **THEORY, label="Nesterenko's pulse, 89.8 µs")
+            wave.plot(
+                summit(v) + x, shape * unit, ls=":", **THEORY, label="Nesterenko's pulse, 89.8 µs"
+            )
     wave.plot([], [], **LAMMPS | {"color": "0.4"}, label="LAMMPS")
     difference = np.abs(lammps.velocity - native.velocity).max() / strike
     expected = native.error_estimate.total + lammps.error_estimate.total
-    below.axhline(expected, color="0.4", ls="--", lw=1, label=f"expected: {expected:.0e}; measured {difference:.0e}")
+    below.axhline(
+        expected,
+        color="0.4",
+        ls="--",
+        lw=1,
+        label=f"expected: {expected:.0e}; measured {difference:.0e}",
+    )
     wave.set(ylabel="velocity downward (mm/s)", xlim=(0, 40))
     below.set(xlabel="grain, from the top", ylabel="|LAMMPS − native| / $v_0$")
 
@@ -54,7 +87,9 @@ def main() -> None:
     ratio.set(ylabel="|Δφ| / overlap at rest, over 100 µs", ylim=(0.05, 100))
     opened.set_yscale("symlog", linthresh=1)
     count = int((least < -1).sum())
-    opened.plot(contact, least, color=SHADES[5], marker="o", ms=3, lw=1, label=f"contacts 1 to {count} open")
+    opened.plot(
+        contact, least, color=SHADES[5], marker="o", ms=3, lw=1, label=f"contacts 1 to {count} open"
+    )
     opened.axhline(-1, color="0.5", ls=":", lw=1.3)
     opened.set(xlabel="contact, from the top", ylabel="least Δφ / ε", xlim=(0, 40), ylim=(-60, 0.4))
     say("largest ratio at contact 1", largest[0])

@@ -6,7 +6,20 @@ few grains, not in "a wide interval" of times, for what runs down meets stiffer 
 """
 
 import numpy as np
-from figures import NATIVE, PRINTED, THEORY, apart, arguments, distance, finish, kappa, legends, page, say, weak_scene
+from figures import (
+    NATIVE,
+    PRINTED,
+    THEORY,
+    apart,
+    arguments,
+    distance,
+    finish,
+    kappa,
+    legends,
+    page,
+    say,
+    weak_scene,
+)
 
 import lmpchain
 from lmpchain.theory import bessel
@@ -37,7 +50,10 @@ def main() -> None:
         apart(below, n, exact, measured, np.abs(measured).max(), **THEORY)
         reach = 4 + 2.4 * tau
         wave.set_title(f"τ = {tau}, {tau * scene.chain.time_scale * 1e6:.1f} µs", fontsize="medium")
-        wave.set(xlim=(MOVED - reach, MOVED + reach), ylim=(wave.get_ylim()[0], 1.75 * wave.get_ylim()[1]))
+        wave.set(
+            xlim=(MOVED - reach, MOVED + reach),
+            ylim=(wave.get_ylim()[0], 1.75 * wave.get_ylim()[1]),
+        )
         wave.set_ylabel("displacement / $φ_{50}(0)$")
         below.set(xlabel="grain, from the top", ylabel="|theory − native| / max", ylim=(1e-11, 3))
         say(f"Eq. (6) at tau {tau}", 100 * off, "% off")

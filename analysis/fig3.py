@@ -19,7 +19,10 @@ def main() -> None:
     n = np.arange(1, grains)
     title = "Fig. 3: a chain of springs, δ = 1.  Corrected: the velocity in Eq. (13) is dφ/dT"
     picture, pairs = page(title, 2, width=11)
-    cases = {"a: displaced, Eq. (11)": (1, bessel.free_end), "b: struck, Eq. (13)": (0, bessel.free_end_impulse)}
+    cases = {
+        "a: displaced, Eq. (11)": (1, bessel.free_end),
+        "b: struck, Eq. (13)": (0, bessel.free_end_impulse),
+    }
     for (name, (moved, theory)), (wave, below) in zip(cases.items(), pairs, strict=True):
         scene = weak_scene(grains, tau, 2, 1e-2, delta=1.0, moved=moved)
         unit = 1e-2 * scene.chain.length_scale

@@ -35,7 +35,9 @@ def as_printed(grains: int, tau: float) -> np.ndarray:
     shape, omega = linear.shape * np.sqrt(linear.mass[:, None]), linear.frequency * chain.time_scale
     root = grains ** (1 / 6)
     j = np.arange(1, int(root * tau) + 60)
-    cases = 2 * np.cos(np.multiply.outer(np.arcsin(omega / (2 * root)), 2 * j - 2))  # phi_i of Eq. (21)
+    cases = 2 * np.cos(
+        np.multiply.outer(np.arcsin(omega / (2 * root)), 2 * j - 2)
+    )  # phi_i of Eq. (21)
     cases[0] = 1
     return (shape * shape[0]) @ (cases @ jv(2 * j - 2, 2 * root * tau))
 
@@ -48,7 +50,10 @@ def main() -> None:
     title = "Fig. 4: a column under gravity, δ = 3/2.  Corrected: the cases of Eq. (20) are j = 1 and j > 1"
     title += "\nLAMMPS at strength 1e-4, native at 1e-9: their distances are what is nonlinear at these strengths"
     picture, pairs = page(title, 2, width=11)
-    cases = {"a: displaced, Eq. (19)": (1, bessel.finite), "b: struck, Eq. (19) integrated": (0, bessel.finite_impulse)}
+    cases = {
+        "a: displaced, Eq. (19)": (1, bessel.finite),
+        "b: struck, Eq. (19) integrated": (0, bessel.finite_impulse),
+    }
     for (name, (moved, theory)), (wave, below) in zip(cases.items(), pairs, strict=True):
         exact = theory(kappa(grains), n, 1, float(tau))
         wave.plot(n, exact, **THEORY, label="Eq. (19), Eq. (20) corrected")
@@ -58,11 +63,16 @@ def main() -> None:
             wave.plot(n, printed, **PRINTED, label=f"Eq. (20) as printed: {100 * off:.2g} % off")
             apart(below, n, printed, exact, np.abs(exact).max(), **PRINTED)
             say("Eq. (20) as printed", 100 * off, "% off")
-            three = [as_printed(3, at) - bessel.finite(kappa(3), [1, 2], 1, at) for at in np.linspace(0, 20, 201)]
+            three = [
+                as_printed(3, at) - bessel.finite(kappa(3), [1, 2], 1, at)
+                for at in np.linspace(0, 20, 201)
+            ]
             say("Eq. (20) as printed, N = 3, largest error", np.abs(three).max())
         for engine, strength in (("lammps", 1e-4), ("native", 1e-9)):
             scene = weak_scene(grains, tau, 2, strength, moved=moved)
-            off = end_of_run((wave, below), scene, engine, strength * scene.chain.length_scale, exact)
+            off = end_of_run(
+                (wave, below), scene, engine, strength * scene.chain.length_scale, exact
+            )
             wave.lines[-1].set_label(f"{engine}, strength {strength:.0e}: {off:.0e} off")
             say(f"{name[0]}, {engine}", off)
         wave.set_title(f"{name}, at τ = {tau}", fontsize="medium")

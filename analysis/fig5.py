@@ -47,7 +47,12 @@ def main() -> None:
         )
         off, engines = distance(linear, native), np.abs(lammps - native).max()
         wave.axhline(0, color="0.85", lw=0.8, zorder=0)
-        wave.plot(n, linear, **THEORY, label=f"Eq. (19): {100 * off:.0f} % off, peak at {summit(linear):.1f}")
+        wave.plot(
+            n,
+            linear,
+            **THEORY,
+            label=f"Eq. (19): {100 * off:.0f} % off, peak at {summit(linear):.1f}",
+        )
         wave.plot(n, lammps, **LAMMPS, label=f"LAMMPS: {engines:.0e} from native")
         wave.plot(n, native, **NATIVE, label=f"native, Eq. (1): peak at {summit(native):.1f}")
         apart(below, n, linear, native, np.abs(native).max(), **THEORY)

@@ -7,7 +7,20 @@ the paper holds: more disorder, less velocity.
 """
 
 import numpy as np
-from figures import NATIVE, PRINTED, SHADES, THEORY, apart, arguments, finish, kappa, legends, page, say, weak_scene
+from figures import (
+    NATIVE,
+    PRINTED,
+    SHADES,
+    THEORY,
+    apart,
+    arguments,
+    finish,
+    kappa,
+    legends,
+    page,
+    say,
+    weak_scene,
+)
 from matplotlib import colormaps
 
 import lmpchain
@@ -30,29 +43,44 @@ def main() -> None:
     title = "Fig. 6: velocities at τ = 15 and disorder.  Corrected: Eq. (22) is no average; that over columns, right"
     picture, ((weighted, below), (wave, noise)) = page(title, 2, width=12)
     m, coarse = np.geomspace(1, 1e4, 400), np.geomspace(1, 1e4, 25)
-    for style, label, normalised in ((PRINTED, "as printed", False), (THEORY, "divided by the weights", True)):
+    for style, label, normalised in (
+        (PRINTED, "as printed", False),
+        (THEORY, "divided by the weights", True),
+    ):
         line, points = (
-            dyson.average(v, n ** (1 / 3), order, normalised) for v, order in ((linear, m), (velocity, coarse))
+            dyson.average(v, n ** (1 / 3), order, normalised)
+            for v, order in ((linear, m), (velocity, coarse))
         )
         at_points = dyson.average(linear, n ** (1 / 3), coarse, normalised)
         weighted.plot(m, line, **style, label=f"Eq. (22) {label}, v of Eq. (19)")
         off = np.abs(points - at_points).max()
-        weighted.plot(coarse, points, **NATIVE | {"color": style["color"]}, label=f"same, v of native: {off:.0e} off")
+        weighted.plot(
+            coarse,
+            points,
+            **NATIVE | {"color": style["color"]},
+            label=f"same, v of native: {off:.0e} off",
+        )
         apart(below, coarse, points, at_points, 1.0, **style)
     limit = np.sqrt(m / (2 * np.pi)) * linear[0]
     weighted.plot(m[m > 30], limit[m > 30], color=SHADES[1], ls=":", label=r"$\sqrt{m / 2π}\; v_1$")
     weighted.set(xscale="log", ylabel="Σ weight × velocity / $v_0$")
-    below.set(xlabel="order m (large: little disorder)", ylabel="|native − theory|", ylim=(1e-11, 1e-5))
+    below.set(
+        xlabel="order m (large: little disorder)", ylabel="|native − theory|", ylim=(1e-11, 1e-5)
+    )
     for order in (1, 3, 5, 100, 1e4):
         say(f"Eq. (22), m = {order:g}", dyson.average(linear, n ** (1 / 3), order))
 
     columns = 12 if given.quick else 200
     wave.plot(n, linear, **THEORY, label=f"ordered: max {linear.max():.3f}")
     say("ordered, largest velocity", linear.max())
-    shades = colormaps["plasma"](np.linspace(0.0, 0.85, len(ORDERS)))  # green is the paper's formula, left
+    shades = colormaps["plasma"](
+        np.linspace(0.0, 0.85, len(ORDERS))
+    )  # green is the paper's formula, left
     for order, shade in zip(ORDERS, shades, strict=True):
         average = ensemble(scene, order, columns, seed=1)
-        mean, error = (v[-1] / scene.excitation.velocity for v in (average.velocity, average.velocity_error))
+        mean, error = (
+            v[-1] / scene.excitation.velocity for v in (average.velocity, average.velocity_error)
+        )
         label = f"m = {order}: max {mean.max():.3f} ± {error[mean.argmax()]:.3f}"
         wave.errorbar(n, mean, error, color=shade, marker="o", ms=2.5, lw=1, label=label)
         apart(noise, n, mean, linear, linear.max(), color=shade, lw=1)

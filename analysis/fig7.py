@@ -28,27 +28,44 @@ def main() -> None:
     linear = np.zeros((SAMPLES, GRAINS))
     linear[:, :-1] = bessel.finite(kappa(GRAINS), n[:-1], 1, tau[:, None])
 
-    title = "Fig. 7: velocity, time and disorder.  Corrected: the mean over disordered columns, right"
+    title = (
+        "Fig. 7: velocity, time and disorder.  Corrected: the mean over disordered columns, right"
+    )
     picture, ((weighted, below), (mean, noise)) = page(title, 2, width=12, height=7)
     m = np.geomspace(1, 100, 81)
-    sums, theory = (np.array([dyson.average(v, n ** (1 / 3), order) for order in m]) for v in (velocity, linear))
+    sums, theory = (
+        np.array([dyson.average(v, n ** (1 / 3), order) for order in m]) for v in (velocity, linear)
+    )
     most = np.ceil(np.abs(sums).max())
     scale = SymLogNorm(0.1, vmin=-most, vmax=most)
     image = weighted.pcolormesh(tau, m, sums, norm=scale, cmap="PuOr", shading="gouraud")
     label = "Eq. (22): Σ weight × velocity / $v_0$"
-    picture.colorbar(image, ax=weighted, label=label, ticks=[-most, -1, -0.1, 0, 0.1, 1, most], format="{x:g}")
+    picture.colorbar(
+        image, ax=weighted, label=label, ticks=[-most, -1, -0.1, 0, 0.1, 1, most], format="{x:g}"
+    )
     off = np.abs(sums - theory).max(0)
-    below.plot(tau[1:], off[1:], color=SHADES[0], label=f"native − Eq. (19): at most {off.max():.0e}")
+    below.plot(
+        tau[1:], off[1:], color=SHADES[0], label=f"native − Eq. (19): at most {off.max():.0e}"
+    )
 
     averages = [ensemble(scene, order, columns, seed=1) for order in orders]
-    largest = np.array([average.velocity.max(1) for average in averages]) / scene.excitation.velocity
-    image = mean.pcolormesh(tau, orders, largest, cmap="viridis", vmin=0, vmax=0.5, shading="gouraud")
-    lines = mean.contour(tau, orders, largest, levels=(0.1, 0.2, 0.3, 0.4), colors="w", linewidths=0.7)
+    largest = (
+        np.array([average.velocity.max(1) for average in averages]) / scene.excitation.velocity
+    )
+    image = mean.pcolormesh(
+        tau, orders, largest, cmap="viridis", vmin=0, vmax=0.5, shading="gouraud"
+    )
+    lines = mean.contour(
+        tau, orders, largest, levels=(0.1, 0.2, 0.3, 0.4), colors="w", linewidths=0.7
+    )
     mean.clabel(lines, fontsize="x-small", manual=[(6, 14), (13, 10), (18, 5), (22, 1.5)])
     picture.colorbar(image, ax=mean, label="largest mean velocity / $v_0$", extend="max")
     for place, shade in zip((0, len(orders) // 2, len(orders) - 1), SHADES, strict=False):
         average = averages[place]
-        error = average.velocity_error[np.arange(SAMPLES), average.velocity.argmax(1)] / scene.excitation.velocity
+        error = (
+            average.velocity_error[np.arange(SAMPLES), average.velocity.argmax(1)]
+            / scene.excitation.velocity
+        )
         noise.plot(tau[1:], error[1:], color=shade, label=f"m = {orders[place]}")
 
     weighted.set_title("one column, the paper's weighted sum", fontsize="medium")
@@ -60,7 +77,10 @@ def main() -> None:
     say("Eq. (22) at tau 15, m = 1", float(dyson.average(velocity[30], n ** (1 / 3), 1)))
     say("Eq. (22), native and Eq. (19) differ by", off.max())
     for place in (0, -1):
-        say(f"mean over columns at tau 15, m = {orders[place]}, largest velocity", largest[place, 30])
+        say(
+            f"mean over columns at tau 15, m = {orders[place]}, largest velocity",
+            largest[place, 30],
+        )
     legends(picture, loc="upper right")
     finish(picture, given.output)
 

@@ -6,7 +6,19 @@ conjugate. The amplitude falls all the way, as h^(-1/12) deep down.
 """
 
 import numpy as np
-from figures import NATIVE, PRINTED, SHADES, THEORY, apart, arguments, distance, finish, legends, page, say
+from figures import (
+    NATIVE,
+    PRINTED,
+    SHADES,
+    THEORY,
+    apart,
+    arguments,
+    distance,
+    finish,
+    legends,
+    page,
+    say,
+)
 
 import lmpchain
 from lmpchain.theory import continuum
@@ -26,7 +38,9 @@ def main() -> None:
     def drive(t: float) -> tuple[float, float]:
         angle, share = np.pi * min(t / RAMP, 1.0), top * np.exp(1j * LAMBDA * t)
         slowly, faster = (1 - np.cos(angle)) / 2, np.pi / RAMP * np.sin(angle) / 2
-        return float(slowly * share.real), float(faster * share.real + slowly * (1j * LAMBDA * share).real)
+        return float(slowly * share.real), float(
+            faster * share.real + slowly * (1j * LAMBDA * share).real
+        )
 
     times = np.linspace(tau - period, tau, 41)
     field = continuum.solve(times, grains, drive=drive, cells=cells)
@@ -35,7 +49,9 @@ def main() -> None:
     unit = 1e-6 * chain.length_scale
     motion = unit * np.array([drive(t)[0] for t in knots])
     piston = lmpchain.Drive(times=knots * chain.time_scale, displacement=motion)
-    scene = lmpchain.Scene(chain=chain, excitation=piston, duration=tau * chain.time_scale, samples=knots.size)
+    scene = lmpchain.Scene(
+        chain=chain, excitation=piston, duration=tau * chain.time_scale, samples=knots.size
+    )
     run = lmpchain.simulate(scene, "native", tolerance=1e-6)
 
     h, n = field.h, np.arange(1, grains + 1)
@@ -46,10 +62,16 @@ def main() -> None:
     title = "Fig. 8: the top driven at λ = 0.5.  Corrected: the wave that runs down is $H^{(2)}$, of order ν"
     picture, ((wave, below), (height, relative)) = page(title, 2, width=12)
     good, bad, discrete = (distance(x[near], cells_[near]) for x in (wave_out, wave_in, grains_))
-    wave.plot(n, wave_out, **THEORY, label=f"Eq. (30), $H^{{(2)}}$: {100 * good:.2g} % from Eq. (27)")
+    wave.plot(
+        n, wave_out, **THEORY, label=f"Eq. (30), $H^{{(2)}}$: {100 * good:.2g} % from Eq. (27)"
+    )
     wave.plot(n, wave_in, **PRINTED, label=f"$H^{{(1)}}$ as printed: {100 * bad:.0f} %")
-    wave.plot(n, cells_, "o", ms=5, mfc="none", color=SHADES[1], markevery=5, label="Eq. (27), solved")
-    wave.plot(n, grains_, **NATIVE, markevery=5, label=f"chain, Eq. (1), weak: {100 * discrete:.2g} %")
+    wave.plot(
+        n, cells_, "o", ms=5, mfc="none", color=SHADES[1], markevery=5, label="Eq. (27), solved"
+    )
+    wave.plot(
+        n, grains_, **NATIVE, markevery=5, label=f"chain, Eq. (1), weak: {100 * discrete:.2g} %"
+    )
     apart(below, n, wave_out, cells_, 1.0, **THEORY)
     apart(below, n, wave_in, cells_, 1.0, **PRINTED)
     apart(below, n, grains_, cells_, 1.0, **NATIVE)
@@ -58,16 +80,28 @@ def main() -> None:
     below.set(xlabel="grain, from the top", ylabel="|difference|", ylim=(1e-6, 5))
 
     turn = np.exp(-1j * LAMBDA * times[1:, None])
-    amplitudes = [2 * np.abs((x * turn).mean(0)) for x in (field.displacement[1:], run.displacement[-40:] / unit)]
+    amplitudes = [
+        2 * np.abs((x * turn).mean(0))
+        for x in (field.displacement[1:], run.displacement[-40:] / unit)
+    ]
     power = h ** (-1 / 12) * np.sqrt(2 / (np.pi * LAMBDA) / 1.2)
     height.loglog(h, np.abs(mode), **THEORY, label=r"$|u_λ|$, Eq. (30)")
     height.loglog(h, power, color=SHADES[3], ls=":", label="its limit, $h^{-1/12}$")
     height.loglog(
-        h[near], amplitudes[0][near], "o", ms=5, mfc="none", color=SHADES[1], markevery=5, label="Eq. (27), solved"
+        h[near],
+        amplitudes[0][near],
+        "o",
+        ms=5,
+        mfc="none",
+        color=SHADES[1],
+        markevery=5,
+        label="Eq. (27), solved",
     )
     height.loglog(h[near], amplitudes[1][near], **NATIVE, markevery=5, label="chain, Eq. (1), weak")
     apart(relative, h, power, np.abs(mode), np.abs(mode), color=SHADES[3], ls=":")
-    for amplitude, style in zip(amplitudes, ({"color": SHADES[1], "marker": "o"}, NATIVE), strict=True):
+    for amplitude, style in zip(
+        amplitudes, ({"color": SHADES[1], "marker": "o"}, NATIVE), strict=True
+    ):
         apart(relative, h[near], amplitude[near], np.abs(mode)[near], np.abs(mode)[near], **style)
     height.set(xlim=(0.4, last), ylim=(0.55, 1.2), ylabel="amplitude of φ")
     height.yaxis.set(minor_formatter="{x:g}")
@@ -80,10 +114,12 @@ def main() -> None:
     say("exponent of the amplitude of the chain", exponent)
     microseconds = tau * chain.time_scale * 1e6
     wave.set_title(
-        f"displacements at τ = {tau:.1f}, {microseconds:.0f} µs; markers: every fifth grain", fontsize="medium"
+        f"displacements at τ = {tau:.1f}, {microseconds:.0f} µs; markers: every fifth grain",
+        fontsize="medium",
     )
     height.set_title(
-        f"amplitudes: the chain's fall as $h^{{{exponent:.4f}}}$ (limit: $h^{{-1/12}}$, -0.0833)", fontsize="medium"
+        f"amplitudes: the chain's fall as $h^{{{exponent:.4f}}}$ (limit: $h^{{-1/12}}$, -0.0833)",
+        fontsize="medium",
     )
     legends(picture, loc="upper right")
     finish(picture, given.output)

@@ -6,7 +6,19 @@ response. Its peak is infinite; the grains disperse it into the Airy function th
 """
 
 import numpy as np
-from figures import NATIVE, PRINTED, SHADES, THEORY, apart, arguments, finish, legends, page, say, weak_scene
+from figures import (
+    NATIVE,
+    PRINTED,
+    SHADES,
+    THEORY,
+    apart,
+    arguments,
+    finish,
+    legends,
+    page,
+    say,
+    weak_scene,
+)
 
 import lmpchain
 from lmpchain.theory import continuum, front
@@ -21,7 +33,9 @@ def main() -> None:
     scene = weak_scene(grains, tau, 2, 1e-8)
     run = lmpchain.simulate(scene, "native", tolerance=1e-9)
     chain = run.displacement[-1, :-1] / scene.excitation.velocity / scene.chain.time_scale
-    field = continuum.solve([float(tau)], grains, velocity=lambda h: h < 1, cells=3).displacement[0, :-1]
+    field = continuum.solve([float(tau)], grains, velocity=lambda h: h < 1, cells=3).displacement[
+        0, :-1
+    ]
     n, chi = np.arange(1, grains), continuum.chi(np.arange(1, grains) - 0.5)
     causal = continuum.impulse_response(n - 0.5, float(tau))
     printed = continuum.peaked(n - 0.5, float(tau), 0.0, continuum.impulse_amplitude(), 0.0)
@@ -39,12 +53,17 @@ def main() -> None:
         wave.plot(fine + 0.5, continuum.peaked(fine, float(tau), 0.0, continuum.impulse_amplitude(), 0.0), **PRINTED,
                   label=f"Eq. (35) as printed, |...|: {wrong:.2f} where all is at rest")  # fmt: skip
         wave.plot(
-            fine + 0.5, continuum.impulse_response(fine, float(tau)), **THEORY, label=f"causal: {off:.0e} off, χ < τ/2"
+            fine + 0.5,
+            continuum.impulse_response(fine, float(tau)),
+            **THEORY,
+            label=f"causal: {off:.0e} off, χ < τ/2",
         )
         wave.plot(n, field, color=SHADES[1], lw=1, label="Eq. (27), solved")
         wave.plot(n, chain, **NATIVE, label="chain, Eq. (1), weak")
         cone = float(continuum.depth(float(tau)))
-        wave.axvline(cone + 0.5, color="0.6", ls=":", lw=1.2, label=f"light cone, grain {cone + 0.5:.0f}")
+        wave.axvline(
+            cone + 0.5, color="0.6", ls=":", lw=1.2, label=f"light cone, grain {cone + 0.5:.0f}"
+        )
         if not whole:
             wave.plot(n[close], airy, color=SHADES[3], lw=1.4, label="front of Airy type")
             apart(below, n[close], airy, chain[close], 1.0, color=SHADES[3], lw=1.4)
@@ -55,7 +74,9 @@ def main() -> None:
         below.set(xlabel="grain, from the top", ylim=(1e-7, 5))
     pairs[0][0].set_ylabel("displacement / (speed of grain 1 at τ = 0)")
     pairs[0][1].set_ylabel("|difference|")
-    pairs[0][0].set_title(f"τ = {tau}, {tau * scene.chain.time_scale * 1e6:.0f} µs", fontsize="medium")
+    pairs[0][0].set_title(
+        f"τ = {tau}, {tau * scene.chain.time_scale * 1e6:.0f} µs", fontsize="medium"
+    )
     pairs[1][0].set_title("the front", fontsize="medium")
     say("causal Eq. (35), largest relative error behind half the light cone", off)
     say("Eq. (27) solved, the same", np.abs(field[inside] / causal[inside] - 1).max())

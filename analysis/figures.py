@@ -31,7 +31,11 @@ NATIVE, LAMMPS = (
 )
 THEORY = {"color": "0.2", "lw": 1.4}
 PRINTED_NUMBERS: dict[str, float] = {}  # what `say` has said
-PRINTED = {"color": COLOURS["modes"], "lw": 1.4, "ls": "--"}  # the paper's formula where it is wrong
+PRINTED = {
+    "color": COLOURS["modes"],
+    "lw": 1.4,
+    "ls": "--",
+}  # the paper's formula where it is wrong
 
 
 def arguments(script: str, doc: str, **flags: str) -> argparse.Namespace:
@@ -40,13 +44,21 @@ def arguments(script: str, doc: str, **flags: str) -> argparse.Namespace:
     The picture goes into `pictures/` beside the script, with --quick into this folder.
     """
     name = f"{Path(script).stem}.png"
-    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="smaller and faster, for tests; draws ./" + name)
-    parser.add_argument("-o", "--output", type=Path, help="the picture; by default pictures/" + name)
+    parser = argparse.ArgumentParser(
+        description=doc, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="smaller and faster, for tests; draws ./" + name
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, help="the picture; by default pictures/" + name
+    )
     for flag, what in flags.items():
         parser.add_argument("--" + flag.replace("_", "-"), action="store_true", help=what)
     given = parser.parse_args()
-    given.output = given.output or (Path(name) if given.quick else Path(script).resolve().parent / "pictures" / name)
+    given.output = given.output or (
+        Path(name) if given.quick else Path(script).resolve().parent / "pictures" / name
+    )
     return given
 
 
@@ -55,7 +67,9 @@ def page(
 ) -> tuple[Figure, list[tuple[Axes, Axes]]]:
     """Return a figure and its pairs of panels, row by row: curves, and their differences below."""
     picture = figure(width, height)
-    axes = picture.subplots(2 * rows, columns, sharex=False, squeeze=False, height_ratios=(3, 1.2) * rows)
+    axes = picture.subplots(
+        2 * rows, columns, sharex=False, squeeze=False, height_ratios=(3, 1.2) * rows
+    )
     pairs = []
     for row in range(rows):
         for upper, lower in zip(axes[2 * row], axes[2 * row + 1], strict=True):
@@ -68,13 +82,17 @@ def page(
     return picture, pairs
 
 
-def apart(axes: Axes, x: np.ndarray, measured: np.ndarray, other: np.ndarray, unit: float, **style: object) -> None:
+def apart(
+    axes: Axes, x: np.ndarray, measured: np.ndarray, other: np.ndarray, unit: float, **style: object
+) -> None:
     """Draw |measured - other| / unit on a logarithmic axis, leaving out zeros."""
     difference = np.abs(measured - other) / unit
     axes.plot(x, np.where(difference > 0, difference, np.nan), **{"ms": 3, **style})
 
 
-def end_of_run(pair: tuple[Axes, Axes], scene: lmpchain.Scene, engine: str, unit: float, exact: np.ndarray) -> float:
+def end_of_run(
+    pair: tuple[Axes, Axes], scene: lmpchain.Scene, engine: str, unit: float, exact: np.ndarray
+) -> float:
     """Run a scene, draw the last displacements over `unit` with the exact ones; return the error."""
     wave, below = pair
     style, tolerance = {"lammps": (LAMMPS, 1e-6), "native": (NATIVE, 1e-12)}[engine]
@@ -94,7 +112,9 @@ def legends(picture: Figure, **keys: object) -> None:
 
 
 def random_search(
-    drawn: Callable[[np.random.Generator], lmpchain.Scene], value: Callable[[lmpchain.Scene], float], seconds: float
+    drawn: Callable[[np.random.Generator], lmpchain.Scene],
+    value: Callable[[lmpchain.Scene], float],
+    seconds: float,
 ) -> tuple[float, lmpchain.Scene | None, int]:
     """Return the least value, its scene, and how many were drawn in so many seconds of the processor."""
     rng, best, tried = np.random.default_rng(2), (np.inf, None), 0
@@ -120,15 +140,22 @@ def finish(picture: Figure, path: Path) -> None:
 def commit() -> str:
     """Return the commit that draws, with a mark if files differ from it; empty outside a repository."""
     said = [
-        subprocess.run(["git", *words.split()], cwd=HERE, capture_output=True, text=True, check=False).stdout.strip()
-        for words in ("rev-parse HEAD", "status --porcelain --untracked-files=no -- ../lmpchain . :!*pictures/*")
+        subprocess.run(
+            ["git", *words.split()], cwd=HERE, capture_output=True, text=True, check=False
+        ).stdout.strip()
+        for words in (
+            "rev-parse HEAD",
+            "status --porcelain --untracked-files=no -- ../lmpchain . :!*pictures/*",
+        )
     ]
     return f"{said[0]}{' and changes' if said[1] else ''}"
 
 
 def command() -> str:
     """Return the command that draws, from the folder above this one, without where the picture goes."""
-    options = [word for word in sys.argv[1:] if word.startswith("--") or not re.search(r"[/.]|^-o$", word)]
+    options = [
+        word for word in sys.argv[1:] if word.startswith("--") or not re.search(r"[/.]|^-o$", word)
+    ]
     return " ".join(["python", os.path.relpath(sys.argv[0], HERE.parent), *options])
 
 
@@ -186,12 +213,18 @@ def weak_scene(
     """
     chain = lmpchain.Chain(grains=grains, diameter=1e-3, exponent=delta)
     excitation = (
-        lmpchain.Displacement(displacement=strength * chain.equilibrium_overlap[moved - 1], grain=moved)
+        lmpchain.Displacement(
+            displacement=strength * chain.equilibrium_overlap[moved - 1], grain=moved
+        )
         if moved
         else lmpchain.Impulse(velocity=strength * chain.length_scale / chain.time_scale)
     )
     return lmpchain.Scene(
-        chain=chain, excitation=excitation, duration=tau * chain.time_scale, samples=samples, grains=recorded
+        chain=chain,
+        excitation=excitation,
+        duration=tau * chain.time_scale,
+        samples=samples,
+        grains=recorded,
     )
 
 

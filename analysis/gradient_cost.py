@@ -19,7 +19,9 @@ from lmpchain.integrators.stepper import NativeStepper
 
 SAMPLES = 11
 REPEATS = 9
-WAVES: dict[str, tuple[float, dict[str, float]]] = {  # velocities, m/s, and what else makes the chain
+WAVES: dict[
+    str, tuple[float, dict[str, float]]
+] = {  # velocities, m/s, and what else makes the chain
     "strong": (1e-3, {}),
     "in a loaded chain": (1e-2, {"top_load": 1.0}),
     "between weak and strong": (4e-4, {"top_load": 1.0}),

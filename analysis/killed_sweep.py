@@ -48,16 +48,30 @@ def digests(folder: Path) -> dict[str, str]:
     for path in sorted(folder.rglob("*")):
         if path.is_file() and path.name != ".lock":
             with open(path, "rb") as opened:
-                found[str(path.relative_to(folder))] = hashlib.file_digest(opened, "sha256").hexdigest()
+                found[str(path.relative_to(folder))] = hashlib.file_digest(
+                    opened, "sha256"
+                ).hexdigest()
     return found
 
 
-def swept(source: Path, folder: Path, workers: int, until: int | None = None) -> tuple[bool, dict[int, int]]:
+def swept(
+    source: Path, folder: Path, workers: int, until: int | None = None
+) -> tuple[bool, dict[int, int]]:
     """Sweep, and kill the process that leads once so many shards are complete.
 
     Returns whether it came to its end, and the most memory that any of its processes has had, MB, by the shards done.
     """
-    command = [sys.executable, "-m", "lmpchain.cli", "sweep", source, "-o", folder, "--workers", str(workers)]
+    command = [
+        sys.executable,
+        "-m",
+        "lmpchain.cli",
+        "sweep",
+        source,
+        "-o",
+        folder,
+        "--workers",
+        str(workers),
+    ]
     process = psutil.Popen([*map(str, command)], stdout=subprocess.DEVNULL)
     memory: dict[int, int] = {}
     family: list[psutil.Process] = []
@@ -65,7 +79,9 @@ def swept(source: Path, folder: Path, workers: int, until: int | None = None) ->
         done = shards(folder)
         try:
             family = [process, *process.children(recursive=True)]
-            memory[done] = max(memory.get(done, 0), *(each.memory_info().rss >> 20 for each in family))
+            memory[done] = max(
+                memory.get(done, 0), *(each.memory_info().rss >> 20 for each in family)
+            )
         except psutil.NoSuchProcess:  # it is ending
             pass
         if until is not None and done >= until:
@@ -83,9 +99,14 @@ def main() -> None:
     parser.add_argument("--scenes", type=int, default=20_000)
     parser.add_argument("--kills", type=int, default=5)
     parser.add_argument(
-        "--workers", type=int, default=2, help="of the sweep that is killed; the other one has one more"
+        "--workers",
+        type=int,
+        default=2,
+        help="of the sweep that is killed; the other one has one more",
     )
-    parser.add_argument("--folder", type=Path, help="where there is room; by default that of temporary files")
+    parser.add_argument(
+        "--folder", type=Path, help="where there is room; by default that of temporary files"
+    )
     parser.add_argument("--seed", type=int, default=1, help="of the moments")
     arguments = parser.parse_args()
     rng = random.Random(arguments.seed)
@@ -97,17 +118,26 @@ def main() -> None:
         seconds, found = time.perf_counter() - began, digests(out)
         total = shards(out)
         rate = f"{seconds:.0f} s, {arguments.scenes / seconds:.0f} scenes a second"
-        print(f"{arguments.scenes} scenes on {arguments.workers + 1} workers: {rate}, in {len(found)} files")
+        print(
+            f"{arguments.scenes} scenes on {arguments.workers + 1} workers: {rate}, in {len(found)} files"
+        )
         halves = [
-            max((mb for n, mb in memory.items() if (2 * n < total) == first), default=0) for first in (True, False)
+            max((mb for n, mb in memory.items() if (2 * n < total) == first), default=0)
+            for first in (True, False)
         ]
-        print(f"most memory of a process, MB: {halves[0]} in the first half, {halves[1]} in the second", flush=True)
+        print(
+            f"most memory of a process, MB: {halves[0]} in the first half, {halves[1]} in the second",
+            flush=True,
+        )
         shutil.rmtree(out)
         kills = 0
         for moment in sorted(rng.randrange(total) for _ in range(arguments.kills)):
             ended, _ = swept(source, out, arguments.workers, moment)
             kills += not ended
-            print(f"killed at {shards(out)} of {total} shards" if not ended else "it was at its end", flush=True)
+            print(
+                f"killed at {shards(out)} of {total} shards" if not ended else "it was at its end",
+                flush=True,
+            )
         swept(source, out, arguments.workers)
         again = digests(out)
     unlike = sorted(key for key in found.keys() | again.keys() if found.get(key) != again.get(key))

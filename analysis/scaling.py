@@ -53,7 +53,9 @@ def stirred(grains: int, steps: int) -> tuple[lmpchain.Scene, float]:
     random = np.random.default_rng(grains).uniform(-1, 1, grains - 1)
     strike = lmpchain.Profile(velocity=np.append(random * speed, 0.0))  # grain N is held
     step = PHASE * math.sqrt(mass / float(deepest.linear_stiffness[0]))
-    return lmpchain.Scene(chain=chain, excitation=strike, duration=steps * step, samples=2, grains="1:2"), step
+    return lmpchain.Scene(
+        chain=chain, excitation=strike, duration=steps * step, samples=2, grains="1:2"
+    ), step
 
 
 def throughput(name: str, grains: int, share: float) -> Row:
@@ -80,15 +82,23 @@ def answer(grains: int) -> Row:
     began = time.perf_counter()
     chain = lmpchain.Chain(grains=grains, material=lmpchain.GLASS, diameter=1e-3)
     strike = lmpchain.Impulse(velocity=8.57e-4)
-    scene = lmpchain.Scene(chain=chain, excitation=strike, duration=100e-6, grains=f"1:{min(64, grains)}")
+    scene = lmpchain.Scene(
+        chain=chain, excitation=strike, duration=100e-6, grains=f"1:{min(64, grains)}"
+    )
     run = lmpchain.simulate(scene, "native")
-    return {"grains": grains, "seconds": time.perf_counter() - began, "active_grains": run.cost.active_grains}
+    return {
+        "grains": grains,
+        "seconds": time.perf_counter() - began,
+        "active_grains": run.cost.active_grains,
+    }
 
 
 def many(threads: int, steps: int, realisations: int) -> Row:
     """Time an ensemble of random chains of 120 grains, everything included."""
     chain = lmpchain.Chain(grains=120, diameter=1e-3)
-    scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-6), duration=100e-6, samples=2)
+    scene = lmpchain.Scene(
+        chain=chain, excitation=lmpchain.Impulse(velocity=1e-6), duration=100e-6, samples=2
+    )
     engine = Native(integrator="verlet", step=scene.duration / steps, threads=threads)
     began = time.perf_counter()
     ensemble(scene, 10, realisations, seed=1, engine=engine)
@@ -128,20 +138,32 @@ def measure(quick: bool) -> dict[str, list[Row]]:
 
 def tables(numbers: dict[str, list[Row]]) -> str:
     """Return the numbers as Markdown tables."""
-    lines = ["| grains | " + " | ".join(ENGINES) + " | strike on grain 1 |", "|---" * (len(ENGINES) + 2) + "|"]
-    speeds = {(row["engine"], row["grains"]): row["grain_steps_per_s"] for row in numbers["throughput"]}
+    lines = [
+        "| grains | " + " | ".join(ENGINES) + " | strike on grain 1 |",
+        "|---" * (len(ENGINES) + 2) + "|",
+    ]
+    speeds = {
+        (row["engine"], row["grains"]): row["grain_steps_per_s"] for row in numbers["throughput"]
+    }
     for row in numbers["answers"]:
         values = [speeds.get((name, row["grains"])) for name in ENGINES]
         cells = [f"{value / 1e6:.4g} M/s" if value else "" for value in values]
         cells.append(f"{row['seconds'] * 1e3:.3g} ms, {row['active_grains']} computed")
         lines.append(f"| {row['grains']:,} | " + " | ".join(cells) + " |")
-    lines += ["", "| chains of 120 grains | steps | " + " | ".join(f"threads: {t}" for t in THREADS) + " | gain |"]
+    lines += [
+        "",
+        "| chains of 120 grains | steps | "
+        + " | ".join(f"threads: {t}" for t in THREADS)
+        + " | gain |",
+    ]
     lines.append("|---" * (len(THREADS) + 3) + "|")
     for steps in dict.fromkeys(row["steps"] for row in numbers["ensembles"]):
         rows = [row for row in numbers["ensembles"] if row["steps"] == steps]
         cells = [f"{row['seconds']:.3g} s" for row in rows]
         gain = rows[0]["seconds"] / rows[-1]["seconds"]
-        lines.append(f"| {rows[0]['realisations']} | {steps} | " + " | ".join(cells) + f" | {gain:.2f} |")
+        lines.append(
+            f"| {rows[0]['realisations']} | {steps} | " + " | ".join(cells) + f" | {gain:.2f} |"
+        )
     return "\n".join(lines)
 
 
@@ -151,16 +173,32 @@ def main() -> None:
     numbers = measure(given.quick)
     print(tables(numbers))
     with write_aside(given.output.with_suffix(".json")) as aside:
-        aside.write_text(json.dumps({"machine": machine()} | numbers, indent=1) + "\n", encoding="utf-8")
+        aside.write_text(
+            json.dumps({"machine": machine()} | numbers, indent=1) + "\n", encoding="utf-8"
+        )
     picture = figure(10, 4.2)
     speed, strike, threads = picture.subplots(1, 3, width_ratios=(2, 1.3, 1.3))
     for name in ENGINES:
         rows = [row for row in numbers["throughput"] if row["engine"] == name]
-        speed.loglog([r["grains"] for r in rows], [r["grain_steps_per_s"] for r in rows], label=name, **STYLES[name])
+        speed.loglog(
+            [r["grains"] for r in rows],
+            [r["grain_steps_per_s"] for r in rows],
+            label=name,
+            **STYLES[name],
+        )
     speed.set(xlabel="grains, all in motion", ylabel="grain-steps a second")
     rows = numbers["answers"]
-    strike.loglog([r["grains"] for r in rows], [r["seconds"] for r in rows], color=COLOURS["native"], marker="s")
-    strike.set(xlabel="grains, the first is struck", ylabel="time to the answer for 100 µs, s", ylim=(1e-3, 1))
+    strike.loglog(
+        [r["grains"] for r in rows],
+        [r["seconds"] for r in rows],
+        color=COLOURS["native"],
+        marker="s",
+    )
+    strike.set(
+        xlabel="grains, the first is struck",
+        ylabel="time to the answer for 100 µs, s",
+        ylim=(1e-3, 1),
+    )
     for steps in LENGTHS:
         rows = [row for row in numbers["ensembles"] if row["steps"] == steps]
         rate = [row["realisations"] / row["seconds"] for row in rows]
@@ -169,7 +207,10 @@ def main() -> None:
     threads.set_ylim(bottom=0)
     legends(picture)
     versions = numbers["throughput"][0]["provenance"]
-    about = [machine(), *(f"{name} {versions[name]}" for name in ("lmpchain", "python", "numpy", "numba"))]
+    about = [
+        machine(),
+        *(f"{name} {versions[name]}" for name in ("lmpchain", "python", "numpy", "numba")),
+    ]
     picture.supxlabel(", ".join(about), fontsize="x-small")
     finish(picture, given.output)
 

@@ -20,7 +20,9 @@ WIDTH = 16.0
 
 def with_odd(ratio: float, grains: list[int], total: int = 15) -> lmpchain.Chain:
     """Return a chain of steel beads, some of which are so many times as wide."""
-    return lmpchain.Chain(grains=total, **HOST, impurity=[{"grain": n, "diameter": ratio * 1e-3} for n in grains])
+    return lmpchain.Chain(
+        grains=total, **HOST, impurity=[{"grain": n, "diameter": ratio * 1e-3} for n in grains]
+    )
 
 
 def edge(chain: lmpchain.Chain) -> float:
@@ -28,13 +30,18 @@ def edge(chain: lmpchain.Chain) -> float:
     return 2 * float(np.sqrt(chain.linear_stiffness[0] / chain.masses[0]))
 
 
-def passed(engine: str, ratio: float, count: int, share: float, tolerance: float) -> tuple[float, float]:
+def passed(
+    engine: str, ratio: float, count: int, share: float, tolerance: float
+) -> tuple[float, float]:
     """Return the share of the energy of a packet that passes, and the mean of T over its spectrum."""
     odd = list(range(300, 300 + count))
     chain = with_odd(ratio, odd, 600)
     w, k = edge(chain), 2 * np.arcsin(share)
     packet = lmpchain.Packet(
-        frequency=share * w / (2 * np.pi), width=WIDTH, grain=150, amplitude=1e-4 * chain.length_scale
+        frequency=share * w / (2 * np.pi),
+        width=WIDTH,
+        grain=150,
+        amplitude=1e-4 * chain.length_scale,
     )
     duration = 2 * 150 / (w / 2 * np.cos(k / 2))
     scene = lmpchain.Scene(chain=chain, excitation=packet, duration=duration, samples=2)
@@ -62,10 +69,14 @@ def main() -> None:
         for ratio, colour in zip(ratios, (SHADES[0], SHADES[1], SHADES[2]), strict=True):
             chain = with_odd(ratio, list(range(7, 7 + count)))
             found = transmission(chain, edge(chain) * frequency)
-            panel.plot(frequency, found.transmitted, color=colour, lw=1.5, label=f"diameter × {ratio:g}")
+            panel.plot(
+                frequency, found.transmitted, color=colour, lw=1.5, label=f"diameter × {ratio:g}"
+            )
             if count == 2:
                 at = 100 + found.transmitted[100:].argmax()  # the longest waves pass anything
-                peak = minimize_scalar(lambda x, c=chain: reflected(c, x), frequency[[at - 1, at, at + 1]])
+                peak = minimize_scalar(
+                    lambda x, c=chain: reflected(c, x), frequency[[at - 1, at, at + 1]]
+                )
                 say(f"transparent at, diameter × {ratio:g}", peak.x)
             for engine, style, tolerance in (("native", NATIVE, 1e-7), ("lammps", LAMMPS, 1e-5)):
                 for place in places if engine == "native" else places[1::2]:
@@ -75,7 +86,9 @@ def main() -> None:
     for engine, value in far.items():
         say(f"packets in {engine}, largest distance from theory", value)
     axes[0].set_title("One bead differs", loc="left", fontsize="medium")
-    axes[1].set_title("Two neighbours differ: transparent at one frequency", loc="left", fontsize="medium")
+    axes[1].set_title(
+        "Two neighbours differ: transparent at one frequency", loc="left", fontsize="medium"
+    )
     for engine, style in (("native", NATIVE), ("LAMMPS", LAMMPS)):
         axes[0].plot([], [], **style, label=f"packets, {engine}")
     for panel in axes:

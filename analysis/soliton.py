@@ -20,7 +20,9 @@ def behind_a_strike(engine: str, tolerance: float) -> tuple[np.ndarray, np.ndarr
     chain = lmpchain.Chain(grains=90, bottom="free", **BEADS)
     unit = (chain.masses[0] / chain.contact_constants[0]) ** 0.4
     strike = lmpchain.Impulse(velocity=1.0)
-    scene = lmpchain.Scene(chain=chain, excitation=strike, duration=80 * unit, samples=801, grains=[60])
+    scene = lmpchain.Scene(
+        chain=chain, excitation=strike, duration=80 * unit, samples=801, grains=[60]
+    )
     run = lmpchain.simulate(scene, engine, tolerance)
     v, top = run.velocity[:, 0], int(run.velocity[:, 0].argmax())
     a, b, c = v[top - 1 : top + 2]
@@ -44,27 +46,50 @@ def main() -> None:
     for engine, style, tolerance in (("native", NATIVE, 1e-9), ("lammps", LAMMPS, 1e-5)):
         place, height = behind_a_strike(engine, tolerance)
         every = slice(None, None, 3 if engine == "native" else 6)
-        shape.plot(place[every], height[every], **style, label={"native": "native", "lammps": "LAMMPS"}[engine])
-        say(f"struck chain in {engine} off the exact wave", np.abs(height - vacuum.velocity(place)).max())
+        shape.plot(
+            place[every],
+            height[every],
+            **style,
+            label={"native": "native", "lammps": "LAMMPS"}[engine],
+        )
+        say(
+            f"struck chain in {engine} off the exact wave",
+            np.abs(height - vacuum.velocity(place)).max(),
+        )
     say("width of the exact wave", vacuum.width, "grains")
     say("speed over that of Nesterenko", vacuum.speed / float(soliton.nesterenko_speed(1.0)))
-    shape.set(xlabel="x − Vt (grains)", ylabel="velocity / largest", ylim=(-0.03, 1.35), xlim=(-3, 3))
+    shape.set(
+        xlabel="x − Vt (grains)", ylabel="velocity / largest", ylim=(-0.03, 1.35), xlim=(-3, 3)
+    )
     shape.set_title("sonic vacuum", loc="left", fontsize="medium")
     shape.legend(frameon=False, fontsize="small", ncols=2, loc="upper center")
 
-    waves = [(vacuum, "sonic vacuum")] + [(soliton.solve(speed=c), f"loaded, {c:g} c$_0$") for c in (3.0, 1.5, 1.1)]
+    waves = [(vacuum, "sonic vacuum")] + [
+        (soliton.solve(speed=c), f"loaded, {c:g} c$_0$") for c in (3.0, 1.5, 1.1)
+    ]
     x = np.linspace(0, 12, 600)
     for (wave, label), colour in zip(waves, SHADES, strict=False):
         ratio = wave.overlap(x) / wave.overlap(0.0)
         tails.semilogy(x, np.where(ratio > 1e-15, ratio, np.nan), color=colour, lw=1.4, label=label)
-    tails.set(xlabel="x − Vt (grains)", ylabel="overlap beyond rest / largest", xlim=(0, 12), ylim=(1e-15, 2))
+    tails.set(
+        xlabel="x − Vt (grains)",
+        ylabel="overlap beyond rest / largest",
+        xlim=(0, 12),
+        ylim=(1e-15, 2),
+    )
     tails.set_title("tails: double exponential, exponential", loc="left", fontsize="medium")
     tails.legend(frameon=False, fontsize="small", loc="upper right")
 
-    c = np.array([1.01, 1.1, 1.5, 3.0]) if given.quick else np.array([1.002, 1.01, 1.05, 1.1, 1.2, 1.5, 2.0, 3.0, 5.0])
+    c = (
+        np.array([1.01, 1.1, 1.5, 3.0])
+        if given.quick
+        else np.array([1.002, 1.01, 1.05, 1.1, 1.2, 1.5, 2.0, 3.0, 5.0])
+    )
     force = np.array([(1 + float(soliton.solve(speed=each).overlap(0.0))) ** 1.5 for each in c])
     f = np.geomspace(1.02, 1.2 * force[-1], 300)
-    speeds.plot(f, soliton.coste_speed(f), "--", color=SHADES[1], lw=1.4, label="Coste, Falcon and Fauve")
+    speeds.plot(
+        f, soliton.coste_speed(f), "--", color=SHADES[1], lw=1.4, label="Coste, Falcon and Fauve"
+    )
     weak = 1 + (f ** (2 / 3) - 1) / 12
     speeds.plot(f[f < 8], weak[f < 8], ":", color=SHADES[2], lw=1.6, label="Korteweg and de Vries")
     strong = f > 8
@@ -74,7 +99,9 @@ def main() -> None:
     for speed, far in zip(c, c / soliton.coste_speed(force) - 1, strict=True):
         if speed in (1.1, 1.5):
             say(f"faster than Coste's by, at {speed:g} of the speed of sound", 100 * far, "%")
-    speeds.set(xscale="log", yscale="log", xlabel="largest force / load", ylabel="speed / speed of sound")
+    speeds.set(
+        xscale="log", yscale="log", xlabel="largest force / load", ylabel="speed / speed of sound"
+    )
     speeds.set_yticks([1, 2, 3, 4, 5], labels=["1", "2", "3", "4", "5"])
     speeds.minorticks_off()
     speeds.set_title("under a load", loc="left", fontsize="medium")

@@ -29,10 +29,18 @@ def _short(value: Any) -> Any:
 
 def main() -> None:
     """Measure and draw."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("maps", nargs="*", metavar="MAP", help=f"some of {', '.join(MAPS)}; by default all")
-    parser.add_argument("--quick", action="store_true", help="few points, for tests; goes into this folder")
-    parser.add_argument("--draw", action="store_true", help="draw the kept numbers again, without a measurement")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "maps", nargs="*", metavar="MAP", help=f"some of {', '.join(MAPS)}; by default all"
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="few points, for tests; goes into this folder"
+    )
+    parser.add_argument(
+        "--draw", action="store_true", help="draw the kept numbers again, without a measurement"
+    )
     parser.add_argument("-o", "--output", type=Path, help="folder; by default pictures")
     given = parser.parse_args()
     if unknown := [name for name in given.maps if name not in MAPS]:

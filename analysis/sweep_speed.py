@@ -32,9 +32,15 @@ def cpu() -> float:
 def asked(realisations: int, seed: int = 1) -> dict[str, object]:
     """Return a sweep over disordered columns."""
     scene = lmpchain.Scene(
-        chain=lmpchain.Chain(grains=120, diameter=1e-3), excitation=lmpchain.Impulse(velocity=8.57e-4), duration=100e-6
+        chain=lmpchain.Chain(grains=120, diameter=1e-3),
+        excitation=lmpchain.Impulse(velocity=8.57e-4),
+        duration=100e-6,
     )
-    return {"scene": scene, "keep": KEEP, "disorder": {"m": 20.0, "seed": seed, "realisations": realisations}}
+    return {
+        "scene": scene,
+        "keep": KEEP,
+        "disorder": {"m": 20.0, "seed": seed, "realisations": realisations},
+    }
 
 
 def share(realisations: int) -> tuple[float, float]:
@@ -84,7 +90,9 @@ def main() -> None:
         seconds, used = time.perf_counter() - began, cpu() - before
         files = sum(path.is_file() for path in Path(folder).rglob("*"))
     done = f"{arguments.scenes} scenes in {seconds:.1f} s ({used:.1f} s of CPU)"
-    print(f"{arguments.workers} workers: {done}, {arguments.scenes / seconds:.0f} a second, in {files} files")
+    print(
+        f"{arguments.workers} workers: {done}, {arguments.scenes / seconds:.0f} a second, in {files} files"
+    )
 
 
 if __name__ == "__main__":

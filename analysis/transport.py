@@ -24,7 +24,9 @@ def strike(depths: np.ndarray, delta: float) -> lmpchain.Trajectory:
     deepest = int(depths[-1])
     tau = float(front.peak_time(deepest, delta)) + 8 * deepest ** (1 / 3 - (1 - 1 / delta) / 2)
     grains = int(continuum.depth(tau, delta)) + 20  # the floor is not reached
-    recorded = np.union1d(depths, depths + 1).tolist()  # with the next grains, for the work done on them
+    recorded = np.union1d(
+        depths, depths + 1
+    ).tolist()  # with the next grains, for the work done on them
     scene = weak_scene(grains, tau, int(PER_TAU * tau) + 1, 1e-8, delta, recorded=recorded)
     return lmpchain.simulate(scene, "native", tolerance=1e-8)
 
@@ -33,7 +35,9 @@ def carried(run: lmpchain.Trajectory, grain: int, until: float) -> float:
     """Return the work that a grain does on the next one up to a time, over the energy of the strike."""
     now = run.time <= until
     chain, at = run.scene.chain, int(np.searchsorted(run.grains, grain))
-    force = chain.linear_stiffness[grain - 1] * (run.displacement[now, at] - run.displacement[now, at + 1])
+    force = chain.linear_stiffness[grain - 1] * (
+        run.displacement[now, at] - run.displacement[now, at + 1]
+    )
     work = trapezoid(force * run.velocity[now, at + 1], run.time[now])
     return float(work / (0.5 * chain.masses[0] * run.scene.excitation.velocity**2))
 
@@ -46,7 +50,9 @@ def theory_carried(depths: np.ndarray, delta: float) -> np.ndarray:
     v = front.velocity(n, at, delta)
     last = np.flatnonzero((at > peak) & (v <= 0))[0]
     here = 2 * (n - 0.5) ** (xi / 2) * trapezoid(v[:last] ** 2, at[:last])
-    return here * ((depths - 0.5) / (n - 0.5)) ** (1 / 3 - 2 * front.decay(delta)[0])  # a product of powers of depth
+    return here * ((depths - 0.5) / (n - 0.5)) ** (
+        1 / 3 - 2 * front.decay(delta)[0]
+    )  # a product of powers of depth
 
 
 def main() -> None:
@@ -85,15 +91,39 @@ def main() -> None:
         ):
             off = abs(values[-1] / line[-1] - 1)
             axes.loglog(depths, line, color=shade, lw=1.2)
-            axes.loglog(depths, values, **marks, label=f"δ = {delta:g}: {100 * off:.2g} % off at n = {deepest}")
-            apart(below, depths, values / line, np.ones(depths.size), 1.0, **marks | {"ls": "-", "lw": 0.6})
+            axes.loglog(
+                depths,
+                values,
+                **marks,
+                label=f"δ = {delta:g}: {100 * off:.2g} % off at n = {deepest}",
+            )
+            apart(
+                below,
+                depths,
+                values / line,
+                np.ones(depths.size),
+                1.0,
+                **marks | {"ls": "-", "lw": 0.6},
+            )
         if delta == 1.5:
             corrected = theory_v * (1 - NEXT * depths ** (-1 / 3))
             last = 100 * abs(v[-1] / corrected[-1] - 1)
             speed.loglog(depths, corrected, "--", color=shade, lw=1.2,
                          label=f"δ = 1.5 with its correction, 1 − {NEXT} n$^{{-1/3}}$: {last:.2g} % off")  # fmt: skip
-            apart(speed_off, depths, v / corrected, np.ones(depths.size), 1.0, color=shade, ls="--", lw=1)
-            say("peak velocity at the deepest grain, delta = 1.5, with its correction", corrected[-1])
+            apart(
+                speed_off,
+                depths,
+                v / corrected,
+                np.ones(depths.size),
+                1.0,
+                color=shade,
+                ls="--",
+                lw=1,
+            )
+            say(
+                "peak velocity at the deepest grain, delta = 1.5, with its correction",
+                corrected[-1],
+            )
         say(f"peak velocity at the deepest grain, delta = {delta:g}", v[-1])
         say(f"its theory, delta = {delta:g}", theory_v[-1])
         say(f"arrival at the deepest grain, delta = {delta:g}", t[-1])
@@ -102,12 +132,29 @@ def main() -> None:
         say(f"its theory, delta = {delta:g}, energy", theory_e[-1])
     delta, p, error = np.array(exponents).T
     fine = np.linspace(1, 2.6, 100)
-    power.plot(fine, [front.decay(x)[0] for x in fine], **THEORY, label="velocity, theory: 4/15 for Hertz")
-    power.plot(fine, [front.decay(x)[1] for x in fine], **THEORY | {"ls": ":"}, label="displacement, theory: 1/10")
+    power.plot(
+        fine, [front.decay(x)[0] for x in fine], **THEORY, label="velocity, theory: 4/15 for Hertz"
+    )
+    power.plot(
+        fine,
+        [front.decay(x)[1] for x in fine],
+        **THEORY | {"ls": ":"},
+        label="displacement, theory: 1/10",
+    )
     power.errorbar(delta, p, error, ls="none", marker="s", ms=4, mfc="none", color=SHADES[0],
                    label=f"velocity, fitted to grains {deepest // 10} to {deepest}")  # fmt: skip
     expected = np.array([front.decay(x)[0] for x in delta])
-    apart(power_off, delta, p, expected, 1.0, color=SHADES[0], marker="s", ls="none", label="fit − theory")
+    apart(
+        power_off,
+        delta,
+        p,
+        expected,
+        1.0,
+        color=SHADES[0],
+        marker="s",
+        ls="none",
+        label="fit − theory",
+    )
     power_off.plot(delta, error, color="0.5", marker="_", ls="none", label="error of the fit")
     hertz = list(delta).index(1.5)
     say("fitted exponent of the peak velocity, Hertz", p[hertz])

@@ -27,7 +27,9 @@ TOGETHER = 64  # scenes of `simulate_many`
 UNIT = 1e-6  # s, of time for the peer
 MOST_STEPS = 10**5  # that it may take
 Solution = tuple[np.ndarray, np.ndarray]
-Call = Callable[[float, float], Solution]  # of the speed of the strike and the tolerance of the peer
+Call = Callable[
+    [float, float], Solution
+]  # of the speed of the strike and the tolerance of the peer
 
 
 def paper(velocity: float, last_digits: int = 0) -> lmpchain.Scene:
@@ -115,7 +117,12 @@ def numbalsoda_calls(law: Callable[[float], float]) -> Call:
     def slope(t, y, dy, p):  # type: ignore[no-untyped-def]
         count = 119
         values = numba.carray(p, (2 * count,))
-        rate(numba.carray(y, (2 * count,)), numba.carray(dy, (2 * count,)), values[:count], values[count:])
+        rate(
+            numba.carray(y, (2 * count,)),
+            numba.carray(dy, (2 * count,)),
+            values[:count],
+            values[count:],
+        )
 
     address, times = slope.address, np.linspace(0.0, 1e-4, 101) / UNIT
 
@@ -155,6 +162,11 @@ def least(calls: Mapping[str, Callable[[int], object]], repeats: int) -> dict[st
     return found
 
 
+def simulate_together(scenes: list[lmpchain.Scene], tolerance: float, _: int) -> None:
+    """Run scenes as a batch."""
+    lmpchain.simulate_many(scenes, tolerance)
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -163,15 +175,21 @@ def main() -> None:
     there = importlib.util.find_spec("numbalsoda") is not None
     made, name = (numbalsoda_calls, "numbalsoda") if there else (scipy_calls, "scipy")
     peers = [made(law) for law in (plain, exact)]
-    print(f"least of {repeats} calls, ms; over: {name}'s whole call over making the scene and simulate together")
-    print(f"{'':8}{'tolerance':>10}{'scene':>8}{'simulate':>10}{'adds':>8}{'auto':>8}{'many':>8}{name:>12}{'over':>7}")
+    print(
+        f"least of {repeats} calls, ms; over: {name}'s whole call over making the scene and simulate together"
+    )
+    print(
+        f"{'':8}{'tolerance':>10}{'scene':>8}{'simulate':>10}{'adds':>8}{'auto':>8}{'many':>8}{name:>12}{'over':>7}"
+    )
     for strike, velocity in SPEEDS.items():
         for tolerance in TOLERANCES:
             able = ((peer, loosest(peer, velocity, tolerance)) for peer in peers)
             peer, asked = next(pair for pair in able if pair[1] > 0)  # the plain one if it can
             inside: dict[str, list[float]] = {"native": [], "auto": []}
 
-            def answer(engine: str, turn: int, velocity: float = velocity, tolerance: float = tolerance) -> None:
+            def answer(
+                engine: str, turn: int, velocity: float = velocity, tolerance: float = tolerance
+            ) -> None:
                 cost = lmpchain.simulate(paper(velocity, turn), engine, tolerance).cost
                 inside[engine].append(1e3 * (cost.integration_s + cost.estimate_s))  # noqa: B023
 
@@ -184,7 +202,8 @@ def main() -> None:
                 call(0)
             took = least(calls, repeats) | least({"auto": partial(answer, "auto")}, repeats)
             several = [paper(velocity, turn) for turn in range(TOGETHER)]
-            many = least({"many": lambda _: lmpchain.simulate_many(several, tolerance)}, 5)["many"] / TOGETHER  # noqa: B023
+            together = partial(simulate_together, several, tolerance)
+            many = least({"many": together}, 5)["many"] / TOGETHER
             alone, auto = (took[engine] - took["scene"] for engine in inside)
             adds = alone - min(inside["native"]), auto - min(inside["auto"])
             print(

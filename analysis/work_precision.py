@@ -44,24 +44,44 @@ def again(name: str, path: Path) -> WorkPrecision:
     known = ({key: math.nan if value is None and key != "tolerance" else value for key, value in row.items()}
              for row in kept["rows"])  # fmt: skip
     rows = [Point(**{"compile_s": 0.0} | row) for row in known]
-    groups = groupby(rows, key=lambda point: (point.engine, "" if point.tolerance else point.integrator))
+    groups = groupby(
+        rows, key=lambda point: (point.engine, "" if point.tolerance else point.integrator)
+    )
     points = [(engine, integrator, tuple(each)) for (engine, integrator), each in groups]
-    curves = tuple(Curve(*each) if len(each[2]) > 1 else Curve(each[0], "", each[2]) for each in points)
+    curves = tuple(
+        Curve(*each) if len(each[2]) > 1 else Curve(each[0], "", each[2]) for each in points
+    )
     reference = SimpleNamespace(**kept["reference"])
-    return WorkPrecision(at_the_end(name), reference, curves, kept["dropped"], (), kept["versions"], kept["machine"])
+    return WorkPrecision(
+        at_the_end(name), reference, curves, kept["dropped"], (), kept["versions"], kept["machine"]
+    )
 
 
 def main() -> None:
     """Measure, print the tables and draw."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"some of {', '.join(SCENES)}; by default all")
-    parser.add_argument("--budget", type=float, default=BUDGET_S, help="time for each, s (default: %(default)g)")
-    parser.add_argument("-o", "--output", type=Path, default=HERE / "pictures", help="folder for the pictures")
-    parser.add_argument("--draw", action="store_true", help="draw the kept numbers again, without a measurement")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "scenes", nargs="*", metavar="SCENE", help=f"some of {', '.join(SCENES)}; by default all"
+    )
+    parser.add_argument(
+        "--budget", type=float, default=BUDGET_S, help="time for each, s (default: %(default)g)"
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, default=HERE / "pictures", help="folder for the pictures"
+    )
+    parser.add_argument(
+        "--draw", action="store_true", help="draw the kept numbers again, without a measurement"
+    )
     given = parser.parse_args()
     for name in given.scenes or SCENES:
         kept = given.output / f"work_precision_{name}.json"
-        result = again(name, kept) if given.draw else work_precision(at_the_end(name), given.budget, progress=True)
+        result = (
+            again(name, kept)
+            if given.draw
+            else work_precision(at_the_end(name), given.budget, progress=True)
+        )
         measured = others(name)
         reached = defaultdict(list)
         for row in measured:

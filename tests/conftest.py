@@ -8,10 +8,14 @@ import sys
 import pytest
 from helpers.relative import approx
 
-pytest.approx = approx  # its absolute tolerance of 1e-12 is more than most joules and metres of a chain
+pytest.approx = (
+    approx  # its absolute tolerance of 1e-12 is more than most joules and metres of a chain
+)
 
 os.environ["MPLBACKEND"] = "agg"  # no test opens a window
-os.environ["OPENBLAS_NUM_THREADS"] = "1"  # one core for a test: threads of two would wait for each other
+os.environ["OPENBLAS_NUM_THREADS"] = (
+    "1"  # one core for a test: threads of two would wait for each other
+)
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # some hundred processes load what is tested
 sys.dont_write_bytecode = False
 
@@ -39,7 +43,9 @@ def pytest_configure(config: pytest.Config) -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     if hasattr(config, "workerinput") or config.option.collectonly:
         return
-    beside = multiprocessing.get_context("fork").Process(target=_compile_steps_of_one_length_and_measures)
+    beside = multiprocessing.get_context("fork").Process(
+        target=_compile_steps_of_one_length_and_measures
+    )
     beside.start()
     _compile_adaptive_steps_and_gradients()
     beside.join()
@@ -62,6 +68,10 @@ def _compile_adaptive_steps_and_gradients() -> None:
 
     from lmpchain import design, simulate
 
-    simulate(paper("fig1", 5).replace(quantities=["peak_velocity", "arrival_time", "peak_force:2"]), "native", 1e-2)
+    simulate(
+        paper("fig1", 5).replace(quantities=["peak_velocity", "arrival_time", "peak_force:2"]),
+        "native",
+        1e-2,
+    )
     simulate(paper("weak", 5), "native", 1e-2, integrator="gear4")
     design.gradient(paper("fig1", 5), design.Momentum([1]), ["masses"], tolerance=1e-2)

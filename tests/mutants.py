@@ -28,12 +28,34 @@ from pathlib import Path
 
 PROJECT = Path(__file__).parents[1]
 NOT_COPIED = shutil.ignore_patterns(".git", ".venv", "*_cache", "*.egg-info", "build", "dist")
-CPU_LIMIT_S = 240  # of a process, for a mutant may never end; a busy machine changes nothing about it
+CPU_LIMIT_S = (
+    240  # of a process, for a mutant may never end; a busy machine changes nothing about it
+)
 WALL_LIMIT_S = 1800  # for a mutant that waits without end
 OPPOSITES = {
-    **{ast.Lt: ast.GtE, ast.GtE: ast.Lt, ast.Gt: ast.LtE, ast.LtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq},
-    **{ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In, ast.And: ast.Or, ast.Or: ast.And},
-    **{ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.FloorDiv: ast.Mult},
+    **{
+        ast.Lt: ast.GtE,
+        ast.GtE: ast.Lt,
+        ast.Gt: ast.LtE,
+        ast.LtE: ast.Gt,
+        ast.Eq: ast.NotEq,
+        ast.NotEq: ast.Eq,
+    },
+    **{
+        ast.Is: ast.IsNot,
+        ast.IsNot: ast.Is,
+        ast.In: ast.NotIn,
+        ast.NotIn: ast.In,
+        ast.And: ast.Or,
+        ast.Or: ast.And,
+    },
+    **{
+        ast.Add: ast.Sub,
+        ast.Sub: ast.Add,
+        ast.Mult: ast.Div,
+        ast.Div: ast.Mult,
+        ast.FloorDiv: ast.Mult,
+    },
     **{ast.Mod: ast.Mult, ast.Pow: ast.Mult, ast.BitAnd: ast.BitOr, ast.BitOr: ast.BitAnd},
 }
 
@@ -82,7 +104,9 @@ def mutate(node: ast.AST) -> str | None:
             changed = ast.Constant(1.2 * value if value else 1.0)
         case ast.Expr(value=ast.Constant()):  # a docstring
             return None
-        case ast.Expr() | ast.AugAssign() | ast.Raise() | ast.Continue() | ast.Break() | ast.Delete():
+        case (
+            ast.Expr() | ast.AugAssign() | ast.Raise() | ast.Continue() | ast.Break() | ast.Delete()
+        ):
             return "pass"
         case ast.Assign(targets=[ast.Attribute() | ast.Subscript()]):
             return "pass"
@@ -95,7 +119,9 @@ def walk(node: ast.AST) -> Iterator[ast.AST]:
     """Yield the nodes that run: no annotations, and nothing in an f-string, whose places Python 3.11 does not know."""
     yield node
     for name, value in ast.iter_fields(node):
-        if name not in ("annotation", "returns", "decorator_list") and not isinstance(node, ast.JoinedStr):
+        if name not in ("annotation", "returns", "decorator_list") and not isinstance(
+            node, ast.JoinedStr
+        ):
             for child in value if isinstance(value, list) else [value]:
                 if isinstance(child, ast.AST):
                     yield from walk(child)
@@ -106,7 +132,13 @@ def mutants_of(path: Path) -> list[Mutant]:
     name = str(path.relative_to(PROJECT))
     nodes = walk(ast.parse(path.read_text(encoding="utf-8")))
     return [
-        Mutant(name, (n.lineno, n.col_offset), (n.end_lineno, n.end_col_offset), ast.unparse(n), changed)
+        Mutant(
+            name,
+            (n.lineno, n.col_offset),
+            (n.end_lineno, n.end_col_offset),
+            ast.unparse(n),
+            changed,
+        )
         for n in nodes
         if (changed := mutate(n)) is not None
     ]
@@ -120,7 +152,11 @@ def draw(places: list[str], number: int, seed: int) -> list[Mutant]:
         source = PROJECT / name if name.startswith("lmpchain") else PROJECT / "lmpchain" / name
         modules = [source] if source.suffix else sorted(source.rglob("*.py"))
         candidates = [mutant for module in modules for mutant in mutants_of(module)]
-        mutants += [m for m in candidates if [str(number) for number in m.begin[: len(position)]] == position]
+        mutants += [
+            m
+            for m in candidates
+            if [str(number) for number in m.begin[: len(position)]] == position
+        ]
     return random.Random(seed).sample(mutants, min(number, len(mutants)))
 
 
@@ -128,7 +164,9 @@ def run_tests(mutant: Mutant | None, tests: list[str]) -> tuple[bool, str]:
     """Run tests in a copy of the project with a mutant; return whether they pass, and the line that says why not."""
     with tempfile.TemporaryDirectory(prefix="mutant-") as folder:
         copy = Path(folder, "lmpchain")
-        shutil.copytree(PROJECT, copy, ignore=NOT_COPIED)  # with the times of files: compiled code stays valid
+        shutil.copytree(
+            PROJECT, copy, ignore=NOT_COPIED
+        )  # with the times of files: compiled code stays valid
         if mutant is not None:
             mutant.write(copy)
         process = subprocess.Popen(
@@ -159,14 +197,26 @@ def tests_of(room: str) -> list[str]:
 
 def main() -> None:
     """Draw mutants, run the tests of their rooms, and print what survived."""
-    rooms = sorted(path.name for path in (PROJECT / "lmpchain").iterdir() if path.name[0] not in "._")
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("places", nargs="*", default=rooms, help="rooms, modules or FILE:LINE:COLUMN (default: all)")
-    parser.add_argument("--number", type=int, default=30, help="how many mutants to draw (default: 30)")
+    rooms = sorted(
+        path.name for path in (PROJECT / "lmpchain").iterdir() if path.name[0] not in "._"
+    )
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "places", nargs="*", default=rooms, help="rooms, modules or FILE:LINE:COLUMN (default: all)"
+    )
+    parser.add_argument(
+        "--number", type=int, default=30, help="how many mutants to draw (default: 30)"
+    )
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)), help="how many run at a time")
+    parser.add_argument(
+        "--jobs", type=int, default=len(os.sched_getaffinity(0)), help="how many run at a time"
+    )
     parser.add_argument("--tests", nargs="+", help="tests to run in place of those of the room")
-    parser.add_argument("--unchanged", action="store_true", help="trust that the tests pass without a mutant")
+    parser.add_argument(
+        "--unchanged", action="store_true", help="trust that the tests pass without a mutant"
+    )
     options = parser.parse_args()
 
     mutants = draw(options.places, options.number, options.seed)
@@ -184,7 +234,10 @@ def main() -> None:
         results = executor.map(lambda mutant: run_tests(mutant, tests[mutant.room]), mutants)
         for mutant, (passed, line) in zip(mutants, results, strict=True):
             noticed[mutant.room] += not passed
-            print(f"SURVIVED {mutant}" if passed else f"noticed  {mutant}\n         by {line}", flush=True)
+            print(
+                f"SURVIVED {mutant}" if passed else f"noticed  {mutant}\n         by {line}",
+                flush=True,
+            )
     for room in sorted(number):
         print(f"{room}: {noticed[room]} of {number[room]}")
     print(f"{noticed.total()} of {len(mutants)} noticed")

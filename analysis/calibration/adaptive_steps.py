@@ -25,7 +25,12 @@ from lmpchain.engines.native import Native
 from lmpchain.integrators import dop853, splittings
 from lmpchain.integrators.methods import METHODS
 
-REACHES = {"rkn4": (0.8, 0.4, 0.2), "rkn6": (1.6, 0.8, 0.4), "kahan-li8": (0.8, 0.4), "dop853": (1.0, 0.5)}
+REACHES = {
+    "rkn4": (0.8, 0.4, 0.2),
+    "rkn6": (1.6, 0.8, 0.4),
+    "kahan-li8": (0.8, 0.4),
+    "dop853": (1.0, 0.5),
+}
 RARELY = 1 / 400  # runs whose estimate may be below half of the error
 CLEAR, KNOWN = 30.0, 1e-2  # times round-off, and largest error, between which errors count
 
@@ -46,7 +51,9 @@ def work(cases: list[Case], name: str) -> dict[tuple[int, float], tuple[float, f
     return found
 
 
-def row(name: str, values: tuple[float, ...], cases: list[Case], methods: tuple[str, ...], what: str) -> Row:
+def row(
+    name: str, values: tuple[float, ...], cases: list[Case], methods: tuple[str, ...], what: str
+) -> Row:
     """Return the row of a constant: work with other values of it, over that with its own."""
     module = dop853 if methods == ("dop853",) else splittings
     shipped = getattr(module, name)
@@ -57,7 +64,11 @@ def row(name: str, values: tuple[float, ...], cases: list[Case], methods: tuple[
         with mock.patch.object(module, name, value):
             for method in methods:
                 now = work(cases, method)
-                ratios += [math.log(now[key][0] / cost) for key, (cost, _) in own[method].items() if key in now]
+                ratios += [
+                    math.log(now[key][0] / cost)
+                    for key, (cost, _) in own[method].items()
+                    if key in now
+                ]
                 estimates += [estimate for _, estimate in now.values()]
         costs[value] = float(np.exp(np.mean(ratios))) if ratios else math.inf
         low[value] = float(np.mean(np.array(estimates) < 0.5)) if estimates else math.inf
@@ -66,11 +77,17 @@ def row(name: str, values: tuple[float, ...], cases: list[Case], methods: tuple[
     if module is splittings:
         good = [value for value in costs if low[value] <= RARELY]
         best, least, most = min(good, key=lambda value: costs[value]), min(good), max(good)
-        listed += "; % of estimates below half: " + ", ".join(f"{value:g}: {100 * low[value]:.1f}" for value in costs)
-    return Row(name, shipped, best, least, most, f"{what}: {listed}; {sum(map(len, own.values()))} runs")
+        listed += "; % of estimates below half: " + ", ".join(
+            f"{value:g}: {100 * low[value]:.1f}" for value in costs
+        )
+    return Row(
+        name, shipped, best, least, most, f"{what}: {listed}; {sum(map(len, own.values()))} runs"
+    )
 
 
-def floor(cases: list[Case], name: str, method: str, reach: float, factors: tuple[float, ...]) -> Row:
+def floor(
+    cases: list[Case], name: str, method: str, reach: float, factors: tuple[float, ...]
+) -> Row:
     """Return the row of a least step or step error: the work near round-off, and what error is left."""
     module = dop853 if method == "dop853" else splittings
     engine, costs, errors, own = Native(method), {}, {}, getattr(module, name)
@@ -78,16 +95,31 @@ def floor(cases: list[Case], name: str, method: str, reach: float, factors: tupl
         steps, left = [], []
         with mock.patch.object(module, name, value):
             for case in cases:
-                if (proposed := proposal(engine, case.scene, 1e-11)) is not None and proposed.adaptive:
+                if (
+                    proposed := proposal(engine, case.scene, 1e-11)
+                ) is not None and proposed.adaptive:
                     run = answer(engine, case.scene, with_reach(case.scene, proposed, reach))
                     if run is not None:
                         steps.append(run.steps)
                         left.append(max(case.error(run.motion), 1e-16))
         costs[value] = float(np.exp(np.mean(np.log(steps))))
         errors[value] = float(np.exp(np.mean(np.log(left))))
-    good = [value for value in costs if errors[value] < 2 * min(errors.values()) and costs[value] < 1.5 * costs[own]]
-    listed = ", ".join(f"{value:.0e}: {costs[value]:.0f} steps, {errors[value]:.1e}" for value in costs)
-    return Row(name, own, max(good), min(good), max(good), f"omega h = {reach:g}; steps and error left: {listed}")
+    good = [
+        value
+        for value in costs
+        if errors[value] < 2 * min(errors.values()) and costs[value] < 1.5 * costs[own]
+    ]
+    listed = ", ".join(
+        f"{value:.0e}: {costs[value]:.0f} steps, {errors[value]:.1e}" for value in costs
+    )
+    return Row(
+        name,
+        own,
+        max(good),
+        min(good),
+        max(good),
+        f"omega h = {reach:g}; steps and error left: {listed}",
+    )
 
 
 def main(quick: bool = False) -> list[Row]:
@@ -103,7 +135,12 @@ def main(quick: bool = False) -> list[Row]:
         driven=0.0,
     )
     calm = drawn(
-        count // 2, 62, lambda s: s.largest_strain < 0.3, strength=(-3.0, -0.5), grains=(2, 3, 5, 12, 30), driven=0.0
+        count // 2,
+        62,
+        lambda s: s.largest_strain < 0.3,
+        strength=(-3.0, -0.5),
+        grains=(2, 3, 5, 12, 30),
+        driven=0.0,
     )
     cases, smooth = ([case for case in map(Case, scenes) if case.known] for scenes in (hard, calm))
     splittings = ("rkn6",) if quick else ("rkn4", "rkn6", "kahan-li8")
@@ -129,8 +166,20 @@ def main(quick: bool = False) -> list[Row]:
             ("dop853",),
             "work for a given error over that with 1e-9",
         ),
-        floor(cases[: 4 if quick else 20], "STEP_ERROR_MIN", "dop853", 0.1, (0.01, 0.1, 1.0, 10.0, 100.0, 1000.0)),
-        floor(cases[: 4 if quick else 20], "LEAST_CROSSING", "kahan-li8", 0.02, (0.01, 0.1, 1.0, 10.0, 100.0)),
+        floor(
+            cases[: 4 if quick else 20],
+            "STEP_ERROR_MIN",
+            "dop853",
+            0.1,
+            (0.01, 0.1, 1.0, 10.0, 100.0, 1000.0),
+        ),
+        floor(
+            cases[: 4 if quick else 20],
+            "LEAST_CROSSING",
+            "kahan-li8",
+            0.02,
+            (0.01, 0.1, 1.0, 10.0, 100.0),
+        ),
     ]
 
 

@@ -21,13 +21,31 @@ from dataclasses import dataclass
 from unittest import mock
 
 import numpy as np
-from common import ALL_BUT_ONE, NINE_IN_TEN, Case, Row, answer, command, proposal, quantile, with_reach
+from common import (
+    ALL_BUT_ONE,
+    NINE_IN_TEN,
+    Case,
+    Row,
+    answer,
+    command,
+    proposal,
+    quantile,
+    with_reach,
+)
 from scenes import drawn
 
 from lmpchain import Scene
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines import amplification, error_estimate
-from lmpchain.engines.amplification import COARSE, DRAWS, LAST_DIGIT, LONGER, amplified_digit, perturbed, walked
+from lmpchain.engines.amplification import (
+    COARSE,
+    DRAWS,
+    LAST_DIGIT,
+    LONGER,
+    amplified_digit,
+    perturbed,
+    walked,
+)
 from lmpchain.engines.base import Candidate
 from lmpchain.engines.companions import CLOSE_TO_OPENING
 from lmpchain.engines.error_estimate import (
@@ -44,7 +62,11 @@ from lmpchain.engines.native import Native
 from lmpchain.errors import RunFailed
 from lmpchain.util.arrays import Array
 
-REACHES = {"rkn6": (0.1, 0.05, 0.025), "kahan-li8": (0.2, 0.1, 0.05), "dop853": (0.2, 0.1, 0.05)}  # omega h
+REACHES = {
+    "rkn6": (0.1, 0.05, 0.025),
+    "kahan-li8": (0.2, 0.1, 0.05),
+    "dop853": (0.2, 0.1, 0.05),
+}  # omega h
 MUCH = 1e-12, 1e-6  # of a last digit
 KNOWN = 0.01  # errors and growths above it saturate
 CHANGE = 1e-10  # of the Taylor series, far above what they round
@@ -80,7 +102,9 @@ class Look:
     @property
     def truncation(self) -> float:
         """The estimate of what the step makes."""
-        return max(self.extrapolated, min(self.most, (GROWN if self.opens else STEADY) * self.floor))
+        return max(
+            self.extrapolated, min(self.most, (GROWN if self.opens else STEADY) * self.floor)
+        )
 
     @property
     def most(self) -> float:
@@ -100,7 +124,10 @@ class Look:
 
     def differs(self, others: float) -> float:
         """Return the factor on round-off that this run needs, beside other parts; 0 if it needs none or none helps."""
-        if self.true <= self.extrapolated + self.floor + others or self.true > self.most + self.floor + others:
+        if (
+            self.true <= self.extrapolated + self.floor + others
+            or self.true > self.most + self.floor + others
+        ):
             return 0.0
         return (self.true - self.floor - others) / self.floor
 
@@ -119,9 +146,19 @@ def looks(case: Case) -> list[Look]:
     runs: list[list[Look | None]] = []
     for name, reaches in REACHES.items():
         if (proposed := proposal(Native(name), case.scene, 1e-9)) is not None:
-            runs.append([look(case, Native(name), with_reach(case.scene, proposed, reach)) for reach in reaches])
+            runs.append(
+                [
+                    look(case, Native(name), with_reach(case.scene, proposed, reach))
+                    for reach in reaches
+                ]
+            )
     least = sorted(mine[-1].true for mine in runs if mine[-1])[1:2]
-    return [run for mine in runs for run in mine if run and least and run.true < min(KNOWN, least[0] / LEFT)]
+    return [
+        run
+        for mine in runs
+        for run in mine
+        if run and least and run.true < min(KNOWN, least[0] / LEFT)
+    ]
 
 
 def look(case: Case, engine: Native, candidate: Candidate) -> Look | None:
@@ -130,7 +167,10 @@ def look(case: Case, engine: Native, candidate: Candidate) -> Look | None:
         run = answer(engine, case.scene, candidate)
     if run is None or len(run.differences) < 2:
         return None
-    opens, radians = run.lowest <= CLOSE_TO_OPENING, case.scene.highest_frequency * case.scene.duration
+    opens, radians = (
+        run.lowest <= CLOSE_TO_OPENING,
+        case.scene.highest_frequency * case.scene.duration,
+    )
     true = float((np.abs(run.motion - case.motion).max((1, 2)) / size(case)).max())
     grown = amplified_digit(case.scene, size(case), run.steps) if opens else 0.0
     return Look(
@@ -145,12 +185,21 @@ def look(case: Case, engine: Native, candidate: Candidate) -> Look | None:
     )
 
 
-def _factor(name: str, shipped: float, needs: list[tuple[float, float]], made: list[float], what: str) -> Row:
+def _factor(
+    name: str, shipped: float, needs: list[tuple[float, float]], made: list[float], what: str
+) -> Row:
     """Return the row of a factor: what is needed of it beside the other parts, and alone."""
     beside, alone = ([need[k] for need in needs] for k in (0, 1))
     low, most = quantile(beside, ALL_BUT_ONE), max(alone, default=math.nan)
     says = f"99 % of {len(needs)} {what} need {low:.2g}, without the other parts all {most:.2g}"
-    return Row(name, shipped, low, low, max(low, most), f"{says}; doubles {sum(x > 2 for x in made)} estimates")
+    return Row(
+        name,
+        shipped,
+        low,
+        low,
+        max(low, most),
+        f"{says}; doubles {sum(x > 2 for x in made)} estimates",
+    )
 
 
 def estimates(open_ones: list[Look], smooth: list[Look]) -> list[Row]:
@@ -166,8 +215,21 @@ def estimates(open_ones: list[Look], smooth: list[Look]) -> list[Row]:
     return [
         _factor("GROWN", GROWN, grown, [x.raised for x in open_ones], "open runs"),
         _factor("STEADY", STEADY, steady, [x.raised for x in smooth], "others"),
-        _factor("SHARED", SHARED, shared, [1 + x.shared / (x.truncation + x.floor) for x in open_ones], "open runs"),
-        Row("NEAR_ROUNDOFF", NEAR_ROUNDOFF, worst, worst, math.inf, f"largest estimate that needs SHARED, {counted}"),
+        _factor(
+            "SHARED",
+            SHARED,
+            shared,
+            [1 + x.shared / (x.truncation + x.floor) for x in open_ones],
+            "open runs",
+        ),
+        Row(
+            "NEAR_ROUNDOFF",
+            NEAR_ROUNDOFF,
+            worst,
+            worst,
+            math.inf,
+            f"largest estimate that needs SHARED, {counted}",
+        ),
         Row(
             "SHORT",
             SHORT,
@@ -195,12 +257,17 @@ def growths(cases: Sequence[Case]) -> list[tuple[Case, float, int]]:
             other = reference(perturbed(case.scene, CHANGE))
         except RunFailed:
             continue
-        apart = np.array([other.displacement, other.velocity]) - [case.reference.displacement, case.reference.velocity]
+        apart = np.array([other.displacement, other.velocity]) - [
+            case.reference.displacement,
+            case.reference.velocity,
+        ]
         grown = float((np.abs(apart).max((1, 2)) / size(case)).max())
         proposed = proposal(Native("rkn6"), case.scene, 1e-9)
         if proposed is None or not 100 * case.reference.error < grown < KNOWN:
             continue
-        if (run := answer(Native("rkn6"), case.scene, with_reach(case.scene, proposed, 0.2))) is not None:
+        if (
+            run := answer(Native("rkn6"), case.scene, with_reach(case.scene, proposed, 0.2))
+        ) is not None:
             found.append((case, grown * LAST_DIGIT / CHANGE, run.steps))
     return found
 
@@ -216,11 +283,18 @@ def coarse(known: list[tuple[Case, float, int]]) -> list[Row]:
         for value in values:
             alone = {"COARSE": math.inf, "LONGER": math.inf} | {name: value}
             with mock.patch.multiple(amplification, **alone):
-                ratios = [amplified_digit(case.scene, size(case), steps) / grown for case, grown, steps in known]
-            parts[value] = float(np.mean([ratio > ENOUGH for ratio in ratios])) if ratios else math.nan
+                ratios = [
+                    amplified_digit(case.scene, size(case), steps) / grown
+                    for case, grown, steps in known
+                ]
+            parts[value] = (
+                float(np.mean([ratio > ENOUGH for ratio in ratios])) if ratios else math.nan
+            )
             middles[value] = quantile(ratios, 0.5)
         good = [value for value, part in parts.items() if part >= NINE_IN_TEN] or [min(values)]
-        listed = ", ".join(f"{value:g}: {100 * part:.0f} % ({middles[value]:.2g})" for value, part in parts.items())
+        listed = ", ".join(
+            f"{value:g}: {100 * part:.0f} % ({middles[value]:.2g})" for value, part in parts.items()
+        )
         rows.append(
             Row(
                 name,
@@ -239,7 +313,10 @@ def draws(known: list[tuple[Case, float, int]]) -> Row:
     every, parts = (*DRAWS, -0.5, 2.0, -2.0), {}
     for count in range(1, 1 + len(every)):
         with mock.patch.object(amplification, "DRAWS", every[:count]):
-            ratios = [amplified_digit(case.scene, size(case), steps) / grown for case, grown, steps in known]
+            ratios = [
+                amplified_digit(case.scene, size(case), steps) / grown
+                for case, grown, steps in known
+            ]
         parts[count] = float(np.mean([ratio > ENOUGH for ratio in ratios]))
     good = [count for count, part in parts.items() if part >= NINE_IN_TEN] or [len(every)]
     listed = ", ".join(f"{count}: {100 * part:.0f} %" for count, part in parts.items())
@@ -252,7 +329,9 @@ def scatter(open_ones: list[Look]) -> Row:
     over = [x.shares(0.0) / x.walk for x in open_ones if x.grown]
     low, most = quantile(over, ALL_BUT_ONE), max(over, default=math.nan)
     says = f"error less the law of round-off, over the grown last digits of a walk: half {quantile(over, 0.5):.2g}"
-    says += f", 99 % {low:.2g}, all {most:.2g} of {len(over)} runs; bounded by what two runs differ by"
+    says += (
+        f", 99 % {low:.2g}, all {most:.2g} of {len(over)} runs; bounded by what two runs differ by"
+    )
     return Row("SCATTER", SCATTER, low, low, math.inf, says)
 
 
@@ -261,7 +340,9 @@ def chance(open_ones: list[Look]) -> Row:
     over = [max(0.0, x.true - x.floor - x.shared) / x.difference for x in open_ones if x.difference]
     low, most = quantile(over, ALL_BUT_ONE), max(over, default=math.nan)
     says = f"error less round-off, over what two runs differ by: half {quantile(over, 0.5):.2g}, 99 % {low:.2g}"
-    return Row("BY_CHANCE", BY_CHANCE, low, low, math.inf, f"{says}, all {most:.2g} of {len(over)} runs")
+    return Row(
+        "BY_CHANCE", BY_CHANCE, low, low, math.inf, f"{says}, all {most:.2g} of {len(over)} runs"
+    )
 
 
 def amplifies(scene: Scene) -> bool:
@@ -270,7 +351,11 @@ def amplifies(scene: Scene) -> bool:
         return False
     u, v = (float(np.abs(x).max()) for x in scene.excitation.largest(scene.chain))
     speed = max(v, u * scene.highest_frequency)
-    return MUCH[0] < amplified_digit(scene, np.array([speed / scene.highest_frequency, speed]), 1.0) < MUCH[1]
+    return (
+        MUCH[0]
+        < amplified_digit(scene, np.array([speed / scene.highest_frequency, speed]), 1.0)
+        < MUCH[1]
+    )
 
 
 def main(quick: bool = False) -> list[Row]:

@@ -62,10 +62,15 @@ def thinned(trajectory: Trajectory, every: int) -> Trajectory:
 
 def read_off(t: Trajectory, equation: int = 1) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Return values and claimed errors of what is read off a trajectory, by name."""
-    between = Motion(t.scene, equation, t.grains, t.displacement, t.velocity, t.error_estimate.total)
+    between = Motion(
+        t.scene, equation, t.grains, t.displacement, t.velocity, t.error_estimate.total
+    )
     front = between.fronts("velocity", FRACTION)
     found = {f"peak {field}": between.peaks(field)[1:] for field in ("displacement", "velocity")}
-    found |= {name: (front[:, k], front[:, k + 3]) for k, name in enumerate(("arrival", "height", "width"))}
+    found |= {
+        name: (front[:, k], front[:, k + 3])
+        for k, name in enumerate(("arrival", "height", "width"))
+    }
     if t.scene.chain.bottom != "free":
         found["force"] = tuple(np.atleast_1d(value) for value in between.largest_wall_force())  # type: ignore[assignment]
     return found

@@ -96,7 +96,9 @@ def _agrees(scene: Scene, run: Answer, tolerance: float) -> bool:
     other = other.sampled
     finer = other.with_steps(max(other.steps_per_landing, run.candidate.sampled.steps_per_landing))
     second = answer(Native("kahan-li8"), scene, finer)
-    return second is None or distance(second.motion, run.motion) < 3 * (tolerance + second.error.total)
+    return second is None or distance(second.motion, run.motion) < 3 * (
+        tolerance + second.error.total
+    )
 
 
 def rounding(scene: Scene) -> tuple[float, float] | None:
@@ -117,7 +119,9 @@ def main(quick: bool = False) -> list[Row]:
     """Return a row for each constant."""
     short, long = (4, 28) if quick else (80, 80)
     ranges = {"grains": (3, 5, 8, 12, 20), "strength": (-2.0, 3.0), "samples": 21}
-    scenes = drawn(short, 31, spans=(2.0, 60.0), **ranges) + drawn(long, 32, spans=(60.0, 400.0), **ranges)
+    scenes = drawn(short, 31, spans=(2.0, 60.0), **ranges) + drawn(
+        long, 32, spans=(60.0, 400.0), **ranges
+    )
     told = [found for k, scene in enumerate(scenes) if (found := story(scene, TOLERANCES[k % 3]))]
     can, cannot = [x for x in told if x.right], [x for x in told if not x.met]
     wrong = len(told) - len(can) - len(cannot)
@@ -174,8 +178,13 @@ def main(quick: bool = False) -> list[Row]:
             f"tries in a row that hardly helped, in scenes that can be answered: 95 %; most {max(stalls):.0f}",
         )
     )
-    for name, shipped, turn in (("STALLED", STALLED, _least_helpful), ("WORSE", WORSE, _worst_turn)):
-        rows.append(_falling(name, shipped, [turn(x.errors) for x in can], [turn(x.errors) for x in cannot]))
+    for name, shipped, turn in (
+        ("STALLED", STALLED, _least_helpful),
+        ("WORSE", WORSE, _worst_turn),
+    ):
+        rows.append(
+            _falling(name, shipped, [turn(x.errors) for x in can], [turn(x.errors) for x in cannot])
+        )
     needed = [len(x.errors) for x in can]
     rows.append(
         Row(
@@ -189,7 +198,13 @@ def main(quick: bool = False) -> list[Row]:
         )
     )
     few = drawn(
-        12 if quick else 80, 33, strength=(-2.0, 3.0), grains=(3, 5, 8, 12), spans=(10.0, 150.0), samples=21, driven=0.0
+        12 if quick else 80,
+        33,
+        strength=(-2.0, 3.0),
+        grains=(3, 5, 8, 12),
+        spans=(10.0, 150.0),
+        samples=21,
+        driven=0.0,
     )
     made = [found for scene in few if (found := rounding(scene))]
     ratios, walks = [ratio for ratio, _ in made], [walk for _, walk in made]
@@ -207,7 +222,14 @@ def main(quick: bool = False) -> list[Row]:
     )
     least, median, most = (LAST_DIGIT * quantile(ratios, part) for part in (0.05, 0.5, 0.95))
     rows.append(
-        Row("SEED", SEED, median, least, most, "change at t = 0 that does as much as rounding: median, 5 to 95 %")
+        Row(
+            "SEED",
+            SEED,
+            median,
+            least,
+            most,
+            "change at t = 0 that does as much as rounding: median, 5 to 95 %",
+        )
     )
     stuck = [x.errors[-1] / x.roundoff for x in cannot]
     worst, far = quantile(walks, 0.95), quantile(stuck, 0.25)

@@ -60,8 +60,12 @@ def table(rows: Iterable[Row]) -> list[str]:
 
 def command(main: Callable[[bool], list[Row]], doc: str | None) -> None:
     """Run a script from the command line: read --quick, print the table and how long it took, on which processor."""
-    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="seconds, with few scenes, as the tests run it")
+    parser = argparse.ArgumentParser(
+        description=doc, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="seconds, with few scenes, as the tests run it"
+    )
     quick = parser.parse_args().quick
     began = time.perf_counter()
     rows = main(quick)
@@ -102,7 +106,15 @@ def answer(engine: Engine, scene: Scene, candidate: Candidate) -> Answer | None:
             motion[1, block.samples, block.columns] = block.velocity[0]
         cost = run.cost()
         differences, lowest = _companions(run)
-        return Answer(candidate, run.errors()[0], motion, cost.steps, cost.force_evaluations, differences, lowest)
+        return Answer(
+            candidate,
+            run.errors()[0],
+            motion,
+            cost.steps,
+            cost.force_evaluations,
+            differences,
+            lowest,
+        )
     except RunFailed:
         return None
     finally:
@@ -125,7 +137,9 @@ def with_reach(scene: Scene, candidate: Candidate, reach: float) -> Candidate:
     """
     interval = scene.duration / (scene.samples - 1)
     candidate = candidate.sampled._replace(solver_error=0.0)
-    return candidate.with_steps(max(1, math.ceil(interval * scene.highest_frequency / reach * (1 - 1e-12))))
+    return candidate.with_steps(
+        max(1, math.ceil(interval * scene.highest_frequency / reach * (1 - 1e-12)))
+    )
 
 
 def proposal(engine: Engine, scene: Scene, tolerance: float) -> Candidate | None:
@@ -151,7 +165,9 @@ class Case:
     def motion(self) -> np.ndarray:
         """True displacement and velocity of the recorded grains, (2, T, G)."""
         columns = self.scene.recorded - 1
-        return np.array([self.reference.displacement[:, columns], self.reference.velocity[:, columns]])
+        return np.array(
+            [self.reference.displacement[:, columns], self.reference.velocity[:, columns]]
+        )
 
     def error(self, motion: np.ndarray) -> float:
         """Return the true relative error: the larger of displacement and velocity, over the largest true sample."""

@@ -47,14 +47,22 @@ def shaken(grains: int, periods: float, samples: int = 11) -> Scene:
     velocity = 1e-3 * chain.length_scale / chain.time_scale * np.sin(np.arange(grains))
     velocity[chain.movable :] = 0.0
     return Scene(
-        chain=chain, excitation=Profile(velocity=velocity), duration=periods * chain.time_scale, samples=samples
+        chain=chain,
+        excitation=Profile(velocity=velocity),
+        duration=periods * chain.time_scale,
+        samples=samples,
     )
 
 
 def struck(grains: int, periods: float, samples: int) -> Scene:
     """Return a loaded chain that is struck on the top, gently, all grains recorded."""
     chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-3)
-    return Scene(chain=chain, excitation=Impulse(velocity=1e-12), duration=periods * chain.time_scale, samples=samples)
+    return Scene(
+        chain=chain,
+        excitation=Impulse(velocity=1e-12),
+        duration=periods * chain.time_scale,
+        samples=samples,
+    )
 
 
 def supported(name: str, shipped: float, measured: float, says: str) -> Row:
@@ -62,7 +70,9 @@ def supported(name: str, shipped: float, measured: float, says: str) -> Row:
     return Row(name, shipped, measured, measured / FACTOR, measured * FACTOR, says)
 
 
-def _stepping(engine: Engine, sizes: tuple[int, ...], most: float, repeats: int) -> tuple[float, float]:
+def _stepping(
+    engine: Engine, sizes: tuple[int, ...], most: float, repeats: int
+) -> tuple[float, float]:
     """Return the seconds per grain and force evaluation, companions included, and the overhead in grains."""
     features, times = [], []
     for grains in sizes:
@@ -97,7 +107,10 @@ def _fitted(features: np.ndarray, times: np.ndarray, shipped: np.ndarray) -> np.
 
 def _features(name: str, scene: Scene, samples: int, values: int) -> tuple[float, ...]:
     """Return what the literals of `work` stand in front of."""
-    grains, looks = scene.chain.grains, samples + (0 if samples and dense(scene) else evaluations(scene))
+    grains, looks = (
+        scene.chain.grains,
+        samples + (0 if samples and dense(scene) else evaluations(scene)),
+    )
     if name == "modes":
         return grains**2, grains**3, looks, looks * grains, looks * grains**2, values
     z = scene.chain.band_edge * scene.duration
@@ -140,7 +153,10 @@ def _linear(engine: LinearEngine, quick: bool) -> list[Row]:
         share = float(np.max(each[k]))
         rows.append(
             supported(
-                f"{engine.name}.work: {part}", own[k], here[k], f"s; at most {100 * share:.0f} % of the work of a scene"
+                f"{engine.name}.work: {part}",
+                own[k],
+                here[k],
+                f"s; at most {100 * share:.0f} % of the work of a scene",
             )
         )
     return rows
@@ -151,14 +167,21 @@ def main(quick: bool = False) -> list[Row]:
     repeats = 3 if quick else 7
     rows = []
     for engine, sizes, most in (
-        (Native(), (10, 30, 100, 300, 1000) if quick else (5, 10, 20, 50, 100, 200, 500, 1000, 3000), 1e5),
+        (
+            Native(),
+            (10, 30, 100, 300, 1000) if quick else (5, 10, 20, 50, 100, 200, 500, 1000, 3000),
+            1e5,
+        ),
         (Lammps(), (10, 100) if quick else (10, 30, 100, 300, 1000), 5e3),
     ):
         per_grain, call = _stepping(engine, sizes, most / 5 if quick else most, repeats)
         name = f"{engine.name}.seconds_per_grain_step"
         rows.append(
             supported(
-                name, engine.seconds_per_grain_step, per_grain, "s a grain and force evaluation, companions included"
+                name,
+                engine.seconds_per_grain_step,
+                per_grain,
+                "s a grain and force evaluation, companions included",
             )
         )
         rows.append(
@@ -174,11 +197,23 @@ def main(quick: bool = False) -> list[Row]:
             scene = struck(2, 1.0, 3)
             if name == "continuum":
                 scene = Scene(
-                    chain=Chain(grains=2, diameter=1e-3), excitation=Impulse(velocity=1e-12), duration=1e-6, samples=3
+                    chain=Chain(grains=2, diameter=1e-3),
+                    excitation=Impulse(velocity=1e-12),
+                    duration=1e-6,
+                    samples=3,
                 )
             simulate(scene, name, 0.5, on_miss="warn")
-            took = best(lambda name=name, scene=scene: simulate(scene, name, 0.5, on_miss="warn"), repeats)  # type: ignore[misc]
-            rows.append(supported(f"{name}.start_up_s", engines.get(name).start_up_s, took, "s, the smallest answer"))
+            took = best(
+                lambda name=name, scene=scene: simulate(scene, name, 0.5, on_miss="warn"), repeats
+            )  # type: ignore[misc]
+            rows.append(
+                supported(
+                    f"{name}.start_up_s",
+                    engines.get(name).start_up_s,
+                    took,
+                    "s, the smallest answer",
+                )
+            )
     for engine in (Modes(), Chebyshev()):
         rows += _linear(engine, quick)
     return [*rows, _formula(quick)]
@@ -189,7 +224,9 @@ def _formula(quick: bool) -> Row:
     engine, scene = Bessel(), struck(300, 50.0, 31 if quick else 101)
     shipped = engine.work(scene, 31, 1) - engine.work(scene, 31, 0) - 1e-8
     took = best(lambda: engine.wave(scene, scene.time), 3) / (scene.samples * scene.chain.grains)
-    return supported("ClosedForm.work: 1e-6 a value", shipped, took, "s a value of the engine bessel")
+    return supported(
+        "ClosedForm.work: 1e-6 a value", shipped, took, "s a value of the engine bessel"
+    )
 
 
 if __name__ == "__main__":

@@ -23,7 +23,10 @@ from lmpchain import Chain, Impulse, Scene
 from lmpchain.engines.native import Native
 from lmpchain.integrators.methods import METHODS
 
-CLEAR, LARGEST = 300.0, 3e-3  # times round-off, and largest error, between which an error falls with the order
+CLEAR, LARGEST = (
+    300.0,
+    3e-3,
+)  # times round-off, and largest error, between which an error falls with the order
 REACHES = 2.0 ** -np.arange(-2.0, 6.0)  # omega h
 
 
@@ -42,18 +45,33 @@ def constants(case: Case, name: str) -> list[float]:
         run = answer(engine, scene, with_reach(scene, proposed, reach))
         if run is None:
             continue
-        error, floor = case.error(run.motion), 1e-16 * (2 + math.sqrt(run.evaluations)) + case.reference.error
+        error, floor = (
+            case.error(run.motion),
+            1e-16 * (2 + math.sqrt(run.evaluations)) + case.reference.error,
+        )
         if CLEAR * floor < error < LARGEST:
             h = run.candidate.step * scene.highest_frequency
-            found.append(error / h**method.order / max(1.0, scene.highest_frequency * scene.duration / 60))
+            found.append(
+                error / h**method.order / max(1.0, scene.highest_frequency * scene.duration / 60)
+            )
     return found
 
 
 def main(quick: bool = False) -> list[Row]:
     """Return a row for each integrator."""
     papers = [Case(paper(*strike)) for strike in ((1e-6, 9.81), (8.57e-4, 98.1), (8.57e-4, 9.81))]
-    ranges = {"kinds": ("gravity", "load", "both"), "strength": (-4.0, -1.5), "grains": (12, 30, 60)}
-    gentle = drawn(4 if quick else 60, 1, lambda scene: scene.largest_strain < 0.3, spans=(20.0, 60.0), **ranges)
+    ranges = {
+        "kinds": ("gravity", "load", "both"),
+        "strength": (-4.0, -1.5),
+        "grains": (12, 30, 60),
+    }
+    gentle = drawn(
+        4 if quick else 60,
+        1,
+        lambda scene: scene.largest_strain < 0.3,
+        spans=(20.0, 60.0),
+        **ranges,
+    )
     others = [case for case in map(Case, gentle) if case.known]
     rows = []
     for name, method in METHODS.items():
@@ -67,7 +85,14 @@ def main(quick: bool = False) -> list[Row]:
             f"median {middle:.2g}, 5 to 95 % {low:.1g} to {high:.1g}"
         )
         rows.append(
-            Row(f"{name}.error_constant", method.error_constant, quantile(here, 0.5), min(here), max(here), says)
+            Row(
+                f"{name}.error_constant",
+                method.error_constant,
+                quantile(here, 0.5),
+                min(here),
+                max(here),
+                says,
+            )
         )
     return rows
 

@@ -23,7 +23,11 @@ from lmpchain.measure.fit.overview import WEAK
 from lmpchain.measure.fit.solitary import NEAR, STEADY
 from lmpchain.theory import soliton
 
-GRAINS, START, END = 80, 20.0, 60.0  # of the chain; where the middle of a wave is at first and at last
+GRAINS, START, END = (
+    80,
+    20.0,
+    60.0,
+)  # of the chain; where the middle of a wave is at first and at last
 TOO_LITTLE = 0.01  # relative error of peak velocities
 DEPTHS = slice(1, 60)
 
@@ -44,12 +48,22 @@ def solitary_waves(quick: bool) -> list[tuple[float, float]]:
     found = []
     for exponent in (1.5,) if quick else (1.3, 1.5, 2.0, 3.0):
         for speed in (0.0, 1.3) if quick else (0.0, 1.1, 1.3, 2.0, 4.0):
-            chain = Chain(grains=GRAINS, diameter=1e-3, gravity=0.0, exponent=exponent, top_load=1e-3 if speed else 0.0)
+            chain = Chain(
+                grains=GRAINS,
+                diameter=1e-3,
+                gravity=0.0,
+                exponent=exponent,
+                top_load=1e-3 if speed else 0.0,
+            )
             size: dict[str, float] = {"speed": speed} if speed else {"velocity": 0.01}
             wave = soliton.solve(exponent, **size)
             profile = wave.on(chain, START)
             sound = np.sqrt(chain.linear_stiffness[0] / chain.masses[0]) if speed else 1.0
-            pace = wave.speed * sound if speed else float(soliton.nesterenko_speed(0.01, exponent)) * _unit(chain)
+            pace = (
+                wave.speed * sound
+                if speed
+                else float(soliton.nesterenko_speed(0.01, exponent)) * _unit(chain)
+            )
             for samples in (81, 641):
                 duration = (END - START) / pace
                 scene = Scene(chain=chain, excitation=profile, duration=duration, samples=samples)
@@ -72,7 +86,9 @@ def other_waves(quick: bool) -> list[float]:
             chain = Chain(grains=GRAINS, diameter=1e-3, gravity=0.0, top_load=load)
             omega = float(np.sqrt(chain.linear_stiffness[0] / chain.masses[0]))
             strike = Impulse(velocity=number * chain.equilibrium_overlap[0] * omega)
-            scene = Scene(chain=chain, excitation=strike, duration=GRAINS * 0.8 / omega, samples=641)
+            scene = Scene(
+                chain=chain, excitation=strike, duration=GRAINS * 0.8 / omega, samples=641
+            )
             if one := told(simulate(scene, "native", 1e-8)):
                 found.append(max(one))
     return found
@@ -84,11 +100,15 @@ def weak(quick: bool) -> Row:
     for number in np.geomspace(0.05, 2.0, 5 if quick else 17):
         strike = Impulse(velocity=float(number) * chain.length_scale / chain.time_scale)
         scene = Scene(chain=chain, excitation=strike, duration=2e-4, samples=2001)
-        true, linear = (np.abs(simulate(scene, e, 0.99).velocity).max(0)[DEPTHS] for e in ("native", "chebyshev"))
+        true, linear = (
+            np.abs(simulate(scene, e, 0.99).velocity).max(0)[DEPTHS]
+            for e in ("native", "chebyshev")
+        )
         errors[float(number)] = np.abs(linear / true - 1)
     numbers = np.log(list(errors))
     places = [
-        np.exp(np.interp(np.log(TOO_LITTLE), np.log(each), numbers)) for each in np.array(list(errors.values())).T
+        np.exp(np.interp(np.log(TOO_LITTLE), np.log(each), numbers))
+        for each in np.array(list(errors.values())).T
     ]
     says = f"strike number at which a peak velocity is off by 1 %: median, least and most of {len(places)} depths"
     return Row("WEAK", WEAK, float(np.median(places)), float(min(places)), float(max(places)), says)

@@ -53,7 +53,9 @@ def true_gradients(scene: Scene) -> dict[str, np.ndarray]:
                 if name == "masses":
                     ends.append(momentum(scene.replace(chain=scene.chain.replace(masses=moved))))
                 else:
-                    ends.append(momentum(scene.replace(excitation=Profile(displacement=u, velocity=moved))))
+                    ends.append(
+                        momentum(scene.replace(excitation=Profile(displacement=u, velocity=moved)))
+                    )
             slopes[k] = (ends[0] - ends[1]) / (2 * size)
         found[name] = slopes
     return found
@@ -80,12 +82,20 @@ def needed(scene: Scene) -> list[float]:
 def of_gradients(count: int) -> list[float]:
     """Return the factors that random scenes need, half of which open contacts."""
     factors: list[float] = []
-    ranges = {"grains": (2, 3, 5), "spans": (2.0, 12.0), "driven": 0.0, "samples": 3, "kinds": ("gravity", "load")}
+    ranges = {
+        "grains": (2, 3, 5),
+        "spans": (2.0, 12.0),
+        "driven": 0.0,
+        "samples": 3,
+        "kinds": ("gravity", "load"),
+    }
     for seed, strength in ((171, (-2.0, 0.0)), (172, (0.5, 2.0))):
         for scene in drawn(count, seed, strength=strength, **ranges):
             u, v = scene.initial()
             try:
-                factors += needed(scene.replace(excitation=Profile(displacement=u, velocity=v), grains="all"))
+                factors += needed(
+                    scene.replace(excitation=Profile(displacement=u, velocity=v), grains="all")
+                )
             except LmpchainError:
                 continue
     return factors
@@ -106,12 +116,18 @@ def of_orbits(count: int) -> list[float]:
         except LmpchainError:
             continue
         for reach in COARSE:
-            with mock.patch.object(meshes, "REACH", reach), mock.patch.object(shooting, "ROUNDS", 1):
+            with (
+                mock.patch.object(meshes, "REACH", reach),
+                mock.patch.object(shooting, "ROUNDS", 1),
+            ):
                 try:
                     found = normal_mode(chain, mode, energy)
                 except LmpchainError:
                     continue
-            apart = np.abs(found.displacement - true.displacement).max() / np.abs(true.displacement).max()
+            apart = (
+                np.abs(found.displacement - true.displacement).max()
+                / np.abs(true.displacement).max()
+            )
             off = max(float(apart), abs(np.log(found.period / true.period)))
             if 100 * CLOSED < off < 0.01:
                 factors.append(OF_ORBITS * off / found.error)
@@ -129,7 +145,12 @@ def row(name: str, shipped: float, factors: list[float], what: str) -> Row:
 def main(quick: bool = False) -> list[Row]:
     """Return a row for each constant."""
     return [
-        row("SAFETY (gradients)", OF_GRADIENTS, of_gradients(1 if quick else 30), "errors of gradients"),
+        row(
+            "SAFETY (gradients)",
+            OF_GRADIENTS,
+            of_gradients(1 if quick else 30),
+            "errors of gradients",
+        ),
         row("SAFETY (orbits)", OF_ORBITS, of_orbits(2 if quick else 60), "errors of orbits"),
     ]
 

@@ -34,7 +34,9 @@ def struck(grains: int, periods: float, strike_number: float = 0.01, samples: in
     chain = Chain(grains=grains, diameter=1e-3)
     velocity = strike_number * chain.length_scale / chain.time_scale
     duration = periods * chain.time_scale
-    return Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=duration, samples=samples)
+    return Scene(
+        chain=chain, excitation=Impulse(velocity=velocity), duration=duration, samples=samples
+    )
 
 
 def through(engine: Engine, scene: Scene, candidate: Candidate) -> None:
@@ -58,7 +60,9 @@ def _cut(engine: Engine, quick: bool) -> Row:
     saving = [part for part, ratio in ratios.items() if ratio < 0.97]
     harmless = [part for part, ratio in ratios.items() if ratio < 1.05]
     listed = ", ".join(f"{part:g}: {ratio:.2f}" for part, ratio in ratios.items())
-    says = f"{needed} grains; time with the cut over that without, by the part that is left: {listed}"
+    says = (
+        f"{needed} grains; time with the cut over that without, by the part that is left: {listed}"
+    )
     return Row(
         f"WORTH (light cone, {engine.name})",
         WORTH_OF_CUT,
@@ -82,10 +86,15 @@ def _look(quick: bool) -> Row:
     native, linear = Native(), Chebyshev()
     for _ in range(10 if quick else 60):
         scene = struck(
-            int(10 ** rng.uniform(1.5, 3)), 10 ** rng.uniform(0.7, 2), samples=int(10 ** rng.uniform(1, 2.5))
+            int(10 ** rng.uniform(1.5, 3)),
+            10 ** rng.uniform(0.7, 2),
+            samples=int(10 ** rng.uniform(1, 2.5)),
         )
         scene = scene.reached
-        ours, theirs = linear.candidate(scene, 1.0), native.candidate(scene, 10 ** rng.uniform(-9, -3))
+        ours, theirs = (
+            linear.candidate(scene, 1.0),
+            native.candidate(scene, 10 ** rng.uniform(-9, -3)),
+        )
         expected = (ours.sharper.cost_s + ours.cost_s) / theirs.cost_s
         looked = best(lambda scene=scene, ours=ours: linear.bound_model_error(scene, ours), repeats)  # type: ignore[misc]
         took = best(lambda scene=scene, ours=ours: through(linear, scene, ours._replace()), repeats)  # type: ignore[misc]
@@ -114,7 +123,12 @@ def _short(quick: bool) -> Row:
         for short in (0, 10**6):
             with mock.patch.object(batch, "WINDOW_MIN", short):
                 times.append(
-                    best(lambda scene=scene, candidate=candidate: through(Native(), scene, candidate), repeats)
+                    best(
+                        lambda scene=scene, candidate=candidate: through(
+                            Native(), scene, candidate
+                        ),
+                        repeats,
+                    )
                 )  # type: ignore[misc]
         ratios[bodies * PAD] = times[0] / times[1]
     good = [bodies for bodies, ratio in ratios.items() if ratio > 0.97]
@@ -132,7 +146,11 @@ def _short(quick: bool) -> Row:
 
 def main(quick: bool = False) -> list[Row]:
     """Return a row for each constant."""
-    return [*(_cut(engine, quick) for engine in (Native(), Modes(), Lammps())), _look(quick), _short(quick)]
+    return [
+        *(_cut(engine, quick) for engine in (Native(), Modes(), Lammps())),
+        _look(quick),
+        _short(quick),
+    ]
 
 
 if __name__ == "__main__":

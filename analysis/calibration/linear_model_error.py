@@ -123,8 +123,14 @@ def held(scenes: list[Scene]) -> list[Held]:
     rows = []
     for scene in scenes:
         if not Modes().refuses(scene) and (true := nonlinear(scene)) is not None:
-            column = COLUMN * (scene.chain.exponent - 1) * scene.strike_number if struck_column(scene) else math.inf
-            rows.append(Held(distance(linear(scene), true), phase_error(scene), bounds(scene)[0], column))
+            column = (
+                COLUMN * (scene.chain.exponent - 1) * scene.strike_number
+                if struck_column(scene)
+                else math.inf
+            )
+            rows.append(
+                Held(distance(linear(scene), true), phase_error(scene), bounds(scene)[0], column)
+            )
     return [row for row in rows if row.true > 1e-7 and not row.found.remark]
 
 
@@ -147,7 +153,9 @@ def _resonant(found: PhaseError) -> float:
 
 def _strays(x: Held) -> Need:
     slows = SLOWS * slowed(x.found)
-    return _part(x.true / LOW, strayed(x.found), max(x.found._leads, _resonant(x.found) + slows), slows)
+    return _part(
+        x.true / LOW, strayed(x.found), max(x.found._leads, _resonant(x.found) + slows), slows
+    )
 
 
 def _slows(x: Held) -> Need:
@@ -174,7 +182,11 @@ def _bounds(found: list[Held], trains: list[Held]) -> list[Row]:
     for name, factor in shipped.items():
         asking, parts = trains if name == "STEEPENS" else found, []
         for x in asking:
-            units = {"DOUBT": x.found._scattered, "WANDER": wandered(x.found), "STEEPENS": steepened(x.found)}
+            units = {
+                "DOUBT": x.found._scattered,
+                "WANDER": wandered(x.found),
+                "STEEPENS": steepened(x.found),
+            }
             others = max(shipped[other] * unit for other, unit in units.items() if other != name)
             parts.append(_part(x.true, units[name], others))
         beside, alone = (max(part[k] for part in parts) for k in (0, 1))
@@ -193,7 +205,12 @@ def columns(quick: bool) -> list[Scene]:
         for grains in (2,) if quick else (2, 3, 4, 8):
             chain = Chain(grains=grains, diameter=1e-3, exponent=exponent)
             passage = float(np.sqrt(chain.masses[0] / chain.linear_stiffness).sum())
-            one = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=9.999 * passage, samples=201)
+            one = Scene(
+                chain=chain,
+                excitation=Impulse(velocity=1e-6),
+                duration=9.999 * passage,
+                samples=201,
+            )
             for strain in (1e-3, 0.3, 0.8, 0.99):
                 strike = Impulse(velocity=1e-6 * strain / one.linear_strain)
                 scenes.append(one.replace(excitation=strike))
@@ -203,12 +220,23 @@ def columns(quick: bool) -> list[Scene]:
 def main(quick: bool = False) -> list[Row]:
     """Return a row for each constant."""
     count = 24 if quick else 240
-    ranges = {"kinds": ("gravity", "load", "both"), "exponents": (1.1, 1.25, 1.5, 1.5, 2.0, 2.5, 3.0), "samples": 101}
+    ranges = {
+        "kinds": ("gravity", "load", "both"),
+        "exponents": (1.1, 1.25, 1.5, 1.5, 2.0, 2.5, 3.0),
+        "samples": 101,
+    }
     scenes = drawn(count // 2, 41, strength=(-4.0, 0.3), spans=(2.0, 60.0), **ranges)
     scenes += drawn(count // 2, 42, strength=(-4.0, -0.5), spans=(60.0, 400.0), **ranges)
     found = [x for x in held(scenes) if x.true < SMALL]
-    pushed = {"kinds": ranges["kinds"], "exponents": (2.0, 2.5, 3.0), "samples": 101, "grains": (13, 16, 20, 30)}
-    asking = drawn(3 * count // 4, 920, strength=(-3.0, -0.3), spans=(5.0, 100.0), driven=1.0, **pushed)
+    pushed = {
+        "kinds": ranges["kinds"],
+        "exponents": (2.0, 2.5, 3.0),
+        "samples": 101,
+        "grains": (13, 16, 20, 30),
+    }
+    asking = drawn(
+        3 * count // 4, 920, strength=(-3.0, -0.3), spans=(5.0, 100.0), driven=1.0, **pushed
+    )
     bounded = [x for x in found + held(asking + columns(quick)) if x.true < SMALL]
     travelling = [x for x in held(trains(count // 3, 44)) if x.true < SMALL]
     rows = [
@@ -216,7 +244,10 @@ def main(quick: bool = False) -> list[Row]:
         _factor("STRAYS", STRAYS, [_strays(x) for x in found]),
         _factor("SLOWS", SLOWS, [_slows(x) for x in found]),
     ]
-    low, middle = (quantile([x.found.at_most / x.least for x in found if x.least > 0], part) for part in (0.0, 0.5))
+    low, middle = (
+        quantile([x.found.at_most / x.least for x in found if x.least > 0], part)
+        for part in (0.0, 0.5)
+    )
     rows.append(
         Row(
             "bounds: least",
@@ -228,7 +259,9 @@ def main(quick: bool = False) -> list[Row]:
         )
     )
     early = [
-        x for x in held(drawn(count // 3, 43, strength=(-3.0, -0.5), spans=(0.2, 1.5), **ranges)) if x.true < SMALL
+        x
+        for x in held(drawn(count // 3, 43, strength=(-3.0, -0.5), spans=(0.2, 1.5), **ranges))
+        if x.true < SMALL
     ]
     once = [x.true / at_once(x.found) for x in early]
     rows.append(
@@ -248,11 +281,15 @@ def main(quick: bool = False) -> list[Row]:
 def _evenly(scenes: list[Scene]) -> Row:
     """Return the row of EVENLY: the fewest looks with which 19 in 20 bounds are within 30 % of those of many looks."""
     bound: dict[int, list[float]] = {}
-    sparse = [Scene(**scene.given() | {"samples": 6}) for scene in scenes if not Modes().refuses(scene)]
+    sparse = [
+        Scene(**scene.given() | {"samples": 6}) for scene in scenes if not Modes().refuses(scene)
+    ]
     for evenly in (16, 32, 64, 128, 1024):
         with mock.patch.object(model_error, "EVENLY", evenly):
             bound[evenly] = [phase_error(scene).at_most for scene in sparse]
-    off = {n: quantile(np.abs(np.array(x) / np.array(bound[1024]) - 1), 0.95) for n, x in bound.items()}
+    off = {
+        n: quantile(np.abs(np.array(x) / np.array(bound[1024]) - 1), 0.95) for n, x in bound.items()
+    }
     good = [n for n, x in off.items() if x < 0.3]
     listed = ", ".join(f"{n}: {100 * x:.0f} %" for n, x in off.items() if n != 1024)
     return Row(
@@ -265,17 +302,24 @@ def _evenly(scenes: list[Scene]) -> Row:
     )
 
 
-def _errors(delta: float, strike_number: float, tau: float, grains: int, gravity: float = 9.81) -> dict[str, float]:
+def _errors(
+    delta: float, strike_number: float, tau: float, grains: int, gravity: float = 9.81
+) -> dict[str, float]:
     """Return the errors of linear theory in its four norms after a strike on the top of a column."""
     chain = Chain(grains=grains, diameter=1e-3, exponent=delta, gravity=gravity)
     unit = chain.length_scale / chain.time_scale
     scene = Scene(
-        chain=chain, excitation=Impulse(velocity=strike_number * unit), duration=tau * chain.time_scale, samples=1001
+        chain=chain,
+        excitation=Impulse(velocity=strike_number * unit),
+        duration=tau * chain.time_scale,
+        samples=1001,
     )
     with warnings.catch_warnings(action="ignore"):
         runs = [simulate(scene, engine, TRUTH) for engine in (Modes(), Native())]
     found, true = (np.array([run.displacement, run.velocity]) for run in runs)
-    peaks = [amplitude for run in runs for amplitude in track(run).between(DEPTH, DEPTH).amplitude]  # if it has one
+    peaks = [
+        amplitude for run in runs for amplitude in track(run).between(DEPTH, DEPTH).amplitude
+    ]  # if it has one
     return {
         "velocity": float(np.linalg.norm((found - true)[1, -1]) / np.linalg.norm(true[1, -1])),
         "displacement": float(np.abs(found - true)[0].max() / np.abs(true[0]).max()),
@@ -293,7 +337,9 @@ def _columns(quick: bool) -> list[Row]:
     """Return the rows of struck columns: LINEAR (COLUMN is its "package") and STEEPEST."""
     taus, deltas = ((20.0,), (1.5,)) if quick else ((20.0, 25.0), (1.1, 1.3, 1.5, 1.8, 2.2))
     weak = 2e-3
-    runs = [(delta, _errors(delta, weak / (delta - 1), tau, 80)) for delta in deltas for tau in taus]
+    runs = [
+        (delta, _errors(delta, weak / (delta - 1), tau, 80)) for delta in deltas for tau in taus
+    ]
     rows = []
     for norm, (slope, limit) in LINEAR.items():
         slopes = [errors[norm] / weak / _spread(norm, delta) for delta, errors in runs]

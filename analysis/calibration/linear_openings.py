@@ -30,14 +30,19 @@ from lmpchain.engines.linear.resonance import FEW
 from lmpchain.errors import InputError
 
 FINER = 16  # evaluations over those of a look
-AROUND, BISECTIONS = (0.96, 1.04), 10  # lowest strains, between which a look begins to say that a contact opens
+AROUND, BISECTIONS = (
+    (0.96, 1.04),
+    10,
+)  # lowest strains, between which a look begins to say that a contact opens
 DEEPER = (1.0, 1.03)  # lowest strains of contacts that graze
 ALL = {"kinds": ("gravity", "load"), "driven": 0.0, "grains": (2, 3, 5, 12)}
 
 
 def lowest(scene: Scene, per_radian: float) -> float:
     """Return the lowest strain of any contact along the linear solution, with so many evaluations a radian."""
-    times = np.linspace(0, scene.duration, math.ceil(per_radian * scene.duration * fastest(scene)) + 1)
+    times = np.linspace(
+        0, scene.duration, math.ceil(per_radian * scene.duration * fastest(scene)) + 1
+    )
     u = Modes().solve(scene, {}).at(times)[0]
     contacts = scene.chain.contacts
     still = np.zeros((len(times), 1))
@@ -50,7 +55,11 @@ def seen(scene: Scene) -> float:
     deepest, low, high = lowest(scene, FINER * RESOLVED), *AROUND
     for _ in range(BISECTIONS):
         middle = (low + high) / 2
-        opens = Modes().look(scene.replace(excitation=scene.excitation.scaled(-middle / deepest))).remark
+        opens = (
+            Modes()
+            .look(scene.replace(excitation=scene.excitation.scaled(-middle / deepest)))
+            .remark
+        )
         low, high = (low, middle) if opens else (middle, high)
     return -OPEN / high
 
@@ -74,16 +83,16 @@ def _grazes(scenes: list[Scene]) -> Row:
     rng = np.random.default_rng(72)
     for scene in scenes:
         try:
-            grazing = scene.replace(excitation=scene.excitation.scaled(-rng.uniform(*DEEPER) / lowest(scene, 32.0)))
+            grazing = scene.replace(
+                excitation=scene.excitation.scaled(-rng.uniform(*DEEPER) / lowest(scene, 32.0))
+            )
         except InputError:
             continue
         case = Case(grazing)
         if case.known and (run := answer(Modes(), grazing, Modes().candidate(grazing, 1.0))):
             errors.append(case.error(run.motion))
     low, middle, most = quantile(errors, 0.25), quantile(errors, 0.5), max(errors)
-    says = (
-        f"error where a contact opens by {100 * (DEEPER[1] - 1):.0f} % at most, {len(errors)} scenes: half {middle:.2g}"
-    )
+    says = f"error where a contact opens by {100 * (DEEPER[1] - 1):.0f} % at most, {len(errors)} scenes: half {middle:.2g}"
     return Row("GRAZES", GRAZES, middle, low, most, f"{says}, quarter {low:.2g}, most {most:.2g}")
 
 
@@ -91,7 +100,12 @@ def _few(count: int) -> Row:
     """Return the row of FEW: up to how many grains resonances bring estimates closer to the truth."""
     closer: dict[int, float] = {}
     for grains in (2, 4, 8, 12, 20):
-        ranges = {"kinds": ("gravity", "load"), "exponents": (1.5, 2.0, 3.0), "samples": 101, "grains": (grains,)}
+        ranges = {
+            "kinds": ("gravity", "load"),
+            "exponents": (1.5, 2.0, 3.0),
+            "samples": 101,
+            "grains": (grains,),
+        }
         off: tuple[list[float], list[float]] = [], []
         with mock.patch.object(resonance, "FEW", 2 * FEW):
             for x in held(drawn(count, 73, strength=(-3.0, -0.5), spans=(60.0, 300.0), **ranges)):
@@ -110,7 +124,9 @@ def main(quick: bool = False) -> list[Row]:
     """Return a row for each constant."""
     count = 10 if quick else 60
     looked = drawn(count, 70, strength=(-1.0, 0.3), spans=(5.0, 60.0), **ALL)
-    springs = drawn(count, 71, strength=(-2.0, 0.0), exponents=(1.0,), spans=(2.0, 20.0), samples=101, **ALL)
+    springs = drawn(
+        count, 71, strength=(-2.0, 0.0), exponents=(1.0,), spans=(2.0, 20.0), samples=101, **ALL
+    )
     return [_open(looked), _grazes(springs), _few(count // 2)]
 
 

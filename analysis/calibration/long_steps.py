@@ -19,7 +19,17 @@ from collections.abc import Iterator
 from unittest import mock
 
 import numpy as np
-from common import ALL_BUT_ONE, Case, Row, answer, command, near_best, proposal, quantile, with_reach
+from common import (
+    ALL_BUT_ONE,
+    Case,
+    Row,
+    answer,
+    command,
+    near_best,
+    proposal,
+    quantile,
+    with_reach,
+)
 from scenes import drawn
 
 from lmpchain import RunFailed, Scene
@@ -61,8 +71,17 @@ def far(calm: list[Case]) -> Iterator[Row]:
                         alone.append((run.differences[0], run.error.total / error))
     low = {ratio: quantile(said, 1 - ALL_BUT_ONE) for ratio, said in found.items()}
     good = [ratio for ratio in RATIOS if low[ratio] >= 1]
-    listed = "; ".join(f"{r}: 1 % below {low[r]:.2f}, half below {quantile(found[r], 0.5):.2f}" for r in RATIOS)
-    yield Row("FAR", companions.FAR[0], max(good, default=2), 2, max(good, default=2), f"estimate over truth: {listed}")
+    listed = "; ".join(
+        f"{r}: 1 % below {low[r]:.2f}, half below {quantile(found[r], 0.5):.2f}" for r in RATIOS
+    )
+    yield Row(
+        "FAR",
+        companions.FAR[0],
+        max(good, default=2),
+        2,
+        max(good, default=2),
+        f"estimate over truth: {listed}",
+    )
     wrong = min((size for size, part in alone if size <= SMALL and part < 1), default=math.inf)
     least = min((part for size, part in alone if size <= SMALL), default=math.nan)
     says = f"of {len(alone)} differences of one companion; the least estimate up to SMALL is {least:.2f} of the truth"
@@ -96,7 +115,14 @@ def pilots(unbounded: list[Scene]) -> Row:
     mean = {ratio: math.exp(np.mean(each)) if each else math.nan for ratio, each in costs.items()}
     best, low, high = near_best(mean)
     listed = ", ".join(f"{ratio:g}: {cost:.2f}" for ratio, cost in mean.items())
-    return Row("PILOT", native.PILOT, best, low, high, f"cost over that without, {len(costs[1.0])} answers: {listed}")
+    return Row(
+        "PILOT",
+        native.PILOT,
+        best,
+        low,
+        high,
+        f"cost over that without, {len(costs[1.0])} answers: {listed}",
+    )
 
 
 def between(cases: list[Case]) -> Iterator[Row]:
@@ -115,32 +141,58 @@ def between(cases: list[Case]) -> Iterator[Row]:
             if (run := answer(Native("rkn6"), scene, candidate)) is None:
                 continue
             error = case.error(run.motion)
-            landed = np.abs(run.motion - case.motion)[:, ::stride].max((1, 2)) / np.abs(case.motion).max((1, 2))
+            landed = np.abs(run.motion - case.motion)[:, ::stride].max((1, 2)) / np.abs(
+                case.motion
+            ).max((1, 2))
             if error > 3 * landed.max() + 10 * case.reference.error:
                 if reach > 0.3:
                     steep.append(error / reach**ORDER_BETWEEN)
                 elif reach < 0.03:
                     lost.append(error / candidate.steps(scene.samples))
                     farthest, fastest = np.abs(case.motion).max((1, 2))
-                    digits.append(INTERPOLATED * error / between_loss(run.steps, farthest / (fastest * scene.duration)))
+                    digits.append(
+                        INTERPOLATED
+                        * error
+                        / between_loss(run.steps, farthest / (fastest * scene.duration))
+                    )
     for name, shipped, found, what in (
         ("BETWEEN", BETWEEN, steep, "error at omega h = 1"),
         ("LOST_BETWEEN", LOST_BETWEEN, lost, "error a step"),
     ):
         low, middle, high = (quantile(found, part) for part in (0.05, 0.5, 0.95))
         most = max(high, middle) if name == "BETWEEN" else math.inf  # rounding is to be excluded
-        yield Row(name, shipped, middle, low, most, f"{what} of {len(found)} runs: {low:.2g} ... {high:.2g}")
+        yield Row(
+            name,
+            shipped,
+            middle,
+            low,
+            most,
+            f"{what} of {len(found)} runs: {low:.2g} ... {high:.2g}",
+        )
     nine = quantile(digits, 0.9)
-    yield Row("INTERPOLATED", INTERPOLATED, nine, nine, 10 * nine, f"last digits of {len(digits)} runs, nine in ten")
+    yield Row(
+        "INTERPOLATED",
+        INTERPOLATED,
+        nine,
+        nine,
+        10 * nine,
+        f"last digits of {len(digits)} runs, nine in ten",
+    )
 
 
 def main(quick: bool = False) -> list[Row]:
     """Return a row for each constant."""
     count = 6 if quick else 60
-    calm = drawn(count, 31, lambda s: s.largest_strain < 0.3 and s.excitation.smooth, strength=(-4.0, -0.3))
+    calm = drawn(
+        count, 31, lambda s: s.largest_strain < 0.3 and s.excitation.smooth, strength=(-4.0, -0.3)
+    )
     unbounded = drawn(count, 32, lambda s: s.largest_strain == math.inf, spans=(5.0, 60.0))
     dense = drawn(
-        count, 33, lambda s: s.chain.compressed and not s.excitation.does_work, strength=(-4.0, 1.0), samples=601
+        count,
+        33,
+        lambda s: s.chain.compressed and not s.excitation.does_work,
+        strength=(-4.0, 1.0),
+        samples=601,
     )
     return [
         *far([case for case in map(Case, calm) if case.known]),

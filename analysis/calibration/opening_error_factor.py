@@ -23,7 +23,17 @@ from types import ModuleType
 from unittest import mock
 
 import numpy as np
-from common import NINE_IN_TEN, Case, Row, answer, command, near_best, proposal, quantile, with_reach
+from common import (
+    NINE_IN_TEN,
+    Case,
+    Row,
+    answer,
+    command,
+    near_best,
+    proposal,
+    quantile,
+    with_reach,
+)
 from scenes import drawn
 
 from lmpchain.engines import time_stepping
@@ -82,10 +92,14 @@ def first_try(engine: Native, case: Case, tolerance: float) -> Try | None:
 
 def tries(engine: Native, cases: list[Case]) -> list[Try]:
     """Return the first tries of all scenes at some tolerances."""
-    return [found for case in cases for tol in TOLERANCES if (found := first_try(engine, case, tol))]
+    return [
+        found for case in cases for tol in TOLERANCES if (found := first_try(engine, case, tol))
+    ]
 
 
-def work(cases: list[Case], module: ModuleType, name: str, value: float) -> dict[tuple[int, float], int]:
+def work(
+    cases: list[Case], module: ModuleType, name: str, value: float
+) -> dict[tuple[int, float], int]:
     """Return the force evaluations of all attempts, by scene and tolerance, with this value of a constant."""
     found: dict[tuple[int, float], int] = {}
     engine = Native()
@@ -109,7 +123,12 @@ def row(name: str, shipped: float, values: list[float], says: str) -> Row:
     middle, low, high = (quantile(values, part) for part in (0.5, NINE_IN_TEN, 0.99))
     enough = np.mean(np.array(values) <= shipped)
     return Row(
-        name, shipped, low, low, high, f"{says}: half need {middle:.2g}, {100 * enough:.0f} % of {len(values)} enough"
+        name,
+        shipped,
+        low,
+        low,
+        high,
+        f"{says}: half need {middle:.2g}, {100 * enough:.0f} % of {len(values)} enough",
     )
 
 
@@ -124,15 +143,29 @@ def main(quick: bool = False) -> list[Row]:
     count = 5 if quick else 70
     strong = [c for c in map(Case, drawn(count, 11, lambda s: s.largest_strain > 0.3)) if c.known]
     gentle = [
-        c for c in map(Case, drawn(count // 2, 12, lambda s: s.largest_strain <= 0.3, strength=(-4, -0.3))) if c.known
+        c
+        for c in map(
+            Case, drawn(count // 2, 12, lambda s: s.largest_strain <= 0.3, strength=(-4, -0.3))
+        )
+        if c.known
     ]
     engine = Native()
     every = tries(engine, strong)
     dense = list(map(Case, drawn(count, 14, lambda s: s.largest_strain > 0.3, samples=101)))
     rows = [
-        *(_first(strong, time_stepping, name, values[:: 3 if quick else 1]) for name, values in TRIED.items()),
-        _first(dense, time_stepping, "COARSE_ERROR", (4.0, 256.0) if quick else (1.0, 4.0, 64.0, 256.0, 1024.0, 1e9)),
-        _first(dense, splittings, "COARSE_STEP", (0.3, 0.6) if quick else (0.2, 0.3, 0.5, 0.6, 0.8)),
+        *(
+            _first(strong, time_stepping, name, values[:: 3 if quick else 1])
+            for name, values in TRIED.items()
+        ),
+        _first(
+            dense,
+            time_stepping,
+            "COARSE_ERROR",
+            (4.0, 256.0) if quick else (1.0, 4.0, 64.0, 256.0, 1024.0, 1e9),
+        ),
+        _first(
+            dense, splittings, "COARSE_STEP", (0.3, 0.6) if quick else (0.2, 0.3, 0.5, 0.6, 0.8)
+        ),
     ]
     part, wrong = float(np.mean([x.met for x in every])), sum(x.wrong for x in every)
     rows.append(
@@ -178,14 +211,26 @@ def _first(cases: list[Case], module: ModuleType, name: str, values: tuple[float
     costs = {shipped: 1.0}
     for value in values:
         other = work(cases, module, name, value)
-        costs[value] = math.exp(np.mean([math.log(other[key] / own[key]) for key in own.keys() & other.keys()]))
+        costs[value] = math.exp(
+            np.mean([math.log(other[key] / own[key]) for key in own.keys() & other.keys()])
+        )
     listed = ", ".join(f"{value:g}: {costs[value]:.2f}" for value in sorted(costs))
-    return Row(name, shipped, *near_best(costs), f"force evaluations of all attempts by it: {listed}; {len(own)} runs")
+    return Row(
+        name,
+        shipped,
+        *near_best(costs),
+        f"force evaluations of all attempts by it: {listed}; {len(own)} runs",
+    )
 
 
 def _gentle(quick: bool) -> Row:
     """Return the row of SAFE_STRAIN: the strain up to which steps of one length keep their order."""
-    cases, found = drawn(20 if quick else 100, 13, lambda s: 0.03 < s.largest_strain < 10, strength=(-2.5, 1.0)), []
+    cases, found = (
+        drawn(
+            20 if quick else 100, 13, lambda s: 0.03 < s.largest_strain < 10, strength=(-2.5, 1.0)
+        ),
+        [],
+    )
     engine = Native("rkn6", adaptive=False)
     for scene in cases:
         if (candidate := proposal(engine, scene, 1e-5)) is None:
@@ -195,7 +240,8 @@ def _gentle(quick: bool) -> Row:
     opened = sorted(strain for strain, smooth in found if not smooth)
     low, high = quantile(opened, 0.0), quantile(opened, 0.1)
     parts = [
-        np.mean([not smooth for strain, smooth in found if a < strain <= b]) for a, b in ((0, 0.3), (0.3, 1), (1, 10))
+        np.mean([not smooth for strain, smooth in found if a < strain <= b])
+        for a, b in ((0, 0.3), (0.3, 1), (1, 10))
     ]
     listed = ", ".join(f"{100 * part:.0f} %" for part in parts)
     return Row(
@@ -218,11 +264,18 @@ def _longest(cases: list[Case]) -> Row:
             candidate = proposal(engine, case.scene, 0.3)
             if candidate is None or case.scene.highest_frequency * case.scene.duration < 10:
                 continue
-            run = answer(engine, case.scene, with_reach(case.scene, candidate, part * METHODS["rkn6"].stability_limit))
+            run = answer(
+                engine,
+                case.scene,
+                with_reach(case.scene, candidate, part * METHODS["rkn6"].stability_limit),
+            )
             if run is None:
                 held.append(False)
                 continue
-            held.append(len(run.differences) > 1 or (part * 4 > 1 and run.error.truncation >= case.error(run.motion)))
+            held.append(
+                len(run.differences) > 1
+                or (part * 4 > 1 and run.error.truncation >= case.error(run.motion))
+            )
         parts[part] = float(np.mean(held)) if held else math.nan
     good = [part for part, held in parts.items() if held >= NINE_IN_TEN]
     listed = ", ".join(f"{part:g}: {100 * held:.0f}" for part, held in parts.items())

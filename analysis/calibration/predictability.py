@@ -23,12 +23,22 @@ from lmpchain import Chain, Impulse, Scene
 from lmpchain.engines.native import Native
 from lmpchain.errors import ToleranceNotMet
 from lmpchain.simulation.api import simulate
-from lmpchain.stability.predictability import FEW, FLYING, MANY, OPENING, growth, growth_rate, reflection_time
+from lmpchain.stability.predictability import (
+    FEW,
+    FLYING,
+    MANY,
+    OPENING,
+    growth,
+    growth_rate,
+    reflection_time,
+)
 
 START, END = 1e-11, 1e-4  # how far apart the runs are where growth is fitted
 
 
-def column(grains: int, strike_number: float, gravity: float = 9.81, decades: float = 12.0) -> Scene:
+def column(
+    grains: int, strike_number: float, gravity: float = 9.81, decades: float = 12.0
+) -> Scene:
     """Return a column that is struck on the top, for as long as the law gives so many decades."""
     chain = Chain(grains=grains, diameter=1e-3, gravity=gravity)
     strike = Impulse(velocity=strike_number * chain.length_scale / chain.time_scale)
@@ -72,7 +82,9 @@ def main(quick: bool = False) -> list[Row]:
             number = math.exp(rng.uniform(math.log(OPENING), math.log(FLYING * grains)))
             found.append((grains, decades(column(grains, number, 9.81 * 10 ** rng.uniform(-1, 2)))))
     grains, grown = np.array([pair for pair in found if pair[1] > 0]).T
-    (most, scale), spread = curve_fit(lambda n, a, b: np.log(law(n, a, b)), grains, np.log(grown), most_scale)
+    (most, scale), spread = curve_fit(
+        lambda n, a, b: np.log(law(n, a, b)), grains, np.log(grown), most_scale
+    )
     off = np.abs(np.log(grown / law(grains, *most_scale)))
     errors = 2 * np.sqrt(np.diag(spread))
     says = (
@@ -82,7 +94,12 @@ def main(quick: bool = False) -> list[Row]:
     )
     rows = [
         Row(
-            "growth_rate: 0.9", most_scale[0], most, most - errors[0], most + errors[0], f"decades a reflection; {says}"
+            "growth_rate: 0.9",
+            most_scale[0],
+            most,
+            most - errors[0],
+            most + errors[0],
+            f"decades a reflection; {says}",
         ),
         Row(
             "growth_rate: 20",
@@ -94,12 +111,32 @@ def main(quick: bool = False) -> list[Row]:
         ),
     ]
     rows += [
-        _end("OPENING", OPENING, (1.0, 3.0, 10.0, 30.0, 100.0), lambda x: (column(n, x) for n in (10, 20)), False),
-        _end("FLYING", FLYING, (5.0, 15.0, 50.0, 150.0, 500.0), lambda x: (column(n, x * n) for n in (10, 20)), True),
-        _end("FEW", FEW, (3.0, 4.0, 6.0, 8.0), lambda x: (column(int(x), v) for v in (50.0, 100.0, 200.0)), False),
+        _end(
+            "OPENING",
+            OPENING,
+            (1.0, 3.0, 10.0, 30.0, 100.0),
+            lambda x: (column(n, x) for n in (10, 20)),
+            False,
+        ),
+        _end(
+            "FLYING",
+            FLYING,
+            (5.0, 15.0, 50.0, 150.0, 500.0),
+            lambda x: (column(n, x * n) for n in (10, 20)),
+            True,
+        ),
+        _end(
+            "FEW",
+            FEW,
+            (3.0, 4.0, 6.0, 8.0),
+            lambda x: (column(int(x), v) for v in (50.0, 100.0, 200.0)),
+            False,
+        ),
     ]
     long = (40.0,) if quick else (30.0, 40.0, 60.0)
-    rows.append(_end("MANY", MANY, long, lambda x: (column(int(x), v) for v in (50.0, 500.0)), True))
+    rows.append(
+        _end("MANY", MANY, long, lambda x: (column(int(x), v) for v in (50.0, 500.0)), True)
+    )
     return rows + _solitary()
 
 
@@ -113,7 +150,9 @@ def _end(name: str, shipped: float, values: tuple[float, ...], scenes: object, u
     good = [value for value, ratio in ratios.items() if 0.5 < ratio < 2]
     listed = ", ".join(f"{value:g}: {ratio:.2f}" for value, ratio in ratios.items())
     best = (max if upper else min)(good, default=math.nan)
-    low, high = (min(good, default=math.nan), best) if upper else (best, max(good, default=math.nan))
+    low, high = (
+        (min(good, default=math.nan), best) if upper else (best, max(good, default=math.nan))
+    )
     return Row(name, shipped, best, low, high, f"growth over that of the law: {listed}")
 
 
@@ -123,18 +162,39 @@ def _solitary() -> list[Row]:
     chain = Chain(grains=100, diameter=1e-3, gravity=0.0, bottom="free")
     gamma = float(chain.contact_constants[0] / chain.masses[0])
     guess = gamma**0.4 * velocity**0.2  # grains a second, nearly
-    scene = Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=95 / guess, samples=8001, grains=grains)
+    scene = Scene(
+        chain=chain,
+        excitation=Impulse(velocity=velocity),
+        duration=95 / guess,
+        samples=8001,
+        grains=grains,
+    )
     run = simulate(scene, Native(), 1e-10)
     peaks = [_peak(run.time, run.velocity[:, column]) for column in (0, 1)]
     speed, height = (grains[1] - grains[0]) / (peaks[1][0] - peaks[0][0]), peaks[1][1] / velocity
     # reflection_time = 2 N / (a gamma^0.4 (b v)^0.2): only a b^0.2 is seen from outside
     short = Chain(grains=10, diameter=1e-3)
     here = Scene(chain=short, excitation=Impulse(velocity=velocity), duration=1e-4, samples=2)
-    constant = 2 * 10 / reflection_time(here) / (short.contact_constants[0] / short.masses[0]) ** 0.4 / velocity**0.2
+    constant = (
+        2
+        * 10
+        / reflection_time(here)
+        / (short.contact_constants[0] / short.masses[0]) ** 0.4
+        / velocity**0.2
+    )
     both = speed / gamma**0.4 / velocity**0.2
     wave = speed / gamma**0.4 / peaks[1][1] ** 0.2
     says = f"0.907470 0.681632^(1/5); alone {wave:.6f} and {height:.6f}"
-    return [Row("reflection_time: 0.907470, 0.681632", float(constant), both, 0.9999 * both, 1.0001 * both, says)]
+    return [
+        Row(
+            "reflection_time: 0.907470, 0.681632",
+            float(constant),
+            both,
+            0.9999 * both,
+            1.0001 * both,
+            says,
+        )
+    ]
 
 
 def _peak(time: np.ndarray, values: np.ndarray) -> tuple[float, float]:
@@ -142,7 +202,9 @@ def _peak(time: np.ndarray, values: np.ndarray) -> tuple[float, float]:
     place = int(np.argmax(values))
     before, here, after = values[place - 1 : place + 2]
     shift = (before - after) / (before - 2 * here + after) / 2
-    return float(time[place] + shift * (time[1] - time[0])), float(here - (before - after) * shift / 4)
+    return float(time[place] + shift * (time[1] - time[0])), float(
+        here - (before - after) * shift / 4
+    )
 
 
 if __name__ == "__main__":

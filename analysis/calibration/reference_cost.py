@@ -52,7 +52,14 @@ def solved(scene: Scene) -> tuple[int, float, float, float]:
 def main(quick: bool = False) -> list[Row]:
     """Return a row for each constant."""
     count = 10 if quick else 50
-    weak = drawn(count, 95, lambda s: s.strike_number < 1, strength=(-4.0, 0.0), kinds=("gravity", "load"), driven=0.0)
+    weak = drawn(
+        count,
+        95,
+        lambda s: s.strike_number < 1,
+        strength=(-4.0, 0.0),
+        kinds=("gravity", "load"),
+        driven=0.0,
+    )
     strong = drawn(count, 96, lambda s: s.strike_number >= 1, strength=(0.0, 3.0), driven=0.0)
     rows, features, times, told = [], [], [], []
     for name, shipped, scenes in (("SMOOTH", SMOOTH, weak), ("BROKEN", BROKEN, strong)):
@@ -83,7 +90,9 @@ def main(quick: bool = False) -> list[Row]:
         f"to {quantile(ratios, 0.9):.2g}, half {quantile(ratios, 0.5):.2g}"
     )
     rows.append(Row("STEP_S", STEP_S, step, step / FACTOR, step * FACTOR, f"s a step; {says}"))
-    rows.append(Row("GRAIN_S", GRAIN_S, grain, grain / FACTOR, grain * FACTOR, "s a grain and step"))
+    rows.append(
+        Row("GRAIN_S", GRAIN_S, grain, grain / FACTOR, grain * FACTOR, "s a grain and step")
+    )
     return rows
 
 

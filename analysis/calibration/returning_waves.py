@@ -29,7 +29,9 @@ RATIOS = (1.25, 1.5, 1.75, 3.0)
 REACHES = (0.8, 0.4, 0.2)  # omega h
 KNOWN = 0.1  # errors above it obey no order
 MISSED, MISSED_AT_KINKS = 1 / 50, 1 / 1000  # of the estimates, by which two ratios may differ
-Found = list[tuple[float, float, dict[float, float]]]  # radians a grain, true errors, estimates by ratio
+Found = list[
+    tuple[float, float, dict[float, float]]
+]  # radians a grain, true errors, estimates by ratio
 
 
 def crossings(scene: Scene) -> float:
@@ -70,15 +72,23 @@ def compared(scenes: list[Scene], names: tuple[str, ...]) -> Found:
 
 def nearby(name: str, shipped: float, found: Found, apart: float) -> Row:
     """Return the row of a ratio."""
-    missed = {ratio: np.mean([said[ratio] < error for _, error, said in found]) for ratio in (math.inf, *RATIOS)}
-    low = {ratio: np.mean([said[ratio] < error / 3 for _, error, said in found]) for ratio in (math.inf, *RATIOS)}
+    missed = {
+        ratio: np.mean([said[ratio] < error for _, error, said in found])
+        for ratio in (math.inf, *RATIOS)
+    }
+    low = {
+        ratio: np.mean([said[ratio] < error / 3 for _, error, said in found])
+        for ratio in (math.inf, *RATIOS)
+    }
     good = [ratio for ratio in RATIOS if missed[ratio] <= min(missed.values()) + apart]
     with_it = "; ".join(
         f"{100 * missed[ratio]:.2f} and {100 * low[ratio]:.2f} % {'without' if math.isinf(ratio) else ratio}"
         for ratio in missed
     )
     says = f"of {len(found)} estimates are below the truth and below a third of it: {with_it}"
-    return Row(name, shipped, min(RATIOS, key=lambda ratio: missed[ratio]), min(good), max(good), says)
+    return Row(
+        name, shipped, min(RATIOS, key=lambda ratio: missed[ratio]), min(good), max(good), says
+    )
 
 
 def springs(quick: bool = False) -> list[Row]:
@@ -86,7 +96,9 @@ def springs(quick: bool = False) -> list[Row]:
     scenes = drawn(
         6 if quick else 300,
         12,
-        lambda scene: min(scene.largest_strain, scene.linear_strain) > 0.5 and crossings(scene) < COMES_BACK,
+        lambda scene: (
+            min(scene.largest_strain, scene.linear_strain) > 0.5 and crossings(scene) < COMES_BACK
+        ),
         exponents=(1.0, 1.0, 1.1),
         strength=(-0.5, 3.0),
         grains=(2, 3, 4, 6, 10, 20),
@@ -108,10 +120,24 @@ def main(quick: bool = False) -> list[Row]:
     )
     hertz = [scene for scene in scenes if scene.chain.exponent >= KINKED_BELOW]
     found = compared(hertz, ("rkn4", "rkn6", "kahan-li8"))
-    first = min((radians for radians, error, said in found if said[math.inf] < error), default=math.inf)
-    missed = np.mean([said[NEARBY if radians > COMES_BACK else math.inf] < error for radians, error, said in found])
+    first = min(
+        (radians for radians, error, said in found if said[math.inf] < error), default=math.inf
+    )
+    missed = np.mean(
+        [
+            said[NEARBY if radians > COMES_BACK else math.inf] < error
+            for radians, error, said in found
+        ]
+    )
     return [
-        Row("COMES_BACK", COMES_BACK, first, 0.0, first, f"as shipped {100 * missed:.1f} % of estimates are too low"),
+        Row(
+            "COMES_BACK",
+            COMES_BACK,
+            first,
+            0.0,
+            first,
+            f"as shipped {100 * missed:.1f} % of estimates are too low",
+        ),
         nearby("NEARBY", NEARBY, found, MISSED),
         *springs(quick),
     ]

@@ -73,7 +73,9 @@ def looks(cases: list[Case], name: str, adaptive: bool, coarse: bool = False) ->
     found, method = [], METHODS[name]
     engine = Native(name, adaptive=adaptive)
     for number, case in enumerate(cases):
-        if (proposed := proposal(engine, case.scene, 1e-3)) is None or proposed.adaptive != adaptive:
+        if (
+            proposed := proposal(engine, case.scene, 1e-3)
+        ) is None or proposed.adaptive != adaptive:
             continue
         for reach in REACHES:
             if 4 * reach > method.stability_limit:
@@ -85,18 +87,36 @@ def looks(cases: list[Case], name: str, adaptive: bool, coarse: bool = False) ->
             if not CLEAR * run.error.roundoff + 10 * case.reference.error < error < KNOWN:
                 continue
             exponent = case.scene.chain.exponent
-            found.append(Look(number, exponent, method.order, adaptive, reach, run.lowest, *run.differences[:2], error))
+            found.append(
+                Look(
+                    number,
+                    exponent,
+                    method.order,
+                    adaptive,
+                    reach,
+                    run.lowest,
+                    *run.differences[:2],
+                    error,
+                )
+            )
     return found
 
 
 def covered(found: list[Look], order: float, smooth: bool = True) -> float:
     """Return the part of the estimates that are no smaller than the true error."""
-    return float(np.mean([look.estimate(min(order, look.order), smooth) >= look.error for look in found]))
+    return float(
+        np.mean([look.estimate(min(order, look.order), smooth) >= look.error for look in found])
+    )
 
 
-def row_of_factor(name: str, shipped: float, found: list[Look], order: float, smooth: bool, what: str) -> Row:
+def row_of_factor(
+    name: str, shipped: float, found: list[Look], order: float, smooth: bool, what: str
+) -> Row:
     """Return the row of a factor in front of an estimate."""
-    needed = [look.error / look.estimate(look.order if smooth else order, smooth) * shipped for look in found]
+    needed = [
+        look.error / look.estimate(look.order if smooth else order, smooth) * shipped
+        for look in found
+    ]
     low, most, middle = quantile(needed, ALL_BUT_ONE), max(needed), quantile(needed, 0.5)
     enough = np.mean(np.array(needed) <= shipped)
     says = (
@@ -110,35 +130,70 @@ def main(quick: bool = False) -> list[Row]:
     """Return a row for each constant."""
     count = 8 if quick else 100
     calm = [
-        case for case in map(Case, drawn(count, 2, lambda s: s.largest_strain < 0.3, strength=(-4, 0.0))) if case.known
+        case
+        for case in map(Case, drawn(count, 2, lambda s: s.largest_strain < 0.3, strength=(-4, 0.0)))
+        if case.known
     ]
     hard = [
-        case for case in map(Case, drawn(count, 3, lambda s: s.largest_strain > 1, strength=(0.0, 3.0))) if case.known
+        case
+        for case in map(Case, drawn(count, 3, lambda s: s.largest_strain > 1, strength=(0.0, 3.0)))
+        if case.known
     ]
     between = [
         case
-        for case in map(Case, drawn(count, 5, lambda s: 0.3 < s.largest_strain < 3, strength=(-1.0, 1.0)))
+        for case in map(
+            Case, drawn(count, 5, lambda s: 0.3 < s.largest_strain < 3, strength=(-1.0, 1.0))
+        )
         if case.known
     ]
     springy = [
         case
         for case in map(
-            Case, drawn(count, 4, lambda s: s.largest_strain > 1, strength=(0.0, 3.0), exponents=(1.0, 1.1, 1.2))
+            Case,
+            drawn(
+                count,
+                4,
+                lambda s: s.largest_strain > 1,
+                strength=(0.0, 3.0),
+                exponents=(1.0, 1.1, 1.2),
+            ),
         )
         if case.known
     ]
-    smooth = [look for name in ("verlet", "rkn4", "rkn6", "kahan-li6") for look in looks(calm, name, False)]
+    smooth = [
+        look
+        for name in ("verlet", "rkn4", "rkn6", "kahan-li6")
+        for look in looks(calm, name, False)
+    ]
     fixed = [look for name in ("rkn4", "rkn6") for look in looks(hard, name, False) if look.opens]
-    steered = [look for name in ("rkn4", "rkn6", "kahan-li8") for look in looks(hard, name, True) if look.opens]
-    sprung = [look for name in ("rkn4", "rkn6", "kahan-li8") for look in looks(springy, name, True) if look.opens]
+    steered = [
+        look
+        for name in ("rkn4", "rkn6", "kahan-li8")
+        for look in looks(hard, name, True)
+        if look.opens
+    ]
+    sprung = [
+        look
+        for name in ("rkn4", "rkn6", "kahan-li8")
+        for look in looks(springy, name, True)
+        if look.opens
+    ]
     hertz = [look for look in steered if look.exponent >= KINKED_BELOW]
-    coarse = [look for name in ("rkn4", "rkn6", "kahan-li8") for look in looks(hard, name, True, coarse=True)]
+    coarse = [
+        look
+        for name in ("rkn4", "rkn6", "kahan-li8")
+        for look in looks(hard, name, True, coarse=True)
+    ]
     coarse = [look for look in coarse if look.opens and look.exponent >= KINKED_BELOW]
     rows = [row_of_factor("SAFETY", SAFETY, smooth, 0, True, "smooth runs")]
 
     factor = extrapolate(4, False, 0.0, 1.0)
     divisor = factor / extrapolate(4, False, 1.0, 0.0)
-    rows.append(row_of_factor("extrapolate: 1.5", factor, fixed, 0, False, "runs of fixed steps through openings"))
+    rows.append(
+        row_of_factor(
+            "extrapolate: 1.5", factor, fixed, 0, False, "runs of fixed steps through openings"
+        )
+    )
     alone = [look.error / (factor * look.fine) for look in fixed if look.error > factor * look.fine]
     caught = {
         d: np.mean([factor * max(x.fine, x.coarse / d) >= x.error for x in fixed])
@@ -165,16 +220,50 @@ def main(quick: bool = False) -> list[Row]:
         )
     )
     for name, shipped, found, what in (
-        ("ORDER_AT_OPENINGS", ORDER_AT_OPENINGS, hertz, f"adaptive runs, exponents from {KINKED_BELOW}"),
-        ("ORDER_WHERE_COARSE", ORDER_WHERE_COARSE, coarse, "the same where steps at openings are coarse"),
-        ("ORDER_AT_KINKS", ORDER_AT_KINKS, sprung, f"adaptive runs, exponents below {KINKED_BELOW}"),
+        (
+            "ORDER_AT_OPENINGS",
+            ORDER_AT_OPENINGS,
+            hertz,
+            f"adaptive runs, exponents from {KINKED_BELOW}",
+        ),
+        (
+            "ORDER_WHERE_COARSE",
+            ORDER_WHERE_COARSE,
+            coarse,
+            "the same where steps at openings are coarse",
+        ),
+        (
+            "ORDER_AT_KINKS",
+            ORDER_AT_KINKS,
+            sprung,
+            f"adaptive runs, exponents below {KINKED_BELOW}",
+        ),
     ):
         parts = {order: covered(found, order) for order in (1, 2, 3, 4, 5, 6, 8)}
-        most = max((order for order, part in parts.items() if part > ALL_BUT_ONE - 0.005), default=1)
+        most = max(
+            (order for order, part in parts.items() if part > ALL_BUT_ONE - 0.005), default=1
+        )
         listed = ", ".join(f"{order}: {100 * part:.0f}" for order, part in parts.items())
-        rows.append(Row(name, shipped, most, 1, most, f"% of {len(found)} {what} that are bounds at order {listed}"))
+        rows.append(
+            Row(
+                name,
+                shipped,
+                most,
+                1,
+                most,
+                f"% of {len(found)} {what} that are bounds at order {listed}",
+            )
+        )
     parts = {}
-    for low, high in ((1.0, 1.0), (1.1, 1.1), (1.2, 1.2), (1.25, 1.25), (1.5, 1.5), (2.0, 2.0), (2.5, 3.0)):
+    for low, high in (
+        (1.0, 1.0),
+        (1.1, 1.1),
+        (1.2, 1.2),
+        (1.25, 1.25),
+        (1.5, 1.5),
+        (2.0, 2.0),
+        (2.5, 3.0),
+    ):
         found = [look for look in steered + sprung if low <= look.exponent <= high]
         if len(found) >= 5:
             parts[low] = covered(found, ORDER_AT_OPENINGS)
@@ -216,15 +305,23 @@ def _landings(cases: list[Case], name: str, constant: str) -> Row:
         parts[value], runs = float(np.mean(bounds)), len(bounds)
     best = max(parts.values())
     good = [value for value, part in parts.items() if part > best - 0.005]
-    listed = ", ".join(f"{value if value < 2**30 else 'none'}: {100 * part:.1f}" for value, part in parts.items())
+    listed = ", ".join(
+        f"{value if value < 2**30 else 'none'}: {100 * part:.1f}" for value, part in parts.items()
+    )
     says = f"% of {runs} estimates of {name} that are bounds, 9 to 129 steps between samples, by it: {listed}"
-    return Row(constant, shipped, good[0], good[0], good[-1] if good[-1] < 2**30 else math.inf, says)
+    return Row(
+        constant, shipped, good[0], good[0], good[-1] if good[-1] < 2**30 else math.inf, says
+    )
 
 
 def _fewest(count: int) -> Row:
     """Return the row of FEWEST: from how many steps of a run on companions at 2h and 4h show its error."""
-    short = drawn(2 * count, 6, lambda s: s.largest_strain < 0.3, strength=(-4.0, 0.0), spans=(0.5, 6.0))
-    cases = [case for scene in short if (case := Case(Scene(**scene.given() | {"samples": 2}))).known]
+    short = drawn(
+        2 * count, 6, lambda s: s.largest_strain < 0.3, strength=(-4.0, 0.0), spans=(0.5, 6.0)
+    )
+    cases = [
+        case for scene in short if (case := Case(Scene(**scene.given() | {"samples": 2}))).known
+    ]
     parts, runs = {}, 0
     for steps in (1, 2, 3, 4, 6, 8, 12, 16):
         bounds = []
@@ -241,7 +338,9 @@ def _fewest(count: int) -> Row:
             if run is None or len(run.differences) < 2:
                 continue
             # of one sample, which may be far below the largest motion
-            error = float((np.abs(run.motion - case.motion).max((1, 2)) / case.reference.scale).max())
+            error = float(
+                (np.abs(run.motion - case.motion).max((1, 2)) / case.reference.scale).max()
+            )
             if CLEAR * run.error.roundoff + 10 * case.reference.error < error < KNOWN:
                 bounds.append(run.error.total >= error)
         if bounds:
@@ -249,7 +348,9 @@ def _fewest(count: int) -> Row:
     failing = [steps for steps, part in parts.items() if part < ALL_BUT_ONE - 0.005]
     first = min((steps for steps in parts if steps > max(failing, default=0)), default=math.inf)
     listed = ", ".join(f"{steps}: {100 * part:.0f}" for steps, part in parts.items())
-    says = f"% of {runs} estimates from 2h and 4h that are bounds, by the steps of the run: {listed}"
+    says = (
+        f"% of {runs} estimates from 2h and 4h that are bounds, by the steps of the run: {listed}"
+    )
     return Row("FEWEST", FEWEST, first, first, max(first, 4 * first), says)
 
 
@@ -258,10 +359,13 @@ def _orders(found: list[Look]) -> list[float]:
     orders = []
     for number in {look.scene for look in found}:
         mine = sorted(
-            (x for x in found if x.scene == number and x.order == 6 and x.exponent == 1.5), key=lambda x: x.reach
+            (x for x in found if x.scene == number and x.order == 6 and x.exponent == 1.5),
+            key=lambda x: x.reach,
         )
         if len(mine) > 1 and mine[0].reach < mine[-1].reach:
-            orders.append(math.log(mine[-1].error / mine[0].error) / math.log(mine[-1].reach / mine[0].reach))
+            orders.append(
+                math.log(mine[-1].error / mine[0].error) / math.log(mine[-1].reach / mine[0].reach)
+            )
     return orders
 
 
@@ -272,7 +376,9 @@ def _closeness(cases: list[Case], quick: bool) -> Row:
     for top, bottom in itertools.pairwise(edges):
         inside = [look for look in found if bottom < look.lowest <= top]
         if len(inside) >= (3 if quick else 8):
-            parts[bottom] = float(np.mean([look.estimate(6, True) >= look.error for look in inside]))
+            parts[bottom] = float(
+                np.mean([look.estimate(6, True) >= look.error for look in inside])
+            )
     last = 0.0
     for bottom, part in parts.items():
         if part < ALL_BUT_ONE - 0.005:

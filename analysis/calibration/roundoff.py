@@ -20,7 +20,15 @@ from lmpchain import Chain, Drive, Impulse, Scene
 from lmpchain.engines.lammps.engine import HEADROOM, ROUNDING, TYPICAL, Lammps, gauge_diameter
 from lmpchain.engines.linear.engine import CANCELS, Chebyshev, LinearEngine, Modes
 from lmpchain.engines.native import Native
-from lmpchain.engines.round_off import DISPLACED, DRIFTED, EPSILON, PHASE_ULPS, PLAIN, native_floor, plain_loss
+from lmpchain.engines.round_off import (
+    DISPLACED,
+    DRIFTED,
+    EPSILON,
+    PHASE_ULPS,
+    PLAIN,
+    native_floor,
+    plain_loss,
+)
 from lmpchain.errors import InputError, ToleranceNotMet
 from lmpchain.integrators.batch import STRONG, force_form
 from lmpchain.integrators.kernels.contact_forces import ROOTS
@@ -35,13 +43,19 @@ STEP = 0.3  # omega h
 
 def gentle(count: int, seed: int, **ranges: object) -> list[Scene]:
     """Draw scenes that cannot be chaotic: short, unless weak, and nothing is driven."""
-    return drawn(count, seed, **{"driven": 0.0, "grains": (2, 3, 5, 12, 30), "spans": (2.0, 15.0)} | ranges)
+    return drawn(
+        count, seed, **{"driven": 0.0, "grains": (2, 3, 5, 12, 30), "spans": (2.0, 15.0)} | ranges
+    )
 
 
 def evaluations(scene: Scene) -> int:
     """Return how often the force is evaluated at steps with omega h = 0.3."""
     intervals = scene.samples - 1
-    return RKN6.evaluations * intervals * math.ceil(scene.duration / intervals * scene.highest_frequency / STEP)
+    return (
+        RKN6.evaluations
+        * intervals
+        * math.ceil(scene.duration / intervals * scene.highest_frequency / STEP)
+    )
 
 
 def radians(scene: Scene) -> float:
@@ -52,7 +66,8 @@ def radians(scene: Scene) -> float:
 def _native(count: int) -> Row:
     """Return the row of the random walk of the native engine: its factor, 1 in the code."""
     ratios = [
-        measured_floor(scene, force="exact") / native_floor(evaluations(scene), radians(scene), _displaced(scene))
+        measured_floor(scene, force="exact")
+        / native_floor(evaluations(scene), radians(scene), _displaced(scene))
         for scene in gentle(count, 51)
     ]
     low, middle = quantile(ratios, 0.9), quantile(ratios, 0.5)
@@ -70,17 +85,26 @@ def _native(count: int) -> Row:
 def _displaced(scene: Scene) -> float:
     """Return by how much displacements exceed velocities over the highest frequency."""
     run = simulate(scene, Native("rkn6"), 1e-6)
-    return float(scene.highest_frequency * np.abs(run.displacement).max() / np.abs(run.velocity).max())
+    return float(
+        scene.highest_frequency * np.abs(run.displacement).max() / np.abs(run.velocity).max()
+    )
 
 
 def _phases(count: int) -> Row:
     """Return the row of PHASE_ULPS: what rounding makes of long runs, less the random walk."""
     shifts = []
     for scene in gentle(
-        count, 57, strength=(-4.0, -0.5), kinds=("gravity", "load"), grains=(2, 3, 5), spans=(100.0, 500.0)
+        count,
+        57,
+        strength=(-4.0, -0.5),
+        kinds=("gravity", "load"),
+        grains=(2, 3, 5),
+        spans=(100.0, 500.0),
     ):
         walk = native_floor(evaluations(scene), 0.0, _displaced(scene))
-        shifts.append(max(0.0, measured_floor(scene, force="exact") - walk) / (EPSILON * radians(scene)))
+        shifts.append(
+            max(0.0, measured_floor(scene, force="exact") - walk) / (EPSILON * radians(scene))
+        )
     middle, high = quantile(shifts, 0.5), quantile(shifts, 0.9)
     says = f"ulps of the phase in long runs: half {middle:.2g}, 9 in 10 {high:.2g}, most {max(shifts):.2g}"
     return Row("PHASE_ULPS", PHASE_ULPS, high, high, 10 * high, says)
@@ -112,7 +136,9 @@ def _flight(count: int) -> Row:
         for speed in 10 ** rng.uniform(-3, 0, count):
             stiff = chain.contact_constants[0] / (chain.masses[0] * speed**2)
             duration = 40 / (speed * stiff**0.4)
-            scene = Scene(chain=chain, excitation=Impulse(velocity=speed), duration=duration, samples=2)
+            scene = Scene(
+                chain=chain, excitation=Impulse(velocity=speed), duration=duration, samples=2
+            )
             run = simulate(scene, Native(name, duration / steps, adaptive=False))
             off = abs(run.displacement[-1].sum() / (speed * duration) - 1)
             lost.append(off / (EPSILON * run.cost.force_evaluations))
@@ -132,12 +158,17 @@ def _with_light_grain(scene: Scene, rng: np.random.Generator) -> Scene:
 def _spread(count: int) -> list[Row]:
     """Return the rows of `spread` of every method: what its steps lose by the plain form, less by the exact one."""
     lost: dict[str, list[float]] = {name: [] for name in METHODS}
-    for scene in gentle(count, 59, strength=(-4.0, -2.0), kinds=("gravity", "load"), exponents=(1.5,)):
+    for scene in gentle(
+        count, 59, strength=(-4.0, -2.0), kinds=("gravity", "load"), exponents=(1.5,)
+    ):
         if force_form(scene, "plain") not in ROOTS:
             continue
         for name in METHODS:
             step = scene.duration / evaluations(scene) * RKN6.evaluations * (1 + 1e-9)
-            runs = [simulate(scene, Native(name, step, force=force, adaptive=False)) for force in ("plain", "exact")]
+            runs = [
+                simulate(scene, Native(name, step, force=force, adaptive=False))
+                for force in ("plain", "exact")
+            ]
             apart = float(np.abs(runs[0].velocity - runs[1].velocity).max())
             lost[name].append(apart / plain_loss(scene, runs[0].cost.steps))
     rows = []
@@ -152,10 +183,14 @@ def _bursts(count: int) -> Row:
     """Return the row of CANCELS: what rounding makes of tone bursts in eigenmodes, less the rest."""
     rng, losses = np.random.default_rng(60), []
     while len(losses) < count:
-        chain = Chain(grains=int(rng.choice([3, 5, 12, 30])), diameter=1e-3, gravity=9.81, exponent=1.0)
+        chain = Chain(
+            grains=int(rng.choice([3, 5, 12, 30])), diameter=1e-3, gravity=9.81, exponent=1.0
+        )
         frequency = chain.band_edge / (2 * np.pi) * 10 ** rng.uniform(-3, 0.5)
         cycles = int(rng.choice([1, 3, 10]))
-        drive = Drive(amplitude=1e-3 * chain.equilibrium_overlap[0], frequency=frequency, cycles=cycles)
+        drive = Drive(
+            amplitude=1e-3 * chain.equilibrium_overlap[0], frequency=frequency, cycles=cycles
+        )
         duration = 10 ** rng.uniform(-1.5, 0.3) * cycles / frequency
         case = Case(Scene(chain=chain, excitation=drive, duration=duration, samples=21))
         if not 0.5 < chain.band_edge * duration < 1000 or not case.known:
@@ -166,7 +201,9 @@ def _bursts(count: int) -> Row:
         assert wave
         begun = min(1.0, wave.envelope * duration)
         law = EPSILON / begun**2 * (1 + chain.grains * wave.fastest / chain.band_edge)
-        losses.append(max(0.0, case.error(run.motion) - Modes().round_off(case.scene) + CANCELS * law) / law)
+        losses.append(
+            max(0.0, case.error(run.motion) - Modes().round_off(case.scene) + CANCELS * law) / law
+        )
     middle, low = quantile(losses, 0.5), quantile(losses, 0.9)
     says = f"bursts on springs, less the rest: half {middle:.2g}, 9 in 10 {low:.2g}, most {max(losses):.2g}"
     return Row("CANCELS", CANCELS, low, low, 30 * low, says)
@@ -179,7 +216,9 @@ def _plain(count: int) -> list[Row]:
     for scene in gentle(count, 52, strength=(-4.0, -1.0), **ranges):
         if force_form(scene, "plain") not in ROOTS:
             continue
-        law = predicted_floor(scene, force="plain") - native_floor(evaluations(scene), radians(scene) / 4)
+        law = predicted_floor(scene, force="plain") - native_floor(
+            evaluations(scene), radians(scene) / 4
+        )
         lost.append(PLAIN * measured_floor(scene, force="plain") / law)
     for scene in gentle(count, 53, strength=(math.log10(STRONG), 2.0), **ranges):
         strong.append(measured_floor(scene, force="plain") / measured_floor(scene, force="exact"))
@@ -256,7 +295,11 @@ def _headroom(count: int) -> Row:
         gauge = gauge_diameter(part)
         if gauge and overlap.shape[1] > 1:
             needed.append(
-                float((np.maximum(overlap[:, 1:], 0) + np.maximum(overlap[:, :-1], 0)).max() / gauge * HEADROOM)
+                float(
+                    (np.maximum(overlap[:, 1:], 0) + np.maximum(overlap[:, :-1], 0)).max()
+                    / gauge
+                    * HEADROOM
+                )
             )
     low = max(needed, default=math.nan)
     return Row(
@@ -274,7 +317,10 @@ def _headroom(count: int) -> Row:
 def _linear(count: int) -> list[Row]:
     """Return the rows of the round-off of linear engines: factors of their laws, 1 in the code."""
     scenes = [
-        Case(scene) for scene in gentle(count, 56, kinds=("gravity", "load"), exponents=(1.0,), strength=(-3.0, 0.0))
+        Case(scene)
+        for scene in gentle(
+            count, 56, kinds=("gravity", "load"), exponents=(1.0,), strength=(-3.0, 0.0)
+        )
     ]
     rows, engines = [], (Modes(), Chebyshev())
     for engine in engines:
@@ -303,7 +349,14 @@ def main(quick: bool = False) -> list[Row]:
     """Return a row for each constant."""
     count = 8 if quick else 60
     return [
-        *(_native(count), _phases(count // 2), _stiff(2 * count), _flight(count), *_plain(count), *_spread(count // 2)),
+        *(
+            _native(count),
+            _phases(count // 2),
+            _stiff(2 * count),
+            _flight(count),
+            *_plain(count),
+            *_spread(count // 2),
+        ),
         *(*_lammps(count // 2), _headroom(count), *_linear(count), _bursts(count // 2)),
     ]
 

@@ -35,13 +35,17 @@ def draw(
     """
     while True:
         try:
-            chain = _chain(rng, float(rng.choice(exponents)), str(rng.choice(kinds)), int(rng.choice(grains)))
+            chain = _chain(
+                rng, float(rng.choice(exponents)), str(rng.choice(kinds)), int(rng.choice(grains))
+            )
             return _excited(rng, chain, strength, spans, driven, samples)
         except InputError:
             continue
 
 
-def drawn(count: int, seed: int, keep: Callable[[Scene], bool] = lambda scene: True, **ranges: object) -> list[Scene]:
+def drawn(
+    count: int, seed: int, keep: Callable[[Scene], bool] = lambda scene: True, **ranges: object
+) -> list[Scene]:
     """Draw so many scenes that are to be kept."""
     rng, found = np.random.default_rng(seed), []
     while len(found) < count:
@@ -127,7 +131,9 @@ def _excited(
     elif what < 0.6 or not chain.compressed:
         excitation = Impulse(velocity=number * length * omega, grain=grain)
     elif what < 0.8:
-        excitation = Displacement(displacement=rng.choice([-1.0, 1.0]) * min(number, 50.0) * length, grain=grain)
+        excitation = Displacement(
+            displacement=rng.choice([-1.0, 1.0]) * min(number, 50.0) * length, grain=grain
+        )
     else:
         velocity = rng.normal(size=chain.grains) * min(number, 10.0) * length * omega
         velocity[chain.movable :] = 0.0

@@ -32,7 +32,9 @@ def loaded(strike_number: float, periods: float, grains: int = 12, exponent: flo
     """Return a loaded chain that is struck, for so many periods of its band edge."""
     chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-3, exponent=exponent)
     strike = Impulse(velocity=strike_number * chain.length_scale / chain.time_scale)
-    return Scene(chain=chain, excitation=strike, duration=periods * 2 * math.pi / chain.band_edge, samples=11)
+    return Scene(
+        chain=chain, excitation=strike, duration=periods * 2 * math.pi / chain.band_edge, samples=11
+    )
 
 
 def main(quick: bool = False) -> list[Row]:
@@ -42,7 +44,11 @@ def main(quick: bool = False) -> list[Row]:
     chains = ((12, 1.5),) if quick else ((12, 1.5), (3, 1.5))
     runs = [loaded(number, long, *chain) for chain in chains for number in numbers]
     ratios = [blow_up(scene, "verlet") / limit(scene, "verlet") for scene in runs]
-    strong = [(scene, ratio) for scene, ratio in zip(runs, ratios, strict=True) if scene.largest_strain > SAFE_STRAIN]
+    strong = [
+        (scene, ratio)
+        for scene, ratio in zip(runs, ratios, strict=True)
+        if scene.largest_strain > SAFE_STRAIN
+    ]
     low = min(ratio for _, ratio in strong)
     least = {n: min(ratio for scene, ratio in strong if scene.chain.grains == n) for n, _ in chains}
     listed = ", ".join(f"{ratio:.3g} of {n} grains" for n, ratio in least.items())
@@ -76,7 +82,10 @@ def main(quick: bool = False) -> list[Row]:
         )
     )
     for name in ("verlet", "rkn6") if quick else METHODS:
-        each = [blow_up(scene, name) / limit(scene, name) for scene in (loaded(number, 100) for number in numbers)]
+        each = [
+            blow_up(scene, name) / limit(scene, name)
+            for scene in (loaded(number, 100) for number in numbers)
+        ]
         least, most = DOCUMENTED[name]
         rows.append(
             Row(

@@ -38,10 +38,14 @@ def columns(count: int, strongest: float) -> list[tuple[Scene, float]]:
     seeds = forever()
     while len(found) < count:
         rng = np.random.default_rng([41, next(seeds)])
-        chain = Chain(grains=int(rng.integers(20, 200)), diameter=1e-3, gravity=10 ** rng.uniform(-1, 2))
+        chain = Chain(
+            grains=int(rng.integers(20, 200)), diameter=1e-3, gravity=10 ** rng.uniform(-1, 2)
+        )
         strike, tolerance = Impulse(velocity=10 ** rng.uniform(-4.5, -1)), 10 ** rng.uniform(-9, -2)
         samples = int(rng.choice((2, 11, 101)))
-        scene = Scene(chain=chain, excitation=strike, duration=10 ** rng.uniform(-4.5, -3.5), samples=samples)
+        scene = Scene(
+            chain=chain, excitation=strike, duration=10 ** rng.uniform(-4.5, -3.5), samples=samples
+        )
         if companions.SAFE_STRAIN < scene.reached.largest_strain < strongest:
             found.append((scene, tolerance))
     return found
@@ -56,7 +60,9 @@ def taken(scene: Scene, tolerance: float) -> float:
     return min(times)
 
 
-def cheapest(every: list[tuple[Scene, float]], name: str, values: tuple[float, ...], shipped: float) -> Row:
+def cheapest(
+    every: list[tuple[Scene, float]], name: str, values: tuple[float, ...], shipped: float
+) -> Row:
     """Return the row of a constant of `time_stepping` that is to cost least."""
     costs: dict[float, list[float]] = {value: [] for value in values}
     for scene, tolerance in every:
@@ -64,10 +70,14 @@ def cheapest(every: list[tuple[Scene, float]], name: str, values: tuple[float, .
             made = (value, *time_stepping.GENTLE_ERROR[1:]) if name == "GENTLE_ERROR" else value
             with mock.patch.object(time_stepping, name, made):
                 costs[value].append(math.log(taken(scene, tolerance)))
-    mean = {value: math.exp(np.mean(each) - np.mean(costs[values[0]])) for value, each in costs.items()}
+    mean = {
+        value: math.exp(np.mean(each) - np.mean(costs[values[0]])) for value, each in costs.items()
+    }
     least, low, high = near_best(mean)
     listed = ", ".join(f"{value:g}: {cost:.2f}" for value, cost in mean.items())
-    return Row(name, shipped, least, low, high, f"time over the first, {len(every)} columns: {listed}")
+    return Row(
+        name, shipped, least, low, high, f"time over the first, {len(every)} columns: {listed}"
+    )
 
 
 def trusted(cases: list[tuple[Case, float]]) -> Iterator[Row]:
@@ -84,20 +94,32 @@ def trusted(cases: list[tuple[Case, float]]) -> Iterator[Row]:
             except ToleranceNotMet:
                 continue
             run = companions.Companions(Native("rkn6").methods[0], [case.scene], candidate)
-            if not candidate.adaptive or (run.schedules[0].ratio != 3 if far else not run.scatters[0]):
+            if not candidate.adaptive or (
+                run.schedules[0].ratio != 3 if far else not run.scatters[0]
+            ):
                 continue
             for value in values:
                 with mock.patch.object(companions, name, (value,) if far else value):
                     made = answer(Native("rkn6"), case.scene, candidate)
                 if made is None:
                     continue
-                error, unclear = case.error(made.motion), CLEAR * made.error.roundoff + 10 * case.reference.error
+                error, unclear = (
+                    case.error(made.motion),
+                    CLEAR * made.error.roundoff + 10 * case.reference.error,
+                )
                 if error > unclear:
                     found[value].append(made.error.total / error)
         low = {value: quantile(said, 1 - ALL_BUT_ONE) for value, said in found.items()}
         good = [value for value in values if low[value] >= HALF]
-        bounds = (values[0], max(good, default=math.nan)) if far else (min(good, default=math.nan), math.inf)
-        listed = "; ".join(f"{v:g}: 1 % below {low[v]:.2f}, half below {quantile(found[v], 0.5):.1f}" for v in values)
+        bounds = (
+            (values[0], max(good, default=math.nan))
+            if far
+            else (min(good, default=math.nan), math.inf)
+        )
+        listed = "; ".join(
+            f"{v:g}: 1 % below {low[v]:.2f}, half below {quantile(found[v], 0.5):.1f}"
+            for v in values
+        )
         says = f"estimate over truth of {len(found[values[0]])} runs: {listed}"
         yield Row(name, shipped, bounds[1] if far else bounds[0], *bounds, says)
 

@@ -37,12 +37,16 @@ def main(quick: bool = False) -> list[Row]:
     for shape in SHAPES:
         ratios, frequency = gamma(shape, scale=1 / shape), 2 * FREQUENCIES
         states = dyson.integrated(frequency, shape, shape)
-        growth = lyapunov(frequency, ratios=ratios, grains=100 * lengths[-1], chains=chains // 50, seed=1).exponent
+        growth = lyapunov(
+            frequency, ratios=ratios, grains=100 * lengths[-1], chains=chains // 50, seed=1
+        ).exponent
         for grains in lengths:
             many = chains * lengths[0] // grains
             for share in SHARES:
                 with mock.patch.object(transfer_matrix, "WARM_UP", share):
-                    modes = density_of_states(frequency, ratios=ratios, grains=grains, chains=many, seed=2)
+                    modes = density_of_states(
+                        frequency, ratios=ratios, grains=grains, chains=many, seed=2
+                    )
                     found = lyapunov(frequency, ratios=ratios, grains=grains, chains=many, seed=2)
                 for value, true, error in (
                     (modes.integrated, states, modes.error),
@@ -55,9 +59,20 @@ def main(quick: bool = False) -> list[Row]:
     wide = {share: float(np.exp(np.mean(np.log(scatters[share])))) for share in SHARES}
     least = min(wide.values())
     good = [share for share in SHARES if bias[share] < HARDLY and wide[share] < NEARLY * least]
-    listed = ", ".join(f"{share:g}: {bias[share]:.2g}, {wide[share] / least:.2f}" for share in SHARES)
+    listed = ", ".join(
+        f"{share:g}: {bias[share]:.2g}, {wide[share] / least:.2f}" for share in SHARES
+    )
     says = f"what the top adds over the scatter, and that over the least, by share: {listed}"
-    return [Row("WARM_UP", WARM_UP, min(good, default=math.nan), min(good, default=1.0), max(good, default=0.0), says)]
+    return [
+        Row(
+            "WARM_UP",
+            WARM_UP,
+            min(good, default=math.nan),
+            min(good, default=1.0),
+            max(good, default=0.0),
+            says,
+        )
+    ]
 
 
 if __name__ == "__main__":

@@ -26,8 +26,17 @@ from lmpchain.util.plotting import figure
 
 BEADS, PIECE, END = 100, slice(25, 45), 60
 SIZE, LOAD, DELAY = 1e-2, 100.0, 10.0
-CHAIN = Chain(grains=BEADS, diameter=np.full(BEADS, SIZE), material="steel", gravity=0.0, top_load=LOAD, bottom="wall")
-UNIT = float(np.sqrt(CHAIN.masses[0] / CHAIN.linear_stiffness[0]))  # of a long wave from bead to bead, s
+CHAIN = Chain(
+    grains=BEADS,
+    diameter=np.full(BEADS, SIZE),
+    material="steel",
+    gravity=0.0,
+    top_load=LOAD,
+    bottom="wall",
+)
+UNIT = float(
+    np.sqrt(CHAIN.masses[0] / CHAIN.linear_stiffness[0])
+)  # of a long wave from bead to bead, s
 SCENE = Scene(
     chain=CHAIN,
     excitation=Force(grain=1, shape="half-sine", amplitude=2.0, duration=20 * UNIT),
@@ -63,14 +72,18 @@ class Late:
 def seen_at_the_end(scene: Scene) -> Seen:
     """Return how the beads at the end move."""
     looks = looks_of(scene, PeakForce(END))
-    run = DifferentiableRun(scene, SPLITTINGS["rkn4"], 1.0 / scene.highest_frequency, looks, np.array([END, END + 1]))
+    run = DifferentiableRun(
+        scene, SPLITTINGS["rkn4"], 1.0 / scene.highest_frequency, looks, np.array([END, END + 1])
+    )
     return Seen(scene, run.time, run.grains, run.displacement, run.velocity)
 
 
 def delay_of_long_waves(diameters: np.ndarray) -> float:
     """Return by how much longer long waves take than in equal beads, in UNIT."""
     made = CHAIN.replace(diameter=diameters)
-    stiffness = 2 / (1 / made.linear_stiffness[:-1] + 1 / made.linear_stiffness[1:])  # of half a contact on either side
+    stiffness = 2 / (
+        1 / made.linear_stiffness[:-1] + 1 / made.linear_stiffness[1:]
+    )  # of half a contact on either side
     return float((np.sqrt(made.masses[1:-1] / stiffness) / UNIT - 1).sum())
 
 
@@ -82,7 +95,9 @@ def of_delay(shape: np.ndarray) -> np.ndarray:
         diameters[PIECE] = np.clip(factor * shape, 0.8, 1.8) * SIZE
         return diameters
 
-    return with_factor(brentq(lambda factor: delay_of_long_waves(with_factor(factor)) - DELAY, 0.5, 3.0))
+    return with_factor(
+        brentq(lambda factor: delay_of_long_waves(with_factor(factor)) - DELAY, 0.5, 3.0)
+    )
 
 
 def main() -> None:
@@ -96,7 +111,15 @@ def main() -> None:
     wanted = Late(threshold, peak, begin + DELAY * UNIT, rise)
     equal = changed(SCENE, {"diameters": of_delay(np.ones(20))})
     began = time.process_time()
-    found = optimise(equal, wanted, ["diameters"], {"diameters": (LOW, HIGH)}, starts=starts, runs=runs, tolerance=1e-3)
+    found = optimise(
+        equal,
+        wanted,
+        ["diameters"],
+        {"diameters": (LOW, HIGH)},
+        starts=starts,
+        runs=runs,
+        tolerance=1e-3,
+    )
     took = time.process_time() - began
     least, best, tried = random_search(
         lambda rng: changed(SCENE, {"diameters": of_delay(rng.uniform(0.8, 1.8, 20))}),
@@ -111,25 +134,40 @@ def main() -> None:
     }
     picture = figure(12.0, 3.8)
     pulses, beads, search = picture.subplots(1, 3)
-    for (name, scene), colour in zip(cases.items(), ("0.5", "#009E73", "#E69F00", "#0072B2"), strict=True):
+    for (name, scene), colour in zip(
+        cases.items(), ("0.5", "#009E73", "#E69F00", "#0072B2"), strict=True
+    ):
         seen = seen_at_the_end(scene)
         late, left = (threshold(seen).value - begin) / UNIT, (peak(seen).value - LOAD) / rise
         kind = name.split(",")[0]
         if scene is not SCENE:
             say(f"delay over that wanted, {kind}", late / DELAY)
             say(f"peak over that of equal beads, {kind}", left)
-        pulses.plot(seen.time / UNIT, 1e3 * seen.velocity[:, 0], color=colour, label=f"{name}: {100 * left:.1f} %")
+        pulses.plot(
+            seen.time / UNIT,
+            1e3 * seen.velocity[:, 0],
+            color=colour,
+            label=f"{name}: {100 * left:.1f} %",
+        )
         beads.plot(np.arange(1, BEADS + 1), 1e3 * scene.chain.diameters, ".-", color=colour)
     pulses.axvline(begin / UNIT + DELAY, color="0.8", zorder=0)
-    pulses.set(xlabel="time over that of a long wave from bead to bead", ylabel=f"velocity of bead {END}, mm/s")
+    pulses.set(
+        xlabel="time over that of a long wave from bead to bead",
+        ylabel=f"velocity of bead {END}, mm/s",
+    )
     pulses.set_xlim(begin / UNIT - 10, SCENE.duration / UNIT)
     pulses.set_ylim(top=10)
-    pulses.legend(frameon=False, fontsize="small", title="peak force above the load", loc="upper left")
+    pulses.legend(
+        frameon=False, fontsize="small", title="peak force above the load", loc="upper left"
+    )
     beads.set(xlabel="bead", ylabel="diameter, mm", xlim=(PIECE.start - 5, PIECE.stop + 6))
     found.plot(search)
     search.axhline(least, color="#E69F00", ls="--")
     search.set(yscale="log", xlabel="runs of each start", ylabel="least objective so far")
-    say("delay by the speed of long waves over that wanted", delay_of_long_waves(found.values["diameters"]) / DELAY)
+    say(
+        "delay by the speed of long waves over that wanted",
+        delay_of_long_waves(found.values["diameters"]) / DELAY,
+    )
     say("runs with gradients", found.runs)
     say("random pieces tried", tried)
     say("time of each", took, "s")

@@ -26,7 +26,10 @@ STOP, PASS, WIDTH, GRAIN, LEAST, MOST = 0.45, 0.8, 16.0, 130, 0.25, 3.0
 PLAIN = Chain(grains=GRAINS, diameter=1e-3, gravity=0.0, top_load=1.0)
 MASS, STIFFNESS = float(PLAIN.masses[0]), float(PLAIN.linear_stiffness[0])
 EDGE = 2 * np.sqrt(STIFFNESS / MASS)
-LAST, FINE = FIRST + CELL * CELLS, 2**14  # points of a spectrum, to resolve what resonates in the cells
+LAST, FINE = (
+    FIRST + CELL * CELLS,
+    2**14,
+)  # points of a spectrum, to resolve what resonates in the cells
 
 
 def with_cells(factors: np.ndarray) -> Chain:
@@ -41,18 +44,28 @@ class Way:
 
     def __init__(self, share: float):
         packet = Packet(
-            frequency=share * EDGE / (2 * np.pi), width=WIDTH, grain=GRAIN, amplitude=1e-5 * PLAIN.length_scale
+            frequency=share * EDGE / (2 * np.pi),
+            width=WIDTH,
+            grain=GRAIN,
+            amplitude=1e-5 * PLAIN.length_scale,
         )
         u, v = packet.initial(PLAIN)
         q = 2 * np.pi * np.fft.rfftfreq(FINE)[1:-1]
         self.weight = np.abs(np.fft.rfft(v, FINE)[1:-1]) ** 2
         self.frequency, self.weight = EDGE * np.sin(q / 2), self.weight / self.weight.sum()
         speed = EDGE / 2 * np.sqrt(1 - share**2)
-        self.scene = Scene(chain=PLAIN, excitation=Profile(displacement=u, velocity=v), duration=470 / speed, samples=2)
+        self.scene = Scene(
+            chain=PLAIN,
+            excitation=Profile(displacement=u, velocity=v),
+            duration=470 / speed,
+            samples=2,
+        )
         self.whole = self._energy(self.scene, range(1, GRAINS + 1), ())[0]
 
     def _energy(self, scene: Scene, grains: range, names: tuple[str, ...]):
-        return at_step(scene, Energy(list(grains)), names, SPLITTINGS["rkn6"], 1.0 / scene.highest_frequency)
+        return at_step(
+            scene, Energy(list(grains)), names, SPLITTINGS["rkn6"], 1.0 / scene.highest_frequency
+        )
 
     def passed(self, factors: np.ndarray) -> tuple[float, np.ndarray]:
         """Return the share of the energy that passes, and its derivatives by the factors, by a run."""
@@ -63,7 +76,9 @@ class Way:
 
     def by_formula(self, factors: np.ndarray) -> float:
         """Return the share that passes, by transfer matrices."""
-        return float(scattering.transmission(with_cells(factors), self.frequency).transmitted @ self.weight)
+        return float(
+            scattering.transmission(with_cells(factors), self.frequency).transmitted @ self.weight
+        )
 
 
 def main() -> None:
@@ -80,7 +95,9 @@ def main() -> None:
     begin, box = np.array([0.6, 1.0, 1.4]), [(LEAST, MOST)] * CELL
     options = {"maxfun": 60}
     found = minimize(value, begin, jac=True, bounds=box, method="L-BFGS-B", options=options).x
-    formula = minimize(lambda f: stop.by_formula(f) - through.by_formula(f), begin, bounds=box, method="L-BFGS-B").x
+    formula = minimize(
+        lambda f: stop.by_formula(f) - through.by_formula(f), begin, bounds=box, method="L-BFGS-B"
+    ).x
     gap = bands.gaps(bands.Cell(found * MASS, np.full(CELL, STIFFNESS)))[0] / EDGE
     for name, way in (("stopped", stop), ("passing", through)):
         say(f"{name} packet, share that passes", way.passed(found)[0])
@@ -94,19 +111,34 @@ def main() -> None:
     picture = figure(10.0, 3.8)
     left, right = picture.subplots(1, 2)
     near = np.linspace(0.02, 0.998, 1500)
-    for name, factors, style in (("at first", begin, {"color": "0.7"}), ("optimised", found, {"color": "#0072B2"})):
+    for name, factors, style in (
+        ("at first", begin, {"color": "0.7"}),
+        ("optimised", found, {"color": "#0072B2"}),
+    ):
         left.plot(
-            near, scattering.transmission(with_cells(factors), EDGE * near).transmitted, label=name, lw=1, **style
+            near,
+            scattering.transmission(with_cells(factors), EDGE * near).transmitted,
+            label=name,
+            lw=1,
+            **style,
         )
     left.axvspan(*gap, color="#E69F00", alpha=0.25, lw=0, label="gap of the cells")
     for way, colour in ((stop, "#D55E00"), (through, "#009E73")):
-        left.fill_between(way.frequency / EDGE, 0.5 * way.weight / way.weight.max(), color=colour, alpha=0.4, lw=0)
+        left.fill_between(
+            way.frequency / EDGE, 0.5 * way.weight / way.weight.max(), color=colour, alpha=0.4, lw=0
+        )
     for share in () if given.quick else (0.2, 0.3, 0.38, STOP, 0.5, 0.6, 0.7, 0.75, PASS, 0.85):
         left.plot(share, Way(share).passed(found)[0], "o", ms=4, mfc="none", color="k")
     left.plot([], [], "o", ms=4, mfc="none", color="k", label="packets")
-    left.set(xlabel="frequency over the highest", ylabel="share of the energy that passes", ylim=(0, 1.05))
+    left.set(
+        xlabel="frequency over the highest",
+        ylabel="share of the energy that passes",
+        ylim=(0, 1.05),
+    )
     left.legend(frameon=False, fontsize="small", loc="lower left")
-    for part, name, colour in zip(np.transpose(history), ("stopped", "passing"), ("#D55E00", "#009E73"), strict=True):
+    for part, name, colour in zip(
+        np.transpose(history), ("stopped", "passing"), ("#D55E00", "#009E73"), strict=True
+    ):
         right.plot(np.arange(1, part.size + 1), part, ".-", color=colour, label=name)
     right.set(xlabel="pair of runs", ylabel="share of the energy that passes", ylim=(0, 1.05))
     right.legend(frameon=False)

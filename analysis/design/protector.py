@@ -37,7 +37,9 @@ from lmpchain.integrators.splittings import SPLITTINGS
 from lmpchain.util.plotting import figure
 
 BEADS, SIZE = 20, 1e-2
-CHAIN = Chain(grains=BEADS, diameter=np.full(BEADS, SIZE), material="steel", gravity=0.0, bottom="wall")
+CHAIN = Chain(
+    grains=BEADS, diameter=np.full(BEADS, SIZE), material="steel", gravity=0.0, bottom="wall"
+)
 SCENE = Scene(chain=CHAIN, excitation=Impulse(velocity=1.0), duration=1.5e-3, samples=151)
 LOW, HIGH = np.full(BEADS, 0.5 * SIZE), np.full(BEADS, 1.5 * SIZE)
 LOW[0] = HIGH[0] = SIZE
@@ -46,14 +48,20 @@ PEAK = PeakForce(BEADS)
 
 def spare_length(by_name):
     """Return what is left of the length, over it, and its derivatives."""
-    return 1 - by_name["diameters"].sum() / (BEADS * SIZE), {"diameters": np.full(BEADS, -1 / (BEADS * SIZE))}
+    return 1 - by_name["diameters"].sum() / (BEADS * SIZE), {
+        "diameters": np.full(BEADS, -1 / (BEADS * SIZE))
+    }
 
 
 def wall_force(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Return the force on the wall over time."""
     looks = looks_of(scene, PEAK)
-    run = DifferentiableRun(scene, SPLITTINGS["rkn4"], 1.0 / scene.highest_frequency, looks, np.array([BEADS]))
-    return run.time, scene.chain.contacts.constant[BEADS] * np.maximum(run.displacement[:, 0], 0.0) ** 1.5
+    run = DifferentiableRun(
+        scene, SPLITTINGS["rkn4"], 1.0 / scene.highest_frequency, looks, np.array([BEADS])
+    )
+    return run.time, scene.chain.contacts.constant[BEADS] * np.maximum(
+        run.displacement[:, 0], 0.0
+    ) ** 1.5
 
 
 def random_beads(rng: np.random.Generator) -> Scene:
@@ -73,7 +81,9 @@ def composite(materials: list[str], diameters: np.ndarray, duration: float = 4e-
 
 def best_of(orders: Iterable[list[str]]) -> tuple[float, list[str]]:
     """Return the least peak of equal beads in some orders, and the order that has it."""
-    return min((float(wall_force(composite(order, CHAIN.diameters))[1].max()), order) for order in orders)
+    return min(
+        (float(wall_force(composite(order, CHAIN.diameters))[1].max()), order) for order in orders
+    )
 
 
 def family() -> tuple[float, list[str]]:
@@ -89,7 +99,8 @@ def family() -> tuple[float, list[str]]:
 def best_of_numbers(numbers: range) -> tuple[float, list[str]]:
     """Return the least peak of the orders of these numbers, whose binary digits say which beads are PTFE."""
     return best_of(
-        ["steel", *(("steel", "ptfe")[number >> bead & 1] for bead in range(BEADS - 1))] for number in numbers
+        ["steel", *(("steel", "ptfe")[number >> bead & 1] for bead in range(BEADS - 1))]
+        for number in numbers
     )
 
 
@@ -123,7 +134,9 @@ def evolution(seconds: float) -> tuple[float, Scene, int]:
         diameters[1:] *= min(1.0, (BEADS * SIZE - SIZE) / diameters[1:].sum())
         if (diameters < LOW).any():
             return 1e6
-        scene = composite(["steel", *np.where(genes[BEADS - 1 :] < 0.5, "steel", "ptfe").tolist()], diameters)
+        scene = composite(
+            ["steel", *np.where(genes[BEADS - 1 :] < 0.5, "steel", "ptfe").tolist()], diameters
+        )
         found = wall_force(scene)[1].max()
         best = min(best, (found, scene), key=lambda one: one[0])
         return found
@@ -137,16 +150,27 @@ def evolution(seconds: float) -> tuple[float, Scene, int]:
 
 def main() -> None:
     """Search both ways and draw the forces on the wall and the beads."""
-    given = arguments(__file__, __doc__, all_orders="run all orders of equal beads, and nothing else")
+    given = arguments(
+        __file__, __doc__, all_orders="run all orders of equal beads, and nothing else"
+    )
     if given.all_orders:
         return every_order()
     starts, runs = (2, 15) if given.quick else (8, 150)
     began = time.process_time()
     found = optimise(
-        SCENE, PEAK, ["diameters"], {"diameters": (LOW, HIGH)}, [spare_length], starts=starts, runs=runs, tolerance=1e-3
+        SCENE,
+        PEAK,
+        ["diameters"],
+        {"diameters": (LOW, HIGH)},
+        [spare_length],
+        starts=starts,
+        runs=runs,
+        tolerance=1e-3,
     )
     took = time.process_time() - began
-    random_peak, random_scene, tried = random_search(random_beads, lambda scene: wall_force(scene)[1].max(), took)
+    random_peak, random_scene, tried = random_search(
+        random_beads, lambda scene: wall_force(scene)[1].max(), took
+    )
     equal = wall_force(SCENE)[1].max()
     least = wall_force(found.scene)[1].max()
     say("equal beads", equal, "N")
@@ -166,7 +190,14 @@ def main() -> None:
     mixed_peak = wall_force(mixed.scene)[1].max()
     evolved, bred_scene, bred = evolution(took)
     both = optimise(
-        bred_scene, PEAK, ["diameters"], {"diameters": (LOW, HIGH)}, [spare_length], starts=1, runs=runs, tolerance=1e-3
+        bred_scene,
+        PEAK,
+        ["diameters"],
+        {"diameters": (LOW, HIGH)},
+        [spare_length],
+        starts=1,
+        runs=runs,
+        tolerance=1e-3,
     )
     both_peak = wall_force(both.scene)[1].max()
     longer = wall_force(both.scene.replace(duration=12e-3, samples=1201))[1].max()
@@ -183,8 +214,15 @@ def main() -> None:
     say("peak in three times the time over that", longer / both_peak)
     picture = figure(10.0, 7.0)
     above, below = picture.subplots(2, 2)
-    cases = {"equal": SCENE, f"random, best of {tried}": random_scene, f"optimised, {found.runs} runs": found.scene}
-    cases |= {"equal, best order": composite(order, np.full(BEADS, SIZE)), "that order, optimised": mixed.scene}
+    cases = {
+        "equal": SCENE,
+        f"random, best of {tried}": random_scene,
+        f"optimised, {found.runs} runs": found.scene,
+    }
+    cases |= {
+        "equal, best order": composite(order, np.full(BEADS, SIZE)),
+        "that order, optimised": mixed.scene,
+    }
     cases["evolution, then optimised"] = both.scene
     colours = "0.5", "#E69F00", "#0072B2", "#CC79A7", "#009E73", "#D55E00"
     for (name, scene), colour in zip(cases.items(), colours, strict=True):
@@ -193,7 +231,11 @@ def main() -> None:
         below[0].plot(np.arange(1, BEADS + 1), 1e3 * scene.chain.diameters, ".-", color=colour)
     above[0].set(xlabel="time, ms", ylabel="force on the wall, N", ylim=(1, 2e4))
     above[0].legend(frameon=False, fontsize=8)
-    below[0].set(xlabel="bead, the wall is below the last", ylabel="diameter, mm", xticks=range(2, BEADS + 1, 2))
+    below[0].set(
+        xlabel="bead, the wall is below the last",
+        ylabel="diameter, mm",
+        xticks=range(2, BEADS + 1, 2),
+    )
     found.plot(above[1])
     above[1].axhline(random_peak, color="#E69F00", ls="--")
     above[1].set(ylabel="least peak force so far, N", xlabel="runs of each start, steel")

@@ -28,19 +28,25 @@ def main() -> None:
     plain = Chain(grains=GRAINS, diameter=1e-3, gravity=0.0, top_load=1.0)
     m, k = float(plain.masses[0]), float(plain.linear_stiffness[0])
     omega = np.sqrt(2 * k / (FACTOR * m))
-    packet = Packet(frequency=omega / (2 * np.pi), width=20.0, grain=125, amplitude=1e-5 * plain.length_scale)
+    packet = Packet(
+        frequency=omega / (2 * np.pi), width=20.0, grain=125, amplitude=1e-5 * plain.length_scale
+    )
     u, v = packet.initial(plain)
     speed = np.sqrt(k / m) * np.cos(np.arcsin(omega / 2 * np.sqrt(m / k)))  # grains a second
     masses = np.full(GRAINS, m)
     masses[[n - 1 for n in PAIR]] *= START
     chain = plain.replace(masses=masses, contact_constants=plain.contact_constants)
-    scene = Scene(chain=chain, excitation=Profile(displacement=u, velocity=v), duration=150 / speed, samples=2)
+    scene = Scene(
+        chain=chain, excitation=Profile(displacement=u, velocity=v), duration=150 / speed, samples=2
+    )
     low, high = masses.copy(), masses.copy()
     for n in PAIR:
         low[n - 1], high[n - 1] = 1.35 * m, 3 * m
     back = KineticEnergy(list(range(1, PAIR[0])))
     runs = 8 if given.quick else 60
-    found = optimise(scene, back, ["masses"], {"masses": (low, high)}, starts=1, runs=runs, tolerance=1e-4)
+    found = optimise(
+        scene, back, ["masses"], {"masses": (low, high)}, starts=1, runs=runs, tolerance=1e-4
+    )
     whole = float((m * v**2).sum() / 2)
     pair = found.values["masses"][[n - 1 for n in PAIR]] / m
     by_formula = scattering.transparent(plain, omega, PAIR, "mass")
@@ -62,9 +68,14 @@ def main() -> None:
             {"color": "#D55E00", "ls": "--"},
         ),
     ):
-        left.plot(near / omega, 1 - scattering.transmission(one, near).transmitted, label=name, **style)
+        left.plot(
+            near / omega, 1 - scattering.transmission(one, near).transmitted, label=name, **style
+        )
     left.set(
-        xlabel="frequency over that of the packet", ylabel="reflected share of the energy", ylim=(1e-6, 1), yscale="log"
+        xlabel="frequency over that of the packet",
+        ylabel="reflected share of the energy",
+        ylim=(1e-6, 1),
+        yscale="log",
     )
     left.axvline(1, color="0.8", zorder=0)
     left.legend(frameon=False)

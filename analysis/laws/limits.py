@@ -117,8 +117,14 @@ def front_of_springs(n: ArrayLike) -> Array:
     Abramowitz and Stegun, 9.3.31; right to 1e-15 from n = 500 on.
     """
     nu = 2 * np.asarray(n, dtype=float) - 1
-    a, b = 2 ** (1 / 3) / (3 ** (2 / 3) * gamma(2 / 3)), 2 ** (2 / 3) / (3 ** (1 / 3) * gamma(1 / 3))
-    return 2 * (a * nu ** (-1 / 3) * (1 - 1 / 225 / nu**2) - b * nu ** (-5 / 3) * (1 / 70 - 1213 / 1023750 / nu**2))
+    a, b = (
+        2 ** (1 / 3) / (3 ** (2 / 3) * gamma(2 / 3)),
+        2 ** (2 / 3) / (3 ** (1 / 3) * gamma(1 / 3)),
+    )
+    return 2 * (
+        a * nu ** (-1 / 3) * (1 - 1 / 225 / nu**2)
+        - b * nu ** (-5 / 3) * (1 / 70 - 1213 / 1023750 / nu**2)
+    )
 
 
 def bessel_rounding(n: ArrayLike) -> Array:
@@ -141,11 +147,15 @@ def from_vacuum(gravity: ArrayLike, exponent: float, load: float) -> Array:
     return np.array([_apart(struck(float(g)), without) for g in np.atleast_1d(gravity)])
 
 
-def weak(exponent: float, gravity: float = 9.81, velocity: float | None = None, number: float = 0.3) -> Scene:
+def weak(
+    exponent: float, gravity: float = 9.81, velocity: float | None = None, number: float = 0.3
+) -> Scene:
     """Return a column of 30 beads until tau = 14.5, struck at a velocity or with a strike number."""
     chain = Chain(grains=30, diameter=BEAD, gravity=gravity, exponent=exponent)
     speed = number * chain.length_scale / chain.time_scale if velocity is None else velocity
-    return Scene(chain=chain, excitation=Impulse(velocity=speed), duration=TAU * chain.time_scale, samples=30)
+    return Scene(
+        chain=chain, excitation=Impulse(velocity=speed), duration=TAU * chain.time_scale, samples=30
+    )
 
 
 def from_linear(scene: Scene) -> float:
@@ -187,14 +197,20 @@ def squeezing(strain: float) -> Scene:
     """Return 10 beads under gravity, struck for an overlap of `strain` diameters of two beads alone."""
     chain = Chain(grains=10, diameter=BEAD)
     power, overlap = chain.exponent + 1, strain * BEAD
-    speed = math.sqrt(4 / power * float(chain.contact_constants[0] / chain.masses[0]) * overlap**power)
-    return Scene(chain=chain, excitation=Impulse(velocity=speed), duration=60 * overlap / speed, samples=101)
+    speed = math.sqrt(
+        4 / power * float(chain.contact_constants[0] / chain.masses[0]) * overlap**power
+    )
+    return Scene(
+        chain=chain, excitation=Impulse(velocity=speed), duration=60 * overlap / speed, samples=101
+    )
 
 
 def squeezed(scene: Scene) -> tuple[float, float]:
     """Return the largest overlap over the diameter, and the distance of LAMMPS from the native engine."""
     native, contacts = simulate(scene, "native", 1e-11), scene.chain.contacts
-    overlap = (contacts.overlap + contacts.closer(native.displacement)) / scene.chain.contact_lengths
+    overlap = (
+        contacts.overlap + contacts.closer(native.displacement)
+    ) / scene.chain.contact_lengths
     lammps = simulate(scene, "lammps", 1e-6)
     return float(overlap[:, contacts.exists].max()), _apart(lammps, native)
 
@@ -209,11 +225,15 @@ def bent(chain: Chain, gauge: float, offset: Array, duration: float, samples: in
     offset : (N,) array
         m.
     """
-    still = Scene(chain=chain, excitation=Impulse(velocity=0.0), duration=duration, samples=samples + 1)
+    still = Scene(
+        chain=chain, excitation=Impulse(velocity=0.0), duration=duration, samples=samples + 1
+    )
     column, steps = Column(still, gauge), math.ceil(duration / samples * chain.band_edge / STEADY)
     with tempfile.TemporaryDirectory() as folder, closing(open_lammps()) as lammps:
         deck.write_data(column, data := Path(folder) / "column.data")
-        lammps.commands_string(deck.setup(column, str(data), duration / samples / steps, SPLITTINGS["verlet"]))
+        lammps.commands_string(
+            deck.setup(column, str(data), duration / samples / steps, SPLITTINGS["verlet"])
+        )
         lammps.numpy.extract_atom("x")[: chain.grains, 0] = offset
         lammps.command("run 0 post no")
         distance = [np.abs(offset).max()]
@@ -233,4 +253,6 @@ def growth(chain: Chain, gauge: float, offset: float = 1e-15) -> float:
 
 
 def _apart(trajectory: Trajectory, other: Trajectory) -> float:
-    return error(trajectory, Reference(other.time, other.displacement, other.velocity, 0.0, other.engine))
+    return error(
+        trajectory, Reference(other.time, other.displacement, other.velocity, 0.0, other.engine)
+    )

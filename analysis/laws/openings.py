@@ -37,7 +37,12 @@ def order_through_openings(integrator: str, exponent: float) -> float:
 
 
 def errors_through_openings(
-    scene: Scene, integrator: str, counts: Iterable[int], reference: Reference, adaptive: bool = False, runs: int = 40
+    scene: Scene,
+    integrator: str,
+    counts: Iterable[int],
+    reference: Reference,
+    adaptive: bool = False,
+    runs: int = 40,
 ) -> Array:
     """Return relative errors at the end of a scene at about these numbers of native steps.
 
@@ -53,7 +58,10 @@ def errors_through_openings(
 
     def error(count: int) -> float:
         candidate = proposed._replace(
-            steps_per_landing=count, step=scene.duration / count, adaptive=adaptive, coarse_openings=False
+            steps_per_landing=count,
+            step=scene.duration / count,
+            adaptive=adaptive,
+            coarse_openings=False,
         )
         run = engine.start([scene], candidate)
         try:
@@ -61,7 +69,11 @@ def errors_through_openings(
         finally:
             run.close()
         end = last.displacement[0, -1], last.velocity[0, -1]
-        return float(max(np.abs(x - y[-1]).max() / np.abs(y).max() for x, y in zip(end, true, strict=True)))
+        return float(
+            max(np.abs(x - y[-1]).max() / np.abs(y).max() for x, y in zip(end, true, strict=True))
+        )
 
     groups = [np.linspace(count, 1.2 * count, runs).astype(int) for count in counts]
-    return np.array([math.sqrt(np.mean([error(int(count)) ** 2 for count in group])) for group in groups])
+    return np.array(
+        [math.sqrt(np.mean([error(int(count)) ** 2 for count in group])) for group in groups]
+    )

@@ -39,7 +39,9 @@ def uniform_law(gradient: float, travelled: float, width: float = 0.0) -> float:
     sine, cosine = np.sin(omega * T), np.cos(omega * T)
     odd = (np.cos(k / 2) / 4 - omega * s**2 * k / 2) * T * sine + np.sin(k) * T**2 / 4 * cosine
     even = omega * T / 4 * sine
-    return float(gradient * np.sqrt((weight * (odd**2 + even**2)).sum() / (weight * cosine**2).sum()))
+    return float(
+        gradient * np.sqrt((weight * (odd**2 + even**2)).sum() / (weight * cosine**2).sum())
+    )
 
 
 def uniform_reach(error: float, gradient: float) -> float:
@@ -164,7 +166,13 @@ def behind_front(h: ArrayLike, error: float = 0.01) -> Array:
     InputError
         If s is not known for that error.
     """
-    require(("error", error in SLOWEST_TAIL, f"must be one of {', '.join(map(str, SLOWEST_TAIL))} (got {error})"))
+    require(
+        (
+            "error",
+            error in SLOWEST_TAIL,
+            f"must be one of {', '.join(map(str, SLOWEST_TAIL))} (got {error})",
+        )
+    )
     return chi(h) + np.sqrt(real(h)) + SLOWEST_TAIL[error] * real(h) ** 0.25
 
 

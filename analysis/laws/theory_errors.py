@@ -43,11 +43,15 @@ def column(
         On grain 1, in weights of a grain.
     """
     weight = gravity * float(Chain(grains=2, diameter=BEAD).masses[0])
-    chain = Chain(grains=grains, diameter=BEAD, exponent=exponent, gravity=gravity, top_load=load * weight)
+    chain = Chain(
+        grains=grains, diameter=BEAD, exponent=exponent, gravity=gravity, top_load=load * weight
+    )
     if not isinstance(excitation, Excitation):
         excitation = Impulse(velocity=excitation * chain.length_scale / chain.time_scale)
     samples = round(SAMPLES * tau) + 2
-    return Scene(chain=chain, excitation=excitation, duration=tau * chain.time_scale, samples=samples)
+    return Scene(
+        chain=chain, excitation=excitation, duration=tau * chain.time_scale, samples=samples
+    )
 
 
 def linear_error(scene: Scene) -> dict[str, float]:
@@ -90,7 +94,10 @@ def bessel_error(load: float, tau: float) -> tuple[float, float]:
     scene = column(WEAK, tau, 60 + int(continuum.depth(tau) + 1.2 * tau), load=load)
     uniform, exact = (theory(scene, engine) for engine in ("bessel", "chebyshev"))
     stiffness = scene.chain.linear_stiffness
-    error = max(_largest(uniform.displacement, exact.displacement), _largest(uniform.velocity, exact.velocity))
+    error = max(
+        _largest(uniform.displacement, exact.displacement),
+        _largest(uniform.velocity, exact.velocity),
+    )
     return float(stiffness[1] / stiffness[0] - 1), error
 
 
@@ -99,7 +106,10 @@ def local_error(tau: float) -> float:
     grains = int(1.3 * continuum.depth(tau)) + 20
     unit = WEAK * Chain(grains=grains, diameter=BEAD).length_scale
     scene = _at_its_end(column(Displacement(displacement=unit, grain=1), tau, grains))
-    return _distance(bessel.local(np.arange(1, grains + 1), tau), theory(scene, "chebyshev").displacement[-1] / unit)
+    return _distance(
+        bessel.local(np.arange(1, grains + 1), tau),
+        theory(scene, "chebyshev").displacement[-1] / unit,
+    )
 
 
 def far_field_error(grain: int, tau: float) -> float:
@@ -140,7 +150,13 @@ def impulse_error(tau: float, samples: int = 2) -> tuple[Array, Array, Array]:
     exact = theory(scene, "chebyshev").displacement / _unit(scene) / scene.chain.time_scale
     inside = continuum.chi(h) < times[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
-        return times, h, np.where(inside, abs(continuum.impulse_response(h, times[:, None]) / exact - 1), np.nan)
+        return (
+            times,
+            h,
+            np.where(
+                inside, abs(continuum.impulse_response(h, times[:, None]) / exact - 1), np.nan
+            ),
+        )
 
 
 def driven(frequency: float, tau: float = 150.0) -> tuple[Array, Complex]:
@@ -152,7 +168,9 @@ def driven(frequency: float, tau: float = 150.0) -> tuple[Array, Complex]:
     local wavelength is known.
     """
     chain = Chain(grains=int(continuum.depth(tau)), diameter=BEAD)
-    drive = Drive(amplitude=WEAK * chain.length_scale, frequency=frequency / (2 * np.pi * chain.time_scale))
+    drive = Drive(
+        amplitude=WEAK * chain.length_scale, frequency=frequency / (2 * np.pi * chain.time_scale)
+    )
     answer = theory(column(drive, tau, chain.grains), "chebyshev")
     times = answer.time / chain.time_scale
     window = np.clip((times - tau) * frequency / (2 * np.pi * PERIODS) + 1, 0, 1)

@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 
 SHADES = tuple(COLOURS.values())
 FREQUENCIES = (0.5, 1.0, 1.5, 2.0, 2.4, 2.8)
-WIDTH = 2.2346 / 4 ** (1 / 3)  # of the front over h^(1/6): full width at half of the largest velocity (`theory.front`)
+WIDTH = 2.2346 / 4 ** (
+    1 / 3
+)  # of the front over h^(1/6): full width at half of the largest velocity (`theory.front`)
 
 
 def measure(quick: bool) -> dict[str, Any]:
@@ -28,7 +30,10 @@ def measure(quick: bool) -> dict[str, Any]:
     far = 40.0 if quick else 150.0
     times, h, impulse = impulse_error(far, 41 if quick else 76)
     h, impulse = h[::2], impulse[:, ::2]
-    widths, tau = np.geomspace(0.8, 12, 5 if quick else 14), np.geomspace(4, 40 if quick else 150, 4 if quick else 9)
+    widths, tau = (
+        np.geomspace(0.8, 12, 5 if quick else 14),
+        np.geomspace(4, 40 if quick else 150, 4 if quick else 9),
+    )
     waves = {str(f): phase_velocities(f, 80.0 if quick else 150.0) for f in FREQUENCIES}
     return {
         "time": times.tolist(),
@@ -57,15 +62,31 @@ def draw_strike(plane: Axes, data: dict[str, Any], picture: Figure) -> None:
     """Draw where Eq. (35) is accurate after a strike on grain 1."""
     grain, times = np.array(data["h"]) + 0.5, np.array(data["time"])
     error = np.array([[np.nan if x is None else x for x in row] for row in data["impulse"]])
-    shades = plane.pcolormesh(grain, times, error, norm=LogNorm(1e-4, 1), cmap="cividis", shading="nearest")
+    shades = plane.pcolormesh(
+        grain, times, error, norm=LogNorm(1e-4, 1), cmap="cividis", shading="nearest"
+    )
     picture.colorbar(shades, ax=plane, label="error of Eq. (35) at a grain", extend="both")
     fine = np.linspace(0.5, depth(times[-1]) * 1.25, 300)
     plane.plot(fine, chi(fine), color="black", lw=1.6, label="light cone, τ = (6/5) h$^{5/6}$")
-    plane.plot(fine, fine ** (5 / 6), color=SHADES[1], ls=":", lw=1.8, label="front of Eq. (7), τ = n$^{5/6}$")
+    plane.plot(
+        fine,
+        fine ** (5 / 6),
+        color=SHADES[1],
+        ls=":",
+        lw=1.8,
+        label="front of Eq. (7), τ = n$^{5/6}$",
+    )
     law = "1 %, law: τ = χ + √h + 3.3 h$^{1/4}$"
     plane.plot(fine, behind_front(fine), color="white", ls="--", lw=1.6, label=law)
-    plane.set(xlim=(1, fine[-1]), ylim=(0, times[-1]), xlabel="grain, from the top", ylabel="time τ after the strike")
-    plane.set_title("Strike on grain 1: Eq. (35) holds behind the front", loc="left", fontsize="medium")
+    plane.set(
+        xlim=(1, fine[-1]),
+        ylim=(0, times[-1]),
+        xlabel="grain, from the top",
+        ylabel="time τ after the strike",
+    )
+    plane.set_title(
+        "Strike on grain 1: Eq. (35) holds behind the front", loc="left", fontsize="medium"
+    )
     no_answer(plane)
     legend = plane.legend(fontsize="small", loc="lower right")
     legend.get_frame().set(facecolor="0.75", alpha=1)
@@ -73,9 +94,19 @@ def draw_strike(plane: Axes, data: dict[str, Any], picture: Figure) -> None:
 
 def _draw_spread(plane: Axes, data: dict[str, Any], picture: Figure) -> None:
     width, tau, error = data["width"], np.array(data["tau"]), np.array(data["spread"]).T
-    shades = plane.pcolormesh(width, tau, error, norm=LogNorm(1e-4, 1), cmap="cividis", shading="gouraud")
+    shades = plane.pcolormesh(
+        width, tau, error, norm=LogNorm(1e-4, 1), cmap="cividis", shading="gouraud"
+    )
     picture.colorbar(shades, ax=plane, label="error of the velocities", extend="both")
-    plane.contour(width, tau, np.log10(error), levels=[-2, -1], colors="white", linestyles="solid", linewidths=3.5)
+    plane.contour(
+        width,
+        tau,
+        np.log10(error),
+        levels=[-2, -1],
+        colors="white",
+        linestyles="solid",
+        linewidths=3.5,
+    )
     for level in (0.01, 0.1):
         plane.loglog([continuum_width(level, t) for t in tau], tau, color="black", ls="--", lw=1.4)
         right = 1.15 * continuum_width(level, tau[0])
@@ -88,12 +119,24 @@ def _draw_spread(plane: Axes, data: dict[str, Any], picture: Figure) -> None:
 def _draw_waves(axes: Axes, data: dict[str, Any]) -> None:
     for (frequency, (length, ratio)), colour in zip(data["waves"].items(), SHADES, strict=True):
         lag = 1 - np.array(ratio)
-        axes.loglog(length[::3], lag[::3], "o", ms=4.5, mfc="none", color=colour, label=f"driven at ω = {frequency}")
+        axes.loglog(
+            length[::3],
+            lag[::3],
+            "o",
+            ms=4.5,
+            mfc="none",
+            color=colour,
+            label=f"driven at ω = {frequency}",
+        )
     fine = np.geomspace(2, 40, 200)
-    axes.loglog(fine, 1 - phase_velocity(fine), color="black", lw=1.3, label="law: 1 − sin(x)/x, x = π/λ")
+    axes.loglog(
+        fine, 1 - phase_velocity(fine), color="black", lw=1.3, label="law: 1 − sin(x)/x, x = π/λ"
+    )
     for level in (0.01, 0.1):
         axes.axhline(level, color="0.7", lw=0.8, zorder=0)
-    axes.set(xlabel="wavelength λ (grains)", ylabel="by how much the chain's phase velocity is lower")
+    axes.set(
+        xlabel="wavelength λ (grains)", ylabel="by how much the chain's phase velocity is lower"
+    )
     axes.set_xticks([2, 4, 8, 12.8, 20, 40], labels=["2", "4", "8", "12.8", "20", "40"])
     axes.minorticks_off()
     axes.set_title("Dispersion: 1 % at 12.8 grains, 10 % at 4", loc="left", fontsize="medium")
@@ -108,10 +151,23 @@ def _draw_front(axes: Axes, data: dict[str, Any]) -> None:
         (arrival, front.peak_time(grain), "arrival", SHADES[0]),
         (width, WIDTH * h ** (1 / 6), "width", SHADES[1]),
     ):
-        axes.loglog(grain[some], values[some], "o", ms=4.5, mfc="none", color=colour, label=f"{name}, measured")
-        label = {"arrival": "law: (6/5) h$^{5/6}$ + 0.57 h$^{1/6}$", "width": "law: 1.41 h$^{1/6}$"}[name]
+        axes.loglog(
+            grain[some],
+            values[some],
+            "o",
+            ms=4.5,
+            mfc="none",
+            color=colour,
+            label=f"{name}, measured",
+        )
+        label = {
+            "arrival": "law: (6/5) h$^{5/6}$ + 0.57 h$^{1/6}$",
+            "width": "law: 1.41 h$^{1/6}$",
+        }[name]
         axes.loglog(grain, law, color=colour, lw=1.3, label=label)
-    axes.loglog(grain, grain ** (5 / 6), color="black", ls=":", lw=1.5, label="the paper's τ = n$^{5/6}$")
+    axes.loglog(
+        grain, grain ** (5 / 6), color="black", ls=":", lw=1.5, label="the paper's τ = n$^{5/6}$"
+    )
     axes.set(xlabel="grain, from the top", ylabel="τ", ylim=(0.8, 3 * arrival[-1]))
     axes.set_title("The front: when it comes and how long it lasts", loc="left", fontsize="medium")
     axes.legend(frameon=False, fontsize="small", loc="upper left")

@@ -39,7 +39,10 @@ def hot(grains: int) -> lmpchain.Scene:
     """
     chain = lmpchain.Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-2)
     speed = (
-        np.append(np.random.default_rng(1).normal(size=grains - 1), 0.0) * 0.2 * chain.length_scale / chain.time_scale
+        np.append(np.random.default_rng(1).normal(size=grains - 1), 0.0)
+        * 0.2
+        * chain.length_scale
+        / chain.time_scale
     )
     return lmpchain.Scene(chain=chain, excitation=lmpchain.Profile(velocity=speed), duration=1e-3)
 
@@ -72,7 +75,9 @@ def rk4_growth(reach: float) -> float:
     return abs(sum((1j * reach) ** k / math.factorial(k) for k in range(5)))
 
 
-def runge_kutta(scene: lmpchain.Scene, step: float, periods: float, samples: int = 2001) -> EnergyError:
+def runge_kutta(
+    scene: lmpchain.Scene, step: float, periods: float, samples: int = 2001
+) -> EnergyError:
     """Measure the energy error of the classical Runge-Kutta method, as `energy_error` does."""
     chain, (u, v) = scene.chain, scene.initial()
     duration = periods * 2 * math.pi / chain.band_edge
@@ -80,7 +85,9 @@ def runge_kutta(scene: lmpchain.Scene, step: float, periods: float, samples: int
     h = duration / (samples - 1) / steps
     mobility = np.where(np.arange(chain.grains) < chain.movable, 1 / chain.masses, 0.0)
     contacts = chain.contacts
-    us, vs = _runge_kutta(u, v, contacts.overlap, contacts.force, contacts.constant, mobility, h, steps, samples)
+    us, vs = _runge_kutta(
+        u, v, contacts.overlap, contacts.force, contacts.constant, mobility, h, steps, samples
+    )
     energy = chain.excess_energy(us, vs)
     return EnergyError(np.linspace(0, duration, samples), energy / energy[0] - 1, h)
 
@@ -92,7 +99,11 @@ def measure(quick: bool) -> dict[str, Any]:
     long: dict[str, Any] = {}
     for name in [*METHODS, "rk4"]:
         step = WORK * (4 if name == "rk4" else METHODS[name].evaluations) / edge
-        record = runge_kutta(scene, step, periods) if name == "rk4" else energy_error(scene, name, step, periods)
+        record = (
+            runge_kutta(scene, step, periods)
+            if name == "rk4"
+            else energy_error(scene, name, step, periods)
+        )
         rate, sure = record.trend()
         long[name] = {
             "time": record.time[::THINNED].tolist(),
@@ -100,12 +111,17 @@ def measure(quick: bool) -> dict[str, Any]:
             "steps": round(record.time[-1] / record.step),
             "rate": rate,
             "sure": sure,
-            "predicted": drift(scene, rk4_growth if name == "rk4" else METHODS[name].growth, record.step),
+            "predicted": drift(
+                scene, rk4_growth if name == "rk4" else METHODS[name].growth, record.step
+            ),
         }
     spread, more = {}, hot(8)
     for name, (least, most) in STEPS.items():
         reaches = np.geomspace(least, most, 3 if quick else 7)
-        runs = [energy_error(more, name, reach / more.chain.band_edge, SHORT, SAMPLES) for reach in reaches]
+        runs = [
+            energy_error(more, name, reach / more.chain.band_edge, SHORT, SAMPLES)
+            for reach in reaches
+        ]
         spread[name] = {
             "reach": [run.step * more.chain.band_edge for run in runs],
             "error": [float(run.error.std()) for run in runs],
@@ -126,7 +142,9 @@ def draw(data: dict[str, Any]) -> Figure:
     for name, record in data["spread"].items():
         slope = np.polyfit(np.log(record["reach"]), np.log(record["error"]), 1)[0]
         label = f"{name}: slope {slope:.2f}"
-        orders.loglog(record["reach"], record["error"], **styles[name] | {"ms": 5, "lw": 1.4}, label=label)
+        orders.loglog(
+            record["reach"], record["error"], **styles[name] | {"ms": 5, "lw": 1.4}, label=label
+        )
     orders.set_xticks([0.02, 0.05, 0.1, 0.2, 0.5])
     orders.xaxis.set_major_formatter("{x:g}")
     orders.xaxis.set_minor_formatter("")
@@ -145,7 +163,9 @@ def _over_time(ax: Any, data: dict[str, Any], styles: dict[str, dict[str, str]])
         ax.loglog(periods, largest, color=styles[name]["color"], lw=1.8)
         ends[name] = float(largest[-1])
         if record["predicted"]:
-            ax.loglog(periods, np.abs(np.array(record["predicted"])) * time, color="0.2", lw=1, ls="--")
+            ax.loglog(
+                periods, np.abs(np.array(record["predicted"])) * time, color="0.2", lw=1, ls="--"
+            )
     ax.plot([], [], color="0.2", lw=1, ls="--", label="drift predicted for a weak wave")
     height = -math.inf
     for name in sorted(ends, key=ends.__getitem__):
@@ -153,7 +173,9 @@ def _over_time(ax: Any, data: dict[str, Any], styles: dict[str, dict[str, str]])
         text = f"{name}, {data['long'][name]['steps'] / 1e6:.2g}"
         ax.annotate(text, (1.03, 10**height), xycoords=("axes fraction", "data"), va="center",
                     color=styles[name]["color"], annotation_clip=False)  # fmt: skip
-    ax.annotate("million steps", (1.03, 1.02), xycoords="axes fraction", color="0.35", fontsize="small")
+    ax.annotate(
+        "million steps", (1.03, 1.02), xycoords="axes fraction", color="0.35", fontsize="small"
+    )
     ax.set(xlabel="periods of the band edge", ylabel="largest relative error of the energy so far")
     ax.set_title("All at equal work: splittings keep the energy", loc="left", fontsize="medium")
     ax.legend(frameon=False, loc="upper left")

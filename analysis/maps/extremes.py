@@ -42,7 +42,9 @@ def measure(quick: bool) -> dict[str, Any]:
         "orders": orders.tolist(),
         "dyson": [_dyson(float(m)) for m in orders],
         "grains": grains.tolist(),
-        "bessel": np.abs(bessel.free_end(grains, grains - 0.5) / limits.front_of_springs(grains) - 1).tolist(),
+        "bessel": np.abs(
+            bessel.free_end(grains, grains - 0.5) / limits.front_of_springs(grains) - 1
+        ).tolist(),
         "bessel_law": limits.bessel_rounding(grains).tolist(),
     }
 
@@ -51,7 +53,10 @@ def _dyson(m: float) -> tuple[float, float, float]:
     """Return the largest error of Eq. (23) within 3 standard deviations, its law, and the printed form's."""
     kappa = 1 + np.linspace(-0.9, 3, 14) / np.sqrt(m)
     with mp.workdps(60):
-        true = [mp.exp(m * mp.log(m) - mp.loggamma(m) + m * mp.log(k) - m * k) for k in map(mp.mpf, kappa.tolist())]
+        true = [
+            mp.exp(m * mp.log(m) - mp.loggamma(m) + m * mp.log(k) - m * k)
+            for k in map(mp.mpf, kappa.tolist())
+        ]
 
     def off(values: np.ndarray) -> float:
         return max(float(abs(f / t - 1)) for f, t in zip(values.tolist(), true, strict=True))
@@ -77,21 +82,42 @@ def draw(data: dict[str, Any]) -> Figure:
 
 def _overlaps(axes: Axes, data: dict[str, Any]) -> None:
     strains, squeezed = data["strains"], np.array(data["squeezed"])
-    axes.plot(strains, data["deepest"], color=BLUE, lw=1.2, label="deepest overlap: bound by energy")
+    axes.plot(
+        strains, data["deepest"], color=BLUE, lw=1.2, label="deepest overlap: bound by energy"
+    )
     axes.plot(strains, squeezed[:, 0], **POINT, marker="s", color=BLUE, label="... in the run")
     axes.plot(strains, data["hertz"], color=ORANGE, lw=1.2, label="Hertz too hard, by shape alone")
     axes.plot(strains, squeezed[:, 1], **POINT, marker="o", color=RED, label="LAMMPS from native")
     axes.axvline(LARGEST_OVERLAP, color="0.4", ls="--", lw=1)
-    axes.annotate("refused", (LARGEST_OVERLAP, 1e-11), (-3, 0), "data", "offset points", ha="right", color="0.4")
+    axes.annotate(
+        "refused",
+        (LARGEST_OVERLAP, 1e-11),
+        (-3, 0),
+        "data",
+        "offset points",
+        ha="right",
+        color="0.4",
+    )
     axes.set(xlabel="overlap / diameter as struck", ylabel="ratio", ylim=(1e-12, 1e3))
     axes.set_title("Deep overlaps")
 
 
 def _bending(axes: Axes, data: dict[str, Any]) -> None:
-    axes.plot(data["gauges"], data["rates"], color=BLUE, lw=1.2, label="linear stability of a column")
-    axes.plot(data["gauges"], data["growth"], **POINT, marker=MARKERS["lammps"], color=RED, label="LAMMPS")
+    axes.plot(
+        data["gauges"], data["rates"], color=BLUE, lw=1.2, label="linear stability of a column"
+    )
+    axes.plot(
+        data["gauges"], data["growth"], **POINT, marker=MARKERS["lammps"], color=RED, label="LAMMPS"
+    )
     axes.axhline(data["band_edge"], color="0.4", ls="--", lw=1)
-    axes.annotate("band edge", (data["gauges"][-1], data["band_edge"]), (0, 4), "data", "offset points", ha="right")
+    axes.annotate(
+        "band edge",
+        (data["gauges"][-1], data["band_edge"]),
+        (0, 4),
+        "data",
+        "offset points",
+        ha="right",
+    )
     axes.set(xlabel="diameter drawn (m)", ylabel="growth of a bend (1/s)", ylim=(None, 2e6))
     axes.set_title("LAMMPS: a bent column buckles")
 
@@ -103,14 +129,29 @@ def _weights(axes: Axes, data: dict[str, Any]) -> None:
     axes.plot(data["orders"], np.where(np.isfinite(printed), printed, np.nan), **POINT, marker="x", color=RED,
               label="as printed")  # fmt: skip
     axes.axvline(limits.MOST_PRINTED, color=RED, ls="--", lw=1)
-    axes.annotate("overflows", (limits.MOST_PRINTED, 1e-6), (4, 0), "data", "offset points", color=RED)
+    axes.annotate(
+        "overflows", (limits.MOST_PRINTED, 1e-6), (4, 0), "data", "offset points", color=RED
+    )
     axes.set(xlabel="m", ylabel="relative error", ylim=(1e-17, 1e-3))
     axes.set_title("Dyson's weight, Eq. (23), to 3 deviations")
 
 
 def _functions(axes: Axes, data: dict[str, Any]) -> None:
-    axes.plot(data["grains"], data["bessel_law"], color=BLUE, lw=1.2, label="rounding of T: ε (2n)$^{2/3}$")
+    axes.plot(
+        data["grains"],
+        data["bessel_law"],
+        color=BLUE,
+        lw=1.2,
+        label="rounding of T: ε (2n)$^{2/3}$",
+    )
     floor = np.maximum(data["bessel"], 1e-16)
-    axes.plot(data["grains"], floor, **POINT, marker="o", color=BLUE, label="theory.bessel.free_end at T = n - 1/2")
+    axes.plot(
+        data["grains"],
+        floor,
+        **POINT,
+        marker="o",
+        color=BLUE,
+        label="theory.bessel.free_end at T = n - 1/2",
+    )
     axes.set(xlabel="grain n", ylabel="relative error", ylim=(1e-17, 1e-8))
     axes.set_title("Bessel functions of large order")

@@ -56,13 +56,23 @@ def draw(data: dict[str, Any]) -> Figure:
     picture = figure(12, 9.6)
     (plane, width), (strike, eight) = picture.subplots(2, 2)
     grains, travelled, error = data["grain"], data["travelled"], np.array(data["error"])
-    shades = plane.pcolormesh(grains, travelled, error, norm=LogNorm(1e-3, 1), cmap="cividis", shading="gouraud")
+    shades = plane.pcolormesh(
+        grains, travelled, error, norm=LogNorm(1e-3, 1), cmap="cividis", shading="gouraud"
+    )
     picture.colorbar(shades, ax=plane, label="error of the displacements", extend="both")
     plane.contour(
-        grains, travelled, np.log10(error), levels=[-2, -1], colors="white", linestyles="solid", linewidths=3.5
+        grains,
+        travelled,
+        np.log10(error),
+        levels=[-2, -1],
+        colors="white",
+        linestyles="solid",
+        linewidths=3.5,
     )
     draw_boundaries(plane, grains[0], grains[-1])
-    plane.set_title("Eq. (6), one κ for all grains: white, measured; dashed, law", loc="left", fontsize="medium")
+    plane.set_title(
+        "Eq. (6), one κ for all grains: white, measured; dashed, law", loc="left", fontsize="medium"
+    )
     _draw_width(width, data)
     _draw_strike(strike, data)
     _draw_seven_and_eight(eight, data)
@@ -75,11 +85,21 @@ def draw_boundaries(plane: Axes, first: float, last: float, background: str = "w
     """Draw how far a wave travels from a grain until Eq. (6) fails, between two grains."""
     grains, travelled = np.geomspace(first, last, 60), np.geomspace(1, 100, 150)
     law = np.log10([[uniform_law(XI / n, T) for n in grains] for T in travelled])
-    plane.contour(grains, travelled, law, levels=[-2, -1], colors="black", linestyles="--", linewidths=1.4)
+    plane.contour(
+        grains, travelled, law, levels=[-2, -1], colors="black", linestyles="--", linewidths=1.4
+    )
     for level in LEVELS:
         label = f"{100 * level:.0f} %: T = √(12√2 · {level:g} n)"
         below = 0.72 * uniform_reach(level, XI / 120)
-        plane.text(120, below, label, rotation=29, rotation_mode="anchor", color=background, fontsize="small")
+        plane.text(
+            120,
+            below,
+            label,
+            rotation=29,
+            rotation_mode="anchor",
+            color=background,
+            fontsize="small",
+        )
     plane.set(xscale="log", yscale="log", xlim=(first, last), ylim=(1, 100))
     plane.set(xlabel="grain that is moved, n", ylabel="grains that the wave has gone, T = τ√κ")
 
@@ -90,15 +110,25 @@ def _draw_width(axes: Axes, data: dict[str, Any]) -> None:
     fine = np.geomspace(1, data["far"][-1], 200)
     for level, colour in zip(LEVELS, SHADES, strict=False):
         laws = np.array([[uniform_law(XI / DEEP, T, s) for T in fine] for s in widths])
-        law = [np.exp(np.interp(np.log(level), np.log(np.maximum.accumulate(e)), np.log(fine))) for e in laws]
+        law = [
+            np.exp(np.interp(np.log(level), np.log(np.maximum.accumulate(e)), np.log(fine)))
+            for e in laws
+        ]
         axes.loglog(shown, law, color=colour, label=f"{100 * level:.0f} %, law")
         values = data["reach"][str(level)]
-        axes.loglog(shown, values, "o", mfc="none", color=colour, label=f"{100 * level:.0f} %, measured")
+        axes.loglog(
+            shown, values, "o", mfc="none", color=colour, label=f"{100 * level:.0f} %, measured"
+        )
     axes.set_xticks([0.5, 1, 3, 10, 30], labels=["one grain", "1", "3", "10", "30"])
     axes.set_yticks([10, 20, 50, 100, 200], labels=["10", "20", "50", "100", "200"])
     axes.minorticks_off()
-    axes.set(xlabel="standard deviation of the displacement (grains)", ylabel="grains that the wave may go")
-    axes.set_title(f"Eq. (6) around grain {DEEP}: the wider, the longer", loc="left", fontsize="medium")
+    axes.set(
+        xlabel="standard deviation of the displacement (grains)",
+        ylabel="grains that the wave may go",
+    )
+    axes.set_title(
+        f"Eq. (6) around grain {DEEP}: the wider, the longer", loc="left", fontsize="medium"
+    )
 
 
 def _draw_strike(axes: Axes, data: dict[str, Any]) -> None:
@@ -107,20 +137,48 @@ def _draw_strike(axes: Axes, data: dict[str, Any]) -> None:
         contrast = values[0][0]
         axes.loglog(fine, [bessel_law(contrast, t) for t in fine], color=colour, lw=1.3)
         label = f"load of {load} grains, κ₂/κ₁ − 1 = {contrast:.2g}"
-        axes.loglog(data["tau"], [error for _, error in values], "o", ms=4.5, mfc="none", color=colour, label=label)
+        axes.loglog(
+            data["tau"],
+            [error for _, error in values],
+            "o",
+            ms=4.5,
+            mfc="none",
+            color=colour,
+            label=label,
+        )
     for level in LEVELS:
         axes.axhline(level, color="0.7", lw=0.8, zorder=0)
     axes.set(xlabel="time τ", ylabel="error (package's norm)", ylim=(1e-6, 30))
-    axes.set_title('Engine "bessel", strike on top: points, measured; lines, law', loc="left", fontsize="medium")
+    axes.set_title(
+        'Engine "bessel", strike on top: points, measured; lines, law',
+        loc="left",
+        fontsize="medium",
+    )
 
 
 def _draw_seven_and_eight(axes: Axes, data: dict[str, Any]) -> None:
     tau, errors = data["local"]
-    axes.loglog(tau, errors, "s", ms=4.5, mfc="none", color="black", label="Eq. (7) against Eq. (3), top grain moved")
+    axes.loglog(
+        tau,
+        errors,
+        "s",
+        ms=4.5,
+        mfc="none",
+        color="black",
+        label="Eq. (7) against Eq. (3), top grain moved",
+    )
     for (grain, off), colour in zip(data["far field"].items(), SHADES, strict=False):
         late = np.array(data["late"])
         axes.loglog(late, far_field_law(int(grain), late), color=colour, lw=1.3)
-        axes.loglog(late, off, "o", ms=4.5, mfc="none", color=colour, label=f"Eq. (8) against Eq. (7), grain {grain}")
+        axes.loglog(
+            late,
+            off,
+            "o",
+            ms=4.5,
+            mfc="none",
+            color=colour,
+            label=f"Eq. (8) against Eq. (7), grain {grain}",
+        )
     for level in LEVELS:
         axes.axhline(level, color="0.7", lw=0.8, zorder=0)
     axes.set(xlabel="time τ", ylabel="relative error", ylim=(1e-5, 30))

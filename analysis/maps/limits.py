@@ -49,9 +49,13 @@ def measure(quick: bool) -> dict[str, Any]:
         "near_springs": [limits.from_springs(scene) for scene in near],
         "near_springs_law": limits.springs_error(30, excess).tolist(),
         "numbers": numbers.tolist(),
-        "periods": {n: [s.duration * s.chain.band_edge / (2 * np.pi) for s in swung] for n, swung in swings.items()},
+        "periods": {
+            n: [s.duration * s.chain.band_edge / (2 * np.pi) for s in swung]
+            for n, swung in swings.items()
+        },
         "period_off": {
-            n: max(abs(limits.measured_period(s) / s.duration - 1) for s in swung) for n, swung in swings.items()
+            n: max(abs(limits.measured_period(s) / s.duration - 1) for s in swung)
+            for n, swung in swings.items()
         },
         "measured": {
             n: [limits.measured_period(s) * s.chain.band_edge / (2 * np.pi) for s in swung]
@@ -75,7 +79,9 @@ def draw(data: dict[str, Any]) -> Figure:
 
 def _vacuum(axes: Axes, data: dict[str, Any]) -> None:
     g = np.array(data["gravity"])
-    for (key, values), colour in zip(data["from_vacuum"].items(), (BLUE, GREEN, ORANGE, RED), strict=True):
+    for (key, values), colour in zip(
+        data["from_vacuum"].items(), (BLUE, GREEN, ORANGE, RED), strict=True
+    ):
         exponent, load = map(float, key.split(", "))
         power = limits.vacuum_power(exponent, load > 0)
         axes.plot(g, values[0] * (g / g[0]) ** power, color=colour, lw=1.2)
@@ -86,8 +92,21 @@ def _vacuum(axes: Axes, data: dict[str, Any]) -> None:
 
 
 def _fields(axes: Axes, data: dict[str, Any]) -> None:
-    axes.plot(data["fields"], data["linear_law"], color=BLUE, lw=1.2, label="law of the weakly struck column")
-    axes.plot(data["fields"], data["from_linear"], **POINT, marker="^", color=COLOURS["modes"], label="linear theory")
+    axes.plot(
+        data["fields"],
+        data["linear_law"],
+        color=BLUE,
+        lw=1.2,
+        label="law of the weakly struck column",
+    )
+    axes.plot(
+        data["fields"],
+        data["from_linear"],
+        **POINT,
+        marker="^",
+        color=COLOURS["modes"],
+        label="linear theory",
+    )
     axes.set(xlabel="gravity (m/s²)", ylabel="relative error", ylim=(None, 30))
     axes.set_title("... but linear theory ends (struck at 10 µm/s)")
 
@@ -104,11 +123,20 @@ def _springs(axes: Axes, data: dict[str, Any]) -> None:
 
 
 def _periods(axes: Axes, data: dict[str, Any]) -> None:
-    for (grains, law), marker, colour in zip(data["periods"].items(), "so", (BLUE, ORANGE), strict=True):
+    for (grains, law), marker, colour in zip(
+        data["periods"].items(), "so", (BLUE, ORANGE), strict=True
+    ):
         values = np.array(data["measured"][grains])
         name = "one bead on another" if int(grains) == 2 else "three between walls"
         axes.plot(data["numbers"], law, color=colour, lw=1.2)
         far = data["period_off"][grains]
-        axes.plot(data["numbers"], values, **POINT, marker=marker, color=colour, label=f"{name}: {far:.0e} off")
+        axes.plot(
+            data["numbers"],
+            values,
+            **POINT,
+            marker=marker,
+            color=colour,
+            label=f"{name}: {far:.0e} off",
+        )
     axes.set(xlabel="strike number", ylabel="period / that of the top mode", ylim=(None, 300))
     axes.set_title("Two and three grains: period by quadrature")

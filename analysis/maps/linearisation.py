@@ -32,7 +32,10 @@ NAMES = {
 
 def measure(quick: bool) -> dict[str, Any]:
     """Return errors over v0 and g after 100 us, and over v0* at g."""
-    strikes, gravity = np.geomspace(1e-8, 1, 5 if quick else 33), EARTH * np.geomspace(1e-3, 1e2, 3 if quick else 11)
+    strikes, gravity = (
+        np.geomspace(1e-8, 1, 5 if quick else 33),
+        EARTH * np.geomspace(1e-3, 1e2, 3 if quick else 11),
+    )
     errors = [[linear_error(_scene(v, g))["velocity"] for v in strikes] for g in gravity]
     numbers = np.geomspace(1e-3, 1e3, 4 if quick else 25)
     scenes = [column(v, TAU, GRAINS) for v in numbers]
@@ -46,7 +49,9 @@ def measure(quick: bool) -> dict[str, Any]:
         "norms": {norm: [error.get(norm, np.nan) for error in norms] for norm in LINEAR},
         "estimate": {
             "most": [bounds(scene)[1] for scene in scenes],
-            "look": [engine.bound_model_error(scene, engine.candidate(scene, 1e-6)) for scene in scenes],
+            "look": [
+                engine.bound_model_error(scene, engine.candidate(scene, 1e-6)) for scene in scenes
+            ],
             "after": [theory(scene, "chebyshev").error_estimate.model for scene in scenes],
         },
     }
@@ -71,10 +76,18 @@ def draw(data: dict[str, Any]) -> Figure:
     picture = figure(15, 5.6)
     plane, norms, own = picture.subplots(1, 3, width_ratios=(1.15, 1, 1))
     gravity, error = data["gravity"], np.array(data["error"]).T
-    shades = plane.pcolormesh(gravity, data["v0"], error, norm=LogNorm(1e-4, 1), cmap="cividis", shading="gouraud")
+    shades = plane.pcolormesh(
+        gravity, data["v0"], error, norm=LogNorm(1e-4, 1), cmap="cividis", shading="gouraud"
+    )
     picture.colorbar(shades, ax=plane, label="error of the velocities at 100 µs", extend="both")
     plane.contour(
-        gravity, data["v0"], np.log10(error), levels=[-2, -1], colors="white", linestyles="solid", linewidths=3.5
+        gravity,
+        data["v0"],
+        np.log10(error),
+        levels=[-2, -1],
+        colors="white",
+        linestyles="solid",
+        linewidths=3.5,
     )
     draw_boundaries(plane, gravity[0], gravity[-1])
     plane.set(ylim=(data["v0"][0], data["v0"][-1]))
@@ -84,8 +97,16 @@ def draw(data: dict[str, Any]) -> Figure:
     _draw_norms(norms, data)
     _draw_own(own, data)
     for axes in (norms, own):
-        axes.set(xscale="log", yscale="log", xlabel="strike number v0*", ylabel="relative error", ylim=(1e-5, 3))
-        axes.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.14), fontsize="small")
+        axes.set(
+            xscale="log",
+            yscale="log",
+            xlabel="strike number v0*",
+            ylabel="relative error",
+            ylim=(1e-5, 3),
+        )
+        axes.legend(
+            frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.14), fontsize="small"
+        )
     return picture
 
 
@@ -101,7 +122,9 @@ def draw_boundaries(plane: Axes, least: float, most: float, background: str = "w
         plane.loglog(gravity, line, color="black", ls=style, lw=1.4)
         label, colour = f"{name}: v0* = {number:.2g}", background if number < 1 else "black"
         start = 1.3 * least, 2.4 * line[0]
-        plane.text(*start, label, rotation=25, rotation_mode="anchor", color=colour, fontsize="small")
+        plane.text(
+            *start, label, rotation=25, rotation_mode="anchor", color=colour, fontsize="small"
+        )
     plane.set(xlim=(least, most), xlabel="gravity (m/s²)", ylabel="velocity of the strike (m/s)")
 
 
@@ -121,7 +144,11 @@ def _draw_norms(axes: Axes, data: dict[str, Any]) -> None:
 def _draw_own(axes: Axes, data: dict[str, Any]) -> None:
     numbers, own = data["strike number"], data["estimate"]
     axes.plot(numbers, own["most"], color="0.7", label="bound from the strike alone")
-    axes.plot(numbers, own["look"], "--", color=COLOURS["lammps"], label="bound from the linear solution")
+    axes.plot(
+        numbers, own["look"], "--", color=COLOURS["lammps"], label="bound from the linear solution"
+    )
     axes.plot(numbers, own["after"], color=COLOURS["native"], label="estimate after the run")
-    axes.plot(numbers, data["norms"]["package"], "o", ms=4.5, mfc="none", color="black", label="measured")
+    axes.plot(
+        numbers, data["norms"]["package"], "o", ms=4.5, mfc="none", color="black", label="measured"
+    )
     axes.set_title("At g, the package's own estimates", loc="left", fontsize="medium")

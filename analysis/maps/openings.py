@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 
 EXPONENT = 1.5
 ADAPTIVE = [name for name, method in METHODS.items() if method.adaptive != "no"]
-ASYMPTOTIC = {"gear4": 0.02}  # step x frequency below which a slope is found; of the others from the first point on
+ASYMPTOTIC = {
+    "gear4": 0.02
+}  # step x frequency below which a slope is found; of the others from the first point on
 RUNS = {"dop853": 120}  # for an error; of the others 40
 FLOOR = 3e-13  # error below which round-off contributes
 
@@ -51,7 +53,9 @@ def measure(quick: bool) -> dict[str, Any]:
         "adaptive": {
             "reach": (angle / (1.1 * few)).tolist(),
             "error": {
-                name: errors_through_openings(scene, name, few, solution, True, 8 if quick else 40).tolist()
+                name: errors_through_openings(
+                    scene, name, few, solution, True, 8 if quick else 40
+                ).tolist()
                 for name in ADAPTIVE
             },
         },
@@ -70,23 +74,37 @@ def draw(data: dict[str, Any]) -> Figure:
     picture = figure(12, 6)
     axes = picture.subplots(1, 2, sharey=True)
     for ax, kind, said in zip(
-        axes, ("one length", "adaptive"), ("Fixed steps", "Adaptive step sizes around openings"), strict=True
+        axes,
+        ("one length", "adaptive"),
+        ("Fixed steps", "Adaptive step sizes around openings"),
+        strict=True,
     ):
         reach, errors = data[kind]["reach"], data[kind]["error"]
         for name, colour, shape in zip(METHODS, SHADES, SHAPES, strict=False):
             if name in errors:
                 label = f"{name}: {slope(name, reach, errors[name]):.2f}"
-                ax.loglog(reach, errors[name], color=colour, marker=shape, ms=5, lw=1.3, label=label)
+                ax.loglog(
+                    reach, errors[name], color=colour, marker=shape, ms=5, lw=1.3, label=label
+                )
         ax.set_title(said, loc="left", fontsize="medium")
         ax.set_xlabel("step × highest frequency")
         place = "lower right" if kind == "one length" else "upper left"
         ax.legend(title="slope", alignment="left", frameon=False, loc=place)
     x = np.array([2e-3, 0.1])
     shape = order_through_openings("rkn6", EXPONENT)
-    for order, height, name in ((shape, 5e-13, f"predicted: δ + 1 = {shape}"), (2, 5e-6, "predicted: 2")):
+    for order, height, name in (
+        (shape, 5e-13, f"predicted: δ + 1 = {shape}"),
+        (2, 5e-6, "predicted: 2"),
+    ):
         line = height * (x / x[0]) ** order
         axes[0].loglog(x, line, color="0.2", lw=1.2, ls="--")
-        axes[0].annotate(name, (x[0], line[0]), (0, -14 if order > 2 else 34), textcoords="offset points", color="0.2")
+        axes[0].annotate(
+            name,
+            (x[0], line[0]),
+            (0, -14 if order > 2 else 34),
+            textcoords="offset points",
+            color="0.2",
+        )
     axes[0].set(ylabel="relative error at the end", ylim=(1e-14, 1))
     axes[1].set_xticks([0.02, 0.05, 0.1, 0.2, 0.5])
     axes[1].xaxis.set_major_formatter("{x:g}")

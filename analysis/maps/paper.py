@@ -18,7 +18,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-SCENES = {"Fig. 1": "fig1", "Fig. 5, 10 g": "fig5_10g", "Fig. 5, g": "fig5_1g", "Fig. 5, g / 10": "fig5_0.1g"}
+SCENES = {
+    "Fig. 1": "fig1",
+    "Fig. 5, 10 g": "fig5_10g",
+    "Fig. 5, g": "fig5_1g",
+    "Fig. 5, g / 10": "fig5_0.1g",
+}
 MOVED, TIMES = 50, (1, 5, 10, 12)  # Fig. 2
 LAMBDA = 0.5  # Fig. 8
 POINT = {"marker": "o", "ls": "none", "color": COLOURS["lammps"], "ms": 6}
@@ -27,7 +32,8 @@ POINT = {"marker": "o", "ls": "none", "color": COLOURS["lammps"], "ms": 6}
 def measure(quick: bool) -> dict[str, Any]:
     """Return the parameters of the paper's scenes and the errors of the theory used for them."""
     scenes = {
-        name: Scene.from_toml(Path(__file__).parents[1] / "scenes" / f"{file}.toml") for name, file in SCENES.items()
+        name: Scene.from_toml(Path(__file__).parents[1] / "scenes" / f"{file}.toml")
+        for name, file in SCENES.items()
     }
     h, error = harmonic_error(LAMBDA, 80.0 if quick else 250.0)
     return {
@@ -40,7 +46,10 @@ def measure(quick: bool) -> dict[str, Any]:
             }
             for name, scene in scenes.items()
         },
-        "Fig. 2": [[tau, tau * MOVED ** (1 / 6), uniform_error(MOVED, tau * MOVED ** (1 / 6))] for tau in TIMES],
+        "Fig. 2": [
+            [tau, tau * MOVED ** (1 / 6), uniform_error(MOVED, tau * MOVED ** (1 / 6))]
+            for tau in TIMES
+        ],
         "Fig. 8": [h.tolist(), error.tolist()],
     }
 
@@ -52,19 +61,35 @@ def draw(data: dict[str, Any]) -> Figure:
     linearisation.draw_boundaries(linear, 0.1, 1000, background="black")
     for name, strike in data["strikes"].items():
         label = f"{name}\n{100 * strike['velocity']:.0f} % off"
-        _point(linear, strike["gravity"], strike["v0"], label, (-6, 8) if name == "Fig. 5, g" else (0, 8), "center")
+        _point(
+            linear,
+            strike["gravity"],
+            strike["v0"],
+            label,
+            (-6, 8) if name == "Fig. 5, g" else (0, 8),
+            "center",
+        )
     linear.set(ylim=(3e-8, 0.1))
     linear.set_title("Linear theory: velocities at 100 µs", loc="left", fontsize="medium")
     homogeneous.draw_boundaries(uniform, 10, 1000, background="black")
     for tau, travelled, error in data["Fig. 2"]:
         label = f"Fig. 2, τ = {tau}: {100 * error:.2g} %"
-        _point(uniform, MOVED, travelled, label, (-8, 3) if tau > 1 else (0, -14), "right" if tau > 1 else "center")
+        _point(
+            uniform,
+            MOVED,
+            travelled,
+            label,
+            (-8, 3) if tau > 1 else (0, -14),
+            "right" if tau > 1 else "center",
+        )
     uniform.set_title("Eq. (6), one κ for all grains", loc="left", fontsize="medium")
     _draw_continuum(continuous, *(np.array(x) for x in data["Fig. 8"]))
     return picture
 
 
-def _point(axes: Axes, x: float, y: float, label: str, away: tuple[float, float], side: str) -> None:
+def _point(
+    axes: Axes, x: float, y: float, label: str, away: tuple[float, float], side: str
+) -> None:
     axes.plot(x, y, **POINT)
     axes.annotate(label, (x, y), xytext=away, textcoords="offset points", ha=side, fontsize="small")
 
@@ -72,7 +97,9 @@ def _point(axes: Axes, x: float, y: float, label: str, away: tuple[float, float]
 def _draw_continuum(axes: Axes, h: np.ndarray, error: np.ndarray) -> None:
     depth, frequency = np.geomspace(1, 1000, 60), np.geomspace(0.1, 3, 60)
     law = np.log10(harmonic_law(frequency[:, None], depth))
-    axes.contour(depth, frequency, law, levels=[-2, -1], colors="black", linestyles="--", linewidths=1.4)
+    axes.contour(
+        depth, frequency, law, levels=[-2, -1], colors="black", linestyles="--", linewidths=1.4
+    )
     axes.loglog(depth, 2 * depth ** (1 / 6), color="black", ls=":")
     axes.text(15, 2.6, "band edge of the chain", fontsize="small")
     axes.loglog(depth, 4 ** (1 / 3) * depth ** (-1 / 6), color=COLOURS["native"])
@@ -84,7 +111,9 @@ def _draw_continuum(axes: Axes, h: np.ndarray, error: np.ndarray) -> None:
     tenth = float(np.interp(0.1, error, h))
     _point(axes, tenth, LAMBDA, f"measured: 10 %\nat h = {tenth:.0f}", (-4, 8), "right")
     for level in (0.01, 0.1):
-        axes.text(1.3, 0.88 * (12 * level / 1.3**0.5) ** (1 / 3), f"law: {100 * level:.0f} %", va="top")
+        axes.text(
+            1.3, 0.88 * (12 * level / 1.3**0.5) ** (1 / 3), f"law: {100 * level:.0f} %", va="top"
+        )
     axes.set_yticks([0.1, 0.2, 0.5, 1, 2, 4], labels=["0.1", "0.2", "0.5", "1", "2", "4"])
     axes.minorticks_off()
     axes.set(xlim=(1, 1000), ylim=(0.1, 4), xlabel="depth h (grains)", ylabel="frequency ω of τ")

@@ -27,7 +27,9 @@ HOLDS = 30.0, 50.0  # strike numbers between which the law is valid; the second 
 def scene(grains: int, velocity: float, duration: float = 5e-3, samples: int = 126) -> Scene:
     """Return a column whose top grain is struck, m/s, for some time, s."""
     chain = Chain(grains=grains, material="glass", diameter=1e-3)
-    return Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=duration, samples=samples)
+    return Scene(
+        chain=chain, excitation=Impulse(velocity=velocity), duration=duration, samples=samples
+    )
 
 
 def measure(quick: bool) -> dict:
@@ -36,37 +38,66 @@ def measure(quick: bool) -> dict:
     panels = []
     for grains in LENGTHS[:1] if quick else LENGTHS:
         scenes = [scene(grains, v, 1e-3 if quick else 5e-3) for v in velocities]
-        grown = [np.maximum.accumulate(growth(s, CHANGE, accuracy=1e-9)[1]) / CHANGE for s in scenes]
+        grown = [
+            np.maximum.accumulate(growth(s, CHANGE, accuracy=1e-9)[1]) / CHANGE for s in scenes
+        ]
         unit = scenes[0].chain.length_scale / scenes[0].chain.time_scale
         valid = np.logspace(np.log10(HOLDS[0] * unit), np.log10(HOLDS[1] * grains * unit), 9)
-        law = {f"{tol:g}": [predicted_time(scene(grains, v), tol) for v in valid] for tol in TOLERANCES}
+        law = {
+            f"{tol:g}": [predicted_time(scene(grains, v), tol) for v in valid] for tol in TOLERANCES
+        }
         decades = np.log10(np.maximum(grown, 1.0)).round(2)
-        panels.append({"grains": grains, "decades": decades.tolist(), "valid": valid.tolist(), "law": law})
+        panels.append(
+            {"grains": grains, "decades": decades.tolist(), "valid": valid.tolist(), "law": law}
+        )
     return {"velocities": velocities.tolist(), "times": scenes[0].time.tolist(), "panels": panels}
 
 
 def draw(data: dict) -> Figure:
     """Draw growth as colours over strike x time, with measured and predicted predictability times."""
-    panels, velocities, times = data["panels"], np.array(data["velocities"]), 1e3 * np.array(data["times"])
+    panels, velocities, times = (
+        data["panels"],
+        np.array(data["velocities"]),
+        1e3 * np.array(data["times"]),
+    )
     picture = figure(4.2 * len(panels) + 1.2, 5.2)
     axes = picture.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
     for ax, panel in zip(axes, panels, strict=True):
         decades = np.array(panel["decades"]).T
-        mesh = ax.pcolormesh(velocities, times, decades, vmin=0, vmax=MOST, cmap="cividis", shading="gouraud")
+        mesh = ax.pcolormesh(
+            velocities, times, decades, vmin=0, vmax=MOST, cmap="cividis", shading="gouraud"
+        )
         levels = [np.log10(tol / SEED) for tol in TOLERANCES]
         ax.contour(velocities, times, decades, levels=levels, colors="white", linewidths=1.6)
         for predicted in panel["law"].values():
             ax.plot(panel["valid"], 1e3 * np.array(predicted), color="#D55E00", lw=1.8, ls="--")
         ax.set(xscale="log", xlim=velocities[[0, -1]], ylim=times[[0, -1]], xlabel="strike (m/s)")
         ax.set_title(f"{panel['grains']} grains", fontsize="medium")
-    for level, tolerance in zip(levels, TOLERANCES, strict=True):  # labelled at the right edge of the last panel
+    for level, tolerance in zip(
+        levels, TOLERANCES, strict=True
+    ):  # labelled at the right edge of the last panel
         end = int(np.argmax(decades[:, -1] > level))
         if end > 0:
             spot, name = (velocities[-1], times[end]), f"1e{np.log10(tolerance):.0f}"
             ax.annotate(name, spot, (4, 0), textcoords="offset points", va="center")
     axes[0].set_ylabel("time after the strike (ms)")
-    axes[0].plot([], [], color="0.75", lw=1.6, label="predictability time to 1e-9, 1e-6, 1e-3 (from below): measured")
-    axes[0].plot([], [], color="#D55E00", lw=1.8, ls="--", label="predicted: 0.9 (1 - exp(-N/20)) decades a reflection")
-    picture.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
+    axes[0].plot(
+        [],
+        [],
+        color="0.75",
+        lw=1.6,
+        label="predictability time to 1e-9, 1e-6, 1e-3 (from below): measured",
+    )
+    axes[0].plot(
+        [],
+        [],
+        color="#D55E00",
+        lw=1.8,
+        ls="--",
+        label="predicted: 0.9 (1 - exp(-N/20)) decades a reflection",
+    )
+    picture.legend(
+        *axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False
+    )
     picture.colorbar(mesh, ax=axes, label="growth of a small change (decades)")
     return picture

@@ -64,14 +64,34 @@ def draw(data: dict) -> Figure:
         for name, (colour, marker) in zip(WAYS, STYLES, strict=True):
             ax.loglog(data["many"], panel["law"][name], color=colour, lw=1.4, label=f"{name}: law")
             measured = panel["measured"][name]
-            ax.loglog(data["strikes"], measured, color=colour, ls="none", marker=marker, ms=6, label="measured")
+            ax.loglog(
+                data["strikes"],
+                measured,
+                color=colour,
+                ls="none",
+                marker=marker,
+                ms=6,
+                label="measured",
+            )
         ax.axhline(TOLERANCE, color="0.5", lw=1, ls=":", zorder=0)
         ax.axvline(1, color="0.85", lw=0.8, zorder=0)
-        ax.set_title(f"{panel['grains']} grains, {1e3 * (panel['grains'] - 1) * 1e-3:g} mm high", fontsize="medium")
+        ax.set_title(
+            f"{panel['grains']} grains, {1e3 * (panel['grains'] - 1) * 1e-3:g} mm high",
+            fontsize="medium",
+        )
         ax.set_xlabel(r"strike number $v_0^*$  (1 is 0.1 mm/s here)")
         ax.set_ylim(1e-15, 3)
     axes[0].set_ylabel("relative error from rounding alone")
-    axes[0].text(data["many"][-1], TOLERANCE * 1.4, "default tolerance", color="0.4", fontsize="small", ha="right")
+    axes[0].text(
+        data["many"][-1],
+        TOLERANCE * 1.4,
+        "default tolerance",
+        color="0.4",
+        fontsize="small",
+        ha="right",
+    )
     handles, labels = axes[0].get_legend_handles_labels()
-    picture.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize="small")
+    picture.legend(
+        handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize="small"
+    )
     return picture

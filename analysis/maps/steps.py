@@ -32,7 +32,10 @@ def struck(number: float) -> lmpchain.Scene:
 
 def vacuum(velocity: float) -> lmpchain.Scene:
     """Return the chain without its load, struck with this velocity in m/s."""
-    chain, impulse = lmpchain.Chain(**LOADED | {"top_load": 0.0}), lmpchain.Impulse(velocity=velocity)
+    chain, impulse = (
+        lmpchain.Chain(**LOADED | {"top_load": 0.0}),
+        lmpchain.Impulse(velocity=velocity),
+    )
     frequency = lmpchain.Scene(chain=chain, excitation=impulse, duration=1.0).highest_frequency
     return lmpchain.Scene(chain=chain, excitation=impulse, duration=PERIODS * 2 * np.pi / frequency)
 
@@ -87,10 +90,10 @@ def draw(data: dict[str, Any]) -> Figure:
     entries: dict[str, Any] = {}
     for ax in panels[:2]:
         entries |= {str(artist.get_label()): artist for artist in ax.get_legend_handles_labels()[0]}
-    picture.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=3, frameon=False)
-    said = (
-        "The longest step that a loaded chain of 12 grains survives for 100 periods, after strikes from weak to strong"
+    picture.legend(
+        entries.values(), entries.keys(), loc="outside lower center", ncols=3, frameon=False
     )
+    said = "The longest step that a loaded chain of 12 grains survives for 100 periods, after strikes from weak to strong"
     picture.suptitle(said, x=0.01, ha="left")
     return picture
 
@@ -101,7 +104,12 @@ def _panel(ax: Any, data: dict[str, Any], name: str) -> None:
     ax.axhspan(limit, 20, color="0.92", label="refused: unstable at rest")
     ax.loglog(data["smooth"], expected, **LINE, label="predicted, from the energy of the strike")
     if data["steep"][name] > 1.05 * limit:
-        ax.loglog(data["smooth"], expected * data["steep"][name] / limit, **LINE | {"ls": "--"}, label=BEYOND)
+        ax.loglog(
+            data["smooth"],
+            expected * data["steep"][name] / limit,
+            **LINE | {"ls": "--"},
+            label=BEYOND,
+        )
     for engine, key, size in (("lammps", "few", 9), ("native", "numbers", 5)):
         if name in data[engine]:
             ax.loglog(data[key], np.array(data[engine][name]) * edge, **style(engine, size))
@@ -127,5 +135,11 @@ def _vacuum(ax: Any, data: dict[str, Any]) -> None:
 def style(engine: str, size: float) -> dict[str, Any]:
     """Return how the points of an engine are drawn."""
     label = "measured, LAMMPS" if engine == "lammps" else f"measured, {engine}"
-    drawn = {"color": COLOURS[engine], "marker": MARKERS[engine], "ms": size, "mfc": "none", "mew": 1.4}
+    drawn = {
+        "color": COLOURS[engine],
+        "marker": MARKERS[engine],
+        "ms": size,
+        "mfc": "none",
+        "mew": 1.4,
+    }
     return drawn | {"ls": "none", "label": label}

@@ -19,7 +19,9 @@ LOOP_TIME = re.compile(r"^Loop time of (\S+)", re.MULTILINE)
 def heights(scene: Scene) -> Array:
     """Return the heights at rest, (N,) m: summed in extended precision, grain 1 at 0."""
     d = scene.chain.diameters.astype(np.longdouble)
-    return np.append(0.0, -np.cumsum((d[:-1] + d[1:]) / 2 - scene.chain.equilibrium_overlap)).astype(float)
+    return np.append(
+        0.0, -np.cumsum((d[:-1] + d[1:]) / 2 - scene.chain.equilibrium_overlap)
+    ).astype(float)
 
 
 def write_data(scene: Scene, path: Path) -> None:
@@ -34,7 +36,12 @@ def write_data(scene: Scene, path: Path) -> None:
     lines = [
         *("A column", "", f"{chain.grains} atoms", "1 atom types"),
         *(f"{low:.17g} {high:.17g} {axis}lo {axis}hi" for axis, low, high in box),
-        *("", "Atoms", "", *(f"{n + 1} 1 {d[n]:.17g} {density[n]:.17g} 0 0 {z[n]:.17g}" for n in grains)),
+        *(
+            "",
+            "Atoms",
+            "",
+            *(f"{n + 1} 1 {d[n]:.17g} {density[n]:.17g} 0 0 {z[n]:.17g}" for n in grains),
+        ),
         *("", "Velocities", "", *(f"{n + 1} 0 0 {-v[n]:.17g} 0 0 0" for n in grains), ""),
     ]
     path.write_text("\n".join(lines), encoding="ascii")
@@ -51,7 +58,12 @@ def run(command: list[str], deck: str, scene: Scene) -> tuple[Array, Array, floa
         folder = Path(name)
         write_data(scene, folder / "column.data")
         (folder / "in.column").write_text(deck, encoding="ascii")
-        done = subprocess.run([*command, "-in", "in.column", "-log", "log"], cwd=folder, capture_output=True, text=True)
+        done = subprocess.run(
+            [*command, "-in", "in.column", "-log", "log"],
+            cwd=folder,
+            capture_output=True,
+            text=True,
+        )
         log = (folder / "log").read_text() if (folder / "log").exists() else ""
         if done.returncode or "ERROR" in log:
             raise RunFailed(f"{command[0]} failed: {(log + done.stdout + done.stderr)[-2000:]}")
@@ -69,4 +81,6 @@ def solve(command: list[str], deck: str, problem: Problem, step: float) -> Answe
 
 def steps(problem: Problem) -> list[float]:
     """Return steps that divide the duration, s, from the longest."""
-    return [problem.scene.duration / count for count in (int(100 * 2 ** (k / 2)) for k in range(21))]
+    return [
+        problem.scene.duration / count for count in (int(100 * 2 ** (k / 2)) for k in range(21))
+    ]

@@ -92,8 +92,17 @@ class Problem:
     def __post_init__(self) -> None:
         chain, scene = self.scene.chain, self.scene
         uniform = np.ptp(chain.masses) == 0 and np.ptp(chain.contact_constants) == 0
-        if not (uniform and chain.exponent == 1.5 and chain.top == "free" and chain.bottom == "fixed"):
-            raise InputError([("chain", "must be uniform, Hertzian, free at the top and fixed at the bottom here")])
+        if not (
+            uniform and chain.exponent == 1.5 and chain.top == "free" and chain.bottom == "fixed"
+        ):
+            raise InputError(
+                [
+                    (
+                        "chain",
+                        "must be uniform, Hertzian, free at the top and fixed at the bottom here",
+                    )
+                ]
+            )
         if not chain.gravity or chain.top_load or scene.drive:
             raise InputError([("scene", "must have gravity, no top load and no drive here")])
         object.__setattr__(self, "scene", Scene(chain=chain, excitation=scene.excitation, duration=scene.duration,
@@ -155,7 +164,9 @@ def error(answer: Answer, solution: Reference) -> float:
     """
     missing = solution.displacement.shape[1] - answer.displacement.size
     pairs = ((answer.displacement, solution.displacement), (answer.velocity, solution.velocity))
-    both = [np.abs(np.pad(x, (0, missing)) - true[-1]).max() / np.abs(true).max() for x, true in pairs]
+    both = [
+        np.abs(np.pad(x, (0, missing)) - true[-1]).max() / np.abs(true).max() for x, true in pairs
+    ]
     return float(max(both)) if np.isfinite(both).all() else math.inf
 
 

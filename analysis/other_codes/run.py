@@ -36,8 +36,14 @@ OTHERS = "scipy", "numbalsoda", "heyoka", "lammps", "liggghts"
 CUTTABLE = "scipy", "numbalsoda", "heyoka"
 TARGETS = 1e-3, 1e-6, 1e-9, 1e-12
 LEAST_RUNS, LEAST_S = 3, 0.2  # runs of each point, and for how long
-LONG_S, LAST_S = 2.0, 8.0  # a run above the first is not repeated, one above the second is the last of its code
-LONG_CHAIN, UNTOUCHED = 1000, 1e-15  # shortest chain to cut; displacement over the largest beyond the cut
+LONG_S, LAST_S = (
+    2.0,
+    8.0,
+)  # a run above the first is not repeated, one above the second is the last of its code
+LONG_CHAIN, UNTOUCHED = (
+    1000,
+    1e-15,
+)  # shortest chain to cut; displacement over the largest beyond the cut
 
 
 def fastest(code: Code, problem: Problem, parameter: float) -> Answer:
@@ -57,7 +63,9 @@ def scan(code: Code, problem: Problem, solution: Reference) -> list[dict[str, An
     for parameter in code.parameters:
         try:
             answer = fastest(code, problem, parameter)
-        except lmpchain.LmpchainError as reason:  # a step beyond stability, a tolerance out of reach
+        except (
+            lmpchain.LmpchainError
+        ) as reason:  # a step beyond stability, a tolerance out of reach
             gaps.append(str(reason).strip().splitlines()[-1])
             continue
         row = {"code": code.name, "parameter": parameter, "error": error(answer, solution), "seconds": answer.seconds,
@@ -86,7 +94,9 @@ def measure(scene: lmpchain.Scene, others: list[str]) -> dict[str, Any]:
     solution = reference(problem.scene)
     cut = cut_of(problem, solution)
     rows, rows_cut = [], []
-    versions = {name: version(name) for name in ("lmpchain", "numpy", "numba")} | {"python": platform.python_version()}
+    versions = {name: version(name) for name in ("lmpchain", "numpy", "numba")} | {
+        "python": platform.python_version()
+    }
     for other in ("native", *others):
         try:
             module = import_module(f"with_{other}")
@@ -113,10 +123,18 @@ def table(result: dict[str, Any]) -> str:
     points = _by_code(result["rows"])
     whole = [{**row, "seconds": row["whole_s"]} for row in points.get(TO_TOLERANCE, [])]
     chosen = points.get(TO_TOLERANCE, [])
-    given = [row for name, rows in points.items() if name.startswith("native") and name != TO_TOLERANCE for row in rows]
+    given = [
+        row
+        for name, rows in points.items()
+        if name.startswith("native") and name != TO_TOLERANCE
+        for row in rows
+    ]
     others = [row for name, rows in points.items() if not name.startswith("native") for row in rows]
     lammps = [row for row in others if row["code"].startswith("LAMMPS")]
-    lines = ["| ms to an error of | " + " | ".join(f"{target:.0e}" for target in TARGETS) + " |", "|---" * 5 + "|"]
+    lines = [
+        "| ms to an error of | " + " | ".join(f"{target:.0e}" for target in TARGETS) + " |",
+        "|---" * 5 + "|",
+    ]
     cut = {f"{name}, cut by hand": rows for name, rows in _by_code(result["rows_cut"]).items()}
     for name, rows in (points | {f"{TO_TOLERANCE}, the whole call": whole} | cut).items():
         lines.append(_line(name, [1e3 * _time_to(rows, target) for target in TARGETS]))
@@ -141,18 +159,24 @@ def _time_to(rows: list[dict[str, Any]], target: float) -> float:
 
 
 def _line(name: str, values: list[float]) -> str:
-    return f"| {name} | " + " | ".join(f"{x:.3g}" if math.isfinite(x) else "-" for x in values) + " |"
+    return (
+        f"| {name} | " + " | ".join(f"{x:.3g}" if math.isfinite(x) else "-" for x in values) + " |"
+    )
 
 
 def main() -> None:
     """Read the scene, measure, print the table and write the file."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("scene", type=Path, help="a scene file; only the state at its end is asked for")
+    parser.add_argument(
+        "scene", type=Path, help="a scene file; only the state at its end is asked for"
+    )
     parser.add_argument("--codes", default=",".join(OTHERS), help="some of " + ",".join(OTHERS))
     given = parser.parse_args()
     others = [name for name in given.codes.split(",") if name]
     if unknown := set(others) - set(OTHERS):
-        parser.error(f"--codes: there is no {', '.join(sorted(unknown))}; take some of {', '.join(OTHERS)}")
+        parser.error(
+            f"--codes: there is no {', '.join(sorted(unknown))}; take some of {', '.join(OTHERS)}"
+        )
     try:
         result = measure(lmpchain.Scene.from_toml(given.scene), others)
     except lmpchain.InputError as faults:

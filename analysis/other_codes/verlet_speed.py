@@ -22,7 +22,10 @@ from lmpchain.benchmark.curves import machine
 from lmpchain.engines import Native
 
 GRAINS = 120, 1000, 10_000
-SPEED, FAINT = 0.05, 1e-9  # velocities over eps_1 omega_1: contacts stay closed; weak enough for the polynomial force
+SPEED, FAINT = (
+    0.05,
+    1e-9,
+)  # velocities over eps_1 omega_1: contacts stay closed; weak enough for the polynomial force
 STEP = 0.02  # over the time scale
 NATIVE_WORK, DEM_WORK = (
     2e7,
@@ -56,27 +59,41 @@ def roots_per_second() -> float:
 def everywhere(grains: int, work: float, speed: float) -> lmpchain.Scene:
     """Return a scene in which every grain moves from the start, of `work` grain-steps."""
     chain = lmpchain.Chain(grains=grains, material="glass", diameter=1e-3)
-    velocity = np.random.default_rng(1).uniform(-1, 1, grains) * speed * chain.length_scale / chain.time_scale
+    velocity = (
+        np.random.default_rng(1).uniform(-1, 1, grains)
+        * speed
+        * chain.length_scale
+        / chain.time_scale
+    )
     velocity[-1] = 0.0
     duration = round(work / grains) * STEP * chain.time_scale
-    return lmpchain.Scene(chain=chain, excitation=lmpchain.Profile(velocity=velocity), duration=duration, samples=2)
+    return lmpchain.Scene(
+        chain=chain, excitation=lmpchain.Profile(velocity=velocity), duration=duration, samples=2
+    )
 
 
 def native(grains: int, force: str, speed: float) -> tuple[float, str]:
     """Return grain-steps a second, and the form of the force."""
     scene = everywhere(grains, NATIVE_WORK, speed)
     step = STEP * scene.chain.time_scale * (1 + 1e-9)
-    runs = [lmpchain.simulate(scene, Native("verlet", step=step, force=force)) for _ in range(NATIVE_RUNS)]
+    runs = [
+        lmpchain.simulate(scene, Native("verlet", step=step, force=force))
+        for _ in range(NATIVE_RUNS)
+    ]
     seconds = min(run.cost.integration_s for run in runs)
     return runs[0].cost.force_evaluations * grains / seconds, runs[0].provenance["force"]
 
 
-def discrete(grains: int, command: list[str], text: Callable[[Problem], str]) -> tuple[float, np.ndarray]:
+def discrete(
+    grains: int, command: list[str], text: Callable[[Problem], str]
+) -> tuple[float, np.ndarray]:
     """Return grain-steps a second, and the displacements at the end."""
     problem = Problem(everywhere(grains, DEM_WORK, SPEED))
     step = STEP * problem.time
     answers = [dem.solve(command, text(problem), problem, step) for _ in range(DEM_RUNS)]
-    return answers[0].force_evaluations * grains / min(a.seconds for a in answers), answers[0].displacement
+    return answers[0].force_evaluations * grains / min(a.seconds for a in answers), answers[
+        0
+    ].displacement
 
 
 def _hertz_history(problem: Problem) -> str:
@@ -118,7 +135,9 @@ def main() -> None:
     )
     for grains in given.grains:
         plain, form = native(grains, "plain", SPEED)
-        print(f"| {grains} | native, {form} ({plain / limit:.0%} of the square roots) | {plain:.3g} | 1 | |")
+        print(
+            f"| {grains} | native, {form} ({plain / limit:.0%} of the square roots) | {plain:.3g} | 1 | |"
+        )
         for force, speed in (("exact", SPEED), ("auto", FAINT)):
             rate, form = native(grains, force, speed)
             print(f"| {grains} | native, {form} | {rate:.3g} | {plain / rate:.2f} | |")

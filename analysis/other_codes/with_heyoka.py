@@ -19,7 +19,10 @@ from problem import Answer, Code, Problem
 
 from lmpchain import RunFailed
 
-GUARDED, SWITCH = 8, 1e-7  # contacts from the top (three open in the strong scene); 1 + s of the event
+GUARDED, SWITCH = (
+    8,
+    1e-7,
+)  # contacts from the top (three open in the strong scene); 1 + s of the event
 ORDERS = 3, 4, 5, 6, 8, 10, 12, 14, 16, 18
 INLINED_GRAINS = 200  # longer chains would take too long to compile to straight-line code
 WEAK = 0.1  # strike number below which (1 + s)^(3/2) - 1 loses too many digits for the tightest tolerances
@@ -46,7 +49,10 @@ def _integrator(problem: Problem, tolerance: float, guarded: int, inlined: bool)
     s = [(above - below) * c for (above, below), c in zip(pairwise(x), closer, strict=True)]
     careful = problem.scene.strike_number < WEAK and tolerance < 1e-10
     shut = [hy.par[n] if n < guarded else 1.0 + each for n, each in enumerate(s)]
-    changes = [hy.select(hy.gt(what, 0.0), _change(each, careful), -1.0) for what, each in zip(shut, s, strict=True)]
+    changes = [
+        hy.select(hy.gt(what, 0.0), _change(each, careful), -1.0)
+        for what, each in zip(shut, s, strict=True)
+    ]
     force = [0.0, *(k * change for k, change in zip(strength, changes, strict=True))]
     gains = [above - below for above, below in pairwise(force)]
     system = [*zip(x[:-1], v, strict=True), *zip(v, gains, strict=True)]

@@ -30,7 +30,9 @@ def _to_tolerance(estimate: bool, problem: Problem, tolerance: float) -> Answer:
 
 
 def _answer(run: lmpchain.Trajectory, seconds: float, whole: float) -> Answer:
-    return Answer(run.displacement[-1], run.velocity[-1], seconds, run.cost.force_evaluations, whole)
+    return Answer(
+        run.displacement[-1], run.velocity[-1], seconds, run.cost.force_evaluations, whole
+    )
 
 
 def codes(problem: Problem) -> list[Code]:
@@ -38,4 +40,7 @@ def codes(problem: Problem) -> list[Code]:
     steps, own = [problem.scene.duration / count for count in COUNTS], version("lmpchain")
     given = [Code(f"native {name}", own, steps, partial(_at_step, name)) for name in METHODS]
     chosen = {"native to a tolerance, integration alone": False, TO_TOLERANCE: True}
-    return given + [Code(name, own, TOLERANCES, partial(_to_tolerance, estimate)) for name, estimate in chosen.items()]
+    return given + [
+        Code(name, own, TOLERANCES, partial(_to_tolerance, estimate))
+        for name, estimate in chosen.items()
+    ]

@@ -22,7 +22,11 @@ LSODA_LEAST = 3e-14  # below, it fails with many messages
 def _rate(t, y, rate, table):
     moving = int(table[0])
     size = 2 * moving
-    fill_rate(numba.carray(y, (size,)), numba.carray(rate, (size,)), numba.carray(table, (2 + 3 * moving,)))
+    fill_rate(
+        numba.carray(y, (size,)),
+        numba.carray(rate, (size,)),
+        numba.carray(table, (2 + 3 * moving,)),
+    )
 
 
 RATE = _rate.address
@@ -58,5 +62,7 @@ def codes(problem: Problem) -> list[Code]:
     codes = [Code("numbalsoda DOP853", version("numbalsoda"), TOLERANCES, partial(_solve, _dop853))]
     if problem.scene.chain.grains <= LSODA_GRAINS:
         tight = [tolerance for tolerance in TOLERANCES if tolerance > LSODA_LEAST]
-        codes.append(Code("numbalsoda LSODA", version("numbalsoda"), tight, partial(_solve, _lsoda)))
+        codes.append(
+            Code("numbalsoda LSODA", version("numbalsoda"), tight, partial(_solve, _lsoda))
+        )
     return codes

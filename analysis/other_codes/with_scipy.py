@@ -25,7 +25,9 @@ def _rate(t, y, table):
 
 def _solve_ivp(y, table, end, tolerance):
     rtol = max(tolerance, LEAST)
-    solution = solve_ivp(_rate, (0, end), y, method="DOP853", rtol=rtol, atol=tolerance, args=(table,))
+    solution = solve_ivp(
+        _rate, (0, end), y, method="DOP853", rtol=rtol, atol=tolerance, args=(table,)
+    )
     return solution.y[:, -1], solution.success
 
 

@@ -10,7 +10,9 @@ from lmpchain.measure import flight, spectrum
 
 ends = {"top": "wall", "bottom": "wall"}
 chain = lmpchain.Chain(grains=30, material="steel", diameter=5e-3, gravity=0, top_load=0.5, **ends)
-scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=0.1), duration=300e-6, samples=1201)
+scene = lmpchain.Scene(
+    chain=chain, excitation=lmpchain.Impulse(velocity=0.1), duration=300e-6, samples=1201
+)
 t = lmpchain.simulate(scene, tolerance=1e-9)
 
 along = flight.time_of_flight(t, 5, 25)

@@ -11,7 +11,9 @@ import lmpchain
 from lmpchain.measure import energy
 
 chain = lmpchain.Chain(grains=40, diameter=1e-3)
-scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-2), duration=1e-4, samples=401)
+scene = lmpchain.Scene(
+    chain=chain, excitation=lmpchain.Impulse(velocity=1e-2), duration=1e-4, samples=401
+)
 ledger = energy.ledger(lmpchain.simulate(scene, tolerance=1e-9))
 picture = ledger.plot()
 

@@ -10,10 +10,14 @@ from lmpchain.measure import front
 
 chain = lmpchain.Chain(grains=300, diameter=1e-3)
 duration = 200 * chain.time_scale
-scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-9), duration=duration, samples=1601)
+scene = lmpchain.Scene(
+    chain=chain, excitation=lmpchain.Impulse(velocity=1e-9), duration=duration, samples=1601
+)
 t = lmpchain.simulate(scene, "chebyshev")
 
-found = front.track(t).between(1, 280)  # .time .amplitude .width of every grain, with errors, but those near the wall
+found = front.track(t).between(
+    1, 280
+)  # .time .amplitude .width of every grain, with errors, but those near the wall
 picture = found.plot()
 
 # %%

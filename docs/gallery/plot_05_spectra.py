@@ -10,7 +10,9 @@ from lmpchain.measure import spectrum
 
 chain = lmpchain.Chain(grains=64, diameter=1e-3, gravity=0.0, top_load=1.0)
 strike = lmpchain.Impulse(velocity=1e-6, grain=32)
-scene = lmpchain.Scene(chain=chain, excitation=strike, duration=150 * chain.time_scale, samples=1024)
+scene = lmpchain.Scene(
+    chain=chain, excitation=strike, duration=150 * chain.time_scale, samples=1024
+)
 t = lmpchain.simulate(scene, tolerance=1e-3)
 
 picture = spectrum.dispersion(t, 1, 63).plot()  # the line: theory

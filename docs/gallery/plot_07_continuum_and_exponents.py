@@ -10,7 +10,9 @@ from lmpchain.measure import fit
 
 chain = lmpchain.Chain(grains=300, diameter=1e-3)
 strike = lmpchain.Impulse(velocity=1e-9)
-scene = lmpchain.Scene(chain=chain, excitation=strike, duration=200 * chain.time_scale, samples=1601)
+scene = lmpchain.Scene(
+    chain=chain, excitation=strike, duration=200 * chain.time_scale, samples=1601
+)
 t = lmpchain.simulate(scene, "chebyshev")
 
 continuum = fit.fit_continuum(t)

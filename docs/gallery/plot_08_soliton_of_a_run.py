@@ -9,7 +9,11 @@ import lmpchain
 from lmpchain.measure import fit
 
 chain = lmpchain.Chain(grains=40, diameter=1e-3, gravity=0.0)
-scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=0.1), duration=1e-4, samples=601)
+scene = lmpchain.Scene(
+    chain=chain, excitation=lmpchain.Impulse(velocity=0.1), duration=1e-4, samples=601
+)
 found = fit.fit_soliton(lmpchain.simulate(scene, "native"))
-print(f"{found.amplitude:.5f} m/s high, {found.speed:.0f} grains/s fast, {found.width:.3f} grains wide")
+print(
+    f"{found.amplitude:.5f} m/s high, {found.speed:.0f} grains/s fast, {found.width:.3f} grains wide"
+)
 picture = found.plot()

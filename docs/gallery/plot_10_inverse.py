@@ -9,7 +9,9 @@ import lmpchain
 from lmpchain.measure import fit
 
 chain = lmpchain.Chain(grains=12, diameter=1e-3)
-seen = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=8e-4), duration=2e-5, samples=41)
+seen = lmpchain.Scene(
+    chain=chain, excitation=lmpchain.Impulse(velocity=8e-4), duration=2e-5, samples=41
+)
 guess = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-3), duration=2e-5)
 
 trace = fit.Trace.of(lmpchain.simulate(seen, "native", tolerance=1e-9), grains=[5])

@@ -12,7 +12,9 @@ from lmpchain.benchmark.comparison import compare
 from lmpchain.benchmark.reference import reference
 
 chain = lmpchain.Chain(grains=60, diameter=1e-3)
-scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=8.57e-4), duration=6e-5, samples=61)
+scene = lmpchain.Scene(
+    chain=chain, excitation=lmpchain.Impulse(velocity=8.57e-4), duration=6e-5, samples=61
+)
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # linear theory does not hold here
     runs = [lmpchain.simulate(scene, engine, 1e-6) for engine in ("native", "lammps", "chebyshev")]

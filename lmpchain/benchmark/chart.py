@@ -22,7 +22,9 @@ ORDERS = (2, 4, 6, 8)
 LETTERS = 235  # of the footer in a line
 
 
-def draw(result: Any, ax: Axes | Sequence[Axes] | None = None, others: Sequence[Mapping[str, Any]] = ()) -> Axes:
+def draw(
+    result: Any, ax: Axes | Sequence[Axes] | None = None, others: Sequence[Mapping[str, Any]] = ()
+) -> Axes:
     """Draw error against time and force evaluations, and times to one error; see `WorkPrecision.plot`."""
     if ax is None:
         picture = window(14.0, 7.0)
@@ -30,19 +32,30 @@ def draw(result: Any, ax: Axes | Sequence[Axes] | None = None, others: Sequence[
         picture.suptitle(_title(result.scene), x=0.01, ha="left")
         picture.supxlabel(_footer(result), x=0.01, ha="left", fontsize="x-small", color="0.35")
     over_time, *rest = panels(ax)
-    codes = {code: [row for row in others if row["code"] == code] for code in dict.fromkeys(r["code"] for r in others)}
-    curves = {curve.name: [vars(point) for point in curve.points] for curve in result.curves} | codes
+    codes = {
+        code: [row for row in others if row["code"] == code]
+        for code in dict.fromkeys(r["code"] for r in others)
+    }
+    curves = {
+        curve.name: [vars(point) for point in curve.points] for curve in result.curves
+    } | codes
     times = {name: time_to(TARGET, _known(points, "seconds")) for name, points in curves.items()}
     stepped = [curve for curve in result.curves if len(curve.points) > 1 or curve.to_tolerance]
-    soonest = sorted(stepped, key=lambda curve: (not curve.to_tolerance, _or_never(times[curve.name])))[:LABELLED]
+    soonest = sorted(
+        stepped, key=lambda curve: (not curve.to_tolerance, _or_never(times[curve.name]))
+    )[:LABELLED]
     styles = {curve.name: _style(place, curve) for place, curve in enumerate(soonest)}
     _draw_errors(over_time, "seconds", result, curves, styles)
     over_time.set(xlabel="time (s)", ylabel="relative error")
-    legend(rest[0] if rest else over_time, *over_time.get_legend_handles_labels(), loc="upper right")
+    legend(
+        rest[0] if rest else over_time, *over_time.get_legend_handles_labels(), loc="upper right"
+    )
     if rest:
         over_evaluations, bars = rest
         _draw_errors(over_evaluations, "force_evaluations", result, curves, styles)
-        over_evaluations.set(xlabel="force evaluations (each of all grains)", ylim=over_time.get_ylim())
+        over_evaluations.set(
+            xlabel="force evaluations (each of all grains)", ylim=over_time.get_ylim()
+        )
         _draw_orders(over_evaluations)
         _draw_bars(bars, times, styles)
     return over_time
@@ -142,7 +155,9 @@ def _draw_orders(ax: Axes) -> None:
         last = start * min((top / end) ** (1 / order), 10)
         low = top * (last / start) ** -order
         ax.plot([start, last], [top, low], color="0.5", lw=0.9)
-        ax.annotate(f"{order}", (last, low), (2, -3), textcoords="offset points", va="top", color="0.35")
+        ax.annotate(
+            f"{order}", (last, low), (2, -3), textcoords="offset points", va="top", color="0.35"
+        )
     ax.annotate("order", (start, top), (0, 4), textcoords="offset points", color="0.35")
 
 

@@ -81,13 +81,25 @@ def error_over_time(trajectory: Trajectory, reference: Reference) -> Array:
 
 def _relative(trajectory: Trajectory, reference: Reference) -> tuple[Array, Array]:
     grains, time = reference.displacement.shape[1], reference.time
-    if trajectory.time.shape != time.shape or not np.allclose(trajectory.time, time, rtol=1e-12, atol=0):
-        raise InputError([("time", "the trajectory and the reference were recorded at different times")])
+    if trajectory.time.shape != time.shape or not np.allclose(
+        trajectory.time, time, rtol=1e-12, atol=0
+    ):
+        raise InputError(
+            [("time", "the trajectory and the reference were recorded at different times")]
+        )
     if trajectory.scene.chain.grains != grains:
-        raise InputError([("grains", f"{trajectory.scene.chain.grains} grains, but {grains} in the reference")])
+        raise InputError(
+            [("grains", f"{trajectory.scene.chain.grains} grains, but {grains} in the reference")]
+        )
     columns = trajectory.grains - 1
-    pairs = (trajectory.displacement, reference.displacement), (trajectory.velocity, reference.velocity)
-    u, v = (np.abs(x - true[:, columns]).max(1) / s for (x, true), s in zip(pairs, reference.scale, strict=True))
+    pairs = (
+        (trajectory.displacement, reference.displacement),
+        (trajectory.velocity, reference.velocity),
+    )
+    u, v = (
+        np.abs(x - true[:, columns]).max(1) / s
+        for (x, true), s in zip(pairs, reference.scale, strict=True)
+    )
     return u, v
 
 
@@ -152,7 +164,16 @@ class Comparison(Shown):
         return {"reference": reference, "rows": rows}
 
     def _summary(self) -> Iterator[Sequence[str]]:
-        yield "engine", "equation", "integrator", "error", "expected", "integration", "steps", "force evaluations"
+        yield (
+            "engine",
+            "equation",
+            "integrator",
+            "error",
+            "expected",
+            "integration",
+            "steps",
+            "force evaluations",
+        )
         for row in self.rows:
             errors = f"{row.error:.2e}", f"{row.expected_error:.2e}"
             counts = number(row.integration_s, unit="s"), str(row.steps), str(row.force_evaluations)
@@ -160,7 +181,9 @@ class Comparison(Shown):
 
     def table(self) -> str:
         """Return the comparison as text."""
-        source = f"reference: {self.reference.method}; its own error is about {self.reference.error:.1e}"
+        source = (
+            f"reference: {self.reference.method}; its own error is about {self.reference.error:.1e}"
+        )
         meaning = (
             "error: max|x - x_true| over samples and grains over max|x_true| at any time, "
             "the larger of displacement and velocity"
@@ -265,13 +288,23 @@ def _draw_wave(comparison: Comparison, axes: Axes) -> None:
         )
     axes.axhline(0, color="0.8", lw=0.8, zorder=0)
     axes.set(xlabel="grain number, from the top", ylabel=label, xlim=(first - 0.5, end + 0.5))
-    titled(axes, f"Grains {first} to {end} of {scene.chain.grains} at t = {scene.duration * 1e6:g} µs")
+    titled(
+        axes, f"Grains {first} to {end} of {scene.chain.grains} at t = {scene.duration * 1e6:g} µs"
+    )
     span = np.array([last.min(), last.max()])
     if np.ptp(span):  # of the truth: what is far off leaves the picture, not the scale
         axes.set_ylim(span + 0.25 * np.ptp(span) * np.array([-1, 1]))
-    far = [a.engine for a in comparison.trajectories if _beyond(a.velocity[-1] / unit, axes.get_ylim())]
+    far = [
+        a.engine for a in comparison.trajectories if _beyond(a.velocity[-1] / unit, axes.get_ylim())
+    ]
     if far:
-        axes.text(0.01, 0.02, f"partly beyond the scale: {', '.join(far)}", transform=axes.transAxes, fontsize=8)
+        axes.text(
+            0.01,
+            0.02,
+            f"partly beyond the scale: {', '.join(far)}",
+            transform=axes.transAxes,
+            fontsize=8,
+        )
 
 
 def _window(velocity: Array) -> tuple[int, int]:
@@ -295,7 +328,9 @@ def _draw_errors(comparison: Comparison, axes: Axes) -> None:
     for answer, row, curve in zip(comparison.trajectories, comparison.rows, curves, strict=True):
         values = np.maximum(curve, LOWEST)
         colour = _colour(answer.engine)
-        axes.semilogy(time[1:], values[1:], color=colour, lw=1.3, label=answer.engine)  # at t = 0 the error is 0
+        axes.semilogy(
+            time[1:], values[1:], color=colour, lw=1.3, label=answer.engine
+        )  # at t = 0 the error is 0
         axes.axhline(max(row.expected_error, LOWEST), color=colour, ls="--", lw=1.3)
     axes.axhline(max(reference.error, LOWEST), color="0.55", ls=":", lw=1.5)
     axes.set(xlabel="time (µs)", ylabel="relative error")
@@ -310,9 +345,19 @@ def _draw_cost(comparison: Comparison, axes: Axes) -> None:
         expected = max(row.expected_error, LOWEST)
         colour = _colour(row.engine)
         axes.loglog([x, x], [y, expected], color=colour, ls="--", lw=1.3)
-        axes.loglog(x, expected, marker="_", markersize=10, markeredgewidth=1.8, color=colour, ls="none")
+        axes.loglog(
+            x, expected, marker="_", markersize=10, markeredgewidth=1.8, color=colour, ls="none"
+        )
         name = row.engine if row.integrator == row.engine else f"{row.engine}, {row.integrator}"
-        axes.loglog(x, y, marker=MARKERS.get(row.engine, "x"), markersize=8, color=colour, ls="none", label=name)
+        axes.loglog(
+            x,
+            y,
+            marker=MARKERS.get(row.engine, "x"),
+            markersize=8,
+            color=colour,
+            ls="none",
+            label=name,
+        )
     axes.set(xlabel="integration time (s)", ylabel="relative error")
     titled(axes, "Error and cost; bar: expected error")
     axes.margins(x=0.2, y=0.15)

@@ -81,7 +81,9 @@ class Curve:
     @property
     def name(self) -> str:
         """Engine, and integrator or "to a tolerance"."""
-        return ", ".join(filter(None, (self.engine, "to a tolerance" if self.to_tolerance else self.integrator)))
+        return ", ".join(
+            filter(None, (self.engine, "to a tolerance" if self.to_tolerance else self.integrator))
+        )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -131,14 +133,18 @@ class WorkPrecision(Shown):
         for curve in self.curves:
             curves[curve.name] = [(point.seconds, point.error) for point in curve.points]
             if curve.to_tolerance:
-                curves[WITHOUT.format(curve.name)] = [(point.integration_s, point.error) for point in curve.points]
+                curves[WITHOUT.format(curve.name)] = [
+                    (point.integration_s, point.error) for point in curve.points
+                ]
         lines = [["time to an error of", *(f"{target:.0e}" for target in TARGETS)]]
         for name, points in (curves | dict(others)).items():
             times = [time_to(target, points) for target in TARGETS]
             lines.append([name, *(number(1e3 * t, unit="ms", missing="-") for t in times)])
         return "\n".join(aligned(lines))
 
-    def plot(self, ax: Axes | Sequence[Axes] | None = None, others: Sequence[Mapping[str, Any]] = ()) -> Axes:
+    def plot(
+        self, ax: Axes | Sequence[Axes] | None = None, others: Sequence[Mapping[str, Any]] = ()
+    ) -> Axes:
         """Draw error against time, with five curves in colour and the rest in grey; returns the axes.
 
         Parameters

@@ -22,8 +22,12 @@ Longs = NDArray[np.longdouble]
 EXTENDED = float(np.finfo(Long).eps)  # spacing of the numbers of the reference at 1
 ORDER, TRUNCATION = 32, 0.1 * EXTENDED  # order of the series, and local error of a step
 LOWER, LOOSER = 24, 10 * EXTENDED  # of a second run, whose difference shows the error
-SHARED = 50 * EXTENDED + EPSILON  # error that both runs share: equilibrium and steps, rounding of the result
-WITHIN = np.arange(1, 17, dtype=Long)[:, None] / 16  # of a step: where the largest motion is looked for
+SHARED = (
+    50 * EXTENDED + EPSILON
+)  # error that both runs share: equilibrium and steps, rounding of the result
+WITHIN = (
+    np.arange(1, 17, dtype=Long)[:, None] / 16
+)  # of a step: where the largest motion is looked for
 REST = 1e-6 * EXTENDED  # motion below it counts as rest
 SHORTEST = 1e-6 * EXTENDED  # shorter steps would not advance the time
 TINY = 1e-200  # negligible beside any number that occurs
@@ -123,7 +127,10 @@ def expected_seconds(scene: Scene) -> float:
     """
     motion = _Motion(scene)
     moving = np.flatnonzero(motion.start.any(axis=0))
-    reached = min(scene.chain.grains, (np.ptp(moving) if moving.size else 0) + ORDER + float(motion.instants[-1]))
+    reached = min(
+        scene.chain.grains,
+        (np.ptp(moving) if moving.size else 0) + ORDER + float(motion.instants[-1]),
+    )
     steps = float(motion.instants[-1]) / (SMOOTH if scene.strike_number < 1 else BROKEN) + 1
     return 2 * steps * (STEP_S + GRAIN_S * float(reached))
 
@@ -160,7 +167,9 @@ class _Motion:
         self.mobility[chain.movable :] = 0
         if self.driven:
             self.mobility[0] = 0
-        self.push = self.strength * np.maximum(np.append(0, self.mobility), np.append(self.mobility, 0))
+        self.push = self.strength * np.maximum(
+            np.append(0, self.mobility), np.append(self.mobility, 0)
+        )
 
         u, v = (x.astype(Long) for x in scene.initial())
         self.start = np.array([u / self.length, v * (self.time / self.length)])
@@ -185,10 +194,14 @@ class _Motion:
                 x, y = self._series(t, state[:, here], here, order, tolerance)
                 step = self._step(x, y, here, stop - t, tolerance)
                 if not step > SHORTEST:
-                    raise RunFailed(f"the reference gave up at t = {float(t * self.time):.4g} s: its steps vanish")
+                    raise RunFailed(
+                        f"the reference gave up at t = {float(t * self.time):.4g} s: its steps vanish"
+                    )
                 end = stop if step == stop - t else t + step
                 now = int(np.searchsorted(self.instants, end, side="right"))
-                solution[:, done:now, here] = _motion_at(x, self.instants[done:now, None] - t) * self.units
+                solution[:, done:now, here] = (
+                    _motion_at(x, self.instants[done:now, None] - t) * self.units
+                )
                 within = _motion_at(x, WITHIN * step)
                 largest = np.maximum(largest, np.abs(within).max(axis=(1, 2)))
                 moved = within[:, -1]
@@ -208,12 +221,22 @@ class _Motion:
         """Return which contacts push noticeably; others may be neglected for one unit of time."""
         return self.push[_contacts(here)] * np.maximum(overlap, 0) ** self.delta > tolerance
 
-    def _series(self, t: Long, state: Longs, here: slice, order: int, tolerance: float) -> tuple[Longs, Longs]:
+    def _series(
+        self, t: Long, state: Longs, here: slice, order: int, tolerance: float
+    ) -> tuple[Longs, Longs]:
         """Return the coefficients of displacements and overlaps, (order + 1, n) and (order + 1, n + 1)."""
-        closer, at_rest, strength = (a[_contacts(here)] for a in (self.closer, self.at_rest, self.strength))
-        x, y, power = (np.zeros((order + 1, n), dtype=Long) for n in (state.shape[1], closer.size, closer.size))
+        closer, at_rest, strength = (
+            a[_contacts(here)] for a in (self.closer, self.at_rest, self.strength)
+        )
+        x, y, power = (
+            np.zeros((order + 1, n), dtype=Long) for n in (state.shape[1], closer.size, closer.size)
+        )
         x[:2] = state
-        driven, wall, outside = self.driven and here.start == 0, np.zeros(order + 1, dtype=Long), np.zeros_like(x)
+        driven, wall, outside = (
+            self.driven and here.start == 0,
+            np.zeros(order + 1, dtype=Long),
+            np.zeros_like(x),
+        )
         if driven:
             x[:, 0] = self._imposed(t, order) / self.length
         elif self.walled and here.start == 0:
@@ -255,15 +278,23 @@ class _Motion:
             return series
         piece = min(int(np.searchsorted(self.knots, t, side="right")), self.knots.size - 1) - 1
         c, z = wave.spline.c[::-1, piece].astype(Long) * self.time ** k[:4], t - self.knots[piece]
-        series[:4] = [sum(math.comb(j, m) * c[j] * z ** (j - m) for j in range(m, 4)) for m in range(4)]
+        series[:4] = [
+            sum(math.comb(j, m) * c[j] * z ** (j - m) for j in range(m, 4)) for m in range(4)
+        ]
         return series
 
     def _step(self, x: Longs, y: Longs, here: slice, most: Long, tolerance: float) -> Long:
         """Return how long the series converge to this error, and until a contact opens or closes."""
         step, order = most, len(x) - 1
         for k in (order - 1, order):
-            if (last := np.abs(x[k]).max()) > 0:  # the terms of this power, in displacement and in velocity
-                step = min(step, (tolerance / last) ** (1 / Long(k)), (tolerance / (k * last)) ** (1 / Long(k - 1)))
+            if (
+                last := np.abs(x[k]).max()
+            ) > 0:  # the terms of this power, in displacement and in velocity
+                step = min(
+                    step,
+                    (tolerance / last) ** (1 / Long(k)),
+                    (tolerance / (k * last)) ** (1 / Long(k - 1)),
+                )
         push, shut = self.push[_contacts(here)], self._shut(y[0], here, tolerance)
         change = _at(np.abs(y), step) - np.abs(y[0])
         felt = push * (np.abs(y[0]) + change) ** self.delta * step > tolerance
@@ -292,8 +323,15 @@ def _exact_sines(excitation: Any) -> list[tuple[Long, Long]]:
     if wave is None or wave.spline is not None:
         return []
     half = 4 * np.arctan(Long(1))
-    exact = half / Long(excitation.duration) if excitation.frequency is None else 2 * half * Long(excitation.frequency)
-    return [(Long(amplitude), Long(omega) * (exact / Long(wave.omega))) for amplitude, omega in wave.sines]
+    exact = (
+        half / Long(excitation.duration)
+        if excitation.frequency is None
+        else 2 * half * Long(excitation.frequency)
+    )
+    return [
+        (Long(amplitude), Long(omega) * (exact / Long(wave.omega)))
+        for amplitude, omega in wave.sines
+    ]
 
 
 def _contacts(here: slice) -> slice:

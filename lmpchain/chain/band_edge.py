@@ -56,7 +56,10 @@ def band_edges(diagonal: Array, coupling: Array) -> Array:
                 second += slope * slope + bend
             if not pivot > 0.0:  # rounding has brought it to the eigenvalue
                 break
-            before, step = step, size / (first + math.sqrt((size - 1) * max(size * second - first * first, 0.0)))
+            before, step = (
+                step,
+                size / (first + math.sqrt((size - 1) * max(size * second - first * first, 0.0))),
+            )
             if step <= EPSILON * top or step > before:
                 break
             top -= step

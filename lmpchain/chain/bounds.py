@@ -81,16 +81,24 @@ def bounds(
     """
     load, gravity, exponent = weights
     try:
-        odd: Any = [(each.material or kind[0], each.diameter or kind[1], each.mass) for each in impurities]
+        odd: Any = [
+            (each.material or kind[0], each.diameter or kind[1], each.mass) for each in impurities
+        ]
         materials, widths, _ = zip(*(every := ((*kind, None), *odd)), strict=True)
-        masses = [mass or material.density * math.pi / 6 * width**3 for material, width, mass in every]
+        masses = [
+            mass or material.density * math.pi / 6 * width**3 for material, width, mass in every
+        ]
         moduli = [each.plane_strain_modulus for each in (*materials, *walls)]
         lengths = [width ** (1.5 - exponent) for width in widths]
         softest = 2 / 3 * min(moduli) * math.sqrt(min(widths) / 4) * min(lengths)
         hardest = 2 / 3 * max(moduli) * math.sqrt(max(widths) / 2) * max(lengths)
-        overlap = ((load + gravity * (grains * masses[0] + sum(masses[1:]))) / softest) ** (1 / exponent)
+        overlap = ((load + gravity * (grains * masses[0] + sum(masses[1:]))) / softest) ** (
+            1 / exponent
+        )
         slowest = min(each.sound_speed for each in materials)
-        found = Bounds(softest, hardest, min(masses), max(masses), min(widths), slowest, overlap, exponent)
+        found = Bounds(
+            softest, hardest, min(masses), max(masses), min(widths), slowest, overlap, exponent
+        )
         return found if found.frequency(overlap) ** 2 < HARDEST else None
     except ArithmeticError:
         return None

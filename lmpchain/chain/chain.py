@@ -88,35 +88,66 @@ class Chain(AtRest, Checked):
     def _faults(self) -> Iterator[tuple[str, str]]:
         yield from (wrong := list(self._misfits()))
         if self.grains == 1 and (self.bottom == "fixed" or "wall" not in (self.top, self.bottom)):
-            yield "grains", 'a single grain that is held, or touches nothing: use bottom = "wall", or more grains'
+            yield (
+                "grains",
+                'a single grain that is held, or touches nothing: use bottom = "wall", or more grains',
+            )
         if self.bottom == "free" and (self.gravity > 0 or self.top_load > 0):
-            yield "bottom", 'must be "fixed" or "wall" under gravity or a top load: a free chain would fall'
+            yield (
+                "bottom",
+                'must be "fixed" or "wall" under gravity or a top load: a free chain would fall',
+            )
         for key in (small := [key for key in LEAST if 0 < getattr(self, key) < LEAST[key]]):
-            yield key, f"must be 0, or at least {LEAST[key]:g} in SI units: below, squares of overlaps underflow"
-        if wrong or small or ((known := self._leave_open().bounds) and known.squeezed <= LARGEST_OVERLAP):
+            yield (
+                key,
+                f"must be 0, or at least {LEAST[key]:g} in SI units: below, squares of overlaps underflow",
+            )
+        if (
+            wrong
+            or small
+            or ((known := self._leave_open().bounds) and known.squeezed <= LARGEST_OVERLAP)
+        ):
             return
         weights = self.grains, self.top_load, self.gravity, self.exponent
         if self._alike and (least := least_squeezed(self._kinds, *weights)) > LARGEST_OVERLAP:
             yield "diameter", too_squeezed(f"a contact is compressed by at least {least:.2g}")
             return
         with np.errstate(all="ignore"):  # non-finite values are faults
-            sound = all((abs(part) < HARDEST).all() for part in self.dynamical_matrix()) and (self.masses > 0).all()
+            sound = (
+                all((abs(part) < HARDEST).all() for part in self.dynamical_matrix())
+                and (self.masses > 0).all()
+            )
             relative = self.contacts.overlap / self.contact_lengths
         if not sound or np.isnan(relative).any():
-            yield "masses", "are too small or too large to compute with, or contacts too hard or too soft: use SI units"
+            yield (
+                "masses",
+                "are too small or too large to compute with, or contacts too hard or too soft: use SI units",
+            )
         elif relative.max() > LARGEST_OVERLAP:
             worst = int(relative.argmax())
-            yield "diameter", too_squeezed(f"contact {worst} is compressed by {relative[worst]:.2g}")
+            yield (
+                "diameter",
+                too_squeezed(f"contact {worst} is compressed by {relative[worst]:.2g}"),
+            )
 
     def _remarks(self) -> Iterator[str]:
         plain = self.exponent != 1.5 or (self.bounds and self.bounds.squeezed <= HERTZ_OVERLAP)
-        yield from remarks(self.diameter, 0.0 if plain else (self.contacts.overlap / self.contact_lengths).max())
+        yield from remarks(
+            self.diameter, 0.0 if plain else (self.contacts.overlap / self.contact_lengths).max()
+        )
 
     def _misfits(self) -> Iterator[tuple[str, str]]:
         """Yield what does not fit together, so that no array can be filled in."""
-        lengths = {"diameter": self.grains, "masses": self.grains, "contact_constants": self.grains - 1}
+        lengths = {
+            "diameter": self.grains,
+            "masses": self.grains,
+            "contact_constants": self.grains - 1,
+        }
         if isinstance(self.material, tuple) and len(self.material) != self.grains:
-            yield "material", f"must be one or {self.grains} (one a grain), not {len(self.material)}"
+            yield (
+                "material",
+                f"must be one or {self.grains} (one a grain), not {len(self.material)}",
+            )
         for key, length in lengths.items():
             if isinstance(value := getattr(self, key), np.ndarray) and len(value) != length:
                 yield key, f"must have {length} entries for {self.grains} grains, not {len(value)}"
@@ -146,7 +177,11 @@ class Chain(AtRest, Checked):
                 value = self._hertz_constants[1:-1]
             elif name == "wall_constants":
                 built = [self.top == "wall", self.bottom == "wall"]
-                natural = walls.constants(self._hertz_constants, self.contact_constants) if any(built) else 0.0
+                natural = (
+                    walls.constants(self._hertz_constants, self.contact_constants)
+                    if any(built)
+                    else 0.0
+                )
                 value = read_only(np.multiply(built, natural))
             else:
                 return super().__getattr__(name)
@@ -162,10 +197,18 @@ class Chain(AtRest, Checked):
     @cached_property
     def _twin(self) -> Chain | None:
         """A chain made before with the same fields, for its arrays; None, not itself, if there is none."""
-        if not self.bounds or self.impurity or self.top_material or self.bottom_material or self.grains > FEW:
+        if (
+            not self.bounds
+            or self.impurity
+            or self.top_material
+            or self.bottom_material
+            or self.grains > FEW
+        ):
             return None
         kind, weights = self.material.elastic, (self.gravity, self.top_load, self.exponent)  # type: ignore[union-attr]
-        first = made_before((self.grains, *kind, self.diameter, *weights, self.top, self.bottom), self)
+        first = made_before(
+            (self.grains, *kind, self.diameter, *weights, self.top, self.bottom), self
+        )
         return None if first is self else first
 
     @property
@@ -186,7 +229,9 @@ class Chain(AtRest, Checked):
         """Return a property of the material of every grain, (N,)."""
         values = np.empty(self.grains)
         alike = isinstance(self.material, Material)
-        values[:] = getattr(self.material, prop) if alike else [getattr(m, prop) for m in self.material]
+        values[:] = (
+            getattr(self.material, prop) if alike else [getattr(m, prop) for m in self.material]
+        )
         for impurity in self.impurity:
             if impurity.material is not None:
                 values[impurity.grain - 1] = getattr(impurity.material, prop)
@@ -209,13 +254,20 @@ class Chain(AtRest, Checked):
             return self._twin.contacts
         constants, force = np.empty((2, self.grains + 1))
         constants[[0, -1]], constants[1:-1] = self.wall_constants, self.contact_constants
-        force[0], force[1:] = self.top_load, self.top_load + self.gravity * self.masses.cumsum(dtype=np.longdouble)
-        return Contacts(read_only(constants), read_only(np.where(constants > 0, force, 0.0)), self.exponent)
+        force[0], force[1:] = (
+            self.top_load,
+            self.top_load + self.gravity * self.masses.cumsum(dtype=np.longdouble),
+        )
+        return Contacts(
+            read_only(constants), read_only(np.where(constants > 0, force, 0.0)), self.exponent
+        )
 
     @cached_property
     def diameters(self) -> Array:
         """Diameter of every grain, (N,) m."""
-        return read_only(with_impurities(np.full(self.grains, self.diameter), self.impurity, "diameter"))
+        return read_only(
+            with_impurities(np.full(self.grains, self.diameter), self.impurity, "diameter")
+        )
 
     @cached_property
     def contact_lengths(self) -> Array:
@@ -226,7 +278,9 @@ class Chain(AtRest, Checked):
     @cached_property
     def depths(self) -> Array:
         """How far below grain 1 the centre of every grain rests, (N,) m."""
-        return read_only(np.append(0.0, np.cumsum((self.contact_lengths - self.contacts.overlap)[1:-1])))
+        return read_only(
+            np.append(0.0, np.cumsum((self.contact_lengths - self.contacts.overlap)[1:-1]))
+        )
 
     @property
     def equilibrium_force(self) -> Array:
@@ -264,17 +318,33 @@ class Chain(AtRest, Checked):
         InputError
             Unless there are such grains, two or more, or all there are.
         """
-        if not 1 <= index(first) <= index(last) <= self.grains or (first == last and self.grains > 1):
-            raise InputError([("part", f"must be two or more of grains 1 to {self.grains} (got {first} to {last})")])
+        if not 1 <= index(first) <= index(last) <= self.grains or (
+            first == last and self.grains > 1
+        ):
+            raise InputError(
+                [
+                    (
+                        "part",
+                        f"must be two or more of grains 1 to {self.grains} (got {first} to {last})",
+                    )
+                ]
+            )
         fields = self.given() | {"grains": int(last - first + 1)}
-        for key, end in {"material": last, "diameter": last, "masses": last, "contact_constants": last - 1}.items():
+        for key, end in {
+            "material": last,
+            "diameter": last,
+            "masses": last,
+            "contact_constants": last - 1,
+        }.items():
             if isinstance(fields.get(key), np.ndarray | tuple):
                 fields[key] = fields[key][first - 1 : end]
         inside = [odd for odd in self.impurity if first <= odd.grain <= last]
         if self.impurity:
             fields["impurity"] = tuple(odd.replace(grain=odd.grain - first + 1) for odd in inside)
         if "wall_constants" in fields:
-            fields["wall_constants"] = read_only(self.wall_constants * [first == 1, last == self.grains])
+            fields["wall_constants"] = read_only(
+                self.wall_constants * [first == 1, last == self.grains]
+            )
         if first > 1:
             fields |= {"top": "free", "top_load": self._force_on(first)}
             fields.pop("top_material", None)
@@ -291,7 +361,11 @@ class Chain(AtRest, Checked):
         if not self._alike:
             return float(self.contacts.force[grain - 1])
         mass = self._kinds[2].astype(np.longdouble)
-        odd = [own - mass[0] for own, impurity in zip(mass[1:], self.impurity, strict=True) if impurity.grain < grain]
+        odd = [
+            own - mass[0]
+            for own, impurity in zip(mass[1:], self.impurity, strict=True)
+            if impurity.grain < grain
+        ]
         return float(self.top_load + self.gravity * ((grain - 1) * mass[0] + sum(odd)))
 
     def dynamical_matrix(self) -> tuple[Array, Array]:
@@ -313,7 +387,11 @@ class Chain(AtRest, Checked):
     @cached_property
     def load_over_mass(self) -> float:
         """Largest force at rest of the contact above a grain over the mass of the grain, m/s2."""
-        return self._twin.load_over_mass if self._twin else float((self.contacts.force[:-1] / self.masses).max())
+        return (
+            self._twin.load_over_mass
+            if self._twin
+            else float((self.contacts.force[:-1] / self.masses).max())
+        )
 
     @property
     def _first(self) -> int:
@@ -331,7 +409,9 @@ class Chain(AtRest, Checked):
         k = float(self.contacts.stiffness[self._first])
         return float(np.sqrt(self.masses[0] / k)) if k > 0 else np.inf
 
-    def excess_energy(self, displacement: Array, velocity: Array, wall: Array | None = None) -> Array:
+    def excess_energy(
+        self, displacement: Array, velocity: Array, wall: Array | None = None
+    ) -> Array:
         """Energy (...) above that of the chain at rest: kinetic, contacts, load and weight, J.
 
         It is conserved by Eq. (1) and zero at rest; weak waves keep their relative accuracy.

@@ -17,7 +17,9 @@ LOOSE, STIFF = 1e100, 1e-300
 FEW = 10**4  # grains of a chain, of which all contacts are known sooner than those of some parts
 
 
-def hertz_constant(modulus: Array, curvature: Array, length: Array | float, exponent: float) -> Array:
+def hertz_constant(
+    modulus: Array, curvature: Array, length: Array | float, exponent: float
+) -> Array:
     """Return K = (4/3) E* sqrt(R*) length^(1.5 - delta) of neighbours in a row of B bodies.
 
     Parameters
@@ -89,7 +91,9 @@ class Contacts:
     @cached_property
     def overlap(self) -> Array:
         """Overlap eps_n at rest, (N+1,) m."""
-        return read_only((self.force / np.where(self.exists, self.constant, 1.0)) ** (1 / self.exponent))
+        return read_only(
+            (self.force / np.where(self.exists, self.constant, 1.0)) ** (1 / self.exponent)
+        )
 
     @cached_property
     def stiffness(self) -> Array:
@@ -106,7 +110,9 @@ class Contacts:
 
     def above(self, grain: int) -> Contacts:
         """Return the contacts above a grain that is held from now on."""
-        constant, force = (read_only(np.append(x[:grain], 0.0)) for x in (self.constant, self.force))
+        constant, force = (
+            read_only(np.append(x[:grain], 0.0)) for x in (self.constant, self.force)
+        )
         return Contacts(constant, force, self.exponent)
 
     def force_at(self, overlap: Array) -> Array:
@@ -141,7 +147,9 @@ class Contacts:
 
         It is the integral of K [eps + r]^delta - K eps^delta over r, accurate in relative terms for the weakest waves.
         """
-        if np.ndim(r) == 2 and not (moves := r.any(axis=0)).all():  # most of a long chain rests; powers cost time
+        if (
+            np.ndim(r) == 2 and not (moves := r.any(axis=0)).all()
+        ):  # most of a long chain rests; powers cost time
             held = np.zeros(r.shape)
             held[:, moves] = self.of(np.flatnonzero(moves)).energy(r[:, moves])
             return held
@@ -192,7 +200,11 @@ class Contacts:
         """
         if np.equal(energy, np.inf).any():
             known = np.isfinite(energy)
-            return np.where(known, self.overlap_bound(np.where(known, energy, 0.0)), np.where(self.exists, np.inf, 0.0))
+            return np.where(
+                known,
+                self.overlap_bound(np.where(known, energy, 0.0)),
+                np.where(self.exists, np.inf, 0.0),
+            )
         return self.overlap + self._given_way(energy, *self._softness)
 
     def largest_strain(self, energy: float | Array) -> Array:
@@ -202,9 +214,13 @@ class Contacts:
         softer = 1.05  # a contact that opens
         if self._softest:
             return softer * self._given_way(energy, *self._softest, least=min)
-        return softer * np.maximum.reduce(self._given_way(energy, *self._relative_softness), axis=-1)
+        return softer * np.maximum.reduce(
+            self._given_way(energy, *self._relative_softness), axis=-1
+        )
 
-    def _given_way(self, energy: Any, loose: Any, pressed: Any, least: Callable[..., Any] = np.minimum) -> Any:
+    def _given_way(
+        self, energy: Any, loose: Any, pressed: Any, least: Callable[..., Any] = np.minimum
+    ) -> Any:
         """Return by how much contacts of these softnesses give way at most, (..., N+1)."""
         return least(energy ** (1 / (self.exponent + 1)) * loose, energy**0.5 * pressed)
 
@@ -220,8 +236,12 @@ class Contacts:
         root, and is `LOOSE` if the contact is not pressed.
         """
         power, shape = self.exponent + 1, self.constant.shape
-        loose = np.divide(power, self.constant, out=np.zeros(shape), where=self.exists) ** (1 / power)
-        return loose, np.sqrt(np.divide(2.0, self.stiffness, out=np.full(shape, LOOSE**2), where=self.pressed))
+        loose = np.divide(power, self.constant, out=np.zeros(shape), where=self.exists) ** (
+            1 / power
+        )
+        return loose, np.sqrt(
+            np.divide(2.0, self.stiffness, out=np.full(shape, LOOSE**2), where=self.pressed)
+        )
 
     @cached_property
     def _relative_softness(self) -> tuple[Array, Array]:
@@ -235,7 +255,11 @@ class Contacts:
         """These two of the contact of one chain that gives way most whatever the energy is, if there is one."""
         loose, pressed = self._relative_softness
         n = loose.argmax()
-        return (float(loose[n]), float(pressed[n])) if loose.ndim == 1 and pressed[n] == pressed.max() else None
+        return (
+            (float(loose[n]), float(pressed[n]))
+            if loose.ndim == 1 and pressed[n] == pressed.max()
+            else None
+        )
 
 
 def together(contacts: Sequence[Contacts]) -> Contacts:

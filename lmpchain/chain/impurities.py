@@ -35,11 +35,16 @@ class Impurity(Checked):
 
     def _faults(self) -> Iterator[tuple[str, str]]:
         if self.diameter is None and self.material is None and self.mass is None:
-            yield "diameter", "give a diameter, a material or a mass, or it would be a grain like the others"
+            yield (
+                "diameter",
+                "give a diameter, a material or a mass, or it would be a grain like the others",
+            )
 
 
 def _impurities(value: Any) -> tuple[Impurity, ...]:
-    if not isinstance(value, list | tuple) or not all(isinstance(item, Impurity | dict) for item in value):
+    if not isinstance(value, list | tuple) or not all(
+        isinstance(item, Impurity | dict) for item in value
+    ):
         raise ValueError("must be a list of impurities, [[chain.impurity]] in a scene file")
     made, faults = [], []
     for place, item in enumerate(value):
@@ -55,11 +60,16 @@ def _impurities(value: Any) -> tuple[Impurity, ...]:
 Impurities = Annotated[tuple[Impurity, ...], BeforeValidator(_impurities)]
 
 
-def misfits(impurities: Sequence[Impurity], grains: int, constants_given: bool) -> Iterator[tuple[str, str]]:
+def misfits(
+    impurities: Sequence[Impurity], grains: int, constants_given: bool
+) -> Iterator[tuple[str, str]]:
     """Yield the faults of impurities in a chain of this length, with its own contact constants or not."""
     for place, impurity in enumerate(impurities):
         if impurity.grain > grains:
-            yield f"impurity.{place}.grain", f"there is no grain {impurity.grain}: the chain has {grains}"
+            yield (
+                f"impurity.{place}.grain",
+                f"there is no grain {impurity.grain}: the chain has {grains}",
+            )
         elif impurity.grain in [other.grain for other in impurities[:place]]:
             yield f"impurity.{place}.grain", f"names grain {impurity.grain} a second time"
         elif constants_given and (impurity.diameter or impurity.material):

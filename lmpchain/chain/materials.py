@@ -62,16 +62,32 @@ class Material(Checked):
 
 
 def _material(name: str, density: float, youngs: float, poisson: float, source: str) -> Material:
-    return Material(density=density, youngs_modulus=youngs, poissons_ratio=poisson, name=name, source=source)
+    return Material(
+        density=density, youngs_modulus=youngs, poissons_ratio=poisson, name=name, source=source
+    )
 
 
 GLASS = _material("glass", 2426.0, 62e9, 0.2, "Gerasymov and Spivak, caption of Fig. 5")
 STEEL = _material(
-    "steel", 8000.0, 193e9, 0.3, "AISI 316, data sheet for annealed bar; nu as usual for 300-series steels"
+    "steel",
+    8000.0,
+    193e9,
+    0.3,
+    "AISI 316, data sheet for annealed bar; nu as usual for 300-series steels",
 )
-PTFE = _material("ptfe", 2200.0, 1.46e9, 0.46, "as usual in work on granular chains; data sheets give 0.4 to 2.3 GPa")
+PTFE = _material(
+    "ptfe",
+    2200.0,
+    1.46e9,
+    0.46,
+    "as usual in work on granular chains; data sheets give 0.4 to 2.3 GPa",
+)
 BRASS = _material(
-    "brass", 8500.0, 103e9, 0.34, "textbook values for 80/20 brass (15e6 psi, 0.34) and the usual density"
+    "brass",
+    8500.0,
+    103e9,
+    0.34,
+    "textbook values for 80/20 brass (15e6 psi, 0.34) and the usual density",
 )
 TUNGSTEN_CARBIDE = _material(
     "tungsten_carbide",

@@ -99,7 +99,9 @@ def decorated(grains: int, diameter: float, ratio: float, taper: float = 0.0, **
     return _chain(checked.grains, rest, diameter=both[: checked.grains])
 
 
-def periodic(grains: int, diameters: Any, materials: Any = GLASS, counts: Any = 1, **rest: Any) -> Chain:
+def periodic(
+    grains: int, diameters: Any, materials: Any = GLASS, counts: Any = 1, **rest: Any
+) -> Chain:
     """Return a chain that repeats a cell of several kinds of grains (dimer, trimer ...).
 
     The first cell starts at grain 1; the last one is cut where the chain ends.
@@ -143,7 +145,9 @@ def periodic(grains: int, diameters: Any, materials: Any = GLASS, counts: Any = 
     material = cell.materials
     if isinstance(material, tuple):
         material = tuple(material[k % len(material)] for k in kind)
-    return _chain(cell.grains, rest, diameter=np.resize(cell.diameters, cell.kinds)[kind], material=material)
+    return _chain(
+        cell.grains, rest, diameter=np.resize(cell.diameters, cell.kinds)[kind], material=material
+    )
 
 
 def _chain(grains: int, rest: dict[str, Any], **pattern: Any) -> Chain:
@@ -166,7 +170,14 @@ class _Tapered(_Pattern):
             made = self.diameter * (1 - self.taper) ** np.arange(count, dtype=float)
             volume = made[-1] ** 3
         if not 0 < volume < np.inf:
-            raise InputError([("taper", f"grain {count} would be {made[-1]:.2g} m wide: nearer to 0, or fewer grains")])
+            raise InputError(
+                [
+                    (
+                        "taper",
+                        f"grain {count} would be {made[-1]:.2g} m wide: nearer to 0, or fewer grains",
+                    )
+                ]
+            )
         return made
 
 
@@ -176,7 +187,9 @@ class _Decorated(_Tapered):
 
 def _counts(value: Any) -> tuple[int, ...]:
     numbers = tuple(value) if np.iterable(value) else (value,)
-    if not numbers or any(isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1 for n in numbers):
+    if not numbers or any(
+        isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1 for n in numbers
+    ):
         raise ValueError(f"must be a whole number above 0, or a list of them (got {shown(value)})")
     return tuple(int(n) for n in numbers)
 
@@ -190,7 +203,11 @@ class _Cell(_Pattern):
     def _lengths(self) -> dict[str, int]:
         """How many of each are listed."""
         materials = self.materials if isinstance(self.materials, tuple) else (self.materials,)
-        return {"diameters": np.size(self.diameters), "materials": len(materials), "counts": len(self.counts)}
+        return {
+            "diameters": np.size(self.diameters),
+            "materials": len(materials),
+            "counts": len(self.counts),
+        }
 
     @property
     def kinds(self) -> int:

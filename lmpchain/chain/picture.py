@@ -13,7 +13,10 @@ from ..util.plotting import axes_in_units, legend
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-MOST, DRAWN = 1_000_000, 2000  # grains of a chain that a notebook looks at in detail; that are drawn
+MOST, DRAWN = (
+    1_000_000,
+    2000,
+)  # grains of a chain that a notebook looks at in detail; that are drawn
 
 
 class AtRest(Shown):
@@ -22,7 +25,11 @@ class AtRest(Shown):
     def _summary(self: Any) -> Iterator[Sequence[str]]:
         yield from super()._summary()
         if self.grains <= MOST:
-            yield "unit of length", f"{self.length_scale:.6g} m", "overlap of the first contact at rest"
+            yield (
+                "unit of length",
+                f"{self.length_scale:.6g} m",
+                "overlap of the first contact at rest",
+            )
             yield "unit of time", f"{self.time_scale:.6g} s", "unit of the paper's tau"
             yield "mass", f"{self.masses.sum():.6g} kg", "of all grains"
 
@@ -41,7 +48,11 @@ class AtRest(Shown):
         for name, unit, place, values in drawn:
             if values.any():
                 ax.plot(
-                    place[some], (values / values.max())[some], ".-", lw=1, label=f"{name} / {values.max():.3g} {unit}"
+                    place[some],
+                    (values / values.max())[some],
+                    ".-",
+                    lw=1,
+                    label=f"{name} / {values.max():.3g} {unit}",
                 )
         ax.set(xlabel="grain, from the top", ylabel="over the largest", ylim=(0, 1.3))
         legend(ax, loc="upper left")

@@ -31,7 +31,9 @@ def remarks(diameter: float | Array, relative: float) -> Iterator[str]:
         yield f"diameter: at rest {beyond_hertz(relative)}"
 
 
-def least_squeezed(kinds: Array, grains: int, load: float, gravity: float, exponent: float) -> float:
+def least_squeezed(
+    kinds: Array, grains: int, load: float, gravity: float, exponent: float
+) -> float:
     """Return to what part of the diameter a contact of a long chain is squeezed at least, without arrays.
 
     Its grains are of these kinds (3, I+1), alike but for I impurities; 0 for a chain whose arrays are no burden. Of the

@@ -10,7 +10,9 @@ import numpy as np
 from ..util.arrays import Array
 
 
-def misfits(ends: Sequence[str], materials: Sequence[Any], given: Array | None) -> Iterator[tuple[str, str]]:
+def misfits(
+    ends: Sequence[str], materials: Sequence[Any], given: Array | None
+) -> Iterator[tuple[str, str]]:
     """Yield the faults of materials and constants of walls, top and bottom, where these are the ends."""
     for name, end, material in zip(("top", "bottom"), ends, materials, strict=True):
         if material is not None and end != "wall":
@@ -18,10 +20,18 @@ def misfits(ends: Sequence[str], materials: Sequence[Any], given: Array | None) 
     if given is None:
         return
     there = [end == "wall" for end in ends]
-    if len(given) != 2 or any(k < 0 or (k > 0) != wall for k, wall in zip(given, there, strict=True)):
-        yield "wall_constants", 'must be two, of top and bottom: above 0 where the end is "wall", 0 where it is not'
+    if len(given) != 2 or any(
+        k < 0 or (k > 0) != wall for k, wall in zip(given, there, strict=True)
+    ):
+        yield (
+            "wall_constants",
+            'must be two, of top and bottom: above 0 where the end is "wall", 0 where it is not',
+        )
     elif any(material is not None for material in materials):
-        yield "wall_constants", "take the place of the materials of the walls: leave one of them out"
+        yield (
+            "wall_constants",
+            "take the place of the materials of the walls: leave one of them out",
+        )
 
 
 def constants(natural: Array, given: Array) -> Array:

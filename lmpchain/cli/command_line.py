@@ -80,7 +80,9 @@ def _piped(argv: Sequence[str] | None) -> int:
 def _main(argv: Sequence[str] | None) -> int:
     try:
         arguments = _parser().parse_args(argv)
-    except SystemExit as asked:  # --help, --version, or arguments that argparse refused and explained
+    except (
+        SystemExit
+    ) as asked:  # --help, --version, or arguments that argparse refused and explained
         return int(asked.code or 0)
     before = _on_sigterm(_terminated)
     try:
@@ -118,7 +120,11 @@ def _kept(arguments: argparse.Namespace) -> str:
     folder = commands.run_folder(arguments)
     if folder and is_run(folder):
         return f"to go on: {resume_command(folder)}"
-    hint = "; with -o FOLDER/ what is done is kept and can be resumed" if arguments.command is commands.run else ""
+    hint = (
+        "; with -o FOLDER/ what is done is kept and can be resumed"
+        if arguments.command is commands.run
+        else ""
+    )
     return f"nothing unfinished was kept{hint}"
 
 
@@ -150,7 +156,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action=ShowVersion, nargs=0, help="show the version and exit")
     verbs = parser.add_subparsers(metavar="COMMAND", required=True)
 
-    run = verbs.add_parser("run", help="solve a scene and save the trajectory, in a file or a run folder")
+    run = verbs.add_parser(
+        "run", help="solve a scene and save the trajectory, in a file or a run folder"
+    )
     _scene(run, commands.run)
     run.add_argument(
         "-o",
@@ -159,35 +167,58 @@ def _parser() -> argparse.ArgumentParser:
         help="NetCDF file to write (default: SCENE.nc beside the scene); or, with a / at its end, a run folder, in "
         "which the output grows on the disk and which `lmpchain resume` continues after a stop of any kind",
     )
-    run.add_argument("--force", action="store_true", help="replace the file or the run that is there already")
+    run.add_argument(
+        "--force", action="store_true", help="replace the file or the run that is there already"
+    )
     run.add_argument("--engine", metavar="E", default="auto", help="engine (default: auto)")
     _tolerance(run)
-    run.add_argument("--integrator", metavar="I", help="rkn6, kahan-li6 or verlet (default: what the engine prefers)")
-    run.add_argument("--step", metavar="S", type=float, help="longest time step, s; then no tolerance is enforced")
+    run.add_argument(
+        "--integrator",
+        metavar="I",
+        help="rkn6, kahan-li6 or verlet (default: what the engine prefers)",
+    )
+    run.add_argument(
+        "--step",
+        metavar="S",
+        type=float,
+        help="longest time step, s; then no tolerance is enforced",
+    )
     run.add_argument(
         "--diameter",
         choices=["auto", "physical", "gauge"],
         help="LAMMPS only: positions from the real diameters, or from a far smaller one, which reduces round-off",
     )
-    run.add_argument("--threads", metavar="P", type=int, help="native only: threads that share a long chain")
+    run.add_argument(
+        "--threads", metavar="P", type=int, help="native only: threads that share a long chain"
+    )
     _ranks(run)
     _own(run)
     _max_wall(run)
 
-    resume = verbs.add_parser("resume", help="continue the run in a folder, bit-identical to a run without the stop")
+    resume = verbs.add_parser(
+        "resume", help="continue the run in a folder, bit-identical to a run without the stop"
+    )
     resume.add_argument("folder", metavar="FOLDER", help="folder that lmpchain run -o FOLDER/ made")
     _ranks(resume)
     _max_wall(resume)
     resume.set_defaults(command=commands.resume)
 
-    compare = verbs.add_parser("compare", help="solve a scene with several engines, compare with a reference")
+    compare = verbs.add_parser(
+        "compare", help="solve a scene with several engines, compare with a reference"
+    )
     _scene(compare, commands.compare)
-    compare.add_argument("--engines", metavar="A,B,...", help="engines (default: all that can solve the scene)")
+    compare.add_argument(
+        "--engines", metavar="A,B,...", help="engines (default: all that can solve the scene)"
+    )
     _tolerance(compare)
-    compare.add_argument("-o", "--output", metavar="PICTURE.png", help="picture to write (.png, .pdf or .svg)")
+    compare.add_argument(
+        "-o", "--output", metavar="PICTURE.png", help="picture to write (.png, .pdf or .svg)"
+    )
     compare.add_argument("--json", metavar="FILE", help="file for the numbers")
 
-    plan = verbs.add_parser("plan", help="show which engine solves a scene at the lowest cost, and why")
+    plan = verbs.add_parser(
+        "plan", help="show which engine solves a scene at the lowest cost, and why"
+    )
     plan.add_argument("scene", metavar="SCENE.toml", nargs="?", help="scene file")
     plan.set_defaults(command=commands.plan)
     _tolerance(plan)
@@ -198,69 +229,136 @@ def _parser() -> argparse.ArgumentParser:
         help="measure the speed of the engines on this machine and store it for the cost model",
     )
 
-    orbit = verbs.add_parser("orbit", help="periodic orbit of the chain: a linear mode followed up to an energy")
+    orbit = verbs.add_parser(
+        "orbit", help="periodic orbit of the chain: a linear mode followed up to an energy"
+    )
     _scene(orbit, commands.orbit)
-    orbit.add_argument("--mode", metavar="K", type=int, required=True, help="number of the mode, the lowest is 1")
-    orbit.add_argument("--energy", metavar="E", type=float, required=True, help="energy above rest, J")
-    orbit.add_argument("-o", "--output", metavar="PICTURE.png", help="picture to write (.png, .pdf or .svg)")
+    orbit.add_argument(
+        "--mode", metavar="K", type=int, required=True, help="number of the mode, the lowest is 1"
+    )
+    orbit.add_argument(
+        "--energy", metavar="E", type=float, required=True, help="energy above rest, J"
+    )
+    orbit.add_argument(
+        "-o", "--output", metavar="PICTURE.png", help="picture to write (.png, .pdf or .svg)"
+    )
     orbit.add_argument("--json", metavar="FILE", help="file for the numbers")
     sensitivity.add(verbs)
     deck = verbs.add_parser("deck", help="write a LAMMPS input that runs by itself")
     _scene(deck, commands.deck)
-    deck.add_argument("-o", "--output", metavar="FOLDER", required=True, help="folder for in.column and column.data")
+    deck.add_argument(
+        "-o",
+        "--output",
+        metavar="FOLDER",
+        required=True,
+        help="folder for in.column and column.data",
+    )
     _tolerance(deck)
-    deck.add_argument("--step", metavar="S", type=float, help="longest time step, s (default: from the tolerance)")
+    deck.add_argument(
+        "--step", metavar="S", type=float, help="longest time step, s (default: from the tolerance)"
+    )
     deck.add_argument("--diameter", choices=["physical", "gauge", "auto"], default="physical")
     deck.add_argument("--integrator", choices=["verlet", "kahan-li6"], default="verlet")
-    deck.add_argument("--pair-style", choices=["granular", "gran/hertz/history"], default="granular")
+    deck.add_argument(
+        "--pair-style", choices=["granular", "gran/hertz/history"], default="granular"
+    )
     _own(deck)
 
-    dyson = verbs.add_parser("dyson", help="weighted velocities of Eq. (22), beside the mean over random chains")
+    dyson = verbs.add_parser(
+        "dyson", help="weighted velocities of Eq. (22), beside the mean over random chains"
+    )
     _saved(dyson, commands.dyson)
-    dyson.add_argument("--m", metavar="M,M,...", required=True, help="orders of Dyson's distribution, such as 1,2,5,20")
-    dyson.add_argument("--realisations", metavar="R", type=int, default=200, help="random chains each (default: 200)")
-    dyson.add_argument("--seed", metavar="S", type=int, default=1, help="seed of the random chains (default: 1)")
-    dyson.add_argument("-o", "--output", metavar="PICTURE.png", help="picture to write (.png, .pdf or .svg)")
+    dyson.add_argument(
+        "--m",
+        metavar="M,M,...",
+        required=True,
+        help="orders of Dyson's distribution, such as 1,2,5,20",
+    )
+    dyson.add_argument(
+        "--realisations",
+        metavar="R",
+        type=int,
+        default=200,
+        help="random chains each (default: 200)",
+    )
+    dyson.add_argument(
+        "--seed", metavar="S", type=int, default=1, help="seed of the random chains (default: 1)"
+    )
+    dyson.add_argument(
+        "-o", "--output", metavar="PICTURE.png", help="picture to write (.png, .pdf or .svg)"
+    )
     dyson.add_argument("--json", metavar="FILE", help="file for the numbers")
-    fit = verbs.add_parser("fit", help="fit the theory to a saved run or a LAMMPS dump: modes, speeds, the front")
+    fit = verbs.add_parser(
+        "fit", help="fit the theory to a saved run or a LAMMPS dump: modes, speeds, the front"
+    )
     _saved(fit, commands.fit)
     fit.add_argument("--json", metavar="FILE", help="file for the numbers")
-    report = verbs.add_parser("report", help="write a page about a saved run: pictures, fits, errors, provenance")
+    report = verbs.add_parser(
+        "report", help="write a page about a saved run: pictures, fits, errors, provenance"
+    )
     _saved(report, commands.report)
     report.add_argument(
-        "-o", "--output", metavar="REPORT.html", help="file to write (default: RUN.html beside the run)"
+        "-o",
+        "--output",
+        metavar="REPORT.html",
+        help="file to write (default: RUN.html beside the run)",
     )
 
-    workprec = verbs.add_parser("workprec", help="work-precision chart of every engine and integrator on a scene")
+    workprec = verbs.add_parser(
+        "workprec", help="work-precision chart of every engine and integrator on a scene"
+    )
     _scene(workprec, commands.workprec)
     workprec.add_argument(
-        "--budget", metavar="S", type=float, default=60.0, help="about how long it may take, s (default: 60)"
+        "--budget",
+        metavar="S",
+        type=float,
+        default=60.0,
+        help="about how long it may take, s (default: 60)",
     )
     workprec.add_argument(
-        "-o", "--output", metavar="CHART.png", help="picture to write (.png, .pdf or .svg), with its numbers beside it"
+        "-o",
+        "--output",
+        metavar="CHART.png",
+        help="picture to write (.png, .pdf or .svg), with its numbers beside it",
     )
-    workprec.add_argument("--json", metavar="FILE", help="file for the numbers (default: CHART.json)")
+    workprec.add_argument(
+        "--json", metavar="FILE", help="file for the numbers (default: CHART.json)"
+    )
 
     stability = verbs.add_parser(
         "stability", help="find where methods fail on a scene: steps, round-off, chaos, theories"
     )
     _scene(stability, commands.stability)
-    stability.add_argument("-o", "--output", metavar="CHART.png", help="picture to write (.png, .pdf or .svg)")
+    stability.add_argument(
+        "-o", "--output", metavar="CHART.png", help="picture to write (.png, .pdf or .svg)"
+    )
     stability.add_argument("--json", metavar="FILE", help="file for the numbers")
 
-    sweep = verbs.add_parser("sweep", help="solve many scenes: a grid, a list, random draws, disordered chains")
+    sweep = verbs.add_parser(
+        "sweep", help="solve many scenes: a grid, a list, random draws, disordered chains"
+    )
     sweep.add_argument("sweep", metavar="SWEEP.toml", help="sweep file")
-    sweep.add_argument("-o", "--output", metavar="FOLDER", required=True, help="folder for the results")
+    sweep.add_argument(
+        "-o", "--output", metavar="FOLDER", required=True, help="folder for the results"
+    )
     by = sweep.add_mutually_exclusive_group()
-    by.add_argument("--workers", metavar="P", type=int, help="processes of this machine (default: one a core)")
-    by.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask scheduler whose workers solve the scenes")
+    by.add_argument(
+        "--workers", metavar="P", type=int, help="processes of this machine (default: one a core)"
+    )
+    by.add_argument(
+        "--scheduler", metavar="ADDRESS", help="of a Dask scheduler whose workers solve the scenes"
+    )
     sweep.set_defaults(command=commands.sweep)
 
-    doctor = verbs.add_parser("doctor", help="check the installation: LAMMPS, MPI, versions, cores, engines")
+    doctor = verbs.add_parser(
+        "doctor", help="check the installation: LAMMPS, MPI, versions, cores, engines"
+    )
     doctor.add_argument("--json", metavar="FILE", help="file for the findings")
     doctor.set_defaults(command=commands.doctor)
 
-    verbs.add_parser("docs", help="open the pages of the documentation").set_defaults(command=commands.docs)
+    verbs.add_parser("docs", help="open the pages of the documentation").set_defaults(
+        command=commands.docs
+    )
     return parser
 
 
@@ -271,13 +369,20 @@ def _scene(parser: argparse.ArgumentParser, command: Callable[[argparse.Namespac
 
 def _ranks(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--ranks", metavar="P", type=int, help="LAMMPS only: MPI processes that share the chain (not under mpirun)"
+        "--ranks",
+        metavar="P",
+        type=int,
+        help="LAMMPS only: MPI processes that share the chain (not under mpirun)",
     )
 
 
 def _own(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--template", metavar="FILE", help="LAMMPS only: your own deck, with placeholders (Jinja2)")
-    parser.add_argument("--include", metavar="FILE", help="LAMMPS only: your own fixes, computes and dumps")
+    parser.add_argument(
+        "--template", metavar="FILE", help="LAMMPS only: your own deck, with placeholders (Jinja2)"
+    )
+    parser.add_argument(
+        "--include", metavar="FILE", help="LAMMPS only: your own fixes, computes and dumps"
+    )
 
 
 def _max_wall(parser: argparse.ArgumentParser) -> None:
@@ -296,22 +401,34 @@ def _duration(text: str) -> float:
     hours, minutes, seconds = match.groups() if match else (None, None, 0)
     total = 3600 * int(hours or 0) + 60 * int(minutes or 0) + float(seconds)
     if not total or (hours and float(seconds) >= 60):
-        raise argparse.ArgumentTypeError(f"must be a time above 0, as H:MM:SS or in seconds (got {shown(text)})")
+        raise argparse.ArgumentTypeError(
+            f"must be a time above 0, as H:MM:SS or in seconds (got {shown(text)})"
+        )
     return total
 
 
 def _saved(parser: argparse.ArgumentParser, command: Callable[[argparse.Namespace], int]) -> None:
     parser.add_argument(
-        "run", metavar="RUN.nc", help="file that lmpchain run saved, or a dump such as column.lammpstrj"
+        "run",
+        metavar="RUN.nc",
+        help="file that lmpchain run saved, or a dump such as column.lammpstrj",
     )
-    parser.add_argument("--scene", metavar="SCENE.toml", help="for a dump: the scene that it was made for")
     parser.add_argument(
-        "--axis", choices=["x", "y", "z"], help="for a dump: along which the column stands (default: seen)"
+        "--scene", metavar="SCENE.toml", help="for a dump: the scene that it was made for"
+    )
+    parser.add_argument(
+        "--axis",
+        choices=["x", "y", "z"],
+        help="for a dump: along which the column stands (default: seen)",
     )
     parser.set_defaults(command=command)
 
 
 def _tolerance(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--tolerance", metavar="X", type=float, default=1e-6, help="largest relative error (default: 1e-6)"
+        "--tolerance",
+        metavar="X",
+        type=float,
+        default=1e-6,
+        help="largest relative error (default: 1e-6)",
     )

@@ -19,7 +19,10 @@ PICTURES = (".png", ".pdf", ".svg")
 
 def complain(text: str, kind: str = "error") -> None:
     """Print a fault on stderr in one line, with unprintable characters escaped."""
-    shown = (c if c.isprintable() else c.encode("unicode_escape").decode() for c in " ".join(text.split()))
+    shown = (
+        c if c.isprintable() else c.encode("unicode_escape").decode()
+        for c in " ".join(text.split())
+    )
     print(f"{kind}: {''.join(shown)}", file=sys.stderr)
 
 
@@ -52,7 +55,14 @@ def output(name: str, scene: str, suffixes: Sequence[str] = ()) -> Path:
     """Return the path of a file to write, after checking that it can be written."""
     path = Path(name)
     if path.is_dir() or name.endswith(("/", os.sep)):
-        raise InputError([(name, f"is a folder; name a file, such as {path / 'run.nc' if not suffixes else path}")])
+        raise InputError(
+            [
+                (
+                    name,
+                    f"is a folder; name a file, such as {path / 'run.nc' if not suffixes else path}",
+                )
+            ]
+        )
     if path.exists() and not path.is_file():
         raise InputError([(name, "is a device or a pipe, not a file; name a file")])
     if suffixes and path.suffix.lower() not in suffixes:
@@ -61,7 +71,9 @@ def output(name: str, scene: str, suffixes: Sequence[str] = ()) -> Path:
         raise InputError([(name, "is the file that is read; name another file")])
     if not path.parent.is_dir():
         raise InputError([(name, f"there is no folder {path.parent}; make it first")])
-    if not os.access(path.parent, os.W_OK | os.X_OK) or (path.exists() and not os.access(path, os.W_OK)):
+    if not os.access(path.parent, os.W_OK | os.X_OK) or (
+        path.exists() and not os.access(path, os.W_OK)
+    ):
         raise InputError([(name, "you may not write there; choose another place")])
     return path
 

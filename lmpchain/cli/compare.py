@@ -8,7 +8,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..errors import EngineUnavailable, InputError, RunFailed, ToleranceNotMet, check_tolerance, shown
+from ..errors import (
+    EngineUnavailable,
+    InputError,
+    RunFailed,
+    ToleranceNotMet,
+    check_tolerance,
+    shown,
+)
 from .common import PICTURES, beside, complain, gather, keep, on_terminal, output, read, write_json
 
 if TYPE_CHECKING:
@@ -65,7 +72,9 @@ def _names(given: str | None) -> list[str]:
     chosen = list(dict.fromkeys(name.strip() for name in given.split(",") if name.strip()))
     known = ", ".join(engines.names())
     if faults := [
-        ("engines", f"no engine is called {shown(n)}; use {known}") for n in chosen if n not in engines.names()
+        ("engines", f"no engine is called {shown(n)}; use {known}")
+        for n in chosen
+        if n not in engines.names()
     ]:
         raise InputError(faults)
     if not chosen:
@@ -73,7 +82,9 @@ def _names(given: str | None) -> list[str]:
     return chosen
 
 
-def _answers(scene: Scene, names: list[str], tolerance: float) -> tuple[list[Trajectory], list[str]]:
+def _answers(
+    scene: Scene, names: list[str], tolerance: float
+) -> tuple[list[Trajectory], list[str]]:
     """Run every engine; return the trajectories and the failures, in words.
 
     What is run again, if it is short, shows what an integration costs once all is loaded.
@@ -109,7 +120,12 @@ def _reference(scene: Scene, tolerance: float) -> Reference:
     if expected_seconds(scene) <= REFERENCE_S:
         return reference(scene)
     tight = max(tolerance / 100, TIGHTEST)
-    everywhere = Scene(chain=scene.chain, excitation=scene.excitation, duration=scene.duration, samples=scene.samples)
+    everywhere = Scene(
+        chain=scene.chain,
+        excitation=scene.excitation,
+        duration=scene.duration,
+        samples=scene.samples,
+    )
     try:
         run = simulate(everywhere, "native", tight, progress=on_terminal())
     except ToleranceNotMet as error:

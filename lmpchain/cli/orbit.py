@@ -46,8 +46,15 @@ def _told(family: Family) -> list[str]:
         f"residual after a period: {last.residual:.1e}; error of the steps: {last.error:.1e}",
         f"Floquet multipliers: {state}",
     ]
-    lines += [f"{event.kind}: at {event.value:.6g} J, {1 / event.orbit.period:.6g} Hz" for event in family.events]
-    return lines if family.reached else [*lines, f"the family does not come to the energy asked for: {family.ended}"]
+    lines += [
+        f"{event.kind}: at {event.value:.6g} J, {1 / event.orbit.period:.6g} Hz"
+        for event in family.events
+    ]
+    return (
+        lines
+        if family.reached
+        else [*lines, f"the family does not come to the energy asked for: {family.ended}"]
+    )
 
 
 def _picture(family: Family) -> Figure:

@@ -20,7 +20,10 @@ class Parser(argparse.ArgumentParser):
         known, unknown = super().parse_known_args(args, namespace)
         if unknown:
             names = (name.partition("=")[0] for name in unknown)
-            meant = next(filter(None, (did_you_mean(name, self._option_string_actions) for name in names)), "")
+            meant = next(
+                filter(None, (did_you_mean(name, self._option_string_actions) for name in names)),
+                "",
+            )
             self.error(f"unrecognized arguments: {' '.join(unknown)}{meant}")
         return known, unknown
 

@@ -40,10 +40,13 @@ def _calibrate() -> None:
     try:
         path, took = calibrate()
     except OSError as error:
-        raise LmpchainError(f"{cache_file()}: cannot be written: {error.strerror or error}") from None
+        raise LmpchainError(
+            f"{cache_file()}: cannot be written: {error.strerror or error}"
+        ) from None
     print(f"measured in {took:.2g} s how fast the engines are here: {path}")
     rows = [("engine", "overhead of a run", "cost over the shipped one")]
     rows += [
-        (name, number(1e3 * start, unit="ms"), f"{slowness:.2g}") for name, (start, slowness) in measured().items()
+        (name, number(1e3 * start, unit="ms"), f"{slowness:.2g}")
+        for name, (start, slowness) in measured().items()
     ]
     print("\n".join(aligned(rows)))

@@ -27,7 +27,9 @@ def dyson(arguments: argparse.Namespace) -> int:
         lambda: orders(arguments.m),
     )
     result = sums(run, m)
-    chains = at_the_end(run.scene, m, arguments.realisations, arguments.seed, progress=on_terminal())
+    chains = at_the_end(
+        run.scene, m, arguments.realisations, arguments.seed, progress=on_terminal()
+    )
     print(result.table(*chains))
     keep(result, numbers, picture, *chains)
     return 0
@@ -58,21 +60,38 @@ def _run_or_dump(arguments: argparse.Namespace) -> Trajectory:
     if scene is None and dumped:
         raise InputError([(path, "is a LAMMPS dump: give its scene as well, --scene SCENE.toml")])
     if scene is not None and not dumped and Path(path).is_file():
-        raise InputError([("scene", f"goes with a LAMMPS dump, which {path} is not; leave it out for a saved run")])
+        raise InputError(
+            [
+                (
+                    "scene",
+                    f"goes with a LAMMPS dump, which {path} is not; leave it out for a saved run",
+                )
+            ]
+        )
     if axis and scene is None:
-        raise InputError([("axis", "goes with a LAMMPS dump and its scene; leave it out for a saved run")])
+        raise InputError(
+            [("axis", "goes with a LAMMPS dump and its scene; leave it out for a saved run")]
+        )
     from ..trajectory.trajectory import Trajectory
 
-    run = Trajectory.load(path) if scene is None else Trajectory.from_dump(path, read(scene), axis=axis)
+    run = (
+        Trajectory.load(path)
+        if scene is None
+        else Trajectory.from_dump(path, read(scene), axis=axis)
+    )
     if run.time.size < 2:
-        raise InputError([(path, "has too few samples yet: go on with the run, or run the scene anew")])
+        raise InputError(
+            [(path, "has too few samples yet: go on with the run, or run the scene anew")]
+        )
     return run
 
 
 def report(arguments: argparse.Namespace) -> int:
     """Write an HTML page about a saved run or a LAMMPS dump."""
     page = arguments.output or beside(arguments.run, ".html")
-    trajectory, path = gather(lambda: _run_or_dump(arguments), lambda: output(page, arguments.run, PAGES))
+    trajectory, path = gather(
+        lambda: _run_or_dump(arguments), lambda: output(page, arguments.run, PAGES)
+    )
     from ..report import write
     from ..report.origin import origin
 

@@ -29,7 +29,9 @@ def _policy(arguments: argparse.Namespace) -> Policy:
 
     names = "integrator", "step", "threads", "diameter", "ranks", "template", "include"
     given = {key: getattr(arguments, key) for key in names}
-    return policy_for(arguments.engine, **{key: value for key, value in given.items() if value is not None})
+    return policy_for(
+        arguments.engine, **{key: value for key, value in given.items() if value is not None}
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -38,7 +40,11 @@ def run(arguments: argparse.Namespace) -> int:
     whole = run_folder(arguments) is not None
     scene, path, policy, _ = gather(
         lambda: read(arguments.scene),
-        lambda: _new_folder(name, arguments.force) if whole else _new_file(name, arguments.scene, arguments.force),
+        lambda: (
+            _new_folder(name, arguments.force)
+            if whole
+            else _new_file(name, arguments.scene, arguments.force)
+        ),
         lambda: _policy(arguments),
         lambda: check_tolerance(arguments.tolerance),
     )
@@ -53,7 +59,10 @@ def run(arguments: argparse.Namespace) -> int:
     for warning in pre_run_warnings(scene, policy.chosen, arguments.tolerance):
         warnings.warn(warning, stacklevel=1)
     if mpi.joined() and not (policy.chosen and policy.chosen.ranks_of_mpi):
-        warnings.warn(f"the engine {policy.name} runs on one rank; --engine lammps would use them all", stacklevel=1)
+        warnings.warn(
+            f"the engine {policy.name} runs on one rank; --engine lammps would use them all",
+            stacklevel=1,
+        )
     return _told(
         lambda: simulate(
             scene,
@@ -81,7 +90,12 @@ def resume(arguments: argparse.Namespace) -> int:
         done = f"at sample {about['samples_done']} of {about['samples']} or later"
         print(f"{arguments.folder}: {about['reason']} {done}; going on from its last checkpoint")
     return _told(
-        lambda: resume(arguments.folder, max_wall=arguments.max_wall, progress=on_terminal(), ranks=arguments.ranks),
+        lambda: resume(
+            arguments.folder,
+            max_wall=arguments.max_wall,
+            progress=on_terminal(),
+            ranks=arguments.ranks,
+        ),
         about["tolerance"],
         Path(arguments.folder),
     )
@@ -92,7 +106,9 @@ def run_folder(arguments: argparse.Namespace) -> str | None:
     if "folder" in arguments:
         return arguments.folder
     name = getattr(arguments, "output", None)
-    in_folder = arguments.command is run and name and (name.endswith(("/", os.sep)) or Path(name).is_dir())
+    in_folder = (
+        arguments.command is run and name and (name.endswith(("/", os.sep)) or Path(name).is_dir())
+    )
     return name if in_folder else None
 
 
@@ -109,11 +125,15 @@ def _new_file(name: str, scene: str, force: bool) -> Path:
     """Return the path of a file to write; what is there may have taken long, and is kept unless forced."""
     path = output(name, scene)
     if path.exists() and not force:
-        raise InputError([(name, "is there already: replace it with --force, or name another file with -o")])
+        raise InputError(
+            [(name, "is there already: replace it with --force, or name another file with -o")]
+        )
     return path
 
 
-def _told(answer: Callable[[], Trajectory], tolerance: float, path: Path, save: bool = False) -> int:
+def _told(
+    answer: Callable[[], Trajectory], tolerance: float, path: Path, save: bool = False
+) -> int:
     """Run, print the summary and return the exit code."""
     from ..simulation.signals import Stopped
 
@@ -184,13 +204,24 @@ def sweep(arguments: argparse.Namespace) -> int:
     from ..sweeps.run import dask, sweep
 
     if mpi.joined():
-        raise InputError([("sweep", "does not run under mpirun: use --workers, or --scheduler for several machines")])
+        raise InputError(
+            [
+                (
+                    "sweep",
+                    "does not run under mpirun: use --workers, or --scheduler for several machines",
+                )
+            ]
+        )
     folder, cores = arguments.output, len(os.sched_getaffinity(0))
     workers = cores if arguments.workers is None else arguments.workers
     with dask(arguments.scheduler) if arguments.scheduler else nullcontext() as executor:
-        results = sweep(arguments.sweep, folder, workers=workers, executor=executor, progress=on_terminal())
+        results = sweep(
+            arguments.sweep, folder, workers=workers, executor=executor, progress=on_terminal()
+        )
     reasons = [reason for reason in results["reason"].to_numpy().flat if reason]
-    print(f"{results['reason'].size - len(reasons)} of {results['reason'].size} scenes are answered in {folder}")
+    print(
+        f"{results['reason'].size - len(reasons)} of {results['reason'].size} scenes are answered in {folder}"
+    )
     if reasons:
         complain(f"{len(reasons)} scenes have no answer, the first because: {reasons[0]}")
     return 1 if reasons else 0

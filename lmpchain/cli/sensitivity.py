@@ -8,12 +8,19 @@ from typing import Any
 from ..errors import InputError
 from .common import PICTURES, gather, keep, output
 
-UNCERTAIN = {"diameter": "diameters", "modulus": "youngs_moduli", "mass": "masses", "constant": "contact_constants"}
+UNCERTAIN = {
+    "diameter": "diameters",
+    "modulus": "youngs_moduli",
+    "mass": "masses",
+    "constant": "contact_constants",
+}
 
 
 def add(verbs: Any) -> None:
     """Add the command to those of the command line."""
-    parser = verbs.add_parser("sensitivity", help="what an answer of a saved run depends on, grain by grain")
+    parser = verbs.add_parser(
+        "sensitivity", help="what an answer of a saved run depends on, grain by grain"
+    )
     parser.add_argument("run", metavar="RUN.nc", help="saved run, or a scene file")
     parser.add_argument(
         "--of", metavar="ANSWER", required=True,
@@ -22,10 +29,21 @@ def add(verbs: Any) -> None:
     )  # fmt: skip
     for name in UNCERTAIN:
         parser.add_argument(
-            f"--{name}", metavar="PART", type=float, help=f"uncertainty of each {name}, as a part of it"
+            f"--{name}",
+            metavar="PART",
+            type=float,
+            help=f"uncertainty of each {name}, as a part of it",
         )
-    parser.add_argument("--tolerance", metavar="X", type=float, default=1e-4, help="of the derivatives (default: 1e-4)")
-    parser.add_argument("-o", "--output", metavar="PICTURE.png", help="picture along the chain (.png, .pdf or .svg)")
+    parser.add_argument(
+        "--tolerance",
+        metavar="X",
+        type=float,
+        default=1e-4,
+        help="of the derivatives (default: 1e-4)",
+    )
+    parser.add_argument(
+        "-o", "--output", metavar="PICTURE.png", help="picture along the chain (.png, .pdf or .svg)"
+    )
     parser.add_argument("--json", metavar="FILE", help="file for the numbers")
     parser.set_defaults(command=sensitivity)
 

@@ -42,7 +42,9 @@ def changed(scene: Scene, values: Mapping[str, Array]) -> Scene:
             raise InputError([(name, f"must be of shape {wanted}, not {given.shape}")])
         value: Any = float(given[0]) if name in ONE else given
         if name in ("displacement", "velocity"):
-            start = dict(zip(("displacement", "velocity"), scene.initial(), strict=True)) | {name: value}
+            start = dict(zip(("displacement", "velocity"), scene.initial(), strict=True)) | {
+                name: value
+            }
             scene = scene.replace(excitation=Profile(**start))
         elif name in ("drive", "force"):
             acts[scene.excitation.strength[1]] = value
@@ -51,13 +53,22 @@ def changed(scene: Scene, values: Mapping[str, Array]) -> Scene:
         elif name == "youngs_moduli":
             made = scene.chain.material
             each = made if isinstance(made, tuple) else (made,) * scene.chain.grains
-            kinds = {pair: None for pair in zip(each, given.tolist(), strict=True)}  # few, as a rule
-            kinds = {(material, modulus): material.replace(youngs_modulus=modulus) for material, modulus in kinds}
-            chain["material"] = tuple(kinds[pair] for pair in zip(each, given.tolist(), strict=True))
+            kinds = {
+                pair: None for pair in zip(each, given.tolist(), strict=True)
+            }  # few, as a rule
+            kinds = {
+                (material, modulus): material.replace(youngs_modulus=modulus)
+                for material, modulus in kinds
+            }
+            chain["material"] = tuple(
+                kinds[pair] for pair in zip(each, given.tolist(), strict=True)
+            )
         else:
             chain["diameter" if name == "diameters" else name] = value
     if scene.chain.impurity and {"diameter", "masses", "material"} & chain.keys():
-        raise InputError([("impurity", "give every grain its own diameter and material in place of impurities")])
+        raise InputError(
+            [("impurity", "give every grain its own diameter and material in place of impurities")]
+        )
     if chain:
         scene = scene.replace(chain=scene.chain.replace(**chain))
     return scene.replace(excitation=scene.excitation.replace(**acts)) if acts else scene

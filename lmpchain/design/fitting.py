@@ -78,7 +78,9 @@ class Fit:
             Standard deviations to either side.
         """
         if name not in self.names:
-            raise InputError([("name", f"must be one of {', '.join(self.names)} (got {shown(name)})")])
+            raise InputError(
+                [("name", f"must be one of {', '.join(self.names)} (got {shown(name)})")]
+            )
         at, problem = self.names.index(name), self._problem
         others = np.arange(self.estimate.size) != at
         offsets, growth = np.linspace(-reach, reach, points), np.zeros(points)
@@ -93,7 +95,9 @@ class Fit:
 
             if others.any():
                 theta = whole(problem.least(theta[others], whole, others))
-            growth[k] = (problem.residuals(theta)[0] ** 2).sum() / problem.variance - self.chi_square
+            growth[k] = (
+                problem.residuals(theta)[0] ** 2
+            ).sum() / problem.variance - self.chi_square
         return self.estimate[at] + offsets * self.error[at], growth
 
     def posterior(self, samples: int = 10000, walkers: int = 32, seed: int = 0) -> Array:
@@ -111,7 +115,11 @@ class Fit:
 
         def log_probability(estimate: Array) -> float:
             try:
-                return -0.5 * float((problem.residuals(problem.free(estimate))[0] ** 2).sum()) / problem.variance
+                return (
+                    -0.5
+                    * float((problem.residuals(problem.free(estimate))[0] ** 2).sum())
+                    / problem.variance
+                )
             except (InputError, RunFailed):
                 return -np.inf
 
@@ -132,7 +140,9 @@ class Fit:
         colours = list(COLOURS.values())
         column = 0
         for traces, said in zip(
-            self._problem.traces, self._problem.predicted(self._problem.free(self.estimate)), strict=True
+            self._problem.traces,
+            self._problem.predicted(self._problem.free(self.estimate)),
+            strict=True,
         ):
             for place, measured, line in zip(traces.places, traces.values.T, said.T, strict=True):
                 colour = colours[column % len(colours)]
@@ -146,10 +156,14 @@ class Fit:
 def _check_reach(scene: Scene, latest: float) -> None:
     """Raise `InputError` if the scene ends before the last value of a trace."""
     if latest > scene.duration * (1 + 1e-6):
-        raise InputError([("duration", f"of the scene must reach to the last value, {latest:.6g} s or more")])
+        raise InputError(
+            [("duration", f"of the scene must reach to the last value, {latest:.6g} s or more")]
+        )
 
 
-def fit(traces: Traces | Sequence[Traces], scene: Scene, parameters: Mapping[str, Any] | Sequence[str]) -> Fit:
+def fit(
+    traces: Traces | Sequence[Traces], scene: Scene, parameters: Mapping[str, Any] | Sequence[str]
+) -> Fit:
     """Return the scene that fits measured traces best, with the covariance of what was fitted.
 
     Gauss-Newton with exact Jacobians, from the tangent of the native integrator along each unknown number. Steps are
@@ -200,7 +214,9 @@ def fit(traces: Traces | Sequence[Traces], scene: Scene, parameters: Mapping[str
         left, jacobian = problem.residuals(theta, True)
         scale = np.linalg.norm(jacobian, axis=0)
         if not (scale > 0).all() or np.linalg.cond(jacobian / scale) > 1e10:
-            raise InputError([("parameters", "the traces do not tell these apart: fit fewer of them")])
+            raise InputError(
+                [("parameters", "the traces do not tell these apart: fit fewer of them")]
+            )
         inverse = np.linalg.inv((jacobian / scale).T @ (jacobian / scale)) / np.outer(scale, scale)
         freedom = left.size - theta.size
         square = float(left @ left)
@@ -215,8 +231,12 @@ def fit(traces: Traces | Sequence[Traces], scene: Scene, parameters: Mapping[str
             break
         problem.looks *= 2
     else:
-        raise ToleranceNotMet("the steps change the estimates however short they are: use a shorter time")
-    for one, name in ((one, name) for name in problem.names for one in given if name.startswith("trigger")):
+        raise ToleranceNotMet(
+            "the steps change the estimates however short they are: use a shorter time"
+        )
+    for one, name in (
+        (one, name) for name in problem.names for one in given if name.startswith("trigger")
+    ):
         _check_reach(scene, one.time[-1] - problem.estimates(theta)[problem.names.index(name)])
     units = np.array(problem.units)
     values = problem.by_name(theta)

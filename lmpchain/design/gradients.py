@@ -68,7 +68,11 @@ class Gradient(Mapping[str, Array]):
 def looks_of(scene: Scene, objective: Objective, finer: int = 1) -> int:
     """Return how often an objective looks at a scene after t = 0: at the samples, or a multiple of that."""
     interval = scene.duration / (scene.samples - 1)
-    more = finer * max(1, math.ceil(interval * scene.highest_frequency / TURN)) if objective.dense else 1
+    more = (
+        finer * max(1, math.ceil(interval * scene.highest_frequency / TURN))
+        if objective.dense
+        else 1
+    )
     return (scene.samples - 1) * more
 
 
@@ -77,7 +81,13 @@ Answer = tuple[float, Any, DifferentiableRun]  # with derivatives by all inputs,
 
 
 def _answer(
-    scene: Scene, objective: Objective, names: Iterable[str], method: Splitting, step: float, finer: int, adaptive: bool
+    scene: Scene,
+    objective: Objective,
+    names: Iterable[str],
+    method: Splitting,
+    step: float,
+    finer: int,
+    adaptive: bool,
 ) -> Answer:
     """Return value, its derivatives by all inputs, and the run, of `at_step`."""
     grains = np.unique(objective.grains(scene))
@@ -89,8 +99,16 @@ def _answer(
     slopes = objective(Seen(scene, run.time, grains, run.displacement, run.velocity))
     everywhere = not {"displacement", "velocity"}.isdisjoint(names)
     inputs = run.pull(slopes.displacement, slopes.velocity, everywhere)
-    nothing = np.zeros(scene.chain.grains), np.zeros(scene.chain.grains), np.zeros(inputs.drive.size)
-    return slopes.value, inputs + Inputs(slopes.masses, slopes.constants, slopes.forces, *nothing), run
+    nothing = (
+        np.zeros(scene.chain.grains),
+        np.zeros(scene.chain.grains),
+        np.zeros(inputs.drive.size),
+    )
+    return (
+        slopes.value,
+        inputs + Inputs(slopes.masses, slopes.constants, slopes.forces, *nothing),
+        run,
+    )
 
 
 def at_step(
@@ -158,12 +176,19 @@ def _with_errors(
 ) -> Gradient:
     """Return a gradient with its errors, from those at other steps and from round-off."""
     value, inputs, run = now
-    floor = 10 * native_floor(run.steps * method.evaluations, scene.highest_frequency * scene.duration)
+    floor = 10 * native_floor(
+        run.steps * method.evaluations, scene.highest_frequency * scene.duration
+    )
     terms, gradients, errors, relative = _terms(scene, value, inputs), {}, {}, {}
     for name in names:
         mine = gradients[name] = params.pull(scene, inputs, name)
-        off = SAFETY * sum(float(np.abs(mine - params.pull(scene, other, name)).max()) for _, other, _ in others)
-        size, whole = float(np.abs(mine).max()), float(np.abs(params.pull(scene, terms, name)).max())
+        off = SAFETY * sum(
+            float(np.abs(mine - params.pull(scene, other, name)).max()) for _, other, _ in others
+        )
+        size, whole = (
+            float(np.abs(mine).max()),
+            float(np.abs(params.pull(scene, terms, name)).max()),
+        )
         if size <= floor * whole:
             size = whole
         errors[name] = off + floor * size
@@ -178,7 +203,9 @@ def _terms(scene: Scene, value: float, inputs: Inputs) -> Inputs:
     Such as that value over an input, or, as it may be 0 itself, what an initial motion or a drive adds to it.
     """
     own = params.inputs(scene)
-    whole = abs(value) + sum(float(np.abs(slope) @ np.abs(x)) for slope, x in list(zip(inputs, own, strict=True))[3:])
+    whole = abs(value) + sum(
+        float(np.abs(slope) @ np.abs(x)) for slope, x in list(zip(inputs, own, strict=True))[3:]
+    )
     return Inputs(
         *(
             np.abs(slope) + np.divide(whole, np.abs(x), out=np.zeros(x.size), where=x != 0)
@@ -263,4 +290,6 @@ def gradient(
     )
     if step or found.error <= tolerance:
         return found
-    raise ToleranceNotMet(f"the gradient is known to {found.error:.2g} only; use a shorter time or less accuracy")
+    raise ToleranceNotMet(
+        f"the gradient is known to {found.error:.2g} only; use a shorter time or less accuracy"
+    )

@@ -36,14 +36,18 @@ class Objective(Protocol):
 def _known(scene: Scene, grains: Sequence[int]) -> Sequence[int]:
     """Return these grains; raises `InputError` unless all are among those of the scene."""
     if not len(grains) or min(grains) < 1 or max(grains) > scene.chain.grains:
-        raise InputError([("grains", f"must be some of 1 to {scene.chain.grains} (got {shown(list(grains))})")])
+        raise InputError(
+            [("grains", f"must be some of 1 to {scene.chain.grains} (got {shown(list(grains))})")]
+        )
     return grains
 
 
 def _still(scene: Scene, contact: int) -> None:
     """Raise `InputError` if this contact is with a wall that moves."""
     if contact == 0 and scene.drive is not None and scene.drive.grain == 0:
-        raise InputError([("objective", "cannot look at the contact with a wall that moves: use other grains")])
+        raise InputError(
+            [("objective", "cannot look at the contact with a wall that moves: use other grains")]
+        )
 
 
 @dataclass(frozen=True)
@@ -69,11 +73,20 @@ class PeakForce:
         exists = scene.chain.contacts.exists
         if not (0 <= self.contact < exists.size and exists[self.contact]):
             numbers = np.flatnonzero(exists)
-            raise InputError([("contact", f"must be one of {numbers[0]} to {numbers[-1]} (got {shown(self.contact)})")])
+            raise InputError(
+                [
+                    (
+                        "contact",
+                        f"must be one of {numbers[0]} to {numbers[-1]} (got {shown(self.contact)})",
+                    )
+                ]
+            )
         _still(scene, self.contact)
         if not self.sharpness > 0:
             raise InputError([("sharpness", f"must be above 0 (got {shown(self.sharpness)})")])
-        return [grain for grain in (self.contact, self.contact + 1) if 1 <= grain <= scene.chain.grains]
+        return [
+            grain for grain in (self.contact, self.contact + 1) if 1 <= grain <= scene.chain.grains
+        ]
 
     def __call__(self, seen: Seen) -> Slopes:
         """Return the smooth maximum and its derivatives."""
@@ -89,8 +102,13 @@ class PeakForce:
         slope = weight * (1 + self.sharpness * (1 - ratio))
         slopes = seen.slopes(value)
         for grain in ends:
-            slopes.displacement[:, seen.column(grain)] = slope * by_closer * (1 if grain == self.contact else -1)
-        slopes.forces[self.contact], slopes.constants[self.contact] = slope @ by_force, slope @ by_constant
+            slopes.displacement[:, seen.column(grain)] = (
+                slope * by_closer * (1 if grain == self.contact else -1)
+            )
+        slopes.forces[self.contact], slopes.constants[self.contact] = (
+            slope @ by_force,
+            slope @ by_constant,
+        )
         return slopes
 
 
@@ -113,7 +131,9 @@ class _AtATime:
     def grains(self, scene: Scene) -> Sequence[int]:
         """Return the group."""
         if self.time is not None and not 0 <= self.time <= scene.duration:
-            raise InputError([("time", f"must be from 0 to {scene.duration:g} s (got {shown(self.time)})")])
+            raise InputError(
+                [("time", f"must be from 0 to {scene.duration:g} s (got {shown(self.time)})")]
+            )
         return _known(scene, self.group)
 
     def _look(self, seen: Seen) -> int:
@@ -210,12 +230,19 @@ class ArrivalTime:
         v = seen.velocity[:, seen.column(self.grain)]
         above = np.flatnonzero(np.sign(self.velocity) * v >= abs(self.velocity))
         if not above.size or above[0] == 0:
-            what = "has that velocity at once" if above.size else f"is never faster than {np.abs(v).max():.3g} m/s"
+            what = (
+                "has that velocity at once"
+                if above.size
+                else f"is never faster than {np.abs(v).max():.3g} m/s"
+            )
             raise InputError([("velocity", f"grain {self.grain} {what}: use another threshold")])
         first = int(np.clip(above[0] - 2, 0, v.size - 4))
         near, step = v[first : first + 4], seen.time[1]
         nodes = np.arange(4.0)
-        basis = [np.poly1d(np.poly(np.delete(nodes, k)) / np.prod(k - np.delete(nodes, k))) for k in range(4)]
+        basis = [
+            np.poly1d(np.poly(np.delete(nodes, k)) / np.prod(k - np.delete(nodes, k)))
+            for k in range(4)
+        ]
         cubic = sum((b * value for b, value in zip(basis, near, strict=True)), np.poly1d([0.0]))
         here = above[0] - first
         at = brentq(lambda t: cubic(t) - self.velocity, here - 1, here, xtol=1e-14)
@@ -249,11 +276,18 @@ class Misfit:
     def grains(self, scene: Scene) -> Sequence[int]:
         """Return the grains of the traces."""
         if self.field not in ("velocity", "displacement"):
-            raise InputError([("field", f'must be "velocity" or "displacement" (got {shown(self.field)})')])
+            raise InputError(
+                [("field", f'must be "velocity" or "displacement" (got {shown(self.field)})')]
+            )
         if np.shape(self.values) != (scene.samples, len(self.group)):
             wanted = scene.samples, len(self.group)
             raise InputError(
-                [("values", f"must be of shape {wanted}, samples and grains, not {np.shape(self.values)}")]
+                [
+                    (
+                        "values",
+                        f"must be of shape {wanted}, samples and grains, not {np.shape(self.values)}",
+                    )
+                ]
             )
         return _known(scene, self.group)
 
@@ -284,15 +318,25 @@ class DriveWork:
     def __call__(self, seen: Seen) -> Slopes:
         """Return the work and its derivatives."""
         force, by_closer, by_force, by_constant, _ = contact_force(seen, 1)
-        change, v, m = force - seen.scene.chain.contacts.force[1], seen.velocity[:, 0], seen.scene.chain.masses[0]
+        change, v, m = (
+            force - seen.scene.chain.contacts.force[1],
+            seen.velocity[:, 0],
+            seen.scene.chain.masses[0],
+        )
         weight = quadrature(v.size) * seen.time[1]
         slopes = seen.slopes(float(m / 2 * (v[-1] ** 2 - v[0] ** 2) + weight @ (change * v)))
-        slopes.displacement[:, 0], slopes.displacement[:, 1] = weight * v * by_closer, -weight * v * by_closer
+        slopes.displacement[:, 0], slopes.displacement[:, 1] = (
+            weight * v * by_closer,
+            -weight * v * by_closer,
+        )
         slopes.velocity[:, 0] = weight * change
         slopes.velocity[-1, 0] += m * v[-1]
         slopes.velocity[0, 0] -= m * v[0]
         slopes.masses[0] = (v[-1] ** 2 - v[0] ** 2) / 2
-        slopes.forces[1], slopes.constants[1] = (weight * v) @ (by_force - 1), (weight * v) @ by_constant
+        slopes.forces[1], slopes.constants[1] = (
+            (weight * v) @ (by_force - 1),
+            (weight * v) @ by_constant,
+        )
         return slopes
 
 

@@ -82,8 +82,16 @@ class _Box:
     """Parameters that may change, as numbers from 0 to 1 between their bounds."""
 
     def __init__(self, scene: Scene, names: Sequence[str], bounds: Mapping[str, tuple[Any, Any]]):
-        faults = [("bounds", f"give a lower and an upper one of {name}") for name in names if name not in bounds]
-        faults += [("bounds", f"{shown(name)} is none of the parameters") for name in bounds if name not in names]
+        faults = [
+            ("bounds", f"give a lower and an upper one of {name}")
+            for name in names
+            if name not in bounds
+        ]
+        faults += [
+            ("bounds", f"{shown(name)} is none of the parameters")
+            for name in bounds
+            if name not in names
+        ]
         if faults:
             raise InputError(faults)
         self.scene, self.names = scene, names
@@ -99,13 +107,18 @@ class _Box:
         self.low, self.width, self.free = low, high - low, high > low
         if not self.free.any():
             raise InputError([("bounds", "leave nothing free")])
-        self.start = np.clip((np.concatenate(own) - low)[self.free] / self.width[self.free], 0.0, 1.0)
+        self.start = np.clip(
+            (np.concatenate(own) - low)[self.free] / self.width[self.free], 0.0, 1.0
+        )
 
     def values(self, at: Array) -> Values:
         """Return parameters by name."""
         whole = self.low.copy()
         whole[self.free] += at * self.width[self.free]
-        return {name: whole[a:b] for name, a, b in zip(self.names, self.sizes, self.sizes[1:], strict=False)}
+        return {
+            name: whole[a:b]
+            for name, a, b in zip(self.names, self.sizes, self.sizes[1:], strict=False)
+        }
 
     def gathered(self, by_name: Mapping[str, Array]) -> Array:
         """Return derivatives by the numbers from 0 to 1; what is not named has none."""
@@ -189,7 +202,9 @@ def optimise(
 
     names = params.check(scene, parameters)
     box = _Box(scene, names, bounds)
-    begins = np.vstack([box.start, qmc.LatinHypercube(box.start.size, seed=seed).random(max(0, starts - 1))])[:starts]
+    begins = np.vstack(
+        [box.start, qmc.LatinHypercube(box.start.size, seed=seed).random(max(0, starts - 1))]
+    )[:starts]
     with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
         numbers = box.low.tolist(), box.width.tolist(), maximise, starts, runs, seed
         task = repr((scene.to_text(), type(objective).__name__, vars(objective), names, numbers))
@@ -220,7 +235,11 @@ def _value(scene: Scene, objective: Objective, tolerance: float) -> tuple[float,
         lambda step, _: at_step(scene, objective, (), method, step),
         TURN / fastest,
         HALVINGS,
-        lambda now, others: (now[0], SAFETY * sum(abs(now[0] - other[0]) for other in others), now[2].step),
+        lambda now, others: (
+            now[0],
+            SAFETY * sum(abs(now[0] - other[0]) for other in others),
+            now[2].step,
+        ),
         lambda found: found[1] <= tolerance * abs(found[0]),
     )
     return value, error, 2 * step * fastest
@@ -250,13 +269,17 @@ def _descend(
         at = np.clip(at, 0.0, 1.0)
         try:
             scene = changed(box.scene, box.values(at))
-            found, by_name, _ = at_step(scene, objective, box.names, method, turn / scene.highest_frequency)
+            found, by_name, _ = at_step(
+                scene, objective, box.names, method, turn / scene.highest_frequency
+            )
         except (RunFailed, InputError):
             history.append(np.inf)
             return 1e3, np.zeros(at.size)
         history.append(sign * found)
         scale = scale or abs(found) or 1.0
-        if sign * found < best[0] and all(limit(box.values(at))[0] >= -1e-6 for limit in constraints):
+        if sign * found < best[0] and all(
+            limit(box.values(at))[0] >= -1e-6 for limit in constraints
+        ):
             best = sign * found, at.copy()
         return sign * found / scale, sign * box.gathered(by_name) / scale
 
@@ -268,7 +291,9 @@ def _descend(
         }
         for limit in constraints
     ]
-    options: dict[str, Any] = {"maxiter": runs} if limits else {"maxfun": runs, "ftol": 1e-10, "gtol": 1e-9}
+    options: dict[str, Any] = (
+        {"maxiter": runs} if limits else {"maxfun": runs, "ftol": 1e-10, "gtol": 1e-9}
+    )
     with suppress(_Enough):
         minimize(
             value, begin, jac=True, bounds=[(0.0, 1.0)] * begin.size, constraints=limits,
@@ -291,15 +316,23 @@ class _Store:
         try:
             kept = json.loads(self.path.read_text(encoding="utf-8"))
             same = kept["task"] == self.task
-            found = [(float(one["value"]), np.array(one["at"]), np.array(one["history"])) for one in kept["starts"]]
+            found = [
+                (float(one["value"]), np.array(one["at"]), np.array(one["history"]))
+                for one in kept["starts"]
+            ]
         except (ValueError, KeyError, TypeError) as error:
             raise InputError([("folder", f"{self.path} is damaged: remove it")]) from error
         if not same:
-            raise InputError([("folder", f"{self.path} is of another task: use another folder, or remove it")])
+            raise InputError(
+                [("folder", f"{self.path} is of another task: use another folder, or remove it")]
+            )
         return found
 
     def keep(self, found: list[tuple[float, Array, Array]]) -> None:
         """Write all that is finished."""
-        starts = [{"value": value, "at": at.tolist(), "history": history.tolist()} for value, at, history in found]
+        starts = [
+            {"value": value, "at": at.tolist(), "history": history.tolist()}
+            for value, at, history in found
+        ]
         with replacing(self.path) as path:
             path.write_text(json.dumps({"task": self.task, "starts": starts}), encoding="utf-8")

@@ -37,7 +37,15 @@ UNITS = {
     "amplitude": "m or N",
     "frequency": "Hz",
 }
-DIRECT = ("masses", "top_load", "gravity", "displacement", "velocity", "drive", "force")  # inputs as they are
+DIRECT = (
+    "masses",
+    "top_load",
+    "gravity",
+    "displacement",
+    "velocity",
+    "drive",
+    "force",
+)  # inputs as they are
 
 
 def check(scene: Scene, names: Iterable[str]) -> tuple[str, ...]:
@@ -48,19 +56,37 @@ def check(scene: Scene, names: Iterable[str]) -> tuple[str, ...]:
         if name not in UNITS:
             faults.append(("parameters", not_among(name, tuple(UNITS))))
         elif name in ("top_load", "gravity") and not chain.compressed:
-            faults.append((name, "has no derivative in a chain that nothing presses: give it a load or gravity"))
+            faults.append(
+                (
+                    name,
+                    "has no derivative in a chain that nothing presses: give it a load or gravity",
+                )
+            )
         elif name == "top_load" and chain.top == "wall" and chain.top_load == 0:
-            faults.append((name, "has no derivative at 0, where the top wall only touches: give it a load"))
+            faults.append(
+                (name, "has no derivative at 0, where the top wall only touches: give it a load")
+            )
         elif name == "contact_constants" and chain.grains == 1:
             faults.append((name, "there is no contact between grains: use wall_constants"))
         elif name == "wall_constants" and not chain.wall_constants.any():
             faults.append((name, 'there is no wall: use top or bottom = "wall"'))
         elif name in ("amplitude", "frequency") and getattr(course, name, None) is None:
-            faults.append((name, "is that of a sine or a burst that drives or pushes, which this scene has not"))
-        elif name in ("drive", "force") and (scene.excitation.kind != name or course is None or course.times is None):
-            faults.append((name, f"is the samples of a {name} along points, which this scene has not"))
+            faults.append(
+                (
+                    name,
+                    "is that of a sine or a burst that drives or pushes, which this scene has not",
+                )
+            )
+        elif name in ("drive", "force") and (
+            scene.excitation.kind != name or course is None or course.times is None
+        ):
+            faults.append(
+                (name, f"is the samples of a {name} along points, which this scene has not")
+            )
     if not names:
-        faults.append(("parameters", f"name one or more of {', '.join(UNITS)} (got {shown(names)})"))
+        faults.append(
+            ("parameters", f"name one or more of {', '.join(UNITS)} (got {shown(names)})")
+        )
     if faults:
         raise InputError(faults)
     return names
@@ -88,14 +114,19 @@ def inputs(scene: Scene) -> Inputs:
         drive = np.array([course.amplitude, course.frequency or 0.0])
     else:
         drive = values(scene, course.kind)
-    return Inputs(chain.masses, chain.contacts.constant, chain.contacts.force, *scene.initial(), drive)
+    return Inputs(
+        chain.masses, chain.contacts.constant, chain.contacts.force, *scene.initial(), drive
+    )
 
 
 def pull(scene: Scene, gradient: Inputs, name: str) -> Array:
     """Return derivatives by the parameters of this name, (P,), from those by all inputs."""
     if name in DIRECT:
         return _whole(scene.chain, gradient, name)
-    return sum(matrix.T @ _whole(scene.chain, gradient, key) for key, matrix in _dependence(scene, name).items())
+    return sum(
+        matrix.T @ _whole(scene.chain, gradient, key)
+        for key, matrix in _dependence(scene, name).items()
+    )
 
 
 def _whole(chain: Chain, gradient: Inputs, key: str) -> Array:
@@ -128,10 +159,19 @@ def push(scene: Scene, name: str, change: Array) -> Inputs:
     whole = {key: np.zeros((count, size)) for key, size in sizes.items()}
     for key, matrix in _dependence(scene, name).items():
         whole[key] = (matrix @ change.T).T
-    weight = chain.gravity * np.cumsum(whole["masses"], axis=1) + whole["gravity"] * np.cumsum(chain.masses)
+    weight = chain.gravity * np.cumsum(whole["masses"], axis=1) + whole["gravity"] * np.cumsum(
+        chain.masses
+    )
     forces = whole["top_load"] + np.pad(weight, ((0, 0), (1, 0)))
     forces = np.where(chain.contacts.pressed, forces, 0.0)
-    return Inputs(whole["masses"], whole["constants"], forces, whole["displacement"], whole["velocity"], whole["drive"])
+    return Inputs(
+        whole["masses"],
+        whole["constants"],
+        forces,
+        whole["displacement"],
+        whole["velocity"],
+        whole["drive"],
+    )
 
 
 def _course(scene: Scene) -> Drive | Force | None:
@@ -151,7 +191,9 @@ def _dependence(scene: Scene, name: str) -> dict[str, sparse.csr_array]:
     if name == "youngs_moduli":
         return {"constants": _by_modulus(chain)}
     if name == "diameters":
-        follow = ~np.isin(np.arange(chain.grains) + 1, [odd.grain for odd in chain.impurity if odd.mass])
+        follow = ~np.isin(
+            np.arange(chain.grains) + 1, [odd.grain for odd in chain.impurity if odd.mass]
+        )
         follow &= "masses" not in chain.model_fields_set
         return {
             "masses": _diagonal(follow * 3 * chain.masses / chain.diameters),
@@ -200,9 +242,14 @@ def _by_modulus(chain: Chain) -> sparse.csr_array:
     """Return dK/dE, (N+1, N), by E* = 1 / (1/M_above + 1/M_below), a wall having its grain's by default."""
     young, own = chain.by_grain("youngs_modulus"), chain.by_grain("plane_strain_modulus")
     walls: list[Any] = [chain.top_material, chain.bottom_material]
-    top, bottom = (w.plane_strain_modulus if w else at for w, at in zip(walls, own[[0, -1]], strict=True))
+    top, bottom = (
+        w.plane_strain_modulus if w else at for w, at in zip(walls, own[[0, -1]], strict=True)
+    )
     modulus = np.concatenate(([top], own, [bottom]))
-    above, below = modulus[1:] / (modulus[:-1] + modulus[1:]), modulus[:-1] / (modulus[:-1] + modulus[1:])
+    above, below = (
+        modulus[1:] / (modulus[:-1] + modulus[1:]),
+        modulus[:-1] / (modulus[:-1] + modulus[1:]),
+    )
     above[1:] /= young
     below[:-1] /= young
     if chain.top_material is None:
@@ -217,7 +264,9 @@ def _by_diameter(chain: Chain) -> sparse.csr_array:
     d, length = chain.diameters, chain.contact_lengths
     curvature = np.concatenate(([0.0], 2 / d, [0.0]))
     radius = 1 / (curvature[:-1] + curvature[1:])
-    share = np.concatenate(([1.0], np.full(chain.grains - 1, 0.5), [1.0]))  # of a grain in the mean diameter
+    share = np.concatenate(
+        ([1.0], np.full(chain.grains - 1, 0.5), [1.0])
+    )  # of a grain in the mean diameter
     power = 1.5 - chain.exponent
     above, below = np.zeros(chain.grains + 1), np.zeros(chain.grains + 1)
     above[1:] = radius[1:] / d**2 + power * share[1:] / length[1:]

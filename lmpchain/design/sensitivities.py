@@ -28,7 +28,13 @@ CANDIDATES = (
     "displacement", "drive", "force", "amplitude", "frequency",
 )  # fmt: skip
 OVERRIDES = ("masses", "contact_constants", "wall_constants")  # looked at where they are given
-UNITS = {"peak_force": "N", "energy": "J", "kinetic_energy": "J", "momentum": "kg m/s", "arrival_time": "s"}
+UNITS = {
+    "peak_force": "N",
+    "energy": "J",
+    "kinetic_energy": "J",
+    "momentum": "kg m/s",
+    "arrival_time": "s",
+}
 GROUPS: dict[str, type[Energy | KineticEnergy | Momentum]] = {
     "energy": Energy,
     "kinetic_energy": KineticEnergy,
@@ -89,9 +95,15 @@ class Sensitivity:
         from ..util.tables import aligned
 
         size = abs(self.value) or 1.0
-        lines = [f"{self.of}: {self.value:.8g} {self.unit} (error {self.gradient.value_error:.1e})", ""]
+        lines = [
+            f"{self.of}: {self.value:.8g} {self.unit} (error {self.gradient.value_error:.1e})",
+            "",
+        ]
         rows = [("for 1 % more", f"{self.unit}", "%")]
-        rows += [(name, f"{part:+.4g}", f"{100 * part / size:+.4f}") for name, part in self.ranked()[:ROWS]]
+        rows += [
+            (name, f"{part:+.4g}", f"{100 * part / size:+.4f}")
+            for name, part in self.ranked()[:ROWS]
+        ]
         rows += [
             (f"all {name}", f"{part.sum() / 100:+.4g}", f"{part.sum() / size:+.4f}")
             for name, part in self.relative.items()
@@ -130,11 +142,20 @@ class Sensitivity:
         size = abs(self.value) or 1.0
         drawn = [(name, part) for name, part in self.relative.items() if part.size > 2]
         matters = np.concatenate(
-            [np.flatnonzero(abs(part) > 1e-3 * abs(part).max()) for _, part in drawn] or [np.zeros(1, int)]
+            [np.flatnonzero(abs(part) > 1e-3 * abs(part).max()) for _, part in drawn]
+            or [np.zeros(1, int)]
         )
         for (name, part), colour in zip(drawn, COLOURS.values(), strict=False):
             at = np.arange(1, part.size + 1) + (0.5 if name == "contact_constants" else 0.0)
-            ax.plot(at, part / size, color=colour, label=name.replace("_", " "), marker=".", ms=3, lw=0.9)
+            ax.plot(
+                at,
+                part / size,
+                color=colour,
+                label=name.replace("_", " "),
+                marker=".",
+                ms=3,
+                lw=0.9,
+            )
         ax.axhline(0, color="0.6", lw=0.6, zorder=0)
         ax.set_xlabel("grain")
         ax.set_ylabel("change for 1 % more, %")
@@ -156,7 +177,14 @@ def objective(of: str) -> tuple[Objective, str]:
     if kind not in UNITS:
         raise InputError([("of", not_among(kind, tuple(UNITS)))])
     forms = {"peak_force": "peak_force:CONTACT", "arrival_time": "arrival_time:GRAIN@VELOCITY"}
-    wrong = InputError([("of", f"must be {forms.get(kind, f'{kind}:GRAIN or {kind}:FIRST-LAST')} (got {shown(of)})")])
+    wrong = InputError(
+        [
+            (
+                "of",
+                f"must be {forms.get(kind, f'{kind}:GRAIN or {kind}:FIRST-LAST')} (got {shown(of)})",
+            )
+        ]
+    )
     try:
         if kind == "peak_force":
             return PeakForce(int(where)), UNITS[kind]
@@ -190,7 +218,10 @@ def _depends_on(scene: Scene) -> list[str]:
 
 
 def sensitivity(
-    scene: Scene, of: str | Objective, uncertain: Mapping[str, float] | None = None, tolerance: float = 1e-4
+    scene: Scene,
+    of: str | Objective,
+    uncertain: Mapping[str, float] | None = None,
+    tolerance: float = 1e-4,
 ) -> Sensitivity:
     """Return how an answer changes with every grain and with what sets the chain in motion.
 
@@ -233,30 +264,48 @@ def sensitivity(
         if name not in names:
             raise InputError([("uncertain", not_among(name, tuple(names)))])
         if not 0 <= share < 1:
-            raise InputError([(name, f"must be from 0 to 1, a part of each entry (got {shown(share)})")])
+            raise InputError(
+                [(name, f"must be from 0 to 1, a part of each entry (got {shown(share)})")]
+            )
     found = gradient(scene, wanted, names, tolerance)
     relative = {name: found[name] * params.values(scene, name) for name in names}
-    deviations = {name: float(share * np.sqrt((relative[name] ** 2).sum())) for name, share in uncertain.items()}
+    deviations = {
+        name: float(share * np.sqrt((relative[name] ** 2).sum()))
+        for name, share in uncertain.items()
+    }
     beyond = _beyond_first_order(scene, wanted, found, relative, uncertain)
-    return Sensitivity(of if isinstance(of, str) else repr(of), unit, found, relative, deviations, *beyond)
+    return Sensitivity(
+        of if isinstance(of, str) else repr(of), unit, found, relative, deviations, *beyond
+    )
 
 
 def _beyond_first_order(
-    scene: Scene, wanted: Objective, found: Gradient, relative: Mapping[str, Array], uncertain: Mapping[str, float]
+    scene: Scene,
+    wanted: Objective,
+    found: Gradient,
+    relative: Mapping[str, Array],
+    uncertain: Mapping[str, float],
 ) -> tuple[float, float]:
     """Return standard deviation and mean change of the answer, by pairs of drawn chains.
 
     The two differ from the scene by as much, to either side.
     What is odd in the changes, over what is linear in them, corrects the first order; what is even adds to it.
     """
-    first = float(sum((share * relative[name]) @ (share * relative[name]) for name, share in uncertain.items()))
+    first = float(
+        sum(
+            (share * relative[name]) @ (share * relative[name]) for name, share in uncertain.items()
+        )
+    )
     if first == 0:
         return 0.0, 0.0
     rng, method = np.random.default_rng(0), SPLITTINGS[found.integrator]
     linear, odd, even = np.zeros((3, PAIRS))
     try:
         for pair in range(PAIRS):
-            changes = {name: share * rng.standard_normal(relative[name].size) for name, share in uncertain.items()}
+            changes = {
+                name: share * rng.standard_normal(relative[name].size)
+                for name, share in uncertain.items()
+            }
             up, down = (
                 at_step(
                     changed(scene, {name: params.values(scene, name) * (1 + side * change)
@@ -269,4 +318,6 @@ def _beyond_first_order(
             odd[pair], even[pair] = (up - down) / 2, (up + down) / 2 - found.value
     except (InputError, RunFailed):
         return float("nan"), float("nan")
-    return float(np.sqrt(first * (odd @ odd) / (linear @ linear) + even.var(ddof=1))), float(even.mean())
+    return float(np.sqrt(first * (odd @ odd) / (linear @ linear) + even.var(ddof=1))), float(
+        even.mean()
+    )

@@ -60,17 +60,29 @@ class Traces:
         values = values[:, None] if values.ndim == 1 else values
         places = np.atleast_1d(np.asarray(self.places))
         faults = []
-        if time.ndim != 1 or time.size < 2 or not np.isfinite(time).all() or not (np.diff(time) > 0).all():
+        if (
+            time.ndim != 1
+            or time.size < 2
+            or not np.isfinite(time).all()
+            or not (np.diff(time) > 0).all()
+        ):
             faults.append(("time", "must be two or more increasing numbers"))
         if values.shape != (time.size, places.size):
             wanted = time.size, places.size
-            faults.append(("values", f"must be of shape {wanted}, times and places, not {values.shape}"))
+            faults.append(
+                ("values", f"must be of shape {wanted}, times and places, not {values.shape}")
+            )
         elif not np.isfinite(values).all():
             faults.append(
-                ("values", f"must be finite: leave out the times of {(~np.isfinite(values)).sum()} that are not")
+                (
+                    "values",
+                    f"must be finite: leave out the times of {(~np.isfinite(values)).sum()} that are not",
+                )
             )
         if self.field not in get_args(Field):
-            faults.append(("field", f"must be one of {', '.join(get_args(Field))} (got {shown(self.field)})"))
+            faults.append(
+                ("field", f"must be one of {', '.join(get_args(Field))} (got {shown(self.field)})")
+            )
         if self.noise is not None and not (np.asarray(self.noise) > 0).all():
             faults.append(("noise", f"must be above 0 (got {shown(self.noise)})"))
         if faults:
@@ -103,35 +115,59 @@ class Traces:
                 continue
         rows = [row for row in rows if len(row) == columns]
         if len(rows) < 2:
-            raise InputError([(str(path), f"has not two lines of {columns} numbers, time and {columns - 1} values")])
+            raise InputError(
+                [
+                    (
+                        str(path),
+                        f"has not two lines of {columns} numbers, time and {columns - 1} values",
+                    )
+                ]
+            )
         table = np.array(rows)
         return cls(table[:, 0], places, table[:, 1:], **known)
 
     def grains(self, scene: Scene) -> list[int]:
         """Return the grains that must be looked at; raises `InputError` if the chain has no such place."""
-        least, most = (0, scene.chain.grains) if self.field == "contact" else (1, scene.chain.grains)
+        least, most = (
+            (0, scene.chain.grains) if self.field == "contact" else (1, scene.chain.grains)
+        )
         exists = scene.chain.contacts.exists
         for place in self.places:
             if not least <= place <= most or (self.field == "contact" and not exists[place]):
                 raise InputError([("places", f"the chain has no {place}: use {least} to {most}")])
         around = {"force": (-1, 0, 1), "contact": (0, 1)}.get(self.field, (0,))
-        return sorted({int(p) + k for p in self.places for k in around if 1 <= p + k <= scene.chain.grains})
+        return sorted(
+            {int(p) + k for p in self.places for k in around if 1 <= p + k <= scene.chain.grains}
+        )
 
 
 def model(
-    scene: Scene, run: DifferentiableRun, traces: Traces, change: Inputs | None, moved: tuple[Array, Array] | None
+    scene: Scene,
+    run: DifferentiableRun,
+    traces: Traces,
+    change: Inputs | None,
+    moved: tuple[Array, Array] | None,
 ) -> tuple[Array, Array]:
     """Return what a run says of traces at all looks, (T, G), and its changes, (D, T, G)."""
     seen = Seen(scene, run.time, run.grains, run.displacement, run.velocity)
     columns = (
-        [seen.column(int(place)) for place in traces.places] if traces.field in ("velocity", "displacement") else []
+        [seen.column(int(place)) for place in traces.places]
+        if traces.field in ("velocity", "displacement")
+        else []
     )
     count = 0 if change is None else len(change.masses)
     if columns:
         which = int(traces.field == "velocity")
-        rates = np.empty((0, run.time.size, len(columns))) if moved is None else moved[which][..., columns]
+        rates = (
+            np.empty((0, run.time.size, len(columns)))
+            if moved is None
+            else moved[which][..., columns]
+        )
         return getattr(run, traces.field)[:, columns], rates
-    values, rates = np.zeros((run.time.size, len(traces.places))), np.zeros((count, run.time.size, len(traces.places)))
+    values, rates = (
+        np.zeros((run.time.size, len(traces.places))),
+        np.zeros((count, run.time.size, len(traces.places))),
+    )
     carried = scene.chain.contacts.force
     for column, place in enumerate(traces.places):
         both = [place] if traces.field == "contact" else [place - 1, place]
@@ -142,7 +178,9 @@ def model(
             if change is None or moved is None:
                 continue
             rates[:, :, column] += share * np.outer(change.constants[:, contact], by_constant)
-            rates[:, :, column] += share * np.outer(change.forces[:, contact], by_force - (carried[contact] > 0))
+            rates[:, :, column] += share * np.outer(
+                change.forces[:, contact], by_force - (carried[contact] > 0)
+            )
             for grain in ends:
                 closer = moved[0][..., seen.column(grain)] * (1 if grain == contact else -1)
                 rates[:, :, column] += share * stiffness * closer

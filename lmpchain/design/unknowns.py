@@ -35,7 +35,9 @@ class Problem:
         for number, one in enumerate(traces):
             suffix = f" {number + 1}" if len(traces) > 1 else ""
             span, size = one.time[-1] - one.time[0], float(np.abs(one.values).max()) or 1.0
-            nuisance = [("trigger" + suffix, 0.0, span)] * one.trigger + [("gain" + suffix, 1.0, 1.0)] * one.gain
+            nuisance = [("trigger" + suffix, 0.0, span)] * one.trigger + [
+                ("gain" + suffix, 1.0, 1.0)
+            ] * one.gain
             places = [f"offset{suffix} {place}" for place in one.places] if one.offset else []
             for label, begin, unit in nuisance + [(label, 0.0, size) for label in places]:
                 self.names.append(label)
@@ -57,7 +59,14 @@ class Problem:
             return
         entries = range(1, base.size + 1) if isinstance(how, str) and how == "each" else how
         if isinstance(entries, str) or not all(1 <= entry <= base.size for entry in entries):
-            raise InputError([(name, f'must be "common", "each" or numbers from 1 to {base.size} (got {shown(how)})')])
+            raise InputError(
+                [
+                    (
+                        name,
+                        f'must be "common", "each" or numbers from 1 to {base.size} (got {shown(how)})',
+                    )
+                ]
+            )
         for entry in entries:
             unit = float(base[entry - 1]) or float(np.abs(base).max()) or 1.0
             self.names.append(f"{name} {entry}")
@@ -77,7 +86,9 @@ class Problem:
         """Return the parameters of the scene."""
         made: dict[str, Array] = {}
         for change, (name, direction) in zip(theta, self.along, strict=False):
-            made[name] = made.get(name, params.values(self.scene, name).astype(float)) + change * direction
+            made[name] = (
+                made.get(name, params.values(self.scene, name).astype(float)) + change * direction
+            )
         return made
 
     def _directions(self, scene: Scene) -> Inputs:

@@ -81,10 +81,18 @@ class Ensemble(Shown):
 
         ax = axes_in_units(ax, "", "m/s")
         mean, band = self.velocity[sample], 2 * self.velocity_error[sample]
-        (line,) = ax.plot(self.grains, mean, label=f"m = {self.m:g}: mean of {self.realisations} chains")
+        (line,) = ax.plot(
+            self.grains, mean, label=f"m = {self.m:g}: mean of {self.realisations} chains"
+        )
         if self.realisations > 1:
             ax.fill_between(
-                self.grains, mean - band, mean + band, color=line.get_color(), alpha=0.25, lw=0, label="± 2 st. errors"
+                self.grains,
+                mean - band,
+                mean + band,
+                color=line.get_color(),
+                alpha=0.25,
+                lw=0,
+                label="± 2 st. errors",
             )
         ax.set(xlabel="grain number, from the top", ylabel="mean velocity, downward")
         titled(ax, f"t = {self.time[sample]:.4g} s")
@@ -153,7 +161,9 @@ def ensemble(
     ((2, 30), True)
     """
     first = Average(*np.zeros((2, 2, scene.samples, scene.recorded.size)))
-    chosen, average = averaged(Draw(scene, m, seed, law, of), realisations, engine, tolerance, first, progress)
+    chosen, average = averaged(
+        Draw(scene, m, seed, law, of), realisations, engine, tolerance, first, progress
+    )
     errors = average.errors
     return Ensemble(
         scene=scene,
@@ -201,5 +211,7 @@ def at_the_end(
     check(fault_of_whole("realisations", realisations, 2), fault_of_whole("seed", seed, 0))
     end = Scene(chain=scene.chain, excitation=scene.excitation, duration=scene.duration, samples=2)
     averages = [ensemble(end, m, realisations, seed, progress=progress) for m in orders]
-    with warnings.catch_warnings(action="ignore"):  # the averages say how far from linear the chains are
+    with warnings.catch_warnings(
+        action="ignore"
+    ):  # the averages say how far from linear the chains are
         return simulate(end, "chebyshev").velocity[-1], averages

@@ -64,7 +64,9 @@ def _zeta(m: float, size: int, rng: np.random.Generator, law: Law) -> Array:
     return np.maximum(rng.standard_gamma(m + (law == "paper"), size) / m, SOFTEST)
 
 
-def disordered(chain: Chain, m: float, rng: np.random.Generator, law: Law = "dyson", of: Of = "stiffness") -> Chain:
+def disordered(
+    chain: Chain, m: float, rng: np.random.Generator, law: Law = "dyson", of: Of = "stiffness"
+) -> Chain:
     """Return a chain like this one, with every contact or every grain changed by a random factor.
 
     Parameters
@@ -103,7 +105,9 @@ def disordered(chain: Chain, m: float, rng: np.random.Generator, law: Law = "dys
     return Chain(**_redrawn(chain, factors(m, _count(chain, of), rng, law), of))
 
 
-def realisation(scene: Scene, m: float, seed: int, index: int = 0, law: Law = "dyson", of: Of = "stiffness") -> Scene:
+def realisation(
+    scene: Scene, m: float, seed: int, index: int = 0, law: Law = "dyson", of: Of = "stiffness"
+) -> Scene:
     """Return the scene with the chain number `index` (from 0) of the sequence of this seed.
 
     It depends on seed and index only, not on how many others are drawn. Unlike `disordered` it lets contacts be as
@@ -142,11 +146,18 @@ def realisation(scene: Scene, m: float, seed: int, index: int = 0, law: Law = "d
 
 
 def drawn_constants(
-    chain: Chain, m: float, seed: int, indices: Sequence[int], law: Law = "dyson", of: Of = "stiffness"
+    chain: Chain,
+    m: float,
+    seed: int,
+    indices: Sequence[int],
+    law: Law = "dyson",
+    of: Of = "stiffness",
 ) -> Array:
     """Return the factors on the contact constants of R realisations whose contacts are drawn, (R, N-1)."""
     _check_drawn(chain, m, seed, min(indices), law, of)
-    return _change(chain, np.array([_drawn(chain, m, seed, index, law, of) for index in indices]), of)
+    return _change(
+        chain, np.array([_drawn(chain, m, seed, index, law, of) for index in indices]), of
+    )
 
 
 def _check_drawn(chain: Chain, m: float, seed: int, index: int, law: Law, of: Of) -> None:
@@ -178,12 +189,16 @@ def _redrawn(chain: Chain, zeta: Array, of: Of) -> dict[str, Any]:
         fields["contact_constants"] = chain.contact_constants * _change(chain, zeta, of)
     elif of != "modulus":
         fields["masses"] = chain.masses * (zeta**3 if of == "diameter" else zeta)
-    impure = fields.pop("impurity", ())  # given by grain below: impurities do not go with given constants
+    impure = fields.pop(
+        "impurity", ()
+    )  # given by grain below: impurities do not go with given constants
     if of == "diameter" or impure:
         fields["diameter"] = chain.diameters * (zeta if of == "diameter" else 1.0)
     if of == "modulus" or impure:
         materials: list[Any] = (
-            list(chain.material) if isinstance(chain.material, tuple) else [chain.material] * chain.grains
+            list(chain.material)
+            if isinstance(chain.material, tuple)
+            else [chain.material] * chain.grains
         )
         for impurity in impure:
             materials[impurity.grain - 1] = impurity.material or materials[impurity.grain - 1]

@@ -85,7 +85,9 @@ class Spreading(Shown):
         """
         within = (self.time >= start) & (self.time <= end) & (self.time > 0)
         if within.sum() < 3:
-            raise InputError([("start", f"must leave three samples or more up to the end (got {shown(start)})")])
+            raise InputError(
+                [("start", f"must leave three samples or more up to the end (got {shown(start)})")]
+            )
         logarithm = np.log(self.time[within])
         weight = np.sqrt(np.gradient(logarithm))
 
@@ -93,7 +95,9 @@ class Spreading(Shown):
             return float(np.polyfit(logarithm, np.log(moment[within]), 1, w=weight)[0])
 
         count = len(self.groups)
-        without = [slope(self.groups.sum(0) - group) for group in self.groups] if count > 1 else [np.nan]
+        without = (
+            [slope(self.groups.sum(0) - group) for group in self.groups] if count > 1 else [np.nan]
+        )
         return slope(self.second_moment), float(np.sqrt((count - 1) * np.var(without)))
 
     def plot(self, ax: Axes | None = None) -> Axes:
@@ -101,13 +105,26 @@ class Spreading(Shown):
         from ..util.plotting import axes_in_units, legend
 
         ax = axes_in_units(ax, "", "")
-        for name, label in (("second_moment", "second moment, grains²"), ("participation", "participation, grains")):
+        for name, label in (
+            ("second_moment", "second moment, grains²"),
+            ("participation", "participation, grains"),
+        ):
             mean, band = getattr(self, name)[1:], 2 * getattr(self, f"{name}_error")[1:]
             (line,) = ax.plot(self.time[1:], mean, label=label)
             if self.realisations > 1:
-                ax.fill_between(self.time[1:], mean - band, mean + band, color=line.get_color(), alpha=0.25, lw=0)
+                ax.fill_between(
+                    self.time[1:],
+                    mean - band,
+                    mean + band,
+                    color=line.get_color(),
+                    alpha=0.25,
+                    lw=0,
+                )
         ax.set(
-            xscale="log", yscale="log", xlabel="time, s", ylabel=f"mean of {self.realisations} chains, m = {self.m:g}"
+            xscale="log",
+            yscale="log",
+            xlabel="time, s",
+            ylabel=f"mean of {self.realisations} chains, m = {self.m:g}",
         )
         legend(ax)
         return ax
@@ -159,7 +176,9 @@ def spreading(
     ((5,), (5, 61), '1.000')
     """
     if scene.at_rest or scene.excitation.does_work:
-        raise InputError([("excitation", "must give the chain energy at t = 0 and leave it alone from then on")])
+        raise InputError(
+            [("excitation", "must give the chain energy at t = 0 and leave it alone from then on")]
+        )
     check(fault_of_whole("realisations", realisations, 1))
     scene = scene.replace(grains="all")
     groups = np.zeros((min(GROUPS, realisations), scene.samples))
@@ -168,7 +187,9 @@ def spreading(
         groups=groups,
         linear=engines.get(engine).equation != 1,
     )
-    chosen, average = averaged(Draw(scene, m, seed, law, of), realisations, engine, tolerance, first, progress)
+    chosen, average = averaged(
+        Draw(scene, m, seed, law, of), realisations, engine, tolerance, first, progress
+    )
     (moment, participation), transmitted = average.mean[:2], average.mean[2:].T
     errors = average.errors
     return Spreading(
@@ -214,12 +235,18 @@ class _Spread(Average):
         self.groups[number % GROUPS, samples] += value[0]
 
     def copy(self) -> _Spread:
-        return replace(self, mean=self.mean.copy(), square=self.square.copy(), groups=self.groups.copy())
+        return replace(
+            self, mean=self.mean.copy(), square=self.square.copy(), groups=self.groups.copy()
+        )
 
     def _energy(self, scene: Scene, displacement: Array, velocity: Array) -> Array:
         """Return the energy of every grain, (t, N) J."""
         chain = scene.chain
         closer = chain.contacts.closer(displacement)
-        of_contact = chain.contacts.stiffness / 2 * closer**2 if self.linear else chain.contacts.energy(closer)
+        of_contact = (
+            chain.contacts.stiffness / 2 * closer**2
+            if self.linear
+            else chain.contacts.energy(closer)
+        )
         of_contact[:, 1:-1] /= 2
         return chain.masses / 2 * velocity**2 + of_contact[:, :-1] + of_contact[:, 1:]

@@ -114,7 +114,14 @@ def averaged(
     return chosen, average
 
 
-def _answer(engine: Engine, scenes: Sequence[Scene], wanted: int, tolerance: float, before: A, bar: ProgressBar) -> A:
+def _answer(
+    engine: Engine,
+    scenes: Sequence[Scene],
+    wanted: int,
+    tolerance: float,
+    before: A,
+    bar: ProgressBar,
+) -> A:
     """Return the average with the first `wanted` scenes of a batch, at steps short enough for all."""
     proposed = [engine.candidate(engine.part(scene), tolerance) for scene in scenes]
     hardest = max(proposed, key=lambda candidate: candidate.cost_s)
@@ -125,9 +132,13 @@ def _answer(engine: Engine, scenes: Sequence[Scene], wanted: int, tolerance: flo
         average.add(run, scenes[:wanted], bar)
         return average  # type: ignore[return-value]
 
-    outcome = solve_to_tolerance(engine, scenes, Attempt(engine.name, candidate, tolerance), collect)
+    outcome = solve_to_tolerance(
+        engine, scenes, Attempt(engine.name, candidate, tolerance), collect
+    )
     if outcome.missed:
-        raise ToleranceNotMet(f"in chains {before.count + 1} to {before.count + len(scenes)} {outcome.missed}")
+        raise ToleranceNotMet(
+            f"in chains {before.count + 1} to {before.count + len(scenes)} {outcome.missed}"
+        )
     average, errors = outcome.collected, outcome.errors[:wanted]
     average.model = max(average.model, *(error.model for error in errors))
     average.solver = max(average.solver, *(error.solver for error in errors))

@@ -147,7 +147,9 @@ def lyapunov(
     >>> bool(abs(found.exponent[0] - law) < 3 * found.error[0] < 0.2 * law)
     True
     """
-    omega, growth, _ = _transfer(frequency, stiffness, masses, ratios, grains, chains, seed, progress)
+    omega, growth, _ = _transfer(
+        frequency, stiffness, masses, ratios, grains, chains, seed, progress
+    )
     return Localisation(omega, *_mean(growth))
 
 
@@ -194,7 +196,9 @@ def density_of_states(
     >>> bool((abs(found.integrated - dyson.integrated([1.0, 2.0], 1)) < 4 * found.error).all())
     True
     """
-    omega, _, nodes = _transfer(frequency, stiffness, masses, ratios, grains, chains, seed, progress)
+    omega, _, nodes = _transfer(
+        frequency, stiffness, masses, ratios, grains, chains, seed, progress
+    )
     return DensityOfStates(omega, *_mean(nodes))
 
 
@@ -222,7 +226,9 @@ def _transfer(
     with ProgressBar(chains * grains, "transfer matrices", " grains", shown=progress) as bar:
         for chain in range(chains):
             z, done = omega**2, 0
-            for a, b in _pieces(stiffness, masses, ratios, grains, np.random.default_rng([seed, chain])):
+            for a, b in _pieces(
+                stiffness, masses, ratios, grains, np.random.default_rng([seed, chain])
+            ):
                 skip = min(max(passed - done, 0), a.size)
                 _pass(a[:skip], b[:skip], omega**2, z, np.empty(omega.size), np.empty(omega.size))
                 _pass(a[skip:], b[skip:], omega**2, z, growth[chain], nodes[chain])
@@ -257,9 +263,23 @@ def _drawn(key: str, what: float | Distribution, size: int, rng: np.random.Gener
     elif hasattr(what, "rvs"):
         values = np.asarray(what.rvs(size=size, random_state=rng), float)
     else:
-        raise InputError([(key, f"must be a number or a distribution of scipy.stats (got a {type(what).__name__})")])
+        raise InputError(
+            [
+                (
+                    key,
+                    f"must be a number or a distribution of scipy.stats (got a {type(what).__name__})",
+                )
+            ]
+        )
     if not (values > 0).all() or not np.isfinite(values).all():
-        raise InputError([(key, "must be above 0 and finite, in every draw: use a distribution of positive values")])
+        raise InputError(
+            [
+                (
+                    key,
+                    "must be above 0 and finite, in every draw: use a distribution of positive values",
+                )
+            ]
+        )
     return values
 
 

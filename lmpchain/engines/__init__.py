@@ -64,7 +64,9 @@ def get(engine: str | Engine, **options: Any) -> Engine:
     """
     if not isinstance(engine, str) and isinstance(engine, Engine):
         if options:
-            raise InputError([(key, "belongs to the engine: give it to its constructor") for key in options])
+            raise InputError(
+                [(key, "belongs to the engine: give it to its constructor") for key in options]
+            )
         return engine
     if engine not in REGISTRY:
         raise InputError([("engine", not_among(engine, REGISTRY))])
@@ -73,7 +75,9 @@ def get(engine: str | Engine, **options: Any) -> Engine:
     if unknown := [key for key in options if key not in known]:
         listed = ", ".join(known)
         no = f"the engine {engine} has no such option"
-        raise InputError([(key, f"{no}{did_you_mean(key, known)}; it has {listed}") for key in unknown])
+        raise InputError(
+            [(key, f"{no}{did_you_mean(key, known)}; it has {listed}") for key in unknown]
+        )
     return made(**options)
 
 

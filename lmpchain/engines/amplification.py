@@ -20,9 +20,16 @@ LAST_DIGIT = 1e-15  # of the largest velocity: a few units in the last place of 
 # omega h of the runs with verlet, and their steps over those of the answer: what a change grows to does not ask for
 # accurate steps, but for stable ones, also where the frequency is not known beforehand
 COARSE, LONGER = 0.25, 4
-DRAWS = (1.0, -1.0, 0.5)  # changes that are tried, in last digits: what becomes of one scatters by ten
+DRAWS = (
+    1.0,
+    -1.0,
+    0.5,
+)  # changes that are tried, in last digits: what becomes of one scatters by ten
 BROKEN = 4.0  # two runs that keep to the largest motion are never so far apart; runs that broke down say nothing
-BLOCK_BYTES, BURST = 2**24, 10**6  # of samples held at a time; steps between two opportunities to stop
+BLOCK_BYTES, BURST = (
+    2**24,
+    10**6,
+)  # of samples held at a time; steps between two opportunities to stop
 
 
 def perturbed(scene: Scene, change: float) -> Scene:
@@ -61,7 +68,9 @@ def walked(evaluations: float, alike: bool = False) -> float:
     It walks; where `alike`, at steps of one length, it may go to one side.
     """
     digits = math.sqrt(evaluations)
-    return max(1.0, EPSILON / LAST_DIGIT * (max(digits, DRIFTED * evaluations) if alike else digits))
+    return max(
+        1.0, EPSILON / LAST_DIGIT * (max(digits, DRIFTED * evaluations) if alike else digits)
+    )
 
 
 def amplified_digit(scene: Scene, largest: Array, steps_made: float) -> float:
@@ -70,8 +79,12 @@ def amplified_digit(scene: Scene, largest: Array, steps_made: float) -> float:
     That is given, (2,) m and m/s. The runs are coarse, at a fraction of the cost of the answer with its steps.
     """
     interval = scene.duration / (scene.samples - 1)
-    steps = math.ceil(max(interval * scene.highest_frequency / COARSE, steps_made / (scene.samples - 1) / LONGER))
-    stepper = NativeStepper(_all(scene), METHODS["verlet"], StepSchedule(steps, 1, interval / steps, False), {})
+    steps = math.ceil(
+        max(interval * scene.highest_frequency / COARSE, steps_made / (scene.samples - 1) / LONGER)
+    )
+    stepper = NativeStepper(
+        _all(scene), METHODS["verlet"], StepSchedule(steps, 1, interval / steps, False), {}
+    )
     count = max(1, min(scene.samples, BLOCK_BYTES // (64 * scene.chain.grains)))
     u, v = np.zeros((2, 1 + len(DRAWS), count, scene.chain.grains))
     most = np.zeros(len(DRAWS))

@@ -240,14 +240,21 @@ class Engine(ABC):
         return candidate
 
     @abstractmethod
-    def refine(self, candidate: Candidate, error: ErrorBudget | None, tolerance: float) -> Candidate | None:
+    def refine(
+        self, candidate: Candidate, error: ErrorBudget | None, tolerance: float
+    ) -> Candidate | None:
         """Propose the next attempt after a run that missed the tolerance (or broke down: error None).
 
         None says that nothing can help: round-off alone exceeds the tolerance.
         """
 
     @abstractmethod
-    def start(self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array] | None = None) -> Run:
+    def start(
+        self,
+        scenes: Sequence[Scene],
+        candidate: Candidate,
+        state: Mapping[str, Array] | None = None,
+    ) -> Run:
         """Start one scene, or a batch of scenes that differ in numbers only."""
 
     @abstractmethod
@@ -280,7 +287,9 @@ class Engine(ABC):
         """Return an engine that leaves what it writes on the way in this run folder."""
         return copy(self)
 
-    def write_inputs(self, scene: Scene, candidate: Candidate, tolerance: float, folder: Path) -> None:
+    def write_inputs(
+        self, scene: Scene, candidate: Candidate, tolerance: float, folder: Path
+    ) -> None:
         """Write input files for the candidate, with which it runs without this package, to a run folder."""
         return
 

@@ -26,8 +26,12 @@ from .round_off import native_floor
 
 # analysis/calibration/richardson_estimate.py measures these
 FEWEST = 8  # steps of a run from which on companions have longer steps; of these there are then no two alike
-CLOSE_TO_OPENING = -0.5  # r / eps below which a contact's force is no longer a smooth function of time
-SAFE_STRAIN = 0.3  # strain below which no contact comes near to opening: the order of a method is sure there,
+CLOSE_TO_OPENING = (
+    -0.5
+)  # r / eps below which a contact's force is no longer a smooth function of time
+SAFE_STRAIN = (
+    0.3  # strain below which no contact comes near to opening: the order of a method is sure there,
+)
 # and the first of two companions may have steps so many times as long, if round-off is so far below the tolerance; and
 # in columns that are struck on their top, for so many radians a grain before the wave is back
 FAR, FLOOR, FAR_IN_COLUMNS, NOT_BACK = (4, 3), 0.1, (3,), 4.0
@@ -71,9 +75,15 @@ class Companions:
         Whether the force has kinks where contacts open.
     """
 
-    def __init__(self, method: Method, scenes: Sequence[Scene], candidate: Candidate, twin: bool = False):
+    def __init__(
+        self, method: Method, scenes: Sequence[Scene], candidate: Candidate, twin: bool = False
+    ):
         first, adaptive = scenes[0], candidate.adaptive
-        self._order, self._adaptive, self.kinks = method.order, adaptive, first.chain.exponent < KINKED_BELOW
+        self._order, self._adaptive, self.kinks = (
+            method.order,
+            adaptive,
+            first.chain.exponent < KINKED_BELOW,
+        )
         self._stretched = adaptive and method.adaptive == "error"  # samples cut some of its steps
         self._coarse = self._stretched or candidate.coarse_openings
         longer = longer_steps(method, scenes, candidate)
@@ -89,7 +99,9 @@ class Companions:
             self.own, tuple(longer), *how
         )
 
-    def truncation(self, real: int, steps: Sequence[Sequence[float]], opens: bool, smooth: bool) -> float:
+    def truncation(
+        self, real: int, steps: Sequence[Sequence[float]], opens: bool, smooth: bool
+    ) -> float:
         """Return the truncation error of a realisation from the differences between its runs.
 
         Parameters
@@ -119,7 +131,12 @@ class Companions:
 
 @lru_cache(maxsize=256)  # like scenes have like companions
 def _arranged(
-    own: StepSchedule, longer: tuple[float, ...], stretched: bool, nearby: bool, twin: bool, final: int
+    own: StepSchedule,
+    longer: tuple[float, ...],
+    stretched: bool,
+    nearby: bool,
+    twin: bool,
+    final: int,
 ) -> tuple[tuple[StepSchedule, ...], tuple[float, ...], NDArray[np.int64], NDArray[np.int64], int]:
     """Return schedules, mean steps over those of the answer, `against`, `strides` and `together`.
 
@@ -130,7 +147,13 @@ def _arranged(
     beside = (*[own] * twin, *schedules)
     against = np.array([*range(len(beside) - nearby), *[0] * nearby])
     strides = np.array([schedule.dense or schedule.stride for schedule in beside])
-    return schedules, ratios, against, strides, math.lcm(4, *(schedule.stride for schedule in beside))
+    return (
+        schedules,
+        ratios,
+        against,
+        strides,
+        math.lcm(4, *(schedule.stride for schedule in beside)),
+    )
 
 
 def longer_steps(method: Method, scenes: Sequence[Scene], candidate: Candidate) -> list[float]:
@@ -143,13 +166,17 @@ def longer_steps(method: Method, scenes: Sequence[Scene], candidate: Candidate) 
     if steps < FEWEST:
         return []
     reach = candidate.step * max(scene.chain.band_edge for scene in scenes)
-    knots = min(scene.excitation.knot_spacing for scene in scenes) if candidate.adaptive else math.inf
+    knots = (
+        min(scene.excitation.knot_spacing for scene in scenes) if candidate.adaptive else math.inf
+    )
     limit = min(method.stability_limit / reach if reach > 0 else math.inf, knots / candidate.step)
     kinks = scenes[0].chain.exponent < KINKED_BELOW
     far: tuple[int, ...] = ()
     if candidate.adaptive and all(struck_from_above(scene) for scene in scenes):
         far = FAR_IN_COLUMNS
-    elif not candidate.adaptive and all(_sure(scene, steps * method.evaluations, candidate) for scene in scenes):
+    elif not candidate.adaptive and all(
+        _sure(scene, steps * method.evaluations, candidate) for scene in scenes
+    ):
         far = FAR
     for ratio in far:
         if 2 * ratio <= limit and steps >= FEWEST * ratio:
@@ -175,7 +202,9 @@ def _sure(scene: Scene, evaluations: int, candidate: Candidate) -> bool:
     """Whether the order of the method is sure, and round-off, which far runs do not show, is small."""
     smooth = scene.largest_strain <= SAFE_STRAIN and scene.excitation.smooth
     return (
-        smooth and native_floor(evaluations, scene.highest_frequency * scene.duration) < FLOOR * candidate.solver_error
+        smooth
+        and native_floor(evaluations, scene.highest_frequency * scene.duration)
+        < FLOOR * candidate.solver_error
     )
 
 

@@ -41,9 +41,19 @@ def measured() -> Mapping[str, tuple[float, float]]:
     """Return what was measured on this machine and kept, by engine: start-up time, s, and slowness."""
     try:
         kept = json.loads(cache_file().read_text(encoding="utf-8"))
-        pairs = {name: (float(start), float(slowness)) for name, (start, slowness) in kept["engines"].items()}
+        pairs = {
+            name: (float(start), float(slowness))
+            for name, (start, slowness) in kept["engines"].items()
+        }
         here = kept["host"] == platform.node()  # a home folder may be that of many machines
-    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):  # none, damaged, out of reach
+    except (
+        OSError,
+        ValueError,
+        LookupError,
+        TypeError,
+        AttributeError,
+        RecursionError,
+    ):  # none, damaged, out of reach
         return {}
     return pairs if here else {}
 

@@ -17,7 +17,14 @@ from numpy.typing import NDArray
 
 from ..errors import RunFailed
 from ..integrators.batch import ChainBatch
-from ..integrators.kernels.reductions import NO_NUMBERS, SOUND, TOO_CLOSE, TOO_FAST, compared, in_parts
+from ..integrators.kernels.reductions import (
+    NO_NUMBERS,
+    SOUND,
+    TOO_CLOSE,
+    TOO_FAST,
+    compared,
+    in_parts,
+)
 from ..integrators.methods import Method
 from ..integrators.step_schedule import StepSchedule
 from ..integrators.stepper import NativeStepper, Stepper, room_for
@@ -87,15 +94,23 @@ class CompanionRun(Run):
             self.native = NativeStepper(batch, method, own, kept, companions=chosen.schedules)
             self._answer = make((own,), _of("answer", state))
             self._steppers: tuple[Stepper, ...] = self._answer, self.native
-            pressed = rounded_energy(self.scene, candidate.steps(self.scene.samples) * method.evaluations)
+            pressed = rounded_energy(
+                self.scene, candidate.steps(self.scene.samples) * method.evaluations
+            )
             self._allowed = batch.allowed + 3 * pressed
         else:
             self._answer = make((own, *chosen.schedules), _of("native", state))
             self.native = cast(NativeStepper, self._answer)
             self._steppers, self._allowed = (self._answer,), self.native.chains.allowed
-        self._chains, self.realisations, others = self.native.chains, len(scenes), len(chosen.against)
+        self._chains, self.realisations, others = (
+            self.native.chains,
+            len(scenes),
+            len(chosen.against),
+        )
         self._furthest = math.inf
-        if self._chains.imposed:  # no energy bounds what is driven, but a million times as close as long, it is broken
+        if (
+            self._chains.imposed
+        ):  # no energy bounds what is driven, but a million times as close as long, it is broken
             self._furthest = 1e6 * min(scene.chain.diameters.sum() for scene in scenes)
         samples, grains = self.scene.samples, self.scene.chain.grains
         self._together = math.lcm(chosen.together, self._answer.stride)
@@ -105,14 +120,24 @@ class CompanionRun(Run):
         self._beside = room_for(others, self.realisations, self._most + 1, grains)
         self._lost: NDArray[np.bool_] | None = None  # realisations that companions have lost
         shape = (others, samples, self.realisations, 2)
-        self._differences, self._peaks, self._sample = np.zeros(shape), np.zeros((self.realisations, 2)), -1
+        self._differences, self._peaks, self._sample = (
+            np.zeros(shape),
+            np.zeros((self.realisations, 2)),
+            -1,
+        )
         if state is not None:
             self._differences, self._peaks = state["differences"].copy(), state["peaks"].copy()
             self._sample = int(state["sample"])
             apart = any(stepper.sample != max(self._sample, 0) for stepper in self._steppers)
-            if self._differences.shape != shape or self._peaks.shape != (self.realisations, 2) or apart:
+            if (
+                self._differences.shape != shape
+                or self._peaks.shape != (self.realisations, 2)
+                or apart
+            ):
                 raise ValueError("the state that was kept does not fit")
-        self._rate = [GUESSED_RATE / (self.realisations * grains * method.evaluations)] * len(self._steppers)
+        self._rate = [GUESSED_RATE / (self.realisations * grains * method.evaluations)] * len(
+            self._steppers
+        )
         self._seconds, self._compared_s = [0.0] * len(self._steppers), 0.0
         self._setup_s = clock() - began
 
@@ -132,14 +157,18 @@ class CompanionRun(Run):
                 u, v = self._beside
                 native, beside = (u[0], v[0]), (u[1:], v[1:])
                 fills = [partial(self._answer.fill, *own, first)]
-            for index, fill in enumerate([*fills, partial(self.native.fill, *native, first, beside=beside)]):
+            for index, fill in enumerate(
+                [*fills, partial(self.native.fill, *native, first, beside=beside)]
+            ):
                 while not self._moved(index, fill, until):
                     self._leave_broken(first, until)  # adaptive steps would be ever shorter
                     nothing = np.empty((self.realisations, 0, self.scene.count(self.scene.chain)))
                     yield Block(slice(first, first), nothing, nothing)
             yield self._keep(*own, first, until + 1)
             if until < final:
-                self._sample_s = (sum(self._seconds) + self._compared_s - spent) / (until + 1 - first)
+                self._sample_s = (sum(self._seconds) + self._compared_s - spent) / (
+                    until + 1 - first
+                )
 
     def _moved(self, index: int, fill: Callable[[int, int], int], until: int) -> bool:
         """Move one stepper on for as long as nothing may interrupt; say whether it is there."""
@@ -185,9 +214,7 @@ class CompanionRun(Run):
 
     def _broke_down(self, sample: int, what: str) -> str:
         t = sample * self.scene.duration / (self.scene.samples - 1)
-        return (
-            f"{what} after t = {t:.4g} s with steps of {self.candidate.step:.3g} s: use a shorter step or a tolerance"
-        )
+        return f"{what} after t = {t:.4g} s with steps of {self.candidate.step:.3g} s: use a shorter step or a tolerance"
 
     @property
     def peaks(self) -> Array:
@@ -212,9 +239,13 @@ class CompanionRun(Run):
         if self._twin and not self.native.largest()[0, 1]:  # only what rounding presses moves
             farthest, fastest = self.peaks[0]
             instead = np.array([[farthest, max(fastest, self.scene.highest_frequency * farthest)]])
-        told, every = in_parts(self._differences, self._peaks, instead, chains.scale, chains.units, self.native.watched)
+        told, every = in_parts(
+            self._differences, self._peaks, instead, chains.scale, chains.units, self.native.watched
+        )
         plain, adaptive, found = chains.plain, self.candidate.adaptive, []
-        for real, ((lowest, taken), (farthest, fastest), (span, _), *pairs) in enumerate(told.tolist()):
+        for real, ((lowest, taken), (farthest, fastest), (span, _), *pairs) in enumerate(
+            told.tolist()
+        ):
             scene, opens = self._scenes[real], lowest <= CLOSE_TO_OPENING
             differences = pairs[self._twin :]  # between steps h, 2h (and 4h), or h and h/2
             smooth = adaptive or self.method.order == 2 or (scene.excitation.smooth and not opens)
@@ -223,7 +254,10 @@ class CompanionRun(Run):
             if self._companions.scatters[real]:
                 most = min(most, max(differences[-1]))  # rounding makes all of these differ
             most *= BY_CHANCE if opens else 1.0
-            radians, displaced = scene.highest_frequency * scene.duration, scene.highest_frequency * span
+            radians, displaced = (
+                scene.highest_frequency * scene.duration,
+                scene.highest_frequency * span,
+            )
             flies = opens and not adaptive  # in flight steps of one length round to one side
             roundoff = native_floor(taken * self.method.evaluations, radians, displaced, flies)
             if plain[real] and taken:
@@ -232,9 +266,13 @@ class CompanionRun(Run):
             truncation = max(truncation, min(most, (GROWN if returns else STEADY) * roundoff))
             if self._twin:
                 roundoff += max(pairs[0])
-            elif returns and truncation + roundoff < min(NEAR_ROUNDOFF, SHORT * math.exp(min(GROWTH * radians, 99))):
+            elif returns and truncation + roundoff < min(
+                NEAR_ROUNDOFF, SHORT * math.exp(min(GROWTH * radians, 99))
+            ):
                 grown = SHARED * self._grown(real, np.array([farthest, fastest]))
-                truncation = max(truncation, min(most, SCATTER * walked(taken * self.method.evaluations) * grown))
+                truncation = max(
+                    truncation, min(most, SCATTER * walked(taken * self.method.evaluations) * grown)
+                )
                 roundoff += grown
             if self.candidate.stride > 1:
                 roundoff += between_loss(taken, displaced / radians)
@@ -244,17 +282,26 @@ class CompanionRun(Run):
 
     def _grown(self, real: int, peaks: Array) -> float:
         """Return what becomes of a last digit in the whole run; 0 before its end, and where nothing meets."""
-        if self._scenes[real].at_rest or self._sample < self.scene.samples - 1 or not self.closest[real] > 0:
+        if (
+            self._scenes[real].at_rest
+            or self._sample < self.scene.samples - 1
+            or not self.closest[real] > 0
+        ):
             return 0.0
         if real not in self._amplified:
             began = clock()
-            self._amplified[real] = amplified_digit(self._scenes[real], peaks, self._answer.steps[real])
+            self._amplified[real] = amplified_digit(
+                self._scenes[real], peaks, self._answer.steps[real]
+            )
             self._compared_s += clock() - began
         return self._amplified[real]
 
     def cost(self) -> Cost:
         """Return what it has cost so far; steps and evaluations are those of the realisation that took most."""
-        steps, part = int(max(self._answer.steps.tolist())), 1.0 if self._twin else self.native.own_part
+        steps, part = (
+            int(max(self._answer.steps.tolist())),
+            1.0 if self._twin else self.native.own_part,
+        )
         integration_s = part * self._seconds[0]
         return Cost(
             integration_s=integration_s,
@@ -270,7 +317,11 @@ class CompanionRun(Run):
 
     def state(self) -> dict[str, Array]:
         """Return what `start` needs to go on from the last sample with the same bits."""
-        kept = {"sample": np.array(self._sample), "differences": self._differences, "peaks": self.peaks}
+        kept = {
+            "sample": np.array(self._sample),
+            "differences": self._differences,
+            "peaks": self.peaks,
+        }
         for stepper in self._steppers:
             who = "native" if stepper is self.native else "answer"
             kept |= {f"{who}.{name}": array for name, array in stepper.state().items()}
@@ -292,4 +343,8 @@ def _of(who: str, state: Mapping[str, Array] | None) -> dict[str, Array]:
     """Return what is kept of a stepper."""
     if not state:
         return {}
-    return {key.removeprefix(f"{who}."): array for key, array in state.items() if key.startswith(f"{who}.")}
+    return {
+        key.removeprefix(f"{who}."): array
+        for key, array in state.items()
+        if key.startswith(f"{who}.")
+    }

@@ -103,13 +103,18 @@ class Native(TimeSteppingEngine):
         contacts may open, but a bound on the strain is known, the candidate is run at once.
         """
         strain = scene.largest_strain
-        if candidate.fixed or not (strain == math.inf or (strain <= SAFE_STRAIN and candidate.cost_s > PILOT_S)):
+        if candidate.fixed or not (
+            strain == math.inf or (strain <= SAFE_STRAIN and candidate.cost_s > PILOT_S)
+        ):
             return candidate
         method = METHODS[candidate.integrator]
         longer = min(PILOT, (PILOT_ERROR / tolerance) ** (1 / method.order))
         # where contacts may open, only two companions show the order: neither unstable, nor cut by knots like the pilot
         part = LONGEST_UNBOUNDED if candidate.adaptive else LONGEST_STEP
-        longest = min(part * method.stability_limit / scene.highest_frequency, scene.excitation.knot_spacing / 4)
+        longest = min(
+            part * method.stability_limit / scene.highest_frequency,
+            scene.excitation.knot_spacing / 4,
+        )
         longer = min(longer, longest / candidate.step)
         if longer < LEAST_PILOT:
             return candidate
@@ -128,7 +133,9 @@ class Native(TimeSteppingEngine):
 
         The phase shifts by a quarter of what `native_floor` allows for.
         """
-        walk = native_floor(steps * self.methods[0].evaluations, scene.highest_frequency * scene.duration / 4)
+        walk = native_floor(
+            steps * self.methods[0].evaluations, scene.highest_frequency * scene.duration / 4
+        )
         if force_form(scene, self.force) in ROOTS:
             walk += plain_loss(scene, steps) / speed
         return walk
@@ -148,7 +155,9 @@ class Native(TimeSteppingEngine):
     ) -> NativeStepper:
         """Make the stepper of the answer and its companions."""
         chains, (own, *companions) = ChainBatch(scenes, self.force), schedules
-        return NativeStepper(chains, METHODS[candidate.integrator], own, state, self.threads, companions)
+        return NativeStepper(
+            chains, METHODS[candidate.integrator], own, state, self.threads, companions
+        )
 
     def describe(self, scene: Scene, candidate: Candidate) -> dict[str, str]:
         """Return the version of the compiler."""

@@ -36,7 +36,9 @@ def extrapolate(
     if not smooth:
         return 1.5 * max(fine, coarse / 4)
     least, most, power, spread = _law(order, *ratios)
-    gain = min(max(coarse / max(fine, 1e-300), least), most) ** power  # error at the longer step over that at h
+    gain = (
+        min(max(coarse / max(fine, 1e-300), least), most) ** power
+    )  # error at the longer step over that at h
     return max(SAFETY * fine / (gain - 1), 0.0 if confirmed else coarse / spread)
 
 
@@ -44,4 +46,9 @@ def extrapolate(
 def _law(order: int, first: float, second: float) -> tuple[float, float, float, float]:
     """Return least and most of coarse / fine, the power of it that is the gain, and coarse / error."""
     doublings = math.log2(second / first)
-    return 1.5**doublings, (second / first) ** order, math.log2(first) / doublings, second**order - first**order
+    return (
+        1.5**doublings,
+        (second / first) ** order,
+        math.log2(first) / doublings,
+        second**order - first**order,
+    )

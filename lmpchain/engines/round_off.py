@@ -18,7 +18,9 @@ PLAIN = 0.9  # last digits of the force at rest that the plain form loses in a s
 INTERPOLATED = 8.0
 
 
-def native_floor(evaluations: float, radians: float, displaced: float = 0.0, straight: bool = False) -> float:
+def native_floor(
+    evaluations: float, radians: float, displaced: float = 0.0, straight: bool = False
+) -> float:
     """Return the round-off of the native integration, relative to the largest motion.
 
     A random walk of half-ulps, more where displacements are large against v / omega (`displaced` times), for a stiff

@@ -33,7 +33,9 @@ WORSE = 2.0  # the same from which on shorter steps may have made it worse, by r
 # must diverge by so many tolerances; of 290 random scenes, 250 of which can be answered, none of these did
 CHAOS_MISS, CHAOS_ERROR, CHAOS_DIVERGENCE, SUSPECT = 1e4, 0.3, 10.0, 2
 ERRATIC = 1e5  # truncation over round-off: an estimate that stalls above that is erratic, or the scene is chaotic
-ROUNDING_ULPS = 30.0  # rounding all along a run does as much as a change of up to so many ulps at t = 0
+ROUNDING_ULPS = (
+    30.0  # rounding all along a run does as much as a change of up to so many ulps at t = 0
+)
 ENOUGH = 3e5  # steps that show what a scene makes of a last digit
 T = TypeVar("T")
 
@@ -110,7 +112,9 @@ class Outcome(NamedTuple, Generic[T]):
     missed: str
 
 
-def first_attempt(engine: Engine, scene: Scene, tolerance: float, best_effort: bool = False) -> Attempt:
+def first_attempt(
+    engine: Engine, scene: Scene, tolerance: float, best_effort: bool = False
+) -> Attempt:
     """Return the first attempt; `best_effort` loosens a tolerance that the engine refuses.
 
     Raises
@@ -123,7 +127,9 @@ def first_attempt(engine: Engine, scene: Scene, tolerance: float, best_effort: b
         candidate, tolerance, refusal = loosened(partial(engine.candidate, scene), tolerance)
     else:
         candidate = engine.candidate(scene, tolerance)
-    return to_begin_with(engine, scene, candidate, tolerance, refusal, clock() - began, compiled_s() - compiled)
+    return to_begin_with(
+        engine, scene, candidate, tolerance, refusal, clock() - began, compiled_s() - compiled
+    )
 
 
 def to_begin_with(
@@ -138,10 +144,14 @@ def to_begin_with(
     """Return the attempt to begin with where a candidate was chosen: that, or a pilot; see `Attempt`."""
     first = engine.pilot(scene, candidate, tolerance)
     pilot = first is not candidate
-    return Attempt(engine.name, first, tolerance, refusal, planned_s, compiled_s=compiled_s, pilot=pilot)
+    return Attempt(
+        engine.name, first, tolerance, refusal, planned_s, compiled_s=compiled_s, pilot=pilot
+    )
 
 
-def run_to_tolerance(engine: Engine, scene: Scene, tolerance: float, collect: Callable[[Run], T]) -> Outcome[T]:
+def run_to_tolerance(
+    engine: Engine, scene: Scene, tolerance: float, collect: Callable[[Run], T]
+) -> Outcome[T]:
     """Solve a scene from the first attempt on; see `solve_to_tolerance`."""
     return solve_to_tolerance(engine, [scene], first_attempt(engine, scene, tolerance), collect)
 
@@ -195,8 +205,13 @@ def solve_to_tolerance(
         judging_s = clock() - judged  # an integration, where chaos is tested for
         if not following:
             assert error
-            setup_s, estimate_s = cost.setup_s + attempt.planned_s, cost.estimate_s + attempt.spent_s + judging_s
-            cost = cost._replace(setup_s=setup_s, estimate_s=estimate_s, compile_s=compiled_s() - compiled)
+            setup_s, estimate_s = (
+                cost.setup_s + attempt.planned_s,
+                cost.estimate_s + attempt.spent_s + judging_s,
+            )
+            cost = cost._replace(
+                setup_s=setup_s, estimate_s=estimate_s, compile_s=compiled_s() - compiled
+            )
             return Outcome(collected, attempt, errors, error, cost, attempt.refusal or missed)
         run_s = cost.integration_s + cost.estimate_s + judging_s
         planned_s = clock() - began - run_s
@@ -223,7 +238,9 @@ def next_attempt(
         assert better
         return attempt._replace(candidate=better, breakdowns=attempt.breakdowns + 1), ""
     made = attempt._replace(truncations=(*attempt.truncations, error.truncation))
-    missed = _why_not(scene, error, made, better) or ("" if patient else _chaotic(scene, error, made))
+    missed = _why_not(scene, error, made, better) or (
+        "" if patient else _chaotic(scene, error, made)
+    )
     if missed:
         return None, missed
     assert better
@@ -265,7 +282,10 @@ def _why_not(scene: Scene, error: ErrorBudget, attempt: Attempt, better: Candida
     if better and not stalled and not worse and len(truncations) < ATTEMPTS:
         return ""
     rounding = better is None or (stalled and error.truncation < ERRATIC * error.roundoff)
-    rounding = rounding or _divergence_time(scene, attempt.candidate, tolerance / _ulps(scene, attempt)) is not None
+    rounding = (
+        rounding
+        or _divergence_time(scene, attempt.candidate, tolerance / _ulps(scene, attempt)) is not None
+    )
     if not rounding and len(truncations) < ATTEMPTS:
         return ""
     reason = (
@@ -299,7 +319,9 @@ def _chaotic(scene: Scene, error: ErrorBudget, attempt: Attempt) -> str:
     return f"the error is estimated at {error.solver:.2g}, above the tolerance of {tolerance:.2g}: {_amplifies(time_s)}"
 
 
-def _divergence_time(scene: Scene, candidate: Candidate, distance: float, times: float = 1.0) -> float | None:
+def _divergence_time(
+    scene: Scene, candidate: Candidate, distance: float, times: float = 1.0
+) -> float | None:
     """Return when two runs one ulp apart at t = 0 reach a distance, s, if they diverge to `times` it.
 
     Two runs may differ in where their steps shorten, so in more than the scene makes of an ulp; at steps of one length
@@ -307,7 +329,9 @@ def _divergence_time(scene: Scene, candidate: Candidate, distance: float, times:
     """
     if not candidate.integrator:
         return None
-    enough = max(ENOUGH, scene.duration * scene.highest_frequency / COARSE) / candidate.steps(scene.samples)
+    enough = max(ENOUGH, scene.duration * scene.highest_frequency / COARSE) / candidate.steps(
+        scene.samples
+    )
     if enough < 1:
         candidate = candidate.with_steps(math.ceil(candidate.steps_per_landing * enough))
     time_s = scene.duration

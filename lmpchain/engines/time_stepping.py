@@ -43,7 +43,9 @@ GENTLE, LESS_GENTLE, LOOSE, GENTLE_ERROR = 4.5, 7.5, 1e-6, (10.0, 1.5, 12.0)
 BETWEEN, ORDER_BETWEEN, LOST_BETWEEN, COST_BETWEEN, UNEVEN = 3e-8, 7, 5e-15, 5.0, 2.0
 FEW_STEPS, FIELD, MANY = 8, 2**19, 3
 LONGEST_RUN_S = 3e8  # ten years
-EVALUATION_OVERHEAD = 40  # of a force evaluation, in grain-steps; analysis/calibration/cost_model.py
+EVALUATION_OVERHEAD = (
+    40  # of a force evaluation, in grain-steps; analysis/calibration/cost_model.py
+)
 
 
 Steps = tuple[float, int, int, bool, bool]  # as `TimeSteppingEngine._steps` returns them
@@ -84,7 +86,9 @@ class StepRefinement:
     far: float = 0.1
     breakdown: float = 4.0
 
-    def ratio(self, error: ErrorBudget | None, order: float, tolerance: float, adaptive: bool = False) -> float | None:
+    def ratio(
+        self, error: ErrorBudget | None, order: float, tolerance: float, adaptive: bool = False
+    ) -> float | None:
         """Return the ratio of the old step to the next one; None where round-off alone is too much."""
         if error is None:
             return self.breakdown
@@ -93,7 +97,11 @@ class StepRefinement:
         if not math.isfinite(error.truncation):
             return self.breakdown
         room = max(tolerance - error.roundoff, tolerance / 4)
-        order = order if error.smooth else min(order, self.order_at_kinks if adaptive else self.order_at_openings)
+        order = (
+            order
+            if error.smooth
+            else min(order, self.order_at_kinks if adaptive else self.order_at_openings)
+        )
         most = self.most if error.truncation < self.far else self.most_far
         least = self.least if error.smooth else self.least_erratic
         return min(max((error.truncation / (self.target * room)) ** (1 / order), least), most)
@@ -121,14 +129,18 @@ class TimeSteppingEngine(Engine):
     def __init__(self, integrator: str, step: float | None):
         if integrator not in self.integrators:
             raise InputError([("integrator", not_among(integrator, self.integrators))])
-        if step is not None and not (isinstance(step, int | float) and math.isfinite(step) and step > 0):
+        if step is not None and not (
+            isinstance(step, int | float) and math.isfinite(step) and step > 0
+        ):
             raise InputError([("step", f"must be a time above 0 s (got {shown(step)})")])
         self.integrator, self.step = integrator, step
 
     @property
     def methods(self) -> list[Method]:
         """The methods that it may take."""
-        return [METHODS[name] for name in (CHOICE if self.integrator == "auto" else [self.integrator])]
+        return [
+            METHODS[name] for name in (CHOICE if self.integrator == "auto" else [self.integrator])
+        ]
 
     @abstractmethod
     def stepper(
@@ -155,7 +167,14 @@ class TimeSteppingEngine(Engine):
         cost = self.cost(scene, method, -(-steps * (scene.samples - 1) // stride))
         if cost > LONGEST_RUN_S:
             years = cost / 3.15e7
-            raise InputError([("duration", f"would take some {years:.1g} years: shorten it, or ask for less accuracy")])
+            raise InputError(
+                [
+                    (
+                        "duration",
+                        f"would take some {years:.1g} years: shorten it, or ask for less accuracy",
+                    )
+                ]
+            )
         return Candidate(
             step=scene.duration / (scene.samples - 1) * stride / steps,
             active_grains=scene.chain.grains,
@@ -187,7 +206,9 @@ class TimeSteppingEngine(Engine):
             steps = math.ceil(interval / self.step * (1 - 1e-12))
             return method.evaluations * steps, steps, 1, False, False
         omega, strain = scene.highest_frequency, scene.largest_strain
-        expected = method.error_constant * max(1.0, omega * scene.duration / PERIODS)  # phases drift apart with time
+        expected = method.error_constant * max(
+            1.0, omega * scene.duration / PERIODS
+        )  # phases drift apart with time
         shortens = method.adaptive == "openings"
         gentle = shortens and self.adaptive and _gently_struck(scene, tolerance)
         adapts = self.adapts(scene, method) and not gentle
@@ -197,7 +218,9 @@ class TimeSteppingEngine(Engine):
         reach = (tolerance / SAFETY / expected) ** (1 / method.order)
         # one companion alone shows no order where contacts open, unless samples make steps shorter
         if adapts and shortens and limit / 4 < min(reach, interval * omega) and reach <= limit / 2:
-            reach = max(limit / 4, reach * (SAFETY * ADAPTIVE_ERROR / 2**method.order) ** (1 / method.order))
+            reach = max(
+                limit / 4, reach * (SAFETY * ADAPTIVE_ERROR / 2**method.order) ** (1 / method.order)
+            )
         longest = LONGEST_STEP * limit
         if STRONG_STRAIN < strain < math.inf:
             longest = LONGEST_AT_OPENINGS * limit
@@ -223,13 +246,17 @@ class TimeSteppingEngine(Engine):
         # where samples hold steps short, shorter ones near openings would only cost
         coarse = adapts and shortens and scene.chain.exponent >= KINKED_BELOW
         if coarse:
-            coarse = steps == math.ceil(interval * omega / min(reach / COARSE_ERROR ** (1 / method.order), longest))
+            coarse = steps == math.ceil(
+                interval * omega / min(reach / COARSE_ERROR ** (1 / method.order), longest)
+            )
         return (work, steps, 1, adapts, coarse) if work <= most else None
 
     def adapts(self, scene: Scene, method: Method) -> bool:
         """Say whether steps of this method shorten where contacts open or close, or follow its own error."""
         how = method.adaptive
-        return self.adaptive and (how == "error" or (how == "openings" and scene.largest_strain > SAFE_STRAIN))
+        return self.adaptive and (
+            how == "error" or (how == "openings" and scene.largest_strain > SAFE_STRAIN)
+        )
 
     def choices(self, scene: Scene) -> Mapping[str, str]:
         """Return what it chooses on behalf of the user."""
@@ -248,10 +275,15 @@ class TimeSteppingEngine(Engine):
         """Return how many grains it computes in each step, on average."""
         return scene.chain.grains
 
-    def refine(self, candidate: Candidate, error: ErrorBudget | None, tolerance: float) -> Candidate | None:
+    def refine(
+        self, candidate: Candidate, error: ErrorBudget | None, tolerance: float
+    ) -> Candidate | None:
         """Shorten the step by what the error asks for; where contacts open after all, let steps adapt."""
         method = METHODS[candidate.integrator]
-        order, opens = method.order, not (error and error.smooth) and self.adaptive and method.adaptive == "openings"
+        order, opens = (
+            method.order,
+            not (error and error.smooth) and self.adaptive and method.adaptive == "openings",
+        )
         if opens and not candidate.adaptive:
             candidate = candidate._replace(adaptive=True)
         ratio = REFINEMENT.ratio(error, order, tolerance, candidate.adaptive)
@@ -262,26 +294,39 @@ class TimeSteppingEngine(Engine):
         shorter = candidate.with_steps(math.ceil(candidate.steps_per_landing * ratio))
         if shorter.steps_per_landing > MANY * shorter.stride or error is None:
             return shorter.sampled
-        return shorter if shorter.steps(error.differences.size) * LOST_BETWEEN < tolerance else shorter.sampled
+        return (
+            shorter
+            if shorter.steps(error.differences.size) * LOST_BETWEEN < tolerance
+            else shorter.sampled
+        )
 
     def start(
-        self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array] | None = None
+        self,
+        scenes: Sequence[Scene],
+        candidate: Candidate,
+        state: Mapping[str, Array] | None = None,
     ) -> CompanionRun:
         """Start one scene, or a batch of scenes that differ in numbers only."""
         if len(scenes) > 1 and len({kind(scene) for scene in scenes}) > 1:
             raise ValueError("a batch needs chains of one kind and length, recorded alike")
         make = partial(self.stepper, scenes, candidate)
         try:
-            return CompanionRun(make, METHODS[candidate.integrator], scenes, candidate, state, self.twin)
+            return CompanionRun(
+                make, METHODS[candidate.integrator], scenes, candidate, state, self.twin
+            )
         except (LookupError, TypeError, ValueError) as error:
             if state is None or isinstance(error, InputError):
                 raise
-            raise InputError([("checkpoint", "does not fit its run, or was changed: run the scene anew")]) from error
+            raise InputError(
+                [("checkpoint", "does not fit its run, or was changed: run the scene anew")]
+            ) from error
 
 
 def _gently_struck(scene: Scene, tolerance: float) -> bool:
     """Say whether a strike from above is so weak that contacts hardly open before the wave is back."""
-    return scene.largest_strain <= (LESS_GENTLE if tolerance >= LOOSE else GENTLE) and struck_from_above(scene)
+    return scene.largest_strain <= (
+        LESS_GENTLE if tolerance >= LOOSE else GENTLE
+    ) and struck_from_above(scene)
 
 
 def _work_between(method: Method, steps: float, adapts: bool) -> float:
@@ -302,13 +347,26 @@ def kind(scene: Scene) -> tuple:
     """Return what the scenes of a batch have in common: the kind of chain, and what is recorded."""
     chain, excitation = scene.chain, scene.excitation
     made = chain.grains, chain.top, chain.bottom, chain.exponent, chain.compressed
-    return *made, excitation.driven, excitation.does_work, scene.samples, scene.duration, scene.grains
+    return (
+        *made,
+        excitation.driven,
+        excitation.does_work,
+        scene.samples,
+        scene.duration,
+        scene.grains,
+    )
 
 
 def alike(scene: Scene, candidate: Candidate) -> tuple:
     """Return what scenes have in common that have the answer and error in a batch that they have alone."""
     longer = longer_steps(METHODS[candidate.integrator], [scene], candidate)
-    steps = candidate.steps_per_landing, candidate.stride, candidate.step, candidate.adaptive, candidate.coarse_openings
+    steps = (
+        candidate.steps_per_landing,
+        candidate.stride,
+        candidate.step,
+        candidate.adaptive,
+        candidate.coarse_openings,
+    )
     own = candidate.integrator, scene.excitation.knot_spacing < math.inf  # which DOP853 asks
     return *kind(scene), *own, *steps, *longer, *candidate.choices.items()
 

@@ -118,13 +118,20 @@ class DifferentiableRun:
     """
 
     def __init__(
-        self, scene: Scene, method: Splitting, step: float | list[Array], looks: int, grains: NDArray[np.intp]
+        self,
+        scene: Scene,
+        method: Splitting,
+        step: float | list[Array],
+        looks: int,
+        grains: NDArray[np.intp],
     ):
         self.scene, self.grains = scene, np.asarray(grains)
         self.time = np.linspace(0.0, scene.duration, looks + 1)
         if isinstance(step, list):
             lengths, made = np.concatenate(step), [len(part) for part in step]
-            begins = np.concatenate([t + np.cumsum(part) - part for t, part in zip(self.time, step, strict=False)])
+            begins = np.concatenate(
+                [t + np.cumsum(part) - part for t, part in zip(self.time, step, strict=False)]
+            )
         else:
             each = max(1, math.ceil(scene.duration / looks / step * (1 - 1e-12)))
             lengths, made = np.full(looks * each, scene.duration / (looks * each)), [each] * looks
@@ -134,7 +141,11 @@ class DifferentiableRun:
         self._reach = np.array((0.0, *method.reach[:-1]))
         self._course = np.array(method.kicks), np.array(method.drifts), lengths, begun
         self._offsets = method.evaluations * begun + np.arange(looks + 1)  # rows before each look
-        self.imposed = ImposedCourse(scene.excitation) if isinstance(scene.excitation, (Drive, Force)) else None
+        self.imposed = (
+            ImposedCourse(scene.excitation)
+            if isinstance(scene.excitation, (Drive, Force))
+            else None
+        )
         self._driven = scene.excitation.driven if self.imposed else 0
         self._read(scene)
         width, rows = self._table.shape[1], int(self._offsets[-1])
@@ -144,7 +155,13 @@ class DifferentiableRun:
         before = np.searchsorted(self._offsets, starts, side="right") - 1
         states = np.empty((starts.size, 2, width))
         states[0] = self._x[0], self._v[0]
-        self._pieces = starts, before, starts - self._offsets[before], states, np.empty((starts.size - 1, 2))
+        self._pieces = (
+            starts,
+            before,
+            starts - self._offsets[before],
+            states,
+            np.empty((starts.size - 1, 2)),
+        )
         self._most = min(most, rows)
         self._looks = np.zeros((2, looks + 1, self.grains.size))
         self._run()
@@ -167,7 +184,11 @@ class DifferentiableRun:
         self._table[:2, 1:] = batch.table[0, :2, :-1]
         self._table[2] = chain.exponent * self._table[1] * self._table[0]
         pressed = batch.precompressed > 0 and batch.uncompressed[0] == 0
-        weakest, strong, hertz = batch.forms[0] == POLYNOMIAL, batch.forms[0] in ROOTS, chain.exponent == 1.5
+        weakest, strong, hertz = (
+            batch.forms[0] == POLYNOMIAL,
+            batch.forms[0] in ROOTS,
+            chain.exponent == 1.5,
+        )
         if pressed and weakest:
             self._law = kernels.UNDONE_SERIES
         elif pressed and hertz:
@@ -187,18 +208,27 @@ class DifferentiableRun:
         at = self._course[3][look] + step
         over = at == self._course[3][look + 1]  # the last kick before a look
         at = np.where(over, at - 1, at)
-        return np.where(over, self.time[look + 1], self._begins[at] + self._reach[stage] * self._course[2][at])
+        return np.where(
+            over, self.time[look + 1], self._begins[at] + self._reach[stage] * self._course[2][at]
+        )
 
     def _path(self, row: int, count: int) -> Array:
         """Return what is imposed in some rows, or nothing."""
-        return np.empty(0) if self.imposed is None else self.imposed.waveform.at(self._times(row, count))
+        return (
+            np.empty(0)
+            if self.imposed is None
+            else self.imposed.waveform.at(self._times(row, count))
+        )
 
     def _calls(self) -> list[tuple[NDArray[np.intp], int, int]]:
         """Return, for every call of a compiled loop, some pieces, the first row and how many there are."""
         starts = self._pieces[0]
         each = starts.size if self.imposed is None else max(1, CALL // self._most)
         cuts = np.append(np.arange(0, starts.size - 1, each), starts.size - 1)
-        return [(np.array(some), int(starts[some[0]]), int(np.diff(starts[list(some)])[0])) for some in pairwise(cuts)]
+        return [
+            (np.array(some), int(starts[some[0]]), int(np.diff(starts[list(some)])[0]))
+            for some in pairwise(cuts)
+        ]
 
     def _run(self) -> None:
         """Move on to the end, with checkpoints at the begin of every piece."""
@@ -207,10 +237,14 @@ class DifferentiableRun:
         self._state[FIRST], self._state[LAST] = self._window
         common = self._chain, self._course, self._room
         for some, row, count in self._calls():
-            kernels.forward(*common, self._path(row, count), self._pieces, some, (columns, self._looks))
+            kernels.forward(
+                *common, self._path(row, count), self._pieces, some, (columns, self._looks)
+            )
         if self.imposed and self._driven:
             for order in (0, 1):
-                self._looks[order][:, self.grains == 1] = self.imposed.waveform.at(self.time, order)[:, None]
+                self._looks[order][:, self.grains == 1] = self.imposed.waveform.at(
+                    self.time, order
+                )[:, None]
 
     @property
     def displacement(self) -> Array:
@@ -238,10 +272,14 @@ class DifferentiableRun:
         by_course = np.zeros(self.imposed.size if self.imposed else 0)
         if self.imposed and self._driven:
             own = looks[..., self.grains == 1].sum(-1)
-            by_course += self.imposed.pull(self.time, own[1], 1) + self.imposed.pull(self.time[:1], own[0, :1], 0)
+            by_course += self.imposed.pull(self.time, own[1], 1) + self.imposed.pull(
+                self.time[:1], own[0, :1], 0
+            )
             looks[1][:, self.grains == 1] = 0.0
         width, columns = self._x.shape[1], self.grains + (PAD - 1)
-        adjoint, bodies, table = np.split(aligned(11, width + PAD + (STRIDE - width - PAD) % PAGE), (5, 8))
+        adjoint, bodies, table = np.split(
+            aligned(11, width + PAD + (STRIDE - width - PAD) % PAGE), (5, 8)
+        )
         bodies[2, 1 : width + 1], table[:, :width] = self._chain.inverse_mass, self._table
         powers = aligned(1 if self._law <= kernels.UNDONE_SHORT else self._most, width)
         tops = np.empty((2, self._most))
@@ -259,7 +297,16 @@ class DifferentiableRun:
             path = self._path(row, count)
             on_path = np.zeros(path.size)
             kernels.backward(
-                *common, path, self._pieces, some, kept, bodies, (columns, looks), adjoint, on_path, everywhere
+                *common,
+                path,
+                self._pieces,
+                some,
+                kept,
+                bodies,
+                (columns, looks),
+                adjoint,
+                on_path,
+                everywhere,
             )
             if self.imposed:
                 by_course += self.imposed.pull(self._times(row, count), on_path, 0)
@@ -279,7 +326,11 @@ class DifferentiableRun:
 
     def push(self, change: Inputs) -> tuple[Array, Array]:
         """Return how displacement and velocity looked at change, (D, looks+1, G), in D directions."""
-        chain, contacts, columns = self.scene.chain, self.scene.chain.contacts, self.grains + (PAD - 1)
+        chain, contacts, columns = (
+            self.scene.chain,
+            self.scene.chain.contacts,
+            self.grains + (PAD - 1),
+        )
         width, grains = self._x.shape[1], self.scene.chain.grains
 
         def bodies(rows: Array) -> Array:
@@ -288,16 +339,23 @@ class DifferentiableRun:
             return wide
 
         held = self._chain.inverse_mass[PAD : PAD + grains] == 0
-        dx, dv = (bodies(np.where(held, 0.0, part)) for part in (change.displacement, change.velocity))
+        dx, dv = (
+            bodies(np.where(held, 0.0, part)) for part in (change.displacement, change.velocity)
+        )
         looks = np.zeros((len(dx), *self._looks.shape))
         looks[:, 0, 0], looks[:, 1, 0] = dx[:, columns], dv[:, columns]
         near = np.zeros((6, width))
         inverse = np.divide(1.0, contacts.constant, out=np.zeros(grains + 1), where=contacts.exists)
         near[4:, PAD : PAD + grains + 1] = inverse, contacts.force
-        relative, forces = change.masses / chain.masses, np.where(contacts.pressed, change.forces, 0.0)
+        relative, forces = (
+            change.masses / chain.masses,
+            np.where(contacts.pressed, change.forces, 0.0),
+        )
         fixed = bodies(relative), bodies(change.constants), bodies(forces)
         _, before, rows, states, _ = self._pieces
-        again = self._chain._replace(x=states[0, 0].copy(), v=states[0, 1].copy(), state=self._state.copy())
+        again = self._chain._replace(
+            x=states[0, 0].copy(), v=states[0, 1].copy(), state=self._state.copy()
+        )
         for (piece, _), row, count in self._calls():
             by_path = np.empty((len(dx), 0))
             if self.imposed:

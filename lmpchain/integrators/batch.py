@@ -13,7 +13,15 @@ from ..chain.contacts import together
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.cached import cached_property
-from .kernels.contact_forces import CORRECTED, FORMS, POLYNOMIAL, POWER, ROOTS, SPRING, UNCOMPRESSED_POWER
+from .kernels.contact_forces import (
+    CORRECTED,
+    FORMS,
+    POLYNOMIAL,
+    POWER,
+    ROOTS,
+    SPRING,
+    UNCOMPRESSED_POWER,
+)
 from .kernels.layout import ALONE, KNOTS, PAD, Chains, Team
 from .kernels.table import laid_out, opening_weights, placed
 
@@ -71,29 +79,49 @@ class ChainBatch:
         What twice the kinetic energy cannot exceed, J: contacts never hold less energy than at rest.
     """
 
-    def __init__(self, scenes: Sequence[Scene], force: str = "auto", initial: tuple[Array, Array] | None = None):
+    def __init__(
+        self,
+        scenes: Sequence[Scene],
+        force: str = "auto",
+        initial: tuple[Array, Array] | None = None,
+    ):
         self.scenes, chain, excitation = scenes, scenes[0].chain, scenes[0].excitation
-        self.grains, self.imposed, self.driven = chain.grains, excitation.does_work, excitation.driven
-        each = len(scenes) > 1 and (excitation.of_chain or any(scene.excitation is not excitation for scene in scenes))
-        self._struck = scenes if each else scenes[:1]  # that are set in motion in a way of their own
+        self.grains, self.imposed, self.driven = (
+            chain.grains,
+            excitation.does_work,
+            excitation.driven,
+        )
+        each = len(scenes) > 1 and (
+            excitation.of_chain or any(scene.excitation is not excitation for scene in scenes)
+        )
+        self._struck = (
+            scenes if each else scenes[:1]
+        )  # that are set in motion in a way of their own
         self.initial = initial or self._initial()
         self._compressed, self.precompressed = chain.compressed, float(chain.compressed)
         masses = [scene.chain.masses for scene in scenes]
         self.masses = np.array(masses) if len(masses) > 1 else masses[0].copy()[None]
         self.contacts = own = together([scene.chain.contacts for scene in scenes])
-        strikes = np.array([(scene.highest_frequency, scene.energy, *scene.imposed) for scene in scenes])
+        strikes = np.array(
+            [(scene.highest_frequency, scene.energy, *scene.imposed) for scene in scenes]
+        )
         self.table, self.uncompressed, self.omega, self.scale, self.units, self.allowed = laid_out(
             own.overlap, own.force, own.constant, own.stiffness, self.masses, strikes, self.driven, chain.movable,
             chain.compressed,
         )  # fmt: skip
         forms = [force_form(scene, force) for scene in scenes]
-        self.forms, self.plain = np.array(forms), [form in ROOTS and self._compressed for form in forms]
+        self.forms, self.plain = (
+            np.array(forms),
+            [form in ROOTS and self._compressed for form in forms],
+        )
         self.coefficients, self.opening_power = series(chain.exponent), chain.exponent
         self.acted, self.drive, self.knots, self.pieces = self._imposed()
 
     def _of_each(self, found: NDArray[Any]) -> NDArray[Any]:
         """Return an array with a row for each of the R scenes, from one for all or one for each."""
-        return np.repeat(found, len(self.scenes), axis=0) if len(found) < len(self.scenes) else found
+        return (
+            np.repeat(found, len(self.scenes), axis=0) if len(found) < len(self.scenes) else found
+        )
 
     def _initial(self) -> tuple[Array, Array]:
         if len(self.scenes) == 1:
@@ -112,7 +140,9 @@ class ChainBatch:
         x, w, state = placed(u, v, copies, *about, WINDOW_MIN)
         return x, w, state
 
-    def arrays(self, x: Array, v: Array, history: Array, state: Array, team: Team = ALONE) -> Chains:
+    def arrays(
+        self, x: Array, v: Array, history: Array, state: Array, team: Team = ALONE
+    ) -> Chains:
         """Return the chains, and where and how fast their bodies are, for the loops of a thread."""
         return Chains(
             x, v, history, state, self.table, self.uncompressed, self.scale, self.omega, self.forms,
@@ -124,7 +154,9 @@ class ChainBatch:
         size = len(self.scenes)
         if not self.imposed:
             return _nothing(size, self.grains)
-        acted = self._of_each(np.array([s.excitation.reach(s.chain) for s in self._struck])) + (PAD - 1)
+        acted = self._of_each(np.array([s.excitation.reach(s.chain) for s in self._struck])) + (
+            PAD - 1
+        )
         waves = [scene.excitation.waveform for scene in self.scenes]
         splines = [wave.spline if wave else None for wave in waves]
         knots_max = max(0 if spline is None else len(spline.x) for spline in splines)
@@ -182,7 +214,9 @@ def force_form(scene: Scene, force: str = "auto") -> int:
         return UNCOMPRESSED_POWER if roots is None else roots
     if force == "auto" and scene.largest_strain < weakest(exponent):
         return POLYNOMIAL
-    if roots is not None and (force == "plain" or (force == "auto" and scene.strike_number > STRONG)):
+    if roots is not None and (
+        force == "plain" or (force == "auto" and scene.strike_number > STRONG)
+    ):
         return roots
     return CORRECTED if exponent == 1.5 else POWER
 

@@ -18,8 +18,13 @@ if TYPE_CHECKING:
 
 # analysis/calibration/adaptive_steps.py
 STEP_ERROR = 1e-9  # allowed error of an adaptive step with omega h = 1, over the scale of the motion; goes as h^order
-STEP_ERROR_MIN = 2e-18  # least that is asked for: the estimate of less is round-off, and steps would never end
-LONGER, FEWEST = 4.0, 8  # most of an adaptive step over that of the schedule; least steps of a run, if that has as many
+STEP_ERROR_MIN = (
+    2e-18  # least that is asked for: the estimate of less is round-off, and steps would never end
+)
+LONGER, FEWEST = (
+    4.0,
+    8,
+)  # most of an adaptive step over that of the schedule; least steps of a run, if that has as many
 
 
 @dataclass(frozen=True)
@@ -30,7 +35,9 @@ class DormandPrince:
     order: int = 8
     evaluations: int = 12
     error_constant: float = 1e-9
-    reference: str = "Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, section II.5"
+    reference: str = (
+        "Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, section II.5"
+    )
     adaptive: Literal["error"] = "error"
 
     @cached_property
@@ -57,7 +64,9 @@ class DormandPrince:
         from scipy.integrate import DOP853
 
         a, b = DOP853.A[:12, :12], DOP853.B
-        return float(abs(1 + 1j * reach * b @ np.linalg.solve(np.eye(12) - 1j * reach * a, np.ones(12))))
+        return float(
+            abs(1 + 1j * reach * b @ np.linalg.solve(np.eye(12) - 1j * reach * a, np.ones(12)))
+        )
 
     def march(self, batch: ChainBatch, schedules: Sequence[StepSchedule]) -> March:
         """Return what moves a batch of chains by steps of these schedules."""
@@ -67,7 +76,9 @@ class DormandPrince:
         for index, schedule in enumerate(schedules):
             if schedule.adaptive:
                 reach = schedule.step / schedule.ratio * batch.omega.max()
-                allowed[index] = max(STEP_ERROR_MIN, STEP_ERROR * reach**self.order) * schedule.ratio**self.order
+                allowed[index] = (
+                    max(STEP_ERROR_MIN, STEP_ERROR * reach**self.order) * schedule.ratio**self.order
+                )
             if not batch.knots.size:  # which would cut all alike
                 total = schedule.ratio * schedule.total(batch.scenes[0].samples - 1)
                 most[index] = min(LONGER, max(1.0, total / FEWEST))

@@ -36,7 +36,9 @@ class Gear:
 
     def growth(self, reach: float) -> float:
         """Return by what factor x'' = -omega^2 x grows a step: always."""
-        predict = np.array([[1, 1, 1, 1, 1], [0, 1, 2, 3, 4], [0, 0, 1, 3, 6], [0, 0, 0, 1, 4], [0, 0, 0, 0, 1.0]])
+        predict = np.array(
+            [[1, 1, 1, 1, 1], [0, 1, 2, 3, 4], [0, 0, 1, 3, 6], [0, 0, 0, 1, 4], [0, 0, 0, 0, 1.0]]
+        )
         off = -0.5 * reach**2 * predict[0] - predict[2]
         return float(np.abs(np.linalg.eigvals(predict + np.outer(self.corrections, off))).max())
 

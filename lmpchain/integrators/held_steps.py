@@ -36,7 +36,9 @@ def adaptive_steps(scene: Scene, method: Splitting, step: float, looks: int) -> 
     scene = scene.replace(samples=looks + 1)
     interval = scene.duration / looks
     each = max(1, math.ceil(interval / step * (1 - 1e-12)))
-    run = NativeStepper(ChainBatch([scene]), method, StepSchedule(each, 1, interval / each, True), {})
+    run = NativeStepper(
+        ChainBatch([scene]), method, StepSchedule(each, 1, interval / each, True), {}
+    )
     u, v = np.empty((2, 1, 2, scene.chain.grains))
     made, begun, steps = 0.0, 0, []
     parts: list[Array] = []

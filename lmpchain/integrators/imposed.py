@@ -40,13 +40,20 @@ class ImposedCourse:
         piece = np.clip(np.searchsorted(knots, time, side="right") - 1, 0, knots.size - 2)
         s = time - knots[piece]
         one = np.ones_like(s)
-        return piece, np.array([s**3, s**2, s, one] if order == 0 else [3 * s**2, 2 * s, one, 0 * s])
+        return piece, np.array(
+            [s**3, s**2, s, one] if order == 0 else [3 * s**2, 2 * s, one, 0 * s]
+        )
 
     def _sine(self, time: Array, order: int) -> Array:
         """Return derivatives with respect to amplitude and frequency, (2, ...); it depends on their product."""
         wave, rate = self.waveform, self.waveform.at(time, order + 1)
         by_frequency = time * rate + (wave.at(time, 1) if order else 0.0)
-        return np.array([replace(wave, amplitude=1.0).at(time, order), by_frequency / (self.frequency or np.inf)])
+        return np.array(
+            [
+                replace(wave, amplitude=1.0).at(time, order),
+                by_frequency / (self.frequency or np.inf),
+            ]
+        )
 
     def pull(self, time: Array, weight: Array, order: int) -> Array:
         """Return derivatives (P,) of the sum of weight times value (order 0) or rate (1) at times."""

@@ -28,7 +28,9 @@ if TYPE_CHECKING:
 # little error as the others; and of coarse ones, where that does not matter
 ADAPTIVE_STEP, COARSE_STEP = 0.2, 0.4
 DENSE_ROWS = 4  # what `kernels.dense_output` keeps of the beginning of a step: u, v, a and j
-CROSSING_STEP = 0.03  # omega h' / (omega h)^((order + 1) / (delta + 1)) of the step that crosses the opening
+CROSSING_STEP = (
+    0.03  # omega h' / (omega h)^((order + 1) / (delta + 1)) of the step that crosses the opening
+)
 LEAST_CROSSING = 0.1  # the same over the (delta + 1)th root of EPSILON: what a shorter step would gain is round-off
 
 
@@ -98,14 +100,18 @@ class Splitting:
         if not adaptive:
             return March(run, (kicks, drifts), shared=True)
         near = COARSE_STEP if schedule.coarse_openings else ADAPTIVE_STEP
-        crossing = _crossing(self.order, batch.opening_power, tuple(schedule.ratio for schedule in schedules))
+        crossing = _crossing(
+            self.order, batch.opening_power, tuple(schedule.ratio for schedule in schedules)
+        )
         kept = DENSE_ROWS if schedule.dense else 0
         return March(run, (kicks, drifts, near, crossing), batch.openings, kept, shared=True)
 
     def _half_trace(self, frequency: Array) -> Array:
         """Half the trace of the one-step matrix of x'' = -omega^2 x at h = 1."""
         square = frequency**2
-        x = np.array([np.ones_like(square), np.zeros_like(square)])  # x and v from (1, 0) and (0, 1)
+        x = np.array(
+            [np.ones_like(square), np.zeros_like(square)]
+        )  # x and v from (1, 0) and (0, 1)
         v = np.array([np.zeros_like(square), np.ones_like(square)])
         for b, a in zip(self.kicks, (*self.drifts, 0.0), strict=True):
             v = v - b * square * x
@@ -144,20 +150,56 @@ def _composition(substeps: tuple[float, ...]) -> tuple[tuple[float, ...], tuple[
     return kicks, substeps
 
 
-VERLET = Splitting("verlet", 2, (0.5, 0.5), (1.0,), 0.3, "velocity Verlet; Swope et al., J. Chem. Phys. 76, 637 (1982)")
+VERLET = Splitting(
+    "verlet",
+    2,
+    (0.5, 0.5),
+    (1.0,),
+    0.3,
+    "velocity Verlet; Swope et al., J. Chem. Phys. 76, 637 (1982)",
+)
 
-_KL6 = _symmetric([0.39216144400731413928, 0.33259913678935943860, -0.70624617255763935981, 0.08221359629355080023], 9)
+_KL6 = _symmetric(
+    [
+        0.39216144400731413928,
+        0.33259913678935943860,
+        -0.70624617255763935981,
+        0.08221359629355080023,
+    ],
+    9,
+)
 KAHAN_LI6 = Splitting(
-    "kahan-li6", 6, *_composition(_KL6), 5e-6, "s9odr6a of Kahan and Li, Math. Comp. 66, 1089 (1997)", _KL6
+    "kahan-li6",
+    6,
+    *_composition(_KL6),
+    5e-6,
+    "s9odr6a of Kahan and Li, Math. Comp. 66, 1089 (1997)",
+    _KL6,
 )
 
 RKN6 = Splitting(
     "rkn6",
     6,
     _symmetric(
-        [0.0414649985182624, 0.198128671918067, -0.0400061921041533, 0.0752539843015807, -0.0115113874206879], 12
+        [
+            0.0414649985182624,
+            0.198128671918067,
+            -0.0400061921041533,
+            0.0752539843015807,
+            -0.0115113874206879,
+        ],
+        12,
     ),
-    _symmetric([0.123229775946271, 0.290553797799558, -0.127049212625417, -0.246331761062075, 0.357208872795928], 11),
+    _symmetric(
+        [
+            0.123229775946271,
+            0.290553797799558,
+            -0.127049212625417,
+            -0.246331761062075,
+            0.357208872795928,
+        ],
+        11,
+    ),
     2e-8,
     "SRKN_11^b of Blanes and Moan, J. Comput. Appl. Math. 142, 313 (2002)",
 )
@@ -179,7 +221,12 @@ _KL8 = _symmetric(
     ], 17,
 )  # fmt: skip
 KAHAN_LI8 = Splitting(
-    "kahan-li8", 8, *_composition(_KL8), 1e-8, "s17odr8a of Kahan and Li, Math. Comp. 66, 1089 (1997)", _KL8
+    "kahan-li8",
+    8,
+    *_composition(_KL8),
+    1e-8,
+    "s17odr8a of Kahan and Li, Math. Comp. 66, 1089 (1997)",
+    _KL8,
 )
 
 SPLITTINGS = {s.name: s for s in (VERLET, RKN4, RKN6, KAHAN_LI6, KAHAN_LI8)}

@@ -55,7 +55,9 @@ class StepSchedule(NamedTuple):
             return same
         stride, parts = ratio.as_integer_ratio()
         common = 1 if stretched else math.gcd(parts * self.steps, stride)
-        return same._replace(steps=parts * self.steps // common, stride=stride // common, step=self.step * ratio)
+        return same._replace(
+            steps=parts * self.steps // common, stride=stride // common, step=self.step * ratio
+        )
 
     def total(self, samples: int) -> int:
         """Return the steps from sample 0 to the sample of this number, if all are equal."""

@@ -38,7 +38,9 @@ from .method import Method
 from .step_schedule import StepSchedule
 
 NOTHING = np.empty((0, 0, 0, 0))
-Work = tuple[Chains, tuple[Any, ...], Clocks, int, int]  # of a thread: chains, from the first to the last, and how
+Work = tuple[
+    Chains, tuple[Any, ...], Clocks, int, int
+]  # of a thread: chains, from the first to the last, and how
 
 
 @lru_cache(maxsize=256)
@@ -116,7 +118,10 @@ class NativeStepper:
         count = len(self._schedules)
         u, v = chains.initial[0][None], chains.initial[1][None]
         if state:
-            u, v = (np.array(state[name], dtype=float).reshape(count, self._size, chains.grains) for name in "uv")
+            u, v = (
+                np.array(state[name], dtype=float).reshape(count, self._size, chains.grains)
+                for name in "uv"
+            )
         self._x, self._v, self._state = chains.placed(u, v, count)
         if state:
             self._state = state["state"].copy()
@@ -125,7 +130,11 @@ class NativeStepper:
         clocks = _clocks(self._schedules, scenes[0].duration / final, final)
         march = method.march(chains, self._schedules)
         self._march = march.run
-        parts = min(threads, chains.grains // LEAST_SHARE) if march.shared and self._size < threads else 1
+        parts = (
+            min(threads, chains.grains // LEAST_SHARE)
+            if march.shared and self._size < threads
+            else 1
+        )
         shares = min(threads, self._size) if parts < 2 else 1
         self._teams = team(parts) if parts > 1 else [ALONE]
         # each thread that shares a chain has a state of its own, in which only extremes differ
@@ -142,10 +151,14 @@ class NativeStepper:
         for own, member in zip(self._states, self._teams, strict=True):
             work = chains.arrays(*bodies, own, member), needs, clocks
             for share in range(shares):
-                self._work.append((*work, share * self._size // shares, (share + 1) * self._size // shares))
+                self._work.append(
+                    (*work, share * self._size // shares, (share + 1) * self._size // shares)
+                )
         if not self._march.overloads:  # type: ignore[attr-defined]
             none = np.empty((0, 1, 1))
-            self._march(*self._work[0][:3], Fields(none, none, NOTHING, NOTHING, 0), 0, 0, 0, 0)  # only compiles
+            self._march(
+                *self._work[0][:3], Fields(none, none, NOTHING, NOTHING, 0), 0, 0, 0, 0
+            )  # only compiles
 
     def _check_state(self) -> None:
         """Raise `ValueError` if a kept state does not fit these chains: the compiled loops trust its window."""
@@ -154,7 +167,9 @@ class NativeStepper:
         if fits:
             first, last, sample = kept[:, [FIRST, LAST, SAMPLE]].T
             inside = (first >= PAD) & (first < last) & (last <= width - PAD) & (sample == sample[0])
-            counted = np.isfinite(kept[:, [SAMPLE, DONE, NEXT, STEPS]])  # extremes need not be, after a breakdown
+            counted = np.isfinite(
+                kept[:, [SAMPLE, DONE, NEXT, STEPS]]
+            )  # extremes need not be, after a breakdown
             fits = bool(inside.all() and counted.all() and not (kept[:, [FIRST, LAST]] % 1).any())
         if not fits:
             raise ValueError("the state that was kept does not fit")
@@ -178,9 +193,17 @@ class NativeStepper:
         for state in self._states[1:]:
             state[:] = self._state
         try:
-            others = [self._pool.submit(self._move, work, fields, until, max_steps) for work in self._work[1:]]
-            done = [self._move(self._work[0], fields, until, max_steps), *(other.result() for other in others)]
-        except BaseException:  # Ctrl-C between two of them, too: nobody is to wait for one who does not come
+            others = [
+                self._pool.submit(self._move, work, fields, until, max_steps)
+                for work in self._work[1:]
+            ]
+            done = [
+                self._move(self._work[0], fields, until, max_steps),
+                *(other.result() for other in others),
+            ]
+        except (
+            BaseException
+        ):  # Ctrl-C between two of them, too: nobody is to wait for one who does not come
             self._teams[0].gate[GIVEN_UP] = 1
             raise
         if len(self._teams) == 1:
@@ -242,7 +265,10 @@ class NativeStepper:
     def state(self) -> dict[str, Array]:
         """Return what is needed to go on with the same bits."""
         inside = slice(PAD, PAD + self.chains.grains)
-        u, v = (bodies[:, inside].reshape(-1, self._size, inside.stop - PAD) for bodies in (self._x, self._v))
+        u, v = (
+            bodies[:, inside].reshape(-1, self._size, inside.stop - PAD)
+            for bodies in (self._x, self._v)
+        )
         kept = {"u": u, "v": v, "state": self._state, "history": self._history}
         return {name: array.copy() for name, array in kept.items()}
 

@@ -33,10 +33,15 @@ def known_contacts(trajectory: Trajectory | Motion) -> np.ndarray:
     InputError
         If no two neighbours were recorded.
     """
-    known = columns(trajectory.scene.chain.grains, trajectory.scene.chain.movable, trajectory.grains) != UNKNOWN
+    known = (
+        columns(trajectory.scene.chain.grains, trajectory.scene.chain.movable, trajectory.grains)
+        != UNKNOWN
+    )
     chosen = np.flatnonzero(known[:-1] & known[1:] & trajectory.scene.chain.contacts.exists)
     if not chosen.size:
-        raise InputError([("grains", "no two neighbours were recorded, so no contact is known: record both")])
+        raise InputError(
+            [("grains", "no two neighbours were recorded, so no contact is known: record both")]
+        )
     return chosen
 
 
@@ -62,7 +67,9 @@ def motion(trajectory: Trajectory | Motion, bodies: np.ndarray) -> tuple[Array, 
     u, v = trajectory.displacement[:, column], trajectory.velocity[:, column]
     u[:, column == STILL] = v[:, column == STILL] = 0.0
     if wall := trajectory.scene.excitation.wall:
-        u[:, bodies == 0], v[:, bodies == 0] = (wall.at(trajectory.time, order)[:, None] for order in (0, 1))
+        u[:, bodies == 0], v[:, bodies == 0] = (
+            wall.at(trajectory.time, order)[:, None] for order in (0, 1)
+        )
     return u, v
 
 
@@ -84,18 +91,29 @@ def motion_of_all(trajectory: Trajectory) -> tuple[Scene, Array, Array]:
     InputError
         If a grain that can move was not recorded.
     """
-    scene, u, v = trajectory.scene, np.asarray(trajectory.displacement), np.asarray(trajectory.velocity)
+    scene, u, v = (
+        trajectory.scene,
+        np.asarray(trajectory.displacement),
+        np.asarray(trajectory.velocity),
+    )
     _found(trajectory, np.arange(1, scene.chain.grains + 1))
-    last = 2 + max(scene.excitation.reach(scene.chain)[1], int(trajectory.grains[leaves_rest(u, v)].max(initial=1)))
+    last = 2 + max(
+        scene.excitation.reach(scene.chain)[1],
+        int(trajectory.grains[leaves_rest(u, v)].max(initial=1)),
+    )
     scene = scene.part(1, last) if last < scene.chain.grains else scene
     return scene, *motion(trajectory, np.arange(1, scene.chain.grains + 1))
 
 
 def _found(trajectory: Trajectory | Motion, bodies: np.ndarray) -> NDArray[np.intp]:
     """Return the columns of bodies, or marks; raise InputError if one is unknown."""
-    column = columns(trajectory.scene.chain.grains, trajectory.scene.chain.movable, trajectory.grains)[bodies]
+    column = columns(
+        trajectory.scene.chain.grains, trajectory.scene.chain.movable, trajectory.grains
+    )[bodies]
     missing = np.unique(bodies[column == UNKNOWN])
     if missing.size:
         some = ", ".join(map(str, missing[:8])) + ", ..." * (missing.size > 8)
-        raise InputError([("grains", f"this takes grains that were not recorded; record these too: {some}")])
+        raise InputError(
+            [("grains", f"this takes grains that were not recorded; record these too: {some}")]
+        )
     return column

@@ -71,17 +71,25 @@ class ContactHistory(Shown):
         events = []
         o, v, gap = self.overlap, self.closing, self.overlap < 0
         changed = gap[1:] != gap[:-1]
-        turned = (o[:-1] * v[:-1] < 0) & (o[1:] * v[1:] > 0) & ~changed  # approaches closing or opening, then recedes
-        third = np.diff(self.time)[:, None] / 3  # a cubic lies between the least and the largest of its control points
+        turned = (
+            (o[:-1] * v[:-1] < 0) & (o[1:] * v[1:] > 0) & ~changed
+        )  # approaches closing or opening, then recedes
+        third = (
+            np.diff(self.time)[:, None] / 3
+        )  # a cubic lies between the least and the largest of its control points
         turned &= (o[:-1] * (o[:-1] + third * v[:-1]) <= 0) | (o[1:] * (o[1:] - third * v[1:]) <= 0)
         for i, c in np.argwhere(changed | turned):
             pair = slice(i, i + 2)
-            roots = CubicHermiteSpline(self.time[pair], o[pair, c], v[pair, c]).roots(extrapolate=False)
+            roots = CubicHermiteSpline(self.time[pair], o[pair, c], v[pair, c]).roots(
+                extrapolate=False
+            )
             if changed[i, c]:  # if round-off hides the root, the sample nearer to contact
                 roots = roots[:1] if roots.size else [self.time[i + np.abs(o[pair, c]).argmin()]]
             if changed[i, c] or len(roots) == 2:
                 number, opens = int(self.contact[c]), (not gap[i, c], bool(gap[i, c]))
-                events += [Event(float(t), number, state) for t, state in zip(roots, opens, strict=False)]
+                events += [
+                    Event(float(t), number, state) for t, state in zip(roots, opens, strict=False)
+                ]
         return sorted(events)
 
     def plot(self, ax: Axes | None = None, above_rest: bool = False) -> Axes:
@@ -108,9 +116,19 @@ class ContactHistory(Shown):
             rows = np.argsort(self.contact)
             numbers, force = thinned(self.contact[rows], values.T[rows])
             limit = scale(values)
-            colours = {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit} if above_rest else {"cmap": "cividis"}
+            colours = (
+                {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit}
+                if above_rest
+                else {"cmap": "cividis"}
+            )
             shown = ax.pcolorfast(edges(self.time), edges(numbers), force, **colours)
-            colour_bar(ax, shown, label, format=EngFormatter("N"), extend="both" if above_rest else "neither")
+            colour_bar(
+                ax,
+                shown,
+                label,
+                format=EngFormatter("N"),
+                extend="both" if above_rest else "neither",
+            )
             ax.yaxis.set_major_formatter("{x:g}")
             ax.yaxis.set_major_locator(MaxNLocator(integer=True))
             ax.set(ylabel="contact, from the top", ylim=ax.get_ylim()[::-1])
@@ -180,12 +198,21 @@ def contacts(trajectory: Trajectory, numbers: Sequence[int] | None = None) -> Co
     else:
         chosen, there = np.array(numbers, dtype=int).reshape(-1), np.flatnonzero(every.exists)
         if not np.isin(chosen, there).all():
-            raise InputError([("numbers", f"the contacts are numbered {there[0]} to {there[-1]} (got {numbers})")])
+            raise InputError(
+                [
+                    (
+                        "numbers",
+                        f"the contacts are numbered {there[0]} to {there[-1]} (got {numbers})",
+                    )
+                ]
+            )
     u, v = motion(trajectory, np.stack([chosen, chosen + 1]))
     r = u[:, 0] - u[:, 1]
     these = every.of(chosen)
     overlap, closing = these.overlap + r, v[:, 0] - v[:, 1]
-    return ContactHistory(trajectory.time, chosen, overlap, closing, these.force_at(overlap), these.force_change(r))
+    return ContactHistory(
+        trajectory.time, chosen, overlap, closing, these.force_at(overlap), these.force_change(r)
+    )
 
 
 def wall_force(trajectory: Trajectory, end: Literal["top", "bottom"] = "bottom") -> Array:
@@ -214,7 +241,9 @@ def wall_force(trajectory: Trajectory, end: Literal["top", "bottom"] = "bottom")
     if kind == "free":
         raise InputError([("end", f"there is no wall at the end {shown(end)} of this chain")])
     if kind == "fixed":
-        return contacts(trajectory, [chain.grains - 1]).force[:, 0] + chain.masses[-1] * chain.gravity
+        return (
+            contacts(trajectory, [chain.grains - 1]).force[:, 0] + chain.masses[-1] * chain.gravity
+        )
     return contacts(trajectory, [0 if end == "top" else chain.grains]).force[:, 0]
 
 
@@ -266,7 +295,11 @@ def drive_force(trajectory: Trajectory) -> Array:
     if trajectory.scene.excitation.wall:
         return contacts(trajectory, [0]).force[:, 0]
     force = chain.masses[0] * acceleration + contacts(trajectory, [1]).change[:, 0]
-    return force - contacts(trajectory, [0]).change[:, 0] if chain.top == "wall" else chain.top_load + force
+    return (
+        force - contacts(trajectory, [0]).change[:, 0]
+        if chain.top == "wall"
+        else chain.top_load + force
+    )
 
 
 def sensor(trajectory: Trajectory, grain: int) -> Signal:
@@ -291,6 +324,13 @@ def sensor(trajectory: Trajectory, grain: int) -> Signal:
     """
     exists = trajectory.scene.chain.contacts.exists
     if grain not in np.flatnonzero(exists[:-1] & exists[1:]) + 1:
-        raise InputError([("grain", f"grain {grain} has no contacts on both sides, or there is none: choose another")])
+        raise InputError(
+            [
+                (
+                    "grain",
+                    f"grain {grain} has no contacts on both sides, or there is none: choose another",
+                )
+            ]
+        )
     both = contacts(trajectory, [grain - 1, grain])
     return Signal(grain, both.time, both.force.mean(1), both.change.mean(1))

@@ -91,24 +91,48 @@ class DysonSums(Shown):
             f"random chains: largest mean velocity over {ensembles[0].realisations} linear chains with "
             "kappa_n zeta_n, its standard error and grain",
         ]
-        rows = [["m", "as printed", "sum of weights", "normalised", "random chains", "standard error", "grain"]]
+        rows = [
+            [
+                "m",
+                "as printed",
+                "sum of weights",
+                "normalised",
+                "random chains",
+                "standard error",
+                "grain",
+            ]
+        ]
         for row in self._rows(ensembles):
             mean = row["random_chains"]
-            values = row["as_printed"], row["weights"], row["normalised"], mean["largest"], mean["standard_error"]
-            rows.append([f"{row['m']:g}", *(number(value, ".5g") for value in values), str(mean["grain"])])
+            values = (
+                row["as_printed"],
+                row["weights"],
+                row["normalised"],
+                mean["largest"],
+                mean["standard_error"],
+            )
+            rows.append(
+                [f"{row['m']:g}", *(number(value, ".5g") for value in values), str(mean["grain"])]
+            )
         at = int(np.abs(ordered).argmax())
-        rows.append(["ordered", "", "", "", number(ordered[at] / self.unit, ".5g"), "", str(at + 1)])
+        rows.append(
+            ["ordered", "", "", "", number(ordered[at] / self.unit, ".5g"), "", str(at + 1)]
+        )
         lines += aligned(rows)
         largest = max(each.model_error for each in ensembles)
         lines.append(f"model error of Eq. (3) in random chains: up to {largest:.2g}")
         if squeezed := sum(each.squeezed for each in ensembles):
-            lines.append(f"in {squeezed} chains a contact is so soft that Hertz's law would no longer hold at rest")
+            lines.append(
+                f"in {squeezed} chains a contact is so soft that Hertz's law would no longer hold at rest"
+            )
         return "\n".join(lines)
 
     def to_json(self, ordered: Array, ensembles: Sequence[Ensemble]) -> dict[str, Any]:
         """Return what the table shows and the curves behind it; arguments as for `table`."""
         rows = self._rows(ensembles)
-        for row, printed, normalised, each in zip(rows, self.as_printed, self.normalised, ensembles, strict=True):
+        for row, printed, normalised, each in zip(
+            rows, self.as_printed, self.normalised, ensembles, strict=True
+        ):
             row["as_printed_over_time"] = (printed / self.unit).tolist()
             row["normalised_over_time"] = (normalised / self.unit).tolist()
             row["random_chains"] |= {
@@ -149,7 +173,9 @@ class DysonSums(Shown):
             )
         return rows
 
-    def plot(self, ordered: Array, ensembles: Sequence[Ensemble], ax: Axes | Sequence[Axes] | None = None) -> Axes:
+    def plot(
+        self, ordered: Array, ensembles: Sequence[Ensemble], ax: Axes | Sequence[Axes] | None = None
+    ) -> Axes:
         """Draw means over random chains and terms of Eq. (22) against grain number, at the last sample.
 
         Parameters
@@ -176,17 +202,24 @@ class DysonSums(Shown):
             style: dict[str, Any] = {"color": colours[place % len(colours)], "ls": dash, "lw": 1.6}
             mean, band = each.velocity[-1] / self.unit, 2 * each.velocity_error[-1] / abs(self.unit)
             true.plot(each.grains, mean, label=f"m = {m:g}", **style)
-            true.fill_between(each.grains, mean - band, mean + band, color=style["color"], alpha=0.2, lw=0)
+            true.fill_between(
+                each.grains, mean - band, mean + band, color=style["color"], alpha=0.2, lw=0
+            )
             terms = self.weight[place] * self.velocity[-1] / self.unit
             total = self.as_printed[place, -1] / self.unit
             for weighted in others:
                 weighted.plot(grains, terms, label=f"m = {m:g}: sum {total:.4g}", **style)
         unit = r"$v_0$" if self.unit != 1 else "m/s"
         true.set_ylabel(f"mean velocity ({unit})")
-        titled(true, f"Mean over {ensembles[0].realisations} random linear chains, ± 2 standard errors")
+        titled(
+            true, f"Mean over {ensembles[0].realisations} random linear chains, ± 2 standard errors"
+        )
         for weighted in others:
             weighted.set_ylabel(rf"$D_m(\kappa_n)\,\dot\varphi_n$ ({unit})")
-            titled(weighted, f"Terms of Eq. (22), one chain weighted over depth, tau = {self.tau[-1]:.4g}")
+            titled(
+                weighted,
+                f"Terms of Eq. (22), one chain weighted over depth, tau = {self.tau[-1]:.4g}",
+            )
         shown = np.abs([ordered, self.velocity[-1]]).max(0)
         moving = np.flatnonzero(shown > 1e-3 * shown.max())
         last = int(moving[-1]) + 1 + MARGIN if moving.size else grains.size
@@ -271,7 +304,9 @@ def orders(text: str) -> list[float]:
         try:
             values.append(float(part))
         except ValueError:
-            raise InputError([("m", f"must be numbers with commas between them (got {shown(part)})")]) from None
+            raise InputError(
+                [("m", f"must be numbers with commas between them (got {shown(part)})")]
+            ) from None
     if wrong := [m for m in values if not 0 < m < np.inf]:
         raise InputError([("m", f"must be above 0 (got {wrong[0]:g})")])
     return values
@@ -303,7 +338,14 @@ def relative_stiffness(chain: Chain) -> Array:
     True
     """
     if not chain.compressed:
-        raise InputError([("gravity", "without gravity and load contacts have no stiffness at rest, so no kappa_n")])
+        raise InputError(
+            [
+                (
+                    "gravity",
+                    "without gravity and load contacts have no stiffness at rest, so no kappa_n",
+                )
+            ]
+        )
     stiffness, force = chain.contacts.stiffness[1:].copy(), chain.contacts.force
     if chain.bottom != "wall":
         weight = chain.gravity * chain.masses[-1]

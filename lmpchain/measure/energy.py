@@ -88,7 +88,9 @@ class EnergyLedger(Shown):
         (Slepyan, arXiv:1410.8301); in a weak wave to 1/2. It is NaN if there is no energy.
         """
         end = self.time[-1] if end is None else end
-        kinetic, total = (CubicSpline(self.time, x).integrate(start, end) for x in (self.kinetic, self.total))
+        kinetic, total = (
+            CubicSpline(self.time, x).integrate(start, end) for x in (self.kinetic, self.total)
+        )
         return float(kinetic / total) if total else np.nan
 
     def plot(self, ax: Axes | None = None) -> Axes:
@@ -98,7 +100,13 @@ class EnergyLedger(Shown):
         ax.plot(self.time, self.kinetic, label="kinetic")
         ax.plot(self.time, self.total - self.kinetic, label="potential")
         if self.drive.any():
-            ax.plot(self.time, self.total[0] + self.drive, "k--", lw=1, label="given by strike and driver")
+            ax.plot(
+                self.time,
+                self.total[0] + self.drive,
+                "k--",
+                lw=1,
+                label="given by strike and driver",
+            )
         ax.set(xlabel="time", ylabel="energy above rest")
         largest = np.abs(self.total).max() or 1.0
         titled(ax, f"Drift: at most {np.abs(self.drift).max() / largest:.1e} of the largest total")
@@ -148,7 +156,14 @@ class EnergyShares(Shown):
         """
         wanted = np.arange(first, last + 1)
         if not wanted.size or not np.isin(wanted, self.grain).all():
-            raise InputError([("part", f"takes recorded grains, from the first to the last (got {first} to {last})")])
+            raise InputError(
+                [
+                    (
+                        "part",
+                        f"takes recorded grains, from the first to the last (got {first} to {last})",
+                    )
+                ]
+            )
         return self.of_grain[:, np.isin(self.grain, wanted)].sum(1)
 
 
@@ -182,11 +197,22 @@ def shares(trajectory: Trajectory | Motion) -> EnergyShares:
     off, fast = between.known_error("displacement"), between.known_error("velocity")
     contact = known_contacts(trajectory)
     u, _ = motion(trajectory, np.stack([contact, contact + 1]))
-    these, closer, speed = chain.contacts.of(contact), u[:, 0] - u[:, 1], np.abs(trajectory.velocity)
-    steepest = np.maximum(*(np.abs(these.force_change(closer + side)) for side in (-2 * off, 2 * off)))
-    kinetic = chain.masses[grain - 1] * speed**2 / 2, chain.masses[grain - 1] * fast * (speed + fast / 2)
+    these, closer, speed = (
+        chain.contacts.of(contact),
+        u[:, 0] - u[:, 1],
+        np.abs(trajectory.velocity),
+    )
+    steepest = np.maximum(
+        *(np.abs(these.force_change(closer + side)) for side in (-2 * off, 2 * off))
+    )
+    kinetic = (
+        chain.masses[grain - 1] * speed**2 / 2,
+        chain.masses[grain - 1] * fast * (speed + fast / 2),
+    )
     elastic = these.energy(closer), 2 * off * steepest
-    of_grain = [k + _beside(chain, contact, e, grain) for k, e in zip(kinetic, elastic, strict=True)]
+    of_grain = [
+        k + _beside(chain, contact, e, grain) for k, e in zip(kinetic, elastic, strict=True)
+    ]
     values, errors = zip(kinetic, elastic, of_grain, strict=True)
     return EnergyShares(trajectory.time, grain, contact, *values, *errors)
 

@@ -90,7 +90,14 @@ def arrival(time: Array, values: Array, name: str = "signal") -> Arrival:
     top, last = int(np.argmax(values)), len(values) - 1
     if not 0 < top < last:
         cure = "record for longer" if top else "there is no maximum to wait for"
-        raise InputError([("duration", f"the {name} is largest in the {'last' if top else 'first'} sample: {cure}")])
+        raise InputError(
+            [
+                (
+                    "duration",
+                    f"the {name} is largest in the {'last' if top else 'first'} sample: {cure}",
+                )
+            ]
+        )
     when, height = summit(time, values, top, 1)
     step = float(time[top + 1] - time[top])
     error = abs(when - summit(time, values, top, 2)[0]) if 2 <= top <= last - 2 else step
@@ -160,7 +167,9 @@ def summit(time: Array, values: Array, top: int, stride: int) -> tuple[float, fl
     near = np.arange(top - REACH * stride, top + REACH * stride + 1, stride)
     near = near[(near >= 0) & (near < len(values))]
     unit = time[top + 1] - time[top]
-    spline = make_interp_spline((time[near] - time[top]) / unit, values[near], k=min(5, len(near) - 1))
+    spline = make_interp_spline(
+        (time[near] - time[top]) / unit, values[near], k=min(5, len(near) - 1)
+    )
     roots = PPoly.from_spline(spline.derivative()).roots(extrapolate=False)
     inside = np.append(roots[np.abs(roots) <= stride], 0.0)
     best = inside[np.argmax(spline(inside))]

@@ -68,7 +68,9 @@ class Front(Shown):
 
     def _slowness(self, place: Array) -> Array:
         if place.size < 2:
-            raise InputError([("grains", "a speed takes the front at two grains or more: record more of them")])
+            raise InputError(
+                [("grains", "a speed takes the front at two grains or more: record more of them")]
+            )
         return np.gradient(self.time, place, edge_order=2 if place.size > 2 else 1)
 
     def between(self, first: int, last: int) -> Front:
@@ -79,7 +81,14 @@ class Front(Shown):
     def against_depth(self, quantity: Quantity) -> tuple[Array, Array, str]:
         """Return depths h = n - 1/2 and the size of a quantity where it is known, (K,) each; its label."""
         if quantity not in get_args(Quantity):
-            raise InputError([("quantity", f"must be one of {', '.join(get_args(Quantity))} (got {shown(quantity)})")])
+            raise InputError(
+                [
+                    (
+                        "quantity",
+                        f"must be one of {', '.join(get_args(Quantity))} (got {shown(quantity)})",
+                    )
+                ]
+            )
         values = np.abs(getattr(self, quantity))
         known = np.isfinite(values)
         label = f"{quantity} of the front ({OTHERS.get(quantity, UNITS[self.field])})"
@@ -111,7 +120,13 @@ class Exponents(Shown):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the exponents with their confidence intervals against depth; returns the axes."""
-        return _draw(ax, self.depth, self.exponent, f"local exponent of the {self.quantity}", error=self.error)
+        return _draw(
+            ax,
+            self.depth,
+            self.exponent,
+            f"local exponent of the {self.quantity}",
+            error=self.error,
+        )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -187,13 +202,24 @@ def track(trajectory: Trajectory, field: Field = "velocity", fraction: float = 0
     ([2, 3, 4], ['190 m/s', '212 m/s', '227 m/s'])
     """
     check(trajectory, field)
-    error, motion, order = trajectory.error_estimate.solver, motion_of(trajectory), np.argsort(trajectory.grains)
+    error, motion, order = (
+        trajectory.error_estimate.solver,
+        motion_of(trajectory),
+        np.argsort(trajectory.grains),
+    )
     certain = (error if np.isfinite(error) else 0.0) * motion.sampled[field == "velocity"]
     grains, rows = trajectory.grains[order], motion.fronts(field, fraction, certain)[order]
     passed = np.isfinite(rows[:, 0])
     if not passed.any():
-        raise InputError([("duration", f"no grain shows the {field} of a front that passes: record for longer")])
-    return Front(field, grains[passed], trajectory.scene.chain.depths[grains[passed] - 1], *rows[passed].T.copy())
+        raise InputError(
+            [("duration", f"no grain shows the {field} of a front that passes: record for longer")]
+        )
+    return Front(
+        field,
+        grains[passed],
+        trajectory.scene.chain.depths[grains[passed] - 1],
+        *rows[passed].T.copy(),
+    )
 
 
 def exponent(front: Front, quantity: Quantity = "amplitude", window: int | None = 11) -> Exponents:
@@ -218,14 +244,22 @@ def exponent(front: Front, quantity: Quantity = "amplitude", window: int | None 
     depth, values, _ = front.against_depth(quantity)
     size = depth.size if window is None else window
     if not 3 <= size <= depth.size:
-        raise InputError([("window", f"must be 3 to {depth.size}, the number of grains passed (got {size})")])
+        raise InputError(
+            [("window", f"must be 3 to {depth.size}, the number of grains passed (got {size})")]
+        )
     x, y = (np.lib.stride_tricks.sliding_window_view(np.log(z), size) for z in (depth, values))
-    slope, error, correlation = np.array([(fit.slope, fit.stderr, fit.rvalue) for fit in map(stats.linregress, x, y)]).T
+    slope, error, correlation = np.array(
+        [(fit.slope, fit.stderr, fit.rvalue) for fit in map(stats.linregress, x, y)]
+    ).T
     residual = np.sqrt(1 - correlation**2) * y.std(1)
-    return Exponents(quantity, np.exp(x.mean(1)), slope, stats.t.ppf(0.975, size - 2) * error, residual)
+    return Exponents(
+        quantity, np.exp(x.mean(1)), slope, stats.t.ppf(0.975, size - 2) * error, residual
+    )
 
 
-def asymptotic(front: Front, quantity: Quantity, delta: float, exponent: float | None = None) -> PowerLaw:
+def asymptotic(
+    front: Front, quantity: Quantity, delta: float, exponent: float | None = None
+) -> PowerLaw:
     """Fit the asymptotic power law of a quantity and its finite-depth correction.
 
     The wave is that after a weak strike on the top of a column.
@@ -259,26 +293,48 @@ def asymptotic(front: Front, quantity: Quantity, delta: float, exponent: float |
     if not 1 <= delta <= 2:
         raise InputError([("front", f"has such a law for 1 <= delta <= 2 only (got {delta})")])
     if depth.size < FEWEST:
-        raise InputError([("front", f"a fit needs it at {FEWEST} or more grains (got {depth.size}): record longer")])
+        raise InputError(
+            [
+                (
+                    "front",
+                    f"a fit needs it at {FEWEST} or more grains (got {depth.size}): record longer",
+                )
+            ]
+        )
     order = 2 / 3 if quantity in ("time", "speed") else 1 / delta - 1 / 3
     known: list[float] = [] if exponent is None else [exponent]
 
     def law(x: Array, *terms: float) -> Array:
         power, scale, first, second = (*known, *terms, 0.0)[:4]
-        return scale + power * x + np.log(np.abs(1 + first * np.exp(-order * x) + second * np.exp(-2 * order * x)))
+        return (
+            scale
+            + power * x
+            + np.log(np.abs(1 + first * np.exp(-order * x) + second * np.exp(-2 * order * x)))
+        )
 
     try:
-        parameters, covariance = optimize.curve_fit(law, x, y, [*np.polyfit(x, y, 1), 0.0][len(known) :])
+        parameters, covariance = optimize.curve_fit(
+            law, x, y, [*np.polyfit(x, y, 1), 0.0][len(known) :]
+        )
         further, _ = optimize.curve_fit(law, x, y, [*parameters, 0.0])
     except RuntimeError:
-        raise InputError([("front", "obeys no such law: choose other grains with Front.between")]) from None
+        raise InputError(
+            [("front", "obeys no such law: choose other grains with Front.between")]
+        ) from None
     error = stats.t.ppf(0.975, x.size - parameters.size) * np.sqrt(np.diag(covariance))
     error += np.abs(further[:-1] - parameters)
-    (power, scale, correction), error = np.append(known, parameters), np.append(np.zeros(len(known)), error)
-    return PowerLaw(label, depth, values, order, error * [1, np.exp(scale), 1], power, np.exp(scale), correction)
+    (power, scale, correction), error = (
+        np.append(known, parameters),
+        np.append(np.zeros(len(known)), error),
+    )
+    return PowerLaw(
+        label, depth, values, order, error * [1, np.exp(scale), 1], power, np.exp(scale), correction
+    )
 
 
-def _draw(ax: Axes | None, h: Array, y: Array, label: str, error: Array | None = None, **laws: Array) -> Axes:
+def _draw(
+    ax: Axes | None, h: Array, y: Array, label: str, error: Array | None = None, **laws: Array
+) -> Axes:
     """Draw values against depth, logarithmic unless they have errors, with fitted laws."""
     from matplotlib.ticker import LogLocator
 
@@ -287,6 +343,13 @@ def _draw(ax: Axes | None, h: Array, y: Array, label: str, error: Array | None =
     for name, values in laws.items():
         ax.plot(h, values, label=name)
         legend(ax)
-    ax.set(xscale="log", yscale="log" if error is None else "linear", xlabel="depth h = n − 1/2 (grains)", ylabel=label)
-    ax.xaxis.set(major_locator=LogLocator(subs=(1, 2, 5)), major_formatter="{x:g}", minor_formatter="")
+    ax.set(
+        xscale="log",
+        yscale="log" if error is None else "linear",
+        xlabel="depth h = n − 1/2 (grains)",
+        ylabel=label,
+    )
+    ax.xaxis.set(
+        major_locator=LogLocator(subs=(1, 2, 5)), major_formatter="{x:g}", minor_formatter=""
+    )
     return ax

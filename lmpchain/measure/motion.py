@@ -71,9 +71,19 @@ class Motion:
     """
 
     def __init__(
-        self, scene: Scene, equation: int, grains: np.ndarray, displacement: Array, velocity: Array, error: float
+        self,
+        scene: Scene,
+        equation: int,
+        grains: np.ndarray,
+        displacement: Array,
+        velocity: Array,
+        error: float,
     ):
-        self.scene, self._equation, self._error = scene, equation, error if math.isfinite(error) else 0.0
+        self.scene, self._equation, self._error = (
+            scene,
+            equation,
+            error if math.isfinite(error) else 0.0,
+        )
         self.displacement, self.velocity, self.grains = displacement, velocity, grains
         self.step = scene.duration / (scene.samples - 1)
         # as the compiled loops take them
@@ -82,7 +92,9 @@ class Motion:
         chain = scene.chain
         ends = bool(chain.contacts.exists[0]), bool(chain.contacts.exists[-1])
         recorded = np.asarray(grains, dtype=int)
-        self._around = around(chain.grains, chain.movable, *ends, recorded.tobytes(), moves.tobytes())
+        self._around = around(
+            chain.grains, chain.movable, *ends, recorded.tobytes(), moves.tobytes()
+        )
         self._tops: dict[str, Array] = {}  # what `fronts` has found of peaks on the way
 
     @property
@@ -139,8 +151,12 @@ class Motion:
         weight = float(chain.masses[-1] * chain.gravity) if chain.bottom == "fixed" else 0.0
         closer, error = self.closest(contact)
         these = chain.contacts.of(np.array([contact]))
-        force, most = (float(these.force_at(these.overlap + r)[0]) for r in (closer, closer + error))
-        return force + weight, max(most - force, force - float(these.force_at(these.overlap + closer - error)[0]))
+        force, most = (
+            float(these.force_at(these.overlap + r)[0]) for r in (closer, closer + error)
+        )
+        return force + weight, max(
+            most - force, force - float(these.force_at(these.overlap + closer - error)[0])
+        )
 
     def closest(self, contact: int) -> tuple[float, float]:
         """Return by how much a contact is closer than at rest at most, m, and the error of that."""
@@ -157,11 +173,18 @@ class Motion:
                     hidden += np.where(limits < 0, 0.0, limits)
         if hidden.size:
             hidden[hidden == 0] = -1.0
-        one, known = (np.zeros(1, dtype=bool), np.zeros(1, dtype=int), 1), 2 * self.known_error("displacement")
-        value, error = extremes.peaks(values, *one, self.step, RAISED, hidden[None], known)[0].tolist()
+        one, known = (
+            (np.zeros(1, dtype=bool), np.zeros(1, dtype=int), 1),
+            2 * self.known_error("displacement"),
+        )
+        value, error = extremes.peaks(values, *one, self.step, RAISED, hidden[None], known)[
+            0
+        ].tolist()
         return value, error
 
-    def fronts(self, field: Field, fraction: float, certain: float | None = None, width: bool = True) -> Array:
+    def fronts(
+        self, field: Field, fraction: float, certain: float | None = None, width: bool = True
+    ) -> Array:
         """Return time, height and width of the front, and their errors, (G, 6); see `front.track`."""
         known, frequency = self.known_error(field), self.scene.highest_frequency
         fall = known if certain is None else certain
@@ -192,14 +215,22 @@ class Motion:
         Where that does not hold, or not all grains are recorded, it follows from the energy if that is known.
         """
         scene, chain = self.scene, self.scene.chain
-        u, v = (max(most, at_first) for most, at_first in zip(self.sampled, scene.imposed, strict=True))
+        u, v = (
+            max(most, at_first) for most, at_first in zip(self.sampled, scene.imposed, strict=True)
+        )
         swift, whole = scene.highest_frequency * self.step, self._around.whole
-        if (whole and swift <= RESOLVED) or scene.excitation.does_work or self._equation not in (1, 3):
+        if (
+            (whole and swift <= RESOLVED)
+            or scene.excitation.does_work
+            or self._equation not in (1, 3)
+        ):
             more = 1 / math.cos(min(swift, RESOLVED) / 2)
             return more * u, more * v
         fastest = max(v, math.sqrt(2 * scene.energy / chain.masses[: chain.movable].min()))
         farthest = u + fastest * (self.step / 2 if whole else scene.duration)
-        if self._equation == 3 or scene.largest_strain < 1:  # no contact opens: each holds its share of the energy
+        if (
+            self._equation == 3 or scene.largest_strain < 1
+        ):  # no contact opens: each holds its share of the energy
             pressed, softness = chain.contacts.pressed, np.zeros(chain.grains + 1)
             np.divide(1.0, chain.contacts.stiffness, where=pressed, out=softness)
             held = (chain.exponent + 1) * scene.energy * softness[1:].sum()
@@ -230,12 +261,22 @@ class Motion:
         No grain can have more than the energy that was within reach of it at the sample before.
         """
         scene, chain, count = self.scene, self.scene.chain, self.displacement.shape[0] - 1
-        if scene.excitation.does_work or self._equation not in (1, 3) or not self._around.moving.size:
+        if (
+            scene.excitation.does_work
+            or self._equation not in (1, 3)
+            or not self._around.moving.size
+        ):
             return tuple(np.full((2, self._around.moving.size, count), np.inf))
         near = math.ceil(scene.highest_frequency * self.step / 2) + 2
-        first, last = max(self._around.moving.min() - 2, 1), min(self._around.moving.max() + 2, chain.grains)
+        first, last = (
+            max(self._around.moving.min() - 2, 1),
+            min(self._around.moving.max() + 2, chain.grains),
+        )
         size, here = last - first + 1, self._around.moving - first
-        masses, contacts = chain.masses[first - 1 : last], chain.contacts.of(slice(first - 1, last + 1))
+        masses, contacts = (
+            chain.masses[first - 1 : last],
+            chain.contacts.of(slice(first - 1, last + 1)),
+        )
         linear = self._equation == 3
         if not self._around.whole:
             within = np.full((count, size), scene.energy)
@@ -251,7 +292,9 @@ class Motion:
             within = np.maximum(around[:-1], 0.0)
         speed = np.sqrt(2 * within / masses)
         shared = np.maximum(np.pad(within, ((0, 0), (1, 0))), np.pad(within, ((0, 0), (0, 1))))
-        stiffness = contacts.stiffness if linear else contacts.stiffness_at(contacts.overlap_bound(shared))
+        stiffness = (
+            contacts.stiffness if linear else contacts.stiffness_at(contacts.overlap_bound(shared))
+        )
         square = np.broadcast_to((stiffness[..., 1:] + stiffness[..., :-1]) / masses, within.shape)
         edged = np.pad(square, ((0, 0), (1, 1)))
         square = np.maximum(np.maximum(edged[:, :-2], edged[:, 2:]), square)

@@ -35,7 +35,9 @@ class Around(NamedTuple):
 
 
 @lru_cache(maxsize=8)  # scenes of a sweep are alike
-def around(size: int, movable: int, above: bool, below: bool, recorded: bytes, moves: bytes) -> Around:
+def around(
+    size: int, movable: int, above: bool, below: bool, recorded: bytes, moves: bytes
+) -> Around:
     """Return what lies around these grains of a chain of this size, with or without contacts at its ends."""
     grains, moving = np.frombuffer(recorded, dtype=int), np.frombuffer(moves, dtype=bool)
     column, contacts = columns(size, movable, grains), grains[:, None] + np.array([-1, 0])
@@ -80,7 +82,9 @@ def leaves_rest(displacement: Array, velocity: Array) -> NDArray[np.bool_]:
     displacement, velocity : (T, G) arrays
     """
     for sampled in (slice(-1, None), slice(None)):  # in the end: what has moved is seldom at rest
-        moves = np.logical_or(displacement[sampled].any(axis=0), velocity[sampled].any(axis=0), dtype=bool)
+        moves = np.logical_or(
+            displacement[sampled].any(axis=0), velocity[sampled].any(axis=0), dtype=bool
+        )
         if moves.all():
             break
     return moves
@@ -117,4 +121,6 @@ def check(trajectory: Trajectory, field: Field) -> None:
     """
     check_field(field)
     if trajectory.time.size < FEWEST_SAMPLES:
-        raise InputError([("samples", f"must be {FEWEST_SAMPLES} or more: record more often or for longer")])
+        raise InputError(
+            [("samples", f"must be {FEWEST_SAMPLES} or more: record more often or for longer")]
+        )

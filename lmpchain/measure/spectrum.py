@@ -62,7 +62,13 @@ class Spectrum(Shown):
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the amplitude over frequency and depth, with the local bands; returns the axes."""
         ax = axes_in_units(ax, "Hz", "")
-        _logarithmic(ax, self.frequency, self.grain, self.amplitude.T, f"{self.field} ({UNITS[self.field]} per Hz)")
+        _logarithmic(
+            ax,
+            self.frequency,
+            self.grain,
+            self.amplitude.T,
+            f"{self.field} ({UNITS[self.field]} per Hz)",
+        )
         if self.cut_off.any():
             ax.plot(self.cut_off, self.grain, color=LINE, label="local cut-off")
             for number, edge in enumerate(self.bands[:, :-1, 1].T):
@@ -112,8 +118,16 @@ class Dispersion(Shown):
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the amplitude over wavenumber and frequency, with the local relation; returns the axes."""
         ax = axes_in_units(ax, "", "Hz")
-        _logarithmic(ax, self.wavenumber, self.frequency, self.amplitude, f"{self.field} ({UNITS[self.field]} per Hz)")
-        for number, relation, style in zip(self.grain, self.relation, (":", "-", "--"), strict=True):
+        _logarithmic(
+            ax,
+            self.wavenumber,
+            self.frequency,
+            self.amplitude,
+            f"{self.field} ({UNITS[self.field]} per Hz)",
+        )
+        for number, relation, style in zip(
+            self.grain, self.relation, (":", "-", "--"), strict=True
+        ):
             if relation.any():
                 ax.plot(self.wavenumber, relation[0], style, color=LINE, label=f"grain {number}")
                 ax.plot(self.wavenumber, relation[1:].T, style, color=LINE)
@@ -194,11 +208,20 @@ def dispersion(
     grains, motion = _sorted(trajectory, field)
     chosen = np.arange(first, last + 1)
     if chosen.size < FEWEST_GRAINS:
-        raise InputError([("last", f"wavenumbers take {FEWEST_GRAINS} grains or more (got {first} to {last})")])
+        raise InputError(
+            [("last", f"wavenumbers take {FEWEST_GRAINS} grains or more (got {first} to {last})")]
+        )
     missing = np.setdiff1d(chosen, grains)
     if missing.size:
         cure = f'choose others, or record grains = "{first}:{last}"'
-        raise InputError([("grains", f"grain {missing[0]} was not recorded, and the window may have no gap: {cure}")])
+        raise InputError(
+            [
+                (
+                    "grains",
+                    f"grain {missing[0]} was not recorded, and the window may have no gap: {cure}",
+                )
+            ]
+        )
     step, samples = trajectory.time[1], trajectory.time.size
     windowed = motion[:, np.isin(grains, chosen)] * _window(window, chosen.size)
     windowed *= _window(window, samples)[:, None]
@@ -206,7 +229,9 @@ def dispersion(
     wavenumber = 2 * np.pi * np.fft.fftshift(np.fft.fftfreq(chosen.size))
     three = np.array([first, (first + last) // 2, last])
     period = repeating(trajectory.scene.chain, first, last)
-    relation = np.array([_branches(trajectory.scene.chain, grain, period, wavenumber) for grain in three])
+    relation = np.array(
+        [_branches(trajectory.scene.chain, grain, period, wavenumber) for grain in three]
+    )
     amplitude = np.abs(np.fft.fftshift(both, axes=1))
     return Dispersion(field, np.fft.rfftfreq(samples, step), wavenumber, amplitude, three, relation)
 
@@ -262,15 +287,21 @@ def travel_time(chain: Chain, source: int = 1) -> Array:
         If the chain is not compressed, or there is no such grain.
     """
     if not chain.compressed:
-        raise InputError([("chain", "without gravity and load no weak wave travels: there is no such time")])
+        raise InputError(
+            [("chain", "without gravity and load no weak wave travels: there is no such time")]
+        )
     if not 1 <= source <= chain.grains:
         raise InputError([("source", f"grains are numbered 1 to {chain.grains} (got {source})")])
     apart = np.sqrt((chain.masses[1:] + chain.masses[:-1]) / 2 / chain.linear_stiffness)
     time = np.concatenate(([0.0], np.cumsum(apart)))
-    return np.abs(time - time[source - 1]) + (apart[:1].sum() / 2 if source == 1 and chain.top == "free" else 0.0)
+    return np.abs(time - time[source - 1]) + (
+        apart[:1].sum() / 2 if source == 1 and chain.top == "free" else 0.0
+    )
 
 
-def space_time(trajectory: Trajectory, field: Field = "velocity", ax: Axes | None = None, law: bool = False) -> Axes:
+def space_time(
+    trajectory: Trajectory, field: Field = "velocity", ax: Axes | None = None, law: bool = False
+) -> Axes:
     """Draw the motion over time and depth, downward in red and upward in blue; returns the axes.
 
     It is `Trajectory.plot`. With `law` a line shows `travel_time` from the grain that is struck or driven.
@@ -292,7 +323,13 @@ def space_time(trajectory: Trajectory, field: Field = "velocity", ax: Axes | Non
     ax = trajectory.plot(ax, field)
     if law:
         chain, source = trajectory.scene.chain, getattr(trajectory.scene.excitation, "grain", 1)
-        ax.plot(travel_time(chain, source), np.arange(1, chain.grains + 1), "k--", lw=1, label="long weak wave")
+        ax.plot(
+            travel_time(chain, source),
+            np.arange(1, chain.grains + 1),
+            "k--",
+            lw=1,
+            label="long weak wave",
+        )
         legend(ax, loc="lower left", frameon=True)
     return ax
 
@@ -304,7 +341,9 @@ def _window(name: str, size: int) -> Array:
         window: Array = get_window(name, size)
         return window
     except ValueError:
-        raise InputError([("window", f"must be a name for scipy.signal.get_window (got {shown(name)})")]) from None
+        raise InputError(
+            [("window", f"must be a name for scipy.signal.get_window (got {shown(name)})")]
+        ) from None
 
 
 def _logarithmic(ax: Axes, x: Array, y: Array, values: Array, label: str) -> None:
@@ -314,5 +353,7 @@ def _logarithmic(ax: Axes, x: Array, y: Array, values: Array, label: str) -> Non
     largest = values.max() or 1.0
     smallest = largest / 10**DECADES
     scale = LogNorm(smallest, largest)
-    shown = ax.pcolorfast(edges(x), edges(y), np.maximum(values, smallest), norm=scale, cmap="cividis")
+    shown = ax.pcolorfast(
+        edges(x), edges(y), np.maximum(values, smallest), norm=scale, cmap="cividis"
+    )
     colour_bar(ax, shown, label, extend="min")

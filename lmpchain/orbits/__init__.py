@@ -2,7 +2,17 @@
 
 from ..util.lazy import attributes, listed
 
-__all__ = ["Event", "Family", "Orbit", "breather", "find", "follow", "linear_mode", "mode_family", "normal_mode"]
+__all__ = [
+    "Event",
+    "Family",
+    "Orbit",
+    "breather",
+    "find",
+    "follow",
+    "linear_mode",
+    "mode_family",
+    "normal_mode",
+]
 __getattr__ = attributes(
     __name__,
     names={

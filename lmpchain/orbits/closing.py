@@ -60,7 +60,9 @@ def returns(
         if distance[nearest] > BESIDE * length:
             continue
         found = solved(equations.unpack(way[nearest]), _plane(known.unknown, apart / length), there)
-        if found and _same(equations.pack(found.point), known.unknown, there.orbit.error + known.error):
+        if found and _same(
+            equations.pack(found.point), known.unknown, there.orbit.error + known.error
+        ):
             return True
     return False
 

@@ -27,11 +27,23 @@ from .orbit import Orbit, orbit_of
 from .shooting import Constraint, Equations, Point, Solution, discretisation, fixed, solve, solved
 
 FIRST, SMALLEST = 0.2, 1e-7  # steps along the family, over the size of the orbit
-LARGEST = {True: 0.4, False: 0.7}  # the longest where events are sought, and where not; 1 goes down to rest
-REGROWN = {True: 0.02, False: 1.0}  # up to which steps laid anew make no step a hard one: long ones jump over events
-STRAIGHT, BENT = 0.98, 0.9  # cosine of the angle between two tangents: a longer step, and a shorter one
+LARGEST = {
+    True: 0.4,
+    False: 0.7,
+}  # the longest where events are sought, and where not; 1 goes down to rest
+REGROWN = {
+    True: 0.02,
+    False: 1.0,
+}  # up to which steps laid anew make no step a hard one: long ones jump over events
+STRAIGHT, BENT = (
+    0.98,
+    0.9,
+)  # cosine of the angle between two tangents: a longer step, and a shorter one
 EASY = 10  # iterations
-STILL, PATIENCE = 0.05, 60  # a family must go so many sizes of its orbit in so many tries, or is given up
+STILL, PATIENCE = (
+    0.05,
+    60,
+)  # a family must go so many sizes of its orbit in so many tries, or is given up
 CROWDED = 5e6  # unknowns times steps, some 15 s, to locate events, then it is given up: in resonances they crowd
 HALVINGS = 12  # of the last step, to come to the orbit asked for
 ELEMENT = re.compile(r"(\w+)\[(\d+)\]")
@@ -49,14 +61,26 @@ class Curve:
     of: str
     exact: bool = False
 
-    def solved(self, guess: Point, constraint: Constraint, near: Place | None = None) -> Solution | None:
+    def solved(
+        self, guess: Point, constraint: Constraint, near: Place | None = None
+    ) -> Solution | None:
         """Return the orbit of the family near a guess that a constraint selects; a place nearby saves work."""
-        return solve(self.equations, guess, [*self.held, constraint], near=near and near.solution, exact=self.exact)
+        return solve(
+            self.equations,
+            guess,
+            [*self.held, constraint],
+            near=near and near.solution,
+            exact=self.exact,
+        )
 
-    def place(self, solution: Solution, constraint: Constraint, before: Array | None = None) -> Place:
+    def place(
+        self, solution: Solution, constraint: Constraint, before: Array | None = None
+    ) -> Place:
         """Return a solved orbit with the direction of the family, turned as that of the place before."""
         unknown, point = self.equations.pack(solution.point), solution.point
-        if len(solution.slopes) == unknown.size:  # the way on which only the last equation, the constraint, changes
+        if (
+            len(solution.slopes) == unknown.size
+        ):  # the way on which only the last equation, the constraint, changes
             direction = solved(solution.slopes, np.append(np.zeros(unknown.size - 1), 1.0))
             direction /= np.linalg.norm(direction)
         else:
@@ -72,16 +96,24 @@ class Curve:
         turning = rate(self.of) if orbit.drive else np.nan if self.of == "value" else rate("energy")
         return Place(orbit, unknown, direction, rate(self.of), turning, solution)
 
-    def along(self, place: Place, length: float, guess: Array | None = None, near: Place | None = None) -> Place | None:
+    def along(
+        self, place: Place, length: float, guess: Array | None = None, near: Place | None = None
+    ) -> Place | None:
         """Return the place at this distance along the family, or None where none is found.
 
         A guess and a place nearer to it than the one to begin with save work.
         """
         ahead = place.unknown + length * place.direction
-        arc = Constraint(lambda unknown, _: (float(place.direction @ (unknown - ahead)), place.direction))
+        arc = Constraint(
+            lambda unknown, _: (float(place.direction @ (unknown - ahead)), place.direction)
+        )
         try:
-            solution = self.solved(self.equations.unpack(ahead if guess is None else guess), arc, near or place)
-        except InputError:  # of a chain that there is not, beyond the end of what the parameter may be
+            solution = self.solved(
+                self.equations.unpack(ahead if guess is None else guess), arc, near or place
+            )
+        except (
+            InputError
+        ):  # of a chain that there is not, beyond the end of what the parameter may be
             return None
         return None if solution is None else self.place(solution, arc, place.direction)
 
@@ -92,15 +124,23 @@ class Curve:
     def meeting(self, here: Place, there: Place, target: Constraint) -> Place | None:
         """Return the place between two where a target is met; what lies between is halved until it is found."""
         for _ in range(HALVINGS):
-            before, after, apart = self.missed(here, target), self.missed(there, target), there.unknown - here.unknown
+            before, after, apart = (
+                self.missed(here, target),
+                self.missed(there, target),
+                there.unknown - here.unknown,
+            )
             guess = here.unknown + (before / (before - after) if after else 1.0) * apart
             found = self.solved(self.equations.unpack(guess), target, there)
-            if found and np.linalg.norm(self.equations.pack(found.point) - guess) < np.linalg.norm(apart):
+            if found and np.linalg.norm(self.equations.pack(found.point) - guess) < np.linalg.norm(
+                apart
+            ):
                 return self.place(found, target, here.direction)
             middle = self.along(here, float(here.direction @ apart) / 2)
             if middle is None:
                 break
-            here, there = (here, middle) if self.missed(middle, target) * before <= 0 else (middle, there)
+            here, there = (
+                (here, middle) if self.missed(middle, target) * before <= 0 else (middle, there)
+            )
         return None
 
 
@@ -165,7 +205,9 @@ def follow(
     )
     begun = curve.solved(first, anchor)
     if begun is None:
-        raise RunFailed("the orbit to begin with does not solve these equations: is it that of `start`?")
+        raise RunFailed(
+            "the orbit to begin with does not solve these equations: is it that of `start`?"
+        )
     here = curve.place(begun, anchor)
     left = curve.missed(here, target)
     if here.rate * left > 0:
@@ -174,7 +216,9 @@ def follow(
     places, whole, reached, ended = [here], max(abs(left), 1e-300), left == 0, ""
     earlier, tried, gone, sought = aspects(curve.equations, here), 0, 0.0, 0.0
     found: list[Event] = []
-    with ProgressBar(1.0, "orbits", layout="{desc}: {percentage:3.0f}% |{bar}| {elapsed}", shown=progress) as bar:
+    with ProgressBar(
+        1.0, "orbits", layout="{desc}: {percentage:3.0f}% |{bar}| {elapsed}", shown=progress
+    ) as bar:
         while not reached and not ended:
             here = places[-1]
             if len(places) >= points:
@@ -182,7 +226,11 @@ def follow(
                 break
             there, length, tries = _step(curve, here, length, events, PATIENCE - tried)
             if there is None:
-                stuck = "hardly moves on from" if tries == PATIENCE - tried else "cannot be followed beyond"
+                stuck = (
+                    "hardly moves on from"
+                    if tries == PATIENCE - tried
+                    else "cannot be followed beyond"
+                )
                 ended = f"it {stuck} {_where(curve, here)}"
             elif curve.missed(there, target) * left <= 0:
                 there = curve.meeting(here, there, target)
@@ -221,7 +269,9 @@ def _size(curve: Curve, place: Place) -> float:
     return float(np.linalg.norm(place.unknown[: curve.equations.period_at(place.unknown)]))
 
 
-def _step(curve: Curve, here: Place, length: float, events: bool, most: int) -> tuple[Place | None, float, int]:
+def _step(
+    curve: Curve, here: Place, length: float, events: bool, most: int
+) -> tuple[Place | None, float, int]:
     """Return the next place, how long a step from it may be, and how many of at most `most` were tried."""
     size = _size(curve, here)
     length, tries = min(length, LARGEST[events] * size), 0
@@ -255,7 +305,9 @@ def _events(curve: Curve, here: Place, there: Place) -> tuple[list[Event], float
         if where is not None:
             value = _value(curve, curve.equations.unpack(where.unknown))
             found.append((float(here.direction @ where.unknown), Event(kind, value, where.orbit)))
-    return [event for _, event in sorted(found, key=lambda pair: pair[0])], float(there.unknown.size * sum(meshes))
+    return [event for _, event in sorted(found, key=lambda pair: pair[0])], float(
+        there.unknown.size * sum(meshes)
+    )
 
 
 def _value(curve: Curve, point: Point) -> float:
@@ -266,7 +318,11 @@ def _value(curve: Curve, point: Point) -> float:
 
 
 def _curve(
-    orbit: Orbit, parameter: str | Callable[[float], Chain], start: float | None, until: float, hold: str
+    orbit: Orbit,
+    parameter: str | Callable[[float], Chain],
+    start: float | None,
+    until: float,
+    hold: str,
 ) -> tuple[Curve, Point]:
     """Return the family of an orbit and where on it the orbit is."""
     if isinstance(until, bool) or not isinstance(until, int | float) or not np.isfinite(until):
@@ -275,7 +331,14 @@ def _curve(
         raise InputError([("hold", 'must be "period", or "energy" of an orbit that is not driven')])
     if parameter in ("energy", "period"):
         if parameter == "energy" and orbit.drive is not None:
-            raise InputError([("parameter", "energy is not conserved in a driven chain: follow period or amplitude")])
+            raise InputError(
+                [
+                    (
+                        "parameter",
+                        "energy is not conserved in a driven chain: follow period or amplitude",
+                    )
+                ]
+            )
         if until <= 0:
             raise InputError([("until", f"must be above 0 for the {parameter} (got {until:g})")])
         equations = _equations(orbit, lambda _: orbit.flow, 0.0)
@@ -290,11 +353,15 @@ def _curve(
     equations = _equations(orbit, flow_at, max(abs(value), abs(until)))
     kept = orbit.period if hold == "period" else orbit.energy
     state = flow_at(value).canonical(orbit.displacement, orbit.velocity)
-    return Curve(equations, (fixed(equations, hold, kept),), "value"), Point(state, orbit.period, value)
+    return Curve(equations, (fixed(equations, hold, kept),), "value"), Point(
+        state, orbit.period, value
+    )
 
 
 def _equations(orbit: Orbit, flow_at: Callable[[float], Flow], scale: float) -> Equations:
-    return Equations(flow_at, orbit.reversible, float(np.linalg.norm(orbit.state)), scale, orbit.period)
+    return Equations(
+        flow_at, orbit.reversible, float(np.linalg.norm(orbit.state)), scale, orbit.period
+    )
 
 
 def _varied(
@@ -304,15 +371,32 @@ def _varied(
     chain, drive = orbit.chain, orbit.drive
     if not isinstance(parameter, str):
         if start is None:
-            raise InputError([("start", "is missing: the value for which the function gives the chain of the orbit")])
+            raise InputError(
+                [
+                    (
+                        "start",
+                        "is missing: the value for which the function gives the chain of the orbit",
+                    )
+                ]
+            )
         return parameter, float(start), lambda _: drive
     if parameter == "amplitude":
         if drive is None:
-            raise InputError([("parameter", "amplitude is that of a drive, and the orbit is not driven")])
-        return lambda _: chain, float(drive.amplitude), lambda number: drive.replace(amplitude=number)
+            raise InputError(
+                [("parameter", "amplitude is that of a drive, and the orbit is not driven")]
+            )
+        return (
+            lambda _: chain,
+            float(drive.amplitude),
+            lambda number: drive.replace(amplitude=number),
+        )
     element = ELEMENT.fullmatch(parameter)
     name, place = (element[1], int(element[2]) - 1) if element else (parameter, None)
-    arrays = {"masses": chain.masses, "diameter": chain.diameters, "contact_constants": chain.contact_constants}
+    arrays = {
+        "masses": chain.masses,
+        "diameter": chain.diameters,
+        "contact_constants": chain.contact_constants,
+    }
     given = arrays[name] if element and name in arrays else getattr(chain, name, None)
     if (
         place is not None
@@ -329,6 +413,11 @@ def _varied(
         return with_element, float(given[place]), lambda _: drive
     if place is not None or name not in type(chain).model_fields or type(given) is not float:
         raise InputError(
-            [("parameter", f"must be energy, period, amplitude or a number of the chain (got {shown(parameter)})")]
+            [
+                (
+                    "parameter",
+                    f"must be energy, period, amplitude or a number of the chain (got {shown(parameter)})",
+                )
+            ]
         )
     return lambda number: chain.replace(**{name: number}), given, lambda _: drive

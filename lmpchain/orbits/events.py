@@ -32,7 +32,9 @@ class Place(NamedTuple):
     solution: Solution
 
 
-def between(kind: str, here: Place, there: Place, at: Callable[[float], Place | None]) -> Place | None:
+def between(
+    kind: str, here: Place, there: Place, at: Callable[[float], Place | None]
+) -> Place | None:
     """Return where between two places something happens, nearer the second, or None.
 
     Parameters
@@ -46,10 +48,15 @@ def between(kind: str, here: Place, there: Place, at: Callable[[float], Place | 
     low, high, found = 0.0, 1.0, there
     more, pairs_meet = max(before, after), kind == "Neimark-Sacker"
     centre = _centre(here if before == more else there) if pairs_meet else 0.0
-    f_low, f_high = _distance(kind, here, centre, before == more), _distance(kind, there, centre, after == more)
+    f_low, f_high = (
+        _distance(kind, here, centre, before == more),
+        _distance(kind, there, centre, after == more),
+    )
     side, width = 0, 1.0
     for number in range(TRIES):
-        slow = number % 3 == 2 and high - low > width / 4  # as where another pair is nearer than the one that meets
+        slow = (
+            number % 3 == 2 and high - low > width / 4
+        )  # as where another pair is nearer than the one that meets
         falsi = f_low + f_high > 0 and not slow
         part = (low * f_high + high * f_low) / (f_high + f_low) if falsi else (low + high) / 2
         width = width if number % 3 else high - low

@@ -102,7 +102,9 @@ class Family(Shown):
         frequency, energy, stable = 1 / self.period, self.energy, self.stable
         bands = self._bands()
         for number, (low, high) in enumerate(bands):
-            ax.axvspan(low, high, color="0.9", lw=0, zorder=0, label="" if number else "linear waves")
+            ax.axvspan(
+                low, high, color="0.9", lw=0, zorder=0, label="" if number else "linear waves"
+            )
         near = (bands > 0.9 * frequency.min()) & (
             bands < 1.1 * frequency.max()
         )  # edges that the family can be seen beside
@@ -111,7 +113,14 @@ class Family(Shown):
         for part, style, label in ((stable, "-", "stable"), (~stable, "--", "unstable")):
             near = part | np.append(part[1:], False) if style == "--" else part
             if part.any():
-                ax.plot(frequency, np.where(near, energy, np.nan), style, marker=".", color=colour, label=label)
+                ax.plot(
+                    frequency,
+                    np.where(near, energy, np.nan),
+                    style,
+                    marker=".",
+                    color=colour,
+                    label=label,
+                )
         for kind, mark in MARKS.items():
             here = [event.orbit for event in self.events if event.kind == kind]
             if here:
@@ -128,7 +137,9 @@ class Family(Shown):
         ax.yaxis.set_minor_formatter(NullFormatter())
         if self.ended:
             titled(ax, self.ended[0].upper() + self.ended[1:])
-        legend(ax, frameon=True, edgecolor="none", framealpha=1.0)  # it may lie on a band, whose patch is of its colour
+        legend(
+            ax, frameon=True, edgecolor="none", framealpha=1.0
+        )  # it may lie on a band, whose patch is of its colour
         return ax
 
     def _bands(self) -> Array:
@@ -153,7 +164,12 @@ class Family(Shown):
             "energy_J": self.energy.tolist(),
             "stable": self.stable.tolist(),
             "events": [
-                {"kind": e.kind, "value": e.value, "period_s": e.orbit.period, "energy_J": e.orbit.energy}
+                {
+                    "kind": e.kind,
+                    "value": e.value,
+                    "period_s": e.orbit.period,
+                    "energy_J": e.orbit.energy,
+                }
                 for e in self.events
             ],
             "orbit": self.orbits[-1].to_json(),

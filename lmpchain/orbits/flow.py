@@ -68,18 +68,29 @@ class Flow:
         chain, drive = self.chain, self.drive
         if drive is not None:
             if drive.times is not None or getattr(drive, "cycles", None) is not None:
-                raise InputError([("drive", "must be a sine that never ends: give amplitude and frequency alone")])
+                raise InputError(
+                    [
+                        (
+                            "drive",
+                            "must be a sine that never ends: give amplitude and frequency alone",
+                        )
+                    ]
+                )
             if faults := list(drive.faults(chain, 1.0)):
                 raise InputError([(f"drive.{key}", message) for key, message in faults])
         elif not chain.compressed and (chain.top == "free" or chain.bottom == "free"):
-            raise InputError([("chain", "flies apart: use a top load, gravity, or walls at both ends")])
+            raise InputError(
+                [("chain", "flies apart: use a top load, gravity, or walls at both ends")]
+            )
 
     @cached_property
     def links(self) -> Links:
         """The chain as the compiled loop takes it."""
         rest = Profile(velocity=np.zeros(self.chain.grains))
         with np.errstate(all="ignore"):  # of scales of a chain at rest, which are not used
-            batch = ChainBatch([Scene(chain=self.chain, excitation=rest, duration=1.0, samples=2)], "exact")
+            batch = ChainBatch(
+                [Scene(chain=self.chain, excitation=rest, duration=1.0, samples=2)], "exact"
+            )
         batch.table[0, 2, PAD : PAD + self.held] = 0.0
         length, strength, inverse_mass = batch.table[0]
         return Links(
@@ -110,7 +121,11 @@ class Flow:
     def canonical(self, displacement: Array, velocity: Array) -> Array:
         """Return (..., 2, M) canonical variables of states (..., N)."""
         return np.stack(
-            (self.weight * displacement[..., self.free], self.weight / self.rate * velocity[..., self.free]), -2
+            (
+                self.weight * displacement[..., self.free],
+                self.weight / self.rate * velocity[..., self.free],
+            ),
+            -2,
         )
 
     def physical(self, state: Array) -> tuple[Array, Array]:
@@ -120,7 +135,12 @@ class Flow:
         return u, v
 
     def run(
-        self, state: Array, period: float, mesh: Array, deviation: Array | None = None, stretch: int = 0
+        self,
+        state: Array,
+        period: float,
+        mesh: Array,
+        deviation: Array | None = None,
+        stretch: int = 0,
     ) -> Passage:
         """Advance a state (2, M) from t = 0 by steps that are fractions (K,) of a period.
 
@@ -168,4 +188,6 @@ class Flow:
     def energy(self, state: Array) -> tuple[float, Array]:
         """Return the energy above rest, J, and its gradient (2, M)."""
         q_rate, p_rate = self.direction(state)
-        return float(self.chain.excess_energy(*self.physical(state))), self.rate**2 * np.stack((-p_rate, q_rate))
+        return float(self.chain.excess_energy(*self.physical(state))), self.rate**2 * np.stack(
+            (-p_rate, q_rate)
+        )

@@ -31,12 +31,16 @@ def openings(flow: Flow, passage: Passage, period: float, mesh: Array) -> Array:
     """Return when contacts open or close, as ascending fractions of the period."""
     contacts = flow.chain.contacts
     overlap = contacts.overlap + contacts.closer(passage.displacement)
-    crossing = contacts.exists & (overlap.min(0) < 0) & (overlap.max(0) > 1e-9 * np.abs(overlap).max())
+    crossing = (
+        contacts.exists & (overlap.min(0) < 0) & (overlap.max(0) > 1e-9 * np.abs(overlap).max())
+    )
     if not crossing.any():
         return np.zeros(0)
     time = np.concatenate(([0.0], np.cumsum(mesh)))
     rate = contacts.closer(passage.velocity) * period
-    roots = CubicHermiteSpline(time, overlap[:, crossing], rate[:, crossing]).roots(extrapolate=False)
+    roots = CubicHermiteSpline(time, overlap[:, crossing], rate[:, crossing]).roots(
+        extrapolate=False
+    )
     times = np.concatenate([np.asarray(each) for each in roots])
     return np.sort(times[np.isfinite(times)])
 
@@ -48,7 +52,9 @@ def uniform(flow: Flow, period: float, displacement: Array, reach: float = REACH
     return np.full(2 * half, 0.5 / half)
 
 
-def graded(flow: Flow, period: float, displacement: Array, times: Array, reach: float = REACH) -> Array:
+def graded(
+    flow: Flow, period: float, displacement: Array, times: Array, reach: float = REACH
+) -> Array:
     """Return fractions that are symmetric in time and shrink towards openings, `times` (E,) as fractions."""
     even = uniform(flow, period, displacement, reach)
     if not times.size:
@@ -58,7 +64,12 @@ def graded(flow: Flow, period: float, displacement: Array, times: Array, reach: 
     near = near[np.append(True, np.diff(near) > least)]
     away = np.geomspace(least / 4, 4 * even[0] / GRADING, 600)
     places = np.concatenate(
-        (np.linspace(0.0, 0.5, 8 * even.size), near, *(near + away[:, None]), *(near - away[:, None]))
+        (
+            np.linspace(0.0, 0.5, 8 * even.size),
+            near,
+            *(near + away[:, None]),
+            *(near - away[:, None]),
+        )
     )
     places = np.unique(np.concatenate(([0.0], places[(places > 0) & (places < 0.5)], [0.5])))
     after = np.searchsorted(near, places).clip(1, near.size - 1)

@@ -62,7 +62,9 @@ def normal_mode(chain: Chain, mode: int, energy: float, *, progress: bool = Fals
     return find(chain, family[-1], energy=energy)
 
 
-def mode_family(chain: Chain, mode: int, energy: float, *, events: bool = True, progress: bool = False) -> Family:
+def mode_family(
+    chain: Chain, mode: int, energy: float, *, events: bool = True, progress: bool = False
+) -> Family:
     """Return the family of a nonlinear normal mode, from the linear mode up to an energy.
 
     Parameters
@@ -128,13 +130,33 @@ def breather(chain: Chain, grain: int, period: float, *, progress: bool = False)
     (6, True)
     """
     check_positive("period", period)
-    if isinstance(grain, bool) or not isinstance(grain, int | np.integer) or not 1 <= grain <= chain.movable:
-        raise InputError([("grain", f"must be a whole number from 1 to {chain.movable} (got {shown(grain)})")])
+    if (
+        isinstance(grain, bool)
+        or not isinstance(grain, int | np.integer)
+        or not 1 <= grain <= chain.movable
+    ):
+        raise InputError(
+            [("grain", f"must be a whole number from 1 to {chain.movable} (got {shown(grain)})")]
+        )
     heavier = chain.masses > HEAVIER * chain.masses[grain - 1]
     if chain.gravity > 0 or not chain.compressed:
-        raise InputError([("chain", "must be pressed by a top load, without gravity, which other masses would change")])
+        raise InputError(
+            [
+                (
+                    "chain",
+                    "must be pressed by a top load, without gravity, which other masses would change",
+                )
+            ]
+        )
     if not heavier[max(grain - 2, 0) : grain + 1].any():
-        raise InputError([("grain", f"{grain} has no heavier neighbour: there is no limit in which it moves alone")])
+        raise InputError(
+            [
+                (
+                    "grain",
+                    f"{grain} has no heavier neighbour: there is no limit in which it moves alone",
+                )
+            ]
+        )
 
     def eased(part: float) -> Chain:
         return chain.replace(masses=np.where(heavier, HEAVY ** (1 - part), 1.0) * chain.masses)
@@ -142,7 +164,9 @@ def breather(chain: Chain, grain: int, period: float, *, progress: bool = False)
     u, rest = np.zeros((2, chain.grains))
     stiffness = float(chain.contacts.stiffness[grain - 1 : grain + 1].sum())
     slowest = float(2 * np.pi / np.sqrt(stiffness / chain.masses[grain - 1]))
-    if linear := period < slowest:  # a gentle motion alone is too slow, but quickens as its neighbours come to give way
+    if (
+        linear := period < slowest
+    ):  # a gentle motion alone is too slow, but quickens as its neighbours come to give way
         u[grain - 1] = STRAIN * chain.contacts.overlap[grain]
         energy = float(chain.excess_energy(u, rest))
         limit = find(eased(0.0), (u, rest), slowest, energy=energy)
@@ -150,11 +174,17 @@ def breather(chain: Chain, grain: int, period: float, *, progress: bool = False)
         u[grain - 1] = _alone(chain, grain, period)
         limit = find(eased(0.0), (u, rest), period)
     hold = "energy" if linear else "period"
-    family = follow(limit, eased, 1.0, start=0.0, hold=hold, points=POINTS, events=False, progress=progress)
+    family = follow(
+        limit, eased, 1.0, start=0.0, hold=hold, points=POINTS, events=False, progress=progress
+    )
     if linear and family.reached:
-        family = follow(family[-1], "period", period, points=POINTS, events=False, progress=progress)
+        family = follow(
+            family[-1], "period", period, points=POINTS, events=False, progress=progress
+        )
     if not family.reached:
-        raise RunFailed(f"the breather of {period:g} s does not come to the masses of the chain: {family.ended}")
+        raise RunFailed(
+            f"the breather of {period:g} s does not come to the masses of the chain: {family.ended}"
+        )
     return find(chain, family[-1], period)
 
 
@@ -176,7 +206,9 @@ def _alone(chain: Chain, grain: int, period: float) -> float:
         angle = np.pi / 2 * s
         x = (right + left) / 2 + (right - left) / 2 * np.sin(angle)
         speed = np.sqrt(2 * np.maximum(top - potential(x), 1e-30 * top) / mass)
-        return float(2 * ((right - left) / 2 * np.cos(angle) / speed) @ weight * np.pi / 2 / period - 1)
+        return float(
+            2 * ((right - left) / 2 * np.cos(angle) / speed) @ weight * np.pi / 2 / period - 1
+        )
 
     amplitudes = np.log(np.geomspace(*ALONE, 100))
     apart = np.array([excess(a) for a in amplitudes])

@@ -140,7 +140,9 @@ class Orbit(Shown):
         growing = self.unstable
         if not 1 <= number <= growing.size:
             many = f"has {growing.size} unstable directions" if growing.size else "is stable"
-            raise InputError([("number", f"the orbit {many}: there is no direction {shown(number)}")])
+            raise InputError(
+                [("number", f"the orbit {many}: there is no direction {shown(number)}")]
+            )
         shifted = self.monodromy - growing[number - 1] * np.eye(len(self.monodromy))
         vector = svd(shifted)[2][-1].conj()
         vector = vector * np.exp(-1j * np.angle(vector[np.abs(vector).argmax()]))
@@ -171,7 +173,9 @@ class Orbit(Shown):
     def scene(self, periods: float = 1, samples: int = 101) -> Scene:
         """Return the scene that runs the orbit for so many periods, in any engine."""
         excitation = self._begun(self.displacement, self.velocity)
-        return Scene(chain=self.chain, excitation=excitation, duration=periods * self.period, samples=samples)
+        return Scene(
+            chain=self.chain, excitation=excitation, duration=periods * self.period, samples=samples
+        )
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the displacements of the grains at five moments of half a period; returns the axes."""

@@ -77,7 +77,9 @@ def find(
     period = check_positive("period", period)
     turns = 1.0 if drive is None or drive.frequency is None else drive.frequency * period
     if round(turns) < 1 or abs(turns - round(turns)) > 1e-9 * turns:
-        raise InputError([("period", f"must be a whole number of those of the drive, {period / turns:g} s")])
+        raise InputError(
+            [("period", f"must be a whole number of those of the drive, {period / turns:g} s")]
+        )
     if energy is not None and drive is not None:
         raise InputError([("energy", "is not conserved in a driven chain: give the period")])
     flow = Flow(chain, 2 * np.pi / period, drive, round(turns))
@@ -89,9 +91,13 @@ def find(
     constraint = fixed(equations, "period", period)
     if energy is not None:
         constraint = fixed(equations, "energy", check_positive("energy", energy))
-    solution, error = accurate(equations, Point(state, period), [constraint], f"a period of {period:g} s")
+    solution, error = accurate(
+        equations, Point(state, period), [constraint], f"a period of {period:g} s"
+    )
     if np.abs(solution.point.state).max() < REST * size and drive is None:
-        raise RunFailed("only the chain at rest is found near the guess: make it larger, or change the period")
+        raise RunFailed(
+            "only the chain at rest is found near the guess: make it larger, or change the period"
+        )
     return orbit_of(equations, solution, error)
 
 
@@ -117,8 +123,19 @@ def linear_mode(chain: Chain, mode: int, strain: float = 1e-3) -> tuple[Array, f
         If no contact is compressed, or there is no such mode.
     """
     modes = eigenmodes(chain)
-    if isinstance(mode, bool) or not isinstance(mode, int | np.integer) or not 1 <= mode <= modes.frequency.size:
-        raise InputError([("mode", f"must be a whole number from 1 to {modes.frequency.size} (got {shown(mode)})")])
+    if (
+        isinstance(mode, bool)
+        or not isinstance(mode, int | np.integer)
+        or not 1 <= mode <= modes.frequency.size
+    ):
+        raise InputError(
+            [
+                (
+                    "mode",
+                    f"must be a whole number from 1 to {modes.frequency.size} (got {shown(mode)})",
+                )
+            ]
+        )
     u = np.zeros(chain.grains)
     u[: chain.movable] = modes.shape[:, mode - 1]
     contacts = chain.contacts
@@ -128,7 +145,11 @@ def linear_mode(chain: Chain, mode: int, strain: float = 1e-3) -> tuple[Array, f
 
 def check_positive(key: str, value: Any) -> float:
     """Return a number above 0; raise `InputError` for anything else."""
-    if isinstance(value, bool) or not isinstance(value, int | float | np.floating) or not 0 < value < np.inf:
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, int | float | np.floating)
+        or not 0 < value < np.inf
+    ):
         raise InputError([(key, f"must be a number above 0 (got {shown(value)})")])
     return float(value)
 
@@ -139,7 +160,9 @@ def _states(chain: Chain, guess: Profile | tuple[Array, Array]) -> tuple[Array, 
         try:
             displacement, velocity = guess
         except (TypeError, ValueError):
-            raise InputError([("guess", "must be a Profile, an Orbit, or displacements and velocities")]) from None
+            raise InputError(
+                [("guess", "must be a Profile, an Orbit, or displacements and velocities")]
+            ) from None
         guess = Profile(displacement=displacement, velocity=velocity)
     if faults := list(guess.faults(chain, 1.0)):
         raise InputError([(f"guess.{key}", message) for key, message in faults])
@@ -150,9 +173,23 @@ def _answer(flow: Flow) -> tuple[Array, Array]:
     """Return the motion at t = 0 of the linearised chain that follows the drive."""
     chain, drive = flow.chain, flow.drive
     if drive is None:
-        raise InputError([("guess", "is missing: give displacements and velocities, such as those of a linear mode")])
+        raise InputError(
+            [
+                (
+                    "guess",
+                    "is missing: give displacements and velocities, such as those of a linear mode",
+                )
+            ]
+        )
     if not chain.compressed:
-        raise InputError([("guess", "is missing, and a chain that is not compressed has no linear answer to a drive")])
+        raise InputError(
+            [
+                (
+                    "guess",
+                    "is missing, and a chain that is not compressed has no linear answer to a drive",
+                )
+            ]
+        )
     k, m, omega = chain.contacts.stiffness, chain.masses, 2 * np.pi * drive.frequency
     free = np.arange(flow.free.start, flow.free.stop)
     bands = np.zeros((3, free.size))

@@ -74,7 +74,9 @@ class Equations:
         state = unknown[:end] * self.unit
         state = np.stack((state, np.zeros(end))) if self.reversible else state.reshape(2, -1)
         return Point(
-            state, float(np.exp(unknown[end]) * self.time), float(unknown[-1] * self.scale) if self.scale else 0.0
+            state,
+            float(np.exp(unknown[end]) * self.time),
+            float(unknown[-1] * self.scale) if self.scale else 0.0,
         )
 
     def period_at(self, unknown: Array) -> int:
@@ -88,7 +90,9 @@ class Equations:
     def linearised(self, point: Point, mesh: Array) -> tuple[Array, Array]:
         """Return closure (R,) and its derivatives (R, U)."""
         flow = self.flow_at(point.value)
-        size = flow.size if self.reversible else 2 * flow.size  # of the displacements alone, or with the momenta
+        size = (
+            flow.size if self.reversible else 2 * flow.size
+        )  # of the displacements alone, or with the momenta
         columns = np.zeros((2 * flow.size, size + 1))
         columns[:size, :size] = np.eye(size)
         residual, end = self._closure(flow, point, mesh, columns.reshape(2, flow.size, -1), 1)
@@ -96,7 +100,9 @@ class Equations:
             slopes = np.hstack((end[size:, :size], end[size:, size:] / self.unit))
         else:
             slopes = np.hstack((end[:, :size] - np.eye(size), end[:, size:] / self.unit))
-            if flow.drive is None:  # of all states of an orbit, the one across the motion from the last guess
+            if (
+                flow.drive is None
+            ):  # of all states of an orbit, the one across the motion from the last guess
                 across = flow.direction(point.state).ravel()
                 slopes = np.vstack((slopes, np.append(across / np.linalg.norm(across), 0.0)))
                 residual = np.append(residual, 0.0)
@@ -111,8 +117,12 @@ class Equations:
         """Return the derivative of a quantity by the parameter, over its scale, by differences."""
         for up, down in ((NUDGE, -NUDGE), (NUDGE, 0.0), (0.0, -NUDGE)):
             try:
-                above, below = (quantity(self.flow_at(point.value + step * self.scale)) for step in (up, down))
-            except InputError:  # of a chain that there is not, at the end of what the parameter may be
+                above, below = (
+                    quantity(self.flow_at(point.value + step * self.scale)) for step in (up, down)
+                )
+            except (
+                InputError
+            ):  # of a chain that there is not, at the end of what the parameter may be
                 continue
             return (above - below) / (up - down)
         raise RunFailed(f"the parameter can be nothing but {point.value:g}")
@@ -130,10 +140,14 @@ class Equations:
         flow = self.flow_at(point.value)
         if before is None:
             before = meshes.uniform(flow, point.period, flow.physical(point.state)[0])
-            before = meshes.uniform(flow, point.period, self._passed(flow, point, before).displacement)
+            before = meshes.uniform(
+                flow, point.period, self._passed(flow, point, before).displacement
+            )
         passage = self._passed(flow, point, before)
         times = meshes.openings(flow, passage, point.period, self._steps(before))
-        return meshes.graded(flow, point.period, passage.displacement, times, reach), bool(times.size)
+        return meshes.graded(flow, point.period, passage.displacement, times, reach), bool(
+            times.size
+        )
 
     def _passed(self, flow: Flow, point: Point, mesh: Array) -> Passage:
         """Return the motion over a period, or over half of one that is symmetric in time."""
@@ -219,7 +233,9 @@ def solve(
         mesh = tuned
     if exact and found and again:
         rows = [constraint.of(equations.pack(point), point)[1][None] for constraint in constraints]
-        found = found._replace(slopes=np.vstack((equations.linearised(point, found.mesh)[1], *rows)))
+        found = found._replace(
+            slopes=np.vstack((equations.linearised(point, found.mesh)[1], *rows))
+        )
     return found and found._replace(iterations=iterations, relaid=relaid)
 
 
@@ -240,9 +256,15 @@ def _newton(
     unknown, last = equations.pack(guess), np.inf
     best, least = unknown, np.inf  # where the residual was the least
     size, period_at, steps = np.abs(unknown).max(), equations.period_at(unknown), 0
-    before, exactly = unknown, np.inf  # where the last step began, and the last residual with exact slopes
+    before, exactly = (
+        unknown,
+        np.inf,
+    )  # where the last step began, and the last residual with exact slopes
     taken = np.full(unknown.size, np.inf) if taken is None else taken
-    closed, settled = False, None  # whether old derivatives led to round-off, and that orbit with exact ones
+    closed, settled = (
+        False,
+        None,
+    )  # whether old derivatives led to round-off, and that orbit with exact ones
     while steps < ITERATIONS:
         point = equations.unpack(unknown)
         more = [constraint.of(unknown, point) for constraint in constraints]
@@ -253,7 +275,9 @@ def _newton(
         else:
             residual = equations.closure(point, mesh)
             slopes = np.vstack((slopes[: len(slopes) - len(rows)], *rows))
-        residual = np.concatenate((residual, np.zeros(len(slopes) - residual.size - len(more)), [r for r, _ in more]))
+        residual = np.concatenate(
+            (residual, np.zeros(len(slopes) - residual.size - len(more)), [r for r, _ in more])
+        )
         here = float(np.abs(residual).max() / np.abs(unknown[:period_at]).max())
         exact = np.abs(unknown - taken).max() < SAME * np.abs(unknown).max()
         lost = not np.isfinite(here) or here > 1e3 * max(last, 1.0)
@@ -262,13 +286,20 @@ def _newton(
         done = here > last / 4 and least < CLOSED  # round-off is what is left
         if exact and done:
             return Solution(equations.unpack(best), mesh, slopes, least, steps)
-        if settled and not here <= settled.residual:  # where derivatives are all but singular a step more leads away
+        if (
+            settled and not here <= settled.residual
+        ):  # where derivatives are all but singular a step more leads away
             return settled
         if fresh and closed:
             settled = Solution(point, mesh, slopes, here, steps)
         if not fresh and (lost or done or here > USEFUL * last):
             worse = (lost or here > last) and before is not taken  # old derivatives led astray
-            slopes, unknown, last, closed = None, best if done else before if worse else unknown, np.inf, done
+            slopes, unknown, last, closed = (
+                None,
+                best if done else before if worse else unknown,
+                np.inf,
+                done,
+            )
             continue
         if fresh:
             stalls, exactly = stalls - (here > max(exactly / 2, CLOSED)), here
@@ -292,12 +323,17 @@ def _newton(
 def solved(slopes: Array, residual: Array) -> Array:
     """Solve the linear equations of a Newton step, by least squares if they are singular."""
     if slopes.shape[0] == slopes.shape[1]:
-        with suppress(LinAlgError, LinAlgWarning), catch_warnings(action="error", category=LinAlgWarning):
+        with (
+            suppress(LinAlgError, LinAlgWarning),
+            catch_warnings(action="error", category=LinAlgWarning),
+        ):
             return np.asarray(solve_linear(slopes, residual))
     return np.asarray(lstsq(slopes, residual, cond=1e-13, lapack_driver="gelsy")[0])
 
 
-def discretisation(equations: Equations, solution: Solution, constraints: Sequence[Constraint]) -> tuple[float, bool]:
+def discretisation(
+    equations: Equations, solution: Solution, constraints: Sequence[Constraint]
+) -> tuple[float, bool]:
     """Return how far, in relative terms, the orbit and its period move if all steps are halved.
 
     And whether that is no more than round-off moves them.
@@ -336,5 +372,7 @@ def accurate(
             break
         guess, reach = solution.point, reach * SHORTER
     if best is None:
-        raise RunFailed(f"no periodic orbit found near {what}: give a guess or a period closer to one")
+        raise RunFailed(
+            f"no periodic orbit found near {what}: give a guess or a period closer to one"
+        )
     return best._replace(iterations=iterations), error

@@ -44,7 +44,10 @@ class Section:
 
 
 def write(
-    trajectory: Trajectory, path: str | PathLike[str], progress: bool = False, origin: Mapping[str, str] = UNKNOWN
+    trajectory: Trajectory,
+    path: str | PathLike[str],
+    progress: bool = False,
+    origin: Mapping[str, str] = UNKNOWN,
 ) -> None:
     """Write the page, atomically.
 
@@ -59,7 +62,9 @@ def write(
         aside.write_text(page(trajectory, progress, origin), encoding="utf-8")
 
 
-def page(trajectory: Trajectory, progress: bool = False, origin: Mapping[str, str] = UNKNOWN) -> str:
+def page(
+    trajectory: Trajectory, progress: bool = False, origin: Mapping[str, str] = UNKNOWN
+) -> str:
     """Return the page as self-contained HTML; a part that does not apply to the run says why.
 
     Parameters
@@ -96,7 +101,9 @@ def page(trajectory: Trajectory, progress: bool = False, origin: Mapping[str, st
         facts=list(_facts(trajectory)),
         provenance=list(trajectory.provenance.items()),
         scene=trajectory.scene.to_text(),
-        script=Markup(script),  # ours, and the only one that the policy of the page lets a browser run
+        script=Markup(
+            script
+        ),  # ours, and the only one that the policy of the page lets a browser run
         digest=digest,
     )
 
@@ -131,9 +138,21 @@ def _cards(trajectory: Trajectory, origin: Mapping[str, str]) -> Iterator[tuple[
         f"{strike}; linear theory needs far below 1",
     )
     yield "Engine", trajectory.engine, f"solves Eq. ({trajectory.equation}) {cost.integrator}"
-    yield "Tolerance", trajectory.provenance.get("tolerance", "not recorded"), "largest relative error asked for"
-    yield "Error", f"{error.total:.2g}", f"estimated: {error.model:.2g} (equation) + {error.solver:.2g} (solver)"
-    yield "Cost", f"{cost.total_s:.3g} s", f"{cost.steps} steps, {cost.active_grains} grains computed"
+    yield (
+        "Tolerance",
+        trajectory.provenance.get("tolerance", "not recorded"),
+        "largest relative error asked for",
+    )
+    yield (
+        "Error",
+        f"{error.total:.2g}",
+        f"estimated: {error.model:.2g} (equation) + {error.solver:.2g} (solver)",
+    )
+    yield (
+        "Cost",
+        f"{cost.total_s:.3g} s",
+        f"{cost.steps} steps, {cost.active_grains} grains computed",
+    )
     yield "Date", origin["date"], ""
     yield "Command", origin["command"], ""
 
@@ -141,18 +160,26 @@ def _cards(trajectory: Trajectory, origin: Mapping[str, str]) -> Iterator[tuple[
 def _facts(trajectory: Trajectory) -> Iterator[tuple[str, str]]:
     scene, cost = trajectory.scene, trajectory.cost
     chain = scene.chain
-    yield "chain", f"{chain.grains} grains, top {chain.top}, bottom {chain.bottom}, exponent {chain.exponent:g}"
+    yield (
+        "chain",
+        f"{chain.grains} grains, top {chain.top}, bottom {chain.bottom}, exponent {chain.exponent:g}",
+    )
     yield "gravity and load", f"{chain.gravity:g} m/s², {chain.top_load:g} N"
     given = ((key, value) for key, value in scene.excitation.given().items() if value is not None)
     yield (
         "excitation",
         f"{scene.excitation.kind}: "
         + ", ".join(
-            f"{key} {value:g}" if isinstance(value, int | float) else f"{key} of {np.size(value)} values"
+            f"{key} {value:g}"
+            if isinstance(value, int | float)
+            else f"{key} of {np.size(value)} values"
             for key, value in given
         ),
     )
-    yield "recorded", f"{trajectory.grains.size} grains at {trajectory.time.size} times up to {scene.duration:g} s"
+    yield (
+        "recorded",
+        f"{trajectory.grains.size} grains at {trajectory.time.size} times up to {scene.duration:g} s",
+    )
     yield "largest velocity", f"{np.abs(trajectory.velocity).max():.6g} m/s"
     yield "largest displacement", f"{np.abs(trajectory.displacement).max():.6g} m"
     for key, value in cost._asdict().items():

@@ -30,7 +30,9 @@ def moving_part(trajectory: Trajectory) -> Trajectory:
     columns = as_slice(np.flatnonzero(near))
     grains = trajectory.grains[columns]
     scene = trajectory.scene.replace(grains=grains.tolist())
-    return replace(trajectory, scene=scene, grains=grains, displacement=u[:, columns], velocity=v[:, columns])
+    return replace(
+        trajectory, scene=scene, grains=grains, displacement=u[:, columns], velocity=v[:, columns]
+    )
 
 
 def moving(trajectory: Trajectory) -> tuple[int, int]:

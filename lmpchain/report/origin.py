@@ -21,8 +21,12 @@ def origin(path: str | PathLike[str] | None) -> dict[str, str]:
         return found
     path = Path(path)
     with suppress(OSError, ValueError):
-        found["date"] = f"{datetime.fromtimestamp(path.stat().st_mtime, UTC).isoformat(' ', 'minutes')[:16]} UTC (file)"
-    with suppress(OSError, ValueError, LookupError, TypeError, RecursionError):  # whatever else it may hold
+        found["date"] = (
+            f"{datetime.fromtimestamp(path.stat().st_mtime, UTC).isoformat(' ', 'minutes')[:16]} UTC (file)"
+        )
+    with suppress(
+        OSError, ValueError, LookupError, TypeError, RecursionError
+    ):  # whatever else it may hold
         date, command = _of_folder(path) if path.is_dir() else _of_file(path)
         found |= {"date": date, "command": command}
     return found

@@ -24,7 +24,10 @@ if TYPE_CHECKING:
 
 MOMENTS = (0.25, 0.5, 1.0)  # of the duration, for the waveforms
 SHADES = ("#56B4E9", "#0072B2", "#009E73")
-WIDTH, HEIGHT = 4.7, 3.5  # inches: letters are readable on a phone, and two pictures fit side by side
+WIDTH, HEIGHT = (
+    4.7,
+    3.5,
+)  # inches: letters are readable on a phone, and two pictures fit side by side
 MOST_MARKERS = 2000  # drawn one by one; of more a picture is smaller as pixels
 REFLECTED = 3  # last grains, whose peak is made together with what comes back from the end
 ONWARD = 0.9  # part of the grains that a front passes later than those before them
@@ -60,20 +63,34 @@ def wave(run: Trajectory) -> Panel:
     first, last = moving(run)
     ax = run.plot(_axes())
     ax.set_ylim(last + 0.5, first - 0.5)
-    return _panel(ax, f"Velocity of grains {first} to {last} over time: downward red, upward blue.", map=True)
+    return _panel(
+        ax, f"Velocity of grains {first} to {last} over time: downward red, upward blue.", map=True
+    )
 
 
 def waveforms(run: Trajectory) -> Panel:
     """Draw velocity against grain number at some times, with linear theory where it applies."""
     run, picture = moving_part(run), figure(WIDTH, 4.4)
-    above, apart = (axes_in_units(ax, "", "") for ax in picture.subplots(2, 1, sharex=True, height_ratios=(3, 1)))
+    above, apart = (
+        axes_in_units(ax, "", "")
+        for ax in picture.subplots(2, 1, sharex=True, height_ratios=(3, 1))
+    )
     linear = _linear(run)
     largest = np.abs(run.velocity).max() or 1.0
     for part, shade in zip(MOMENTS, SHADES, strict=True):
         row = round(part * (run.time.size - 1))
         label = si(run.time[row], "s")
         dense = run.grains.size > MOST_MARKERS
-        above.plot(run.grains, run.velocity[row], "o", mfc="none", ms=4, color=shade, label=label, rasterized=dense)
+        above.plot(
+            run.grains,
+            run.velocity[row],
+            "o",
+            mfc="none",
+            ms=4,
+            color=shade,
+            label=label,
+            rasterized=dense,
+        )
         if linear is not None:
             above.plot(run.grains, linear[row], color=shade, lw=1)
             apart.plot(run.grains, (run.velocity[row] - linear[row]) / largest, color=shade, lw=1)
@@ -86,7 +103,14 @@ def waveforms(run: Trajectory) -> Panel:
     peak = int(run.grains[np.abs(run.velocity[-1]).argmax()])
     said = f"At the end the motion is largest at grain {peak}, {si(np.abs(run.velocity[-1]).max(), 'm/s', 1)}. "
     if linear is None:
-        apart.text(0.5, 0.5, "no linear theory of this scene", transform=apart.transAxes, ha="center", va="center")
+        apart.text(
+            0.5,
+            0.5,
+            "no linear theory of this scene",
+            transform=apart.transAxes,
+            ha="center",
+            va="center",
+        )
         return _panel(above, f"{said}There is no linear theory of this scene.")
     off = np.abs(run.velocity - linear).max() / largest
     said += f"Points: this run. Lines: linear theory, Eq. (3), at most {off:.2g} of the largest velocity away (below)."
@@ -115,10 +139,20 @@ def arrival(run: Trajectory) -> Panel:
     power, name = _decay(run)
     if power is not None:
         law = values[-1] * (depth / depth[-1]) ** -power
-        height.plot(depth, law, "--", lw=1, label=f"{name}: power -{power:.3g}" if power else f"{name}: constant")
+        height.plot(
+            depth,
+            law,
+            "--",
+            lw=1,
+            label=f"{name}: power -{power:.3g}" if power else f"{name}: constant",
+        )
     height.set(xscale="log", yscale="log", xlabel="depth h = n − 1/2 (grains)", ylabel="peak (m/s)")
     for axis in (height.xaxis, height.yaxis):
-        axis.set(major_locator=LogLocator(subs=(1, 2, 3, 5)), major_formatter=EngFormatter(), minor_formatter="")
+        axis.set(
+            major_locator=LogLocator(subs=(1, 2, 3, 5)),
+            major_formatter=EngFormatter(),
+            minor_formatter="",
+        )
     legend(height)
     time.plot(found.grain, 1e6 * found.time, ".", ms=4, label="this run")
     if chain.compressed:
@@ -130,18 +164,35 @@ def arrival(run: Trajectory) -> Panel:
         f"The front passes {found.grain.size} grains; its peak goes from {si(values[0], 'm/s', 1)} at grain "
         f"{found.grain[0]} to {si(values[-1], 'm/s', 1)} at grain {found.grain[-1]}."
     )
-    return _panel(height, said + (f" Dashed: {name}." if power is not None else " No law is known for this chain."))
+    return _panel(
+        height,
+        said + (f" Dashed: {name}." if power is not None else " No law is known for this chain."),
+    )
 
 
 def _front(run: Trajectory) -> front.Front:
     """Return the front below the grain that is struck; raises `InputError` where there is none."""
     source = getattr(run.scene.excitation, "grain", None)
     if source is None or getattr(run.scene.excitation, "frequency", None):
-        raise InputError([("excitation", "sends no single front: there is one after a strike or a push on a grain")])
+        raise InputError(
+            [
+                (
+                    "excitation",
+                    "sends no single front: there is one after a strike or a push on a grain",
+                )
+            ]
+        )
     found = front.track(run).between(source + 1, run.scene.chain.grains - REFLECTED)
     onward = np.mean(np.diff(found.time) > 0) if found.grain.size >= front.FEWEST else 0.0
     if onward < ONWARD:
-        raise InputError([("front", f"none travels downward from grain {source} past {front.FEWEST} grains or more")])
+        raise InputError(
+            [
+                (
+                    "front",
+                    f"none travels downward from grain {source} past {front.FEWEST} grains or more",
+                )
+            ]
+        )
     return found
 
 
@@ -172,8 +223,14 @@ def spectra(run: Trajectory) -> Panel:
     first, last = moving(run)
     ax.set_ylim(last + 0.5, first - 0.5)
     where = np.unravel_index(found.amplitude.argmax(), found.amplitude.shape)
-    said = f"Velocity spectrum of every grain, strongest at {si(found.frequency[where[0]], 'Hz', 1)}."
-    return _panel(ax, f"{said} The line is the local cut-off frequency." if found.cut_off.any() else said, map=True)
+    said = (
+        f"Velocity spectrum of every grain, strongest at {si(found.frequency[where[0]], 'Hz', 1)}."
+    )
+    return _panel(
+        ax,
+        f"{said} The line is the local cut-off frequency." if found.cut_off.any() else said,
+        map=True,
+    )
 
 
 def forces(run: Trajectory) -> Panel:
@@ -189,7 +246,11 @@ def forces(run: Trajectory) -> Panel:
     c = np.abs(history.change).max(0)
     most = f"at most {si(c.max(), 'N', 1)}, in contact {history.contact[c.argmax()]}"
     said = f"Force of every contact above that at rest, {most}."
-    opened = "No contact opens." if not openings else f"Contacts open {openings} time{'s' if openings > 1 else ''}."
+    opened = (
+        "No contact opens."
+        if not openings
+        else f"Contacts open {openings} time{'s' if openings > 1 else ''}."
+    )
     return _panel(ax, f"{said} {opened}", map=many)
 
 

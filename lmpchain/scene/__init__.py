@@ -2,7 +2,17 @@
 
 from ..util.lazy import attributes, listed
 
-__all__ = ["Displacement", "Drive", "Excitation", "Force", "Impulse", "Packet", "Profile", "Recording", "Scene"]
+__all__ = [
+    "Displacement",
+    "Drive",
+    "Excitation",
+    "Force",
+    "Impulse",
+    "Packet",
+    "Profile",
+    "Recording",
+    "Scene",
+]
 __getattr__ = attributes(
     __name__,
     names={

@@ -17,7 +17,10 @@ from .profile import Profile
 from .waveform import Waveform
 
 SAMPLED = 1e-12  # least distance of two times, of the last one
-FASTEST, LARGEST = 1e20, 1e100  # rad/s, and of a value in SI units: what nobody means, and what does not overflow
+FASTEST, LARGEST = (
+    1e20,
+    1e100,
+)  # rad/s, and of a value in SI units: what nobody means, and what does not overflow
 
 
 class _Acting(Excitation):
@@ -38,7 +41,10 @@ class _Acting(Excitation):
         return Waveform.sine(self.amplitude, self.frequency, self.cycles)
 
     def _faults(self) -> Iterator[tuple[str, str]]:
-        values, given = self.strength[1], {key for key, value in self if value is not None} - {"grain", "start"}
+        values, given = (
+            self.strength[1],
+            {key for key, value in self if value is not None} - {"grain", "start"},
+        )
         ways = self._ways(values)
         if given not in ways:
             yield "amplitude", f"give {self._words(values)} (or a file with both)"
@@ -47,8 +53,15 @@ class _Acting(Excitation):
             yield from self._samples(values, getattr(self, values))
         elif not self.waveform.fastest < FASTEST:
             swift = 2 * np.pi * (self.frequency or 0.0) >= FASTEST
-            key = "frequency" if swift else next(key for key in ("cycles", "duration") if key in given)
-            yield key, f"makes for {self.waveform.fastest:.2g} rad/s, too fast to compute with: use SI units"
+            key = (
+                "frequency"
+                if swift
+                else next(key for key in ("cycles", "duration") if key in given)
+            )
+            yield (
+                key,
+                f"makes for {self.waveform.fastest:.2g} rad/s, too fast to compute with: use SI units",
+            )
 
     def _ways(self, values: str) -> list[set[str]]:
         return [{"amplitude", "frequency"}, {"amplitude", "frequency", "cycles"}, {"times", values}]
@@ -62,13 +75,22 @@ class _Acting(Excitation):
         if len(self.times) != len(values) or len(self.times) < 2:
             yield key, f"must have one entry for each of two or more times, not {len(values)}"
         if self.times[0] != 0 or not (np.diff(self.times) > SAMPLED * self.times[-1]).all():
-            yield "times", f"must begin with 0 and increase, each by more than {SAMPLED:g} of the last"
+            yield (
+                "times",
+                f"must begin with 0 and increase, each by more than {SAMPLED:g} of the last",
+            )
         elif (np.diff(self.times) < 1 / FASTEST).any():
-            yield "times", f"are {np.diff(self.times).min():.2g} s apart, too little to compute with: use SI units"
+            yield (
+                "times",
+                f"are {np.diff(self.times).min():.2g} s apart, too little to compute with: use SI units",
+            )
 
     def _too_short(self, duration: float) -> Iterator[tuple[str, str]]:
         if self.times is not None and self.times[-1] < duration:
-            yield "times", f"end at {self.times[-1]:g} s, before the recording does at {duration:g} s"
+            yield (
+                "times",
+                f"end at {self.times[-1]:g} s, before the recording does at {duration:g} s",
+            )
 
     @property
     def smooth(self) -> bool:
@@ -136,7 +158,10 @@ class Drive(_Acting):
     def faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
         """Yield what this chain, or a scene that lasts so long, does not allow."""
         if self.grain == 0 and chain.top != "wall":
-            yield "grain", '0 moves the top wall, and there is none: use top = "wall", or drive grain 1'
+            yield (
+                "grain",
+                '0 moves the top wall, and there is none: use top = "wall", or drive grain 1',
+            )
         if self.grain == 1 and chain.movable < 2:
             yield "kind", "with grain 1 driven nothing is left to move: use more grains"
         yield from self._too_short(duration)
@@ -176,7 +201,11 @@ class Drive(_Acting):
 
     def _others(self, chain: Chain) -> tuple[Array, Array]:
         """Return displacement and velocity (N,) at t = 0 of the grains that it does not move."""
-        return (np.zeros(chain.grains), np.zeros(chain.grains)) if self.start is None else self.start.initial(chain)
+        return (
+            (np.zeros(chain.grains), np.zeros(chain.grains))
+            if self.start is None
+            else self.start.initial(chain)
+        )
 
     def reach(self, chain: Chain) -> tuple[int, int]:
         """Return grain 1, as the first, and the last that moves at t = 0."""
@@ -282,7 +311,9 @@ class Force(OneGrain, _Acting):
         contacts = chain.contacts.of(slice(self.grain - 1, self.grain + 1))
         distance = max(contacts.of(n).squeezed_by(size) for n in np.flatnonzero(contacts.exists))
         speed = min(self.waveform.gained / mass, float(np.sqrt(2 * size * distance / mass)))
-        return self.at_grain(chain, speed * np.sqrt(mass * distance / size)), self.at_grain(chain, speed)
+        return self.at_grain(chain, speed * np.sqrt(mass * distance / size)), self.at_grain(
+            chain, speed
+        )
 
     def energy_norm(self, chain: Chain, duration: float) -> float:
         """Bound sqrt(2 E) by its impulse: ``d sqrt(2 E) / dt <= |F| / sqrt(m)``."""

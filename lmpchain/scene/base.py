@@ -147,13 +147,17 @@ class Excitation(Checked):
     def scaled(self, factor: float) -> Self:
         """Return the same excitation, so many times as strong."""
         strengths = {key: getattr(self, key) for key in self.strength}
-        return self.replace(**{key: factor * value for key, value in strengths.items() if value is not None})
+        return self.replace(
+            **{key: factor * value for key, value in strengths.items() if value is not None}
+        )
 
     def energy_norm(self, chain: Chain, duration: float) -> float:
         """Bound sqrt(2 E), in J^(1/2), for the energy E that it puts into the linearised chain after t = 0."""
         return np.inf
 
-    def push(self, chain: Chain, time: Array, force: Array, rate: Array, velocity: Array) -> Push | None:
+    def push(
+        self, chain: Chain, time: Array, force: Array, rate: Array, velocity: Array
+    ) -> Push | None:
         """Return the push from outside at these times, (T,) s; None if nothing acts after t = 0.
 
         Parameters

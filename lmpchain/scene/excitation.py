@@ -71,4 +71,6 @@ class Displacement(OneGrain):
         return self.at_grain(chain, self.displacement), np.zeros(chain.grains)
 
 
-EXCITATIONS: dict[str, type[Excitation]] = {e.kind: e for e in (Impulse, Displacement, Profile, Packet, Drive, Force)}
+EXCITATIONS: dict[str, type[Excitation]] = {
+    e.kind: e for e in (Impulse, Displacement, Profile, Packet, Drive, Force)
+}

@@ -13,7 +13,9 @@ WORTH = 0.7  # of the grains: where more than that are reached, all are computed
 SHORT = 128  # grains: a shorter chain is computed as a whole, for less than it takes to cut it
 
 
-def reached(chain: Chain, excitation: Excitation, energy: float, duration: float) -> tuple[int, int]:
+def reached(
+    chain: Chain, excitation: Excitation, energy: float, duration: float
+) -> tuple[int, int]:
     """Return the first and the last grain that can have moved by 1e-22 of the strike when the scene ends.
 
     Springs no stiffer than k_max pass on a displacement of 1 by at most the modified Bessel function I_2d(W t) over d
@@ -46,7 +48,10 @@ def reached(chain: Chain, excitation: Excitation, energy: float, duration: float
             contacts, masses = part.contacts, part.masses
             stiffness = contacts.stiffness_at(contacts.overlap_bound(energy))
         else:
-            stiffness, masses = known[first - (first == 1) : last + (last == grains)], chain.masses[first - 1 : last]
+            stiffness, masses = (
+                known[first - (first == 1) : last + (last == grains)],
+                chain.masses[first - 1 : last],
+            )
         needed = _distance(2 * math.sqrt(float(stiffness.max()) / masses.min()) * duration)
         if needed <= away:
             return max(1, top - needed), min(grains, bottom + needed)

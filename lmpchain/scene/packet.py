@@ -64,12 +64,18 @@ class Packet(Excitation):
         else:
             first, last = self._within(chain, INSIDE)
             if first < 1 or last > chain.movable:
-                yield "width", f"the packet is {INSIDE:g} widths long on either side, which does not fit in the chain"
+                yield (
+                    "width",
+                    f"the packet is {INSIDE:g} widths long on either side, which does not fit in the chain",
+                )
                 return
             speed = self._hops(chain, first, last)
             if (2 * np.pi * self.frequency >= 2 * speed).any():
                 limit, slowest = float(speed.min() / np.pi), first + int(speed.argmin()) // 2
-                yield "frequency", f"must be below the highest that travels at grain {slowest}, {limit:.4g} Hz"
+                yield (
+                    "frequency",
+                    f"must be below the highest that travels at grain {slowest}, {limit:.4g} Hz",
+                )
 
     def _within(self, chain: Chain, widths: float) -> tuple[int, int]:
         far = int(min(np.ceil(widths * self.width), chain.grains))
@@ -96,16 +102,22 @@ class Packet(Excitation):
         omega = 2 * np.pi * self.frequency
         hops = self._hops(chain, first, last)
         middle = 2 * (self.grain - first)  # of the row of grains and contacts in turn
-        ratio = np.minimum(omega / (2 * hops), 0.999)  # a turning point far out, where the packet is nothing
+        ratio = np.minimum(
+            omega / (2 * hops), 0.999
+        )  # a turning point far out, where the packet is nothing
         speed = 2 * hops * np.sqrt(1 - ratio**2)  # in places of that row a second
         phase, late = (np.append(0.0, np.cumsum(each)) for each in (np.arcsin(ratio), 1 / speed))
         around = np.sqrt(np.append(speed[:1], speed) * np.append(speed, speed[-1:]))
         apart = (late - late[middle]) * around[middle] / (2 * self.width)
-        height = self.amplitude * omega * np.sqrt(chain.masses[self.grain - 1] * around[middle] / around)
+        height = (
+            self.amplitude * omega * np.sqrt(chain.masses[self.grain - 1] * around[middle] / around)
+        )
         wave = height * np.exp(-(apart**2) / 2) * np.cos(phase - phase[middle])
         v = wave[::2] / np.sqrt(chain.masses[first - 1 : last])
         strain = wave[1::2] / np.sqrt(chain.contacts.stiffness[first:last])
-        strain -= strain.sum() * (share := np.exp(-(apart[1::2] ** 2) / 2)) / share.sum()  # at rest beyond either end
+        strain -= (
+            strain.sum() * (share := np.exp(-(apart[1::2] ** 2) / 2)) / share.sum()
+        )  # at rest beyond either end
         u = np.append(np.cumsum(strain[::-1])[::-1], 0.0)
         fields = np.zeros((2, chain.grains))
         fields[:, first - 1 : last] = u, v

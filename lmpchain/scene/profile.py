@@ -24,7 +24,10 @@ class Profile(Excitation):
 
     def _faults(self) -> Iterator[tuple[str, str]]:
         if self.displacement is None and self.velocity is None:
-            yield "displacement", "give displacement or velocity of every grain, or a file with both"
+            yield (
+                "displacement",
+                "give displacement or velocity of every grain, or a file with both",
+            )
 
     def faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
         """Yield what this chain does not allow."""

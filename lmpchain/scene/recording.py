@@ -19,8 +19,12 @@ def _selection(value: Any) -> Any:
     """Grains to record: "all", "1:200" or a list of numbers."""
     if isinstance(value, str):
         parts = value.split(":")
-        if value != "all" and not (len(parts) == 2 and all(p.isascii() and p.isdigit() and len(p) < 19 for p in parts)):
-            raise ValueError(f'must be "all", a range such as "1:200", or a list of grains (got {shown(value)})')
+        if value != "all" and not (
+            len(parts) == 2 and all(p.isascii() and p.isdigit() and len(p) < 19 for p in parts)
+        ):
+            raise ValueError(
+                f'must be "all", a range such as "1:200", or a list of grains (got {shown(value)})'
+            )
         return value
     try:
         numbers = [v.item() if isinstance(v, np.generic) else v for v in value]
@@ -31,7 +35,11 @@ def _selection(value: Any) -> Any:
     return tuple(numbers)
 
 
-OF_GRAINS = ("peak_displacement", "peak_velocity", "arrival_time")  # what is gathered of every recorded grain
+OF_GRAINS = (
+    "peak_displacement",
+    "peak_velocity",
+    "arrival_time",
+)  # what is gathered of every recorded grain
 OF_CONTACTS = ("peak_force", "force")  # and of a contact, as in "force:40"
 
 
@@ -46,11 +54,15 @@ def _asked(value: Any) -> Any:
     """Quantities to gather: names, those of a contact with its number."""
     names = tuple(value) if isinstance(value, list | tuple) else ()
     if not names:
-        raise ValueError(f'must be a list of names, as ["peak_velocity", "force:40"] (got {shown(value)})')
+        raise ValueError(
+            f'must be a list of names, as ["peak_velocity", "force:40"] (got {shown(value)})'
+        )
     for name in names:
         kind = name.partition(":")[0] if isinstance(name, str) else name
         if kind in OF_CONTACTS and contact_of(name) is None:
-            raise ValueError(f'needs the number of a contact, as in "{kind}:40" (got {shown(name)})')
+            raise ValueError(
+                f'needs the number of a contact, as in "{kind}:40" (got {shown(name)})'
+            )
         if kind not in OF_CONTACTS and name not in OF_GRAINS:
             raise ValueError(not_among(name, (*OF_GRAINS, *(f"{kind}:40" for kind in OF_CONTACTS))))
     if len(set(names)) < len(names):
@@ -76,7 +88,10 @@ class Recording(Checked):
             yield "duration", f"{apart}: record for longer"
         first, last = self._ends(chain)
         if not 1 <= first <= last <= chain.grains:
-            yield "grains", f"grains are numbered 1 to {chain.grains} (got {shown(first)} to {shown(last)})"
+            yield (
+                "grains",
+                f"grains are numbered 1 to {chain.grains} (got {shown(first)} to {shown(last)})",
+            )
         elif isinstance(self.grains, tuple) and len(set(self.grains)) < len(self.grains):
             yield "grains", "names a grain twice"
         if self.quantities:
@@ -86,13 +101,19 @@ class Recording(Checked):
         """Yield the first contact that is asked for and not there."""
         there = np.flatnonzero(chain.contacts.exists)
         if missing := [number for number in self.contacts.values() if number not in there]:
-            known = f"the contacts are numbered {there[0]} to {there[-1]}" if there.size else "there is no contact"
+            known = (
+                f"the contacts are numbered {there[0]} to {there[-1]}"
+                if there.size
+                else "there is no contact"
+            )
             yield "quantities", f"{known} (got {missing[0]})"
 
     @property
     def contacts(self) -> dict[str, int]:
         """The contact of each of the quantities that are gathered of one."""
-        return {name: number for name in self.quantities if (number := contact_of(name)) is not None}
+        return {
+            name: number for name in self.quantities if (number := contact_of(name)) is not None
+        }
 
     def _ends(self, chain: Chain) -> tuple[int, int]:
         if self.grains == "all":

@@ -43,7 +43,15 @@ LONGEST = 3600.0  # s: of a duration that may be meant
 # omega h at most of the times at which quantities are gathered: then 1e-6 of the fastest motion is known between them
 FINE = 0.5
 # what is known of a scene, whatever is recorded
-SAME = ("imposed", "energy", "strike_number", "largest_strain", "highest_frequency", "_pair_frequency", "_surroundings")
+SAME = (
+    "imposed",
+    "energy",
+    "strike_number",
+    "largest_strain",
+    "highest_frequency",
+    "_pair_frequency",
+    "_surroundings",
+)
 
 
 class Scene(Recording):
@@ -96,7 +104,9 @@ class Scene(Recording):
         if self.duration > LONGEST:
             yield f"duration: {self.duration:g} s is long for a wave in a chain; times are in seconds (100 us is 1e-4)"
         if not self._gentle:
-            yield from strike_remarks(self.chain, self.excitation, self._surroundings, self._squeezed[1])
+            yield from strike_remarks(
+                self.chain, self.excitation, self._surroundings, self._squeezed[1]
+            )
 
     @cached_property
     def _overlap_at_most(self) -> float:
@@ -109,7 +119,9 @@ class Scene(Recording):
         """Whether bounds show that Hertz's law holds, and that no grain is faster than sound."""
         bounds, speed = self.chain.bounds, abs(self.excitation.strike_velocity)
         return (
-            bounds is not None and self._overlap_at_most <= HERTZ_OVERLAP * bounds.narrowest and speed <= bounds.slowest
+            bounds is not None
+            and self._overlap_at_most <= HERTZ_OVERLAP * bounds.narrowest
+            and speed <= bounds.slowest
         )
 
     @cached_property
@@ -119,9 +131,17 @@ class Scene(Recording):
     def _summary(self) -> Iterator[Sequence[str]]:
         yield "chain", repr(self.chain), ""
         yield "excitation", repr(self.excitation), ""
-        yield "recorded", f"{self.samples} times to {self.duration:g} s, {self.count(self.chain)} grains", ""
+        yield (
+            "recorded",
+            f"{self.samples} times to {self.duration:g} s, {self.count(self.chain)} grains",
+            "",
+        )
         if self.chain.grains <= MOST:
-            yield "strike number", f"{self.strike_number:.4g}", "linear theory needs it to be far below 1"
+            yield (
+                "strike number",
+                f"{self.strike_number:.4g}",
+                "linear theory needs it to be far below 1",
+            )
 
     def _picture(self) -> str:
         return super()._picture() if self.chain.grains <= MOST else ""
@@ -139,7 +159,9 @@ class Scene(Recording):
         ax = axes_in_units(ax, "", "")
         first, last = self.excitation.reach(self.chain)
         near = np.arange(max(1, first - MARGIN), min(self.chain.grains, last + MARGIN) + 1)
-        for name, unit, values in zip(("displacement", "velocity"), ("m", "m/s"), self.initial(), strict=True):
+        for name, unit, values in zip(
+            ("displacement", "velocity"), ("m", "m/s"), self.initial(), strict=True
+        ):
             if values.any():
                 ax.plot(near, values[near - 1], ".-", lw=1, label=f"{name} ({unit})")
         ax.set(xlabel="grain, from the top", ylabel="at t = 0, downward")
@@ -157,7 +179,11 @@ class Scene(Recording):
 
         It is 1, 2, 3, 4, 6, 8, 12 ..., so that scenes of a sweep have the same.
         """
-        needed = self.highest_frequency * self.duration / (self.samples - 1) / FINE if self.quantities else 1.0
+        needed = (
+            self.highest_frequency * self.duration / (self.samples - 1) / FINE
+            if self.quantities
+            else 1.0
+        )
         power = 2 ** max(0, math.ceil(math.log2(needed)))
         return 3 * power // 4 if power >= 4 and 3 * power // 4 >= needed else power
 
@@ -169,7 +195,9 @@ class Scene(Recording):
     @cached_property
     def _fine(self) -> Scene:
         samples = (self.samples - 1) * self.finer + 1
-        made = Scene._unchecked(chain=self.chain, excitation=self.excitation, duration=self.duration, samples=samples)
+        made = Scene._unchecked(
+            chain=self.chain, excitation=self.excitation, duration=self.duration, samples=samples
+        )
         made.__dict__.update({name: self.__dict__[name] for name in SAME if name in self.__dict__})
         return made
 
@@ -237,7 +265,9 @@ class Scene(Recording):
     def _pair_frequency(self) -> float:
         """That of two grains pressed together by the strike, rad/s."""
         chain = self.chain
-        return float(pair_frequency(chain.contacts, chain.masses, first_overlaps(chain, self.excitation)))
+        return float(
+            pair_frequency(chain.contacts, chain.masses, first_overlaps(chain, self.excitation))
+        )
 
     @cached_property
     def largest_strain(self) -> float:

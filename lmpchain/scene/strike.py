@@ -83,7 +83,9 @@ def squeezed(first: int, near: Chain, strike: Excitation) -> tuple[int, float]:
     return worst + first - 1, float(relative[worst])
 
 
-def strike_faults(excitation: Excitation, contact: int, relative: float) -> Iterator[tuple[str, str]]:
+def strike_faults(
+    excitation: Excitation, contact: int, relative: float
+) -> Iterator[tuple[str, str]]:
     """Yield a fault if a contact is squeezed beyond the range of Hertz's law."""
     if not relative <= LARGEST_OVERLAP:
         yield (
@@ -97,7 +99,11 @@ def strike_remarks(
     chain: Chain, excitation: Excitation, around: tuple[int, Chain, Excitation], relative: float
 ) -> Iterator[str]:
     """Yield what is hardly meant: overlaps beyond Hertz's law, grains faster than sound in them."""
-    at_rest = float((chain.contacts.overlap / chain.contact_lengths).max()) if relative > HERTZ_OVERLAP else 0.0
+    at_rest = (
+        float((chain.contacts.overlap / chain.contact_lengths).max())
+        if relative > HERTZ_OVERLAP
+        else 0.0
+    )
     if chain.exponent == 1.5 and at_rest < HERTZ_OVERLAP < relative:
         yield f"{_strength(excitation)}: {beyond_hertz(relative)}"
     first, near, strike = around

@@ -80,7 +80,11 @@ def fields(data: dict[str, Any], folder: Path | None = Path()) -> dict[str, Any]
 def _misplaced(key: str) -> str:
     """Return what to do about something that is no section."""
     of_excitations = [key for kind in EXCITATIONS.values() for key in kind.model_fields]
-    fields = {"recording": Recording.model_fields, "chain": Chain.model_fields, "excitation": ["kind", *of_excitations]}
+    fields = {
+        "recording": Recording.model_fields,
+        "chain": Chain.model_fields,
+        "excitation": ["kind", *of_excitations],
+    }
     homes = " or ".join(f"[{section}]" for section, keys in fields.items() if key in keys)
     if homes:
         return f"belongs to a section: put it below the line {homes}"
@@ -101,8 +105,11 @@ def tables(chain: Chain, excitation: Excitation, recording: Mapping[str, Any]) -
     struck = {"kind": excitation.kind}
     return {
         "chain": {key: _toml(value) for key, value in chain.given().items() if value is not None},
-        "excitation": struck | {key: _toml(value) for key, value in excitation.given().items() if value is not None},
-        "recording": {key: _toml(recording[key]) for key in Recording.model_fields if key in recording},
+        "excitation": struck
+        | {key: _toml(value) for key, value in excitation.given().items() if value is not None},
+        "recording": {
+            key: _toml(recording[key]) for key in Recording.model_fields if key in recording
+        },
     }
 
 
@@ -115,11 +122,17 @@ def parse(path: Path) -> dict[str, Any]:
     except FileNotFoundError:
         raise InputError([(name, "there is no such file")]) from None
     except OSError as error:
-        raise InputError([(name, f"cannot be read: {error.strerror}; name a scene file (TOML)")]) from None
+        raise InputError(
+            [(name, f"cannot be read: {error.strerror}; name a scene file (TOML)")]
+        ) from None
     except UnicodeDecodeError:
-        raise InputError([(name, "is not text in UTF-8; a scene file is a TOML text file")]) from None
+        raise InputError(
+            [(name, "is not text in UTF-8; a scene file is a TOML text file")]
+        ) from None
     except tomllib.TOMLDecodeError as error:
-        raise InputError([(name, f"is not valid TOML: {error} (numbers need a digit after the point)")]) from None
+        raise InputError(
+            [(name, f"is not valid TOML: {error} (numbers need a digit after the point)")]
+        ) from None
     except RecursionError:
         raise InputError([(name, "is not valid TOML: nested too deeply")]) from None
     except ValueError as error:  # a number of thousands of digits; a name with a null character
@@ -130,7 +143,9 @@ def _chain(keys: dict[str, Any], folder: Path | None) -> Chain:
     if "file" in keys:
         columns = _csv(folder, keys.pop("file"), ("material", "diameter", "mass"))
         if twice := [key for key in columns if key in keys or (key == "mass" and "masses" in keys)]:
-            raise InputError([(key, "is in the file already; take it out of one of them") for key in twice])
+            raise InputError(
+                [(key, "is in the file already; take it out of one of them") for key in twice]
+            )
         if "diameter" not in columns:
             raise InputError([("file", "has no column diameter (m)")])
         if "mass" in columns:
@@ -142,7 +157,11 @@ def _chain(keys: dict[str, Any], folder: Path | None) -> Chain:
 def _excitation(keys: dict[str, Any], folder: Path | None) -> Excitation:
     kind = keys.pop("kind", None)
     if not isinstance(kind, str) or kind not in EXCITATIONS:
-        meant = "".join(f"; {shown(key)} is unknown{guess}" for key in keys if (guess := did_you_mean(key, ["kind"])))
+        meant = "".join(
+            f"; {shown(key)} is unknown{guess}"
+            for key in keys
+            if (guess := did_you_mean(key, ["kind"]))
+        )
         missing = f"is missing; {' | '.join(EXCITATIONS)}{meant}"
         raise InputError([("kind", missing if kind is None else not_among(kind, EXCITATIONS))])
     made = EXCITATIONS[kind]
@@ -168,13 +187,17 @@ def _csv(folder: Path | None, name: Any, known: Sequence[str]) -> dict[str, Any]
     if not isinstance(name, str):
         raise InputError([("file", "must be the name of a CSV file")])
     if folder is None:
-        raise InputError([("file", "a scene without a folder can name no file: give the numbers themselves")])
+        raise InputError(
+            [("file", "a scene without a folder can name no file: give the numbers themselves")]
+        )
     path = folder / name
     try:
         check_readable(path, LARGEST_TABLE)
         with open(path, encoding="utf-8-sig", newline="") as opened:
             lines = iter(lambda: opened.readline(LONGEST_LINE), "")
-            header, *rows = ([cell.strip() for cell in row] for row in csv.reader(lines) if any(row))
+            header, *rows = (
+                [cell.strip() for cell in row] for row in csv.reader(lines) if any(row)
+            )
     except (OSError, ValueError, csv.Error) as error:
         reason = getattr(error, "strerror", None) or "not a table with a header"
         raise InputError([("file", f"{path} cannot be read as CSV: {reason}")]) from None
@@ -186,15 +209,21 @@ def _csv(folder: Path | None, name: Any, known: Sequence[str]) -> dict[str, Any]
     ):
         raise InputError([("file", f"{path} must have a header with some of {', '.join(known)}")])
     if bad := next((line for line, row in enumerate(rows, 2) if len(row) != len(header)), 0):
-        raise InputError([("file", f"{path}, line {bad}: must have {len(header)} values, as the header has")])
-    columns: dict[str, Any] = dict(zip(header, zip(*rows, strict=True), strict=True)) if rows else {}
+        raise InputError(
+            [("file", f"{path}, line {bad}: must have {len(header)} values, as the header has")]
+        )
+    columns: dict[str, Any] = (
+        dict(zip(header, zip(*rows, strict=True), strict=True)) if rows else {}
+    )
     if not rows:
         raise InputError([("file", f"{path} has a header and nothing below it")])
     for key in columns.keys() - {"material"}:
         try:
             columns[key] = [float(value) for value in columns[key]]
         except ValueError as error:
-            raise InputError([("file", f"{path}: the column {key} must hold numbers ({short(error)})")]) from None
+            raise InputError(
+                [("file", f"{path}: the column {key} must hold numbers ({short(error)})")]
+            ) from None
     if columns.pop("grain", None) not in (None, [float(n) for n in range(1, len(rows) + 1)]):
         raise InputError([("file", f"{path}: the column grain must count 1, 2, 3 ...")])
     return columns
@@ -203,7 +232,9 @@ def _csv(folder: Path | None, name: Any, known: Sequence[str]) -> dict[str, Any]
 def _toml(value: Any) -> Any:
     if isinstance(value, Material):
         standard = MATERIALS.get(value.name)
-        return value.name if standard == value else {k: v for k, v in value.given().items() if v != ""}
+        return (
+            value.name if standard == value else {k: v for k, v in value.given().items() if v != ""}
+        )
     if isinstance(value, Impurity | Profile):
         return {k: _toml(v) for k, v in value.given().items() if v is not None}
     if isinstance(value, np.ndarray | tuple):

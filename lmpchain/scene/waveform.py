@@ -65,10 +65,21 @@ class Waveform:
             sine, slope = a * np.sin(w * t), a * w * np.cos(w * t)
             value = (sine, slope, -(w**2) * sine, -(w**2) * slope)[order]
         else:
-            sin, cos, part, slope = np.sin(w * t), np.cos(w * t), np.sin(e * t) ** 2, e * np.sin(2 * e * t)
+            sin, cos, part, slope = (
+                np.sin(w * t),
+                np.cos(w * t),
+                np.sin(e * t) ** 2,
+                e * np.sin(2 * e * t),
+            )
             bend = 2 * e**2 * np.cos(2 * e * t)
-            terms = sin * part, w * cos * part + sin * slope, -(w**2) * sin * part + 2 * w * cos * slope + sin * bend
-            turn = (-(w**2) * cos * part - 3 * w * sin * slope + 3 * cos * bend) * w - 4 * e**2 * sin * slope
+            terms = (
+                sin * part,
+                w * cos * part + sin * slope,
+                -(w**2) * sin * part + 2 * w * cos * slope + sin * bend,
+            )
+            turn = (
+                -(w**2) * cos * part - 3 * w * sin * slope + 3 * cos * bend
+            ) * w - 4 * e**2 * sin * slope
             value = a * (*terms, turn)[order]
         return value if np.isinf(self.end) else np.where(t < self.end, value, 0.0)
 
@@ -93,7 +104,11 @@ class Waveform:
     @property
     def fastest(self) -> float:
         """Highest frequency that a step must resolve, rad/s."""
-        return 1 / self.knot_spacing if self.spline is not None else float(self.omega + 2 * self.envelope)
+        return (
+            1 / self.knot_spacing
+            if self.spline is not None
+            else float(self.omega + 2 * self.envelope)
+        )
 
     @property
     def knot_spacing(self) -> float:
@@ -128,7 +143,10 @@ class Waveform:
         if self.spline is not None:
             return np.inf
         until = min(duration, self.end)
-        return float(abs(self.amplitude) * (1 + 4 * self.omega / (2 * np.pi) * until + (2 if self.envelope else 0)))
+        return float(
+            abs(self.amplitude)
+            * (1 + 4 * self.omega / (2 * np.pi) * until + (2 if self.envelope else 0))
+        )
 
     @property
     def _dense(self) -> Array:

@@ -97,7 +97,9 @@ def simulate(
     task = Task(scene, policy, tolerance, on_miss == "warn")
     if folder is None:
         if max_wall is not None:
-            raise InputError([("max_wall", "goes with a run folder, which keeps what is done; name one")])
+            raise InputError(
+                [("max_wall", "goes with a run folder, which keeps what is done; name one")]
+            )
         return _judged(task, *_answer(task, _Memory(task), progress))
     from .run_folder import RunFolder
     from .signals import Requests
@@ -114,7 +116,11 @@ def check_on_miss(on_miss: Any) -> None:
 
 
 def resume(
-    folder: str | PathLike[str], *, max_wall: float | None = None, progress: bool = False, ranks: int | None = None
+    folder: str | PathLike[str],
+    *,
+    max_wall: float | None = None,
+    progress: bool = False,
+    ranks: int | None = None,
 ) -> Trajectory:
     """Go on with a run in a folder, and end with the same bits as if nothing had stopped it.
 
@@ -152,13 +158,17 @@ def resume(
     return _judged(output.task, *answer)
 
 
-def _answer(task: Task, output: _Memory | RunFolder, progress: bool) -> tuple[Trajectory, Outcome[Any]]:
+def _answer(
+    task: Task, output: _Memory | RunFolder, progress: bool
+) -> tuple[Trajectory, Outcome[Any]]:
     """Do what is left to do of a task."""
     policy, scene = task.policy, task.scene
     attempt = output.attempt or policy.first(scene, task.tolerance, task.best_effort)
     with output.requests:
         while True:
-            outcome, gathered = _solve(task, output.prepare(policy.engine(attempt)), attempt, output, progress)
+            outcome, gathered = _solve(
+                task, output.prepare(policy.engine(attempt)), attempt, output, progress
+            )
             try:
                 following = policy.fallback(scene, outcome.attempt, outcome.error)
             except ToleranceNotMet as refusal:
@@ -233,7 +243,10 @@ def _in_whole(blocks: Iterator[Block], cone: LightCone | None) -> Iterator[Block
     if cone is None:
         return blocks
     rows, columns = cone.rows, cone.columns
-    return (Block(each.samples, each.displacement[:, :, rows], each.velocity[:, :, rows], columns) for each in blocks)
+    return (
+        Block(each.samples, each.displacement[:, :, rows], each.velocity[:, :, rows], columns)
+        for each in blocks
+    )
 
 
 def _judged(task: Task, trajectory: Trajectory, outcome: Outcome[Any]) -> Trajectory:
@@ -244,7 +257,10 @@ def _judged(task: Task, trajectory: Trajectory, outcome: Outcome[Any]) -> Trajec
     if model > task.tolerance:
         most = f" (at most {bound:.2g})" if bound > model else ""
         left_out = f"Eq. ({trajectory.equation}) leaves out about {model:.2g} of the answer{most}"
-        warnings.warn(f"{left_out}, more than {task.tolerance:g}. {outcome.error.remark}".rstrip(". "), stacklevel=3)
+        warnings.warn(
+            f"{left_out}, more than {task.tolerance:g}. {outcome.error.remark}".rstrip(". "),
+            stacklevel=3,
+        )
     if outcome.missed and not task.best_effort:
         raise ToleranceNotMet(outcome.missed, trajectory)
     if outcome.missed:
@@ -275,7 +291,9 @@ class _Memory:
         """Return displacement and velocity, (T, G) m and m/s."""
         scene, u, v = self._task.scene, NOTHING, NOTHING
         for block in blocks:
-            if block.displacement.shape[1] == scene.samples and block.columns == slice(None):  # all at once
+            if block.displacement.shape[1] == scene.samples and block.columns == slice(
+                None
+            ):  # all at once
                 u, v = block.displacement[0], block.velocity[0]
                 continue
             if not u.size:
@@ -284,13 +302,17 @@ class _Memory:
                     u, v = (_zeros(shape, block.displacement.shape[2]) for _ in range(2))
                 except (MemoryError, ValueError, OSError):
                     need = f"{16e-9 * shape[0] * shape[1]:.3g} GB do not fit"
-                    cure = "record fewer samples or grains, or let a run folder hold them on the disk"
+                    cure = (
+                        "record fewer samples or grains, or let a run folder hold them on the disk"
+                    )
                     raise InputError([("samples", f"{need}: {cure}")]) from None
             u[block.samples, block.columns] = block.displacement[0]
             v[block.samples, block.columns] = block.velocity[0]
         return u, v
 
-    def finish(self, outcome: Outcome[tuple[Array, Array]], gathered: dict[str, Array]) -> Trajectory:
+    def finish(
+        self, outcome: Outcome[tuple[Array, Array]], gathered: dict[str, Array]
+    ) -> Trajectory:
         """Return the answer."""
         scene, engine = self._task.scene, self._engine
         displacement, velocity = outcome.collected

@@ -33,7 +33,11 @@ def calibrate() -> tuple[Path, float]:
     OSError
         If it cannot be kept; it is used in this process all the same.
     """
-    timed = [engine for engine in map(engines.get, engines.automatic()) if not engine.refuses(_scene(*SMALL))]
+    timed = [
+        engine
+        for engine in map(engines.get, engines.automatic())
+        if not engine.refuses(_scene(*SMALL))
+    ]
     for engine in timed:
         _timed(engine, *SMALL)  # compiles and imports
     began = time.perf_counter()
@@ -41,7 +45,10 @@ def calibrate() -> tuple[Path, float]:
     for engine in timed:
         (short, light), (long, heavy) = (_timed(engine, *size) for size in (SMALL, LARGE))
         slowness = max((long - short) / (heavy - light), 2 / PLAUSIBLE)
-        speeds[engine.name] = max(short - slowness * light, 2 * engine.start_up_s / PLAUSIBLE), slowness
+        speeds[engine.name] = (
+            max(short - slowness * light, 2 * engine.start_up_s / PLAUSIBLE),
+            slowness,
+        )
     took = time.perf_counter() - began
     known = dict(measured()) | speeds
     path = cache_file()
@@ -49,7 +56,10 @@ def calibrate() -> tuple[Path, float]:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as aside:
-            aside.write_text(json.dumps({"host": platform.node(), "engines": known}, indent=2) + "\n", encoding="utf-8")
+            aside.write_text(
+                json.dumps({"host": platform.node(), "engines": known}, indent=2) + "\n",
+                encoding="utf-8",
+            )
     finally:
         measured.cache_clear()
     return path, took
@@ -57,7 +67,12 @@ def calibrate() -> tuple[Path, float]:
 
 def _scene(grains: int, periods: int) -> Scene:
     chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-3)
-    return Scene(chain=chain, excitation=Impulse(velocity=1e-12), duration=periods * 10 * chain.time_scale, samples=11)
+    return Scene(
+        chain=chain,
+        excitation=Impulse(velocity=1e-12),
+        duration=periods * 10 * chain.time_scale,
+        samples=11,
+    )
 
 
 def _timed(engine: Engine, grains: int, periods: int) -> tuple[float, float]:

@@ -48,7 +48,11 @@ def load(folder: Path) -> Iterator[Checkpoint | None]:
     for path in (folder / name for name in NAMES):
         if path.exists():
             content = memoryview(path.read_bytes())
-            kept = _unpack(content[LENGTH:]) if HASH(content[LENGTH:]).digest() == content[:LENGTH] else None
+            kept = (
+                _unpack(content[LENGTH:])
+                if HASH(content[LENGTH:]).digest() == content[:LENGTH]
+                else None
+            )
             if kept is None:
                 path.unlink()
             yield kept
@@ -58,7 +62,11 @@ def _unpack(content: memoryview) -> Checkpoint | None:
     try:
         arrays = unpack(content)
         notes = json.loads(str(arrays["notes"]))
-        state = {name.removeprefix(STATE): values for name, values in arrays.items() if name.startswith(STATE)}
+        state = {
+            name.removeprefix(STATE): values
+            for name, values in arrays.items()
+            if name.startswith(STATE)
+        }
         return Checkpoint(dict(notes), state)
     except Exception:  # whatever it is, it is no checkpoint, though it bears its hash
         return None

@@ -17,11 +17,26 @@ from ..trajectory.between.derivatives import KINK
 from ..trajectory.between.hermite import FLAT
 from ..util.arrays import EPSILON, Array
 
-FRACTION = 0.5  # of the largest speed of a grain that the front has at least, as in measure.front.track
-DROPPED = 0.8  # of that: a maximum that is below this is no front, whatever the error of a useful answer
+FRACTION = (
+    0.5  # of the largest speed of a grain that the front has at least, as in measure.front.track
+)
+DROPPED = (
+    0.8  # of that: a maximum that is below this is no front, whatever the error of a useful answer
+)
 ROUNDED = 4  # last digits of a force that its power may cost
 PEAK, TRACE = OF_CONTACTS
-KEPT = ("fast", "far", "record", "log", "closest", "trace", "largest", "before", "interval", "start")
+KEPT = (
+    "fast",
+    "far",
+    "record",
+    "log",
+    "closest",
+    "trace",
+    "largest",
+    "before",
+    "interval",
+    "start",
+)
 
 
 class Gatherer:
@@ -41,14 +56,18 @@ class Gatherer:
         Empty, or what `state` returned.
     """
 
-    def __init__(self, scene: Scene, part: Scene, first: int, linear: bool, kept: Mapping[str, Array]):
+    def __init__(
+        self, scene: Scene, part: Scene, first: int, linear: bool, kept: Mapping[str, Array]
+    ):
         self._scene, self._part, self._first = scene, part, first
         self._final, self._step = part.samples - 1, part.duration / (part.samples - 1)
         chain, asked = part.chain, scene.quantities
         size = chain.grains
         self._contacts = {kind: _numbers(scene, kind) for kind in OF_CONTACTS}
         places = {kind: numbers - first for kind, numbers in self._contacts.items()}
-        self._inside = {kind: (numbers >= 0) & (numbers <= size) for kind, numbers in places.items()}
+        self._inside = {
+            kind: (numbers >= 0) & (numbers <= size) for kind, numbers in places.items()
+        }
         self._numbers = places[PEAK][self._inside[PEAK]]
         self._traced = places[TRACE][self._inside[TRACE]]
         fronts = "arrival_time" in asked
@@ -64,15 +83,24 @@ class Gatherer:
             "interval": np.zeros((), dtype=np.int64),
             "start": np.zeros(size if fronts else 0),
         }
-        self._kept: dict[str, Any] = {name: np.array(kept.get(name, values)) for name, values in new.items()}
-        if any(self._kept[name].shape != new[name].shape for name in KEPT if name not in ("log", "before")):
+        self._kept: dict[str, Any] = {
+            name: np.array(kept.get(name, values)) for name, values in new.items()
+        }
+        if any(
+            self._kept[name].shape != new[name].shape
+            for name in KEPT
+            if name not in ("log", "before")
+        ):
             raise ValueError("the state that was kept does not fit")
         contacts, inverse_mass = chain.contacts, 1 / chain.masses
         inverse_mass[chain.movable :] = 0.0
         loose = np.where(linear & (chain.exponent > 1.0), 0.0, contacts.constant)
         pressed = contacts.pressed
         length = 1 / np.where(pressed, contacts.overlap, 1.0)
-        self._law = np.array([length, np.where(pressed, contacts.force, loose), pressed]), inverse_mass
+        self._law = (
+            np.array([length, np.where(pressed, contacts.force, loose), pressed]),
+            inverse_mass,
+        )
         self._force = chain.exponent, linear
 
     def take(self, first: int, u: Array, v: Array) -> None:
@@ -98,12 +126,16 @@ class Gatherer:
             if begin < end:
                 left = self._fronts(log[:logged])
                 logged = len(left)
-                log = np.concatenate([left, np.empty((logged + (kernel.PARTS + 1) * u.shape[1], 1 + kernel.ROWS))])
+                log = np.concatenate(
+                    [left, np.empty((logged + (kernel.PARTS + 1) * u.shape[1], 1 + kernel.ROWS))]
+                )
         kept["log"], kept["interval"] = log[:logged].copy(), np.array(begin)
         kept["before"] = np.array([rows_u[-3:], rows_v[-3:]])
         kept["largest"] = np.maximum(kept["largest"], [np.abs(u).max(), np.abs(v).max()])
         for row, number in zip(kept["trace"], self._traced, strict=True):
-            row[first : last + 1] = self._closer(rows_u[-count:], forces.wall[0, -count:], int(number))
+            row[first : last + 1] = self._closer(
+                rows_u[-count:], forces.wall[0, -count:], int(number)
+            )
 
     def _begin(self, u: Array, v: Array) -> None:
         """Start from the motion at t = 0."""
@@ -114,7 +146,9 @@ class Gatherer:
             kept["start"][:] = np.abs(v)
             kept["record"][[kernel.TOP, kernel.SINCE]] = np.abs(v)
         wall = self._forces(0, 1).wall[0]
-        kept["closest"][:] = [float(self._closer(u[None], wall, int(number))[0]) for number in self._numbers]
+        kept["closest"][:] = [
+            float(self._closer(u[None], wall, int(number))[0]) for number in self._numbers
+        ]
 
     @staticmethod
     def _closer(u: Array, wall: Array, number: int) -> Array:
@@ -138,7 +172,9 @@ class Gatherer:
                 imposed = given[:2]
             corner = np.diff(np.searchsorted(wave.corners, time, side="right")) > 0
             jump, kink = np.abs(np.diff(imposed))
-            given[2, :-1] = np.where(corner, KINK * self._step * kink + (0.0 if wave.spline else jump), 0.0)
+            given[2, :-1] = np.where(
+                corner, KINK * self._step * kink + (0.0 if wave.spline else jump), 0.0
+            )
         return kernel.Forces(*self._law, *self._force, wall, given, pushed, driven)
 
     def _fronts(self, log: Array) -> Array:
@@ -155,21 +191,34 @@ class Gatherer:
         part, kept, found = self._part, self._kept, dict[str, Array]()
         more = 1 / math.cos(part.highest_frequency * self._step / 2)
         known = error * np.maximum(more * kept["largest"], part.imposed)
-        values = {"peak_displacement": (kept["far"], known[0]), "peak_velocity": (kept["fast"], known[1])}
+        values = {
+            "peak_displacement": (kept["far"], known[0]),
+            "peak_velocity": (kept["fast"], known[1]),
+        }
         for name in self._scene.quantities:
             if name in values:
-                found[name], found[f"{name}_error"] = self._of_recorded(*_within(*values[name]), at_rest=0.0)
+                found[name], found[f"{name}_error"] = self._of_recorded(
+                    *_within(*values[name]), at_rest=0.0
+                )
             elif name == "arrival_time":
-                found[name], found[f"{name}_error"] = self._of_recorded(*self._arrivals(known[1]), at_rest=np.nan)
+                found[name], found[f"{name}_error"] = self._of_recorded(
+                    *self._arrivals(known[1]), at_rest=np.nan
+                )
         for name, number in self._scene.contacts.items():
             kind = name.partition(":")[0]
             row = np.flatnonzero(self._contacts[kind][self._inside[kind]] == number)
             if kind == PEAK:
-                closer, off = _within(kept["closest"][:, row], 2 * known[0]) if row.size else np.zeros((2, 1))
-                found[name], found[f"{name}_error"] = (values[0] for values in self._pushes(number, closer, off))
+                closer, off = (
+                    _within(kept["closest"][:, row], 2 * known[0]) if row.size else np.zeros((2, 1))
+                )
+                found[name], found[f"{name}_error"] = (
+                    values[0] for values in self._pushes(number, closer, off)
+                )
             else:
                 closer = kept["trace"][row[0]] if row.size else np.zeros(part.samples)
-                found[name], found[f"{name}_error"] = self._pushes(number, closer, 2 * known[0] * bool(row.size))
+                found[name], found[f"{name}_error"] = self._pushes(
+                    number, closer, 2 * known[0] * bool(row.size)
+                )
                 found["fine_time"] = part.time
         return found
 
@@ -182,7 +231,9 @@ class Gatherer:
     def _pushes(self, number: int, closer: Array, off: Array | float) -> tuple[Array, Array]:
         """Return forces of a contact that is closer than at rest by this, m, and their errors, N."""
         contact = self._scene.chain.contacts.of(np.array([number]))
-        less, force, most = (contact.force_at(contact.overlap + r) for r in (closer - off, closer, closer + off))
+        less, force, most = (
+            contact.force_at(contact.overlap + r) for r in (closer - off, closer, closer + off)
+        )
         return force, np.maximum(most - force, force - less) + ROUNDED * EPSILON * force
 
     def _arrivals(self, known: float) -> tuple[Array, Array]:
@@ -203,14 +254,18 @@ class Gatherer:
             some[grains], which[grains] = True, there[place]
             return some, which
 
-        seen, which = first(FRACTION * value, known + off)  # else a polynomial may turn where nothing does
+        seen, which = first(
+            FRACTION * value, known + off
+        )  # else a polynomial may turn where nothing does
         seen &= (value > known) & (value >= sys.float_info.min) & (kept["start"] < FRACTION * value)
         time, about = when[which], off[which] + known
         swift, step = self._part.highest_frequency * known, self._step
         with np.errstate(divide="ignore", invalid="ignore"):
             # where a grain flies freely, or nearly so, it is of that size for long
             flat = np.maximum(until - when, step) + swift * step**2 / (FLAT * top)
-            spread = np.where(bend > 0.0, (tilt + swift) / bend, np.minimum(flat, self._part.duration))
+            spread = np.where(
+                bend > 0.0, (tilt + swift) / bend, np.minimum(flat, self._part.duration)
+            )
         # which other maxima it may be, if values are off by their errors
         sooner, one = first(FRACTION * (low - known) - about, 0.0)
         surely, other = first(FRACTION * (high + known) + about, known + 2 * about[of])
@@ -222,7 +277,10 @@ class Gatherer:
 
 def _numbers(scene: Scene, kind: str) -> NDArray[np.intp]:
     """Return the contacts of which this is gathered, in the order in which they are asked for."""
-    return np.array([number for name, number in scene.contacts.items() if name.partition(":")[0] == kind], dtype=int)
+    return np.array(
+        [number for name, number in scene.contacts.items() if name.partition(":")[0] == kind],
+        dtype=int,
+    )
 
 
 def _bounds(tops: Array) -> tuple[Array, Array, Array]:

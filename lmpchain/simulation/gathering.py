@@ -32,10 +32,17 @@ class GatheringRun(Run):
     """
 
     def __init__(
-        self, run: Run, engine: Engine, scenes: Sequence[Scene], parts: Sequence[Scene], state: Mapping[str, Array]
+        self,
+        run: Run,
+        engine: Engine,
+        scenes: Sequence[Scene],
+        parts: Sequence[Scene],
+        state: Mapping[str, Array],
     ):
         self._run, scene, part = run, scenes[0], parts[0]
-        cone = scene.fine.light_cone if part is not scene.fine else None  # a batch computes the whole
+        cone = (
+            scene.fine.light_cone if part is not scene.fine else None
+        )  # a batch computes the whole
         columns = cone.columns if cone else slice(0, None)
         first = columns.start if isinstance(columns, slice) else int(columns[0])
         kept: list[dict[str, Array]] = [{} for _ in scenes]
@@ -45,18 +52,25 @@ class GatheringRun(Run):
                 kept[int(real)][name] = values
         linear = engine.equation == 3
         self.gatherers = [
-            Gatherer(asked, part, first, linear, old) for asked, part, old in zip(scenes, parts, kept, strict=True)
+            Gatherer(asked, part, first, linear, old)
+            for asked, part, old in zip(scenes, parts, kept, strict=True)
         ]
-        inside = np.flatnonzero((scene.recorded > first) & (scene.recorded <= first + part.chain.grains))
+        inside = np.flatnonzero(
+            (scene.recorded > first) & (scene.recorded <= first + part.chain.grains)
+        )
         self._rows, self._columns = as_slice(scene.recorded[inside] - 1 - first), as_slice(inside)
         self._every = scene.finer
 
     def blocks(self) -> Iterator[Block]:
         """Yield the samples of the answer."""
         for block in self._run.blocks():
-            for gatherer, u, v in zip(self.gatherers, block.displacement, block.velocity, strict=True):
+            for gatherer, u, v in zip(
+                self.gatherers, block.displacement, block.velocity, strict=True
+            ):
                 gatherer.take(block.samples.start, u, v)
-            first, stop = (-(-sample // self._every) for sample in (block.samples.start, block.samples.stop))
+            first, stop = (
+                -(-sample // self._every) for sample in (block.samples.start, block.samples.stop)
+            )
             kept = slice(first * self._every - block.samples.start, None, self._every)
             u, v = (field[:, kept, self._rows] for field in (block.displacement, block.velocity))
             resumable = block.samples.stop > block.samples.start
@@ -84,7 +98,9 @@ class GatheringRun(Run):
 
     def found(self, errors: Sequence[float]) -> list[dict[str, Array]]:
         """Return what was gathered of every realisation, and its errors, for relative errors of the answers."""
-        return [gatherer.found(error) for gatherer, error in zip(self.gatherers, errors, strict=True)]
+        return [
+            gatherer.found(error) for gatherer, error in zip(self.gatherers, errors, strict=True)
+        ]
 
     def close(self) -> None:
         """Release everything."""

@@ -19,7 +19,9 @@ from .api import check_on_miss, simulate
 from .gathering import GatheringRun
 from .policy import policy_for, record
 
-BATCH_NUMBERS = 2**18  # samples x grains of the scenes of a batch, which then stay in the cache of a processor
+BATCH_NUMBERS = (
+    2**18
+)  # samples x grains of the scenes of a batch, which then stay in the cache of a processor
 
 
 def simulate_many(
@@ -108,7 +110,9 @@ def in_batches(
     for name, scene in made.items():
         with suppress(LmpchainError):
             attempt = first_attempt(engine, engine.part(scene), tolerance)
-            if 2 * attempt.candidate.active_grains >= scene.chain.grains:  # else the light cone saves more than a batch
+            if (
+                2 * attempt.candidate.active_grains >= scene.chain.grains
+            ):  # else the light cone saves more than a batch
                 attempts[name] = attempt
     while attempts:
         groups: dict[Any, list[int]] = {}
@@ -118,7 +122,12 @@ def in_batches(
         before, attempts = attempts, {}
         for names in _pieces(made, groups.values()):
             try:
-                judged = _together(engine, [made[name] for name in names], [before[name] for name in names], tolerance)
+                judged = _together(
+                    engine,
+                    [made[name] for name in names],
+                    [before[name] for name in names],
+                    tolerance,
+                )
             except RunFailed:  # one of them; alone it will show which
                 continue
             for name, (found, following, missed) in zip(names, judged, strict=True):
@@ -151,11 +160,17 @@ def _together(
         run.close()
     fields = [block.displacement for block in blocks], [block.velocity for block in blocks]
     u, v = (parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1) for parts in fields)
-    found = run.found([error.total for error in errors]) if isinstance(run, GatheringRun) else [{} for _ in scenes]
+    found = (
+        run.found([error.total for error in errors])
+        if isinstance(run, GatheringRun)
+        else [{} for _ in scenes]
+    )
     estimate_s = whole.estimate_s + sum(attempt.spent_s for attempt in attempts)
     setup_s = whole.setup_s + sum(attempt.planned_s for attempt in attempts)
     share = whole._replace(
-        integration_s=whole.integration_s / size, estimate_s=estimate_s / size, setup_s=setup_s / size
+        integration_s=whole.integration_s / size,
+        estimate_s=estimate_s / size,
+        setup_s=setup_s / size,
     )
     about = record(engine, first, candidate, tolerance)
     time, grains, told = first.time, first.recorded, []

@@ -57,7 +57,9 @@ class Plan(Shown):
         return "\n".join([*aligned(self._summary()), f"{self.engine} {self.why}"])
 
     def _fields(self) -> Iterator[tuple[str, Any]]:
-        yield from ((key, value) for key, value in super()._fields() if key not in ("why", "candidates"))
+        yield from (
+            (key, value) for key, value in super()._fields() if key not in ("why", "candidates")
+        )
 
     def _summary(self) -> Iterator[Sequence[str]]:
         yield HEAD
@@ -72,15 +74,30 @@ class Plan(Shown):
         from matplotlib.ticker import EngFormatter
 
         ax = axes_in_units(ax, "s", "")
-        ax.axhline(self.tolerance, color="0.4", lw=1, ls="--", label=f"tolerance {self.tolerance:g}")
+        ax.axhline(
+            self.tolerance, color="0.4", lw=1, ls="--", label=f"tolerance {self.tolerance:g}"
+        )
         for proposal in self.candidates:
             error = max(proposal.model_error + proposal.solver_error, LOWEST)
             if np.isfinite([error, proposal.cost_s]).all():
-                colour, marker = COLOURS.get(proposal.engine, "k"), MARKERS.get(proposal.engine, "x")
+                colour, marker = (
+                    COLOURS.get(proposal.engine, "k"),
+                    MARKERS.get(proposal.engine, "x"),
+                )
                 inside, said = (colour, "") if proposal.kept else ("none", ", dropped")
                 label = f"{proposal.engine}{said}"
-                ax.plot(proposal.cost_s, error, marker, color=colour, mfc=inside, ls="none", label=label)
-        ax.plot(self.expected_cost_s, max(self.expected_error, LOWEST), "o", ms=15, mfc="none", mec="k", label="taken")
+                ax.plot(
+                    proposal.cost_s, error, marker, color=colour, mfc=inside, ls="none", label=label
+                )
+        ax.plot(
+            self.expected_cost_s,
+            max(self.expected_error, LOWEST),
+            "o",
+            ms=15,
+            mfc="none",
+            mec="k",
+            label="taken",
+        )
         ax.set(xscale="log", yscale="log", xlabel="expected cost", ylabel="expected error, at most")
         ax.xaxis.set_major_formatter(EngFormatter("s"))
         ax.xaxis.set_minor_formatter("")

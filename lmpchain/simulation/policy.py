@@ -112,7 +112,9 @@ class Auto:
             attempt, _, refusal = loosened(choose, tolerance)
         else:
             attempt = choose(tolerance)
-        return attempt._replace(refusal=refusal, planned_s=clock() - began, compiled_s=compiled_s() - compiled)
+        return attempt._replace(
+            refusal=refusal, planned_s=clock() - began, compiled_s=compiled_s() - compiled
+        )
 
     def engine(self, attempt: Attempt) -> Engine:
         """Return the engine that was chosen."""
@@ -126,10 +128,14 @@ class Auto:
         began = clock()
         left_out = f"Eq. ({before.equation}) leaves out up to {max(error.model, error.model_bound):.1g} of the answer"
         left_out = f"{left_out}, {error.remark}" if error.remark else left_out
-        exact = [proposal for proposal in propose_all(scene, tolerance) if proposal.equation in (1, None)]
+        exact = [
+            proposal for proposal in propose_all(scene, tolerance) if proposal.equation in (1, None)
+        ]
         if not any(proposal.kept for proposal in exact):
             why = "; ".join(f"{proposal.engine}: {proposal.why}" for proposal in exact)
-            raise ToleranceNotMet(f"{left_out}, with the tolerance of {tolerance:.2g} exceeded; {why}")
+            raise ToleranceNotMet(
+                f"{left_out}, with the tolerance of {tolerance:.2g} exceeded; {why}"
+            )
         best = cheapest(exact)
         planned = f"the bound before the run was {attempt.candidate.model_error:.1g}"
         told = f"{left_out} along the run of {before.name}, {planned}: run again with {best.engine}, Eq. (1)"
@@ -170,4 +176,9 @@ def policy_for(engine: str | Engine, **options: Any) -> Policy:
 def record(engine: Engine, scene: Scene, candidate: Candidate, tolerance: float) -> dict[str, str]:
     """Return what shaped an answer, for the record: versions, choices, and what the engine says."""
     asked = "none, for a step was given" if engine.step else f"{tolerance:g}"
-    return {**versions(), "tolerance": asked, **candidate.choices, **engine.describe(scene, candidate)}
+    return {
+        **versions(),
+        "tolerance": asked,
+        **candidate.choices,
+        **engine.describe(scene, candidate),
+    }

@@ -66,7 +66,11 @@ def status(folder: str | PathLike[str]) -> dict[str, Any]:
     path = tasks.check_run(folder) / STATUS
     try:
         said = json.loads(path.read_text(encoding="utf-8"))
-        if said["state"] not in STATES or not 0 < said["tolerance"] < 1 or not isinstance(said["reason"], str):
+        if (
+            said["state"] not in STATES
+            or not 0 < said["tolerance"] < 1
+            or not isinstance(said["reason"], str)
+        ):
             raise ValueError("it does not say how the run stands")
         said |= {"best_effort": bool(said["best_effort"])}
     except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
@@ -79,7 +83,9 @@ def _killed(path: Path) -> dict[str, str]:
     with suppress(OSError):  # perhaps it may be read only
         if lock := _lock(path.parent):
             try:
-                state = json.loads(path.read_text(encoding="utf-8"))["state"]  # it may have come to its end just now
+                state = json.loads(path.read_text(encoding="utf-8"))[
+                    "state"
+                ]  # it may have come to its end just now
             finally:
                 lock.release()
             if state == "running":
@@ -116,7 +122,11 @@ class RunFolder:
     task: Task
 
     def __init__(
-        self, folder: str | PathLike[str], requests: Requests, task: Task | None = None, ranks: int | None = None
+        self,
+        folder: str | PathLike[str],
+        requests: Requests,
+        task: Task | None = None,
+        ranks: int | None = None,
     ):
         self._ranks = ranks
         self.name, self.path, self.requests, self._new = str(folder), Path(folder), requests, task
@@ -135,7 +145,10 @@ class RunFolder:
             tasks.check_run(self.path)
         self._lock = self._locked()
         try:
-            for left in (*self.path.rglob(".*.partial*"), *(self.path / store.NAME).rglob("*.partial")):  # by a kill
+            for left in (
+                *self.path.rglob(".*.partial*"),
+                *(self.path / store.NAME).rglob("*.partial"),
+            ):  # by a kill
                 left.unlink()
             if self._new:
                 self.task = self._new
@@ -145,9 +158,13 @@ class RunFolder:
             else:
                 self.task = tasks.read(self.path, self._ranks)
                 self._find()
-                with suppress(InputError, LookupError):  # what the sessions before did after their last checkpoint
+                with suppress(
+                    InputError, LookupError
+                ):  # what the sessions before did after their last checkpoint
                     wall_s = float(status(self.path)["wall_s"])
-                    self._before["wall_s"] = max(self._before["wall_s"], wall_s if math.isfinite(wall_s) else 0.0)
+                    self._before["wall_s"] = max(
+                        self._before["wall_s"], wall_s if math.isfinite(wall_s) else 0.0
+                    )
                 self._say("running")
         except BaseException:
             self._lock.release()
@@ -168,7 +185,9 @@ class RunFolder:
         """Find the newest checkpoint that is whole, and whose samples are there."""
         lost = False
         for checkpoint in checkpoints.load(self.path):
-            if checkpoint and store.usable(self.path, self.task.scene, checkpoint.notes.get("samples")):
+            if checkpoint and store.usable(
+                self.path, self.task.scene, checkpoint.notes.get("samples")
+            ):
                 notes, self._state = checkpoint
                 self.attempt = _attempt(notes, self._before)
                 self.samples, self._before = notes["samples"], notes["spent"]
@@ -176,24 +195,38 @@ class RunFolder:
             lost = True
         if lost:
             where = f"the one before, at sample {self.samples}" if self.attempt else "the start"
-            warnings.warn(f"{self.name}: the newest checkpoint is damaged; going on from {where}", stacklevel=2)
+            warnings.warn(
+                f"{self.name}: the newest checkpoint is damaged; going on from {where}",
+                stacklevel=2,
+            )
 
     def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
-        if isinstance(error, InputError) and self._new and not self.samples:  # no run that could be gone on with
+        if (
+            isinstance(error, InputError) and self._new and not self.samples
+        ):  # no run that could be gone on with
             shutil.rmtree(self.path, ignore_errors=True)
         elif error:
             stopped = isinstance(error, Stopped) or not isinstance(error, Exception)
             with suppress(OSError):  # the disk may be full
-                self._say("stopped" if stopped else "failed", str(error) or self.requests.reason or "interrupted")
+                self._say(
+                    "stopped" if stopped else "failed",
+                    str(error) or self.requests.reason or "interrupted",
+                )
         self._lock.release()
         self.requests.pass_on()
         if isinstance(error, OSError | EngineUnavailable):
             what = str(error)
             if isinstance(error, OSError):
-                what = f"{error.filename or self.name}: cannot be written: {error.strerror or error}"
-            kept = f"{self.samples} of {self.task.scene.samples} samples were done and most are kept"
+                what = (
+                    f"{error.filename or self.name}: cannot be written: {error.strerror or error}"
+                )
+            kept = (
+                f"{self.samples} of {self.task.scene.samples} samples were done and most are kept"
+            )
             kind = type(error) if isinstance(error, LmpchainError) else LmpchainError
-            raise kind(f"{what}; {kept}; when that is put right, {resume_command(self.name)} goes on") from error
+            raise kind(
+                f"{what}; {kept}; when that is put right, {resume_command(self.name)} goes on"
+            ) from error
 
     def prepare(self, engine: Engine) -> Engine:
         """Return the engine that answers, which writes what it says on the way into this folder."""
@@ -206,7 +239,9 @@ class RunFolder:
         self.attempt = attempt
         if not state:
             self.samples, self._before = 0, self._before | dict.fromkeys(SPENT, 0.0)
-            for _ in checkpoints.NAMES:  # both: none may tell of the attempt before, whose samples go
+            for (
+                _
+            ) in checkpoints.NAMES:  # both: none may tell of the attempt before, whose samples go
                 checkpoints.save(self.path, self._notes(self._before), {})
             engine, scene = self._engine, self.task.scene
             choices = record(engine, scene, attempt.candidate, self.task.tolerance)
@@ -255,7 +290,11 @@ class RunFolder:
         attempt, candidate = self.attempt._asdict(), self.attempt.candidate._asdict()
         if sharper := self.attempt.candidate.sharper:
             candidate["sharper"] = asdict(sharper)
-        return {"attempt": attempt | {"candidate": candidate}, "samples": self.samples, "spent": spent}
+        return {
+            "attempt": attempt | {"candidate": candidate},
+            "samples": self.samples,
+            "spent": spent,
+        }
 
     def _spent(self, cost: Cost) -> dict[str, float]:
         """Return what all sessions have spent on this attempt, s; on the wall, on all of them."""
@@ -272,7 +311,9 @@ class RunFolder:
             gathered,
         )
         with replacing(self.path / SUMS) as aside:
-            aside.write_text(checksums(self.path, {STATUS, SUMS, *checkpoints.NAMES}), encoding="utf-8")
+            aside.write_text(
+                checksums(self.path, {STATUS, SUMS, *checkpoints.NAMES}), encoding="utf-8"
+            )
         self._say("finished", outcome.missed)
         return Trajectory.load(self.path)
 
@@ -288,7 +329,9 @@ class RunFolder:
             "step_s": attempt.candidate.step if attempt else None,
             "tolerance": self.task.tolerance,
             "best_effort": self.task.best_effort,
-            "error_estimate": self._estimate if self._estimate is not None and math.isfinite(self._estimate) else None,
+            "error_estimate": self._estimate
+            if self._estimate is not None and math.isfinite(self._estimate)
+            else None,
             "wall_s": self._before["wall_s"] + time.monotonic() - self._began,
             "updated": now(),
             "host": platform.node(),
@@ -304,8 +347,15 @@ def _attempt(notes: Mapping[str, Any], spent: Mapping[str, float]) -> Attempt:
 
     try:
         attempt = TypeAdapter(Attempt).validate_json(json.dumps(notes["attempt"]))
-        candidate, known = attempt.candidate, dict(TypeAdapter(dict[str, float]).validate_python(notes["spent"]))
-        if not (0 < candidate.step < math.inf and candidate.steps_per_landing > 0 and 0 < attempt.tolerance < 1):
+        candidate, known = (
+            attempt.candidate,
+            dict(TypeAdapter(dict[str, float]).validate_python(notes["spent"])),
+        )
+        if not (
+            0 < candidate.step < math.inf
+            and candidate.steps_per_landing > 0
+            and 0 < attempt.tolerance < 1
+        ):
             raise ValueError("it has no steps")
         same = candidate._asdict().keys() == notes["attempt"]["candidate"].keys()
         if not same or known.keys() != spent.keys() or attempt.engine not in engines.names():
@@ -315,6 +365,11 @@ def _attempt(notes: Mapping[str, Any], spent: Mapping[str, float]) -> Attempt:
     except (ValidationError, TypeError, ValueError, LookupError):
         cure = "go on with that one, or run the scene anew"
         raise InputError(
-            [("checkpoint", f"was written by a version of lmpchain that this one does not know: {cure}")]
+            [
+                (
+                    "checkpoint",
+                    f"was written by a version of lmpchain that this one does not know: {cure}",
+                )
+            ]
         ) from None
     return attempt

@@ -16,7 +16,11 @@ from ..errors import InputError, ToleranceNotMet
 from ..scene.scene import Scene
 from ..util.tables import finite
 
-THEORY = {3: "linear theory", 4: "the homogeneous chain", 27: "the continuum"}  # by the equation that it solves
+THEORY = {
+    3: "linear theory",
+    4: "the homogeneous chain",
+    27: "the continuum",
+}  # by the equation that it solves
 # analysis/calibration/linear_model_error.py
 WORTH = 0.8  # a sharper bound, with the answer that it speaks for, must cost less than this part of the cheapest
 AT_ONCE_S = 0.05  # what an estimate that decides nothing may take
@@ -120,8 +124,17 @@ def propose_hopeful(scene: Scene, tolerance: float) -> list[Proposal]:
         if least <= tolerance * ROUNDING:
             asked[name] = engine
         elif not dropped:
-            dropped = [Proposal(name, engine.equation, why=_too_much(engine.equation, scene, least), hopeless=True)]
-    proposals = _weighed(asked, [_ask(engine, scene, tolerance) for engine in asked.values()], scene, tolerance)
+            dropped = [
+                Proposal(
+                    name,
+                    engine.equation,
+                    why=_too_much(engine.equation, scene, least),
+                    hopeless=True,
+                )
+            ]
+    proposals = _weighed(
+        asked, [_ask(engine, scene, tolerance) for engine in asked.values()], scene, tolerance
+    )
     kept = any(proposal.kept for proposal in proposals)
     return [*proposals, *dropped] if kept else propose_all(scene, tolerance)
 
@@ -138,12 +151,16 @@ def propose_all(scene: Scene, tolerance: float) -> list[Proposal]:
     return _weighed(every, proposals, scene, tolerance)
 
 
-def _weighed(every: Mapping[str, Engine], proposals: list[Proposal], scene: Scene, tolerance: float) -> list[Proposal]:
+def _weighed(
+    every: Mapping[str, Engine], proposals: list[Proposal], scene: Scene, tolerance: float
+) -> list[Proposal]:
     """Return proposals with the verdicts on them, after sharper bounds where these pay."""
     while True:
         proposals = [_judge(proposal, scene, tolerance) for proposal in proposals]
         cheapest_s = min(proposal.price_s for proposal in proposals)
-        promising = [proposal for proposal in proposals if _promises(proposal, tolerance, cheapest_s)]
+        promising = [
+            proposal for proposal in proposals if _promises(proposal, tolerance, cheapest_s)
+        ]
         if not promising:
             return proposals
         first = min(promising, key=_price_with_bound)
@@ -151,7 +168,9 @@ def _weighed(every: Mapping[str, Engine], proposals: list[Proposal], scene: Scen
         engine = every[first.engine]
         bound = engine.bound_model_error(engine.part(scene), first.candidate)
         proposals = [
-            proposal._replace(candidate=proposal.candidate._replace(model_error=bound), bounded=True)
+            proposal._replace(
+                candidate=proposal.candidate._replace(model_error=bound), bounded=True
+            )
             if proposal.candidate and proposal.equation == first.equation  # whoever solves it
             else proposal
             for proposal in proposals
@@ -168,7 +187,9 @@ def _ask(engine: Engine, scene: Scene, tolerance: float) -> Proposal:
     except ToleranceNotMet as error:
         return Proposal(name, engine.equation, why=error.reason)
     except InputError as error:
-        return Proposal(name, engine.equation, why="; ".join(f"{key}: {fault}" for key, fault in error.faults))
+        return Proposal(
+            name, engine.equation, why="; ".join(f"{key}: {fault}" for key, fault in error.faults)
+        )
 
 
 def _judge(proposal: Proposal, scene: Scene, tolerance: float) -> Proposal:
@@ -268,7 +289,13 @@ def reason(best: Proposal, proposals: Sequence[Proposal]) -> str:
     """Return why the cheapest proposal is taken."""
     others = [proposal for proposal in proposals if proposal.kept and proposal is not best]
     if others:
-        return f"solves Eq. ({best.equation}), the cheapest of {len(others) + 1} within the tolerance"
-    dropped = (proposal for proposal in proposals if proposal.hopeless or (proposal.candidate and not proposal.kept))
+        return (
+            f"solves Eq. ({best.equation}), the cheapest of {len(others) + 1} within the tolerance"
+        )
+    dropped = (
+        proposal
+        for proposal in proposals
+        if proposal.hopeless or (proposal.candidate and not proposal.kept)
+    )
     simpler = next((proposal.why for proposal in dropped), "")
     return f"solves Eq. ({best.equation}), the only one within the tolerance{'; ' if simpler else ''}{simpler}"

@@ -55,7 +55,9 @@ def is_run(folder: str | PathLike[str]) -> bool:
 def check_run(folder: str | PathLike[str]) -> Path:
     """Return the path of a run folder; raises `InputError` if it is none."""
     if not is_run(folder):
-        raise InputError([(str(folder), "is no run folder; lmpchain run SCENE.toml -o FOLDER/ makes one")])
+        raise InputError(
+            [(str(folder), "is no run folder; lmpchain run SCENE.toml -o FOLDER/ makes one")]
+        )
     try:
         check_tree(Path(folder))
     except OSError as error:
@@ -72,7 +74,9 @@ def check_new(folder: str | PathLike[str]) -> Path:
         cure = f"go on with it, {resume_command(folder)}, or choose another folder"
         raise InputError([(str(folder), f"holds a run already: {cure}")])
     before = {STATUS, RUN, LOCK}  # the scene, by a run that was killed as it began
-    if path.exists() and any(p.name not in before and ".partial" not in p.suffixes for p in path.iterdir()):
+    if path.exists() and any(
+        p.name not in before and ".partial" not in p.suffixes for p in path.iterdir()
+    ):
         raise InputError([(str(folder), "is neither empty nor a run folder; choose another")])
     return path
 
@@ -112,7 +116,14 @@ def check_kept(policy: Policy) -> None:
     if isinstance(policy, Named):
         name, known = policy.name, engines.names()
         if name not in known or type(policy.chosen) is not type(engines.get(name)):
-            raise InputError([("engine", "a run folder knows engines by name only, and this is none of lmpchain's")])
+            raise InputError(
+                [
+                    (
+                        "engine",
+                        "a run folder knows engines by name only, and this is none of lmpchain's",
+                    )
+                ]
+            )
     policy.options()
 
 
@@ -140,15 +151,24 @@ def read(folder: Path, ranks: int | None = None) -> Task:
         if not isinstance(asked["best_effort"], bool) or not isinstance(asked["sessions"], list):
             raise ValueError("they do not say what was asked")
     except (ValueError, LookupError, TypeError, RecursionError) as error:
-        raise InputError([(str(folder), f"its {RUN} or {SCENE} was changed and cannot be read: {error}")]) from None
+        raise InputError(
+            [(str(folder), f"its {RUN} or {SCENE} was changed and cannot be read: {error}")]
+        ) from None
     if ranks is not None and not ranked:
-        raise InputError([("ranks", f"the engine {asked['engine']} runs on one; leave the number of ranks out")])
+        raise InputError(
+            [("ranks", f"the engine {asked['engine']} runs on one; leave the number of ranks out")]
+        )
     if reasons := policy.refuses(scene):
         raise InputError(reasons)
     now = _session(options)
     versions = {name: (now["packages"].get(name), version) for name, version in before.items()}
-    if others := [f"{name} {new}, not {old}" for name, (new, old) in versions.items() if new != old]:
-        warnings.warn(f"the run went so far with other versions, and may now differ: {'; '.join(others)}", stacklevel=2)
+    if others := [
+        f"{name} {new}, not {old}" for name, (new, old) in versions.items() if new != old
+    ]:
+        warnings.warn(
+            f"the run went so far with other versions, and may now differ: {'; '.join(others)}",
+            stacklevel=2,
+        )
     _note(folder, asked | {"sessions": [*asked["sessions"], now]})
     return Task(scene, policy, asked["tolerance"], asked["best_effort"])
 
@@ -156,7 +176,9 @@ def read(folder: Path, ranks: int | None = None) -> Task:
 def _session(options: dict[str, Any]) -> dict[str, Any]:
     """Return what is noted of this session, with its ranks where the engine can use several."""
     world = mpi.joined()
-    return session() | ({"ranks": world.size if world else options["ranks"] or 1} if "ranks" in options else {})
+    return session() | (
+        {"ranks": world.size if world else options["ranks"] or 1} if "ranks" in options else {}
+    )
 
 
 def _note(folder: Path, what: dict[str, Any]) -> None:

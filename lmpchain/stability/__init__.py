@@ -3,5 +3,7 @@
 from ..util.lazy import attributes, listed
 
 __all__ = ["Boundary", "Curve", "Stability", "stability"]
-__getattr__ = attributes(__name__, names={"find": "stability", "result": "Boundary Curve Stability"})
+__getattr__ = attributes(
+    __name__, names={"find": "stability", "result": "Boundary Curve Stability"}
+)
 __dir__ = listed(__name__)

@@ -27,7 +27,11 @@ LONGEST_S = 20.0  # that one measurement may be expected to take
 DIVISIONS = 40.0  # of the fastest oscillation by the step at which energies are compared
 PERIODS = 1000.0  # for which they are
 STRENGTHS = np.logspace(-8, 2, 11)  # of the strike, over its own
-ROUNDINGS = (("native", "physical"), ("lammps", "physical"), ("lammps", "gauge"))  # that differ in round-off
+ROUNDINGS = (
+    ("native", "physical"),
+    ("lammps", "physical"),
+    ("lammps", "gauge"),
+)  # that differ in round-off
 
 
 def stability(scene: Scene, *, progress: bool = False) -> Stability:
@@ -77,7 +81,10 @@ def _parts(scene: Scene) -> Iterator[tuple[str, Callable[[], Iterator[Boundary |
         yield f"energy, {integrator}", partial(_energy, scene, integrator)
     exact = cache(partial(long_double, scene))
     for engine, diameter in ROUNDINGS:
-        yield f"smallest error, {_name(engine, diameter)}", partial(_floor, scene, engine, diameter, exact)
+        yield (
+            f"smallest error, {_name(engine, diameter)}",
+            partial(_floor, scene, engine, diameter, exact),
+        )
     yield "predictable", partial(_predictability, scene)
     yield "linear theory", partial(_linear, scene)
     yield "overlap", partial(_overlap, scene)
@@ -91,7 +98,9 @@ def _step(scene: Scene, engine: str, integrator: str) -> Iterator[Boundary]:
     solver = engines.get(engine, integrator=integrator)
     cost = METHODS[integrator].evaluations * scene.duration / predicted * scene.chain.grains
     affordable = RUNS * cost * solver.seconds_per_grain_step < LONGEST_S
-    measured = blow_up(scene, integrator, engine) if affordable and not solver.refuses(scene) else math.nan
+    measured = (
+        blow_up(scene, integrator, engine) if affordable and not solver.refuses(scene) else math.nan
+    )
     yield Boundary("longest step", f"{engine} {integrator}", "s", predicted, measured)
 
 
@@ -110,13 +119,17 @@ def _energy(scene: Scene, integrator: str) -> Iterator[Curve]:
     yield Curve("energy", integrator, energy.time, np.abs(energy.error))
 
 
-def _floor(scene: Scene, engine: str, diameter: str, exact: Callable[[], tuple[Array, Array]]) -> Iterator[Boundary]:
+def _floor(
+    scene: Scene, engine: str, diameter: str, exact: Callable[[], tuple[Array, Array]]
+) -> Iterator[Boundary]:
     from .roundoff import floor, measured_floor
 
     measured = math.nan
     if not scene.excitation.does_work and not _too_long(scene):
         measured = measured_floor(scene, engine, diameter, exact=exact())
-    yield Boundary("smallest error", _name(engine, diameter), "", floor(scene, engine, diameter), measured)
+    yield Boundary(
+        "smallest error", _name(engine, diameter), "", floor(scene, engine, diameter), measured
+    )
 
 
 def _name(engine: str, diameter: str) -> str:
@@ -133,7 +146,9 @@ def _predictability(scene: Scene) -> Iterator[Boundary | Curve]:
         yield Curve("growth", "", times, apart)
         measured = predictability_time_of(times, apart, TOLERANCE)
     beyond = measured < scene.duration
-    yield Boundary("predictable to 1e-6 until", "any", "s", predicted, measured, scene.duration, beyond)
+    yield Boundary(
+        "predictable to 1e-6 until", "any", "s", predicted, measured, scene.duration, beyond
+    )
 
 
 def _linear(scene: Scene) -> Iterator[Boundary]:
@@ -144,7 +159,12 @@ def _linear(scene: Scene) -> Iterator[Boundary]:
     for error in (0.01, 0.1):
         bound, number = strike_number_where(error, scene), scene.strike_number
         yield Boundary(
-            f"linear theory {100 * error:g} % off at v0*", "Eq. (3)", "", bound, here=number, beyond=number > bound
+            f"linear theory {100 * error:g} % off at v0*",
+            "Eq. (3)",
+            "",
+            bound,
+            here=number,
+            beyond=number > bound,
         )
 
 
@@ -153,7 +173,14 @@ def _overlap(scene: Scene) -> Iterator[Boundary]:
 
     here = deepest(scene)
     beyond = LARGEST_OVERLAP < here < math.inf  # a drive has no bound
-    yield Boundary("Hertz's law: overlap over diameter", "Eq. (1)", "", LARGEST_OVERLAP, here=here, beyond=beyond)
+    yield Boundary(
+        "Hertz's law: overlap over diameter",
+        "Eq. (1)",
+        "",
+        LARGEST_OVERLAP,
+        here=here,
+        beyond=beyond,
+    )
 
 
 def _strength(scene: Scene) -> Iterator[Curve]:
@@ -163,8 +190,12 @@ def _strength(scene: Scene) -> Iterator[Curve]:
     if not linear.refuses(scene.reached):
         parts = (weak.reached for weak in weaker)
         looks = [linear.look(part) for part in parts]
-        yield Curve("strength", "Eq. (3), estimate", STRENGTHS, np.array([look.error for look in looks]))
-        yield Curve("strength", "Eq. (3), at most", STRENGTHS, np.array([look.at_most for look in looks]))
+        yield Curve(
+            "strength", "Eq. (3), estimate", STRENGTHS, np.array([look.error for look in looks])
+        )
+        yield Curve(
+            "strength", "Eq. (3), at most", STRENGTHS, np.array([look.at_most for look in looks])
+        )
     for engine, diameter in ROUNDINGS:
         yield Curve(
             "strength",

@@ -15,10 +15,18 @@ from ..errors import shown
 from ..scene.scene import Scene
 from ..theory.domain import exponents, require
 
-WEAK, SEARCH = 1e-6, 20  # strike number at which no contact comes near to opening; iterations from there
+WEAK, SEARCH = (
+    1e-6,
+    20,
+)  # strike number at which no contact comes near to opening; iterations from there
 # norm: error of the linear theory over (delta - 1) v0* for weak strikes, and where it saturates
 # analysis/calibration/linear_model_error.py
-LINEAR = {"velocity": (0.54, 2**0.5), "displacement": (0.186, 0.45), "package": (COLUMN, 0.69), "peak": (0.134, 0.3)}
+LINEAR = {
+    "velocity": (0.54, 2**0.5),
+    "displacement": (0.186, 0.45),
+    "package": (COLUMN, 0.69),
+    "peak": (0.134, 0.3),
+}
 
 
 def linear_law(strike_number: float, norm: str, exponent: float = 1.5, grain: int = 20) -> float:
@@ -105,7 +113,9 @@ def strike_number_where(error: float, scene: Scene) -> float:
         return strike_number_at(error, "package", scene.chain.exponent)
     number = min(WEAK, scene.strike_number)
     for _ in range(SEARCH):
-        given = scene.given() | {"excitation": scene.excitation.scaled(number / (scene.strike_number or 1.0))}
+        given = scene.given() | {
+            "excitation": scene.excitation.scaled(number / (scene.strike_number or 1.0))
+        }
         estimate = Chebyshev().estimate_model_error(Scene(**given).reached)
         if not estimate:
             return np.inf

@@ -16,7 +16,9 @@ def deepest(scene: Scene) -> float:
     squeeze a contact to more than a tenth at once; lighter grains below, or a floor, may be squeezed further.
     """
     part = scene.reached
-    return float((part.chain.contacts.overlap_bound(scene.energy) / part.chain.contact_lengths).max())
+    return float(
+        (part.chain.contacts.overlap_bound(scene.energy) / part.chain.contact_lengths).max()
+    )
 
 
 def hertz_excess(strain: ArrayLike) -> Array:
@@ -30,5 +32,7 @@ def hertz_excess(strain: ArrayLike) -> Array:
     x = np.sqrt(strain)  # a / R
     for _ in range(20):
         x = x - (x * np.arctanh(x) - strain) / (np.arctanh(x) + x / (1 - x * x))
-    force = np.where(x > 1e-2, (1 + x * x) * np.arctanh(x) - x, 4 / 3 * x**3 * (1 + 2 / 5 * x**2))  # which cancels
+    force = np.where(
+        x > 1e-2, (1 + x * x) * np.arctanh(x) - x, 4 / 3 * x**3 * (1 + 2 / 5 * x**2)
+    )  # which cancels
     return 1 - force / (4 / 3 * strain**1.5)

@@ -25,8 +25,12 @@ def pre_run_warnings(scene: Scene, engine: Engine | None, tolerance: float) -> I
         yield f"contacts may be squeezed to {100 * deep:.2g} % of the diameter: {excess}"
     if engine and engine.step is not None:
         method, edge = engine.methods[0], scene.reached.chain.band_edge
-        longest = limit(scene, method.name) * (TRUSTED if scene.largest_strain > SAFE_STRAIN else 1.0)
-        if longest < engine.step and engine.step * edge <= method.stability_limit:  # beyond, the engine refuses it
+        longest = limit(scene, method.name) * (
+            TRUSTED if scene.largest_strain > SAFE_STRAIN else 1.0
+        )
+        if (
+            longest < engine.step and engine.step * edge <= method.stability_limit
+        ):  # beyond, the engine refuses it
             yield (
                 f"step: {engine.step:.3g} s is stable at rest, but while the strike squeezes the contacts only steps "
                 f"below {longest:.3g} s are known to be"

@@ -13,7 +13,10 @@ from ..scene.scene import Scene
 from ..util.arrays import Array
 
 # analysis/calibration/predictability.py
-OPENING, FLYING = 30.0, 50.0  # strike number, and that over N, between which `growth_rate` has been measured
+OPENING, FLYING = (
+    30.0,
+    50.0,
+)  # strike number, and that over N, between which `growth_rate` has been measured
 FEW, MANY = 6, 40  # and for how many grains
 # analysis/calibration/chaos_test.py
 SEED = 1e-14  # change at t = 0 that does as much as all rounding of a run: measured median, 1e-15.4 to 1e-12.4
@@ -41,7 +44,9 @@ def reflection_time(scene: Scene) -> float:
         If the exponent is not 1.5 or the scene is no impulse.
     """
     if scene.chain.exponent != 1.5 or not scene.excitation.strike_velocity:
-        raise InputError([("excitation", "a reflection time is known for a strike on a chain of exponent 1.5")])
+        raise InputError(
+            [("excitation", "a reflection time is known for a strike on a chain of exponent 1.5")]
+        )
     chain = scene.chain
     gamma = float(chain.contact_constants.mean() / chain.masses.mean())
     speed = 0.907470 * gamma**0.4 * (0.681632 * abs(scene.excitation.strike_velocity)) ** 0.2
@@ -103,7 +108,9 @@ CHANGE = 10 * SEED  # at t = 0, that is seen to grow
 ACCURACY = 1e-11  # of the runs that show how a change grows
 
 
-def growth(scene: Scene, perturbation: float = CHANGE, accuracy: float = ACCURACY) -> tuple[Array, Array]:
+def growth(
+    scene: Scene, perturbation: float = CHANGE, accuracy: float = ACCURACY
+) -> tuple[Array, Array]:
     """Measure the growth of a small change at t = 0 (Lyapunov exponent): two native runs, same steps.
 
     All grains are moved, down and up by turns, by this part of the largest velocity (displacement, amplitude).
@@ -126,7 +133,9 @@ def growth(scene: Scene, perturbation: float = CHANGE, accuracy: float = ACCURAC
     ToleranceNotMet
         If round-off alone is above `accuracy`, the error that the runs would have were there no growth.
     """
-    return scene.time, divergence(scene, Native("rkn6").candidate(scene.reached, accuracy), perturbation)
+    return scene.time, divergence(
+        scene, Native("rkn6").candidate(scene.reached, accuracy), perturbation
+    )
 
 
 def predictability_time(scene: Scene, tolerance: float) -> float:

@@ -95,13 +95,18 @@ class Stability(Shown):
     def _summary(self) -> Iterator[Sequence[str]]:
         yield "", "", "", "predicted", "measured", "this scene"
         for row in self.boundaries:
-            numbers = (number(x, unit=row.unit, infinite="none") for x in (row.predicted, row.measured, row.here))
+            numbers = (
+                number(x, unit=row.unit, infinite="none")
+                for x in (row.predicted, row.measured, row.here)
+            )
             yield "!" if row.beyond else "", row.what, row.method, *numbers
 
     def to_json(self) -> dict[str, Any]:
         """Return what goes into a JSON file; numbers that are not finite become None."""
         rows = [finite(vars(boundary)) for boundary in self.boundaries]
-        curves = [vars(curve) | {key: _list(getattr(curve, key)) for key in "xy"} for curve in self.curves]
+        curves = [
+            vars(curve) | {key: _list(getattr(curve, key)) for key in "xy"} for curve in self.curves
+        ]
         return {"rows": rows, "curves": curves, "left_out": list(self.left_out)}
 
     def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Axes:
@@ -124,7 +129,11 @@ def _list(values: Array) -> list[float | None]:
     return [float(x) if np.isfinite(x) else None for x in values]
 
 
-STRENGTHS = {"Eq. (3), estimate": COLOURS["modes"], "Eq. (3), at most": "0.6", "native, round-off": COLOURS["native"]}
+STRENGTHS = {
+    "Eq. (3), estimate": COLOURS["modes"],
+    "Eq. (3), at most": "0.6",
+    "native, round-off": COLOURS["native"],
+}
 LEVELS = (1e-3, TOLERANCE, 1e-9)
 
 
@@ -140,9 +149,17 @@ def draw(result: Stability, ax: Axes | Sequence[Axes] | None) -> Axes:
 def _draw_steps(axes: Axes, result: Stability) -> None:
     rows = [row for row in result.boundaries if row.what == "longest step"][::-1]
     places, names = range(len(rows)), [row.method for row in rows]
-    axes.plot([row.predicted for row in rows], places, "|", ms=16, mew=2, color="0.3", label="predicted")
-    axes.plot([row.measured for row in rows], places, "o", ms=6, color=COLOURS["lammps"], label="measured")
-    axes.set(xscale="log", xlabel="longest step before a run of this duration breaks down", title="Time step")
+    axes.plot(
+        [row.predicted for row in rows], places, "|", ms=16, mew=2, color="0.3", label="predicted"
+    )
+    axes.plot(
+        [row.measured for row in rows], places, "o", ms=6, color=COLOURS["lammps"], label="measured"
+    )
+    axes.set(
+        xscale="log",
+        xlabel="longest step before a run of this duration breaks down",
+        title="Time step",
+    )
     axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axes.xaxis.set_major_formatter(EngFormatter("s"))
     axes.xaxis.set_minor_formatter("")
@@ -154,7 +171,13 @@ def _draw_steps(axes: Axes, result: Stability) -> None:
 def _draw_energy(axes: Axes, result: Stability) -> None:
     for curve in (curve for curve in result.curves if curve.panel == "energy"):
         place = list(METHODS).index(curve.name) % len(SHADES)
-        axes.plot(curve.x[1:], np.maximum(curve.y[1:], LOWEST), color=SHADES[place], lw=1.2, label=curve.name)
+        axes.plot(
+            curve.x[1:],
+            np.maximum(curve.y[1:], LOWEST),
+            color=SHADES[place],
+            lw=1.2,
+            label=curve.name,
+        )
     axes.set(xscale="log", yscale="log", xlabel="time", ylabel="relative error of the energy")
     axes.xaxis.set_major_formatter(EngFormatter("s"))
     axes.set_title("Energy, with forty steps a period of the fastest oscillation")
@@ -169,13 +192,28 @@ def _draw_growth(axes: Axes, result: Stability) -> None:
     for level in LEVELS:
         axes.axhline(level, color="0.75", lw=0.8)
         axes.annotate(
-            f"{level:g}", (1, level), (-2, 2), ("axes fraction", "data"), "offset points", ha="right", color="0.4"
+            f"{level:g}",
+            (1, level),
+            (-2, 2),
+            ("axes fraction", "data"),
+            "offset points",
+            ha="right",
+            color="0.4",
         )
     for row in result.boundaries:
         if row.what.startswith("predictable"):
-            for value, style, label in ((row.predicted, "--", "predicted"), (row.measured, "-", "measured")):
+            for value, style, label in (
+                (row.predicted, "--", "predicted"),
+                (row.measured, "-", "measured"),
+            ):
                 if np.isfinite(value) and value <= 1.2 * end:
-                    axes.axvline(value, color="0.3", ls=style, lw=1.2, label=f"predictable to {TOLERANCE:g}, {label}")
+                    axes.axvline(
+                        value,
+                        color="0.3",
+                        ls=style,
+                        lw=1.2,
+                        label=f"predictable to {TOLERANCE:g}, {label}",
+                    )
     axes.set(yscale="log", xlabel="time", ylabel="distance of two runs, over the largest value")
     axes.xaxis.set_major_formatter(EngFormatter("s"))
     axes.locator_params(axis="x", nbins=5)
@@ -189,11 +227,27 @@ def _draw_strength(axes: Axes, result: Stability) -> None:
         if curve.panel == "strength":
             colour = STRENGTHS.get(curve.name, COLOURS["lammps"])
             style = "-" if curve.name in STRENGTHS else next(styles)
-            axes.plot(curve.x, np.maximum(curve.y, LOWEST), color=colour, ls=style, lw=1.4, label=curve.name)
+            axes.plot(
+                curve.x,
+                np.maximum(curve.y, LOWEST),
+                color=colour,
+                ls=style,
+                lw=1.4,
+                label=curve.name,
+            )
     axes.axvline(1.0, color="0.3", lw=1)
-    axes.annotate("this scene", (1.0, 0.6), (4, 0), xycoords=("data", "axes fraction"), textcoords="offset points")
+    axes.annotate(
+        "this scene",
+        (1.0, 0.6),
+        (4, 0),
+        xycoords=("data", "axes fraction"),
+        textcoords="offset points",
+    )
     axes.set(
-        xscale="log", yscale="log", xlabel="strength of the strike, over that of the scene", ylabel="relative error"
+        xscale="log",
+        yscale="log",
+        xlabel="strength of the strike, over that of the scene",
+        ylabel="relative error",
     )
     axes.set_title("Model error and round-off")
     _legend(axes)

@@ -22,12 +22,17 @@ if TYPE_CHECKING:
 __dir__ = listed(__name__)
 
 SHARED = 8  # contacts over which the energy of a wave is spread at most, in the search for the worst place
-BROKEN = 1.5  # kinetic energy over all the energy there is: beyond that the engines call a run broken
+BROKEN = (
+    1.5  # kinetic energy over all the energy there is: beyond that the engines call a run broken
+)
 SCAN = 1.02  # from one step that is tried to the next, until a run breaks; then the last two are bisected
 BISECTIONS = 7
 NARROW = 1.02  # over the stability limit: how far a first, narrow band of unstable steps may reach
 SAMPLES_MAX = 2000  # most samples of a run
-BLOCKS, CONFIDENCE = 50, 0.99  # of a trend: means of so many stretches, and how sure its interval is
+BLOCKS, CONFIDENCE = (
+    50,
+    0.99,
+)  # of a trend: means of so many stretches, and how sure its interval is
 
 
 def struck_frequency(scene: Scene) -> float:
@@ -55,7 +60,9 @@ def struck_frequency(scene: Scene) -> float:
         return part.highest_frequency
     displaced = chain.excess_energy(part.initial()[0], np.zeros(chain.grains))
     elastic = max(contacts.elastic_share * part.energy, float(displaced))
-    inertia = np.concatenate(([0.0], np.where(np.arange(chain.grains) < chain.movable, 1 / chain.masses, 0.0), [0.0]))
+    inertia = np.concatenate(
+        ([0.0], np.where(np.arange(chain.grains) < chain.movable, 1 / chain.masses, 0.0), [0.0])
+    )
 
     def worst(energy: float) -> float:
         """Return the highest squared frequency of neighbours that share an energy, as springs."""
@@ -104,7 +111,9 @@ def limit(scene: Scene, integrator: str) -> float:
 
     method, edge = METHODS[integrator], scene.reached.chain.band_edge
     highest = struck_frequency(scene)
-    longest = method.stability_limit / highest if highest else math.inf  # nothing moves, and nothing is pressed
+    longest = (
+        method.stability_limit / highest if highest else math.inf
+    )  # nothing moves, and nothing is pressed
 
     def gain(reach: float) -> float:
         return 2 * math.log(method.growth(reach)) * edge * scene.duration / reach - math.log(BROKEN)
@@ -234,14 +243,22 @@ class EnergyError:
         used = self.time.size // BLOCKS * BLOCKS
         time, error = (x[-used:].reshape(BLOCKS, -1).mean(1) for x in (self.time, self.error))
         line = stats.linregress(time, error)
-        left = error - np.polynomial.Polynomial.fit(time, error, 2)(time)  # a drift that slows down is no resemblance
+        left = error - np.polynomial.Polynomial.fit(time, error, 2)(
+            time
+        )  # a drift that slows down is no resemblance
         alike = max(0.0, float(left[1:] @ left[:-1] / (left @ left)))
         count = max(3.0, BLOCKS * (1 - alike) / (1 + alike))
-        sure = line.stderr * math.sqrt((BLOCKS - 2) / (count - 2)) * stats.t.ppf((1 + CONFIDENCE) / 2, count - 2)
+        sure = (
+            line.stderr
+            * math.sqrt((BLOCKS - 2) / (count - 2))
+            * stats.t.ppf((1 + CONFIDENCE) / 2, count - 2)
+        )
         return float(line.slope), float(sure)
 
 
-def energy_error(scene: Scene, integrator: str, step: float, periods: float, samples: int = 2001) -> EnergyError:
+def energy_error(
+    scene: Scene, integrator: str, step: float, periods: float, samples: int = 2001
+) -> EnergyError:
     """Run a scene natively for so many periods of its band edge, and return the error of its energy.
 
     Energies are differences from rest, in displacements: `Chain.excess_energy`, which keeps the digits of the weakest

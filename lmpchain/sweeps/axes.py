@@ -71,10 +71,14 @@ class Axis:
 
     def coordinates(self) -> dict[str, Array | list[str]]:
         """Return what the places along the axis are called, by name of the coordinate: (L,) or (L, E) each."""
-        columns: dict[str, Any] = {} if self.name in self.columns else {self.name: np.arange(self.length)}
+        columns: dict[str, Any] = (
+            {} if self.name in self.columns else {self.name: np.arange(self.length)}
+        )
         for key, values in self.columns.items():
             if key != INDEX:
-                columns[key] = _numbers(values) if _numeric(values) else [_label(value) for value in values]
+                columns[key] = (
+                    _numbers(values) if _numeric(values) else [_label(value) for value in values]
+                )
         return columns
 
 
@@ -128,11 +132,20 @@ def axes(parts: Mapping[str, Any]) -> list[Axis]:
             faults.append((key, f"is no key of a scene{meant}; {there}"))
         for other in keys[:place]:
             if f"{key}.".startswith(f"{other}.") or f"{other}.".startswith(f"{key}."):
-                faults.append((key, "is swept twice" if key == other else f"overlaps {other}: sweep one of them"))
+                faults.append(
+                    (
+                        key,
+                        "is swept twice"
+                        if key == other
+                        else f"overlaps {other}: sweep one of them",
+                    )
+                )
     if (count := math.prod(len(axis) for axis in made)) > MOST:
         faults.append(("grid", f"these are {count} scenes; sweep {MOST} at most"))
     if not made and not faults:
-        faults.append(("grid", f"nothing is swept: add a table {', '.join(f'[{part}]' for part in MAKERS)}"))
+        faults.append(
+            ("grid", f"nothing is swept: add a table {', '.join(f'[{part}]' for part in MAKERS)}")
+        )
     if faults:
         raise InputError(faults)
     return made
@@ -148,34 +161,54 @@ def _list(table: dict[str, Any]) -> list[Axis]:
     count = len(made[first])
     if unlike := [key for key in others if len(made[key]) != count]:
         raise InputError(
-            [(key, f"must have as many values as {first}, {count}, not {len(made[key])}") for key in unlike]
+            [
+                (key, f"must have as many values as {first}, {count}, not {len(made[key])}")
+                for key in unlike
+            ]
         )
     return [Axis("case", count, made)]
 
 
 def _lists(table: dict[str, Any]) -> dict[str, list[Any]]:
-    made = {key: list(value) if isinstance(value, tuple | np.ndarray) else value for key, value in _leaves(table)}
+    made = {
+        key: list(value) if isinstance(value, tuple | np.ndarray) else value
+        for key, value in _leaves(table)
+    }
     faults = [
-        (key, "must be a list of values, and not empty") for key, v in made.items() if not isinstance(v, list) or not v
+        (key, "must be a list of values, and not empty")
+        for key, v in made.items()
+        if not isinstance(v, list) or not v
     ]
     if faults or not made:
-        raise InputError(faults or [("", "is empty: name a key, such as chain.gravity = [1.62, 9.81]")])
-    return {key: [v.item() if isinstance(v, np.generic) else v for v in values] for key, values in made.items()}
+        raise InputError(
+            faults or [("", "is empty: name a key, such as chain.gravity = [1.62, 9.81]")]
+        )
+    return {
+        key: [v.item() if isinstance(v, np.generic) else v for v in values]
+        for key, values in made.items()
+    }
 
 
 def _random(table: dict[str, Any]) -> list[Axis]:
     from scipy.stats import qmc
 
     tables = {key: value for key, value in table.items() if isinstance(value, dict)}
-    asked, laws = _checked(Draws, {key: value for key, value in table.items() if key not in tables}, tables)
+    asked, laws = _checked(
+        Draws, {key: value for key, value in table.items() if key not in tables}, tables
+    )
     if not laws:
         raise InputError([("", "name a key, such as chain.gravity = {low = 1.0, high = 10.0}")])
     by_grain = {key: each for key, each in laws.items() if each.per_grain or key in ALWAYS}
     ranges = {key: each for key, each in laws.items() if key not in by_grain}
     made = {}
     if ranges:
-        parts = qmc.LatinHypercube(len(ranges), seed=np.random.default_rng(asked.seed)).random(asked.draws)
-        made = {key: each.at(part).tolist() for (key, each), part in zip(ranges.items(), parts.T, strict=True)}
+        parts = qmc.LatinHypercube(len(ranges), seed=np.random.default_rng(asked.seed)).random(
+            asked.draws
+        )
+        made = {
+            key: each.at(part).tolist()
+            for (key, each), part in zip(ranges.items(), parts.T, strict=True)
+        }
     return [Axis("draw", asked.draws, made, drawn=True, arrays=drawn(by_grain, asked.seed))]
 
 
@@ -196,7 +229,9 @@ def _indexed(axis: Axis) -> Axis:
     return replace(axis, columns={INDEX: range(len(axis))})
 
 
-def _checked(kind: type[T], table: dict[str, Any], tables: dict[str, Any]) -> tuple[T, dict[str, Uniform | Normal]]:
+def _checked(
+    kind: type[T], table: dict[str, Any], tables: dict[str, Any]
+) -> tuple[T, dict[str, Uniform | Normal]]:
     """Return what plain keys say, and the laws that tables stand for, with every fault at once."""
     faults: list[tuple[str, str]] = []
     laws: dict[str, Uniform | Normal] = {}

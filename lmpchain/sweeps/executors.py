@@ -6,7 +6,13 @@ import os
 import signal
 import threading
 from collections.abc import Callable
-from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import (
+    BrokenExecutor,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+)
 from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection
 from typing import Any
@@ -41,7 +47,9 @@ class Processes(Executor):
         resource_tracker.ensure_running()  # its start unblocks Ctrl-C in the thread that asks for it
         # threads that block Ctrl-C start processes that do: only the main process is to answer it
         block = signal.SIG_BLOCK, {signal.SIGINT}
-        self._threads = ThreadPoolExecutor(workers, initializer=signal.pthread_sigmask, initargs=block)
+        self._threads = ThreadPoolExecutor(
+            workers, initializer=signal.pthread_sigmask, initargs=block
+        )
 
     def submit(self, function: Callable[..., Any], /, *values: Any, **named: Any) -> Future:
         """Call the function in one of the processes."""

@@ -93,7 +93,9 @@ class Sweep:
     @cached_property
     def text(self) -> str:
         """All that shapes the answers, and what is kept of them, as JSON."""
-        return json.dumps({"format": FORMAT, **self.source}, default=plain)  # in order: that of the axes is in it
+        return json.dumps(
+            {"format": FORMAT, **self.source}, default=plain
+        )  # in order: that of the axes is in it
 
     @property
     def name(self) -> str:
@@ -102,7 +104,10 @@ class Sweep:
 
     def place(self, number: int) -> Place:
         """Return the place of a scene; the last axis is the fastest."""
-        return tuple(number // math.prod(self.shape[axis + 1 :]) % size for axis, size in enumerate(self.shape))
+        return tuple(
+            number // math.prod(self.shape[axis + 1 :]) % size
+            for axis, size in enumerate(self.shape)
+        )
 
     def key(self, number: int) -> bytes:
         """Return a hash of all that shapes the answer to one scene, and of what is kept of it."""
@@ -138,7 +143,14 @@ class Sweep:
         chain = tables.get("chain")
         count = chain.get("grains") if isinstance(chain, dict) else None
         if not isinstance(count, int) or isinstance(count, bool) or not 1 <= count <= MOST_GRAINS:
-            raise InputError([("chain.grains", "must be a whole number from 1 where values of every grain are drawn")])
+            raise InputError(
+                [
+                    (
+                        "chain.grains",
+                        "must be a whole number from 1 where values of every grain are drawn",
+                    )
+                ]
+            )
         return count
 
     def ordered(self, place: Place) -> Scene:
@@ -181,7 +193,9 @@ class Sweep:
         good: set[tuple[int, int]] = set()
         faults: dict[tuple[int, int], list[tuple[str, str]]] = {}
         every = sum(1 if axis.drawn else len(axis) for axis in self.axes)
-        tried = (range(min(len(axis), DRAWS_TRIED) if axis.drawn else len(axis)) for axis in self.axes)
+        tried = (
+            range(min(len(axis), DRAWS_TRIED) if axis.drawn else len(axis)) for axis in self.axes
+        )
         for place in itertools.product(*tried):
             if len(good) == every:
                 break
@@ -242,7 +256,11 @@ def again(text: str, folder: Path) -> Sweep:
     kept = json.loads(text)
     if not isinstance(kept["scene"], dict):
         raise InputError([("scene", "must be tables: a sweep that is kept names no other file")])
-    return _plan({key: value for key, value in kept.items() if key not in ("format", "files")}, folder, kept["files"])
+    return _plan(
+        {key: value for key, value in kept.items() if key not in ("format", "files")},
+        folder,
+        kept["files"],
+    )
 
 
 def is_name(text: Any) -> bool:
@@ -253,7 +271,9 @@ def is_name(text: Any) -> bool:
 def _plan(data: dict[str, Any], folder: Path, files: Any = None) -> Sweep:
     """Return what the tables of a sweep file say, with the hashes of `files`; raises `InputError`."""
     there = f"the keys here are {', '.join(KEYS)}"
-    faults = [(key, f"unknown key{did_you_mean(key, KEYS)}; {there}") for key in data if key not in KEYS]
+    faults = [
+        (key, f"unknown key{did_you_mean(key, KEYS)}; {there}") for key in data if key not in KEYS
+    ]
     parts = {part: data[part] for part in MAKERS if part in data}
     tolerance = data.get("tolerance", 1e-6)
     results: list[Any] = []
@@ -272,11 +292,21 @@ def _plan(data: dict[str, Any], folder: Path, files: Any = None) -> Sweep:
         raise InputError(faults)
     (tables, folder), engine, _, keep, swept = results
     folder = folder.absolute()
-    source = {"scene": tables, "engine": engine, "tolerance": float(tolerance), "keep": keep, **parts}
+    source = {
+        "scene": tables,
+        "engine": engine,
+        "tolerance": float(tolerance),
+        "keep": keep,
+        **parts,
+    }
     source["files"] = _digests(tables, swept, folder) if files is None else files
-    if "disorder" in parts and any(key.startswith("disorder.") for axis in swept for key in axis.columns):
+    if "disorder" in parts and any(
+        key.startswith("disorder.") for axis in swept for key in axis.columns
+    ):
         own = {key: value for key, value in parts["disorder"].items() if key != "realisations"}
-        tables = tables | {"disorder": {key: value for key, value in own.items() if not isinstance(value, dict)}}
+        tables = tables | {
+            "disorder": {key: value for key, value in own.items() if not isinstance(value, dict)}
+        }
     return Sweep(tables, folder, engine, float(tolerance), keep, swept, source)
 
 
@@ -288,18 +318,29 @@ def _base(given: Any, folder: Path) -> tuple[dict[str, Any], Path]:
         path = folder / given
         given, folder = parse(path), path.parent
     if not isinstance(given, dict):
-        raise InputError([("scene", "name a scene file, or give its tables: [scene.chain], [scene.excitation] ...")])
+        raise InputError(
+            [
+                (
+                    "scene",
+                    "name a scene file, or give its tables: [scene.chain], [scene.excitation] ...",
+                )
+            ]
+        )
     if unknown := [key for key in given if key not in SECTIONS]:
         there = f"they are {', '.join(SECTIONS)}"
         meant = {key: did_you_mean(key, SECTIONS) for key in unknown}
-        raise InputError([(f"scene.{key}", f"unknown section{meant[key]}; {there}") for key in unknown])
+        raise InputError(
+            [(f"scene.{key}", f"unknown section{meant[key]}; {there}") for key in unknown]
+        )
     return dict(given), folder
 
 
 def _engine(name: Any) -> str:
     if not isinstance(name, str):
         raise InputError([("engine", f"must be the name of an engine (got {shown(name)})")])
-    if name == "auto":  # one engine for all: small scenes go together, and bits do not hang on how fast a machine is
+    if (
+        name == "auto"
+    ):  # one engine for all: small scenes go together, and bits do not hang on how fast a machine is
         return "native"
     return engines.get(name).name
 
@@ -308,9 +349,15 @@ def _keep(names: Any) -> list[str]:
     known = ", ".join((*QUANTITIES, "peak_force:40"))
     if not isinstance(names, list) or not names:
         raise InputError([("keep", f"must be a list of some of {known}")])
-    if wrong := [name for name in names if not isinstance(name, str) or not (name in QUANTITIES or of_contact(name))]:
+    if wrong := [
+        name
+        for name in names
+        if not isinstance(name, str) or not (name in QUANTITIES or of_contact(name))
+    ]:
         meant = [(name, did_you_mean(name, QUANTITIES)) for name in wrong]
-        raise InputError([("keep", f"there is no {shown(name)}{other}; use {known}") for name, other in meant])
+        raise InputError(
+            [("keep", f"there is no {shown(name)}{other}; use {known}") for name, other in meant]
+        )
     return sorted(set(names))
 
 
@@ -320,10 +367,15 @@ def _with(table: Any, path: list[str], value: Any, key: str) -> Any:
         return value
     first, rest = path[0], path[1:]
     if isinstance(table, str) and table in MATERIALS:
-        table = {name: getattr(MATERIALS[table], name) for name in ("density", "youngs_modulus", "poissons_ratio")}
+        table = {
+            name: getattr(MATERIALS[table], name)
+            for name in ("density", "youngs_modulus", "poissons_ratio")
+        }
     if isinstance(table, list):
         if not (first.isdecimal() and int(first) < len(table)):
-            raise InputError([(key, f"there is no entry {first}: the scene has {len(table)}, counted from 0")])
+            raise InputError(
+                [(key, f"there is no entry {first}: the scene has {len(table)}, counted from 0")]
+            )
         place = int(first)
         return [*table[:place], _with(table[place], rest, value, key), *table[place + 1 :]]
     if not isinstance(table, dict | None):
@@ -339,7 +391,9 @@ def _of_every_grain(tables: dict[str, Any], key: str, values: Array) -> dict[str
         return _with(tables, path, values.tolist(), key)
     material = (tables.get("chain") or {}).get("material", "glass")
     each = material if isinstance(material, list) else [material] * len(values)
-    made = [_with(one, path[2:], value, key) for one, value in zip(each, values.tolist(), strict=False)]
+    made = [
+        _with(one, path[2:], value, key) for one, value in zip(each, values.tolist(), strict=False)
+    ]
     return _with(tables, path[:2], made, key)
 
 

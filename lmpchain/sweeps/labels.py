@@ -62,15 +62,26 @@ def labels(plan: Sweep) -> Labels:
     for axis in plan.axes:
         for each in axis.arrays:
             about = f"drawn for every {'contact' if ARRAYS[each.key] else 'grain'}"
-            extra[each.key] = Column((f"{each.key}.entry",), (longest - ARRAYS[each.key],), "1", about)
-    return Labels(samples, np.linspace(0.0, times.pop()[1], samples) if len(times) == 1 else None, grains, extra)
+            extra[each.key] = Column(
+                (f"{each.key}.entry",), (longest - ARRAYS[each.key],), "1", about
+            )
+    return Labels(
+        samples,
+        np.linspace(0.0, times.pop()[1], samples) if len(times) == 1 else None,
+        grains,
+        extra,
+    )
 
 
 def recorded(plan: Sweep, place: Place, size: int) -> np.ndarray:
     """Return the grains that a scene records, (G,); `size` is how many it has."""
-    shaping = tuple(index if _shapes(axis) else 0 for axis, index in zip(plan.axes, place, strict=True))
+    shaping = tuple(
+        index if _shapes(axis) else 0 for axis, index in zip(plan.axes, place, strict=True)
+    )
     if (shaping, size) not in plan.recorded:
-        plan.recorded[shaping, size] = _recorded(json.dumps(plan.asked(place).get("recording")), size)[1]
+        plan.recorded[shaping, size] = _recorded(
+            json.dumps(plan.asked(place).get("recording")), size
+        )[1]
     return plan.recorded[shaping, size]
 
 
@@ -89,7 +100,9 @@ def _kind(plan: Sweep, place: Place) -> tuple[int, float, tuple[int, ...], int]:
 @lru_cache(maxsize=64)
 def _recorded(table: str, size: int) -> tuple[Recording, np.ndarray]:
     """Return what a table asks to record, and the numbers of the grains of a chain of this size."""
-    what = Recording(**{key: value for key, value in json.loads(table).items() if key != "quantities"})
+    what = Recording(
+        **{key: value for key, value in json.loads(table).items() if key != "quantities"}
+    )
     chain = Chain(grains=size, diameter=1e-3, gravity=0.0, bottom="wall")
     if faults := list(what.faults(chain)):
         raise InputError(faults)

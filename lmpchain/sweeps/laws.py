@@ -24,7 +24,10 @@ ARRAYS = {
     "chain.material.youngs_modulus": 0,
     "chain.material.poissons_ratio": 0,
 }
-ALWAYS = ("chain.masses", "chain.contact_constants")  # of these, those that are never one number for all
+ALWAYS = (
+    "chain.masses",
+    "chain.contact_constants",
+)  # of these, those that are never one number for all
 
 
 class Uniform(Checked):
@@ -100,5 +103,10 @@ class Drawn:
 def drawn(laws: Mapping[str, Uniform | Normal], seed: int) -> tuple[Drawn, ...]:
     """Return what is drawn for every grain; raises `InputError` for keys that hold no number a grain."""
     if wrong := [key for key in laws if key not in ARRAYS]:
-        raise InputError([(key, f"has no value a grain; those that have are {', '.join(ARRAYS)}") for key in wrong])
+        raise InputError(
+            [
+                (key, f"has no value a grain; those that have are {', '.join(ARRAYS)}")
+                for key in wrong
+            ]
+        )
     return tuple(Drawn(key, each, seed) for key, each in laws.items())

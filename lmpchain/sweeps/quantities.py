@@ -51,7 +51,10 @@ def _energy(motion: Motion, grains: NDArray[np.intp]) -> tuple[Array, Array]:
 
     energy, chain = shares(motion), motion.scene.chain
     known = columns(chain.grains, chain.movable, grains) != UNKNOWN
-    grain, contact = np.isin(energy.grain, grains), known[energy.contact] & known[energy.contact + 1]
+    grain, contact = (
+        np.isin(energy.grain, grains),
+        known[energy.contact] & known[energy.contact + 1],
+    )
     moving = energy.kinetic[:, grain].sum(1), energy.kinetic_error[:, grain].sum(1)
     held = energy.elastic[:, contact].sum(1), energy.elastic_error[:, contact].sum(1)
     return moving[0] + held[0], moving[1] + held[1]
@@ -76,16 +79,32 @@ def _contact_energy(motion: Motion, _: NDArray[np.intp]) -> tuple[Array, Array]:
 
 QUANTITIES = {
     "displacement": Quantity(
-        ("time", "grain"), "m", "displacement from equilibrium, positive downward", lambda m, _: (m.displacement,), True
+        ("time", "grain"),
+        "m",
+        "displacement from equilibrium, positive downward",
+        lambda m, _: (m.displacement,),
+        True,
     ),
-    "velocity": Quantity(("time", "grain"), "m s-1", "velocity, downward", lambda m, _: (m.velocity,), True),
-    "peak_displacement": Quantity(("grain",), "m", "largest size of the displacement at any time", _peak_displacement),
-    "peak_velocity": Quantity(("grain",), "m s-1", "largest size of the velocity at any time", _peak_velocity),
+    "velocity": Quantity(
+        ("time", "grain"), "m s-1", "velocity, downward", lambda m, _: (m.velocity,), True
+    ),
+    "peak_displacement": Quantity(
+        ("grain",), "m", "largest size of the displacement at any time", _peak_displacement
+    ),
+    "peak_velocity": Quantity(
+        ("grain",), "m s-1", "largest size of the velocity at any time", _peak_velocity
+    ),
     "arrival_time": Quantity(
-        ("grain",), "s", "when the front passes, by the velocity (measure.front.track)", _arrival_time
+        ("grain",),
+        "s",
+        "when the front passes, by the velocity (measure.front.track)",
+        _arrival_time,
     ),
     "energy": Quantity(
-        ("time",), "J", "energy above rest of the recorded grains and the contacts between them", _energy
+        ("time",),
+        "J",
+        "energy above rest of the recorded grains and the contacts between them",
+        _energy,
     ),
     "grain_energy": Quantity(
         ("time", "grain"),
@@ -94,10 +113,16 @@ QUANTITIES = {
         _grain_energy,
     ),
     "contact_energy": Quantity(
-        ("time", "grain"), "J", "energy above rest of the contact below a grain; NaN if unknown", _contact_energy
+        ("time", "grain"),
+        "J",
+        "energy above rest of the contact below a grain; NaN if unknown",
+        _contact_energy,
     ),
     "wall_force": Quantity(
-        (), "N", "largest force on what holds the bottom, at any time (measure.contact.wall_force)", _wall_force
+        (),
+        "N",
+        "largest force on what holds the bottom, at any time (measure.contact.wall_force)",
+        _wall_force,
     ),
 }
 

@@ -41,7 +41,11 @@ def scenes(plan: Sweep, first: int, count: int, together: bool) -> list[Made]:
 def _alike(plan: Sweep) -> bool:
     """Say whether scenes differ along the last axis in numbers of grains and contacts only."""
     last = plan.axes[-1]
-    return last.drawn and set(last.columns) <= {INDEX} and not any(axis.arrays for axis in plan.axes[:-1])
+    return (
+        last.drawn
+        and set(last.columns) <= {INDEX}
+        and not any(axis.arrays for axis in plan.axes[:-1])
+    )
 
 
 def _alone(plan: Sweep, number: int) -> Made:
@@ -54,7 +58,9 @@ def _alone(plan: Sweep, number: int) -> Made:
 def _wider(scene: Scene, keep: Sequence[str]) -> Scene:
     """Return the scene with those grains and forces recorded, too, that measuring what is kept takes."""
     scene = with_forces(scene, keep)
-    if scene.grains == "all" or all(quantity(name).whole or name in scene.quantities for name in keep):
+    if scene.grains == "all" or all(
+        quantity(name).whole or name in scene.quantities for name in keep
+    ):
         return scene
     last = scene.chain.grains
     more = {n for grain in scene.recorded.tolist() for n in (grain - 1, grain, grain + 1)}
@@ -70,8 +76,12 @@ def _together(plan: Sweep, first: int, count: int) -> list[Made]:
     try:
         common, disorder = _wider(plan.ordered(places[0]), plan.keep), plan.disorder(places[0])
         chain = common.chain
-        apart = common.reached.chain.grains < chain.grains or chain.grains == 1  # each is cut to its own
-        apart |= common.excitation.of_chain or (disorder is not None and disorder.of not in OF_CONTACTS)
+        apart = (
+            common.reached.chain.grains < chain.grains or chain.grains == 1
+        )  # each is cut to its own
+        apart |= common.excitation.of_chain or (
+            disorder is not None and disorder.of not in OF_CONTACTS
+        )
         if apart:
             return [_alone(plan, number) for number in numbers]
         change = np.ones((1, 1))
@@ -88,17 +98,26 @@ def _together(plan: Sweep, first: int, count: int) -> list[Made]:
         sound = _sound(parts, bool(columns))
         known = {key: values.tolist() for key, values in _known(common, parts).items()}
         parts |= _pattern(chain, parts)
-    return [_scene(common, parts, known, row) if sound[row] else _alone(plan, n) for row, n in enumerate(numbers)]
+    return [
+        _scene(common, parts, known, row) if sound[row] else _alone(plan, n)
+        for row, n in enumerate(numbers)
+    ]
 
 
-def _chains(chain: Chain, columns: Mapping[str, Array], change: Array, count: int) -> dict[str, Any]:
+def _chains(
+    chain: Chain, columns: Mapping[str, Array], change: Array, count: int
+) -> dict[str, Any]:
     """Return masses, constants and contacts of chains like one, but for these columns, (R, ...) each."""
 
     def by_grain(key: str, otherwise: Array) -> Array:
         return columns[key] if key in columns else np.broadcast_to(otherwise, (count, chain.grains))
 
     def impure(values: Array, key: str) -> Array:
-        return np.array([with_impurities(row, chain.impurity, key) for row in values]) if chain.impurity else values
+        return (
+            np.array([with_impurities(row, chain.impurity, key) for row in values])
+            if chain.impurity
+            else values
+        )
 
     def of_material(key: str) -> Array:
         if (drawn := columns.get(f"chain.material.{key}")) is None:
@@ -116,9 +135,14 @@ def _chains(chain: Chain, columns: Mapping[str, Array], change: Array, count: in
         masses = impure(of_material("density") * np.pi / 6 * diameter**3, "mass")
     modulus = of_material("youngs_modulus") / (1 - of_material("poissons_ratio") ** 2)
     ends = [(chain.top_material, modulus[:, :1]), (chain.bottom_material, modulus[:, -1:])]
-    above, below = (np.full_like(at, wall.plane_strain_modulus) if wall else at for wall, at in ends)  # type: ignore[union-attr]
+    above, below = (
+        np.full_like(at, wall.plane_strain_modulus) if wall else at  # type: ignore[union-attr]
+        for wall, at in ends
+    )
     flat = np.zeros((count, 1))
-    length = np.concatenate((diameter[:, :1], (diameter[:, :-1] + diameter[:, 1:]) / 2, diameter[:, -1:]), axis=1)
+    length = np.concatenate(
+        (diameter[:, :1], (diameter[:, :-1] + diameter[:, 1:]) / 2, diameter[:, -1:]), axis=1
+    )
     natural = hertz_constant(
         np.concatenate((above, modulus, below), axis=1),
         np.concatenate((flat, 2 / diameter, flat), axis=1),
@@ -139,7 +163,9 @@ def _chains(chain: Chain, columns: Mapping[str, Array], change: Array, count: in
         walls = walls * (natural[:, [0, -1]] * (between[:, [0, -1]] / natural[:, [1, -2]]))
     constant = np.concatenate((walls[:, :1], between, walls[:, 1:]), axis=1)
     weight = chain.gravity * np.cumsum(masses.astype(np.longdouble), axis=1)
-    force = np.concatenate((np.full((count, 1), chain.top_load), (chain.top_load + weight).astype(float)), axis=1)
+    force = np.concatenate(
+        (np.full((count, 1), chain.top_load), (chain.top_load + weight).astype(float)), axis=1
+    )
     contacts = Contacts(constant, np.where(constant > 0, force, 0.0), chain.exponent)
     for each in (diameter, masses, between, walls, contacts.constant, contacts.force):
         read_only(each)  # as are the rows that chains get
@@ -154,7 +180,11 @@ def _sound(parts: Mapping[str, Any], drawn: bool) -> np.ndarray:
     contacts, masses, room = parts["contacts"], parts["masses"], LARGEST_OVERLAP * parts["length"]
     first = parts["first"]
     sound = np.isfinite(contacts.stiffness[:, :-1] / masses).all(1) & (masses > 0).all(1)
-    sound &= (parts["diameter"] > 0).all(1) & (parts["between"] > 0).all(1) & np.isfinite(parts["between"]).all(1)
+    sound &= (
+        (parts["diameter"] > 0).all(1)
+        & (parts["between"] > 0).all(1)
+        & np.isfinite(parts["between"]).all(1)
+    )
     if drawn:  # random contacts alone may be as soft as they come out
         sound &= (contacts.overlap <= room).all(1) & (first <= room).all(1)
     return np.asarray(sound)
@@ -166,32 +196,52 @@ def _pattern(chain: Chain, parts: Mapping[str, Any]) -> dict[str, Any]:
     fields |= {"masses": parts["masses"][0], "contact_constants": parts["between"][0]}
     if chain.impurity or "diameter" in parts["given"]:
         fields["diameter"] = parts["diameter"][0]
-    own = [name for name in Chain.model_fields if name not in ("masses", "contact_constants", "wall_constants")]
+    own = [
+        name
+        for name in Chain.model_fields
+        if name not in ("masses", "contact_constants", "wall_constants")
+    ]
     pattern = Chain._unchecked(**fields)
-    return {"common": {name: getattr(pattern, name) for name in own}, "fields": frozenset(pattern.model_fields_set)}
+    return {
+        "common": {name: getattr(pattern, name) for name in own},
+        "fields": frozenset(pattern.model_fields_set),
+    }
 
 
 def _known(common: Scene, parts: Mapping[str, Any]) -> dict[str, Array]:
     """Return what `Scene` derives from contacts and masses, of all scenes at once, (R,) each, by name."""
-    contacts, masses, chain, excitation = parts["contacts"], parts["masses"], common.chain, common.excitation
+    contacts, masses, chain, excitation = (
+        parts["contacts"],
+        parts["masses"],
+        common.chain,
+        common.excitation,
+    )
     known: dict[str, Any] = {"_pair_frequency": pair_frequency(contacts, masses, parts["first"])}
     if not excitation.does_work:
         u, v = common.initial()
         first, last = excitation.reach(chain)
         near, above = slice(max(first - 2, 0), last + 2), slice(max(first - 2, 0), last + 3)
-        held = Contacts(contacts.constant[:, above], contacts.force[:, above], contacts.exponent).energy
-        known["energy"] = 0.5 * (masses[:, near] * v[near] ** 2).sum(-1) + held(contacts.closer(u)[above]).sum(-1)
+        held = Contacts(
+            contacts.constant[:, above], contacts.force[:, above], contacts.exponent
+        ).energy
+        known["energy"] = 0.5 * (masses[:, near] * v[near] ** 2).sum(-1) + held(
+            contacts.closer(u)[above]
+        ).sum(-1)
     known["strike_number"] = strike_number(chain, excitation, contacts, masses)
     energy = known.get("energy", np.full(len(masses), np.inf))
     known["largest_strain"] = contacts.largest_strain(energy[:, None])
     return known
 
 
-def _scene(common: Scene, parts: Mapping[str, Any], known: Mapping[str, list[float]], row: int) -> Scene:
+def _scene(
+    common: Scene, parts: Mapping[str, Any], known: Mapping[str, list[float]], row: int
+) -> Scene:
     """Return one of the scenes, with what is known of all of them filled in."""
     contacts = parts["contacts"]
     own = Contacts(contacts.constant[row], contacts.force[row], contacts.exponent)
-    derived = {name: getattr(contacts, name)[row] for name in ("exists", "pressed", "overlap", "stiffness")}
+    derived = {
+        name: getattr(contacts, name)[row] for name in ("exists", "pressed", "overlap", "stiffness")
+    }
     own.__dict__.update(derived)
     fields = parts["common"] | {
         "masses": parts["masses"][row],
@@ -204,8 +254,15 @@ def _scene(common: Scene, parts: Mapping[str, Any], known: Mapping[str, list[flo
     if "diameter" in parts["given"]:
         fields["diameter"] = parts["diameter"][row]
     chain = Chain._filled(fields, set(parts["fields"]))
-    recorded = {name: getattr(common, name) for name in ("excitation", "duration", "samples", "grains", "quantities")}
+    recorded = {
+        name: getattr(common, name)
+        for name in ("excitation", "duration", "samples", "grains", "quantities")
+    }
     scene = Scene._filled({"chain": chain} | recorded, set(common.model_fields_set))
-    shared = {"imposed": common.imposed, "light_cone": None, "_surroundings": (1, chain, scene.excitation)}
+    shared = {
+        "imposed": common.imposed,
+        "light_cone": None,
+        "_surroundings": (1, chain, scene.excitation),
+    }
     scene.__dict__.update(shared, **{key: values[row] for key, values in known.items()})
     return scene

@@ -45,7 +45,11 @@ def load_sweep(folder: str | PathLike[str]) -> xarray.Dataset:
     """
     folder = Path(folder)
     index = _read(folder / NAME)
-    if not isinstance(index, dict) or index.get("format") != FORMAT or not is_name(index.get("results")):
+    if (
+        not isinstance(index, dict)
+        or index.get("format") != FORMAT
+        or not is_name(index.get("results"))
+    ):
         raise InputError([(str(folder), "holds no sweep, or one of another version of lmpchain")])
     results = folder / index["results"]
     plan, made = kept(results)
@@ -58,14 +62,19 @@ def load_sweep(folder: str | PathLike[str]) -> xarray.Dataset:
             if name not in made.columns
         }
     except Exception as error:  # whatever a damaged file makes zarr raise
-        raise InputError([(str(results), f"is damaged ({short(error)}): remove it, and sweep again")]) from None
+        raise InputError(
+            [(str(results), f"is damaged ({short(error)}): remove it, and sweep again")]
+        ) from None
     data: dict[str, Any] = {}
     for name, column in made.columns.items():
         about = {"units": column.units, "long_name": column.long_name}
         if column.shape or name not in ("reason", *SCALARS):
             stored = indexing.LazilyIndexedArray(_Stored(results, made, name, plan.shape))
             into = coordinates if name in plan_coordinates(plan, made) else data
-            dimensions = ("sample" if key == "time" and "time" in made.columns else key for key in column.dimensions)
+            dimensions = (
+                "sample" if key == "time" and "time" in made.columns else key
+                for key in column.dimensions
+            )
             into[name] = (*swept, *dimensions), stored, about
         else:
             values = read(results, made, name, np.arange(made.count)).reshape(plan.shape)
@@ -105,7 +114,9 @@ def _read(path: Path) -> Any:
     except FileNotFoundError:
         return None
     except (OSError, ValueError, RecursionError):
-        raise InputError([(str(path), "cannot be read: remove its folder, and sweep again")]) from None
+        raise InputError(
+            [(str(path), "cannot be read: remove its folder, and sweep again")]
+        ) from None
 
 
 class _Stored(BackendArray):
@@ -118,7 +129,9 @@ class _Stored(BackendArray):
         self.shape = (*shape, *made.columns[name].shape)
 
     def __getitem__(self, key: indexing.ExplicitIndexer) -> Array:
-        return indexing.explicit_indexing_adapter(key, self.shape, indexing.IndexingSupport.OUTER, self._at)
+        return indexing.explicit_indexing_adapter(
+            key, self.shape, indexing.IndexingSupport.OUTER, self._at
+        )
 
     def _at(self, key: tuple) -> Array:
         chosen = [np.arange(size)[part] for size, part in zip(self.shape, key, strict=True)]

@@ -24,7 +24,18 @@ from .executors import Here, Processes
 from .file import FORMAT, Sweep, read
 from .labels import Labels, labels
 from .results import load_sweep
-from .store import NAME, PARTS, RESULTS, Layout, clean, complete, create, gather, layout, whole_parts
+from .store import (
+    NAME,
+    PARTS,
+    RESULTS,
+    Layout,
+    clean,
+    complete,
+    create,
+    gather,
+    layout,
+    whole_parts,
+)
 from .take_over import drop, others, take_over
 from .tasks import Task, answer, together
 
@@ -80,25 +91,36 @@ def sweep(
     plan = read(source)
     with warnings.catch_warnings(record=True, action="always") as remarks:
         size = min(together(plan.engine, scene) for scene in plan.trials())
-    for remark in {re.sub(r"\d\S*", "", text): text for text in (str(w.message) for w in reversed(remarks))}.values():
+    for remark in {
+        re.sub(r"\d\S*", "", text): text for text in (str(w.message) for w in reversed(remarks))
+    }.values():
         warnings.warn(f"{remark}; perhaps in other scenes, too", stacklevel=2)
     folder = make_folder(folder).absolute()
     with _alone(folder):
         results, made, grains = _prepare(plan, folder, size)
         there = whole_parts(results).keys()
         missing = {
-            shard: set(made.batches(shard)) - there for shard in range(made.shards) if not complete(results, shard)
+            shard: set(made.batches(shard)) - there
+            for shard in range(made.shards)
+            if not complete(results, shard)
         }
         before = made.count - sum(_scenes(made, firsts) for firsts in missing.values())
-        executors = nullcontext(executor) if executor else Processes(workers) if workers > 1 else Here()
-        with executors as chosen, ProgressBar(made.count, unit=" scenes", done=before, shown=progress) as bar:
+        executors = (
+            nullcontext(executor) if executor else Processes(workers) if workers > 1 else Here()
+        )
+        with (
+            executors as chosen,
+            ProgressBar(made.count, unit=" scenes", done=before, shown=progress) as bar,
+        ):
             work = _Work(results, made, missing)
             every = (first for firsts in missing.values() for first in sorted(firsts))
             tasks = (Task(results, plan.folder, made, grains, first) for first in every)
             trouble = work.do(chosen, tasks, bar, WAITING if executor or workers > 1 else 1)
         clean(results, made)  # of workers that died on the way
     if trouble:
-        warnings.warn(f"some scenes could not be done this time; of the first: {trouble[0]}", stacklevel=2)
+        warnings.warn(
+            f"some scenes could not be done this time; of the first: {trouble[0]}", stacklevel=2
+        )
     return load_sweep(folder)
 
 
@@ -128,10 +150,14 @@ def _check(results: Path, plan: Sweep) -> None:
     try:
         if results.exists():
             check_tree(results)
-            if (results / NAME).exists() and (results / NAME).read_text(encoding="utf-8") != plan.text:
+            if (results / NAME).exists() and (results / NAME).read_text(
+                encoding="utf-8"
+            ) != plan.text:
                 raise ValueError("its sweep.json is of another sweep")
     except (OSError, ValueError) as error:
-        raise InputError([(str(results), f"is damaged ({short(error)}): remove it, and sweep again")]) from None
+        raise InputError(
+            [(str(results), f"is damaged ({short(error)}): remove it, and sweep again")]
+        ) from None
 
 
 def _write(path: Path, text: str) -> None:
@@ -140,7 +166,9 @@ def _write(path: Path, text: str) -> None:
             aside.write_text(text, encoding="utf-8")
 
 
-def _coordinates(plan: Sweep, found: Labels) -> dict[str, tuple[tuple[str, ...], Any, dict[str, str]]]:
+def _coordinates(
+    plan: Sweep, found: Labels
+) -> dict[str, tuple[tuple[str, ...], Any, dict[str, str]]]:
     """Return what the axes, times and grains are called, with dimensions and metadata."""
     made: dict[str, tuple[tuple[str, ...], Any, dict[str, str]]] = {}
     for axis in plan.axes:
@@ -149,7 +177,11 @@ def _coordinates(plan: Sweep, found: Labels) -> dict[str, tuple[tuple[str, ...],
             made[key] = dimensions, values, {}
     if found.time is not None:
         made["time"] = ("time",), found.time, {"units": "s", "long_name": "time since the strike"}
-    made["grain"] = ("grain",), found.grains, {"units": "1", "long_name": "number of the grain, from the top"}
+    made["grain"] = (
+        ("grain",),
+        found.grains,
+        {"units": "1", "long_name": "number of the grain, from the top"},
+    )
     return made
 
 
@@ -163,12 +195,16 @@ def _alone(folder: Path) -> Iterator[None]:
     """Lock the folder of a sweep."""
     lock = folder / ".lock"
     if lock.is_symlink() or (lock.exists() and not lock.is_file()):
-        raise InputError([(str(lock), "is a link, a device or a pipe, which lmpchain never writes: remove it")])
+        raise InputError(
+            [(str(lock), "is a link, a device or a pipe, which lmpchain never writes: remove it")]
+        )
     try:
         with FileLock(lock, timeout=0):
             yield
     except Timeout:
-        raise InputError([(str(folder), "another process sweeps into this folder; wait for it")]) from None
+        raise InputError(
+            [(str(folder), "another process sweeps into this folder; wait for it")]
+        ) from None
 
 
 @contextmanager
@@ -188,10 +224,15 @@ def dask(address: str) -> Iterator[Executor]:
     try:
         client = Client(address, timeout=CONNECT_S)
     except (OSError, ValueError) as error:
-        raise InputError([("scheduler", f"no Dask scheduler answers at {short(address)} ({short(error)})")]) from None
+        raise InputError(
+            [("scheduler", f"no Dask scheduler answers at {short(address)} ({short(error)})")]
+        ) from None
     with client:
         if not client.nthreads():
-            warnings.warn(f"no workers are there yet; start some: dask worker {address} --nthreads 1", stacklevel=3)
+            warnings.warn(
+                f"no workers are there yet; start some: dask worker {address} --nthreads 1",
+                stacklevel=3,
+            )
         yield client.get_executor(pure=False)
 
 
@@ -199,9 +240,15 @@ class _Work:
     """What is left to do: batches of scenes to answer, and shards to gather when all of theirs are there."""
 
     def __init__(self, folder: Path, made: Layout, missing: Mapping[int, set[int]]):
-        self._folder, self._made, self._missing = folder, made, {shard: set(each) for shard, each in missing.items()}
+        self._folder, self._made, self._missing = (
+            folder,
+            made,
+            {shard: set(each) for shard, each in missing.items()},
+        )
 
-    def do(self, executor: Executor, tasks: Iterator[Task], bar: ProgressBar, most: int) -> list[str]:
+    def do(
+        self, executor: Executor, tasks: Iterator[Task], bar: ProgressBar, most: int
+    ) -> list[str]:
         """Have all tasks done, so many at a time, and return why some were not, in words."""
         trouble: list[str] = []
         deaths: dict[Any, int] = {}

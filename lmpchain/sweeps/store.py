@@ -42,7 +42,9 @@ SHARD_BYTES = 2**27  # unless a shard would be larger than this
 SCALARS = {"model_error": "of the equation that was solved", "solver_error": "of its solution"}
 
 
-Coordinates = Mapping[str, tuple[tuple[str, ...], Any, Mapping[str, str]]]  # dimensions, values and metadata
+Coordinates = Mapping[
+    str, tuple[tuple[str, ...], Any, Mapping[str, str]]
+]  # dimensions, values and metadata
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,12 @@ class Layout:
 
 
 def layout(
-    keep: Sequence[str], count: int, batch: int, samples: int, grains: int, extra: Mapping[str, Column]
+    keep: Sequence[str],
+    count: int,
+    batch: int,
+    samples: int,
+    grains: int,
+    extra: Mapping[str, Column],
 ) -> Layout:
     """Return what the store looks like for these quantities, scenes, and lengths of the arrays."""
     lengths = {"time": samples, "grain": grains}
@@ -123,8 +130,13 @@ def laid_out(folder: Path, plan: Sweep) -> Layout:
         drawn = {each.key: f"{each.key}.entry" for axis in plan.axes for each in axis.arrays}
         extra = {}
         for name, about in arrays.items():
-            if about["dimension_names"] == ["scene", drawn.get(name, "sample" if name == "time" else None)]:
-                extra[name] = Column((about["dimension_names"][1],), (about["shape"][1],), **about["attributes"])
+            if about["dimension_names"] == [
+                "scene",
+                drawn.get(name, "sample" if name == "time" else None),
+            ]:
+                extra[name] = Column(
+                    (about["dimension_names"][1],), (about["shape"][1],), **about["attributes"]
+                )
         samples = extra["time"].shape[0] if "time" in extra else arrays["time"]["shape"][0]
         made = layout(plan.keep, plan.count, batch, samples, arrays["grain"]["shape"][0], extra)
         for name, column in made.columns.items():
@@ -135,7 +147,9 @@ def laid_out(folder: Path, plan: Sweep) -> Layout:
                 [made.count, *column.shape], [made.shard, *column.shape], ["scene", *column.dimensions], kind,
             ):  # fmt: skip
                 raise ValueError(f"{name} is not that of its sweep")
-        labels = {"time", "grain"} | {key for axis in plan.axes for key in (axis.name, *axis.columns)}
+        labels = {"time", "grain"} | {
+            key for axis in plan.axes for key in (axis.name, *axis.columns)
+        }
         if strange := arrays.keys() - made.columns.keys() - labels:
             raise ValueError(f"{min(strange)} does not belong there")
     return made
@@ -149,11 +163,17 @@ def create(folder: Path, made: Layout, coordinates: Coordinates, swept: Mapping[
     aside = folder / f".{RESULTS}.{token_hex(4)}.partial"
     pack: Any = [ZstdCodec(level=1), Crc32cCodec()]
     try:
-        group = zarr.open_group(aside, mode="w", attributes={"batch": made.batch, "swept": dict(swept)})
+        group = zarr.open_group(
+            aside, mode="w", attributes={"batch": made.batch, "swept": dict(swept)}
+        )
         for name, column in made.columns.items():
             width = 8 * math.prod(column.shape)
             fits = max(CHUNK_BYTES, width)
-            parts = next(n for n in range(1, made.shard + 1) if made.shard % n == 0 and made.shard // n * width <= fits)
+            parts = next(
+                n
+                for n in range(1, made.shard + 1)
+                if made.shard % n == 0 and made.shard // n * width <= fits
+            )
             group.create_array(
                 name,
                 shape=(made.count, *column.shape),
@@ -189,7 +209,9 @@ def open_store(folder: Path, writing: bool = False) -> Any:
     import zarr
 
     with _checked(folder):
-        return zarr.open_group(folder / RESULTS, mode="r+" if writing else "r", zarr_format=3, use_consolidated=False)
+        return zarr.open_group(
+            folder / RESULTS, mode="r+" if writing else "r", zarr_format=3, use_consolidated=False
+        )
 
 
 @contextmanager
@@ -197,9 +219,19 @@ def _checked(folder: Path) -> Iterator[tuple[int, dict[str, dict[str, Any]]]]:
     """Yield what `described` says of the store; raises `InputError` for any damage found meanwhile."""
     try:
         yield described(folder / RESULTS)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, LookupError, RecursionError) as error:
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+        AttributeError,
+        LookupError,
+        RecursionError,
+    ) as error:
         at = str(folder / RESULTS)
-        raise InputError([(at, f"is damaged ({short(error)}): remove {folder}, and sweep again")]) from None
+        raise InputError(
+            [(at, f"is damaged ({short(error)}): remove {folder}, and sweep again")]
+        ) from None
 
 
 def complete(folder: Path, shard: int) -> bool:
@@ -218,7 +250,9 @@ def write_part(folder: Path, first: int, columns: Mapping[str, Array], whole: bo
     aside = path.with_name(f".{path.stem}.{token_hex(4)}.partial")
     try:
         with open(aside, "wb") as opened:
-            whole_rows: Any = {name: np.ascontiguousarray(values) for name, values in columns.items()}
+            whole_rows: Any = {
+                name: np.ascontiguousarray(values) for name, values in columns.items()
+            }
             np.savez(opened, allow_pickle=False, **whole_rows)
         os.replace(aside, path)
     finally:
@@ -231,13 +265,17 @@ def read_part(path: Path, name: str, column: Column) -> Array:
     """Return one array of a part; raises `InputError` if it is damaged."""
     try:
         values: Array = unpack_one(path, name)
-        if values.shape[1:] != column.shape or values.dtype.kind not in ("U" if column.dtype is str else "f"):
+        if values.shape[1:] != column.shape or values.dtype.kind not in (
+            "U" if column.dtype is str else "f"
+        ):
             raise ValueError("an array has another shape")
         return values
     except FileNotFoundError:
         raise
     except Exception as error:  # whatever a damaged file makes numpy and zipfile raise
-        raise InputError([(str(path), f"cannot be read ({error}): remove it, and sweep again")]) from None
+        raise InputError(
+            [(str(path), f"cannot be read ({error}): remove it, and sweep again")]
+        ) from None
 
 
 def gather(folder: Path, made: Layout, shard: int) -> None:
@@ -269,7 +307,9 @@ def whole_parts(folder: Path) -> dict[int, Path]:
 
 def _parts(folder: Path, kind: str) -> dict[int, Path]:
     pattern = re.compile(rf"([0-9]{{7}}){re.escape(kind)}\.npz")
-    found = ((pattern.fullmatch(path.name), path) for path in sorted((folder / PARTS).glob("*.npz")))
+    found = (
+        (pattern.fullmatch(path.name), path) for path in sorted((folder / PARTS).glob("*.npz"))
+    )
     return {int(name[1]): path for name, path in found if name}
 
 
@@ -284,7 +324,9 @@ def clean(folder: Path, made: Layout) -> None:
             path.unlink(missing_ok=True)
 
 
-def read(folder: Path, made: Layout, name: str, numbers: np.ndarray, of: Sequence[np.ndarray] = ()) -> Array:
+def read(
+    folder: Path, made: Layout, name: str, numbers: np.ndarray, of: Sequence[np.ndarray] = ()
+) -> Array:
     """Return what an array holds for these scenes, from shards and from parts; NaN where there is nothing."""
     column = made.columns[name]
     array = open_store(folder)[name]

@@ -13,7 +13,11 @@ from ..trajectory.zarr_layout import KEYS, codec_names, codec_names_in_shards, m
 from ..util.files import check_tree
 
 CHUNK_BYTES = 2**18  # of a shard, read at a time
-KINDS = {"float64": "bytes", "int64": "bytes", "string": "vlen-utf8"}  # types of data, and what writes them
+KINDS = {
+    "float64": "bytes",
+    "int64": "bytes",
+    "string": "vlen-utf8",
+}  # types of data, and what writes them
 FILLS = {"float64": "NaN", "string": "not done"}  # where a scene has no answer
 PLAIN_BYTES = 2**26  # of an array that is read whole, whatever its file is like;
 MOST_SHRUNK = 1000  # times, that larger ones are by their codecs
@@ -45,7 +49,11 @@ def _check(node: Path, about: dict[str, Any]) -> None:
     name, shape, dimensions = node.name, about["shape"], about["dimension_names"]
     if about["node_type"] != "array" or about.keys() - KEYS or about.get("storage_transformers"):
         raise ValueError(f"{name} is stored in a way that lmpchain does not use")
-    if not shape or len(shape) != len(dimensions) or not all(type(length) is int and length > 0 for length in shape):
+    if (
+        not shape
+        or len(shape) != len(dimensions)
+        or not all(type(length) is int and length > 0 for length in shape)
+    ):
         raise ValueError(f"{name} has a shape that lmpchain does not use")
     if not all(isinstance(text, str) for text in (*dimensions, *about["attributes"].values())):
         raise ValueError(f"{name} has labels that lmpchain does not use")
@@ -58,12 +66,17 @@ def _check(node: Path, about: dict[str, Any]) -> None:
         codecs = codec_names_in_shards(about["codecs"], tuple(inner))
         width = 8 * math.prod(shape[1:])
         plain &= inner[0] > 0 and chunk[0] % inner[0] == 0 and chunk[1:] == shape[1:] == inner[1:]
-        plain &= inner[0] * width <= max(CHUNK_BYTES, width) and about["fill_value"] == FILLS[about["data_type"]]
+        plain &= (
+            inner[0] * width <= max(CHUNK_BYTES, width)
+            and about["fill_value"] == FILLS[about["data_type"]]
+        )
     else:
         codecs = codec_names(about["codecs"])
         held = sum(path.stat().st_size for path in (node / "c").rglob("*") if path.is_file())
         plain &= chunk == shape and 8 * math.prod(shape) <= max(PLAIN_BYTES, MOST_SHRUNK * held)
     if not plain:
-        raise ValueError(f"{name} is in pieces that lmpchain does not use, or claims to hold more than it does")
+        raise ValueError(
+            f"{name} is in pieces that lmpchain does not use, or claims to hold more than it does"
+        )
     if codecs != [KINDS[about["data_type"]], "zstd", "crc32c"]:
         raise ValueError(f"{name} is stored with codecs that lmpchain does not use")

@@ -17,7 +17,9 @@ from .store import NAME, NOT_DONE, Layout, read, write_part
 def others(folder: Path, results: Path) -> list[Path]:
     """Return where the results of other sweeps of the folder lie."""
     return sorted(
-        path for path in folder.iterdir() if is_name(path.name) and (path / NAME).exists() and path != results
+        path
+        for path in folder.iterdir()
+        if is_name(path.name) and (path / NAME).exists() and path != results
     )
 
 
@@ -27,7 +29,9 @@ def take_over(plan: Sweep, made: Layout, results: Path, before: Path) -> None:
         old, laid = kept(before)
     except InputError:  # damaged, or of another version
         return
-    shapes = [{name: column.shape for name, column in each.columns.items()} for each in (made, laid)]
+    shapes = [
+        {name: column.shape for name, column in each.columns.items()} for each in (made, laid)
+    ]
     if shapes[0] != shapes[1] or old.keep != plan.keep:
         return
     keys, places = _done(old, laid, before)
@@ -46,7 +50,13 @@ def take_over(plan: Sweep, made: Layout, results: Path, before: Path) -> None:
             end = min(begin + made.batch, made.count)
             mine = (numbers >= begin) & (numbers < end)
             if mine.any():
-                _write(results, begin, end, numbers[mine], {name: values[mine] for name, values in found.items()})
+                _write(
+                    results,
+                    begin,
+                    end,
+                    numbers[mine],
+                    {name: values[mine] for name, values in found.items()},
+                )
 
 
 def _write(results: Path, begin: int, end: int, numbers: np.ndarray, found: dict[str, Any]) -> None:
@@ -54,7 +64,11 @@ def _write(results: Path, begin: int, end: int, numbers: np.ndarray, found: dict
     columns = {}
     for name, values in found.items():
         text = name == "reason"
-        column: Any = np.full((end - begin, *values.shape[1:]), NOT_DONE if text else np.nan, object if text else float)
+        column: Any = np.full(
+            (end - begin, *values.shape[1:]),
+            NOT_DONE if text else np.nan,
+            object if text else float,
+        )
         column[numbers - begin] = values
         columns[name] = column.astype(str) if text else column
     write_part(results, begin, columns, whole=len(numbers) == end - begin)
@@ -76,5 +90,8 @@ def drop(plan: Sweep, before: Path) -> None:
     except InputError:
         return
     keys, _ = _done(old, laid, before)
-    if old.keep == plan.keep and np.isin(keys, [plan.key(number) for number in range(plan.count)]).all():
+    if (
+        old.keep == plan.keep
+        and np.isin(keys, [plan.key(number) for number in range(plan.count)]).all()
+    ):
         shutil.rmtree(before, ignore_errors=True)

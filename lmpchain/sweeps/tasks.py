@@ -63,7 +63,9 @@ def together(engine: str, scene: Scene) -> int:
 
 def answer(task: Task) -> None:
     """Answer the scenes of a task, unless that was done before, and write down what is kept of them."""
-    if part_of(task.folder, task.first).exists() or complete(task.folder, task.first // task.layout.shard):
+    if part_of(task.folder, task.first).exists() or complete(
+        task.folder, task.first // task.layout.shard
+    ):
         return
     plan = again(_text(task.folder / NAME), task.files)
     engine = engines.get(plan.engine)
@@ -72,7 +74,9 @@ def answer(task: Task) -> None:
     with warnings.catch_warnings(action="ignore"):
         made = scenes(plan, task.first, task.count, alike)
         columns, left = _columns(task), dict(enumerate(made))
-        for row, found in in_batches(engine, {n: s for n, s in left.items() if isinstance(s, Scene)}, plan.tolerance):
+        for row, found in in_batches(
+            engine, {n: s for n, s in left.items() if isinstance(s, Scene)}, plan.tolerance
+        ):
             del left[row]
             _put(columns, row, found, plan, task)
         for row, scene in left.items():
@@ -88,10 +92,14 @@ def _with_known(columns: dict[str, Any], task: Task) -> dict[str, Any]:
     """
     some = part_of(task.folder, task.first, whole=False)
     if some.exists():
-        known = {name: read_part(some, name, column) for name, column in task.layout.columns.items()}
+        known = {
+            name: read_part(some, name, column) for name, column in task.layout.columns.items()
+        }
         there = known["reason"] != NOT_DONE
         for name, values in columns.items():
-            columns[name] = np.array(np.where(there.reshape(-1, *[1] * (values.ndim - 1)), known[name], values))
+            columns[name] = np.array(
+                np.where(there.reshape(-1, *[1] * (values.ndim - 1)), known[name], values)
+            )
     return columns
 
 
@@ -103,12 +111,15 @@ def _text(path: Path) -> str:
 def _columns(task: Task) -> dict[str, Any]:
     """Return an array of NaN for everything that is kept, (R, ...) each, and no reasons."""
     columns: dict[str, Any] = {
-        name: np.full((task.count, *column.shape), np.nan) for name, column in task.layout.columns.items()
+        name: np.full((task.count, *column.shape), np.nan)
+        for name, column in task.layout.columns.items()
     }
     return columns | {"reason": [""] * task.count}
 
 
-def _put(columns: Mapping[str, Any], row: int, found: Trajectory | LmpchainError, plan: Sweep, task: Task) -> None:
+def _put(
+    columns: Mapping[str, Any], row: int, found: Trajectory | LmpchainError, plan: Sweep, task: Task
+) -> None:
     """Put what is kept of an answer where it belongs, or why there is none."""
     if isinstance(found, LmpchainError):
         columns["reason"][row] = str(found)
@@ -122,10 +133,15 @@ def _put(columns: Mapping[str, Any], row: int, found: Trajectory | LmpchainError
         if values.ndim == 2:
             into[: len(values), spots] = values
         elif values.ndim:
-            into[slice(len(values)) if task.layout.columns[name].dimensions == ("time",) else spots] = values
+            into[
+                slice(len(values)) if task.layout.columns[name].dimensions == ("time",) else spots
+            ] = values
         else:
             columns[name][row] = values
-    columns["model_error"][row], columns["solver_error"][row] = found.error_estimate.model, found.error_estimate.solver
+    columns["model_error"][row], columns["solver_error"][row] = (
+        found.error_estimate.model,
+        found.error_estimate.solver,
+    )
     if "time" in columns:
         columns["time"][row, : found.scene.samples] = found.scene.time
     for key, values in plan.drawn(place, found.scene.chain.grains).items():
@@ -142,7 +158,9 @@ def _spots(wanted: bytes, grains: bytes) -> Any:
     return order[np.searchsorted(every, numbers, sorter=order)]
 
 
-def _alone(scene: Scene | InputError, engine: Engine, tolerance: float) -> Trajectory | LmpchainError:
+def _alone(
+    scene: Scene | InputError, engine: Engine, tolerance: float
+) -> Trajectory | LmpchainError:
     """Answer one scene, or say why there is no answer."""
     if isinstance(scene, InputError):
         return scene

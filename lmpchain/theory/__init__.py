@@ -7,6 +7,16 @@ Contact n has ``kappa_n = n^xi``, grain n sits at the depth ``h = n - 1/2``. Arr
 
 from ..util.lazy import attributes, listed
 
-__all__ = ["bands", "bessel", "continuum", "dimer_soliton", "dyson", "front", "modes", "scattering", "soliton"]
+__all__ = [
+    "bands",
+    "bessel",
+    "continuum",
+    "dimer_soliton",
+    "dyson",
+    "front",
+    "modes",
+    "scattering",
+    "soliton",
+]
 __getattr__ = attributes(__name__, __all__)
 __dir__ = listed(__name__)

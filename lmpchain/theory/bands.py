@@ -63,10 +63,16 @@ class Cell:
             If the chain is under gravity or not compressed.
         """
         require(
-            ("gravity", chain.gravity == 0, "must be 0: contacts that stiffen with depth do not repeat"),
+            (
+                "gravity",
+                chain.gravity == 0,
+                "must be 0: contacts that stiffen with depth do not repeat",
+            ),
             ("top_load", chain.top_load > 0, "must be above 0: nothing is linear without it"),
         )
-        ends = [-2, -1, 0][-chain.grains - 1 :]  # the last contact tells how given constants compare with Hertz's
+        ends = [-2, -1, 0][
+            -chain.grains - 1 :
+        ]  # the last contact tells how given constants compare with Hertz's
         d, modulus = chain.diameters[ends], chain.by_grain("plane_strain_modulus")[ends]
         natural = hertz_constant(modulus, 2 / d, (d[:-1] + d[1:]) / 2, chain.exponent)
         constant = natural[-1] * np.prod(chain.contact_constants[-1:] / natural[:-1])
@@ -155,7 +161,9 @@ class GapModes(Shown):
         ax = axes_in_units(ax, "", "")
         for w, shape, number in zip(self.frequency, self.shape, self.participation, strict=True):
             label = f"{w / (2 * np.pi):.4g} Hz, {number:.1f} grains"
-            ax.plot(np.arange(1, shape.size + 1), shape / np.abs(shape).max(), ".-", lw=1, label=label)
+            ax.plot(
+                np.arange(1, shape.size + 1), shape / np.abs(shape).max(), ".-", lw=1, label=label
+            )
         ax.set(xlabel="grain", ylabel="displacement over the largest")
         legend(ax)
         return ax
@@ -195,7 +203,9 @@ def branches(cell: Cell | Chain, wavenumber: ArrayLike) -> Bands:
     b, slope = _extensions(cell, q)
     left, frequency, right = np.linalg.svd(b)
     product = np.einsum("kis,kij,ksj->ks", left.conj(), slope, right.conj())
-    soft = frequency <= TOUCHING * np.abs(slope).max(initial=0.0)  # there the phases of both vectors are free
+    soft = frequency <= TOUCHING * np.abs(slope).max(
+        initial=0.0
+    )  # there the phases of both vectors are free
     velocity = np.where(soft, np.abs(product), product.real)
     order = slice(None, None, -1)
     return Bands(cell, q, frequency.T[order], velocity.T[order], gaps(cell))
@@ -239,7 +249,10 @@ def repeating(chain: Chain, first: int = 1, last: int | None = None, most: int =
     3
     """
     last = chain.grains if last is None else last
-    rows = [np.log(chain.masses[first - 1 : last]), np.log(chain.contact_constants[first - 1 : last - 1])]
+    rows = [
+        np.log(chain.masses[first - 1 : last]),
+        np.log(chain.contact_constants[first - 1 : last - 1]),
+    ]
     for period in range(1, min(most, (last - first + 1) // 2) + 1):
         if all(np.abs(x[period:] - x[:-period]).max(initial=0.0) < ALIKE for x in rows):
             return period
@@ -280,7 +293,9 @@ def gap_modes(chain: Chain, cell: Cell | Chain) -> GapModes:
 def _outside(cell: Cell | Chain) -> Array:
     """Return the gaps and what lies above the highest band, (G + 1, 2) rad/s."""
     cell = Cell.of(cell) if isinstance(cell, Chain) else cell
-    edges = np.sort(np.linalg.svd(_extensions(cell, np.array([0.0, np.pi]))[0], compute_uv=False), axis=1)
+    edges = np.sort(
+        np.linalg.svd(_extensions(cell, np.array([0.0, np.pi]))[0], compute_uv=False), axis=1
+    )
     low, high = edges.min(0), edges.max(0)
     between = np.column_stack((high, np.append(low[1:], np.inf)))
     return between[between[:, 1] - between[:, 0] > TOUCHING * high[-1]]
@@ -291,9 +306,21 @@ def _parts(cell: Cell) -> tuple[Array, Array, Array]:
     m, k = real(cell.masses), real(cell.stiffness)
     inside = np.zeros((m.size, 2)) if cell.resonators is None else real(cell.resonators)
     require(
-        ("masses", m.ndim == 1 and m.size and (m > 0).all() and np.isfinite(m).all(), "must be above 0, one a grain"),
-        ("stiffness", k.shape == m.shape and (k > 0).all() and np.isfinite(k).all(), "must be above 0, one a grain"),
-        ("resonators", inside.shape == (m.size, 2) and (inside >= 0).all(), "must be (mass, stiffness), one a grain"),
+        (
+            "masses",
+            m.ndim == 1 and m.size and (m > 0).all() and np.isfinite(m).all(),
+            "must be above 0, one a grain",
+        ),
+        (
+            "stiffness",
+            k.shape == m.shape and (k > 0).all() and np.isfinite(k).all(),
+            "must be above 0, one a grain",
+        ),
+        (
+            "resonators",
+            inside.shape == (m.size, 2) and (inside >= 0).all(),
+            "must be (mass, stiffness), one a grain",
+        ),
     )
     carried = np.flatnonzero(inside[:, 0])
     return m, k, np.column_stack((carried, inside[carried]))
@@ -312,7 +339,10 @@ def _extensions(cell: Cell, q: Array) -> tuple[NDArray[np.complex128], NDArray[n
         if i == size - 1:
             slope[:, i, 0] = -1j * coupling
     for row, (grain, mass, stiffness) in enumerate(inside, size):
-        b[:, row, row], b[:, row, int(grain)] = np.sqrt(stiffness / mass), -np.sqrt(stiffness / m[int(grain)])
+        b[:, row, row], b[:, row, int(grain)] = (
+            np.sqrt(stiffness / mass),
+            -np.sqrt(stiffness / m[int(grain)]),
+        )
     return b, slope
 
 

@@ -55,7 +55,11 @@ def infinite(n: ArrayLike, p: ArrayLike, T: ArrayLike) -> Array:
 
 
 def infinite_general(
-    n: ArrayLike, T: ArrayLike, p: ArrayLike, displacement: ArrayLike = 0.0, velocity: ArrayLike = 0.0
+    n: ArrayLike,
+    T: ArrayLike,
+    p: ArrayLike,
+    displacement: ArrayLike = 0.0,
+    velocity: ArrayLike = 0.0,
 ) -> Array:
     """Return the motion of the infinite uniform chain from any initial data, Eq. (5).
 
@@ -223,4 +227,6 @@ def far_field(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     xi, _, _ = exponents(delta)
     n, tau = whole("n", n, 1), real(tau)
     require(("tau", tau > 0, "must be above 0"))
-    return np.cos(2 * n ** (xi / 2) * tau - np.pi * (n + 0.25)) / np.sqrt(np.pi * tau) / n ** (xi / 4)
+    return (
+        np.cos(2 * n ** (xi / 2) * tau - np.pi * (n + 0.25)) / np.sqrt(np.pi * tau) / n ** (xi / 4)
+    )

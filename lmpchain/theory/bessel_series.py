@@ -11,7 +11,9 @@ from .domain import real, require, whole
 DECAY = 640.0  # recurrences begin where Bessel functions are exp(-640), not far from the smallest number there is
 
 
-def coefficients(kappa: ArrayLike, n: ArrayLike, k: int, terms: int, scale: float | None = None) -> Array:
+def coefficients(
+    kappa: ArrayLike, n: ArrayLike, k: int, terms: int, scale: float | None = None
+) -> Array:
     """Return the coefficients A_1(n) ... A_terms(n) of the series (19), by Eqs. (20)-(21).
 
     The series is phi_n = sum_j A_j(n) J_(2j-2)(2 sqrt(scale) tau).
@@ -54,7 +56,11 @@ def coefficients(kappa: ArrayLike, n: ArrayLike, k: int, terms: int, scale: floa
     require(
         ("n", n < held, f"must be below {held}, the grain that is held"),
         ("k", 1 <= k < held, f"must be 1 or more and below {held}, the grain that is held"),
-        ("scale", scale >= (above + kappa).max() / 2, "must be larger, for no frequency may lie above 2 sqrt(scale)"),
+        (
+            "scale",
+            scale >= (above + kappa).max() / 2,
+            "must be larger, for no frequency may lie above 2 sqrt(scale)",
+        ),
     )
     coefficients = np.empty((*n.shape, terms))
     before, now = np.zeros((2, kappa.size))
@@ -123,7 +129,13 @@ def finite_impulse(kappa: ArrayLike, n: ArrayLike, k: int, tau: ArrayLike) -> Ar
 
 def _constants(kappa: ArrayLike) -> Array:
     kappa = real(kappa)
-    require(("kappa", kappa.ndim == 1 and kappa.size and (kappa > 0).all(), "must be a list of numbers above 0"))
+    require(
+        (
+            "kappa",
+            kappa.ndim == 1 and kappa.size and (kappa > 0).all(),
+            "must be a list of numbers above 0",
+        )
+    )
     return kappa
 
 
@@ -158,7 +170,10 @@ def table(key: str, z: Array, count: int | None = None) -> tuple[Array, Array, N
     even, integral = np.zeros((2, count, values.size))
     above, now, norm, odd = np.zeros((4, values.size))
     for order in range(int(start.max()), -1, -1):
-        above, now = now, np.where(order == start, np.exp(-DECAY), 2 * (order + 1) / size * now - above)
+        above, now = (
+            now,
+            np.where(order == start, np.exp(-DECAY), 2 * (order + 1) / size * now - above),
+        )
         if order % 2:
             odd += now
             continue

@@ -111,7 +111,11 @@ def standing(h: ArrayLike, lam: ArrayLike, delta: float = 1.5) -> Array:
 
 
 def superpose(
-    A: Callable[[Complex], ArrayLike], h: ArrayLike, tau: ArrayLike, delta: float = 1.5, angle: float = np.pi / 2
+    A: Callable[[Complex], ArrayLike],
+    h: ArrayLike,
+    tau: ArrayLike,
+    delta: float = 1.5,
+    angle: float = np.pi / 2,
 ) -> Complex:
     """Return the integral of A(lambda) u_lambda(h) exp(i lambda tau) over lambda > 0, Eq. (31).
 
@@ -261,8 +265,19 @@ def resonant_packet(h: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     tau, travel = real(tau), chi(h, delta)
     ahead = tau + travel
     require(("tau", ahead > 0, "must be above -chi"), ("delta", delta > 1, "must be above 1"))
-    amplitude = 2 / np.sqrt(np.pi) * np.cos(np.pi * nu) * (eta / 4) ** nu * gamma(1 - 2 * nu) / gamma(1.5 - nu)
-    return amplitude * ahead ** (2 * nu - 1) * hyp2f1(0.5 - nu, 1 - 2 * nu, 1.5 - nu, (tau - travel) / ahead)
+    amplitude = (
+        2
+        / np.sqrt(np.pi)
+        * np.cos(np.pi * nu)
+        * (eta / 4) ** nu
+        * gamma(1 - 2 * nu)
+        / gamma(1.5 - nu)
+    )
+    return (
+        amplitude
+        * ahead ** (2 * nu - 1)
+        * hyp2f1(0.5 - nu, 1 - 2 * nu, 1.5 - nu, (tau - travel) / ahead)
+    )
 
 
 def _bare_mode(h: ArrayLike, lam: ArrayLike, delta: float) -> Complex:

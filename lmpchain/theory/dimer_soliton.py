@@ -35,7 +35,10 @@ if TYPE_CHECKING:
 
 __dir__ = listed(__name__)
 
-LIGHTEST, APART = 0.03, 0.35  # the least mass ratio of a scan, and how far apart its searches begin in 1 / sqrt(ratio)
+LIGHTEST, APART = (
+    0.03,
+    0.35,
+)  # the least mass ratio of a scan, and how far apart its searches begin in 1 / sqrt(ratio)
 PERIOD, POINTS = 12.0, 256  # grains, and points in them
 GRAINS, CONTACT, UNTIL = 50, 28, 60.0  # of the chain that is struck for an approximation
 ALIKE = 1e-9  # relative differences of masses and constants that count as none
@@ -91,11 +94,23 @@ class DimerSoliton(Shown):
         own = np.where(heavy, mass[heavy][0], self.mass_ratio * mass[heavy][0])
         low, high = 1 + PERIOD / 2, chain.movable - PERIOD / 2
         require(
-            ("chain", chain.exponent == self.delta, f"must have the exponent {self.delta:g} of the wave"),
+            (
+                "chain",
+                chain.exponent == self.delta,
+                f"must have the exponent {self.delta:g} of the wave",
+            ),
             ("chain", not chain.compressed, "must be in a sonic vacuum: no gravity, no load"),
-            ("masses", np.abs(mass / own - 1) < ALIKE, f"must alternate in the ratio {self.mass_ratio:.12g}"),
+            (
+                "masses",
+                np.abs(mass / own - 1) < ALIKE,
+                f"must alternate in the ratio {self.mass_ratio:.12g}",
+            ),
             ("contact_constants", np.ptp(constant) < ALIKE * constant[0], "must be equal"),
-            ("grain", low <= grain <= high, f"must lie from {low:g} to {high:g} for the wave to fit the chain"),
+            (
+                "grain",
+                low <= grain <= high,
+                f"must lie from {low:g} to {high:g} for the wave to fit the chain",
+            ),
         )
         unit = (own[heavy][0] / constant[0]) ** (1 / (1 + self.delta))
         x = np.arange(1, chain.grains + 1) - grain
@@ -117,7 +132,12 @@ class DimerSoliton(Shown):
     def _series(self, x: Array, derivative: int) -> Array:
         """Return A or A' by its Fourier series, 0 beyond."""
         k = 2 * np.pi * np.fft.rfftfreq(self.place.size, PERIOD / self.place.size)
-        weight = np.fft.rfft(self.values) * (1j * k) ** derivative * np.where(k == 0, 1, 2) / self.place.size
+        weight = (
+            np.fft.rfft(self.values)
+            * (1j * k) ** derivative
+            * np.where(k == 0, 1, 2)
+            / self.place.size
+        )
         angle = np.multiply.outer(x - self.place[0], k)
         return np.where(np.abs(x) < PERIOD / 2, (np.exp(1j * angle) @ weight).real, 0.0)
 
@@ -127,12 +147,14 @@ class DimerSoliton(Shown):
         first = np.ceil(np.maximum(-far - x - 0.5, 0.0))[..., None] + np.arange(PERIOD + 2)
         at = x[..., None] + 0.5 + first
         behind = (first + light) % 2 == 1
-        return np.where(behind, self._series(-at, derivative) * (-1) ** derivative, self._series(at, derivative)).sum(
-            -1
-        )
+        return np.where(
+            behind, self._series(-at, derivative) * (-1) ** derivative, self._series(at, derivative)
+        ).sum(-1)
 
 
-def antiresonances(least: float = 0.1, delta: float = 1.5, *, progress: bool = False) -> tuple[float, ...]:
+def antiresonances(
+    least: float = 0.1, delta: float = 1.5, *, progress: bool = False
+) -> tuple[float, ...]:
     """Return the mass ratios at which a dimer chain carries a solitary wave, from 1 downward.
 
     A light grain that a pulse passes oscillates at a rate that goes as ``s = 1 / sqrt(ratio)``, and from one of them to
@@ -220,7 +242,9 @@ def _solved(near: float, delta: float) -> tuple[float, Array, Array]:
     """Return mass ratio, places and values of A for speed 1."""
     x = (np.arange(POINTS) - POINTS // 2) * PERIOD / POINTS
     k = 2 * np.pi * np.fft.fftfreq(POINTS, PERIOD / POINTS)
-    inverse = np.where(k == 0, 0.0, -1 / np.where(k == 0, 1.0, k) ** 2)  # of the second derivative, but for the mean
+    inverse = np.where(
+        k == 0, 0.0, -1 / np.where(k == 0, 1.0, k) ** 2
+    )  # of the second derivative, but for the mean
     fourier = np.fft.fft(np.eye(POINTS), axis=0)
 
     def operator(symbol: Array) -> Array:
@@ -228,7 +252,9 @@ def _solved(near: float, delta: float) -> tuple[float, Array, Array]:
 
     mirror = np.eye(POINTS)[-np.arange(POINTS) % POINTS]
     alone = operator(inverse)
-    heavy, light = (operator(inverse * np.exp(shift * 1j * k)) @ mirror - alone for shift in (-1, 1))
+    heavy, light = (
+        operator(inverse * np.exp(shift * 1j * k)) @ mirror - alone for shift in (-1, 1)
+    )
     slope = operator(1j * k * (np.arange(POINTS) != POINTS // 2))[0]
     values, inertia = _approximate(near, delta, x), 1 / near
     matrix = np.zeros((POINTS + 1, POINTS + 1))
@@ -246,7 +272,14 @@ def _solved(near: float, delta: float) -> tuple[float, Array, Array]:
         values, inertia = values - change[:-1], inertia - change[-1]
         if size < 1e-7:  # the next change is its square
             return float(1 / inertia), x, values
-    raise InputError([("near", f"there is no wave that does not radiate near the mass ratio {near:g}: try another")])
+    raise InputError(
+        [
+            (
+                "near",
+                f"there is no wave that does not radiate near the mass ratio {near:g}: try another",
+            )
+        ]
+    )
 
 
 def _approximate(ratio: float, delta: float, x: Array) -> Array:
@@ -260,7 +293,9 @@ def _approximate(ratio: float, delta: float, x: Array) -> Array:
     start = np.zeros(2 * GRAINS)
     start[GRAINS] = 1.0
     time = np.linspace(0, UNTIL, 3001)
-    moved = solve_ivp(rate, (0, UNTIL), start, "DOP853", t_eval=time, rtol=1e-8, atol=1e-10).y[:GRAINS]
+    moved = solve_ivp(rate, (0, UNTIL), start, "DOP853", t_eval=time, rtol=1e-8, atol=1e-10).y[
+        :GRAINS
+    ]
     overlap = -np.diff(moved, axis=0)
 
     def centre(contact: int) -> float:
@@ -274,5 +309,7 @@ def _approximate(ratio: float, delta: float, x: Array) -> Array:
     middle = (first + second) / 2 - 1 / (2 * speed)  # A and its mirror image, half a grain apart
     place = speed * (middle - time)
     near = np.abs(x) < PERIOD / 4
-    values = CubicSpline(place[::-1], overlap[CONTACT][::-1])(np.where(near, x, 0.0)) / speed ** (2 / (delta - 1))
+    values = CubicSpline(place[::-1], overlap[CONTACT][::-1])(np.where(near, x, 0.0)) / speed ** (
+        2 / (delta - 1)
+    )
     return np.where(near, np.maximum(values, 0.0), 0.0)

@@ -96,7 +96,13 @@ def average(velocity: ArrayLike, kappa: ArrayLike, m: ArrayLike, normalised: boo
     1.0
     """
     velocity, kappa = real(velocity), real(kappa)
-    require(("kappa", kappa.shape == velocity.shape[-1:], "must hold one force constant for each grain of velocity"))
+    require(
+        (
+            "kappa",
+            kappa.shape == velocity.shape[-1:],
+            "must hold one force constant for each grain of velocity",
+        )
+    )
     weights = weight(kappa, real(m)[..., None])
     total = (weights * velocity).sum(-1)
     return total / weights.sum(-1) if normalised else total
@@ -176,7 +182,10 @@ def _panels(count: int = 200) -> tuple[Array, Array]:
 def _gamma(kappa: ArrayLike, m: ArrayLike, lower: int) -> Array:
     """Return m^m / Gamma(m) kappa^(m - lower) exp(-m kappa), with no large terms that cancel."""
     kappa, m = real(kappa), real(m)
-    require(("kappa", kappa >= 0, "must be 0 or more"), ("m", (m > 0) & np.isfinite(m), "must be above 0"))
+    require(
+        ("kappa", kappa >= 0, "must be 0 or more"),
+        ("m", (m > 0) & np.isfinite(m), "must be above 0"),
+    )
     return np.exp(_log_peak(m) + xlogy(m - lower, kappa) - m * (kappa - 1))
 
 
@@ -184,4 +193,8 @@ def _log_peak(m: Array) -> Array:
     """Return log(m^m exp(-m) / Gamma(m)), by Stirling's series where m is large."""
     small, large = np.minimum(m, 20.0), np.maximum(m, 20.0)
     series = (1 / 12 - (1 / 360 - (1 / 1260 - 1 / 1680 / large**2) / large**2) / large**2) / large
-    return np.where(m < 20, xlogy(small, small) - small - gammaln(small), np.log(large / (2 * np.pi)) / 2 - series)
+    return np.where(
+        m < 20,
+        xlogy(small, small) - small - gammaln(small),
+        np.log(large / (2 * np.pi)) / 2 - series,
+    )

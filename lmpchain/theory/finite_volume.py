@@ -82,17 +82,24 @@ def solve(
     """
     tau, grains, cells = real(tau), int(whole("grains", grains, 2)), int(whole("cells", cells, 1))
     ascending = tau.ndim == 1 and tau.size and tau[0] >= 0 and (np.diff(tau) >= 0).all()
-    require(("tau", ascending, "must be a list that ascends from 0 or more"), ("cells", cells % 2, "must be odd"))
+    require(
+        ("tau", ascending, "must be a list that ascends from 0 or more"),
+        ("cells", cells % 2, "must be odd"),
+    )
     _, eta, _ = exponents(delta)
     width = 1 / cells
     middle = cells // 2
     moving = (grains - 1) * cells + middle  # the next cell is centred on grain N and held
     centre = real(np.arange(moving + 1) + 0.5) * width
     face = np.arange(1, moving + 1) * width
-    rate = eta * face / np.diff(centre**eta) / width  # flux over phi_b - phi_a, for a cell of this width
+    rate = (
+        eta * face / np.diff(centre**eta) / width
+    )  # flux over phi_b - phi_a, for a cell of this width
     longest = COURANT * 2 / np.sqrt(2 * (rate[:-1] + rate[1:]).max(initial=rate[0]))
     phi, speed = (
-        np.zeros(moving) if given is None else np.broadcast_to(real(given(centre[:-1])), moving).copy()
+        np.zeros(moving)
+        if given is None
+        else np.broadcast_to(real(given(centre[:-1])), moving).copy()
         for given in (displacement, velocity)
     )
 

@@ -183,7 +183,13 @@ def _near(n: ArrayLike, tau: ArrayLike, delta: float, derivative: int) -> Array:
 def _scales(n: ArrayLike, delta: float) -> tuple[Array, Array, float]:
     """Return chi and w at grain n, and a."""
     xi, eta, _ = exponents(delta)
-    require(("delta", delta < 3, "must be below 3: from there on waves are dispersed at the top, not at the front"))
+    require(
+        (
+            "delta",
+            delta < 3,
+            "must be below 3: from there on waves are dispersed at the top, not at the front",
+        )
+    )
     h = whole("n", n, 1) - 0.5
     power = 1 - 1.5 * xi
     return chi(h, delta), np.cbrt(h**power / (8 * power)), xi / (2 * eta)

@@ -16,7 +16,10 @@ from .domain import exponents, real, require, whole
 
 __dir__ = listed(__name__)
 
-DEGENERATE, PASSES = 1e-8, 3  # relative gap below which modes are one space, and mixture whose square is rounding
+DEGENERATE, PASSES = (
+    1e-8,
+    3,
+)  # relative gap below which modes are one space, and mixture whose square is rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +106,13 @@ def eigenmodes(chain: Chain) -> Modes:
     >>> (modes.frequency * chain.time_scale)[[0, -1]].round(12).tolist()
     [0.205435847948, 2.719178378759]
     """
-    require(("chain", chain.compressed, "carries no force at rest: nothing to linearise without gravity or a top load"))
+    require(
+        (
+            "chain",
+            chain.compressed,
+            "carries no force at rest: nothing to linearise without gravity or a top load",
+        )
+    )
     return between(chain.contacts.stiffness[: chain.movable + 1], chain.masses[: chain.movable])
 
 

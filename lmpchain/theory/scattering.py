@@ -98,8 +98,16 @@ def transmission(chain: Chain, frequency: ArrayLike) -> Transmission:
     '0.071997'
     """
     require(
-        ("chain", chain.compressed, "carries no force at rest: nothing linear travels without gravity or a load"),
-        ("grains", chain.grains > 1, "must be two or more: the first and the last contact are those of the leads"),
+        (
+            "chain",
+            chain.compressed,
+            "carries no force at rest: nothing linear travels without gravity or a load",
+        ),
+        (
+            "grains",
+            chain.grains > 1,
+            "must be two or more: the first and the last contact are those of the leads",
+        ),
     )
     return _scatter(chain.masses, chain.linear_stiffness, real(frequency))
 
@@ -147,20 +155,38 @@ def transparent(
     ['1.10000000']
     """
     numbers = sorted(grains)
-    mirrored = numbers == [numbers[0] + numbers[-1] - n for n in numbers[::-1]] if numbers else False
+    mirrored = (
+        numbers == [numbers[0] + numbers[-1] - n for n in numbers[::-1]] if numbers else False
+    )
     inside = all(3 <= n <= chain.grains - 2 for n in numbers)
     low, high = between
     require(
-        ("chain", not chain.impurity and isinstance(chain.diameter, float), "must be uniform, with no impurity"),
+        (
+            "chain",
+            not chain.impurity and isinstance(chain.diameter, float),
+            "must be uniform, with no impurity",
+        ),
         ("gravity", chain.gravity == 0, "must be 0, so that the leads are alike"),
         (
             "grains",
             mirrored and len(set(numbers)) == len(numbers),
             "must be their own mirror image, as 5 and 6, or 4, 5, 6",
         ),
-        ("grains", inside, f"must be from 3 to {chain.grains - 2}, so that the leads begin where the chain is uniform"),
-        ("vary", vary in get_args(Property), f'must be "diameter", "mass" or "modulus" (got {vary!r})'),
-        ("between", 0 < low < high, f"must be two factors above 0, the smaller one first (got {between!r})"),
+        (
+            "grains",
+            inside,
+            f"must be from 3 to {chain.grains - 2}, so that the leads begin where the chain is uniform",
+        ),
+        (
+            "vary",
+            vary in get_args(Property),
+            f'must be "diameter", "mass" or "modulus" (got {vary!r})',
+        ),
+        (
+            "between",
+            0 < low < high,
+            f"must be two factors above 0, the smaller one first (got {between!r})",
+        ),
     )
 
     def reflected(logarithm: float) -> float:
@@ -172,7 +198,9 @@ def transparent(
     places = np.linspace(np.log(low), np.log(high), STEPS + 1)
     values = np.array([reflected(x) for x in places])
     turns = np.flatnonzero(values[:-1] * values[1:] < 0)
-    found = np.exp([brentq(reflected, places[i], places[i + 1], xtol=1e-14, rtol=1e-14) for i in turns])
+    found = np.exp(
+        [brentq(reflected, places[i], places[i + 1], xtol=1e-14, rtol=1e-14) for i in turns]
+    )
     return found[np.abs(found - 1) > 1e-9]
 
 
@@ -223,7 +251,9 @@ def _scatter(mass: Array, stiffness: Array, frequency: Array) -> Transmission:
 
 def _lead(sine: Array) -> tuple[Array, Complex]:
     """Return sin(k/2) and exp(i k/2) of a lead, of the wave that decays away if sin(k/2) > 1."""
-    cosine = np.where(sine <= 1, np.sqrt(np.maximum(1 - sine**2, 0)), -1j * np.sqrt(np.maximum(sine**2 - 1, 0)))
+    cosine = np.where(
+        sine <= 1, np.sqrt(np.maximum(1 - sine**2, 0)), -1j * np.sqrt(np.maximum(sine**2 - 1, 0))
+    )
     return sine, cosine + 1j * sine
 
 

@@ -28,7 +28,13 @@ from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, legend, titled
 from .domain import real, require
-from .soliton_limits import coste_speed, kdv_overlap, nesterenko_overlap, nesterenko_speed, sen_displacement
+from .soliton_limits import (
+    coste_speed,
+    kdv_overlap,
+    nesterenko_overlap,
+    nesterenko_speed,
+    sen_displacement,
+)
 from .soliton_series import law, long_wave_speed, rows, solved
 
 __all__ = [
@@ -107,7 +113,9 @@ class Soliton(Shown):
     def displacement(self, x: ArrayLike) -> Array:
         """Return the displacement of a grain at x: 0 far ahead of the wave, and largest behind it."""
         x, far = real(x), np.ceil(self.reach) + 1
-        nearest = x + 0.5 + np.ceil(np.maximum(-far - x - 0.5, 0.0))  # contacts further behind are closed again
+        nearest = (
+            x + 0.5 + np.ceil(np.maximum(-far - x - 0.5, 0.0))
+        )  # contacts further behind are closed again
         return self.overlap(nearest[..., None] + np.arange(2 * far + 2)).sum(-1)
 
     @property
@@ -169,26 +177,54 @@ class Soliton(Shown):
         x = (np.arange(1, chain.grains + 1) - grain) * (1 if downward else -1)
         displacement, velocity = self.displacement(x) * length, self.velocity(x) * (length / time)
         if not downward:  # nothing below is moved, where a grain may be held
-            displacement, velocity = self.displacement(-2 * self.reach) * length - displacement, -velocity
+            displacement, velocity = (
+                self.displacement(-2 * self.reach) * length - displacement,
+                -velocity,
+            )
         displacement[chain.movable :] = velocity[chain.movable :] = 0.0
         return Profile(displacement=displacement, velocity=velocity)
 
     def _place(self, chain: Chain, grain: float) -> int:
         """Return the number of a contact in the wave if it fits the chain."""
         require(
-            ("chain", chain.exponent == self.delta, f"must have the exponent {self.delta:g} of the wave"),
-            ("gravity", chain.gravity == 0, "must be 0: contacts that stiffen with depth change a wave"),
-            ("top_load", chain.compressed == self.loaded, "must be above 0 for a wave under a load, else 0"),
+            (
+                "chain",
+                chain.exponent == self.delta,
+                f"must have the exponent {self.delta:g} of the wave",
+            ),
+            (
+                "gravity",
+                chain.gravity == 0,
+                "must be 0: contacts that stiffen with depth change a wave",
+            ),
+            (
+                "top_load",
+                chain.compressed == self.loaded,
+                "must be above 0 for a wave under a load, else 0",
+            ),
         )
         highest = float(self.overlap(0.0))
         far = 1 + brentq(lambda x: float(self.overlap(x)) / highest - FITS, 0.0, 2 * self.reach)
         low, high = 1 + far, chain.movable - far
-        require(("grain", low <= grain <= high, f"must lie from {low:.1f} to {high:.1f} for the wave to fit the chain"))
+        require(
+            (
+                "grain",
+                low <= grain <= high,
+                f"must lie from {low:.1f} to {high:.1f} for the wave to fit the chain",
+            )
+        )
         first, last = int(grain - far), int(np.ceil(grain + far))
         uneven = [
-            np.ptp(x) / x[0] for x in (chain.masses[first - 1 : last], chain.contact_constants[first - 1 : last - 1])
+            np.ptp(x) / x[0]
+            for x in (chain.masses[first - 1 : last], chain.contact_constants[first - 1 : last - 1])
         ]
-        require(("chain", max(uneven) < UNEVEN, f"must be uniform from grain {first} to {last}, where the wave is"))
+        require(
+            (
+                "chain",
+                max(uneven) < UNEVEN,
+                f"must be uniform from grain {first} to {last}, where the wave is",
+            )
+        )
         return first
 
     def plot(self, ax: Axes | None = None) -> Axes:
@@ -203,9 +239,13 @@ class Soliton(Shown):
             name, formula = "Korteweg-de Vries", kdv_overlap(x, self.speed, self.delta)
         else:
             name, formula = "Nesterenko", nesterenko_overlap(x, self.speed, self.delta)
-        ax.plot(x, formula / self.overlap(0.0), color="0.4", lw=1, ls="--", label=f"overlap, {name}")
+        ax.plot(
+            x, formula / self.overlap(0.0), color="0.4", lw=1, ls="--", label=f"overlap, {name}"
+        )
         ax.set(xlabel="x − ct (grains)", ylabel="over the largest value")
-        titled(ax, f"δ = {self.delta:g}, speed {self.speed:.7g}{' times sound' if self.loaded else ''}")
+        titled(
+            ax, f"δ = {self.delta:g}, speed {self.speed:.7g}{' times sound' if self.loaded else ''}"
+        )
         legend(ax)
         return ax
 
@@ -242,13 +282,21 @@ def solve(delta: float = 1.5, speed: float | None = None, velocity: float | None
             1 < delta <= HARDEST,
             f"must be above 1, where waves are linear, and {HARDEST:g} or less (got {delta!r})",
         ),
-        ("speed", (speed is None) != (velocity is None), "give it, under a load, or velocity, in the sonic vacuum"),
+        (
+            "speed",
+            (speed is None) != (velocity is None),
+            "give it, under a load, or velocity, in the sonic vacuum",
+        ),
         (
             "speed",
             speed is None or (np.isfinite(speed) and speed > 1),
             f"must be above 1, that of sound (got {speed!r})",
         ),
-        ("velocity", velocity is None or 0 < velocity < np.inf, f"must be above 0 (got {velocity!r})"),
+        (
+            "velocity",
+            velocity is None or 0 < velocity < np.inf,
+            f"must be above 0 (got {velocity!r})",
+        ),
     )
     found = solved(float(delta), None if speed is None else float(speed))
     wave = Soliton(float(delta), speed is not None, found.speed, 1.0, *found[1:])
@@ -283,7 +331,9 @@ def struck(velocity: float, delta: float = 1.5) -> Soliton:
     '1.008121 0.100000000000'
     """
     require(("velocity", 0 < velocity < np.inf, f"must be above 0 (got {velocity!r})"))
-    overlap = brentq(lambda r: r * float(long_wave_speed(real(r), delta)) - velocity, 1e-4 * velocity, velocity)
+    overlap = brentq(
+        lambda r: r * float(long_wave_speed(real(r), delta)) - velocity, 1e-4 * velocity, velocity
+    )
     near = float(long_wave_speed(real(overlap), delta))
     require(("velocity", near > WEAKEST, "is too small: the wave is that of Korteweg and de Vries"))
     found = solved(float(delta), near, float(velocity))

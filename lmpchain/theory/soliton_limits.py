@@ -67,7 +67,9 @@ def nesterenko_overlap(x: ArrayLike, speed: float, delta: float = 1.5) -> Array:
     """
     q = (delta - 1) * np.sqrt(6 / (delta * (delta + 1)))
     inside = np.abs(q * real(x)) < np.pi / 2
-    return ((delta + 1) / 2 * speed**2) ** (1 / (delta - 1)) * (inside * np.cos(q * real(x))) ** (2 / (delta - 1))
+    return ((delta + 1) / 2 * speed**2) ** (1 / (delta - 1)) * (inside * np.cos(q * real(x))) ** (
+        2 / (delta - 1)
+    )
 
 
 def sen_displacement(x: ArrayLike) -> Array:

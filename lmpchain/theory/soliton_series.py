@@ -46,7 +46,9 @@ def long_wave_speed(overlap: Array, delta: float) -> Array:
 
 def law(delta: float, loaded: bool) -> Contacts:
     """Return the contact in the units of the module: stiffness 1 at rest, or constant 1."""
-    return Contacts(np.array(1 / delta if loaded else 1.0), np.array(1 / delta if loaded else 0.0), delta)
+    return Contacts(
+        np.array(1 / delta if loaded else 1.0), np.array(1 / delta if loaded else 0.0), delta
+    )
 
 
 def rows(x: Array, terms: int, reach: float, delta: float, loaded: bool) -> Array:
@@ -80,7 +82,14 @@ def solved(delta: float, speed: float | None, velocity: float | None = None) -> 
         if found:
             guess = partial(_continued, found, delta, speed is not None)
         terms = 3 * terms // 2
-    raise InputError([("speed" if speed else "delta", "its wave is too wide or too sharp: no series resolves it")])
+    raise InputError(
+        [
+            (
+                "speed" if speed else "delta",
+                "its wave is too wide or too sharp: no series resolves it",
+            )
+        ]
+    )
 
 
 def _continued(found: Series, delta: float, loaded: bool, x: Array) -> Array:
@@ -89,7 +98,12 @@ def _continued(found: Series, delta: float, loaded: bool, x: Array) -> Array:
 
 
 def _newton(
-    delta: float, speed: float | None, velocity: float | None, terms: int, guess: Callable[[Array], Array], reach: float
+    delta: float,
+    speed: float | None,
+    velocity: float | None,
+    terms: int,
+    guess: Callable[[Array], Array],
+    reach: float,
 ) -> Series | None:
     """Solve for a series of so many terms and the logarithm of the speed; None if that does not converge."""
     loaded, c = speed is not None, speed or 1.0
@@ -103,7 +117,11 @@ def _newton(
 
     x = np.cos(np.pi * (np.arange(terms) + 0.5) / (2 * terms))
     x = reach * (np.sinh(CROWDED * x) / np.sinh(CROWDED) if loaded else x)
-    here, beside, within = rows(x, terms, reach, delta, loaded), around(x), rows(s / 2, terms, reach, delta, loaded)
+    here, beside, within = (
+        rows(x, terms, reach, delta, loaded),
+        around(x),
+        rows(s / 2, terms, reach, delta, loaded),
+    )
     series = np.linalg.solve(here, guess(x))
     matrix = np.zeros((terms + 1, terms + 1))
     matrix[:-1, -1] = 2.0
@@ -111,18 +129,24 @@ def _newton(
         overlap = np.exp(beside @ series)
         force = contact.force_change(overlap) @ weight
         off = here @ series - np.log(force) + 2 * np.log(c)
-        if not loaded and step < PICARD:  # the shape by iteration, of which the scale alone is unstable
+        if (
+            not loaded and step < PICARD
+        ):  # the shape by iteration, of which the scale alone is unstable
             series = np.linalg.solve(here, np.log(force))
             series[0] += off[-1] * delta / (delta - 1)
             continue
-        slope = contact.stiffness_at(contact.overlap + overlap) * overlap * (weight / force[:, None])
+        slope = (
+            contact.stiffness_at(contact.overlap + overlap) * overlap * (weight / force[:, None])
+        )
         matrix[:-1, :-1] = here - np.matmul(slope[:, None], beside)[:, 0]
         matrix[-1], closing = np.append(np.zeros(terms), 1.0), 0.0
         if velocity is not None:  # c times it is the mean force over one grain
             middle = np.exp(within @ series)
             share = np.tile(halves, 2) / 4
             mean = contact.force_change(middle) @ share
-            matrix[-1, :-1] = -(contact.stiffness_at(contact.overlap + middle) * middle * share / mean) @ within
+            matrix[-1, :-1] = (
+                -(contact.stiffness_at(contact.overlap + middle) * middle * share / mean) @ within
+            )
             closing = float(np.log(c * velocity / mean))
         change = np.linalg.solve(matrix, np.append(off, closing))
         size = np.abs(np.append(here @ change[:-1], change[-1])).max()
@@ -137,7 +161,12 @@ def _newton(
     between = np.linspace(0, reach, 4 * terms + 1)
     overlap = np.exp(rows(between, terms, reach, delta, loaded) @ series)
     miss = np.abs(contact.force_change(np.exp(around(between) @ series)) @ weight / c**2 - overlap)
-    return Series(c, reach, real(series), float(max(miss.max() / overlap.max(), IN_TAILS * (miss / overlap).max())))
+    return Series(
+        c,
+        reach,
+        real(series),
+        float(max(miss.max() / overlap.max(), IN_TAILS * (miss / overlap).max())),
+    )
 
 
 def _guess(delta: float, speed: float | None) -> tuple[Callable[[Array], Array], float]:
@@ -145,15 +174,23 @@ def _guess(delta: float, speed: float | None) -> tuple[Callable[[Array], Array],
     bend = 2 * (delta - 1) * 6 / (delta * (delta + 1))  # of Nesterenko's log(overlap) in the middle
     if speed is None:
         rate = np.log(delta)
-        return lambda x: -bend / rate**2 * (np.cosh(rate * x) - 1), float(np.arccosh(1 + DROP * rate**2 / bend) / rate)
+        return lambda x: -bend / rate**2 * (np.cosh(rate * x) - 1), float(
+            np.arccosh(1 + DROP * rate**2 / bend) / rate
+        )
     strong = np.log(delta * (delta + 1) / 2 * speed**2) / (delta - 1)
     weak = np.log(6 * (speed - 1) / (delta - 1)) - 1
     highest = brentq(
-        lambda y: float(long_wave_speed(np.exp(y), delta)) - speed, min(weak, strong) - 3, max(weak, strong) + 3
+        lambda y: float(long_wave_speed(np.exp(y), delta)) - speed,
+        min(weak, strong) - 3,
+        max(weak, strong) + 3,
     )
-    kappa = 2 * brentq(lambda z: float(np.sinh(z) / z) - speed, 1e-9, 2 * np.log(speed) + 10, xtol=1e-15)
+    kappa = 2 * brentq(
+        lambda z: float(np.sinh(z) / z) - speed, 1e-9, 2 * np.log(speed) + 10, xtol=1e-15
+    )
     power = max(2.0, kappa**2 / bend)
     return (
-        lambda x: highest - power * (np.logaddexp(kappa * x / power, -kappa * x / power) - np.log(2)),
+        lambda x: (
+            highest - power * (np.logaddexp(kappa * x / power, -kappa * x / power) - np.log(2))
+        ),
         DROP / kappa + 1,
     )

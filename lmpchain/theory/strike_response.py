@@ -64,7 +64,9 @@ def impulse_response(h: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     >>> impulse_response([0.0, 100.0], 50.0).round(6).tolist()
     [0.52825, 0.0]
     """
-    return np.where(real(tau) >= chi(h, delta), peaked(h, tau, 0.0, impulse_amplitude(delta), 0.0, delta), 0.0)
+    return np.where(
+        real(tau) >= chi(h, delta), peaked(h, tau, 0.0, impulse_amplitude(delta), 0.0, delta), 0.0
+    )
 
 
 def impulse_of_grain(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> tuple[Array, Array]:
@@ -115,7 +117,9 @@ def impulse_of_grain(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> tuple[
     return phi - phi_above, speed - speed_above
 
 
-def peaked(h: ArrayLike, tau: ArrayLike, c1: float, c2: float, c3: float, delta: float = 1.5) -> Array:
+def peaked(
+    h: ArrayLike, tau: ArrayLike, c1: float, c2: float, c3: float, delta: float = 1.5
+) -> Array:
     """Return Eq. (35), c1 + c2 ``|(tau + c3)^2 - chi^2|^(-xi/2eta)``.
 
     It solves Eq. (27) on each side of the light cone.

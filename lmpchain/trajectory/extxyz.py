@@ -28,4 +28,6 @@ def write(record: Record, path: str | PathLike[str]) -> None:
             u, v = np.asarray(record.displacement[sample]), np.asarray(record.velocity[sample])
             rows = zip((rest - u).tolist(), (0.0 - v).tolist(), named, u.tolist(), strict=True)
             out.write(f"{grains.size}\n{box} Time={time}\n")
-            out.writelines(f"X 0 0 {z} 0 0 {vz} {id} {radius} {moved}\n" for z, vz, (id, radius), moved in rows)
+            out.writelines(
+                f"X 0 0 {z} 0 0 {vz} {id} {radius} {moved}\n" for z, vz, (id, radius), moved in rows
+            )

@@ -14,7 +14,11 @@ TIME = "fine_time"
 KINDS: dict[str, tuple[tuple[str, ...], str, str]] = {
     "peak_displacement": (("grain",), "m", "largest size of the displacement at any time"),
     "peak_velocity": (("grain",), "m s-1", "largest size of the velocity at any time"),
-    "arrival_time": (("grain",), "s", "when the front passes, by the velocity (measure.front.track)"),
+    "arrival_time": (
+        ("grain",),
+        "s",
+        "when the front passes, by the velocity (measure.front.track)",
+    ),
     "peak_force": ((), "N", "largest force at any time of contact"),
     "force": ((TIME,), "N", "force of contact"),
 }
@@ -49,16 +53,25 @@ def arrays(scene: Scene) -> dict[str, Kind]:
         sizes = {"grain": scene.count(scene.chain), TIME: scene.fine.samples}
         shape = tuple(sizes[dimension] for dimension in dimensions)
         made[name] = Kind(dimensions, shape, {"units": units, "long_name": about})
-        made[f"{name}_error"] = Kind(dimensions, shape, {"units": units, "long_name": f"error of the {about}"})
+        made[f"{name}_error"] = Kind(
+            dimensions, shape, {"units": units, "long_name": f"error of the {about}"}
+        )
         if TIME in dimensions:
-            made[TIME] = Kind((TIME,), (scene.fine.samples,), {"units": "s", "long_name": "time since the strike"})
+            made[TIME] = Kind(
+                (TIME,), (scene.fine.samples,), {"units": "s", "long_name": "time since the strike"}
+            )
     return made
 
 
-def variables(scene: Scene, values: dict[str, Any]) -> dict[str, tuple[tuple[str, ...], Any, dict[str, str]]]:
+def variables(
+    scene: Scene, values: dict[str, Any]
+) -> dict[str, tuple[tuple[str, ...], Any, dict[str, str]]]:
     """Return dimensions, values and metadata of what was gathered, by its name in files."""
     every = arrays(scene)
-    return {stored(name): (every[name].dimensions, each, every[name].labels) for name, each in values.items()}
+    return {
+        stored(name): (every[name].dimensions, each, every[name].labels)
+        for name, each in values.items()
+    }
 
 
 def in_words(scene: Scene, values: Mapping[str, Any]) -> dict[str, str]:

@@ -60,22 +60,41 @@ def read(
     name, chain = str(path), scene.chain
     rest = None if equilibrium is None else _checked(equilibrium, chain.grains)
     if axis not in (None, *AXES):
-        raise InputError([("axis", f"must be x, y or z, along which the column stands (got {shown(axis)})")])
+        raise InputError(
+            [("axis", f"must be x, y or z, along which the column stands (got {shown(axis)})")]
+        )
     columns = _columns(path, scene)
     heights = [key for key in AXES if key in columns] or [f"{key}u" for key in AXES]
-    given = [*heights, *(f"v{key}" for key in AXES if f"v{key}" in columns), *(["v_phi"] if "v_phi" in columns else [])]
+    given = [
+        *heights,
+        *(f"v{key}" for key in AXES if f"v{key}" in columns),
+        *(["v_phi"] if "v_phi" in columns else []),
+    ]
     steps, data = read_frames(path, columns, given, chain.grains, most=2 * scene.samples)
     if len(steps) != scene.samples:
         cure = "set the samples of the scene so, or run LAMMPS to its end"
-        raise InputError([(name, f"has {len(steps)} whole frames, the scene {scene.samples} samples: {cure}")])
+        raise InputError(
+            [(name, f"has {len(steps)} whole frames, the scene {scene.samples} samples: {cure}")]
+        )
     if not all(np.isfinite(values).all() for values in data.values()):
-        raise InputError([(name, "holds numbers that are not finite: the run broke down; use a shorter step")])
+        raise InputError(
+            [(name, "holds numbers that are not finite: the run broke down; use a shorter step")]
+        )
     axis = axis or _axis(name, [data[key][0] for key in heights])
     if f"v{axis}" not in data:
-        raise InputError([(name, f"has no column v{axis}, though the column stands along {axis}: {COLUMNS}")])
+        raise InputError(
+            [(name, f"has no column v{axis}, though the column stands along {axis}: {COLUMNS}")]
+        )
     apart = np.diff(steps)
     if (apart <= 0).any() or (apart != apart[0]).any():
-        raise InputError([(name, "its frames are not equally far apart: dump every so many steps, from the start")])
+        raise InputError(
+            [
+                (
+                    name,
+                    "its frames are not equally far apart: dump every so many steps, from the start",
+                )
+            ]
+        )
     z, vz = data[heights[AXES.index(axis)]], data[f"v{axis}"]
     origin = "heights less those at first" if rest is None else "heights less those given"
     misfits = []
@@ -123,7 +142,14 @@ def _axis(name: str, first: Sequence[Array]) -> str:
     spread = [float(np.ptp(along)) for along in first]
     longest = int(np.argmax(spread))
     if not spread[longest] > 2 * sorted(spread)[-2]:
-        raise InputError([("axis", f"{name}: its grains stand along none of x, y and z: name the axis of the column")])
+        raise InputError(
+            [
+                (
+                    "axis",
+                    f"{name}: its grains stand along none of x, y and z: name the axis of the column",
+                )
+            ]
+        )
     return AXES[longest]
 
 
@@ -135,7 +161,9 @@ def _precision(told: Array, speeds: Array, displacement: Array, velocity: Array)
         ("velocity", "m/s", speeds, velocity),
     ):
         within, largest = _last_digit(values) / 2, float(np.abs(motion).max())
-        parts.append(f"{what} within {within:.2g} {unit}, {within / (largest or np.inf):.1g} of the largest")
+        parts.append(
+            f"{what} within {within:.2g} {unit}, {within / (largest or np.inf):.1g} of the largest"
+        )
     return "; ".join(parts)
 
 
@@ -146,7 +174,14 @@ def _checked(equilibrium: Sequence[float] | Array, grains: int) -> Array:
     except (TypeError, ValueError):
         rest = np.empty(0)
     if rest.shape != (grains,) or not np.isfinite(rest).all():
-        raise InputError([("equilibrium", f"must be the heights at rest of the {grains} grains, m, from the top")])
+        raise InputError(
+            [
+                (
+                    "equilibrium",
+                    f"must be the heights at rest of the {grains} grains, m, from the top",
+                )
+            ]
+        )
     return rest
 
 
@@ -184,9 +219,20 @@ def _columns(path: Path, scene: Scene) -> list[str]:
     """Return the names of the columns, after checking that the dump fits the chain."""
     name, grains = str(path), scene.chain.grains
     if not path.is_file():
-        raise InputError([(name, "is a folder; name the dump in it" if path.is_dir() else "there is no such file")])
+        raise InputError(
+            [
+                (
+                    name,
+                    "is a folder; name the dump in it"
+                    if path.is_dir()
+                    else "there is no such file",
+                )
+            ]
+        )
     if not is_dump(path):
-        raise InputError([(name, "is no LAMMPS dump in text: write one with lmpchain deck, or by dump custom")])
+        raise InputError(
+            [(name, "is no LAMMPS dump in text: write one with lmpchain deck, or by dump custom")]
+        )
     try:
         with _open(path) as opened:
             head = [opened.readline().decode(errors="replace").strip() for _ in range(HEADER)]
@@ -201,7 +247,14 @@ def _columns(path: Path, scene: Scene) -> list[str]:
     if last != b"\n":
         raise InputError([(name, "is cut short within a line: run LAMMPS to its end")])
     if int(head[3]) != grains:
-        raise InputError([(name, f"has {head[3]} atoms, the scene {grains} grains: give the scene it was made for")])
+        raise InputError(
+            [
+                (
+                    name,
+                    f"has {head[3]} atoms, the scene {grains} grains: give the scene it was made for",
+                )
+            ]
+        )
     columns = head[8].split()[2:]
     unwrapped = not set(AXES) <= set(columns) and {"xu", "yu", "zu"} <= set(columns)
     wanted = ("id", "xu", "yu", "zu") if unwrapped else ("id", *AXES)
@@ -234,7 +287,9 @@ def read_frames(
                 if len(frames) > most:
                     raise ValueError(f"it has more than {most} frames")
     except (ValueError, OverflowError, OSError, EOFError, zlib.error) as error:
-        raise InputError([(str(path), f"cannot be read as a dump: {short(error)}; write it anew")]) from None
+        raise InputError(
+            [(str(path), f"cannot be read as a dump: {short(error)}; write it anew")]
+        ) from None
     steps = np.array(sorted(frames))
     rows = np.array([frames[step] for step in steps]).reshape(len(steps), len(wanted), grains)
     return steps, dict(zip(wanted, rows.transpose(1, 0, 2), strict=True))
@@ -248,7 +303,9 @@ def _whole_frames(opened: IO[bytes], grains: int) -> Iterator[list[bytes]]:
         body = list(islice(opened, HEADER - 1 + grains))
         headed = len(body) >= HEADER - 1 and not any(BEGIN in at for at in body[: HEADER - 1])
         if headed and body[2].strip().isdigit() and int(body[2]) != grains:
-            raise ValueError(f"the number of atoms changes at step {short(body[0].decode(errors='replace').strip())}")
+            raise ValueError(
+                f"the number of atoms changes at step {short(body[0].decode(errors='replace').strip())}"
+            )
         if again := next((number for number, at in enumerate(body, 1) if BEGIN in at), 0):
             next_one = body[again - 1][body[again - 1].index(BEGIN) :]
             opened.seek(opened.tell() - len(next_one) - sum(map(len, body[again:])))
@@ -270,8 +327,14 @@ def _sorted(atoms: Array) -> Array:
 def _last_digit(values: Array) -> float:
     """Return how large a step of the last digit is with which the largest of some numbers was written."""
     largest = float(np.abs(values).max())
-    digits = next((d for d in range(1, 17) if all(float(f"{z:.{d - 1}e}") == z for z in values.tolist())), 0)
-    return float(10.0 ** (np.floor(np.log10(largest)) - digits + 1) if digits and largest else np.spacing(largest))
+    digits = next(
+        (d for d in range(1, 17) if all(float(f"{z:.{d - 1}e}") == z for z in values.tolist())), 0
+    )
+    return float(
+        10.0 ** (np.floor(np.log10(largest)) - digits + 1)
+        if digits and largest
+        else np.spacing(largest)
+    )
 
 
 def _check_digits(name: str, heights: Array) -> None:
@@ -279,7 +342,14 @@ def _check_digits(name: str, heights: Array) -> None:
     moved, digit = np.ptp(heights), _last_digit(heights)
     if heights.any() and moved < FEWEST_LEVELS * digit:
         digits = round(np.log10(np.abs(heights).max() / digit) + 0.5)
-        cure = "write them with dump_modify format float %.17g, or dump v_phi, as lmpchain deck does"
+        cure = (
+            "write them with dump_modify format float %.17g, or dump v_phi, as lmpchain deck does"
+        )
         raise InputError(
-            [(name, f"its heights have {digits} digits, too few for displacements of {moved:.1g} m: {cure}")]
+            [
+                (
+                    name,
+                    f"its heights have {digits} digits, too few for displacements of {moved:.1g} m: {cure}",
+                )
+            ]
         )

@@ -48,7 +48,11 @@ def read(path: Path) -> tuple[dict[str, Any], Scene, dict[str, Array]]:
     with h5py.File(path, "r") as file:
         about = {name: _attribute(file, name) for name in TOLD}
         scene = scene_of(about)
-        return about, scene, {name: _array(file, name, shape) for name, shape in shapes(scene).items()}
+        return (
+            about,
+            scene,
+            {name: _array(file, name, shape) for name, shape in shapes(scene).items()},
+        )
 
 
 def _attribute(file: h5py.File, name: str) -> Any:
@@ -58,7 +62,9 @@ def _attribute(file: h5py.File, name: str) -> Any:
     if not h5py.h5a.exists(file.id, name.encode()):
         raise ValueError(f"it has no {name}")
     kept = h5py.h5a.open(file.id, name.encode())
-    if kept.shape not in ((), (1,)) or not (h5py.check_string_dtype(kept.dtype) or kept.dtype.kind in "if"):
+    if kept.shape not in ((), (1,)) or not (
+        h5py.check_string_dtype(kept.dtype) or kept.dtype.kind in "if"
+    ):
         raise ValueError(f"its {name} is neither text nor a number")
     return np.asarray(file.attrs[name]).item()
 

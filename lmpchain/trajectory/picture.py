@@ -18,7 +18,9 @@ MOVING = 1e-3  # of the largest motion: grains that move less are left out of th
 WIDEST = 4000  # samples drawn: a picture has fewer columns
 
 
-def space_time(trajectory: Record, field: Literal["velocity", "displacement"], ax: Axes | None) -> Axes:
+def space_time(
+    trajectory: Record, field: Literal["velocity", "displacement"], ax: Axes | None
+) -> Axes:
     """Draw the motion over time and depth; see `Trajectory.plot`."""
     from matplotlib.ticker import EngFormatter, MaxNLocator
 
@@ -31,7 +33,9 @@ def space_time(trajectory: Record, field: Literal["velocity", "displacement"], a
     limit = scale(motion)
     shown = ax.pcolorfast(edges(time), edges(rows), drawn, cmap="RdBu_r", vmin=-limit, vmax=limit)
     colour_bar(ax, shown, f"{field}, downward", format=EngFormatter(UNITS[field]), extend="both")
-    ax.set(xlabel="time", ylabel="grain, from the top", xlim=time[[0, -1]], ylim=ax.get_ylim()[::-1])
+    ax.set(
+        xlabel="time", ylabel="grain, from the top", xlim=time[[0, -1]], ylim=ax.get_ylim()[::-1]
+    )
     ax.yaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     return ax
 

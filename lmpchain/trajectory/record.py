@@ -18,7 +18,16 @@ FORMAT = 1
 DIMENSIONS = ("time", "grain")
 FIELDS = ("displacement", "velocity")
 KINDS = {"time": "float64", "grain": "int64", "displacement": "float64", "velocity": "float64"}
-TOLD = ("lmpchain_format", "engine", "equation", "scene", "provenance", "model_error", "solver_error", "cost")
+TOLD = (
+    "lmpchain_format",
+    "engine",
+    "equation",
+    "scene",
+    "provenance",
+    "model_error",
+    "solver_error",
+    "cost",
+)
 LABELS: dict[str, dict[str, Any]] = {
     "time": {"units": "s", "long_name": "time since the strike"},
     "grain": {"units": "1", "long_name": "number of the grain, from the top"},
@@ -109,7 +118,10 @@ class Record:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Record):
             return NotImplemented
-        mine, theirs = ({**each.__dict__, "gathered": each.gathered.keys(), **each.gathered} for each in (self, other))
+        mine, theirs = (
+            {**each.__dict__, "gathered": each.gathered.keys(), **each.gathered}
+            for each in (self, other)
+        )
         if mine["gathered"] != theirs["gathered"]:
             return False
         arrays = (*FIELDS, "time", "grains")
@@ -138,7 +150,9 @@ class Record:
         }
 
 
-def subject(scene: Scene, engine: str, equation: int, provenance: Mapping[str, str]) -> dict[str, Any]:
+def subject(
+    scene: Scene, engine: str, equation: int, provenance: Mapping[str, str]
+) -> dict[str, Any]:
     """Return the metadata known before a run: scene, engine and provenance."""
     return {
         "title": "Displacement and velocity of the grains of a chain",
@@ -178,7 +192,11 @@ def shapes(scene: Scene) -> dict[str, tuple[int, ...]]:
 
 def kept_of(scene: Scene, arrays: Mapping[str, Any]) -> dict[str, Array]:
     """Return what was gathered, by name, from the arrays of a file."""
-    return {name: arrays[gathered.stored(name)] for name in gathered.arrays(scene) if gathered.stored(name) in arrays}
+    return {
+        name: arrays[gathered.stored(name)]
+        for name in gathered.arrays(scene)
+        if gathered.stored(name) in arrays
+    }
 
 
 def told(about: Mapping[str, Any]) -> dict[str, Any]:

@@ -56,15 +56,26 @@ class Trajectory(Shown, Record):
         scene, error, cost = self.scene, self.error_estimate, self.cost
         yield "scene", f"{scene.chain.grains} grains, {scene.excitation.label}"
         yield "engine", f"{self.engine}, which solves Eq. ({self.equation})"
-        yield "recorded", f"{self.time.size} times to {scene.duration:g} s, {self.grains.size} grains"
-        yield "error estimate", f"{error.total:.2g} = {error.model:.2g} (model) + {error.solver:.2g} (solver)"
+        yield (
+            "recorded",
+            f"{self.time.size} times to {scene.duration:g} s, {self.grains.size} grains",
+        )
+        yield (
+            "error estimate",
+            f"{error.total:.2g} = {error.model:.2g} (model) + {error.solver:.2g} (solver)",
+        )
         how = f" of {cost.step_s:.4g} s by {cost.integrator}" if cost.integrator else ""
-        yield "cost", f"{cost.total_s:.3g} s, {cost.steps} steps{how}, {cost.active_grains} grains computed"
+        yield (
+            "cost",
+            f"{cost.total_s:.3g} s, {cost.steps} steps{how}, {cost.active_grains} grains computed",
+        )
 
     def _picture(self) -> str:
         return super()._picture() if self.time.size * self.grains.size <= MOST_DRAWN else ""
 
-    def plot(self, ax: Axes | None = None, field: Literal["velocity", "displacement"] = "velocity") -> Axes:
+    def plot(
+        self, ax: Axes | None = None, field: Literal["velocity", "displacement"] = "velocity"
+    ) -> Axes:
         """Draw the motion over time and depth, downward in red and upward in blue; returns the axes.
 
         The colours saturate at the median of the largest sizes of the grains that move, so that the wave can be seen
@@ -184,14 +195,31 @@ class Trajectory(Shown, Record):
         path = Path(path)
         folder = os.path.isdir(path)  # never raises
         if folder and not (path / zarr_store.NAME).is_dir():
-            raise InputError([(str(path), "is a folder without a run in it, or with one that has no samples yet")])
+            raise InputError(
+                [
+                    (
+                        str(path),
+                        "is a folder without a run in it, or with one that has no samples yet",
+                    )
+                ]
+            )
         if not folder and not os.path.isfile(path):
             there = os.path.lexists(path)
-            raise InputError([(str(path), "is no file, but a device or a pipe" if there else "there is no such file")])
+            raise InputError(
+                [
+                    (
+                        str(path),
+                        "is no file, but a device or a pipe" if there else "there is no such file",
+                    )
+                ]
+            )
         try:
             about, scene, arrays = zarr_store.read(path) if folder else netcdf.read(path)
             time = arrays["time"]
-            if not (np.array_equal(time, scene.time[: time.size]) and np.array_equal(arrays["grain"], scene.recorded)):
+            if not (
+                np.array_equal(time, scene.time[: time.size])
+                and np.array_equal(arrays["grain"], scene.recorded)
+            ):
                 raise ValueError("its times or grains are not those of its scene")
             return cls(
                 scene=scene,
@@ -204,5 +232,10 @@ class Trajectory(Shown, Record):
             )
         except Exception as error:  # whatever a damaged file makes the readers raise
             raise InputError(
-                [(str(path), f"is not a trajectory that lmpchain saved, or is cut short ({short(error)})")]
+                [
+                    (
+                        str(path),
+                        f"is not a trajectory that lmpchain saved, or is cut short ({short(error)})",
+                    )
+                ]
             ) from None

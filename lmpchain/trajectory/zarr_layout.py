@@ -22,7 +22,15 @@ MOST_SHRUNK = 1000  # times, that numbers which count up are by their codecs
 SHRUNK = ["bytes", "blosc", "crc32c"]
 SHRUNK_ONCE = ["bytes", "zstd"]  # the numbers of the grains in older stores
 INDEX = ["bytes", "crc32c"]
-KEYS = {"shape", "data_type", "chunk_grid", "chunk_key_encoding", "fill_value", "codecs", "attributes"} | {
+KEYS = {
+    "shape",
+    "data_type",
+    "chunk_grid",
+    "chunk_key_encoding",
+    "fill_value",
+    "codecs",
+    "attributes",
+} | {
     "dimension_names",
     "zarr_format",
     "node_type",
@@ -36,9 +44,16 @@ def pieces(samples: int, grains: int) -> dict[str, Piece]:
     parts = math.ceil(grains / WIDTH)
     width = math.ceil(grains / parts)
     rows = SAMPLES * math.ceil(min(samples / SAMPLES, WIDTH / grains))
-    times = rows * math.ceil(TIMES / rows)  # so that the times of a shard lie in one chunk, replaced atomically
+    times = rows * math.ceil(
+        TIMES / rows
+    )  # so that the times of a shard lie in one chunk, replaced atomically
     shard = (rows, width * parts)
-    return {"time": (min(times, samples),), "grain": (grains,), **dict.fromkeys(FIELDS, shard), "chunk": (rows, width)}
+    return {
+        "time": (min(times, samples),),
+        "grain": (grains,),
+        **dict.fromkeys(FIELDS, shard),
+        "chunk": (rows, width),
+    }
 
 
 def stores(scene: Scene) -> dict[str, Piece]:
@@ -53,7 +68,11 @@ def metadata(node: Path) -> dict[str, Any]:
         raise ValueError(f"{node.name} is not in Zarr format 3")
     check_readable(path, LARGEST_METADATA)
     about = json.loads(path.read_bytes())
-    if not isinstance(about, dict) or about.get("zarr_format") != 3 or not isinstance(about.get("attributes"), dict):
+    if (
+        not isinstance(about, dict)
+        or about.get("zarr_format") != 3
+        or not isinstance(about.get("attributes"), dict)
+    ):
         raise ValueError(f"{node.name} is not in Zarr format 3")
     return about
 
@@ -61,7 +80,10 @@ def metadata(node: Path) -> dict[str, Any]:
 def check(store: Path, scene: Scene) -> None:
     """Raise unless the arrays are those of this scene, laid out as lmpchain does it."""
     every, sizes = shapes(scene), stores(scene)
-    if metadata(store).get("node_type") != "group" or {p.name for p in store.iterdir() if p.is_dir()} - every.keys():
+    if (
+        metadata(store).get("node_type") != "group"
+        or {p.name for p in store.iterdir() if p.is_dir()} - every.keys()
+    ):
         raise ValueError("it is no store of lmpchain, or holds more than that")
     for name, shape in every.items():
         about = metadata(store / name)
@@ -78,7 +100,9 @@ def check(store: Path, scene: Scene) -> None:
         if about.keys() - KEYS or about.get("storage_transformers"):
             raise ValueError(f"{name} is stored in a way that lmpchain does not use")
         codecs = (
-            codec_names_in_shards(about["codecs"], sizes["chunk"]) if name in FIELDS else codec_names(about["codecs"])
+            codec_names_in_shards(about["codecs"], sizes["chunk"])
+            if name in FIELDS
+            else codec_names(about["codecs"])
         )
         if codecs not in ([SHRUNK, SHRUNK_ONCE] if name == "grain" else [SHRUNK]):
             raise ValueError(f"{name} is stored with codecs that lmpchain does not use")
@@ -104,7 +128,12 @@ def _named(name: str, **configuration: Any) -> dict[str, Any]:
 
 def codec_names(codecs: Any) -> list[str]:
     """Return the names of codecs that hold no other codec."""
-    plain = {"bytes": {"endian"}, "zstd": {"level", "checksum"}, "crc32c": set(), "vlen-utf8": set()}
+    plain = {
+        "bytes": {"endian"},
+        "zstd": {"level", "checksum"},
+        "crc32c": set(),
+        "vlen-utf8": set(),
+    }
     plain["blosc"] = {"typesize", "cname", "clevel", "shuffle", "blocksize"}
     for codec in codecs:
         if codec["name"] not in plain or codec.keys() - {"name", "configuration"}:

@@ -41,7 +41,9 @@ def create(folder: Path, scene: Scene, attributes: Mapping[str, Any]) -> None:
     group = zarr.open_group(folder / NAME, mode="w", zarr_format=3, attributes=dict(attributes))
     samples, grains = scene.samples, scene.recorded.size
     sizes = pieces(samples, grains)
-    shrunk: Any = {"compressors": [BloscCodec(cname="zstd", clevel=1, shuffle="shuffle"), Crc32cCodec()]}
+    shrunk: Any = {
+        "compressors": [BloscCodec(cname="zstd", clevel=1, shuffle="shuffle"), Crc32cCodec()]
+    }
     unknown: Any = {"dtype": "f8", "fill_value": math.nan} | shrunk
     for name in FIELDS:
         group.create_array(
@@ -78,7 +80,9 @@ def create(folder: Path, scene: Scene, attributes: Mapping[str, Any]) -> None:
             attributes=kind.labels,
             **unknown,
         )
-    with warnings.catch_warnings(action="ignore"):  # consolidated metadata, which xarray reads first
+    with warnings.catch_warnings(
+        action="ignore"
+    ):  # consolidated metadata, which xarray reads first
         zarr.consolidate_metadata(folder / NAME)
 
 
@@ -148,7 +152,11 @@ def usable(folder: Path, scene: Scene, samples: Any) -> bool:
     """Say whether so many samples are complete and readable, up to the shard of the next one."""
     import zarr
 
-    if isinstance(samples, bool) or not isinstance(samples, int) or not 0 <= samples <= scene.samples:
+    if (
+        isinstance(samples, bool)
+        or not isinstance(samples, int)
+        or not 0 <= samples <= scene.samples
+    ):
         return False
     if not samples:
         return True
@@ -175,7 +183,13 @@ def read(folder: Path) -> tuple[dict[str, Any], Scene, dict[str, Any]]:
     scene = scene_of(about)
     check(folder / NAME, scene)
     data = xarray.open_dataset(
-        folder / NAME, engine="zarr", chunks=None, cache=False, decode_cf=False, zarr_format=3, consolidated=False
+        folder / NAME,
+        engine="zarr",
+        chunks=None,
+        cache=False,
+        decode_cf=False,
+        zarr_format=3,
+        consolidated=False,
     )
     complete = int(np.isfinite(data["time"].to_numpy()).sum())
     if "solver_error" in about and complete < scene.samples:
@@ -187,7 +201,9 @@ def read(folder: Path) -> tuple[dict[str, Any], Scene, dict[str, Any]]:
     arrays = {name: data[name].to_numpy() for name in ("time", "grain")}
     fields = {name: OnDisk(data[name].variable) for name in FIELDS}
     if "solver_error" in about:
-        arrays |= {name: data[name].to_numpy() for name in map(gathered.stored, gathered.arrays(scene))}
+        arrays |= {
+            name: data[name].to_numpy() for name in map(gathered.stored, gathered.arrays(scene))
+        }
     return verdict(ErrorEstimate(*error), nothing) | about, scene, arrays | fields
 
 
@@ -199,15 +215,24 @@ class OnDisk(NDArrayOperatorsMixin):
 
     def __init__(self, variable: xarray.Variable):
         self.variable = variable
-        self.shape, self.dtype, self.ndim, self.size = variable.shape, variable.dtype, variable.ndim, variable.size
+        self.shape, self.dtype, self.ndim, self.size = (
+            variable.shape,
+            variable.dtype,
+            variable.ndim,
+            variable.size,
+        )
 
     def __len__(self) -> int:
         return self.shape[0]
 
     def __getitem__(self, key: Any) -> Any:
         keys = key if isinstance(key, tuple) else (key,)
-        fancy = [part for part in keys if not isinstance(part, int | np.integer | slice | EllipsisType)]
-        if len(fancy) > 1 or any(np.ndim(part) != 1 for part in fancy):  # rules of xarray and numpy differ
+        fancy = [
+            part for part in keys if not isinstance(part, int | np.integer | slice | EllipsisType)
+        ]
+        if len(fancy) > 1 or any(
+            np.ndim(part) != 1 for part in fancy
+        ):  # rules of xarray and numpy differ
             return np.asarray(self)[key]
         return self._read(self.variable[key])
 

@@ -10,7 +10,9 @@ Array = NDArray[np.float64]
 AnyArray = TypeVar("AnyArray", bound=NDArray[Any])
 EPSILON = float(np.finfo(float).eps)  # spacing of the doubles at 1
 MANY = 10**4  # numbers, which are not kept
-MAGNITUDE = (1 << 63) - 1  # the bits of a double without its sign; those of positive ones compare like the numbers
+MAGNITUDE = (
+    1 << 63
+) - 1  # the bits of a double without its sign; those of positive ones compare like the numbers
 
 
 def read_only(array: AnyArray) -> AnyArray:

@@ -80,7 +80,9 @@ def _sources(module: Path) -> str:
         path = waiting.pop()
         if path not in known and path.exists():
             known[path] = path.read_bytes()
-            waiting += (path.with_name(f"{name}.py") for name in BESIDE.findall(known[path].decode()))
+            waiting += (
+                path.with_name(f"{name}.py") for name in BESIDE.findall(known[path].decode())
+            )
     return sha256(b"".join(known[path] for path in sorted(known))).hexdigest()
 
 

@@ -46,7 +46,9 @@ def replacing(path: Path) -> Iterator[Path]:
 @cache
 def _sweep(folder: Path) -> None:
     """Remove what processes of this machine were writing in a folder as they were killed."""
-    pattern = re.compile(rf"\..*\.{re.escape(platform.node())}-(\d+)-[0-9a-f]{{8}}\.partial", re.DOTALL)
+    pattern = re.compile(
+        rf"\..*\.{re.escape(platform.node())}-(\d+)-[0-9a-f]{{8}}\.partial", re.DOTALL
+    )
     for entry in folder.iterdir():
         writer = pattern.match(entry.name)
         if writer and not Path("/proc", writer[1]).exists():
@@ -84,7 +86,10 @@ def check_tree(folder: Path) -> None:
             except FileNotFoundError:  # just renamed, by a run that goes on
                 continue
             if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-                raise OSError(errno.EINVAL, f"{name} there is a link, a device or a pipe, which lmpchain never writes")
+                raise OSError(
+                    errno.EINVAL,
+                    f"{name} there is a link, a device or a pipe, which lmpchain never writes",
+                )
 
 
 @contextmanager
@@ -161,5 +166,7 @@ def make_folder(path: str | PathLike[str]) -> Path:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError([(str(path), f"is no folder and cannot be made one: {error.strerror}")]) from None
+        raise InputError(
+            [(str(path), f"is no folder and cannot be made one: {error.strerror}")]
+        ) from None
     return path

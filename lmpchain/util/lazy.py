@@ -56,10 +56,16 @@ def listed(module: str) -> Callable[[], list[str]]:
 
     def names() -> list[str]:
         own = vars(sys.modules[module])
-        return sorted(own.get("__all__", [name for name, value in own.items() if _offered(name, value, module)]))
+        return sorted(
+            own.get(
+                "__all__", [name for name, value in own.items() if _offered(name, value, module)]
+            )
+        )
 
     return names
 
 
 def _offered(name: str, value: Any, module: str) -> bool:
-    return callable(value) and getattr(value, "__module__", "") == module and not name.startswith("_")
+    return (
+        callable(value) and getattr(value, "__module__", "") == module and not name.startswith("_")
+    )

@@ -55,7 +55,9 @@ def _used(processes: Iterable[Path]) -> set[str]:
     for process in processes:
         with suppress(OSError):  # ended by now, or that of another user
             lines = (process / "maps").read_text().splitlines()
-            names |= {Path(line.split(maxsplit=5)[-1]).name for line in lines if f"{SHARED}/" in line}
+            names |= {
+                Path(line.split(maxsplit=5)[-1]).name for line in lines if f"{SHARED}/" in line
+            }
     return names
 
 

@@ -16,7 +16,11 @@ import numpy as np
 
 from ..errors import LmpchainError
 
-LINE, CELL, FEW = 60, 90, 4  # letters of a value in a line and in a table; values that are shown one by one
+LINE, CELL, FEW = (
+    60,
+    90,
+    4,
+)  # letters of a value in a line and in a table; values that are shown one by one
 STYLE = "text-align:left;vertical-align:top;padding:2px 12px 2px 0"
 
 
@@ -50,11 +54,16 @@ class Shown:
         return base64.b64encode(buffer.getvalue()).decode("ascii")
 
     def __repr__(self) -> str:
-        names = ", ".join(f"{name}={brief(value)}" for name, value in islice(self._fields(), 2 * FEW))
+        names = ", ".join(
+            f"{name}={brief(value)}" for name, value in islice(self._fields(), 2 * FEW)
+        )
         return f"{type(self).__name__}({names})"
 
     def _repr_html_(self) -> str:
-        cells = ("".join(f'<td style="{STYLE}">{escape(cell)}</td>' for cell in row) for row in self._summary())
+        cells = (
+            "".join(f'<td style="{STYLE}">{escape(cell)}</td>' for cell in row)
+            for row in self._summary()
+        )
         table = f"<table>{''.join(f'<tr>{row}</tr>' for row in cells)}</table>"
         name, drawn = escape(type(self).__name__), self._picture()
         picture = f'<img alt="{name}" style="width:30em;max-width:100%" src="data:image/png;base64,{drawn}">'
@@ -76,7 +85,11 @@ def brief(value: Any, most: int = LINE) -> str:
             return np.array2string(value, precision=5)
         known = np.abs(value) if np.iscomplexobj(value) else value
         known = known[np.isfinite(known)]
-        return f"{value.shape} from {known.min():.4g} to {known.max():.4g}" if known.size else f"{value.shape}"
+        return (
+            f"{value.shape} from {known.min():.4g} to {known.max():.4g}"
+            if known.size
+            else f"{value.shape}"
+        )
     if isinstance(value, Mapping | list | tuple) and (
         len(value) > FEW or any(hasattr(each, "_fields") for each in value)
     ):

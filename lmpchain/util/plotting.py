@@ -27,7 +27,14 @@ COLOURS = {
     "bessel": "#56B4E9",
     "continuum": "#E69F00",
 }
-MARKERS = {"native": "s", "lammps": "o", "modes": "^", "chebyshev": "D", "bessel": "v", "continuum": "P"}
+MARKERS = {
+    "native": "s",
+    "lammps": "o",
+    "modes": "^",
+    "chebyshev": "D",
+    "bessel": "v",
+    "continuum": "P",
+}
 NARROW = 3.5  # inches: axes that share a page with others
 LOWEST = 1e-17  # below all round-off: drawn in place of 0 on a logarithmic axis
 # colours and markers of integrators: Okabe and Ito, and two shades that differ in lightness
@@ -62,7 +69,9 @@ def edges(middles: Array) -> Array:
     [0.5, 1.5, 3.0, 5.0]
     """
     half = np.diff(middles) / 2 if len(middles) > 1 else np.array([0.5])
-    return np.concatenate(([middles[0] - half[0]], (middles[1:] + middles[:-1]) / 2, [middles[-1] + half[-1]]))
+    return np.concatenate(
+        ([middles[0] - half[0]], (middles[1:] + middles[:-1]) / 2, [middles[-1] + half[-1]])
+    )
 
 
 def figure(width: float = 8.0, height: float = 7.0) -> Figure:
@@ -111,7 +120,10 @@ def axes_in_units(ax: Axes | None, x: str, y: str) -> Axes:
 
 def panels(ax: Axes | Sequence[Axes]) -> list[Axes]:
     """Return the axes given, one or several, in our colours."""
-    return [axes_in_units(each, "", "") for each in (ax if isinstance(ax, Sequence | np.ndarray) else [ax])]
+    return [
+        axes_in_units(each, "", "")
+        for each in (ax if isinstance(ax, Sequence | np.ndarray) else [ax])
+    ]
 
 
 def titled(ax: Axes, text: str) -> None:
@@ -125,7 +137,9 @@ def legend(ax: Axes, *handles: Any, **keys: Any) -> None:
     if handles[0]:
         size = 7.0 if _inches(ax) < NARROW else 9.0
         labels = [_folded(ax, label, size + 2.0) for label in handles[1]]
-        ax.legend(handles[0], labels, **{"frameon": False, "fontsize": size, "handlelength": 1.5} | keys)
+        ax.legend(
+            handles[0], labels, **{"frameon": False, "fontsize": size, "handlelength": 1.5} | keys
+        )
 
 
 def colour_bar(ax: Axes, shown: ScalarMappable, label: str, **keys: Any) -> None:

@@ -47,7 +47,9 @@ class ProgressBar:
         if shown:
             from tqdm.auto import tqdm
 
-            self._bar = tqdm(total=total, desc=text, unit=unit, initial=done, leave=False, bar_format=layout)
+            self._bar = tqdm(
+                total=total, desc=text, unit=unit, initial=done, leave=False, bar_format=layout
+            )
 
     def __enter__(self) -> Self:
         return self

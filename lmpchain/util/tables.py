@@ -20,7 +20,9 @@ def aligned(rows: Iterable[Sequence[str]]) -> list[str]:
     return ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
 
 
-def number(value: float, form: str = ".3g", unit: str = "", *, missing: str = "", infinite: str = "inf") -> str:
+def number(
+    value: float, form: str = ".3g", unit: str = "", *, missing: str = "", infinite: str = "inf"
+) -> str:
     """Return a number with its unit; what stands for NaN and for infinity bears none.
 
     Examples
@@ -35,4 +37,7 @@ def number(value: float, form: str = ".3g", unit: str = "", *, missing: str = ""
 
 def finite(row: Mapping[str, Any]) -> dict[str, Any]:
     """Return a row with None, JSON's null, in place of numbers that are not finite."""
-    return {key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in row.items()}
+    return {
+        key: None if isinstance(value, float) and not math.isfinite(value) else value
+        for key, value in row.items()
+    }

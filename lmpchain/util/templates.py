@@ -37,7 +37,9 @@ class _Closed(ImmutableSandboxedEnvironment):
         return isinstance(obj, Macro) or obj is self.globals["range"]
 
     def is_safe_attribute(self, obj: Any, attr: str, value: Any) -> bool:
-        return not isinstance(obj, self._closed_types) and super().is_safe_attribute(obj, attr, value)
+        return not isinstance(obj, self._closed_types) and super().is_safe_attribute(
+            obj, attr, value
+        )
 
 
 def render(name: str, closed: tuple[type, ...] = (), **values: Any) -> str:
@@ -61,18 +63,31 @@ def render_text(text: str, key: str, closed: tuple[type, ...] = (), **values: An
     """
     environment, values = _Closed(closed), {"version": version("lmpchain"), **values}
     try:
-        unknown = find_undeclared_variables(environment.parse(text)) - values.keys() - environment.globals.keys()
+        unknown = (
+            find_undeclared_variables(environment.parse(text))
+            - values.keys()
+            - environment.globals.keys()
+        )
         if not unknown:
             return environment.from_string(text).render(values)
     except TemplateSyntaxError as error:
-        raise InputError([(key, f"line {error.lineno} is not in the form of Jinja2: {error.message}")]) from None
+        raise InputError(
+            [(key, f"line {error.lineno} is not in the form of Jinja2: {error.message}")]
+        ) from None
     except TemplateNotFound as error:
         known = ", ".join(environment.list_templates())
-        raise InputError([(key, f"can include no {shown(error.name)}; there are {known}")]) from None
+        raise InputError(
+            [(key, f"can include no {shown(error.name)}; there are {known}")]
+        ) from None
     except SecurityError:
         why = "it may read the values that it is given, and call range and macros of its own, nothing else"
         raise InputError([(key, f"asks for something that is closed to it: {why}")]) from None
     except Exception as error:  # whatever the expressions of a template raise
         raise InputError([(key, f"cannot be filled in: {short(error)}")]) from None
     known = ", ".join(sorted(values))
-    raise InputError([(key, f"there is no placeholder {shown(name)}; there are {known}") for name in sorted(unknown)])
+    raise InputError(
+        [
+            (key, f"there is no placeholder {shown(name)}; there are {known}")
+            for name in sorted(unknown)
+        ]
+    )

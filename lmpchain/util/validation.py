@@ -44,7 +44,11 @@ class Checked(Shown, BaseModel):
         cls._names = tuple(cls.model_fields)
         cls.__signature__ = Signature(
             [
-                Parameter(name, Parameter.KEYWORD_ONLY, default=Parameter.empty if own.is_required() else own.default)
+                Parameter(
+                    name,
+                    Parameter.KEYWORD_ONLY,
+                    default=Parameter.empty if own.is_required() else own.default,
+                )
                 for name, own in cls.model_fields.items()
             ]
         )
@@ -61,13 +65,19 @@ class Checked(Shown, BaseModel):
         names = self._names
         if values:
             if len(values) > len(names):
-                raise InputError([("", f"takes {', '.join(names)}: {len(values)} values are too many")])
+                raise InputError(
+                    [("", f"takes {', '.join(names)}: {len(values)} values are too many")]
+                )
             data = dict(zip(names, values, strict=False)) | data
         known = {key: value for key, value in data.items() if key in names}
         faults = []
         if len(known) < len(data):
             there = f"the keys here are {', '.join(names)}"
-            faults = [(key, f"unknown key{did_you_mean(key, names)}; {there}") for key in data if key not in known]
+            faults = [
+                (key, f"unknown key{did_you_mean(key, names)}; {there}")
+                for key in data
+                if key not in known
+            ]
         try:
             super().__init__(**known)
             faults += self._faults()
@@ -111,19 +121,32 @@ class Checked(Shown, BaseModel):
         """Return this value; other fields come from `replace`."""
         update = options.pop("update", None)
         if any(value is not None for key, value in options.items() if key != "deep"):
-            raise InputError([("copy", "copies whole values: use .replace(...) for one with other fields")])
+            raise InputError(
+                [("copy", "copies whole values: use .replace(...) for one with other fields")]
+            )
         return self.model_copy(update=update)
 
     @classmethod
     def model_construct(cls, *_: Any, **__: Any) -> NoReturn:  # type: ignore[override]
         """Raise `InputError`: nothing is made unchecked."""
-        raise InputError([(cls.__name__, f"is not made unchecked: use {cls.__name__}(...), or .replace(...) of one")])
+        raise InputError(
+            [
+                (
+                    cls.__name__,
+                    f"is not made unchecked: use {cls.__name__}(...), or .replace(...) of one",
+                )
+            ]
+        )
 
     @classmethod
     def _unchecked(cls, **fields: Any) -> Self:
         """Return a value of fields that are known to be right, as they are."""
         every = cls.model_fields.items()
-        left = {name: about.default for name, about in every if name not in fields and not about.is_required()}
+        left = {
+            name: about.default
+            for name, about in every
+            if name not in fields and not about.is_required()
+        }
         return cls._filled(fields | left, set(fields))
 
     @classmethod
@@ -140,15 +163,21 @@ class Checked(Shown, BaseModel):
         return made
 
     def __setattr__(self, name: str, value: Any) -> None:
-        raise InputError([(name, f"cannot be changed: use .replace({name}=...), which returns a checked copy")])
+        raise InputError(
+            [(name, f"cannot be changed: use .replace({name}=...), which returns a checked copy")]
+        )
 
     def __delattr__(self, name: str) -> None:
-        raise InputError([(name, "cannot be taken away: use .replace(...), which returns a checked copy")])
+        raise InputError(
+            [(name, "cannot be taken away: use .replace(...), which returns a checked copy")]
+        )
 
     def __getstate__(self) -> dict[Any, Any]:
         """Leave out what is computed on first use."""
         state = super().__getstate__()
-        fields = {key: value for key, value in state["__dict__"].items() if key in type(self).model_fields}
+        fields = {
+            key: value for key, value in state["__dict__"].items() if key in type(self).model_fields
+        }
         return state | {"__dict__": fields}
 
     def __setstate__(self, state: dict[Any, Any]) -> None:
@@ -162,7 +191,8 @@ class Checked(Shown, BaseModel):
 
     def __eq__(self, other: object) -> bool:
         return type(self) is type(other) and all(
-            np.array_equal(getattr(self, name), getattr(other, name)) for name in type(self).model_fields
+            np.array_equal(getattr(self, name), getattr(other, name))
+            for name in type(self).model_fields
         )
 
     __hash__ = None  # type: ignore[assignment]  # arrays inside: compare, do not hash
@@ -185,7 +215,9 @@ def _vector(value: Any) -> Any:
     if array.ndim != 1 or array.size == 0:
         raise ValueError(f"must be a list of numbers, not of shape {array.shape}")
     if not np.isfinite(array).all():
-        raise ValueError(f"must be finite, but entry {int(np.argmin(np.isfinite(array))) + 1} is not")
+        raise ValueError(
+            f"must be finite, but entry {int(np.argmin(np.isfinite(array))) + 1} is not"
+        )
     return read_only(array)
 
 
@@ -222,14 +254,20 @@ def _describe(error: ValidationError) -> Iterator[tuple[str, str]]:
     for fault in error.errors():
         key = ".".join(str(part) for part in fault["loc"])
         kind, value, limits = fault["type"], fault["input"], fault.get("ctx", {})
-        got = shown(value) if isinstance(value, bool | int | float | str | list) else f"a {type(value).__name__}"
+        got = (
+            shown(value)
+            if isinstance(value, bool | int | float | str | list)
+            else f"a {type(value).__name__}"
+        )
         if kind == "missing":
             message = "is missing; add it"
         elif kind == "finite_number":
             message = f"must be a finite number (got {shown(value)})"
         elif kind in ("greater_than", "greater_than_equal", "less_than", "less_than_equal"):
             words = {"gt": "above", "ge": "at least", "lt": "below", "le": "at most"}
-            message = f"must be {'; '.join(f'{words[k]} {v}' for k, v in limits.items())} (got {got})"
+            message = (
+                f"must be {'; '.join(f'{words[k]} {v}' for k, v in limits.items())} (got {got})"
+            )
         elif kind in ("int_type", "int_from_float"):
             message = f"must be a whole number (got {got})"
         elif kind == "float_type":
@@ -240,7 +278,9 @@ def _describe(error: ValidationError) -> Iterator[tuple[str, str]]:
         elif kind == "literal_error":
             meant = did_you_mean(value, re.findall("'(.*?)'", limits["expected"]))
             message = f"must be {limits['expected']} (got {got}){meant}"
-        elif kind == "value_error" and isinstance(limits["error"], InputError):  # a value inside this one
+        elif kind == "value_error" and isinstance(
+            limits["error"], InputError
+        ):  # a value inside this one
             yield from limits["error"].under(key)
             continue
         elif kind == "value_error":

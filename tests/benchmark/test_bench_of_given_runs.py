@@ -25,7 +25,9 @@ TRUTH = Reference(SCENE.time, np.zeros((5, 8)), np.zeros((5, 8)), 1e-16, "none")
 class Given(Bench):
     """A bench whose runs have errors and times by their steps in an interval, on a clock that only they move."""
 
-    def __init__(self, error: Callable[[int], float], seconds: Callable[[int], float] = lambda _: 0.01):
+    def __init__(
+        self, error: Callable[[int], float], seconds: Callable[[int], float] = lambda _: 0.01
+    ):
         self.clock, self.error, self.seconds = 0.0, error, seconds
         self.tried: list[int] = []
         self.tolerances: list[float] = []
@@ -44,7 +46,17 @@ class Given(Bench):
         if not math.isfinite(error):
             raise RunFailed("it broke down")
         count = len(self.tried)
-        cost = Cost(2.0 + 0.1 / count, 1.0 - 0.1 / count, 0.5 + 0.1 / count, steps, 4 * steps, 8, "rkn4", 1e-9, 1)
+        cost = Cost(
+            2.0 + 0.1 / count,
+            1.0 - 0.1 / count,
+            0.5 + 0.1 / count,
+            steps,
+            4 * steps,
+            8,
+            "rkn4",
+            1e-9,
+            1,
+        )
         return SimpleNamespace(cost=cost, error=error, provenance={})
 
     def _row(self, answer: Any) -> Row:
@@ -64,7 +76,9 @@ def fourth_order(stable: int, floor: float = 0.0) -> Callable[[int], float]:
 
 
 @pytest.mark.parametrize("stable", [1, 2, 7, 37, 700])
-def test_steps_shorten_by_the_root_of_2_from_the_longest_that_holds(monkeypatch: pytest.MonkeyPatch, stable: int):
+def test_steps_shorten_by_the_root_of_2_from_the_longest_that_holds(
+    monkeypatch: pytest.MonkeyPatch, stable: int
+):
     made = timed(monkeypatch, Given(fourth_order(stable, 1e-9)))
     points = list(made.over_steps("native", "rkn4"))
     steps = [point.steps for point in points]
@@ -73,7 +87,9 @@ def test_steps_shorten_by_the_root_of_2_from_the_longest_that_holds(monkeypatch:
     assert [point.longest for point in points] == [True, *[False] * (len(points) - 1)]
     errors = [point.error for point in points]
     at_floor = errors.count(1e-9)
-    assert at_floor == (5 if 0.8 * errors[-at_floor - 1] > 1e-9 else 4)  # four in a row do no better
+    assert at_floor == (
+        5 if 0.8 * errors[-at_floor - 1] > 1e-9 else 4
+    )  # four in a row do no better
 
 
 def test_an_error_of_1_does_not_hold(monkeypatch: pytest.MonkeyPatch):
@@ -90,7 +106,9 @@ def test_what_improves_by_a_fifth_goes_on(monkeypatch: pytest.MonkeyPatch):
 
 
 @pytest.mark.parametrize("share", [1.0, 3.0, 100.0])
-def test_no_point_begins_that_would_take_longer_than_there_is_time(monkeypatch: pytest.MonkeyPatch, share: float):
+def test_no_point_begins_that_would_take_longer_than_there_is_time(
+    monkeypatch: pytest.MonkeyPatch, share: float
+):
     made = timed(monkeypatch, Given(lambda steps: 0.5 / steps, lambda steps: 1e-3 * steps))
     made.share_s = share
     spent, before = [], 0.0
@@ -132,22 +150,30 @@ def test_tolerances_tighten_by_the_root_of_10_until_one_is_not_met(monkeypatch: 
     for k in range(17):
         tolerance = 10.0 ** (-1 - k / 2)
         counts.setdefault(math.ceil(tolerance**-0.25), tolerance)
-    assert asked == pytest.approx(list(counts.values()), rel=1e-12)  # one of those with the same steps
+    assert asked == pytest.approx(
+        list(counts.values()), rel=1e-12
+    )  # one of those with the same steps
     assert [point.steps for point in points] == list(counts)
 
 
 def test_the_tightest_tolerance_is_of_round_off(monkeypatch: pytest.MonkeyPatch):
     made = timed(monkeypatch, Given(lambda steps: steps**-4.0))
     list(made.over_tolerances("native"))
-    assert sorted(set(made.tolerances)) == pytest.approx([10.0**-k for k in np.arange(14.5, 0.9, -0.5)], rel=1e-9)
+    assert sorted(set(made.tolerances)) == pytest.approx(
+        [10.0**-k for k in np.arange(14.5, 0.9, -0.5)], rel=1e-9
+    )
     made.share_s, made.tolerances = 0.5, []
     made.seconds = lambda _: 0.1
     list(made.over_tolerances("native"))
     assert len(set(made.tolerances)) == 2
 
 
-@pytest.mark.parametrize(("seconds", "runs"), [(0.1, 3), (0.02, 3), (0.0101, 5), (0.004, 13), (1e-6, 15)])
-def test_short_runs_are_repeated_more_often(monkeypatch: pytest.MonkeyPatch, seconds: float, runs: int):
+@pytest.mark.parametrize(
+    ("seconds", "runs"), [(0.1, 3), (0.02, 3), (0.0101, 5), (0.004, 13), (1e-6, 15)]
+)
+def test_short_runs_are_repeated_more_often(
+    monkeypatch: pytest.MonkeyPatch, seconds: float, runs: int
+):
     """Three times at least, until they have taken 50 ms, 15 times at most."""
     clock = [0.0]
     monkeypatch.setattr(bench.time, "perf_counter", lambda: clock[0])
@@ -166,8 +192,12 @@ def test_a_point_has_the_least_of_each_time(monkeypatch: pytest.MonkeyPatch):
     assert last == 1 + 1 + 3  # the search, a run to warm up, and three
     assert point.integration_s == point.seconds == pytest.approx(2.0 + 0.1 / last, rel=1e-12)
     assert point.setup_s == pytest.approx(0.5 + 0.1 / last, rel=1e-12)
-    assert point.estimate_s == pytest.approx(1.0 - 0.1 / 3, rel=1e-12)  # of the first that was timed
-    assert point.grain_steps_per_s == pytest.approx(4 * point.steps * 8 / point.integration_s, rel=1e-12)
+    assert point.estimate_s == pytest.approx(
+        1.0 - 0.1 / 3, rel=1e-12
+    )  # of the first that was timed
+    assert point.grain_steps_per_s == pytest.approx(
+        4 * point.steps * 8 / point.integration_s, rel=1e-12
+    )
     assert (point.step_s, point.tolerance, point.force_evaluations) == (1e-9, None, 4 * point.steps)
     assert made.dropped == 0
     tight = next(made.over_tolerances("native"))

@@ -22,7 +22,9 @@ SCENE = Scene(chain=CHAIN, excitation=Impulse(velocity=2e-3), duration=4e-6, sam
 TRUTH = Reference(SCENE.time, np.zeros((5, 8)), np.zeros((5, 8)), 2e-15, "a series")
 
 
-def point(engine: str, integrator: str, seconds: float, error: float, count: int, **more: Any) -> Point:
+def point(
+    engine: str, integrator: str, seconds: float, error: float, count: int, **more: Any
+) -> Point:
     whole = {"tolerance": None, "setup_s": 0.5, "estimate_s": 0.25, "seconds": seconds, "step_s": 1e-8,
              "grain_steps_per_s": 1e6}  # fmt: skip
     row = {"engine": engine, "equation": 1, "integrator": integrator, "error": error, "error_displacement": error,
@@ -50,8 +52,16 @@ CURVES = (
 )
 OTHERS = [{"code": "other", "error": 1e-5, "seconds": 0.05, "force_evaluations": 900},
           {"code": "other", "error": 1e-7, "seconds": 0.15, "force_evaluations": None}]  # fmt: skip
-RESULT = WorkPrecision(SCENE, TRUTH, CURVES, 3, ("continuum: too short",), {"numpy": "2.0", "lammps": "7"}, "a box")
-LEADING = ["native, to a tolerance", "native, rkn6", "native, dop853", "native, verlet", "lammps, rkn4"]
+RESULT = WorkPrecision(
+    SCENE, TRUTH, CURVES, 3, ("continuum: too short",), {"numpy": "2.0", "lammps": "7"}, "a box"
+)
+LEADING = [
+    "native, to a tolerance",
+    "native, rkn6",
+    "native, dop853",
+    "native, verlet",
+    "lammps, rkn4",
+]
 
 
 @pytest.fixture(scope="module")
@@ -86,9 +96,13 @@ def test_curves_that_reach_an_error_soonest_are_in_colour(panels: Any):
 
 def test_the_front_is_drawn_through_the_points_that_lead(panels: Any):
     for ax, cost in zip(panels, ("seconds", "force_evaluations"), strict=False):
-        points = [(getattr(p, cost), p.error) for p in RESULT.points] + [(r[cost], r["error"]) for r in OTHERS]
+        points = [(getattr(p, cost), p.error) for p in RESULT.points] + [
+            (r[cost], r["error"]) for r in OTHERS
+        ]
         points = [p for p in points if p[0]]
-        lead = sorted(p for p in points if not any(q != p and q[0] <= p[0] and q[1] <= p[1] for q in points))
+        lead = sorted(
+            p for p in points if not any(q != p and q[0] <= p[0] and q[1] <= p[1] for q in points)
+        )
         line = lines_of(ax)["Pareto front"]
         assert [tuple(row) for row in line.get_xydata()] == lead
         assert line.get_color() == FRONT
@@ -102,12 +116,16 @@ def test_rings_mark_the_longest_stable_steps_of_leading_curves(panels: Any):
         places = [tuple(line.get_xydata()[0]) for line in rings]
         assert places == [(getattr(p, cost), p.error) for p in firsts]
         names = [each.name for each in CURVES if each.name in LEADING[1:]]
-        assert [r.get_markeredgecolor() for r in rings] == [SHADES[LEADING.index(name)] for name in names]
+        assert [r.get_markeredgecolor() for r in rings] == [
+            SHADES[LEADING.index(name)] for name in names
+        ]
 
 
 def test_engines_of_one_point_stand_alone_and_are_named_together(panels: Any):
     over_time, over_evaluations, _ = panels
-    alone = [line for line in over_time.lines if line.get_markersize() == 8 and line.get_marker() != "*"]
+    alone = [
+        line for line in over_time.lines if line.get_markersize() == 8 and line.get_marker() != "*"
+    ]
     data = {line.get_marker(): tuple(line.get_xydata()[0]) for line in alone}
     assert data == {MARKERS["modes"]: (0.01, 1e-4), MARKERS["bessel"]: (0.003, 1.05e-4)}
     (label,) = (text for text in over_time.texts if "modes" in text.get_text())
@@ -125,7 +143,11 @@ def test_axes_of_errors(panels: Any):
         floor = 10 * TRUTH.error
         assert ax.get_ylim()[0] == pytest.approx(floor / 4, rel=1e-12)
         assert 1e-2 < ax.get_ylim()[1] <= 5
-        (level,) = (line for line in ax.lines if len(set(line.get_ydata())) == 1 and line.get_color() == "0.6")
+        (level,) = (
+            line
+            for line in ax.lines
+            if len(set(line.get_ydata())) == 1 and line.get_color() == "0.6"
+        )
         assert level.get_ydata()[0] == pytest.approx(floor, rel=1e-12)
         (words,) = (text for text in ax.texts if "error of the reference" in text.get_text())
         assert words.get_text() == "10 × error of the reference"
@@ -146,22 +168,32 @@ def test_slopes_of_orders_are_theirs(panels: Any):
         assert math.log(y / low) / math.log(end / x) == pytest.approx(order, rel=1e-9)
         assert end <= 10 * x * (1 + 1e-12)
         assert low >= 30 * ax.get_ylim()[0] * (1 - 1e-9)
-        assert (end == pytest.approx(10 * x, rel=1e-9)) or (low == pytest.approx(30 * ax.get_ylim()[0], rel=1e-9))
+        assert (end == pytest.approx(10 * x, rel=1e-9)) or (
+            low == pytest.approx(30 * ax.get_ylim()[0], rel=1e-9)
+        )
         assert y == pytest.approx(1e6 * ax.get_ylim()[0], rel=1e-9)
 
 
 def test_bars_are_times_to_one_error(panels: Any):
     bars = panels[2]
-    times = {each.name: time_to(1e-6, [(p.seconds, p.error) for p in each.points]) for each in CURVES}
+    times = {
+        each.name: time_to(1e-6, [(p.seconds, p.error) for p in each.points]) for each in CURVES
+    }
     times["other"] = time_to(1e-6, [(r["seconds"], r["error"]) for r in OTHERS])
     reached = sorted((name for name in times if math.isfinite(times[name])), key=times.__getitem__)
     assert [label.get_text() for label in bars.get_yticklabels()] == reached
-    assert [bar.get_width() for bar in bars.patches] == pytest.approx([1e3 * times[name] for name in reached])
+    assert [bar.get_width() for bar in bars.patches] == pytest.approx(
+        [1e3 * times[name] for name in reached]
+    )
     colours = {name: "black" if k == 0 else SHADES[k] for k, name in enumerate(LEADING)}
     from matplotlib.colors import to_rgba
 
-    assert [bar.get_facecolor() for bar in bars.patches] == [to_rgba(colours.get(name, "0.75")) for name in reached]
-    assert [text.get_text() for text in bars.texts] == [f"{1e3 * times[name]:.3g}" for name in reached]
+    assert [bar.get_facecolor() for bar in bars.patches] == [
+        to_rgba(colours.get(name, "0.75")) for name in reached
+    ]
+    assert [text.get_text() for text in bars.texts] == [
+        f"{1e3 * times[name]:.3g}" for name in reached
+    ]
     assert bars.get_title(loc="left") == "Time to an error of 1e-06"
     assert bars.get_xscale() == "log"
     assert " ".join(bars.get_xlabel().split()) == "ms never: lammps, verlet, modes, bessel"
@@ -179,7 +211,11 @@ def test_title_and_footer_say_what_was_measured():
     for words in ("Reference: a series; its error is 2e-15, and 3 points within 10 times of that are left out",
                   "on a box; numpy 2.0, lammps 7."):  # fmt: skip
         assert words in footer
-    vacuum = Scene(chain=Chain(grains=8, diameter=1e-3, gravity=0.0), excitation=Impulse(velocity=2e-3), duration=4e-6)
+    vacuum = Scene(
+        chain=Chain(grains=8, diameter=1e-3, gravity=0.0),
+        excitation=Impulse(velocity=2e-3),
+        duration=4e-6,
+    )
     title = replace(RESULT, scene=vacuum).plot().figure._suptitle.get_text()
     assert title == f"8 grains, no gravity, {vacuum.excitation.label} (sonic vacuum), at t = 4 µs"
 
@@ -188,7 +224,9 @@ def test_the_front_of_points_by_brute_force():
     rng = np.random.default_rng(2)
     for _ in range(20):
         points = [tuple(row) for row in rng.integers(1, 7, (12, 2)).astype(float).tolist()]
-        lead = {p for p in points if not any(q != p and q[0] <= p[0] and q[1] <= p[1] for q in points)}
+        lead = {
+            p for p in points if not any(q != p and q[0] <= p[0] and q[1] <= p[1] for q in points)
+        }
         places = front(points)
         assert [points[place] for place in places] == sorted(lead)
         assert len(places) == len(lead)  # of equal points one
@@ -210,7 +248,12 @@ def test_rows_and_tables_of_given_points():
     assert (data["machine"], data["dropped"], data["versions"]) == ("a box", 3, RESULT.versions)
     assert [row["error"] for row in data["rows"]] == [p.error for p in RESULT.points]
     first = data["rows"][0]
-    assert (first["tolerance"], first["seconds"], first["setup_s"], first["estimate_s"]) == (1e-6, 0.1, 0.5, 0.25)
+    assert (first["tolerance"], first["seconds"], first["setup_s"], first["estimate_s"]) == (
+        1e-6,
+        0.1,
+        0.5,
+        0.25,
+    )
     assert [row["longest"] for row in data["rows"][:5]] == [False, False, False, True, False]
     assert not any(row["pareto"] for row in data["rows"])
     lines = RESULT.table({"other": [(0.05, 1e-5), (0.15, 1e-7)]}).splitlines()
@@ -236,7 +279,9 @@ def answer(engine: str, scene: Scene, off: float, **cost: Any) -> Trajectory:
     columns = scene.recorded - 1
     speeds = v[:, columns] + off * np.abs(v).max()
     estimate = ErrorEstimate(1e-4, 2e-4)
-    return Trajectory(scene, engine, 1, scene.time, scene.recorded, u[:, columns], speeds, estimate, paid)
+    return Trajectory(
+        scene, engine, 1, scene.time, scene.recorded, u[:, columns], speeds, estimate, paid
+    )
 
 
 def wave(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
@@ -245,7 +290,11 @@ def wave(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     return 1e-9 * bump, 1e-3 * bump
 
 
-def compared(scene: Scene, off: tuple[float, ...] = (1e-3, -0.5), names: tuple[str, ...] = ("native", "lammps")) -> Any:
+def compared(
+    scene: Scene,
+    off: tuple[float, ...] = (1e-3, -0.5),
+    names: tuple[str, ...] = ("native", "lammps"),
+) -> Any:
     u, v = wave(scene)
     truth = Reference(scene.time, u, v, 1e-12, "made up")
     answers = [answer(name, scene, share) for name, share in zip(names, off, strict=True)]
@@ -253,7 +302,12 @@ def compared(scene: Scene, off: tuple[float, ...] = (1e-3, -0.5), names: tuple[s
     return comparison, comparison.plot().figure.axes
 
 
-LONG = Scene(chain=Chain(grains=200, diameter=1e-3), excitation=Impulse(velocity=2e-3), duration=5e-6, samples=6)
+LONG = Scene(
+    chain=Chain(grains=200, diameter=1e-3),
+    excitation=Impulse(velocity=2e-3),
+    duration=5e-6,
+    samples=6,
+)
 
 
 def test_the_wave_is_drawn_in_units_of_the_strike():
@@ -268,9 +322,13 @@ def test_the_wave_is_drawn_in_units_of_the_strike():
     lines = lines_of(ax)
     assert np.array_equal(lines["reference"].get_xdata(), np.arange(1, 201))
     assert lines["reference"].get_ydata() == pytest.approx(v[-1] / 2e-3, rel=1e-12)
-    for place, (name, t) in enumerate(zip(("native", "lammps"), comparison.trajectories, strict=True)):
+    for place, (name, t) in enumerate(
+        zip(("native", "lammps"), comparison.trajectories, strict=True)
+    ):
         assert np.array_equal(lines[name].get_xdata(), np.arange(first, last + 1))
-        assert lines[name].get_ydata() == pytest.approx(t.velocity[-1, first - 1 : last] / 2e-3, rel=1e-12)
+        assert lines[name].get_ydata() == pytest.approx(
+            t.velocity[-1, first - 1 : last] / 2e-3, rel=1e-12
+        )
         assert (lines[name].get_color(), lines[name].get_marker()) == (COLOURS[name], MARKERS[name])
         assert lines[name].get_linestyle() == "None"
         assert lines[name].get_markersize() == 7.5 - 3.5 * place
@@ -293,7 +351,13 @@ def test_a_wide_wave_is_shown_around_its_fastest_grain():
     from lmpchain.benchmark.comparison import _window
 
     velocity = np.ones(200)
-    for fastest, shown in ((99, (70, 129)), (3, (1, 60)), (198, (141, 200)), (29, (1, 60)), (31, (2, 61))):
+    for fastest, shown in (
+        (99, (70, 129)),
+        (3, (1, 60)),
+        (198, (141, 200)),
+        (29, (1, 60)),
+        (31, (2, 61)),
+    ):
         velocity[:] = 1.0
         velocity[fastest] = -2.0
         assert _window(velocity) == shown
@@ -308,7 +372,11 @@ def test_a_wide_wave_is_shown_around_its_fastest_grain():
 
 def test_errors_over_time_and_cost_are_drawn_to_scale():
     comparison, (_, ax, cost) = compared(LONG)
-    assert (ax.get_xlabel(), ax.get_ylabel(), ax.get_yscale()) == ("time (µs)", "relative error", "log")
+    assert (ax.get_xlabel(), ax.get_ylabel(), ax.get_yscale()) == (
+        "time (µs)",
+        "relative error",
+        "log",
+    )
     curves = lines_of(ax)
     for name, row, off in zip(("native", "lammps"), comparison.rows, (1e-3, 0.5), strict=True):
         v = wave(LONG)[1]
@@ -320,8 +388,14 @@ def test_errors_over_time_and_cost_are_drawn_to_scale():
     levels = [(line.get_ydata()[0], line.get_color(), line.get_linestyle()) for line in ax.lines
               if len(line.get_ydata()) == 2]  # fmt: skip
     assert [level[0] for level in levels] == pytest.approx([3e-4, 3e-4, 1e-12], rel=1e-12)
-    assert [level[1:] for level in levels] == [(COLOURS["native"], "--"), (COLOURS["lammps"], "--"), ("0.55", ":")]
-    assert "dashed: expected by the engine, dotted: of the reference" in " ".join(ax.get_title(loc="left").split())
+    assert [level[1:] for level in levels] == [
+        (COLOURS["native"], "--"),
+        (COLOURS["lammps"], "--"),
+        ("0.55", ":"),
+    ]
+    assert "dashed: expected by the engine, dotted: of the reference" in " ".join(
+        ax.get_title(loc="left").split()
+    )
     assert (cost.get_xlabel(), cost.get_ylabel()) == ("integration time (s)", "relative error")
     assert (cost.get_xscale(), cost.get_yscale()) == ("log", "log")
     named = lines_of(cost)
@@ -330,7 +404,10 @@ def test_errors_over_time_and_cost_are_drawn_to_scale():
         assert named[name].get_xydata()[0] == pytest.approx([0.3, off], rel=1e-9)
         assert named[name].get_marker() == MARKERS[name.split(",")[0]]
     bars = [line for line in cost.lines if line.get_linestyle() == "--"]
-    assert [list(line.get_ydata()) for line in bars] == [pytest.approx([1e-3, 3e-4]), pytest.approx([0.5, 3e-4])]
+    assert [list(line.get_ydata()) for line in bars] == [
+        pytest.approx([1e-3, 3e-4]),
+        pytest.approx([0.5, 3e-4]),
+    ]
     ends = [line.get_xydata()[0] for line in cost.lines if line.get_marker() == "_"]
     assert ends == [pytest.approx([0.3, 3e-4])] * 2
 
@@ -342,7 +419,10 @@ def test_no_error_and_no_time_are_drawn_at_the_end_of_the_scale():
                     error_estimate=ErrorEstimate(0.0, 0.0))  # fmt: skip
     _, ax, cost = compare([exact], Reference(scene.time, u, v, 0.0, "exact")).plot().figure.axes
     assert set(lines_of(ax)["modes"].get_ydata()) == {1e-17}
-    assert [line.get_ydata()[0] for line in ax.lines if len(line.get_ydata()) == 2] == [1e-17, 1e-17]
+    assert [line.get_ydata()[0] for line in ax.lines if len(line.get_ydata()) == 2] == [
+        1e-17,
+        1e-17,
+    ]
     assert lines_of(cost)["modes"].get_xydata()[0].tolist() == [1e-9, 1e-17]
 
 
@@ -350,11 +430,15 @@ def test_the_table_of_a_comparison_in_numbers():
     comparison, _ = compared(LONG)
     lines = comparison.table().splitlines()
     cells = [" ".join(line.split()) for line in lines]
-    assert cells[0] == "engine equation integrator error expected integration steps force evaluations"
+    assert (
+        cells[0] == "engine equation integrator error expected integration steps force evaluations"
+    )
     assert cells[1] == "native (1) rkn4 1.00e-03 3.00e-04 0.3 s 40 160"
     assert cells[2] == "lammps (1) rkn4 5.00e-01 3.00e-04 0.3 s 40 160"
     assert cells[3] == "reference: made up; its own error is about 1.0e-12"
-    assert cells[4].startswith("error: max|x - x_true| over samples and grains over max|x_true| at any time")
+    assert cells[4].startswith(
+        "error: max|x - x_true| over samples and grains over max|x_true| at any time"
+    )
     assert comparison.rows[0].compile_s == 2.0
     assert comparison.to_json()["rows"][1]["compile_s"] == 2.0
 

@@ -16,7 +16,9 @@ from lmpchain.util.plotting import figure, save
 
 def test_the_reference_starts_where_the_scene_does():
     start = Profile(displacement=[1e-10, -1e-10, 0], velocity=[0, 1e-5, 0])
-    truth = reference(Scene(chain=Chain(grains=3, diameter=1e-3), excitation=start, duration=1e-6, samples=2))
+    truth = reference(
+        Scene(chain=Chain(grains=3, diameter=1e-3), excitation=start, duration=1e-6, samples=2)
+    )
     assert truth.displacement[0] == pytest.approx([1e-10, -1e-10, 0], rel=1e-15, abs=0)
     assert truth.velocity[0] == pytest.approx([0, 1e-5, 0], rel=1e-15, abs=0)
     assert not truth.displacement[:, 2].any()
@@ -26,7 +28,10 @@ def test_the_reference_keeps_its_digits_however_weak_the_wave():
     """Halving a strike that is weak enough halves the motion, to the accuracy of the linear law."""
     chain = Chain(grains=10, diameter=1e-3)
     motion = [
-        reference(Scene(chain=chain, excitation=Impulse(velocity=v), duration=3e-5, samples=4)).velocity / v
+        reference(
+            Scene(chain=chain, excitation=Impulse(velocity=v), duration=3e-5, samples=4)
+        ).velocity
+        / v
         for v in (1e-16, 2e-16)
     ]
     assert motion[0] == pytest.approx(motion[1], abs=1e-11)
@@ -35,7 +40,9 @@ def test_the_reference_keeps_its_digits_however_weak_the_wave():
 def test_nothing_happens_where_nothing_strikes():
     chain = Chain(grains=4, diameter=1e-3)
     for quiet in (chain, Chain(grains=4, diameter=1e-3, gravity=0.0)):
-        truth = reference(Scene(chain=quiet, excitation=Impulse(velocity=0.0), duration=1e-5, samples=3))
+        truth = reference(
+            Scene(chain=quiet, excitation=Impulse(velocity=0.0), duration=1e-5, samples=3)
+        )
         assert not truth.displacement.any()
         assert not truth.velocity.any()
         assert truth.error < 1e-9
@@ -43,7 +50,12 @@ def test_nothing_happens_where_nothing_strikes():
 
 def test_a_long_scene_is_expected_to_take_longer():
     short, long = smooth(), replace_scene(smooth(), duration=1e6 * smooth().duration)
-    large = Scene(chain=Chain(grains=10**5, diameter=1e-3), excitation=Impulse(velocity=1e-6), duration=1e-2, samples=2)
+    large = Scene(
+        chain=Chain(grains=10**5, diameter=1e-3),
+        excitation=Impulse(velocity=1e-6),
+        duration=1e-2,
+        samples=2,
+    )
     assert 0 < expected_seconds(short) < 1
     assert expected_seconds(long) > 1e3
     assert expected_seconds(large) > 60
@@ -60,7 +72,9 @@ CHAIN = Chain(grains=4, diameter=1e-3)
 
 def made_up(grains: Any = "all") -> tuple[Trajectory, Reference]:
     """Return an answer without error and its reference: u = 1, 2, -4, 0 and v = 10 u at all times."""
-    scene = Scene(chain=CHAIN, excitation=Impulse(velocity=1e-9), duration=1e-9, samples=3, grains=grains)
+    scene = Scene(
+        chain=CHAIN, excitation=Impulse(velocity=1e-9), duration=1e-9, samples=3, grains=grains
+    )
     answer = simulate(scene, "native", 1e-3)
     u = np.tile([1.0, 2.0, -4.0, 0.0], (3, 1))
     columns = scene.recorded - 1
@@ -129,7 +143,11 @@ def test_rows_repeat_what_the_answers_say():
     assert (row.error, row.error_displacement, row.error_velocity) == (0.5, 0.0, 0.5)
     assert row.expected_error == second.error_estimate.total
     assert (row.steps, row.force_evaluations) == (second.cost.steps, second.cost.force_evaluations)
-    assert (row.integration_s, row.integrator, row.equation) == (second.cost.integration_s, second.cost.integrator, 1)
+    assert (row.integration_s, row.integrator, row.equation) == (
+        second.cost.integration_s,
+        second.cost.integrator,
+        1,
+    )
     lines = comparison.table().splitlines()
     assert lines[0].split()[:3] == ["engine", "equation", "integrator"]
     assert lines[2].split()[:4] == ["lammps", "(1)", second.cost.integrator, "5.00e-01"]
@@ -172,7 +190,9 @@ def test_a_picture_of_a_chain_at_rest(tmp_path: Any):
 
 def test_the_lammps_engine_is_compared():
     scene = smooth(samples=4)
-    comparison = compare([simulate(scene, "lammps", 1e-6), simulate(scene, "native", 1e-9)], reference(scene))
+    comparison = compare(
+        [simulate(scene, "lammps", 1e-6), simulate(scene, "native", 1e-9)], reference(scene)
+    )
     assert comparison.rows[0].error <= 1e-6
     assert comparison.rows[1].error <= 1e-9
     for row in comparison.rows:

@@ -11,14 +11,18 @@ from lmpchain import Chain, Displacement, Drive, Force, Impulse, Scene
 from lmpchain.benchmark.reference import _first_root, reference
 
 EXTENDED = np.finfo(np.longdouble).eps < 1e-18
-GOOD = 2e-15 if EXTENDED else 1e-12  # what the reference is known to when no scene amplifies round-off
+GOOD = (
+    2e-15 if EXTENDED else 1e-12
+)  # what the reference is known to when no scene amplifies round-off
 TIGHT = 1e-18  # tolerance of the other integrator: with it, it is known to some 1e-15 where contacts open
 
 
 def between(excitation: Any, **keys: Any) -> Scene:
     """Return a scene of eight glass beads between two walls, unless they are told otherwise."""
     chain = Chain(**{"grains": 8, "diameter": 1e-3, "top": "wall", "bottom": "wall"} | keys)
-    return Scene(chain=chain, excitation=excitation, duration=min(7 * chain.time_scale, 4e-5), samples=4)
+    return Scene(
+        chain=chain, excitation=excitation, duration=min(7 * chain.time_scale, 4e-5), samples=4
+    )
 
 
 def strong(samples: int, duration: float = 4e-5) -> Scene:
@@ -28,7 +32,9 @@ def strong(samples: int, duration: float = 4e-5) -> Scene:
 
 
 def path(size: float) -> Drive:
-    return Drive(times=np.arange(9) * 1.3e-5, displacement=np.array([0, 1, -1, 2, 0, -2, 1, 1, 0]) * size)
+    return Drive(
+        times=np.arange(9) * 1.3e-5, displacement=np.array([0, 1, -1, 2, 0, -2, 1, 1, 0]) * size
+    )
 
 
 KINDS = {
@@ -36,20 +42,34 @@ KINDS = {
     "weak": paper("weak", samples=3),
     "strong": strong(3),
     "springs": between(Displacement(displacement=1e-13, grain=2), top_load=1e-4, exponent=1.0),
-    "springs that open": between(Displacement(displacement=1e-8, grain=2), top_load=1e-4, exponent=1.0),
-    "exponent": between(Impulse(velocity=-1e-3), top_load=1e-4, exponent=2.3, gravity=0.0, bottom_material="ptfe"),
+    "springs that open": between(
+        Displacement(displacement=1e-8, grain=2), top_load=1e-4, exponent=1.0
+    ),
+    "exponent": between(
+        Impulse(velocity=-1e-3), top_load=1e-4, exponent=2.3, gravity=0.0, bottom_material="ptfe"
+    ),
     "pulled": between(Displacement(displacement=-1e-9, grain=2), top="free", exponent=1.3),
     "just touched by the wall": between(Impulse(velocity=-1e-4)),
     "vacuum": between(Impulse(velocity=1e-2, grain=4), gravity=0.0, top_material="steel"),
     "sine": between(Drive(amplitude=1e-8, frequency=3e4), top="free"),
-    "sine in the vacuum": between(Drive(amplitude=1e-7, frequency=2e4), top="free", bottom="free", gravity=0.0),
+    "sine in the vacuum": between(
+        Drive(amplitude=1e-7, frequency=2e4), top="free", bottom="free", gravity=0.0
+    ),
     "path": between(path(3e-9), top="free"),
     "wall that moves": between(Drive(amplitude=1e-8, frequency=6e4, grain=0), top_load=1e-4),
-    "burst of a wall": between(Drive(amplitude=1e-8, frequency=9e4, cycles=2, grain=0), top_load=1e-4),
-    "burst of a force": between(Force(grain=3, amplitude=2e-4, frequency=9e4, cycles=1.5), top_load=1e-4),
-    "half a sine": between(Force(grain=1, shape="half-sine", amplitude=1e-3, duration=1e-5), top="free"),
+    "burst of a wall": between(
+        Drive(amplitude=1e-8, frequency=9e4, cycles=2, grain=0), top_load=1e-4
+    ),
+    "burst of a force": between(
+        Force(grain=3, amplitude=2e-4, frequency=9e4, cycles=1.5), top_load=1e-4
+    ),
+    "half a sine": between(
+        Force(grain=1, shape="half-sine", amplitude=1e-3, duration=1e-5), top="free"
+    ),
     "force through points": between(
-        Force(grain=2, times=np.arange(9) * 8e-6, force=np.array([0, 1, -1, 2, 0, -2, 1, 1, 0]) * 1e-5)
+        Force(
+            grain=2, times=np.arange(9) * 8e-6, force=np.array([0, 1, -1, 2, 0, -2, 1, 1, 0]) * 1e-5
+        )
     ),
 }
 
@@ -63,7 +83,9 @@ def test_the_error_of_the_reference_is_what_it_says(scene: Scene):
     assert truth.error < GOOD
     assert itself < (1e-13 if EXTENDED else 1e-11)
     # what the other one says of itself is the error of its looser run
-    assert relative_error(truth.displacement, truth.velocity, u, v) < truth.error + max(itself / 2, 2e-15)
+    assert relative_error(truth.displacement, truth.velocity, u, v) < truth.error + max(
+        itself / 2, 2e-15
+    )
 
 
 @pytest.mark.soak
@@ -73,7 +95,9 @@ def test_random_scenes(seed: int):
     truth = reference(scene)
     u, v, itself = extended_reference(scene, TIGHT)
     # 1e-14 is what the last digits of a sampled drive may make
-    assert relative_error(truth.displacement, truth.velocity, u, v) < truth.error + 2 * itself + 1e-14
+    assert (
+        relative_error(truth.displacement, truth.velocity, u, v) < truth.error + 2 * itself + 1e-14
+    )
 
 
 @pytest.mark.parametrize("exponent", [1.0, 1.25, 1.5, 2.0, 3.0])
@@ -81,9 +105,16 @@ def test_random_scenes(seed: int):
 def test_a_collision_of_two_free_grains(exponent: float, masses: tuple[float, float]):
     """One opening and one closing: energy and momentum say what velocities are left, whatever the law of force."""
     chain = Chain(
-        grains=2, diameter=1e-3, masses=np.array(masses) * 1e-6, gravity=0.0, bottom="free", exponent=exponent
+        grains=2,
+        diameter=1e-3,
+        masses=np.array(masses) * 1e-6,
+        gravity=0.0,
+        bottom="free",
+        exponent=exponent,
     )
-    truth = reference(Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=1e-3, samples=2))
+    truth = reference(
+        Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=1e-3, samples=2)
+    )
     first, second = masses
     after = 0.1 * np.array([first - second, 2 * first]) / (first + second)
     assert truth.velocity[-1] == pytest.approx(after, rel=0, abs=2e-16)
@@ -118,7 +149,12 @@ def test_grains_that_nothing_has_reached_make_no_difference():
     assert many.error < GOOD
     reached = few.displacement.shape[1]
     assert (
-        relative_error(many.displacement[:, :reached], many.velocity[:, :reached], few.displacement, few.velocity)
+        relative_error(
+            many.displacement[:, :reached],
+            many.velocity[:, :reached],
+            few.displacement,
+            few.velocity,
+        )
         < 1e-15
     )
     assert not many.displacement[:, 200:].any()
@@ -127,7 +163,10 @@ def test_grains_that_nothing_has_reached_make_no_difference():
 def test_samples_between_steps_are_as_good():
     """Up to the last digit of their times, which is worth 2e-15 here."""
     few, many = (reference(strong(samples, 2e-5)) for samples in (5, 101))
-    assert relative_error(many.displacement[::25], many.velocity[::25], few.displacement, few.velocity) < 5e-15
+    assert (
+        relative_error(many.displacement[::25], many.velocity[::25], few.displacement, few.velocity)
+        < 5e-15
+    )
     middle = reference(strong(2, 37 * 2e-7))
     u, v = (x[37:38] for x in (many.displacement, many.velocity))
     assert relative_error(u, v, middle.displacement[-1:], middle.velocity[-1:]) < 1e-14

@@ -30,7 +30,13 @@ SCENE = smooth()
 PEERS = [
     {"code": "other", "parameter": 1e-6, "error": 1e-5, "seconds": 1e-2, "force_evaluations": 900},
     {"code": "other", "parameter": 1e-9, "error": 1e-9, "seconds": 3e-2, "force_evaluations": 2000},
-    {"code": "silent", "parameter": 1e-9, "error": 1e-8, "seconds": 2e-2, "force_evaluations": None},
+    {
+        "code": "silent",
+        "parameter": 1e-9,
+        "error": 1e-8,
+        "seconds": 2e-2,
+        "force_evaluations": None,
+    },
 ]
 
 
@@ -45,7 +51,11 @@ def stepped(found):
 
 def test_every_engine_and_integrator_is_there(found):
     names = {curve.name for curve in found.curves}
-    kinds = {(engine, kind) for engine in ("native", "lammps") for kind in engines.get(engine).integrators}
+    kinds = {
+        (engine, kind)
+        for engine in ("native", "lammps")
+        for kind in engines.get(engine).integrators
+    }
     pairs = {f"{engine}, {kind}" for engine, kind in kinds if kind in METHODS}
     assert names == pairs | {"native, to a tolerance", "modes", "chebyshev", "bessel"}
     assert found.left_out == (f"continuum: {engines.get('continuum').refuses(SCENE)[0][1]}",)
@@ -59,7 +69,9 @@ def test_errors_are_true(found):
         engine = engines.get(curve.engine, integrator=curve.integrator, step=point.step_s)
         again = simulate(SCENE, engine)
         assert again.cost.steps == point.steps
-        assert point.error == pytest.approx(relative_error(again.displacement, again.velocity, u, v), rel=1e-2, abs=0)
+        assert point.error == pytest.approx(
+            relative_error(again.displacement, again.velocity, u, v), rel=1e-2, abs=0
+        )
         assert point.error == max(point.error_displacement, point.error_velocity) > 100 * itself
         assert point.expected_error == again.error_estimate.total
 
@@ -74,7 +86,9 @@ def native(name, until):
 def test_the_slope_is_the_order(name):
     falling = [p for p in native(name, until=1e-9) if p.error < 1e-3]
     assert len(falling) > 3
-    slope = np.polyfit(np.log([p.force_evaluations for p in falling]), np.log([p.error for p in falling]), 1)[0]
+    slope = np.polyfit(
+        np.log([p.force_evaluations for p in falling]), np.log([p.error for p in falling]), 1
+    )[0]
     assert -0.35 < -slope - METHODS[name].order < (0.9 if name == "gear4" else 0.35)
 
 
@@ -84,7 +98,9 @@ def test_steps_shorten_until_round_off():
     assert [point.longest for point in points] == [True, *[False] * (len(points) - 1)]
     least = min(point.error for point in points)
     assert least < 1e-12
-    assert all(point.error > 0.5 * least for point in points[-4:])  # it ends where no more is to be had
+    assert all(
+        point.error > 0.5 * least for point in points[-4:]
+    )  # it ends where no more is to be had
 
 
 def breaks_down(scene, engine, integrator, step):
@@ -93,7 +109,10 @@ def breaks_down(scene, engine, integrator, step):
     except (InputError, RunFailed):
         return True
     truth = reference(scene)
-    return relative_error(answer.displacement, answer.velocity, truth.displacement, truth.velocity) >= 1
+    return (
+        relative_error(answer.displacement, answer.velocity, truth.displacement, truth.velocity)
+        >= 1
+    )
 
 
 def longest_holds(scene, name):
@@ -177,17 +196,24 @@ def test_json_has_the_agreed_shape(found):
 def test_the_picture(found, tmp_path):
     picture = found.plot(others=PEERS).figure
     over_time, over_evaluations, bars = picture.axes
-    assert {ax.get_xscale() for ax in picture.axes} | {ax.get_yscale() for ax in picture.axes[:2]} == {"log"}
+    assert {ax.get_xscale() for ax in picture.axes} | {
+        ax.get_yscale() for ax in picture.axes[:2]
+    } == {"log"}
     assert over_time.get_xlabel() == "time (s)"
     assert over_time.get_ylabel() == "relative error"
-    shown = [text.get_text().replace("\n", " ") for text in over_evaluations.get_legend().get_texts()]
+    shown = [
+        text.get_text().replace("\n", " ") for text in over_evaluations.get_legend().get_texts()
+    ]
     assert {"native, to a tolerance", "others", "Pareto front"} <= set(shown)
     assert len(shown) == len(set(shown)) <= LABELLED + 2
     rings = [line for line in over_evaluations.lines if line.get_markersize() == 14]
     assert 1 <= len(rings) <= LABELLED
     guides = [text.get_text() for text in over_evaluations.texts]
     assert {"better", "2", "4", "6", "8", "order"} <= set(guides)
-    times = {name.get_text(): bar.get_width() for name, bar in zip(bars.get_yticklabels(), bars.patches, strict=True)}
+    times = {
+        name.get_text(): bar.get_width()
+        for name, bar in zip(bars.get_yticklabels(), bars.patches, strict=True)
+    }
     for curve in found.curves:
         seconds = time_to(TARGET, [(point.seconds, point.error) for point in curve.points])
         assert times.get(curve.name, math.nan) == pytest.approx(1e3 * seconds, nan_ok=True)
@@ -198,7 +224,10 @@ def test_the_picture(found, tmp_path):
 
 def test_runs_to_a_tolerance_are_named_however_few(found):
     """Time may be over after the first, on a busy machine."""
-    curves = tuple(replace(curve, points=curve.points[: 1 if curve.to_tolerance else None]) for curve in found.curves)
+    curves = tuple(
+        replace(curve, points=curve.points[: 1 if curve.to_tolerance else None])
+        for curve in found.curves
+    )
     axes = replace(found, curves=curves).plot()
     assert "native, to a tolerance" in axes.figure.axes[1].get_legend_handles_labels()[1]
 
@@ -230,16 +259,25 @@ def test_a_scene_whose_reference_takes_forever():
 
 
 def test_what_takes_longer_than_there_is_time_is_left_out():
-    scene = Scene(chain=Chain(grains=3000, diameter=1e-3), excitation=Impulse(velocity=1e-6), duration=1e-5, samples=2)
+    scene = Scene(
+        chain=Chain(grains=3000, diameter=1e-3),
+        excitation=Impulse(velocity=1e-6),
+        duration=1e-5,
+        samples=2,
+    )
     found = work_precision(scene, 1e-3)
     assert "modes" not in {curve.engine for curve in found.curves}
-    assert any(re.match(r"modes: a run would take about \S+ s", reason) for reason in found.left_out)
+    assert any(
+        re.match(r"modes: a run would take about \S+ s", reason) for reason in found.left_out
+    )
 
 
 def test_the_command(tmp_path, capsys):
     SCENE.to_toml(tmp_path / "scene.toml")
     chart = tmp_path / "chart.png"
-    assert main(["workprec", str(tmp_path / "scene.toml"), "--budget", "0.1", "-o", str(chart)]) == 0
+    assert (
+        main(["workprec", str(tmp_path / "scene.toml"), "--budget", "0.1", "-o", str(chart)]) == 0
+    )
     assert chart.read_bytes()[:4] == b"\x89PNG"
     assert json.loads((tmp_path / "chart.json").read_text())["rows"]
     assert "native, rkn6" in capsys.readouterr().out
@@ -268,5 +306,12 @@ def test_the_script(tmp_path):
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("weak\ntime to an error of ")
     rows = json.loads((tmp_path / "work_precision_weak.json").read_text())["rows"]
-    assert {row["engine"] for row in rows} == {"native", "lammps", "modes", "chebyshev", "bessel", "continuum"}
+    assert {row["engine"] for row in rows} == {
+        "native",
+        "lammps",
+        "modes",
+        "chebyshev",
+        "bessel",
+        "continuum",
+    }
     assert 10_000 < (tmp_path / "work_precision_weak.png").stat().st_size < 400_000

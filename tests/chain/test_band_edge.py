@@ -17,7 +17,9 @@ def test_they_are_those_of_lapack():
         if rng.random() < 0.3:  # under its own weight
             stiffness = np.arange(1.0, moving + 2) ** rng.uniform(0.1, 1)
         stiffness[[0, -1]] *= rng.integers(2, size=2)  # with and without walls
-        masses = 10 ** rng.uniform(-50, 50) * np.exp(rng.choice([0.0, 0.1, 1.0, 5.0]) * rng.normal(size=moving))
+        masses = 10 ** rng.uniform(-50, 50) * np.exp(
+            rng.choice([0.0, 0.1, 1.0, 5.0]) * rng.normal(size=moving)
+        )
         diagonal, coupling = dynamical_matrix(stiffness, masses)
         square = dstebz(diagonal, coupling, 2, 0.0, 1.0, moving, moving, 0.0, "E")[1][0]
         (edge,) = band_edges(diagonal[None], coupling[None])
@@ -35,7 +37,9 @@ def test_they_are_exact_in_a_uniform_chain():
 
 def test_many_at_once_are_those_of_each_to_the_last_bit():
     rng = np.random.default_rng(2)
-    diagonal, coupling = dynamical_matrix(rng.gamma(2.0, size=(50, 101)), rng.gamma(2.0, size=(50, 100)))
+    diagonal, coupling = dynamical_matrix(
+        rng.gamma(2.0, size=(50, 101)), rng.gamma(2.0, size=(50, 100))
+    )
     together = band_edges(diagonal, coupling)
     alone = [band_edges(d[None], c[None])[0] for d, c in zip(diagonal, coupling, strict=True)]
     assert together.tolist() == alone

@@ -11,7 +11,11 @@ from lmpchain.scene.strike import first_overlaps
 @pytest.mark.parametrize("seed", range(40))
 def test_arrays_stay_within_them(seed: int):
     random = np.random.default_rng(seed)
-    materials, top, bottom = list(MATERIALS), random.choice(["free", "wall"]), random.choice(["fixed", "wall"])
+    materials, top, bottom = (
+        list(MATERIALS),
+        random.choice(["free", "wall"]),
+        random.choice(["fixed", "wall"]),
+    )
     grains = int(random.integers(2, 60))
     odd = [
         Impurity(
@@ -40,7 +44,9 @@ def test_arrays_stay_within_them(seed: int):
     constants = contacts.constant[contacts.exists]
     assert known.softest <= constants.min() * (1 + 1e-12)
     assert constants.max() <= known.hardest * (1 + 1e-12)
-    assert (known.lightest, known.heaviest) == pytest.approx((masses.min(), masses.max()), rel=1e-14, abs=0)
+    assert (known.lightest, known.heaviest) == pytest.approx(
+        (masses.min(), masses.max()), rel=1e-14, abs=0
+    )
     assert known.narrowest == chain.diameters.min()
     assert known.slowest == chain.by_grain("sound_speed").min()
     assert contacts.overlap.max() <= known.overlap * (1 + 1e-12)
@@ -57,16 +63,24 @@ def test_arrays_stay_within_them(seed: int):
 def test_frequency_of_a_scene_is_that_of_its_arrays(velocity: float, gravity: float):
     chain = Chain(grains=40, diameter=1e-3, gravity=gravity)
     scene = Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=1e-4)
-    pair = np.sqrt(2 * chain.contacts.stiffness_at(first_overlaps(chain, scene.excitation)).max() / chain.masses.min())
+    pair = np.sqrt(
+        2
+        * chain.contacts.stiffness_at(first_overlaps(chain, scene.excitation)).max()
+        / chain.masses.min()
+    )
     assert scene.highest_frequency == (max(chain.band_edge, pair) or 1e4)
 
 
 def test_they_are_close_for_the_column_of_the_paper():
     chain = Chain(grains=120, diameter=1e-3)
     assert chain.bounds.overlap == pytest.approx(chain.contacts.overlap.max(), rel=0.01)
-    assert chain.bounds.hardest == pytest.approx(np.sqrt(2) * chain.contact_constants.max(), rel=1e-12)
+    assert chain.bounds.hardest == pytest.approx(
+        np.sqrt(2) * chain.contact_constants.max(), rel=1e-12
+    )
 
 
-@pytest.mark.parametrize("fields", [{"diameter": [1e-3] * 5}, {"masses": [1e-6] * 5}, {"contact_constants": [1e9] * 4}])
+@pytest.mark.parametrize(
+    "fields", [{"diameter": [1e-3] * 5}, {"masses": [1e-6] * 5}, {"contact_constants": [1e9] * 4}]
+)
 def test_arrays_have_none(fields: dict[str, list[float]]):
     assert Chain(**{"grains": 5, "diameter": 1e-3} | fields).bounds is None

@@ -37,26 +37,37 @@ def test_the_chain_of_the_paper():
     assert gamma == pytest.approx(5.3593e14, rel=1e-5, abs=0)
     assert chain.contact_constants / chain.masses[:-1] == pytest.approx(gamma, rel=1e-14, abs=0)
     n = np.arange(1, 120)
-    assert chain.equilibrium_overlap == pytest.approx((9.81 * n / gamma) ** (2 / 3), rel=1e-14, abs=0)
+    assert chain.equilibrium_overlap == pytest.approx(
+        (9.81 * n / gamma) ** (2 / 3), rel=1e-14, abs=0
+    )
     assert chain.length_scale == pytest.approx(6.9456e-10, rel=1e-5, abs=0)
     assert 1 / chain.time_scale == pytest.approx(1.45555e5, rel=1e-5, abs=0)
     omega = np.sqrt(9.81 * 1.5) * (gamma / 9.81) ** (1 / 3)
     assert 1 / chain.time_scale == pytest.approx(omega, rel=1e-14, abs=0)
-    assert chain.linear_stiffness / chain.masses[0] / omega**2 == pytest.approx(n ** (1 / 3), rel=1e-13, abs=0)
+    assert chain.linear_stiffness / chain.masses[0] / omega**2 == pytest.approx(
+        n ** (1 / 3), rel=1e-13, abs=0
+    )
 
 
 @pytest.mark.parametrize("exponent", [1.0, 1.2, 1.5, 2.0, 3.0])
 def test_contact_constant_for_any_exponent(exponent: float):
     """K = (4/3) E* sqrt(R*) dbar^(1.5 - delta) with everything from the two grains of the contact."""
-    chain = Chain(grains=3, material=[GLASS, STEEL, PTFE], diameter=[1e-3, 2e-3, 5e-3], exponent=exponent)
+    chain = Chain(
+        grains=3, material=[GLASS, STEEL, PTFE], diameter=[1e-3, 2e-3, 5e-3], exponent=exponent
+    )
     for n in (0, 1):
         one, other = chain.material[n], chain.material[n + 1]
         r1, r2 = chain.diameters[n] / 2, chain.diameters[n + 1] / 2
-        soft = (1 - one.poissons_ratio**2) / one.youngs_modulus + (1 - other.poissons_ratio**2) / other.youngs_modulus
+        soft = (1 - one.poissons_ratio**2) / one.youngs_modulus + (
+            1 - other.poissons_ratio**2
+        ) / other.youngs_modulus
         expected = 4 / 3 / soft * np.sqrt(r1 * r2 / (r1 + r2)) * (r1 + r2) ** (1.5 - exponent)
         assert chain.contact_constants[n] == pytest.approx(expected, rel=1e-14, abs=0)
     assert chain.masses == pytest.approx(
-        [m.density * np.pi * d**3 / 6 for m, d in zip(chain.material, [1e-3, 2e-3, 5e-3], strict=True)],
+        [
+            m.density * np.pi * d**3 / 6
+            for m, d in zip(chain.material, [1e-3, 2e-3, 5e-3], strict=True)
+        ],
         rel=1e-14,
         abs=0,
     )
@@ -72,11 +83,21 @@ def test_uniform_is_the_same_as_all_equal():
 @pytest.mark.parametrize("exponent", [1.0, 1.5, 2.7])
 def test_a_wall_of_the_same_material_is_sqrt_2_times_as_stiff(exponent: float):
     chain = Chain(grains=4, material=STEEL, diameter=3e-3, exponent=exponent, **BETWEEN)
-    assert chain.wall_constants == pytest.approx(np.sqrt(2) * chain.contact_constants[0], rel=1e-15, abs=0)
-    rigid = Chain(
-        grains=4, material=STEEL, diameter=3e-3, exponent=exponent, **BETWEEN, top_material=RIGID, bottom_material=RIGID
+    assert chain.wall_constants == pytest.approx(
+        np.sqrt(2) * chain.contact_constants[0], rel=1e-15, abs=0
     )
-    assert rigid.wall_constants == pytest.approx(2 * np.sqrt(2) * chain.contact_constants[0], rel=1e-15, abs=0)
+    rigid = Chain(
+        grains=4,
+        material=STEEL,
+        diameter=3e-3,
+        exponent=exponent,
+        **BETWEEN,
+        top_material=RIGID,
+        bottom_material=RIGID,
+    )
+    assert rigid.wall_constants == pytest.approx(
+        2 * np.sqrt(2) * chain.contact_constants[0], rel=1e-15, abs=0
+    )
 
 
 @pytest.mark.parametrize("exponent", [1.0, 1.5, 3.0])
@@ -88,17 +109,25 @@ def test_wall_constants_of_other_materials(exponent: float):
     )  # fmt: skip
     ends = [(GLASS, 1e-3, BRASS), (PTFE, 5e-3, TUNGSTEN_CARBIDE)]
     for constant, (grain, d, wall) in zip(chain.wall_constants, ends, strict=True):
-        soft = (1 - grain.poissons_ratio**2) / grain.youngs_modulus + (1 - wall.poissons_ratio**2) / wall.youngs_modulus
-        assert constant == pytest.approx(4 / 3 / soft * np.sqrt(d / 2) * d ** (1.5 - exponent), rel=1e-14, abs=0)
+        soft = (1 - grain.poissons_ratio**2) / grain.youngs_modulus + (
+            1 - wall.poissons_ratio**2
+        ) / wall.youngs_modulus
+        assert constant == pytest.approx(
+            4 / 3 / soft * np.sqrt(d / 2) * d ** (1.5 - exponent), rel=1e-14, abs=0
+        )
 
 
 def test_walls_are_scaled_with_given_constants():
     common = {"grains": 4, "diameter": 10.0, "gravity": 0.0}
     given = {"masses": [1.0] * 4, "contact_constants": [1.0, 5.0, 3.0]}
     alike = Chain(**common, **given, **BETWEEN)
-    assert alike.wall_constants == pytest.approx(np.sqrt(2) * np.array([1.0, 3.0]), rel=1e-15, abs=0)
+    assert alike.wall_constants == pytest.approx(
+        np.sqrt(2) * np.array([1.0, 3.0]), rel=1e-15, abs=0
+    )
     rigid = Chain(**common, **given, **BETWEEN, bottom_material=RIGID)
-    assert rigid.wall_constants == pytest.approx(np.sqrt(2) * np.array([1.0, 6.0]), rel=1e-15, abs=0)
+    assert rigid.wall_constants == pytest.approx(
+        np.sqrt(2) * np.array([1.0, 6.0]), rel=1e-15, abs=0
+    )
     mixed = Chain(**common, **given, top="wall", material=["glass", "steel", "steel", "steel"])
     soft = [(1 - m.poissons_ratio**2) / m.youngs_modulus for m in (GLASS, STEEL)]
     expected = np.sqrt(2) * (soft[0] + soft[1]) / (2 * soft[0])
@@ -112,7 +141,9 @@ def test_there_is_no_wall_unless_asked_for():
         for what in ("constant", "force", "overlap", "stiffness"):
             assert not getattr(chain.contacts, what)[[0, -1]].any()
         assert not chain.contacts.exists[[0, -1]].any()
-    assert [Chain(grains=3, diameter=1e-3, top=t, bottom="wall").movable for t in ("free", "wall")] == [3, 3]
+    assert [
+        Chain(grains=3, diameter=1e-3, top=t, bottom="wall").movable for t in ("free", "wall")
+    ] == [3, 3]
     assert Chain(grains=3, diameter=1e-3, top="wall").movable == 2
 
 
@@ -126,7 +157,9 @@ def test_forces_balance_at_rest_between_walls(chain: Chain):
     last = chain.movable
     assert np.diff(push)[:last] == pytest.approx(weight[:last], rel=1e-9, abs=1e-14 * force.max())
     assert contacts.force == pytest.approx(force, rel=1e-14, abs=0)
-    assert force[0] == pytest.approx(chain.top_load if chain.top == "wall" else 0.0, rel=1e-14, abs=0)
+    assert force[0] == pytest.approx(
+        chain.top_load if chain.top == "wall" else 0.0, rel=1e-14, abs=0
+    )
     bears = chain.top_load + weight.sum() if chain.bottom == "wall" else 0.0
     assert force[-1] == pytest.approx(bears, rel=1e-14, abs=0)
     slope = chain.exponent * contacts.constant * contacts.overlap ** (chain.exponent - 1)
@@ -150,8 +183,12 @@ def test_the_contact_law_and_what_follows_from_it(exponent: float):
     vacuum = Contacts(contacts.constant, 0 * alike, exponent)
     assert vacuum.energy(deepest) == pytest.approx(0.1**2 / 2 / 2e6 * alike, rel=1e-12, abs=0)
     loaded = Contacts(contacts.constant, 3 * contacts.force, exponent)
-    assert loaded.stiffness == pytest.approx(contacts.stiffness * contacts.stiffness_for_force(3.0), rel=1e-13, abs=0)
-    changed = Contacts(contacts.constant * contacts.constant_for_stiffness(2.0), contacts.force, exponent)
+    assert loaded.stiffness == pytest.approx(
+        contacts.stiffness * contacts.stiffness_for_force(3.0), rel=1e-13, abs=0
+    )
+    changed = Contacts(
+        contacts.constant * contacts.constant_for_stiffness(2.0), contacts.force, exponent
+    )
     assert changed.stiffness == pytest.approx(2 * contacts.stiffness, rel=1e-13, abs=0)
     assert contacts.of(2).stiffness == contacts.stiffness[2]
 
@@ -169,7 +206,9 @@ def test_a_wall_that_just_touches_does_not_press():
 def test_forces_balance_at_rest(chain: Chain):
     force = chain.contact_constants * chain.equilibrium_overlap**chain.exponent
     above = np.append(chain.top_load, force[:-1])
-    assert force - above == pytest.approx(chain.masses[:-1] * chain.gravity, rel=1e-9, abs=1e-14 * force.max())
+    assert force - above == pytest.approx(
+        chain.masses[:-1] * chain.gravity, rel=1e-9, abs=1e-14 * force.max()
+    )
     assert chain.equilibrium_force == pytest.approx(force, rel=1e-14, abs=0)
 
 
@@ -181,7 +220,9 @@ def test_stiffness_is_the_slope_of_the_force(chain: Chain):
     h = 1e-4
     eps = chain.equilibrium_overlap
     slope = (
-        8 * (force(eps * (1 + h)) - force(eps * (1 - h))) - force(eps * (1 + 2 * h)) + force(eps * (1 - 2 * h))
+        8 * (force(eps * (1 + h)) - force(eps * (1 - h)))
+        - force(eps * (1 + 2 * h))
+        + force(eps * (1 - 2 * h))
     ) / (12 * h * eps)
     assert chain.linear_stiffness == pytest.approx(slope, rel=1e-10, abs=0)
 
@@ -204,13 +245,19 @@ def test_band_edge_between_walls_against_a_dense_eigensolver(chain: Chain):
     pressed = chain.top_load + chain.gravity * np.cumsum(chain.masses)
     springs = delta * k ** (1 / delta) * pressed[:-1] ** (1 - 1 / delta)
     above, below = chain.wall_constants
-    top = delta * above ** (1 / delta) * chain.top_load ** (1 - 1 / delta) if above and chain.top_load else 0.0
+    top = (
+        delta * above ** (1 / delta) * chain.top_load ** (1 - 1 / delta)
+        if above and chain.top_load
+        else 0.0
+    )
     bottom = delta * below ** (1 / delta) * pressed[-1] ** (1 - 1 / delta)
     matrix = np.zeros((size + 2, size + 2))
     for n, stiffness in enumerate([top, *springs, bottom]):
         matrix[n : n + 2, n : n + 2] += stiffness * np.array([[1, -1], [-1, 1]])
     move = slice(1, chain.movable + 1)
-    highest = np.sqrt(np.linalg.eigvals(matrix[move, move] / chain.masses[: chain.movable, None]).real.max())
+    highest = np.sqrt(
+        np.linalg.eigvals(matrix[move, move] / chain.masses[: chain.movable, None]).real.max()
+    )
     assert chain.band_edge == pytest.approx(highest, rel=1e-11, abs=0)
 
 
@@ -236,7 +283,13 @@ def contact_energy(chain: Chain, n: int, r: float) -> float:
     """Work done on contact n, 0 that with a wall above, beyond that of its force at rest, closer by r, J."""
     eps, force, delta = chain.contacts.overlap[n], chain.contacts.force[n], chain.exponent
     if force == 0:
-        return quad(lambda x: chain.contacts.constant[n] * x**delta, 0.0, max(r, 0.0), epsabs=0, epsrel=1e-13)[0]
+        return quad(
+            lambda x: chain.contacts.constant[n] * x**delta,
+            0.0,
+            max(r, 0.0),
+            epsabs=0,
+            epsrel=1e-13,
+        )[0]
 
     def change(s: float) -> float:  # (1 + s)^delta - 1, without cancellation, -1 where open
         return np.expm1(delta * np.log1p(s)) if s > -1 else -1.0
@@ -250,7 +303,24 @@ def contact_energy(chain: Chain, n: int, r: float) -> float:
 
 @pytest.mark.parametrize("exponent", [1.0, 1.2, 1.5, 2.0, 2.7])
 @pytest.mark.parametrize(
-    "stretch", [-7.0, -1.5, -1.0, -0.999, -0.3, -0.0201, -0.0199, -1e-5, -1e-9, 1e-12, 1e-6, 0.0199, 0.0201, 0.5, 40.0]
+    "stretch",
+    [
+        -7.0,
+        -1.5,
+        -1.0,
+        -0.999,
+        -0.3,
+        -0.0201,
+        -0.0199,
+        -1e-5,
+        -1e-9,
+        1e-12,
+        1e-6,
+        0.0199,
+        0.0201,
+        0.5,
+        40.0,
+    ],
 )
 def test_excess_energy_of_one_contact(exponent: float, stretch: float):
     chain = Chain(grains=3, diameter=1e-3, exponent=exponent)
@@ -271,7 +341,9 @@ def test_excess_energy_of_a_chain():
         assert DISORDERED.excess_energy(u, v) == pytest.approx(moving, rel=1e-11, abs=0)
 
 
-@pytest.mark.parametrize("chain", [WALLED["disordered"], WALLED["just touched above"]], ids=["pressed", "loose"])
+@pytest.mark.parametrize(
+    "chain", [WALLED["disordered"], WALLED["just touched above"]], ids=["pressed", "loose"]
+)
 def test_excess_energy_between_walls(chain: Chain):
     rng = np.random.default_rng(4)
     for size in (1e-6, 0.1, 3.0):
@@ -298,7 +370,9 @@ def test_excess_energy_of_contacts_that_rest():
 def test_excess_energy_in_the_vacuum():
     chain = Chain(grains=3, diameter=1e-3, gravity=0.0)
     k = chain.contact_constants[0]
-    energies = chain.excess_energy(np.array([[1e-8, 0, 0], [-1e-8, 0, 0], [0, 1e-8, 0]]), np.zeros(3))
+    energies = chain.excess_energy(
+        np.array([[1e-8, 0, 0], [-1e-8, 0, 0], [0, 1e-8, 0]]), np.zeros(3)
+    )
     assert energies.shape == (3,)
     assert energies == pytest.approx([0.4 * k * 1e-20, 0.0, 0.4 * k * 1e-20], rel=1e-12, abs=1e-40)
 
@@ -332,9 +406,16 @@ def random_scene(rng: np.random.Generator) -> Scene:
             top=rng.choice(["free", "wall"]).item(),
             bottom=rng.choice(["fixed", "wall"]).item(),
         )
-        strike = Impulse(velocity=float(10 ** rng.uniform(-6, -1)), grain=int(rng.integers(1, grains)))
+        strike = Impulse(
+            velocity=float(10 ** rng.uniform(-6, -1)), grain=int(rng.integers(1, grains))
+        )
         try:
-            return Scene(chain=chain, excitation=strike, duration=float(10 ** rng.uniform(-5, -4.4)), samples=101)
+            return Scene(
+                chain=chain,
+                excitation=strike,
+                duration=float(10 ** rng.uniform(-5, -4.4)),
+                samples=101,
+            )
         except InputError:
             continue
 
@@ -360,12 +441,16 @@ def test_the_bound_is_met_by_a_grain_thrown_at_the_held_one():
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-2), duration=2e-5, samples=2001)
     run = simulate(scene, "native", 1e-9)
     deepest = (1.25 * chain.masses[0] * 1e-4 / chain.contact_constants[0]) ** 0.4
-    assert chain.contacts.overlap_bound(scene.energy)[1:-1] == pytest.approx(deepest, rel=1e-12, abs=0)
+    assert chain.contacts.overlap_bound(scene.energy)[1:-1] == pytest.approx(
+        deepest, rel=1e-12, abs=0
+    )
     assert run.displacement[:, 0].max() == pytest.approx(deepest, rel=1e-5, abs=0)
 
 
 def test_the_bound_is_met_by_a_grain_thrown_at_a_wall():
-    chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top="wall", top_material=STEEL, bottom="free")
+    chain = Chain(
+        grains=2, diameter=1e-3, gravity=0.0, top="wall", top_material=STEEL, bottom="free"
+    )
     scene = Scene(chain=chain, excitation=Impulse(velocity=-1e-2), duration=2e-5, samples=2001)
     run = simulate(scene, "native", 1e-9)
     deepest = (1.25 * chain.masses[0] * 1e-4 / chain.wall_constants[0]) ** 0.4
@@ -375,12 +460,24 @@ def test_the_bound_is_met_by_a_grain_thrown_at_a_wall():
 
 def test_an_impurity_is_a_grain_given_by_itself():
     """By diameter, by material and by both: as if the lists had been written out."""
-    odd = [Impurity(grain=2, diameter=3e-3), {"grain": 5, "material": "steel"}, Impurity(6, 2e-3, PTFE)]
+    odd = [
+        Impurity(grain=2, diameter=3e-3),
+        {"grain": 5, "material": "steel"},
+        Impurity(6, 2e-3, PTFE),
+    ]
     chain = Chain(grains=6, diameter=1e-3, gravity=5.0, top_load=1e-3, bottom="wall", impurity=odd)
     material = [GLASS] * 4 + [STEEL, PTFE]
     diameter = [1e-3, 3e-3, 1e-3, 1e-3, 1e-3, 2e-3]
-    written = Chain(grains=6, diameter=diameter, material=material, gravity=5.0, top_load=1e-3, bottom="wall")
-    for what in ("masses", "contact_constants", "wall_constants", "diameters", "equilibrium_overlap"):
+    written = Chain(
+        grains=6, diameter=diameter, material=material, gravity=5.0, top_load=1e-3, bottom="wall"
+    )
+    for what in (
+        "masses",
+        "contact_constants",
+        "wall_constants",
+        "diameters",
+        "equilibrium_overlap",
+    ):
         assert np.array_equal(getattr(chain, what), getattr(written, what)), what
     assert chain != written
     assert chain == Chain(**chain.given())
@@ -394,9 +491,13 @@ def test_an_impurity_by_its_mass_alone():
     both = Chain(grains=4, diameter=1e-3, impurity=[Impurity(grain=3, mass=1e-4, diameter=2e-3)])
     assert both.masses.tolist() == heavy.masses.tolist()
     assert both.contact_constants[1] > plain.contact_constants[1]
-    given = Chain(grains=4, diameter=1e-3, masses=[1e-6] * 4, impurity=[Impurity(grain=1, mass=2e-6)])
+    given = Chain(
+        grains=4, diameter=1e-3, masses=[1e-6] * 4, impurity=[Impurity(grain=1, mass=2e-6)]
+    )
     assert given.masses.tolist() == [2e-6, 1e-6, 1e-6, 1e-6]
-    own = Chain(grains=2, diameter=1e-3, contact_constants=[1e9], impurity=[Impurity(grain=1, mass=2e-6)])
+    own = Chain(
+        grains=2, diameter=1e-3, contact_constants=[1e9], impurity=[Impurity(grain=1, mass=2e-6)]
+    )
     assert (own.masses[0], own.contact_constants[0]) == (2e-6, 1e9)
 
 
@@ -409,8 +510,12 @@ def test_an_impurity_is_mixed_with_other_materials_and_diameters():
     soft = [(1 - m.poissons_ratio**2) / m.youngs_modulus for m in (GLASS, BRASS, STEEL, STEEL)]
     radii = [1e-3 * 0.5 * 1.0 / 1.5, 1e-3 * 1.0 * 1.5 / 2.5, 1e-3 * 1.5]
     expected = [4 / 3 / (soft[n] + soft[n + 1]) * np.sqrt(radii[n]) for n in range(3)]
-    assert [*chain.contact_constants, chain.wall_constants[1]] == pytest.approx(expected, rel=1e-14, abs=0)
-    assert chain.masses[1:] == pytest.approx([8500 * np.pi / 6 * 8e-9, 8000 * np.pi / 6 * 27e-9], rel=1e-14, abs=0)
+    assert [*chain.contact_constants, chain.wall_constants[1]] == pytest.approx(
+        expected, rel=1e-14, abs=0
+    )
+    assert chain.masses[1:] == pytest.approx(
+        [8500 * np.pi / 6 * 8e-9, 8000 * np.pi / 6 * 27e-9], rel=1e-14, abs=0
+    )
 
 
 OWN = {"contact_constants": [1e9] * 4}
@@ -467,7 +572,10 @@ def test_the_strike_is_held_against_walls_too():
     """Grain 1 thrown up at a wall of rubber, or driven into grain 2, goes in too deep for Hertz's law."""
     rubber = Material(density=1000, youngs_modulus=1e5, poissons_ratio=0.49)
     chain = Chain(grains=5, diameter=1e-3, top="wall", top_material=rubber)
-    strikes = [(Impulse(velocity=-1.0), "velocity"), (Displacement(displacement=-2e-4), "displacement")]
+    strikes = [
+        (Impulse(velocity=-1.0), "velocity"),
+        (Displacement(displacement=-2e-4), "displacement"),
+    ]
     for strike, key in strikes:
         with pytest.raises(InputError, match="squeezes contact 0 to") as caught:
             Scene(chain=chain, excitation=strike, duration=1e-5)
@@ -499,15 +607,23 @@ def test_materials():
         assert Chain(grains=2, material=material.name, diameter=1e-3).material == material
     with pytest.raises(InputError) as caught:
         Material(density=0.0, youngs_modulus=np.inf, poissons_ratio=0.51)
-    assert [key for key, _ in caught.value.faults] == ["density", "youngs_modulus", "poissons_ratio"]
+    assert [key for key, _ in caught.value.faults] == [
+        "density",
+        "youngs_modulus",
+        "poissons_ratio",
+    ]
 
 
-@pytest.mark.parametrize("odd", [[], [Impurity(grain=7, mass=1e-9), Impurity(grain=9, diameter=3e-3)]])
+@pytest.mark.parametrize(
+    "odd", [[], [Impurity(grain=7, mass=1e-9), Impurity(grain=9, diameter=3e-3)]]
+)
 def test_a_long_squeezed_column_is_refused_before_memory_is_taken(odd: list[Impurity], monkeypatch):
     """A hundred million grains would be gigabytes; the bound is what arrays say of a chain that is just long."""
     tracemalloc.start()
     try:
-        with pytest.raises(InputError, match=r"diameter: a contact is compressed by at least .* fewer grains"):
+        with pytest.raises(
+            InputError, match=r"diameter: a contact is compressed by at least .* fewer grains"
+        ):
             Chain(grains=10**8, diameter=1e-3, impurity=odd)
         assert tracemalloc.get_traced_memory()[1] < 2e6
     finally:

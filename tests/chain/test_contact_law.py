@@ -47,7 +47,9 @@ def test_a_loose_contact_only_pushes(exponent: float) -> None:
     assert contacts.force_at(r) == pytest.approx(force, rel=1e-14)
     energy = 3e9 * 2e-8 ** (exponent + 1) / (exponent + 1)
     assert contacts.energy(r) == pytest.approx([energy, 0.0, 0.0], rel=1e-14)
-    assert contacts.elastic_share == pytest.approx(1 / (1 + (exponent + 1) / 2), rel=1e-15)  # virial theorem
+    assert contacts.elastic_share == pytest.approx(
+        1 / (1 + (exponent + 1) / 2), rel=1e-15
+    )  # virial theorem
 
 
 @pytest.mark.parametrize("exponent", EXPONENTS)
@@ -71,7 +73,9 @@ def test_energy_bounds_overlaps_and_strains() -> None:
         loose = (2.5 * energy / constant) ** 0.4
         pressed = np.sqrt(2 * energy / contacts.stiffness)
         further = np.minimum(loose, pressed)
-        assert contacts.overlap_bound(energy) == pytest.approx(contacts.overlap + further, rel=1e-13)
+        assert contacts.overlap_bound(energy) == pytest.approx(
+            contacts.overlap + further, rel=1e-13
+        )
         strain = (further / contacts.overlap).max()
         assert contacts.largest_strain(energy) == pytest.approx(1.05 * strain, rel=1e-13)
     alike = Contacts(np.full(3, 1e9), np.array([1e-4, 2e-4, 3e-4]), 1.5)
@@ -126,7 +130,15 @@ def test_the_dynamical_matrix_is_that_of_masses_and_springs() -> None:
 
 def test_bounds_are_reached_where_grains_are_alike() -> None:
     """Masses, sizes and sound exactly; constants between two grains and at a wall; the lowest overlap."""
-    chain = Chain(grains=2, diameter=2e-3, material=STEEL, gravity=3.0, top_load=0.5, exponent=2.0, bottom="wall")
+    chain = Chain(
+        grains=2,
+        diameter=2e-3,
+        material=STEEL,
+        gravity=3.0,
+        top_load=0.5,
+        exponent=2.0,
+        bottom="wall",
+    )
     known, mass = chain.bounds, 8000 * np.pi / 6 * 8e-9
     modulus = 193e9 / (1 - 0.09)
     between = 2 / 3 * modulus * np.sqrt(0.5e-3) * 2e-3**-0.5
@@ -147,7 +159,9 @@ def test_bounds_are_reached_where_grains_are_alike() -> None:
     assert known.frequency(1e-6) > pair
     odd = (Impurity(grain=1, diameter=1e-3, material=PTFE), Impurity(grain=2, mass=1.0))
     mixed = bounds((GLASS, 2e-3), 5, odd, [STEEL], (0.0, 9.81, 1.5))
-    assert (mixed.lightest, mixed.heaviest) == pytest.approx((2200 * np.pi / 6 * 1e-9, 1.0), rel=1e-14)
+    assert (mixed.lightest, mixed.heaviest) == pytest.approx(
+        (2200 * np.pi / 6 * 1e-9, 1.0), rel=1e-14
+    )
     soft = 2 / 3 * 1.46e9 / (1 - 0.46**2) * np.sqrt(0.25e-3)
     hard = 2 / 3 * 193e9 / 0.91 * np.sqrt(1e-3)
     assert (mixed.softest, mixed.hardest) == pytest.approx((soft, hard), rel=1e-14)
@@ -217,9 +231,13 @@ def test_a_tenth_of_the_diameter_is_the_most_that_a_load_may_squeeze(alike: bool
     assert key == "diameter"
     said = "contact 1 is compressed by 0.1 of the diameter, more than 0.1: use fewer grains, less gravity or load"
     assert text.startswith(said)
-    ((_, text),) = faults(top_load=4 * most, impurity=[Impurity(grain=3, material=PTFE)], **({"gravity": 0.0}))
+    ((_, text),) = faults(
+        top_load=4 * most, impurity=[Impurity(grain=3, material=PTFE)], **({"gravity": 0.0})
+    )
     soft = (1 / (1 / (62e9 / 0.96) + (1 - 0.46**2) / 1.46e9)) / (62e9 / 0.96 / 2)
-    assert text.startswith(f"contact 2 is compressed by {0.1 * (4 / soft) ** (2 / 3):.2g} of the diameter")
+    assert text.startswith(
+        f"contact 2 is compressed by {0.1 * (4 / soft) ** (2 / 3):.2g} of the diameter"
+    )
 
 
 def test_forces_too_small_to_compute_with_are_refused() -> None:
@@ -240,7 +258,10 @@ def test_what_does_not_fit_to_the_ends_is_refused() -> None:
         ({"wall_constants": [0.0, 0.0], "bottom": "wall"}, "wall_constants"),
         ({"wall_constants": [1e9, 1e9], "bottom": "wall"}, "wall_constants"),
         ({"wall_constants": [1e9], "bottom": "wall"}, "wall_constants"),
-        ({"wall_constants": [0.0, 1e9], "bottom": "wall", "bottom_material": STEEL}, "wall_constants"),
+        (
+            {"wall_constants": [0.0, 1e9], "bottom": "wall", "bottom_material": STEEL},
+            "wall_constants",
+        ),
         ({"top_material": STEEL}, "top_material"),
         ({"bottom_material": STEEL, "top": "wall"}, "bottom_material"),
         ({"bottom": "free", "gravity": 0.0, "top_load": 1.0}, "bottom"),

@@ -6,7 +6,18 @@ import pickle
 import numpy as np
 import pytest
 
-from lmpchain import GLASS, Chain, Displacement, Drive, Impulse, Impurity, InputError, Profile, Scene, simulate
+from lmpchain import (
+    GLASS,
+    Chain,
+    Displacement,
+    Drive,
+    Impulse,
+    Impurity,
+    InputError,
+    Profile,
+    Scene,
+    simulate,
+)
 
 ARRAYS = (
     *("masses", "contact_constants", "wall_constants", "diameters", "contact_lengths", "depths"),
@@ -17,7 +28,11 @@ ARRAYS = (
 def used() -> Chain:
     """Return a chain with everything computed that it computes on first use."""
     chain = Chain(
-        grains=6, diameter=1e-3, bottom="wall", masses=np.full(6, 2e-6), impurity=[Impurity(grain=2, mass=1e-6)]
+        grains=6,
+        diameter=1e-3,
+        bottom="wall",
+        masses=np.full(6, 2e-6),
+        impurity=[Impurity(grain=2, mass=1e-6)],
     )
     assert chain.band_edge > 0
     assert all(getattr(chain, name).size for name in ARRAYS)
@@ -51,9 +66,13 @@ def test_a_changed_copy_of_a_used_chain_moves_as_a_new_one_does(changed):
 
 def test_a_changed_copy_of_a_used_scene_is_a_new_scene():
     before = scene(used())
-    assert np.isfinite([before.strike_number, before.highest_frequency, before.energy, before.largest_strain]).all()
+    assert np.isfinite(
+        [before.strike_number, before.highest_frequency, before.energy, before.largest_strain]
+    ).all()
     chain = before.chain.replace(gravity=0.0, top_load=1.0)
-    after = before.replace(chain=chain, duration=1e-5, excitation=before.excitation.replace(velocity=1e-2))
+    after = before.replace(
+        chain=chain, duration=1e-5, excitation=before.excitation.replace(velocity=1e-2)
+    )
     afresh = Scene(chain=chain, excitation=Impulse(velocity=1e-2), duration=1e-5, samples=5)
     assert after == afresh
     for name in ("strike_number", "highest_frequency", "energy", "largest_strain"):
@@ -81,11 +100,15 @@ def test_a_changed_copy_is_checked(value, changes, key):
 
 
 def test_none_takes_a_field_back_that_need_not_be_given():
-    assert Chain(grains=3, diameter=1e-3, masses=[1e-6] * 3).replace(masses=None) == Chain(grains=3, diameter=1e-3)
+    assert Chain(grains=3, diameter=1e-3, masses=[1e-6] * 3).replace(masses=None) == Chain(
+        grains=3, diameter=1e-3
+    )
 
 
 @pytest.mark.parametrize(
-    "value", [used(), scene(used()), GLASS, Impulse(velocity=1.0), Displacement(displacement=1e-9)], ids=type
+    "value",
+    [used(), scene(used()), GLASS, Impulse(velocity=1.0), Displacement(displacement=1e-9)],
+    ids=type,
 )
 def test_no_other_way_leads_past_the_checks(value):
     field = next(iter(type(value).model_fields))
@@ -105,11 +128,20 @@ def test_no_other_way_leads_past_the_checks(value):
 
 @pytest.mark.parametrize(
     "copied",
-    [lambda x: x, copy.copy, copy.deepcopy, lambda x: x.model_copy(deep=True), lambda x: pickle.loads(pickle.dumps(x))],
+    [
+        lambda x: x,
+        copy.copy,
+        copy.deepcopy,
+        lambda x: x.model_copy(deep=True),
+        lambda x: pickle.loads(pickle.dumps(x)),
+    ],
     ids=["itself", "copy", "deepcopy", "model_copy", "pickle"],
 )
 def test_arrays_of_a_chain_cannot_be_written_to(copied):
-    for chain in (used(), Chain(grains=4, diameter=[1e-3, 2e-3, 1e-3, 2e-3], top="wall", top_load=1e-3)):
+    for chain in (
+        used(),
+        Chain(grains=4, diameter=[1e-3, 2e-3, 1e-3, 2e-3], top="wall", top_load=1e-3),
+    ):
         other = copied(chain)
         assert other == chain
         for name in ARRAYS:
@@ -134,4 +166,6 @@ def test_a_pickled_scene_gives_the_same_bits():
     given = scene(used())
     again = pickle.loads(pickle.dumps(given))
     assert again == given
-    np.testing.assert_array_equal(simulate(again, "native").velocity, simulate(given, "native").velocity)
+    np.testing.assert_array_equal(
+        simulate(again, "native").velocity, simulate(given, "native").velocity
+    )

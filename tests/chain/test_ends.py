@@ -16,7 +16,9 @@ from lmpchain.theory import scattering
 
 @pytest.mark.parametrize("delta", [1.0, 1.5, 2.2])
 @pytest.mark.parametrize("load", [0.0, 1e-2])
-@pytest.mark.parametrize("engine", ["native", pytest.param("lammps", marks=pytest.mark.slow), "modes"])
+@pytest.mark.parametrize(
+    "engine", ["native", pytest.param("lammps", marks=pytest.mark.slow), "modes"]
+)
 def test_a_wall_mirrors_the_chain(delta: float, load: float, engine: str):
     """With K_wall = 2^delta K it is half of a symmetric chain, whose middle contact is squeezed from both sides."""
     if (engine == "lammps" and delta == 2.2) or (engine == "modes" and not load):
@@ -25,22 +27,38 @@ def test_a_wall_mirrors_the_chain(delta: float, load: float, engine: str):
     n, diameters = 6, 1e-3 * rng.uniform(0.8, 1.2, 6)
     ends = {"gravity": 0.0, "exponent": delta, "top_load": load, "top": "wall"}
     double = Chain(
-        grains=2 * n, diameter=[*diameters, *diameters[::-1]], bottom="wall", wall_constants=[3e8, 3e8], **ends
+        grains=2 * n,
+        diameter=[*diameters, *diameters[::-1]],
+        bottom="wall",
+        wall_constants=[3e8, 3e8],
+        **ends,
     )
     across = double.contact_constants[n - 1]
-    half = Chain(grains=n, diameter=diameters, bottom="wall", wall_constants=[3e8, 2**delta * across], **ends)
+    half = Chain(
+        grains=n, diameter=diameters, bottom="wall", wall_constants=[3e8, 2**delta * across], **ends
+    )
     speed = 1e-4 * rng.normal(size=n) * (1e-4 if engine == "modes" else 1.0)
     duration = 30e-6
-    options: dict[str, Any] = {"step": duration / 600} | ({"diameter": "gauge"} if engine == "lammps" else {})
+    options: dict[str, Any] = {"step": duration / 600} | (
+        {"diameter": "gauge"} if engine == "lammps" else {}
+    )
     solver = engines.get(engine, **({} if engine == "modes" else options))
 
     def run(chain: Chain, velocity: Any) -> Any:
-        return simulate(Scene(chain=chain, excitation=Profile(velocity=velocity), duration=duration, samples=7), solver)
+        return simulate(
+            Scene(chain=chain, excitation=Profile(velocity=velocity), duration=duration, samples=7),
+            solver,
+        )
 
     one, two = run(half, speed), run(double, np.append(speed, -speed[::-1]))
     tolerance = 1e-8 if engine == "lammps" else 1e-12  # round-off of heights
-    assert relative_error(one.displacement, one.velocity, two.displacement[:, :n], two.velocity[:, :n]) < tolerance
-    assert np.abs(two.velocity + two.velocity[:, ::-1]).max() < tolerance * np.abs(two.velocity).max()
+    assert (
+        relative_error(one.displacement, one.velocity, two.displacement[:, :n], two.velocity[:, :n])
+        < tolerance
+    )
+    assert (
+        np.abs(two.velocity + two.velocity[:, ::-1]).max() < tolerance * np.abs(two.velocity).max()
+    )
 
 
 def test_wall_constants_take_the_place_of_materials():
@@ -69,8 +87,12 @@ LONE = {
 def test_one_grain(name: str, strike: float):
     chain = Chain(grains=1, diameter=1e-3, **LONE[name])
     assert chain.movable == 1
-    assert chain.band_edge == pytest.approx(np.sqrt(chain.contacts.stiffness.sum() / chain.masses[0]), rel=1e-14)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=strike), duration=7 * chain.time_scale, samples=9)
+    assert chain.band_edge == pytest.approx(
+        np.sqrt(chain.contacts.stiffness.sum() / chain.masses[0]), rel=1e-14
+    )
+    scene = Scene(
+        chain=chain, excitation=Impulse(velocity=strike), duration=7 * chain.time_scale, samples=9
+    )
     u, v, own = extended_reference(scene)
     for engine in ("native", "auto", "lammps"):
         t = simulate(scene, engine, 1e-6)
@@ -90,7 +112,9 @@ def test_one_grain_that_cannot_move_or_touches_nothing(end: dict[str, str]):
 def test_what_is_measured_of_one_grain(name: str, tmp_path: Path):
     """The report tells what there is; what takes a wave or two grains is refused in a line."""
     chain = Chain(grains=1, diameter=1e-3, **LONE[name])
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-5), duration=20 * chain.time_scale, samples=101)
+    scene = Scene(
+        chain=chain, excitation=Impulse(velocity=1e-5), duration=20 * chain.time_scale, samples=101
+    )
     run = simulate(scene, "native", 1e-8)
     write(run, tmp_path / "report.html")
     assert isinstance(fit.summary(run).rows, tuple | list)
@@ -104,7 +128,9 @@ def test_what_is_measured_of_one_grain(name: str, tmp_path: Path):
     for message, call in refused.items():
         with pytest.raises(InputError, match=message):
             call()
-    found = design.gradient(scene, design.Momentum([1]), ["wall_constants"], tolerance=1e-7)["wall_constants"]
+    found = design.gradient(scene, design.Momentum([1]), ["wall_constants"], tolerance=1e-7)[
+        "wall_constants"
+    ]
     walls = np.where(found != 0, chain.wall_constants * 1e-4, 0.0)
 
     def momentum(sign: int) -> float:

@@ -16,13 +16,19 @@ CHAINS = {
     "widening": tapered(12, 1e-3, -0.1),
     "decorated": decorated(9, 5e-3, 0.3, taper=0.05, material="ptfe"),
     "dimer": periodic(11, [4.76e-3, 2e-3], ["steel", "ptfe"]),
-    "trimer": periodic(14, [1e-3, 2e-3, 3e-3], ["glass", "steel", "brass"], [2, 1, 3], exponent=1.3),
+    "trimer": periodic(
+        14, [1e-3, 2e-3, 3e-3], ["glass", "steel", "brass"], [2, 1, 3], exponent=1.3
+    ),
 }
 each_chain = pytest.mark.parametrize("chain", CHAINS.values(), ids=CHAINS)
 
 
 def materials(chain: Chain) -> list[lmpchain.Material]:
-    return list(chain.material) if isinstance(chain.material, tuple) else [chain.material] * chain.grains
+    return (
+        list(chain.material)
+        if isinstance(chain.material, tuple)
+        else [chain.material] * chain.grains
+    )
 
 
 def test_every_name_is_public():
@@ -62,15 +68,31 @@ def test_dimer():
 def test_cells_of_several_kinds():
     chain = periodic(10, [1e-3, 2e-3, 3e-3], ["glass", "steel", "ptfe"], [2, 1, 3])
     assert (chain.diameters * 1e3).round(9).tolist() == [1, 1, 2, 3, 3, 3, 1, 1, 2, 3]
-    assert [m.name for m in materials(chain)][:6] == ["glass", "glass", "steel", "ptfe", "ptfe", "ptfe"]
+    assert [m.name for m in materials(chain)][:6] == [
+        "glass",
+        "glass",
+        "steel",
+        "ptfe",
+        "ptfe",
+        "ptfe",
+    ]
 
 
 def test_one_value_stands_for_all_kinds():
     assert periodic(6, 1e-3, ["steel", "ptfe"]).diameters.tolist() == [1e-3] * 6
     assert periodic(6, [1e-3, 2e-3], "steel").material == STEEL
     assert periodic(4, [1e-3, 2e-3], ["steel"]) == periodic(4, [1e-3, 2e-3], ["steel", "steel"])
-    assert periodic(6, [1e-3, 2e-3], counts=2).diameters.tolist() == [1e-3, 1e-3, 2e-3, 2e-3, 1e-3, 1e-3]
-    assert periodic(5, 1e-3, counts=10**12).diameters.tolist() == [1e-3] * 5  # one kind, whatever the count
+    assert periodic(6, [1e-3, 2e-3], counts=2).diameters.tolist() == [
+        1e-3,
+        1e-3,
+        2e-3,
+        2e-3,
+        1e-3,
+        1e-3,
+    ]
+    assert (
+        periodic(5, 1e-3, counts=10**12).diameters.tolist() == [1e-3] * 5
+    )  # one kind, whatever the count
     assert periodic(5, np.array([1e-3, 2e-3]), counts=np.array([1, 2])).diameters[2] == 2e-3
 
 
@@ -78,11 +100,15 @@ def test_one_value_stands_for_all_kinds():
 def test_masses_and_contacts_follow_from_the_two_grains(chain: Chain):
     made = materials(chain)
     for n in range(chain.grains):
-        assert chain.masses[n] == pytest.approx(made[n].density * pi * chain.diameters[n] ** 3 / 6, rel=1e-13, abs=0)
+        assert chain.masses[n] == pytest.approx(
+            made[n].density * pi * chain.diameters[n] ** 3 / 6, rel=1e-13, abs=0
+        )
     for n in range(chain.grains - 1):
         one, other = made[n], made[n + 1]
         r, s = chain.diameters[n] / 2, chain.diameters[n + 1] / 2
-        soft = (1 - one.poissons_ratio**2) / one.youngs_modulus + (1 - other.poissons_ratio**2) / other.youngs_modulus
+        soft = (1 - one.poissons_ratio**2) / one.youngs_modulus + (
+            1 - other.poissons_ratio**2
+        ) / other.youngs_modulus
         hertz = 4 / 3 / soft * sqrt(r * s / (r + s)) * (r + s) ** (1.5 - chain.exponent)
         assert chain.contact_constants[n] == pytest.approx(hertz, rel=1e-13, abs=0)
 
@@ -95,8 +121,21 @@ def test_patterned_chains_are_written_read_and_run(chain: Chain, tmp_path: Path)
 
 
 def test_patterns_take_all_that_a_chain_takes():
-    chain = tapered(5, 1e-3, 0.1, material=["steel", "ptfe"] * 2 + ["steel"], gravity=0.0, top_load=0.5, bottom="wall")
-    assert (chain.gravity, chain.top_load, chain.bottom, chain.material[1]) == (0.0, 0.5, "wall", PTFE)
+    chain = tapered(
+        5,
+        1e-3,
+        0.1,
+        material=["steel", "ptfe"] * 2 + ["steel"],
+        gravity=0.0,
+        top_load=0.5,
+        bottom="wall",
+    )
+    assert (chain.gravity, chain.top_load, chain.bottom, chain.material[1]) == (
+        0.0,
+        0.5,
+        "wall",
+        PTFE,
+    )
     assert periodic(4, 1e-3, impurity=[{"grain": 2, "diameter": 2e-3}]).diameters[1] == 2e-3
 
 
@@ -124,7 +163,10 @@ def faults(make: Any, *arguments: Any, **named: Any) -> list[str]:
         ((periodic, 5, [1e-3, 0.0]), ["diameters"]),
         ((periodic, 5, []), ["diameters"]),
         ((periodic, 5, 1e-3, ["steel", "cheese"]), ["materials"]),
-        ((periodic, 5, [1e-3, 2e-3, 3e-3], ["steel", "ptfe"], [1, 2, 3, 4]), ["diameters", "materials"]),
+        (
+            (periodic, 5, [1e-3, 2e-3, 3e-3], ["steel", "ptfe"], [1, 2, 3, 4]),
+            ["diameters", "materials"],
+        ),
         *[
             ((periodic, 5, 1e-3, "steel", counts), ["counts"])
             for counts in (0, [1, -1], [], 1.5, [True], "12", [1, [2]], None)
@@ -138,14 +180,25 @@ def test_faults_are_named(made: tuple, keys: list[str]):
 def test_faults_of_the_chain_and_of_what_the_pattern_decides():
     assert faults(tapered, 5, 1e-3, 0.1, gravity=-1.0, colour="red") == ["colour", "gravity"]
     assert faults(periodic, 5, 1e-3, material="steel", diameter=1e-3) == ["diameter", "material"]
-    assert faults(decorated, 100, 1e-3, 0.01, material="ptfe", gravity=1e7) == ["diameter"]  # squashed at rest
+    assert faults(decorated, 100, 1e-3, 0.01, material="ptfe", gravity=1e7) == [
+        "diameter"
+    ]  # squashed at rest
 
 
 def test_faults_of_patterns_say_their_numbers():
     for make, fault in (
-        (lambda: periodic(5, 1e-3, material="steel"), ("material", "follows from the pattern: leave it out")),
-        (lambda: tapered(1000, 1e-3, 0.9), ("taper", "grain 1000 would be 0 m wide: nearer to 0, or fewer grains")),
-        (lambda: tapered(200, 1e-3, -9.0), ("taper", "grain 200 would be 1e+196 m wide: nearer to 0, or fewer grains")),
+        (
+            lambda: periodic(5, 1e-3, material="steel"),
+            ("material", "follows from the pattern: leave it out"),
+        ),
+        (
+            lambda: tapered(1000, 1e-3, 0.9),
+            ("taper", "grain 1000 would be 0 m wide: nearer to 0, or fewer grains"),
+        ),
+        (
+            lambda: tapered(200, 1e-3, -9.0),
+            ("taper", "grain 200 would be 1e+196 m wide: nearer to 0, or fewer grains"),
+        ),
         (
             lambda: periodic(5, [1e-3, 2e-3, 3e-3], ["steel", "ptfe"]),
             ("materials", "must be one or 3 (one a kind), not 2"),
@@ -161,7 +214,9 @@ def test_faults_of_patterns_say_their_numbers():
     with pytest.raises(InputError):
         tapered(1, 1e-3, 0.1)
     assert tapered(2, 1e-3, 0.999).diameters == pytest.approx([1e-3, 1e-6], rel=1e-9)
-    assert decorated(4, 1e-3, 1.0, taper=-1.0).diameters == pytest.approx([1e-3, 1e-3, 2e-3, 2e-3], rel=1e-12)
+    assert decorated(4, 1e-3, 1.0, taper=-1.0).diameters == pytest.approx(
+        [1e-3, 1e-3, 2e-3, 2e-3], rel=1e-12
+    )
     many = periodic(5, 1e-3, ["steel", "ptfe"], counts=10**9)
     assert [material.name for material in many.material] == ["steel"] * 5
     each = periodic(6, [1e-3, 2e-3], counts=[1, 2]).diameters

@@ -59,7 +59,10 @@ def test_a_part_is_as_the_whole_at_rest(chain: Chain):
             assert part.contacts.constant[0] == 0
             assert part.top_load == pytest.approx(chain.contacts.force[first - 1], rel=5e-16, abs=0)
         for what in ("constant", "force", "overlap", "stiffness"):
-            mine, whole = getattr(part.contacts, what)[kept], getattr(chain.contacts, what)[first - 1 :][kept]
+            mine, whole = (
+                getattr(part.contacts, what)[kept],
+                getattr(chain.contacts, what)[first - 1 :][kept],
+            )
             if first == 1 or what == "constant":
                 assert np.array_equal(mine, whole), what
             else:
@@ -74,7 +77,9 @@ def test_the_largest_part_is_the_chain_and_parts_are_chains_like_others(chain: C
     for first, last in some_parts(chain):
         part = chain.part(first, last)
         assert Chain(**part.given()) == part
-        assert part.part(1, part.grains - (part.grains > 2)) == chain.part(first, last - (part.grains > 2))
+        assert part.part(1, part.grains - (part.grains > 2)) == chain.part(
+            first, last - (part.grains > 2)
+        )
 
 
 @pytest.mark.parametrize(
@@ -90,7 +95,13 @@ def test_the_largest_part_is_the_chain_and_parts_are_chains_like_others(chain: C
 )
 def test_a_part_moves_as_the_whole(strike, first: int, last: int):
     """Until the wave comes to its ends; grain 60 is an impurity, and below grain 120 lies a wall."""
-    chain = Chain(grains=120, diameter=1e-3, top="free", bottom="wall", impurity=[Impurity(grain=60, diameter=1.3e-3)])
+    chain = Chain(
+        grains=120,
+        diameter=1e-3,
+        top="free",
+        bottom="wall",
+        impurity=[Impurity(grain=60, diameter=1.3e-3)],
+    )
     scene = Scene(chain=chain, excitation=strike, duration=20e-6, samples=11)
     small = scene.part(first, last)
     whole, part = (simulate(s, "native", 1e-11) for s in (scene, small))
@@ -110,7 +121,9 @@ def test_a_piece_must_lie_within_the_chain(first: int, last: int):
 def test_no_grain_of_a_long_chain_is_laid_out_before_it_is_asked_for():
     """A hundred million grains, whose masses alone are 800 MB."""
     tracemalloc.start()
-    chain = Chain(grains=10**8, diameter=1e-3, gravity=0.01, impurity=[Impurity(grain=10**7, material=STEEL)])
+    chain = Chain(
+        grains=10**8, diameter=1e-3, gravity=0.01, impurity=[Impurity(grain=10**7, material=STEEL)]
+    )
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-5), duration=1e-4, grains="1:64")
     assert 0 < scene.strike_number < np.inf
     assert 0 < scene.energy < np.inf
@@ -128,7 +141,9 @@ def test_a_strike_on_a_million_grains_is_that_on_ten_thousand():
     for grains in (10**4, 10**6):
         tracemalloc.start()
         chain = Chain(grains=grains, diameter=1e-3)
-        scene = Scene(chain=chain, excitation=Impulse(velocity=8.57e-4), duration=100e-6, grains="1:64")
+        scene = Scene(
+            chain=chain, excitation=Impulse(velocity=8.57e-4), duration=100e-6, grains="1:64"
+        )
         runs.append(simulate(scene, "native"))
         assert tracemalloc.get_traced_memory()[1] < 4e6
         tracemalloc.stop()
@@ -143,11 +158,19 @@ def test_alike_grains_are_held_to_the_same_limits_as_those_written_out():
     refused = 0
     for _ in range(300):
         grains, modulus = int(rng.integers(2, 9)), 10 ** rng.uniform(4, 8)
-        soft = Material(density=1000 * 10 ** rng.uniform(-2, 2), youngs_modulus=modulus, poissons_ratio=0.3)
+        soft = Material(
+            density=1000 * 10 ** rng.uniform(-2, 2), youngs_modulus=modulus, poissons_ratio=0.3
+        )
         diameter = 10 ** rng.uniform(-3, -1)
         odd = [
-            Impurity(grain=int(n), diameter=diameter * rng.uniform(0.3, 3), material=soft if n % 2 else STEEL)
-            for n in rng.choice(np.arange(1, grains + 1), size=int(rng.integers(0, 3)), replace=False)
+            Impurity(
+                grain=int(n),
+                diameter=diameter * rng.uniform(0.3, 3),
+                material=soft if n % 2 else STEEL,
+            )
+            for n in rng.choice(
+                np.arange(1, grains + 1), size=int(rng.integers(0, 3)), replace=False
+            )
         ]
         common = {
             "grains": grains,
@@ -156,7 +179,10 @@ def test_alike_grains_are_held_to_the_same_limits_as_those_written_out():
         } | {end: str(rng.choice([kind, "wall"])) for end, kind in (("top", "free"), ("bottom", "fixed"))}  # fmt: skip
         materials, diameters = [soft] * grains, [diameter] * grains
         for impurity in odd:
-            materials[impurity.grain - 1], diameters[impurity.grain - 1] = impurity.material, impurity.diameter
+            materials[impurity.grain - 1], diameters[impurity.grain - 1] = (
+                impurity.material,
+                impurity.diameter,
+            )
         faults = []
         for how in (
             {"material": soft, "diameter": diameter, "impurity": odd},

@@ -20,7 +20,13 @@ OTHERS = [
 
 def arrays(chain: Chain) -> list[np.ndarray]:
     contacts = chain.contacts
-    return [chain.masses, contacts.constant, contacts.force, contacts.overlap, np.array(chain.band_edge)]
+    return [
+        chain.masses,
+        contacts.constant,
+        contacts.force,
+        contacts.overlap,
+        np.array(chain.band_edge),
+    ]
 
 
 def test_one_made_again_has_the_arrays_of_the_first():

@@ -61,7 +61,9 @@ def test_the_picture_of_a_chain_has_masses_and_overlaps_over_their_largest() -> 
     assert masses.get_xdata().tolist() == [1, 2, 3, 4, 5]
     assert masses.get_ydata() == pytest.approx(chain.masses / chain.masses[-1], rel=1e-14)
     assert overlaps.get_xdata().tolist() == [1.5, 2.5, 3.5, 4.5]
-    assert overlaps.get_ydata() == pytest.approx(chain.equilibrium_overlap / chain.equilibrium_overlap.max(), rel=1e-14)
+    assert overlaps.get_ydata() == pytest.approx(
+        chain.equilibrium_overlap / chain.equilibrium_overlap.max(), rel=1e-14
+    )
     labels = [text.get_text() for text in axes.get_legend().get_texts()]
     deepest = chain.equilibrium_overlap.max()
     assert labels == [f"mass / {chain.masses[-1]:.3g} kg", f"overlap at rest / {deepest:.3g} m"]

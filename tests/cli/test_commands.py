@@ -83,7 +83,9 @@ def test_the_summary_of_a_run_number_by_number(
     assert asked["tolerance"] == 1e-4
     assert (asked["folder"], asked["max_wall"], asked["progress"]) == (None, None, False)
     assert asked["scene"] == Scene.from_toml(scene)
-    exact = replace(answer, error_estimate=ErrorEstimate(0.0, 2e-5), cost=answer.cost._replace(ranks=1))
+    exact = replace(
+        answer, error_estimate=ErrorEstimate(0.0, 2e-5), cost=answer.cost._replace(ranks=1)
+    )
     monkeypatch.setattr("lmpchain.simulation.api.simulate", lambda *_, **__: exact)
     assert main(["run", str(scene), "--force"]) == 0
     said = lines(capsys.readouterr().out)
@@ -94,7 +96,9 @@ def test_the_summary_of_a_run_number_by_number(
 def test_what_is_doubtful_is_said_before_the_run(
     scene: Path, answer: Trajectory, monkeypatch: Any, capsys: pytest.CaptureFixture[str]
 ):
-    monkeypatch.setattr("lmpchain.stability.pre_run.pre_run_warnings", lambda *_: ["it is rough", "it is long"])
+    monkeypatch.setattr(
+        "lmpchain.stability.pre_run.pre_run_warnings", lambda *_: ["it is rough", "it is long"]
+    )
     monkeypatch.setattr("lmpchain.simulation.api.simulate", lambda *_, **__: answer)
     assert main(["run", str(scene)]) == 0
     assert capsys.readouterr().err == "warning: it is rough\nwarning: it is long\n"
@@ -140,7 +144,9 @@ def terminate(*_: Any, **__: Any) -> None:
     signal.pause()
 
 
-@pytest.mark.parametrize(("stop", "code", "name"), [(interrupt, 130, "Ctrl-C"), (terminate, 143, "SIGTERM")])
+@pytest.mark.parametrize(
+    ("stop", "code", "name"), [(interrupt, 130, "Ctrl-C"), (terminate, 143, "SIGTERM")]
+)
 def test_a_stopped_command_says_what_is_kept(
     stop: Any, code: int, name: str, scene: Path, monkeypatch: Any, capsys: Any
 ):
@@ -165,7 +171,9 @@ def test_a_stopped_command_says_what_is_kept(
         assert signal.getsignal(signal.SIGTERM) == before
 
 
-def test_a_stopped_run_folder_names_the_command_that_goes_on(scene: Path, monkeypatch: Any, capsys: Any):
+def test_a_stopped_run_folder_names_the_command_that_goes_on(
+    scene: Path, monkeypatch: Any, capsys: Any
+):
     folder = scene.parent / "run"
     assert main(["run", str(scene), "-o", f"{folder}/", "--engine", "native"]) == 0
     monkeypatch.setattr("lmpchain.simulation.api.resume", interrupt)
@@ -176,19 +184,32 @@ def test_a_stopped_run_folder_names_the_command_that_goes_on(scene: Path, monkey
     assert said.err == f"stopped by Ctrl-C; to go on: lmpchain resume {folder}\n"
 
 
-def test_a_killed_run_says_where_it_goes_on(tmp_path: Path, answer: Trajectory, monkeypatch: Any, capsys: Any):
-    about = {"state": "killed", "samples_done": 7, "samples": 11, "reason": "Killed.", "tolerance": 1e-4}
+def test_a_killed_run_says_where_it_goes_on(
+    tmp_path: Path, answer: Trajectory, monkeypatch: Any, capsys: Any
+):
+    about = {
+        "state": "killed",
+        "samples_done": 7,
+        "samples": 11,
+        "reason": "Killed.",
+        "tolerance": 1e-4,
+    }
     monkeypatch.setattr("lmpchain.simulation.run_folder.status", lambda folder: about)
     monkeypatch.setattr("lmpchain.simulation.api.resume", lambda folder, **options: answer)
     assert main(["resume", str(tmp_path)]) == 0
     first, *rest = capsys.readouterr().out.splitlines()
-    assert first == f"{tmp_path}: Killed. at sample 7 of 11 or later; going on from its last checkpoint"
+    assert (
+        first
+        == f"{tmp_path}: Killed. at sample 7 of 11 or later; going on from its last checkpoint"
+    )
     said = lines("\n".join(rest))
     assert said["folder"] == str(tmp_path)
     assert said["estimated error"].endswith("(tolerance 0.0001)")
 
 
-def test_a_sweep_tells_how_many_scenes_have_an_answer(tmp_path: Path, monkeypatch: Any, capsys: Any):
+def test_a_sweep_tells_how_many_scenes_have_an_answer(
+    tmp_path: Path, monkeypatch: Any, capsys: Any
+):
     asked: dict[str, Any] = {}
     reasons = np.array([["", "too fast"], ["", "too slow"]], dtype=object)
 
@@ -202,7 +223,11 @@ def test_a_sweep_tells_how_many_scenes_have_an_answer(tmp_path: Path, monkeypatc
     said = capsys.readouterr()
     assert said.out == f"2 of 4 scenes are answered in {tmp_path}\n"
     assert said.err == "error: 2 scenes have no answer, the first because: too fast\n"
-    assert (asked["workers"], asked["executor"], asked["progress"]) == (len(os.sched_getaffinity(0)), None, False)
+    assert (asked["workers"], asked["executor"], asked["progress"]) == (
+        len(os.sched_getaffinity(0)),
+        None,
+        False,
+    )
     reasons[:] = ""
     assert main([*words, "--workers", "3"]) == 0
     assert asked["workers"] == 3
@@ -220,7 +245,9 @@ def test_under_mpirun_rank_0_runs_the_command_and_ends_the_others(monkeypatch: A
     monkeypatch.setattr(mpi, "launched", lambda: 2)
     loops = "lmpchain.engines.lammps.communicators"
     monkeypatch.setattr(f"{loops}.worker_loop", lambda world: calls.append(("work", world.rank)))
-    monkeypatch.setattr(f"{loops}.shutdown_workers", lambda world: calls.append(("end", world.rank)))
+    monkeypatch.setattr(
+        f"{loops}.shutdown_workers", lambda world: calls.append(("end", world.rank))
+    )
     for rank, expected in ((0, "end"), (1, "work")):
         monkeypatch.setattr(mpi, "join", lambda rank=rank: SimpleNamespace(rank=rank))
         assert main(["--version"]) == 0
@@ -240,7 +267,11 @@ def test_under_mpirun_rank_0_runs_the_command_and_ends_the_others(monkeypatch: A
 
 
 def verbs() -> dict[str, argparse.ArgumentParser]:
-    (choices,) = [action.choices for action in command_line._parser()._actions if isinstance(action.choices, dict)]
+    (choices,) = [
+        action.choices
+        for action in command_line._parser()._actions
+        if isinstance(action.choices, dict)
+    ]
     return choices
 
 
@@ -253,7 +284,12 @@ def test_help_states_the_defaults(verb: str):
         told = re.search(r"\(default: ([\d.e-]+)\)", action.help or "")
         if told:
             assert float(told[1]) == action.default, action.dest
-        elif action.option_strings and action.dest not in ("engine", "diameter", "integrator", "pair_style"):
+        elif action.option_strings and action.dest not in (
+            "engine",
+            "diameter",
+            "integrator",
+            "pair_style",
+        ):
             assert action.default in (None, False), action.dest
 
 
@@ -296,7 +332,15 @@ def test_what_a_command_must_be_given(capsys: pytest.CaptureFixture[str]):
         parser.parse_args(["sweep", *WORDS["sweep"], "--workers", "2", "--scheduler", "x"])
 
 
-DURATIONS = {"1:02:03": 3723, "0:00:01": 1, "90": 90, "0.5": 0.5, "100:59:59.5": 363599.5, "0:01:00": 60, "75": 75}
+DURATIONS = {
+    "1:02:03": 3723,
+    "0:00:01": 1,
+    "90": 90,
+    "0.5": 0.5,
+    "100:59:59.5": 363599.5,
+    "0:01:00": 60,
+    "75": 75,
+}
 
 
 @pytest.mark.parametrize("text", DURATIONS)
@@ -305,7 +349,9 @@ def test_times_as_hours_minutes_and_seconds(text: str):
     assert arguments.max_wall == DURATIONS[text]
 
 
-@pytest.mark.parametrize("text", ["0", "0:00:00", "1:60:00", "1:00:60", "1:00", "-5", "1h", "", "٣", "1:0:5"])
+@pytest.mark.parametrize(
+    "text", ["0", "0:00:00", "1:60:00", "1:00:60", "1:00", "-5", "1h", "", "٣", "1:0:5"]
+)
 def test_times_that_are_none(text: str, capsys: pytest.CaptureFixture[str]):
     assert main(["resume", "run", f"--max-wall={text}"]) == 2
     assert "must be a time above 0, as H:MM:SS or in seconds" in capsys.readouterr().err
@@ -319,7 +365,9 @@ def test_short_runs_are_timed_again(answer: Trajectory, monkeypatch: Any):
     times = iter([3.0, 0.75, 1.5, 0.5, 9.0, 9.0, 9.0])
     cost = answer.cost._replace(integration_s=0.4, estimate_s=0.5, setup_s=0.6)
 
-    def simulated(scene: Scene, engine: str, tolerance: float, progress: bool = False) -> Trajectory:
+    def simulated(
+        scene: Scene, engine: str, tolerance: float, progress: bool = False
+    ) -> Trajectory:
         assert (engine, tolerance) == ("native", 1e-5)
         return replace(answer, cost=cost._replace(integration_s=next(times)))
 
@@ -337,18 +385,29 @@ def test_short_runs_are_timed_again(answer: Trajectory, monkeypatch: Any):
     assert trajectories[0].cost.integration_s == 0.95
 
 
-def test_the_reference_of_a_long_scene_is_a_hundred_times_tighter(answer: Trajectory, monkeypatch: Any):
+def test_the_reference_of_a_long_scene_is_a_hundred_times_tighter(
+    answer: Trajectory, monkeypatch: Any
+):
     asked: list[float] = []
 
-    def simulated(scene: Scene, engine: str, tolerance: float, progress: bool = False) -> Trajectory:
+    def simulated(
+        scene: Scene, engine: str, tolerance: float, progress: bool = False
+    ) -> Trajectory:
         asked.append(tolerance)
         assert scene.grains == "all"
         return answer
 
     monkeypatch.setattr("lmpchain.simulation.api.simulate", simulated)
     monkeypatch.setattr("lmpchain.benchmark.reference.reference", lambda scene: "Taylor")
-    for seconds, tolerance, tight in ((59.0, 1e-6, None), (60.0, 1e-6, None), (61.0, 1e-6, 1e-8), (61.0, 1e-10, 1e-11)):
-        monkeypatch.setattr("lmpchain.benchmark.reference.expected_seconds", lambda scene, s=seconds: s)
+    for seconds, tolerance, tight in (
+        (59.0, 1e-6, None),
+        (60.0, 1e-6, None),
+        (61.0, 1e-6, 1e-8),
+        (61.0, 1e-10, 1e-11),
+    ):
+        monkeypatch.setattr(
+            "lmpchain.benchmark.reference.expected_seconds", lambda scene, s=seconds: s
+        )
         truth = compare._reference(answer.scene.replace(grains=[1, 2]), tolerance)
         if tight is None:
             assert truth == "Taylor"
@@ -404,8 +463,12 @@ def test_charts_say_what_they_leave_out_and_where_they_are(
 # --- plan, docs, orbit
 
 
-def test_a_calibration_says_what_it_found(tmp_path: Path, monkeypatch: Any, capsys: pytest.CaptureFixture[str]):
-    monkeypatch.setattr("lmpchain.simulation.calibration.calibrate", lambda: (tmp_path / "speeds", 12.345))
+def test_a_calibration_says_what_it_found(
+    tmp_path: Path, monkeypatch: Any, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setattr(
+        "lmpchain.simulation.calibration.calibrate", lambda: (tmp_path / "speeds", 12.345)
+    )
     speeds = {"native": (0.0123, 1.5), "lammps": (0.5, 0.75)}
     monkeypatch.setattr("lmpchain.engines.cost_model.measured", lambda: speeds)
     assert main(["plan", "--calibrate"]) == 0
@@ -464,7 +527,9 @@ def test_an_orbit_is_told_in_numbers():
     last, first = family[-1], family[0]
     told = orbit._told(family)
     number = r"([\d.e+-]+)"
-    period, hertz, linear = re.fullmatch(rf"period: {number} s \({number} Hz; linear: {number} Hz\)", told[0]).groups()
+    period, hertz, linear = re.fullmatch(
+        rf"period: {number} s \({number} Hz; linear: {number} Hz\)", told[0]
+    ).groups()
     assert float(period) == pytest.approx(last.period, rel=1e-11)
     assert float(hertz) == pytest.approx(1 / last.period, rel=1e-5)
     assert float(linear) == pytest.approx(1 / first.period, rel=1e-5)
@@ -478,10 +543,15 @@ def test_an_orbit_is_told_in_numbers():
     assert told[4] == "Floquet multipliers: stable"
     assert len(told) == 5 + len(family.events)
     loose = SimpleNamespace(
-        **{name: getattr(last, name) for name in ("period", "energy", "amplitude", "residual", "error")}
+        **{
+            name: getattr(last, name)
+            for name in ("period", "energy", "amplitude", "residual", "error")
+        }
     )
     loose.stable, loose.unstable = False, np.array([1.5 + 2j, 1.0])
-    event = SimpleNamespace(kind="period doubling", value=1.5e-14, orbit=SimpleNamespace(period=5e-6))
+    event = SimpleNamespace(
+        kind="period doubling", value=1.5e-14, orbit=SimpleNamespace(period=5e-6)
+    )
 
     class Family(list):
         events = (event,)
@@ -593,7 +663,9 @@ def test_numbers_that_are_none_are_no_json(tmp_path: Path):
 # --- saved runs
 
 
-def test_saved_runs_and_dumps_are_told_apart(scene: Path, answer: Trajectory, capsys: pytest.CaptureFixture[str]):
+def test_saved_runs_and_dumps_are_told_apart(
+    scene: Path, answer: Trajectory, capsys: pytest.CaptureFixture[str]
+):
     file = scene.parent / "run.nc"
     answer.save(file)
     dump = scene.parent / "column.lammpstrj"
@@ -602,7 +674,10 @@ def test_saved_runs_and_dumps_are_told_apart(scene: Path, answer: Trajectory, ca
         (["fit", str(file), "--scene", str(scene)], "scene"),
         (["fit", str(file), "--axis", "z"], "axis"),
         (["fit", str(dump)], str(dump)),
-        (["report", str(scene.parent / "none.nc"), "--scene", str(scene)], str(scene.parent / "none.nc")),
+        (
+            ["report", str(scene.parent / "none.nc"), "--scene", str(scene)],
+            str(scene.parent / "none.nc"),
+        ),
         (["sensitivity", str(dump), "--of", "momentum:3"], str(dump)),
         (["fit", str(file), "--json", str(file)], str(file)),
     ):
@@ -613,21 +688,33 @@ def test_saved_runs_and_dumps_are_told_apart(scene: Path, answer: Trajectory, ca
 def test_a_sensitivity_asks_for_what_it_was_given(scene: Path, monkeypatch: Any, capsys: Any):
     asked: list[Any] = []
     result = SimpleNamespace(table=lambda: "the table")
-    monkeypatch.setattr("lmpchain.design.sensitivities.sensitivity", lambda *values: asked.extend(values) or result)
+    monkeypatch.setattr(
+        "lmpchain.design.sensitivities.sensitivity", lambda *values: asked.extend(values) or result
+    )
     words = ["sensitivity", str(scene), "--of", "momentum:3", "--mass", "0.02", "--constant", "0"]
     assert main(words) == 0
     assert capsys.readouterr().out == "the table\n"
-    assert asked == [Scene.from_toml(scene), "momentum:3", {"masses": 0.02, "contact_constants": 0.0}, 1e-4]
+    assert asked == [
+        Scene.from_toml(scene),
+        "momentum:3",
+        {"masses": 0.02, "contact_constants": 0.0},
+        1e-4,
+    ]
 
 
-def test_a_saved_run_is_evaluated_as_asked(scene: Path, answer: Trajectory, monkeypatch: Any, capsys: Any):
+def test_a_saved_run_is_evaluated_as_asked(
+    scene: Path, answer: Trajectory, monkeypatch: Any, capsys: Any
+):
     file, numbers = scene.parent / "run.nc", scene.parent / "n.json"
     answer.save(file)
     asked: list[Any] = []
     result = SimpleNamespace(
-        table=lambda *chains: f"the table of {len(chains)} chains", to_json=lambda *chains: {"chains": len(chains)}
+        table=lambda *chains: f"the table of {len(chains)} chains",
+        to_json=lambda *chains: {"chains": len(chains)},
     )
-    monkeypatch.setattr("lmpchain.measure.dyson.sums", lambda run, m: asked.append((run.engine, list(m))) or result)
+    monkeypatch.setattr(
+        "lmpchain.measure.dyson.sums", lambda run, m: asked.append((run.engine, list(m))) or result
+    )
     chains = lambda *values, progress: asked.append((*values[1:], progress)) or ("mean", "error")  # noqa: E731
     monkeypatch.setattr("lmpchain.disorder.averages.at_the_end", chains)
     words = ["dyson", str(file), "--m", "1,5", "--json", str(numbers)]

@@ -6,7 +6,9 @@ from lmpchain import Chain, Impulse, Impurity, InputError, Scene, disorder, simu
 from lmpchain.cli import main
 from lmpchain.sweeps.file import read
 
-SCENE = Scene(chain=Chain(grains=3, diameter=1e-3), excitation=Impulse(velocity=1e-3), duration=1e-6)
+SCENE = Scene(
+    chain=Chain(grains=3, diameter=1e-3), excitation=Impulse(velocity=1e-3), duration=1e-6
+)
 TEXT = """
 [chain]
 grains = 3
@@ -30,7 +32,10 @@ def swept(**keys):
     ("ask", "meant"),
     [
         *[
-            (lambda name=name: Scene.from_text(TEXT.replace(name, name[1] + name[0] + name[2:])), name)
+            (
+                lambda name=name: Scene.from_text(TEXT.replace(name, name[1] + name[0] + name[2:])),
+                name,
+            )
             for name in (
                 "chain",
                 "grains",

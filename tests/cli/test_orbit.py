@@ -14,7 +14,20 @@ def test_orbit(tmp_path: Path):
     scene, energy = tmp_path / "scene.toml", 1e-2 * chain.length_scale * chain.masses[0] * 9.81
     Scene(chain=chain, excitation=Impulse(velocity=1e-9), duration=1e-5, samples=2).to_toml(scene)
     picture, numbers = tmp_path / "family.png", tmp_path / "orbit.json"
-    main(["orbit", str(scene), "--mode", "2", "--energy", str(energy), "-o", str(picture), "--json", str(numbers)])
+    main(
+        [
+            "orbit",
+            str(scene),
+            "--mode",
+            "2",
+            "--energy",
+            str(energy),
+            "-o",
+            str(picture),
+            "--json",
+            str(numbers),
+        ]
+    )
     assert picture.read_bytes()[:4] == b"\x89PNG"
     found = json.loads(numbers.read_text())
     own = orbits.normal_mode(chain, 2, energy)

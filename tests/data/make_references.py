@@ -17,7 +17,9 @@ from helpers.stored_references import FILE, SCENES
 def main() -> None:
     """Make all of them anew."""
     with ProcessPoolExecutor() as processes:
-        references = dict(zip(SCENES, processes.map(extended_reference, SCENES.values()), strict=True))
+        references = dict(
+            zip(SCENES, processes.map(extended_reference, SCENES.values()), strict=True)
+        )
     motions = {name: np.array([u, v]) for name, (u, v, _) in references.items()}
     errors = {f"{name}: error": np.array(error) for name, (_, _, error) in references.items()}
     np.savez_compressed(FILE, allow_pickle=False, **motions, **errors)

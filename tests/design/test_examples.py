@@ -11,7 +11,9 @@ DESIGN = Path(figures.__file__).parent / "design"
 
 
 @pytest.fixture
-def numbers(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, float]:
+def numbers(
+    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> dict[str, float]:
     """Run the script of this name and return the numbers that it prints."""
     path, picture = str(DESIGN / f"{request.param}.py"), tmp_path / "picture.png"
     monkeypatch.setattr(sys, "argv", [path, "--quick", "-o", str(picture)])
@@ -25,21 +27,35 @@ def numbers(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.
 @pytest.mark.parametrize("numbers", ["delay_line"], indirect=True)
 def test_a_piece_of_chain_delays_a_pulse_at_hardly_less_peak(numbers: dict[str, float]):
     assert numbers["delay over that wanted, optimised"] == pytest.approx(1, abs=1e-3)
-    assert numbers["delay by the speed of long waves over that wanted"] == pytest.approx(1, abs=0.05)
+    assert numbers["delay by the speed of long waves over that wanted"] == pytest.approx(
+        1, abs=0.05
+    )
     peak = "peak over that of equal beads, "
-    assert numbers[peak + "optimised"] > 0.99 > numbers[peak + "larger piece"] > numbers[peak + "random"]
+    assert (
+        numbers[peak + "optimised"]
+        > 0.99
+        > numbers[peak + "larger piece"]
+        > numbers[peak + "random"]
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("numbers", ["filter"], indirect=True)
 def test_a_filter_is_that_of_transfer_matrices_and_stops_in_its_gap(numbers: dict[str, float]):
     for mass in (1, 2, 3):
-        assert numbers[f"mass {mass}"] == pytest.approx(numbers[f"mass {mass} by transfer matrices"], rel=0.01)
+        assert numbers[f"mass {mass}"] == pytest.approx(
+            numbers[f"mass {mass} by transfer matrices"], rel=0.01
+        )
     for packet in ("stopped", "passing"):
         by_run, by_formula = (
             numbers[f"{packet} packet, share that passes"],
             f"{packet} packet, share by transfer matrices",
         )
         assert by_run == pytest.approx(numbers[by_formula], abs=0.005)
-    assert numbers["stopped packet, share that passes"] < 0.05 < 0.9 < numbers["passing packet, share that passes"]
+    assert (
+        numbers["stopped packet, share that passes"]
+        < 0.05
+        < 0.9
+        < numbers["passing packet, share that passes"]
+    )
     assert numbers["gap from"] < 0.45 < numbers["gap to"] < 0.8

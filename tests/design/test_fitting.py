@@ -14,7 +14,9 @@ SCENE = Scene(chain=CHAIN, excitation=Impulse(velocity=0.02), duration=1e-4, sam
 LOOKED_AT = [4, 7]
 
 
-def measured(noise: float = 0.0, seed: int = 0, late: float = 0.0, scene: Scene = SCENE) -> np.ndarray:
+def measured(
+    noise: float = 0.0, seed: int = 0, late: float = 0.0, scene: Scene = SCENE
+) -> np.ndarray:
     """Return velocities (T, 2) of an independent integrator, later by some time, with noise."""
     run = simulate(scene, engine=engines.Native(integrator="dop853"), tolerance=1e-10)
     columns = run.velocity[:, [grain - 1 for grain in LOOKED_AT]]
@@ -39,14 +41,25 @@ def test_what_made_a_trace_is_found_again():
     truth = [193e9, 0.5, 0.02, late, *offsets]
     np.testing.assert_allclose(found.estimate, truth, rtol=1e-8)
     assert (np.abs(found.estimate - truth) <= 5 * found.error + found.bias).all()
-    assert found.names == ["youngs_moduli", "top_load", "velocity", "trigger", "offset 4", "offset 7"]
+    assert found.names == [
+        "youngs_moduli",
+        "top_load",
+        "velocity",
+        "trigger",
+        "offset 4",
+        "offset 7",
+    ]
     assert found.scene.chain.top_load == pytest.approx(found.estimate[1], rel=1e-12)
 
 
 @pytest.mark.parametrize("field", ["velocity", "displacement", "force", "contact"])
 def test_jacobians_agree_with_differences(field: str):
-    traces = Traces(SCENE.time, [4, 10], np.zeros((201, 2)), field, trigger=True, gain=True, offset=True)  # type: ignore[arg-type]
-    problem = Problem(SCENE.replace(duration=1.2e-4), [traces], {"youngs_moduli": "common", "masses": [3]})
+    traces = Traces(
+        SCENE.time, [4, 10], np.zeros((201, 2)), field, trigger=True, gain=True, offset=True
+    )  # type: ignore[arg-type]
+    problem = Problem(
+        SCENE.replace(duration=1.2e-4), [traces], {"youngs_moduli": "common", "masses": [3]}
+    )
     theta = np.array([0.01, -0.02, 0.013, 0.1, 0.0, 0.0])
     exact = problem.residuals(theta, True)[1]
     for k in range(theta.size):
@@ -57,7 +70,11 @@ def test_jacobians_agree_with_differences(field: str):
 
 @pytest.mark.slow
 def test_a_profile_of_a_nearly_linear_fit_is_a_parabola():
-    found = fit(Traces(SCENE.time, LOOKED_AT, measured(1e-4), noise=1e-4), guess(), ["youngs_moduli", "velocity"])
+    found = fit(
+        Traces(SCENE.time, LOOKED_AT, measured(1e-4), noise=1e-4),
+        guess(),
+        ["youngs_moduli", "velocity"],
+    )
     assert found.chi_square == pytest.approx(found.freedom, rel=0.2)
     at, growth = found.profile("velocity", points=5)
     np.testing.assert_allclose(growth, ((at - found.estimate[1]) / found.error[1]) ** 2, atol=0.05)
@@ -67,7 +84,9 @@ def test_a_profile_of_a_nearly_linear_fit_is_a_parabola():
 
 def test_traces_come_from_oscilloscopes(tmp_path: Path):
     path = tmp_path / "scope.csv"
-    path.write_text("Model,TDS 2014\nSource;CH1\ntime,CH1,CH2\n0.0,1e-3,2\n1e-6,2e-3,3,\n\n2e-6,3e-3,4\n")
+    path.write_text(
+        "Model,TDS 2014\nSource;CH1\ntime,CH1,CH2\n0.0,1e-3,2\n1e-6,2e-3,3,\n\n2e-6,3e-3,4\n"
+    )
     traces = Traces.from_csv(path, [1, 5], field="force", noise=0.1)
     np.testing.assert_array_equal(traces.time, [0, 1e-6, 2e-6])
     np.testing.assert_array_equal(traces.values, [[1e-3, 2], [2e-3, 3], [3e-3, 4]])
@@ -120,7 +139,11 @@ def test_a_posterior_is_drawn_again_from_its_seed():
 
 @pytest.mark.soak
 def test_a_posterior_is_as_wide_as_the_covariance_says():
-    found = fit(Traces(SCENE.time, LOOKED_AT, measured(1e-3), noise=1e-3), guess(), ["youngs_moduli", "velocity"])
+    found = fit(
+        Traces(SCENE.time, LOOKED_AT, measured(1e-3), noise=1e-3),
+        guess(),
+        ["youngs_moduli", "velocity"],
+    )
     draws = found.posterior(samples=20000)
     np.testing.assert_allclose((draws.mean(0) - found.estimate) / found.error, 0.0, atol=0.2)
     np.testing.assert_allclose(
@@ -149,7 +172,9 @@ def fits_of_lammps(draws: int, sigma: float = 2e-4) -> tuple[np.ndarray, np.ndar
 @pytest.mark.slow
 def test_fits_to_noisy_runs_of_lammps_scatter_as_the_covariance_says():
     squares = fits_of_lammps(25, 2e-5)[1]  # with more, modulus and load trade off along a curve
-    assert squares.sum() == pytest.approx(100, abs=3 * np.sqrt(200))  # chi square of 4 numbers in each
+    assert squares.sum() == pytest.approx(
+        100, abs=3 * np.sqrt(200)
+    )  # chi square of 4 numbers in each
 
 
 @pytest.mark.soak

@@ -53,24 +53,34 @@ def draw(rng: np.random.Generator) -> Scene:
     if rng.random() < 0.2:
         chain["masses"] = rng.uniform(1, 3, grains) * 1e-5
     if rng.random() < 0.2:
-        chain["contact_constants"] = rng.uniform(1, 3, grains - 1) * Chain(**chain).contact_constants[0]
+        chain["contact_constants"] = (
+            rng.uniform(1, 3, grains - 1) * Chain(**chain).contact_constants[0]
+        )
     made = Chain(**chain)
     scale = made.contacts.overlap.max() or 1e-7
     omega = made.band_edge or float(
-        np.sqrt(made.contacts.stiffness_at(np.full(grains + 1, scale)).max() * 4 / made.masses.min())
+        np.sqrt(
+            made.contacts.stiffness_at(np.full(grains + 1, scale)).max() * 4 / made.masses.min()
+        )
     )
     duration = 12 / omega
-    if top == "free" and not vacuum and rng.random() < 0.4:  # in a vacuum it begins at the very opening
+    if (
+        top == "free" and not vacuum and rng.random() < 0.4
+    ):  # in a vacuum it begins at the very opening
         time = np.linspace(0, duration, 6)
         shape = 2 * scale * np.sin(np.linspace(0, 3, 6)) ** 2
         sampled = rng.random() < 0.5
         what: Any = (
-            Drive(times=time, displacement=shape) if sampled else Drive(amplitude=2 * scale, frequency=omega / 10)
+            Drive(times=time, displacement=shape)
+            if sampled
+            else Drive(amplitude=2 * scale, frequency=omega / 10)
         )
     else:
         still = made.movable < grains
         u, v = rng.uniform(-1, 1, (2, grains)) * [[0.5 * scale], [2 * scale * omega]]
-        u -= np.linspace(0, 0.7 * scale * grains, grains) * vacuum  # no contact at the very opening at first
+        u -= (
+            np.linspace(0, 0.7 * scale * grains, grains) * vacuum
+        )  # no contact at the very opening at first
         if still:
             u[-1] = v[-1] = 0
         what = Profile(displacement=u, velocity=v)
@@ -94,7 +104,9 @@ def differences(scene: Scene, method: str, weights: np.ndarray, name: str) -> np
     held[: scene.excitation.driven] = True
     found = []
     for place, value in enumerate(base[name]):
-        if (name in ("displacement", "velocity") and held[place]) or (name == "wall_constants" and value == 0):
+        if (name in ("displacement", "velocity") and held[place]) or (
+            name == "wall_constants" and value == 0
+        ):
             found.append(np.longdouble(0))
             continue
         step = DIFFERENCE * scales.get(name, np.abs(base[name]).max())
@@ -111,7 +123,9 @@ def differences(scene: Scene, method: str, weights: np.ndarray, name: str) -> np
 def check_scene(seed: int, scene: Scene, left_out: str = "") -> None:
     method = ["verlet", "rkn4", "rkn6", "kahan-li6", "kahan-li8"][seed % 5]
     everyone = np.arange(1, scene.chain.grains + 1)
-    run = DifferentiableRun(scene, SPLITTINGS[method], scene.duration / (LOOKS * STEPS), LOOKS, everyone)
+    run = DifferentiableRun(
+        scene, SPLITTINGS[method], scene.duration / (LOOKS * STEPS), LOOKS, everyone
+    )
     assert run.steps == LOOKS * STEPS
     u, v, _ = extended.run(scene, SPLITTINGS[method], STEPS, LOOKS, {})
     weights = np.random.default_rng(seed).standard_normal((2, *u.shape))
@@ -134,19 +148,27 @@ def check_scene(seed: int, scene: Scene, left_out: str = "") -> None:
         assert np.abs(along - back).max() <= 1e-11 * scale, (seed, name)
 
 
-@pytest.mark.parametrize("seed", [pytest.param(n, marks=[pytest.mark.slow] * (n in (2, 4))) for n in range(6)])
+@pytest.mark.parametrize(
+    "seed", [pytest.param(n, marks=[pytest.mark.slow] * (n in (2, 4))) for n in range(6)]
+)
 def test_gradients_agree_with_differences_in_extended_precision(seed: int):
     check_scene(seed, drawn(seed))
 
 
 @pytest.mark.parametrize(
-    "seed", [pytest.param(n, marks=pytest.mark.slow if n < 26 else pytest.mark.soak) for n in range(6, 100)]
+    "seed",
+    [
+        pytest.param(n, marks=pytest.mark.slow if n < 26 else pytest.mark.soak)
+        for n in range(6, 100)
+    ],
 )
 def test_gradients_agree_with_differences_on_random_scenes(seed: int):
     check_scene(seed, drawn(seed))
 
 
-PUSHED = Chain(grains=6, diameter=1e-3, top_load=0.02, top="wall", bottom="wall", top_material="brass")
+PUSHED = Chain(
+    grains=6, diameter=1e-3, top_load=0.02, top="wall", bottom="wall", top_material="brass"
+)
 KNOTS = np.linspace(0, 1e-5, 5)
 ACTING = {
     "sine force": Force(grain=3, amplitude=0.05, frequency=2e5),
@@ -155,7 +177,9 @@ ACTING = {
     "sampled force": Force(grain=6, times=KNOTS, force=0.1 * np.sin(np.arange(5.0)) ** 2),
     "burst of grain 1": Drive(amplitude=1e-7, frequency=4e5, cycles=3),
     "sine of the wall": Drive(grain=0, amplitude=2e-7, frequency=2e5),
-    "samples of the wall": Drive(grain=0, times=KNOTS, displacement=2e-7 * np.sin(np.arange(5.0)) ** 2),
+    "samples of the wall": Drive(
+        grain=0, times=KNOTS, displacement=2e-7 * np.sin(np.arange(5.0)) ** 2
+    ),
 }
 
 
@@ -171,19 +195,25 @@ def test_what_acts_has_derivatives_as_in_extended_precision(what: str):
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason="derivatives lose digits where hardly a wave has come, or gone back", strict=True)
+@pytest.mark.xfail(
+    reason="derivatives lose digits where hardly a wave has come, or gone back", strict=True
+)
 def test_what_acts_has_derivatives_by_a_distant_wall():
     """The wave moves grain N by 2e-5 of an overlap; the derivative by the wall's constant is 5e-8 off, not 1e-8."""
     check_scene(1, acted("burst of grain 1"))
 
 
-def propagator(scene: Scene, masses: np.ndarray, constants: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def propagator(
+    scene: Scene, masses: np.ndarray, constants: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the generator of the linear chain and that of u, v -> u, v over the duration, (2N, 2N)."""
     chain, n = scene.chain, masses.size
     carried = chain.top_load + chain.gravity * np.cumsum(masses)[:-1]
     k = chain.exponent * constants ** (1 / chain.exponent) * carried ** (1 - 1 / chain.exponent)
     stiffness = np.diag(np.append(k, 0)) + np.diag(np.append(0, k)) - np.diag(k, 1) - np.diag(k, -1)
-    slope = np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness / masses[:, None], np.zeros((n, n))]])
+    slope = np.block(
+        [[np.zeros((n, n)), np.eye(n)], [-stiffness / masses[:, None], np.zeros((n, n))]]
+    )
     slope[n - 1] = slope[-1] = 0  # grain N is held
     return slope, expm(slope * scene.duration)
 
@@ -194,7 +224,11 @@ def test_weak_waves_have_the_derivatives_of_the_linear_propagator():
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-16), duration=3e-5, samples=2)
     objective = Momentum([3])
     found = at_step(
-        scene, objective, ["masses", "contact_constants", "top_load", "velocity"], SPLITTINGS["kahan-li8"], 1e-7
+        scene,
+        objective,
+        ["masses", "contact_constants", "top_load", "velocity"],
+        SPLITTINGS["kahan-li8"],
+        1e-7,
     )
     value, gradients, _ = found
     start = np.concatenate(scene.initial())
@@ -203,10 +237,14 @@ def test_weak_waves_have_the_derivatives_of_the_linear_propagator():
     def derivative(masses: np.ndarray, constants: np.ndarray) -> float:
         """Return that of the velocity of grain 3 in this direction: the Frechet derivative of the exponential."""
         carried = chain.contacts.force[1:-1]
-        growth = constants / chain.contact_constants / 1.5 + 9.81 * np.cumsum(masses)[:-1] / carried / 3
+        growth = (
+            constants / chain.contact_constants / 1.5 + 9.81 * np.cumsum(masses)[:-1] / carried / 3
+        )
         k = chain.linear_stiffness * growth
         change = np.zeros((2 * n, 2 * n))
-        change[n:, :n] = np.diag(k, 1) + np.diag(k, -1) - np.diag(np.append(k, 0)) - np.diag(np.append(0, k))
+        change[n:, :n] = (
+            np.diag(k, 1) + np.diag(k, -1) - np.diag(np.append(k, 0)) - np.diag(np.append(0, k))
+        )
         change[n:] /= chain.masses[:, None]
         change[n:] -= slope[n:] * (masses / chain.masses)[:, None]
         change[-1] = 0
@@ -220,13 +258,17 @@ def test_weak_waves_have_the_derivatives_of_the_linear_propagator():
     assert value == pytest.approx(m * end[n + 2], rel=1e-12)
     by_mass = np.array([m * derivative(e, np.zeros(n - 1)) + e[2] * end[n + 2] for e in np.eye(n)])
     by_constant = np.array([m * derivative(np.zeros(n), e) for e in np.eye(n - 1)])
-    np.testing.assert_allclose(gradients["masses"], by_mass, rtol=0, atol=1e-12 * np.abs(by_mass).max())
+    np.testing.assert_allclose(
+        gradients["masses"], by_mass, rtol=0, atol=1e-12 * np.abs(by_mass).max()
+    )
     np.testing.assert_allclose(
         gradients["contact_constants"], by_constant, rtol=0, atol=1e-12 * np.abs(by_constant).max()
     )
     by_velocity = m * propagator(scene, chain.masses, chain.contact_constants)[1][n + 2, n:]
     by_velocity[-1] = 0
-    np.testing.assert_allclose(gradients["velocity"], by_velocity, rtol=0, atol=1e-12 * np.abs(by_velocity).max())
+    np.testing.assert_allclose(
+        gradients["velocity"], by_velocity, rtol=0, atol=1e-12 * np.abs(by_velocity).max()
+    )
 
 
 @pytest.mark.parametrize(
@@ -247,13 +289,23 @@ def test_weak_waves_have_the_derivatives_of_the_linear_propagator():
         (1e-2, 1, {"gravity": 0, "exponent": 2.5}),
     ],
 )
-def test_adjoints_of_long_chains_agree_with_tangents(velocity: float, struck: int, options: dict[str, float]):
+def test_adjoints_of_long_chains_agree_with_tangents(
+    velocity: float, struck: int, options: dict[str, float]
+):
     """Through windows that grow or tiles, and several pieces, for every law by which these are undone or made again."""
     rng, start = np.random.default_rng(1), np.zeros(900)
     start[:struck] = velocity * rng.uniform(0.5, 1, struck)
-    scene = Scene(chain=Chain(grains=900, diameter=1e-3, **options), excitation=Profile(velocity=start), duration=2e-4)
+    scene = Scene(
+        chain=Chain(grains=900, diameter=1e-3, **options),
+        excitation=Profile(velocity=start),
+        duration=2e-4,
+    )
     run = DifferentiableRun(
-        scene, SPLITTINGS["rkn4"], 0.3 / scene.highest_frequency, 20, np.array([1, 2, 150, 400, 800])
+        scene,
+        SPLITTINGS["rkn4"],
+        0.3 / scene.highest_frequency,
+        20,
+        np.array([1, 2, 150, 400, 800]),
     )
     weights = rng.standard_normal((2, *run.velocity.shape))
     weights[0] *= scene.highest_frequency
@@ -270,7 +322,10 @@ def test_adjoints_of_long_chains_agree_with_tangents(velocity: float, struck: in
 @pytest.mark.parametrize("exponent", [0.05, 0.5, 0.75, 1.0, 1.5, 2.0])
 @pytest.mark.parametrize(("reach", "terms"), [(0.0, 4), (1e-5, 4), (1e-4, 4), (1e-3, 6), (5e-3, 6)])
 def test_few_terms_give_every_digit_of_weak_waves(exponent: float, reach: float, terms: int):
-    found, s = economised(exponent, reach), np.linspace(-1, 1, 42, dtype=np.longdouble) * max(reach, 1e-15)
+    found, s = (
+        economised(exponent, reach),
+        np.linspace(-1, 1, 42, dtype=np.longdouble) * max(reach, 1e-15),
+    )
     true = np.expm1(exponent * np.log1p(s)) / s
     assert found.size == terms or exponent in (1.0, 2.0)  # which fewer make exactly
     assert np.abs(np.polynomial.polynomial.polyval(s, found) - true).max() < 3e-16 * exponent
@@ -285,7 +340,9 @@ def test_adaptive_steps_keep_the_order_where_contacts_open(seed: int):
 
     def off(length: float, adaptive: bool) -> float:
         found = at_step(scene, objective, names, SPLITTINGS["rkn6"], length, adaptive)[1]
-        return max(np.abs(found[name] - true[name]).max() / np.abs(true[name]).max() for name in names)
+        return max(
+            np.abs(found[name] - true[name]).max() / np.abs(true[name]).max() for name in names
+        )
 
     assert off(step / 8, True) < 5e-9
     assert off(step / 8, True) < 0.02 * off(step / 32, False)
@@ -294,14 +351,17 @@ def test_adaptive_steps_keep_the_order_where_contacts_open(seed: int):
 def test_adaptive_steps_reach_a_tolerance_and_are_refused_where_they_gain_nothing():
     scene, names = drawn(3), ["masses"]
     found = gradient(scene, Momentum([2]), names, 1e-6, adaptive=True)
-    true = at_step(scene, Momentum([2]), names, SPLITTINGS["rkn6"], 1e-4 / scene.highest_frequency)[1]
+    true = at_step(scene, Momentum([2]), names, SPLITTINGS["rkn6"], 1e-4 / scene.highest_frequency)[
+        1
+    ]
     assert np.abs(found["masses"] - true["masses"]).max() <= found.errors["masses"]
     with pytest.raises(InputError, match="adaptive"):
         gradient(scene, Momentum([2]), names, integrator="verlet", adaptive=True)
 
 
 @pytest.mark.parametrize(
-    ("grains", "name", "exponent"), [(21, "top_load", 1.5), (41, "top_load", 2.0), (20, "gravity", 1.0)]
+    ("grains", "name", "exponent"),
+    [(21, "top_load", 1.5), (41, "top_load", 2.0), (20, "gravity", 1.0)],
 )
 def test_derivatives_that_are_zero_are_known_to_round_off(grains: int, name: str, exponent: float):
     """By mirror symmetry the middle grain stays where it is, under any load; springs move alike under any weight."""
@@ -330,8 +390,15 @@ def test_steps_that_are_none_are_refused(step: float):
 
 def test_two_steps_that_agree_by_chance_are_no_bound():
     """A contact opens: gradients at the steps h and 2h are ten times nearer to each other than to the true one."""
-    chain = Chain(grains=2, material="steel", diameter=[0.00071311, 0.0009818], gravity=64.1506, bottom="wall")
-    scene = Scene(chain=chain, excitation=Impulse(velocity=5.12645e-3), duration=7.837051229587563e-6, samples=3)
+    chain = Chain(
+        grains=2, material="steel", diameter=[0.00071311, 0.0009818], gravity=64.1506, bottom="wall"
+    )
+    scene = Scene(
+        chain=chain,
+        excitation=Impulse(velocity=5.12645e-3),
+        duration=7.837051229587563e-6,
+        samples=3,
+    )
     step, names, method = 0.4 / scene.highest_frequency, ["masses"], SPLITTINGS["rkn6"]
     found = gradient(scene, Momentum([1]), names, integrator="rkn6", step=step)
     twice = at_step(scene, Momentum([1]), names, method, 2 * found.step_s)[1]["masses"]
@@ -354,5 +421,7 @@ def test_error_estimates_cover_the_errors_of_random_scenes(seed: int):
     found = gradient(scene, objective, names, 1e-3, method)
     true = gradient(scene, objective, names, 1e-5, method)
     for name in names:
-        assert np.abs(found[name] - true[name]).max() <= found.errors[name] + true.errors[name], name
+        assert np.abs(found[name] - true[name]).max() <= found.errors[name] + true.errors[name], (
+            name
+        )
     assert abs(found.value - true.value) <= found.value_error + true.value_error

@@ -50,7 +50,11 @@ def test_a_linear_fit_is_that_of_the_normal_equations(known: bool):
     estimate, square, _, _ = np.linalg.lstsq(matrix / [1.0, 1.0, 1.0], right, rcond=None)
     inverse = np.linalg.inv(matrix.T @ matrix)
     variance = 1.0 if known else square[0] / 119
-    answer = fit(Traces(SCENE.time, [2, 5], values, noise=NOISE if known else None, offset=True), SCENE, ["velocity"])
+    answer = fit(
+        Traces(SCENE.time, [2, 5], values, noise=NOISE if known else None, offset=True),
+        SCENE,
+        ["velocity"],
+    )
     assert answer.names == ["velocity", "offset 2", "offset 5"]
     deviation = np.sqrt(variance * np.diag(inverse))
     assert np.abs(answer.estimate - estimate).max() < 1e-3 * deviation.max()
@@ -61,10 +65,14 @@ def test_a_linear_fit_is_that_of_the_normal_equations(known: bool):
     assert answer.freedom == 119
     assert (answer.bias < 0.05 * deviation + 1e-9 * WEAK).all()
     assert answer.values["velocity"][0] == pytest.approx(answer.estimate[0], rel=1e-12)
-    assert answer.scene.excitation.initial(CHAIN)[1][0] == pytest.approx(answer.estimate[0], rel=1e-12)
+    assert answer.scene.excitation.initial(CHAIN)[1][0] == pytest.approx(
+        answer.estimate[0], rel=1e-12
+    )
     for place in (0, 2):
         at, growth = answer.profile(answer.names[place], reach=2.0, points=3)
-        np.testing.assert_allclose(at, answer.estimate[place] + deviation[place] * np.array([-2, 0, 2]), rtol=rtol)
+        np.testing.assert_allclose(
+            at, answer.estimate[place] + deviation[place] * np.array([-2, 0, 2]), rtol=rtol
+        )
         np.testing.assert_allclose(growth, [4.0, 0.0, 4.0], rtol=1e-3, atol=1e-5)
 
 
@@ -72,7 +80,9 @@ def test_a_profile_of_one_number_alone_is_a_parabola():
     answer = fit(Traces(SCENE.time, [2, 5], noisy(2), noise=NOISE), SCENE, ["velocity"])
     at, growth = answer.profile("velocity")
     offsets = np.linspace(-3, 3, 13)
-    np.testing.assert_allclose((at - answer.estimate[0]) / answer.error[0], offsets, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(
+        (at - answer.estimate[0]) / answer.error[0], offsets, rtol=1e-9, atol=1e-12
+    )
     np.testing.assert_allclose(growth, offsets**2, rtol=1e-4, atol=1e-6)
     with pytest.raises(InputError, match=r"^name: must be one of velocity \(got 'offset'\)"):
         answer.profile("offset")
@@ -82,7 +92,12 @@ def test_a_fit_is_written_and_drawn_with_its_data():
     values = noisy(3)
     answer = fit(Traces(SCENE.time, [2, 5], values, noise=NOISE), SCENE, ["velocity"])
     lines = answer.table().splitlines()
-    assert lines[0].split() == ["velocity", f"{answer.estimate[0]:.8g}", "+-", f"{answer.error[0]:.2g}"]
+    assert lines[0].split() == [
+        "velocity",
+        f"{answer.estimate[0]:.8g}",
+        "+-",
+        f"{answer.error[0]:.2g}",
+    ]
     assert lines[1] == f"chi square: {answer.chi_square:.5g} of 121"
     ax = answer.plot()
     assert [line.get_label() for line in ax.lines][1::2] == ["velocity 2", "velocity 5"]
@@ -103,7 +118,10 @@ def test_errors_of_linear_fits_cover_the_truth_as_often_as_they_say():
     """Of 200 draws 68 and 95 % within one and two standard deviations; a draw moves the estimate in proportion."""
     answer = fit(Traces(SCENE.time, [2, 5], noisy(4), noise=NOISE), SCENE, ["velocity"])
     column = columns()[:, 0]
-    miss = [column @ np.random.default_rng(s).standard_normal(122) / (column @ column) for s in range(200)]
+    miss = [
+        column @ np.random.default_rng(s).standard_normal(122) / (column @ column)
+        for s in range(200)
+    ]
     within = np.abs(miss) / answer.error[0]
     assert np.mean(within < 1) == pytest.approx(0.683, abs=0.1)
     assert np.mean(within < 1.96) == pytest.approx(0.95, abs=0.05)
@@ -113,7 +131,13 @@ def test_numbers_of_several_traces_have_names_units_and_begins():
     """A trigger in durations, a gain of 1, offsets in the largest value; of entries in their own units."""
     one = Traces(SCENE.time, [2, 5], noisy(1), trigger=True, gain=True, offset=True)
     two = Traces(SCENE.time[5:], [3], 4 * noisy(1)[5:, :1], offset=True)
-    wanted = {"masses": [2, 4], "displacement": [3], "top_load": "common", "diameters": "common", "velocity": "each"}
+    wanted = {
+        "masses": [2, 4],
+        "displacement": [3],
+        "top_load": "common",
+        "diameters": "common",
+        "velocity": "each",
+    }
     problem = Problem(SCENE, [one, two], wanted)
     velocity = [f"velocity {n}" for n in range(1, 7)]
     assert problem.names == [
@@ -127,7 +151,9 @@ def test_numbers_of_several_traces_have_names_units_and_begins():
     np.testing.assert_allclose(problem.origin, origin, rtol=1e-12)
     np.testing.assert_allclose(problem.units, units, rtol=1e-12)
     theta = np.arange(16.0) / 100
-    np.testing.assert_allclose(problem.estimates(theta), np.array(origin) + np.array(units) * theta, rtol=1e-12)
+    np.testing.assert_allclose(
+        problem.estimates(theta), np.array(origin) + np.array(units) * theta, rtol=1e-12
+    )
     np.testing.assert_allclose(problem.free(problem.estimates(theta)), theta, rtol=1e-9, atol=1e-15)
     values = problem.by_name(theta)
     masses = CHAIN.masses.copy()
@@ -136,17 +162,23 @@ def test_numbers_of_several_traces_have_names_units_and_begins():
     np.testing.assert_allclose(values["displacement"], [0, 0, 0.02, 0, 0, 0], rtol=1e-12)
     np.testing.assert_allclose(values["top_load"], [0.5 * 1.03], rtol=1e-12)
     np.testing.assert_allclose(values["diameters"], np.full(6, 2e-3 * 1.04), rtol=1e-12)
-    np.testing.assert_allclose(values["velocity"], WEAK * (np.arange(6) == 0) + WEAK * theta[5:11], rtol=1e-12)
+    np.testing.assert_allclose(
+        values["velocity"], WEAK * (np.arange(6) == 0) + WEAK * theta[5:11], rtol=1e-12
+    )
     uneven = SCENE.replace(chain=CHAIN.replace(diameter=[1e-3, 2e-3, 1e-3, 2e-3, 1e-3, 1e-3]))
     common = Problem(uneven, [one], {"diameters": "common"})
     assert (common.origin[0], common.units[0]) == (1.0, 1.0)  # a factor
-    np.testing.assert_allclose(common.by_name(np.array([0.1, 0, 0, 0, 0]))["diameters"], 1.1 * uneven.chain.diameters)
+    np.testing.assert_allclose(
+        common.by_name(np.array([0.1, 0, 0, 0, 0]))["diameters"], 1.1 * uneven.chain.diameters
+    )
     turn = SCENE.duration * SCENE.highest_frequency / problem.looks
     assert 0.45 < turn <= 0.5
     np.testing.assert_array_equal(problem.grains, [2, 3, 5])
     assert Problem(SCENE.replace(duration=1e-9), [one], {"masses": "common"}).looks == 8
     for how in ("all", [0], [7], [1, 9]):
-        with pytest.raises(InputError, match=r'^masses: must be "common", "each" or numbers from 1 to 6'):
+        with pytest.raises(
+            InputError, match=r'^masses: must be "common", "each" or numbers from 1 to 6'
+        ):
             Problem(SCENE, [one], {"masses": how})
     with pytest.raises(InputError, match=r"^displacement: is 0 everywhere"):
         Problem(SCENE, [one], {"displacement": "common"})
@@ -173,7 +205,9 @@ def test_traces_are_what_another_integrator_says(field: str):
     time = np.concatenate(([late / 2], time))
     offset = size * np.array([0.1, -0.2, 0.3])
     expected = gain * np.concatenate((whole[:1], whole[::10])) + offset
-    traces = Traces(time, places, np.zeros((62, 3)), field, noise=2.0, trigger=True, gain=True, offset=True)  # type: ignore[arg-type]
+    traces = Traces(
+        time, places, np.zeros((62, 3)), field, noise=2.0, trigger=True, gain=True, offset=True
+    )  # type: ignore[arg-type]
     problem = Problem(scene, [traces], {"masses": [2]})
     problem.looks *= 16
     theta = problem.free(np.array([chain.masses[1], late, gain, *offset]))
@@ -202,8 +236,14 @@ def test_places_and_values_that_are_none_are_refused():
         (([0.0, np.inf], [1], [0.0, 0.0]), "^time: must be two"),
         (([1.0, 0.0], [1], [0.0, 0.0]), "^time: must be two"),
         (([[0.0, 1.0]], [1], [0.0, 0.0]), "time: must be two"),
-        (([0.0, 1.0], [1, 2], [0.0, 0.0]), r"^values: must be of shape \(2, 2\), times and places, not \(2, 1\)"),
-        (([0.0, 1.0], [1], [0.0, 0.0], "speed"), "^field: must be one of velocity, displacement, force, contact"),
+        (
+            ([0.0, 1.0], [1, 2], [0.0, 0.0]),
+            r"^values: must be of shape \(2, 2\), times and places, not \(2, 1\)",
+        ),
+        (
+            ([0.0, 1.0], [1], [0.0, 0.0], "speed"),
+            "^field: must be one of velocity, displacement, force, contact",
+        ),
         (([0.0, 1.0], [1], [0.0, 0.0], "force", 0.0), "^noise: must be above 0"),
         (([0.0, 1.0], [1, 2], np.zeros((2, 2)), "force", [1.0, -1.0]), "^noise: must be above 0"),
     ):
@@ -231,10 +271,14 @@ def test_a_table_of_numbers_needs_two_whole_lines(tmp_path: Path):
 def test_a_scene_must_reach_to_the_last_value():
     """To a millionth of it; with a trigger to what the strike leaves of it."""
     time = SCENE.time * (1 + 1e-4)
-    with pytest.raises(InputError, match=r"^duration: of the scene must reach to the last value, 6.0006e-05 s"):
+    with pytest.raises(
+        InputError, match=r"^duration: of the scene must reach to the last value, 6.0006e-05 s"
+    ):
         fit(Traces(time, [2, 5], noisy(1)), SCENE, ["velocity"])
     nearly = fit(Traces(SCENE.time * (1 + 1e-7), [2, 5], noisy(1)), SCENE, ["velocity"])
     assert nearly.estimate[0] == pytest.approx(1.1 * WEAK, rel=0.02)
     late = Traces(SCENE.time - 1e-6, [2, 5], 1.1 * WEAK * wave(), trigger=True)
-    with pytest.raises(InputError, match=r"^duration: of the scene must reach to the last value, 6.00"):
+    with pytest.raises(
+        InputError, match=r"^duration: of the scene must reach to the last value, 6.00"
+    ):
         fit(late, SCENE.replace(duration=5.95e-5), ["velocity"])

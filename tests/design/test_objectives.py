@@ -26,7 +26,11 @@ from lmpchain.measure.energy import shares
 
 
 def square(time, u, v):
-    return float((u**2).sum() + (time[:, None] * v).sum()), 2 * u, np.broadcast_to(time[:, None], v.shape)
+    return (
+        float((u**2).sum() + (time[:, None] * v).sum()),
+        2 * u,
+        np.broadcast_to(time[:, None], v.shape),
+    )
 
 
 STRUCK = Scene(
@@ -42,7 +46,10 @@ OBJECTIVES = {
     "peak force": (STRUCK, PeakForce(3)),
     "peak force at a wall": (STRUCK, PeakForce(8, sharpness=30)),
     "energy": (STRUCK, Energy([2, 3, 4], time=1e-5)),
-    "energy with a wall": (STRUCK.replace(chain=STRUCK.chain.replace(top="wall")), Energy([1, 2, 7, 8])),
+    "energy with a wall": (
+        STRUCK.replace(chain=STRUCK.chain.replace(top="wall")),
+        Energy([1, 2, 7, 8]),
+    ),
     "kinetic energy": (STRUCK, KineticEnergy([2, 3, 4], time=1e-5)),
     "momentum": (STRUCK, Momentum([2, 5])),
     "arrival": (STRUCK, ArrivalTime(4, 1e-3)),
@@ -70,14 +77,20 @@ def test_objectives_have_the_derivatives_that_differences_show(case: str):
         for sign in (-2, -1, 1, 2):
             changed: Any = base + sign * step * along
             if name == "drive":
-                other = scene.replace(excitation=Drive(times=scene.excitation.times, displacement=changed))
+                other = scene.replace(
+                    excitation=Drive(times=scene.excitation.times, displacement=changed)
+                )
             else:
                 other = scene.replace(
-                    chain=chain.replace(**{name: float(changed[0]) if name == "top_load" else changed})
+                    chain=chain.replace(
+                        **{name: float(changed[0]) if name == "top_load" else changed}
+                    )
                 )
             values.append(at_step(other, objective, [name], method, 2e-7)[0])
         slope = (8 * (values[2] - values[1]) - (values[3] - values[0])) / (12 * step)
-        assert gradients[name] @ along == pytest.approx(slope, rel=1e-7, abs=1e-9 * abs(values[0])), name
+        assert gradients[name] @ along == pytest.approx(
+            slope, rel=1e-7, abs=1e-9 * abs(values[0])
+        ), name
 
 
 @pytest.mark.parametrize("group", [[2, 3, 4], [1, 2, 3, 4, 5, 6, 7, 8]])
@@ -91,7 +104,13 @@ def test_weak_waves_lose_no_digits_of_the_energy():
     """Of a strike weaker by 1e10 all energies and derivatives are 1e-20 of those of linear waves."""
     names = ["masses", "contact_constants", "top_load"]
     values = [
-        at_step(STRUCK.replace(excitation=Impulse(velocity=v)), Energy([2, 3]), names, SPLITTINGS["rkn6"], 1e-7)
+        at_step(
+            STRUCK.replace(excitation=Impulse(velocity=v)),
+            Energy([2, 3]),
+            names,
+            SPLITTINGS["rkn6"],
+            1e-7,
+        )
         for v in (1e-9, 1e-19)
     ]
     assert values[1][0] == pytest.approx(1e-20 * values[0][0], rel=1e-6)

@@ -24,7 +24,9 @@ BOUNDS = {"masses": ([1e-3, 1.2e-3, 9e-3], [1e-3, 8e-3, 9e-3])}
 @pytest.mark.parametrize("tolerance", [1e-5, 1e-7])
 def test_an_optimum_is_as_flat_as_its_value_is_exact(tolerance: float):
     """By a share e beside the mean the momentum is less by 3/16 e^2: a value within its tolerance says no more."""
-    found = optimise(BALLS, Momentum([3]), ["masses"], BOUNDS, maximise=True, starts=1, tolerance=tolerance)
+    found = optimise(
+        BALLS, Momentum([3]), ["masses"], BOUNDS, maximise=True, starts=1, tolerance=tolerance
+    )
     assert abs(found.values["masses"][1] / 3e-3 - 1) < np.sqrt(tolerance / (3 / 16))
     assert found.value == pytest.approx(9e-3 / 4, rel=tolerance)
 
@@ -73,7 +75,9 @@ def test_what_was_finished_is_not_done_again(tmp_path: Path, monkeypatch: pytest
     with pytest.raises(KeyboardInterrupt):
         optimise(BALLS, Momentum([3]), ["masses"], BOUNDS, maximise=True, starts=3, folder=tmp_path)
     monkeypatch.setattr(optimisation, "_descend", descend)
-    found = optimise(BALLS, Momentum([3]), ["masses"], BOUNDS, maximise=True, starts=3, folder=tmp_path)
+    found = optimise(
+        BALLS, Momentum([3]), ["masses"], BOUNDS, maximise=True, starts=3, folder=tmp_path
+    )
     assert found.value == whole.value
     (tmp_path / "starts.json").write_text('{"task": 3')
     with pytest.raises(InputError, match="damaged"):
@@ -81,8 +85,15 @@ def test_what_was_finished_is_not_done_again(tmp_path: Path, monkeypatch: pytest
 
 
 def test_scenes_change_by_name():
-    new = {"diameters": [1e-3, 2e-3, 1e-3], "youngs_moduli": [1e9, 2e9, 3e9], "gravity": [1.0], "velocity": [1, 2, 0]}
-    scene = Scene(chain=Chain(grains=3, diameter=1e-3), excitation=Profile(velocity=[0, 1, 0]), duration=1e-5)
+    new = {
+        "diameters": [1e-3, 2e-3, 1e-3],
+        "youngs_moduli": [1e9, 2e9, 3e9],
+        "gravity": [1.0],
+        "velocity": [1, 2, 0],
+    }
+    scene = Scene(
+        chain=Chain(grains=3, diameter=1e-3), excitation=Profile(velocity=[0, 1, 0]), duration=1e-5
+    )
     made = changed(scene, {name: np.array(value, dtype=float) for name, value in new.items()})
     for name, value in new.items():
         np.testing.assert_array_equal(values(made, name), value)
@@ -92,6 +103,8 @@ def test_what_cannot_be_is_refused():
     with pytest.raises(InputError, match="bounds"):
         optimise(BALLS, Momentum([3]), ["masses"], {})
     with pytest.raises(InputError, match="nothing free"):
-        optimise(BALLS, Momentum([3]), ["masses"], {"masses": (BALLS.chain.masses, BALLS.chain.masses)})
+        optimise(
+            BALLS, Momentum([3]), ["masses"], {"masses": (BALLS.chain.masses, BALLS.chain.masses)}
+        )
     with pytest.raises(InputError, match="shape"):
         changed(BALLS, {"masses": np.ones(2)})

@@ -19,13 +19,15 @@ PLAIN: dict[str, Any] = {
 MIXED = ["glass", "steel", "brass", "glass", "steel"]
 CHAINS = {
     "walls of their grains": PLAIN | {"material": MIXED},
-    "walls of steel": PLAIN | {"top_material": "steel", "bottom_material": "brass", "exponent": 1.5},
+    "walls of steel": PLAIN
+    | {"top_material": "steel", "bottom_material": "brass", "exponent": 1.5},
     "one wall of steel": PLAIN | {"bottom_material": "steel", "top": "free"},
     "no walls": PLAIN | {"top": "free", "bottom": "fixed"},
     "given masses": PLAIN | {"masses": 1e-6 * np.arange(1.0, 6.0)},
     "given constants": PLAIN | {"contact_constants": 1e9 * np.arange(1.0, 5.0)},
     "given walls": PLAIN | {"wall_constants": (1e9, 3e9)},
-    "given both": PLAIN | {"wall_constants": (1e9, 3e9), "contact_constants": 1e9 * np.arange(1.0, 5.0)},
+    "given both": PLAIN
+    | {"wall_constants": (1e9, 3e9), "contact_constants": 1e9 * np.arange(1.0, 5.0)},
     "no weight": PLAIN | {"top": "free", "gravity": 0.0},
 }
 REST = np.array([0.0, 1.0, 2.0, 3.0, 0.0])
@@ -63,18 +65,36 @@ def check_dependence(made: Scene, name: str) -> None:
             if field in ("displacement", "velocity") and made.excitation.kind == "drive":
                 difference[0] = 0.0  # of the driven grain; the motion has it from the drive
             size = np.abs(up).max(initial=0.0) * np.abs(direction).max() / np.abs(base).max()
-            assert slope[number] == pytest.approx(difference, rel=1e-6, abs=1e-7 * size), (name, field)
-    slopes = Inputs(*(rng.normal(size=row.shape[1:]) / (np.abs(row).max(initial=0.0) or 1.0) for row in pushed))
+            assert slope[number] == pytest.approx(difference, rel=1e-6, abs=1e-7 * size), (
+                name,
+                field,
+            )
+    slopes = Inputs(
+        *(rng.normal(size=row.shape[1:]) / (np.abs(row).max(initial=0.0) or 1.0) for row in pushed)
+    )
     loose = slopes._replace(forces=np.where(made.chain.contacts.pressed, slopes.forces, 0.0))
     back = parameters.pull(made, loose, name)
-    forward = [sum(float(s @ row[number]) for s, row in zip(loose, pushed, strict=True)) for number in (0, 1)]
-    assert directions @ back == pytest.approx(np.array(forward), rel=1e-9, abs=1e-10 * np.abs(forward).max())
+    forward = [
+        sum(float(s @ row[number]) for s, row in zip(loose, pushed, strict=True))
+        for number in (0, 1)
+    ]
+    assert directions @ back == pytest.approx(
+        np.array(forward), rel=1e-9, abs=1e-10 * np.abs(forward).max()
+    )
 
 
 @pytest.mark.parametrize("chain", CHAINS)
 def test_inputs_follow_all_that_a_chain_is_made_of(chain: str):
     made = scene(chain)
-    names = {"masses", "contact_constants", "wall_constants", "diameters", "youngs_moduli", "top_load", "gravity"}
+    names = {
+        "masses",
+        "contact_constants",
+        "wall_constants",
+        "diameters",
+        "youngs_moduli",
+        "top_load",
+        "gravity",
+    }
     if not made.chain.wall_constants.any() or made.chain.top_material or made.chain.bottom_material:
         names.remove("wall_constants")
     if made.chain.gravity == 0:
@@ -130,8 +150,18 @@ def test_a_mass_of_an_impurity_does_not_follow_its_diameter():
 @pytest.mark.parametrize(
     ("name", "change", "acting", "message"),
     [
-        ("top_load", {"top_load": 0.0, "gravity": 0.0, "bottom": "wall"}, "strike", "has no derivative in a chain"),
-        ("gravity", {"top_load": 0.0, "gravity": 0.0, "bottom": "wall"}, "strike", "has no derivative in a chain"),
+        (
+            "top_load",
+            {"top_load": 0.0, "gravity": 0.0, "bottom": "wall"},
+            "strike",
+            "has no derivative in a chain",
+        ),
+        (
+            "gravity",
+            {"top_load": 0.0, "gravity": 0.0, "bottom": "wall"},
+            "strike",
+            "has no derivative in a chain",
+        ),
         ("top_load", {"top_load": 0.0, "top": "wall"}, "strike", "has no derivative at 0"),
         ("wall_constants", {}, "strike", "there is no wall"),
         ("amplitude", {}, "strike", "is that of a sine"),
@@ -144,22 +174,35 @@ def test_a_mass_of_an_impurity_does_not_follow_its_diameter():
         ("force", {}, "sine force", "is the samples of a force"),
     ],
 )
-def test_what_a_scene_has_not_has_no_derivative(name: str, change: dict[str, Any], acting: str, message: str):
-    made = Scene(chain=scene().chain.replace(**change), excitation=ACTING[acting], duration=1e-5, samples=3)
+def test_what_a_scene_has_not_has_no_derivative(
+    name: str, change: dict[str, Any], acting: str, message: str
+):
+    made = Scene(
+        chain=scene().chain.replace(**change), excitation=ACTING[acting], duration=1e-5, samples=3
+    )
     with pytest.raises(InputError) as error:
         parameters.check(made, [name])
     assert str(error.value).startswith(f"{name}: {message}")
 
 
 def test_names_are_checked_at_once():
-    one = Scene(chain=Chain(grains=1, diameter=1e-3, bottom="wall"), excitation=ACTING["strike"], duration=1e-6)
+    one = Scene(
+        chain=Chain(grains=1, diameter=1e-3, bottom="wall"),
+        excitation=ACTING["strike"],
+        duration=1e-6,
+    )
     with pytest.raises(InputError, match=r"^contact_constants: there is no contact between grains"):
         parameters.check(one, ["contact_constants"])
     assert parameters.check(one, "wall_constants") == ("wall_constants",)
-    assert parameters.check(scene("walls of steel"), ["top_load", "gravity"]) == ("top_load", "gravity")
+    assert parameters.check(scene("walls of steel"), ["top_load", "gravity"]) == (
+        "top_load",
+        "gravity",
+    )
     with pytest.raises(InputError) as error:
         parameters.check(scene(), ["colour", "amplitude"])
     assert str(error.value).startswith("parameters: ")
     assert "amplitude: is that of" in str(error.value)
-    with pytest.raises(InputError, match=r"^parameters: name one or more of masses, contact_constants"):
+    with pytest.raises(
+        InputError, match=r"^parameters: name one or more of masses, contact_constants"
+    ):
         parameters.check(scene(), [])

@@ -107,7 +107,9 @@ def test_contacts_and_sharpness_that_are_none_are_refused():
     for where, contact, numbers in (
         (scene, 0, "1 to 4"), (scene, 5, "1 to 4"), (walls, -1, "0 to 5"), (walls, 6, "0 to 5"),
     ):  # fmt: skip
-        with pytest.raises(InputError, match=rf"^contact: must be one of {numbers} \(got {contact}\)"):
+        with pytest.raises(
+            InputError, match=rf"^contact: must be one of {numbers} \(got {contact}\)"
+        ):
             gradient(where, PeakForce(contact), ["masses"])
     assert PeakForce(1).grains(scene) == [1, 2]
     assert (PeakForce(0).grains(walls), PeakForce(5).grains(walls)) == ([1], [5])
@@ -132,7 +134,9 @@ def test_groups_and_times_that_are_none_are_refused():
     with pytest.raises(InputError, match=r"^field: must be "):
         Misfit([1], np.zeros((9, 1)), "force").grains(scene)
     for shape in ((9, 2), (8, 1), (9,)):
-        with pytest.raises(InputError, match=r"^values: must be of shape \(9, 1\), samples and grains, not"):
+        with pytest.raises(
+            InputError, match=r"^values: must be of shape \(9, 1\), samples and grains, not"
+        ):
             Misfit([1], np.zeros(shape)).grains(scene)
     assert Misfit([1], np.zeros((9, 1)), "displacement").grains(scene) == [1]
 
@@ -140,7 +144,12 @@ def test_groups_and_times_that_are_none_are_refused():
 def test_energy_looks_at_the_neighbours_of_a_group():
     chain = Chain(grains=7, diameter=1e-3, top="wall")
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=1e-6, samples=3)
-    for group, grains in (([3], [2, 3, 4]), ([1], [1, 2]), ([7], [6, 7]), ([2, 5], [1, 2, 3, 4, 5, 6])):
+    for group, grains in (
+        ([3], [2, 3, 4]),
+        ([1], [1, 2]),
+        ([7], [6, 7]),
+        ([2, 5], [1, 2, 3, 4, 5, 6]),
+    ):
         assert Energy(group).grains(scene) == grains
 
 
@@ -165,13 +174,17 @@ def test_an_oscillator_arrives_when_its_cosine_does(share: float):
     """At w t = arccos(share), upwards for a negative threshold; a positive one is reached at once."""
     scene = swinging(0.9, 4)
     if share > 0:
-        with pytest.raises(InputError, match=r"^velocity: grain 1 has that velocity at once: use another"):
+        with pytest.raises(
+            InputError, match=r"^velocity: grain 1 has that velocity at once: use another"
+        ):
             value(scene, ArrivalTime(1, share * WEAK))
         return
     arrival = scene.duration * np.arccos(share) / (2 * np.pi * 0.9)
     time, slopes, _ = at_step(scene, ArrivalTime(1, share * WEAK), ["velocity"], METHOD, 1e-8)
     assert time == pytest.approx(arrival, rel=2e-4)
-    with pytest.raises(InputError, match=r"^velocity: grain 1 is never faster than 1e-13 m/s: use another"):
+    with pytest.raises(
+        InputError, match=r"^velocity: grain 1 is never faster than 1e-13 m/s: use another"
+    ):
         value(scene, ArrivalTime(1, -1.001 * WEAK))
     # cos(w t) = c / v0: dt/dv0 = c / (v0^2 w sin(w t))
     omega = 2 * np.pi * 0.9 / scene.duration
@@ -184,7 +197,12 @@ def test_an_arrival_near_the_end_or_the_begin_is_found_by_the_last_or_first_four
         scene = swinging(turns, 3)
         arrival = scene.duration * np.arccos(share) / (2 * np.pi * turns)
         assert value(scene, ArrivalTime(1, share * WEAK)) == pytest.approx(arrival, rel=reach)
-    driven = Scene(chain=ONE, excitation=Profile(velocity=[-WEAK, 0.0]), duration=swinging(0.9, 2).duration, samples=2)
+    driven = Scene(
+        chain=ONE,
+        excitation=Profile(velocity=[-WEAK, 0.0]),
+        duration=swinging(0.9, 2).duration,
+        samples=2,
+    )
     time = value(driven, ArrivalTime(1, 0.02 * WEAK))
     assert time == pytest.approx(driven.duration * np.arccos(-0.02) / (2 * np.pi * 0.9), rel=1e-4)
 
@@ -215,14 +233,18 @@ def test_the_work_of_a_drive_is_that_of_its_force():
     weight[1:-1:2], weight[2:-1:2] = 4.0, 2.0
     work = (weight * force * v).sum() * scene.duration / 3000
     kinetic = chain.masses[0] * (v[-1] ** 2 - v[0] ** 2) / 2
-    assert value(scene.replace(samples=5), DriveWork(), 1e-8) == pytest.approx(work + kinetic, rel=1e-7)
+    assert value(scene.replace(samples=5), DriveWork(), 1e-8) == pytest.approx(
+        work + kinetic, rel=1e-7
+    )
 
 
 def test_a_function_takes_the_samples_and_no_more():
     scene = swinging(1.0, 5)
     counts = []
 
-    def first(time: np.ndarray, u: np.ndarray, v: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    def first(
+        time: np.ndarray, u: np.ndarray, v: np.ndarray
+    ) -> tuple[float, np.ndarray, np.ndarray]:
         counts.append((time.size, u.shape, v.shape))
         slope = np.zeros(v.shape)
         slope[2, 1] = 3.0

@@ -54,7 +54,9 @@ def test_drawn_chains_tell_what_the_first_order_leaves_out(share: float):
     diameters, answers = values(VACUUM, "diameters"), []
     for _ in range(600):
         other = changed(VACUUM, {"diameters": diameters * (1 + share * rng.standard_normal(12))})
-        answers.append(at_step(other, PeakForce(6), (), SPLITTINGS["rkn4"], found.gradient.step_s)[0])
+        answers.append(
+            at_step(other, PeakForce(6), (), SPLITTINGS["rkn4"], found.gradient.step_s)[0]
+        )
     true = np.std(answers)
     assert found.deviation < 0.95 * true
     assert found.scatter == pytest.approx(true, rel=0.1)
@@ -90,8 +92,16 @@ def test_a_wrong_answer_is_named(of: str, text: str):
 
 
 def test_what_is_given_takes_the_place_of_diameters():
-    chain = Chain(grains=4, diameter=1e-3, masses=np.full(4, 1e-6), contact_constants=np.full(3, 1e9), top_load=0.1)
-    scene = Scene(chain=chain, excitation=Profile(velocity=[1e-3, 0, 0, 0]), duration=1e-5, samples=3)
+    chain = Chain(
+        grains=4,
+        diameter=1e-3,
+        masses=np.full(4, 1e-6),
+        contact_constants=np.full(3, 1e9),
+        top_load=0.1,
+    )
+    scene = Scene(
+        chain=chain, excitation=Profile(velocity=[1e-3, 0, 0, 0]), duration=1e-5, samples=3
+    )
     found = sensitivity(scene, KineticEnergy([2]), {"masses": 0.01})
     assert set(found.relative) == {"masses", "contact_constants", "top_load", "gravity", "velocity"}
     with pytest.raises(InputError, match="uncertain"):

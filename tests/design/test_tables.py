@@ -9,7 +9,15 @@ import pytest
 from scipy.special import roots_hermitenorm
 
 from lmpchain import Chain, Drive, Impulse, InputError, Profile, Scene
-from lmpchain.design import ArrivalTime, Energy, Function, KineticEnergy, Momentum, PeakForce, optimise
+from lmpchain.design import (
+    ArrivalTime,
+    Energy,
+    Function,
+    KineticEnergy,
+    Momentum,
+    PeakForce,
+    optimise,
+)
 from lmpchain.design import optimisation as optima
 from lmpchain.design.gradients import Gradient, halved
 from lmpchain.design.optimisation import Optimum, _Box
@@ -56,14 +64,19 @@ def test_scatter_and_shift_are_those_of_a_cubic_answer(share: float):
 def test_without_uncertainty_nothing_scatters_and_beyond_what_may_be_nothing_is_known():
     exact = sensitivity(FLYING, Function(cubed, [1]))
     assert (exact.scatter, exact.shift, exact.deviation) == (0.0, 0.0, 0.0)
-    with pytest.raises(InputError, match=r"^velocity: must be from 0 to 1, a part of each entry \(got 1\)"):
+    with pytest.raises(
+        InputError, match=r"^velocity: must be from 0 to 1, a part of each entry \(got 1\)"
+    ):
         sensitivity(FLYING, Function(cubed, [1]), {"velocity": 1})
     with pytest.raises(InputError, match=r"^velocity: must be from 0"):
         sensitivity(FLYING, Function(cubed, [1]), {"velocity": -0.1})
     assert sensitivity(FLYING, Function(cubed, [1]), {"velocity": 0.0}).scatter == 0
     # with half of the velocity a grain is never so fast
     column = Scene(
-        chain=Chain(grains=3, diameter=1e-3), excitation=Impulse(velocity=1e-4, grain=1), duration=2e-5, samples=9
+        chain=Chain(grains=3, diameter=1e-3),
+        excitation=Impulse(velocity=1e-4, grain=1),
+        duration=2e-5,
+        samples=9,
     )
     often = sensitivity(column, ArrivalTime(2, 3e-5), {"velocity": 0.9})
     assert np.isnan([often.scatter, often.shift]).all()
@@ -77,7 +90,9 @@ def shown(scatter: float = 0.25, **uncertainty: float) -> Sensitivity:
         "contact_constants": np.array([0.1, 0.2, 0.3]),
         "gravity": np.array([0.7]),
     }
-    gradient = Gradient(2.0, {"masses": np.array([3.0])}, {"masses": 1e-9}, 2e-5, 3e-6, 1e-7, "rkn4")
+    gradient = Gradient(
+        2.0, {"masses": np.array([3.0])}, {"masses": 1e-9}, 2e-5, 3e-6, 1e-7, "rkn4"
+    )
     return Sensitivity("peak_force:3", "N", gradient, relative, uncertainty, scatter, -0.0125)
 
 
@@ -146,7 +161,9 @@ def test_a_picture_has_the_change_in_percent_along_the_chain():
     np.testing.assert_array_equal(drawn["diameters"].get_xdata(), [1, 2, 3, 4])
     np.testing.assert_array_equal(drawn["contact constants"].get_xdata(), [1.5, 2.5, 3.5])
     np.testing.assert_allclose(drawn["diameters"].get_ydata(), [0.25, -1.0, 5e-5, 0.0], rtol=1e-12)
-    np.testing.assert_allclose(drawn["contact constants"].get_ydata(), [0.05, 0.1, 0.15], rtol=1e-12)
+    np.testing.assert_allclose(
+        drawn["contact constants"].get_ydata(), [0.05, 0.1, 0.15], rtol=1e-12
+    )
     assert [line.get_color() for line in ax.lines[:2]] == list(COLOURS.values())[:2]
     np.testing.assert_array_equal(ax.lines[-1].get_ydata(), [0, 0])
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("grain", "change for 1 % more, %")
@@ -191,9 +208,15 @@ def test_what_an_answer_depends_on_is_what_is_given_and_not_0():
     plain = Chain(grains=3, diameter=1e-3, bottom="wall")
     for chain, excitation, names in (
         (plain, Impulse(velocity=1e-6), {"diameters", "youngs_moduli", "gravity", "velocity"}),
-        (plain, drive, {"diameters", "youngs_moduli", "gravity", "velocity", "amplitude", "frequency"}),
         (
-            plain.replace(masses=np.full(3, 1e-6), wall_constants=(0.0, 1e9), gravity=0.0, top_load=0.1),
+            plain,
+            drive,
+            {"diameters", "youngs_moduli", "gravity", "velocity", "amplitude", "frequency"},
+        ),
+        (
+            plain.replace(
+                masses=np.full(3, 1e-6), wall_constants=(0.0, 1e9), gravity=0.0, top_load=0.1
+            ),
             Profile(displacement=[1e-12, 0, 0]),
             {"diameters", "youngs_moduli", "masses", "wall_constants", "top_load", "displacement"},
         ),
@@ -224,7 +247,11 @@ def test_steps_are_halved_until_two_comparisons_are_enough():
     assert error == pytest.approx(4.25 / 256, rel=1e-12)
     asked.clear()
     halved(answer, 1.0, 1, judged, lambda _: True)
-    assert asked == [(2.0, 1), (1.0, 2), (round(1 / 1.5, 12), 2)]  # 8 steps between 4 looks: a shorter one
+    assert asked == [
+        (2.0, 1),
+        (1.0, 2),
+        (round(1 / 1.5, 12), 2),
+    ]  # 8 steps between 4 looks: a shorter one
     asked.clear()
     halved(answer, 1.0, 3, judged, lambda _: False)
     assert asked == [(2.0, 1), (1.0, 2), (0.5, 4), (0.25, 8)]
@@ -285,9 +312,13 @@ def pulled(target: float) -> Function:
 VELOCITY = {"velocity": ([-4.0, 0.0], [-1.0, 0.0])}
 
 
-def test_starts_go_down_to_the_least_value_and_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_starts_go_down_to_the_least_value_and_are_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     """(v - t)^2 + 1 in a box; what is finished is not done again, and another task is refused."""
-    task: Any = dict(scene=FLYING, objective=pulled(-3.0), parameters=["velocity"], bounds=VELOCITY, starts=3)
+    task: Any = dict(
+        scene=FLYING, objective=pulled(-3.0), parameters=["velocity"], bounds=VELOCITY, starts=3
+    )
     best = optimise(**task, folder=tmp_path / "new" / "folder")
     assert best.value == pytest.approx(1, rel=1e-9)
     assert best.values["velocity"] == pytest.approx([-3.0, 0.0], rel=1e-4)
@@ -298,7 +329,9 @@ def test_starts_go_down_to_the_least_value_and_are_kept(tmp_path: Path, monkeypa
     begins = {round(float(part[0]), 9) for part in best.history}
     assert len(begins) == 3
     assert all(part.min() == pytest.approx(1, rel=1e-6) for part in best.history)
-    assert [part.tolist() for part in optimise(**task).history] == [part.tolist() for part in best.history]
+    assert [part.tolist() for part in optimise(**task).history] == [
+        part.tolist() for part in best.history
+    ]
     other = optimise(**task, seed=1)
     assert other.history[1][0] != best.history[1][0]
 
@@ -309,7 +342,13 @@ def test_starts_go_down_to_the_least_value_and_are_kept(tmp_path: Path, monkeypa
     again = optimise(**task, folder=tmp_path / "new" / "folder")
     assert again.value == best.value
     assert [part.tolist() for part in again.history] == [part.tolist() for part in best.history]
-    for change in ({"starts": 4}, {"seed": 3}, {"runs": 100}, {"maximise": True}, {"bounds": {"velocity": (-9, 9)}}):
+    for change in (
+        {"starts": 4},
+        {"seed": 3},
+        {"runs": 100},
+        {"maximise": True},
+        {"bounds": {"velocity": (-9, 9)}},
+    ):
         with pytest.raises(InputError, match=r"^folder: .*starts.json is of another task"):
             optimise(**(task | change), folder=tmp_path / "new" / "folder")
     (tmp_path / "new" / "folder" / "starts.json").write_text("[]")
@@ -345,5 +384,7 @@ def test_a_tolerance_that_cannot_be_met_is_said_with_what_is_known():
     from lmpchain.design import gradient
 
     scene = FLYING.replace(chain=Chain(grains=2, diameter=1e-3), excitation=Impulse(velocity=1e-3))
-    with pytest.raises(ToleranceNotMet, match=r"^the gradient is known to [0-9.e-]+ only; use a shorter time"):
+    with pytest.raises(
+        ToleranceNotMet, match=r"^the gradient is known to [0-9.e-]+ only; use a shorter time"
+    ):
         gradient(scene, Momentum([1]), ["masses"], 1e-16)

@@ -28,11 +28,15 @@ from lmpchain.disorder.averages import at_the_end, disordered, ensemble, factors
 from lmpchain.measure.dyson import relative_stiffness, sums
 
 
-def column(grains: int = 30, tau: float = 8.0, samples: int = 2, speed: float = 1e-12, **recorded: Any) -> Scene:
+def column(
+    grains: int = 30, tau: float = 8.0, samples: int = 2, speed: float = 1e-12, **recorded: Any
+) -> Scene:
     """Return the paper's column, its top grain struck."""
     chain = Chain(grains=grains, diameter=1e-3)
     strike = Impulse(velocity=speed)
-    return Scene(chain=chain, excitation=strike, duration=tau * chain.time_scale, samples=samples, **recorded)
+    return Scene(
+        chain=chain, excitation=strike, duration=tau * chain.time_scale, samples=samples, **recorded
+    )
 
 
 def generator(seed: int = 1) -> np.random.Generator:
@@ -67,12 +71,36 @@ def test_mean_compliance_of_the_printed_law(m):
 
 
 def chains(exponent: float) -> list[Chain]:
-    odd = {"grain": 5, "diameter": 1.3e-3}, {"grain": 8, "material": "steel"}, {"grain": 9, "mass": 2e-6}
+    odd = (
+        {"grain": 5, "diameter": 1.3e-3},
+        {"grain": 8, "material": "steel"},
+        {"grain": 9, "mass": 2e-6},
+    )
     return [
         Chain(grains=40, diameter=1e-3, exponent=exponent),
-        Chain(grains=12, diameter=1e-3, exponent=exponent, gravity=0, top_load=1e-3, top="wall", bottom="wall"),
-        Chain(grains=12, diameter=1e-3, exponent=exponent, bottom="wall", bottom_material="steel", impurity=odd),
-        Chain(grains=9, diameter=np.linspace(1, 2, 9) * 1e-3, exponent=exponent, contact_constants=np.full(8, 1e10)),
+        Chain(
+            grains=12,
+            diameter=1e-3,
+            exponent=exponent,
+            gravity=0,
+            top_load=1e-3,
+            top="wall",
+            bottom="wall",
+        ),
+        Chain(
+            grains=12,
+            diameter=1e-3,
+            exponent=exponent,
+            bottom="wall",
+            bottom_material="steel",
+            impurity=odd,
+        ),
+        Chain(
+            grains=9,
+            diameter=np.linspace(1, 2, 9) * 1e-3,
+            exponent=exponent,
+            contact_constants=np.full(8, 1e10),
+        ),
     ]
 
 
@@ -92,7 +120,9 @@ def test_constants_are_multiplied_by_the_factors(exponent):
         zeta = factors(7, chain.grains - 1, generator())
         drawn = disordered(chain, 7, generator(), of="constant")
         assert drawn.contact_constants / chain.contact_constants == pytest.approx(zeta, rel=1e-15)
-        assert drawn.linear_stiffness / chain.linear_stiffness == pytest.approx(zeta ** (1 / exponent), rel=1e-13)
+        assert drawn.linear_stiffness / chain.linear_stiffness == pytest.approx(
+            zeta ** (1 / exponent), rel=1e-13
+        )
 
 
 @pytest.mark.parametrize("of", ["stiffness", "constant"])
@@ -113,7 +143,9 @@ def test_a_vacuum_has_constants_but_no_stiffness():
     with pytest.raises(InputError, match=r'^gravity: .* use of="constant"$'):
         disordered(vacuum, 2, generator())
     drawn = disordered(vacuum, 2, generator(), of="constant")
-    assert drawn.contact_constants / vacuum.contact_constants == pytest.approx(factors(2, 5, generator()), rel=1e-15)
+    assert drawn.contact_constants / vacuum.contact_constants == pytest.approx(
+        factors(2, 5, generator()), rel=1e-15
+    )
 
 
 def test_contacts_too_soft_for_hertz():
@@ -131,7 +163,12 @@ def test_contacts_too_soft_for_hertz():
     ("change", "key"),
     [({"m": m}, "m") for m in (0, -1, np.nan, np.inf, "2", True)]
     + [({"realisations": n}, "realisations") for n in (0, 2.0)]
-    + [({"seed": -1}, "seed"), ({"law": "gauss"}, "law"), ({"of": "colour"}, "of"), ({"tolerance": 0}, "tolerance")]
+    + [
+        ({"seed": -1}, "seed"),
+        ({"law": "gauss"}, "law"),
+        ({"of": "colour"}, "of"),
+        ({"tolerance": 0}, "tolerance"),
+    ]
     + [({"engine": name}, "engine") for name in ("abacus", "lammps", "continuum")],
 )
 def test_options_that_are_wrong(change, key):
@@ -156,10 +193,16 @@ def test_mean_and_standard_error(engine, count):
         size = np.abs(each).max()
         assert getattr(found, name) == pytest.approx(each.mean(0), rel=0, abs=tolerance * size)
         expected = each.std(0, ddof=1) / np.sqrt(count)
-        assert getattr(found, f"{name}_error") == pytest.approx(expected, rel=0, abs=tolerance * size)
+        assert getattr(found, f"{name}_error") == pytest.approx(
+            expected, rel=0, abs=tolerance * size
+        )
     assert found.model_error == max(t.error_estimate.model for t in alone)
     assert 0 < found.solver_error <= 1e-6
-    assert (found.realisations, found.engine, found.equation) == (count, engine, 1 if engine == "native" else 3)
+    assert (found.realisations, found.engine, found.equation) == (
+        count,
+        engine,
+        1 if engine == "native" else 3,
+    )
     assert np.array_equal(found.time, scene.time)
     assert np.array_equal(found.grains, scene.recorded)
 
@@ -205,7 +248,10 @@ def test_order_is_the_limit_of_large_m(law):
         found = ensemble(scene, m, 30, seed=1, law=law)
         spread = found.velocity_error[-1] * np.sqrt(30) / size
         assert 0.1 / np.sqrt(m) < spread.max() < 10 / np.sqrt(m)
-        assert np.abs(found.velocity[-1] - ordered).max() < 5 * found.velocity_error[-1].max() + 30 / m * size
+        assert (
+            np.abs(found.velocity[-1] - ordered).max()
+            < 5 * found.velocity_error[-1].max() + 30 / m * size
+        )
 
 
 def test_weak_strikes_are_linear_and_strong_ones_are_not():
@@ -215,7 +261,9 @@ def test_weak_strikes_are_linear_and_strong_ones_are_not():
     off = relative_error(full.displacement, full.velocity, linear.displacement, linear.velocity)
     assert off < linear.model_error + 3e-6
     assert full.model_error == 0
-    linear, full = (ensemble(strong, 5, 20, seed=1, engine=name) for name in ("chebyshev", "native"))
+    linear, full = (
+        ensemble(strong, 5, 20, seed=1, engine=name) for name in ("chebyshev", "native")
+    )
     off = relative_error(linear.displacement, linear.velocity, full.displacement, full.velocity)
     assert 1e-3 < off < 3 * linear.model_error
 
@@ -238,7 +286,9 @@ def test_a_batch_is_its_chains(engine, monkeypatch):
     blocks = list(run.blocks())
     for name in ("displacement", "velocity"):
         together = np.concatenate([getattr(block, name) for block in blocks], axis=1)
-        assert all(np.array_equal(a, getattr(b, name)) for a, b in zip(together, alone, strict=True))
+        assert all(
+            np.array_equal(a, getattr(b, name)) for a, b in zip(together, alone, strict=True)
+        )
     one = ensemble(scene, 3, 1, seed=11, engine=made)
     assert np.array_equal(one.velocity, alone[0].velocity)
     assert np.array_equal(one.displacement, alone[0].displacement)
@@ -260,7 +310,9 @@ def test_seeds():
     assert not np.array_equal(first.velocity, ensemble(scene, 2, 10, seed=5).velocity)
     more = ensemble(scene, 2, 11, seed=4)  # the same ten and one more
     last = simulate(realisation(scene, 2, 4, 10), "chebyshev").velocity
-    assert more.velocity == pytest.approx((10 * first.velocity + last) / 11, rel=0, abs=1e-15 * np.abs(last).max())
+    assert more.velocity == pytest.approx(
+        (10 * first.velocity + last) / 11, rel=0, abs=1e-15 * np.abs(last).max()
+    )
     drawn = [tuple(realisation(scene, 2, 4, i).chain.contact_constants) for i in range(200)]
     assert len(set(drawn)) == 200
 
@@ -332,7 +384,10 @@ def test_picture_of_a_mean():
         assert np.ptp(at_top) == pytest.approx(4 * error, rel=1e-9)
         assert axes.get_title("left") == f"t = {found.time[sample]:.4g} s"
         assert len(axes.get_legend().get_texts()) == 2
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("grain number, from the top", "mean velocity, downward")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == (
+        "grain number, from the top",
+        "mean velocity, downward",
+    )
     assert axes.yaxis.get_major_formatter()(2e-6) == "2 µm/s"
     for count, bands in ((1, 0), (2, 1)):
         assert len(ensemble(column(), 2, count, seed=1).plot().collections) == bands
@@ -356,12 +411,18 @@ def test_averages_at_the_end():
 def test_what_is_kept_with_the_averages():
     found = ensemble(column(grains=12), 3, 4, 7, law="paper", of="constant")
     assert (found.m, found.seed, found.law, found.of) == (3, 7, "paper", "constant")
-    alone = [simulate(realisation(column(grains=12), 3, 7, i, "paper", "constant"), "chebyshev") for i in range(4)]
+    alone = [
+        simulate(realisation(column(grains=12), 3, 7, i, "paper", "constant"), "chebyshev")
+        for i in range(4)
+    ]
     mean = np.mean([t.velocity for t in alone], axis=0)
     assert found.velocity == pytest.approx(mean, rel=0, abs=1e-15 * np.abs(mean).max())
     with pytest.raises(ToleranceNotMet, match=r"^in chains 1 to 5 "):
         ensemble(column(), 5, 5, seed=1, tolerance=1e-17)
-    with pytest.raises(InputError, match=r"^engine: random chains are for native, modes, chebyshev \(got 'bessel'\)"):
+    with pytest.raises(
+        InputError,
+        match=r"^engine: random chains are for native, modes, chebyshev \(got 'bessel'\)",
+    ):
         ensemble(column(), 5, 5, seed=1, engine="bessel")
 
 
@@ -373,13 +434,27 @@ def test_materials_of_grains_whose_modulus_is_drawn():
     for before, after, factor in zip(chain.material, drawn.material, zeta, strict=True):
         assert after.youngs_modulus == pytest.approx(before.youngs_modulus * factor, rel=1e-14)
         assert (after.density, after.poissons_ratio) == (before.density, before.poissons_ratio)
-    with pytest.raises(InputError, match=r"^contact_constants: contact constants are given .* from the diameter; use"):
-        disordered(Chain(grains=3, diameter=1e-3, contact_constants=[1e9, 1e9]), 9, generator(), of="diameter")
+    with pytest.raises(
+        InputError,
+        match=r"^contact_constants: contact constants are given .* from the diameter; use",
+    ):
+        disordered(
+            Chain(grains=3, diameter=1e-3, contact_constants=[1e9, 1e9]),
+            9,
+            generator(),
+            of="diameter",
+        )
 
 
 # --- Eq. (22) and the command
 
-SUMS = {1: 0.1523, 3: 0.0258, 5: -0.0241, 100: -0.0380, 1e4: -0.3604}  # of 60 grains at tau = 15, by another code
+SUMS = {
+    1: 0.1523,
+    3: 0.0258,
+    5: -0.0241,
+    100: -0.0380,
+    1e4: -0.3604,
+}  # of 60 grains at tau = 15, by another code
 
 
 def test_relative_stiffness():
@@ -388,7 +463,9 @@ def test_relative_stiffness():
     load = {"gravity": 0, "top_load": 1e-3, "grains": 7, "diameter": 1e-3}
     assert relative_stiffness(Chain(**load)) == pytest.approx(np.ones(7), rel=1e-13)
     # of a wall K is sqrt(2) as large, and the stiffness goes as K^(2/3)
-    assert relative_stiffness(Chain(bottom="wall", **load))[-1] == pytest.approx(2 ** (1 / 3), rel=1e-13)
+    assert relative_stiffness(Chain(bottom="wall", **load))[-1] == pytest.approx(
+        2 ** (1 / 3), rel=1e-13
+    )
 
 
 @pytest.fixture
@@ -417,7 +494,9 @@ def test_dyson(saved: Path, capsys: pytest.CaptureFixture[str]):
     assert "tau = 15" in said.out
     data = json.loads(numbers.read_text())
     assert [row["m"] for row in data["rows"]] == list(SUMS)
-    assert [row["as_printed"] for row in data["rows"]] == pytest.approx(list(SUMS.values()), abs=5e-5)
+    assert [row["as_printed"] for row in data["rows"]] == pytest.approx(
+        list(SUMS.values()), abs=5e-5
+    )
     assert data["rows"][0]["weights"] == pytest.approx(9.78, abs=5e-3)
     assert data["rows"][-1]["normalised"] == pytest.approx(-0.009035, abs=5e-7)
     assert data["velocity_unit_m_per_s"] == 1e-12
@@ -436,7 +515,9 @@ def test_dyson(saved: Path, capsys: pytest.CaptureFixture[str]):
 def test_dyson_in_m_per_s_without_files(saved: Path, capsys: pytest.CaptureFixture[str]):
     chain = Chain(grains=12, diameter=1e-3)
     pulled = Displacement(displacement=-1e-16, grain=3)
-    everything_that_moves = Scene(chain=chain, excitation=pulled, duration=1e-5, samples=3, grains="1:11")
+    everything_that_moves = Scene(
+        chain=chain, excitation=pulled, duration=1e-5, samples=3, grains="1:11"
+    )
     simulate(everything_that_moves, "modes").save(saved)
     assert main(["dyson", str(saved), "--m", "2", "--realisations", "3", "--seed", "0"]) == 0
     assert "velocities in m/s" in capsys.readouterr().out
@@ -466,7 +547,9 @@ def test_lines_of_the_picture_differ_in_colour_and_dash():
         (["--m", "1", "--scene", "none.toml"], "scene"),
     ],
 )
-def test_dyson_with_options_that_are_wrong(options, key, saved: Path, capsys: pytest.CaptureFixture[str]):
+def test_dyson_with_options_that_are_wrong(
+    options, key, saved: Path, capsys: pytest.CaptureFixture[str]
+):
     assert main(["dyson", str(saved), *options]) == 2
     assert keys(capsys.readouterr()) == [key.rstrip(":")]
 
@@ -478,7 +561,9 @@ def test_dyson_of_what_it_cannot_do(saved: Path, capsys: pytest.CaptureFixture[s
     simulate(some, "modes").save(saved)
     assert main(["dyson", str(saved), "--m", "1"]) == 2
     assert keys(capsys.readouterr()) == ["grains"]
-    vacuum = Scene(chain=Chain(grains=5, diameter=1e-3, gravity=0), excitation=strike, duration=1e-5, samples=3)
+    vacuum = Scene(
+        chain=Chain(grains=5, diameter=1e-3, gravity=0), excitation=strike, duration=1e-5, samples=3
+    )
     simulate(vacuum, "native").save(saved)
     assert main(["dyson", str(saved), "--m", "1"]) == 2
     assert keys(capsys.readouterr()) == ["gravity"]

@@ -14,11 +14,20 @@ from lmpchain.measure.energy import shares
 ORDER = 1e26  # factors of 1 to the last digit
 
 
-def scene(grains: int = 81, tau: float = 20.0, moved: bool = False, samples: int = 6, **chain: Any) -> Scene:
+def scene(
+    grains: int = 81, tau: float = 20.0, moved: bool = False, samples: int = 6, **chain: Any
+) -> Scene:
     """Return a loaded chain between walls, with the grain in its middle struck or displaced."""
-    line = Chain(**{"grains": grains, "diameter": 1e-3, "gravity": 0.0, "top_load": 1.0, "top": "wall"} | chain)
+    line = Chain(
+        **{"grains": grains, "diameter": 1e-3, "gravity": 0.0, "top_load": 1.0, "top": "wall"}
+        | chain
+    )
     middle = (grains + 1) // 2
-    excitation = Displacement(displacement=1e-12, grain=middle) if moved else Impulse(velocity=1e-9, grain=middle)
+    excitation = (
+        Displacement(displacement=1e-12, grain=middle)
+        if moved
+        else Impulse(velocity=1e-9, grain=middle)
+    )
     return Scene(chain=line, excitation=excitation, duration=tau * line.time_scale, samples=samples)
 
 
@@ -68,7 +77,10 @@ def test_means_and_errors(of):
     """Against the energies of every chain, each answered by itself by the nonlinear engine."""
     case, count = scene(grains=21, tau=6.0), 19
     found = spreading(case, 6, count, 5, "native", of=of, tolerance=1e-9)
-    alone = [shares(simulate(realisation(case, 6, 5, i, of=of), "native", 1e-10)).of_grain for i in range(count)]
+    alone = [
+        shares(simulate(realisation(case, 6, 5, i, of=of), "native", 1e-10)).of_grain
+        for i in range(count)
+    ]
     energy = np.array(alone)
     share = energy / energy.sum(2)[..., None]
     centre = share[:, 0] @ np.arange(21)
@@ -117,8 +129,14 @@ def test_memory_does_not_grow_with_the_number_of_chains():
 
 @pytest.mark.parametrize("of", ["mass", "diameter", "modulus"])
 def test_chains_with_random_grains(of):
-    odd = {"grain": 5, "diameter": 1.3e-3}, {"grain": 8, "material": "steel"}, {"grain": 9, "mass": 2e-6}
-    chain = Chain(grains=12, diameter=1e-3, gravity=0, top_load=1e-3, top="wall", bottom="wall", impurity=odd)
+    odd = (
+        {"grain": 5, "diameter": 1.3e-3},
+        {"grain": 8, "material": "steel"},
+        {"grain": 9, "mass": 2e-6},
+    )
+    chain = Chain(
+        grains=12, diameter=1e-3, gravity=0, top_load=1e-3, top="wall", bottom="wall", impurity=odd
+    )
     zeta = factors(30, 12, np.random.default_rng(1))
     drawn = disordered(chain, 30, np.random.default_rng(1), of=of)
     power = {"mass": 1, "diameter": 3, "modulus": 0}[of]
@@ -140,10 +158,18 @@ def test_chains_with_random_grains(of):
         (lambda: spreading(scene(), 3, 2, 1, of="colour"), "of"),
         (lambda: spreading(scene(), 3, 2, 1, "lammps"), "engine"),
         (lambda: spreading(scene(), 3, 2, 1).growth(1.0), "start"),
-        (lambda: spreading(scene(contact_constants=np.full(80, 1e9)), 3, 2, 1, of="modulus"), "contact_constants"),
-        (lambda: spreading(scene().replace(excitation=Impulse(velocity=0.0)), 3, 2, 1), "excitation"),
         (
-            lambda: spreading(scene().replace(excitation=Drive(amplitude=1e-12, frequency=1e3)), 3, 2, 1),
+            lambda: spreading(scene(contact_constants=np.full(80, 1e9)), 3, 2, 1, of="modulus"),
+            "contact_constants",
+        ),
+        (
+            lambda: spreading(scene().replace(excitation=Impulse(velocity=0.0)), 3, 2, 1),
+            "excitation",
+        ),
+        (
+            lambda: spreading(
+                scene().replace(excitation=Drive(amplitude=1e-12, frequency=1e3)), 3, 2, 1
+            ),
             "excitation",
         ),
     ],
@@ -163,8 +189,13 @@ def test_picture_of_spreading():
         assert line.get_ydata().tolist() == mean.tolist()
         (path,) = band.get_paths()
         last = path.vertices[path.vertices[:, 0] == found.time[-1], 1]
-        assert [last.min(), last.max()] == pytest.approx([mean[-1] - 2 * error[-1], mean[-1] + 2 * error[-1]])
-    assert [line.get_label() for line in axes.lines] == ["second moment, grains²", "participation, grains"]
+        assert [last.min(), last.max()] == pytest.approx(
+            [mean[-1] - 2 * error[-1], mean[-1] + 2 * error[-1]]
+        )
+    assert [line.get_label() for line in axes.lines] == [
+        "second moment, grains²",
+        "participation, grains",
+    ]
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("time, s", "mean of 5 chains, m = 3")
     assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
     assert len(axes.get_legend().get_texts()) == 2
@@ -179,7 +210,9 @@ def test_what_is_kept_with_the_means():
     assert (found.engine, found.equation, found.realisations) == ("chebyshev", 3, 4)
     assert found.scene == case.replace(grains="all")
     assert found.transmitted.shape == (6, 21)
-    alone = [simulate(realisation(case, 3, 7, i, "paper", "constant"), "chebyshev") for i in range(4)]
+    alone = [
+        simulate(realisation(case, 3, 7, i, "paper", "constant"), "chebyshev") for i in range(4)
+    ]
     assert found.model_error == max(t.error_estimate.model for t in alone)
     largest = max(t.error_estimate.solver for t in alone)
     assert found.solver_error == pytest.approx(largest, rel=0.3)  # of rounding
@@ -189,4 +222,6 @@ def test_what_is_kept_with_the_means():
 
 def column_of_soft_contacts() -> Scene:
     chain = Chain(grains=40, diameter=1e-3)
-    return Scene(chain=chain, excitation=Impulse(velocity=1e-12), duration=2 * chain.time_scale, samples=3)
+    return Scene(
+        chain=chain, excitation=Impulse(velocity=1e-12), duration=2 * chain.time_scale, samples=3
+    )

@@ -14,17 +14,25 @@ def test_an_ordered_chain():
     k, m, edge = 2.0, 0.5, 4.0
     below, above = edge * np.array([1e-3, 0.1, 0.5, 0.99]), edge * np.array([1.01, 2.0, 30.0])
     found = density_of_states([*below, *above], k, m, grains=200_000, chains=2)
-    assert found.integrated[: below.size] == pytest.approx(2 / np.pi * np.arcsin(below / edge), abs=2e-5)
+    assert found.integrated[: below.size] == pytest.approx(
+        2 / np.pi * np.arcsin(below / edge), abs=2e-5
+    )
     assert (found.integrated[below.size :] == 1).all()
-    assert lyapunov(above, k, m, grains=10_000, chains=2).exponent == pytest.approx(2 * np.arccosh(above / edge), 1e-12)
+    assert lyapunov(above, k, m, grains=10_000, chains=2).exponent == pytest.approx(
+        2 * np.arccosh(above / edge), 1e-12
+    )
     assert (np.abs(lyapunov(below, k, m, grains=200_000, chains=2).exponent) < 1e-4).all()
 
 
 @pytest.mark.parametrize("shape", [1.0, 3.0])
 def test_transfer_matrices_find_dysons_spectrum(shape):
     square = np.array([0.1, 0.5, 1, 2, 4, 6])
-    found = density_of_states(np.sqrt(square), ratios=gamma(shape), grains=30_000, chains=20, seed=3)
-    assert (np.abs(found.integrated - dyson.integrated(np.sqrt(square), shape)) < 4 * found.error).all()
+    found = density_of_states(
+        np.sqrt(square), ratios=gamma(shape), grains=30_000, chains=20, seed=3
+    )
+    assert (
+        np.abs(found.integrated - dyson.integrated(np.sqrt(square), shape)) < 4 * found.error
+    ).all()
     assert (found.error < 2e-3).all()
 
 
@@ -41,7 +49,9 @@ class Given:
         return head
 
 
-def growth_and_nodes(k: np.ndarray, above: np.ndarray, below: np.ndarray, w: float, passed: int) -> tuple[float, float]:
+def growth_and_nodes(
+    k: np.ndarray, above: np.ndarray, below: np.ndarray, w: float, passed: int
+) -> tuple[float, float]:
     """Return both a grain, after so many grains, of u_n from a free top by the equation of motion.
 
     The ratios k_n / m_n and k_n / m_(n+1) are `above` and `below`; the force is kept over the mass.
@@ -75,15 +85,21 @@ def test_every_grain_by_its_equation_of_motion(kind: str, piece: int, monkeypatc
         given = {"ratios": np.concatenate(rows)}
     else:
         given = {"stiffness": k.ravel(), "masses": m.ravel()}
-    exact = np.array([[growth_and_nodes(k[i], above[i], below[i], x, 15) for x in w] for i in range(chains)])
+    exact = np.array(
+        [[growth_and_nodes(k[i], above[i], below[i], x, 15) for x in w] for i in range(chains)]
+    )
     options = {"grains": grains, "chains": chains, "seed": 6}
     laws = {key: Given(values) for key, values in given.items()}
     grown = lyapunov(w, **laws, **options)
     share = density_of_states(w, **{key: Given(values) for key, values in given.items()}, **options)
     assert grown.exponent == pytest.approx(exact[..., 0].mean(0), rel=1e-9, abs=1e-15)
-    assert grown.error == pytest.approx(exact[..., 0].std(0, ddof=1) / np.sqrt(3), rel=1e-8, abs=1e-15)
+    assert grown.error == pytest.approx(
+        exact[..., 0].std(0, ddof=1) / np.sqrt(3), rel=1e-8, abs=1e-15
+    )
     assert share.integrated == pytest.approx(exact[..., 1].mean(0), rel=1e-14, abs=0)
-    assert share.error == pytest.approx(exact[..., 1].std(0, ddof=1) / np.sqrt(3), rel=1e-12, abs=1e-16)
+    assert share.error == pytest.approx(
+        exact[..., 1].std(0, ddof=1) / np.sqrt(3), rel=1e-12, abs=1e-16
+    )
     assert share.density == pytest.approx(np.diff(share.integrated) / np.diff(w), rel=1e-14)
     with np.errstate(divide="ignore"):
         assert grown.length == pytest.approx(1 / grown.exponent, rel=1e-14)
@@ -140,13 +156,17 @@ def test_defaults():
 
 def test_the_error_is_that_of_the_mean():
     """The standard error, from the spread of the chains, is that of the results of other seeds."""
-    several = [lyapunov(0.5, gamma(5, scale=0.2), grains=2000, chains=10, seed=seed) for seed in range(60)]
+    several = [
+        lyapunov(0.5, gamma(5, scale=0.2), grains=2000, chains=10, seed=seed) for seed in range(60)
+    ]
     spread = np.std([each.exponent for each in several], ddof=1)
     assert spread == pytest.approx(np.sqrt(np.mean([each.error**2 for each in several])), rel=0.3)
 
 
 def test_the_same_seed_gives_the_same_bits():
-    first, again, other = (lyapunov([0.5], expon(0.1), grains=70_000, chains=2, seed=seed) for seed in (1, 1, 2))
+    first, again, other = (
+        lyapunov([0.5], expon(0.1), grains=70_000, chains=2, seed=seed) for seed in (1, 1, 2)
+    )
     assert first.exponent == again.exponent != other.exponent
     assert first.length == 1 / first.exponent
 

@@ -61,8 +61,14 @@ def test_all_is_well_here(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert {finding["name"] for finding in findings} >= NAMES
     assert {(finding["state"], finding["cure"]) for finding in findings} == {("ok", "")}
     assert len(lines) == len(findings)
-    for line, finding in zip(lines, findings, strict=True):  # three columns, each where it is in all other lines
-        assert (line[:9].strip(), line[9:27].strip(), line[27:]) == ("ok", finding["name"], finding["found"])
+    for line, finding in zip(
+        lines, findings, strict=True
+    ):  # three columns, each where it is in all other lines
+        assert (line[:9].strip(), line[9:27].strip(), line[27:]) == (
+            "ok",
+            finding["name"],
+            finding["found"],
+        )
         assert line[8] == line[26] == " "
         assert not line[27].isspace()
 
@@ -95,7 +101,9 @@ def test_a_diagnosis_as_text():
     assert str(diagnosis).splitlines()[-1] == diagnosis.summary == "2 faults and 1 warning"
 
 
-def test_a_file_that_cannot_be_written_is_found_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_file_that_cannot_be_written_is_found_first(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
     assert main(["doctor", "--json", str(tmp_path)]) == 2
     said = capsys.readouterr()
     assert said.out == ""
@@ -253,7 +261,14 @@ def test_each_fault_is_found_and_has_its_cure(
 
 
 def test_versions_that_are_missing_or_too_old(monkeypatch: pytest.MonkeyPatch):
-    needs = ["numpy>=99", "no-such-thing[of]>=1.0", "scipy", "h5py<99,>=3.2", 'ruff>=99; extra == "test"', "tqdm>=4.9"]
+    needs = [
+        "numpy>=99",
+        "no-such-thing[of]>=1.0",
+        "scipy",
+        "h5py<99,>=3.2",
+        'ruff>=99; extra == "test"',
+        "tqdm>=4.9",
+    ]
     monkeypatch.setattr(doctor, "requires", lambda name: needs)
     monkeypatch.setattr("platform.python_version", lambda: "3.9.18")
     keep(monkeypatch, "lmpchain")
@@ -296,7 +311,11 @@ def no_compiler(monkeypatch: pytest.MonkeyPatch, _: Path) -> None:
     ],
 )
 def test_warnings_do_not_fail(
-    name: str, breaks: Callable[..., None], found: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    name: str,
+    breaks: Callable[..., None],
+    found: str,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
 ):
     keep(monkeypatch, name)
     breaks(monkeypatch, tmp_path)
@@ -312,7 +331,9 @@ def test_a_check_may_break_in_any_way(monkeypatch: pytest.MonkeyPatch):
         warnings.warn("of no concern here", DeprecationWarning, stacklevel=1)
         raise ZeroDivisionError("a\n  long story" + " and so on" * 100)
 
-    monkeypatch.setattr(doctor, "_CHECKS", [("odd", "do this", breaks), ("next", "", lambda: iter([]))])
+    monkeypatch.setattr(
+        doctor, "_CHECKS", [("odd", "do this", breaks), ("next", "", lambda: iter([]))]
+    )
     told: list[Finding] = []
     findings = diagnose(told.append).findings
     assert list(findings) == told
@@ -350,14 +371,18 @@ def test_ctrl_c_leaves_at_once(sent: int, code: int, tmp_path: Path):
     )
     started = tmp_path / "mpiexec.pid"
     until(lambda: started.exists() and started.read_text().strip())
-    until(lambda: psutil.Process(process.pid).status() == psutil.STATUS_SLEEPING)  # it waits for mpiexec
+    until(
+        lambda: psutil.Process(process.pid).status() == psutil.STATUS_SLEEPING
+    )  # it waits for mpiexec
     process.send_signal(sent)
     out, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == code
     assert err.startswith("stopped by")
     assert "Traceback" not in out + err
     status = Path("/proc", started.read_text().strip(), "status")
-    assert not status.exists() or "State:\tZ" in status.read_text()  # it is gone, or dead and not yet buried
+    assert (
+        not status.exists() or "State:\tZ" in status.read_text()
+    )  # it is gone, or dead and not yet buried
     assert not (tmp_path / "d.json").exists()
 
 

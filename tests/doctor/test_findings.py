@@ -48,7 +48,9 @@ def test_memory_is_told_in_gigabytes_and_scarce_below_one(
 
 
 def test_cores_are_those_that_may_be_used(check: Any, monkeypatch: Any):
-    monkeypatch.setattr(os, "sched_getaffinity", lambda process: {0, 2, 5} if process == 0 else set())
+    monkeypatch.setattr(
+        os, "sched_getaffinity", lambda process: {0, 2, 5} if process == 0 else set()
+    )
     monkeypatch.setattr(os, "cpu_count", lambda: 8)
     assert check("cores") == [("cores", "ok", "3 of 8 may be used")]
 
@@ -66,8 +68,12 @@ def test_a_temporary_folder_has_room_for_a_megabyte(check: Any, monkeypatch: Any
     assert written == [2**20]
 
 
-@pytest.mark.parametrize(("off", "sound"), [(0.0, True), (0.5e-12, True), (1.1e-12, False), (-1.1e-12, False)])
-def test_eigenmodes_are_right_to_twelve_digits(off: float, sound: bool, check: Any, monkeypatch: Any):
+@pytest.mark.parametrize(
+    ("off", "sound"), [(0.0, True), (0.5e-12, True), (1.1e-12, False), (-1.1e-12, False)]
+)
+def test_eigenmodes_are_right_to_twelve_digits(
+    off: float, sound: bool, check: Any, monkeypatch: Any
+):
     def eigenmodes(chain: Chain) -> Any:
         return SimpleNamespace(frequency=[0.0, chain.band_edge * (1 + off)])
 
@@ -80,12 +86,16 @@ def test_eigenmodes_are_right_to_twelve_digits(off: float, sound: bool, check: A
     assert text.endswith(" from the band edge (must be 1e-12 or less)")
 
 
-@pytest.mark.parametrize(("wrong", "sound"), [(0.9e-6, True), (1.1e-6, False), (float("nan"), False)])
+@pytest.mark.parametrize(
+    ("wrong", "sound"), [(0.9e-6, True), (1.1e-6, False), (float("nan"), False)]
+)
 def test_engines_are_right_to_a_millionth(wrong: float, sound: bool, check: Any, monkeypatch: Any):
     times = iter([100.0, 102.5])
     asked: list[Any] = []
     monkeypatch.setattr(doctor, "time", SimpleNamespace(perf_counter=lambda: next(times)))
-    monkeypatch.setattr("lmpchain.simulation.api.simulate", lambda *values: asked.extend(values) or "answer")
+    monkeypatch.setattr(
+        "lmpchain.simulation.api.simulate", lambda *values: asked.extend(values) or "answer"
+    )
     monkeypatch.setattr("lmpchain.benchmark.reference.reference", lambda scene: ("truth of", scene))
     monkeypatch.setattr("lmpchain.benchmark.comparison.error", lambda answer, truth: wrong)
     ((name, state, text),) = check("native engine")
@@ -108,11 +118,17 @@ def test_two_ranks_are_started_and_asked_for_their_number(check: Any, monkeypatc
     monkeypatch.setattr(subprocess, "run", start)
     assert check("mpiexec") == [("mpiexec", "ok", "/bin/mpiexec, whose two ranks see each other")]
     assert asked["command"][:4] == ["/bin/mpiexec", "-n", "2", sys.executable]
-    assert (asked["capture_output"], asked["text"], asked["stdin"]) == (True, True, subprocess.DEVNULL)
+    assert (asked["capture_output"], asked["text"], asked["stdin"]) == (
+        True,
+        True,
+        subprocess.DEVNULL,
+    )
     assert 5 < asked["timeout"] < 60
 
     def silent(command: list[str], **options: Any) -> Any:
-        return SimpleNamespace(returncode=3, stdout="", stderr="---\nfirst\nan Error in one\nan Error in two\nlast\n")
+        return SimpleNamespace(
+            returncode=3, stdout="", stderr="---\nfirst\nan Error in one\nan Error in two\nlast\n"
+        )
 
     monkeypatch.setattr(subprocess, "run", silent)
     assert check("mpiexec") == [("mpiexec", "fault", "/bin/mpiexec failed: an Error in two")]
@@ -120,10 +136,20 @@ def test_two_ranks_are_started_and_asked_for_their_number(check: Any, monkeypatc
 
 @pytest.mark.parametrize(
     ("installed", "least", "sound"),
-    [("1.2.3", "1.2", True), ("1.2", "1.2", True), ("1.10", "1.9", True), ("1.1.9", "1.2", False), ("2", "1.9", True)],
+    [
+        ("1.2.3", "1.2", True),
+        ("1.2", "1.2", True),
+        ("1.10", "1.9", True),
+        ("1.1.9", "1.2", False),
+        ("2", "1.9", True),
+    ],
 )
-def test_versions_compare_number_by_number(installed: str, least: str, sound: bool, check: Any, monkeypatch: Any):
-    monkeypatch.setattr(doctor, "requires", lambda name: [f"tool>={least}", "any", 'extra>=1; extra == "x"'])
+def test_versions_compare_number_by_number(
+    installed: str, least: str, sound: bool, check: Any, monkeypatch: Any
+):
+    monkeypatch.setattr(
+        doctor, "requires", lambda name: [f"tool>={least}", "any", 'extra>=1; extra == "x"']
+    )
     monkeypatch.setattr(doctor, "version", lambda name: installed)
     monkeypatch.setattr(doctor, "metadata", lambda name: {"Requires-Python": ">=3.11"})
     states = {name: (state, text) for name, state, text in check("lmpchain")}
@@ -151,7 +177,11 @@ def raising(error: Exception) -> Iterator[Finding]:
     [
         (LmpchainError("it is not here: pip install it"), "it is not here", "do this"),
         (ValueError("wrong"), "ValueError: wrong", "do this"),
-        (ImportError("none", name="scipy.linalg"), "ImportError: none", "pip install --force-reinstall scipy"),
+        (
+            ImportError("none", name="scipy.linalg"),
+            "ImportError: none",
+            "pip install --force-reinstall scipy",
+        ),
         (ImportError("none"), "ImportError: none", "do this"),
     ],
 )

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 from helpers.example_scenes import PAPER, paper, random_scene
 from helpers.independent_integrators import extended_reference, relative_error, scipy_reference
-from helpers.stored_references import CLOSED, KINDS, LONG_AND_WEAK, SCENES, at_speed, stored_reference
+from helpers.stored_references import (
+    CLOSED,
+    KINDS,
+    LONG_AND_WEAK,
+    SCENES,
+    at_speed,
+    stored_reference,
+)
 
 from lmpchain import Chain, Impulse, InputError, Scene, ToleranceNotMet, simulate
 from lmpchain.engines import Lammps, Native
@@ -66,7 +73,12 @@ def test_the_references_agree(kind):
 
 @each_kind
 def test_every_kind_of_scene(kind):
-    for integrator, tolerance in (("rkn6", 1e-6), ("rkn6", 1e-9), ("kahan-li6", 1e-8), ("verlet", 1e-5)):
+    for integrator, tolerance in (
+        ("rkn6", 1e-6),
+        ("rkn6", 1e-9),
+        ("kahan-li6", 1e-8),
+        ("verlet", 1e-5),
+    ):
         check(KINDS[kind], stored_reference(kind), "native", tolerance, integrator=integrator)
 
 
@@ -120,7 +132,15 @@ def test_random_scenes(seed):
 
 def test_springs_whose_contacts_open():
     """A kink leaves an error that depends on where in a step it falls: runs at h, 2h and 4h may agree by chance."""
-    chain = Chain(grains=6, material="brass", diameter=2.5e-4, exponent=1.0, gravity=0.0, top="wall", bottom="free")
+    chain = Chain(
+        grains=6,
+        material="brass",
+        diameter=2.5e-4,
+        exponent=1.0,
+        gravity=0.0,
+        top="wall",
+        bottom="free",
+    )
     scene = Scene(chain=chain, excitation=Impulse(velocity=1.6e-8), duration=1.0463e-6, samples=23)
     u, v, _ = scipy_reference(scene)
     check(scene, (u, v, 1e-9), "native", 4e-5, integrator="kahan-li6")
@@ -129,12 +149,17 @@ def test_springs_whose_contacts_open():
 @pytest.mark.parametrize(
     "seed",
     [
-        pytest.param(n, marks=() if n in (102, 103) else pytest.mark.soak if n % 2 else pytest.mark.slow)
+        pytest.param(
+            n, marks=() if n in (102, 103) else pytest.mark.soak if n % 2 else pytest.mark.slow
+        )
         for n in range(100, 120)
     ],
 )
 def test_random_scenes_in_lammps(seed):
-    scene, reference = SCENES[f"random for LAMMPS {seed}"], stored_reference(f"random for LAMMPS {seed}")
+    scene, reference = (
+        SCENES[f"random for LAMMPS {seed}"],
+        stored_reference(f"random for LAMMPS {seed}"),
+    )
     for integrator in ("rkn6", "verlet"):
         check_or_floor(scene, reference, "lammps", 1e-6, integrator=integrator)
 
@@ -147,7 +172,12 @@ def test_many_random_scenes(seed):
     reference = extended_reference(scene)
     engine = "lammps" if scene.chain.exponent in (1, 1.5) else "native"
     for name in {"native", engine}:
-        for integrator, tolerance in (("rkn6", 1e-4), ("rkn6", 1e-6), ("rkn6", 1e-9), ("verlet", 1e-6)):
+        for integrator, tolerance in (
+            ("rkn6", 1e-4),
+            ("rkn6", 1e-6),
+            ("rkn6", 1e-9),
+            ("verlet", 1e-6),
+        ):
             attempt = check_or_floor if name == "lammps" else check
             attempt(scene, reference, name, tolerance, integrator=integrator)
 
@@ -173,7 +203,9 @@ def test_free_flight_at_a_million_equal_steps(integrator, speed):
     scene = Scene(chain=chain, excitation=Impulse(velocity=speed), duration=duration, samples=2)
     run = simulate(scene, "native", 1e-3, integrator=integrator, step=duration / 10**6)
     off = abs(run.displacement[-1].sum() / (speed * duration) - 1)
-    assert 1e-12 < off < run.error_estimate.total / 2 < 1e-9  # without DRIFTED less than twice the truth is said
+    assert (
+        1e-12 < off < run.error_estimate.total / 2 < 1e-9
+    )  # without DRIFTED less than twice the truth is said
 
 
 @pytest.mark.slow
@@ -181,7 +213,9 @@ def test_chaos_is_refused_with_its_predictability_time():
     """Reflections through opening contacts amplify round-off: beyond some time there is no answer."""
     chain = Chain(grains=12, material="glass", diameter=1e-3)
     scene = Scene(chain=chain, excitation=Impulse(velocity=0.05), duration=5e-3, samples=51)
-    with pytest.raises(ToleranceNotMet, match="amplifies round-off beyond the tolerance at t = ") as refusal:
+    with pytest.raises(
+        ToleranceNotMet, match="amplifies round-off beyond the tolerance at t = "
+    ) as refusal:
         simulate(scene, tolerance=1e-6)
     assert refusal.value.trajectory is not None
     assert refusal.value.trajectory.error_estimate.total > 1e-6

@@ -10,7 +10,9 @@ from data import make_bits
 @pytest.mark.parametrize(
     "number",
     [
-        pytest.param(n, marks=() if n % 20 == 0 else pytest.mark.slow if n % 8 == 4 else pytest.mark.soak)
+        pytest.param(
+            n, marks=() if n % 20 == 0 else pytest.mark.slow if n % 8 == 4 else pytest.mark.soak
+        )
         for n in range(make_bits.SCENES)
     ],
 )

@@ -79,7 +79,10 @@ QUICK, LONG = ("modes",), ("auto", "native", "chebyshev", "bessel", "continuum")
 
 @pytest.mark.parametrize(
     "engine",
-    [pytest.param(name, marks=pytest.mark.slow if name in QUICK else pytest.mark.soak) for name in QUICK + LONG],
+    [
+        pytest.param(name, marks=pytest.mark.slow if name in QUICK else pytest.mark.soak)
+        for name in QUICK + LONG
+    ],
 )
 def test_no_compilation_is_counted_as_cost_on_a_new_machine(engine, tmp_path):
     """Nor what the next process loads that the first has kept; a second run in one process compiles nothing."""
@@ -124,7 +127,10 @@ def test_what_two_processes_have_compiled_is_told_apart_by_a_third(tmp_path):
     (tmp_path / "twins.py").write_text(TWINS)
     said = [
         subprocess.run(
-            [sys.executable, "-c", f"from twins import *; print({call})"], cwd=tmp_path, capture_output=True, text=True
+            [sys.executable, "-c", f"from twins import *; print({call})"],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
         ).stdout
         for call in ("by_one(7)", "by_two(7)", "by_one(7), by_two(7)")
     ]

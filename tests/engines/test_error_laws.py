@@ -50,7 +50,9 @@ def test_the_rate_that_three_runs_show_is_trusted_within_limits():
     """No more than the order, for they may agree by chance; never less than one and a half times a doubling."""
     coarse, fine = differences(4, 1e-7, (2.0, 4.0))
     assert extrapolate(4, True, 1.001 * coarse, fine) == pytest.approx(2e-7, rel=1e-9)
-    assert extrapolate(4, True, coarse, fine / 100) == pytest.approx(1e-7, rel=1e-9)  # the coarse one alone
+    assert extrapolate(4, True, coarse, fine / 100) == pytest.approx(
+        1e-7, rel=1e-9
+    )  # the coarse one alone
     assert extrapolate(4, True, coarse, 0.0) == pytest.approx(1e-7, rel=1e-9)
     assert extrapolate(4, True, coarse, 0.0, confirmed=True) == 0.0
     assert extrapolate(4, True, coarse, fine / 100, confirmed=True) == pytest.approx(2e-9, rel=1e-9)
@@ -83,7 +85,9 @@ def oscillator(stiffness: float, mass: float, periods: float, samples: int = 2) 
 
 def swing_error(scene: Scene, velocity: float, displacement: float) -> float:
     """Return how far the end of a swing is off, relative to its amplitudes, to forty digits."""
-    stiffness, mass = (mpmath.mpf(float(x[0])) for x in (scene.chain.contact_constants, scene.chain.masses))
+    stiffness, mass = (
+        mpmath.mpf(float(x[0])) for x in (scene.chain.contact_constants, scene.chain.masses)
+    )
     with mpmath.workdps(40):
         omega = mpmath.sqrt(stiffness / mass)
         phase, speed = omega * mpmath.mpf(scene.duration), mpmath.mpf(scene.excitation.velocity)
@@ -100,15 +104,21 @@ def test_thousands_of_periods_shift_the_phase_by_rounding():
         t = simulate(scene, Native("rkn6", step=scene.duration / 1.2e6))
         shift = EPSILON * scene.chain.band_edge * scene.duration
         assert shift > 5 * EPSILON * math.sqrt(t.cost.force_evaluations)
-        assert swing_error(scene, t.velocity[-1, 0], t.displacement[-1, 0]) <= t.error_estimate.solver
+        assert (
+            swing_error(scene, t.velocity[-1, 0], t.displacement[-1, 0]) <= t.error_estimate.solver
+        )
         assert shift < t.error_estimate.solver < 20 * shift
 
 
 def test_rounding_of_no_step_is_a_few_last_digits_and_grows_with_steps_and_phase():
     least = native_floor(0.0, 0.0)
     assert EPSILON <= least <= 4 * EPSILON
-    assert native_floor(1e6, 0.0) - least == pytest.approx(10 * (native_floor(1e4, 0.0) - least), rel=1e-9)
-    assert native_floor(1e4, 0.0) - least == pytest.approx(100 * EPSILON, rel=1e-9)  # a walk of half-ulps, as stated
+    assert native_floor(1e6, 0.0) - least == pytest.approx(
+        10 * (native_floor(1e4, 0.0) - least), rel=1e-9
+    )
+    assert native_floor(1e4, 0.0) - least == pytest.approx(
+        100 * EPSILON, rel=1e-9
+    )  # a walk of half-ulps, as stated
     phase = native_floor(1e4, 1e3) - native_floor(1e4, 0.0)
     assert 1e3 * EPSILON <= phase <= 4e3 * EPSILON  # up to four last digits of it
     assert native_floor(1e4, 1e5) - native_floor(1e4, 0.0) == pytest.approx(100 * phase, rel=1e-9)
@@ -116,9 +126,13 @@ def test_rounding_of_no_step_is_a_few_last_digits_and_grows_with_steps_and_phase
     assert native_floor(1e4, 0.0, displaced=2e3) - least == pytest.approx(2 * stiff, rel=1e-9)
     assert native_floor(1e4, 0.0, displaced=1.0) == native_floor(1e4, 0.0)
     flight = native_floor(1e8, 1.0, 0.5, straight=True) - native_floor(0.0, 1.0)
-    assert native_floor(1e8, 1.0, 1.0, straight=True) - native_floor(0.0, 1.0) == pytest.approx(2 * flight, rel=1e-6)
+    assert native_floor(1e8, 1.0, 1.0, straight=True) - native_floor(0.0, 1.0) == pytest.approx(
+        2 * flight, rel=1e-6
+    )
     assert native_floor(1e8, 1.0, 2.0, straight=True) == native_floor(1e8, 1.0, 1.0, straight=True)
-    assert native_floor(4, 1.0, 1.0, straight=True) == native_floor(4, 1.0, 1.0)  # a walk exceeds a short drift
+    assert native_floor(4, 1.0, 1.0, straight=True) == native_floor(
+        4, 1.0, 1.0
+    )  # a walk exceeds a short drift
 
 
 def test_what_the_plain_force_loses_is_in_the_estimate():
@@ -129,7 +143,8 @@ def test_what_the_plain_force_loses_is_in_the_estimate():
         strike = Impulse(velocity=1e-10 * chain.length_scale / chain.time_scale)
         scene = Scene(chain=chain, excitation=strike, duration=60 * chain.time_scale, samples=21)
         plain, exact = (
-            simulate(scene, Native("rkn6", scene.duration / 2000, force=force)) for force in ("plain", "exact")
+            simulate(scene, Native("rkn6", scene.duration / 2000, force=force))
+            for force in ("plain", "exact")
         )
         lost = np.abs(plain.velocity - exact.velocity).max() / np.abs(exact.velocity).max()
         assert exact.error_estimate.solver < lost / 10
@@ -138,7 +153,9 @@ def test_what_the_plain_force_loses_is_in_the_estimate():
     assert max(ratios) < 3
     loss = plain_loss(scene, 100.0)
     assert plain_loss(scene, 400.0) == pytest.approx(loss / 2, rel=1e-12)
-    assert plain_loss(scene.replace(duration=2 * scene.duration), 100.0) == pytest.approx(2 * loss, rel=1e-12)
+    assert plain_loss(scene.replace(duration=2 * scene.duration), 100.0) == pytest.approx(
+        2 * loss, rel=1e-12
+    )
 
 
 def test_rounding_presses_the_contacts_of_a_column_by_its_height():
@@ -197,7 +214,8 @@ def test_the_divergence_of_two_runs_is_that_of_two_answers():
     dense = simulate(whole.replace(samples=501), "native", 1e-12)
     one, other = (simulate(each, "native", 1e-12) for each in (whole, perturbed(whole, 1e-4)))
     expected = [
-        np.abs(getattr(other, name) - getattr(one, name)).max(axis=1) / np.abs(getattr(dense, name)).max()
+        np.abs(getattr(other, name) - getattr(one, name)).max(axis=1)
+        / np.abs(getattr(dense, name)).max()
         for name in ("displacement", "velocity")
     ]
     np.testing.assert_allclose(apart, np.max(expected, axis=0), rtol=0.02, atol=0)
@@ -206,7 +224,9 @@ def test_the_divergence_of_two_runs_is_that_of_two_answers():
 
 def test_what_becomes_of_a_last_digit_is_what_becomes_of_a_small_change():
     """In a chain whose contacts open again and again; of a change that is a million times as large, a millionth."""
-    chain = Chain(grains=6, diameter=1e-3 * np.random.default_rng(2).uniform(0.7, 1.3, 6), top="wall")
+    chain = Chain(
+        grains=6, diameter=1e-3 * np.random.default_rng(2).uniform(0.7, 1.3, 6), top="wall"
+    )
     scene = Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=4e-4, samples=9)
     candidate = Native("rkn6").candidate(scene, 1e-9)
     run = Native("rkn6").start([scene], candidate)
@@ -271,8 +291,12 @@ def test_the_next_step_is_neither_much_shorter_nor_hardly_so():
     assert REFINEMENT.ratio(budget._replace(smooth=False), 6, 1e-6) == 2.0
     erratic = budget._replace(truncation=1e-4, smooth=False)
     assert 1e-4 / REFINEMENT.ratio(erratic, 6, 1e-6) ** 2.5 == pytest.approx(0.7e-6, rel=1e-9)
-    assert 1e-4 / REFINEMENT.ratio(erratic, 6, 1e-6, adaptive=True) ** 4 == pytest.approx(0.7e-6, rel=1e-9)
-    assert REFINEMENT.ratio(erratic, 2, 1e-6, adaptive=True) == pytest.approx((1e-4 / 0.7e-6) ** 0.5, rel=1e-9)
+    assert 1e-4 / REFINEMENT.ratio(erratic, 6, 1e-6, adaptive=True) ** 4 == pytest.approx(
+        0.7e-6, rel=1e-9
+    )
+    assert REFINEMENT.ratio(erratic, 2, 1e-6, adaptive=True) == pytest.approx(
+        (1e-4 / 0.7e-6) ** 0.5, rel=1e-9
+    )
     assert REFINEMENT.ratio(budget._replace(truncation=0.09), 2, 1e-6) == 16.0
     assert REFINEMENT.ratio(budget._replace(truncation=0.1), 2, 1e-6) == 4.0
     assert REFINEMENT.ratio(budget._replace(truncation=math.inf), 2, 1e-6) == 4.0
@@ -291,7 +315,11 @@ def test_a_candidate_is_refined_to_the_steps_that_its_error_asks_for():
     assert total == pytest.approx(scene.duration / 5, rel=1e-12)
     assert not better.adaptive
     assert engine.refine(candidate, missed._replace(smooth=False), 1e-9).adaptive
-    assert not Native("rkn6", adaptive=False).refine(candidate, missed._replace(smooth=False), 1e-9).adaptive
+    assert (
+        not Native("rkn6", adaptive=False)
+        .refine(candidate, missed._replace(smooth=False), 1e-9)
+        .adaptive
+    )
     assert engine.refine(candidate, missed._replace(roundoff=1e-9), 1e-9) is None
     broken = engine.refine(candidate, None, 1e-9)
     assert broken.stride == 1
@@ -313,7 +341,9 @@ def test_options_of_the_native_engine_are_refused_with_what_is_known():
     assert Native(threads=1, step=1).options() == {
         "integrator": "auto", "step": 1, "threads": 1, "force": "auto", "adaptive": True,
     }  # fmt: skip
-    with pytest.raises(InputError, match=r"colour: the engine native has no such option; it has integrator, step"):
+    with pytest.raises(
+        InputError, match=r"colour: the engine native has no such option; it has integrator, step"
+    ):
         engines.get("native", colour=1)
     with pytest.raises(InputError, match="step: belongs to the engine"):
         engines.get(Native(), step=1e-7)
@@ -325,7 +355,9 @@ def test_a_step_that_is_given_may_be_up_to_the_stability_limit():
     """2 / omega of velocity Verlet, and the highest frequency of the chain."""
     scene = paper("weak", samples=3)
     limit = 2 / scene.chain.band_edge
-    with pytest.raises(InputError, match=f"step: must be below {limit:.3g} s, where verlet stops being stable"):
+    with pytest.raises(
+        InputError, match=f"step: must be below {limit:.3g} s, where verlet stops being stable"
+    ):
         simulate(scene, Native("verlet", step=1.001 * limit))
     run = simulate(scene, Native("verlet", step=0.999 * limit))
     assert run.cost.step_s <= limit

@@ -31,7 +31,11 @@ def test_a_pilot_comes_first_where_nothing_bounds_the_motion_or_the_answer_takes
         assert attempt.candidate.steps_per_landing * attempt.candidate.step == pytest.approx(
             candidate.steps_per_landing * candidate.step, rel=1e-12
         )
-    for other, scene in ((engine, paper("fig1")), (engine, paper("weak")), (Native(step=1e-8), VACUUM)):
+    for other, scene in (
+        (engine, paper("fig1")),
+        (engine, paper("weak")),
+        (Native(step=1e-8), VACUUM),
+    ):
         assert not first_attempt(other, scene, 1e-9).pilot
     assert not first_attempt(engine, VACUUM, 5e-3).pilot  # steps are as long as they may be
 
@@ -41,7 +45,9 @@ def test_what_a_pilot_shows_brings_the_error_near_the_tolerance(tmp_path):
     truth = reference(VACUUM)
     for tolerance in (1e-6, 1e-9):
         answer = simulate(VACUUM, "native", tolerance)
-        error = relative_error(answer.displacement, answer.velocity, truth.displacement, truth.velocity)
+        error = relative_error(
+            answer.displacement, answer.velocity, truth.displacement, truth.velocity
+        )
         assert tolerance / 100 < error <= tolerance
         assert error / 3 < answer.error_estimate.total <= tolerance
         others = (
@@ -71,24 +77,36 @@ def test_a_pilot_is_no_attempt_by_which_an_answer_is_refused(monkeypatch):
 
 def test_companions_of_a_calm_answer_have_steps_four_and_eight_times_as_long():
     """Where the order is sure and steps are short enough; their estimate is near the truth, and above it."""
-    scene = Scene(chain=Chain(grains=20, diameter=1e-3), excitation=Impulse(velocity=1e-6), duration=1e-4, samples=11)
+    scene = Scene(
+        chain=Chain(grains=20, diameter=1e-3),
+        excitation=Impulse(velocity=1e-6),
+        duration=1e-4,
+        samples=11,
+    )
     truth, engine = reference(scene), Native("rkn6")
 
     def ratios(tolerance: float, of: Scene = scene, **how) -> list[float]:
         candidate = Native("rkn6", **how).candidate(of, tolerance)
-        return [schedule.ratio for schedule in Companions(METHODS["rkn6"], [of], candidate).schedules]
+        return [
+            schedule.ratio for schedule in Companions(METHODS["rkn6"], [of], candidate).schedules
+        ]
 
     assert ratios(1e-10) == [4, 8]
     assert ratios(1e-6) == [2]  # 4h is unstable
     assert ratios(1e-13) == [2, 4]  # round-off would not show
     strong = scene.replace(excitation=Impulse(velocity=1e-2))
-    assert ratios(1e-10, strong) == [3, 6]  # in a column that is struck on its top, before the wave is back
+    assert ratios(1e-10, strong) == [
+        3,
+        6,
+    ]  # in a column that is struck on its top, before the wave is back
     assert ratios(1e-10, strong.replace(excitation=Impulse(velocity=1e-2, grain=2))) == [2, 4]
     assert ratios(1e-10, strong.replace(duration=2e-3)) == [2, 4, 1.5]
     assert ratios(1e-10, strong, adaptive=False) == [2, 4]
     for tolerance in (1e-6, 1e-8, 1e-10):
         answer = simulate(scene, engine, tolerance)
-        error = relative_error(answer.displacement, answer.velocity, truth.displacement, truth.velocity)
+        error = relative_error(
+            answer.displacement, answer.velocity, truth.displacement, truth.velocity
+        )
         assert error < answer.error_estimate.total < 4 * error
 
 
@@ -141,7 +159,9 @@ def test_a_gentle_strike_on_the_top_is_first_answered_at_steps_of_one_length():
     assert not Native().candidate(gentle, 1e-6).adaptive
     for tolerance in (1e-3, 1e-6):
         answer, truth = simulate(gentle, "native", tolerance), reference(gentle)
-        error = relative_error(answer.displacement, answer.velocity, truth.displacement, truth.velocity)
+        error = relative_error(
+            answer.displacement, answer.velocity, truth.displacement, truth.velocity
+        )
         assert error / 3 < answer.error_estimate.total <= tolerance
     for other, tolerance in (
         (gentle, 1e-9),
@@ -151,7 +171,10 @@ def test_a_gentle_strike_on_the_top_is_first_answered_at_steps_of_one_length():
         (gentle.replace(duration=1e-3), 1e-6),
         (gentle.replace(chain=chain.replace(top="wall")), 1e-6),
         (gentle.replace(chain=chain.replace(exponent=1.0)), 1e-6),
-        (gentle.replace(chain=chain.replace(masses=chain.masses * np.linspace(1, 1.1, 120))), 1e-6),  # reflects
+        (
+            gentle.replace(chain=chain.replace(masses=chain.masses * np.linspace(1, 1.1, 120))),
+            1e-6,
+        ),  # reflects
     ):
         assert Native().candidate(other, tolerance).adaptive
     candidate = Native().candidate(gentle, 1e-6)

@@ -12,13 +12,17 @@ from lmpchain.benchmark.reference import reference
 from lmpchain.engines import Lammps, Native
 from lmpchain.integrators.methods import METHODS
 
-PAIR = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0)  # grain 2 is fixed: an oscillator
+PAIR = Chain(
+    grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0
+)  # grain 2 is fixed: an oscillator
 OMEGA, SPEED = PAIR.band_edge, 1e-3
 LENGTH = SPEED / OMEGA
 
 
 def oscillator(excitation, periods: float, samples: int) -> Scene:
-    return Scene(chain=PAIR, excitation=excitation, duration=periods * 2 * np.pi / OMEGA, samples=samples)
+    return Scene(
+        chain=PAIR, excitation=excitation, duration=periods * 2 * np.pi / OMEGA, samples=samples
+    )
 
 
 @pytest.mark.parametrize("engine", ["native", "lammps"])
@@ -30,7 +34,10 @@ def test_samples_on_the_nodes_of_an_oscillator(engine, samples, periods):
         phase, struck = OMEGA * scene.time, excitation.kind == "impulse"
         t = simulate(scene, engine)
         u, v = (np.sin(phase), np.cos(phase)) if struck else (np.cos(phase), -np.sin(phase))
-        true = max(np.abs(t.displacement[:, 0] / LENGTH - u).max(), np.abs(t.velocity[:, 0] / SPEED - v).max())
+        true = max(
+            np.abs(t.displacement[:, 0] / LENGTH - u).max(),
+            np.abs(t.velocity[:, 0] / SPEED - v).max(),
+        )
         assert true / 3 - 1e-12 < t.error_estimate.total <= 1e-6
         assert error(t, reference(scene)) == pytest.approx(true, rel=2e-3, abs=1e-12)
 
@@ -70,7 +77,9 @@ def test_the_largest_motion_is_found(integrator, scene):
     """To 5 % at the usual steps, though no sample shows it; never more than there is (known to 1e-3)."""
     chosen = MOTIONS[scene]
     engine = Native(integrator, adaptive=integrator != "rkn6")
-    run = engine.start([chosen], engine.candidate(chosen, 1e-4 if METHODS[integrator].order <= 4 else 1e-8))
+    run = engine.start(
+        [chosen], engine.candidate(chosen, 1e-4 if METHODS[integrator].order <= 4 else 1e-8)
+    )
     for _ in run.blocks():
         pass
     ratio = run.peaks[0] / largest(scene)

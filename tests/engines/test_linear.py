@@ -10,7 +10,9 @@ from lmpchain.engines import Chebyshev, Modes
 from lmpchain.engines.linear import engine as linear
 from lmpchain.integrators.kernels.chebyshev import bessel, terms
 
-pytestmark = pytest.mark.filterwarnings("ignore:Eq. ")  # that linear engines leave something out is known
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:Eq. "
+)  # that linear engines leave something out is known
 ENGINES = ["modes", "chebyshev"]
 both = pytest.mark.parametrize("engine", ENGINES)
 
@@ -31,7 +33,8 @@ def random_linear(seed: int, grains: int, strike: float = 1e-14) -> Scene:
         contact_constants=rng.uniform(1, 4, grains - 1) * 1e9,
     )
     u, v = (
-        strike * size * rng.normal(size=grains) for size in (chain.length_scale, chain.length_scale / chain.time_scale)
+        strike * size * rng.normal(size=grains)
+        for size in (chain.length_scale, chain.length_scale / chain.time_scale)
     )
     u[chain.movable :] = v[chain.movable :] = 0
     moved = Profile(displacement=u, velocity=v)
@@ -53,15 +56,21 @@ def longdouble_modes(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
         for n in range(size):
             matrix[n, n] = (k[first + n] + k[first + n + 1]) / m[n]
             if n + 1 < size:
-                matrix[n, n + 1] = matrix[n + 1, n] = -k[first + n + 1] / mpmath.sqrt(m[n] * m[n + 1])
+                matrix[n, n + 1] = matrix[n + 1, n] = -k[first + n + 1] / mpmath.sqrt(
+                    m[n] * m[n + 1]
+                )
         squares, vectors = mpmath.eigsy(matrix)
         u0, v0 = scene.initial()
         t = mpmath.mpf(scene.duration)
         x, y = [mpmath.mpf(0)] * size, [mpmath.mpf(0)] * size
         for p in range(size):
             w = mpmath.sqrt(squares[p])
-            q = mpmath.fsum(vectors[n, p] * mpmath.sqrt(m[n]) * float(u0[first + n]) for n in range(size))
-            r = mpmath.fsum(vectors[n, p] * mpmath.sqrt(m[n]) * float(v0[first + n]) for n in range(size))
+            q = mpmath.fsum(
+                vectors[n, p] * mpmath.sqrt(m[n]) * float(u0[first + n]) for n in range(size)
+            )
+            r = mpmath.fsum(
+                vectors[n, p] * mpmath.sqrt(m[n]) * float(v0[first + n]) for n in range(size)
+            )
             a = q * mpmath.cos(w * t) + r * mpmath.sin(w * t) / w
             b = r * mpmath.cos(w * t) - q * w * mpmath.sin(w * t)
             if scene.drive:
@@ -102,12 +111,16 @@ def test_against_forty_digits(seed):
         assert true < 3 * t.error_estimate.solver
 
 
-@pytest.mark.parametrize(("seed", "grains"), [(seed, grains) for seed in range(4) for grains in (3, 40, 300)])
+@pytest.mark.parametrize(
+    ("seed", "grains"), [(seed, grains) for seed in range(4) for grains in (3, 40, 300)]
+)
 def test_modes_and_the_chebyshev_series_agree(seed, grains):
     """Modes and Chebyshev share no line of arithmetic; to 1e-11 on random chains."""
     scene = random_linear(seed + 100, max(grains, 3))
     one, other = (simulate(scene, engine) for engine in ENGINES)
-    assert relative_error(one.displacement, one.velocity, other.displacement, other.velocity) < 1e-11
+    assert (
+        relative_error(one.displacement, one.velocity, other.displacement, other.velocity) < 1e-11
+    )
     assert np.abs(one.velocity).max() > 0
 
 
@@ -116,7 +129,10 @@ def test_modes_and_the_chebyshev_series_agree(seed, grains):
 def test_limit_of_weak_motion_of_the_nonlinear_engine(engine, seed):
     scene = random_linear(seed + 200, 30, strike=1e-13)
     linear, full = simulate(scene, engine), simulate(scene, "native", 5e-12)
-    assert relative_error(linear.displacement, linear.velocity, full.displacement, full.velocity) < 1e-11
+    assert (
+        relative_error(linear.displacement, linear.velocity, full.displacement, full.velocity)
+        < 1e-11
+    )
 
 
 @both
@@ -140,7 +156,11 @@ def test_model_error_over_the_map_of_strikes(engine, gravity):
 
 OTHERS = {
     "struck within": (Chain(grains=150, diameter=1e-3), Impulse(velocity=1e-5, grain=75), 1e-4),
-    "struck within, reflected": (Chain(grains=60, diameter=1e-3), Impulse(velocity=1e-6, grain=30), 1e-3),
+    "struck within, reflected": (
+        Chain(grains=60, diameter=1e-3),
+        Impulse(velocity=1e-6, grain=30),
+        1e-3,
+    ),
     "pulled": (Chain(grains=60, diameter=1e-3), Displacement(displacement=-1e-11, grain=1), 1e-4),
     "loaded": (
         Chain(grains=80, material="steel", diameter=5e-3, gravity=0, top_load=10.0),
@@ -154,7 +174,11 @@ OTHERS = {
     ),
     "two grains": (Chain(grains=2, diameter=1e-3), Impulse(velocity=1e-6), 1e-4),
     "square law": (Chain(grains=100, diameter=1e-3, exponent=2.0), Impulse(velocity=1e-5), 1e-4),
-    "nearly springs": (Chain(grains=100, diameter=1e-3, exponent=1.1), Impulse(velocity=1e-6), 1e-4),
+    "nearly springs": (
+        Chain(grains=100, diameter=1e-3, exponent=1.1),
+        Impulse(velocity=1e-6),
+        1e-4,
+    ),
 }
 
 
@@ -174,7 +198,9 @@ def test_model_error_of_other_scenes(name, samples):
     motions = [(run.displacement, run.velocity) for run in runs]
     every = 1000 // (samples - 1)
     scales = [np.abs(x).max() for x in motions[1]]
-    off = np.array([np.abs(x - y).max(1) / scale for x, y, scale in zip(*motions, scales, strict=True)])
+    off = np.array(
+        [np.abs(x - y).max(1) / scale for x, y, scale in zip(*motions, scales, strict=True)]
+    )
     assert off[:, ::every].max() / 3 < t.error_estimate.model < 7 * off.max()
 
 
@@ -188,8 +214,15 @@ def test_springs_have_no_model_error_until_they_open():
 
 @both
 def test_a_warning_where_the_chain_is_not_linear(engine):
-    scene = Scene(chain=Chain(grains=40, diameter=1e-3), excitation=Impulse(velocity=1e-2), duration=1e-4, samples=11)
-    with pytest.warns(UserWarning, match=r"Eq. \(3\) leaves out about .*not linear here: contact \d+ opens"):
+    scene = Scene(
+        chain=Chain(grains=40, diameter=1e-3),
+        excitation=Impulse(velocity=1e-2),
+        duration=1e-4,
+        samples=11,
+    )
+    with pytest.warns(
+        UserWarning, match=r"Eq. \(3\) leaves out about .*not linear here: contact \d+ opens"
+    ):
         t = simulate(scene, engine)
     assert t.error_estimate.model > 0.5
     assert t.equation == 3
@@ -198,8 +231,12 @@ def test_a_warning_where_the_chain_is_not_linear(engine):
 @both
 def test_batches_and_restarts(engine, monkeypatch):
     """Realisations come out as if alone, and a run that goes on from a kept state ends with the same bytes."""
-    drawn = [scene for scene in (random_linear(seed, 25) for seed in range(12)) if not scene.drive][:3]
-    scenes = [Scene(chain=s.chain, excitation=s.excitation, duration=1e-4, samples=9) for s in drawn]
+    drawn = [scene for scene in (random_linear(seed, 25) for seed in range(12)) if not scene.drive][
+        :3
+    ]
+    scenes = [
+        Scene(chain=s.chain, excitation=s.excitation, duration=1e-4, samples=9) for s in drawn
+    ]
     monkeypatch.setattr(linear, "BLOCK", 4)
     made = {"modes": Modes, "chebyshev": Chebyshev}[engine]()
     candidate = made.candidate(scenes[0], 1e-6)
@@ -222,15 +259,24 @@ def test_grains_outside_the_light_cone_are_not_touched():
     strike, some = Impulse(velocity=1e-6), [1, 10, 100, 500]
     long, short = (
         simulate(
-            Scene(chain=Chain(grains=n, diameter=1e-3), excitation=strike, duration=1e-3, samples=5, grains=some),
+            Scene(
+                chain=Chain(grains=n, diameter=1e-3),
+                excitation=strike,
+                duration=1e-3,
+                samples=5,
+                grains=some,
+            ),
             "chebyshev",
         )
         for n in (10**6, 2000)
     )
-    assert long.velocity == pytest.approx(short.velocity, rel=0, abs=1e-13 * np.abs(short.velocity).max())
+    assert long.velocity == pytest.approx(
+        short.velocity, rel=0, abs=1e-13 * np.abs(short.velocity).max()
+    )
     assert long.velocity[-1, 3] == short.velocity[-1, 3]
     quick = simulate(
-        Scene(chain=Chain(grains=3000, diameter=1e-3), excitation=strike, duration=1e-5, samples=3), "chebyshev"
+        Scene(chain=Chain(grains=3000, diameter=1e-3), excitation=strike, duration=1e-5, samples=3),
+        "chebyshev",
     )
     assert not quick.displacement[:, 200:].any()
 
@@ -242,11 +288,17 @@ def test_what_cannot_be_linearised_is_refused():
     for chain, excitation, key in (
         (vacuum, Impulse(velocity=1e-6), "gravity: without gravity and load"),
         (loose, Impulse(velocity=1e-6), "top: a wall that only touches"),
-        (Chain(grains=5, diameter=1e-3), points, "excitation: linear engines know no motion or force by points"),
+        (
+            Chain(grains=5, diameter=1e-3),
+            points,
+            "excitation: linear engines know no motion or force by points",
+        ),
     ):
         for engine in ENGINES:
             with pytest.raises(InputError, match=key):
-                simulate(Scene(chain=chain, excitation=excitation, duration=1e-5, samples=3), engine)
+                simulate(
+                    Scene(chain=chain, excitation=excitation, duration=1e-5, samples=3), engine
+                )
     long, driven = Chain(grains=20_000, diameter=1e-3), Drive(amplitude=1e-12, frequency=1e4)
     with pytest.raises(InputError, match="use chebyshev"):
         simulate(Scene(chain=long, excitation=driven, duration=1e-5), "modes")
@@ -260,7 +312,9 @@ def test_what_cannot_be_linearised_is_refused():
 def test_closed_forms_know_how_wrong_they_are(engine, duration):
     """As rows to compare with: the model error they state is the true one, or its two parts partly cancel in truth."""
     chain = Chain(grains=60, diameter=1e-3)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=duration, samples=11, grains="1:50")
+    scene = Scene(
+        chain=chain, excitation=Impulse(velocity=1e-6), duration=duration, samples=11, grains="1:50"
+    )
     t, truth = simulate(scene, engine, 0.999, on_miss="warn"), simulate(scene, "native", 1e-10)
     true = relative_error(t.displacement, t.velocity, truth.displacement, truth.velocity)
     assert t.error_estimate.model / 4 < true < 1.05 * t.error_estimate.model
@@ -270,19 +324,44 @@ def test_closed_forms_know_how_wrong_they_are(engine, duration):
 
 def test_bessel_is_exact_for_a_loaded_chain_until_the_wave_comes_back():
     chain = Chain(grains=80, material="steel", diameter=5e-3, gravity=0, top_load=5.0)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-9), duration=20 * chain.time_scale, samples=11)
+    scene = Scene(
+        chain=chain, excitation=Impulse(velocity=1e-9), duration=20 * chain.time_scale, samples=11
+    )
     exact, formula = (simulate(scene, engine) for engine in ("modes", "bessel"))
-    assert relative_error(formula.displacement, formula.velocity, exact.displacement, exact.velocity) < 1e-12
+    assert (
+        relative_error(formula.displacement, formula.velocity, exact.displacement, exact.velocity)
+        < 1e-12
+    )
 
 
 def test_closed_forms_refuse_what_they_do_not_know():
     strike, chain = Impulse(velocity=1e-6), Chain(grains=9, diameter=1e-3)
     for made, struck, engine, key in (
-        (Chain(grains=9, diameter=np.linspace(1e-3, 2e-3, 9)), strike, "bessel", "masses: bessel knows grains"),
-        (chain, Impulse(velocity=1e-6, grain=2), "bessel", "excitation: bessel knows an impulse on grain 1"),
+        (
+            Chain(grains=9, diameter=np.linspace(1e-3, 2e-3, 9)),
+            strike,
+            "bessel",
+            "masses: bessel knows grains",
+        ),
+        (
+            chain,
+            Impulse(velocity=1e-6, grain=2),
+            "bessel",
+            "excitation: bessel knows an impulse on grain 1",
+        ),
         (chain, Displacement(displacement=1e-12), "continuum", "excitation: continuum knows"),
-        (Chain(grains=9, diameter=1e-3, top_load=1e-3), strike, "continuum", "top_load: continuum knows chains"),
-        (Chain(grains=9, diameter=1e-3, top="wall", top_load=1e-3), strike, "bessel", "top: bessel knows"),
+        (
+            Chain(grains=9, diameter=1e-3, top_load=1e-3),
+            strike,
+            "continuum",
+            "top_load: continuum knows chains",
+        ),
+        (
+            Chain(grains=9, diameter=1e-3, top="wall", top_load=1e-3),
+            strike,
+            "bessel",
+            "top: bessel knows",
+        ),
     ):
         with pytest.raises(InputError, match=key):
             simulate(Scene(chain=made, excitation=struck, duration=1e-5, samples=3), engine)
@@ -292,11 +371,19 @@ def test_closed_forms_refuse_what_they_do_not_know():
 @both
 def test_a_solution_that_does_not_fit_into_memory_at_once(engine, monkeypatch):
     """Looked at in pieces, it is the same but for rounding."""
-    scene = Scene(chain=Chain(grains=40, diameter=1e-3), excitation=Impulse(velocity=1e-4), duration=2e-4, samples=7)
+    scene = Scene(
+        chain=Chain(grains=40, diameter=1e-3),
+        excitation=Impulse(velocity=1e-4),
+        duration=2e-4,
+        samples=7,
+    )
     whole = simulate(scene, engine, 0.9)
     monkeypatch.setattr(linear, "BLOCK_VALUES", 90)
     pieces = simulate(scene, engine, 0.9)
-    assert relative_error(pieces.displacement, pieces.velocity, whole.displacement, whole.velocity) < 1e-13
+    assert (
+        relative_error(pieces.displacement, pieces.velocity, whole.displacement, whole.velocity)
+        < 1e-13
+    )
     assert pieces.error_estimate.model == pytest.approx(whole.error_estimate.model, rel=1e-9, abs=0)
 
 
@@ -306,9 +393,14 @@ def test_a_wall_that_moves_drives_the_first_grain_too(grains, frequency):
     """What is left out is known to a factor of three, also where one grain alone is free."""
     chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-3, top="wall")
     drive = Drive(
-        amplitude=1e-6 * chain.length_scale, frequency=frequency * chain.band_edge / (2 * np.pi), cycles=5, grain=0
+        amplitude=1e-6 * chain.length_scale,
+        frequency=frequency * chain.band_edge / (2 * np.pi),
+        cycles=5,
+        grain=0,
     )
     scene = Scene(chain=chain, excitation=drive, duration=200 * chain.time_scale, samples=1001)
     answer, exact = simulate(scene, "modes"), simulate(scene, "native", 1e-11, integrator="dop853")
-    left_out = relative_error(answer.displacement, answer.velocity, exact.displacement, exact.velocity)
+    left_out = relative_error(
+        answer.displacement, answer.velocity, exact.displacement, exact.velocity
+    )
     assert left_out < 3 * answer.error_estimate.total

@@ -16,7 +16,9 @@ from lmpchain.theory.modes import eigenmodes
 from lmpchain.util.arrays import EPSILON
 
 pytestmark = pytest.mark.filterwarnings("ignore:Eq. ")
-LOADED = Chain(grains=7, diameter=1e-3, gravity=0.0, top_load=1e-2, masses=np.linspace(1, 2, 7) * 1e-6)
+LOADED = Chain(
+    grains=7, diameter=1e-3, gravity=0.0, top_load=1e-2, masses=np.linspace(1, 2, 7) * 1e-6
+)
 WALLED = Chain(grains=5, diameter=1e-3, gravity=9.81, top_load=1e-3, top="wall", bottom="wall")
 EDGE = LOADED.band_edge
 HZ = EDGE / (2 * np.pi)
@@ -96,7 +98,11 @@ def test_forced_motion_is_that_of_a_general_integrator(name):
     scene = Scene(chain=chain, excitation=excitation, duration=40 / chain.band_edge, samples=23)
     u, v = integrated(scene)
     assert np.abs(v).max() > 0
-    engines = ["modes"] if excitation.waveform.corners or isinstance(excitation, Force) else ["modes", "chebyshev"]
+    engines = (
+        ["modes"]
+        if excitation.waveform.corners or isinstance(excitation, Force)
+        else ["modes", "chebyshev"]
+    )
     for engine in engines:
         t = simulate(scene, engine, 0.9)
         assert relative_error(t.displacement, t.velocity, u, v) < 1e-9
@@ -105,7 +111,9 @@ def test_forced_motion_is_that_of_a_general_integrator(name):
 
 @pytest.mark.parametrize("engine", ["modes", "chebyshev"])
 def test_what_a_linear_answer_has_cost(engine):
-    scene = Scene(chain=LOADED, excitation=Impulse(velocity=1e-9, grain=2), duration=20 / EDGE, samples=9)
+    scene = Scene(
+        chain=LOADED, excitation=Impulse(velocity=1e-9, grain=2), duration=20 / EDGE, samples=9
+    )
     t = simulate(scene, engine)
     cost = t.cost
     assert (cost.steps, cost.active_grains, cost.ranks, cost.integrator) == (8, 7, 1, engine)
@@ -118,7 +126,9 @@ def test_what_a_linear_answer_has_cost(engine):
     if engine == "modes":
         assert cost.force_evaluations == modes_that_move
     else:
-        assert cost.force_evaluations > terms_of_a_radian_each / 2  # of half a radian, as the matrix goes from 0 to 4
+        assert (
+            cost.force_evaluations > terms_of_a_radian_each / 2
+        )  # of half a radian, as the matrix goes from 0 to 4
 
 
 @pytest.mark.parametrize("made", [Modes(), Chebyshev()])
@@ -173,7 +183,9 @@ def test_costs_of_linear_answers_grow_with_their_work():
     for engine in (modes, series):
         assert seconds(engine, 50, samples=2001) > seconds(engine, 50, samples=1001)
         assert seconds(engine, 100, samples=2001) > seconds(engine, 50, samples=2001)
-    assert seconds(series, 4000, duration=2e-1) / seconds(series, 4000, duration=1e-1) == pytest.approx(2, rel=0.2)
+    assert seconds(series, 4000, duration=2e-1) / seconds(
+        series, 4000, duration=1e-1
+    ) == pytest.approx(2, rel=0.2)
     assert seconds(series, 4000, duration=1e-1) > seconds(series, 2000, duration=1e-1)
 
 
@@ -191,7 +203,9 @@ def resonance(scene: Scene, time: float) -> np.ndarray:
     omega, shape = modes.frequency, modes.shape
     u, v = scene.initial()
     moving, grains = chain.movable, chain.grains
-    squeeze = np.zeros((grains + 1, omega.size))  # of contact c, from 0 above the top, by a unit of a mode
+    squeeze = np.zeros(
+        (grains + 1, omega.size)
+    )  # of contact c, from 0 above the top, by a unit of a mode
     for contact in range(grains + 1):
         above = shape[contact - 1] if 1 <= contact <= moving else 0.0
         below = shape[contact] if contact < moving else 0.0
@@ -245,7 +259,9 @@ def test_waves_in_resonance_by_loops_over_pairs(exponent, top):
     profile = Profile(velocity=1e-7 * rng.normal(size=4), displacement=1e-12 * rng.normal(size=4))
     scene = Scene(chain=chain, excitation=profile, duration=1e-3)
     for time in (1e-6, 1e-4, 1e-2):
-        np.testing.assert_allclose(Resonance(scene).motion(time), resonance(scene, time), rtol=1e-9, atol=0)
+        np.testing.assert_allclose(
+            Resonance(scene).motion(time), resonance(scene, time), rtol=1e-9, atol=0
+        )
 
 
 def test_waves_in_resonance_are_those_of_few_grains_whose_force_is_curved():
@@ -262,7 +278,8 @@ def test_a_drive_is_one_of_the_waves_in_resonance():
     """The steady motion that a slow drive makes beats with the free waves: four times as much for twice the drive."""
     chain = LOADED.replace(grains=5, masses=LOADED.masses[:5])
     scenes = [
-        Scene(chain=chain, excitation=Drive(amplitude=a, frequency=0.123 * HZ), duration=1e-3) for a in (1e-12, 2e-12)
+        Scene(chain=chain, excitation=Drive(amplitude=a, frequency=0.123 * HZ), duration=1e-3)
+        for a in (1e-12, 2e-12)
     ]
     one, two = (Resonance(scene).motion(5e-4) for scene in scenes)
     np.testing.assert_allclose(two, 4 * one, rtol=1e-9, atol=0)
@@ -286,14 +303,22 @@ def test_the_bounds_of_linear_theory_go_like_the_strike_and_the_curvature():
     later = scene.replace(duration=3 * scene.duration)
     periods = scene.chain.band_edge * scene.duration
     assert model_error.bounds(later)[0] == least
-    assert model_error.bounds(later)[1] / most == pytest.approx((1 + 3 * periods) / (1 + periods), rel=1e-9)
-    assert most / least == pytest.approx((1 + periods) * scene.linear_strain / scene.strike_number, rel=1e-9)
+    assert model_error.bounds(later)[1] / most == pytest.approx(
+        (1 + 3 * periods) / (1 + periods), rel=1e-9
+    )
+    assert most / least == pytest.approx(
+        (1 + periods) * scene.linear_strain / scene.strike_number, rel=1e-9
+    )
     springs = struck(1e-7, gravity=0.0, top_load=1e-2, exponent=1.0)
     assert model_error.bounds(springs) == (0.0, 0.0)
     assert model_error.bounds(scene.replace(excitation=Impulse(velocity=10.0)))[1] == 1.0
     assert model_error.least_error(scene.replace(excitation=Impulse(velocity=1.0))) == 1.0
-    assert model_error.may_open(scene.replace(excitation=Impulse(velocity=1e-7 / scene.linear_strain * 1.001)))
-    assert not model_error.may_open(scene.replace(excitation=Impulse(velocity=1e-7 / scene.linear_strain * 0.999)))
+    assert model_error.may_open(
+        scene.replace(excitation=Impulse(velocity=1e-7 / scene.linear_strain * 1.001))
+    )
+    assert not model_error.may_open(
+        scene.replace(excitation=Impulse(velocity=1e-7 / scene.linear_strain * 0.999))
+    )
 
 
 def test_the_least_that_linear_theory_leaves_out_is_what_one_swing_does():
@@ -318,7 +343,9 @@ def test_the_bound_of_a_struck_column_is_three_times_its_law():
             samples=101,
         )
         one, other = simulate(scene, "chebyshev", 0.9), simulate(scene, "native", 1e-10)
-        left_out = relative_error(one.displacement, one.velocity, other.displacement, other.velocity)
+        left_out = relative_error(
+            one.displacement, one.velocity, other.displacement, other.velocity
+        )
         assert left_out / (0.5 * scene.strike_number) == pytest.approx(law, rel=0.12)
 
 
@@ -326,7 +353,9 @@ def test_what_is_a_struck_column():
     scene = struck()
     passage = float(model_error.passage(scene).sum())
     chain = scene.chain
-    assert passage == pytest.approx(np.sqrt(chain.masses[:-1] / chain.linear_stiffness).sum(), rel=1e-12)
+    assert passage == pytest.approx(
+        np.sqrt(chain.masses[:-1] / chain.linear_stiffness).sum(), rel=1e-12
+    )
     assert model_error.struck_column(scene)
     assert model_error.struck_column(scene.replace(duration=9.99 * passage))
     assert model_error.struck_column(struck(exponent=2.2))
@@ -347,7 +376,9 @@ def test_what_is_a_struck_column():
 
 def test_how_much_grains_differ():
     chain = Chain(grains=3, diameter=1e-3, masses=[1e-6, 4e-6, 2e-6], contact_constants=[1e9, 1e9])
-    assert model_error.unlike(chain) == pytest.approx({"masses": 0.75, "contact_constants": 0.0}, rel=1e-12)
+    assert model_error.unlike(chain) == pytest.approx(
+        {"masses": 0.75, "contact_constants": 0.0}, rel=1e-12
+    )
     assert model_error.unlike(Chain(grains=1, diameter=1e-3, bottom="wall")) == {"masses": 0.0}
 
 
@@ -360,13 +391,19 @@ def test_how_far_a_train_of_waves_travels_at_its_largest_strain():
         scene = Scene(chain=chain, excitation=force, duration=1e-4)
         assert model_error.travel(scene) == pytest.approx(hops * hop, rel=1e-9)
     packet = Packet(frequency=0.1 / hop, width=2, grain=15, amplitude=1e-12)
-    assert model_error.travel(Scene(chain=chain, excitation=packet, duration=1e-4)) == pytest.approx(29 * hop, rel=1e-9)
+    assert model_error.travel(
+        Scene(chain=chain, excitation=packet, duration=1e-4)
+    ) == pytest.approx(29 * hop, rel=1e-9)
     column = Chain(grains=30, diameter=1e-3)
     scene = Scene(chain=column, excitation=Drive(amplitude=1e-12, frequency=1e4), duration=1e-4)
     times = np.sqrt(column.masses[:-1] / column.linear_stiffness)
-    strain = 1 / (column.equilibrium_overlap * np.sqrt(column.linear_stiffness / times))  # as energy flows evenly
+    strain = 1 / (
+        column.equilibrium_overlap * np.sqrt(column.linear_stiffness / times)
+    )  # as energy flows evenly
     assert np.all(np.diff(strain) < 0)
-    assert model_error.travel(scene) == pytest.approx(float((times * strain).sum() / strain[0]), rel=1e-9)
+    assert model_error.travel(scene) == pytest.approx(
+        float((times * strain).sum() / strain[0]), rel=1e-9
+    )
 
 
 def test_the_fastest_of_chain_and_excitation():
@@ -451,7 +488,9 @@ def test_what_closed_forms_know_beforehand():
     candidate = Bessel().candidate(loaded, 0.9)
     assert (candidate.model_error, candidate.active_grains) == (series.model_error, 400)
     assert Bessel().least_model_error(loaded) == model_error.least_error(loaded)
-    assert Bessel().estimate_model_error(loaded) == pytest.approx(Chebyshev().estimate_model_error(loaded), rel=0.3)
+    assert Bessel().estimate_model_error(loaded) == pytest.approx(
+        Chebyshev().estimate_model_error(loaded), rel=0.3
+    )
     back = loaded.replace(duration=5e-3)
     assert np.isnan(Bessel().candidate(back, 0.9).model_error)
 
@@ -484,7 +523,9 @@ ACTING = {
 @pytest.mark.parametrize("kind", ACTING)
 def test_what_linear_theory_leaves_out_of_a_motion_that_is_forced(kind: str):
     top = "wall" if kind == "wall" else "free"
-    chain = Chain(grains=20, material="steel", diameter=5e-3, gravity=0, top_load=5.0, top=top, bottom="wall")
+    chain = Chain(
+        grains=20, material="steel", diameter=5e-3, gravity=0, top_load=5.0, top=top, bottom="wall"
+    )
     scene = Scene(chain=chain, excitation=ACTING[kind], duration=2e-4, samples=41)
     answer = simulate(scene, "modes", 1e-2, on_miss="warn")
     exact = simulate(scene, "native", 1e-9)
@@ -498,7 +539,9 @@ def test_what_linear_theory_leaves_out_of_a_motion_that_is_forced(kind: str):
 
 def test_what_linear_theory_leaves_out_of_a_train_of_waves():
     """Its crests gain on its troughs, by (delta - 1) s omega t / 4 of it; the estimate covers that, and is no bound."""
-    chain = Chain(grains=300, material="steel", diameter=5e-3, gravity=0, top_load=5.0, bottom="wall")
+    chain = Chain(
+        grains=300, material="steel", diameter=5e-3, gravity=0, top_load=5.0, bottom="wall"
+    )
     hertz = 0.4 * chain.band_edge / (2 * np.pi)
     packet = Packet(frequency=hertz, width=20, grain=130, amplitude=1e-9)
     scene = Scene(chain=chain, excitation=packet, duration=150 / chain.band_edge, samples=31)

@@ -9,7 +9,18 @@ import numpy as np
 import pytest
 
 import lmpchain
-from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Packet, Profile, Scene, ToleranceNotMet, simulate
+from lmpchain import (
+    Chain,
+    Displacement,
+    Drive,
+    Impulse,
+    InputError,
+    Packet,
+    Profile,
+    Scene,
+    ToleranceNotMet,
+    simulate,
+)
 from lmpchain.engines import Modes
 from lmpchain.errors import RunFailed
 from lmpchain.simulation.selection import percent
@@ -31,7 +42,10 @@ def drawn(seed: int) -> Scene:
 
 
 def _drawn(rng: np.random.Generator) -> Scene:
-    grains, load = int(rng.choice([2, 3, 4, 6, 12, 30, 80])), rng.choice(["gravity", "load", "both"])
+    grains, load = (
+        int(rng.choice([2, 3, 4, 6, 12, 30, 80])),
+        rng.choice(["gravity", "load", "both"]),
+    )
     bottom, even = str(rng.choice(["fixed", "wall"])), rng.random() < 0.6
     kind = str(rng.choice(["impulse", "impulse", "displacement", "profile", "drive"]))
     chain = Chain(
@@ -39,7 +53,11 @@ def _drawn(rng: np.random.Generator) -> Scene:
         diameter=1e-3 if even else rng.uniform(0.6e-3, 1.6e-3, grains),
         gravity=0.0 if load == "load" else 9.81,
         top_load=0.0 if load == "gravity" else 10 ** rng.uniform(-5, -1),
-        exponent=float(rng.choice([1.0, 1.0, 1.0, rng.uniform(1.0, 1.3), 1.5, 1.5, 2.0, rng.uniform(1, 3), 3.0])),
+        exponent=float(
+            rng.choice(
+                [1.0, 1.0, 1.0, rng.uniform(1.0, 1.3), 1.5, 1.5, 2.0, rng.uniform(1, 3), 3.0]
+            )
+        ),
         top="wall" if load != "gravity" and kind != "drive" and rng.random() < 0.3 else "free",
         bottom=bottom,
     )
@@ -49,9 +67,13 @@ def _drawn(rng: np.random.Generator) -> Scene:
     strength = 10 ** (rng.uniform(-12, 0.2) if rng.random() < 0.4 else rng.uniform(-3, 0.3))
     sign = float(rng.choice([-1.0, 1.0]))
     excitation: lmpchain.scene.base.Excitation
-    frequency = float(rng.choice(frequencies)) * float(rng.choice([1.0, 1.0 + 1e-3, rng.uniform(0.1, 1.5)]))
+    frequency = float(rng.choice(frequencies)) * float(
+        rng.choice([1.0, 1.0 + 1e-3, rng.uniform(0.1, 1.5)])
+    )
     if kind == "impulse":
-        omega = np.sqrt(chain.linear_stiffness[min(grain, chain.grains - 1) - 1] / chain.masses[grain - 1])
+        omega = np.sqrt(
+            chain.linear_stiffness[min(grain, chain.grains - 1) - 1] / chain.masses[grain - 1]
+        )
         excitation = Impulse(velocity=sign * strength * length * omega, grain=grain)
     elif kind == "displacement":
         excitation = Displacement(displacement=sign * strength * length, grain=grain)
@@ -84,7 +106,9 @@ class Truth(NamedTuple):
 def truth(scene: Scene) -> Truth | None:
     """Return the motion by the native engine at 1e-10; None where it cannot be had."""
     span = scene.duration * max(scene.chain.band_edge, scene.excitation.fastest)
-    finer = int(np.clip(np.ceil(4 * span / (scene.samples - 1)), 1, max(1, MOST_POINTS // scene.samples)))
+    finer = int(
+        np.clip(np.ceil(4 * span / (scene.samples - 1)), 1, max(1, MOST_POINTS // scene.samples))
+    )
     fine = Scene(**scene.given() | {"samples": finer * (scene.samples - 1) + 1})
     try:
         run = simulate(fine, "native", 1e-10)
@@ -124,9 +148,21 @@ def trials(seed: int) -> list[Trial]:
             t = simulate(scene, name, 0.9, on_miss="warn")
             modes = Modes()
             part = modes.part(scene)
-            bound = modes.bound_model_error(part, modes.candidate(part, 0.9)) if name == "modes" else np.nan
+            bound = (
+                modes.bound_model_error(part, modes.candidate(part, 0.9))
+                if name == "modes"
+                else np.nan
+            )
             rows.append(
-                Trial(seed, name, np.nan, known.error(t), t.error_estimate.model, t.error_estimate.solver, bound)
+                Trial(
+                    seed,
+                    name,
+                    np.nan,
+                    known.error(t),
+                    t.error_estimate.model,
+                    t.error_estimate.solver,
+                    bound,
+                )
             )
         for _ in range(2):
             tolerance = float(10 ** rng.uniform(-9, -0.3))
@@ -138,7 +174,15 @@ def trials(seed: int) -> list[Trial]:
                 continue
             estimate = t.error_estimate
             rows.append(
-                Trial(seed, f"auto {t.engine}", tolerance, known.error(t), estimate.model, estimate.solver, np.nan)
+                Trial(
+                    seed,
+                    f"auto {t.engine}",
+                    tolerance,
+                    known.error(t),
+                    estimate.model,
+                    estimate.solver,
+                    np.nan,
+                )
             )
     return rows
 
@@ -146,7 +190,9 @@ def trials(seed: int) -> list[Trial]:
 def springs() -> Scene:
     """Return springs between a wall and a grain that is held, of which one opens between two of few samples."""
     chain = Chain(grains=4, diameter=1e-3, gravity=0.0, top_load=3.3e-3, top="wall", exponent=1.0)
-    unit = float(chain.equilibrium_overlap[2] * np.sqrt(chain.linear_stiffness[2] / chain.masses[2]))
+    unit = float(
+        chain.equilibrium_overlap[2] * np.sqrt(chain.linear_stiffness[2] / chain.masses[2])
+    )
     strike = Impulse(velocity=1.05 * unit, grain=3)
     return Scene(chain=chain, excitation=strike, duration=978 / chain.band_edge, samples=5)
 
@@ -160,7 +206,9 @@ def test_springs_that_open_between_samples_are_left_to_eq_1():
     assert t.equation == 1
     assert known.error(t) < 1e-6
     for engine in ("modes", "chebyshev"):
-        with pytest.warns(UserWarning, match=r"leaves out about .* \(at most 1\).*contact \d opens"):
+        with pytest.warns(
+            UserWarning, match=r"leaves out about .* \(at most 1\).*contact \d opens"
+        ):
             t = simulate(scene, engine)
         assert known.error(t) > 0.1
         assert t.error_estimate.model > known.error(t) / 3
@@ -187,16 +235,22 @@ def test_no_contact_is_stretched_beyond_what_the_energy_allows(seed):
     scene = next(s for s in map(drawn, range(100 * seed, 100 * seed + 100)) if not s.drive)
     chain, contacts = scene.chain, scene.chain.contacts
     part = slice(0, chain.movable)
-    stretch = -np.diff(np.eye(chain.grains)[:, part], axis=0, prepend=0, append=0)  # of contacts by displacements
+    stretch = -np.diff(
+        np.eye(chain.grains)[:, part], axis=0, prepend=0, append=0
+    )  # of contacts by displacements
     form = stretch.T @ (contacts.stiffness[:, None] * stretch)
     u, v = scene.initial()
     energy = (chain.masses * v**2).sum() + (contacts.stiffness * (stretch @ u[part]) ** 2).sum()
     most = np.sqrt(energy * np.einsum("ci,ij,cj->c", stretch, np.linalg.inv(form), stretch))
     pressed = contacts.pressed
-    assert scene.linear_strain == pytest.approx((most[pressed] / contacts.overlap[pressed]).max(), rel=1e-9, abs=0)
+    assert scene.linear_strain == pytest.approx(
+        (most[pressed] / contacts.overlap[pressed]).max(), rel=1e-9, abs=0
+    )
     times = np.linspace(0, scene.duration, 2000)
     moved = eigenmodes(chain).response(times, u[part], v[part])[0] @ stretch.T
-    assert (np.abs(moved[:, pressed]) / contacts.overlap[pressed]).max() <= scene.linear_strain * (1 + 1e-9)
+    assert (np.abs(moved[:, pressed]) / contacts.overlap[pressed]).max() <= scene.linear_strain * (
+        1 + 1e-9
+    )
 
 
 @pytest.mark.filterwarnings("ignore:Eq. ")
@@ -207,7 +261,9 @@ def test_errors_are_relative_to_the_largest_motion_also_between_samples(engine, 
     chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=10.0)
     unit = chain.length_scale / chain.time_scale
     periods = 64 * (samples - 1) * np.pi / chain.band_edge
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3 * unit), duration=periods, samples=samples)
+    scene = Scene(
+        chain=chain, excitation=Impulse(velocity=1e-3 * unit), duration=periods, samples=samples
+    )
     known, t = truth(scene), simulate(scene, engine, 0.9)
     assert known
     assert known.error(t) / 3 < t.error_estimate.model < 0.2
@@ -218,7 +274,10 @@ def test_errors_are_relative_to_the_largest_motion_also_between_samples(engine, 
 def test_the_scale_of_errors_is_the_largest_motion_of_the_run(seed):
     """However seldom it is recorded: never above it, and never far below."""
     scene = drawn(seed)
-    seldom = Scene(**scene.given() | {"samples": 2, "duration": min(scene.duration, 100 / scene.chain.band_edge)})
+    seldom = Scene(
+        **scene.given()
+        | {"samples": 2, "duration": min(scene.duration, 100 / scene.chain.band_edge)}
+    )
     dense = Scene(**seldom.given() | {"samples": 2001})
     u, v = (np.abs(x).max() for x in _linear(dense))
     found = Modes().look(seldom).scale
@@ -246,7 +305,9 @@ def test_waves_in_resonance_add_up(engine, length):
     known, t = truth(scene), simulate(scene, engine, 0.9)
     assert known
     assert known.error(t) / 1.3 < Modes().look(scene).estimate < 1.3 * known.error(t)
-    assert known.error(t) < t.error_estimate.model < 6 * known.error(t)  # of what acts all the time, the bound
+    assert (
+        known.error(t) < t.error_estimate.model < 6 * known.error(t)
+    )  # of what acts all the time, the bound
 
 
 @pytest.mark.filterwarnings("ignore:Eq. ")
@@ -255,7 +316,10 @@ def test_waves_that_travel_far_grow_steeper(kind):
     """A crest is faster than a trough all the way, which signs that change at each grain do not tell."""
     grains = 1500
     chain = Chain(grains=grains, diameter=1e-3, gravity=0, top_load=1.0, exponent=2.0)
-    hop, amplitude = np.sqrt(chain.linear_stiffness[0] / chain.masses[0]), 2e-4 * chain.equilibrium_overlap[0]
+    hop, amplitude = (
+        np.sqrt(chain.linear_stiffness[0] / chain.masses[0]),
+        2e-4 * chain.equilibrium_overlap[0],
+    )
     if kind == "drive":
         excitation, grains_passed = Drive(frequency=0.6 * hop / np.pi, amplitude=amplitude), 1400
     else:
@@ -278,7 +342,8 @@ def _linear(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize(
-    ("amplitude", "frequency"), [(1.5e-9, 3e3), (1e-9, 1e4), (3e-10, 1e4), (1e-10, 3e4), (3e-10, 3e4)]
+    ("amplitude", "frequency"),
+    [(1.5e-9, 3e3), (1e-9, 1e4), (3e-10, 1e4), (1e-10, 3e4), (3e-10, 3e4)],
 )
 def test_one_estimate_of_linear_theory_for_a_driven_column(amplitude, frequency):
     """Plan, run and stability say the same of one scene; it is a third of the truth at least, and five times at most.
@@ -286,7 +351,9 @@ def test_one_estimate_of_linear_theory_for_a_driven_column(amplitude, frequency)
     Estimates are 0.21, 0.57, 0.11, 0.15 and 0.68, the truth 0.10, 0.23, 0.073, 0.070 and 0.22.
     """
     drive = Drive(amplitude=amplitude, frequency=frequency)
-    scene = Scene(chain=Chain(grains=120, diameter=1e-3), excitation=drive, duration=5e-4, samples=101)
+    scene = Scene(
+        chain=Chain(grains=120, diameter=1e-3), excitation=drive, duration=5e-4, samples=101
+    )
     planned = next(p for p in lmpchain.plan(scene).candidates if p.engine == "chebyshev")
     with pytest.warns(UserWarning, match=r"leaves out about .* of the answer \(at most "):
         t = simulate(scene, "chebyshev")

@@ -25,13 +25,20 @@ class Oscillator(Engine):
 
     def refuses(self, scene):
         """Return why this is not one grain on one spring."""
-        if scene.chain.movable != 1 or scene.chain.exponent != 1 or scene.drive or scene.largest_strain >= 1:
+        if (
+            scene.chain.movable != 1
+            or scene.chain.exponent != 1
+            or scene.drive
+            or scene.largest_strain >= 1
+        ):
             return [("grains", "oscillator knows one grain on one spring that stays pressed")]
         return []
 
     def candidate(self, scene, tolerance):
         """Propose the formula."""
-        return Candidate(scene.duration / (scene.samples - 1), scene.chain.grains, 0.0, ROUNDING, self.start_up_s)
+        return Candidate(
+            scene.duration / (scene.samples - 1), scene.chain.grains, 0.0, ROUNDING, self.start_up_s
+        )
 
     def refine(self, candidate, error, tolerance):
         """Nothing is better than the exact solution."""
@@ -94,7 +101,9 @@ def spring(monkeypatch: pytest.MonkeyPatch) -> Scene:
     monkeypatch.setitem(engines.REGISTRY, "oscillator", ("oscillator", "Oscillator"))
     chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=1.0, exponent=1.0)
     speed = 0.3 * chain.length_scale / chain.time_scale
-    return Scene(chain=chain, excitation=Impulse(velocity=speed), duration=20 * chain.time_scale, samples=41)
+    return Scene(
+        chain=chain, excitation=Impulse(velocity=speed), duration=20 * chain.time_scale, samples=41
+    )
 
 
 def test_it_answers_by_name_and_is_chosen_where_it_is_cheapest(spring: Scene):
@@ -105,8 +114,12 @@ def test_it_answers_by_name_and_is_chosen_where_it_is_cheapest(spring: Scene):
     assert chosen.provenance["formula"] == "sine"
     plan = lmpchain.plan(spring)
     assert plan.engine == "oscillator"
-    assert [proposal.kept for proposal in plan.candidates if proposal.engine == "oscillator"] == [True]
-    two = Scene(chain=Chain(grains=3, diameter=1e-3), excitation=Impulse(velocity=1e-4), duration=1e-5)
+    assert [proposal.kept for proposal in plan.candidates if proposal.engine == "oscillator"] == [
+        True
+    ]
+    two = Scene(
+        chain=Chain(grains=3, diameter=1e-3), excitation=Impulse(velocity=1e-4), duration=1e-5
+    )
     with pytest.raises(lmpchain.InputError, match="oscillator knows one grain"):
         simulate(two, "oscillator")
     assert lmpchain.plan(two).engine == "native"
@@ -133,6 +146,8 @@ def test_it_works_in_a_run_folder(spring: Scene, tmp_path):
 def test_it_answers_a_sweep(spring: Scene, tmp_path):
     speed = spring.excitation.velocity
     source = {"scene": spring, "engine": "oscillator", "keep": ["velocity"]}
-    swept = lmpchain.sweep(source | {"grid": {"excitation.velocity": [speed, 2 * speed]}}, tmp_path / "sweep")
+    swept = lmpchain.sweep(
+        source | {"grid": {"excitation.velocity": [speed, 2 * speed]}}, tmp_path / "sweep"
+    )
     assert (swept["solver_error"] == ROUNDING).all()
     assert np.allclose(swept["velocity"][1], 2 * swept["velocity"][0], rtol=1e-12, atol=0)

@@ -93,7 +93,9 @@ def test_a_run_goes_on_from_any_block_with_the_same_bits(engine, small_blocks):
             spoilt = spoilt | {"sample": np.array(int(states[1]["sample"]) + 1)}
         if key == "peaks":
             spoilt = spoilt | {"peaks": np.zeros((2, 2))}
-        with pytest.raises(InputError, match="checkpoint: does not fit its run, or was changed: run the scene anew"):
+        with pytest.raises(
+            InputError, match="checkpoint: does not fit its run, or was changed: run the scene anew"
+        ):
             engine.start([SCENE], candidate, spoilt)
 
 
@@ -150,7 +152,10 @@ def test_samples_that_are_interpolated_are_as_exact_as_the_others():
     assert error / 3 < t.error_estimate.total <= 1e-6
     assert Native("rkn6", adaptive=False).candidate(scene, 1e-6).stride == 1
     vacuum = Scene(
-        chain=CHAIN.replace(gravity=0.0), excitation=Impulse(velocity=1e-2), duration=scene.duration, samples=1001
+        chain=CHAIN.replace(gravity=0.0),
+        excitation=Impulse(velocity=1e-2),
+        duration=scene.duration,
+        samples=1001,
     )
     assert Native("rkn6").candidate(vacuum, 1e-6).stride == 1
 
@@ -184,7 +189,9 @@ def test_scenes_of_a_batch_are_of_one_kind():
     )  # fmt: skip
     for other in unlike_ones:
         assert kind(other) != kind(SCENE)
-        with pytest.raises(ValueError, match="a batch needs chains of one kind and length, recorded alike"):
+        with pytest.raises(
+            ValueError, match="a batch needs chains of one kind and length, recorded alike"
+        ):
             engine.start([SCENE, other], candidate)
     for changed in (
         {"steps_per_landing": 3}, {"stride": 2}, {"step": 1e-8}, {"adaptive": not candidate.adaptive},
@@ -212,12 +219,16 @@ def test_longer_runs_are_expected_to_cost_more():
     """In proportion to steps and grains, from a start-up on; a wave reaches few of many grains."""
     engine, method = Native("rkn6"), METHODS["rkn6"]
     scene = paper("weak", 3)
-    one, two, four = (engine.cost(scene, method, steps) - engine.start_up_s for steps in (1000, 2000, 4000))
+    one, two, four = (
+        engine.cost(scene, method, steps) - engine.start_up_s for steps in (1000, 2000, 4000)
+    )
     assert two == pytest.approx(2 * one, rel=1e-9)
     assert four == pytest.approx(4 * one, rel=1e-9)
     assert engine.computed(scene.replace(duration=1e-2)) == 120
     first, last = scene.excitation.reach(scene.chain)
-    reached = engine.computed(scene.replace(duration=1e-6)) - engine.computed(scene.replace(duration=5e-7))
+    reached = engine.computed(scene.replace(duration=1e-6)) - engine.computed(
+        scene.replace(duration=5e-7)
+    )
     assert reached == pytest.approx(scene.highest_frequency * 5e-7 / 4, rel=1e-9)
     assert engine.computed(scene.replace(duration=1e-9)) > last - first + 1
     assert Lammps().computed(scene) == 120

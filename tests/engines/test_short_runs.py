@@ -32,10 +32,18 @@ def short_scene(rng: np.random.Generator) -> Scene:
     grain = int(rng.integers(1, grains))
     length = chain.length_scale or float(chain.equilibrium_overlap[1])
     speed = length * chain.band_edge
-    struck, moved = Impulse(velocity=size * speed, grain=grain), Displacement(displacement=size * length, grain=grain)
+    struck, moved = (
+        Impulse(velocity=size * speed, grain=grain),
+        Displacement(displacement=size * length, grain=grain),
+    )
     excitation = struck if rng.random() < 0.5 else moved
     samples = int(rng.choice([2, 2, 2, 3, 4, 6]))
-    return Scene(chain=chain, excitation=excitation, duration=sample * (samples - 1) / chain.band_edge, samples=samples)
+    return Scene(
+        chain=chain,
+        excitation=excitation,
+        duration=sample * (samples - 1) / chain.band_edge,
+        samples=samples,
+    )
 
 
 def check(seed: int) -> None:
@@ -46,12 +54,17 @@ def check(seed: int) -> None:
     if METHODS[integrator].order <= 4:
         tolerance = max(tolerance, 1e-5)
     step = scene.duration / (scene.samples - 1) / steps
-    fixed = rng.random() < 0.5 and step * scene.highest_frequency < 0.9 * METHODS[integrator].stability_limit
+    fixed = (
+        rng.random() < 0.5
+        and step * scene.highest_frequency < 0.9 * METHODS[integrator].stability_limit
+    )
     with warnings.catch_warnings(action="ignore"):
         t = simulate(scene, Native(integrator, step if fixed else None), tolerance, on_miss="warn")
     true, own = true_error(t, scene)
     estimate = t.error_estimate.total
-    said = f"seed {seed}, {integrator}, {t.cost.steps} steps: true {true:.2e}, estimate {estimate:.2e}"
+    said = (
+        f"seed {seed}, {integrator}, {t.cost.steps} steps: true {true:.2e}, estimate {estimate:.2e}"
+    )
     assert estimate >= (true - own) / 3 - 1e-15, said
     assert fixed or estimate > tolerance or true <= tolerance + own, said
 
@@ -70,7 +83,9 @@ def test_many_short_runs(seed):
 def test_one_step():
     """Its companion must take another one: 1.6e-5 was once estimated at 1e-15."""
     chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=0.1)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1 / chain.band_edge, samples=2)
+    scene = Scene(
+        chain=chain, excitation=Impulse(velocity=1e-3), duration=1 / chain.band_edge, samples=2
+    )
     t = simulate(scene, "native", 1e-2)
     true, _ = true_error(t, scene)
     assert t.cost.steps == 1
@@ -82,7 +97,12 @@ def test_one_step():
 def test_companions_differ_from_the_answer_and_from_each_other(steps, samples):
     """Whether or not the number of steps divides, and the estimate is within three of the truth."""
     chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=0.1, exponent=1.0)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=2.9 / chain.band_edge, samples=samples)
+    scene = Scene(
+        chain=chain,
+        excitation=Impulse(velocity=1e-3),
+        duration=2.9 / chain.band_edge,
+        samples=samples,
+    )
     for integrator in ("verlet", "rkn4", "dop853"):
         step = scene.duration / (samples - 1) / steps
         if step * chain.band_edge > 0.9 * METHODS[integrator].stability_limit:
@@ -90,7 +110,9 @@ def test_companions_differ_from_the_answer_and_from_each_other(steps, samples):
         t = simulate(scene, Native(integrator, step))
         phase = chain.band_edge * scene.time
         speed = np.abs(t.velocity[:, 0] / 1e-3 - np.cos(phase)).max()
-        true = max(speed, np.abs(t.displacement[:, 0] * chain.band_edge / 1e-3 - np.sin(phase)).max())
+        true = max(
+            speed, np.abs(t.displacement[:, 0] * chain.band_edge / 1e-3 - np.sin(phase)).max()
+        )
         assert t.cost.steps == steps * (samples - 1)
         assert t.error_estimate.solver > true / 2 - 1e-15
 
@@ -110,7 +132,10 @@ def test_adaptive_steps_end_where_a_run_breaks_down():
         top="wall", bottom="wall",
     )  # fmt: skip
     scene = Scene(
-        chain=chain, excitation=Impulse(velocity=2.9797464221365813), duration=0.000458478080663487, samples=11
+        chain=chain,
+        excitation=Impulse(velocity=2.9797464221365813),
+        duration=0.000458478080663487,
+        samples=11,
     )
     engine, true = Native("rkn4"), reference(scene)
     for steps in (1, 2, 4):
@@ -119,14 +144,23 @@ def test_adaptive_steps_end_where_a_run_breaks_down():
         run = engine.start([scene], candidate)
         with suppress(RunFailed):
             (u,), (v,) = blocks_of(run)
-            assert run.errors()[0].total > relative_error(u, v, true.displacement, true.velocity) > 0
+            assert (
+                run.errors()[0].total > relative_error(u, v, true.displacement, true.velocity) > 0
+            )
 
 
-@pytest.mark.parametrize(("integrator", "velocity"), [("rkn4", 1e-6), ("rkn4", 1e-3), ("rkn6", 1e-4), ("rkn6", 1e-3)])
-def test_where_twice_the_step_is_unstable_one_and_a_half_times_shows_the_error(integrator: str, velocity: float):
+@pytest.mark.parametrize(
+    ("integrator", "velocity"), [("rkn4", 1e-6), ("rkn4", 1e-3), ("rkn6", 1e-4), ("rkn6", 1e-3)]
+)
+def test_where_twice_the_step_is_unstable_one_and_a_half_times_shows_the_error(
+    integrator: str, velocity: float
+):
     engine, method = Native(integrator), METHODS[integrator]
     scene = Scene(
-        chain=Chain(grains=60, diameter=1e-3), excitation=Impulse(velocity=velocity), duration=4e-5, samples=2
+        chain=Chain(grains=60, diameter=1e-3),
+        excitation=Impulse(velocity=velocity),
+        duration=4e-5,
+        samples=2,
     )
     loose = engine.candidate(scene, 0.3)
     assert 1.5 < method.stability_limit / (loose.step * scene.chain.band_edge) < 2

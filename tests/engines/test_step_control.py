@@ -27,7 +27,9 @@ COST = Cost(1.0, 0.5, 0.25, 40, 280, 8, "rkn6", STEP, 1)
 
 def budget(truncation: float, roundoff: float = 1e-15, smooth: bool = True) -> ErrorBudget:
     """Return an error, and differences that reach it at the third of five samples."""
-    return ErrorBudget(truncation, roundoff, smooth, truncation * np.array([0.0, 1e-9, 1.0, 1.0, 1.0]))
+    return ErrorBudget(
+        truncation, roundoff, smooth, truncation * np.array([0.0, 1e-9, 1.0, 1.0, 1.0])
+    )
 
 
 class Scripted(Engine):
@@ -121,7 +123,9 @@ def pairs(monkeypatch):
 
 def solve(engine: Scripted, tolerance: float = 1e-6, scenes=(SCENE,), **options):
     attempt = Attempt("native", CANDIDATE, tolerance, planned_s=0.125)
-    return solve_to_tolerance(engine, list(scenes), attempt, lambda run: list(run.blocks()), **options)
+    return solve_to_tolerance(
+        engine, list(scenes), attempt, lambda run: list(run.blocks()), **options
+    )
 
 
 def test_steps_shorten_until_the_tolerance_is_met(now, pairs):
@@ -269,7 +273,9 @@ def test_chaos_is_looked_for_in_the_first_two_attempts_that_miss_by_far(now, pai
 
 def test_pairs_of_runs_are_made_with_adaptive_steps_and_with_those_of_one_length(now, pairs):
     pairs.apart = 1.0
-    attempt = Attempt("native", CANDIDATE._replace(adaptive=True, stride=2, steps_per_landing=20), 1e-6)
+    attempt = Attempt(
+        "native", CANDIDATE._replace(adaptive=True, stride=2, steps_per_landing=20), 1e-6
+    )
     _, missed = next_attempt(Scripted([], now), SCENE, attempt, budget(0.9))
     assert "amplifies" in missed
     assert sorted(pair.adaptive for pair in pairs.seen) == [False, True]
@@ -321,7 +327,9 @@ def test_a_refusal_of_the_engine_stays_with_the_attempt():
     with pytest.raises(ToleranceNotMet, match="round-off alone makes an error of about"):
         first_attempt(Native(), SCENE, 1e-16)
     attempt = first_attempt(Native(), SCENE, 1e-16, best_effort=True)
-    assert attempt.tolerance == pytest.approx(1e-16 * 4 ** round(math.log(attempt.tolerance / 1e-16, 4)), rel=1e-9)
+    assert attempt.tolerance == pytest.approx(
+        1e-16 * 4 ** round(math.log(attempt.tolerance / 1e-16, 4)), rel=1e-9
+    )
     assert attempt.tolerance < 1e-13
     assert "round-off alone" in attempt.refusal
     assert (attempt.engine, attempt.number) == ("native", 1)

@@ -70,7 +70,9 @@ def test_tolerances_between_0_and_1(tolerance: float):
     check_tolerance(tolerance)
 
 
-@pytest.mark.parametrize("tolerance", [0, 0.0, 1, 1.0, 1.5, -1e-6, float("nan"), True, False, "1e-6", None])
+@pytest.mark.parametrize(
+    "tolerance", [0, 0.0, 1, 1.0, 1.5, -1e-6, float("nan"), True, False, "1e-6", None]
+)
 def test_no_other_tolerances(tolerance: object):
     with pytest.raises(InputError) as caught:
         check_tolerance(tolerance)

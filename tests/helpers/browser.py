@@ -33,7 +33,11 @@ class Browser:
         self._given, self._said, self._number, self._session = given, said, 0, {}
         self.remarks: list[dict[str, Any]] = []  # what the console and the security policy say
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
-        self._session = {"sessionId": self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]}
+        self._session = {
+            "sessionId": self.call("Target.attachToTarget", targetId=target, flatten=True)[
+                "sessionId"
+            ]
+        }
         for domain in ("Page", "Runtime", "Log"):
             self.call(f"{domain}.enable")
 
@@ -55,7 +59,11 @@ class Browser:
             assert letter, "the browser has ended"
             letters += letter
         answer = json.loads(letters)
-        if answer.get("method") in ("Runtime.exceptionThrown", "Runtime.consoleAPICalled", "Log.entryAdded"):
+        if answer.get("method") in (
+            "Runtime.exceptionThrown",
+            "Runtime.consoleAPICalled",
+            "Log.entryAdded",
+        ):
             self.remarks.append(answer["params"])
         return answer
 
@@ -63,24 +71,42 @@ class Browser:
         """Open a file in a window of this size, as a reader who prefers light or dark pages."""
         self.remarks.clear()
         self.call(
-            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=2, mobile=width < 500
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=2,
+            mobile=width < 500,
         )
-        self.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+        self.call(
+            "Emulation.setEmulatedMedia",
+            features=[{"name": "prefers-color-scheme", "value": scheme}],
+        )
         self.call("Page.navigate", url=path.as_uri())
         while self.run("document.readyState") != "complete":
             pass
 
     def run(self, script: str) -> Any:
         """Return the value of an expression in the page; a promise is waited for."""
-        answer = self.call("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
+        answer = self.call(
+            "Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True
+        )
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 
     def press(self, key: str, text: str = "") -> None:
         """Press and let go a key."""
         name = {"key": key, "code": {" ": "Space"}.get(key, key)}
-        code = {"Tab": 9, " ": 32, "ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40}.get(key, 0)
-        self.call("Input.dispatchKeyEvent", type="keyDown", windowsVirtualKeyCode=code, text=text, **name)
+        code = {
+            "Tab": 9,
+            " ": 32,
+            "ArrowLeft": 37,
+            "ArrowUp": 38,
+            "ArrowRight": 39,
+            "ArrowDown": 40,
+        }.get(key, 0)
+        self.call(
+            "Input.dispatchKeyEvent", type="keyDown", windowsVirtualKeyCode=code, text=text, **name
+        )
         self.call("Input.dispatchKeyEvent", type="keyUp", windowsVirtualKeyCode=code, **name)
 
     def point(self, x: float, y: float) -> None:

@@ -25,11 +25,15 @@ HURRIED = (sys.executable, str(Path(__file__).with_name("hurried.py")))
 PATIENCE = 600.0  # s, after which a process is taken to hang: on a busy machine everything is slow
 
 
-def start(*words: object, ranks: int = 1, command: Sequence[str] = COMMAND, **options) -> subprocess.Popen[str]:
+def start(
+    *words: object, ranks: int = 1, command: Sequence[str] = COMMAND, **options
+) -> subprocess.Popen[str]:
     """Start a command of lmpchain, under mpirun if there are several ranks."""
     under = [mpi.launcher(), "-n", str(ranks)] if ranks > 1 else []
     command = [*under, *command, *map(str, words)]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, **options)
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, **options
+    )
 
 
 def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
@@ -51,14 +55,25 @@ class Fork:
     """A command in a fork of this process, which saves the time to import and compile."""
 
     def __init__(
-        self, main: Callable[[list[str]], int], words: Sequence[object], environment: Mapping[str, str], said: Path
+        self,
+        main: Callable[[list[str]], int],
+        words: Sequence[object],
+        environment: Mapping[str, str],
+        said: Path,
     ):
         self._said = said
-        self._process = get_context("fork").Process(target=self._child, args=(main, words, environment))
+        self._process = get_context("fork").Process(
+            target=self._child, args=(main, words, environment)
+        )
         self._process.start()
         self.pid: int = self._process.pid or 0
 
-    def _child(self, main: Callable[[list[str]], int], words: Sequence[object], environment: Mapping[str, str]) -> None:
+    def _child(
+        self,
+        main: Callable[[list[str]], int],
+        words: Sequence[object],
+        environment: Mapping[str, str],
+    ) -> None:
         os.setsid()
         os.environ.clear()
         os.environ.update(environment)
@@ -118,14 +133,18 @@ def busy(process: int, seconds: float) -> None:
 
 
 @contextmanager
-def on_a_terminal(*command: object, **options) -> Iterator[tuple[subprocess.Popen[str], Callable[[str], str]]]:
+def on_a_terminal(
+    *command: object, **options
+) -> Iterator[tuple[subprocess.Popen[str], Callable[[str], str]]]:
     """Run a command whose stderr is a terminal, where it shows its progress.
 
     Yields the process and a function that reads from the terminal until a pattern is found and returns what was read.
     """
     terminal, theirs = pty.openpty()
     termios.tcsetwinsize(theirs, (24, 120))
-    process = subprocess.Popen([*map(str, command)], stdout=subprocess.PIPE, stderr=theirs, text=True, **options)
+    process = subprocess.Popen(
+        [*map(str, command)], stdout=subprocess.PIPE, stderr=theirs, text=True, **options
+    )
     os.close(theirs)
 
     def read_until(wanted: str) -> str:
@@ -146,7 +165,9 @@ def on_a_terminal(*command: object, **options) -> Iterator[tuple[subprocess.Pope
 def same(answer: Trajectory, truth: Trajectory) -> bool:
     """Say whether two answers agree to the last bit."""
     names = ("time", "displacement", "velocity", "grains")
-    bits = all(getattr(answer, name)[:].tobytes() == getattr(truth, name)[:].tobytes() for name in names)
+    bits = all(
+        getattr(answer, name)[:].tobytes() == getattr(truth, name)[:].tobytes() for name in names
+    )
     return bits and answer.error_estimate == truth.error_estimate and answer.scene == truth.scene
 
 
@@ -161,7 +182,9 @@ def processes(mark: str) -> list[int]:
     found = []
     for entry in Path("/proc").iterdir():
         try:
-            if entry.name.isdigit() and mark.encode() in (entry / "environ").read_bytes().split(b"\0"):
+            if entry.name.isdigit() and mark.encode() in (entry / "environ").read_bytes().split(
+                b"\0"
+            ):
                 found.append(int(entry.name))
         except OSError:
             continue

@@ -15,7 +15,9 @@ DISORDERED = Chain(
 CHAINS = {
     "the paper's": Chain(grains=120, diameter=1e-3),
     "disordered": DISORDERED,
-    "loaded and free of gravity": Chain(grains=25, material=STEEL, diameter=5e-3, gravity=0.0, top_load=1.0),
+    "loaded and free of gravity": Chain(
+        grains=25, material=STEEL, diameter=5e-3, gravity=0.0, top_load=1.0
+    ),
     "softer exponent": Chain(grains=40, diameter=1e-3, exponent=1.2),
     "harder exponent": Chain(grains=40, diameter=1e-3, exponent=2.7),
     "springs": Chain(grains=40, diameter=1e-3, exponent=1.0),

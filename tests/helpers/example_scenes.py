@@ -29,14 +29,23 @@ def paper(name: str, samples: int = 26) -> Scene:
     """Return a scene of the paper: 120 glass beads of 1 mm to 100 us."""
     velocity, gravity = PAPER[name]
     chain = Chain(grains=120, material=GLASS, diameter=1e-3, gravity=gravity)
-    return Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=100e-6, samples=samples)
+    return Scene(
+        chain=chain, excitation=Impulse(velocity=velocity), duration=100e-6, samples=samples
+    )
 
 
 def smooth(grains: int = 8, exponent: float = 1.5, samples: int = 2) -> Scene:
     """Return a short loaded chain struck so gently (v0* = 1e-3) that nothing comes near to opening."""
-    chain = Chain(grains=grains, material=GLASS, diameter=1e-3, gravity=0.0, top_load=1e-3, exponent=exponent)
+    chain = Chain(
+        grains=grains, material=GLASS, diameter=1e-3, gravity=0.0, top_load=1e-3, exponent=exponent
+    )
     speed = 1e-3 * chain.length_scale / chain.time_scale
-    return Scene(chain=chain, excitation=Impulse(velocity=speed), duration=8 * chain.time_scale, samples=samples)
+    return Scene(
+        chain=chain,
+        excitation=Impulse(velocity=speed),
+        duration=8 * chain.time_scale,
+        samples=samples,
+    )
 
 
 def random_scene(
@@ -46,7 +55,11 @@ def random_scene(
     while True:
         try:
             chain = _chain(rng, float(rng.choice(exponents)))
-            return _driven(rng, chain) if chain.top == "free" and rng.random() < 0.3 else _struck(rng, chain)
+            return (
+                _driven(rng, chain)
+                if chain.top == "free" and rng.random() < 0.3
+                else _struck(rng, chain)
+            )
         except InputError:
             continue
 
@@ -55,8 +68,12 @@ def _chain(rng: np.random.Generator, exponent: float) -> Chain:
     grains = int(rng.choice([2, 3, 5, 12, 30, 60]))
     kind = rng.choice(["gravity", "gravity", "load", "vacuum"])
     top = "wall" if rng.random() < 0.3 else "free"
-    bottom = rng.choice(["fixed", "wall", "free"] if kind == "vacuum" else ["fixed", "fixed", "wall"]).item()
-    walls = [f"{end}_material" for end, what in (("top", top), ("bottom", bottom)) if what == "wall"]
+    bottom = rng.choice(
+        ["fixed", "wall", "free"] if kind == "vacuum" else ["fixed", "fixed", "wall"]
+    ).item()
+    walls = [
+        f"{end}_material" for end, what in (("top", top), ("bottom", bottom)) if what == "wall"
+    ]
     pressed = kind == "load" or (kind == "gravity" and rng.random() < 0.3)
     diameter = 1e-3 * 10 ** rng.uniform(-0.5, 1)
     return Chain(
@@ -83,7 +100,11 @@ def _impurities(rng: np.random.Generator, grains: int, diameter: float) -> list[
     for grain in rng.permutation(grains)[: rng.integers(1, 4)] + 1:
         what = rng.choice(["diameter", "material", "mass"])
         mass = 2426 * np.pi / 6 * diameter**3 * 10 ** rng.uniform(-0.5, 0.5)
-        draws = {"diameter": diameter * rng.uniform(0.5, 2), "material": _material(rng), "mass": mass}
+        draws = {
+            "diameter": diameter * rng.uniform(0.5, 2),
+            "material": _material(rng),
+            "mass": mass,
+        }
         found.append(Impurity(grain=grain, **{what: draws[what]}))
     return found
 
@@ -93,7 +114,9 @@ def _units(rng: np.random.Generator, chain: Chain, grain: int) -> tuple[float, f
     if chain.compressed:
         contact = min(grain, chain.grains - 1) - 1
         overlap = chain.equilibrium_overlap[contact]
-        return float(overlap), float(np.sqrt(chain.linear_stiffness[contact] / chain.masses[contact]))
+        return float(overlap), float(
+            np.sqrt(chain.linear_stiffness[contact] / chain.masses[contact])
+        )
     speed = 10 ** rng.uniform(-4, 0)
     scale = (chain.masses.mean() / chain.contact_constants.mean()) ** (1 / (chain.exponent + 1))
     unit = scale * speed ** ((1 - chain.exponent) / (1 + chain.exponent))
@@ -106,14 +129,19 @@ def _struck(rng: np.random.Generator, chain: Chain) -> Scene:
     duration = rng.uniform(2, 20) / omega
     if not chain.compressed:
         return Scene(
-            chain=chain, excitation=Impulse(velocity=length * omega, grain=grain), duration=duration, samples=11
+            chain=chain,
+            excitation=Impulse(velocity=length * omega, grain=grain),
+            duration=duration,
+            samples=11,
         )
     number = 10 ** rng.uniform(-4, 4)
     draw = rng.random()
     if draw < 0.6:
         excitation = Impulse(velocity=number * length * omega, grain=grain)
     elif draw < 0.8:
-        excitation = Displacement(displacement=rng.choice([-1.0, 1.0]) * min(number, 50) * length, grain=grain)
+        excitation = Displacement(
+            displacement=rng.choice([-1.0, 1.0]) * min(number, 50) * length, grain=grain
+        )
     else:
         velocity = rng.normal(size=chain.grains) * min(number, 10) * length * omega
         velocity[chain.movable :] = 0
@@ -127,15 +155,21 @@ def _driven(rng: np.random.Generator, chain: Chain) -> Scene:
     length *= 10 ** rng.uniform(-4, 1) if chain.compressed else 1.0
     duration = rng.uniform(2, 20) / omega
     if rng.random() < 0.5:
-        excitation = Drive(amplitude=length, frequency=omega / (2 * np.pi) * 10 ** rng.uniform(-1, 0.3))
+        excitation = Drive(
+            amplitude=length, frequency=omega / (2 * np.pi) * 10 ** rng.uniform(-1, 0.3)
+        )
     else:
         apart = rng.uniform(0.3, 1, rng.integers(5, 30))
         times = np.append(0, np.cumsum(apart)) * (duration * rng.uniform(1, 1.2) / apart.sum())
-        excitation = Drive(times=times, displacement=np.append(0, rng.normal(size=apart.size)) * length)
+        excitation = Drive(
+            times=times, displacement=np.append(0, rng.normal(size=apart.size)) * length
+        )
     return Scene(chain=chain, excitation=excitation, duration=duration, samples=11)
 
 
-def acted_scene(rng: np.random.Generator, exponents: tuple[float, ...] = (1.0, 1.25, 1.5, 1.5, 1.5, 2.0, 3.0)) -> Scene:
+def acted_scene(
+    rng: np.random.Generator, exponents: tuple[float, ...] = (1.0, 1.25, 1.5, 1.5, 1.5, 2.0, 3.0)
+) -> Scene:
     """Draw forces, bursts, walls that move and packets, on chains of one grain and more, also between given walls."""
     while True:
         try:
@@ -162,11 +196,18 @@ def _ended(rng: np.random.Generator, chain: Chain) -> Chain:
 
 def _acted(rng: np.random.Generator, chain: Chain) -> Scene:
     grain = 1 if rng.random() < 0.5 else int(rng.integers(1, chain.movable + 1))
-    length, omega = _units(rng, chain, grain) if chain.grains > 1 else (chain.length_scale, 1 / chain.time_scale)
+    length, omega = (
+        _units(rng, chain, grain)
+        if chain.grains > 1
+        else (chain.length_scale, 1 / chain.time_scale)
+    )
     if not np.isfinite(omega) or not length:
         length, omega = 1e-8, 1e4
     size = 10 ** rng.uniform(-4, 1) if chain.compressed else 1.0
-    duration, frequency = rng.uniform(2, 20) / omega, omega / (2 * np.pi) * 10 ** rng.uniform(-1, 0.3)
+    duration, frequency = (
+        rng.uniform(2, 20) / omega,
+        omega / (2 * np.pi) * 10 ** rng.uniform(-1, 0.3),
+    )
     strength = float(size * chain.masses[grain - 1] * omega**2 * length) * rng.choice([-1.0, 1.0])
     cycles = float(rng.choice([1.0, 2.0, 5.0, rng.uniform(0.3, 6)]))
     apart = np.append(0, np.cumsum(rng.uniform(0.3, 1, rng.integers(5, 30))))
@@ -176,15 +217,26 @@ def _acted(rng: np.random.Generator, chain: Chain) -> Scene:
     excitation = {
         "sine": lambda: Force(grain=grain, **waves),
         "burst": lambda: Force(grain=grain, **waves, cycles=cycles),
-        "half-sine": lambda: Force(grain=grain, shape="half-sine", amplitude=strength, duration=0.5 / frequency),
-        "points": lambda: Force(grain=grain, times=times, force=rng.normal(size=times.size) * strength),
+        "half-sine": lambda: Force(
+            grain=grain, shape="half-sine", amplitude=strength, duration=0.5 / frequency
+        ),
+        "points": lambda: Force(
+            grain=grain, times=times, force=rng.normal(size=times.size) * strength
+        ),
         "moved": lambda: Drive(amplitude=size * length, frequency=frequency, grain=wall),
-        "moved in a burst": lambda: Drive(amplitude=size * length, frequency=frequency, grain=wall, cycles=cycles),
+        "moved in a burst": lambda: Drive(
+            amplitude=size * length, frequency=frequency, grain=wall, cycles=cycles
+        ),
         "moved by points": lambda: Drive(
-            times=times, displacement=np.append(0, rng.normal(size=times.size - 1)) * size * length, grain=wall
+            times=times,
+            displacement=np.append(0, rng.normal(size=times.size - 1)) * size * length,
+            grain=wall,
         ),
         "packet": lambda: Packet(
-            frequency=frequency / 2, width=chain.grains / 13, grain=chain.grains // 2, amplitude=min(size, 1) * length
+            frequency=frequency / 2,
+            width=chain.grains / 13,
+            grain=chain.grains // 2,
+            amplitude=min(size, 1) * length,
         ),
     }
     made = excitation[rng.choice(list(excitation))]()
@@ -247,4 +299,6 @@ def _at_speed(rng: np.random.Generator, chain: Chain, speed: float) -> Scene:
         times *= duration * rng.uniform(1, 1.2) / times[-1]
         path = np.append(0, rng.normal(size=times.size - 1)) * speed * times[-1] / times.size
         excitation = Drive(times=times, displacement=path)
-    return Scene(chain=chain, excitation=excitation, duration=duration, samples=int(rng.choice([5, 11, 51])))
+    return Scene(
+        chain=chain, excitation=excitation, duration=duration, samples=int(rng.choice([5, 11, 51]))
+    )

@@ -9,11 +9,17 @@ REAL = np.longdouble
 
 
 def tangent_map(
-    chain: Chain, displacement: np.ndarray, velocity: np.ndarray, steps: np.ndarray, splitting: Splitting
+    chain: Chain,
+    displacement: np.ndarray,
+    velocity: np.ndarray,
+    steps: np.ndarray,
+    splitting: Splitting,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return displacement and velocity (M,) after these steps, s, and the derivatives by both (2M, 2M)."""
     size, delta = chain.movable, REAL(chain.exponent)
-    constant, rest = (x.astype(REAL)[: size + 1, None] for x in (chain.contacts.constant, chain.contacts.force))
+    constant, rest = (
+        x.astype(REAL)[: size + 1, None] for x in (chain.contacts.constant, chain.contacts.force)
+    )
     mass = chain.masses.astype(REAL)[:size, None]
     overlap = np.where(constant > 0, (rest / np.where(constant > 0, constant, 1)) ** (1 / delta), 0)
     x, v = displacement[:size, None].astype(REAL), velocity[:size, None].astype(REAL)

@@ -44,7 +44,11 @@ def _hertz(scene: Scene, young: Array, d: Array) -> Array:
     modulus = young / (1 - poisson**2)
     walls = []
     for wall, grain in ((chain.top_material, modulus[0]), (chain.bottom_material, modulus[-1])):
-        walls.append(grain if wall is None else WIDE(wall.youngs_modulus) / (1 - WIDE(wall.poissons_ratio) ** 2))
+        walls.append(
+            grain
+            if wall is None
+            else WIDE(wall.youngs_modulus) / (1 - WIDE(wall.poissons_ratio) ** 2)
+        )
     modulus = np.array([walls[0], *modulus, walls[1]])
     together = modulus[:-1] * modulus[1:] / (modulus[:-1] + modulus[1:])
     radius = np.array([d[0] / 2, *(d[:-1] * d[1:] / (d[:-1] + d[1:]) / 2), d[-1] / 2])
@@ -69,7 +73,9 @@ def made_of(scene: Scene, changed: dict[str, Array]) -> dict[str, Any]:
     if "wall_constants" not in chain.model_fields_set and "wall_constants" not in changed:
         follow = now["contact_constants"][[0, -1]] / before["contact_constants"][[0, -1]]
         ratio = natural / original
-        now["wall_constants"] = before["wall_constants"] * follow * (ratio[[0, -1]] / ratio[[1, -2]])
+        now["wall_constants"] = (
+            before["wall_constants"] * follow * (ratio[[0, -1]] / ratio[[1, -2]])
+        )
     return now
 
 
@@ -94,10 +100,15 @@ def _motion(scene: Scene, now: dict[str, Any]) -> Callable[[Any], tuple[Any, Any
             if not part:
                 return size * np.sin(omega * t), size * omega * np.cos(omega * t)
             hann, rate = np.sin(part * t) ** 2, part * np.sin(2 * part * t)
-            return size * np.sin(omega * t) * hann, size * (omega * np.cos(omega * t) * hann + np.sin(omega * t) * rate)
+            return size * np.sin(omega * t) * hann, size * (
+                omega * np.cos(omega * t) * hann + np.sin(omega * t) * rate
+            )
 
         return wave
-    knots, basis = excitation.times.astype(WIDE), CubicSpline(excitation.times, np.eye(len(excitation.times)))
+    knots, basis = (
+        excitation.times.astype(WIDE),
+        CubicSpline(excitation.times, np.eye(len(excitation.times))),
+    )
     pieces = basis.c.astype(WIDE) @ now[excitation.kind]
 
     def spline(t: Any) -> tuple[Any, Any]:
@@ -108,11 +119,15 @@ def _motion(scene: Scene, now: dict[str, Any]) -> Callable[[Any], tuple[Any, Any
     return spline
 
 
-def run(scene: Scene, method: Splitting, steps: int, looks: int, changed: dict[str, Array]) -> tuple[Array, Array, Any]:
+def run(
+    scene: Scene, method: Splitting, steps: int, looks: int, changed: dict[str, Array]
+) -> tuple[Array, Array, Any]:
     """Return displacement and velocity (looks+1, N) after so many steps a look, and what the chain is made of."""
     chain, now = scene.chain, made_of(scene, changed)
     m, delta = now["masses"], WIDE(chain.exponent)
-    k = np.concatenate((now["wall_constants"][:1], now["contact_constants"], now["wall_constants"][1:]))
+    k = np.concatenate(
+        (now["wall_constants"][:1], now["contact_constants"], now["wall_constants"][1:])
+    )
     carried = now["top_load"][0] + now["gravity"][0] * np.concatenate(([WIDE(0)], np.cumsum(m)))
     carried = np.where(k > 0, carried, 0)
     overlap = np.where(k > 0, carried / np.where(k > 0, k, 1), 0) ** (1 / delta)
@@ -152,4 +167,8 @@ def run(scene: Scene, method: Splitting, steps: int, looks: int, changed: dict[s
             x[0], seen[-1][1][0] = seen[-1][0][0], motion((look + 1) * steps * h)[1]
     if driven:
         seen[0][0][0], seen[0][1][0] = motion(WIDE(0))
-    return np.array([u for u, _ in seen]), np.array([v for _, v in seen]), now | {"constants": k, "carried": carried}
+    return (
+        np.array([u for u, _ in seen]),
+        np.array([v for _, v in seen]),
+        now | {"constants": k, "carried": carried},
+    )

@@ -22,7 +22,9 @@ def main(words: list[str]) -> int:
 
     def candidate(engine, *arguments):
         right = honest(engine, *arguments)
-        steps = right.steps_per_landing if engine.step else max(1, right.steps_per_landing // LONGER)
+        steps = (
+            right.steps_per_landing if engine.step else max(1, right.steps_per_landing // LONGER)
+        )
         return right.with_steps(steps)
 
     time_stepping.TimeSteppingEngine.candidate = candidate

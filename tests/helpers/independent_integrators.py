@@ -43,21 +43,30 @@ class Motion:
         self.delta = kind(chain.exponent)
         force = kind(chain.top_load) + kind(chain.gravity) * np.append(0, np.cumsum(mass))
         pressed = (stiffness > 0) & (force > 0)
-        self.compressed, self.loose = bool(pressed.any()), np.flatnonzero((stiffness > 0) & ~pressed)
+        self.compressed, self.loose = (
+            bool(pressed.any()),
+            np.flatnonzero((stiffness > 0) & ~pressed),
+        )
         self.opens = np.where(pressed, -1, 0)  # closeness at which each contact does
         overlap = np.where(pressed, force / np.where(pressed, stiffness, 1), 0) ** (1 / self.delta)
         self.acting, self.body = _acting(scene, kind)
         self.driven = self.acting if self.body == 1 and scene.excitation.kind == "drive" else None
         u, v = (np.asarray(a, dtype=kind) for a in scene.initial())
-        farthest, fastest = self.acting.largest() if self.acting else (np.abs(u).max(), np.abs(v).max())
+        farthest, fastest = (
+            self.acting.largest() if self.acting else (np.abs(u).max(), np.abs(v).max())
+        )
         self.pushes = scene.excitation.kind == "force"
         if self.pushes:  # what a free grain would do in a period or so
             fastest = farthest * self.acting.unit / mass[self.body - 1]
             farthest = fastest * self.acting.unit
         typical = overlap.max()
         if typical == 0:
-            typical = max(farthest, (mass.min() * fastest**2 / stiffness.max()) ** (1 / (self.delta + 1)))
-        self.time = np.sqrt(mass.min() / (self.delta * stiffness.max() * typical ** (self.delta - 1)))
+            typical = max(
+                farthest, (mass.min() * fastest**2 / stiffness.max()) ** (1 / (self.delta + 1))
+            )
+        self.time = np.sqrt(
+            mass.min() / (self.delta * stiffness.max() * typical ** (self.delta - 1))
+        )
         self.length = max(farthest, fastest * self.time)
         self.strength = np.where(pressed, force, stiffness * self.length**self.delta)
         self.closer = np.where(pressed, self.length / np.where(pressed, overlap, 1), 1)
@@ -68,7 +77,9 @@ class Motion:
             self.mobility[0] = 0
         self.instants = np.asarray(scene.time, dtype=kind) / self.time
         self.knots = self.acting.knots / self.time if self.acting else np.empty(0, dtype=kind)
-        self.start = self.at(self.instants[0], np.array([u / self.length, v * (self.time / self.length)]))
+        self.start = self.at(
+            self.instants[0], np.array([u / self.length, v * (self.time / self.length)])
+        )
 
     def at(self, t: np.floating[Any], state: Array) -> Array:
         """Return the state (2, N) with a driven grain where it is at this time."""
@@ -94,9 +105,13 @@ class Motion:
             bodies[self.body] = self.acting(t * self.time)[0] / self.length
         return (bodies[:-1] - bodies[1:]) * self.closer
 
-    def changes(self, t: np.floating[Any], state: Array, step: np.floating[Any], later: Array) -> bool:
+    def changes(
+        self, t: np.floating[Any], state: Array, step: np.floating[Any], later: Array
+    ) -> bool:
         """Return whether a contact that presses at time t, in a state (2, N), is open a step later, or the reverse."""
-        before, after = (self.closeness(*at) > self.opens for at in ((t, state[0]), (t + step, later[0])))
+        before, after = (
+            self.closeness(*at) > self.opens for at in ((t, state[0]), (t + step, later[0]))
+        )
         return bool(((before != after) & (self.strength > 0)).any())
 
     def acceleration(self, t: np.floating[Any], x: Array) -> Array:
@@ -124,18 +139,31 @@ class Motion:
     def in_si(self, states: list[Array]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return displacement and velocity (T, N) in m and m/s from (2, N) states."""
         x = np.array(states)
-        return (x[:, 0] * self.length).astype(float), (x[:, 1] * (self.length / self.time)).astype(float)
+        return (x[:, 0] * self.length).astype(float), (x[:, 1] * (self.length / self.time)).astype(
+            float
+        )
 
 
 class Sine:
     """A sin(2 pi f t), for as many cycles under a Hann window, or for its first half period."""
 
     def __init__(
-        self, amplitude: float, frequency: float, kind: type[np.floating[Any]], cycles: float | None, half: bool
+        self,
+        amplitude: float,
+        frequency: float,
+        kind: type[np.floating[Any]],
+        cycles: float | None,
+        half: bool,
     ):
         self.amplitude, self.omega = kind(amplitude), 8 * np.arctan(kind(1)) * kind(frequency)
         self.unit, self.cycles, self.half = 1 / self.omega, cycles, half
-        ends = [kind(cycles) / kind(frequency)] if cycles else [1 / kind(2 * frequency)] if half else []
+        ends = (
+            [kind(cycles) / kind(frequency)]
+            if cycles
+            else [1 / kind(2 * frequency)]
+            if half
+            else []
+        )
         self.knots = np.array(ends, dtype=kind)
 
     def __call__(self, t: np.floating[Any]) -> tuple[np.floating[Any], np.floating[Any]]:
@@ -146,7 +174,9 @@ class Sine:
         value, rate = a * np.sin(w * t), a * w * np.cos(w * t)
         if not self.cycles:
             return value, rate
-        half = w * t / (2 * self.cycles)  # the square of its sine keeps the digits that 1 - cos loses at first
+        half = (
+            w * t / (2 * self.cycles)
+        )  # the square of its sine keeps the digits that 1 - cos loses at first
         hann, slope = np.sin(half) ** 2, np.sin(half) * np.cos(half) * w / self.cycles
         return value * hann, rate * hann + value * slope
 
@@ -168,7 +198,9 @@ class Spline:
 
     def __call__(self, t: np.floating[Any]) -> tuple[np.floating[Any], np.floating[Any]]:
         """Return displacement, m, and velocity, m/s."""
-        piece = min(max(int(np.searchsorted(self.knots, t, side="right")) - 1, 0), self.knots.size - 2)
+        piece = min(
+            max(int(np.searchsorted(self.knots, t, side="right")) - 1, 0), self.knots.size - 2
+        )
         s = t - self.knots[piece]
         y, slope, bend, twist = self.pieces[:, piece]
         return y + s * (slope + s * (bend + s * twist)), slope + s * (2 * bend + 3 * s * twist)
@@ -186,7 +218,9 @@ def _acting(scene: Scene, kind: type[np.floating[Any]]) -> tuple[Sine | Spline |
     if given.kind not in ("drive", "force"):
         return None, 0
     if given.times is not None:
-        return Spline(given.times, given.force if given.kind == "force" else given.displacement, kind), given.grain
+        return Spline(
+            given.times, given.force if given.kind == "force" else given.displacement, kind
+        ), given.grain
     half = given.kind == "force" and given.shape == "half-sine"
     frequency = 0.5 / given.duration if half else given.frequency
     return Sine(given.amplitude, frequency, kind, given.cycles, half), given.grain
@@ -198,7 +232,9 @@ def relative_error(u: Array, v: Array, u_ref: Array, v_ref: Array) -> float:
     return max(float(np.abs(np.asarray(x) - ref).max() / np.abs(ref).max()) for x, ref in pairs)
 
 
-def _twice(run: Callable[[float], tuple[Array, Array]], tolerance: float, looser: float) -> Reference:
+def _twice(
+    run: Callable[[float], tuple[Array, Array]], tolerance: float, looser: float
+) -> Reference:
     """Run at both tolerances; the error is the distance between them, so that of the looser one."""
     u, v = run(tolerance)
     return u, v, relative_error(*run(looser), u, v)
@@ -260,10 +296,14 @@ def extended_reference(scene: Scene, tolerance: float = 1e-18) -> Reference:
                 parts = np.ceil(left / step)
                 tried = left / parts
                 proposal, columns = _extrapolate(motion, state, end - left, tried, loose, peak)
-                if proposal is None or (tried > shortest and motion.changes(end - left, state, tried, proposal)):
+                if proposal is None or (
+                    tried > shortest and motion.changes(end - left, state, tried, proposal)
+                ):
                     step = 0.4 * tried
                     if step < 1e-12:
-                        raise ArithmeticError(f"no step is short enough for a tolerance of {loose:g}")
+                        raise ArithmeticError(
+                            f"no step is short enough for a tolerance of {loose:g}"
+                        )
                     continue
                 left = left - tried if parts > 1 else 0
                 state = motion.at(end - left, proposal)
@@ -297,7 +337,9 @@ def _extrapolate(
     return None, 10
 
 
-def _stoermer(motion: Motion, state: Array, push: Array, begin: Array, step: Array, parts: int) -> Array:
+def _stoermer(
+    motion: Motion, state: Array, push: Array, begin: Array, step: Array, parts: int
+) -> Array:
     """Advance x'' = a(t, x) by `parts` leapfrog steps; the error holds only even powers of their length."""
     h = step / parts
     x, gain = state[0], push * (h / 2)

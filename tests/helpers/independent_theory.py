@@ -61,7 +61,9 @@ def largest(function: Callable[[Array], Array], low: float, high: float) -> floa
     return float(fit(inside).max())
 
 
-def derivatives(function: Callable[[Array], Array], x: float, step: float) -> tuple[complex, complex]:
+def derivatives(
+    function: Callable[[Array], Array], x: float, step: float
+) -> tuple[complex, complex]:
     """Return the first two derivatives, by differences of eighth order."""
     samples = function(x + step * np.arange(-4, 5))
     first = np.array([3, -32, 168, -672, 0, 672, -168, 32, -3]) / 840
@@ -91,4 +93,6 @@ def superposition(h: float, tau: float, delta: float, power: float) -> complex:
             return 20 * x**19 * y**-power * mp.besselk(nu, chi * y) * mp.exp(-tau * y)
 
         total = mp.quad(integrand, [0, 0.5, 0.8, 1, 1.15, 1.3])
-        return complex(h ** (1 / (2 * d)) * 2 / mp.pi * mp.exp(-0.5j * mp.pi * (nu + power)) * total)
+        return complex(
+            h ** (1 / (2 * d)) * 2 / mp.pi * mp.exp(-0.5j * mp.pi * (nu + power)) * total
+        )

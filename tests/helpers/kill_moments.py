@@ -20,7 +20,13 @@ class Watch:
     """Counts the changes to a folder, and copies it just before some of them."""
 
     def __init__(self, folder: Path, wanted: Container[int], into: Path):
-        self.count, self.copies, self._folder, self._wanted, self._into = 0, [], folder, wanted, into
+        self.count, self.copies, self._folder, self._wanted, self._into = (
+            0,
+            [],
+            folder,
+            wanted,
+            into,
+        )
         self._again = False
 
     def __enter__(self) -> Self:
@@ -44,7 +50,9 @@ class Watch:
             self.count += 1
 
 
-def kill_moments(folder: Path, work: Callable[[], object], most: int, rng: random.Random, into: Path) -> list[Path]:
+def kill_moments(
+    folder: Path, work: Callable[[], object], most: int, rng: random.Random, into: Path
+) -> list[Path]:
     """Do some work, twice; return what up to so many kills, at any change that it makes to a folder, would leave."""
     before = folder.with_name(f"{folder.name} before")
     if folder.exists():
@@ -62,12 +70,16 @@ def kill_moments(folder: Path, work: Callable[[], object], most: int, rng: rando
 def _look(event: str, arguments: tuple) -> None:
     if not _watches or event not in CHANGES:
         return
-    if event == "open" and not (isinstance(arguments[2], int) and arguments[2] & (os.O_WRONLY | os.O_RDWR)):
+    if event == "open" and not (
+        isinstance(arguments[2], int) and arguments[2] & (os.O_WRONLY | os.O_RDWR)
+    ):
         return
     with _turn:
         if _watches:
             watch = _watches.pop()  # what copying changes is no change of the work
             try:
-                watch.look([os.fsdecode(each) for each in arguments if isinstance(each, str | bytes)])
+                watch.look(
+                    [os.fsdecode(each) for each in arguments if isinstance(each, str | bytes)]
+                )
             finally:
                 _watches.append(watch)

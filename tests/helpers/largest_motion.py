@@ -19,5 +19,8 @@ def true_error(
     u, v, own = integrate(Scene(**scene.given() | {"samples": finer, "grains": "all"}))
     pairs, columns = ((t.displacement, u), (t.velocity, v)), scene.recorded - 1
     scale = (np.abs(true).max() or 1.0 for _, true in pairs)
-    errors = (np.abs(x[:] - true[::BETWEEN, columns]).max() / s for (x, true), s in zip(pairs, scale, strict=True))
+    errors = (
+        np.abs(x[:] - true[::BETWEEN, columns]).max() / s
+        for (x, true), s in zip(pairs, scale, strict=True)
+    )
     return float(max(errors)), own

@@ -39,7 +39,9 @@ def column(scene: Scene) -> Column:
     chain, excitation = scene.chain, scene.excitation
     above, below = chain.wall_constants
     constants = np.array([above, *chain.contact_constants, below], dtype=WIDE)
-    carried = WIDE(chain.top_load) + WIDE(chain.gravity) * np.append(WIDE(0), np.cumsum(chain.masses.astype(WIDE)))
+    carried = WIDE(chain.top_load) + WIDE(chain.gravity) * np.append(
+        WIDE(0), np.cumsum(chain.masses.astype(WIDE))
+    )
     u, v = (field.astype(WIDE) for field in scene.initial())
     drive: Any = []
     if excitation.does_work and excitation.times is not None:
@@ -48,7 +50,15 @@ def column(scene: Scene) -> Column:
         half = excitation.frequency is None
         drive = [excitation.amplitude, 0.5 / excitation.duration if half else excitation.frequency]
     masses = chain.masses.astype(WIDE)
-    return Column(masses, constants, np.where(constants > 0, carried, 0), u, v, np.array(drive, dtype=WIDE), scene)
+    return Column(
+        masses,
+        constants,
+        np.where(constants > 0, carried, 0),
+        u,
+        v,
+        np.array(drive, dtype=WIDE),
+        scene,
+    )
 
 
 def course_of(excitation: Any, drive: Array) -> Course | None:
@@ -89,7 +99,12 @@ class Motion:
 
     def __init__(self, made: Column):
         excitation, chain = made.scene.excitation, made.scene.chain
-        self.x, self.v, self.masses, self.constants = made.displacement, made.velocity, made.masses, made.constants
+        self.x, self.v, self.masses, self.constants = (
+            made.displacement,
+            made.velocity,
+            made.masses,
+            made.constants,
+        )
         self.carried, self.delta = made.forces, WIDE(chain.exponent)
         self.pressed = made.scene.chain.contacts.pressed
         positive = np.where(made.constants > 0, made.constants, 1)
@@ -97,8 +112,12 @@ class Motion:
         self.length = np.where(self.pressed, overlap, 1)
         self.course = course_of(excitation, made.drive)
         self.wall = self.course is not None and excitation.kind == "drive" and excitation.grain == 0
-        self.driven = self.course is not None and excitation.kind == "drive" and excitation.grain == 1
-        self.pushed = excitation.grain if self.course is not None and excitation.kind == "force" else 0
+        self.driven = (
+            self.course is not None and excitation.kind == "drive" and excitation.grain == 1
+        )
+        self.pushed = (
+            excitation.grain if self.course is not None and excitation.kind == "force" else 0
+        )
         self.inside: Any = None  # the time by whose law the course holds, if it is another one
         self.mobile = np.ones(chain.grains, dtype=WIDE)
         self.mobile[chain.movable :] = 0
@@ -169,7 +188,9 @@ def dormand_prince_step(motion: Motion, x: Array, v: Array, t: Any, h: Any) -> D
     for stage in range(12):
         inner = DOP853.A[stage, :stage].astype(WIDE)
         slopes_x[stage] = motion.mobile * (v + h * inner @ slopes_v[:stage])
-        slopes_v[stage] = motion.acceleration(x + h * inner @ slopes_x[:stage], t + DOP853.C[stage] * h)
+        slopes_v[stage] = motion.acceleration(
+            x + h * inner @ slopes_x[:stage], t + DOP853.C[stage] * h
+        )
     weights = DOP853.B.astype(WIDE)
     errors = [[h * e[:12] @ slopes_x, h * e[:12] @ slopes_v] for e in (DOP853.E5, DOP853.E3)]
     return DormandPrinceStep(h * weights @ slopes_x, h * weights @ slopes_v, np.array(errors))
@@ -186,8 +207,13 @@ def by_dormand_prince(motion: Motion, steps: Iterable[Any]) -> Array:
     return np.array(states)
 
 
-PASCAL = np.array([[1, 1, 1, 1, 1], [0, 1, 2, 3, 4], [0, 0, 1, 3, 6], [0, 0, 0, 1, 4], [0, 0, 0, 0, 1]], dtype=WIDE)
-CORRECTIONS = np.array([WIDE(19) / 120, WIDE(3) / 4, 1, WIDE(1) / 2, WIDE(1) / 12])  # Gear's, for x'' = a(x)
+PASCAL = np.array(
+    [[1, 1, 1, 1, 1], [0, 1, 2, 3, 4], [0, 0, 1, 3, 6], [0, 0, 0, 1, 4], [0, 0, 0, 0, 1]],
+    dtype=WIDE,
+)
+CORRECTIONS = np.array(
+    [WIDE(19) / 120, WIDE(3) / 4, 1, WIDE(1) / 2, WIDE(1) / 12]
+)  # Gear's, for x'' = a(x)
 
 
 def _gear_start(motion: Motion, x: Array, v: Array, t: Any, h: Any) -> Array:
@@ -201,7 +227,9 @@ def _gear_start(motion: Motion, x: Array, v: Array, t: Any, h: Any) -> Array:
     def moved(side: Any) -> tuple[Array, Any]:
         return x + side * h * v + (side * h) ** 2 / 2 * now, t + side * h
 
-    open_now, open_before = (motion.closer(*at) <= -motion.length * motion.pressed for at in ((x, t), moved(-1)))
+    open_now, open_before = (
+        motion.closer(*at) <= -motion.length * motion.pressed for at in ((x, t), moved(-1))
+    )
     after = motion.acceleration(*moved(1))
     if ((open_now == open_before) | (motion.constants == 0)).all():
         before = motion.acceleration(*moved(-1))

@@ -7,7 +7,9 @@ import pytest
 _approx = pytest.approx
 
 
-def approx(expected: Any, rel: float | None = None, abs: float | None = None, nan_ok: bool = False) -> Any:
+def approx(
+    expected: Any, rel: float | None = None, abs: float | None = None, nan_ok: bool = False
+) -> Any:
     """Compare like `pytest.approx`, but with no absolute tolerance unless a test asks for one.
 
     With pytest's default, 1e-12, any two energies of a weak wave are equal. A value that ought to be 0

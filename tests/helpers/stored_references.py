@@ -21,7 +21,9 @@ def between(excitation, **keys) -> Scene:
 
 
 def path(size: float) -> Drive:
-    return Drive(times=np.arange(9) * 1.3e-5, displacement=np.array([0, 1, -1, 2, 0, -2, 1, 1, 0]) * size)
+    return Drive(
+        times=np.arange(9) * 1.3e-5, displacement=np.array([0, 1, -1, 2, 0, -2, 1, 1, 0]) * size
+    )
 
 
 def beads(velocity: float, duration: float = 100e-6, samples: int = 11) -> Scene:
@@ -34,18 +36,26 @@ CLOSED = {
     "paper": paper("weak", samples=6),
     "pressed by the wall": between(Impulse(velocity=1e-6, grain=5), top_load=1e-4),
     "springs": between(Displacement(displacement=1e-13, grain=2), top_load=1e-4, exponent=1.0),
-    "exponent": between(Impulse(velocity=-1e-7), top_load=1e-4, exponent=2.3, gravity=0.0, bottom_material="ptfe"),
-    "impurities": between(Impulse(velocity=1e-6), top="free", impurity=[{"grain": 12, "mass": 1e-5}]),
+    "exponent": between(
+        Impulse(velocity=-1e-7), top_load=1e-4, exponent=2.3, gravity=0.0, bottom_material="ptfe"
+    ),
+    "impurities": between(
+        Impulse(velocity=1e-6), top="free", impurity=[{"grain": 12, "mass": 1e-5}]
+    ),
     "sine": between(Drive(amplitude=1e-10, frequency=3e4), top="free"),
     "path": between(path(1e-10), top="free", bottom="fixed"),
-    "path and exponent": between(path(1e-11), top="free", bottom="fixed", exponent=1.7, material="steel"),
+    "path and exponent": between(
+        path(1e-11), top="free", bottom="fixed", exponent=1.7, material="steel"
+    ),
 }
 OPENING = {  # to touch without pressing is to open
     "paper": paper("fig1", samples=6),
     "just touched by the wall": between(Impulse(velocity=-1e-4)),
     "vacuum": between(Impulse(velocity=1e-2, grain=4), gravity=0.0, top_material="steel"),
     "sine": between(Drive(amplitude=1e-8, frequency=3e4), top="free"),
-    "sine in the vacuum": between(Drive(amplitude=1e-7, frequency=2e4), top="free", bottom="free", gravity=0.0),
+    "sine in the vacuum": between(
+        Drive(amplitude=1e-7, frequency=2e4), top="free", bottom="free", gravity=0.0
+    ),
     "path": between(path(3e-9), top="free"),
 }
 KINDS = CLOSED | {f"{name}, opening": scene for name, scene in OPENING.items()}

@@ -42,8 +42,13 @@ class Reference(NamedTuple):
 
     def error(self, displacement: Array, velocity: Array) -> float:
         """Return how far an answer is off, relative to the largest motion of the run."""
-        pairs = zip((displacement, velocity), (self.displacement, self.velocity), self.largest, strict=True)
-        return max(float(np.abs(x - true).max()) / largest if largest else 0.0 for x, true, largest in pairs)
+        pairs = zip(
+            (displacement, velocity), (self.displacement, self.velocity), self.largest, strict=True
+        )
+        return max(
+            float(np.abs(x - true).max()) / largest if largest else 0.0
+            for x, true, largest in pairs
+        )
 
 
 @cache
@@ -108,7 +113,9 @@ def solve(scene: Scene, tolerance: float, kind: str = "long double", more: int =
         np.array([u / length, v * (time / length)]),
         np.asarray(scene.time, dtype=wide) / time,
     ]
-    k, f, eps, mobility, sine, knots, pieces, start, instants = (np.ascontiguousarray(x, dtype=real) for x in fields)
+    k, f, eps, mobility, sine, knots, pieces, start, instants = (
+        np.ascontiguousarray(x, dtype=real) for x in fields
+    )
     out, peak, stats = np.empty((scene.samples, 2, chain.grains)), np.empty(2), np.empty(3)
     tolerance = max(tolerance, FINEST[kind])
     at = [np.ascontiguousarray(delta, dtype=real), k, f, eps, mobility]
@@ -144,12 +151,24 @@ def _acting(excitation: Any) -> tuple[int, int, Array, float, Array, Array]:
         return 2, place, none[2], none[3], np.asarray(excitation.times, dtype=wide), pieces
     size, pi = wide(excitation.amplitude), 4 * np.arctan(wide(1))
     if getattr(excitation, "shape", None):  # half a sine
-        return 1, place, np.array([[size, pi / wide(excitation.duration)]]), wide(excitation.duration), *none[4:]
+        return (
+            1,
+            place,
+            np.array([[size, pi / wide(excitation.duration)]]),
+            wide(excitation.duration),
+            *none[4:],
+        )
     omega = 2 * pi * wide(excitation.frequency)
     if excitation.cycles is None:
         return 1, place, np.array([[size, omega]]), *none[3:]
-    cycles = wide(excitation.cycles)  # sin(w t) sin(w t / 2 c)^2 = sin(w t) / 2 - (sin(w + w/c) t + sin(w - w/c) t) / 4
-    sines = [[size / 2, omega], [-size / 4, omega * (1 + 1 / cycles)], [-size / 4, omega * (1 - 1 / cycles)]]
+    cycles = wide(
+        excitation.cycles
+    )  # sin(w t) sin(w t / 2 c)^2 = sin(w t) / 2 - (sin(w + w/c) t + sin(w - w/c) t) / 4
+    sines = [
+        [size / 2, omega],
+        [-size / 4, omega * (1 + 1 / cycles)],
+        [-size / 4, omega * (1 - 1 / cycles)],
+    ]
     return 1, place, np.array(sines), cycles / wide(excitation.frequency), *none[4:]
 
 
@@ -173,5 +192,8 @@ def reference(scene: Scene, tolerance: float) -> tuple[Reference, float]:
     best, looser = solve(scene, tolerance), solve(scene, 100 * tolerance, more=2)
     left_out = (best.events + 2) * max(tolerance, FINEST["long double"])
     if cycles := getattr(scene.excitation, "cycles", None):
-        left_out += np.finfo(np.longdouble).eps / min(1.0, scene.excitation.frequency / cycles * scene.duration) ** 2
+        left_out += (
+            np.finfo(np.longdouble).eps
+            / min(1.0, scene.excitation.frequency / cycles * scene.duration) ** 2
+        )
     return best, max(best.error(looser.displacement, looser.velocity), float(left_out))

@@ -11,12 +11,25 @@ from typing import Any
 
 import numpy as np
 
-from lmpchain import Chain, Displacement, Drive, Force, Impulse, Impurity, InputError, Packet, Profile, Scene
+from lmpchain import (
+    Chain,
+    Displacement,
+    Drive,
+    Force,
+    Impulse,
+    Impurity,
+    InputError,
+    Packet,
+    Profile,
+    Scene,
+)
 
 MATERIALS = ("glass", "steel", "ptfe", "brass", "tungsten_carbide")
 
 
-def trial_scene(rng: np.random.Generator, exponents: tuple[float, ...] = (), work: float = 2e5) -> Scene:
+def trial_scene(
+    rng: np.random.Generator, exponents: tuple[float, ...] = (), work: float = 2e5
+) -> Scene:
     """Draw a scene of one of these exponents (any if there is none), of about so many grain-radians at most."""
     while True:
         try:
@@ -38,7 +51,9 @@ def _chain(rng: np.random.Generator, exponents: tuple[float, ...]) -> Chain:
     grains = int(_log(rng, 2, 100 if rng.random() < 0.7 else 1.0001e5))
     pressed = rng.choice(["gravity", "gravity", "load", "both", "vacuum"])
     ends: dict[str, Any] = {"top": "wall" if rng.random() < 0.3 else "free"}
-    ends["bottom"] = rng.choice(["fixed", "wall", "free"] if pressed == "vacuum" else ["fixed", "wall"]).item()
+    ends["bottom"] = rng.choice(
+        ["fixed", "wall", "free"] if pressed == "vacuum" else ["fixed", "wall"]
+    ).item()
     for end in ("top", "bottom"):
         if ends[end] == "wall" and rng.random() < 0.5:
             ends[f"{end}_material"] = rng.choice(MATERIALS).item()
@@ -56,7 +71,9 @@ def _chain(rng: np.random.Generator, exponents: tuple[float, ...]) -> Chain:
 def _grains(rng: np.random.Generator, grains: int) -> dict[str, Any]:
     """Draw the grains: alike, with impurities, tapered, periodic, disordered, or masses and constants of their own."""
     diameter, material, n = _log(rng, 2e-4, 5e-2), rng.choice(MATERIALS).item(), np.arange(grains)
-    kind = rng.choice(["alike", "alike", "impurities", "tapered", "periodic", "disordered", "masses", "constants"])
+    kind = rng.choice(
+        ["alike", "alike", "impurities", "tapered", "periodic", "disordered", "masses", "constants"]
+    )
     if kind == "impurities":
         odd = []
         for grain in rng.permutation(grains)[: rng.integers(1, 4)] + 1:
@@ -81,16 +98,23 @@ def _grains(rng: np.random.Generator, grains: int) -> dict[str, Any]:
     if kind == "masses":
         ratio, mass = _log(rng, 1, 1e6), 2426 * np.pi / 6 * diameter**3
         return alike | {
-            "masses": mass * (np.where(n % 2, ratio, 1) if rng.random() < 0.5 else ratio ** rng.random(grains))
+            "masses": mass
+            * (np.where(n % 2, ratio, 1) if rng.random() < 0.5 else ratio ** rng.random(grains))
         }
     if kind == "constants":
-        return alike | {"contact_constants": 1e9 * _log(rng, 0.1, 10) * rng.gamma(3, 1 / 3, grains - 1)}
+        return alike | {
+            "contact_constants": 1e9 * _log(rng, 0.1, 10) * rng.gamma(3, 1 / 3, grains - 1)
+        }
     return alike
 
 
 def _struck(rng: np.random.Generator, chain: Chain, work: float) -> Scene:
     grain = 1 if rng.random() < 0.6 else int(rng.integers(1, chain.movable + 1))
-    number, contact, mass = _log(rng, 1e-12, 1e4), min(grain, chain.grains - 1) - 1, chain.masses[grain - 1]
+    number, contact, mass = (
+        _log(rng, 1e-12, 1e4),
+        min(grain, chain.grains - 1) - 1,
+        chain.masses[grain - 1],
+    )
     constant = chain.contact_constants[contact]
     if chain.compressed:
         length = chain.equilibrium_overlap[contact]
@@ -102,7 +126,9 @@ def _struck(rng: np.random.Generator, chain: Chain, work: float) -> Scene:
     hit = speed / (mass * speed**2 / constant) ** (1 / (chain.exponent + 1))  # rad/s of a collision
     omega = max(rest, hit)
     excitation = _excitation(rng, chain, grain, speed, omega, periods := _log(rng, 0.5, 4000))
-    once = Scene(chain=chain, excitation=excitation, duration=2 * np.pi * periods / omega, samples=2)
+    once = Scene(
+        chain=chain, excitation=excitation, duration=2 * np.pi * periods / omega, samples=2
+    )
     if rng.random() < 0.1:  # samples at nodes: half periods of the excitation or of the chain
         half = np.pi / (excitation.fastest or chain.band_edge or omega)
         samples = int(_log(rng, 2, 20))
@@ -113,9 +139,13 @@ def _struck(rng: np.random.Generator, chain: Chain, work: float) -> Scene:
     most = max(np.sqrt(work), work / chain.grains)  # angle that the work allows
     if angle > most:
         duration *= most / angle * rng.uniform(0.5, 1)
-    if isinstance(excitation, Drive) and excitation.times is not None:  # its knots go with the duration
+    if (
+        isinstance(excitation, Drive) and excitation.times is not None
+    ):  # its knots go with the duration
         stretch = duration * rng.uniform(1, 1.2) / excitation.times[-1]
-        excitation = Drive(times=excitation.times * stretch, displacement=excitation.displacement * stretch)
+        excitation = Drive(
+            times=excitation.times * stretch, displacement=excitation.displacement * stretch
+        )
     samples = max(2, min(samples, int(2e6 / chain.grains)))
     return Scene(chain=chain, excitation=excitation, duration=float(duration), samples=samples)
 
@@ -124,7 +154,13 @@ def _excitation(
     rng: np.random.Generator, chain: Chain, grain: int, speed: float, omega: float, periods: float
 ) -> Impulse | Displacement | Profile | Drive:
     sign = float(rng.choice([-1.0, 1.0]))
-    kinds = ["impulse", "impulse", "displacement", "profile", *["sine", "spline"] * (chain.top == "free")]
+    kinds = [
+        "impulse",
+        "impulse",
+        "displacement",
+        "profile",
+        *["sine", "spline"] * (chain.top == "free"),
+    ]
     match rng.choice(kinds):
         case "impulse":
             return Impulse(velocity=sign * speed, grain=grain)
@@ -142,17 +178,30 @@ def _excitation(
             frequency = omega * _log(rng, 0.02, 3)
             return Drive(amplitude=sign * speed / frequency, frequency=frequency / (2 * np.pi))
     times = np.append(0, np.cumsum(rng.uniform(0.3, 1, rng.integers(1, 30))))
-    path = np.append(0, rng.normal(size=times.size - 1)) * speed * 2 * np.pi * periods / omega / times.size
+    path = (
+        np.append(0, rng.normal(size=times.size - 1))
+        * speed
+        * 2
+        * np.pi
+        * periods
+        / omega
+        / times.size
+    )
     return Drive(times=times * (2 * np.pi * periods / omega / times[-1]), displacement=path)
 
 
-def acted_trial_scene(rng: np.random.Generator, exponents: tuple[float, ...] = (), work: float = 2e5) -> Scene:
+def acted_trial_scene(
+    rng: np.random.Generator, exponents: tuple[float, ...] = (), work: float = 2e5
+) -> Scene:
     """Draw a scene as `trial_scene` does, but with a force, a burst, a moving wall, or a packet of waves."""
     while True:
         still = trial_scene(rng, exponents, work)
         try:
             scene = still.replace(excitation=_acting(rng, still.chain, still.duration))
-            angle, most = scene.highest_frequency * scene.duration, max(np.sqrt(work), work / scene.chain.grains)
+            angle, most = (
+                scene.highest_frequency * scene.duration,
+                max(np.sqrt(work), work / scene.chain.grains),
+            )
             if angle > most and not isinstance(scene.excitation, Packet):
                 continue
             _ = scene.strike_number, scene.largest_strain
@@ -171,18 +220,27 @@ def _acting(rng: np.random.Generator, chain: Chain, duration: float) -> Force | 
     held = chain.contacts.force[contact] if chain.compressed else _log(rng, 1e-6, 10)
     size = float(rng.choice([-1.0, 1.0])) * held * _log(rng, 1e-10, 1e2)
     length = abs(size) / chain.contacts.stiffness[contact] if chain.compressed else 0.0
-    length = max(length, (abs(size) / constant) ** (1 / chain.exponent)) if abs(size) > held else length
+    length = (
+        max(length, (abs(size) / constant) ** (1 / chain.exponent)) if abs(size) > held else length
+    )
     if not chain.compressed:
         length = (abs(size) / constant) ** (1 / chain.exponent)
     omega = chain.band_edge if chain.compressed else float(np.sqrt(abs(size) / length / mass))
     frequency = omega * _log(rng, 0.02, 3) / (2 * np.pi)
     if kind == "packet":
         middle, width = (chain.grains + 1) // 2, _log(rng, 1.5, max(1.6, chain.grains / 10))
-        return Packet(frequency=frequency / 3, width=width, grain=middle, amplitude=float(np.sign(size)) * length)
+        return Packet(
+            frequency=frequency / 3,
+            width=width,
+            grain=middle,
+            amplitude=float(np.sign(size)) * length,
+        )
     strength = size if kind == "force" else float(np.sign(size)) * length
     where: dict[str, Any] = {"grain": grain if kind == "force" else int(kind == "drive")}
     acts: Any = Force if kind == "force" else Drive
-    course = rng.choice(["sine", "burst", "burst", "spline", *["half-sine"] * 2 * (kind == "force")])
+    course = rng.choice(
+        ["sine", "burst", "burst", "spline", *["half-sine"] * 2 * (kind == "force")]
+    )
     if course == "half-sine":
         return Force(shape="half-sine", amplitude=strength, duration=0.5 / frequency, **where)
     if course == "spline":

@@ -10,6 +10,9 @@ def blocks_of(run: Run) -> tuple[Array, Array]:
     """Return displacements and velocities of a batch, (R, T, G), and end the run."""
     try:
         blocks = list(run.blocks())
-        return tuple(np.concatenate([getattr(b, k) for b in blocks], axis=1) for k in ("displacement", "velocity"))
+        return tuple(
+            np.concatenate([getattr(b, k) for b in blocks], axis=1)
+            for k in ("displacement", "velocity")
+        )
     finally:
         run.close()

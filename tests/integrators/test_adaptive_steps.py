@@ -27,7 +27,9 @@ EPSILON = np.finfo(float).eps
 
 def scene_of(acts: str = "", **options: Any) -> Scene:
     """Return a chain whose grains fly about, or that something acts on."""
-    chain = Chain(**{"grains": GRAINS, "diameter": UNLIKE, "gravity": 30.0, "top_load": 0.02} | options)
+    chain = Chain(
+        **{"grains": GRAINS, "diameter": UNLIKE, "gravity": 30.0, "top_load": 0.02} | options
+    )
     scale = chain.contacts.overlap.max() or 1e-7
     stiff = chain.contacts.stiffness_at(np.full(GRAINS + 1, scale))
     edge = chain.band_edge or float(np.sqrt(stiff.max() / chain.masses.min()))
@@ -39,7 +41,9 @@ def scene_of(acts: str = "", **options: Any) -> Scene:
     bump = np.array([0.0, 1.0, -0.5, 0.8, 0.3])
     excitation = {
         "": lambda: Profile(displacement=u, velocity=v),
-        "burst on grain 3": lambda: Force(amplitude=5 * held, frequency=frequency, cycles=0.3, grain=3),
+        "burst on grain 3": lambda: Force(
+            amplitude=5 * held, frequency=frequency, cycles=0.3, grain=3
+        ),
         "samples of the wall": lambda: Drive(times=knots, displacement=4 * scale * bump, grain=0),
         "sine of grain 1": lambda: Drive(amplitude=3 * scale, frequency=frequency),
     }[acts]()
@@ -67,7 +71,9 @@ def corners(scene: Scene) -> np.ndarray:
 
 def time_to_opening(gap: float, rate: float, bend: float) -> float:
     """Return how far the nearest root of a quadratic is, in the complex plane; of an open contact one to come."""
-    roots = np.roots([bend / 2, rate, gap]) if bend else np.roots([rate, gap]) if rate else np.empty(0)
+    roots = (
+        np.roots([bend / 2, rate, gap]) if bend else np.roots([rate, gap]) if rate else np.empty(0)
+    )
     if gap <= 0:
         roots = roots[(np.abs(roots.imag) < 1e-9 * np.abs(roots)) & (roots.real > 0)]
     return float(np.abs(roots).min()) if roots.size else np.inf
@@ -94,7 +100,11 @@ def nearness(scene: Scene, motion: Motion, x: Any, v: Any, t: Any, cap: float) -
             continue
         pressed = compressed and force > 0
         length = chain.contacts.overlap[n] if pressed else 1.0
-        gap, rate, bend = float(r[n] / length) + pressed, float(rates[n] / length), float(bends[n] / length)
+        gap, rate, bend = (
+            float(r[n] / length) + pressed,
+            float(rates[n] / length),
+            float(bends[n] / length),
+        )
         weight = ((force if pressed else constant) * mobility[n] / (omega**2.5 * speed)) ** 2
         size = abs(rate**2 - 2 * gap * bend)
         distance = time_to_opening(gap, rate, bend)
@@ -125,7 +135,9 @@ def adapted(scene: Scene, method: Splitting, each: int) -> tuple[list[Any], np.n
                 step = (until - t) / max(1, np.ceil(float((until - t) / h) - 1e-9))
                 one = Motion(plain.column(scene))
                 one.x, one.v = x, v
-                one.course = motion.course and (lambda time, *how, begun=t: motion.course(begun + time, *how))
+                one.course = motion.course and (
+                    lambda time, *how, begun=t: motion.course(begun + time, *how)
+                )
                 x, v = plain.by_splitting(one, method, [step])[1]
                 if motion.driven:
                     v[0] = 0
@@ -153,7 +165,9 @@ def test_steps_shorten_where_contacts_open_as_in_plain_numpy(name: str):
     assert off.max() < 1e-11
     parts = adaptive_steps(scene, method, schedule.step * 1.01, LOOKS)
     assert [part.size for part in parts] == np.diff(made).tolist()
-    assert np.concatenate(parts).astype(float) == pytest.approx(np.array(steps, dtype=float), rel=1e-9)
+    assert np.concatenate(parts).astype(float) == pytest.approx(
+        np.array(steps, dtype=float), rel=1e-9
+    )
     for part in parts:
         assert part.sum() == pytest.approx(scene.duration / LOOKS, rel=1e-14)
 
@@ -164,7 +178,9 @@ def by_error(scene: Scene, longest: float, ratio: float) -> tuple[int, np.ndarra
     batch = ChainBatch([scene])
     omega, scale = scene.highest_frequency, batch.scale[0]
     tries, x, v, t = 0, motion.x, motion.v, WIDE(0)
-    allowed = max(dop853.STEP_ERROR_MIN, dop853.STEP_ERROR * (omega * longest / ratio) ** 8) * ratio**8
+    allowed = (
+        max(dop853.STEP_ERROR_MIN, dop853.STEP_ERROR * (omega * longest / ratio) ** 8) * ratio**8
+    )
     most = 1.0
     if scene.excitation.waveform is None or scene.excitation.waveform.spline is None:
         total = ratio * (scene.duration / longest)
@@ -191,7 +207,9 @@ def by_error(scene: Scene, longest: float, ratio: float) -> tuple[int, np.ndarra
 
 
 @pytest.mark.parametrize("ratio", [1.0, 2.0])
-@pytest.mark.parametrize("name", ["3/2", "vacuum", "burst on grain 3", "samples of the wall", "sine of grain 1"])
+@pytest.mark.parametrize(
+    "name", ["3/2", "vacuum", "burst on grain 3", "samples of the wall", "sine of grain 1"]
+)
 def test_dop853_takes_the_steps_that_its_error_allows_as_in_plain_numpy(name: str, ratio: float):
     scene = SCENES[name]
     longest = scene.duration / LOOKS / 3

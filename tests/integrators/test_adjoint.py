@@ -23,7 +23,9 @@ DIFFERENCE = WIDE(1e-7)  # of what is changed
 
 
 def pressed(**options: Any) -> Chain:
-    return Chain(**{"grains": GRAINS, "diameter": UNLIKE, "gravity": 30.0, "top_load": 0.02} | options)
+    return Chain(
+        **{"grains": GRAINS, "diameter": UNLIKE, "gravity": 30.0, "top_load": 0.02} | options
+    )
 
 
 def flying(strains: float, **options: Any) -> Scene:
@@ -94,7 +96,9 @@ def sizes(scene: Scene, states: np.ndarray) -> Inputs:
     )  # fmt: skip
 
 
-def differences(scene: Scene, method: str, steps: list[Any], looks: list[int]) -> tuple[np.ndarray, Inputs, Inputs]:
+def differences(
+    scene: Scene, method: str, steps: list[Any], looks: list[int]
+) -> tuple[np.ndarray, Inputs, Inputs]:
     """Return states at looks (looks+1, 2, N), directions, one for each number that may change, and the slopes there.
 
     Directions are rows of `Inputs`, and slopes (D, looks+1, 2, N), by the relative size of a change.
@@ -109,20 +113,33 @@ def differences(scene: Scene, method: str, steps: list[Any], looks: list[int]) -
         rows = np.zeros((total, field.size))
         rows[begin + np.arange(field.size), np.arange(field.size)] = field
         directions.append(rows)
-    if scene.excitation.does_work and scene.excitation.frequency is None and scene.excitation.times is None:
+    if (
+        scene.excitation.does_work
+        and scene.excitation.frequency is None
+        and scene.excitation.times is None
+    ):
         directions[-1][:, 1] = 0  # what lasts a given time has no frequency
     states = []
     for sign in (1, -1):
-        changed = [value + sign * DIFFERENCE * rows for value, rows in zip(base[:6], directions, strict=True)]
-        states.append(plain.by_splitting(Motion(Column(*changed, scene)), SPLITTINGS[method], steps)[looks])
+        changed = [
+            value + sign * DIFFERENCE * rows
+            for value, rows in zip(base[:6], directions, strict=True)
+        ]
+        states.append(
+            plain.by_splitting(Motion(Column(*changed, scene)), SPLITTINGS[method], steps)[looks]
+        )
     slopes = (states[0] - states[1]) / (2 * DIFFERENCE)  # (looks+1, 2, D, N)
     return true, Inputs(*directions), np.moveaxis(slopes, 2, 0)
 
 
-def check(scene: Scene, method: str, law: int, grains: list[int], accuracy: float = 1e-8, each: int = 5) -> None:
+def check(
+    scene: Scene, method: str, law: int, grains: list[int], accuracy: float = 1e-8, each: int = 5
+) -> None:
     """Compare a run, its derivatives back and forth, with plain NumPy."""
     step = scene.duration / LOOKS / each
-    run = DifferentiableRun(scene, SPLITTINGS[method], step * (1 + 0.5 / each), LOOKS, np.array(grains))
+    run = DifferentiableRun(
+        scene, SPLITTINGS[method], step * (1 + 0.5 / each), LOOKS, np.array(grains)
+    )
     assert run._law == law
     assert run.steps == LOOKS * each
     assert run.step == pytest.approx(step, rel=1e-14)
@@ -130,7 +147,14 @@ def check(scene: Scene, method: str, law: int, grains: list[int], accuracy: floa
     check_run(scene, method, run, lengths, each * np.arange(LOOKS + 1), accuracy)
 
 
-def check_run(scene: Scene, method: str, run: DifferentiableRun, lengths: list[Any], looks: Any, accuracy: float):
+def check_run(
+    scene: Scene,
+    method: str,
+    run: DifferentiableRun,
+    lengths: list[Any],
+    looks: Any,
+    accuracy: float,
+):
     columns = run.grains - 1
     true, directions, slopes = differences(scene, method, lengths, looks)
     scale = np.abs(true).max((0, 2))
@@ -142,8 +166,13 @@ def check_run(scene: Scene, method: str, run: DifferentiableRun, lengths: list[A
     for order in (0, 1):
         error = np.abs(forth[order] - slopes[:, :, order]).max((1, 2))
         # what hardly changes anything is known to the digits of what does
-        assert (error <= accuracy * np.maximum(largest[:, order], 1e-3 * largest[:, order].max())).all()
-    weights = np.random.default_rng(1).normal(size=(2, *run.displacement.shape)) / scale.astype(float)[:, None, None]
+        assert (
+            error <= accuracy * np.maximum(largest[:, order], 1e-3 * largest[:, order].max())
+        ).all()
+    weights = (
+        np.random.default_rng(1).normal(size=(2, *run.displacement.shape))
+        / scale.astype(float)[:, None, None]
+    )
     back = run.pull(*weights)
     along = sum(rows @ field for rows, field in zip(directions, back, strict=True))
     expected = np.einsum("otg,dtog->d", weights, slopes)
@@ -162,11 +191,17 @@ def test_derivatives_of_flying_grains_are_differences(law: str, method: str):
 @pytest.mark.parametrize("name", ACTS)
 def test_derivatives_of_what_acts_are_differences(name: str, exponent: float):
     scene = acted(name, exponent=exponent)
-    law = kernels.OTHER if exponent != 1.5 else DifferentiableRun(scene, SPLITTINGS["verlet"], 1, 1, [1])._law
+    law = (
+        kernels.OTHER
+        if exponent != 1.5
+        else DifferentiableRun(scene, SPLITTINGS["verlet"], 1, 1, [1])._law
+    )
     check(scene, "rkn4", law, [1, 2, 4, 6])
 
 
-@pytest.mark.parametrize("law", ["undone, plain, walls", "undone by a series", "touching wall", "3"])
+@pytest.mark.parametrize(
+    "law", ["undone, plain, walls", "undone by a series", "touching wall", "3"]
+)
 def test_derivatives_of_many_steps_are_differences(law: str, monkeypatch: pytest.MonkeyPatch):
     """Through checkpoints, between which steps are undone or made again."""
     monkeypatch.setattr(adjoint, "ROOM", 1)
@@ -175,7 +210,9 @@ def test_derivatives_of_many_steps_are_differences(law: str, monkeypatch: pytest
 
 
 @pytest.mark.parametrize("name", ["sine of grain 1", "samples of the wall", "half-sine on grain 1"])
-def test_derivatives_of_what_acts_in_many_calls_are_differences(name: str, monkeypatch: pytest.MonkeyPatch):
+def test_derivatives_of_what_acts_in_many_calls_are_differences(
+    name: str, monkeypatch: pytest.MonkeyPatch
+):
     monkeypatch.setattr(adjoint, "ROOM", 1)
     monkeypatch.setattr(adjoint, "CALL", 1)
     check(acted(name, exponent=1.7), "verlet", kernels.OTHER, [1, 2, 5, 6], each=30)

@@ -18,7 +18,11 @@ MOBILITY = RNG.uniform(0.5, 2, GRAINS)
 def generator(stiffness: np.ndarray, mobility: np.ndarray, drive: float) -> np.ndarray:
     """Return the matrix of d/dt (u, v)."""
     n = mobility.size
-    pull = np.diag(stiffness[:-1] + stiffness[1:]) - np.diag(stiffness[1:-1], 1) - np.diag(stiffness[1:-1], -1)
+    pull = (
+        np.diag(stiffness[:-1] + stiffness[1:])
+        - np.diag(stiffness[1:-1], 1)
+        - np.diag(stiffness[1:-1], -1)
+    )
     pull = mobility[:, None] * pull
     pull[0, 0] += drive**2
     return np.block([[np.zeros((n, n)), np.eye(n)], [-pull, np.zeros((n, n))]])
@@ -51,10 +55,14 @@ def test_a_chain_moves_as_by_the_exponential_of_its_matrix(ends: str, start: str
     parts = [chain.advance(first), chain.advance(then)]
     for order in (0, 1):
         field = np.concatenate([part[order] for part in parts])
-        assert np.abs(field - true[order]).max() < 2e-13 * np.abs(true[order]).max()  # the exponential's
+        assert (
+            np.abs(field - true[order]).max() < 2e-13 * np.abs(true[order]).max()
+        )  # the exponential's
     assert np.array_equal(chain.u, parts[1][0][-1])
     assert np.array_equal(chain.v, parts[1][1][-1])
-    assert (parts[1][2] == [0, GRAINS - (mobility[-1] == 0)]).all() or (parts[1][2] == [0, GRAINS]).all()
+    assert (parts[1][2] == [0, GRAINS - (mobility[-1] == 0)]).all() or (
+        parts[1][2] == [0, GRAINS]
+    ).all()
 
 
 def test_a_pulse_stays_within_its_light_cone():
@@ -86,7 +94,9 @@ def test_a_pulse_stays_within_its_light_cone():
 
 def test_the_spent_terms_are_those_that_the_times_need():
     """Six radians of w = 2 sqrt(2) take a series of 18 terms or so, and three series for three times as far apart."""
-    chains = [Propagator(np.ones(31), np.ones(30), 0.0, np.zeros(30), np.eye(30)[15]) for _ in range(3)]
+    chains = [
+        Propagator(np.ones(31), np.ones(30), 0.0, np.zeros(30), np.eye(30)[15]) for _ in range(3)
+    ]
     chains[0].advance(np.array([3.0]))
     chains[1].advance(np.linspace(1e-3, 3.0, 50))
     chains[2].advance(np.array([3.0, 6.0, 9.0]))

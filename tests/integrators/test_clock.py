@@ -24,7 +24,9 @@ def oscillator(periods: float, samples: int = 3) -> tuple[Scene, float]:
     chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0)
     omega = np.sqrt(np.longdouble(chain.contact_constants[0]) / np.longdouble(chain.masses[0]))
     duration = periods * 2 * np.pi / float(omega)
-    return Scene(chain=chain, excitation=Impulse(velocity=SPEED), duration=duration, samples=samples), omega
+    return Scene(
+        chain=chain, excitation=Impulse(velocity=SPEED), duration=duration, samples=samples
+    ), omega
 
 
 def phase_error(periods: float, integrator: str, reach: float, adaptive: bool, samples: int = 3):
@@ -42,7 +44,12 @@ def phase_error(periods: float, integrator: str, reach: float, adaptive: bool, s
     return error, native_floor(stepper.steps[0] * METHODS[integrator].evaluations, float(phase[-1]))
 
 
-LONG = [("rkn6", 0.03, True), ("rkn6", 0.03, False), ("kahan-li8", 0.06, True), ("dop853", 0.06, True)]
+LONG = [
+    ("rkn6", 0.03, True),
+    ("rkn6", 0.03, False),
+    ("kahan-li8", 0.06, True),
+    ("dop853", 0.06, True),
+]
 
 
 @pytest.mark.parametrize(("integrator", "reach", "adaptive"), LONG)
@@ -55,7 +62,9 @@ def test_the_clock_does_not_drift(integrator, reach, adaptive):
 @pytest.mark.soak
 @pytest.mark.parametrize(("integrator", "reach", "adaptive"), LONG)
 @pytest.mark.parametrize("samples", [2, 3, 1001])
-def test_the_clock_does_not_drift_in_a_hundred_thousand_periods(integrator, reach, adaptive, samples):
+def test_the_clock_does_not_drift_in_a_hundred_thousand_periods(
+    integrator, reach, adaptive, samples
+):
     error, floor = phase_error(1e5, integrator, reach, adaptive, samples)
     assert error / 3 < floor < 1e-9
 

@@ -12,7 +12,8 @@ from lmpchain.integrators.stepper import NativeStepper
 
 CHAIN = Chain(grains=30, diameter=1e-3, top="wall")
 SCENES = [
-    Scene(chain=CHAIN, excitation=Impulse(velocity=speed), duration=6e-5, samples=25) for speed in (1e-3, 2e-2, 0.1)
+    Scene(chain=CHAIN, excitation=Impulse(velocity=speed), duration=6e-5, samples=25)
+    for speed in (1e-3, 2e-2, 0.1)
 ]
 
 
@@ -22,7 +23,9 @@ SCENES = [
     [("rkn6", True, 1), ("rkn6", True, 12), ("rkn4", False, 1), ("verlet", False, 1), ("dop853", True, 1),
      ("gear4", False, 1)],
 )  # fmt: skip
-def test_they_have_the_bits_of_runs_of_their_own(name: str, adaptive: bool, landing: int, threads: int):
+def test_they_have_the_bits_of_runs_of_their_own(
+    name: str, adaptive: bool, landing: int, threads: int
+):
     """In pieces of a few steps, in a batch and by threads, too."""
     method, steps = METHODS[name], 9 * landing if method_of_one_stage(name) else 3 * landing
     step = landing * SCENES[0].duration / 24 / steps
@@ -64,9 +67,13 @@ def method_of_one_stage(name: str) -> bool:
 def test_samples_of_short_chains_are_written_whole(name: str, adaptive: bool, landing: int):
     """They need no zeros where no wave has come; nor do those of companions where these stop."""
     chain = Chain(grains=300, diameter=1e-3)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3, grain=150), duration=4e-6, samples=25)
+    scene = Scene(
+        chain=chain, excitation=Impulse(velocity=1e-3, grain=150), duration=4e-6, samples=25
+    )
     steps = 9 * landing if method_of_one_stage(name) else 3 * landing
-    own = StepSchedule(steps, landing, landing * scene.duration / 24 / steps, adaptive, dense=int(landing > 1))
+    own = StepSchedule(
+        steps, landing, landing * scene.duration / 24 / steps, adaptive, dense=int(landing > 1)
+    )
     stepper = NativeStepper(ChainBatch([scene]), METHODS[name], own, {}, 1, [own.longer(2)])
     fields, beside = np.full((2, 1, 25, 300), np.nan), np.full((2, 1, 1, 25, 300), np.nan)
     stepper.fill(*fields, 0, 24, 2**62, tuple(beside))

@@ -46,7 +46,9 @@ def test_order_of_convergence(engine, integrator):
         assert t.cost.steps == count
         errors.append(relative_error(t.displacement, t.velocity, u, v))
     n = np.array(counts, dtype=float)
-    laws = [np.ones(n.size), -np.log(n)] + ([] if integrator in SPLITTINGS else [1 / n])  # odd terms, if not symmetric
+    laws = [np.ones(n.size), -np.log(n)] + (
+        [] if integrator in SPLITTINGS else [1 / n]
+    )  # odd terms, if not symmetric
     slope = np.linalg.lstsq(np.stack(laws, axis=1), np.log(errors), rcond=None)[0][1]
     assert min(errors) > 100 * own
     assert slope == pytest.approx(METHODS[integrator].order, abs=0.05)
@@ -61,7 +63,11 @@ def test_stability_limit(integrator):
         """Largest eigenvalue of one step of x'' = -frequency^2 x at h = 1."""
         step = np.eye(2)
         for b, a in zip(splitting.kicks, (*splitting.drifts, 0.0), strict=True):
-            step = np.array([[1.0, a], [0.0, 1.0]]) @ np.array([[1.0, 0.0], [-b * frequency**2, 1.0]]) @ step
+            step = (
+                np.array([[1.0, a], [0.0, 1.0]])
+                @ np.array([[1.0, 0.0], [-b * frequency**2, 1.0]])
+                @ step
+            )
         return np.abs(np.linalg.eigvals(step)).max()
 
     limit = splitting.stability_limit
@@ -112,7 +118,9 @@ def test_momentum_balances_gravity_and_floor():
     assert gained == pytest.approx(impulse, rel=1e-6)
 
 
-@pytest.mark.parametrize(("engine", "integrator"), [pair for pair in PAIRS if pair[1] in SPLITTINGS])
+@pytest.mark.parametrize(
+    ("engine", "integrator"), [pair for pair in PAIRS if pair[1] in SPLITTINGS]
+)
 def test_time_reversal(engine, integrator):
     """Turn all velocities round at the end: the chain goes back to where it was."""
     chain = Chain(grains=20, material="glass", diameter=1e-3)
@@ -123,18 +131,25 @@ def test_time_reversal(engine, integrator):
     back = simulate(Scene(chain=chain, excitation=turned, duration=40e-6, samples=2), engine=solver)
     rounding = 1e-11 if engine == "native" else 1e-6
     assert back.velocity[-1] == pytest.approx(-t.velocity[0], abs=rounding * 1e-3)
-    assert back.displacement[-1] == pytest.approx(t.displacement[0], abs=rounding * np.abs(t.displacement).max())
+    assert back.displacement[-1] == pytest.approx(
+        t.displacement[0], abs=rounding * np.abs(t.displacement).max()
+    )
 
 
 EXCITATIONS = {
     "struck": ({"top": "wall", "bottom": "wall"}, Displacement(displacement=2e-8, grain=3)),
     "driven": ({"top_load": 0.01}, Drive(amplitude=2e-8, frequency=1e5)),
-    "driven by points": ({}, Drive(times=np.linspace(0, 30e-6, 8), displacement=2e-8 * np.sin(np.arange(8.0)) ** 2)),
+    "driven by points": (
+        {},
+        Drive(times=np.linspace(0, 30e-6, 8), displacement=2e-8 * np.sin(np.arange(8.0)) ** 2),
+    ),
 }
 
 
 RESTARTED = [(*pair, excitation) for pair, excitation in product(PAIRS, EXCITATIONS)]
-RESTARTED = [(e, i, x) for e, i, x in RESTARTED if e == "native" or i == "verlet" or x == "driven"]  # LAMMPS is slow
+RESTARTED = [
+    (e, i, x) for e, i, x in RESTARTED if e == "native" or i == "verlet" or x == "driven"
+]  # LAMMPS is slow
 
 
 @pytest.mark.parametrize(("engine", "integrator", "excitation"), RESTARTED)
@@ -187,19 +202,25 @@ def test_where_an_integration_may_be_interrupted_leaves_no_trace(monkeypatch):
 
 
 @every
-@pytest.mark.parametrize("velocities", [(1e-6, 1e-5, 2e-5), (1e-4, 1e-3, 3e-3)], ids=["gentle", "strong"])
+@pytest.mark.parametrize(
+    "velocities", [(1e-6, 1e-5, 2e-5), (1e-4, 1e-3, 3e-3)], ids=["gentle", "strong"]
+)
 def test_batch_equals_single_runs(integrator, velocities):
     """Realisations that go through the seam together come out as if each had been alone."""
     rng = np.random.default_rng(5)
     scenes = []
     for velocity in velocities:
         chain = Chain(grains=25, material="glass", diameter=1e-3 * rng.uniform(0.9, 1.1, 25))
-        scenes.append(Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=30e-6, samples=5))
+        scenes.append(
+            Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=30e-6, samples=5)
+        )
     solver = engines.Native(integrator=integrator, step=1e-7)
     run = solver.start(scenes, solver.candidate(scenes[0], 1e-6))
     _, together = blocks_of(run)
     errors = run.errors()
-    threaded = engines.Native(integrator=integrator, step=1e-7, threads=2).start(scenes, run.candidate)
+    threaded = engines.Native(integrator=integrator, step=1e-7, threads=2).start(
+        scenes, run.candidate
+    )
     assert np.array_equal(together, blocks_of(threaded)[1])
     for i, scene in enumerate(scenes):
         alone = simulate(scene, engine=solver)

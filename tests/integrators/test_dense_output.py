@@ -13,17 +13,31 @@ from lmpchain.engines.companions import Companions
 from lmpchain.engines.native import Native
 from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.kernels.dense_output import fill_samples
-from lmpchain.integrators.kernels.layout import ALONE, DONE, LEAST_SHARE, PAD, STEP, Clock, Row, Span, Team
+from lmpchain.integrators.kernels.layout import (
+    ALONE,
+    DONE,
+    LEAST_SHARE,
+    PAD,
+    STEP,
+    Clock,
+    Row,
+    Span,
+    Team,
+)
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.step_schedule import StepSchedule
 from lmpchain.integrators.stepper import NativeStepper
 
-SPRING = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0)  # grain 2 is fixed
+SPRING = Chain(
+    grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0
+)  # grain 2 is fixed
 OMEGA = np.sqrt(SPRING.contact_constants[0] / SPRING.masses[0])
 SPEED = 1e-3
 
 
-def samples_of(scene: Scene, schedule: StepSchedule, name: str = "rkn6", threads: int = 1, most: int = 2**62):
+def samples_of(
+    scene: Scene, schedule: StepSchedule, name: str = "rkn6", threads: int = 1, most: int = 2**62
+):
     """Return displacements and velocities, (T, N) each, made in pieces of at most so many steps."""
     stepper = NativeStepper(ChainBatch([scene]), METHODS[name], schedule, {}, threads)
     u, v = np.zeros((2, 1, scene.samples, scene.chain.grains))
@@ -57,16 +71,30 @@ def test_the_error_falls_with_the_eighth_and_seventh_power_of_the_step():
     """Those of displacement and velocity of a sine, where it is exact at both ends of a step."""
     steps, errors = np.array([0.4, 0.6, 0.8, 1.2]), []
     for h in steps:
-        begin, end = ([np.sin(t + k * np.pi / 2) for k in range(4)] for t in (0.8 - h / 2, 0.8 + h / 2))
+        begin, end = (
+            [np.sin(t + k * np.pi / 2) for k in range(4)] for t in (0.8 - h / 2, 0.8 + h / 2)
+        )
         history, state = np.zeros((4, 2 * PAD)), np.zeros(STEP + 1)
         history[:, PAD], state[DONE] = begin, h
         rows = np.repeat(np.array(end)[:, None], 2 * PAD, 1)
-        ends = Ends(history, rows[0], rows[1], state, False, np.zeros(6), np.zeros(2), np.zeros((4, 1)), ALONE)
+        ends = Ends(
+            history,
+            rows[0],
+            rows[1],
+            state,
+            False,
+            np.zeros(6),
+            np.zeros(2),
+            np.zeros((4, 1)),
+            ALONE,
+        )
         clock, span = Clock(h / 24, 24, 1, h, 24, True, 1), Span(0.0, h, h, 1, h)
         u, v = np.zeros((2, 25, 1))
         fill(ends, clock, span, rows[2], rows[3], Row(u, v, 0))
         time = 0.8 - h / 2 + np.arange(1, 24) * h / 24
-        errors.append([np.abs(u[1:24, 0] - np.sin(time)).max(), np.abs(v[1:24, 0] - np.cos(time)).max()])
+        errors.append(
+            [np.abs(u[1:24, 0] - np.sin(time)).max(), np.abs(v[1:24, 0] - np.cos(time)).max()]
+        )
     slopes = np.polyfit(np.log(steps), np.log(errors), 1)[0]
     assert slopes == pytest.approx([8, 7], abs=0.05)
 
@@ -92,7 +120,9 @@ def test_samples_between_steps_are_as_good_as_the_steps(excitation, top):
         candidate = engine.candidate(scene, tolerance)
         assert candidate.stride > 1
         answer = simulate(scene, engine, tolerance)
-        error = relative_error(answer.displacement, answer.velocity, truth.displacement, truth.velocity)
+        error = relative_error(
+            answer.displacement, answer.velocity, truth.displacement, truth.velocity
+        )
         assert error / 3 < answer.error_estimate.total <= tolerance
         assert answer.cost.steps < scene.samples
 
@@ -102,7 +132,9 @@ def test_pieces_and_threads_change_no_bit():
     strike = Impulse(velocity=1e-2, grain=LEAST_SHARE)
     scene = Scene(chain=chain, excitation=strike, duration=40 / chain.band_edge, samples=25)
     schedule = StepSchedule(9, 12, scene.duration / 18, True, dense=1)
-    once, pieces, *shared = (samples_of(scene, schedule, "rkn6", *how) for how in ((1,), (1, 1), *[(2, 3)] * 20))
+    once, pieces, *shared = (
+        samples_of(scene, schedule, "rkn6", *how) for how in ((1,), (1, 1), *[(2, 3)] * 20)
+    )
     for number, (field, piece) in enumerate(zip(once, pieces, strict=True)):
         assert field[1:].any(1).all()
         assert np.array_equal(field, piece)
@@ -110,7 +142,9 @@ def test_pieces_and_threads_change_no_bit():
 
 
 def test_companions_are_compared_in_every_step():
-    scene = Scene(chain=SPRING, excitation=Impulse(velocity=SPEED), duration=20 / OMEGA, samples=1001)
+    scene = Scene(
+        chain=SPRING, excitation=Impulse(velocity=SPEED), duration=20 / OMEGA, samples=1001
+    )
     candidate = Native("rkn6").candidate(scene, 1e-6)
     for schedule in Companions(METHODS["rkn6"], [scene], candidate).schedules:
         assert schedule.dense <= schedule.stride / schedule.steps
@@ -119,7 +153,12 @@ def test_companions_are_compared_in_every_step():
 
 
 def test_samples_lie_on_steps_where_that_costs_less_or_is_surer():
-    scene = Scene(chain=Chain(grains=30, diameter=1e-3), excitation=Impulse(velocity=1e-3), duration=6e-5, samples=1201)
+    scene = Scene(
+        chain=Chain(grains=30, diameter=1e-3),
+        excitation=Impulse(velocity=1e-3),
+        duration=6e-5,
+        samples=1201,
+    )
     few, vacuum = scene.replace(samples=21), scene.replace(chain=scene.chain.replace(gravity=0.0))
     assert Native().candidate(scene, 1e-6).stride > 1
     for engine, other, tolerance in (
@@ -133,7 +172,10 @@ def test_samples_lie_on_steps_where_that_costs_less_or_is_surer():
         assert engine.candidate(other, tolerance).stride == 1
     dense_one = Native().candidate(scene, 1e-6)
     sampled = dense_one.sampled
-    assert (sampled.stride, sampled.step * sampled.steps_per_landing) == (1, pytest.approx(scene.time[1], rel=1e-14))
+    assert (sampled.stride, sampled.step * sampled.steps_per_landing) == (
+        1,
+        pytest.approx(scene.time[1], rel=1e-14),
+    )
 
 
 def test_rounding_of_samples_between_short_steps_is_known():
@@ -147,7 +189,8 @@ def test_rounding_of_samples_between_short_steps_is_known():
     run = engine.start([scene], candidate.with_steps(50 * candidate.steps_per_landing))
     blocks = list(run.blocks())
     u, v = (
-        np.concatenate(fields, 1)[0] for fields in zip(*((b.displacement, b.velocity) for b in blocks), strict=True)
+        np.concatenate(fields, 1)[0]
+        for fields in zip(*((b.displacement, b.velocity) for b in blocks), strict=True)
     )
     error, found = relative_error(u, v, truth.displacement, truth.velocity), run.errors()[0]
     assert 1e-13 < error < 3 * found.roundoff

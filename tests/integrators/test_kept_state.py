@@ -10,7 +10,12 @@ from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.step_schedule import StepSchedule
 from lmpchain.integrators.stepper import NativeStepper
 
-SCENE = Scene(chain=Chain(grains=12, diameter=1e-3), excitation=Impulse(velocity=0.05), duration=1.5e-4, samples=13)
+SCENE = Scene(
+    chain=Chain(grains=12, diameter=1e-3),
+    excitation=Impulse(velocity=0.05),
+    duration=1.5e-4,
+    samples=13,
+)
 SCHEDULE = StepSchedule(2, 1, SCENE.duration / 24, False)  # steps four times too long
 
 

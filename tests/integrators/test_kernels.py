@@ -22,7 +22,14 @@ from lmpchain.integrators.kernels import contact_forces as forces
 from lmpchain.integrators.kernels import right_hand_side, sample_loop, window
 from lmpchain.integrators.kernels import splitting as kernels
 from lmpchain.integrators.kernels.adaptive_splitting import _nearness
-from lmpchain.integrators.kernels.contact_forces import CORRECTED, POLYNOMIAL, POWER, ROOTS, SPRING, UNCOMPRESSED_POWER
+from lmpchain.integrators.kernels.contact_forces import (
+    CORRECTED,
+    POLYNOMIAL,
+    POWER,
+    ROOTS,
+    SPRING,
+    UNCOMPRESSED_POWER,
+)
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.step_schedule import StepSchedule
 from lmpchain.integrators.stepper import NativeStepper
@@ -38,12 +45,16 @@ def spread(low: float, high: float, count: int = 400) -> Array:
     return np.exp(np.random.default_rng(1).uniform(np.log(low), np.log(high), count))
 
 
-def force(form: int, exponent: float, r: Array, precompressed: float = 1.0, strength: float = 1.0) -> Array:
+def force(
+    form: int, exponent: float, r: Array, precompressed: float = 1.0, strength: float = 1.0
+) -> Array:
     """Return the force of contacts whose bodies have come closer by r, all of them found in one loop."""
     bodies = np.zeros(2 * r.size)
     bodies[::2] = r
     found, alike = np.zeros(2 * r.size - 1), np.ones(2 * r.size - 1)
-    forces.contact_forces(form, found, bodies, alike, strength * alike, precompressed, series(exponent))
+    forces.contact_forces(
+        form, found, bodies, alike, strength * alike, precompressed, series(exponent)
+    )
     return found[::2]
 
 
@@ -76,12 +87,15 @@ def test_weak_form_keeps_all_digits_of_weak_waves(exponent: float):
 def test_plain_forms_lose_the_last_digit_of_the_force_at_rest(form: int, exponent: float):
     s = np.concatenate((spread(1e-12, 1e5), -spread(1e-12, 1)))
     true = exact(exponent, s)
-    off = [float(abs(f - t) / max(1, t)) for f, t in zip(force(form, exponent, s), true, strict=True)]
+    off = [
+        float(abs(f - t) / max(1, t)) for f, t in zip(force(form, exponent, s), true, strict=True)
+    ]
     assert max(off) < 3 * EPSILON
 
 
 @pytest.mark.parametrize(
-    ("form", "exponent"), [*PLAIN, (SPRING, 1.0), *((UNCOMPRESSED_POWER, delta) for delta in (1.01, 1.3, 2.3, 3.0))]
+    ("form", "exponent"),
+    [*PLAIN, (SPRING, 1.0), *((UNCOMPRESSED_POWER, delta) for delta in (1.01, 1.3, 2.3, 3.0))],
 )
 def test_forces_where_nothing_is_pressed(form: int, exponent: float):
     """Down to 1e-30 m; what is found as an exponential is as good as its argument."""
@@ -111,21 +125,30 @@ def test_force_is_the_derivative_of_the_energy(exponent: float):
     eps = chain.equilibrium_overlap
     u = np.append(0.0, np.cumsum([-0.5, 0.3, 2.0, -1.4, 0.1] * eps))
     found = np.zeros(7)
-    at_rest = chain.equilibrium_force.copy()  # which may be written to, as in loops that are compiled
+    at_rest = (
+        chain.equilibrium_force.copy()
+    )  # which may be written to, as in loops that are compiled
     forces.contact_forces(form, found[1:-1], u, 1 / eps, at_rest, 1.0, series(exponent))
     moved = 1e-5 * eps[0] * np.eye(6)
     rest = np.zeros(6)
-    slope = [(chain.excess_energy(u + d, rest) - chain.excess_energy(u - d, rest)) / (2e-5 * eps[0]) for d in moved]
+    slope = [
+        (chain.excess_energy(u + d, rest) - chain.excess_energy(u - d, rest)) / (2e-5 * eps[0])
+        for d in moved
+    ]
     assert -np.array(slope) == pytest.approx(found[:-1] - found[1:], rel=1e-6, abs=0)
 
 
 # --- tiles, and what all this is compiled to
 
 
-@pytest.mark.parametrize("path", sorted(Path(forces.__file__).parent.glob("*.py")), ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path", sorted(Path(forces.__file__).parent.glob("*.py")), ids=lambda path: path.stem
+)
 def test_kernels_are_compiled_anew_for_nothing_outside_of_their_folder(path: Path):
     """What they import of ours lies beside them, and is looked at, or in `util`, and is not compiled."""
-    above = re.findall(r"^\s*from (\.\.\S*|lmpchain\S*) import", path.read_text(encoding="utf-8"), re.MULTILINE)
+    above = re.findall(
+        r"^\s*from (\.\.\S*|lmpchain\S*) import", path.read_text(encoding="utf-8"), re.MULTILINE
+    )
     assert set(above) <= {"...util.arrays", "...util.compilation"}
 
 
@@ -158,7 +181,10 @@ def test_tiled_loops_give_the_bits_of_untiled_ones(untiled: Any, monkeypatch: py
 
     def run() -> tuple[Array, Array]:
         stepper = NativeStepper(
-            ChainBatch([scene], "exact"), METHODS["rkn4"], StepSchedule(15, 1, scene.duration / 30, False), {}
+            ChainBatch([scene], "exact"),
+            METHODS["rkn4"],
+            StepSchedule(15, 1, scene.duration / 30, False),
+            {},
         )
         u, v = np.zeros((2, 1, 3, chain.grains))
         assert stepper.fill(u, v, 0, 2, 2**30) == 30
@@ -174,7 +200,8 @@ def test_tiled_loops_give_the_bits_of_untiled_ones(untiled: Any, monkeypatch: py
 
 
 x86 = pytest.mark.skipif(
-    not re.match(r"x86|i\d86|amd64", binding.get_process_triple()), reason="reads the instructions of x86 processors"
+    not re.match(r"x86|i\d86|amd64", binding.get_process_triple()),
+    reason="reads the instructions of x86 processors",
 )
 
 
@@ -186,7 +213,13 @@ def packed(assembly: str, operation: str) -> int:
 @x86
 @pytest.mark.parametrize(
     ("form", "operation"),
-    [(CORRECTED, "sqrt"), (6, "sqrt"), (POLYNOMIAL, "fmadd"), (POWER, "div"), (UNCOMPRESSED_POWER, "div")],
+    [
+        (CORRECTED, "sqrt"),
+        (6, "sqrt"),
+        (POLYNOMIAL, "fmadd"),
+        (POWER, "div"),
+        (UNCOMPRESSED_POWER, "div"),
+    ],
 )
 def test_loops_over_grains_do_several_at_a_time(form: int, operation: str):
     row = types.Array(float64, 1, "C")
@@ -232,5 +265,7 @@ def test_no_contact_that_shortens_a_step_is_passed_over():
 def test_steps_do_several_grains_at_a_time(untiled: Any):
     """What is kept for later processes cannot be read; the same compiled anew can."""
     assembly = next(iter(untiled.inspect_asm().values()))
-    assert packed(assembly, "sqrt") >= 4  # one for 3/2, 5/4 and 7/4 each, and one for the corrected form
+    assert (
+        packed(assembly, "sqrt") >= 4
+    )  # one for 3/2, 5/4 and 7/4 each, and one for the corrected form
     assert packed(assembly, "fmadd") > 0

@@ -7,7 +7,13 @@ import pytest
 
 from lmpchain import Chain, Displacement, Drive, Force, Impulse, Profile, Scene
 from lmpchain.integrators.batch import WINDOW_MIN, ChainBatch, force_form, name_of, series, weakest
-from lmpchain.integrators.kernels.contact_forces import CORRECTED, POLYNOMIAL, POWER, SPRING, UNCOMPRESSED_POWER
+from lmpchain.integrators.kernels.contact_forces import (
+    CORRECTED,
+    POLYNOMIAL,
+    POWER,
+    SPRING,
+    UNCOMPRESSED_POWER,
+)
 from lmpchain.integrators.kernels.layout import (
     ALONE,
     AMPLITUDE,
@@ -37,14 +43,24 @@ def chains(**options) -> list[Chain]:
     """Return two chains that differ in their grains."""
     rng = np.random.default_rng(4)
     return [
-        Chain(**{"grains": N, "diameter": rng.uniform(1e-3, 2e-3, N), "gravity": 20.0, "top_load": 0.01} | options)
+        Chain(
+            **{
+                "grains": N,
+                "diameter": rng.uniform(1e-3, 2e-3, N),
+                "gravity": 20.0,
+                "top_load": 0.01,
+            }
+            | options
+        )
         for _ in range(2)
     ]
 
 
 def batch(*made: Chain, excitation=None, duration: float = 1e-5) -> ChainBatch:
     excitation = excitation or Impulse(velocity=1e-3, grain=2)
-    return ChainBatch([Scene(chain=chain, excitation=excitation, duration=duration, samples=3) for chain in made])
+    return ChainBatch(
+        [Scene(chain=chain, excitation=excitation, duration=duration, samples=3) for chain in made]
+    )
 
 
 ENDS = {
@@ -61,14 +77,18 @@ def test_tables_hold_lengths_strengths_and_masses(ends: str):
     made = chains(**ENDS[ends])
     laid = batch(*made)
     assert laid.precompressed == (0.0 if "vacuum" in ends else 1.0)
-    for chain, (length, strength, mobility), touching in zip(made, laid.table, laid.uncompressed, strict=True):
+    for chain, (length, strength, mobility), touching in zip(
+        made, laid.table, laid.uncompressed, strict=True
+    ):
         contacts = chain.contacts
         pressed = contacts.force > 0
         vacuum = "vacuum" in ends
         some = slice(PAD - 1, PAD + N)
         lengths = np.where(pressed, 1 / np.where(pressed, contacts.overlap, 1), float(vacuum))
         assert length[some] == pytest.approx(lengths, rel=1e-15)
-        assert strength[some] == pytest.approx(contacts.constant if vacuum else contacts.force, rel=1e-15)
+        assert strength[some] == pytest.approx(
+            contacts.constant if vacuum else contacts.force, rel=1e-15
+        )
         moving = np.arange(N) < chain.movable
         assert mobility[PAD : PAD + N] == pytest.approx(moving / chain.masses, rel=1e-15)
         assert touching == (contacts.constant[0] if ends == "touching" else 0.0)
@@ -81,14 +101,18 @@ def test_tables_hold_lengths_strengths_and_masses(ends: str):
 def test_a_driven_grain_has_no_inverse_mass_in_the_table():
     chain = chains()[0]
     laid = batch(chain, excitation=Drive(amplitude=1e-9, frequency=1e4))
-    assert laid.table[0, 2, PAD : PAD + N] == pytest.approx([0, *1 / chain.masses[1:-1], 0], rel=1e-15)
+    assert laid.table[0, 2, PAD : PAD + N] == pytest.approx(
+        [0, *1 / chain.masses[1:-1], 0], rel=1e-15
+    )
 
 
 @pytest.mark.parametrize("ends", ENDS)
 def test_units_are_those_of_the_contact_below_grain_1(ends: str):
     made = chains(**ENDS[ends])
     laid = batch(*made)
-    for chain, (length, speed), allowed, scene in zip(made, laid.units, laid.allowed, laid.scenes, strict=True):
+    for chain, (length, speed), allowed, scene in zip(
+        made, laid.units, laid.allowed, laid.scenes, strict=True
+    ):
         contacts = chain.contacts
         overlap = 1.0 if "vacuum" in ends else contacts.overlap[1]
         rate = np.sqrt(contacts.stiffness[1] / chain.masses[0])
@@ -201,7 +225,9 @@ def test_weights_of_openings_are_the_acceleration_over_what_changes_the_motion(e
     weight, reach = laid.openings
     for real, chain in enumerate(made):
         contacts, omega = chain.contacts, laid.omega[real]
-        lightest = np.append(0, np.append(1 / chain.masses[: chain.movable], np.zeros(N + 1 - chain.movable)))
+        lightest = np.append(
+            0, np.append(1 / chain.masses[: chain.movable], np.zeros(N + 1 - chain.movable))
+        )
         mobility = np.maximum(lightest[:-1], lightest[1:])
         pull = (contacts.constant if "vacuum" in ends else contacts.force).copy()
         pull[0] = contacts.constant[0] if ends == "touching" else pull[0]
@@ -215,8 +241,14 @@ def test_weights_of_openings_are_the_acceleration_over_what_changes_the_motion(e
 ACTS = {
     "sine of grain 1": (Drive(amplitude=2e-9, frequency=3e4), PAD),
     "burst of the wall": (Drive(amplitude=2e-9, frequency=3e4, cycles=4, grain=0), PAD - 1),
-    "half-sine on grain 3": (Force(shape="half-sine", amplitude=0.2, duration=2e-5, grain=3), -(PAD + 2)),
-    "samples on grain 4": (Force(times=[0, 1e-5, 3e-5, 5e-5], force=[0, 1, 3, 2], grain=4), -(PAD + 3)),
+    "half-sine on grain 3": (
+        Force(shape="half-sine", amplitude=0.2, duration=2e-5, grain=3),
+        -(PAD + 2),
+    ),
+    "samples on grain 4": (
+        Force(times=[0, 1e-5, 3e-5, 5e-5], force=[0, 1, 3, 2], grain=4),
+        -(PAD + 3),
+    ),
 }
 
 
@@ -225,7 +257,9 @@ def test_what_is_imposed_is_in_a_row_of_its_own(what: str):
     excitation, body = ACTS[what]
     laid = batch(*chains(**BETWEEN), excitation=excitation)
     wave = excitation.waveform
-    for drive, knots, pieces, acted in zip(laid.drive, laid.knots, laid.pieces, laid.acted, strict=True):
+    for drive, knots, pieces, acted in zip(
+        laid.drive, laid.knots, laid.pieces, laid.acted, strict=True
+    ):
         assert drive[BODY] == body
         sine = [wave.amplitude, wave.omega, wave.envelope, wave.end]
         assert drive[[AMPLITUDE, OMEGA, ENVELOPE, END]].tolist() == sine
@@ -252,7 +286,9 @@ def test_batches_of_splines_of_any_length_move_as_each_alone():
     chain = chains(**BETWEEN)[0]
     rng, scenes = np.random.default_rng(6), []
     for grain, count in ((2, 4), (5, 9), (1, 6)):
-        force = Force(times=np.linspace(0, 4e-5, count), force=0.1 * rng.normal(size=count), grain=grain)
+        force = Force(
+            times=np.linspace(0, 4e-5, count), force=0.1 * rng.normal(size=count), grain=grain
+        )
         scenes.append(Scene(chain=chain, excitation=force, duration=4e-5, samples=5))
     together = np.zeros((2, 3, 5, N))
     for name in ("rkn4", "dop853", "gear4"):
@@ -260,7 +296,9 @@ def test_batches_of_splines_of_any_length_move_as_each_alone():
         NativeStepper(ChainBatch(scenes), METHODS[name], schedule, {}).fill(*together, 0, 4, 2**62)
         for number, scene in enumerate(scenes):
             alone = np.zeros((2, 1, 5, N))
-            NativeStepper(ChainBatch([scene]), METHODS[name], schedule, {}).fill(*alone, 0, 4, 2**62)
+            NativeStepper(ChainBatch([scene]), METHODS[name], schedule, {}).fill(
+                *alone, 0, 4, 2**62
+            )
             assert np.array_equal(together[:, number, 1:], alone[:, 0, 1:])
             assert alone[:, 0, 1:].any()
 
@@ -285,7 +323,11 @@ def test_the_fastest_form_that_loses_nothing_is_chosen():
         assert form_of(strikes=0.99, exponent=delta) == POWER
         assert form_of(gravity=0.0, exponent=delta) == form
     assert form_of(strikes=9.0, exponent=2.25) == form_of("plain", exponent=2.25) == POWER
-    assert form_of(gravity=0.0, exponent=2.25) == form_of("exact", gravity=0.0, exponent=1.3) == UNCOMPRESSED_POWER
+    assert (
+        form_of(gravity=0.0, exponent=2.25)
+        == form_of("exact", gravity=0.0, exponent=1.3)
+        == UNCOMPRESSED_POWER
+    )
     assert form_of(exponent=1.0) == form_of(exponent=1.0, gravity=0.0) == SPRING
     assert [name_of(form) for form in (CORRECTED, POLYNOMIAL, SPRING, POWER, UNCOMPRESSED_POWER, 6)] == [
         "corrected square root", "polynomial", "spring", "vectorised power", "vectorised power",
@@ -317,7 +359,9 @@ def test_binomial_coefficients():
 
 
 def test_the_plain_form_is_known_to_lose_a_digit_only_where_contacts_are_pressed():
-    pressed = Scene(chain=Chain(grains=N, diameter=1e-3), excitation=Impulse(velocity=0.1), duration=1e-5)
+    pressed = Scene(
+        chain=Chain(grains=N, diameter=1e-3), excitation=Impulse(velocity=0.1), duration=1e-5
+    )
     vacuum = pressed.replace(chain=pressed.chain.replace(gravity=0.0))
     weak = pressed.replace(excitation=Impulse(velocity=1e-6))
     assert ChainBatch([pressed, weak]).plain == [True, False]
@@ -342,7 +386,9 @@ def test_extremes_are_those_of_all_steps(name: str):
     scale, edge = chain.contacts.overlap.max(), chain.band_edge
     start = Profile(displacement=scale * u, velocity=scale * edge * v)
     scene = Scene(chain=chain, excitation=start, duration=20 / edge, samples=201)
-    stepper = NativeStepper(ChainBatch([scene]), METHODS[name], StepSchedule(1, 1, 0.1 / edge, False), {})
+    stepper = NativeStepper(
+        ChainBatch([scene]), METHODS[name], StepSchedule(1, 1, 0.1 / edge, False), {}
+    )
     fields = np.zeros((2, 1, 201, N))
     stepper.fill(*fields, 0, 200, 2**62)
     fields[:, 0, 0] = scene.initial()

@@ -14,7 +14,9 @@ from lmpchain.integrators.kernels.table import MOST
 def test_what_twice_the_kinetic_energy_cannot_exceed():
     """Half as much again as what is put in, and slow motion that nothing puts in; nothing bounds a drive."""
     chain = Chain(grains=5, diameter=1e-3)
-    struck = [Scene(chain=chain, excitation=Impulse(velocity=v), duration=1e-4) for v in (1e-9, 1e-2)]
+    struck = [
+        Scene(chain=chain, excitation=Impulse(velocity=v), duration=1e-4) for v in (1e-9, 1e-2)
+    ]
     slow = chain.masses.sum() * (1e-3 * chain.length_scale / chain.time_scale) ** 2
     expected = [1.5 * chain.masses[0] * v**2 + slow for v in (1e-9, 1e-2)]
     assert ChainBatch(struck).allowed == pytest.approx(expected, rel=1e-13)
@@ -26,7 +28,10 @@ def test_what_twice_the_kinetic_energy_cannot_exceed():
 def test_how_close_grains_may_come_is_what_bounds_all_overlaps(name: str):
     own = CHAINS[name].contacts
     for energy in (0.0, 1e-15, 1e-9, 1e-3):
-        bound, at_rest = own.overlap_bound(energy).max(), (own.overlap, own.stiffness, own.constant, own.exponent)
+        bound, at_rest = (
+            own.overlap_bound(energy).max(),
+            (own.overlap, own.stiffness, own.constant, own.exponent),
+        )
         assert may_give_way(bound * (1 - 1e-12), energy, *at_rest)
         assert not may_give_way(bound * (1 + 1e-12) + 1e-300, energy, *at_rest)
 
@@ -40,7 +45,9 @@ def test_the_largest_strain_is_that_of_the_bound_on_overlaps(name: str):
             assert strain == np.inf
             continue
         there = contacts.pressed
-        closer = (contacts.overlap_bound(energy) - contacts.overlap)[there] / contacts.overlap[there]
+        closer = (contacts.overlap_bound(energy) - contacts.overlap)[there] / contacts.overlap[
+            there
+        ]
         assert strain == pytest.approx(1.05 * closer.max(), rel=1e-9, abs=1e-12)
 
 
@@ -51,9 +58,13 @@ def test_grains_that_come_too_close_are_told_where_answers_are_compared(steps: i
     scene = Scene(chain=chain, excitation=Impulse(velocity=1.862e-3), duration=4.5e-4, samples=9)
     engine = Native("rkn4", adaptive=False)
     step = scene.duration / 8 / steps
-    run = engine.start([scene], engine.candidate(scene, 1e-3).sampled._replace(step=step, steps_per_landing=steps))
+    run = engine.start(
+        [scene], engine.candidate(scene, 1e-3).sampled._replace(step=step, steps_per_landing=steps)
+    )
     if lost == "answer":
-        with pytest.raises(RunFailed, match="grains overlap more than all the energy there is allows"):
+        with pytest.raises(
+            RunFailed, match="grains overlap more than all the energy there is allows"
+        ):
             list(run.blocks())
         return
     list(run.blocks())

@@ -11,7 +11,17 @@ import pytest
 from lmpchain import Chain, Impulse, Scene
 from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.kernels import dense_output, right_hand_side, sample_loop, team, window
-from lmpchain.integrators.kernels.layout import DONE, FIRST, LAST, LEAST_SHARE, NEXT, PAD, SAMPLE, STEP, Team
+from lmpchain.integrators.kernels.layout import (
+    DONE,
+    FIRST,
+    LAST,
+    LEAST_SHARE,
+    NEXT,
+    PAD,
+    SAMPLE,
+    STEP,
+    Team,
+)
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.step_schedule import StepSchedule
 from lmpchain.integrators.stepper import NativeStepper
@@ -52,7 +62,9 @@ def test_a_window_is_shared_out_in_whole_lines_of_like_length(parts: int, lines:
 @pytest.mark.parametrize("field", ["x", "v"])
 @pytest.mark.parametrize("margin", [1, 4, 12])
 @pytest.mark.parametrize("place", range(100, 116))
-def test_a_window_grows_by_whole_lines_so_that_a_margin_is_at_rest(field: str, margin: int, place: int):
+def test_a_window_grows_by_whole_lines_so_that_a_margin_is_at_rest(
+    field: str, margin: int, place: int
+):
     """What moves by less than 1e-19 of the strike is at rest; what is acted on is not."""
     width = 240
     for moving, acted in ((1.1e-19, False), (0.9e-19, False), (0.0, True)):
@@ -88,7 +100,14 @@ def test_the_next_corner_is_the_end_of_a_burst_or_a_knot():
     burst, spline = acting(3.0), acting(knots=(0.0, 1.0, 2.0, 4.0))
     assert ahead(burst, 1.0, 5.0, 1e-9) == 2.0
     assert ahead(burst, 3.0 - 2e-9, 5.0, 1e-9) == pytest.approx(2e-9, rel=1e-6)
-    for t, end in ((3.0, 5.0), (4.0, 5.0), (3.0 - 0.5e-9, 5.0), (1.0, 3.0), (1.0, 2.0), (1.0, 3.0 + 0.5e-9)):
+    for t, end in (
+        (3.0, 5.0),
+        (4.0, 5.0),
+        (3.0 - 0.5e-9, 5.0),
+        (1.0, 3.0),
+        (1.0, 2.0),
+        (1.0, 3.0 + 0.5e-9),
+    ):
         assert ahead(burst, t, end, 1e-9) > 1e200
     assert ahead(spline, 0.0, 9.0, 1e-9) == 1.0
     assert ahead(spline, 1.0, 9.0, 1e-9) == 1.0
@@ -122,7 +141,9 @@ def test_a_step_passes_the_samples_that_are_interpolated(every: int, sample: int
     clock, span = SimpleNamespace(dense=every, interval=0.5), SimpleNamespace(length=4.0)
     for begin in np.arange(0, 4, 0.25):
         for end in np.arange(begin + 0.25, 4.01, 0.25):
-            numbers = [n for n in range(1, 8) if begin < n * 0.5 <= end and (sample + n) % every == 0]
+            numbers = [
+                n for n in range(1, 8) if begin < n * 0.5 <= end and (sample + n) % every == 0
+            ]
             assert passes(chain, clock, span, begin, end) == (numbers[0] if numbers else 0)
 
 
@@ -138,7 +159,9 @@ def test_steps_are_equal_parts_of_the_time_that_is_left():
 
 @pytest.mark.parametrize("reach", [0.1, 0.3, 2.0])
 @pytest.mark.parametrize("name", ["verlet", "dop853", "gear4"])
-def test_the_largest_motion_is_looked_for_a_radian_apart_at_first_and_then_more_rarely(name: str, reach: float):
+def test_the_largest_motion_is_looked_for_a_radian_apart_at_first_and_then_more_rarely(
+    name: str, reach: float
+):
     """Or a step, if that is longer; at a 32nd of the steps made, which costs next to nothing."""
     chain = Chain(grains=5, diameter=1e-3)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-9), duration=1e-5, samples=2)

@@ -55,7 +55,11 @@ def oscillator_step(splitting: Splitting, reach: float) -> np.ndarray:
     """Return one step of x'' = -x of this length."""
     step = np.eye(2)
     for b, a in zip(splitting.kicks, (*splitting.drifts, 0.0), strict=True):
-        step = np.array([[1.0, a * reach], [0.0, 1.0]]) @ np.array([[1.0, 0.0], [-b * reach, 1.0]]) @ step
+        step = (
+            np.array([[1.0, a * reach], [0.0, 1.0]])
+            @ np.array([[1.0, 0.0], [-b * reach, 1.0]])
+            @ step
+        )
     return step
 
 
@@ -95,7 +99,9 @@ def test_dop853_grows_as_its_stability_function_does():
 
 def gear_growth(reach: float) -> float:
     """Return the largest factor by which five values of x'' = -x grow a step."""
-    pascal = np.array([[1, 1, 1, 1, 1], [0, 1, 2, 3, 4], [0, 0, 1, 3, 6], [0, 0, 0, 1, 4], [0, 0, 0, 0, 1.0]])
+    pascal = np.array(
+        [[1, 1, 1, 1, 1], [0, 1, 2, 3, 4], [0, 0, 1, 3, 6], [0, 0, 0, 1, 4], [0, 0, 0, 0, 1.0]]
+    )
     corrections = np.array([19 / 120, 3 / 4, 1, 1 / 2, 1 / 12])
     columns = []
     for values in np.eye(5):
@@ -140,7 +146,9 @@ def test_a_companion_of_twice_the_step_lands_on_every_second_sample():
     assert shorter.step == pytest.approx(1.5e-9, rel=1e-15)
     assert shorter == StepSchedule(2, 1, shorter.step, True, 1.5, True)
     assert StepSchedule(4, 1, 1e-9, True).longer(2) == StepSchedule(2, 1, 2e-9, True, 2)
-    assert StepSchedule(4, 1, 1e-9, True).longer(2, stretched=True) == StepSchedule(4, 2, 2e-9, True, 2)
+    assert StepSchedule(4, 1, 1e-9, True).longer(2, stretched=True) == StepSchedule(
+        4, 2, 2e-9, True, 2
+    )
     assert StepSchedule(2, 1, 1e-9, True).longer(1.25) == StepSchedule(8, 5, 1.25e-9, True, 1.25)
 
 
@@ -200,7 +208,9 @@ def test_what_acts_changes_as_differences_say(what: str, order: int):
     excitation = ACTS[what]
     course, times = ImposedCourse(excitation), np.array([0.0, 0.3, 1.0, 1.7, 2.4, 4.4, 5.9]) * 1e-5
     samples = excitation.times is not None
-    base = np.array(excitation.displacement if samples else [excitation.amplitude, excitation.frequency or 0.0])
+    base = np.array(
+        excitation.displacement if samples else [excitation.amplitude, excitation.frequency or 0.0]
+    )
     assert course.size == base.size
     slopes = np.zeros((base.size, times.size))
     for place in range(base.size):
@@ -214,13 +224,19 @@ def test_what_acts_changes_as_differences_say(what: str, order: int):
             values = []
             for sign in (1, -1, 2, -2):
                 wave = changed(excitation, place, excitation.frequency + sign * h).waveform
-                wave = replace(wave, end=end if np.isinf(end) else 1.0)  # what ends later is as it was
+                wave = replace(
+                    wave, end=end if np.isinf(end) else 1.0
+                )  # what ends later is as it was
                 values.append(wave.at(times, order) * (times < end))
             slopes[place] = (8 * (values[0] - values[1]) - (values[2] - values[3])) / (12 * h)
     scale = np.abs(slopes).max(1, keepdims=True) + 1e-300
-    assert np.abs(course.push(times, np.eye(base.size), order) / scale - slopes / scale).max() < 1e-9
+    assert (
+        np.abs(course.push(times, np.eye(base.size), order) / scale - slopes / scale).max() < 1e-9
+    )
     weights = np.random.default_rng(1).normal(size=times.size)
-    assert course.pull(times, weights, order) / scale[:, 0] == pytest.approx(slopes @ weights / scale[:, 0], abs=1e-9)
+    assert course.pull(times, weights, order) / scale[:, 0] == pytest.approx(
+        slopes @ weights / scale[:, 0], abs=1e-9
+    )
     grid = times.reshape(1, -1)
     assert course.push(grid, np.ones((3, base.size)), order).shape == (3, 1, times.size)
 
@@ -228,7 +244,12 @@ def test_what_acts_changes_as_differences_say(what: str, order: int):
 # --- steppers
 
 SCENES = [
-    Scene(chain=Chain(grains=6, diameter=1e-3), excitation=Impulse(velocity=v), duration=2e-5, samples=9)
+    Scene(
+        chain=Chain(grains=6, diameter=1e-3),
+        excitation=Impulse(velocity=v),
+        duration=2e-5,
+        samples=9,
+    )
     for v in (1e-3, 2e-3)
 ]
 
@@ -236,7 +257,9 @@ SCENES = [
 def stepper(companions: int = 0, state=None, **options) -> NativeStepper:
     own = StepSchedule(3, 1, SCENES[0].duration / 24, False)
     beside = [own.longer(2), own.longer(4)][:companions]
-    return NativeStepper(ChainBatch(SCENES), METHODS["verlet"], own, state or {}, companions=beside, **options)
+    return NativeStepper(
+        ChainBatch(SCENES), METHODS["verlet"], own, state or {}, companions=beside, **options
+    )
 
 
 def test_progress_is_the_share_of_landings_that_are_done():
@@ -281,7 +304,17 @@ def test_states_that_do_not_fit_are_refused():
     for wrong in (narrow, fewer, whole, history):
         with pytest.raises(ValueError, match="does not fit"):
             stepper(state=wrong)
-    for place, value in ((3, 4), (3, 8.5), (3, 16), (4, 24), (4, 17.5), (4, 8), (0, 1), (9, np.inf), (10, np.nan)):
+    for place, value in (
+        (3, 4),
+        (3, 8.5),
+        (3, 16),
+        (4, 24),
+        (4, 17.5),
+        (4, 8),
+        (0, 1),
+        (9, np.inf),
+        (10, np.nan),
+    ):
         moved = kept | {"state": kept["state"].copy()}
         moved["state"][1, place] = value
         with pytest.raises(ValueError, match="does not fit"):
@@ -297,12 +330,25 @@ def test_room_for_long_chains_is_zero():
 
 
 def test_threads_share_a_long_chain_or_a_batch():
-    long = Scene(chain=Chain(grains=2 * LEAST_SHARE, diameter=1e-3), excitation=Impulse(velocity=1e-3), duration=1e-6)
+    long = Scene(
+        chain=Chain(grains=2 * LEAST_SHARE, diameter=1e-3),
+        excitation=Impulse(velocity=1e-3),
+        duration=1e-6,
+    )
     own = StepSchedule(2, 1, 1e-8, False)
-    for scenes, threads, teams, works in (([long], 2, 2, 2), ([long], 3, 2, 2), (SCENES, 3, 1, 2), (SCENES, 1, 1, 1)):
+    for scenes, threads, teams, works in (
+        ([long], 2, 2, 2),
+        ([long], 3, 2, 2),
+        (SCENES, 3, 1, 2),
+        (SCENES, 1, 1, 1),
+    ):
         run = NativeStepper(ChainBatch(scenes), METHODS["verlet"], own, {}, threads)
         assert len(run._teams) == teams
         assert len(run._work) == works
         ranges = [work[3:] for work in run._work]
-        assert ranges == [(0, 1), (1, 2)] if works == 2 and teams == 1 else all(r[0] == 0 for r in ranges)
+        assert (
+            ranges == [(0, 1), (1, 2)]
+            if works == 2 and teams == 1
+            else all(r[0] == 0 for r in ranges)
+        )
         run.close()

@@ -25,7 +25,9 @@ SPEEDS = np.random.default_rng(3).uniform(-1, 1, (2, GRAINS))
 
 
 def pressed(**options: Any) -> Chain:
-    return Chain(**{"grains": GRAINS, "diameter": UNLIKE, "gravity": 30.0, "top_load": 0.02} | options)
+    return Chain(
+        **{"grains": GRAINS, "diameter": UNLIKE, "gravity": 30.0, "top_load": 0.02} | options
+    )
 
 
 def flying(chain: Chain, strains: float, samples: int = 5) -> Scene:
@@ -82,7 +84,9 @@ ACTS = {
     "samples of the wall": Drive(times=KNOTS, displacement=OVERLAP * BUMP, grain=0),
     "sine on grain 3": Force(amplitude=HELD, frequency=FREQUENCY, grain=3),
     "burst on grain 1": Force(amplitude=HELD, frequency=FREQUENCY, cycles=BURST, grain=1),
-    "half-sine on grain 7": Force(shape="half-sine", amplitude=HELD, duration=0.43 * DURATION, grain=7),
+    "half-sine on grain 7": Force(
+        shape="half-sine", amplitude=HELD, duration=0.43 * DURATION, grain=7
+    ),
     "samples on grain 2": Force(times=KNOTS, force=HELD * BUMP, grain=2),
 }
 STEPS_EACH = 12  # from a sample to the next
@@ -92,7 +96,9 @@ def acted(name: str) -> Scene:
     return Scene(chain=ACTED, excitation=ACTS[name], duration=DURATION, samples=5)
 
 
-def answer(scene: Scene, method: str, schedule: StepSchedule, force: str = "auto") -> tuple[np.ndarray, NativeStepper]:
+def answer(
+    scene: Scene, method: str, schedule: StepSchedule, force: str = "auto"
+) -> tuple[np.ndarray, NativeStepper]:
     """Return displacements and velocities (2, T, N), in pieces of a few steps."""
     stepper = NativeStepper(ChainBatch([scene], force), METHODS[method], schedule, {})
     fields = np.zeros((2, 1, scene.samples, scene.chain.grains))
@@ -187,13 +193,21 @@ def test_a_run_lands_on_every_third_sample_and_on_the_last(method: str):
     lengths = [3 * interval / 10] * 20 + [2 * interval / 7] * 7
     motion = Motion(plain.column(scene))
     run = {"dop853": plain.by_dormand_prince, "gear4": plain.by_gear}.get(method)
-    states = run(motion, lengths) if run else plain.by_splitting(motion, SPLITTINGS[method], lengths)
+    states = (
+        run(motion, lengths) if run else plain.by_splitting(motion, SPLITTINGS[method], lengths)
+    )
     assert stepper.steps == 27 == schedule.total(8)
     assert distance(fields[:, [0, 3, 6, 8]], states[[0, 10, 20, 27]].swapaxes(0, 1)) < 1e-13
     assert not fields[:, [1, 2, 4, 5, 7]].any()
 
 
-FOLLOWED = [("verlet", False, 40), ("rkn6", False, 16), ("rkn6", True, 16), ("dop853", False, 12), ("gear4", False, 40)]
+FOLLOWED = [
+    ("verlet", False, 40),
+    ("rkn6", False, 16),
+    ("rkn6", True, 16),
+    ("dop853", False, 12),
+    ("gear4", False, 40),
+]
 
 
 @pytest.mark.parametrize(("method", "adaptive", "steps"), FOLLOWED)
@@ -205,7 +219,9 @@ def test_a_wave_in_a_long_chain_is_followed_by_a_window(method: str, adaptive: b
     v[119:123] = scale * np.array([1, -0.7, 0.4, 1])
     profile = Profile(displacement=u, velocity=v)
     scene = Scene(chain=chain, excitation=profile, duration=8 / chain.band_edge, samples=3)
-    fields, stepper = answer(scene, method, StepSchedule(steps, 1, scene.duration / 2 / steps, adaptive))
+    fields, stepper = answer(
+        scene, method, StepSchedule(steps, 1, scene.duration / 2 / steps, adaptive)
+    )
     assert stepper.steps == 2 * steps
     assert distance(fields, plainly(scene, method, steps)) < 1e-13
     first, last = stepper.watched[0, [FIRST, LAST]].astype(int) - PAD
@@ -216,11 +232,15 @@ def test_a_wave_in_a_long_chain_is_followed_by_a_window(method: str, adaptive: b
     assert fields[:, -1, 115:127].all()
 
 
-@pytest.mark.parametrize(("method", "acts"), [("verlet", "fly about"), ("rkn4", "force"), ("rkn4", "wall")])
+@pytest.mark.parametrize(
+    ("method", "acts"), [("verlet", "fly about"), ("rkn4", "force"), ("rkn4", "wall")]
+)
 def test_a_chain_of_several_tiles_moves_as_in_plain_numpy(method: str, acts: str):
     """Grains fly about all over it, and a force or a wall acts on one part of it."""
     grains = 3 * TILE + 5
-    chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-2, top="wall", exponent=2.0)
+    chain = Chain(
+        grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-2, top="wall", exponent=2.0
+    )
     edge, overlap = chain.band_edge, chain.equilibrium_overlap[0]
     v = np.random.default_rng(1).normal(size=grains) * overlap * edge
     v[-1] = 0
@@ -234,7 +254,9 @@ def test_a_chain_of_several_tiles_moves_as_in_plain_numpy(method: str, acts: str
     scene, steps = Scene(chain=chain, excitation=excitation, duration=duration, samples=2), 6
     if method == "rkn4":
         steps = 2
-    fields, stepper = answer(scene, method, StepSchedule(steps, 1, duration / steps, False), "plain")
+    fields, stepper = answer(
+        scene, method, StepSchedule(steps, 1, duration / steps, False), "plain"
+    )
     true = plainly(scene, method, steps)
     assert distance(fields, true) < 1e-13
     assert stepper.steps == steps

@@ -17,7 +17,9 @@ from lmpchain.engines import Native, error_estimate
 def test_digits_cost_no_more_than_order_6_asks_for(name: str):
     """The force evaluations grow no faster than tolerance^(-1/6)."""
     tolerances = 10.0 ** -np.arange(5, 12.5, 0.5)
-    costs = [simulate(paper(name, 2), "native", tolerance=x).cost.force_evaluations for x in tolerances]
+    costs = [
+        simulate(paper(name, 2), "native", tolerance=x).cost.force_evaluations for x in tolerances
+    ]
     assert -np.polyfit(np.log(tolerances), np.log(costs), 1)[0] < 1 / 6 + 0.01
 
 
@@ -55,10 +57,14 @@ def test_a_restart_goes_on_with_the_same_bits(integrator: str, monkeypatch: pyte
 @pytest.mark.parametrize("integrator", engines.Native.integrators[1:])
 def test_a_grain_that_another_leaves_stays_at_rest(integrator: str, exponent: float):
     """Whatever the method knows of the time before the strike, grains that only touch part without a force."""
-    chain = Chain(grains=4, material="steel", diameter=5e-3, gravity=0.0, bottom="free", exponent=exponent)
+    chain = Chain(
+        grains=4, material="steel", diameter=5e-3, gravity=0.0, bottom="free", exponent=exponent
+    )
     scene = Scene(chain=chain, excitation=Impulse(velocity=0.1, grain=2), duration=1e-6, samples=11)
     duration = 1 / scene.highest_frequency
-    t = simulate(scene.replace(duration=duration), engines.Native(integrator=integrator, step=duration / 10))
+    t = simulate(
+        scene.replace(duration=duration), engines.Native(integrator=integrator, step=duration / 10)
+    )
     assert not t.displacement[:, 0].any()
     assert not t.velocity[:, 0].any()
     assert t.velocity[-1, 2] > 0
@@ -69,7 +75,12 @@ def test_a_wall_that_a_grain_only_touches_leaves_no_trace_as_they_part():
     chain = Chain(grains=4, material="steel", diameter=5e-3, gravity=9.81, top="wall")
     ends = []
     for top in ("wall", "free"):
-        scene = Scene(chain=chain.replace(top=top), excitation=Impulse(velocity=0.1), duration=2e-6, samples=11)
+        scene = Scene(
+            chain=chain.replace(top=top),
+            excitation=Impulse(velocity=0.1),
+            duration=2e-6,
+            samples=11,
+        )
         ends.append(simulate(scene, engines.Native(integrator="gear4", step=2e-7)))
     assert np.array_equal(*(t.displacement for t in ends))
     assert np.array_equal(*(t.velocity for t in ends))
@@ -79,7 +90,13 @@ VACUUM = Chain(
     grains=3, diameter=[0.0012001812626771244, 0.0012802513367209123, 0.0010127062034172446], gravity=0.0,
     exponent=1.25, bottom="wall",
 )  # fmt: skip
-LOADED = Chain(grains=12, diameter=0.0009368922485308815, gravity=0.0, top_load=0.06545568939749505, bottom="wall")
+LOADED = Chain(
+    grains=12,
+    diameter=0.0009368922485308815,
+    gravity=0.0,
+    top_load=0.06545568939749505,
+    bottom="wall",
+)
 SHAKEN = [
     -0.04487068238831758, -0.1851992625629299, 0.0877566894513918, -0.08368754958403263, -0.0741312381387248,
     -0.09985996279394338, -0.020006704977478196, 0.03807569029890475, 0.14838876306193696, 0.018253745774708785,
@@ -90,8 +107,24 @@ SHAKEN = [
 @pytest.mark.parametrize(
     ("scene", "steps"),
     [
-        (Scene(chain=VACUUM, excitation=Impulse(velocity=0.0212068595), duration=6.2358512707e-6, samples=11), 2),
-        (Scene(chain=LOADED, excitation=Profile(velocity=SHAKEN), duration=1.1311997779e-5, samples=11), 3),
+        (
+            Scene(
+                chain=VACUUM,
+                excitation=Impulse(velocity=0.0212068595),
+                duration=6.2358512707e-6,
+                samples=11,
+            ),
+            2,
+        ),
+        (
+            Scene(
+                chain=LOADED,
+                excitation=Profile(velocity=SHAKEN),
+                duration=1.1311997779e-5,
+                samples=11,
+            ),
+            3,
+        ),
     ],
     ids=["vacuum", "loaded"],
 )
@@ -99,7 +132,9 @@ def test_short_steps_at_openings_let_the_order_be_trusted(scene: Scene, steps: i
     """With steps of twice the length there, estimates of full order were 0.24 and 0.88 of the error."""
     engine, truth = Native("rkn6"), reference(scene)
     step = scene.duration / (scene.samples - 1) / steps
-    candidate = engine.candidate(scene, 1e-3)._replace(step=step, steps_per_landing=steps, coarse_openings=False)
+    candidate = engine.candidate(scene, 1e-3)._replace(
+        step=step, steps_per_landing=steps, coarse_openings=False
+    )
     run = engine.start([scene], candidate)
     (u,), (v,) = blocks_of(run)
     error = relative_error(u, v, truth.displacement, truth.velocity)
@@ -117,12 +152,17 @@ def test_steps_that_samples_hold_short_are_not_shortened_more_than_that_at_openi
     for proposed in (candidate, candidate._replace(coarse_openings=False)):
         run = engine.start([scene], proposed)
         (u,), (v,) = blocks_of(run)
-        assert relative_error(u, v, truth.displacement, truth.velocity) < run.errors()[0].total < 1e-4
+        assert (
+            relative_error(u, v, truth.displacement, truth.velocity) < run.errors()[0].total < 1e-4
+        )
         costs.append(run.cost().force_evaluations)
     assert costs[0] < 0.75 * costs[1]
     refined = engine.refine(candidate, run.errors()[0]._replace(truncation=2e-4), 1e-4)
     assert refined is not None
-    assert (refined.coarse_openings, refined.steps_per_landing) == (False, candidate.steps_per_landing)
+    assert (refined.coarse_openings, refined.steps_per_landing) == (
+        False,
+        candidate.steps_per_landing,
+    )
 
 
 def test_where_the_tolerance_holds_steps_short_those_at_openings_are_short_too():

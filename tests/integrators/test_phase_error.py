@@ -20,14 +20,19 @@ WHOLE = np.array([[0, GRAINS]] * TIMES)
 FASTER = 0.125
 
 
-def plainly(u, v, reach, walls, place, given, near, open_at, inverse_overlap=SOFTNESS) -> np.ndarray:
+def plainly(
+    u, v, reach, walls, place, given, near, open_at, inverse_overlap=SOFTNESS
+) -> np.ndarray:
     """Return the state at the end."""
     state = start()
     before = {"time": 0.0, "strain": 0.0, "pull": 0.0}
     for i, t in enumerate(TIME):
         first, last = reach[i]
         bodies = np.zeros((3, GRAINS + 2))  # displacement, velocity, acceleration
-        bodies[0, first + 1 : last + 1], bodies[1, first + 1 : last + 1] = u[i, first:last], v[i, first:last]
+        bodies[0, first + 1 : last + 1], bodies[1, first + 1 : last + 1] = (
+            u[i, first:last],
+            v[i, first:last],
+        )
         if first == 0:
             bodies[:, 0] = walls[i]
         force = STIFFNESS * (bodies[0, :-1] - bodies[0, 1:])
@@ -52,9 +57,18 @@ def plainly(u, v, reach, walls, place, given, near, open_at, inverse_overlap=SOF
         state[phase_error.SQUARED_STRAIN] += (before["strain"] ** 2 + largest**2) / 2 * span
         state[phase_error.PULLED] += (before["pull"] + pull) / 2 * span
         before = {"time": t, "strain": largest, "pull": pull}
-        speed, acceleration = (np.abs(field[first + 1 : last + 1]).max(initial=0) for field in bodies[1:])
-        sizes = abs(largest), np.abs(bodies[0, first + 1 : last + 1]).max(initial=0), speed, acceleration
-        for name, size in zip(("STRAIN", "DISPLACEMENT", "VELOCITY", "ACCELERATION"), sizes, strict=True):
+        speed, acceleration = (
+            np.abs(field[first + 1 : last + 1]).max(initial=0) for field in bodies[1:]
+        )
+        sizes = (
+            abs(largest),
+            np.abs(bodies[0, first + 1 : last + 1]).max(initial=0),
+            speed,
+            acceleration,
+        )
+        for name, size in zip(
+            ("STRAIN", "DISPLACEMENT", "VELOCITY", "ACCELERATION"), sizes, strict=True
+        ):
             place_of = getattr(phase_error, f"MOST_{name}")
             state[place_of] = max(state[place_of], size)
         if RECORDED[i]:
@@ -89,7 +103,9 @@ def test_the_state_is_that_of_plain_numpy(reach: np.ndarray, place: int, size: f
     fields = size * U, size * V, reach, size * WALLS, place, size * GIVEN
     expected = plainly(*fields, near, -0.9)
     for pieces in ((0, TIMES), (0, 2, TIMES)):
-        assert compiled(*fields, near, -0.9, pieces=pieces) == pytest.approx(expected, rel=1e-13, nan_ok=True)
+        assert compiled(*fields, near, -0.9, pieces=pieces) == pytest.approx(
+            expected, rel=1e-13, nan_ok=True
+        )
     if size > 1:
         assert expected[phase_error.PULLED] > 0
         assert expected[phase_error.OPENED] >= 0
@@ -100,7 +116,10 @@ def test_a_contact_that_opens_between_two_times_is_told():
     u, v = np.zeros((2, TIMES, GRAINS))
     still, none = np.zeros((TIMES, 3)), np.zeros(TIMES)
     alike = np.ones(GRAINS + 1)
-    u[0], v[0] = [0, 0, 0.9, 0, 0], [0, 0, -0.5, 0, 0]  # contact 2 is stretched by 0.9 and comes back
+    u[0], v[0] = (
+        [0, 0, 0.9, 0, 0],
+        [0, 0, -0.5, 0, 0],
+    )  # contact 2 is stretched by 0.9 and comes back
     force = STIFFNESS * -np.diff(np.concatenate(([0], u[0], [0])))
     acceleration = (force[:-1] - force[1:]) * MOBILITY
     bend = acceleration[1] - acceleration[2]

@@ -51,7 +51,9 @@ def test_differences_are_those_of_the_samples_where_others_stop():
         i = at - BEGIN
         expected[0, at, :, 0] = np.abs(U[:, i] - OTHERS_U[0, :, i]).max(-1)
         expected[0, at, :, 1] = np.abs(V[:, i] - OTHERS_V[0, :, i]).max(-1)
-        if at % 2 == 0 or at == FINAL:  # the second stops at even samples, and is measured from the first
+        if (
+            at % 2 == 0 or at == FINAL
+        ):  # the second stops at even samples, and is measured from the first
             expected[1, at, :, 0] = np.abs(OTHERS_U[0, :, i] - OTHERS_U[1, :, i]).max(-1)
             expected[1, at, :, 1] = np.abs(OTHERS_V[0, :, i] - OTHERS_V[1, :, i]).max(-1)
     assert np.array_equal(differences, expected, equal_nan=True)
@@ -130,7 +132,14 @@ def told(differences=None, peaks=None, instead=None, scale=None, seen=None):
     rng = np.random.default_rng(3)
     differences = rng.uniform(0, 1, (OTHERS, 6, CHAINS, 2)) if differences is None else differences
     state = np.zeros((2 * CHAINS, STEP + 1))
-    state[:, LOWEST] = [-0.4, -0.1, -0.6, -0.2, -0.5, -0.3]  # now by one schedule lower, now by the other
+    state[:, LOWEST] = [
+        -0.4,
+        -0.1,
+        -0.6,
+        -0.2,
+        -0.5,
+        -0.3,
+    ]  # now by one schedule lower, now by the other
     state[:, STEPS] = 100 + np.arange(6)
     state[:, FARTHEST], state[:, FASTEST] = 0.2 + np.arange(6), 0.7 + np.arange(6)
     if seen is not None:
@@ -157,8 +166,12 @@ def test_differences_are_parts_of_the_largest_motion():
 
 def test_differences_are_parts_of_what_is_given_instead_or_of_units_at_rest():
     instead = np.array([[7.0, 8.0], [9.0, 10.0]])
-    assert told(instead=instead)[1][:, 1] == pytest.approx(np.array([[7, 8], [9, 10], [2.2, 2.7]]), rel=1e-15)
-    scale = np.array([[1.0, 0.0], [1.0, 1.0], [0.0, 0.0]])  # of which the first and the last are at rest
+    assert told(instead=instead)[1][:, 1] == pytest.approx(
+        np.array([[7, 8], [9, 10], [2.2, 2.7]]), rel=1e-15
+    )
+    scale = np.array(
+        [[1.0, 0.0], [1.0, 1.0], [0.0, 0.0]]
+    )  # of which the first and the last are at rest
     over = told(instead=instead, scale=scale)[1][:, 1]
     assert over == pytest.approx(np.array([[3, 4], [9, 10], [3, 4]]), rel=1e-15)
     still = told(peaks=np.zeros((CHAINS, 2)), seen=0.0)[1]

@@ -36,7 +36,9 @@ def scene_of(law: str) -> Scene:
     """Return a chain whose grains fly about, or that is driven."""
     options = LAWS[law] | {}
     place = options.pop("drive", None)
-    chain = Chain(**{"grains": GRAINS, "diameter": UNLIKE, "gravity": 30.0, "top_load": 0.02} | options)
+    chain = Chain(
+        **{"grains": GRAINS, "diameter": UNLIKE, "gravity": 30.0, "top_load": 0.02} | options
+    )
     scale = chain.contacts.overlap.max() or 1e-7
     stiff = chain.contacts.stiffness_at(np.full(GRAINS + 1, scale))
     edge = chain.band_edge or float(np.sqrt(stiff.max() / chain.masses.min()))
@@ -48,7 +50,9 @@ def scene_of(law: str) -> Scene:
         start = Profile(displacement=u, velocity=v)
         drive = Drive(amplitude=scale, frequency=0.05 * edge, grain=place, start=start)
         return Scene(chain=chain, excitation=drive, duration=4 / edge, samples=2)
-    return Scene(chain=chain, excitation=Profile(displacement=u, velocity=v), duration=4 / edge, samples=2)
+    return Scene(
+        chain=chain, excitation=Profile(displacement=u, velocity=v), duration=4 / edge, samples=2
+    )
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -92,7 +96,21 @@ def test_deviations_grow_as_differences_of_two_runs(law: str):
         if driven:
             each = [WIDE(h) for h in steps]
         states.append(plain.by_splitting(other, RKN4, each))
-    march(links, x, v, dx, dv, stretch, np.array(RKN4.kicks), np.array(RKN4.drifts), steps, body, path, xs, vs)
+    march(
+        links,
+        x,
+        v,
+        dx,
+        dv,
+        stretch,
+        np.array(RKN4.kicks),
+        np.array(RKN4.drifts),
+        steps,
+        body,
+        path,
+        xs,
+        vs,
+    )
     for order, field in enumerate((xs, vs)):
         true = states[0][:, order, 0].astype(float)
         columns_seen = moving if driven else slice(None)
@@ -111,7 +129,15 @@ def test_a_flight_of_many_steps_adds_no_rounding():
     scene = scene_of("vacuum")
     batch = ChainBatch([scene], "exact")
     length, strength, inverse_mass = batch.table[0]
-    links = Links(length, 0 * strength, inverse_mass, 0.0, int(batch.forms[0]), batch.precompressed, batch.coefficients)
+    links = Links(
+        length,
+        0 * strength,
+        inverse_mass,
+        0.0,
+        int(batch.forms[0]),
+        batch.precompressed,
+        batch.coefficients,
+    )
     x, v = np.zeros((2, length.size))
     v[PAD + 2] = 0.1
     steps = np.full(100_000, 1e-7)

@@ -23,13 +23,20 @@ PUSHED = GRAINS // 4
 
 
 def noisy(
-    grains: int = GRAINS, first: int = 0, last: int | None = None, seed: int = 1, strikes: float = 0.0, **chain: Any
+    grains: int = GRAINS,
+    first: int = 0,
+    last: int | None = None,
+    seed: int = 1,
+    strikes: float = 0.0,
+    **chain: Any,
 ) -> Scene:
     """Return a chain whose grains fly about, so that contacts open and close all over it."""
     made = Chain(grains=grains, diameter=1e-3, **{"gravity": 0.0, "top_load": 1e-3} | chain)
     speed = strikes or 2 * made.equilibrium_overlap[0] * made.band_edge
     velocity = np.zeros(grains)
-    velocity[first:last] = np.random.default_rng(seed).normal(size=velocity[first:last].size) * speed
+    velocity[first:last] = (
+        np.random.default_rng(seed).normal(size=velocity[first:last].size) * speed
+    )
     velocity[-1] = 0
     duration = 1e-4 if strikes else 4 / made.band_edge
     return Scene(chain=made, excitation=Profile(velocity=velocity), duration=duration, samples=3)
@@ -38,13 +45,17 @@ def noisy(
 def acted(grains: int = GRAINS // 2 + 200, **excitation: Any) -> Scene:
     """Return a chain that is driven or pushed until the wave has filled a good part of it."""
     pushed = excitation.pop("pushed", False)
-    chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-3, top="free" if pushed else "wall")
+    chain = Chain(
+        grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-3, top="free" if pushed else "wall"
+    )
     moved = Force if pushed else Drive
     duration = 2 * 2.2 * LEAST_SHARE / chain.band_edge
     return Scene(chain=chain, excitation=moved(**excitation), duration=duration, samples=3)
 
 
-def answer(scene: Scene, threads: int, method: str, adaptive: bool, steps: int = 4, force: str = "auto") -> list[Any]:
+def answer(
+    scene: Scene, threads: int, method: str, adaptive: bool, steps: int = 4, force: str = "auto"
+) -> list[Any]:
     """Return the samples and the state at the end, in pieces of three steps."""
     schedule = StepSchedule(steps, 1, scene.duration / (scene.samples - 1) / steps, adaptive)
     stepper = NativeStepper(ChainBatch([scene], force), METHODS[method], schedule, {}, threads)
@@ -57,7 +68,9 @@ def answer(scene: Scene, threads: int, method: str, adaptive: bool, steps: int =
     return [u, v, kept["u"], kept["v"], kept["state"]]
 
 
-def check_alike(scene: Scene, *how: Any, several: Sequence[int] = SEVERAL, **more: Any) -> list[Any]:
+def check_alike(
+    scene: Scene, *how: Any, several: Sequence[int] = SEVERAL, **more: Any
+) -> list[Any]:
     """Return the answer of one thread, if it is that of several."""
     one = answer(scene, 1, *how, **more)
     for threads in several:
@@ -74,7 +87,8 @@ def test_contacts_that_open_and_close(adaptive: bool):
 
 
 @pytest.mark.parametrize(
-    "force", [pytest.param("exact", marks=pytest.mark.slow), pytest.param("plain", marks=pytest.mark.soak)]
+    "force",
+    [pytest.param("exact", marks=pytest.mark.slow), pytest.param("plain", marks=pytest.mark.soak)],
 )
 @pytest.mark.parametrize("method", SPLITTINGS)
 def test_every_splitting(method: str, force: str):
@@ -103,7 +117,9 @@ def test_every_form_of_the_force(chain: dict[str, Any]):
 @pytest.mark.parametrize("method", ["verlet", "rkn4"])
 def test_a_window_that_grows_takes_in_threads(method: str):
     for first, threads in ((0, 2), (3000, 3)):
-        scene = noisy(3 * LEAST_SHARE, first, first + 2 * LEAST_SHARE - 40).replace(duration=1e-3, samples=3)
+        scene = noisy(3 * LEAST_SHARE, first, first + 2 * LEAST_SHARE - 40).replace(
+            duration=1e-3, samples=3
+        )
         for adaptive in {False, METHODS[method].adaptive != "no"}:
             how = {"steps": 300}
             one = answer(scene, 1, method, adaptive, **how)
@@ -117,11 +133,26 @@ def test_a_window_that_grows_takes_in_threads(method: str):
     [
         pytest.param({"amplitude": 1e-8, "frequency": 3000.0}, marks=pytest.mark.slow),
         pytest.param({"amplitude": 1e-8, "frequency": 3000.0, "grain": 0}, marks=pytest.mark.soak),
-        pytest.param({"times": [0, 0.01, 0.02, 0.04], "displacement": [0, 2e-8, 1e-8, 0]}, marks=pytest.mark.soak),
-        pytest.param({"amplitude": 1e-8, "frequency": 3000.0, "cycles": 5, "grain": 0}, marks=pytest.mark.soak),
-        pytest.param({"amplitude": 1e-3, "frequency": 3e3, "grain": PUSHED, "pushed": True}, marks=pytest.mark.soak),
         pytest.param(
-            {"amplitude": 1e-3, "duration": 3e-4, "shape": "half-sine", "grain": PUSHED, "pushed": True},
+            {"times": [0, 0.01, 0.02, 0.04], "displacement": [0, 2e-8, 1e-8, 0]},
+            marks=pytest.mark.soak,
+        ),
+        pytest.param(
+            {"amplitude": 1e-8, "frequency": 3000.0, "cycles": 5, "grain": 0},
+            marks=pytest.mark.soak,
+        ),
+        pytest.param(
+            {"amplitude": 1e-3, "frequency": 3e3, "grain": PUSHED, "pushed": True},
+            marks=pytest.mark.soak,
+        ),
+        pytest.param(
+            {
+                "amplitude": 1e-3,
+                "duration": 3e-4,
+                "shape": "half-sine",
+                "grain": PUSHED,
+                "pushed": True,
+            },
             marks=pytest.mark.slow,
         ),
     ],
@@ -149,7 +180,9 @@ def test_whole_answers_and_runs_that_go_on(monkeypatch: pytest.MonkeyPatch):
 
     def run(threads: int, kept: Any = None, stop: int = scene.samples) -> tuple[Any, Any]:
         engine = engines.Native("rkn4", threads=threads)
-        started = engine.start([scene], engine.candidate(scene, 1e-3).sampled, kept)  # else it lands at the end only
+        started = engine.start(
+            [scene], engine.candidate(scene, 1e-3).sampled, kept
+        )  # else it lands at the end only
         blocks = []
         for block in started.blocks():
             blocks += [block.velocity[0]]

@@ -30,21 +30,30 @@ def record(
     grains: Any = "all",
     tolerance: float = 1e-9,
 ) -> Trajectory:
-    scene = Scene(chain=chain, excitation=excitation, duration=duration, samples=samples, grains=grains)
+    scene = Scene(
+        chain=chain, excitation=excitation, duration=duration, samples=samples, grains=grains
+    )
     return simulate(scene, engine="native", tolerance=tolerance)
 
 
 @pytest.fixture(scope="module")
 def pulse() -> Trajectory:
     """Return a strike of 1 on a vacuum chain of 60, until the pulse has come back from a wall of the same material."""
-    scene = Scene(chain=vacuum(60, bottom="wall"), excitation=Impulse(velocity=1.0), duration=84.0, samples=2101)
+    scene = Scene(
+        chain=vacuum(60, bottom="wall"),
+        excitation=Impulse(velocity=1.0),
+        duration=84.0,
+        samples=2101,
+    )
     return simulate(scene, engine=engines.Native(step=0.02))
 
 
 def until(t: Trajectory, end: float) -> Trajectory:
     """Return the part of a recording up to a time."""
     kept = t.time <= end
-    return replace(t, time=t.time[kept], displacement=t.displacement[kept], velocity=t.velocity[kept])
+    return replace(
+        t, time=t.time[kept], displacement=t.displacement[kept], velocity=t.velocity[kept]
+    )
 
 
 @pytest.fixture(scope="module")
@@ -108,9 +117,22 @@ def test_the_force_of_a_driver() -> None:
     k, m, load, amplitude = chain.contact_constants[0], chain.masses[0], 1e-3, 1e-12
     own = np.sqrt(2 * k / m)
     omega = 0.6 * own
-    t = record(chain, Drive(amplitude=amplitude, frequency=omega / (2 * np.pi)), 20 / own, 101, [1, 2], 1e-12)
+    t = record(
+        chain,
+        Drive(amplitude=amplitude, frequency=omega / (2 * np.pi)),
+        20 / own,
+        101,
+        [1, 2],
+        1e-12,
+    )
     one = amplitude * np.sin(omega * t.time)
-    two = amplitude * k / m / (own**2 - omega**2) * (np.sin(omega * t.time) - omega / own * np.sin(own * t.time))
+    two = (
+        amplitude
+        * k
+        / m
+        / (own**2 - omega**2)
+        * (np.sin(omega * t.time) - omega / own * np.sin(own * t.time))
+    )
     extra = -m * omega**2 * one + k * (one - two)
     assert drive_force(t) - load == pytest.approx(extra, abs=1e-10 * np.abs(extra).max() + 1e-16)
     still = Drive(times=[0, 1e-6], displacement=[0, 0])
@@ -140,17 +162,27 @@ def test_events_of_a_sine(offset: float, samples: int) -> None:
     closes = 2 * np.pi * np.arange(4) - turn
     expected = sorted([(t, True) for t in opens] + [(t, False) for t in closes if 0 < t < 20])
     events = sine(offset, samples).events()
-    assert [(event.contact, event.opens) for event in events] == [(3, opens) for _, opens in expected]
+    assert [(event.contact, event.opens) for event in events] == [
+        (3, opens) for _, opens in expected
+    ]
     bound = (20 / (samples - 1)) ** 4 / 384 / np.cos(turn) * 1.5
-    assert np.array([e.time for e in events]) == pytest.approx(np.array([t for t, _ in expected]), abs=bound)
+    assert np.array([e.time for e in events]) == pytest.approx(
+        np.array([t for t, _ in expected]), abs=bound
+    )
 
 
 def test_events_at_the_edge_of_touching() -> None:
     """What just touches in a sample has closed there; what nearly parts between two samples has not."""
     rng = np.random.default_rng(1)
     for _ in range(100):
-        start, step, rates = rng.uniform(), rng.uniform(), rng.uniform(size=2) * 10 ** rng.uniform(-6, 2)
-        (event,) = made_up([start, start + step], [-rng.uniform() * 10 ** rng.uniform(-20, 0), 0.0], rates).events()
+        start, step, rates = (
+            rng.uniform(),
+            rng.uniform(),
+            rng.uniform(size=2) * 10 ** rng.uniform(-6, 2),
+        )
+        (event,) = made_up(
+            [start, start + step], [-rng.uniform() * 10 ** rng.uniform(-20, 0), 0.0], rates
+        ).events()
         assert start <= event.time <= start + step
         assert not event.opens
     trembling = made_up([0, 1, 2, 3], [0, 0, 1e-20, 1e-10], [-1e-18, 1e-18, 1e-18, 1e-9])
@@ -158,7 +190,10 @@ def test_events_at_the_edge_of_touching() -> None:
     touching = made_up([0, 1], [0.25, 0.25], [-1, 1])  # (t - 1/2)^2
     assert touching.events() == []
     parting = made_up([0, 1], [0.24, 0.24], [-1, 1]).events()
-    assert [(event.time, event.opens) for event in parting] == [(pytest.approx(0.4), True), (pytest.approx(0.6), False)]
+    assert [(event.time, event.opens) for event in parting] == [
+        (pytest.approx(0.4), True),
+        (pytest.approx(0.6), False),
+    ]
 
 
 def test_events_of_a_dense_recording(column: Trajectory) -> None:
@@ -181,8 +216,13 @@ def test_events_of_a_dense_recording(column: Trajectory) -> None:
     events = contacts(sparse).events()
     assert len(events) > 10
     assert {event.opens for event in events} == {True, False}
-    assert [(e.contact, e.opens) for e in events] == [(contact, opens) for _, contact, opens in expected]
-    found, dense_found = np.array([e.time for e in events]), np.array([moment for moment, _, _ in expected])
+    assert [(e.contact, e.opens) for e in events] == [
+        (contact, opens) for _, contact, opens in expected
+    ]
+    found, dense_found = (
+        np.array([e.time for e in events]),
+        np.array([moment for moment, _, _ in expected]),
+    )
     assert np.abs(found - dense_found).max() < 1e-4 * (sparse.time[1] - sparse.time[0])
 
 
@@ -195,14 +235,20 @@ def test_grains_that_just_touch_have_not_opened() -> None:
     """A front in the vacuum starts at nothing and grows beyond all powers; an interpolant through it overshoots."""
     chain = vacuum(12)
     assert contacts(record(chain, REST, 10.0, 11)).events() == []
-    for samples in (5, 9, 33):  # until the pulse is halfway, at 1.2 grains per unit of time: coarse to fine
+    for samples in (
+        5,
+        9,
+        33,
+    ):  # until the pulse is halfway, at 1.2 grains per unit of time: coarse to fine
         events = contacts(record(chain, Impulse(velocity=1.0), 8.0, samples)).events()
         assert all(event.opens for event in events)
         assert [event.contact for event in events] == list(range(1, len(events) + 1))
         assert len(events) == 4
     struck = Scene(chain=Chain(grains=12, diameter=1e-3, gravity=0.0, bottom="free"), excitation=Impulse(velocity=0.1),
                    duration=4e-5, samples=161)  # fmt: skip
-    native, lammps = (contacts(simulate(struck, engine, 1e-5)).events() for engine in ("native", "lammps"))
+    native, lammps = (
+        contacts(simulate(struck, engine, 1e-5)).events() for engine in ("native", "lammps")
+    )
     assert [(e.contact, e.opens) for e in lammps] == [(e.contact, e.opens) for e in native]
     assert [e.contact for e in lammps] == list(range(1, 12))
     away = contacts(record(chain, Impulse(velocity=-1.0, grain=4), 1.0, 5)).events()
@@ -229,12 +275,18 @@ def test_arrival_of_a_known_peak() -> None:
 
 
 def test_an_arrival_that_sampling_hardly_shows() -> None:
-    peak = arrival(np.array([0.0, 1.0, 2.0]), np.array([0.0, 3.0, 2.0]))  # the parabola through them
-    assert (peak.time, peak.height, peak.error) == pytest.approx((1.25, 3.125, 1.0), rel=1e-12, abs=0)
+    peak = arrival(
+        np.array([0.0, 1.0, 2.0]), np.array([0.0, 3.0, 2.0])
+    )  # the parabola through them
+    assert (peak.time, peak.height, peak.error) == pytest.approx(
+        (1.25, 3.125, 1.0), rel=1e-12, abs=0
+    )
     flat = arrival(np.arange(9.0), np.array([0, 0, 0, 1, 1, 1, 1, 0, 0]))
     assert 2 < flat.time < 7
     time = np.arange(12.0)
-    two = np.exp(-((time - 4) ** 2)) + 1.2 * np.exp(-((time - 8.5) ** 2))  # the second is higher between its samples
+    two = np.exp(-((time - 4) ** 2)) + 1.2 * np.exp(
+        -((time - 8.5) ** 2)
+    )  # the second is higher between its samples
     assert arrival(time, two).time == pytest.approx(4, abs=0.1)
 
 
@@ -276,13 +328,16 @@ def test_a_sensor_is_the_mean_of_two_contacts(column: Trajectory) -> None:
     signal = sensor(column, 5)
     above, below = contacts(column, [4, 5]).force.T
     assert np.array_equal(signal.force, (above + below) / 2)
-    assert signal.force - signal.force[0] == pytest.approx(signal.change, abs=1e-12 * signal.force.max())
+    assert signal.force - signal.force[0] == pytest.approx(
+        signal.change, abs=1e-12 * signal.force.max()
+    )
 
 
 def test_weak_signals_keep_their_digits() -> None:
     chain = Chain(grains=12, diameter=1e-3)
     signals = [
-        sensor(record(chain, Impulse(velocity=v), 2e-5, 41, tolerance=1e-11), 5).change / v for v in (1e-16, 2e-16)
+        sensor(record(chain, Impulse(velocity=v), 2e-5, 41, tolerance=1e-11), 5).change / v
+        for v in (1e-16, 2e-16)
     ]
     assert signals[0] == pytest.approx(signals[1], abs=1e-9 * np.abs(signals[0]).max())
 
@@ -304,16 +359,24 @@ def test_some_recorded_grains_are_enough(column: Trajectory) -> None:
 
 def test_what_is_not_there_is_named(column: Trajectory) -> None:
     some = record(column.scene.chain, column.scene.excitation, 1e-6, 5, [3, 5])
-    driven = record(Chain(grains=4, diameter=1e-3), Drive(amplitude=1e-9, frequency=1e4), 1e-6, 5, [1])
+    driven = record(
+        Chain(grains=4, diameter=1e-3), Drive(amplitude=1e-9, frequency=1e4), 1e-6, 5, [1]
+    )
     free = record(vacuum(4), Impulse(velocity=1.0), 1.0, 5)
     for fault, wrong in [
-        ("grains: this takes grains that were not recorded; record these too: 4", lambda: contacts(some, [3, 4])),
+        (
+            "grains: this takes grains that were not recorded; record these too: 4",
+            lambda: contacts(some, [3, 4]),
+        ),
         ("grains: no two neighbours were recorded", lambda: contacts(some)),
         ("record these too: 4, 6", lambda: sensor(some, 5)),
         ("record these too: 11", lambda: wall_force(some)),
         ("record these too: 2", lambda: drive_force(driven)),
         ("numbers: the contacts are numbered 1 to 11 (got [0])", lambda: contacts(column, [0])),
-        ("numbers: the contacts are numbered 1 to 11 (got [12, 13])", lambda: contacts(column, [12, 13])),
+        (
+            "numbers: the contacts are numbered 1 to 11 (got [12, 13])",
+            lambda: contacts(column, [12, 13]),
+        ),
         ("grain: grain 1 has no contacts on both sides", lambda: sensor(column, 1)),
         ("grain: grain 12 has no contacts on both sides", lambda: sensor(column, 12)),
         ("grain: grain 40 has no contacts on both sides", lambda: sensor(column, 40)),

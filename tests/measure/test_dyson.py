@@ -32,7 +32,9 @@ def by_hand(unit: float, orders: tuple[float, ...] = (1.0, 5.0)) -> DysonSums:
     printed = weight @ velocity.T
     normalised = printed / weight.sum(1)[:, None]
     time, tau = np.array([0.0, 2e-5]), np.array([0.0, 12.5])
-    return DysonSums(np.array(orders), time, tau, kappa, velocity, weight, printed, normalised, unit)
+    return DysonSums(
+        np.array(orders), time, tau, kappa, velocity, weight, printed, normalised, unit
+    )
 
 
 def ensemble(sign: float, unit: float, model_error: float = 1e-3, squeezed: int = 0) -> Any:
@@ -52,7 +54,9 @@ def ensemble(sign: float, unit: float, model_error: float = 1e-3, squeezed: int 
 def test_sums_over_the_grains_of_a_run(bottom: str):
     """Eq. (22) with the stiffness of Hertz's contacts, n^(1/3), and the weights of Eq. (23)."""
     chain = Chain(grains=30, diameter=1e-3, bottom=bottom)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=2e-12), duration=9 * chain.time_scale, samples=4)
+    scene = Scene(
+        chain=chain, excitation=Impulse(velocity=2e-12), duration=9 * chain.time_scale, samples=4
+    )
     t = simulate(scene, "modes")
     velocity = np.zeros((4, 30))
     velocity[:, : chain.movable] = t.velocity[:, : chain.movable]
@@ -89,7 +93,9 @@ def test_stiffness_over_that_of_the_first_contact(exponent: float):
     weight = 1e-5 + 9.81 * np.cumsum(masses)
     kappa = (weight / weight[0]) ** (1 - 1 / exponent)
     assert relative_stiffness(chain) == pytest.approx(kappa, rel=1e-13)
-    with pytest.raises(InputError, match="gravity: without gravity and load contacts have no stiffness"):
+    with pytest.raises(
+        InputError, match="gravity: without gravity and load contacts have no stiffness"
+    ):
         relative_stiffness(Chain(grains=5, diameter=1e-3, gravity=0.0))
 
 
@@ -104,7 +110,10 @@ def test_the_table(unit: float):
     assert lines[1].startswith("Eq. (22): a sum over the grains of one chain")
     assert "over 30 linear chains" in lines[2]
     head, one, other, ordered = (line.split() for line in lines[3:7])
-    assert " ".join(head) == "m as printed sum of weights normalised random chains standard error grain"
+    assert (
+        " ".join(head)
+        == "m as printed sum of weights normalised random chains standard error grain"
+    )
     for row, m, mean in ((one, 1, -0.5), (other, 5, 0.5)):
         weight = dyson_weight(np.arange(1, 7) ** (1 / 3), m)
         printed = weight @ np.array([0.5, 0.25, -0.125, 1e-2, 4e-4, 0.0])
@@ -158,7 +167,9 @@ def test_the_picture(unit: float):
     assert "tau = 12.5" in terms.get_title("left")
     ordered, one, other, zero = means.lines
     assert [line.get_label() for line in (ordered, one, other)] == ["ordered", "m = 1", "m = 5"]
-    assert ordered.get_xydata() == pytest.approx(np.stack((np.arange(1, 7), ORDERED), axis=1), rel=1e-15)
+    assert ordered.get_xydata() == pytest.approx(
+        np.stack((np.arange(1, 7), ORDERED), axis=1), rel=1e-15
+    )
     assert one.get_xdata().tolist() == [1, 2, 4]
     assert one.get_ydata().tolist() == [0.25, -0.5, 0.125]
     assert other.get_ydata().tolist() == [-0.25, 0.5, -0.125]
@@ -186,14 +197,26 @@ def test_the_picture_ends_four_grains_below_the_wave():
     wave[[3, 39, 59]] = 1.0, -2e-3, 0.9e-3
     whole = by_hand(1.0)
     kappa, motion = np.ones(size), np.stack((wave, wave))
-    seen = DysonSums(whole.m, whole.time, whole.tau, kappa, motion, np.ones((2, size)), *(np.zeros((2, 2)),) * 2, 1.0)
+    seen = DysonSums(
+        whole.m,
+        whole.time,
+        whole.tau,
+        kappa,
+        motion,
+        np.ones((2, size)),
+        *(np.zeros((2, 2)),) * 2,
+        1.0,
+    )
     mine = figure().subplots()
     assert seen.plot(np.zeros(size), [ensemble(1.0, 1.0)] * 2, mine) is mine
     assert mine.get_xlim() == (0.5, 44.5)
     assert mine.get_xlabel() == "grain number n, from the top"
     still = DysonSums(whole.m, whole.time, whole.tau, kappa, 0 * motion, np.ones((2, size)),
                       *(np.zeros((2, 2)),) * 2, 1.0)  # fmt: skip
-    assert still.plot(np.zeros(size), [ensemble(1.0, 1.0)] * 2, figure().subplots()).get_xlim() == (0.5, 90.5)
+    assert still.plot(np.zeros(size), [ensemble(1.0, 1.0)] * 2, figure().subplots()).get_xlim() == (
+        0.5,
+        90.5,
+    )
 
 
 def test_no_two_of_many_lines_look_alike():

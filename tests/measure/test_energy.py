@@ -8,7 +8,18 @@ import numpy as np
 import pytest
 from scipy.special import jv
 
-from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Profile, Scene, Trajectory, engines, simulate
+from lmpchain import (
+    Chain,
+    Displacement,
+    Drive,
+    Impulse,
+    InputError,
+    Profile,
+    Scene,
+    Trajectory,
+    engines,
+    simulate,
+)
 from lmpchain.measure.contact import contacts, drive_force
 from lmpchain.measure.energy import ledger
 from lmpchain.measure.flight import arrival
@@ -22,9 +33,16 @@ def vacuum(grains: int, **ends: Any) -> Chain:
 
 
 def record(
-    chain: Chain, excitation: Excitation, duration: float, samples: int, tolerance: float = 1e-10, grains: Any = "all"
+    chain: Chain,
+    excitation: Excitation,
+    duration: float,
+    samples: int,
+    tolerance: float = 1e-10,
+    grains: Any = "all",
 ) -> Trajectory:
-    scene = Scene(chain=chain, excitation=excitation, duration=duration, samples=samples, grains=grains)
+    scene = Scene(
+        chain=chain, excitation=excitation, duration=duration, samples=samples, grains=grains
+    )
     return simulate(scene, engine="native", tolerance=tolerance)
 
 
@@ -35,7 +53,12 @@ def largest(values: Any) -> float:
 COLUMN = Chain(grains=20, diameter=1e-3)
 LOADED = Chain(grains=15, diameter=1e-3, top_load=1e-2, exponent=2.0, bottom="wall")
 BETWEEN = Chain(
-    grains=12, diameter=np.linspace(1e-3, 2e-3, 12), top_load=1e-2, top="wall", bottom="wall", exponent=1.25
+    grains=12,
+    diameter=np.linspace(1e-3, 2e-3, 12),
+    top_load=1e-2,
+    top="wall",
+    bottom="wall",
+    exponent=1.25,
 )
 UNDRIVEN = {
     "weak": (COLUMN, Impulse(velocity=1e-9), 4e-5),
@@ -58,9 +81,13 @@ def test_energy_and_momentum_come_from_somewhere(case: tuple[Chain, Excitation, 
     assert energy.kinetic[0] == pytest.approx(given, rel=1e-14, abs=0)
     terms = energy.contact, energy.gravity, energy.load
     overlaps, power = contacts(t).overlap, chain.exponent + 1
-    elastic = chain.contacts.constant[contacts(t).contact] / power * np.maximum(overlaps, 0.0) ** power
+    elastic = (
+        chain.contacts.constant[contacts(t).contact] / power * np.maximum(overlaps, 0.0) ** power
+    )
     stored = elastic.sum(1)
-    assert energy.contact - energy.contact[0] == pytest.approx(stored - stored[0], abs=1e-14 * largest(stored))
+    assert energy.contact - energy.contact[0] == pytest.approx(
+        stored - stored[0], abs=1e-14 * largest(stored)
+    )
     cancels = 1e-14 * sum(map(largest, terms))
     assert energy.kinetic + sum(terms) == pytest.approx(energy.total, rel=1e-9, abs=cancels)
     assert largest(energy.momentum_drift) < 1e-9 * largest(energy.momentum) + energy.impulse_error
@@ -94,7 +121,9 @@ def test_a_lifted_grain_falls_freely(exponent: float) -> None:
     assert energy.impulse == pytest.approx(gained, rel=1e-13, abs=0)
     assert energy.momentum == pytest.approx(gained, rel=1e-9, abs=0)
     assert energy.contact == pytest.approx(np.full(11, energy.contact[0]), rel=1e-13, abs=0)
-    assert energy.gravity - energy.gravity[0] == pytest.approx(-gained * 9.81 * t.time / 2, rel=1e-9, abs=0)
+    assert energy.gravity - energy.gravity[0] == pytest.approx(
+        -gained * 9.81 * t.time / 2, rel=1e-9, abs=0
+    )
 
 
 # --- driven chains
@@ -103,7 +132,9 @@ DRIVES = {
     "harmonic": Drive(amplitude=2e-9, frequency=1e5),
     "weak": Drive(amplitude=1e-17, frequency=1e5),
     "piston": Drive(times=[0, 4e-5], displacement=[0, 2e-8]),
-    "sampled": Drive(times=np.linspace(0, 4e-5, 9), displacement=1e-8 * np.sin(np.linspace(0, 3, 9)) ** 2),
+    "sampled": Drive(
+        times=np.linspace(0, 4e-5, 9), displacement=1e-8 * np.sin(np.linspace(0, 3, 9)) ** 2
+    ),
 }
 
 
@@ -145,14 +176,18 @@ def test_a_driver_of_springs_does_the_work_of_theory() -> None:
         """Return phi_1 - phi_2 in units of the amplitude, (n,) at times (n,)."""
         s = time[:, None] * (1 + node) / 2
         kernel = 2 * jv(2, 2 * s) / np.where(s > 0, s, 1.0)
-        return np.sin(omega * time) - time / 2 * ((kernel * np.sin(omega * (time[:, None] - s))) @ weight)
+        return np.sin(omega * time) - time / 2 * (
+            (kernel * np.sin(omega * (time[:, None] - s))) @ weight
+        )
 
     force = k * amplitude * pull(tau) - m * amplitude * (omega / unit) ** 2 * np.sin(omega * tau)
     assert drive_force(t) - 1e-3 == pytest.approx(force, abs=1e-9 * largest(force) + 1e-17)
     end = 4 * period
     s = end * (1 + node) / 2
     speed = amplitude * omega * np.cos(omega * s)
-    work = end / 2 * weight @ (k * amplitude * pull(s) * speed)  # grain 1 itself is as fast as at t = 0
+    work = (
+        end / 2 * weight @ (k * amplitude * pull(s) * speed)
+    )  # grain 1 itself is as fast as at t = 0
     at_end = energy.drive[4 * 64]
     assert at_end == pytest.approx(work, abs=energy.drive_error / 10)
     assert at_end == pytest.approx(work, rel=1e-5, abs=0)
@@ -175,7 +210,9 @@ def test_energy_is_shared_5_to_4_between_walls() -> None:
     """K/E = (delta+1)/(delta+3) + [G(T) - G(0)] / ((delta+3) T E), G = sum m phi phi': the virial theorem."""
     chain = vacuum(20, top="wall", bottom="wall")
     scene = Scene(chain=chain, excitation=Impulse(velocity=1.0), duration=400.0, samples=8001)
-    t = simulate(scene, engine=engines.Native(step=0.05))  # chaotic after 100, but the theorem holds for any motion
+    t = simulate(
+        scene, engine=engines.Native(step=0.05)
+    )  # chaotic after 100, but the theorem holds for any motion
     energy = ledger(t)
     g = (t.displacement * t.velocity).sum(1)
     for end in (100, 400):
@@ -190,9 +227,14 @@ def test_energy_of_a_solitary_wave(exponent: float) -> None:
     """Its time mean of K/E is (delta+1)/(delta+3) exactly: Slepyan, arXiv:1410.8301. The wave is cut from a strike."""
     struck = record(vacuum(70, exponent=exponent), Impulse(velocity=1.0), 70.0, 2, 1e-8)
     behind = int(struck.velocity[-1].argmax()) - 8
-    u, v = (np.concatenate((x[-1, behind:], np.zeros(25))) for x in (struck.displacement, struck.velocity))
+    u, v = (
+        np.concatenate((x[-1, behind:], np.zeros(25)))
+        for x in (struck.displacement, struck.velocity)
+    )
     v[0] = 0.0
-    t = record(vacuum(u.size, exponent=exponent), Profile(displacement=u, velocity=v), 24.0, 601, 1e-9)
+    t = record(
+        vacuum(u.size, exponent=exponent), Profile(displacement=u, velocity=v), 24.0, 601, 1e-9
+    )
     energy = ledger(t)
     passes = [arrival(t.time, t.velocity[:, n - 1]).time for n in (12, 22)]
     assert largest(energy.kinetic / energy.total - energy.virial_ratio(*passes)) > 1e-3, (
@@ -203,7 +245,10 @@ def test_energy_of_a_solitary_wave(exponent: float) -> None:
 
 def test_energy_of_a_chain_at_rest_is_zero() -> None:
     energy = ledger(record(COLUMN, Impulse(velocity=0.0), 1e-6, 5))
-    assert not any(x.any() for x in (energy.total, energy.kinetic, energy.contact, energy.momentum, energy.impulse))
+    assert not any(
+        x.any()
+        for x in (energy.total, energy.kinetic, energy.contact, energy.momentum, energy.impulse)
+    )
     assert np.isnan(energy.virial_ratio())
     assert energy.plot().lines
 
@@ -214,7 +259,9 @@ def test_energy_of_a_chain_at_rest_is_zero() -> None:
 def test_every_grain_that_moves_is_needed() -> None:
     strike = Impulse(velocity=1e-4)
     whole = ledger(record(COLUMN, strike, 1e-5, 11))
-    turned = ledger(record(COLUMN, strike, 1e-5, 11, grains=list(range(19, 0, -1))))  # grain 20 is held
+    turned = ledger(
+        record(COLUMN, strike, 1e-5, 11, grains=list(range(19, 0, -1)))
+    )  # grain 20 is held
     for key, value in whole.__dict__.items():
         assert turned.__dict__[key] == pytest.approx(value, rel=1e-12, abs=0), key
     for grains, missing in (("1:18", ": 19"), ([1], ": 2, 3, 4, 5, 6, 7, 8, 9, ...")):

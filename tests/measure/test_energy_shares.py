@@ -18,7 +18,12 @@ ACTED = {
 @pytest.mark.parametrize("name", WALLED)
 def test_shares_add_up(name: str):
     chain = WALLED[name]
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-2, grain=chain.movable), duration=2e-5, samples=21)
+    scene = Scene(
+        chain=chain,
+        excitation=Impulse(velocity=1e-2, grain=chain.movable),
+        duration=2e-5,
+        samples=21,
+    )
     t = simulate(scene, "native", 1e-9)
     found = energy.shares(t)
     assert min(found.kinetic.min(), found.elastic.min()) >= 0
@@ -45,12 +50,23 @@ def test_what_flows_into_a_part(kind: str):
 
 def test_a_closed_form():
     """A single grain on a spring: half of the energy goes back and forth."""
-    spring = Chain(grains=1, diameter=1e-3, exponent=1.0, bottom="wall", masses=[2e-6], wall_constants=[0.0, 50.0])
+    spring = Chain(
+        grains=1,
+        diameter=1e-3,
+        exponent=1.0,
+        bottom="wall",
+        masses=[2e-6],
+        wall_constants=[0.0, 50.0],
+    )
     scene = Scene(chain=spring, excitation=Impulse(velocity=1e-4), duration=1e-3, samples=101)
     found = energy.shares(simulate(scene, "modes"))
     whole = 2e-6 * 1e-8 / 2
-    assert found.kinetic[:, 0] == pytest.approx(whole * np.cos(5000 * found.time) ** 2, rel=0, abs=1e-12 * whole)
-    assert found.elastic[:, 0] == pytest.approx(whole * np.sin(5000 * found.time) ** 2, rel=0, abs=1e-12 * whole)
+    assert found.kinetic[:, 0] == pytest.approx(
+        whole * np.cos(5000 * found.time) ** 2, rel=0, abs=1e-12 * whole
+    )
+    assert found.elastic[:, 0] == pytest.approx(
+        whole * np.sin(5000 * found.time) ** 2, rel=0, abs=1e-12 * whole
+    )
     assert found.contact.tolist() == [1]
 
 
@@ -67,8 +83,14 @@ def test_parts_of_what_was_recorded():
 
 def test_energies_in_a_sweep(tmp_path):
     scene = Scene(chain=LOADED, excitation=ACTED["struck"], duration=2e-5, samples=11)
-    asked = {"scene": scene.to_dict(), "keep": ["energy", "grain_energy", "contact_energy"], "engine": "native"}
-    data = sweep(asked | {"tolerance": 1e-9, "grid": {"excitation.velocity": [1e-3, 2e-3]}}, tmp_path)
+    asked = {
+        "scene": scene.to_dict(),
+        "keep": ["energy", "grain_energy", "contact_energy"],
+        "engine": "native",
+    }
+    data = sweep(
+        asked | {"tolerance": 1e-9, "grid": {"excitation.velocity": [1e-3, 2e-3]}}, tmp_path
+    )
     found = energy.shares(simulate(scene, "native", 1e-9))
     first = data.isel({"excitation.velocity": 0})
     assert first["energy"].to_numpy() == pytest.approx(scene.energy, rel=1e-8)
@@ -83,21 +105,35 @@ def test_energies_in_a_sweep(tmp_path):
 def test_energies_are_no_further_off_than_they_say(name: str):
     """Against the energy put in, and a run a million times more accurate."""
     chain = WALLED[name]
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-2, grain=chain.movable), duration=2e-5, samples=21)
-    found, better = (energy.shares(simulate(scene, "native", tolerance)) for tolerance in (1e-3, 1e-9))
+    scene = Scene(
+        chain=chain,
+        excitation=Impulse(velocity=1e-2, grain=chain.movable),
+        duration=2e-5,
+        samples=21,
+    )
+    found, better = (
+        energy.shares(simulate(scene, "native", tolerance)) for tolerance in (1e-3, 1e-9)
+    )
     error = found.kinetic_error.sum(1) + found.elastic_error.sum(1)
     assert (np.abs(found.kinetic.sum(1) + found.elastic.sum(1) - scene.energy) <= error).all()
     for field in ("kinetic", "elastic", "of_grain"):
-        off, said = np.abs(getattr(found, field) - getattr(better, field)), getattr(found, f"{field}_error")
+        off, said = (
+            np.abs(getattr(found, field) - getattr(better, field)),
+            getattr(found, f"{field}_error"),
+        )
         assert (off <= said + getattr(better, f"{field}_error")).all()
     assert 0 < error.max() < 0.02 * scene.energy
 
 
 def test_the_energy_of_some_grains_does_not_depend_on_what_else_is_kept(tmp_path):
-    scene = Scene(chain=LOADED, excitation=ACTED["struck"], duration=2e-5, samples=11, grains="3:6").to_dict()
+    scene = Scene(
+        chain=LOADED, excitation=ACTED["struck"], duration=2e-5, samples=11, grains="3:6"
+    ).to_dict()
     kept = {}
     for number, keep in enumerate((["energy"], ["energy", "peak_velocity", "grain_energy"])):
         grid = {"excitation.velocity": [1e-3, 2e-3]}
-        kept[number] = sweep({"scene": scene, "keep": keep, "engine": "native", "grid": grid}, tmp_path / str(number))
+        kept[number] = sweep(
+            {"scene": scene, "keep": keep, "engine": "native", "grid": grid}, tmp_path / str(number)
+        )
     assert kept[1]["energy"].to_numpy() == pytest.approx(kept[0]["energy"].to_numpy(), rel=1e-12)
     assert np.isfinite(kept[1]["grain_energy"].to_numpy()).all()

@@ -49,7 +49,9 @@ def overlaps(t: Trajectory) -> Array:
     chain, wall = t.scene.chain, t.scene.excitation.wall
     top = wall.at(t.time, 0) if wall else np.zeros(t.time.size)
     edged = np.column_stack((top, t.displacement, np.zeros(t.time.size)))
-    return np.where(chain.contacts.exists, chain.contacts.overlap + edged[:, :-1] - edged[:, 1:], 0.0)
+    return np.where(
+        chain.contacts.exists, chain.contacts.overlap + edged[:, :-1] - edged[:, 1:], 0.0
+    )
 
 
 @pytest.mark.parametrize("name", GIVEN)
@@ -80,9 +82,13 @@ def test_every_term_and_what_was_given(name: str):
     gained = seen.momentum - seen.momentum[0]
     assert np.abs(seen.impulse - gained).max() < 1e-6 * np.abs(gained).max()
     assert seen.drift == pytest.approx(change - seen.drive, abs=1e-12 * np.abs(change).max())
-    assert seen.momentum_drift == pytest.approx(gained - seen.impulse, abs=1e-12 * np.abs(gained).max())
+    assert seen.momentum_drift == pytest.approx(
+        gained - seen.impulse, abs=1e-12 * np.abs(gained).max()
+    )
     assert np.abs(seen.drift).max() <= 0.2 * seen.drive_error < 1e-4 * np.abs(change).max()
-    assert np.abs(seen.momentum_drift).max() <= 0.2 * seen.impulse_error < 1e-4 * np.abs(gained).max()
+    assert (
+        np.abs(seen.momentum_drift).max() <= 0.2 * seen.impulse_error < 1e-4 * np.abs(gained).max()
+    )
 
 
 def corrected_trapezoid(step: float, value: Array, slope: Array) -> Array:
@@ -122,7 +128,13 @@ def swinging(**more: Any) -> EnergyLedger:
     """Return the ledger of 2 J that swing between motion and a spring: K = 2 cos(t)^2."""
     time = np.linspace(0, 10, 2001)
     zero, total = np.zeros(time.size), np.full(time.size, 2.0)
-    terms = {"time": time, "kinetic": 2 * np.cos(time) ** 2, "contact": zero, "gravity": zero, "load": zero}
+    terms = {
+        "time": time,
+        "kinetic": 2 * np.cos(time) ** 2,
+        "contact": zero,
+        "gravity": zero,
+        "load": zero,
+    }
     rest = {"momentum": zero, "impulse": zero, "drive_error": 0.0, "impulse_error": 0.0}
     return EnergyLedger(**terms | {"total": total, "drive": zero} | rest | more)
 
@@ -168,7 +180,9 @@ def test_energies_of_grains_and_contacts_by_their_formulas(ends: dict[str, str])
     seen, rest = energy.shares(t), chain.contacts.overlap
     squeezed = overlaps(t)
     stored = chain.contacts.constant * (np.maximum(squeezed, 0) ** 2.5 - rest**2.5) / 2.5
-    elastic = np.where(chain.contacts.exists, stored - chain.contacts.force * (squeezed - rest), 0.0)
+    elastic = np.where(
+        chain.contacts.exists, stored - chain.contacts.force * (squeezed - rest), 0.0
+    )
     kinetic = chain.masses * t.velocity**2 / 2
     share = elastic.copy()
     share[:, 1:-1] /= 2
@@ -181,7 +195,9 @@ def test_energies_of_grains_and_contacts_by_their_formulas(ends: dict[str, str])
     of_grain = kinetic + share[:, :-1] + share[:, 1:]
     assert seen.of_grain == pytest.approx(of_grain, rel=1e-7, abs=1e4 * scale)
     for first, last in ((1, 9), (3, 3), (4, 9)):
-        assert seen.part(first, last) == pytest.approx(seen.of_grain[:, first - 1 : last].sum(1), rel=1e-13)
+        assert seen.part(first, last) == pytest.approx(
+            seen.of_grain[:, first - 1 : last].sum(1), rel=1e-13
+        )
     for first, last in ((5, 4), (0, 3), (8, 10)):
         with pytest.raises(InputError, match=f"from the first to the last .got {first} to {last}"):
             seen.part(first, last)
@@ -205,7 +221,9 @@ def test_grains_in_the_order_in_which_they_were_recorded():
 def test_errors_are_what_errors_of_the_motion_make_of_an_energy():
     """Speeds off by dv: m [(v + dv)^2 - v^2] / 2; two displacements off by du: the contact's energy at 2 du more."""
     chain = Chain(**UNEVEN, bottom="wall")
-    scene = Scene(chain=chain, excitation=Impulse(velocity=3e-3, grain=4), duration=2e-5, samples=41)
+    scene = Scene(
+        chain=chain, excitation=Impulse(velocity=3e-3, grain=4), duration=2e-5, samples=41
+    )
     t = simulate(scene, engines.Native(step=1e-8))
     t = replace(t, error_estimate=replace(t.error_estimate, solver=1e-4, model=0.0))
     seen, between = energy.shares(t), motion_of(t)
@@ -217,13 +235,17 @@ def test_errors_are_what_errors_of_the_motion_make_of_an_energy():
     these = chain.contacts.of(seen.contact)
     change = np.abs([these.force_change(closer + side * 2 * off) for side in (-1, 1)]).max(0)
     assert seen.elastic_error == pytest.approx(2 * off * change, rel=1e-9)
-    worst = np.abs([these.energy(closer + side * 2 * off) - these.energy(closer) for side in (-1, 1)]).max(0)
+    worst = np.abs(
+        [these.energy(closer + side * 2 * off) - these.energy(closer) for side in (-1, 1)]
+    ).max(0)
     assert (worst <= seen.elastic_error * (1 + 1e-9)).all()
     large = np.abs(closer) > 100 * off
     assert (seen.elastic_error[large] < 1.1 * worst[large]).all()
     beside = np.zeros((41, 10))
     beside[:, seen.contact] = seen.elastic_error
     beside[:, 1:-1] /= 2
-    assert seen.of_grain_error == pytest.approx(seen.kinetic_error + beside[:, :-1] + beside[:, 1:], rel=1e-12)
+    assert seen.of_grain_error == pytest.approx(
+        seen.kinetic_error + beside[:, :-1] + beside[:, 1:], rel=1e-12
+    )
     again = energy.shares(between)
     assert np.array_equal(again.of_grain_error, seen.of_grain_error)

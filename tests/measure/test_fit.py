@@ -15,7 +15,18 @@ import pytest
 from helpers.example_scenes import paper
 from scipy.special import jv
 
-from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Material, Profile, Scene, Trajectory, simulate
+from lmpchain import (
+    Chain,
+    Displacement,
+    Drive,
+    Impulse,
+    InputError,
+    Material,
+    Profile,
+    Scene,
+    Trajectory,
+    simulate,
+)
 from lmpchain.benchmark.comparison import compare
 from lmpchain.benchmark.reference import reference
 from lmpchain.cli.command_line import main
@@ -35,9 +46,22 @@ from lmpchain.measure.fit.overview import (
 C = 1.155137236596699  # 2 (6/5)^(1/5) / B(3/5, 9/10)
 
 
-def answered(chain: Chain, excitation: Any, units: float, samples: int, engine: str = "chebyshev", **rest: Any):
+def answered(
+    chain: Chain,
+    excitation: Any,
+    units: float,
+    samples: int,
+    engine: str = "chebyshev",
+    **rest: Any,
+):
     """Return a run that lasts so many units of tau, whatever its model error."""
-    scene = Scene(chain=chain, excitation=excitation, duration=units * chain.time_scale, samples=samples, **rest)
+    scene = Scene(
+        chain=chain,
+        excitation=excitation,
+        duration=units * chain.time_scale,
+        samples=samples,
+        **rest,
+    )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("warnings.warn", lambda *_, **__: None)
         return simulate(scene, engine, 1e-9)
@@ -74,7 +98,9 @@ def test_shares_of_the_modes_and_their_energy(column: Trajectory):
     assert fit.amplitude.shape == fit.rate.shape == (1601, 299)
     assert fit.share_error.max() < 1e-12
     diagonal, coupling = column.scene.chain.dynamical_matrix()
-    squares, shape = np.linalg.eigh(np.diag(diagonal) + np.diag(coupling, 1) + np.diag(coupling, -1))
+    squares, shape = np.linalg.eigh(
+        np.diag(diagonal) + np.diag(coupling, 1) + np.diag(coupling, -1)
+    )
     assert fit.frequency == pytest.approx(np.sqrt(squares), rel=1e-9)
     assert fit.share == pytest.approx(shape[0] ** 2, abs=1e-12)
 
@@ -87,14 +113,17 @@ def test_one_mode_alone_holds_all():
     fit = fit_modes(answered(chain, start, 20.0, 41))
     assert fit.share[3] == pytest.approx(1, abs=1e-12)
     assert fit.amplitude[:, 3] == pytest.approx(
-        fit.amplitude[0, 3] * np.cos(fit.frequency[3] * fit.time), abs=1e-10 * abs(fit.amplitude[0, 3])
+        fit.amplitude[0, 3] * np.cos(fit.frequency[3] * fit.time),
+        abs=1e-10 * abs(fit.amplitude[0, 3]),
     )
 
 
 def test_a_strong_strike_leaves_the_linear_motion():
     """At v0 = 0.857 mm/s, by as much as a run of the linear chain by Chebyshev polynomials says."""
     strong = simulate(paper("fig5 g"), "native")
-    linear = answered(strong.scene.chain, strong.scene.excitation, 100e-6 / strong.scene.chain.time_scale, 26)
+    linear = answered(
+        strong.scene.chain, strong.scene.excitation, 100e-6 / strong.scene.chain.time_scale, 26
+    )
     fit = fit_modes(strong)
     pairs = (strong.displacement, linear.displacement), (strong.velocity, linear.velocity)
     off = [np.abs(x - y).max(1) / np.abs(x).max() for x, y in pairs]
@@ -109,7 +138,11 @@ def test_a_strong_strike_leaves_the_linear_motion():
 @pytest.mark.parametrize("engine", ["chebyshev", "native"])
 @pytest.mark.parametrize(
     "excitation",
-    [Impulse(velocity=1e-9), Impulse(velocity=-1e-9, grain=17), Displacement(displacement=1e-15, grain=3)],
+    [
+        Impulse(velocity=1e-9),
+        Impulse(velocity=-1e-9, grain=17),
+        Displacement(displacement=1e-15, grain=3),
+    ],
 )
 def test_the_uniform_chain_is_found_again(excitation: Any, engine: str):
     fit = fit_bessel(answered(UNIFORM, excitation, 30.0, 121, engine))
@@ -143,7 +176,9 @@ def test_against_the_formulas_with_another_speed_and_delay(uniform: Trajectory):
 
 def test_the_local_speed_in_a_column():
     """kappa_n = n^(1/3): near grain 150 the chain is uniform for some time, and within what theory leaves out."""
-    fit = fit_bessel(answered(Chain(grains=300, diameter=1e-3), Impulse(velocity=1e-9, grain=150), 40.0, 401))
+    fit = fit_bessel(
+        answered(Chain(grains=300, diameter=1e-3), Impulse(velocity=1e-9, grain=150), 40.0, 401)
+    )
     assert fit.kappa == pytest.approx(150 ** (1 / 3), rel=5e-3)
     assert fit.amplitude == pytest.approx(1e-9, rel=5e-3)
     assert np.unique(fit.grain)[[0, -1]].tolist() == [129, 174]
@@ -171,7 +206,9 @@ def test_amplitude_of_the_impulse_response(column: Trajectory):
 
 def test_amplitude_at_the_surface():
     """The top grain alone: v0 C tau^(-1/5), to 5e-5 from tau = 50 on."""
-    top = answered(Chain(grains=200, diameter=1e-3), Impulse(velocity=-2e-9), 150.0, 301, grains=[1])
+    top = answered(
+        Chain(grains=200, diameter=1e-3), Impulse(velocity=-2e-9), 150.0, 301, grains=[1]
+    )
     fit = fit_continuum(top)
     assert fit.front is None
     assert np.unique(fit.grain).tolist() == [1]
@@ -196,7 +233,9 @@ def test_law_of_the_front(column: Trajectory):
 def test_the_front_is_found_whatever_is_known_of_the_error(column: Trajectory):
     """A dump says nothing of its error: the estimate is infinite."""
     law, same = (
-        fit_continuum(replace(column, error_estimate=replace(column.error_estimate, solver=error))).front
+        fit_continuum(
+            replace(column, error_estimate=replace(column.error_estimate, solver=error))
+        ).front
         for error in (1e-12, math.inf)
     )
     assert law is not None
@@ -218,7 +257,9 @@ def test_noise_widens_the_error_of_the_amplitude(column: Trajectory):
     rng = np.random.default_rng(3)
     scale = 1e-9 * column.scene.chain.time_scale
     noisy = replace(
-        column, displacement=column.displacement + 0.01 * scale * rng.normal(size=column.displacement.shape)
+        column,
+        displacement=column.displacement
+        + 0.01 * scale * rng.normal(size=column.displacement.shape),
     )
     fit = fit_continuum(noisy)
     assert 1e-5 < fit.error < 1e-3
@@ -232,7 +273,13 @@ def fit(column: Trajectory) -> ExponentFit:
 
 
 def test_exponents_of_the_front(fit: ExponentFit):
-    true = {"velocity": -4 / 15, "displacement": -1 / 10, "time": 5 / 6, "speed": 1 / 6, "width": 1 / 6}
+    true = {
+        "velocity": -4 / 15,
+        "displacement": -1 / 10,
+        "time": 5 / 6,
+        "speed": 1 / 6,
+        "width": 1 / 6,
+    }
     assert dict(fit.expected) == pytest.approx(true)
     for name, law in fit.laws.items():
         assert law.exponent == pytest.approx(true[name], abs=4e-3)
@@ -301,7 +348,9 @@ def test_times_of_an_oscilloscope():
 
 
 def test_the_trace_of_a_trajectory_and_the_engine_by_default():
-    fit = fit_parameter(simulate(struck("velocity", 8e-4)), struck("velocity", 7e-4), "velocity", simulate)
+    fit = fit_parameter(
+        simulate(struck("velocity", 8e-4)), struck("velocity", 7e-4), "velocity", simulate
+    )
     assert fit.value == pytest.approx(8e-4, rel=1e-5)
     assert fit.trace.grain.tolist() == list(range(1, 16))
     assert fit.scene.excitation.velocity == fit.value
@@ -323,16 +372,37 @@ def clean_trace(grain: int = 5) -> Trace:
         (lambda: Trace([0, 1e-6, 2e-6], 3, ["one", "two", "three"]), "values"),
         (lambda: Trace([0, 1e-6, 2e-6], 3.5, [1, 2, 3]), "grain"),
         (lambda: Trace([0, 1e-6, 2e-6], 3, [1, 2, 3], "colour"), "field"),
-        (lambda: fit_parameter(clean_trace(), struck("velocity", 0.0), "velocity", NATIVE), "velocity"),
-        (lambda: fit_parameter(clean_trace(), struck("velocity", 1e-3), "colour", NATIVE), "parameter"),
-        (lambda: fit_parameter(clean_trace(), struck("velocity", 1e-3), "velocity", NATIVE, 0.5), "span"),
-        (lambda: fit_parameter(clean_trace(16), struck("velocity", 1e-3), "velocity", NATIVE), "grain"),
+        (
+            lambda: fit_parameter(clean_trace(), struck("velocity", 0.0), "velocity", NATIVE),
+            "velocity",
+        ),
+        (
+            lambda: fit_parameter(clean_trace(), struck("velocity", 1e-3), "colour", NATIVE),
+            "parameter",
+        ),
+        (
+            lambda: fit_parameter(clean_trace(), struck("velocity", 1e-3), "velocity", NATIVE, 0.5),
+            "span",
+        ),
+        (
+            lambda: fit_parameter(clean_trace(16), struck("velocity", 1e-3), "velocity", NATIVE),
+            "grain",
+        ),
         (lambda: fit_parameter(clean_trace(), paper("weak"), "top_load", NATIVE), "top_load"),
         (lambda: fit_parameter(clean_trace(), dropped(), "velocity", NATIVE), "excitation"),
-        (lambda: fit_parameter(clean_trace(), dropped(), "youngs_modulus", NATIVE), "contact_constants"),
+        (
+            lambda: fit_parameter(clean_trace(), dropped(), "youngs_modulus", NATIVE),
+            "contact_constants",
+        ),
         (lambda: fit_parameter(clean_trace(), mixed(), "youngs_modulus", NATIVE), "material"),
-        (lambda: fit_parameter(clean_trace(), struck("velocity", 1e-6), "velocity", NATIVE), "velocity"),
-        (lambda: fit_parameter(late(), struck("youngs_modulus", 62e9), "youngs_modulus", NATIVE), "youngs_modulus"),
+        (
+            lambda: fit_parameter(clean_trace(), struck("velocity", 1e-6), "velocity", NATIVE),
+            "velocity",
+        ),
+        (
+            lambda: fit_parameter(late(), struck("youngs_modulus", 62e9), "youngs_modulus", NATIVE),
+            "youngs_modulus",
+        ),
     ],
 )
 def test_traces_and_parameters_that_are_wrong(call: Callable[[], Any], key: str):
@@ -366,7 +436,11 @@ def late() -> Trace:
         (fit_modes, {"gravity": 0.0}, "chain"),
         (fit_modes, {"top": "wall"}, "top"),
         (fit_modes, {"grains": [1, 2, 3]}, "grains"),
-        (fit_bessel, {"excitation": Profile(velocity=np.append(np.ones(29), 0) * 1e-9)}, "excitation"),
+        (
+            fit_bessel,
+            {"excitation": Profile(velocity=np.append(np.ones(29), 0) * 1e-9)},
+            "excitation",
+        ),
         (fit_bessel, {"excitation": Impulse(velocity=0.0)}, "excitation"),
         (fit_bessel, {"gravity": 0.0}, "chain"),
         (fit_bessel, {}, "chain"),
@@ -385,10 +459,17 @@ def late() -> Trace:
     ],
 )
 def test_scenes_to_which_a_fit_does_not_apply(fit: Any, changes: dict[str, Any], key: str):
-    own = {name: changes[name] for name in ("excitation", "grains", "samples", "duration") if name in changes}
+    own = {
+        name: changes[name]
+        for name in ("excitation", "grains", "samples", "duration")
+        if name in changes
+    }
     rest = {name: value for name, value in changes.items() if name not in own}
     chain = Chain(**{"grains": 30, "diameter": 1e-3} | rest)
-    scene = Scene(**{"chain": chain, "excitation": Impulse(velocity=1e-9), "duration": 1e-5, "samples": 51} | own)
+    scene = Scene(
+        **{"chain": chain, "excitation": Impulse(velocity=1e-9), "duration": 1e-5, "samples": 51}
+        | own
+    )
     with pytest.raises(InputError) as error:
         fit(simulate(scene, "native", 1e-6))
     assert keys(error) == [key]
@@ -473,7 +554,11 @@ def without(dump: Path, column: str, name: str, form: str = "{}") -> Path:
         elif words[0] == "ITEM:" or place is None or len(words) < 8:
             lines.append(line)
         else:
-            numbers = [word if i < 2 else form.format(word) for i, word in enumerate(words) if i != place - 2]
+            numbers = [
+                word if i < 2 else form.format(word)
+                for i, word in enumerate(words)
+                if i != place - 2
+            ]
             lines.append(" ".join(numbers))
     out.write_text("\n".join(lines) + "\n")
     return out
@@ -490,7 +575,9 @@ def test_a_dump_is_read_as_mdanalysis_gives_it(dumped: tuple[Path, Path], tmp_pa
     assert (t.engine, t.equation, t.error_estimate.total) == ("lammps", 1, math.inf)
     native = simulate(scene, "native", 1e-9)
     far = 2e-5  # heights lose digits: the deck says that it expects 5e-5
-    assert np.abs(t.displacement - native.displacement).max() < far * np.abs(native.displacement).max()
+    assert (
+        np.abs(t.displacement - native.displacement).max() < far * np.abs(native.displacement).max()
+    )
     t.save(tmp_path / "run.nc")
     assert Trajectory.load(tmp_path / "run.nc") == t
     side = compare([t, native], reference(scene))
@@ -510,7 +597,9 @@ def test_a_dump_without_displacements(dumped: tuple[Path, Path]):
     text = without(dumped[0], "v_phi", "six").read_text().splitlines()
     coarse.write_text(
         "\n".join(
-            " ".join([*words[:4], f"{float(words[4]):g}", *words[5:]]) if len(words := line.split()) == 8 else line
+            " ".join([*words[:4], f"{float(words[4]):g}", *words[5:]])
+            if len(words := line.split()) == 8
+            else line
             for line in text
         )
         + "\n"
@@ -529,7 +618,9 @@ def spoil(dump: Path, what: str) -> Path:
         "cut in a frame": "".join(lines[:-5]),
         "a frame short": "".join(lines[:-frame]),
         "a frame missing": "".join(lines[: 3 * frame] + lines[4 * frame :]),
-        "words": text.replace("ITEM: ATOMS id", "ITEM: ATOMS id", 1).replace(lines[9 + frame].split()[4], "high"),
+        "words": text.replace("ITEM: ATOMS id", "ITEM: ATOMS id", 1).replace(
+            lines[9 + frame].split()[4], "high"
+        ),
         "no velocities": text.replace(" vz ", " qz "),
         "no numbers": text.replace(lines[frame + 12].split()[7], "nan"),
         "no dump": "ITEM: SOMETHING\n",
@@ -567,8 +658,16 @@ def test_dumps_that_cannot_be_read(dumped: tuple[Path, Path], what: str, says: s
     [
         ({"grains": 21}, {}, "has 20 atoms, the scene 21 grains"),
         ({}, {"samples": 11}, "21 whole frames, the scene 11"),
-        ({}, {"excitation": Impulse(velocity=1e-5, grain=3)}, "grain 3 begins with a velocity of 8.57e-06"),
-        ({}, {"excitation": Displacement(displacement=1e-9, grain=3)}, "grain 3 begins with a velocity"),
+        (
+            {},
+            {"excitation": Impulse(velocity=1e-5, grain=3)},
+            "grain 3 begins with a velocity of 8.57e-06",
+        ),
+        (
+            {},
+            {"excitation": Displacement(displacement=1e-9, grain=3)},
+            "grain 3 begins with a velocity",
+        ),
     ],
 )
 def test_dumps_of_another_scene(dumped: tuple[Path, Path], chain: Any, scene: Any, says: str):
@@ -581,7 +680,9 @@ def test_dumps_of_another_scene(dumped: tuple[Path, Path], chain: Any, scene: An
 # --- the command line
 
 
-def test_fit_prints_a_table_and_writes_json(uniform: Trajectory, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_fit_prints_a_table_and_writes_json(
+    uniform: Trajectory, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
     uniform.save(tmp_path / "run.nc")
     assert main(["fit", str(tmp_path / "run.nc"), "--json", str(tmp_path / "fit.json")]) == 0
     said = capsys.readouterr()
@@ -624,7 +725,12 @@ def test_fit_reads_a_dump(dumped: tuple[Path, Path], capsys: pytest.CaptureFixtu
     ],
 )
 def test_fit_faults_have_exit_code_2(
-    arguments: str, key: str, dumped: tuple[Path, Path], uniform: Trajectory, tmp_path: Path, capsys: Any
+    arguments: str,
+    key: str,
+    dumped: tuple[Path, Path],
+    uniform: Trajectory,
+    tmp_path: Path,
+    capsys: Any,
 ):
     run = tmp_path / "run.nc"
     uniform.save(run)
@@ -638,7 +744,15 @@ def test_fit_faults_have_exit_code_2(
 
 def test_bessel_needs_a_wave_and_not_only_its_start():
     """Behind a wall the first grain is its own image at once: what the strike gave is no measurement."""
-    chain = Chain(grains=40, material="steel", diameter=5e-3, gravity=0.0, top_load=2.0, top="wall", bottom="wall")
+    chain = Chain(
+        grains=40,
+        material="steel",
+        diameter=5e-3,
+        gravity=0.0,
+        top_load=2.0,
+        top="wall",
+        bottom="wall",
+    )
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=3e-4, samples=301)
     with pytest.raises(InputError, match="too few, or without the wave"):
         fit_bessel(simulate(scene, engine="native"))

@@ -17,7 +17,12 @@ Array = NDArray[np.float64]
 
 
 def column(
-    strike: float, last: int, grains: int, per_unit: int = 8, recorded: str = "all", delta: float = 1.5
+    strike: float,
+    last: int,
+    grains: int,
+    per_unit: int = 8,
+    recorded: str = "all",
+    delta: float = 1.5,
 ) -> Trajectory:
     """Return a column struck at the top with this strike number, until its weak front has passed the `last` grain."""
     chain = Chain(grains=grains, diameter=1e-3, exponent=delta)
@@ -48,7 +53,9 @@ def displacement(weak: Trajectory) -> Front:
     return track(weak, "displacement").between(1, 500)
 
 
-def made_up(motion: Callable[[Array, Array], Array], samples: int = 401, grains: int = 5) -> Trajectory:
+def made_up(
+    motion: Callable[[Array, Array], Array], samples: int = 401, grains: int = 5
+) -> Trajectory:
     """Return a trajectory with a velocity motion(t, n) for t from 0 to 20 us, that no equation is known to give."""
     scene = Scene(
         chain=Chain(grains=grains + 1, diameter=1e-3), excitation=Impulse(velocity=1e-6), duration=20e-6,
@@ -60,8 +67,13 @@ def made_up(motion: Callable[[Array, Array], Array], samples: int = 401, grains:
     way = (motion(inside, numbers) * weights[:, None]).sum(1) * step / 2 * 1e-6
     displacement = np.concatenate((np.zeros((1, grains)), np.cumsum(way, axis=0)))
     t = simulate(scene, engine="native", tolerance=1e-3)
-    velocity, unknown = motion(scene.time[:, None] * 1e6, numbers), replace(t.error_estimate, solver=np.inf)
-    return replace(t, velocity=velocity, displacement=displacement, error_estimate=unknown, equation=0)
+    velocity, unknown = (
+        motion(scene.time[:, None] * 1e6, numbers),
+        replace(t.error_estimate, solver=np.inf),
+    )
+    return replace(
+        t, velocity=velocity, displacement=displacement, error_estimate=unknown, equation=0
+    )
 
 
 def gauss(t: Array, middle: Array | float, width: Array | float = 1.0) -> Array:
@@ -81,7 +93,9 @@ def test_time_height_and_width_between_the_samples(up: int):
     assert front.amplitude == pytest.approx(up * n, rel=1e-9)
     assert front.width == pytest.approx(2 * np.sqrt(np.log(2)) * (1 + 0.1 * n) * 1e-6, rel=1e-8)
     assert front.grains_per_second == pytest.approx(1e6 / 2.1234, rel=1e-8)
-    assert front.speed == pytest.approx(1e3 / 2.1234, rel=1e-5), "grains are 1 mm apart but for their overlap"
+    assert front.speed == pytest.approx(1e3 / 2.1234, rel=1e-5), (
+        "grains are 1 mm apart but for their overlap"
+    )
 
 
 @pytest.mark.parametrize("samples", [31, 41, 61, 101])
@@ -102,7 +116,9 @@ def test_the_front_is_the_first_maximum_that_is_high_enough():
 
 
 def test_grains_that_the_front_has_not_passed_are_left_out():
-    t = made_up(lambda t, n: gauss(t, 10 * (n - 1)) + 1e-9 * np.sin(5 * t) * (n == 5))  # at t = 0, 10, 20, 30 ...
+    t = made_up(
+        lambda t, n: gauss(t, 10 * (n - 1)) + 1e-9 * np.sin(5 * t) * (n == 5)
+    )  # at t = 0, 10, 20, 30 ...
     t = replace(t, error_estimate=replace(t.error_estimate, solver=1e-8))
     assert track(t).grain.tolist() == [2], "noise below the error of the trajectory is no front"
     t = made_up(lambda t, n: np.tanh(t - 10) + 1 + 0 * n)
@@ -136,7 +152,9 @@ def test_against_the_exact_motion_of_a_weak_strike():
     t = column(1e-7, 60, 80)
     chain, strike = t.scene.chain, t.scene.excitation.velocity
     diagonal, coupling = chain.dynamical_matrix()
-    squares, shape = np.linalg.eigh(np.diag(diagonal) + np.diag(coupling, 1) + np.diag(coupling, -1))
+    squares, shape = np.linalg.eigh(
+        np.diag(diagonal) + np.diag(coupling, 1) + np.diag(coupling, -1)
+    )
     omega, front = np.sqrt(squares), track(t).between(2, 60)
     assert front.grain.tolist() == list(range(2, 61))
     for grain, time, amplitude in zip(front.grain, front.time, front.amplitude, strict=True):
@@ -154,9 +172,16 @@ def test_against_the_exact_motion_of_a_weak_strike():
 def test_soliton_of_the_sonic_vacuum():
     """V = 0.9074700784 v^(1/5) and 1.5791 grains of full width at half maximum: the exact lattice soliton."""
     chain = Chain(
-        grains=90, diameter=100.0, gravity=0.0, bottom="free", masses=np.ones(90), contact_constants=np.ones(89)
+        grains=90,
+        diameter=100.0,
+        gravity=0.0,
+        bottom="free",
+        masses=np.ones(90),
+        contact_constants=np.ones(89),
     )
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1.0), duration=110.0, samples=2201, grains="50:80")
+    scene = Scene(
+        chain=chain, excitation=Impulse(velocity=1.0), duration=110.0, samples=2201, grains="50:80"
+    )
     t = simulate(scene, engine="native", tolerance=1e-8)
     front = track(t)
     assert front.grain.tolist() == list(range(50, 81))
@@ -179,16 +204,22 @@ def at(front: Front, grain: int, values: Array) -> float:
 
 @pytest.mark.parametrize(("grain", "ratio"), [(100, 0.251742), (500, 0.169778)])
 def test_peak_velocity(velocity: Front, weak: Trajectory, grain: int, ratio: float):
-    assert at(velocity, grain, velocity.amplitude) / weak.scene.excitation.velocity == pytest.approx(ratio, rel=1e-5)
+    assert at(
+        velocity, grain, velocity.amplitude
+    ) / weak.scene.excitation.velocity == pytest.approx(ratio, rel=1e-5)
 
 
 def test_local_speed(velocity: Front, weak: Trajectory):
     """Speed over n^(1/6): 0.9944 at 100; the maximum lags 0.908 h^(1/6) / 4^(1/3) behind (6/5) h^(5/6)."""
     unit = weak.scene.chain.time_scale
-    assert at(velocity, 100, velocity.grains_per_second) * unit / 100 ** (1 / 6) == pytest.approx(0.9944, abs=7e-4)
+    assert at(velocity, 100, velocity.grains_per_second) * unit / 100 ** (1 / 6) == pytest.approx(
+        0.9944, abs=7e-4
+    )
     h = 499.5
     slowness = h ** (-1 / 6) + 0.908 / 4 ** (1 / 3) / 6 * h ** (-5 / 6)
-    assert at(velocity, 500, velocity.grains_per_second) * unit == pytest.approx(1 / slowness, rel=2e-4)
+    assert at(velocity, 500, velocity.grains_per_second) * unit == pytest.approx(
+        1 / slowness, rel=2e-4
+    )
 
 
 @pytest.mark.parametrize("window", [5, 11, 21])
@@ -196,8 +227,15 @@ def test_local_speed(velocity: Front, weak: Trajectory):
 def test_local_exponents(velocity: Front, window: int, grain: int, slope: float):
     """d ln v / d ln n of the linear column: by h = n - 1/2 it is a little less steep."""
     found = exponent(velocity, window=window)
-    assert np.interp(grain - 0.5, found.depth, found.exponent) * grain / (grain - 0.5) == pytest.approx(slope, abs=3e-4)
-    assert found.depth.shape == found.exponent.shape == found.error.shape == (velocity.grain.size - window + 1,)
+    assert np.interp(grain - 0.5, found.depth, found.exponent) * grain / (
+        grain - 0.5
+    ) == pytest.approx(slope, abs=3e-4)
+    assert (
+        found.depth.shape
+        == found.exponent.shape
+        == found.error.shape
+        == (velocity.grain.size - window + 1,)
+    )
     assert (found.error[100:] < 2e-3).all()
     assert (found.residual[100:] < 1e-4).all()
 
@@ -221,11 +259,20 @@ def test_local_exponents_of_stronger_waves(strike: float, slope: float):
     ],
 )
 def test_asymptotic_laws(
-    velocity: Front, displacement: Front, weak: Trajectory, field: str, quantity: str, power: float, factor: float
+    velocity: Front,
+    displacement: Front,
+    weak: Trajectory,
+    field: str,
+    quantity: str,
+    power: float,
+    factor: float,
 ):
     """Velocity 0.931767 n^(-4/15), displacement n^(-1/10), not the -1/4 and -1/12 of Hong, Ji and Kim."""
     unit, strike = weak.scene.chain.time_scale, weak.scene.excitation.velocity
-    scale = {"amplitude": strike if field == "velocity" else strike * unit, "speed": 1e-3 / unit}.get(quantity, unit)
+    scale = {
+        "amplitude": strike if field == "velocity" else strike * unit,
+        "speed": 1e-3 / unit,
+    }.get(quantity, unit)
     front = {"velocity": velocity, "displacement": displacement}[field].between(20, 500)
     free, fixed = asymptotic(front, quantity, 1.5), asymptotic(front, quantity, 1.5, power)
     assert free.exponent == pytest.approx(power, abs=2.5e-3)
@@ -238,10 +285,14 @@ def test_asymptotic_laws(
         assert fixed.factor / scale == pytest.approx(factor, rel=5e-3)
     if (field, quantity) == ("velocity", "amplitude"):
         assert fixed.correction == pytest.approx(-0.339, abs=0.05)
-        assert abs(free.exponent + 1 / 4) > 2 * free.error[0], "told from the exponent of Hong, Ji and Kim"
+        assert abs(free.exponent + 1 / 4) > 2 * free.error[0], (
+            "told from the exponent of Hong, Ji and Kim"
+        )
 
 
-@pytest.mark.parametrize(("delta", "power", "factor"), [(1.0, -1 / 3, 1.071313), (2.0, -2 / 9, None)])
+@pytest.mark.parametrize(
+    ("delta", "power", "factor"), [(1.0, -1 / 3, 1.071313), (2.0, -2 / 9, None)]
+)
 def test_asymptotic_laws_of_other_contacts(delta: float, power: float, factor: float | None):
     """1.071313 n^(-1/3) for springs, the front of a Bessel function; n^(-2/9) for delta = 2."""
     t = column(1e-3, 300, 340, delta=delta)
@@ -270,7 +321,9 @@ def power_law(noise: float = 0.0, terms: tuple[float, ...] = (-0.4,)) -> Front:
 def test_a_power_law_is_found_again():
     for given in (None, -0.3):
         law = asymptotic(power_law(), "amplitude", 1.5, given)
-        assert (law.exponent, law.factor, law.correction) == pytest.approx((-0.3, 1e-9, -0.4), rel=1e-5)
+        assert (law.exponent, law.factor, law.correction) == pytest.approx(
+            (-0.3, 1e-9, -0.4), rel=1e-5
+        )
         assert (law.error < [1e-5, 1e-13, 1e-4]).all()
         assert np.abs(law.residual).max() < 1e-6
         assert law(np.array([9.5])) == pytest.approx(law.values[:1], rel=1e-6)
@@ -281,12 +334,17 @@ def test_a_power_law_is_found_again():
 
 
 def test_scatter_widens_the_intervals():
-    law, local = asymptotic(power_law(1e-3), "amplitude", 1.5), exponent(power_law(1e-3, ()), window=None)
+    law, local = (
+        asymptotic(power_law(1e-3), "amplitude", 1.5),
+        exponent(power_law(1e-3, ()), window=None),
+    )
     assert 1e-3 < law.error[0] < 0.2
     assert abs(law.exponent + 0.3) < law.error[0]
     assert local.residual == pytest.approx(1e-3, rel=0.1)
     # standard error noise / (sigma_x sqrt(N)), times 1.97 for 95 %
-    assert local.error == pytest.approx(1.97e-3 / np.log(np.arange(10, 300) - 0.5).std() / np.sqrt(290), rel=0.1)
+    assert local.error == pytest.approx(
+        1.97e-3 / np.log(np.arange(10, 300) - 0.5).std() / np.sqrt(290), rel=0.1
+    )
     assert abs(local.exponent + 0.3) < 2 * local.error
 
 
@@ -324,7 +382,9 @@ def test_speed_of_the_front_between_two_grains():
 def test_grains_that_peak_at_once_are_passed_at_no_finite_speed():
     """As where the motion is round-off: said by the value, not by a warning that names nothing."""
     one = np.ones(4)
-    at_once = Front("velocity", np.arange(1, 5), np.arange(4.0), np.array([1.0, 1.0, 1.0, 2.0]), *(one,) * 5)
+    at_once = Front(
+        "velocity", np.arange(1, 5), np.arange(4.0), np.array([1.0, 1.0, 1.0, 2.0]), *(one,) * 5
+    )
     assert np.isinf(at_once.speed[:2]).all()
     assert at_once.against_depth("speed")[0].tolist() == [2.5, 3.5]
 
@@ -335,7 +395,11 @@ def test_grains_without_motion_are_passed_over():
     longer = Chain(grains=6000, diameter=1e-3, gravity=0.0, top_load=1.0)
     short, long = (
         track(
-            simulate(Scene(chain=made, excitation=Impulse(velocity=1e-6), duration=30e-6, samples=301), "native", 1e-9)
+            simulate(
+                Scene(chain=made, excitation=Impulse(velocity=1e-6), duration=30e-6, samples=301),
+                "native",
+                1e-9,
+            )
         )
         for made in (chain, longer)
     )

@@ -21,7 +21,9 @@ from lmpchain.measure.front import Front, asymptotic, exponent, track
 Array = NDArray[np.float64]
 
 
-def least_squares(h: Array, y: Array, orders: list[float], power: float | None = None) -> tuple[Array, Array]:
+def least_squares(
+    h: Array, y: Array, orders: list[float], power: float | None = None
+) -> tuple[Array, Array]:
     """Fit y = f h^p (1 + sum of c h^-order) in logarithms; return p, ln f, c ... and their standard errors."""
 
     def off(x: Array) -> Array:
@@ -31,7 +33,9 @@ def least_squares(h: Array, y: Array, orders: list[float], power: float | None =
 
     begin = np.append(np.polyfit(np.log(h), np.log(y), 1), np.zeros(len(orders)))
     begin = begin if power is None else begin[1:]
-    solution = optimize.least_squares(off, begin, jac="3-point", xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale="jac")
+    solution = optimize.least_squares(
+        off, begin, jac="3-point", xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale="jac"
+    )
     freedom = h.size - begin.size
     covariance = 2 * solution.cost / freedom * np.linalg.inv(solution.jac.T @ solution.jac)
     return solution.x, np.sqrt(np.diag(covariance))
@@ -59,7 +63,9 @@ def test_an_asymptotic_law_and_its_errors(delta: float, power: float | None):
         fitted, interval = np.append(power, fitted), np.append(0.0, interval)
     factor = np.exp(fitted[1])
     assert law.order == pytest.approx(order, rel=1e-14)
-    assert (law.exponent, law.factor, law.correction) == pytest.approx((fitted[0], factor, fitted[2]), rel=1e-4)
+    assert (law.exponent, law.factor, law.correction) == pytest.approx(
+        (fitted[0], factor, fitted[2]), rel=1e-4
+    )
     assert law.error == pytest.approx(interval * [1, factor, 1], rel=2e-2)
     assert law.residual == pytest.approx(law.values / (law.factor * h**law.exponent * (1 + law.correction / h**order))
                                          - 1, abs=1e-12)  # fmt: skip
@@ -184,14 +190,18 @@ def test_the_law_of_the_front_and_its_errors(struck: Trajectory):
 
 def test_which_laws_are_fitted_to_which_front(struck: Trajectory):
     seen = fit_exponents(struck, 15, 70)
-    velocity, displacement = (track(struck, field).between(15, 70) for field in ("velocity", "displacement"))
+    velocity, displacement = (
+        track(struck, field).between(15, 70) for field in ("velocity", "displacement")
+    )
     fronts = {"velocity": (velocity, "amplitude"), "displacement": (displacement, "amplitude"),
               "time": (velocity, "time"), "speed": (velocity, "speed"), "width": (velocity, "width")}  # fmt: skip
     assert list(seen.laws) == list(fronts)
     for name, (front, quantity) in fronts.items():
         same = asymptotic(front, quantity, 1.5)  # type: ignore[arg-type]
         assert (seen.laws[name].exponent, seen.laws[name].factor) == (same.exponent, same.factor)
-    with pytest.raises(InputError, match="at 6 or more grains from grain 60 on; this run shows 5: record longer"):
+    with pytest.raises(
+        InputError, match="at 6 or more grains from grain 60 on; this run shows 5: record longer"
+    ):
         fit_exponents(struck, 60, 64)
     assert set(fit_exponents(struck, 60, 65).laws) >= {"time"}
 
@@ -245,7 +255,9 @@ def waving(asked: list[Scene]) -> Any:
         asked.append(scene)
         grains = np.arange(1, 9)[np.asarray(scene.grains) - 1]
         velocity = scene.excitation.velocity * np.sin(2e5 * scene.time[:, None] + grains)
-        return SimpleNamespace(scene=scene, time=scene.time, grains=grains, velocity=velocity, displacement=velocity)
+        return SimpleNamespace(
+            scene=scene, time=scene.time, grains=grains, velocity=velocity, displacement=velocity
+        )
 
     return solve
 
@@ -280,7 +292,9 @@ def test_how_far_a_fit_looks_for_its_parameter():
     time = np.linspace(0, 4e-5, 30)
     shape = np.sin(2e5 * time + 3)
     asked: list[Scene] = []
-    fit = fit_parameter(Trace(time, 3, 1.9e-3 * shape), guessed(1e-3), "velocity", waving(asked), 1.0)
+    fit = fit_parameter(
+        Trace(time, 3, 1.9e-3 * shape), guessed(1e-3), "velocity", waving(asked), 1.0
+    )
     assert fit.value == pytest.approx(1.9e-3, rel=1e-9)
     assert asked[0].excitation.velocity == pytest.approx(1e-3, rel=1e-15)
     with pytest.raises(InputError, match=r"velocity: no value between 0.0005 and 0.002 fits"):
@@ -293,7 +307,9 @@ def test_how_far_a_fit_looks_for_its_parameter():
         with pytest.raises(InputError, match="span: must be 1 or more"):
             fit_parameter(Trace(time, 3, shape), guessed(1e-3), "velocity", waving([]), span)
     for grain in (0, 8):
-        with pytest.raises(InputError, match=f"grain: the trace is of grain {grain}, but 1 to 7 move"):
+        with pytest.raises(
+            InputError, match=f"grain: the trace is of grain {grain}, but 1 to 7 move"
+        ):
             fit_parameter(Trace(time, grain, shape), guessed(1e-3), "velocity", waving([]))
 
 
@@ -346,7 +362,11 @@ def test_the_table_of_a_summary():
 
 def test_the_rows_of_a_summary():
     chain = Chain(grains=20, diameter=1e-3, gravity=0.0, top_load=0.1)
-    scene = Scene(chain=chain, excitation=Displacement(displacement=1e-14, grain=9), duration=12 * chain.time_scale)
+    scene = Scene(
+        chain=chain,
+        excitation=Displacement(displacement=1e-14, grain=9),
+        duration=12 * chain.time_scale,
+    )
     t = simulate(scene, "chebyshev", 1e-7)
     seen = summary(t)
     rows = {(row.fit, row.quantity): row for row in seen.rows}
@@ -355,12 +375,16 @@ def test_the_rows_of_a_summary():
         pytest.approx(scene.energy, rel=1e-6), scene.energy, "J"
     )  # fmt: skip
     diagonal, coupling = chain.dynamical_matrix()
-    squares, vectors = np.linalg.eigh(np.diag(diagonal) + np.diag(coupling, 1) + np.diag(coupling, -1))
+    squares, vectors = np.linalg.eigh(
+        np.diag(diagonal) + np.diag(coupling, 1) + np.diag(coupling, -1)
+    )
     energies = squares * vectors[8] ** 2
     most = int(energies.argmax())
     strongest = rows["modes", f"share of mode {most + 1}, the strongest"]
     assert strongest.value == pytest.approx(energies[most] / energies.sum(), rel=1e-6)
-    assert rows["modes", "its frequency"].value == pytest.approx(np.sqrt(squares[most]) / (2 * np.pi), rel=1e-9)
+    assert rows["modes", "its frequency"].value == pytest.approx(
+        np.sqrt(squares[most]) / (2 * np.pi), rel=1e-9
+    )
     assert rows["modes", "its frequency"].unit == "Hz"
     assert rows["modes", "residual of the linear motion"].expected == 0
     amplitude, speed = rows["bessel", "amplitude"], rows["bessel", "wave speed"]

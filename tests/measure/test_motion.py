@@ -19,7 +19,9 @@ CALIBRATION = Path(__file__).parents[2] / "analysis" / "calibration"
 def column(samples: int, velocity: float = 8.57e-4) -> Scene:
     """Return the scene of the paper, recorded so often."""
     chain = Chain(grains=120, diameter=1e-3)
-    return Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=100e-6, samples=samples)
+    return Scene(
+        chain=chain, excitation=Impulse(velocity=velocity), duration=100e-6, samples=samples
+    )
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +34,9 @@ def test_sparse_samples_say_how_far_off_they_are(dense, samples):
     sparse = simulate(column(samples), "native", 1e-10)
     for field in ("velocity", "displacement"):
         sampled, seen = np.abs(getattr(dense, field)).max(0), peaks(sparse, field)
-        assert (np.abs(seen.value - sampled) <= seen.error + 2e-6 * sampled.max()).all(), "what hides between these"
+        assert (np.abs(seen.value - sampled) <= seen.error + 2e-6 * sampled.max()).all(), (
+            "what hides between these"
+        )
         true = peaks(dense, field).value
         assert (np.abs(seen.value - true) <= seen.error + 1e-9 * true.max()).all()
         if samples > 40:
@@ -58,7 +62,9 @@ def test_two_grains_against_the_exact_oscillation(samples: int):
     """
     chain = Chain(grains=2, diameter=1e-3, exponent=1.0, top_load=1.0, gravity=0.0)
     omega = float(np.sqrt(chain.linear_stiffness[0] / chain.masses[0]))
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=4 * np.pi / omega, samples=samples)
+    scene = Scene(
+        chain=chain, excitation=Impulse(velocity=1e-6), duration=4 * np.pi / omega, samples=samples
+    )
     between = motion_of(simulate(scene, "native", 1e-12))
     sampled = np.sin(omega * scene.time)
     largest = {"displacement": np.abs(sampled).max(), "velocity": 1.0}
@@ -81,7 +87,9 @@ def test_order_of_the_interpolation(dense, equation):
     off, true = [], peaks(dense).value
     for step in every:
         scene = column(6400 // step + 1)
-        thin = Motion(scene, equation, dense.grains, dense.displacement[::step], dense.velocity[::step], 0.0)
+        thin = Motion(
+            scene, equation, dense.grains, dense.displacement[::step], dense.velocity[::step], 0.0
+        )
         off.append(np.abs(thin.peaks("velocity").value - true)[1:15].max())
     power = 6 if equation else 4
     assert off[0] > 2**power * off[1] > 4**power * off[2] > 0
@@ -103,7 +111,9 @@ def test_grains_that_never_move_change_nothing(samples):
     found = []
     for grains in (200, 2000):
         chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=0.1)
-        scene = Scene(chain=chain, excitation=Impulse(velocity=1e-2, grain=9), duration=2e-5, samples=samples)
+        scene = Scene(
+            chain=chain, excitation=Impulse(velocity=1e-2, grain=9), duration=2e-5, samples=samples
+        )
         between = motion_of(simulate(scene, engines.Native(step=1e-8)))
         known = [between.known_error(field) for field in ("velocity", "displacement")]
         values = [
@@ -129,7 +139,9 @@ def test_recorded_grains_alone():
 
 def test_driven_grain():
     drive = Drive(amplitude=1e-9, frequency=20e3)
-    scene = Scene(chain=Chain(grains=30, diameter=1e-3), excitation=drive, duration=1e-4, samples=201)
+    scene = Scene(
+        chain=Chain(grains=30, diameter=1e-3), excitation=drive, duration=1e-4, samples=201
+    )
     found = peaks(simulate(scene, "native", 1e-9))
     assert abs(found.value[0] - 2e4 * 2 * np.pi * 1e-9) <= found.error[0] < 1e-5 * found.value[0]
 
@@ -169,7 +181,9 @@ def test_random_scenes_soak(equation, monkeypatch):
 def test_what_hides_of_a_driven_grain_alone():
     """Its acceleration comes from the samples, which are too few; those of all below it follow from their contacts."""
     drive = Drive(amplitude=1e-9, frequency=20e3)
-    scene = Scene(chain=Chain(grains=12, diameter=1e-3), excitation=drive, duration=1e-4, samples=11)
+    scene = Scene(
+        chain=Chain(grains=12, diameter=1e-3), excitation=drive, duration=1e-4, samples=11
+    )
     samples = int(scene.highest_frequency * scene.duration / 1.5) + 2
     seen = peaks(simulate(scene.replace(samples=samples), "native", 1e-9))
     assert np.isinf(seen.error[0])

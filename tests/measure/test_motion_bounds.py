@@ -16,7 +16,9 @@ OMEGA = float(np.sqrt(SPRING.linear_stiffness[0] / SPRING.masses[0]))
 SPEED = 1e-6
 
 
-def swing(samples: int, angle: float, error: float = 1e-4, equation: int = 1, grains: Any = "all") -> Motion:
+def swing(
+    samples: int, angle: float, error: float = 1e-4, equation: int = 1, grains: Any = "all"
+) -> Motion:
     """Return grain 1 on its spring, v cos(omega t), sampled so often within this angle."""
     scene = Scene(chain=SPRING, excitation=Impulse(velocity=SPEED), duration=angle / OMEGA, samples=samples,
                   grains=grains)  # fmt: skip
@@ -25,7 +27,13 @@ def swing(samples: int, angle: float, error: float = 1e-4, equation: int = 1, gr
     recorded = np.arange(1, 3) if grains == "all" else np.array(grains)
     still = np.zeros(samples)
     columns = {1: (u, v), 2: (still, still)}
-    return Motion(scene, equation, recorded, *(np.stack([columns[n][k] for n in recorded], 1) for k in (0, 1)), error)
+    return Motion(
+        scene,
+        equation,
+        recorded,
+        *(np.stack([columns[n][k] for n in recorded], 1) for k in (0, 1)),
+        error,
+    )
 
 
 def test_what_an_error_is_relative_to():
@@ -58,7 +66,9 @@ def test_what_a_chain_that_may_open_can_reach():
         fastest = math.sqrt(2 * scene.energy / masses[-1])
         u = np.abs(t.displacement).max()
         assert between.known_error("velocity") == pytest.approx(1e-3 * fastest, rel=1e-12)
-        assert between.known_error("displacement") == pytest.approx(1e-3 * (u + fastest * time), rel=1e-12)
+        assert between.known_error("displacement") == pytest.approx(
+            1e-3 * (u + fastest * time), rel=1e-12
+        )
 
 
 def test_what_a_pressed_chain_can_reach():
@@ -82,8 +92,12 @@ def test_what_hides_between_samples_of_one_spring():
     assert coarse.ceiling.shape == (1, 3)
     assert coarse.ceiling[0] == pytest.approx(limit, rel=1e-9)
     value, error = coarse.peaks("velocity")[1:]
-    assert value[0] == pytest.approx(np.abs(np.cos(np.linspace(0, 7.5, 4))).max() * SPEED, rel=1e-12)
-    assert value[0] + error[0] == pytest.approx(limit.max() + coarse.known_error("velocity"), rel=1e-9)
+    assert value[0] == pytest.approx(
+        np.abs(np.cos(np.linspace(0, 7.5, 4))).max() * SPEED, rel=1e-12
+    )
+    assert value[0] + error[0] == pytest.approx(
+        limit.max() + coarse.known_error("velocity"), rel=1e-9
+    )
     value, error = coarse.peaks("displacement")[1:]
     sampled = SPEED / OMEGA * np.abs(np.sin(np.linspace(0, 7.5, 4)))
     high = ((sampled[1:] + sampled[:-1] + coarse.step * limit) / 2).max()
@@ -98,7 +112,13 @@ def test_what_hides_between_samples_of_one_spring():
 def test_the_energy_within_reach_of_every_grain(linear: bool, recorded: str):
     """Grain by grain: all that the wave can bring within an interval, and the frequency of contacts so pressed."""
     chain = Chain(grains=14, diameter=np.linspace(1e-3, 1.5e-3, 14), top_load=1e-3)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=2e-2, grain=3), duration=5e-5, samples=6, grains=recorded)
+    scene = Scene(
+        chain=chain,
+        excitation=Impulse(velocity=2e-2, grain=3),
+        duration=5e-5,
+        samples=6,
+        grains=recorded,
+    )
     t = simulate(scene, engines.Native(step=2e-8))
     between = Motion(scene, 3 if linear else 1, t.grains, t.displacement, t.velocity, 0.0)
     h, fast = scene.duration / 5, scene.highest_frequency
@@ -117,14 +137,18 @@ def test_the_energy_within_reach_of_every_grain(linear: bool, recorded: str):
         held = contacts.stiffness * closer**2 / 2 if linear else contacts.energy(closer[None])[0]
         own = [masses[n - 1] * v[n] ** 2 / 2 + held[n - 1] + held[n] for n in range(1, edge + 1)]
         if recorded == "all":
-            within = np.array([sum(own[max(n - 1 - near, 0) : n + near]) for n in range(1, edge + 1)])
+            within = np.array(
+                [sum(own[max(n - 1 - near, 0) : n + near]) for n in range(1, edge + 1)]
+            )
         else:
             within = np.full(edge, scene.energy)
         stiff = np.zeros(edge + 1)
         for c in range(edge + 1):
             shared = max(within[c - 1] if c > 0 else 0.0, within[c] if c < edge else 0.0)
             one = contacts.of(np.array([c]))
-            bound = one.stiffness if linear else one.stiffness_at(one.overlap_bound(np.array([shared])))
+            bound = (
+                one.stiffness if linear else one.stiffness_at(one.overlap_bound(np.array([shared])))
+            )
             stiff[c] = float(bound[0])
         square = [(stiff[n - 1] + stiff[n]) / masses[n - 1] for n in range(1, edge + 1)]
         for row, n in enumerate(moves):
@@ -145,9 +169,15 @@ def test_the_energy_within_reach_of_every_grain(linear: bool, recorded: str):
 def test_the_largest_force_on_what_holds_the_bottom(bottom: str):
     """F at rest and k v / omega; below a held grain its weight too. Off by k times what the overlap may be off by."""
     if bottom == "fixed":
-        chain, stiffness, rest = SPRING, SPRING.linear_stiffness[0], 1.0 + 2 * 3.0 * SPRING.masses[0]
+        chain, stiffness, rest = (
+            SPRING,
+            SPRING.linear_stiffness[0],
+            1.0 + 2 * 3.0 * SPRING.masses[0],
+        )
     else:
-        chain = Chain(grains=1, diameter=1e-3, exponent=1.0, top_load=1.0, gravity=3.0, bottom="wall")
+        chain = Chain(
+            grains=1, diameter=1e-3, exponent=1.0, top_load=1.0, gravity=3.0, bottom="wall"
+        )
         stiffness, rest = float(chain.contacts.stiffness[1]), 1.0 + 3.0 * chain.masses[0]
     omega = math.sqrt(stiffness / chain.masses[0])
     speed = 0.1
@@ -171,7 +201,9 @@ def test_the_bottom_of_samples_too_far_apart():
     limit = SPEED * np.sqrt(np.cos(phase[:-1]) ** 2 + 2 * np.sin(phase[:-1]) ** 2)
     closer, off = coarse.closest(1)
     assert closer == pytest.approx(u.max(), rel=1e-12)
-    assert closer + off == pytest.approx(((u[1:] + u[:-1] + coarse.step * limit) / 2).max(), rel=1e-9)
+    assert closer + off == pytest.approx(
+        ((u[1:] + u[:-1] + coarse.step * limit) / 2).max(), rel=1e-9
+    )
 
 
 def test_no_force_where_nothing_stands_or_nothing_was_recorded():

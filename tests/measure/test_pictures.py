@@ -15,7 +15,14 @@ from lmpchain.measure.fit.inverse import ParameterFit, Trace
 from lmpchain.measure.fit.solitary import SolitonFit
 from lmpchain.measure.fit.waves import BesselFit, ModeFit
 from lmpchain.measure.front import Exponents, Front, PowerLaw
-from lmpchain.measure.spectrum import Dispersion, Spectrum, cut_off, space_time, spectrum, travel_time
+from lmpchain.measure.spectrum import (
+    Dispersion,
+    Spectrum,
+    cut_off,
+    space_time,
+    spectrum,
+    travel_time,
+)
 from lmpchain.util.plotting import figure
 
 RNG = np.random.default_rng(4)
@@ -120,10 +127,14 @@ def test_a_spectrum_over_frequency_and_depth():
     assert axes.xaxis.get_major_formatter()(2e3) == "2 kHz"
     assert axes.figure.axes[1].get_ylabel() == "velocity (m/s per Hz)"
     assert shown.cut_off.tolist() == [30, 33, 36]
-    high = Spectrum("displacement", np.arange(21) * 1.0, np.array([2, 3, 5]), bands, amplitude).plot()
+    high = Spectrum(
+        "displacement", np.arange(21) * 1.0, np.array([2, 3, 5]), bands, amplitude
+    ).plot()
     assert high.get_xlim() == pytest.approx((0, 20)), "no further than what was recorded"
     assert high.figure.axes[1].get_ylabel() == "displacement (m per Hz)"
-    none = Spectrum("velocity", np.arange(21) * 5.0, np.array([2, 3, 5]), 0 * bands[:, :1], 0 * amplitude).plot()
+    none = Spectrum(
+        "velocity", np.arange(21) * 5.0, np.array([2, 3, 5]), 0 * bands[:, :1], 0 * amplitude
+    ).plot()
     assert not none.lines
     assert none.get_xlim() == pytest.approx((0, 100))
 
@@ -132,7 +143,9 @@ def test_a_spectrum_over_wavenumber_and_frequency():
     frequency, wavenumber = np.arange(9) * 5.0, np.linspace(-3, 2, 6)
     amplitude = 10.0 ** RNG.uniform(-5, 0, (9, 6))
     relation = RNG.uniform(1, 10, (3, 2, 6))
-    shown = Dispersion("displacement", frequency, wavenumber, amplitude, np.array([4, 7, 11]), relation)
+    shown = Dispersion(
+        "displacement", frequency, wavenumber, amplitude, np.array([4, 7, 11]), relation
+    )
     axes = shown.plot()
     assert_lines(axes, *((wavenumber, branch) for branches in relation for branch in branches))
     assert [line.get_linestyle() for line in axes.lines] == [":", ":", "-", "-", "--", "--"]
@@ -141,15 +154,22 @@ def test_a_spectrum_over_wavenumber_and_frequency():
     (image,) = axes.images or axes.collections
     values = np.maximum(amplitude, amplitude.max() / 1e3)
     assert colours(image, (9, 6)) == pytest.approx(values, rel=1e-12)
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("wavenumber, downward (radians a grain)", "frequency")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == (
+        "wavenumber, downward (radians a grain)",
+        "frequency",
+    )
     assert axes.get_ylim() == pytest.approx((0, 1.5 * relation.max()))
     assert axes.get_xlim() == pytest.approx((-3.5, 2.5))
     assert axes.yaxis.get_major_formatter()(2e3) == "2 kHz"
     assert axes.figure.axes[1].get_ylabel() == "displacement (m per Hz)"
     assert np.array_equal(shown.ridge, frequency[amplitude.argmax(0)])
-    high = Dispersion("velocity", frequency / 10, wavenumber, amplitude, np.array([4, 7, 11]), relation).plot()
+    high = Dispersion(
+        "velocity", frequency / 10, wavenumber, amplitude, np.array([4, 7, 11]), relation
+    ).plot()
     assert high.get_ylim() == pytest.approx((0, 4))
-    none = Dispersion("velocity", frequency, wavenumber, amplitude, np.array([4, 7, 11]), 0 * relation).plot()
+    none = Dispersion(
+        "velocity", frequency, wavenumber, amplitude, np.array([4, 7, 11]), 0 * relation
+    ).plot()
     assert not none.lines
     assert none.get_ylim() == pytest.approx((0, 40))
 
@@ -168,14 +188,22 @@ def test_the_motion_over_time_and_depth(grains: Any):
     assert labels(axes) == ["long weak wave"]
     assert axes.get_ylim()[0] > axes.get_ylim()[1]
     (shown,) = axes.images or axes.collections
-    assert colours(shown, (t.grains.size, 41)) == pytest.approx(t.displacement[:, np.argsort(t.grains)].T, rel=1e-6)
+    assert colours(shown, (t.grains.size, 41)) == pytest.approx(
+        t.displacement[:, np.argsort(t.grains)].T, rel=1e-6
+    )
     assert axes.figure.axes[1].get_ylabel() == "displacement, downward"
     assert not space_time(t).lines
-    assert spectrum(t).plot().lines[0].get_xdata() == pytest.approx(cut_off(chain)[np.sort(t.grains) - 1])
+    assert spectrum(t).plot().lines[0].get_xdata() == pytest.approx(
+        cut_off(chain)[np.sort(t.grains) - 1]
+    )
 
 
 def test_where_nothing_moves():
-    scene = Scene(chain=Chain(grains=12, diameter=1e-3), excitation=Profile(velocity=np.zeros(12)), duration=1e-4)
+    scene = Scene(
+        chain=Chain(grains=12, diameter=1e-3),
+        excitation=Profile(velocity=np.zeros(12)),
+        duration=1e-4,
+    )
     still = simulate(scene, "native", 1e-6)
     spectrum(still).plot().figure.draw_without_rendering()
     space_time(still)
@@ -232,7 +260,17 @@ def test_local_exponents_and_a_power_law():
 
 def test_the_continuum_and_the_law_of_the_front():
     depth, time = np.array([2.0, 4, 8]), np.array([3.0, 5, 9])
-    law = FrontLaw(depth, time, np.array([0.5, 0.6, 0.7]), 1.0, 0.8, 1.25, 0.5, np.ones(3), np.array([5 / 6, 1.2]))
+    law = FrontLaw(
+        depth,
+        time,
+        np.array([0.5, 0.6, 0.7]),
+        1.0,
+        0.8,
+        1.25,
+        0.5,
+        np.ones(3),
+        np.array([5 / 6, 1.2]),
+    )
     curve = 1.25 * depth**0.8 * (1 + 0.5 / depth)
     axes = law.plot()
     assert_lines(axes, (depth, time), (depth, time - law.shift), (depth, curve))
@@ -240,7 +278,10 @@ def test_the_continuum_and_the_law_of_the_front():
     assert labels(axes)[2] == "1.2500 h^0.8000, expected 1.2000 h^0.8333"
     assert labels(axes)[:2] == ["largest velocity", "less the lag of the grains"]
     assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("depth h = n − 1/2 (grains)", "arrival (units of tau)")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == (
+        "depth h = n − 1/2 (grains)",
+        "arrival (units of tau)",
+    )
     cone, values = np.array([100.0, 400, 900]), np.array([0.7, 0.6, 0.5])
     fit = ContinuumFit(1.15, 0.02, 1.155, 0.1, np.array([1, 2, 2]), cone, values, values, 0.0, None)
     axes = fit.plot()
@@ -263,7 +304,10 @@ def test_the_exponents_less_those_of_a_weak_wave():
     assert bars == pytest.approx(np.array(above)[:, None] + np.array(spread), abs=1e-12)
     assert axes.get_ylim() == (1.5, -0.5)
     assert axes.get_yticks().tolist() == [0, 1]
-    assert [text.get_text() for text in axes.get_yticklabels()] == ["velocity\n-0.2500", "time\n0.8000"]
+    assert [text.get_text() for text in axes.get_yticklabels()] == [
+        "velocity\n-0.2500",
+        "time\n0.8000",
+    ]
     assert axes.get_xlabel() == "exponent less that of\na weak wave, deep down"
 
 
@@ -278,7 +322,10 @@ def test_the_energies_of_modes():
     assert_lines(axes, ([1e3, 2e3], [75, 25]))
     bars = np.array([segment[:, 1] for segment in axes.collections[0].get_segments()])
     assert bars == pytest.approx(np.array([[65, 85], [20, 30]]), abs=1e-9)
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("frequency of the mode", "share of the energy at t = 0 (%)")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == (
+        "frequency of the mode",
+        "share of the energy at t = 0 (%)",
+    )
     assert axes.get_title("left") == "Linear motion from t = 0: off by at most 2.0e-02"
     assert axes.xaxis.get_major_formatter()(2e3) == "2 kHz"
     over_time = fit.plot(what="residual")
@@ -301,7 +348,14 @@ def test_a_wave_of_bessel_functions():
     axes = fit.plot()
     chosen = [1, 4, 7, 10]
     rows = [grain == number for number in chosen]
-    assert_lines(axes, *(pair for row in rows for pair in ((time[row], values[row]), (time[row], 2 * values[row]))))
+    assert_lines(
+        axes,
+        *(
+            pair
+            for row in rows
+            for pair in ((time[row], values[row]), (time[row], 2 * values[row]))
+        ),
+    )
     assert labels(axes) == [f"grain {number}" for number in chosen]
     assert all(axes.lines[k].get_color() == axes.lines[k + 1].get_color() for k in (0, 2, 4, 6))
     assert axes.get_title("left") == "kappa 1.2 ± 0.03, residual 1.2e-01 (lines)"
@@ -309,7 +363,9 @@ def test_a_wave_of_bessel_functions():
     assert axes.yaxis.get_major_formatter()(2e-9) == "2 nm"
     for number in (1, 43):  # 2 s = m + 0.8086 m^(1/3), m = 2 |n - p|
         m = 2 * abs(number - 3)
-        assert fit.front_time(number) == pytest.approx(5e-7 + (m + 0.8086 * m ** (1 / 3)) / 4e6, rel=1e-12)
+        assert fit.front_time(number) == pytest.approx(
+            5e-7 + (m + 0.8086 * m ** (1 / 3)) / 4e6, rel=1e-12
+        )
 
 
 @pytest.mark.parametrize("loaded", [False, True])
@@ -318,7 +374,18 @@ def test_a_solitary_wave(loaded: bool):
     time = np.array([1.0, 2.1, 2.5, 3.4]) * 1e-5
     velocity = np.array([1.01, 0.99, 1.0, 1.02])
     wave: Any = SimpleNamespace(loaded=loaded)
-    fit = SolitonFit(grain, time, velocity, 1.005, 2e5, 1.6, np.ones(3), wave, np.array([1.0, 2.1e5, 1.58]), 2.2e5)
+    fit = SolitonFit(
+        grain,
+        time,
+        velocity,
+        1.005,
+        2e5,
+        1.6,
+        np.ones(3),
+        wave,
+        np.array([1.0, 2.1e5, 1.58]),
+        2.2e5,
+    )
     axes = fit.plot()
     local = 1 / np.gradient(time, grain.astype(float))
     assert_lines(
@@ -334,7 +401,9 @@ def test_a_solitary_wave(loaded: bool):
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("grain, from the top", "relative difference")
 
 
-@pytest.mark.parametrize(("field", "label"), [("velocity", "velocity, downward"), ("force", "force above rest")])
+@pytest.mark.parametrize(
+    ("field", "label"), [("velocity", "velocity, downward"), ("force", "force above rest")]
+)
 def test_a_fitted_parameter(field: Any, label: str):
     """Four traces, from the first to the last, and the fit to each."""
     time, values = np.arange(4) * 1e-6, RNG.normal(size=(4, 7))

@@ -35,7 +35,9 @@ def noise(grains: Any = "all", samples: int = 21, **chain: Any) -> Trajectory:
     return replace(t, displacement=scene.chain.contacts.overlap.max() * u, velocity=1e-3 * v)
 
 
-@pytest.mark.parametrize("ends", [{}, {"bottom": "wall"}, {"top": "wall", "bottom": "wall", "exponent": 2.0}])
+@pytest.mark.parametrize(
+    "ends", [{}, {"bottom": "wall"}, {"top": "wall", "bottom": "wall", "exponent": 2.0}]
+)
 def test_overlaps_and_forces_of_any_motion(ends: dict[str, Any]):
     """o = eps + phi_n - phi_(n+1), its rate, and K o^delta above 0; a gap has no force."""
     t = noise(**ends)
@@ -61,7 +63,9 @@ def test_overlaps_and_forces_of_any_motion(ends: dict[str, Any]):
     signal = sensor(t, 5)
     place = n.tolist().index(4)
     assert signal.force == pytest.approx(force[:, [place, place + 1]].mean(1), rel=1e-9, abs=1e-18)
-    assert signal.change == pytest.approx((force - rest)[:, [place, place + 1]].mean(1), rel=1e-9, abs=1e-15)
+    assert signal.change == pytest.approx(
+        (force - rest)[:, [place, place + 1]].mean(1), rel=1e-9, abs=1e-15
+    )
     assert signal.grain == 5
 
 
@@ -70,7 +74,9 @@ def test_what_a_driver_pushes_with(top: str):
     """On grain 1: m a + F_1 - m g, less the force of a wall above, or with the load; on a wall: that of its contact."""
     chain = Chain(grains=7, diameter=1e-3, top_load=1e-3, top=top)
     drive = Drive(amplitude=2e-9, frequency=1e5, grain=0 if top == "wall" else 1)
-    t = simulate(Scene(chain=chain, excitation=drive, duration=2e-5, samples=41), engines.Native(step=1e-8))
+    t = simulate(
+        Scene(chain=chain, excitation=drive, duration=2e-5, samples=41), engines.Native(step=1e-8)
+    )
     omega = 2 * np.pi * 1e5
     given = [2e-9 * np.sin(omega * t.time), 2e-9 * omega * np.cos(omega * t.time)]
     given.append(-(omega**2) * given[0])
@@ -84,7 +90,12 @@ def test_what_a_driver_pushes_with(top: str):
         below = constant[1] * np.maximum(overlap[1] + u[:, 0] - u[:, 1], 0) ** 1.5
         force = chain.masses[0] * given[2] + below - 9.81 * chain.masses[0]
     assert drive_force(t) == pytest.approx(force, rel=1e-7, abs=1e-9 * np.abs(force).max())
-    pushed = Scene(chain=chain, excitation=Force(grain=2, amplitude=1e-4, frequency=1e5), duration=1e-6, samples=3)
+    pushed = Scene(
+        chain=chain,
+        excitation=Force(grain=2, amplitude=1e-4, frequency=1e5),
+        duration=1e-6,
+        samples=3,
+    )
     with pytest.raises(InputError, match="excitation: nothing is driven"):
         drive_motion(simulate(pushed, engines.Native(step=1e-8)))
 
@@ -134,7 +145,10 @@ def test_the_error_of_an_arrival():
         assert peak.error == pytest.approx(abs(when - other) if near else 0.1, rel=1e-9)
     for values, words in (
         (np.arange(41.0), "the signal is largest in the last sample: record for longer"),
-        (-np.arange(41.0), "the signal is largest in the first sample: there is no maximum to wait for"),
+        (
+            -np.arange(41.0),
+            "the signal is largest in the first sample: there is no maximum to wait for",
+        ),
     ):
         with pytest.raises(InputError, match=f"duration: {words}"):
             arrival(time, values)
@@ -183,7 +197,9 @@ def test_spectra_are_sums_over_samples_and_grains(field: Any, window: str):
     wave = np.exp(-2j * np.pi * np.arange(13)[:, None] * np.arange(24) / 24)
     assert seen.grain.tolist() == list(range(1, 10))
     assert seen.frequency == pytest.approx(np.arange(13) / (24 * step), rel=1e-12)
-    assert seen.amplitude == pytest.approx(np.abs(step * wave @ (over_time[:, None] * motion)), rel=1e-9)
+    assert seen.amplitude == pytest.approx(
+        np.abs(step * wave @ (over_time[:, None] * motion)), rel=1e-9
+    )
     both = dispersion(t, 2, 9, field, window)
     over_grains = get_window(window, 8)
     wavenumber = 2 * np.pi * np.arange(-4, 4) / 8
@@ -191,13 +207,17 @@ def test_spectra_are_sums_over_samples_and_grains(field: Any, window: str):
     windowed = over_time[:, None] * motion[:, 1:] * over_grains
     assert both.wavenumber == pytest.approx(wavenumber, abs=1e-14)
     scale = 1e-9 * both.amplitude.max()
-    assert both.amplitude == pytest.approx(np.abs(step * wave @ windowed @ phase), rel=1e-9, abs=scale)
+    assert both.amplitude == pytest.approx(
+        np.abs(step * wave @ windowed @ phase), rel=1e-9, abs=scale
+    )
     assert both.frequency == pytest.approx(seen.frequency, rel=1e-14)
     assert both.grain.tolist() == [2, 5, 9]
     expected = cut_off(t.scene.chain)[[1, 4, 8]][:, None] * np.abs(np.sin(wavenumber / 2))
     assert both.relation[:, 0] == pytest.approx(expected, rel=1e-9)
     assert np.array_equal(spectrum(t).amplitude, spectrum(t, "velocity", "boxcar").amplitude)
-    assert np.array_equal(dispersion(t, 2, 9).amplitude, dispersion(t, 2, 9, "velocity", "hann").amplitude)
+    assert np.array_equal(
+        dispersion(t, 2, 9).amplitude, dispersion(t, 2, 9, "velocity", "hann").amplitude
+    )
     assert both.field == seen.field == field
 
 
@@ -211,7 +231,9 @@ def test_travel_times_and_their_refusals():
     for source in (1, 7):
         assert travel_time(chain, source).shape == (7,)
     for source in (0, 8):
-        with pytest.raises(InputError, match=rf"source: grains are numbered 1 to 7 \(got {source}\)"):
+        with pytest.raises(
+            InputError, match=rf"source: grains are numbered 1 to 7 \(got {source}\)"
+        ):
             travel_time(chain, source)
 
 
@@ -253,7 +275,9 @@ def test_what_pushes_grain_1_below_a_wall():
     """m a + F_1 - F_0 - m g, 0 at rest: the wall above pushes, too."""
     chain = Chain(grains=7, diameter=1e-3, top_load=1e-3, top="wall")
     drive = Drive(amplitude=2e-9, frequency=1e5)
-    t = simulate(Scene(chain=chain, excitation=drive, duration=2e-5, samples=41), engines.Native(step=1e-8))
+    t = simulate(
+        Scene(chain=chain, excitation=drive, duration=2e-5, samples=41), engines.Native(step=1e-8)
+    )
     omega, u = 2 * np.pi * 1e5, t.displacement
     constant, overlap = chain.contacts.constant, chain.contacts.overlap
     above = constant[0] * np.maximum(overlap[0] - u[:, 0], 0) ** 1.5

@@ -11,7 +11,9 @@ from lmpchain.theory.soliton import solve
 CHAIN = {"grains": 60, "diameter": 1e-3, "gravity": 0.0, "material": "steel"}
 
 
-def strike(chain: Chain, excitation: Impulse | Profile, duration: float, samples: int = 801) -> Trajectory:
+def strike(
+    chain: Chain, excitation: Impulse | Profile, duration: float, samples: int = 801
+) -> Trajectory:
     scene = Scene(chain=chain, excitation=excitation, duration=duration, samples=samples)
     return simulate(scene, engine="native", tolerance=1e-8)
 
@@ -21,11 +23,15 @@ def unit(chain: Chain) -> float:
     return float((chain.masses[0] / chain.contact_constants[0]) ** (1 / (1 + chain.exponent)))
 
 
-@pytest.mark.parametrize(("exponent", "share", "speed"), [(1.5, 0.68163155, 0.9074700784), (2.0, None, 0.855251932)])
+@pytest.mark.parametrize(
+    ("exponent", "share", "speed"), [(1.5, 0.68163155, 0.9074700784), (2.0, None, 0.855251932)]
+)
 def test_behind_a_strike(exponent: float, share: float | None, speed: float):
     """The height of the first pulse and its speed, published, and its width."""
     chain = Chain(**CHAIN, exponent=exponent)
-    t = strike(chain, Impulse(velocity=0.1), 65 * unit(chain) / 0.1 ** ((exponent - 1) / (exponent + 1)))
+    t = strike(
+        chain, Impulse(velocity=0.1), 65 * unit(chain) / 0.1 ** ((exponent - 1) / (exponent + 1))
+    )
     fit = fit_soliton(t)
     if share:
         assert fit.amplitude == pytest.approx(0.1 * share, rel=1e-6)
@@ -59,7 +65,11 @@ def test_under_a_load(downward: bool):
         (Chain(**CHAIN, top_load=1.0), Impulse(velocity=1e-4), "no solitary wave"),
         (Chain(**CHAIN | {"gravity": 9.81}), Impulse(velocity=0.1), "gravity"),
         (Chain(**CHAIN, exponent=1.0, top_load=1.0), Impulse(velocity=1e-4), "exponent"),
-        (Chain(**CHAIN, impurity=[{"grain": 9, "diameter": 2e-3}]), Impulse(velocity=0.1), "uniform"),
+        (
+            Chain(**CHAIN, impurity=[{"grain": 9, "diameter": 2e-3}]),
+            Impulse(velocity=0.1),
+            "uniform",
+        ),
     ],
 )
 def test_what_is_no_solitary_wave(chain: Chain, excitation: Impulse, said: str):

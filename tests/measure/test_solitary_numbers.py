@@ -30,7 +30,9 @@ def front(struck: Trajectory) -> Front:
 
 
 @pytest.mark.parametrize(("first", "last"), [(20, 30), (25, None), (None, None)])
-def test_height_speed_and_width(struck: Trajectory, front: Front, first: int | None, last: int | None):
+def test_height_speed_and_width(
+    struck: Trajectory, front: Front, first: int | None, last: int | None
+):
     """By default of the later half of grains 6 to 39; errors of half a 95 % interval and of sampling."""
     fit = fit_soliton(struck, first, last)
     if first is None and last is None:
@@ -94,7 +96,9 @@ def test_what_is_steady_enough(struck: Trajectory, front: Front, monkeypatch: py
     for factor in (0.983, 1.017):
         given(time=clean["time"] * factor, width=front.width * factor)
     for factor in (0.977, 1.023):
-        with pytest.raises(InputError, match=r"times the speed and .* the width of a solitary wave"):
+        with pytest.raises(
+            InputError, match=r"times the speed and .* the width of a solitary wave"
+        ):
             given(time=clean["time"] * factor, width=front.width * factor)
     for factor in (0.975, 1.025):
         with pytest.raises(InputError, match="the width of a solitary wave"):
@@ -119,4 +123,8 @@ def test_chains_in_which_no_wave_stays_as_it_is():
         with pytest.raises(InputError) as error:
             solitary._fits(chain)
         assert [name for name, _ in error.value.faults] == [key]
-    solitary._fits(Chain(grains=8, diameter=1e-3, gravity=0.0, masses=1e-6 * (1 + 0.9e-9 * (np.arange(8) == 3))))
+    solitary._fits(
+        Chain(
+            grains=8, diameter=1e-3, gravity=0.0, masses=1e-6 * (1 + 0.9e-9 * (np.arange(8) == 3))
+        )
+    )

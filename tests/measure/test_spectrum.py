@@ -19,13 +19,20 @@ Array = NDArray[np.float64]
 
 
 def made_up(
-    motion: Callable[[Array, Array], Array], samples: int = 400, duration: float = 399e-6, grains: int = 16
+    motion: Callable[[Array, Array], Array],
+    samples: int = 400,
+    duration: float = 399e-6,
+    grains: int = 16,
 ) -> Trajectory:
     """Return a trajectory with a velocity and displacement motion(t, n), t in s."""
     chain = Chain(grains=grains, diameter=1e-3)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-9), duration=duration, samples=samples)
+    scene = Scene(
+        chain=chain, excitation=Impulse(velocity=1e-9), duration=duration, samples=samples
+    )
     values = motion(scene.time[:, None], np.arange(1.0, grains + 1))
-    return replace(simulate(scene, engine="native", tolerance=1e-3), velocity=values, displacement=values)
+    return replace(
+        simulate(scene, engine="native", tolerance=1e-3), velocity=values, displacement=values
+    )
 
 
 def noise(t: Array, n: Array) -> Array:
@@ -64,18 +71,24 @@ def test_parseval(field: str, samples: int, window: str):
         twice[-1] = 1.0
     windowed = get_window(window, samples)[:, None] * getattr(t, field)
     step, apart = t.time[1], found.frequency[1]
-    assert twice @ found.amplitude**2 * apart == pytest.approx((windowed**2).sum(0) * step, rel=1e-12)
+    assert twice @ found.amplitude**2 * apart == pytest.approx(
+        (windowed**2).sum(0) * step, rel=1e-12
+    )
 
 
 def test_a_pulse_has_a_spectrum_whatever_the_recording():
     """exp(-(t/w)^2) has the spectrum sqrt(pi) w exp(-(pi f w)^2)."""
     for samples, duration in ((400, 399e-6), (1000, 499.5e-6)):
-        found = spectrum(made_up(lambda t, n: np.exp(-(((t - 150e-6) / 10e-6) ** 2)) + 0 * n, samples, duration))
+        found = spectrum(
+            made_up(lambda t, n: np.exp(-(((t - 150e-6) / 10e-6) ** 2)) + 0 * n, samples, duration)
+        )
         exact = np.sqrt(np.pi) * 10e-6 * np.exp(-((np.pi * found.frequency * 10e-6) ** 2))
         assert found.amplitude[:, 3] == pytest.approx(exact, abs=1e-9 * exact[0])
 
 
-@pytest.mark.parametrize("chain", [loaded(7, exponent=1.0), Chain(grains=9, diameter=1e-3)], ids=["springs", "column"])
+@pytest.mark.parametrize(
+    "chain", [loaded(7, exponent=1.0), Chain(grains=9, diameter=1e-3)], ids=["springs", "column"]
+)
 def test_a_chain_rings_at_its_eigenfrequencies(chain: Chain):
     diagonal, coupling = chain.dynamical_matrix()
     squares = np.linalg.eigvalsh(np.diag(diagonal) + np.diag(coupling, 1) + np.diag(coupling, -1))
@@ -98,7 +111,11 @@ def test_the_top_lets_only_low_frequencies_into_a_column():
     chain = Chain(grains=80, diameter=1e-3)
     speed = 1e-4 * chain.length_scale / chain.time_scale
     scene = Scene(
-        chain=chain, excitation=Impulse(velocity=speed), duration=60 * chain.time_scale, samples=601, grains=[60, 1, 30]
+        chain=chain,
+        excitation=Impulse(velocity=speed),
+        duration=60 * chain.time_scale,
+        samples=601,
+        grains=[60, 1, 30],
     )
     found = spectrum(simulate(scene, engine="native", tolerance=1e-8), window="hann")
     assert found.grain.tolist() == [1, 30, 60]
@@ -114,7 +131,9 @@ def test_the_top_lets_only_low_frequencies_into_a_column():
 def test_a_plane_wave_is_a_point(sign: int):
     """Downward is a positive wavenumber: cos(k n - omega t) with k = 2 pi 4 / 16 at 20 kHz."""
     k = sign * np.pi / 2
-    found = dispersion(made_up(lambda t, n: np.cos(k * n - 2 * np.pi * 20e3 * t)), 1, 16, window="boxcar")
+    found = dispersion(
+        made_up(lambda t, n: np.cos(k * n - 2 * np.pi * 20e3 * t)), 1, 16, window="boxcar"
+    )
     f, w = np.unravel_index(found.amplitude.argmax(), found.amplitude.shape)
     assert (found.frequency[f], found.wavenumber[w]) == pytest.approx((20e3, k))
     assert found.amplitude.max() == pytest.approx(16 * 400e-6 / 2, rel=1e-12)
@@ -127,7 +146,9 @@ def test_parseval_in_two_dimensions():
     twice = np.full(found.frequency.size, 2.0)
     twice[[0, -1]] = 1.0
     energy = (t.velocity[:, 2:13] ** 2).sum() * t.time[1]
-    assert (twice @ found.amplitude**2).sum() * found.frequency[1] / 11 == pytest.approx(energy, rel=1e-12)
+    assert (twice @ found.amplitude**2).sum() * found.frequency[1] / 11 == pytest.approx(
+        energy, rel=1e-12
+    )
 
 
 def test_a_uniform_chain_has_its_dispersion_relation():
@@ -135,26 +156,39 @@ def test_a_uniform_chain_has_its_dispersion_relation():
     chain = loaded(121)
     omega = 2 * np.sqrt(chain.linear_stiffness[0] / chain.masses[0])
     speed = 1e-4 * chain.length_scale * omega
-    scene = Scene(chain=chain, excitation=Impulse(velocity=speed, grain=61), duration=110 / omega, samples=401)
+    scene = Scene(
+        chain=chain, excitation=Impulse(velocity=speed, grain=61), duration=110 / omega, samples=401
+    )
     found = dispersion(simulate(scene, engine="native", tolerance=1e-8), 1, 121)
     assert found.grain.tolist() == [1, 61, 121]
     exact = omega / (2 * np.pi) * np.abs(np.sin(found.wavenumber / 2))
     assert found.relation == pytest.approx(np.tile(exact, (3, 1, 1)), rel=1e-12)
     assert np.abs(found.ridge - exact).max() < 0.6 * found.frequency[1]
-    assert found.amplitude == pytest.approx(found.amplitude[:, ::-1], abs=0.03 * found.amplitude.max())
+    assert found.amplitude == pytest.approx(
+        found.amplitude[:, ::-1], abs=0.03 * found.amplitude.max()
+    )
 
 
 def test_waves_in_a_column_move_downward_on_the_local_relation():
     chain = Chain(grains=200, diameter=1e-3)
     speed = 1e-4 * chain.length_scale / chain.time_scale
-    scene = Scene(chain=chain, excitation=Impulse(velocity=speed), duration=110 * chain.time_scale, samples=1001)
+    scene = Scene(
+        chain=chain,
+        excitation=Impulse(velocity=speed),
+        duration=110 * chain.time_scale,
+        samples=1001,
+    )
     found = dispersion(simulate(scene, engine="native", tolerance=1e-8), 60, 140)
-    down, up = (found.amplitude[:, side].max() for side in (found.wavenumber > 0.1, found.wavenumber < -0.1))
+    down, up = (
+        found.amplitude[:, side].max() for side in (found.wavenumber > 0.1, found.wavenumber < -0.1)
+    )
     assert up < 0.02 * down
     assert (found.relation[0] <= found.relation[1]).all()
     assert (found.relation[1] <= found.relation[2]).all()
     seen = (found.wavenumber > 0.15) & (found.wavenumber < 0.8)
-    assert found.ridge[seen] == pytest.approx(found.relation[1, 0, seen], abs=2 * found.frequency[1])
+    assert found.ridge[seen] == pytest.approx(
+        found.relation[1, 0, seen], abs=2 * found.frequency[1]
+    )
 
 
 def test_a_dimer_has_two_branches():
@@ -172,10 +206,14 @@ def test_a_dimer_has_two_branches():
     both, k = 1e6 * (1 + 1 / 3), found.wavenumber
     root = np.sqrt(both**2 - 4 * np.sin(k) ** 2 * 1e12 / 3)
     exact = np.sqrt(stiffness * np.maximum([both - root, both + root], 0)) / (2 * np.pi)
-    assert found.relation == pytest.approx(np.tile(exact, (3, 1, 1)), rel=1e-9, abs=1e-9 * exact.max())
+    assert found.relation == pytest.approx(
+        np.tile(exact, (3, 1, 1)), rel=1e-9, abs=1e-9 * exact.max()
+    )
     gap = (found.relation[1, 0].max() + found.relation[1, 1].min()) / 2
     near = (np.abs(found.wavenumber) > 0.3) & (np.abs(found.wavenumber) < 1.4)
-    for branch, side in zip(found.relation[1], (found.frequency < gap, found.frequency > gap), strict=True):
+    for branch, side in zip(
+        found.relation[1], (found.frequency < gap, found.frequency > gap), strict=True
+    ):
         ridge = found.frequency[side][found.amplitude[side].argmax(0)]
         assert np.abs(ridge - branch)[near].max() < 1.5 * found.frequency[1]
     axes = found.plot().figure.axes[0]
@@ -200,19 +238,28 @@ def test_cut_off_of_a_dimer():
     chain = Chain(grains=60, diameter=1e-3, masses=masses, gravity=0.0, top_load=1e-3)
     k = chain.linear_stiffness[0]
     assert (2 * np.pi * cut_off(chain)) ** 2 == pytest.approx(2 * k * 1e6 * (1 + 1 / 3), rel=1e-12)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-9), duration=20 * chain.time_scale, samples=64)
+    scene = Scene(
+        chain=chain, excitation=Impulse(velocity=1e-9), duration=20 * chain.time_scale, samples=64
+    )
     found = spectrum(simulate(scene, "modes"))
     assert (2 * np.pi * found.bands[:, 0, 1]) ** 2 == pytest.approx(2 * k * 1e6 / 3, rel=1e-12)
     assert (2 * np.pi * found.bands[:, 1, 0]) ** 2 == pytest.approx(2 * k * 1e6, rel=1e-12)
     assert found.bands[:, 0, 0] == pytest.approx(0, abs=1e-9 * found.cut_off[0])
     axes = found.plot()
-    assert [line.get_label() for line in axes.lines[:2]] == ["local cut-off", "gap between branches"]
+    assert [line.get_label() for line in axes.lines[:2]] == [
+        "local cut-off",
+        "gap between branches",
+    ]
     assert axes.get_xlim()[1] == pytest.approx(1.5 * found.cut_off[0])
     one = Chain(grains=1, diameter=1e-3, gravity=0.0, top_load=1.0, top="wall", bottom="wall")
-    assert cut_off(one) == pytest.approx(np.sqrt(one.contacts.stiffness.sum() / one.masses[0]) / (2 * np.pi))
+    assert cut_off(one) == pytest.approx(
+        np.sqrt(one.contacts.stiffness.sum() / one.masses[0]) / (2 * np.pi)
+    )
     column = Chain(grains=200, diameter=1e-3, masses=np.resize([1e-6, 3e-6], 200))
     local = column.linear_stiffness[99]
-    assert (2 * np.pi * cut_off(column)[99]) ** 2 == pytest.approx(2 * local * 1e6 * (1 + 1 / 3), rel=5e-3)
+    assert (2 * np.pi * cut_off(column)[99]) ** 2 == pytest.approx(
+        2 * local * 1e6 * (1 + 1 / 3), rel=5e-3
+    )
 
 
 def test_travel_time_in_a_uniform_chain():
@@ -227,10 +274,16 @@ def test_travel_time_in_a_column():
     """(6/5) (n - 1/2)^(5/6), and the velocity is largest some 0.9 h^(1/6) / 4^(1/3) later."""
     chain = Chain(grains=240, diameter=1e-3)
     n = np.arange(1, 241)
-    assert travel_time(chain) / chain.time_scale == pytest.approx(1.2 * (n - 0.5) ** (5 / 6), abs=0.19)
+    assert travel_time(chain) / chain.time_scale == pytest.approx(
+        1.2 * (n - 0.5) ** (5 / 6), abs=0.19
+    )
     speed = 1e-4 * chain.length_scale / chain.time_scale
     scene = Scene(
-        chain=chain, excitation=Impulse(velocity=speed), duration=106 * chain.time_scale, samples=801, grains="20:200"
+        chain=chain,
+        excitation=Impulse(velocity=speed),
+        duration=106 * chain.time_scale,
+        samples=801,
+        grains="20:200",
     )
     front = track(simulate(scene, engine="native", tolerance=1e-8))
     assert front.grain[-1] == 200
@@ -273,5 +326,7 @@ def test_an_unrecorded_grain_is_named_with_the_remedy():
 
 def ringing(**given: Any) -> Trajectory:
     chain = Chain(grains=12, diameter=1e-3, **given)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6, grain=3), duration=1e-4, samples=201)
+    scene = Scene(
+        chain=chain, excitation=Impulse(velocity=1e-6, grain=3), duration=1e-4, samples=201
+    )
     return simulate(scene, engine="native", tolerance=1e-6)

@@ -18,7 +18,9 @@ Array = NDArray[np.float64]
 UNIFORM = {"grains": 40, "diameter": 1e-3, "gravity": 0.0, "top_load": 0.1}
 
 
-def run(chain: Chain, excitation: Any, units: float = 30.0, samples: int = 61, **more: Any) -> Trajectory:
+def run(
+    chain: Chain, excitation: Any, units: float = 30.0, samples: int = 61, **more: Any
+) -> Trajectory:
     duration = units * chain.time_scale
     scene = Scene(chain=chain, excitation=excitation, duration=duration, samples=samples, **more)
     return simulate(scene, "chebyshev", 1e-9)
@@ -59,7 +61,9 @@ def test_the_covariance_of_what_is_fitted(late: Trajectory):
     assert fit.covariance == pytest.approx(covariance, rel=1e-5)
     assert fit.error[:3] == pytest.approx(np.sqrt(np.diag(covariance)), rel=1e-5)
     assert fit.error[3] / fit.kappa == pytest.approx(2 * fit.error[1] / fit.rate, rel=1e-12)
-    assert fit.residual == pytest.approx(np.sqrt((left @ left) / (fit.values @ fit.values)), rel=1e-9)
+    assert fit.residual == pytest.approx(
+        np.sqrt((left @ left) / (fit.values @ fit.values)), rel=1e-9
+    )
     unit = late.scene.chain.time_scale
     assert fit.kappa == pytest.approx((fit.rate * unit) ** 2, rel=1e-12)
     assert fit.expected == pytest.approx([-2e-9, 1 / unit, 0.0, 1.0], rel=1e-12)
@@ -69,11 +73,15 @@ def test_the_covariance_of_what_is_fitted(late: Trajectory):
 def test_noise_scatters_as_the_covariance_says(late: Trajectory):
     """One standard error holds 68 %, two hold 95 %; amplitude, rate and delay scatter together as they should."""
     rng = np.random.default_rng(20)
-    few = replace(late, time=late.time[::2], velocity=late.velocity[::2], displacement=late.displacement[::2])
+    few = replace(
+        late, time=late.time[::2], velocity=late.velocity[::2], displacement=late.displacement[::2]
+    )
     unit, away, joint = late.scene.chain.time_scale, [], []
     true = np.array([-2e-9, 1.05 / unit, unit, 1.05**2])
     for _ in range(60):
-        fit = fit_bessel(replace(few, velocity=few.velocity + 5e-11 * rng.normal(size=few.velocity.shape)))
+        fit = fit_bessel(
+            replace(few, velocity=few.velocity + 5e-11 * rng.normal(size=few.velocity.shape))
+        )
         off = np.array([fit.amplitude, fit.rate, fit.delay, fit.kappa]) - true
         away.append(np.abs(off / fit.error))
         scale = fit.error[:3]
@@ -130,7 +138,14 @@ def test_grains_that_are_alike_within_five_per_cent():
     constants[[2, 24]] = 1e9 * 0.92, 1e9 * 1.085
     held = np.full(30, 1e-6)
     held[-1] = 1e-3
-    chain = Chain(grains=30, diameter=1e-3, gravity=0.0, top_load=0.1, masses=held, contact_constants=constants)
+    chain = Chain(
+        grains=30,
+        diameter=1e-3,
+        gravity=0.0,
+        top_load=0.1,
+        masses=held,
+        contact_constants=constants,
+    )
     t = run(chain, Impulse(velocity=1e-9, grain=14), 4.0)
     assert np.unique(fit_bessel(t, until=t.time[-1]).grain)[[0, -1]].tolist() == [4, 25]
 
@@ -146,14 +161,18 @@ def test_a_window_is_taken_as_given():
     assert np.unique(fit_bessel(t, grains=(5, 40), until=end).grain)[0] == 5
     assert np.unique(fit_bessel(t, grains=(1, 5), until=end).grain)[-1] == 5
     for grains in ((6, 9), (1, 4), (0, 9), (3, 41)):
-        with pytest.raises(InputError, match=r"grains: must be .first, last. with 1 <= first <= 5 <= last"):
+        with pytest.raises(
+            InputError, match=r"grains: must be .first, last. with 1 <= first <= 5 <= last"
+        ):
             fit_bessel(t, grains=grains)
     alone = Chain(grains=1, diameter=1e-3, gravity=0.0, top_load=0.1, top="wall", bottom="wall")
     with pytest.raises(InputError, match="grains: takes a chain of several"):
         fit_bessel(run(alone, Impulse(velocity=1e-9)))
 
 
-def test_of_too_many_values_those_of_every_so_many_grains_are_fitted(monkeypatch: pytest.MonkeyPatch):
+def test_of_too_many_values_those_of_every_so_many_grains_are_fitted(
+    monkeypatch: pytest.MonkeyPatch,
+):
     """Up to 300 values: of the 49 grains that the wave can have reached every fifth."""
     monkeypatch.setattr(waves, "MOST", 300)
     chain = Chain(grains=120, diameter=1e-3, gravity=0.0, top_load=0.1)
@@ -189,7 +208,9 @@ def test_enough_values_with_a_wave_in_them():
         only = replace(t, grains=t.grains[9:10], velocity=factor * t.velocity[:, 9:10],
                        displacement=t.displacement[:, 9:10])  # fmt: skip
         if enough:
-            assert fit_bessel(only, (1, 40), 6.1 * unit).amplitude == pytest.approx(factor * 1e-9, rel=1e-5)
+            assert fit_bessel(only, (1, 40), 6.1 * unit).amplitude == pytest.approx(
+                factor * 1e-9, rel=1e-5
+            )
         else:
             with pytest.raises(InputError, match="without the wave"):
                 fit_bessel(only, (1, 40), 6.1 * unit)
@@ -204,7 +225,9 @@ def test_amplitudes_and_energies_of_modes():
     t = run(chain, Impulse(velocity=1e-9, grain=3), 12.0, 31)
     fit, scale = fit_modes(t), np.sqrt(chain.masses)
     diagonal, coupling = chain.dynamical_matrix()
-    squares, vectors = np.linalg.eigh(np.diag(diagonal) + np.diag(coupling, 1) + np.diag(coupling, -1))
+    squares, vectors = np.linalg.eigh(
+        np.diag(diagonal) + np.diag(coupling, 1) + np.diag(coupling, -1)
+    )
     amplitude, rate = (t.displacement * scale) @ vectors, (t.velocity * scale) @ vectors
     assert fit.frequency == pytest.approx(np.sqrt(squares), rel=1e-10)
     for seen, dense in ((fit.amplitude, amplitude), (fit.rate, rate)):
@@ -213,7 +236,11 @@ def test_amplitudes_and_energies_of_modes():
     energy = (rate**2 + squares * amplitude**2) / 2
     assert fit.energy == pytest.approx(energy[0], rel=1e-8)
     assert np.array_equal(fit.time, t.time)
-    bent = replace(t, velocity=t.velocity * (1 + 0.1 * t.time[:, None] / t.time[-1]), displacement=0.9 * t.displacement)
+    bent = replace(
+        t,
+        velocity=t.velocity * (1 + 0.1 * t.time[:, None] / t.time[-1]),
+        displacement=0.9 * t.displacement,
+    )
     other = fit_modes(bent)
     rate, amplitude = (bent.velocity * scale) @ vectors, (bent.displacement * scale) @ vectors
     energy = (rate**2 + squares * amplitude**2) / 2

@@ -65,7 +65,9 @@ def share(orbit: Orbit) -> np.ndarray:
     return held / held.sum()
 
 
-@pytest.mark.parametrize("kind", [gap, surface, defect, dark, pytest.param(strong, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "kind", [gap, surface, defect, dark, pytest.param(strong, marks=pytest.mark.slow)]
+)
 def test_a_breather_returns_after_a_period(kind):
     """Source: Taylor series in extended precision."""
     orbit = kind()
@@ -84,7 +86,9 @@ def test_a_breather_returns_after_a_period(kind):
         (defect, 2.0, np.inf, np.sqrt(4 / (0.5 * (2 - 0.5))), 11),
     ],
 )
-def test_bright_breathers_lie_in_gaps_and_soften(kind, low: float, high: float, limit: float, grain: int):
+def test_bright_breathers_lie_in_gaps_and_soften(
+    kind, low: float, high: float, limit: float, grain: int
+):
     """Above one band edge, and below the other or the linear mode at a surface or a defect, for contacts soften.
 
     Bands of the dimer end at w^2 = 2K/M and 2K/m; that of the uniform chain at 4K/m. Linear modes at a light end have
@@ -109,7 +113,10 @@ def test_a_dark_breather_swings_with_its_background():
     orbit = dark()
     chain, swing = orbit.chain, np.ptp(orbit.motion()[1], axis=0) / 2
     overlap = chain.contacts.overlap + chain.contacts.closer(orbit.displacement)
-    eps, k = overlap[10:12].mean(), chain.contact_constants[0]  # less than at rest: grains at the dip take more room
+    eps, k = (
+        overlap[10:12].mean(),
+        chain.contact_constants[0],
+    )  # less than at rest: grains at the dip take more room
 
     def period(amplitude: float) -> float:
         def potential(x: float) -> float:
@@ -117,7 +124,11 @@ def test_a_dark_breather_swings_with_its_background():
 
         def slowness(angle: float) -> float:
             x = amplitude * np.sin(angle)
-            return amplitude * np.cos(angle) / np.sqrt(2 * (potential(amplitude) - potential(x)) / LIGHT)
+            return (
+                amplitude
+                * np.cos(angle)
+                / np.sqrt(2 * (potential(amplitude) - potential(x)) / LIGHT)
+            )
 
         return 4 * quad(slowness, 0, np.pi / 2, epsabs=0, epsrel=1e-11, limit=200)[0]
 

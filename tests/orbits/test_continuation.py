@@ -13,7 +13,9 @@ from lmpchain.orbits.closing import Aspect, aspects
 from lmpchain.orbits.shooting import Equations
 from lmpchain.theory import modes
 
-CHAIN = Chain(grains=3, diameter=1e-3, gravity=0.0, top_load=1.0)  # one grain that moves, below the driven one
+CHAIN = Chain(
+    grains=3, diameter=1e-3, gravity=0.0, top_load=1.0
+)  # one grain that moves, below the driven one
 OMEGA = float(np.sqrt(2 * CHAIN.linear_stiffness[0] / CHAIN.masses[0]))
 
 
@@ -66,7 +68,9 @@ def test_a_grain_driven_at_twice_its_frequency_doubles_its_period():
             stiff = 1.5 * (k[0] * above**0.5 + k[1] * below**0.5) * eps**0.5 / m / w**2
             return np.array([y[1], pull, y[3], -stiff * y[2], y[5], -stiff * y[4]])
 
-        end = solve_ivp(rate, (0, 2 * np.pi), [*state, 1, 0, 0, 1], "DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+        end = solve_ivp(
+            rate, (0, 2 * np.pi), [*state, 1, 0, 0, 1], "DOP853", rtol=1e-12, atol=1e-13
+        ).y[:, -1]
         return end[:2], end[2:].reshape(2, 2).T
 
     def excess(amplitude: float) -> float:
@@ -112,11 +116,17 @@ def test_from_a_linear_mode_through_two_folds_and_back():
         assert way.reached
         turns = np.sign(np.diff(way.energy))
         assert np.sum(turns[1:] != turns[:-1]) == 2
-    folds = [sorted(event.value for event in way.events if event.kind == "fold") for way in (there, back)]
+    folds = [
+        sorted(event.value for event in way.events if event.kind == "fold") for way in (there, back)
+    ]
     assert folds[0] == pytest.approx(folds[1], rel=1e-6)
-    assert there[0].period == pytest.approx(2 * np.pi / modes.eigenmodes(chain).frequency[0], rel=1e-3)
+    assert there[0].period == pytest.approx(
+        2 * np.pi / modes.eigenmodes(chain).frequency[0], rel=1e-3
+    )
     assert back[-1].period == pytest.approx(there[0].period, rel=1e-10)
-    assert back[-1].displacement == pytest.approx(there[0].displacement, abs=1e-9 * there[0].amplitude)
+    assert back[-1].displacement == pytest.approx(
+        there[0].displacement, abs=1e-9 * there[0].amplitude
+    )
 
 
 def test_an_orbit_of_a_family_takes_one_tangent_map(monkeypatch: pytest.MonkeyPatch):
@@ -136,7 +146,9 @@ def test_an_orbit_of_a_family_takes_one_tangent_map(monkeypatch: pytest.MonkeyPa
     assert len(taken) < 1.5 * len(family)
 
 
-@pytest.mark.parametrize(("parameter", "factor"), [("masses[2]", 1.3), ("gravity", 2.0), ("exponent", 1.1)])
+@pytest.mark.parametrize(
+    ("parameter", "factor"), [("masses[2]", 1.3), ("gravity", 2.0), ("exponent", 1.1)]
+)
 def test_any_number_of_the_chain_can_change(parameter: str, factor: float):
     chain = Chain(grains=5, diameter=1e-3)
     orbit = orbits.normal_mode(chain, 2, 0.1 * chain.length_scale * chain.masses[0] * 9.81)
@@ -144,7 +156,9 @@ def test_any_number_of_the_chain_can_change(parameter: str, factor: float):
     family = orbits.follow(orbit, parameter, factor * start, hold="energy", events=False)
     assert family.reached
     end = family[-1].chain
-    assert (end.masses[1] if "[" in parameter else getattr(end, parameter)) == pytest.approx(factor * start, rel=1e-12)
+    assert (end.masses[1] if "[" in parameter else getattr(end, parameter)) == pytest.approx(
+        factor * start, rel=1e-12
+    )
     assert family.energy == pytest.approx(np.full(len(family), orbit.energy), rel=1e-9)
     exact = orbits.normal_mode(end, 2, orbit.energy)
     assert family[-1].period == pytest.approx(exact.period, rel=1e-9)
@@ -168,7 +182,11 @@ def growth(orbit: orbits.Orbit) -> float:
 
     state = np.concatenate((orbit.displacement / unit, orbit.velocity * clock / unit))
     start = np.concatenate((state[:, None], np.eye(2 * n)), axis=1).ravel()
-    end = solve_ivp(rate, (0, 2 * np.pi), start, "DOP853", rtol=3e-14, atol=1e-15).y[:, -1].reshape(2 * n, -1)
+    end = (
+        solve_ivp(rate, (0, 2 * np.pi), start, "DOP853", rtol=3e-14, atol=1e-15)
+        .y[:, -1]
+        .reshape(2 * n, -1)
+    )
     assert np.abs(end[:, 0] - state).max() < 1e-8 * np.abs(state).max()
     return float(np.abs(np.linalg.eigvals(end[:, 1:])).max())
 
@@ -176,15 +194,28 @@ def growth(orbit: orbits.Orbit) -> float:
 @pytest.mark.slow
 def test_a_breather_loses_its_stability_and_comes_back_where_pairs_of_multipliers_meet():
     masses = np.where(np.arange(11) % 2 == 0, 3e-3, 1e-3)
-    chain = Chain(grains=11, diameter=1e-2, gravity=0.0, top_load=20.0, top="wall", bottom="wall", masses=masses)
+    chain = Chain(
+        grains=11,
+        diameter=1e-2,
+        gravity=0.0,
+        top_load=20.0,
+        top="wall",
+        bottom="wall",
+        masses=masses,
+    )
     u, period = orbits.linear_mode(chain, 7, 1e-2)
     rest = np.zeros(11)
     first = orbits.find(chain, (u, rest), period, energy=float(chain.excess_energy(u, rest)))
     there = orbits.follow(first, "period", 1.04 * period)
-    events = there.events + orbits.follow(there[-1], "period", 1.05 * period).events  # one step may pass both
+    events = (
+        there.events + orbits.follow(there[-1], "period", 1.05 * period).events
+    )  # one step may pass both
     assert [event.kind for event in events] == ["Neimark-Sacker", "Neimark-Sacker"]
     for event, inside in zip(events, (1, -1), strict=True):
-        near = [orbits.find(chain, event.orbit, event.value * (1 + side * 2e-4)) for side in (-inside, inside)]
+        near = [
+            orbits.find(chain, event.orbit, event.value * (1 + side * 2e-4))
+            for side in (-inside, inside)
+        ]
         assert growth(near[0]) == pytest.approx(1, abs=1e-4)
         assert growth(near[1]) > 1.001
 
@@ -196,7 +227,9 @@ def column() -> tuple[Chain, orbits.Orbit, float]:
     return chain, orbits.normal_mode(chain, 3, 0.1 * energy), 0.3 * energy
 
 
-def test_a_family_that_comes_back_to_its_orbits_half_a_period_later_ends(monkeypatch: pytest.MonkeyPatch):
+def test_a_family_that_comes_back_to_its_orbits_half_a_period_later_ends(
+    monkeypatch: pytest.MonkeyPatch,
+):
     """Beyond a point where it meets itself a family is what it was before, begun half a period later."""
     chain, first, until = column()
     seen: list = []
@@ -211,7 +244,9 @@ def test_a_family_that_comes_back_to_its_orbits_half_a_period_later_ends(monkeyp
     later = orbits.find(chain, (half, np.zeros(6)), first.period, energy=first.energy)
     for aspect, ended in ((0, ""), (1, "it comes back to orbits that it has been through")):
         points = [points[aspect] for points in seen[1:]]
-        monkeypatch.setattr(continuation, "aspects", lambda eq, _, of=points: [Aspect(eq.pack(p), 0.0) for p in of])
+        monkeypatch.setattr(
+            continuation, "aspects", lambda eq, _, of=points: [Aspect(eq.pack(p), 0.0) for p in of]
+        )
         family = orbits.follow(later, "energy", until, events=False)
         assert family.ended.startswith(ended)
         assert family.reached == (not ended)
@@ -234,7 +269,9 @@ def test_a_family_that_gives_up_keeps_its_orbits_and_says_why(monkeypatch: pytes
     assert (len(family), family.ended[:34]) == (1, "it cannot be followed beyond energ")
 
 
-def test_a_family_whose_events_crowd_ends_with_those_that_were_located(monkeypatch: pytest.MonkeyPatch):
+def test_a_family_whose_events_crowd_ends_with_those_that_were_located(
+    monkeypatch: pytest.MonkeyPatch,
+):
     whole = resonance()
     monkeypatch.setattr(continuation, "CROWDED", 3)
     family = orbits.follow(orbits.find(CHAIN, drive=whole[0].drive), "period", 2 * np.pi / OMEGA)
@@ -248,9 +285,13 @@ def test_a_family_whose_events_crowd_ends_with_those_that_were_located(monkeypat
 def test_a_long_column_in_a_resonance_is_given_up_soon(monkeypatch: pytest.MonkeyPatch):
     taken = []
     linearised = Equations.linearised
-    monkeypatch.setattr(Equations, "linearised", lambda *given: taken.append(1) or linearised(*given))
+    monkeypatch.setattr(
+        Equations, "linearised", lambda *given: taken.append(1) or linearised(*given)
+    )
     chain = Chain(grains=100, diameter=1e-3)
-    family = orbits.mode_family(chain, 2, 1e4 * chain.length_scale * chain.masses[0] * 9.81, events=False)
+    family = orbits.mode_family(
+        chain, 2, 1e4 * chain.length_scale * chain.masses[0] * 9.81, events=False
+    )
     assert family.ended.startswith("it hardly moves on from energy")
     assert len(taken) < 200
     assert max(orbit.residual for orbit in family.orbits) < 1e-12

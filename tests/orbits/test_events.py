@@ -11,10 +11,14 @@ from lmpchain.orbits.events import between
 
 def place(means: list[complex], rate: float = 1.0, turning: float = 1.0) -> SimpleNamespace:
     """Return what `between` reads of a place."""
-    return SimpleNamespace(orbit=SimpleNamespace(means=np.array(means, complex)), rate=rate, turning=turning)
+    return SimpleNamespace(
+        orbit=SimpleNamespace(means=np.array(means, complex)), rate=rate, turning=turning
+    )
 
 
-def located(kind: str, at: Callable[[float], SimpleNamespace | None], most: int = 25) -> SimpleNamespace | None:
+def located(
+    kind: str, at: Callable[[float], SimpleNamespace | None], most: int = 25
+) -> SimpleNamespace | None:
     """Return what is located between 0 and 1, in so many orbits at most."""
     taken = []
 
@@ -39,7 +43,9 @@ def test_pairs_that_meet_among_others_are_located(meets: float, sign: int):
     def at(way: float) -> SimpleNamespace:
         root = np.sqrt(complex(sign * 0.01 * (meets - way) * (1 + way)))
         drift = 1e-4 * way
-        return place([0.3 + drift + root, 0.3 + drift - root, -0.5, -0.5 + 2e-6 + 1e-4 * way, 0.8, -0.9])
+        return place(
+            [0.3 + drift + root, 0.3 + drift - root, -0.5, -0.5 + 2e-6 + 1e-4 * way, 0.8, -0.9]
+        )
 
     event = located("Neimark-Sacker", at, 13)
     assert event is not None

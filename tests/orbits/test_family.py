@@ -17,7 +17,9 @@ ENERGY = np.array([1e-6, 2e-6, 4e-6, 6e-6, 8e-6])
 STABLE = np.array([True, True, False, False, True])
 
 
-def family(chain: Chain, ended: str = "", events: tuple[Event, ...] = (), scale: float = 1.0) -> Family:
+def family(
+    chain: Chain, ended: str = "", events: tuple[Event, ...] = (), scale: float = 1.0
+) -> Family:
     """Return a family of given numbers."""
     orbits = [
         SimpleNamespace(
@@ -63,7 +65,9 @@ def test_a_picture_has_energies_over_frequencies_the_unstable_part_dashed():
     # the dashed line begins at the last stable orbit before it
     dashed = np.array([False, True, True, True, False])
     np.testing.assert_array_equal(lines["unstable"].get_ydata(), np.where(dashed, ENERGY, np.nan))
-    np.testing.assert_array_equal(lines["fold"].get_xydata(), np.stack((FREQUENCY, ENERGY), 1)[[1, 4]])
+    np.testing.assert_array_equal(
+        lines["fold"].get_xydata(), np.stack((FREQUENCY, ENERGY), 1)[[1, 4]]
+    )
     np.testing.assert_array_equal(lines["branch point"].get_xydata(), [[FREQUENCY[3], ENERGY[3]]])
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("frequency", "energy above rest")
     assert ax.get_yscale() == "log"

@@ -21,7 +21,9 @@ from lmpchain.orbits.shooting import (
 )
 
 MASSES = np.array([2.0, 1.0, 3.0, 1.5]) * 1e-6
-LOADED = Chain(grains=4, diameter=1e-3, masses=MASSES, top_load=1.0, gravity=500.0, top="wall", bottom="wall")
+LOADED = Chain(
+    grains=4, diameter=1e-3, masses=MASSES, top_load=1.0, gravity=500.0, top="wall", bottom="wall"
+)
 EPS = LOADED.contacts.overlap[1]
 RATE, PERIOD = 1.3e5, 2e-5
 U = EPS * np.array([0.3, -0.2, 0.5, 0.1])
@@ -34,7 +36,12 @@ def force(chain: Chain, u: np.ndarray, above: float = 0.0) -> np.ndarray:
     overlap = np.maximum(contacts.overlap - np.diff(u, prepend=above, append=0.0), 0.0)
     carried = contacts.constant * overlap**chain.exponent
     weight = chain.gravity * chain.masses
-    return carried[:-1] - carried[1:] + weight + (np.arange(u.size) == 0) * chain.top_load * (chain.top == "free")
+    return (
+        carried[:-1]
+        - carried[1:]
+        + weight
+        + (np.arange(u.size) == 0) * chain.top_load * (chain.top == "free")
+    )
 
 
 def work(chain: Chain, u: np.ndarray, v: np.ndarray) -> float:
@@ -43,12 +50,16 @@ def work(chain: Chain, u: np.ndarray, v: np.ndarray) -> float:
 
     def held(u: np.ndarray) -> float:
         overlap = np.maximum(contacts.overlap - np.diff(u, prepend=0.0, append=0.0), 0.0)
-        return float((contacts.constant * overlap**2.5).sum() / 2.5 - chain.gravity * chain.masses @ u)
+        return float(
+            (contacts.constant * overlap**2.5).sum() / 2.5 - chain.gravity * chain.masses @ u
+        )
 
     return held(u) - held(0 * u) + float(chain.masses @ v**2 / 2)
 
 
-def moved(chain: Chain, u: np.ndarray, v: np.ndarray, period: float, drive: Drive | None = None) -> np.ndarray:
+def moved(
+    chain: Chain, u: np.ndarray, v: np.ndarray, period: float, drive: Drive | None = None
+) -> np.ndarray:
     """Return u and v (2, N) after a period, by SciPy's DOP853; a driven grain as it is driven."""
     held = drive is not None and drive.grain == 1
 
@@ -62,7 +73,11 @@ def moved(chain: Chain, u: np.ndarray, v: np.ndarray, period: float, drive: Driv
         return np.concatenate((v / EPS, pull / EPS / RATE))
 
     start = np.concatenate((u / EPS, v / EPS / RATE))
-    end = solve_ivp(rate, (0, period), start, "DOP853", rtol=1e-12, atol=1e-14).y[:, -1].reshape(2, -1)
+    end = (
+        solve_ivp(rate, (0, period), start, "DOP853", rtol=1e-12, atol=1e-14)
+        .y[:, -1]
+        .reshape(2, -1)
+    )
     return end * [[EPS], [EPS * RATE]]
 
 
@@ -76,7 +91,9 @@ def test_direction_and_energy_are_those_of_the_equation():
     np.testing.assert_allclose(flow.direction(state), expected, rtol=1e-10)
     energy, slope = flow.energy(state)
     assert energy == pytest.approx(work(LOADED, U, V), rel=1e-9)
-    np.testing.assert_allclose(slope, np.stack((-force(LOADED, U) / root, root * V * RATE)), rtol=1e-10)
+    np.testing.assert_allclose(
+        slope, np.stack((-force(LOADED, U) / root, root * V * RATE)), rtol=1e-10
+    )
 
 
 @pytest.mark.parametrize("grain", [None, 1, 0])
@@ -100,17 +117,28 @@ def test_a_period_is_that_of_an_independent_integration(grain: int | None):
     if grain == 1:
         turns = 4 * np.pi * np.concatenate(([0.0], np.cumsum(steps / steps.sum())))
         bound = 1e-12 * size
-        np.testing.assert_allclose(passage.displacement[:, 0], size * np.sin(turns), atol=bound, rtol=0)
+        np.testing.assert_allclose(
+            passage.displacement[:, 0], size * np.sin(turns), atol=bound, rtol=0
+        )
         rates = size * 4 * np.pi / period * np.cos(turns)
-        np.testing.assert_allclose(passage.velocity[:, 0], rates, rtol=1e-12, atol=1e-9 * size / period)
+        np.testing.assert_allclose(
+            passage.velocity[:, 0], rates, rtol=1e-12, atol=1e-9 * size / period
+        )
 
 
 @pytest.mark.parametrize(
     ("grain", "reversible"),
-    [(None, False), (None, True), (1, False), (0, False)],  # a driven orbit is not symmetric about t = 0
+    [
+        (None, False),
+        (None, True),
+        (1, False),
+        (0, False),
+    ],  # a driven orbit is not symmetric about t = 0
 )
 @pytest.mark.parametrize("parameter", [False, True])
-def test_equations_have_the_derivatives_that_differences_show(grain: int | None, parameter: bool, reversible: bool):
+def test_equations_have_the_derivatives_that_differences_show(
+    grain: int | None, parameter: bool, reversible: bool
+):
     """By state, log(period) and a parameter, here gravity; of the constraints, too."""
     drive = None if grain is None else Drive(amplitude=0.2 * EPS, frequency=1 / PERIOD, grain=grain)
 
@@ -131,7 +159,9 @@ def test_equations_have_the_derivatives_that_differences_show(grain: int | None,
     assert again[1:] == pytest.approx((PERIOD, value), rel=1e-14)
     count = (1 if reversible else 2) * flow.size
     assert unknown.size == count + 1 + parameter
-    assert unknown[equations.period_at(unknown)] == pytest.approx(np.log(PERIOD / 1.7e-5), rel=1e-12)
+    assert unknown[equations.period_at(unknown)] == pytest.approx(
+        np.log(PERIOD / 1.7e-5), rel=1e-12
+    )
     residual, slopes = equations.linearised(point, steps)
     end = moved(flow.chain, *start, PERIOD / (2 if reversible else 1), drive)
     left = flow.canonical(*end)[1] if reversible else (flow.canonical(*end) - state).ravel()
@@ -140,10 +170,14 @@ def test_equations_have_the_derivatives_that_differences_show(grain: int | None,
     np.testing.assert_array_equal(residual[: closure.size], closure)
     for column in range(unknown.size):
         change = 1e-6 * (np.arange(unknown.size) == column)
-        ends = [equations.closure(equations.unpack(unknown + side * change), steps) for side in (1, -1)]
+        ends = [
+            equations.closure(equations.unpack(unknown + side * change), steps) for side in (1, -1)
+        ]
         slope = (ends[0] - ends[1]) / 2e-6
         assert np.abs(slopes[: closure.size, column] - slope).max() < 2e-8 * np.abs(slopes).max()
-    if not reversible and drive is None:  # the last row selects one state of the orbit: across the motion
+    if (
+        not reversible and drive is None
+    ):  # the last row selects one state of the orbit: across the motion
         across = np.concatenate((MASSES**0.5 * V / RATE, force(LOADED, U) / MASSES**0.5 / RATE**2))
         np.testing.assert_allclose(slopes[-1, :count], across / np.linalg.norm(across), rtol=1e-9)
         np.testing.assert_array_equal(slopes[-1, count:], 0.0)
@@ -163,7 +197,9 @@ def test_equations_have_the_derivatives_that_differences_show(grain: int | None,
             change = 1e-5 * (np.arange(unknown.size) == column)
             sides = [unknown + side * change for side in (1, -1)]
             ends = [constraint.of(side, equations.unpack(side))[0] for side in sides]
-            assert row[column] == pytest.approx((ends[0] - ends[1]) / 2e-5, abs=1e-8 * np.abs(row).max())
+            assert row[column] == pytest.approx(
+                (ends[0] - ends[1]) / 2e-5, abs=1e-8 * np.abs(row).max()
+            )
 
 
 def test_a_derivative_at_the_end_of_what_a_parameter_may_be_is_one_sided():
@@ -181,7 +217,9 @@ def test_a_derivative_at_the_end_of_what_a_parameter_may_be_is_one_sided():
         return value
 
     equations = Equations(below, False, 1.0, 2.0)
-    assert equations.by_value(point._replace(value=5.0), lambda x: 3 * x) == pytest.approx(6.0, rel=1e-6)
+    assert equations.by_value(point._replace(value=5.0), lambda x: 3 * x) == pytest.approx(
+        6.0, rel=1e-6
+    )
 
     def only(value: float) -> Any:
         if value != 5.0:

@@ -21,7 +21,9 @@ def test_the_highest_frequency_bounds_those_of_the_chain_at_its_stiffest():
     overlap = chain.contacts.overlap - np.diff(u, axis=1, prepend=0.0, append=0.0)
     stiffness = 1.5 * chain.contacts.constant * np.sqrt(np.maximum(overlap, 0.0)).max(0)
     bound = 2 * (stiffness[:-1] + stiffness[1:]) / masses
-    assert mesh.highest_frequency(Flow(chain, 1e6), u) == pytest.approx(np.sqrt(bound.max()), rel=1e-12)
+    assert mesh.highest_frequency(Flow(chain, 1e6), u) == pytest.approx(
+        np.sqrt(bound.max()), rel=1e-12
+    )
     driven = Flow(chain, 1e6, Drive(amplitude=1e-9, frequency=1e5))
     assert mesh.highest_frequency(driven, u) == pytest.approx(np.sqrt(bound[1:].max()), rel=1e-12)
 
@@ -145,6 +147,8 @@ def test_an_opening_near_the_begin_or_the_middle_counts_from_both_sides(time: fl
     every = np.array([near, 1 - near, -near, 1 + near])
     distance = np.abs(middles[:, None] - every).min(1)
     even = mesh.uniform(FLOW, period, rest)[0]
-    close = (distance > 2 * steps) & (0.35 * distance < 0.8 * even) & (0.35 * distance > 3e-4 / turns)
+    close = (
+        (distance > 2 * steps) & (0.35 * distance < 0.8 * even) & (0.35 * distance > 3e-4 / turns)
+    )
     assert close.sum() > 20
     np.testing.assert_allclose(steps[close], 0.35 * distance[close], rtol=0.05)

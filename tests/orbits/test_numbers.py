@@ -111,16 +111,24 @@ def test_an_unstable_direction_grows_by_its_multiplier():
     # x, M x and M^2 x of the real part of an eigenvector
     expected = 2 * growth.real * turned - np.abs(growth) ** 2 * x
     assert np.abs(one.monodromy @ turned - expected).max() < 1e-6 * np.abs(x).max()
-    away = simulate(one.scene(2, 3).replace(excitation=one.perturbed(1e-5)), "native", 1e-11).displacement
+    away = simulate(
+        one.scene(2, 3).replace(excitation=one.perturbed(1e-5)), "native", 1e-11
+    ).displacement
     away = away - one.displacement
     expected = 2 * growth.real * away[1] - np.abs(growth) ** 2 * away[0]
     assert away[2] == pytest.approx(expected, abs=1e-3 * np.abs(away).max())
     begun = one.perturbed(1e-3)
-    np.testing.assert_allclose(begun.displacement - one.displacement, 1e-3 * one.amplitude * u, rtol=1e-6)
+    np.testing.assert_allclose(
+        begun.displacement - one.displacement, 1e-3 * one.amplitude * u, rtol=1e-6
+    )
     speed = np.abs(v).max() * 1e-3 * one.amplitude
-    np.testing.assert_allclose(begun.velocity - one.velocity, 1e-3 * one.amplitude * v, rtol=1e-6, atol=1e-9 * speed)
+    np.testing.assert_allclose(
+        begun.velocity - one.velocity, 1e-3 * one.amplitude * v, rtol=1e-6, atol=1e-9 * speed
+    )
     for number in (0, count + 1):
-        with pytest.raises(InputError, match=f"^number: the orbit has {count} unstable directions: .* {number}$"):
+        with pytest.raises(
+            InputError, match=f"^number: the orbit has {count} unstable directions: .* {number}$"
+        ):
             one.direction(number)
     with pytest.raises(InputError, match=r"^number: the orbit is stable: there is no direction 1"):
         orbit().direction()
@@ -134,7 +142,9 @@ def test_a_linear_mode_has_the_strain_asked_for():
     assert np.abs(orbits.linear_mode(CHAIN, 2)[0] - u / 200).max() < 1e-12 * np.abs(u).max()
     k, m = CHAIN.linear_stiffness, CHAIN.masses[0]
     matrix = np.diag(np.append(0, k[:2]) + k) - np.diag(k[:2], 1) - np.diag(k[:2], -1)
-    assert 2 * np.pi / period == pytest.approx(np.sqrt(np.linalg.eigvalsh(matrix / m)[1]), rel=1e-10)
+    assert 2 * np.pi / period == pytest.approx(
+        np.sqrt(np.linalg.eigvalsh(matrix / m)[1]), rel=1e-10
+    )
     for mode in (0, 4, True, 1.0, "1"):
         with pytest.raises(InputError, match=r"^mode: must be a whole number from 1 to 3 \(got "):
             orbits.linear_mode(CHAIN, mode)  # type: ignore[arg-type]
@@ -177,10 +187,15 @@ def test_guesses_and_periods_that_are_none_are_refused(monkeypatch: pytest.Monke
             call()
         assert str(error.value).startswith(message)
     driven = orbits.find(loaded, drive=sine)
-    for parameter, hold, message in (("energy", "period", "parameter: energy is not"), ("gravity", "energy", "hold:")):
+    for parameter, hold, message in (
+        ("energy", "period", "parameter: energy is not"),
+        ("gravity", "energy", "hold:"),
+    ):
         with pytest.raises(InputError, match=f"^{message}"):
             orbits.follow(driven, parameter, 1.0, hold=hold)
-    monkeypatch.setattr("lmpchain.orbits.modes.follow", lambda *_, **__: SimpleNamespace(reached=False, ended="x"))
+    monkeypatch.setattr(
+        "lmpchain.orbits.modes.follow", lambda *_, **__: SimpleNamespace(reached=False, ended="x")
+    )
     with pytest.raises(RunFailed, match=r"^the family of mode 2 does not come to 1e-12 J: x"):
         orbits.normal_mode(CHAIN, 2, 1e-12)
 
@@ -190,7 +205,9 @@ def test_a_guess_is_taken_in_every_form_and_turns_of_the_drive_are_counted():
     profile = Profile(displacement=one.displacement, velocity=one.velocity)
     for guess in (profile, one, (one.displacement, one.velocity)):
         again = orbits.find(CHAIN, guess, one.period)
-        assert again.displacement == pytest.approx(one.displacement, rel=1e-9, abs=1e-9 * one.amplitude)
+        assert again.displacement == pytest.approx(
+            one.displacement, rel=1e-9, abs=1e-9 * one.amplitude
+        )
         assert again.reversible
     assert orbits.find(CHAIN, one).period == one.period
     loaded = Chain(grains=4, diameter=1e-3, gravity=0.0, top_load=1.0)
@@ -220,7 +237,11 @@ def test_a_light_grain_alone_has_the_amplitude_of_its_period():
 
         def slowness(angle: float) -> float:
             x = amplitude * np.sin(angle)
-            return amplitude * np.cos(angle) / np.sqrt(2 * (potential(amplitude) - potential(x)) / 1e-3)
+            return (
+                amplitude
+                * np.cos(angle)
+                / np.sqrt(2 * (potential(amplitude) - potential(x)) / 1e-3)
+            )
 
         opening = [np.arcsin(eps / amplitude)] if amplitude > eps else []
         ends = [0.0, *opening, np.pi / 2]
@@ -269,7 +290,9 @@ def test_an_orbit_beside_the_way_is_met_again():
         return solved
 
     def meets(known: list[float], shift: float = 0.0, error: float = 0.0) -> bool:
-        return closing.returns(solver(shift), equations, [Aspect(np.array(known), error)], here, there)
+        return closing.returns(
+            solver(shift), equations, [Aspect(np.array(known), error)], here, there
+        )
 
     on = [2.2, 0.0, 0.0, 2.0]
     assert meets(on)

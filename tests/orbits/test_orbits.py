@@ -29,7 +29,15 @@ def at_rest(chain: Chain, displacement: np.ndarray, period: float, **given: floa
 def dimer(grains: int = 43) -> Chain:
     """Masses 3 : 1 between walls, a light grain in the middle."""
     masses = np.where(np.arange(grains) % 2 == 0, 3e-3, 1e-3)
-    return Chain(grains=grains, diameter=1e-2, gravity=0.0, top_load=20.0, top="wall", bottom="wall", masses=masses)
+    return Chain(
+        grains=grains,
+        diameter=1e-2,
+        gravity=0.0,
+        top_load=20.0,
+        top="wall",
+        bottom="wall",
+        masses=masses,
+    )
 
 
 @cache
@@ -62,16 +70,26 @@ def test_the_tangent_map_is_that_of_the_native_engine_and_symplectic(load: float
     even = flow.run(flow.canonical(u, v), period, np.full(40, 1 / 40))
     scene = scene_of(chain, u, v, period)
     run = simulate(scene, engine=Native(integrator="kahan-li8", step=period / 40))
-    assert np.abs(run.displacement[-1] - even.displacement[-1]).max() < 1e-13 * np.abs(run.displacement).max()
+    assert (
+        np.abs(run.displacement[-1] - even.displacement[-1]).max()
+        < 1e-13 * np.abs(run.displacement).max()
+    )
 
 
 def scene_of(chain: Chain, u: np.ndarray, v: np.ndarray, duration: float):
-    return Scene(chain=chain, excitation=Profile(displacement=u, velocity=v), duration=duration, samples=2)
+    return Scene(
+        chain=chain, excitation=Profile(displacement=u, velocity=v), duration=duration, samples=2
+    )
 
 
 def pi_mode_period(chain: Chain, amplitude: float) -> float:
     """Neighbours in antiphase between rigid walls: one oscillator, by quadrature."""
-    m, k, eps, power = chain.masses[0], chain.contact_constants[0], chain.contacts.overlap[1], chain.exponent + 1
+    m, k, eps, power = (
+        chain.masses[0],
+        chain.contact_constants[0],
+        chain.contacts.overlap[1],
+        chain.exponent + 1,
+    )
 
     def potential(x: float) -> float:
         return k / (2 * power) * (max(eps + 2 * x, 0.0) ** power + max(eps - 2 * x, 0.0) ** power)
@@ -101,15 +119,30 @@ def test_pi_modes_match_quadrature_with_contacts_that_open(load: float, relative
 def test_a_grain_that_flies_far_between_short_contacts():
     """By quadrature; in flight for 30 times as long as it touches, it loses digits unless sums are compensated."""
     chain = Chain(grains=1, diameter=1e-3, bottom="wall")
-    m, k, eps, g = chain.masses[0], chain.wall_constants[1], chain.contacts.overlap[1], chain.gravity
+    m, k, eps, g = (
+        chain.masses[0],
+        chain.wall_constants[1],
+        chain.contacts.overlap[1],
+        chain.gravity,
+    )
     orbit = orbits.normal_mode(chain, 1, 3e3 * m * g * eps)
     touching = orbit.energy - 0.6 * m * g * eps  # kinetic, where it begins to
-    deepest = brentq(lambda o: touching + m * g * o - 0.4 * k * o**2.5, eps, 1e3 * eps, xtol=1e-16 * eps, rtol=1e-15)
+    deepest = brentq(
+        lambda o: touching + m * g * o - 0.4 * k * o**2.5,
+        eps,
+        1e3 * eps,
+        xtol=1e-16 * eps,
+        rtol=1e-15,
+    )
 
     def slowness(s: float) -> float:
         o = deepest * (1 - s**2)
         work = 0.4 * k * deepest**2.5 * -np.expm1(2.5 * np.log1p(-(s**2))) - m * g * deepest * s**2
-        return 2 * deepest * s / np.sqrt(2 * work / m) if o else 2 * deepest * s / np.sqrt(2 * touching / m)
+        return (
+            2 * deepest * s / np.sqrt(2 * work / m)
+            if o
+            else 2 * deepest * s / np.sqrt(2 * touching / m)
+        )
 
     contact, _ = quad(slowness, 1e-300, 1, epsabs=0, epsrel=1e-13, limit=200)
     assert orbit.period == pytest.approx(2 * (np.sqrt(2 * touching / m) / g + contact), rel=1e-11)
@@ -122,7 +155,9 @@ def test_a_gap_breather_returns_and_has_the_multipliers_of_extended_precision():
     assert orbit.error < 1e-11
     share = orbit.chain.masses * orbit.motion()[2].std(0) ** 2
     assert share[15:28].sum() > 0.75 * share.sum()  # it is localised
-    _, _, exact = tangent_map(orbit.chain, orbit.displacement, orbit.velocity, orbit.mesh * orbit.period, KAHAN_LI8)
+    _, _, exact = tangent_map(
+        orbit.chain, orbit.displacement, orbit.velocity, orbit.mesh * orbit.period, KAHAN_LI8
+    )
     scale = np.repeat([1.0, 1 / orbit.flow.rate], 43)
     eigenvalues = np.linalg.eigvals((scale[:, None] * exact / scale).astype(float))
     own = orbit.multipliers[:-2]
@@ -151,7 +186,9 @@ def test_frequencies_shift_with_the_energy_as_perturbation_theory_says(exponent:
         k * d * (d - 1) * (d - 2) / 6 * eps ** (d - 3) / m,
     )
     energy = 0.5 * m * w**2 * (eps * np.array([1e-2, 2e-2])) ** 2
-    shift = (9 * third * w**2 - 10 * second**2) / (24 * w**3) * 2 / (m * w**2)  # Landau and Lifshitz, section 28
+    shift = (
+        (9 * third * w**2 - 10 * second**2) / (24 * w**3) * 2 / (m * w**2)
+    )  # Landau and Lifshitz, section 28
     slope = [(2 * np.pi / orbits.normal_mode(chain, 1, e).period - w) / e for e in energy]
     assert (4 * slope[0] - slope[1]) / 3 == pytest.approx(shift, rel=1e-6)
 
@@ -218,7 +255,9 @@ def test_a_driven_orbit_runs_in_an_engine(top: str, grain: int):
 @pytest.mark.slow
 def test_a_driven_orbit_runs_in_lammps():
     chain = Chain(grains=12, diameter=1e-3, gravity=0.0, top_load=1.0, bottom="wall")
-    drive = Drive(amplitude=0.02 * chain.length_scale, frequency=0.3 * chain.band_edge / (2 * np.pi))
+    drive = Drive(
+        amplitude=0.02 * chain.length_scale, frequency=0.3 * chain.band_edge / (2 * np.pi)
+    )
     orbit = orbits.find(chain, drive=drive)
     run = simulate(orbit.scene(3, samples=4), "lammps", 1e-6)
     assert np.abs(run.displacement - orbit.displacement).max() < 1e-7 * orbit.amplitude
@@ -228,9 +267,14 @@ def test_what_cannot_be_is_said_in_one_line():
     vacuum = Chain(grains=5, diameter=1e-3, gravity=0.0, top="wall", bottom="wall")
     chain = Chain(grains=5, diameter=1e-3)
     small = orbits.normal_mode(chain, 1, 1e-20)
-    free, loaded = (Chain(grains=5, diameter=1e-3, gravity=0.0, top_load=load) for load in (0.0, 1.0))
+    free, loaded = (
+        Chain(grains=5, diameter=1e-3, gravity=0.0, top_load=load) for load in (0.0, 1.0)
+    )
     long = Profile(displacement=np.ones(6))
-    burst, other = Drive(times=[0, 1], displacement=[0, 1e-9]), Drive(amplitude=1e-9, frequency=1.5e4)
+    burst, other = (
+        Drive(times=[0, 1], displacement=[0, 1e-9]),
+        Drive(amplitude=1e-9, frequency=1.5e4),
+    )
     wrong = {
         "chain: carries no force at rest": lambda: orbits.normal_mode(vacuum, 1, 1e-9),
         "chain: flies apart": lambda: at_rest(free, np.array([1e-9, 0, 0, 0, 0]), 1e-4),

@@ -54,12 +54,19 @@ def test_a_family_that_is_cut_short_says_where():
     assert sizes == pytest.approx([1.0, 1.2, 1.6], rel=1e-4)
     energy, period = family.energy[-1], family.period[-1]
     assert family.ended == f"its first 3 orbits end at energy {energy:.6g} (period {period:.6g} s)"
-    heavier = orbits.follow(small(), lambda m: CHAIN.replace(masses=m * CHAIN.masses), 2.0, start=1.0, points=1)
-    assert heavier.ended == f"its first 1 orbits end at the parameter 1 (period {small().period:.6g} s)"
+    heavier = orbits.follow(
+        small(), lambda m: CHAIN.replace(masses=m * CHAIN.masses), 2.0, start=1.0, points=1
+    )
+    assert (
+        heavier.ended
+        == f"its first 1 orbits end at the parameter 1 (period {small().period:.6g} s)"
+    )
     assert heavier.parameter == "parameter"
 
 
-@pytest.mark.parametrize("name", ["masses[2]", "diameter[3]", "contact_constants[1]", "top_load", "gravity"])
+@pytest.mark.parametrize(
+    "name", ["masses[2]", "diameter[3]", "contact_constants[1]", "top_load", "gravity"]
+)
 def test_the_linear_mode_follows_what_changes(name: str):
     """At the energy that is held; the period is that of the eigenvalue of masses and springs."""
     key = name.partition("[")[0]
@@ -71,7 +78,11 @@ def test_the_linear_mode_follows_what_changes(name: str):
     chain = CHAIN.replace(**given)
     u, period = orbits.linear_mode(chain, 2, 1e-6)
     orbit = orbits.find(chain, (u, 0 * u), period, energy=float(chain.excess_energy(u, 0 * u)))
-    values = {"masses": chain.masses, "diameter": chain.diameters, "contact_constants": chain.contact_constants}
+    values = {
+        "masses": chain.masses,
+        "diameter": chain.diameters,
+        "contact_constants": chain.contact_constants,
+    }
     place = int(name[-2]) - 1 if "[" in name else 0
     start = float(values[key][place]) if key in values else float(getattr(chain, key))
     family = orbits.follow(orbit, name, 1.3 * start, hold="energy", events=False)
@@ -80,8 +91,12 @@ def test_the_linear_mode_follows_what_changes(name: str):
     assert family.energy == pytest.approx(np.full(len(family), orbit.energy), rel=1e-9)
     end = family[-1].chain
     k, m = end.linear_stiffness, end.masses[:3]
-    matrix = (np.diag(np.append(0, k[:2]) + k) - np.diag(k[:2], 1) - np.diag(k[:2], -1)) / np.sqrt(np.outer(m, m))
-    assert 2 * np.pi / family[-1].period == pytest.approx(np.sqrt(np.linalg.eigvalsh(matrix)[1]), rel=1e-8)
+    matrix = (np.diag(np.append(0, k[:2]) + k) - np.diag(k[:2], 1) - np.diag(k[:2], -1)) / np.sqrt(
+        np.outer(m, m)
+    )
+    assert 2 * np.pi / family[-1].period == pytest.approx(
+        np.sqrt(np.linalg.eigvalsh(matrix)[1]), rel=1e-8
+    )
     changed = {"diameter": end.diameters}.get(key, getattr(end, key))
     assert np.atleast_1d(changed)[place] == pytest.approx(1.3 * start, rel=1e-10)
 

@@ -36,7 +36,12 @@ KNOWN = {
         "Eq. (6) at tau 12": (66, 0.5),
         "Eq. (19), largest": (0, 2e-7),
     },
-    "fig3": {"a, native": (0, 1e-12), "b, native": (0, 1e-12), "a, lammps": (0, 1e-6), "b, lammps": (0, 1e-6)},
+    "fig3": {
+        "a, native": (0, 1e-12),
+        "b, native": (0, 1e-12),
+        "a, lammps": (0, 1e-6),
+        "b, lammps": (0, 1e-6),
+    },
     "fig4": {
         "a, native": (0, 1e-9),
         "b, native": (0, 1e-9),
@@ -63,7 +68,10 @@ KNOWN = {
         "Eq. (22), m = 10000": (-0.3604, 5e-5),
         "ordered, largest velocity": (0.364, 5e-4),
     },
-    "fig7": {"Eq. (22) at tau 15, m = 1": (0.1523, 5e-5), "Eq. (22), native and Eq. (19) differ by": (0, 1e-7)},
+    "fig7": {
+        "Eq. (22) at tau 15, m = 1": (0.1523, 5e-5),
+        "Eq. (22), native and Eq. (19) differ by": (0, 1e-7),
+    },
     "fig8": {
         "outgoing mode": (0.2, 0.1),
         "mode as printed": (190, 15),
@@ -79,7 +87,10 @@ KNOWN = {
     },
     "transport": {
         "fitted exponent of the peak velocity, Hertz": (4 / 15, 0.01),
-        "peak velocity at the deepest grain, delta = 1.5": (0.931767 * 200 ** (-4 / 15) * 0.942, 0.002),
+        "peak velocity at the deepest grain, delta = 1.5": (
+            0.931767 * 200 ** (-4 / 15) * 0.942,
+            0.002,
+        ),
         "peak velocity at the deepest grain, delta = 1": (1.071313 * 200 ** (-1 / 3), 0.006),
     },
     "crossover": {
@@ -124,7 +135,9 @@ Command = Callable[..., str]
 
 
 @pytest.fixture
-def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
+def command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Command:
     """Return what runs a script in this process, which has loaded what was compiled, and returns what it prints."""
     monkeypatch.chdir(tmp_path)
 
@@ -144,7 +157,9 @@ def numbers(command: Command, script: str, *words: str) -> dict[str, float]:
         said = command(script, *words, "-o", "picture.png")
     assert [w for w in warned if not issubclass(w.category, DeprecationWarning)] == []
     assert Path("picture.png").read_bytes()[:4] == b"\x89PNG"
-    lines = (line.rpartition(": ") for line in said.splitlines() if not line.startswith("picture: "))
+    lines = (
+        line.rpartition(": ") for line in said.splitlines() if not line.startswith("picture: ")
+    )
     return {label: float(number.split()[0]) for label, _, number in lines}
 
 
@@ -167,12 +182,16 @@ def test_figure(script: str, command: Command):
 def test_every_script_has_its_picture_on_the_page():
     page = (ANALYSIS / "README.md").read_text(encoding="utf-8")
     shown = set(re.findall(r"\]\(pictures/(\w+)\.png\)", page))
-    drawn = {path.stem for path in (ANALYSIS / "pictures").glob("*.png")} - {"compare"}  # which the README shows
+    drawn = {path.stem for path in (ANALYSIS / "pictures").glob("*.png")} - {
+        "compare"
+    }  # which the README shows
     assert shown == drawn
     assert drawn > set(KNOWN) | {"scaling"}
     for name in shown:
         assert (ANALYSIS / "pictures" / f"{name}.png").stat().st_size < 500_000
-        assert (ANALYSIS / f"{name}.py").is_file() or name.startswith(("work_precision_", "stability_"))
+        assert (ANALYSIS / f"{name}.py").is_file() or name.startswith(
+            ("work_precision_", "stability_")
+        )
 
 
 # script: {printed label: the words of the page in which it stands, rounded}
@@ -183,7 +202,10 @@ CAPTIONS = {
         "LAMMPS and native differ by": "which agree to {:.0e}",
     },
     "fig2": {"Eq. (6) at tau 5": "{:.0f} % at 5", "Eq. (6) at tau 10": "and {:.0f} % at 10"},
-    "fig3": {"a, native": "hold to {:.0e} against the native", "a, lammps": "and to {:.0e} against LAMMPS"},
+    "fig3": {
+        "a, native": "hold to {:.0e} against the native",
+        "a, lammps": "and to {:.0e} against LAMMPS",
+    },
     "fig4": {"Eq. (20) as printed": "is {:.0f} % off here", "a, native": "to {:.0e}, which is"},
     "fig5": {
         "linear theory at 10 g": "It is {:.0f} % off at 10 g",
@@ -191,7 +213,10 @@ CAPTIONS = {
         "peak at g, Eq. (1)": "{:.1f} and 17.7",
         "peak at g / 10, linear": "and {:.1f}. No wonder",
     },
-    "fig6": {"Eq. (22), m = 10000": "{:.3f} for m = 1", "ordered, largest velocity": "and {:.3f} without disorder"},
+    "fig6": {
+        "Eq. (22), m = 10000": "{:.3f} for m = 1",
+        "ordered, largest velocity": "and {:.3f} without disorder",
+    },
     "fig8": {
         "mode as printed": "{:.0f} % off the solution",
         "outgoing mode": "{:.2f} % off. The amplitude",
@@ -260,9 +285,13 @@ def test_every_picture_says_which_commit_and_command_drew_it():
         with Image.open(path) as picture:
             assert picture.mode in ("RGB", "RGBA"), "no palette"
             commit, command = picture.info["Commit"], picture.info["Command"]
-        assert re.fullmatch(r"[0-9a-f]{40}", commit), f"{path.stem}: draw it with all changes committed"
+        assert re.fullmatch(r"[0-9a-f]{40}", commit), (
+            f"{path.stem}: draw it with all changes committed"
+        )
         assert (ANALYSIS.parent / command.split()[1]).is_file(), path.stem
-        assert whole_history() is None or commit in whole_history(), f"{path.stem}: drawn by a commit that is gone"
+        assert whole_history() is None or commit in whole_history(), (
+            f"{path.stem}: drawn by a commit that is gone"
+        )
 
 
 @cache
@@ -270,7 +299,9 @@ def whole_history() -> set[str] | None:
     """Return the commits that led to this one; None outside a repository and in a shallow clone."""
 
     def git(*words: str) -> str:
-        return subprocess.run(["git", *words], cwd=ANALYSIS, capture_output=True, text=True, check=False).stdout
+        return subprocess.run(
+            ["git", *words], cwd=ANALYSIS, capture_output=True, text=True, check=False
+        ).stdout
 
     whole = git("rev-parse", "--is-shallow-repository").strip() == "false"
     return set(git("rev-list", "HEAD").split()) if whole else None
@@ -293,15 +324,23 @@ MAPS = sorted(path.stem for path in (ANALYSIS / "maps").glob("[a-z]*.py"))
 def test_maps_of_where_methods_fail(name: str, tmp_path: Path, command: Command):
     command("stability_map", name, "--quick", "-o", tmp_path)
     assert (tmp_path / f"stability_{name}.png").stat().st_size > 10_000
-    kept = json.loads((ANALYSIS / "pictures" / f"stability_{name}.json").read_text(encoding="utf-8"))
-    assert json.loads((tmp_path / f"stability_{name}.json").read_text(encoding="utf-8")).keys() == kept.keys()
+    kept = json.loads(
+        (ANALYSIS / "pictures" / f"stability_{name}.json").read_text(encoding="utf-8")
+    )
+    assert (
+        json.loads((tmp_path / f"stability_{name}.json").read_text(encoding="utf-8")).keys()
+        == kept.keys()
+    )
 
 
 @pytest.mark.slow
 def test_scaling(tmp_path: Path):
     picture = tmp_path / "scaling.png"
     done = subprocess.run(
-        [sys.executable, ANALYSIS / "scaling.py", "--quick", "-o", picture], capture_output=True, text=True, check=False
+        [sys.executable, ANALYSIS / "scaling.py", "--quick", "-o", picture],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
     assert picture.read_bytes()[:4] == b"\x89PNG"
@@ -318,7 +357,9 @@ def test_the_page_names_tests_that_exist():
     named = re.findall(r"`(tests/[\w/]+\.py)::(\w+)(?:\[\w+\])?`", page)
     assert len(named) > 15
     for file, test in named:
-        assert f"def {test}(" in (ANALYSIS.parent / file).read_text(encoding="utf-8"), f"{file}::{test}"
+        assert f"def {test}(" in (ANALYSIS.parent / file).read_text(encoding="utf-8"), (
+            f"{file}::{test}"
+        )
 
 
 def test_eq_7_does_not_approximate_eq_3():

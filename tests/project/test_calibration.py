@@ -35,9 +35,18 @@ SHOWN = {
     ],
     "long_steps": ["FAR", "SMALL", "LOST_BETWEEN"],
     "linear_openings": ["GRAZES", "FEW (waves)"],
-    "opening_error_factor": ["SAFE_STRAIN", "LONGEST_STEP"],  # of OPENING_ERROR and the rest quick runs say nothing
+    "opening_error_factor": [
+        "SAFE_STRAIN",
+        "LONGEST_STEP",
+    ],  # of OPENING_ERROR and the rest quick runs say nothing
     "predictability": ["OPENING", "FLYING", "FEW", "reflection_time: 0.907470, 0.681632"],
-    "richardson_estimate": ["SAFETY", "ORDER_AT_OPENINGS", "ORDER_AT_KINKS", "CLOSE_TO_OPENING", "FEWEST"],
+    "richardson_estimate": [
+        "SAFETY",
+        "ORDER_AT_OPENINGS",
+        "ORDER_AT_KINKS",
+        "CLOSE_TO_OPENING",
+        "FEWEST",
+    ],
     "returning_waves": ["COMES_BACK", "NEARBY", "NEARBY_AT_KINKS"],
     "roundoff": [
         *("native_floor", "DISPLACED", "PLAIN", "STRONG", "dop853.spread"),
@@ -45,20 +54,31 @@ SHOWN = {
     ],
     "stability_limits": ["TRUSTED", "SAFE_STRAIN (pre_run)", "limit: verlet"],
     "transfer_matrices": ["WARM_UP"],
-    "step_refinement": ["refine: 0.7 (aim)", "refine: 16 (most)", "refine: 1.3 (least)", "refine: 2 (least, erratic)"],
+    "step_refinement": [
+        "refine: 0.7 (aim)",
+        "refine: 16 (most)",
+        "refine: 1.3 (least)",
+        "refine: 2 (least, erratic)",
+    ],
 }
 
 
 def claimed(script: str) -> list[str]:
     """Return the constants that the README says a script prints."""
     rows = re.findall(
-        rf"^\| (.+?) \| .* \| {script} \|", (FOLDER / "README.md").read_text(encoding="utf-8"), re.MULTILINE
+        rf"^\| (.+?) \| .* \| {script} \|",
+        (FOLDER / "README.md").read_text(encoding="utf-8"),
+        re.MULTILINE,
     )
     return [row.strip("`") for row in rows]
 
 
 @pytest.mark.parametrize(
-    "script", [pytest.param(name, marks=pytest.mark.soak if name in LONG else pytest.mark.slow) for name in SCRIPTS]
+    "script",
+    [
+        pytest.param(name, marks=pytest.mark.soak if name in LONG else pytest.mark.slow)
+        for name in SCRIPTS
+    ],
 )
 def test_script_prints_what_it_claims(script, monkeypatch):
     monkeypatch.syspath_prepend(str(FOLDER))
@@ -81,7 +101,9 @@ def test_scripts_named_in_comments_exist():
     named = {
         script
         for path in (ROOT / "lmpchain").rglob("*.py")
-        for script in re.findall(r"analysis/calibration/(\w+)\.py", path.read_text(encoding="utf-8"))
+        for script in re.findall(
+            r"analysis/calibration/(\w+)\.py", path.read_text(encoding="utf-8")
+        )
     }
     assert named
     assert named <= set(SCRIPTS)

@@ -23,7 +23,23 @@ from lmpchain.simulation.run_folder import status
 from lmpchain.sweeps.file import read as read_sweep
 
 MEMORY = 500_000  # kB more than before
-HOSTILE = [None, True, -1, 0, 1, 3.5, 2**31, -(2**64), 1e308, 5e-324, float("nan"), float("inf"), "", "x" * 300, "NaN"]
+HOSTILE = [
+    None,
+    True,
+    -1,
+    0,
+    1,
+    3.5,
+    2**31,
+    -(2**64),
+    1e308,
+    5e-324,
+    float("nan"),
+    float("inf"),
+    "",
+    "x" * 300,
+    "NaN",
+]
 HOSTILE += [
     [],
     {},
@@ -54,7 +70,11 @@ SWEEP: dict[str, Any] = {
     "engine": "native",
     "keep": ["velocity"],
     "grid": {"chain.gravity": [1.0, 2.0]},
-    "random": {"draws": 2, "seed": 1, "chain": {"top_load": {"low": 1.0, "high": 2.0, "log": True}}},
+    "random": {
+        "draws": 2,
+        "seed": 1,
+        "chain": {"top_load": {"low": 1.0, "high": 2.0, "log": True}},
+    },
 }
 
 
@@ -202,11 +222,18 @@ def test_checkpoints_and_tasks_with_the_right_hash(originals: Path, tmp_path: Pa
             else:
                 name = turn.choice([name for name in arrays if name != "notes"])
                 arrays[name] = turn.choice(
-                    [np.atleast_1d(arrays[name])[..., :1], arrays[name].astype("f4"), np.zeros(0), np.array("a")]
+                    [
+                        np.atleast_1d(arrays[name])[..., :1],
+                        arrays[name].astype("f4"),
+                        np.zeros(0),
+                        np.array("a"),
+                    ]
                 )
             packed = io.BytesIO()
             np.savez(packed, **arrays)
-            (run / "checkpoint").write_bytes(hashlib.sha256(packed.getvalue()).digest() + packed.getvalue())
+            (run / "checkpoint").write_bytes(
+                hashlib.sha256(packed.getvalue()).digest() + packed.getvalue()
+            )
             (run / "checkpoint-before").unlink(missing_ok=True)
         resume(run)
 

@@ -44,6 +44,10 @@ def test_statements_are_dropped(statement: str):
     assert mutants.mutate(ast.parse(statement).body[0]) == "pass"
 
 
-@pytest.mark.parametrize("statement", ["'''What it does.'''", "def f(a: 3) -> 4: pass", "a = f'{1}'", "a = b"])
+@pytest.mark.parametrize(
+    "statement", ["'''What it does.'''", "def f(a: 3) -> 4: pass", "a = f'{1}'", "a = b"]
+)
 def test_nothing_else_is_changed(statement: str):
-    assert not [node for node in mutants.walk(ast.parse(statement)) if mutants.mutate(node) is not None]
+    assert not [
+        node for node in mutants.walk(ast.parse(statement)) if mutants.mutate(node) is not None
+    ]

@@ -30,13 +30,17 @@ def peer():
 def short(velocity: float, grains: int = 12) -> lmpchain.Scene:
     """Return a column struck for so short that the wave stays near the top."""
     chain = lmpchain.Chain(grains=grains, material="glass", diameter=1e-3)
-    return lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=velocity), duration=20e-6, samples=2)
+    return lmpchain.Scene(
+        chain=chain, excitation=lmpchain.Impulse(velocity=velocity), duration=20e-6, samples=2
+    )
 
 
 def truth(scene: lmpchain.Scene) -> Reference:
     """Return an answer that shares nothing with the peers but Eq. (1)."""
     u, v, error = extended_reference(scene)
-    return Reference(scene.time, u, v, error, "Stoermer's rule, extrapolated, in extended precision")
+    return Reference(
+        scene.time, u, v, error, "Stoermer's rule, extrapolated, in extended precision"
+    )
 
 
 @pytest.mark.parametrize(("velocity", "within"), [(1e-9, 1e-11), (8.57e-4, 1e-11), (8.57e-3, 1e-9)])
@@ -44,7 +48,10 @@ def test_scipy_finds_the_truth_of_weak_and_of_opening_contacts(peer, velocity, w
     problem = peer("problem").Problem(short(velocity))
     known = truth(problem.scene)
     for code in peer("with_scipy").codes(problem):
-        errors = [peer("problem").error(code.solve(problem, tolerance), known) for tolerance in (1e-4, 1e-15)]
+        errors = [
+            peer("problem").error(code.solve(problem, tolerance), known)
+            for tolerance in (1e-4, 1e-15)
+        ]
         assert errors[1] < within < errors[0] < 0.1, code.name
         assert 20 < code.solve(problem, 1e-4).force_evaluations < 1000
 
@@ -73,7 +80,11 @@ def test_the_table_gives_the_least_time_to_each_error(peer):
     def row(code: str, error: float, seconds: float) -> dict[str, object]:
         return {"code": code, "error": error, "seconds": seconds, "whole_s": 3 * seconds}
 
-    native = [row("native rkn6", 1e-4, 1e-5), row("native rkn6", 5e-7, 4e-5), row(run.TO_TOLERANCE, 1e-7, 1e-4)]
+    native = [
+        row("native rkn6", 1e-4, 1e-5),
+        row("native rkn6", 5e-7, 4e-5),
+        row(run.TO_TOLERANCE, 1e-7, 1e-4),
+    ]
     others = [
         row("one", 1e-3, 2e-4),
         row("one", 1e-6, 8e-4),
@@ -100,7 +111,9 @@ def test_a_code_that_fails_leaves_a_gap(peer, capsys):
         return code.solve(given, tolerance)
 
     rows = peer("run").scan(
-        replace(code, parameters=[1e-4, 1e-5, 1e-6], solve=fails_once), problem, truth(problem.scene)
+        replace(code, parameters=[1e-4, 1e-5, 1e-6], solve=fails_once),
+        problem,
+        truth(problem.scene),
     )
     assert [row["parameter"] for row in rows] == [1e-4, 1e-6]
     assert rows[1]["error"] < rows[0]["error"]
@@ -108,12 +121,16 @@ def test_a_code_that_fails_leaves_a_gap(peer, capsys):
     assert "1 failed, the last one: it gave up" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("change", [{"exponent": 1.0}, {"gravity": 0.0, "top_load": 1.0}, {"bottom": "wall"}])
+@pytest.mark.parametrize(
+    "change", [{"exponent": 1.0}, {"gravity": 0.0, "top_load": 1.0}, {"bottom": "wall"}]
+)
 def test_what_the_peers_cannot_do_is_refused(peer, change):
     scene = paper("weak")
     chain = lmpchain.Chain(**{"grains": 5, "diameter": 1e-3, **change})
     with pytest.raises(lmpchain.InputError, match="here"):
-        peer("problem").Problem(lmpchain.Scene(chain=chain, excitation=scene.excitation, duration=1e-5))
+        peer("problem").Problem(
+            lmpchain.Scene(chain=chain, excitation=scene.excitation, duration=1e-5)
+        )
 
 
 def test_the_compiled_rate_is_that_of_the_chain_at_small_amplitudes(peer):

@@ -39,7 +39,16 @@ def test_quick_start_is_two_command_lines_and_ci_runs_the_second():
     assert re.findall(r"^```sh$", README, re.MULTILINE) == ["```sh"] * 2
     ci = (ROOT / ".ci" / "run").read_text()
     shown = subprocess.run(
-        ["bash", "-c", re.sub(r"^eval |^(?=\.venv)", "echo ", ci.replace('cd "$(dirname "$0")/.."', ""), flags=re.M)],
+        [
+            "bash",
+            "-c",
+            re.sub(
+                r"^eval |^(?=\.venv)",
+                "echo ",
+                ci.replace('cd "$(dirname "$0")/.."', ""),
+                flags=re.M,
+            ),
+        ],
         cwd=ROOT,
         capture_output=True,
         text=True,
@@ -59,10 +68,23 @@ def test_readme_examples(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_built_wheel_works_in_another_folder(tmp_path):
-    python("-m", "build", "--wheel", "--no-isolation", "--outdir", str(tmp_path / "dist"), str(ROOT))
+    python(
+        "-m", "build", "--wheel", "--no-isolation", "--outdir", str(tmp_path / "dist"), str(ROOT)
+    )
     (wheel,) = (tmp_path / "dist").glob("*.whl")
-    python("-m", "pip", "install", "--quiet", "--no-deps", "--target", str(tmp_path / "site"), str(wheel))
-    for kept in (ROOT / "lmpchain").rglob("*.nb[ic]"):  # compiled code serves where the source has the same time
+    python(
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--no-deps",
+        "--target",
+        str(tmp_path / "site"),
+        str(wheel),
+    )
+    for kept in (ROOT / "lmpchain").rglob(
+        "*.nb[ic]"
+    ):  # compiled code serves where the source has the same time
         shutil.copy2(kept, tmp_path / "site" / kept.relative_to(ROOT))
     for source in (ROOT / "lmpchain").rglob("*.py"):
         shutil.copystat(source, tmp_path / "site" / source.relative_to(ROOT))
@@ -84,7 +106,10 @@ print(lmpchain.__file__)
 
 
 def test_shipped_scenes():
-    scenes = {path.stem: lmpchain.Scene.from_toml(path) for path in (ROOT / "analysis" / "scenes").glob("*.toml")}
+    scenes = {
+        path.stem: lmpchain.Scene.from_toml(path)
+        for path in (ROOT / "analysis" / "scenes").glob("*.toml")
+    }
     numbers = {name: scene.strike_number for name, scene in scenes.items()}
     stated = {"fig1": 84.8, "fig5_10g": 1.24, "fig5_1g": 8.48, "fig5_0.1g": 57.8, "weak": 0.00989}
     assert numbers == pytest.approx(stated | {"ten_thousand": 8.48, "vacuum": np.inf}, rel=5e-3)
@@ -96,6 +121,8 @@ def test_versions_agree():
     assert f"\n## {version} " in (ROOT / "CHANGELOG.md").read_text()
 
 
-@pytest.mark.parametrize("tool", ["ruff check", "ruff format --check", pytest.param("mypy", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "tool", ["ruff check", "ruff format --check", pytest.param("mypy", marks=pytest.mark.slow)]
+)
 def test_code_is_clean(tool):
     python("-m", *tool.split(), cwd=ROOT)

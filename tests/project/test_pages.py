@@ -32,7 +32,12 @@ DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.glob("*.md"))
 GALLERY = sorted((DOCS / "gallery").glob("plot_*.py"))
 NAMES = [page.stem for page in PAGES]
-SHORT = Scene(chain=Chain(grains=20, diameter=1e-3), excitation=Impulse(velocity=1e-5), duration=4e-5, samples=61)
+SHORT = Scene(
+    chain=Chain(grains=20, diameter=1e-3),
+    excitation=Impulse(velocity=1e-5),
+    duration=4e-5,
+    samples=61,
+)
 
 
 def blocks(page: str, language: str) -> list[str]:
@@ -50,23 +55,33 @@ def places(page: Path) -> set[str]:
     return {re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in titles}
 
 
-@pytest.mark.parametrize("page", [ROOT / "README.md", ROOT / "analysis" / "README.md", *PAGES], ids=lambda p: p.stem)
+@pytest.mark.parametrize(
+    "page", [ROOT / "README.md", ROOT / "analysis" / "README.md", *PAGES], ids=lambda p: p.stem
+)
 def test_links_lead_somewhere(page: Path):
-    text = re.sub(r"^```\w.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    text = re.sub(
+        r"^```\w.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE
+    )
     for link in re.findall(r"\]\(([^)\s]+)\)", text):
         name, _, place = link.partition("#")
         if "://" in name:
             continue
         target = page.parent / name if name else page
         if "measurements/" in name:  # made from the gallery
-            target = DOCS / "gallery" / Path(name).with_suffix(".py").name.replace("index.py", "GALLERY_HEADER.rst")
+            target = (
+                DOCS
+                / "gallery"
+                / Path(name).with_suffix(".py").name.replace("index.py", "GALLERY_HEADER.rst")
+            )
         assert target.exists(), link
         assert not place or place in places(target), link
 
 
 def test_every_page_is_in_the_contents():
     index = (DOCS / "index.md").read_text(encoding="utf-8")
-    listed = "\n".join(re.findall(r"```{toctree}\n(.*?)^```$", index, re.DOTALL | re.MULTILINE)).split()
+    listed = "\n".join(
+        re.findall(r"```{toctree}\n(.*?)^```$", index, re.DOTALL | re.MULTILINE)
+    ).split()
     assert {*NAMES, "measurements/index"} - {"index"} <= set(listed)
 
 
@@ -91,10 +106,14 @@ def listed_names() -> list[str]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", [name for name in NAMES if "\n>>> " in (DOCS / f"{name}.md").read_text()])
+@pytest.mark.parametrize(
+    "page", [name for name in NAMES if "\n>>> " in (DOCS / f"{name}.md").read_text()]
+)
 def test_examples(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.chdir(tmp_path)
-    results = doctest.testfile(str(DOCS / f"{page}.md"), module_relative=False, optionflags=doctest.ELLIPSIS)
+    results = doctest.testfile(
+        str(DOCS / f"{page}.md"), module_relative=False, optionflags=doctest.ELLIPSIS
+    )
     assert results.attempted > 0
     assert results.failed == 0
 
@@ -105,7 +124,16 @@ def test_no_block_is_left_out():
         text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
         assert "+SKIP" not in text
         kinds = set(re.findall(r"^```(\S+)", text, re.MULTILINE))
-        assert kinds <= {"python", "sh", "toml", "text", "{code-cell}", "{eval-rst}", "{include}", "{toctree}"}, page
+        assert kinds <= {
+            "python",
+            "sh",
+            "toml",
+            "text",
+            "{code-cell}",
+            "{eval-rst}",
+            "{include}",
+            "{toctree}",
+        }, page
         loose = [block for block in blocks(page, "python") if ">>> " not in block]
         assert len(loose) == (page == "lammps"), page  # which test_the_page_reads_a_dump runs
         assert bool(blocks(page, "toml")) == (page in ("scenes", "production"))
@@ -116,13 +144,17 @@ def test_the_page_reads_a_dump(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1e-5, samples=5)
     write_deck(scene, tmp_path, step=1e-7)
     monkeypatch.chdir(tmp_path)
-    subprocess.run([Path(sys.executable).with_name("lmp"), "-in", "in.column"], check=True, capture_output=True)
+    subprocess.run(
+        [Path(sys.executable).with_name("lmp"), "-in", "in.column"], check=True, capture_output=True
+    )
     (example,) = (block for block in blocks("lammps", "python") if "MDAnalysis." in block)
     names: dict = {}
     exec(example, names)
     t = simulate(scene, "native", tolerance=1e-9)
     assert names["displacement"].shape == (5, 10)
-    assert np.abs(names["displacement"] - t.displacement).max() < 1e-2 * np.abs(t.displacement).max()
+    assert (
+        np.abs(names["displacement"] - t.displacement).max() < 1e-2 * np.abs(t.displacement).max()
+    )
 
 
 def test_scene_files_of_the_page(tmp_path: Path):
@@ -134,8 +166,12 @@ def test_scene_files_of_the_page(tmp_path: Path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", [name for name in NAMES if blocks(name, "sh") and name != "production"])
-def test_commands(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+@pytest.mark.parametrize(
+    "page", [name for name in NAMES if blocks(name, "sh") and name != "production"]
+)
+def test_commands(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
     """Those of the page on production are in `test_production_page`."""
     monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}:{os.environ['PATH']}")
     monkeypatch.chdir(tmp_path)
@@ -150,7 +186,11 @@ def test_commands(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ca
             fault = capsys.readouterr().err
         else:
             done = subprocess.run(
-                ["bash", "-c", command], capture_output=True, text=True, check=False, timeout=PATIENCE
+                ["bash", "-c", command],
+                capture_output=True,
+                text=True,
+                check=False,
+                timeout=PATIENCE,
             )
             code, fault = done.returncode, done.stderr
         assert code == wanted, f"{line}\n{fault}"
@@ -170,7 +210,9 @@ def classes_that_plot() -> list[type]:
         tree = ast.parse(path.read_text(encoding="utf-8"))
         module = ".".join(path.relative_to(ROOT).with_suffix("").parts)
         for node in tree.body:
-            if isinstance(node, ast.ClassDef) and "plot" in (getattr(part, "name", "") for part in node.body):
+            if isinstance(node, ast.ClassDef) and "plot" in (
+                getattr(part, "name", "") for part in node.body
+            ):
                 found.append(getattr(importlib.import_module(module), node.name))
     return found
 
@@ -203,7 +245,9 @@ def test_the_gallery_draws_every_plot(monkeypatch: pytest.MonkeyPatch):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
-def test_the_tutorial_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+def test_the_tutorial_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
     monkeypatch.setenv("MPLBACKEND", "agg")
     monkeypatch.chdir(tmp_path)
     names: dict = {}
@@ -225,7 +269,11 @@ def test_the_command_opens_the_pages(
     assert "sphinx-build" in capsys.readouterr().err
     (tmp_path / "docs" / "build" / "index.html").touch()
     assert main(["docs"]) == 0
-    assert opened == [(tmp_path / "docs" / "build" / "index.html").as_uri()] == capsys.readouterr().out.split()
+    assert (
+        opened
+        == [(tmp_path / "docs" / "build" / "index.html").as_uri()]
+        == capsys.readouterr().out.split()
+    )
 
 
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
@@ -240,19 +288,28 @@ def test_times_of_native_on_the_page_on_speed(number: int, scene: str):
     fixed = [row for row in kept if re.fullmatch(r"native [\w-]+", row["code"])]
     chosen = {
         "the best integrator at a fixed step": fixed,
-        "to a tolerance, without its error estimate": [r for r in kept if r["code"].endswith("integration alone")],
-        "to a tolerance, with its error estimate": [r for r in kept if r["code"].endswith("with estimate")],
+        "to a tolerance, without its error estimate": [
+            r for r in kept if r["code"].endswith("integration alone")
+        ],
+        "to a tolerance, with its error estimate": [
+            r for r in kept if r["code"].endswith("with estimate")
+        ],
     }
     for label, rows in chosen.items():
         (line,) = re.findall(rf"^\| native,? {label} \| (.*) \|$", table, re.MULTILINE)
-        best = [min((1e3 * r["seconds"] for r in rows if r["error"] <= target), default=None) for target in TARGETS]
+        best = [
+            min((1e3 * r["seconds"] for r in rows if r["error"] <= target), default=None)
+            for target in TARGETS
+        ]
         assert line.split(" | ") == ["never" if x is None else f"{x:.3g}" for x in best], label
 
 
 def test_times_in_the_readme_are_those_of_the_page():
     page = (DOCS / "speed.md").read_text(encoding="utf-8").splitlines()
     rows = re.findall(
-        r"^\| (?:native|LAMMPS),? .*\d.*$", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE
+        r"^\| (?:native|LAMMPS),? .*\d.*$",
+        (ROOT / "README.md").read_text(encoding="utf-8"),
+        re.MULTILINE,
     )
     assert len(rows) == 3
     assert set(rows) <= set(page)
@@ -269,13 +326,19 @@ def public_functions() -> list[str]:
             thing = importlib.import_module(entry)
         if not hasattr(thing, "__path__") and not hasattr(thing, "__file__"):
             found += (
-                [f"{thing.__module__}.{thing.__qualname__}"] if callable(thing) and not isinstance(thing, type) else []
+                [f"{thing.__module__}.{thing.__qualname__}"]
+                if callable(thing) and not isinstance(thing, type)
+                else []
             )
             continue
-        for each in getattr(thing, "__all__", None) or [k for k in vars(thing) if not k.startswith("_")]:
+        for each in getattr(thing, "__all__", None) or [
+            k for k in vars(thing) if not k.startswith("_")
+        ]:
             value = getattr(thing, each)
             module = getattr(value, "__module__", "")
-            of_ours = module == entry or (hasattr(thing, "__all__") and module.startswith("lmpchain."))
+            of_ours = module == entry or (
+                hasattr(thing, "__all__") and module.startswith("lmpchain.")
+            )
             if callable(value) and not isinstance(value, type) and of_ours:
                 found.append(f"{value.__module__}.{value.__qualname__}")
     return sorted(set(found))
@@ -283,11 +346,15 @@ def public_functions() -> list[str]:
 
 @pytest.mark.slow
 def test_functions_document_what_they_take_and_give():
-    validate = pytest.importorskip("numpydoc.validate", reason="numpydoc comes with lmpchain[docs]").validate
+    validate = pytest.importorskip(
+        "numpydoc.validate", reason="numpydoc comes with lmpchain[docs]"
+    ).validate
     names = public_functions()
     assert len(names) > 80
     wanted = {"PR01", "PR02", "PR03", "RT01", "YD01", "SS01"}
-    faults = {name: [text for code, text in validate(name)["errors"] if code in wanted] for name in names}
+    faults = {
+        name: [text for code, text in validate(name)["errors"] if code in wanted] for name in names
+    }
     assert {name: texts for name, texts in faults.items() if texts} == {}
 
 
@@ -297,14 +364,19 @@ def test_functions_document_what_they_raise():
         module, _, function = name.rpartition(".")
         thing = inspect.unwrap(getattr(importlib.import_module(module), function))
         tree = ast.parse(textwrap.dedent(inspect.getsource(thing)))
-        raises = (node for node in ast.walk(tree) if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call))
+        raises = (
+            node
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call)
+        )
         raised = {ast.unparse(node.exc.func) for node in raises}
         section = (inspect.getdoc(thing) or "").partition("\nRaises\n")[2]
         assert all(error in section or "LmpchainError" in section for error in raised), name
 
 
 @pytest.mark.parametrize(
-    "executed", [pytest.param(False, marks=pytest.mark.slow), pytest.param(True, marks=pytest.mark.soak)]
+    "executed",
+    [pytest.param(False, marks=pytest.mark.slow), pytest.param(True, marks=pytest.mark.soak)],
 )
 def test_the_pages_build_without_a_warning(tmp_path: Path, executed: bool):
     """The tutorial and the gallery are executed by tests above; once more, as pages, in the soak."""
@@ -316,7 +388,14 @@ def test_the_pages_build_without_a_warning(tmp_path: Path, executed: bool):
     options = (
         []
         if executed
-        else ["-D", "plot_gallery=0", "-D", "nb_execution_mode=off", "-D", "suppress_warnings=myst-nb.lexer"]
+        else [
+            "-D",
+            "plot_gallery=0",
+            "-D",
+            "nb_execution_mode=off",
+            "-D",
+            "suppress_warnings=myst-nb.lexer",
+        ]
     )
     done = subprocess.run(
         [sys.executable, "-m", "sphinx", "-W", "-q", *options, str(copy), str(build)],
@@ -331,8 +410,14 @@ def test_the_pages_build_without_a_warning(tmp_path: Path, executed: bool):
     assert 'src="searchindex.js"' in (build / "search.html").read_text(encoding="utf-8")
     for script in GALLERY if executed else ():
         page = (build / "measurements" / f"{script.stem}.html").read_text(encoding="utf-8")
-        assert page.count("_images/sphx_glr_") >= script.read_text(encoding="utf-8").count("\npicture")
-    if browser := shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome"):
+        assert page.count("_images/sphx_glr_") >= script.read_text(encoding="utf-8").count(
+            "\npicture"
+        )
+    if (
+        browser := shutil.which("chromium")
+        or shutil.which("chromium-browser")
+        or shutil.which("google-chrome")
+    ):
         shown = subprocess.run(
             [browser, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path / 'browser'}",
              "--virtual-time-budget=8000", "--dump-dom", f"{(build / 'search.html').as_uri()}?q=dispersion"],

@@ -31,12 +31,18 @@ STIRRED = Profile(velocity=np.append(1e-5 * np.random.default_rng(1).normal(size
 SHORT = Scene(chain=Chain(grains=30, diameter=1e-3), excitation=STRIKE, duration=4e-5, samples=101)
 # where the page stops something, it must last: by long steps, for ranks wait for each other at every one
 MOVING = Scene(
-    chain=Chain(grains=4000, diameter=1e-3), excitation=STIRRED, duration=2e-4, samples=901, grains=range(1, 101)
+    chain=Chain(grains=4000, diameter=1e-3),
+    excitation=STIRRED,
+    duration=2e-4,
+    samples=901,
+    grains=range(1, 101),
 )
 LASTING = {
     "-o run/": MOVING,
     "job/": MOVING,
-    "sweep.toml": Scene(chain=Chain(grains=60, diameter=1e-3), excitation=STRIKE, duration=1e-4, samples=3001),
+    "sweep.toml": Scene(
+        chain=Chain(grains=60, diameter=1e-3), excitation=STRIKE, duration=1e-4, samples=3001
+    ),
 }
 
 STANDING_IN = {
@@ -59,7 +65,9 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for name, text in STANDING_IN.items():
         (tmp_path / "bin" / name).write_text(f"#!/bin/bash\n{text}\n")
         (tmp_path / "bin" / name).chmod(0o755)
-    monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}:{Path(sys.executable).parent}:{os.environ['PATH']}")
+    monkeypatch.setenv(
+        "PATH", f"{tmp_path / 'bin'}:{Path(sys.executable).parent}:{os.environ['PATH']}"
+    )
     monkeypatch.setenv("DASK_TEMPORARY_DIRECTORY", str(tmp_path))
     (tmp_path / "templates").symlink_to(ROOT / "templates")
     (sweep,) = re.findall(r"^```toml\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)
@@ -74,7 +82,11 @@ def begun(command: str, process: subprocess.Popen[str]) -> None:
     if " run " in command:
         at_work(folder, process)
     else:
-        until(lambda: any(folder.glob("*/parts/[0-9]*")) or any(folder.glob("*/results.zarr/reason/c/*")))
+        until(
+            lambda: (
+                any(folder.glob("*/parts/[0-9]*")) or any(folder.glob("*/results.zarr/reason/c/*"))
+            )
+        )
 
 
 @pytest.mark.slow
@@ -84,7 +96,9 @@ def test_every_command_of_the_page(here: Path):
     behind: list[subprocess.Popen[str]] = []
     try:
         for line in COMMANDS:
-            next((s for key, s in LASTING.items() if key in line), SHORT).to_toml(here / "scene.toml")
+            next((s for key, s in LASTING.items() if key in line), SHORT).to_toml(
+                here / "scene.toml"
+            )
             command, _, remark = line.replace("8786", port).partition("  # ")
             process = subprocess.Popen(
                 ["bash", "-c", command.rstrip(" &")],
@@ -119,9 +133,15 @@ def test_every_command_of_the_page(here: Path):
             answer = Trajectory.load(name)
             assert same(answer, undisturbed), name
             assert answer.cost.ranks == 2
-    assert (here / "jobs").read_text().split() == ["75", "0", "0"], "the first job was stopped, the next went on"
+    assert (here / "jobs").read_text().split() == ["75", "0", "0"], (
+        "the first job was stopped, the next went on"
+    )
     one, other = (
-        {str(p.relative_to(here / name)): p.read_bytes() for p in (here / name).rglob("*") if p.is_file()}
+        {
+            str(p.relative_to(here / name)): p.read_bytes()
+            for p in (here / name).rglob("*")
+            if p.is_file()
+        }
         for name in ("sweep", "again")
     )
     assert len(one) > 10
@@ -138,5 +158,13 @@ def test_no_command_is_left_out():
     assert "+SKIP" not in PAGE, "the examples in Python are run by test_pages"
     for command in re.findall(rf"`((?:{PROGRAMS}) [^`]+)`", PAGE):
         assert any(command in line for line in COMMANDS), command
-    for program in ("lmpchain run", "lmpchain resume", "lmpchain sweep", "mpiexec", "srun", "sbatch", "dask"):
+    for program in (
+        "lmpchain run",
+        "lmpchain resume",
+        "lmpchain sweep",
+        "mpiexec",
+        "srun",
+        "sbatch",
+        "dask",
+    ):
         assert any(program in line for line in COMMANDS), program

@@ -37,10 +37,16 @@ REFUSED = {  # what is wrong with a scene is said alike by all
     "fit": ("column.lammpstrj", "--scene"),
     "dyson": ("column.lammpstrj", "--m", "1", "--scene"),
 }
-DONE = ("plan", "run", "compare", "deck")  # what takes no long time is done where the scene is accepted
+DONE = (
+    "plan",
+    "run",
+    "compare",
+    "deck",
+)  # what takes no long time is done where the scene is accepted
 DUMP = "".join(
     f"ITEM: TIMESTEP\n{step}\nITEM: NUMBER OF ATOMS\n6\nITEM: BOX BOUNDS ff ff ff\n-1 1\n-1 1\n-1 1\n"
-    "ITEM: ATOMS id x y z vx vy vz\n" + "".join(f"{n} 0 0 {-1e-3 * n:g} 0 0 0\n" for n in range(1, 7))
+    "ITEM: ATOMS id x y z vx vy vz\n"
+    + "".join(f"{n} 0 0 {-1e-3 * n:g} 0 0 0\n" for n in range(1, 7))
     for step in (0, 1)
 )
 
@@ -51,7 +57,9 @@ def numbers(tables: Tables) -> Iterator[tuple]:
         value: Any = tables
         for step in way:
             value = value[step]
-        if isinstance(value, int | float | list) and not any(isinstance(step, int) and step for step in way):
+        if isinstance(value, int | float | list) and not any(
+            isinstance(step, int) and step for step in way
+        ):
             yield way
 
 
@@ -85,15 +93,21 @@ def said(command: str, scene: str) -> tuple[int, list[str]]:
     out, err = StringIO(), StringIO()
     options = REFUSED[command]
     with redirect_stdout(out), redirect_stderr(err):
-        code = main([command, *options, scene] if "--scene" in options else [command, scene, *options])
+        code = main(
+            [command, *options, scene] if "--scene" in options else [command, scene, *options]
+        )
     lines = err.getvalue().splitlines()
-    assert not any("Traceback" in line or len(line) > LONGEST or not line.isprintable() for line in lines), lines
+    assert not any(
+        "Traceback" in line or len(line) > LONGEST or not line.isprintable() for line in lines
+    ), lines
     return code, [line for line in lines if line.startswith("error: ")]
 
 
 @pytest.mark.soak
 @pytest.mark.parametrize("base", [pytest.param(base, id=base[0]) for base in bases()])
-def test_strange_numbers(base: tuple[str, Tables, tuple[str, ...]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_strange_numbers(
+    base: tuple[str, Tables, tuple[str, ...]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     """Every command says the same in one line with exit code 2, or none refuses the scene."""
     _, tables, parts = base
     monkeypatch.chdir(tmp_path)
@@ -113,7 +127,11 @@ def test_strange_numbers(base: tuple[str, Tables, tuple[str, ...]], tmp_path: Pa
                 continue
             before = before or found
             code, errors = found
-            if code not in (0, 1, 2) or (code == 2 and len(errors) != 1) or (code == 1 and not errors):
+            if (
+                code not in (0, 1, 2)
+                or (code == 2 and len(errors) != 1)
+                or (code == 1 and not errors)
+            ):
                 wrong.append(f"{name}: {command}: exit code {code}, {errors}")
             elif before[0] == 2 and found != before:
                 wrong.append(f"{name}: {command}: {found} instead of {before}")

@@ -207,7 +207,13 @@ def test_the_live_view_holds_velocities_in_16_bits(order: str):
     if order == "turned round":
         grains = t.grains[::-1]
         scene = t.scene.replace(grains=grains.tolist())
-        t = replace(t, scene=scene, grains=grains, velocity=t.velocity[:, ::-1], displacement=t.displacement[:, ::-1])
+        t = replace(
+            t,
+            scene=scene,
+            grains=grains,
+            velocity=t.velocity[:, ::-1],
+            displacement=t.displacement[:, ::-1],
+        )
     data = numbers(t)
     shape = len(data["time"]), len(data["grains"])
     drawn = np.frombuffer(base64.b64decode(data["data"]), "<i2").reshape(shape)
@@ -270,7 +276,9 @@ def test_the_live_view_draws_when_a_weak_wave_arrives(run: Trajectory):
     first = arrival(run.scene)
     assert np.diff(first)[1:] == pytest.approx(slow[1:], rel=1e-9)
     walled = chain.replace(top="wall")
-    wall = Scene(chain=walled, excitation=Drive(amplitude=1e-9, frequency=1e4, grain=0), duration=1e-5)
+    wall = Scene(
+        chain=walled, excitation=Drive(amplitude=1e-9, frequency=1e4, grain=0), duration=1e-5
+    )
     assert np.diff(arrival(wall))[1:].shape == (38,)
     assert arrival(wall)[0] == 0.0
     profile = run.scene.replace(excitation=Profile(velocity=[1e-3, *[0.0] * 39]))
@@ -292,7 +300,12 @@ def test_a_folder_says_when_its_first_session_began(tmp_path: Path):
     assert origin.origin(tmp_path) == expected
     os.utime(tmp_path, (1.7e9, 1.7e9))
     by_file = {"date": "2023-11-14 22:13 UTC (file)", "command": "not recorded"}
-    for text in ("{}", '{"sessions": []}', '{"sessions": [{"began": "today", "command": ""}]}', "["):
+    for text in (
+        "{}",
+        '{"sessions": []}',
+        '{"sessions": [{"began": "today", "command": ""}]}',
+        "[",
+    ):
         (tmp_path / "run.json").write_text(text)
         assert origin.origin(tmp_path) == by_file
 
@@ -312,6 +325,9 @@ def test_a_file_says_it_in_its_history(tmp_path: Path):
     assert origin.origin(path) == expected
     path.write_bytes(b"no such file")
     os.utime(path, (1.7e9, 1.7e9))
-    assert origin.origin(str(path)) == {"date": "2023-11-14 22:13 UTC (file)", "command": "not recorded"}
+    assert origin.origin(str(path)) == {
+        "date": "2023-11-14 22:13 UTC (file)",
+        "command": "not recorded",
+    }
     unknown = {"date": "not recorded", "command": "not recorded"}
     assert origin.origin(None) == origin.origin(tmp_path / "none") == unknown

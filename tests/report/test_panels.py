@@ -164,7 +164,11 @@ def test_waveforms_are_velocities_at_three_times(draw: Any, run: Trajectory):
     assert apart.get_xlabel() == "grain, from the top"
     assert apart.get_ylabel() == "difference\n/ largest"
     assert curve(apart, 3)[:, 1].tolist() == [0.0, 0.0]
-    assert [text.get_text() for text in above.get_legend().get_texts()] == ["15 µs", "30 µs", "60 µs"]
+    assert [text.get_text() for text in above.get_legend().get_texts()] == [
+        "15 µs",
+        "30 µs",
+        "60 µs",
+    ]
     peak = np.abs(run.velocity[-1])
     head = f"At the end the motion is largest at grain {peak.argmax() + 1}, {si(peak.max(), 'm/s', 1)}. "
     assert picture.caption.startswith(head)
@@ -241,8 +245,12 @@ def test_the_front_is_drawn_against_depth_and_time(draw: Any, run: Trajectory):
     assert arrival == pytest.approx(1e6 * run.time[later], abs=0.6)  # samples are 0.5 µs apart
     there, expected = curve(time, 1).T
     assert there.tolist() == grains.tolist()
-    assert np.diff(expected) == pytest.approx(1e6 * np.diff(travel(run.scene.chain, 1)[grains - 1]), rel=0.02)
-    assert expected[0] == pytest.approx(1e6 * travel(run.scene.chain, 1)[1], rel=0.6)  # half a contact more
+    assert np.diff(expected) == pytest.approx(
+        1e6 * np.diff(travel(run.scene.chain, 1)[grains - 1]), rel=0.02
+    )
+    assert expected[0] == pytest.approx(
+        1e6 * travel(run.scene.chain, 1)[1], rel=0.6
+    )  # half a contact more
     assert time.get_xlabel() == "grain, from the top"
     assert time.get_ylabel() == "arrival (µs)"
     said = [text.get_text() for text in time.get_legend().get_texts()]
@@ -366,7 +374,9 @@ def test_the_spectrum_says_where_it_is_strongest(draw: Any, run: Trajectory, vac
     assert re.fullmatch(r"Velocity spectrum of every grain, strongest at \S+ \S*Hz\.", empty)
 
 
-def test_contacts_say_their_largest_force_and_how_often_they_open(draw: Any, run: Trajectory, hard: Trajectory):
+def test_contacts_say_their_largest_force_and_how_often_they_open(
+    draw: Any, run: Trajectory, hard: Trajectory
+):
     for t in (run, hard):
         picture = draw("forces", t)
         change = np.abs(force(t)).max(0)

@@ -125,7 +125,9 @@ def test_titles_tell_runs_apart(run: Trajectory):
 
 def test_the_live_view_holds_the_motion(run: Trajectory):
     live = numbers(run)
-    data = np.frombuffer(base64.b64decode(live["data"]), "<i2").reshape(len(live["time"]), len(live["grains"]))
+    data = np.frombuffer(base64.b64decode(live["data"]), "<i2").reshape(
+        len(live["time"]), len(live["grains"])
+    )
     there = np.searchsorted(run.time, live["time"])
     shown = run.velocity[np.ix_(there, np.array(live["grains"]) - 1)]
     assert np.abs(data * live["largest"] / 32767 - shown).max() < live["largest"] / 60000
@@ -137,7 +139,10 @@ def test_the_live_view_holds_the_motion(run: Trajectory):
 
 def test_a_front_only_where_there_is_one(run: Trajectory):
     assert "weak wave deep in the column" in arrival(run).caption
-    for excitation in (Drive(amplitude=1e-9, frequency=1e4), Packet(frequency=2e4, width=2, grain=20, amplitude=1e-12)):
+    for excitation in (
+        Drive(amplitude=1e-9, frequency=1e4),
+        Packet(frequency=2e4, width=2, grain=20, amplitude=1e-12),
+    ):
         with pytest.raises(InputError, match="no single front"):
             arrival(simulate(run.scene.replace(excitation=excitation), "chebyshev"))
     with pytest.raises(InputError, match="no grain shows"):
@@ -146,17 +151,27 @@ def test_a_front_only_where_there_is_one(run: Trajectory):
 
 def test_what_does_not_apply_says_why():
     chain = Chain(grains=12, diameter=1e-3, gravity=0.0, bottom="free")
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-2), duration=5e-5, samples=40, grains=[2, 5])
+    scene = Scene(
+        chain=chain, excitation=Impulse(velocity=1e-2), duration=5e-5, samples=40, grains=[2, 5]
+    )
     page = Page(htmlreport.page(simulate(scene, "native", 1e-6)))
     assert "Not for this run: grains: no two neighbours were recorded" in page.sections["Contacts"]
-    assert "Not for this run: grains: this takes grains that were not recorded" in page.sections["Energy"]
+    assert (
+        "Not for this run: grains: this takes grains that were not recorded"
+        in page.sections["Energy"]
+    )
     assert "left out: modes" in page.sections["Fits"]
     assert 1 <= len(page.pictures) <= 4
 
 
 @pytest.mark.slow
 def test_the_page_of_a_chain_at_rest():
-    scene = Scene(chain=Chain(grains=5, diameter=1e-3), excitation=Impulse(velocity=0.0), duration=1e-5, samples=5)
+    scene = Scene(
+        chain=Chain(grains=5, diameter=1e-3),
+        excitation=Impulse(velocity=0.0),
+        duration=1e-5,
+        samples=5,
+    )
     page = Page(htmlreport.page(simulate(scene, "native", 1e-6)))
     assert "strongest" not in page.sections["Fits"]
 
@@ -164,7 +179,9 @@ def test_the_page_of_a_chain_at_rest():
 @pytest.mark.usefixtures("no_panels")
 def test_markup_in_a_scene_is_shown_and_not_obeyed(run: Trajectory):
     odd = "</script><script>alert(1)</script><img src=x onerror=alert(1)>"
-    spoilt = Trajectory(**{**vars(run), "provenance": {"note": odd, "tolerance": odd}, "engine": odd})
+    spoilt = Trajectory(
+        **{**vars(run), "provenance": {"note": odd, "tolerance": odd}, "engine": odd}
+    )
     text = htmlreport.page(spoilt, origin={"date": odd, "command": odd})
     page = Page(text)
     assert odd in page.sections["Provenance"]
@@ -173,7 +190,10 @@ def test_markup_in_a_scene_is_shown_and_not_obeyed(run: Trajectory):
     (policy,) = re.findall(r'Content-Security-Policy" content="([^"]*)"', text)
     (script,) = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    assert policy == f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{digest}'"
+    assert (
+        policy
+        == f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{digest}'"
+    )
 
 
 @pytest.mark.usefixtures("no_panels")
@@ -190,7 +210,10 @@ def test_command_line(run: Trajectory, tmp_path: Path, capsys: pytest.CaptureFix
     for arguments, key in (
         ([str(tmp_path / "none.nc")], "there is no such file"),
         ([str(tmp_path / "run.nc"), "-o", str(tmp_path / "page.txt")], "must end in .html or .htm"),
-        ([str(tmp_path / "run.nc"), "-o", str(tmp_path / "no" / "page.html")], "there is no folder"),
+        (
+            [str(tmp_path / "run.nc"), "-o", str(tmp_path / "no" / "page.html")],
+            "there is no folder",
+        ),
     ):
         assert main(["report", *arguments]) == 2
         said = capsys.readouterr().err.splitlines()
@@ -226,8 +249,12 @@ def test_in_a_browser(run: Trajectory, tmp_path: Path):
         for width, height, scheme in ((1280, 900, "light"), (390, 844, "dark")):
             shown.open(page, width, height, scheme)
             assert shown.run("document.title") == title(run)
-            assert shown.run("document.documentElement.scrollWidth") == width, "nothing is wider than the window"
-            assert shown.run("[...document.images].every((one) => one.complete && one.naturalWidth > 0)")
+            assert shown.run("document.documentElement.scrollWidth") == width, (
+                "nothing is wider than the window"
+            )
+            assert shown.run(
+                "[...document.images].every((one) => one.complete && one.naturalWidth > 0)"
+            )
             assert shown.run(COLOURS) > 100, "the map has colours"
             small = "[...document.querySelectorAll('button, input, summary')].some((one) => one.offsetHeight < 44)"
             assert not shown.run(small), "what is pressed is as large as a finger"

@@ -52,7 +52,9 @@ def forces(size: float, grain: int = 1, period: float = 2 * np.pi) -> dict[str, 
     return {
         "sine": Force(grain=grain, **wave),
         "burst": Force(grain=grain, **wave, cycles=0.9),
-        "half-sine": Force(grain=grain, shape="half-sine", amplitude=size * LOAD, duration=period * UNIT / 2),
+        "half-sine": Force(
+            grain=grain, shape="half-sine", amplitude=size * LOAD, duration=period * UNIT / 2
+        ),
         "points": Force(grain=grain, times=TIMES, force=(1 + POINTS) * size * LOAD),
     }
 
@@ -73,20 +75,30 @@ def scene_of(chain: Chain, excitation: Any, samples: int = 2, units: float = 8.0
 
 # --- exact solutions
 
-SPRING = Chain(grains=1, diameter=1e-3, exponent=1.0, bottom="wall", masses=[2e-6], wall_constants=[0.0, 50.0])
+SPRING = Chain(
+    grains=1, diameter=1e-3, exponent=1.0, bottom="wall", masses=[2e-6], wall_constants=[0.0, 50.0]
+)
 OWN = 5000.0  # rad/s: sqrt(50 / 2e-6)
 
 
 def course(given: Any) -> Any:
     """Return what is imposed as a function of time, from its definition."""
     if given.times is not None:
-        return CubicSpline(given.times, given.force if given.kind == "force" else given.displacement)
+        return CubicSpline(
+            given.times, given.force if given.kind == "force" else given.displacement
+        )
     if getattr(given, "shape", None):
-        return lambda t: given.amplitude * np.sin(np.pi * t / given.duration) if t < given.duration else 0.0
+        return lambda t: (
+            given.amplitude * np.sin(np.pi * t / given.duration) if t < given.duration else 0.0
+        )
     f, cycles = given.frequency, given.cycles
 
     def value(t: float) -> float:
-        hann = 1.0 if cycles is None else (1 - np.cos(2 * np.pi * f * t / cycles)) / 2 * (f * t < cycles)
+        hann = (
+            1.0
+            if cycles is None
+            else (1 - np.cos(2 * np.pi * f * t / cycles)) / 2 * (f * t < cycles)
+        )
         return given.amplitude * np.sin(2 * np.pi * f * t) * hann
 
     return value
@@ -98,7 +110,12 @@ def duhamel(given: Any, strength: float, times: Array, corners: list[float]) -> 
     largest = max(abs(f(t)) for t in np.linspace(0, times[-1], 101))
     for t in times:
         inside = [c for c in corners if 0 < c < t] or None
-        options = {"points": inside, "epsabs": 1e-13 * abs(strength / OWN) * t * largest, "epsrel": 1e-14, "limit": 500}
+        options = {
+            "points": inside,
+            "epsabs": 1e-13 * abs(strength / OWN) * t * largest,
+            "epsrel": 1e-14,
+            "limit": 500,
+        }
         sin, _ = quad(lambda s, t=t: f(s) * np.sin(OWN * (t - s)), 0, t, **options)
         cos, _ = quad(lambda s, t=t: f(s) * np.cos(OWN * (t - s)), 0, t, **options)
         found.append((strength / OWN * sin, strength * cos))
@@ -128,12 +145,18 @@ def test_one_grain_on_a_spring(kind: str, where: str):
         keys = given.given() | {"grain": 0}
         points = 1e-3 * (given.force - given.force[0]) if kind == "points" else None
         keys.pop("force", None)
-        given = Drive(**keys | ({"displacement": points} if points is not None else {"amplitude": 1e-10}))
-        chain = Chain(**SPRING.given() | {"top": "wall", "top_load": 1e-3, "wall_constants": [20.0, 30.0]})
+        given = Drive(
+            **keys | ({"displacement": points} if points is not None else {"amplitude": 1e-10})
+        )
+        chain = Chain(
+            **SPRING.given() | {"top": "wall", "top_load": 1e-3, "wall_constants": [20.0, 30.0]}
+        )
         strength = 20.0 / 2e-6
     scene = Scene(chain=chain, excitation=given, duration=5e-3, samples=9)
     corners = [*given.waveform.corners]
-    between = np.linspace(0.0, scene.duration, 8 * 8 + 1)[1:]  # at resonance samples see little of the motion
+    between = np.linspace(0.0, scene.duration, 8 * 8 + 1)[
+        1:
+    ]  # at resonance samples see little of the motion
     fields = duhamel(given, strength, between, corners)
     (x, v), largest = (field[7::8] for field in fields), [np.abs(field).max() for field in fields]
 
@@ -161,7 +184,9 @@ def test_a_wall_that_moves_in_linear_engines(name: str):
                 simulate(scene, name)
             continue
         t, truth = simulate(scene, name), reference(scene)
-        assert relative_error(t.displacement, t.velocity, truth.displacement, truth.velocity) < 1e-12
+        assert (
+            relative_error(t.displacement, t.velocity, truth.displacement, truth.velocity) < 1e-12
+        )
 
 
 def test_forces_in_modes():
@@ -173,7 +198,9 @@ def test_forces_in_modes():
                 simulate(scene, "modes")
             continue
         t, truth = simulate(scene, "modes"), reference(scene)
-        assert relative_error(t.displacement, t.velocity, truth.displacement, truth.velocity) < 1e-12
+        assert (
+            relative_error(t.displacement, t.velocity, truth.displacement, truth.velocity) < 1e-12
+        )
         for other in ("chebyshev", "bessel"):
             with pytest.raises(InputError, match="excitation"):
                 simulate(scene, other)
@@ -191,9 +218,9 @@ COUNTS = {  # all are 4 beyond a multiple of 8, so that what ends after three ei
     "dop853": [44, 52, 60, 76],
 }
 PERIODS = {"sine": 7.3, "burst": 3 / 0.9, "half-sine": 6.0}
-ACTING = {f"force, {kind}": (LOADED, forces(1e-3, 3, period)[kind]) for kind, period in PERIODS.items()} | {
-    f"wall, {kind}": (WALLED, drives(1e-3, 0, PERIODS[kind])[kind]) for kind in ("sine", "burst")
-}
+ACTING = {
+    f"force, {kind}": (LOADED, forces(1e-3, 3, period)[kind]) for kind, period in PERIODS.items()
+} | {f"wall, {kind}": (WALLED, drives(1e-3, 0, PERIODS[kind])[kind]) for kind in ("sine", "burst")}
 
 
 @cache
@@ -210,27 +237,42 @@ def test_order_of_convergence(integrator: str, kind: str):
     u, v, own = gentle(kind)
     errors, counts = [], COUNTS[integrator]
     for count in counts:
-        t = simulate(scene, engine=engines.Native(integrator=integrator, step=scene.duration / count))
+        t = simulate(
+            scene, engine=engines.Native(integrator=integrator, step=scene.duration / count)
+        )
         assert t.cost.steps == count or integrator == "dop853"
         errors.append(relative_error(t.displacement, t.velocity, u, v))
     assert min(errors) > 100 * own
-    n = np.array(counts, dtype=float)  # the step that is made as two has less of an error than the others
+    n = np.array(
+        counts, dtype=float
+    )  # the step that is made as two has less of an error than the others
     laws = [np.ones(n.size), -np.log(n)] + (
         [1 / n] if scene.excitation.waveform.corners and integrator in SPLITTINGS else []
     )
     slope = np.linalg.lstsq(np.stack(laws, axis=1), np.log(errors), rcond=None)[0][1]
-    assert slope == pytest.approx(METHODS[integrator].order, abs=0.05 if integrator in SPLITTINGS else 0.2)
+    assert slope == pytest.approx(
+        METHODS[integrator].order, abs=0.05 if integrator in SPLITTINGS else 0.2
+    )
 
 
 def err(t: Any, truth: Any) -> float:
     """Return the error as the package defines it, relative to the largest motion at any time."""
-    apart = np.abs([t.displacement[:] - truth.displacement, t.velocity[:] - truth.velocity]).max((1, 2))
-    scale = truth.scale if hasattr(truth, "scale") else np.abs([truth.displacement, truth.velocity]).max((1, 2))
+    apart = np.abs([t.displacement[:] - truth.displacement, t.velocity[:] - truth.velocity]).max(
+        (1, 2)
+    )
+    scale = (
+        truth.scale
+        if hasattr(truth, "scale")
+        else np.abs([truth.displacement, truth.velocity]).max((1, 2))
+    )
     return float((apart / scale).max())
 
 
 STRONG = {
-    **{f"force, {kind}": (Chain(**LOADED.given() | {"gravity": 9.81}), g) for kind, g in forces(3.0, 2).items()},
+    **{
+        f"force, {kind}": (Chain(**LOADED.given() | {"gravity": 9.81}), g)
+        for kind, g in forces(3.0, 2).items()
+    },
     **{f"wall, {kind}": (WALLED, g) for kind, g in drives(2.0).items()},
     **{f"grain below a wall, {kind}": (WALLED, g) for kind, g in drives(2.0, 1).items()},
     "a hammer on a sonic vacuum": (
@@ -271,14 +313,18 @@ def test_accuracy_is_as_asked_for_and_known(kind: str):
 
 
 @pytest.mark.parametrize("integrator", ["rkn6", "kahan-li6", "verlet"])
-@pytest.mark.parametrize("kind", ["force, burst", "force, half-sine", "force, points", "wall, burst", "wall, points"])
+@pytest.mark.parametrize(
+    "kind", ["force, burst", "force, half-sine", "force, points", "wall, burst", "wall, points"]
+)
 def test_lammps(kind: str, integrator: str):
     """LAMMPS takes forces and a wall that moves at the times of the method, to the round-off of its heights."""
     scene = scene_of(*STRONG[kind], samples=5)
     truth = strong(kind)
     t = simulate(scene, "lammps", 1e-3 if integrator == "verlet" else 1e-6, integrator=integrator)
     assert (err(t, truth) - truth.error) / 3 <= t.error_estimate.total
-    step = scene.duration / 200  # in steps of any length it is the native map: formulas are right to the last digits
+    step = (
+        scene.duration / 200
+    )  # in steps of any length it is the native map: formulas are right to the last digits
     gauge = simulate(scene, engines.Lammps(integrator, step, "gauge"))
     assert err(gauge, simulate(scene, engines.Native(integrator, step))) < 1e-11
 
@@ -289,7 +335,11 @@ def test_lammps(kind: str, integrator: str):
 @every
 def test_batch_equals_single_runs(integrator: str):
     """Forces on different grains, and motions of the wall, each as if it had been alone."""
-    given = [*forces(2.0, 3).values(), *drives(2.0).values(), Force(grain=7, amplitude=1e-3, frequency=1e5)]
+    given = [
+        *forces(2.0, 3).values(),
+        *drives(2.0).values(),
+        Force(grain=7, amplitude=1e-3, frequency=1e5),
+    ]
     scenes = [scene_of(WALLED, each, samples=5) for each in given]
     solver = engines.Native(integrator=integrator, step=scenes[0].duration / 200)
     run = solver.start(scenes, solver.candidate(scenes[0], 1e-6))
@@ -302,7 +352,8 @@ def test_batch_equals_single_runs(integrator: str):
 
 
 PLACES = [("native", integrator) for integrator in sorted(METHODS)] + [
-    pytest.param("lammps", integrator, marks=pytest.mark.slow) for integrator in ("verlet", "kahan-li6", "rkn6")
+    pytest.param("lammps", integrator, marks=pytest.mark.slow)
+    for integrator in ("verlet", "kahan-li6", "rkn6")
 ]
 
 
@@ -366,12 +417,16 @@ def test_the_force_of_a_driver():
     t = simulate(scene, "native", 1e-9)
     wall, u = scene.excitation.motion(t.time)[0], t.displacement[:, 0]
     overlap = WALLED.contacts.overlap[0] + wall - u
-    assert contact.drive_force(t) == pytest.approx(WALLED.wall_constants[0] * overlap**1.5, rel=1e-9)
+    assert contact.drive_force(t) == pytest.approx(
+        WALLED.wall_constants[0] * overlap**1.5, rel=1e-9
+    )
     assert contact.wall_force(t, "top") == pytest.approx(contact.drive_force(t), rel=1e-12)
     below = scene_of(WALLED, drives(0.5, 1)["burst"], samples=401)
     alone = scene_of(LOADED, drives(0.5, 1)["burst"], samples=401)
     t, free = simulate(below, "native", 1e-9), simulate(alone, "native", 1e-9)
-    assert np.array_equal(t.displacement, free.displacement)  # a wall above a driven grain moves nothing
+    assert np.array_equal(
+        t.displacement, free.displacement
+    )  # a wall above a driven grain moves nothing
     squeezed = contact.contacts(t, [0]).change[:, 0]
     assert contact.drive_force(t) == pytest.approx(
         contact.drive_force(free) - LOAD - squeezed, rel=1e-9, abs=1e-9 * LOAD
@@ -382,13 +437,17 @@ def test_the_force_of_a_driver():
 
 FAULTS = {
     "amplitude: give amplitude and frequency": lambda: Force(amplitude=1.0),
-    "amplitude: give amplitude": lambda: Force(amplitude=1.0, shape="half-sine", frequency=2.0, duration=1.0),
+    "amplitude: give amplitude": lambda: Force(
+        amplitude=1.0, shape="half-sine", frequency=2.0, duration=1.0
+    ),
     "shape: must be": lambda: Force(amplitude=1.0, shape="square", duration=1.0),
     "force: must have one entry": lambda: Force(times=[0.0, 1.0], force=[1.0]),
     "times: must begin with 0": lambda: Force(times=[0.5, 1.0], force=[1.0, 2.0]),
     "times: are 4.9e-324 s apart": lambda: Drive(times=[0.0, 5e-324], displacement=[0.0, 1e-10]),
     "times: are 1e-21 s apart": lambda: Force(times=[0.0, 1e-21, 1e-10], force=[1.0, 2.0, 1.0]),
-    "displacement: must begin with 0, where the wall": lambda: Drive(times=[0, 1.0], displacement=[1, 2.0], grain=0),
+    "displacement: must begin with 0, where the wall": lambda: Drive(
+        times=[0, 1.0], displacement=[1, 2.0], grain=0
+    ),
     "grain: must be": lambda: Drive(amplitude=1.0, frequency=1.0, grain=2),
     "grain: 0 moves the top wall": lambda: scene_of(LOADED, drives(1.0)["sine"]),
     "cycles: must be above 0": lambda: Drive(amplitude=1.0, frequency=1.0, cycles=0.0),
@@ -396,7 +455,9 @@ FAULTS = {
     "grain: there is no grain 9": lambda: scene_of(LOADED, forces(1.0, 9)["sine"]),
     "grain: grain 8 is held": lambda: scene_of(LOADED, forces(1.0, 8)["sine"]),
     "kind: squeezes contact": lambda: scene_of(LOADED, forces(1e9)["sine"]),
-    "wall_constants: must be two": lambda: Chain(grains=3, diameter=1e-3, bottom="wall", wall_constants=[1.0, 2.0]),
+    "wall_constants: must be two": lambda: Chain(
+        grains=3, diameter=1e-3, bottom="wall", wall_constants=[1.0, 2.0]
+    ),
     "wall_constants: take the place": lambda: Chain(
         grains=3, diameter=1e-3, bottom="wall", bottom_material="steel", wall_constants=[0.0, 2.0]
     ),
@@ -405,7 +466,9 @@ FAULTS = {
     "kind: there are no linear waves": lambda: scene_of(
         Chain(grains=30, diameter=1e-3, gravity=0.0), Packet(1e4, 1.0, 15, 1e-12)
     ),
-    "frequency: must be below": lambda: scene_of(Chain(grains=90, diameter=1e-3), Packet(1e8, 2.0, 15, 1e-12)),
+    "frequency: must be below": lambda: scene_of(
+        Chain(grains=90, diameter=1e-3), Packet(1e8, 2.0, 15, 1e-12)
+    ),
 }
 
 
@@ -423,7 +486,14 @@ def test_faults_in_words(said: str):
 @pytest.mark.parametrize("kind", [*STRONG, "packet"])
 def test_scene_files(kind: str):
     """A scene file holds all that there is, and a scaled excitation is as much stronger."""
-    chain = Chain(grains=90, diameter=1e-3, gravity=0.0, top_load=1.0, bottom="wall", wall_constants=[0.0, 3e9])
+    chain = Chain(
+        grains=90,
+        diameter=1e-3,
+        gravity=0.0,
+        top_load=1.0,
+        bottom="wall",
+        wall_constants=[0.0, 3e9],
+    )
     chain, given = (chain, Packet(2e4, 5.0, 40, 1e-12)) if kind == "packet" else STRONG[kind]
     scene = scene_of(chain, given)
     assert Scene.from_text(scene.to_text()) == scene
@@ -438,11 +508,15 @@ def test_a_force_in_a_file(tmp_path: Path):
     (tmp_path / "hammer.csv").write_text("time,force\n0,0\n1e-6,0.5\n3e-5,0\n")
     tables = scene_of(LOADED, Impulse(velocity=1e-6)).to_dict()
     tables["excitation"] = {"kind": "force", "grain": 2, "file": "hammer.csv"}
-    assert Scene.from_dict(tables, tmp_path).excitation == Force(grain=2, times=[0, 1e-6, 3e-5], force=[0, 0.5, 0])
+    assert Scene.from_dict(tables, tmp_path).excitation == Force(
+        grain=2, times=[0, 1e-6, 3e-5], force=[0, 0.5, 0]
+    )
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["force, burst", "force, half-sine", "force, points", "wall, burst", "wall, points"])
+@pytest.mark.parametrize(
+    "kind", ["force, burst", "force, half-sine", "force, points", "wall, burst", "wall, points"]
+)
 def test_decks(kind: str, tmp_path: Path):
     """A deck by itself carries forces and a wall that moves: the same steps give the same motion."""
     scene = scene_of(*STRONG[kind], samples=5)
@@ -455,7 +529,11 @@ def test_decks(kind: str, tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    "seed", [pytest.param(116, marks=pytest.mark.slow), *(pytest.param(n, marks=pytest.mark.soak) for n in range(200))]
+    "seed",
+    [
+        pytest.param(116, marks=pytest.mark.slow),
+        *(pytest.param(n, marks=pytest.mark.soak) for n in range(200)),
+    ],
 )
 def test_random_scenes(seed: int):
     """No estimate is below a third of the truth, no answer above its tolerance without a word."""
@@ -487,11 +565,18 @@ def test_knots_that_cut_the_steps_of_all_companions_hide_no_error(integrator: st
     chain = Chain(grains=5, diameter=1e-3, top_load=0.1)
     times = np.linspace(0, 1, 101)
     times += uneven * 0.3 * np.sin(np.arange(101)) * times[1] * (np.arange(101) % 100 > 0)
-    shape = 0.2 * chain.length_scale * np.sin(np.linspace(0, 6, 101)) * (1 + 0.02 * np.sin(37 * np.arange(101)))
+    shape = (
+        0.2
+        * chain.length_scale
+        * np.sin(np.linspace(0, 6, 101))
+        * (1 + 0.02 * np.sin(37 * np.arange(101)))
+    )
     duration = 20 / chain.band_edge
     drive = Drive(times=1.05 * duration * times, displacement=shape)
     scene = Scene(chain=chain, excitation=drive, duration=duration, samples=2)
     found, truth = simulate(scene, engines.Native(integrator), 1e-2), reference(scene)
     pairs = (found.displacement, truth.displacement), (found.velocity, truth.velocity)
-    error = max(float(np.abs(a - b).max()) / size for (a, b), size in zip(pairs, truth.scale, strict=True))
+    error = max(
+        float(np.abs(a - b).max()) / size for (a, b), size in zip(pairs, truth.scale, strict=True)
+    )
     assert error < found.error_estimate.total < 1e-2

@@ -44,7 +44,10 @@ def scene_of(chain: Chain, drive: Drive, samples: int = 2, units: float = 8.0) -
 
 def sine(chain: Chain, strength: float = 1e-3, slower: float = 1.0) -> Drive:
     """Return a drive of an amplitude in overlaps and a period in units of 2 pi sqrt(m_1 / k_1)."""
-    return Drive(amplitude=strength * chain.length_scale, frequency=1 / (2 * np.pi * slower * chain.time_scale))
+    return Drive(
+        amplitude=strength * chain.length_scale,
+        frequency=1 / (2 * np.pi * slower * chain.time_scale),
+    )
 
 
 def path(chain: Chain, strength: float = 1e-2, points: int = 12, seed: int = 1) -> Drive:
@@ -52,7 +55,10 @@ def path(chain: Chain, strength: float = 1e-2, points: int = 12, seed: int = 1) 
     rng = np.random.default_rng(seed)
     apart = rng.uniform(0.4, 1, points)
     times = np.append(0, np.cumsum(apart)) * (8.5 * chain.time_scale / apart.sum())
-    return Drive(times=times, displacement=np.append(0, rng.normal(size=points)) * strength * chain.length_scale)
+    return Drive(
+        times=times,
+        displacement=np.append(0, rng.normal(size=points)) * strength * chain.length_scale,
+    )
 
 
 def cubic(chain: Chain) -> tuple[Drive, Array]:
@@ -72,8 +78,12 @@ def test_grain_1_follows_a_sine(integrator: str):
     scene = scene_of(chain, sine(chain, 0.3, slower=0.5), samples=41)
     t = simulate(scene, engine=engines.Native(integrator=integrator, step=scene.duration / 320))
     a, omega = 0.3 * chain.length_scale, 2 / chain.time_scale
-    assert t.displacement[:, 0] == pytest.approx(a * np.sin(omega * scene.time), rel=0, abs=3e-15 * a)
-    assert t.velocity[:, 0] == pytest.approx(a * omega * np.cos(omega * scene.time), rel=0, abs=3e-15 * a * omega)
+    assert t.displacement[:, 0] == pytest.approx(
+        a * np.sin(omega * scene.time), rel=0, abs=3e-15 * a
+    )
+    assert t.velocity[:, 0] == pytest.approx(
+        a * omega * np.cos(omega * scene.time), rel=0, abs=3e-15 * a * omega
+    )
 
 
 @every
@@ -106,8 +116,12 @@ def test_grain_1_is_followed_whatever_its_mass():
     chain, runs = loaded(), []
     for mass in (1e-9, 1.0):
         heavy = loaded(impurity=[{"grain": 1, "mass": mass}])
-        scene = Scene(chain=heavy, excitation=sine(chain, 0.5), duration=8 * chain.time_scale, samples=5)
-        runs.append(simulate(scene, engine=engines.Native(step=scene.duration / 400, force="exact")))
+        scene = Scene(
+            chain=heavy, excitation=sine(chain, 0.5), duration=8 * chain.time_scale, samples=5
+        )
+        runs.append(
+            simulate(scene, engine=engines.Native(step=scene.duration / 400, force="exact"))
+        )
     assert np.array_equal(runs[0].displacement, runs[1].displacement)
     assert np.array_equal(runs[0].velocity, runs[1].velocity)
 
@@ -149,12 +163,16 @@ def check_order(scene: Scene, integrator: str) -> None:
     u, v, own = exact(scene.to_text())
     errors, counts = [], COUNTS[integrator]
     for count in counts:
-        t = simulate(scene, engine=engines.Native(integrator=integrator, step=scene.duration / count))
+        t = simulate(
+            scene, engine=engines.Native(integrator=integrator, step=scene.duration / count)
+        )
         assert t.cost.steps == count
         errors.append(relative_error(t.displacement, t.velocity, u, v))
     assert min(errors) > 100 * own
     slope = -np.polyfit(np.log(counts), np.log(errors), 1)[0]
-    assert slope == pytest.approx(METHODS[integrator].order, abs=0.05 if integrator in SPLITTINGS else 0.2)
+    assert slope == pytest.approx(
+        METHODS[integrator].order, abs=0.05 if integrator in SPLITTINGS else 0.2
+    )
 
 
 LOADED, COLUMN = loaded(), Chain(grains=20, diameter=1e-3, bottom="wall")
@@ -165,7 +183,11 @@ DRIVEN = {
     "contacts that open": scene_of(COLUMN, path(COLUMN, 5.0), samples=5),
     "a hammering sine": scene_of(COLUMN, sine(COLUMN, 3.0, slower=0.7), samples=5, units=20),
     "the vacuum": Scene(
-        chain=VACUUM, excitation=Drive(amplitude=1e-8, frequency=2e5), duration=2e-5, samples=5, grains="2:4"
+        chain=VACUUM,
+        excitation=Drive(amplitude=1e-8, frequency=2e5),
+        duration=2e-5,
+        samples=5,
+        grains="2:4",
     ),
 }
 
@@ -174,7 +196,12 @@ DRIVEN = {
 def test_accuracy_is_as_asked_for_and_known(scene: Scene):
     u, v, own = extended_reference(scene)
     columns = scene.recorded - 1
-    for integrator, tolerance in (("rkn6", 1e-5), ("rkn6", 1e-9), ("kahan-li6", 1e-7), ("verlet", 1e-5)):
+    for integrator, tolerance in (
+        ("rkn6", 1e-5),
+        ("rkn6", 1e-9),
+        ("kahan-li6", 1e-7),
+        ("verlet", 1e-5),
+    ):
         t = simulate(scene, tolerance=tolerance, integrator=integrator, engine="native")
         true = relative_error(t.displacement, t.velocity, u[:, columns], v[:, columns])
         assert true <= tolerance
@@ -233,7 +260,13 @@ def piston_mode(distance: float, time: float) -> Any:
 def test_springs_against_their_modes(kind: str, bottom: str):
     """A chain of springs is linear as long as no contact opens: each mode is a driven oscillator."""
     rng = np.random.default_rng(2)
-    chain = Chain(grains=10, diameter=1e-3 * rng.uniform(0.8, 1.2, 10), exponent=1.0, top_load=1e-3, bottom=bottom)
+    chain = Chain(
+        grains=10,
+        diameter=1e-3 * rng.uniform(0.8, 1.2, 10),
+        exponent=1.0,
+        top_load=1e-3,
+        bottom=bottom,
+    )
     size, unit = 1e-2 * chain.length_scale, chain.time_scale
     if kind == "sine":
         drive = Drive(amplitude=size, frequency=0.15 / unit)
@@ -263,7 +296,9 @@ def test_the_chain_holds_what_the_drive_puts_in():
     moving[:, 0] = 0
     held = chain.excess_energy(t.displacement, moving)
     overlap = chain.length_scale + t.displacement[:, 0] - t.displacement[:, 1]
-    force = chain.contact_constants[0] * np.maximum(overlap, 0) ** 1.5 - chain.masses[0] * chain.gravity
+    force = (
+        chain.contact_constants[0] * np.maximum(overlap, 0) ** 1.5 - chain.masses[0] * chain.gravity
+    )
     assert held[-1] == pytest.approx(simpson(force * t.velocity[:, 0], x=scene.time), rel=1e-6)
     assert overlap.min() < 0  # the contact opens and closes again
 
@@ -276,14 +311,21 @@ def test_batch_equals_single_runs(integrator: str):
     """Each chain of a batch follows its own drive, a sine or a path, as if it had been alone."""
     rng = np.random.default_rng(5)
     scenes = []
-    for make in (sine, path, lambda chain: sine(chain, 2.0, slower=3), lambda chain: path(chain, 0.3, seed=2)):
+    for make in (
+        sine,
+        path,
+        lambda chain: sine(chain, 2.0, slower=3),
+        lambda chain: path(chain, 0.3, seed=2),
+    ):
         chain = Chain(grains=25, diameter=1e-3 * rng.uniform(0.9, 1.1, 25), bottom="wall")
         scenes.append(Scene(chain=chain, excitation=make(chain), duration=3e-5, samples=5))
     solver = engines.Native(integrator=integrator, step=1e-7)
     run = solver.start(scenes, solver.candidate(scenes[0], 1e-6))
     u, v = blocks_of(run)
     errors = run.errors()
-    threaded = engines.Native(integrator=integrator, step=1e-7, threads=3).start(scenes, run.candidate)
+    threaded = engines.Native(integrator=integrator, step=1e-7, threads=3).start(
+        scenes, run.candidate
+    )
     for one, other in zip((u, v), blocks_of(threaded), strict=True):
         assert np.array_equal(one, other)
     for i, scene in enumerate(scenes):
@@ -308,12 +350,16 @@ def test_a_driven_chain_is_not_of_a_kind_with_one_that_is_struck():
 def test_exact_restart(integrator: str, make: Any, monkeypatch: pytest.MonkeyPatch):
     """A run that goes on from a kept state ends with the same bytes: the time of the path is kept too."""
     chain = Chain(grains=30, diameter=1e-3)
-    scenes = [Scene(chain=chain, excitation=make(chain, s), duration=3e-5, samples=9) for s in (1e-3, 3.0)]
+    scenes = [
+        Scene(chain=chain, excitation=make(chain, s), duration=3e-5, samples=9) for s in (1e-3, 3.0)
+    ]
     solver = engines.Native(integrator=integrator, step=1e-7)
     candidate = solver.candidate(scenes[0], 1e-6)
     whole = solver.start(scenes, candidate)
     u, v = blocks_of(whole)
-    monkeypatch.setattr(error_estimate, "BLOCK_BYTES", 1)  # four samples a block, after the one at t = 0
+    monkeypatch.setattr(
+        error_estimate, "BLOCK_BYTES", 1
+    )  # four samples a block, after the one at t = 0
     begun = solver.start(scenes, candidate)
     blocks = []
     for block in begun.blocks():
@@ -330,7 +376,9 @@ def test_exact_restart(integrator: str, make: Any, monkeypatch: pytest.MonkeyPat
 
 
 @every
-def test_where_a_driven_run_may_be_interrupted_leaves_no_trace(integrator: str, monkeypatch: pytest.MonkeyPatch):
+def test_where_a_driven_run_may_be_interrupted_leaves_no_trace(
+    integrator: str, monkeypatch: pytest.MonkeyPatch
+):
     """Where a run may be stopped leaves no trace."""
     chain = Chain(grains=10, diameter=1e-3)
     scene = scene_of(chain, path(chain, 2.0), samples=3)
@@ -358,7 +406,9 @@ def test_recorded_motion_of_a_driven_grain(integrator: str, engine: str, drive: 
     scene = Scene(chain=chain, excitation=drive, duration=1e-4, samples=11)
     t = simulate(scene, engine, 0.9, integrator=integrator, step=2e-7)
     u, v = drive.motion(t.time)
-    assert t.displacement[:, 0] == pytest.approx(u, rel=0, abs=1e-22 if engine == "native" else 1e-15)
+    assert t.displacement[:, 0] == pytest.approx(
+        u, rel=0, abs=1e-22 if engine == "native" else 1e-15
+    )
     assert t.velocity[:, 0] == pytest.approx(v, rel=1e-11, abs=1e-14)
 
 
@@ -387,7 +437,12 @@ def test_a_drive_may_begin_with_grains_in_motion(top: str, grain: int, tmp_path:
     """Against an independent integrator, from a scene file and from its CSV table too."""
     chain = loaded(top=top)
     rng = np.random.default_rng(3)
-    u, v = rng.normal(size=(2, 8)) * 0.05 * chain.length_scale * np.array([[1.0], [1 / chain.time_scale]])
+    u, v = (
+        rng.normal(size=(2, 8))
+        * 0.05
+        * chain.length_scale
+        * np.array([[1.0], [1 / chain.time_scale]])
+    )
     u[-1] = v[-1] = 0.0
     u[:grain] = v[:grain] = 0.0
     start = Profile(displacement=u, velocity=v)
@@ -409,11 +464,19 @@ def test_a_start_that_does_not_fit():
     chain = loaded()
     for start, said in (
         (Profile(velocity=np.ones(5)), "excitation.start.velocity: must have one entry a grain"),
-        (Profile(velocity=np.eye(8)[0]), "excitation.start.velocity: must be 0 for grain 1, which moves as the drive"),
-        (Profile(displacement=np.eye(8)[7]), "excitation.start.displacement: must be 0 for grain 8, which is held"),
+        (
+            Profile(velocity=np.eye(8)[0]),
+            "excitation.start.velocity: must be 0 for grain 1, which moves as the drive",
+        ),
+        (
+            Profile(displacement=np.eye(8)[7]),
+            "excitation.start.displacement: must be 0 for grain 8, which is held",
+        ),
     ):
         tables = scene_of(chain, sine(chain)).to_dict()
-        tables["excitation"]["start"] = {key: value.tolist() for key, value in start.given().items()}
+        tables["excitation"]["start"] = {
+            key: value.tolist() for key, value in start.given().items()
+        }
         with pytest.raises(InputError) as caught:
             Scene.from_dict(tables)
         assert str(caught.value).startswith(said)
@@ -424,4 +487,6 @@ def test_derivatives_of_a_waveform_are_limits_of_differences(cycles):
     wave, t, h = Waveform.sine(2.0, 3.0, cycles), np.linspace(0.01, 0.7, 30), 1e-5
     for order in range(3):
         difference = (wave.at(t + h, order) - wave.at(t - h, order)) / (2 * h)
-        assert wave.at(t, order + 1) == pytest.approx(difference, abs=1e-6 * wave.largest(order + 1))
+        assert wave.at(t, order + 1) == pytest.approx(
+            difference, abs=1e-6 * wave.largest(order + 1)
+        )

@@ -13,7 +13,9 @@ WEAK: dict[str, Excitation] = {
     "impulse": Impulse(velocity=-1e-9, grain=3),
     "displacement": Displacement(displacement=2e-14, grain=12 - 1),
     "profile": Profile(displacement=np.linspace(1e-13, 0, 12)),
-    "moving profile": Profile(velocity=np.linspace(1e-9, 0, 12), displacement=np.linspace(1e-13, 0, 12)),
+    "moving profile": Profile(
+        velocity=np.linspace(1e-9, 0, 12), displacement=np.linspace(1e-13, 0, 12)
+    ),
     "drive": Drive(amplitude=-1e-13, frequency=3e4),
     "sampled drive": Drive(times=np.linspace(0, 1e-4, 9), displacement=PATH),
 }
@@ -28,9 +30,13 @@ def scene_of(excitation: Excitation, chain: Chain = CHAIN) -> Scene:
 def test_the_motion_of_springs_is_as_strong_as_the_excitation(excitation: Excitation) -> None:
     springs = Chain(**CHAIN.given() | {"exponent": 1.0})
     once, thrice = (
-        simulate(scene_of(e, springs), engine="native", tolerance=1e-9) for e in (excitation, excitation.scaled(3))
+        simulate(scene_of(e, springs), engine="native", tolerance=1e-9)
+        for e in (excitation, excitation.scaled(3))
     )
-    for single, triple in ((once.displacement, thrice.displacement), (once.velocity, thrice.velocity)):
+    for single, triple in (
+        (once.displacement, thrice.displacement),
+        (once.velocity, thrice.velocity),
+    ):
         assert triple == pytest.approx(3 * single, rel=0, abs=1e-8 * np.abs(triple).max())
     assert excitation.scaled(1.0) == excitation
 

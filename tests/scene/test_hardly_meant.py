@@ -8,7 +8,9 @@ from lmpchain import GLASS, Chain, Impulse, Impurity, Profile, Scene, plan, simu
 from lmpchain.cli import main
 
 CHAIN = Chain(grains=5, diameter=1e-3)
-SPRINGS = Chain(grains=3, diameter=1e-3, gravity=0.0, exponent=1.0, top_load=1e-3, masses=[1e-20] * 3)
+SPRINGS = Chain(
+    grains=3, diameter=1e-3, gravity=0.0, exponent=1.0, top_load=1e-3, masses=[1e-20] * 3
+)
 
 
 def said(make) -> list[str]:
@@ -27,10 +29,18 @@ def struck(chain: Chain, velocity: float, duration: float = 1e-5) -> Scene:
     [
         (lambda: Chain(grains=5, diameter=1.0), "diameter: ", "1 m is wide"),
         (lambda: Chain(grains=2, diameter=[1e-3, 5.0]), "diameter: ", "5 m is wide"),
-        (lambda: Chain(grains=5, diameter=1e-3, gravity=0.0, top_load=30.0), "diameter: ", "to 0.012 of the diameter"),
+        (
+            lambda: Chain(grains=5, diameter=1e-3, gravity=0.0, top_load=30.0),
+            "diameter: ",
+            "to 0.012 of the diameter",
+        ),
         (lambda: struck(CHAIN, 1e-3, 7200.0), "duration: ", "7200 s is long"),
         (lambda: struck(CHAIN, 20.0), "velocity: ", "to 0.012 of the diameter"),
-        (lambda: struck(SPRINGS, 6e3), "velocity: ", "6e+03 m/s, faster than sound in its material, 5.06e+03 m/s"),
+        (
+            lambda: struck(SPRINGS, 6e3),
+            "velocity: ",
+            "6e+03 m/s, faster than sound in its material, 5.06e+03 m/s",
+        ),
     ],
 )
 def test_it_is_said_in_one_line_with_number_and_unit(make, begin, number):
@@ -44,15 +54,29 @@ def test_sound_is_that_in_the_material_of_the_grain():
     slow = {"density": 1e4, "youngs_modulus": 1e4, "poissons_ratio": 0.2}  # 1 m/s
     assert GLASS.sound_speed == pytest.approx(5055, abs=1)
     odd = SPRINGS.replace(impurity=[Impurity(grain=2, mass=1e-20)])
-    soft = Chain(grains=4, diameter=1e-3, gravity=0.0, material=["glass", "glass", slow, "glass"], bottom="free")
-    for chain, speeds, grains in ((odd, [0, 2.0, 0], 0), (soft, [2.0] * 4, 1), (soft, [0.5] * 4, 0)):
-        texts = said(lambda c=chain, v=speeds: Scene(chain=c, excitation=Profile(velocity=v), duration=1e-6))
+    soft = Chain(
+        grains=4,
+        diameter=1e-3,
+        gravity=0.0,
+        material=["glass", "glass", slow, "glass"],
+        bottom="free",
+    )
+    for chain, speeds, grains in (
+        (odd, [0, 2.0, 0], 0),
+        (soft, [2.0] * 4, 1),
+        (soft, [0.5] * 4, 0),
+    ):
+        texts = said(
+            lambda c=chain, v=speeds: Scene(chain=c, excitation=Profile(velocity=v), duration=1e-6)
+        )
         assert sum("grain 3 moves at 2 m/s, faster than sound" in text for text in texts) == grains
 
 
 def test_what_is_usual_is_not_remarked_on():
     assert not said(lambda: struck(Chain(grains=120, diameter=1e-3), 8.57e-3, 1.0))
-    assert not said(lambda: struck(Chain(grains=120, diameter=1e-3, exponent=1.0, top_load=1e-2), 1e-3))
+    assert not said(
+        lambda: struck(Chain(grains=120, diameter=1e-3, exponent=1.0, top_load=1e-2), 1e-3)
+    )
 
 
 def test_it_is_said_once():
@@ -65,7 +89,9 @@ def test_it_is_said_once():
 
 
 def test_the_command_line_says_it_once(tmp_path, capsys):
-    Scene(chain=CHAIN, excitation=Impulse(velocity=1e-3), duration=1e-5).to_toml(tmp_path / "s.toml")
+    Scene(chain=CHAIN, excitation=Impulse(velocity=1e-3), duration=1e-5).to_toml(
+        tmp_path / "s.toml"
+    )
     text = (tmp_path / "s.toml").read_text().replace("0.001", "0.5", 1)
     (tmp_path / "s.toml").write_text(text)
     assert main(["run", str(tmp_path / "s.toml"), "-o", str(tmp_path / "s.nc")]) == 0

@@ -10,7 +10,18 @@ import pytest
 from helpers.example_scenes import random_scene
 from scipy.special import ive
 
-from lmpchain import GLASS, Chain, Displacement, Drive, Impulse, Impurity, Profile, Scene, engines, simulate
+from lmpchain import (
+    GLASS,
+    Chain,
+    Displacement,
+    Drive,
+    Impulse,
+    Impurity,
+    Profile,
+    Scene,
+    engines,
+    simulate,
+)
 from lmpchain.scene.light_cone import reached as grains_reached
 
 BEADS = {"material": GLASS, "diameter": 1e-3}
@@ -21,7 +32,11 @@ SCENES = {
     "the paper's": (Chain(grains=600, **BEADS), Impulse(velocity=8.57e-4), 100e-6),
     "strong": (Chain(grains=600, **BEADS), Impulse(velocity=8.57e-3), 100e-6),
     "in the middle": (Chain(grains=600, **BEADS), Impulse(velocity=1e-3, grain=300), 60e-6),
-    "at the floor": (Chain(grains=600, bottom="wall", **BEADS), Impulse(velocity=-1e-3, grain=600), 60e-6),
+    "at the floor": (
+        Chain(grains=600, bottom="wall", **BEADS),
+        Impulse(velocity=-1e-3, grain=600),
+        60e-6,
+    ),
     "moved": (Chain(grains=600, **BEADS), Displacement(displacement=1e-8, grain=100), 60e-6),
     "sonic vacuum": (Chain(grains=600, gravity=0.0, **BEADS), Impulse(velocity=0.1), 200e-6),
     "springs": (Chain(grains=600, exponent=1.0, **BEADS), Impulse(velocity=1e-3), 3e-6),
@@ -72,7 +87,9 @@ def test_random_scenes(seed: int):
     step = few.duration / 64
     if step * few.chain.band_edge > 0.5:
         step = 0.5 / few.chain.band_edge
-    alone, whole = (simulate(few, engine(integrator="rkn4", step=step)) for engine in (engines.Native, Whole))
+    alone, whole = (
+        simulate(few, engine(integrator="rkn4", step=step)) for engine in (engines.Native, Whole)
+    )
     outside = np.ones(few.chain.grains, bool)
     outside[first - 1 : last] = False
     for one, other in ((alone.displacement, whole.displacement), (alone.velocity, whole.velocity)):
@@ -91,7 +108,9 @@ def farthest(x: float) -> int:
 @pytest.mark.parametrize("x", [1e-3, 0.5, 2.0, 7.0, 30.0, 100.0, 333.0])
 def test_the_cone_is_as_wide_as_the_exact_solution_of_springs_needs(x: float):
     """Their motion d grains away is at most I_2d(W t), which is beyond 22 digits there, and hardly sooner."""
-    chain = Chain(grains=20_000, gravity=0.0, top_load=1e-3, exponent=1.0, top="wall", bottom="wall", **BEADS)
+    chain = Chain(
+        grains=20_000, gravity=0.0, top_load=1e-3, exponent=1.0, top="wall", bottom="wall", **BEADS
+    )
     springs = Chain(**chain.given() | {"wall_constants": [chain.contact_constants[0]] * 2})
     edge = 2 * np.sqrt(springs.contact_constants[0] / springs.masses[0])
     few = springs.part(1, 2000)
@@ -111,19 +130,27 @@ def test_the_cone_is_as_wide_as_the_exact_solution_of_springs_needs(x: float):
 def test_short_chains_and_wide_cones_are_not_cut():
     """From 128 grains on, and where seven grains in ten or fewer are reached."""
     for grains, cut in ((127, False), (128, True)):
-        scene = Scene(chain=Chain(grains=grains, **BEADS), excitation=Impulse(velocity=1e-6), duration=1e-6)
+        scene = Scene(
+            chain=Chain(grains=grains, **BEADS), excitation=Impulse(velocity=1e-6), duration=1e-6
+        )
         assert (scene.light_cone is not None) is cut
-    springs = Chain(grains=600, gravity=0.0, top_load=1e-3, exponent=1.0, top="wall", bottom="wall", **BEADS)
+    springs = Chain(
+        grains=600, gravity=0.0, top_load=1e-3, exponent=1.0, top="wall", bottom="wall", **BEADS
+    )
     edge = 2 * np.sqrt(springs.contact_constants[0] / springs.masses[0])
     for away, cut in ((205, True), (212, False)):
         x = next(x for x in np.arange(1.0, 500.0) if farthest(x) >= away)
-        scene = Scene(chain=springs, excitation=Impulse(velocity=1e-6, grain=300), duration=x / edge)
+        scene = Scene(
+            chain=springs, excitation=Impulse(velocity=1e-6, grain=300), duration=x / edge
+        )
         assert (scene.light_cone is not None) is cut
 
 
 @pytest.mark.parametrize("end", ["top", "bottom"])
 def test_a_stiff_wall_widens_the_cone(end: str):
-    beads = Chain(grains=600, gravity=0.0, top_load=1e-3, exponent=1.0, top="wall", bottom="wall", **BEADS)
+    beads = Chain(
+        grains=600, gravity=0.0, top_load=1e-3, exponent=1.0, top="wall", bottom="wall", **BEADS
+    )
     stiff = 9 * beads.contact_constants[0]
     walls = [stiff, stiff / 9] if end == "top" else [stiff / 9, stiff]
     chain = Chain(**beads.given() | {"wall_constants": walls})
@@ -141,7 +168,9 @@ def test_what_is_recorded_of_a_cone_is_where_it_was():
     """Rows among the grains that are computed, columns among those that are recorded."""
     chain = Chain(grains=600, **BEADS)
     for grains in ("all", "20:400", [3, 500, 30, 1], [599, 600]):
-        scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=60e-6, samples=7, grains=grains)
+        scene = Scene(
+            chain=chain, excitation=Impulse(velocity=1e-6), duration=60e-6, samples=7, grains=grains
+        )
         cone = scene.light_cone
         _, last = reached(scene)
         assert cone.scene.chain == chain.part(1, last)

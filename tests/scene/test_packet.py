@@ -8,7 +8,14 @@ from lmpchain import Chain, Packet, Profile, Scene, simulate
 from lmpchain.measure import energy
 
 Array = NDArray[np.float64]
-SPRINGS = {"diameter": 1e-3, "gravity": 0.0, "top_load": 1.0, "exponent": 1.0, "top": "wall", "bottom": "wall"}
+SPRINGS = {
+    "diameter": 1e-3,
+    "gravity": 0.0,
+    "top_load": 1.0,
+    "exponent": 1.0,
+    "top": "wall",
+    "bottom": "wall",
+}
 
 
 def uniform(grains: int = 400, **keys: object) -> Chain:
@@ -28,7 +35,9 @@ def test_a_packet_travels_with_the_group_velocity(q: float, engine: str):
     """On a uniform chain w = 2 sqrt(k/m) sin(q/2): its middle moves at sqrt(k/m) cos(q/2), averaged over the band."""
     chain = uniform()
     omega, width = 2 / chain.time_scale * np.sin(q / 2), 20.0
-    packet = Packet(frequency=omega / (2 * np.pi), width=width, grain=140, amplitude=1e-6 * chain.length_scale)
+    packet = Packet(
+        frequency=omega / (2 * np.pi), width=width, grain=140, amplitude=1e-6 * chain.length_scale
+    )
     speed = np.cos(q / 2) / chain.time_scale
     scene = Scene(chain=chain, excitation=packet, duration=100 / speed, samples=11)
     place = middle(simulate(scene, engine, 1e-9))
@@ -53,7 +62,9 @@ def test_velocities_and_strains_are_samples_of_one_wave(q: float, width: float):
     def wave(place: Array) -> Array:
         return np.exp(-(place**2) / (2 * width**2)) * np.cos(q * place)
 
-    assert v[near] == pytest.approx(amplitude * omega * wave(x)[near], rel=0, abs=1e-11 * amplitude * omega)
+    assert v[near] == pytest.approx(
+        amplitude * omega * wave(x)[near], rel=0, abs=1e-11 * amplitude * omega
+    )
     strain = 2 * amplitude * np.sin(q / 2) * wave(x[:-1] + 0.5)
     between = near[:-1] & near[1:]
     assert (u[:-1] - u[1:])[between] == pytest.approx(strain[between], rel=0, abs=1e-11 * amplitude)
@@ -70,12 +81,16 @@ def test_hardly_anything_goes_up(width: float, most: float):
     """The part that goes up is that of the Gaussian beyond q = 0 and pi: exp(-(q width)^2 / 2) at q = 1."""
     chain = uniform(500)
     omega = 2 / chain.time_scale * np.sin(0.5)
-    packet = Packet(frequency=omega / (2 * np.pi), width=width, grain=200, amplitude=1e-6 * chain.length_scale)
+    packet = Packet(
+        frequency=omega / (2 * np.pi), width=width, grain=200, amplitude=1e-6 * chain.length_scale
+    )
     scene = Scene(chain=chain, excitation=packet, duration=150 * chain.time_scale, samples=2)
     found = energy.shares(simulate(scene, "modes"))
     up = found.part(1, 170)[-1] / found.part(1, 500)[-1]
     assert up < most
-    rest = Profile(displacement=packet.initial(chain)[0])  # without its velocity, half of it goes up
+    rest = Profile(
+        displacement=packet.initial(chain)[0]
+    )  # without its velocity, half of it goes up
     still = energy.shares(simulate(Scene(**scene.given() | {"excitation": rest}), "modes"))
     assert still.part(1, 200)[-1] / still.part(1, 500)[-1] == pytest.approx(0.5, abs=0.02)
 
@@ -84,7 +99,9 @@ def test_a_packet_under_gravity():
     """In a column the local wave number makes it: what goes up stays small, and arrival follows the travel time."""
     chain = Chain(grains=900, diameter=1e-3, bottom="wall")
     omega = 0.8 * np.sqrt(chain.linear_stiffness[300] / chain.masses[0])
-    packet = Packet(frequency=omega / (2 * np.pi), width=20.0, grain=300, amplitude=1e-7 * chain.length_scale)
+    packet = Packet(
+        frequency=omega / (2 * np.pi), width=20.0, grain=300, amplitude=1e-7 * chain.length_scale
+    )
     local = np.sqrt(chain.linear_stiffness[299:] / chain.masses[0])
     group = local * np.sqrt(1 - (omega / (2 * local)) ** 2)
     late = np.cumsum(1 / group)
@@ -95,15 +112,21 @@ def test_a_packet_under_gravity():
     assert middle(t)[-1] == pytest.approx(600, abs=2)
 
 
-@pytest.mark.parametrize("engine", ["modes", "native", pytest.param("lammps", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "engine", ["modes", "native", pytest.param("lammps", marks=pytest.mark.slow)]
+)
 def test_reflection_and_transmission(engine: str):
     """A grain of another mass lets |T|^2 = 1 / (1 + (dm/m)^2 tan^2(q/2)) through, here averaged over the packet."""
     q0, width, odd = 1.2, 16.0, 300
     plain = uniform(600)
     chain = uniform(600, impurity=[{"grain": odd, "mass": 1.8 * plain.masses[0]}])
     omega = 2 / plain.time_scale * np.sin(q0 / 2)
-    packet = Packet(frequency=omega / (2 * np.pi), width=width, grain=170, amplitude=1e-4 * plain.length_scale)
-    scene = Scene(chain=chain, excitation=packet, duration=260 / np.cos(q0 / 2) * plain.time_scale, samples=2)
+    packet = Packet(
+        frequency=omega / (2 * np.pi), width=width, grain=170, amplitude=1e-4 * plain.length_scale
+    )
+    scene = Scene(
+        chain=chain, excitation=packet, duration=260 / np.cos(q0 / 2) * plain.time_scale, samples=2
+    )
     found = energy.shares(simulate(scene, engine, 1e-6))
     whole = found.part(1, 600)[0]
     through, back = found.part(odd + 10, 600)[-1] / whole, found.part(1, odd - 10)[-1] / whole
@@ -118,14 +141,20 @@ def test_energy_flows_evenly_through_an_uneven_chain():
     """Where stiffness and mass change slowly, m v^2 times the group velocity is that of the middle, at its phase."""
     x = np.linspace(-1, 1, 400)
     masses, constants = 1e-6 * np.exp(0.5 * x), 1e3 * np.exp(-0.8 * (x[:-1] + x[1:]) / 2)
-    chain = Chain(**SPRINGS | {"grains": 400, "masses": masses, "contact_constants": constants, "top_load": 1e-2})
+    chain = Chain(
+        **SPRINGS
+        | {"grains": 400, "masses": masses, "contact_constants": constants, "top_load": 1e-2}
+    )
     omega, width, middle, amplitude = 3e4, 20.0, 190, 1e-9
     packet = Packet(frequency=omega / (2 * np.pi), width=width, grain=middle, amplitude=amplitude)
     u, v = packet.initial(chain)
     place = np.linspace(1, 400, 399 * 20 + 1)
     across = (place - 200.5) / 199.5
     local = np.sqrt(1e3 * np.exp(-0.8 * across) / (1e-6 * np.exp(0.5 * across)))
-    number, group = 2 * np.arcsin(omega / (2 * local)), local * np.sqrt(1 - (omega / (2 * local)) ** 2)
+    number, group = (
+        2 * np.arcsin(omega / (2 * local)),
+        local * np.sqrt(1 - (omega / (2 * local)) ** 2),
+    )
     at = 20 * (middle - 1)
     phase, late = (np.append(0, np.cumsum((y[1:] + y[:-1]) / 40)) for y in (number, 1 / group))
     envelope = np.exp(-(((late - late[at]) * group[at] / width) ** 2) / 2)
@@ -148,7 +177,10 @@ def test_a_packet_that_does_not_fit_is_refused():
 
     assert not faults(grain=49)
     (fault,) = faults(grain=48)
-    assert fault == ("width", "the packet is 6 widths long on either side, which does not fit in the chain")
+    assert fault == (
+        "width",
+        "the packet is 6 widths long on either side, which does not fit in the chain",
+    )
     assert not faults(grain=53)
     assert [key for key, _ in faults(grain=54)] == ["width"]
     held = uniform(101, bottom="fixed")
@@ -157,14 +189,18 @@ def test_a_packet_that_does_not_fit_is_refused():
     assert faults(grain=102) == [("grain", "must be one that moves, 1 to 101 (got 102)")]
     assert faults(held, grain=101) == [("grain", "must be one that moves, 1 to 100 (got 101)")]
     vacuum = Chain(grains=101, diameter=1e-3, gravity=0.0)
-    assert faults(vacuum) == [("kind", "there are no linear waves without gravity and load: give a top_load")]
+    assert faults(vacuum) == [
+        ("kind", "there are no linear waves without gravity and load: give a top_load")
+    ]
     assert not faults(frequency=0.9999 * limit)
     heavy = uniform(101, impurity=[{"grain": 61, "mass": 2 * chain.masses[0]}])
     assert not faults(heavy, frequency=0.9999 * limit / np.sqrt(2))
     (fault,) = faults(heavy, frequency=1.0001 * limit / np.sqrt(2))
     text = f"must be below the highest that travels at grain 60, {limit / np.sqrt(2):.4g} Hz"
     assert fault == ("frequency", text)
-    assert not faults(uniform(101, impurity=[{"grain": 99, "mass": 2 * chain.masses[0]}]), frequency=0.99 * limit)
+    assert not faults(
+        uniform(101, impurity=[{"grain": 99, "mass": 2 * chain.masses[0]}]), frequency=0.99 * limit
+    )
 
 
 def test_part_and_scale():

@@ -228,7 +228,9 @@ def file(tmp_path: Path) -> Path:
 
 def test_keys_outside_of_their_sections_are_sent_there(tmp_path: Path):
     path = tmp_path / "scene.toml"
-    path.write_text("samples = 3\nduration = 1e-5\nkind = 'impulse'\ngravity = 0\nchian = 1\n" + GOOD)
+    path.write_text(
+        "samples = 3\nduration = 1e-5\nkind = 'impulse'\ngravity = 0\nchian = 1\n" + GOOD
+    )
     with pytest.raises(InputError) as caught:
         Scene.from_toml(path)
     ends = {key: message.partition("below the line ")[2] for key, message in caught.value.faults}
@@ -242,7 +244,9 @@ def test_keys_outside_of_their_sections_are_sent_there(tmp_path: Path):
 
 
 @pytest.mark.parametrize(("old", "new", "key"), FAULTS.values(), ids=FAULTS)
-def test_a_fault_is_named_by_its_key(old: str, new: str, key: str, file: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_fault_is_named_by_its_key(
+    old: str, new: str, key: str, file: Path, capsys: pytest.CaptureFixture[str]
+):
     assert GOOD.count(old) == 1
     file.write_text(GOOD.replace(old, new))
     with pytest.raises(InputError) as caught:
@@ -263,15 +267,29 @@ def test_all_faults_come_at_once(file: Path, capsys: pytest.CaptureFixture[str])
 
 
 def test_faults_between_sections_come_at_once(file: Path, capsys: pytest.CaptureFixture[str]):
-    file.write_text(GOOD.replace("grain = 1\n", "grain = 21\n").replace("samples = 11", 'grains = "1:21"'))
+    file.write_text(
+        GOOD.replace("grain = 1\n", "grain = 21\n").replace("samples = 11", 'grains = "1:21"')
+    )
     assert refused(file, capsys) == ["excitation.grain", "recording.grains"]
 
 
-def test_faults_of_walls_impurities_and_drives_come_at_once(file: Path, capsys: pytest.CaptureFixture[str]):
-    impurities = "[[chain.impurity]]\ngrain = 3\n[[chain.impurity]]\ngrain = 0\nmass = -1.0\ncolour = 1\n"
-    table = 'top = "wal"\ntop_material = "mud"\nbottom_material = {density = 1.0}\n' + impurities + "[excitation]"
+def test_faults_of_walls_impurities_and_drives_come_at_once(
+    file: Path, capsys: pytest.CaptureFixture[str]
+):
+    impurities = (
+        "[[chain.impurity]]\ngrain = 3\n[[chain.impurity]]\ngrain = 0\nmass = -1.0\ncolour = 1\n"
+    )
+    table = (
+        'top = "wal"\ntop_material = "mud"\nbottom_material = {density = 1.0}\n'
+        + impurities
+        + "[excitation]"
+    )
     drive = 'kind = "drive"\nfrequency = -1.0\ntimes = "all"\nvelocity = 1.0'
-    file.write_text(GOOD.replace("[excitation]", table).replace(STRIKE, drive).replace("samples = 11", "samples = 1"))
+    file.write_text(
+        GOOD.replace("[excitation]", table)
+        .replace(STRIKE, drive)
+        .replace("samples = 11", "samples = 1")
+    )
     assert sorted(refused(file, capsys)) == [
         "chain.bottom_material.poissons_ratio", "chain.bottom_material.youngs_modulus",
         "chain.impurity.0.diameter", "chain.impurity.1.colour", "chain.impurity.1.grain", "chain.impurity.1.mass",
@@ -286,7 +304,9 @@ def test_what_does_not_fit_together_comes_at_once(file: Path, capsys: pytest.Cap
     table = 'bottom_material = "steel"\n' + impurities + "[excitation]"
     drive = 'kind = "drive"\ntimes = [0.0, 9e-6]\ndisplacement = [0.0, 1e-9]\ngrain = 0'
     recorded = 'samples = 11\ngrains = "20:21"'
-    file.write_text(GOOD.replace("[excitation]", table).replace(STRIKE, drive).replace("samples = 11", recorded))
+    file.write_text(
+        GOOD.replace("[excitation]", table).replace(STRIKE, drive).replace("samples = 11", recorded)
+    )
     assert refused(file, capsys) == [
         "chain.impurity.0.grain", "chain.impurity.2.grain", "chain.bottom_material",
         "excitation.grain", "excitation.times", "recording.grains",
@@ -315,7 +335,9 @@ def test_a_file_that_is_not_a_scene_file(tmp_path: Path, capsys: pytest.CaptureF
         assert main(["run", nothing]) == 2
 
 
-def test_a_number_without_a_digit_after_the_point_gets_a_hint(file: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_number_without_a_digit_after_the_point_gets_a_hint(
+    file: Path, capsys: pytest.CaptureFixture[str]
+):
     file.write_text(GOOD.replace("9.81", "9."))
     assert main(["run", str(file)]) == 2
     assert "digit after the point" in capsys.readouterr().err
@@ -369,8 +391,12 @@ CHAINS = {
     ),
 }  # fmt: skip
 BETWEEN = {
-    "walls": Chain(grains=4, diameter=1e-3, top="wall", bottom="wall", top_load=1e-3 / 3, top_material=STEEL),
-    "a wall that just touches": Chain(grains=4, diameter=1e-3, top="wall", bottom="wall", top_material=WATER),
+    "walls": Chain(
+        grains=4, diameter=1e-3, top="wall", bottom="wall", top_load=1e-3 / 3, top_material=STEEL
+    ),
+    "a wall that just touches": Chain(
+        grains=4, diameter=1e-3, top="wall", bottom="wall", top_material=WATER
+    ),
     "wall and nothing": Chain(grains=4, diameter=1e-3, gravity=0.0, top="wall", bottom="free"),
 }
 EXCITATIONS = {
@@ -382,7 +408,9 @@ EXCITATIONS = {
 DRIVES = {
     "sine": Drive(amplitude=-1e-10 / 3, frequency=np.float64(1e5) / 3),
     "piston": Drive(times=[0, 1e-4], displacement=[0.0, 1e-9 / 3]),
-    "path": Drive(times=np.array([0, 1e-6 / 3, 2e-6, 4e-6]), displacement=(0, 1e-10, -1e-10 / 3, 0)),
+    "path": Drive(
+        times=np.array([0, 1e-6 / 3, 2e-6, 4e-6]), displacement=(0, 1e-10, -1e-10 / 3, 0)
+    ),
 }
 RECORDED = {"all": "all", "range": "2:3", "list": [4, 1], "array": np.array([1, 3])}
 
@@ -397,8 +425,12 @@ PAIRS = {
 
 @pytest.mark.parametrize(("chain", "excitation"), PAIRS.values(), ids=PAIRS)
 @pytest.mark.parametrize("grains", RECORDED.values(), ids=RECORDED)
-def test_what_is_written_is_read_back_equal(chain: Chain, excitation: Impulse, grains: str, file: Path):
-    scene = Scene(chain=chain, excitation=excitation, duration=1e-5 / 3, samples=np.int64(7), grains=grains)
+def test_what_is_written_is_read_back_equal(
+    chain: Chain, excitation: Impulse, grains: str, file: Path
+):
+    scene = Scene(
+        chain=chain, excitation=excitation, duration=1e-5 / 3, samples=np.int64(7), grains=grains
+    )
     scene.to_toml(file)
     again = Scene.from_toml(file)
     assert again == scene
@@ -428,7 +460,9 @@ def test_a_profile_is_read_from_a_csv_file(file: Path):
     u, v = np.arange(20) * 1e-11, np.cos(np.arange(20.0)) * 1e-6
     u[-1] = v[-1] = 0
     rows = [f"{n},{float(a)!r},{float(b)!r}" for n, a, b in zip(range(1, 21), u, v, strict=True)]
-    (file.parent / "profile.csv").write_text("\n".join(["grain,displacement,velocity", *rows]) + "\n")
+    (file.parent / "profile.csv").write_text(
+        "\n".join(["grain,displacement,velocity", *rows]) + "\n"
+    )
     file.write_text(GOOD.replace(STRIKE, 'kind = "profile"\nfile = "profile.csv"'))
     scene = Scene.from_toml(file)
     assert scene.excitation == Profile(displacement=u, velocity=v)
@@ -440,10 +474,16 @@ def test_a_profile_is_read_from_a_csv_file(file: Path):
 
 def test_a_chain_is_read_from_a_csv_file(file: Path):
     table = file.with_name("grains.csv")
-    table.write_text("grain, material, diameter\n1,glass,1e-3\n2,steel,2e-3\n3,ptfe,1.5e-3\n4,glass,1e-3\n")
-    with_file = GOOD.replace('grains = 20\nmaterial = "glass"\ndiameter = 1.0e-3', 'file = "grains.csv"')
+    table.write_text(
+        "grain, material, diameter\n1,glass,1e-3\n2,steel,2e-3\n3,ptfe,1.5e-3\n4,glass,1e-3\n"
+    )
+    with_file = GOOD.replace(
+        'grains = 20\nmaterial = "glass"\ndiameter = 1.0e-3', 'file = "grains.csv"'
+    )
     odd = "[[chain.impurity]]\ngrain = 2\nmass = 1e-5\n[excitation]"
-    file.write_text(with_file.replace("[excitation]", odd).replace("gravity", 'bottom = "wall"\ngravity'))
+    file.write_text(
+        with_file.replace("[excitation]", odd).replace("gravity", 'bottom = "wall"\ngravity')
+    )
     scene = Scene.from_toml(file)
     expected = Chain(
         grains=4, material=[GLASS, STEEL, PTFE, GLASS], diameter=[1e-3, 2e-3, 1.5e-3, 1e-3], bottom="wall",
@@ -459,10 +499,18 @@ def test_a_chain_is_read_from_a_csv_file(file: Path):
 def test_a_chain_file_may_hold_masses_and_leave_out_materials(file: Path):
     table = file.with_name("grains.csv")
     table.write_text("\ufeffdiameter,mass\n1e-3,1e-6\n\n2e-3,2e-6\n1e-3,3e-6\n", encoding="utf-8")
-    with_file = GOOD.replace('grains = 20\nmaterial = "glass"\ndiameter = 1.0e-3', 'grains = 3\nfile = "grains.csv"')
+    with_file = GOOD.replace(
+        'grains = 20\nmaterial = "glass"\ndiameter = 1.0e-3', 'grains = 3\nfile = "grains.csv"'
+    )
     file.write_text(with_file.replace("gravity", 'material = "ptfe"\ngravity'))
     chain = Scene.from_toml(file).chain
-    assert chain == Chain(grains=3, material=PTFE, diameter=[1e-3, 2e-3, 1e-3], masses=[1e-6, 2e-6, 3e-6], gravity=9.81)
+    assert chain == Chain(
+        grains=3,
+        material=PTFE,
+        diameter=[1e-3, 2e-3, 1e-3],
+        masses=[1e-6, 2e-6, 3e-6],
+        gravity=9.81,
+    )
     assert chain.masses.tolist() == [1e-6, 2e-6, 3e-6]
 
 
@@ -477,19 +525,37 @@ CHAIN_FILES = {  # what the file holds, what the table adds, and the key that mu
     "grains out of order": ("grain,diameter\n2,1e-3\n1,1e-3\n", "", "chain.file"),
     "no diameter": ("diameter\n0\n1e-3\n", "", "chain.diameter"),
     "negative mass": ("diameter,mass\n1e-3,1e-6\n1e-3,-1e-6\n", "", "chain.masses"),
-    "material that is not known": ("diameter,material\n1e-3,glass\n1e-3,mud\n", "", "chain.material"),
+    "material that is not known": (
+        "diameter,material\n1e-3,glass\n1e-3,mud\n",
+        "",
+        "chain.material",
+    ),
     "one row": ("diameter\n1e-3\n", "", "chain.grains"),
     "diameter in both": ("diameter\n1e-3\n1e-3\n", "diameter = 1e-3\n", "chain.diameter"),
-    "material in both": ("diameter,material\n1e-3,glass\n1e-3,glass\n", 'material = "glass"\n', "chain.material"),
-    "mass in both": ("diameter,mass\n1e-3,1e-6\n1e-3,1e-6\n", "masses = [1e-6, 1e-6]\n", "chain.mass"),
+    "material in both": (
+        "diameter,material\n1e-3,glass\n1e-3,glass\n",
+        'material = "glass"\n',
+        "chain.material",
+    ),
+    "mass in both": (
+        "diameter,mass\n1e-3,1e-6\n1e-3,1e-6\n",
+        "masses = [1e-6, 1e-6]\n",
+        "chain.mass",
+    ),
     "another number of grains": ("diameter\n1e-3\n1e-3\n", "grains = 3\n", "chain.diameter"),
 }
 
 
 @pytest.mark.parametrize(("text", "more", "key"), CHAIN_FILES.values(), ids=CHAIN_FILES)
-def test_a_faulty_chain_file_is_refused(text: str, more: str, key: str, file: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_faulty_chain_file_is_refused(
+    text: str, more: str, key: str, file: Path, capsys: pytest.CaptureFixture[str]
+):
     file.with_name("grains.csv").write_text(text)
-    file.write_text(GOOD.replace('grains = 20\nmaterial = "glass"\ndiameter = 1.0e-3', f'file = "grains.csv"\n{more}'))
+    file.write_text(
+        GOOD.replace(
+            'grains = 20\nmaterial = "glass"\ndiameter = 1.0e-3', f'file = "grains.csv"\n{more}'
+        )
+    )
     assert key in refused(file, capsys)
 
 
@@ -521,7 +587,9 @@ DRIVE_FILES = {
 
 
 @pytest.mark.parametrize(("text", "key"), DRIVE_FILES.values(), ids=DRIVE_FILES)
-def test_a_faulty_drive_file_is_refused(text: str, key: str, file: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_faulty_drive_file_is_refused(
+    text: str, key: str, file: Path, capsys: pytest.CaptureFixture[str]
+):
     file.with_name("drive.csv").write_text(text)
     file.write_text(GOOD.replace(STRIKE, 'kind = "drive"\nfile = "drive.csv"'))
     assert refused(file, capsys) == [key]
@@ -560,7 +628,12 @@ def test_python_finds_the_same_faults_as_a_file():
 def test_python_finds_the_same_faults_in_a_drive_as_a_file():
     chain = Chain(grains=2, diameter=1e-3, gravity=0.0)
     with pytest.raises(InputError) as caught:
-        Scene(chain=chain, excitation=Drive(times=[0, 1e-6], displacement=[0, 1e-9]), duration=1e-5, grains=[4])
+        Scene(
+            chain=chain,
+            excitation=Drive(times=[0, 1e-6], displacement=[0, 1e-9]),
+            duration=1e-5,
+            grains=[4],
+        )
     assert [key for key, _ in caught.value.faults] == ["kind", "times", "grains"]
     with pytest.raises(InputError) as caught:
         Drive(times=[1e-6, 0], displacement=[1e-9, 0])
@@ -568,8 +641,12 @@ def test_python_finds_the_same_faults_in_a_drive_as_a_file():
 
 
 def test_a_scene_cannot_be_changed_once_it_is_checked():
-    scene = Scene(chain=Chain(grains=3, diameter=[1e-3] * 3), excitation=Impulse(velocity=1e-3), duration=1e-6)
-    with pytest.raises(InputError, match=r"^duration: cannot be changed: use .replace\(duration=...\)"):
+    scene = Scene(
+        chain=Chain(grains=3, diameter=[1e-3] * 3), excitation=Impulse(velocity=1e-3), duration=1e-6
+    )
+    with pytest.raises(
+        InputError, match=r"^duration: cannot be changed: use .replace\(duration=...\)"
+    ):
         scene.duration = -1.0
     with pytest.raises(ValueError, match="read-only"):
         scene.chain.diameter[0] = -1.0
@@ -577,7 +654,9 @@ def test_a_scene_cannot_be_changed_once_it_is_checked():
 
 def test_samples_and_their_times_and_grains():
     chain = Chain(grains=5, diameter=1e-3)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=1e-5, samples=11, grains="2:4")
+    scene = Scene(
+        chain=chain, excitation=Impulse(velocity=1e-6), duration=1e-5, samples=11, grains="2:4"
+    )
     assert scene.time[0] == 0
     assert scene.time[-1] == 1e-5
     assert scene.time.size == 11
@@ -592,12 +671,17 @@ def test_strike_number():
         scene = Scene(chain=chain, excitation=Impulse(velocity=v0, grain=grain), duration=1e-5)
         assert scene.strike_number == pytest.approx(0.1, rel=1e-14, abs=0)
     moved = Displacement(displacement=-chain.length_scale / 2)
-    assert Scene(chain=chain, excitation=moved, duration=1e-5).strike_number == pytest.approx(0.5, rel=1e-14, abs=0)
+    assert Scene(chain=chain, excitation=moved, duration=1e-5).strike_number == pytest.approx(
+        0.5, rel=1e-14, abs=0
+    )
     # the paper's unit of velocity, sqrt(delta g) (g / gamma)^(1 / (2 delta)), is 0.101096 mm/s here
     scene = Scene(chain=chain, excitation=Impulse(velocity=1.01096e-4), duration=1e-5)
     assert scene.strike_number == pytest.approx(1, rel=1e-5, abs=0)
     vacuum = Chain(grains=20, diameter=1e-3, gravity=0.0)
-    assert Scene(chain=vacuum, excitation=Impulse(velocity=1e-9), duration=1e-5).strike_number == np.inf
+    assert (
+        Scene(chain=vacuum, excitation=Impulse(velocity=1e-9), duration=1e-5).strike_number
+        == np.inf
+    )
 
 
 def test_a_faulty_chain_does_not_hide_what_is_wrong_elsewhere(tmp_path: Path):
@@ -614,7 +698,9 @@ def test_a_faulty_chain_does_not_hide_what_is_wrong_elsewhere(tmp_path: Path):
     assert keys == ["chain.colour", "chain.bottom", "excitation.grain", "recording.grains"]
 
 
-@pytest.mark.parametrize("given", [{"kind": "impulse", "velocity": 1e-5}, {}, None, 3, "impulse", [1e-5], Impulse])
+@pytest.mark.parametrize(
+    "given", [{"kind": "impulse", "velocity": 1e-5}, {}, None, 3, "impulse", [1e-5], Impulse]
+)
 def test_what_is_no_excitation_is_named(given: object):
     with pytest.raises(InputError, match="must be of the type Excitation") as caught:
         Scene(chain=Chain(grains=12, diameter=1e-3), excitation=given, duration=1e-5)  # type: ignore[arg-type]
@@ -624,7 +710,11 @@ def test_what_is_no_excitation_is_named(given: object):
 @pytest.mark.parametrize("value", [10**5000, [10**400], "1:" + "9" * 5000, [1.0] * 10**6], ids=type)
 @pytest.mark.parametrize("key", ["duration", "samples", "grains"])
 def test_values_of_any_length_are_refused_in_a_line(key: str, value: object):
-    fields = {"chain": Chain(grains=12, diameter=1e-3), "excitation": Impulse(velocity=1e-5), "duration": 1e-5}
+    fields = {
+        "chain": Chain(grains=12, diameter=1e-3),
+        "excitation": Impulse(velocity=1e-5),
+        "duration": 1e-5,
+    }
     with pytest.raises(InputError) as caught:
         Scene(**fields | {key: value})
     (fault,) = caught.value.faults
@@ -635,11 +725,18 @@ def test_values_of_any_length_are_refused_in_a_line(key: str, value: object):
 @pytest.mark.parametrize("duration", [5e-324, 1e-310])
 def test_samples_are_apart_in_numbers_of_full_precision(duration: float):
     with pytest.raises(InputError, match=r"^duration: 5 samples .* too close"):
-        Scene(chain=Chain(grains=12, diameter=1e-3), excitation=Impulse(velocity=1e-5), duration=duration, samples=5)
+        Scene(
+            chain=Chain(grains=12, diameter=1e-3),
+            excitation=Impulse(velocity=1e-5),
+            duration=duration,
+            samples=5,
+        )
 
 
 def test_the_text_of_a_scene_names_no_file(tmp_path: Path):
     (tmp_path / "grains.csv").write_text("diameter\n1e-3\n1e-3\n")
-    text = GOOD.replace('grains = 20\nmaterial = "glass"\ndiameter = 1.0e-3', f'file = "{tmp_path / "grains.csv"}"')
+    text = GOOD.replace(
+        'grains = 20\nmaterial = "glass"\ndiameter = 1.0e-3', f'file = "{tmp_path / "grains.csv"}"'
+    )
     with pytest.raises(InputError, match=r"chain\.file: a scene without a folder"):
         Scene.from_text(text)

@@ -21,7 +21,9 @@ def faults(tables: dict[str, Any], folder: Path | None = None) -> list[tuple[str
 
 
 def test_sections_that_are_missing_or_wrong() -> None:
-    assert faults({}) == [(key, f"is missing; add a [{key}] table") for key in ("chain", "excitation", "recording")]
+    assert faults({}) == [
+        (key, f"is missing; add a [{key}] table") for key in ("chain", "excitation", "recording")
+    ]
     assert faults(GOOD | {"recording": 3}) == [("recording", "must be a table, [recording]")]
     ((key, text),) = faults(GOOD | {"chains": {}})
     assert key == "chains"
@@ -29,7 +31,9 @@ def test_sections_that_are_missing_or_wrong() -> None:
     assert "chain" in text.partition(";")[0]
     assert text.endswith("; the sections are chain, excitation, recording")
     kinds = "impulse | displacement | profile | packet | drive | force"
-    assert faults(GOOD | {"excitation": {"velocity": 1e-6}}) == [("excitation.kind", f"is missing; {kinds}")]
+    assert faults(GOOD | {"excitation": {"velocity": 1e-6}}) == [
+        ("excitation.kind", f"is missing; {kinds}")
+    ]
     ((key, text),) = faults(GOOD | {"excitation": {"knid": "impulse", "velocity": 1e-6}})
     assert (key, "is unknown" in text) == ("excitation.kind", True)
     ((key, text),) = faults(GOOD | {"excitation": IMPULSE | {"kind": "implse"}})
@@ -45,11 +49,20 @@ TABLES = {
     ),
     "a column twice": ("diameter,diameter\n1,2\n", HEADER),
     "grains alone": ("grain\n1\n", HEADER),
-    "a short line": ("diameter,mass\n1e-3,1e-6\n1e-3\n", "{path}, line 3: must have 2 values, as the header has"),
+    "a short line": (
+        "diameter,mass\n1e-3,1e-6\n1e-3\n",
+        "{path}, line 3: must have 2 values, as the header has",
+    ),
     "nothing": ("diameter\n", "{path} has a header and nothing below it"),
     "words": ("diameter\n1e-3\nwide\n", "{path}: the column diameter must hold numbers ("),
-    "a count that skips": ("grain,diameter\n1,1e-3\n3,1e-3\n", "{path}: the column grain must count 1, 2, 3 ..."),
-    "a count from 0": ("grain,diameter\n0,1e-3\n1,1e-3\n", "{path}: the column grain must count 1, 2, 3 ..."),
+    "a count that skips": (
+        "grain,diameter\n1,1e-3\n3,1e-3\n",
+        "{path}: the column grain must count 1, 2, 3 ...",
+    ),
+    "a count from 0": (
+        "grain,diameter\n0,1e-3\n1,1e-3\n",
+        "{path}: the column grain must count 1, 2, 3 ...",
+    ),
     "no table": ("", "{path} cannot be read as CSV: not a table with a header"),
     "no diameter": ("mass\n1e-6\n2e-6\n", "has no column diameter (m)"),
 }
@@ -66,8 +79,13 @@ def test_a_faulty_table_is_named_with_its_line(table: str, said: str, tmp_path: 
 
 def test_tables_that_are_not_there_or_not_named(tmp_path: Path) -> None:
     ((key, text),) = faults(GOOD | {"chain": {"file": "none.csv"}}, tmp_path)
-    assert (key, text) == ("chain.file", f"{tmp_path / 'none.csv'} cannot be read as CSV: No such file or directory")
-    assert faults(GOOD | {"chain": {"file": 3}}, tmp_path) == [("chain.file", "must be the name of a CSV file")]
+    assert (key, text) == (
+        "chain.file",
+        f"{tmp_path / 'none.csv'} cannot be read as CSV: No such file or directory",
+    )
+    assert faults(GOOD | {"chain": {"file": 3}}, tmp_path) == [
+        ("chain.file", "must be the name of a CSV file")
+    ]
     without = "a scene without a folder can name no file: give the numbers themselves"
     assert faults(GOOD | {"chain": {"file": "grains.csv"}}) == [("chain.file", without)]
     (tmp_path / "grains.csv").write_text("diameter,mass\n1e-3,1e-6\n2e-3,2e-6\n")
@@ -79,11 +97,15 @@ def test_tables_that_are_not_there_or_not_named(tmp_path: Path) -> None:
 
 def test_tables_fill_the_fields_of_their_columns(tmp_path: Path) -> None:
     (tmp_path / "grains.csv").write_text(
-        "\ufeffgrain , material, diameter,mass\n1,glass,1e-3,1e-6\n\n2, steel ,2e-3,2e-6\n", encoding="utf-8"
+        "\ufeffgrain , material, diameter,mass\n1,glass,1e-3,1e-6\n\n2, steel ,2e-3,2e-6\n",
+        encoding="utf-8",
     )
     (tmp_path / "start.csv").write_text("grain,velocity,displacement\n1,1e-6,1e-12\n2,0,0\n")
     (tmp_path / "path.csv").write_text("time,displacement\n0,0\n1e-5,1e-12\n")
-    tables = GOOD | {"chain": {"file": "grains.csv"}, "excitation": {"kind": "profile", "file": "start.csv"}}
+    tables = GOOD | {
+        "chain": {"file": "grains.csv"},
+        "excitation": {"kind": "profile", "file": "start.csv"},
+    }
     scene = Scene.from_dict(tables, tmp_path)
     assert scene.chain.grains == 2
     assert [material.name for material in scene.chain.material] == ["glass", "steel"]
@@ -95,7 +117,10 @@ def test_tables_fill_the_fields_of_their_columns(tmp_path: Path) -> None:
     assert driven.excitation.displacement.tolist() == [0.0, 1e-12]
     (tmp_path / "path.csv").write_text("grain,time,displacement\n1,0,0\n2,1e-5,1e-12\n")
     ((key, text),) = faults(GOOD | {"excitation": {"kind": "drive", "file": "path.csv"}}, tmp_path)
-    assert (key, text.endswith("must have a header with some of time, displacement")) == ("excitation.file", True)
+    assert (key, text.endswith("must have a header with some of time, displacement")) == (
+        "excitation.file",
+        True,
+    )
 
 
 @pytest.mark.parametrize(
@@ -118,7 +143,10 @@ def test_what_is_no_toml_is_named_by_its_path(text: bytes, said: str, tmp_path: 
 
 
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
-    for path, said in ((tmp_path / "none.toml", "there is no such file"), (tmp_path, "cannot be read: ")):
+    for path, said in (
+        (tmp_path / "none.toml", "there is no such file"),
+        (tmp_path, "cannot be read: "),
+    ):
         with pytest.raises(InputError) as caught:
             Scene.from_toml(path)
         ((key, message),) = caught.value.faults
@@ -131,7 +159,9 @@ def test_tables_of_a_scene_hold_plain_values_and_names_of_known_materials() -> N
     glassy = GLASS.replace(density=2500.0)
     chain = Chain(grains=3, diameter=np.array([1e-3, 2e-3, 1e-3]), material=["glass", own, glassy], bottom="wall",
                   impurity=[Impurity(grain=2, mass=1e-5)])  # fmt: skip
-    scene = Scene(chain=chain, excitation=Impulse(velocity=np.float64(1e-6)), duration=1e-5, grains=[1, 3])
+    scene = Scene(
+        chain=chain, excitation=Impulse(velocity=np.float64(1e-6)), duration=1e-5, grains=[1, 3]
+    )
     tables = scene.to_dict()
     plain = {"density": 1000.0, "youngs_modulus": 1e9, "poissons_ratio": 0.3}
     assert tables["chain"]["material"][:2] == ["glass", plain]

@@ -32,12 +32,16 @@ STRIKES = {
     "driven from motion": Drive(
         amplitude=-1e-8, frequency=1e5, start=Profile(velocity=[0, 0, 0, -2e-3, 0, 0, 0, 0, 0])
     ),
-    "profile": Profile(displacement=[0, 0, 1e-8, 0, -2e-8, 0, 0, 0, 0], velocity=[0, 0, 0, 0, 0, 1e-3, 0, 0, 0]),
+    "profile": Profile(
+        displacement=[0, 0, 1e-8, 0, -2e-8, 0, 0, 0, 0], velocity=[0, 0, 0, 0, 0, 1e-3, 0, 0, 0]
+    ),
     "upward": Profile(velocity=[-3e-3, 0, 0, 0, 0, 1e-3, 0, 0, 0]),
     "force": Force(grain=3, amplitude=-1e-3, frequency=1e4),
     "nothing": Profile(velocity=np.zeros(9)),
     "wall": Drive(amplitude=1e-8, frequency=1e5, grain=0),
-    "wall and grain 1": Drive(amplitude=1e-8, frequency=1e5, grain=0, start=Profile(velocity=-1e-3 * np.eye(9)[0])),
+    "wall and grain 1": Drive(
+        amplitude=1e-8, frequency=1e5, grain=0, start=Profile(velocity=-1e-3 * np.eye(9)[0])
+    ),
 }
 ENDS: dict[str, dict[str, Any]] = {
     "held": {},
@@ -55,7 +59,9 @@ CASES = [
 
 
 def chain_of(ends: dict[str, Any]) -> Chain:
-    return Chain(**{"grains": 9, "diameter": 1e-3, "impurity": [Impurity(grain=4, mass=1e-5)]} | ends)
+    return Chain(
+        **{"grains": 9, "diameter": 1e-3, "impurity": [Impurity(grain=4, mass=1e-5)]} | ends
+    )
 
 
 def one_by_one(chain: Chain, strike: Any) -> list[float]:
@@ -69,7 +75,9 @@ def one_by_one(chain: Chain, strike: Any) -> list[float]:
             continue
         above = n >= 1 and not (strike.driven and n == 1)
         below = n < chain.movable and not (strike.driven and n == 0)
-        gives_way = (1 / chain.masses[n - 1] if above else 0) + (1 / chain.masses[n] if below else 0)
+        gives_way = (1 / chain.masses[n - 1] if above else 0) + (
+            1 / chain.masses[n] if below else 0
+        )
         closer = (u[n - 1] if n >= 1 else 0) - (u[n] if n < chain.grains else 0)
         speed = (v[n - 1] if n >= 1 else 0) - (v[n] if n < chain.grains else 0)
         if strike.does_work:
@@ -84,13 +92,19 @@ def one_by_one(chain: Chain, strike: Any) -> list[float]:
 
 @pytest.mark.parametrize(("strike", "ends"), CASES)
 @pytest.mark.parametrize("exponent", [1.5, 2.0])
-def test_first_overlaps_are_those_of_pairs_of_bodies(strike: Any, ends: dict[str, Any], exponent: float) -> None:
+def test_first_overlaps_are_those_of_pairs_of_bodies(
+    strike: Any, ends: dict[str, Any], exponent: float
+) -> None:
     chain = chain_of(ends | {"exponent": exponent})
-    assert first_overlaps(chain, strike) == pytest.approx(one_by_one(chain, strike), rel=1e-12, abs=1e-20)
+    assert first_overlaps(chain, strike) == pytest.approx(
+        one_by_one(chain, strike), rel=1e-12, abs=1e-20
+    )
 
 
 @pytest.mark.parametrize(("strike", "ends"), CASES)
-def test_what_a_scene_says_of_its_strike_follows_from_the_whole_chain(strike: Any, ends: dict[str, Any]) -> None:
+def test_what_a_scene_says_of_its_strike_follows_from_the_whole_chain(
+    strike: Any, ends: dict[str, Any]
+) -> None:
     chain = chain_of(ends)
     scene = Scene(chain=chain, excitation=strike, duration=1e-5)
     energy = np.inf if strike.does_work else chain.excess_energy(*scene.initial())
@@ -101,11 +115,16 @@ def test_what_a_scene_says_of_its_strike_follows_from_the_whole_chain(strike: An
     if chain.compressed:
         below = np.append(chain.equilibrium_overlap, chain.contacts.overlap[-1])[: chain.movable]
         stiffness = np.append(chain.linear_stiffness, chain.contacts.stiffness[-1])[: chain.movable]
-        number = max((u / below).max(), (v / (below * np.sqrt(stiffness / chain.masses[: chain.movable]))).max())
+        number = max(
+            (u / below).max(),
+            (v / (below * np.sqrt(stiffness / chain.masses[: chain.movable]))).max(),
+        )
     else:
         number = 0.0 if scene.at_rest else np.inf
     assert scene.strike_number == pytest.approx(number, rel=1e-14)
-    assert strike_number(chain, strike, chain.contacts, chain.masses) == pytest.approx(number, rel=1e-14)
+    assert strike_number(chain, strike, chain.contacts, chain.masses) == pytest.approx(
+        number, rel=1e-14
+    )
     overlaps = np.array(one_by_one(chain, strike))
     stiffest = (chain.exponent * chain.contacts.constant * np.sqrt(overlaps)).max()
     pair = np.sqrt(2 * stiffest / chain.masses.min())
@@ -158,7 +177,11 @@ def test_hits_beyond_hertz_and_faster_than_sound_are_remarked_on() -> None:
     """Both sides: a hundredth of the diameter; the speed of sound of the grain itself; not what is so at rest."""
 
     def remarks(chain: Chain, excitation: Any) -> list[str]:
-        return list(Scene._unchecked(chain=chain, excitation=excitation, duration=1e-5, samples=11)._remarks())
+        return list(
+            Scene._unchecked(
+                chain=chain, excitation=excitation, duration=1e-5, samples=11
+            )._remarks()
+        )
 
     chain = Chain(grains=9, diameter=1e-3, gravity=0.0)
     depth = (1.25 * chain.masses[0] / 2 * 1.0**2 / chain.contact_constants[0]) ** 0.4 / 1e-3
@@ -166,10 +189,15 @@ def test_hits_beyond_hertz_and_faster_than_sound_are_remarked_on() -> None:
     assert not remarks(chain, Impulse(velocity=0.999 * limit, grain=4))
     (text,) = remarks(chain, Impulse(velocity=1.1 * limit, grain=4))
     said = f"{0.01 * 1.1**0.8:.2g}"
-    assert text == f"velocity: a contact is squeezed to {said} of the diameter; Hertz's law holds to about 0.01"
+    assert (
+        text
+        == f"velocity: a contact is squeezed to {said} of the diameter; Hertz's law holds to about 0.01"
+    )
     (text,) = remarks(chain, Force(grain=4, amplitude=300.0, frequency=1.0))
     assert text.startswith("kind: a contact is squeezed to ")
-    soft = Chain(grains=9, diameter=1e-3, gravity=0.0, exponent=1.0, top_load=1e-3, masses=[1e-20] * 9)
+    soft = Chain(
+        grains=9, diameter=1e-3, gravity=0.0, exponent=1.0, top_load=1e-3, masses=[1e-20] * 9
+    )
     sound = np.sqrt(62e9 / 2426)
     assert not remarks(soft, Impulse(velocity=0.999 * sound, grain=4))
     (text,) = remarks(soft, Profile(velocity=sound * np.array([0, 0, 1.001, 0, 1.2, 0, 0, 0, 0])))
@@ -189,5 +217,10 @@ def test_materials_differ_from_grain_to_grain() -> None:
     between = 2 * PTFE.sound_speed
     assert PTFE.sound_speed < between < STEEL.sound_speed
     for grain, count in ((1, 0), (2, 1), (3, 0)):
-        scene = {"chain": chain, "excitation": Impulse(velocity=between, grain=grain), "duration": 1e-5, "samples": 3}
+        scene = {
+            "chain": chain,
+            "excitation": Impulse(velocity=between, grain=grain),
+            "duration": 1e-5,
+            "samples": 3,
+        }
         assert len(list(Scene._unchecked(**scene)._remarks())) == count

@@ -32,7 +32,9 @@ def test_values_and_derivatives_are_those_of_the_definition(cycles: float | None
     for order in range(4):
         with mp.workdps(30):
             exact = [float(mp.diff(definition(cycles), mp.mpf(t), order)) for t in times.tolist()]
-        assert wave.at(times, order) == pytest.approx(exact, rel=1e-11, abs=1e-12 * np.abs(exact).max())
+        assert wave.at(times, order) == pytest.approx(
+            exact, rel=1e-11, abs=1e-12 * np.abs(exact).max()
+        )
         if cycles is not None:
             assert not wave.at(np.array([wave.end, 2 * wave.end]), order).any()
     assert wave.end == (np.inf if cycles is None else cycles / FREQUENCY)
@@ -67,8 +69,15 @@ def test_a_spline_is_that_through_its_points() -> None:
     assert wave.end == 1.7
     assert wave.knot_spacing == pytest.approx(0.1, rel=1e-12)
     assert wave.fastest == pytest.approx(10.0, rel=1e-12)
-    assert [Waveform.through(KNOTS[:n], VALUES[:n]).smooth for n in (2, 4, 5)] == [True, True, False]
-    integral = [quad(spline, 0, t, points=[k for k in KNOTS if k < t], limit=200)[0] for t in np.linspace(0, 1.7, 171)]
+    assert [Waveform.through(KNOTS[:n], VALUES[:n]).smooth for n in (2, 4, 5)] == [
+        True,
+        True,
+        False,
+    ]
+    integral = [
+        quad(spline, 0, t, points=[k for k in KNOTS if k < t], limit=200)[0]
+        for t in np.linspace(0, 1.7, 171)
+    ]
     assert wave.gained == pytest.approx(np.abs(integral).max(), rel=0.02)
     assert wave.area(1.0) == np.inf
     assert wave.path(1.0) == np.inf
@@ -100,16 +109,24 @@ def test_areas_and_paths_are_bounded(cycles: float | None, share: float) -> None
     assert path <= wave.path(duration) + slack
     assert wave.area(duration) <= abs(AMPLITUDE) * until * (1 + 1e-12)
     whole = quad(
-        lambda t: abs(wave.at(t)), 0, until, points=turns[turns < until] if cycles is None else None, limit=500
+        lambda t: abs(wave.at(t)),
+        0,
+        until,
+        points=turns[turns < until] if cycles is None else None,
+        limit=500,
     )
-    if cycles is None:  # at whole arches it is the area itself; at quarter periods the path is 1 more
+    if (
+        cycles is None
+    ):  # at whole arches it is the area itself; at quarter periods the path is 1 more
         assert wave.area(duration) <= whole[0] + 2 * abs(AMPLITUDE) / wave.omega
         whole_arches = (2 * FREQUENCY * duration) % 1 == 0
         assert not whole_arches or wave.area(duration) == pytest.approx(whole[0], rel=1e-9)
         if (4 * FREQUENCY * duration) % 1 == 0:
             assert wave.path(duration) == pytest.approx(path + abs(AMPLITUDE), rel=1e-5)
     else:
-        assert wave.path(duration) == pytest.approx(abs(AMPLITUDE) * (3 + 4 * FREQUENCY * until), rel=1e-9)
+        assert wave.path(duration) == pytest.approx(
+            abs(AMPLITUDE) * (3 + 4 * FREQUENCY * until), rel=1e-9
+        )
         if share >= 1:
             assert wave.area(duration) == pytest.approx(abs(AMPLITUDE) * wave.end / 2, rel=1e-12)
 

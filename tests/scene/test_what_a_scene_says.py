@@ -17,14 +17,20 @@ WAVE = {"amplitude": 1e-12, "frequency": 3e4}
 
 
 def scene_of(excitation: Any, chain: Chain = COLUMN, **keys: Any) -> Scene:
-    return Scene(**{"chain": chain, "excitation": excitation, "duration": 1e-4, "samples": 11} | keys)
+    return Scene(
+        **{"chain": chain, "excitation": excitation, "duration": 1e-4, "samples": 11} | keys
+    )
 
 
 # --- times at which quantities are gathered
 
 
-@pytest.mark.parametrize("needed", [0.3, 0.99, 1.01, 1.99, 2.01, 2.99, 3.01, 3.99, 4.01, 5.9, 6.1, 8.1, 12.1, 90.0])
-def test_quantities_are_gathered_at_the_least_of_1_2_3_4_6_8_12_that_misses_no_motion(needed: float) -> None:
+@pytest.mark.parametrize(
+    "needed", [0.3, 0.99, 1.01, 1.99, 2.01, 2.99, 3.01, 3.99, 4.01, 5.9, 6.1, 8.1, 12.1, 90.0]
+)
+def test_quantities_are_gathered_at_the_least_of_1_2_3_4_6_8_12_that_misses_no_motion(
+    needed: float,
+) -> None:
     """At half a radian of the highest frequency, here that of a drive."""
     drive = Drive(amplitude=1e-15, frequency=1e7)
     samples = 11
@@ -62,12 +68,20 @@ def test_quantities_are_checked_by_name_and_contact() -> None:
         ((key, text),) = caught.value.faults
         assert key == "quantities"
         assert said in text
-    scene = scene_of(Impulse(velocity=1e-6), LOADED, quantities=["force:0", "peak_force:9", "arrival_time"])
+    scene = scene_of(
+        Impulse(velocity=1e-6), LOADED, quantities=["force:0", "peak_force:9", "arrival_time"]
+    )
     assert scene.contacts == {"force:0": 0, "peak_force:9": 9}
 
 
 def test_recorded_grains_are_numbered_and_counted() -> None:
-    for grains, numbers in (("all", range(1, 10)), ("2:5", range(2, 6)), ([7, 3], [7, 3]), ("9:9", [9]), ([1], [1])):
+    for grains, numbers in (
+        ("all", range(1, 10)),
+        ("2:5", range(2, 6)),
+        ([7, 3], [7, 3]),
+        ("9:9", [9]),
+        ([1], [1]),
+    ):
         scene = scene_of(Impulse(velocity=1e-6), grains=grains)
         assert scene.recorded.tolist() == list(numbers)
         assert scene.count(COLUMN) == len(numbers)
@@ -104,7 +118,9 @@ def test_samples_and_durations_have_limits() -> None:
         assert [name for name, _ in caught.value.faults] == [key]
     least = np.finfo(float).tiny
     assert scene_of(Impulse(velocity=1e-6), duration=10.001 * least).samples == 11
-    with pytest.raises(InputError, match=r"11 samples in .* s are too close for numbers of full precision"):
+    with pytest.raises(
+        InputError, match=r"11 samples in .* s are too close for numbers of full precision"
+    ):
         scene_of(Impulse(velocity=1e-6), duration=9.99 * least)
     assert Scene(chain=COLUMN, excitation=Impulse(velocity=1e-6), duration=1e-5).samples == 101
 
@@ -113,7 +129,10 @@ def test_a_long_duration_is_remarked_on() -> None:
     keys = {"chain": COLUMN, "excitation": Impulse(velocity=1e-6), "samples": 11}
     assert not list(Scene._unchecked(duration=3600.0, **keys)._remarks())
     (text,) = Scene._unchecked(duration=3601.0, **keys)._remarks()
-    assert text == "duration: 3601 s is long for a wave in a chain; times are in seconds (100 us is 1e-4)"
+    assert (
+        text
+        == "duration: 3601 s is long for a wave in a chain; times are in seconds (100 us is 1e-4)"
+    )
 
 
 # --- the linear chain
@@ -136,17 +155,26 @@ def springs_strain(chain: Chain, excitation: Any, duration: float) -> float:
     return float((root / np.sqrt(k) / contacts.overlap[there]).max())
 
 
-HELD = {"chain between walls": LOADED, "column": COLUMN, "column on a wall": COLUMN.replace(bottom="wall")}
+HELD = {
+    "chain between walls": LOADED,
+    "column": COLUMN,
+    "column on a wall": COLUMN.replace(bottom="wall"),
+}
 AT_START = {
     "impulse": Impulse(velocity=-1e-6, grain=3),
     "moved": Displacement(displacement=1e-12, grain=2),
-    "both": Profile(displacement=1e-12 * np.sin(np.arange(9.0)) * (np.arange(9) < 8), velocity=1e-6 * np.eye(9)[2]),
+    "both": Profile(
+        displacement=1e-12 * np.sin(np.arange(9.0)) * (np.arange(9) < 8),
+        velocity=1e-6 * np.eye(9)[2],
+    ),
 }
 
 
 @pytest.mark.parametrize("chain", HELD.values(), ids=HELD)
 @pytest.mark.parametrize("excitation", AT_START.values(), ids=AT_START)
-def test_strains_of_the_linear_chain_are_bounded_by_its_energy(chain: Chain, excitation: Any) -> None:
+def test_strains_of_the_linear_chain_are_bounded_by_its_energy(
+    chain: Chain, excitation: Any
+) -> None:
     """The bound in other words; and no superposition of modes exceeds it."""
     scene = scene_of(excitation, chain)
     bound = springs_strain(chain, excitation, scene.duration)
@@ -171,10 +199,14 @@ def test_strains_of_a_driven_linear_chain() -> None:
         Drive(**WAVE, grain=0, start=start),
     ):
         scene = scene_of(excitation, LOADED)
-        assert scene.linear_strain == pytest.approx(springs_strain(LOADED, excitation, 1e-4), rel=1e-12)
+        assert scene.linear_strain == pytest.approx(
+            springs_strain(LOADED, excitation, 1e-4), rel=1e-12
+        )
     push = Force(grain=4, **WAVE | {"amplitude": -1e-9})
     impulse = 1e-9 * 2 / (2 * np.pi * 3e4) * 6  # six arches in 100 us
-    assert push.energy_norm(LOADED, 1e-4) == pytest.approx(impulse / np.sqrt(LOADED.masses[3]), rel=1e-12)
+    assert push.energy_norm(LOADED, 1e-4) == pytest.approx(
+        impulse / np.sqrt(LOADED.masses[3]), rel=1e-12
+    )
     k = LOADED.contacts.stiffness
     for grain in (0, 1):
         drive = Drive(**WAVE, grain=grain)
@@ -182,7 +214,9 @@ def test_strains_of_a_driven_linear_chain() -> None:
         assert drive.energy_norm(LOADED, 1e-4) == pytest.approx(np.sqrt(k[grain]) * path, rel=1e-12)
         begun = np.sqrt(LOADED.masses[3] * 1e-12 + (k[4] + k[5]) * 1e-24)
         moving = drive.replace(start=start)
-        assert moving.energy_norm(LOADED, 1e-4) == pytest.approx(begun + np.sqrt(k[grain]) * path, rel=1e-12)
+        assert moving.energy_norm(LOADED, 1e-4) == pytest.approx(
+            begun + np.sqrt(k[grain]) * path, rel=1e-12
+        )
     touching = COLUMN.replace(top="wall")
     assert scene_of(Impulse(velocity=1e-9), touching).linear_strain == np.inf
     assert scene_of(Impulse(velocity=1e-9), COLUMN.replace(gravity=0.0)).linear_strain == np.inf
@@ -298,7 +332,9 @@ REFUSED = {
 
 
 @pytest.mark.parametrize(("keys", "fault"), REFUSED.values(), ids=REFUSED)
-def test_what_cannot_act_is_refused_with_its_number(keys: dict[str, Any], fault: tuple[str, str]) -> None:
+def test_what_cannot_act_is_refused_with_its_number(
+    keys: dict[str, Any], fault: tuple[str, str]
+) -> None:
     given = dict(keys)
     with pytest.raises(InputError) as caught:
         EXCITATIONS[given.pop("kind")](**given)
@@ -316,15 +352,47 @@ def test_what_is_just_within_the_limits_acts() -> None:
 def test_what_does_not_fit_the_chain_or_the_duration_is_refused() -> None:
     one = Chain(grains=2, diameter=1e-3)
     for excitation, chain, fault in (
-        (Drive(**WAVE, grain=0), COLUMN, ("grain", '0 moves the top wall, and there is none: use top = "wall", or')),
-        (Drive(**WAVE), one, ("kind", "with grain 1 driven nothing is left to move: use more grains")),
-        (Drive(**POINTS), COLUMN, ("times", "end at 0.0001 s, before the recording does at 0.00011 s")),
-        (Force(times=[0.0, 1e-4], force=[0.0, 1e-9]), COLUMN, ("times", "end at 0.0001 s, before the recording does")),
-        (Impulse(velocity=1e-6, grain=10), COLUMN, ("grain", "there is no grain 10: the chain has 9")),
-        (Impulse(velocity=1e-6, grain=9), COLUMN, ("grain", "grain 9 is held; choose one of 1 to 8")),
+        (
+            Drive(**WAVE, grain=0),
+            COLUMN,
+            ("grain", '0 moves the top wall, and there is none: use top = "wall", or'),
+        ),
+        (
+            Drive(**WAVE),
+            one,
+            ("kind", "with grain 1 driven nothing is left to move: use more grains"),
+        ),
+        (
+            Drive(**POINTS),
+            COLUMN,
+            ("times", "end at 0.0001 s, before the recording does at 0.00011 s"),
+        ),
+        (
+            Force(times=[0.0, 1e-4], force=[0.0, 1e-9]),
+            COLUMN,
+            ("times", "end at 0.0001 s, before the recording does"),
+        ),
+        (
+            Impulse(velocity=1e-6, grain=10),
+            COLUMN,
+            ("grain", "there is no grain 10: the chain has 9"),
+        ),
+        (
+            Impulse(velocity=1e-6, grain=9),
+            COLUMN,
+            ("grain", "grain 9 is held; choose one of 1 to 8"),
+        ),
         (Force(grain=9, **WAVE), COLUMN, ("grain", "grain 9 is held; choose one of 1 to 8")),
-        (Profile(velocity=np.zeros(8)), COLUMN, ("velocity", "must have one entry a grain, 9, not 8")),
-        (Profile(velocity=np.ones(9)), COLUMN, ("velocity", "must be 0 for grain 9, which is held")),
+        (
+            Profile(velocity=np.zeros(8)),
+            COLUMN,
+            ("velocity", "must have one entry a grain, 9, not 8"),
+        ),
+        (
+            Profile(velocity=np.ones(9)),
+            COLUMN,
+            ("velocity", "must be 0 for grain 9, which is held"),
+        ),
     ):
         ((key, text),) = excitation.faults(chain, 1.1e-4)
         assert (key, text[: len(fault[1])]) == fault
@@ -345,7 +413,10 @@ def test_every_kind_says_what_it_is() -> None:
     profile, drive, force = Profile(velocity=np.zeros(9)), Drive(**WAVE), Force(**WAVE)
     kinds = (impulse, moved, profile, packet, drive, force)
     assert tuple(EXCITATIONS) == ("impulse", "displacement", "profile", "packet", "drive", "force")
-    assert [kind.label for kind in kinds] == ["an impulse of -2 mm/s", *(f"a {kind.kind}" for kind in kinds[1:])]
+    assert [kind.label for kind in kinds] == [
+        "an impulse of -2 mm/s",
+        *(f"a {kind.kind}" for kind in kinds[1:]),
+    ]
     assert [kind.does_work for kind in kinds] == [False] * 4 + [True] * 2
     assert [kind.linear for kind in kinds] == [True] * 6
     assert [kind.of_chain for kind in kinds] == [False, False, False, True, False, True]
@@ -355,7 +426,9 @@ def test_every_kind_says_what_it_is() -> None:
     assert [kind.strikes_top for kind in kinds] == [False] * 6
     assert [kind.wall is not None for kind in kinds] == [False] * 6
     assert Drive(**WAVE, grain=0).wall.amplitude == 1e-12
-    assert [kind.fastest for kind in kinds] == pytest.approx([0, 0, 0, 0, 6e4 * np.pi, 6e4 * np.pi], rel=1e-14)
+    assert [kind.fastest for kind in kinds] == pytest.approx(
+        [0, 0, 0, 0, 6e4 * np.pi, 6e4 * np.pi], rel=1e-14
+    )
     assert [kind.knot_spacing for kind in kinds] == [np.inf] * 6
     assert Drive(**POINTS).knot_spacing == 1e-4
     assert not Drive(**POINTS).linear
@@ -364,8 +437,15 @@ def test_every_kind_says_what_it_is() -> None:
     assert impulse.strongest(COLUMN) == (0.0, 2e-3)
     assert moved.strongest(COLUMN) == (1e-9, 0.0)
     assert [kind.energy(COLUMN) for kind in (drive, force)] == [np.inf] * 2
-    ends = Profile(displacement=[0, 0, 1e-12, 0, 0, 0, 1e-12, 0, 0], velocity=[0, 1e-6, 0, 0, 0, 0, 0, 0, 0])
-    assert [e.reach(COLUMN) for e in (impulse, profile, ends, drive)] == [(2, 2), (1, 1), (2, 7), (1, 1)]
+    ends = Profile(
+        displacement=[0, 0, 1e-12, 0, 0, 0, 1e-12, 0, 0], velocity=[0, 1e-6, 0, 0, 0, 0, 0, 0, 0]
+    )
+    assert [e.reach(COLUMN) for e in (impulse, profile, ends, drive)] == [
+        (2, 2),
+        (1, 1),
+        (2, 7),
+        (1, 1),
+    ]
     assert Drive(**WAVE, start=ends).reach(COLUMN) == (1, 7)
     assert impulse.energy_norm(COLUMN, 1.0) == np.inf
     assert drive.acceleration(np.array([1e-5])) == pytest.approx(
@@ -381,13 +461,18 @@ def picture(scene: Scene) -> Any:
 
 
 def test_the_picture_of_what_acts_is_its_course_over_time() -> None:
-    for excitation, name, unit in ((Drive(**WAVE), "displacement", "m"), (Force(**WAVE), "force", "N")):
+    for excitation, name, unit in (
+        (Drive(**WAVE), "displacement", "m"),
+        (Force(**WAVE), "force", "N"),
+    ):
         axes = picture(scene_of(excitation))
         (line,) = axes.get_lines()
         time = line.get_xdata()
         assert (time[0], time[-1]) == (0.0, 1e-4)
         assert time.size > 500
-        assert line.get_ydata() == pytest.approx(1e-12 * np.sin(6e4 * np.pi * time), rel=1e-9, abs=1e-24)
+        assert line.get_ydata() == pytest.approx(
+            1e-12 * np.sin(6e4 * np.pi * time), rel=1e-9, abs=1e-24
+        )
         assert (axes.get_xlabel(), axes.get_ylabel()) == ("time", f"{name}, downward")
         axes.figure.canvas.draw()
         assert axes.xaxis.get_major_formatter()(1e-4).endswith("µs")
@@ -416,7 +501,10 @@ def test_a_notebook_shows_what_a_scene_is() -> None:
     cells = re.findall(r"<td[^>]*>(.*?)</td>", html)
     rows = {cells[n]: cells[n + 1 : n + 3] for n in range(0, len(cells) - 2, 3)}
     assert rows["recorded"] == ["11 times to 0.0001 s, 4 grains", ""]
-    assert rows["strike number"] == [f"{scene.strike_number:.4g}", "linear theory needs it to be far below 1"]
+    assert rows["strike number"] == [
+        f"{scene.strike_number:.4g}",
+        "linear theory needs it to be far below 1",
+    ]
     assert rows["excitation"][0].startswith("Impulse(")
     assert rows["chain"][0].startswith("Chain(")
     assert "data:image/png" in html

@@ -25,7 +25,9 @@ def _shipped_speeds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 @pytest.mark.parametrize(
     "number",
     [
-        pytest.param(n, marks=() if n % 20 == 0 else pytest.mark.slow if n % 8 == 4 else pytest.mark.soak)
+        pytest.param(
+            n, marks=() if n % 20 == 0 else pytest.mark.slow if n % 8 == 4 else pytest.mark.soak
+        )
         for n in range(make_bits.SCENES)
     ],
 )
@@ -39,8 +41,18 @@ def test_answers_in_batches():
 
 def test_without_bits_all_else_is_compared():
     row = ["0381219472dd48c4", "1.3667e-05", "4.4e-15", "chebyshev", 1000]
-    same = [["ffffffffffffffff", *row[1:]], [row[0], "1.3670e-05", "1e-13", *row[3:]], [*row[:4], 1015]]
-    other = [[*row[:3], "native", 1000], [row[0], "1.4e-05", *row[2:]], [*row[:4], 1030], ["ToleranceNotMet"], row[:4]]
+    same = [
+        ["ffffffffffffffff", *row[1:]],
+        [row[0], "1.3670e-05", "1e-13", *row[3:]],
+        [*row[:4], 1015],
+    ]
+    other = [
+        [*row[:3], "native", 1000],
+        [row[0], "1.4e-05", *row[2:]],
+        [*row[:4], 1030],
+        ["ToleranceNotMet"],
+        row[:4],
+    ]
     assert all(make_bits.alike(row, each) for each in same)
     assert not any(make_bits.alike(row, each) for each in other)
 

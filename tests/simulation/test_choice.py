@@ -33,7 +33,9 @@ def candidate(model: float = 0.0, solver: float = 1e-9, cost: float = 1.0, **mor
     return Candidate(1e-7, 10, model, solver, cost, **more)
 
 
-def judged(equation: int = 3, bounded: bool = False, tolerance: float = 1e-6, **errors) -> tuple[bool, str]:
+def judged(
+    equation: int = 3, bounded: bool = False, tolerance: float = 1e-6, **errors
+) -> tuple[bool, str]:
     proposal = Proposal("modes", equation, candidate(**errors), bounded=bounded)
     verdict = selection._judge(proposal, SCENE, tolerance)
     return verdict.kept, verdict.why
@@ -44,10 +46,19 @@ def test_equation_and_solver_together_must_keep_to_the_tolerance():
     kept, why = judged(model=5e-7, solver=6e-7)
     assert not kept
     assert why == f"strike number {NUMBER}: linear theory, a priori bound is 5e-07 of the answer"
-    assert judged(model=0.0, solver=2e-6) == (False, "its solver leaves about 2e-06, above the tolerance")
+    assert judged(model=0.0, solver=2e-6) == (
+        False,
+        "its solver leaves about 2e-06, above the tolerance",
+    )
     assert judged(model=0.25)[1] == f"strike number {NUMBER}: linear theory, a priori bound is 25 %"
-    assert judged(model=1.0)[1] == f"strike number {NUMBER}: linear theory, a priori bound reaches 100 %"
-    assert judged(model=0.02, bounded=True)[1] == f"strike number {NUMBER}: linear theory is up to 2 % off"
+    assert (
+        judged(model=1.0)[1]
+        == f"strike number {NUMBER}: linear theory, a priori bound reaches 100 %"
+    )
+    assert (
+        judged(model=0.02, bounded=True)[1]
+        == f"strike number {NUMBER}: linear theory is up to 2 % off"
+    )
     unknown = "how far off the homogeneous chain is here is not known before the run"
     assert judged(4, model=math.nan) == (False, unknown)
     assert "the continuum, a priori bound is 50 %" in judged(27, model=0.5)[1]
@@ -72,7 +83,10 @@ def test_numbers_of_a_proposal():
     assert proposal._replace(kept=False).price_s == math.inf
     nothing = Proposal("modes", 3)
     assert (nothing.integrator, nothing.active_grains, nothing.price_s) == ("", None, math.inf)
-    assert all(math.isnan(x) for x in (nothing.model_error, nothing.solver_error, nothing.step, nothing.cost_s))
+    assert all(
+        math.isnan(x)
+        for x in (nothing.model_error, nothing.solver_error, nothing.step, nothing.cost_s)
+    )
     row = proposal.to_json()
     assert row == {
         "engine": "native", "equation": 1, "integrator": "rkn6", "model_error": 1e-3, "estimate": None,
@@ -81,13 +95,21 @@ def test_numbers_of_a_proposal():
 
 
 def test_why_the_cheapest_is_taken():
-    kept = [Proposal(name, eq, candidate(cost=c), kept=True) for name, eq, c in (("native", 1, 3.0), ("modes", 3, 1.0))]
+    kept = [
+        Proposal(name, eq, candidate(cost=c), kept=True)
+        for name, eq, c in (("native", 1, 3.0), ("modes", 3, 1.0))
+    ]
     assert cheapest(kept).engine == "modes"
     assert reason(kept[1], kept) == "solves Eq. (3), the cheapest of 2 within the tolerance"
     dropped = Proposal("modes", 3, candidate(0.5), why="too far off")
-    assert reason(kept[0], [kept[0], dropped]) == "solves Eq. (1), the only one within the tolerance; too far off"
+    assert (
+        reason(kept[0], [kept[0], dropped])
+        == "solves Eq. (1), the only one within the tolerance; too far off"
+    )
     refused = Proposal("bessel", 4, why="cannot do it")
-    assert reason(kept[0], [kept[0], refused]) == "solves Eq. (1), the only one within the tolerance"
+    assert (
+        reason(kept[0], [kept[0], refused]) == "solves Eq. (1), the only one within the tolerance"
+    )
     hopeless = Proposal("modes", 3, why="leaves out much", hopeless=True)
     assert reason(kept[0], [kept[0], hopeless]).endswith("; leaves out much")
     with pytest.raises(ToleranceNotMet, match=r"^modes: too far off; native: too many digits$"):
@@ -105,9 +127,13 @@ def test_a_sharper_bound_must_pay():
     assert not selection._promises(hopeful, 1e-8, 1.0)
     assert not selection._promises(hopeful._replace(kept=True), 1e-6, 1.0)
     assert not selection._promises(hopeful._replace(bounded=True), 1e-6, 1.0)
-    assert not selection._promises(hopeful._replace(candidate=made._replace(sharper=None)), 1e-6, 1.0)
+    assert not selection._promises(
+        hopeful._replace(candidate=made._replace(sharper=None)), 1e-6, 1.0
+    )
     assert not selection._promises(hopeful._replace(candidate=None), 1e-6, 1.0)
-    assert not selection._promises(hopeful._replace(candidate=made._replace(solver_error=1e-6)), 1e-6, 1.0)
+    assert not selection._promises(
+        hopeful._replace(candidate=made._replace(solver_error=1e-6)), 1e-6, 1.0
+    )
 
 
 def test_an_engine_that_leaves_out_too_much_is_not_asked():
@@ -115,18 +141,25 @@ def test_an_engine_that_leaves_out_too_much_is_not_asked():
     hopeless = [proposal for proposal in proposals if proposal.hopeless]
     assert [proposal.engine for proposal in hopeless] == ["modes"]
     least = Modes().least_model_error(SCENE)
-    assert hopeless[0].why == f"strike number {NUMBER}: linear theory leaves out at least {percent(least)}"
+    assert (
+        hopeless[0].why
+        == f"strike number {NUMBER}: linear theory leaves out at least {percent(least)}"
+    )
     assert not hopeless[0].kept
     assert [proposal.engine for proposal in proposals if proposal.kept] == ["native"]
 
 
 def test_what_is_about_left_out_is_said_where_it_is_cheap(monkeypatch):
     weak = paper("weak", 6)
-    proposals = {each.engine: each for each in selection.estimated(selection.propose_all(weak, 1e-6), weak)}
+    proposals = {
+        each.engine: each for each in selection.estimated(selection.propose_all(weak, 1e-6), weak)
+    }
     for name in ("modes", "chebyshev"):
         estimate = engines.plain("modes").estimate_model_error(weak.reached)
         assert proposals[name].estimate == pytest.approx(estimate, rel=1e-9)
-        assert proposals[name].why.endswith(f"; the linear wave itself tells about {percent(estimate)}")
+        assert proposals[name].why.endswith(
+            f"; the linear wave itself tells about {percent(estimate)}"
+        )
     assert math.isnan(proposals["native"].estimate)
     monkeypatch.setattr(selection, "AT_ONCE_S", 0.0)
     silent = selection.estimated(selection.propose_all(weak, 1e-6), weak)
@@ -203,7 +236,10 @@ def test_policies_by_name():
 def test_a_record_says_what_was_asked():
     made = Native().candidate(SCENE, 1e-6)
     assert policy.record(Native(), SCENE, made, 1e-6)["tolerance"] == "1e-06"
-    assert policy.record(Native(step=1e-7), SCENE, made, 1e-6)["tolerance"] == "none, for a step was given"
+    assert (
+        policy.record(Native(step=1e-7), SCENE, made, 1e-6)["tolerance"]
+        == "none, for a step was given"
+    )
     record = policy.record(Native(), SCENE, made, 1e-6)
     assert record["force"] == made.choices["force"]
     assert {"numba", "numpy", "lmpchain"} <= set(record)
@@ -226,8 +262,13 @@ def test_linear_theory_that_left_out_too_much_gives_way_to_eq_1():
             f"Eq. (3) leaves out up to {most:.1g} of the answer{remark} along the run of modes, "
             "the bound before the run was 3e-07: run again with native, Eq. (1)"
         )
-        assert following.candidate.choices["plan"] == f"native: {following.candidate.choices['redone']}"
-    with pytest.raises(ToleranceNotMet, match=r"with the tolerance of 1e-16 exceeded; native: round-off alone"):
+        assert (
+            following.candidate.choices["plan"]
+            == f"native: {following.candidate.choices['redone']}"
+        )
+    with pytest.raises(
+        ToleranceNotMet, match=r"with the tolerance of 1e-16 exceeded; native: round-off alone"
+    ):
         auto.fallback(SCENE, attempt._replace(tolerance=1e-16), good)
 
 
@@ -271,10 +312,14 @@ def test_a_calibration_finds_start_and_slowness_of_every_engine(monkeypatch):
         assert start == pytest.approx(3e-3, rel=1e-6)
         assert slowness == pytest.approx(2.5, rel=1e-6)
     assert cost_model.speed("native", Native.start_up_s) == pytest.approx((3e-3, 2.5), rel=1e-6)
-    assert cost_model.seconds("native", Native.start_up_s, 0.2) == pytest.approx(3e-3 + 0.5, rel=1e-6)
+    assert cost_model.seconds("native", Native.start_up_s, 0.2) == pytest.approx(
+        3e-3 + 0.5, rel=1e-6
+    )
     assert cost_model.speed("no such engine", 1e-3) == (1e-3, 1.0)
     again = calibration.calibrate()[0]
-    assert json.loads(again.read_text())["engines"]["native"] == pytest.approx([3e-3, 2.5], rel=1e-3)
+    assert json.loads(again.read_text())["engines"]["native"] == pytest.approx(
+        [3e-3, 2.5], rel=1e-3
+    )
 
 
 def test_a_clock_that_stands_still_calibrates_nothing_absurd(monkeypatch):
@@ -286,7 +331,9 @@ def test_a_clock_that_stands_still_calibrates_nothing_absurd(monkeypatch):
 
 
 def test_a_plan_costs_what_this_machine_takes():
-    scene = Scene(chain=Chain(grains=30, diameter=1e-3), excitation=Impulse(velocity=1e-4), duration=1e-4)
+    scene = Scene(
+        chain=Chain(grains=30, diameter=1e-3), excitation=Impulse(velocity=1e-4), duration=1e-4
+    )
     shipped_s = lmpchain.plan(scene).expected_cost_s
     path = cost_model.cache_file()
     path.parent.mkdir(parents=True)
@@ -298,4 +345,6 @@ def test_a_plan_costs_what_this_machine_takes():
 
 def test_auto_gives_its_reason_in_the_record():
     t = simulate(SCENE, tolerance=1e-3)
-    assert t.provenance["plan"].startswith("native: solves Eq. (1), the only one within the tolerance; strike number")
+    assert t.provenance["plan"].startswith(
+        "native: solves Eq. (1), the only one within the tolerance; strike number"
+    )

@@ -10,7 +10,17 @@ import pytest
 from filelock import FileLock
 
 import lmpchain
-from lmpchain import Chain, Impulse, InputError, Scene, Stopped, ToleranceNotMet, engines, resume, simulate
+from lmpchain import (
+    Chain,
+    Impulse,
+    InputError,
+    Scene,
+    Stopped,
+    ToleranceNotMet,
+    engines,
+    resume,
+    simulate,
+)
 from lmpchain.engines import Native, error_estimate
 from lmpchain.engines.step_control import first_attempt
 from lmpchain.simulation import api, checkpoints, many, run_folder
@@ -152,9 +162,16 @@ def test_the_status_of_a_run_that_was_stopped(tmp_path, small_blocks):
     kept = status(folder)
     done = kept["samples_done"]
     assert 0 < done < 61
-    assert words == (f"stopped at the end of its time after {done} of 61 samples; lmpchain resume {folder} goes on")
+    assert words == (
+        f"stopped at the end of its time after {done} of 61 samples; lmpchain resume {folder} goes on"
+    )
     assert kept["reason"] == words
-    assert (kept["state"], kept["samples"], kept["attempt"], kept["tolerance"]) == ("stopped", 61, 1, 1e-6)
+    assert (kept["state"], kept["samples"], kept["attempt"], kept["tolerance"]) == (
+        "stopped",
+        61,
+        1,
+        1e-6,
+    )
     assert kept["best_effort"] is False
     assert kept["step_s"] == Native().candidate(SCENE, 1e-6).step
     assert kept["error_estimate"] == lmpchain.Trajectory.load(folder).error_estimate.total
@@ -163,7 +180,11 @@ def test_the_status_of_a_run_that_was_stopped(tmp_path, small_blocks):
     assert 0 < first_s < 100
     t = resume(folder)
     assert status(folder)["wall_s"] > first_s
-    assert (status(folder)["state"], status(folder)["reason"], status(folder)["samples_done"]) == ("finished", "", 61)
+    assert (status(folder)["state"], status(folder)["reason"], status(folder)["samples_done"]) == (
+        "finished",
+        "",
+        61,
+    )
     assert t.cost.steps == simulate(SCENE, "native", 1e-6).cost.steps
 
 
@@ -228,7 +249,9 @@ def test_how_often_checkpoints_are_made(tmp_path, monkeypatch, small_blocks):
     monkeypatch.setattr(run_folder.store.Writer, "put", put)
     simulate(SCENE, "native", 1e-6, folder=tmp_path / "run")
     moments = [moment for moment, _ in saved]
-    assert moments[0] == pytest.approx(2 * 0.05 + 2 * 0.5 + 0.05, rel=1e-9)  # two at the beginning, then a second
+    assert moments[0] == pytest.approx(
+        2 * 0.05 + 2 * 0.5 + 0.05, rel=1e-9
+    )  # two at the beginning, then a second
     # saving took 0.05 s, so that the next one is 5 s later
     assert moments[1] - moments[0] == pytest.approx(5.05, abs=0.51)
     assert status(tmp_path / "run")["wall_s"] == pytest.approx(now[0], rel=1e-9)
@@ -259,7 +282,11 @@ def test_a_run_that_was_killed_says_so(tmp_path, small_blocks):
     with FileLock(folder / ".lock"):
         assert status(folder)["state"] == "running"
     for wrong in ({"state": "asleep"}, {"tolerance": 0}, {"tolerance": 1}, {"reason": 3}):
-        file.write_text(json.dumps({"state": "stopped", "tolerance": 1e-6, "reason": "", "best_effort": 0} | wrong))
+        file.write_text(
+            json.dumps(
+                {"state": "stopped", "tolerance": 1e-6, "reason": "", "best_effort": 0} | wrong
+            )
+        )
         with pytest.raises(InputError, match="was changed and cannot be read"):
             status(folder)
 
@@ -285,7 +312,9 @@ def test_a_failure_is_noted_with_its_reason(tmp_path, monkeypatch, small_blocks)
     assert status(tmp_path / "run")["state"] == "failed"
     assert "No space left" in status(tmp_path / "run")["reason"]
     monkeypatch.undo()
-    assert np.array_equal(resume(tmp_path / "run").velocity, simulate(SCENE, "native", 1e-6).velocity)
+    assert np.array_equal(
+        resume(tmp_path / "run").velocity, simulate(SCENE, "native", 1e-6).velocity
+    )
 
 
 def test_a_checkpoint_of_another_version_is_refused(tmp_path, small_blocks):
@@ -298,7 +327,9 @@ def test_a_checkpoint_of_another_version_is_refused(tmp_path, small_blocks):
         notes = checkpoint.notes | changed
         for _ in range(2):
             checkpoints.save(folder, notes, checkpoint.state)
-        with pytest.raises(InputError, match="checkpoint: was written by a version of lmpchain that this one does"):
+        with pytest.raises(
+            InputError, match="checkpoint: was written by a version of lmpchain that this one does"
+        ):
             resume(folder)
 
     noted(attempt=whole | {"candidate": whole["candidate"] | {"step": 0.0}})
@@ -404,7 +435,9 @@ def test_the_costs_of_a_batch_are_shared_out(monkeypatch):
     """Times of the runs of a batch by its size, with those of attempts before; counts are of the batch."""
     scenes = [SCENE.replace(excitation=Impulse(velocity=v)) for v in (1.0e-4, 1.1e-4, 1.2e-4)]
     engine = Native()
-    attempts = [first_attempt(engine, scene, 1e-6)._replace(planned_s=0.3, spent_s=0.6) for scene in scenes]
+    attempts = [
+        first_attempt(engine, scene, 1e-6)._replace(planned_s=0.3, spent_s=0.6) for scene in scenes
+    ]
     honest = engine.start
     costs = []
 

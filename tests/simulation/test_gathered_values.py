@@ -9,7 +9,15 @@ from lmpchain.engines import Native
 from lmpchain.simulation.gathering import GatheringRun, of_engine
 from lmpchain.theory.modes import eigenmodes
 
-ASKED = ["peak_velocity", "peak_displacement", "arrival_time", "peak_force:1", "force:1", "peak_force:3", "force:0"]
+ASKED = [
+    "peak_velocity",
+    "peak_displacement",
+    "arrival_time",
+    "peak_force:1",
+    "force:1",
+    "peak_force:3",
+    "force:0",
+]
 pytestmark = pytest.mark.filterwarnings("ignore:Eq. ")
 
 
@@ -21,9 +29,13 @@ def springs(seed: int, samples: int = 3) -> Scene:
         masses=rng.uniform(1, 3, 3) * 1e-6, contact_constants=rng.uniform(1, 3, 2) * 1e7,
         wall_constants=rng.uniform(1, 3, 2) * 1e7,
     )  # fmt: skip
-    profile = Profile(velocity=1e-3 * rng.normal(size=3), displacement=1e-3 / chain.band_edge * rng.normal(size=3))
+    profile = Profile(
+        velocity=1e-3 * rng.normal(size=3), displacement=1e-3 / chain.band_edge * rng.normal(size=3)
+    )
     duration = rng.uniform(20, 40) / chain.band_edge
-    return Scene(chain=chain, excitation=profile, duration=duration, samples=samples, quantities=ASKED)
+    return Scene(
+        chain=chain, excitation=profile, duration=duration, samples=samples, quantities=ASKED
+    )
 
 
 def motion(scene: Scene, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -83,7 +95,9 @@ def test_what_is_gathered_is_the_truth_within_its_error(engine, seed):
     assert fine.size == scene.fine.samples
     for contact in (0, 1):
         true = forces(scene, contact, fine)
-        assert (np.abs(gathered[f"force:{contact}"] - true) <= gathered[f"force:{contact}_error"]).all()
+        assert (
+            np.abs(gathered[f"force:{contact}"] - true) <= gathered[f"force:{contact}_error"]
+        ).all()
         assert gathered[f"force:{contact}_error"].max() < 1e-6 * np.ptp(true)
     for contact in (1, 3):
         dense = forces(scene, contact, np.linspace(0, scene.duration, 40_001)).max()
@@ -99,7 +113,9 @@ def test_errors_of_what_is_gathered_hold_those_of_the_run(steps):
     t = simulate(scene, Native("verlet", step=2 * np.pi / scene.chain.band_edge / steps))
     error, gathered = t.error_estimate.total, t.gathered
     assert error > 1e-3
-    largest = [max(size for grain in range(3) for _, size in tops(scene, kind, grain)) for kind in (0, 1)]
+    largest = [
+        max(size for grain in range(3) for _, size in tops(scene, kind, grain)) for kind in (0, 1)
+    ]
     for name, scale in (("peak_displacement", largest[0]), ("peak_velocity", largest[1])):
         ratio = gathered[f"{name}_error"] / (error * scale)
         assert (ratio > 0.9).all()
@@ -112,14 +128,19 @@ def test_errors_of_what_is_gathered_hold_those_of_the_run(steps):
         ratio = gathered[f"peak_force:{contact}_error"] / (2 * stiffness * error * largest[0])
         assert 0.9 < ratio < 1.8
         dense = forces(scene, contact, np.linspace(0, scene.duration, 4001)).max()
-        assert abs(gathered[f"peak_force:{contact}"] - dense) <= gathered[f"peak_force:{contact}_error"]
+        assert (
+            abs(gathered[f"peak_force:{contact}"] - dense)
+            <= gathered[f"peak_force:{contact}_error"]
+        )
     for contact in (0, 1):
         stiffness = scene.chain.contacts.stiffness[contact]
         ratio = gathered[f"force:{contact}_error"] / (2 * stiffness * error * largest[0])
         assert (ratio > 0.9).all()
         assert (ratio < 1.8).all()
         true = forces(scene, contact, gathered["fine_time"])
-        assert (np.abs(gathered[f"force:{contact}"] - true) <= gathered[f"force:{contact}_error"]).all()
+        assert (
+            np.abs(gathered[f"force:{contact}"] - true) <= gathered[f"force:{contact}_error"]
+        ).all()
     for grain in range(3):
         turns = [(when, size) for when, size in tops(scene, 1, grain) if 0 < when < scene.duration]
         fronts = [when for when, size in turns if size >= max(size for _, size in turns) / 2]
@@ -130,23 +151,36 @@ def test_errors_of_what_is_gathered_hold_those_of_the_run(steps):
 
 def test_a_front_that_may_be_another_one_says_so():
     """Two maxima, the first all but half of the second: its time is off by their distance, if values are off."""
-    chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0, top="wall", bottom="wall")
+    chain = Chain(
+        grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0, top="wall", bottom="wall"
+    )
     modes = eigenmodes(chain)
     slow, fast = modes.shape[:, 0], modes.shape[:, 1]
 
     def first_over_largest(mix: float) -> float:
-        velocity = np.array(fast * np.sign(fast[0]) * mix - slow * np.sign(slow[0])) * 1e-3 / abs(slow[0])
-        scene = Scene(chain=chain, excitation=Profile(velocity=velocity), duration=12 / chain.band_edge, samples=2)
+        velocity = (
+            np.array(fast * np.sign(fast[0]) * mix - slow * np.sign(slow[0])) * 1e-3 / abs(slow[0])
+        )
+        scene = Scene(
+            chain=chain,
+            excitation=Profile(velocity=velocity),
+            duration=12 / chain.band_edge,
+            samples=2,
+        )
         maxima = [size for when, size in tops(scene, 1, 0) if 0 < when < scene.duration]
         largest = max(size for _, size in tops(scene, 1, 0))
         return maxima[0] / largest - 0.5
 
     grid = np.linspace(0.2, 3.0, 57)
     values = [first_over_largest(mix) for mix in grid]
-    crossing = next((i for i in range(56) if values[i] * values[i + 1] < 0 and abs(values[i]) < 0.2), None)
+    crossing = next(
+        (i for i in range(56) if values[i] * values[i + 1] < 0 and abs(values[i]) < 0.2), None
+    )
     assert crossing is not None
     mix = brentq(first_over_largest, grid[crossing], grid[crossing + 1], xtol=1e-9)
-    velocity = np.array(fast * np.sign(fast[0]) * mix - slow * np.sign(slow[0])) * 1e-3 / abs(slow[0])
+    velocity = (
+        np.array(fast * np.sign(fast[0]) * mix - slow * np.sign(slow[0])) * 1e-3 / abs(slow[0])
+    )
     scene = Scene(
         chain=chain, excitation=Profile(velocity=velocity), duration=12 / chain.band_edge, samples=2,
         quantities=["arrival_time"],
@@ -184,9 +218,16 @@ def test_a_hertzian_contact_of_a_weak_wave_has_the_force_of_its_law():
     """Linear engines gather the linear force, the native one Hertz's; they agree where the wave is weak."""
     chain = Chain(grains=20, diameter=1e-3, gravity=0.0, top_load=1e-2)
     strike = Impulse(velocity=1e-5 * chain.length_scale / chain.time_scale)
-    scene = Scene(chain=chain, excitation=strike, duration=8 * chain.time_scale, samples=2, quantities=["force:2"])
+    scene = Scene(
+        chain=chain,
+        excitation=strike,
+        duration=8 * chain.time_scale,
+        samples=2,
+        quantities=["force:2"],
+    )
     native, modes = (
-        simulate(scene, engine, 1e-9 if engine == "native" else 0.9).gathered for engine in ("native", "modes")
+        simulate(scene, engine, 1e-9 if engine == "native" else 0.9).gathered
+        for engine in ("native", "modes")
     )
     change = native["force:2"] - 1e-2
     assert np.abs(change).max() > 0
@@ -202,24 +243,32 @@ def test_a_run_that_gathers_hands_on_the_samples_and_keeps_its_state():
     scene = springs(2, samples=4)
     engine = engines.plain("modes")
     part = engine.part(scene)
-    run = GatheringRun(engine.start([part], engine.candidate(part, 0.9)), engine, [scene], [part], {})
+    run = GatheringRun(
+        engine.start([part], engine.candidate(part, 0.9)), engine, [scene], [part], {}
+    )
     blocks = list(run.blocks())
     assert run.progress == 1
     assert blocks[0].samples.start == 0
     u = np.concatenate([block.displacement[0] for block in blocks])
-    np.testing.assert_allclose(u, motion(scene, scene.time)[0], rtol=0, atol=1e-12 * np.abs(u).max())
+    np.testing.assert_allclose(
+        u, motion(scene, scene.time)[0], rtol=0, atol=1e-12 * np.abs(u).max()
+    )
     state = run.state()
     own = of_engine(state)
     assert set(own) == {key for key in state if not key.startswith("gathered.")}
     assert len(state) > len(own)
-    again = GatheringRun(engine.start([part], engine.candidate(part, 0.9), own), engine, [scene], [part], state)
+    again = GatheringRun(
+        engine.start([part], engine.candidate(part, 0.9), own), engine, [scene], [part], state
+    )
     one, other = run.found([1e-9])[0], again.found([1e-9])[0]
     assert one.keys() == other.keys()
     for name, values in one.items():
         assert np.array_equal(values, other[name], equal_nan=True)
     wrong = state | {"gathered.0.fast": np.zeros((3, 2))}
     with pytest.raises(ValueError, match="the state that was kept does not fit"):
-        GatheringRun(engine.start([part], engine.candidate(part, 0.9), own), engine, [scene], [part], wrong)
+        GatheringRun(
+            engine.start([part], engine.candidate(part, 0.9), own), engine, [scene], [part], wrong
+        )
     assert run.cost().steps == part.samples - 1
     assert run.errors()[0].roundoff > 0
 

@@ -36,10 +36,14 @@ from lmpchain.stability.step_limit import blow_up
 
 OF_GRAINS = ["peak_velocity", "peak_displacement", "arrival_time"]
 ALL = [*OF_GRAINS, "peak_force:4", "force:4"]
-PAIR = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0)  # grain 2 is fixed: an oscillator
+PAIR = Chain(
+    grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0
+)  # grain 2 is fixed: an oscillator
 OMEGA = PAIR.band_edge
 COLUMN = Chain(grains=30, diameter=1e-3)
-STRUCK = Scene(chain=COLUMN, excitation=Impulse(velocity=8.57e-3), duration=6e-5, samples=2, quantities=ALL)
+STRUCK = Scene(
+    chain=COLUMN, excitation=Impulse(velocity=8.57e-3), duration=6e-5, samples=2, quantities=ALL
+)
 WEAK = STRUCK.replace(excitation=Impulse(velocity=1e-8))
 
 
@@ -63,7 +67,9 @@ def test_an_oscillator_whose_samples_are_nodes(engine: str):
     assert off(found, "arrival_time", np.pi / 2 / OMEGA)[0] < 1
     assert np.isnan(found["arrival_time"][1])
     assert off(found, "peak_force:1", rest + stiffness * length) < 1
-    assert (off(found, "force:1", rest + stiffness * length * np.cos(OMEGA * found["fine_time"])) < 1).all()
+    assert (
+        off(found, "force:1", rest + stiffness * length * np.cos(OMEGA * found["fine_time"])) < 1
+    ).all()
     assert found["peak_velocity_error"][0] < 3e-6 * length * OMEGA
     assert found["arrival_time_error"][0] < 1e-5 / OMEGA
     assert found["peak_force:1_error"] < 3e-6 * stiffness * length
@@ -93,7 +99,12 @@ def test_a_resonance_has_many_fronts_until_the_last_is_known(engine: str):
         chain=PAIR, excitation=Force(grain=1, amplitude=force, frequency=OMEGA / (2 * np.pi)), duration=end / OMEGA,
         samples=2, quantities=["peak_velocity", "arrival_time"],
     )  # fmt: skip
-    tops = np.array([brentq(lambda x: np.sin(x) + x * np.cos(x), k * np.pi + 1.5, (k + 1) * np.pi) for k in range(100)])
+    tops = np.array(
+        [
+            brentq(lambda x: np.sin(x) + x * np.cos(x), k * np.pi + 1.5, (k + 1) * np.pi)
+            for k in range(100)
+        ]
+    )
     sizes = np.abs(tops * np.sin(tops)) * force / (2 * PAIR.masses[0] * OMEGA)
     found = simulate(scene, engine, 1e-7).gathered
     assert off(found, "peak_velocity", sizes.max())[0] < 1
@@ -111,22 +122,35 @@ def test_a_struck_column_as_in_an_independent_integration(engine: str):
     own *= v.max()
     for grain in range(3, 9):
         arrival, top = find_peak(fine.time, v[:, grain - 1])
-        assert abs(found["peak_velocity"][grain - 1] - top) < found["peak_velocity_error"][grain - 1] + own
-        assert abs(found["arrival_time"][grain - 1] - arrival) < found["arrival_time_error"][grain - 1] + 1e-12
+        assert (
+            abs(found["peak_velocity"][grain - 1] - top)
+            < found["peak_velocity_error"][grain - 1] + own
+        )
+        assert (
+            abs(found["arrival_time"][grain - 1] - arrival)
+            < found["arrival_time_error"][grain - 1] + 1e-12
+        )
     contact = COLUMN.contacts.of(np.array([4]))
     pushed = contact.force_at(contact.overlap + u[:, 3] - u[:, 4])
-    assert abs(found["peak_force:4"] - find_peak(fine.time, pushed)[1]) < found["peak_force:4_error"] + 1e-9
+    assert (
+        abs(found["peak_force:4"] - find_peak(fine.time, pushed)[1])
+        < found["peak_force:4_error"] + 1e-9
+    )
 
 
 @pytest.mark.filterwarnings("ignore:Eq. ")
-@pytest.mark.parametrize(("engine", "scene"), [("native", STRUCK), ("modes", WEAK), ("chebyshev", WEAK)])
+@pytest.mark.parametrize(
+    ("engine", "scene"), [("native", STRUCK), ("modes", WEAK), ("chebyshev", WEAK)]
+)
 def test_two_samples_tell_as_much_as_20001(engine: str, scene: Scene):
     few = simulate(scene, engine, 1e-9).gathered
     many = simulate(scene.replace(samples=20001, quantities=None), engine, 1e-9)
     motion = motion_of(many)
     for field in ("velocity", "displacement"):
         peaks = motion.peaks(field)
-        assert (np.abs(few[f"peak_{field}"] - peaks.value) <= few[f"peak_{field}_error"] + peaks.error).all()
+        assert (
+            np.abs(few[f"peak_{field}"] - peaks.value) <= few[f"peak_{field}_error"] + peaks.error
+        ).all()
     fronts = motion.fronts("velocity", 0.5, width=False)
     assert np.array_equal(np.isnan(few["arrival_time"]), np.isnan(fronts[:, 0]))
     passed = np.isfinite(fronts[:, 0])
@@ -135,7 +159,9 @@ def test_two_samples_tell_as_much_as_20001(engine: str, scene: Scene):
     assert (apart <= few["arrival_time_error"][passed] + fronts[passed, 3]).all()
     assert (few["arrival_time_error"][passed] < 1e-4 * scene.duration).all()
     history = contacts(many, [4])
-    assert abs(few["peak_force:4"] - history.force.max()) < few["peak_force:4_error"] + 1e-7 * np.ptp(history.force)
+    assert abs(few["peak_force:4"] - history.force.max()) < few[
+        "peak_force:4_error"
+    ] + 1e-7 * np.ptp(history.force)
     trace = np.interp(few["fine_time"], history.time, history.change[:, 0])
     change = few["force:4"] - float(COLUMN.contacts.force[4])
     assert np.abs(change - trace).max() < 1e-6 * np.ptp(trace) + few["force:4_error"].max()
@@ -150,7 +176,11 @@ ACTING = {
 
 
 @pytest.mark.parametrize(
-    "what", [pytest.param(what, marks=pytest.mark.slow if what in ("burst", "wall") else ()) for what in ACTING]
+    "what",
+    [
+        pytest.param(what, marks=pytest.mark.slow if what in ("burst", "wall") else ())
+        for what in ACTING
+    ],
 )
 def test_what_acts_on_a_chain_has_its_part(what: str):
     """Grain 1 or a wall that is moved, a grain that is pushed: their contacts and neighbours, too."""
@@ -160,7 +190,9 @@ def test_what_acts_on_a_chain_has_its_part(what: str):
     asked = ["peak_velocity", "peak_displacement", f"peak_force:{near}", f"force:{near}"]
     scene = Scene(chain=chain, excitation=ACTING[what], duration=2e-5, samples=2, quantities=asked)
     found = simulate(scene, "native", 1e-9).gathered
-    u, v, own = extended_reference(Scene(**scene.given() | {"samples": 20 * (scene.fine.samples - 1) + 1}))
+    u, v, own = extended_reference(
+        Scene(**scene.given() | {"samples": 20 * (scene.fine.samples - 1) + 1})
+    )
     missed = 8e-5  # of a peak between two of these samples
     for name, x in (("peak_velocity", v), ("peak_displacement", u)):
         most, error = np.abs(x).max(axis=0), found[f"{name}_error"] + own * np.abs(x).max()
@@ -169,14 +201,21 @@ def test_what_acts_on_a_chain_has_its_part(what: str):
     above = ACTING[what].waveform.at(np.linspace(0, 2e-5, len(u))) if what == "wall" else u[:, 0]
     contact = chain.contacts.of(np.array([near]))
     force = contact.force_at(contact.overlap + above - u[:, near])
-    assert (np.abs(found[f"force:{near}"] - force[::20]) <= found[f"force:{near}_error"] + 1e-9 * force.max()).all()
+    assert (
+        np.abs(found[f"force:{near}"] - force[::20])
+        <= found[f"force:{near}_error"] + 1e-9 * force.max()
+    ).all()
     error = found[f"peak_force:{near}_error"]
     assert -error <= found[f"peak_force:{near}"] - force.max() <= error + missed * np.ptp(force)
 
 
-@pytest.mark.parametrize("engine", ["native", "modes", "chebyshev", pytest.param("lammps", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "engine", ["native", "modes", "chebyshev", pytest.param("lammps", marks=pytest.mark.slow)]
+)
 @pytest.mark.filterwarnings("ignore:Eq. ")
-def test_stopped_after_every_block_it_gathers_the_same_bits(engine: str, tmp_path: Path, monkeypatch):
+def test_stopped_after_every_block_it_gathers_the_same_bits(
+    engine: str, tmp_path: Path, monkeypatch
+):
     scene = WEAK if engine in ("modes", "chebyshev") else STRUCK
     monkeypatch.setattr(linear, "BLOCK", 4)
     monkeypatch.setattr(linear, "SMALL", 1)
@@ -210,7 +249,10 @@ def test_it_is_kept_in_files(tmp_path: Path):
     data = again.to_xarray()
     assert data["peak_velocity"].dims == ("grain",)
     assert data["force_4"].dims == data["force_4_error"].dims == ("fine_time",)
-    assert data["peak_force_4"].attrs == {"units": "N", "long_name": "largest force at any time of contact 4"}
+    assert data["peak_force_4"].attrs == {
+        "units": "N",
+        "long_name": "largest force at any time of contact 4",
+    }
     STRUCK.to_toml(tmp_path / "scene.toml")
     assert Scene.from_toml(tmp_path / "scene.toml") == STRUCK
     other = simulate(STRUCK.replace(quantities=["peak_velocity"]), "native")
@@ -221,7 +263,9 @@ def test_recorded_grains_and_the_light_cone():
     """Of a long chain only what the wave can reach is computed; the rest is at rest."""
     chain = COLUMN.replace(grains=400)
     whole = STRUCK.replace(chain=chain)
-    some = STRUCK.replace(chain=chain, grains=[7, 3, 350], quantities=[*ALL, "peak_force:399", "force:399"])
+    some = STRUCK.replace(
+        chain=chain, grains=[7, 3, 350], quantities=[*ALL, "peak_force:399", "force:399"]
+    )
     every, few = simulate(whole, "native"), simulate(some, "native")
     assert every.cost.active_grains < 400
     for name in OF_GRAINS:
@@ -255,14 +299,20 @@ def test_a_batch_gathers_in_the_whole_where_a_run_alone_is_cut_to_the_light_cone
     for scene, t in zip(scenes, simulate_many(scenes, 1e-6), strict=True):
         alone, within = simulate(scene, "native"), scene.excitation.velocity * 1e-6
         np.testing.assert_allclose(t.velocity, alone.velocity, rtol=0, atol=within)
-        np.testing.assert_allclose(t.gathered["peak_velocity"], alone.gathered["peak_velocity"], rtol=0, atol=within)
+        np.testing.assert_allclose(
+            t.gathered["peak_velocity"], alone.gathered["peak_velocity"], rtol=0, atol=within
+        )
 
 
 def test_it_is_refused_in_one_line():
     chain = Chain(grains=200, diameter=1e-3)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-8), duration=3e-5, quantities=["peak_velocity"])
+    scene = Scene(
+        chain=chain, excitation=Impulse(velocity=1e-8), duration=3e-5, quantities=["peak_velocity"]
+    )
     for name in ("bessel", "continuum"):
-        with pytest.raises(InputError, match=f"quantities: {name} solves no equation of motion .* use native"):
+        with pytest.raises(
+            InputError, match=f"quantities: {name} solves no equation of motion .* use native"
+        ):
             simulate(scene, name)
 
 
@@ -307,7 +357,11 @@ def test_it_takes_the_memory_of_its_results():
     chain = Chain(grains=size, diameter=1e-3, gravity=0.0, top_load=1.0)
     velocity = np.append(1e-3 * np.random.default_rng(1).normal(size=size - 1), 0.0)
     scene = Scene(
-        chain=chain, excitation=Profile(velocity=velocity), duration=1.6e-4, samples=2, quantities=["peak_velocity"]
+        chain=chain,
+        excitation=Profile(velocity=velocity),
+        duration=1.6e-4,
+        samples=2,
+        quantities=["peak_velocity"],
     )
     assert 16 * size * scene.fine.samples > 4e8
     simulate(STRUCK, "native")

@@ -15,7 +15,18 @@ from pathlib import Path
 
 import pytest
 from helpers import hurried
-from helpers.child_processes import HURRIED, Fork, at_work, ended, finish, processes, same, start, until, write
+from helpers.child_processes import (
+    HURRIED,
+    Fork,
+    at_work,
+    ended,
+    finish,
+    processes,
+    same,
+    start,
+    until,
+    write,
+)
 from helpers.example_scenes import paper
 from helpers.kill_moments import kill_moments
 
@@ -32,7 +43,12 @@ from lmpchain.util import files, leftovers
 CHAIN = Chain(grains=200, diameter=1e-3)
 STRIKE = Impulse(velocity=8.57e-3)
 SHORT = Scene(chain=CHAIN, excitation=STRIKE, duration=1e-4, samples=13)
-SMALL = Scene(chain=Chain(grains=12, diameter=1e-3), excitation=Impulse(velocity=0.05), duration=2e-5, samples=9)
+SMALL = Scene(
+    chain=Chain(grains=12, diameter=1e-3),
+    excitation=Impulse(velocity=0.05),
+    duration=2e-5,
+    samples=9,
+)
 
 # --- every moment of the disk
 
@@ -70,7 +86,11 @@ def fallback(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(linear, "seconds", lambda *_: 1e-6)
     chain = Chain(grains=6, diameter=1e-3, gravity=0.0, top_load=1e-3)
     strike = Impulse(velocity=0.1 * chain.length_scale / chain.time_scale)
-    return Scene(chain=chain, excitation=strike, duration=30.0 * chain.time_scale, samples=11), "auto", 1e-6
+    return (
+        Scene(chain=chain, excitation=strike, duration=30.0 * chain.time_scale, samples=11),
+        "auto",
+        1e-6,
+    )
 
 
 @pytest.fixture
@@ -95,15 +115,29 @@ def test_a_kill_at_any_change_of_the_disk(
     case: Callable, most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, busy_disk: None
 ):
     scene, engine, tolerance = case(monkeypatch)
-    right, run, rng = simulate(scene, engine, tolerance), tmp_path / "run", random.Random(case.__name__)
-    left = kill_moments(run, lambda: simulate(scene, engine, tolerance, folder=run), most, rng, tmp_path / "killed")
+    right, run, rng = (
+        simulate(scene, engine, tolerance),
+        tmp_path / "run",
+        random.Random(case.__name__),
+    )
+    left = kill_moments(
+        run, lambda: simulate(scene, engine, tolerance, folder=run), most, rng, tmp_path / "killed"
+    )
     assert status(run)["attempt"] >= (1 if case is fallback else 2)
-    begun = [folder for folder in left if (folder / "scene.toml").exists()]  # else there is nothing to go on with
+    begun = [
+        folder for folder in left if (folder / "scene.toml").exists()
+    ]  # else there is nothing to go on with
     assert len(begun) > most / 2
     for folder in begun:
-        if status(folder)["state"] == "killed" and rng.random() < 0.5:  # the next session is killed, too
-            again = kill_moments(folder, lambda at=folder: resume(at), 3, rng, tmp_path / f"again {folder.name}")
-            folder = rng.choice(again)  # there is no copy of a moment at which another thread moved a file
+        if (
+            status(folder)["state"] == "killed" and rng.random() < 0.5
+        ):  # the next session is killed, too
+            again = kill_moments(
+                folder, lambda at=folder: resume(at), 3, rng, tmp_path / f"again {folder.name}"
+            )
+            folder = rng.choice(
+                again
+            )  # there is no copy of a moment at which another thread moved a file
         answer = resume(folder)
         assert same(answer, right), folder
         assert answer.cost.steps == right.cost.steps
@@ -119,7 +153,9 @@ def names(folder: Path) -> list[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("victim", [0, 1, "mpiexec"])
-def test_a_killed_rank_is_no_step_that_is_too_long(victim: int | str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_killed_rank_is_no_step_that_is_too_long(
+    victim: int | str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     """Whichever process of the ranks goes, in an attempt whose step is not given, the same attempt goes on."""
     scene, engine = SMALL, engines.Lammps("kahan-li6", ranks=2)
     right, rng = simulate(scene, engines.Lammps("kahan-li6"), 1e-4), random.Random(str(victim))
@@ -134,7 +170,9 @@ def test_a_killed_rank_is_no_step_that_is_too_long(victim: int | str, tmp_path: 
 
     monkeypatch.setattr(SubprocessRanks, "ask", ask)
     left[0] = rng.randint(1, 5)
-    with pytest.raises(EngineUnavailable, match=r"a rank of LAMMPS died.*lmpchain resume .* goes on"):
+    with pytest.raises(
+        EngineUnavailable, match=r"a rank of LAMMPS died.*lmpchain resume .* goes on"
+    ):
         simulate(scene, engine, 1e-4, folder=tmp_path / "run")
     said = status(tmp_path / "run")
     assert (said["state"], said["attempt"]) == ("failed", 1)
@@ -169,9 +207,14 @@ def test_ranks_hold_no_name_of_shared_memory_and_end_with_their_launcher(tmp_pat
         there = processes(f"MARK={tmp_path}")
         assert len(there) >= 5, "lmpchain, mpiexec, its proxy and two ranks"
         shared = [
-            line for pid in there for line in Path(f"/proc/{pid}/maps").read_text().splitlines() if "mpich" in line
+            line
+            for pid in there
+            for line in Path(f"/proc/{pid}/maps").read_text().splitlines()
+            if "mpich" in line
         ]
-        assert [line for line in shared if "/dev/shm" in line and not line.endswith("(deleted)")] == []
+        assert [
+            line for line in shared if "/dev/shm" in line and not line.endswith("(deleted)")
+        ] == []
         assert os.listdir(tmp_path / "scratch") == []
         for pid in there:
             if (
@@ -192,7 +235,9 @@ def test_files_of_killed_runs_are_swept(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(leftovers, "SHARED", tmp_path)
     monkeypatch.setattr(leftovers, "TEMPORARY", tmp_path)
     begins = ("hydra_hwloc_xmlfile_", "mpich_shm_", "other_", "ucx_shm_posix_")
-    old, used, new = ([tmp_path / f"{each}{state}" for each in begins] for state in ("old", "used", "new"))
+    old, used, new = (
+        [tmp_path / f"{each}{state}" for each in begins] for state in ("old", "used", "new")
+    )
     for path in (*old, *used, *new):
         path.write_bytes(bytes(4096))
     for path in (*old, *used):
@@ -225,7 +270,11 @@ CASES = {
     "mpirun": (FEW, FIXED, [2, 1, 2]),
     "two ranks, then mpirun": (FEW, [*FIXED, *TWO], [1, 2, 1]),
 }
-SEVERAL = {"native to a tolerance", "lammps", "two ranks to a tolerance"}  # that need a second attempt
+SEVERAL = {
+    "native to a tolerance",
+    "lammps",
+    "two ranks to a tolerance",
+}  # that need a second attempt
 # an idle rank sleeps: where there are fewer cores than ranks, the other one comes to its turn
 DOZE = {"MPIR_CVAR_POLLS_BEFORE_YIELD": "1", "MPIR_CVAR_ENABLE_HEAVY_YIELD": "1"}
 
@@ -265,7 +314,9 @@ class Command:
         if ranks > 1:
             self._process = start(*words, ranks=ranks, command=HURRIED, env=environment)
         else:
-            self._process = Fork(hurried.main, words, environment, folder.with_name(f"{folder.name} said"))
+            self._process = Fork(
+                hurried.main, words, environment, folder.with_name(f"{folder.name} said")
+            )
         self.pid = self._process.pid
 
     def at_work(self) -> bool:
@@ -277,12 +328,16 @@ class Command:
 
     def ended(self) -> tuple[int | None, str]:
         """Wait until it and all that it has started has ended; return its exit code and what it said."""
-        code, said = self._process.ended() if isinstance(self._process, Fork) else ended(self._process)
+        code, said = (
+            self._process.ended() if isinstance(self._process, Fork) else ended(self._process)
+        )
         until(lambda: not processes(self._mark))
         return code, said
 
 
-def killed(case: str, folder: Path, parts: list[float], rng: random.Random) -> tuple[Trajectory, int]:
+def killed(
+    case: str, folder: Path, parts: list[float], rng: random.Random
+) -> tuple[Trajectory, int]:
     """Run a case; kill a part of it, drawn at random, once so many of its attempts are done.
 
     Returns the answer, and how often something was killed. A part below 0 is of the time before the first sample.
@@ -296,7 +351,9 @@ def killed(case: str, folder: Path, parts: list[float], rng: random.Random) -> t
         command = Command(line, next(counts), folder)
         while command.at_work() and reached(folder / "run") < part:
             time.sleep(0.01)
-        time.sleep(rng.uniform(0, 1) if part < 0 else rng.uniform(0, 0.1))  # not always just behind a sample
+        time.sleep(
+            rng.uniform(0, 1) if part < 0 else rng.uniform(0, 0.1)
+        )  # not always just behind a sample
         there, alive_still = command.processes(), command.at_work()
         victim = command.pid if rng.random() < 0.5 or not there else rng.choice(there)
         with suppress(ProcessLookupError):
@@ -314,7 +371,9 @@ def killed(case: str, folder: Path, parts: list[float], rng: random.Random) -> t
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("case", "times"), [("native", 2), ("lammps", 1), ("two ranks, then mpirun", 2)])
+@pytest.mark.parametrize(
+    ("case", "times"), [("native", 2), ("lammps", 1), ("two ranks, then mpirun", 2)]
+)
 def test_killed_again_and_again(case: str, times: int, tmp_path: Path, truth: Callable):
     rng = random.Random(case)
     parts = sorted(rng.uniform(0.01, 0.5) for _ in range(times))
@@ -337,7 +396,8 @@ SOAK = {
 @pytest.mark.soak
 @pytest.mark.timeout(0)
 @pytest.mark.parametrize(
-    ("case", "piece"), [(case, piece) for case, times in SOAK.items() for piece in range(times // 10)]
+    ("case", "piece"),
+    [(case, piece) for case, times in SOAK.items() for piece in range(times // 10)],
 )
 def test_killed_at_random(case: str, piece: int, tmp_path: Path, truth: Callable):
     """Ten kills, some of them of the same run, in any of its attempts."""
@@ -350,6 +410,8 @@ def test_killed_at_random(case: str, piece: int, tmp_path: Path, truth: Callable
         assert answer.cost.steps == right.cost.steps
         assert status(tmp_path / str(again) / "run")["attempt"] >= attempts
         count += kills
-        print(f"{case} {piece}: {count} kills, parts {[round(part, 2) for part in parts]}", flush=True)
+        print(
+            f"{case} {piece}: {count} kills, parts {[round(part, 2) for part in parts]}", flush=True
+        )
         if count >= 10:
             break

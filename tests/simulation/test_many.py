@@ -5,7 +5,16 @@ import pytest
 from helpers.example_scenes import smooth
 from helpers.independent_integrators import relative_error, scipy_reference
 
-from lmpchain import Chain, Drive, Impulse, InputError, Scene, ToleranceNotMet, simulate, simulate_many
+from lmpchain import (
+    Chain,
+    Drive,
+    Impulse,
+    InputError,
+    Scene,
+    ToleranceNotMet,
+    simulate,
+    simulate_many,
+)
 from lmpchain.engines import Native
 
 
@@ -17,7 +26,9 @@ def struck(velocity: float, grains: int = 12, **more) -> Scene:
 
 def test_answers_come_in_order_with_the_bits_of_each_alone():
     """Scenes of several shapes and strengths, shuffled: those that are alike go together, and each is itself."""
-    scenes = [struck(v, n) for v in (1e-6, 1e-4, 1e-2) for n in (12, 9, 12)] + [struck(1e-4, gravity=1.62)]
+    scenes = [struck(v, n) for v in (1e-6, 1e-4, 1e-2) for n in (12, 9, 12)] + [
+        struck(1e-4, gravity=1.62)
+    ]
     found = simulate_many(scenes, 1e-8)
     assert [t.scene for t in found] == scenes
     for t, scene in zip(found, scenes, strict=True):
@@ -38,7 +49,9 @@ def test_a_sine_beside_points_is_as_it_is_alone():
     times = np.linspace(0, 1.01 * duration, 5)
     points = Drive(times=times, displacement=height * np.sin(times * chain.band_edge / 5))
     drives = points, Drive(amplitude=height, frequency=points.fastest / (20 * np.pi))
-    scenes = [Scene(chain=chain, excitation=drive, duration=duration, samples=3) for drive in drives]
+    scenes = [
+        Scene(chain=chain, excitation=drive, duration=duration, samples=3) for drive in drives
+    ]
     engine = Native("dop853")
     candidates = [engine.candidate(scene, 1e-6).schedule() for scene in scenes]
     assert candidates[0] == candidates[1]
@@ -48,7 +61,10 @@ def test_a_sine_beside_points_is_as_it_is_alone():
 
 def test_the_error_covers_the_truth():
     """Against SciPy's DOP853 of another equation of motion; chains that open contacts and chains that do not."""
-    scenes = [smooth(grains=6, samples=6).replace(excitation=Impulse(velocity=v)) for v in (1e-6, 1e-3, 1e-2)]
+    scenes = [
+        smooth(grains=6, samples=6).replace(excitation=Impulse(velocity=v))
+        for v in (1e-6, 1e-3, 1e-2)
+    ]
     for t in simulate_many(scenes, 1e-7):
         u, v, _ = scipy_reference(t.scene)
         error = relative_error(np.asarray(t.displacement), np.asarray(t.velocity), u, v)

@@ -13,7 +13,17 @@ from helpers.independent_integrators import extended_reference, relative_error
 from helpers.trial_scenes import trial_scene
 
 import lmpchain
-from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Profile, Scene, ToleranceNotMet, simulate
+from lmpchain import (
+    Chain,
+    Displacement,
+    Drive,
+    Impulse,
+    InputError,
+    Profile,
+    Scene,
+    ToleranceNotMet,
+    simulate,
+)
 from lmpchain.benchmark.reference import Reference, expected_seconds, reference
 from lmpchain.cli.command_line import main
 from lmpchain.engines import Modes, Native, time_stepping
@@ -35,11 +45,18 @@ def shipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     speed.measured.cache_clear()
 
 
-def periodic(strike: float = 1e-12, top_load: float = 1e-3, duration: float = 200.0, samples: int = 11) -> Scene:
+def periodic(
+    strike: float = 1e-12, top_load: float = 1e-3, duration: float = 200.0, samples: int = 11
+) -> Scene:
     """Return a few grains that swing for long, where linear theory costs least."""
     chain = Chain(grains=6, diameter=1e-3, gravity=0.0, top_load=top_load)
     speed = strike * chain.length_scale / chain.time_scale
-    return Scene(chain=chain, excitation=Impulse(velocity=speed), duration=duration * chain.time_scale, samples=samples)
+    return Scene(
+        chain=chain,
+        excitation=Impulse(velocity=speed),
+        duration=duration * chain.time_scale,
+        samples=samples,
+    )
 
 
 def struck(seed: int) -> Scene:
@@ -62,7 +79,9 @@ def struck(seed: int) -> Scene:
             case Drive(amplitude=a, frequency=f) if a:
                 found = {"excitation": Drive(amplitude=a * factor, frequency=f)}
         if found and length > 0:
-            return Scene(chain=chain, duration=scene.duration * 3, samples=int(rng.choice([5, 21])), **found)
+            return Scene(
+                chain=chain, duration=scene.duration * 3, samples=int(rng.choice([5, 21])), **found
+            )
     return random_scene(rng)
 
 
@@ -88,7 +107,9 @@ def keeps_its_word(seed: int) -> str:
     u, v = truth(scene)
     for tolerance in TOLERANCES:
         with warnings.catch_warnings(action="ignore"), pytest.MonkeyPatch.context() as patch:
-            if seed % 2 and not (scene.drive and scene.chain.grains > 1000):  # linear theory wherever it would do
+            if seed % 2 and not (
+                scene.drive and scene.chain.grains > 1000
+            ):  # linear theory wherever it would do
                 patch.setattr(linear, "seconds", lambda *_: 0.0)
             plan, t = lmpchain.plan(scene, tolerance), simulate(scene, tolerance=tolerance)
         kept = [proposal for proposal in plan.candidates if proposal.kept]
@@ -96,7 +117,11 @@ def keeps_its_word(seed: int) -> str:
         assert plan.expected_error <= tolerance * 1.001
         assert t.engine == plan.engine or "redone" in t.provenance
         assert t.error_estimate.total <= tolerance
-        assert relative_error(t.displacement, t.velocity, u, v) <= tolerance, (seed, tolerance, t.engine)
+        assert relative_error(t.displacement, t.velocity, u, v) <= tolerance, (
+            seed,
+            tolerance,
+            t.engine,
+        )
         used.append(t.engine)
     return " ".join(used)
 
@@ -120,7 +145,10 @@ def with_alternatives(seed: int) -> Scene:
     scene = wide_scene(rng)
     if seed % 2 == 0 or (scene.drive and scene.drive.times is not None):
         return scene
-    longer = {"duration": scene.duration * 10 ** rng.uniform(0, 2.5), "samples": int(rng.choice([5, 51, 501]))}
+    longer = {
+        "duration": scene.duration * 10 ** rng.uniform(0, 2.5),
+        "samples": int(rng.choice([5, 51, 501])),
+    }
     return Scene(**scene.given() | longer)
 
 
@@ -155,8 +183,15 @@ def over_the_cheapest(scene: Scene, tolerance: float, truth: Reference) -> float
 @pytest.mark.filterwarnings("ignore:Eq. ")
 def test_the_choice_takes_at_most_twice_the_time_of_the_cheapest():
     """In nine of ten where it takes over 1 ms."""
-    scenes = [scene for seed in range(300, 380) if expected_seconds(scene := with_alternatives(seed)) < 20]
-    found = [over_the_cheapest(scene, e, known) for scene in scenes for known in [reference(scene)] for e in TOLERANCES]
+    scenes = [
+        scene for seed in range(300, 380) if expected_seconds(scene := with_alternatives(seed)) < 20
+    ]
+    found = [
+        over_the_cheapest(scene, e, known)
+        for scene in scenes
+        for known in [reference(scene)]
+        for e in TOLERANCES
+    ]
     ratios = np.array(found)[np.isfinite(found)]
     assert ratios.size > 200
     assert np.mean(ratios <= 2) >= 0.9, np.sort(ratios)[-50:]
@@ -192,7 +227,11 @@ def test_plans_of_the_paper_scenes():
     assert strong.engine == "native"
     assert "strike number 8.5: linear theory, a priori bound reaches 100 %" in strong.why
     weak = lmpchain.plan(Scene.from_toml(SCENES / "weak.toml"), 0.1)
-    assert {proposal.engine for proposal in weak.candidates if proposal.kept} == {"native", "modes", "chebyshev"}
+    assert {proposal.engine for proposal in weak.candidates if proposal.kept} == {
+        "native",
+        "modes",
+        "chebyshev",
+    }
     assert weak.engine == min(weak.candidates, key=lambda p: p.cost_s if p.kept else np.inf).engine
 
 
@@ -202,7 +241,9 @@ def test_a_weak_strike_is_answered_by_linear_theory_where_that_is_right():
     weak = Scene.from_toml(SCENES / "weak.toml")
     u, v, _ = extended_reference(weak)
     t = simulate(weak, "chebyshev", 0.5)
-    assert relative_error(t.displacement, t.velocity, u, v) == pytest.approx(1.36e-3, rel=0.01, abs=0)
+    assert relative_error(t.displacement, t.velocity, u, v) == pytest.approx(
+        1.36e-3, rel=0.01, abs=0
+    )
     assert lmpchain.plan(weak, 1e-3).engine == "native"
     assert lmpchain.plan(weak, 1e-2).engine == "chebyshev"
     gentle = Scene(**weak.given() | {"excitation": Impulse(velocity=1e-7)})
@@ -225,7 +266,9 @@ def test_linear_theory_where_it_is_cheaper():
 def test_a_sharper_bound_is_computed_only_where_it_may_pay(monkeypatch: pytest.MonkeyPatch):
     bounded = []
     honest = linear.LinearEngine.bound_model_error
-    monkeypatch.setattr(linear.LinearEngine, "bound_model_error", lambda *args: bounded.append(1) or honest(*args))
+    monkeypatch.setattr(
+        linear.LinearEngine, "bound_model_error", lambda *args: bounded.append(1) or honest(*args)
+    )
     lmpchain.plan(paper("fig5 g"))  # the strike number decides
     lmpchain.plan(paper("weak"), 1e-3)  # a native run costs less than the bound
     assert not bounded
@@ -243,10 +286,14 @@ def hopeful(monkeypatch: pytest.MonkeyPatch) -> Scene:
     return periodic(0.1, duration=30.0)
 
 
-def test_a_plan_that_was_too_hopeful_is_done_again(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys):
+def test_a_plan_that_was_too_hopeful_is_done_again(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys
+):
     scene = hopeful(monkeypatch)
     assert lmpchain.plan(scene).engine in ("modes", "chebyshev", "bessel")
-    with pytest.warns(UserWarning, match=r"Eq. \(3\) leaves out up to .* run again with native, Eq. \(1\)") as told:
+    with pytest.warns(
+        UserWarning, match=r"Eq. \(3\) leaves out up to .* run again with native, Eq. \(1\)"
+    ) as told:
         t = simulate(scene)
     assert len(told) == 1
     assert (t.engine, t.equation) == ("native", 1)
@@ -266,18 +313,26 @@ def test_a_plan_that_was_too_hopeful_is_done_again(monkeypatch: pytest.MonkeyPat
 
 def test_no_engine_left_after_a_hope_that_failed(monkeypatch: pytest.MonkeyPatch):
     scene = hopeful(monkeypatch)
-    with pytest.raises(ToleranceNotMet, match=r"leaves out up to .*native: round-off alone makes") as missed:
+    with pytest.raises(
+        ToleranceNotMet, match=r"leaves out up to .*native: round-off alone makes"
+    ) as missed:
         simulate(scene, tolerance=3e-14)
     assert missed.value.trajectory is not None
 
 
 def test_refusals_are_said_by_name():
-    with pytest.raises(ToleranceNotMet, match=r"native: round-off alone makes .*above the tolerance"):
+    with pytest.raises(
+        ToleranceNotMet, match=r"native: round-off alone makes .*above the tolerance"
+    ):
         lmpchain.plan(paper("fig1"), 1e-17)
     for tolerance in (0, 1, -1, "small", np.nan):
         with pytest.raises(InputError, match="tolerance: must be between 0 and 1"):
             lmpchain.plan(paper("weak"), tolerance)
-    vacuum = Scene(chain=Chain(grains=9, diameter=1e-3, gravity=0.0), excitation=Impulse(velocity=1.0), duration=1e-4)
+    vacuum = Scene(
+        chain=Chain(grains=9, diameter=1e-3, gravity=0.0),
+        excitation=Impulse(velocity=1.0),
+        duration=1e-4,
+    )
     why = {proposal.engine: proposal.why for proposal in lmpchain.plan(vacuum).candidates}
     assert why["modes"].startswith("cannot do it: without gravity and load")
     assert why["lammps"].startswith("only if asked for by name")
@@ -297,14 +352,27 @@ def test_lammps_is_asked_where_no_other_engine_can(monkeypatch: pytest.MonkeyPat
 
 def test_grains_outside_the_light_cone_are_left_out_of_linear_answers_too():
     chain = Chain(grains=10**5, diameter=1e-3)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-9, grain=500), duration=3e-5, grains="1:1000", samples=5)
+    scene = Scene(
+        chain=chain,
+        excitation=Impulse(velocity=1e-9, grain=500),
+        duration=3e-5,
+        grains="1:1000",
+        samples=5,
+    )
     plan = lmpchain.plan(scene, 1e-2)
     proposals = {proposal.engine: proposal for proposal in plan.candidates}
     assert proposals["chebyshev"].active_grains == proposals["native"].active_grains < 200
-    some = Scene(chain=Chain(grains=1000, diameter=1e-3), excitation=scene.excitation, duration=3e-5, samples=5)
+    some = Scene(
+        chain=Chain(grains=1000, diameter=1e-3),
+        excitation=scene.excitation,
+        duration=3e-5,
+        samples=5,
+    )
     part, whole = simulate(scene, "chebyshev", 0.1), simulate(some, "native", 1e-9)
     assert part.displacement.shape == whole.displacement.shape
-    assert relative_error(part.displacement, part.velocity, whole.displacement, whole.velocity) < 1e-5
+    assert (
+        relative_error(part.displacement, part.velocity, whole.displacement, whole.velocity) < 1e-5
+    )
 
 
 def test_table_and_json(tmp_path: Path, capsys):
@@ -314,12 +382,21 @@ def test_table_and_json(tmp_path: Path, capsys):
     said = capsys.readouterr().out.splitlines()
     assert said[0].split()[:2] == ["engine", "Eq."]
     assert said[1].startswith("*  native rkn4  (1)")
-    assert sum("dropped: strike number 8.5: linear theory, a priori bound reaches 100 %" in x for x in said) == 2
+    assert (
+        sum(
+            "dropped: strike number 8.5: linear theory, a priori bound reaches 100 %" in x
+            for x in said
+        )
+        == 2
+    )
     found = json.loads(json_file.read_text())
     plan = lmpchain.plan(Scene.from_toml(SCENES / "fig5_1g.toml"), 1e-3)
     assert found["engine"] == plan.engine
     assert found["candidates"][0] == plan.candidates[0].to_json()
-    assert [row["engine"] for row in found["candidates"]] == [*lmpchain.engines.names()[1:], "lammps"]
+    assert [row["engine"] for row in found["candidates"]] == [
+        *lmpchain.engines.names()[1:],
+        "lammps",
+    ]
     assert next(row for row in found["candidates"] if row["engine"] == "lammps")["cost_s"] is None
 
 
@@ -328,8 +405,14 @@ def test_table_and_json(tmp_path: Path, capsys):
     [
         (["plan"], "error: scene: is missing"),
         (["plan", "nowhere.toml"], "error: nowhere.toml: "),
-        (["plan", str(SCENES / "weak.toml"), "--tolerance", "2"], "error: tolerance: must be between 0 and 1"),
-        (["plan", str(SCENES / "weak.toml"), "--json", "/nowhere/plan.json"], "error: /nowhere/plan.json: "),
+        (
+            ["plan", str(SCENES / "weak.toml"), "--tolerance", "2"],
+            "error: tolerance: must be between 0 and 1",
+        ),
+        (
+            ["plan", str(SCENES / "weak.toml"), "--json", "/nowhere/plan.json"],
+            "error: /nowhere/plan.json: ",
+        ),
         (["plan", "--calibrate", "--json", "plan.json"], "error: json: goes with a scene"),
     ],
 )
@@ -416,11 +499,15 @@ def test_engines_that_are_not_even_asked_would_not_be_taken(seed: int):
     rng = np.random.default_rng(33_000_000 + seed)
     scene, tolerance = trial_scene(rng), 10 ** rng.uniform(-9, -0.1)
     every = {proposal.engine: proposal for proposal in selection.propose_all(scene, tolerance)}
-    hopeful = {proposal.engine: proposal for proposal in selection.propose_hopeful(scene, tolerance)}
+    hopeful = {
+        proposal.engine: proposal for proposal in selection.propose_hopeful(scene, tolerance)
+    }
     assert not any(proposal.kept for name, proposal in every.items() if name not in hopeful)
     for name, proposal in hopeful.items():
         asked = every[name]
-        assert (not asked.kept and proposal.why) if proposal.hopeless else proposal.kept == asked.kept
+        assert (
+            (not asked.kept and proposal.why) if proposal.hopeless else proposal.kept == asked.kept
+        )
     if any(proposal.kept for proposal in every.values()):
         best, hoped = selection.cheapest([*every.values()]), selection.cheapest([*hopeful.values()])
         assert (best.engine, best.candidate) == (hoped.engine, hoped.candidate)

@@ -12,7 +12,19 @@ import pytest
 from helpers.child_processes import same
 from helpers.example_scenes import paper
 
-from lmpchain import Chain, Drive, Force, Impulse, InputError, Scene, Stopped, Trajectory, engines, resume, simulate
+from lmpchain import (
+    Chain,
+    Drive,
+    Force,
+    Impulse,
+    InputError,
+    Scene,
+    Stopped,
+    Trajectory,
+    engines,
+    resume,
+    simulate,
+)
 from lmpchain.engines import error_estimate
 from lmpchain.simulation.run_folder import status
 
@@ -21,8 +33,12 @@ STRIKE = Impulse(velocity=8.57e-3)
 SCENE = Scene(chain=CHAIN, excitation=STRIKE, duration=4e-3, samples=3001)
 SHORT = Scene(chain=CHAIN, excitation=STRIKE, duration=3e-4, samples=601)
 BRIEF = Scene(chain=CHAIN, excitation=STRIKE, duration=3e-5, samples=301)
-DRIVEN = Scene(chain=CHAIN, excitation=Drive(amplitude=1e-8, frequency=2e4), duration=3e-4, samples=301)
-PUSHED = DRIVEN.replace(excitation=Force(grain=3, shape="half-sine", amplitude=1e-3, duration=1.03e-4))
+DRIVEN = Scene(
+    chain=CHAIN, excitation=Drive(amplitude=1e-8, frequency=2e4), duration=3e-4, samples=301
+)
+PUSHED = DRIVEN.replace(
+    excitation=Force(grain=3, shape="half-sine", amplitude=1e-3, duration=1.03e-4)
+)
 MOVED = DRIVEN.replace(
     chain=CHAIN.replace(top="wall", top_load=0.1),
     excitation=Drive(amplitude=1e-9, frequency=2e4, cycles=2.3, grain=0),
@@ -39,7 +55,11 @@ STOPPED = {
     "modes, pushed": (PUSHED, engines.Modes(), 0.99),
     "lammps": (BRIEF, engines.Lammps(integrator="kahan-li6", step=1e-7, diameter="physical"), 1e-6),
     "lammps, gauge": (paper("weak", 301), engines.Lammps(diameter="gauge", step=4e-7), 1e-6),
-    "lammps, driven": (DRIVEN, engines.Lammps(integrator="verlet", step=1e-7, diameter="physical"), 1e-6),
+    "lammps, driven": (
+        DRIVEN,
+        engines.Lammps(integrator="verlet", step=1e-7, diameter="physical"),
+        1e-6,
+    ),
     "modes": (SHORT, engines.Modes(), 0.99),
     "chebyshev": (SHORT, engines.Chebyshev(), 0.99),
     "bessel": (paper("weak", 301), engines.Bessel(), 0.99),
@@ -57,7 +77,8 @@ def _small_blocks(monkeypatch: pytest.MonkeyPatch):
 
 @pytest.mark.filterwarnings("ignore:Eq. ")
 @pytest.mark.parametrize(
-    "case", [pytest.param(name, marks=pytest.mark.slow if name in LONGEST else ()) for name in STOPPED]
+    "case",
+    [pytest.param(name, marks=pytest.mark.slow if name in LONGEST else ()) for name in STOPPED],
 )
 def test_stopped_after_every_block(case: str, tmp_path: Path):
     """Every engine's own state: at the end of its time already, a run stops as soon as it has a sample."""
@@ -89,7 +110,12 @@ def test_stopped_after_every_block(case: str, tmp_path: Path):
 @pytest.mark.slow
 def test_a_run_resumes_in_the_attempt_that_was_stopped(tmp_path: Path):
     """A later attempt, at a shorter step, is the one that is gone on with; the time is that of all sessions."""
-    at, engine, scene, said = tmp_path / "run", engines.Native(adaptive=False), SHORT.replace(samples=121), []
+    at, engine, scene, said = (
+        tmp_path / "run",
+        engines.Native(adaptive=False),
+        SHORT.replace(samples=121),
+        [],
+    )
     for again in itertools.count():
         try:
             if again == 0:
@@ -124,7 +150,12 @@ def stopped(tmp_path: Path) -> Path:
 def test_a_damaged_checkpoint_falls_back_to_the_one_before(stopped: Path):
     newest, done = stopped / "checkpoint", status(stopped)["samples_done"]
     whole = newest.read_bytes()
-    damages = [whole[: len(whole) // 2], whole[:10], b"", whole[:500] + bytes([whole[500] ^ 1]) + whole[501:]]
+    damages = [
+        whole[: len(whole) // 2],
+        whole[:10],
+        b"",
+        whole[:500] + bytes([whole[500] ^ 1]) + whole[501:],
+    ]
     for damaged in damages:
         newest.write_bytes(damaged)
         with (
@@ -160,7 +191,11 @@ def test_another_version_is_named(stopped: Path):
 
 def test_a_changed_scene_is_refused_in_one_line(stopped: Path):
     whole = (stopped / "scene.toml").read_text()
-    for name, text in (("scene.toml", "[chain"), ("scene.toml", whole.replace("grains", "grain")), ("run.json", "{}")):
+    for name, text in (
+        ("scene.toml", "[chain"),
+        ("scene.toml", whole.replace("grains", "grain")),
+        ("run.json", "{}"),
+    ):
         before = (stopped / name).read_text()
         (stopped / name).write_text(text)
         with pytest.raises(InputError, match=r"scene\.toml was changed and cannot be read"):

@@ -42,7 +42,12 @@ SCENE = Scene(
     samples=301,
     grains=[1, 30, 7],
 )
-LONG = Scene(chain=Chain(grains=2000, diameter=1e-3), excitation=Impulse(velocity=8.57e-3), duration=1.0, samples=10001)
+LONG = Scene(
+    chain=Chain(grains=2000, diameter=1e-3),
+    excitation=Impulse(velocity=8.57e-3),
+    duration=1.0,
+    samples=10001,
+)
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +58,9 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def contents(folder: Path) -> dict[str, tuple[int, int]]:
-    return {str(p): (p.stat().st_mtime_ns, p.stat().st_size) for p in folder.rglob("*") if p.is_file()}
+    return {
+        str(p): (p.stat().st_mtime_ns, p.stat().st_size) for p in folder.rglob("*") if p.is_file()
+    }
 
 
 # --- what is in it
@@ -62,7 +69,11 @@ def contents(folder: Path) -> dict[str, tuple[int, int]]:
 def test_a_folder_holds_the_answer_of_a_file(finished: Path):
     answer, plain = Trajectory.load(finished), simulate(SCENE, "native", 1e-9)
     assert same(answer, plain)
-    assert (answer.engine, answer.equation, answer.provenance) == (plain.engine, plain.equation, plain.provenance)
+    assert (answer.engine, answer.equation, answer.provenance) == (
+        plain.engine,
+        plain.equation,
+        plain.provenance,
+    )
     assert answer.cost.steps == plain.cost.steps
     said = status(finished)
     assert (said["state"], said["samples_done"], said["reason"]) == ("finished", 301, "")
@@ -82,7 +93,10 @@ def test_the_folder_alone_reproduces_the_run(tmp_path: Path):
     shutil.copy(tmp_path / "run" / "scene.toml", tmp_path / "away")
     asked = json.loads((tmp_path / "run" / "run.json").read_text())
     again = simulate(
-        Scene.from_toml(tmp_path / "away" / "scene.toml"), asked["engine"], asked["tolerance"], **asked["options"]
+        Scene.from_toml(tmp_path / "away" / "scene.toml"),
+        asked["engine"],
+        asked["tolerance"],
+        **asked["options"],
     )
     assert same(Trajectory.load(tmp_path / "run"), again)
     assert isinstance(again.scene.excitation, Profile)
@@ -95,7 +109,12 @@ def test_provenance(finished: Path):
     assert only["host"] == os.uname().nodename
     sums = (finished / "SHA256SUMS").read_text().splitlines()
     listed = dict(reversed(line.split("  ", 1)) for line in sums)
-    assert {"scene.toml", "run.json", "trajectory.zarr/zarr.json", "trajectory.zarr/velocity/c/0/0"} <= set(listed)
+    assert {
+        "scene.toml",
+        "run.json",
+        "trajectory.zarr/zarr.json",
+        "trajectory.zarr/velocity/c/0/0",
+    } <= set(listed)
     for name, digest in listed.items():
         assert hashlib.sha256((finished / name).read_bytes()).hexdigest() == digest
 
@@ -108,10 +127,14 @@ def test_the_deck_of_a_run_in_lammps(integrator: str, tmp_path: Path):
     answer = simulate(scene, engine, folder=tmp_path / "run")
     shutil.copytree(tmp_path / "run" / "deck", tmp_path / "deck")
     lmp = Path(sys.executable).with_name("lmp")
-    subprocess.run([lmp, "-in", "in.column"], cwd=tmp_path / "deck", check=True, capture_output=True)
+    subprocess.run(
+        [lmp, "-in", "in.column"], cwd=tmp_path / "deck", check=True, capture_output=True
+    )
     dumped = Trajectory.from_dump(tmp_path / "deck" / "column.lammpstrj", scene)
     apart = np.abs(dumped.velocity - answer.velocity).max()
-    assert apart == 0 if integrator == "verlet" else 0 < apart < 1e-4 * np.abs(answer.velocity).max()
+    assert (
+        apart == 0 if integrator == "verlet" else 0 < apart < 1e-4 * np.abs(answer.velocity).max()
+    )
 
 
 @pytest.mark.parametrize("integrator", ["verlet", "rkn6"])
@@ -131,15 +154,26 @@ def test_the_log_of_lammps(integrator: str, tmp_path: Path):
     assert same(answer, simulate(scene, engine))
 
 
-def test_a_missed_tolerance_is_kept_and_told_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_missed_tolerance_is_kept_and_told_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
     chain = Chain(grains=12, diameter=1e-3)
     strong = Scene(chain=chain, excitation=Impulse(velocity=0.05), duration=3e-3, samples=51)
-    arguments = ["run", str(write(strong, tmp_path)), "-o", f"{tmp_path}/run/", "--tolerance", "1e-3"]
+    arguments = [
+        "run",
+        str(write(strong, tmp_path)),
+        "-o",
+        f"{tmp_path}/run/",
+        "--tolerance",
+        "1e-3",
+    ]
     assert main([*arguments, "--engine", "native"]) == 1
     first = capsys.readouterr()
     assert "amplifies round-off" in first.err
     assert main(["resume", f"{tmp_path}/run"]) == 1
-    assert capsys.readouterr().err == first.err.splitlines(keepends=True)[-1]  # the scene was warned of before
+    assert (
+        capsys.readouterr().err == first.err.splitlines(keepends=True)[-1]
+    )  # the scene was warned of before
     with pytest.raises(ToleranceNotMet) as caught:
         resume(tmp_path / "run")
     assert caught.value.trajectory is not None
@@ -205,7 +239,9 @@ def test_folders_without_a_run_are_refused(tmp_path: Path):
 def test_reading_while_the_run_goes_on_and_after_a_kill(tmp_path: Path):
     """xarray and `load` see only complete samples, the right ones, and more and more of them."""
     folder = tmp_path / "run"
-    process = start("run", write(LONG, tmp_path), "-o", f"{folder}/", "--engine", "native", "--step", "1e-6")
+    process = start(
+        "run", write(LONG, tmp_path), "-o", f"{folder}/", "--engine", "native", "--step", "1e-6"
+    )
     seen: list[int] = []
     try:
         at_work(folder, process)
@@ -228,11 +264,16 @@ def test_reading_while_the_run_goes_on_and_after_a_kill(tmp_path: Path):
     noted = json.loads((folder / "status.json").read_text())
     # nothing is known of samples that came after the last checkpoint
     assert partial.error_estimate.total in (np.inf, noted["error_estimate"])
-    first = Scene(chain=LONG.chain, excitation=LONG.excitation, duration=LONG.duration / 1000, samples=11)
+    first = Scene(
+        chain=LONG.chain, excitation=LONG.excitation, duration=LONG.duration / 1000, samples=11
+    )
     there = simulate(first, lmpchain.engines.Native(step=1e-6))
     assert np.allclose(partial.velocity[:11], there.velocity, rtol=0, atol=1e-12)
     assert noted["state"] == "running", "a kill leaves no time to say more"
-    assert (status(folder)["state"], status(folder)["reason"]) == ("killed", "the process that was at work was killed")
+    assert (status(folder)["state"], status(folder)["reason"]) == (
+        "killed",
+        "the process that was at work was killed",
+    )
 
 
 # --- who may work in it
@@ -247,7 +288,9 @@ def test_resume_of_a_finished_run(finished: Path, capsys: pytest.CaptureFixture[
 
 
 @pytest.mark.parametrize("word", ["run", "resume"])
-def test_folders_that_are_refused(word: str, finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_folders_that_are_refused(
+    word: str, finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
     scene = write(SCENE, tmp_path)
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "file").touch()
@@ -266,7 +309,9 @@ def test_folders_that_are_refused(word: str, finished: Path, tmp_path: Path, cap
         },
     }[word]
     for folder, why in wanted.items():
-        assert main(["resume", folder] if word == "resume" else ["run", str(scene), "-o", folder]) == 2
+        assert (
+            main(["resume", folder] if word == "resume" else ["run", str(scene), "-o", folder]) == 2
+        )
         (line,) = capsys.readouterr().err.splitlines()
         assert line.startswith(f"error: {folder.rstrip('/')}")
         assert why in line
@@ -291,7 +336,10 @@ def test_wrong_input_leaves_no_folder(options: dict, key: str, tmp_path: Path):
 
 def test_an_empty_folder_serves(tmp_path: Path):
     (tmp_path / "run").mkdir()
-    assert main(["run", str(write(SCENE, tmp_path)), "-o", f"{tmp_path}/run", "--engine", "native"]) == 0
+    assert (
+        main(["run", str(write(SCENE, tmp_path)), "-o", f"{tmp_path}/run", "--engine", "native"])
+        == 0
+    )
     assert status(tmp_path / "run")["state"] == "finished"
 
 
@@ -315,7 +363,9 @@ def test_a_time_that_there_is_not(said: str, tmp_path: Path):
         simulate(SCENE, "native", folder=tmp_path, max_wall=1e-9)
     path = tmp_path / "status.json"
     path.write_text(
-        json.dumps(json.loads(path.read_text()) | {"wall_s": 0}).replace('"wall_s": 0', f'"wall_s": {said}')
+        json.dumps(json.loads(path.read_text()) | {"wall_s": 0}).replace(
+            '"wall_s": 0', f'"wall_s": {said}'
+        )
     )
     assert resume(tmp_path).velocity.shape == (301, 3)
     assert status(tmp_path)["wall_s"] > 0
@@ -338,7 +388,16 @@ def test_a_full_disk(limit: int, tmp_path: Path):
     """No file may grow beyond the limit: one line, what is done is kept, and it goes on where there is room."""
     chain = Chain(grains=100, diameter=1e-3)
     scene = Scene(chain=chain, excitation=Impulse(velocity=8.57e-3), duration=2e-3, samples=2001)
-    words = ["run", str(write(scene, tmp_path)), "-o", f"{tmp_path}/run/", "--engine", "native", "--tolerance", "1e-2"]
+    words = [
+        "run",
+        str(write(scene, tmp_path)),
+        "-o",
+        f"{tmp_path}/run/",
+        "--engine",
+        "native",
+        "--tolerance",
+        "1e-2",
+    ]
     done = subprocess.run(
         [*COMMAND, *words],
         capture_output=True,
@@ -357,7 +416,9 @@ def test_a_full_disk(limit: int, tmp_path: Path):
 @pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may write anywhere")
 def test_a_folder_that_may_not_be_written_to(finished: Path, tmp_path: Path):
     folder = shutil.copytree(finished, tmp_path / "run")
-    (folder / "status.json").write_text((folder / "status.json").read_text().replace("finished", "stopped"))
+    (folder / "status.json").write_text(
+        (folder / "status.json").read_text().replace("finished", "stopped")
+    )
     folder.chmod(0o555)
     code, said = finish("resume", folder)
     folder.chmod(0o755)
@@ -381,15 +442,24 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
     peaks = []
     for samples in (100, 2000):
         words = [sys.executable, "-c", script, str(samples), str(tmp_path / str(samples))]
-        peaks.append(float(subprocess.run(words, capture_output=True, text=True, check=True).stdout))
+        peaks.append(
+            float(subprocess.run(words, capture_output=True, text=True, check=True).stdout)
+        )
     assert peaks[1] < 1000
     assert peaks[1] < peaks[0] + 60
 
 
-def test_a_stopped_run_loads_with_its_estimate_so_far(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_stopped_run_loads_with_its_estimate_so_far(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     """The estimate is of the samples that are there, and covers their true error; later samples make it unknown."""
     monkeypatch.setattr(error_estimate, "BLOCK_S", 1e-9)  # four samples a block
-    scene = Scene(chain=Chain(grains=12, diameter=1e-3), excitation=Impulse(velocity=1e-4), duration=6e-5, samples=61)
+    scene = Scene(
+        chain=Chain(grains=12, diameter=1e-3),
+        excitation=Impulse(velocity=1e-4),
+        duration=6e-5,
+        samples=61,
+    )
     truth = simulate(scene, "native", 1e-12)
     with pytest.raises(Stopped):
         simulate(scene, engines.Native(step=1e-6), folder=tmp_path / "run", max_wall=1e-9)
@@ -410,4 +480,8 @@ def test_a_stopped_run_loads_with_its_estimate_so_far(tmp_path: Path, monkeypatc
     (tmp_path / "run" / "trajectory.zarr" / "zarr.json").write_text(json.dumps(about))
     assert Trajectory.load(tmp_path / "run").error_estimate.total == np.inf
     whole = resume(tmp_path / "run")
-    assert whole.error_estimate.total == Trajectory.load(tmp_path / "run").error_estimate.total < np.inf
+    assert (
+        whole.error_estimate.total
+        == Trajectory.load(tmp_path / "run").error_estimate.total
+        < np.inf
+    )

@@ -7,17 +7,40 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from helpers.child_processes import COMMAND, at_work, ended, on_a_terminal, processes, start, until, write
+from helpers.child_processes import (
+    COMMAND,
+    at_work,
+    ended,
+    on_a_terminal,
+    processes,
+    start,
+    until,
+    write,
+)
 
 from lmpchain import Chain, Impulse, Scene, Stopped, Trajectory, simulate
 from lmpchain.cli.command_line import main
 from lmpchain.simulation.run_folder import status
 
 ENDLESS = Scene(
-    chain=Chain(grains=500, diameter=1e-3), excitation=Impulse(velocity=8.57e-3), duration=1.0, samples=20001
+    chain=Chain(grains=500, diameter=1e-3),
+    excitation=Impulse(velocity=8.57e-3),
+    duration=1.0,
+    samples=20001,
 )
-OFTEN = ENDLESS.replace(samples=200_001)  # so that a stop need not wait for a sample, however busy the machine
-VERLET = ["--engine", "lammps", "--integrator", "verlet", "--step", "1e-7", "--diameter", "physical"]
+OFTEN = ENDLESS.replace(
+    samples=200_001
+)  # so that a stop need not wait for a sample, however busy the machine
+VERLET = [
+    "--engine",
+    "lammps",
+    "--integrator",
+    "verlet",
+    "--step",
+    "1e-7",
+    "--diameter",
+    "physical",
+]
 CASES = {
     "native": (["--engine", "native", "--step", "1e-6"], 1),
     "lammps": (VERLET, 1),
@@ -43,7 +66,9 @@ def test_a_signal_stops_at_the_next_block(case: str, number: int, code: int, tmp
     folder, mark = tmp_path / "run", f"MARK={tmp_path}"
     options, ranks = CASES[case]
     environment = os.environ | {"MARK": str(tmp_path)}
-    process = start("run", write(OFTEN, tmp_path), "-o", f"{folder}/", *options, ranks=ranks, env=environment)
+    process = start(
+        "run", write(OFTEN, tmp_path), "-o", f"{folder}/", *options, ranks=ranks, env=environment
+    )
     try:
         at_work(folder, process)
         began = status(folder)["samples_done"]
@@ -61,7 +86,11 @@ def test_a_signal_stops_at_the_next_block(case: str, number: int, code: int, tmp
     until(lambda: not processes(mark))  # no rank is left behind
     again = start("resume", folder, ranks=ranks, env=environment)
     try:
-        until(lambda: again.poll() is not None or status(folder)["samples_done"] > kept["samples_done"])
+        until(
+            lambda: (
+                again.poll() is not None or status(folder)["samples_done"] > kept["samples_done"]
+            )
+        )
         again.send_signal(number)
         assert ended(again)[0] == code
     finally:
@@ -74,7 +103,9 @@ def test_a_stop_waits_for_the_sample_at_work(tmp_path: Path):
     """Where one takes many blocks, the stop comes at its end, so that nothing is lost."""
     scene = ENDLESS.replace(samples=1001)
     folder = tmp_path / "run"
-    process = start("run", write(scene, tmp_path), "-o", f"{folder}/", "--engine", "native", "--step", "1e-7")
+    process = start(
+        "run", write(scene, tmp_path), "-o", f"{folder}/", "--engine", "native", "--step", "1e-7"
+    )
     try:
         at_work(folder, process)
         process.send_signal(signal.SIGTERM)
@@ -117,7 +148,8 @@ def test_max_wall_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixt
     said = capsys.readouterr()
     assert said.out == ""
     assert re.fullmatch(
-        rf"stopped at the end of its time after \d+ of 20001 samples; lmpchain resume {folder}/? goes on\n", said.err
+        rf"stopped at the end of its time after \d+ of 20001 samples; lmpchain resume {folder}/? goes on\n",
+        said.err,
     )
     assert status(folder)["state"] == "stopped"
     assert main(["resume", str(folder), "--max-wall", "0.5"]) == 75
@@ -128,7 +160,16 @@ def test_max_wall_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixt
 
 @pytest.mark.slow
 def test_a_single_file_says_how_a_folder_would_have_kept_it(tmp_path: Path):
-    words = ["run", write(ENDLESS, tmp_path), "-o", tmp_path / "run.nc", "--engine", "native", "--step", "1e-6"]
+    words = [
+        "run",
+        write(ENDLESS, tmp_path),
+        "-o",
+        tmp_path / "run.nc",
+        "--engine",
+        "native",
+        "--step",
+        "1e-6",
+    ]
     with on_a_terminal(*COMMAND, *words) as (process, read_until):
         read_until("native:")  # the progress bar
         process.send_signal(signal.SIGTERM)
@@ -141,6 +182,15 @@ def test_a_single_file_says_how_a_folder_would_have_kept_it(tmp_path: Path):
 @pytest.mark.slow
 def test_progress_on_a_terminal(tmp_path: Path):
     """Rate, time left and the error so far; nothing where stderr is no terminal."""
-    words = ["run", write(ENDLESS, tmp_path), "-o", f"{tmp_path}/run/", "--engine", "native", "--step", "1e-6"]
+    words = [
+        "run",
+        write(ENDLESS, tmp_path),
+        "-o",
+        f"{tmp_path}/run/",
+        "--engine",
+        "native",
+        "--step",
+        "1e-6",
+    ]
     with on_a_terminal(*COMMAND, *words) as (_, read_until):
         read_until(r"native: +\d+% \|.*\| +[\d.]+ samples/s, [\d:]+ left, error \d")

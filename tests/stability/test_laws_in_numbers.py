@@ -28,7 +28,13 @@ from lmpchain.stability.predictability import (
 )
 from lmpchain.stability.result import Boundary, Curve, Stability
 from lmpchain.stability.roundoff import floor
-from lmpchain.stability.step_limit import EnergyError, energy_error, limit, struck_frequency, suspect
+from lmpchain.stability.step_limit import (
+    EnergyError,
+    energy_error,
+    limit,
+    struck_frequency,
+    suspect,
+)
 
 STEEL = Chain(grains=12, material="steel", diameter=3e-3)
 STRUCK = Scene(chain=STEEL, excitation=Impulse(velocity=0.05), duration=1e-3, samples=101)
@@ -45,7 +51,9 @@ def trend(error: Any, duration: float = 2.0) -> tuple[float, float]:
 def test_the_interval_of_a_trend_holds_it_in_99_of_100_draws() -> None:
     """Of white noise, whose slope has the standard deviation sqrt(12 / n) / T; t of 48 degrees is 2.68 at 99 %."""
     rng, size = np.random.default_rng(4), 250
-    draws = np.array([trend(0.3 * np.linspace(0, 2, size) + rng.normal(size=size)) for _ in range(300)])
+    draws = np.array(
+        [trend(0.3 * np.linspace(0, 2, size) + rng.normal(size=size)) for _ in range(300)]
+    )
     rates, widths = draws.T
     assert 0.97 <= np.mean(np.abs(rates - 0.3) < widths) < 1
     deviation = np.sqrt(12 / size) / 2.0
@@ -88,10 +96,14 @@ def test_the_last_samples_make_fifty_stretches() -> None:
 # --- steps
 
 
-def test_the_longest_step_is_the_stability_limit_over_the_frequency_that_the_strike_brings() -> None:
+def test_the_longest_step_is_the_stability_limit_over_the_frequency_that_the_strike_brings() -> (
+    None
+):
     for name in ("verlet", "rkn6", "kahan-li6"):
         method = METHODS[name]
-        assert limit(STRUCK, name) == pytest.approx(method.stability_limit / struck_frequency(STRUCK), rel=1e-14)
+        assert limit(STRUCK, name) == pytest.approx(
+            method.stability_limit / struck_frequency(STRUCK), rel=1e-14
+        )
     grown = WEAK.replace(duration=0.1)
     step, edge = limit(grown, "gear4"), STEEL.band_edge
     factor = METHODS["gear4"].growth(step * edge)
@@ -111,7 +123,9 @@ def test_the_most_suspect_step_is_that_of_the_fastest_growth() -> None:
 def test_energies_are_followed_for_so_many_periods_of_the_band_edge() -> None:
     """With steps of Verlet, whose error of the energy is below (w h)^2 / 4 of the energy, and from 0 at the start."""
     chain = Chain(grains=4, diameter=1e-3, gravity=0.0, top_load=1e-2)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-7), duration=1.0, samples=3, grains=[2])
+    scene = Scene(
+        chain=chain, excitation=Impulse(velocity=1e-7), duration=1.0, samples=3, grains=[2]
+    )
     step = 0.1 / chain.band_edge
     run = energy_error(scene, "verlet", step, 10, samples=41)
     assert run.time.size == 41
@@ -147,7 +161,9 @@ def test_a_reflection_takes_as_long_as_the_pulse_in_a_chain_without_load() -> No
     assert reflection_time(scene) == pytest.approx(2 * 50 / pace, rel=2e-4)
     upward = scene.replace(excitation=Impulse(velocity=-0.1))
     assert reflection_time(upward) == reflection_time(scene)
-    with pytest.raises(InputError, match=r"^excitation: a reflection time is known for a strike on a chain of"):
+    with pytest.raises(
+        InputError, match=r"^excitation: a reflection time is known for a strike on a chain of"
+    ):
         reflection_time(scene.replace(excitation=Displacement(displacement=1e-9)))
 
 
@@ -165,7 +181,9 @@ def test_it_amplifies_within_the_limits_that_were_measured() -> None:
     ):
         assert amplifies(column(grains, number)) is known, (grains, number)
     inner = column(10, 100)
-    assert not amplifies(inner.replace(excitation=Impulse(velocity=inner.excitation.velocity, grain=2)))
+    assert not amplifies(
+        inner.replace(excitation=Impulse(velocity=inner.excitation.velocity, grain=2))
+    )
     assert not amplifies(column(10, 100, exponent=1.6))
 
 
@@ -176,11 +194,18 @@ def test_predicted_times_count_decades_from_the_rounding_of_a_run() -> None:
     longer = column(10, 100, gravity=1.0)
     shorter = reflection_time(scene) / reflection_time(longer)
     assert growth_rate(longer) / growth_rate(scene) == pytest.approx(shorter, rel=1e-12)
-    rise = [growth_rate(s) * reflection_time(s) for s in (column(10, 100), column(20, 100), column(40, 100))]
-    assert (rise[1] / rise[0] - 1) ** 2 == pytest.approx((rise[2] / rise[1] - 1), rel=1e-9)  # 1 - exp(-N / const)
+    rise = [
+        growth_rate(s) * reflection_time(s)
+        for s in (column(10, 100), column(20, 100), column(40, 100))
+    ]
+    assert (rise[1] / rise[0] - 1) ** 2 == pytest.approx(
+        (rise[2] / rise[1] - 1), rel=1e-9
+    )  # 1 - exp(-N / const)
 
 
-def test_a_tolerance_is_passed_where_the_change_that_was_made_has_grown_beyond_ten_times_it() -> None:
+def test_a_tolerance_is_passed_where_the_change_that_was_made_has_grown_beyond_ten_times_it() -> (
+    None
+):
     """The change of 1e-13 is ten times what rounding does."""
     times = np.linspace(0.0, 1.0, 11)
     apart = 1e-13 * 10.0 ** np.arange(11)
@@ -196,8 +221,12 @@ def test_a_tolerance_is_passed_where_the_change_that_was_made_has_grown_beyond_t
 def test_the_excess_of_hertz_over_spheres(strain: float) -> None:
     """Sneddon's solution in 40 digits."""
     with mp.workdps(40):
-        x = mp.findroot(lambda a: a * mp.atanh(a) - mp.mpf(strain), mp.sqrt(strain) * (1 - mp.mpf(strain) / 6))
-        exact = float(1 - ((x * x + 1) * mp.atanh(x) - x) / (mp.mpf(4) / 3 * mp.mpf(strain) ** mp.mpf(1.5)))
+        x = mp.findroot(
+            lambda a: a * mp.atanh(a) - mp.mpf(strain), mp.sqrt(strain) * (1 - mp.mpf(strain) / 6)
+        )
+        exact = float(
+            1 - ((x * x + 1) * mp.atanh(x) - x) / (mp.mpf(4) / 3 * mp.mpf(strain) ** mp.mpf(1.5))
+        )
     assert float(hertz_excess(strain)) == pytest.approx(exact, rel=5e-4)
 
 
@@ -205,7 +234,9 @@ def test_the_deepest_overlap_holds_all_energy_in_one_contact() -> None:
     chain = Chain(grains=3, diameter=1e-3, gravity=0.0)
     scene = Scene(chain=chain, excitation=Impulse(velocity=0.5), duration=1e-5)
     energy = chain.masses[0] * 0.125
-    assert deepest(scene) == pytest.approx((2.5 * energy / chain.contact_constants[0]) ** 0.4 / 1e-3, rel=1e-12)
+    assert deepest(scene) == pytest.approx(
+        (2.5 * energy / chain.contact_constants[0]) ** 0.4 / 1e-3, rel=1e-12
+    )
     driven = Scene(chain=chain, excitation=Drive(amplitude=1e-9, frequency=1e4), duration=1e-5)
     assert deepest(driven) == np.inf
 
@@ -215,11 +246,15 @@ def test_the_deepest_overlap_holds_all_energy_in_one_contact() -> None:
 
 def test_strike_numbers_at_which_linear_theory_fails_in_any_scene() -> None:
     scene = column(20, 0.01).replace(duration=5e-5)
-    assert strike_number_where(0.03, scene) == pytest.approx(strike_number_at(0.03, "package"), rel=1e-14)
+    assert strike_number_where(0.03, scene) == pytest.approx(
+        strike_number_at(0.03, "package"), rel=1e-14
+    )
     assert strike_number_at(0.69, "package") == np.inf
     assert strike_number_at(0.689, "package") < np.inf
     chain = Chain(grains=20, diameter=1e-3, gravity=0.0, top_load=1e-3)
-    loaded = Scene(chain=chain, excitation=Impulse(velocity=1e-6, grain=4), duration=1e-4, samples=21)
+    loaded = Scene(
+        chain=chain, excitation=Impulse(velocity=1e-6, grain=4), duration=1e-4, samples=21
+    )
     for error in (1e-3, 0.01):
         number = strike_number_where(error, loaded)
         stronger = loaded.excitation.scaled(number / loaded.strike_number)
@@ -229,7 +264,9 @@ def test_strike_numbers_at_which_linear_theory_fails_in_any_scene() -> None:
     assert strike_number_where(0.01, still) == np.inf
     alien = linear_law(1e9, "velocity")  # two fields of one energy that have nothing in common
     assert alien == pytest.approx(np.sqrt(2), rel=1e-6)
-    with pytest.raises(InputError, match=r"norm: must be one of velocity, displacement, package, peak \(got "):
+    with pytest.raises(
+        InputError, match=r"norm: must be one of velocity, displacement, package, peak \(got "
+    ):
         linear_law(0.1, "energy")
     at_20, at_80 = (linear_law(1e-6, "peak", grain=grain) for grain in (20, 80))
     assert linear_law(1e-6, "peak") == at_20
@@ -255,11 +292,15 @@ def test_floors_are_those_of_engines_at_steps_of_three_tenths(number: float) -> 
     moved = scene.replace(excitation=Displacement(displacement=1e-3 * scene.chain.length_scale))
     speed = 1e-3 * scene.chain.length_scale * moved.highest_frequency
     steps = 100 * math.ceil(1e-5 * moved.highest_frequency / 0.3)
-    assert floor(moved) == pytest.approx(Native("rkn6").typical_round_off(moved, steps, speed), rel=1e-12)
+    assert floor(moved) == pytest.approx(
+        Native("rkn6").typical_round_off(moved, steps, speed), rel=1e-12
+    )
     still = scene.replace(excitation=Impulse(velocity=0.0))
     speed = scene.chain.length_scale / scene.chain.time_scale
     steps = 100 * math.ceil(1e-5 * still.highest_frequency / 0.3)
-    assert floor(still) == pytest.approx(Native("rkn6").typical_round_off(still, steps, speed), rel=1e-12)
+    assert floor(still) == pytest.approx(
+        Native("rkn6").typical_round_off(still, steps, speed), rel=1e-12
+    )
 
 
 # --- warnings before a run
@@ -342,7 +383,12 @@ def test_the_table_marks_what_lies_beyond() -> None:
         "beyond": False,
     }
     assert written["curves"][1]["y"] == [1e-13, 1e-9, None]
-    assert written["curves"][0] == {"panel": "energy", "name": "verlet", "x": [0.0, 1e-4, 1e-3], "y": [0.0, 1e-5, 0.0]}
+    assert written["curves"][0] == {
+        "panel": "energy",
+        "name": "verlet",
+        "x": [0.0, 1e-4, 1e-3],
+        "y": [0.0, 1e-5, 0.0],
+    }
     assert written["left_out"] == ["overlap: too long"]
 
 
@@ -358,7 +404,10 @@ def test_the_four_panels_hold_the_numbers() -> None:
     assert list(marks["predicted"].get_xdata()) == [5e-6, 2e-6]
     assert list(marks["measured"].get_xdata()) == [math.inf, 1.9e-6]
     assert list(marks["measured"].get_ydata()) == [0, 1]
-    assert [label.get_text() for label in steps.get_yticklabels()] == ["native rkn6", "native verlet"]
+    assert [label.get_text() for label in steps.get_yticklabels()] == [
+        "native rkn6",
+        "native verlet",
+    ]
     assert steps.get_xlabel() == "longest step before a run of this duration breaks down"
     drawn = lines_of(energy)["verlet"]
     assert drawn.get_xdata().tolist() == [1e-4, 1e-3]
@@ -376,7 +425,11 @@ def test_the_four_panels_hold_the_numbers() -> None:
     assert curves["Eq. (3), estimate"].get_linestyle() == "-"
     assert curves["lammps, physical diameter, round-off"].get_linestyle() == "--"
     assert curves["lammps, gauge diameter, round-off"].get_linestyle() == ":"
-    assert curves["lammps, physical diameter, round-off"].get_ydata().tolist() == [1e-9, 1e-10, 1e-17]
+    assert curves["lammps, physical diameter, round-off"].get_ydata().tolist() == [
+        1e-9,
+        1e-10,
+        1e-17,
+    ]
     assert list(strength.get_lines()[-1].get_xdata()) == [1.0, 1.0]
     assert strength.get_xlabel() == "strength of the strike, over that of the scene"
     assert strength.get_ylabel() == "relative error"
@@ -410,7 +463,9 @@ def test_what_would_take_long_is_predicted_only(monkeypatch: pytest.MonkeyPatch)
         assert steps[f"native {name}"].predicted == limit(STRUCK, name)
     assert all(math.isnan(row.measured) for row in result.boundaries)
     assert all(row.unit == "s" for row in steps.values())
-    floors = {row.method: row.predicted for row in result.boundaries if row.what == "smallest error"}
+    floors = {
+        row.method: row.predicted for row in result.boundaries if row.what == "smallest error"
+    }
     assert floors == {
         "native": floor(STRUCK),
         "lammps, physical diameter": floor(STRUCK, "lammps"),
@@ -432,7 +487,9 @@ def test_what_would_take_long_is_predicted_only(monkeypatch: pytest.MonkeyPatch)
     strengths = 10.0 ** np.arange(-8, 3)
     assert curves["native, round-off"].x == pytest.approx(strengths, rel=1e-12)
     weaker = [STRUCK.replace(excitation=STRUCK.excitation.scaled(factor)) for factor in strengths]
-    assert curves["native, round-off"].y == pytest.approx([floor(scene) for scene in weaker], rel=1e-9)
+    assert curves["native, round-off"].y == pytest.approx(
+        [floor(scene) for scene in weaker], rel=1e-9
+    )
     looks = [Chebyshev().look(scene.reached) for scene in weaker]
     assert curves["Eq. (3), estimate"].y == pytest.approx([look.error for look in looks], rel=1e-9)
     assert curves["Eq. (3), at most"].y == pytest.approx([look.at_most for look in looks], rel=1e-9)
@@ -441,13 +498,21 @@ def test_what_would_take_long_is_predicted_only(monkeypatch: pytest.MonkeyPatch)
 
 def test_what_cannot_be_predicted_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(find, "LONGEST_S", 0.0)
-    vacuum = Scene(chain=Chain(grains=5, diameter=1e-3, gravity=0.0), excitation=Impulse(velocity=0.1), duration=1e-4)
+    vacuum = Scene(
+        chain=Chain(grains=5, diameter=1e-3, gravity=0.0),
+        excitation=Impulse(velocity=0.1),
+        duration=1e-4,
+    )
     texts = find.stability(vacuum).left_out
     assert "energy, verlet: without gravity and load there is no period to count by" in texts
     assert any(line.startswith("linear theory: without gravity and load") for line in texts)
-    driven = Scene(chain=STEEL, excitation=Drive(amplitude=1e-9, frequency=1e4), duration=2e-4, samples=11)
+    driven = Scene(
+        chain=STEEL, excitation=Drive(amplitude=1e-9, frequency=1e4), duration=2e-4, samples=11
+    )
     result = find.stability(driven)
-    assert "energy, verlet: a drive does work: the energy is not that of the start" in result.left_out
+    assert (
+        "energy, verlet: a drive does work: the energy is not that of the start" in result.left_out
+    )
     (deep,) = (row for row in result.boundaries if row.what.startswith("Hertz"))
     assert (deep.here, deep.beyond) == (math.inf, False)
 

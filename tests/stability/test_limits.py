@@ -54,7 +54,9 @@ def test_hertz_becomes_springs():
     springs = [limits.from_springs(scene) for scene in scenes]
     assert slope(excess, np.array(springs)) == pytest.approx(1, abs=0.05)
     assert springs == pytest.approx(limits.springs_error(30, excess), rel=0.05, abs=0)
-    assert [limits.from_linear(s) for s in scenes] == pytest.approx([law(s) for s in scenes], rel=0.05, abs=0)
+    assert [limits.from_linear(s) for s in scenes] == pytest.approx(
+        [law(s) for s in scenes], rel=0.05, abs=0
+    )
 
 
 @pytest.mark.parametrize("grains", [2, 3])
@@ -63,7 +65,9 @@ def test_two_and_three_grains_swing_as_their_energy_says(grains: int, number: fl
     scene = limits.swinging(grains, number)
     assert limits.measured_period(scene) == pytest.approx(scene.duration, rel=1e-10, abs=0)
     end = simulate(scene, "native", 1e-9)
-    assert end.velocity[-1] == pytest.approx(end.velocity[0], rel=1e-7, abs=1e-9 * np.abs(end.velocity[0]).max())
+    assert end.velocity[-1] == pytest.approx(
+        end.velocity[0], rel=1e-7, abs=1e-9 * np.abs(end.velocity[0]).max()
+    )
 
 
 def test_periods_in_closed_form():
@@ -81,7 +85,9 @@ def test_three_free_grains_part_in_closed_form():
     chain, v = Chain(grains=3, diameter=1e-3, gravity=0.0, bottom="free"), 1e-2
     touch = 3.218065 * (chain.masses[0] ** 2 / (chain.contact_constants[0] ** 2 * v)) ** 0.2
     for part, still in ((0.9999, False), (1.0001, True)):
-        scene = Scene(chain=chain, excitation=Profile(velocity=[v, 0, -v]), duration=part * touch, samples=3)
+        scene = Scene(
+            chain=chain, excitation=Profile(velocity=[v, 0, -v]), duration=part * touch, samples=3
+        )
         end = simulate(scene, "native", 1e-10)
         assert (end.displacement[-1, 0] <= 0) == still
     assert end.velocity[-1] == pytest.approx([-v, 0, v], rel=1e-9, abs=1e-12)
@@ -97,12 +103,16 @@ def test_overlaps_are_bounded_and_both_engines_agree(strain: float):
 
 def test_a_tenth_of_the_diameter_is_refused_at_once_but_not_later():
     """A taper squeezes its last grains far more than the first: accepted, and the bound tells."""
-    with pytest.raises(InputError, match=r"squeezes contact 1 to 0.1 of the diameter, more than 0.1"):
+    with pytest.raises(
+        InputError, match=r"squeezes contact 1 to 0.1 of the diameter, more than 0.1"
+    ):
         limits.squeezing(1.001 * LARGEST_OVERLAP)
     chain = Chain(grains=8, diameter=np.linspace(10e-3, 1e-3, 8))
     scene = Scene(chain=chain, excitation=Impulse(velocity=50.0), duration=1e-4, samples=501)
     contacts, t = chain.contacts, simulate(scene, "native", 1e-4)
-    found = ((contacts.overlap + contacts.closer(t.displacement)) / chain.contact_lengths)[:, contacts.exists].max()
+    found = ((contacts.overlap + contacts.closer(t.displacement)) / chain.contact_lengths)[
+        :, contacts.exists
+    ].max()
     assert LARGEST_OVERLAP < found < deepest(scene)
 
 
@@ -123,7 +133,9 @@ def test_bends_grow_in_lammps_as_the_column_is_unstable():
     found = [limits.growth(chain, float(d)) for d in gauges]
     assert found == pytest.approx(law, rel=1e-5, abs=0)
     assert slope(gauges, np.array(found)) == pytest.approx(-0.5, abs=0.05)
-    assert [limits.growth(chain, 1e-5, x) for x in (1e-18, 1e-12)] == pytest.approx([law[1]] * 2, rel=1e-4, abs=0)
+    assert [limits.growth(chain, 1e-5, x) for x in (1e-18, 1e-12)] == pytest.approx(
+        [law[1]] * 2, rel=1e-4, abs=0
+    )
     alike = Chain(grains=200, diameter=1e-3, gravity=0.0, top_load=1e-3)
     most = 2 * np.sqrt(alike.top_load / alike.masses[0] / (1e-3 - alike.length_scale))
     assert limits.buckling(alike).frequency[-1] == pytest.approx(most, rel=1e-4, abs=0)
@@ -145,8 +157,14 @@ def test_the_engine_keeps_to_the_axis_and_notices_the_least_bend(diameter: str, 
 def test_dysons_weight_is_as_good_as_its_argument(m: float):
     kappa = 1 + np.array([-0.9, -0.3, 0.0, 0.7, 2.0, 5.0]) / np.sqrt(m)
     with mp.workdps(60):
-        true = [mp.exp(m * mp.log(m) - mp.loggamma(m) + m * mp.log(k) - m * k) for k in map(mp.mpf, kappa.tolist())]
-        off = [float(abs(f / t - 1)) for f, t in zip(dyson.weight(kappa, m).tolist(), true, strict=True)]
+        true = [
+            mp.exp(m * mp.log(m) - mp.loggamma(m) + m * mp.log(k) - m * k)
+            for k in map(mp.mpf, kappa.tolist())
+        ]
+        off = [
+            float(abs(f / t - 1))
+            for f, t in zip(dyson.weight(kappa, m).tolist(), true, strict=True)
+        ]
     assert (np.array(off) <= 2 * limits.dyson_rounding(kappa, m)).all()
 
 

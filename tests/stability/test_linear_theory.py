@@ -33,7 +33,9 @@ def slope(x, y) -> float:
     return float(np.polyfit(np.log(x), np.log(y), 1)[0])
 
 
-def second_order(delta: float, tau: float, grains: int = 50, step: float = 0.02) -> dict[str, float]:
+def second_order(
+    delta: float, tau: float, grains: int = 50, step: float = 0.02
+) -> dict[str, float]:
     """Return the errors of Eq. (3) over v0*, as v0* -> 0, from phi = v0* phi_1 + v0*^2 phi_2."""
     n = np.arange(1, grains)
     kappa, square = n ** (1 - 1 / delta), (delta - 1) / 2 * n ** (1 - 2 / delta)
@@ -55,15 +57,23 @@ def second_order(delta: float, tau: float, grains: int = 50, step: float = 0.02)
         largest = np.maximum(largest, np.abs([x, v]).max(2))
     displacement, velocity = largest[0, 1] / largest[0, 0], largest[1, 1]
     whole = np.linalg.norm(v[1]) / np.linalg.norm(v[0])
-    return {"velocity": float(whole), "displacement": displacement, "package": max(displacement, velocity)}
+    return {
+        "velocity": float(whole),
+        "displacement": displacement,
+        "package": max(displacement, velocity),
+    }
 
 
 @pytest.mark.parametrize("delta", [1.1, 1.2, 1.5, 2.0, 2.2])
 def test_constants_of_linear_theory_are_those_of_perturbation_theory(delta):
     exact = second_order(delta, TAU)
     for norm, value in exact.items():
-        assert linear_theory.linear_law(1e-9, norm, delta) == pytest.approx(1e-9 * value, rel=0.1, abs=0)
-        assert linear_error(column(1e-4, TAU, 50, delta))[norm] == pytest.approx(1e-4 * value, rel=5e-3, abs=0)
+        assert linear_theory.linear_law(1e-9, norm, delta) == pytest.approx(
+            1e-9 * value, rel=0.1, abs=0
+        )
+        assert linear_error(column(1e-4, TAU, 50, delta))[norm] == pytest.approx(
+            1e-4 * value, rel=5e-3, abs=0
+        )
 
 
 @pytest.mark.parametrize("norm", linear_theory.LINEAR)
@@ -71,15 +81,21 @@ def test_constants_of_linear_theory_are_those_of_perturbation_theory(delta):
 def test_linear_theory_fails_where_it_is_foretold(norm, error):
     """At g after 100 us, where grain 19 is the last one passed; 1/6 and 6 times the gravity change nothing."""
     strike = linear_theory.strike_number_at(error, norm, grain=19)
-    assert linear_theory.linear_law(strike, norm, grain=19) == pytest.approx(error, rel=1e-12, abs=0)
+    assert linear_theory.linear_law(strike, norm, grain=19) == pytest.approx(
+        error, rel=1e-12, abs=0
+    )
     assert linear_error(column(strike, TAU, 60))[norm] == pytest.approx(error, rel=0.06, abs=0)
     for gravity in (1.6, 60.0):
-        assert linear_error(column(strike, TAU, 60, gravity=gravity))[norm] == pytest.approx(error, rel=0.06, abs=0)
+        assert linear_error(column(strike, TAU, 60, gravity=gravity))[norm] == pytest.approx(
+            error, rel=0.06, abs=0
+        )
 
 
 def test_strike_numbers_at_one_percent():
     """0.04 in velocities at 100 us, 0.1 in displacements, 0.3 in the peak velocity, as DESIGN has it."""
-    found = {norm: linear_theory.strike_number_at(0.01, norm, grain=19) for norm in linear_theory.LINEAR}
+    found = {
+        norm: linear_theory.strike_number_at(0.01, norm, grain=19) for norm in linear_theory.LINEAR
+    }
     assert found == pytest.approx(
         {"velocity": 0.0373, "displacement": 0.110, "package": 0.0746, "peak": 0.322}, rel=0.01
     )
@@ -110,7 +126,9 @@ def test_error_of_linear_theory_grows_with_the_strike():
 def test_error_of_linear_theory_while_the_wave_goes_to_and_fro():
     """From tau = 6 to the bottom the law holds to 10 %, and to a factor of 2.1 until ten passages."""
     for tau in (6, 10, 20, 40):
-        assert linear_error(column(1e-3, tau, 80))["velocity"] == pytest.approx(2.7e-4, rel=0.1, abs=0)
+        assert linear_error(column(1e-3, tau, 80))["velocity"] == pytest.approx(
+            2.7e-4, rel=0.1, abs=0
+        )
     once = continuum.chi(11.5)
     for passages in (1.5, 3, 10):
         found = linear_error(column(1e-3, passages * float(once), 12))
@@ -120,7 +138,9 @@ def test_error_of_linear_theory_while_the_wave_goes_to_and_fro():
 
 def test_error_of_the_peak_falls_with_depth():
     """As the power -3/2 of the width of the front: -1/4 for Hertz."""
-    taus = {delta: [float(continuum.chi(n + 4, delta)) for n in (12, 110)] for delta in (1.2, 1.5, 2.0)}
+    taus = {
+        delta: [float(continuum.chi(n + 4, delta)) for n in (12, 110)] for delta in (1.2, 1.5, 2.0)
+    }
     for delta, ends in taus.items():
         power = 0.75 * (1 - 1 / delta) - 0.5
         found = []
@@ -151,7 +171,9 @@ def test_the_package_foresees_the_error_of_linear_theory():
         assert true / 2 < theory(scene, "chebyshev").error_estimate.model < 2 * true
 
 
-@pytest.mark.parametrize(("name", "error"), [("fig5 10g", 0.28), ("fig5 g", 0.99), ("fig5 g/10", 1.44)])
+@pytest.mark.parametrize(
+    ("name", "error"), [("fig5 10g", 0.28), ("fig5 g", 0.99), ("fig5 g/10", 1.44)]
+)
 def test_fig_5_lies_where_linear_theory_fails(name, error):
     scene = paper(name, 101)
     assert linear_error(scene)["velocity"] == pytest.approx(error, abs=0.01)
@@ -214,7 +236,9 @@ def test_eqs_7_and_8():
     assert min(local_error(tau) for tau in (1.0, 4.0, 10.0, 30.0)) > 0.33
     for grain in (1, 3, 10):
         late = 16 * grain**2 / (16 * grain ** (1 / 6) * 0.01)
-        assert far_field_error(grain, late) == pytest.approx(theories.far_field_law(grain, late), rel=0.05, abs=0)
+        assert far_field_error(grain, late) == pytest.approx(
+            theories.far_field_law(grain, late), rel=0.05, abs=0
+        )
 
 
 @pytest.mark.parametrize("level", [0.01, 0.1])
@@ -236,7 +260,9 @@ def test_continuum_over_width():
     for delta in (1.2, 1.5):
         errors = [continuum_error(s, np.array([60.0]), delta)[0] for s in widths]
         assert slope(widths, errors) == pytest.approx(-3, abs=0.05)
-        assert errors[0] == pytest.approx(theories.continuum_law(widths[0], 60.0, delta), rel=0.12, abs=0)
+        assert errors[0] == pytest.approx(
+            theories.continuum_law(widths[0], 60.0, delta), rel=0.12, abs=0
+        )
 
 
 def test_behind_the_front_the_impulse_response_is_that_of_the_chain():
@@ -254,7 +280,9 @@ def test_dispersion():
     for frequency in (1.0, 1.5, 2.4):
         wavelength, ratio = phase_velocities(frequency)
         deep = wavelength > 3
-        assert ratio[deep] == pytest.approx(theories.phase_velocity(wavelength[deep]), rel=1e-3, abs=0)
+        assert ratio[deep] == pytest.approx(
+            theories.phase_velocity(wavelength[deep]), rel=1e-3, abs=0
+        )
     assert theories.phase_velocity([12.82, 3.994]) == pytest.approx([0.99, 0.9], abs=1e-4)
 
 

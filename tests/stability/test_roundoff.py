@@ -8,13 +8,28 @@ from helpers.example_scenes import random_scene
 from helpers.independent_integrators import extended_reference, relative_error
 from helpers.whole_runs import blocks_of
 
-from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Scene, ToleranceNotMet, simulate
+from lmpchain import (
+    Chain,
+    Displacement,
+    Drive,
+    Impulse,
+    InputError,
+    Scene,
+    ToleranceNotMet,
+    simulate,
+)
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines import Lammps, Native
 from lmpchain.engines.amplification import perturbed
 from lmpchain.engines.step_control import first_attempt, run_to_tolerance, solve_to_tolerance
 from lmpchain.errors import RunFailed
-from lmpchain.stability.predictability import growth, growth_rate, predictability_time, predicted_time, reflection_time
+from lmpchain.stability.predictability import (
+    growth,
+    growth_rate,
+    predictability_time,
+    predicted_time,
+    reflection_time,
+)
 from lmpchain.stability.roundoff import floor, measured_floor
 
 HEIGHTS = [{"engine": "lammps", "diameter": kind} for kind in ("physical", "gauge")]
@@ -25,7 +40,11 @@ def column(grains, strike, tau, samples=11, gravity=9.81):
     chain = Chain(grains=grains, material="glass", diameter=1e-3, gravity=gravity)
     speed = strike * chain.length_scale / chain.time_scale
     return Scene(
-        chain=chain, excitation=Impulse(velocity=speed), duration=tau * chain.time_scale, samples=samples, grains="all"
+        chain=chain,
+        excitation=Impulse(velocity=speed),
+        duration=tau * chain.time_scale,
+        samples=samples,
+        grains="all",
     )
 
 
@@ -48,14 +67,18 @@ def test_the_measured_floor_is_the_error_of_the_answer(options):
     """So weak a strike that the floor exceeds what the steps leave: then it is all the error there is."""
     scene = column(8, 1e-4, 6)
     steps = 10 * math.ceil(scene.duration / 10 * scene.highest_frequency / 0.3)
-    t = simulate(scene, Lammps("rkn6", step=scene.duration / steps * (1 + 1e-9), diameter=options["diameter"]))
+    t = simulate(
+        scene,
+        Lammps("rkn6", step=scene.duration / steps * (1 + 1e-9), diameter=options["diameter"]),
+    )
     u, v, _ = extended_reference(scene)
     true = relative_error(t.displacement, t.velocity, u, v)
     assert measured_floor(scene, **options) == pytest.approx(true, rel=0.02, abs=0)
 
 
 @pytest.mark.parametrize(
-    ("options", "weakest", "strongest"), [(HEIGHTS[0], -5, 1), (HEIGHTS[1], -8, 1), ({"force": "plain"}, -9, -3)]
+    ("options", "weakest", "strongest"),
+    [(HEIGHTS[0], -5, 1), (HEIGHTS[1], -8, 1), ({"force": "plain"}, -9, -3)],
 )
 def test_round_off_floors_fall_as_the_strike_grows(options, weakest, strongest):
     strikes = np.logspace(weakest, strongest, 7)
@@ -66,7 +89,9 @@ def test_round_off_floors_fall_as_the_strike_grows(options, weakest, strongest):
 
 
 @pytest.mark.parametrize("options", [*HEIGHTS, {"force": "plain"}, {"force": "exact"}])
-@pytest.mark.parametrize(("grains", "strike"), [(3, 1e-7), (10, 1e-3), (40, 1e-5), (40, 1.0), (20, 30.0)])
+@pytest.mark.parametrize(
+    ("grains", "strike"), [(3, 1e-7), (10, 1e-3), (40, 1e-5), (40, 1.0), (20, 30.0)]
+)
 def test_the_law_predicts_the_floor(grains, strike, options):
     """Over eleven decades of floors."""
     scene = column(grains, strike, 1.2 * grains ** (5 / 6))
@@ -74,7 +99,9 @@ def test_the_law_predicts_the_floor(grains, strike, options):
 
 
 def test_the_exact_force_has_one_floor_for_all_strikes():
-    found = [measured_floor(column(10, strike, 8), force="exact") for strike in (1e-9, 1e-6, 1e-3, 1.0)]
+    found = [
+        measured_floor(column(10, strike, 8), force="exact") for strike in (1e-9, 1e-6, 1e-3, 1.0)
+    ]
     assert max(found) < 3e-14
     assert measured_floor(column(10, 1e-9, 8), force="plain") > 1e6 * max(found)
 
@@ -109,7 +136,12 @@ def test_scenes_without_a_round_off_floor_are_refused():
             function(scene, engine="chebyshev")
         with pytest.raises(InputError, match=r"physical \| gauge"):
             function(scene, engine="lammps", diameter="tiny")
-    driven = Scene(chain=scene.chain, excitation=Drive(amplitude=1e-12, frequency=1e3), duration=1e-5, samples=3)
+    driven = Scene(
+        chain=scene.chain,
+        excitation=Drive(amplitude=1e-12, frequency=1e3),
+        duration=1e-5,
+        samples=3,
+    )
     with pytest.raises(InputError, match="driven"):
         measured_floor(driven)
 
@@ -179,7 +211,12 @@ def test_decades_a_reflection():
     Each is within the factor of 1.5 that is claimed, and their mean within 10 %.
     """
     ratios = []
-    for grains, strike, gravity in ((8, 100, 9.81), (10, 30, 98.1), (10, 300, 0.981), (20, 100, 9.81)):
+    for grains, strike, gravity in (
+        (8, 100, 9.81),
+        (10, 30, 98.1),
+        (10, 300, 0.981),
+        (20, 100, 9.81),
+    ):
         scene = agitated(grains, strike, 15 / (1 - math.exp(-grains / 20)), gravity=gravity)
         times, apart = growth(scene, accuracy=1e-9)
         begin, end = (crossing(times, apart, value) for value in (1e-11, 1e-4))
@@ -190,7 +227,9 @@ def test_decades_a_reflection():
 
 def test_the_predicted_predictability_time():
     scene = agitated(20, 100.0, 20)
-    assert predicted_time(scene, 1e-6) == pytest.approx(predictability_time(scene, 1e-6), rel=0.4, abs=0)
+    assert predicted_time(scene, 1e-6) == pytest.approx(
+        predictability_time(scene, 1e-6), rel=0.4, abs=0
+    )
     looser = predicted_time(scene, 1e-3) - predicted_time(scene, 1e-6)
     assert looser == pytest.approx(3 / growth_rate(scene), rel=1e-9, abs=0)
 
@@ -225,7 +264,9 @@ def chaotic(reflections=35.0):
 def test_chaos_is_refused_after_the_first_try():
     scene = chaotic()
     tried = Native().candidate(scene, 1e-6)
-    with pytest.raises(ToleranceNotMet, match="amplifies round-off beyond the tolerance at t = ") as refusal:
+    with pytest.raises(
+        ToleranceNotMet, match="amplifies round-off beyond the tolerance at t = "
+    ) as refusal:
         simulate(scene, "native", 1e-6)
     early = refusal.value.trajectory
     assert early.cost.step_s > tried.step / 2  # a pilot came before
@@ -237,7 +278,9 @@ def test_chaos_is_refused_after_the_first_try():
 
 
 def test_lammps_refuses_chaos_before_it_runs():
-    with pytest.raises(ToleranceNotMet, match="amplifies round-off beyond the tolerance at t = ") as refusal:
+    with pytest.raises(
+        ToleranceNotMet, match="amplifies round-off beyond the tolerance at t = "
+    ) as refusal:
         simulate(chaotic(), "lammps", 1e-6)
     assert refusal.value.trajectory is None
 
@@ -261,7 +304,10 @@ def test_what_can_be_answered_is_not_refused():
     end = predictability_time(whole, 1e-6)
     for part in (0.5, 0.7, 0.85):
         scene = Scene(**whole.given() | {"duration": part * end})
-        assert run_to_tolerance(Native(), scene, 1e-6, lambda run: [None for _ in run.blocks()]).missed == ""
+        assert (
+            run_to_tolerance(Native(), scene, 1e-6, lambda run: [None for _ in run.blocks()]).missed
+            == ""
+        )
 
 
 @pytest.mark.soak
@@ -272,10 +318,14 @@ def test_no_random_scene_is_refused_that_can_be_answered():
     for _ in range(60):
         try:
             if rng.random() < 0.6:
-                scene = agitated(int(rng.integers(4, 13)), 10 ** rng.uniform(1.5, 2.5), rng.uniform(10, 40), 101)
+                scene = agitated(
+                    int(rng.integers(4, 13)), 10 ** rng.uniform(1.5, 2.5), rng.uniform(10, 40), 101
+                )
             else:
                 scene = random_scene(rng)
-                scene = Scene(**scene.given() | {"duration": scene.duration * 10 ** rng.uniform(0, 1)})
+                scene = Scene(
+                    **scene.given() | {"duration": scene.duration * 10 ** rng.uniform(0, 1)}
+                )
             tolerance = 10 ** rng.uniform(-6, -3)
             if Native().candidate(scene, tolerance).cost_s > 0.005:
                 continue

@@ -41,7 +41,9 @@ def test_every_boundary_is_found_and_predicted(found: Stability):
     assert verlet.predicted == limit(STRUCK, "verlet")
     assert lammps.measured == pytest.approx(verlet.measured, rel=0.02, abs=0)
     floors = by_method(found, "smallest error")
-    assert floors["lammps, gauge diameter"].predicted < floors["lammps, physical diameter"].predicted
+    assert (
+        floors["lammps, gauge diameter"].predicted < floors["lammps, physical diameter"].predicted
+    )
     assert all(0 < row.measured < 1e-3 for row in floors.values())
     linear = by_method(found, "linear theory 10 % off at v0*")["Eq. (3)"]
     assert linear.beyond
@@ -59,11 +61,20 @@ def test_curves(found: Stability):
     assert np.all(np.diff(rounding.y[:5]) < 0)
 
 
-def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
+def test_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
     monkeypatch.setattr(find, "LONGEST_S", 0.0)  # what is measured is held against its law above
     scene = tmp_path / "scene.toml"
     paper("weak").to_toml(scene)
-    words = ["stability", str(scene), "-o", str(tmp_path / "chart.png"), "--json", str(tmp_path / "found.json")]
+    words = [
+        "stability",
+        str(scene),
+        "-o",
+        str(tmp_path / "chart.png"),
+        "--json",
+        str(tmp_path / "found.json"),
+    ]
     assert main(words) == 0
     said = capsys.readouterr().out
     assert "predicted" in said.splitlines()[0]
@@ -75,10 +86,16 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch
 
 @pytest.mark.slow
 def test_what_cannot_be_measured_is_said(tmp_path: Path):
-    vacuum = Scene(chain=Chain(grains=5, diameter=1e-3, gravity=0.0), excitation=Impulse(velocity=0.1), duration=1e-4)
+    vacuum = Scene(
+        chain=Chain(grains=5, diameter=1e-3, gravity=0.0),
+        excitation=Impulse(velocity=0.1),
+        duration=1e-4,
+    )
     said = stability(vacuum).left_out
     assert any(line.startswith("linear theory: without gravity and load") for line in said)
-    driven = Scene(chain=FEW, excitation=Drive(amplitude=1e-9, frequency=1e4), duration=2e-4, samples=11)
+    driven = Scene(
+        chain=FEW, excitation=Drive(amplitude=1e-9, frequency=1e4), duration=2e-4, samples=11
+    )
     found = stability(driven)
     assert any("a drive does work" in line for line in found.left_out)
     assert all(math.isnan(row.measured) for row in by_method(found, "smallest error").values())
@@ -117,7 +134,18 @@ def test_deep_overlaps():
 def test_the_warning_of_a_run_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     STRUCK.to_toml(tmp_path / "scene.toml")
     step = f"{1.9 / FEW.band_edge}"
-    words = ["run", str(tmp_path / "scene.toml"), "--engine", "native", "--integrator", "verlet", "--step", step]
+    words = [
+        "run",
+        str(tmp_path / "scene.toml"),
+        "--engine",
+        "native",
+        "--integrator",
+        "verlet",
+        "--step",
+        step,
+    ]
     main(words)
-    said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("warning: step: ")]
+    said = [
+        line for line in capsys.readouterr().err.splitlines() if line.startswith("warning: step: ")
+    ]
     assert len(said) == 1

@@ -49,12 +49,16 @@ def fastest_mode(periods: float) -> Scene:
     + [pytest.param("lammps", "verlet", marks=pytest.mark.slow)]
     + [pytest.param("lammps", name, marks=soak) for name in ("kahan-li6", "rkn6")],
 )
-def test_every_method_breaks_at_its_own_limit_on_the_band_edge(engine: str, integrator: str) -> None:
+def test_every_method_breaks_at_its_own_limit_on_the_band_edge(
+    engine: str, integrator: str
+) -> None:
     scene = fastest_mode(LONG.get(integrator, 60))
     found = blow_up(scene, integrator, engine)
     assert found == pytest.approx(limit(scene, integrator), rel=0.02, abs=0)
     if integrator != "gear4":  # which grows with every step: its limit depends on the duration
-        assert found * scene.chain.band_edge == pytest.approx(METHODS[integrator].stability_limit, rel=0.02)
+        assert found * scene.chain.band_edge == pytest.approx(
+            METHODS[integrator].stability_limit, rel=0.02
+        )
 
 
 @pytest.mark.parametrize("integrator", ["rkn4", "rkn6", "kahan-li8"])
@@ -75,7 +79,10 @@ def stiffest(scene: Scene) -> float:
     highest = 0.0
     for overlap in np.maximum(contacts.overlap + contacts.exists * contacts.closer(u), 0):
         k = chain.exponent * contacts.constant * overlap ** (chain.exponent - 1)
-        diagonal, beside = (k[:-1] + k[1:])[:moving] / mass, -k[1:moving] / np.sqrt(mass[:-1] * mass[1:])
+        diagonal, beside = (
+            (k[:-1] + k[1:])[:moving] / mass,
+            -k[1:moving] / np.sqrt(mass[:-1] * mass[1:]),
+        )
         highest = max(highest, eigvalsh_tridiagonal(diagonal, beside).max())
     return float(np.sqrt(highest))
 
@@ -87,8 +94,16 @@ CHAINS = {  # chain, strike number, how far the law may be off
     "strong": (LOADED, 1e3, 0.03),
     "column, medium": (COLUMN, 30, 0.03),
     "column, strong": (COLUMN, 1e4, 0.03),
-    "exponent 2": (Chain(grains=12, diameter=1e-3, gravity=0.0, top_load=1e-2, exponent=2.0), 30, 0.05),
-    "dimer": (patterns.periodic(12, 4.76e-3, ["steel", "ptfe"], gravity=0, top_load=2.38), 10, 0.07),
+    "exponent 2": (
+        Chain(grains=12, diameter=1e-3, gravity=0.0, top_load=1e-2, exponent=2.0),
+        30,
+        0.05,
+    ),
+    "dimer": (
+        patterns.periodic(12, 4.76e-3, ["steel", "ptfe"], gravity=0, top_load=2.38),
+        10,
+        0.07,
+    ),
 }
 
 
@@ -110,7 +125,9 @@ def test_the_frequency_of_two_grains_pressed_together() -> None:
     chain = Chain(grains=2, diameter=1e-3, gravity=0.0, bottom="free")
     scene = Scene(chain=chain, excitation=Displacement(displacement=1e-8), duration=1e-5)
     stiffness = 1.5 * chain.contact_constants[0] * np.sqrt(1e-8)
-    assert struck_frequency(scene) == pytest.approx(np.sqrt(2 * stiffness / chain.masses[0]), rel=1e-12, abs=0)
+    assert struck_frequency(scene) == pytest.approx(
+        np.sqrt(2 * stiffness / chain.masses[0]), rel=1e-12, abs=0
+    )
 
 
 def test_the_frequency_of_a_driven_chain_is_that_of_the_drive_or_the_band_edge() -> None:
@@ -120,12 +137,19 @@ def test_the_frequency_of_a_driven_chain_is_that_of_the_drive_or_the_band_edge()
 
 def test_nothing_limits_the_step_where_nothing_moves() -> None:
     chain = Chain(grains=3, diameter=1e-3, gravity=0.0)
-    assert limit(Scene(chain=chain, excitation=Impulse(velocity=0.0), duration=1e-5), "verlet") == np.inf
+    assert (
+        limit(Scene(chain=chain, excitation=Impulse(velocity=0.0), duration=1e-5), "verlet")
+        == np.inf
+    )
 
 
 @pytest.mark.parametrize("number", [1e-2, 1.0, 1e2, 1e4])
-@pytest.mark.parametrize(("integrator", "least"), [("verlet", 0.92), ("kahan-li6", 0.86), ("dop853", 0.66)])
-def test_the_longest_step_falls_as_the_strike_stiffens_the_chain(integrator: str, least: float, number: float) -> None:
+@pytest.mark.parametrize(
+    ("integrator", "least"), [("verlet", 0.92), ("kahan-li6", 0.86), ("dop853", 0.66)]
+)
+def test_the_longest_step_falls_as_the_strike_stiffens_the_chain(
+    integrator: str, least: float, number: float
+) -> None:
     scene = struck(LOADED, number)
     assert least < blow_up(scene, integrator) / limit(scene, integrator) < 1.03
 
@@ -135,7 +159,9 @@ def test_the_longest_step_falls_as_the_strike_stiffens_the_chain(integrator: str
 @pytest.mark.parametrize("number", [1e-2, 10])
 def test_both_engines_break_at_the_same_step(integrator: str, number: float) -> None:
     scene = struck(LOADED, number)
-    assert blow_up(scene, integrator, "lammps") == pytest.approx(blow_up(scene, integrator), rel=0.02, abs=0)
+    assert blow_up(scene, integrator, "lammps") == pytest.approx(
+        blow_up(scene, integrator), rel=0.02, abs=0
+    )
 
 
 @pytest.mark.parametrize("exponent", [1.5, 2.0])
@@ -163,7 +189,9 @@ def hot(number: float, grains: int = 4) -> Scene:
     More of them may keep their energy in one place for 1e5 steps and then let go: a trend in a million that is none.
     """
     chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-2)
-    speeds = np.append(np.random.default_rng(1).normal(size=grains - 1), 0.0) * number * speed(chain)
+    speeds = (
+        np.append(np.random.default_rng(1).normal(size=grains - 1), 0.0) * number * speed(chain)
+    )
     return Scene(chain=chain, excitation=Profile(velocity=speeds), duration=1e-3)
 
 
@@ -179,7 +207,9 @@ def test_the_energy_error_goes_as_the_step_to_the_order(integrator: str) -> None
         energy_error(scene, integrator, reach / scene.chain.band_edge, 100, 201)
         for reach in np.geomspace(*STEPS[integrator], 5)
     ]
-    slope = np.polyfit(np.log([run.step for run in runs]), np.log([run.error.std() for run in runs]), 1)[0]
+    slope = np.polyfit(
+        np.log([run.step for run in runs]), np.log([run.error.std() for run in runs]), 1
+    )[0]
     assert slope == pytest.approx(METHODS[integrator].order, abs=0.05)
 
 
@@ -190,7 +220,9 @@ def test_the_energy_over_a_million_steps(integrator: str) -> None:
     scene = hot(0.2)
     reach = {"gear4": 0.1, "dop853": 0.5}.get(integrator, 0.1 * METHODS[integrator].stability_limit)
     steps = 2e5 if integrator == "dop853" else 1e6
-    run = energy_error(scene, integrator, reach / scene.chain.band_edge, steps * reach / (2 * np.pi))
+    run = energy_error(
+        scene, integrator, reach / scene.chain.band_edge, steps * reach / (2 * np.pi)
+    )
     assert run.time[-1] / run.step >= steps * 0.999
     rate, sure = run.trend()
     half = run.time.size // 2
@@ -220,7 +252,9 @@ def test_a_weak_wave_drifts_as_its_modes_grow(integrator: str, reach: float) -> 
 @cache
 def opening(exponent: float) -> tuple[Scene, Reference, float]:
     """Return a strike on 30 beads that opens contacts, the truth, and its error."""
-    velocity, duration = {1.5: (8.57e-3, 60e-6), 1.25: (8.57e-3, 30e-6), 2.0: (1.0, 60e-6)}[exponent]
+    velocity, duration = {1.5: (8.57e-3, 60e-6), 1.25: (8.57e-3, 30e-6), 2.0: (1.0, 60e-6)}[
+        exponent
+    ]
     chain = Chain(grains=30, diameter=1e-3, exponent=exponent)
     scene = Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=duration, samples=21)
     u, v, own = extended_reference(scene)
@@ -235,16 +269,27 @@ def slope(counts: np.ndarray, errors: np.ndarray) -> float:
 @pytest.mark.parametrize(
     ("integrator", "exponent"),
     [("verlet", 1.5), ("rkn4", 1.5), ("rkn6", 1.5)]
-    + [pytest.param(*pair, marks=pytest.mark.slow) for pair in (("kahan-li6", 1.5), ("kahan-li8", 1.5), ("rkn6", 1.25))]
-    + [pytest.param(*pair, marks=soak) for pair in (("dop853", 1.5), ("gear4", 1.5), ("rkn6", 2.0))],
+    + [
+        pytest.param(*pair, marks=pytest.mark.slow)
+        for pair in (("kahan-li6", 1.5), ("kahan-li8", 1.5), ("rkn6", 1.25))
+    ]
+    + [
+        pytest.param(*pair, marks=soak) for pair in (("dop853", 1.5), ("gear4", 1.5), ("rkn6", 2.0))
+    ],
 )
-def test_steps_of_one_length_fall_to_the_order_of_the_opening(integrator: str, exponent: float) -> None:
+def test_steps_of_one_length_fall_to_the_order_of_the_opening(
+    integrator: str, exponent: float
+) -> None:
     scene, truth, own = opening(exponent)
     first, last = (2000, 20000) if integrator == "gear4" else (70, 6000)
     counts = np.geomspace(first, last, 10).astype(int)
-    errors = errors_through_openings(scene, integrator, counts, truth, runs=150 if integrator == "dop853" else 40)
+    errors = errors_through_openings(
+        scene, integrator, counts, truth, runs=150 if integrator == "dop853" else 40
+    )
     assert errors.min() > 10 * own
-    assert slope(counts, errors) == pytest.approx(order_through_openings(integrator, exponent), abs=0.05)
+    assert slope(counts, errors) == pytest.approx(
+        order_through_openings(integrator, exponent), abs=0.05
+    )
 
 
 @pytest.mark.parametrize("integrator", ["rkn4", "kahan-li6"])

@@ -48,7 +48,9 @@ def test_coordinates_are_numbers_or_words():
     assert labels["recording.mixed"] == ["[1, 2]", '["3:4"]']
     own = Axis("chain.gravity", 2, {"chain.gravity": [1.0, 2.0]}).coordinates()
     assert list(own) == ["chain.gravity"]
-    assert Axis("realisation", 3, {"disorder.index": range(3)}).coordinates().keys() == {"realisation"}
+    assert Axis("realisation", 3, {"disorder.index": range(3)}).coordinates().keys() == {
+        "realisation"
+    }
 
 
 def test_cases_have_as_many_values_each():
@@ -58,7 +60,9 @@ def test_cases_have_as_many_values_each():
     assert told == [("list.chain.top", "must have as many values as chain.gravity, 2, not 1")]
     nothing = "is empty: name a key, such as chain.gravity = [1.62, 9.81]"
     assert faults({"grid": {}}) == [("grid", nothing)]
-    assert faults({"grid": {"chain.gravity": []}})[0][1] == "must be a list of values, and not empty"
+    assert (
+        faults({"grid": {"chain.gravity": []}})[0][1] == "must be a list of values, and not empty"
+    )
     assert faults({"grid": [1]}) == [("grid", "must be a table, [grid]")]
 
 
@@ -73,7 +77,9 @@ def test_a_hypercube_is_that_of_its_seed():
     assert axis.columns["excitation.velocity"] == pytest.approx(normal, rel=1e-13)
     (other,) = axes({"random": table | {"seed": 4}})
     assert not set(other.columns["chain.gravity"]) & set(axis.columns["chain.gravity"])
-    (grains,) = axes({"random": {"draws": 2, "seed": 3, "chain.masses": {"low": 1e-6, "high": 2e-6}}})
+    (grains,) = axes(
+        {"random": {"draws": 2, "seed": 3, "chain.masses": {"low": 1e-6, "high": 2e-6}}}
+    )
     assert not grains.columns
     assert [each.key for each in grains.arrays] == ["chain.masses"]
     (each,) = axes({"random": {"draws": 2, "seed": 3, "chain.diameter": low | {"per_grain": True}}})
@@ -93,7 +99,9 @@ def test_realisations_have_contacts_of_their_own_where_an_order_is_given():
     (both,) = axes({"disorder": {"m": 2, "seed": 1, "realisations": 3} | masses})
     assert "disorder.index" in both.columns
     assert both.arrays
-    swept, indexed = axes({"grid": {"disorder.m": [1, 2]}, "disorder": {"seed": 1, "realisations": 3} | masses})
+    swept, indexed = axes(
+        {"grid": {"disorder.m": [1, 2]}, "disorder": {"seed": 1, "realisations": 3} | masses}
+    )
     assert swept.name == "disorder.m"
     assert "disorder.index" in indexed.columns
 
@@ -107,11 +115,17 @@ def test_scenes_are_a_million_at_most(monkeypatch: pytest.MonkeyPatch):
     assert told == [("grid", "these are 8 scenes; sweep 6 at most")]
 
 
-@pytest.mark.parametrize("table", [{"random": {"draws": 10**6 + 1, "seed": 0}}, {"random": {"draws": 0, "seed": -1}}])
+@pytest.mark.parametrize(
+    "table", [{"random": {"draws": 10**6 + 1, "seed": 0}}, {"random": {"draws": 0, "seed": -1}}]
+)
 def test_numbers_of_draws_and_seeds_have_limits(table: dict[str, Any]):
     ranges = {"chain.gravity": {"low": 1.0, "high": 2.0}}
     keys = [key for key, _ in faults({"random": table["random"] | ranges})]
-    assert keys == [f"random.{key}" for key, value in table["random"].items() if value not in (0,) or key == "draws"]
+    assert keys == [
+        f"random.{key}"
+        for key, value in table["random"].items()
+        if value not in (0,) or key == "draws"
+    ]
     assert axes({"random": {"draws": 1, "seed": 0} | ranges})[0].length == 1
 
 
@@ -123,9 +137,13 @@ def test_keys_are_those_of_a_scene_and_swept_once():
     assert fault[0] == "disorder.m"
     grid, cases = {"chain.gravity": [1.0]}, {"chain.gravity": [2.0]}
     assert faults({"grid": grid, "list": cases}) == [("chain.gravity", "is swept twice")]
-    overlap = faults({"grid": {"chain.material.density": [1.0]}, "list": {"chain.material": ["glass"]}})
+    overlap = faults(
+        {"grid": {"chain.material.density": [1.0]}, "list": {"chain.material": ["glass"]}}
+    )
     assert overlap == [("chain.material", "overlaps chain.material.density: sweep one of them")]
-    axes({"grid": {"chain.top": ["free"], "chain.top_load": [1.0]}})  # one begins like the other, and is none of it
+    axes(
+        {"grid": {"chain.top": ["free"], "chain.top_load": [1.0]}}
+    )  # one begins like the other, and is none of it
     (fault,) = faults({})
     assert fault == ("grid", "nothing is swept: add a table [grid], [list], [random], [disorder]")
 
@@ -153,7 +171,11 @@ def test_laws_are_those_of_scipy():
 def test_a_table_is_a_range_or_a_distribution():
     assert law({"low": 1.0, "high": 2.0}) == Uniform(low=1.0, high=2.0)
     assert law({"mean": 1.0, "deviation": 2.0}) == Normal(mean=1.0, deviation=2.0)
-    for half, key in (({"mean": 1.0}, "deviation"), ({"deviation": 1.0}, "mean"), ({"low": 1.0}, "high")):
+    for half, key in (
+        ({"mean": 1.0}, "deviation"),
+        ({"deviation": 1.0}, "mean"),
+        ({"low": 1.0}, "high"),
+    ):
         with pytest.raises(InputError, match=f"{key}: is missing"):
             law(half)
     with pytest.raises(InputError, match="must be a range or a distribution"):
@@ -164,9 +186,21 @@ def test_a_table_is_a_range_or_a_distribution():
     ("table", "key", "message"),
     [
         ({"low": 2.0, "high": 2.0}, "high", "must be above low, 2 (got 2)"),
-        ({"low": 0.0, "high": 2.0, "log": True}, "low", "must be above 0 where log is true (got 0)"),
-        ({"low": -1.0, "high": 2.0, "log": True}, "low", "must be above 0 where log is true (got -1)"),
-        ({"mean": 0.0, "deviation": 2.0, "log": True}, "mean", "must be above 0 where log is true (got 0)"),
+        (
+            {"low": 0.0, "high": 2.0, "log": True},
+            "low",
+            "must be above 0 where log is true (got 0)",
+        ),
+        (
+            {"low": -1.0, "high": 2.0, "log": True},
+            "low",
+            "must be above 0 where log is true (got -1)",
+        ),
+        (
+            {"mean": 0.0, "deviation": 2.0, "log": True},
+            "mean",
+            "must be above 0 where log is true (got 0)",
+        ),
         ({"mean": 1.0, "deviation": 0.0}, "deviation", "must be above 0 (got 0.0)"),
     ],
 )
@@ -192,6 +226,8 @@ def test_numbers_of_grains_follow_from_seed_scene_and_key():
         sequence = np.random.SeedSequence(7, spawn_key=(3, mark))
         expected = 1.0 + np.random.default_rng(sequence).random(9 - fewer)
         assert np.array_equal(Drawn(key, uniform, 7).values(3, 9), expected)
-    with pytest.raises(InputError, match=r"chain\.gravity: has no value a grain; those that have are chain\.masses"):
+    with pytest.raises(
+        InputError, match=r"chain\.gravity: has no value a grain; those that have are chain\.masses"
+    ):
         module.drawn({"chain.gravity": uniform}, 1)
     assert json.dumps(uniform.given()) == '{"low": 1.0, "high": 2.0}'

@@ -37,25 +37,36 @@ def killed(folder: Path, parts: list[float], rng: random.Random) -> tuple[int, i
     """
     scratch, mark, out, counts = folder / "scratch", f"MARK={folder}", folder / "out", [0, 0]
     scratch.mkdir(parents=True)
-    path, environment = long_sweep(folder, SCENES), os.environ | {"MARK": str(folder), "TMPDIR": str(scratch)}
+    path, environment = (
+        long_sweep(folder, SCENES),
+        os.environ | {"MARK": str(folder), "TMPDIR": str(scratch)},
+    )
     words = ["sweep", path, "-o", out, "--workers"]
     for part in parts:
-        process = Fork(main, [*words, rng.choice([1, 2])], environment, folder.with_name(f"{folder.name} said"))
+        process = Fork(
+            main, [*words, rng.choice([1, 2])], environment, folder.with_name(f"{folder.name} said")
+        )
         while process.poll() is None and done(out) < part * SCENES:
             time.sleep(0.02)
-        time.sleep(rng.uniform(0, 3) if part < 0 else rng.uniform(0, 0.1))  # not always just behind a scene
+        time.sleep(
+            rng.uniform(0, 3) if part < 0 else rng.uniform(0, 0.1)
+        )  # not always just behind a scene
         there = processes(mark)  # workers
         victim = process.pid if rng.random() < 0.7 or not there else rng.choice(there)
         alive_still = process.poll() is None
         with suppress(ProcessLookupError):
             os.kill(victim, signal.SIGKILL)
         code, said = process.ended()
-        assert f'File "{PACKAGE}' not in said, said  # Python's own resource tracker tells how it was killed
+        assert f'File "{PACKAGE}' not in said, (
+            said
+        )  # Python's own resource tracker tells how it was killed
         assert code in (0, -signal.SIGKILL), said
         until(lambda: not processes(mark))  # nothing of it is left
         counts[0] += alive_still
         counts[1] += code == -signal.SIGKILL
-    last = Fork(main, [*words, rng.choice([1, 2])], environment, folder.with_name(f"{folder.name} said"))
+    last = Fork(
+        main, [*words, rng.choice([1, 2])], environment, folder.with_name(f"{folder.name} said")
+    )
     code, said = last.ended()
     assert code == 0, said
     until(lambda: not processes(mark))
@@ -68,7 +79,12 @@ def killed(folder: Path, parts: list[float], rng: random.Random) -> tuple[int, i
 def serial(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of the same sweep on one process, undisturbed."""
     folder = tmp_path_factory.mktemp("serial")
-    assert main(["sweep", str(long_sweep(folder, SCENES)), "-o", str(folder / "out"), "--workers", "1"]) == 0
+    assert (
+        main(
+            ["sweep", str(long_sweep(folder, SCENES)), "-o", str(folder / "out"), "--workers", "1"]
+        )
+        == 0
+    )
     return folder / "out"
 
 
@@ -85,7 +101,8 @@ def test_killed_at_random(piece: int, tmp_path: Path, serial: Path):
         assert contents(tmp_path / str(again) / "out") == contents(serial), parts
         count += kills
         print(
-            f"sweep {piece}: {count} kills, {leaders} of the leader, {[round(part, 2) for part in parts]}", flush=True
+            f"sweep {piece}: {count} kills, {leaders} of the leader, {[round(part, 2) for part in parts]}",
+            flush=True,
         )
         if count >= 10:
             break

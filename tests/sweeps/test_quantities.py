@@ -66,8 +66,14 @@ def test_every_quantity_has_its_unit_and_dimensions(swept: Any):
     force = swept["peak_force_4"]
     assert (force.attrs["units"], force.dims) == ("N", ("chain.gravity",))
     assert force.attrs["long_name"].endswith("contact 4")
-    for name, what in (("model_error", "the equation that was solved"), ("solver_error", "its solution")):
-        assert swept[name].attrs == {"units": "1", "long_name": f"estimated relative error of {what}"}
+    for name, what in (
+        ("model_error", "the equation that was solved"),
+        ("solver_error", "its solution"),
+    ):
+        assert swept[name].attrs == {
+            "units": "1",
+            "long_name": f"estimated relative error of {what}",
+        }
     assert swept.reason.attrs == {"units": "1", "long_name": "why there is no answer"}
     assert swept.time.attrs == {"units": "s", "long_name": "time since the strike"}
     assert swept.grain.attrs == {"units": "1", "long_name": "number of the grain, from the top"}
@@ -140,7 +146,14 @@ def test_the_front_arrives_when_half_of_the_peak_has(swept: Any):
 
 def test_names_of_forces_of_contacts():
     assert of_contact("peak_force:4")
-    for other in ("peak_force", "peak_force:", "peak_force:x", "peak_force:0.5", "wall_force", "force:4"):
+    for other in (
+        "peak_force",
+        "peak_force:",
+        "peak_force:x",
+        "peak_force:0.5",
+        "wall_force",
+        "force:4",
+    ):
         assert not of_contact(other)
     assert quantity("velocity") is QUANTITIES["velocity"]
     assert quantity("peak_force:12").long_name.endswith(" 12")
@@ -155,7 +168,9 @@ def test_names_of_forces_of_contacts():
 def test_laws_and_times_are_labelled(tmp_path: Path):
     disorder = {"seed": 1, "realisations": 2, "chain.masses": {"low": 1e-6, "high": 2e-6}}
     disorder |= {"chain.contact_constants": {"low": 1e8, "high": 2e8}}
-    found = sweep({"scene": SCENE.to_dict(), "keep": ["wall_force"], "disorder": disorder}, tmp_path)
+    found = sweep(
+        {"scene": SCENE.to_dict(), "keep": ["wall_force"], "disorder": disorder}, tmp_path
+    )
     masses, constants = found["chain.masses"], found["chain.contact_constants"]
     assert masses.shape == (2, 12)
     assert constants.shape == (2, 11)

@@ -27,7 +27,13 @@ CHAINS: dict[str, dict[str, Any]] = {
     "column": {},
     "floor": {"bottom": "wall", "bottom_material": HARD},
     "walls": {"top": "wall", "bottom": "wall", "top_load": 2.0, "top_material": HARD},
-    "wall constants": {"top": "wall", "bottom": "wall", "wall_constants": [1e9, 3e9], "gravity": 0.0, "top_load": 1.0},
+    "wall constants": {
+        "top": "wall",
+        "bottom": "wall",
+        "wall_constants": [1e9, 3e9],
+        "gravity": 0.0,
+        "top_load": 1.0,
+    },
     "exponent": {"exponent": 2.0, "bottom": "wall"},
     "vacuum": {"gravity": 0.0, "bottom": "free"},
     "given": {
@@ -49,8 +55,18 @@ EXCITATIONS: dict[str, dict[str, Any]] = {
     "inner": {"kind": "impulse", "velocity": -2e-4, "grain": 5},
     "last": {"kind": "impulse", "velocity": 1e-4, "grain": 11},
     "displaced": {"kind": "displacement", "displacement": 1e-10, "grain": 3},
-    "profile": {"kind": "profile", "velocity": [1e-5] * 3 + [0.0] * 9, "displacement": [1e-11] * 2 + [0.0] * 10},
-    "force": {"kind": "force", "shape": "half-sine", "amplitude": 1e-3, "duration": 1e-5, "grain": 2},
+    "profile": {
+        "kind": "profile",
+        "velocity": [1e-5] * 3 + [0.0] * 9,
+        "displacement": [1e-11] * 2 + [0.0] * 10,
+    },
+    "force": {
+        "kind": "force",
+        "shape": "half-sine",
+        "amplitude": 1e-3,
+        "duration": 1e-5,
+        "grain": 2,
+    },
     "drive": {"kind": "drive", "amplitude": 1e-10, "frequency": 2e4},
 }
 
@@ -72,19 +88,31 @@ def numbers(scene: Scene) -> dict[str, Any]:
     chain = scene.chain
     contacts = chain.contacts
     fields = {name: getattr(chain, name) for name in Chain.model_fields.keys() - UNTOLD}
-    derived = {name: getattr(chain, name) for name in ("masses", "diameters", "wall_constants", "band_edge")}
+    derived = {
+        name: getattr(chain, name)
+        for name in ("masses", "diameters", "wall_constants", "band_edge")
+    }
     names = ("constant", "force", "exponent", "exists", "pressed", "overlap", "stiffness")
     held = {f"contacts.{name}": getattr(contacts, name) for name in names}
     found = {name: getattr(scene, name) for name in ("duration", "samples", "grains", "quantities")}
     found |= {"strike": scene.strike_number, "strain": scene.largest_strain}
-    found |= {"pair": scene._pair_frequency, "energy": scene.energy if not scene.excitation.does_work else 0.0}
-    found |= {"excitation": scene.excitation, "imposed": scene.imposed is None, "cone": scene.light_cone}
+    found |= {
+        "pair": scene._pair_frequency,
+        "energy": scene.energy if not scene.excitation.does_work else 0.0,
+    }
+    found |= {
+        "excitation": scene.excitation,
+        "imposed": scene.imposed is None,
+        "cone": scene.light_cone,
+    }
     return fields | derived | held | found
 
 
 def alike(one: Any, other: Any) -> bool:
     if isinstance(one, float | np.ndarray) and not isinstance(one, bool):
-        return np.shape(one) == np.shape(other) and np.allclose(one, other, rtol=1e-13, atol=0, equal_nan=True)
+        return np.shape(one) == np.shape(other) and np.allclose(
+            one, other, rtol=1e-13, atol=0, equal_nan=True
+        )
     return one == other
 
 
@@ -95,8 +123,14 @@ CASES = [
     ("given", "first", ["chain.masses"]),
     *((chain, "inner", MATERIAL) for chain in CHAINS),
     *((chain, "last", ORDER) for chain in CHAINS if chain != "vacuum"),
-    *(("floor", excitation, ["chain.masses", "chain.contact_constants"]) for excitation in EXCITATIONS),
-    *(("walls", excitation, {"m": 3, "chain.masses": LAWS["chain.masses"]}) for excitation in EXCITATIONS),
+    *(
+        ("floor", excitation, ["chain.masses", "chain.contact_constants"])
+        for excitation in EXCITATIONS
+    ),
+    *(
+        ("walls", excitation, {"m": 3, "chain.masses": LAWS["chain.masses"]})
+        for excitation in EXCITATIONS
+    ),
     ("column", "first", {"m": 4, "law": "paper", "of": "constant"}),
     ("column", "inner", {"m": 4, "of": "mass"}),
 ]
@@ -146,7 +180,11 @@ def test_a_chain_that_is_not_finite_is_made_alone(spoilt: str):
     assert realisations._sound(parts, drawn=False).tolist() == [True, False, True]
 
 
-TOGETHER = [("column", "first", ["chain.masses"]), ("floor", "inner", MATERIAL), ("walls", "last", ORDER)]
+TOGETHER = [
+    ("column", "first", ["chain.masses"]),
+    ("floor", "inner", MATERIAL),
+    ("walls", "last", ORDER),
+]
 
 
 @pytest.mark.parametrize(("chain", "excitation", "drawn"), TOGETHER)
@@ -193,7 +231,11 @@ def test_scenes_of_several_axes_come_in_the_order_of_their_numbers():
     [
         ({"mean": 1e-6, "deviation": 6e-7}, "chain.masses", "masses: must be above 0"),
         ({"mean": 1e-3, "deviation": 7e-4}, "chain.diameter", "diameter: must be above 0"),
-        ({"mean": 1e8, "deviation": 6e7}, "chain.contact_constants", "contact_constants: must be above 0"),
+        (
+            {"mean": 1e8, "deviation": 6e7},
+            "chain.contact_constants",
+            "contact_constants: must be above 0",
+        ),
         ({"low": 1e-1, "high": 1e4, "log": True}, "chain.contact_constants", "contact"),
     ],
 )
@@ -243,7 +285,11 @@ def test_grains_are_recorded_that_what_is_kept_takes(grains: Any, keep: list[str
 
 def test_what_is_gathered_all_along_takes_no_grains_more():
     recording = {"grains": [5], "quantities": ["peak_velocity"]}
-    plan = read(asked("column", "first", {"m": 5}, recording=recording, keep=["peak_velocity", "peak_force:7"]))
+    plan = read(
+        asked(
+            "column", "first", {"m": 5}, recording=recording, keep=["peak_velocity", "peak_force:7"]
+        )
+    )
     for scene in scenes(plan, 0, 2, together=True):
         assert scene.recorded.tolist() == [5]
         assert scene.quantities == ("peak_velocity", "peak_force:7")

@@ -96,7 +96,10 @@ def test_what_a_machine_prevents_is_told_and_done_the_next_time(tmp_path: Path, 
     executor = Faulty(OSError("full"), 0)
     assert (sweep(ASKED, tmp_path, executor=executor).reason == "").all()
     assert executor.tried == [2, "gather"]
-    assert (Bar.bars[1].options, Bar.bars[1].steps) == ({"unit": " scenes", "done": 5, "shown": False}, [2])
+    assert (Bar.bars[1].options, Bar.bars[1].steps) == (
+        {"unit": " scenes", "done": 5, "shown": False},
+        [2],
+    )
     sweep(ASKED, tmp_path)
     assert Bar.bars[2].options["done"] == 7
     with pytest.warns(UserWarning, match="of the first: KeyError$"):
@@ -105,7 +108,9 @@ def test_what_a_machine_prevents_is_told_and_done_the_next_time(tmp_path: Path, 
 
 @pytest.mark.usefixtures("in_pairs")
 @pytest.mark.parametrize(("most", "workers"), [(1, 1), (3, 1), (256, 1)])
-def test_an_executor_has_so_many_tasks_at_a_time(most: int, workers: int, tmp_path: Path, monkeypatch: Any):
+def test_an_executor_has_so_many_tasks_at_a_time(
+    most: int, workers: int, tmp_path: Path, monkeypatch: Any
+):
     counts: list[int] = []
     wait = run.wait
 
@@ -201,13 +206,22 @@ def test_dask_is_asked_for_by_its_address(monkeypatch: pytest.MonkeyPatch):
 
 
 def test_labels_are_those_of_all_scenes():
-    recording = {"recording.samples": [3, 5], "recording.grains": [[5, 2], [2, 3]], "chain.grains": [6, 9]}
-    masses = {"disorder": {"seed": 1, "realisations": 2, "chain.masses": {"low": 1e-6, "high": 2e-6}}}
+    recording = {
+        "recording.samples": [3, 5],
+        "recording.grains": [[5, 2], [2, 3]],
+        "chain.grains": [6, 9],
+    }
+    masses = {
+        "disorder": {"seed": 1, "realisations": 2, "chain.masses": {"low": 1e-6, "high": 2e-6}}
+    }
     plan = read({"scene": SCENE, "list": recording, **masses})
     found = labels(plan)
     assert (found.samples, found.time, found.grains.tolist()) == (5, None, [2, 3, 5])
     assert found.extra["time"].shape == (5,)
-    assert (found.extra["time"].units, found.extra["time"].long_name) == ("s", "time since the strike")
+    assert (found.extra["time"].units, found.extra["time"].long_name) == (
+        "s",
+        "time since the strike",
+    )
     assert found.extra["chain.masses"].shape == (9,)
     assert recorded(plan, (0, 1), 6).tolist() == [5, 2]
     assert recorded(plan, (1, 0), 9).tolist() == [2, 3]

@@ -22,7 +22,9 @@ SCENE: dict[str, Any] = {
 
 
 def laid(count: int, batch: int, **shapes: tuple[int, ...]) -> Layout:
-    columns = {name: Column(tuple("ab"[: len(shape)]), shape, "m", "") for name, shape in shapes.items()}
+    columns = {
+        name: Column(tuple("ab"[: len(shape)]), shape, "m", "") for name, shape in shapes.items()
+    }
     return Layout(count, batch, columns | {"reason": Column((), (), "1", "", store.NOT_DONE, str)})
 
 
@@ -99,7 +101,9 @@ def split(tmp_path: Path, monkeypatch: Any) -> tuple[Path, Layout, dict[str, np.
     values: dict[str, Any] = {"velocity": rng.normal(size=(11, 2, 4)), "peak": rng.normal(size=11)}
     values["reason"] = np.array([""] * 11)
     for first in (0, 3, 6):
-        write_part(tmp_path, first, {name: array[first : first + 3] for name, array in values.items()})
+        write_part(
+            tmp_path, first, {name: array[first : first + 3] for name, array in values.items()}
+        )
     lacking = {name: array[9:11].copy() for name, array in values.items()}
     lacking["reason"] = np.array(["", "not done"])
     lacking["velocity"][1] = lacking["peak"][1] = np.nan
@@ -151,7 +155,10 @@ def test_what_is_not_done_is_no_number(tmp_path: Path):
 def test_what_killed_processes_leave_is_cleaned_away(split: Any):
     folder, made, _ = split
     store.gather(folder, made, 0)  # once more: another process was faster
-    left = [folder / "parts" / ".0000006.1.partial", folder / "results.zarr" / "peak" / "c" / "0.partial1"]
+    left = [
+        folder / "parts" / ".0000006.1.partial",
+        folder / "results.zarr" / "peak" / "c" / "0.partial1",
+    ]
     for path in left:
         path.touch()
     (folder / ".results.zarr.12.partial").mkdir()
@@ -186,7 +193,9 @@ def test_a_part_has_the_shape_of_its_column(tmp_path: Path):
 
 def plain(folder: Path, length: int, *, held: int, shape: Any = None) -> None:
     """Write an array as lmpchain does, and files of so many bytes as what it holds."""
-    store.create(folder, laid(2, 1, peak=()), {"grain": (("grain",), np.arange(length), {})}, {"case": 2})
+    store.create(
+        folder, laid(2, 1, peak=()), {"grain": (("grain",), np.arange(length), {})}, {"case": 2}
+    )
     node = folder / "results.zarr" / "grain"
     about = json.loads((node / "zarr.json").read_text())
     about["shape"] = about["chunk_grid"]["configuration"]["chunk_shape"] = shape or [length]
@@ -196,7 +205,12 @@ def plain(folder: Path, length: int, *, held: int, shape: Any = None) -> None:
 
 def test_an_array_claims_no_more_than_its_file_can_hold(tmp_path: Path):
     """64 MB, or a thousand times what is there."""
-    cases = [(2**23, 0, True), (2**23 + 1, 0, False), (125 * 10**6, 10**6, True), (125 * 10**6 + 1, 10**6, False)]
+    cases = [
+        (2**23, 0, True),
+        (2**23 + 1, 0, False),
+        (125 * 10**6, 10**6, True),
+        (125 * 10**6 + 1, 10**6, False),
+    ]
     for place, (length, held, sound) in enumerate(cases):
         folder = tmp_path / str(place)
         folder.mkdir()
@@ -259,7 +273,12 @@ def test_a_name_and_a_key_follow_from_all_that_shapes_the_answer():
     base = {"scene": SCENE, "grid": {"chain.gravity": [1.0, 2.0]}}
     other_scene = SCENE | {"excitation": {"kind": "impulse", "velocity": 2e-4}}
     names, keys = set(), set()
-    changes: list[dict[str, Any]] = [{}, {"tolerance": 1e-5}, {"engine": "chebyshev"}, {"keep": ["velocity"]}]
+    changes: list[dict[str, Any]] = [
+        {},
+        {"tolerance": 1e-5},
+        {"engine": "chebyshev"},
+        {"keep": ["velocity"]},
+    ]
     for change in (*changes, {"scene": other_scene}):
         plan = read(base | change)
         names.add(plan.name)
@@ -269,8 +288,14 @@ def test_a_name_and_a_key_follow_from_all_that_shapes_the_answer():
     assert (len(names), len(keys)) == (5, 10)
     assert read(base).key(0) == read(base | {"grid": {"chain.gravity": [1.0]}}).key(0)
     plan = read(base)
-    assert (plan.tolerance, plan.engine, plan.keep) == (1e-6, "native", ["displacement", "velocity"])
-    with pytest.raises(InputError, match="must be tables: a sweep that is kept names no other file"):
+    assert (plan.tolerance, plan.engine, plan.keep) == (
+        1e-6,
+        "native",
+        ["displacement", "velocity"],
+    )
+    with pytest.raises(
+        InputError, match="must be tables: a sweep that is kept names no other file"
+    ):
         again(json.dumps({"scene": "scene.toml", "files": {}}), plan.folder)
 
 
@@ -284,10 +309,19 @@ def test_one_scene_for_each_value_is_tried_before_all_are_run():
 def test_of_draws_32_are_tried(monkeypatch: Any):
     """A sweep is refused if none of them makes a scene."""
     law = {"low": -40.0, "high": 1.0}
-    plan = read({"scene": SCENE, "keep": ["wall_force"], "random": {"draws": 400, "seed": 1, "chain.gravity": law}})
+    plan = read(
+        {
+            "scene": SCENE,
+            "keep": ["wall_force"],
+            "random": {"draws": 400, "seed": 1, "chain.gravity": law},
+        }
+    )
     gravities = plan.axes[0].columns["chain.gravity"]
     first = int(np.flatnonzero(np.array(gravities) >= 0)[0])
-    for sign, ok in ((gravities[:first] + gravities[first:], first < 32), ([-1.0] * 32 + [1.0] * 368, False)):
+    for sign, ok in (
+        (gravities[:first] + gravities[first:], first < 32),
+        ([-1.0] * 32 + [1.0] * 368, False),
+    ):
         plan.axes[0].columns["chain.gravity"] = sign
         if ok:
             assert next(plan.trials()).chain.gravity == gravities[first]
@@ -300,9 +334,15 @@ def test_of_draws_32_are_tried(monkeypatch: Any):
 
 @pytest.mark.parametrize("grains", [0, -1, True, 2.0, "6", None, 10**8 + 1])
 def test_drawn_numbers_need_a_chain_of_so_many_grains(grains: Any):
-    chain = {key: value for key, value in (SCENE["chain"] | {"grains": grains}).items() if value is not None}
+    chain = {
+        key: value
+        for key, value in (SCENE["chain"] | {"grains": grains}).items()
+        if value is not None
+    }
     masses = {"chain.masses": {"low": 1e-6, "high": 2e-6}}
-    plan = read({"scene": SCENE | {"chain": chain}, "disorder": {"seed": 1, "realisations": 2} | masses})
+    plan = read(
+        {"scene": SCENE | {"chain": chain}, "disorder": {"seed": 1, "realisations": 2} | masses}
+    )
     with pytest.raises(InputError, match=r"chain\.grains: must be a whole number from 1"):
         plan.grains((0,))
 
@@ -311,9 +351,13 @@ def test_a_sweep_of_several_shards(tmp_path: Path, monkeypatch: Any):
     from lmpchain.sweeps import tasks
 
     monkeypatch.setattr(tasks, "MOST", 2)
-    whole = sweep({"scene": SCENE, "grid": {"chain.gravity": np.arange(1.0, 8.0)}}, tmp_path / "one").load()
+    whole = sweep(
+        {"scene": SCENE, "grid": {"chain.gravity": np.arange(1.0, 8.0)}}, tmp_path / "one"
+    ).load()
     monkeypatch.setattr(store, "SCENES_A_FILE", 1)
-    found = sweep({"scene": SCENE, "grid": {"chain.gravity": np.arange(1.0, 8.0)}}, tmp_path / "many")
+    found = sweep(
+        {"scene": SCENE, "grid": {"chain.gravity": np.arange(1.0, 8.0)}}, tmp_path / "many"
+    )
     assert found.identical(whole)
     assert len(list((tmp_path / "many").glob("*/results.zarr/reason/c/*"))) == 2
     assert not list((tmp_path / "many").glob("*/parts/*"))

@@ -22,7 +22,17 @@ from helpers.child_processes import PATIENCE, until
 from helpers.example_sweeps import contents, done, long_sweep
 
 import lmpchain.sweeps.run as run
-from lmpchain import Chain, Impulse, InputError, Packet, Scene, load_sweep, simulate, simulate_many, sweep
+from lmpchain import (
+    Chain,
+    Impulse,
+    InputError,
+    Packet,
+    Scene,
+    load_sweep,
+    simulate,
+    simulate_many,
+    sweep,
+)
 from lmpchain.cli.command_line import main
 from lmpchain.disorder.averages import realisation
 from lmpchain.measure.contact import contacts, wall_force
@@ -66,7 +76,8 @@ def test_a_grid_is_every_combination(tmp_path):
         for speed in speeds:
             chain = Chain(grains=12, diameter=1e-3, gravity=gravity)
             alone = simulate(
-                Scene(chain=chain, excitation=Impulse(velocity=speed), duration=2e-5, samples=11), "native"
+                Scene(chain=chain, excitation=Impulse(velocity=speed), duration=2e-5, samples=11),
+                "native",
             )
             here = found.sel({"chain.gravity": gravity, "excitation.velocity": speed})
             assert np.array_equal(here.velocity, alone.velocity)
@@ -76,15 +87,26 @@ def test_a_grid_is_every_combination(tmp_path):
     assert (found.reason == "").all()
     found.load()  # before the next sweep takes its folder over
     turned = sweep({"scene": SHORT, "grid": dict(reversed(grid.items()))}, tmp_path)
-    assert turned.velocity.dims == ("excitation.velocity", "chain.gravity", "time", "grain"), "as they are named"
+    assert turned.velocity.dims == ("excitation.velocity", "chain.gravity", "time", "grain"), (
+        "as they are named"
+    )
     assert turned.velocity.transpose(*found.velocity.dims).equals(found.velocity)
 
 
 def test_chains_of_one_grain(tmp_path):
     """Walls are swept by their constants; small motions between them go with their stiffness at rest."""
-    chain = {"grains": 1, "diameter": 1e-3, "gravity": 0.0, "top_load": 1.0, "top": "wall", "bottom": "wall"}
+    chain = {
+        "grains": 1,
+        "diameter": 1e-3,
+        "gravity": 0.0,
+        "top_load": 1.0,
+        "top": "wall",
+        "bottom": "wall",
+    }
     constants = [[1e9, 1e9], [1e9, 4e9]]
-    found = sweep({"scene": SHORT | {"chain": chain}, "grid": {"chain.wall_constants": constants}}, tmp_path)
+    found = sweep(
+        {"scene": SHORT | {"chain": chain}, "grid": {"chain.wall_constants": constants}}, tmp_path
+    )
     made = Chain(**chain)
     for place, k in enumerate(constants):
         stiffness = 1.5 * np.power(k, 2 / 3).sum()  # F = 1 N
@@ -99,20 +121,31 @@ def test_a_list_goes_case_by_case(tmp_path):
     assert found["chain.material"].values.tolist() == ["glass", "steel", "ptfe"]
     assert found["chain.diameter"].values.tolist() == [1e-3, 2e-3, 3e-3]
     chain = Chain(grains=12, material="steel", diameter=2e-3)
-    alone = simulate(Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=2e-5, samples=11), "native")
+    alone = simulate(
+        Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=2e-5, samples=11), "native"
+    )
     assert np.array_equal(found.velocity[1], alone.velocity)
 
 
 def test_draws_fill_a_latin_hypercube(tmp_path):
     """Of n draws one lies in each n-th part of every range, and a seed stands for the same ones."""
-    ranges = {"chain.gravity": {"low": 1, "high": 21}, "excitation.velocity": {"low": 1e-6, "high": 1e-2, "log": True}}
-    asked = {"scene": SHORT, "keep": ["peak_velocity"], "random": {"draws": 20, "seed": 3, **ranges}}
+    ranges = {
+        "chain.gravity": {"low": 1, "high": 21},
+        "excitation.velocity": {"low": 1e-6, "high": 1e-2, "log": True},
+    }
+    asked = {
+        "scene": SHORT,
+        "keep": ["peak_velocity"],
+        "random": {"draws": 20, "seed": 3, **ranges},
+    }
     found = sweep(asked, tmp_path / "a")
     assert found.peak_velocity.dims == ("draw", "grain")
     gravity, speed = found["chain.gravity"].values, found["excitation.velocity"].values
     assert sorted(np.floor(gravity - 1).astype(int)) == list(range(20))
     assert sorted(np.floor(np.log10(speed * 1e6) * 5).astype(int)) == list(range(20))
-    assert found.peak_velocity[:, 0].values == pytest.approx(speed, rel=1e-12)  # nothing is faster than the strike
+    assert found.peak_velocity[:, 0].values == pytest.approx(
+        speed, rel=1e-12
+    )  # nothing is faster than the strike
     assert found.identical(sweep(asked, tmp_path / "b"))
     other = sweep(asked | {"random": asked["random"] | {"seed": 4}}, tmp_path / "b")
     assert not np.isin(other["chain.gravity"], gravity).any()
@@ -123,7 +156,12 @@ def test_realisations_are_those_of_the_disordered_chain(tmp_path):
     strong = SHORT | {"excitation": {"kind": "impulse", "velocity": 0.02}}
     found = sweep(chains(12, scene=strong, grid={"disorder.m": [2, 30]}, tolerance=1e-8), tmp_path)
     assert found.velocity.dims == ("disorder.m", "realisation", "time", "grain")
-    ordered = Scene(chain=Chain(grains=12, diameter=1e-3), excitation=Impulse(velocity=0.02), duration=2e-5, samples=11)
+    ordered = Scene(
+        chain=Chain(grains=12, diameter=1e-3),
+        excitation=Impulse(velocity=0.02),
+        duration=2e-5,
+        samples=11,
+    )
     for m in (2, 30):
         for index in (0, 11):
             alone = simulate(realisation(ordered, m, 1, index), "native", 1e-8)
@@ -158,7 +196,9 @@ def test_numbers_of_every_grain_are_drawn(tmp_path, keys, bottom):
         before = tables["chain"].get(name)
         glass = {"density": 2426.0, "youngs_modulus": 62e9, "poissons_ratio": 0.2}
         each = before if isinstance(before, list) else [glass] * 12
-        made = [one | {own: value} for one, value in zip(each, values, strict=True)] if own else values
+        made = (
+            [one | {own: value} for one, value in zip(each, values, strict=True)] if own else values
+        )
         tables["chain"][name] = made
     alone = simulate(Scene.from_dict(tables), "native")
     assert np.array_equal(found.velocity[3], alone.velocity)
@@ -216,19 +256,31 @@ def test_draws_that_make_no_scene_are_recorded(tmp_path):
 
 def test_arrays_are_coordinates(tmp_path):
     masses = [[1e-6] * 12, (np.arange(12) + 1) * 1e-7]
-    found = sweep({"scene": SHORT, "grid": {"chain.masses": [masses[0], masses[1].tolist()]}}, tmp_path)
+    found = sweep(
+        {"scene": SHORT, "grid": {"chain.masses": [masses[0], masses[1].tolist()]}}, tmp_path
+    )
     assert found["chain.masses"].dims == ("chain.masses", "chain.masses.entry")
 
 
 def test_material_and_impurity_keys(tmp_path):
     """The constants of a named material and what is in an impurity can be swept."""
-    scene = SHORT | {"chain": SHORT["chain"] | {"impurity": [{"grain": 3, "mass": 1e-6}, {"grain": 5, "mass": 1e-6}]}}
-    grid = {"chain": {"material": {"youngs_modulus": [5e10, 6e10]}, "impurity": {"1": {"diameter": [1e-3, 2e-3]}}}}
+    scene = SHORT | {
+        "chain": SHORT["chain"]
+        | {"impurity": [{"grain": 3, "mass": 1e-6}, {"grain": 5, "mass": 1e-6}]}
+    }
+    grid = {
+        "chain": {
+            "material": {"youngs_modulus": [5e10, 6e10]},
+            "impurity": {"1": {"diameter": [1e-3, 2e-3]}},
+        }
+    }
     found = sweep({"scene": scene, "grid": grid}, tmp_path)
     material = {"density": 2426.0, "youngs_modulus": 6e10, "poissons_ratio": 0.2}
     odd = [{"grain": 3, "mass": 1e-6}, {"grain": 5, "mass": 1e-6, "diameter": 2e-3}]
     chain = Chain(grains=12, diameter=1e-3, material=material, impurity=odd)
-    alone = simulate(Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=2e-5, samples=11), "native")
+    alone = simulate(
+        Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=2e-5, samples=11), "native"
+    )
     assert np.array_equal(found.velocity[1, 1], alone.velocity)
 
 
@@ -244,8 +296,13 @@ def test_files_count_by_what_is_in_them(tmp_path):
     (tmp_path / "scene.toml").write_text(
         '[chain]\nfile = "grains.csv"\n[excitation]\nkind = "impulse"\n[recording]\nduration = 2e-5\nsamples = 3\n'
     )
-    (tmp_path / "sweep.toml").write_text('scene = "scene.toml"\n[grid]\nexcitation.velocity = [1e-4, 2e-4]\n')
-    assert main(["sweep", str(tmp_path / "sweep.toml"), "-o", str(tmp_path / "out"), "--workers", "1"]) == 0
+    (tmp_path / "sweep.toml").write_text(
+        'scene = "scene.toml"\n[grid]\nexcitation.velocity = [1e-4, 2e-4]\n'
+    )
+    assert (
+        main(["sweep", str(tmp_path / "sweep.toml"), "-o", str(tmp_path / "out"), "--workers", "1"])
+        == 0
+    )
     before = load_sweep(tmp_path / "out").displacement.load()
     (tmp_path / "grains.csv").write_text("diameter\n" + "2e-3\n" * 8)
     after = sweep(tmp_path / "sweep.toml", tmp_path / "out").displacement
@@ -255,13 +312,19 @@ def test_files_count_by_what_is_in_them(tmp_path):
 
 def test_scenes_recorded_unlike(tmp_path):
     """Times become a coordinate, grains a union; what a scene has not recorded is NaN."""
-    cases = {"recording.duration": [1e-5, 2e-5], "recording.samples": [3, 5], "recording.grains": [[7, 2], "2:4"]}
+    cases = {
+        "recording.duration": [1e-5, 2e-5],
+        "recording.samples": [3, 5],
+        "recording.grains": [[7, 2], "2:4"],
+    }
     found = sweep({"scene": SHORT, "list": cases}, tmp_path)
     assert found.velocity.dims == ("case", "sample", "grain")
     assert found.grain.values.tolist() == [2, 3, 4, 7]
     assert np.array_equal(found.time[0], [0, 5e-6, 1e-5, np.nan, np.nan], equal_nan=True)
     chain = Chain(grains=12, diameter=1e-3)
-    alone = simulate(Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=1e-5, samples=3), "native")
+    alone = simulate(
+        Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=1e-5, samples=3), "native"
+    )
     assert np.array_equal(found.velocity[0, :3, [0, 3]], alone.velocity[:, [1, 6]])
     assert np.isnan(found.velocity[0, 3:]).all()
     assert np.isnan(found.velocity[0, :, [1, 2]]).all()
@@ -279,7 +342,10 @@ def test_a_single_order_of_grains_is_kept(tmp_path):
 def test_kept_quantities_are_those_of_measure(tmp_path):
     """Numbers are those that `measure` reads off the trajectory."""
     keep = ["wall_force", "arrival_time", "peak_displacement", "peak_velocity"]
-    found = sweep({"scene": str(SCENES / "weak.toml"), "grid": {"chain.gravity": [9.81]}, "keep": keep}, tmp_path)
+    found = sweep(
+        {"scene": str(SCENES / "weak.toml"), "grid": {"chain.gravity": [9.81]}, "keep": keep},
+        tmp_path,
+    )
     (alone,) = simulate_many([Scene.from_toml(SCENES / "weak.toml")])  # of all grains, too
     errors = {f"{name}_error" for name in keep}
     assert set(found) == {*keep, *errors, "reason", "model_error", "solver_error"}
@@ -300,49 +366,75 @@ def test_what_is_gathered_is_kept(tmp_path):
     tables = {
         "chain": {"grains": 30, "diameter": 1e-3},
         "excitation": {"kind": "impulse", "velocity": 1e-3},
-        "recording": {"duration": 5e-5, "samples": 2, "grains": [7, 3], "quantities": ["peak_velocity"]},
+        "recording": {
+            "duration": 5e-5,
+            "samples": 2,
+            "grains": [7, 3],
+            "quantities": ["peak_velocity"],
+        },
     }
     keep = ["peak_velocity", "peak_force:5", "peak_displacement"]
     asked = {"scene": tables, "keep": keep, "disorder": {"m": 5, "seed": 1, "realisations": 3}}
     found = sweep(asked, tmp_path)
     plan = read(asked)
     for index in range(3):
-        one = simulate(plan.scene((index,)).replace(samples=2001, grains="all", quantities=None), "native")
+        one = simulate(
+            plan.scene((index,)).replace(samples=2001, grains="all", quantities=None), "native"
+        )
         most = peaks(one)
         own = found.isel(realisation=index)
         error = own["peak_velocity_error"] + most.error[[6, 2]]
         assert (abs(own["peak_velocity"] - most.value[[6, 2]]) <= error).all()
         assert (own["peak_velocity_error"] < 1e-5 * most.value.max()).all()
-        assert (own["peak_displacement_error"] > 1e-2 * own["peak_displacement"]).all()  # of two samples
+        assert (
+            own["peak_displacement_error"] > 1e-2 * own["peak_displacement"]
+        ).all()  # of two samples
         force = contacts(one, [5]).force
-        assert abs(own["peak_force_5"] - force.max()) <= own["peak_force_5_error"] + 1e-5 * np.ptp(force)
-    with pytest.raises(InputError, match=r"quantities: the contacts are numbered 1 to 29 \(got 30\)"):
+        assert abs(own["peak_force_5"] - force.max()) <= own["peak_force_5_error"] + 1e-5 * np.ptp(
+            force
+        )
+    with pytest.raises(
+        InputError, match=r"quantities: the contacts are numbered 1 to 29 \(got 30\)"
+    ):
         sweep(asked | {"keep": ["peak_force:30"]}, tmp_path / "other")
 
 
 def test_the_example(tmp_path, capsys):
     """A weak wave in a Hertzian column has one time scale, which goes as gravity to the power -1/6, in any disorder."""
-    assert main(["sweep", str(SCENES.parent / "sweep.toml"), "-o", str(tmp_path), "--workers", "1"]) == 0
+    assert (
+        main(["sweep", str(SCENES.parent / "sweep.toml"), "-o", str(tmp_path), "--workers", "1"])
+        == 0
+    )
     assert "90 of 90" in capsys.readouterr().out
     arrival = load_sweep(tmp_path).arrival_time.sel(grain=5).transpose("chain.gravity", ...).values
     gravity = np.array(GRAVITIES)[:, None, None]
     assert np.isfinite(arrival).all()
-    assert arrival * gravity ** (1 / 6) == pytest.approx(np.tile(arrival[0] * 1.62 ** (1 / 6), (3, 1, 1)), rel=5e-3)
+    assert arrival * gravity ** (1 / 6) == pytest.approx(
+        np.tile(arrival[0] * 1.62 ** (1 / 6), (3, 1, 1)), rel=5e-3
+    )
 
 
 def test_arrays_are_read_when_they_are_used(tmp_path):
     """Of the files only those that are asked for; the rest of the dataset works without them."""
     found = sweep({"scene": SHORT, "grid": {"chain.gravity": GRAVITIES}}, tmp_path)
     whole = load_sweep(tmp_path).velocity.load()
-    for row, part in enumerate([(slice(1, 5), [2, 2, 0]), (-1, slice(None, None, -3)), ([3, 1], 4)]):
+    for row, part in enumerate(
+        [(slice(1, 5), [2, 2, 0]), (-1, slice(None, None, -3)), ([3, 1], 4)]
+    ):
         assert np.array_equal(found.velocity[row][part], whole[row][part])
-    (tmp_path / json.loads((tmp_path / "sweep.json").read_text())["results"] / "results.zarr/velocity/c/0/0/0").unlink()
+    (
+        tmp_path
+        / json.loads((tmp_path / "sweep.json").read_text())["results"]
+        / "results.zarr/velocity/c/0/0/0"
+    ).unlink()
     again = load_sweep(tmp_path)
     assert np.array_equal(again.displacement[0], load_sweep(tmp_path).displacement[0])
     assert np.isnan(again.velocity[1]).all()
 
 
-@pytest.mark.parametrize(("engine", "workers"), [pytest.param("lammps", 2, marks=pytest.mark.slow), ("chebyshev", 1)])
+@pytest.mark.parametrize(
+    ("engine", "workers"), [pytest.param("lammps", 2, marks=pytest.mark.slow), ("chebyshev", 1)]
+)
 def test_other_engines(tmp_path, engine, workers):
     asked = {"scene": SHORT, "engine": engine, "grid": {"chain.gravity": GRAVITIES}}
     found = sweep(asked, tmp_path, workers=workers)
@@ -365,45 +457,93 @@ def test_other_engines(tmp_path, engine, workers):
         ({"scene": "nowhere.toml", "grid": {"chain.gravity": [1.0]}}, {"nowhere.toml"}),
         ({"scene": {"chains": {}}, "grid": {"chain.gravity": [1.0]}}, {"scene.chains"}),
         (
-            {"engine": "nativ", "tolerance": 2, "keep": ["speed"], "colour": 1, "grid": {"chain.gravity": 1.0}},
+            {
+                "engine": "nativ",
+                "tolerance": 2,
+                "keep": ["speed"],
+                "colour": 1,
+                "grid": {"chain.gravity": 1.0},
+            },
             {"engine", "tolerance", "keep", "colour", "grid.chain.gravity"},
         ),
         ({"engine": ["native"], "keep": "velocity", "grid": []}, {"engine", "keep", "grid"}),
-        ({"grid": {"chain.gravty": [1.0], "chain.gravity": [1.0, -1.0, "g"]}}, {"chain.gravty", "chain.gravity"}),
-        ({"grid": {"chain": {"gravity": [1.0, -2.0], "exponent": [1.5, 7.0]}}}, {"chain.gravity", "chain.exponent"}),
-        ({"grid": {"gravity": [1.0]}, "list": {"chain.gravity": []}}, {"gravity", "list.chain.gravity"}),
+        (
+            {"grid": {"chain.gravty": [1.0], "chain.gravity": [1.0, -1.0, "g"]}},
+            {"chain.gravty", "chain.gravity"},
+        ),
+        (
+            {"grid": {"chain": {"gravity": [1.0, -2.0], "exponent": [1.5, 7.0]}}},
+            {"chain.gravity", "chain.exponent"},
+        ),
+        (
+            {"grid": {"gravity": [1.0]}, "list": {"chain.gravity": []}},
+            {"gravity", "list.chain.gravity"},
+        ),
         ({"grid": {"chain.impurity.0.mass": [1e-6]}}, {"chain.impurity"}),
         ({"grid": {"chain.gravity.x": [1.0]}}, {"chain.gravity"}),
         ({"list": {"chain.gravity": [1.0, 2.0], "chain.grains": [5]}}, {"list.chain.grains"}),
         ({"grid": {"chain.gravity": [1.0]}, "list": {"chain.gravity": [2.0]}}, {"chain.gravity"}),
-        ({"grid": {"chain.material": ["glass"], "chain.material.density": [2e3]}}, {"chain.material.density"}),
+        (
+            {"grid": {"chain.material": ["glass"], "chain.material.density": [2e3]}},
+            {"chain.material.density"},
+        ),
         ({"grid": {"disorder.m": [5.0]}}, {"disorder.m"}),
         (
             {"random": {"draws": 0, "chain.gravity": 9.81, "chain.top_load": {"low": 1.0}}},
             {"random.draws", "random.seed", "random.chain.top_load.high", "random.chain.gravity"},
         ),
         (
-            {"random": {"draws": 2, "seed": 1, "chain": {"gravity": {"low": 0.0, "high": 9.0, "log": True}}}},
+            {
+                "random": {
+                    "draws": 2,
+                    "seed": 1,
+                    "chain": {"gravity": {"low": 0.0, "high": 9.0, "log": True}},
+                }
+            },
             {"random.chain.gravity.low"},
         ),
-        ({"random": {"draws": 2, "seed": 1, "chain.gravity": {"low": -2.0, "high": -1.0}}}, {"chain.gravity"}),
+        (
+            {"random": {"draws": 2, "seed": 1, "chain.gravity": {"low": -2.0, "high": -1.0}}},
+            {"chain.gravity"},
+        ),
         (
             {"random": {"draws": 2, "seed": 1, "chain.gravity": {"low": 2.0, "high": 1.0}}},
             {"random.chain.gravity.high"},
         ),
         ({"disorder": {"m": 2, "seed": 1}}, {"disorder.realisations"}),
         (
-            {"disorder": {"realisations": 2, "chain.masses": {"low": 1.0}, "chain.diameter": {"mean": 1.0}}},
+            {
+                "disorder": {
+                    "realisations": 2,
+                    "chain.masses": {"low": 1.0},
+                    "chain.diameter": {"mean": 1.0},
+                }
+            },
             {"disorder.chain.masses.high", "disorder.chain.diameter.deviation"},
         ),
-        ({"disorder": {"realisations": 2, "chain.masses": {"low": 1e-6, "high": 2e-6}}}, {"disorder.seed"}),
+        (
+            {"disorder": {"realisations": 2, "chain.masses": {"low": 1e-6, "high": 2e-6}}},
+            {"disorder.seed"},
+        ),
         (
             {"disorder": {"realisations": 2, "seed": 1, "chain.gravity": {"low": 1, "high": 2}}},
             {"disorder.chain.gravity"},
         ),
-        ({"disorder": {"m": -2, "realisations": 3, "laws": "dyson"}}, {"disorder.m", "disorder.seed", "disorder.laws"}),
-        ({"engine": "bessel", "disorder": {"m": 2, "seed": 1, "realisations": 3}}, {"contact_constants"}),
-        ({"grid": {"chain.gravity": [1.0] * 1001}, "disorder": {"m": 2, "seed": 1, "realisations": 1000}}, {"grid"}),
+        (
+            {"disorder": {"m": -2, "realisations": 3, "laws": "dyson"}},
+            {"disorder.m", "disorder.seed", "disorder.laws"},
+        ),
+        (
+            {"engine": "bessel", "disorder": {"m": 2, "seed": 1, "realisations": 3}},
+            {"contact_constants"},
+        ),
+        (
+            {
+                "grid": {"chain.gravity": [1.0] * 1001},
+                "disorder": {"m": 2, "seed": 1, "realisations": 1000},
+            },
+            {"grid"},
+        ),
     ],
 )
 def test_bad_sweeps_are_refused_before_anything_runs(tmp_path, wrong, keys):
@@ -419,14 +559,19 @@ def test_a_bad_sweep_file_is_one_line_a_fault(tmp_path, capfd, monkeypatch):
     path = tmp_path / "sweep.toml"
     path.write_text("[grid\n")
     assert main(["sweep", str(path), "-o", str(tmp_path / "out")]) == 2
-    path.write_text(f'scene = "{SCENES / "weak.toml"}"\n[grid]\nchain.gravity = [1, -1]\nchain.top = ["open"]\n')
+    path.write_text(
+        f'scene = "{SCENES / "weak.toml"}"\n[grid]\nchain.gravity = [1, -1]\nchain.top = ["open"]\n'
+    )
     assert main(["sweep", str(path), "-o", str(tmp_path / "out"), "--workers", "0"]) == 2
     assert main(["sweep", str(path), "-o", str(tmp_path / "out")]) == 2
     told = capfd.readouterr().err.splitlines()
     assert [line.split(":")[0] for line in told] == ["error"] * 4
     assert {line.split(":")[1].strip() for line in told[-2:]} == {"chain.gravity", "chain.top"}
     path.write_text(f'scene = "{SCENES / "weak.toml"}"\n[grid]\nchain.gravity = [1]\n')
-    assert main(["sweep", str(path), "-o", str(tmp_path / "out"), "--scheduler", "tcp://127.0.0.1:1"]) == 2
+    assert (
+        main(["sweep", str(path), "-o", str(tmp_path / "out"), "--scheduler", "tcp://127.0.0.1:1"])
+        == 2
+    )
     assert "scheduler" in capfd.readouterr().err
     (tmp_path / "file").touch()
     assert main(["sweep", str(path), "-o", str(tmp_path / "file"), "--workers", "1"]) == 2
@@ -454,7 +599,10 @@ def test_scenes_that_fail_are_recorded_and_the_rest_goes_on(tmp_path, capfd):
     assert main(["sweep", str(path), "-o", str(tmp_path / "out"), "--workers", "1"]) == 1
     out, err = capfd.readouterr()
     assert "of 8 scenes" in out
-    assert [line.partition(":")[0] for line in err.splitlines()] == ["warning", "error"]  # a hard strike, what failed
+    assert [line.partition(":")[0] for line in err.splitlines()] == [
+        "warning",
+        "error",
+    ]  # a hard strike, what failed
     found = load_sweep(tmp_path / "out")
     reasons = found.reason.values
     assert "squeezes contact" in reasons[1, 1, 0]
@@ -473,9 +621,18 @@ def test_scenes_that_fail_are_recorded_and_the_rest_goes_on(tmp_path, capfd):
 
 
 def test_a_file_that_is_no_name():
-    tables = {"scene": {"chain": {"grains": 5, "diameter": 1e-3}, "excitation": {"kind": "profile", "file": ["a.csv"]}}}
+    tables = {
+        "scene": {
+            "chain": {"grains": 5, "diameter": 1e-3},
+            "excitation": {"kind": "profile", "file": ["a.csv"]},
+        }
+    }
     with pytest.raises(InputError, match="file"):
-        list(read(tables | {"keep": ["peak_velocity"], "grid": {"chain.gravity": [1.0, 2.0]}}).trials())
+        list(
+            read(
+                tables | {"keep": ["peak_velocity"], "grid": {"chain.gravity": [1.0, 2.0]}}
+            ).trials()
+        )
 
 
 def test_folders_that_are_no_sweeps(tmp_path):
@@ -511,7 +668,11 @@ def test_only_what_is_missing_is_done(tmp_path, monkeypatch):
     with pytest.warns(UserWarning, match="could not be done"):
         sweep(chains(6), tmp_path / "parts")  # whose shard cannot be gathered
     (folder,) = (tmp_path / "parts").glob("*/parts")
-    assert sorted(path.name for path in folder.iterdir()) == ["0000000.npz", "0000002.npz", "0000004.npz"]
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "0000000.npz",
+        "0000002.npz",
+        "0000004.npz",
+    ]
     whole = load_sweep(tmp_path / "parts").load()
     (folder / "0000002.npz").unlink()
     (folder / ".0000002.1.partial").touch()  # as a kill leaves it
@@ -571,7 +732,8 @@ def test_any_executor_of_the_kind_of_concurrent_futures(tmp_path):
 def test_a_process_that_dies_takes_only_its_own_task():
     with Processes(2) as processes:
         futures = [
-            processes.submit(os._exit, 3) if number == 4 else processes.submit(abs, number) for number in range(9)
+            processes.submit(os._exit, 3) if number == 4 else processes.submit(abs, number)
+            for number in range(9)
         ]
         for number, future in enumerate(futures):
             if number == 4:
@@ -595,7 +757,9 @@ def test_processes_end_in_the_middle_of_a_task(how):
         "pool.shutdown(cancel_futures=True)\n"
     )
     line = [sys.executable, "-c", script]
-    with subprocess.Popen(line, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        line, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
         assert process.stdin
         assert process.stdout
         worker = psutil.Process(int(process.stdout.readline()))
@@ -646,7 +810,9 @@ def test_what_kills_every_process_is_given_up_and_done_the_next_time(tmp_path):
 def command(*arguments: Any, **options: Any) -> Iterator[subprocess.Popen]:
     """Run `lmpchain sweep`, and leave none of its processes behind."""
     line = [sys.executable, "-m", "lmpchain.cli", "sweep", *map(str, arguments)]
-    process = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options)
+    process = subprocess.Popen(
+        line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options
+    )
     try:
         yield process
     finally:
@@ -744,19 +910,35 @@ def test_a_full_disk(tmp_path, serial):
 def cluster(folder: Path, workers: int = 2) -> Iterator[tuple[str, list[psutil.Process]]]:
     """Start a Dask scheduler and workers, each a process with a nanny, and yield its address and these."""
     tool = str(Path(sys.executable).with_name("dask"))
-    quiet: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": folder}
+    quiet: dict[str, Any] = {
+        "stdout": subprocess.DEVNULL,
+        "stderr": subprocess.DEVNULL,
+        "cwd": folder,
+    }
     file = folder / "scheduler.json"
     where = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", file]
     started = [subprocess.Popen([tool, "scheduler", *map(str, where)], **quiet)]
     try:
         until(lambda: file.exists() and file.read_text().endswith("}"))
         address = json.loads(file.read_text())["address"]
-        asked = ["--nworkers", str(workers), "--nthreads", "1", "--no-dashboard", "--local-directory", folder]
+        asked = [
+            "--nworkers",
+            str(workers),
+            "--nthreads",
+            "1",
+            "--no-dashboard",
+            "--local-directory",
+            folder,
+        ]
         started.append(subprocess.Popen([tool, "worker", address, *map(str, asked)], **quiet))
         until(lambda: len(children(started[1].pid)) == workers)
         yield address, children(started[1].pid)
     finally:
-        every = [process for each in started for process in psutil.Process(each.pid).children(recursive=True)]
+        every = [
+            process
+            for each in started
+            for process in psutil.Process(each.pid).children(recursive=True)
+        ]
         for each in reversed(started):
             each.terminate()
             each.wait(PATIENCE)
@@ -817,11 +999,17 @@ def test_many_scenes_soak(tmp_path):
             if count > 1000:
                 with suppress(psutil.Error):  # it is ending
                     all_three = [psutil.Process(process.pid), *children(process.pid)]
-                    seen.append((count, [(each.memory_info().rss, each.num_fds()) for each in all_three]))
+                    seen.append(
+                        (count, [(each.memory_info().rss, each.num_fds()) for each in all_three])
+                    )
             time.sleep(0.05)
         assert "10000 of 10000" in process.communicate()[0]
-    memory, files = np.array([each for count, each in seen if count < 9900 and len(each) == 3]).T  # (3, T) each
+    memory, files = np.array(
+        [each for count, each in seen if count < 9900 and len(each) == 3]
+    ).T  # (3, T) each
     part = memory.shape[1] // 3
-    assert (memory[:, -part:].min(1) - memory[:, :part].min(1) < 8e6).all()  # it comes and goes with the batches
+    assert (
+        memory[:, -part:].min(1) - memory[:, :part].min(1) < 8e6
+    ).all()  # it comes and goes with the batches
     assert (files[:, -part:].min(1) <= files[:, :part].min(1)).all()
     assert np.isfinite(load_sweep(tmp_path / "out").peak_velocity).all()

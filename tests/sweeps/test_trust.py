@@ -20,7 +20,11 @@ SCENE: dict[str, Any] = {
     "excitation": {"kind": "impulse", "velocity": 1e-4},
     "recording": {"duration": 5e-6, "samples": 3},
 }
-ASKED = {"scene": SCENE, "grid": {"chain.gravity": [1.0, 2.0, 3.0]}, "keep": ["velocity", "wall_force"]}
+ASKED = {
+    "scene": SCENE,
+    "grid": {"chain.gravity": [1.0, 2.0, 3.0]},
+    "keep": ["velocity", "wall_force"],
+}
 SHARDS = "codecs", 0, "configuration"
 INNER = (*SHARDS, "codecs")
 
@@ -113,8 +117,17 @@ def older(folder: Path) -> None:
     array = results(folder) / "results.zarr" / "wall_force"
     shutil.rmtree(array)
     array.mkdir()
-    about = {"zarr_format": 2, "shape": [3], "chunks": [3], "dtype": "|O", "fill_value": None, "order": "C"}
-    (array / ".zarray").write_text(json.dumps(about | {"compressor": None, "filters": [{"id": "pickle"}]}))
+    about = {
+        "zarr_format": 2,
+        "shape": [3],
+        "chunks": [3],
+        "dtype": "|O",
+        "fill_value": None,
+        "order": "C",
+    }
+    (array / ".zarray").write_text(
+        json.dumps(about | {"compressor": None, "filters": [{"id": "pickle"}]})
+    )
     (array / "0").write_bytes(pickle.dumps(np.zeros(3, dtype=object)))
 
 
@@ -172,8 +185,12 @@ def older(folder: Path) -> None:
         asking(files=None, scene=None),
         lambda folder: (results(folder) / "results.zarr" / "strange").mkdir(),
         lambda folder: (results(folder) / "results.zarr" / "strange").touch(),
-        lambda folder: shutil.copytree(*(results(folder) / "results.zarr" / name for name in ("grain", "strange"))),
-        lambda folder: (results(folder) / "results.zarr" / "wall_force" / "zarr.json").write_text("[" * 10**5),
+        lambda folder: shutil.copytree(
+            *(results(folder) / "results.zarr" / name for name in ("grain", "strange"))
+        ),
+        lambda folder: (results(folder) / "results.zarr" / "wall_force" / "zarr.json").write_text(
+            "[" * 10**5
+        ),
     ],
 )
 def test_what_lmpchain_does_not_write_is_not_opened(folder, tamper):
@@ -184,7 +201,9 @@ def test_what_lmpchain_does_not_write_is_not_opened(folder, tamper):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("tamper", [link("sweep.json"), pipe("parts/0000000.npz"), asking(scene={})])
+@pytest.mark.parametrize(
+    "tamper", [link("sweep.json"), pipe("parts/0000000.npz"), asking(scene={})]
+)
 def test_nothing_goes_on_in_such_results(folder, tamper):
     tamper(folder)
     with pytest.raises(InputError, match="is damaged"):
@@ -217,11 +236,19 @@ def test_parts_hold_plain_numbers(tmp_path, whole, how):
     mine = results(tmp_path / "sweep")
     shutil.rmtree(mine / "results.zarr" / "reason" / "c")
     mark, force = tmp_path / "mark", np.array([1.0, 2.0, 3.0])
-    parts: dict[str, Any] = {"reason": np.array(["", "", ""]), "wall_force": force, "wall_force_error": force}
+    parts: dict[str, Any] = {
+        "reason": np.array(["", "", ""]),
+        "wall_force": force,
+        "wall_force_error": force,
+    }
     parts |= {"solver_error": force, "model_error": force, "velocity": np.zeros((3, 3, 6))}
     write_part(mine, 0, parts)
     if how == "pickle":
-        np.savez(part_of(mine, 0), **parts | {"wall_force": np.array([Trap(mark)] * 3)}, allow_pickle=True)
+        np.savez(
+            part_of(mine, 0),
+            **parts | {"wall_force": np.array([Trap(mark)] * 3)},
+            allow_pickle=True,
+        )
     elif how == "compressed":
         np.savez_compressed(part_of(mine, 0), **parts)
     elif how == "too small":

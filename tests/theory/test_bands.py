@@ -12,7 +12,8 @@ LOADED = {"gravity": 0.0, "top_load": 3.0, "diameter": 1e-3}
 Q = np.linspace(-np.pi, np.pi, 23)
 DECORATED = Cell([1.0, 2.0, 3.0], [1.0, 1.5, 1.0], [[0, 0], [0.5, 0.3], [0, 0]])
 each = pytest.mark.parametrize(
-    "cell", [DECORATED, Cell([2.0], [3.0]), Cell([1.0, 3.0], [1.0, 1.0]), Cell([1, 2, 5, 1], [3, 1, 2, 2])]
+    "cell",
+    [DECORATED, Cell([2.0], [3.0]), Cell([1.0, 3.0], [1.0, 1.0]), Cell([1, 2, 5, 1], [3, 1, 2, 2])],
 )
 
 
@@ -51,11 +52,15 @@ def test_dimer(m: float):
 def test_many_cells_have_these_frequencies(cell: Cell):
     """A ring of 6 cells by a dense matrix."""
     m, k = np.tile(cell.masses, 6), np.tile(cell.stiffness, 6)
-    inside = np.tile(np.zeros((len(cell.masses), 2)) if cell.resonators is None else cell.resonators, (6, 1))
+    inside = np.tile(
+        np.zeros((len(cell.masses), 2)) if cell.resonators is None else cell.resonators, (6, 1)
+    )
     n, carried = m.size, np.flatnonzero(inside[:, 0])
     total = n + carried.size
     matrix = np.zeros((total, total))
-    springs = [(i, (i + 1) % n, k[i]) for i in range(n)] + [(g, n + j, inside[g, 1]) for j, g in enumerate(carried)]
+    springs = [(i, (i + 1) % n, k[i]) for i in range(n)] + [
+        (g, n + j, inside[g, 1]) for j, g in enumerate(carried)
+    ]
     for a, b, spring in springs:
         matrix[[a, b], [a, b]] += spring
         matrix[[a, b], [b, a]] -= spring
@@ -87,7 +92,11 @@ def test_density_of_states(cell: Cell):
     for branch in branches(cell, [0.2, 2.8]).frequency:
         x, weight = np.polynomial.legendre.leggauss(60)
         low, high = np.sort(branch)
-        count += (high - low) / 2 * (found.density_of_states((low + high) / 2 + (high - low) / 2 * x) @ weight)
+        count += (
+            (high - low)
+            / 2
+            * (found.density_of_states((low + high) / 2 + (high - low) / 2 * x) @ weight)
+        )
     assert count == pytest.approx(found.frequency.shape[0] * 2.6 / np.pi, rel=1e-6)
 
 
@@ -108,7 +117,12 @@ def test_a_local_resonator_opens_a_gap():
 
 def test_a_chain_as_a_cell():
     """Closed by the contact of its last grain with its first, whether contacts are given or follow from Hertz."""
-    kinds = {"material": ["steel", "ptfe", "glass"], "diameter": [1e-3, 2e-3, 1.5e-3], "gravity": 0.0, "top_load": 3.0}
+    kinds = {
+        "material": ["steel", "ptfe", "glass"],
+        "diameter": [1e-3, 2e-3, 1.5e-3],
+        "gravity": 0.0,
+        "top_load": 3.0,
+    }
     cell = Cell.of(Chain(grains=3, **kinds))
     twice = Chain(grains=6, **{k: v * 2 if isinstance(v, list) else v for k, v in kinds.items()})
     assert cell.stiffness == pytest.approx(twice.linear_stiffness[:3], rel=1e-12)
@@ -129,7 +143,9 @@ def period_of(masses, constants, first: int, last: int, most: int) -> int:
     grains = range(first, last + 1)
     for period in range(1, most + 1):
         same = all(masses[n - 1] == masses[n - 1 + period] for n in grains if n + period <= last)
-        same &= all(constants[n - 1] == constants[n - 1 + period] for n in grains if n + period < last)
+        same &= all(
+            constants[n - 1] == constants[n - 1 + period] for n in grains if n + period < last
+        )
         if same and 2 * period <= len(grains):
             return period
     return 1
@@ -147,7 +163,9 @@ def test_what_repeats():
         chain = Chain(grains=grains, diameter=1e4, masses=masses, contact_constants=constants)
         first, last = np.sort(rng.choice(np.arange(1, grains + 1), 2, replace=False)).tolist()
         most = int(rng.integers(1, 8))
-        assert repeating(chain, first, last, most) == period_of(masses, constants, first, last, most)
+        assert repeating(chain, first, last, most) == period_of(
+            masses, constants, first, last, most
+        )
         periods.append(repeating(chain))
         assert periods[-1] == period_of(masses, constants, 1, grains, 8)
     assert len(set(periods)) > 4
@@ -156,10 +174,16 @@ def test_what_repeats():
 def test_how_alike_what_repeats_must_be_and_how_long_it_may_be():
     for odd, period in ((0.9e-9, 1), (1.1e-9, 2)):
         masses = np.resize([1.0, 1 + odd], 8)
-        assert repeating(Chain(grains=8, diameter=1e4, masses=masses, contact_constants=np.ones(7))) == period
+        assert (
+            repeating(Chain(grains=8, diameter=1e4, masses=masses, contact_constants=np.ones(7)))
+            == period
+        )
     for length, period in ((8, 8), (9, 1)):
         masses = np.resize(np.arange(1.0, length + 1), 30)
-        assert repeating(Chain(grains=30, diameter=1e5, masses=masses, contact_constants=np.ones(29))) == period
+        assert (
+            repeating(Chain(grains=30, diameter=1e5, masses=masses, contact_constants=np.ones(29)))
+            == period
+        )
 
 
 @each
@@ -230,7 +254,9 @@ def test_bands_around_a_single_grain_and_in_a_vacuum():
     one = Chain(grains=1, diameter=1e-3, bottom="wall", top="wall", top_load=1.0)
     above, below = one.contacts.stiffness
     assert local_bands(one).shape == (1, 1, 2)
-    assert local_bands(one).ravel() == pytest.approx([np.sqrt((above + below) / one.masses[0])] * 2, rel=1e-14)
+    assert local_bands(one).ravel() == pytest.approx(
+        [np.sqrt((above + below) / one.masses[0])] * 2, rel=1e-14
+    )
     assert not local_bands(Chain(grains=5, diameter=1e-3, gravity=0.0)).any()
 
 
@@ -272,7 +298,9 @@ def test_picture_of_bands():
     for number, line in enumerate(axes.lines):
         assert line.get_label() == f"branch {number + 1}"
         assert line.get_xdata().tolist() == [0.5, 2.0, 3.0]
-        assert line.get_ydata() == pytest.approx(bands.frequency[number, [1, 0, 2]] / (2 * np.pi), rel=1e-14)
+        assert line.get_ydata() == pytest.approx(
+            bands.frequency[number, [1, 0, 2]] / (2 * np.pi), rel=1e-14
+        )
     assert len(axes.lines) == 2
     (gap,) = axes.patches
     span = gap.get_y(), gap.get_y() + gap.get_height()

@@ -53,20 +53,26 @@ def test_main_maximum_passes_later_than_2t_equals_2n():
     assert passed == pytest.approx(100 + 0.8086 * 100 ** (1 / 3), abs=0.02)
 
 
-@pytest.mark.parametrize(("n", "T"), [(1, 0.4), (3, 7.0), (50, 10.0), (200, 3.0), (300, 310.0), (1000, 900.0)])
+@pytest.mark.parametrize(
+    ("n", "T"), [(1, 0.4), (3, 7.0), (50, 10.0), (200, 3.0), (300, 310.0), (1000, 900.0)]
+)
 def test_free_end_by_the_other_closed_form(n: int, T: float):
     """Eq. (11) is (2n-1)/T J_(2n-1)(2T); far ahead of the front it keeps its relative accuracy."""
     exact = (2 * n - 1) / T * besselj(2 * n - 1, 2 * T)
     assert bessel.free_end(n, T) == pytest.approx(exact, rel=1e-12, abs=0 if n / 2 > T else 1e-13)
 
 
-@pytest.mark.parametrize(("n", "T"), [(1, 0.4), (1, 40.0), (3, 7.0), (50, 10.0), (40, 45.0), (200, 3.0)])
+@pytest.mark.parametrize(
+    ("n", "T"), [(1, 0.4), (1, 40.0), (3, 7.0), (50, 10.0), (40, 45.0), (200, 3.0)]
+)
 def test_free_end_impulse_by_quadrature(n: int, T: float):
     """Eq. (13), as small as it may be: the integrand is scaled to 1, for the quadrature has an absolute error."""
     with mp.workdps(25):
         last = mp.besselj(2 * n - 1, 2 * T) if n > T else mp.mpf(1)
         places = mp.linspace(0, T, 3 + int(T / 2))
-        exact = last * mp.quad(lambda t: (2 * n - 1) / t * mp.besselj(2 * n - 1, 2 * t) / last, places)
+        exact = last * mp.quad(
+            lambda t: (2 * n - 1) / t * mp.besselj(2 * n - 1, 2 * t) / last, places
+        )
     assert bessel.free_end_impulse(n, T) == pytest.approx(float(exact), rel=1e-13)
     assert bessel.free_end_impulse(n, -T) == -bessel.free_end_impulse(n, T)
 
@@ -93,7 +99,9 @@ def test_local_and_far_field(delta: float):
     """Eqs. (7) and (8): the next term of the asymptotic series is (16 n^2 - 1) / (8 x) of the envelope."""
     for n in (1, 2, 5):
         root = n ** ((1 - 1 / delta) / 2)
-        assert bessel.local(n, 7.3, delta) == pytest.approx(besselj(2 * n, 2 * root * 7.3), abs=1e-14)
+        assert bessel.local(n, 7.3, delta) == pytest.approx(
+            besselj(2 * n, 2 * root * 7.3), abs=1e-14
+        )
         tau = 1600.0 + np.linspace(0, 4, 200)
         miss = np.abs(bessel.local(n, tau, delta) - bessel.far_field(n, tau, delta)).max()
         envelope = 1 / np.sqrt(np.pi * root * 1600)
@@ -119,7 +127,9 @@ def test_coefficients_of_a_uniform_chain():
 def test_coefficients_by_eigenvectors(grains: int, delta: float):
     """Eqs. (20) and (21) with the paper's kappa_N and the brace on j."""
     kappa, top = gravity_column(grains - 1, delta), grains ** (1 - 1 / delta)
-    matrix = np.diag(kappa + np.append(0, kappa[:-1])) - np.diag(kappa[:-1], 1) - np.diag(kappa[:-1], -1)
+    matrix = (
+        np.diag(kappa + np.append(0, kappa[:-1])) - np.diag(kappa[:-1], 1) - np.diag(kappa[:-1], -1)
+    )
     square, X = np.linalg.eigh(matrix)
     phase = np.arcsin(np.sqrt(square) / 2 / np.sqrt(top))
     n, k, j = np.arange(1, grains), (grains + 1) // 2, np.arange(1, 81)
@@ -174,7 +184,9 @@ def test_series_against_modes_over_a_long_time():
     chain = springs(gravity_column(120))
     velocity, n = unit(120, 1), np.arange(1, 121)
     u, v = modes.eigenmodes(chain).response([1000.0], velocity=velocity)
-    assert bessel.finite_impulse(chain.linear_stiffness, n, 1, 1000.0) == pytest.approx(u[0], abs=1e-11)
+    assert bessel.finite_impulse(chain.linear_stiffness, n, 1, 1000.0) == pytest.approx(
+        u[0], abs=1e-11
+    )
     assert bessel.finite(chain.linear_stiffness, n, 1, 1000.0) == pytest.approx(v[0], abs=1e-11)
 
 
@@ -188,10 +200,14 @@ def test_uniform_series_by_images():
 
 
 def test_series_ahead_of_the_front_keeps_relative_accuracy():
-    assert bessel.finite(np.ones(99), 60, 1, 2.0) == pytest.approx(119 / 2 * besselj(119, 4.0), rel=1e-12)
+    assert bessel.finite(np.ones(99), 60, 1, 2.0) == pytest.approx(
+        119 / 2 * besselj(119, 4.0), rel=1e-12
+    )
 
 
-@pytest.mark.parametrize(("n", "peak"), [(100, 0.251742), (500, 0.169778), (1000, 0.142535), (4000, 0.099840)])
+@pytest.mark.parametrize(
+    ("n", "peak"), [(100, 0.251742), (500, 0.169778), (1000, 0.142535), (4000, 0.099840)]
+)
 def test_peak_velocity_published(n: int, peak: float):
     """Source: the linear column struck at grain 1, by an independent code, six digits."""
     h = n - 0.5
@@ -226,7 +242,9 @@ def test_tables_of_bessel_functions():
     with mp.workdps(30):
         for k, x in ((0, 0.5), (0, 77.7), (10, 3.0), (40, 77.7)):
             exact = sum(mp.besselj(2 * k + 2 * j + 1, x) for j in range(80))
-            assert integral[k, column[z == x][0]] == pytest.approx(float(exact), rel=1e-13, abs=4e-16)
+            assert integral[k, column[z == x][0]] == pytest.approx(
+                float(exact), rel=1e-13, abs=4e-16
+            )
 
 
 def test_shapes_follow_the_arguments():

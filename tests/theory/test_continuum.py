@@ -28,7 +28,9 @@ def when(h: float, tau: float | None, delta: float) -> float:
 def test_travel_time_and_depth(delta: float):
     """Waves take dh / sqrt(kappa) over dh."""
     xi = 1 - 1 / delta
-    assert continuum.chi(7.0, delta) == pytest.approx(quad(lambda h: h ** (-xi / 2), 0, 7)[0], rel=1e-9)
+    assert continuum.chi(7.0, delta) == pytest.approx(
+        quad(lambda h: h ** (-xi / 2), 0, 7)[0], rel=1e-9
+    )
     h = np.array([0.0, 1e-3, 1.0, 4000.0])
     assert continuum.depth(continuum.chi(h, delta), delta) == pytest.approx(h, rel=1e-14)
 
@@ -39,8 +41,18 @@ def test_travel_time_and_depth(delta: float):
 @each_delta
 @pytest.mark.parametrize(("h", "lam"), [(2.0, 1.0), (5.0, 0.3), (40.0, 2.0)])
 def test_modes_solve_eq_27(delta: float, h: float, lam: float):
-    assert residual_of_27(lambda x, t: continuum.mode(x, lam, delta) * np.exp(1j * lam * t), h, 1.0, delta) < 2e-9
-    assert residual_of_27(lambda x, t: continuum.standing(x, lam, delta) * np.cos(lam * t), h, 1.0, delta) < 2e-9
+    assert (
+        residual_of_27(
+            lambda x, t: continuum.mode(x, lam, delta) * np.exp(1j * lam * t), h, 1.0, delta
+        )
+        < 2e-9
+    )
+    assert (
+        residual_of_27(
+            lambda x, t: continuum.standing(x, lam, delta) * np.cos(lam * t), h, 1.0, delta
+        )
+        < 2e-9
+    )
 
 
 @each_delta
@@ -60,8 +72,12 @@ def test_modes_by_mpmath(delta: float):
 def test_limit_of_modes_at_the_top(delta: float):
     lam = np.array([0.2, 3.0])
     near = 1e-25 ** (1 / max(1.0, 1 / delta))
-    assert continuum.mode(0.0, lam, delta) == pytest.approx(continuum.mode(near, lam, delta), rel=1e-8)
-    assert continuum.standing(0.0, lam, delta) == pytest.approx(continuum.standing(near, lam, delta), rel=1e-12)
+    assert continuum.mode(0.0, lam, delta) == pytest.approx(
+        continuum.mode(near, lam, delta), rel=1e-8
+    )
+    assert continuum.standing(0.0, lam, delta) == pytest.approx(
+        continuum.standing(near, lam, delta), rel=1e-12
+    )
 
 
 def test_modes_fade_with_depth():
@@ -103,7 +119,13 @@ def test_superposition_along_the_real_axis(power: int):
 
     def integrand(t: mp.mpf) -> mp.mpf:  # lambda = t^5 takes the singularity at 0 away
         x = t**5
-        return 5 * t**4 * mp.exp(-(x**power) + 2j * x) * mp.cbrt(3) * mp.hankel1(0.4, 1.2 * x * 3 ** (mp.mpf(5) / 6))
+        return (
+            5
+            * t**4
+            * mp.exp(-(x**power) + 2j * x)
+            * mp.cbrt(3)
+            * mp.hankel1(0.4, 1.2 * x * 3 ** (mp.mpf(5) / 6))
+        )
 
     exact = mp.quad(integrand, [0, 0.5, 1, 1.3, 1.6, 1.8, 2.05])
     found = continuum.superpose(lambda lam: np.exp(-(lam**power)), 3.0, 2.0, angle=0.5)
@@ -117,7 +139,9 @@ def test_constants_of_eq_32():
     R = np.sqrt(tau**2 - chi**2)
     bracket = (5 / 6) ** 0.4 * ((tau + R) ** 0.4 - (tau - R) ** 0.4) / R
     assert continuum.packet(h, tau) == pytest.approx(0.850650808352039932 * bracket, rel=1e-13)
-    assert continuum.superpose(ones, h, tau).imag == pytest.approx(-2 * np.sin(np.pi / 10) * bracket, rel=1e-13)
+    assert continuum.superpose(ones, h, tau).imag == pytest.approx(
+        -2 * np.sin(np.pi / 10) * bracket, rel=1e-13
+    )
 
 
 @each_delta
@@ -126,9 +150,16 @@ def test_constants_of_eq_32():
 )  # differences cannot reach the top
 def test_packets_solve_eq_27(h: float, tau: float | None, delta: float):
     tau = when(h, tau, delta)
-    assert residual_of_27(lambda x, t: continuum.packet(x, t, delta), h, tau, delta, 0.02 * h) < 5e-9
+    assert (
+        residual_of_27(lambda x, t: continuum.packet(x, t, delta), h, tau, delta, 0.02 * h) < 5e-9
+    )
     if delta > 1:
-        assert residual_of_27(lambda x, t: continuum.resonant_packet(x, t, delta), h, tau, delta, 0.02 * h) < 5e-9
+        assert (
+            residual_of_27(
+                lambda x, t: continuum.resonant_packet(x, t, delta), h, tau, delta, 0.02 * h
+            )
+            < 5e-9
+        )
 
 
 @each_delta
@@ -137,19 +168,27 @@ def test_packet_is_smooth_on_the_light_cone(delta: float):
     chi = continuum.chi(h, delta)
     front = continuum.packet_front(h, delta)
     for shift in (-1e-8, -1e-12, 1e-12, 1e-8):
-        assert continuum.packet(h, chi * (1 + shift), delta) == pytest.approx(front, rel=abs(shift) + 4e-16)
+        assert continuum.packet(h, chi * (1 + shift), delta) == pytest.approx(
+            front, rel=abs(shift) + 4e-16
+        )
 
 
 def test_packet_front_for_hertz():
     """Eq. (33) in both its forms, with the right constant."""
     h, constant = np.array([0.3, 20.0]), (5 / 6) ** 0.4 / (2 * np.sin(np.pi / 5))
-    assert continuum.packet_front(h) == pytest.approx(4 / 5 * constant * continuum.chi(h) ** -0.6, rel=1e-14)
-    assert continuum.packet_front(h) == pytest.approx(4 / 5 * (5 / 6) ** 0.6 * constant * h**-0.5, rel=1e-14)
+    assert continuum.packet_front(h) == pytest.approx(
+        4 / 5 * constant * continuum.chi(h) ** -0.6, rel=1e-14
+    )
+    assert continuum.packet_front(h) == pytest.approx(
+        4 / 5 * (5 / 6) ** 0.6 * constant * h**-0.5, rel=1e-14
+    )
 
 
 def test_resonant_packet_published():
     """No resonance: 0.886524713011 at the cone for h = 2, 0.93751 outside at tau = 1, where Eq. (34) prints 1.1203."""
-    assert continuum.resonant_packet(2.0, continuum.chi(2.0)) == pytest.approx(0.886524713011, abs=1e-12)
+    assert continuum.resonant_packet(2.0, continuum.chi(2.0)) == pytest.approx(
+        0.886524713011, abs=1e-12
+    )
     assert continuum.resonant_packet(2.0, 1.0) == pytest.approx(0.93751, abs=5e-6)
     h, tau = 2.0, np.array([2.5, 4.0, 30.0])
     R2 = tau**2 - continuum.chi(h) ** 2
@@ -170,7 +209,10 @@ def test_resonant_packet_published():
 @pytest.mark.parametrize("delta", DELTAS[1:])
 def test_peaked_solves_eq_27_on_both_sides(delta: float):
     for h, tau in ((2.0, 3.0), (5.0, 1.0)):
-        assert residual_of_27(lambda x, t: continuum.peaked(x, t, 1.0, 2.0, 0.5, delta), h, tau, delta) < 5e-9
+        assert (
+            residual_of_27(lambda x, t: continuum.peaked(x, t, 1.0, 2.0, 0.5, delta), h, tau, delta)
+            < 5e-9
+        )
     inside = continuum.peaked(2.0, 3.0, 0.0, continuum.impulse_amplitude(delta), 0.0, delta)
     assert continuum.impulse_response(2.0, 3.0, delta) == inside
 
@@ -214,7 +256,9 @@ def test_impulse_response_is_causal():
     assert continuum.impulse_response(h, 2.0)[1] > 0
     assert continuum.impulse_response(h, 2.0)[2] == 0
     assert continuum.impulse_response(h, continuum.chi(h)).tolist() == [np.inf] * 3
-    assert continuum.impulse_response([1.999, 2.0, 2.001], 2.0, 1.0) == pytest.approx([1, 1, 0], rel=4e-16)  # chi = h
+    assert continuum.impulse_response([1.999, 2.0, 2.001], 2.0, 1.0) == pytest.approx(
+        [1, 1, 0], rel=4e-16
+    )  # chi = h
 
 
 # ------------------------------------------------------------------------------------- the equation itself
@@ -230,7 +274,11 @@ def test_solver_is_of_second_order(delta: float, driven: bool):
     """Against a standing wave between the free top and the held grain: exact, and not smooth in h at the top."""
     lam = float(modes.quasi_normal(1, 6, delta))
     shape = lambda h: continuum.standing(h, lam, delta)  # noqa: E731
-    drive = (lambda t: (shape(0.5) * np.cos(lam * t), -lam * shape(0.5) * np.sin(lam * t))) if driven else None
+    drive = (
+        (lambda t: (shape(0.5) * np.cos(lam * t), -lam * shape(0.5) * np.sin(lam * t)))
+        if driven
+        else None
+    )
     tau = np.array([0.0, 9.0, 20.0])
     errors = []
     for cells in (15, 45, 135):
@@ -245,7 +293,10 @@ def test_solver_is_of_second_order(delta: float, driven: bool):
 def test_solver_conserves_momentum():
     start = np.array([2.0, -1.0, 0.5, 3.0])
     field = continuum.solve(
-        [0.0, 1.0, 40.0], 140, velocity=lambda h: start[np.minimum(h.astype(int), 3)] * (h < 4), cells=1
+        [0.0, 1.0, 40.0],
+        140,
+        velocity=lambda h: start[np.minimum(h.astype(int), 3)] * (h < 4),
+        cells=1,
     )
     assert field.velocity.sum(1) == pytest.approx(4.5, abs=1e-13)
 
@@ -267,7 +318,10 @@ def test_impulse_of_fig_9():
     exact = continuum.impulse_response(field.h, 60.0)
     assert field.displacement[0, chi < 30] == pytest.approx(exact[chi < 30], rel=5e-5)
     assert np.abs(field.displacement[0, chi > 66]).max() < 1e-12
-    assert continuum.peaked(field.h, 60.0, 0.0, continuum.impulse_amplitude(), 0.0)[chi > 66].min() > 0.4
+    assert (
+        continuum.peaked(field.h, 60.0, 0.0, continuum.impulse_amplitude(), 0.0)[chi > 66].min()
+        > 0.4
+    )
 
 
 def test_driven_top_of_fig_8():
@@ -276,7 +330,9 @@ def test_driven_top_of_fig_8():
 
     def drive(t: float) -> tuple[float, float]:
         slowly = 0.5 * (1 - np.cos(np.pi * min(t / 60, 1)))
-        return slowly * float((continuum.mode(0.5, lam).conjugate() * np.exp(1j * lam * t)).real), 0.0
+        return slowly * float(
+            (continuum.mode(0.5, lam).conjugate() * np.exp(1j * lam * t)).real
+        ), 0.0
 
     field = continuum.solve([tau], 450, drive=drive, cells=5)
     near = continuum.chi(field.h) < 100
@@ -355,12 +411,18 @@ def test_impulse_of_a_grain_is_the_mean_over_its_place(delta):
         if end <= grain - 1:
             assert value == 0
             continue
-        mean, _ = quad(lambda h: float(continuum.impulse_response(h, tau, delta)), grain - 1, end, limit=400)
+        mean, _ = quad(
+            lambda h: float(continuum.impulse_response(h, tau, delta)), grain - 1, end, limit=400
+        )
         assert value == pytest.approx(mean, rel=1e-5 if end < grain else 1e-9, abs=0)
     step = 1e-5
-    later, earlier = (continuum.impulse_of_grain(n, tau + sign * step, delta)[0] for sign in (1, -1))
+    later, earlier = (
+        continuum.impulse_of_grain(n, tau + sign * step, delta)[0] for sign in (1, -1)
+    )
     near = np.abs(n - 0.5 - front) < 1.5
-    assert speed[~near] == pytest.approx(((later - earlier) / (2 * step))[~near], rel=1e-6, abs=1e-9)
+    assert speed[~near] == pytest.approx(
+        ((later - earlier) / (2 * step))[~near], rel=1e-6, abs=1e-9
+    )
     assert phi.sum() == pytest.approx(tau, rel=1e-13) if front < 11 else phi.sum() < tau
 
 

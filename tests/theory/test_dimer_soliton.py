@@ -14,7 +14,9 @@ each = pytest.mark.parametrize("wave", WAVES, ids=lambda w: f"{w.delta}")
 HERTZ = WAVES[0]
 
 
-def dimer(grains: int = 40, heavy_first: bool = True, ratio: float = HERTZ.mass_ratio, **keys) -> Chain:
+def dimer(
+    grains: int = 40, heavy_first: bool = True, ratio: float = HERTZ.mass_ratio, **keys
+) -> Chain:
     """Return a dimer chain of grains of 3e-5 kg and light ones, with contact constants of 2e9."""
     masses = np.resize([3e-5, 3e-5 * ratio] if heavy_first else [3e-5 * ratio, 3e-5], grains)
     constants = {"masses": masses, "contact_constants": np.full(grains - 1, 2e9)}
@@ -38,7 +40,9 @@ def test_equation_of_motion(wave):
     for x in (-2.0, -1.1, -0.5, -0.2, 0.0, 0.3, 0.7, 1.6):
         _, bend = derivatives(wave.overlap, x, 0.05)
         right = force(1 - x) - force(x) * (1 + inertia) + inertia * force(-1 - x)
-        assert wave.speed**2 * bend == pytest.approx(right, rel=0, abs=1e-6 * scale**wave.delta * inertia)
+        assert wave.speed**2 * bend == pytest.approx(
+            right, rel=0, abs=1e-6 * scale**wave.delta * inertia
+        )
     assert np.abs(wave.overlap(np.array([-5.9, -5.5, 5.5, 5.9]))).max() < 1e-11 * scale
     assert wave.overlap(np.array([-30.0, 30.0])).tolist() == [0.0, 0.0]
 
@@ -56,7 +60,9 @@ def test_grains_move_as_contacts_close(wave):
         for place in (-1.7, -0.4, 0.0, 0.9):
             slope, _ = derivatives(lambda y, kind=light: wave.displacement(y, kind), place, 0.05)
             velocity = float(wave.velocity(place, light))
-            assert velocity == pytest.approx(-wave.speed * slope, rel=0, abs=1e-7 * wave.speed * largest)
+            assert velocity == pytest.approx(
+                -wave.speed * slope, rel=0, abs=1e-7 * wave.speed * largest
+            )
         assert wave.displacement([7.0, 30.0], light).tolist() == [0.0, 0.0]
         behind_all = wave.displacement([-7.3, -8.0, -30.0, -31.0], light)
         assert behind_all == pytest.approx(largest, rel=1e-11)
@@ -67,7 +73,9 @@ def test_the_velocity_asked_for_is_the_largest_of_heavy_grains():
     for wave, velocity in ((HERTZ, 0.1), (WAVES[1], 3.0), (solve(0.35), 1.0)):
         coarse = np.linspace(-2, 2, 81)
         fine = coarse[wave.velocity(coarse).argmax()] + np.linspace(-0.05, 0.05, 201)
-        assert wave.velocity(fine).max() == pytest.approx(velocity, rel=2e-7)  # of places 1e-3 apart
+        assert wave.velocity(fine).max() == pytest.approx(
+            velocity, rel=2e-7
+        )  # of places 1e-3 apart
     assert solve(0.35).delta == 1.5
 
 
@@ -80,7 +88,9 @@ def test_travels_unchanged(heavy_first: bool):
     scene = lmpchain.Scene(chain=chain, excitation=start, duration=time, samples=2)
     t = lmpchain.simulate(scene, engine="native", tolerance=1e-9)
     assert t.velocity[-1] == pytest.approx(end.velocity, rel=0, abs=1e-9 * 0.1)
-    assert t.displacement[-1] == pytest.approx(end.displacement, rel=0, abs=1e-9 * end.displacement.max())
+    assert t.displacement[-1] == pytest.approx(
+        end.displacement, rel=0, abs=1e-9 * end.displacement.max()
+    )
     heavy = slice(0 if heavy_first else 1, None, 2)
     assert 0.08 < np.max(start.velocity[heavy]) <= 0.1 * (1 + 1e-9)
 
@@ -195,7 +205,10 @@ def test_picture():
         assert x[x.size // 2] == 0
         assert lines[label].get_ydata() == pytest.approx(function(x), rel=1e-14)
     assert lines["overlap ahead of heavy grains"].get_linestyle() == "--"
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("x − ct (grains)", "units of heavy mass and contact")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == (
+        "x − ct (grains)",
+        "units of heavy mass and contact",
+    )
     assert axes.get_title("left") == f"δ = 1.5, mass ratio 0.34284578, speed {HERTZ.speed:.7g}"
     assert len(axes.get_legend().get_texts()) == 4
 
@@ -213,12 +226,28 @@ def test_picture():
         (lambda: antiresonances(1.0), "least", "must be from 0.03 to 1"),
         (lambda: antiresonances(0.5, 1.0), "delta", "must be above 1, and 3 or less"),
         (lambda: antiresonances(0.5, 3.01), "delta", "must be above 1, and 3 or less"),
-        (lambda: HERTZ.on(Chain(grains=1, diameter=1e-3, bottom="wall"), 1), "grains", "must be two or more"),
-        (lambda: HERTZ.on(dimer(exponent=2.0), 20), "chain", "must have the exponent 1.5 of the wave"),
+        (
+            lambda: HERTZ.on(Chain(grains=1, diameter=1e-3, bottom="wall"), 1),
+            "grains",
+            "must be two or more",
+        ),
+        (
+            lambda: HERTZ.on(dimer(exponent=2.0), 20),
+            "chain",
+            "must have the exponent 1.5 of the wave",
+        ),
         (lambda: HERTZ.on(dimer(top_load=1.0), 20), "chain", "must be in a sonic vacuum"),
-        (lambda: HERTZ.on(dimer(ratio=HERTZ.mass_ratio * (1 + 1.1e-9)), 20), "masses", "ratio 0.3428457811"),
+        (
+            lambda: HERTZ.on(dimer(ratio=HERTZ.mass_ratio * (1 + 1.1e-9)), 20),
+            "masses",
+            "ratio 0.3428457811",
+        ),
         (lambda: HERTZ.on(dimer(masses=np.ones(40)), 20), "masses", "must alternate"),
-        (lambda: HERTZ.on(dimer(contact_constants=np.append(np.ones(38), 1.1)), 20), "contact_constants", "be equal"),
+        (
+            lambda: HERTZ.on(dimer(contact_constants=np.append(np.ones(38), 1.1)), 20),
+            "contact_constants",
+            "be equal",
+        ),
         (lambda: HERTZ.on(dimer(), 6.9), "grain", "must lie from 7 to 33 for"),
         (lambda: HERTZ.on(dimer(), 33.1), "grain", "must lie from 7 to 33 for"),
     ],
@@ -240,5 +269,8 @@ def test_what_is_just_right_is_no_fault(monkeypatch):
 
 def test_a_search_that_does_not_end_says_so(monkeypatch):
     monkeypatch.setattr(dimer_soliton.np.linalg, "solve", lambda _, right: np.ones(right.size))
-    with pytest.raises(InputError, match=r"^near: there is no wave that does not radiate near the mass ratio 0.7: try"):
+    with pytest.raises(
+        InputError,
+        match=r"^near: there is no wave that does not radiate near the mass ratio 0.7: try",
+    ):
         solve(0.7)

@@ -18,10 +18,13 @@ def test_distribution_by_mpmath(function, power: int, m: float):
     kappa = 1 + np.array([-0.999, -0.5, -1e-3, 0.0, 1e-2, 0.1, 1.0, 3.0])
     with mp.workdps(30):
         exact = [
-            mp.mpf(m) ** m / mp.gamma(m) * mp.mpf(k) ** (mp.mpf(m) - power) * mp.exp(-m * mp.mpf(k)) for k in kappa
+            mp.mpf(m) ** m / mp.gamma(m) * mp.mpf(k) ** (mp.mpf(m) - power) * mp.exp(-m * mp.mpf(k))
+            for k in kappa
         ]
     exact = np.array(exact, dtype=float)
-    tolerance = 1e-14 + 4e-16 * m * abs(kappa - 1)  # of m log(kappa), which cancels against m (kappa - 1)
+    tolerance = 1e-14 + 4e-16 * m * abs(
+        kappa - 1
+    )  # of m log(kappa), which cancels against m (kappa - 1)
     assert np.all(abs(function(kappa, m) - exact) <= tolerance * exact)
 
 
@@ -33,11 +36,15 @@ def test_at_no_force_constant():
 @pytest.mark.parametrize("m", [1, 2, 10, 50])
 @pytest.mark.parametrize(
     ("function", "mean", "variance"),
-    [(dyson.weight, lambda m: 1 + 1 / m, lambda m: (m + 1) / m**2), (dyson.density, lambda m: 1, lambda m: 1 / m)],
+    [
+        (dyson.weight, lambda m: 1 + 1 / m, lambda m: (m + 1) / m**2),
+        (dyson.density, lambda m: 1, lambda m: 1 / m),
+    ],
 )
 def test_moments(function, mean, variance, m: int):
     moments = [
-        quad(lambda k, p=p: k**p * function(k, m), 0, 60, epsabs=1e-13, points=[1], limit=200)[0] for p in range(3)
+        quad(lambda k, p=p: k**p * function(k, m), 0, 60, epsabs=1e-13, points=[1], limit=200)[0]
+        for p in range(3)
     ]
     assert moments[0] == pytest.approx(1, abs=1e-11)
     assert moments[1] == pytest.approx(mean(m), abs=1e-11)
@@ -47,7 +54,9 @@ def test_moments(function, mean, variance, m: int):
 @pytest.mark.parametrize("m", [1, 2, 10])
 def test_printed_form_leaves_the_compliance_alone(m: int):
     """The mean of 1/kappa is exactly 1 for every m, so disorder does not change the speed of long waves."""
-    assert quad(lambda k: dyson.weight(k, m) / k, 0, 60, points=[1])[0] == pytest.approx(1, abs=1e-11)
+    assert quad(lambda k: dyson.weight(k, m) / k, 0, 60, points=[1])[0] == pytest.approx(
+        1, abs=1e-11
+    )
 
 
 @pytest.fixture(scope="module")
@@ -71,8 +80,12 @@ def test_sum_for_large_m(column):
     """It diverges as sqrt(m / 2 pi) times the velocity of grain 1, where kappa = 1; normalised it is that velocity."""
     kappa, velocity = column
     m = 1e4
-    assert dyson.average(velocity, kappa, m) == pytest.approx(np.sqrt(m / 2 / np.pi) * velocity[0], rel=1e-5)
-    assert dyson.average(velocity, kappa, m, normalised=True) == pytest.approx(velocity[0], rel=1e-12)
+    assert dyson.average(velocity, kappa, m) == pytest.approx(
+        np.sqrt(m / 2 / np.pi) * velocity[0], rel=1e-5
+    )
+    assert dyson.average(velocity, kappa, m, normalised=True) == pytest.approx(
+        velocity[0], rel=1e-12
+    )
     assert velocity[0] == pytest.approx(-0.009035, abs=5e-7)
 
 
@@ -82,7 +95,9 @@ def test_sum_broadcasts(column):
     table = dyson.average(times, kappa, np.array([[1], [2], [5]]))
     assert table.shape == (3, 2)
     assert table[2, 1] == pytest.approx(2 * dyson.average(velocity, kappa, 5), rel=1e-14)
-    by_hand = sum(m**m * k**m * np.exp(-m * k) * v for m, k, v in zip([1] * 60, kappa, velocity, strict=True))
+    by_hand = sum(
+        m**m * k**m * np.exp(-m * k) * v for m, k, v in zip([1] * 60, kappa, velocity, strict=True)
+    )
     assert table[0, 0] == pytest.approx(by_hand, rel=1e-13)
 
 
@@ -125,7 +140,9 @@ def test_spectrum_of_nearly_ordered_chains(shape: float):
         t = saddle * (s + 1) / 2  # up to the saddle, and beyond
         beyond = saddle + np.abs(saddle) * np.exp(0.75j * np.pi) * 3 * (s + 1) / 2
         path = np.concatenate((t, beyond))
-        step = np.concatenate((weight * saddle / 2, weight * np.abs(saddle) * np.exp(0.75j * np.pi) * 1.5))
+        step = np.concatenate(
+            (weight * saddle / 2, weight * np.abs(saddle) * np.exp(0.75j * np.pi) * 1.5)
+        )
         log = x * path + shape * (np.log(path) - np.log1p(path))
         value = np.exp(log - log.real.max()) * step / path
         exact.append(1 - 2 / np.pi * ((value * np.log1p(path)).sum() / value.sum()).imag)
@@ -148,7 +165,10 @@ def test_dysons_chain_at_its_ends(shape):
 def test_narrow_ratios_are_an_ordered_chain():
     """Corrections to order 1/shape remain."""
     frequency = 2 * np.array([0.1, 0.5, 0.9])
-    off = [dyson.integrated(frequency, shape, shape) - 2 / np.pi * np.arcsin(frequency / 2) for shape in (50, 100)]
+    off = [
+        dyson.integrated(frequency, shape, shape) - 2 / np.pi * np.arcsin(frequency / 2)
+        for shape in (50, 100)
+    ]
     assert np.abs(off[1]).max() < 4e-3
     assert off[0] / off[1] == pytest.approx(2, rel=0.15)
 

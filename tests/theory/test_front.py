@@ -21,7 +21,8 @@ def peak(n: int, delta: float = 1.5) -> float:
 
 
 @pytest.mark.parametrize(
-    ("delta", "p", "q"), [(1.0, 1 / 3, 0), (1.5, 4 / 15, 1 / 10), (2.0, 2 / 9, 5 / 36), (5.0, 0.2, 0.2)]
+    ("delta", "p", "q"),
+    [(1.0, 1 / 3, 0), (1.5, 4 / 15, 1 / 10), (2.0, 2 / 9, 5 / 36), (5.0, 0.2, 0.2)],
 )
 def test_exponents(delta: float, p: float, q: float):
     assert front.decay(delta) == pytest.approx((p, q), abs=1e-15)
@@ -32,7 +33,8 @@ def test_exponents_have_no_jump_at_three():
 
 
 @pytest.mark.parametrize(
-    ("n", "slope"), [(100, -0.2381), (200, -0.2441), (500, -0.2504), (1000, -0.2541), (2000, -0.2569)]
+    ("n", "slope"),
+    [(100, -0.2381), (200, -0.2441), (500, -0.2504), (1000, -0.2541), (2000, -0.2569)],
 )
 def test_local_exponents_of_the_chain_published(n: int, slope: float):
     """They approach -4/15 slowly and pass -1/4 near n = 500. Source: an independent code, four digits."""
@@ -57,7 +59,9 @@ def test_peak_of_the_airy_function_published():
     width = ((n - 0.5) ** 0.5 / 4) ** (1 / 3)
     height = continuum.impulse_amplitude() * (2 * chi) ** -a * gamma(1 - a) * width ** (-1 - a)
     assert front.peak_velocity(n) / height == pytest.approx(0.495579, abs=5e-7)
-    assert (front.peak_time(n, 1.0) - (n - 0.5)) / ((n - 0.5) / 8) ** (1 / 3) == pytest.approx(1.01879297, abs=1e-7)
+    assert (front.peak_time(n, 1.0) - (n - 0.5)) / ((n - 0.5) / 8) ** (1 / 3) == pytest.approx(
+        1.01879297, abs=1e-7
+    )
 
 
 @pytest.mark.parametrize("delta", [1.0, 1.5, 2.5])
@@ -69,7 +73,15 @@ def test_profiles_by_quadrature(delta: float, s: float):
     width, chi = (h**power / (8 * power)) ** (1 / 3), float(continuum.chi(h, delta))
     scale = continuum.impulse_amplitude(delta) * (2 * chi * width) ** -a
     integrals = [
-        quad(lambda y, k=k: airy(y - s)[k], 0, max(s, 0) + 18, weight="alg", wvar=(-a, 0), epsabs=1e-12, limit=500)[0]
+        quad(
+            lambda y, k=k: airy(y - s)[k],
+            0,
+            max(s, 0) + 18,
+            weight="alg",
+            wvar=(-a, 0),
+            epsabs=1e-12,
+            limit=500,
+        )[0]
         for k in (0, 1)
     ]
     tau = chi + s * width
@@ -95,7 +107,9 @@ def test_shapes_follow_the_arguments():
     for call in (front.displacement, front.velocity):
         together = call(n, tau)
         assert together.shape == (3, 2)
-        assert together == pytest.approx(np.array([[call(int(i), float(t)) for i in n] for t in tau[:, 0]]), abs=1e-9)
+        assert together == pytest.approx(
+            np.array([[call(int(i), float(t)) for i in n] for t in tau[:, 0]]), abs=1e-9
+        )
     assert front.peak_velocity([10, 20]).shape == (2,)
 
 

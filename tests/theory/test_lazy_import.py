@@ -8,7 +8,18 @@ import lmpchain
 
 
 @pytest.mark.parametrize(
-    "name", ["bessel", "continuum", "dyson", "front", "modes", "bands", "scattering", "soliton", "dimer_soliton"]
+    "name",
+    [
+        "bessel",
+        "continuum",
+        "dyson",
+        "front",
+        "modes",
+        "bands",
+        "scattering",
+        "soliton",
+        "dimer_soliton",
+    ],
 )
 def test_modules_of_theory_come_on_access(name: str):
     assert getattr(lmpchain.theory, name) is import_module(f"lmpchain.theory.{name}")

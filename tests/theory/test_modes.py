@@ -15,7 +15,12 @@ CHAINS = {
     "120 movable": springs(gravity_column(120)),
     "delta = 1": Chain(grains=60, diameter=1e-3, exponent=1.0),
     "delta = 3": Chain(grains=60, diameter=1e-3, exponent=3.0),
-    "disordered": Chain(grains=50, material=[GLASS, STEEL] * 25, diameter=RNG.uniform(0.5e-3, 2e-3, 50), top_load=1e-4),
+    "disordered": Chain(
+        grains=50,
+        material=[GLASS, STEEL] * 25,
+        diameter=RNG.uniform(0.5e-3, 2e-3, 50),
+        top_load=1e-4,
+    ),
     "disordered by 100": springs(10 ** RNG.uniform(-1, 1, 80), 10 ** RNG.uniform(-1, 1, 81)),
     "soft bottom": springs(np.exp(-0.3 * np.arange(60.0))),
     "light top": springs(np.ones(30), np.append(1e-3, np.ones(30))),
@@ -75,7 +80,9 @@ def test_lowest_shapes_to_the_last_digits():
             if n:
                 exact[n, n - 1] = exact[n - 1, n] = -k[n - 1] / mp.sqrt(m[n] * m[n - 1])
         vectors = mp.eigsy(exact)[1]
-        shape = np.array([[float(vectors[n, p] / mp.sqrt(m[n])) for p in range(10)] for n in range(50)])
+        shape = np.array(
+            [[float(vectors[n, p] / mp.sqrt(m[n])) for p in range(10)] for n in range(50)]
+        )
     shape *= np.sign(found.mass @ (shape * found.shape[:, :10]))
     assert np.sqrt(found.mass @ (shape - found.shape[:, :10]) ** 2).max() < 2e-14
 
@@ -97,7 +104,10 @@ def test_response_against_an_integrator(chain: Chain):
     displacement, velocity = RNG.normal(size=(2, chain.movable))
     tau = np.linspace(0, 60, 6) / (chain.band_edge * scale)
     found = modes.eigenmodes(chain).response(tau * scale, displacement, velocity / scale)
-    stiffness, masses = chain.linear_stiffness / chain.linear_stiffness[0], chain.masses[:-1] / chain.masses[0]
+    stiffness, masses = (
+        chain.linear_stiffness / chain.linear_stiffness[0],
+        chain.masses[:-1] / chain.masses[0],
+    )
     exact = integrate(stiffness, displacement, velocity, tau, masses)
     for x, true in zip((found[0], found[1] * scale), exact, strict=True):
         assert np.abs(x - true).max() < 2e-12 * np.abs(true).max()
@@ -128,7 +138,9 @@ def test_uniform_chain():
     """Eq. (21) for kappa = 1; N = 3 has 18 and 54 degrees, not 90."""
     for movable in (2, 7, 300):
         angle = np.pi / 2 * (2 * np.arange(1, movable + 1) - 1) / (2 * movable + 1)
-        assert modes.eigenmodes(springs(np.ones(movable))).frequency == pytest.approx(2 * np.sin(angle), rel=1e-14)
+        assert modes.eigenmodes(springs(np.ones(movable))).frequency == pytest.approx(
+            2 * np.sin(angle), rel=1e-14
+        )
 
 
 def test_column_of_infinite_exponent():
@@ -147,7 +159,9 @@ def test_quasi_normal_modes_of_the_continuum(delta: float):
     k = np.arange(1, 400)
     zeros = modes.quasi_normal(k, 100, delta) * 2 / eta * 99.5 ** (eta / 2)
     with mp.workdps(20):
-        miss = [mp.besselj(-nu, mp.mpf(z)) * mp.sqrt(mp.pi * z / 2) for z in zeros[[0, 1, 2, 50, 398]]]
+        miss = [
+            mp.besselj(-nu, mp.mpf(z)) * mp.sqrt(mp.pi * z / 2) for z in zeros[[0, 1, 2, 50, 398]]
+        ]
     assert max(map(abs, miss)) < 5e-13
     assert np.all(abs(np.diff(zeros) - np.pi) < 0.05)  # none is left out
     assert zeros[0] < np.pi
@@ -163,7 +177,9 @@ def test_quasi_normal_modes_of_the_continuum(delta: float):
 
 def test_zeros_published():
     found = modes.quasi_normal([1, 2, 3, 4], 2) / (5 / 6 * 1.5 ** (-5 / 6))
-    assert found == pytest.approx([1.7509753662, 4.8785160495, 8.0166321837, 11.1566713204], abs=1e-10)
+    assert found == pytest.approx(
+        [1.7509753662, 4.8785160495, 8.0166321837, 11.1566713204], abs=1e-10
+    )
 
 
 @pytest.mark.parametrize(("movable", "error"), [(100, 1.9e-4), (1000, 8.5e-6)])
@@ -196,7 +212,9 @@ def test_wkb_integral_by_quadrature(delta: float):
         top = min(depth, (mp.mpf(frequency) / 2) ** (2 / xi))  # above it every mode counts
         low = max(mp.log(top), mp.mpf(-60))
         rest = mp.quad(
-            lambda x, top=top, xi=xi: 2 / mp.pi * mp.asin(min(1, (top / mp.exp(x)) ** (xi / 2))) * mp.exp(x),
+            lambda x, top=top, xi=xi: (
+                2 / mp.pi * mp.asin(min(1, (top / mp.exp(x)) ** (xi / 2))) * mp.exp(x)
+            ),
             mp.linspace(low, mp.log(depth), 30),
         )
         exact = top + (rest if top < depth else 0)

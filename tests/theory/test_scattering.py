@@ -56,11 +56,15 @@ def test_a_uniform_chain_lets_all_pass():
     w = EDGE * np.linspace(1e-6, 1 - 1e-6, 7)
     found = transmission(HOST, w)
     assert np.abs(found.reflected).max() < 1e-20
-    assert found.amplitude_transmitted == pytest.approx(np.exp(1j * 10 * found.wavenumber), abs=1e-12)
+    assert found.amplitude_transmitted == pytest.approx(
+        np.exp(1j * 10 * found.wavenumber), abs=1e-12
+    )
 
 
 def test_energy_is_conserved_in_long_pieces():
-    chain = Chain(grains=3000, diameter=RNG.uniform(0.7e-3, 1.3e-3, 3000), gravity=0.0, top_load=1.0)
+    chain = Chain(
+        grains=3000, diameter=RNG.uniform(0.7e-3, 1.3e-3, 3000), gravity=0.0, top_load=1.0
+    )
     edge = 2 * min(np.sqrt(chain.linear_stiffness[end] / chain.masses[end]) for end in (0, -1))
     found = transmission(chain, edge * np.linspace(0.01, 0.9, 30))
     assert np.abs(found.reflected + found.transmitted - 1).max() < 1e-12
@@ -90,7 +94,14 @@ def test_two_uniform_leads():
     """A step in mass and stiffness: T = 4 Z Z' / (Z + Z')^2 with Z = sqrt(k m) of long waves."""
     masses, constants = np.ones(8), np.ones(7)
     masses[4:], constants[4:] = 3.0, 2.0
-    chain = Chain(grains=8, diameter=1e5, gravity=0.0, top_load=1.0, masses=masses, contact_constants=constants)
+    chain = Chain(
+        grains=8,
+        diameter=1e5,
+        gravity=0.0,
+        top_load=1.0,
+        masses=masses,
+        contact_constants=constants,
+    )
     one, other = (np.sqrt(chain.linear_stiffness[end] * masses[end]) for end in (0, -1))
     found = transmission(chain, 1e-4)
     assert found.transmitted == pytest.approx(4 * one * other / (one + other) ** 2, rel=1e-7)
@@ -105,7 +116,10 @@ def test_transparent_impurities(grains: list[int], vary: str):
                 "diameter": lambda n, f=factor: {"diameter": 1e-3 * f},
                 "mass": lambda n, f=factor: {"mass": HOST.masses[0] * f},
                 "modulus": lambda n, f=factor: {
-                    "material": {**HOST.material.given(), "youngs_modulus": HOST.material.youngs_modulus * f}
+                    "material": {
+                        **HOST.material.given(),
+                        "youngs_modulus": HOST.material.youngs_modulus * f,
+                    }
                 },
             }[vary]
             chain = Chain(grains=11, **LOADED, impurity=[{"grain": n} | odd(n) for n in grains])
@@ -137,13 +151,17 @@ def test_masses_of_two_impurities_that_are_transparent(apart: int):
     assert 1 in numbers
 
 
-@pytest.mark.parametrize(("factor", "count"), [(0.099, 0), (0.101, 1), (0.115, 1), (9.9, 1), (10.1, 0), (11.5, 0)])
+@pytest.mark.parametrize(
+    ("factor", "count"), [(0.099, 0), (0.101, 1), (0.115, 1), (9.9, 1), (10.1, 0), (11.5, 0)]
+)
 def test_factors_are_searched_between_a_tenth_and_ten(factor: float, count: int):
     apart, grains = (1, [5, 6]) if factor > 1 else (4, [4, 8])
     k = np.linspace(0.3, 0.6, 300)
     off = masses_that_are_transparent(k, apart) - factor
     (turn, *_) = np.flatnonzero((off[:-1] * off[1:] < 0) & (np.abs(off[:-1]) < 1))
-    k = brentq(lambda k: masses_that_are_transparent(k, apart) - factor, k[turn], k[turn + 1], xtol=1e-15)
+    k = brentq(
+        lambda k: masses_that_are_transparent(k, apart) - factor, k[turn], k[turn + 1], xtol=1e-15
+    )
     w = EDGE * np.sin(k / 2)
     assert transparent(HOST, w, grains, "mass").size == count
 
@@ -180,7 +198,8 @@ def test_where_grains_may_stand():
 
 def test_picture():
     found = transmission(
-        Chain(grains=11, **LOADED, impurity=[{"grain": 5, "diameter": 2e-3}]), EDGE * np.array([0.1, 0.9])
+        Chain(grains=11, **LOADED, impurity=[{"grain": 5, "diameter": 2e-3}]),
+        EDGE * np.array([0.1, 0.9]),
     )
     (axes,) = found.plot().figure.axes
     for line, name in zip(axes.lines, ("transmitted", "reflected"), strict=True):
@@ -202,7 +221,9 @@ def test_the_band_edge_in_words():
     for w in (0.0, edge, 1.0001 * edge):
         with pytest.raises(InputError) as raised:
             transmission(steel, w)
-        assert raised.value.faults == [("frequency", text)] or raised.value.faults == (("frequency", text),)
+        assert raised.value.faults == [("frequency", text)] or raised.value.faults == (
+            ("frequency", text),
+        )
     assert transmission(steel, 0.9999 * edge).reflected <= 1
 
 
@@ -218,11 +239,22 @@ def test_the_band_edge_in_words():
         (lambda: transparent(HOST, 0.5 * EDGE, [5, 6], "colour"), "vary"),
         (lambda: transparent(HOST, 0.5 * EDGE, [5, 6], between=(2.0, 1.0)), "between"),
         (lambda: transparent(HOST, 0.5 * EDGE, [5, 6], between=(0.0, 1.0)), "between"),
-        (lambda: transparent(Chain(**HOST.given() | {"impurity": [{"grain": 5, "mass": 1e-6}]}), 1e5, [5, 6]), "chain"),
-        (lambda: transparent(Chain(**HOST.given() | {"diameter": [1e-3] * 11}), 1e5, [5, 6]), "chain"),
+        (
+            lambda: transparent(
+                Chain(**HOST.given() | {"impurity": [{"grain": 5, "mass": 1e-6}]}), 1e5, [5, 6]
+            ),
+            "chain",
+        ),
+        (
+            lambda: transparent(Chain(**HOST.given() | {"diameter": [1e-3] * 11}), 1e5, [5, 6]),
+            "chain",
+        ),
         (lambda: transmission(Chain(grains=1, bottom="wall", **LOADED), 1.0), "grains"),
         (lambda: transparent(Chain(grains=11, diameter=1e-3), 1e5, [5, 6]), "gravity"),
-        (lambda: transparent(Chain(grains=2, **LOADED, masses=[1e-6, 1e-6]), 1e5, [5, 6]), "grains"),
+        (
+            lambda: transparent(Chain(grains=2, **LOADED, masses=[1e-6, 1e-6]), 1e5, [5, 6]),
+            "grains",
+        ),
     ],
 )
 def test_refusals(call, key: str):

@@ -10,13 +10,20 @@ from lmpchain.theory import soliton, soliton_series
 from lmpchain.theory.soliton import Soliton, solve
 
 VACUUM = [solve(delta=delta, velocity=0.7) for delta in (1.2, 1.5, 2.0, 3.0)]
-LOADED = [solve(delta=delta, speed=speed) for delta, speed in ((1.5, 1.01), (1.5, 1.5), (1.5, 8.0), (3.0, 1.2))]
+LOADED = [
+    solve(delta=delta, speed=speed)
+    for delta, speed in ((1.5, 1.01), (1.5, 1.5), (1.5, 8.0), (3.0, 1.2))
+]
 each = pytest.mark.parametrize("wave", VACUUM + LOADED, ids=lambda w: f"{w.delta}, {w.speed:.3g}")
 
 
 def excess(wave: Soliton, overlap: np.ndarray) -> np.ndarray:
     """Return the force of a contact, written out."""
-    return np.expm1(wave.delta * np.log1p(overlap)) / wave.delta if wave.loaded else overlap**wave.delta
+    return (
+        np.expm1(wave.delta * np.log1p(overlap)) / wave.delta
+        if wave.loaded
+        else overlap**wave.delta
+    )
 
 
 @each
@@ -27,17 +34,30 @@ def test_equation_of_motion(wave: Soliton):
     curvature = wave.overlap(x[:, None] + step * np.arange(-4, 5)) @ weights
     force = [excess(wave, wave.overlap(x + s)) for s in (-1, 0, 1)]
     scale = np.abs(curvature).max() * wave.speed**2
-    assert wave.speed**2 * curvature == pytest.approx(force[0] - 2 * force[1] + force[2], abs=1e-8 * scale)
+    assert wave.speed**2 * curvature == pytest.approx(
+        force[0] - 2 * force[1] + force[2], abs=1e-8 * scale
+    )
 
 
 @each
 def test_integrals_of_velocity(wave: Soliton):
     """Displacement by quadrature of the velocity; momentum c times what a grain moves."""
     x = 0.3
-    moved, _ = quad(lambda y: float(wave.velocity(y)) / wave.speed, x, wave.reach, epsabs=0, epsrel=1e-12, limit=200)
+    moved, _ = quad(
+        lambda y: float(wave.velocity(y)) / wave.speed,
+        x,
+        wave.reach,
+        epsabs=0,
+        epsrel=1e-12,
+        limit=200,
+    )
     assert float(wave.displacement(x)) == pytest.approx(moved, rel=1e-11)
-    assert wave.momentum == pytest.approx(wave.speed * float(wave.displacement(-2 * wave.reach)), rel=1e-12)
-    assert wave.overlap(x) == pytest.approx(wave.displacement(x - 0.5) - wave.displacement(x + 0.5), rel=1e-9)
+    assert wave.momentum == pytest.approx(
+        wave.speed * float(wave.displacement(-2 * wave.reach)), rel=1e-12
+    )
+    assert wave.overlap(x) == pytest.approx(
+        wave.displacement(x - 0.5) - wave.displacement(x + 0.5), rel=1e-9
+    )
 
 
 @each
@@ -46,12 +66,16 @@ def test_energy_and_momentum_are_those_at_any_instant(wave: Soliton):
         n = np.arange(-200, 201) + shift
         r = wave.overlap(n + 0.5)
         power = wave.delta + 1
-        contact = (((1 + r) ** power - 1) / power - r) / wave.delta if wave.loaded else r**power / power
+        contact = (
+            (((1 + r) ** power - 1) / power - r) / wave.delta if wave.loaded else r**power / power
+        )
         assert wave.energy == pytest.approx((wave.velocity(n) ** 2 / 2 + contact).sum(), rel=1e-10)
         assert wave.momentum == pytest.approx(wave.velocity(n).sum(), rel=1e-12)
 
 
-@pytest.mark.parametrize("wave", [LOADED[i] for i in (0, 1, 3)], ids=lambda w: f"{w.delta}, {w.speed:.3g}")
+@pytest.mark.parametrize(
+    "wave", [LOADED[i] for i in (0, 1, 3)], ids=lambda w: f"{w.delta}, {w.speed:.3g}"
+)
 def test_exponential_tail(wave: Soliton):
     """sinh(kappa/2) = c kappa/2 of linear waves, far from the middle; complex roots decay nearly as slowly at 8 c."""
     kappa = -np.log(float(wave.overlap(wave.reach - 0.5) / wave.overlap(wave.reach - 1.5)))
@@ -66,7 +90,9 @@ def test_double_exponential_tail(wave: Soliton):
     first, second = (log[2] - log[0]) / 2e-4, (log[2] - 2 * log[1] + log[0]) / 1e-8
     r = np.exp(log[1])
     force = [excess(wave, wave.overlap(x + s)) for s in (-1, 0, 1)]
-    assert wave.speed**2 * r * (second + first**2) == pytest.approx(force[0] - 2 * force[1] + force[2], rel=1e-5)
+    assert wave.speed**2 * r * (second + first**2) == pytest.approx(
+        force[0] - 2 * force[1] + force[2], rel=1e-5
+    )
     assert 0 < wave.overlap(wave.reach) < 1e-18
     assert wave.overlap(np.array([1.5, 3.0]) * wave.reach)[1] == 0.0
 
@@ -77,7 +103,9 @@ def test_weak_waves_are_those_of_korteweg_and_de_vries():
     off = []
     for e in (4e-4, 1e-4):
         wave = solve(speed=1 + e)
-        off.append(np.abs(wave.overlap(x) - soliton.kdv_overlap(x, 1 + e)).max() / float(wave.overlap(0.0)))
+        off.append(
+            np.abs(wave.overlap(x) - soliton.kdv_overlap(x, 1 + e)).max() / float(wave.overlap(0.0))
+        )
     assert np.log(off[0] / off[1]) / np.log(4) == pytest.approx(1, abs=0.05)
     assert float(solve(speed=1.001).overlap(0.0)) * 0.5 / 6 == pytest.approx(1.001 - 1, rel=2e-3)
 
@@ -94,7 +122,9 @@ def test_strong_waves_are_those_of_the_sonic_vacuum():
 def test_long_waves_published():
     """Nesterenko's cos^4 and Coste's formula, written out."""
     x = np.linspace(-2, 2, 9)
-    assert soliton.nesterenko_overlap(x, 0.9) == pytest.approx((1.25 * 0.81) ** 2 * np.cos(np.sqrt(10) / 5 * x) ** 4)
+    assert soliton.nesterenko_overlap(x, 0.9) == pytest.approx(
+        (1.25 * 0.81) ** 2 * np.cos(np.sqrt(10) / 5 * x) ** 4
+    )
     assert soliton.nesterenko_overlap(2.6, 0.9) == 0
     assert soliton.nesterenko_speed(1.0) == pytest.approx(0.914610, abs=1e-6)
     f = np.array([1.001, 1.2, 3.0, 100.0])
@@ -112,15 +142,21 @@ def test_struck_is_solve_the_other_way():
 @pytest.mark.parametrize("load", [0.0, 2.0])
 def test_on_a_chain(load: float, downward: bool):
     """SI units: energy and momentum of the chain, and every overlap."""
-    chain = Chain(grains=120, diameter=1e-3, gravity=0.0, top_load=load, material="steel", bottom="fixed")
+    chain = Chain(
+        grains=120, diameter=1e-3, gravity=0.0, top_load=load, material="steel", bottom="fixed"
+    )
     wave = solve(speed=1.3) if load else solve(velocity=0.02)
     profile = wave.on(chain, 60.3, downward)
     u, v = profile.initial(chain)
     unit = chain.length_scale / chain.time_scale if load else 1.0
     sign = 1 if downward else -1
     assert v[59] == pytest.approx(sign * unit * float(wave.velocity(-0.3)), rel=1e-12)
-    assert chain.masses @ v == pytest.approx(sign * chain.masses[0] * unit * wave.momentum, rel=1e-12)
-    assert chain.excess_energy(u, v) == pytest.approx(chain.masses[0] * unit**2 * wave.energy, rel=1e-9)
+    assert chain.masses @ v == pytest.approx(
+        sign * chain.masses[0] * unit * wave.momentum, rel=1e-12
+    )
+    assert chain.excess_energy(u, v) == pytest.approx(
+        chain.masses[0] * unit**2 * wave.energy, rel=1e-9
+    )
     assert u[-1] == 0
     assert u[:2] == pytest.approx(u[0], rel=1e-9)
 
@@ -142,9 +178,14 @@ def test_picture(wave: Soliton):
         values = getattr(wave, name)(x)
         assert line.get_ydata() == pytest.approx(values / values.max(), rel=1e-14)
         assert line.get_label() == f"{name}, at most {values.max():.5g}"
-    assert axes.lines[3].get_ydata() == pytest.approx(formula / wave.overlap(0.0), rel=1e-12, abs=1e-15)
+    assert axes.lines[3].get_ydata() == pytest.approx(
+        formula / wave.overlap(0.0), rel=1e-12, abs=1e-15
+    )
     assert axes.lines[3].get_linestyle() == "--"
-    assert axes.lines[3].get_label() == f"overlap, {'Korteweg-de Vries' if wave.loaded else 'Nesterenko'}"
+    assert (
+        axes.lines[3].get_label()
+        == f"overlap, {'Korteweg-de Vries' if wave.loaded else 'Nesterenko'}"
+    )
     assert len(axes.lines) == len(axes.get_legend().get_texts()) == 4
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("x − ct (grains)", "over the largest value")
     times = " times sound" if wave.loaded else ""
@@ -159,13 +200,20 @@ def test_approximations_written_out(delta: float):
     overlap = ((delta + 1) * c**2 / 2) ** (1 / (delta - 1)) * cosine ** (2 / (delta - 1))
     assert soliton.nesterenko_overlap(x, c, delta) == pytest.approx(overlap, rel=1e-12)
     end = np.pi / 2 / q
-    assert soliton.nesterenko_overlap(np.array([0.99, 1.01, 1.9]) * end, c, delta)[1:].tolist() == [0, 0]
+    assert soliton.nesterenko_overlap(np.array([0.99, 1.01, 1.9]) * end, c, delta)[1:].tolist() == [
+        0,
+        0,
+    ]
     speed = (2 / (delta + 1)) ** (1 / (delta + 1)) * v ** ((delta - 1) / (delta + 1))
     assert soliton.nesterenko_speed(v, delta) == pytest.approx(speed, rel=1e-13)
     sech = 2 / (np.exp(np.sqrt(0.3) * x) + np.exp(-np.sqrt(0.3) * x))
-    assert soliton.kdv_overlap(x, 1.05, delta) == pytest.approx(0.3 / (delta - 1) * sech**2, rel=1e-12)
+    assert soliton.kdv_overlap(x, 1.05, delta) == pytest.approx(
+        0.3 / (delta - 1) * sech**2, rel=1e-12
+    )
     energy, _ = quad(lambda r: ((1 + r) ** delta - 1) / delta, 0, 2.0, epsabs=0, epsrel=1e-13)
-    assert soliton.coste_speed(3.0**delta, delta) == pytest.approx(np.sqrt(2 * energy) / 2, rel=1e-12)
+    assert soliton.coste_speed(3.0**delta, delta) == pytest.approx(
+        np.sqrt(2 * energy) / 2, rel=1e-12
+    )
 
 
 def test_displacement_published():
@@ -185,7 +233,9 @@ def test_residual_between_the_points(wave: Soliton):
     s, weight = np.concatenate((s - 1, s + 1)) / 2, np.tile(weight, 2) / 2
     x = np.linspace(0, wave.reach, 97)
     overlap = wave.overlap(x)
-    integral = excess(wave, wave.overlap(x[:, None] + s)) @ (weight * (1 - np.abs(s))) / wave.speed**2
+    integral = (
+        excess(wave, wave.overlap(x[:, None] + s)) @ (weight * (1 - np.abs(s))) / wave.speed**2
+    )
     off = np.abs(integral - overlap)
     assert off.max() < 1e-12 * overlap.max()
     assert (off / overlap).max() < 1e-7
@@ -246,7 +296,9 @@ def test_where_a_wave_fits_a_chain():
         if number:
             wave.on(Chain(**CHAIN, masses=uneven), 20)
             continue
-        with pytest.raises(InputError, match=f"^chain: must be uniform from grain {first} to {last}, where"):
+        with pytest.raises(
+            InputError, match=f"^chain: must be uniform from grain {first} to {last}, where"
+        ):
             wave.on(Chain(**CHAIN, masses=uneven), 20)
     for odd, number in ((first, 0), (last - 1, 0), (first - 1, 1), (last, 1)):
         factors = np.where(np.arange(1, 40) == odd, 1 + 2e-9, 1.0)
@@ -266,11 +318,15 @@ def test_the_whole_profile_on_a_chain():
     x = np.arange(1, 41) - 12.25
     unit = (chain.masses[0] / chain.contact_constants[0]) ** 0.4
     assert profile.velocity == pytest.approx(np.append(wave.velocity(x)[:-1], 0), rel=1e-13)
-    assert profile.displacement == pytest.approx(np.append(wave.displacement(x)[:-1] * unit, 0), rel=1e-13)
+    assert profile.displacement == pytest.approx(
+        np.append(wave.displacement(x)[:-1] * unit, 0), rel=1e-13
+    )
     back = wave.on(chain, 12.25, downward=False)
     moved = (wave.displacement(-50.0) - wave.displacement(-x)) * unit
     largest = float(wave.displacement(-50.0)) * unit
-    assert back.velocity == pytest.approx(np.append(-wave.velocity(x)[:-1], 0), rel=1e-12, abs=1e-300)
+    assert back.velocity == pytest.approx(
+        np.append(-wave.velocity(x)[:-1], 0), rel=1e-12, abs=1e-300
+    )
     assert back.displacement == pytest.approx(np.append(moved[:-1], 0), rel=0, abs=1e-13 * largest)
 
 
@@ -298,7 +354,12 @@ CHAIN = {"grains": 40, "diameter": 1e-3, "gravity": 0.0}
         (lambda: solve(speed=2.0).on(Chain(**CHAIN), 20), "top_load"),
         (lambda: solve(velocity=1.0).on(Chain(grains=40, diameter=1e-3), 20), "gravity"),
         (lambda: solve(velocity=1.0).on(Chain(**CHAIN), 2), "grain"),
-        (lambda: solve(velocity=1.0).on(Chain(**CHAIN, impurity=[{"grain": 21, "diameter": 2e-3}]), 20), "chain"),
+        (
+            lambda: solve(velocity=1.0).on(
+                Chain(**CHAIN, impurity=[{"grain": 21, "diameter": 2e-3}]), 20
+            ),
+            "chain",
+        ),
     ],
 )
 def test_refusals(call, key: str):

@@ -26,7 +26,9 @@ def motion(overlap: np.polynomial.Polynomial, exponent: float) -> tuple[np.ndarr
         return np.where(y > 0, np.abs(y) ** exponent, 0.0)
 
     v = integral(force(inside))
-    middle = v[:-1, None] + (inside - ends[:-1, None]) * (force(ends[:-1])[:, None] + force(inside)) / 2
+    middle = (
+        v[:-1, None] + (inside - ends[:-1, None]) * (force(ends[:-1])[:, None] + force(inside)) / 2
+    )
     return ends, integral(middle), v, force(ends)
 
 
@@ -34,7 +36,10 @@ def worst(overlap: np.polynomial.Polynomial, exponent: float) -> np.ndarray:
     """Return the largest errors of velocity, slope and curvature over what is claimed, of the inner intervals, (3,)."""
     t, u, v, a = motion(overlap, exponent)
     at = slice(None, None, FINE)
-    above = u[at] + overlap(t[at]), v[at] + overlap.deriv()(t[at])  # where the other body is, and how fast
+    above = (
+        u[at] + overlap(t[at]),
+        v[at] + overlap.deriv()(t[at]),
+    )  # where the other body is, and how fast
     fields = [np.stack(pair, axis=1) for pair in zip(above, (u[at], v[at]), strict=True)]
     contacts = np.array([[0.0, 1.0, 0.0], np.zeros(3), np.zeros(3)])
     found, _ = derivatives(
@@ -43,7 +48,16 @@ def worst(overlap: np.polynomial.Polynomial, exponent: float) -> np.ndarray:
     )  # fmt: skip
     reach, error = np.empty((2, SAMPLES - 1))
     path = hermite.path(
-        found, 1, 1.0, hermite.VELOCITY, np.zeros((1, 0)), reach, error, np.zeros(8), np.zeros(8), np.zeros(4)
+        found,
+        1,
+        1.0,
+        hermite.VELOCITY,
+        np.zeros((1, 0)),
+        reach,
+        error,
+        np.zeros(8),
+        np.zeros(8),
+        np.zeros(4),
     )
     np.testing.assert_allclose(found[2, 1], a[at], rtol=1e-9, atol=1e-9 * a.max(initial=1e-300))
     ratios = np.zeros(3)
@@ -52,10 +66,14 @@ def worst(overlap: np.polynomial.Polynomial, exponent: float) -> np.ndarray:
         part, here = np.polynomial.Polynomial(path.c), slice(i * FINE, (i + 1) * FINE + 1)
         s = t[here] - i
         rate = np.gradient(a[here], 1 / FINE)
-        allowed = error[i] * np.array([1, hermite.STEEPEST / hermite.BUMP, hermite.CURVED / hermite.BUMP])
+        allowed = error[i] * np.array(
+            [1, hermite.STEEPEST / hermite.BUMP, hermite.CURVED / hermite.BUMP]
+        )
         off = [np.abs(part.deriv(k)(s) - true)[2:-2].max() if k else np.abs(part(s) - true).max()
                for k, true in enumerate((v[here], a[here], rate))]  # fmt: skip
-        ratios = np.maximum(ratios, np.array(off) / (allowed + 1e-6 * np.abs(a).max(initial=1e-300)))
+        ratios = np.maximum(
+            ratios, np.array(off) / (allowed + 1e-6 * np.abs(a).max(initial=1e-300))
+        )
     return ratios
 
 

@@ -14,7 +14,9 @@ RNG = np.random.default_rng(12)
 KINDS = hermite.VELOCITY, hermite.DISPLACEMENT, hermite.RAISED
 H, SAMPLES = 0.125, 9
 END = H * (SAMPLES - 1)
-PUSHED = 5 / 16  # by which an error of the acceleration changes a velocity between samples, in intervals
+PUSHED = (
+    5 / 16
+)  # by which an error of the acceleration changes a velocity between samples, in intervals
 STEEP, BENT = 7.514 / 2.1875, 2 * 52.5 / 2.1875  # slope and curvature of what a value is off by
 TILT_S = 0.3  # rad/s by which errors of values may go up and down
 
@@ -45,7 +47,9 @@ def tops(position: Polynomial, kind: int) -> tuple[np.ndarray, np.ndarray]:
     return most, ends
 
 
-def peak(motion: np.ndarray, kind: int, known: float = 0.0, ceiling: np.ndarray | None = None) -> np.ndarray:
+def peak(
+    motion: np.ndarray, kind: int, known: float = 0.0, ceiling: np.ndarray | None = None
+) -> np.ndarray:
     limits = np.zeros((1, 0)) if ceiling is None else ceiling
     one = np.zeros(1, bool), np.zeros(1, int), 1
     return extremes.peaks(motion, *one, H, kind, limits, known)[0]
@@ -155,7 +159,9 @@ def front(
     motion = position if isinstance(position, np.ndarray) else motion_of(position, off)
     limits = np.zeros((1, 0)) if ceiling is None else ceiling
     one = np.zeros(1, bool), np.zeros(1, int), 1
-    found, _ = extremes.fronts(motion, *one, H, kind, limits, fraction, known, certain, frequency, width)
+    found, _ = extremes.fronts(
+        motion, *one, H, kind, limits, fraction, known, certain, frequency, width
+    )
     return found[0]
 
 
@@ -210,7 +216,9 @@ def test_one_bump_is_the_front_to_the_last_digit(kind: int, sign: float, known: 
 def test_a_front_is_no_later_than_its_value_lasts(kind: int, sign: float, frequency: float):
     """An error that goes up and down fast says nothing of the slope: the value itself is that large for so long."""
     known, top = 1e-6, SINGLE(0.4)
-    late = front(position_of(sign * SINGLE, kind), kind, known=known, certain=known, frequency=frequency)[3]
+    late = front(
+        position_of(sign * SINGLE, kind), kind, known=known, certain=known, frequency=frequency
+    )[3]
     around = places(SINGLE, top - 2 * known)
     bend = abs(SINGLE.deriv(2)(0.4)) - frequency**2 * known
     slopes = frequency * known / bend if bend > 0 else math.inf
@@ -225,7 +233,9 @@ def two(first: float, second: float, ratio: float) -> tuple[Polynomial, float]:
         shape = (Polynomial.fromroots([first, dip, second]) * Polynomial([-1.0, -1.0])).integ()
         return shape / shape(second)
 
-    dip = brentq(lambda place: curve(place)(first) - ratio, first + 0.01, first + 0.6 * (second - first))
+    dip = brentq(
+        lambda place: curve(place)(first) - ratio, first + 0.01, first + 0.6 * (second - first)
+    )
     return curve(dip), dip
 
 
@@ -263,7 +273,9 @@ def test_a_first_top_that_nothing_follows_may_be_none(kind: int, sign: float):
 
     dip = brentq(lambda place: curve(place)(first) - 0.50005, 0.31, 0.75)
     known = 1e-4
-    time, _, _, late, higher, _ = front(position_of(sign * curve(dip), kind), kind, known=known, certain=known)
+    time, _, _, late, higher, _ = front(
+        position_of(sign * curve(dip), kind), kind, known=known, certain=known
+    )
     assert time == pytest.approx(first, rel=1e-9)
     assert late == pytest.approx(END - first, rel=1e-9)
     assert higher == pytest.approx(1.0, rel=1e-9)
@@ -310,7 +322,9 @@ def test_where_there_is_no_front(kind: int, sign: float):
 
 
 def test_a_width_whose_ends_are_not_recorded_is_unknown():
-    curve = (Polynomial([0, 0, 1]) * Polynomial([3, -2]))(Polynomial([0, 1.5]))  # 0 again at the end
+    curve = (Polynomial([0, 0, 1]) * Polynomial([3, -2]))(
+        Polynomial([0, 1.5])
+    )  # 0 again at the end
     found = front(position_of(curve, hermite.VELOCITY), hermite.VELOCITY)
     assert found[0] == pytest.approx(2 / 3, rel=1e-9)
     assert found[2] == pytest.approx(span(curve, 0.5, 2 / 3), rel=1e-9)
@@ -328,7 +342,11 @@ def test_what_may_hide_makes_a_front_unsure(kind: int, sign: float):
     for hidden in (1, 3, 6):
         for strong in (False, True):
             ceiling = np.full((1, SAMPLES - 1), -1.0)
-            bound = 2.0 * SINGLE(0.4) if strong else max(0.4 * SINGLE(0.4), 0.51 * size[hidden : hidden + 2].sum())
+            bound = (
+                2.0 * SINGLE(0.4)
+                if strong
+                else max(0.4 * SINGLE(0.4), 0.51 * size[hidden : hidden + 2].sum())
+            )
             ceiling[0, hidden] = bound
             if kind != hermite.VELOCITY:
                 ceiling[0, hidden] = (2 * bound - size[hidden] - size[hidden + 1]) / H
@@ -352,7 +370,9 @@ def test_a_bump_that_hardly_rises_may_have_turned_before():
     for frequency, sure in ((1.0, True), (1000.0, False)):
         known = 1e-6
         values = position_of(curve, hermite.VELOCITY)
-        time, _, _, late, higher, _ = front(values, hermite.VELOCITY, 0.3, known, known, frequency=frequency)
+        time, _, _, late, higher, _ = front(
+            values, hermite.VELOCITY, 0.3, known, known, frequency=frequency
+        )
         assert time == pytest.approx(0.8, rel=1e-9)
         if sure:
             assert late < 0.05
@@ -394,7 +414,9 @@ def test_stated_errors_cover_those_of_noisy_samples(kind: int):
         omega = 0.8
         scale = known / omega ** (kind == hermite.VELOCITY)
         for order in range(4):
-            motion[order, 0] += scale * omega**order * np.cos(omega * t + phase[0] + order * np.pi / 2)
+            motion[order, 0] += (
+                scale * omega**order * np.cos(omega * t + phase[0] + order * np.pi / 2)
+            )
         found = extremes.fronts(
             motion, np.zeros(1, bool), np.zeros(1, int), 1, 1.0, kind, np.zeros((1, 0)), 0.5, known, known, omega,
             True,
@@ -476,7 +498,9 @@ def test_where_a_rise_is_flat_is_told_quarter_by_quarter():
         curve = RNG.choice([-1, 1]) * curve
         motion = motion_of(curve.integ(), off)
         reach, error = np.empty((2, SAMPLES - 1))
-        p = hermite.path(motion, 0, H, kind, none, reach, error, np.zeros(8), np.zeros(8), np.zeros(4))
+        p = hermite.path(
+            motion, 0, H, kind, none, reach, error, np.zeros(8), np.zeros(8), np.zeros(4)
+        )
         at, place = int(RNG.integers(0, SAMPLES - 1)), float(RNG.choice([0.3, 1.0]))
         least = float(RNG.uniform(0.1, 0.9) * np.abs(curve(np.linspace(0, 1, 200))).max())
         when, low = extremes._flat(p, least, at, place, tilt)

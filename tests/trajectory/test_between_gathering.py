@@ -10,7 +10,9 @@ from lmpchain.trajectory.between import gathering
 RNG = np.random.default_rng(21)
 H, SAMPLES = 0.125, 9
 FINAL = SAMPLES - 1
-PUSHED = 5 / 16  # by which an error of the acceleration changes a velocity between samples, in intervals
+PUSHED = (
+    5 / 16
+)  # by which an error of the acceleration changes a velocity between samples, in intervals
 STEEP, BENT = 7.514 / 2.1875, 2 * 52.5 / 2.1875  # slope and curvature of what a value is off by
 
 
@@ -22,7 +24,9 @@ def _same_draws_in_any_order():
 class Gathered:
     """What is gathered of two bodies: a wall that moves, and a grain whose acceleration is given."""
 
-    def __init__(self, position: np.ndarray, wall: np.ndarray, off: float = 0.0, low: float | None = None):
+    def __init__(
+        self, position: np.ndarray, wall: np.ndarray, off: float = 0.0, low: float | None = None
+    ):
         """Take samples of u, v, a, j (4, T) of both."""
         self.position, self.wall, self.off = position, wall, off
         self.far, self.fast = np.zeros((2, 3, 1))
@@ -86,11 +90,15 @@ def test_largest_values_are_exact_however_the_intervals_come(parts: tuple[int, .
             best, low, high = tops[:, 0]
             assert max(best, low) == pytest.approx(top, rel=1e-11)
             assert low == pytest.approx(max(at_samples.max(), top - error), rel=1e-11)
-            assert max(high, best, low) == pytest.approx(top + error if high > low else top, rel=1e-11)
+            assert max(high, best, low) == pytest.approx(
+                top + error if high > low else top, rel=1e-11
+            )
             assert high > 0 or not off
     best, low, high = kept.closest[:, 0]
     ends = (samples_of(wall) - samples_of(position))[0].max()
-    allowed = 2 * PUSHED * H * off * H / 2.1875  # the wall is as unsure as the grain, which is where it is given
+    allowed = (
+        2 * PUSHED * H * off * H / 2.1875
+    )  # the wall is as unsure as the grain, which is where it is given
     assert best == pytest.approx(relative, rel=1e-10)
     assert high == pytest.approx(relative + allowed, rel=1e-6)
     assert low == pytest.approx(max(ends, relative - allowed), rel=1e-6)
@@ -122,7 +130,14 @@ def test_a_peak_between_samples_that_rise_unevenly_is_found(outer: float, sign: 
         u[i + 1] = u[i] + H * ((v[i] + v[i + 1]) / 2 + H / 10 * (a[i] - a[i + 1]))
     kept = Gathered(sign * np.array([u, v, a, 0 * a]), np.zeros((4, SAMPLES)))
     kept.take(3, 4)
-    powers = [v[3], 30, 0, 10 - 10 * 30, -15 + 15 * 30, 6 - 6 * 30]  # of the quintic in the middle interval
+    powers = [
+        v[3],
+        30,
+        0,
+        10 - 10 * 30,
+        -15 + 15 * 30,
+        6 - 6 * 30,
+    ]  # of the quintic in the middle interval
     top = Polynomial(powers)(np.linspace(0, 1, 10_001)).max()
     assert kept.fast[gathering.BEST, 0] == pytest.approx(top, rel=1e-6)
 
@@ -134,7 +149,9 @@ def two(first: float, second: float, ratio: float) -> tuple[Polynomial, float]:
         shape = (Polynomial.fromroots([first, dip, second]) * Polynomial([-1.0, -1.0])).integ()
         return shape / shape(second)
 
-    dip = brentq(lambda place: curve(place)(first) - ratio, first + 0.01, first + 0.6 * (second - first))
+    dip = brentq(
+        lambda place: curve(place)(first) - ratio, first + 0.01, first + 0.6 * (second - first)
+    )
     return curve(dip), dip
 
 
@@ -156,7 +173,9 @@ def test_maxima_that_larger_ones_follow_are_logged(sign: int, off: float, parts:
         (kept.log[0, 1:], first, second, speed(dip)),
         (kept.record[:, 0], second, 1.01, speed(1.0)),
     ):
-        named = dict(zip(("when", "top", "off", "tilt", "bend", "since", "until"), record, strict=True))
+        named = dict(
+            zip(("when", "top", "off", "tilt", "bend", "since", "until"), record, strict=True)
+        )
         assert named["when"] == pytest.approx(when, rel=1e-9)
         assert named["top"] == pytest.approx(speed(when), rel=1e-11)
         assert named["off"] == pytest.approx(allowed, rel=1e-6, abs=1e-13)
@@ -213,11 +232,15 @@ def test_maxima_are_logged_in_the_order_in_which_they_exceed_all_before():
         known = np.sort(np.concatenate([places, t]))  # within an interval a speed may pass 0 unseen
         records = []
         for k, following in zip(tops, [*tops[1:], None], strict=True):
-            between = known[(known > places[k]) & (known < places[following])] if following else known
+            between = (
+                known[(known > places[k]) & (known < places[following])] if following else known
+            )
             if following is None or np.abs(speed(between)).min(initial=np.inf) < sizes[k]:
                 records.append((places[k], sizes[k]))
         counts.add(len(records))
-        entries = [(row[1 + gathering.WHEN], row[1 + gathering.TOP]) for row in kept.log[: kept.logged]]
+        entries = [
+            (row[1 + gathering.WHEN], row[1 + gathering.TOP]) for row in kept.log[: kept.logged]
+        ]
         entries.append((kept.record[gathering.WHEN, 0], kept.record[gathering.TOP, 0]))
         np.testing.assert_allclose(entries, records, rtol=1e-7, atol=1e-9)
     assert len(counts) > 2

@@ -45,7 +45,9 @@ def _power(ends: tuple[np.ndarray, np.ndarray]) -> Polynomial:
     for place, known in zip((0.0, 1.0), ends, strict=True):
         for order in range(3):
             factor = [math.perm(k, order) for k in powers]
-            rows.append(factor * np.where(powers >= order, place ** np.maximum(powers - order, 0), 0))
+            rows.append(
+                factor * np.where(powers >= order, place ** np.maximum(powers - order, 0), 0)
+            )
             right.append(known[order])
     return Polynomial(np.linalg.solve(np.array(rows), right))
 
@@ -67,7 +69,10 @@ def errors(values: np.ndarray, kind: int) -> np.ndarray:
     count = values.shape[1] - 1
     most = SHAPE(0.5)
     alone = np.array(
-        [hermite.SAFETY * most * abs(misfit(values, i)) + pushed * H * values[4, i : i + 2].max() for i in range(count)]
+        [
+            hermite.SAFETY * most * abs(misfit(values, i)) + pushed * H * values[4, i : i + 2].max()
+            for i in range(count)
+        ]
     )
     around = np.maximum(np.maximum(alone, np.append(alone[1:], 0)), np.append(0, alone[:-1]))
     return around if kind == hermite.VELOCITY else around * H / most
@@ -84,7 +89,9 @@ def test_a_velocity_of_degree_six_is_exact_between_samples(kind: int):
         hermite.polynomial(p, i)
         exact = looked_at(Polynomial([t[i], H]))
         coefficients = np.append(exact.coef, 0)[:8]
-        np.testing.assert_allclose(p.c, coefficients, rtol=0, atol=1e-12 * np.abs(coefficients).max())
+        np.testing.assert_allclose(
+            p.c, coefficients, rtol=0, atol=1e-12 * np.abs(coefficients).max()
+        )
         hermite.derive(p)
         np.testing.assert_allclose(p.d[:7], Polynomial(p.c).deriv().coef, rtol=1e-14, atol=0)
         for s in (0.0, 0.3, 1.0):
@@ -102,7 +109,9 @@ def test_errors_follow_from_the_misfit_of_the_way_and_of_the_acceleration(kind: 
         for i in range(5):
             hermite.polynomial(p, i)
             exact = between(values, i, kind)
-            np.testing.assert_allclose(p.c[: exact.coef.size], exact.coef, rtol=0, atol=1e-11 * np.abs(p.c).max())
+            np.testing.assert_allclose(
+                p.c[: exact.coef.size], exact.coef, rtol=0, atol=1e-11 * np.abs(p.c).max()
+            )
             size = exact(DENSE) if kind == hermite.RAISED else np.abs(exact(DENSE))
             assert size.max() <= p.reach[i] * (1 + 1e-12)
 
@@ -151,7 +160,9 @@ def test_a_curvature_is_sure_beyond_the_errors_and_rounding():
     curve = Polynomial([1.0, 0.3, -2.0, 0.7, 0.1, -0.4, 0.2])
     p.c[:7] = curve.coef
     p.c[7] = 0.0
-    ratio = 2 * 52.5 / SHAPE(0.5)  # of the largest curvature of a misfit, twice, and the largest misfit
+    ratio = (
+        2 * 52.5 / SHAPE(0.5)
+    )  # of the largest curvature of a misfit, twice, and the largest misfit
     for s in (0.0, 0.4, 1.0):
         bend = abs(curve.deriv(2)(s))
         assert hermite.sure_bend(p, s, 0.0, 0.01) == pytest.approx(bend - ratio * 0.01, rel=1e-12)
@@ -177,7 +188,10 @@ def test_the_largest_of_values_counts_both_ends_and_signs():
 @pytest.mark.parametrize("sign", [1, -1])
 def test_every_turn_of_a_polynomial_is_found_in_order(places: list[float], sign: int):
     p = path_of(np.zeros((5, 4)), hermite.VELOCITY)
-    turning = math.prod((Polynomial([-place, 1]) for place in places), start=Polynomial([1.3, -0.4])) * sign
+    turning = (
+        math.prod((Polynomial([-place, 1]) for place in places), start=Polynomial([1.3, -0.4]))
+        * sign
+    )
     curve = turning.integ() + 0.2
     p.c[:] = 0.0
     p.c[: curve.coef.size] = curve.coef
@@ -262,7 +276,9 @@ ENDS = {
 @pytest.mark.parametrize("exponent", [1.0, 1.5, 2.3])
 @pytest.mark.parametrize("linear", [False, True])
 @pytest.mark.parametrize("strength", [0.2, 2.0])
-def test_accelerations_and_jerks_are_those_of_the_forces(end: str, exponent: float, linear: bool, strength: float):
+def test_accelerations_and_jerks_are_those_of_the_forces(
+    end: str, exponent: float, linear: bool, strength: float
+):
     """Five grains in another order of columns, with one more that is not asked for."""
     contacts = chain_contacts(exponent, *ENDS[end])
     u, v = strength * RNG.normal(size=(2, 9, 6))
@@ -290,7 +306,9 @@ def test_accelerations_and_jerks_are_those_of_the_forces(end: str, exponent: flo
     for n in range(6):
         felt = contacts[0, n] > 0 and not linear
         if felt:
-            unsure[:, n] = unsure_of(contacts[2, n] + r[:, n], closing[:, n], rate[:, n].astype(float), mass[n])
+            unsure[:, n] = unsure_of(
+                contacts[2, n] + r[:, n], closing[:, n], rate[:, n].astype(float), mass[n]
+            )
     expected = np.maximum(unsure[:, :-1], unsure[:, 1:]) * inverse_mass
     np.testing.assert_allclose(motion[4], expected.T, rtol=1e-11, atol=0)
 
@@ -307,7 +325,9 @@ def test_a_weak_wave_keeps_its_digits(exponent: float):
     _, force, overlap = contacts
     s = -np.diff(u, axis=1, prepend=0, append=0) / overlap
     change = force * exponent * s * (1 + (exponent - 1) / 2 * s)
-    np.testing.assert_allclose(motion[2].T, -np.diff(change, axis=1), rtol=0, atol=1e-15 * np.abs(change).max())
+    np.testing.assert_allclose(
+        motion[2].T, -np.diff(change, axis=1), rtol=0, atol=1e-15 * np.abs(change).max()
+    )
 
 
 def test_accelerations_of_unknown_forces_follow_from_three_samples():
@@ -328,8 +348,13 @@ def test_accelerations_of_unknown_forces_follow_from_three_samples():
             a, j = (float(quintics[k].derivative(t[i], order)) for order in (2, 3))
             assert motion[2, 0, i] == pytest.approx(a, rel=1e-11)
             assert motion[3, 0, i] == pytest.approx(j, rel=1e-11)
-            beside = [float(quintics[q].derivative(t[i], 2)) for q in (max(k - 1, 1), min(k + 1, last - 1))]
-            assert motion[4, 0, i] == pytest.approx(np.abs(np.array(beside) - a).max(), rel=1e-10, abs=1e-12)
+            beside = [
+                float(quintics[q].derivative(t[i], 2))
+                for q in (max(k - 1, 1), min(k + 1, last - 1))
+            ]
+            assert motion[4, 0, i] == pytest.approx(
+                np.abs(np.array(beside) - a).max(), rel=1e-10, abs=1e-12
+            )
 
 
 def test_three_samples_say_nothing_of_an_acceleration():
@@ -382,7 +407,9 @@ def test_the_largest_sizes_and_what_moves():
 @pytest.mark.parametrize("exponent", [1.0, 1.5, 2.3])
 @pytest.mark.parametrize("linear", [False, True])
 @pytest.mark.parametrize("kind", ["plain", "pushed", "driven", "wall"])
-def test_the_motion_around_an_interval_is_that_of_the_forces(exponent: float, linear: bool, kind: str):
+def test_the_motion_around_an_interval_is_that_of_the_forces(
+    exponent: float, linear: bool, kind: str
+):
     contacts = chain_contacts(exponent, [True, True, False, True, True], [True] * 5)
     contacts[:, 4] = 0.0  # nothing below
     u, v = 1.5 * RNG.normal(size=(2, 6, 4))
@@ -395,7 +422,9 @@ def test_the_motion_around_an_interval_is_that_of_the_forces(exponent: float, li
     wall = RNG.normal(size=(4, 6)) if kind == "wall" else np.zeros((4, 6))
     given = np.abs(RNG.normal(size=(3, 6)))
     pushed = {"pushed": 1, "driven": 0}.get(kind, -1)
-    forces = gathering.Forces(scales, inverse_mass, exponent, linear, wall, given, pushed, kind == "driven")
+    forces = gathering.Forces(
+        scales, inverse_mass, exponent, linear, wall, given, pushed, kind == "driven"
+    )
     rows = slice(1, 5)
     bodies = [np.concatenate((w[rows, None], x[rows], np.zeros((4, 1))), axis=1)
               for w, x in zip(wall, (u, v), strict=False)]  # fmt: skip
@@ -421,7 +450,12 @@ def test_the_motion_around_an_interval_is_that_of_the_forces(exponent: float, li
                 a, j = a + given[0, rows], j + given[1, rows]
             expected = np.array([u[rows, n], v[rows, n], a, j])
             for side in (n, n + 1):
-                if constant[side] == 0 or linear or inverse_mass[n] == 0 or (kind == "driven" and n == 0):
+                if (
+                    constant[side] == 0
+                    or linear
+                    or inverse_mass[n] == 0
+                    or (kind == "driven" and n == 0)
+                ):
                     continue
                 for i in range(1, 4):
                     if shut[i, side] != shut[i - 1, side]:

@@ -13,10 +13,14 @@ from lmpchain.trajectory.lammps_dump import is_dump
 
 CHAIN = Chain(grains=5, material="glass", diameter=[1e-3, 1.2e-3, 1e-3, 0.8e-3, 1e-3])
 SAMPLES = 4
-SCENE = Scene(chain=CHAIN, excitation=Impulse(velocity=2e-3, grain=2), duration=3e-6, samples=SAMPLES)
+SCENE = Scene(
+    chain=CHAIN, excitation=Impulse(velocity=2e-3, grain=2), duration=3e-6, samples=SAMPLES
+)
 TIMES = np.arange(SAMPLES)[:, None]
 U = 1e-9 * TIMES * np.array([0.5, 2.0, 0.7, 0.2, 0.0])
-V = 2e-3 * np.array([[0, 1, 0, 0, 0], [0.1, 0.9, 0.1, 0, 0], [0.2, 0.7, 0.2, 0.1, 0], [0.3, 0.5, 0.3, 0.1, 0]])
+V = 2e-3 * np.array(
+    [[0, 1, 0, 0, 0], [0.1, 0.9, 0.1, 0, 0], [0.2, 0.7, 0.2, 0.1, 0], [0.3, 0.5, 0.3, 0.1, 0]]
+)
 NUMBERS = np.array([4, 1, 3, 2, 5])  # of the atoms, from the top
 REST = 0.01 - np.append(0, np.cumsum(CHAIN.contact_lengths[1:-1] - CHAIN.equilibrium_overlap))
 
@@ -30,7 +34,9 @@ def dump(
     for sample, step in enumerate(steps):
         z = up * (rest - u[sample])
         fields = {"z": z, "zu": z, "zs": z, "vz": -up * v[sample], "v_phi": u[sample]}
-        text += f"ITEM: TIMESTEP\n{step}\nITEM: NUMBER OF ATOMS\n{z.size}\nITEM: BOX BOUNDS ff ff ff\n"
+        text += (
+            f"ITEM: TIMESTEP\n{step}\nITEM: NUMBER OF ATOMS\n{z.size}\nITEM: BOX BOUNDS ff ff ff\n"
+        )
         text += "-1 1\n-1 1\n-1 1\n" + f"ITEM: ATOMS {columns}\n"
         for n in np.roll(np.arange(z.size), sample):
             words = [str(numbers[n]) if key == "id" else form % fields[key][n] if key in fields else "0"
@@ -50,7 +56,9 @@ def fault(path: Path, scene: Scene = SCENE, *more: Any) -> str:
 
 
 @pytest.mark.parametrize("packed", [False, True])
-@pytest.mark.parametrize("columns", ["id x y z vz v_phi", "v_phi vz z y x id", "id zu yu xu v_phi vx vy vz"])
+@pytest.mark.parametrize(
+    "columns", ["id x y z vz v_phi", "v_phi vz z y x id", "id zu yu xu v_phi vx vy vz"]
+)
 def test_everything_of_a_dump_is_read(tmp_path: Path, columns: str, packed: bool):
     path = dump(tmp_path / "run.dump", columns=columns)
     if packed:
@@ -63,9 +71,19 @@ def test_everything_of_a_dump_is_read(tmp_path: Path, columns: str, packed: bool
     assert np.array_equal(t.velocity, V)
     assert np.array_equal(t.time, SCENE.time)
     assert t.grains.tolist() == [1, 2, 3, 4, 5]
-    assert (t.engine, t.equation, t.error_estimate.model, t.error_estimate.solver) == ("lammps", 1, 0.0, math.inf)
+    assert (t.engine, t.equation, t.error_estimate.model, t.error_estimate.solver) == (
+        "lammps",
+        1,
+        0.0,
+        math.inf,
+    )
     assert t.cost[:3] == (0.0, 0.0, 0.0)
-    assert (t.cost.steps, t.cost.force_evaluations, t.cost.active_grains, t.cost.ranks) == (150, 150, 5, 1)
+    assert (t.cost.steps, t.cost.force_evaluations, t.cost.active_grains, t.cost.ranks) == (
+        150,
+        150,
+        5,
+        1,
+    )
     assert t.cost.integrator == "unknown"
     assert t.cost.step_s == pytest.approx(2e-8, rel=1e-12)
     assert t.provenance["dump"] == str(path)
@@ -91,7 +109,9 @@ def test_what_the_scene_begins_with_is_added_to_heights(tmp_path: Path):
     scene = Scene(**SCENE.given() | {"excitation": Displacement(displacement=3e-9, grain=3)})
     u = 3e-9 * np.array([0, 0, 1, 0, 0]) + U
     path = dump(tmp_path / "run.dump", u=u, v=V - V[0], columns="id x y z vz")
-    np.testing.assert_allclose(Trajectory.from_dump(path, scene).displacement, u, rtol=0, atol=4e-18)
+    np.testing.assert_allclose(
+        Trajectory.from_dump(path, scene).displacement, u, rtol=0, atol=4e-18
+    )
 
 
 @pytest.mark.parametrize(("off", "good"), [(0.9e-6, True), (1.1e-6, False), (1e-3, False)])
@@ -115,12 +135,16 @@ def test_a_dump_that_begins_elsewhere_is_refused(tmp_path: Path, off: float, goo
     if good:
         assert np.array_equal(Trajectory.from_dump(path, SCENE).displacement, u)
     else:
-        assert fault(path).startswith("grain 4 begins with a displacement of 6.6e-15 m, in the scene 0:")
+        assert fault(path).startswith(
+            "grain 4 begins with a displacement of 6.6e-15 m, in the scene 0:"
+        )
 
 
 def test_frames_are_those_of_the_samples(tmp_path: Path):
     path = dump(tmp_path / "run.dump", steps=(0, 50, 100))
-    assert fault(path).startswith("has 3 whole frames, the scene 4 samples: set the samples of the scene so")
+    assert fault(path).startswith(
+        "has 3 whole frames, the scene 4 samples: set the samples of the scene so"
+    )
     for steps in ((0, 50, 100, 151), (0, 51, 100, 150)):
         assert fault(dump(path, steps=steps)).startswith("its frames are not equally far apart")
     again = np.concatenate([U, U, U]), np.concatenate([V, V, V])
@@ -138,7 +162,10 @@ def test_numbers_that_are_none(tmp_path: Path):
         broken = field.copy()
         broken[2, 1] = np.nan
         path = dump(tmp_path / "run.dump", **{"u" if field is U else "v": broken})
-        assert fault(path) == "holds numbers that are not finite: the run broke down; use a shorter step"
+        assert (
+            fault(path)
+            == "holds numbers that are not finite: the run broke down; use a shorter step"
+        )
     twice = dump(tmp_path / "run.dump", numbers=np.array([4, 1, 3, 3, 5]))
     assert "cannot be read as a dump: two atoms have the same number; write it anew" in fault(twice)
     fewer = Scene(**SCENE.given() | {"chain": Chain(grains=4, diameter=1e-3)})
@@ -147,10 +174,14 @@ def test_numbers_that_are_none(tmp_path: Path):
 
 def test_columns_that_are_not_there(tmp_path: Path):
     path = tmp_path / "run.dump"
-    assert fault(dump(path, columns="id x y z")).startswith("has no column vz: dump custom ... id x y z vz v_phi")
+    assert fault(dump(path, columns="id x y z")).startswith(
+        "has no column vz: dump custom ... id x y z vz v_phi"
+    )
     assert fault(dump(path, columns="x y vz")).startswith("has no column id, z: ")
     assert fault(dump(path, columns="id xu yu vz")).startswith("has no column x, y, z: ")
-    assert fault(dump(path, columns="id x y z vx")).startswith("has no column vz, though the column stands along z: ")
+    assert fault(dump(path, columns="id x y z vx")).startswith(
+        "has no column vz, though the column stands along z: "
+    )
     text = dump(path).read_text()
     path.write_text(text.replace("\n5\nITEM: BOX", "\nfive\nITEM: BOX"))
     assert "is cut short, or has lines that a plain dump custom has not" in fault(path)
@@ -161,7 +192,9 @@ def test_columns_that_are_not_there(tmp_path: Path):
 
 
 @pytest.mark.parametrize(("share", "good"), [(0.49, True), (0.51, False)])
-def test_the_axis_of_a_column_is_twice_as_long_as_any_other(tmp_path: Path, share: float, good: bool):
+def test_the_axis_of_a_column_is_twice_as_long_as_any_other(
+    tmp_path: Path, share: float, good: bool
+):
     path = dump(tmp_path / "run.dump", columns="id x y z vx vy vz v_phi")
     span = float(np.ptp(REST))
     lines = path.read_text().splitlines()
@@ -170,7 +203,9 @@ def test_the_axis_of_a_column_is_twice_as_long_as_any_other(tmp_path: Path, shar
     if good:
         assert np.array_equal(Trajectory.from_dump(path, SCENE).displacement, U)
         return
-    assert fault(path).endswith("its grains stand along none of x, y and z: name the axis of the column")
+    assert fault(path).endswith(
+        "its grains stand along none of x, y and z: name the axis of the column"
+    )
     assert np.array_equal(Trajectory.from_dump(path, SCENE, axis="z").displacement, U)
 
 
@@ -191,11 +226,16 @@ def test_heights_need_digits_for_the_motion(tmp_path: Path, levels: int, good: b
         assert t.provenance["precision"] == shares
         return
     why = fault(path, scene)
-    assert why.startswith("its heights have 8 digits, too few for displacements of 1e-08 m: write them with")
+    assert why.startswith(
+        "its heights have 8 digits, too few for displacements of 1e-08 m: write them with"
+    )
 
 
 def test_all_digits_are_known_to_the_last_bit(tmp_path: Path):
     t = Trajectory.from_dump(dump(tmp_path / "run.dump", u=U * math.pi, v=V), SCENE)
     digit = np.spacing(U.max() * math.pi)
     within = t.provenance["precision"].split(";")[0]
-    assert within == f"displacement within {digit / 2:.2g} m, {digit / 2 / (U.max() * math.pi):.1g} of the largest"
+    assert (
+        within
+        == f"displacement within {digit / 2:.2g} m, {digit / 2 / (U.max() * math.pi):.1g} of the largest"
+    )

@@ -96,7 +96,9 @@ numcodecs.register_codec(Unpickling)
 
 @pytest.mark.parametrize("codec", ["pickle", Unpickling.codec_id])
 @pytest.mark.parametrize("kind", ["filters", "compressor"])
-def test_no_pickle_of_a_store_is_opened(run: Path, codec: str, kind: str, capsys: pytest.CaptureFixture[str]):
+def test_no_pickle_of_a_store_is_opened(
+    run: Path, codec: str, kind: str, capsys: pytest.CaptureFixture[str]
+):
     """The store is one of Zarr version 2 and made by hand; its filter runs what its chunks say."""
     mark, store = run.parent / "mark", run / "trajectory.zarr"
     about = json.loads((store / "zarr.json").read_text())["attributes"]
@@ -106,7 +108,14 @@ def test_no_pickle_of_a_store_is_opened(run: Path, codec: str, kind: str, capsys
     (store / ".zgroup").write_text('{"zarr_format": 2}')
     (store / ".zattrs").write_text(json.dumps(about))
     for name, shape in fields.items():
-        made = {"zarr_format": 2, "shape": shape, "chunks": shape, "dtype": "|O", "fill_value": None, "order": "C"}
+        made = {
+            "zarr_format": 2,
+            "shape": shape,
+            "chunks": shape,
+            "dtype": "|O",
+            "fill_value": None,
+            "order": "C",
+        }
         made |= {"filters": None, "compressor": None} | {
             kind: [{"id": codec}] if kind == "filters" else {"id": codec, "protocol": 5}
         }
@@ -130,7 +139,10 @@ def changed(run: Path, name: str, change: Callable[[dict[str, Any]], None]) -> N
 CODEC = {"name": "numcodecs.pickle", "configuration": {}}
 CHANGES: dict[str, tuple[str, Callable[[dict[str, Any]], None]]] = {
     "codec": ("time", lambda about: about["codecs"].append(CODEC)),
-    "other codec": ("time", lambda about: about["codecs"].__setitem__(1, {"name": "gzip", "configuration": {}})),
+    "other codec": (
+        "time",
+        lambda about: about["codecs"].__setitem__(1, {"name": "gzip", "configuration": {}}),
+    ),
     "codec in a shard": (
         "velocity",
         lambda about: about["codecs"][0]["configuration"]["codecs"].append(CODEC),
@@ -140,13 +152,19 @@ CHANGES: dict[str, tuple[str, Callable[[dict[str, Any]], None]]] = {
         lambda about: about["codecs"][0]["configuration"]["index_codecs"].append(CODEC),
     ),
     "no shards": ("velocity", lambda about: about.update(codecs=[{"name": "bytes"}])),
-    "transformer": ("velocity", lambda about: about["storage_transformers"].append({"name": "remote"})),
+    "transformer": (
+        "velocity",
+        lambda about: about["storage_transformers"].append({"name": "remote"}),
+    ),
     "objects": ("velocity", lambda about: about.update(data_type="object")),
     "text": ("grain", lambda about: about.update(data_type="string", fill_value="")),
     "single precision": ("velocity", lambda about: about.update(data_type="float32")),
     "shape": ("velocity", lambda about: about.update(shape=[10**9, 12])),
     "shape of times": ("time", lambda about: about.update(shape=[10**12])),
-    "shard": ("velocity", lambda about: about["chunk_grid"]["configuration"].update(chunk_shape=[48 * 10**8, 12])),
+    "shard": (
+        "velocity",
+        lambda about: about["chunk_grid"]["configuration"].update(chunk_shape=[48 * 10**8, 12]),
+    ),
     "chunk": (
         "velocity",
         lambda about: about["codecs"][0]["configuration"].update(chunk_shape=[48 * 10**8, 12]),
@@ -171,7 +189,9 @@ def test_a_store_that_is_laid_out_otherwise_is_refused_unopened(
     refused(run, capsys)
 
 
-def test_a_chunk_that_claims_more_than_it_holds_is_refused(run: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_chunk_that_claims_more_than_it_holds_is_refused(
+    run: Path, capsys: pytest.CaptureFixture[str]
+):
     path = run / "trajectory.zarr" / "time" / "c" / "0"
     content = bytearray(path.read_bytes())
     content[4:8] = (2**31 - 17).to_bytes(4, "little")  # bytes that Blosc is to make room for
@@ -179,7 +199,9 @@ def test_a_chunk_that_claims_more_than_it_holds_is_refused(run: Path, capsys: py
     assert "more than it" in refused(run, capsys)
 
 
-@pytest.mark.parametrize("where", ["trajectory.zarr", "trajectory.zarr/velocity", "trajectory.zarr/velocity/c/0/0"])
+@pytest.mark.parametrize(
+    "where", ["trajectory.zarr", "trajectory.zarr/velocity", "trajectory.zarr/velocity/c/0/0"]
+)
 @pytest.mark.parametrize("kind", ["link", "pipe"])
 def test_nothing_outside_of_a_run_folder_is_read_or_written(
     run: Path, where: str, kind: str, capsys: pytest.CaptureFixture[str]
@@ -197,9 +219,13 @@ def test_nothing_outside_of_a_run_folder_is_read_or_written(
     assert before == {p: p.read_bytes() for p in outside.rglob("*") if p.is_file()}
 
 
-@pytest.mark.parametrize("name", ["run.json", "scene.toml", "status.json", "checkpoint", ".lock", "deck"])
+@pytest.mark.parametrize(
+    "name", ["run.json", "scene.toml", "status.json", "checkpoint", ".lock", "deck"]
+)
 @pytest.mark.parametrize("kind", ["link", "pipe"])
-def test_a_run_is_not_resumed_through_links(stopped: Path, name: str, kind: str, capsys: pytest.CaptureFixture[str]):
+def test_a_run_is_not_resumed_through_links(
+    stopped: Path, name: str, kind: str, capsys: pytest.CaptureFixture[str]
+):
     path, outside = stopped / name, stopped.parent / "outside"
     outside.write_bytes(path.read_bytes() if path.exists() else b"mine")
     before = outside.read_bytes()
@@ -218,7 +244,9 @@ def test_a_run_folder_brings_no_commands(stopped: Path):
     asked = json.loads(path.read_text())
     for options in ({"include": str(stopped / "more.in")}, {"template": str(stopped / "more.in")}):
         asked |= {"engine": "lammps", "options": options | {"integrator": "verlet", "step": 1e-7}}
-        path.write_text(json.dumps(asked | {"sha256": tasks._seal(asked, (stopped / "scene.toml").read_text())}))
+        path.write_text(
+            json.dumps(asked | {"sha256": tasks._seal(asked, (stopped / "scene.toml").read_text())})
+        )
         with pytest.raises(InputError, match="leave it out with a run folder"):
             resume(stopped)
     assert not mark.exists()
@@ -240,9 +268,15 @@ def arrays_of(folder: Path) -> dict[str, np.ndarray]:
 def test_no_pickle_of_a_checkpoint_is_opened(stopped: Path):
     mark = stopped.parent / "mark"
     packed = io.BytesIO()
-    np.savez(packed, notes=arrays_of(stopped)["notes"], **{"state.0.u": np.array([Trap(mark)], dtype=object)})
+    np.savez(
+        packed,
+        notes=arrays_of(stopped)["notes"],
+        **{"state.0.u": np.array([Trap(mark)], dtype=object)},
+    )
     with_checkpoint(stopped, packed.getvalue())
-    with pytest.warns(UserWarning, match="the newest checkpoint is damaged; going on from the start"):
+    with pytest.warns(
+        UserWarning, match="the newest checkpoint is damaged; going on from the start"
+    ):
         assert np.array_equal(resume(stopped).velocity, simulate(SCENE, "native").velocity)
     assert not mark.exists()
 
@@ -256,11 +290,15 @@ def test_a_checkpoint_that_is_none_is_not_used(stopped: Path, what: str):
         np.savez(packed, **arrays)
     if what == "huge":
         header = io.BytesIO()
-        np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (10**12,)})
+        np.lib.format.write_array_header_1_0(
+            header, {"descr": "<f8", "fortran_order": False, "shape": (10**12,)}
+        )
         with zipfile.ZipFile(packed, "a") as archive:
             archive.writestr("state.more.npy", header.getvalue())
     with_checkpoint(stopped, packed.getvalue() if what != "not an archive" else b"PK")
-    with pytest.warns(UserWarning, match="the newest checkpoint is damaged; going on from the start"):
+    with pytest.warns(
+        UserWarning, match="the newest checkpoint is damaged; going on from the start"
+    ):
         assert np.array_equal(resume(stopped).velocity, simulate(SCENE, "native").velocity)
 
 
@@ -305,7 +343,9 @@ def soft(file: h5py.File, outside: Path) -> None:
 
 
 def external(file: h5py.File, outside: Path) -> None:
-    file.create_dataset("velocity", (41, 12), "f8", external=[(str(outside), 0, h5py.h5f.UNLIMITED)])
+    file.create_dataset(
+        "velocity", (41, 12), "f8", external=[(str(outside), 0, h5py.h5f.UNLIMITED)]
+    )
 
 
 def virtual(file: h5py.File, outside: Path) -> None:
@@ -370,7 +410,10 @@ KINDS = [
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_only_plain_arrays_of_the_file_itself_are_read(
-    originals: Path, tmp_path: Path, kind: Callable[[h5py.File, Path], None], capsys: pytest.CaptureFixture[str]
+    originals: Path,
+    tmp_path: Path,
+    kind: Callable[[h5py.File, Path], None],
+    capsys: pytest.CaptureFixture[str],
 ):
     outside, path = tmp_path / "outside.nc", tmp_path / "run.nc"
     for copy in (outside, path):

@@ -27,7 +27,13 @@ LOG = "log.lammps"
 @pytest.fixture(scope="module")
 def trajectory() -> Trajectory:
     chain = Chain(grains=12, material=["glass", "steel"] * 6, diameter=np.linspace(1e-3, 2e-3, 12))
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-4, grain=2), duration=2e-5, samples=21, grains=[5, 1, 2])
+    scene = Scene(
+        chain=chain,
+        excitation=Impulse(velocity=1e-4, grain=2),
+        duration=2e-5,
+        samples=21,
+        grains=[5, 1, 2],
+    )
     return simulate(scene, "native", 1e-9)
 
 
@@ -56,7 +62,9 @@ def test_universe(trajectory: Trajectory):
             heights = rest(trajectory) - trajectory.displacement[sample]
             assert ts.positions[:, 2] == pytest.approx(heights, rel=1e-7, abs=1e-12)
             assert not ts.positions[:, :2].any()
-            assert ts.velocities[:, 2] == pytest.approx(-trajectory.velocity[sample], rel=1e-7, abs=0)
+            assert ts.velocities[:, 2] == pytest.approx(
+                -trajectory.velocity[sample], rel=1e-7, abs=0
+            )
             for name in ("displacement", "velocity"):
                 assert ts.data[name].dtype == np.float64
                 assert np.array_equal(ts.data[name], getattr(trajectory, name)[sample])
@@ -74,7 +82,9 @@ def test_what_mdanalysis_does_with_a_universe(trajectory: Trajectory):
     assert other.trajectory.frame == 7
     other.trajectory[9]
     assert universe.trajectory.frame == 7
-    ran = AnalysisFromFunction(lambda atoms: atoms.universe.trajectory.ts.data["displacement"].copy(), other.atoms)
+    ran = AnalysisFromFunction(
+        lambda atoms: atoms.universe.trajectory.ts.data["displacement"].copy(), other.atoms
+    )
     assert np.array_equal(ran.run().results.timeseries, trajectory.displacement)
     with pytest.raises(IndexError):
         universe.trajectory[21]
@@ -101,9 +111,13 @@ def test_extxyz(trajectory: Trajectory, tmp_path: Path):
     for sample, frame in enumerate(frames):
         assert frame.info["Time"] == trajectory.time[sample]
         assert frame.arrays["id"].tolist() == [5, 1, 2]
-        assert np.array_equal(frame.arrays["radius"], trajectory.scene.chain.diameters[[4, 0, 1]] / 2)
+        assert np.array_equal(
+            frame.arrays["radius"], trajectory.scene.chain.diameters[[4, 0, 1]] / 2
+        )
         assert np.array_equal(frame.arrays["displacement"], trajectory.displacement[sample])
-        assert np.array_equal(frame.arrays["velo"], trajectory.velocity[sample][:, None] * [0, 0, -1])
+        assert np.array_equal(
+            frame.arrays["velo"], trajectory.velocity[sample][:, None] * [0, 0, -1]
+        )
         heights = rest(trajectory) - trajectory.displacement[sample]
         assert frame.positions[:, 2] == pytest.approx(heights, rel=1e-15, abs=1e-18)
         assert not frame.positions[:, :2].any()
@@ -126,8 +140,13 @@ def test_what_a_deck_writes(tmp_path: Path):
     """ASE reads the dump, LAMMPS's own reader the logs of `lmp` and of the library, and both dumps are the same."""
     write_deck(small(), tmp_path / "deck", step=1e-7)
     lmp(tmp_path / "deck")
-    t = simulate(small(), engine=Lammps(integrator="verlet", step=1e-7, diameter="physical", keep=tmp_path / "kept"))
-    frames = ase.io.read(tmp_path / "deck" / "column.lammpstrj", index=":", format="lammps-dump-text", units="si")
+    t = simulate(
+        small(),
+        engine=Lammps(integrator="verlet", step=1e-7, diameter="physical", keep=tmp_path / "kept"),
+    )
+    frames = ase.io.read(
+        tmp_path / "deck" / "column.lammpstrj", index=":", format="lammps-dump-text", units="si"
+    )
     assert len(frames) == 6
     heights = np.array([frame.positions[:, 2] for frame in frames]) / metre
     assert heights == pytest.approx(rest(t) - t.displacement, rel=1e-12, abs=1e-17)
@@ -149,7 +168,9 @@ OWN = Scene(
 MOVED = Scene(**OWN.given() | {"excitation": Displacement(displacement=-2e-8, grain=4)})
 
 
-def own_deck(folder: Path, scene: Scene, up: int = 1, dump: str = "own.dump", columns: str = "id x y z vz") -> Path:
+def own_deck(
+    folder: Path, scene: Scene, up: int = 1, dump: str = "own.dump", columns: str = "id x y z vz"
+) -> Path:
     """Let LAMMPS run a deck that shares nothing with ours, with z up (1) or down (-1); return its dump.
 
     Atoms have numbers without order and start at rest, but for what the scene does to them; the constant of
@@ -160,8 +181,12 @@ def own_deck(folder: Path, scene: Scene, up: int = 1, dump: str = "own.dump", co
     numbers = np.random.default_rng(7).permutation(chain.grains) + 1
     u, v = scene.initial()
     z = up * (0.05 - np.append(0, np.cumsum(1e-3 - chain.equilibrium_overlap)) - u)
-    atoms = "".join(f"{i} 1 1e-3 2426 0 0 {height!r}\n" for i, height in zip(numbers, z.tolist(), strict=True))
-    speeds = "".join(f"{i} 0 0 {-up * s!r} 0 0 0\n" for i, s in zip(numbers, v.tolist(), strict=True))
+    atoms = "".join(
+        f"{i} 1 1e-3 2426 0 0 {height!r}\n" for i, height in zip(numbers, z.tolist(), strict=True)
+    )
+    speeds = "".join(
+        f"{i} 0 0 {-up * s!r} 0 0 0\n" for i, s in zip(numbers, v.tolist(), strict=True)
+    )
     (folder / "own.data").write_text(
         f"own\n\n{chain.grains} atoms\n1 atom types\n-0.005 0.005 xlo xhi\n-0.005 0.005 ylo yhi\n"
         f"-0.06 0.06 zlo zhi\n\nAtoms # sphere\n\n{atoms}\nVelocities\n\n{speeds}"
@@ -230,15 +255,22 @@ def test_a_compressed_dump_of_ours(tmp_path: Path, capsys: pytest.CaptureFixture
     assert main(["fit", str(path), "--scene", str(tmp_path / "scene.toml")]) == 0
     text = gzip.decompress(path.read_bytes())
     killed = gzip.compress(text[:-1])  # as gzip leaves it when LAMMPS is killed
-    for spoilt, says in ((path.read_bytes()[:-200], "cannot be read as a dump"), (killed, "cut short within a line")):
+    for spoilt, says in (
+        (path.read_bytes()[:-200], "cannot be read as a dump"),
+        (killed, "cut short within a line"),
+    ):
         path.write_bytes(spoilt)
         with pytest.raises(InputError, match=says):
             Trajectory.from_dump(path, small())
 
 
-@pytest.mark.parametrize("heights", [[0.0] * 11, [float("nan")] * 12, 0.0, ["high"] * 12, [[0.0] * 12]])
+@pytest.mark.parametrize(
+    "heights", [[0.0] * 11, [float("nan")] * 12, 0.0, ["high"] * 12, [[0.0] * 12]]
+)
 def test_heights_that_make_no_sense(heights, tmp_path: Path):
-    with pytest.raises(InputError, match="equilibrium: must be the heights at rest of the 12 grains"):
+    with pytest.raises(
+        InputError, match="equilibrium: must be the heights at rest of the 12 grains"
+    ):
         Trajectory.from_dump(tmp_path, OWN, heights)
 
 
@@ -265,7 +297,9 @@ def turned(text: str, axis: str, sign: int) -> str:
         elif len(parts := line.split()) == 5 and not line.startswith("ITEM"):
             number, _, _, z, vz = parts
             place, speed = {"x": "0", "y": "0", "z": "0"}, {"x": "0", "y": "0", "z": "0"}
-            place[axis], speed[axis] = (value if sign > 0 else repr(-float(value)) for value in (z, vz))
+            place[axis], speed[axis] = (
+                value if sign > 0 else repr(-float(value)) for value in (z, vz)
+            )
             out.append(" ".join([number, *place.values(), *speed.values()]))
         else:
             out.append(line)
@@ -292,9 +326,13 @@ def test_columns_along_any_axis(upright: Path, axis: str, sign: int, tmp_path: P
     assert main([*words, "x" if axis == "y" else "y"]) == 2
 
 
-def test_a_column_along_a_diagonal_is_refused(upright: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_column_along_a_diagonal_is_refused(
+    upright: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
     path = tmp_path / "dump"
-    path.write_text(re.sub(r"^(\d+) 0 0 (\S+) (\S+)$", r"\1 \2 0 \2 \3", upright.read_text(), flags=re.M))
+    path.write_text(
+        re.sub(r"^(\d+) 0 0 (\S+) (\S+)$", r"\1 \2 0 \2 \3", upright.read_text(), flags=re.M)
+    )
     with pytest.raises(InputError, match=r"axis: .*along none of x, y and z"):
         Trajectory.from_dump(path, OWN)
     assert np.isfinite(Trajectory.from_dump(path, OWN, axis="z").velocity).all()
@@ -308,14 +346,20 @@ def test_dumps_of_runs_that_were_started_again(upright: Path, tmp_path: Path):
     frames = ["ITEM: TIMESTEP" + part for part in text.split("ITEM: TIMESTEP")[1:]]
     assert len(frames) == 11
     for kept in (1, 5, 10):
-        path.write_text("".join([*frames[: kept + 1], *frames[kept:]]))  # a restart writes its first frame anew
+        path.write_text(
+            "".join([*frames[: kept + 1], *frames[kept:]])
+        )  # a restart writes its first frame anew
         assert np.array_equal(Trajectory.from_dump(path, OWN).displacement, truth.displacement)
         for cut in (3, 20, len(frames[kept]) // 2, len(frames[kept]) - 3):
             path.write_text("".join([*frames[:kept], frames[kept][:cut], *frames[kept - 1 :]]))
             again = Trajectory.from_dump(path, OWN)
             assert np.array_equal(again.displacement, truth.displacement)
             assert np.array_equal(again.velocity, truth.velocity)
-        path.write_text("".join([*frames[:kept], frames[kept].replace("\n12\n", "\n11\n", 1), *frames[kept + 1 :]]))
+        path.write_text(
+            "".join(
+                [*frames[:kept], frames[kept].replace("\n12\n", "\n11\n", 1), *frames[kept + 1 :]]
+            )
+        )
         with pytest.raises(InputError, match="number of atoms changes"):
             Trajectory.from_dump(path, OWN)
         lines = frames[kept].splitlines(keepends=True)
@@ -337,10 +381,17 @@ def test_the_precision_of_a_dump_is_stated(upright: Path, digits: int, tmp_path:
     path, truth = tmp_path / "dump", Trajectory.from_dump(upright, OWN)
     path.write_text(re.sub(r"^(\d+) 0 0 (\S+) (\S+)$", rounded, upright.read_text(), flags=re.M))
     t = Trajectory.from_dump(path, OWN)
-    found = re.match(r"displacement within (\S+) m, .*; velocity within (\S+) m/s, ", t.provenance["precision"])
+    found = re.match(
+        r"displacement within (\S+) m, .*; velocity within (\S+) m/s, ", t.provenance["precision"]
+    )
     assert found
     for stated, mine, true in zip(
-        found.groups(), (t.displacement, t.velocity), (truth.displacement, truth.velocity), strict=True
+        found.groups(),
+        (t.displacement, t.velocity),
+        (truth.displacement, truth.velocity),
+        strict=True,
     ):
         off = np.abs(mine - true).max()
-        assert float(stated) / 100 < off <= 2 * float(stated)  # the height at rest is rounded as well
+        assert (
+            float(stated) / 100 < off <= 2 * float(stated)
+        )  # the height at rest is rounded as well

@@ -21,7 +21,10 @@ COST = Cost(1.0, 0.25, 0.5, 80, 240, 6, "rkn4", 5e-8, 1, 3.0)
 def made(scene: Scene = SCENE) -> Trajectory:
     rng = np.random.default_rng(4)
     shape = scene.samples, scene.recorded.size
-    fields = {"displacement": 1e-9 * rng.normal(size=shape), "velocity": 1e-3 * rng.normal(size=shape)}
+    fields = {
+        "displacement": 1e-9 * rng.normal(size=shape),
+        "velocity": 1e-3 * rng.normal(size=shape),
+    }
     return Trajectory(scene, "native", 1, scene.time, scene.recorded, **fields,
                       error_estimate=ErrorEstimate(2e-3, 1e-4), cost=COST)  # fmt: skip
 
@@ -105,19 +108,36 @@ def test_what_is_gathered_has_labels_units_and_shapes():
     arrays = gathered.arrays(scene)
     table = {
         "peak_velocity": (("grain",), (3,), "m s-1", "largest size of the velocity at any time"),
-        "peak_displacement": (("grain",), (3,), "m", "largest size of the displacement at any time"),
-        "arrival_time": (("grain",), (3,), "s", "when the front passes, by the velocity (measure.front.track)"),
+        "peak_displacement": (
+            ("grain",),
+            (3,),
+            "m",
+            "largest size of the displacement at any time",
+        ),
+        "arrival_time": (
+            ("grain",),
+            (3,),
+            "s",
+            "when the front passes, by the velocity (measure.front.track)",
+        ),
         "peak_force:3": ((), (), "N", "largest force at any time of contact 3"),
         "force:2": (("fine_time",), (fine,), "N", "force of contact 2"),
     }
     assert set(arrays) == {*table, *(f"{name}_error" for name in table), "fine_time"}
     for name, (dimensions, shape, units, about) in table.items():
         assert arrays[name] == (dimensions, shape, {"units": units, "long_name": about})
-        assert arrays[f"{name}_error"] == (dimensions, shape, {"units": units, "long_name": f"error of the {about}"})
+        assert arrays[f"{name}_error"] == (
+            dimensions,
+            shape,
+            {"units": units, "long_name": f"error of the {about}"},
+        )
     labels = {"units": "s", "long_name": "time since the strike"}
     assert arrays["fine_time"] == (("fine_time",), (fine,), labels)
     assert gathered.arrays(SCENE) == {}
-    values = {name: np.arange(float(np.prod(kind.shape))).reshape(kind.shape) for name, kind in arrays.items()}
+    values = {
+        name: np.arange(float(np.prod(kind.shape))).reshape(kind.shape)
+        for name, kind in arrays.items()
+    }
     stored = gathered.variables(scene, values)
     assert set(stored) == {name.replace(":", "_") for name in arrays}
     dimensions, kept, labels = stored["force_2_error"]

@@ -45,7 +45,11 @@ def test_a_store_that_is_empty(empty: Path):
     labels = {
         "time": ("s", "time since the strike", ("time",)),
         "grain": ("1", "number of the grain, from the top", ("grain",)),
-        "displacement": ("m", "displacement from equilibrium, positive downward", ("time", "grain")),
+        "displacement": (
+            "m",
+            "displacement from equilibrium, positive downward",
+            ("time", "grain"),
+        ),
         "velocity": ("m s-1", "velocity, downward", ("time", "grain")),
     }
     assert set(group) == set(labels)
@@ -115,7 +119,16 @@ def test_samples_that_can_be_built_upon(empty: Path):
     writer = Writer(empty, SCENE)
     writer.put(block(0, ROWS + 10))
     writer.flush()
-    counts = {0: True, 1: True, ROWS: True, ROWS + 10: True, ROWS + 11: False, 500: False, 501: False, -1: False}
+    counts = {
+        0: True,
+        1: True,
+        ROWS: True,
+        ROWS + 10: True,
+        ROWS + 11: False,
+        500: False,
+        501: False,
+        -1: False,
+    }
     for count, good in counts.items():
         assert usable(empty, SCENE, count) == good, count
     for odd in (True, 3.0, "3", None):
@@ -131,12 +144,24 @@ def test_arrays_on_the_disk_are_indexed_as_in_memory(empty: Path):
     writer.put(block(0, 500))
     writer.flush()
     verdict_of = verdict(ErrorEstimate(0.0, 1e-9), Cost(1.0, 0.0, 0.0, 5, 5, 1000, "rkn4", 1e-9, 1))
-    text = {"lmpchain_format": 1, "scene": SCENE.to_text(), "provenance": "{}", "engine": "native", "equation": 1}
+    text = {
+        "lmpchain_format": 1,
+        "scene": SCENE.to_text(),
+        "provenance": "{}",
+        "engine": "native",
+        "equation": 1,
+    }
     zarr.open_group(empty / NAME, mode="r+").attrs.update(text | verdict_of)
     about, scene, arrays = zarr_store.read(empty)
     assert (scene, about["solver_error"]) == (SCENE, 1e-9)
     field, truth = arrays["velocity"], V[0]
-    assert (field.shape, field.dtype, field.ndim, field.size, len(field)) == ((500, 1000), float, 2, 500_000, 500)
+    assert (field.shape, field.dtype, field.ndim, field.size, len(field)) == (
+        (500, 1000),
+        float,
+        2,
+        500_000,
+        500,
+    )
     odd = np.array([5, 3, 3])
     for key in (7, slice(3, 90, 7), (slice(None), 3), (..., -1), odd, (odd, slice(4)), (odd, odd), (slice(2), [1, 0]),
                 (np.array([[1, 2], [3, 4]]), 0), truth[:, 0] > 0, (-1, -1)):  # fmt: skip
@@ -147,7 +172,10 @@ def test_arrays_on_the_disk_are_indexed_as_in_memory(empty: Path):
     assert field.max() == truth.max()
     assert np.asarray(field, dtype=np.float32).dtype == np.float32
     (empty / NAME / "velocity" / "c" / "0" / "0").unlink()
-    with pytest.raises(InputError, match="was damaged and cannot be read: samples are not there; run the scene anew"):
+    with pytest.raises(
+        InputError,
+        match="was damaged and cannot be read: samples are not there; run the scene anew",
+    ):
         field[3]
     assert np.array_equal(field[ROWS], truth[ROWS])
 
@@ -165,7 +193,13 @@ def test_arrays_on_the_disk_are_indexed_as_in_memory(empty: Path):
 )
 def test_how_a_store_is_laid_out(samples: int, grains: int, shard: Any, chunk: Any, times: int):
     """As stores are that were written before, which stay readable."""
-    expected = {"time": (times,), "grain": (grains,), "displacement": shard, "velocity": shard, "chunk": chunk}
+    expected = {
+        "time": (times,),
+        "grain": (grains,),
+        "displacement": shard,
+        "velocity": shard,
+        "chunk": chunk,
+    }
     assert pieces(samples, grains) == expected
 
 
@@ -183,7 +217,11 @@ def test_what_a_file_says_of_a_run_is_read_again():
         "engine": "native", "equation": 3, "error_estimate": RECORD.error_estimate, "cost": RECORD.cost,
         "provenance": {"choice": "of ours"},
     }  # fmt: skip
-    assert (about["model_error"], about["solver_error"], about["lmpchain_format"]) == (1e-3, 2e-4, 1)
+    assert (about["model_error"], about["solver_error"], about["lmpchain_format"]) == (
+        1e-3,
+        2e-4,
+        1,
+    )
     assert about["title"] == "Displacement and velocity of the grains of a chain"
     assert json.loads(about["cost"])["active_grains"] == 6
     assert scene_of(about) == SCENE

@@ -17,7 +17,13 @@ from lmpchain.util.provenance import command
 @pytest.fixture(scope="module")
 def trajectory() -> Trajectory:
     chain = Chain(grains=8, material=["glass", "steel"] * 4, diameter=np.linspace(1e-3, 2e-3, 8))
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-4, grain=2), duration=2e-5, samples=31, grains=[5, 1, 2])
+    scene = Scene(
+        chain=chain,
+        excitation=Impulse(velocity=1e-4, grain=2),
+        duration=2e-5,
+        samples=31,
+        grains=[5, 1, 2],
+    )
     return simulate(scene, "native", 1e-9)
 
 
@@ -37,7 +43,8 @@ def test_save_and_load_are_equal(trajectory: Trajectory, tmp_path: Path):
 def test_a_profile_survives(tmp_path: Path):
     chain = Chain(grains=8, diameter=1e-3)
     start = Profile(
-        displacement=[1e-10 / 3] * 7 + [0], velocity=np.append(np.random.default_rng(1).random(7), 0) * 1e-5
+        displacement=[1e-10 / 3] * 7 + [0],
+        velocity=np.append(np.random.default_rng(1).random(7), 0) * 1e-5,
     )
     run = simulate(Scene(chain=chain, excitation=start, duration=1e-5, samples=3), "native", 1e-8)
     run.save(tmp_path / "run.nc")
@@ -45,7 +52,11 @@ def test_a_profile_survives(tmp_path: Path):
 
 
 def test_odd_numbers_survive(trajectory: Trajectory, tmp_path: Path):
-    odd = replace(trajectory, displacement=trajectory.displacement.copy(), provenance={"note": 'ä, µ and "quotes"\n'})
+    odd = replace(
+        trajectory,
+        displacement=trajectory.displacement.copy(),
+        provenance={"note": 'ä, µ and "quotes"\n'},
+    )
     odd.displacement[0, :3] = [5e-324, -0.0, 1e308]
     odd.save(tmp_path / "run.nc")
     again = Trajectory.load(tmp_path / "run.nc")
@@ -113,7 +124,9 @@ def test_a_full_disk_leaves_what_was_there(trajectory: Trajectory, tmp_path: Pat
     assert Trajectory.load(before) == trajectory
 
 
-def test_an_interrupted_write_leaves_nothing(trajectory: Trajectory, tmp_path: Path, monkeypatch: Any):
+def test_an_interrupted_write_leaves_nothing(
+    trajectory: Trajectory, tmp_path: Path, monkeypatch: Any
+):
     def interrupted(_: Any) -> None:
         assert [path.name.startswith(".run.") for path in tmp_path.iterdir()] == [True]
         raise KeyboardInterrupt
@@ -148,7 +161,10 @@ def test_a_file_without_a_part_is_refused(trajectory: Trajectory, tmp_path: Path
         data = whole.copy()
         data.attrs = {key: value for key, value in whole.attrs.items() if key != name}
         damaged.append(data)
-    damaged += [whole.assign_attrs(scene="[chain]\ngrains = 1"), whole.assign_attrs(lmpchain_format=99)]
+    damaged += [
+        whole.assign_attrs(scene="[chain]\ngrains = 1"),
+        whole.assign_attrs(lmpchain_format=99),
+    ]
     for number, data in enumerate(damaged):
         path = tmp_path / f"{number}.nc"
         data.to_netcdf(path, engine="h5netcdf")

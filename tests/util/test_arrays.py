@@ -19,7 +19,9 @@ def test_even_numbers_are_those_of_numpy(count: int):
 
 def test_the_last_of_even_numbers_is_the_end():
     """Also where the sum of the spacings is not."""
-    inexact = [(end, n) for n in range(2, 60) for end in (0.3, 0.7) if end / (n - 1) * (n - 1) != end]
+    inexact = [
+        (end, n) for n in range(2, 60) for end in (0.3, 0.7) if end / (n - 1) * (n - 1) != end
+    ]
     assert inexact
     assert all(evenly(end, count)[-1] == end for end, count in inexact)
 

@@ -125,11 +125,15 @@ def test_the_partial_file_bears_the_name_of_its_process(tmp_path: Path):
         assert first != second
         for aside in (first, second):
             aside.touch()
-            pattern = rf"\.run\.{re.escape(platform.node())}-{os.getpid()}-[0-9a-f]{{8}}\.partial\.nc"
+            pattern = (
+                rf"\.run\.{re.escape(platform.node())}-{os.getpid()}-[0-9a-f]{{8}}\.partial\.nc"
+            )
             assert re.fullmatch(pattern, aside.name)
 
 
-@pytest.mark.parametrize("failure", [OSError(errno.ENOSPC, "No space left"), RuntimeError("No space left")])
+@pytest.mark.parametrize(
+    "failure", [OSError(errno.ENOSPC, "No space left"), RuntimeError("No space left")]
+)
 def test_a_user_reads_why_a_file_cannot_be_written(tmp_path: Path, failure: Exception):
     path = tmp_path / "run.nc"
     with pytest.raises(InputError) as caught, write_aside(str(path)):

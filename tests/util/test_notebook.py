@@ -100,7 +100,9 @@ def test_a_chain_of_millions_is_shown_at_once():
 
 
 def test_what_a_value_holds_is_shown_and_not_obeyed():
-    odd = lmpchain.Material(density=1.0, youngs_modulus=1e9, poissons_ratio=0.3, name="<script>alert(1)</script>")
+    odd = lmpchain.Material(
+        density=1.0, youngs_modulus=1e9, poissons_ratio=0.3, name="<script>alert(1)</script>"
+    )
     html = odd._repr_html_()
     assert "<script>" not in html
     assert any("<script>alert(1)</script>" in text for text in Seen(html).texts)
@@ -120,7 +122,15 @@ def test_values_in_few_letters():
 
 def test_every_plot_has_ax_and_returns_axes():
     found = {Chain, Scene, Trajectory, Plan}
-    for package in ("measure", "measure.fit", "theory", "disorder", "orbits", "benchmark", "stability"):
+    for package in (
+        "measure",
+        "measure.fit",
+        "theory",
+        "disorder",
+        "orbits",
+        "benchmark",
+        "stability",
+    ):
         folder = importlib.import_module(f"lmpchain.{package}")
         for path in Path(folder.__path__[0]).glob("[a-z]*.py"):
             module = importlib.import_module(f"{folder.__name__}.{path.stem}")
@@ -130,7 +140,11 @@ def test_every_plot_has_ax_and_returns_axes():
         signature = inspect.signature(kind.plot)
         assert signature.parameters["ax"].default is None, kind
         assert signature.return_annotation == "Axes", kind
-        assert kind.__repr__.__qualname__ in ("Shown.__repr__", "Checked.__repr__", "Trajectory.__repr__"), kind
+        assert kind.__repr__.__qualname__ in (
+            "Shown.__repr__",
+            "Checked.__repr__",
+            "Trajectory.__repr__",
+        ), kind
 
 
 def test_pictures_are_known_to_pyplot_and_given_axes_are_not_replaced(run: Trajectory):
@@ -157,12 +171,16 @@ def all_drawn(t: Trajectory) -> dict[str, Callable[..., Any]]:
     first = front.track(t)
     host = Chain(grains=9, **LOADED, impurity=[{"grain": 5, "diameter": 2e-3}])
     uniform = Chain(grains=40, **LOADED)
-    struck = Scene(chain=uniform, excitation=Impulse(velocity=1e-7), duration=20 * uniform.time_scale)
+    struck = Scene(
+        chain=uniform, excitation=Impulse(velocity=1e-7), duration=20 * uniform.time_scale
+    )
     cell = Chain(grains=2, **LOADED | {"diameter": [1e-3, 2e-3]})
     return {
         "chain": CHAIN.plot,
         "scene": SCENE.plot,
-        "force": SCENE.replace(excitation=Force(shape="half-sine", amplitude=0.1, duration=3e-5)).plot,
+        "force": SCENE.replace(
+            excitation=Force(shape="half-sine", amplitude=0.1, duration=3e-5)
+        ).plot,
         "plan": lmpchain.plan(SCENE).plot,
         "trajectory": t.plot,
         "front": first.plot,
@@ -181,7 +199,9 @@ def all_drawn(t: Trajectory) -> dict[str, Callable[..., Any]]:
         "soliton": soliton.solve(speed=1.2).plot,
         "dimer": dimer_soliton.solve(0.3).plot,
         "bands": bands.branches(cell, np.linspace(-np.pi, np.pi, 101)).plot,
-        "transmission": scattering.transmission(host, np.linspace(0.1, 0.9, 50) * 2 / uniform.time_scale).plot,
+        "transmission": scattering.transmission(
+            host, np.linspace(0.1, 0.9, 50) * 2 / uniform.time_scale
+        ).plot,
         "orbit": normal_mode(Chain(grains=4, **LOADED), 1, 1e-9).plot,
         "drive": SCENE.replace(excitation=Drive(amplitude=1e-9, frequency=1e4)).plot,
     }
@@ -217,8 +237,26 @@ def test_four_pictures_fit_a_page_of_7_by_5_inches(run: Trajectory, tmp_path: Pa
     assert faults == []
 
 
-MODULES = ["", "measure", "measure.front", "measure.energy", "measure.spectrum", "theory", "theory.bessel"]
-MODULES += ["engines", "disorder", "orbits", "design", "chain", "scene", "trajectory", "stability", "chain.patterns"]
+MODULES = [
+    "",
+    "measure",
+    "measure.front",
+    "measure.energy",
+    "measure.spectrum",
+    "theory",
+    "theory.bessel",
+]
+MODULES += [
+    "engines",
+    "disorder",
+    "orbits",
+    "design",
+    "chain",
+    "scene",
+    "trajectory",
+    "stability",
+    "chain.patterns",
+]
 
 
 @pytest.mark.parametrize("name", MODULES)
@@ -226,10 +264,23 @@ def test_a_module_lists_what_it_offers_and_nothing_else(name: str):
     module = importlib.import_module(f"lmpchain.{name}".rstrip("."))
     names = dir(module)
     assert names
-    foreign = {"np", "annotations", "dataclass", "TYPE_CHECKING", "Any", "Array", "attributes", "listed"}
+    foreign = {
+        "np",
+        "annotations",
+        "dataclass",
+        "TYPE_CHECKING",
+        "Any",
+        "Array",
+        "attributes",
+        "listed",
+    }
     assert not foreign & set(names)
     assert not [one for one in names if one.startswith("_")]
-    assert all(inspect.getdoc(value) for value in (getattr(module, one) for one in names) if callable(value))
+    assert all(
+        inspect.getdoc(value)
+        for value in (getattr(module, one) for one in names)
+        if callable(value)
+    )
 
 
 @pytest.mark.parametrize("kind", [Chain, Scene, Impulse, Drive])
@@ -274,4 +325,12 @@ def test_a_plot_shows_once_in_a_notebook(monkeypatch: pytest.MonkeyPatch):
     nbclient.NotebookClient(book, timeout=600, kernel_name="python3").execute()
     shown = [[out.get("data", {}) for out in cell.outputs] for cell in book.cells]
     assert [sum("image/png" in data for data in cell) for cell in shown] == list(pictures.values())
-    assert [sum("<img" in data.get("text/html", "") for data in cell) for cell in shown] == [0, 0, 0, 0, 0, 1, 1]
+    assert [sum("<img" in data.get("text/html", "") for data in cell) for cell in shown] == [
+        0,
+        0,
+        0,
+        0,
+        0,
+        1,
+        1,
+    ]

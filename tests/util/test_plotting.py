@@ -37,7 +37,9 @@ def axes(width: float, height: float = 3.0):
 # --- numbers
 
 
-@pytest.mark.parametrize(("rows", "most"), [(6, 2), (7, 3), (100, 7), (9, 9), (8, 9), (1, 1), (5, 4)])
+@pytest.mark.parametrize(
+    ("rows", "most"), [(6, 2), (7, 3), (100, 7), (9, 9), (8, 9), (1, 1), (5, 4)]
+)
 def test_a_map_with_fewer_rows_keeps_the_loudest_of_each_few(rows: int, most: int):
     rng = np.random.default_rng(rows)
     values = rng.normal(size=(rows, 4))
@@ -135,7 +137,11 @@ def test_ticks_leave_room_for_their_labels():
 
 def letters(ax) -> set[float]:
     """Return the sizes of the letters of ticks and labels, in points."""
-    ticks = [tick.label1.get_fontsize() for axis in (ax.xaxis, ax.yaxis) for tick in axis.get_major_ticks()]
+    ticks = [
+        tick.label1.get_fontsize()
+        for axis in (ax.xaxis, ax.yaxis)
+        for tick in axis.get_major_ticks()
+    ]
     return {*ticks, ax.xaxis.label.get_fontsize(), ax.yaxis.label.get_fontsize()}
 
 

@@ -48,7 +48,9 @@ class Tqdm:
 
 def test_a_bar_counts_what_is_done(monkeypatch: pytest.MonkeyPatch):
     bars: list[Tqdm] = []
-    monkeypatch.setattr("tqdm.auto.tqdm", lambda **options: bars.append(Tqdm(**options)) or bars[-1])
+    monkeypatch.setattr(
+        "tqdm.auto.tqdm", lambda **options: bars.append(Tqdm(**options)) or bars[-1]
+    )
     with ProgressBar(7, "engines", " samples", done=2, layout=RATE) as bar:
         bar.advance()
         bar.advance(0.5)
@@ -67,7 +69,14 @@ def test_a_bar_counts_what_is_done(monkeypatch: pytest.MonkeyPatch):
     assert shown.calls == [1, 0.5, 2.5, "native", ("slow", False), ("shown", 7), "closed"]
     with ProgressBar(3):
         pass
-    assert bars[1].options == {"total": 3, "desc": "", "unit": "", "initial": 0, "leave": False, "bar_format": COUNT}
+    assert bars[1].options == {
+        "total": 3,
+        "desc": "",
+        "unit": "",
+        "initial": 0,
+        "leave": False,
+        "bar_format": COUNT,
+    }
     with ProgressBar(3, shown=False) as bar:
         bar.advance()
         bar.reach(2)
@@ -184,7 +193,9 @@ def twice(x):
 """
 
 
-def test_a_compilation_is_announced_once_and_its_time_is_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_compilation_is_announced_once_and_its_time_is_counted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
     toy = module(tmp_path, "toy_announced", TOY.format(name="one"))
     before = compilation.compiled_s()
     assert toy.half(1.0) == np.inf, "options are those of numba"
@@ -206,7 +217,9 @@ def test_what_cannot_be_kept_is_compiled_in_every_process(capsys: pytest.Capture
     third = compilation.compiled_once("what has no file", 2)(names["third"])
     assert third(3.0) == 1.0
     said = capsys.readouterr().err
-    assert said.startswith("compiling what has no file, in every process, for there is no folder to keep it in")
+    assert said.startswith(
+        "compiling what has no file, in every process, for there is no folder to keep it in"
+    )
     assert said.endswith(": about 2 s\n")
 
 
@@ -219,7 +232,12 @@ def test_the_stopwatch_counts_nested_compilations_once(monkeypatch: pytest.Monke
         now.s = second
         change("numba:compiler_lock")
 
-    for second, change in ((11.0, start_event), (12.0, start_event), (14.0, end_event), (17.0, end_event)):
+    for second, change in (
+        (11.0, start_event),
+        (12.0, start_event),
+        (14.0, end_event),
+        (17.0, end_event),
+    ):
         at(second, change)
     assert compilation.compiled_s() - before == pytest.approx(6.0)
     at(20.0, start_event)

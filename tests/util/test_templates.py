@@ -110,7 +110,11 @@ def test_columns_of_a_table_are_aligned():
 def test_numbers_of_a_table():
     assert number(1234.5) == "1.23e+03"
     assert number(0.5, ".2f", "m") == "0.50 m"
-    assert (number(np.inf), number(-np.inf, infinite="none"), number(np.nan, missing="-")) == ("inf", "none", "-")
+    assert (number(np.inf), number(-np.inf, infinite="none"), number(np.nan, missing="-")) == (
+        "inf",
+        "none",
+        "-",
+    )
     row = {"a": 1.5, "b": np.inf, "c": float("nan"), "d": "text", "e": 3, "f": None}
     assert finite(row) == {"a": 1.5, "b": None, "c": None, "d": "text", "e": 3, "f": None}
 
@@ -128,7 +132,9 @@ def test_misspelt_names():
 def test_names_of_a_package_are_imported_when_they_are_used(monkeypatch: pytest.MonkeyPatch):
     package = ModuleType("lmpchain.made_up")
     monkeypatch.setitem(sys.modules, package.__name__, package)
-    find = attributes("lmpchain", ["theory"], {"util.tables": "aligned number", "errors": "InputError"})
+    find = attributes(
+        "lmpchain", ["theory"], {"util.tables": "aligned number", "errors": "InputError"}
+    )
     assert find("theory").__name__ == "lmpchain.theory"
     import lmpchain
 
@@ -144,7 +150,10 @@ def test_names_of_a_package_are_imported_when_they_are_used(monkeypatch: pytest.
 
 def test_a_module_lists_its_own_functions_and_classes(monkeypatch: pytest.MonkeyPatch):
     module = ModuleType("made_up")
-    exec("def work(): pass\ndef _hidden(): pass\nclass Kind: pass\nnumber = 5\nfrom math import sin", vars(module))
+    exec(
+        "def work(): pass\ndef _hidden(): pass\nclass Kind: pass\nnumber = 5\nfrom math import sin",
+        vars(module),
+    )
     for name in ("work", "_hidden", "Kind"):
         vars(module)[name].__module__ = "made_up"
     monkeypatch.setitem(sys.modules, "made_up", module)
@@ -158,12 +167,20 @@ def test_a_module_lists_its_own_functions_and_classes(monkeypatch: pytest.Monkey
 
 def test_checksums_are_those_of_sha256sum(tmp_path: Path):
     (tmp_path / "inner").mkdir()
-    for name, content in {"b": b"2", "a": b"1", "inner/c": b"3", ".hidden": b"4", "out": b"5"}.items():
+    for name, content in {
+        "b": b"2",
+        "a": b"1",
+        "inner/c": b"3",
+        ".hidden": b"4",
+        "out": b"5",
+    }.items():
         (tmp_path / name).write_bytes(content)
     lines = provenance.checksums(tmp_path, {"out"})
     assert re.findall(r"  (.*)\n", lines) == ["a", "b", "inner/c"]
     assert lines.startswith(f"{hashlib.sha256(b'1').hexdigest()}  a\n")
-    done = subprocess.run(["sha256sum", "--check"], input=lines, cwd=tmp_path, capture_output=True, text=True)
+    done = subprocess.run(
+        ["sha256sum", "--check"], input=lines, cwd=tmp_path, capture_output=True, text=True
+    )
     assert done.returncode == 0
 
 
@@ -182,7 +199,9 @@ def test_a_session_says_where_and_with_what():
     assert session["began"].endswith("+00:00")
     assert len(session["began"]) == len("2024-05-06T07:08:09+00:00")
     assert session["packages"]["numpy"] == np.__version__ == provenance.versions()["numpy"]
-    assert session["packages"]["lmpchain"] == version("lmpchain") == provenance.versions()["lmpchain"]
+    assert (
+        session["packages"]["lmpchain"] == version("lmpchain") == provenance.versions()["lmpchain"]
+    )
     assert (session["cores"], session["host"]) == (os.cpu_count(), platform.node())
     assert session["command"] == provenance.command()
     assert session["working_folder"] == os.getcwd()

@@ -35,7 +35,12 @@ LOW = 3.0  # an estimate below a third of the truth is one too
 ROUND = 2.3e-16  # two answers in double precision may differ by so much
 SAFE = 10.0  # by so much must the doubt about the reference be below what it decides
 FAMILIES = ("native", "step", "auto", "linear", "lammps", "acted")
-LOOSE = {"verlet": 1e-7, "gear4": 1e-8, "rkn4": 1e-11, "kahan-li6": 1e-12}  # least tolerance that makes sense
+LOOSE = {
+    "verlet": 1e-7,
+    "gear4": 1e-8,
+    "rkn4": 1e-11,
+    "kahan-li6": 1e-12,
+}  # least tolerance that makes sense
 ENDINGS = ("right", "above", "missed", "refused", "failed", "slow", "unresolved")
 
 
@@ -78,7 +83,8 @@ def draw(family: str, seed: int) -> tuple[Scene, str, float, dict[str, Any]]:
     match family:
         case "native" | "step":
             integrator = rng.choice(
-                ["auto"] * 6 + ["rkn6", "rkn4", "kahan-li8", "kahan-li6", "dop853", "gear4", "verlet"]
+                ["auto"] * 6
+                + ["rkn6", "rkn4", "kahan-li8", "kahan-li6", "dop853", "gear4", "verlet"]
             )
             options = {"integrator": integrator.item()}
             if rng.random() < 0.1:
@@ -92,7 +98,10 @@ def draw(family: str, seed: int) -> tuple[Scene, str, float, dict[str, Any]]:
                 work /= 10
             scene = trial_scene(rng, work=work)
             if family == "step":
-                engine, options["step"] = "native", float(10 ** rng.uniform(-2, 0.3) / scene.highest_frequency)
+                engine, options["step"] = (
+                    "native",
+                    float(10 ** rng.uniform(-2, 0.3) / scene.highest_frequency),
+                )
         case "auto":
             scene = trial_scene(rng, work=work)
         case "acted":
@@ -141,12 +150,19 @@ def trial(family: str, seed: int, longest: float = 0.0) -> dict[str, Any]:
     if row.get("ending") in ("slow", "refused", "failed"):
         return row
     began = time.process_time()
-    row |= judge(scene, engine, tolerance, answer, missed="ending" in row, fixed=family in ("step", "linear"))
+    row |= judge(
+        scene, engine, tolerance, answer, missed="ending" in row, fixed=family in ("step", "linear")
+    )
     return row | {"reference_s": time.process_time() - began}
 
 
 def judge(
-    scene: Scene, engine: str, tolerance: float, answer: Trajectory | None, missed: bool = False, fixed: bool = False
+    scene: Scene,
+    engine: str,
+    tolerance: float,
+    answer: Trajectory | None,
+    missed: bool = False,
+    fixed: bool = False,
 ) -> dict[str, Any]:
     """Hold an answer to references of rising accuracy until the verdict is clear; one against it takes two of them."""
     row: dict[str, Any] = {"ending": "missed" if missed else "unresolved"}
@@ -205,7 +221,10 @@ def possible(scene: Scene, true: Reference, tolerance: float, engine: str) -> bo
 def table(rows: Iterable[dict[str, Any]]) -> str:
     """Return counts of what came of the trials, and the seeds that failed."""
     rows = list(rows)
-    lines = ["family   trials   " + "  ".join(f"{e:>10}" for e in (*ENDINGS, "low", "false miss", "> 10 s"))]
+    lines = [
+        "family   trials   "
+        + "  ".join(f"{e:>10}" for e in (*ENDINGS, "low", "false miss", "> 10 s"))
+    ]
     for family in FAMILIES:
         these = [row for row in rows if row["family"] == family]
         counts = Counter(row["ending"] for row in these)
@@ -227,7 +246,9 @@ def table(rows: Iterable[dict[str, Any]]) -> str:
 
 def summary(row: dict[str, Any], faults: Iterable[str] = ()) -> str:
     """Return one line for a trial."""
-    numbers = "  ".join(f"{key} {row[key]:.2g}" for key in ("tolerance", "true", "estimate", "doubt") if key in row)
+    numbers = "  ".join(
+        f"{key} {row[key]:.2g}" for key in ("tolerance", "true", "estimate", "doubt") if key in row
+    )
     method = f"{row.get('integrator', '')}({row.get('method', '')}){' h' if 'step' in row else ''}"
     what = (
         f"N={row['grains']} delta={row['exponent']:.4g} {row['top']}/{row['bottom']} {row['kind']} "
@@ -243,11 +264,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("family", nargs="?", choices=FAMILIES)
     parser.add_argument("seeds", nargs="?", help="FIRST:END, or one")
-    parser.add_argument("--output", type=Path, help="file to which a line of JSON is added for each trial")
+    parser.add_argument(
+        "--output", type=Path, help="file to which a line of JSON is added for each trial"
+    )
     parser.add_argument("--table", type=Path, nargs="+", help="files whose trials to count")
     asked = parser.parse_args()
     if asked.table:
-        print(table(json.loads(line) for path in asked.table for line in path.read_text().splitlines()))
+        print(
+            table(
+                json.loads(line) for path in asked.table for line in path.read_text().splitlines()
+            )
+        )
         return
     first, _, end = asked.seeds.partition(":")
     done = set()

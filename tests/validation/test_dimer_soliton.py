@@ -25,11 +25,14 @@ def test_antiresonances(near: float, ratio: float, published: float | None):
 
 
 @pytest.mark.parametrize(
-    ("least", "count"), [pytest.param(0.085, 3, marks=pytest.mark.slow), pytest.param(0.06, 4, marks=pytest.mark.soak)]
+    ("least", "count"),
+    [pytest.param(0.085, 3, marks=pytest.mark.slow), pytest.param(0.06, 4, marks=pytest.mark.soak)],
 )
 def test_a_scan_finds_the_published_mass_ratios_by_itself(least: float, count: int):
     """Those of Jayaprakash et al. from 1 down to 0.06, in order and none besides, from no guess of theirs."""
-    assert antiresonances(least) == pytest.approx((0.3428, 0.1548, 0.0901, 0.0615)[:count], abs=5.1e-5)
+    assert antiresonances(least) == pytest.approx(
+        (0.3428, 0.1548, 0.0901, 0.0615)[:count], abs=5.1e-5
+    )
 
 
 @pytest.mark.parametrize("near", [0.36, pytest.param(0.16, marks=pytest.mark.slow)])
@@ -43,13 +46,17 @@ def test_travels_unchanged(near: float):
     unit = (1e-5 / 1e9) ** 0.4
     assert len(wave.plot().figure.axes[0].lines) == 4
     assert start.velocity[::2].max() <= 0.1 * (1 + 1e-12)
-    scene = lmpchain.Scene(chain=chain, excitation=start, duration=60 * unit / wave.speed, samples=2)
+    scene = lmpchain.Scene(
+        chain=chain, excitation=start, duration=60 * unit / wave.speed, samples=2
+    )
     t = lmpchain.simulate(scene, engine="native", tolerance=1e-9)
     assert np.abs(t.velocity[-1] - end.velocity).max() < 1e-9 * 0.1
     assert np.abs(t.displacement[-1] - end.displacement).max() < 1e-9 * end.displacement.max()
 
 
-@pytest.mark.parametrize(("keys", "said"), [({"near": 1.5}, "near"), ({"near": 0.3, "delta": 1.0}, "delta")])
+@pytest.mark.parametrize(
+    ("keys", "said"), [({"near": 1.5}, "near"), ({"near": 0.3, "delta": 1.0}, "delta")]
+)
 def test_refusals(keys: dict[str, float], said: str):
     with pytest.raises(lmpchain.InputError, match=f"^{said}: "):
         solve(**keys)

@@ -21,7 +21,9 @@ from lmpchain.chain.patterns import tapered
 
 Array = NDArray[np.float64]
 both = pytest.mark.parametrize("engine", ["native", "lammps"])
-long_in_lammps = pytest.mark.parametrize("engine", ["native", pytest.param("lammps", marks=pytest.mark.slow)])
+long_in_lammps = pytest.mark.parametrize(
+    "engine", ["native", pytest.param("lammps", marks=pytest.mark.slow)]
+)
 
 # speed of the soliton of a sonic vacuum, V = C v_m^((delta-1)/(delta+1)), from the exact lattice soliton
 SOLITON_SPEED = {1.5: 0.9074700784, 2.0: 0.855251932, 3.0: 0.804760116}
@@ -42,15 +44,26 @@ def _run(
     engine: str = "native",
     grains: str | list[int] = "all",
 ) -> lmpchain.Trajectory:
-    scene = lmpchain.Scene(chain=chain, excitation=excitation, duration=duration, samples=samples, grains=grains)
+    scene = lmpchain.Scene(
+        chain=chain, excitation=excitation, duration=duration, samples=samples, grains=grains
+    )
     return lmpchain.simulate(scene, engine=engine, tolerance=tolerance)
 
 
 def _steel_beads() -> lmpchain.Chain:
     """Return the 100 beads of R = 6 mm between walls that come with TaperChain, which has K at pi/2 times Hertz's."""
     steel = lmpchain.Material(density=7800.0, youngs_modulus=200e9, poissons_ratio=0.28)
-    beads = {"grains": 100, "diameter": 0.012, "gravity": 0.0, "material": steel, "top": "wall", "bottom": "wall"}
-    return lmpchain.Chain(**beads, contact_constants=np.pi / 2 * lmpchain.Chain(**beads).contact_constants)
+    beads = {
+        "grains": 100,
+        "diameter": 0.012,
+        "gravity": 0.0,
+        "material": steel,
+        "top": "wall",
+        "bottom": "wall",
+    }
+    return lmpchain.Chain(
+        **beads, contact_constants=np.pi / 2 * lmpchain.Chain(**beads).contact_constants
+    )
 
 
 @long_in_lammps
@@ -65,7 +78,14 @@ def test_trajectory_of_another_code(engine: str) -> None:
     assert chain.contact_constants == pytest.approx(1.244735e10, rel=1e-6)
     assert chain.wall_constants / chain.contact_constants[0] == pytest.approx(np.sqrt(2), rel=1e-14)
     t = _run(chain, lmpchain.Impulse(velocity=strike), 2e-3, 3, 1e-6, engine)
-    early = [1.34237e-4, 1.09549e-2, 6.25026e-2, 3.72549e-2, 2.05410e-3, 5.46741e-6]  # grains 40 to 45
+    early = [
+        1.34237e-4,
+        1.09549e-2,
+        6.25026e-2,
+        3.72549e-2,
+        2.05410e-3,
+        5.46741e-6,
+    ]  # grains 40 to 45
     late = [2.15842e-4, 0.0138095, 0.0650834, 0.0323546, 0.00143986]  # grains 82 to 86
     assert t.velocity[1, 39:45] == pytest.approx(np.array(early), abs=6e-6 * strike)
     assert t.velocity[2, 81:86] == pytest.approx(np.array(late), abs=6e-6 * strike)
@@ -75,7 +95,8 @@ def test_trajectory_of_another_code(engine: str) -> None:
 def test_engines_agree_on_the_steel_beads_after_they_were_reflected() -> None:
     """Both engines to 4 ms, when the pulse has come back from the wall, within 2e-5 of the strike."""
     one, other = (
-        _run(_steel_beads(), lmpchain.Impulse(velocity=0.099188), 4e-3, 81, 1e-5, name) for name in ("native", "lammps")
+        _run(_steel_beads(), lmpchain.Impulse(velocity=0.099188), 4e-3, 81, 1e-5, name)
+        for name in ("native", "lammps")
     )
     assert np.abs(one.velocity - other.velocity).max() < 2e-5 * 0.099188
 
@@ -94,20 +115,31 @@ def test_force_on_a_wall(engine: str, wall: str, ratio: float) -> None:
     gap = t.displacement[:, 21] - t.displacement[:, 22]
     when, within = find_peak(t.time, np.maximum(gap, 0.0) ** 1.5)
     assert when < 35, "the pulse on its way there"
-    _, at_wall = find_peak(t.time, chain.wall_constants[1] * np.maximum(t.displacement[:, -1], 0.0) ** 1.5)
+    _, at_wall = find_peak(
+        t.time, chain.wall_constants[1] * np.maximum(t.displacement[:, -1], 0.0) ** 1.5
+    )
     assert at_wall / within == pytest.approx(ratio, rel=1e-5)
 
 
-def _release(exponent: float, grains: int, tolerance: float, engine: str = "native") -> lmpchain.Trajectory:
+def _release(
+    exponent: float, grains: int, tolerance: float, engine: str = "native"
+) -> lmpchain.Trajectory:
     """Let go a chain all of whose contacts are compressed by 1, until the wave nearly reaches its far end."""
     compressed = lmpchain.Profile(displacement=np.arange(grains - 1, -1, -1.0))
     end = 0.95 * grains / np.sqrt(exponent)
-    return _run(_chain(grains, exponent=exponent, bottom="fixed"), compressed, end, 3, tolerance, engine)
+    return _run(
+        _chain(grains, exponent=exponent, bottom="fixed"), compressed, end, 3, tolerance, engine
+    )
 
 
 @pytest.mark.parametrize(
     ("exponent", "speed", "engine"),
-    [(1.5, 1.011646, "native"), (1.5, 1.011646, "lammps"), (2.0, 0.953902, "native"), (3.0, 0.867856, "native")],
+    [
+        (1.5, 1.011646, "native"),
+        (1.5, 1.011646, "lammps"),
+        (2.0, 0.953902, "native"),
+        (3.0, 0.867856, "native"),
+    ],
 )
 def test_speed_of_the_end_of_a_released_chain(exponent: float, speed: float, engine: str) -> None:
     """Speed at which the end grain of a precompressed chain leaves it, in units of c0 r0 / sqrt(delta).
@@ -127,17 +159,25 @@ def test_rarefaction(exponent: float, grains: int) -> None:
     """
     t = _release(exponent, grains, 1e-4)
     reach = np.sqrt(exponent) * t.time[-1]
-    r, contacts, bodies = -np.diff(t.displacement[-1]), np.arange(1, grains) / reach, np.arange(0.5, grains) / reach
+    r, contacts, bodies = (
+        -np.diff(t.displacement[-1]),
+        np.arange(1, grains) / reach,
+        np.arange(0.5, grains) / reach,
+    )
     inside = (contacts > 0.02) & (contacts < 0.9)
     assert r[inside] == pytest.approx(contacts[inside] ** (2 / (exponent - 1)), abs=1e-3)
     inside = (bodies > 0.1) & (bodies < 0.9)
-    speed = 2 * np.sqrt(exponent) / (exponent + 1) * (1 - bodies ** ((exponent + 1) / (exponent - 1)))
+    speed = (
+        2 * np.sqrt(exponent) / (exponent + 1) * (1 - bodies ** ((exponent + 1) / (exponent - 1)))
+    )
     assert -t.velocity[-1][inside] == pytest.approx(speed[inside], abs=1e-3)
     if exponent == 1.5:
         assert np.interp(0.5, contacts, r) == pytest.approx(0.06251, abs=6e-6)
 
 
-@pytest.mark.parametrize(("exponent", "grain", "ratio"), [(1.5, 600, 2.0095), (2.0, 500, 2.0011), (3.0, 400, 1.9878)])
+@pytest.mark.parametrize(
+    ("exponent", "grain", "ratio"), [(1.5, 600, 2.0095), (2.0, 500, 2.0011), (3.0, 400, 1.9878)]
+)
 def test_shock_before_a_piston(exponent: float, grain: int, ratio: float) -> None:
     """Leading peak of the velocity over that of the piston, and the speed of the front, in a sonic vacuum.
 
@@ -210,7 +250,9 @@ def test_growth_in_a_tapered_chain(taper: float, mean: float, limit: float) -> N
     peaks = {n: find_peak(t.time, t.velocity[:, n - 1])[1] for n in (11, 27, 28, 29, 30, 31)}
     assert (peaks[31] / peaks[11]) ** (1 / 20) == pytest.approx(mean, rel=1e-4)
     before, growth, after = (peaks[n + 2] / peaks[n] for n in (27, 28, 29))
-    final = np.sqrt(after - (after - growth) ** 2 / (after - 2 * growth + before))  # Aitken's: differences shrink alike
+    final = np.sqrt(
+        after - (after - growth) ** 2 / (after - 2 * growth + before)
+    )  # Aitken's: differences shrink alike
     assert final == pytest.approx(limit, rel=1e-6)
     if abs(taper) <= 0.05:
         assert 2 / (1 + (1 - taper) ** 3) == pytest.approx(final, abs=2 * taper**2)
@@ -227,9 +269,13 @@ def _loss(light: float) -> float:
         duration=120.0,
         samples=1201,
     )
-    t = lmpchain.simulate(scene, engine=lmpchain.engines.Native(step=0.05))  # light grains rattle behind: chaos
+    t = lmpchain.simulate(
+        scene, engine=lmpchain.engines.Native(step=0.05)
+    )  # light grains rattle behind: chaos
     early, late = (
-        find_peak(t.time, np.maximum(t.displacement[:, 2 * n] - t.displacement[:, 2 * n + 1], 0.0) ** 1.5)[1]
+        find_peak(
+            t.time, np.maximum(t.displacement[:, 2 * n] - t.displacement[:, 2 * n + 1], 0.0) ** 1.5
+        )[1]
         for n in (first, second)
     )
     return float(np.log(early / late) / (second - first))
@@ -326,7 +372,9 @@ def test_shaking_a_dimer(engine: str, place: str) -> None:
     t = _run(chain, shaker, end, 841, 1e-5, engine, [1, 3, 5, 41])
     late = t.time > end - 6 * np.pi / omega
     waves = np.exp(1j * omega * t.time[late])
-    fit, *_ = np.linalg.lstsq(np.column_stack((waves.real, waves.imag)), t.displacement[late], rcond=None)
+    fit, *_ = np.linalg.lstsq(
+        np.column_stack((waves.real, waves.imag)), t.displacement[late], rcond=None
+    )
     first, second, third, far = np.hypot(*fit)
     s = m * big * omega**2 * (2 * k * (1 / m + 1 / big) - omega**2) / (4 * k**2)
     passed = 1.0 if s < 1 else float(np.exp(-2 * np.arccosh(np.sqrt(s))))
@@ -355,7 +403,9 @@ def _soliton(speed: float, grains: int) -> tuple[Array, Array]:
         if np.abs(w - old).max() < 1e-12 * w.max():
             break
     force = np.fft.rfft((1 + w) ** 1.5 - 1)
-    v = np.fft.irfft(force * spread * np.exp(-0.5j * q), x.size) / c  # v(x) c is the mean of F over x-1 ... x
+    v = (
+        np.fft.irfft(force * spread * np.exp(-0.5j * q), x.size) / c
+    )  # v(x) c is the mean of F over x-1 ... x
     return np.cumsum(w[::fine][::-1])[::-1], v[::fine]
 
 
@@ -370,7 +420,9 @@ def _soliton(speed: float, grains: int) -> tuple[Array, Array]:
         (2.0, 358.12577, 49.43016, "native"),
     ],
 )
-def test_soliton_of_a_precompressed_chain(speed: float, force: float | None, compression: float, engine: str) -> None:
+def test_soliton_of_a_precompressed_chain(
+    speed: float, force: float | None, compression: float, engine: str
+) -> None:
     """Largest force over F0 and compression beyond r0, over r0, of the pulse that moves at `speed` times sound.
 
     Source: the exact soliton of the lattice, tolerance 1e-6. The long-wave formula of Coste, Falcon
@@ -386,7 +438,12 @@ def test_soliton_of_a_precompressed_chain(speed: float, force: float | None, com
     samples = round(40 * (30 + 3 * width) / width)
     chain = _chain(grains, top_load=1.0, bottom="fixed")
     t = _run(
-        chain, lmpchain.Profile(displacement=u, velocity=v), end, samples, 1e-9 if engine == "native" else 1e-7, engine
+        chain,
+        lmpchain.Profile(displacement=u, velocity=v),
+        end,
+        samples,
+        1e-9 if engine == "native" else 1e-7,
+        engine,
     )
     r = t.displacement[:, :-1] - t.displacement[:, 1:]
     (early, _), (late, crest) = (find_peak(t.time, r[:, n - 1]) for n in (first, second))

@@ -40,7 +40,11 @@ def _run(
     engine: str = "native",
 ) -> lmpchain.Trajectory:
     scene = lmpchain.Scene(
-        chain=chain, excitation=lmpchain.Impulse(velocity=strike), duration=duration, samples=samples, grains=grains
+        chain=chain,
+        excitation=lmpchain.Impulse(velocity=strike),
+        duration=duration,
+        samples=samples,
+        grains=grains,
     )
     return lmpchain.simulate(scene, engine, tolerance)
 
@@ -57,7 +61,9 @@ def _run(
         (8.48, 10, 0.49907317, 7.284140),
     ],
 )
-def test_peak_velocity_in_a_column(strike_number: float, grain: int, ratio: float, arrival: float | None) -> None:
+def test_peak_velocity_in_a_column(
+    strike_number: float, grain: int, ratio: float, arrival: float | None
+) -> None:
     """Peak velocity over the strike, and its time in units of tau, for a Hertzian column struck at the top.
 
     Source: two independent integrations (DOP853 at 1e-12) of the paper's Eq. (1), N >= 160. Tolerance 1e-6.
@@ -73,7 +79,10 @@ def test_peak_velocity_in_a_column(strike_number: float, grain: int, ratio: floa
         assert when == pytest.approx(arrival, rel=1e-6)
 
 
-NATIVE, LAMMPS = ("native", 1e-8, 1e-6), ("lammps", 1e-5, 1e-4)  # which has Hertz's contacts and springs
+NATIVE, LAMMPS = (
+    ("native", 1e-8, 1e-6),
+    ("lammps", 1e-5, 1e-4),
+)  # which has Hertz's contacts and springs
 
 
 @pytest.mark.parametrize(
@@ -85,7 +94,9 @@ NATIVE, LAMMPS = ("native", 1e-8, 1e-6), ("lammps", 1e-5, 1e-4)  # which has Her
         pytest.param(1.5, 0.9074700784, *LAMMPS, marks=pytest.mark.slow),
     ],
 )
-def test_speed_of_a_soliton(exponent: float, factor: float, engine: str, tolerance: float, off: float) -> None:
+def test_speed_of_a_soliton(
+    exponent: float, factor: float, engine: str, tolerance: float, off: float
+) -> None:
     """V = C v_m^((delta-1)/(delta+1)) for the pulse that a strike sends through a sonic vacuum.
 
     Source: C of the exact lattice soliton (fixed-point iteration as in Ahnert and Pikovsky 2009, English and Pego
@@ -143,9 +154,12 @@ def test_what_a_strike_gives_to_its_first_soliton(
     ],
 )
 @pytest.mark.parametrize(
-    ("engine", "tolerance", "off"), [("native", 1e-9, 1e-7), pytest.param("lammps", 1e-6, 1e-5, marks=pytest.mark.slow)]
+    ("engine", "tolerance", "off"),
+    [("native", 1e-9, 1e-7), pytest.param("lammps", 1e-6, 1e-5, marks=pytest.mark.slow)],
 )
-def test_newtons_cradle(exponent: float, velocities: list[float], engine: str, tolerance: float, off: float) -> None:
+def test_newtons_cradle(
+    exponent: float, velocities: list[float], engine: str, tolerance: float, off: float
+) -> None:
     """Final velocities of touching balls, the first of which strikes the others with velocity 1.
 
     Source: the problem of Hinch and Saint-Jean, Proc. R. Soc. A 455, 3201 (1999); digits by DOP853 at 1e-12.
@@ -179,7 +193,13 @@ def test_column_of_linear_springs() -> None:
 
 @pytest.mark.parametrize(
     ("exponent", "contact_time"),
-    [(1.0, np.pi), (1.25, 3.0328176619), (1.5, 2.9432751843), (2.0, 2.8043642107), (3.0, 2.6220575543)],
+    [
+        (1.0, np.pi),
+        (1.25, 3.0328176619),
+        (1.5, 2.9432751843),
+        (2.0, 2.8043642107),
+        (3.0, 2.6220575543),
+    ],
 )
 def test_two_balls_touch_for(exponent: float, contact_time: float) -> None:
     """t_c v / x_max = 2 sqrt(pi) Gamma(1+q) / Gamma(1/2+q), q = 1/(delta+1), for two balls that collide.
@@ -208,12 +228,17 @@ def test_a_sonic_vacuum_has_no_scale_of_its_own(exponent: float) -> None:
     clock, length = scale ** (-(exponent - 1) / (exponent + 1)), scale ** (2 / (exponent + 1))
 
     def motion(strike: float, duration: float) -> lmpchain.Trajectory:
-        scene = lmpchain.Scene(chain=chain, excitation=lmpchain.Impulse(velocity=strike), duration=duration, samples=41)
+        scene = lmpchain.Scene(
+            chain=chain, excitation=lmpchain.Impulse(velocity=strike), duration=duration, samples=41
+        )
         step = duration / 40 / 499.5  # rounds to 500 steps a sample whatever the last digit
         return lmpchain.simulate(scene, engine=lmpchain.engines.Native(step=step))
 
     one, other = motion(1.0, 40.0), motion(scale, 40.0 * clock)
     assert one.cost.steps == other.cost.steps
     assert np.abs(one.displacement[-1]).max() > 5, "the chain must have moved"
-    for x, y in ((one.displacement * length, other.displacement), (one.velocity * scale, other.velocity)):
+    for x, y in (
+        (one.displacement * length, other.displacement),
+        (one.velocity * scale, other.velocity),
+    ):
         assert np.abs(x - y).max() < 1e-10 * np.abs(x).max()

@@ -17,7 +17,15 @@ def test_published_values_of_dysons_chain():
     Source: F. J. Dyson, Phys. Rev. 92, 1331 (1953), by Tricomi's function in another code. All digits.
     """
     square = np.array([0.01, 0.1, 0.5, 1, 2, 4, 6])
-    share = [0.0640078600, 0.1486019989, 0.3014597107, 0.4215709293, 0.5992618019, 0.8366863345, 0.9512900219]
+    share = [
+        0.0640078600,
+        0.1486019989,
+        0.3014597107,
+        0.4215709293,
+        0.5992618019,
+        0.8366863345,
+        0.9512900219,
+    ]
     assert dyson.integrated(np.sqrt(square), 1) == pytest.approx(share, abs=6e-11)
 
 
@@ -62,17 +70,29 @@ def test_weak_localisation_by_random_masses():
 def spread(of: str, m: float, moved: bool, grains: int, realisations: int) -> Spreading:
     """Return how a strike on, or a displacement of, the grain in the middle spreads in random chains of springs."""
     chain = lmpchain.Chain(
-        grains=grains, diameter=1e-3, gravity=0.0, top_load=1.0, exponent=1.0, top="wall", bottom="wall"
+        grains=grains,
+        diameter=1e-3,
+        gravity=0.0,
+        top_load=1.0,
+        exponent=1.0,
+        top="wall",
+        bottom="wall",
     )
     middle = {"grain": grains // 2}
     strike = lmpchain.Impulse(velocity=1e-9, **middle)
     excitation = lmpchain.Displacement(displacement=1e-12, **middle) if moved else strike
-    scene = lmpchain.Scene(chain=chain, excitation=excitation, duration=0.47 * grains * chain.time_scale, samples=61)
-    return spreading(scene, m, realisations, seed=3, of=of, law="paper" if of == "stiffness" else "dyson")
+    scene = lmpchain.Scene(
+        chain=chain, excitation=excitation, duration=0.47 * grains * chain.time_scale, samples=61
+    )
+    return spreading(
+        scene, m, realisations, seed=3, of=of, law="paper" if of == "stiffness" else "dyson"
+    )
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("of", "grains", "realisations"), [("stiffness", 2400, 80), ("mass", 2000, 60)])
+@pytest.mark.parametrize(
+    ("of", "grains", "realisations"), [("stiffness", 2400, 80), ("mass", 2000, 60)]
+)
 def test_energy_of_a_strike_spreads_superdiffusively(of, grains, realisations):
     """m2 ~ t^(3/2) over the last octave, within 0.03.
 

@@ -24,17 +24,30 @@ FOUND = [211, 343, 444, 566, 961, 1811, 1080, 30, 2691, 5214, 7395, 9572, 11183]
 def draw(seed: int) -> tuple[Scene, int, float, str]:
     """Return a scene, a contact whose force is asked for, a tolerance and an engine."""
     rng = np.random.default_rng([77, seed])
-    scene = (acted_trial_scene if rng.random() < 0.3 else trial_scene)(rng, work=10 ** rng.uniform(2.5, 4))
+    scene = (acted_trial_scene if rng.random() < 0.3 else trial_scene)(
+        rng, work=10 ** rng.uniform(2.5, 4)
+    )
     contact = int(rng.choice(np.flatnonzero(scene.chain.contacts.exists)))
-    tolerance, engine = float(10 ** rng.uniform(-11, -2)), rng.choice(["native"] * 4 + ["auto"]).item()
-    names = ["peak_velocity", "peak_displacement", "arrival_time", f"peak_force:{contact}", f"force:{contact}"]
+    tolerance, engine = (
+        float(10 ** rng.uniform(-11, -2)),
+        rng.choice(["native"] * 4 + ["auto"]).item(),
+    )
+    names = [
+        "peak_velocity",
+        "peak_displacement",
+        "arrival_time",
+        f"peak_force:{contact}",
+        f"force:{contact}",
+    ]
     scene = scene.replace(samples=int(rng.integers(2, 6)), quantities=names, grains="all")
     return scene, contact, tolerance, engine
 
 
 def maxima(y: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return begin, end and size of the first maximum at least half as large as the largest, and of near ones."""
-    last = np.append(np.flatnonzero(np.abs(np.diff(y)) > SAME * y.max()), y.size - 1)  # of values that are the same
+    last = np.append(
+        np.flatnonzero(np.abs(np.diff(y)) > SAME * y.max()), y.size - 1
+    )  # of values that are the same
     first, level = np.append(0, last[:-1] + 1), np.append(y[last], 0.0)
     tops = 1 + np.flatnonzero((level[1:-1] > level[:-2]) & (level[1:-1] > level[2:]))
     tops = tops[level[tops] >= (1 - NEAR_HALF) * y.max() / 2]
@@ -43,7 +56,9 @@ def maxima(y: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.
     return time[first[tops]], time[last[tops]], level[tops]
 
 
-def wrong_fronts(name: str, sizes: np.ndarray, time: np.ndarray, rows: np.ndarray, doubt: float) -> list[Any]:
+def wrong_fronts(
+    name: str, sizes: np.ndarray, time: np.ndarray, rows: np.ndarray, doubt: float
+) -> list[Any]:
     """Return which fronts (G, 6) are not those of sizes (T, G): their times, and heights and widths where given."""
     bad: list[Any] = []
     for grain in np.flatnonzero(np.isfinite(rows[:, 0])):
@@ -52,13 +67,24 @@ def wrong_fronts(name: str, sizes: np.ndarray, time: np.ndarray, rows: np.ndarra
         there = (begin - when <= late + time[1]) & (when - end <= late + time[1])
         if not there.any():
             bad.append((f"time of {name}", int(grain) + 1, when, late, begin, end))
-        elif (np.abs(np.abs(height) - level[there]) > off + np.abs(np.diff(y, 2)).max() + doubt).all():
+        elif (
+            np.abs(np.abs(height) - level[there]) > off + np.abs(np.diff(y, 2)).max() + doubt
+        ).all():
             bad.append((f"height of {name}", int(grain) + 1, height, off, level[there]))
         elif there.sum() == 1 and late < BETWEEN * time[1]:
-            below, top = np.flatnonzero(y < level[there] / 2), np.searchsorted(time, begin[there][0])
+            below, top = (
+                np.flatnonzero(y < level[there] / 2),
+                np.searchsorted(time, begin[there][0]),
+            )
             before, after = below[below < top], below[below > top]
-            if before.size and after.size and abs(time[after[0] - before[-1]] - width) > wide + 2 * time[1]:
-                bad.append((f"width of {name}", int(grain) + 1, width, wide, time[after[0] - before[-1]]))
+            if (
+                before.size
+                and after.size
+                and abs(time[after[0] - before[-1]] - width) > wide + 2 * time[1]
+            ):
+                bad.append(
+                    (f"width of {name}", int(grain) + 1, width, wide, time[after[0] - before[-1]])
+                )
     return bad
 
 
@@ -72,7 +98,9 @@ def faults(seed: int) -> list[Any] | None:
         if t.equation != 1 or scene.fine.samples * scene.chain.grains > 5e5:
             return None
         every = np.random.default_rng([78, seed]).uniform(1, SPARSE)
-        some = scene.replace(samples=max(4, round((scene.fine.samples - 1) / every) + 1), quantities=None)
+        some = scene.replace(
+            samples=max(4, round((scene.fine.samples - 1) / every) + 1), quantities=None
+        )
         motion = motion_of(simulate(some, engine, tolerance))
         true = scene.replace(samples=(scene.fine.samples - 1) * BETWEEN + 1, quantities=None)
         best, doubt = reference(true, 1e-13)
@@ -82,10 +110,14 @@ def faults(seed: int) -> list[Any] | None:
         return None
     bad: list[Any] = []
 
-    def check(name: str, found: np.ndarray, error: np.ndarray, values: np.ndarray, doubt: float) -> None:
+    def check(
+        name: str, found: np.ndarray, error: np.ndarray, values: np.ndarray, doubt: float
+    ) -> None:
         """Compare a largest value with that of samples (T, ...), which may miss what a bend between them makes."""
         top, place = values.max(0), np.clip(values.argmax(0), 1, len(values) - 2)
-        before, here, after = (np.take_along_axis(values, place[None] + k, 0)[0] for k in (-1, 0, 1))
+        before, here, after = (
+            np.take_along_axis(values, place[None] + k, 0)[0] for k in (-1, 0, 1)
+        )
         missed = np.abs(before - 2 * here + after)
         off, error = found - top, error + doubt
         if (off < -error).any() or (off > error + missed).any():
@@ -94,13 +126,18 @@ def faults(seed: int) -> list[Any] | None:
     def gathered(name: str) -> tuple[np.ndarray, np.ndarray]:
         return t.gathered[name], t.gathered[f"{name}_error"]
 
-    for name, values, largest in zip(("displacement", "velocity"), best[:2], best.largest, strict=True):
+    for name, values, largest in zip(
+        ("displacement", "velocity"), best[:2], best.largest, strict=True
+    ):
         check(f"peak_{name}", *gathered(f"peak_{name}"), np.abs(values), doubt * largest)
         unsure = doubt * largest + (LEAST - 1) * motion.known_error(name)
         check(f"{name} between samples", *motion.peaks(name)[1:], np.abs(values), unsure)
     if not (scene.excitation.kind == "drive" and scene.excitation.grain == 0):
         bodies = np.pad(best.displacement, ((0, 0), (1, 1)))
-        law, closer = scene.chain.contacts.of(np.array([contact])), bodies[:, contact] - bodies[:, contact + 1]
+        law, closer = (
+            scene.chain.contacts.of(np.array([contact])),
+            bodies[:, contact] - bodies[:, contact + 1],
+        )
         force = law.force_at(law.overlap + closer)
         slack = np.abs(law.force_at(law.overlap + closer + 2 * doubt * best.largest[0]) - force)
         slack += 1e-15 * force.max()

@@ -23,11 +23,15 @@ TRIALS = {"native": 5000, "step": 1000, "auto": 1000, "linear": 500, "lammps": 3
 def test_the_reference_finds_a_harmonic_oscillator():
     chain = Chain(grains=2, diameter=1e-3, exponent=1.0, gravity=0.0, top_load=1.0)
     omega = sqrt(chain.linear_stiffness[0] / chain.masses[0])
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=1000 / omega, samples=101)
+    scene = Scene(
+        chain=chain, excitation=Impulse(velocity=1e-6), duration=1000 / omega, samples=101
+    )
     found, error = reference(scene, 1e-19)
     exact = np.cos(omega * scene.time.astype(np.longdouble))
     assert error < 1e-14
-    assert np.abs(found.velocity[:, 0] / 1e-6 - exact).max() < 1e-13  # the last digit of omega, 1000 times
+    assert (
+        np.abs(found.velocity[:, 0] / 1e-6 - exact).max() < 1e-13
+    )  # the last digit of omega, 1000 times
     assert found.largest[0] == pytest.approx(1e-6 / omega, rel=1e-2)
 
 
@@ -36,13 +40,20 @@ def test_the_reference_finds_a_harmonic_oscillator():
 def test_the_reference_finds_a_collision(delta):
     """Two equal grains exchange their velocities, in the time that the energy integral gives."""
     chain = Chain(grains=2, diameter=1e-3, gravity=0.0, exponent=delta, bottom="free")
-    mass, constant, speed, power = chain.masses[0] / 2, chain.contact_constants[0], 1e-3, 1 / (delta + 1)
+    mass, constant, speed, power = (
+        chain.masses[0] / 2,
+        chain.contact_constants[0],
+        1e-3,
+        1 / (delta + 1),
+    )
     deepest = ((delta + 1) * mass * speed**2 / (2 * constant)) ** power
     lasts = 2 * deepest / speed * sqrt(pi) * gamma(1 + power) / gamma(0.5 + power)
     ends = Scene(chain=chain, excitation=Impulse(velocity=speed), duration=lasts, samples=3)
     found, error = reference(ends, 1e-19)
     assert error < 1e-14
-    np.testing.assert_allclose(found.velocity[[0, -1]] / speed, [[1, 0], [0, 1]], rtol=0, atol=3e-15)
+    np.testing.assert_allclose(
+        found.velocity[[0, -1]] / speed, [[1, 0], [0, 1]], rtol=0, atol=3e-15
+    )
     assert found.displacement[1] @ [1, -1] == pytest.approx(deepest, rel=1e-14)
     for change in (1e-3, -1e-3):  # still pressed, or apart for long
         found, _ = reference(ends.replace(duration=lasts * (1 - change)), 1e-19)
@@ -56,12 +67,22 @@ def test_the_reference_finds_a_push_by_a_wall():
     chain = Chain(grains=1, diameter=1e-3, gravity=0.0, exponent=1.0, top="wall", bottom="free")
     own = sqrt(chain.wall_constants[0] / chain.masses[0])
     size, rate = 1e-8, own / 2
-    u = lambda t: size * own * (own * np.sin(rate * t) - rate * np.sin(own * t)) / (own**2 - rate**2)  # noqa: E731
-    v = lambda t: size * own**2 * rate * (np.cos(rate * t) - np.cos(own * t)) / (own**2 - rate**2)  # noqa: E731
-    parts = brentq(lambda t: size * np.sin(rate * t) - u(t), 2 / own, 4 / own, xtol=1e-25, rtol=1e-15)
+    scale = size * own / (own**2 - rate**2)
+
+    def u(t):
+        return scale * (own * np.sin(rate * t) - rate * np.sin(own * t))
+
+    def v(t):
+        return scale * own * rate * (np.cos(rate * t) - np.cos(own * t))
+
+    parts = brentq(
+        lambda t: size * np.sin(rate * t) - u(t), 2 / own, 4 / own, xtol=1e-25, rtol=1e-15
+    )
     assert v(parts) > size * rate  # the wall never comes after it
     sine = Drive(amplitude=size, frequency=rate / (2 * pi), grain=0)
-    found, error = reference(Scene(chain=chain, excitation=sine, duration=30 / rate, samples=2), 1e-15)
+    found, error = reference(
+        Scene(chain=chain, excitation=sine, duration=30 / rate, samples=2), 1e-15
+    )
     end = 30 / rate
     assert error < 1e-12
     assert found.velocity[-1, 0] == pytest.approx(v(parts), rel=1e-9)
@@ -76,9 +97,17 @@ def test_the_reference_agrees_with_the_other_independent_one():
     spline = Drive(times=[0, 1e-5, 3e-5, 5e-5, 6e-5], displacement=[0, 1e-9, -1e-9, 2e-9, 0])
     for scene in (
         paper("fig1", 5),
-        Scene(chain=springs, excitation=Profile(velocity=[0, 1e-3, 0, 0, -1e-3, 0]), duration=3e-6, samples=5),
+        Scene(
+            chain=springs,
+            excitation=Profile(velocity=[0, 1e-3, 0, 0, -1e-3, 0]),
+            duration=3e-6,
+            samples=5,
+        ),
         Scene(chain=vacuum, excitation=Impulse(velocity=0.1), duration=1e-5, samples=5),
-        *(Scene(chain=Chain(grains=5, diameter=1e-3), excitation=e, duration=5e-5, samples=5) for e in (sine, spline)),
+        *(
+            Scene(chain=Chain(grains=5, diameter=1e-3), excitation=e, duration=5e-5, samples=5)
+            for e in (sine, spline)
+        ),
     ):
         found, error = reference(scene, 1e-19)
         u, v, other = extended_reference(scene, 1e-16)
@@ -90,19 +119,30 @@ def test_the_reference_agrees_with_the_other_independent_one():
 @pytest.mark.parametrize("family", FAMILIES)
 def test_a_few_trials(family):
     rows = [trial(family, seed) for seed in range(3, 8)]
-    assert {row["ending"] for row in rows} <= {"right", "missed", "refused", "unresolved"}, table(rows)
+    assert {row["ending"] for row in rows} <= {"right", "missed", "refused", "unresolved"}, table(
+        rows
+    )
 
 
 # what was above its tolerance without a word, or took no end
 FOUND = [
-    ("native", 2),  # masses 3e-8 and 5e-3 kg: the last digit of the heavy grain's displacement moves the light one
+    (
+        "native",
+        2,
+    ),  # masses 3e-8 and 5e-3 kg: the last digit of the heavy grain's displacement moves the light one
     ("native", 135),  # steps of dop853 that samples cut, alike in all companions
     ("native", 544),  # two grains between walls make 1e-6 of a last digit
     ("auto", 345),  # grains fly apart: displacements of 3,700 times v / omega
     ("auto", 366),
     ("auto", 276),  # a collision at a sample that companions passed over
-    ("auto", 200195),  # 238 openings make 2e-8 of a last digit; runs at two steps agree better by chance
-    ("native", 2000441),  # rounding makes 1e-5: what a last digit becomes was looked for below 1e-6 only
+    (
+        "auto",
+        200195,
+    ),  # 238 openings make 2e-8 of a last digit; runs at two steps agree better by chance
+    (
+        "native",
+        2000441,
+    ),  # rounding makes 1e-5: what a last digit becomes was looked for below 1e-6 only
     ("auto", 2001443),  # runs at h and 2h agree to 1e-4 by chance, both are off by 0.014
     ("acted", 2000404),  # 58 openings under a motion by points: errors scatter
     ("acted", 2000790),  # a wall that moves drives all grains, the first one, too
@@ -115,11 +155,23 @@ FOUND = [
     ("acted", 4000521),
     ("acted", 6000343),
     ("acted", 6000646),
-    ("acted", 8000043),  # springs in a vacuum: all four runs agree by chance on less than their error
-    ("acted", 9000167),  # a burst has just begun: modes of low frequency took one sine off another like it
-    ("acted", 10000061),  # crests of a wide packet gain on its troughs, which linear theory did not say
+    (
+        "acted",
+        8000043,
+    ),  # springs in a vacuum: all four runs agree by chance on less than their error
+    (
+        "acted",
+        9000167,
+    ),  # a burst has just begun: modes of low frequency took one sine off another like it
+    (
+        "acted",
+        10000061,
+    ),  # crests of a wide packet gain on its troughs, which linear theory did not say
     ("native", 4000638),  # companions passed over a touch shorter than an eighth of a step
-    ("native", 9003082),  # roundings of runs at h, 1.5h and 2h agree by chance on a third of what they make
+    (
+        "native",
+        9003082,
+    ),  # roundings of runs at h, 1.5h and 2h agree by chance on a third of what they make
     ("native", 101540),  # here the reference was wrong: two solutions left out the same opening
 ]
 

@@ -15,7 +15,9 @@ def _edge(chain: lmpchain.Chain) -> float:
 
 
 def _with(diameter: float, grains: list[int], total: int = 15) -> lmpchain.Chain:
-    return lmpchain.Chain(grains=total, **HOST, impurity=[{"grain": n, "diameter": diameter * 1e-3} for n in grains])
+    return lmpchain.Chain(
+        grains=total, **HOST, impurity=[{"grain": n, "diameter": diameter * 1e-3} for n in grains]
+    )
 
 
 def _closed(k: np.ndarray, mass: float, beside: float, between: float | None) -> np.ndarray:
@@ -27,21 +29,29 @@ def _closed(k: np.ndarray, mass: float, beside: float, between: float | None) ->
     if between is None:
         even, odd = 1 + beside * y / (2 * beside - y), 1 - beside
     else:
-        even, odd = 1 + beside * y / (beside - y), 1 + beside * (y - 2 * between) / (beside + 2 * between - y)
+        even, odd = (
+            1 + beside * y / (beside - y),
+            1 + beside * (y - 2 * between) / (beside + 2 * between - y),
+        )
     r = [(g * np.exp(-1j * k) - 1) / (1 - g * np.exp(1j * k)) for g in (even, odd)]
     return np.abs(r[0] - r[1]) ** 2 / 4
 
 
 @pytest.mark.parametrize(
     ("alpha", "published"),
-    [(0.5, [0.970052, 0.718629, 0.252156, 0.004277]), (2.0, [0.463157, 0.071997, 0.014462, 0.000244])],
+    [
+        (0.5, [0.970052, 0.718629, 0.252156, 0.004277]),
+        (2.0, [0.463157, 0.071997, 0.014462, 0.000244]),
+    ],
 )
 def test_one_impurity(alpha: float, published: list[float]):
     k = np.array([0.3, 1.0, 2.0, 3.0])
     chain = _with(alpha, [8])
     found = transmission(chain, _edge(chain) * np.sin(k / 2))
     assert found.wavenumber == pytest.approx(k, rel=1e-12)
-    assert found.transmitted == pytest.approx(_closed(k, alpha**3, np.cbrt(2 * alpha / (1 + alpha)), None), rel=1e-12)
+    assert found.transmitted == pytest.approx(
+        _closed(k, alpha**3, np.cbrt(2 * alpha / (1 + alpha)), None), rel=1e-12
+    )
     assert found.transmitted == pytest.approx(published, abs=5.1e-7)
 
 
@@ -50,9 +60,13 @@ def test_a_defect_of_mass_alone(mass: float):
     """T = 1 / (1 + ((M/m - 1) tan(k/2))^2)."""
     k = np.linspace(0.05, 3.1, 40)
     plain = lmpchain.Chain(grains=9, **HOST)
-    chain = lmpchain.Chain(grains=9, **HOST, impurity=[{"grain": 5, "mass": mass * plain.masses[0]}])
+    chain = lmpchain.Chain(
+        grains=9, **HOST, impurity=[{"grain": 5, "mass": mass * plain.masses[0]}]
+    )
     found = transmission(chain, _edge(chain) * np.sin(k / 2))
-    assert found.transmitted == pytest.approx(1 / (1 + ((mass - 1) * np.tan(k / 2)) ** 2), rel=1e-11)
+    assert found.transmitted == pytest.approx(
+        1 / (1 + ((mass - 1) * np.tan(k / 2)) ** 2), rel=1e-11
+    )
 
 
 def test_a_defect_of_one_spring():
@@ -64,7 +78,9 @@ def test_a_defect_of_one_spring():
                            contact_constants=constants)  # fmt: skip
     ratio = chain.linear_stiffness[0] / chain.linear_stiffness[4]
     found = transmission(chain, _edge(chain) * np.sin(k / 2))
-    assert found.transmitted == pytest.approx(1 / (1 + ((ratio - 1) * np.tan(k / 2)) ** 2), rel=1e-11)
+    assert found.transmitted == pytest.approx(
+        1 / (1 + ((ratio - 1) * np.tan(k / 2)) ** 2), rel=1e-11
+    )
 
 
 @pytest.mark.parametrize(
@@ -89,7 +105,9 @@ def test_ramsauer_townsend_pairs(alpha: float, k: float, share: float):
     plain = lmpchain.Chain(grains=15, **HOST)
     assert transparent(plain, _edge(plain) * share, [7, 8]) == pytest.approx([alpha], abs=1e-9)
     mass = 1 / (2 * share**2)  # w^2 = 2 K / M where only the masses differ
-    assert transparent(plain, _edge(plain) * share, [7, 8], "mass") == pytest.approx([mass], rel=1e-11)
+    assert transparent(plain, _edge(plain) * share, [7, 8], "mass") == pytest.approx(
+        [mass], rel=1e-11
+    )
 
 
 def test_small_pairs_are_never_transparent():
@@ -100,40 +118,68 @@ def test_small_pairs_are_never_transparent():
 
 
 def _shares(
-    engine: str, alpha: float, grains: list[int], k: float, amplitude: float, tolerance: float, size: int = 1
+    engine: str,
+    alpha: float,
+    grains: list[int],
+    k: float,
+    amplitude: float,
+    tolerance: float,
+    size: int = 1,
 ) -> tuple[float, float, float, float]:
     """Return what passes and what returns of the energy of a packet, and the means of T and R over its spectrum."""
     total, start, width, first = 600 * size, 150 * size, 16.0 * size, grains[0]
     chain = _with(alpha, grains, total)
     w = _edge(chain)
     packet = lmpchain.Packet(
-        frequency=w * np.sin(k / 2) / (2 * np.pi), width=width, grain=start, amplitude=amplitude * chain.length_scale
+        frequency=w * np.sin(k / 2) / (2 * np.pi),
+        width=width,
+        grain=start,
+        amplitude=amplitude * chain.length_scale,
     )
     duration = 2 * (first - start) / (w / 2 * np.cos(k / 2))
     t = lmpchain.simulate(
-        lmpchain.Scene(chain=chain, excitation=packet, duration=duration, samples=2), engine, tolerance
+        lmpchain.Scene(chain=chain, excitation=packet, duration=duration, samples=2),
+        engine,
+        tolerance,
     )
     found = shares(t)
     passed, back = (
-        found.part(*part)[-1] / found.part(1, total)[-1] for part in ((grains[-1] + 1, total), (1, first - 1))
+        found.part(*part)[-1] / found.part(1, total)[-1]
+        for part in ((grains[-1] + 1, total), (1, first - 1))
     )
     q = 2 * np.pi * np.fft.fftfreq(total)
     frequency = w * np.abs(np.sin(q / 2))
     inside = (frequency > 0) & (frequency < 0.999999 * w)
-    weight = (np.abs(np.fft.fft(packet.initial(chain)[1])) ** 2)[inside]  # every component moves downward
+    weight = (np.abs(np.fft.fft(packet.initial(chain)[1])) ** 2)[
+        inside
+    ]  # every component moves downward
     theory = transmission(chain, frequency[inside])
-    return passed, back, *(share @ weight / weight.sum() for share in (theory.transmitted, theory.reflected))
+    return (
+        passed,
+        back,
+        *(share @ weight / weight.sum() for share in (theory.transmitted, theory.reflected)),
+    )
 
 
 @pytest.mark.parametrize(
     ("engine", "strain", "tolerance", "off"),
-    [("native", 1e-5, 1e-7, 1e-8), pytest.param("lammps", 1e-4, 1e-5, 5e-8, marks=pytest.mark.slow)],
+    [
+        ("native", 1e-5, 1e-7, 1e-8),
+        pytest.param("lammps", 1e-4, 1e-5, 5e-8, marks=pytest.mark.slow),
+    ],
 )
 @pytest.mark.parametrize(
-    ("alpha", "grains", "k"), [(2.0, [300], 1.0), (0.5, [300], 2.0), (1.1, [300, 301], 1.3450334091)]
+    ("alpha", "grains", "k"),
+    [(2.0, [300], 1.0), (0.5, [300], 2.0), (1.1, [300, 301], 1.3450334091)],
 )
 def test_packets(
-    alpha: float, grains: list[int], k: float, engine: str, strain: float, tolerance: float, off: float
+    alpha: float,
+    grains: list[int],
+    k: float,
+    engine: str,
+    strain: float,
+    tolerance: float,
+    off: float,
 ) -> None:
     """Energy that passes is the mean of T over the spectrum of the packet, and what returns that of R."""
     passed, back, transmitted, reflected = _shares(engine, alpha, grains, k, strain, tolerance)

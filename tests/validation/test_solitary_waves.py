@@ -8,7 +8,9 @@ from lmpchain.theory import soliton
 from lmpchain.theory.soliton import Soliton, solve
 
 
-@pytest.mark.parametrize(("delta", "speed"), [(1.5, 0.9074700784), (2.0, 0.855251932), (3.0, 0.804760116)])
+@pytest.mark.parametrize(
+    ("delta", "speed"), [(1.5, 0.9074700784), (2.0, 0.855251932), (3.0, 0.804760116)]
+)
 def test_speed_in_the_sonic_vacuum(delta: float, speed: float):
     """V = C v^((delta-1)/(delta+1)).
 
@@ -20,7 +22,9 @@ def test_speed_in_the_sonic_vacuum(delta: float, speed: float):
         assert wave.speed / v ** ((delta - 1) / (delta + 1)) == pytest.approx(speed, abs=6e-10)
         assert float(wave.velocity(0.0)) == pytest.approx(v, rel=1e-12)
     if delta == 1.5:
-        assert wave.speed / float(wave.force(0.0)) ** (1 / 6) == pytest.approx(0.9055157764, abs=1e-10)
+        assert wave.speed / float(wave.force(0.0)) ** (1 / 6) == pytest.approx(
+            0.9055157764, abs=1e-10
+        )
         assert soliton.nesterenko_speed(0.01) / wave.speed == pytest.approx(1.0078, abs=1e-4)
 
 
@@ -34,7 +38,9 @@ def test_width_and_shape_in_the_sonic_vacuum():
     assert 1 - wave.width / 1.8084 == pytest.approx(0.127, abs=5e-4)
     assert wave.velocity(3.9459 / 2) == pytest.approx(0.01, rel=2e-4)
     x = np.linspace(-3, 3, 61)
-    assert wave.displacement(x) / wave.displacement(-9.0) == pytest.approx(soliton.sen_displacement(x), abs=3e-4)
+    assert wave.displacement(x) / wave.displacement(-9.0) == pytest.approx(
+        soliton.sen_displacement(x), abs=3e-4
+    )
 
 
 @pytest.mark.parametrize("delta", [1.5, 2.0, 3.0])
@@ -42,7 +48,9 @@ def test_virial_share_of_kinetic_energy(delta: float):
     """The time mean of K / E is (delta + 1) / (delta + 3), 5/9 for Hertz. Source: Slepyan, arXiv:1410.8301."""
     wave = solve(delta=delta, velocity=1.0)
     x = np.linspace(-10, 10, 1281)[1:]
-    assert (wave.velocity(x) ** 2 / 2).mean() * 20 / wave.energy == pytest.approx((delta + 1) / (delta + 3), rel=1e-12)
+    assert (wave.velocity(x) ** 2 / 2).mean() * 20 / wave.energy == pytest.approx(
+        (delta + 1) / (delta + 3), rel=1e-12
+    )
 
 
 def test_effective_mass():
@@ -86,7 +94,9 @@ def test_long_waves_and_their_lattice():
         speed = soliton.nesterenko_speed(0.3, delta)
         assert speed == pytest.approx(prefactor * 0.3 ** ((delta - 1) / (delta + 1)), rel=1e-12)
         force = float(soliton.nesterenko_overlap(0.0, speed, delta)) ** delta
-        assert speed == pytest.approx(np.sqrt(2 / (delta + 1)) * force ** ((delta - 1) / (2 * delta)), rel=1e-12)
+        assert speed == pytest.approx(
+            np.sqrt(2 / (delta + 1)) * force ** ((delta - 1) / (2 * delta)), rel=1e-12
+        )
     assert soliton.nesterenko_speed(1.0) == pytest.approx(0.914610, abs=5e-7)
     assert np.sqrt(2 / 2.5) == pytest.approx(0.894427, abs=5e-7)
     x = np.linspace(-2.5, 2.5, 500_001)
@@ -95,11 +105,14 @@ def test_long_waves_and_their_lattice():
     assert np.ptp(x[r > 0]) == pytest.approx(4.967, abs=5e-4)
     assert np.ptp(x[r > r.max() / 2]) == pytest.approx(1.8084, abs=1e-4)
     momentum, kinetic = (speed * r).sum() * 1e-5, ((speed * r) ** 2 / 2).sum() * 1e-5
-    assert momentum**2 / (2 * 9 / 5 * kinetic) == pytest.approx(1.419, abs=5e-4)  # 5/9 of the energy is kinetic
+    assert momentum**2 / (2 * 9 / 5 * kinetic) == pytest.approx(
+        1.419, abs=5e-4
+    )  # 5/9 of the energy is kinetic
 
 
 @pytest.mark.parametrize(
-    ("speed", "off", "digit"), [(1.2, 3.6e-3, 5e-5), (1.5, 8.01e-3, 5e-6), (100.0, 0.9055157764 / 0.8**0.5 - 1, 1e-9)]
+    ("speed", "off", "digit"),
+    [(1.2, 3.6e-3, 5e-5), (1.5, 8.01e-3, 5e-6), (100.0, 0.9055157764 / 0.8**0.5 - 1, 1e-9)],
 )
 def test_coste_formula_is_slower_than_the_lattice(speed: float, off: float, digit: float):
     """By these shares, to half of their last digit.
@@ -114,7 +127,9 @@ def test_coste_formula_is_slower_than_the_lattice(speed: float, off: float, digi
 
 def test_limit_of_korteweg_and_de_vries():
     """c/c0 - 1 = (delta - 1) w / (6 r0) to 2e-6 at 1.001 (1.001002 in an independent solver), second order in w."""
-    off = [speed - 1 - 0.5 * float(solve(speed=speed).overlap(0.0)) / 6 for speed in (1.001, 1.0005)]
+    off = [
+        speed - 1 - 0.5 * float(solve(speed=speed).overlap(0.0)) / 6 for speed in (1.001, 1.0005)
+    ]
     assert off[0] == pytest.approx(-2e-6, abs=1e-6)
     assert off[0] / off[1] == pytest.approx(4, rel=0.05)
 
@@ -126,15 +141,25 @@ def changed(wave: Soliton, engine: str, tolerance: float) -> float:
     steel = {"diameter": 1e-3, "material": "steel", "gravity": 0.0, "exponent": wave.delta}
     chain = lmpchain.Chain(grains=100 + 2 * far, top_load=load, **steel)
     start, end = wave.on(chain, far), wave.on(chain, far + 100)
-    unit = chain.time_scale if load else (chain.masses[0] / chain.contact_constants[0]) ** (1 / (1 + wave.delta))
-    scene = lmpchain.Scene(chain=chain, excitation=start, duration=100 / wave.speed * unit, samples=2)
+    unit = (
+        chain.time_scale
+        if load
+        else (chain.masses[0] / chain.contact_constants[0]) ** (1 / (1 + wave.delta))
+    )
+    scene = lmpchain.Scene(
+        chain=chain, excitation=start, duration=100 / wave.speed * unit, samples=2
+    )
     t = lmpchain.simulate(scene, engine=engine, tolerance=tolerance)
     u, v = end.initial(chain)
-    return max(np.abs(t.displacement[-1] - u).max() / u.max(), np.abs(t.velocity[-1] - v).max() / v.max())
+    return max(
+        np.abs(t.displacement[-1] - u).max() / u.max(), np.abs(t.velocity[-1] - v).max() / v.max()
+    )
 
 
 @pytest.mark.parametrize(
-    "wave", [solve(speed=1.05), solve(speed=1.5), solve(velocity=0.1)], ids=lambda w: f"{w.speed:.2g}"
+    "wave",
+    [solve(speed=1.05), solve(speed=1.5), solve(velocity=0.1)],
+    ids=lambda w: f"{w.speed:.2g}",
 )
 def test_travels_a_hundred_grains_unchanged(wave: Soliton):
     assert changed(wave, "native", 1e-10) < 1e-10

@@ -83,7 +83,9 @@ class Column:
     @property
     def load(self) -> float:
         """Constant force on grain 1, N; 0 below a wall, whose overlap gives it, and for a driven grain."""
-        return 0.0 if self.chain.top == "wall" or self.scene.excitation.driven else self.chain.top_load
+        return (
+            0.0 if self.chain.top == "wall" or self.scene.excitation.driven else self.chain.top_load
+        )
 
     @property
     def strike(self) -> Impulse | None:
@@ -117,9 +119,16 @@ class Column:
     def walls(self) -> list[Wall]:
         """The walls, as planes that stand still."""
         radius = self.diameters[[0, -1]] / 2
-        above, below = (self.heights[[0, -1]] + [1, -1] * (radius - self.chain.contacts.overlap[[0, -1]])).tolist()
-        top, bottom = (self.chain.wall_constants / (1.0 if self.model == "hooke" else np.sqrt(radius))).tolist()
-        both = Wall("top", 1, top, "NULL", repr(above)), Wall("bottom", self.chain.grains, bottom, repr(below), "NULL")
+        above, below = (
+            self.heights[[0, -1]] + [1, -1] * (radius - self.chain.contacts.overlap[[0, -1]])
+        ).tolist()
+        top, bottom = (
+            self.chain.wall_constants / (1.0 if self.model == "hooke" else np.sqrt(radius))
+        ).tolist()
+        both = (
+            Wall("top", 1, top, "NULL", repr(above)),
+            Wall("bottom", self.chain.grains, bottom, repr(below), "NULL"),
+        )
         return [wall for wall in both if wall.constant > 0]
 
     @cached_property
@@ -150,7 +159,9 @@ class Column:
         pairs = self._typed[1]
         lines = [f"* * {self.model} {next(iter(pairs.values()), 1.0)!r} {LOSSLESS}"]
         if len(pairs) > 1:
-            lines += [f"{i} {j} {self.model} {value!r} {LOSSLESS}" for (i, j), value in pairs.items()]
+            lines += [
+                f"{i} {j} {self.model} {value!r} {LOSSLESS}" for (i, j), value in pairs.items()
+            ]
         return lines
 
     @property
@@ -174,15 +185,25 @@ class Column:
             constants = constants / np.sqrt(d[:-1] * d[1:] / (d[:-1] + d[1:]) / 2)
         most = MOST_TYPES if self.pair_style == "granular" else 1
         pairs: dict[tuple[int, int], float] = {}
-        partners: dict[int, dict[int, float]] = {1: {}}  # of each type: the types it touches, and the constants
+        partners: dict[int, dict[int, float]] = {
+            1: {}
+        }  # of each type: the types it touches, and the constants
         types = [1]
         for constant in constants.tolist():
             above = types[-1]
-            known = (t for t, value in partners[above].items() if abs(value - constant) <= 1e-14 * constant)
+            known = (
+                t
+                for t, value in partners[above].items()
+                if abs(value - constant) <= 1e-14 * constant
+            )
             free = (t for t in partners if t not in partners[above])
-            below = next(known, None) or min(free, key=lambda t: len(partners[t]), default=len(partners) + 1)
+            below = next(known, None) or min(
+                free, key=lambda t: len(partners[t]), default=len(partners) + 1
+            )
             if below > most:
-                cure = "the engine native" if most > 1 else "pair_style granular or the engine native"
+                cure = (
+                    "the engine native" if most > 1 else "pair_style granular or the engine native"
+                )
                 raise InputError(
                     [
                         (

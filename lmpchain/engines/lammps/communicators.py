@@ -113,7 +113,11 @@ def _obey(world: Any, held: list[Worker], name: str, values: tuple[Any, ...]) ->
         return getattr(held[0], name)(*values)
     except Exception as error:
         alike = type(error) is Exception and _by_lammps(error)  # another class where one rank fails
-        if alike or isinstance(error, RunFailed) or (name == "open" and isinstance(error, EngineUnavailable)):
+        if (
+            alike
+            or isinstance(error, RunFailed)
+            or (name == "open" and isinstance(error, EngineUnavailable))
+        ):
             return error
         mpi.abort(world, f"rank {world.rank}: {error or type(error).__name__}")
 

@@ -45,12 +45,18 @@ def refuse_own_run(key: str, text: str, cure: str) -> None:
     """Raise `InputError` if commands of the user run the column or end LAMMPS, which comes after them."""
     for number, line in enumerate(text.splitlines(), 1):
         if match := OWN_RUN.search(line):
-            raise InputError([(key, f"the command {match[1]} (line {number}) cannot be used here: {cure}")])
+            raise InputError(
+                [(key, f"the command {match[1]} (line {number}) cannot be used here: {cure}")]
+            )
 
 
 def setup(column: Column, data: str, step: float, splitting: Splitting, done: int = 0) -> str:
     """Return the commands that set up the column from a data file at time step `done`, ready for `run`."""
-    refuse_own_run("template", column.template, 'put {% include "run.column" %} there, and lmpchain run does the rest')
+    refuse_own_run(
+        "template",
+        column.template,
+        'put {% include "run.column" %} there, and lmpchain run does the rest',
+    )
     return _filled(column, step, splitting, done, data=f'"{data}"', alone=False)
 
 
@@ -62,7 +68,9 @@ def check_template(column: Column, splitting: Splitting) -> None:
 def write_deck(column: Column, folder: Path, step: float, splitting: Splitting) -> Path:
     """Write `in.column`, which runs by itself."""
     if splitting.order > 2 and column.scene.excitation.does_work:
-        raise InputError([("integrator", "a deck can carry a drive or a force with verlet only; use that")])
+        raise InputError(
+            [("integrator", "a deck can carry a drive or a force with verlet only; use that")]
+        )
     text = _filled(column, step, splitting, data="column.data", alone=True)
     path = folder / "in.column"
     with write_aside(path) as aside:
@@ -89,7 +97,9 @@ def kicked_by_force(scene: Scene, splitting: Splitting) -> bool:
 def check_carried(splitting: Splitting, key: str) -> None:
     """Raise `InputError` under this key if a deck cannot carry the splitting."""
     if not carries(splitting):
-        raise InputError([(key, f"a deck cannot carry the kicks of {splitting.name}; use verlet or kahan-li6")])
+        raise InputError(
+            [(key, f"a deck cannot carry the kicks of {splitting.name}; use verlet or kahan-li6")]
+        )
 
 
 def write_data(column: Column, path: str | PathLike[str]) -> None:
@@ -115,9 +125,16 @@ def _data(column: Column) -> bytes:
     z, speeds = column.start
     if column.strike:  # the deck strikes, so that the speed can be set on the command line
         speeds = 0.0 * speeds
-    rows = zip(column.types, column.diameters.tolist(), column.densities.tolist(), z.tolist(), strict=True)
+    rows = zip(
+        column.types, column.diameters.tolist(), column.densities.tolist(), z.tolist(), strict=True
+    )
     return render(
-        "column.data", CLOSED, column=column, rows=rows, speeds=speeds.tolist(), heights=column.heights.tolist()
+        "column.data",
+        CLOSED,
+        column=column,
+        rows=rows,
+        speeds=speeds.tolist(),
+        heights=column.heights.tolist(),
     ).encode("ascii")
 
 
@@ -133,10 +150,13 @@ def _filled(column: Column, step: float, splitting: Splitting, done: int = 0, **
         "substeps": splitting.substeps,
         "stride": f"$(v_every*{len(splitting.substeps)})" if splitting.substeps else "${every}",
         # velocity Verlet and its compositions kick in LAMMPS; for others the kicks come from outside
-        "fix": "nve" if carries(splitting) and not kicked_by_force(scene, splitting) else "nve/noforce",
+        "fix": "nve"
+        if carries(splitting) and not kicked_by_force(scene, splitting)
+        else "nve/noforce",
         "first_step": done * deck_steps(splitting),
         "start_time": done * step,
-        "moves": splitting.order == 2,  # fix move wants steps of one length; else the speeds come from outside
+        "moves": splitting.order
+        == 2,  # fix move wants steps of one length; else the speeds come from outside
         "include": column.include,
         **drive.placeholders(scene.excitation, scene.duration),
     }
@@ -144,5 +164,7 @@ def _filled(column: Column, step: float, splitting: Splitting, done: int = 0, **
         return render("in.column", CLOSED, **values)
     text = render_text(column.template, "template", CLOSED, **values)
     if column.include not in text:
-        raise InputError([("include", "the template has no place for it: put {{ include }} where it belongs")])
+        raise InputError(
+            [("include", "the template has no place for it: put {{ include }} where it belongs")]
+        )
     return text

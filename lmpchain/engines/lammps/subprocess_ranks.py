@@ -54,9 +54,21 @@ class SubprocessRanks:
             listener.bind(f"\0{address}")  # no file, which a kill would leave behind
             listener.listen(1)
             listener.settimeout(0.2)
-            command = [mpi.launcher(), "-n", str(self.ranks), sys.executable, "-m", __name__, address]
+            command = [
+                mpi.launcher(),
+                "-n",
+                str(self.ranks),
+                sys.executable,
+                "-m",
+                __name__,
+                address,
+            ]
             mpiexec = self._mpiexec = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=self._said, stderr=self._said, start_new_session=True
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=self._said,
+                stderr=self._said,
+                start_new_session=True,
             )
             until = time.monotonic() + START_S
             while True:
@@ -65,7 +77,9 @@ class SubprocessRanks:
                     return mpiexec, _own(line)
                 except TimeoutError:
                     if mpiexec.poll() is not None or time.monotonic() > until:
-                        raise EngineUnavailable(f"the ranks do not start: {self._last_words()}") from None
+                        raise EngineUnavailable(
+                            f"the ranks do not start: {self._last_words()}"
+                        ) from None
 
     def ask(self, name: str, *values: Any) -> list[Any]:
         """Let every rank do it."""
@@ -97,10 +111,18 @@ class SubprocessRanks:
     def _last_words(self) -> str:
         self._said.flush()
         self._said.seek(0)
-        lines = [line.strip(" =|") for line in self._said.read().decode(errors="replace").splitlines()]
+        lines = [
+            line.strip(" =|") for line in self._said.read().decode(errors="replace").splitlines()
+        ]
         spoken = [line for line in lines if line]
-        errors = [line for line in spoken if line.startswith("error:") or "EXIT CODE" in line or "Error" in line]
-        return (errors or spoken or ["no reason is known"])[0 if errors else -1].removeprefix("error: ")
+        errors = [
+            line
+            for line in spoken
+            if line.startswith("error:") or "EXIT CODE" in line or "Error" in line
+        ]
+        return (errors or spoken or ["no reason is known"])[0 if errors else -1].removeprefix(
+            "error: "
+        )
 
     def close(self) -> None:
         """Shut the ranks down, and end those that do not go."""

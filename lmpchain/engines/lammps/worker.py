@@ -55,7 +55,9 @@ class StepPlan:
     @property
     def walled(self) -> bool:
         """Whether the top wall is put where it is from outside."""
-        return bool(self.wave) and self.splitting.order > 2 and not self.driven and self.pushed is None
+        return (
+            bool(self.wave) and self.splitting.order > 2 and not self.driven and self.pushed is None
+        )
 
     def parts(self, index: int) -> list[tuple[float, Array]]:
         """Return length and times of drifts of a step, or of its two parts if what is imposed ends in it."""
@@ -99,7 +101,9 @@ class Worker:
         self._plan, self._done, self._piece = plan, plan.done, 0
         arrays, here = self._lammps.numpy, self._lammps.extract_global("nlocal")
         if self._lammps.get_natoms() != plan.grains:  # all ranks see this
-            raise RunFailed(f"LAMMPS has lost grains: {self._lammps.get_natoms():.0f} of {plan.grains} are left")
+            raise RunFailed(
+                f"LAMMPS has lost grains: {self._lammps.get_natoms():.0f} of {plan.grains} are left"
+            )
         ids = arrays.extract_atom("id")[:here] if here else np.empty(0, int)
         self._start = start = int(ids[0]) - 1 if here else 0
         if not np.array_equal(ids, np.arange(start + 1, start + here + 1)):
@@ -109,13 +113,23 @@ class Worker:
                 arrays.extract_atom(name)[:here, 2] = values[start : start + here]
         if plan.walled:
             self._move_wall(plan.done * plan.step)
-        elif plan.done and plan.pieces and plan.splitting.order == 2:  # with the piece of the last step
-            self._put_in_force(next(k for k, (end, _) in enumerate(plan.pieces) if int(end / plan.step) >= plan.done))
+        elif (
+            plan.done and plan.pieces and plan.splitting.order == 2
+        ):  # with the piece of the last step
+            self._put_in_force(
+                next(
+                    k for k, (end, _) in enumerate(plan.pieces) if int(end / plan.step) >= plan.done
+                )
+            )
         self._lammps.command("run 0 post no")
-        self._x, self._v, self._f = (arrays.extract_atom(name)[:here] if here else np.empty((0, 3)) for name in "xvf")
+        self._x, self._v, self._f = (
+            arrays.extract_atom(name)[:here] if here else np.empty((0, 3)) for name in "xvf"
+        )
         moving = slice(*(min(max(edge - start, 0), here) for edge in (plan.first, plan.last)))
         self._vz, self._fz = self._v[moving, 2], self._f[moving, 2]
-        self._inverse_mass = 1 / arrays.extract_atom("rmass")[:here][moving] if here else np.empty(0)
+        self._inverse_mass = (
+            1 / arrays.extract_atom("rmass")[:here][moving] if here else np.empty(0)
+        )
         self._kick = np.empty_like(self._inverse_mass)
         place = -1 if plan.pushed is None else plan.pushed - max(plan.first, start)
         self._pushed = place if 0 <= place < self._vz.size else None

@@ -37,9 +37,19 @@ class ClosedForm(LinearEngine):
         chain, reasons = reached.chain, super().refuses(reached)
         for key, difference in unlike(chain).items():
             if difference > UNIFORM:
-                reasons.append((key, f"{self.name} knows grains that are all alike only; use modes or chebyshev"))
+                reasons.append(
+                    (
+                        key,
+                        f"{self.name} knows grains that are all alike only; use modes or chebyshev",
+                    )
+                )
         if not scene.excitation.strikes_top:
-            reasons.append(("excitation", f"{self.name} knows an impulse on grain 1 only; use modes or chebyshev"))
+            reasons.append(
+                (
+                    "excitation",
+                    f"{self.name} knows an impulse on grain 1 only; use modes or chebyshev",
+                )
+            )
         if chain.top != "free":
             reasons.append(("top", f'{self.name} knows top = "free" only; use modes or chebyshev'))
         return reasons
@@ -48,7 +58,11 @@ class ClosedForm(LinearEngine):
         """Propose the formula; only where it is the exact solution is its error known before the run."""
         candidate = super().candidate(scene.reached, tolerance)
         candidate = candidate._replace(active_grains=scene.chain.grains)
-        return candidate if self.exact(scene) else candidate._replace(model_error=math.nan, sharper=None)
+        return (
+            candidate
+            if self.exact(scene)
+            else candidate._replace(model_error=math.nan, sharper=None)
+        )
 
     def least_model_error(self, scene: Scene) -> float:
         """Say that it will not be known, unless the formula is exact."""
@@ -71,10 +85,15 @@ class ClosedForm(LinearEngine):
         return self._beside.solve(scene, state)
 
     def start(
-        self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array] | None = None
+        self,
+        scenes: Sequence[Scene],
+        candidate: Candidate,
+        state: Mapping[str, Array] | None = None,
     ) -> ClosedFormRun:
         """Start one scene, or a batch of scenes recorded alike."""
-        return ClosedFormRun(self, scenes, self._beside.start(scenes, candidate, state), state or {})
+        return ClosedFormRun(
+            self, scenes, self._beside.start(scenes, candidate, state), state or {}
+        )
 
     @abstractmethod
     def wave(self, scene: Scene, times: Array) -> tuple[Array, Array]:
@@ -111,7 +130,9 @@ class Continuum(ClosedForm):
         """Return why the formula does not hold for this scene."""
         reasons = super().refuses(scene)
         if scene.chain.top_load > 0 or scene.chain.gravity == 0:
-            reasons.append(("top_load", "continuum knows chains under gravity alone; use modes or chebyshev"))
+            reasons.append(
+                ("top_load", "continuum knows chains under gravity alone; use modes or chebyshev")
+            )
         return reasons
 
     def wave(self, scene: Scene, times: Array) -> tuple[Array, Array]:
@@ -119,14 +140,18 @@ class Continuum(ClosedForm):
         from ...theory import continuum
 
         unit, strike = scene.chain.time_scale, scene.excitation.strike_velocity
-        phi, speed = continuum.impulse_of_grain(scene.recorded, times[:, None] / unit, scene.chain.exponent)
+        phi, speed = continuum.impulse_of_grain(
+            scene.recorded, times[:, None] / unit, scene.chain.exponent
+        )
         return strike * unit * phi, strike * speed
 
 
 class ClosedFormRun(Run):
     """Samples of a closed form, beside those of the exact linear chain."""
 
-    def __init__(self, engine: ClosedForm, scenes: Sequence[Scene], exact: Run, state: Mapping[str, Array]):
+    def __init__(
+        self, engine: ClosedForm, scenes: Sequence[Scene], exact: Run, state: Mapping[str, Array]
+    ):
         assert isinstance(exact, LinearRun)
         self._engine, self._scenes, self._exact = engine, scenes, exact
         self._times = scenes[0].time
@@ -155,7 +180,9 @@ class ClosedFormRun(Run):
         """Return what the formula leaves out besides what linearising does."""
         left_out = (self._apart / self._exact.scale).max(0)
         return [
-            error._replace(model=error.model + float(more), model_bound=error.model_bound + float(more))
+            error._replace(
+                model=error.model + float(more), model_bound=error.model_bound + float(more)
+            )
             for error, more in zip(self._exact.errors(), left_out, strict=True)
         ]
 

@@ -16,14 +16,27 @@ from ...util.arrays import EPSILON, Array
 from ...util.compilation import clock
 from ..base import Candidate, Engine, ErrorBudget, Run, SharperBound
 from ..cost_model import seconds
-from .model_error import PhaseError, bounds, decidable, dense, evaluation_times, evaluations, least_error
+from .model_error import (
+    PhaseError,
+    bounds,
+    decidable,
+    dense,
+    evaluation_times,
+    evaluations,
+    least_error,
+)
 from .solutions import ChebyshevSolution, ModalSolution, Solution
 
 BLOCK = 16  # samples a block, if so many fit
-BLOCK_VALUES, SMALL = 2**22, 2**14  # values that are at hand at a time, and that take no time worth speaking of
+BLOCK_VALUES, SMALL = (
+    2**22,
+    2**14,
+)  # values that are at hand at a time, and that take no time worth speaking of
 MOST_MODES = 12_000  # 1.2 GB of eigenvectors
 # analysis/calibration/roundoff.py
-CANCELS = 40.0  # digits in the last place that a burst loses in modes, at the lowest of its frequencies
+CANCELS = (
+    40.0  # digits in the last place that a burst loses in modes, at the lowest of its frequencies
+)
 LOOK_VALUES = 2**18  # a contact that opens ends a look: values at a time
 
 
@@ -38,11 +51,26 @@ class LinearEngine(Engine):
         """Return why there is no linear theory of this scene."""
         contacts, reasons = scene.chain.contacts, []
         if not scene.chain.compressed:
-            reasons.append(("gravity", "without gravity and load nothing can be linearised; use the engine native"))
+            reasons.append(
+                (
+                    "gravity",
+                    "without gravity and load nothing can be linearised; use the engine native",
+                )
+            )
         elif (contacts.exists & ~contacts.pressed).any():
-            reasons.append(("top", "a wall that only touches cannot be linearised; give a top_load or use native"))
+            reasons.append(
+                (
+                    "top",
+                    "a wall that only touches cannot be linearised; give a top_load or use native",
+                )
+            )
         if not scene.excitation.linear:
-            reasons.append(("excitation", "linear engines know no motion or force by points; use the engine native"))
+            reasons.append(
+                (
+                    "excitation",
+                    "linear engines know no motion or force by points; use the engine native",
+                )
+            )
         return reasons
 
     def candidate(self, scene: Scene, tolerance: float) -> Candidate:
@@ -94,7 +122,12 @@ class LinearEngine(Engine):
     def solve(self, scene: Scene, state: Mapping[str, Array]) -> Solution:
         """Return the solution, from the start or from a kept state."""
 
-    def start(self, scenes: Sequence[Scene], candidate: Candidate, state: Mapping[str, Array] | None = None) -> Run:
+    def start(
+        self,
+        scenes: Sequence[Scene],
+        candidate: Candidate,
+        state: Mapping[str, Array] | None = None,
+    ) -> Run:
         """Start one scene, or a batch of scenes recorded alike."""
         return LinearRun(self, scenes, state or {})
 
@@ -116,17 +149,31 @@ class Chebyshev(LinearEngine):
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why there is no linear theory of this scene, or no such series of it."""
         reasons, given = super().refuses(scene), scene.excitation
-        if given.linear and given.does_work and not (scene.drive and np.isinf(scene.drive.waveform.end)):
-            reasons.append(("excitation", f"{self.name} knows motions that are a sine without end only; use modes"))
+        if (
+            given.linear
+            and given.does_work
+            and not (scene.drive and np.isinf(scene.drive.waveform.end))
+        ):
+            reasons.append(
+                (
+                    "excitation",
+                    f"{self.name} knows motions that are a sine without end only; use modes",
+                )
+            )
         return reasons
 
     def work(self, scene: Scene, samples: int, values: int) -> float:
         """Return the time for the polynomials from one evaluation to the next."""
         z, moments = scene.chain.band_edge * scene.duration, _moments(scene, samples)
         series = min(moments, max(1.0, z / SPAN))
-        orders, grains = terms(z / series), min(scene.chain.grains, z / 4 + 30)  # on average in a growing light cone
+        orders, grains = (
+            terms(z / series),
+            min(scene.chain.grains, z / 4 + 30),
+        )  # on average in a growing light cone
         a_series = 3e-6 + 2 * orders * (7e-8 + 1.7e-9 * grains)
-        return series * a_series + moments * (3e-7 + grains * (5e-10 * orders + 2e-9)) + 1e-8 * values
+        return (
+            series * a_series + moments * (3e-7 + grains * (5e-10 * orders + 2e-9)) + 1e-8 * values
+        )
 
     def solve(self, scene: Scene, state: Mapping[str, Array]) -> Solution:
         """Return the solution, from the start or from a kept state."""
@@ -142,7 +189,12 @@ class Modes(LinearEngine):
         """Return why there is no linear theory of this scene, or no room for its modes."""
         reasons = super().refuses(scene)
         if scene.chain.grains > MOST_MODES:
-            reasons.append(("grains", f"eigenvectors of more than {MOST_MODES} grains do not fit; use chebyshev"))
+            reasons.append(
+                (
+                    "grains",
+                    f"eigenvectors of more than {MOST_MODES} grains do not fit; use chebyshev",
+                )
+            )
         return reasons
 
     def round_off(self, scene: Scene) -> float:
@@ -150,16 +202,27 @@ class Modes(LinearEngine):
 
         A burst is the sum of three sines whose transients all but cancel, the more the sooner after its beginning.
         """
-        rounding, wave = super().round_off(scene) + EPSILON * 4 * scene.chain.grains, scene.excitation.waveform
+        rounding, wave = (
+            super().round_off(scene) + EPSILON * 4 * scene.chain.grains,
+            scene.excitation.waveform,
+        )
         if wave and wave.envelope:
             begun = min(1.0, wave.envelope * scene.duration)
-            rounding += EPSILON * CANCELS / begun**2 * (1 + scene.chain.grains * wave.fastest / scene.chain.band_edge)
+            rounding += (
+                EPSILON
+                * CANCELS
+                / begun**2
+                * (1 + scene.chain.grains * wave.fastest / scene.chain.band_edge)
+            )
         return rounding
 
     def work(self, scene: Scene, samples: int, values: int) -> float:
         """Return the time for the diagonalisation, and for sums over modes at every evaluation."""
         grains, moments = scene.chain.grains, _moments(scene, samples)
-        once, a_moment = 6e-8 * grains**2 + 1e-10 * grains**3, 5e-7 + 3e-8 * grains + 6e-10 * grains**2
+        once, a_moment = (
+            6e-8 * grains**2 + 1e-10 * grains**3,
+            5e-7 + 3e-8 * grains + 6e-10 * grains**2,
+        )
         return once + a_moment * moments + 1e-8 * values
 
     def solve(self, scene: Scene, state: Mapping[str, Array]) -> Solution:
@@ -197,13 +260,20 @@ class LinearRun(Run):
             raise ValueError("a batch needs chains of one length, recorded alike")
         self._engine, self._scene = engine, scenes[0]
         self._sample = int(state.get("sample", 0))
-        self._phase_errors = [PhaseError(scene, state.get(f"{i}.phase_error")) for i, scene in enumerate(scenes)]
+        self._phase_errors = [
+            PhaseError(scene, state.get(f"{i}.phase_error")) for i, scene in enumerate(scenes)
+        ]
         self._solutions = [
-            engine.solve(scene, {key: state[f"{i}.{key}"] for key in ("u", "v", "time") if f"{i}.{key}" in state})
+            engine.solve(
+                scene,
+                {key: state[f"{i}.{key}"] for key in ("u", "v", "time") if f"{i}.{key}" in state},
+            )
             for i, scene in enumerate(scenes)
         ]
         self._rows: NDArray[np.intp] = scenes[0].recorded - 1
-        self._between = [np.zeros(0) if dense(scene) else evaluation_times(scene) for scene in scenes]
+        self._between = [
+            np.zeros(0) if dense(scene) else evaluation_times(scene) for scene in scenes
+        ]
         self._integration_s = self._estimate_s = 0.0
         self._setup_s = clock() - began
 
@@ -217,16 +287,25 @@ class LinearRun(Run):
             before = times[self._sample - 1] if self._sample else -1.0
             shape = (len(self._solutions), here.stop - here.start, self._rows.size)
             block, evaluated = Block(here, np.empty(shape), np.empty(shape)), 0
-            for real, (solution, error) in enumerate(zip(self._solutions, self._phase_errors, strict=True)):
+            for real, (solution, error) in enumerate(
+                zip(self._solutions, self._phase_errors, strict=True)
+            ):
                 extra = self._between[real]
                 extra = extra[(extra > before) & (extra < times[here.stop - 1])]
                 moments = np.union1d(times[here], extra) if extra.size else times[here]
                 wanted = (
-                    np.isin(moments, times[here], assume_unique=True) if extra.size else np.ones(moments.size, bool)
+                    np.isin(moments, times[here], assume_unique=True)
+                    if extra.size
+                    else np.ones(moments.size, bool)
                 )
                 place, evaluated = 0, evaluated + moments.size
-                for part, u, v in _followed(solution, error, moments, wanted, max(1, BLOCK_VALUES // grains)):
-                    which, into = np.ix_(wanted[part], self._rows), slice(place, place + int(wanted[part].sum()))
+                for part, u, v in _followed(
+                    solution, error, moments, wanted, max(1, BLOCK_VALUES // grains)
+                ):
+                    which, into = (
+                        np.ix_(wanted[part], self._rows),
+                        slice(place, place + int(wanted[part].sum())),
+                    )
                     block.displacement[real, into], block.velocity[real, into] = u[which], v[which]
                     place = into.stop
             self._sample = here.stop
@@ -271,7 +350,9 @@ class LinearRun(Run):
     def state(self) -> dict[str, Array]:
         """Return what `start` needs to go on from the last sample with the same bits."""
         kept = {"sample": np.array(self._sample)}
-        for i, (solution, error) in enumerate(zip(self._solutions, self._phase_errors, strict=True)):
+        for i, (solution, error) in enumerate(
+            zip(self._solutions, self._phase_errors, strict=True)
+        ):
             kept |= {f"{i}.phase_error": error.state.copy()} | {
                 f"{i}.{key}": value for key, value in solution.state().items()
             }

@@ -21,7 +21,11 @@ from ...scene.scene import Scene
 from ...util.arrays import Array
 from .resonance import FEW, Resonance
 
-EARLIEST, GROWTH, EVENLY = 0.5, 1.25, 64  # extra evaluation times: geometric (ratio 1.25) and 64 all over the run
+EARLIEST, GROWTH, EVENLY = (
+    0.5,
+    1.25,
+    64,
+)  # extra evaluation times: geometric (ratio 1.25) and 64 all over the run
 SMALL = 1024  # values of one chain for which more of them cost next to nothing
 # where contacts may open: evaluations in a unit of 1 / highest frequency, the most of them, and the most values
 RESOLVED, MOST_TIMES, MOST_VALUES = 2.0, 2**18, 2**22
@@ -33,10 +37,16 @@ SMALL_ERROR = 0.01  # of the largest motion, chosen: below it what acts is held 
 AT_ONCE = 0.25  # of (delta - 1) s: the distortion that no phase accounts for
 DOUBT = 3.0  # true error over the estimate
 LARGE = 0.6  # bound from which on it says no more than that the error is large
-STRAYS, WANDER = 0.15, 0.6  # true error over strains that add up as a random walk: an estimate, and a bound
+STRAYS, WANDER = (
+    0.15,
+    0.6,
+)  # true error over strains that add up as a random walk: an estimate, and a bound
 SLOWS = 0.05  # true error over (delta - 1) strain^2 periods: an oscillation is slower the stronger it is
 STEEPENS = 0.35  # true error over (delta - 1) s omega t of a wave train, whose crests gain on its troughs; theory: 1/4
-COLUMN, STEEPEST = 0.272, 2.2  # the error over (delta - 1) v0* of a column struck at the top; up to this delta
+COLUMN, STEEPEST = (
+    0.272,
+    2.2,
+)  # the error over (delta - 1) v0* of a column struck at the top; up to this delta
 
 # of displacement and velocity
 MOST = slice(kernel.MOST_DISPLACEMENT, kernel.MOST_VELOCITY + 1)
@@ -58,7 +68,9 @@ class PhaseError:
         self._stiffness, self._inverse_mass = contacts.stiffness, 1 / chain.masses
         self._inverse_mass[chain.movable :] = 0.0
         self._inverse_mass[: scene.excitation.driven] = 0.0
-        self._inverse_overlap = np.divide(1.0, contacts.overlap, out=np.zeros(chain.grains + 1), where=contacts.pressed)
+        self._inverse_overlap = np.divide(
+            1.0, contacts.overlap, out=np.zeros(chain.grains + 1), where=contacts.pressed
+        )
         self._excess, self._excitation = chain.exponent - 1, scene.excitation
         self._place = scene.excitation.reach(chain)[0] - 1
         self._fastest, self._most = fastest(scene), bounds(scene)[1]
@@ -70,7 +82,9 @@ class PhaseError:
         self._spreads = struck_column(scene)  # where the lead is won at the first grains, and stays
         self.state = start() if state is None else state.copy()
 
-    def add(self, times: Array, recorded: NDArray[np.bool_], u: Array, v: Array, reach: NDArray[np.intp]) -> None:
+    def add(
+        self, times: Array, recorded: NDArray[np.bool_], u: Array, v: Array, reach: NDArray[np.intp]
+    ) -> None:
         """Take in the solution at more times.
 
         Parameters
@@ -88,7 +102,11 @@ class PhaseError:
         if (wave := self._excitation.waveform) and self._excitation.wall:
             walls = np.stack([wave.at(times, order) for order in range(3)], axis=1)
         elif wave:
-            given = wave.at(times, 2) if self._excitation.driven else wave.at(times) * self._inverse_mass[self._place]
+            given = (
+                wave.at(times, 2)
+                if self._excitation.driven
+                else wave.at(times) * self._inverse_mass[self._place]
+            )
         accumulate(
             times, recorded, u, v, reach, walls, self._place, given, self._inverse_overlap, self._stiffness,
             self._inverse_mass, self._excess / 4, 0.6 / RESOLVED / self._fastest, self._open_at, self.state,
@@ -114,7 +132,9 @@ class PhaseError:
         """That of waves that are no long train."""
         slows = SLOWS * self._excess * self._typical * self.state[kernel.SQUARED_STRAIN]
         resonant = float((self._resonance.motion(self.state[kernel.TIME]) / self.scale).max())
-        strayed = 0.0 if self._spreads else max(resonant, STRAYS * self._strays(self._typical)) + slows
+        strayed = (
+            0.0 if self._spreads else max(resonant, STRAYS * self._strays(self._typical)) + slows
+        )
         return float(min(1.0, max(self._leads, strayed)))
 
     @property
@@ -141,7 +161,9 @@ class PhaseError:
 
     def _strays(self, frequency: float) -> float:
         """Return the strains added up as if the phases that they shift went at random."""
-        steps = self.state[kernel.MOST_STRAIN] + np.sqrt(frequency * self.state[kernel.SQUARED_STRAIN])
+        steps = self.state[kernel.MOST_STRAIN] + np.sqrt(
+            frequency * self.state[kernel.SQUARED_STRAIN]
+        )
         return float(self._excess * steps * self._begun)
 
     @property
@@ -152,7 +174,11 @@ class PhaseError:
         """
         if not self._travels:
             return 0.0
-        frequency, time, squared = self._typical, self.state[kernel.TIME], self.state[kernel.SQUARED_STRAIN]
+        frequency, time, squared = (
+            self._typical,
+            self.state[kernel.TIME],
+            self.state[kernel.SQUARED_STRAIN],
+        )
         travels, most = min(time, self._travels), self.state[kernel.MOST_STRAIN]
         if isinstance(self._excitation, Packet) and frequency > 0:
             ratio = min(1.0, frequency / self._fastest)
@@ -183,7 +209,11 @@ class PhaseError:
         opened = self.state[kernel.OPENED]
         if not np.isnan(opened):
             return f"not linear here: contact {opened:.0f} opens"
-        return "" if self._looked else "contacts may open: the run is too long to look at every oscillation"
+        return (
+            ""
+            if self._looked
+            else "contacts may open: the run is too long to look at every oscillation"
+        )
 
 
 def fastest(scene: Scene) -> float:
@@ -212,7 +242,10 @@ def travel(scene: Scene) -> float:
     for way in (slice(place, None), slice(place - 1, None, -1) if place else slice(0)):
         if times[way].size:
             longest = max(
-                longest, float((np.cumsum(times[way] * strain[way]) / np.maximum.accumulate(strain[way])).max())
+                longest,
+                float(
+                    (np.cumsum(times[way] * strain[way]) / np.maximum.accumulate(strain[way])).max()
+                ),
             )
     return longest
 
@@ -231,7 +264,12 @@ def bounds(scene: Scene) -> tuple[float, float]:
     column the strain falls faster than 1/h, and `stability.linear_theory.linear_law` is right within a factor of
     `DOUBT`.
     """
-    excess, strain, least, most = scene.chain.exponent - 1, scene.linear_strain, least_error(scene), 1.0
+    excess, strain, least, most = (
+        scene.chain.exponent - 1,
+        scene.linear_strain,
+        least_error(scene),
+        1.0,
+    )
     if strain < 1:
         periods = scene.chain.band_edge * scene.duration
         most = min(1.0, AT_ONCE * excess * strain * (1 + periods))

@@ -45,7 +45,9 @@ class Resonance:
         if not driven < chain.movable <= chain.grains <= FEW or chain.exponent == 1 or time <= 0:
             return np.zeros(2)
         shape, frequency, force, missed = self._answers
-        grown = (force * np.minimum(time, 2 / np.maximum(missed, 1 / time)) / (2 * frequency)) ** 2  # (P, M)
+        grown = (
+            force * np.minimum(time, 2 / np.maximum(missed, 1 / time)) / (2 * frequency)
+        ) ** 2  # (P, M)
         return np.sqrt([(shape**2 @ (grown * power).sum(0)).max() for power in (1.0, frequency**2)])
 
     @cached_property
@@ -54,25 +56,41 @@ class Resonance:
         from ...theory.modes import between
 
         chain, drive = self._scene.chain, self._scene.drive
-        first, last = self._scene.excitation.driven, chain.movable  # a wall that moves leaves all grains free
+        first, last = (
+            self._scene.excitation.driven,
+            chain.movable,
+        )  # a wall that moves leaves all grains free
         here, contacts = slice(first, last + 1), chain.contacts
         modes = between(contacts.stiffness[here], chain.masses[first:last])
         squeezed = -np.diff(modes.shape, axis=0, prepend=0.0, append=0.0)  # contacts by modes
         u, v = (modes.shape.T @ (modes.mass * x[first:last]) for x in self._scene.initial())
         amplitudes, waves, frequencies = u - 1j * v / modes.frequency, squeezed, modes.frequency
         if drive:
-            w, pull = 2 * np.pi * drive.frequency, contacts.stiffness[first] * drive.amplitude * modes.shape[0]
+            w, pull = (
+                2 * np.pi * drive.frequency,
+                contacts.stiffness[first] * drive.amplitude * modes.shape[0],
+            )
             apart, least = modes.frequency**2 - w**2, modes.frequency / self._scene.duration
             steady = pull / np.copysign(np.maximum(np.abs(apart), least), apart)
             top = drive.amplitude * (np.arange(len(squeezed)) == 0)
             amplitudes = np.append(amplitudes + 1j * steady * w / modes.frequency, 1.0)
-            waves, frequencies = np.column_stack((waves, squeezed @ steady + top)), np.append(frequencies, w)
+            waves, frequencies = (
+                np.column_stack((waves, squeezed @ steady + top)),
+                np.append(frequencies, w),
+            )
         waves = waves * np.abs(amplitudes)
         curvature = np.zeros(len(squeezed))
-        np.divide(contacts.stiffness[here], contacts.overlap[here], out=curvature, where=contacts.pressed[here])
+        np.divide(
+            contacts.stiffness[here],
+            contacts.overlap[here],
+            out=curvature,
+            where=contacts.pressed[here],
+        )
         # each pair comes twice, as (a, b) and (b, a), and adds up to twice the force, hence the root of 2
         pairs = (waves[:, :, None] * waves[:, None]).reshape(len(waves), -1).T
-        forces = np.sqrt(2) * (chain.exponent - 1) / 4 * np.abs(pairs @ (curvature[:, None] * squeezed))
+        forces = (
+            np.sqrt(2) * (chain.exponent - 1) / 4 * np.abs(pairs @ (curvature[:, None] * squeezed))
+        )
         at = [np.abs(np.add.outer(frequencies, sign * frequencies)).ravel() for sign in (1, -1)]
         return (
             modes.shape,

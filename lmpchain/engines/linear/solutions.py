@@ -104,7 +104,9 @@ class ModalSolution:
         """Return ``q'' + w^2 q = f(t)`` from rest, (T, M): sines, and free motion when they have ended."""
         assert self._wave
         w, end = self._modes.frequency, self._wave.end
-        q, p = np.sum([self._by_sine(np.minimum(t, end), *sine) for sine in self._wave.sines], axis=0)
+        q, p = np.sum(
+            [self._by_sine(np.minimum(t, end), *sine) for sine in self._wave.sines], axis=0
+        )
         if np.isinf(end):
             return q, p
         free = np.maximum(t - end, 0.0) * w

@@ -14,7 +14,17 @@ from ...util.compilation import compiled_once
 from .contact_forces import NEWS, STRICT, bits, fma, inlined, number
 from .dense_output import fill_jerk, fill_samples, keep, passes
 from .layout import DONE, FIRST, LAST, PAD, PENDING, RESOLUTION, STEP, STEPS
-from .right_hand_side import accelerate, ahead, hold, impose, impose_velocity, imposed, imposed_rate, recall, sweep
+from .right_hand_side import (
+    accelerate,
+    ahead,
+    hold,
+    impose,
+    impose_velocity,
+    imposed,
+    imposed_rate,
+    recall,
+    sweep,
+)
 from .sample_loop import clock_of, end_of_step, sample_loop
 from .team import largest, meet, mine
 from .window import look, watch, widen
@@ -64,7 +74,19 @@ def _may_matter(y, rates, bends, inverse_length, reach, close, precompressed):
 
 
 @inlined
-def _nearness(y, rates, bends, inverse_length, weight, reach, close, precompressed, uncompressed, omega, nearest):
+def _nearness(
+    y,
+    rates,
+    bends,
+    inverse_length,
+    weight,
+    reach,
+    close,
+    precompressed,
+    uncompressed,
+    omega,
+    nearest,
+):
     """Return the largest score of all contacts between the bodies y; 0 if none is near."""
     largest, size = 0, inverse_length.size
     for begin in range(0, size, TILE):
@@ -79,7 +101,9 @@ def _nearness(y, rates, bends, inverse_length, weight, reach, close, precompress
             largest = max(bits(_score(gap, rate, bend, wt[n], omega, nearest)), largest)
     most = number(largest)
     if uncompressed > 0.0:
-        score = _score(y[0] - y[1], rates[0] - rates[1], bends[0] - bends[1], weight[0], omega, nearest)
+        score = _score(
+            y[0] - y[1], rates[0] - rates[1], bends[0] - bends[1], weight[0], omega, nearest
+        )
         most = score if score > most else most
     return most
 
@@ -112,7 +136,9 @@ def _fill_passed(chain, work, clock, span, out, beyond):
     state, (first, last) = chain.state, mine(chain)
     if clock.dense == 0 or passes(chain, clock, span, state[STEP], state[DONE]) == 0:
         return False
-    changes = imposed_rate(chain, span.begin + state[DONE], span.begin + state[STEP])  # as before a corner
+    changes = imposed_rate(
+        chain, span.begin + state[DONE], span.begin + state[STEP]
+    )  # as before a corner
     fill_jerk(chain, first, last, force, beyond, rate, jerk, changes)
     fill_samples(chain, clock, span, first, last, pull, jerk, out)
     return True
@@ -132,8 +158,16 @@ def _advance(chain, method, work, clock, span, out):
     watch(chain)
     look(chain, clock, int(state[STEPS]), t, 1.0)
     first, last = mine(chain)
-    bodies, near, grains, speeds = slice(first - 1, last + 1), slice(first - 1, last), y[first:last], w[first:last]
-    left = min(span.length - state[DONE], ahead(chain, t, span.begin + span.length, RESOLUTION * clock.step))
+    bodies, near, grains, speeds = (
+        slice(first - 1, last + 1),
+        slice(first - 1, last),
+        y[first:last],
+        w[first:last],
+    )
+    left = min(
+        span.length - state[DONE],
+        ahead(chain, t, span.begin + span.length, RESOLUTION * clock.step),
+    )
     nearness = _nearness(
         y[bodies], w[bodies], pull[bodies], chain.inverse_length[near], weight[chain.number, near],
         near_enough[chain.number, near], close, chain.precompressed, chain.uncompressed if first == PAD else 0.0,
@@ -189,7 +223,12 @@ def march(chains, method, clocks, fields, begin, end, until, max_steps):
         square of the acceleration that it gives over what changes the motion, and the reach of `_may_matter`, (R, W)
     """
     rows, width = method[1].size - 1, chains.x.shape[1]
-    kick, drift, carried, path = np.zeros(rows), np.zeros(rows), np.zeros(rows), np.zeros(rows if chains.imposed else 0)
+    kick, drift, carried, path = (
+        np.zeros(rows),
+        np.zeros(rows),
+        np.zeros(rows),
+        np.zeros(rows if chains.imposed else 0),
+    )
     shortened, (factor, power, least) = method[2:4]
     close, nearest = shortened ** (-14 / 3), np.empty((least.size, chains.omega.size))
     for schedule in range(least.size):

@@ -41,7 +41,9 @@ from .window import watch, widen
 # weakest; elsewhere, delta = 3/2 where nothing is pressed, in strong and in any waves, and any delta
 UNDONE_PLAIN, UNDONE_EXACT, UNDONE_SERIES, UNDONE_SHORT, VACUUM, PLAIN, HERTZ, OTHER = range(8)
 NEWS = "gradients of the native engine", 30
-BURST = 32  # rows between two updates of the window, but on the way forth as many as there is room for
+BURST = (
+    32  # rows between two updates of the window, but on the way forth as many as there is room for
+)
 TILE = 384  # bodies that stay in the nearest cache while the rows of a burst pass over them
 
 
@@ -67,7 +69,11 @@ def _fill(course, look, q, kick, drift):
 def _drift(course, look, q):
     """Return the drift, s, of the row before that of number q after a look; before a look there is none."""
     _, drifts, lengths, begun = course
-    return drifts[(q - 1) % drifts.size] * lengths[begun[look] + (q - 1) // drifts.size] if q > 0 else 0.0
+    return (
+        drifts[(q - 1) % drifts.size] * lengths[begun[look] + (q - 1) // drifts.size]
+        if q > 0
+        else 0.0
+    )
 
 
 @_loop
@@ -122,7 +128,9 @@ def forward(chain, course, room, path, pieces, some, seen):
     watch(chain)
     for piece in range(some[0], some[1]):
         begin, count = starts[piece] - starts[some[0]], starts[piece + 1] - starts[piece]
-        _forward(chain, course, room, path[begin : begin + count], looks[piece], rows[piece], count, seen)
+        _forward(
+            chain, course, room, path[begin : begin + count], looks[piece], rows[piece], count, seen
+        )
         kept_x, kept_v = states[piece + 1, 0], states[piece + 1, 1]
         for n in range(chain.x.size):
             kept_x[n] = chain.x[n]
@@ -144,7 +152,9 @@ def _touch(r, constant, less, row, tops):
 
 
 @_loop
-def _keep(law, less, chain, table, course, room, path, look, q, count, powers, forces, tops, bodies):
+def _keep(
+    law, less, chain, table, course, room, path, look, q, count, powers, forces, tops, bodies
+):
     """Move a chain by some rows as `forward` does, within its window, and keep p of all contacts.
 
     `table` is 1 / length, strength and delta strength / length of every contact, (3, W). `bodies` is x, v and the
@@ -196,7 +206,23 @@ def _keep(law, less, chain, table, course, room, path, look, q, count, powers, f
 
 @_loop
 def _backward(
-    law, less, chain, table, course, room, path, look, q, count, powers, forces, tops, bodies, seen, adjoint, on_path
+    law,
+    less,
+    chain,
+    table,
+    course,
+    room,
+    path,
+    look,
+    q,
+    count,
+    powers,
+    forces,
+    tops,
+    bodies,
+    seen,
+    adjoint,
+    on_path,
 ):
     """Take adjoints back by `count` rows, from that of number q after a look.
 
@@ -209,7 +235,13 @@ def _backward(
     columns, looks = seen
     il, st, stiff, im, c = table[0], table[1], table[2], bodies[2], chain.precompressed
     x, momentum = bodies[0], bodies[1]
-    adjoint_x, pull, sums_p, sums_f, sums_m = adjoint[0], adjoint[1], adjoint[2], adjoint[3], adjoint[4]
+    adjoint_x, pull, sums_p, sums_f, sums_m = (
+        adjoint[0],
+        adjoint[1],
+        adjoint[2],
+        adjoint[3],
+        adjoint[4],
+    )
     first, last = _contacts(chain)
     body = int(chain.drive[BODY]) if path.size > 0 else 0
     touches = chain.uncompressed > 0.0 and first == PAD
@@ -285,7 +317,21 @@ def _backward(
 
 @compiled_once(*NEWS, nogil=True, **_OPTIONS)
 def backward(
-    law, less, chain, table, course, room, path, pieces, some, kept, bodies, seen, adjoint, on_path, everywhere
+    law,
+    less,
+    chain,
+    table,
+    course,
+    room,
+    path,
+    pieces,
+    some,
+    kept,
+    bodies,
+    seen,
+    adjoint,
+    on_path,
+    everywhere,
 ):
     """Take adjoints back through some pieces of a run, the last one first.
 
@@ -301,7 +347,13 @@ def backward(
         known, drift = piece, 0.0
         if law <= UNDONE_SHORT:
             known, drift = piece + 1, _drift(course, looks[piece + 1], rows[piece + 1])
-        x, v, im, kept_x, kept_v = bodies[0], bodies[1], bodies[2], states[known, 0], states[known, 1]
+        x, v, im, kept_x, kept_v = (
+            bodies[0],
+            bodies[1],
+            bodies[2],
+            states[known, 0],
+            states[known, 1],
+        )
         for n in range(width):
             v[n + 1] = kept_v[n]
             if law <= UNDONE_SHORT:

@@ -13,7 +13,11 @@ from numba import types
 
 from .contact_forces import _exp, _inline, _log
 
-_OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"nnan", "ninf", "nsz", "contract"}, "_nrt": False}
+_OPTIONS: dict[str, Any] = {
+    "error_model": "numpy",
+    "fastmath": {"nnan", "ninf", "nsz", "contract"},
+    "_nrt": False,
+}
 _loop = numba.njit(**_OPTIONS)
 
 
@@ -35,7 +39,9 @@ def at(typing: Any, array: Any, n: Any) -> Any:
     """Return where number n of an array lies, which takes less time to pass on than a slice."""
 
     def place(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return builder.gep(context.make_array(signature.args[0])(context, builder, args[0]).data, [args[1]])
+        return builder.gep(
+            context.make_array(signature.args[0])(context, builder, args[0]).data, [args[1]]
+        )
 
     return types.CPointer(array.dtype)(array, types.intp), place
 
@@ -90,7 +96,9 @@ _there_vacuum = _there_by_root(False, True)
 
 
 @_loop
-def _there_other(count, x, v, inverse_length, strength, inverse_mass, kick, drift, above, c, less, power, force):
+def _there_other(
+    count, x, v, inverse_length, strength, inverse_mass, kick, drift, above, c, less, power, force
+):
     """Do the same for any delta, and keep f, too."""
     apart()
     for n in range(count):
@@ -173,7 +181,9 @@ def _back(how: int) -> Any:
                         weight = impulse * p
                         f = weight * (p * p)
                     push = f_before - f
-                if how == KEPT_VACUUM:  # there, no force at rest asks for a sum over p, and lengths are 1 m
+                if (
+                    how == KEPT_VACUUM
+                ):  # there, no force at rest asks for a sum over p, and lengths are 1 m
                     g = (1.5 * closer) * weight
                 else:
                     sums_p[n] += at_rest * p

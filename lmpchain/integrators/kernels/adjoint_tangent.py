@@ -37,7 +37,9 @@ def _move(x, v, inverse_mass, force, kick, drift):
 
 
 @_loop
-def _change(x, v, inverse_mass, slope, power, force, soften, by_force, by_constant, by_mass, kick, drift):
+def _change(
+    x, v, inverse_mass, slope, power, force, soften, by_force, by_constant, by_mass, kick, drift
+):
     """Kick and drift small changes of the bodies x (C+1,) but the last, as fast as v (C,)."""
     apart()
     above, f_above = 0.0, 0.0
@@ -50,7 +52,9 @@ def _change(x, v, inverse_mass, slope, power, force, soften, by_force, by_consta
 
 
 @compiled_once(*NEWS, nogil=True, **_OPTIONS)
-def tangent(less, chain, table, course, room, path, look, q, count, near, tops, change, dx, dv, seen):
+def tangent(
+    less, chain, table, course, room, path, look, q, count, near, tops, change, dx, dv, seen
+):
     """Move a chain, and D small changes dx and dv (D, W) of it, by some rows as `forward` does.
 
     `near` is (6, W): room for four, the inverse of the constant of every contact and what it carries at rest. `change`
@@ -74,7 +78,11 @@ def tangent(less, chain, table, course, room, path, look, q, count, near, tops, 
                 if body > 0:
                     dx[d, body] = by_path[d, place]
                 elif body < 0:
-                    dv[d, -body] += kick[row] * im[-body] * (by_path[d, place] - path[place] * by_mass[d, -body])
+                    dv[d, -body] += (
+                        kick[row]
+                        * im[-body]
+                        * (by_path[d, place] - path[place] * by_mass[d, -body])
+                    )
                 _change(
                     dx[d, first - 1 : last], dv[d, first - 1 : last - 1], im[first - 1 : last - 1], near[2, first:last],
                     near[0, first:last], near[1, first:last], near[3, first:last], by_force[d, first:last],

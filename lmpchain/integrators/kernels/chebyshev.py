@@ -55,7 +55,12 @@ def bessel(z, orders):
     start = orders + int(20 + 10 * _largest(z) ** (1 / 3))
     start += start % 2
     values = np.zeros((orders, z.size))
-    above, here, total, place = np.zeros(z.size), np.full(z.size, 1e-300), np.zeros(z.size), np.empty(z.size)
+    above, here, total, place = (
+        np.zeros(z.size),
+        np.full(z.size, 1e-300),
+        np.zeros(z.size),
+        np.empty(z.size),
+    )
     for i in range(z.size):
         place[i] = max(z[i], TINY)
     for n in range(start, 0, -1):
@@ -73,7 +78,11 @@ def bessel(z, orders):
         if largest > 1e250:
             for i in range(z.size):
                 if abs(here[i]) > 1e200:
-                    above[i], here[i], total[i] = above[i] * 1e-250, here[i] * 1e-250, total[i] * 1e-250
+                    above[i], here[i], total[i] = (
+                        above[i] * 1e-250,
+                        here[i] * 1e-250,
+                        total[i] * 1e-250,
+                    )
                     for order in range(n, orders):
                         values[order, i] *= 1e-250
     for i in range(z.size):
@@ -98,7 +107,10 @@ def series(x, stiffness, mobility, oscillator, scale, of_t, of_w, reach):
     grains, orders = x.size, of_t.shape[1]
     first, last = reach
     tiny = NEGLIGIBLE * _largest(x)
-    double, total = np.empty(grains), np.zeros(grains + 2)  # 2 T_k x, and W_k x between two grains that stand still
+    double, total = (
+        np.empty(grains),
+        np.zeros(grains + 2),
+    )  # 2 T_k x, and W_k x between two grains that stand still
     most, pull = min(orders, CHUNK), np.empty(grains)
     ts, ws = np.zeros((most, grains)), np.zeros((most, grains))
     for n in range(grains):
@@ -107,7 +119,9 @@ def series(x, stiffness, mobility, oscillator, scale, of_t, of_w, reach):
     sum_t, sum_w = np.zeros((of_t.shape[0], grains)), np.zeros((of_w.shape[0], grains))
     for k in range(orders):
         here = k % most
-        if k > 0:  # one grain further, but not beyond all motion, where numbers are so small that they are slow
+        if (
+            k > 0
+        ):  # one grain further, but not beyond all motion, where numbers are so small that they are slow
             first, last = max(first - 1, 0), min(last + 1, grains)
             double[0] -= 4 * oscillator / (scale * scale) * total[1]
             d, w, t = double[first:last], total[first : last + 2], ts[here, first:last]
@@ -162,7 +176,11 @@ def _weights(scale, times, now):
     orders = table.shape[0]
     while orders > 4 and max(_largest(table[orders - 2]), _largest(table[orders - 1])) < LEAST:
         orders -= 2
-    many, of_t, of_w = times.size, np.empty((2 * times.size, orders // 2)), np.empty((times.size, orders // 2))
+    many, of_t, of_w = (
+        times.size,
+        np.empty((2 * times.size, orders // 2)),
+        np.empty((times.size, orders // 2)),
+    )
     for k in range(orders // 2):
         for i in range(many):
             of_t[i, k], of_w[i, k] = table[2 * k, i], 2 / scale * table[2 * k + 1, i]
@@ -230,9 +248,16 @@ class Propagator:
 
     def __init__(self, stiffness: Array, mobility: Array, drive: float, u: Array, v: Array):
         # grain 1, if driven, is an oscillator that pulls the others and is not pulled
-        squares = 2 * (stiffness[:-1] + stiffness[1:]) * mobility  # bounds on frequencies (Gershgorin)
+        squares = (
+            2 * (stiffness[:-1] + stiffness[1:]) * mobility
+        )  # bounds on frequencies (Gershgorin)
         squares[0] = max(squares[0], drive**2)
-        self._chain = np.array(stiffness), mobility, drive**2, squares  # loops for what is read-only are others
+        self._chain = (
+            np.array(stiffness),
+            mobility,
+            drive**2,
+            squares,
+        )  # loops for what is read-only are others
         self.u, self.v = u, v
         self.terms = 0
         self._reach = moving(u, v)

@@ -20,7 +20,10 @@ from numba.extending import intrinsic
 
 # no reordering and no contraction but the explicit fma: every blocking of the loops gives the same bits
 STRICT = {"nnan", "ninf", "nsz"}
-NEWS = "the native engine", 20  # what is compiled when it runs for the first time, and about how long that takes, s
+NEWS = (
+    "the native engine",
+    20,
+)  # what is compiled when it runs for the first time, and about how long that takes, s
 _inline: Any = intrinsic  # to a type checker it takes the arguments of the compiled function
 
 # without numba's runtime: such functions make no arrays and count no references, which would take half of the time
@@ -32,19 +35,25 @@ inlined = numba.njit(**_OPTIONS, inline="always")
 @_inline
 def fma(typing: Any, a: Any, b: Any, c: Any) -> Any:
     """Return a b + c, rounded once."""
-    return types.float64(types.float64, types.float64, types.float64), lambda _c, builder, _s, args: builder.fma(*args)
+    return types.float64(
+        types.float64, types.float64, types.float64
+    ), lambda _c, builder, _s, args: builder.fma(*args)
 
 
 @_inline
 def bits(typing: Any, x: Any) -> Any:
     """Return the bits of a number as a whole number."""
-    return types.int64(types.float64), lambda _c, builder, _s, args: builder.bitcast(args[0], ir.IntType(64))
+    return types.int64(types.float64), lambda _c, builder, _s, args: builder.bitcast(
+        args[0], ir.IntType(64)
+    )
 
 
 @_inline
 def number(typing: Any, n: Any) -> Any:
     """Return the number with these bits."""
-    return types.float64(types.int64), lambda _c, builder, _s, args: builder.bitcast(args[0], ir.DoubleType())
+    return types.float64(types.int64), lambda _c, builder, _s, args: builder.bitcast(
+        args[0], ir.DoubleType()
+    )
 
 
 MANTISSA, ONE = (1 << 52) - 1, 1023 << 52
@@ -52,7 +61,10 @@ SHIFT = float(3 << 51)  # adding it rounds to a whole number, which the last bit
 SHIFT_BITS = int(np.float64(SHIFT).view(np.int64))
 EXPONENT = float((1 << 52) + 1023)
 EXPONENT_BITS = int(np.float64(1 << 52).view(np.int64))
-LN2_HIGH, LN2_LOW = 0.6931471803691238, 1.9082149292705877e-10  # their sum is ln 2 to 33 more digits
+LN2_HIGH, LN2_LOW = (
+    0.6931471803691238,
+    1.9082149292705877e-10,
+)  # their sum is ln 2 to 33 more digits
 
 
 @compiled
@@ -80,7 +92,11 @@ def _exp(t, less):
     r = fma(-whole, LN2_LOW, fma(-whole, LN2_HIGH, t))
     p = fma(
         r,
-        fma(r, fma(r, fma(r, fma(r, 1 / 6227020800, 1 / 479001600), 1 / 39916800), 1 / 3628800), 1 / 362880),
+        fma(
+            r,
+            fma(r, fma(r, fma(r, 1 / 6227020800, 1 / 479001600), 1 / 39916800), 1 / 3628800),
+            1 / 362880,
+        ),
         1 / 40320,
     )
     p = fma(r, fma(r, fma(r, fma(r, fma(r, p, 1 / 5040), 1 / 720), 1 / 120), 1 / 24), 1 / 6)
@@ -103,7 +119,9 @@ def _polynomial(r, inverse_length, strength, precompressed, coefficients):
     """Any delta while |s| is small enough for seven terms of the binomial series; no contact may open."""
     s = r * inverse_length
     p = fma(s, fma(s, fma(s, coefficients[6], coefficients[5]), coefficients[4]), coefficients[3])
-    return (strength * s) * fma(s, fma(s, fma(s, p, coefficients[2]), coefficients[1]), coefficients[0])
+    return (strength * s) * fma(
+        s, fma(s, fma(s, p, coefficients[2]), coefficients[1]), coefficients[0]
+    )
 
 
 @compiled
@@ -164,7 +182,9 @@ def _loops(force: Callable[..., Any]) -> tuple[Callable[..., Any], Callable[...,
     def forces(out, x, inverse_length, strength, precompressed, coefficients):
         """Fill out (C,) with the force of every contact between the bodies x (C+1,), N."""
         for n in range(out.size):
-            out[n] = force(x[n] - x[n + 1], inverse_length[n], strength[n], precompressed, coefficients)
+            out[n] = force(
+                x[n] - x[n + 1], inverse_length[n], strength[n], precompressed, coefficients
+            )
 
     @compiled
     def rows(
@@ -190,11 +210,19 @@ def _loops(force: Callable[..., Any]) -> tuple[Callable[..., Any], Callable[...,
             if top:
                 above = 0.0
                 if strength[0] > 0.0:
-                    above = force(x[0] - x[1], inverse_length[0], strength[0], precompressed, coefficients)
+                    above = force(
+                        x[0] - x[1], inverse_length[0], strength[0], precompressed, coefficients
+                    )
                 if uncompressed > 0.0:
                     above += touching(x[0] - x[1], uncompressed, coefficients)
             for n in range(v.size):
-                below = force(x[n + 1] - x[n + 2], inverse_length[n + 1], strength[n + 1], precompressed, coefficients)
+                below = force(
+                    x[n + 1] - x[n + 2],
+                    inverse_length[n + 1],
+                    strength[n + 1],
+                    precompressed,
+                    coefficients,
+                )
                 faster = fma(kick, inverse_mass[n] * (above - below), v[n])
                 v[n] = faster
                 x[n + 1] = fma(drift, faster, x[n + 1])
@@ -234,7 +262,9 @@ def _by_form(loops: dict[int, Callable[..., None]]) -> Callable[..., None]:
     return run
 
 
-def _either(one: int, loop: Callable[..., None], choose: Callable[..., None]) -> Callable[..., None]:
+def _either(
+    one: int, loop: Callable[..., None], choose: Callable[..., None]
+) -> Callable[..., None]:
     """Make the function that runs a loop if the form is its own, and else looks further."""
 
     @inlined

@@ -37,11 +37,15 @@ def fill_jerk(chain, first, last, force, beyond, rate, jerk, imposed):
         v[int(chain.drive[BODY])] = imposed
     for n in range(first - 1, last):
         y = (x[n] - x[n + 1]) * chain.inverse_length[n] + pressed
-        held = (force[n - beyond] + chain.strength[n] * pressed) / (y if y > 0.0 else 1.0)  # the force is K y^delta
+        held = (force[n - beyond] + chain.strength[n] * pressed) / (
+            y if y > 0.0 else 1.0
+        )  # the force is K y^delta
         rate[n] = delta * held * chain.inverse_length[n] * (v[n] - v[n + 1]) if y > 0.0 else 0.0
     if first == PAD and chain.uncompressed > 0.0:
         r = x[PAD - 1] - x[PAD]
-        rate[PAD - 1] = delta * force[PAD - 1 - beyond] / r * (v[PAD - 1] - v[PAD]) if r > 0.0 else 0.0
+        rate[PAD - 1] = (
+            delta * force[PAD - 1 - beyond] / r * (v[PAD - 1] - v[PAD]) if r > 0.0 else 0.0
+        )
     for n in range(first, last):
         jerk[n] = chain.inverse_mass[n] * (rate[n - 1] - rate[n])
     if first <= pushed < last:
@@ -60,21 +64,48 @@ def keep(chain, first, last, pull, jerk):
 def fill_samples(chain, clock, span, first, last, pull, jerk, out):
     """Put the bodies first ... last-1 into all samples that the step that ends here has passed."""
     kept, begin, end = chain.history, chain.state[STEP], chain.state[DONE]
-    u_0, v_0, a_0, j_0 = kept[0, first:last], kept[1, first:last], kept[2, first:last], kept[3, first:last]
-    u_1, v_1, a_1, j_1 = chain.x[first:last], chain.v[first:last], pull[first:last], jerk[first:last]
+    u_0, v_0, a_0, j_0 = (
+        kept[0, first:last],
+        kept[1, first:last],
+        kept[2, first:last],
+        kept[3, first:last],
+    )
+    u_1, v_1, a_1, j_1 = (
+        chain.x[first:last],
+        chain.v[first:last],
+        pull[first:last],
+        jerk[first:last],
+    )
     h, sample, interval = end - begin, passes(chain, clock, span, begin, end), clock.interval
     while sample > 0 and sample * interval <= end and sample * interval < span.length:
         s = (sample * interval - begin) / h
         q = 1.0 - s
         s3, q3 = s * s * s, q * q * q
-        along = q3 * q * (1.0 + s * (4.0 + s * (10.0 + 20.0 * s)))  # of u at the beginning; 1 less that at the end
-        v0, v1 = h * s * q3 * q * (1.0 + s * (4.0 + 10.0 * s)), -h * q * s3 * s * (1.0 + q * (4.0 + 10.0 * q))
-        a0, a1 = h * h / 2 * s * s * q3 * q * (1.0 + 4.0 * s), h * h / 2 * q * q * s3 * s * (1.0 + 4.0 * q)
+        along = (
+            q3 * q * (1.0 + s * (4.0 + s * (10.0 + 20.0 * s)))
+        )  # of u at the beginning; 1 less that at the end
+        v0, v1 = (
+            h * s * q3 * q * (1.0 + s * (4.0 + 10.0 * s)),
+            -h * q * s3 * s * (1.0 + q * (4.0 + 10.0 * q)),
+        )
+        a0, a1 = (
+            h * h / 2 * s * s * q3 * q * (1.0 + 4.0 * s),
+            h * h / 2 * q * q * s3 * s * (1.0 + 4.0 * q),
+        )
         j0, j1 = h * h * h / 6 * s3 * q3 * q, -h * h * h / 6 * q3 * s3 * s
         rise = 140.0 / h * s3 * q3
-        w0, w1 = q3 * (1.0 + s * (3.0 + s * (6.0 - 70.0 * s))), s3 * (1.0 + q * (3.0 + q * (6.0 - 70.0 * q)))
-        b0, b1 = h * q3 * s * (1.0 + s * (3.0 - 14.0 * s)), -h * s3 * q * (1.0 + q * (3.0 - 14.0 * q))
-        k0, k1 = h * h * q3 * s * s * (0.5 - 7.0 / 6.0 * s), h * h * s3 * q * q * (0.5 - 7.0 / 6.0 * q)
+        w0, w1 = (
+            q3 * (1.0 + s * (3.0 + s * (6.0 - 70.0 * s))),
+            s3 * (1.0 + q * (3.0 + q * (6.0 - 70.0 * q))),
+        )
+        b0, b1 = (
+            h * q3 * s * (1.0 + s * (3.0 - 14.0 * s)),
+            -h * s3 * q * (1.0 + q * (3.0 - 14.0 * q)),
+        )
+        k0, k1 = (
+            h * h * q3 * s * s * (0.5 - 7.0 / 6.0 * s),
+            h * h * s3 * q * q * (0.5 - 7.0 / 6.0 * q),
+        )
         number = int(chain.state[SAMPLE]) + sample
         u_row = out.u[number - out.first, first - PAD :]
         v_row = out.v[number - out.first, first - PAD :]

@@ -46,7 +46,10 @@ def _advance(chain, method, work, clock, span, out):
     first, last = int(state[FIRST]), int(state[LAST])
     here = slice(first, last)
     now = span.begin + state[DONE]
-    left = min(span.length - state[DONE], ahead(chain, now, span.begin + span.length, RESOLUTION * clock.step))
+    left = min(
+        span.length - state[DONE],
+        ahead(chain, now, span.begin + span.length, RESOLUTION * clock.step),
+    )
     h = span.step if allowed == 0.0 else (state[STEP] if state[STEP] > 0.0 else clock.step)
     done = end_of_step(chain, span, left, h)
     h = done - state[DONE]
@@ -98,6 +101,10 @@ def march(chains, method, clocks, fields, begin, end, until, max_steps):
         size, and the longest step over that of the schedule, (F,)
     """
     width = chains.x.shape[1]
-    force, stage, accelerations = np.zeros(width), np.zeros(width), np.zeros((method[0].size, width))
+    force, stage, accelerations = (
+        np.zeros(width),
+        np.zeros(width),
+        np.zeros((method[0].size, width)),
+    )
     work = force, stage, accelerations
     return _march(chains, method, work, clocks, fields, begin, end, until, max_steps)

@@ -58,7 +58,10 @@ def _begin(chain, work, now, h):
             if side == 1.0:
                 more[1, n] = pull[n]
             elif smooth:
-                more[1, n], more[2, n] = (more[1, n] - pull[n]) * h * h / 12, pull[n] + more[1, n] - 2.0 * more[0, n]
+                more[1, n], more[2, n] = (
+                    (more[1, n] - pull[n]) * h * h / 12,
+                    pull[n] + more[1, n] - 2.0 * more[0, n],
+                )
             else:
                 slope = 4.0 * pull[n] - more[1, n] - 3.0 * more[0, n]
                 bend = 4.0 * (more[1, n] - 2.0 * pull[n] + more[0, n])
@@ -105,7 +108,10 @@ def _advance(chain, method, work, clock, span, out):
     now, then = span.begin + state[DONE] * h, span.begin + (state[DONE] + 1) * h
     first = cut(chain, now, h)
     corner = now + first if first > 0.0 else then
-    for begin, end, length in ((now, corner, first if first > 0.0 else h), (corner, then, h - first)):
+    for begin, end, length in (
+        (now, corner, first if first > 0.0 else h),
+        (corner, then, h - first),
+    ):
         if begin < end:
             _step(chain, corrections, work, begin, end, length)
     if first > 0.0:

@@ -24,13 +24,17 @@ AMPLITUDE, OMEGA, ENVELOPE, END, KNOTS, BODY = range(6)
 # the state of a chain between two calls: the last sample, how far beyond it (in steps or s), the part of a kick that is
 # still due, the active window, extremes of the contacts, the largest displacement and speed of any grain, steps made,
 # and the step size of a method that changes it, or where its last step began
-SAMPLE, DONE, PENDING, FIRST, LAST, LOWEST, CLOSEST, FARTHEST, FASTEST, NEXT, STEPS, STEP = range(12)
+SAMPLE, DONE, PENDING, FIRST, LAST, LOWEST, CLOSEST, FARTHEST, FASTEST, NEXT, STEPS, STEP = range(
+    12
+)
 
 # where threads that share a chain wait for each other, and what they tell each other: in a `gate`, how many times one
 # has come to wait, and on a cache line of its own whether one has given up; in its row of a `board` each the nearest
 # opening of a contact, and where its first grain was in every row of a `sweep`, fewer than EDGES
 GIVEN_UP, NEARNESS, EDGE, EDGES = PAD, 0, PAD, 128
-LEAST_SHARE = 4096  # grains of a thread; of this many, what it waits for others is a tenth of the time
+LEAST_SHARE = (
+    4096  # grains of a thread; of this many, what it waits for others is a tenth of the time
+)
 WHOLE_ROWS = 512  # grains, a page: of no more, samples are written whole; of more, only as far as the wave has come
 
 

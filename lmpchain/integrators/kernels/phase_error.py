@@ -65,7 +65,10 @@ def accumulate(
         for n in range(u.size + 1):  # contacts
             x, y = (u[n - 1] if n > 0 else wall), (u[n] if n < u.size else 0.0)
             p, q = (v[n - 1] if n > 0 else wall_speed), (v[n] if n < u.size else 0.0)
-            strain, bend = (x - y) * inverse_overlap[first + n], (a[n] - a[n + 1]) * inverse_overlap[first + n]
+            strain, bend = (
+                (x - y) * inverse_overlap[first + n],
+                (a[n] - a[n + 1]) * inverse_overlap[first + n],
+            )
             rate, lowest = (p - q) * inverse_overlap[first + n], strain
             if bend > 0 and abs(rate) < near * bend:
                 lowest = strain - rate * rate / (2 * bend)
@@ -73,9 +76,16 @@ def accumulate(
                 largest = strain
             if lowest <= open_at and np.isnan(state[OPENED]):
                 state[OPENED] = first + n
-            held = stiffness[first + n] / inverse_overlap[first + n] * (-1.0 - lowest) if lowest < -1.0 else 0.0
+            held = (
+                stiffness[first + n] / inverse_overlap[first + n] * (-1.0 - lowest)
+                if lowest < -1.0
+                else 0.0
+            )
             if n > 0:
-                displacement, velocity = max(displacement, abs(u[n - 1])), max(velocity, abs(v[n - 1]))
+                displacement, velocity = (
+                    max(displacement, abs(u[n - 1])),
+                    max(velocity, abs(v[n - 1])),
+                )
                 fastest = max(fastest, abs(a[n]))
                 pull = max(pull, abs(before - held) * inverse_mass[first + n - 1])
             before = held

@@ -119,7 +119,10 @@ def compared(
                 continue
             if now > allowed[real]:
                 verdict = max(verdict, TOO_FAST)
-            peaks[real, 0], peaks[real, 1] = max(peaks[real, 0], far), max(peaks[real, 1], _farthest(w, nothing))
+            peaks[real, 0], peaks[real, 1] = (
+                max(peaks[real, 0], far),
+                max(peaks[real, 1], _farthest(w, nothing)),
+            )
             for other in range(others):
                 if at == 0 or (at % strides[other] and at < final):  # all begin alike
                     continue
@@ -178,7 +181,10 @@ def in_parts(
                 for other in range(others):
                     apart = differences[other, sample, real, field]
                     apart = np.inf if np.isnan(apart) else apart
-                    most, largest[other, field] = max(most, apart), max(largest[other, field], apart)
+                    most, largest[other, field] = (
+                        max(most, apart),
+                        max(largest[other, field], apart),
+                    )
                 every[real, sample] = max(every[real, sample], most / over[field])
         for other in range(others):
             for field in range(fields):

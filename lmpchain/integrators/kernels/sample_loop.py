@@ -29,7 +29,9 @@ def _chain(chains, real, schedule):
 def clock_of(clocks, schedule):
     """Return the clock of a schedule."""
     own = clocks.others[schedule]
-    return Clock(clocks.interval, clocks.final, int(own[0]), own[1], int(own[2]), own[3] > 0, int(own[4]))
+    return Clock(
+        clocks.interval, clocks.final, int(own[0]), own[1], int(own[2]), own[3] > 0, int(own[4])
+    )
 
 
 @inlined
@@ -37,7 +39,9 @@ def _row(fields, real, schedule):
     """Return where the samples of a chain go."""
     if schedule == 0:
         return Row(fields.u[real], fields.v[real], fields.first)
-    return Row(fields.others_u[schedule - 1, real], fields.others_v[schedule - 1, real], fields.first)
+    return Row(
+        fields.others_u[schedule - 1, real], fields.others_v[schedule - 1, real], fields.first
+    )
 
 
 @inlined
@@ -86,14 +90,20 @@ def sample_loop(
         done, size = 0, end - begin
         for each in range(size * clocks.others.shape[0]):
             schedule, real = each // size, begin + each % size
-            chain, clock, out = _chain(chains, real, schedule), clock_of(clocks, schedule), _row(fields, real, schedule)
+            chain, clock, out = (
+                _chain(chains, real, schedule),
+                clock_of(clocks, schedule),
+                _row(fields, real, schedule),
+            )
             state = chain.state
             while state[SAMPLE] < until and done < max_steps:
                 sample = int(state[SAMPLE])
                 landing = min(sample + clock.stride, clock.final)
                 length = (landing - sample) * clock.interval
                 steps = (clock.steps * (landing - sample) + clock.stride - 1) // clock.stride
-                span = Span(sample * clock.interval, landing * clock.interval, length, steps, length / steps)
+                span = Span(
+                    sample * clock.interval, landing * clock.interval, length, steps, length / steps
+                )
                 goal = float(steps) if counted else length
                 while state[DONE] < goal and done < max_steps:
                     made = advance(chain, method, work, clock, span, out)

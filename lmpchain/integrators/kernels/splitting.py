@@ -23,17 +23,24 @@ def _advance(chain, method, work, clock, span, out):
     state, stages, h = chain.state, drifts.size, span.step
     full = state[FIRST] == PAD and state[LAST] == chain.x.size - PAD
     wide = stages == 1 or full or state[LAST] - state[FIRST] > TILE
-    missing = kicks[stages] * clock.step * chain.omega  # of a speed, without the last kick of a step
+    missing = (
+        kicks[stages] * clock.step * chain.omega
+    )  # of a speed, without the last kick of a step
     complete = 1.0 / (1.0 + 0.5 * missing * missing)
     burst = min(span.steps - int(state[DONE]), max(1, ROWS // stages) if wide else 1)
     begun, rows, halved = span.begin + state[DONE] * h, 0, burst
     for step in range(burst):
-        first = cut(chain, begun + step * h, h) if stages > 1 else 0.0  # a corner leaves an order of 2 as it is
+        first = (
+            cut(chain, begun + step * h, h) if stages > 1 else 0.0
+        )  # a corner leaves an order of 2 as it is
         halved = step if first > 0.0 else halved
         for part in range(2 if first > 0.0 else 1):
             whole = h if first == 0.0 else (first if part == 0 else h - first)
             for stage in range(stages):
-                kick[rows + stage], drift[rows + stage] = kicks[stage] * whole, drifts[stage] * whole
+                kick[rows + stage], drift[rows + stage] = (
+                    kicks[stage] * whole,
+                    drifts[stage] * whole,
+                )
                 if chain.imposed:
                     along = reach[stage - 1] if stage > 0 else 0.0
                     t = begun + (step + along) * h
@@ -74,6 +81,11 @@ _march = sample_loop(_advance, True, _land)
 def march(chains, method, clocks, fields, begin, end, until, max_steps):
     """Advance by a splitting; `method` is its kicks (S+1,) and drifts (S,) as fractions of a step."""
     rows = ROWS + 2 * method[1].size
-    kick, drift, carried, path = np.zeros(rows), np.zeros(rows), np.zeros(rows), np.zeros(rows if chains.imposed else 0)
+    kick, drift, carried, path = (
+        np.zeros(rows),
+        np.zeros(rows),
+        np.zeros(rows),
+        np.zeros(rows if chains.imposed else 0),
+    )
     work = kick, drift, carried, path, np.cumsum(method[1])
     return _march(chains, method, work, clocks, fields, begin, end, until, max_steps)

@@ -61,11 +61,17 @@ def laid_out(
         See `ChainBatch`.
     """
     batch, grains = masses.shape
-    table, uncompressed, omega = _rows(3 * batch, grains).reshape((batch, 3, -1)), np.zeros(batch), np.empty(batch)
+    table, uncompressed, omega = (
+        _rows(3 * batch, grains).reshape((batch, 3, -1)),
+        np.zeros(batch),
+        np.empty(batch),
+    )
     scale, units, allowed = np.empty((batch, 2)), np.empty((batch, 2)), np.zeros(batch)
     for real in range(batch):
         for n in range(grains + 1):
-            length, strength = (overlap[real, n], force[real, n]) if compressed else (1.0, constant[real, n])
+            length, strength = (
+                (overlap[real, n], force[real, n]) if compressed else (1.0, constant[real, n])
+            )
             if length > 0.0:
                 table[real, 0, PAD - 1 + n], table[real, 1, PAD - 1 + n] = 1.0 / length, strength
         weight = 0.0
@@ -124,7 +130,11 @@ def placed(
         At sample 0.
     """
     given, batch, grains = u.shape
-    x, w, state = _rows(copies * batch, grains), _rows(copies * batch, grains), np.zeros((copies * batch, STEP + 1))
+    x, w, state = (
+        _rows(copies * batch, grains),
+        _rows(copies * batch, grains),
+        np.zeros((copies * batch, STEP + 1)),
+    )
     width = x.shape[1]
     for row in range(len(x)):
         copy, real = row // batch % given, row % batch
@@ -149,7 +159,9 @@ def placed(
 
 
 @compiled_once(*NEWS, error_model="numpy")
-def opening_weights(table: Array, uncompressed: Array, omega: Array, scale: Array) -> tuple[Array, Array]:
+def opening_weights(
+    table: Array, uncompressed: Array, omega: Array, scale: Array
+) -> tuple[Array, Array]:
     """Return how much each contact changes the motion as it opens or closes.
 
     Parameters
@@ -166,7 +178,10 @@ def opening_weights(table: Array, uncompressed: Array, omega: Array, scale: Arra
     weight, reach = np.zeros((batch, width)), np.zeros((batch, width))
     for real in range(batch):
         _, strength, inverse_mass = table[real]
-        changes, slow = omega[real] ** 2.5 * scale[real, 1] + 1e-300, math.sqrt(2.0) * (2.0 * omega[real]) ** 3
+        changes, slow = (
+            omega[real] ** 2.5 * scale[real, 1] + 1e-300,
+            math.sqrt(2.0) * (2.0 * omega[real]) ** 3,
+        )
         for n in range(width):
             mobility = max(inverse_mass[n], inverse_mass[n + 1] if n + 1 < width else 0.0)
             pull = strength[n] + (uncompressed[real] if n == PAD - 1 else 0.0)

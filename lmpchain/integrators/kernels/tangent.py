@@ -49,7 +49,9 @@ def _evaluate(links, x, shorter, grains, force, stiffness):
     """Fill force and stiffness (N+1,) of all contacts."""
     first, last = PAD - 1, PAD + grains
     il, st = links.inverse_length[first:last], links.strength[first:last]
-    contact_forces(links.form, force, x[first : last + 1], il, st, links.precompressed, links.coefficients)
+    contact_forces(
+        links.form, force, x[first : last + 1], il, st, links.precompressed, links.coefficients
+    )
     delta = links.coefficients[7]
     for n in range(grains + 1):
         overlap = (x[first + n] - x[PAD + n]) * il[n] + links.precompressed
@@ -87,7 +89,11 @@ def _kick(links, kick, v, slower, dx, dv, stretch, force, stiffness):
         upper = above if n > 0 else 0.0
         lower = below if n < grains - 1 else 0.0
         for c in range(columns):
-            faster[c] += fma(upper, up[c], fma(lower, down[c], fma(-(above + below), here[c], whole * stretch[c])))
+            faster[c] += fma(
+                upper,
+                up[c],
+                fma(lower, down[c], fma(-(above + below), here[c], whole * stretch[c])),
+            )
 
 
 @compiled_once("the tangent map", 20, nogil=True, error_model="numpy", fastmath=STRICT)

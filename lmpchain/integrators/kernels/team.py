@@ -17,7 +17,9 @@ from numba.np import arrayobj
 from .contact_forces import _inline, compiled, inlined
 from .layout import FIRST, GIVEN_UP, LAST, LEAST_SHARE, NEARNESS, PAD
 
-PATIENCE = 4000  # looks for the others, some microseconds, before the core is offered to whoever wants it
+PATIENCE = (
+    4000  # looks for the others, some microseconds, before the core is offered to whoever wants it
+)
 _WHOLE = ir.IntType(64)
 
 

@@ -45,7 +45,10 @@ def watch(chain):
     state = chain.state
     first, last = mine(chain)
     x = chain.x[first - 1 : last + 1]
-    inverse_length, strength = chain.inverse_length[first - 1 : last], chain.strength[first - 1 : last]
+    inverse_length, strength = (
+        chain.inverse_length[first - 1 : last],
+        chain.strength[first - 1 : last],
+    )
     opened, closest = bits(max(-state[LOWEST], 0.0)), bits(state[CLOSEST])
     for n in range(strength.size):
         r = x[n] - x[n + 1]
@@ -84,7 +87,12 @@ def record(chain, t, u_out, v_out):
     first, last = mine(chain)
     first = PAD if chain.team.part == 0 else first  # before the window, too
     last = chain.x.size if v_out.size <= WHOLE_ROWS else last
-    x, v, u_some, v_some = chain.x[first:last], chain.v[first:last], u_out[first - PAD :], v_out[first - PAD :]
+    x, v, u_some, v_some = (
+        chain.x[first:last],
+        chain.v[first:last],
+        u_out[first - PAD :],
+        v_out[first - PAD :],
+    )
     for n in range(min(u_some.size, x.size)):
         u_some[n] = x[n]
         v_some[n] = v[n]

@@ -64,7 +64,11 @@ class FrontLaw(Shown):
     @property
     def law(self) -> Array:
         """The law at these depths, (P,), units of tau."""
-        return self.factor * self.depth**self.exponent * (1 + self.correction * self.depth**-self.order)
+        return (
+            self.factor
+            * self.depth**self.exponent
+            * (1 + self.correction * self.depth**-self.order)
+        )
 
     @property
     def residual(self) -> Array:
@@ -75,10 +79,21 @@ class FrontLaw(Shown):
         """Draw the times against depth, with the law, both logarithmic; returns the axes."""
         ax = axes_in_units(ax, "", "")
         ax.plot(self.depth, self.time, ".", markersize=4, label="largest velocity")
-        ax.plot(self.depth, self.time - self.shift, ".", markersize=4, label="less the lag of the grains")
+        ax.plot(
+            self.depth,
+            self.time - self.shift,
+            ".",
+            markersize=4,
+            label="less the lag of the grains",
+        )
         law = f"{self.factor:.4f} h^{self.exponent:.4f}, expected {self.expected[1]:.4f} h^{self.expected[0]:.4f}"
         ax.plot(self.depth, self.law, lw=1, label=law)
-        ax.set(xscale="log", yscale="log", xlabel="depth h = n − 1/2 (grains)", ylabel="arrival (units of tau)")
+        ax.set(
+            xscale="log",
+            yscale="log",
+            xlabel="depth h = n − 1/2 (grains)",
+            ylabel="arrival (units of tau)",
+        )
         legend(ax)
         return ax
 
@@ -119,10 +134,24 @@ class ContinuumFit(Shown):
         """Draw C from every sample against tau^2 - chi^2, with fit and theory; returns the axes."""
         ax = axes_in_units(ax, "", "")
         each = self.values * self.cone**self.power
-        ax.plot(self.cone, each, ".", markersize=3, label=f"samples of {np.unique(self.grain).size} grains")
-        ax.axhline(self.amplitude, color="k", lw=1, label=f"C = {self.amplitude:.8g} ± {self.error:.1g}")
-        ax.axhline(self.expected, color="0.5", lw=1, ls="--", label=f"Eq. (35): {self.expected:.8g}")
-        ax.set(xscale="log", xlabel="tau² − chi²", ylabel=f"displacement / v0\n· (tau² − chi²)^{self.power:.3g}")
+        ax.plot(
+            self.cone,
+            each,
+            ".",
+            markersize=3,
+            label=f"samples of {np.unique(self.grain).size} grains",
+        )
+        ax.axhline(
+            self.amplitude, color="k", lw=1, label=f"C = {self.amplitude:.8g} ± {self.error:.1g}"
+        )
+        ax.axhline(
+            self.expected, color="0.5", lw=1, ls="--", label=f"Eq. (35): {self.expected:.8g}"
+        )
+        ax.set(
+            xscale="log",
+            xlabel="tau² − chi²",
+            ylabel=f"displacement / v0\n· (tau² − chi²)^{self.power:.3g}",
+        )
         legend(ax)
         return ax
 
@@ -176,7 +205,9 @@ def fit_continuum(trajectory: Trajectory, first: int = 10, inside: float = INSID
     if since < EARLIEST or behind.sum() < 3:
         need = 2.2 * EARLIEST * chain.time_scale
         cure = f"record {need:.2g} s or more, grains near the top, and use more grains"
-        raise InputError([("duration", f"nothing lies far behind the front and before the echo: {cure}")])
+        raise InputError(
+            [("duration", f"nothing lies far behind the front and before the echo: {cure}")]
+        )
     clock = np.broadcast_to(tau[:, None], behind.shape)[behind]
     grain = np.broadcast_to(trajectory.grains, behind.shape)[behind]
     values = trajectory.displacement[behind] / (strike * chain.time_scale)
@@ -222,7 +253,11 @@ def _front_law(trajectory: Trajectory, first: int) -> FrontLaw | None:
 
     def law(x: Array, *terms: float) -> Array:
         scale, power, correction, further = (*terms, 0.0)[:4]
-        return scale + power * x + np.log(np.abs(1 + np.exp(-order * x) * (correction + further * np.exp(-step * x))))
+        return (
+            scale
+            + power * x
+            + np.log(np.abs(1 + np.exp(-order * x) * (correction + further * np.exp(-step * x))))
+        )
 
     x, y = np.log(h), np.log(time - shift)
     try:
@@ -231,7 +266,9 @@ def _front_law(trajectory: Trajectory, first: int) -> FrontLaw | None:
         further, _ = curve_fit(law, x, y, [*parameters, 0.0])
     except RuntimeError:  # after so strong a strike there is no such law
         return None
-    error = stats.t.ppf(0.975, n.size - 3) * np.sqrt(np.diag(covariance)) + 2 * np.abs(further[:3] - parameters)
+    error = stats.t.ppf(0.975, n.size - 3) * np.sqrt(np.diag(covariance)) + 2 * np.abs(
+        further[:3] - parameters
+    )
     factor = float(np.exp(parameters[0]))
     _, eta, _ = exponents(chain.exponent)
     return FrontLaw(
@@ -268,9 +305,19 @@ class ExponentFit(Shown):
         ax = axes_in_units(ax, "", "")
         above = [law.exponent - self.expected[key] for key, law in self.laws.items()]
         ax.axvline(0, color="0.5", lw=1, ls="--")
-        ax.errorbar(above, range(len(above)), xerr=[law.error[0] for law in self.laws.values()], fmt="o", capsize=3)
-        ax.set_yticks(range(len(above)), [f"{key}\n{law.exponent:.4f}" for key, law in self.laws.items()])
-        ax.set(xlabel="exponent less that of\na weak wave, deep down", ylim=(len(above) - 0.5, -0.5))
+        ax.errorbar(
+            above,
+            range(len(above)),
+            xerr=[law.error[0] for law in self.laws.values()],
+            fmt="o",
+            capsize=3,
+        )
+        ax.set_yticks(
+            range(len(above)), [f"{key}\n{law.exponent:.4f}" for key, law in self.laws.items()]
+        )
+        ax.set(
+            xlabel="exponent less that of\na weak wave, deep down", ylim=(len(above) - 0.5, -0.5)
+        )
         return ax
 
 
@@ -305,7 +352,10 @@ def fit_exponents(trajectory: Trajectory, first: int = 20, last: int | None = No
         raise InputError([("front", f"{need}: record longer")])
     fronts = {"velocity": ("amplitude", velocity)}
     with suppress(InputError):  # behind a strong wave the displacement has no maximum
-        fronts["displacement"] = "amplitude", front_before_echo(trajectory, "displacement", first, last)
+        fronts["displacement"] = (
+            "amplitude",
+            front_before_echo(trajectory, "displacement", first, last),
+        )
     fronts |= {key: (key, velocity) for key in ("time", "speed", "width")}
     laws, faults = {}, []
     for name, (quantity, front) in fronts.items():
@@ -315,5 +365,11 @@ def fit_exponents(trajectory: Trajectory, first: int = 20, last: int | None = No
             faults = error.faults
     if not laws:
         raise InputError(faults)
-    expected = {"velocity": -p, "displacement": -q, "time": eta / 2, "speed": xi / 2, "width": 1 / 3 - xi / 2}
+    expected = {
+        "velocity": -p,
+        "displacement": -q,
+        "time": eta / 2,
+        "speed": xi / 2,
+        "width": 1 / 3 - xi / 2,
+    }
     return ExponentFit(laws, {name: expected[name] for name in laws})

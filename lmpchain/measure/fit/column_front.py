@@ -15,13 +15,17 @@ from ..recorded import Field
 QUIET = 1e-6  # least drop behind a front, over the largest motion, if the error of a trajectory is unknown
 
 
-def front_before_echo(trajectory: Trajectory, field: Field, first: int, last: int | None = None) -> Front:
+def front_before_echo(
+    trajectory: Trajectory, field: Field, first: int, last: int | None = None
+) -> Front:
     """Track the front as far as no echo reaches it."""
     estimate, chain = trajectory.error_estimate, trajectory.scene.chain
     if not np.isfinite(estimate.solver):
         trajectory = replace(trajectory, error_estimate=replace(estimate, solver=QUIET))
     if last is None:
-        last = int(chain.grains - 3 - 2.5 * np.cbrt(chain.grains))  # some widths of the front, in grains
+        last = int(
+            chain.grains - 3 - 2.5 * np.cbrt(chain.grains)
+        )  # some widths of the front, in grains
     return track(trajectory, field).between(first, last)
 
 
@@ -41,7 +45,9 @@ def struck_at_the_top(trajectory: Trajectory) -> float:
     if chain.top != "free":
         faults.append(("top", "takes a free top, not a wall"))
     if chain.exponent >= 3:
-        faults.append(("exponent", "takes one below 3: from there on waves are dispersed at the top"))
+        faults.append(
+            ("exponent", "takes one below 3: from there on waves are dispersed at the top")
+        )
     if chain.grains == 1:
         faults.append(("grains", "takes several: a single one has no wave"))
     elif any(np.ptp(x) > 1e-9 * x.max() for x in (chain.masses, chain.contact_constants)):

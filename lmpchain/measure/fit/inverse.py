@@ -26,7 +26,13 @@ if TYPE_CHECKING:
 
 Field = Literal["velocity", "displacement", "force"]
 Parameter = Literal["velocity", "top_load", "youngs_modulus"]
-UNITS = {"velocity": "m/s", "displacement": "m", "force": "N", "top_load": "N", "youngs_modulus": "Pa"}
+UNITS = {
+    "velocity": "m/s",
+    "displacement": "m",
+    "force": "N",
+    "top_load": "N",
+    "youngs_modulus": "Pa",
+}
 TRIES = 9  # values tried for the start of the fit
 STEP = 1e-3  # relative, for finite differences: far above the noise that a tolerance leaves
 DRAWN = 4  # traces in a picture
@@ -57,32 +63,69 @@ class Trace:
     values: Array
     field: Field
 
-    def __init__(self, time: Any, grain: int | Sequence[int] | np.ndarray, values: Any, field: Field = "velocity"):
+    def __init__(
+        self,
+        time: Any,
+        grain: int | Sequence[int] | np.ndarray,
+        values: Any,
+        field: Field = "velocity",
+    ):
         try:
-            clock, rows, numbers = np.array(time, float), np.array(values, float), np.atleast_1d(np.array(grain))
+            clock, rows, numbers = (
+                np.array(time, float),
+                np.array(values, float),
+                np.atleast_1d(np.array(grain)),
+            )
         except (TypeError, ValueError):
-            raise InputError([("values", "time and values must be numbers, without gaps")]) from None
+            raise InputError(
+                [("values", "time and values must be numbers, without gaps")]
+            ) from None
         rows = rows[:, None] if rows.ndim == 1 else rows
         faults = []
         if field not in get_args(Field):
-            faults.append(("field", f"must be one of {', '.join(get_args(Field))} (got {shown(field)})"))
-        increasing = clock.ndim == 1 and clock.size > 2 and np.isfinite(clock).all() and np.diff(clock).min() > 0
+            faults.append(
+                ("field", f"must be one of {', '.join(get_args(Field))} (got {shown(field)})")
+            )
+        increasing = (
+            clock.ndim == 1
+            and clock.size > 2
+            and np.isfinite(clock).all()
+            and np.diff(clock).min() > 0
+        )
         if not increasing or clock[0] < 0:
-            faults.append(("time", "must be three or more finite times, 0 or later, each above the one before"))
-        if not np.issubdtype(numbers.dtype, np.integer) or numbers.ndim != 1 or np.unique(numbers).size < numbers.size:
+            faults.append(
+                (
+                    "time",
+                    "must be three or more finite times, 0 or later, each above the one before",
+                )
+            )
+        if (
+            not np.issubdtype(numbers.dtype, np.integer)
+            or numbers.ndim != 1
+            or np.unique(numbers).size < numbers.size
+        ):
             faults.append(("grain", "must be the number of a grain, or a list of different ones"))
         if rows.shape != (clock.size, numbers.size):
             shape = f"({clock.size}, {numbers.size})"
-            faults.append(("values", f"must have one row a time and one column a grain, {shape}, not {rows.shape}"))
+            faults.append(
+                (
+                    "values",
+                    f"must have one row a time and one column a grain, {shape}, not {rows.shape}",
+                )
+            )
         elif not np.isfinite(rows).all() or not rows.any():
-            faults.append(("values", "must be finite, and not all 0: leave out what was not measured"))
+            faults.append(
+                ("values", "must be finite, and not all 0: leave out what was not measured")
+            )
         if faults:
             raise InputError(faults)
         for key, value in {"time": clock, "grain": numbers, "values": rows, "field": field}.items():
             object.__setattr__(self, key, value)
 
     @classmethod
-    def of(cls, trajectory: Trajectory, grains: Sequence[int] | None = None, field: Field = "velocity") -> Trace:
+    def of(
+        cls, trajectory: Trajectory, grains: Sequence[int] | None = None, field: Field = "velocity"
+    ) -> Trace:
         """Return the trace of some grains of a trajectory; by default of all recorded ones that move."""
         if grains is None:
             grains = [int(n) for n in trajectory.grains if n <= trajectory.scene.chain.movable]
@@ -125,9 +168,14 @@ class ParameterFit(Shown):
         trace = self.trace
         ax = axes_in_units(ax, "s", UNITS[trace.field])
         for i in np.unique(np.linspace(0, trace.grain.size - 1, DRAWN).round().astype(int)):
-            (points,) = ax.plot(trace.time, trace.values[:, i], ".", markersize=4, label=f"grain {trace.grain[i]}")
+            (points,) = ax.plot(
+                trace.time, trace.values[:, i], ".", markersize=4, label=f"grain {trace.grain[i]}"
+            )
             ax.plot(trace.time, self.model[:, i], color=points.get_color(), lw=1)
-        ax.set(xlabel="time", ylabel="force above rest" if trace.field == "force" else f"{trace.field}, downward")
+        ax.set(
+            xlabel="time",
+            ylabel="force above rest" if trace.field == "force" else f"{trace.field}, downward",
+        )
         shown = EngFormatter(UNITS[self.parameter], places=4)
         name = self.parameter.replace("_", " ").replace("youngs", "Young's")
         title = f"{name} {shown(self.value)} ± {EngFormatter(UNITS[self.parameter], places=1)(self.error)} (lines)"
@@ -205,18 +253,41 @@ def fit_parameter(
             misfit.append(np.inf)
             faults = error.faults
     if not np.isfinite(misfit).any():
-        raise InputError(faults or [("simulate", "gives nothing that is finite: choose another value to begin with")])
+        raise InputError(
+            faults
+            or [("simulate", "gives nothing that is finite: choose another value to begin with")]
+        )
     start = tries[int(np.argmin(misfit))]
     bounds = (start / (2 * span), start * 2 * span)
     solution = least_squares(
-        off, [start], jac="3-point", diff_step=STEP, bounds=bounds, x_scale=[start], xtol=1e-12, ftol=1e-15, gtol=1e-15
+        off,
+        [start],
+        jac="3-point",
+        diff_step=STEP,
+        bounds=bounds,
+        x_scale=[start],
+        xtol=1e-12,
+        ftol=1e-15,
+        gtol=1e-15,
     )
     x, slope = float(solution.x[0]), float(np.linalg.norm(solution.jac))
     if slope < 1e-9:
-        raise InputError([(parameter, "the trace does not depend on it: choose another parameter or another grain")])
+        raise InputError(
+            [
+                (
+                    parameter,
+                    "the trace does not depend on it: choose another parameter or another grain",
+                )
+            ]
+        )
     if min(x / bounds[0], bounds[1] / x) < 1 + 1e-6:
-        ends, cure = [first * x for x in bounds], "start from a value closer to the true one, or use a larger span"
-        raise InputError([(parameter, f"no value between {ends[0]:.4g} and {ends[1]:.4g} fits: {cure}")])
+        ends, cure = (
+            [first * x for x in bounds],
+            "start from a value closer to the true one, or use a larger span",
+        )
+        raise InputError(
+            [(parameter, f"no value between {ends[0]:.4g} and {ends[1]:.4g} fits: {cure}")]
+        )
     spread = float(np.sqrt(2 * solution.cost / (trace.values.size - 1)) / slope)
     fitted = trace.values + scale * solution.fun.reshape(trace.values.shape)
     return ParameterFit(
@@ -231,7 +302,9 @@ def fit_parameter(
     )
 
 
-def _parameter(scene: Scene, parameter: Parameter, trace: Trace, span: float) -> tuple[float, Callable[[float], Scene]]:
+def _parameter(
+    scene: Scene, parameter: Parameter, trace: Trace, span: float
+) -> tuple[float, Callable[[float], Scene]]:
     """Return the value of the parameter in the scene, and a function that replaces it."""
     chain, given, faults = scene.chain, scene.excitation, []
     value = 0.0
@@ -245,17 +318,28 @@ def _parameter(scene: Scene, parameter: Parameter, trace: Trace, span: float) ->
         known = ", ".join(get_args(Parameter))
         raise InputError([("parameter", f"must be one of {known} (got {shown(parameter)})")])
     elif not isinstance(chain.material, Material):
-        faults.append(("material", "the grains have materials of their own: give the chain one for all"))
+        faults.append(
+            ("material", "the grains have materials of their own: give the chain one for all")
+        )
     elif chain.given().get("contact_constants") is not None:
-        faults.append(("contact_constants", "are given, so that Young's modulus changes nothing: leave them out"))
+        faults.append(
+            (
+                "contact_constants",
+                "are given, so that Young's modulus changes nothing: leave them out",
+            )
+        )
     else:
         value = chain.material.youngs_modulus
     if not value and not faults:
-        faults.append((parameter, "is 0 in the scene: give it a value of the right size to begin with"))
+        faults.append(
+            (parameter, "is 0 in the scene: give it a value of the right size to begin with")
+        )
     if not np.isfinite(span) or span < 1:
         faults.append(("span", f"must be 1 or more (got {shown(span)})"))
     if trace.grain.min() < 1 or trace.grain.max() > chain.movable:
-        faults.append(("grain", f"the trace is of grain {trace.grain.max()}, but 1 to {chain.movable} move"))
+        faults.append(
+            ("grain", f"the trace is of grain {trace.grain.max()}, but 1 to {chain.movable} move")
+        )
     if faults:
         raise InputError(faults)
     near = np.unique(np.clip([trace.grain - 1, trace.grain, trace.grain + 1], 1, chain.grains))
@@ -301,6 +385,8 @@ def _seen(trajectory: Trajectory, grains: np.ndarray, field: Field) -> Array:
     if field == "force":
         return np.stack([sensor(trajectory, int(n)).change for n in grains], axis=1)
     if field not in get_args(Field):
-        raise InputError([("field", f"must be one of {', '.join(get_args(Field))} (got {shown(field)})")])
+        raise InputError(
+            [("field", f"must be one of {', '.join(get_args(Field))} (got {shown(field)})")]
+        )
     u, v = motion(trajectory, grains)
     return v if field == "velocity" else u

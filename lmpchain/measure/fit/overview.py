@@ -82,7 +82,11 @@ class Summary(Shown):
         yield "fit", "quantity", "value", "error", "expected", "unit"
         for _, rows in groupby(self.rows, key=lambda row: row.fit):
             for first, row in enumerate(rows):
-                numbers = _rounded(row.value, row.error), number(row.error, ".1g"), _rounded(row.expected, row.error)
+                numbers = (
+                    _rounded(row.value, row.error),
+                    number(row.error, ".1g"),
+                    _rounded(row.expected, row.error),
+                )
                 yield "" if first else row.fit, row.quantity, *numbers, row.unit
 
     def table(self) -> str:
@@ -136,15 +140,30 @@ def summary(trajectory: Trajectory) -> Summary:
 def _modes(trajectory: Trajectory) -> list[Row]:
     scene = trajectory.scene
     if scene.chain.movable > MOST_MODES:
-        raise InputError([("grains", f"with more than {MOST_MODES} it takes long: call fit_modes itself")])
+        raise InputError(
+            [("grains", f"with more than {MOST_MODES} it takes long: call fit_modes itself")]
+        )
     fit = fit_modes(trajectory)
     if not fit.energy.any():
         raise InputError([("excitation", "nothing moves")])
     most = int(fit.energy.argmax())
     return [
         Row("modes", "energy of all modes", float(fit.energy.sum()), math.nan, scene.energy, "J"),
-        Row("modes", f"share of mode {most + 1}, the strongest", fit.share[most], fit.share_error[most], math.nan),
-        Row("modes", "its frequency", float(fit.frequency[most] / (2 * np.pi)), math.nan, math.nan, "Hz"),
+        Row(
+            "modes",
+            f"share of mode {most + 1}, the strongest",
+            fit.share[most],
+            fit.share_error[most],
+            math.nan,
+        ),
+        Row(
+            "modes",
+            "its frequency",
+            float(fit.frequency[most] / (2 * np.pi)),
+            math.nan,
+            math.nan,
+            "Hz",
+        ),
         Row("modes", "residual of the linear motion", float(fit.residual.max()), math.nan, 0.0),
     ]
 
@@ -156,7 +175,9 @@ def _bessel(trajectory: Trajectory) -> list[Row]:
               "kappa": (fit.kappa, "")}  # fmt: skip
     rows = [
         Row("bessel", name, value, float(error), float(expected), unit)
-        for (name, (value, unit)), error, expected in zip(values.items(), fit.error, fit.expected, strict=True)
+        for (name, (value, unit)), error, expected in zip(
+            values.items(), fit.error, fit.expected, strict=True
+        )
     ]
     return [*rows, Row("bessel", "residual", fit.residual, math.nan, 0.0)]
 
@@ -188,7 +209,14 @@ def _soliton(trajectory: Trajectory) -> list[Row]:
         Row("soliton", "largest velocity", fit.amplitude, float(fit.error[0]), unknown, "m/s"),
         Row("soliton", "speed", fit.speed, float(fit.error[1]), float(fit.expected[1]), "grains/s"),
         Row("soliton", "width", fit.width, float(fit.error[2]), float(fit.expected[2]), "grains"),
-        Row("soliton", "speed by the long-wave formula", fit.formula, unknown, float(fit.expected[1]), "grains/s"),
+        Row(
+            "soliton",
+            "speed by the long-wave formula",
+            fit.formula,
+            unknown,
+            float(fit.expected[1]),
+            "grains/s",
+        ),
     ]
 
 
@@ -197,6 +225,12 @@ def _rounded(value: float, error: float = math.nan) -> str:
     if math.isnan(value):
         return ""
     if not error > 0 or not math.isfinite(error) or value == 0:
-        return f"{value:.6g}" if math.isnan(error) and abs(value) > 0 else f"{value:.2g}" if value else "0"
+        return (
+            f"{value:.6g}"
+            if math.isnan(error) and abs(value) > 0
+            else f"{value:.2g}"
+            if value
+            else "0"
+        )
     digits = max(2, min(12, 2 + math.floor(math.log10(abs(value))) - math.floor(math.log10(error))))
     return f"{value:.{digits}g}"

@@ -63,17 +63,35 @@ class SolitonFit(Shown):
         """Draw peak velocity and local speed of every grain over the exact ones; returns the axes."""
         ax = axes_in_units(ax, "", "")
         local = np.abs(1 / np.gradient(self.time, self.grain.astype(float)))
-        ax.plot(self.grain, self.velocity / self.amplitude - 1, ".", label="largest velocity, over its mean")
-        ax.plot(self.grain, local / self.expected[1] - 1, ".", label="local speed, over that of the solitary wave")
+        ax.plot(
+            self.grain,
+            self.velocity / self.amplitude - 1,
+            ".",
+            label="largest velocity, over its mean",
+        )
+        ax.plot(
+            self.grain,
+            local / self.expected[1] - 1,
+            ".",
+            label="local speed, over that of the solitary wave",
+        )
         name = "Coste" if self.wave.loaded else "Nesterenko"
-        ax.axhline(self.formula / self.expected[1] - 1, color="0.4", lw=1, ls="--", label=f"speed by {name}'s formula")
+        ax.axhline(
+            self.formula / self.expected[1] - 1,
+            color="0.4",
+            lw=1,
+            ls="--",
+            label=f"speed by {name}'s formula",
+        )
         ax.axhline(0, color="k", lw=1)
         ax.set(xlabel="grain, from the top", ylabel="relative difference")
         legend(ax)
         return ax
 
 
-def fit_soliton(trajectory: Trajectory, first: int | None = None, last: int | None = None) -> SolitonFit:
+def fit_soliton(
+    trajectory: Trajectory, first: int | None = None, last: int | None = None
+) -> SolitonFit:
     """Recognise a solitary wave in a uniform chain by its speed and width, which its height decides.
 
     Parameters
@@ -109,7 +127,9 @@ def fit_soliton(trajectory: Trajectory, first: int | None = None, last: int | No
         later = front.grain[np.argsort(front.time)[front.grain.size // 2 :]]
         first, last = int(later.min(initial=chain.grains)), int(later.max(initial=1))
     front = front.between(first or 1, last or chain.grains)
-    whole = np.isfinite(front.width) & np.isfinite(front.width_error)  # the recording may end within the wave
+    whole = np.isfinite(front.width) & np.isfinite(
+        front.width_error
+    )  # the recording may end within the wave
     if whole.sum() < FEWEST:
         need = f"must pass {FEWEST} or more recorded grains as a whole, not {whole.sum()}"
         raise InputError([("front", f"{need}: record for longer, or more grains")])
@@ -119,16 +139,27 @@ def fit_soliton(trajectory: Trajectory, first: int | None = None, last: int | No
     amplitude = float(np.abs(front.amplitude).mean())
     if (scatter := float(np.ptp(np.abs(front.amplitude))) / amplitude) > STEADY:
         between = f"from grain {front.grain[0]} to {front.grain[-1]}"
-        raise InputError([("front", f"its height changes by {scatter:.1%} {between}: no solitary wave")])
+        raise InputError(
+            [("front", f"its height changes by {scatter:.1%} {between}: no solitary wave")]
+        )
     wave, time = _exact(chain, amplitude)
     speed = float(1 / np.abs(line.slope))
     width = float(front.width[whole].mean() * speed)
     expected = np.array([amplitude, wave.speed / time, wave.width])
     fast, wide = np.array([speed, width]) / expected[1:]
     if max(abs(fast - 1), abs(wide - 1)) > NEAR:
-        raise InputError([("front", f"has {fast:.3g} times the speed and {wide:.3g} the width of a solitary wave")])
+        raise InputError(
+            [
+                (
+                    "front",
+                    f"has {fast:.3g} times the speed and {wide:.3g} the width of a solitary wave",
+                )
+            ]
+        )
     if wave.loaded:
-        formula = float(coste_speed((1 + wave.overlap(0.0)) ** chain.exponent, chain.exponent)) / time
+        formula = (
+            float(coste_speed((1 + wave.overlap(0.0)) ** chain.exponent, chain.exponent)) / time
+        )
     else:
         formula = float(nesterenko_speed(amplitude, chain.exponent)) / time
     sure = stats.t.ppf(0.975, whole.sum() - 2)
@@ -139,7 +170,9 @@ def fit_soliton(trajectory: Trajectory, first: int | None = None, last: int | No
     distance = front.grain - front.grain.mean()
     residual = front.time - front.time.mean() - line.slope * distance
     slope_error = float(np.sqrt(residual @ residual / (residual.size - 2) / (distance @ distance)))
-    spread = np.array([stats.sem(front.amplitude), slope_error * speed**2, stats.sem(front.width[whole]) * speed])
+    spread = np.array(
+        [stats.sem(front.amplitude), slope_error * speed**2, stats.sem(front.width[whole]) * speed]
+    )
     return SolitonFit(
         grain=front.grain,
         time=front.time,
@@ -169,6 +202,8 @@ def _fits(chain: Chain) -> None:
 def _exact(chain: Chain, velocity: float) -> tuple[Soliton, float]:
     """Return the solitary wave whose grains reach this velocity, m/s, and its unit of time, s."""
     if chain.compressed:
-        return struck(velocity * chain.time_scale / chain.length_scale, chain.exponent), chain.time_scale
+        return struck(
+            velocity * chain.time_scale / chain.length_scale, chain.exponent
+        ), chain.time_scale
     unit = (chain.masses[0] / chain.contact_constants[0]) ** (1 / (1 + chain.exponent))
     return solve(chain.exponent, velocity=velocity), float(unit)

@@ -27,7 +27,9 @@ if TYPE_CHECKING:
 EVEN = 0.05  # relative differences of masses and stiffnesses up to which a chain counts as uniform
 FORERUNNER = 7.4  # J_m(m - 7.4 m^(1/3)) is below 1e-10: no echo has arrived
 FEWEST = 12  # values for three parameters and their errors
-MOST = 2**18  # values that are fitted: of longer chains and recordings, those of every so many grains
+MOST = (
+    2**18
+)  # values that are fitted: of longer chains and recordings, those of every so many grains
 ARRIVED = 1e-3  # of the strike: the recorded wave must be larger
 DRAWN = 4  # grains in a picture
 
@@ -79,7 +81,14 @@ class ModeFit(Shown):
             return ax
         ax = axes_in_units(ax, "Hz", "")
         hertz = self.frequency / (2 * np.pi)
-        ax.errorbar(hertz, 100 * self.share, yerr=100 * self.share_error, fmt=".", markersize=4, elinewidth=1)
+        ax.errorbar(
+            hertz,
+            100 * self.share,
+            yerr=100 * self.share_error,
+            fmt=".",
+            markersize=4,
+            elinewidth=1,
+        )
         ax.set(xlabel="frequency of the mode", ylabel="share of the energy at t = 0 (%)")
         titled(ax, f"Linear motion from t = 0: off by at most {self.residual.max():.1e}")
         return ax
@@ -113,18 +122,35 @@ def fit_modes(trajectory: Trajectory) -> ModeFit:
     """
     chain, scene = trajectory.scene.chain, trajectory.scene
     if scene.excitation.does_work:
-        raise InputError([("excitation", "a driven chain does not move freely: strike or displace a grain instead")])
+        raise InputError(
+            [
+                (
+                    "excitation",
+                    "a driven chain does not move freely: strike or displace a grain instead",
+                )
+            ]
+        )
     if (chain.contacts.exists & ~chain.contacts.pressed).any() and chain.compressed:
-        raise InputError([("top", "a wall that only touches cannot be linearised: give a top_load")])
+        raise InputError(
+            [("top", "a wall that only touches cannot be linearised: give a top_load")]
+        )
     modes = eigenmodes(chain)
     u, v = motion(trajectory, np.arange(1, chain.movable + 1))
     weight = modes.mass[:, None] * modes.shape
     amplitude, rate = u @ weight, v @ weight
     energy = (rate**2 + (modes.frequency * amplitude) ** 2) / 2
     linear = modes.response(trajectory.time, u[0], v[0])
-    off = [np.abs(x - y).max(1) / (np.abs(x).max() or 1.0) for x, y in zip((u, v), linear, strict=True)]
+    off = [
+        np.abs(x - y).max(1) / (np.abs(x).max() or 1.0) for x, y in zip((u, v), linear, strict=True)
+    ]
     return ModeFit(
-        modes.frequency, trajectory.time, amplitude, rate, energy[0], energy.std(0), np.maximum(off[0], off[1])
+        modes.frequency,
+        trajectory.time,
+        amplitude,
+        rate,
+        energy[0],
+        energy.std(0),
+        np.maximum(off[0], off[1]),
     )
 
 
@@ -188,15 +214,22 @@ class BesselFit(Shown):
         chosen = present[np.unique(np.linspace(0, present.size - 1, DRAWN).round().astype(int))]
         for number in chosen:
             here = self.grain == number
-            (points,) = ax.plot(self.time[here], self.values[here], ".", markersize=4, label=f"grain {number}")
+            (points,) = ax.plot(
+                self.time[here], self.values[here], ".", markersize=4, label=f"grain {number}"
+            )
             ax.plot(self.time[here], self.model[here], color=points.get_color(), lw=1)
         ax.set(xlabel="time", ylabel=f"{self.field}, downward")
-        titled(ax, f"kappa {self.kappa:.5g} ± {self.error[3]:.1g}, residual {self.residual:.1e} (lines)")
+        titled(
+            ax,
+            f"kappa {self.kappa:.5g} ± {self.error[3]:.1g}, residual {self.residual:.1e} (lines)",
+        )
         legend(ax)
         return ax
 
 
-def fit_bessel(trajectory: Trajectory, grains: tuple[int, int] | None = None, until: float | None = None) -> BesselFit:
+def fit_bessel(
+    trajectory: Trajectory, grains: tuple[int, int] | None = None, until: float | None = None
+) -> BesselFit:
     """Fit the solution of the uniform chain to the motion after a strike on one grain.
 
     The chain is infinite or has a free top.
@@ -234,9 +267,13 @@ def fit_bessel(trajectory: Trajectory, grains: tuple[int, int] | None = None, un
     scene, chain = trajectory.scene, trajectory.scene.chain
     given = scene.excitation
     if not isinstance(given, Impulse | Displacement):
-        raise InputError([("excitation", "takes an impulse or displacement of one grain: strike one")])
+        raise InputError(
+            [("excitation", "takes an impulse or displacement of one grain: strike one")]
+        )
     if not chain.compressed:
-        raise InputError([("chain", "carries no force at rest: nothing is linear without gravity or a top load")])
+        raise InputError(
+            [("chain", "carries no force at rest: nothing is linear without gravity or a top load")]
+        )
     field: Field = "velocity" if isinstance(given, Impulse) else "displacement"
     size = given.velocity if isinstance(given, Impulse) else given.displacement
     if not size:
@@ -248,9 +285,13 @@ def fit_bessel(trajectory: Trajectory, grains: tuple[int, int] | None = None, un
     n = np.broadcast_to(trajectory.grains, inside.shape)[inside]
     time = np.broadcast_to(trajectory.time[:, None], inside.shape)[inside]
     values = getattr(trajectory, field)[inside]
-    if n.size < FEWEST or np.abs(values[time > 0]).max(initial=0.0) < ARRIVED * abs(size):  # at t = 0 it is prescribed
+    if n.size < FEWEST or np.abs(values[time > 0]).max(initial=0.0) < ARRIVED * abs(
+        size
+    ):  # at t = 0 it is prescribed
         cure = "record more often or for longer, more grains near it, or give grains and until"
-        reason = f"{n.size} values lie where the solution can hold, too few, or without the wave: {cure}"
+        reason = (
+            f"{n.size} values lie where the solution can hold, too few, or without the wave: {cure}"
+        )
         raise InputError([("samples", reason)])
     orders = [2 * np.abs(n - p)] + [2 * (n + p - 1)] * (chain.top == "free")
 
@@ -263,7 +304,9 @@ def fit_bessel(trajectory: Trajectory, grains: tuple[int, int] | None = None, un
         steep = x[0] * sum(jv(m - 1, z) - jv(m + 1, z) for m in orders)
         return np.stack([sum(jv(m, z) for m in orders), steep * rate * time, -steep], axis=1)
 
-    solution = least_squares(off, [1.0, 1.0, 0.0], jac=slope, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    solution = least_squares(
+        off, [1.0, 1.0, 0.0], jac=slope, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15
+    )
     spread = 2 * solution.cost / (n.size - 3) * np.linalg.pinv(solution.jac.T @ solution.jac)
     # from the fitted numbers to amplitude, rate and delay = x_2 / (x_1 rate)
     share, factor, angle = solution.x
@@ -302,7 +345,9 @@ def _window(
     if grains is not None:
         first, last = grains
         if not 1 <= first <= p <= last <= chain.grains:
-            raise InputError([("grains", f"must be (first, last) with 1 <= first <= {p} <= last (got {grains})")])
+            raise InputError(
+                [("grains", f"must be (first, last) with 1 <= first <= {p} <= last (got {grains})")]
+            )
     elif last - first < 2:
         cure = "strike a grain further down, or give grains and until"
         raise InputError([("chain", f"is not uniform within {EVEN:.0%} around grain {p}: {cure}")])
@@ -321,7 +366,9 @@ def _thinned(inside: np.ndarray, trajectory: Trajectory, p: int, rate: float) ->
     if np.count_nonzero(inside) <= MOST:
         return inside
     reach = 2 * rate * float(trajectory.time[-1])
-    near = 2 * np.abs(trajectory.grains - p) <= reach + 12 * np.cbrt(reach) + 20  # beyond, J_m(z) is below 1e-17
+    near = (
+        2 * np.abs(trajectory.grains - p) <= reach + 12 * np.cbrt(reach) + 20
+    )  # beyond, J_m(z) is below 1e-17
     columns = np.flatnonzero(near & inside.any(0))
     kept = np.zeros(inside.shape[1], dtype=bool)
     kept[columns[:: max(1, -(-np.count_nonzero(inside[:, columns]) // MOST))]] = True

@@ -81,7 +81,9 @@ def _kinks(r, closing, length, pressed, rate, mass, h, unsure):
         changed = (y > 0.0) != (before > 0.0)
         if i > 0 and (changed or _visits(before, y, h * rose, h * rise)):
             jump = KINK * h * abs(rate[i] - rate[i - 1])
-            turned = (y > 0.0 and rise < 0.0) or (before > 0.0 and rose > 0.0)  # it was closer in between
+            turned = (y > 0.0 and rise < 0.0) or (
+                before > 0.0 and rose > 0.0
+            )  # it was closer in between
             if turned if changed else y <= 0.0:
                 jump = max(jump, HIDDEN * mass * abs(closing[i] - closing[i - 1]) / h)
             unsure[i - 1], unsure[i] = max(unsure[i - 1], jump), max(unsure[i], jump)
@@ -162,7 +164,9 @@ def _derivatives(grains, sides, contacts, inverse_mass, exponent, linear, h, kno
                 else:
                     near = 0 if linear else r.size
                     for i in range(r.size):
-                        force[i], rate[i] = _pull(r[i], closing[i], length, strength, pressed, exponent, linear)
+                        force[i], rate[i] = _pull(
+                            r[i], closing[i], length, strength, pressed, exponent, linear
+                        )
                 there = contact
                 if near > 0:
                     above = inverse_mass[contact - 1] if contact > 0 else 0.0
@@ -205,7 +209,9 @@ def largest(u, v):
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
-def derivatives(u, v, columns, sizes, errors, grains, sides, contacts, inverse_mass, exponent, linear, h, known):
+def derivatives(
+    u, v, columns, sizes, errors, grains, sides, contacts, inverse_mass, exponent, linear, h, known
+):
     """Return the motion of G grains with accelerations and jerks, and which of them are quiet.
 
     Parameters
@@ -242,5 +248,7 @@ def derivatives(u, v, columns, sizes, errors, grains, sides, contacts, inverse_m
     _transposed(v, columns, out[1])
     for g in range(columns.size):
         quiet[g] = sizes[0, columns[g]] <= errors[0] and sizes[1, columns[g]] <= errors[1]
-    _derivatives(grains, sides, contacts, inverse_mass, exponent, linear, h, known[columns], quiet, out)
+    _derivatives(
+        grains, sides, contacts, inverse_mass, exponent, linear, h, known[columns], quiet, out
+    )
     return out, quiet

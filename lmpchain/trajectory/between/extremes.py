@@ -74,7 +74,11 @@ def _peak(p):
             top = max(size(y[i], kind), size(y[i + 1], kind))
             for k in range(turns(p)):
                 top = max(top, size(value(p.c, p.places[k]), kind))
-            best, low, high = max(best, top), max(low, top - p.error[i]), max(high, top + p.error[i])
+            best, low, high = (
+                max(best, top),
+                max(low, top - p.error[i]),
+                max(high, top + p.error[i]),
+            )
     return best, low, high
 
 
@@ -113,7 +117,9 @@ def _crossing(p, sign, level, i, s, step):
 def _as_large(p, s, sign, away, level):
     """Say whether sign times the polynomial exceeds a level so far away from a place, in its interval."""
     before, after = s - away, s + away
-    return (before >= 0.0 and sign * value(p.c, before) > level) or (after <= 1.0 and sign * value(p.c, after) > level)
+    return (before >= 0.0 and sign * value(p.c, before) > level) or (
+        after <= 1.0 and sign * value(p.c, after) > level
+    )
 
 
 class Found(NamedTuple):
@@ -177,8 +183,12 @@ def _flat(p, least, at, place, tilt):
             s, width = end * part / PARTS, end / PARTS
             rise_next, bend_next = sign * value(p.d, s + width), sign * slope(p.d, s + width)
             dip = 0.0
-            if bend < 0.0 < bend_next and rise > slack:  # the least rise is above the meeting point of its tangents
-                dip = min(max((rise_next - rise - bend_next * width) / (bend - bend_next), 0.0), width)
+            if (
+                bend < 0.0 < bend_next and rise > slack
+            ):  # the least rise is above the meeting point of its tangents
+                dip = min(
+                    max((rise_next - rise - bend_next * width) / (bend - bend_next), 0.0), width
+                )
             now = abs(value(p.c, s + dip))
             if now >= least and rise + bend * dip <= slack:
                 return max(i + s - (width if dip == 0.0 else 0.0), 0.0) * p.h, now
@@ -209,7 +219,10 @@ def _front(p, fraction, known_error, certain, frequency, width, peak, out):
         spread = 0.0
         for step in (-1, 1):
             edge, _ = _crossing(p, sign, top - 2 * off, at, s, step)
-            spread = max(spread, abs(edge - when) if math.isfinite(edge) else (when if step < 0 else end - when))
+            spread = max(
+                spread,
+                abs(edge - when) if math.isfinite(edge) else (when if step < 0 else end - when),
+            )
         late = min(late, spread)
     # which other maxima it may be, if values are off by their errors, and how far apart these are
     apart = 0.0
@@ -224,11 +237,15 @@ def _front(p, fraction, known_error, certain, frequency, width, peak, out):
             apart = max(apart, abs(other.top - top))
     if top < most or found.fell <= certain + 2 * off:
         other = _find(p, most, certain + 2 * off)
-        late = max(late, abs((other.at + other.place) * p.h - when) if other.at >= 0 else end - when)
+        late = max(
+            late, abs((other.at + other.place) * p.h - when) if other.at >= 0 else end - when
+        )
         apart = max(apart, abs(other.top - top) if other.at >= 0 else high)
     if found.hidden >= 0:
         apart = high
-        late = max(late, when - found.hidden * p.h, ((found.seen + 1) * p.h if top >= most else end) - when)
+        late = max(
+            late, when - found.hidden * p.h, ((found.seen + 1) * p.h if top >= most else end) - when
+        )
     out[0], out[1], out[3], out[4] = when, height, late, max(off, apart)
     if not width:
         return
@@ -243,7 +260,10 @@ def _front(p, fraction, known_error, certain, frequency, width, peak, out):
     out[5] = 0.0
     for change in (-1.0, 1.0):  # the width at a level that is off by the errors
         level = top / 2 + change * (known_error + off / 2 + max(one, other))
-        left, right = _crossing(p, sign, level, at, s, -1)[0], _crossing(p, sign, level, at, s, 1)[0]
+        left, right = (
+            _crossing(p, sign, level, at, s, -1)[0],
+            _crossing(p, sign, level, at, s, 1)[0],
+        )
         width_there = right - left
         out[5] = max(out[5], abs(width_there - out[2])) if math.isfinite(width_there) else end
 
@@ -269,7 +289,13 @@ def peaks(motion, quiet, columns, count, h, kind, ceiling, known_error):
     Of so many columns these are those of the G grains that move.
     """
     out, intervals = np.zeros((count, 2)), motion.shape[2] - 1
-    reach, error, c, d, places = np.empty(intervals), np.empty(intervals), np.zeros(8), np.zeros(8), np.zeros(PARTS)
+    reach, error, c, d, places = (
+        np.empty(intervals),
+        np.empty(intervals),
+        np.zeros(8),
+        np.zeros(8),
+        np.zeros(PARTS),
+    )
     out[:, 1] = known_error
     for g in range(columns.size):
         if quiet[g]:
@@ -281,10 +307,29 @@ def peaks(motion, quiet, columns, count, h, kind, ceiling, known_error):
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
-def fronts(motion, quiet, columns, count, h, kind, ceiling, fraction, known_error, certain, frequency, width):
+def fronts(
+    motion,
+    quiet,
+    columns,
+    count,
+    h,
+    kind,
+    ceiling,
+    fraction,
+    known_error,
+    certain,
+    frequency,
+    width,
+):
     """Return what `_front` finds at G grains, (C, 6), and their `peaks`; widths only if asked for."""
     out, tops, intervals = np.full((count, 6), np.nan), np.zeros((count, 2)), motion.shape[2] - 1
-    reach, error, c, d, places = np.empty(intervals), np.empty(intervals), np.zeros(8), np.zeros(8), np.zeros(PARTS)
+    reach, error, c, d, places = (
+        np.empty(intervals),
+        np.empty(intervals),
+        np.zeros(8),
+        np.zeros(8),
+        np.zeros(PARTS),
+    )
     tops[:, 1] = known_error
     for g in range(columns.size):
         if quiet[g]:

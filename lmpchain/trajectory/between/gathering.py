@@ -33,7 +33,9 @@ AROUND = 4  # samples around an interval
 # of the second differences at both ends of an interval: above what a value may exceed those at its ends by, an eighth
 SLACK = 0.25
 EVEN = 8.0  # times the middle of three differences is at least the sum of the others where nothing turns; 26 for cubics
-BEST, LOW, HIGH = range(3)  # rows of `tops`: the largest value at any time, and between what it lies
+BEST, LOW, HIGH = range(
+    3
+)  # rows of `tops`: the largest value at any time, and between what it lies
 # of the largest value so far of a grain: when, that, how far off, slope of that error, curvature (0 if that is unsure),
 # least value since, and until when it is of that size within its error
 WHEN, TOP, OFF, TILT, BEND, SINCE, UNTIL = range(7)
@@ -109,11 +111,15 @@ def _motion(u, v, first, count, n, h, forces, out):
             ux = forces.wall[0, row] if other < 0 else (0.0 if other > last else u[row, other])
             vx = forces.wall[1, row] if other < 0 else (0.0 if other > last else v[row, other])
             r, closing = (1 - 2 * side) * (ux - x[i]), (1 - 2 * side) * (vx - w[i])
-            force, rate = _pull(r, closing, length, strength, pressed, forces.exponent, forces.linear)
+            force, rate = _pull(
+                r, closing, length, strength, pressed, forces.exponent, forces.linear
+            )
             a[i] += share * force
             j[i] += share * rate
             closed = pressed + r * length > 0.0
-            if i > 0 and closed != before[side] and not forces.linear:  # the jerk jumps in between, or nearly so
+            if (
+                i > 0 and closed != before[side] and not forces.linear
+            ):  # the jerk jumps in between, or nearly so
                 jump = KINK * h * abs(share * (rate - rates[side]))
                 off[i - 1], off[i] = max(off[i - 1], jump), max(off[i], jump)
             before[side], rates[side] = closed, rate
@@ -132,7 +138,9 @@ def _near(f, k, first, last, low, marks):
         x, y = one[n], other[n]
         here, there, on = x - before[n], y - x, after[n] - y
         top = larger(abs(x), abs(y))
-        turning = (here * there <= 0.0) | (there * on <= 0.0) | (EVEN * abs(there) <= abs(here + on))
+        turning = (
+            (here * there <= 0.0) | (there * on <= 0.0) | (EVEN * abs(there) <= abs(here + on))
+        )
         near = turning & (top + SLACK * (abs(there - here) + abs(on - there)) > low[n])
         low[n] = larger(low[n], abs(y))
         marks[n] = near
@@ -172,18 +180,27 @@ def _rise(p, i, t, record, n, log, logged):
         if k < count:
             bend = larger(sure_bend(p, s, now, p.error[i]), 0.0) / h**2
         if bend == 0.0 and now > 0.0:  # in free flight, maybe: the maximum is where that began
-            same = record[SINCE, n] >= (1.0 - FELL) * record[TOP, n] and begins <= (1.0 + FELL) * record[TOP, n]
+            same = (
+                record[SINCE, n] >= (1.0 - FELL) * record[TOP, n]
+                and begins <= (1.0 + FELL) * record[TOP, n]
+            )
             if same and now <= begins + p.error[i]:
                 continue
             s = 0.0 if begins >= (1.0 - FELL) * now else s
         record[WHEN, n], record[TOP, n], record[OFF, n] = t + s * h, now, p.error[i]
-        record[TILT, n], record[BEND, n], record[SINCE, n] = STEEPEST / BUMP * p.error[i] / h, bend, now
+        record[TILT, n], record[BEND, n], record[SINCE, n] = (
+            STEEPEST / BUMP * p.error[i] / h,
+            bend,
+            now,
+        )
         record[UNTIL, n] = record[WHEN, n]
     return logged
 
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
-def gather(u, v, base, begin, end, final, h, forces, far, fast, record, log, logged, numbers, closest):
+def gather(
+    u, v, base, begin, end, final, h, forces, far, fast, record, log, logged, numbers, closest
+):
     """Take in the intervals begin ... end - 1, and return how many of them and how many maxima are logged.
 
     It stops early where `log` may overflow.
@@ -228,7 +245,18 @@ def gather(u, v, base, begin, end, final, h, forces, far, fast, record, log, log
             for n in range(marks.size if some else 0):
                 if marks[n]:
                     _motion(u, v, first, count, n, h, forces, part[:, 0])
-                    p = path(part, 0, h, kind, nothing, reach[: count - 1], error[: count - 1], c, d, places)
+                    p = path(
+                        part,
+                        0,
+                        h,
+                        kind,
+                        nothing,
+                        reach[: count - 1],
+                        error[: count - 1],
+                        c,
+                        d,
+                        places,
+                    )
                     polynomial(p, i)
                     _raise(p, i, tops, n)
                     if fronts:
@@ -245,7 +273,9 @@ def gather(u, v, base, begin, end, final, h, forces, far, fast, record, log, log
             for q in range(5):
                 for r in range(count):
                     part[q, 0, r] += beside[q, r] if q == 4 else -beside[q, r]
-            p = path(part, 0, h, RAISED, nothing, reach[: count - 1], error[: count - 1], c, d, places)
+            p = path(
+                part, 0, h, RAISED, nothing, reach[: count - 1], error[: count - 1], c, d, places
+            )
             polynomial(p, i)
             _raise(p, i, closest, m)
     return end - begin, logged

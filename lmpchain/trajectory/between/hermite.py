@@ -18,14 +18,18 @@ VELOCITY, DISPLACEMENT, RAISED = range(3)  # what is looked at: |v|, |u|, or u w
 # factor on the misfit of the way; analysis/calibration/between_samples.py measures that it suffices
 SAFETY = 4.0
 BUMP = 2.1875  # largest value of 140 s^3 (1-s)^3, the shape of the misfit
-SWING = 0.3125  # by which an acceleration at both ends changes the velocity between them, in intervals
+SWING = (
+    0.3125  # by which an acceleration at both ends changes the velocity between them, in intervals
+)
 STEEPEST = 7.52  # and of its slope
 CURVED = 105.0  # and, twice, of its curvature: a kink bends more than it moves
 FLAT = 1e-9  # of a value: what bends it by less in an interval is rounding, as in free flight, or no matter
 PARTS = 4  # of an interval, in which roots are looked for
 inlined = numba.njit(inline="always", error_model="numpy")
 compiled = numba.njit(error_model="numpy")
-reduced = numba.njit(error_model="numpy", fastmath={"nnan", "nsz"})  # a maximum of several at a time
+reduced = numba.njit(
+    error_model="numpy", fastmath={"nnan", "nsz"}
+)  # a maximum of several at a time
 
 
 class Path(NamedTuple):
@@ -91,7 +95,11 @@ def sampled(p):
 @inlined
 def misfit(u, v, a, j, i, h):
     """Return by how much the quintic through v, a and j misses the way from sample i to the next, over h."""
-    way = (v[i] + v[i + 1]) / 2 + h * (1 / 10) * (a[i] - a[i + 1]) + h * h * (1 / 120) * (j[i] + j[i + 1])
+    way = (
+        (v[i] + v[i + 1]) / 2
+        + h * (1 / 10) * (a[i] - a[i + 1])
+        + h * h * (1 / 120) * (j[i] + j[i + 1])
+    )
     return (u[i + 1] - u[i]) * (1 / h) - way
 
 
@@ -186,7 +194,9 @@ def root(c, level, low, high):
         following = s - y / steep if steep != 0.0 else low
         if not low < following < high:
             following = (low + high) / 2
-        if abs(following - s) < 1e-12:  # it converges with the square: the next would be below 1e-16
+        if (
+            abs(following - s) < 1e-12
+        ):  # it converges with the square: the next would be below 1e-16
             return following
         s = following
     return s

@@ -33,7 +33,12 @@ from lmpchain.integrators.splittings import SPLITTINGS
 from lmpchain.util import mpi
 
 UNLIKE = Chain(
-    grains=5, diameter=[1e-3, 2e-3, 1.5e-3, 1e-3, 3e-3], top="wall", bottom="wall", top_load=0.3, gravity=9.81
+    grains=5,
+    diameter=[1e-3, 2e-3, 1.5e-3, 1e-3, 3e-3],
+    top="wall",
+    bottom="wall",
+    top_load=0.3,
+    gravity=9.81,
 )
 
 
@@ -49,8 +54,12 @@ def test_grains_stand_on_each_other():
         made = column(gauge=gauge)
         d = np.full(5, gauge) if gauge else UNLIKE.diameters
         apart = (d[:-1] + d[1:]) / 2 - UNLIKE.equilibrium_overlap
-        np.testing.assert_allclose(made.heights, -np.append(0.0, np.cumsum(apart)), rtol=1e-15, atol=0)
-        np.testing.assert_allclose(made.densities * np.pi / 6 * d**3, UNLIKE.masses, rtol=1e-14, atol=0)
+        np.testing.assert_allclose(
+            made.heights, -np.append(0.0, np.cumsum(apart)), rtol=1e-15, atol=0
+        )
+        np.testing.assert_allclose(
+            made.densities * np.pi / 6 * d**3, UNLIKE.masses, rtol=1e-14, atol=0
+        )
     heights, speeds = column(Displacement(displacement=1e-8, grain=3)).start
     assert heights[2] == pytest.approx(column().heights[2] - 1e-8, rel=1e-15)
     assert not speeds.any()
@@ -127,7 +136,9 @@ def test_a_uniform_chain_has_one_type():
     assert word_ == "gran/hertz/history"
     assert rest == ["0.0", "0.0", "0.0", "0.0", "0"]
     chain = alike.chain
-    assert float(constant) * math.sqrt(chain.diameters[0] / 4) == pytest.approx(chain.contact_constants[0], rel=1e-14)
+    assert float(constant) * math.sqrt(chain.diameters[0] / 4) == pytest.approx(
+        chain.contact_constants[0], rel=1e-14
+    )
     assert len(Column(paper("weak", 3), 0.0).coefficients) == 1
 
 
@@ -136,7 +147,9 @@ def test_a_uniform_chain_has_one_type():
 ACTS = {
     "sine": Drive(amplitude=1e-9, frequency=3e4),
     "burst": Drive(amplitude=1e-9, frequency=1e5, cycles=1.3),
-    "points": Drive(times=np.linspace(0, 2.3e-5, 6), displacement=1e-9 * np.array([0, 1.0, -1, 2, 0, 1])),
+    "points": Drive(
+        times=np.linspace(0, 2.3e-5, 6), displacement=1e-9 * np.array([0, 1.0, -1, 2, 0, 1])
+    ),
     "half-sine": Force(grain=2, shape="half-sine", amplitude=1e-3, duration=7e-6),
     "force": Force(grain=2, amplitude=1e-3, frequency=3e4),
 }
@@ -151,14 +164,22 @@ def test_formulas_of_lammps_give_the_motion_and_the_force(name):
         values = {"v_now": float(t), "sin": math.sin, "cos": math.cos}
         if wave.spline is None:
             (amplitude, omega) = (act.amplitude, wave.omega)
-            values |= {"v_amplitude": amplitude, "v_omega": omega, "v_envelope": wave.envelope, "v_end": wave.end}
+            values |= {
+                "v_amplitude": amplitude,
+                "v_omega": omega,
+                "v_envelope": wave.envelope,
+                "v_end": wave.end,
+            }
         else:
             lines = next(lines for end, lines in said["pieces"] if t <= end)
             values |= {line.split()[0 + 1]: float(line.split()[3]) for line in lines}
             values = {
-                key if key.startswith("v_") or key in ("sin", "cos") else f"v_{key}": x for key, x in values.items()
+                key if key.startswith("v_") or key in ("sin", "cos") else f"v_{key}": x
+                for key, x in values.items()
             }
-        value, slope = (eval(said[key].replace("^", "**"), {}, values) for key in ("value", "slope"))
+        value, slope = (
+            eval(said[key].replace("^", "**"), {}, values) for key in ("value", "slope")
+        )
         scale = np.abs(wave.at(np.linspace(0, 2e-5, 99))).max()
         assert value == pytest.approx(-float(wave.at(t)), rel=1e-12, abs=1e-13 * scale)
         if name != "half-sine":
@@ -174,11 +195,18 @@ def test_formulas_of_lammps_give_the_motion_and_the_force(name):
 
 def test_only_pieces_that_begin_in_the_run_are_told():
     points = ACTS["points"]
-    assert [end for end, _ in drive.pieces(points, 2e-5)] == pytest.approx(points.times[1:], rel=1e-15)
+    assert [end for end, _ in drive.pieces(points, 2e-5)] == pytest.approx(
+        points.times[1:], rel=1e-15
+    )
     assert len(drive.pieces(points, 1e-5)) == 3
     assert drive.pieces(ACTS["sine"], 1e-5) == []
     nothing = drive.placeholders(Impulse(velocity=1.0), 1e-5)
-    assert (nothing["value"], nothing["slope"], nothing["frequency"], nothing["pushed"]) == ("", "", 0.0, 0)
+    assert (nothing["value"], nothing["slope"], nothing["frequency"], nothing["pushed"]) == (
+        "",
+        "",
+        0.0,
+        0,
+    )
 
 
 def plan(wave, **more) -> StepPlan:
@@ -201,7 +229,11 @@ def test_a_step_is_cut_where_what_acts_ends():
     assert second == pytest.approx(0.5e-6, rel=1e-9)
     np.testing.assert_allclose(early, 6e-6 + reach * 1e-6, rtol=1e-9, atol=0)
     np.testing.assert_allclose(late, 7e-6 + reach * 0.5e-6, rtol=1e-9, atol=0)
-    assert len(plan(wave, step=1e-6, pushed=1).parts(6)) == len(plan(wave, step=1e-6, pushed=1).parts(7)) == 1
+    assert (
+        len(plan(wave, step=1e-6, pushed=1).parts(6))
+        == len(plan(wave, step=1e-6, pushed=1).parts(7))
+        == 1
+    )
     assert len(plan(None).parts(3)) == 1
     assert len(plan(ACTS["points"].waveform, driven=True).parts(3)) == 1
     assert plan(ACTS["burst"].waveform).walled
@@ -259,17 +291,22 @@ def test_round_off_in_heights_is_predicted_from_their_last_digit():
     digit = np.spacing(height)
     alone = engine.round_off(scene, 0.0, 10_000, np.array([1e-9, 0.0]))
     assert 0.3 < alone / (100 * digit / 1e-9) < 1.0
-    assert engine.round_off(scene, 0.0, 40_000, np.array([1e-9, 0.0])) == pytest.approx(2 * alone, rel=1e-12)
+    assert engine.round_off(scene, 0.0, 40_000, np.array([1e-9, 0.0])) == pytest.approx(
+        2 * alone, rel=1e-12
+    )
     speed = engine.round_off(scene, 0.0, 10_000, np.array([0.0, 1e-3]))
     assert speed == pytest.approx(alone * 1e-9 * scene.highest_frequency / 1e-3, rel=1e-12)
     gauged = engine.round_off(scene, 1e-6, 10_000, np.array([1e-9, 0.0]))
     shrunk = np.spacing(np.abs(Column(scene, 1e-6).heights).max()) / digit
     assert gauged == pytest.approx(alone * shrunk, rel=1e-12)
     assert Lammps("rkn6").round_off(scene, 0.0, 10_000, np.array([1e-9, 0.0])) == pytest.approx(
-        alone * math.sqrt(SPLITTINGS["rkn6"].evaluations / SPLITTINGS["verlet"].evaluations), rel=1e-12
+        alone * math.sqrt(SPLITTINGS["rkn6"].evaluations / SPLITTINGS["verlet"].evaluations),
+        rel=1e-12,
     )
     typical = engine.typical_round_off(scene, 10_000, 1e-3)
-    assert typical == pytest.approx(0.16 * 100 * digit * scene.highest_frequency / 1e-3, rel=0.02)  # as it says
+    assert typical == pytest.approx(
+        0.16 * 100 * digit * scene.highest_frequency / 1e-3, rel=0.02
+    )  # as it says
     gauge = Lammps("verlet", diameter="gauge").typical_round_off(scene, 10_000, 1e-3)
     assert gauge < typical / 10
 
@@ -280,11 +317,16 @@ def test_the_gauge_diameter_is_taken_where_the_physical_one_is_too_coarse():
     assert loose.choices["diameter"] == "physical"
     assert loose.choices["drawn_m"] == "0.0"
     assert tight.choices["diameter"] == "gauge"
-    assert float(tight.choices["drawn_m"]) == float(tight.choices["gauge_m"]) == gauge_diameter(scene)
+    assert (
+        float(tight.choices["drawn_m"]) == float(tight.choices["gauge_m"]) == gauge_diameter(scene)
+    )
     assert "1e-06 is asked for" in tight.choices["why"]
     assert "round-off in heights leaves about" in tight.choices["why"]
     assert tight.solver_error <= 1e-6
-    with pytest.raises(ToleranceNotMet, match=r"above the tolerance of 1e-06: the gauge diameter leaves .*, and the"):
+    with pytest.raises(
+        ToleranceNotMet,
+        match=r"above the tolerance of 1e-06: the gauge diameter leaves .*, and the",
+    ):
         Lammps(diameter="physical").candidate(scene, 1e-6)
     with pytest.raises(ToleranceNotMet, match=r'integrator "rkn6" needs far fewer steps'):
         Lammps("verlet").candidate(scene.replace(duration=1e-5), 1e-10)
@@ -298,8 +340,13 @@ def test_a_run_whose_heights_were_too_coarse_is_drawn_with_the_gauge():
     assert better.choices["diameter"] == "gauge"
     assert better.choices["why"] == "the physical diameter left 0.006"
     assert better.steps_per_landing == candidate.steps_per_landing
-    assert engine.refine(candidate, missed._replace(roundoff=0.4e-2, truncation=0.1), 1e-2).step < candidate.step
-    assert Lammps(diameter="physical").refine(candidate, missed._replace(roundoff=1.0), 1e-2) is None
+    assert (
+        engine.refine(candidate, missed._replace(roundoff=0.4e-2, truncation=0.1), 1e-2).step
+        < candidate.step
+    )
+    assert (
+        Lammps(diameter="physical").refine(candidate, missed._replace(roundoff=1.0), 1e-2) is None
+    )
 
 
 def test_remarks_at_the_head_of_a_deck():
@@ -309,7 +356,10 @@ def test_remarks_at_the_head_of_a_deck():
         "physical diameter: as asked", "verlet, expected error not estimated beforehand", "one more",
     )  # fmt: skip
     estimated = Lammps().candidate(scene, 1e-6)
-    assert Lammps().column(scene, estimated).remarks[1] == f"rkn6, expected error {estimated.solver_error:.1g}"
+    assert (
+        Lammps().column(scene, estimated).remarks[1]
+        == f"rkn6, expected error {estimated.solver_error:.1g}"
+    )
 
 
 def test_options_that_are_refused():
@@ -349,7 +399,9 @@ def test_who_runs_a_column(monkeypatch):
     monkeypatch.setattr(mpi, "launched", lambda: 3)
     monkeypatch.setattr(mpi, "joined", lambda: SimpleNamespace(size=3))
     assert launch.gather(None, "none") == launch.gather(3, "none") == ("world", 3, "none")
-    with pytest.raises(InputError, match="ranks: mpirun has started 3 processes; leave the number of ranks out"):
+    with pytest.raises(
+        InputError, match="ranks: mpirun has started 3 processes; leave the number of ranks out"
+    ):
         launch.gather(2, "none")
     monkeypatch.setattr(mpi, "joined", lambda: None)
     assert launch.gather(1, "none") == ("serial", "none")
@@ -418,7 +470,9 @@ def test_what_the_library_must_be(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "lammps", SimpleNamespace(lammps=Old))
     assert isinstance(library.open_lammps(), Old)
     Old.version_ = library.TESTED - 1
-    with pytest.warns(UserWarning, match=f"LAMMPS {library.TESTED - 1} is older than the tested {library.TESTED}"):
+    with pytest.warns(
+        UserWarning, match=f"LAMMPS {library.TESTED - 1} is older than the tested {library.TESTED}"
+    ):
         library.open_lammps()
     Old.packages = False
     with pytest.raises(EngineUnavailable, match="has no GRANULAR package"):

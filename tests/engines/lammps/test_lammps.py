@@ -45,10 +45,19 @@ DECKS = {
     ),
     "walls": small(top="wall", top_load=0.02, bottom="wall", bottom_material="steel"),
     "loose wall": small(Impulse(velocity=-8.57e-4, grain=3), top="wall", bottom="wall"),
-    "springs between walls": small(exponent=1.0, top="wall", bottom="wall", gravity=0.0, top_load=0.02),
-    "impurity": small(impurity=[Impurity(grain=3, diameter=0.7e-3, material="steel"), Impurity(grain=9, mass=5e-6)]),
+    "springs between walls": small(
+        exponent=1.0, top="wall", bottom="wall", gravity=0.0, top_load=0.02
+    ),
+    "impurity": small(
+        impurity=[
+            Impurity(grain=3, diameter=0.7e-3, material="steel"),
+            Impurity(grain=9, mass=5e-6),
+        ]
+    ),
     "harmonic drive": small(Drive(amplitude=3e-8, frequency=5e4), top_load=0.02),
-    "sampled drive": small(Drive(times=np.linspace(0, 2.1e-5, 8), displacement=3e-8 * np.sin(np.arange(8.0)) ** 2)),
+    "sampled drive": small(
+        Drive(times=np.linspace(0, 2.1e-5, 8), displacement=3e-8 * np.sin(np.arange(8.0)) ** 2)
+    ),
 }
 
 
@@ -67,7 +76,9 @@ WAYS = [("verlet", "physical"), ("verlet", "gauge"), ("kahan-li6", "gauge")]
 def test_stand_alone_deck_gives_the_bytes_of_the_library(tmp_path, name, integrator, diameter):
     scene, step = DECKS[name], 1e-7
     if scene.drive and integrator != "verlet":
-        with pytest.raises(InputError, match="a deck can carry a drive or a force with verlet only"):
+        with pytest.raises(
+            InputError, match="a deck can carry a drive or a force with verlet only"
+        ):
             write_deck(scene, tmp_path, step=step, integrator=integrator, diameter=diameter)
         return
     write_deck(scene, tmp_path / "deck", step=step, integrator=integrator, diameter=diameter)
@@ -76,12 +87,16 @@ def test_stand_alone_deck_gives_the_bytes_of_the_library(tmp_path, name, integra
     t = simulate(scene, engine=engine)
     alone, inside = (tmp_path / folder / "column.lammpstrj" for folder in ("deck", "library"))
     assert filecmp.cmp(alone, inside, shallow=False)
-    assert filecmp.cmp(tmp_path / "deck" / "in.column", tmp_path / "library" / "in.column", shallow=False)
+    assert filecmp.cmp(
+        tmp_path / "deck" / "in.column", tmp_path / "library" / "in.column", shallow=False
+    )
     u, v = read_dump(alone)
     assert np.array_equal(u[1:], t.displacement[1:])
     assert np.array_equal(v, t.velocity)
     assert np.abs(u).max() > 0
-    assert u[0] == pytest.approx(t.displacement[0], rel=0, abs=1e-17)  # a dump holds heights, also those at the start
+    assert u[0] == pytest.approx(
+        t.displacement[0], rel=0, abs=1e-17
+    )  # a dump holds heights, also those at the start
 
 
 def test_mdanalysis_reads_displacements_to_1e_12(tmp_path):
@@ -91,13 +106,19 @@ def test_mdanalysis_reads_displacements_to_1e_12(tmp_path):
     u, v = read_dump(tmp_path / "column.lammpstrj")
     reference = extended_reference(paper("fig5 g", samples=3))
     assert relative_error(u, v, *reference[:2]) < 1e-3  # velocity Verlet at 0.1 us
-    again = simulate(paper("fig5 g", samples=3), engine=Lammps(integrator="verlet", step=1e-7, diameter="physical"))
+    again = simulate(
+        paper("fig5 g", samples=3),
+        engine=Lammps(integrator="verlet", step=1e-7, diameter="physical"),
+    )
     assert u == pytest.approx(again.displacement, rel=1e-12, abs=0)
 
 
 def test_variables_of_a_deck_can_be_set_on_the_command_line(tmp_path):
     write_deck(small(), tmp_path, step=1e-7)
-    t = simulate(small(Impulse(velocity=1e-5)), engine=Lammps(integrator="verlet", step=5e-8, diameter="physical"))
+    t = simulate(
+        small(Impulse(velocity=1e-5)),
+        engine=Lammps(integrator="verlet", step=5e-8, diameter="physical"),
+    )
     every = t.cost.steps // 5
     values = {"v0": 1e-5, "dt": t.cost.step_s, "every": every, "dump": "other.lammpstrj"}
     lmp(tmp_path, *(word for name, value in values.items() for word in ("-var", name, str(value))))
@@ -112,7 +133,9 @@ def test_deck_says_what_was_chosen_and_why(tmp_path):
     assert "the tolerance of 1e-06 is out of reach: LAMMPS holds heights" in text
     text = write_deck(paper("weak", samples=3), tmp_path / "auto", diameter="auto").read_text()
     assert "gauge diameter: round-off in heights leaves about" in text
-    text = write_deck(paper("fig1", samples=3), tmp_path / "strong", tolerance=1e-4, diameter="auto").read_text()
+    text = write_deck(
+        paper("fig1", samples=3), tmp_path / "strong", tolerance=1e-4, diameter="auto"
+    ).read_text()
     assert "physical diameter:" in text
     with pytest.raises(InputError, match="cannot carry the kicks"):
         write_deck(small(), tmp_path, integrator="rkn6")
@@ -124,7 +147,10 @@ def test_deck_says_what_was_chosen_and_why(tmp_path):
 def test_pair_styles_agree():
     scene = paper("fig1", samples=3)
     runs = [
-        simulate(scene, engine=Lammps(integrator="verlet", step=5e-8, diameter="physical", pair_style=style))
+        simulate(
+            scene,
+            engine=Lammps(integrator="verlet", step=5e-8, diameter="physical", pair_style=style),
+        )
         for style in ("granular", "gran/hertz/history")
     ]
     assert np.abs(runs[0].displacement - runs[1].displacement).max() < 1e-15
@@ -135,11 +161,17 @@ def test_only_the_diameter_asked_for_must_be_expressible():
     """Grains of one material but unequal sizes have one constant with their own radii, and many with the gauge's."""
     scene = small(diameter=np.linspace(1e-3, 2e-3, 25))
     options = {"integrator": "verlet", "step": 1e-7, "diameter": "physical"}
-    fast, slow = (simulate(scene, engine=Lammps(**options, pair_style=s)) for s in ("gran/hertz/history", "granular"))
+    fast, slow = (
+        simulate(scene, engine=Lammps(**options, pair_style=s))
+        for s in ("gran/hertz/history", "granular")
+    )
     assert np.abs(fast.displacement - slow.displacement).max() < 1e-14
     assert np.abs(fast.displacement).max() > 1e-9
     with pytest.raises(InputError, match="use pair_style granular"):
-        simulate(scene, engine=Lammps(**(options | {"diameter": "gauge"}), pair_style="gran/hertz/history"))
+        simulate(
+            scene,
+            engine=Lammps(**(options | {"diameter": "gauge"}), pair_style="gran/hertz/history"),
+        )
 
 
 def test_a_splitting_that_no_deck_can_carry_keeps_none(tmp_path):
@@ -151,11 +183,20 @@ def test_unlike_contacts_share_few_types():
     """N unlike contacts need about sqrt(2 N) types; the force of each contact is its own."""
     rng = np.random.default_rng(3)
     chain = Chain(
-        grains=200, material="glass", diameter=1e-3, contact_constants=rng.uniform(1, 3, 199) * 1e9, exponent=1.5
+        grains=200,
+        material="glass",
+        diameter=1e-3,
+        contact_constants=rng.uniform(1, 3, 199) * 1e9,
+        exponent=1.5,
     )
-    column = Column(Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=1e-5), gauge=1e-6)
+    column = Column(
+        Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=1e-5), gauge=1e-6
+    )
     assert max(column.types) < 40
-    given = [column._typed[1][tuple(sorted(pair))] for pair in zip(column.types, column.types[1:], strict=False)]
+    given = [
+        column._typed[1][tuple(sorted(pair))]
+        for pair in zip(column.types, column.types[1:], strict=False)
+    ]
     radius = column.diameters[0] / 4
     assert np.array(given) * np.sqrt(radius) == pytest.approx(chain.contact_constants, rel=1e-14)
 
@@ -169,7 +210,10 @@ def test_refusals_name_the_cure():
         simulate(DECKS["unequal"], engine="lammps", pair_style="gran/hertz/history")
     many = np.random.default_rng(1).uniform(1, 2, 29_999) * 1e9
     with pytest.raises(InputError, match=r"contact_constants: .*use the engine native"):
-        simulate(small(Drive(amplitude=1e-9, frequency=1e4), grains=30_000, contact_constants=many), engine="lammps")
+        simulate(
+            small(Drive(amplitude=1e-9, frequency=1e4), grains=30_000, contact_constants=many),
+            engine="lammps",
+        )
     for option in (
         {"diameter": "small"},
         {"pair_style": "gran"},
@@ -194,8 +238,12 @@ def test_blow_up_is_noticed():
 @pytest.mark.parametrize("exponent", [1.0, 1.5])
 def test_what_rounding_presses_in_a_vacuum_is_no_breakdown(exponent):
     """A grain is pulled away: there is no energy and nothing moves but the rest, by the last digits of heights."""
-    chain = Chain(grains=9, diameter=np.linspace(1e-3, 2e-3, 9), exponent=exponent, gravity=0.0, bottom="free")
-    scene = Scene(chain=chain, excitation=Displacement(displacement=-1e-9), duration=1e-5, samples=5)
+    chain = Chain(
+        grains=9, diameter=np.linspace(1e-3, 2e-3, 9), exponent=exponent, gravity=0.0, bottom="free"
+    )
+    scene = Scene(
+        chain=chain, excitation=Displacement(displacement=-1e-9), duration=1e-5, samples=5
+    )
     answer = simulate(scene, "lammps", 1e-6)
     np.testing.assert_allclose(answer.displacement[:, 0], -1e-9, rtol=1e-14)
     assert 0 < np.abs(answer.velocity).max() < 1e-6 * scene.highest_frequency * 1e-9

@@ -42,15 +42,21 @@ LOADED = Chain(grains=30, material="steel", diameter=5e-3, top_load=5.0, bottom=
 SCENES = {
     "strike in the middle": MIDDLE,
     "walls": Scene(
-        chain=Chain(grains=30, material="steel", diameter=5e-3, top_load=5.0, top="wall", bottom="wall"),
+        chain=Chain(
+            grains=30, material="steel", diameter=5e-3, top_load=5.0, top="wall", bottom="wall"
+        ),
         excitation=Impulse(velocity=1e-2, grain=15),
         duration=4e-5,
         samples=5,
     ),
-    "harmonic drive": Scene(chain=LOADED, excitation=Drive(amplitude=1e-7, frequency=2e4), duration=4e-5, samples=5),
+    "harmonic drive": Scene(
+        chain=LOADED, excitation=Drive(amplitude=1e-7, frequency=2e4), duration=4e-5, samples=5
+    ),
     "sampled drive": Scene(
         chain=LOADED,
-        excitation=Drive(times=np.linspace(0, 4e-5, 9), displacement=1e-7 * np.sin(np.arange(9.0)) ** 2),
+        excitation=Drive(
+            times=np.linspace(0, 4e-5, 9), displacement=1e-7 * np.sin(np.arange(9.0)) ** 2
+        ),
         duration=4e-5,
         samples=5,
     ),
@@ -70,7 +76,9 @@ ENDLESS = Scene(
 
 
 def same(one: Trajectory, other: Trajectory) -> bool:
-    return np.array_equal(one.displacement, other.displacement) and np.array_equal(one.velocity, other.velocity)
+    return np.array_equal(one.displacement, other.displacement) and np.array_equal(
+        one.velocity, other.velocity
+    )
 
 
 INTEGRATORS = ("verlet", "kahan-li6", "rkn6")
@@ -81,7 +89,10 @@ SLOW = list(zip(SCENES, cycle(INTEGRATORS)))  # each once
 @pytest.mark.parametrize(
     ("name", "integrator"),
     [
-        pytest.param(*each, marks=() if each == FIRST else pytest.mark.slow if each in SLOW else pytest.mark.soak)
+        pytest.param(
+            *each,
+            marks=() if each == FIRST else pytest.mark.slow if each in SLOW else pytest.mark.soak,
+        )
         for each in product(SCENES, INTEGRATORS)
     ],
 )
@@ -96,13 +107,20 @@ def test_ranks_give_the_bytes_of_one(name, integrator):
 
 @pytest.mark.slow
 def test_three_ranks_and_the_gauge_diameter():
-    one, three = (simulate(MIDDLE, engine=Lammps(diameter="gauge", ranks=ranks)) for ranks in (1, 3))
+    one, three = (
+        simulate(MIDDLE, engine=Lammps(diameter="gauge", ranks=ranks)) for ranks in (1, 3)
+    )
     assert three.cost.ranks == 3
     assert same(one, three)
 
 
 def test_more_ranks_than_grains_are_refused():
-    scene = Scene(chain=Chain(grains=2, diameter=1e-3), excitation=Impulse(velocity=1e-4), duration=1e-5, samples=3)
+    scene = Scene(
+        chain=Chain(grains=2, diameter=1e-3),
+        excitation=Impulse(velocity=1e-4),
+        duration=1e-5,
+        samples=3,
+    )
     with pytest.raises(InputError, match="ranks: must be at most one a grain"):
         simulate(scene, "lammps", ranks=3)
     for wrong in (0, -1, 2.0, True):
@@ -116,7 +134,10 @@ def test_dump_of_two_ranks(tmp_path):
     """The files that a run keeps do not tell how many ranks wrote them."""
     for ranks in (1, 2):
         simulate(
-            MIDDLE, engine=Lammps("verlet", step=1e-7, diameter="physical", keep=tmp_path / str(ranks), ranks=ranks)
+            MIDDLE,
+            engine=Lammps(
+                "verlet", step=1e-7, diameter="physical", keep=tmp_path / str(ranks), ranks=ranks
+            ),
         )
     for name in ("column.lammpstrj", "in.column", "column.data"):
         assert (tmp_path / "1" / name).read_bytes() == (tmp_path / "2" / name).read_bytes()
@@ -124,7 +145,9 @@ def test_dump_of_two_ranks(tmp_path):
 
 def mpirun(*words: str | Path, ranks: int = 2, **options) -> subprocess.Popen[str]:
     command = [MPIEXEC, "-n", str(ranks), sys.executable, *map(str, words)]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options)
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options
+    )
 
 
 @pytest.mark.slow
@@ -137,7 +160,9 @@ def test_plain_mpirun_of_the_command_line(tmp_path):
     two = Trajectory.load(tmp_path / "two.nc")
     assert two.cost.ranks == 2
     assert same(two, simulate(MIDDLE, "lammps"))
-    code, said = ended(mpirun("-m", "lmpchain.cli", "run", tmp_path / "scene.toml", "-o", tmp_path / "native.nc"))
+    code, said = ended(
+        mpirun("-m", "lmpchain.cli", "run", tmp_path / "scene.toml", "-o", tmp_path / "native.nc")
+    )
     assert code == 0
     assert said.count("the engine auto runs on one rank") == 1
     code, said = ended(mpirun("-m", "lmpchain.cli", "run", tmp_path / "none.toml"))
@@ -151,7 +176,16 @@ def test_plain_mpirun_of_the_command_line(tmp_path):
 @pytest.mark.slow
 def test_ranks_on_the_command_line(tmp_path):
     MIDDLE.to_toml(tmp_path / "scene.toml")
-    words = ["-m", "lmpchain.cli", "run", str(tmp_path / "scene.toml"), "--engine", "lammps", "--ranks", "2"]
+    words = [
+        "-m",
+        "lmpchain.cli",
+        "run",
+        str(tmp_path / "scene.toml"),
+        "--engine",
+        "lammps",
+        "--ranks",
+        "2",
+    ]
     done = subprocess.run([sys.executable, *words], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "2 ranks" in done.stdout
@@ -191,13 +225,16 @@ def test_a_killed_rank_ends_the_run_with_a_message(monkeypatch):
 
     monkeypatch.setattr(lammps_engine, "gather", gather)
     with pytest.raises(EngineUnavailable, match=r"a rank of LAMMPS died.*EXIT CODE: 9"):
-        simulate(ENDLESS, engine=Lammps(integrator="verlet", step=1e-7, diameter="physical", ranks=2))
+        simulate(
+            ENDLESS, engine=Lammps(integrator="verlet", step=1e-7, diameter="physical", ranks=2)
+        )
     assert not Path(f"/proc/{started[0].pids[0]}").exists()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "words", [("-m", "lmpchain.engines.lammps.subprocess_ranks", "nowhere"), ("-c", doctor.SIZES_SEEN)]
+    "words",
+    [("-m", "lmpchain.engines.lammps.subprocess_ranks", "nowhere"), ("-c", doctor.SIZES_SEEN)],
 )
 def test_a_rank_whose_peer_never_comes_ends_with_its_launcher(words, tmp_path):
     """It waits in MPI's start, where no Python runs; the line to the launcher stays open here."""
@@ -206,7 +243,9 @@ def test_a_rank_whose_peer_never_comes_ends_with_its_launcher(words, tmp_path):
     mark = f"MARK={os.getpid()}-{tmp_path.name}"
     of_mpi = {"PMI_SIZE": "2", "PMI_RANK": "0", "PMI_FD": str(theirs.fileno())}
     environment = os.environ | of_mpi | dict([mark.split("=")])
-    started = subprocess.Popen([sys.executable, "-c", launcher], env=environment, pass_fds=[theirs.fileno()])
+    started = subprocess.Popen(
+        [sys.executable, "-c", launcher], env=environment, pass_fds=[theirs.fileno()]
+    )
     with ours, theirs:
         assert ours.recv(8) == b"cmd=init"
         started.kill()
@@ -217,10 +256,28 @@ def test_a_rank_whose_peer_never_comes_ends_with_its_launcher(words, tmp_path):
 def endless(tmp_path: Path) -> tuple[subprocess.Popen[str], dict[int, int]]:
     """Start a long run under mpirun; return it, at work, with its ranks."""
     ENDLESS.to_toml(tmp_path / "endless.toml")
-    words = ["run", tmp_path / "endless.toml", "--engine", "lammps", "--integrator", "verlet", "--step", "1e-7"]
+    words = [
+        "run",
+        tmp_path / "endless.toml",
+        "--engine",
+        "lammps",
+        "--integrator",
+        "verlet",
+        "--step",
+        "1e-7",
+    ]
     mark = f"MARK={os.getpid()}-{tmp_path.name}"
     environment = os.environ | dict([mark.split("=")])
-    process = mpirun("-m", "lmpchain.cli", *words, "--diameter", "physical", "-o", tmp_path / "x.nc", env=environment)
+    process = mpirun(
+        "-m",
+        "lmpchain.cli",
+        *words,
+        "--diameter",
+        "physical",
+        "-o",
+        tmp_path / "x.nc",
+        env=environment,
+    )
     ranks: dict[int, int] = {}
 
     def started() -> bool:
@@ -228,7 +285,9 @@ def endless(tmp_path: Path) -> tuple[subprocess.Popen[str], dict[int, int]]:
         for each in processes(mark):
             with suppress(OSError):
                 entries = Path(f"/proc/{each}/environ").read_bytes().split(b"\0")
-                ranks.update({int(entry[9:]): each for entry in entries if entry.startswith(b"PMI_RANK=")})
+                ranks.update(
+                    {int(entry[9:]): each for entry in entries if entry.startswith(b"PMI_RANK=")}
+                )
         return len(ranks) == 2
 
     until(started)

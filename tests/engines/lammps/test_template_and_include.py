@@ -55,7 +55,9 @@ def test_an_include_works_in_the_library(ranks: int):
     t = simulate(small(), engine=Lammps(**VERLET, include="my.include", ranks=ranks))
     assert np.array_equal(t.displacement, plain.displacement)
     assert t.provenance["include"] == INCLUDE
-    energy = np.loadtxt("energy.txt")[:: t.cost.steps // 50, 1]  # of every 10th step, so of every sample
+    energy = np.loadtxt("energy.txt")[
+        :: t.cost.steps // 50, 1
+    ]  # of every 10th step, so of every sample
     assert energy == pytest.approx(0.5 * (t.velocity**2) @ t.scene.chain.masses, rel=1e-5)
     scene = Scene(**small().given() | {"samples": t.cost.steps // 10 + 1})
     mine = Trajectory.from_dump("mine.dump", scene)
@@ -117,7 +119,9 @@ def test_the_template_of_the_package_is_one():
 def test_one_template_for_a_deck_and_the_library():
     options = {"template": "my.template", "include": "my.include"}
     write_deck(small(), "deck", step=1e-7, **options)
-    assert Path("deck/in.column").read_text().startswith("# 25 grains of my own\n# steps of 0.1 us\n")
+    assert (
+        Path("deck/in.column").read_text().startswith("# 25 grains of my own\n# steps of 0.1 us\n")
+    )
     lmp(Path("deck"))
     t = simulate(small(), engine=Lammps(**VERLET, **options))
     dumped = Trajectory.from_dump("deck/column.lammpstrj", small())
@@ -134,16 +138,28 @@ def test_a_deck_may_run_as_it_likes_and_the_library_may_not():
     dumped = Trajectory.from_dump("deck/own.dump", small())
     assert np.array_equal(dumped.velocity, simulate(small(), engine=Lammps(**VERLET)).velocity)
     with pytest.raises(
-        InputError, match=r'template: the command run \(line 8\) cannot be used here: put .*"run.column"'
+        InputError,
+        match=r'template: the command run \(line 8\) cannot be used here: put .*"run.column"',
     ):
         simulate(small(), engine=Lammps(**VERLET, template="my.template"))
 
 
 @pytest.mark.parametrize(
-    "commands", ["run 10", "  run\t10", 'if "1 > 0" then "run 10"', "minimize 0 0 1 1", "clear", "quit", "rerun a.dump"]
+    "commands",
+    [
+        "run 10",
+        "  run\t10",
+        'if "1 > 0" then "run 10"',
+        "minimize 0 0 1 1",
+        "clear",
+        "quit",
+        "rerun a.dump",
+    ],
 )
 def test_an_include_may_not_run(commands: str, capsys: pytest.CaptureFixture[str]):
-    Path("my.include").write_text(f"# run 10\nvariable run equal 1\nfix runs all nve # run\n{commands}\n")
+    Path("my.include").write_text(
+        f"# run 10\nvariable run equal 1\nfix runs all nve # run\n{commands}\n"
+    )
     for verb in (["deck", "-o", "deck"], ["run", "--engine", "lammps"]):
         assert main([verb[0], "scene.toml", "--include", "my.include", *verb[1:]]) == 2
         assert "(line 4)" in (said := capsys.readouterr()).err
@@ -153,7 +169,10 @@ def test_an_include_may_not_run(commands: str, capsys: pytest.CaptureFixture[str
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("{{ colour }}", "there is no placeholder 'colour'; there are alone, column, cycles, data, "),
+        (
+            "{{ colour }}",
+            "there is no placeholder 'colour'; there are alone, column, cycles, data, ",
+        ),
         ("{{ column.colour }}", "has no attribute 'colour'"),
         ("{% if false %}{{ colour }}{% endif %}", "no placeholder 'colour'"),
         ("{{ 1 / 0 }}", "division by zero"),
@@ -178,7 +197,9 @@ def test_an_include_may_not_run(commands: str, capsys: pytest.CaptureFixture[str
         ("{{ colour }}\0", "not text in UTF-8"),
     ],
 )
-def test_templates_that_cannot_be_filled_in(text: str, says: str, here: Path, capsys: pytest.CaptureFixture[str]):
+def test_templates_that_cannot_be_filled_in(
+    text: str, says: str, here: Path, capsys: pytest.CaptureFixture[str]
+):
     Path("my.template").write_text(text)
     before = names(here)
     for verb in (["deck", "-o", "deck"], ["run", "--engine", "lammps"]):
@@ -213,7 +234,10 @@ def test_options_that_do_not_go_together(capsys: pytest.CaptureFixture[str]):
 
 def test_on_the_command_line(capsys: pytest.CaptureFixture[str]):
     own = ["--template", "my.template", "--include", "my.include"]
-    assert main(["run", "scene.toml", "--engine", "lammps", "--step", "1e-8", "-o", "run.nc", *own]) == 0
+    assert (
+        main(["run", "scene.toml", "--engine", "lammps", "--step", "1e-8", "-o", "run.nc", *own])
+        == 0
+    )
     assert "verlet" in capsys.readouterr().out
     assert Path("mine.dump").stat().st_size > 0
     assert main(["deck", "scene.toml", "-o", "deck", "--step", "1e-8", *own]) == 0
@@ -228,7 +252,9 @@ HOSTILE = [
     '"; shell touch spoilt; "', "x\nshell touch spoilt\n", "$(touch spoilt)", "`touch spoilt`", "${HOME}", "a & b",
     "'; touch spoilt; '", "{{ 7 * 7 }}", "# > spoilt", "../../spoilt", "\x1b[2J", "\u202e\u00e9", "a\tb", "%s%n", "*",
 ]  # fmt: skip
-NAMED = "{{density = 2426.0, youngs_modulus = 62e9, poissons_ratio = 0.2, name = {0}, source = {0}}}"
+NAMED = (
+    "{{density = 2426.0, youngs_modulus = 62e9, poissons_ratio = 0.2, name = {0}, source = {0}}}"
+)
 FIELDS = {
     "chain.material": "grains = 20\nmaterial = {0}\ndiameter = 1e-3",
     "chain.material.name": f"grains = 20\nmaterial = {NAMED}\ndiameter = 1e-3",
@@ -260,16 +286,22 @@ def scenes(text: str) -> dict[str, str]:
     """Return scene files with this text in every place that holds text."""
     tame = 'grains = 20\nmaterial = "glass"\ndiameter = 1.0e-3'
     found = {field: SCENE.replace(tame, form.format(toml(text))) for field, form in FIELDS.items()}
-    return found | {field: SCENE.replace(old, new.format(toml(text))) for field, (old, new) in OTHERS.items()}
+    return found | {
+        field: SCENE.replace(old, new.format(toml(text))) for field, (old, new) in OTHERS.items()
+    }
 
 
 @pytest.mark.parametrize("text", HOSTILE)
-def test_text_in_a_scene_stays_out_of_decks(text: str, here: Path, capsys: pytest.CaptureFixture[str]):
+def test_text_in_a_scene_stays_out_of_decks(
+    text: str, here: Path, capsys: pytest.CaptureFixture[str]
+):
     reference = {}
     for field, tame in scenes("harmless").items():
         Path("scene.toml").write_text(tame)
         if main(["deck", "scene.toml", "-o", f"tame {field}", "--step", "1e-7"]) == 0:
-            reference[field] = [Path(f"tame {field}", name).read_bytes() for name in ("in.column", "column.data")]
+            reference[field] = [
+                Path(f"tame {field}", name).read_bytes() for name in ("in.column", "column.data")
+            ]
     assert set(reference) == {"chain.material.name", "chain.bottom_material", "chain.impurity.name"}
     before = names(here)
     capsys.readouterr()
@@ -279,7 +311,9 @@ def test_text_in_a_scene_stays_out_of_decks(text: str, here: Path, capsys: pytes
         said = capsys.readouterr()
         assert code == (0 if field in reference else 2), (field, said.err)
         if code == 0:
-            assert reference[field] == [Path("deck", name).read_bytes() for name in ("in.column", "column.data")]
+            assert reference[field] == [
+                Path("deck", name).read_bytes() for name in ("in.column", "column.data")
+            ]
             shutil.rmtree("deck")
         else:
             assert all(line.startswith("error: ") for line in said.err.splitlines())
@@ -297,7 +331,9 @@ def test_names_of_files_and_folders(name: str, here: Path, capsys: pytest.Captur
     line = capsys.readouterr().out.split("to run them:\n")[1]
     before = names(here)
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
-    subprocess.run(["bash", "-c", line], env=os.environ | {"PATH": path}, check=True, capture_output=True)
+    subprocess.run(
+        ["bash", "-c", line], env=os.environ | {"PATH": path}, check=True, capture_output=True
+    )
     assert (Path(folder) / "column.lammpstrj").stat().st_size > 0
     scene, kept = Scene.from_toml("scene.toml"), f"kept {name}"
     if set(name) & set("\"'$&#{}*%\n\t\x1b") or not name.isascii():
@@ -320,12 +356,17 @@ def cluster(here: Path) -> dict[str, str]:
     srun = here / "bin" / "srun"
     srun.write_text('#!/bin/sh\nprintf "%s\\n" "$@" >> "$0.log"\n')
     srun.chmod(0o755)
-    return os.environ | {"PATH": f"{here / 'bin'}:{os.environ['PATH']}", "SLURM_JOB_END_TIME": "99999999999"}
+    return os.environ | {
+        "PATH": f"{here / 'bin'}:{os.environ['PATH']}",
+        "SLURM_JOB_END_TIME": "99999999999",
+    }
 
 
 def job(environment: dict[str, str], *arguments: str) -> subprocess.CompletedProcess[str]:
     script = [str(TEMPLATES / "slurm.sh"), *arguments]
-    return subprocess.run(["bash", *script], env=environment, capture_output=True, text=True, check=False)
+    return subprocess.run(
+        ["bash", *script], env=environment, capture_output=True, text=True, check=False
+    )
 
 
 def test_the_job_script(cluster: dict[str, str], here: Path):
@@ -335,7 +376,16 @@ def test_the_job_script(cluster: dict[str, str], here: Path):
         wanted = f"{folder.rstrip('/')}/"
         assert job(cluster, "my scene.toml", folder, "--template", "my deck").returncode == 0
         words = log.read_text().splitlines()
-        assert words[:8] == ["lmpchain", "run", "my scene.toml", "-o", wanted, "--engine", "lammps", "--max-wall"]
+        assert words[:8] == [
+            "lmpchain",
+            "run",
+            "my scene.toml",
+            "-o",
+            wanted,
+            "--engine",
+            "lammps",
+            "--max-wall",
+        ]
         assert float(words[8]) > 9e10
         assert words[9:] == ["--template", "my deck"]
         log.unlink()
@@ -344,7 +394,11 @@ def test_the_job_script(cluster: dict[str, str], here: Path):
         assert log.read_text().splitlines()[:4] == ["lmpchain", "resume", wanted, "--max-wall"]
         log.unlink()
     assert "spoilt" not in names(here)
-    failed = job({key: value for key, value in cluster.items() if key != "SLURM_JOB_END_TIME"}, "scene.toml", "run")
+    failed = job(
+        {key: value for key, value in cluster.items() if key != "SLURM_JOB_END_TIME"},
+        "scene.toml",
+        "run",
+    )
     assert failed.returncode != 0
     assert "SLURM_JOB_END_TIME" in failed.stderr
     assert not log.exists()
